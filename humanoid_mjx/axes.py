@@ -1,0 +1,96 @@
+"""The axes of a sweep: from what a config writes to the values of each point."""
+
+import math
+from collections.abc import Iterable
+from itertools import product
+from typing import Any, Literal
+
+import numpy as np
+import pydantic
+
+from humanoid_mjx.spec import InputError
+
+MAX_POINTS = 10_000_000
+
+Axis = list | dict[str, list]
+
+
+class Sweep(pydantic.BaseModel):
+    """How the swept values make points: every combination, one after another, or random draws."""
+
+    model_config = pydantic.ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+    mode: Literal["grid", "zip", "random"] = "grid"
+    points: int | None = pydantic.Field(None, ge=1, le=MAX_POINTS, description="how many draws, in mode random")
+    axes: dict[str, Axis] = pydantic.Field(min_length=1)
+
+    @pydantic.model_validator(mode="after")
+    def _points_belong_to_random(self) -> "Sweep":
+        if (self.mode == "random") != (self.points is not None):
+            raise ValueError("points is required in mode random and has no meaning in the others")
+        return self
+
+
+def sweep_points(sweep: Sweep, seed: int) -> list[dict[str, Any]]:
+    """The values of the swept keys at each point, by dotted name. Random draws depend on `seed`.
+
+    Raises:
+      InputError: an axis that is empty or unusable, or axes of unequal length in mode zip.
+    """
+    if sweep.mode == "random":
+        rng = np.random.default_rng(seed)
+        columns = [_draw(rng, name, axis, sweep.points or 0) for name, axis in sweep.axes.items()]
+    else:
+        columns = [axis_values(name, axis) for name, axis in sweep.axes.items()]
+    lengths = [len(column) for column in columns]
+    if sweep.mode == "zip" and len(set(lengths)) != 1:
+        pairs = ", ".join(f"{name}: {length}" for name, length in zip(sweep.axes, lengths, strict=True))
+        raise InputError(f"sweep.axes must be equally long in mode zip, got {pairs}.")
+    if sweep.mode == "grid" and math.prod(lengths) > MAX_POINTS:
+        raise InputError(f"sweep.axes: {math.prod(lengths):,} points are more than {MAX_POINTS:,}.")
+    rows: Iterable[tuple] = product(*columns) if sweep.mode == "grid" else zip(*columns, strict=True)
+    return [dict(zip(sweep.axes, row, strict=True)) for row in rows]
+
+
+def axis_values(name: str, axis: Axis) -> list:
+    """The values of one axis of a grid or zip: a list, `{linspace: [first, last, count]}` or `{logspace: ...}`."""
+    if isinstance(axis, list):
+        if not axis:
+            raise InputError(f"sweep.axes.{name}: the list is empty.")
+        if odd := [v for v in axis if isinstance(v, (dict, list)) or v is None]:
+            raise InputError(f"sweep.axes.{name}: a list of values cannot hold {odd[0]!r}.")
+        return axis
+    kind, (low, high, count) = _entries(name, axis, ("linspace", "logspace"), 3)
+    if not isinstance(count, int) or not 1 <= count <= MAX_POINTS:
+        raise InputError(f"sweep.axes.{name}: the third entry is the number of values, at least 1, got {count!r}.")
+    if kind == "logspace" and not (low > 0 and high > 0):
+        raise InputError(f"sweep.axes.{name}: logspace needs ends above 0, got {low!r} and {high!r}.")
+    space = np.linspace if kind == "linspace" else np.geomspace
+    return [float(v) for v in space(low, high, count)]
+
+
+def _draw(rng: np.random.Generator, name: str, axis: Axis, count: int) -> list:
+    """Random values of one axis: from a list, `{uniform: [low, high]}`, `{loguniform: ...}` or `{integers: ...}`."""
+    if isinstance(axis, list):
+        values = axis_values(name, axis)
+        return [values[i] for i in rng.integers(len(values), size=count)]
+    kind, (low, high) = _entries(name, axis, ("uniform", "loguniform", "integers"), 2)
+    if low > high or (kind == "loguniform" and low <= 0):
+        raise InputError(f"sweep.axes.{name}: the ends must be in order, and above 0 for loguniform, got {axis!r}.")
+    if kind == "integers":
+        if not (isinstance(low, int) and isinstance(high, int)):
+            raise InputError(f"sweep.axes.{name}: the ends of integers must be whole numbers, got {axis!r}.")
+        return [int(v) for v in rng.integers(low, high, size=count, endpoint=True)]
+    if kind == "loguniform":
+        return [float(v) for v in np.exp(rng.uniform(np.log(low), np.log(high), count))]
+    return [float(v) for v in rng.uniform(low, high, count)]
+
+
+def _entries(name: str, axis: dict[str, list], kinds: tuple[str, ...], size: int) -> tuple[str, list]:
+    if len(axis) != 1 or (kind := next(iter(axis))) not in kinds:
+        forms = ", ".join(f"{{{kind}: [...]}}" for kind in kinds)
+        raise InputError(f"sweep.axes.{name}: write a list of values or one of {forms}, got {axis!r}.")
+    numbers = [v for v in axis[kind] if isinstance(v, (int, float)) and not isinstance(v, bool)]
+    if len(axis[kind]) != size or len(numbers) != size or not all(map(math.isfinite, numbers)):
+        raise InputError(f"sweep.axes.{name}: {kind} takes {size} finite numbers, got {axis[kind]!r}.")
+    return kind, numbers

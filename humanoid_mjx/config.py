@@ -1,0 +1,143 @@
+"""Config files: what to train, over which sweep, for how long. Strict: unknown keys and wrong types are refused."""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pydantic
+import yaml
+
+from humanoid_mjx.axes import Sweep
+from humanoid_mjx.data import shipped
+from humanoid_mjx.spec import InputError, sentence
+
+
+class Config(pydantic.BaseModel):
+    """One training run or sweep, as written; `training.plan` gives it meaning."""
+
+    model_config = pydantic.ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+    name: str = pydantic.Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
+    task: dict[str, Any]
+    learner: dict[str, Any]
+    sweep: Sweep | None = None
+    seeds: int = pydantic.Field(1, ge=1, le=1_000_000)
+    seed: int = pydantic.Field(0, ge=0, lt=2**32)
+    episodes: int = pydantic.Field(1000, ge=1, le=1_000_000_000)
+    record: int = pydantic.Field(100, ge=1, le=10_000)
+
+    _source: str = pydantic.PrivateAttr("config")
+
+    @property
+    def source(self) -> str:
+        """Where the config came from, for messages."""
+        return self._source
+
+    @pydantic.model_validator(mode="after")
+    def _keys_fit_together(self) -> "Config":
+        for part in ("task", "learner"):
+            if "name" not in getattr(self, part):
+                raise ValueError(f"{part}.name is required")
+        for key in ("episodes", "record", "task"):
+            if key in self.learner:
+                raise ValueError(f"learner.{key}: unknown key; {key} stands at the top level")
+        if self.record > self.episodes:
+            raise ValueError(f"record ({self.record}) must be at most episodes ({self.episodes})")
+        for axis in self.sweep.axes if self.sweep else ():
+            if not re.fullmatch(r"(task|learner)\.\w+", axis) or axis.endswith(".name"):
+                raise ValueError(
+                    f"sweep.axes.{axis}: an axis is the dotted name of a value of task or learner, "
+                    "such as learner.epsilon"
+                )
+        return self
+
+
+def load(config: str | Path, overrides: Sequence[str] = ()) -> Config:
+    """Read a config from a path, or a shipped one by its name, and apply overrides such as "learner.epsilon=0.1".
+
+    Raises:
+      InputError: no such config, not YAML, or a key or value that cannot be used, in one sentence.
+    """
+    path = shipped("configs", str(config), ".yaml")
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{config}: cannot be read as text: {error}.") from error
+    data = parse_yaml(text, str(config))
+    if not isinstance(data, dict):
+        raise InputError(f"{config}: a config is a mapping of keys such as name, task and learner.")
+    for override in overrides:
+        apply_override(data, override)
+    return parse(data, str(config))
+
+
+def parse(data: dict[str, Any], source: str = "config") -> Config:
+    """A config from plain values; `source` names their origin in messages.
+
+    Raises:
+      InputError: a key or value that cannot be used.
+    """
+    try:
+        config = Config(**data)
+    except pydantic.ValidationError as error:
+        raise InputError(f"{source}: {sentence(error, '', Config)}") from error
+    config._source = source
+    return config
+
+
+def apply_override(data: dict[str, Any], override: str) -> None:
+    """Set one dotted key in place, as `--set key=value` does; the value is read as YAML."""
+    key, sign, text = override.partition("=")
+    if not sign or not all(key.split(".")):
+        raise InputError(f"--set {override}: write it as key=value, such as --set learner.epsilon=0.1.")
+    axis = key.removeprefix("sweep.axes.")
+    *parents, last = ("sweep", "axes", axis) if axis != key else key.split(".")
+    for parent in parents:
+        data = data.setdefault(parent, {})
+        if not isinstance(data, dict):
+            raise InputError(f"--set {override}: {parent} holds a value and no keys.")
+    data[last] = parse_yaml(text, f"--set {override}")
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML without tags and duplicate keys, in which 1e-3 is a number."""
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> dict:
+        seen: set[str] = set()
+        for key_node, _ in node.value:
+            key = self.construct_object(key_node, deep=True)
+            problem = f"key {key!r} is no string" if not isinstance(key, str) else None
+            if problem is None and key in seen:
+                problem = f"key {key!r} appears twice"
+            if problem:
+                raise yaml.constructor.ConstructorError(None, None, problem, key_node.start_mark)
+            seen.add(key)
+        return super().construct_mapping(node, deep)
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"^[-+]?(\d[\d_]*\.?[\d_]*|\.\d[\d_]*)[eE][-+]?\d+$"),
+    list("-+.0123456789"),
+)
+
+
+def parse_yaml(text: str, where: str) -> Any:
+    """Plain values from YAML text.
+
+    Raises:
+      InputError: text that is not YAML, or that carries tags, or keys that are no strings or appear twice.
+    """
+    try:
+        return yaml.load(text, Loader=_Loader)
+    except (yaml.YAMLError, ValueError, TypeError) as error:
+        mark = getattr(error, "problem_mark", None)
+        place = f" in line {mark.line + 1}" if mark else ""
+        problem = getattr(error, "problem", None) or "the text cannot be read"
+        raise InputError(f"{where}: this is not plain YAML{place}: {problem}.") from error
+
+
+def dump_yaml(data: dict[str, Any]) -> str:
+    """Plain values as YAML text, keys in their given order."""
+    return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=110)

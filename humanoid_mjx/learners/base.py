@@ -1,0 +1,49 @@
+"""The protocol of learners."""
+
+from typing import Any, ClassVar
+
+from jaxtyping import Array, Key
+from pydantic import Field
+
+from humanoid_mjx.spec import Spec
+
+
+class Learner(Spec):
+    """Base of learners: an algorithm for one task, whose hyper-parameters are data.
+
+    `params` (a tuple of numbers, the task's among them) is what the methods take as `hyper`, with arrays in the place
+    of numbers. All methods are pure and written for one point of a sweep; `jax.vmap` makes them a sweep.
+    """
+
+    nested: ClassVar[tuple[str, ...]] = ("task",)
+
+    unit: ClassVar[str] = "episodes"
+    """What `episodes` counts; control steps for learners that count in steps."""
+
+    task: Spec = Field(exclude=True, repr=False)
+    episodes: int = Field(1000, ge=1, le=1_000_000_000, exclude=True, description="how long to train")
+    record: int = Field(100, ge=1, le=10_000, exclude=True, description="points of a learning curve")
+
+    def init(self, hyper: Any, key: Key[Array, ""], policy: Any = None) -> Any:
+        """The training state before the first step: a pytree of arrays. `policy` is one learned before."""
+        raise NotImplementedError
+
+    def train_chunk(self, hyper: Any, carry: Any, steps: int) -> tuple[Any, dict[str, Array]]:
+        """Train for `steps` steps, or less where training ends.
+
+        Returns:
+          the new training state, and `progress`, which is 1.0 once training has ended.
+        """
+        raise NotImplementedError
+
+    def policy(self, carry: Any) -> Any:
+        """What was learned, as a pytree of arrays: all that acting greedily needs."""
+        raise NotImplementedError
+
+    def act(self, hyper: Any, policy: Any, observation: Any, key: Key[Array, ""]) -> Any:
+        """The greedy action."""
+        raise NotImplementedError
+
+    def curve(self, hyper: Any, carry: Any) -> dict[str, Array]:
+        """The learning curve so far: arrays of `record` points by name; NaN where nothing was recorded."""
+        raise NotImplementedError

@@ -1,0 +1,198 @@
+"""The run folder: what a sweep leaves on disk, valid at every moment.
+
+    config.yaml         the resolved config
+    provenance.json     versions, device, precision, seed, wall and compile times
+    results.parquet     one row per sweep point, seed and record step
+    summary.parquet     one row per sweep point and seed
+    figures/            learning curves and heat maps
+    checkpoint/         block-00000.npz ...: finished runs (curves, final scores, policies); running.npz: the one under way
+
+Every file is written beside its place and renamed into it, so a kill leaves the old or the new, never half of one.
+"""
+
+import contextlib
+import fcntl
+import json
+import os
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from humanoid_mjx.config import Config, dump_yaml, parse, parse_yaml
+from humanoid_mjx.spec import InputError
+
+Arrays = Mapping[str, np.ndarray]
+
+
+class RunFolder:
+    """A run folder, locked while this object lives."""
+
+    def __init__(self, path: Path, lock: int):
+        self.path = path
+        self._lock = lock
+
+    @classmethod
+    def create(cls, path: Path, config: Mapping[str, Any]) -> "RunFolder":
+        """Make a run folder and write its config.
+
+        Raises:
+          InputError: the place is taken or cannot be written; nothing is left behind.
+        """
+        if path.exists() and (not path.is_dir() or any(path.iterdir())):
+            raise InputError(f"{path}: already exists; resume it with --resume, or choose another place with --out.")
+        try:
+            (path / "checkpoint").mkdir(parents=True)
+            run = cls(path, _lock(path))
+            run.write_text("config.yaml", dump_yaml(dict(config)))
+        except OSError as error:
+            raise InputError(f"{path}: cannot be written: {error.strerror}.") from error
+        return run
+
+    @classmethod
+    def resume(cls, path: Path, config: Mapping[str, Any]) -> "RunFolder":
+        """Open a run folder to complete it.
+
+        Raises:
+          InputError: there is none, it is in use, or it was made with another config.
+        """
+        stored = read_config(path)
+        try:
+            run = cls(path, _lock(path))
+        except OSError as error:
+            raise InputError(f"{path}: cannot be written: {error.strerror}.") from error
+        if changed := _differences(stored, dict(config)):
+            run.close()
+            raise InputError(
+                f"{path}: was made with another config ({changed[0]} differs); "
+                "resume with the same values, or choose another place with --out."
+            )
+        for left_by_a_kill in path.rglob(".new-*"):
+            left_by_a_kill.unlink()
+        return run
+
+    def close(self) -> None:
+        os.close(self._lock)
+
+    def write_text(self, name: str, text: str) -> None:
+        with self.writing(name) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+
+    def write_json(self, name: str, data: Any) -> None:
+        self.write_text(name, json.dumps(data, indent=2) + "\n")
+
+    def write_arrays(self, name: str, arrays: Arrays) -> None:
+        with self.writing(name) as temporary, temporary.open("wb") as file:
+            np.savez(file, allow_pickle=False, **arrays)
+
+    @contextlib.contextmanager
+    def writing(self, name: str) -> Iterator[Path]:
+        """A temporary path whose file becomes `name` when the block ends well."""
+        target = self.path / name
+        target.parent.mkdir(exist_ok=True)
+        handle, temporary = tempfile.mkstemp(prefix=".new-", suffix=target.suffix, dir=target.parent)
+        os.close(handle)
+        try:
+            yield Path(temporary)
+            with open(temporary, "rb") as file:
+                os.fsync(file.fileno())
+            os.replace(temporary, target)
+        finally:
+            Path(temporary).unlink(missing_ok=True)
+
+    def remove(self, name: str) -> None:
+        (self.path / name).unlink(missing_ok=True)
+
+    def blocks(self) -> dict[int, Path]:
+        """The finished blocks by number."""
+        return finished_blocks(self.path)
+
+
+def block_name(index: int) -> str:
+    return f"checkpoint/block-{index:05d}.npz"
+
+
+def finished_blocks(path: Path) -> dict[int, Path]:
+    """The finished blocks of a run folder by number."""
+    files = sorted((path / "checkpoint").glob("block-*.npz"))
+    return {int(file.stem.removeprefix("block-")): file for file in files}
+
+
+def read_arrays(path: Path) -> dict[str, np.ndarray]:
+    """The arrays of one checkpoint file.
+
+    Raises:
+      InputError: the file is truncated or damaged.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise InputError(
+            f"{path}: this file is truncated or damaged; remove it, and --resume trains its runs again."
+        ) from error
+
+
+def read_config(path: Path) -> dict[str, Any]:
+    """The resolved config of a run folder as plain values.
+
+    Raises:
+      InputError: `path` is no run folder.
+    """
+    file = path / "config.yaml"
+    if not file.is_file():
+        raise InputError(f"{path}: this is no run folder (it holds no config.yaml).")
+    data = parse_yaml(file.read_text(encoding="utf-8"), str(file))
+    if not isinstance(data, dict):
+        raise InputError(f"{file}: this file is damaged.")
+    return data
+
+
+def load_config(path: Path) -> Config:
+    """The config of a run folder."""
+    return parse(read_config(path), str(path / "config.yaml"))
+
+
+def fresh_path(name: str, root: Path = Path("runs")) -> Path:
+    """The first free path of runs/name, runs/name-2, runs/name-3, ..."""
+    number, path = 1, root / name
+    while path.exists():
+        number += 1
+        path = root / f"{name}-{number}"
+    return path
+
+
+def latest_path(name: str, root: Path = Path("runs")) -> Path:
+    """The newest of the paths that `fresh_path` has given.
+
+    Raises:
+      InputError: there is none.
+    """
+    number, path = 1, root / name
+    while (after := root / f"{name}-{number + 1}").exists():
+        number, path = number + 1, after
+    if not path.exists():
+        raise InputError(f"{path}: there is no run to resume.")
+    return path
+
+
+def _lock(path: Path) -> int:
+    handle = os.open(path / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        os.close(handle)
+        raise InputError(f"{path}: is in use by another process; wait for it, or choose another place.") from error
+    return handle
+
+
+def _differences(old: Any, new: Any, key: str = "") -> list[str]:
+    """The dotted keys in which two configs differ."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        keys = sorted(set(old) | set(new), key=str)
+        return [d for k in keys for d in _differences(old.get(k), new.get(k), f"{key}.{k}".lstrip("."))]
+    return [] if old == new else [key]

@@ -1,0 +1,88 @@
+"""The tables of a run folder, derived from its finished blocks."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from humanoid_mjx.results.store import RunFolder, read_arrays
+from humanoid_mjx.spec import InputError
+from humanoid_mjx.training.plan import Plan
+
+LAST_SHARE = 0.1
+"""The share of a learning curve, from its end, over which the summary averages."""
+
+
+def write_tables(run: RunFolder, plan: Plan) -> None:
+    """Write results.parquet and summary.parquet from all blocks that are finished."""
+    columns = {name: _dictionary(values) for name, values in plan.table().items()}
+    with run.writing("results.parquet") as results, run.writing("summary.parquet") as summary:
+        writers: list[pq.ParquetWriter | None] = [None, None]
+        try:
+            for arrays in _finished(run):
+                tables = _results(plan, columns, arrays), _summary(columns, arrays)
+                for i, (path, table) in enumerate(zip((results, summary), tables, strict=True)):
+                    writers[i] = writers[i] or pq.ParquetWriter(path, table.schema, compression="zstd")
+                    writers[i].write_table(table)
+        finally:
+            for writer in writers:
+                if writer:
+                    writer.close()
+
+
+def read_table(path: Path) -> dict[str, np.ndarray]:
+    """The columns of a parquet file of a run folder.
+
+    Raises:
+      InputError: the file is missing, truncated or damaged.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file; --resume the run to write it.")
+    try:
+        table = pq.read_table(path)
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(f"{path}: this file is truncated or damaged; --resume the run to write it again.") from error
+    return {name: table[name].to_numpy() for name in table.column_names}
+
+
+def named(arrays: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
+    """The arrays whose names start with `prefix.`, without it."""
+    return {name.removeprefix(prefix + "."): a for name, a in arrays.items() if name.startswith(prefix + ".")}
+
+
+def _finished(run: RunFolder) -> Iterator[dict[str, np.ndarray]]:
+    for path in run.blocks().values():
+        yield read_arrays(path)
+
+
+def _results(plan: Plan, columns: dict[str, pa.DictionaryArray], arrays: dict[str, np.ndarray]) -> pa.Table:
+    record = plan.config.record
+    runs = np.repeat(np.arange(len(arrays["point"])), record)
+    last_episode = (np.arange(1, record + 1) * plan.config.episodes) // record
+    data = {"point": arrays["point"][runs], "seed": arrays["seed"][runs]}
+    data["episode"] = np.tile(last_episode, len(arrays["point"])).astype(np.int32)
+    data |= _hyper(columns, data["point"])
+    return pa.table(data | {name: curve.reshape(-1) for name, curve in named(arrays, "curve").items()})
+
+
+def _summary(columns: dict[str, pa.DictionaryArray], arrays: dict[str, np.ndarray]) -> pa.Table:
+    data = {"point": arrays["point"], "seed": arrays["seed"]} | _hyper(columns, arrays["point"])
+    for name, curve in named(arrays, "curve").items():
+        last = curve[:, -max(1, round(curve.shape[1] * LAST_SHARE)) :]
+        count = np.maximum(np.isfinite(last).sum(axis=1), 1)
+        mean = np.nansum(last, axis=1) / count
+        data[name] = np.where(np.isfinite(last).any(axis=1), mean, np.nan).astype(np.float32)
+    return pa.table(data | named(arrays, "final"))
+
+
+def _hyper(columns: dict[str, pa.DictionaryArray], point: np.ndarray) -> dict[str, pa.DictionaryArray]:
+    return {
+        name: pa.DictionaryArray.from_arrays(column.indices.take(pa.array(point)), column.dictionary)
+        for name, column in columns.items()
+    }
+
+
+def _dictionary(values: list) -> pa.DictionaryArray:
+    return pa.array(values).dictionary_encode()

@@ -1,0 +1,88 @@
+"""Settings of jax for a whole process. The command line calls `start` first; importing the package sets nothing."""
+
+import os
+import platform
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.monitoring
+
+
+def start() -> None:
+    """Keep compiled programs on disk, give every CPU core a device of its own, compute products in full float32.
+
+    Settings that the environment makes (`JAX_COMPILATION_CACHE_DIR`, `JAX_NUM_CPU_DEVICES`, ...) are kept.
+    """
+    defaults = {
+        "jax_compilation_cache_dir": str(_cache_folder()),
+        "jax_persistent_cache_min_compile_time_secs": 0.1,
+        "jax_num_cpu_devices": os.cpu_count() or 1,
+        "jax_default_matmul_precision": "highest",
+    }
+    for name, value in defaults.items():
+        if name.upper() not in os.environ:
+            jax.config.update(name, value)
+
+
+def _cache_folder() -> Path:
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "humanoid_mjx" / "xla"
+
+
+def machine() -> dict[str, Any]:
+    """What computes here."""
+    devices = jax.devices()
+    return {
+        "device": devices[0].device_kind,
+        "backend": jax.default_backend(),
+        "device_count": len(devices),
+        "cpu": _cpu_name(),
+        "cpu_count": os.cpu_count(),
+        "system": f"{platform.system()} {platform.machine()}",
+    }
+
+
+def versions() -> dict[str, str]:
+    """The versions that a result depends on."""
+    packages = ("humanoid-mjx", "jax", "jaxlib", "numpy")
+    return {"python": platform.python_version()} | {name: version(name) for name in packages}
+
+
+def _cpu_name() -> str:
+    cpuinfo = Path("/proc/cpuinfo")
+    lines = cpuinfo.read_text().splitlines() if cpuinfo.is_file() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor()
+
+
+class CompileCount:
+    """Programs compiled and the seconds it took, while `counting_compiles` runs."""
+
+    def __init__(self) -> None:
+        self.events: Counter[str] = Counter()
+        self.seconds = 0.0
+
+    def __call__(self, event: str, duration: float, **_: Any) -> None:
+        if event.startswith("/jax/core/compile/"):
+            self.events[event] += 1
+            self.seconds += duration
+
+    @property
+    def programs(self) -> int:
+        return self.events["/jax/core/compile/backend_compile_duration"]
+
+
+@contextmanager
+def counting_compiles() -> Iterator[CompileCount]:
+    """Count what jax compiles in the block (programs found in the cache on disk count too, their seconds being few)."""
+    count = CompileCount()
+    jax.monitoring.register_event_duration_secs_listener(count)
+    try:
+        yield count
+    finally:
+        jax.monitoring.unregister_event_duration_listener(count)

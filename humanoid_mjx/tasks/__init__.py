@@ -1,0 +1,20 @@
+"""Tasks: what there is to learn. `make_task("joint_reach", joint=4)` builds a checked one."""
+
+from typing import Any
+
+from humanoid_mjx.spec import make
+from humanoid_mjx.tasks.finite import FiniteTask
+
+TASKS = {
+    "joint_reach": "humanoid_mjx.tasks.joint_reach:JointReach",
+    "navigate": "humanoid_mjx.tasks.navigate:Navigate",
+}
+
+
+def make_task(name: str, /, **params: Any) -> Any:
+    """Build the task called `name`, or a user's own given as "package.module:Class".
+
+    Raises:
+      InputError: unknown name or parameter, or a value out of range, in one sentence.
+    """
+    return make("task", TASKS, FiniteTask, name, **params)

@@ -1,0 +1,70 @@
+"""The protocol of finite tasks: Markov decision processes that a learner sees through the rows of a table."""
+
+from typing import Any, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from humanoid_mjx.spec import Spec
+
+
+class Rules(NamedTuple):
+    """How a tabular learner treats a task. The defaults are Q-learning as section 6.2 of the thesis means it."""
+
+    update: Literal["every", "terminal"] = "every"
+    """The transitions that write to the table: every one, or only the one that reaches the end."""
+    bootstrap_at_end: bool = False
+    """Whether the value of a terminal state's row enters the target."""
+    ties: Literal["random", "first"] = "random"
+    """Which of several equally good actions the greedy choice takes."""
+    episode: Literal["restart", "step"] = "restart"
+    """What counts as an episode: a trajectory, after which the next starts anew; or one step of the only trajectory,
+    which stops at the end state and whose last step is greedy."""
+
+
+class FiniteTask(Spec):
+    """Base of finite tasks. Derive from it, name the traced fields in `Params`, and implement `reset` and `step`.
+
+    `Params` must have a field `max_episode_steps`: an episode that has lasted so long is truncated.
+    """
+
+    @property
+    def num_states(self) -> int:
+        """Rows of the table."""
+        raise NotImplementedError
+
+    @property
+    def num_actions(self) -> int:
+        raise NotImplementedError
+
+    @property
+    def learning_rules(self) -> Rules:
+        return Rules()
+
+    def reset(self, params: Any, key: Key[Array, ""]) -> Any:
+        """The state at the start of an episode: any pytree; an index into the table where `row` is not overridden."""
+        raise NotImplementedError
+
+    def step(
+        self, params: Any, state: Any, action: Int[Array, ""], key: Key[Array, ""]
+    ) -> tuple[Any, Float[Array, ""], Bool[Array, ""]]:
+        """Carry out `action`: the next state, the reward, and whether the state is terminal."""
+        raise NotImplementedError
+
+    def row(self, params: Any, state: Any) -> Int[Array, ""]:
+        """The table row that stands for `state`. Several states may share one."""
+        return state
+
+    def initial_q(self, params: Any) -> Float[Array, "num_states num_actions"]:
+        """The table before learning."""
+        return jnp.zeros((self.num_states, self.num_actions))
+
+    def override(self, params: Any, action: Int[Array, ""], key: Key[Array, ""]) -> Int[Array, ""]:
+        """The action carried out in place of the one chosen. The learner knows, and learns about this one."""
+        return action
+
+
+def uniform_action(key: Key[Array, ""], num_actions: int) -> Int[Array, ""]:
+    """A uniformly random action (to within 2**-23)."""
+    return (jax.random.uniform(key) * num_actions).astype(jnp.int32)

@@ -1,0 +1,110 @@
+"""Move one joint from a start angle to a goal angle in equal steps (thesis section 6.3, results 7 E to 7 G)."""
+
+from typing import Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, Key
+from pydantic import Field, model_validator
+
+from humanoid_mjx.tasks.finite import FiniteTask, Rules, uniform_action
+from humanoid_mjx.thesis import q_learning as thesis
+
+PRINTED = Rules(update="terminal", bootstrap_at_end=True, ties="first", episode="step")
+"""The pseudo-code of section 6.3 to the letter."""
+
+
+class JointReach(FiniteTask):
+    """A joint stands at `start` degrees; the actions are to stay, or to move by `action` degrees towards the goal.
+
+    The controller's `states` are points spaced equally from start to goal, and the joint's angle maps to the nearest
+    of them (the first of two equally near). The reward of a step is a tenth of the new point's angle; reaching the
+    goal ends the episode and earns `bonus`. With probability `1 - success_rate` a random action takes the place of
+    the chosen one.
+    """
+
+    joint: Literal[1, 4, 5] | None = Field(1, description="which joint's start and goal to take where none are given")
+    start: float = Field(description="degrees")
+    goal: float = Field(description="degrees")
+    action: float = Field(5.0, description="degrees a move takes towards the goal")
+    states: int = Field(24, ge=2, le=1_000_000, description="rows of the table")
+    rules: Literal["standard", "printed"] = "standard"
+    bonus: float = 100.0
+    success_rate: float = Field(1.0, ge=0, le=1)
+    max_episode_steps: int = Field(500, ge=1, le=10_000_000)
+
+    class Params(NamedTuple):
+        start: float
+        goal: float
+        action: float
+        bonus: float
+        success_rate: float
+        max_episode_steps: int
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_from_joint(cls, data: dict) -> dict:
+        if isinstance(data, dict) and (joint := data.get("joint", 1)) in thesis.JOINT_RANGES:
+            start, goal = thesis.JOINT_RANGES[joint]
+            data = {"start": start, "goal": goal} | data
+        return data
+
+    @model_validator(mode="after")
+    def _goal_must_be_hit(self) -> "JointReach":
+        if self.goal == self.start:
+            raise ValueError("goal equals start, so there is nothing to learn")
+        if self.action == 0:
+            raise ValueError("action must be a non-zero number of degrees")
+        moves = (self.goal - self.start) / self.action
+        if moves < 0 or abs(moves - round(moves)) > 1e-6:
+            raise ValueError(
+                f"from {self.start:g} the goal {self.goal:g} cannot be hit in steps of {self.action:g} degrees; "
+                f"the distance {self.goal - self.start:g} must be a whole multiple of action"
+            )
+        if round(moves) > 1_000_000:
+            raise ValueError(f"{round(moves)} steps of action lie between start and goal; at most 1,000,000 are handled")
+        return self
+
+    @property
+    def num_states(self) -> int:
+        return self.states
+
+    @property
+    def num_actions(self) -> int:
+        return 2
+
+    @property
+    def learning_rules(self) -> Rules:
+        return PRINTED if self.rules == "printed" else Rules()
+
+    def reset(self, params: Params, key: Key[Array, ""]) -> Int[Array, ""]:
+        """The number of moves made: none."""
+        return jnp.int32(0)
+
+    def step(
+        self, params: Params, state: Int[Array, ""], action: Int[Array, ""], key: Key[Array, ""]
+    ) -> tuple[Int[Array, ""], Float[Array, ""], Bool[Array, ""]]:
+        goal = self._moves_to_goal(params)
+        state = jnp.minimum(state + action, goal)
+        reached = state == goal
+        reward = thesis.REWARD_SCALE * self._angle_of_row(params, self.row(params, state))
+        return state, reward + jnp.where(reached, params.bonus, 0.0), reached
+
+    def row(self, params: Params, state: Int[Array, ""]) -> Int[Array, ""]:
+        place = state * (self.states - 1.0) / self._moves_to_goal(params)
+        return jnp.ceil(place - 0.5).astype(jnp.int32)
+
+    def initial_q(self, params: Params) -> Float[Array, "num_states 2"]:
+        """The reward of each row, for both actions (section 6.3: `Q = repmat(R, ...)`)."""
+        rewards = thesis.REWARD_SCALE * self._angle_of_row(params, jnp.arange(self.states))
+        return jnp.stack([rewards, rewards], axis=1)
+
+    def override(self, params: Params, action: Int[Array, ""], key: Key[Array, ""]) -> Int[Array, ""]:
+        obey, choice = jax.random.split(key)
+        return jnp.where(jax.random.uniform(obey) < params.success_rate, action, uniform_action(choice, 2))
+
+    def _moves_to_goal(self, params: Params) -> Int[Array, ""]:
+        return jnp.round((params.goal - params.start) / params.action).astype(jnp.int32)
+
+    def _angle_of_row(self, params: Params, row: Int[Array, "..."]) -> Float[Array, "..."]:
+        return params.start + (params.goal - params.start) * row / (self.states - 1)

@@ -1,0 +1,112 @@
+"""Find the shortest path on a grid among static obstacles (thesis section 6.2)."""
+
+from collections import deque
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, Key
+from pydantic import Field, model_validator
+
+from humanoid_mjx.tasks.finite import FiniteTask, uniform_action
+
+ROOM = (
+    "S....#....",
+    ".###.#.##.",
+    ".#...#..#.",
+    ".#.###..#.",
+    ".#......#.",
+    ".####.###.",
+    "......#...",
+    ".####.#.#.",
+    ".#....#.#.",
+    "...##....G",
+)
+
+MOVES = ((-1, 0), (0, 1), (1, 0), (0, -1))
+"""Actions as (row, column) steps: up, right, down, left."""
+
+
+class Navigate(FiniteTask):
+    """A robot on a grid moves up, right, down or left; a move into an obstacle or the edge leaves it where it is.
+
+    The map is a list of equally long strings: `S` start, `G` goal, `#` obstacle, `.` free. Reaching the goal ends the
+    episode and earns `bonus`; every step earns `step_reward`. Chapter 6 argues against negative reward, so that is 0,
+    and the discount alone makes short paths the best. With probability `1 - success_rate` a random action takes the
+    place of the chosen one.
+    """
+
+    map: tuple[str, ...] = Field(ROOM, strict=False)
+    bonus: float = 100.0
+    step_reward: float = 0.0
+    success_rate: float = Field(1.0, ge=0, le=1)
+    max_episode_steps: int = Field(500, ge=1, le=10_000_000)
+
+    class Params(NamedTuple):
+        bonus: float
+        step_reward: float
+        success_rate: float
+        max_episode_steps: int
+
+    @model_validator(mode="after")
+    def _map_must_be_walkable(self) -> "Navigate":
+        if not self.map or len({len(line) for line in self.map}) != 1 or not self.map[0]:
+            raise ValueError("map must be a list of equally long, non-empty strings")
+        text = "".join(self.map)
+        if odd := set(text) - set("SG#."):
+            raise ValueError(f"map may hold S, G, # and . only, got {''.join(sorted(odd))!r}")
+        if text.count("S") != 1 or text.count("G") != 1:
+            raise ValueError("map must hold exactly one S and one G")
+        if shortest_path(self.map) is None:
+            raise ValueError("map has no way from S to G")
+        return self
+
+    @property
+    def num_states(self) -> int:
+        return len(self.map) * len(self.map[0])
+
+    @property
+    def num_actions(self) -> int:
+        return len(MOVES)
+
+    def reset(self, params: Params, key: Key[Array, ""]) -> Int[Array, ""]:
+        return jnp.int32("".join(self.map).index("S"))
+
+    def step(
+        self, params: Params, state: Int[Array, ""], action: Int[Array, ""], key: Key[Array, ""]
+    ) -> tuple[Int[Array, ""], Float[Array, ""], Bool[Array, ""]]:
+        state = jnp.asarray(_next_cells(self.map)).at[state * len(MOVES) + action].get(mode="promise_in_bounds")
+        reached = state == "".join(self.map).index("G")
+        return state, params.step_reward + jnp.where(reached, params.bonus, 0.0), reached
+
+    def override(self, params: Params, action: Int[Array, ""], key: Key[Array, ""]) -> Int[Array, ""]:
+        obey, choice = jax.random.split(key)
+        return jnp.where(jax.random.uniform(obey) < params.success_rate, action, uniform_action(choice, len(MOVES)))
+
+
+def _next_cells(grid: tuple[str, ...]) -> Int[np.ndarray, " cells_times_actions"]:
+    height, width = len(grid), len(grid[0])
+    cells = np.empty((height, width, len(MOVES)), np.int32)
+    for row, column in np.ndindex(height, width):
+        for action, (down, right) in enumerate(MOVES):
+            r, c = row + down, column + right
+            free = 0 <= r < height and 0 <= c < width and grid[r][c] != "#"
+            cells[row, column, action] = r * width + c if free else row * width + column
+    return cells.reshape(-1)
+
+
+def shortest_path(grid: tuple[str, ...]) -> int | None:
+    """The number of moves from S to G by breadth-first search; None where there is no way."""
+    cells = _next_cells(grid).reshape(-1, len(MOVES))
+    start, goal = "".join(grid).index("S"), "".join(grid).index("G")
+    distance, queue = {start: 0}, deque([start])
+    while queue:
+        cell = queue.popleft()
+        if cell == goal:
+            return distance[cell]
+        for neighbour in cells[cell].tolist():
+            if neighbour not in distance:
+                distance[neighbour] = distance[cell] + 1
+                queue.append(neighbour)
+    return None

@@ -1,0 +1,74 @@
+"""What the user sees while a sweep runs: a bar with rate and time left, or a line now and then where there is no terminal."""
+
+import time
+from types import TracebackType
+from typing import Protocol, Self
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+LINE_EVERY_S = 10.0
+
+
+class Reporter(Protocol):
+    """Told what happens while a sweep runs."""
+
+    def phase(self, text: str) -> None: ...
+
+    def update(self, done: float) -> None: ...
+
+
+class Silent:
+    """Reports nothing."""
+
+    def phase(self, text: str) -> None:
+        pass
+
+    def update(self, done: float) -> None:
+        pass
+
+
+class Bar:
+    """Reports on a console. `total` and the `done` of `update` count `unit`s, such as episodes."""
+
+    def __init__(self, console: Console, total: float, unit: str):
+        self.console, self.total, self.unit = console, total, unit
+        self._text, self._done = "starting", 0.0
+        self._began = self._last_line = time.monotonic()
+        self._first: tuple[float, float] | None = None
+        columns = TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TextColumn("{task.fields[rate]}")
+        self._bar = Progress(
+            *columns, TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(), console=console, transient=True
+        )
+        self._task = self._bar.add_task(self._text, total=total, rate="")
+
+    def __enter__(self) -> Self:
+        if self.console.is_terminal:
+            self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._bar.stop()
+
+    def phase(self, text: str) -> None:
+        changed, self._text = text != self._text, text
+        self._bar.update(self._task, description=text)
+        if changed and not self.console.is_terminal:
+            self._line()
+
+    def update(self, done: float) -> None:
+        now = time.monotonic()
+        self._first = self._first or (now, self._done)
+        self._done = done
+        elapsed = now - self._first[0]
+        rate = f"{(done - self._first[1]) / elapsed:,.0f} {self.unit}/s" if elapsed > 0.5 else ""
+        self._bar.update(self._task, completed=done, rate=rate)
+        if not self.console.is_terminal and now - self._last_line > LINE_EVERY_S:
+            self._line(rate)
+
+    def _line(self, rate: str = "") -> None:
+        self._last_line = time.monotonic()
+        share = f" {self._done / self.total:.0%}" if self._done else ""
+        self.console.print(f"{self._last_line - self._began:6.1f} s  {self._text}{share}  {rate}".rstrip(), highlight=False)

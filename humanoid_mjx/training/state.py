@@ -1,0 +1,39 @@
+"""Training states as plain arrays, to be written and read back bit by bit."""
+
+from typing import Any
+
+import jax
+import numpy as np
+
+from humanoid_mjx.spec import InputError
+
+
+def to_arrays(tree: Any, prefix: str) -> dict[str, np.ndarray]:
+    """The leaves of a pytree by path; random keys as their words."""
+    leaves = jax.tree_util.tree_leaves_with_path(tree)
+    return {prefix + jax.tree_util.keystr(path): np.asarray(_plain(leaf)) for path, leaf in leaves}
+
+
+def from_arrays(like: Any, arrays: dict[str, np.ndarray], prefix: str, where: str) -> Any:
+    """The pytree of `to_arrays` again; `like` has its structure, shapes and dtypes.
+
+    Raises:
+      InputError: the arrays are of another structure.
+    """
+
+    def leaf(path: Any, like: Any) -> Any:
+        array = arrays.get(prefix + jax.tree_util.keystr(path))
+        words = jax.eval_shape(_plain, like)
+        if array is None or array.shape != words.shape or array.dtype != words.dtype:
+            raise InputError(f"{where}: holds the state of another training; remove it to start again.")
+        return jax.random.wrap_key_data(array, impl=jax.random.key_impl(like)) if _is_key(like) else array
+
+    return jax.tree_util.tree_map_with_path(leaf, like)
+
+
+def _is_key(leaf: Any) -> bool:
+    return jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+
+
+def _plain(leaf: Any) -> Any:
+    return jax.random.key_data(leaf) if _is_key(leaf) else leaf
