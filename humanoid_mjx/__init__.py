@@ -15,7 +15,7 @@ _PUBLIC = {
     "sweep": "humanoid_mjx.training.sweep:sweep",
 }
 
-__all__ = ["__version__", *_PUBLIC]
+__all__ = ["InputError", "__version__", "make_learner", "make_task", "sweep"]  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> Any:

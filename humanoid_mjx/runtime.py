@@ -67,10 +67,10 @@ class CompileCount:
         self.events: Counter[str] = Counter()
         self.seconds = 0.0
 
-    def __call__(self, event: str, duration: float, **_: Any) -> None:
+    def __call__(self, event: str, duration_secs: float, **kwargs: str | int) -> None:
         if event.startswith("/jax/core/compile/"):
             self.events[event] += 1
-            self.seconds += duration
+            self.seconds += duration_secs
 
     @property
     def programs(self) -> int:

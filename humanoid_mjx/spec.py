@@ -8,9 +8,11 @@ All others are *static*: they shape the program.
 import difflib
 import importlib
 from collections.abc import Iterable, Mapping
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import pydantic
+
+SomeSpec = TypeVar("SomeSpec", bound="Spec")
 
 
 class InputError(ValueError):
@@ -36,11 +38,9 @@ class Spec(pydantic.BaseModel):
     def _traced(self, name: str) -> Any:
         return getattr(self, name).params if name in self.nested else getattr(self, name)
 
-    def structure(self) -> Self:
+    def structure(self: SomeSpec) -> SomeSpec:
         """This spec with its traced fields blanked: equal for all specs that share one compiled program."""
-        blank = {
-            name: getattr(self, name).structure() if name in self.nested else None for name in self.Params._fields
-        }
+        blank = {name: getattr(self, name).structure() if name in self.nested else None for name in self.Params._fields}
         return self.model_copy(update=blank)
 
 
@@ -77,7 +77,7 @@ def known(name: str, names: Iterable[str]) -> str:
 
 def sentence(error: pydantic.ValidationError, where: str, model: type[pydantic.BaseModel] | None = None) -> str:
     """The first fault of a pydantic error as one sentence that names the key and what would be right."""
-    fault = error.errors()[0]
+    fault: dict[str, Any] = {"ctx": {}} | dict(error.errors()[0])
     key = ".".join(str(part) for part in (where, *fault["loc"]) if part != "")
     got = f", got {fault['input']!r}"
     match fault["type"]:
@@ -95,6 +95,8 @@ def sentence(error: pydantic.ValidationError, where: str, model: type[pydantic.B
             return f"{key}: {fault['ctx']['error']}".rstrip(".") + "."
         case "literal_error":
             return f"{key} must be one of {fault['ctx']['expected']}{got}."
+        case "model_type":
+            return f"{key} must be a {fault['ctx']['class_name']}, got a {type(fault['input']).__name__}."
         case "finite_number":
             return f"{key} must be a finite number{got}."
         case _:

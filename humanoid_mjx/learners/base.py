@@ -24,6 +24,8 @@ class Learner(Spec):
     episodes: int = Field(1000, ge=1, le=1_000_000_000, exclude=True, description="how long to train")
     record: int = Field(100, ge=1, le=10_000, exclude=True, description="points of a learning curve")
 
+    start_from: str | None = Field(None, description="a run folder whose policies to start from")
+
     def init(self, hyper: Any, key: Key[Array, ""], policy: Any = None) -> Any:
         """The training state before the first step: a pytree of arrays. `policy` is one learned before."""
         raise NotImplementedError

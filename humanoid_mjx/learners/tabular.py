@@ -5,56 +5,67 @@
 with no value beyond a terminal state. How a task bends this (the pseudo-code of section 6.3 does) stands in its
 `Rules`. With `agents` above 1 the learner is collective: that many episodes run at once and feed one table, each
 visited (s, a) moving by the mean of the updates that fell on it.
+
+A step first learns from the move that each agent has under way, then makes the next one. In this order a table is
+read at two places and written at one, and XLA's CPU compiler keeps the arithmetic between them in fast loops.
 """
 
+from functools import reduce
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, Key
-from pydantic import Field, model_validator
+from jaxtyping import Array, Float, Key
+from pydantic import Field
 
 from humanoid_mjx.learners.base import Learner
-from humanoid_mjx.tasks.finite import FiniteTask, uniform_action
+from humanoid_mjx.rng import uniforms
+from humanoid_mjx.tasks.finite import FiniteTask
+from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
+
+QTable = Float[Array, "num_states num_actions"]
 
 
 class Agent(NamedTuple):
-    """One episode under way: where it stands, what it will do next, what it has gathered."""
+    """One episode under way, and the move just made in it."""
 
     key: Key[Array, ""]
+    epsilon: FloatScalar
+    episode: IntScalar
+    length: IntScalar
+    episode_return: FloatScalar
+    row: IntScalar
+    q_row: tuple[FloatScalar, ...]
+    action: IntScalar
     state: Any
-    row: Int[Array, ""]
-    q_row: Float[Array, " num_actions"]
-    action: Int[Array, ""]
-    epsilon: Float[Array, ""]
-    episode: Int[Array, ""]
-    length: Int[Array, ""]
-    episode_return: Float[Array, ""]
+    next_row: IntScalar
+    reward: FloatScalar
+    terminated: BoolScalar
 
 
 class Carry(NamedTuple):
     """The training state of one sweep point. `agents` has a leading axis where the learner is collective."""
 
-    q_table: Float[Array, "num_states num_actions"]
+    q_table: QTable
     agents: Agent
-    step: Int[Array, ""]
+    step: IntScalar
     record: Float[Array, "record 4"]
 
 
-class Transition(NamedTuple):
-    """What one step says of Q(row, action), and, if it ended an episode, what is to be recorded."""
+class Lesson(NamedTuple):
+    """What a move says of Q(row, action), and what to record if it ended an episode."""
 
-    row: Int[Array, ""]
-    action: Int[Array, ""]
-    td_error: Float[Array, ""]
-    learns: Bool[Array, ""]
-    point: Int[Array, ""]
+    row: IntScalar
+    action: IntScalar
+    td_error: FloatScalar
+    point: IntScalar
     outcome: Float[Array, "4"]
 
 
 class TabularQ(Learner):
     """Epsilon-greedy Q-learning in a table. In episode k epsilon is `max(epsilon_min, epsilon * epsilon_decay**k)`."""
 
+    task: FiniteTask = Field(exclude=True, repr=False)
     epsilon: float = Field(0.6, ge=0, le=1)
     epsilon_decay: float = Field(1.0, ge=0, le=1)
     epsilon_min: float = Field(0.0, ge=0, le=1)
@@ -71,24 +82,14 @@ class TabularQ(Learner):
         learning_rate: float
         discount: float
 
-    @model_validator(mode="after")
-    def _task_must_be_finite(self) -> "TabularQ":
-        if not isinstance(self.task, FiniteTask):
-            raise ValueError(f"a table needs a finite task, and {type(self.task).__name__} is none")
-        return self
-
-    def init(
-        self, hyper: Params, key: Key[Array, ""], policy: Float[Array, "num_states num_actions"] | None = None
-    ) -> Carry:
+    def init(self, hyper: Params, key: Key[Array, ""], policy: QTable | None = None) -> Carry:
         q_table = jnp.asarray(self.task.initial_q(hyper.task) if policy is None else policy, jnp.float32)
         step = jnp.int32(0)
 
         def start(key: Key[Array, ""]) -> Agent:
-            zero = jnp.int32(0)
-            state = self.task.reset(hyper.task, jax.random.fold_in(key, 2**32 - 1))
+            state = self.task.reset(hyper.task, jax.random.fold_in(key, 0))
             epsilon = jnp.asarray(hyper.epsilon, jnp.float32)
-            agent = Agent(key, state, zero, q_table[0], zero, epsilon, zero, zero, jnp.float32(0))
-            return self._choose(hyper, q_table, step, agent)
+            return self._move(hyper, q_table, step, key, state, epsilon, step, step, jnp.float32(0))
 
         agents = start(key) if self.agents == 1 else jax.vmap(start)(jax.random.split(key, self.agents))
         return Carry(q_table, agents, step, jnp.zeros((self.record, 4)))
@@ -98,117 +99,143 @@ class TabularQ(Learner):
         return carry, {"progress": jnp.mean(carry.agents.episode / hyper.episodes)}
 
     def train_step(self, hyper: Params, carry: Carry) -> Carry:
-        """One step of every agent, and its effect on the table."""
-        one = self.agents == 1
-        over_agents = (lambda f: f) if one else (lambda f: jax.vmap(f, in_axes=(None, None, None, 0)))
-        write = _write if one else _write_mean
-        agents, seen = over_agents(self._move)(hyper, carry.q_table, carry.step, carry.agents)
-        q_table = write(carry.q_table, seen, hyper.learning_rate)
-        record = carry.record.at[seen.point].add(seen.outcome, mode="promise_in_bounds")
-        step = carry.step + 1
-        return Carry(q_table, over_agents(self._choose)(hyper, q_table, step, agents), step, record)
+        """Learn from the moves under way and make the next ones."""
+        q_table, agents, step, record = carry
+        if self.agents == 1:
+            lesson = self._lesson(hyper, q_table, agents)
+            q_table = _add(q_table, lesson, hyper.learning_rate * lesson.td_error)
+            agents = self._next(hyper, q_table, step + 1, agents)
+        else:
+            lesson = jax.vmap(self._lesson, in_axes=(None, None, 0))(hyper, q_table, agents)
+            total = _add(jnp.zeros_like(q_table), lesson, lesson.td_error)
+            count = _add(jnp.zeros_like(q_table), lesson, jnp.ones_like(lesson.td_error))
+            q_table = q_table + hyper.learning_rate * total / jnp.maximum(count, 1.0)
+            agents = jax.vmap(self._next, in_axes=(None, None, None, 0))(hyper, q_table, step + 1, agents)
+        record = record.at[lesson.point].add(lesson.outcome, mode="promise_in_bounds")
+        return Carry(q_table, agents, step + 1, record)
 
-    def policy(self, carry: Carry) -> Float[Array, "num_states num_actions"]:
+    def policy(self, carry: Carry) -> QTable:
         return carry.q_table
 
-    def act(
-        self,
-        hyper: Params,
-        policy: Float[Array, "num_states num_actions"],
-        observation: Int[Array, ""],
-        key: Key[Array, ""],
-    ) -> Int[Array, ""]:
+    def act(self, hyper: Params, policy: QTable, observation: IntScalar, key: Key[Array, ""]) -> IntScalar:
         """The greedy action in table row `observation`."""
-        return self._greedy(policy[observation], jax.random.uniform(key))
+        return self._greedy(tuple(policy[observation]), jax.random.uniform(key))
 
     def curve(self, hyper: Params, carry: Carry) -> dict[str, Float[Array, " record"]]:
-        """Means over the episodes of each point: length, return, and the share that reached a terminal state."""
+        """Means over the episodes of each point: length, return, and the share that reached a terminal state.
+
+        Where an episode is a step of the only trajectory: its totals so far.
+        """
         episodes, steps, successes, returns = carry.record.T
+        if self.task.learning_rules.episode == "step":
+            return {
+                "steps": jnp.cumsum(steps),
+                "success": jnp.cumsum(successes),
+                "return": jnp.cumsum(returns),
+            }
         return {"steps": steps / episodes, "success": successes / episodes, "return": returns / episodes}
 
-    def _move(
-        self, hyper: Params, q_table: Float[Array, "num_states num_actions"], step: Int[Array, ""], agent: Agent
-    ) -> tuple[Agent, Transition]:
-        """Carry out the chosen action; end the episode where it ends."""
-        rules = self.task.learning_rules
-        step_key, reset_key = jax.random.split(jax.random.fold_in(jax.random.fold_in(agent.key, step), 1))
-        state, reward, terminated = self.task.step(hyper.task, agent.state, agent.action, step_key)
-        value = q_table.at[self.task.row(hyper.task, state)].get(mode="promise_in_bounds").max()
-        if not rules.bootstrap_at_end:
-            value = jnp.where(terminated, 0.0, value)
-        td_error = reward + hyper.discount * value - agent.q_row[agent.action]
-
+    def _ended(self, hyper: Params, agent: Agent) -> tuple[BoolScalar, BoolScalar]:
+        """Whether the trajectory ended with the move, and whether an episode did."""
+        over = agent.terminated | (agent.length >= hyper.task.max_episode_steps)
         training = agent.episode < hyper.episodes
-        length, episode_return = agent.length + 1, agent.episode_return + reward
-        over = terminated | (length >= hyper.task.max_episode_steps)
-        if rules.episode == "restart":
-            ends, episode = training & over, agent.episode + over
-        else:
-            ends, episode = training, jnp.where(terminated, hyper.episodes, agent.episode + 1)
-        seen = Transition(
+        return over, training if self.task.learning_rules.episode == "step" else training & over
+
+    def _lesson(self, hyper: Params, q_table: QTable, agent: Agent) -> Lesson:
+        """What the move under way teaches. Once training is over it teaches nothing."""
+        rules = self.task.learning_rules
+        value = reduce(jnp.maximum, _row(q_table, agent.next_row))
+        if not rules.bootstrap_at_end:
+            value = jnp.where(agent.terminated, 0.0, value)
+        old = agent.q_row[0]
+        for action, q in enumerate(agent.q_row[1:], start=1):
+            old = jnp.where(agent.action == action, q, old)
+        td_error = agent.reward + hyper.discount * value - old
+        learns = agent.episode < hyper.episodes
+        if rules.update == "terminal":
+            learns &= agent.terminated
+        _, ends = self._ended(hyper, agent)
+        outcome = 1.0, agent.length, agent.terminated, agent.episode_return
+        return Lesson(
             row=agent.row,
             action=agent.action,
-            td_error=td_error,
-            learns=training & (terminated | (rules.update == "every")),
+            td_error=jnp.where(learns, td_error, 0.0),
             point=self._point(hyper, agent.episode),
-            outcome=jnp.where(ends, jnp.stack([1.0, length, terminated, episode_return]), 0.0),
+            outcome=jnp.stack([jnp.where(ends, x, 0.0) for x in outcome]),
         )
-        fresh = self.task.reset(hyper.task, reset_key)
-        agent = agent._replace(
-            state=jax.tree.map(lambda new, old: jnp.where(over, new, old), fresh, state),
-            epsilon=jnp.where(ends, agent.epsilon * hyper.epsilon_decay, agent.epsilon),
-            episode=jnp.where(training, episode, agent.episode),
-            length=jnp.where(ends, 0, length),
-            episode_return=jnp.where(ends, 0.0, episode_return),
-        )
-        return agent, seen
 
-    def _choose(
-        self, hyper: Params, q_table: Float[Array, "num_states num_actions"], step: Int[Array, ""], agent: Agent
+    def _next(self, hyper: Params, q_table: QTable, step: IntScalar, agent: Agent) -> Agent:
+        """Go on from the move under way, in a new episode where it ended one."""
+        over, ends = self._ended(hyper, agent)
+        fresh = self.task.reset(hyper.task, jax.random.fold_in(agent.key, step))
+        state = jax.tree.map(lambda new, old: jnp.where(over, new, old), fresh, agent.state)
+        episode = agent.episode + ends
+        if self.task.learning_rules.episode == "step":
+            episode = jnp.where(agent.terminated, hyper.episodes, episode)
+        epsilon = jnp.where(ends, agent.epsilon * hyper.epsilon_decay, agent.epsilon)
+        length, total = jnp.where(ends, 0, agent.length), jnp.where(ends, 0.0, agent.episode_return)
+        return self._move(hyper, q_table, step, agent.key, state, epsilon, episode, length, total)
+
+    def _move(
+        self,
+        hyper: Params,
+        q_table: QTable,
+        step: IntScalar,
+        key: Key[Array, ""],
+        state: Any,
+        epsilon: FloatScalar,
+        episode: IntScalar,
+        length: IntScalar,
+        episode_return: FloatScalar,
     ) -> Agent:
-        """Choose the next action, epsilon-greedily."""
+        """Choose an action epsilon-greedily in `state`, and carry it out."""
         rules = self.task.learning_rules
-        key = jax.random.fold_in(agent.key, step)
-        explore, choice, tie = jax.random.uniform(key, (3,))
-        row = self.task.row(hyper.task, agent.state)
-        q_row = q_table.at[row].get(mode="promise_in_bounds")
-        epsilon = jnp.maximum(hyper.epsilon_min, agent.epsilon)
+        row = self.task.row(hyper.task, state)
+        q_row = _row(q_table, row)
+        explore, choice, tie = uniforms(key, step, 3)
+        obeys = (1.0 - jnp.maximum(hyper.epsilon_min, epsilon)) * self.task.obedience(hyper.task)
         if rules.episode == "step":
-            epsilon = jnp.where(agent.episode == hyper.episodes - 1, 0.0, epsilon)
+            obeys = jnp.where(episode == hyper.episodes - 1, self.task.obedience(hyper.task), obeys)
         random = (choice * self.task.num_actions).astype(jnp.int32)
-        action = jnp.where(explore < epsilon, random, self._greedy(q_row, tie))
-        action = self.task.override(hyper.task, action, jax.random.fold_in(key, 0))
-        return agent._replace(row=row, q_row=q_row, action=action)
+        action = jnp.where(explore < obeys, self._greedy(q_row, tie), random)
+        task_key = jax.random.fold_in(jax.random.fold_in(key, step), 1)
+        state, reward, terminated = self.task.step(hyper.task, state, action, task_key)
+        return Agent(
+            key=key,
+            epsilon=epsilon,
+            episode=episode,
+            length=length + 1,
+            episode_return=episode_return + reward,
+            row=row,
+            q_row=q_row,
+            action=action,
+            state=state,
+            next_row=self.task.row(hyper.task, state),
+            reward=jnp.asarray(reward, jnp.float32),
+            terminated=terminated,
+        )
 
-    def _greedy(self, q_row: Float[Array, " num_actions"], tie: Float[Array, ""]) -> Int[Array, ""]:
+    def _greedy(self, q_row: tuple[FloatScalar, ...], tie: FloatScalar) -> IntScalar:
         """The best action; `tie` in [0, 1) chooses among equally good ones."""
-        if self.task.learning_rules.ties == "first":
-            return jnp.argmax(q_row).astype(jnp.int32)
-        best = [q == jnp.max(q_row) for q in q_row]
-        skip = jnp.floor(tie * sum(b.astype(jnp.float32) for b in best))
+        top = reduce(jnp.maximum, q_row)
+        best = [(q == top).astype(jnp.float32) for q in q_row]
+        skip = 0.0 if self.task.learning_rules.ties == "first" else jnp.floor(tie * sum(best))
         action, passed = jnp.int32(0), jnp.float32(0)
         for index, is_best in enumerate(best):
-            action = jnp.where(is_best & (passed == skip), index, action)
+            action = jnp.where((is_best > 0) & (passed == skip), index, action)
             passed += is_best
         return action
 
-    def _point(self, hyper: Params, episode: Int[Array, ""]) -> Int[Array, ""]:
+    def _point(self, hyper: Params, episode: IntScalar) -> IntScalar:
         """The point of the learning curve that an episode belongs to."""
         point = episode.astype(jnp.float32) * (self.record / hyper.episodes)
         return jnp.minimum(point.astype(jnp.int32), self.record - 1)
 
 
-def _write(
-    q_table: Float[Array, "num_states num_actions"], seen: Transition, learning_rate: Float[Array, ""]
-) -> Float[Array, "num_states num_actions"]:
-    change = jnp.where(seen.learns, learning_rate * seen.td_error, 0.0)
-    return q_table.at[seen.row, seen.action].add(change, mode="promise_in_bounds", unique_indices=True)
+def _row(q_table: QTable, row: IntScalar) -> tuple[FloatScalar, ...]:
+    """The values of one row as scalars: a maximum over them compiles to arithmetic, over an array to a slow loop."""
+    return tuple(q_table.at[row].get(mode="promise_in_bounds"))
 
 
-def _write_mean(
-    q_table: Float[Array, "num_states num_actions"], seen: Transition, learning_rate: Float[Array, ""]
-) -> Float[Array, "num_states num_actions"]:
-    errors = jnp.where(seen.learns, seen.td_error, 0.0)
-    total = jnp.zeros_like(q_table).at[seen.row, seen.action].add(errors, mode="promise_in_bounds")
-    count = jnp.zeros_like(q_table).at[seen.row, seen.action].add(seen.learns, mode="promise_in_bounds")
-    return q_table + learning_rate * total / jnp.maximum(count, 1.0)
+def _add(q_table: QTable, lesson: Lesson, change: Float[Array, "..."]) -> QTable:
+    return q_table.at[lesson.row, lesson.action].add(change, mode="promise_in_bounds")

@@ -5,7 +5,7 @@
     results.parquet     one row per sweep point, seed and record step
     summary.parquet     one row per sweep point and seed
     figures/            learning curves and heat maps
-    checkpoint/         block-00000.npz ...: finished runs (curves, final scores, policies); running.npz: the one under way
+    checkpoint/         part-00000.npz ...: finished runs (curves, scores, policies); pool-0.npz ...: those under way
 
 Every file is written beside its place and renamed into it, so a kill leaves the old or the new, never half of one.
 """
@@ -14,7 +14,6 @@ import contextlib
 import fcntl
 import json
 import os
-import tempfile
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
@@ -23,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from humanoid_mjx.config import Config, dump_yaml, parse, parse_yaml
+from humanoid_mjx.config import dump_yaml, parse_yaml
 from humanoid_mjx.spec import InputError
 
 Arrays = Mapping[str, np.ndarray]
@@ -94,43 +93,47 @@ class RunFolder:
         """A temporary path whose file becomes `name` when the block ends well."""
         target = self.path / name
         target.parent.mkdir(exist_ok=True)
-        handle, temporary = tempfile.mkstemp(prefix=".new-", suffix=target.suffix, dir=target.parent)
-        os.close(handle)
+        temporary = target.with_name(f".new-{target.name}")
         try:
-            yield Path(temporary)
-            with open(temporary, "rb") as file:
+            yield temporary
+            with temporary.open("rb") as file:
                 os.fsync(file.fileno())
-            os.replace(temporary, target)
+            temporary.replace(target)
         finally:
-            Path(temporary).unlink(missing_ok=True)
+            temporary.unlink(missing_ok=True)
 
     def remove(self, name: str) -> None:
         (self.path / name).unlink(missing_ok=True)
 
-    def blocks(self) -> dict[int, Path]:
-        """The finished blocks by number."""
-        return finished_blocks(self.path)
+    def parts(self) -> list[Path]:
+        """The files of finished runs."""
+        return parts(self.path)
+
+    def add_part(self, arrays: Arrays) -> None:
+        """Store finished runs."""
+        numbers = [int(path.stem.removeprefix("part-")) for path in self.parts()]
+        self.write_arrays(f"checkpoint/part-{max(numbers, default=-1) + 1:05d}.npz", arrays)
 
 
-def block_name(index: int) -> str:
-    return f"checkpoint/block-{index:05d}.npz"
+def pool_name(number: int) -> str:
+    """The file of the runs under way on a device."""
+    return f"checkpoint/pool-{number}.npz"
 
 
-def finished_blocks(path: Path) -> dict[int, Path]:
-    """The finished blocks of a run folder by number."""
-    files = sorted((path / "checkpoint").glob("block-*.npz"))
-    return {int(file.stem.removeprefix("block-")): file for file in files}
+def parts(path: Path) -> list[Path]:
+    """The files of finished runs of a run folder."""
+    return sorted((path / "checkpoint").glob("part-*.npz"))
 
 
-def read_arrays(path: Path) -> dict[str, np.ndarray]:
-    """The arrays of one checkpoint file.
+def read_arrays(path: Path, prefixes: tuple[str, ...] = ("",)) -> dict[str, np.ndarray]:
+    """The arrays of one checkpoint file whose names start with one of `prefixes`.
 
     Raises:
       InputError: the file is truncated or damaged.
     """
     try:
         with np.load(path, allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
+            return {name: file[name] for name in file.files if name.startswith(prefixes)}
     except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise InputError(
             f"{path}: this file is truncated or damaged; remove it, and --resume trains its runs again."
@@ -150,11 +153,6 @@ def read_config(path: Path) -> dict[str, Any]:
     if not isinstance(data, dict):
         raise InputError(f"{file}: this file is damaged.")
     return data
-
-
-def load_config(path: Path) -> Config:
-    """The config of a run folder."""
-    return parse(read_config(path), str(path / "config.yaml"))
 
 
 def fresh_path(name: str, root: Path = Path("runs")) -> Path:

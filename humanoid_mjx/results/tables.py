@@ -1,13 +1,12 @@
 """The tables of a run folder, derived from its finished blocks."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from humanoid_mjx.results.store import RunFolder, read_arrays
+from humanoid_mjx.results.store import RunFolder, parts, read_arrays
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.plan import Plan
 
@@ -15,21 +14,34 @@ LAST_SHARE = 0.1
 """The share of a learning curve, from its end, over which the summary averages."""
 
 
-def write_tables(run: RunFolder, plan: Plan) -> None:
-    """Write results.parquet and summary.parquet from all blocks that are finished."""
-    columns = {name: _dictionary(values) for name, values in plan.table().items()}
-    with run.writing("results.parquet") as results, run.writing("summary.parquet") as summary:
-        writers: list[pq.ParquetWriter | None] = [None, None]
-        try:
-            for arrays in _finished(run):
-                tables = _results(plan, columns, arrays), _summary(columns, arrays)
-                for i, (path, table) in enumerate(zip((results, summary), tables, strict=True)):
-                    writers[i] = writers[i] or pq.ParquetWriter(path, table.schema, compression="zstd")
-                    writers[i].write_table(table)
-        finally:
-            for writer in writers:
-                if writer:
-                    writer.close()
+def write_tables(folder: RunFolder, plan: Plan) -> int:
+    """Write results.parquet and summary.parquet from all runs that are finished, ordered by point and seed.
+
+    Returns:
+      the number of finished runs.
+    """
+    arrays = finished_runs(folder.path, ("point", "seed", "curve.", "final."))
+    if not arrays:
+        return 0
+    columns = {name: pa.array(values).dictionary_encode() for name, values in plan.table().items()}
+    for name, table in (("results", _results(plan, columns, arrays)), ("summary", _summary(columns, arrays))):
+        with folder.writing(f"{name}.parquet") as path:
+            pq.write_table(table, path, compression="zstd")
+    return len(arrays["point"])
+
+
+def finished_runs(path: Path, prefixes: tuple[str, ...]) -> dict[str, np.ndarray]:
+    """The arrays of a run folder's finished runs whose names start so, ordered by point and seed.
+
+    Raises:
+      InputError: a file of the checkpoint is damaged.
+    """
+    loaded = [read_arrays(part, prefixes) for part in parts(path)]
+    if not loaded:
+        return {}
+    arrays = {name: np.concatenate([part[name] for part in loaded]) for name in loaded[0]}
+    order = np.lexsort((arrays["seed"], arrays["point"]))
+    return {name: array[order] for name, array in arrays.items()}
 
 
 def read_table(path: Path) -> dict[str, np.ndarray]:
@@ -50,11 +62,6 @@ def read_table(path: Path) -> dict[str, np.ndarray]:
 def named(arrays: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
     """The arrays whose names start with `prefix.`, without it."""
     return {name.removeprefix(prefix + "."): a for name, a in arrays.items() if name.startswith(prefix + ".")}
-
-
-def _finished(run: RunFolder) -> Iterator[dict[str, np.ndarray]]:
-    for path in run.blocks().values():
-        yield read_arrays(path)
 
 
 def _results(plan: Plan, columns: dict[str, pa.DictionaryArray], arrays: dict[str, np.ndarray]) -> pa.Table:
@@ -82,7 +89,3 @@ def _hyper(columns: dict[str, pa.DictionaryArray], point: np.ndarray) -> dict[st
         name: pa.DictionaryArray.from_arrays(column.indices.take(pa.array(point)), column.dictionary)
         for name, column in columns.items()
     }
-
-
-def _dictionary(values: list) -> pa.DictionaryArray:
-    return pa.array(values).dictionary_encode()

@@ -2,11 +2,11 @@
 
 from typing import Any, Literal, NamedTuple
 
-import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Float, Key
 
 from humanoid_mjx.spec import Spec
+from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
 
 
 class Rules(NamedTuple):
@@ -47,12 +47,12 @@ class FiniteTask(Spec):
         raise NotImplementedError
 
     def step(
-        self, params: Any, state: Any, action: Int[Array, ""], key: Key[Array, ""]
-    ) -> tuple[Any, Float[Array, ""], Bool[Array, ""]]:
+        self, params: Any, state: Any, action: IntScalar, key: Key[Array, ""]
+    ) -> tuple[Any, FloatScalar, BoolScalar]:
         """Carry out `action`: the next state, the reward, and whether the state is terminal."""
         raise NotImplementedError
 
-    def row(self, params: Any, state: Any) -> Int[Array, ""]:
+    def row(self, params: Any, state: Any) -> IntScalar:
         """The table row that stands for `state`. Several states may share one."""
         return state
 
@@ -60,11 +60,7 @@ class FiniteTask(Spec):
         """The table before learning."""
         return jnp.zeros((self.num_states, self.num_actions))
 
-    def override(self, params: Any, action: Int[Array, ""], key: Key[Array, ""]) -> Int[Array, ""]:
-        """The action carried out in place of the one chosen. The learner knows, and learns about this one."""
-        return action
-
-
-def uniform_action(key: Key[Array, ""], num_actions: int) -> Int[Array, ""]:
-    """A uniformly random action (to within 2**-23)."""
-    return (jax.random.uniform(key) * num_actions).astype(jnp.int32)
+    def obedience(self, params: Any) -> FloatScalar:
+        """The probability that a greedy choice is carried out; else a random action takes its place (section 6.3's
+        `successRate`). The learner knows which action was carried out, and learns about that one."""
+        return jnp.float32(1)

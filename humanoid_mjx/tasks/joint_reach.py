@@ -2,13 +2,13 @@
 
 from typing import Literal, NamedTuple
 
-import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Float, Int, Key
 from pydantic import Field, model_validator
 
-from humanoid_mjx.tasks.finite import FiniteTask, Rules, uniform_action
+from humanoid_mjx.tasks.finite import FiniteTask, Rules
 from humanoid_mjx.thesis import q_learning as thesis
+from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
 
 PRINTED = Rules(update="terminal", bootstrap_at_end=True, ties="first", episode="step")
 """The pseudo-code of section 6.3 to the letter."""
@@ -62,7 +62,9 @@ class JointReach(FiniteTask):
                 f"the distance {self.goal - self.start:g} must be a whole multiple of action"
             )
         if round(moves) > 1_000_000:
-            raise ValueError(f"{round(moves)} steps of action lie between start and goal; at most 1,000,000 are handled")
+            raise ValueError(
+                f"{round(moves)} steps of action lie between start and goal; at most 1,000,000 are handled"
+            )
         return self
 
     @property
@@ -77,20 +79,20 @@ class JointReach(FiniteTask):
     def learning_rules(self) -> Rules:
         return PRINTED if self.rules == "printed" else Rules()
 
-    def reset(self, params: Params, key: Key[Array, ""]) -> Int[Array, ""]:
+    def reset(self, params: Params, key: Key[Array, ""]) -> IntScalar:
         """The number of moves made: none."""
         return jnp.int32(0)
 
     def step(
-        self, params: Params, state: Int[Array, ""], action: Int[Array, ""], key: Key[Array, ""]
-    ) -> tuple[Int[Array, ""], Float[Array, ""], Bool[Array, ""]]:
+        self, params: Params, state: IntScalar, action: IntScalar, key: Key[Array, ""]
+    ) -> tuple[IntScalar, FloatScalar, BoolScalar]:
         goal = self._moves_to_goal(params)
         state = jnp.minimum(state + action, goal)
         reached = state == goal
         reward = thesis.REWARD_SCALE * self._angle_of_row(params, self.row(params, state))
         return state, reward + jnp.where(reached, params.bonus, 0.0), reached
 
-    def row(self, params: Params, state: Int[Array, ""]) -> Int[Array, ""]:
+    def row(self, params: Params, state: IntScalar) -> IntScalar:
         place = state * (self.states - 1.0) / self._moves_to_goal(params)
         return jnp.ceil(place - 0.5).astype(jnp.int32)
 
@@ -99,11 +101,10 @@ class JointReach(FiniteTask):
         rewards = thesis.REWARD_SCALE * self._angle_of_row(params, jnp.arange(self.states))
         return jnp.stack([rewards, rewards], axis=1)
 
-    def override(self, params: Params, action: Int[Array, ""], key: Key[Array, ""]) -> Int[Array, ""]:
-        obey, choice = jax.random.split(key)
-        return jnp.where(jax.random.uniform(obey) < params.success_rate, action, uniform_action(choice, 2))
+    def obedience(self, params: Params) -> FloatScalar:
+        return params.success_rate
 
-    def _moves_to_goal(self, params: Params) -> Int[Array, ""]:
+    def _moves_to_goal(self, params: Params) -> IntScalar:
         return jnp.round((params.goal - params.start) / params.action).astype(jnp.int32)
 
     def _angle_of_row(self, params: Params, row: Int[Array, "..."]) -> Float[Array, "..."]:

@@ -3,13 +3,13 @@
 from collections import deque
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Int, Key
 from pydantic import Field, model_validator
 
-from humanoid_mjx.tasks.finite import FiniteTask, uniform_action
+from humanoid_mjx.tasks.finite import FiniteTask
+from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
 
 ROOM = (
     "S....#....",
@@ -70,19 +70,18 @@ class Navigate(FiniteTask):
     def num_actions(self) -> int:
         return len(MOVES)
 
-    def reset(self, params: Params, key: Key[Array, ""]) -> Int[Array, ""]:
+    def reset(self, params: Params, key: Key[Array, ""]) -> IntScalar:
         return jnp.int32("".join(self.map).index("S"))
 
     def step(
-        self, params: Params, state: Int[Array, ""], action: Int[Array, ""], key: Key[Array, ""]
-    ) -> tuple[Int[Array, ""], Float[Array, ""], Bool[Array, ""]]:
+        self, params: Params, state: IntScalar, action: IntScalar, key: Key[Array, ""]
+    ) -> tuple[IntScalar, FloatScalar, BoolScalar]:
         state = jnp.asarray(_next_cells(self.map)).at[state * len(MOVES) + action].get(mode="promise_in_bounds")
         reached = state == "".join(self.map).index("G")
         return state, params.step_reward + jnp.where(reached, params.bonus, 0.0), reached
 
-    def override(self, params: Params, action: Int[Array, ""], key: Key[Array, ""]) -> Int[Array, ""]:
-        obey, choice = jax.random.split(key)
-        return jnp.where(jax.random.uniform(obey) < params.success_rate, action, uniform_action(choice, len(MOVES)))
+    def obedience(self, params: Params) -> FloatScalar:
+        return params.success_rate
 
 
 def _next_cells(grid: tuple[str, ...]) -> Int[np.ndarray, " cells_times_actions"]:

@@ -15,7 +15,7 @@ def greedy_episode(learner: Learner, hyper: Any, policy: Any, key: Key[Array, ""
     Returns:
       `greedy_return`, `greedy_steps`, and `greedy_success`: whether it reached a terminal state before the cap.
     """
-    task = learner.task
+    task: Any = learner.task
     start_key, key = jax.random.split(key)
 
     def running(loop):
@@ -24,9 +24,11 @@ def greedy_episode(learner: Learner, hyper: Any, policy: Any, key: Key[Array, ""
 
     def step(loop):
         state, total, steps, _ = loop
-        act_key, override_key, step_key = jax.random.split(jax.random.fold_in(key, steps), 3)
+        act_key, obey_key, choice_key, step_key = jax.random.split(jax.random.fold_in(key, steps), 4)
         action = learner.act(hyper, policy, task.row(hyper.task, state), act_key)
-        action = task.override(hyper.task, action, override_key)
+        obeys = jax.random.uniform(obey_key) < task.obedience(hyper.task)
+        random = (jax.random.uniform(choice_key) * task.num_actions).astype(jnp.int32)
+        action = jnp.where(obeys, action, random)
         state, reward, terminated = task.step(hyper.task, state, action, step_key)
         return state, total + reward, steps + 1, terminated
 

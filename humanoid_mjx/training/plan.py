@@ -1,6 +1,6 @@
-"""From a config to what will run: groups of sweep points that share one compiled program, in blocks that fit memory."""
+"""From a config to what will run: sweep points, in groups that share one compiled program."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -9,11 +9,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from humanoid_mjx import rng
 from humanoid_mjx.axes import sweep_points
 from humanoid_mjx.config import Config
 from humanoid_mjx.learners import Learner, make_learner
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.tasks import make_task
+from humanoid_mjx.types import Device
 
 
 @dataclass(frozen=True)
@@ -26,27 +28,18 @@ class Group:
     """(num_points,) Numbers of the points in the plan."""
     hyper: Any
     """The traced values: the learner's `Params`, every leaf with a leading axis of num_points."""
-
-
-@dataclass(frozen=True)
-class Block:
-    """Runs (pairs of sweep point and seed) that train at once."""
-
-    index: int
-    group: Group
-    size: int
-    """Runs in each of the group's blocks but the last, which may hold fewer."""
-    rows: np.ndarray
-    """(len(self),) Each run's row in the group's `hyper`."""
-    seeds: np.ndarray
-    """(len(self),) Each run's seed number."""
+    seeds: int
+    """Runs of each point."""
 
     @property
-    def points(self) -> np.ndarray:
-        return self.group.points[self.rows]
+    def runs(self) -> np.ndarray:
+        """(num_points * seeds,) The group's runs, in order. A run is a point with a seed: point * seeds + seed."""
+        return (self.points[:, None] * self.seeds + np.arange(self.seeds)).reshape(-1)
 
-    def __len__(self) -> int:
-        return len(self.rows)
+    def locate(self, runs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The row in `hyper` and the seed number of each run."""
+        points, seeds = np.divmod(runs, self.seeds)
+        return np.searchsorted(self.points, points), seeds
 
 
 @dataclass(frozen=True)
@@ -68,36 +61,12 @@ class Plan:
         members: dict[Learner, list[int]] = {}
         for index, learner in enumerate(self.learners):
             members.setdefault(learner.structure(), []).append(index)
-        return [self._group(indices) for indices in members.values()]
-
-    def _group(self, indices: list[int]) -> Group:
-        params = [self.learners[i].params for i in indices]
-        hyper = jax.tree.map(lambda *values: _column(values), *params)
-        return Group(self.learners[indices[0]], np.array(indices), hyper)
-
-    def block_sizes(self, size: int | None, devices: int, memory: int) -> list[int]:
-        """How many runs of each group train at once: `size`, or what `memory` bytes and a CPU's cache hold.
-
-        Raises:
-          InputError: not even one run fits.
-        """
-        return [self._block_size(group, size, devices, memory) for group in self.groups]
-
-    def _block_size(self, group: Group, size: int | None, devices: int, memory: int) -> int:
-        runs = len(group.points) * self.config.seeds
-        if size is None:
-            size = runs_that_fit(group, devices, memory)
-        return -(-runs // -(-runs // size))
-
-    def blocks(self, sizes: Sequence[int]) -> list[Block]:
-        """All runs, in blocks of the given size for each group."""
-        blocks: list[Block] = []
-        for group, size in zip(self.groups, sizes, strict=True):
-            runs = np.arange(len(group.points) * self.config.seeds)
-            for start in range(0, len(runs), size):
-                rows, seeds = np.divmod(runs[start : start + size], self.config.seeds)
-                blocks.append(Block(len(blocks), group, size, rows, seeds))
-        return blocks
+        groups: list[Group] = []
+        for indices in members.values():
+            hyper = jax.tree.map(lambda *values: _column(values), *(self.learners[i].params for i in indices))
+            points = np.array(indices, np.int64)
+            groups.append(Group(self.learners[indices[0]], points, hyper, self.config.seeds))
+        return groups
 
     def table(self) -> dict[str, list[Any]]:
         """The hyper-parameters as columns: every scalar of task and learner by dotted name, an entry per point."""
@@ -137,30 +106,35 @@ def build(config: Config, point: Mapping[str, Any]) -> Learner:
 
 
 def resolved(config: Config) -> dict[str, Any]:
-    """The config as plain values with every default written out: what `config.yaml` of a run folder holds."""
+    """The config as plain values with defaults written out: what `config.yaml` of a run folder holds.
+
+    A value that follows from others (the start and goal of a joint) stays out unless it was written.
+    """
     learner = build(config, {})
     data = config.model_dump(mode="json", exclude_none=True)
     for part, spec in (("task", learner.task), ("learner", learner)):
-        data[part] = {"name": getattr(config, part)["name"]} | spec.model_dump(mode="json")
+        written: dict[str, Any] = getattr(config, part)
+        fields = type(spec).model_fields
+        values = spec.model_dump(mode="json")
+        keep = {name: v for name, v in values.items() if name in written or not fields[name].is_required()}
+        data[part] = {"name": written["name"]} | keep
     return data
 
 
-def runs_that_fit(group: Group, devices: int, memory: int) -> int:
-    """Runs that `memory` bytes hold in training; on a CPU no more than its caches serve well.
+def runs_that_fit(group: Group, device: Device) -> int:
+    """How many runs of a group a device can train at once; a CPU no more than its cache serves well.
 
     Raises:
-      InputError: a single run does not fit.
+      InputError: not even one.
     """
-    per_run = run_bytes(group)
+    per_run, memory = run_bytes(group), _free_memory(device)
     size = memory // (WORKING_COPIES * per_run)
     if size < 1:
         raise InputError(
             f"one run needs about {WORKING_COPIES * per_run / 2**20:,.0f} MiB and {memory / 2**20:,.0f} MiB are free; "
             "make the task or the learner smaller."
         )
-    if jax.default_backend() == "cpu":
-        size = min(size, devices * max(1, CPU_CACHE_BYTES // per_run))
-    return size
+    return min(size, max(1, CPU_CACHE_BYTES // per_run)) if device.platform == "cpu" else size
 
 
 WORKING_COPIES = 4
@@ -169,12 +143,27 @@ WORKING_COPIES = 4
 CPU_CACHE_BYTES = 1 << 21
 """Training state per core beyond which a step slows down (measured: about 1,000 agents of `joint_reach`)."""
 
+HOST_MEMORY = 1 << 31
+"""Bytes that training may take on all CPU devices, which report no limit: half of the 4 GB a sweep is to stay under."""
+
+
+def _free_memory(device: Device) -> int:
+    """Bytes that training may take on one device."""
+    stats = device.memory_stats()
+    if stats and "bytes_limit" in stats:
+        return (stats["bytes_limit"] - stats["bytes_in_use"]) * 8 // 10
+    return HOST_MEMORY // len(jax.local_devices())
+
 
 def run_bytes(group: Group) -> int:
     """Bytes of training state that one run holds."""
+    return sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(one_run(group)))
+
+
+def one_run(group: Group) -> Any:
+    """The shapes of one run's training state."""
     hyper = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), group.hyper)
-    carry = jax.eval_shape(group.learner.init, hyper, jax.eval_shape(lambda: jax.random.key(0)))
-    return sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(carry))
+    return jax.eval_shape(group.learner.init, hyper, jax.eval_shape(lambda: rng.key(0)))
 
 
 def _column(values: tuple) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The compiled programs of a group of sweep points: a learner, vmapped over runs and spread over the devices."""
+"""The compiled programs of a group of sweep points: a learner, vmapped over runs."""
 
 from collections.abc import Callable
 from functools import lru_cache, partial
@@ -6,8 +6,6 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jax.sharding import Mesh, PartitionSpec
 
 from humanoid_mjx import rng
 from humanoid_mjx.learners import Learner
@@ -18,25 +16,28 @@ CHUNK_STEPS = 512
 
 
 class Program(NamedTuple):
-    """Functions over a block of runs; every array has a leading axis of runs, a multiple of the number of devices."""
+    """Functions over runs side by side; every array has a leading axis of runs."""
 
-    init: Callable[..., Any]
-    """(hyper, run keys' (seed, seed number), policies or None) -> training states."""
-    train: Callable[[Any, Any], tuple[Any, Any]]
+    start: Callable[..., Any]
+    """(fresh (bool), hyper, seeds, training states, policies) -> training states, new where fresh."""
+    train: Callable[[Any, Any], tuple[Any, jax.Array]]
     """(hyper, training states) -> training states CHUNK_STEPS later, and progress. The old states are given up."""
     finish: Callable[..., dict[str, Any]]
-    """(hyper, training states, (seed, seed number)) -> curves, final scores, policies."""
+    """(hyper, training states, seeds) -> curves, final scores and policies."""
+    states: Callable[..., Any]
+    """(hyper, seeds) -> training states to begin with."""
 
 
 @lru_cache(maxsize=64)
-def compile_program(learner: Learner) -> Program:
-    """The programs for one structure of learner (`Spec.structure`)."""
-    runs = PartitionSpec("runs")
-    mesh = Mesh(np.array(jax.devices()), ("runs",))
-    spread = partial(jax.shard_map, mesh=mesh, in_specs=runs, out_specs=runs, check_vma=False)
+def program_of(learner: Learner) -> Program:
+    """The programs of one structure of learner (`Spec.structure`). `seeds` is (the config's seed, the seed number)."""
 
-    def init(hyper, seeds, policy):
-        return learner.init(hyper, run_key(*seeds), policy)
+    def states(hyper, seeds):
+        return learner.init(hyper, run_key(*seeds))
+
+    def start(fresh, hyper, seeds, old, policy):
+        new = learner.init(hyper, run_key(*seeds), policy)
+        return jax.tree.map(partial(jnp.where, fresh), new, old)
 
     def train(hyper, carry):
         carry, metrics = learner.train_chunk(hyper, carry, CHUNK_STEPS)
@@ -46,15 +47,20 @@ def compile_program(learner: Learner) -> Program:
         policy = learner.policy(carry)
         final = greedy_episode(learner, hyper, policy, jax.random.fold_in(run_key(*seeds), 1))
         finite = jnp.stack([jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(policy)]).all()
-        return {"curve": learner.curve(hyper, carry), "final": final | {"diverged": ~finite}, "policy": policy}
+        return {
+            "curve": learner.curve(hyper, carry),
+            "final": final | {"diverged": ~finite},
+            "policy": policy,
+        }
 
     return Program(
-        init=jax.jit(spread(jax.vmap(init))),
-        train=jax.jit(spread(jax.vmap(train)), donate_argnums=1),
-        finish=jax.jit(spread(jax.vmap(finish))),
+        start=jax.jit(jax.vmap(start), donate_argnums=3),
+        train=jax.jit(jax.vmap(train), donate_argnums=1),
+        finish=jax.jit(jax.vmap(finish)),
+        states=jax.jit(jax.vmap(states)),
     )
 
 
 def run_key(seed: jax.Array, number: jax.Array) -> jax.Array:
-    """The key of a run: of the config's seed and the run's seed number alone, so that a point trains as it would alone."""
+    """The key of a run: of the config's seed and the run's number alone, so that a point trains as it would alone."""
     return jax.random.fold_in(rng.key(seed), number)

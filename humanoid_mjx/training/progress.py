@@ -1,17 +1,26 @@
-"""What the user sees while a sweep runs: a bar with rate and time left, or a line now and then where there is no terminal."""
+"""What the user sees while a sweep runs: a bar with rate and time left; without a terminal a line now and then."""
 
 import time
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Protocol
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    TaskProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 LINE_EVERY_S = 10.0
 
 
 class Reporter(Protocol):
     """Told what happens while a sweep runs."""
+
+    def begin(self, total: float, unit: str) -> None: ...
 
     def phase(self, text: str) -> None: ...
 
@@ -20,6 +29,9 @@ class Reporter(Protocol):
 
 class Silent:
     """Reports nothing."""
+
+    def begin(self, total: float, unit: str) -> None:
+        pass
 
     def phase(self, text: str) -> None:
         pass
@@ -31,18 +43,28 @@ class Silent:
 class Bar:
     """Reports on a console. `total` and the `done` of `update` count `unit`s, such as episodes."""
 
-    def __init__(self, console: Console, total: float, unit: str):
-        self.console, self.total, self.unit = console, total, unit
+    def __init__(self, console: Console):
+        self.console, self.total, self.unit = console, 1.0, ""
         self._text, self._done = "starting", 0.0
         self._began = self._last_line = time.monotonic()
         self._first: tuple[float, float] | None = None
-        columns = TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TextColumn("{task.fields[rate]}")
-        self._bar = Progress(
-            *columns, TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(), console=console, transient=True
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TaskProgressColumn(),
+            TextColumn("{task.fields[rate]}"),
         )
-        self._task = self._bar.add_task(self._text, total=total, rate="")
+        self._bar = Progress(
+            *columns,
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(),
+            console=console,
+            transient=True,
+        )
+        self._task = self._bar.add_task(self._text, total=None, rate="")
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "Bar":
         if self.console.is_terminal:
             self._bar.start()
         return self
@@ -51,6 +73,10 @@ class Bar:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._bar.stop()
+
+    def begin(self, total: float, unit: str) -> None:
+        self.total, self.unit = total, unit
+        self._bar.update(self._task, total=total)
 
     def phase(self, text: str) -> None:
         changed, self._text = text != self._text, text
@@ -71,4 +97,6 @@ class Bar:
     def _line(self, rate: str = "") -> None:
         self._last_line = time.monotonic()
         share = f" {self._done / self.total:.0%}" if self._done else ""
-        self.console.print(f"{self._last_line - self._began:6.1f} s  {self._text}{share}  {rate}".rstrip(), highlight=False)
+        self.console.print(
+            f"{self._last_line - self._began:6.1f} s  {self._text}{share}  {rate}".rstrip(), highlight=False
+        )

@@ -3,6 +3,7 @@
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx.spec import InputError
@@ -25,14 +26,14 @@ def from_arrays(like: Any, arrays: dict[str, np.ndarray], prefix: str, where: st
         array = arrays.get(prefix + jax.tree_util.keystr(path))
         words = jax.eval_shape(_plain, like)
         if array is None or array.shape != words.shape or array.dtype != words.dtype:
-            raise InputError(f"{where}: holds the state of another training; remove it to start again.")
-        return jax.random.wrap_key_data(array, impl=jax.random.key_impl(like)) if _is_key(like) else array
+            raise InputError(f"{where}: what it holds does not fit this training.")
+        return jax.random.wrap_key_data(jnp.asarray(array), impl=jax.random.key_impl(like)) if _is_key(like) else array
 
     return jax.tree_util.tree_map_with_path(leaf, like)
 
 
 def _is_key(leaf: Any) -> bool:
-    return jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+    return jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
 
 
 def _plain(leaf: Any) -> Any:

@@ -1,8 +1,10 @@
-"""Run a sweep: train every point, block by block, into a run folder that can be resumed."""
+"""Run a sweep: train every point into a run folder that can be resumed."""
 
-import json
+import threading
 import time
+from collections import deque
 from collections.abc import Mapping, Sequence
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,21 +15,18 @@ import numpy as np
 
 from humanoid_mjx import runtime
 from humanoid_mjx.config import Config, load, parse
-from humanoid_mjx.results.store import RunFolder, block_name, fresh_path, latest_path, read_arrays
-from humanoid_mjx.results.tables import read_table, write_tables
-from humanoid_mjx.spec import InputError
-from humanoid_mjx.training.plan import Block, Plan, make_plan, resolved
-from humanoid_mjx.training.program import compile_program
+from humanoid_mjx.results.store import RunFolder, fresh_path, latest_path, pool_name, read_arrays, read_config
+from humanoid_mjx.results.tables import finished_runs, read_table, write_tables
+from humanoid_mjx.training.plan import Plan, make_plan, resolved, runs_that_fit
+from humanoid_mjx.training.pool import Pool
 from humanoid_mjx.training.progress import Reporter, Silent
-from humanoid_mjx.training.state import from_arrays, to_arrays
+from humanoid_mjx.training.warm_start import earlier_policies
 
 CHECKPOINT_EVERY_S = 30.0
 """Seconds of training that a kill may cost."""
 
 TABLES_SHARE = 0.05
-"""The share of the wall time that rewriting the tables may take while blocks finish."""
-
-RUNNING = "checkpoint/running.npz"
+"""The share of the wall time that rewriting the tables may take while runs finish."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +34,10 @@ class Run:
     """A run folder, as its reader sees it."""
 
     path: Path
+
+    @property
+    def config(self) -> Config:
+        return parse(read_config(self.path), str(self.path / "config.yaml"))
 
     @property
     def results(self) -> dict[str, np.ndarray]:
@@ -53,7 +56,7 @@ def sweep(
     *,
     resume: bool = False,
     overrides: Sequence[str] = (),
-    block: int | None = None,
+    pool_size: int | None = None,
     reporter: Reporter | None = None,
 ) -> Run:
     """Train every point of a sweep with every seed.
@@ -63,7 +66,7 @@ def sweep(
       out: the run folder; by default the first free of runs/NAME, runs/NAME-2, ..., or the latest to be resumed.
       resume: complete a run folder instead of making one.
       overrides: such as "learner.epsilon=0.1"; only where `config` is a path or a name.
-      block: how many runs train at once; by default what memory and cache hold. It changes no result.
+      pool_size: how many runs train at once; by default what memory and cache hold. It changes no result.
       reporter: told what happens; by default nobody.
 
     Raises:
@@ -74,127 +77,119 @@ def sweep(
     elif isinstance(config, Mapping):
         config = parse(dict(config))
     plan = make_plan(config)
-    sizes = plan.block_sizes(block, len(jax.devices()), _memory())
+    sizes = [pool_size or runs_that_fit(group, jax.local_devices()[0]) for group in plan.groups]
+    policies = [earlier_policies(group) for group in plan.groups]
     if resume:
         folder = RunFolder.resume(Path(out or latest_path(config.name)), resolved(config))
-        sizes = json.loads((folder.path / "checkpoint/plan.json").read_text())["block_sizes"]
     else:
         folder = RunFolder.create(Path(out or fresh_path(config.name)), resolved(config))
-        folder.write_json("checkpoint/plan.json", {"block_sizes": sizes})
-    session = _Session(folder, plan, reporter or Silent())
     try:
-        session.train(plan.blocks(sizes))
+        session = _Session(folder, plan, reporter or Silent())
+        session.reporter.begin(plan.num_runs * config.episodes, plan.learners[0].unit)
+        try:
+            for index in range(len(plan.groups)):
+                session.train(index, sizes[index], policies[index])
+        finally:
+            session.write_results()
     finally:
-        session.write_results()
         folder.close()
     return Run(folder.path)
 
 
 class _Session:
-    """The work of one process on a run folder."""
+    """The work of one process on a run folder: a thread per device, each with a pool of runs."""
 
     def __init__(self, folder: RunFolder, plan: Plan, reporter: Reporter):
         self.folder, self.plan, self.reporter = folder, plan, reporter
+        done = finished_runs(folder.path, ("point", "seed"))
+        self.finished = set((done["point"] * plan.config.seeds + done["seed"]).tolist()) if done else set()
         self.began = self.tables_due = time.monotonic()
         self.started = datetime.now(UTC).isoformat(timespec="seconds")
         self.compile_s = 0.0
-        self.done = 0.0
-        self.dirty = False
+        self.tables_are_old = True
+        self.lock, self.stop = threading.Lock(), threading.Event()
 
-    def train(self, blocks: Sequence[Block]) -> None:
-        """Train what is not finished yet."""
-        finished = self.folder.blocks()
-        for path in finished.values():
-            read_arrays(path)
-        self.done = float(sum(len(block) for block in blocks if block.index in finished))
-        self.dirty = bool(finished)
-        with runtime.counting_compiles() as compiles:
-            for block in blocks:
-                if block.index in finished:
-                    continue
-                self._train_block(block)
-                self.done += len(block)
-                self.dirty = True
-                self.compile_s = compiles.seconds
-                if time.monotonic() >= self.tables_due:
-                    self.write_results()
-
-    def _train_block(self, block: Block) -> None:
+    def train(self, index: int, size: int, policies: Any) -> None:
+        """Train the runs of a group that are not finished yet, at most `size` at once on each device."""
+        group, devices = self.plan.groups[index], jax.local_devices()
+        waiting = deque(run for run in group.runs.tolist() if run not in self.finished)
+        if not waiting:
+            return
         self.reporter.phase("compiling")
-        program = compile_program(block.group.learner.structure())
-        rows = _pad(np.arange(len(block)), block.size, len(jax.devices()))
-        hyper = jax.tree.map(lambda x: x[block.rows[rows]], block.group.hyper)
-        seeds = np.full(len(rows), self.plan.config.seed, np.uint32), block.seeds[rows].astype(np.uint32)
-        carry = program.init(hyper, seeds, None)
-        carry = self._restore(block, carry)
+        size = min(size, -(-len(waiting) // len(devices)))
+        with runtime.counting_compiles() as compiles, ThreadPoolExecutor(len(devices)) as threads:
+            pools = [Pool(group, waiting, size, device, self.plan.config.seed, policies) for device in devices]
+            self._restore(index, pools)
+            work = [threads.submit(self._work, index, number, pool) for number, pool in enumerate(pools)]
+            try:
+                while wait(work, timeout=0.1, return_when=FIRST_EXCEPTION).not_done:
+                    self._report(pools)
+                    if time.monotonic() >= self.tables_due:
+                        self.write_results()
+            finally:
+                self.stop.set()
+        self.compile_s += compiles.seconds
+        for future in work:
+            future.result()
+        for number in range(len(pools)):
+            self.folder.remove(pool_name(number))
+        self.stop.clear()
+
+    def _work(self, index: int, number: int, pool: Pool) -> None:
+        """Train what waits in one pool, until nothing does. Runs in the thread of the pool's device."""
         saved = time.monotonic()
-        share = 0.0
-        while share < 1.0:
-            carry, progress = program.train(hyper, carry)
-            progress = np.asarray(progress)[: len(block)]
-            share = float(progress.min())
-            self.reporter.phase("training")
-            self.reporter.update((self.done + float(progress.sum())) * self.plan.config.episodes)
-            if time.monotonic() - saved > CHECKPOINT_EVERY_S:
-                self._save(block, carry)
+        pool.fill()
+        while pool.busy.any():
+            if self.stop.is_set() or time.monotonic() - saved > CHECKPOINT_EVERY_S:
+                self.folder.write_arrays(pool_name(number), {"group": np.array(index)} | pool.state())
                 saved = time.monotonic()
-        finished = jax.tree.map(lambda x: np.asarray(x)[: len(block)], program.finish(hyper, carry, seeds))
-        arrays = {f"curve.{name}": a for name, a in finished["curve"].items()}
-        arrays |= {f"final.{name}": a for name, a in finished["final"].items()}
-        arrays |= to_arrays(finished["policy"], "policy")
-        arrays |= {"point": block.points.astype(np.int32), "seed": block.seeds.astype(np.int32)}
-        self.folder.write_arrays(block_name(block.index), arrays)
-        self.folder.remove(RUNNING)
+            if self.stop.is_set():
+                return
+            pool.train()
+            if harvest := pool.harvest():
+                self._store(*harvest)
+                pool.fill()
 
-    def _save(self, block: Block, carry: Any) -> None:
-        self.folder.write_arrays(RUNNING, {"block": np.int32(block.index)} | to_arrays(carry, "carry"))
+    def _store(self, runs: np.ndarray, arrays: dict[str, np.ndarray]) -> None:
+        points, seeds = np.divmod(runs, self.plan.config.seeds)
+        with self.lock:
+            self.folder.add_part({"point": points.astype(np.int32), "seed": seeds.astype(np.int32)} | arrays)
+            self.finished.update(runs.tolist())
+            self.tables_are_old = True
 
-    def _restore(self, block: Block, carry: Any) -> Any:
-        """The training state that an interrupted session left of this block, or the fresh one."""
-        path = self.folder.path / RUNNING
-        if not path.is_file() or int((arrays := read_arrays(path))["block"]) != block.index:
-            return carry
-        shardings = jax.tree.map(lambda x: x.sharding, carry)
-        return jax.device_put(from_arrays(carry, arrays, "carry", str(path)), shardings)
+    def _report(self, pools: Sequence[Pool]) -> None:
+        under_way = sum(float(pool.progress[pool.busy].sum()) for pool in pools)
+        if under_way:
+            self.reporter.phase("training")
+            self.reporter.update((len(self.finished) + under_way) * self.plan.config.episodes)
+
+    def _restore(self, index: int, pools: Sequence[Pool]) -> None:
+        """Take up the runs of this group that an interrupted session had under way."""
+        for number, pool in enumerate(pools):
+            path = self.folder.path / pool_name(number)
+            if path.is_file() and int((arrays := read_arrays(path))["group"]) == index:
+                pool.restore(arrays, str(path))
 
     def write_results(self) -> None:
-        """Bring tables and provenance up to date with the finished blocks."""
-        if not self.dirty:
+        """Bring tables and provenance up to date with the finished runs."""
+        if not self.tables_are_old:
             return
         start = time.monotonic()
-        write_tables(self.folder, self.plan)
-        self.folder.write_json(
-            "provenance.json",
-            {
-                "versions": runtime.versions(),
-                "machine": runtime.machine(),
-                "precision": "float64" if jax.config.jax_enable_x64 else "float32",  # type: ignore[attr-defined]
-                "seed": self.plan.config.seed,
-                "points": len(self.plan.points),
-                "seeds": self.plan.config.seeds,
-                "runs_finished": int(sum(len(read_arrays(p)["point"]) for p in self.folder.blocks().values())),
-                "started": self.started,
-                "wall_s": round(start - self.began, 3),
-                "compile_s": round(self.compile_s, 3),
-            },
-        )
+        self.tables_are_old = False
+        with self.lock:
+            finished = write_tables(self.folder, self.plan)
+        provenance = {
+            "versions": runtime.versions(),
+            "machine": runtime.machine(),
+            "precision": "float64" if jax.config.read("jax_enable_x64") else "float32",
+            "seed": self.plan.config.seed,
+            "points": len(self.plan.points),
+            "runs": self.plan.num_runs,
+            "runs_finished": finished,
+            "started": self.started,
+            "wall_s": round(start - self.began, 3),
+            "compile_s": round(self.compile_s, 3),
+        }
+        self.folder.write_json("provenance.json", provenance)
         now = time.monotonic()
         self.tables_due = now + (now - start) / TABLES_SHARE
-        self.dirty = False
-
-
-def _pad(rows: np.ndarray, size: int, devices: int) -> np.ndarray:
-    """Rows, the last repeated, up to `size` and a multiple of the number of devices."""
-    length = -(-size // devices) * devices
-    return rows[np.minimum(np.arange(length), len(rows) - 1)]
-
-
-def _memory() -> int:
-    """Bytes that training may take on all devices together."""
-    stats = [device.memory_stats() for device in jax.devices()]
-    free = [s["bytes_limit"] - s["bytes_in_use"] for s in stats if s and "bytes_limit" in s]
-    return sum(free) * 8 // 10 if free else HOST_MEMORY
-
-
-HOST_MEMORY = 1 << 31
-"""Bytes of training state on a CPU, which reports no limit: half of the 4 GB that a sweep is to stay under."""

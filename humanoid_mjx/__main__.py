@@ -1,0 +1,3 @@
+from humanoid_mjx.cli import main
+
+main()

@@ -1,0 +1,56 @@
+"""The command line. Heavy imports wait until a command needs them."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    help="Batched simulation and Q-learning for the lower body of a humanoid, in JAX.",
+)
+
+Override = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one value of the config.")
+]
+
+
+@app.command()
+def sweep(
+    config: Annotated[str, typer.Argument(help="A path, or the name of a shipped config.")],
+    out: Annotated[Path | None, typer.Option(help="The run folder; by default the next free runs/NAME.")] = None,
+    set_: Override = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Complete an interrupted run.")] = False,
+) -> None:
+    """Train every point of a sweep; write a run folder with tables and figures."""
+    from humanoid_mjx.commands import run_sweep
+
+    run_sweep(config, out, set_ or [], resume)
+
+
+@app.command()
+def info(
+    config: Annotated[str | None, typer.Argument(help="A config to resolve.")] = None, set_: Override = None
+) -> None:
+    """Show devices, versions and what ships; with CONFIG, the resolved config, its points and the memory they take."""
+    from humanoid_mjx.commands import show_info
+
+    show_info(config, set_ or [])
+
+
+def main() -> None:
+    """Run the command line. Unusable input ends with one sentence and exit code 2."""
+    try:
+        app()
+    except KeyboardInterrupt:
+        sys.exit(130)
+    except ValueError as error:
+        from humanoid_mjx.spec import InputError
+
+        if not isinstance(error, InputError):
+            raise
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)

@@ -1,0 +1,128 @@
+"""Slots on one device in which runs train side by side; a slot whose run is over takes the next one that waits.
+
+Runs differ in length by far: where the reward pays for waiting, an episode lasts to its cap. In fixed blocks the
+quick ones would wait for the slowest.
+"""
+
+import time
+from collections import deque
+from typing import Any
+
+import jax
+import numpy as np
+
+from humanoid_mjx.training.plan import Group
+from humanoid_mjx.training.program import program_of
+from humanoid_mjx.training.state import from_arrays, to_arrays
+from humanoid_mjx.types import Device
+
+HARVEST_SHARE = 0.25
+"""The share of slots that must be over before they are emptied and filled again ..."""
+
+HARVEST_AFTER_S = 10.0
+"""... unless so many seconds have passed."""
+
+IDLE = -1
+
+
+class Pool:
+    """Trains runs of a group, taking them from `waiting`, which pools on other devices may share."""
+
+    def __init__(
+        self,
+        group: Group,
+        waiting: deque[int],
+        size: int,
+        device: Device,
+        seed: int,
+        policies: Any = None,
+    ):
+        """`policies`: what runs start from instead of anew, every leaf with a leading axis of the group's runs."""
+        self.group, self.waiting, self.device, self.seed, self.policies = (
+            group,
+            waiting,
+            device,
+            seed,
+            policies,
+        )
+        self.program = program_of(group.learner.structure())  # pyright: ignore[reportArgumentType]
+        self.slots = np.full(size, IDLE, np.int64)
+        self.progress = np.zeros(size)
+        self.harvested = time.monotonic()
+        self._load()
+        self.carry = self.program.states(self.hyper, self.seeds)
+
+    @property
+    def busy(self) -> np.ndarray:
+        """Which slots hold a run."""
+        return self.slots != IDLE
+
+    def fill(self) -> None:
+        """Give the idle slots the runs that wait."""
+        fresh = np.zeros(len(self.slots), bool)
+        for slot in np.flatnonzero(~self.busy):
+            try:
+                self.slots[slot] = self.waiting.popleft()
+            except IndexError:
+                break
+            fresh[slot] = True
+        if fresh.any():
+            self._load()
+            rows = np.searchsorted(self.group.runs, np.maximum(self.slots, self.group.runs[0]))
+            policies = self._put(self.policies, rows)
+            mask = jax.device_put(fresh, self.device)
+            self.carry = self.program.start(mask, self.hyper, self.seeds, self.carry, policies)
+            self.progress = np.where(fresh, 0.0, self.progress)
+
+    def train(self) -> None:
+        """Let every run train for a chunk of steps."""
+        self.carry, progress = self.program.train(self.hyper, self.carry)
+        self.progress = np.asarray(progress)
+
+    def harvest(self) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
+        """Take out the runs that are over, if it is worth while.
+
+        Returns:
+          the runs, and their curves, final scores and policies by name, every array with a leading axis of runs.
+        """
+        over = self.busy & (self.progress >= 1.0)
+        waited = time.monotonic() - self.harvested > HARVEST_AFTER_S
+        if not over.any() or not (over.sum() >= HARVEST_SHARE * len(over) or waited or (over == self.busy).all()):
+            return None
+        results = jax.tree.map(np.asarray, self.program.finish(self.hyper, self.carry, self.seeds))
+        arrays = {f"curve.{name}": array for name, array in results["curve"].items()}
+        arrays |= {f"final.{name}": array for name, array in results["final"].items()}
+        arrays |= to_arrays(results["policy"], "policy")
+        runs = self.slots[over]
+        self.slots[over] = IDLE
+        self.harvested = time.monotonic()
+        return runs, {name: array[over] for name, array in arrays.items()}
+
+    def state(self) -> dict[str, np.ndarray]:
+        """All that `restore` needs."""
+        return {"slots": self.slots, "progress": self.progress} | to_arrays(self.carry, "carry")
+
+    def restore(self, arrays: dict[str, np.ndarray], where: str) -> None:
+        """Take up the runs of an earlier pool's `state`, as far as they wait to be trained.
+
+        Raises:
+          InputError: it is the state of another training.
+        """
+        like = jax.eval_shape(lambda: self.carry)
+        carry = from_arrays(like, arrays, "carry", where)
+        slots = np.where(np.isin(arrays["slots"], np.array(self.waiting)), arrays["slots"], IDLE)
+        for run in slots[slots != IDLE].tolist():
+            self.waiting.remove(run)
+        self.slots, self.progress = slots, arrays["progress"]
+        self._load()
+        self.carry = jax.device_put(carry, self.device)
+
+    def _load(self) -> None:
+        """Bring the hyper-parameters and seeds of the slots' runs to the device. An idle slot repeats the first run."""
+        rows, numbers = self.group.locate(np.maximum(self.slots, self.group.runs[0]))
+        self.hyper = self._put(self.group.hyper, rows)
+        seeds = np.full(len(rows), self.seed, np.uint32), numbers.astype(np.uint32)
+        self.seeds = jax.device_put(seeds, self.device)
+
+    def _put(self, tree: Any, rows: np.ndarray) -> Any:
+        return jax.tree.map(lambda leaf: jax.device_put(leaf[rows], self.device), tree)

@@ -1,0 +1,13 @@
+"""Types that many signatures share: scalars that are arrays inside jit and may be Python numbers outside."""
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    FloatScalar = IntScalar = BoolScalar = Device = Any
+else:
+    from jax import Device  # noqa: F401
+    from jaxtyping import Array, Bool, Float, Int
+
+    FloatScalar = Float[Array, ""] | float
+    IntScalar = Int[Array, ""] | int
+    BoolScalar = Bool[Array, ""] | bool

@@ -1,0 +1,99 @@
+"""The cheap generator: uniform in every bit, independent across agents and steps."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from humanoid_mjx import rng
+from humanoid_mjx.training.program import run_key
+
+AGENTS, STEPS = 512, 2048
+
+
+@pytest.fixture(scope="module")
+def draws():
+    """(AGENTS, STEPS, 3) The numbers that agents of one seed draw, as the tabular learner draws them."""
+    keys = jax.vmap(lambda n: run_key(jnp.uint32(0), n))(jnp.arange(AGENTS, dtype=jnp.uint32))
+    of_agent = jax.vmap(lambda key, step: jnp.stack(rng.uniforms(key, step, 3)), in_axes=(None, 0))
+    return np.asarray(jax.jit(jax.vmap(of_agent, in_axes=(0, None)))(keys, jnp.arange(STEPS)))
+
+
+def test_uniforms_are_those_of_jax_random():
+    key = rng.key(7)
+    together = jax.random.uniform(key, (30,))
+    assert np.array_equal(np.concatenate([rng.uniforms(key, jnp.int32(i), 3) for i in range(10)]), together)
+
+
+def test_words_are_balanced_in_every_bit():
+    words = np.asarray(jax.random.bits(rng.key(1), (1 << 20,), jnp.uint32))
+    ones = np.array([int(((words >> bit) & 1).sum()) for bit in range(32)])
+    # A fair bit has standard deviation 512 here; 5 of them fail by chance once in 50,000 runs of 32 bits.
+    assert np.abs(ones - (1 << 19)).max() < 5 * 512
+
+
+@pytest.mark.parametrize("axis", ["all", "one agent", "one step"])
+def test_uniform_by_chi_square(draws, axis):
+    sample = {
+        "all": draws.reshape(-1),
+        "one agent": draws[3].reshape(-1),
+        "one step": draws[:, 5].reshape(-1),
+    }[axis]
+    counts = np.histogram(sample, bins=64, range=(0, 1))[0]
+    expected = len(sample) / 64
+    chi2 = ((counts - expected) ** 2 / expected).sum()
+    # 63 degrees of freedom: beyond 120 lies 2e-5 of the probability, below 25 lies 1e-6.
+    assert 25 < chi2 < 120
+
+
+def test_agents_are_independent_of_each_other(draws):
+    centred = draws.reshape(AGENTS, -1) - 0.5
+    correlation = np.corrcoef(centred)[np.triu_indices(AGENTS, 1)]
+    # 130,000 pairs of samples of length 6144, each with standard deviation 1/78: the largest is near 4.5 of them.
+    assert np.abs(correlation).max() < 5.5 / np.sqrt(centred.shape[1])
+    assert abs(correlation.std() * np.sqrt(centred.shape[1]) - 1) < 0.02
+
+
+def test_steps_are_independent_of_each_other(draws):
+    series = draws.reshape(AGENTS, -1) - 0.5
+    for lag in (1, 2, 3, 4, 6, 32):
+        correlation = (series[:, lag:] * series[:, :-lag]).mean() * 12
+        assert abs(correlation) < 5 / np.sqrt(series.size)
+
+
+def test_pairs_of_draws_fill_the_square(draws):
+    first, second = draws[:, :, 0].reshape(-1), draws[:, :, 1].reshape(-1)
+    counts = np.histogram2d(first, second, bins=32, range=[[0, 1], [0, 1]])[0]
+    expected = len(first) / 1024
+    chi2 = ((counts - expected) ** 2 / expected).sum()
+    # 1023 degrees of freedom, standard deviation 45.
+    assert abs(chi2 - 1023) < 5 * 45
+
+
+def test_a_million_agents_have_keys_of_their_own():
+    keys = jax.jit(jax.vmap(lambda n: run_key(jnp.uint32(0), n)))(jnp.arange(1 << 20, dtype=jnp.uint32))
+    words = np.asarray(jax.random.key_data(keys)).astype(np.uint64)
+    assert len(np.unique(words[:, 0] << np.uint64(32) | words[:, 1])) == 1 << 20
+
+
+def test_neighbouring_seeds_are_unrelated():
+    a, b = (np.asarray(jax.random.uniform(rng.key(seed), (1 << 16,))) for seed in (0, 1))
+    assert abs(np.corrcoef(a, b)[0, 1]) < 5 / 256
+
+
+def test_split_fold_and_draw_give_different_words():
+    key = rng.key(3)
+    words = [
+        np.asarray(jax.random.bits(key, (4,), jnp.uint32)),
+        np.asarray(jax.random.key_data(jax.random.split(key, 2))).reshape(-1),
+        np.asarray(jax.random.key_data(jax.random.fold_in(key, 0))),
+        np.asarray(jax.random.key_data(jax.random.fold_in(key, 1))),
+    ]
+    flat = np.concatenate(words)
+    assert len(np.unique(flat)) == len(flat)
+
+
+def test_serves_the_other_functions_of_jax_random():
+    normal = np.asarray(jax.random.normal(rng.key(5), (1 << 16,)))
+    assert abs(normal.mean()) < 5 / 256 and abs(normal.std() - 1) < 5 / 362
+    assert sorted(np.asarray(jax.random.permutation(rng.key(5), 100))) == list(range(100))

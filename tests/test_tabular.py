@@ -1,0 +1,188 @@
+"""Tabular Q-learning: equal to a slow Python version step by step, and right in the limit."""
+
+from functools import lru_cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from finite_mdp import q_learning, random_task, value_iteration
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from humanoid_mjx import make_learner, make_task, rng
+from humanoid_mjx.tasks.finite import Rules
+from humanoid_mjx.tasks.joint_reach import PRINTED
+from humanoid_mjx.tasks.navigate import shortest_path
+from humanoid_mjx.training.evaluation import greedy_episode
+
+STEPS = 120
+
+
+@lru_cache
+def traced_training(learner):
+    """(hyper, key) -> the first carry and those after each of STEPS steps."""
+
+    def train(hyper, key):
+        first = learner.init(hyper, key)
+        _, carries = jax.lax.scan(lambda c, _: (learner.train_step(hyper, c),) * 2, first, length=STEPS)
+        return first, carries
+
+    return jax.jit(train)
+
+
+@jax.jit
+def all_draws(key):
+    return jax.vmap(lambda t: jnp.stack(rng.uniforms(key, t, 3)))(jnp.arange(STEPS + 1))
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    seed=st.integers(0, 10**6),
+    rules=st.sampled_from([Rules(), PRINTED, Rules(ties="first"), Rules(bootstrap_at_end=True)]),
+    rows=st.sampled_from([6, 3]),
+    epsilon=st.floats(0, 1, width=32),
+    epsilon_decay=st.sampled_from([0.5, 0.875, 1.0]),
+    epsilon_min=st.sampled_from([0.0, 0.25]),
+    learning_rate=st.sampled_from([0.25, 0.5, 1.0]),
+    discount=st.sampled_from([0.0, 0.5, 0.75]),
+    success_rate=st.sampled_from([1.0, 0.75]),
+    max_episode_steps=st.integers(1, 20),
+)
+def test_scan_equals_python_step_by_step(seed, rules, rows, success_rate, max_episode_steps, **values):
+    task = random_task(seed, 6, 3, rows, rules, success_rate=success_rate, max_episode_steps=max_episode_steps)
+    learner = make_learner("tabular_q", task, episodes=20, record=20, **values)
+    hyper, key = learner.params, rng.key(seed)
+    first, carries = traced_training(learner.structure())(hyper, key)
+    draws = np.asarray(all_draws(key))
+    slow = q_learning(task, task.params, hyper, first.q_table, draws)
+    acted = np.concatenate([[first.agents.action], carries.agents.action])
+    rows_seen = np.concatenate([[first.agents.row], carries.agents.row])
+    for t, ((row, action), q_table, epsilon, episode) in enumerate(slow):
+        assert (rows_seen[t], acted[t]) == (row, action)
+        # Every quantity is a short sum of short binary fractions: the same in any order of summation, or nearly.
+        np.testing.assert_allclose(carries.q_table[t], q_table, rtol=0, atol=2e-6)
+        assert carries.agents.episode[t] == episode
+        np.testing.assert_allclose(carries.agents.epsilon[t], epsilon, rtol=1e-6)
+
+
+def train_to_end(learner, count=16):
+    """`count` seeds trained to the end: (hyper, carries)."""
+    hyper = learner.params
+    keys = jax.vmap(jax.random.fold_in, in_axes=(None, 0))(rng.key(0), jnp.arange(count))
+    blank = learner.structure()
+    carry = jax.jit(jax.vmap(blank.init, in_axes=(None, 0)))(hyper, keys)
+    chunk = jax.jit(jax.vmap(lambda h, c: blank.train_chunk(h, c, 1024), in_axes=(None, 0)))
+    for _ in range(10_000):
+        carry, metrics = chunk(hyper, carry)
+        if (np.asarray(metrics["progress"]) >= 1).all():
+            return hyper, carry
+    raise AssertionError("training does not end")
+
+
+@pytest.mark.parametrize("joint", [1, 5])
+@pytest.mark.parametrize(
+    "values", [{"learning_rate": 0.1}, {"learning_rate": 1.0}, {"discount": 0.5}, {"discount": 0.95}]
+)
+def test_standard_rules_converge_to_the_optimal_q(joint, values):
+    task = make_task("joint_reach", joint=joint, states={1: 24, 5: 13}[joint])
+    learner = make_learner("tabular_q", task, episodes=1500, epsilon=1.0, **values)
+    _, carry = train_to_end(learner)
+    optimal = value_iteration(task, task.params, learner.discount)
+    # The process is deterministic, so a constant learning rate converges. What is left is float32 (values of up to
+    # 230 have a spacing of 1.5e-5, and errors add over 1 / (1 - discount) steps), and rows the end of an episode
+    # keeps from being visited: the goal's own.
+    error = np.abs(carry.q_table - optimal)[:, :-1].max()
+    assert error < 2e-3 * np.abs(optimal).max()
+
+
+def test_random_processes_converge_to_the_optimal_q():
+    for seed in range(5):
+        task = random_task(seed, 8, 3, 8, max_episode_steps=30)
+        task = task.model_copy(update={"rows": jnp.arange(8)})
+        learner = make_learner("tabular_q", task, episodes=3000, epsilon=1.0, learning_rate=1.0, discount=0.8)
+        _, carry = train_to_end(learner, 4)
+        optimal = value_iteration(task, task.params, 0.8)
+        reachable = reachable_states(task)
+        # Values of at most 5 in float32, and 3,000 episodes for at most 24 pairs of state and action.
+        np.testing.assert_allclose(carry.q_table[:, reachable], optimal[None, reachable].repeat(4, 0), atol=1e-4)
+
+
+def reachable_states(task):
+    """States that an episode can leave: reachable from state 0 and not terminal."""
+    found, queue = {0}, [0]
+    while queue:
+        for following in np.asarray(task.next_state)[queue.pop()].tolist():
+            if following not in found and not bool(task.terminal[following]):
+                found.add(following)
+                queue.append(following)
+    return sorted(found)
+
+
+@pytest.mark.parametrize("agents", [1, 64])
+def test_navigate_finds_paths_as_short_as_breadth_first_search(agents):
+    task = make_task("navigate", max_episode_steps=300)
+    learner = make_learner("tabular_q", task, episodes=600, epsilon=0.5, discount=0.9, agents=agents)
+    hyper, carry = train_to_end(learner, 4)
+    rollout = jax.jit(jax.vmap(lambda q, k: greedy_episode(learner, hyper, q, k)))
+    greedy = rollout(carry.q_table, jax.random.split(rng.key(1), 4))
+    assert greedy["greedy_success"].all()
+    assert (greedy["greedy_steps"] == shortest_path(task.map)).all()
+
+
+@pytest.mark.parametrize(("joint", "value"), [(1, 117.91), (4, 121.692), (5, 106.564)])
+def test_printed_rules_give_the_printed_tables(joint, value):
+    task = make_task("joint_reach", joint=joint, action=5.0, states=5, rules="printed")
+    learner = make_learner("tabular_q", task, episodes=5000, epsilon=0.8, learning_rate=0.99, discount=0.9)
+    _, carry = train_to_end(learner)
+    assert np.allclose(carry.q_table[:, 4, 1], value, rtol=1e-6)
+    assert np.array_equal(carry.q_table[:, :4, 0], carry.q_table[:, :4, 1])
+
+
+def test_collective_update_is_the_mean_over_agents():
+    task = random_task(1, 6, 3, 6)
+    learner = make_learner("tabular_q", task, episodes=100, agents=50, learning_rate=0.5, discount=0.5)
+    hyper = learner.params
+    before = learner.init(hyper, rng.key(0))
+    before = jax.jit(lambda c: learner.train_chunk(hyper, c, 10)[0])(before)
+    after = jax.jit(learner.train_step)(hyper, before)
+    q, agents = np.array(before.q_table), before.agents
+    expected = q.copy()
+    for row in range(6):
+        for action in range(3):
+            errors = [
+                float(agents.reward[i])
+                + 0.5 * (0 if agents.terminated[i] else q[int(agents.next_row[i])].max())
+                - q[row, action]
+                for i in range(50)
+                if agents.row[i] == row and agents.action[i] == action
+            ]
+            expected[row, action] += 0.5 * np.mean(errors) if errors else 0.0
+    np.testing.assert_allclose(after.q_table, expected, rtol=0, atol=1e-6)
+
+
+def test_curve_counts_every_episode_once():
+    task = make_task("joint_reach", joint=5, states=13)
+    learner = make_learner("tabular_q", task, episodes=60, record=7, epsilon=1.0)
+    hyper, carry = train_to_end(learner, 3)
+    assert (carry.record[:, :, 0].sum(axis=1) == 60).all()
+    assert set(np.unique(carry.record[:, :, 0])) <= {8.0, 9.0}
+    curve = jax.vmap(learner.curve, in_axes=(None, 0))(hyper, carry)
+    assert (curve["success"] == 1).all() and (curve["steps"] >= 12).all()
+
+
+def test_truncated_episodes_bootstrap_and_terminal_ones_do_not():
+    task = random_task(0, 2, 1, 2, max_episode_steps=1)
+    task = task.model_copy(
+        update={
+            "next_state": jnp.array([[0], [1]], jnp.int32),
+            "reward": jnp.ones((2, 1)),
+            "rows": jnp.arange(2),
+        }
+    )
+    learner = make_learner("tabular_q", task, episodes=200, learning_rate=1.0, discount=0.5)
+    _, carry = train_to_end(learner, 1)
+    assert carry.q_table[0, 0, 0] == 2.0  # 1 / (1 - 0.5): every step is truncated, and each bootstraps
+    ending = task.model_copy(update={"next_state": jnp.array([[1], [1]], jnp.int32)})
+    _, carry = train_to_end(learner.model_copy(update={"task": ending}), 1)
+    assert carry.q_table[0, 0, 0] == 1.0
