@@ -32,6 +32,32 @@ def sweep(
 
 
 @app.command()
+def reproduce(
+    names: Annotated[
+        list[str] | None, typer.Argument(metavar="[NAME]...", help="Such as table-7.1; by default all.")
+    ] = None,
+    list_: Annotated[bool, typer.Option("--list", help="Show the names.")] = False,
+    set_: Override = None,
+    out: Annotated[Path, typer.Option(help="Where reproduce.json and the figures go.")] = Path("reproduced"),
+) -> None:
+    """Reproduce tables and figures of the thesis, each with a computed verdict."""
+    from humanoid_mjx.commands import run_reproduce
+
+    run_reproduce(names or [], list_, set_ or [], out)
+
+
+@app.command()
+def bench(
+    names: Annotated[list[str] | None, typer.Argument(metavar="[NAME]...", help="tabular, or all.")] = None,
+    json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the figures as JSON.")] = None,
+) -> None:
+    """Measure steps and episodes per second against the alternatives, compile time apart."""
+    from humanoid_mjx.commands import run_bench
+
+    run_bench(names or ["all"], json)
+
+
+@app.command()
 def info(
     config: Annotated[str | None, typer.Argument(help="A config to resolve.")] = None, set_: Override = None
 ) -> None:

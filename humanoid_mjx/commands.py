@@ -1,8 +1,12 @@
 """What the commands of the command line do, and what they print."""
 
+import json
 import sys
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import typer
@@ -15,6 +19,7 @@ from humanoid_mjx.data import names
 from humanoid_mjx.results.figures import sweep_figures
 from humanoid_mjx.results.statistics import iqm, iqm_interval
 from humanoid_mjx.results.style import short
+from humanoid_mjx.spec import InputError, known
 from humanoid_mjx.training.progress import Bar
 
 console = Console(highlight=False, width=None if sys.stdout.isatty() else 120)
@@ -64,6 +69,52 @@ def print_summary(axes: Sequence[str], summary: Mapping[str, np.ndarray]) -> Non
     console.print(table)
 
 
+def run_reproduce(names: Sequence[str], list_names: bool, overrides: Sequence[str], out: Path) -> None:
+    """`humanoid-mjx reproduce`."""
+    runtime.start()
+    from humanoid_mjx.reproduction import Experiment, Finding, load_experiments, reproduce
+
+    if list_names:
+        for experiment in load_experiments().values():
+            console.print(f"{experiment.name:24} {experiment.title}")
+        return
+
+    def say(experiment: Experiment, findings: list[Finding]) -> None:
+        console.print(f"\n{experiment.name}: {experiment.title}")
+        for finding in findings:
+            console.print(f"  {finding.verdict:16} {finding.quantity}")
+            console.print(f"  {'':16} printed {_shown(finding.printed)}, reproduced {_shown(finding.reproduced)}")
+            console.print(f"  {'':16} {finding.why}")
+
+    findings = reproduce(names, out, overrides, say)
+    counts = Counter(finding.verdict for finding in findings)
+    console.print(f"\n{', '.join(f'{count} {verdict}' for verdict, count in counts.items())}\n{out / 'reproduce.json'}")
+
+
+def _shown(value: Any) -> str:
+    return "nothing" if value is None else str(value)
+
+
+def run_bench(chosen: Sequence[str], file: Path | None) -> None:
+    """`humanoid-mjx bench`."""
+    from humanoid_mjx.bench import BENCHES
+
+    if odd := [name for name in chosen if name not in (*BENCHES, "all")]:
+        raise InputError(f"bench: unknown benchmark {odd[0]!r}; {known(odd[0], (*BENCHES, 'all'))}.")
+    if file is not None and not file.parent.is_dir():
+        raise InputError(f"--json {file}: there is no folder {file.parent}.")
+    runtime.start()
+    records: list[dict[str, Any]] = []
+    for name in BENCHES if "all" in chosen else chosen:
+        module = import_module(f"humanoid_mjx.bench.{name}")
+        console.print(f"{name}:")
+        records += [record.as_json() for record in module.run(lambda line: console.print("  " + line))]
+    if file is not None:
+        result = {"machine": runtime.machine(), "versions": runtime.versions(), "records": records}
+        file.write_text(json.dumps(result, indent=2) + "\n")
+        console.print(f"{file}")
+
+
 def show_info(config: str | None, overrides: Sequence[str]) -> None:
     """`humanoid-mjx info`."""
     runtime.start()
@@ -83,5 +134,5 @@ def show_info(config: str | None, overrides: Sequence[str]) -> None:
         return
     for name, value in (runtime.machine() | runtime.versions()).items():
         console.print(f"{name:13} {value}")
-    for kind, known in (("tasks", TASKS), ("learners", LEARNERS), ("configs", names("configs", ".yaml"))):
-        console.print(f"{kind:13} {', '.join(known)}")
+    for kind, all_names in (("tasks", TASKS), ("learners", LEARNERS), ("configs", names("configs", ".yaml"))):
+        console.print(f"{kind:13} {', '.join(all_names)}")

@@ -10,4 +10,4 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
 
 from jaxtyping import install_import_hook
 
-install_import_hook("humanoid_mjx", "beartype.beartype")
+install_import_hook("humanoid_mjx", "typecheck.check")

@@ -18,9 +18,9 @@ class JointReach(FiniteTask):
     """A joint stands at `start` degrees; the actions are to stay, or to move by `action` degrees towards the goal.
 
     The controller's `states` are points spaced equally from start to goal, and the joint's angle maps to the nearest
-    of them (the first of two equally near). The reward of a step is a tenth of the new point's angle; reaching the
-    goal ends the episode and earns `bonus`. With probability `1 - success_rate` a random action takes the place of
-    the chosen one.
+    of them (the first of two equally near). The reward of a step is a tenth of the new point's angle, and
+    `step_reward`; reaching the goal ends the episode and earns `bonus`. With probability `1 - success_rate` a random
+    action takes the place of the chosen one.
     """
 
     joint: Literal[1, 4, 5] | None = Field(1, description="which joint's start and goal to take where none are given")
@@ -30,6 +30,7 @@ class JointReach(FiniteTask):
     states: int = Field(24, ge=2, le=1_000_000, description="rows of the table")
     rules: Literal["standard", "printed"] = "standard"
     bonus: float = 100.0
+    step_reward: float = Field(0.0, description="added to the reward of every step")
     success_rate: float = Field(1.0, ge=0, le=1)
     max_episode_steps: int = Field(500, ge=1, le=10_000_000)
 
@@ -38,6 +39,7 @@ class JointReach(FiniteTask):
         goal: float
         action: float
         bonus: float
+        step_reward: float
         success_rate: float
         max_episode_steps: int
 
@@ -90,7 +92,7 @@ class JointReach(FiniteTask):
         state = jnp.minimum(state + action, goal)
         reached = state == goal
         reward = thesis.REWARD_SCALE * self._angle_of_row(params, self.row(params, state))
-        return state, reward + jnp.where(reached, params.bonus, 0.0), reached
+        return state, reward + params.step_reward + jnp.where(reached, params.bonus, 0.0), reached
 
     def row(self, params: Params, state: IntScalar) -> IntScalar:
         place = state * (self.states - 1.0) / self._moves_to_goal(params)

@@ -2,7 +2,6 @@
 
 import time
 from types import TracebackType
-from typing import Protocol
 
 from rich.console import Console
 from rich.progress import (
@@ -17,31 +16,21 @@ from rich.progress import (
 LINE_EVERY_S = 10.0
 
 
-class Reporter(Protocol):
-    """Told what happens while a sweep runs."""
-
-    def begin(self, total: float, unit: str) -> None: ...
-
-    def phase(self, text: str) -> None: ...
-
-    def update(self, done: float) -> None: ...
-
-
-class Silent:
-    """Reports nothing."""
+class Reporter:
+    """Told what happens while a sweep runs. This one keeps it to itself."""
 
     def begin(self, total: float, unit: str) -> None:
-        pass
+        """A sweep begins that will take `total` of `unit`, such as episodes."""
 
     def phase(self, text: str) -> None:
-        pass
+        """What is done now."""
 
     def update(self, done: float) -> None:
-        pass
+        """How much is done of the total."""
 
 
-class Bar:
-    """Reports on a console. `total` and the `done` of `update` count `unit`s, such as episodes."""
+class Bar(Reporter):
+    """Reports on a console."""
 
     def __init__(self, console: Console):
         self.console, self.total, self.unit = console, 1.0, ""
@@ -72,7 +61,8 @@ class Bar:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._bar.stop()
+        if self.console.is_terminal:
+            self._bar.stop()
 
     def begin(self, total: float, unit: str) -> None:
         self.total, self.unit = total, unit

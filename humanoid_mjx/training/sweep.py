@@ -19,7 +19,7 @@ from humanoid_mjx.results.store import RunFolder, fresh_path, latest_path, pool_
 from humanoid_mjx.results.tables import finished_runs, read_table, write_tables
 from humanoid_mjx.training.plan import Plan, make_plan, resolved, runs_that_fit
 from humanoid_mjx.training.pool import Pool
-from humanoid_mjx.training.progress import Reporter, Silent
+from humanoid_mjx.training.progress import Reporter
 from humanoid_mjx.training.warm_start import earlier_policies
 
 CHECKPOINT_EVERY_S = 30.0
@@ -84,7 +84,7 @@ def sweep(
     else:
         folder = RunFolder.create(Path(out or fresh_path(config.name)), resolved(config))
     try:
-        session = _Session(folder, plan, reporter or Silent())
+        session = _Session(folder, plan, reporter or Reporter())
         session.reporter.begin(plan.num_runs * config.episodes, plan.learners[0].unit)
         try:
             for index in range(len(plan.groups)):

@@ -26,7 +26,10 @@ def earlier_policies(group: Group) -> Any:
     if name is None:
         return None
     path, where = Path(name), f"learner.start_from: {name}"
-    read_config(path)
+    try:
+        read_config(path)
+    except InputError as error:
+        raise InputError(f"learner.start_from: {error}") from error
     arrays = finished_runs(path, ("point", "seed", "policy"))
     if not arrays:
         raise InputError(f"{where}: holds no finished run.")

@@ -1,0 +1,85 @@
+"""How things are timed: compile apart, everything waited for, subjects in turn, the median quoted."""
+
+import statistics
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple
+
+import jax
+
+REPEATS = 7
+
+
+@dataclass(frozen=True)
+class Record:
+    """One figure."""
+
+    bench: str
+    subject: str
+    device: str
+    batch: int
+    value: float
+    unit: str
+    compile_s: float
+    repeats: int
+
+    def as_json(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Subject:
+    """Something to time: a function without arguments, and how many units of work a call does."""
+
+    call: Callable[[], Any]
+    work: float
+    batch: int
+    repeats: int = REPEATS
+    device: str = ""
+
+
+class Timing(NamedTuple):
+    """What `time_in_turn` found of one subject: median seconds of a call, seconds to compile, what a call returns."""
+
+    seconds: float
+    compile_s: float
+    result: Any
+
+
+def time_in_turn(subjects: Mapping[str, Subject]) -> dict[str, Timing]:
+    """Time subjects in turn, round after round, so that a machine whose speed drifts favours none.
+
+    The seconds to compile are those of the first call less those of a later one.
+    """
+    first: dict[str, float] = {}
+    results: dict[str, Any] = {}
+    for name, subject in subjects.items():
+        first[name], results[name] = _timed(subject.call)
+    times: dict[str, list[float]] = {name: [] for name in subjects}
+    for turn in range(max(subject.repeats for subject in subjects.values())):
+        for name, subject in subjects.items():
+            if turn < subject.repeats:
+                times[name].append(_timed(subject.call)[0])
+    middle = {name: statistics.median(ts) for name, ts in times.items()}
+    return {name: Timing(t, max(0.0, first[name] - t), results[name]) for name, t in middle.items()}
+
+
+def record(bench: str, name: str, subject: Subject, timing: Timing, unit: str, work: float | None = None) -> Record:
+    """A rate as a record; `work` is what a call does in `unit`s, where that is not the subject's own."""
+    return Record(
+        bench=bench,
+        subject=name,
+        device=subject.device or jax.devices()[0].device_kind,
+        batch=subject.batch,
+        value=(subject.work if work is None else work) / timing.seconds,
+        unit=unit,
+        compile_s=round(timing.compile_s, 3),
+        repeats=subject.repeats,
+    )
+
+
+def _timed(call: Callable[[], Any]) -> tuple[float, Any]:
+    start = time.perf_counter()
+    result = jax.block_until_ready(call())
+    return time.perf_counter() - start, result

@@ -1,0 +1,52 @@
+"""Step-by-step traces of tabular training, for figures that show single runs."""
+
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from humanoid_mjx import rng
+from humanoid_mjx.learners import make_learner
+from humanoid_mjx.tasks import make_task
+
+
+class Trace(NamedTuple):
+    """Runs of one learner, step by step."""
+
+    state: np.ndarray
+    """(runs, steps + 1) The task's state before each step and after the last."""
+    action: np.ndarray
+    """(runs, steps)"""
+    terminated: np.ndarray
+    """(runs, steps) Whether the step ended the trajectory."""
+    explore: np.ndarray
+    """(runs, steps) The random number that decided between exploring and the greedy action."""
+    q_table: np.ndarray
+    """(runs, num_states, num_actions) The table at the end."""
+
+
+def printed_run(joint: int, config: dict[str, Any], runs: int, steps: int, seed: int = 0) -> Trace:
+    """Runs of `joint_reach` by the printed rules; `config` holds values of task and learner."""
+    task = make_task("joint_reach", joint=joint, rules="printed", max_episode_steps=steps, **config["task"])
+    return trace(make_learner("tabular_q", task, episodes=steps, record=1, **config["learner"]), runs, steps, seed)
+
+
+def trace(learner: Any, runs: int, steps: int, seed: int = 0) -> Trace:
+    """Train `runs` runs for `steps` steps and keep every step."""
+    hyper, blank = learner.params, learner.structure()
+
+    def one(hyper: Any, key: Any) -> Any:
+        def step(carry: Any, _: None) -> Any:
+            explore = rng.uniforms(key, carry.step, 3)[0]
+            agent = carry.agents
+            seen = agent.row, agent.action, agent.terminated, agent.state, explore
+            return blank.train_step(hyper, carry), seen
+
+        first = blank.init(hyper, key)
+        start = blank.task.reset(hyper.task, jax.random.fold_in(key, 0))
+        return start, *jax.lax.scan(step, first, length=steps)
+
+    keys = jax.vmap(jax.random.fold_in, in_axes=(None, 0))(rng.key(seed), np.arange(runs, dtype=np.uint32))
+    start, last, (_, action, terminated, after, explore) = jax.jit(jax.vmap(one, in_axes=(None, 0)))(hyper, keys)
+    state = np.concatenate([np.asarray(start)[:, None], np.asarray(after)], axis=1)
+    return Trace(state, np.asarray(action), np.asarray(terminated), np.asarray(explore), np.asarray(last.q_table))

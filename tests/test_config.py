@@ -1,0 +1,191 @@
+"""Configs: what is accepted, and that everything else gets one sentence that says what would be right."""
+
+import numpy as np
+import pytest
+import yaml
+
+from humanoid_mjx import InputError, make_learner, make_task
+from humanoid_mjx.config import dump_yaml, load, parse, parse_yaml
+from humanoid_mjx.data import names
+from humanoid_mjx.training.plan import make_plan, resolved
+
+BASE = """
+name: small
+task: {name: joint_reach, joint: 5, states: 13}
+learner: {name: tabular_q, epsilon: 0.5}
+sweep:
+  axes:
+    learner.epsilon: [0.1, 0.2]
+episodes: 20
+record: 10
+"""
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write(text):
+        path = tmp_path / "config.yaml"
+        path.write_text(text)
+        return str(path)
+
+    return write
+
+
+@pytest.mark.parametrize("name", names("configs", ".yaml"))
+def test_every_shipped_config_makes_a_plan(name):
+    plan = make_plan(load(name))
+    assert plan.config.name == name
+    again = make_plan(parse(yaml.safe_load(dump_yaml(resolved(plan.config)))))
+    assert again.points == plan.points
+    assert [learner.params for learner in again.learners] == [learner.params for learner in plan.learners]
+
+
+BAD = {
+    "unknown key": ("episodes: 20", "episodez: 20", ["episodez", "unknown key", "episodes"]),
+    "unknown task key": ("states: 13", "statez: 13", ["task.statez", "unknown key", "states"]),
+    "unknown task": ("name: joint_reach", "name: joint_rich", ["task.name", "joint_rich", "joint_reach"]),
+    "unknown learner": ("name: tabular_q", "name: tabular", ["learner.name", "tabular_q"]),
+    "wrong type": ("epsilon: 0.5", "epsilon: half", ["learner.epsilon", "number", "half"]),
+    "a number as text": ("states: 13", "states: '13'", ["task.states", "integer"]),
+    "epsilon above 1": ("epsilon: 0.5", "epsilon: 1.5", ["learner.epsilon", "at most 1", "1.5"]),
+    "epsilon below 0": ("epsilon: 0.5", "epsilon: -0.1", ["learner.epsilon", "at least 0"]),
+    "decay out of range": ("epsilon: 0.5", "epsilon_decay: 1.01", ["learner.epsilon_decay", "at most 1"]),
+    "rate out of range": ("epsilon: 0.5", "learning_rate: 0.0", ["learner.learning_rate", "greater than 0"]),
+    "NaN": ("epsilon: 0.5", "epsilon: .nan", ["learner.epsilon", "finite"]),
+    "empty axis": ("[0.1, 0.2]", "[]", ["sweep.axes.learner.epsilon", "empty"]),
+    "no axes": ("    learner.epsilon: [0.1, 0.2]", "    {}", ["sweep.axes", "at least 1"]),
+    "axis that does not exist": ("learner.epsilon: [", "learner.epsilom: [", ["learner.epsilom", "unknown key"]),
+    "axis of neither part": ("learner.epsilon: [", "epsilon: [", ["sweep.axes.epsilon", "learner.epsilon"]),
+    "axis value out of range": ("[0.1, 0.2]", "[0.1, 2.0]", ["learner.epsilon", "at most 1", "2.0"]),
+    "axis of another shape": ("[0.1, 0.2]", "{linspace: [0, 1]}", ["linspace takes 3", "learner.epsilon"]),
+    "goal that is not hit": ("states: 13", "action: 7", ["task", "goal 40", "steps of 7"]),
+    "one state": ("states: 13", "states: 1", ["task.states", "at least 2"]),
+    "record above episodes": ("record: 10", "record: 30", ["record", "at most episodes"]),
+    "tags": ("epsilon: 0.5", "epsilon: !!python/object:os.system 1", ["plain YAML", "line 4"]),
+    "broken YAML": ("epsilon: 0.5}", "epsilon: 0.5", ["plain YAML", "line"]),
+    "a key twice": ("episodes: 20", "episodes: 20\nepisodes: 30", ["episodes", "twice"]),
+    "a list": (BASE, "- 1\n- 2", ["mapping"]),
+    "a bad name": ("name: small", "name: ../small", ["name", "pattern"]),
+    "no task": ("task: {name: joint_reach, joint: 5, states: 13}", "", ["task", "required"]),
+    "random without points": ("sweep:", "sweep:\n  mode: random", ["sweep", "points"]),
+    "zip of unequal axes": (
+        "sweep:\n  axes:", "sweep:\n  mode: zip\n  axes:\n    task.bonus: [1.0]", ["equally long", "task.bonus: 1"]
+    ),
+    "a task class that is none": ("name: joint_reach", "name: 'os:path'", ["task.name", "derived from"]),
+    "a task that is not there": ("name: joint_reach", "name: 'nowhere.tasks:Hop'", ["task.name", "imported"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", BAD)
+def test_bad_input_gets_one_sentence(write, fault):
+    old, new, words = BAD[fault]
+    assert old in BASE
+    path = write(BASE.replace(old, new, 1))
+    with pytest.raises(InputError) as caught:
+        make_plan(load(path))
+    message = str(caught.value)
+    assert "\n" not in message and message.endswith((".", "?"))
+    assert path in message
+    for word in words:
+        assert word in message, message
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("learner.epsilon", ["key=value"]),
+        ("=1", ["key=value"]),
+        ("learner.epsilon.x=1", ["holds a value"]),
+        ("learner.epsilon=[", ["plain YAML"]),
+        ("nothing=1", ["nothing", "unknown key"]),
+    ],
+)
+def test_bad_override_gets_one_sentence(write, override, words):
+    with pytest.raises(InputError) as caught:
+        make_plan(load(write(BASE), [override]))
+    assert all(word in str(caught.value) for word in words), caught.value
+
+
+def test_overrides_and_numbers_without_a_point(write):
+    config = load(write(BASE), ["learner.learning_rate=1e-2", "sweep.axes.learner.epsilon=[0.3]", "seeds=3"])
+    plan = make_plan(config)
+    assert plan.learners[0].learning_rate == 0.01
+    assert plan.points == [{"learner.epsilon": 0.3}] and plan.num_runs == 3
+
+
+def test_missing_config_names_those_that_ship():
+    with pytest.raises(InputError, match=r"joint1x.*did you mean 'joint1'"):
+        load("joint1x")
+    with pytest.raises(InputError, match="no such file"):
+        load("nowhere/joint1.yaml")
+
+
+def sweep_of(mode, **axes):
+    text = yaml.safe_load(BASE) | {"sweep": {"mode": mode, "axes": axes}}
+    if mode == "random":
+        text["sweep"]["points"] = 200
+    return make_plan(parse(text)).points
+
+
+def test_grid_is_every_combination_last_axis_fastest():
+    points = sweep_of("grid", **{"learner.epsilon": [0.1, 0.2], "learner.discount": {"linspace": [0.5, 0.9, 3]}})
+    assert [tuple(p.values()) for p in points] == [(e, d) for e in (0.1, 0.2) for d in (0.5, 0.7, 0.9)]
+
+
+def test_logspace_takes_its_ends():
+    values = [
+        p["learner.learning_rate"] for p in sweep_of("grid", **{"learner.learning_rate": {"logspace": [0.01, 1, 3]}})
+    ]
+    np.testing.assert_allclose(values, [0.01, 0.1, 1.0])
+
+
+def test_zip_goes_side_by_side():
+    points = sweep_of("zip", **{"learner.epsilon": [0.1, 0.2], "learner.discount": [0.5, 0.6]})
+    assert [tuple(p.values()) for p in points] == [(0.1, 0.5), (0.2, 0.6)]
+
+
+def test_random_draws_stay_in_range_and_repeat():
+    axes = {
+        "learner.epsilon": {"uniform": [0.2, 0.4]},
+        "learner.learning_rate": {"loguniform": [0.001, 1.0]},
+        "task.states": {"integers": [5, 7]},
+        "learner.discount": [0.5, 0.9],
+    }
+    points = sweep_of("random", **axes)
+    columns = {name: np.array([p[name] for p in points]) for name in axes}
+    assert columns["learner.epsilon"].min() >= 0.2 and columns["learner.epsilon"].max() <= 0.4
+    assert 0.25 < (columns["learner.learning_rate"] < 0.0316).mean() < 0.75
+    assert set(columns["task.states"]) == {5, 6, 7} and set(columns["learner.discount"]) == {0.5, 0.9}
+    assert points == sweep_of("random", **axes)
+
+
+def test_points_that_differ_in_numbers_share_a_program():
+    text = yaml.safe_load(BASE)
+    text["sweep"] = {"axes": {"task.states": [13, 5], "learner.epsilon": [0.1, 0.2], "task.bonus": [1.0, 2.0]}}
+    groups = make_plan(parse(text)).groups
+    assert [len(group.points) for group in groups] == [4, 4]
+    assert groups[1].points.tolist() == [4, 5, 6, 7]
+    np.testing.assert_allclose(groups[0].hyper.epsilon, [0.1, 0.1, 0.2, 0.2])
+    np.testing.assert_allclose(groups[0].hyper.task.bonus, [1.0, 2.0, 1.0, 2.0])
+
+
+def test_a_joint_that_is_swept_takes_its_own_start_and_goal():
+    text = yaml.safe_load(BASE)
+    text["sweep"] = {"axes": {"task.joint": [1, 4, 5]}}
+    plan = make_plan(parse(text))
+    again = make_plan(parse(yaml.safe_load(dump_yaml(resolved(plan.config)))))
+    for learners in (plan.learners, again.learners):
+        assert [(x.task.start, x.task.goal) for x in learners] == [(-15, 100), (0, 120), (-20, 40)]
+
+
+def test_factories_refuse_by_name():
+    with pytest.raises(InputError, match="known are joint_reach"):
+        make_task("walk_the_dog")
+    with pytest.raises(InputError, match=r"task: map has no way from S to G"):
+        make_task("navigate", map=["S#G"])
+    with pytest.raises(InputError, match=r"learner.task must be a FiniteTask"):
+        make_learner("tabular_q", make_learner("tabular_q", make_task("navigate")))
+
+
+def test_yaml_with_nothing_in_it():
+    assert parse_yaml("", "x") is None

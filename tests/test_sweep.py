@@ -1,0 +1,265 @@
+"""Sweeps: the same bits alone or together, in any pool, on any number of devices, interrupted or not."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from humanoid_mjx import InputError, runtime, sweep
+from humanoid_mjx.results.store import RunFolder
+from humanoid_mjx.training import pool
+
+CONFIG = {
+    "name": "small",
+    "task": {"name": "joint_reach", "joint": 5, "states": 13, "max_episode_steps": 40},
+    "learner": {"name": "tabular_q", "epsilon_decay": 0.99},
+    "sweep": {"axes": {"learner.epsilon": [0.2, 0.6, 1.0], "learner.learning_rate": [0.1, 0.7]}},
+    "seeds": 3,
+    "seed": 5,
+    "episodes": 60,
+    "record": 10,
+}
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory):
+    return sweep(CONFIG, tmp_path_factory.mktemp("reference") / "run")
+
+
+def same_bits(a, b):
+    assert list(a) == list(b)
+    for name in a:
+        assert a[name].dtype == b[name].dtype, name
+        if a[name].dtype == object:
+            assert (a[name] == b[name]).all(), name
+        else:
+            assert a[name].tobytes() == b[name].tobytes(), name
+
+
+def with_axes(**axes):
+    return CONFIG | {"sweep": {"axes": {name.replace("__", "."): values for name, values in axes.items()}}}
+
+
+def test_tables_hold_a_row_for_every_point_seed_and_record_step(reference):
+    results, summary = reference.results, reference.summary
+    assert len(results["point"]) == 6 * 3 * 10 and len(summary["point"]) == 6 * 3
+    assert results["episode"][:10].tolist() == list(range(6, 61, 6))
+    np.testing.assert_allclose(np.unique(results["learner.epsilon"]), [0.2, 0.6, 1.0])
+    assert (results["task.goal"] == 40).all()
+    order = np.lexsort((results["episode"], results["seed"], results["point"]))
+    assert (order == np.arange(len(order))).all()
+    assert np.isfinite(results["steps"]).all() and (results["steps"] >= 12).all()
+    provenance = json.loads((reference.path / "provenance.json").read_text())
+    assert provenance["runs_finished"] == provenance["runs"] == 18
+    assert {"versions", "machine", "precision", "seed", "wall_s", "compile_s"} <= set(provenance)
+
+
+def test_seeds_differ_and_points_share_them(reference):
+    summary = reference.summary
+    first = summary["return"][summary["point"] == 0]
+    assert len(np.unique(first)) == 3
+
+
+def test_a_point_trains_as_it_would_alone(reference, tmp_path):
+    alone = sweep(with_axes(learner__epsilon=[0.6], learner__learning_rate=[0.7]), tmp_path / "run")
+    together = reference.results
+    chosen = together["point"] == 3
+    for name in ("return", "steps", "success"):
+        assert alone.results[name].tobytes() == together[name][chosen].tobytes()
+
+
+@pytest.mark.parametrize("size", [1, 2, 5, 64])
+def test_pool_size_changes_no_bit(reference, tmp_path, size, monkeypatch):
+    monkeypatch.setattr(pool, "HARVEST_SHARE", 0.5)
+    same_bits(reference.results, sweep(CONFIG, tmp_path / "run", pool_size=size).results)
+
+
+def test_static_values_are_swept_in_groups(tmp_path):
+    run = sweep(with_axes(task__states=[13, 5], learner__epsilon=[0.3, 0.9]), tmp_path / "run")
+    alone = sweep(with_axes(task__states=[5], learner__epsilon=[0.9]), tmp_path / "alone")
+    chosen = (run.results["task.states"] == 5) & (run.results["learner.epsilon"] == 0.9)
+    assert run.results["return"][chosen].tobytes() == alone.results["return"].tobytes()
+
+
+def test_a_sweep_of_other_values_compiles_nothing(reference, tmp_path):
+    with runtime.counting_compiles() as compiles:
+        sweep(
+            with_axes(learner__epsilon=[0.25, 0.5, 0.75], task__bonus=[50.0, 70.0]) | {"episodes": 50}, tmp_path / "run"
+        )
+    assert compiles.programs == 0
+
+
+def run_cli(*arguments, cwd, devices="2", **kwargs):
+    environment = os.environ | {"JAX_NUM_CPU_DEVICES": devices}
+    command = [sys.executable, "-m", "humanoid_mjx", *arguments]
+    return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, **kwargs)
+
+
+def write_config(folder, **changes):
+    path = folder / "small.yaml"
+    path.write_text(json.dumps(CONFIG | changes))
+    return str(path)
+
+
+@pytest.mark.parametrize("devices", ["1", "3"])
+def test_number_of_devices_changes_no_bit(reference, tmp_path, devices):
+    done = run_cli("sweep", write_config(tmp_path), "--out", "run", cwd=tmp_path, devices=devices)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "run/results.parquet").read_bytes() == (reference.path / "results.parquet").read_bytes()
+    assert (tmp_path / "run/summary.parquet").read_bytes() == (reference.path / "summary.parquet").read_bytes()
+    assert {path.name for path in (tmp_path / "run/figures").iterdir()} >= {"learning_curves.png", "greedy_success.png"}
+
+
+LONG = {
+    "task": CONFIG["task"] | {"joint": 1, "states": 24, "max_episode_steps": 400},
+    "sweep": {"axes": {"learner.discount": [0.5, 0.97], "learner.epsilon": [0.3, 0.6, 1.0]}},
+    "episodes": 3000,
+    "seeds": 40,
+}
+"""Half of these runs wait before the goal and take 20 times as long as the others: a kill finds them half done."""
+
+KILLABLE = """
+import sys
+from humanoid_mjx.training import pool, sweep
+sweep.CHECKPOINT_EVERY_S, pool.HARVEST_SHARE, pool.HARVEST_AFTER_S = 0.2, 0.1, 0.5
+from humanoid_mjx.cli import main
+main()
+"""
+
+
+def start(arguments, cwd):
+    command = [sys.executable, "-c", KILLABLE, *arguments]
+    return subprocess.Popen(command, cwd=cwd, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+
+
+def wait_for(condition, process, seconds=120):
+    until = time.monotonic() + seconds
+    while not condition():
+        assert process.poll() is None and time.monotonic() < until, process.communicate()
+        time.sleep(0.02)
+
+
+@pytest.mark.parametrize("kill", [signal.SIGKILL, signal.SIGINT])
+def test_an_interrupted_sweep_resumes_to_the_same_bits(tmp_path, kill):
+    config = write_config(tmp_path, **LONG)
+    whole = run_cli("sweep", config, "--out", "whole", cwd=tmp_path)
+    assert whole.returncode == 0, whole.stderr
+    process = start(["sweep", config, "--out", "run"], tmp_path)
+    run = tmp_path / "run"
+    wait_for(lambda: (run / "summary.parquet").exists() and list(run.glob("checkpoint/pool-*.npz")), process)
+    process.send_signal(kill)
+    process.wait()
+    assert process.returncode == (130 if kill == signal.SIGINT else -9)
+    from humanoid_mjx.training.sweep import Run
+
+    found = len(Run(run).summary["point"])
+    assert 0 < found < 240
+    resumed = run_cli("sweep", config, "--out", "run", "--resume", cwd=tmp_path)
+    assert resumed.returncode == 0, resumed.stderr
+    for name in ("results.parquet", "summary.parquet"):
+        assert (run / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+    assert not list(run.glob("checkpoint/pool-*.npz")) and not list(run.rglob(".new-*"))
+
+
+def test_start_from_what_was_learned_before(reference, tmp_path):
+    learner = CONFIG["learner"] | {"start_from": str(reference.path)}
+    again = sweep(CONFIG | {"learner": learner, "episodes": 10, "record": 10}, tmp_path / "run")
+    fresh = sweep(CONFIG | {"episodes": 10, "record": 10}, tmp_path / "fresh")
+    first = again.results["steps"][again.results["episode"] == 1].mean()
+    assert first < fresh.results["steps"][fresh.results["episode"] == 1].mean()
+
+
+def test_collective_sweep_is_repeatable(tmp_path):
+    config = CONFIG | {"learner": CONFIG["learner"] | {"agents": 20}}
+    a, b = (sweep(config, tmp_path / name, pool_size=size) for name, size in (("a", 2), ("b", 9)))
+    same_bits(a.results, b.results)
+
+
+class TestRefusals:
+    """Each gets one sentence, and nothing that is stored is lost."""
+
+    def refused(self, words, *arguments, cwd):
+        before = {p: p.read_bytes() for p in Path(cwd).rglob("*") if p.is_file() and p.name != ".lock"}
+        done = run_cli(*arguments, cwd=cwd)
+        assert done.returncode == 2, done
+        assert done.stdout == "" and done.stderr.startswith("error: ") and done.stderr.count("\n") == 1
+        assert "Traceback" not in done.stderr
+        for word in words:
+            assert word in done.stderr, done.stderr
+        after = {p: p.read_bytes() for p in Path(cwd).rglob("*") if p.is_file() and p.name != ".lock"}
+        assert before == after
+
+    def test_a_bad_config_makes_no_folder(self, tmp_path):
+        config = write_config(tmp_path, episodes=-1)
+        self.refused([config, "episodes", "at least 1"], "sweep", config, cwd=tmp_path)
+        assert not (tmp_path / "runs").exists()
+
+    def test_a_place_that_is_taken(self, tmp_path):
+        (tmp_path / "run").mkdir()
+        (tmp_path / "run" / "precious").write_text("data")
+        config = write_config(tmp_path)
+        self.refused(["run", "already exists", "--resume"], "sweep", config, "--out", "run", cwd=tmp_path)
+
+    def test_resume_of_what_is_no_run(self, tmp_path):
+        config = write_config(tmp_path)
+        self.refused(["no run to resume"], "sweep", config, "--resume", cwd=tmp_path)
+        (tmp_path / "empty").mkdir()
+        self.refused(["no run folder"], "sweep", config, "--resume", "--out", "empty", cwd=tmp_path)
+
+    def test_start_from_what_does_not_fit(self, tmp_path, reference):
+        config = write_config(tmp_path, learner=CONFIG["learner"] | {"start_from": "nowhere"})
+        self.refused(["learner.start_from", "nowhere"], "sweep", config, cwd=tmp_path)
+
+    @pytest.fixture
+    def copy(self, reference, tmp_path):
+        import shutil
+
+        shutil.copytree(reference.path, tmp_path / "run")
+        return tmp_path
+
+    def test_resume_with_another_config(self, copy):
+        config = write_config(copy, episodes=61)
+        self.refused(["another config", "episodes"], "sweep", config, "--out", "run", "--resume", cwd=copy)
+
+    def test_a_run_folder_in_use(self, copy):
+        from humanoid_mjx.training.sweep import Run, resolved
+
+        held = RunFolder.resume(copy / "run", resolved(Run(copy / "run").config))
+        config = write_config(copy)
+        self.refused(["run", "in use"], "sweep", config, "--out", "run", "--resume", cwd=copy)
+        held.close()
+
+    def test_a_truncated_checkpoint(self, copy):
+        part = sorted((copy / "run/checkpoint").glob("part-*.npz"))[0]
+        part.write_bytes(part.read_bytes()[:-100])
+        config = write_config(copy)
+        self.refused([part.name, "truncated", "remove it"], "sweep", config, "--out", "run", "--resume", cwd=copy)
+        part.unlink()
+        assert run_cli("sweep", config, "--out", "run", "--resume", cwd=copy).returncode == 0
+
+    def test_a_truncated_results_file(self, copy, reference):
+        results = copy / "run/results.parquet"
+        results.write_bytes(results.read_bytes()[:100])
+        from humanoid_mjx.training.sweep import Run
+
+        with pytest.raises(InputError, match=r"results.parquet: this file is truncated or damaged; --resume"):
+            _ = Run(copy / "run").results
+        assert run_cli("sweep", write_config(copy), "--out", "run", "--resume", cwd=copy).returncode == 0
+        assert results.read_bytes() == (reference.path / "results.parquet").read_bytes()
+
+    @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+    def test_a_place_that_cannot_be_written(self, tmp_path):
+        (tmp_path / "shut").mkdir(mode=0o500)
+        config = write_config(tmp_path)
+        self.refused(["cannot be written"], "sweep", config, "--out", "shut/run", cwd=tmp_path)
+
+    def test_a_place_below_a_file(self, tmp_path):
+        (tmp_path / "file").write_text("data")
+        config = write_config(tmp_path)
+        self.refused(["cannot be written"], "sweep", config, "--out", "file/run", cwd=tmp_path)
