@@ -102,12 +102,13 @@ class RunFolder:
         finally:
             temporary.unlink(missing_ok=True)
 
-    def remove(self, name: str) -> None:
-        (self.path / name).unlink(missing_ok=True)
-
     def parts(self) -> list[Path]:
         """The files of finished runs."""
         return parts(self.path)
+
+    def pools(self) -> list[Path]:
+        """The files of runs under way."""
+        return sorted((self.path / "checkpoint").glob("pool-*.npz"))
 
     def add_part(self, arrays: Arrays) -> None:
         """Store finished runs."""

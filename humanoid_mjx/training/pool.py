@@ -11,6 +11,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.plan import Group
 from humanoid_mjx.training.program import program_of
 from humanoid_mjx.training.state import from_arrays, to_arrays
@@ -103,19 +104,28 @@ class Pool:
         return {"slots": self.slots, "progress": self.progress} | to_arrays(self.carry, "carry")
 
     def restore(self, arrays: dict[str, np.ndarray], where: str) -> None:
-        """Take up the runs of an earlier pool's `state`, as far as they wait to be trained.
+        """Take up runs of earlier pools' `state`, as far as they still wait and slots are idle.
 
         Raises:
           InputError: it is the state of another training.
         """
-        like = jax.eval_shape(lambda: self.carry)
-        carry = from_arrays(like, arrays, "carry", where)
-        slots = np.where(np.isin(arrays["slots"], np.array(self.waiting)), arrays["slots"], IDLE)
-        for run in slots[slots != IDLE].tolist():
+        runs, rows = np.unique(arrays["slots"], return_index=True)
+        rows = rows[np.isin(runs, np.array(self.waiting))][: (~self.busy).sum()]
+        idle = np.flatnonzero(~self.busy)[: len(rows)]
+        if not len(rows):
+            return
+        merged = to_arrays(self.carry, "carry")
+        for name, array in merged.items():
+            stored = arrays.get(name)
+            if stored is None or stored.shape[1:] != array.shape[1:] or stored.dtype != array.dtype:
+                raise InputError(f"{where}: what it holds does not fit this training.")
+            merged[name] = array.copy()
+            merged[name][idle] = stored[rows]
+        self.slots[idle], self.progress[idle] = arrays["slots"][rows], arrays["progress"][rows]
+        for run in self.slots[idle].tolist():
             self.waiting.remove(run)
-        self.slots, self.progress = slots, arrays["progress"]
         self._load()
-        self.carry = jax.device_put(carry, self.device)
+        self.carry = jax.device_put(from_arrays(self.carry, merged, "carry", where), self.device)
 
     def _load(self) -> None:
         """Bring the hyper-parameters and seeds of the slots' runs to the device. An idle slot repeats the first run."""

@@ -131,8 +131,8 @@ class _Session:
         self.compile_s += compiles.seconds
         for future in work:
             future.result()
-        for number in range(len(pools)):
-            self.folder.remove(pool_name(number))
+        for path in self.folder.pools():
+            path.unlink()
         self.stop.clear()
 
     def _work(self, index: int, number: int, pool: Pool) -> None:
@@ -164,11 +164,12 @@ class _Session:
             self.reporter.update((len(self.finished) + under_way) * self.plan.config.episodes)
 
     def _restore(self, index: int, pools: Sequence[Pool]) -> None:
-        """Take up the runs of this group that an interrupted session had under way."""
-        for number, pool in enumerate(pools):
-            path = self.folder.path / pool_name(number)
-            if path.is_file() and int((arrays := read_arrays(path))["group"]) == index:
-                pool.restore(arrays, str(path))
+        """Take up the runs of this group that an interrupted session, maybe on other devices, had under way."""
+        for path in self.folder.pools():
+            arrays = read_arrays(path)
+            if int(arrays["group"]) == index:
+                for pool in pools:
+                    pool.restore(arrays, str(path))
 
     def write_results(self) -> None:
         """Bring tables and provenance up to date with the finished runs."""
