@@ -1,0 +1,1 @@
+"""Kinematics, dynamics and motions of serial chains."""

@@ -1,0 +1,1 @@
+"""The robots: the leg as a serial chain."""

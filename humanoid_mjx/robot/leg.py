@@ -1,0 +1,136 @@
+"""The leg of the thesis: five revolute joints (Table 4.1), the torso fixed.
+
+At `q = 0` the leg hangs along -y0 and z0 points sideways. The joint axes are then +z0 (hip pitch), -y0 (yaw), -x0
+(roll), -z0 (knee) and -z0 (ankle).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from humanoid_mjx.robot.chain import Chain
+from humanoid_mjx.thesis import leg as thesis
+
+ALONG_THE_LEG = (0.0, -thesis.GRAVITY, 0.0)
+"""Gravity where it is in a standing robot."""
+
+AS_PRINTED = (0.0, 0.0, -thesis.GRAVITY)
+"""Gravity as appendix H and the MATLAB script have it: sideways, in the frames of Table 4.1."""
+
+HIP_DIAMETER = KNEE_DIAMETER = thesis.BODY_MM["upper_leg_circumference"] * 1e-3 * thesis.SCALE / math.pi
+"""Thickness of the cylinders that stand for links 1 to 3 in `Leg.physical`: the upper leg's. Nothing is printed."""
+
+SHANK_DIAMETER = thesis.BODY_MM["lower_leg_circumference"] * 1e-3 * thesis.SCALE / math.pi
+"""Thickness of links 4 and 5: the lower leg's."""
+
+
+@partial(
+    jax.tree_util.register_dataclass,
+    data_fields=("d", "a", "pseudo_inertia", "gravity"),
+    meta_fields=("structure",),
+)
+@dataclass(frozen=True)
+class Leg(Chain):
+    """The five-joint leg. The four sets of parameters are `physical`, `thesis`, `matlab_script` and `figure_7_5`."""
+
+    @classmethod
+    def from_links(
+        cls, lengths: Sequence[float], pseudo_inertia: Any, gravity: Sequence[float] = ALONG_THE_LEG
+    ) -> "Leg":
+        """A leg with the axes of Table 4.1.
+
+        Args:
+          lengths: l1 to l5, m.
+          pseudo_inertia: (5, 4, 4) of each link in its own frame.
+          gravity: m/s^2 in frame 0.
+
+        Raises:
+          InputError: a wrong shape, or values that no leg has.
+        """
+        l1, l2, l3, l4, l5 = _five(lengths)
+        return cls.build(
+            theta_offset=np.radians(thesis.DH_THETA_OFFSETS).tolist(),
+            d=(l1, l2, 0.0, 0.0, 0.0),
+            a=(0.0, 0.0, l3, l4, l5),
+            alpha=np.radians(thesis.DH_ALPHAS).tolist(),
+            pseudo_inertia=pseudo_inertia,
+            gravity=gravity,
+        )
+
+    @classmethod
+    def physical(cls, gravity: Sequence[float] = ALONG_THE_LEG) -> "Leg":
+        """The recovered lengths, the masses of Table 4.3, and links that are solid cylinders where the links are."""
+        return cls.from_links(thesis.LINK_LENGTHS, cylinder_inertias(), gravity)
+
+    @classmethod
+    def thesis(cls, gravity: Sequence[float] = ALONG_THE_LEG) -> "Leg":
+        """The recovered lengths and the inertias of section 4.6, corrected as `thesis.leg.INERTIA_CORRECTIONS` says."""
+        return cls.from_links(thesis.LINK_LENGTHS, corrected_inertias(), gravity)
+
+    @classmethod
+    def matlab_script(cls, gravity: Sequence[float] = ALONG_THE_LEG) -> "Leg":
+        """The lengths, masses and thin rods of the MATLAB script."""
+        return cls.from_links(thesis.SCRIPT_LENGTHS, script_inertias(), gravity)
+
+    @classmethod
+    def figure_7_5(cls, gravity: Sequence[float] = AS_PRINTED) -> "Leg":
+        """The recovered model behind the torques of section 7 C: `thesis` with other masses and gravity sideways.
+
+        Only the masses and centroids are known from there; second moments are those of `thesis`, scaled by mass.
+        """
+        scale = np.array(thesis.FIGURE_7_5_MASSES) / np.array(thesis.LINK_MASSES)
+        return cls.from_links(thesis.LINK_LENGTHS, corrected_inertias() * scale[:, None, None], gravity)
+
+    @property
+    def lengths(self) -> Float[Array, "5"]:
+        """l1 to l5, m."""
+        return jnp.concatenate([self.d[..., :2], self.a[..., 2:]], axis=-1)
+
+
+def corrected_inertias() -> np.ndarray:
+    """(5, 4, 4) Section 4.6 as a physical body: the corrections, and first moments = mass x centroid."""
+    inertia = np.array(thesis.PSEUDO_INERTIAS)
+    for link, (row, column), value, _ in thesis.INERTIA_CORRECTIONS:
+        inertia[link - 1, row - 1, column - 1] = inertia[link - 1, column - 1, row - 1] = value
+    first = np.array(thesis.LINK_MASSES)[:, None] * np.array(thesis.LINK_CENTROIDS)
+    inertia[:, :3, 3] = inertia[:, 3, :3] = first
+    return inertia
+
+
+def script_inertias() -> np.ndarray:
+    """(5, 4, 4) The MATLAB script's links: thin rods along x, from the frame's origin backwards."""
+    inertia = np.zeros((5, 4, 4))
+    for link, (m, l) in enumerate(zip(thesis.SCRIPT_MASSES, thesis.SCRIPT_LENGTHS, strict=True)):
+        inertia[link, 0, 0], inertia[link, 3, 3] = m * l**2 / 3, m
+        inertia[link, 0, 3] = inertia[link, 3, 0] = -m * l / 2
+    return inertia
+
+
+def cylinder_inertias() -> np.ndarray:
+    """(5, 4, 4) Solid cylinders between the frames: along y for links 1 and 2, along x for the others."""
+    diameters = (HIP_DIAMETER,) * 3 + (SHANK_DIAMETER,) * 2
+    middles = ((1, -0.5), (1, 0.5), (0, -0.5), (0, -0.5), (0, -0.5))
+    inertia = np.zeros((5, 4, 4))
+    for link, (axis, share) in enumerate(middles):
+        m, l, radius = thesis.LINK_MASSES[link], thesis.LINK_LENGTHS[link], diameters[link] / 2
+        second = np.full(3, m * radius**2 / 4)
+        second[axis] = m * l**2 / 12 + m * (share * l) ** 2
+        inertia[link, (0, 1, 2), (0, 1, 2)] = second
+        inertia[link, axis, 3] = inertia[link, 3, axis] = m * share * l
+        inertia[link, 3, 3] = m
+    return inertia
+
+
+def _five(lengths: Sequence[float]) -> Sequence[float]:
+    from humanoid_mjx.spec import InputError
+
+    if len(lengths) != 5 or not all(isinstance(x, (int, float)) and 0 < x < math.inf for x in lengths):
+        raise InputError(f"lengths must be five positive numbers of metres, got {list(lengths)}.")
+    return lengths
