@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from humanoid_mjx.robot.chain import Chain
+from humanoid_mjx.spec import InputError
 from humanoid_mjx.thesis import leg as thesis
 
 ALONG_THE_LEG = (0.0, -thesis.GRAVITY, 0.0)
@@ -107,9 +108,9 @@ def corrected_inertias() -> np.ndarray:
 def script_inertias() -> np.ndarray:
     """(5, 4, 4) The MATLAB script's links: thin rods along x, from the frame's origin backwards."""
     inertia = np.zeros((5, 4, 4))
-    for link, (m, l) in enumerate(zip(thesis.SCRIPT_MASSES, thesis.SCRIPT_LENGTHS, strict=True)):
-        inertia[link, 0, 0], inertia[link, 3, 3] = m * l**2 / 3, m
-        inertia[link, 0, 3] = inertia[link, 3, 0] = -m * l / 2
+    for link, (mass, length) in enumerate(zip(thesis.SCRIPT_MASSES, thesis.SCRIPT_LENGTHS, strict=True)):
+        inertia[link, 0, 0], inertia[link, 3, 3] = mass * length**2 / 3, mass
+        inertia[link, 0, 3] = inertia[link, 3, 0] = -mass * length / 2
     return inertia
 
 
@@ -119,18 +120,16 @@ def cylinder_inertias() -> np.ndarray:
     middles = ((1, -0.5), (1, 0.5), (0, -0.5), (0, -0.5), (0, -0.5))
     inertia = np.zeros((5, 4, 4))
     for link, (axis, share) in enumerate(middles):
-        m, l, radius = thesis.LINK_MASSES[link], thesis.LINK_LENGTHS[link], diameters[link] / 2
-        second = np.full(3, m * radius**2 / 4)
-        second[axis] = m * l**2 / 12 + m * (share * l) ** 2
+        mass, length, radius = thesis.LINK_MASSES[link], thesis.LINK_LENGTHS[link], diameters[link] / 2
+        second = np.full(3, mass * radius**2 / 4)
+        second[axis] = mass * length**2 / 12 + mass * (share * length) ** 2
         inertia[link, (0, 1, 2), (0, 1, 2)] = second
-        inertia[link, axis, 3] = inertia[link, 3, axis] = m * share * l
-        inertia[link, 3, 3] = m
+        inertia[link, axis, 3] = inertia[link, 3, axis] = mass * share * length
+        inertia[link, 3, 3] = mass
     return inertia
 
 
 def _five(lengths: Sequence[float]) -> Sequence[float]:
-    from humanoid_mjx.spec import InputError
-
     if len(lengths) != 5 or not all(isinstance(x, (int, float)) and 0 < x < math.inf for x in lengths):
         raise InputError(f"lengths must be five positive numbers of metres, got {list(lengths)}.")
     return lengths

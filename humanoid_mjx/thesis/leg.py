@@ -1,4 +1,4 @@
-"""Chapters 3, 4, 5 and 7: the numbers of the leg. Lengths in metres, masses in kilograms, angles in degrees, as printed.
+"""Chapters 3, 4, 5 and 7: the numbers of the leg. Lengths in metres, masses in kilograms, angles in degrees.
 
 Joints count from the hip: 1 pitch, 2 yaw, 3 roll (the torso's joints of the tables), 4 knee pitch, 5 ankle pitch.
 """
@@ -98,8 +98,8 @@ SCRIPT_MASSES = (0.5, 0.3, 0.4, 0.2, 0.2)
 links 1 and 2, which run along y."""
 
 FIGURE_7_5_MASSES = (0.142, 0.0439, 0.04394, 0.067, 0.066)
-"""Recovered: each of m2 to m4 solved from a printed start torque of section 7 C comes out round to 1e-9, and the ankle's
-torque, with nothing left to solve, agrees to 9 digits. m1 (no torque depends on it there) is Table 4.3's."""
+"""Recovered: each of m2 to m4 solved from a printed start torque of section 7 C comes out round to 1e-9, and the
+ankle's torque, with nothing left to solve, agrees to 9 digits. m1 (no torque depends on it) is Table 4.3's."""
 
 FIGURE_7_5_DEGREE = 0.0175
 """Recovered: radians per degree in sections 7 A and 7 C, 3.15/180."""
@@ -148,8 +148,8 @@ WORKSPACE = {
     "sudden turn": ((-0.1633, -0.2076, 0.0328), (-0.0256, 0.0533, -0.0701)),
     "all joints": ((-0.1633, -0.2076, 0.0328), (0.0414, 0.0806, -0.0583)),
 }
-"""Section 7 B, metres: "the reach varies from ... to ...". They are the toe's positions at the start and at the end of the
-quintics of the joints that move (`WORKSPACE_JOINTS`), not extents."""
+"""Section 7 B, metres: "the reach varies from ... to ...". They are the toe's positions at the start and at the end of
+the quintics of the joints that move (`WORKSPACE_JOINTS`), not extents."""
 
 WORKSPACE_JOINTS = {"straight walking": (1, 4, 5), "sudden turn": (1, 2, 4, 5), "all joints": (1, 2, 3, 4, 5)}
 
