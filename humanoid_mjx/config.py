@@ -34,6 +34,12 @@ class Config(pydantic.BaseModel):
         """Where the config came from, for messages."""
         return self._source
 
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _short_runs_record_less(cls, data: Any) -> Any:
+        episodes = data.get("episodes") if isinstance(data, dict) else None
+        return {"record": episodes} | data if isinstance(episodes, int) and 1 <= episodes < 100 else data
+
     @pydantic.model_validator(mode="after")
     def _keys_fit_together(self) -> "Config":
         for part in ("task", "learner"):

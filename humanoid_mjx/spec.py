@@ -92,7 +92,7 @@ def sentence(error: pydantic.ValidationError, where: str, model: type[pydantic.B
             )
             return f"{key} must be {sign} {next(iter(fault['ctx'].values()))}{got}."
         case "value_error":
-            return f"{key}: {fault['ctx']['error']}".rstrip(".") + "."
+            return f"{key}: {fault['ctx']['error']}".removeprefix(": ").rstrip(".") + "."
         case "literal_error":
             return f"{key} must be one of {fault['ctx']['expected']}{got}."
         case "model_type":

@@ -1,0 +1,48 @@
+"""The benchmarks run, and their subjects do the same work."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+from typer.testing import CliRunner
+
+from humanoid_mjx.bench import tabular
+from humanoid_mjx.cli import app
+
+TINY = """
+from humanoid_mjx.bench import tabular
+tabular.BATCHES, tabular.STEPS, tabular.PYTHON_STEPS = {"cpu": (8,), "gpu": (8,)}, 50, 50
+from humanoid_mjx.cli import main
+main()
+"""
+"""In a process of its own, where no type checker stands around what numba compiles."""
+
+
+def test_tabular_writes_its_records(tmp_path):
+    file = tmp_path / "bench.json"
+    command = [sys.executable, "-c", TINY, "bench", "tabular", "--json", str(file)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    result = json.loads(file.read_text())
+    assert set(result) == {"machine", "versions", "records"}
+    assert {record["subject"] for record in result["records"]} >= {"scan", "naive_scan", "python"}
+    keys = {"bench", "subject", "device", "batch", "value", "unit", "compile_s", "repeats"}
+    assert all(set(record) == keys for record in result["records"])
+
+
+def test_subjects_finish_as_many_episodes(monkeypatch):
+    steps = 200_000
+    monkeypatch.setattr(tabular, "STEPS", steps)
+    monkeypatch.setattr(tabular, "PYTHON_STEPS", steps)
+    finished = {}
+    for name in ("scan", "naive_scan", "python"):
+        call, count = tabular.SUBJECTS[name](np.full(2, 0.5, np.float32))
+        finished[name] = count(call()) / (1 if name == "python" else 2)
+    # Episodes take 23 steps once epsilon has decayed, after some thousand: 8,500 or so of 200,000 steps.
+    assert all(abs(n / finished["python"] - 1) < 0.02 for n in finished.values()), finished
+
+
+def test_unknown_benchmarks_are_refused():
+    done = CliRunner().invoke(app, ["bench", "tabula"])
+    assert "did you mean 'tabular'" in str(done.exception)

@@ -1,0 +1,62 @@
+"""The command line: fast to answer, and one compilation for sweeps that differ only in values."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+from typer.testing import CliRunner
+
+from humanoid_mjx import runtime
+from humanoid_mjx.cli import app
+
+HEAVY = ("jax", "brax", "mujoco", "matplotlib", "flax", "optax", "pyarrow")
+
+
+@pytest.mark.parametrize("how", ["import humanoid_mjx", "from humanoid_mjx.cli import app"])
+def test_asking_for_help_imports_nothing_heavy(how):
+    code = f"import sys; {how}; print([name for name in {HEAVY} if name in sys.modules])"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "[]\n"
+
+
+def test_help_names_every_command():
+    done = subprocess.run([sys.executable, "-m", "humanoid_mjx", "--help"], capture_output=True, text=True)
+    assert done.returncode == 0
+    for command in ("sweep", "reproduce", "bench", "info"):
+        assert command in done.stdout
+
+
+def write_config(path, epsilons):
+    config = {
+        "name": "two",
+        "task": {"name": "joint_reach", "joint": 4, "states": 11, "max_episode_steps": 41},
+        "learner": {"name": "tabular_q"},
+        "sweep": {"axes": {"learner.epsilon": epsilons, "learner.learning_rate": [0.2, 0.4]}},
+        "seeds": 2,
+        "episodes": 30,
+    }
+    path.write_text(json.dumps(config))
+    return str(path)
+
+
+def test_two_sweeps_that_differ_in_values_compile_once(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    first, second = write_config(tmp_path / "a.yaml", [0.1, 0.2]), write_config(tmp_path / "b.yaml", [0.5, 0.9])
+    counts = []
+    for path in (first, second):
+        with runtime.counting_compiles() as compiles:
+            done = CliRunner().invoke(app, ["sweep", path, "--set", "seed=3"])
+        assert done.exit_code == 0, done.output
+        counts.append(compiles.programs)
+    assert counts[0] > 0 and counts[1] == 0
+    assert "greedy success" in done.output and "runs/two-2/figures/learning_curves.png" in done.output
+    for name in ("learning_curves", "greedy_success", "greedy_steps"):
+        assert (tmp_path / f"runs/two-2/figures/{name}.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_info_shows_what_a_config_will_take():
+    done = CliRunner().invoke(app, ["info", "joint1_fine", "--set", "seeds=8"])
+    assert done.exit_code == 0, done.output
+    assert "1,000 points x 8 seeds = 8,000 runs in 1 compiled program;" in done.output
+    assert "goal: 100" in done.output or "joint: 1" in done.output
+    assert "joint1_fine" in CliRunner().invoke(app, ["info"]).output

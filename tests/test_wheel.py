@@ -1,0 +1,52 @@
+"""The wheel, installed where the checkout cannot be seen: it finds its configs and experiments by name."""
+
+import os
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+
+
+@pytest.fixture(scope="module")
+def clean(tmp_path_factory):
+    """A function that runs Python where only the wheel and the packages it needs can be imported."""
+    folder = tmp_path_factory.mktemp("wheel")
+    build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(folder), str(ROOT)]
+    subprocess.run(build, check=True, capture_output=True)
+    (wheel,) = folder.glob("*.whl")
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(folder / "venv")], check=True)
+    python = folder / "venv/bin/python"
+    packages = next((folder / "venv").glob("lib/python*/site-packages"))
+    subprocess.run([sys.executable, "-m", "zipfile", "-e", str(wheel), str(packages)], check=True)
+    # The packages that it needs come from this environment; a line of a .pth file adds their folder without reading
+    # the .pth files in it, one of which may lead to the checkout.
+    (packages / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
+
+    def run(*arguments):
+        environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+        return subprocess.run(
+            [str(python), *arguments], cwd=folder, env=environment, capture_output=True, text=True, check=False
+        )
+
+    where = run("-c", "import humanoid_mjx; print(humanoid_mjx.__file__)").stdout
+    assert str(packages) in where, where
+    return run
+
+
+def test_configs_and_experiments_are_found_by_name(clean):
+    done = clean("-m", "humanoid_mjx", "info", "joint1")
+    assert done.returncode == 0, done.stderr
+    assert "300 points x 16 seeds" in done.stdout
+    done = clean("-m", "humanoid_mjx", "reproduce", "--list")
+    assert "table-7.1" in done.stdout, done.stderr
+
+
+def test_a_sweep_runs(clean):
+    changes = ["--set", "seeds=2", "--set", "episodes=20", "--set", "sweep.axes={learner.epsilon: [0.5]}"]
+    done = clean("-m", "humanoid_mjx", "sweep", "joint5", *changes)
+    assert done.returncode == 0, done.stderr
+    assert "runs/joint5/results.parquet" in done.stdout
