@@ -3,7 +3,12 @@
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    FloatScalar = IntScalar = BoolScalar = Device = Any
+    from typing import TypeAlias
+
+    FloatScalar: TypeAlias = Any
+    IntScalar: TypeAlias = Any
+    BoolScalar: TypeAlias = Any
+    Device: TypeAlias = Any
 else:
     from jax import Device  # noqa: F401
     from jaxtyping import Array, Bool, Float, Int

@@ -14,7 +14,6 @@ from humanoid_mjx import make_learner, make_task, rng
 from humanoid_mjx.tasks.finite import Rules
 from humanoid_mjx.tasks.joint_reach import PRINTED
 from humanoid_mjx.tasks.navigate import shortest_path
-from humanoid_mjx.training.evaluation import greedy_episode
 
 STEPS = 120
 
@@ -124,7 +123,7 @@ def test_navigate_finds_paths_as_short_as_breadth_first_search(agents):
     task = make_task("navigate", max_episode_steps=300)
     learner = make_learner("tabular_q", task, episodes=600, epsilon=0.5, discount=0.9, agents=agents)
     hyper, carry = train_to_end(learner, 4)
-    rollout = jax.jit(jax.vmap(lambda q, k: greedy_episode(learner, hyper, q, k)))
+    rollout = jax.jit(jax.vmap(lambda q, k: learner.evaluate(hyper, q, k)))
     greedy = rollout(carry.q_table, jax.random.split(rng.key(1), 4))
     assert greedy["greedy_success"].all()
     assert (greedy["greedy_steps"] == shortest_path(task.map)).all()

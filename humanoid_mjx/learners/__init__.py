@@ -3,14 +3,17 @@
 from typing import Any
 
 from humanoid_mjx.learners.base import Learner
-from humanoid_mjx.spec import Spec, make
+from humanoid_mjx.spec import make
+from humanoid_mjx.tasks.base import Task
 
 LEARNERS = {
+    "deep_q": "humanoid_mjx.learners.deep:DeepQ",
+    "linear_q": "humanoid_mjx.learners.linear:LinearQ",
     "tabular_q": "humanoid_mjx.learners.tabular:TabularQ",
 }
 
 
-def make_learner(name: str, /, task: Spec, **params: Any) -> Any:
+def make_learner(name: str, /, task: Task, **params: Any) -> Any:
     """Build the learner called `name` for `task`, or a user's own given as "package.module:Class".
 
     Raises:

@@ -2,10 +2,14 @@
 
 from typing import Any, ClassVar
 
+import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Key
 from pydantic import Field
 
 from humanoid_mjx.spec import Spec
+from humanoid_mjx.tasks.base import Task
+from humanoid_mjx.types import BoolScalar
 
 
 class Learner(Spec):
@@ -20,7 +24,10 @@ class Learner(Spec):
     unit: ClassVar[str] = "episodes"
     """What `episodes` counts; control steps for learners that count in steps."""
 
-    task: Spec = Field(exclude=True, repr=False)
+    chunk_steps: ClassVar[int] = 512
+    """Training steps between two looks at the progress."""
+
+    task: Task = Field(exclude=True, repr=False)
     episodes: int = Field(1000, ge=1, le=1_000_000_000, exclude=True, description="how long to train")
     record: int = Field(100, ge=1, le=10_000, exclude=True, description="points of a learning curve")
 
@@ -44,6 +51,15 @@ class Learner(Spec):
 
     def act(self, hyper: Any, policy: Any, observation: Any, key: Key[Array, ""]) -> Any:
         """The greedy action."""
+        raise NotImplementedError
+
+    def diverged(self, carry: Any) -> BoolScalar:
+        """Whether training ended in numbers that are not finite."""
+        finite = [jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(self.policy(carry))]
+        return ~jnp.stack(finite).all()
+
+    def evaluate(self, hyper: Any, policy: Any, key: Key[Array, ""]) -> dict[str, Array]:
+        """How well what was learned does, greedily: numbers by name, `greedy_success` among them."""
         raise NotImplementedError
 
     def curve(self, hyper: Any, carry: Any) -> dict[str, Array]:

@@ -121,6 +121,28 @@ class TabularQ(Learner):
         """The greedy action in table row `observation`."""
         return self._greedy(tuple(policy[observation]), jax.random.uniform(key))
 
+    def evaluate(self, hyper: Params, policy: QTable, key: Key[Array, ""]) -> dict[str, Array]:
+        """One greedy episode; it succeeds if it reaches a terminal state before the cap."""
+        start_key, key = jax.random.split(key)
+
+        def running(loop):
+            _, _, steps, terminated = loop
+            return ~terminated & (steps < hyper.task.max_episode_steps)
+
+        def step(loop):
+            state, total, steps, _ = loop
+            act_key, obey_key, choice_key, step_key = jax.random.split(jax.random.fold_in(key, steps), 4)
+            action = self.act(hyper, policy, self.task.row(hyper.task, state), act_key)
+            obeys = jax.random.uniform(obey_key) < self.task.obedience(hyper.task)
+            random = (jax.random.uniform(choice_key) * self.task.num_actions).astype(jnp.int32)
+            action = jnp.where(obeys, action, random)
+            state, reward, terminated = self.task.step(hyper.task, state, action, step_key)
+            return state, total + reward, steps + 1, terminated
+
+        start = self.task.reset(hyper.task, start_key), jnp.float32(0), jnp.int32(0), jnp.bool_(False)
+        _, total, steps, terminated = jax.lax.while_loop(running, step, start)
+        return {"greedy_return": total, "greedy_steps": steps, "greedy_success": terminated.astype(jnp.float32)}
+
     def curve(self, hyper: Params, carry: Carry) -> dict[str, Float[Array, " record"]]:
         """Means over the episodes of each point: length, return, and the share that reached a terminal state.
 

@@ -3,7 +3,7 @@
 from typing import Any
 
 from humanoid_mjx.spec import make
-from humanoid_mjx.tasks.finite import FiniteTask
+from humanoid_mjx.tasks.base import Task
 
 TASKS = {
     "joint_reach": "humanoid_mjx.tasks.joint_reach:JointReach",
@@ -17,4 +17,4 @@ def make_task(name: str, /, **params: Any) -> Any:
     Raises:
       InputError: unknown name or parameter, or a value out of range, in one sentence.
     """
-    return make("task", TASKS, FiniteTask, name, **params)
+    return make("task", TASKS, Task, name, **params)

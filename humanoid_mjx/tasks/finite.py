@@ -5,7 +5,7 @@ from typing import Any, Literal, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
-from humanoid_mjx.spec import Spec
+from humanoid_mjx.tasks.base import Task
 from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
 
 
@@ -23,7 +23,7 @@ class Rules(NamedTuple):
     which stops at the end state and whose last step is greedy."""
 
 
-class FiniteTask(Spec):
+class FiniteTask(Task):
     """Base of finite tasks. Derive from it, name the traced fields in `Params`, and implement `reset` and `step`.
 
     `Params` must have a field `max_episode_steps`: an episode that has lasted so long is truncated.

@@ -9,10 +9,6 @@ import jax.numpy as jnp
 
 from humanoid_mjx import rng
 from humanoid_mjx.learners import Learner
-from humanoid_mjx.training.evaluation import greedy_episode
-
-CHUNK_STEPS = 512
-"""Training steps between two looks at the progress."""
 
 
 class Program(NamedTuple):
@@ -21,7 +17,7 @@ class Program(NamedTuple):
     start: Callable[..., Any]
     """(fresh (bool), hyper, seeds, training states, policies) -> training states, new where fresh."""
     train: Callable[[Any, Any], tuple[Any, jax.Array]]
-    """(hyper, training states) -> training states CHUNK_STEPS later, and progress. The old states are given up."""
+    """(hyper, training states) -> training states `chunk_steps` later, and progress. The old states are given up."""
     finish: Callable[..., dict[str, Any]]
     """(hyper, training states, seeds) -> curves, final scores and policies."""
     states: Callable[..., Any]
@@ -40,16 +36,15 @@ def program_of(learner: Learner) -> Program:
         return jax.tree.map(partial(jnp.where, fresh), new, old)
 
     def train(hyper, carry):
-        carry, metrics = learner.train_chunk(hyper, carry, CHUNK_STEPS)
+        carry, metrics = learner.train_chunk(hyper, carry, learner.chunk_steps)
         return carry, metrics["progress"]
 
     def finish(hyper, carry, seeds):
         policy = learner.policy(carry)
-        final = greedy_episode(learner, hyper, policy, jax.random.fold_in(run_key(*seeds), 1))
-        finite = jnp.stack([jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(policy)]).all()
+        final = learner.evaluate(hyper, policy, jax.random.fold_in(run_key(*seeds), 1))
         return {
             "curve": learner.curve(hyper, carry),
-            "final": final | {"diverged": ~finite},
+            "final": final | {"diverged": learner.diverged(carry)},
             "policy": policy,
         }
 

@@ -66,7 +66,8 @@ def sweep(
       out: the run folder; by default the first free of runs/NAME, runs/NAME-2, ..., or the latest to be resumed.
       resume: complete a run folder instead of making one.
       overrides: such as "learner.epsilon=0.1"; only where `config` is a path or a name.
-      pool_size: how many runs train at once; by default what memory and cache hold. It changes no result.
+      pool_size: how many runs train at once; by default what memory and cache hold. It changes no bit of what tables
+        learn; networks' sums round by it.
       reporter: told what happens; by default nobody.
 
     Raises:
@@ -116,7 +117,8 @@ class _Session:
         if not waiting:
             return
         self.reporter.phase("compiling")
-        size = min(size, -(-len(waiting) // len(devices)))
+        # Not of what still waits: sums over networks round by the number of runs side by side, also after a resume.
+        size = min(size, -(-len(group.runs) // len(devices)))
         with runtime.counting_compiles() as compiles, ThreadPoolExecutor(len(devices)) as threads:
             pools = [Pool(group, waiting, size, device, self.plan.config.seed, policies) for device in devices]
             self._restore(index, pools)

@@ -1,0 +1,286 @@
+"""Q-learning with function approximation: many environments, no replay (M. Gallici et al., "Simplifying Deep Temporal
+Difference Learning", 2024).
+
+An update lets all environments act for `rollout` steps, computes Q(lambda) targets over what they saw, and moves the
+weights towards them. Where a task has several joints Q is the mean of a value for each joint's choice (T. Seyde et al.,
+"Solving Continuous Control via Q-Learning", 2023), so that the best action is the best choice of every joint.
+"""
+
+from typing import Any, ClassVar, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, Key
+from pydantic import Field, field_validator
+
+from humanoid_mjx.learners import exploration
+from humanoid_mjx.learners.base import Learner
+from humanoid_mjx.learners.normalisation import Moments, moments, observe
+from humanoid_mjx.learners.targets import lambda_targets
+from humanoid_mjx.tasks.continuous import ContinuousTask, State, Tabulated, auto_reset
+from humanoid_mjx.tasks.finite import FiniteTask
+from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
+
+MAX_EVALUATION_STEPS = 100_000
+"""A greedy episode is given up after so many steps, should its task never truncate."""
+
+
+class Weights(NamedTuple):
+    """What is learned: all that acting needs."""
+
+    value: Any
+    moments: Moments
+    """Of the raw observations seen so far."""
+
+
+class Workers(NamedTuple):
+    """The environments, side by side; every array has a leading axis of them."""
+
+    state: State
+    holding: exploration.Holding
+    episode: Int[Array, " envs"]
+    length: Int[Array, " envs"]
+    episode_return: Float[Array, " envs"]
+
+
+class Carry(NamedTuple):
+    """The training state of one sweep point."""
+
+    weights: Weights
+    optimizer: Any
+    workers: Workers
+    key: Key[Array, ""]
+    update: IntScalar
+    failed: BoolScalar
+    """Whether the next update leads to numbers that are not finite; training has stopped before it."""
+    record: dict[str, Float[Array, " record"]]
+
+
+class Experience(NamedTuple):
+    """What the environments saw in one update; every array leads with (steps, envs)."""
+
+    obs: Float[Array, "steps envs observation_size"]
+    action: Int[Array, "steps envs joints"]
+    reward: Float[Array, "steps envs"]
+    terminated: Bool[Array, "steps envs"]
+    truncated: Bool[Array, "steps envs"]
+    final_obs: Float[Array, "steps envs observation_size"]
+
+
+class ApproximateQ(Learner):
+    """Base of learners that approximate Q. A derived class gives the approximation and how it learns."""
+
+    unit: ClassVar[str] = "steps"
+    chunk_steps: ClassVar[int] = 16
+
+    task: ContinuousTask = Field(exclude=True, repr=False)
+    epsilon: float = Field(1.0, ge=0, le=1)
+    epsilon_decay: float = Field(0.99, ge=0, le=1, description="per episode of an environment")
+    epsilon_min: float = Field(0.02, ge=0, le=1)
+    ladder: float = Field(0.0, ge=0, le=100, description="epsilon is raised to 1 ... 1 + ladder over the environments")
+    hold: int = Field(1, ge=1, le=1000, description="longest time in steps that a random action is held")
+    learning_rate: float = Field(gt=0, le=1)
+    learning_rate_end: float = Field(1.0, ge=0, le=1, description="its share at the end, reached linearly")
+    discount: float = Field(0.97, ge=0, lt=1)
+    trace_decay: float = Field(0.65, ge=0, le=1, description="lambda")
+    envs: int = Field(128, ge=1, le=1_000_000, description="environments side by side")
+    rollout: int = Field(16, ge=1, le=10_000, description="steps of each environment in an update")
+    grow: bool = Field(False, description="open the choices in stages: 3, 5, 9 ... of them")
+    evaluation_envs: int = Field(64, ge=1, le=100_000, description="greedy episodes of an evaluation")
+
+    class Params(NamedTuple):
+        task: Any
+        episodes: int
+        epsilon: float
+        epsilon_decay: float
+        epsilon_min: float
+        ladder: float
+        learning_rate: float
+        learning_rate_end: float
+        discount: float
+        trace_decay: float
+
+    @field_validator("task", mode="before")
+    @classmethod
+    def _wrap_finite(cls, task: Any) -> Any:
+        return Tabulated(finite=task) if isinstance(task, FiniteTask) else task
+
+    def init_value(self, key: Key[Array, ""]) -> tuple[Any, Any]:
+        """The weights of the approximation and the optimizer's state before the first update."""
+        raise NotImplementedError
+
+    def q_values(
+        self, value: Any, obs: Float[Array, "*batch observation_size"]
+    ) -> Float[Array, "*batch joints choices"]:
+        """The value of every choice of every joint; `obs` as `see` gives it."""
+        raise NotImplementedError
+
+    def learn(
+        self, rate: FloatScalar, value: Any, optimizer: Any, batch: "Batch", key: Key[Array, ""]
+    ) -> tuple[Any, Any, FloatScalar]:
+        """Move the weights towards the targets: new weights, optimizer state, and the mean squared TD error."""
+        raise NotImplementedError
+
+    def see(self, weights: Weights, obs: Float[Array, "*batch size"]) -> Float[Array, "*batch size"]:
+        """What the approximation is given of a raw observation."""
+        return obs
+
+    @property
+    def choices(self) -> int:
+        """The largest number of choices of any joint."""
+        return max(self.task.action_choices)
+
+    def allowed(self, progress: FloatScalar = 1.0) -> Bool[Array, "joints choices"]:
+        """The choices that exist, and that have been opened where they grow."""
+        counts = np.array(self.task.action_choices)[:, None]
+        place = np.arange(self.choices)
+        exist = jnp.asarray(place < counts)
+        if not self.grow:
+            return exist
+        stages = np.ceil(np.log2(np.maximum(counts - 1, 2))).astype(int)
+        stage = jnp.minimum(jnp.floor(progress * stages), stages - 1).astype(jnp.int32)
+        stride = jnp.maximum((counts - 1) >> (1 + stage), 1)
+        return exist & (place % stride == 0)
+
+    def init(self, hyper: Params, key: Key[Array, ""], policy: Any = None) -> Carry:
+        value_key, reset_key, key = jax.random.split(key, 3)
+        value, optimizer = self.init_value(value_key)
+        state = jax.vmap(self.task.reset, in_axes=(None, 0))(hyper.task, jax.random.split(reset_key, self.envs))
+        none = jnp.zeros(self.envs, jnp.int32)
+        holding = exploration.no_holding(self.envs, len(self.task.action_choices))
+        workers = Workers(state, holding, none, none, jnp.zeros(self.envs))
+        weights = Weights(value, moments(self.task.observation_size)) if policy is None else policy
+        names = ("updates", "td_error", "episodes", "steps", "success", "return", *state.metrics)
+        record = {name: jnp.zeros(self.record) for name in names}
+        return Carry(weights, optimizer, workers, key, jnp.int32(0), jnp.bool_(False), record)
+
+    def progress(self, hyper: Params, carry: Carry) -> FloatScalar:
+        """The share of the training that is done."""
+        return carry.update.astype(jnp.float32) * (self.rollout * self.envs) / hyper.episodes
+
+    def train_chunk(self, hyper: Params, carry: Carry, steps: int) -> tuple[Carry, dict[str, Array]]:
+        def guarded(carry: Carry, _: None) -> tuple[Carry, None]:
+            new = self.train_step(hyper, carry)
+            finite = jnp.stack([jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(new.weights)]).all()
+            stop = carry.failed | ~finite | (self.progress(hyper, carry) >= 1.0)
+            new = jax.tree.map(lambda new, old: jnp.where(stop, old, new), new, carry)
+            return new._replace(failed=carry.failed | ~finite), None
+
+        carry, _ = jax.lax.scan(guarded, carry, length=steps)
+        done = jnp.where(carry.failed, 1.0, self.progress(hyper, carry))
+        return carry, {"progress": done}
+
+    def train_step(self, hyper: Params, carry: Carry) -> Carry:
+        """One update."""
+        key, act_key, learn_key = jax.random.split(carry.key, 3)
+        progress = self.progress(hyper, carry)
+        allowed = self.allowed(progress)
+        workers, experience, record = self._collect(hyper, carry, allowed, act_key)
+        target = self._targets(hyper, carry.weights, experience, allowed)
+        batch = Batch(self.see(carry.weights, experience.obs), experience.action, target)
+        batch = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), batch)
+        rate = hyper.learning_rate * (1.0 + (hyper.learning_rate_end - 1.0) * jnp.minimum(progress, 1.0))
+        value, optimizer, td_error = self.learn(rate, carry.weights.value, carry.optimizer, batch, learn_key)
+        weights = Weights(value, observe(carry.weights.moments, experience.obs.reshape(-1, self.task.observation_size)))
+        point = jnp.minimum((progress * self.record).astype(jnp.int32), self.record - 1)
+        record = record | {"updates": 1.0, "td_error": td_error}
+        record = {name: old.at[point].add(record[name]) for name, old in carry.record.items()}
+        return Carry(weights, optimizer, workers, key, carry.update + 1, carry.failed, record)
+
+    def policy(self, carry: Carry) -> Weights:
+        return carry.weights
+
+    def diverged(self, carry: Carry) -> BoolScalar:
+        return carry.failed
+
+    def act(
+        self, hyper: Params, policy: Weights, observation: Float[Array, "*batch size"], key: Key[Array, ""]
+    ) -> Int[Array, "*batch joints"]:
+        """The greedy action for a raw observation."""
+        return exploration.greedy(self.q_values(policy.value, self.see(policy, observation)), self.allowed(), key)
+
+    def curve(self, hyper: Params, carry: Carry) -> dict[str, Float[Array, " record"]]:
+        """Means over the episodes that ended in each point; of the reward's terms, sums per episode."""
+        updates, episodes = carry.record["updates"], carry.record["episodes"]
+        means = {name: total / episodes for name, total in carry.record.items() if name not in ("updates", "episodes")}
+        return means | {"td_error": jnp.sqrt(carry.record["td_error"] / updates)}
+
+    def evaluate(self, hyper: Params, policy: Weights, key: Key[Array, ""]) -> dict[str, FloatScalar]:
+        """Means over `evaluation_envs` greedy episodes: `greedy_return`, `greedy_steps`, `greedy_success`."""
+        reset_key, key = jax.random.split(key)
+        reset = jax.vmap(self.task.reset, in_axes=(None, 0))
+        state = reset(hyper.task, jax.random.split(reset_key, self.evaluation_envs))
+        zero = jnp.zeros(self.evaluation_envs)
+
+        def running(loop: tuple) -> BoolScalar:
+            _, over, _, _, _, step = loop
+            return ~over.all() & (step < MAX_EVALUATION_STEPS)
+
+        def body(loop: tuple) -> tuple:
+            state, over, total, steps, success, step = loop
+            act_key, step_key = jax.random.split(jax.random.fold_in(key, step))
+            action = self.act(hyper, policy, state.obs, act_key)
+            step_keys = jax.random.split(step_key, self.evaluation_envs)
+            state = jax.vmap(self.task.step, in_axes=(None, 0, 0, 0))(hyper.task, state, action, step_keys)
+            total, steps = total + jnp.where(over, 0.0, state.reward), steps + ~over
+            success = jnp.where(over, success, state.success)
+            return state, over | state.over, total, steps, success, step + 1
+
+        first = state, zero > 0, zero, zero, zero > 0, jnp.int32(0)
+        _, _, total, steps, success, _ = jax.lax.while_loop(running, body, first)
+        return {"greedy_return": total.mean(), "greedy_steps": steps.mean(), "greedy_success": success.mean()}
+
+    def _collect(
+        self, hyper: Params, carry: Carry, allowed: Bool[Array, "joints choices"], key: Key[Array, ""]
+    ) -> tuple[Workers, Experience, dict[str, FloatScalar]]:
+        """Let the environments act for `rollout` steps: where they are then, what they saw, sums to record."""
+
+        def step(workers: Workers, key: Key[Array, ""]) -> tuple[Workers, tuple[Experience, dict[str, FloatScalar]]]:
+            greedy_key, explore_key, step_key, reset_key = jax.random.split(key, 4)
+            obs = workers.state.obs
+            q = self.q_values(carry.weights.value, self.see(carry.weights, obs))
+            best = exploration.greedy(q, allowed, greedy_key)
+            epsilon = exploration.epsilons(hyper, workers.episode)
+            action, holding = exploration.explore(best, allowed, epsilon, self.hold, workers.holding, explore_key)
+            step_keys, reset_keys = (jax.random.split(key, self.envs) for key in (step_key, reset_key))
+            state = jax.vmap(self.task.step, in_axes=(None, 0, 0, 0))(hyper.task, workers.state, action, step_keys)
+            over = state.over
+            seen = Experience(obs, action, state.reward, state.terminated, state.truncated, state.final_obs)
+            length, total = workers.length + 1, workers.episode_return + state.reward
+            sums = {"episodes": over, "steps": over * length, "success": over & state.success, "return": over * total}
+            sums = {name: jnp.sum(x, dtype=jnp.float32) for name, x in (sums | state.metrics).items()}
+            state = jax.vmap(auto_reset, in_axes=(None, None, 0, 0))(self.task, hyper.task, state, reset_keys)
+            holding = holding._replace(steps_left=jnp.where(over, 0, holding.steps_left))
+            workers = Workers(state, holding, workers.episode + over, length * ~over, total * ~over)
+            return workers, (seen, sums)
+
+        workers, (experience, sums) = jax.lax.scan(step, carry.workers, jax.random.split(key, self.rollout))
+        return workers, experience, {name: x.sum() for name, x in sums.items()}
+
+    def _targets(
+        self, hyper: Params, weights: Weights, experience: Experience, allowed: Bool[Array, "joints choices"]
+    ) -> Float[Array, "steps envs"]:
+        q = self.q_values(weights.value, self.see(weights, experience.final_obs))
+        next_value = jnp.where(allowed, q, -jnp.inf).max(axis=-1).mean(axis=-1)
+        return lambda_targets(
+            experience.reward,
+            experience.terminated,
+            experience.truncated,
+            next_value,
+            hyper.discount,
+            hyper.trace_decay,
+        )
+
+
+class Batch(NamedTuple):
+    """What to learn from; every array leads with a batch axis."""
+
+    obs: Float[Array, "batch observation_size"]
+    action: Int[Array, "batch joints"]
+    target: Float[Array, " batch"]
+
+
+def chosen(q: Float[Array, "*batch joints choices"], action: Int[Array, "*batch joints"]) -> Float[Array, "*batch"]:
+    """Q of an action: the mean over the joints of their choices' values."""
+    return jnp.take_along_axis(q, action[..., None], axis=-1)[..., 0].mean(axis=-1)

@@ -1,0 +1,92 @@
+"""Deep Q-learning without replay or target network: PQN (M. Gallici et al., 2024), decoupled over joints.
+
+What keeps it stable is a LayerNorm after every layer; the optimizer is RAdam with the gradient's norm clipped.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from flax import linen as nn
+from jaxtyping import Array, Float, Key
+from pydantic import Field, model_validator
+
+from humanoid_mjx.learners.approximate import ApproximateQ, Batch, Weights, chosen
+from humanoid_mjx.learners.normalisation import normalise
+from humanoid_mjx.types import FloatScalar
+
+
+class QNetwork(nn.Module):
+    """Layers with LayerNorm and ReLU, and a value for each choice of each joint."""
+
+    width: int
+    layers: int
+    joints: int
+    choices: int
+
+    @nn.compact
+    def __call__(self, obs: Float[Array, "*batch size"]) -> Float[Array, "*batch joints choices"]:
+        x = obs
+        for _ in range(self.layers):
+            x = nn.relu(nn.LayerNorm()(nn.Dense(self.width)(x)))
+        q = nn.Dense(self.joints * self.choices)(x)
+        return q.reshape(*q.shape[:-1], self.joints, self.choices)
+
+
+class DeepQ(ApproximateQ):
+    """Parallel Q-learning with a network."""
+
+    width: int = Field(128, ge=1, le=65_536)
+    layers: int = Field(2, ge=1, le=100)
+    epochs: int = Field(2, ge=1, le=1000, description="passes over the experience of an update")
+    minibatches: int = Field(4, ge=1, le=10_000)
+    max_gradient: float = Field(10.0, gt=0, description="norm at which a gradient is clipped")
+    learning_rate: float = Field(5e-4, gt=0, le=1)
+
+    @model_validator(mode="after")
+    def _minibatches_must_fit(self) -> "DeepQ":
+        if self.envs * self.rollout % self.minibatches:
+            raise ValueError(f"minibatches must divide envs * rollout ({self.envs * self.rollout})")
+        return self
+
+    def network(self) -> QNetwork:
+        return QNetwork(self.width, self.layers, len(self.task.action_choices), self.choices)
+
+    def init_value(self, key: Key[Array, ""]) -> tuple[Any, Any]:
+        value = self.network().init(key, jnp.zeros(self.task.observation_size))
+        return value, self._optimizer(0.0).init(value)
+
+    def see(self, weights: Weights, obs: Float[Array, "*batch size"]) -> Float[Array, "*batch size"]:
+        return normalise(weights.moments, obs)
+
+    def q_values(self, value: Any, obs: Float[Array, "*batch size"]) -> Float[Array, "*batch joints choices"]:
+        q: Any = self.network().apply(value, obs)
+        return q
+
+    def learn(
+        self, rate: FloatScalar, value: Any, optimizer: Any, batch: Batch, key: Key[Array, ""]
+    ) -> tuple[Any, Any, FloatScalar]:
+        transform = self._optimizer(rate)
+
+        def loss(value: Any, part: Batch) -> FloatScalar:
+            return jnp.mean((chosen(self.q_values(value, part.obs), part.action) - part.target) ** 2)
+
+        def step(carry: tuple[Any, Any], part: Batch) -> tuple[tuple[Any, Any], FloatScalar]:
+            value, optimizer = carry
+            error, gradient = jax.value_and_grad(loss)(value, part)
+            change, optimizer = transform.update(gradient, optimizer, value)
+            return (optax.apply_updates(value, change), optimizer), error
+
+        def epoch(carry: tuple[Any, Any], key: Key[Array, ""]) -> tuple[tuple[Any, Any], FloatScalar]:
+            order = jax.random.permutation(key, len(batch.target)).reshape(self.minibatches, -1)
+            carry, errors = jax.lax.scan(
+                lambda carry, rows: step(carry, jax.tree.map(lambda x: x[rows], batch)), carry, order
+            )
+            return carry, errors.mean()
+
+        (value, optimizer), errors = jax.lax.scan(epoch, (value, optimizer), jax.random.split(key, self.epochs))
+        return value, optimizer, errors[0]
+
+    def _optimizer(self, rate: FloatScalar) -> optax.GradientTransformation:
+        return optax.chain(optax.clip_by_global_norm(self.max_gradient), optax.radam(rate))

@@ -1,0 +1,59 @@
+"""Exploring: epsilon with the thesis's decay, a ladder of epsilons over environments, random actions that are held."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, Key
+
+
+class Holding(NamedTuple):
+    """The random action that each environment still carries out."""
+
+    steps_left: Int[Array, " envs"]
+    action: Int[Array, "envs joints"]
+
+
+def no_holding(envs: int, joints: int) -> Holding:
+    return Holding(jnp.zeros(envs, jnp.int32), jnp.zeros((envs, joints), jnp.int32))
+
+
+def epsilons(hyper: Any, episode: Int[Array, " envs"]) -> Float[Array, " envs"]:
+    """`max(epsilon_min, epsilon * epsilon_decay**k)` in each environment's own episode k, to the power 1 to 1 + ladder.
+
+    The power rises over the environments, so that some explore while others follow the greedy policy closely (D. Horgan
+    et al., "Distributed Prioritized Experience Replay", 2018, section 4).
+    """
+    epsilon = jnp.maximum(hyper.epsilon_min, hyper.epsilon * hyper.epsilon_decay**episode)
+    return epsilon ** (1.0 + hyper.ladder * jnp.linspace(0.0, 1.0, len(episode)))
+
+
+def greedy(
+    q: Float[Array, "envs joints choices"], allowed: Bool[Array, "joints choices"], key: Key[Array, ""]
+) -> Int[Array, "envs joints"]:
+    """The best choice of each joint; one at random among equally good ones."""
+    q = jnp.where(allowed, q, -jnp.inf)
+    ties = jax.random.uniform(key, q.shape)
+    return jnp.argmax(jnp.where(q == q.max(axis=-1, keepdims=True), ties, -1.0), axis=-1)
+
+
+def explore(
+    best: Int[Array, "envs joints"],
+    allowed: Bool[Array, "joints choices"],
+    epsilon: Float[Array, " envs"],
+    hold: int,
+    holding: Holding,
+    key: Key[Array, ""],
+) -> tuple[Int[Array, "envs joints"], Holding]:
+    """Epsilon-greedy actions. A random one is held for 1 to `hold` steps, drawn evenly (W. Dabney et al., "Temporally-
+    Extended epsilon-Greedy Exploration", 2021, with another distribution of lengths)."""
+    envs, _ = best.shape
+    start_key, action_key, length_key = jax.random.split(key, 3)
+    starts = (holding.steps_left == 0) & (jax.random.uniform(start_key, (envs,)) < epsilon)
+    draws = jax.random.uniform(action_key, (envs, *allowed.shape))
+    random = jnp.argmax(jnp.where(allowed, draws, -1.0), axis=-1)
+    length = jax.random.randint(length_key, (envs,), 1, hold + 1)
+    steps_left = jnp.where(starts, length, holding.steps_left)
+    held = jnp.where(starts[:, None], random, holding.action)
+    action = jnp.where((steps_left > 0)[:, None], held, best)
+    return action, Holding(jnp.maximum(steps_left - 1, 0), held)

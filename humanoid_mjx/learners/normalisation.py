@@ -1,0 +1,39 @@
+"""Running mean and variance of observations."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from humanoid_mjx.types import FloatScalar
+
+MAX_DEVIATIONS = 10.0
+"""A normalised observation is cut off beyond so many standard deviations."""
+
+
+class Moments(NamedTuple):
+    """Of all observations seen so far."""
+
+    count: FloatScalar
+    mean: Float[Array, " size"]
+    variance: Float[Array, " size"]
+
+
+def moments(size: int) -> Moments:
+    """Of nothing seen yet: mean 0 and variance 1."""
+    return Moments(jnp.float32(0), jnp.zeros(size), jnp.ones(size))
+
+
+def observe(old: Moments, obs: Float[Array, "batch size"]) -> Moments:
+    """Add a batch of raw observations (T. Chan et al., "Updating Formulae and a Pairwise Algorithm", 1979)."""
+    count = old.count + len(obs)
+    share = len(obs) / count
+    mean, variance = obs.mean(axis=0), obs.var(axis=0)
+    difference = mean - old.mean
+    between = share * (1.0 - share) * difference**2
+    return Moments(count, old.mean + share * difference, (1.0 - share) * old.variance + share * variance + between)
+
+
+def normalise(seen: Moments, obs: Float[Array, "*batch size"]) -> Float[Array, "*batch size"]:
+    """Observations with mean 0 and variance 1, as far as what was seen tells."""
+    return jnp.clip((obs - seen.mean) / jnp.sqrt(seen.variance + 1e-6), -MAX_DEVIATIONS, MAX_DEVIATIONS)

@@ -1,0 +1,130 @@
+"""The protocol of continuous tasks: a learner sees numbers, and chooses one of a few values for each joint."""
+
+from typing import Any, ClassVar, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from humanoid_mjx.tasks.base import Task
+from humanoid_mjx.tasks.finite import FiniteTask
+from humanoid_mjx.types import BoolScalar, FloatScalar
+
+
+class State(NamedTuple):
+    """One episode under way."""
+
+    data: Any
+    """The task's own: any pytree."""
+    obs: Float[Array, " observation_size"]
+    """What the learner sees. After an automatic reset, of the new episode."""
+    reward: FloatScalar
+    terminated: BoolScalar
+    """The episode ended in a state beyond which there is no value."""
+    truncated: BoolScalar
+    """The episode was cut off; its last state has a value like any other."""
+    success: BoolScalar
+    """Whether the episode, if it ended now, would count as one that reached its aim."""
+    final_obs: Float[Array, " observation_size"]
+    """The observation that the step led to; it differs from `obs` where an automatic reset followed."""
+    metrics: dict[str, FloatScalar]
+    """The reward's terms by name."""
+
+    @property
+    def over(self) -> Bool[Array, "*batch"]:
+        """Whether the episode ended with this step."""
+        return jnp.logical_or(self.terminated, self.truncated)
+
+
+class ContinuousTask(Task):
+    """Base of continuous tasks. Derive from it, name the traced fields in `Params`, implement what raises here."""
+
+    @property
+    def observation_size(self) -> int:
+        raise NotImplementedError
+
+    @property
+    def observation_bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """(observation_size,) twice: the range of each observation, beyond which a basis may saturate."""
+        return np.full(self.observation_size, -1.0), np.full(self.observation_size, 1.0)
+
+    @property
+    def action_choices(self) -> tuple[int, ...]:
+        """How many values there are to choose from, for each joint."""
+        raise NotImplementedError
+
+    def reset(self, params: Any, key: Key[Array, ""]) -> State:
+        """The start of an episode, another for each key."""
+        raise NotImplementedError
+
+    def step(self, params: Any, state: State, action: Int[Array, " joints"], key: Key[Array, ""]) -> State:
+        """One decision carried out. No reset follows here; `auto_reset` adds it."""
+        raise NotImplementedError
+
+
+def begin(data: Any, obs: Float[Array, " observation_size"], terms: tuple[str, ...]) -> State:
+    """The state of an episode in which nothing has happened."""
+    no = jnp.bool_(False)
+    return State(data, obs, jnp.float32(0), no, no, no, obs, {name: jnp.float32(0) for name in terms})
+
+
+def auto_reset(task: ContinuousTask, params: Any, state: State, key: Key[Array, ""]) -> State:
+    """Begin anew where the episode is over. Reward, flags, metrics and `final_obs` remain those of the step."""
+    fresh = task.reset(params, key)
+    pairs = (fresh.data, fresh.obs), (state.data, state.obs)
+    data, obs = jax.tree.map(lambda new, old: jnp.where(state.over, new, old), *pairs)
+    return state._replace(data=data, obs=obs)
+
+
+class Tabulated(ContinuousTask):
+    """A finite task as a continuous one: the only observation is the row's place in the table, from 0 to 1.
+
+    A learner that gives each row a feature of its own sees what a tabular learner sees.
+    """
+
+    nested: ClassVar[tuple[str, ...]] = ("finite",)
+    finite: FiniteTask
+
+    class Params(NamedTuple):
+        finite: Any
+
+    @property
+    def observation_size(self) -> int:
+        return 1
+
+    @property
+    def observation_bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        return np.zeros(1), np.ones(1)
+
+    @property
+    def action_choices(self) -> tuple[int, ...]:
+        return (self.finite.num_actions,)
+
+    def reset(self, params: Params, key: Key[Array, ""]) -> State:
+        state = self.finite.reset(params.finite, key)
+        return begin((state, jnp.int32(0)), self._observe(params, state), ())
+
+    def step(self, params: Params, state: State, action: Int[Array, "1"], key: Key[Array, ""]) -> State:
+        inner, length = state.data
+        obey_key, choice_key, step_key = jax.random.split(key, 3)
+        obeys = jax.random.uniform(obey_key) < self.finite.obedience(params.finite)
+        random = jax.random.randint(choice_key, (), 0, self.finite.num_actions)
+        inner, reward, terminated = self.finite.step(
+            params.finite, inner, jnp.where(obeys, action[0], random), step_key
+        )
+        obs = self._observe(params, inner)
+        return State(
+            data=(inner, length + 1),
+            obs=obs,
+            reward=jnp.asarray(reward, jnp.float32),
+            terminated=jnp.asarray(terminated),
+            truncated=~terminated & (length + 1 >= params.finite.max_episode_steps),
+            success=jnp.asarray(terminated),
+            final_obs=obs,
+            metrics={},
+        )
+
+    def _observe(self, params: Params, state: Any) -> Float[Array, "1"]:
+        row = self.finite.row(params.finite, state)
+        return jnp.asarray(row, jnp.float32)[None] / (self.finite.num_states - 1)

@@ -1,0 +1,86 @@
+"""Five environments of one idea each, with known values, as one continuous task whose tables are traced."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from humanoid_mjx.tasks.continuous import ContinuousTask, State, begin
+
+END = 2
+"""The number of the terminal state."""
+
+
+class Probe(ContinuousTask):
+    """States 0 and 1, two choices for each of two joints; every table leads with the state."""
+
+    joints: int = 1
+    obs: Any
+    start: Any
+    next_state: Any
+    reward: Any
+    max_episode_steps: int = 10
+
+    class Params(NamedTuple):
+        obs: Any
+        start: Any
+        next_state: Any
+        reward: Any
+        max_episode_steps: int
+
+    @property
+    def observation_size(self):
+        return 1
+
+    @property
+    def action_choices(self):
+        return (2,) * self.joints
+
+    def reset(self, params, key):
+        state = (jax.random.uniform(key) < params.start).astype(jnp.int32)
+        return begin((state, jnp.int32(0)), params.obs[state][None], ("right",))
+
+    def step(self, params, state, action, key):
+        place, length = state.data
+        right = action.mean()
+        reward = params.reward[place, 0] * (1 - right) + params.reward[place, 1] * right
+        following = params.next_state[place]
+        over = following == END
+        obs = params.obs[jnp.minimum(following, 1)][None]
+        return State(
+            data=(jnp.minimum(following, 1), length + 1),
+            obs=obs,
+            reward=reward,
+            terminated=over,
+            truncated=~over & (length + 1 >= params.max_episode_steps),
+            success=over & (reward > 0),
+            final_obs=obs,
+            metrics={"right": right},
+        )
+
+
+def make(joints, obs, start, next_state, reward, cap=10):
+    arrays = (np.asarray(x, np.float32) for x in (obs, start))
+    obs, start = arrays
+    return Probe(
+        joints=joints, obs=obs, start=start, next_state=np.asarray(next_state, np.int32),
+        reward=np.asarray(reward, np.float32), max_episode_steps=cap,
+    )  # fmt: skip
+
+
+DISCOUNT = 0.5
+
+PROBES = {
+    # name: (observations of states 0 and 1, probability to start in 1, next states, rewards by choice, Q by state)
+    "constant reward": ((0.0, 0.0), 0.0, (END, END), ((1, 1), (1, 1)), ((1, 1), (1, 1))),
+    "reward from the observation": ((-1.0, 1.0), 0.5, (END, END), ((-1, -1), (1, 1)), ((-1, -1), (1, 1))),
+    "delayed reward": ((-1.0, 1.0), 0.0, (1, END), ((0, 0), (1, 1)), ((0.5, 0.5), (1, 1))),
+    "choice": ((0.0, 0.0), 0.0, (END, END), ((-1, 1), (-1, 1)), ((-1, 1), (-1, 1))),
+    "both": ((-1.0, 1.0), 0.5, (END, END), ((1, -1), (-1, 1)), ((1, -1), (-1, 1))),
+}
+
+
+def probe(name, joints=1):
+    obs, start, following, reward, q = PROBES[name]
+    return make(joints, obs, start, following, reward), np.asarray(obs, np.float32)[:, None], np.asarray(q, np.float32)

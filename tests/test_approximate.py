@@ -1,0 +1,312 @@
+"""Function approximation: targets against plain Python, features, and learners on tasks whose values are known."""
+
+from functools import lru_cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from probes import DISCOUNT, PROBES, make, probe
+
+import humanoid_mjx.training.sweep as session
+from humanoid_mjx import InputError, make_learner, make_task, rng, runtime, sweep
+from humanoid_mjx.learners import exploration
+from humanoid_mjx.learners.approximate import Batch
+from humanoid_mjx.learners.deep import DeepQ
+from humanoid_mjx.learners.features import fourier, radial, tile_coding
+from humanoid_mjx.learners.normalisation import moments, normalise, observe
+from humanoid_mjx.learners.targets import lambda_targets
+from humanoid_mjx.training.pool import Pool
+from humanoid_mjx.training.program import program_of
+
+LEARNERS = {
+    "tiles": ("linear_q", {"resolution": 3, "tilings": 2, "order": 1, "learning_rate": 0.3}),
+    "fourier": ("linear_q", {"basis": "fourier", "resolution": 2, "order": 1, "learning_rate": 0.5}),
+    "radial": ("linear_q", {"basis": "radial", "resolution": 3, "order": 1, "learning_rate": 0.5}),
+    "deep": ("deep_q", {"width": 32, "layers": 1, "learning_rate": 0.01, "learning_rate_end": 0.1}),
+}
+
+
+def build(kind, task, **values):
+    name, own = LEARNERS[kind]
+    common = {"envs": 32, "rollout": 4, "discount": DISCOUNT, "epsilon": 1.0, "epsilon_decay": 1.0, "trace_decay": 0.5}
+    return make_learner(name, task, episodes=32 * 4 * 400, record=4, **(common | own | values))
+
+
+@lru_cache(maxsize=16)
+def trainer(structure, updates):
+    """Init and train, compiled once for all tasks and values of one structure."""
+
+    def train(hyper, key):
+        return structure.train_chunk(hyper, structure.init(hyper, key), updates)
+
+    return jax.jit(train)
+
+
+def hyper_of(learner):
+    return jax.tree.map(jnp.asarray, learner.params)
+
+
+def train(learner, updates=400, seed=0):
+    return trainer(learner.structure(), updates)(hyper_of(learner), rng.key(seed))
+
+
+@pytest.mark.parametrize("joints", [1, 2])
+@pytest.mark.parametrize("kind", LEARNERS)
+def test_learners_find_the_values_of_the_probes(kind, joints):
+    for name in PROBES:
+        task, obs, expected = probe(name, joints)
+        learner = build(kind, task)
+        carry, metrics = train(learner)
+        assert float(metrics["progress"]) == 1.0
+        policy = learner.policy(carry)
+        q = np.asarray(learner.q_values(policy.value, learner.see(policy, jnp.asarray(obs))))
+        # Q of equal choices of all joints is their mean. The probes are deterministic: the only error is that of
+        # learning, most for the network's moving features.
+        np.testing.assert_allclose(q.mean(axis=1), expected, atol=0.07 if kind == "deep" else 0.02, err_msg=name)
+
+
+def numpy_targets(reward, terminated, truncated, value, discount, decay):
+    steps, envs = reward.shape
+    target = np.zeros((steps, envs))
+    for e in range(envs):
+        for t in reversed(range(steps)):
+            if terminated[t, e]:
+                target[t, e] = reward[t, e]
+            elif truncated[t, e] or t == steps - 1:
+                target[t, e] = reward[t, e] + discount * value[t, e]
+            else:
+                mixed = decay * target[t + 1, e] + (1 - decay) * value[t, e]
+                target[t, e] = reward[t, e] + discount * mixed
+    return target
+
+
+targets = jax.jit(lambda_targets)
+
+
+@given(st.integers(0, 10_000), st.floats(0, 0.99), st.sampled_from([0.0, 0.3, 0.95, 1.0]))
+@settings(max_examples=50, deadline=None)
+def test_targets_agree_with_plain_python(seed, discount, decay):
+    draw = np.random.default_rng(seed)
+    reward, value = draw.normal(size=(2, 7, 5)).astype(np.float32)
+    ends = draw.integers(0, 6, (7, 5))
+    terminated, truncated = ends == 0, ends == 1
+    found = targets(reward, terminated, truncated, value, np.float32(discount), np.float32(decay))
+    expected = numpy_targets(reward, terminated, truncated, value, discount, decay)
+    # Seven steps of float32 arithmetic on numbers of order 1 to 10.
+    np.testing.assert_allclose(found, expected, rtol=2e-5, atol=2e-5)
+
+
+def test_lambda_zero_is_one_step_and_one_is_monte_carlo():
+    reward, value = np.float32([[1.0], [2.0], [3.0]]), np.float32([[10.0], [20.0], [30.0]])
+    never = np.zeros((3, 1), bool)
+    end = np.array([[False], [False], [True]])
+    discount = np.float32(0.5)
+    one_step = targets(reward, never, never, value, discount, np.float32(0.0))
+    np.testing.assert_allclose(one_step, [[6.0], [12.0], [18.0]])
+    monte_carlo = targets(reward, end, never, value, discount, np.float32(1.0))
+    np.testing.assert_allclose(monte_carlo, [[1 + 0.5 * 2 + 0.25 * 3], [2 + 0.5 * 3], [3.0]])
+    truncated = targets(reward, never, end, value, discount, np.float32(1.0))
+    np.testing.assert_allclose(truncated[2], [3.0 + 0.5 * 30.0])
+
+
+def test_truncation_bootstraps_and_termination_does_not():
+    """A state that repeats for ever with reward 1: cut off after two steps it is worth 1 / (1 - discount)."""
+    task = make(1, (-1.0, 1.0), 0.0, (1, 1), ((1, 1), (1, 1)), cap=2)
+    learner = build("tiles", task)
+    policy = learner.policy(train(learner)[0])
+    q = learner.q_values(policy.value, learner.see(policy, jnp.array([[-1.0], [1.0]])))
+    np.testing.assert_allclose(q, 1 / (1 - DISCOUNT), atol=0.02)
+
+
+def test_linear_with_a_feature_for_each_state_is_a_table():
+    """The same moves, fed one by one to the linear learner and to the rule of the table."""
+    task = make_task("joint_reach", joint=5, states=13)
+    values = {"tilings": 1, "resolution": 13, "envs": 1, "rollout": 1, "trace_decay": 0.0, "learning_rate": 0.3}
+    learner = make_learner("linear_q", task, episodes=100, record=1, **values)
+    hyper = learner.params
+    value, _ = learner.init_value(rng.key(0))
+    table = np.zeros((13, 2))
+    draw = np.random.default_rng(0)
+    learn = jax.jit(lambda value, batch: learner.learn(hyper.learning_rate, value, (), batch, rng.key(0))[0])
+    for _ in range(200):
+        row, action, target = draw.integers(13), draw.integers(2), draw.normal()
+        obs = jnp.float32([[row / 12]])
+        value = learn(value, Batch(obs, jnp.int32([[action]]), jnp.float32([target])))
+        table[row, action] += 0.3 * (target - table[row, action])
+    np.testing.assert_allclose(value[:, 0], table, atol=1e-5)
+
+
+@pytest.mark.parametrize("make_basis", [tile_coding, fourier, radial])
+def test_one_sample_moves_its_value_by_the_rate_whatever_the_basis(make_basis):
+    low, high = np.full(3, -2.0), np.full(3, 2.0)
+    extra = (4, 3, 2) if make_basis is tile_coding else (3, 2)
+    basis = make_basis(low, high, *extra)
+    obs = jnp.array(np.random.default_rng(0).uniform(-2, 2, (50, 3)), jnp.float32)
+    place, _ = basis.encode(obs)
+    assert place.shape == (50, basis.active) and int(place.min()) >= 0 and int(place.max()) < basis.size
+    assert all(len(set(row.tolist())) == basis.active for row in place)
+    task, _, _ = probe("constant reward")
+    learner = build({"tile_coding": "tiles", "fourier": "fourier", "radial": "radial"}[make_basis.__name__], task)
+    weights, _ = learner.init_value(rng.key(0))
+    batch = Batch(jnp.float32([[0.3]]), jnp.int32([[1]]), jnp.float32([2.0]))
+    after, _, _ = learner.learn(0.25, weights, (), batch, rng.key(0))
+    moved = learner.q_values(after, batch.obs)[0, 0]
+    np.testing.assert_allclose(moved, [0.0, 0.5], atol=1e-5)
+
+
+def test_tiles_generalise_to_neighbours_only():
+    basis = tile_coding(np.zeros(1), np.ones(1), 4, 8, 1)
+    near, also, far = (set(basis.encode(jnp.float32([x])).place.tolist()) for x in (0.5, 0.53, 0.9))
+    assert len(near & also) >= 6 and not near & far
+
+
+def test_moments_are_those_of_all_that_was_seen():
+    draw = np.random.default_rng(0)
+    batches = [draw.normal(3, 2, (n, 4)).astype(np.float32) for n in (7, 100, 31)]
+    seen = moments(4)
+    for batch in batches:
+        seen = observe(seen, jnp.asarray(batch))
+    together = np.concatenate(batches)
+    np.testing.assert_allclose(seen.mean, together.mean(axis=0), rtol=1e-5)
+    np.testing.assert_allclose(seen.variance, together.var(axis=0), rtol=1e-4)
+    assert abs(np.asarray(normalise(seen, jnp.asarray(together))).std() - 1) < 1e-3
+
+
+def test_training_feeds_the_statistics_raw_observations_once():
+    task, _, _ = probe("delayed reward")
+    learner = build("deep", task)
+    carry, _ = train(learner, updates=5)
+    assert float(carry.weights.moments.count) == 5 * 4 * 32
+    np.testing.assert_allclose(carry.weights.moments.mean, 0.0, atol=1e-6)
+    np.testing.assert_allclose(carry.weights.moments.variance, 1.0, atol=1e-6)
+
+
+def test_exploration():
+    allowed = jnp.array([[True, True, True, False], [True, True, False, False]])
+    best = jnp.zeros((2000, 2), jnp.int32)
+    holding = exploration.no_holding(2000, 2)
+    action, holding = exploration.explore(best, allowed, jnp.full(2000, 0.6), 4, holding, rng.key(0))
+    counts = np.bincount(np.asarray(action[:, 0]), minlength=4) / 2000
+    # Three in ten thousand such samples fall outside 3.6 sigma = 0.04.
+    np.testing.assert_allclose(counts, [0.6, 0.2, 0.2, 0.0], atol=0.04)
+    assert int(action[:, 1].max()) == 1
+    held = holding.steps_left > 0
+    again, _ = exploration.explore(best, allowed, jnp.zeros(2000), 4, holding, rng.key(1))
+    assert (again[held] == action[held]).all() and (again[~held] == 0).all()
+
+
+def test_epsilon_decays_by_the_episode_and_climbs_the_ladder():
+    learner = build("tiles", probe("choice")[0], epsilon=0.5, epsilon_decay=0.9, epsilon_min=0.2, ladder=1.0)
+    found = exploration.epsilons(learner.params, jnp.array([0, 1, 100]))
+    np.testing.assert_allclose(found, [0.5, (0.45) ** 1.5, 0.2**2], rtol=1e-5)
+
+
+def test_choices_grow_by_stages():
+    class Nine:
+        action_choices = (9, 3)
+
+    learner = build("tiles", probe("choice")[0]).model_copy(update={"grow": True, "task": Nine()})
+    opened = [np.asarray(learner.allowed(p)).sum(axis=1).tolist() for p in (0.0, 0.34, 0.67, 1.0)]
+    assert opened == [[3, 3], [5, 3], [9, 3], [9, 3]]
+
+
+def test_numbers_that_are_not_finite_stop_a_run_before_the_update_that_makes_them():
+    task = make(1, (-1.0, 1.0), 0.0, (1, END_NEVER), ((1, 1), (np.inf, 1)), cap=2)
+    learner = build("tiles", task)
+    carry, metrics = train(learner)
+    assert bool(learner.diverged(carry)) and float(metrics["progress"]) == 1.0
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(carry.weights))
+    replayed = learner.train_step(hyper_of(learner), carry)
+    assert not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(replayed.weights))
+
+
+END_NEVER = 1
+
+
+def test_a_second_training_compiles_nothing():
+    task, _, _ = probe("both")
+    train(build("deep", task))
+    with runtime.counting_compiles() as compiles:
+        train(build("deep", task, epsilon=0.4, learning_rate=0.02, trace_decay=0.9), seed=3)
+    assert compiles.programs == 0
+
+
+def test_evaluation_counts_successes_of_greedy_episodes():
+    task, _, _ = probe("both")
+    learner = build("deep", task)
+    policy = learner.policy(train(learner)[0])
+    found = learner.evaluate(hyper_of(learner), policy, rng.key(5))
+    assert float(found["greedy_success"]) == 1.0 and float(found["greedy_return"]) == 1.0
+    ignorant = policy._replace(value=jax.tree.map(jnp.zeros_like, policy.value))
+    # 64 coins: three in ten million such samples leave 0.5 by more than 0.32.
+    found = learner.evaluate(hyper_of(learner), ignorant, rng.key(5))
+    assert float(found["greedy_success"]) == pytest.approx(0.5, abs=0.32)
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "words"),
+    [
+        ("deep_q", {"minibatches": 3}, r"minibatches must divide envs \* rollout"),
+        ("deep_q", {"trace_decay": 1.5}, "learner.trace_decay must be at most 1"),
+        ("linear_q", {"basis": "wavelets"}, "learner.basis must be one of"),
+        ("linear_q", {"resolution": 2000, "order": 2, "basis": "fourier"}, "make it coarser"),
+        ("tabular_q", {}, "learner.task must be a FiniteTask"),
+    ],
+)
+def test_bad_values_get_a_sentence(name, values, words):
+    task = probe("both")[0]
+    if "order" in values:
+        task = make_task("joint_reach", joint=1)
+        values = values | {"resolution": 10_000, "tilings": 200, "basis": "tiles"}
+    with pytest.raises(InputError, match=words):
+        make_learner(name, task, **values)
+
+
+SWEEP = {
+    "name": "deep",
+    "task": {"name": "joint_reach", "joint": 5, "states": 13, "max_episode_steps": 40},
+    "learner": {"name": "deep_q", "width": 16, "layers": 1, "envs": 8, "rollout": 8, "evaluation_envs": 4},
+    "sweep": {"axes": {"learner.epsilon": [0.2, 1.0], "learner.trace_decay": [0.0, 0.9]}},
+    "seeds": 2,
+    "episodes": 8 * 8 * 40,
+    "record": 10,
+}
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory):
+    return sweep(SWEEP, tmp_path_factory.mktemp("deep") / "run")
+
+
+def test_a_sweep_of_networks_has_a_row_for_every_point(swept):
+    assert len(swept.summary["point"]) == 8 and len(swept.results["point"]) == 80
+    assert {"td_error", "return", "success", "steps"} <= set(swept.results)
+    assert swept.results["episode"][9] == 8 * 8 * 40
+    assert np.isfinite(swept.summary["greedy_return"]).all() and not swept.summary["diverged"].any()
+
+
+def test_a_stopped_training_of_networks_goes_on_to_the_same_bits(swept, tmp_path, monkeypatch):
+    monkeypatch.setattr(session, "CHECKPOINT_EVERY_S", 0.0)
+    monkeypatch.setattr(DeepQ, "chunk_steps", 3)
+    program_of.cache_clear()
+    chunks = []
+    train = Pool.train
+
+    def stop_soon(pool):
+        train(pool)
+        chunks.append(pool)
+        if len(chunks) > 8:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Pool, "train", stop_soon)
+    with pytest.raises(KeyboardInterrupt):
+        sweep(SWEEP, tmp_path / "run")
+    assert list((tmp_path / "run/checkpoint").glob("pool-*.npz"))
+    monkeypatch.setattr(Pool, "train", train)
+    again = sweep(SWEEP, tmp_path / "run", resume=True)
+    program_of.cache_clear()
+    for name, column in swept.results.items():
+        assert column.tobytes() == again.results[name].tobytes(), name
