@@ -67,6 +67,8 @@ def print_summary(axes: Sequence[str], summary: Mapping[str, np.ndarray]) -> Non
         low, high = iqm_interval(summary["steps"][rows[i]].astype(float))
         table.add_row(*values, f"{success[i]:.1%}", f"{steps[i]:.1f}", f"{learning[i]:.2f} ({low:.2f} to {high:.2f})")
     console.print(table)
+    if diverged := int(np.sum(summary["diverged"])):
+        console.print(f"{diverged} runs stopped at numbers that were not finite; the summary marks them.")
 
 
 def run_reproduce(names: Sequence[str], list_names: bool, overrides: Sequence[str], out: Path) -> None:

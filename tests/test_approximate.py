@@ -20,6 +20,7 @@ from humanoid_mjx.learners.normalisation import moments, normalise, observe
 from humanoid_mjx.learners.targets import lambda_targets
 from humanoid_mjx.training.pool import Pool
 from humanoid_mjx.training.program import program_of
+from humanoid_mjx.training.replay import replay
 
 LEARNERS = {
     "tiles": ("linear_q", {"resolution": 3, "tilings": 2, "order": 1, "learning_rate": 0.3}),
@@ -310,3 +311,18 @@ def test_a_stopped_training_of_networks_goes_on_to_the_same_bits(swept, tmp_path
     program_of.cache_clear()
     for name, column in swept.results.items():
         assert column.tobytes() == again.results[name].tobytes(), name
+
+
+def test_a_run_that_breaks_is_marked_and_can_be_replayed_while_the_others_finish(tmp_path):
+    learner = {"name": "linear_q", "tilings": 1, "resolution": 13, "envs": 4, "rollout": 4, "evaluation_envs": 2}
+    axes = {"task.bonus": [100.0, 3e38]}
+    config = SWEEP | {"learner": learner, "sweep": {"axes": axes}, "seeds": 1, "episodes": 4 * 4 * 60}
+    run = sweep(config, tmp_path / "run")
+    assert run.summary["diverged"].tolist() == [False, True]
+    assert np.isfinite(run.summary["greedy_return"][0])
+    again = replay(run.path, 1, 0)
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(again.carry.weights))
+    broken = again.learner.train_step(again.hyper, again.carry)
+    assert not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(broken.weights))
+    with pytest.raises(InputError, match="point 0 with seed 0 did not diverge"):
+        replay(run.path, 0, 0)

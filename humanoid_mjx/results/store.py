@@ -5,7 +5,8 @@
     results.parquet     one row per sweep point, seed and record step
     summary.parquet     one row per sweep point and seed
     figures/            learning curves and heat maps
-    checkpoint/         part-00000.npz ...: finished runs (curves, scores, policies); pool-0.npz ...: those under way
+    checkpoint/         part-00000.npz ...: finished runs (curves, scores, policies); pool-0.npz ...: those under way;
+                        diverged-POINT-SEED.npz: where runs stopped whose numbers were no longer finite
 
 Every file is written beside its place and renamed into it, so a kill leaves the old or the new, never half of one.
 """
@@ -119,6 +120,11 @@ class RunFolder:
 def pool_name(number: int) -> str:
     """The file of the runs under way on a device."""
     return f"checkpoint/pool-{number}.npz"
+
+
+def diverged_name(point: int, seed: int) -> str:
+    """The file of the last training state of a run whose numbers were no longer finite."""
+    return f"checkpoint/diverged-{point}-{seed}.npz"
 
 
 def parts(path: Path) -> list[Path]:

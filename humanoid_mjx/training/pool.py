@@ -50,6 +50,8 @@ class Pool:
         self.slots = np.full(size, IDLE, np.int64)
         self.progress = np.zeros(size)
         self.harvested = time.monotonic()
+        self.diverged: dict[int, dict[str, np.ndarray]] = {}
+        """The last training states of harvested runs whose numbers were no longer finite, by run."""
         self._load()
         self.carry = self.program.states(self.hyper, self.seeds)
 
@@ -95,6 +97,11 @@ class Pool:
         arrays |= {f"final.{name}": array for name, array in results["final"].items()}
         arrays |= to_arrays(results["policy"], "policy")
         runs = self.slots[over]
+        diverged = over & arrays["final.diverged"]
+        if diverged.any():
+            carry = to_arrays(self.carry, "carry")
+            for slot in np.flatnonzero(diverged):
+                self.diverged[int(self.slots[slot])] = {name: array[slot] for name, array in carry.items()}
         self.slots[over] = IDLE
         self.harvested = time.monotonic()
         return runs, {name: array[over] for name, array in arrays.items()}

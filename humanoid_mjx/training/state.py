@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from humanoid_mjx import rng
 from humanoid_mjx.spec import InputError
 
 
@@ -27,7 +28,7 @@ def from_arrays(like: Any, arrays: dict[str, np.ndarray], prefix: str, where: st
         words = jax.eval_shape(_plain, like)
         if array is None or array.shape != words.shape or array.dtype != words.dtype:
             raise InputError(f"{where}: what it holds does not fit this training.")
-        return jax.random.wrap_key_data(jnp.asarray(array), impl=jax.random.key_impl(like)) if _is_key(like) else array
+        return jax.random.wrap_key_data(jnp.asarray(array), impl=rng.FAST) if _is_key(like) else array
 
     return jax.tree_util.tree_map_with_path(leaf, like)
 

@@ -15,7 +15,15 @@ import numpy as np
 
 from humanoid_mjx import runtime
 from humanoid_mjx.config import Config, load, parse
-from humanoid_mjx.results.store import RunFolder, fresh_path, latest_path, pool_name, read_arrays, read_config
+from humanoid_mjx.results.store import (
+    RunFolder,
+    diverged_name,
+    fresh_path,
+    latest_path,
+    pool_name,
+    read_arrays,
+    read_config,
+)
 from humanoid_mjx.results.tables import finished_runs, read_table, write_tables
 from humanoid_mjx.training.plan import Plan, make_plan, resolved, runs_that_fit
 from humanoid_mjx.training.pool import Pool
@@ -149,6 +157,9 @@ class _Session:
                 return
             pool.train()
             if harvest := pool.harvest():
+                for run, arrays in pool.diverged.items():
+                    self.folder.write_arrays(diverged_name(*divmod(run, self.plan.config.seeds)), arrays)
+                pool.diverged.clear()
                 self._store(*harvest)
                 pool.fill()
 
