@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx.config import parse
@@ -37,4 +38,5 @@ def replay(path: Path | str, point: int, seed: int) -> Replay:
     (group,) = (group for group in plan.groups if point in group.points)
     row = int(np.searchsorted(group.points, point))
     carry = from_arrays(one_run(group), read_arrays(file), "carry", str(file))
-    return Replay(group.learner.structure(), jax.tree.map(lambda leaf: leaf[row], group.hyper), carry)
+    hyper = jax.tree.map(lambda leaf: leaf[row], group.hyper)
+    return Replay(group.learner.structure(), *jax.tree.map(jnp.asarray, (hyper, carry)))
