@@ -87,6 +87,7 @@ def _search() -> list[tuple[float, str, str, str, float]]:
 
 def _torque(lengths: object, posture: np.ndarray, force: list[float]) -> np.ndarray:
     """(5,) Joint torques, N m, of a force at the toe, N (equation 4.25)."""
+    import jax
     import jax.numpy as jnp
 
     from humanoid_mjx import kinematics
@@ -94,7 +95,7 @@ def _torque(lengths: object, posture: np.ndarray, force: list[float]) -> np.ndar
 
     leg = Leg.from_links(list(lengths), cylinder_inertias())  # pyright: ignore[reportArgumentType, reportCallIssue]
     wrench = jnp.array([*force, 0.0, 0.0, 0.0], leg.d.dtype)
-    return np.asarray(kinematics.static_torque(leg, jnp.asarray(posture, leg.d.dtype), wrench))
+    return np.asarray(jax.jit(kinematics.static_torque)(leg, jnp.asarray(posture, leg.d.dtype), wrench))
 
 
 EXPERIMENTS = [Experiment("table-4.2", "Stall torques", stall_torque, CONFIG)]

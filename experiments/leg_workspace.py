@@ -126,15 +126,15 @@ def workspace(number: int, setting: Setting) -> list[Finding]:
         )
     ]
     if number == 2:
-        thickness = float(np.ptp(cloud, axis=0).min())
+        thickness, half = float(np.ptp(cloud, axis=0).min()), float(np.ptp(cloud, axis=0).max() / 2)
         findings.append(
             Finding(
                 name=f"figure-7.{number}",
                 quantity=f"{name}: the workspace is hemispherical: its least extent, m",
-                printed=round(float(np.ptp(cloud, axis=0).max() / 2), 4),
+                printed=round(half, 4),
                 reproduced=round(thickness, 6),
                 tolerance=0.01,
-                verdict=judge(thickness > np.ptp(cloud, axis=0).max() / 2 - 0.01, lengths, PRINTED_LENGTHS),
+                verdict=judge(thickness > half - 0.01, lengths, PRINTED_LENGTHS),
                 why="joints 1, 4 and 5 have parallel axes, so the workspace is a flat piece of the plane z = l1; "
                 "a hemisphere would be half as thick as wide",
             )
@@ -171,7 +171,8 @@ def _cloud(lengths: Any, moving: Sequence[int]) -> np.ndarray:
     from humanoid_mjx import kinematics
 
     ranges = np.radians(thesis.QUINTIC_RANGES) * np.isin(np.arange(1, 6), moving)[:, None]
-    return np.asarray(kinematics.workspace(_leg(lengths), jnp.array(ranges), jax.random.key(0), SAMPLES))
+    sample = jax.jit(kinematics.workspace, static_argnames="n")
+    return np.asarray(sample(_leg(lengths), jnp.array(ranges), jax.random.key(0), n=SAMPLES))
 
 
 def _planned(t: np.ndarray) -> np.ndarray:
@@ -180,7 +181,7 @@ def _planned(t: np.ndarray) -> np.ndarray:
 
     from humanoid_mjx.mechanics.trajectories import Quintic, thesis_quintics
 
-    return np.asarray(jax.vmap(Quintic.at, in_axes=(None, 0))(thesis_quintics(), t).position)
+    return np.asarray(jax.jit(jax.vmap(Quintic.at, in_axes=(None, 0)))(thesis_quintics(), t).position)
 
 
 def _motion(name: str, t: np.ndarray) -> np.ndarray:
@@ -195,8 +196,8 @@ def _toe(lengths: Any, q: np.ndarray) -> np.ndarray:
 
     from humanoid_mjx import kinematics
 
-    leg = _leg(lengths)
-    return np.asarray(jax.vmap(lambda x: kinematics.forward(leg, x)[:3, 3])(jnp.array(q)))
+    poses = jax.jit(jax.vmap(kinematics.forward, in_axes=(None, 0)))(_leg(lengths), jnp.array(q))
+    return np.asarray(poses)[:, :3, 3]
 
 
 def _leg(lengths: Any) -> Any:
