@@ -10,12 +10,13 @@ __version__ = "0.1.0"
 
 _PUBLIC = {
     "InputError": "humanoid_mjx.spec:InputError",
+    "kinematics": "humanoid_mjx.mechanics.kinematics:",
     "make_learner": "humanoid_mjx.learners:make_learner",
     "make_task": "humanoid_mjx.tasks:make_task",
     "sweep": "humanoid_mjx.training.sweep:sweep",
 }
 
-__all__ = ["InputError", "__version__", "make_learner", "make_task", "sweep"]  # pyright: ignore[reportUnsupportedDunderAll]
+__all__ = ["InputError", "__version__", "kinematics", "make_learner", "make_task", "sweep"]  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> Any:

@@ -143,6 +143,12 @@ KP = (65.0, 68.0, 72.0, 65.0, 70.0)
 KD = (32.0, 30.0, 34.0, 38.0, 34.0)
 """Table 5.1."""
 
+SCRIPT_FORCE = (0.0, 0.0, -10.0)
+"""The MATLAB script's force at the toe, N."""
+
+FIGURE_7_1 = ((-0.7875, 0.7875), (-0.2625, 1.75), (0.0, 0.7875), (0.0, 2.1), (-0.35, 0.7))
+"""Section 7 A: where the planned trajectories start and end, rad. The start of joint 3 is missing; 0 is meant."""
+
 WORKSPACE = {
     "straight walking": ((-0.1625, -0.2084, 0.0413), (-0.0257, -0.1021, 0.0413)),
     "sudden turn": ((-0.1633, -0.2076, 0.0328), (-0.0256, 0.0533, -0.0701)),
@@ -150,6 +156,10 @@ WORKSPACE = {
 }
 """Section 7 B, metres: "the reach varies from ... to ...". They are the toe's positions at the start and at the end of
 the quintics of the joints that move (`WORKSPACE_JOINTS`), not extents."""
+
+STRAIGHT_WALK_END = (45.0, 0.0, 0.0, 45.0, 120.0)
+"""Recovered, degrees: the posture of section 7 B's straight walking at its end. The knee ends where joint 3 should and
+the ankle where the knee should, as if that simulation were wired wrongly; planned were (45, 0, 0, 120, 40)."""
 
 WORKSPACE_JOINTS = {"straight walking": (1, 4, 5), "sudden turn": (1, 2, 4, 5), "all joints": (1, 2, 3, 4, 5)}
 

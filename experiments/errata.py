@@ -1,0 +1,82 @@
+"""The formulas as printed against the verified mechanics: what is wrong, what it should be, and what it does."""
+
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+
+from humanoid_mjx.reproduction import Experiment, Finding, Setting, judge
+from humanoid_mjx.thesis import leg as thesis
+from humanoid_mjx.thesis.printed import inverse, jacobian, kinematics
+from humanoid_mjx.thesis.printed.erratum import Erratum, States
+
+ENTRIES = tuple(chain(kinematics.ERRATA, jacobian.ERRATA, inverse.ERRATA))
+
+STATES = 2000
+
+TOLERANCE = 1e-3
+"""Of the quantity's largest value: the printed coefficients have three digits."""
+
+NUMBERS = ("largest error", "median error", "largest value")
+
+CIRCLE = ((-180.0, 180.0),) * 5
+
+
+def errata(setting: Setting) -> list[Finding]:
+    anywhere, in_range = _states(CIRCLE), _states(thesis.JOINT_RANGES["proposed"])
+    findings = [_compare(entry, in_range if entry.in_range else anywhere) for entry in ENTRIES]
+    _write(setting.out / "errata.md", findings)
+    return findings
+
+
+def _compare(entry: Erratum, states: States) -> Finding:
+    errors = entry.errors(states)
+    size = float(np.abs(entry.right(states)).max())
+    agrees = bool(errors.max() <= TOLERANCE * (size or 1.0))
+    where = "Table 3.2's ranges" if entry.in_range else "the full circle"
+    return Finding(
+        name="errata",
+        quantity=entry.place,
+        printed=entry.fault,
+        reproduced=dict(zip(NUMBERS, map(_round, (errors.max(), np.median(errors), size)), strict=True))
+        | {"unit": entry.unit},
+        tolerance=TOLERANCE,
+        verdict=judge(agrees, {}, {}),
+        why=(f"should be: {entry.fix}; " if entry.fix else "") + f"over {STATES} random postures in {where}",
+    )
+
+
+def _states(ranges: tuple[tuple[float, float], ...]) -> States:
+    """Random postures in these ranges, degrees, with what is true there."""
+    import jax
+    import jax.numpy as jnp
+
+    from humanoid_mjx import kinematics as true
+    from humanoid_mjx.robot.leg import Leg
+
+    low, high = np.radians(ranges).T
+    q = np.random.default_rng(0).uniform(low, high, (STATES, 5))
+    leg = Leg.physical()
+    frames = np.asarray(jax.jit(jax.vmap(true.frames, in_axes=(None, 0)))(leg, jnp.array(q)), float)
+    jac = np.asarray(jax.jit(jax.vmap(true.jacobian, in_axes=(None, 0)))(leg, jnp.array(q)), float)
+    links = np.linalg.solve(frames[:, :-1], frames[:, 1:])
+    return States(q.T, thesis.LINK_LENGTHS, {"pose": frames[:, -1], "links": links, "jacobian": jac})
+
+
+def _write(path: Path, findings: list[Finding]) -> None:
+    """The errata as a table."""
+    heads = ("place", "fault", *NUMBERS, "verdict", "what it should be, and where tried")
+    rows = [heads, ("---",) * len(heads)]
+    for finding in findings:
+        found = finding.reproduced
+        numbers = [f"{found[key]:.3g} {found['unit']}".strip() for key in NUMBERS]
+        rows.append((finding.quantity, finding.printed, *numbers, finding.verdict, finding.why))
+    path.write_text("".join(f"| {' | '.join(row)} |\n" for row in rows), encoding="utf-8")
+
+
+def _round(value: float) -> float:
+    """Three digits."""
+    return float(f"{value:.3g}")
+
+
+EXPERIMENTS = [Experiment("errata", "The formulas as printed, and what is wrong with them", errata)]

@@ -1,0 +1,223 @@
+"""Section 7 B and Figures 7.1 to 7.4: the planned motion of the joints and where it takes the toe."""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from humanoid_mjx.reproduction import Experiment, Finding, Setting, departures, in_words, judge
+from humanoid_mjx.results.style import COLORS, figure, label_lines, shades
+from humanoid_mjx.thesis import leg as thesis
+
+TOLERANCE_M = 6e-5
+"""The printing's last digit is 0.1 mm; lengths recovered in whole millimetres add a little."""
+
+TOLERANCE_RAD = 5e-5
+
+SAMPLES = 20_000
+
+LENGTHS = {
+    "lengths": {f"l{i}": x for i, x in enumerate(thesis.LINK_LENGTHS, start=1)},
+    "straight_walk_end": {"knee": thesis.STRAIGHT_WALK_END[3], "ankle": thesis.STRAIGHT_WALK_END[4]},
+}
+PRINTED_LENGTHS = {f"l{i}": x for i, x in enumerate(thesis.SCRIPT_LENGTHS, start=1)}
+PRINTED_END = {"knee": thesis.QUINTIC_RANGES[3][1], "ankle": thesis.QUINTIC_RANGES[4][1]}
+
+MOTIONS = {2: "straight walking", 3: "sudden turn", 4: "all joints"}
+
+
+def planned_trajectories(setting: Setting) -> list[Finding]:
+    """Figure 7.1: the five quintics."""
+    degree = setting.config["units"]["degree"]
+    t = np.linspace(0, thesis.QUINTIC_S, 201)
+    angles = np.degrees(_planned(t)) * degree
+    with figure(setting.out / "figure-7.1.png", 1, 1, size=(6.0, 3.6)) as (_, axes):
+        panel = axes[0, 0]
+        for joint in range(5):
+            panel.plot(t, angles[:, joint], color=COLORS[joint])
+        for joint, marks in enumerate(thesis.FIGURE_7_1):
+            panel.plot((0, thesis.QUINTIC_S), marks, "o", color=COLORS[joint], markersize=4, clip_on=False)
+        names = [f"{i} {name.replace('_', ' ')}" for i, name in enumerate(thesis.JOINT_NAMES, start=1)]
+        label_lines(panel, angles[-1].tolist(), names, COLORS[:5])
+        panel.set_title("Planned joint positions; dots: the values section 7 A prints")
+        panel.set_xlabel("time, s")
+        panel.set_ylabel("angle, rad")
+        panel.set_xlim(0, thesis.QUINTIC_S)
+    used, printed = {"degree": degree}, {"degree": np.pi / 180}
+    return [
+        Finding(
+            name="figure-7.1",
+            quantity=f"joint {joint + 1} starts and ends at, rad",
+            printed=list(marks),
+            reproduced=np.round(angles[[0, -1], joint].astype(float), 5).tolist(),
+            tolerance=TOLERANCE_RAD,
+            verdict=judge(bool(np.abs(angles[[0, -1], joint] - marks).max() < TOLERANCE_RAD), used, printed),
+            why=f"{in_words(used, printed)} rad: 3.15/180, pi rounded",
+        )
+        for joint, marks in enumerate(thesis.FIGURE_7_1)
+    ]
+
+
+def reach(setting: Setting) -> list[Finding]:
+    """The triples of section 7 B as the toe's place at the start and at the end."""
+    lengths = setting.config["lengths"]
+    findings = []
+    for name in MOTIONS.values():
+        ends = np.degrees(_motion(name, np.array([0.0, thesis.QUINTIC_S])))
+        for when, posture, mark in zip(("start", "end"), ends, thesis.WORKSPACE[name], strict=True):
+            findings.append(_place(f"{name}, {when}: the toe, m", posture, mark, lengths, lengths, PRINTED_LENGTHS))
+    swapped = np.array(thesis.STRAIGHT_WALK_END)
+    swapped[3:] = setting.config["straight_walk_end"]["knee"], setting.config["straight_walk_end"]["ankle"]
+    mark = thesis.WORKSPACE["straight walking"][1]
+    used, printed = lengths | setting.config["straight_walk_end"], PRINTED_LENGTHS | PRINTED_END
+    quantity = "straight walking, end, with knee and ankle at other angles: the toe, m"
+    return [*findings, _place(quantity, swapped, mark, lengths, used, printed)]
+
+
+def _place(
+    quantity: str,
+    degrees: np.ndarray,
+    mark: Sequence[float],
+    lengths: dict[str, float],
+    used: dict[str, float],
+    printed: dict[str, float],
+) -> Finding:
+    """The finding on one place of the toe."""
+    departs = departures({k: v for k, v in used.items() if k not in lengths}, printed)
+    place, script = (_toe(x, np.radians(degrees)[None])[0] for x in (lengths.values(), thesis.SCRIPT_LENGTHS))
+    error, as_printed = (np.abs(x - mark).max() for x in (place, script))
+    return Finding(
+        name="workspace-7b",
+        quantity=quantity,
+        printed=list(mark),
+        reproduced=np.round(place.astype(float), 5).tolist(),
+        tolerance=TOLERANCE_M,
+        verdict=judge(bool(error < TOLERANCE_M), used, printed),
+        why=f"links of {', '.join(f'{1e3 * x:g}' for x in lengths.values())} mm (printed are only the script's, with "
+        f"which it is off by {1e3 * as_printed:.0f} mm), joints at {', '.join(f'{x + 0.0:g}' for x in degrees)} degrees"
+        + "".join(f", {change}" for change in departs)
+        + f": off by {1e3 * error:.2g} mm",
+    )
+
+
+def workspace(number: int, setting: Setting) -> list[Finding]:
+    """Figures 7.2 to 7.4: the toe's path, and all places that the moving joints reach in their ranges."""
+    name = MOTIONS[number]
+    lengths = setting.config["lengths"]
+    moving = thesis.WORKSPACE_JOINTS[name]
+    t = np.linspace(0, thesis.QUINTIC_S, 401)
+    path = _toe(lengths.values(), _motion(name, t))
+    cloud = _cloud(lengths.values(), moving)
+    _draw(setting.out / f"figure-7.{number}.png", name, path, cloud)
+    marks = np.sort(np.array(thesis.WORKSPACE[name]), axis=0)
+    extent = np.stack([path.min(axis=0), path.max(axis=0)])
+    error = float(np.abs(extent - marks).max())
+    findings = [
+        Finding(
+            name=f"figure-7.{number}",
+            quantity=f"{name}: from where to where the toe's path reaches along x, y and z, m",
+            printed=marks.tolist(),
+            reproduced=np.round(extent.astype(float), 4).tolist(),
+            tolerance=TOLERANCE_M,
+            verdict=judge(error < TOLERANCE_M, lengths, PRINTED_LENGTHS),
+            why="the text says that the reach varies from one triple to the other; they are the path's two ends "
+            f"(workspace-7b), not its extents, which differ by up to {1e3 * error:.0f} mm",
+        )
+    ]
+    if number == 2:
+        thickness, half = float(np.ptp(cloud, axis=0).min()), float(np.ptp(cloud, axis=0).max() / 2)
+        findings.append(
+            Finding(
+                name=f"figure-7.{number}",
+                quantity=f"{name}: the workspace is hemispherical: its least extent, m",
+                printed=round(half, 4),
+                reproduced=round(thickness, 6),
+                tolerance=0.01,
+                verdict=judge(thickness > half - 0.01, lengths, PRINTED_LENGTHS),
+                why="joints 1, 4 and 5 have parallel axes, so the workspace is a flat piece of the plane z = l1; "
+                "a hemisphere would be half as thick as wide",
+            )
+        )
+    return findings
+
+
+def _draw(path: Any, name: str, toe: np.ndarray, cloud: np.ndarray) -> None:
+    hue = shades(len(toe))
+    with figure(path, 1, 2, size=(4.4, 4.2)) as (fig, axes):
+        for panel, (across, label) in zip(axes[0], ((0, "x (forward), m"), (2, "z (sideways), m")), strict=True):
+            panel.plot(cloud[:, across], cloud[:, 1], ",", color="0.75", zorder=1)
+            panel.scatter(toe[:, across], toe[:, 1], c=hue, s=5, zorder=2)
+            for mark in thesis.WORKSPACE[name]:
+                panel.plot(mark[across], mark[1], "x", color=COLORS[1], markersize=8, markeredgewidth=2, zorder=3)
+            panel.plot(0 if across == 0 else thesis.LINK_LENGTHS[0], 0, "s", color=COLORS[6], markersize=5)
+            panel.set_xlabel(label)
+            panel.set_aspect("equal", adjustable="datalim")
+        axes[0, 0].set_ylabel("y (upward), m")
+        fig.suptitle(
+            f"{name.capitalize()}: the toe's planned path (dark to light) and all places it can reach (grey);\n"
+            "crosses: the two ends as printed; square: the hip",
+            x=0.02,
+            ha="left",
+            fontsize="medium",
+        )
+
+
+def _cloud(lengths: Any, moving: Sequence[int]) -> np.ndarray:
+    """(n, 3) The toe's places, m, with these joints anywhere in the trajectories' ranges and the others at 0."""
+    import jax
+    import jax.numpy as jnp
+
+    from humanoid_mjx import kinematics
+
+    ranges = np.radians(thesis.QUINTIC_RANGES) * np.isin(np.arange(1, 6), moving)[:, None]
+    sample = jax.jit(kinematics.workspace, static_argnames="n")
+    return np.asarray(sample(_leg(lengths), jnp.array(ranges), jax.random.key(0), n=SAMPLES))
+
+
+def _planned(t: np.ndarray) -> np.ndarray:
+    """(n, 5) The five quintics, rad."""
+    import jax
+
+    from humanoid_mjx.mechanics.trajectories import Quintic, thesis_quintics
+
+    return np.asarray(jax.jit(jax.vmap(Quintic.at, in_axes=(None, 0)))(thesis_quintics(), t).position)
+
+
+def _motion(name: str, t: np.ndarray) -> np.ndarray:
+    """(n, 5) The planned angles, rad, of the joints that move; the others stay at 0."""
+    return _planned(t) * np.isin(np.arange(1, 6), thesis.WORKSPACE_JOINTS[name])
+
+
+def _toe(lengths: Any, q: np.ndarray) -> np.ndarray:
+    """(n, 3) The toe's places, m."""
+    import jax
+    import jax.numpy as jnp
+
+    from humanoid_mjx import kinematics
+
+    poses = jax.jit(jax.vmap(kinematics.forward, in_axes=(None, 0)))(_leg(lengths), jnp.array(q))
+    return np.asarray(poses)[:, :3, 3]
+
+
+def _leg(lengths: Any) -> Any:
+    from humanoid_mjx.robot.leg import Leg, cylinder_inertias
+
+    return Leg.from_links(list(lengths), cylinder_inertias())
+
+
+EXPERIMENTS = [
+    Experiment("workspace-7b", "The toe at the start and the end of the planned motions", reach, LENGTHS),
+    Experiment(
+        "figure-7.1",
+        "The planned motion of the joints",
+        planned_trajectories,
+        {"units": {"degree": thesis.FIGURE_7_5_DEGREE}},
+    ),
+    *(
+        Experiment(
+            f"figure-7.{number}", f"Workspace of {name}", partial(workspace, number), {"lengths": LENGTHS["lengths"]}
+        )
+        for number, name in MOTIONS.items()
+    ),
+]

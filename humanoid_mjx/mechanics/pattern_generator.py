@@ -1,0 +1,147 @@
+"""A central pattern generator for both legs (section 4.7 names one and prints no equations).
+
+Each leg has a phase oscillator. The two pull each other into antiphase,
+
+    theta_right' = 2 pi f + k sin(theta_left - theta_right - pi),    theta_left' the same with the legs exchanged,
+
+and the gait, read at a leg's phase, gives its joints. Frequency and amplitude follow their commands as critically
+damped systems of second order: the joints' accelerations stay continuous when the frequency's command jumps, their
+velocities when the amplitude's does. All of this has a closed solution while the commands stand, which `step` uses:
+steps of any length are exact.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from humanoid_mjx.mechanics.gaits import Gait
+from humanoid_mjx.mechanics.trajectories import Motion
+from humanoid_mjx.spec import InputError
+from humanoid_mjx.types import FloatScalar
+
+IN_STEP = jnp.pi
+"""By how much the left leg's phase leads the right one's, rad."""
+
+
+class Params(NamedTuple):
+    """What the generator is told. All values may be traced and may change between steps."""
+
+    gait: Gait
+    frequency: FloatScalar
+    """Command: periods per second."""
+    amplitude: FloatScalar = 1.0
+    """Command: 1 is the gait as in its table, 0 its mean posture."""
+    coupling: FloatScalar = 4.0
+    """k, 1/s."""
+    response: FloatScalar = 8.0
+    """How fast frequency and amplitude follow their commands: the double pole's distance from 0, 1/s."""
+
+
+class Follower(NamedTuple):
+    """A quantity on its way to a command."""
+
+    value: Float[Array, ""]
+    rate: Float[Array, ""]
+
+
+class State(NamedTuple):
+    phase: Float[Array, "2"]
+    """Of the right and the left leg, rad in [0, 2 pi)."""
+    frequency: Follower
+    amplitude: Follower
+
+
+def pattern_generator(
+    gait: Gait,
+    frequency: float | None = None,
+    amplitude: float = 1.0,
+    coupling: float = 4.0,
+    response: float = 8.0,
+) -> Params:
+    """Checked parameters; without a frequency, that of the gait's table.
+
+    Raises:
+      InputError: a number that is not positive (or, for the frequency and the amplitude, negative), or not finite.
+    """
+    frequency = float(1 / gait.period) if frequency is None else frequency
+    given = {"frequency": frequency, "amplitude": amplitude, "coupling": coupling, "response": response}
+    for name, value in given.items():
+        if not (0 <= value < float("inf")) or (value == 0 and name in ("coupling", "response")):
+            least = "positive" if name in ("coupling", "response") else "at least 0"
+            raise InputError(f"pattern generator: {name} must be {least} and finite, got {value}.")
+    return Params(gait, *(jnp.asarray(value, float) for value in given.values()))
+
+
+def init(params: Params, phase: FloatScalar = 0.0, lead: FloatScalar = IN_STEP, amplitude: FloatScalar = 0.0) -> State:
+    """At the commanded frequency, the right leg at `phase`, the left `lead` before it; by default in the mean posture.
+
+    Angles in rad.
+    """
+    dtype = params.gait.coefficients.dtype
+    still = jnp.zeros((), dtype)
+    return State(
+        phase=jnp.mod(jnp.stack([jnp.asarray(phase, dtype), jnp.asarray(phase + lead, dtype)]), 2 * jnp.pi),
+        frequency=Follower(jnp.asarray(params.frequency, dtype), still),
+        amplitude=Follower(jnp.asarray(amplitude, dtype), still),
+    )
+
+
+def step(params: Params, state: State, dt: FloatScalar) -> tuple[State, Motion]:
+    """The state `dt` seconds later, the commands standing, and the motion of both legs then."""
+    frequency, turns = _follow(state.frequency, params.frequency, params.response, dt)
+    amplitude, _ = _follow(state.amplitude, params.amplitude, params.response, dt)
+    before = _out_of_step(state.phase)
+    after = 2 * jnp.arctan2(jnp.sin(before / 2) * jnp.exp(-2 * params.coupling * dt), jnp.cos(before / 2))
+    right = state.phase[0] + 2 * jnp.pi * turns + (before - after) / 2
+    phase = jnp.mod(jnp.stack([right, right + IN_STEP + after]), 2 * jnp.pi)
+    new = State(phase, frequency, amplitude)
+    return new, motion(params, new)
+
+
+def motion(params: Params, state: State) -> Motion:
+    """The motion of the right and the left leg, (2, 5): what the joints of a state do now."""
+    gait = params.gait
+    per_radian = gait.period / (2 * jnp.pi)
+    rows = [gait.at(phase * per_radian) for phase in state.phase]
+    position, slope, curve = (jnp.stack(x) for x in zip(*rows, strict=True))
+    slope, curve = slope * per_radian, curve * per_radian**2
+    off = _out_of_step(state.phase)
+    pull = params.coupling * jnp.stack([jnp.sin(off), -jnp.sin(off)])
+    bend = params.coupling * jnp.cos(off) * (pull[1] - pull[0]) * jnp.array([1.0, -1.0], pull.dtype)
+    speed = (2 * jnp.pi * state.frequency.value + pull)[:, None]
+    gain = (2 * jnp.pi * state.frequency.rate + bend)[:, None]
+    size, growth = state.amplitude
+    surge = params.response**2 * (params.amplitude - size) - 2 * params.response * growth
+    middle = mean_posture(gait)
+    return Motion(
+        position=middle + size * (position - middle),
+        velocity=size * slope * speed + growth * (position - middle),
+        acceleration=size * (curve * speed**2 + slope * gain)
+        + 2 * growth * slope * speed
+        + surge * (position - middle),
+    )
+
+
+def mean_posture(gait: Gait) -> Float[Array, "5"]:
+    """The joints' averages over a period, rad."""
+    spans = jnp.diff(gait.knots)
+    powers = spans[:, None] ** jnp.arange(1, 5, dtype=spans.dtype) / jnp.arange(1, 5, dtype=spans.dtype)
+    return jnp.einsum("sk,skj->j", powers, gait.coefficients, precision="highest") / gait.period
+
+
+def _out_of_step(phase: Float[Array, "2"]) -> Float[Array, ""]:
+    """How far the left leg's phase is from antiphase, rad in [-pi, pi]."""
+    off = phase[1] - phase[0] - IN_STEP
+    return jnp.arctan2(jnp.sin(off), jnp.cos(off))
+
+
+def _follow(
+    state: Follower, command: FloatScalar, response: FloatScalar, dt: FloatScalar
+) -> tuple[Follower, Float[Array, ""]]:
+    """A critically damped follower `dt` later, and its integral over that time."""
+    error, decay = state.value - command, jnp.exp(-response * dt)
+    drift = state.rate + response * error
+    later, rate = (error + drift * dt) * decay, (state.rate - response * drift * dt) * decay
+    integral = command * dt - ((rate - state.rate) / response + 2 * (later - error)) / response
+    return Follower(command + later, rate), integral

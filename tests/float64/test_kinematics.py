@@ -1,0 +1,225 @@
+"""The leg's kinematics in double precision: golden numbers, a reference in NumPy, and every true solution found."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from leg_reference import GOLDEN, numeric_jacobian, toe, turned, uniform
+from scipy.optimize import minimize
+
+from humanoid_mjx import kinematics
+from humanoid_mjx.robot.leg import Leg
+from humanoid_mjx.robot.ranges import joint_ranges
+from humanoid_mjx.thesis import leg as thesis
+
+LEGS = {"recovered": Leg.physical(), "script": Leg.matlab_script()}
+LENGTHS = {"recovered": thesis.LINK_LENGTHS, "script": thesis.SCRIPT_LENGTHS}
+ORDERS = {"table 3.2": thesis.JOINT_RANGES["proposed"], "trajectories": thesis.QUINTIC_RANGES}
+CIRCLE = ((-180, 180),) * 5
+
+forward = jax.jit(jax.vmap(kinematics.forward, in_axes=(None, 0)))
+jacobian = jax.jit(jax.vmap(kinematics.jacobian, in_axes=(None, 0)))
+inverse_of_500 = jax.jit(jax.vmap(kinematics.inverse, in_axes=(None, 0)))
+singular_values = jax.jit(jax.vmap(kinematics.singular_values, in_axes=(None, 0)))
+singularity_distance = jax.jit(jax.vmap(kinematics.singularity_distance, in_axes=(None, 0)))
+follow = jax.jit(kinematics.follow)
+
+
+def inverse(leg, poses):
+    """`kinematics.inverse` of any number of poses, compiled once."""
+    padded = np.resize(np.asarray(poses), (-(-len(poses) // 500), 500, 4, 4))
+    parts = [inverse_of_500(leg, jnp.array(part)) for part in padded]
+    return (np.concatenate([np.array(part[i]) for part in parts])[: len(poses)] for i in (0, 1))
+
+
+def joint_error(solutions, valid, q):
+    """For each posture, how far the nearest of the solutions is from it; infinity without any."""
+    away = np.abs(turned(solutions, q[:, None])).max(axis=-1)
+    return np.where(valid, away, np.inf).min(axis=1)
+
+
+def solve(leg, q):
+    return inverse(leg, forward(leg, jnp.array(q)))
+
+
+@pytest.mark.parametrize(("leg", "key"), [("script", "script_params"), ("recovered", "thesis_fit_params")])
+def test_golden_poses_and_jacobians(leg, key):
+    q = jnp.array([state["q"] for state in GOLDEN["states"]])
+    golden = [state[key] for state in GOLDEN["states"]]
+    np.testing.assert_allclose(forward(LEGS[leg], q), [g["T05"] for g in golden], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(jacobian(LEGS[leg], q), [g["J"] for g in golden], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", LEGS)
+def test_pose_and_jacobian_equal_the_product_and_its_differences(name):
+    q = uniform(CIRCLE, 40, seed=1)
+    np.testing.assert_allclose(forward(LEGS[name], q), [toe(LENGTHS[name], x) for x in q], rtol=0, atol=1e-14)
+    expected = [numeric_jacobian(LENGTHS[name], x) for x in q]
+    np.testing.assert_allclose(jacobian(LEGS[name], q), expected, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_inverse_finds_the_joints_of_10000_postures(order):
+    q = uniform(ORDERS[order], 10_000, seed=2)
+    solutions, valid = solve(LEGS["recovered"], q)
+    assert joint_error(solutions, valid, q).max() < 1e-9
+    assert (np.abs(solutions) <= np.pi).all()
+    assert np.bincount(valid.sum(axis=1))[1] > 9990, "off the singular surface there is exactly one solution"
+
+
+@pytest.mark.parametrize("name", LEGS)
+def test_inverse_on_the_full_circle(name):
+    q = uniform(CIRCLE, 10_000, seed=3)
+    assert joint_error(*solve(LEGS[name], q), q).max() < 1e-9
+
+
+def test_every_valid_solution_leads_back_and_none_repeats():
+    planar = uniform(((-45, 45), (0, 0), (0, 0), (5, 120), (-20, 40)), 200, seed=4)
+    for leg in LEGS.values():
+        pose = forward(leg, jnp.array(planar))
+        solutions, valid = inverse(leg, pose)
+        back = forward(leg, jnp.array(solutions.reshape(-1, 5))).reshape(200, -1, 4, 4)
+        assert np.abs(back - pose[:, None])[valid].max() < 1e-10
+        rows, first, second = np.nonzero(valid[:, :, None] & valid[:, None, :])
+        apart = np.abs(turned(solutions[rows, first], solutions[rows, second])).max(axis=-1)
+        assert apart[first != second].min() > 1e-3
+        assert (np.sort(~valid, axis=1) == ~valid).all(), "valid solutions come first"
+
+
+def test_both_elbows_of_the_straight_walk():
+    q = uniform(((-45, 45), (0, 0), (0, 0), (1, 120), (-20, 40)), 500, seed=5)
+    solutions, valid = solve(LEGS["recovered"], q)
+    assert joint_error(solutions, valid, q).max() < 1e-9
+    l4 = LENGTHS["recovered"][3]
+    hip = LENGTHS["recovered"][1] + LENGTHS["recovered"][2]
+    other = np.zeros_like(q)
+    bend = np.arctan2(l4 * np.sin(q[:, 3]), hip + l4 * np.cos(q[:, 3]))
+    other[:, 0], other[:, 3] = q[:, 0] - 2 * bend, -q[:, 3]
+    other[:, 4] = q[:, 4] + 2 * q[:, 3] - 2 * bend
+    assert joint_error(solutions, valid, other).max() < 1e-9, "the elbow mirrored at the line from hip to ankle"
+    ranges = joint_ranges("proposed").at[:, :].mul(3.0)
+    assert ((valid & np.array(kinematics.within(ranges, jnp.array(solutions)))).sum(axis=1) == 1).all()
+
+
+def test_double_root_at_the_straight_knee():
+    q = uniform(((-45, 45), (0, 0), (0, 45), (0, 0), (-20, 40)), 500, seed=6)
+    q[:50, 2] = 0.0
+    q[0] = 0.0
+    solutions, valid = solve(LEGS["recovered"], q)
+    assert joint_error(solutions, valid, q).max() < 1e-7
+    first = np.abs(forward(LEGS["recovered"], jnp.array(solutions[:, 0])) - forward(LEGS["recovered"], jnp.array(q)))
+    assert first.max() < 1e-12
+
+
+def test_near_the_singular_surface_the_joints_are_still_right():
+    q = uniform(((-45, 45), (-1e-3, 1e-3), (0, 45), (1, 120), (-20, 40)), 1000, seed=7)
+    assert joint_error(*solve(LEGS["recovered"], q), q).max() < 1e-9
+
+
+def test_impossible_poses_have_no_solution():
+    leg, q = LEGS["recovered"], uniform(CIRCLE, 200, seed=8)
+    pose = np.array(forward(leg, q))
+    far, nan, mirrored = pose.copy(), pose.copy(), pose.copy()
+    far[:, :3, 3] *= 10
+    nan[:, 0, 3] = np.nan
+    mirrored[:, :3, 2] *= -1
+    shifted, turn = pose.copy(), np.array([toe(LENGTHS["recovered"], x) for x in uniform(CIRCLE, 200, seed=9)])
+    shifted[:, :3, 3] += 0.01
+    turn[:, :3, 3] = pose[:, :3, 3]
+    zero = np.zeros_like(pose)
+    kinds = {"far": far, "nan": nan, "mirrored": mirrored, "shifted": shifted, "turn": turn, "zero": zero}
+    found = {kind: int(list(inverse(leg, bad))[1].sum()) for kind, bad in kinds.items()}
+    assert not any(found.values()), found
+
+
+def singular_postures(name, n, seed):
+    """(4, n, 5) Postures on each of the four parts of the singular set."""
+    rng = np.random.default_rng(seed)
+    q = rng.uniform(-np.pi, np.pi, (4, n, 5))
+    straight, square = np.pi * rng.integers(-1, 2, (4, n, 2)), np.pi / 2 * rng.choice([-1, 1], (4, n, 2))
+    folded = np.arccos(-LENGTHS[name][2] / LENGTHS[name][1])
+    q[0, :, 1], q[0, :, 3] = straight[0].T
+    q[1, :, 1], q[1, :, 2] = straight[1, :, 0], folded
+    q[2, :, 2], q[2, :, 3] = square[2, :, 0], straight[2, :, 0]
+    q[3, :, 1], q[3, :, 2] = square[3].T
+    return q
+
+
+@pytest.mark.parametrize("name", LEGS)
+def test_the_jacobian_loses_rank_on_the_singular_set(name):
+    for part in singular_postures(name, 50, seed=10):
+        assert singular_values(LEGS[name], jnp.array(part))[:, -1].max() < 1e-8
+        assert singularity_distance(LEGS[name], jnp.array(part)).max() < 1e-7
+
+
+@pytest.mark.parametrize("name", LEGS)
+def test_the_jacobian_loses_rank_nowhere_else(name):
+    leg = LEGS[name]
+    smallest = jax.jit(jax.value_and_grad(lambda q: kinematics.singular_values(leg, q)[-1] ** 2))
+    found = []
+    for start in uniform(CIRCLE, 30, seed=11):
+        ended = minimize(lambda q: [np.asarray(x, float) for x in smallest(q)], start, jac=True, tol=1e-14)
+        if ended.fun < 1e-14:
+            found.append(ended.x)
+    assert len(found) > 10
+    assert singularity_distance(leg, jnp.array(found)).max() < 1e-3
+
+
+def test_singularity_distance_is_the_way_to_the_nearest_singular_posture():
+    leg = LEGS["script"]
+    singular = np.concatenate(singular_postures("script", 1, seed=12))
+    q = uniform(CIRCLE, 300, seed=12)
+    distance = np.array(singularity_distance(leg, jnp.array(q)))
+    conditions = [((1, 0.0), (3, 0.0)), ((1, 0.0), (2, None)), ((2, 1.0), (3, 0.0)), ((2, 1.0), (1, 1.0))]
+    folded = [sign * np.arccos(-1 / 3) for sign in (-1, 1)]
+    brute = np.full(len(q), np.inf)
+    for pair in conditions:
+        places = [folded if kind is None else [kind * np.pi / 2, kind * np.pi / 2 + np.pi] for _, kind in pair]
+        for x in places[0]:
+            for y in places[1]:
+                away = np.hypot(turned(q[:, pair[0][0]], x), turned(q[:, pair[1][0]], y))
+                brute = np.minimum(brute, away)
+    np.testing.assert_allclose(distance, brute, atol=1e-12)
+    assert np.array(singularity_distance(leg, jnp.array(singular))).max() < 1e-7
+    assert np.isfinite(distance).all() and distance.max() < np.pi
+
+
+def test_follow_keeps_to_the_branch_of_the_planned_motion():
+    t = np.linspace(0, 1, 100)
+    rise = 10 * t**3 - 15 * t**4 + 6 * t**5
+    start, end = np.radians(thesis.QUINTIC_RANGES).T
+    q = start + rise[:, None] * (end - start)
+    path, valid = follow(LEGS["recovered"], forward(LEGS["recovered"], jnp.array(q)), jnp.array(q[0]))
+    assert valid.all()
+    np.testing.assert_allclose(path, q, atol=1e-9)
+
+
+def test_follow_bends_the_knee_through_the_straight_leg():
+    t = np.linspace(-1, 1, 100)
+    q = np.stack([0.2 * t, 0 * t, 0 * t, 0.6 * t, 0.1 - 0.3 * t], axis=1)
+    path, valid = follow(LEGS["recovered"], forward(LEGS["recovered"], jnp.array(q)), jnp.array(q[0]))
+    assert valid.all()
+    np.testing.assert_allclose(path, q, atol=1e-7)
+
+
+def test_follow_starts_on_the_elbow_it_is_given_and_unwraps():
+    t = np.linspace(0, 1, 100)
+    q = np.stack([3.0 + 0.5 * t, 0 * t, 0 * t, 0.8 + 0.1 * t, -0.2 * t], axis=1)
+    poses = forward(LEGS["recovered"], jnp.array(q))
+    solutions, _ = inverse(LEGS["recovered"], poses[:1])
+    for elbow in np.array(solutions[0, :2]):
+        path, valid = map(np.array, follow(LEGS["recovered"], poses, jnp.array(elbow)))
+        assert valid.all()
+        assert (np.sign(path[:, 3]) == np.sign(elbow[3])).all()
+        assert np.abs(np.diff(path, axis=0)).max() < 0.05
+    assert path[:, 0].max() > np.pi or path[:, 0].min() < -np.pi or elbow[3] < 0
+
+
+def test_follow_rests_where_there_is_no_solution():
+    q = np.tile([0.1, 0.0, 0.2, 0.8, 0.1], (100, 1)) + 0.01 * np.arange(100)[:, None] * np.array([1, 0, 0, 1, 0])
+    poses = np.array(forward(LEGS["recovered"], jnp.array(q)))
+    poses[4:6, :3, 3] *= 3
+    path, valid = map(np.array, follow(LEGS["recovered"], jnp.array(poses), jnp.array(q[0])))
+    assert valid.tolist() == [i not in (4, 5) for i in range(100)]
+    np.testing.assert_allclose(path[[4, 5]], [q[3], q[3]], atol=1e-9)
+    np.testing.assert_allclose(path[6:], q[6:], atol=1e-9)

@@ -1,0 +1,208 @@
+"""Trajectories, gaits and the pattern generator in double precision, against scipy and finite differences."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from leg_reference import GOLDEN
+from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
+
+from humanoid_mjx import InputError
+from humanoid_mjx.mechanics import gaits, trajectories
+from humanoid_mjx.mechanics import pattern_generator as cpg
+from humanoid_mjx.mechanics.trajectories import Motion
+from humanoid_mjx.robot.ranges import joint_ranges
+from humanoid_mjx.thesis import leg as thesis
+
+TIMES = np.array(thesis.GAIT_TIMES_S)
+WALK, TURN = gaits.gait("straight_walk"), gaits.gait("sudden_turn")
+SLOW = gaits.gait("sudden_turn", "linear")
+
+quintic_at = jax.jit(jax.vmap(trajectories.Quintic.at, in_axes=(None, 0)))
+make_quintic = jax.jit(trajectories.quintic)
+gait_at = jax.jit(jax.vmap(gaits.Gait.at, in_axes=(None, 0)))
+legs_at = jax.jit(jax.vmap(gaits.Gait.both_legs, in_axes=(None, 0)))
+step = jax.jit(cpg.step)
+unequal_steps = jax.jit(lambda params, state, dt: jax.lax.scan(partial(cpg.step, params), state, dt))
+
+boundary = st.lists(st.floats(-5, 5), min_size=3, max_size=3)
+
+
+def test_thesis_quintics_have_the_printed_coefficients():
+    planned = trajectories.thesis_quintics()
+    printed = np.zeros((6, 5))
+    printed[[0, 3, 4, 5]] = np.radians(thesis.QUINTIC_COEFFICIENTS).T
+    np.testing.assert_allclose(planned.coefficients, printed, rtol=1e-12, atol=1e-16)
+    for row in GOLDEN["trajectory"]:
+        motion = planned.at(row["t"])
+        np.testing.assert_allclose(motion.position, row["q"], atol=1e-12)
+        np.testing.assert_allclose(motion.velocity, row["qd"], atol=1e-12)
+        np.testing.assert_allclose(motion.acceleration, row["qdd"], atol=1e-12)
+
+
+@settings(max_examples=50, deadline=None)
+@given(start=boundary, end=boundary, duration=st.floats(0.1, 10))
+def test_quintic_meets_its_boundaries_and_its_derivatives_are_derivatives(start, end, duration):
+    first, last = (Motion(*jnp.array(x)[:, None]) for x in (start, end))
+    path = make_quintic(first, last, duration)
+    scale = 10 * max(1, duration**2, duration**-2)
+    for t, boundary in ((0.0, start), (duration, end)):
+        np.testing.assert_allclose(np.ravel(path.at(t)), boundary, atol=1e-12 * scale)
+    t, h = np.linspace(0.1, 0.9, 5) * duration, 1e-4 * duration
+    ahead, now, behind = (quintic_at(path, t + shift) for shift in (h, 0, -h))
+    rough = 1e-5 * scale * (np.abs(start).max() + np.abs(end).max() + 1) / duration**2 * max(1, duration) ** 2
+    np.testing.assert_allclose((ahead.position - behind.position) / (2 * h), now.velocity, atol=rough)
+    np.testing.assert_allclose((ahead.velocity - behind.velocity) / (2 * h), now.acceleration, atol=rough)
+
+
+def test_quintic_rests_outside_its_time():
+    path = trajectories.quintic(Motion(*jnp.array([1.0, 2.0, 3.0])), Motion(*jnp.array([4.0, 5.0, 6.0])), 2.0)
+    for t, position in ((-1.0, 1.0), (3.0, 4.0)):
+        np.testing.assert_allclose(path.at(t), [position, 0.0, 0.0], atol=1e-12)
+    with pytest.raises(InputError, match="duration must be a positive number"):
+        trajectories.rest_to_rest([0.0], [1.0], 0.0)
+
+
+@pytest.mark.parametrize("name", gaits.TABLES)
+def test_spline_gait_is_scipys(name):
+    t = np.linspace(-1, 2, 500)
+    motion = gait_at(gaits.gait(name), t)
+    for i, joint in enumerate(thesis.JOINT_NAMES):
+        column = gaits.TABLES[name].get(joint, np.zeros(7))
+        reference = CubicSpline(TIMES, np.radians(column), bc_type="periodic")
+        np.testing.assert_allclose(motion.position[:, i], reference(t % 0.8), atol=1e-12)
+        np.testing.assert_allclose(motion.velocity[:, i], reference(t % 0.8, 1), atol=1e-10)
+        np.testing.assert_allclose(motion.acceleration[:, i], reference(t % 0.8, 2), atol=1e-8)
+
+
+def test_linear_gait_goes_straight_between_the_points():
+    t = np.linspace(0, 0.8, 300)[:-1]
+    motion = gait_at(SLOW, t)
+    for joint, column in thesis.SUDDEN_TURN.items():
+        i = thesis.JOINT_NAMES.index(joint)
+        np.testing.assert_allclose(motion.position[:, i], np.interp(t, TIMES, np.radians(column)), atol=1e-14)
+    assert not motion.acceleration.any()
+
+
+def test_the_left_leg_is_half_a_period_later():
+    t = np.linspace(0, 0.8, 50)
+    both, right = legs_at(TURN, t), gait_at(TURN, t)
+    np.testing.assert_allclose(both.position[:, 0], right.position, atol=1e-14)
+    np.testing.assert_allclose(legs_at(TURN, t + 0.4).position[:, 1], right.position, atol=1e-12)
+
+
+def test_what_the_tables_do_to_the_ranges():
+    ranges = joint_ranges("proposed")
+    spline = {e.joint: e for e in gaits.excursions(TURN, ranges)}
+    linear = {e.joint: e for e in gaits.excursions(SLOW, ranges)}
+    expected = {  # degrees and degrees per second, from dense samples of scipy's spline
+        "ankle_pitch": (-11.5, 12.1, 151, 131, 1857),
+        "knee_pitch": (-14.1, 17.3, 219, 187, 2980),
+        "hip_pitch": (-15.6, 15.4, 230, 188, 4106),
+        "hip_yaw": (0.0, 5.67, 50.4, 37.5, 1238),
+    }
+    for joint, (low, high, fast, fast_linear, hard) in expected.items():
+        found = np.degrees(spline[joint][1:5])
+        np.testing.assert_allclose(found, [low, high, fast, hard], rtol=4e-3, atol=0.06)
+        np.testing.assert_allclose(np.degrees(linear[joint].peak_velocity), fast_linear, rtol=3e-3)
+        column = CubicSpline(TIMES, thesis.SUDDEN_TURN[joint], bc_type="periodic")
+        dense = np.linspace(0, 0.8, 20_001)
+        sampled = [column(dense).min(), column(dense).max(), np.abs(column(dense, 1)).max()]
+        np.testing.assert_allclose(found[:3], sampled, rtol=1e-5, atol=1e-5)
+    assert {joint for joint, e in spline.items() if not e.within} == {"knee_pitch", "hip_pitch"}
+    assert {joint for joint, e in linear.items() if not e.within} == {"knee_pitch"}
+    human = {e.joint for e in gaits.excursions(TURN, joint_ranges("human")) if not e.within}
+    assert human == {"knee_pitch", "hip_pitch"}
+
+
+def test_gait_refuses_unknown_names():
+    with pytest.raises(InputError, match="did you mean 'straight_walk'"):
+        gaits.gait("straight")
+    with pytest.raises(InputError, match="kind must be 'spline' or 'linear'"):
+        gaits.gait("straight_walk", "cubic")
+
+
+@pytest.mark.parametrize(
+    ("times", "table", "message"),
+    [
+        ([0, 1, 2, 3], {"hip": [0, 1, 2, 0]}, "unknown joint 'hip'"),
+        ([0, 2, 1, 3], {"hip_yaw": [0, 1, 2, 0]}, "times must rise"),
+        ([0, 1, 2, 3], {"hip_yaw": [0, 1, 2, 3]}, "the last equal to the first"),
+        ([0, 1, 2, 3], {"hip_yaw": [0, 1, 0]}, "must have 4 angles"),
+    ],
+)
+def test_gait_tables_are_checked(times, table, message):
+    with pytest.raises(InputError, match=message):
+        gaits.from_table(times, table)
+
+
+def run(params, state, dt, n):
+    state, motions = unequal_steps(params, state, jnp.full(n, dt))
+    return state, jax.tree.map(np.array, motions)
+
+
+def test_pattern_generator_settles_into_the_gait():
+    params = cpg.pattern_generator(TURN)
+    for seed, lead in enumerate((0.3, -2.0, 3.0, 5.5)):
+        start = cpg.init(params, phase=float(seed), lead=lead)
+        state, _ = run(params, start, 0.01, 600)
+        _, motions = run(params, state, 0.01, 80)
+        t = float(state.phase[0]) / (2 * np.pi) * 0.8 + 0.01 * np.arange(1, 81)
+        for ours, table in zip(motions, legs_at(TURN, t), strict=True):
+            np.testing.assert_allclose(ours, table, atol=1e-7)
+
+
+def test_antiphase_is_stable_and_in_phase_is_not():
+    params = cpg.pattern_generator(WALK, coupling=3.0)
+    for lead, shrinks in ((np.pi + 1e-3, True), (1e-3, False)):
+        fixed = np.pi if shrinks else 0.0
+        state, _ = run(params, cpg.init(params, lead=lead), 0.01, 50)
+        off = (state.phase[1] - state.phase[0]) % (2 * np.pi) - fixed
+        np.testing.assert_allclose(off, 1e-3 * np.exp((-6 if shrinks else 6) * 0.5), rtol=1e-3)
+
+
+def test_pattern_generator_solves_its_equations():
+    params = cpg.pattern_generator(TURN, frequency=1.0)._replace(frequency=1.7, amplitude=0.6)
+    start = cpg.init(params, phase=0.4, lead=1.0)._replace(frequency=cpg.Follower(jnp.array(1.0), jnp.array(0.5)))
+    k, w = float(params.coupling), float(params.response)
+
+    def rates(_, y):
+        right, left, f, df, r, dr = y
+        pull = k * np.sin(left - right - np.pi)
+        speed = 2 * np.pi * f
+        return [speed + pull, speed - pull, df, w * w * (1.7 - f) - 2 * w * df, dr, w * w * (0.6 - r) - 2 * w * dr]
+
+    y0 = [*start.phase, 1.0, 0.5, 0.0, 0.0]
+    end = solve_ivp(rates, (0, 1.3), y0, rtol=1e-11, atol=1e-12).y[:, -1]
+    for steps in (1, 7):
+        state, _ = run(params, start, 1.3 / steps, steps)
+        got = np.concatenate([state.phase, *state.frequency[None:], *state.amplitude[None:]], axis=None)
+        np.testing.assert_allclose(got, [*(end[:2] % (2 * np.pi)), *end[2:]], atol=1e-8)
+
+
+@pytest.mark.parametrize(("frequency", "amplitude", "smooth"), [(2.5, 1.0, 3), (1.25, 0.4, 2), (2.5, 0.4, 2)])
+def test_outputs_stay_smooth_when_the_commands_jump(frequency, amplitude, smooth):
+    before = cpg.pattern_generator(TURN)
+    after = cpg.pattern_generator(TURN, frequency, amplitude)
+    state, earlier = run(before, cpg.init(before, lead=2.0, amplitude=1.0), 0.01, 37)
+    h = 1e-5
+    later, motions = run(after, state, h, 37)
+    joined = Motion(*(np.concatenate([a[-1:], b]) for a, b in zip(earlier, motions, strict=True)))
+    assert float(later.frequency.rate) > 0 or frequency == 1.25
+    for values, largest in zip(joined[:smooth], (1e2, 1e3, 1e5), strict=False):
+        assert np.abs(np.diff(values, axis=0)).max() < largest * h, "no jump"
+    for value, rate in ((joined.position, joined.velocity), (joined.velocity, joined.acceleration)):
+        middle = (rate[1:-1] + rate[2:]) / 2
+        np.testing.assert_allclose(np.diff(value, axis=0)[1:] / h, middle, atol=1e-4)
+
+
+def test_pattern_generator_refuses():
+    with pytest.raises(InputError, match="coupling must be positive"):
+        cpg.pattern_generator(WALK, coupling=0.0)
+    with pytest.raises(InputError, match="frequency must be at least 0"):
+        cpg.pattern_generator(WALK, frequency=-1.0)

@@ -1,0 +1,64 @@
+"""What the leg's experiments find, and that the errata's words and numbers agree."""
+
+import numpy as np
+import pytest
+from leg_reference import toe
+
+from humanoid_mjx.reproduction import load_experiments, reproduce
+from humanoid_mjx.thesis.printed import kinematics
+from humanoid_mjx.thesis.printed.erratum import States
+
+LEG = ("workspace-7b", "figure-7.1", "figure-7.2", "table-4.2", "errata")
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory):
+    out = tmp_path_factory.mktemp("leg")
+    findings = reproduce(LEG, out)
+    return out, {name: [f for f in findings if f.name == name] for name in LEG}
+
+
+def test_workspace_is_recovered_but_for_the_wiring(found):
+    out, findings = found
+    verdicts = [finding.verdict for finding in findings["workspace-7b"]]
+    assert verdicts == ["recovered", "differs"] + ["recovered"] * 5
+    assert {f.verdict for f in findings["figure-7.1"]} == {"recovered"}
+    assert {f.verdict for f in findings["figure-7.2"]} == {"differs"}
+    assert (out / "figure-7.1.png").stat().st_size > 10_000 and (out / "figure-7.2.png").stat().st_size > 10_000
+
+
+def test_workspace_depends_on_the_lengths(tmp_path):
+    findings = reproduce(["workspace-7b"], tmp_path, ["lengths.l4=0.095"])
+    assert "recovered" not in [f.verdict for f in findings]
+
+
+def test_stall_torque_cannot_be_had(found):
+    out, findings = found
+    assert [f.verdict for f in findings["table-4.2"]] == ["reproduced"] * 2 + ["not_reproducible"] + ["reproduced"] * 2
+    assert findings["table-4.2"][2].reproduced == pytest.approx(-10 * (0.1 + 0.2 + 0.2))
+    assert len((out / "table-4.2.md").read_text().splitlines()) == 22
+
+
+def test_errata_say_where_the_numbers_differ(found):
+    out, findings = found
+    for finding in findings["errata"]:
+        assert (finding.verdict == "reproduced") == (finding.printed == "none"), finding
+        assert ("should be" in finding.why) == (finding.printed != "none"), finding
+    assert len((out / "errata.md").read_text().splitlines()) == len(findings["errata"]) + 2
+
+
+def test_printed_entries_are_wrong_by_what_the_typing_error_changes():
+    q = np.random.default_rng(0).uniform(-3, 3, (5, 100))
+    (c1, c2, c3, c4, c5), (s1, s2, _, s4, s5) = np.cos(q), np.sin(q)
+    lengths = (0.1, 0.2, 0.3, 0.4, 0.5)
+    printed = kinematics.pose_entries(States(q, lengths, {}))
+    true = np.array([toe(lengths, x) for x in q.T])
+    np.testing.assert_allclose(printed["r11"] - true[:, 0, 0], s5 * c1 * c2 * (c4 - s4), atol=1e-14)
+    np.testing.assert_allclose(printed["r12"] - true[:, 0, 1], c5 * c1 * c2 * (c4 - s4), atol=1e-14)
+    np.testing.assert_allclose(printed["r14"] - true[:, 0, 3], 0.5 * c5 * c4 * s1 * (c1 - c3), atol=1e-14)
+    np.testing.assert_allclose(printed["r23"] - true[:, 1, 2], s1 * s2 * (c1 - c3), atol=1e-14)
+    np.testing.assert_allclose(printed["r34"], true[:, 2, 3], atol=1e-14)
+
+
+def test_experiments_have_the_names_of_the_source():
+    assert set(LEG) | {"figure-7.3", "figure-7.4"} <= set(load_experiments())
