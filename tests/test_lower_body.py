@@ -119,7 +119,7 @@ def test_mirrored_states_and_torques_give_mirrored_accelerations(model, seed):
     qpos = model.qpos0.copy()
     qpos[-10:] = rng.uniform(*model.jnt_range[-10:].T)
     if model.nq > 10:
-        qpos[:3] = rng.uniform(-0.05, 0.05, 3) + [0, 0, 0.12]
+        qpos[:3] = rng.uniform([-0.05, -0.05, 0.07], [0.05, 0.05, 0.17])
         qpos[3:7] = np.array([1, 0, 0, 0]) + 0.2 * rng.normal(size=4)
         qpos[3:7] /= np.linalg.norm(qpos[3:7])
     qvel, torque = rng.normal(size=model.nv), rng.uniform(-1, 1, 10)
