@@ -1,7 +1,8 @@
 """The motion of a serial chain: `mass_matrix(q) qdd + coriolis(q, qd) + gravity(q) = torque`.
 
 All functions take one chain at one state; `jax.vmap` batches both. They are written out on scalars, with what vanishes
-in the chain's structure left out, and compile to few kernels without loops or matrices.
+in the chain's structure left out, and compile to few kernels without loops or matrices. On a CPU they are fastest after
+`runtime.start()` in a `jax.jit` with `compiler_options=runtime.SHARED_KERNELS`, in batches of some 500 for each core.
 """
 
 from collections.abc import Callable, Sequence
