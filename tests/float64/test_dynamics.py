@@ -17,7 +17,7 @@ from humanoid_mjx.robot.chain import Chain
 from humanoid_mjx.robot.leg import ALONG_THE_LEG, AS_PRINTED, Leg
 from humanoid_mjx.robot.mjcf import make_mjspec
 
-GOLDEN = json.loads((Path(__file__).parent.parent / "data" / "leg_golden.json").read_text())["states"]
+GOLDEN = json.loads((Path(__file__).parent.parent / "data" / "golden.json").read_text())["states"]
 GRAVITIES = {"along_the_leg": ALONG_THE_LEG, "as_printed": AS_PRINTED}
 SETS = {"thesis": Leg.thesis, "matlab_script": Leg.matlab_script}
 CLOSE = partial(np.testing.assert_allclose, rtol=0, atol=1e-10)
