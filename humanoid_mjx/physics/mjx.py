@@ -44,8 +44,8 @@ class MjxJax(MujocoPhysics):
     implementation: ClassVar[Literal["jax", "warp"]] = "jax"
 
     def start(self, params: Any, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]) -> World:
-        qvel = jnp.asarray(qvel, float)
-        return World(jnp.asarray(qpos, float), qvel, jnp.zeros_like(qvel), jnp.bool_(False))
+        qvel = jnp.array(qvel, float)
+        return World(jnp.array(qpos, float), qvel, jnp.zeros_like(qvel), jnp.bool_(False))
 
     def reset(
         self,
