@@ -136,6 +136,30 @@ def test_torque_is_held_over_a_cycle_and_kept_within_its_limit():
     assert np.abs(torques).max() == 0.3
 
 
+def test_one_step_on_the_ground_agrees_with_native(step, params, worlds):
+    """Tilted feet that strike the ground, in single precision: 1 mm/s in velocities of several m/s and rad/s."""
+    kicked = worlds._replace(qvel=0.3 * jax.random.normal(jax.random.key(0), worlds.qvel.shape))
+    for _ in range(5):
+        kicked, _ = step(params, kicked)
+    native, _ = NATIVE.step(NATIVE.params, NATIVE.start(NATIVE.params, kicked.qpos, kicked.qvel), hold)
+    np.testing.assert_allclose(step(params, kicked)[0].qvel, native.qvel, atol=1e-3)
+
+
+def test_warp_agrees_with_native(worlds):
+    """On the ground, with a controller that uses mass matrix and bias."""
+    pytest.importorskip("warp")
+    warp = make_physics("mjx-warp", worlds=WORLDS)
+
+    def balance(stages: Stages):
+        weight = (stages.mass_matrix[..., -10:, -10:] @ stages.qvel[..., None])[..., 0] + stages.bias[..., -10:]
+        return hold(stages) + 0.1 * weight
+
+    world, _ = jax.jit(jax.vmap(lambda world: warp.step(warp.params, world, balance, substeps=2)))(worlds)
+    native = NATIVE.start(NATIVE.params, worlds.qpos, worlds.qvel)
+    native, _ = NATIVE.step(NATIVE.params, native, balance, substeps=2)
+    np.testing.assert_allclose(world.qvel, native.qvel, atol=1e-3)
+
+
 def test_native_worlds_diverge_alone_and_silently(tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     qvel = np.zeros((3, 16))
