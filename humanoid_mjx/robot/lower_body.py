@@ -86,6 +86,14 @@ _AXES = {
 }
 """Of the right leg. The left's are the mirror images: yaw and roll turn the other way."""
 
+LOOKS = {
+    "ground": (0.9, 0.9, 0.9, 1.0),
+    "torso": (0.6, 0.6, 0.6, 1.0),
+    "right": (0.35, 0.6, 0.85, 1.0),
+    "left": (0.9, 0.55, 0.3, 1.0),
+}
+"""Colours of the parts in MuJoCo's renderer."""
+
 CORNERS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 """Of a foot: towards the toe or the heel, towards the left or the right."""
 
@@ -120,6 +128,7 @@ def lower_body_spec(torso: str = "free", ranges: str = "proposed", timestep: flo
     spec.compiler.degree = False
     spec.option.timestep = step
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
+    _add_light(spec)
     body = _add_torso(spec, torso)
     for side in SIDES:
         _add_leg(spec, body, side, np.radians(thesis.JOINT_RANGES[ranges]))
@@ -129,6 +138,20 @@ def lower_body_spec(torso: str = "free", ranges: str = "proposed", timestep: flo
         _add_ground(spec)
     _add_motors_and_sensors(spec)
     return spec
+
+
+def _add_light(spec: mujoco.MjSpec) -> None:
+    """A bright sky, which MuJoCo's renderer would else leave black."""
+    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = (0.45,) * 3, (0.6,) * 3
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=(1.0, 1.0, 1.0),
+        rgb2=(0.8, 0.85, 0.9),
+        width=64,
+        height=384,
+    )
 
 
 def _add_torso(spec: mujoco.MjSpec, torso: str) -> mujoco.MjsBody:
@@ -141,6 +164,7 @@ def _add_torso(spec: mujoco.MjSpec, torso: str) -> mujoco.MjsBody:
         pos=(0.0, 0.0, TORSO_HEIGHT / 2),
         size=(TORSO_DEPTH / 2, HIP_OFFSET, TORSO_HEIGHT / 2),
         mass=TORSO_MASS,
+        rgba=LOOKS["torso"],
         contype=0,
         conaffinity=0,
     )
@@ -176,7 +200,7 @@ def _add_leg(spec: mujoco.MjSpec, torso: mujoco.MjsBody, side: str, ranges: np.n
             damping=DAMPING,
             armature=ARMATURE,
         )
-        body.add_geom(name=f"{side}_{link}", mass=mass, contype=0, conaffinity=0, **shape)
+        body.add_geom(name=f"{side}_{link}", mass=mass, contype=0, conaffinity=0, rgba=LOOKS[side], **shape)
     _add_foot_contact(body, side, np.array(foot_pos), np.array(foot_size))
 
 
@@ -196,7 +220,12 @@ def _add_foot_contact(foot: mujoco.MjsBody, side: str, pos: np.ndarray, size: np
 def _add_ground(spec: mujoco.MjSpec) -> None:
     """The plane z = 0, which only the feet feel: a body that touches it with anything else has fallen."""
     spec.worldbody.add_geom(
-        name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0.0, 0.0, 0.05), contype=0, conaffinity=0
+        name="ground",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=(0.0, 0.0, 0.05),
+        contype=0,
+        conaffinity=0,
+        rgba=LOOKS["ground"],
     )
     for side in SIDES:
         for index in range(len(CORNERS)):
