@@ -1,6 +1,7 @@
 # pyright: reportAttributeAccessIssue=false
 """MuJoCo MJX: physics inside compiled jax programs. What is private to MJX is touched in this module alone."""
 
+import importlib
 import importlib.util
 import io
 from contextlib import redirect_stdout
@@ -19,9 +20,10 @@ from humanoid_mjx.physics.base import MAX_SPEED, Controller, Poses, Readings, St
 from humanoid_mjx.physics.model import MujocoPhysics
 from humanoid_mjx.types import AnyArray, BoolScalar, IntScalar
 
-SOLVER_ITERATIONS = 4
+SOLVER_ITERATIONS = {"jax": 4, "warp": 30}
 LINE_SEARCH_ITERATIONS = 8
-"""Of Newton's method for the contact forces. It starts from the last step's accelerations."""
+"""Of Newton's method for the contact forces, which starts from the last accelerations. In jax all worlds wait for
+the slowest; in warp each world stops by itself."""
 
 CONTACTS_PER_WORLD, CONSTRAINTS_PER_WORLD = 16, 64
 """Room in warp's buffers: two feet of four contacts and five pairs of the legs; four rows a foot contact, one each for
@@ -44,8 +46,8 @@ class MjxJax(MujocoPhysics):
     implementation: ClassVar[Literal["jax", "warp"]] = "jax"
 
     def start(self, params: Any, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]) -> World:
-        qvel = jnp.asarray(qvel, float)
-        return World(jnp.asarray(qpos, float), qvel, jnp.zeros_like(qvel), jnp.bool_(False))
+        qvel = jnp.array(qvel, float)
+        return World(jnp.array(qpos, float), qvel, jnp.zeros_like(qvel), jnp.bool_(False))
 
     def reset(
         self,
@@ -146,16 +148,13 @@ class MjxWarp(MjxJax):
             raise ValueError("mjx-warp needs the package warp-lang, which is not installed")
         if jax.config.jax_enable_x64:
             raise ValueError("mjx-warp computes in float32 only, but jax_enable_x64 is set")
+        warp = importlib.import_module("warp")
+        warp.config.log_level = warp.LOG_WARNING
         return self
 
     def _blank_data(self) -> Any:
-        data = mjx.make_data(
-            self.model,
-            impl="warp",
-            naconmax=self.worlds * CONTACTS_PER_WORLD,
-            njmax=CONSTRAINTS_PER_WORLD,
-        )
-        return data
+        contacts = self.worlds * CONTACTS_PER_WORLD
+        return mjx.make_data(self.model, impl="warp", naconmax=contacts, njmax=CONSTRAINTS_PER_WORLD)
 
 
 def mass_matrix(model: mujoco.MjModel, data: Any) -> Float[Array, "nv nv"]:
@@ -172,7 +171,7 @@ def mass_matrix(model: mujoco.MjModel, data: Any) -> Float[Array, "nv nv"]:
 def _mjx_arrays(model: mujoco.MjModel, implementation: str, x64: bool) -> tuple[Any, Any]:
     """MJX's model and data with numpy leaves, which belong to no device and to no trace."""
     model = copy(model)
-    model.opt.iterations, model.opt.ls_iterations = SOLVER_ITERATIONS, LINE_SEARCH_ITERATIONS
+    model.opt.iterations, model.opt.ls_iterations = SOLVER_ITERATIONS[implementation], LINE_SEARCH_ITERATIONS
     with jax.ensure_compile_time_eval():
         put = mjx.put_model(model, impl=implementation)
         data = mjx.make_data(model, impl=implementation) if implementation == "jax" else None

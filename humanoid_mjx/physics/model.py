@@ -12,7 +12,7 @@ from pydantic import Field
 from humanoid_mjx.physics.base import Physics, Readings
 from humanoid_mjx.robot import lower_body as body
 from humanoid_mjx.robot import robot_spec
-from humanoid_mjx.types import FloatScalar
+from humanoid_mjx.types import AnyArray, FloatScalar
 
 
 class MujocoPhysics(Physics):
@@ -58,7 +58,7 @@ class MujocoPhysics(Physics):
     def qpos0(self) -> Float[np.ndarray, " nq"]:
         return self.model.qpos0.copy()
 
-    def _readings(self, sensordata: np.ndarray) -> Readings:
+    def _readings(self, sensordata: Float[AnyArray, "*worlds sensors"]) -> Readings:
         """MuJoCo's sensor array, in the order in which the robot declares its sensors."""
         joints = self.model.nu
         return Readings(

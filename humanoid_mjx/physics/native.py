@@ -34,9 +34,10 @@ class Native(MujocoPhysics):
         params: Any,
         world: World,
         mask: Bool[AnyArray, "*worlds"],
-        qpos: Float[AnyArray, "*worlds nq"],
-        qvel: Float[AnyArray, "*worlds nv"],
+        qpos: Float[AnyArray, "*#worlds nq"],
+        qvel: Float[AnyArray, "*#worlds nv"],
     ) -> World:
+        qpos, qvel = np.broadcast_to(qpos, world.qpos.shape), np.broadcast_to(qvel, world.qvel.shape)
         return _where(np.asarray(mask), self.start(params, qpos, qvel), world)
 
     def step(

@@ -53,6 +53,11 @@ TORSO_HEIGHT = 0.060
 ANKLE_FROM_HEEL = 0.020
 """m. Left open: a third of the foot, so that weight can shift both ways, and further forward as on a human foot."""
 
+CORNER_RADIUS = 0.0005
+"""m, of the balls in the lower corners of the foot box by which it touches the ground. They stand for the box because
+MJX's own contact of a box with a plane leaves out corners that lie 1 mm above the deepest: on tilted feet it differs
+from MuJoCo's by 0.1 m/s in a step, where the balls agree to rounding. They are also cheaper."""
+
 TORQUE_LIMIT = 2.0
 """N m, every joint. Table 4.7's maxima (0.28 and less) are of a leg that hangs. Balancing on one leg takes 0.69 at the
 hip's roll, and a squat on one leg with the thigh level 1.35 at the knee; 2.0 leaves a motion half as much again."""
@@ -80,6 +85,17 @@ _AXES = {
     "ankle_pitch": (0.0, 1.0, 0.0),
 }
 """Of the right leg. The left's are the mirror images: yaw and roll turn the other way."""
+
+LOOKS = {
+    "ground": (0.9, 0.9, 0.9, 1.0),
+    "torso": (0.6, 0.6, 0.6, 1.0),
+    "right": (0.35, 0.6, 0.85, 1.0),
+    "left": (0.9, 0.55, 0.3, 1.0),
+}
+"""Colours of the parts in MuJoCo's renderer."""
+
+CORNERS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
+"""Of a foot: towards the toe or the heel, towards the left or the right."""
 
 _LEG_CONTACTS = (("thigh", "thigh"), ("shank", "shank"), ("sole", "sole"), ("shank", "sole"), ("sole", "shank"))
 """Parts of the right and the left leg that cannot pass through each other; all are capsules, one contact a pair."""
@@ -112,6 +128,7 @@ def lower_body_spec(torso: str = "free", ranges: str = "proposed", timestep: flo
     spec.compiler.degree = False
     spec.option.timestep = step
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
+    _add_light(spec)
     body = _add_torso(spec, torso)
     for side in SIDES:
         _add_leg(spec, body, side, np.radians(thesis.JOINT_RANGES[ranges]))
@@ -121,6 +138,20 @@ def lower_body_spec(torso: str = "free", ranges: str = "proposed", timestep: flo
         _add_ground(spec)
     _add_motors_and_sensors(spec)
     return spec
+
+
+def _add_light(spec: mujoco.MjSpec) -> None:
+    """A bright sky, which MuJoCo's renderer would else leave black."""
+    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = (0.45,) * 3, (0.6,) * 3
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=(1.0, 1.0, 1.0),
+        rgb2=(0.8, 0.85, 0.9),
+        width=64,
+        height=384,
+    )
 
 
 def _add_torso(spec: mujoco.MjSpec, torso: str) -> mujoco.MjsBody:
@@ -133,6 +164,7 @@ def _add_torso(spec: mujoco.MjSpec, torso: str) -> mujoco.MjsBody:
         pos=(0.0, 0.0, TORSO_HEIGHT / 2),
         size=(TORSO_DEPTH / 2, HIP_OFFSET, TORSO_HEIGHT / 2),
         mass=TORSO_MASS,
+        rgba=LOOKS["torso"],
         contype=0,
         conaffinity=0,
     )
@@ -143,11 +175,10 @@ def _add_torso(spec: mujoco.MjSpec, torso: str) -> mujoco.MjsBody:
 def _add_leg(spec: mujoco.MjSpec, torso: mujoco.MjsBody, side: str, ranges: np.ndarray) -> None:
     """Links with the masses of Table 4.3, in solid shapes: two balls at the hip, two capsules, a box."""
     ball, capsule, box = (getattr(mujoco.mjtGeom, f"mjGEOM_{name}") for name in ("SPHERE", "CAPSULE", "BOX"))
-    middle_of_foot = FOOT_LENGTH / 2 - ANKLE_FROM_HEEL
     outwards = -HIP_OFFSET if side == "right" else HIP_OFFSET
     thigh, shank = (0.0, 0.0, 0.0, 0.0, 0.0, -THIGH_LENGTH), (0.0, 0.0, 0.0, 0.0, 0.0, -SHANK_LENGTH)
     foot_size = (FOOT_LENGTH / 2, FOOT_WIDTH / 2, FOOT_HEIGHT / 2)
-    foot_pos = (middle_of_foot, 0.0, -FOOT_HEIGHT / 2)
+    foot_pos = (FOOT_LENGTH / 2 - ANKLE_FROM_HEEL, 0.0, -FOOT_HEIGHT / 2)
     links = (
         ("pitch_link", (0.0, outwards, 0.0), {"type": ball, "size": (THIGH_RADIUS, 0.0, 0.0)}),
         ("yaw_link", (0.0, 0.0, 0.0), {"type": ball, "size": (THIGH_RADIUS, 0.0, 0.0)}),
@@ -169,23 +200,38 @@ def _add_leg(spec: mujoco.MjSpec, torso: mujoco.MjsBody, side: str, ranges: np.n
             damping=DAMPING,
             armature=ARMATURE,
         )
-        body.add_geom(name=f"{side}_{link}", mass=mass, contype=0, conaffinity=0, **shape)
-    heel, toe = (middle_of_foot + sign * (FOOT_LENGTH - FOOT_WIDTH) / 2 for sign in (-1, 1))
-    level = -FOOT_HEIGHT / 2
-    sole = {"fromto": (heel, 0.0, level, toe, 0.0, level), "size": (FOOT_WIDTH / 2, 0.0, 0.0)}
-    body.add_geom(name=f"{side}_sole", type=capsule, mass=0.0, contype=0, conaffinity=0, group=3, **sole)
-    around = tuple(x + 0.005 for x in foot_size)
-    body.add_site(name=f"{side}_foot", type=box, pos=foot_pos, size=around, group=3)
+        body.add_geom(name=f"{side}_{link}", mass=mass, contype=0, conaffinity=0, rgba=LOOKS[side], **shape)
+    _add_foot_contact(body, side, np.array(foot_pos), np.array(foot_size))
+
+
+def _add_foot_contact(foot: mujoco.MjsBody, side: str, pos: np.ndarray, size: np.ndarray) -> None:
+    """Massless shapes in the foot box: corners for the ground, a capsule for the other leg, a site that senses."""
+    ball, capsule, box = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_BOX
+    silent = {"mass": 0.0, "contype": 0, "conaffinity": 0, "group": 3}
+    for index, corner in enumerate(CORNERS):
+        center = pos + (*corner, -1) * (size - CORNER_RADIUS)
+        foot.add_geom(name=f"{side}_corner{index}", type=ball, pos=center, size=(CORNER_RADIUS, 0.0, 0.0), **silent)
+    along = np.array([size[0] - size[1], 0.0, 0.0])
+    fromto = (*(pos - along), *(pos + along))
+    foot.add_geom(name=f"{side}_sole", type=capsule, fromto=fromto, size=(size[1], 0.0, 0.0), **silent)
+    foot.add_site(name=f"{side}_foot", type=box, pos=pos, size=size + 0.005, group=3)
 
 
 def _add_ground(spec: mujoco.MjSpec) -> None:
-    """The plane z = 0, which only the feet feel: whatever else touches it has fallen."""
+    """The plane z = 0, which only the feet feel: a body that touches it with anything else has fallen."""
     spec.worldbody.add_geom(
-        name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0.0, 0.0, 0.05), contype=0, conaffinity=0
+        name="ground",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=(0.0, 0.0, 0.05),
+        contype=0,
+        conaffinity=0,
+        rgba=LOOKS["ground"],
     )
     for side in SIDES:
-        pair = spec.add_pair(name=f"{side}_foot_ground", geomname1="ground", geomname2=f"{side}_foot", condim=3)
-        pair.friction[:2] = FRICTION
+        for index in range(len(CORNERS)):
+            corner = f"{side}_corner{index}"
+            pair = spec.add_pair(name=f"{corner}_ground", geomname1="ground", geomname2=corner, condim=3)
+            pair.friction[:2] = FRICTION
 
 
 def _add_motors_and_sensors(spec: mujoco.MjSpec) -> None:
