@@ -10,13 +10,26 @@ __version__ = "0.1.0"
 
 _PUBLIC = {
     "InputError": "humanoid_mjx.spec:InputError",
+    "Leg": "humanoid_mjx.robot.leg:Leg",
+    "control": "humanoid_mjx.control:",
+    "dynamics": "humanoid_mjx.mechanics.dynamics:",
     "kinematics": "humanoid_mjx.mechanics.kinematics:",
     "make_learner": "humanoid_mjx.learners:make_learner",
     "make_task": "humanoid_mjx.tasks:make_task",
     "sweep": "humanoid_mjx.training.sweep:sweep",
 }
 
-__all__ = ["InputError", "__version__", "kinematics", "make_learner", "make_task", "sweep"]  # pyright: ignore[reportUnsupportedDunderAll]
+__all__ = [
+    "InputError",
+    "Leg",
+    "__version__",
+    "control",
+    "dynamics",
+    "kinematics",
+    "make_learner",
+    "make_task",
+    "sweep",
+]  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> Any:

@@ -11,3 +11,10 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
 from jaxtyping import install_import_hook
 
 install_import_hook("humanoid_mjx", "typecheck.check")
+
+from humanoid_mjx import runtime  # noqa: E402
+
+os.environ.setdefault("XLA_FLAGS", runtime.XLA_FLAGS)
+
+collect_ignore = [] if os.environ.get("JAX_ENABLE_X64") else ["float64"]
+"""Those need a process of their own: test_float64.py starts it."""

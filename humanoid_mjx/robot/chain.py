@@ -48,13 +48,13 @@ class Chain:
     Build one with `Chain.build`, which checks its values; the constructor does not.
     """
 
-    d: Float[Array, " joints"]
+    d: Float[Array, "*batch joints"]
     """Offsets along the joint axes, m."""
-    a: Float[Array, " joints"]
+    a: Float[Array, "*batch joints"]
     """Lengths along the links' x axes, m."""
-    pseudo_inertia: Float[Array, "joints 4 4"]
+    pseudo_inertia: Float[Array, "*batch joints 4 4"]
     """Integrals of r r^T dm over each link, r = [x y z 1] in its own frame: kg m^2, kg m and kg."""
-    gravity: Float[Array, "3"]
+    gravity: Float[Array, "*batch 3"]
     """Acceleration in frame 0, m/s^2."""
     structure: Structure
 
@@ -106,7 +106,7 @@ class Chain:
         return len(self.structure.alpha)
 
     @property
-    def mass(self) -> Float[Array, " joints"]:
+    def mass(self) -> Float[Array, "*batch joints"]:
         """kg"""
         return self.pseudo_inertia[..., 3, 3]
 
@@ -149,7 +149,7 @@ def _array(name: str, value: Any) -> np.ndarray:
         raise InputError(f"{name} must be numbers, got {value!r}.") from error
 
 
-def _where(array: Any) -> Any:
+def _where(array: np.ndarray | np.generic) -> Any:
     """The places that are not zero, as nested tuples."""
     if array.ndim == 0:
         return bool(array)

@@ -90,7 +90,7 @@ class Leg(Chain):
         return cls.from_links(thesis.LINK_LENGTHS, corrected_inertias() * scale[:, None, None], gravity)
 
     @property
-    def lengths(self) -> Float[Array, "5"]:
+    def lengths(self) -> Float[Array, "*batch 5"]:
         """l1 to l5, m."""
         return jnp.concatenate([self.d[..., :2], self.a[..., 2:]], axis=-1)
 

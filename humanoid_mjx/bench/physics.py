@@ -1,0 +1,223 @@
+"""Steps a second of the leg at 2 ms, with computed torque and without, against MJX and native MuJoCo.
+
+    chain          this package: `dynamics.rollout`, float32, one program per core on a CPU. The controller's model has
+                   the mass of every link 20 % off, one up, the next down: nothing of the plant's can be used again.
+    mjx-jax        MJX on the same leg, float32, batched the same way. With the controller, the position and velocity
+                   stages run once a step, and their mass matrix and bias make the torque, so its model can be off only
+                   by one factor (0.8) for all links: less work than the chain does.
+    mjx-jax plain  the same with XLA as it comes, without `runtime.XLA_FLAGS`: in a process of its own, CPU only
+    mujoco         native MuJoCo, float64: `mujoco.rollout`, one thread a core, without a controller only
+
+A step is one of physics, with its control where there is control.
+"""
+
+import contextlib
+import io
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from functools import cache, partial
+from importlib import import_module
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from humanoid_mjx import runtime
+from humanoid_mjx.bench.measure import Record, Subject, record, time_in_turn
+from humanoid_mjx.control import ComputedTorque, Reference, computed_torque
+from humanoid_mjx.mechanics import dynamics
+from humanoid_mjx.robot.leg import Leg
+from humanoid_mjx.robot.mjcf import make_mjspec
+
+TIMESTEP = 0.002
+MJX_REPEATS = 3
+KP, KD, GOAL = 70.0, 32.0, 0.5
+MASS_ERRORS = (0.8, 1.2, 0.8, 1.2, 0.8)
+MASS_ERROR = 0.8
+
+CPU_BLOCK = 512
+"""Legs whose intermediate values the cache of a core holds."""
+
+
+class Setting(NamedTuple):
+    """How much is timed: the numbers of legs, and steps in a call for each subject."""
+
+    batches: Sequence[int]
+    chain_steps: int
+    mjx_steps: int
+    mujoco_steps: int
+
+
+SETTINGS = {
+    "cpu": Setting((1024, 8192), 500, 10, 100),
+    "gpu": Setting((4096, 131_072, 1_048_576), 500, 100, 100),
+}
+
+MUJOCO_BATCH = 4096
+"""The most legs that native MuJoCo simulates at once: its rate no longer changes, its stored states would."""
+
+
+def run(say: Callable[[str], None], setting: Setting | None = None) -> list[Record]:
+    """Time all subjects over several numbers of legs."""
+    setting = setting or SETTINGS.get(jax.default_backend(), SETTINGS["gpu"])
+    records: list[Record] = []
+    with process_with_plain_xla() as plain:
+        for batch in setting.batches:
+            subjects = make_subjects(batch, setting, plain)
+            rates = {}
+            for name, timing in time_in_turn(subjects).items():
+                subject, (what, _, controlled) = subjects[name], name.partition(" with ")
+                if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(timing.result)):
+                    raise FloatingPointError(f"{name}: the simulation diverged.")
+                unit = "control+physics steps/s" if controlled else "physics steps/s"
+                records.append(record("physics", what, subject, timing, unit))
+                rates[name] = records[-1].value
+                say(f"{what:14} {subject.batch:9,} legs  {rates[name]:10.3e} {unit:23}"
+                    f"  compiled in {timing.compile_s:4.1f} s")  # fmt: skip
+            ours = rates.pop("chain with control")
+            say("chain with control: " + ", ".join(f"{ours / rate:.1f} x {name}" for name, rate in rates.items()))
+    return records
+
+
+def make_subjects(batch: int, setting: Setting, plain: Executor) -> dict[str, Subject]:
+    """The subjects for a number of legs; those that are controlled end in "with control"."""
+    native = min(batch, MUJOCO_BATCH)
+    slow = batch * setting.mjx_steps
+    subjects = {
+        "chain with control": Subject(chain(batch, setting.chain_steps, True), batch * setting.chain_steps, batch),
+        "mjx-jax with control": Subject(mjx_jax(batch, setting.mjx_steps, True), slow, batch, MJX_REPEATS),
+        "chain": Subject(chain(batch, setting.chain_steps, False), batch * setting.chain_steps, batch),
+        "mjx-jax": Subject(mjx_jax(batch, setting.mjx_steps, False), slow, batch, MJX_REPEATS),
+        "mujoco": Subject(mujoco(native, setting.mujoco_steps), native * setting.mujoco_steps, native, device="cpu"),
+    }
+    if jax.default_backend() == "cpu":
+        elsewhere = partial(_call_mjx_jax, batch, setting.mjx_steps)
+        subjects["mjx-jax plain with control"] = Subject(
+            lambda: plain.submit(elsewhere).result(), slow, batch, MJX_REPEATS
+        )
+    return subjects
+
+
+def start(batch: int) -> tuple[np.ndarray, np.ndarray]:
+    """Angles and velocities of the legs before the first step, by leg and joint."""
+    generator = np.random.default_rng(0)
+    qpos, qvel = 0.1 * generator.standard_normal((2, batch, 5), np.float32)
+    return qpos, qvel
+
+
+def chain(batch: int, steps: int, controlled: bool) -> Callable[[], Any]:
+    """This package's dynamics."""
+    return _on_all_devices(_chain_program(steps, controlled), batch)
+
+
+@cache
+def _chain_program(steps: int, controlled: bool) -> Callable[..., Any]:
+    leg = Leg.physical()
+    gains = ComputedTorque(leg.scaled(np.array(MASS_ERRORS)), jnp.full(5, KP), jnp.full(5, KD))
+    goal = Reference(jnp.full(5, GOAL), jnp.zeros(5), jnp.zeros(5))
+
+    def controller(_: Any, qpos: jax.Array, qvel: jax.Array) -> jax.Array:
+        return computed_torque(gains, goal, qpos, qvel) if controlled else jnp.zeros(5)
+
+    def simulate(qpos: jax.Array, qvel: jax.Array) -> dynamics.State:
+        return dynamics.rollout(leg, qpos, qvel, controller, TIMESTEP, steps)[0]
+
+    return jax.jit(jax.vmap(simulate), compiler_options=runtime.SHARED_KERNELS)
+
+
+def mjx_jax(batch: int, steps: int, controlled: bool) -> Callable[[], Any]:
+    """MJX, with the jax implementation of its physics."""
+    return _on_all_devices(_mjx_program(steps, controlled), batch)
+
+
+@cache
+def _mjx_program(steps: int, controlled: bool) -> Callable[..., Any]:
+    # Importing MJX tells that warp is missing, and MJX with jax does without it.
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+        from mujoco import mjx
+    model = mjx.put_model(_mujoco_model(), impl="jax")
+
+    def step(data: Any, _: Any) -> tuple[Any, None]:
+        if not controlled:
+            return mjx.step(model, data), None
+        data = mjx.fwd_velocity(model, mjx.fwd_position(model, data))
+        wanted = KP * (GOAL - data.qpos) - KD * data.qvel
+        torque = MASS_ERROR * (mjx.full_m(model, data) @ wanted + data.qfrc_bias)
+        data = mjx.fwd_acceleration(model, data.replace(qfrc_applied=torque))
+        return mjx.euler(model, data.replace(qacc=data.qacc_smooth)), None
+
+    def simulate(qpos: jax.Array, qvel: jax.Array) -> tuple[jax.Array, jax.Array]:
+        data = mjx.make_data(model).replace(qpos=qpos, qvel=qvel)
+        data = jax.lax.scan(step, data, length=steps)[0]
+        return data.qpos, data.qvel
+
+    return jax.jit(jax.vmap(simulate))
+
+
+def mujoco(batch: int, steps: int) -> Callable[[], Any]:
+    """Native MuJoCo, one thread a core."""
+    mj: Any = import_module("mujoco")
+    rollout = import_module("mujoco.rollout")
+
+    model, full = _mujoco_model(), mj.mjtState.mjSTATE_FULLPHYSICS
+    states = np.zeros((batch, mj.mj_stateSize(model, full)))
+    data = mj.MjData(model)
+    for row, data.qpos[:], data.qvel[:] in zip(states, *start(batch), strict=True):
+        mj.mj_getState(model, data, row, full)
+    threads = os.cpu_count() or 1
+    simulate = rollout.Rollout(nthread=threads)
+    per_thread, states_after = [mj.MjData(model) for _ in range(threads)], np.zeros((batch, steps, states.shape[1]))
+
+    def call() -> np.ndarray:
+        simulate.rollout(model, per_thread, states, nstep=steps, state=states_after)
+        return states_after[:, -1]
+
+    return call
+
+
+def _mujoco_model() -> Any:
+    """The leg, without the stages that find neither contacts nor constraints in it."""
+    mj: Any = import_module("mujoco")
+    model = make_mjspec(Leg.physical(), TIMESTEP).compile()
+    model.opt.disableflags |= mj.mjtDisableBit.mjDSBL_CONSTRAINT | mj.mjtDisableBit.mjDSBL_CONTACT
+    return model
+
+
+@contextlib.contextmanager
+def process_with_plain_xla() -> Iterator[Executor]:
+    """A process that computes as this one, but with XLA as it comes."""
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=_start_plain) as pool:
+        pool.submit(jax.device_count).result()
+        yield pool
+
+
+def _start_plain() -> None:
+    runtime.start()
+    os.environ["XLA_FLAGS"] = os.environ["XLA_FLAGS"].replace(runtime.XLA_FLAGS, "")
+
+
+def _call_mjx_jax(batch: int, steps: int) -> Any:
+    return jax.device_get(_cached_mjx_jax(batch, steps)())
+
+
+@cache
+def _cached_mjx_jax(batch: int, steps: int) -> Callable[[], Any]:
+    return mjx_jax(batch, steps, True)
+
+
+def _on_all_devices(simulate: Callable[..., Any], batch: int) -> Callable[[], Any]:
+    """A call that shares the legs out: a thread for each device, on a CPU block after block."""
+    devices = jax.local_devices()
+    blocks = max(1, batch // (CPU_BLOCK * len(devices))) if devices[0].platform == "cpu" else 1
+    shares = zip(*(np.array_split(array, len(devices) * blocks) for array in start(batch)), strict=True)
+    placed = [jax.device_put(share, devices[i % len(devices)]) for i, share in enumerate(shares)]
+    by_device = [placed[i :: len(devices)] for i in range(len(devices))]
+    threads = ThreadPoolExecutor(len(devices))
+
+    def call() -> list[Any]:
+        return list(threads.map(lambda mine: [jax.block_until_ready(simulate(*share)) for share in mine], by_device))
+
+    return call

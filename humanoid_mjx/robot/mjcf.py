@@ -1,0 +1,73 @@
+"""A chain as a MuJoCo model: fixed torso, a body at each Denavit-Hartenberg frame, no geometry, no contacts."""
+
+import math
+from typing import Any
+
+import numpy as np
+from jax.core import Tracer
+
+from humanoid_mjx.robot.chain import Chain
+from humanoid_mjx.robot.leg import Leg
+from humanoid_mjx.spec import InputError
+from humanoid_mjx.thesis.leg import JOINT_NAMES
+
+SMALLEST_INERTIA = 1e-13
+"""kg m^2, added where a link has none about some axis, as thin rods: MuJoCo wants inertias above 1e-15."""
+
+
+def make_mjspec(chain: Chain, timestep: float = 0.002) -> Any:
+    """The chain as a `mujoco.MjSpec`, frame 0 being the world; its `compile()` and `to_xml()` lead on from there.
+
+    Args:
+      chain: with concrete values.
+      timestep: s.
+
+    Raises:
+      InputError: the values are traced or batched, or a link has no mass.
+    """
+    from mujoco import MjSpec  # pyright: ignore[reportAttributeAccessIssue]
+
+    if isinstance(chain.d, Tracer) or chain.d.ndim != 1:
+        raise InputError("a MuJoCo model needs one chain with concrete values, outside jit and vmap.")
+    spec = MjSpec()
+    spec.option.timestep = timestep
+    spec.option.gravity = np.asarray(chain.gravity, np.float64)
+    structure, body = chain.structure, spec.worldbody
+    inertias, offsets, lengths = (np.asarray(x, np.float64) for x in (chain.pseudo_inertia, chain.d, chain.a))
+    names = JOINT_NAMES if isinstance(chain, Leg) else [f"joint{i + 1}" for i in range(chain.num_joints)]
+    for i, (d, a, start, alpha) in enumerate(
+        zip(offsets, lengths, structure.theta_offset, structure.alpha, strict=True)
+    ):
+        body = body.add_body(name=f"link{i + 1}")
+        body.pos = [a * math.cos(start), a * math.sin(start), d]
+        body.quat = _product(_turn(start, 3), _turn(alpha, 1))
+        axis = [0.0, math.sin(alpha), math.cos(alpha)]
+        body.add_joint(name=names[i], axis=axis, pos=[-a, -d * axis[1], -d * axis[2]])
+        _set_inertia(body, inertias[i])
+    return spec
+
+
+def _set_inertia(body: Any, pseudo_inertia: np.ndarray) -> None:
+    mass = pseudo_inertia[3, 3]
+    if mass <= 0.0:
+        raise InputError(f"a MuJoCo model needs links with mass, but that of {body.name} is {mass:g} kg.")
+    center = pseudo_inertia[:3, 3] / mass
+    second = pseudo_inertia[:3, :3] - mass * np.outer(center, center)
+    inertia = np.trace(second) * np.eye(3) - second
+    if np.linalg.eigvalsh(inertia)[0] < SMALLEST_INERTIA:
+        inertia += SMALLEST_INERTIA * np.eye(3)
+    body.explicitinertial, body.mass, body.ipos = True, mass, center
+    body.fullinertia = inertia[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
+
+
+def _turn(angle: float, axis: int) -> np.ndarray:
+    """The quaternion of a turn about axis 1, 2 or 3."""
+    quaternion = np.zeros(4)
+    quaternion[0], quaternion[axis] = math.cos(angle / 2), math.sin(angle / 2)
+    return quaternion
+
+
+def _product(p: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """The quaternion of turning by q, then by p."""
+    scalar = p[0] * q[0] - p[1:] @ q[1:]
+    return np.array([scalar, *(p[0] * q[1:] + q[0] * p[1:] + np.cross(p[1:], q[1:]))])
