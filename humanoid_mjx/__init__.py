@@ -3,6 +3,8 @@
 Public names load on first use, so that importing the package costs nothing.
 """
 
+# pyright: reportUnsupportedDunderAll=false
+
 from importlib import import_module
 from typing import Any
 
@@ -29,7 +31,7 @@ __all__ = [
     "make_learner",
     "make_task",
     "sweep",
-]  # pyright: ignore[reportUnsupportedDunderAll]
+]
 
 
 def __getattr__(name: str) -> Any:
