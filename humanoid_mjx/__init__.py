@@ -3,8 +3,6 @@
 Public names load on first use, so that importing the package costs nothing.
 """
 
-# pyright: reportUnsupportedDunderAll=false
-
 from importlib import import_module
 from typing import Any
 
@@ -21,7 +19,7 @@ _PUBLIC = {
     "sweep": "humanoid_mjx.training.sweep:sweep",
 }
 
-__all__ = [
+__all__ = [  # pyright: ignore[reportUnsupportedDunderAll]
     "InputError",
     "Leg",
     "__version__",

@@ -58,6 +58,17 @@ def bench(
 
 
 @app.command()
+def export(
+    robot: Annotated[str, typer.Argument(help="lower_body.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE.xml")],
+) -> None:
+    """Write a robot as MJCF, for MuJoCo."""
+    from humanoid_mjx.commands import run_export
+
+    run_export(robot, file)
+
+
+@app.command()
 def info(
     config: Annotated[str | None, typer.Argument(help="A config to resolve.")] = None, set_: Override = None
 ) -> None:

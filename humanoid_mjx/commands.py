@@ -117,6 +117,18 @@ def run_bench(chosen: Sequence[str], file: Path | None) -> None:
         console.print(f"{file}")
 
 
+def run_export(robot: str, file: Path) -> None:
+    """`humanoid-mjx export`."""
+    from humanoid_mjx.robot import robot_spec
+
+    spec = robot_spec(robot)
+    if not file.parent.is_dir():
+        raise InputError(f"{file}: there is no folder {file.parent}.")
+    spec.compile()
+    file.write_text(spec.to_xml())
+    console.print(f"{file}")
+
+
 def show_info(config: str | None, overrides: Sequence[str]) -> None:
     """`humanoid-mjx info`."""
     runtime.start()

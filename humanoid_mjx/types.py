@@ -1,4 +1,5 @@
-"""Types that many signatures share: scalars that are arrays inside jit and may be Python numbers outside."""
+"""Types that many signatures share: scalars that are arrays inside jit and may be Python numbers outside, and arrays of
+either jax or numpy."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -9,10 +10,13 @@ if TYPE_CHECKING:
     IntScalar: TypeAlias = Any
     BoolScalar: TypeAlias = Any
     Device: TypeAlias = Any
+    AnyArray: TypeAlias = Any
 else:
+    import numpy as np
     from jax import Device  # noqa: F401
     from jaxtyping import Array, Bool, Float, Int
 
     FloatScalar = Float[Array, ""] | float
     IntScalar = Int[Array, ""] | int
     BoolScalar = Bool[Array, ""] | bool
+    AnyArray = Array | np.ndarray

@@ -14,12 +14,12 @@ import humanoid_mjx.training.sweep as session
 from humanoid_mjx import InputError, make_learner, make_task, rng, runtime, sweep
 from humanoid_mjx.learners import exploration
 from humanoid_mjx.learners.approximate import Batch
-from humanoid_mjx.learners.deep import DeepQ
 from humanoid_mjx.learners.features import fourier, radial, tile_coding
 from humanoid_mjx.learners.normalisation import moments, normalise, observe
 from humanoid_mjx.learners.targets import lambda_targets
+from humanoid_mjx.tasks.continuous import ContinuousTask
+from humanoid_mjx.training import pool
 from humanoid_mjx.training.pool import Pool
-from humanoid_mjx.training.program import program_of
 from humanoid_mjx.training.replay import replay
 
 LEARNERS = {
@@ -206,8 +206,10 @@ def test_epsilon_decays_by_the_episode_and_climbs_the_ladder():
 
 
 def test_choices_grow_by_stages():
-    class Nine:
-        action_choices = (9, 3)
+    class Nine(ContinuousTask):
+        @property
+        def action_choices(self):
+            return 9, 3
 
     learner = build("tiles", probe("choice")[0]).model_copy(update={"grow": True, "task": Nine()})
     opened = [np.asarray(learner.allowed(p)).sum(axis=1).tolist() for p in (0.0, 0.34, 0.67, 1.0)]
@@ -291,14 +293,13 @@ def test_a_sweep_of_networks_has_a_row_for_every_point(swept):
 
 def test_a_stopped_training_of_networks_goes_on_to_the_same_bits(swept, tmp_path, monkeypatch):
     monkeypatch.setattr(session, "CHECKPOINT_EVERY_S", 0.0)
-    monkeypatch.setattr(DeepQ, "chunk_steps", 3)
-    program_of.cache_clear()
+    monkeypatch.setattr(pool, "MAX_STEPS", 3)
     chunks = []
     train = Pool.train
 
-    def stop_soon(pool):
-        train(pool)
-        chunks.append(pool)
+    def stop_soon(self):
+        train(self)
+        chunks.append(self)
         if len(chunks) > 8:
             raise KeyboardInterrupt
 
@@ -308,9 +309,8 @@ def test_a_stopped_training_of_networks_goes_on_to_the_same_bits(swept, tmp_path
     assert list((tmp_path / "run/checkpoint").glob("pool-*.npz"))
     monkeypatch.setattr(Pool, "train", train)
     again = sweep(SWEEP, tmp_path / "run", resume=True)
-    program_of.cache_clear()
-    for name, column in swept.results.items():
-        assert column.tobytes() == again.results[name].tobytes(), name
+    for name in ("results.parquet", "summary.parquet"):
+        assert (again.path / name).read_bytes() == (swept.path / name).read_bytes()
 
 
 def test_a_run_that_breaks_is_marked_and_can_be_replayed_while_the_others_finish(tmp_path):

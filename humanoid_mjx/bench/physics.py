@@ -38,8 +38,11 @@ KP, KD, GOAL = 70.0, 32.0, 0.5
 MASS_ERRORS = (0.8, 1.2, 0.8, 1.2, 0.8)
 MASS_ERROR = 0.8
 
-CPU_BLOCK = 512
-"""Legs whose intermediate values the cache of a core holds."""
+BLOCK = {"cpu": 512, "gpu": 262_144}
+"""Legs at once on a device: as many as its cache holds, of a core with all that a step works on."""
+
+UNROLL = {"cpu": 1, "gpu": 4}
+"""Steps of the chain in one pass of the loop: a GPU waits for the start of each pass."""
 
 
 class Setting(NamedTuple):
@@ -53,7 +56,7 @@ class Setting(NamedTuple):
 
 SETTINGS = {
     "cpu": Setting((1024, 8192), 500, 10, 100),
-    "gpu": Setting((4096, 131_072, 1_048_576), 500, 100, 100),
+    "gpu": Setting((4096, 32_768, 262_144, 1_048_576), 500, 100, 100),
 }
 
 MUJOCO_BATCH = 4096
@@ -123,7 +126,8 @@ def _chain_program(steps: int, controlled: bool) -> Callable[..., Any]:
         return computed_torque(gains, goal, qpos, qvel) if controlled else jnp.zeros(5)
 
     def simulate(qpos: jax.Array, qvel: jax.Array) -> dynamics.State:
-        return dynamics.rollout(leg, qpos, qvel, controller, TIMESTEP, steps)[0]
+        unroll = UNROLL.get(jax.default_backend(), 1)
+        return dynamics.rollout(leg, qpos, qvel, controller, TIMESTEP, steps, unroll=unroll)[0]
 
     return jax.jit(jax.vmap(simulate), compiler_options=runtime.SHARED_KERNELS)
 
@@ -209,9 +213,9 @@ def _cached_mjx_jax(batch: int, steps: int) -> Callable[[], Any]:
 
 
 def _on_all_devices(simulate: Callable[..., Any], batch: int) -> Callable[[], Any]:
-    """A call that shares the legs out: a thread for each device, on a CPU block after block."""
+    """A call that shares the legs out: a thread for each device, block after block."""
     devices = jax.local_devices()
-    blocks = max(1, batch // (CPU_BLOCK * len(devices))) if devices[0].platform == "cpu" else 1
+    blocks = max(1, batch // (BLOCK.get(devices[0].platform, batch) * len(devices)))
     shares = zip(*(np.array_split(array, len(devices) * blocks) for array in start(batch)), strict=True)
     placed = [jax.device_put(share, devices[i % len(devices)]) for i, share in enumerate(shares)]
     by_device = [placed[i :: len(devices)] for i in range(len(devices))]

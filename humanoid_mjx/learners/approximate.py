@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from humanoid_mjx.learners import exploration
 from humanoid_mjx.learners.base import Learner
@@ -72,9 +72,8 @@ class ApproximateQ(Learner):
     """Base of learners that approximate Q. A derived class gives the approximation and how it learns."""
 
     unit: ClassVar[str] = "steps"
-    chunk_steps: ClassVar[int] = 16
 
-    task: ContinuousTask = Field(exclude=True, repr=False)
+    task: FiniteTask | ContinuousTask = Field(exclude=True, repr=False)
     epsilon: float = Field(1.0, ge=0, le=1)
     epsilon_decay: float = Field(0.99, ge=0, le=1, description="per episode of an environment")
     epsilon_min: float = Field(0.02, ge=0, le=1)
@@ -101,10 +100,10 @@ class ApproximateQ(Learner):
         discount: float
         trace_decay: float
 
-    @field_validator("task", mode="before")
-    @classmethod
-    def _wrap_finite(cls, task: Any) -> Any:
-        return Tabulated(finite=task) if isinstance(task, FiniteTask) else task
+    @property
+    def world(self) -> ContinuousTask:
+        """The task as the learner sees it: a finite one through the places of its rows."""
+        return Tabulated(finite=self.task) if isinstance(self.task, FiniteTask) else self.task
 
     def init_value(self, key: Key[Array, ""]) -> tuple[Any, Any]:
         """The weights of the approximation and the optimizer's state before the first update."""
@@ -129,11 +128,11 @@ class ApproximateQ(Learner):
     @property
     def choices(self) -> int:
         """The largest number of choices of any joint."""
-        return max(self.task.action_choices)
+        return max(self.world.action_choices)
 
     def allowed(self, progress: FloatScalar = 1.0) -> Bool[Array, "joints choices"]:
         """The choices that exist, and that have been opened where they grow."""
-        counts = np.array(self.task.action_choices)[:, None]
+        counts = np.array(self.world.action_choices)[:, None]
         place = np.arange(self.choices)
         exist = jnp.asarray(place < counts)
         if not self.grow:
@@ -146,11 +145,11 @@ class ApproximateQ(Learner):
     def init(self, hyper: Params, key: Key[Array, ""], policy: Any = None) -> Carry:
         value_key, reset_key, key = jax.random.split(key, 3)
         value, optimizer = self.init_value(value_key)
-        state = jax.vmap(self.task.reset, in_axes=(None, 0))(hyper.task, jax.random.split(reset_key, self.envs))
+        state = jax.vmap(self.world.reset, in_axes=(None, 0))(hyper.task, jax.random.split(reset_key, self.envs))
         none = jnp.zeros(self.envs, jnp.int32)
-        holding = exploration.no_holding(self.envs, len(self.task.action_choices))
+        holding = exploration.no_holding(self.envs, len(self.world.action_choices))
         workers = Workers(state, holding, none, none, jnp.zeros(self.envs))
-        weights = Weights(value, moments(self.task.observation_size)) if policy is None else policy
+        weights = Weights(value, moments(self.world.observation_size)) if policy is None else policy
         names = ("updates", "td_error", "episodes", "steps", "success", "return", *state.metrics)
         record = {name: jnp.zeros(self.record) for name in names}
         return Carry(weights, optimizer, workers, key, jnp.int32(0), jnp.bool_(False), record)
@@ -159,15 +158,15 @@ class ApproximateQ(Learner):
         """The share of the training that is done."""
         return carry.update.astype(jnp.float32) * (self.rollout * self.envs) / hyper.episodes
 
-    def train_chunk(self, hyper: Params, carry: Carry, steps: int) -> tuple[Carry, dict[str, Array]]:
-        def guarded(carry: Carry, _: None) -> tuple[Carry, None]:
+    def train_chunk(self, hyper: Params, carry: Carry, steps: IntScalar) -> tuple[Carry, dict[str, Array]]:
+        def guarded(_: IntScalar, carry: Carry) -> Carry:
             new = self.train_step(hyper, carry)
             finite = jnp.stack([jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(new.weights)]).all()
             stop = carry.failed | ~finite | (self.progress(hyper, carry) >= 1.0)
             new = jax.tree.map(lambda new, old: jnp.where(stop, old, new), new, carry)
-            return new._replace(failed=carry.failed | ~finite), None
+            return new._replace(failed=carry.failed | ~finite)
 
-        carry, _ = jax.lax.scan(guarded, carry, length=steps)
+        carry = jax.lax.fori_loop(0, steps, guarded, carry)
         done = jnp.where(carry.failed, 1.0, self.progress(hyper, carry))
         return carry, {"progress": done}
 
@@ -182,7 +181,9 @@ class ApproximateQ(Learner):
         batch = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), batch)
         rate = hyper.learning_rate * (1.0 + (hyper.learning_rate_end - 1.0) * jnp.minimum(progress, 1.0))
         value, optimizer, td_error = self.learn(rate, carry.weights.value, carry.optimizer, batch, learn_key)
-        weights = Weights(value, observe(carry.weights.moments, experience.obs.reshape(-1, self.task.observation_size)))
+        weights = Weights(
+            value, observe(carry.weights.moments, experience.obs.reshape(-1, self.world.observation_size))
+        )
         point = jnp.minimum((progress * self.record).astype(jnp.int32), self.record - 1)
         record = record | {"updates": 1.0, "td_error": td_error}
         record = {name: old.at[point].add(record[name]) for name, old in carry.record.items()}
@@ -209,7 +210,7 @@ class ApproximateQ(Learner):
     def evaluate(self, hyper: Params, policy: Weights, key: Key[Array, ""]) -> dict[str, FloatScalar]:
         """Means over `evaluation_envs` greedy episodes: `greedy_return`, `greedy_steps`, `greedy_success`."""
         reset_key, key = jax.random.split(key)
-        reset = jax.vmap(self.task.reset, in_axes=(None, 0))
+        reset = jax.vmap(self.world.reset, in_axes=(None, 0))
         state = reset(hyper.task, jax.random.split(reset_key, self.evaluation_envs))
         zero = jnp.zeros(self.evaluation_envs)
 
@@ -222,7 +223,7 @@ class ApproximateQ(Learner):
             act_key, step_key = jax.random.split(jax.random.fold_in(key, step))
             action = self.act(hyper, policy, state.obs, act_key)
             step_keys = jax.random.split(step_key, self.evaluation_envs)
-            state = jax.vmap(self.task.step, in_axes=(None, 0, 0, 0))(hyper.task, state, action, step_keys)
+            state = jax.vmap(self.world.step, in_axes=(None, 0, 0, 0))(hyper.task, state, action, step_keys)
             total, steps = total + jnp.where(over, 0.0, state.reward), steps + ~over
             success = jnp.where(over, success, state.success)
             return state, over | state.over, total, steps, success, step + 1
@@ -244,13 +245,13 @@ class ApproximateQ(Learner):
             epsilon = exploration.epsilons(hyper, workers.episode)
             action, holding = exploration.explore(best, allowed, epsilon, self.hold, workers.holding, explore_key)
             step_keys, reset_keys = (jax.random.split(key, self.envs) for key in (step_key, reset_key))
-            state = jax.vmap(self.task.step, in_axes=(None, 0, 0, 0))(hyper.task, workers.state, action, step_keys)
+            state = jax.vmap(self.world.step, in_axes=(None, 0, 0, 0))(hyper.task, workers.state, action, step_keys)
             over = state.over
             seen = Experience(obs, action, state.reward, state.terminated, state.truncated, state.final_obs)
             length, total = workers.length + 1, workers.episode_return + state.reward
             sums = {"episodes": over, "steps": over * length, "success": over & state.success, "return": over * total}
             sums = {name: jnp.sum(x, dtype=jnp.float32) for name, x in (sums | state.metrics).items()}
-            state = jax.vmap(auto_reset, in_axes=(None, None, 0, 0))(self.task, hyper.task, state, reset_keys)
+            state = jax.vmap(auto_reset, in_axes=(None, None, 0, 0))(self.world, hyper.task, state, reset_keys)
             holding = holding._replace(steps_left=jnp.where(over, 0, holding.steps_left))
             workers = Workers(state, holding, workers.episode + over, length * ~over, total * ~over)
             return workers, (seen, sums)

@@ -51,10 +51,10 @@ class DeepQ(ApproximateQ):
         return self
 
     def network(self) -> QNetwork:
-        return QNetwork(self.width, self.layers, len(self.task.action_choices), self.choices)
+        return QNetwork(self.width, self.layers, len(self.world.action_choices), self.choices)
 
     def init_value(self, key: Key[Array, ""]) -> tuple[Any, Any]:
-        value = self.network().init(key, jnp.zeros(self.task.observation_size))
+        value = self.network().init(key, jnp.zeros(self.world.observation_size))
         return value, self._optimizer(0.0).init(value)
 
     def see(self, weights: Weights, obs: Float[Array, "*batch size"]) -> Float[Array, "*batch size"]:

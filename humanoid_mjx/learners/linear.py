@@ -32,13 +32,13 @@ class LinearQ(ApproximateQ):
 
     def features(self) -> Basis:
         """The basis over the task's observations."""
-        low, high = self.task.observation_bounds
+        low, high = self.world.observation_bounds
         if self.basis == "tiles":
             return tile_coding(low, high, self.resolution, self.tilings, self.order)
         return (fourier if self.basis == "fourier" else radial)(low, high, self.resolution, self.order)
 
     def init_value(self, key: Key[Array, ""]) -> tuple[Any, Any]:
-        return jnp.zeros((self.features().size, len(self.task.action_choices), self.choices)), ()
+        return jnp.zeros((self.features().size, len(self.world.action_choices), self.choices)), ()
 
     def q_values(
         self, value: Float[Array, "features joints choices"], obs: Float[Array, "*batch observation_size"]

@@ -149,7 +149,7 @@ def _array(name: str, value: Any) -> np.ndarray:
         raise InputError(f"{name} must be numbers, got {value!r}.") from error
 
 
-def _where(array: np.ndarray | np.generic) -> Any:
+def _where(array: Any) -> Any:
     """The places that are not zero, as nested tuples."""
     if array.ndim == 0:
         return bool(array)

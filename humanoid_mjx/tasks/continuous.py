@@ -1,6 +1,6 @@
 """The protocol of continuous tasks: a learner sees numbers, and chooses one of a few values for each joint."""
 
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -80,14 +80,10 @@ def auto_reset(task: ContinuousTask, params: Any, state: State, key: Key[Array, 
 class Tabulated(ContinuousTask):
     """A finite task as a continuous one: the only observation is the row's place in the table, from 0 to 1.
 
-    A learner that gives each row a feature of its own sees what a tabular learner sees.
+    A learner that gives each row a feature of its own sees what a tabular learner sees. `params` are the finite task's.
     """
 
-    nested: ClassVar[tuple[str, ...]] = ("finite",)
     finite: FiniteTask
-
-    class Params(NamedTuple):
-        finite: Any
 
     @property
     def observation_size(self) -> int:
@@ -101,30 +97,28 @@ class Tabulated(ContinuousTask):
     def action_choices(self) -> tuple[int, ...]:
         return (self.finite.num_actions,)
 
-    def reset(self, params: Params, key: Key[Array, ""]) -> State:
-        state = self.finite.reset(params.finite, key)
+    def reset(self, params: Any, key: Key[Array, ""]) -> State:
+        state = self.finite.reset(params, key)
         return begin((state, jnp.int32(0)), self._observe(params, state), ())
 
-    def step(self, params: Params, state: State, action: Int[Array, "1"], key: Key[Array, ""]) -> State:
+    def step(self, params: Any, state: State, action: Int[Array, "1"], key: Key[Array, ""]) -> State:
         inner, length = state.data
         obey_key, choice_key, step_key = jax.random.split(key, 3)
-        obeys = jax.random.uniform(obey_key) < self.finite.obedience(params.finite)
+        obeys = jax.random.uniform(obey_key) < self.finite.obedience(params)
         random = jax.random.randint(choice_key, (), 0, self.finite.num_actions)
-        inner, reward, terminated = self.finite.step(
-            params.finite, inner, jnp.where(obeys, action[0], random), step_key
-        )
+        inner, reward, terminated = self.finite.step(params, inner, jnp.where(obeys, action[0], random), step_key)
         obs = self._observe(params, inner)
         return State(
             data=(inner, length + 1),
             obs=obs,
             reward=jnp.asarray(reward, jnp.float32),
             terminated=jnp.asarray(terminated),
-            truncated=~terminated & (length + 1 >= params.finite.max_episode_steps),
+            truncated=~terminated & (length + 1 >= params.max_episode_steps),
             success=jnp.asarray(terminated),
             final_obs=obs,
             metrics={},
         )
 
-    def _observe(self, params: Params, state: Any) -> Float[Array, "1"]:
-        row = self.finite.row(params.finite, state)
+    def _observe(self, params: Any, state: Any) -> Float[Array, "1"]:
+        row = self.finite.row(params, state)
         return jnp.asarray(row, jnp.float32)[None] / (self.finite.num_states - 1)

@@ -1,0 +1,22 @@
+"""Physics: what moves the robots. `make_physics("mjx-jax", torso="fixed")` builds a checked one."""
+
+from typing import Any
+
+from humanoid_mjx.physics.base import Physics
+from humanoid_mjx.spec import make
+
+PHYSICS = {
+    "chain": "humanoid_mjx.physics.chain:ChainPhysics",
+    "mjx-jax": "humanoid_mjx.physics.mjx:MjxJax",
+    "mjx-warp": "humanoid_mjx.physics.mjx:MjxWarp",
+    "mujoco": "humanoid_mjx.physics.native:Native",
+}
+
+
+def make_physics(name: str, /, **params: Any) -> Any:
+    """Build the physics called `name`, or a user's own given as "package.module:Class".
+
+    Raises:
+      InputError: unknown name or parameter, a value out of range, or a package that is not installed.
+    """
+    return make("physics", PHYSICS, Physics, name, **params)

@@ -1,0 +1,148 @@
+"""The protocol of physics: pure functions that move one world, and what they pass around."""
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float
+
+from humanoid_mjx.spec import InputError, Spec
+from humanoid_mjx.types import AnyArray
+
+MAX_SPEED = 300.0
+"""rad/s and m/s. Beyond it a world counts as diverged: the torque limit against the damping of the lower body spins a
+bare joint at 100 rad/s, and contact forces that have blown up soon reach thousands."""
+
+
+class World(NamedTuple):
+    """The state of one world; with leading axes, of many."""
+
+    qpos: Float[AnyArray, "*worlds nq"]
+    """Position and quaternion (w x y z) of the torso where it is free, then the joints, rad."""
+    qvel: Float[AnyArray, "*worlds nv"]
+    """Of the torso where it is free: velocity in the world, angular velocity in its own frame. Then the joints."""
+    warmstart: Float[AnyArray, "*worlds nv"]
+    """Accelerations of the last step, from which the search for contact forces starts."""
+    diverged: Bool[AnyArray, "*worlds"]
+    """Set where a step gave a value that is not finite or faster than `MAX_SPEED`. Such a world stands still at its
+    last sound state until it is reset."""
+
+
+class Stages(NamedTuple):
+    """What a controller may use of the current state. It is computed anyhow; what is not used costs nothing.
+
+    In the absence of contacts `mass_matrix @ acceleration + bias = torque`, with zeros for the torque of the torso.
+    """
+
+    world: World
+    qpos: Float[AnyArray, "*worlds joints"]
+    """Of the actuated joints, rad."""
+    qvel: Float[AnyArray, "*worlds joints"]
+    mass_matrix: Float[AnyArray, "*worlds nv nv"]
+    """The last rows and columns are the joints'."""
+    bias: Float[AnyArray, "*worlds nv"]
+    """Velocity term, gravity and the joints' damping."""
+    torque_for: Callable[[Any, Any], Any]
+    """(accelerations of the joints, rad/s^2, a model's mass factor) -> the torques that the model asks for, N m. Where
+    the torso is free it takes it for held, and knows of no contacts."""
+
+
+class Readings(NamedTuple):
+    """What the sensors say."""
+
+    encoders: Float[AnyArray, "*worlds joints"]
+    """rad"""
+    gyroscope: Float[AnyArray, "*worlds 3"]
+    """Angular velocity of the torso in its own frame, rad/s."""
+    accelerometer: Float[AnyArray, "*worlds 3"]
+    """Of the torso in its own frame, m/s^2; +9.81 upwards at rest."""
+    foot_contact: Float[AnyArray, "*worlds 2"]
+    """Normal force on the right and the left foot, N."""
+
+
+class Poses(NamedTuple):
+    """Where the bodies are, in the world."""
+
+    position: Float[AnyArray, "*worlds bodies 3"]
+    rotation: Float[AnyArray, "*worlds bodies 3 3"]
+
+
+Controller = Callable[[Stages], Any]
+"""From the stages to the torque of each actuated joint, N m."""
+
+
+class Physics(Spec):
+    """Base of physics. All methods are pure; they are written for one world, and `jax.vmap` makes it many.
+
+    `params` are the traced values, in the place of which arrays may stand, one for each world if need be.
+    """
+
+    @property
+    def step_s(self) -> float:
+        """The time step, s."""
+        raise NotImplementedError
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """The actuated joints in their order."""
+        raise NotImplementedError
+
+    @property
+    def body_names(self) -> tuple[str, ...]:
+        """The bodies in the order of `Poses`."""
+        raise NotImplementedError
+
+    @property
+    def joint_ranges(self) -> Float[np.ndarray, "joints 2"]:
+        """rad"""
+        raise NotImplementedError
+
+    @property
+    def qpos0(self) -> Float[np.ndarray, " nq"]:
+        """All joints at zero; a free robot stands."""
+        raise NotImplementedError
+
+    def substeps(self, period: float) -> int:
+        """How many time steps make a control cycle of `period` seconds.
+
+        Raises:
+          InputError: the period is no multiple of the time step.
+        """
+        steps = round(period / self.step_s) if math.isfinite(period) else 0
+        if steps < 1 or not math.isclose(steps * self.step_s, period, rel_tol=1e-6):
+            raise InputError(f"a control cycle of {period} s must be a multiple of the time step of {self.step_s} s.")
+        return steps
+
+    def start(self, params: Any, qpos: Any, qvel: Any) -> World:
+        """A world in the given state."""
+        raise NotImplementedError
+
+    def reset(self, params: Any, world: World, mask: Any, qpos: Any, qvel: Any) -> World:
+        """`world`, or where `mask` is true one started anew in the given state."""
+        raise NotImplementedError
+
+    def step(self, params: Any, world: World, controller: Controller, substeps: int = 1) -> tuple[World, Any]:
+        """One control cycle: ask the controller once, hold its torque for `substeps` time steps.
+
+        Returns:
+          the new world, and the torque that acted, N m: the controller's within the torque limit.
+        """
+        raise NotImplementedError
+
+    def run(self, params: Any, world: World, controller: Controller, cycles: int, substeps: int = 1) -> World:
+        """`cycles` control cycles one after another."""
+
+        def cycle(world: World, _: None) -> tuple[World, None]:
+            return self.step(params, world, controller, substeps)[0], None
+
+        return jax.lax.scan(cycle, world, length=cycles)[0]
+
+    def sensors(self, params: Any, world: World, torque: Any) -> Readings:
+        """The readings in this state while `torque` acts."""
+        raise NotImplementedError
+
+    def poses(self, params: Any, world: World) -> Poses:
+        """Where the bodies are."""
+        raise NotImplementedError

@@ -1,0 +1,199 @@
+# pyright: reportAttributeAccessIssue=false
+"""MuJoCo MJX: physics inside compiled jax programs. What is private to MJX is touched in this module alone."""
+
+import importlib
+import importlib.util
+import io
+from contextlib import redirect_stdout
+from copy import copy
+from functools import lru_cache
+from typing import Any, ClassVar, Literal
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jaxtyping import Array, Float
+from pydantic import Field, model_validator
+
+from humanoid_mjx.physics.base import MAX_SPEED, Controller, Poses, Readings, Stages, World
+from humanoid_mjx.physics.model import MujocoPhysics
+from humanoid_mjx.types import AnyArray, BoolScalar, FloatScalar, IntScalar
+
+SOLVER_ITERATIONS = {"jax": 4, "warp": 30}
+LINE_SEARCH_ITERATIONS = 8
+"""Of Newton's method for the contact forces, which starts from the last accelerations. In jax all worlds wait for
+the slowest; in warp each world stops by itself."""
+
+CONTACTS_PER_WORLD, CONSTRAINTS_PER_WORLD = 16, 64
+"""Room in warp's buffers: two feet of four contacts and five pairs of the legs; four rows a foot contact, one each for
+the pairs and the ten joint limits."""
+
+
+def _import_mjx() -> Any:
+    """`mujoco.mjx`, without the lines that it prints about warp."""
+    with redirect_stdout(io.StringIO()):
+        from mujoco import mjx
+    return mjx
+
+
+mjx = _import_mjx()
+
+
+class MjxJax(MujocoPhysics):
+    """MJX in jax: CPU and GPU, float32 or float64."""
+
+    implementation: ClassVar[Literal["jax", "warp"]] = "jax"
+
+    def start(self, params: Any, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]) -> World:
+        qvel = jnp.array(qvel, float)
+        return World(jnp.array(qpos, float), qvel, jnp.zeros_like(qvel), jnp.bool_(False))
+
+    def reset(
+        self,
+        params: Any,
+        world: World,
+        mask: BoolScalar,
+        qpos: Float[AnyArray, " nq"],
+        qvel: Float[AnyArray, " nv"],
+    ) -> World:
+        return _where(mask, self.start(params, qpos, qvel), world)
+
+    def step(
+        self, params: Any, world: World, controller: Controller, substeps: int = 1
+    ) -> tuple[World, Float[Array, " joints"]]:
+        model, blank = self._put(params), self._blank_data()
+        limit = jnp.asarray(params.torque_limit, float)
+
+        def ask(data: Any, world: World) -> Float[Array, " joints"]:
+            torque = controller(self._stages(params, model, data, world))
+            return jnp.clip(jnp.asarray(torque, float), -limit, limit)
+
+        def substep(
+            carry: tuple[World, Float[Array, " joints"]], index: IntScalar
+        ) -> tuple[tuple[World, Float[Array, " joints"]], None]:
+            world, torque = carry
+            data = self._at(model, blank, world)
+            torque = jax.lax.cond(index == 0, lambda: ask(data, world), lambda: torque)
+            return (_advance(model, data.replace(ctrl=torque)), torque), None
+
+        if substeps == 1:
+            data = self._at(model, blank, world)
+            torque = ask(data, world)
+            new = _advance(model, data.replace(ctrl=torque))
+        else:
+            held = jnp.zeros(self.model.nu)
+            (new, torque), _ = jax.lax.scan(substep, (world, held), jnp.arange(substeps))
+        return _freeze_if_diverged(world, new), torque
+
+    def sensors(self, params: Any, world: World, torque: Float[AnyArray, " joints"]) -> Readings:
+        model = self._put(params)
+        data = self._at(model, self._blank_data(), world).replace(ctrl=jnp.asarray(torque, float))
+        if self.implementation == "warp":
+            return self._readings(mjx.forward(model, data).sensordata)
+        data = mjx.sensor_vel(model, mjx.sensor_pos(model, data))
+        return self._readings(mjx.sensor_acc(model, _accelerate(model, data)).sensordata)
+
+    def poses(self, params: Any, world: World) -> Poses:
+        data = mjx.kinematics(self._put(params), self._blank_data().replace(qpos=world.qpos))
+        return Poses(data.xpos, data.xmat.reshape(-1, 3, 3))
+
+    def _put(self, params: Any) -> Any:
+        """The mjx.Model with the traced values in it."""
+        model, _ = _mjx_arrays(self.model, self.implementation, jax.config.jax_enable_x64)
+        model = jax.tree.map(jnp.asarray, model)
+        limits = jnp.asarray([-params.torque_limit, params.torque_limit], float)
+        return model.replace(
+            body_mass=model.body_mass * params.mass,
+            body_inertia=model.body_inertia * params.mass,
+            body_subtreemass=model.body_subtreemass * params.mass,
+            dof_damping=jnp.where(model.dof_damping > 0, jnp.asarray(params.damping, float), 0.0),
+            pair_friction=model.pair_friction.at[:, :2].set(params.friction),
+            actuator_ctrlrange=jnp.broadcast_to(limits, model.actuator_ctrlrange.shape),
+        )
+
+    def _blank_data(self) -> Any:
+        """An mjx.Data without a state. It is rebuilt in every step, so that loops carry nothing but a `World`."""
+        _, data = _mjx_arrays(self.model, self.implementation, jax.config.jax_enable_x64)
+        return jax.tree.map(jnp.asarray, data)
+
+    def _at(self, model: Any, blank: Any, world: World) -> Any:
+        """The stages that depend on position and velocity."""
+        data = blank.replace(qpos=world.qpos, qvel=world.qvel, qacc_warmstart=world.warmstart)
+        if self.implementation == "warp":
+            return mjx.forward(model, data).replace(qacc_warmstart=world.warmstart)
+        return mjx.fwd_velocity(model, mjx.fwd_position(model, data))
+
+    def _stages(self, params: Any, model: Any, data: Any, world: World) -> Stages:
+        joints = self.model.nu
+        matrix, bias = mass_matrix(self.model, data), data.qfrc_bias - data.qfrc_passive
+
+        def torque_for(qacc: Float[Array, " joints"], mass: FloatScalar) -> Float[Array, " joints"]:
+            return (mass / params.mass) * (matrix[-joints:, -joints:] @ qacc + bias[-joints:])
+
+        return Stages(world, world.qpos[-joints:], world.qvel[-joints:], matrix, bias, torque_for)
+
+
+class MjxWarp(MjxJax):
+    """MJX on NVIDIA Warp, float32. All worlds share one contact buffer, so bits depend on what else runs in it."""
+
+    implementation: ClassVar[Literal["jax", "warp"]] = "warp"
+
+    worlds: int = Field(8192, ge=1, description="how many worlds the contact buffer has room for")
+
+    @model_validator(mode="after")
+    def _installed(self) -> "MjxWarp":
+        if importlib.util.find_spec("warp") is None:
+            raise ValueError("mjx-warp needs the package warp-lang, which is not installed")
+        if jax.config.jax_enable_x64:
+            raise ValueError("mjx-warp computes in float32 only, but jax_enable_x64 is set")
+        warp = importlib.import_module("warp")
+        warp.config.log_level = warp.LOG_WARNING
+        return self
+
+    def _blank_data(self) -> Any:
+        contacts = self.worlds * CONTACTS_PER_WORLD
+        return mjx.make_data(self.model, impl="warp", naconmax=contacts, njmax=CONSTRAINTS_PER_WORLD)
+
+
+def mass_matrix(model: mujoco.MjModel, data: Any) -> Float[Array, "nv nv"]:
+    """Of the position stage, whatever the implementation: dense, or the packed lower triangle of warp."""
+    packed = data._impl.M
+    if packed.shape == (model.nv, model.nv):
+        return packed
+    row, column = np.repeat(np.arange(model.nv), model.M_rownnz), model.M_colind
+    packed = packed.reshape(-1)[: len(row)]
+    return jnp.zeros((model.nv, model.nv), packed.dtype).at[row, column].set(packed).at[column, row].set(packed)
+
+
+@lru_cache
+def _mjx_arrays(model: mujoco.MjModel, implementation: str, x64: bool) -> tuple[Any, Any]:
+    """MJX's model and data with numpy leaves, which belong to no device and to no trace."""
+    model = copy(model)
+    model.opt.iterations, model.opt.ls_iterations = SOLVER_ITERATIONS[implementation], LINE_SEARCH_ITERATIONS
+    with jax.ensure_compile_time_eval():
+        put = mjx.put_model(model, impl=implementation)
+        data = mjx.make_data(model, impl=implementation) if implementation == "jax" else None
+    return jax.tree.map(np.asarray, (put, data))
+
+
+def _accelerate(model: Any, data: Any) -> Any:
+    """From the position and velocity stages and `ctrl` to the acceleration."""
+    data = mjx.fwd_acceleration(model, mjx.fwd_actuation(model, data))
+    return mjx.solve(model, data) if data._impl.nefc else data.replace(qacc=data.qacc_smooth)
+
+
+def _advance(model: Any, data: Any) -> World:
+    """One time step of semi-implicit Euler from where the position and velocity stages are."""
+    data = mjx.step(model, data) if model.impl.value == "warp" else mjx.euler(model, _accelerate(model, data))
+    return World(data.qpos, data.qvel, data.qacc_warmstart, jnp.bool_(False))
+
+
+def _freeze_if_diverged(old: World, new: World) -> World:
+    sound = jnp.isfinite(new.qpos).all() & (jnp.abs(new.qvel) <= MAX_SPEED).all()
+    stays = old.diverged | ~sound
+    return _where(stays, old._replace(diverged=jnp.bool_(True)), new)
+
+
+def _where(mask: BoolScalar, chosen: World, other: World) -> World:
+    return jax.tree.map(lambda a, b: jnp.where(mask, a, b), chosen, other)

@@ -1,0 +1,75 @@
+# pyright: reportAttributeAccessIssue=false
+"""What the physics built on MuJoCo's models have in common: which robot, its model, its traced values."""
+
+from functools import lru_cache
+from typing import Literal, NamedTuple
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+from pydantic import Field
+
+from humanoid_mjx.physics.base import Physics, Readings
+from humanoid_mjx.robot import lower_body as body
+from humanoid_mjx.robot import robot_spec
+from humanoid_mjx.robot.ranges import TORQUE_LIMIT
+from humanoid_mjx.types import AnyArray, FloatScalar
+
+
+class MujocoPhysics(Physics):
+    """A robot as a MuJoCo model."""
+
+    robot: Literal["lower_body", "legs"] = "lower_body"
+    torso: body.Torso = "free"
+    ranges: body.Ranges = "proposed"
+    timestep: float | None = Field(None, gt=0, le=0.02, description="s; by default the robot's own")
+    mass: float = Field(1.0, gt=0, description="factor on the mass and the inertia of every link")
+    friction: float = Field(body.FRICTION, ge=0, description="of the feet on the ground")
+    damping: float = Field(body.DAMPING, ge=0, description="of the lower body's joints, N m s/rad")
+    torque_limit: float = Field(TORQUE_LIMIT, gt=0, description="of the motors, N m")
+
+    class Params(NamedTuple):
+        mass: FloatScalar
+        friction: FloatScalar
+        damping: FloatScalar
+        torque_limit: FloatScalar
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The compiled model with its own values in the place of the traced ones. It is shared: change copies only."""
+        return _model(self.robot, self.torso, self.ranges, self.timestep)
+
+    @property
+    def step_s(self) -> float:
+        return float(self.model.opt.timestep)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        return tuple(self.model.joint(joint).name for joint in self.model.actuator_trnid[:, 0])
+
+    @property
+    def body_names(self) -> tuple[str, ...]:
+        return tuple(self.model.body(index).name for index in range(self.model.nbody))
+
+    @property
+    def joint_ranges(self) -> Float[np.ndarray, "joints 2"]:
+        return self.model.jnt_range[self.model.actuator_trnid[:, 0]]
+
+    @property
+    def qpos0(self) -> Float[np.ndarray, " nq"]:
+        return self.model.qpos0.copy()
+
+    def _readings(self, sensordata: Float[AnyArray, "*worlds sensors"]) -> Readings:
+        """MuJoCo's sensor array, in the order in which the robot declares its sensors."""
+        joints = self.model.nu
+        return Readings(
+            encoders=sensordata[..., :joints],
+            gyroscope=sensordata[..., joints : joints + 3],
+            accelerometer=sensordata[..., joints + 3 : joints + 6],
+            foot_contact=sensordata[..., joints + 6 :],
+        )
+
+
+@lru_cache
+def _model(robot: str, torso: str, ranges: str, timestep: float | None) -> mujoco.MjModel:
+    return robot_spec(robot, torso=torso, ranges=ranges, timestep=timestep).compile()

@@ -1,0 +1,153 @@
+"""The lower body: its numbers, its mirror symmetry, what positive angles mean."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from humanoid_mjx.robot import lower_body as body
+from humanoid_mjx.spec import InputError
+from humanoid_mjx.thesis import leg as thesis
+
+YAW_AND_ROLL = np.tile([1.0, -1.0, -1.0, 1.0, 1.0], 2)
+
+
+@pytest.fixture(scope="module", params=["free", "fixed"])
+def model(request):
+    return body.lower_body_model(request.param, "human")
+
+
+@pytest.fixture(scope="module")
+def standing():
+    model = body.lower_body_model()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    return model, data
+
+
+def test_joints_motors_and_encoders_come_in_one_order(model):
+    names = [model.joint(joint).name for joint in range(model.njnt)][-10:]
+    assert names[:5] == [f"right_{name}" for name in ("hip_pitch", "hip_yaw", "hip_roll", "knee_pitch", "ankle_pitch")]
+    assert names[5:] == [name.replace("right", "left") for name in names[:5]] and tuple(names) == body.JOINTS
+    assert [model.joint(motor.trnid[0]).name for motor in map(model.actuator, names)] == names
+    assert [model.sensor(f"{name}_encoder").adr[0] for name in names] == list(range(10))
+    np.testing.assert_array_equal(model.actuator_ctrlrange, np.tile([-body.TORQUE_LIMIT, body.TORQUE_LIMIT], (10, 1)))
+
+
+def test_ranges_are_those_of_table_3_2():
+    for name, degrees in thesis.JOINT_RANGES.items():
+        model = body.lower_body_model(ranges=name)
+        np.testing.assert_allclose(np.degrees(model.jnt_range[1:]), np.tile(degrees, (2, 1)), atol=1e-12)
+
+
+def test_masses_and_heights(standing):
+    model, data = standing
+    assert model.body_mass.sum() == pytest.approx(1.02 + 2 * (0.142 + 0.04319 + 0.026 + 0.06733 + 0.066))
+    assert model.geom("torso").size * 2 == pytest.approx([0.0375, 0.0825, body.TORSO_HEIGHT])
+    assert model.geom("left_foot").size * 2 == pytest.approx([0.06, 0.0225, 0.025])
+    assert data.body("torso").xpos == pytest.approx([0, 0, 0.095 + 0.095 + 0.025])
+    for side, y in (("right", -0.04125), ("left", 0.04125)):
+        heights = {"pitch_link": 0.215, "yaw_link": 0.215, "thigh": 0.215, "shank": 0.120, "foot": 0.025}
+        for link, z in heights.items():
+            assert data.body(f"{side}_{link}").xpos == pytest.approx([0, y, z])
+    assert model.geom("right_thigh").size[0] == pytest.approx(0.480 / 4 / np.pi / 2)
+
+
+def test_feet_stand_flat_and_nothing_else_touches(standing):
+    _, data = standing
+    assert data.ncon == 8
+    np.testing.assert_allclose(data.contact.dist, 0.0, atol=1e-12)
+    np.testing.assert_allclose(data.contact.pos[:, 2], 0.0, atol=1e-12)
+    below_the_mass = data.contact.pos[:, 0].min() < data.subtree_com[1][0] < data.contact.pos[:, 0].max()
+    assert below_the_mass
+
+
+def test_the_fixed_body_hangs_without_a_ground():
+    model = body.lower_body_model("fixed")
+    assert (model.nq, model.nv) == (10, 10)
+    assert "ground" not in [model.geom(index).name for index in range(model.ngeom)]
+
+
+@pytest.mark.parametrize(
+    ("joint", "axis", "sign"),
+    [("hip_pitch", 0, 1), ("hip_roll", 1, 0), ("knee_pitch", 0, -1), ("ankle_pitch", 2, -1), ("hip_yaw", 1, 0)],
+)
+@pytest.mark.parametrize("side", body.SIDES)
+def test_positive_angles(side, joint, axis, sign):
+    """Flexion forwards, shank back, toes down; to the side it is always outwards. Seen at the toe."""
+    model = body.lower_body_model("fixed")
+    data = mujoco.MjData(model)
+    toe = np.array([0.04, 0.0, -0.025])
+    moves = []
+    for angle in (0.0, 0.1):
+        data.joint(f"{side}_{joint}").qpos = angle
+        mujoco.mj_kinematics(model, data)
+        moves.append(data.body(f"{side}_foot").xpos + data.body(f"{side}_foot").xmat.reshape(3, 3) @ toe)
+    outwards = -1 if side == "right" else 1
+    assert np.sign(moves[1] - moves[0])[axis] == (sign or outwards)
+
+
+def test_a_flat_foot(standing):
+    model, _ = standing
+    data = mujoco.MjData(model)
+    data.joint("left_hip_pitch").qpos, data.joint("left_knee_pitch").qpos = 0.3, 0.5
+    data.joint("left_ankle_pitch").qpos = 0.3 - 0.5
+    mujoco.mj_kinematics(model, data)
+    np.testing.assert_allclose(data.body("left_foot").xmat, np.eye(3).ravel(), atol=1e-12)
+
+
+def test_equal_values_of_both_legs_are_a_mirror_image(model):
+    rng = np.random.default_rng(0)
+    data = mujoco.MjData(model)
+    data.qpos[-10:] = np.tile(rng.uniform(*model.jnt_range[-5:].T), 2)
+    mujoco.mj_kinematics(model, data)
+    for link in ("thigh", "shank", "foot"):
+        right, left = (data.body(f"{side}_{link}").xpos for side in body.SIDES)
+        np.testing.assert_allclose(left, right * [1, -1, 1], atol=1e-12)
+
+
+def mirrored(vector):
+    """Swap the legs; of a free torso, mirror what comes before: velocities, or a position and a quaternion."""
+    joints = np.concatenate([vector[-5:], vector[-10:-5]])
+    signs = {0: [], 6: [1, -1, 1, -1, 1, -1], 7: [1, -1, 1, 1, -1, 1, -1]}[len(vector) - 10]
+    return np.concatenate([vector[:-10] * signs, joints])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_mirrored_states_and_torques_give_mirrored_accelerations(model, seed):
+    rng = np.random.default_rng(seed)
+    data = mujoco.MjData(model)
+    qpos = model.qpos0.copy()
+    qpos[-10:] = rng.uniform(*model.jnt_range[-10:].T)
+    if model.nq > 10:
+        qpos[:3] = rng.uniform([-0.05, -0.05, 0.07], [0.05, 0.05, 0.17])
+        qpos[3:7] = np.array([1, 0, 0, 0]) + 0.2 * rng.normal(size=4)
+        qpos[3:7] /= np.linalg.norm(qpos[3:7])
+    qvel, torque = rng.normal(size=model.nv), rng.uniform(-1, 1, 10)
+    accelerations = []
+    for q, v, u in ((qpos, qvel, torque), (mirrored(qpos), mirrored(qvel), mirrored(torque))):
+        data.qpos, data.qvel, data.ctrl, data.qacc_warmstart = q, v, u, 0.0
+        mujoco.mj_forward(model, data)
+        accelerations.append(data.qacc.copy())
+    np.testing.assert_allclose(accelerations[1], mirrored(accelerations[0]), rtol=1e-6, atol=1e-6)
+
+
+def test_legs_do_not_pass_through_each_other():
+    model = body.lower_body_model("fixed", "human")
+    data = mujoco.MjData(model)
+    data.qpos[[2, 7]] = np.radians(-20)
+    mujoco.mj_forward(model, data)
+    assert data.ncon > 0
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"torso": "loose"}, "torso: unknown name 'loose'; known are fixed, free."),
+        ({"ranges": "humans"}, "ranges: unknown name 'humans'; did you mean 'human'? known are human, proposed."),
+        ({"timestep": -1.0}, "timestep must be a positive number of seconds, got -1.0."),
+    ],
+)
+def test_bad_options_get_a_sentence(options, sentence):
+    with pytest.raises(InputError) as error:
+        body.lower_body_spec(**options)
+    assert str(error.value) == sentence

@@ -1,0 +1,211 @@
+"""Physics in batches: worlds that do not touch each other, a body that rests on its feet, one compilation."""
+
+import importlib.util
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from humanoid_mjx.physics import make_physics
+from humanoid_mjx.physics.base import MAX_SPEED, Stages
+from humanoid_mjx.runtime import counting_compiles
+from humanoid_mjx.spec import InputError
+
+WORLDS = 4
+MJX = make_physics("mjx-jax")
+NATIVE = make_physics("mujoco")
+
+
+def hold(stages: Stages):
+    """A plain joint servo about the standing posture."""
+    return -6.0 * stages.qpos - 0.2 * stages.qvel
+
+
+def bits(tree):
+    return [np.asarray(x).tobytes() for x in jax.tree.leaves(tree)]
+
+
+@pytest.fixture(scope="module")
+def step():
+    """One time step of many worlds."""
+    return jax.jit(jax.vmap(lambda params, world: MJX.step(params, world, hold), in_axes=(None, 0)))
+
+
+@pytest.fixture(scope="module")
+def params():
+    return jax.tree.map(jnp.float32, MJX.params)
+
+
+@pytest.fixture(scope="module")
+def worlds(params):
+    """Standing bodies, each joint up to 0.1 rad away from zero."""
+    qpos = np.tile(MJX.qpos0, (WORLDS, 1))
+    qpos[:, 7:] += np.random.default_rng(0).uniform(0, 0.1, (WORLDS, 10))
+    return jax.vmap(lambda qpos: MJX.start(params, qpos, np.zeros(16)))(qpos)
+
+
+@pytest.fixture(scope="module")
+def rested(step, params, worlds):
+    """After three seconds of standing: worlds and torques."""
+    for _ in range(750):
+        worlds, torque = step(params, worlds)
+    return worlds, torque
+
+
+def test_a_standing_body_rests_on_its_weight(params, rested):
+    worlds, torque = rested
+    assert not worlds.diverged.any()
+    assert np.abs(worlds.qvel).max() < 0.01
+    readings = jax.jit(jax.vmap(lambda world, torque: MJX.sensors(params, world, torque)))(worlds, torque)
+    weight = MJX.model.body_mass.sum() * 9.81
+    np.testing.assert_allclose(readings.foot_contact.sum(-1), weight, rtol=0.01)
+    np.testing.assert_allclose(np.linalg.norm(readings.accelerometer, axis=-1), 9.81, rtol=0.01)
+    np.testing.assert_array_equal(readings.encoders, worlds.qpos[:, 7:])
+    np.testing.assert_allclose(readings.gyroscope, worlds.qvel[:, 3:6], atol=1e-6)
+
+
+def test_native_rests_in_the_same_posture_on_the_same_weight(worlds, rested):
+    native = NATIVE.start(NATIVE.params, worlds.qpos, worlds.qvel)
+    for _ in range(750):
+        native, torque = NATIVE.step(NATIVE.params, native, hold)
+    np.testing.assert_allclose(native.qpos, rested[0].qpos, atol=5e-3)
+    weight = MJX.model.body_mass.sum() * 9.81
+    np.testing.assert_allclose(NATIVE.sensors(NATIVE.params, native, torque).foot_contact.sum(-1), weight, rtol=0.01)
+
+
+def test_many_worlds_are_as_one_at_a_time(step, params, worlds):
+    one_step = jax.jit(lambda params, world: MJX.step(params, world, hold))
+    together, alone = worlds, [jax.tree.map(lambda x, i=i: x[i], worlds) for i in range(WORLDS)]
+    for _ in range(25):
+        together, _ = step(params, together)
+        alone = [one_step(params, world)[0] for world in alone]
+    for i, world in enumerate(alone):
+        np.testing.assert_allclose(together.qpos[i], world.qpos, atol=1e-5)
+        np.testing.assert_allclose(together.qvel[i], world.qvel, atol=1e-2)
+
+
+@pytest.mark.parametrize("fault", [np.nan, np.inf, 1e6])
+def test_a_diverging_world_is_flagged_and_changes_no_bit_of_another(step, params, worlds, fault):
+    broken = worlds._replace(qvel=worlds.qvel.at[1, 8].set(fault))
+    others = np.array([0, 2, 3])
+    good, bad = worlds, broken
+    for _ in range(5):
+        (good, _), (bad, _) = step(params, good), step(params, bad)
+    np.testing.assert_array_equal(bad.diverged, [False, True, False, False])
+    np.testing.assert_array_equal(bad.qpos[1], broken.qpos[1])
+    assert bits(jax.tree.map(lambda x: x[others], good)) == bits(jax.tree.map(lambda x: x[others], bad))
+
+
+def test_reset_is_masked(step, params, worlds):
+    bad, _ = step(params, worlds._replace(qpos=worlds.qpos.at[1].set(np.nan)))
+    qpos, qvel = jnp.asarray(MJX.qpos0), jnp.zeros(16)
+    reset = jax.vmap(lambda world, mask: MJX.reset(params, world, mask, qpos, qvel))(bad, bad.diverged)
+    assert bits(reset.qpos[1]) == bits(jnp.asarray(MJX.qpos0, jnp.float32)) and not reset.diverged.any()
+    assert bits(reset.qpos[2:]) == bits(bad.qpos[2:])
+    fine, _ = step(params, reset)
+    assert not fine.diverged.any()
+
+
+def test_a_second_call_compiles_nothing(step, params, rested):
+    worlds, _ = rested
+    slippery = params._replace(friction=jnp.float32(0.1))
+    with counting_compiles() as compiles:
+        step(slippery, worlds)
+    assert compiles.programs == 0
+
+
+def test_torque_is_held_over_a_cycle_and_kept_within_its_limit():
+    """Against native MuJoCo, with the fixed torso; the controller is asked once, and uses mass matrix and bias."""
+    mjx, native = (make_physics(name, torso="fixed", torque_limit=0.3) for name in ("mjx-jax", "mujoco"))
+
+    def track(stages: Stages):
+        acceleration = 2000.0 * (0.5 - stages.qpos) - 60.0 * stages.qvel
+        return (stages.mass_matrix @ acceleration[..., None])[..., 0] + stages.bias
+
+    world = mjx.start(mjx.params, mjx.qpos0 + 0.2, np.zeros(10))
+    other = native.start(native.params, native.qpos0 + 0.2, np.zeros(10))
+    cycle = jax.jit(lambda world: mjx.step(mjx.params, world, track, substeps=4))
+    torques = []
+    for _ in range(10):
+        world, torque = cycle(world)
+        other, expected = native.step(native.params, other, track, substeps=4)
+        np.testing.assert_allclose(torque, expected, atol=1e-3)
+        np.testing.assert_allclose(world.qpos, other.qpos, atol=1e-5)
+        torques.append(expected)
+    assert np.abs(torques).max() == 0.3
+
+
+def test_one_step_on_the_ground_agrees_with_native(step, params, worlds):
+    """Tilted feet that strike the ground, in single precision: 1 mm/s in velocities of several m/s and rad/s."""
+    kicked = worlds._replace(qvel=0.3 * jax.random.normal(jax.random.key(0), worlds.qvel.shape))
+    for _ in range(5):
+        kicked, _ = step(params, kicked)
+    native, _ = NATIVE.step(NATIVE.params, NATIVE.start(NATIVE.params, kicked.qpos, kicked.qvel), hold)
+    np.testing.assert_allclose(step(params, kicked)[0].qvel, native.qvel, atol=1e-3)
+
+
+def test_warp_agrees_with_native(worlds):
+    """On the ground, with a controller that uses mass matrix and bias."""
+    pytest.importorskip("warp")
+    warp = make_physics("mjx-warp", worlds=WORLDS)
+
+    def balance(stages: Stages):
+        weight = (stages.mass_matrix[..., -10:, -10:] @ stages.qvel[..., None])[..., 0] + stages.bias[..., -10:]
+        return hold(stages) + 0.1 * weight
+
+    world, _ = jax.jit(jax.vmap(lambda world: warp.step(warp.params, world, balance, substeps=2)))(worlds)
+    native = NATIVE.start(NATIVE.params, worlds.qpos, worlds.qvel)
+    native, _ = NATIVE.step(NATIVE.params, native, balance, substeps=2)
+    np.testing.assert_allclose(world.qvel, native.qvel, atol=1e-3)
+
+
+def test_native_worlds_diverge_alone_and_silently(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    qvel = np.zeros((3, 16))
+    qvel[1, 8] = 1e9
+    world = NATIVE.start(NATIVE.params, np.tile(NATIVE.qpos0, (3, 1)), qvel)
+    world, _ = NATIVE.step(NATIVE.params, world, hold, substeps=3)
+    np.testing.assert_array_equal(world.diverged, [False, True, False])
+    np.testing.assert_array_equal(world.qpos[0], world.qpos[2])
+    world = NATIVE.reset(NATIVE.params, world, world.diverged, NATIVE.qpos0, np.zeros(16))
+    assert not world.diverged.any() and world.qvel[1, 8] == 0 and world.qvel[0, 8] != 0
+    assert not list(tmp_path.iterdir()) and capfd.readouterr() == ("", "")
+
+
+def test_poses_of_both(params, worlds):
+    poses = jax.jit(lambda world: MJX.poses(params, world))(jax.tree.map(lambda x: x[0], worlds))
+    expected = NATIVE.poses(NATIVE.params, NATIVE.start(NATIVE.params, worlds.qpos, worlds.qvel))
+    np.testing.assert_allclose(poses.position, expected.position[0], atol=1e-6)
+    np.testing.assert_allclose(poses.rotation, expected.rotation[0], atol=1e-6)
+    assert len(MJX.body_names) == len(poses.position) and MJX.body_names[1] == "torso"
+
+
+def test_nothing_a_body_can_do_counts_as_diverged():
+    assert MJX.params.torque_limit / MJX.params.damping < MAX_SPEED / 2
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "sentence"),
+    [
+        ("mjx", {}, "physics.name: unknown physics 'mjx'; did you mean 'mjx-jax'? known are mjx-jax, mjx-warp, "),
+        ("mujoco", {"robot": "arm"}, "physics.robot must be one of 'lower_body', got 'arm'."),
+        ("mujoco", {"ranges": "wide"}, "physics.ranges must be one of 'proposed' or 'human', got 'wide'."),
+        ("mjx-jax", {"timestep": 0.0}, "physics.timestep must be greater than 0.0, got 0.0."),
+        ("mjx-jax", {"step": 0.1}, "physics.step: unknown key; did you mean 'timestep'? known are damping, friction, "),
+        ("mjx-warp", {}, "physics: mjx-warp needs the package warp-lang, which is not installed."),
+    ],
+)
+def test_bad_input_gets_a_sentence(name, options, sentence):
+    if name == "mjx-warp" and importlib.util.find_spec("warp"):
+        pytest.skip("warp is installed")
+    with pytest.raises(InputError) as error:
+        make_physics(name, **options)
+    assert str(error.value).startswith(sentence)
+
+
+def test_a_cycle_is_a_multiple_of_the_time_step():
+    assert MJX.substeps(0.02) == 5
+    for period in (0.01, 0.0, float("nan")):
+        with pytest.raises(InputError, match=f"a control cycle of {period} s must be a multiple of the time step of"):
+            MJX.substeps(period)
