@@ -5,10 +5,21 @@ import pytest
 from leg_reference import toe
 
 from humanoid_mjx.reproduction import load_experiments, reproduce
+from humanoid_mjx.thesis import leg as thesis
 from humanoid_mjx.thesis.printed import kinematics
 from humanoid_mjx.thesis.printed.erratum import States
 
-LEG = ("workspace-7b", "figure-7.1", "figure-7.2", "table-4.2", "errata")
+LEG = (
+    "workspace-7b",
+    "figure-7.1",
+    "figure-7.2",
+    "figure-7.5",
+    "table-4.2",
+    "table-4.7",
+    "motor-sizing",
+    "finding-singularity",
+    "errata",
+)
 
 
 @pytest.fixture(scope="module")
@@ -37,6 +48,49 @@ def test_stall_torque_cannot_be_had(found):
     assert [f.verdict for f in findings["table-4.2"]] == ["reproduced"] * 2 + ["not_reproducible"] + ["reproduced"] * 2
     assert findings["table-4.2"][2].reproduced == pytest.approx(-10 * (0.1 + 0.2 + 0.2))
     assert len((out / "table-4.2.md").read_text().splitlines()) == 22
+
+
+def test_torques_of_figure_7_5_are_recovered_but_for_joint_1(found):
+    out, findings = found
+    verdicts = [f.verdict for f in findings["figure-7.5"]]
+    assert verdicts[:5] == ["recovered"] * 5, "the start"
+    assert verdicts[5:8] == ["differs", "recovered", "differs"], "the end; shortly before it joints 2 to 5, joint 1"
+    assert verdicts[8:] == ["differs"] + ["recovered"] * 4, "the maxima"
+    assert (out / "figure-7.5.png").stat().st_size > 10_000
+
+
+def test_start_torques_need_the_recovered_masses(tmp_path):
+    verdicts = [f.verdict for f in reproduce(["figure-7.5"], tmp_path, ["masses.m3=0.026"])][:5]
+    assert verdicts == ["recovered", "differs", "differs", "recovered", "recovered"]
+
+
+def test_no_model_gives_the_table_s_torque_of_joint_1(found):
+    out, findings = found
+    verdicts = [f.verdict for f in findings["table-4.7"]]
+    assert verdicts == ["differs"] * 6 + ["not_reproducible"] + ["recovered"] * 4 + ["differs"]
+    assert [f.reproduced[0] for f in findings["table-4.7"][:2]] == pytest.approx([0.0592, 0.0564], abs=5e-5)
+    assert len((out / "table-4.7.md").read_text().splitlines()) == 22
+
+
+def test_table_4_7_does_not_carry_the_body(found):
+    out, findings = found
+    sizing = findings["motor-sizing"]
+    assert [f.verdict for f in sizing] == ["differs", "reproduced"] + ["differs"] * 4
+    two_legs, one_leg = np.array([f.reproduced for f in sizing[2:4]]), np.array([f.reproduced for f in sizing[4:]])
+    assert two_legs[:, [0, 1, 2, 4]] == pytest.approx(0.0, abs=1e-4), "the force passes through these axes"
+    assert one_leg[:, 0] == pytest.approx(0.0, abs=1e-4), "nothing on the torso turns the hip"
+    masses, arm = np.array(thesis.LINK_MASSES), thesis.LINK_LENGTHS[0]
+    # Beside the roll's axis: the torso and the whole other leg, of which the pitch link is nearer, and its own.
+    other = masses[0] * 1.5 + masses[1:].sum() * 2
+    roll = arm * (10.0 + thesis.GRAVITY * (other + masses[0] / 2))
+    assert one_leg[0, 2] == pytest.approx(roll, abs=1e-3)
+    assert (out / "motor-sizing.png").stat().st_size > 10_000
+
+
+def test_walking_passes_singular_postures(found):
+    walk, _, rank = found[1]["finding-singularity"]
+    assert walk.verdict == "differs" and walk.reproduced >= 3
+    assert rank.verdict == "differs" and rank.reproduced > 0.9
 
 
 def test_errata_say_where_the_numbers_differ(found):
