@@ -26,7 +26,7 @@ from humanoid_mjx.bench.measure import Record, Subject, record, time_in_turn
 MOVES, CAP, POINTS, EPISODES = 23, 500, 100, 100_000
 DECAY, RATE, DISCOUNT, BONUS = 0.999, 0.5, 0.9, 100.0
 BATCHES = {"cpu": (1024, 4096, 65_536), "gpu": (4096, 65_536, 1_048_576)}
-STEPS = 1000
+STEPS = 1024
 
 CPU_BLOCK = 1024
 """Agents whose state the cache of a core holds."""

@@ -41,7 +41,7 @@ class Learner(Spec):
         raise NotImplementedError
 
     def train_chunk(self, hyper: Any, carry: Any, steps: IntScalar) -> tuple[Any, dict[str, Array]]:
-        """Train for `steps` steps, or less where training ends.
+        """Train for `steps` steps or a few more, or less where training ends.
 
         Returns:
           the new training state, and `progress`, which is 1.0 once training has ended.

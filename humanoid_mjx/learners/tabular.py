@@ -24,6 +24,9 @@ from humanoid_mjx.rng import uniforms
 from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
 
+LAP = 32
+"""Steps of training come in laps of so many: a GPU runs a loop of known length without asking after each step."""
+
 QTable = Float[Array, "num_states num_actions"]
 
 
@@ -100,7 +103,10 @@ class TabularQ(Learner):
         return Carry(q_table, agents, step, jnp.zeros((self.record, 4)))
 
     def train_chunk(self, hyper: Params, carry: Carry, steps: IntScalar) -> tuple[Carry, dict[str, Array]]:
-        carry = jax.lax.fori_loop(0, steps, lambda _, carry: self.train_step(hyper, carry), carry)
+        def lap(_: IntScalar, carry: Carry) -> Carry:
+            return jax.lax.fori_loop(0, LAP, lambda _, carry: self.train_step(hyper, carry), carry)
+
+        carry = jax.lax.fori_loop(0, (steps + LAP - 1) // LAP, lap, carry)
         return carry, {"progress": jnp.mean(carry.agents.episode / hyper.episodes)}
 
     def train_step(self, hyper: Params, carry: Carry) -> Carry:
