@@ -1,0 +1,83 @@
+"""Servos: torques from the error and its rate, alone or through an inertia for each joint (thesis 5.5)."""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from humanoid_mjx.control.gains import check_gains
+from humanoid_mjx.mechanics.dynamics import joint_inertias
+from humanoid_mjx.robot.chain import Chain
+
+Joints = Float[Array, " joints"]
+
+
+class Reference(NamedTuple):
+    """The motion wanted: rad, rad/s and rad/s^2, by joint."""
+
+    qpos: Joints
+    qvel: Joints
+    qacc: Joints
+
+
+class PD(NamedTuple):
+    """The parameters of a servo that knows nothing of the robot. `PD.build` checks them."""
+
+    kp: Joints
+    """N m/rad"""
+    kd: Joints
+    """N m s/rad"""
+
+    @classmethod
+    def build(cls, joints: int, kp: Any, kd: Any) -> "PD":
+        """Check the gains, a number or one for each joint.
+
+        Raises:
+          InputError: a gain that is negative, not finite or of another shape.
+        """
+        return cls(*checked_gains(joints, kp, kd))
+
+
+class PartitionedPD(NamedTuple):
+    """The parameters of a servo behind a model of each joint by itself. `PartitionedPD.build` checks them."""
+
+    model: Chain
+    """Whence the inertia of each joint; it need not be the robot."""
+    kp: Joints
+    """1/s^2"""
+    kd: Joints
+    """1/s"""
+
+    @classmethod
+    def build(cls, model: Chain, kp: Any, kd: Any) -> "PartitionedPD":
+        """Check the gains, a number or one for each joint.
+
+        Raises:
+          InputError: a gain that is negative, not finite or of another shape.
+        """
+        return cls(model, *checked_gains(model.num_joints, kp, kd))
+
+
+def pd(params: PD, reference: Reference, qpos: Joints, qvel: Joints) -> Joints:
+    """`kp (q_d - q) + kd (qd_d - qd)`, N m."""
+    return params.kp * (reference.qpos - qpos) + params.kd * (reference.qvel - qvel)
+
+
+def servo(kp: Joints, kd: Joints, reference: Reference, qpos: Joints, qvel: Joints) -> Joints:
+    """`qdd_d + kd (qd_d - qd) + kp (q_d - q)`, rad/s^2 (5.30, 5.44): what a robot of unit inertias would be given."""
+    return reference.qacc + kd * (reference.qvel - qvel) + kp * (reference.qpos - qpos)
+
+
+def partitioned_pd(params: PartitionedPD, reference: Reference, qpos: Joints, qvel: Joints) -> Joints:
+    """`diag(M(q)) servo` of the model, N m (5.26 to 5.30), without the friction, which the chain has not.
+
+    What couples the joints (5.17) is left out. To hold the leg, add `dynamics.gravity` of a model; to keep all but the
+    inertial couplings, `dynamics.bias`.
+    """
+    return joint_inertias(params.model, qpos) * servo(params.kp, params.kd, reference, qpos, qvel)
+
+
+def checked_gains(joints: int, kp: Any, kd: Any) -> tuple[Joints, Joints]:
+    """`check_gains` of a servo, as arrays of jax."""
+    gains = check_gains(joints, kp=kp, kd=kd)
+    return jnp.asarray(gains["kp"], float), jnp.asarray(gains["kd"], float)
