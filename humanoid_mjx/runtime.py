@@ -20,7 +20,8 @@ makes MJX 15 times faster. The pass that then computes several results in one ke
 among them, so that it is off by default; `SHARED_KERNELS` is for programs that are known to pass."""
 
 SHARED_KERNELS: dict[str, str | bool] = {"xla_disable_hlo_passes": "none"}
-"""`compiler_options` of a `jax.jit` around chain dynamics: after `start`, 5 times faster on a CPU; else no effect."""
+"""`compiler_options` of a `jax.jit` around chain dynamics or tabular learning: after `start` the first is 5 times, the
+second 1.2 to 1.7 times faster on a CPU; else no effect."""
 
 
 def start() -> None:

@@ -14,13 +14,12 @@ import humanoid_mjx.training.sweep as session
 from humanoid_mjx import InputError, make_learner, make_task, rng, runtime, sweep
 from humanoid_mjx.learners import exploration
 from humanoid_mjx.learners.approximate import Batch
-from humanoid_mjx.learners.deep import DeepQ
 from humanoid_mjx.learners.features import fourier, radial, tile_coding
 from humanoid_mjx.learners.normalisation import moments, normalise, observe
 from humanoid_mjx.learners.targets import lambda_targets
 from humanoid_mjx.tasks.continuous import ContinuousTask
+from humanoid_mjx.training import pool
 from humanoid_mjx.training.pool import Pool
-from humanoid_mjx.training.program import program_of
 from humanoid_mjx.training.replay import replay
 
 LEARNERS = {
@@ -294,14 +293,13 @@ def test_a_sweep_of_networks_has_a_row_for_every_point(swept):
 
 def test_a_stopped_training_of_networks_goes_on_to_the_same_bits(swept, tmp_path, monkeypatch):
     monkeypatch.setattr(session, "CHECKPOINT_EVERY_S", 0.0)
-    monkeypatch.setattr(DeepQ, "chunk_steps", 3)
-    program_of.cache_clear()
+    monkeypatch.setattr(pool, "MAX_STEPS", 3)
     chunks = []
     train = Pool.train
 
-    def stop_soon(pool):
-        train(pool)
-        chunks.append(pool)
+    def stop_soon(self):
+        train(self)
+        chunks.append(self)
         if len(chunks) > 8:
             raise KeyboardInterrupt
 
@@ -311,7 +309,6 @@ def test_a_stopped_training_of_networks_goes_on_to_the_same_bits(swept, tmp_path
     assert list((tmp_path / "run/checkpoint").glob("pool-*.npz"))
     monkeypatch.setattr(Pool, "train", train)
     again = sweep(SWEEP, tmp_path / "run", resume=True)
-    program_of.cache_clear()
     for name in ("results.parquet", "summary.parquet"):
         assert (again.path / name).read_bytes() == (swept.path / name).read_bytes()
 

@@ -13,7 +13,6 @@ outcome of every episode added to one of 100 points of a learning curve.
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from importlib.util import find_spec
 from typing import Any
 
@@ -65,7 +64,10 @@ def scan(epsilon: np.ndarray) -> Made:
     values = {"epsilon_decay": DECAY, "learning_rate": RATE, "discount": DISCOUNT}
     learner = make_learner("tabular_q", task, episodes=EPISODES, record=POINTS, **values)
     blank = learner.structure()
-    init, train = jax.jit(jax.vmap(blank.init)), jax.jit(jax.vmap(partial(blank.train_chunk, steps=STEPS)))
+    init, train = (
+        jax.jit(jax.vmap(blank.init)),
+        jax.jit(jax.vmap(blank.train_chunk, in_axes=(0, 0, None)), compiler_options=dict(task.compiler_options)),
+    )
 
     def start(device: Any, share: np.ndarray) -> tuple[Any, Any]:
         hyper = jax.tree.map(lambda x: np.full(len(share), x, np.result_type(np.float32, x)), learner.params)
@@ -79,8 +81,11 @@ def scan(epsilon: np.ndarray) -> Made:
     states = [[start(device, share) for share in shares[i :: len(devices)]] for i, device in enumerate(devices)]
     threads = ThreadPoolExecutor(len(devices))
 
+    def work(mine: list[tuple[Any, Any]]) -> list[Any]:
+        return [jax.block_until_ready(train(*state, STEPS))[0] for state in mine]
+
     def call() -> list[list[Any]]:
-        return list(threads.map(lambda mine: [jax.block_until_ready(train(*state))[0] for state in mine], states))
+        return list(threads.map(work, states))
 
     return call, lambda result: sum(float(carry.agents.episode.sum()) for mine in result for carry in mine)
 

@@ -72,7 +72,6 @@ class ApproximateQ(Learner):
     """Base of learners that approximate Q. A derived class gives the approximation and how it learns."""
 
     unit: ClassVar[str] = "steps"
-    chunk_steps: ClassVar[int] = 16
 
     task: FiniteTask | ContinuousTask = Field(exclude=True, repr=False)
     epsilon: float = Field(1.0, ge=0, le=1)
@@ -159,15 +158,15 @@ class ApproximateQ(Learner):
         """The share of the training that is done."""
         return carry.update.astype(jnp.float32) * (self.rollout * self.envs) / hyper.episodes
 
-    def train_chunk(self, hyper: Params, carry: Carry, steps: int) -> tuple[Carry, dict[str, Array]]:
-        def guarded(carry: Carry, _: None) -> tuple[Carry, None]:
+    def train_chunk(self, hyper: Params, carry: Carry, steps: IntScalar) -> tuple[Carry, dict[str, Array]]:
+        def guarded(_: IntScalar, carry: Carry) -> Carry:
             new = self.train_step(hyper, carry)
             finite = jnp.stack([jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(new.weights)]).all()
             stop = carry.failed | ~finite | (self.progress(hyper, carry) >= 1.0)
             new = jax.tree.map(lambda new, old: jnp.where(stop, old, new), new, carry)
-            return new._replace(failed=carry.failed | ~finite), None
+            return new._replace(failed=carry.failed | ~finite)
 
-        carry, _ = jax.lax.scan(guarded, carry, length=steps)
+        carry = jax.lax.fori_loop(0, steps, guarded, carry)
         done = jnp.where(carry.failed, 1.0, self.progress(hyper, carry))
         return carry, {"progress": done}
 

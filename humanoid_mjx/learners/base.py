@@ -9,7 +9,7 @@ from pydantic import Field
 
 from humanoid_mjx.spec import Spec
 from humanoid_mjx.tasks.base import Task
-from humanoid_mjx.types import BoolScalar
+from humanoid_mjx.types import BoolScalar, IntScalar
 
 
 class Learner(Spec):
@@ -24,9 +24,6 @@ class Learner(Spec):
     unit: ClassVar[str] = "episodes"
     """What `episodes` counts; control steps for learners that count in steps."""
 
-    chunk_steps: ClassVar[int] = 512
-    """Training steps between two looks at the progress."""
-
     task: Task = Field(exclude=True, repr=False)
     episodes: int = Field(1000, ge=1, le=1_000_000_000, exclude=True, description="how long to train")
     record: int = Field(100, ge=1, le=10_000, exclude=True, description="points of a learning curve")
@@ -37,7 +34,7 @@ class Learner(Spec):
         """The training state before the first step: a pytree of arrays. `policy` is one learned before."""
         raise NotImplementedError
 
-    def train_chunk(self, hyper: Any, carry: Any, steps: int) -> tuple[Any, dict[str, Array]]:
+    def train_chunk(self, hyper: Any, carry: Any, steps: IntScalar) -> tuple[Any, dict[str, Array]]:
         """Train for `steps` steps, or less where training ends.
 
         Returns:

@@ -94,8 +94,8 @@ class TabularQ(Learner):
         agents = start(key) if self.agents == 1 else jax.vmap(start)(jax.random.split(key, self.agents))
         return Carry(q_table, agents, step, jnp.zeros((self.record, 4)))
 
-    def train_chunk(self, hyper: Params, carry: Carry, steps: int) -> tuple[Carry, dict[str, Array]]:
-        carry, _ = jax.lax.scan(lambda carry, _: (self.train_step(hyper, carry), None), carry, length=steps)
+    def train_chunk(self, hyper: Params, carry: Carry, steps: IntScalar) -> tuple[Carry, dict[str, Array]]:
+        carry = jax.lax.fori_loop(0, steps, lambda _, carry: self.train_step(hyper, carry), carry)
         return carry, {"progress": jnp.mean(carry.agents.episode / hyper.episodes)}
 
     def train_step(self, hyper: Params, carry: Carry) -> Carry:

@@ -6,6 +6,7 @@ from humanoid_mjx.physics.base import Physics
 from humanoid_mjx.spec import make
 
 PHYSICS = {
+    "chain": "humanoid_mjx.physics.chain:ChainPhysics",
     "mjx-jax": "humanoid_mjx.physics.mjx:MjxJax",
     "mjx-warp": "humanoid_mjx.physics.mjx:MjxWarp",
     "mujoco": "humanoid_mjx.physics.native:Native",

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -43,6 +44,9 @@ class Stages(NamedTuple):
     """The last rows and columns are the joints'."""
     bias: Float[AnyArray, "*worlds nv"]
     """Velocity term, gravity and the joints' damping."""
+    torque_for: Callable[[Any, Any], Any]
+    """(accelerations of the joints, rad/s^2, a model's mass factor) -> the torques that the model asks for, N m. Where
+    the torso is free it takes it for held, and knows of no contacts."""
 
 
 class Readings(NamedTuple):
@@ -126,6 +130,14 @@ class Physics(Spec):
           the new world, and the torque that acted, N m: the controller's within the torque limit.
         """
         raise NotImplementedError
+
+    def run(self, params: Any, world: World, controller: Controller, cycles: int, substeps: int = 1) -> World:
+        """`cycles` control cycles one after another."""
+
+        def cycle(world: World, _: None) -> tuple[World, None]:
+            return self.step(params, world, controller, substeps)[0], None
+
+        return jax.lax.scan(cycle, world, length=cycles)[0]
 
     def sensors(self, params: Any, world: World, torque: Any) -> Readings:
         """The readings in this state while `torque` acts."""

@@ -18,7 +18,7 @@ from pydantic import Field, model_validator
 
 from humanoid_mjx.physics.base import MAX_SPEED, Controller, Poses, Readings, Stages, World
 from humanoid_mjx.physics.model import MujocoPhysics
-from humanoid_mjx.types import AnyArray, BoolScalar, IntScalar
+from humanoid_mjx.types import AnyArray, BoolScalar, FloatScalar, IntScalar
 
 SOLVER_ITERATIONS = {"jax": 4, "warp": 30}
 LINE_SEARCH_ITERATIONS = 8
@@ -66,7 +66,7 @@ class MjxJax(MujocoPhysics):
         limit = jnp.asarray(params.torque_limit, float)
 
         def ask(data: Any, world: World) -> Float[Array, " joints"]:
-            torque = controller(self._stages(model, data, world))
+            torque = controller(self._stages(params, model, data, world))
             return jnp.clip(jnp.asarray(torque, float), -limit, limit)
 
         def substep(
@@ -124,15 +124,14 @@ class MjxJax(MujocoPhysics):
             return mjx.forward(model, data).replace(qacc_warmstart=world.warmstart)
         return mjx.fwd_velocity(model, mjx.fwd_position(model, data))
 
-    def _stages(self, model: Any, data: Any, world: World) -> Stages:
+    def _stages(self, params: Any, model: Any, data: Any, world: World) -> Stages:
         joints = self.model.nu
-        return Stages(
-            world=world,
-            qpos=world.qpos[-joints:],
-            qvel=world.qvel[-joints:],
-            mass_matrix=mass_matrix(self.model, data),
-            bias=data.qfrc_bias - data.qfrc_passive,
-        )
+        matrix, bias = mass_matrix(self.model, data), data.qfrc_bias - data.qfrc_passive
+
+        def torque_for(qacc: Float[Array, " joints"], mass: FloatScalar) -> Float[Array, " joints"]:
+            return (mass / params.mass) * (matrix[-joints:, -joints:] @ qacc + bias[-joints:])
+
+        return Stages(world, world.qpos[-joints:], world.qvel[-joints:], matrix, bias, torque_for)
 
 
 class MjxWarp(MjxJax):

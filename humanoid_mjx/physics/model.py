@@ -12,20 +12,21 @@ from pydantic import Field
 from humanoid_mjx.physics.base import Physics, Readings
 from humanoid_mjx.robot import lower_body as body
 from humanoid_mjx.robot import robot_spec
+from humanoid_mjx.robot.ranges import TORQUE_LIMIT
 from humanoid_mjx.types import AnyArray, FloatScalar
 
 
 class MujocoPhysics(Physics):
     """A robot as a MuJoCo model."""
 
-    robot: Literal["lower_body"] = "lower_body"
+    robot: Literal["lower_body", "legs"] = "lower_body"
     torso: body.Torso = "free"
     ranges: body.Ranges = "proposed"
     timestep: float | None = Field(None, gt=0, le=0.02, description="s; by default the robot's own")
     mass: float = Field(1.0, gt=0, description="factor on the mass and the inertia of every link")
     friction: float = Field(body.FRICTION, ge=0, description="of the feet on the ground")
-    damping: float = Field(body.DAMPING, ge=0, description="of the joints, N m s/rad")
-    torque_limit: float = Field(body.TORQUE_LIMIT, gt=0, description="of the motors, N m")
+    damping: float = Field(body.DAMPING, ge=0, description="of the lower body's joints, N m s/rad")
+    torque_limit: float = Field(TORQUE_LIMIT, gt=0, description="of the motors, N m")
 
     class Params(NamedTuple):
         mass: FloatScalar

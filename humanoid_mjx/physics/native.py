@@ -19,7 +19,7 @@ from mujoco.rollout import Rollout
 
 from humanoid_mjx.physics.base import MAX_SPEED, Controller, Poses, Readings, Stages, World
 from humanoid_mjx.physics.model import MujocoPhysics
-from humanoid_mjx.types import AnyArray
+from humanoid_mjx.types import AnyArray, FloatScalar
 
 
 class Native(MujocoPhysics):
@@ -105,7 +105,12 @@ class Native(MujocoPhysics):
                 mujoco.mj_fullM(model, data, mass_matrix[index])
                 bias[index] = data.qfrc_bias - data.qfrc_passive
         joints = model.nu
-        return Stages(world, world.qpos[..., -joints:], world.qvel[..., -joints:], mass_matrix, bias)
+        inner = mass_matrix[..., -joints:, -joints:]
+
+        def torque_for(qacc: np.ndarray, mass: FloatScalar) -> np.ndarray:
+            return (mass / params.mass) * ((inner @ qacc[..., None])[..., 0] + bias[..., -joints:])
+
+        return Stages(world, world.qpos[..., -joints:], world.qvel[..., -joints:], mass_matrix, bias, torque_for)
 
 
 class _Pool(NamedTuple):

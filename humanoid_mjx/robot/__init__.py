@@ -10,6 +10,8 @@ if TYPE_CHECKING:
     import mujoco
 
 ROBOTS = {
+    "leg": "humanoid_mjx.robot.legs:leg_spec",
+    "legs": "humanoid_mjx.robot.legs:legs_spec",
     "lower_body": "humanoid_mjx.robot.lower_body:lower_body_spec",
 }
 """Functions that return the robot as a MuJoCo spec."""

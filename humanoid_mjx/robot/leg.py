@@ -25,6 +25,12 @@ ALONG_THE_LEG = (0.0, -thesis.GRAVITY, 0.0)
 AS_PRINTED = (0.0, 0.0, -thesis.GRAVITY)
 """Gravity as appendix H and the MATLAB script have it: sideways, in the frames of Table 4.1."""
 
+FRAME_0 = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""From frame 0 of the right leg (x forward, y up, z to the right) to a world with x forward, y left and z up."""
+
+MIRROR = np.diag([1.0, -1.0, 1.0])
+"""Across the sagittal plane of that world, to the left leg."""
+
 HIP_DIAMETER = KNEE_DIAMETER = thesis.BODY_MM["upper_leg_circumference"] * 1e-3 * thesis.SCALE / math.pi
 """Thickness of the cylinders that stand for links 1 to 3 in `Leg.physical`: the upper leg's. Nothing is printed."""
 

@@ -17,11 +17,13 @@ Hip pitch, yaw and roll turn about one point; the 40 mm hip links of the chain a
 """
 
 import math
+from collections.abc import Sequence
 from typing import Literal, get_args
 
 import mujoco
 import numpy as np
 
+from humanoid_mjx.robot.ranges import TORQUE_LIMIT
 from humanoid_mjx.spec import InputError, known
 from humanoid_mjx.thesis import leg as thesis
 
@@ -57,10 +59,6 @@ CORNER_RADIUS = 0.0005
 """m, of the balls in the lower corners of the foot box by which it touches the ground. They stand for the box because
 MJX's own contact of a box with a plane leaves out corners that lie 1 mm above the deepest: on tilted feet it differs
 from MuJoCo's by 0.1 m/s in a step, where the balls agree to rounding. They are also cheaper."""
-
-TORQUE_LIMIT = 2.0
-"""N m, every joint. Table 4.7's maxima (0.28 and less) are of a leg that hangs. Balancing on one leg takes 0.69 at the
-hip's roll, and a squat on one leg with the thigh level 1.35 at the knee; 2.0 leaves a motion half as much again."""
 
 ARMATURE = 0.001
 """kg m^2. Left open: a rotor of 2.5e-8 behind a gear of 200. The foot's own 4e-5 would ask for steps under 1 ms."""
@@ -136,7 +134,7 @@ def lower_body_spec(torso: str = "free", ranges: str = "proposed", timestep: flo
         spec.add_pair(name=f"{right}_{left}", geomname1=f"right_{right}", geomname2=f"left_{left}", condim=1)
     if torso == "free":
         _add_ground(spec)
-    _add_motors_and_sensors(spec)
+    add_motors_and_sensors(spec)
     return spec
 
 
@@ -234,8 +232,9 @@ def _add_ground(spec: mujoco.MjSpec) -> None:
             pair.friction[:2] = FRICTION
 
 
-def _add_motors_and_sensors(spec: mujoco.MjSpec) -> None:
-    for joint in JOINTS:
+def add_motors_and_sensors(spec: mujoco.MjSpec, joints: Sequence[str] = JOINTS, sides: Sequence[str] = SIDES) -> None:
+    """A torque motor and an encoder for each joint; gyroscope and accelerometer at "imu"; touch at "SIDE_foot"."""
+    for joint in joints:
         motor = spec.add_actuator(
             name=joint,
             target=joint,
@@ -245,11 +244,11 @@ def _add_motors_and_sensors(spec: mujoco.MjSpec) -> None:
         )
         motor.set_to_motor()
     kinds = mujoco.mjtSensor
-    sensors = [(f"{joint}_encoder", kinds.mjSENS_JOINTPOS, mujoco.mjtObj.mjOBJ_JOINT, joint) for joint in JOINTS]
+    sensors = [(f"{joint}_encoder", kinds.mjSENS_JOINTPOS, mujoco.mjtObj.mjOBJ_JOINT, joint) for joint in joints]
     sensors += [
         ("gyroscope", kinds.mjSENS_GYRO, mujoco.mjtObj.mjOBJ_SITE, "imu"),
         ("accelerometer", kinds.mjSENS_ACCELEROMETER, mujoco.mjtObj.mjOBJ_SITE, "imu"),
     ]
-    sensors += [(f"{s}_foot_contact", kinds.mjSENS_TOUCH, mujoco.mjtObj.mjOBJ_SITE, f"{s}_foot") for s in SIDES]
+    sensors += [(f"{s}_foot_contact", kinds.mjSENS_TOUCH, mujoco.mjtObj.mjOBJ_SITE, f"{s}_foot") for s in sides]
     for name, kind, objtype, objname in sensors:
         spec.add_sensor(name=name, type=kind, objtype=objtype, objname=objname)

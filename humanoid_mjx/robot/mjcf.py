@@ -1,6 +1,7 @@
 """A chain as a MuJoCo model: fixed torso, a body at each Denavit-Hartenberg frame, no geometry, no contacts."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -27,24 +28,38 @@ def make_mjspec(chain: Chain, timestep: float = 0.002) -> Any:
     """
     from mujoco import MjSpec  # pyright: ignore[reportAttributeAccessIssue]
 
-    if isinstance(chain.d, Tracer) or chain.d.ndim != 1:
-        raise InputError("a MuJoCo model needs one chain with concrete values, outside jit and vmap.")
     spec = MjSpec()
     spec.option.timestep = timestep
-    spec.option.gravity = np.asarray(chain.gravity, np.float64)
-    structure, body = chain.structure, spec.worldbody
-    inertias, offsets, lengths = (np.asarray(x, np.float64) for x in (chain.pseudo_inertia, chain.d, chain.a))
     names = JOINT_NAMES if isinstance(chain, Leg) else [f"joint{i + 1}" for i in range(chain.num_joints)]
-    for i, (d, a, start, alpha) in enumerate(
-        zip(offsets, lengths, structure.theta_offset, structure.alpha, strict=True)
-    ):
-        body = body.add_body(name=f"link{i + 1}")
-        body.pos = [a * math.cos(start), a * math.sin(start), d]
-        body.quat = _product(_turn(start, 3), _turn(alpha, 1))
-        axis = [0.0, math.sin(alpha), math.cos(alpha)]
-        body.add_joint(name=names[i], axis=axis, pos=[-a, -d * axis[1], -d * axis[2]])
-        _set_inertia(body, inertias[i])
+    add_chain(spec.worldbody, chain, names)
+    spec.option.gravity = np.asarray(chain.gravity, np.float64)
     return spec
+
+
+def add_chain(parent: Any, chain: Chain, joint_names: Sequence[str], prefix: str = "", mirrored: bool = False) -> Any:
+    """Add a chain's bodies, called `prefix`link1, link2, ..., to the body that is its frame 0; the last of them.
+
+    A mirrored chain is the chain's image across the plane y = 0 of its frame 0; equal angles are images of each other.
+
+    Raises:
+      InputError: the values are traced or batched, or a link has no mass.
+    """
+    if isinstance(chain.d, Tracer) or chain.d.ndim != 1:
+        raise InputError("a MuJoCo model needs one chain with concrete values, outside jit and vmap.")
+    structure, body = chain.structure, parent
+    side = np.array([1.0, -1.0 if mirrored else 1.0, 1.0])
+    # A reflection turns rotations the other way: what is an axis for points is its opposite for angles.
+    turn = -side if mirrored else side
+    inertias, offsets, lengths = (np.asarray(x, np.float64) for x in (chain.pseudo_inertia, chain.d, chain.a))
+    dh = zip(joint_names, offsets, lengths, structure.theta_offset, structure.alpha, strict=True)
+    for i, (name, d, a, start, alpha) in enumerate(dh):
+        body = body.add_body(name=f"{prefix}link{i + 1}")
+        body.pos = side * [a * math.cos(start), a * math.sin(start), d]
+        body.quat = np.r_[1.0, turn] * _product(_turn(start, 3), _turn(alpha, 1))
+        axis = np.array([0.0, math.sin(alpha), math.cos(alpha)])
+        body.add_joint(name=name, axis=turn * axis, pos=side * [-a, -d * axis[1], -d * axis[2]])
+        _set_inertia(body, inertias[i] * np.outer(np.r_[side, 1.0], np.r_[side, 1.0]))
+    return body
 
 
 def _set_inertia(body: Any, pseudo_inertia: np.ndarray) -> None:

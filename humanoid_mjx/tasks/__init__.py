@@ -8,6 +8,7 @@ from humanoid_mjx.tasks.base import Task
 TASKS = {
     "joint_reach": "humanoid_mjx.tasks.joint_reach:JointReach",
     "navigate": "humanoid_mjx.tasks.navigate:Navigate",
+    "posture_switch": "humanoid_mjx.tasks.posture_switch:PostureSwitch",
 }
 
 

@@ -1,11 +1,13 @@
 """Move one joint from a start angle to a goal angle in equal steps (thesis section 6.3, results 7 E to 7 G)."""
 
+from collections.abc import Mapping
 from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 from pydantic import Field, model_validator
 
+from humanoid_mjx.runtime import SHARED_KERNELS
 from humanoid_mjx.tasks.finite import FiniteTask, Rules
 from humanoid_mjx.thesis import q_learning as thesis
 from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
@@ -68,6 +70,10 @@ class JointReach(FiniteTask):
                 f"{round(moves)} steps of action lie between start and goal; at most 1,000,000 are handled"
             )
         return self
+
+    @property
+    def compiler_options(self) -> Mapping[str, str | bool]:
+        return SHARED_KERNELS
 
     @property
     def num_states(self) -> int:

@@ -1,6 +1,7 @@
 """Find the shortest path on a grid among static obstacles (thesis section 6.2)."""
 
 from collections import deque
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -8,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Int, Key
 from pydantic import Field, model_validator
 
+from humanoid_mjx.runtime import SHARED_KERNELS
 from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
 
@@ -61,6 +63,10 @@ class Navigate(FiniteTask):
         if shortest_path(self.map) is None:
             raise ValueError("map has no way from S to G")
         return self
+
+    @property
+    def compiler_options(self) -> Mapping[str, str | bool]:
+        return SHARED_KERNELS
 
     @property
     def num_states(self) -> int:

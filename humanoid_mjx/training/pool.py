@@ -17,6 +17,12 @@ from humanoid_mjx.training.program import program_of
 from humanoid_mjx.training.state import from_arrays, to_arrays
 from humanoid_mjx.types import Device
 
+CHUNK_S = 0.2
+"""Seconds of training between two looks at what is over. How training is cut up changes no result."""
+
+MAX_STEPS = 1 << 20
+"""A chunk has at most so many steps."""
+
 HARVEST_SHARE = 0.25
 """The share of slots that must be over before they are emptied and filled again ..."""
 
@@ -50,6 +56,7 @@ class Pool:
         self.slots = np.full(size, IDLE, np.int64)
         self.progress = np.zeros(size)
         self.harvested = time.monotonic()
+        self.steps = 1
         self.diverged: dict[int, dict[str, np.ndarray]] = {}
         """The last training states of harvested runs whose numbers were no longer finite, by run."""
         self._load()
@@ -78,9 +85,12 @@ class Pool:
             self.progress = np.where(fresh, 0.0, self.progress)
 
     def train(self) -> None:
-        """Let every run train for a chunk of steps."""
-        self.carry, progress = self.program.train(self.hyper, self.carry)
+        """Let every run train for about `CHUNK_S`."""
+        began = time.monotonic()
+        self.carry, progress = self.program.train(self.hyper, self.carry, np.int32(self.steps))
         self.progress = np.asarray(progress)
+        factor = CHUNK_S / max(time.monotonic() - began, 1e-6)
+        self.steps = int(np.clip(self.steps * np.clip(factor, 0.25, 4.0), 1, MAX_STEPS))
 
     def harvest(self) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
         """Take out the runs that are over, if it is worth while.

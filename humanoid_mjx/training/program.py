@@ -16,8 +16,8 @@ class Program(NamedTuple):
 
     start: Callable[..., Any]
     """(fresh (bool), hyper, seeds, training states, policies) -> training states, new where fresh."""
-    train: Callable[[Any, Any], tuple[Any, jax.Array]]
-    """(hyper, training states) -> training states `chunk_steps` later, and progress. The old states are given up."""
+    train: Callable[[Any, Any, Any], tuple[Any, jax.Array]]
+    """(hyper, training states, steps) -> training states so many steps later, and progress. Gives up the old ones."""
     finish: Callable[..., dict[str, Any]]
     """(hyper, training states, seeds) -> curves, final scores and policies."""
     states: Callable[..., Any]
@@ -35,8 +35,8 @@ def program_of(learner: Learner) -> Program:
         new = learner.init(hyper, run_key(*seeds), policy)
         return jax.tree.map(partial(jnp.where, fresh), new, old)
 
-    def train(hyper, carry):
-        carry, metrics = learner.train_chunk(hyper, carry, learner.chunk_steps)
+    def train(hyper, carry, steps):
+        carry, metrics = learner.train_chunk(hyper, carry, steps)
         return carry, metrics["progress"]
 
     def finish(hyper, carry, seeds):
@@ -48,10 +48,11 @@ def program_of(learner: Learner) -> Program:
             "policy": policy,
         }
 
+    options = dict(learner.task.compiler_options)
     return Program(
         start=jax.jit(jax.vmap(start), donate_argnums=3),
-        train=jax.jit(jax.vmap(train), donate_argnums=1),
-        finish=jax.jit(jax.vmap(finish)),
+        train=jax.jit(jax.vmap(train, in_axes=(0, 0, None)), donate_argnums=1, compiler_options=options),
+        finish=jax.jit(jax.vmap(finish), compiler_options=options),
         states=jax.jit(jax.vmap(states)),
     )
 

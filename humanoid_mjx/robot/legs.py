@@ -1,0 +1,87 @@
+# pyright: reportAttributeAccessIssue=false
+"""The legs of Table 4.1 on a fixed torso as MuJoCo models: links as chains, drawn as capsules, without contacts.
+
+The world has x forward, y left and z up; the torso's middle is its origin. Joints are named and ordered as those of the
+lower body, the right leg first, and equal values of both legs are a posture that is its own mirror image.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from humanoid_mjx.robot.leg import FRAME_0, HIP_DIAMETER, MIRROR, SHANK_DIAMETER, Leg
+from humanoid_mjx.robot.lower_body import JOINTS, SIDES, add_motors_and_sensors
+from humanoid_mjx.robot.mjcf import add_chain
+from humanoid_mjx.robot.ranges import joint_ranges
+from humanoid_mjx.spec import InputError
+from humanoid_mjx.thesis.leg import GRAVITY, JOINT_NAMES
+
+TIMESTEP = 0.002
+
+
+def leg_spec(torso: str = "fixed", ranges: str = "proposed", timestep: float | None = None) -> mujoco.MjSpec:
+    """The right leg, as `legs_spec` has it."""
+    return legs_spec(torso, ranges, timestep, SIDES[:1])
+
+
+def legs_spec(
+    torso: str = "fixed",
+    ranges: str = "proposed",
+    timestep: float | None = None,
+    sides: Sequence[str] = SIDES,
+    leg: Leg | None = None,
+) -> mujoco.MjSpec:
+    """Both legs with their motors and sensors, as a MuJoCo model that can still be changed.
+
+    Args:
+      torso: "fixed", the only one that the chain has.
+      ranges: a column of Table 3.2. Nothing stops a joint there: postures of section 6.4 lie beyond it.
+      timestep: s; by default `TIMESTEP`.
+      sides: the legs that there are.
+      leg: the chain of the right leg; by default `Leg.physical()`.
+
+    Raises:
+      InputError: another torso, unknown ranges, or a leg without mass.
+    """
+    if torso != "fixed":
+        raise InputError(f"torso: that of the legs is fixed, got {torso!r}; a free one has the robot lower_body.")
+    leg = leg or Leg.physical()
+    spec = mujoco.MjSpec()
+    spec.modelname = "legs" if len(sides) > 1 else "leg"
+    spec.compiler.degree = False
+    spec.option.timestep = TIMESTEP if timestep is None else timestep
+    spec.option.gravity = (0.0, 0.0, -GRAVITY)
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    body = spec.worldbody.add_body(name="torso")
+    body.add_site(name="imu", size=(0.003, 0.003, 0.003))
+    limits = np.asarray(joint_ranges(ranges), np.float64)
+    for side in sides:
+        mirrored = side == "left"
+        frame = MIRROR @ FRAME_0 @ MIRROR if mirrored else FRAME_0
+        quat = np.empty(4)
+        mujoco.mju_mat2Quat(quat, frame.reshape(-1))
+        root = body.add_body(name=f"{side}_hip", quat=quat)
+        names = [f"{side}_{name}" for name in JOINT_NAMES]
+        foot = add_chain(root, leg, names, f"{side}_", mirrored)
+        foot.add_site(name=f"{side}_foot", size=(0.003, 0.003, 0.003))
+        for name, span in zip(names, limits, strict=True):
+            spec.joint(name).range, spec.joint(name).limited = span, mujoco.mjtLimited.mjLIMITED_FALSE
+        for i in range(leg.num_joints):
+            _draw(spec.body(f"{side}_link{i + 1}"), HIP_DIAMETER if i < 3 else SHANK_DIAMETER)
+    add_motors_and_sensors(spec, [name for name in JOINTS if name.startswith(tuple(sides))], sides)
+    return spec
+
+
+def _draw(body: Any, diameter: float) -> None:
+    """A capsule from the frame before a link's to its own."""
+    before = body.first_joint().pos
+    body.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+        fromto=(*before, 0.0, 0.0, 0.0),
+        size=(diameter / 2, 0.0, 0.0),
+        contype=0,
+        conaffinity=0,
+        mass=0.0,
+    )

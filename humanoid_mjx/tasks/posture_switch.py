@@ -1,0 +1,168 @@
+"""Switch the legs from one posture to another (thesis sections 6.4 and 7 H): Q-learning decides, computed torque acts.
+
+Two rates, as of a master and its joint controllers. Every `period` the learner chooses for the hip pitch, the knee and
+the ankle to go a place up, to stay, or to go a place down, on a grid from start to goal; every time step of the physics
+a computed-torque controller drives both legs to the set-point. The left leg takes the opposite values (6.4). What the
+learner knows of the joints is what the encoders of the right leg say.
+"""
+
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, Key
+from pydantic import Field, model_validator
+
+from humanoid_mjx.control.gains import critical_kd
+from humanoid_mjx.physics import make_physics
+from humanoid_mjx.physics.base import Physics, Stages, World
+from humanoid_mjx.runtime import SHARED_KERNELS
+from humanoid_mjx.tasks.finite import FiniteTask
+from humanoid_mjx.thesis import leg as leg_thesis
+from humanoid_mjx.thesis import q_learning as thesis
+from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
+
+MOVED = (0, 3, 4)
+"""Hip pitch, knee and ankle among the joints of a leg."""
+
+LEFT_SIGN = -1.0
+"""The left leg takes the right's values with the opposite sign."""
+
+REST = 0.2
+"""rad/s. A body whose moved joints are all slower is at rest."""
+
+
+class Body(NamedTuple):
+    """The state of a robot between two decisions."""
+
+    world: World
+    encoders: Float[Array, "3"]
+    """Of the right hip pitch, knee and ankle, rad, as read."""
+    diverged: IntScalar
+    """How often the simulation broke down in this episode and was started anew."""
+
+
+class PostureSwitch(FiniteTask):
+    """Bring hip pitch, knee and ankle of both legs from start to goal, all within `tolerance` and at rest.
+
+    A decision costs `step_reward`, the goal earns `bonus`.
+    """
+
+    physics: Literal["chain", "mjx-jax", "mjx-warp"] = "chain"
+    posture: Literal["6.4", "7H"] = Field("6.4", description="the section that gives start and goal")
+    places: int = Field(5, ge=2, le=50, description="points of the grid from start to goal, for each joint")
+    period: float = Field(0.2, gt=0, le=10, description="s between decisions")
+    timestep: float = Field(0.005, gt=0, le=0.02, description="s of physics and controller")
+    natural_frequency: float = Field(12.0, gt=0, le=200, description="of the controller, rad/s; damping is critical")
+    mass: float = Field(1.0, gt=0, le=10, description="of the robot, as a multiple of what its controller believes")
+    encoder_noise: float = Field(0.0, ge=0, le=90, description="standard deviation, degrees")
+    tolerance: float = Field(2.0, gt=0, le=90, description="degrees")
+    step_reward: float = -1.0
+    bonus: float = 100.0
+    max_episode_steps: int = Field(60, ge=1, le=10_000_000)
+
+    class Params(NamedTuple):
+        natural_frequency: FloatScalar
+        mass: FloatScalar
+        encoder_noise: FloatScalar
+        tolerance: FloatScalar
+        step_reward: FloatScalar
+        bonus: FloatScalar
+        max_episode_steps: IntScalar
+
+    @model_validator(mode="after")
+    def _period_must_fit(self) -> "PostureSwitch":
+        self.simulator.substeps(self.period)
+        return self
+
+    @property
+    def num_states(self) -> int:
+        return self.places ** len(MOVED)
+
+    @property
+    def num_actions(self) -> int:
+        return 3 ** len(MOVED)
+
+    @property
+    def compiler_options(self) -> Mapping[str, str | bool]:
+        return SHARED_KERNELS if self.physics == "chain" else {}
+
+    @property
+    def simulator(self) -> Physics:
+        """What moves the legs."""
+        return _simulator(self.physics, self.timestep)
+
+    @property
+    def grid(self) -> Float[np.ndarray, "3 places"]:
+        """The places of each moved joint from start to goal, rad."""
+        start, goal = thesis.POSTURES[self.posture]
+        return np.radians(np.linspace(start, goal, self.places)).T
+
+    def reset(self, params: Params, key: Key[Array, ""]) -> Body:
+        qpos = self.whole_body(self.grid[:, 0])
+        world = self.simulator.start(self._plant(params), qpos, jnp.zeros(len(qpos)))
+        return self._read(params, world, jnp.int32(0), key)
+
+    def step(
+        self, params: Params, state: Body, action: IntScalar, key: Key[Array, ""]
+    ) -> tuple[Body, FloatScalar, BoolScalar]:
+        choice = action // 3 ** np.arange(len(MOVED)) % 3 - 1
+        target = jnp.clip(self._places(state.encoders) + choice, 0, self.places - 1)
+        setpoint = jnp.asarray(self.grid, float)[np.arange(len(MOVED)), target]
+        plant = self._plant(params)
+        controller = self.controller(params, self.whole_body(setpoint))
+        cycles = self.simulator.substeps(self.period)
+        world = self.simulator.run(plant, state.world, controller, cycles)
+        broken = world.diverged
+        qpos = self.whole_body(self.grid[:, 0])
+        world = self.simulator.reset(plant, world, broken, qpos, jnp.zeros(len(qpos)))
+        after = self._read(params, world, state.diverged + broken, key)
+        arrived = ~broken & self.arrived(params, world)
+        return after, params.step_reward + jnp.where(arrived, params.bonus, 0.0), arrived
+
+    def row(self, params: Params, state: Body) -> IntScalar:
+        places = self._places(state.encoders)
+        return jnp.sum(places * self.places ** np.arange(len(MOVED)), dtype=jnp.int32)
+
+    def arrived(self, params: Params, world: World) -> BoolScalar:
+        """Whether both legs are in the goal's posture and at rest."""
+        goal = self.whole_body(self.grid[:, -1])
+        near = jnp.abs(world.qpos - goal) <= params.tolerance * (np.pi / 180)
+        return near.all() & (jnp.abs(world.qvel) <= REST).all()
+
+    def whole_body(self, moved: Float[Array, "3"] | Float[np.ndarray, "3"]) -> Float[Array, "10"]:
+        """The joints of both legs from the three of the right that move, rad."""
+        right = jnp.zeros(len(leg_thesis.JOINT_NAMES)).at[jnp.array(MOVED)].set(moved)
+        return jnp.concatenate([right, LEFT_SIGN * right])
+
+    def controller(self, params: Params, setpoint: Float[Array, "10"]) -> Any:
+        """Computed torque towards a set-point at rest, by a model whose mass is 1 (equations 5.40 to 5.49)."""
+        kp = params.natural_frequency**2
+        kd = critical_kd(jnp.asarray(kp, float))
+
+        def control(stages: Stages) -> Float[Array, "10"]:
+            return stages.torque_for(kp * (setpoint - stages.qpos) - kd * stages.qvel, 1.0)
+
+        return control
+
+    def _plant(self, params: Params) -> Any:
+        return self.simulator.params._replace(mass=params.mass)
+
+    def _read(self, params: Params, world: World, diverged: IntScalar, key: Key[Array, ""]) -> Body:
+        noise = params.encoder_noise * (np.pi / 180) * jax.random.normal(key, (len(MOVED),))
+        return Body(world, world.qpos[jnp.array(MOVED)] + noise, diverged)
+
+    def _places(self, encoders: Float[Array, "3"]) -> Int[Array, "3"]:
+        """The nearest place of each moved joint."""
+        first, last = self.grid[:, 0], self.grid[:, -1]
+        place = jnp.round((encoders - first) / (last - first) * (self.places - 1))
+        return jnp.clip(place, 0, self.places - 1).astype(jnp.int32)
+
+
+@lru_cache
+def _simulator(name: str, timestep: float) -> Physics:
+    torso = {} if name == "chain" else {"torso": "fixed"}
+    return make_physics(name, robot="legs", timestep=timestep, **torso)
