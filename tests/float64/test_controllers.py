@@ -209,3 +209,22 @@ def test_a_payload_pulls_with_its_weight():
     _, l2, l3, l4, l5 = thesis.LINK_LENGTHS
     hip = mass * thesis.GRAVITY * ((l2 + l3) * np.sin(0.1) + l4 * np.sin(0.1 - 0.3) + l5 * np.sin(0.1 - 0.3 + 0.2))
     assert float(more[0]) == pytest.approx(hip, rel=1e-9)
+
+
+def test_a_stiff_servo_acts_through_the_step():
+    """It converges to the motion of fine steps, and goes on where a held torque is lost."""
+    leg, servo = Leg.matlab_script(), control.PD.build(5, 0.02 * KP, 0.02 * KD)
+
+    def final(integrator, dt):
+        def controller(time, qpos, qvel):
+            return control.pd(servo, resting(), qpos, qvel)
+
+        simulate = partial(dynamics.rollout, leg, controller=controller, dt=dt, steps=round(0.1 / dt))
+        return jax.jit(partial(simulate, integrator=integrator))(jnp.array(START), jnp.zeros(5))[0].qpos
+
+    fine = final(dynamics.runge_kutta, 2e-5)
+    off = [float(jnp.abs(final(control.implicit_euler(servo), dt) - fine).max()) for dt in (8e-4, 4e-4)]
+    assert np.log2(off[0] / off[1]) == pytest.approx(1.0, abs=0.2)
+    rough = final(control.implicit_euler(servo), 1e-2)
+    assert float(jnp.abs(rough - fine).max()) < 0.1
+    assert not (jnp.abs(final(dynamics.semi_implicit_euler, 1e-2)) < 10).all()
