@@ -199,20 +199,22 @@ def _simulate(law: str, leg: str, model: str, kp: Any, kd: Any, keeps: np.ndarra
         "script": Leg.matlab_script(AS_PRINTED),
         "along": Leg.thesis(ALONG_THE_LEG),
     }
-    planned, act = thesis_quintics(), partial(_laws()[law], legs[model], jnp.array(kp), jnp.array(kd))
-    integrator = implicit_euler(PD.build(5, kp, kd)) if law == "servo" else dynamics.semi_implicit_euler
+    planned, act = thesis_quintics(), _laws()[law]
     steps = round(thesis.QUINTIC_S / STEP_S)
 
-    def simulate(keep: Any) -> Any:
+    def simulate(keep: Any, kp: Any, kd: Any) -> Any:
+        integrator = implicit_euler(PD(kp, kd)) if law == "servo" else dynamics.semi_implicit_euler
+
         def controller(time: Any, qpos: Any, qvel: Any) -> Any:
             plan = planned.at(time)
             seen = Reference(plan.position, keep[0] * plan.velocity, keep[1] * plan.acceleration)
-            return act(seen, qpos, qvel)
+            return act(legs[model], kp, kd, seen, qpos, qvel)
 
         states = dynamics.rollout(legs[leg], jnp.zeros(5), jnp.zeros(5), controller, STEP_S, steps, integrator)[1]
         return states.qpos[SHOWN - 1 :: SHOWN]
 
-    moved = jax.jit(jax.vmap(simulate), compiler_options=runtime.SHARED_KERNELS)(jnp.asarray(keeps, float))
+    run = jax.jit(jax.vmap(simulate, in_axes=(0, None, None)), compiler_options=runtime.SHARED_KERNELS)
+    moved = run(*(jnp.asarray(x, float) for x in (keeps, kp, kd)))
     times = jnp.linspace(0.0, thesis.QUINTIC_S, steps // SHOWN + 1)
     places = np.concatenate([np.zeros((len(keeps), 1, 5)), moved], axis=1)
     return np.asarray(jax.vmap(planned.at)(times).position, np.float64) - places

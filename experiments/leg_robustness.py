@@ -10,17 +10,21 @@ import numpy as np
 
 from humanoid_mjx.reproduction import Experiment, Finding, Setting, judge
 from humanoid_mjx.results.style import SEQUENTIAL, figure
+from humanoid_mjx.spec import InputError
 from humanoid_mjx.thesis import leg as thesis
 
 STEP_S = 5e-4
 CYCLES = (1, 2, 20, 100)
 """Steps of a cycle."""
 
-ERRORS = np.linspace(-0.3, 0.3, 13)
-"""Of every link's inertia in the controller's model, as a share."""
+MODEL_ERROR = 0.3
+"""The largest, of every link's inertia in the controller's model, as a share."""
 
-PAYLOADS = np.linspace(0.0, 0.03, 21)
-"""At the toe, kg."""
+PAYLOAD = 0.03
+"""The largest at the toe, kg."""
+
+CONFIG = {"grid": {"model_errors": 13, "payloads": 21}}
+"""How many of each: from one too light to one too heavy, and from none on."""
 
 LAWS = {
     "partitioned PD": "partitioned PD",
@@ -37,9 +41,9 @@ LOST = 10.0
 
 def robustness(setting: Setting) -> list[Finding]:
     """Root mean square errors over model error, payload and cycle time, as heat maps; what the text says of them."""
-    errors = _errors()
+    errors = _errors(*_grid(setting))
     _draw(setting, errors)
-    exact, load = len(ERRORS) // 2, 0
+    exact, load = len(errors["computed torque"][0]) // 2, 0
     partitioned, holding, torque = errors.values()
     linear = np.minimum(partitioned, holding)
     wins, follows = bool((torque <= linear)[:, exact, load].all()), np.isfinite(np.minimum(torque, linear))
@@ -52,8 +56,8 @@ def robustness(setting: Setting) -> list[Finding]:
             tolerance=None,
             verdict=judge(wins, {}, {}),
             why=f"at cycles of {', '.join(f'{c * STEP_S * 1e3:g}' for c in CYCLES)} ms it leaves "
-            f"{_list(torque[:, exact, load])} rad, partitioned PD {_list(partitioned[:, exact, load])}, and if it holds "
-            f"the weight {_list(holding[:, exact, load])}; of all legs that one of them can control, computed torque "
+            f"{_list(torque[:, exact, load])} rad, partitioned PD {_list(partitioned[:, exact, load])}, holding the "
+            f"weight {_list(holding[:, exact, load])}; of all legs that one of them can control, computed torque "
             f"is the best for {(torque < linear)[follows].mean():.0%}",
         ),
         Finding(
@@ -64,15 +68,29 @@ def robustness(setting: Setting) -> list[Finding]:
             reproduced=[_short(torque[i, exact, load]) for i in (0, 1)],
             tolerance=None,
             verdict=judge(bool(torque[0, exact, load] < torque[1, exact, load] < 0.01), {}, {}),
-            why=f"but for the cycle nothing is wrong there; a model {ERRORS[-1]:.0%} too heavy at "
-            f"{CYCLES[0] * STEP_S * 1e3:g} ms leaves {_short(torque[0, -1, load])} rad, {PAYLOADS[-1]:g} kg at the toe "
+            why=f"but for the cycle nothing is wrong there; a model {MODEL_ERROR:.0%} too heavy at "
+            f"{CYCLES[0] * STEP_S * 1e3:g} ms leaves {_short(torque[0, -1, load])} rad, {PAYLOAD:g} kg at the toe "
             f"{_short(torque[0, exact, -1])} rad; at {CYCLES[-1] * STEP_S * 1e3:g} ms "
             f"{np.isinf(torque[-1]).mean():.0%} of the legs are unstable",
         ),
     ]
 
 
-def _errors() -> dict[str, np.ndarray]:
+def _grid(setting: Setting) -> tuple[np.ndarray, np.ndarray]:
+    """Model errors, the middle one 0, and payloads, the first one 0."""
+    counts = setting.config["grid"]
+    for name, least in (("model_errors", 3), ("payloads", 2)):
+        count = counts[name]
+        if not isinstance(count, int) or count < least or (name == "model_errors" and count % 2 == 0):
+            odd = "an odd number" if name == "model_errors" else "a number"
+            raise InputError(f"grid.{name} must be {odd} of at least {least}, got {count!r}.")
+    return (
+        np.linspace(-MODEL_ERROR, MODEL_ERROR, counts["model_errors"]),
+        np.linspace(0.0, PAYLOAD, counts["payloads"]),
+    )
+
+
+def _errors(model_errors: np.ndarray, payloads: np.ndarray) -> dict[str, np.ndarray]:
     """(cycles, model errors, payloads) Root mean square over the motion, of the worst joint, rad, by controller."""
     import jax
     import jax.numpy as jnp
@@ -103,9 +121,9 @@ def _errors() -> dict[str, np.ndarray]:
         wanted = jax.vmap(planned.at)(STEP_S * jnp.arange(1, steps + 1)).position
         return jnp.sqrt(jnp.mean((wanted - states.qpos) ** 2, axis=0))
 
-    robots = [x.ravel() for x in np.meshgrid(np.array(CYCLES), ERRORS, PAYLOADS, indexing="ij")]
+    robots = [x.ravel() for x in np.meshgrid(np.array(CYCLES), model_errors, payloads, indexing="ij")]
     arrays = [jnp.asarray(x, dtype) for x, dtype in zip(robots, (int, float, float), strict=True)]
-    shape = (len(CYCLES), len(ERRORS), len(PAYLOADS))
+    shape = (len(CYCLES), len(model_errors), len(payloads))
 
     def simulate_all(*robot: Any) -> dict[str, Any]:
         return {law: simulate(law, *robot) for law in LAWS}
@@ -118,7 +136,7 @@ def _errors() -> dict[str, np.ndarray]:
 def _draw(setting: Setting, errors: dict[str, np.ndarray]) -> None:
     from matplotlib.colors import LogNorm
 
-    extent = (1e3 * float(PAYLOADS[0]), 1e3 * float(PAYLOADS[-1]), 100 * float(ERRORS[0]), 100 * float(ERRORS[-1]))
+    extent = (0.0, 1e3 * PAYLOAD, -100 * MODEL_ERROR, 100 * MODEL_ERROR)
     with figure(setting.out / "robustness-map.png", len(LAWS), len(CYCLES), (2.7, 2.4), sharex=True, sharey=True) as (
         fig,
         axes,
@@ -159,4 +177,4 @@ def _short(value: Any) -> float:
     return float(f"{value:.3g}")
 
 
-EXPERIMENTS = [Experiment("robustness-map", "Tracking over model error, payload and cycle time", robustness)]
+EXPERIMENTS = [Experiment("robustness-map", "Tracking over model error, payload and cycle time", robustness, CONFIG)]

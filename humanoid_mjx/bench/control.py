@@ -1,4 +1,4 @@
-"""Control steps a second of the leg at 0.5 ms under each controller, and what a step of control costs beside the physics.
+"""Control steps a second of the leg at 0.5 ms under each controller, and what a step of control costs.
 
     none               the dynamics alone
     PD                 a servo without a model
