@@ -7,10 +7,10 @@ import numpy as np
 
 from humanoid_mjx.reproduction import Experiment, Finding, Setting, judge
 from humanoid_mjx.thesis import leg as thesis
-from humanoid_mjx.thesis.printed import inverse, jacobian, kinematics
+from humanoid_mjx.thesis.printed import dynamics_errata, inverse, jacobian, kinematics
 from humanoid_mjx.thesis.printed.erratum import Erratum, States
 
-ENTRIES = tuple(chain(kinematics.ERRATA, jacobian.ERRATA, inverse.ERRATA))
+ENTRIES = tuple(chain(kinematics.ERRATA, jacobian.ERRATA, inverse.ERRATA, dynamics_errata.ERRATA))
 
 STATES = 2000
 
@@ -52,15 +52,42 @@ def _states(ranges: tuple[tuple[float, float], ...]) -> States:
     import jax.numpy as jnp
 
     from humanoid_mjx import kinematics as true
-    from humanoid_mjx.robot.leg import Leg
+    from humanoid_mjx.robot.leg import Leg, corrected_inertias
 
     low, high = np.radians(ranges).T
-    q = np.random.default_rng(0).uniform(low, high, (STATES, 5))
+    random = np.random.default_rng(0)
+    q = random.uniform(low, high, (STATES, 5))
     leg = Leg.physical()
     frames = np.asarray(jax.jit(jax.vmap(true.frames, in_axes=(None, 0)))(leg, jnp.array(q)), float)
     jac = np.asarray(jax.jit(jax.vmap(true.jacobian, in_axes=(None, 0)))(leg, jnp.array(q)), float)
     links = np.linalg.solve(frames[:, :-1], frames[:, 1:])
-    return States(q.T, thesis.LINK_LENGTHS, {"pose": frames[:, -1], "links": links, "jacobian": jac})
+    true_values = {"pose": frames[:, -1], "links": links, "jacobian": jac} | _dynamics(q)
+    qd, qdd = random.uniform(-2, 2, (2, 5, STATES))
+    return States(q.T, thesis.LINK_LENGTHS, true_values, qd, qdd, corrected_inertias())
+
+
+def _dynamics(q: np.ndarray) -> dict[str, np.ndarray]:
+    """The terms of the equation of motion of the leg of section 4.6 at postures, (n, 5)."""
+    import jax
+    import jax.numpy as jnp
+
+    from humanoid_mjx import dynamics as true
+    from humanoid_mjx.robot.leg import AS_PRINTED, Leg
+
+    def terms(leg: Leg, sideways: Leg, q: jax.Array) -> dict[str, jax.Array]:
+        # The velocity term is a quadratic form; its coefficients follow from its values at sums of unit vectors.
+        unit = jnp.eye(5)
+        plus, minus = unit[:, None] + unit, unit[:, None] - unit
+        at = jax.vmap(jax.vmap(lambda qd: true.coriolis(leg, q, qd)))
+        return {
+            "mass_matrix": true.mass_matrix(leg, q),
+            "velocity_coefficients": jnp.moveaxis(at(plus) - at(minus), -1, 0) / 4,
+            "gravity": true.gravity(leg, q),
+            "sideways_gravity": true.gravity(sideways, q),
+        }
+
+    found = jax.jit(jax.vmap(terms, in_axes=(None, None, 0)))(Leg.thesis(), Leg.thesis(AS_PRINTED), jnp.array(q))
+    return {name: np.asarray(value, float) for name, value in found.items()}
 
 
 def _write(path: Path, findings: list[Finding]) -> None:

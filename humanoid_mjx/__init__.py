@@ -3,6 +3,8 @@
 Public names load on first use, so that importing the package costs nothing.
 """
 
+# pyright: reportUnsupportedDunderAll=false
+
 from importlib import import_module
 from typing import Any
 
@@ -19,7 +21,7 @@ _PUBLIC = {
     "sweep": "humanoid_mjx.training.sweep:sweep",
 }
 
-__all__ = [  # pyright: ignore[reportUnsupportedDunderAll]
+__all__ = [
     "InputError",
     "Leg",
     "__version__",

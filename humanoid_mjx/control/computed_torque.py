@@ -1,30 +1,13 @@
 """Computed torque: the motion wanted, corrected in proportion to the error and its rate, through a model's dynamics."""
 
-from typing import Any, NamedTuple
-
-from humanoid_mjx.control.pd import Joints, Reference, checked_gains, servo
+from humanoid_mjx.control.pd import Joints, ModelServo, Reference, servo
 from humanoid_mjx.mechanics.dynamics import inverse_dynamics
-from humanoid_mjx.robot.chain import Chain
 
 
-class ComputedTorque(NamedTuple):
-    """The parameters of the controller. `ComputedTorque.build` checks them."""
+class ComputedTorque(ModelServo):
+    """The parameters of `computed_torque`."""
 
-    model: Chain
-    """It need not be the robot."""
-    kp: Joints
-    """1/s^2"""
-    kd: Joints
-    """1/s"""
-
-    @classmethod
-    def build(cls, model: Chain, kp: Any, kd: Any) -> "ComputedTorque":
-        """Check the gains, a number or one for each joint.
-
-        Raises:
-          InputError: a gain that is negative, not finite or of another shape.
-        """
-        return cls(model, *checked_gains(model.num_joints, kp, kd))
+    __slots__ = ()
 
 
 def computed_torque(params: ComputedTorque, reference: Reference, qpos: Joints, qvel: Joints) -> Joints:

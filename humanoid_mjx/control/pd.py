@@ -1,6 +1,6 @@
 """Servos: torques from the error and its rate, alone or through an inertia for each joint (thesis 5.5)."""
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -11,6 +11,7 @@ from humanoid_mjx.robot.chain import Chain
 from humanoid_mjx.types import FloatScalar
 
 Joints = Float[Array, " joints"]
+SomeServo = TypeVar("SomeServo", bound="ModelServo")
 
 
 class Reference(NamedTuple):
@@ -31,32 +32,30 @@ class PD(NamedTuple):
 
     @classmethod
     def build(cls, joints: int, kp: Any, kd: Any) -> "PD":
-        """Check the gains, a number or one for each joint.
-
-        Raises:
-          InputError: a gain that is negative, not finite or of another shape.
-        """
+        """Check the gains, as `checked_gains` does."""
         return cls(*checked_gains(joints, kp, kd))
 
 
-class PartitionedPD(NamedTuple):
-    """The parameters of a servo behind a model of each joint by itself. `PartitionedPD.build` checks them."""
+class ModelServo(NamedTuple):
+    """The parameters of a servo in front of a model. `build` checks them."""
 
     model: Chain
-    """Whence the inertia of each joint; it need not be the robot."""
+    """It need not be the robot."""
     kp: Joints
     """1/s^2"""
     kd: Joints
     """1/s"""
 
     @classmethod
-    def build(cls, model: Chain, kp: Any, kd: Any) -> "PartitionedPD":
-        """Check the gains, a number or one for each joint.
-
-        Raises:
-          InputError: a gain that is negative, not finite or of another shape.
-        """
+    def build(cls: type[SomeServo], model: Chain, kp: Any, kd: Any) -> SomeServo:
+        """Check the gains, as `checked_gains` does."""
         return cls(model, *checked_gains(model.num_joints, kp, kd))
+
+
+class PartitionedPD(ModelServo):
+    """The parameters of `partitioned_pd`: of the model only the inertia of each joint is used."""
+
+    __slots__ = ()
 
 
 def pd(params: PD, reference: Reference, qpos: Joints, qvel: Joints) -> Joints:
@@ -96,6 +95,10 @@ def implicit_euler(params: PD) -> Integrator:
 
 
 def checked_gains(joints: int, kp: Any, kd: Any) -> tuple[Joints, Joints]:
-    """`check_gains` of a servo, as arrays of jax."""
+    """Gains, a number or one for each joint, as arrays of jax.
+
+    Raises:
+      InputError: a gain that is negative, not finite or of another shape.
+    """
     gains = check_gains(joints, kp=kp, kd=kd)
     return jnp.asarray(gains["kp"], float), jnp.asarray(gains["kd"], float)

@@ -1,5 +1,6 @@
 """The protocol of learners."""
 
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import jax
@@ -29,6 +30,11 @@ class Learner(Spec):
     record: int = Field(100, ge=1, le=10_000, exclude=True, description="points of a learning curve")
 
     start_from: str | None = Field(None, description="a run folder whose policies to start from")
+
+    @property
+    def compiler_options(self) -> Mapping[str, str | bool]:
+        """For XLA, of the programs that train."""
+        return {}
 
     def init(self, hyper: Any, key: Key[Array, ""], policy: Any = None) -> Any:
         """The training state before the first step: a pytree of arrays. `policy` is one learned before."""

@@ -10,6 +10,7 @@ A step first learns from the move that each agent has under way, then makes the 
 read at two places and written at one, and XLA's CPU compiler keeps the arithmetic between them in fast loops.
 """
 
+from collections.abc import Mapping
 from functools import reduce
 from typing import Any, NamedTuple
 
@@ -81,6 +82,10 @@ class TabularQ(Learner):
         epsilon_min: float
         learning_rate: float
         discount: float
+
+    @property
+    def compiler_options(self) -> Mapping[str, str | bool]:
+        return self.task.compiler_options
 
     def init(self, hyper: Params, key: Key[Array, ""], policy: QTable | None = None) -> Carry:
         q_table = jnp.asarray(self.task.initial_q(hyper.task) if policy is None else policy, jnp.float32)

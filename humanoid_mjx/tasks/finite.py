@@ -1,5 +1,6 @@
 """The protocol of finite tasks: Markov decision processes that a learner sees through the rows of a table."""
 
+from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple
 
 import jax.numpy as jnp
@@ -28,6 +29,11 @@ class FiniteTask(Task):
 
     `Params` must have a field `max_episode_steps`: an episode that has lasted so long is truncated.
     """
+
+    @property
+    def compiler_options(self) -> Mapping[str, str | bool]:
+        """For XLA, of the programs that train tables on the task: `runtime.SHARED_KERNELS` where they pass with it."""
+        return {}
 
     @property
     def num_states(self) -> int:

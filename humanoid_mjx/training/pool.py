@@ -12,9 +12,9 @@ import jax
 import numpy as np
 
 from humanoid_mjx.spec import InputError
-from humanoid_mjx.training.plan import Group
+from humanoid_mjx.training.plan import Group, one_run
 from humanoid_mjx.training.program import program_of
-from humanoid_mjx.training.state import from_arrays, to_arrays
+from humanoid_mjx.training.state import blank, from_arrays, to_arrays
 from humanoid_mjx.types import Device
 
 CHUNK_S = 0.2
@@ -60,7 +60,7 @@ class Pool:
         self.diverged: dict[int, dict[str, np.ndarray]] = {}
         """The last training states of harvested runs whose numbers were no longer finite, by run."""
         self._load()
-        self.carry = self.program.states(self.hyper, self.seeds)
+        self.carry = jax.device_put(blank(one_run(group), size), device)
 
     @property
     def busy(self) -> np.ndarray:

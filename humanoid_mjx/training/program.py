@@ -20,16 +20,11 @@ class Program(NamedTuple):
     """(hyper, training states, steps) -> training states so many steps later, and progress. Gives up the old ones."""
     finish: Callable[..., dict[str, Any]]
     """(hyper, training states, seeds) -> curves, final scores and policies."""
-    states: Callable[..., Any]
-    """(hyper, seeds) -> training states to begin with."""
 
 
 @lru_cache(maxsize=64)
 def program_of(learner: Learner) -> Program:
     """The programs of one structure of learner (`Spec.structure`). `seeds` is (the config's seed, the seed number)."""
-
-    def states(hyper, seeds):
-        return learner.init(hyper, run_key(*seeds))
 
     def start(fresh, hyper, seeds, old, policy):
         new = learner.init(hyper, run_key(*seeds), policy)
@@ -48,12 +43,11 @@ def program_of(learner: Learner) -> Program:
             "policy": policy,
         }
 
-    options = dict(learner.task.compiler_options)
+    options = dict(learner.compiler_options)
     return Program(
         start=jax.jit(jax.vmap(start), donate_argnums=3),
         train=jax.jit(jax.vmap(train, in_axes=(0, 0, None)), donate_argnums=1, compiler_options=options),
         finish=jax.jit(jax.vmap(finish), compiler_options=options),
-        states=jax.jit(jax.vmap(states)),
     )
 
 

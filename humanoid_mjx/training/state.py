@@ -33,6 +33,17 @@ def from_arrays(like: Any, arrays: dict[str, np.ndarray], prefix: str, where: st
     return jax.tree_util.tree_map_with_path(leaf, like)
 
 
+def blank(like: Any, size: int) -> Any:
+    """A pytree like `like`, every leaf with a leading axis of `size`, full of zeros."""
+
+    def leaf(like: Any) -> Any:
+        words = jax.eval_shape(_plain, like)
+        zeros = jnp.zeros((size, *words.shape), words.dtype)
+        return jax.random.wrap_key_data(zeros, impl=rng.FAST) if _is_key(like) else zeros
+
+    return jax.tree.map(leaf, like)
+
+
 def _is_key(leaf: Any) -> bool:
     return jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
 

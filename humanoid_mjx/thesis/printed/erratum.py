@@ -15,7 +15,15 @@ class States(NamedTuple):
     lengths: tuple[float, float, float, float, float]
     """l1 to l5, m"""
     true: Mapping[str, np.ndarray]
-    """Verified quantities by name, states first: `pose` (n, 4, 4), `links` (n, 5, 4, 4), `jacobian` (n, 6, 5)."""
+    """Verified quantities by name, states first: `pose` (n, 4, 4), `links` (n, 5, 4, 4), `jacobian` (n, 6, 5),
+    `mass_matrix` (n, 5, 5), `velocity_coefficients` (n, 5, 5, 5), and `gravity` and `sideways_gravity` (n, 5): the
+    torques against gravity along the leg and along -z0."""
+    qd: np.ndarray = np.zeros((5, 0))
+    """(5, n) rad/s"""
+    qdd: np.ndarray = np.zeros((5, 0))
+    """(5, n) rad/s^2"""
+    inertia: np.ndarray = np.zeros((5, 4, 4))
+    """The links' pseudo-inertias in their frames, kg m^2, kg m and kg."""
 
 
 Formula = Callable[[States], np.ndarray]

@@ -1,0 +1,299 @@
+"""Figure 7.5 and Table 4.7: the torques of the planned motion, and which model they come from."""
+
+from collections.abc import Mapping
+from itertools import product
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from humanoid_mjx.reproduction import Experiment, Finding, Setting, in_words, judge
+from humanoid_mjx.results.style import COLORS, figure, label_lines
+from humanoid_mjx.thesis import leg as thesis
+from humanoid_mjx.thesis.printed import dynamics as printed
+
+START_TOLERANCE = 1e-8
+"""N m. Nine digits are printed; the recovered masses are round."""
+
+TOLERANCE = 0.02
+"""Of a printed maximum or end value."""
+
+SAMPLES = 501
+
+AS_PLANNED = {
+    "masses": {f"m{i}": m for i, m in enumerate(thesis.LINK_MASSES, start=1)},
+    "units": {"degree": np.pi / 180},
+    "knee": {"end": thesis.QUINTIC_RANGES[3][1]},
+}
+RECOVERED = {
+    "masses": {f"m{i}": m for i, m in enumerate(thesis.FIGURE_7_5_MASSES, start=1)},
+    "units": {"degree": thesis.FIGURE_7_5_DEGREE},
+    "knee": {"end": thesis.QUINTIC_RANGES[2][1]},
+}
+"""With the knee driven by joint 3's trajectory, as in the straight walking of section 7 B."""
+
+GRAVITY = {"sideways": (0.0, 0.0, -thesis.GRAVITY), "along the leg": (0.0, -thesis.GRAVITY, 0.0)}
+
+NAMES = [name.replace("_", " ") for name in thesis.JOINT_NAMES]
+
+
+DEGREES = {"pi/180": np.pi / 180, "3.15/180": thesis.FIGURE_7_5_DEGREE}
+FAULTS = {
+    "the script's equations": printed.ALL,
+    "the wrong rule alone": ("rule",),
+    "the slips alone": ("slips",),
+    "the wrong speeds alone": ("speeds",),
+    "the right equations": (),
+}
+
+
+class Trial(NamedTuple):
+    """A model of the torques, in words, and the torques it gives, (5,) N m: the greatest, and the largest by size."""
+
+    faults: str
+    parameters: str
+    gravity: str
+    knee: float
+    degree: str
+    maxima: np.ndarray
+    peaks: np.ndarray
+
+    def __str__(self) -> str:
+        return f"{self.faults}, {self.parameters}, gravity {self.gravity}, knee to {self.knee:g}, {self.degree}"
+
+
+_SCRIPT, _RIGHT = "the script's equations", "the right equations"
+_PLANNED = (120.0, "pi/180")
+MODELS: dict[tuple[Any, ...], str] = {
+    (_SCRIPT, "the script's links, r of appendix H", "sideways", *_PLANNED): "all joints, the MATLAB script as it is",
+    (_SCRIPT, "section 4.6 as printed, r of appendix H", "sideways", *_PLANNED): "all joints, its equations with the "
+    "inertias of section 4.6",
+    (_SCRIPT, "section 4.6 as printed, its centroids", "sideways", *_PLANNED): "all joints, the same with Table 4.4",
+    (_RIGHT, "section 4.6 as printed, its centroids", "sideways", *_PLANNED): "all joints, the right equations",
+    (_RIGHT, "section 4.6 as printed, its centroids", "along the leg", *_PLANNED): "all joints, the right equations "
+    "with gravity along the leg",
+    (_RIGHT, "the script's links, its centroids", "sideways", *_PLANNED): "all joints, the right equations with the "
+    "script's links",
+}
+
+
+def torques(setting: Setting) -> list[Finding]:
+    """Figure 7.5: the torques at the start, at the end and at most, by the recovered model."""
+    import jax
+
+    from humanoid_mjx.robot.leg import Leg
+
+    config = setting.config
+    t = np.linspace(0, thesis.QUINTIC_S, SAMPLES)
+    motion = _motion(t, config["knee"]["end"], config["units"]["degree"])
+    masses = np.array(list(config["masses"].values()))
+    with jax.enable_x64(True):
+        leg = Leg.figure_7_5().scaled(mass=masses / np.array(thesis.FIGURE_7_5_MASSES))
+        tau = _torque(leg, motion)
+        upright = _torque(Leg.physical(), _motion(t, thesis.QUINTIC_RANGES[3][1], np.pi / 180))
+        model = printed.Model(thesis.LINK_LENGTHS, np.array(leg.pseudo_inertia), np.array(thesis.LINK_CENTROIDS))
+    erroneous = printed.inverse_dynamics(model, *motion)
+    curves = {
+        "The script's equations, recovered values": erroneous,
+        "The right equations, same values": tau,
+        "Solid links, gravity along the leg, knee to 120°": upright,
+    }
+    _draw(setting.out / "figure-7.5.png", t, curves)
+    words = in_words(_flat(config), _flat(AS_PLANNED))
+    findings = [
+        _finding(f"joint {j + 1} ({NAMES[j]}) at the start, N m", mark, tau[j, 0], START_TOLERANCE, words, config)
+        for j, mark in enumerate(thesis.FIGURE_7_5["start"])
+    ]
+    findings += _end(t, tau, words, config)
+    for j, mark in enumerate(thesis.FIGURE_7_5["maximum"]):
+        why = f"{words}; the script's erroneous velocity terms with the same values give {erroneous[j].max():.5f}"
+        quantity = f"joint {j + 1} ({NAMES[j]}), greatest, N m"
+        findings.append(_finding(quantity, mark, tau[j].max(), TOLERANCE * mark, why, config))
+    return findings
+
+
+def _end(t: np.ndarray, tau: np.ndarray, words: str, config: Mapping[str, Any]) -> list[Finding]:
+    """The printed end values against the motion's end, and against the time that fits joints 2 to 5 best."""
+    marks = np.array(thesis.FIGURE_7_5["end"])
+    off = np.abs(tau / marks[:, None] - 1)
+    best = int(off[1:].max(axis=0).argmin())
+    early = f"{words}; at {t[best]:.2f} s of {thesis.QUINTIC_S:g}, which fits joints 2 to 5 best"
+    parts = [
+        ("all joints at the end, N m", slice(0, 5), -1, f"{words}; at rest joint 1 has no torque, whatever the masses"),
+        ("joints 2 to 5 shortly before the end, N m", slice(1, 5), best, early),
+        ("joint 1 shortly before the end, N m", slice(0, 1), best, early),
+    ]
+    return [
+        _finding(quantity, marks[joints].tolist(), tau[joints, at], TOLERANCE * np.abs(marks[joints]), why, config)
+        for quantity, joints, at, why in parts
+    ]
+
+
+def _finding(
+    quantity: str, mark: Any, value: np.ndarray, tolerance: Any, why: str, config: Mapping[str, Any]
+) -> Finding:
+    agrees = bool((np.abs(value - np.asarray(mark)) <= tolerance).all())
+    return Finding(
+        name="figure-7.5",
+        quantity=quantity,
+        printed=mark,
+        reproduced=(np.round(value, 9) + 0.0).tolist(),
+        tolerance=float(np.min(tolerance)),
+        verdict=judge(agrees, _flat(config), _flat(AS_PLANNED)),
+        why=why,
+    )
+
+
+def maxima(setting: Setting) -> list[Finding]:
+    """Table 4.7 against every combination of what is printed and what was recovered."""
+    marks = np.array(thesis.MAX_TORQUES)
+    trials = _trials()
+    off = np.array([np.abs(trial.maxima / marks - 1) for trial in trials])
+    agree = off <= TOLERANCE
+    order = np.lexsort((off.max(axis=1), -agree.sum(axis=1)))
+    _write(setting.out / "table-4.7.md", [trials[i] for i in order], off[order])
+    findings = []
+    for trial, errors in zip(trials, off, strict=True):
+        if (title := MODELS.get(trial[:5])) is not None:
+            why = f"{trial}: off by {', '.join(f'{100 * error:.3g}' for error in errors)} %"
+            findings.append(_table(title, marks.tolist(), trial, judge(bool((errors <= TOLERANCE).all()), {}, {}), why))
+    best = order[0]
+    fitting = np.flatnonzero(agree.sum(axis=1) >= 4)
+    for joint, mark in enumerate(marks):
+        possible = bool(agree[fitting, joint].any())
+        verdict = judge(bool(agree[best, joint]), _flat(RECOVERED), _flat(AS_PLANNED), possible=possible)
+        why = f"of {len(trials)} models {len(fitting)} agree in four joints; nearest: {trials[best]}, "
+        why += f"off by {100 * off[best, joint]:.2g} %"
+        if not possible and len(fitting):
+            why += f"; none of the {len(fitting)} comes nearer than {100 * off[fitting, joint].min():.2g} %"
+        findings.append(
+            _table(f"joint {joint + 1} ({NAMES[joint]}), N m", float(mark), trials[best], verdict, why, joint)
+        )
+    return [*findings, _largest(trials[best])]
+
+
+def _largest(trial: Trial) -> Finding:
+    """That a maximum with its sign is not what a motor needs."""
+    used, as_printed = _flat(RECOVERED), _flat(AS_PLANNED)
+    joint = int((trial.peaks / trial.maxima).argmax())
+    agrees = bool((np.abs(trial.peaks / np.array(thesis.MAX_TORQUES) - 1)[1:] <= TOLERANCE).all())
+    return Finding(
+        name="table-4.7",
+        quantity="the largest torques of joints 2 to 5, which select the motors, N m",
+        printed=list(thesis.MAX_TORQUES[1:]),
+        reproduced=np.round(trial.peaks[1:], 4).tolist(),
+        tolerance=TOLERANCE,
+        verdict=judge(agrees, used, as_printed),
+        why=f"the table has the greatest values with their signs; joint {joint + 1} needs {trial.peaks[joint]:.4f} N m "
+        f"the other way: section 7 C's own start value is {thesis.FIGURE_7_5['start'][joint]:.4f}",
+    )
+
+
+def _table(quantity: str, mark: Any, trial: Trial, verdict: Any, why: str, joint: int | slice = slice(None)) -> Finding:
+    value = np.round(trial.maxima[joint], 5).tolist()
+    return Finding("table-4.7", quantity, mark, value, TOLERANCE, verdict, why)
+
+
+def _trials() -> list[Trial]:
+    """The greatest torques of all combinations of faults, parameters, centroids, gravity, knee and degree."""
+    trials = []
+    t = np.linspace(0, thesis.QUINTIC_S, SAMPLES)
+    for knee, (degree, size) in product((120.0, 45.0), DEGREES.items()):
+        q, qd, qdd = _motion(t, knee, size)
+        for (parameters, model), (faults, names) in product(_models().items(), FAULTS.items()):
+            inertial = np.einsum("ijn,jn->in", printed.mass_matrix(model, q, names), qdd)
+            inertial += printed.coriolis(model, q, qd, names)
+            half = model._replace(centroids=printed.script_centroids(model.lengths))
+            for (centroids, leg), (way, g) in product(
+                {"r of appendix H": half, "its centroids": model}.items(),
+                GRAVITY.items(),
+            ):
+                tau = inertial + printed.gravity(leg._replace(gravity=g), q)
+                words = f"{parameters}, {centroids}"
+                trials.append(Trial(faults, words, way, knee, degree, tau.max(axis=1), np.abs(tau).max(axis=1)))
+    return trials
+
+
+def _models() -> dict[str, printed.Model]:
+    from humanoid_mjx.robot.leg import corrected_inertias, script_inertias
+
+    recovered = np.array(thesis.FIGURE_7_5_MASSES) / np.array(thesis.LINK_MASSES)
+    inertias = {
+        "the script's links": (thesis.SCRIPT_LENGTHS, script_inertias()),
+        "section 4.6 as printed": (thesis.LINK_LENGTHS, np.array(thesis.PSEUDO_INERTIAS)),
+        "section 4.6 with the recovered masses": (
+            thesis.LINK_LENGTHS,
+            corrected_inertias() * recovered[:, None, None],
+        ),
+    }
+    models = {}
+    for name, (lengths, inertia) in inertias.items():
+        centroids = inertia[:, :3, 3] / inertia[:, 3, 3, None] if "script" in name else np.array(thesis.LINK_CENTROIDS)
+        models[name] = printed.Model(lengths, inertia, centroids)
+    return models
+
+
+def _motion(t: np.ndarray, knee: float, degree: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(5, n) each: the planned motion in double precision, with the knee's end in degrees and radians per degree."""
+    import jax
+
+    from humanoid_mjx.mechanics.trajectories import Quintic, rest_to_rest
+
+    ends = np.array(thesis.QUINTIC_RANGES)
+    ends[3, 1] = knee
+    with jax.enable_x64(True):
+        planned = rest_to_rest(ends[:, 0] * degree, ends[:, 1] * degree, thesis.QUINTIC_S)
+        motion = jax.jit(jax.vmap(Quintic.at, in_axes=(None, 0)))(planned, t)
+        position, velocity, acceleration = (np.asarray(x).T for x in motion)
+    return position, velocity, acceleration
+
+
+def _torque(leg: Any, motion: tuple[np.ndarray, ...]) -> np.ndarray:
+    """(5, n) The verified torques of a motion, N m."""
+    import jax
+
+    from humanoid_mjx import dynamics
+
+    compute = jax.jit(jax.vmap(dynamics.inverse_dynamics, in_axes=(None, 0, 0, 0)))
+    return np.asarray(compute(leg, *(x.T for x in motion))).T
+
+
+def _draw(path: Path, t: np.ndarray, curves: Mapping[str, np.ndarray]) -> None:
+    with figure(path, 1, len(curves), size=(4.3, 3.8), sharey=True) as (fig, axes):
+        for panel, (title, tau) in zip(axes[0], curves.items(), strict=True):
+            for joint in range(5):
+                panel.plot(t, tau[joint], color=COLORS[joint])
+            panel.set_title(title)
+            panel.set_xlabel("time, s")
+            panel.set_xlim(0, thesis.QUINTIC_S)
+        for time, when in ((0.0, "start"), (thesis.QUINTIC_S, "end")):
+            for joint, mark in enumerate(thesis.FIGURE_7_5[when]):
+                axes[0, 0].plot(time, mark, "o", color=COLORS[joint], markersize=5, clip_on=False)
+        for panel, tau in zip(axes[0], curves.values(), strict=True):
+            label_lines(panel, tau[:, -1].tolist(), [f"{i} {name}" for i, name in enumerate(NAMES, 1)], COLORS[:5])
+        axes[0, 0].set_ylabel("joint torque, N m")
+        fig.suptitle("Torques of the planned motion; dots: start and end as section 7 C prints them", x=0.02, ha="left")
+
+
+def _write(path: Path, trials: list[Trial], off: np.ndarray) -> None:
+    """The twenty models nearest to Table 4.7."""
+    rows = ["| model | greatest torque of joints 1 to 5, N m | off by |", "|---|---|---|"]
+    for trial, errors in zip(trials[:20], off, strict=False):
+        values = ", ".join(f"{x:.4f}" for x in trial.maxima)
+        rows.append(f"| {trial} | {values} | {', '.join(f'{100 * x:.2g} %' for x in errors)} |")
+    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+
+
+def _flat(config: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
+    """The values of a config by names to read."""
+    return {
+        **config["masses"],
+        "radians per degree": config["units"]["degree"],
+        "end of the knee in degrees": config["knee"]["end"],
+    }
+
+
+EXPERIMENTS = [
+    Experiment("table-4.7", "The greatest joint torques", maxima),
+    Experiment("figure-7.5", "The joint torques of the planned motion", torques, RECOVERED),
+]

@@ -1,0 +1,243 @@
+"""What the joints must hold when the leg carries the body, against Table 4.7, whose leg hangs in the air.
+
+The torso is a load at the middle between the hips that stays upright; the feet touch the ground with the toe, the end
+of the chain; everything is slow enough for statics. The last link stays upright, as a foot flat on the ground would
+keep it, and the body's centre of mass stays above what carries it: that leaves the knee's angle free.
+
+Section 4.9 selects the motors by Table 4.7; chapter 8.1 tells that their stall torque was too small to hold the body
+upright.
+"""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from humanoid_mjx.reproduction import Experiment, Finding, Setting, judge
+from humanoid_mjx.results.style import COLORS, figure, label_lines, shades
+from humanoid_mjx.thesis import leg as thesis
+
+CONFIG = {"load": {"torso": -thesis.SCRIPT_FORCE[2]}, "squat": {"knee": 90.0}}
+"""The torso's weight, N: the script's force. How far the knees bend, degrees."""
+
+STEP = 0.5
+"""Between the postures, degrees of the knee."""
+
+NAMES = [name.replace("_", " ") for name in thesis.JOINT_NAMES]
+
+LEGS = {2: "two legs", 1: "one leg"}
+
+MOTORS = np.array(thesis.MAX_TORQUES)
+
+UPRIGHT = 1e-6
+"""N m. What counts as no torque."""
+
+
+class Squat(NamedTuple):
+    """Postures of a leg that carries the body, from straight to bent, by the knee's angle."""
+
+    knee: np.ndarray
+    """(n,) degrees"""
+    q: np.ndarray
+    """(n, 5) rad"""
+    torque: np.ndarray
+    """(n, 5) N m"""
+    joints: np.ndarray
+    """(n, 6, 3) Where the frames are, m."""
+    inside: np.ndarray
+    """(n, 5) Whether each joint is in the proposed range of Table 3.2."""
+
+    def largest(self, knee: float) -> np.ndarray:
+        """(5,) The largest torques by size up to an angle of the knee in degrees, N m."""
+        return np.abs(self.torque[self.knee <= knee + 1e-9]).max(axis=0)
+
+
+def motor_sizing(setting: Setting) -> list[Finding]:
+    weight, deepest = setting.config["load"]["torso"], setting.config["squat"]["knee"]
+    squats = {legs: _squat(weight, legs, deepest) for legs in LEGS}
+    _draw(setting.out / "motor-sizing.png", squats)
+    both, one = squats[2], squats[1]
+    allowed = float(both.knee[both.inside.all(axis=1)].max())
+    held = float(both.knee[(np.abs(both.torque) <= MOTORS + UPRIGHT).all(axis=1)].max())
+    carried = f"{_weight(weight):.1f} N, of which the torso {weight:g} N"
+    swing = _swinging()
+    outside = ", ".join(NAMES[joint] for joint in np.flatnonzero(~one.inside[0]))
+    lowered = 1e3 * np.ptp(both.joints[both.knee <= allowed, 5, 1])
+    return [
+        _finding(
+            "the planned motion, the torso fixed",
+            swing,
+            "the leg swings freely, as in the simulation behind the table, with gravity along it; no weight on it",
+        ),
+        _finding(
+            "standing on two straight legs",
+            both.largest(0.0),
+            f"each leg carries half of {carried}; the force goes through all axes, but nothing keeps it there: "
+            f"the two ankles' {2 * MOTORS[4]:.4f} N m stop a lean of at most {_lean(weight):.1f} degrees",
+        ),
+        _finding(
+            f"squatting on two legs until a joint reaches its range, the knee {allowed:g} degrees",
+            both.largest(allowed),
+            f"each leg carries half of {carried}; the knees hold it only to {held:g} degrees, and the hips come down "
+            f"by {lowered:.0f} mm: so small motors would not keep the body up, which is what chapter 8.1 tells",
+        ),
+        _finding(
+            f"squatting on two legs, the knee {deepest:g} degrees",
+            both.largest(deepest),
+            f"each leg carries half of {carried}",
+        ),
+        _finding(
+            "standing on one straight leg",
+            one.largest(0.0),
+            f"it carries {carried}, and leans by {abs(np.degrees(one.q[0, 2])):.0f} degrees, so that the toe is under "
+            f"the centre of mass, which takes {outside or 'no joint'} out of the proposed ranges",
+        ),
+        _finding(f"squatting on one leg, the knee {deepest:g} degrees", one.largest(deepest), f"it carries {carried}"),
+    ]
+
+
+def _finding(what: str, needed: np.ndarray, why: str) -> Finding:
+    worst = int((needed / MOTORS).argmax())
+    enough = bool((needed <= MOTORS + UPRIGHT).all())
+    return Finding(
+        name="motor-sizing",
+        quantity=f"{what}: the torques of Table 4.7 suffice, N m",
+        printed=MOTORS.tolist(),
+        reproduced=(np.round(needed, 4) + 0.0).tolist(),
+        tolerance=None,
+        verdict=judge(enough, {}, {}),
+        why=why
+        if enough
+        else f"{why}; joint {worst + 1} ({NAMES[worst]}) needs {needed[worst] / MOTORS[worst]:.1f} times the torque",
+    )
+
+
+def _weight(torso: float) -> float:
+    """Of the torso and both legs, N."""
+    return torso + 2 * thesis.GRAVITY * sum(thesis.LINK_MASSES)
+
+
+def _lean(torso: float) -> float:
+    """The lean of the straight body, degrees, at which both ankles' torques of Table 4.7 just hold it.
+
+    The torso counts as if it sat at the hips, which is the best case.
+    """
+    import jax.numpy as jnp
+
+    from humanoid_mjx.robot.leg import Leg
+
+    places, first = (np.asarray(x) for x in _masses(Leg.physical(), jnp.zeros(5)))
+    ankle = places[4, 1]
+    links = 2 * thesis.GRAVITY * (first[:4, 1] - first[:4, 3] * ankle).sum()
+    return float(np.degrees(np.arcsin(2 * MOTORS[4] / (links + torso * (places[0, 1] - ankle)))))
+
+
+def _masses(leg: Any, q: Any) -> tuple[Any, Any]:
+    """(6, 3) Where the frames are, m, and (5, 4) the links' first moments and masses, kg m and kg, in frame 0."""
+    import jax.numpy as jnp
+
+    from humanoid_mjx import kinematics
+
+    poses = kinematics.frames(leg, q)
+    return poses[:, :3, 3], jnp.einsum("lab,lb->la", poses[1:], leg.pseudo_inertia[:, :, 3])
+
+
+def _squat(torso: float, legs: int, deepest: float) -> Squat:
+    """The postures on one or two legs and the torques that hold them.
+
+    On one leg the roll leans the leg, so that the centre of mass comes above the toe also from the side; the other leg
+    hangs straight from its hip.
+    """
+    import jax
+    import jax.numpy as jnp
+
+    from humanoid_mjx import dynamics, kinematics
+    from humanoid_mjx.robot.leg import Leg
+
+    leg = Leg.physical()
+    weight = _weight(torso)
+    hanging = _masses(leg, jnp.zeros(5))[1].sum(axis=0)[:3:2] * jnp.array([1.0, -1.0])
+
+    def posture(free: Any, knee: Any) -> Any:
+        pitch, roll, ankle = free
+        return jnp.array([pitch, 0.0, roll, knee, ankle])
+
+    def unbalanced(free: Any, knee: Any) -> Any:
+        q = posture(free, knee)
+        toe = kinematics.forward(leg, q)
+        first = _masses(leg, q)[1].sum(axis=0)
+        both = jnp.array([2 * first[0], 0.0]) if legs == 2 else first[:3:2] + hanging
+        centre = both * thesis.GRAVITY / weight
+        sideways = free[1] if legs == 2 else centre[1] - toe[2, 3]
+        return jnp.array([centre[0] - toe[0, 3], sideways, toe[0, 0]])
+
+    def hold(knee: Any) -> Any:
+        free = jnp.array([knee / 2, 0.0, -knee / 2])
+
+        def newton(_: Any, free: Any) -> Any:
+            return free - jnp.linalg.solve(jax.jacfwd(unbalanced)(free, knee), unbalanced(free, knee))
+
+        free = jax.lax.fori_loop(0, 8, newton, free)
+        q = posture(free, knee)
+        ground = jnp.array([0.0, weight / legs, 0.0, 0.0, 0.0, 0.0])
+        torque = dynamics.gravity(leg, q) - kinematics.static_torque(leg, q, ground)
+        return q, torque, _masses(leg, q)[0]
+
+    knee = np.arange(0.0, deepest + STEP / 2, STEP)
+    q, torque, places = (np.asarray(x, float) for x in jax.jit(jax.vmap(hold))(jnp.radians(knee)))
+    low, high = np.radians(thesis.JOINT_RANGES["proposed"]).T
+    return Squat(knee, q, torque, places, (low - 1e-6 <= q) & (q <= high + 1e-6))
+
+
+def _swinging() -> np.ndarray:
+    """(5,) The largest torques by size of the planned motion with the torso fixed, N m."""
+    import jax
+    import jax.numpy as jnp
+
+    from humanoid_mjx import dynamics
+    from humanoid_mjx.mechanics.trajectories import Quintic, thesis_quintics
+    from humanoid_mjx.robot.leg import Leg
+
+    motion = jax.vmap(Quintic.at, in_axes=(None, 0))(thesis_quintics(), jnp.linspace(0.0, thesis.QUINTIC_S, 501))
+    compute = jax.jit(jax.vmap(dynamics.inverse_dynamics, in_axes=(None, 0, 0, 0)))
+    return np.abs(np.asarray(compute(Leg.physical(), *motion), float)).max(axis=0)
+
+
+def _draw(path: Path, squats: dict[int, Squat]) -> None:
+    with figure(path, 1, 3, size=(4.2, 3.8)) as (fig, axes):
+        _draw_postures(axes[0, 0], squats[2])
+        for panel, (legs, squat) in zip(axes[0, 1:], squats.items(), strict=True):
+            times = np.abs(squat.torque) / MOTORS
+            shown = [joint for joint in range(5) if times[:, joint].max() > 0.01]
+            panel.axhline(1.0, color="0.3", linewidth=1.0)
+            panel.annotate(
+                "Table 4.7", (0.99, 1.0), xycoords=("axes fraction", "data"), ha="right", va="top", color="0.3"
+            )
+            for joint in shown:
+                panel.plot(squat.knee, times[:, joint], color=COLORS[joint])
+            panel.set_title(f"On {LEGS[legs]}")
+            panel.set_xlabel("knee, degrees")
+            panel.set_xlim(0, squat.knee[-1])
+            label_lines(
+                panel, times[-1, shown].tolist(), [f"{j + 1} {NAMES[j]}" for j in shown], [COLORS[j] for j in shown]
+            )
+        axes[0, 1].set_ylabel("torque / greatest torque of Table 4.7")
+        fig.suptitle("What the joints must hold when the leg carries the body", x=0.02, ha="left")
+
+
+def _draw_postures(panel: Any, squat: Squat) -> None:
+    """The leg from the side at four depths, side by side, the toe at the ground."""
+    depths = np.linspace(0, len(squat.knee) - 1, 4).astype(int)
+    for place, (at, hue) in enumerate(zip(depths, shades(len(depths)), strict=True)):
+        x, y = (squat.joints[at, 1:, :2] - squat.joints[at, 5, :2]).T
+        panel.plot(x + 0.1 * place, y, "-o", color=hue, markersize=4)
+        panel.annotate(f"{squat.knee[at]:.0f}°", (0.1 * place, -0.02), ha="center", va="top", color=hue)
+    panel.axhline(0.0, color="0.3", linewidth=1.0)
+    panel.set_aspect("equal", adjustable="datalim")
+    panel.margins(y=0.2)
+    panel.set_xticks([])
+    panel.set_title("Squatting on two legs, by the knee's angle")
+    panel.set_ylabel("m above the ground")
+
+
+EXPERIMENTS = [Experiment("motor-sizing", "The torques to stand and to squat", motor_sizing, CONFIG)]

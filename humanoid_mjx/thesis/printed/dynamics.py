@@ -1,0 +1,167 @@
+"""Section 4.6, appendices F to H and the MATLAB script's dynamics as printed.
+
+The faults are data: every function takes the names of those it is to have (`FAULTS`), none of them giving the right
+equations. The faults add up: what a slip changes does not depend on whether the rule is wrong too.
+"""
+
+from collections.abc import Collection
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+
+from humanoid_mjx.thesis import leg as thesis
+
+FAULTS = {
+    "M33": "d55 for d53 in the last term of the script's M33",
+    "rule": "d(d_pk)/dq_p for d(d_pj)/dq_k in the velocity coefficients, (4.29), (4.32) and appendix G",
+    "slips": "the script's slips in six velocity coefficients (`SLIPS`)",
+    "speeds": "h_i31 times the square of speed 1, for speed 3 times speed 1, in the script's H1 to H5",
+}
+ALL = tuple(FAULTS)
+
+JOINTS = range(1, 6)
+
+Q = np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 0]])
+
+
+class Slip(NamedTuple):
+    """A term of a velocity coefficient in which the script differs from its own rule."""
+
+    link: int
+    """p of the term."""
+    printed: str
+    """The term: factors of a trace."""
+    fault: str
+
+
+SLIPS = {
+    (1, 1, 2): Slip(5, "A1 Q2 A2 A3 A4 Q5 I5 d51'", "the last term lacks A5"),
+    (1, 3, 3): Slip(3, "A1 A3 Q3 Q3 A3 I3 d31'", "A1 A3 for A1 A2 in the first term"),
+    (3, 1, 2): Slip(5, "A1 Q2 A3 A4 Q5 A5 I5 d53'", "the last term lacks A2"),
+    (3, 2, 3): Slip(3, "A1 A2 Q3 Q3 I3 d33'", "the first term lacks A3"),
+    (3, 2, 5): Slip(5, "A1 A2 Q3 A3 A4 Q5 A5 I5 d53'", "the product of another coefficient: Q3 for the first Q5"),
+    (3, 4, 5): Slip(5, "A1 A2 A3 A4 Q5 Q5 A5 d53'", "lacks I5"),
+}
+"""By i, j and k, j < k or equal. The coefficient with j and k exchanged is set to the same."""
+
+
+class Model(NamedTuple):
+    """What the formulas are evaluated with."""
+
+    lengths: tuple[float, ...]
+    """l1 to l5, m"""
+    inertia: np.ndarray
+    """(5, 4, 4) pseudo-inertias in the links' frames, kg m^2, kg m and kg"""
+    centroids: np.ndarray
+    """(5, 3) the r of the gravity terms, m"""
+    gravity: tuple[float, float, float] = (0.0, 0.0, -thesis.GRAVITY)
+    """m/s^2 in frame 0"""
+
+
+def script_centroids(lengths: tuple[float, ...]) -> np.ndarray:
+    """(5, 3) The script's and appendix H's r1 to r5, m."""
+    l1, l2, l3, l4, l5 = lengths
+    return np.array([(0, l1, 0), (0, 0, l2), (0, 0, l3), (0, 0, l4), (0, 0, l5)]) / 2
+
+
+class Factors:
+    """The factors of the script's products at postures q, (5, n) rad."""
+
+    def __init__(self, model: Model, q: np.ndarray):
+        self.inertia = model.inertia
+        self._links = [_link(model.lengths, joint, q[joint - 1]) for joint in JOINTS]
+        self._known: dict[tuple[int, ...], np.ndarray] = {}
+
+    def derivative(self, link: int, *turned: int) -> np.ndarray:
+        """(n, 4, 4) The derivative of A1 ... A_link with respect to these joints: d_pj, or d d_pj / d q_k."""
+        key = (link, *sorted(turned))
+        if key not in self._known:
+            words = [
+                word for joint in range(1, link + 1) for word in [f"Q{joint}"] * turned.count(joint) + [f"A{joint}"]
+            ]
+            self._known[key] = self.product(words)
+        return self._known[key]
+
+    def product(self, words: Collection[str]) -> np.ndarray:
+        """(n, 4, 4) The product of factors as the script names them: A1, Q1, I1 and d11', the transpose of d11."""
+        value = np.eye(4)
+        for word in words:
+            value = value @ self._factor(word)
+        return value
+
+    def trace(self, term: str) -> np.ndarray:
+        return np.trace(self.product(term.split()), axis1=-2, axis2=-1)
+
+    def inner(self, link: int, left: tuple[int, ...], right: tuple[int, ...]) -> np.ndarray:
+        """(n,) Tr(D I D^T) of two derivatives of one link's transformation."""
+        moved = self.derivative(link, *left) @ self.inertia[link - 1]
+        return (moved * self.derivative(link, *right)).sum(axis=(-2, -1))
+
+    def _factor(self, word: str) -> np.ndarray:
+        kind, index = word[0], int(word[1])
+        if kind == "d":
+            return np.swapaxes(self.derivative(index, int(word[2])), -2, -1)
+        return {"A": self._links[index - 1], "Q": Q, "I": self.inertia[index - 1]}[kind]
+
+
+def mass_matrix(model: Model, q: np.ndarray, faults: Collection[str] = ALL) -> np.ndarray:
+    """(5, 5, n) Appendix F and the script's M, kg m^2, at q, (5, n) rad."""
+    factors, matrix = Factors(model, q), np.zeros((5, 5, q.shape[1]))
+    for i, j in product(JOINTS, JOINTS):
+        matrix[i - 1, j - 1] = sum(factors.inner(p, (j,), (i,)) for p in range(max(i, j), 6))
+    if "M33" in faults:
+        matrix[2, 2] += factors.inner(5, (5,), (3,)) - factors.inner(5, (3,), (3,))
+    return matrix
+
+
+def velocity_coefficients(model: Model, q: np.ndarray, faults: Collection[str] = ALL) -> np.ndarray:
+    """(5, 5, 5, n) Appendix G and the script's h_ijk, kg m^2, at q, (5, n) rad."""
+    factors, found = Factors(model, q), np.zeros((5, 5, 5, q.shape[1]))
+    for i, j, k in product(JOINTS, JOINTS, JOINTS):
+        for p in range(max(i, j, k), 6):
+            turned = (max(j, k), p) if "rule" in faults else (j, k)
+            found[i - 1, j - 1, k - 1] += factors.inner(p, turned, (i,))
+    for (i, j, k), slip in SLIPS.items() if "slips" in faults else ():
+        change = factors.trace(slip.printed) - factors.inner(slip.link, (k, slip.link), (i,))
+        for first, second in {(j, k), (k, j)}:
+            found[i - 1, first - 1, second - 1] += change
+    return found
+
+
+def coriolis(model: Model, q: np.ndarray, qd: np.ndarray, faults: Collection[str] = ALL) -> np.ndarray:
+    """(5, n) The script's H, N m, at q and qd, (5, n) rad and rad/s."""
+    speeds = qd[:, None] * qd[None]
+    if "speeds" in faults:
+        speeds[2, 0] = qd[0] * qd[0]
+    return np.einsum("ijkn,jkn->in", velocity_coefficients(model, q, faults), speeds)
+
+
+def gravity(model: Model, q: np.ndarray) -> np.ndarray:
+    """(5, n) Appendix H and the script's G, N m, at q, (5, n) rad. Its faults are those of the model."""
+    factors, torque = Factors(model, q), np.zeros((5, q.shape[1]))
+    g, ones = np.array([*model.gravity, 1.0]), np.ones((5, 1))
+    moments = model.inertia[:, 3, 3, None] * np.concatenate([model.centroids, ones], axis=1)
+    for i in JOINTS:
+        torque[i - 1] = -sum(g @ factors.derivative(p, i) @ moments[p - 1] for p in range(i, 6))
+    return torque
+
+
+def inverse_dynamics(
+    model: Model, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, faults: Collection[str] = ALL
+) -> np.ndarray:
+    """(5, n) The script's torques, N m, of a motion, (5, n) each: rad, rad/s and rad/s^2."""
+    inertial = np.einsum("ijn,jn->in", mass_matrix(model, q, faults), qdd)
+    return inertial + coriolis(model, q, qd, faults) + gravity(model, q)
+
+
+def _link(lengths: tuple[float, ...], joint: int, angle: np.ndarray) -> np.ndarray:
+    """(n, 4, 4) The script's A1 to A5."""
+    c, s, zero, one = np.cos(angle), np.sin(angle), 0 * angle, 0 * angle + 1
+    length = lengths[joint - 1] * one
+    rows = {
+        1: ((c, zero, s, zero), (s, zero, -c, zero), (zero, one, zero, length)),
+        2: ((-s, zero, -c, zero), (c, zero, -s, zero), (zero, -one, zero, length)),
+        3: ((s, zero, -c, length * s), (-c, zero, -s, -length * c), (zero, one, zero, zero)),
+    }.get(joint, ((c, -s, zero, length * c), (s, c, zero, length * s), (zero, zero, one, zero)))
+    return np.moveaxis(np.array([*rows, (zero, zero, zero, one)]), -1, 0)
