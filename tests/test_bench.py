@@ -7,7 +7,7 @@ import sys
 import numpy as np
 from typer.testing import CliRunner
 
-from humanoid_mjx.bench import tabular
+from humanoid_mjx.bench import control, tabular
 from humanoid_mjx.cli import app
 
 TINY = """
@@ -41,6 +41,14 @@ def test_subjects_finish_as_many_episodes(monkeypatch):
         finished[name] = count(call()) / (1 if name == "python" else 2)
     # Episodes take 23 steps once epsilon has decayed, after some thousand: 8,500 or so of 200,000 steps.
     assert all(abs(n / finished["python"] - 1) < 0.02 for n in finished.values()), finished
+
+
+def test_control_times_every_controller():
+    lines = []
+    records = control.run(lines.append, control.Setting((8,), 2))
+    assert [(r.bench, r.subject) for r in records] == [("control", name) for name in control.CONTROLLERS]
+    assert all(r.value > 0 for r in records)
+    assert "ns a step for control" in lines[-1] and "ns a step" not in lines[0]
 
 
 def test_unknown_benchmarks_are_refused():

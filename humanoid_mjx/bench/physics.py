@@ -16,33 +16,22 @@ import io
 import multiprocessing
 import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Executor, ProcessPoolExecutor
 from functools import cache, partial
 from importlib import import_module
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx import runtime
+from humanoid_mjx.bench.legs import GOAL, KD, KP, TIMESTEP, chain, check_finite, on_all_devices, start
 from humanoid_mjx.bench.measure import Record, Subject, record, time_in_turn
-from humanoid_mjx.control import ComputedTorque, Reference, computed_torque
-from humanoid_mjx.mechanics import dynamics
 from humanoid_mjx.robot.leg import Leg
 from humanoid_mjx.robot.mjcf import make_mjspec
 
-TIMESTEP = 0.002
 MJX_REPEATS = 3
-KP, KD, GOAL = 70.0, 32.0, 0.5
-MASS_ERRORS = (0.8, 1.2, 0.8, 1.2, 0.8)
 MASS_ERROR = 0.8
-
-BLOCK = {"cpu": 512, "gpu": 262_144}
-"""Legs at once on a device: as many as its cache holds, of a core with all that a step works on."""
-
-UNROLL = {"cpu": 1, "gpu": 4}
-"""Steps of the chain in one pass of the loop: a GPU waits for the start of each pass."""
 
 
 class Setting(NamedTuple):
@@ -73,8 +62,7 @@ def run(say: Callable[[str], None], setting: Setting | None = None) -> list[Reco
             rates = {}
             for name, timing in time_in_turn(subjects).items():
                 subject, (what, _, controlled) = subjects[name], name.partition(" with ")
-                if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(timing.result)):
-                    raise FloatingPointError(f"{name}: the simulation diverged.")
+                check_finite(name, timing.result)
                 unit = "control+physics steps/s" if controlled else "physics steps/s"
                 records.append(record("physics", what, subject, timing, unit))
                 rates[name] = records[-1].value
@@ -90,9 +78,11 @@ def make_subjects(batch: int, setting: Setting, plain: Executor) -> dict[str, Su
     native = min(batch, MUJOCO_BATCH)
     slow = batch * setting.mjx_steps
     subjects = {
-        "chain with control": Subject(chain(batch, setting.chain_steps, True), batch * setting.chain_steps, batch),
+        "chain with control": Subject(
+            chain(batch, setting.chain_steps, "computed torque"), batch * setting.chain_steps, batch
+        ),
         "mjx-jax with control": Subject(mjx_jax(batch, setting.mjx_steps, True), slow, batch, MJX_REPEATS),
-        "chain": Subject(chain(batch, setting.chain_steps, False), batch * setting.chain_steps, batch),
+        "chain": Subject(chain(batch, setting.chain_steps, "none"), batch * setting.chain_steps, batch),
         "mjx-jax": Subject(mjx_jax(batch, setting.mjx_steps, False), slow, batch, MJX_REPEATS),
         "mujoco": Subject(mujoco(native, setting.mujoco_steps), native * setting.mujoco_steps, native, device="cpu"),
     }
@@ -104,37 +94,9 @@ def make_subjects(batch: int, setting: Setting, plain: Executor) -> dict[str, Su
     return subjects
 
 
-def start(batch: int) -> tuple[np.ndarray, np.ndarray]:
-    """Angles and velocities of the legs before the first step, by leg and joint."""
-    generator = np.random.default_rng(0)
-    qpos, qvel = 0.1 * generator.standard_normal((2, batch, 5), np.float32)
-    return qpos, qvel
-
-
-def chain(batch: int, steps: int, controlled: bool) -> Callable[[], Any]:
-    """This package's dynamics."""
-    return _on_all_devices(_chain_program(steps, controlled), batch)
-
-
-@cache
-def _chain_program(steps: int, controlled: bool) -> Callable[..., Any]:
-    leg = Leg.physical()
-    gains = ComputedTorque(leg.scaled(np.array(MASS_ERRORS)), jnp.full(5, KP), jnp.full(5, KD))
-    goal = Reference(jnp.full(5, GOAL), jnp.zeros(5), jnp.zeros(5))
-
-    def controller(_: Any, qpos: jax.Array, qvel: jax.Array) -> jax.Array:
-        return computed_torque(gains, goal, qpos, qvel) if controlled else jnp.zeros(5)
-
-    def simulate(qpos: jax.Array, qvel: jax.Array) -> dynamics.State:
-        unroll = UNROLL.get(jax.default_backend(), 1)
-        return dynamics.rollout(leg, qpos, qvel, controller, TIMESTEP, steps, unroll=unroll)[0]
-
-    return jax.jit(jax.vmap(simulate), compiler_options=runtime.SHARED_KERNELS)
-
-
 def mjx_jax(batch: int, steps: int, controlled: bool) -> Callable[[], Any]:
     """MJX, with the jax implementation of its physics."""
-    return _on_all_devices(_mjx_program(steps, controlled), batch)
+    return on_all_devices(_mjx_program(steps, controlled), batch)
 
 
 @cache
@@ -210,18 +172,3 @@ def _call_mjx_jax(batch: int, steps: int) -> Any:
 @cache
 def _cached_mjx_jax(batch: int, steps: int) -> Callable[[], Any]:
     return mjx_jax(batch, steps, True)
-
-
-def _on_all_devices(simulate: Callable[..., Any], batch: int) -> Callable[[], Any]:
-    """A call that shares the legs out: a thread for each device, block after block."""
-    devices = jax.local_devices()
-    blocks = max(1, batch // (BLOCK.get(devices[0].platform, batch) * len(devices)))
-    shares = zip(*(np.array_split(array, len(devices) * blocks) for array in start(batch)), strict=True)
-    placed = [jax.device_put(share, devices[i % len(devices)]) for i, share in enumerate(shares)]
-    by_device = [placed[i :: len(devices)] for i in range(len(devices))]
-    threads = ThreadPoolExecutor(len(devices))
-
-    def call() -> list[Any]:
-        return list(threads.map(lambda mine: [jax.block_until_ready(simulate(*share)) for share in mine], by_device))
-
-    return call

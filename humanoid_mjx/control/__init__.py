@@ -1,5 +1,16 @@
 """Controllers: pure functions of their parameters, the reference and the state."""
 
-from humanoid_mjx.control.computed_torque import ComputedTorque, Reference, computed_torque
+from humanoid_mjx.control.computed_torque import ComputedTorque, computed_torque
+from humanoid_mjx.control.pd import PD, PartitionedPD, Reference, implicit_euler, partitioned_pd, pd, servo
 
-__all__ = ["ComputedTorque", "Reference", "computed_torque"]
+__all__ = [
+    "PD",
+    "ComputedTorque",
+    "PartitionedPD",
+    "Reference",
+    "computed_torque",
+    "implicit_euler",
+    "partitioned_pd",
+    "pd",
+    "servo",
+]

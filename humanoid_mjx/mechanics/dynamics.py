@@ -16,7 +16,7 @@ from humanoid_mjx.mechanics.links import Body, gravity_vector, make_links
 from humanoid_mjx.mechanics.recursions import composite_inertia, newton_euler
 from humanoid_mjx.mechanics.scalars import HALF, NULL, ZERO, Scalar, dot, solve, stack, unstack
 from humanoid_mjx.robot.chain import Chain
-from humanoid_mjx.types import FloatScalar
+from humanoid_mjx.types import FloatScalar, IntScalar
 
 Joints = Float[Array, " joints"]
 Matrix = Float[Array, "joints joints"]
@@ -25,6 +25,12 @@ Matrix = Float[Array, "joints joints"]
 def mass_matrix(leg: Chain, qpos: Joints) -> Matrix:
     """The mass matrix, kg m^2: symmetric and positive definite."""
     return _matrix(composite_inertia(make_links(leg, qpos)), qpos)
+
+
+def joint_inertias(leg: Chain, qpos: Joints) -> Joints:
+    """The diagonal of the mass matrix, kg m^2: what each joint moves while the others stand still."""
+    rows = composite_inertia(make_links(leg, qpos))
+    return stack([row[joint] for joint, row in enumerate(rows)], qpos)
 
 
 def coriolis(leg: Chain, qpos: Joints, qvel: Joints) -> Joints:
@@ -122,8 +128,9 @@ def rollout(
     steps: int,
     integrator: Integrator = semi_implicit_euler,
     unroll: int = 1,
+    cycle: IntScalar = 1,
 ) -> tuple[State, State]:
-    """The motion of a chain under a controller whose torque is held over each step.
+    """The motion of a chain under a controller whose torque is held over each cycle.
 
     Args:
       controller: (time in s, qpos, qvel) -> torque, N m.
@@ -131,21 +138,27 @@ def rollout(
       steps: how many.
       unroll: steps in one pass of the compiled loop. On a GPU 4 are twice as fast as 1, and take 4 times as long to
         compile; on a CPU they gain nothing.
+      cycle: steps from one torque to the next; may be traced, so that each robot of a batch has its own.
 
     Returns:
       The state after the last step, and the states after each: (steps, joints). What is not used costs nothing
       inside jit.
     """
 
-    # The state is carried as separate scalars, so that a batch of them is contiguous and one kernel computes them all.
-    def step(carry: tuple[list[Array], list[Array]], index: Array) -> tuple[tuple[list[Array], list[Array]], State]:
-        state = State(*map(jnp.stack, carry))
-        torque = controller(index * jnp.asarray(dt, qpos.dtype), *state)
-        state = integrator(leg, state, torque, dt)
-        return (list(state.qpos), list(state.qvel)), state
+    always = isinstance(cycle, int) and cycle == 1
 
-    final, states = jax.lax.scan(step, (list(qpos), list(qvel)), jnp.arange(steps), unroll=unroll)
-    return State(*map(jnp.stack, final)), states
+    # The carry is of separate scalars, so that a batch of them is contiguous and one kernel computes them all.
+    def step(carry: tuple[list[Array], ...], index: Array) -> tuple[tuple[list[Array], ...], State]:
+        state = State(jnp.stack(carry[0]), jnp.stack(carry[1]))
+        torque = controller(index * jnp.asarray(dt, qpos.dtype), *state)
+        if not always:
+            torque = jnp.where(index % cycle == 0, torque, jnp.stack(carry[2]))
+        state = integrator(leg, state, torque, dt)
+        return (list(state.qpos), list(state.qvel), [] if always else list(torque)), state
+
+    start = (list(qpos), list(qvel), [] if always else list(jnp.zeros_like(qpos)))
+    final, states = jax.lax.scan(step, start, jnp.arange(steps), unroll=unroll)
+    return State(jnp.stack(final[0]), jnp.stack(final[1])), states
 
 
 def _after(value: Joints, rate: Joints, time: FloatScalar) -> Joints:

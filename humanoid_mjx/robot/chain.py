@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from humanoid_mjx.spec import InputError
+from humanoid_mjx.types import FloatScalar
 
 SomeChain = TypeVar("SomeChain", bound="Chain")
 
@@ -114,6 +115,16 @@ class Chain:
         """The same chain with every link's inertia multiplied by `mass`: a number, or one for each link."""
         factor = jnp.broadcast_to(jnp.asarray(mass, self.pseudo_inertia.dtype), (self.num_joints,))
         return replace(self, pseudo_inertia=self.pseudo_inertia * factor[:, None, None])
+
+    def carrying(self: SomeChain, mass: FloatScalar) -> SomeChain:
+        """The same chain with a point mass, kg, at the origin of its last frame: the toe of the leg.
+
+        Raises:
+          InputError: the last link has no mass of its own, which the structure takes for granted.
+        """
+        if not self.structure.has_inertia[-1][3][3]:
+            raise InputError("the last link must have a mass to carry another.")
+        return replace(self, pseudo_inertia=self.pseudo_inertia.at[..., -1, 3, 3].add(mass))
 
 
 def check_pseudo_inertia(matrix: np.ndarray, what: str) -> None:

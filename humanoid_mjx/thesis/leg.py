@@ -169,3 +169,7 @@ FIGURE_7_5 = {
     "maximum": (0.011248351, 0.029943409, 0.275608884, 0.054035874, 0.04131821),
 }
 """Section 7 C, N m."""
+
+TRACKING = {"end": (0.7875, 1.3, 0.781, 1.92, 0.562), "error": (0.0, 0.02, 0.006, 0.18, 0.138)}
+"""Section 7 D, Figures 7.6 to 7.10: where the joints are after 5 s, and how far from their targets, rad. Joint 1 "is
+achieved". The two contradict each other in joint 2, whose target is 1.75 (`FIGURE_7_1`)."""

@@ -1,0 +1,263 @@
+"""Figures 7.6 to 7.10: how controllers follow the planned motion from q = 0.
+
+Section 7 D speaks of computed torque and of partitioned PD, and prints one error for each joint, without the model of
+the simulated leg. `VARIANTS` are the controllers that it may have meant.
+"""
+
+from collections.abc import Callable
+from functools import cache, partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from humanoid_mjx.reproduction import Experiment, Finding, Setting, in_words, judge
+from humanoid_mjx.results.style import COLORS, figure, label_lines
+from humanoid_mjx.thesis import leg as thesis
+
+JOINTS = range(5)
+STEP_S = 2e-4
+SHOWN = 50
+"""Steps from one point of a figure to the next."""
+
+TOLERANCES = (5e-5, 0.005, 0.0005, 0.005, 0.0005)
+"""Half of the last digit of section 7 D's errors, rad; joint 1's is that of its place."""
+
+OVERSHOOT_RAD = 1e-3
+
+CONFIG = {
+    name: {f"joint{i}": gain for i, gain in enumerate(gains, start=1)}
+    for name, gains in (("kp", thesis.KP), ("kd", thesis.KD))
+}
+PRINTED = {f"{name} of {joint}": gain for name, gains in CONFIG.items() for joint, gain in gains.items()}
+
+
+class Variant(NamedTuple):
+    """A controller and the leg that it drives. Parameters are those of section 4.6, corrected, if nothing is said."""
+
+    words: str
+    law: str
+    rate: float = 1.0
+    """0 where the rate itself is fed back, in place of its error."""
+    acceleration: float = 1.0
+    """0 where the planned acceleration is not fed forward."""
+    leg: str = "thesis"
+    model: str = "thesis"
+
+
+EXACT = Variant("computed torque", "computed torque")
+PARTITIONED = Variant("partitioned PD, inertias of the posture", "partitioned PD")
+LAGGING = Variant("computed torque with the rate fed back, not its error", "computed torque", 0.0, 0.0)
+UNIT = Variant("partitioned PD, unit inertias", "servo")
+VARIANTS = (
+    EXACT,
+    Variant("computed torque without the planned acceleration", "computed torque", acceleration=0.0),
+    LAGGING,
+    Variant("computed torque, gravity sideways in the model, along the leg in truth", "computed torque", leg="along"),
+    UNIT,
+    Variant("PD", "servo", acceleration=0.0),
+    Variant("PD with the rate fed back, not its error", "servo", 0.0, 0.0),
+    PARTITIONED,
+    Variant("partitioned PD on the script's leg", "partitioned PD", leg="script", model="script"),
+    Variant("partitioned PD holding the weight", "partitioned PD and weight"),
+    Variant("the mass matrix without velocity terms and weight", "mass matrix"),
+)
+
+DRAWN = {EXACT: "computed torque", PARTITIONED: "partitioned PD", LAGGING: "rate fed back", UNIT: "unit inertias"}
+
+
+def tracking(joint: int, setting: Setting) -> list[Finding]:
+    """Figures 7.6 to 7.10, by joint: the error left after 5 s, the overshoot, and the printed place."""
+    used, kp, kd = _gains(setting)
+    motions = _motions(tuple(kp.tolist()), tuple(kd.tolist()))
+    _draw(setting, joint, motions)
+    printed, tolerance = thesis.TRACKING["error"][joint], TOLERANCES[joint]
+    left = {v: abs(float(e[-1, joint])) for v, e in motions.items()}
+    nearest = min(left, key=lambda v: abs(left[v] - printed))
+    name, own = f"figure-7.{joint + 6}", partial(in_words, used, PRINTED)
+    errors, ratio = motions[EXACT][:, joint], float(kd[joint] / (2 * np.sqrt(kp[joint])))
+    overshoot = float(np.max(-np.sign(errors[0]) * errors)) if errors[0] else float(np.abs(errors).max())
+    place = thesis.FIGURE_7_1[joint][1] - printed
+    return [
+        Finding(
+            name=name,
+            quantity=f"joint {joint + 1}: error left after {thesis.QUINTIC_S:g} s, rad",
+            printed=printed,
+            reproduced=_short(left[EXACT]),
+            tolerance=tolerance,
+            verdict=judge(
+                abs(left[EXACT] - printed) < tolerance,
+                used,
+                PRINTED,
+                possible=abs(left[nearest] - printed) < tolerance,
+            ),
+            why=f"{own()}: exact computed torque, whatever the leg; partitioned PD leaves {_short(left[PARTITIONED])}; "
+            f"of {len(VARIANTS)} controllers the nearest ({nearest.words}) leaves {_short(left[nearest])}",
+        ),
+        Finding(
+            name=name,
+            quantity=f"joint {joint + 1}: overshoot of the actual position, rad (the text sees one)",
+            printed="> 0",
+            reproduced=_short(max(overshoot, 0.0)),
+            tolerance=OVERSHOOT_RAD,
+            verdict=judge(overshoot > OVERSHOOT_RAD, used, PRINTED),
+            why=f"{own()}, damping ratio {ratio:.2f}: over 1, an error that starts at rest never changes its sign; "
+            "what the text sees is the way from q = 0 to the start of the plan",
+        ),
+        Finding(
+            name=name,
+            quantity=f"joint {joint + 1}: place after {thesis.QUINTIC_S:g} s, rad: the target less the printed error",
+            printed=thesis.TRACKING["end"][joint],
+            reproduced=round(place, 4),
+            tolerance=tolerance + 5e-4,
+            verdict=judge(abs(place - thesis.TRACKING["end"][joint]) < tolerance + 5e-4, {}, {}),
+            why=f"the text's own numbers: target {thesis.FIGURE_7_1[joint][1]:g}, error {printed:g}",
+        ),
+    ]
+
+
+def together(setting: Setting) -> list[Finding]:
+    """Section 7 D: whether any one controller leaves all five errors; the table of those tried."""
+    used, kp, kd = _gains(setting)
+    motions = _motions(tuple(kp.tolist()), tuple(kd.tolist()))
+    printed = np.array(thesis.TRACKING["error"])
+    left = {v: np.abs(e[-1]) for v, e in motions.items()}
+    with (setting.out / "control-7d.md").open("w", encoding="utf-8") as file:
+        file.write("| error after 5 s, rad | joint 1 | joint 2 | joint 3 | joint 4 | joint 5 |\n" + "|---" * 6 + "|\n")
+        for words, row in (("printed", printed), *((v.words, e) for v, e in left.items())):
+            file.write(f"| {words} | " + " | ".join(f"{x:.5f}" for x in row) + " |\n")
+    nearest = min(left, key=lambda v: float(np.abs(left[v] - printed).max()))
+    agrees = bool((np.abs(left[nearest] - printed) < TOLERANCES).all())
+    return [
+        Finding(
+            name="control-7d",
+            quantity="errors of the five joints after 5 s under one controller, rad",
+            printed=printed.tolist(),
+            reproduced=[_short(x) for x in left[nearest]],
+            tolerance=None,
+            verdict=judge(agrees, used, PRINTED, possible=agrees),
+            why=f"{in_words(used, PRINTED)}: of {len(VARIANTS)} controllers the nearest ({nearest.words}) is off by up "
+            f"to {np.abs(left[nearest] - printed).max():.2g}; control-7d.md has them all",
+        )
+    ]
+
+
+def _gains(setting: Setting) -> tuple[dict[str, float], Any, Any]:
+    """The gains in use by name, and kp and kd as arrays over joints."""
+    import jax.numpy as jnp
+
+    from humanoid_mjx.control.gains import check_gains
+
+    gains = check_gains(5, **{name: list(setting.config[name].values()) for name in CONFIG})
+    used = {f"{name} of {joint}": gain for name in CONFIG for joint, gain in setting.config[name].items()}
+    return used, jnp.asarray(gains["kp"], float), jnp.asarray(gains["kd"], float)
+
+
+def _laws() -> dict[str, Callable[..., Any]]:
+    """Torques from a model, gains, the reference and the state."""
+    from humanoid_mjx import control, dynamics
+
+    def computed_torque(model: Any, kp: Any, kd: Any, *state: Any) -> Any:
+        return control.computed_torque(control.ComputedTorque(model, kp, kd), *state)
+
+    def partitioned(model: Any, kp: Any, kd: Any, *state: Any) -> Any:
+        return control.partitioned_pd(control.PartitionedPD(model, kp, kd), *state)
+
+    return {
+        "computed torque": computed_torque,
+        "servo": lambda model, *rest: control.servo(*rest),
+        "partitioned PD": partitioned,
+        "partitioned PD and weight": lambda model, *rest: partitioned(model, *rest) + dynamics.gravity(model, rest[3]),
+        "mass matrix": lambda model, *rest: dynamics.mass_matrix(model, rest[3]) @ control.servo(*rest),
+    }
+
+
+@cache
+def _motions(kp: tuple[float, ...], kd: tuple[float, ...]) -> dict[Variant, np.ndarray]:
+    """(points, 5) Errors of every variant, rad, from time 0 on."""
+    groups: dict[tuple[str, str, str], list[Variant]] = {}
+    for variant in VARIANTS:
+        groups.setdefault((variant.law, variant.leg, variant.model), []).append(variant)
+    found: dict[Variant, np.ndarray] = {}
+    for key, variants in groups.items():
+        keeps = np.array([(v.rate, v.acceleration) for v in variants])
+        found |= zip(variants, _simulate(*key, kp, kd, keeps), strict=True)
+    return {variant: found[variant] for variant in VARIANTS}
+
+
+def _simulate(law: str, leg: str, model: str, kp: Any, kd: Any, keeps: np.ndarray) -> np.ndarray:
+    """(variants, points, 5) Errors, rad. `keeps`: shares of the planned rate and acceleration that the law sees."""
+    import jax
+    import jax.numpy as jnp
+
+    from humanoid_mjx import dynamics, runtime
+    from humanoid_mjx.control import PD, Reference, implicit_euler
+    from humanoid_mjx.mechanics.trajectories import thesis_quintics
+    from humanoid_mjx.robot.leg import ALONG_THE_LEG, AS_PRINTED, Leg
+
+    legs = {
+        "thesis": Leg.thesis(AS_PRINTED),
+        "script": Leg.matlab_script(AS_PRINTED),
+        "along": Leg.thesis(ALONG_THE_LEG),
+    }
+    planned, act = thesis_quintics(), _laws()[law]
+    steps = round(thesis.QUINTIC_S / STEP_S)
+
+    def simulate(keep: Any, kp: Any, kd: Any) -> Any:
+        integrator = implicit_euler(PD(kp, kd)) if law == "servo" else dynamics.semi_implicit_euler
+
+        def controller(time: Any, qpos: Any, qvel: Any) -> Any:
+            plan = planned.at(time)
+            seen = Reference(plan.position, keep[0] * plan.velocity, keep[1] * plan.acceleration)
+            return act(legs[model], kp, kd, seen, qpos, qvel)
+
+        states = dynamics.rollout(legs[leg], jnp.zeros(5), jnp.zeros(5), controller, STEP_S, steps, integrator)[1]
+        return states.qpos[SHOWN - 1 :: SHOWN]
+
+    run = jax.jit(jax.vmap(simulate, in_axes=(0, None, None)), compiler_options=runtime.SHARED_KERNELS)
+    moved = run(*(jnp.asarray(x, float) for x in (keeps, kp, kd)))
+    times = jnp.linspace(0.0, thesis.QUINTIC_S, steps // SHOWN + 1)
+    places = np.concatenate([np.zeros((len(keeps), 1, 5)), moved], axis=1)
+    return np.asarray(jax.vmap(planned.at)(times).position, np.float64) - places
+
+
+def _draw(setting: Setting, joint: int, motions: dict[Variant, np.ndarray]) -> None:
+    times = np.linspace(0, thesis.QUINTIC_S, len(motions[EXACT]))
+    planned = np.radians(thesis.QUINTIC_COEFFICIENTS[joint]) @ [times**0, times**3, times**4, times**5]
+    last = (thesis.QUINTIC_S - 0.3, thesis.QUINTIC_S)
+    printed = thesis.TRACKING["end"][joint], thesis.TRACKING["error"][joint]
+    with figure(setting.out / f"figure-7.{joint + 6}.png", 1, 2, size=(5.2, 3.6)) as (fig, axes):
+        places, errors = axes[0]
+        for color, variant in zip(COLORS, DRAWN, strict=False):
+            places.plot(times, planned - motions[variant][:, joint], color=color)
+            errors.semilogy(times, np.abs(motions[variant][:, joint]), color=color)
+        places.plot(times, planned, color=COLORS[6], linestyle="--", linewidth=1)
+        errors.set_ylim(1e-6, 3)
+        for panel, mark in zip(axes[0], printed, strict=True):
+            panel.plot(last, [max(mark, 1e-6)] * 2, color=COLORS[6], linewidth=4, solid_capstyle="butt", clip_on=False)
+        places.set_ylabel("angle, rad")
+        errors.set_ylabel("distance from the plan, rad")
+        for panel in axes[0]:
+            panel.set_xlabel("time, s")
+            panel.set_xlim(0, thesis.QUINTIC_S)
+        ends = [printed[0], planned[-1], *(planned[-1] - motions[v][-1, joint] for v in DRAWN)]
+        label_lines(places, ends, ["printed", "planned", *DRAWN.values()], [COLORS[6], COLORS[6], *COLORS[:4]])
+        name = thesis.JOINT_NAMES[joint].replace("_", " ")
+        fig.suptitle(f"Joint {joint + 1} ({name}) from q = 0; bars: as printed", x=0.02, ha="left", fontsize="medium")
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.3g}")
+
+
+EXPERIMENTS = [
+    Experiment("control-7d", "The five errors of section 7 D under one controller", together, CONFIG),
+    *(
+        Experiment(
+            f"figure-7.{joint + 6}",
+            f"Planned and actual position of joint {joint + 1}",
+            partial(tracking, joint),
+            CONFIG,
+        )
+        for joint in JOINTS
+    ),
+]

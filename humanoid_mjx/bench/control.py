@@ -1,0 +1,52 @@
+"""Control steps a second of the leg at 0.5 ms under each controller, and what a step of control costs.
+
+    none               the dynamics alone
+    PD                 a servo without a model
+    partitioned PD     with the inertia of every joint in its posture, from a model
+    computed torque    with the whole dynamics of a model
+
+The model has the mass of every link 20 % off, one up, the next down. All run on the chain, float32, one program per
+core on a CPU; every step of physics is one of control.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import jax
+
+from humanoid_mjx.bench.legs import chain, check_finite
+from humanoid_mjx.bench.measure import Record, Subject, record, time_in_turn
+
+TIMESTEP = 0.0005
+"""s: at 2 ms a held torque of the partitioned servo is unstable."""
+
+CONTROLLERS = ("none", "PD", "partitioned PD", "computed torque")
+
+
+class Setting(NamedTuple):
+    """How much is timed: the numbers of legs, and steps in a call."""
+
+    batches: Sequence[int]
+    steps: int
+
+
+SETTINGS = {"cpu": Setting((1024, 8192), 500), "gpu": Setting((32_768, 1_048_576), 500)}
+
+
+def run(say: Callable[[str], None], setting: Setting | None = None) -> list[Record]:
+    """Time all controllers over several numbers of legs."""
+    setting = setting or SETTINGS.get(jax.default_backend(), SETTINGS["gpu"])
+    records: list[Record] = []
+    for batch in setting.batches:
+        work = batch * setting.steps
+        subjects = {name: Subject(chain(batch, setting.steps, name, TIMESTEP), work, batch) for name in CONTROLLERS}
+        timings = time_in_turn(subjects)
+        for name, timing in timings.items():
+            check_finite(name, timing.result)
+            unit = "physics steps/s" if name == "none" else "control+physics steps/s"
+            records.append(record("control", name, subjects[name], timing, unit))
+            cost = 1e9 * (timing.seconds - timings["none"].seconds) / work
+            beside = "" if name == "none" else f"  {cost:6.2f} ns a step for control"
+            say(f"{name:16} {batch:9,} legs  {records[-1].value:10.3e} {unit:23}"
+                f"  compiled in {timing.compile_s:4.1f} s{beside}")  # fmt: skip
+    return records

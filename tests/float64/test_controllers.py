@@ -1,0 +1,230 @@
+"""Controllers on the simulated leg: the error equation, its order of convergence, batches, cycles and motors."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from humanoid_mjx import control, dynamics
+from humanoid_mjx.control.actuator import Motor, through_motors
+from humanoid_mjx.control.gains import poles
+from humanoid_mjx.mechanics.trajectories import thesis_quintics
+from humanoid_mjx.robot.leg import Leg
+from humanoid_mjx.thesis import leg as thesis
+
+KP, KD = np.array(thesis.KP), np.array(thesis.KD)
+POLES = np.asarray(poles(jnp.array(KP), jnp.array(KD)))
+START, GOAL = np.array([0.6, -0.3, 0.2, 0.9, -0.4]), np.array([-0.3, 0.4, 0.5, 0.2, 0.3])
+LAWS = {
+    "pd": lambda leg, kp, kd: partial(control.pd, control.PD(0.002 * kp, 0.002 * kd)),
+    "partitioned pd": lambda leg, kp, kd: partial(control.partitioned_pd, control.PartitionedPD(leg, kp, kd)),
+    "computed torque": lambda leg, kp, kd: partial(control.computed_torque, control.ComputedTorque(leg, kp, kd)),
+}
+
+
+def resting(goal=GOAL):
+    return control.Reference(jnp.array(goal), jnp.zeros(5), jnp.zeros(5))
+
+
+def regulate(dt, seconds):
+    """(steps, 5) Errors of exact computed torque on its way to rest."""
+    leg = Leg.physical()
+    params = control.ComputedTorque.build(leg, KP, KD)
+
+    def controller(time, qpos, qvel):
+        return control.computed_torque(params, resting(), qpos, qvel)
+
+    simulate = partial(dynamics.rollout, leg, controller=controller, dt=dt, steps=round(seconds / dt))
+    return GOAL - jax.jit(simulate)(jnp.array(START), jnp.zeros(5))[1].qpos
+
+
+def follow(dt):
+    """(steps, 5) Errors of exact computed torque along the thesis's trajectories, from q = 0."""
+    leg, planned = Leg.thesis(), thesis_quintics()
+    params = control.ComputedTorque.build(leg, KP, KD)
+
+    def controller(time, qpos, qvel):
+        return control.computed_torque(params, control.Reference(*planned.at(time)), qpos, qvel)
+
+    steps = round(thesis.QUINTIC_S / dt)
+    states = jax.jit(lambda q: dynamics.rollout(leg, q, q, controller, dt, steps)[1])(jnp.zeros(5))
+    return jax.vmap(planned.at)(dt * jnp.arange(1, steps + 1)).position - states.qpos
+
+
+def measured_poles(errors, dt, stride):
+    """(2, 5) The slow and the fast pole of the recursion e_k = a e_(k-1) + b e_(k-2) that fits the errors, 1/s."""
+    sampled = np.asarray(errors)[::stride]
+    found = []
+    for e in sampled.T:
+        a, b = np.linalg.lstsq(np.stack([e[1:-1], e[:-2]], axis=1), e[2:])[0]
+        found.append(np.sort(np.log(np.roots([1.0, -a, -b]).real) / (stride * dt))[::-1])
+    return np.array(found).T
+
+
+def test_the_error_has_the_poles_of_the_gains():
+    dt = 2e-4
+    found = measured_poles(regulate(dt, 1.0), dt, 100)
+    np.testing.assert_allclose(found, POLES, rtol=0.01)
+
+
+def test_the_poles_converge_at_first_order():
+    off = [np.abs(measured_poles(regulate(dt, 1.0), dt, round(0.02 / dt)) / POLES - 1).max() for dt in (4e-4, 2e-4)]
+    assert np.log2(off[0] / off[1]) == pytest.approx(1.0, abs=0.15)
+
+
+def closed_form(times):
+    """(n, 5) The error that starts with the planned motion's place and stands still, from its two poles."""
+    slow, fast = POLES
+    start = np.radians(thesis.QUINTIC_RANGES)[:, 0]
+    t = np.asarray(times)[:, None]
+    return start * (fast * np.exp(slow * t) - slow * np.exp(fast * t)) / (fast - slow)
+
+
+def test_the_error_along_the_trajectories_is_that_of_its_equation():
+    off = []
+    for dt in (4e-4, 2e-4):
+        errors = follow(dt)
+        off.append(np.abs(errors - closed_form(dt * np.arange(1, len(errors) + 1))).max())
+    assert np.log2(off[0] / off[1]) == pytest.approx(1.0, abs=0.15)
+    assert off[1] < 1e-3
+
+
+def test_little_is_left_at_the_end():
+    assert float(jnp.abs(follow(1e-4)[-1]).max()) < 2e-5
+
+
+def fleet(number):
+    """Gains, payloads, model errors and cycles of some robots."""
+    generator = np.random.default_rng(0)
+    scale = jnp.array(generator.uniform(0.5, 2.0, number))
+    payload = jnp.array(generator.uniform(0.0, 0.1, number))
+    error = jnp.array(generator.uniform(0.8, 1.2, number))
+    return scale[:, None] * KP, scale[:, None] * KD, payload, error, jnp.array(generator.integers(1, 6, number))
+
+
+def simulate_one(law, kp, kd, payload, error, cycle):
+    leg = Leg.physical()
+    act = LAWS[law](leg.scaled(error), kp, kd)
+    plant = leg.carrying(payload)
+
+    def controller(time, qpos, qvel):
+        return act(resting(), qpos, qvel)
+
+    return dynamics.rollout(plant, jnp.array(START), jnp.zeros(5), controller, 1e-3, 200, cycle=cycle)[0]
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_batch_of_robots_equals_single_robots(law):
+    robots = fleet(6)
+    simulate = partial(simulate_one, law)
+    together, alone = jax.jit(jax.vmap(simulate))(*robots), jax.jit(simulate)
+    for i in range(6):
+        one = alone(*(x[i] for x in robots))
+        np.testing.assert_allclose(together.qpos[i], one.qpos, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(together.qvel[i], one.qvel, rtol=1e-9, atol=1e-10)
+
+
+def test_a_lost_or_saturated_robot_changes_no_bit_of_another():
+    motor = Motor.build(0.02, 1.5, gear_ratio=30.0, max_voltage=12.0)
+    leg = Leg.physical()
+
+    def simulate(kp, kd, payload, error, cycle, volts):
+        params = control.ComputedTorque(leg.scaled(error), kp, kd)
+        limited = Motor(motor.torque_constant, motor.resistance, motor.gear_ratio, 0.0, 0.0, volts)
+
+        def controller(time, qpos, qvel):
+            return control.computed_torque(params, resting(), qpos, qvel)
+
+        actuated = through_motors(limited, controller)
+        return dynamics.rollout(
+            leg.carrying(payload), jnp.array(START), jnp.zeros(5), actuated, 1e-3, 200, cycle=cycle
+        )[0]
+
+    batch = jax.jit(jax.vmap(simulate))
+    robots, volts = fleet(8), jnp.full(8, 12.0)
+    quiet = batch(*robots, volts)
+    assert np.isfinite(quiet.qpos).all()
+    ill = batch(robots[0].at[2].set(jnp.nan), *robots[1:], volts.at[5].set(0.01))
+    others = np.array([0, 1, 3, 4, 6, 7])
+    assert np.isnan(ill.qpos[2]).all() and (ill.qpos[5] != quiet.qpos[5]).all()
+    for name in ("qpos", "qvel"):
+        np.testing.assert_array_equal(getattr(ill, name)[others], getattr(quiet, name)[others])
+
+
+@pytest.mark.parametrize("cycle", [1, 3, jnp.array(3)])
+def test_a_torque_is_held_over_its_cycle(cycle):
+    leg, dt, steps = Leg.physical(), 1e-3, 20
+    params = control.ComputedTorque.build(leg, KP, KD)
+
+    def controller(time, qpos, qvel):
+        goal = control.Reference(jnp.array(GOAL) * time, jnp.array(GOAL), jnp.zeros(5))
+        return control.computed_torque(params, goal, qpos, qvel)
+
+    final, _ = jax.jit(partial(dynamics.rollout, leg, controller=controller, dt=dt, steps=steps, cycle=cycle))(
+        jnp.array(START), jnp.zeros(5)
+    )
+    state = dynamics.State(jnp.array(START), jnp.zeros(5))
+    torque, step = jnp.zeros(5), jax.jit(partial(dynamics.semi_implicit_euler, leg, dt=dt))
+    for index in range(steps):
+        if index % int(cycle) == 0:
+            torque = controller(jnp.asarray(index * dt), *state)
+        state = step(state, torque)
+    np.testing.assert_allclose(final.qpos, state.qpos, rtol=1e-12)
+    np.testing.assert_allclose(final.qvel, state.qvel, rtol=1e-10)
+
+
+def test_motors_in_a_rollout_conserve_power():
+    """What they draw is heat, friction and the leg's energy, to the first order of the step."""
+    leg, seconds = Leg.physical(), 0.1
+    motor = Motor.build(0.02, 1.5, gear_ratio=30.0, friction=1e-7, max_voltage=6.0)
+    params = control.ComputedTorque.build(leg, 4.0 * KP, KD)
+
+    def ask(time, qpos, qvel):
+        return control.computed_torque(params, resting(10 * GOAL), qpos, qvel)
+
+    lost = []
+    for dt in (2e-4, 1e-4):
+        simulate = partial(
+            dynamics.rollout, leg, controller=through_motors(motor, ask), dt=dt, steps=round(seconds / dt)
+        )
+        start = dynamics.State(jnp.array(START), jnp.zeros(5))
+        final, states = jax.jit(simulate)(*start)
+        before = jax.tree.map(lambda first, later: jnp.concatenate([first[None], later[:-1]]), start, states)
+        drives = jax.vmap(lambda q, v: motor.actuate(ask(0.0, q, v), v))(*before)
+        drawn = (drives.voltage * drives.current).sum() * dt
+        heat = (motor.resistance * drives.current**2 + motor.reflected_friction * before.qvel**2).sum() * dt
+        gained = dynamics.energy(leg, *final) - dynamics.energy(leg, *start)
+        lost.append(abs(float((drawn - heat - gained) / drawn)))
+        assert (jnp.abs(drives.voltage) >= 6.0).any()
+    assert lost[1] < 0.02
+    assert np.log2(lost[0] / lost[1]) == pytest.approx(1.0, abs=0.3)
+
+
+def test_a_payload_pulls_with_its_weight():
+    leg, mass = Leg.physical(), 0.2
+    qpos = jnp.array([0.1, 0.0, 0.0, 0.3, -0.2])
+    more = dynamics.gravity(leg.carrying(mass), qpos) - dynamics.gravity(leg, qpos)
+    _, l2, l3, l4, l5 = thesis.LINK_LENGTHS
+    hip = mass * thesis.GRAVITY * ((l2 + l3) * np.sin(0.1) + l4 * np.sin(0.1 - 0.3) + l5 * np.sin(0.1 - 0.3 + 0.2))
+    assert float(more[0]) == pytest.approx(hip, rel=1e-9)
+
+
+def test_a_stiff_servo_acts_through_the_step():
+    """It converges to the motion of fine steps, and goes on where a held torque is lost."""
+    leg, servo = Leg.matlab_script(), control.PD.build(5, 0.02 * KP, 0.02 * KD)
+
+    def final(integrator, dt):
+        def controller(time, qpos, qvel):
+            return control.pd(servo, resting(), qpos, qvel)
+
+        simulate = partial(dynamics.rollout, leg, controller=controller, dt=dt, steps=round(0.1 / dt))
+        return jax.jit(partial(simulate, integrator=integrator))(jnp.array(START), jnp.zeros(5))[0].qpos
+
+    fine = final(dynamics.runge_kutta, 2e-5)
+    off = [float(jnp.abs(final(control.implicit_euler(servo), dt) - fine).max()) for dt in (8e-4, 4e-4)]
+    assert np.log2(off[0] / off[1]) == pytest.approx(1.0, abs=0.2)
+    rough = final(control.implicit_euler(servo), 1e-2)
+    assert float(jnp.abs(rough - fine).max()) < 0.1
+    assert not (jnp.abs(final(dynamics.semi_implicit_euler, 1e-2)) < 10).all()
