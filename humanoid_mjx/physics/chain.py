@@ -62,7 +62,8 @@ class ChainPhysics(Physics):
     @property
     def leg(self) -> Leg:
         """The chain of either leg, its mass factor 1."""
-        return _leg(self.parameters, jax.config.read("jax_enable_x64"))
+        values, tree = _leg(self.parameters, jax.config.read("jax_enable_x64"))
+        return tree.unflatten([jnp.asarray(value) for value in values])
 
     def start(self, params: Any, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]) -> World:
         return World(jnp.array(qpos, float), jnp.array(qvel, float), jnp.zeros(0), jnp.bool_(False))
@@ -144,7 +145,8 @@ def _halves(x: Float[Array, " joints"]) -> list[Float[Array, " leg"]]:
 
 
 @lru_cache
-def _leg(parameters: str, x64: bool) -> Leg:
-    """With numpy leaves, which belong to no trace."""
+def _leg(parameters: str, x64: bool) -> tuple[list[np.ndarray], Any]:
+    """The leg's values in numpy, which belong to no trace, and its structure."""
     with jax.ensure_compile_time_eval():
-        return jax.tree.map(np.asarray, getattr(Leg, parameters)())
+        values, tree = jax.tree.flatten(getattr(Leg, parameters)())
+    return [np.asarray(value) for value in values], tree

@@ -1,0 +1,118 @@
+"""Switching postures: Q-learning decides, computed torque carries it out."""
+
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from humanoid_mjx import InputError, make_task, rng, sweep
+
+UP, DOWN = 26, 0
+"""All three joints a place on, all a place back."""
+
+
+@cache
+def compiled(structure):
+    return jax.jit(jax.vmap(structure.reset, in_axes=(None, 0))), jax.jit(
+        jax.vmap(structure.step, in_axes=(None, 0, 0, 0))
+    )
+
+
+def start(task, robots):
+    keys = jax.random.split(rng.key(0), robots)
+    params = jax.tree.map(jnp.asarray, task.params)
+    reset, step = compiled(task.structure())
+    return reset(params, keys), lambda state, action: step(params, state, jnp.asarray(action), keys)
+
+
+def test_the_right_way_up_arrives_and_the_left_leg_takes_opposite_values():
+    task = make_task("posture_switch")
+    state, step = start(task, 4)
+    for _ in range(20):
+        state, reward, arrived = step(state, jnp.full(4, UP))
+        if arrived.all():
+            break
+    assert arrived.all() and (reward == 99.0).all()
+    qpos = np.degrees(state.world.qpos[0])
+    np.testing.assert_allclose(qpos, [20, 0, 0, 15, 10, -20, 0, 0, -15, -10], atol=2.0)
+    assert int(task.structure().row(task.params, jax.tree.map(lambda x: x[0], state))) == task.num_states - 1
+
+
+def test_staying_and_going_back_never_arrive():
+    state, step = start(make_task("posture_switch"), 4)
+    for _ in range(5):
+        state, reward, arrived = step(state, jnp.array([13, DOWN, 13, DOWN]))
+        assert not arrived.any() and (reward == -1.0).all()
+    np.testing.assert_allclose(np.degrees(state.world.qpos[:, 0]), -20.0, atol=0.5)
+
+
+def test_a_robot_that_breaks_is_started_anew_and_changes_no_bit_of_the_others():
+    state, step = start(make_task("posture_switch"), 4)
+    sound, _, _ = step(state, jnp.full(4, UP))
+    world = state.world._replace(qvel=state.world.qvel.at[2, 3].set(jnp.nan))
+    broken, _, arrived = step(state._replace(world=world), jnp.full(4, UP))
+    assert broken.diverged.tolist() == [0, 0, 1, 0] and not arrived[2]
+    np.testing.assert_array_equal(broken.world.qpos[2], state.world.qpos[2])
+    for other in (0, 1, 3):
+        np.testing.assert_array_equal(broken.world.qpos[other], sound.world.qpos[other])
+
+
+def test_many_robots_are_each_as_one_alone():
+    # Of one width of batch: XLA rounds otherwise in another.
+    state, step = start(make_task("posture_switch"), 4)
+    together, _, _ = step(state, jnp.array([UP, 5, 13, 20]))
+    for robot, action in enumerate((UP, 5, 13, 20)):
+        alone, _, _ = step(state, jnp.full(4, action))
+        np.testing.assert_array_equal(alone.world.qpos[0], together.world.qpos[robot])
+
+
+def test_a_heavier_robot_lags_behind_its_model():
+    exact, step = start(make_task("posture_switch"), 4)
+    exact, _, _ = step(exact, jnp.full(4, UP))
+    heavy, step = start(make_task("posture_switch", mass=1.5), 4)
+    heavy, _, _ = step(heavy, jnp.full(4, UP))
+    assert float(jnp.abs(exact.world.qpos - heavy.world.qpos).max()) > 1e-3
+
+
+@pytest.mark.slow
+def test_mjx_carries_out_the_same_decisions():
+    states = []
+    for physics in ("chain", "mjx-jax"):
+        state, step = start(make_task("posture_switch", physics=physics), 4)
+        for _ in range(3):
+            state, _, _ = step(state, jnp.array([UP, 5, 13, 20]))
+        states.append(state)
+    chain, mjx = states
+    # Float32 over 120 steps of both: 1e-4 rad is a hundredth of the tolerance of a posture.
+    np.testing.assert_allclose(mjx.world.qpos, chain.world.qpos, atol=1e-4)
+    np.testing.assert_allclose(mjx.encoders, chain.encoders, atol=1e-4)
+
+
+def test_a_sweep_learns_to_switch(tmp_path):
+    config = {
+        "name": "posture",
+        "task": {"name": "posture_switch", "places": 3},
+        "learner": {"name": "tabular_q", "epsilon": 0.7, "epsilon_decay": 0.95, "learning_rate": 0.3},
+        "seeds": 8,
+        "episodes": 50,
+    }
+    summary = sweep(config, tmp_path / "run").summary
+    assert summary["greedy_success"].mean() == 1.0
+    assert summary["greedy_steps"].max() < 20
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"physics": "chains"}, "task.physics must be one of"),
+        ({"posture": "6.5"}, "task.posture must be one of"),
+        ({"period": 0.0123}, "a control cycle of 0.0123 s must be a multiple of the time step of 0.005 s"),
+        ({"natural_frequency": -1.0}, "task.natural_frequency must be greater than 0"),
+        ({"places": 1}, "task.places must be at least 2"),
+    ],
+)
+def test_bad_values_get_a_sentence(values, words):
+    with pytest.raises(InputError, match=words):
+        make_task("posture_switch", **values)
