@@ -91,8 +91,8 @@ def _sign() -> Finding:
         reproduced=used["knee"],
         tolerance=0.0,
         verdict=judge(_where(used["knee"]) == "inside", used, PRINTED_GOAL),
-        why=f"the range is {low:g} to {high:g}: {as_printed:g} is {_where(as_printed)}; {used['knee']:g}, which is what "
-        f"the table's sign makes of it, is {_where(used['knee'])}",
+        why=f"the range is {low:g} to {high:g}: {as_printed:g} is {_where(as_printed)}; {used['knee']:g}, "
+        f"which the table's sign makes of it, is {_where(used['knee'])}",
     )
 
 
@@ -147,8 +147,8 @@ def _involves_dynamics(section: str, learned: Switch, loaded: Switch) -> Finding
         reproduced=[_short(loaded.settling), _short(loaded.energy)],
         tolerance=SAME,
         verdict=judge(alike, {}, {}),
-        why=f"the heavy robot {settles}; at the mass that the controller believes they are {learned.settling:g} s and {learned.energy:.3g} J; the "
-        "table only names set-points, and the torque towards them comes from the leg's model",
+        why=f"the heavy robot {settles}; at the mass that the controller believes they are {learned.settling:g} s and "
+        f"{learned.energy:.3g} J: the table only names set-points, and the torque comes from the leg's model",
     )
 
 
@@ -179,7 +179,8 @@ def _planned(task: Any, params: Any, duration: float) -> Any:
 
     chunk = task.simulator.substeps(task.period)
     chunks = int(np.ceil((duration + HOLD_S) / task.period))
-    path = rest_to_rest(*(task.whole_body(task.grid[:, end]) for end in (0, -1)), duration)
+    start, goal = (task.whole_body(task.grid[:, end]) for end in (0, -1))
+    path = rest_to_rest(start, goal, duration)
     # The torque of a step brings about the motion at its end.
     times = task.timestep * np.arange(1, chunk * chunks + 1, dtype=np.float32)
     wanted = Reference(*jax.jit(jax.vmap(Quintic.at, in_axes=(None, 0)))(path, times))

@@ -120,7 +120,7 @@ def _sticks(model: mujoco.MjModel, data: mujoco.MjData) -> Frame:
     for axis, across, title in zip(figure.subplots(1, 2), (0, 1), ("from the right", "from the front"), strict=True):
         if _has_ground(model):
             axis.axhline(0.0, color="0.6", linewidth=1.0)
-        for line, color in _lines(model, data):
+        for line, color in outline(model, data):
             axis.plot(line[:, across], line[:, 2], color=color, linewidth=1.5, solid_capstyle="round")
         half = VIEW_M / 2
         axis.set_xlim(middle[across] - half, middle[across] + half)
@@ -132,7 +132,7 @@ def _sticks(model: mujoco.MjModel, data: mujoco.MjData) -> Frame:
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
-def _lines(model: mujoco.MjModel, data: mujoco.MjData) -> list[tuple[np.ndarray, str]]:
+def outline(model: mujoco.MjModel, data: mujoco.MjData) -> list[tuple[np.ndarray, str]]:
     """Points and colour of each line: the right leg in one colour, the left in another."""
 
     def color(body: int) -> str:
