@@ -60,6 +60,19 @@ def bench(
 
 
 @app.command()
+def play(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder.")],
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="A .gif, .mp4 or .png; by default RUN/figures/play.gif.")
+    ] = None,
+) -> None:
+    """Show the best of what a run learned as a video or picture of the robot."""
+    from humanoid_mjx.commands import run_play
+
+    run_play(run, out)
+
+
+@app.command()
 def export(
     robot: Annotated[str, typer.Argument(help="lower_body.")],
     file: Annotated[Path, typer.Argument(metavar="FILE.xml")],

@@ -117,6 +117,24 @@ def run_bench(chosen: Sequence[str], file: Path | None) -> None:
         console.print(f"{file}")
 
 
+def run_play(run: Path, out: Path | None) -> None:
+    """`humanoid-mjx play`."""
+    runtime.start()
+    from humanoid_mjx.results.rendering import render_motion
+    from humanoid_mjx.robot import robot_spec
+    from humanoid_mjx.training.episode import best_policy, greedy_episode, posture_task
+
+    trained = best_policy(run)
+    task = posture_task(trained, str(run))
+    episode = greedy_episode(trained)
+    model = robot_spec("legs").compile()
+    path = render_motion(model, episode.motion.qpos, task.timestep, out or run / "figures" / "play.gif")
+    outcome = "reaches its goal" if episode.arrived else "does not reach its goal"
+    took = f"{episode.decisions} decisions, {episode.decisions * task.period:g} s"
+    console.print(f"point {trained.point}, seed {trained.seed}: {outcome} in {took}")
+    console.print(f"{path}", soft_wrap=True)
+
+
 def run_export(robot: str, file: Path) -> None:
     """`humanoid-mjx export`."""
     from humanoid_mjx.robot import robot_spec

@@ -5,6 +5,7 @@ import pytest
 from PIL import Image
 
 from humanoid_mjx.results.rendering import HEIGHT, STRIP, WIDTH, draw, render
+from humanoid_mjx.results.robots import draw_robots
 from humanoid_mjx.robot.lower_body import lower_body_model
 from humanoid_mjx.spec import InputError
 
@@ -48,3 +49,10 @@ def test_files_that_cannot_be_made(tmp_path, motion, name, sentence, monkeypatch
     monkeypatch.setenv("PATH", "")
     with pytest.raises(InputError, match=sentence):
         render(MODEL, motion, tmp_path / name)
+
+
+def test_the_robots_are_drawn(tmp_path):
+    with Image.open(draw_robots(tmp_path / "robots.png")) as image:
+        colors = {color for _, color in image.convert("RGB").getcolors(1 << 20)}
+    for joint in ((0, 0x72, 0xB2), (0xD5, 0x5E, 0), (0, 0x9E, 0x73), (0xCC, 0x79, 0xA7), (0xE6, 0x9F, 0)):
+        assert joint in colors

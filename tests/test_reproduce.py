@@ -60,3 +60,10 @@ def test_what_cannot_be_reproduced_is_refused(tmp_path):
 def test_names_are_in_the_order_of_the_thesis():
     figures = [name for name in load_experiments() if name.startswith("figure-7")]
     assert figures == sorted(figures, key=lambda name: int(name.partition(".")[2]))
+
+
+def test_no_posture_of_the_switch_lies_in_the_ranges(tmp_path):
+    findings = reproduce(["figure-7.17"], tmp_path)
+    assert verdicts(findings) == ["differs"] * 2
+    assert "right hip -20 of -15 to 100, right knee -10 of 0 to 120" in findings[0].why
+    assert (tmp_path / "figure-7.17.png").is_file()

@@ -63,6 +63,14 @@ def render(model: mujoco.MjModel, qpos: Float[AnyArray, "frames nq"], path: Path
     return path
 
 
+def render_motion(
+    model: mujoco.MjModel, qpos: Float[AnyArray, "steps nq"], timestep: float, path: Path, fps: float = 25.0
+) -> Path:
+    """`render` a simulation at its own speed, given a row for each of its steps of `timestep`, s."""
+    times = np.arange(0.0, len(qpos) * timestep, 1.0 / fps)
+    return render(model, np.asarray(qpos)[np.minimum(np.round(times / timestep).astype(int), len(qpos) - 1)], path, fps)
+
+
 def draw(model: mujoco.MjModel, qpos: Float[np.ndarray, "frames nq"]) -> list[Frame]:
     """A picture of each posture."""
     data, frames = mujoco.MjData(model), []
@@ -87,26 +95,32 @@ def _renderer(model: mujoco.MjModel) -> Callable[[mujoco.MjModel, mujoco.MjData]
     camera.distance, camera.azimuth, camera.elevation = 2.0 * VIEW_M, 130.0, -12.0
 
     def paint(model: mujoco.MjModel, data: mujoco.MjData) -> Frame:
-        camera.lookat = _middle(data)
+        camera.lookat = _middle(model, data)
         renderer.update_scene(data, camera)
         return renderer.render()
 
     return paint
 
 
-def _middle(data: mujoco.MjData) -> np.ndarray:
-    """The middle of the picture: it follows the robot over the ground, not up and down."""
-    return np.array([*data.xpos[1][:2], 0.42 * VIEW_M])
+def _middle(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+    """The middle of the picture: it follows the robot over the ground, not up and down, or hangs below it."""
+    height = 0.42 * VIEW_M if _has_ground(model) else model.body_pos[1][2] - 0.33 * VIEW_M
+    return np.array([*data.xpos[1][:2], height])
+
+
+def _has_ground(model: mujoco.MjModel) -> bool:
+    return bool((model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE).any())
 
 
 def _sticks(model: mujoco.MjModel, data: mujoco.MjData) -> Frame:
     """Seen from the right and from the front: a line from each joint to the next, boxes by their edges."""
     figure = Figure(figsize=(WIDTH / 100, HEIGHT / 100), dpi=100, layout="constrained")
     canvas = FigureCanvasAgg(figure)
-    middle = _middle(data)
+    middle = _middle(model, data)
     for axis, across, title in zip(figure.subplots(1, 2), (0, 1), ("from the right", "from the front"), strict=True):
-        axis.axhline(0.0, color="0.6", linewidth=1.0)
-        for line, color in _lines(model, data):
+        if _has_ground(model):
+            axis.axhline(0.0, color="0.6", linewidth=1.0)
+        for line, color in outline(model, data):
             axis.plot(line[:, across], line[:, 2], color=color, linewidth=1.5, solid_capstyle="round")
         half = VIEW_M / 2
         axis.set_xlim(middle[across] - half, middle[across] + half)
@@ -118,7 +132,7 @@ def _sticks(model: mujoco.MjModel, data: mujoco.MjData) -> Frame:
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
-def _lines(model: mujoco.MjModel, data: mujoco.MjData) -> list[tuple[np.ndarray, str]]:
+def outline(model: mujoco.MjModel, data: mujoco.MjData) -> list[tuple[np.ndarray, str]]:
     """Points and colour of each line: the right leg in one colour, the left in another."""
 
     def color(body: int) -> str:

@@ -23,7 +23,7 @@ from humanoid_mjx.runtime import SHARED_KERNELS
 from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.thesis import leg as leg_thesis
 from humanoid_mjx.thesis import q_learning as thesis
-from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
+from humanoid_mjx.types import AnyArray, BoolScalar, FloatScalar, IntScalar
 
 MOVED = (0, 3, 4)
 """Hip pitch, knee and ankle among the joints of a leg."""
@@ -103,22 +103,24 @@ class PostureSwitch(FiniteTask):
 
     def reset(self, params: Params, key: Key[Array, ""]) -> Body:
         qpos = self.whole_body(self.grid[:, 0])
-        world = self.simulator.start(self._plant(params), qpos, jnp.zeros(len(qpos)))
+        world = self.simulator.start(self.plant(params), qpos, jnp.zeros(len(qpos)))
         return self._read(params, world, jnp.int32(0), key)
 
     def step(
         self, params: Params, state: Body, action: IntScalar, key: Key[Array, ""]
     ) -> tuple[Body, FloatScalar, BoolScalar]:
-        choice = action // 3 ** np.arange(len(MOVED)) % 3 - 1
-        target = jnp.clip(self._places(state.encoders) + choice, 0, self.places - 1)
-        setpoint = jnp.asarray(self.grid, float)[np.arange(len(MOVED)), target]
-        plant = self._plant(params)
-        controller = self.controller(params, self.whole_body(setpoint))
+        controller = self.controller(params, self.setpoint(state, action))
         cycles = self.simulator.substeps(self.period)
-        world = self.simulator.run(plant, state.world, controller, cycles)
+        world = self.simulator.run(self.plant(params), state.world, controller, cycles)
+        return self.outcome(params, state, world, key)
+
+    def outcome(
+        self, params: Params, state: Body, world: World, key: Key[Array, ""]
+    ) -> tuple[Body, FloatScalar, BoolScalar]:
+        """What `step` returns where `world` is what a decision in `state` led to."""
         broken = world.diverged
         qpos = self.whole_body(self.grid[:, 0])
-        world = self.simulator.reset(plant, world, broken, qpos, jnp.zeros(len(qpos)))
+        world = self.simulator.reset(self.plant(params), world, broken, qpos, jnp.zeros(len(qpos)))
         after = self._read(params, world, state.diverged + broken, key)
         arrived = ~broken & self.arrived(params, world)
         return after, params.step_reward + jnp.where(arrived, params.bonus, 0.0), arrived
@@ -138,17 +140,27 @@ class PostureSwitch(FiniteTask):
         right = jnp.zeros(len(leg_thesis.JOINT_NAMES)).at[jnp.array(MOVED)].set(moved)
         return jnp.concatenate([right, LEFT_SIGN * right])
 
-    def controller(self, params: Params, setpoint: Float[Array, "10"]) -> Any:
-        """Computed torque towards a set-point at rest, by a model whose mass is 1 (equations 5.40 to 5.49)."""
+    def setpoint(self, state: Body, action: IntScalar) -> Float[Array, "10"]:
+        """Where `action` sends the joints of both legs, rad."""
+        choice = action // 3 ** np.arange(len(MOVED)) % 3 - 1
+        target = jnp.clip(self._places(state.encoders) + choice, 0, self.places - 1)
+        return self.whole_body(jnp.asarray(self.grid, float)[np.arange(len(MOVED)), target])
+
+    def controller(
+        self, params: Params, qpos: Float[Array, "10"], qvel: AnyArray | float = 0.0, qacc: AnyArray | float = 0.0
+    ) -> Any:
+        """Computed torque towards a state of motion, by a model whose mass is 1 (equations 5.40 to 5.49)."""
         kp = params.natural_frequency**2
         kd = critical_kd(jnp.asarray(kp, float))
 
         def control(stages: Stages) -> Float[Array, "10"]:
-            return stages.torque_for(kp * (setpoint - stages.qpos) - kd * stages.qvel, 1.0)
+            correction = kp * (qpos - stages.qpos) + kd * (qvel - stages.qvel)
+            return stages.torque_for(qacc + correction, 1.0)
 
         return control
 
-    def _plant(self, params: Params) -> Any:
+    def plant(self, params: Params) -> Any:
+        """The traced values of the physics."""
         return self.simulator.params._replace(mass=params.mass)
 
     def _read(self, params: Params, world: World, diverged: IntScalar, key: Key[Array, ""]) -> Body:

@@ -1,0 +1,238 @@
+"""Figures 7.17 and 7.18: both legs go from one posture to another, by what a table learned and by a planned path."""
+
+import tempfile
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from humanoid_mjx.reproduction import Experiment, Finding, Setting, judge
+from humanoid_mjx.results.style import figure
+from humanoid_mjx.thesis import leg
+from humanoid_mjx.thesis import q_learning as thesis
+
+JOINTS = ("hip", "knee", "ankle")
+RANGES = [leg.JOINT_RANGES["proposed"][joint] for joint in (0, 3, 4)]
+LEGS = {"right": 1.0, "left": -1.0}
+"""The left leg takes opposite values (6.4)."""
+
+PRINTED_GOAL = {"knee": -120.0}
+"""Of section 7 H, degrees."""
+
+TRAINING = {
+    "task": {"places": 3, "max_episode_steps": 40},
+    "learner": {"epsilon": 0.5, "epsilon_decay": 0.95, "learning_rate": 0.5},
+}
+SEEDS, EPISODES = 8, 60
+SAME = 0.02
+"""Share by which two measurements may differ and count as the same."""
+
+HEAVY = 2.0
+"""Mass of a robot whose controller believes 1, for the claim of section 7 H."""
+
+
+class Switch(NamedTuple):
+    """How a switch of posture went."""
+
+    settling: float
+    """s until all joints are within the task's tolerance of the goal for good; NaN if they never are."""
+    overshoot: float
+    """The furthest that a joint goes beyond its goal, degrees to the hundredth."""
+    energy: float
+    """The integral of |torque * velocity| over time and joints, J."""
+    peak: float
+    """The largest torque, N m."""
+
+
+def initial(setting: Setting) -> list[Finding]:
+    """Figure 7.17: where the switch starts."""
+    _draw(setting.out / "figure-7.17.png", "Initial posture", 0)
+    return [_in_range("figure-7.17", section, "start", ends[0]) for section, ends in thesis.POSTURES.items()]
+
+
+def following(setting: Setting) -> list[Finding]:
+    """Figure 7.18: where the switch ends, and how it gets there."""
+    _draw(setting.out / "figure-7.18.png", "Next posture", 1)
+    findings = [_in_range("figure-7.18", section, "goal", ends[1]) for section, ends in thesis.POSTURES.items()]
+    findings.append(_sign())
+    for section in thesis.POSTURES:
+        findings += _switch(section, setting)
+    return findings
+
+
+def _in_range(name: str, section: str, when: str, degrees: tuple[float, ...]) -> Finding:
+    """Whether both legs can take a posture."""
+    outside = [
+        f"{side} {joint} {sign * angle + 0.0:g} of {low:g} to {high:g}"
+        for side, sign in LEGS.items()
+        for joint, angle, (low, high) in zip(JOINTS, degrees, RANGES, strict=True)
+        if not low <= sign * angle <= high
+    ]
+    return Finding(
+        name=name,
+        quantity=f"section {section}: joints of both legs outside Table 3.2's proposed ranges at the {when}",
+        printed=0,
+        reproduced=len(outside),
+        tolerance=0,
+        verdict=judge(not outside, {}, {}),
+        why=", ".join(outside) + " degrees" if outside else "all are inside",
+    )
+
+
+def _sign() -> Finding:
+    """The goal of the knee in section 7 H."""
+    low, high = RANGES[1]
+    used = {"knee": thesis.POSTURES["7H"][1][1]}
+    as_printed = PRINTED_GOAL["knee"]
+    return Finding(
+        name="figure-7.18",
+        quantity="section 7H: goal of the right knee inside its range of Table 3.2, degrees",
+        printed=as_printed,
+        reproduced=used["knee"],
+        tolerance=0.0,
+        verdict=judge(_where(used["knee"]) == "inside", used, PRINTED_GOAL),
+        why=f"the range is {low:g} to {high:g}: {as_printed:g} is {_where(as_printed)}; {used['knee']:g}, "
+        f"which the table's sign makes of it, is {_where(used['knee'])}",
+    )
+
+
+def _where(knee: float) -> str:
+    return "inside" if RANGES[1][0] <= knee <= RANGES[1][1] else "outside"
+
+
+def _switch(section: str, setting: Setting) -> list[Finding]:
+    """Train on a posture, show the motion, and measure it against a plan that takes as long."""
+    from humanoid_mjx.results.rendering import render_motion
+    from humanoid_mjx.robot import robot_spec
+    from humanoid_mjx.training.episode import greedy_episode
+
+    trained = _train(section, setting.config)
+    task = trained.learner.task
+    goal = np.asarray(task.whole_body(task.grid[:, -1]))
+    tolerance = float(trained.hyper.task.tolerance)
+    episode = greedy_episode(trained)
+    path = setting.out / f"figure-7.18-{section}.gif"
+    render_motion(robot_spec("legs").compile(), episode.motion.qpos, task.timestep, path)
+    learned = _measure(episode.motion, goal, task, tolerance)
+    plan = _measure(_planned(task, trained.hyper.task, learned.settling), goal, task, tolerance)
+    heavy = trained.hyper._replace(task=trained.hyper.task._replace(mass=np.float32(HEAVY)))
+    loaded = _measure(greedy_episode(trained._replace(hyper=heavy)).motion, goal, task, tolerance)
+    decided = f"{episode.decisions} decisions, peak torque {learned.peak:.2g} N m; a quintic of {learned.settling:g} s"
+    quantities = {"settling": "settling time, s", "overshoot": "overshoot, degrees", "energy": "energy, J"}
+    findings = [
+        Finding(
+            name="figure-7.18",
+            quantity=f"section {section}: {words}: of the learned switch, and of a planned quintic",
+            printed=None,
+            reproduced=[_short(getattr(learned, quantity)), _short(getattr(plan, quantity))],
+            tolerance=SAME,
+            verdict=judge(_same(getattr(learned, quantity), getattr(plan, quantity)), {}, {}),
+            why=f"nothing is printed, so the plan is what it is judged against: {decided} under the same computed "
+            f"torque has {plan.peak:.2g} N m",
+        )
+        for quantity, words in quantities.items()
+    ]
+    return [*findings, _involves_dynamics(section, learned, loaded)]
+
+
+def _involves_dynamics(section: str, learned: Switch, loaded: Switch) -> Finding:
+    """Section 7 H's claim, by the same table on a robot of another mass."""
+    settles = "never settles" if np.isnan(loaded.settling) else f"settles in {loaded.settling:g} s"
+    alike = _same(learned.settling, loaded.settling) and _same(learned.energy, loaded.energy)
+    return Finding(
+        name="figure-7.18",
+        quantity=f"section {section}: settling time, s, and energy, J, of the same table on a robot {HEAVY:g} times "
+        "as heavy",
+        printed="there is no kinematics and dynamics involved (7 H)",
+        reproduced=[_short(loaded.settling), _short(loaded.energy)],
+        tolerance=SAME,
+        verdict=judge(alike, {}, {}),
+        why=f"the heavy robot {settles}; at the mass that the controller believes they are {learned.settling:g} s and "
+        f"{learned.energy:.3g} J: the table only names set-points, and the torque comes from the leg's model",
+    )
+
+
+def _train(section: str, config: dict[str, Any]) -> Any:
+    """The best of a few short runs."""
+    from humanoid_mjx.training.episode import best_policy
+    from humanoid_mjx.training.sweep import sweep
+
+    full = {
+        "name": "posture",
+        "task": {"name": "posture_switch", "posture": section} | config["task"],
+        "learner": {"name": "tabular_q"} | config["learner"],
+        "seeds": SEEDS,
+        "episodes": EPISODES,
+        "record": 1,
+    }
+    with tempfile.TemporaryDirectory() as folder:
+        return best_policy(sweep(full, Path(folder) / "run").path)
+
+
+def _planned(task: Any, params: Any, duration: float) -> Any:
+    """The motion along a quintic that takes `duration`, s, and then holds the goal, by the task's controller."""
+    import jax
+
+    from humanoid_mjx.control.computed_torque import Reference
+    from humanoid_mjx.mechanics.trajectories import Quintic, rest_to_rest
+    from humanoid_mjx.training.episode import HOLD_S, follow, joined
+
+    chunk = task.simulator.substeps(task.period)
+    chunks = int(np.ceil((duration + HOLD_S) / task.period))
+    start, goal = (task.whole_body(task.grid[:, end]) for end in (0, -1))
+    path = rest_to_rest(start, goal, duration)
+    # The torque of a step brings about the motion at its end.
+    times = task.timestep * np.arange(1, chunk * chunks + 1, dtype=np.float32)
+    wanted = Reference(*jax.jit(jax.vmap(Quintic.at, in_axes=(None, 0)))(path, times))
+    world, motions = task.reset(params, jax.random.key(0)).world, []
+    for first in range(0, len(times), chunk):
+        part = Reference(*(x[first : first + chunk] for x in wanted))
+        world, motion = follow(task, params, world, part)
+        motions.append(motion)
+    return joined(motions)
+
+
+def _measure(motion: Any, goal: np.ndarray, task: Any, tolerance: float) -> Switch:
+    """The measures of a motion towards a goal, whose first posture is the task's start."""
+    start = np.asarray(task.whole_body(task.grid[:, 0]))
+    off = np.degrees(motion.qpos - goal)
+    away = np.flatnonzero((np.abs(off) > tolerance).any(axis=1))
+    settled = 0 if len(away) == 0 else int(away[-1]) + 1
+    return Switch(
+        settling=round((settled + 1) * task.timestep, 6) if settled < len(off) else float("nan"),
+        overshoot=round(max(0.0, float((off * np.sign(goal - start)).max())), 2),
+        energy=float(np.abs(motion.torque * motion.qvel).sum() * task.timestep),
+        peak=float(np.abs(motion.torque).max()),
+    )
+
+
+def _same(a: float, b: float) -> bool:
+    return bool(abs(a - b) <= SAME * max(abs(a), abs(b)))
+
+
+def _short(value: float) -> float | None:
+    return None if np.isnan(value) else float(f"{value:.3g}")
+
+
+def _draw(path: Path, title: str, end: int) -> None:
+    """One of the two postures of each section."""
+    from humanoid_mjx.results.rendering import draw
+    from humanoid_mjx.robot import robot_spec
+    from humanoid_mjx.tasks import make_task
+
+    tasks = {section: make_task("posture_switch", posture=section) for section in thesis.POSTURES}
+    qpos = np.stack([np.asarray(task.whole_body(task.grid[:, -end])) for task in tasks.values()])
+    frames = draw(robot_spec("legs").compile(), qpos)
+    with figure(path, 1, len(tasks), size=(4.8, 3.8)) as (fig, axes):
+        for panel, frame, (section, ends) in zip(axes[0], frames, thesis.POSTURES.items(), strict=True):
+            panel.imshow(frame)
+            panel.set_axis_off()
+            words = ", ".join(f"{joint} {angle:g}" for joint, angle in zip(JOINTS, ends[end], strict=True))
+            panel.set_title(f"Section {section}: {words}")
+        fig.suptitle(f"{title}; degrees of the right leg (blue), the left (orange) takes opposite values", fontsize=9)
+
+
+EXPERIMENTS = [
+    Experiment("figure-7.17", "The initial posture of the legs", initial),
+    Experiment("figure-7.18", "The next posture of the legs, and the way there", following, TRAINING),
+]
