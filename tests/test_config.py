@@ -7,6 +7,7 @@ import yaml
 from humanoid_mjx import InputError, make_learner, make_task
 from humanoid_mjx.config import dump_yaml, load, parse, parse_yaml
 from humanoid_mjx.data import names
+from humanoid_mjx.tasks.continuous import Tabulated
 from humanoid_mjx.training.plan import make_plan, resolved
 
 BASE = """
@@ -184,7 +185,7 @@ def test_factories_refuse_by_name():
     with pytest.raises(InputError, match=r"task: map has no way from S to G"):
         make_task("navigate", map=["S#G"])
     with pytest.raises(InputError, match=r"learner.task must be a FiniteTask"):
-        make_learner("tabular_q", make_learner("tabular_q", make_task("navigate")))
+        make_learner("tabular_q", Tabulated(finite=make_task("navigate")))
 
 
 def test_yaml_with_nothing_in_it():
