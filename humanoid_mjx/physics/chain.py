@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 from pydantic import Field
 
 from humanoid_mjx.mechanics import dynamics
+from humanoid_mjx.mechanics.contacts import no_contacts
 from humanoid_mjx.mechanics.forward import frames
 from humanoid_mjx.physics.base import MAX_SPEED, Controller, Physics, Poses, Readings, Stages, World
 from humanoid_mjx.robot.leg import FRAME_0, MIRROR, Leg
@@ -129,8 +130,8 @@ class ChainPhysics(Physics):
         leg = self.leg.scaled(params.mass)
         both = [dynamics.mass_matrix_and_bias(leg, q, v) for q, v in zip(*map(_halves, world[:2]), strict=True)]
         (right, right_bias), (left, left_bias) = both
-        matrix = jax.scipy.linalg.block_diag(right, left)
-        return Stages(world, world.qpos, world.qvel, matrix, jnp.concatenate([right_bias, left_bias]), torque_for)
+        matrix, bias = jax.scipy.linalg.block_diag(right, left), jnp.concatenate([right_bias, left_bias])
+        return Stages(world, world.qpos, world.qvel, matrix, bias, torque_for, lambda: no_contacts(2 * LEG))
 
 
 def _freeze_if_diverged(old: World, new: World) -> World:
