@@ -63,6 +63,7 @@ class MjxJax(MujocoPhysics):
         self, params: Any, world: World, controller: Controller, substeps: int = 1
     ) -> tuple[World, Float[Array, " joints"]]:
         model, blank = self._put(params), self._blank_data()
+        push = self._pushes(params)
         limit = jnp.asarray(params.torque_limit, float)
 
         def ask(data: Any, world: World) -> Float[Array, " joints"]:
@@ -75,12 +76,12 @@ class MjxJax(MujocoPhysics):
             world, torque = carry
             data = self._at(model, blank, world)
             torque = jax.lax.cond(index == 0, lambda: ask(data, world), lambda: torque)
-            return (_advance(model, data.replace(ctrl=torque)), torque), None
+            return (_advance(model, data.replace(ctrl=torque, qfrc_applied=push)), torque), None
 
         if substeps == 1:
             data = self._at(model, blank, world)
             torque = ask(data, world)
-            new = _advance(model, data.replace(ctrl=torque))
+            new = _advance(model, data.replace(ctrl=torque, qfrc_applied=push))
         else:
             held = jnp.zeros(self.model.nu)
             (new, torque), _ = jax.lax.scan(substep, (world, held), jnp.arange(substeps))
@@ -113,6 +114,11 @@ class MjxJax(MujocoPhysics):
             pair_friction=model.pair_friction.at[:, :2].set(params.friction),
             actuator_ctrlrange=jnp.broadcast_to(limits, model.actuator_ctrlrange.shape),
         )
+
+    def _pushes(self, params: Any) -> Float[Array, " nv"]:
+        """The forces on the degrees of freedom that are not the motors'."""
+        none = jnp.zeros(self.model.nv)
+        return none.at[:3].set(jnp.stack(list(params.push))) if self.torso == "free" else none
 
     def _blank_data(self) -> Any:
         """An mjx.Data without a state. It is rebuilt in every step, so that loops carry nothing but a `World`."""

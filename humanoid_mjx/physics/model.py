@@ -2,7 +2,7 @@
 """What the physics built on MuJoCo's models have in common: which robot, its model, its traced values."""
 
 from functools import lru_cache
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax.numpy as jnp
 import mujoco
@@ -29,11 +29,15 @@ class MujocoPhysics(Physics):
     damping: float = Field(body.DAMPING, ge=0, description="of the lower body's joints, N m s/rad")
     torque_limit: float = Field(TORQUE_LIMIT, gt=0, description="of the motors, N m")
 
+    push: tuple[float, float, float] = Field((0.0, 0.0, 0.0), description="steady force on a free torso, N, world")
+
     class Params(NamedTuple):
         mass: MassFactor
         friction: FloatScalar
         damping: FloatScalar
         torque_limit: FloatScalar
+        push: Any
+        """(3,) N, in the world; it acts at the torso's origin, midway between the hips."""
 
     @property
     def model(self) -> mujoco.MjModel:
