@@ -2,18 +2,20 @@
 """What the physics built on MuJoCo's models have in common: which robot, its model, its traced values."""
 
 from functools import lru_cache
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 from jaxtyping import Float
 from pydantic import Field
 
-from humanoid_mjx.physics.base import Physics, Readings
+from humanoid_mjx.physics.base import MAX_SPEED, Physics, Readings, World
 from humanoid_mjx.robot import lower_body as body
 from humanoid_mjx.robot import robot_spec
 from humanoid_mjx.robot.ranges import TORQUE_LIMIT
-from humanoid_mjx.types import AnyArray, FloatScalar
+from humanoid_mjx.types import AnyArray, BoolScalar, FloatScalar, MassFactor
 
 
 class MujocoPhysics(Physics):
@@ -29,7 +31,7 @@ class MujocoPhysics(Physics):
     torque_limit: float = Field(TORQUE_LIMIT, gt=0, description="of the motors, N m")
 
     class Params(NamedTuple):
-        mass: FloatScalar
+        mass: MassFactor
         friction: FloatScalar
         damping: FloatScalar
         torque_limit: FloatScalar
@@ -59,6 +61,13 @@ class MujocoPhysics(Physics):
     def qpos0(self) -> Float[np.ndarray, " nq"]:
         return self.model.qpos0.copy()
 
+    def mass_factors(self, mass: MassFactor) -> Float[AnyArray, " bodies"]:
+        """The factor on each body's mass and inertia. Factors of links leave the torso as it is."""
+        if np.ndim(mass) == 0:
+            return jnp.full(self.model.nbody, mass, float)
+        links = self.model.jnt_bodyid[self.model.actuator_trnid[:, 0]]
+        return jnp.ones(self.model.nbody).at[links].set(mass)
+
     def _readings(self, sensordata: Float[AnyArray, "*worlds sensors"]) -> Readings:
         """MuJoCo's sensor array, in the order in which the robot declares its sensors."""
         joints = self.model.nu
@@ -68,6 +77,26 @@ class MujocoPhysics(Physics):
             accelerometer=sensordata[..., joints + 3 : joints + 6],
             foot_contact=sensordata[..., joints + 6 :],
         )
+
+    def start(self, params: Any, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]) -> World:
+        qvel = jnp.array(qvel, float)
+        return World(jnp.array(qpos, float), qvel, jnp.zeros_like(qvel), jnp.bool_(False))
+
+    def reset(
+        self, params: Any, world: World, mask: BoolScalar, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]
+    ) -> World:
+        return _where(mask, self.start(params, qpos, qvel), world)
+
+
+def freeze_if_diverged(old: World, new: World) -> World:
+    """`new`, or where it has diverged `old` with the flag set."""
+    sound = jnp.isfinite(new.qpos).all() & (jnp.abs(new.qvel) <= MAX_SPEED).all()
+    stays = old.diverged | ~sound
+    return _where(stays, old._replace(diverged=jnp.bool_(True)), new)
+
+
+def _where(mask: BoolScalar, chosen: World, other: World) -> World:
+    return jax.tree.map(lambda a, b: jnp.where(mask, a, b), chosen, other)
 
 
 @lru_cache

@@ -20,9 +20,11 @@ def cycle(physics, qpos, qvel, torque):
 
 
 def test_accelerations():
-    native = cycle(NATIVE, QPOS, QVEL, TORQUE)
-    for physics in (CHAIN, MJX):
-        world = jax.jit(jax.vmap(lambda *state, physics=physics: cycle(physics, *state)))(QPOS, QVEL, TORQUE)
+    chain, mjx, native = (
+        jax.jit(jax.vmap(lambda *state, physics=physics: cycle(physics, *state)))(QPOS, QVEL, TORQUE)
+        for physics in (CHAIN, MJX, NATIVE)
+    )
+    for world in (chain, mjx):
         np.testing.assert_allclose((world.qvel - native.qvel) / CHAIN.timestep, 0.0, atol=1e-8)
 
 
@@ -37,10 +39,9 @@ def test_motions_over_half_a_second():
         return physics.run(physics.params, world, servo, 250)
 
     start = QPOS[:4] / 5
-    worlds = [jax.jit(jax.vmap(lambda q, physics=physics: run(physics, q)))(start) for physics in (CHAIN, MJX)]
-    native = NATIVE.start(NATIVE.params, start, np.zeros_like(start))
-    for _ in range(250):
-        native, _ = NATIVE.step(NATIVE.params, native, servo)
+    *worlds, native = (
+        jax.jit(jax.vmap(lambda q, physics=physics: run(physics, q)))(start) for physics in (CHAIN, MJX, NATIVE)
+    )
     for world in worlds:
         assert not world.diverged.any()
         np.testing.assert_allclose(world.qpos, native.qpos, rtol=0, atol=1e-9)
@@ -48,7 +49,7 @@ def test_motions_over_half_a_second():
 
 def test_places_of_the_links():
     ours = jax.vmap(lambda q: CHAIN.poses(None, CHAIN.start(None, q, q)))(QPOS)
-    native = NATIVE.poses(NATIVE.params, NATIVE.start(NATIVE.params, QPOS, QVEL))
+    native = jax.vmap(lambda q: NATIVE.poses(NATIVE.params, NATIVE.start(None, q, q)))(QPOS)
     rows = [NATIVE.body_names.index(name) for name in CHAIN.body_names]
     np.testing.assert_allclose(ours.position, native.position[:, rows], atol=1e-12)
     np.testing.assert_allclose(ours.rotation[:, 1:], native.rotation[:, rows[1:]], atol=1e-12)
@@ -56,7 +57,7 @@ def test_places_of_the_links():
 
 def test_what_a_model_asks_for_is_what_moves_it():
     wanted = jnp.array(TORQUE)
-    for physics in (CHAIN, MJX):
+    for physics in (CHAIN, MJX, NATIVE):
 
         def step(qpos, wanted, physics=physics):
             params = physics.params._replace(mass=1.7, torque_limit=1e6)
