@@ -21,7 +21,7 @@ from humanoid_mjx.types import AnyArray, BoolScalar, FloatScalar, MassFactor
 class MujocoPhysics(Physics):
     """A robot as a MuJoCo model."""
 
-    robot: Literal["lower_body", "legs"] = "lower_body"
+    robot: Literal["lower_body", "legs", "leg"] = "lower_body"
     torso: body.Torso = "free"
     ranges: body.Ranges = "proposed"
     timestep: float | None = Field(None, gt=0, le=0.02, description="s; by default the robot's own")
@@ -100,5 +100,15 @@ def _where(mask: BoolScalar, chosen: World, other: World) -> World:
 
 
 @lru_cache
+def below(model: mujoco.MjModel) -> Float[np.ndarray, "bodies bodies"]:
+    """1 where the column's body is the row's, or hangs on it."""
+    rows = np.eye(model.nbody, dtype=np.float32)
+    for index in range(model.nbody - 1, 0, -1):
+        rows[model.body_parentid[index]] += rows[index]
+    return rows
+
+
+@lru_cache
 def _model(robot: str, torso: str, ranges: str, timestep: float | None) -> mujoco.MjModel:
-    return robot_spec(robot, torso=torso, ranges=ranges, timestep=timestep).compile()
+    with jax.ensure_compile_time_eval():
+        return robot_spec(robot, torso=torso, ranges=ranges, timestep=timestep).compile()

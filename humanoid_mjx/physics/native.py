@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 from mujoco.rollout import Rollout
 
 from humanoid_mjx.physics.base import Controller, Poses, Readings, Stages, World
-from humanoid_mjx.physics.model import MujocoPhysics, freeze_if_diverged
+from humanoid_mjx.physics.model import MujocoPhysics, below, freeze_if_diverged
 from humanoid_mjx.types import AnyArray, MassFactor
 
 MODELS_BYTES = 1 << 27
@@ -40,16 +40,22 @@ class Native(MujocoPhysics):
         limit = jnp.asarray(params.torque_limit, float)
         torque = jnp.clip(jnp.asarray(controller(self._stages(params, world)), float), -limit, limit)
         shapes = world.qpos.shape, world.qvel.shape, world.qvel.shape
-        moved = _on_host(partial(self._advance, substeps), shapes, self._values(params), *world[:3], torque)
-        return freeze_if_diverged(world, World(*moved, jnp.bool_(False))), torque
+        state = world.qpos, world.qvel, world.warmstart
+        qpos, qvel, warmstart = _on_host(partial(self._advance, substeps), shapes, self._values(params), *state, torque)
+        return freeze_if_diverged(world, World(qpos, qvel, warmstart, jnp.bool_(False))), torque
 
     def sensors(self, params: Any, world: World, torque: Float[AnyArray, " joints"]) -> Readings:
-        (sensordata,) = _on_host(self._sense, ((self.model.nsensordata,),), self._values(params), *world[:3], torque)
+        shapes = ((self.model.nsensordata,),)
+        (sensordata,) = _on_host(
+            self._sense, shapes, self._values(params), world.qpos, world.qvel, world.warmstart, torque
+        )
         return self._readings(sensordata)
 
     def poses(self, params: Any, world: World) -> Poses:
         bodies = self.model.nbody
-        return Poses(*_on_host(self._locate, ((bodies, 3), (bodies, 3, 3)), self._values(params), world.qpos))
+        shapes = (bodies, 3), (bodies, 3, 3)
+        position, rotation = _on_host(self._locate, shapes, self._values(params), world.qpos)
+        return Poses(position, rotation)
 
     def rollout(
         self, params: Any, world: World, torque: Float[AnyArray, "*worlds steps joints"]
@@ -63,10 +69,12 @@ class Native(MujocoPhysics):
         worlds = world.qpos.shape[:-1]
         values = np.asarray(self._values(params), np.float64)
         torque = np.clip(np.asarray(torque, np.float64), -values[-1], values[-1])
-        rows = [np.asarray(x, np.float64).reshape(-1, x.shape[-1]) for x in world[:3]]
-        rows.insert(0, np.broadcast_to(values, (len(rows[0]), len(values))))
+        state = world.qpos, world.qvel, world.warmstart
+        qpos, qvel, warmstart = (np.asarray(x, np.float64).reshape(-1, x.shape[-1]) for x in state)
+        torque = torque.reshape(-1, *torque.shape[-2:])
         with _alone():
-            states, sensordata = self._simulate(*rows, torque.reshape(-1, *torque.shape[-2:]), torque.shape[-2])
+            values = np.broadcast_to(values, (len(torque), len(values)))
+            states, sensordata = self._simulate(values, qpos, qvel, warmstart, torque, torque.shape[1])
         states = states.reshape(*worlds, *states.shape[1:])
         readings = self._readings(sensordata.reshape(*worlds, *sensordata.shape[1:]))
         return (*self._split(states), readings)
@@ -92,7 +100,13 @@ class Native(MujocoPhysics):
         return Stages(world, world.qpos[-joints:], world.qvel[-joints:], matrix, bias, torque_for)
 
     def _advance(
-        self, steps: int, values: np.ndarray, qpos: np.ndarray, qvel: np.ndarray, warmstart: np.ndarray, torque: Any
+        self,
+        steps: int,
+        values: np.ndarray,
+        qpos: np.ndarray,
+        qvel: np.ndarray,
+        warmstart: np.ndarray,
+        torque: np.ndarray,
     ) -> tuple[np.ndarray, ...]:
         """State and acceleration after so many steps under the same torque."""
         states, _ = self._simulate(values, qpos, qvel, warmstart, torque[:, None], steps)
@@ -100,9 +114,10 @@ class Native(MujocoPhysics):
         before = self._split(states[:, -2])[1] if steps > 1 else qvel
         return moved, speed, (speed - before) / self.step_s
 
-    def _sense(self, *state: np.ndarray) -> tuple[np.ndarray]:
-        *state, torque = state
-        return (self._simulate(*state, torque[:, None], 1)[1][:, 0],)
+    def _sense(
+        self, values: np.ndarray, qpos: np.ndarray, qvel: np.ndarray, warmstart: np.ndarray, torque: np.ndarray
+    ) -> tuple[np.ndarray]:
+        return (self._simulate(values, qpos, qvel, warmstart, torque[:, None], 1)[1][:, 0],)
 
     def _dynamics(self, values: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Mass matrix and bias of each world."""
@@ -130,10 +145,13 @@ class Native(MujocoPhysics):
         qpos: Float[np.ndarray, "worlds nq"],
         qvel: Float[np.ndarray, "worlds nv"],
         warmstart: Float[np.ndarray, "worlds nv"],
-        torque: Float[np.ndarray, "worlds #steps joints"],
+        torque: Float[np.ndarray, "worlds held joints"],
         steps: int,
     ) -> tuple[Float[np.ndarray, "worlds steps nstate"], Float[np.ndarray, "worlds steps sensors"]]:
-        """States (time, positions, velocities) after every step and sensors before it, in groups of few models."""
+        """States (time, positions, velocities) after every step and sensors before it, in groups of few models.
+
+        `torque` is of every step, or one for all.
+        """
         team = _team(self.model)
         initial = np.concatenate([np.zeros((len(qpos), 1)), qpos, qvel], axis=-1)
         states = np.empty((len(qpos), steps, initial.shape[-1]))
@@ -167,9 +185,6 @@ class _Team:
         self.rollout = Rollout(nthread=threads)
         self.data = [mujoco.MjData(base) for _ in range(threads)]
         self.room = max(1, MODELS_BYTES // base.nbuffer)
-        self._below = np.eye(base.nbody)
-        for body in range(base.nbody - 1, 0, -1):
-            self._below[base.body_parentid[body]] += self._below[body]
         self._damped = base.dof_damping > 0
         self._tuned: dict[bytes, mujoco.MjModel] = {}
         self._bare = copy(base)
@@ -201,7 +216,7 @@ class _Team:
         mass = factors * base.body_mass
         model.body_mass[:] = mass
         model.body_inertia[:] = factors[:, None] * base.body_inertia
-        model.body_subtreemass[:] = self._below @ mass
+        model.body_subtreemass[:] = below(base) @ mass
         model.dof_damping[self._damped] = damping
         model.pair_friction[:, :2] = friction
         model.actuator_ctrlrange[:] = -torque_limit, torque_limit

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from humanoid_mjx.physics import make_physics
 
@@ -55,14 +56,15 @@ def test_places_of_the_links():
     np.testing.assert_allclose(ours.rotation[:, 1:], native.rotation[:, rows[1:]], atol=1e-12)
 
 
-def test_what_a_model_asks_for_is_what_moves_it():
-    wanted = jnp.array(TORQUE)
-    for physics in (CHAIN, MJX, NATIVE):
+@pytest.mark.parametrize("physics", [CHAIN, MJX, NATIVE], ids=lambda physics: type(physics).__name__)
+def test_what_a_model_asks_for_is_what_moves_it(physics):
+    """One mass factor for the robot, or one for each link."""
 
-        def step(qpos, wanted, physics=physics):
-            params = physics.params._replace(mass=1.7, torque_limit=1e6)
-            world = physics.start(params, qpos, 0 * qpos)
-            return physics.step(params, world, lambda stages: stages.torque_for(wanted, 1.7))[0].qvel
+    def step(qpos, wanted, mass):
+        params = physics.params._replace(mass=mass, torque_limit=1e6)
+        world = physics.start(params, qpos, 0 * qpos)
+        return physics.step(params, world, lambda stages: stages.torque_for(wanted, mass))[0].qvel
 
-        qvel = jax.jit(jax.vmap(step))(QPOS, wanted)
-        np.testing.assert_allclose(qvel, wanted * CHAIN.timestep, atol=1e-10)
+    for mass in (jnp.float64(1.7), jnp.linspace(0.7, 1.7, 10)):
+        qvel = jax.jit(jax.vmap(step, in_axes=(0, 0, None)))(QPOS, jnp.array(TORQUE), mass)
+        np.testing.assert_allclose(qvel, TORQUE * CHAIN.timestep, atol=1e-10)
