@@ -250,7 +250,7 @@ def test_nothing_a_body_can_do_counts_as_diverged():
     ("name", "options", "sentence"),
     [
         ("mjx", {}, "physics.name: unknown physics 'mjx'; did you mean 'mjx-jax'? known are chain, mjx-jax, "),
-        ("mujoco", {"robot": "arm"}, "physics.robot must be one of 'lower_body' or 'legs', got 'arm'."),
+        ("mujoco", {"robot": "arm"}, "physics.robot must be one of 'lower_body', 'legs' or 'leg', got 'arm'."),
         ("mujoco", {"ranges": "wide"}, "physics.ranges must be one of 'proposed' or 'human', got 'wide'."),
         ("mjx-jax", {"timestep": 0.0}, "physics.timestep must be greater than 0.0, got 0.0."),
         ("mjx-jax", {"step": 0.1}, "physics.step: unknown key; did you mean 'timestep'? known are damping, friction, "),
