@@ -6,6 +6,7 @@ weights towards them. Where a task has several joints Q is the mean of a value f
 "Solving Continuous Control via Q-Learning", 2023), so that the best action is the best choice of every joint.
 """
 
+from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
 import jax
@@ -16,14 +17,12 @@ from pydantic import Field
 
 from humanoid_mjx.learners import exploration
 from humanoid_mjx.learners.base import Learner
+from humanoid_mjx.learners.evaluation import evaluate
 from humanoid_mjx.learners.normalisation import Moments, moments, observe
 from humanoid_mjx.learners.targets import lambda_targets
 from humanoid_mjx.tasks.continuous import ContinuousTask, State, Tabulated, auto_reset
 from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
-
-MAX_EVALUATION_STEPS = 100_000
-"""A greedy episode is given up after so many steps, should its task never truncate."""
 
 
 class Weights(NamedTuple):
@@ -74,7 +73,7 @@ class ApproximateQ(Learner):
     unit: ClassVar[str] = "steps"
 
     task: FiniteTask | ContinuousTask = Field(exclude=True, repr=False)
-    epsilon: float = Field(1.0, ge=0, le=1)
+    epsilon: float = Field(1.0, ge=0, le=1, description="of each joint by itself")
     epsilon_decay: float = Field(0.99, ge=0, le=1, description="per episode of an environment")
     epsilon_min: float = Field(0.02, ge=0, le=1)
     ladder: float = Field(0.0, ge=0, le=100, description="epsilon is raised to 1 ... 1 + ladder over the environments")
@@ -209,28 +208,7 @@ class ApproximateQ(Learner):
 
     def evaluate(self, hyper: Params, policy: Weights, key: Key[Array, ""]) -> dict[str, FloatScalar]:
         """Means over `evaluation_envs` greedy episodes: `greedy_return`, `greedy_steps`, `greedy_success`."""
-        reset_key, key = jax.random.split(key)
-        reset = jax.vmap(self.world.reset, in_axes=(None, 0))
-        state = reset(hyper.task, jax.random.split(reset_key, self.evaluation_envs))
-        zero = jnp.zeros(self.evaluation_envs)
-
-        def running(loop: tuple) -> BoolScalar:
-            _, over, _, _, _, step = loop
-            return ~over.all() & (step < MAX_EVALUATION_STEPS)
-
-        def body(loop: tuple) -> tuple:
-            state, over, total, steps, success, step = loop
-            act_key, step_key = jax.random.split(jax.random.fold_in(key, step))
-            action = self.act(hyper, policy, state.obs, act_key)
-            step_keys = jax.random.split(step_key, self.evaluation_envs)
-            state = jax.vmap(self.world.step, in_axes=(None, 0, 0, 0))(hyper.task, state, action, step_keys)
-            total, steps = total + jnp.where(over, 0.0, state.reward), steps + ~over
-            success = jnp.where(over, success, state.success)
-            return state, over | state.over, total, steps, success, step + 1
-
-        first = state, zero > 0, zero, zero, zero > 0, jnp.int32(0)
-        _, _, total, steps, success, _ = jax.lax.while_loop(running, body, first)
-        return {"greedy_return": total.mean(), "greedy_steps": steps.mean(), "greedy_success": success.mean()}
+        return evaluate(self.world, hyper.task, partial(self.act, hyper, policy), self.evaluation_envs, key)
 
     def _collect(
         self, hyper: Params, carry: Carry, allowed: Bool[Array, "joints choices"], key: Key[Array, ""]
@@ -252,7 +230,7 @@ class ApproximateQ(Learner):
             sums = {"episodes": over, "steps": over * length, "success": over & state.success, "return": over * total}
             sums = {name: jnp.sum(x, dtype=jnp.float32) for name, x in (sums | state.metrics).items()}
             state = jax.vmap(auto_reset, in_axes=(None, None, 0, 0))(self.world, hyper.task, state, reset_keys)
-            holding = holding._replace(steps_left=jnp.where(over, 0, holding.steps_left))
+            holding = holding._replace(steps_left=jnp.where(over[:, None], 0, holding.steps_left))
             workers = Workers(state, holding, workers.episode + over, length * ~over, total * ~over)
             return workers, (seen, sums)
 

@@ -17,9 +17,9 @@ from jaxtyping import Array, Float
 from pydantic import Field, model_validator
 
 from humanoid_mjx.mechanics.contacts import Contacts, rigid_points
-from humanoid_mjx.physics.base import MAX_SPEED, Controller, Poses, Readings, Stages, World
-from humanoid_mjx.physics.model import MujocoPhysics
-from humanoid_mjx.types import AnyArray, BoolScalar, FloatScalar, IntScalar
+from humanoid_mjx.physics.base import Controller, Poses, Readings, Stages, World
+from humanoid_mjx.physics.model import MujocoPhysics, below, freeze_if_diverged
+from humanoid_mjx.types import AnyArray, IntScalar, MassFactor
 
 SOLVER_ITERATIONS = {"jax": 4, "warp": 30}
 LINE_SEARCH_ITERATIONS = 8
@@ -46,24 +46,11 @@ class MjxJax(MujocoPhysics):
 
     implementation: ClassVar[Literal["jax", "warp"]] = "jax"
 
-    def start(self, params: Any, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]) -> World:
-        qvel = jnp.array(qvel, float)
-        return World(jnp.array(qpos, float), qvel, jnp.zeros_like(qvel), jnp.bool_(False))
-
-    def reset(
-        self,
-        params: Any,
-        world: World,
-        mask: BoolScalar,
-        qpos: Float[AnyArray, " nq"],
-        qvel: Float[AnyArray, " nv"],
-    ) -> World:
-        return _where(mask, self.start(params, qpos, qvel), world)
-
     def step(
         self, params: Any, world: World, controller: Controller, substeps: int = 1
     ) -> tuple[World, Float[Array, " joints"]]:
         model, blank = self._put(params), self._blank_data()
+        push = self._pushes(params)
         limit = jnp.asarray(params.torque_limit, float)
 
         def ask(data: Any, world: World) -> Float[Array, " joints"]:
@@ -76,16 +63,16 @@ class MjxJax(MujocoPhysics):
             world, torque = carry
             data = self._at(model, blank, world)
             torque = jax.lax.cond(index == 0, lambda: ask(data, world), lambda: torque)
-            return (_advance(model, data.replace(ctrl=torque)), torque), None
+            return (_advance(model, data.replace(ctrl=torque, qfrc_applied=push)), torque), None
 
         if substeps == 1:
             data = self._at(model, blank, world)
             torque = ask(data, world)
-            new = _advance(model, data.replace(ctrl=torque))
+            new = _advance(model, data.replace(ctrl=torque, qfrc_applied=push))
         else:
             held = jnp.zeros(self.model.nu)
             (new, torque), _ = jax.lax.scan(substep, (world, held), jnp.arange(substeps))
-        return _freeze_if_diverged(world, new), torque
+        return freeze_if_diverged(world, new), torque
 
     def sensors(self, params: Any, world: World, torque: Float[AnyArray, " joints"]) -> Readings:
         model = self._put(params)
@@ -104,14 +91,21 @@ class MjxJax(MujocoPhysics):
         model, _ = _mjx_arrays(self.model, self.implementation, jax.config.jax_enable_x64)
         model = jax.tree.map(jnp.asarray, model)
         limits = jnp.asarray([-params.torque_limit, params.torque_limit], float)
+        factors = self.mass_factors(params.mass)
+        body_mass = model.body_mass * factors
         return model.replace(
-            body_mass=model.body_mass * params.mass,
-            body_inertia=model.body_inertia * params.mass,
-            body_subtreemass=model.body_subtreemass * params.mass,
+            body_mass=body_mass,
+            body_inertia=model.body_inertia * factors[:, None],
+            body_subtreemass=below(self.model) @ body_mass,
             dof_damping=jnp.where(model.dof_damping > 0, jnp.asarray(params.damping, float), 0.0),
             pair_friction=model.pair_friction.at[:, :2].set(params.friction),
             actuator_ctrlrange=jnp.broadcast_to(limits, model.actuator_ctrlrange.shape),
         )
+
+    def _pushes(self, params: Any) -> Float[Array, " nv"]:
+        """The forces on the degrees of freedom that are not the motors'."""
+        none = jnp.zeros(self.model.nv)
+        return none.at[:3].set(jnp.stack(list(params.push))) if self.torso == "free" else none
 
     def _blank_data(self) -> Any:
         """An mjx.Data without a state. It is rebuilt in every step, so that loops carry nothing but a `World`."""
@@ -129,8 +123,12 @@ class MjxJax(MujocoPhysics):
         joints = self.model.nu
         matrix, bias = mass_matrix(self.model, data), data.qfrc_bias - data.qfrc_passive
 
-        def torque_for(qacc: Float[Array, " joints"], mass: FloatScalar) -> Float[Array, " joints"]:
-            return (mass / params.mass) * (matrix[-joints:, -joints:] @ qacc + bias[-joints:])
+        def torque_for(qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
+            if jnp.ndim(mass) == jnp.ndim(params.mass) == 0:
+                return (mass / params.mass) * (matrix[-joints:, -joints:] @ qacc + bias[-joints:])
+            other = self._at(self._put(params._replace(mass=mass)), data, world)
+            bias_of = other.qfrc_bias - other.qfrc_passive
+            return mass_matrix(self.model, other)[-joints:, -joints:] @ qacc + bias_of[-joints:]
 
         def contacts() -> Contacts:
             corners, moved_by = self.ground_points
@@ -195,13 +193,3 @@ def _advance(model: Any, data: Any) -> World:
     """One time step of semi-implicit Euler from where the position and velocity stages are."""
     data = mjx.step(model, data) if model.impl.value == "warp" else mjx.euler(model, _accelerate(model, data))
     return World(data.qpos, data.qvel, data.qacc_warmstart, jnp.bool_(False))
-
-
-def _freeze_if_diverged(old: World, new: World) -> World:
-    sound = jnp.isfinite(new.qpos).all() & (jnp.abs(new.qvel) <= MAX_SPEED).all()
-    stays = old.diverged | ~sound
-    return _where(stays, old._replace(diverged=jnp.bool_(True)), new)
-
-
-def _where(mask: BoolScalar, chosen: World, other: World) -> World:
-    return jax.tree.map(lambda a, b: jnp.where(mask, a, b), chosen, other)

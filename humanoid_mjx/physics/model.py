@@ -2,24 +2,26 @@
 """What the physics built on MuJoCo's models have in common: which robot, its model, its traced values."""
 
 from functools import lru_cache
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from pydantic import Field
 
-from humanoid_mjx.physics.base import Physics, Readings
+from humanoid_mjx.physics.base import MAX_SPEED, Physics, Readings, World
 from humanoid_mjx.robot import lower_body as body
 from humanoid_mjx.robot import robot_spec
 from humanoid_mjx.robot.ranges import TORQUE_LIMIT
-from humanoid_mjx.types import AnyArray, FloatScalar
+from humanoid_mjx.types import AnyArray, BoolScalar, FloatScalar, MassFactor
 
 
 class MujocoPhysics(Physics):
     """A robot as a MuJoCo model."""
 
-    robot: Literal["lower_body", "legs"] = "lower_body"
+    robot: Literal["lower_body", "legs", "leg"] = "lower_body"
     torso: body.Torso = "free"
     ranges: body.Ranges = "proposed"
     timestep: float | None = Field(None, gt=0, le=0.02, description="s; by default the robot's own")
@@ -28,11 +30,15 @@ class MujocoPhysics(Physics):
     damping: float = Field(body.DAMPING, ge=0, description="of the lower body's joints, N m s/rad")
     torque_limit: float = Field(TORQUE_LIMIT, gt=0, description="of the motors, N m")
 
+    push: tuple[float, float, float] = Field((0.0, 0.0, 0.0), description="steady force on a free torso, N, world")
+
     class Params(NamedTuple):
-        mass: FloatScalar
+        mass: MassFactor
         friction: FloatScalar
         damping: FloatScalar
         torque_limit: FloatScalar
+        push: Any
+        """(3,) N, in the world; it acts at the torso's origin, midway between the hips."""
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -64,6 +70,13 @@ class MujocoPhysics(Physics):
         """The balls of the feet that can touch the ground, z = 0: their geoms, and which velocities move them."""
         return _ground_points(self.model)
 
+    def mass_factors(self, mass: MassFactor) -> Float[AnyArray, " bodies"]:
+        """The factor on each body's mass and inertia. Factors of links leave the torso as it is."""
+        if np.ndim(mass) == 0:
+            return jnp.full(self.model.nbody, mass, float)
+        links = self.model.jnt_bodyid[self.model.actuator_trnid[:, 0]]
+        return jnp.ones(self.model.nbody).at[links].set(mass)
+
     def _readings(self, sensordata: Float[AnyArray, "*worlds sensors"]) -> Readings:
         """MuJoCo's sensor array, in the order in which the robot declares its sensors."""
         joints = self.model.nu
@@ -74,10 +87,40 @@ class MujocoPhysics(Physics):
             foot_contact=sensordata[..., joints + 6 :],
         )
 
+    def start(self, params: Any, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]) -> World:
+        qvel = jnp.array(qvel, float)
+        return World(jnp.array(qpos, float), qvel, jnp.zeros_like(qvel), jnp.bool_(False))
+
+    def reset(
+        self, params: Any, world: World, mask: BoolScalar, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]
+    ) -> World:
+        return _where(mask, self.start(params, qpos, qvel), world)
+
+
+def freeze_if_diverged(old: World, new: World) -> World:
+    """`new`, or where it has diverged `old` with the flag set."""
+    sound = jnp.isfinite(new.qpos).all() & (jnp.abs(new.qvel) <= MAX_SPEED).all()
+    stays = old.diverged | ~sound
+    return _where(stays, old._replace(diverged=jnp.bool_(True)), new)
+
+
+def _where(mask: BoolScalar, chosen: World, other: World) -> World:
+    return jax.tree.map(lambda a, b: jnp.where(mask, a, b), chosen, other)
+
+
+@lru_cache
+def below(model: mujoco.MjModel) -> Float[np.ndarray, "bodies bodies"]:
+    """1 where the column's body is the row's, or hangs on it."""
+    rows = np.eye(model.nbody, dtype=np.float32)
+    for index in range(model.nbody - 1, 0, -1):
+        rows[model.body_parentid[index]] += rows[index]
+    return rows
+
 
 @lru_cache
 def _model(robot: str, torso: str, ranges: str, timestep: float | None) -> mujoco.MjModel:
-    return robot_spec(robot, torso=torso, ranges=ranges, timestep=timestep).compile()
+    with jax.ensure_compile_time_eval():
+        return robot_spec(robot, torso=torso, ranges=ranges, timestep=timestep).compile()
 
 
 @lru_cache

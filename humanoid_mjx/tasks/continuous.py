@@ -62,6 +62,17 @@ class ContinuousTask(Task):
         """One decision carried out. No reset follows here; `auto_reset` adds it."""
         raise NotImplementedError
 
+    def step_continuous(
+        self, params: Any, state: State, command: Float[Array, " joints"], key: Key[Array, ""]
+    ) -> State:
+        """`step` for numbers in [-1, 1], one a joint: the nearest choices; choice k of n is `linspace(-1, 1, n)[k]`.
+
+        A task whose choices stand for such numbers carries out the numbers themselves.
+        """
+        last = np.array(self.action_choices) - 1
+        action = jnp.round((jnp.clip(command, -1.0, 1.0) + 1.0) * 0.5 * last).astype(jnp.int32)
+        return self.step(params, state, action, key)
+
 
 def begin(data: Any, obs: Float[Array, " observation_size"], terms: tuple[str, ...]) -> State:
     """The state of an episode in which nothing has happened."""

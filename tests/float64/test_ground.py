@@ -14,6 +14,7 @@ from humanoid_mjx.control.ground import constrained_dynamics, eliminate
 from humanoid_mjx.physics import make_physics
 
 FREE = make_physics("mjx-jax", ranges="human")
+NATIVE = make_physics("mujoco", ranges="human")
 KP, KD = np.linspace(60.0, 80.0, 10), np.linspace(30.0, 38.0, 10)
 """Like those of Table 5.1: two real poles each."""
 
@@ -61,6 +62,8 @@ def test_contacts_are_mujocos(seed):
         np.testing.assert_allclose(contacts.position[i], lowest, atol=1e-12)
         np.testing.assert_allclose(contacts.jacobian[i], jacobian, atol=1e-12)
         np.testing.assert_allclose(contacts.drift[i], rate @ qvel, atol=1e-12)
+    for ours, others in zip(contacts, look(NATIVE, qpos, qvel)["contacts"], strict=True):
+        np.testing.assert_allclose(ours, others, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["chain", "mjx-jax"])
