@@ -8,7 +8,7 @@ All others are *static*: they shape the program.
 import difflib
 import importlib
 from collections.abc import Iterable, Mapping
-from typing import Any, ClassVar, NamedTuple, TypeVar
+from typing import Any, ClassVar, NamedTuple, TypeVar, get_args
 
 import pydantic
 
@@ -85,7 +85,7 @@ def sentence(error: pydantic.ValidationError, where: str, model: type[pydantic.B
     got = f", got {fault['input']!r}"
     match fault["type"]:
         case "extra_forbidden":
-            fields = [n for n, f in (model.model_fields if model else {}).items() if not f.exclude]
+            fields = [n for n, f in _fields(model, fault["loc"][:-1]).items() if not f.exclude]
             return f"{key}: unknown key; {known(str(fault['loc'][-1]), fields)}."
         case "missing":
             return f"{key}: this key is required."
@@ -105,3 +105,12 @@ def sentence(error: pydantic.ValidationError, where: str, model: type[pydantic.B
         case _:
             message = fault["msg"].removeprefix("Input should be ")
             return f"{key} must be {message}{got}."
+
+
+def _fields(model: type[pydantic.BaseModel] | None, place: Iterable[Any]) -> Mapping[str, Any]:
+    """The fields of the model that stands at `place` inside `model`."""
+    for name in place:
+        kinds = (model.model_fields[name].annotation,) if model else ()
+        kinds = [kind for outer in kinds for kind in (outer, *get_args(outer))]
+        model = next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, pydantic.BaseModel)), None)
+    return model.model_fields if model else {}

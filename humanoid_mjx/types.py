@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     IntScalar: TypeAlias = Any
     BoolScalar: TypeAlias = Any
     Device: TypeAlias = Any
+    MassFactor: TypeAlias = Any
     AnyArray: TypeAlias = Any
 else:
     import numpy as np
@@ -20,3 +21,5 @@ else:
     IntScalar = Int[Array, ""] | int
     BoolScalar = Bool[Array, ""] | bool
     AnyArray = Array | np.ndarray
+    MassFactor = FloatScalar | Float[AnyArray, " joints"]
+    """A number for the whole robot, or one for the link behind each actuated joint."""

@@ -73,7 +73,7 @@ class ApproximateQ(Learner):
     unit: ClassVar[str] = "steps"
 
     task: FiniteTask | ContinuousTask = Field(exclude=True, repr=False)
-    epsilon: float = Field(1.0, ge=0, le=1)
+    epsilon: float = Field(1.0, ge=0, le=1, description="of each joint by itself")
     epsilon_decay: float = Field(0.99, ge=0, le=1, description="per episode of an environment")
     epsilon_min: float = Field(0.02, ge=0, le=1)
     ladder: float = Field(0.0, ge=0, le=100, description="epsilon is raised to 1 ... 1 + ladder over the environments")
@@ -230,7 +230,7 @@ class ApproximateQ(Learner):
             sums = {"episodes": over, "steps": over * length, "success": over & state.success, "return": over * total}
             sums = {name: jnp.sum(x, dtype=jnp.float32) for name, x in (sums | state.metrics).items()}
             state = jax.vmap(auto_reset, in_axes=(None, None, 0, 0))(self.world, hyper.task, state, reset_keys)
-            holding = holding._replace(steps_left=jnp.where(over, 0, holding.steps_left))
+            holding = holding._replace(steps_left=jnp.where(over[:, None], 0, holding.steps_left))
             workers = Workers(state, holding, workers.episode + over, length * ~over, total * ~over)
             return workers, (seen, sums)
 

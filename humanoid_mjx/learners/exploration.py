@@ -8,14 +8,14 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 
 class Holding(NamedTuple):
-    """The random action that each environment still carries out."""
+    """The random choices that each environment still carries out."""
 
-    steps_left: Int[Array, " envs"]
+    steps_left: Int[Array, "envs joints"]
     action: Int[Array, "envs joints"]
 
 
 def no_holding(envs: int, joints: int) -> Holding:
-    return Holding(jnp.zeros(envs, jnp.int32), jnp.zeros((envs, joints), jnp.int32))
+    return Holding(*jnp.zeros((2, envs, joints), jnp.int32))
 
 
 def epsilons(hyper: Any, episode: Int[Array, " envs"]) -> Float[Array, " envs"]:
@@ -45,15 +45,16 @@ def explore(
     holding: Holding,
     key: Key[Array, ""],
 ) -> tuple[Int[Array, "envs joints"], Holding]:
-    """Epsilon-greedy actions. A random one is held for 1 to `hold` steps, drawn evenly (W. Dabney et al., "Temporally-
-    Extended epsilon-Greedy Exploration", 2021, with another distribution of lengths)."""
-    envs, _ = best.shape
+    """Epsilon-greedy actions: each joint by itself takes a random choice with probability epsilon.
+
+    It is held for 1 to `hold` steps, drawn evenly (W. Dabney et al., "Temporally-Extended epsilon-Greedy Exploration",
+    2021, with another distribution of lengths).
+    """
     start_key, action_key, length_key = jax.random.split(key, 3)
-    starts = (holding.steps_left == 0) & (jax.random.uniform(start_key, (envs,)) < epsilon)
-    draws = jax.random.uniform(action_key, (envs, *allowed.shape))
+    starts = (holding.steps_left == 0) & (jax.random.uniform(start_key, best.shape) < epsilon[:, None])
+    draws = jax.random.uniform(action_key, (len(best), *allowed.shape))
     random = jnp.argmax(jnp.where(allowed, draws, -1.0), axis=-1)
-    length = jax.random.randint(length_key, (envs,), 1, hold + 1)
+    length = jax.random.randint(length_key, best.shape, 1, hold + 1)
     steps_left = jnp.where(starts, length, holding.steps_left)
-    held = jnp.where(starts[:, None], random, holding.action)
-    action = jnp.where((steps_left > 0)[:, None], held, best)
-    return action, Holding(jnp.maximum(steps_left - 1, 0), held)
+    held = jnp.where(starts, random, holding.action)
+    return jnp.where(steps_left > 0, held, best), Holding(jnp.maximum(steps_left - 1, 0), held)

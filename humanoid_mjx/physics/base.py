@@ -45,8 +45,9 @@ class Stages(NamedTuple):
     bias: Float[AnyArray, "*worlds nv"]
     """Velocity term, gravity and the joints' damping."""
     torque_for: Callable[[Any, Any], Any]
-    """(accelerations of the joints, rad/s^2, a model's mass factor) -> the torques that the model asks for, N m. Where
-    the torso is free it takes it for held, and knows of no contacts."""
+    """(accelerations of the joints, rad/s^2, a model's mass factor) -> the torques that the model asks for, N m. The
+    factor is a number, or one for each joint's link. Where the torso is free it takes it for held, and knows of no
+    contacts."""
 
 
 class Readings(NamedTuple):

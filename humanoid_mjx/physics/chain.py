@@ -19,16 +19,16 @@ from humanoid_mjx.physics.base import MAX_SPEED, Controller, Physics, Poses, Rea
 from humanoid_mjx.robot.leg import FRAME_0, MIRROR, Leg
 from humanoid_mjx.robot.ranges import TORQUE_LIMIT, joint_ranges
 from humanoid_mjx.thesis.leg import GRAVITY, JOINT_NAMES
-from humanoid_mjx.types import AnyArray, BoolScalar, FloatScalar
+from humanoid_mjx.types import AnyArray, BoolScalar, FloatScalar, MassFactor
 
 SIDES = ("right", "left")
 LEG = len(JOINT_NAMES)
 
 
 class ChainPhysics(Physics):
-    """Both legs in the air; joints in the order right leg, left leg."""
+    """Both legs in the air, or the right one alone; joints in the order right leg, left leg."""
 
-    robot: Literal["legs"] = "legs"
+    robot: Literal["legs", "leg"] = "legs"
     parameters: Literal["physical", "thesis", "matlab_script"] = "physical"
     ranges: Literal["proposed", "human"] = "proposed"
     timestep: float = Field(0.002, gt=0, le=0.02, description="s")
@@ -36,7 +36,7 @@ class ChainPhysics(Physics):
     torque_limit: float = Field(TORQUE_LIMIT, gt=0, description="of the motors, N m")
 
     class Params(NamedTuple):
-        mass: FloatScalar
+        mass: MassFactor
         torque_limit: FloatScalar
 
     @property
@@ -45,19 +45,24 @@ class ChainPhysics(Physics):
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        return tuple(f"{side}_{joint}" for side in SIDES for joint in JOINT_NAMES)
+        return tuple(f"{side}_{joint}" for side in self.sides for joint in JOINT_NAMES)
 
     @property
     def body_names(self) -> tuple[str, ...]:
-        return ("torso", *(f"{side}_link{i + 1}" for side in SIDES for i in range(LEG)))
+        return ("torso", *(f"{side}_link{i + 1}" for side in self.sides for i in range(LEG)))
 
     @property
     def joint_ranges(self) -> Float[np.ndarray, "joints 2"]:
-        return np.tile(np.asarray(joint_ranges(self.ranges)), (2, 1))
+        return np.tile(joint_ranges(self.ranges), (len(self.sides), 1))
 
     @property
     def qpos0(self) -> Float[np.ndarray, " nq"]:
-        return np.zeros(2 * LEG)
+        return np.zeros(len(self.sides) * LEG)
+
+    @property
+    def sides(self) -> tuple[str, ...]:
+        """The legs that there are."""
+        return SIDES if self.robot == "legs" else SIDES[:1]
 
     @property
     def leg(self) -> Leg:
@@ -93,26 +98,27 @@ class ChainPhysics(Physics):
 
     def sensors(self, params: Any, world: World, torque: Float[AnyArray, " joints"]) -> Readings:
         still = jnp.zeros(3, world.qpos.dtype)
-        return Readings(world.qpos, still, still.at[2].set(GRAVITY), still[:2])
+        return Readings(world.qpos, still, still.at[2].set(GRAVITY), still[: len(self.sides)])
 
     def poses(self, params: Any, world: World) -> Poses:
-        right, left = (frames(self.leg, q)[1:] for q in jnp.split(world.qpos, 2))
-        position = [FRAME_0 @ pose[:3, 3] for pose in right] + [MIRROR @ FRAME_0 @ pose[:3, 3] for pose in left]
-        rotation = [FRAME_0 @ pose[:3, :3] for pose in right]
-        rotation += [MIRROR @ FRAME_0 @ pose[:3, :3] @ MIRROR for pose in left]
-        return Poses(jnp.stack([jnp.zeros(3), *position]), jnp.stack([jnp.eye(3), *rotation]))
+        position, rotation = [jnp.zeros(3)], [jnp.eye(3)]
+        for mirror, q in zip((np.eye(3), MIRROR), _by_leg(world.qpos), strict=False):
+            for pose in frames(self.leg, q)[1:]:
+                position.append(mirror @ FRAME_0 @ pose[:3, 3])
+                rotation.append(mirror @ FRAME_0 @ pose[:3, :3] @ mirror)
+        return Poses(jnp.stack(position), jnp.stack(rotation))
 
     def _cycle(
         self, params: Any, world: World, controller: Controller, substeps: int
     ) -> tuple[World, Float[Array, " joints"]]:
-        leg, limit = self.leg.scaled(params.mass), params.torque_limit
+        limit = params.torque_limit
         torque = jnp.clip(controller(self._stages(params, world)), -limit, limit)
         dt = jnp.asarray(self.timestep, world.qpos.dtype)
 
         def move(world: World) -> World:
             legs = [
                 dynamics.semi_implicit_euler(leg, dynamics.State(qpos, qvel), held, dt)
-                for qpos, qvel, held in zip(*map(_halves, (world.qpos, world.qvel, torque)), strict=True)
+                for leg, qpos, qvel, held in self._each_leg(params.mass, world.qpos, world.qvel, torque)
             ]
             qpos, qvel = (jnp.concatenate(parts) for parts in zip(*legs, strict=True))
             return world._replace(qpos=qpos, qvel=qvel)
@@ -121,16 +127,20 @@ class ChainPhysics(Physics):
         return new, torque
 
     def _stages(self, params: Any, world: World) -> Stages:
-        def torque_for(qacc: Float[Array, " joints"], mass: FloatScalar) -> Float[Array, " joints"]:
-            leg = self.leg.scaled(mass)
-            parts = zip(*map(_halves, (world.qpos, world.qvel, qacc)), strict=True)
-            return jnp.concatenate([dynamics.inverse_dynamics(leg, *part) for part in parts])
+        def torque_for(qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
+            legs = self._each_leg(mass, world.qpos, world.qvel, qacc)
+            return jnp.concatenate([dynamics.inverse_dynamics(*leg) for leg in legs])
 
-        leg = self.leg.scaled(params.mass)
-        both = [dynamics.mass_matrix_and_bias(leg, q, v) for q, v in zip(*map(_halves, world[:2]), strict=True)]
-        (right, right_bias), (left, left_bias) = both
-        matrix = jax.scipy.linalg.block_diag(right, left)
-        return Stages(world, world.qpos, world.qvel, matrix, jnp.concatenate([right_bias, left_bias]), torque_for)
+        parts = [dynamics.mass_matrix_and_bias(*leg) for leg in self._each_leg(params.mass, world.qpos, world.qvel)]
+        matrices, biases = zip(*parts, strict=True)
+        matrix = jax.scipy.linalg.block_diag(*matrices)
+        return Stages(world, world.qpos, world.qvel, matrix, jnp.concatenate(biases), torque_for)
+
+    def _each_leg(self, mass: MassFactor, *joints: Float[Array, " joints"]) -> list[tuple[Any, ...]]:
+        """For each leg: its chain, and its own part of the arrays."""
+        factors = _by_leg(mass) if jnp.ndim(mass) else [mass] * len(self.sides)
+        chains = [self.leg.scaled(factor) for factor in factors]
+        return list(zip(chains, *map(_by_leg, joints), strict=True))
 
 
 def _freeze_if_diverged(old: World, new: World) -> World:
@@ -140,8 +150,8 @@ def _freeze_if_diverged(old: World, new: World) -> World:
     return jax.tree.map(lambda old, new: jnp.where(stays, old, new), frozen, new)
 
 
-def _halves(x: Float[Array, " joints"]) -> list[Float[Array, " leg"]]:
-    return jnp.split(x, 2)
+def _by_leg(x: Float[Array, " joints"]) -> list[Float[Array, " leg"]]:
+    return jnp.split(x, x.shape[0] // LEG)
 
 
 @lru_cache

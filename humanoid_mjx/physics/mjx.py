@@ -18,7 +18,7 @@ from pydantic import Field, model_validator
 
 from humanoid_mjx.physics.base import MAX_SPEED, Controller, Poses, Readings, Stages, World
 from humanoid_mjx.physics.model import MujocoPhysics
-from humanoid_mjx.types import AnyArray, BoolScalar, FloatScalar, IntScalar
+from humanoid_mjx.types import AnyArray, BoolScalar, IntScalar, MassFactor
 
 SOLVER_ITERATIONS = {"jax": 4, "warp": 30}
 LINE_SEARCH_ITERATIONS = 8
@@ -63,6 +63,7 @@ class MjxJax(MujocoPhysics):
         self, params: Any, world: World, controller: Controller, substeps: int = 1
     ) -> tuple[World, Float[Array, " joints"]]:
         model, blank = self._put(params), self._blank_data()
+        push = self._pushes(params)
         limit = jnp.asarray(params.torque_limit, float)
 
         def ask(data: Any, world: World) -> Float[Array, " joints"]:
@@ -75,12 +76,12 @@ class MjxJax(MujocoPhysics):
             world, torque = carry
             data = self._at(model, blank, world)
             torque = jax.lax.cond(index == 0, lambda: ask(data, world), lambda: torque)
-            return (_advance(model, data.replace(ctrl=torque)), torque), None
+            return (_advance(model, data.replace(ctrl=torque, qfrc_applied=push)), torque), None
 
         if substeps == 1:
             data = self._at(model, blank, world)
             torque = ask(data, world)
-            new = _advance(model, data.replace(ctrl=torque))
+            new = _advance(model, data.replace(ctrl=torque, qfrc_applied=push))
         else:
             held = jnp.zeros(self.model.nu)
             (new, torque), _ = jax.lax.scan(substep, (world, held), jnp.arange(substeps))
@@ -103,14 +104,21 @@ class MjxJax(MujocoPhysics):
         model, _ = _mjx_arrays(self.model, self.implementation, jax.config.jax_enable_x64)
         model = jax.tree.map(jnp.asarray, model)
         limits = jnp.asarray([-params.torque_limit, params.torque_limit], float)
+        factors = self.mass_factors(params.mass)
+        body_mass = model.body_mass * factors
         return model.replace(
-            body_mass=model.body_mass * params.mass,
-            body_inertia=model.body_inertia * params.mass,
-            body_subtreemass=model.body_subtreemass * params.mass,
+            body_mass=body_mass,
+            body_inertia=model.body_inertia * factors[:, None],
+            body_subtreemass=_below(self.model) @ body_mass,
             dof_damping=jnp.where(model.dof_damping > 0, jnp.asarray(params.damping, float), 0.0),
             pair_friction=model.pair_friction.at[:, :2].set(params.friction),
             actuator_ctrlrange=jnp.broadcast_to(limits, model.actuator_ctrlrange.shape),
         )
+
+    def _pushes(self, params: Any) -> Float[Array, " nv"]:
+        """The forces on the degrees of freedom that are not the motors'."""
+        none = jnp.zeros(self.model.nv)
+        return none.at[:3].set(jnp.stack(list(params.push))) if self.torso == "free" else none
 
     def _blank_data(self) -> Any:
         """An mjx.Data without a state. It is rebuilt in every step, so that loops carry nothing but a `World`."""
@@ -128,8 +136,12 @@ class MjxJax(MujocoPhysics):
         joints = self.model.nu
         matrix, bias = mass_matrix(self.model, data), data.qfrc_bias - data.qfrc_passive
 
-        def torque_for(qacc: Float[Array, " joints"], mass: FloatScalar) -> Float[Array, " joints"]:
-            return (mass / params.mass) * (matrix[-joints:, -joints:] @ qacc + bias[-joints:])
+        def torque_for(qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
+            if jnp.ndim(mass) == jnp.ndim(params.mass) == 0:
+                return (mass / params.mass) * (matrix[-joints:, -joints:] @ qacc + bias[-joints:])
+            other = self._at(self._put(params._replace(mass=mass)), data, world)
+            bias_of = other.qfrc_bias - other.qfrc_passive
+            return mass_matrix(self.model, other)[-joints:, -joints:] @ qacc + bias_of[-joints:]
 
         return Stages(world, world.qpos[-joints:], world.qvel[-joints:], matrix, bias, torque_for)
 
@@ -175,6 +187,15 @@ def _mjx_arrays(model: mujoco.MjModel, implementation: str, x64: bool) -> tuple[
         put = mjx.put_model(model, impl=implementation)
         data = mjx.make_data(model, impl=implementation) if implementation == "jax" else None
     return jax.tree.map(np.asarray, (put, data))
+
+
+@lru_cache
+def _below(model: mujoco.MjModel) -> Float[np.ndarray, "bodies bodies"]:
+    """1 where the column's body is the row's, or hangs on it."""
+    below = np.eye(model.nbody, dtype=np.float32)
+    for body in range(model.nbody - 1, 0, -1):
+        below[model.body_parentid[body]] += below[body]
+    return below
 
 
 def _accelerate(model: Any, data: Any) -> Any:

@@ -2,8 +2,9 @@
 """What the physics built on MuJoCo's models have in common: which robot, its model, its traced values."""
 
 from functools import lru_cache
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 from jaxtyping import Float
@@ -13,13 +14,13 @@ from humanoid_mjx.physics.base import Physics, Readings
 from humanoid_mjx.robot import lower_body as body
 from humanoid_mjx.robot import robot_spec
 from humanoid_mjx.robot.ranges import TORQUE_LIMIT
-from humanoid_mjx.types import AnyArray, FloatScalar
+from humanoid_mjx.types import AnyArray, FloatScalar, MassFactor
 
 
 class MujocoPhysics(Physics):
     """A robot as a MuJoCo model."""
 
-    robot: Literal["lower_body", "legs"] = "lower_body"
+    robot: Literal["lower_body", "legs", "leg"] = "lower_body"
     torso: body.Torso = "free"
     ranges: body.Ranges = "proposed"
     timestep: float | None = Field(None, gt=0, le=0.02, description="s; by default the robot's own")
@@ -28,11 +29,15 @@ class MujocoPhysics(Physics):
     damping: float = Field(body.DAMPING, ge=0, description="of the lower body's joints, N m s/rad")
     torque_limit: float = Field(TORQUE_LIMIT, gt=0, description="of the motors, N m")
 
+    push: tuple[float, float, float] = Field((0.0, 0.0, 0.0), description="steady force on a free torso, N, world")
+
     class Params(NamedTuple):
-        mass: FloatScalar
+        mass: MassFactor
         friction: FloatScalar
         damping: FloatScalar
         torque_limit: FloatScalar
+        push: Any
+        """(3,) N, in the world; it acts at the torso's origin, midway between the hips."""
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -58,6 +63,13 @@ class MujocoPhysics(Physics):
     @property
     def qpos0(self) -> Float[np.ndarray, " nq"]:
         return self.model.qpos0.copy()
+
+    def mass_factors(self, mass: MassFactor) -> Float[AnyArray, " bodies"]:
+        """The factor on each body's mass and inertia. Factors of links leave the torso as it is."""
+        if np.ndim(mass) == 0:
+            return jnp.full(self.model.nbody, mass, float)
+        links = self.model.jnt_bodyid[self.model.actuator_trnid[:, 0]]
+        return jnp.ones(self.model.nbody).at[links].set(mass)
 
     def _readings(self, sensordata: Float[AnyArray, "*worlds sensors"]) -> Readings:
         """MuJoCo's sensor array, in the order in which the robot declares its sensors."""

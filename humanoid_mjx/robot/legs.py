@@ -56,7 +56,7 @@ def legs_spec(
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     body = spec.worldbody.add_body(name="torso")
     body.add_site(name="imu", size=(0.003, 0.003, 0.003))
-    limits = np.asarray(joint_ranges(ranges), np.float64)
+    limits = joint_ranges(ranges)
     for side in sides:
         mirrored = side == "left"
         frame = MIRROR @ FRAME_0 @ MIRROR if mirrored else FRAME_0

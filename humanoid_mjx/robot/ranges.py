@@ -1,8 +1,7 @@
 """What the joints can do: their ranges by name, and the limit of their torque."""
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from humanoid_mjx.spec import InputError, known
 from humanoid_mjx.thesis import leg as thesis
@@ -12,7 +11,7 @@ TORQUE_LIMIT = 2.0
 hip's roll, and a squat on one leg with the thigh level 1.35 at the knee; 2.0 leaves a motion half as much again."""
 
 
-def joint_ranges(name: str = "proposed") -> Float[Array, "5 2"]:
+def joint_ranges(name: str = "proposed") -> Float[np.ndarray, "5 2"]:
     """Lowest and highest angle of each joint, rad: a column of Table 3.2, `proposed` or `human`.
 
     Raises:
@@ -20,4 +19,4 @@ def joint_ranges(name: str = "proposed") -> Float[Array, "5 2"]:
     """
     if name not in thesis.JOINT_RANGES:
         raise InputError(f"joint ranges: unknown name {name!r}; {known(name, thesis.JOINT_RANGES)}.")
-    return jnp.array(np.radians(thesis.JOINT_RANGES[name]))
+    return np.radians(thesis.JOINT_RANGES[name])

@@ -7,8 +7,10 @@ from humanoid_mjx.tasks.base import Task
 
 TASKS = {
     "joint_reach": "humanoid_mjx.tasks.joint_reach:JointReach",
+    "leg_reach": "humanoid_mjx.tasks.leg_reach:LegReach",
     "navigate": "humanoid_mjx.tasks.navigate:Navigate",
     "posture_switch": "humanoid_mjx.tasks.posture_switch:PostureSwitch",
+    "stand": "humanoid_mjx.tasks.stand:Stand",
 }
 
 

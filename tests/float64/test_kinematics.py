@@ -97,7 +97,7 @@ def test_both_elbows_of_the_straight_walk():
     other[:, 0], other[:, 3] = q[:, 0] - 2 * bend, -q[:, 3]
     other[:, 4] = q[:, 4] + 2 * q[:, 3] - 2 * bend
     assert joint_error(solutions, valid, other).max() < 1e-9, "the elbow mirrored at the line from hip to ankle"
-    ranges = joint_ranges("proposed").at[:, :].mul(3.0)
+    ranges = 3.0 * joint_ranges("proposed")
     assert ((valid & np.array(kinematics.within(ranges, jnp.array(solutions)))).sum(axis=1) == 1).all()
 
 

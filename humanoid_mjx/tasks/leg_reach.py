@@ -1,0 +1,187 @@
+"""Bring all five joints of a leg to a posture, whatever it starts from, while its controller's model is wrong.
+
+Every `period` the learner moves the set-point of each joint by a part of `increment`; every time step of the physics a
+computed-torque controller drives the leg to it (thesis 5.7, 6.4). Starts and goals are uniform in the joints' ranges,
+and each link of the leg weighs up to `model_error` more or less than the controller believes, so that gravity holds the
+leg off a set-point that equals the goal.
+"""
+
+from functools import lru_cache
+from typing import Any, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, Key
+from pydantic import Field, model_validator
+
+from humanoid_mjx.control.gains import critical_kd
+from humanoid_mjx.physics import make_physics
+from humanoid_mjx.physics.base import Physics, Stages, World
+from humanoid_mjx.tasks.continuous import ContinuousTask, State, begin
+from humanoid_mjx.thesis.leg import JOINT_NAMES
+from humanoid_mjx.types import FloatScalar, IntScalar
+
+JOINTS = len(JOINT_NAMES)
+
+REST = 0.1
+"""rad/s. A leg whose joints are all slower is at rest."""
+
+LEAD = np.radians(20.0)
+"""rad. The farthest that a set-point goes from its joint."""
+
+SPEED = 5.0
+"""rad/s: where the observation of a velocity is 1."""
+
+NEAR, FAR = np.radians(5.0), np.radians(40.0)
+"""rad: errors at which the two halves of the reward's first term have dropped to 1 / e."""
+
+
+OBSERVATIONS = ("error", "near_error", "lead", "velocity", "place")
+"""Each of the five joints: the way to the goal as a share of the joint's range, and again with `LEAD` as the unit; the
+set-point's lead over the joint; velocity; place in the range."""
+
+TERMS = ("near", "settled")
+"""Of the reward."""
+
+
+class Body(NamedTuple):
+    """An episode under way."""
+
+    world: World
+    setpoint: Float[Array, " joints"]
+    """rad"""
+    goal: Float[Array, " joints"]
+    """rad"""
+    mass: Float[Array, " joints"]
+    """Of the links, as multiples of what the controller believes."""
+    decisions: IntScalar
+
+
+class LegReach(ContinuousTask):
+    """Reach a posture and stay there until the time is up.
+
+    A step's reward has two terms, each at most one half: `near`, which grows as the joints' errors vanish, and
+    `settled`, the share of joints that are within `tolerance` of their goals and at rest. An episode succeeds where at
+    its end all are; one whose simulation breaks down terminates with the reward -1.
+    """
+
+    physics: Literal["chain", "mjx-jax", "mujoco"] = "chain"
+    ranges: Literal["proposed", "human"] = Field("proposed", description="column of Table 3.2")
+    choices: Literal[3, 5, 9] = Field(9, description="values of a joint's increment, evenly from -1 to 1 times it")
+    increment: float = Field(8.0, gt=0, le=90, description="largest move of a set-point in a decision, degrees")
+    period: float = Field(0.1, gt=0, le=10, description="s between decisions")
+    timestep: float = Field(0.005, gt=0, le=0.02, description="s of physics and controller")
+    duration: float = Field(3.0, gt=0, le=1000, description="s of an episode")
+    natural_frequency: float = Field(12.0, gt=0, le=200, description="of the controller, rad/s; damping is critical")
+    model_error: float = Field(0.2, ge=0, lt=1, description="largest share by which a link's mass is off")
+    tolerance: float = Field(2.0, gt=0, le=90, description="degrees")
+
+    class Params(NamedTuple):
+        increment: FloatScalar
+        duration: FloatScalar
+        natural_frequency: FloatScalar
+        model_error: FloatScalar
+        tolerance: FloatScalar
+
+    @model_validator(mode="after")
+    def _period_must_fit(self) -> "LegReach":
+        self.simulator.substeps(self.period)
+        return self
+
+    @property
+    def observation_size(self) -> int:
+        return len(OBSERVATIONS) * JOINTS
+
+    @property
+    def action_choices(self) -> tuple[int, ...]:
+        return (self.choices,) * JOINTS
+
+    @property
+    def simulator(self) -> Physics:
+        """What moves the leg."""
+        return _simulator(self.physics, self.ranges, self.timestep)
+
+    def reset(self, params: Params, key: Key[Array, ""]) -> State:
+        low, high = self.simulator.joint_ranges.T
+        start_key, goal_key, mass_key = jax.random.split(key, 3)
+        start, goal = (jax.random.uniform(key, (JOINTS,), minval=low, maxval=high) for key in (start_key, goal_key))
+        mass = 1.0 + params.model_error * jax.random.uniform(mass_key, (JOINTS,), minval=-1.0)
+        world = self.simulator.start(self._plant(mass), start, jnp.zeros(JOINTS))
+        body = Body(world, start, goal, mass, jnp.int32(0))
+        return begin(body, self.observe(body), TERMS)
+
+    def step(self, params: Params, state: State, action: Int[Array, " joints"], key: Key[Array, ""]) -> State:
+        return self.step_continuous(params, state, 2.0 * action / (self.choices - 1) - 1.0, key)
+
+    def step_continuous(
+        self, params: Params, state: State, command: Float[Array, " joints"], key: Key[Array, ""]
+    ) -> State:
+        """A step whose moves are any parts of `increment`, from -1 to 1."""
+        body: Body = state.data
+        qpos = body.world.qpos
+        moved = body.setpoint + jnp.radians(params.increment) * jnp.clip(command, -1.0, 1.0)
+        low, high = self.simulator.joint_ranges.T
+        setpoint = jnp.clip(jnp.clip(moved, qpos - LEAD, qpos + LEAD), low - LEAD, high + LEAD)
+        world = self.simulator.run(
+            self._plant(body.mass),
+            body.world,
+            self.controller(params, setpoint),
+            self.simulator.substeps(self.period),
+        )
+        body = body._replace(world=world, setpoint=setpoint, decisions=body.decisions + 1)
+        terms = self.reward_terms(params, body)
+        broken = world.diverged
+        over = body.decisions * self.period >= params.duration - self.period / 2
+        obs = self.observe(body)
+        return State(
+            data=body,
+            obs=obs,
+            reward=jnp.where(broken, -1.0, sum(terms.values())),
+            terminated=broken,
+            truncated=over & ~broken,
+            success=self.settled(params, body).all() & ~broken,
+            final_obs=obs,
+            metrics=terms,
+        )
+
+    def observe(self, body: Body) -> Float[Array, " observation_size"]:
+        """`OBSERVATIONS`, each of the five joints, within -1 to 1."""
+        low, high = self.simulator.joint_ranges.T
+        qpos, qvel = body.world.qpos, body.world.qvel
+        error = body.goal - qpos
+        lead = body.setpoint - qpos
+        place = (2.0 * qpos - low - high) / (high - low)
+        parts = error / (high - low), error / LEAD, lead / LEAD, qvel / SPEED, place
+        return jnp.clip(jnp.concatenate(parts), -1.0, 1.0).astype(jnp.float32)
+
+    def reward_terms(self, params: Params, body: Body) -> dict[str, FloatScalar]:
+        """The parts of the reward by name."""
+        error = jnp.abs(body.goal - body.world.qpos)
+        near = 0.25 * jnp.exp(-error / NEAR) + 0.25 * jnp.exp(-error / FAR)
+        terms = near.mean(), 0.5 * self.settled(params, body).mean()
+        return {name: jnp.asarray(term, jnp.float32) for name, term in zip(TERMS, terms, strict=True)}
+
+    def settled(self, params: Params, body: Body) -> Bool[Array, " joints"]:
+        """Which joints are at their goals and at rest."""
+        near = jnp.abs(body.goal - body.world.qpos) <= jnp.radians(params.tolerance)
+        return near & (jnp.abs(body.world.qvel) <= REST)
+
+    def controller(self, params: Params, setpoint: Float[Array, " joints"]) -> Any:
+        """Computed torque towards a posture at rest, by a model whose mass factors are 1 (equations 5.40 to 5.49)."""
+        kp = params.natural_frequency**2
+        kd = critical_kd(jnp.asarray(kp, float))
+
+        def control(stages: Stages) -> Float[Array, " joints"]:
+            return stages.torque_for(kp * (setpoint - stages.qpos) - kd * stages.qvel, 1.0)
+
+        return control
+
+    def _plant(self, mass: Float[Array, " joints"]) -> Any:
+        """The traced values of the physics."""
+        return self.simulator.params._replace(mass=mass)
+
+
+@lru_cache
+def _simulator(name: str, ranges: str, timestep: float) -> Physics:
+    return make_physics(name, robot="leg", ranges=ranges, timestep=timestep)
