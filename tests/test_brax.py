@@ -107,13 +107,14 @@ def test_under_brax_wrappers_a_task_does_what_it_does_alone(which):
         for t, state in enumerate(states[1:]):
             choice = jnp.asarray((commands[t, e] > 0).astype(np.int32))
             own = step(env.params, own, choice, rng.key(t))
-            np.testing.assert_array_equal(state.reward[e], own.reward)
-            np.testing.assert_array_equal(state.info["final_obs"][e], own.final_obs)
+            # Two programs: XLA may round each its own way; rewards are of order 1.
+            np.testing.assert_allclose(state.reward[e], own.reward, atol=1e-6)
+            np.testing.assert_allclose(state.info["final_obs"][e], own.final_obs, atol=1e-6)
             assert bool(state.done[e]) == bool(own.over)
             assert float(state.metrics["success"][e]) == float(own.over & own.success)
             ends += bool(own.over)
             own = first if own.over else own
-            np.testing.assert_array_equal(state.obs[e], own.obs)
+            np.testing.assert_allclose(state.obs[e], own.obs, atol=1e-6)
     assert ends > 4
 
 
