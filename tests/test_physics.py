@@ -1,13 +1,15 @@
 """Physics in batches: worlds that do not touch each other, a body that rests on its feet, one compilation."""
 
 import importlib.util
+import warnings
+from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from humanoid_mjx.physics import make_physics
+from humanoid_mjx.physics import make_physics, native
 from humanoid_mjx.physics.base import MAX_SPEED, Stages
 from humanoid_mjx.runtime import counting_compiles
 from humanoid_mjx.spec import InputError
@@ -30,6 +32,17 @@ def bits(tree):
 def step():
     """One time step of many worlds."""
     return jax.jit(jax.vmap(lambda params, world: MJX.step(params, world, hold), in_axes=(None, 0)))
+
+
+@pytest.fixture(scope="module")
+def native_step():
+    """The same in native MuJoCo, each world with its own params."""
+    return jax.jit(jax.vmap(lambda params, world: NATIVE.step(params, world, hold)))
+
+
+def same(params):
+    """Params of all worlds."""
+    return jax.tree.map(lambda value: jnp.full(WORLDS, value), params)
 
 
 @pytest.fixture(scope="module")
@@ -66,12 +79,46 @@ def test_a_standing_body_rests_on_its_weight(params, rested):
 
 
 def test_native_rests_in_the_same_posture_on_the_same_weight(worlds, rested):
-    native = NATIVE.start(NATIVE.params, worlds.qpos, worlds.qvel)
-    for _ in range(750):
-        native, torque = NATIVE.step(NATIVE.params, native, hold)
-    np.testing.assert_allclose(native.qpos, rested[0].qpos, atol=5e-3)
+    """In a scan; the forces of a body that stands still change by less than its servo lets it sway."""
+    rest = jax.jit(jax.vmap(lambda world: NATIVE.run(NATIVE.params, world, hold, 375, substeps=2)))
+    resting = rest(worlds)
+    np.testing.assert_allclose(resting.qpos, rested[0].qpos, atol=5e-3)
+    np.testing.assert_allclose(resting.warmstart, 0.0, atol=0.5)
+    sense = jax.jit(jax.vmap(lambda world: NATIVE.sensors(NATIVE.params, world, -6.0 * world.qpos[7:])))
     weight = MJX.model.body_mass.sum() * 9.81
-    np.testing.assert_allclose(NATIVE.sensors(NATIVE.params, native, torque).foot_contact.sum(-1), weight, rtol=0.01)
+    np.testing.assert_allclose(sense(resting).foot_contact.sum(-1), weight, rtol=0.01)
+
+
+def test_native_worlds_may_differ_in_their_params(native_step, worlds, monkeypatch):
+    """As in a batch of worlds that do not differ, also where the models are too many to be kept."""
+    monkeypatch.setattr("humanoid_mjx.physics.native.MODELS_BYTES", 0)
+    native._team.cache_clear()
+    heavy = same(NATIVE.params)._replace(
+        mass=1.0 + 0.2 * jnp.arange(WORLDS), damping=jnp.array([0.01, 0.01, 0.1, 0.01])
+    )
+    moved = worlds
+    for _ in range(3):
+        moved, _ = native_step(heavy, moved)
+    for i in range(WORLDS):
+        alone, own = jax.tree.map(lambda x, i=i: jnp.repeat(x[i : i + 1], WORLDS, axis=0), (worlds, heavy))
+        for _ in range(3):
+            alone, _ = native_step(own, alone)
+        assert bits(alone.qvel[0]) == bits(moved.qvel[i])
+    assert len({bytes(row) for row in bits(list(moved.qvel))}) == WORLDS
+
+
+def test_native_on_two_devices_at_once(native_step, worlds):
+    """Two threads that step in native MuJoCo wait for each other, and not forever; neither changes the other's bits."""
+
+    def run(device):
+        world = jax.device_put(worlds, device)
+        for _ in range(30):
+            world, _ = native_step(same(NATIVE.params), world)
+        return bits(world)
+
+    with ThreadPoolExecutor(2) as threads:
+        one, other = threads.map(run, jax.local_devices()[:2])
+    assert one == other
 
 
 def test_many_worlds_are_as_one_at_a_time(step, params, worlds):
@@ -117,32 +164,33 @@ def test_a_second_call_compiles_nothing(step, params, rested):
 
 def test_torque_is_held_over_a_cycle_and_kept_within_its_limit():
     """Against native MuJoCo, with the fixed torso; the controller is asked once, and uses mass matrix and bias."""
-    mjx, native = (make_physics(name, torso="fixed", torque_limit=0.3) for name in ("mjx-jax", "mujoco"))
+    both = [make_physics(name, torso="fixed", torque_limit=0.3) for name in ("mjx-jax", "mujoco")]
 
     def track(stages: Stages):
-        acceleration = 2000.0 * (0.5 - stages.qpos) - 60.0 * stages.qvel
-        return (stages.mass_matrix @ acceleration[..., None])[..., 0] + stages.bias
+        return stages.mass_matrix @ (2000.0 * (0.5 - stages.qpos) - 60.0 * stages.qvel) + stages.bias
 
-    world = mjx.start(mjx.params, mjx.qpos0 + 0.2, np.zeros(10))
-    other = native.start(native.params, native.qpos0 + 0.2, np.zeros(10))
-    cycle = jax.jit(lambda world: mjx.step(mjx.params, world, track, substeps=4))
+    world, other = (physics.start(physics.params, physics.qpos0 + 0.2, np.zeros(10)) for physics in both)
+    cycle, native_cycle = (
+        jax.jit(lambda world, physics=physics: physics.step(physics.params, world, track, substeps=4))
+        for physics in both
+    )
     torques = []
     for _ in range(10):
         world, torque = cycle(world)
-        other, expected = native.step(native.params, other, track, substeps=4)
+        other, expected = native_cycle(other)
         np.testing.assert_allclose(torque, expected, atol=1e-3)
         np.testing.assert_allclose(world.qpos, other.qpos, atol=1e-5)
         torques.append(expected)
     assert np.abs(torques).max() == 0.3
 
 
-def test_one_step_on_the_ground_agrees_with_native(step, params, worlds):
+def test_one_step_on_the_ground_agrees_with_native(step, native_step, params, worlds):
     """Tilted feet that strike the ground, in single precision: 1 mm/s in velocities of several m/s and rad/s."""
     kicked = worlds._replace(qvel=0.3 * jax.random.normal(jax.random.key(0), worlds.qvel.shape))
     for _ in range(5):
         kicked, _ = step(params, kicked)
-    native, _ = NATIVE.step(NATIVE.params, NATIVE.start(NATIVE.params, kicked.qpos, kicked.qvel), hold)
-    np.testing.assert_allclose(step(params, kicked)[0].qvel, native.qvel, atol=1e-3)
+    expected, _ = native_step(same(NATIVE.params), kicked)
+    np.testing.assert_allclose(step(params, kicked)[0].qvel, expected.qvel, atol=1e-3)
 
 
 def test_warp_agrees_with_native(worlds):
@@ -151,31 +199,44 @@ def test_warp_agrees_with_native(worlds):
     warp = make_physics("mjx-warp", worlds=WORLDS)
 
     def balance(stages: Stages):
-        weight = (stages.mass_matrix[..., -10:, -10:] @ stages.qvel[..., None])[..., 0] + stages.bias[..., -10:]
+        weight = stages.mass_matrix[-10:, -10:] @ stages.qvel + stages.bias[-10:]
         return hold(stages) + 0.1 * weight
 
-    world, _ = jax.jit(jax.vmap(lambda world: warp.step(warp.params, world, balance, substeps=2)))(worlds)
-    native = NATIVE.start(NATIVE.params, worlds.qpos, worlds.qvel)
-    native, _ = NATIVE.step(NATIVE.params, native, balance, substeps=2)
+    world, native = (
+        jax.jit(jax.vmap(lambda world, p=physics: p.step(p.params, world, balance, substeps=2)[0]))(worlds)
+        for physics in (warp, NATIVE)
+    )
     np.testing.assert_allclose(world.qvel, native.qvel, atol=1e-3)
 
 
-def test_native_worlds_diverge_alone_and_silently(tmp_path, monkeypatch, capfd):
+def test_native_worlds_diverge_alone_and_silently(native_step, worlds, tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
-    qvel = np.zeros((3, 16))
-    qvel[1, 8] = 1e9
-    world = NATIVE.start(NATIVE.params, np.tile(NATIVE.qpos0, (3, 1)), qvel)
-    world, _ = NATIVE.step(NATIVE.params, world, hold, substeps=3)
-    np.testing.assert_array_equal(world.diverged, [False, True, False])
-    np.testing.assert_array_equal(world.qpos[0], world.qpos[2])
-    world = NATIVE.reset(NATIVE.params, world, world.diverged, NATIVE.qpos0, np.zeros(16))
-    assert not world.diverged.any() and world.qvel[1, 8] == 0 and world.qvel[0, 8] != 0
+    with warnings.catch_warnings(action="error"):
+        for fault in (np.nan, 1e9):
+            broken = worlds._replace(qvel=worlds.qvel.at[1, 8].set(fault))
+            for _ in range(3):
+                broken, _ = native_step(same(NATIVE.params), broken)
+            np.testing.assert_array_equal(broken.diverged, [False, True, False, False])
+            np.testing.assert_array_equal(broken.qpos[1], worlds.qpos[1])
+            assert np.isfinite(broken.qpos).all()
     assert not list(tmp_path.iterdir()) and capfd.readouterr() == ("", "")
+
+
+def test_replayed_torques_move_as_the_controller_did(native_step, worlds):
+    """Outside jax, in float64: what is left is the rounding of the states to float32 between steps."""
+    moved, torques = worlds, []
+    for _ in range(5):
+        moved, torque = native_step(same(NATIVE.params), moved)
+        torques.append(torque)
+    qpos, qvel, readings = NATIVE.rollout(NATIVE.params, worlds, np.stack(torques, axis=1))
+    np.testing.assert_allclose(qpos[:, -1], moved.qpos, atol=1e-5)
+    np.testing.assert_allclose(qvel[:, -1], moved.qvel, atol=1e-3)
+    np.testing.assert_array_equal(readings.encoders[:, 1:], qpos[:, :-1, 7:])
 
 
 def test_poses_of_both(params, worlds):
     poses = jax.jit(lambda world: MJX.poses(params, world))(jax.tree.map(lambda x: x[0], worlds))
-    expected = NATIVE.poses(NATIVE.params, NATIVE.start(NATIVE.params, worlds.qpos, worlds.qvel))
+    expected = jax.jit(jax.vmap(lambda world: NATIVE.poses(NATIVE.params, world)))(worlds)
     np.testing.assert_allclose(poses.position, expected.position[0], atol=1e-6)
     np.testing.assert_allclose(poses.rotation, expected.rotation[0], atol=1e-6)
     assert len(MJX.body_names) == len(poses.position) and MJX.body_names[1] == "torso"
@@ -189,7 +250,7 @@ def test_nothing_a_body_can_do_counts_as_diverged():
     ("name", "options", "sentence"),
     [
         ("mjx", {}, "physics.name: unknown physics 'mjx'; did you mean 'mjx-jax'? known are chain, mjx-jax, "),
-        ("mujoco", {"robot": "arm"}, "physics.robot must be one of 'lower_body' or 'legs', got 'arm'."),
+        ("mujoco", {"robot": "arm"}, "physics.robot must be one of 'lower_body', 'legs' or 'leg', got 'arm'."),
         ("mujoco", {"ranges": "wide"}, "physics.ranges must be one of 'proposed' or 'human', got 'wide'."),
         ("mjx-jax", {"timestep": 0.0}, "physics.timestep must be greater than 0.0, got 0.0."),
         ("mjx-jax", {"step": 0.1}, "physics.step: unknown key; did you mean 'timestep'? known are damping, friction, "),

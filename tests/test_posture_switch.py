@@ -76,18 +76,18 @@ def test_a_heavier_robot_lags_behind_its_model():
     assert float(jnp.abs(exact.world.qpos - heavy.world.qpos).max()) > 1e-3
 
 
-@pytest.mark.slow
-def test_mjx_carries_out_the_same_decisions():
+@pytest.mark.parametrize("other", ["mujoco", pytest.param("mjx-jax", marks=pytest.mark.slow)])
+def test_another_physics_carries_out_the_same_decisions(other):
     states = []
-    for physics in ("chain", "mjx-jax"):
+    for physics in ("chain", other):
         state, step = start(make_task("posture_switch", physics=physics), 4)
         for _ in range(3):
             state, _, _ = step(state, jnp.array([UP, 5, 13, 20]))
         states.append(state)
-    chain, mjx = states
+    chain, other = states
     # Float32 over 120 steps of both: 1e-4 rad is a hundredth of the tolerance of a posture.
-    np.testing.assert_allclose(mjx.world.qpos, chain.world.qpos, atol=1e-4)
-    np.testing.assert_allclose(mjx.encoders, chain.encoders, atol=1e-4)
+    np.testing.assert_allclose(other.world.qpos, chain.world.qpos, atol=1e-4)
+    np.testing.assert_allclose(other.encoders, chain.encoders, atol=1e-4)
 
 
 def test_a_sweep_learns_to_switch(tmp_path):

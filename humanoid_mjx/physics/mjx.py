@@ -16,9 +16,9 @@ import numpy as np
 from jaxtyping import Array, Float
 from pydantic import Field, model_validator
 
-from humanoid_mjx.physics.base import MAX_SPEED, Controller, Poses, Readings, Stages, World
-from humanoid_mjx.physics.model import MujocoPhysics
-from humanoid_mjx.types import AnyArray, BoolScalar, IntScalar, MassFactor
+from humanoid_mjx.physics.base import Controller, Poses, Readings, Stages, World
+from humanoid_mjx.physics.model import MujocoPhysics, below, freeze_if_diverged
+from humanoid_mjx.types import AnyArray, IntScalar, MassFactor
 
 SOLVER_ITERATIONS = {"jax": 4, "warp": 30}
 LINE_SEARCH_ITERATIONS = 8
@@ -44,20 +44,6 @@ class MjxJax(MujocoPhysics):
     """MJX in jax: CPU and GPU, float32 or float64."""
 
     implementation: ClassVar[Literal["jax", "warp"]] = "jax"
-
-    def start(self, params: Any, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]) -> World:
-        qvel = jnp.array(qvel, float)
-        return World(jnp.array(qpos, float), qvel, jnp.zeros_like(qvel), jnp.bool_(False))
-
-    def reset(
-        self,
-        params: Any,
-        world: World,
-        mask: BoolScalar,
-        qpos: Float[AnyArray, " nq"],
-        qvel: Float[AnyArray, " nv"],
-    ) -> World:
-        return _where(mask, self.start(params, qpos, qvel), world)
 
     def step(
         self, params: Any, world: World, controller: Controller, substeps: int = 1
@@ -85,7 +71,7 @@ class MjxJax(MujocoPhysics):
         else:
             held = jnp.zeros(self.model.nu)
             (new, torque), _ = jax.lax.scan(substep, (world, held), jnp.arange(substeps))
-        return _freeze_if_diverged(world, new), torque
+        return freeze_if_diverged(world, new), torque
 
     def sensors(self, params: Any, world: World, torque: Float[AnyArray, " joints"]) -> Readings:
         model = self._put(params)
@@ -109,7 +95,7 @@ class MjxJax(MujocoPhysics):
         return model.replace(
             body_mass=body_mass,
             body_inertia=model.body_inertia * factors[:, None],
-            body_subtreemass=_below(self.model) @ body_mass,
+            body_subtreemass=below(self.model) @ body_mass,
             dof_damping=jnp.where(model.dof_damping > 0, jnp.asarray(params.damping, float), 0.0),
             pair_friction=model.pair_friction.at[:, :2].set(params.friction),
             actuator_ctrlrange=jnp.broadcast_to(limits, model.actuator_ctrlrange.shape),
@@ -189,15 +175,6 @@ def _mjx_arrays(model: mujoco.MjModel, implementation: str, x64: bool) -> tuple[
     return jax.tree.map(np.asarray, (put, data))
 
 
-@lru_cache
-def _below(model: mujoco.MjModel) -> Float[np.ndarray, "bodies bodies"]:
-    """1 where the column's body is the row's, or hangs on it."""
-    below = np.eye(model.nbody, dtype=np.float32)
-    for body in range(model.nbody - 1, 0, -1):
-        below[model.body_parentid[body]] += below[body]
-    return below
-
-
 def _accelerate(model: Any, data: Any) -> Any:
     """From the position and velocity stages and `ctrl` to the acceleration."""
     data = mjx.fwd_acceleration(model, mjx.fwd_actuation(model, data))
@@ -208,13 +185,3 @@ def _advance(model: Any, data: Any) -> World:
     """One time step of semi-implicit Euler from where the position and velocity stages are."""
     data = mjx.step(model, data) if model.impl.value == "warp" else mjx.euler(model, _accelerate(model, data))
     return World(data.qpos, data.qvel, data.qacc_warmstart, jnp.bool_(False))
-
-
-def _freeze_if_diverged(old: World, new: World) -> World:
-    sound = jnp.isfinite(new.qpos).all() & (jnp.abs(new.qvel) <= MAX_SPEED).all()
-    stays = old.diverged | ~sound
-    return _where(stays, old._replace(diverged=jnp.bool_(True)), new)
-
-
-def _where(mask: BoolScalar, chosen: World, other: World) -> World:
-    return jax.tree.map(lambda a, b: jnp.where(mask, a, b), chosen, other)

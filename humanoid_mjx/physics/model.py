@@ -4,17 +4,18 @@
 from functools import lru_cache
 from typing import Any, Literal, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 from jaxtyping import Float
 from pydantic import Field
 
-from humanoid_mjx.physics.base import Physics, Readings
+from humanoid_mjx.physics.base import MAX_SPEED, Physics, Readings, World
 from humanoid_mjx.robot import lower_body as body
 from humanoid_mjx.robot import robot_spec
 from humanoid_mjx.robot.ranges import TORQUE_LIMIT
-from humanoid_mjx.types import AnyArray, FloatScalar, MassFactor
+from humanoid_mjx.types import AnyArray, BoolScalar, FloatScalar, MassFactor
 
 
 class MujocoPhysics(Physics):
@@ -81,7 +82,37 @@ class MujocoPhysics(Physics):
             foot_contact=sensordata[..., joints + 6 :],
         )
 
+    def start(self, params: Any, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]) -> World:
+        qvel = jnp.array(qvel, float)
+        return World(jnp.array(qpos, float), qvel, jnp.zeros_like(qvel), jnp.bool_(False))
+
+    def reset(
+        self, params: Any, world: World, mask: BoolScalar, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]
+    ) -> World:
+        return _where(mask, self.start(params, qpos, qvel), world)
+
+
+def freeze_if_diverged(old: World, new: World) -> World:
+    """`new`, or where it has diverged `old` with the flag set."""
+    sound = jnp.isfinite(new.qpos).all() & (jnp.abs(new.qvel) <= MAX_SPEED).all()
+    stays = old.diverged | ~sound
+    return _where(stays, old._replace(diverged=jnp.bool_(True)), new)
+
+
+def _where(mask: BoolScalar, chosen: World, other: World) -> World:
+    return jax.tree.map(lambda a, b: jnp.where(mask, a, b), chosen, other)
+
+
+@lru_cache
+def below(model: mujoco.MjModel) -> Float[np.ndarray, "bodies bodies"]:
+    """1 where the column's body is the row's, or hangs on it."""
+    rows = np.eye(model.nbody, dtype=np.float32)
+    for index in range(model.nbody - 1, 0, -1):
+        rows[model.body_parentid[index]] += rows[index]
+    return rows
+
 
 @lru_cache
 def _model(robot: str, torso: str, ranges: str, timestep: float | None) -> mujoco.MjModel:
-    return robot_spec(robot, torso=torso, ranges=ranges, timestep=timestep).compile()
+    with jax.ensure_compile_time_eval():
+        return robot_spec(robot, torso=torso, ranges=ranges, timestep=timestep).compile()

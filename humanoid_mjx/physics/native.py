@@ -1,157 +1,257 @@
 # pyright: reportAttributeAccessIssue=false
-"""Native MuJoCo over threads, for replay and comparison: numpy in and out, float64, its solver run to convergence.
+"""Native MuJoCo over threads, behind host callbacks: a reference for the other physics, its solver run to convergence.
 
-It is not for use inside jit. Its methods take any number of leading axes in the place of `jax.vmap`, and a controller
-sees all worlds at once.
+It computes in float64 and hands back what jax computes in. A batch of worlds reaches MuJoCo as one call. A program that
+holds it runs wherever jax has its CPU backend, but each control cycle waits for the host.
 """
 
 import os
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from copy import copy
-from functools import lru_cache
-from typing import Any, NamedTuple
+from functools import lru_cache, partial
+from typing import Any
 
+import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Float
 from mujoco.rollout import Rollout
 
-from humanoid_mjx.physics.base import MAX_SPEED, Controller, Poses, Readings, Stages, World
-from humanoid_mjx.physics.model import MujocoPhysics
-from humanoid_mjx.types import AnyArray, FloatScalar
+from humanoid_mjx.physics.base import Controller, Poses, Readings, Stages, World
+from humanoid_mjx.physics.model import MujocoPhysics, below, freeze_if_diverged
+from humanoid_mjx.types import AnyArray, MassFactor
+
+MODELS_BYTES = 1 << 27
+"""What the models kept of one robot may take, about 0.1 MB each. Worlds of more distinct `params` take turns."""
+
+_LOCK = threading.Lock()
+"""MuJoCo's data and its handler of warnings belong to one callback at a time; each uses all processors."""
 
 
 class Native(MujocoPhysics):
-    """Native MuJoCo. Its `params` are numbers: all worlds have the same."""
-
-    def start(self, params: Any, qpos: Float[AnyArray, "*worlds nq"], qvel: Float[AnyArray, "*worlds nv"]) -> World:
-        qpos, qvel = np.array(qpos, np.float64), np.array(qvel, np.float64)
-        return World(qpos, qvel, np.zeros_like(qvel), np.zeros(qvel.shape[:-1], bool))
-
-    def reset(
-        self,
-        params: Any,
-        world: World,
-        mask: Bool[AnyArray, "*worlds"],
-        qpos: Float[AnyArray, "*#worlds nq"],
-        qvel: Float[AnyArray, "*#worlds nv"],
-    ) -> World:
-        qpos, qvel = np.broadcast_to(qpos, world.qpos.shape), np.broadcast_to(qvel, world.qvel.shape)
-        return _where(np.asarray(mask), self.start(params, qpos, qvel), world)
+    """Native MuJoCo. Worlds may differ in their `params`: each distinct set of them has a model of its own."""
 
     def step(
         self, params: Any, world: World, controller: Controller, substeps: int = 1
-    ) -> tuple[World, Float[np.ndarray, "*worlds joints"]]:
-        torque = np.asarray(controller(self._stages(params, world)), np.float64)
-        torque = np.clip(torque, -params.torque_limit, params.torque_limit)
-        held = np.broadcast_to(torque[..., None, :], (*torque.shape[:-1], substeps, torque.shape[-1]))
-        qpos, qvel, _ = self.rollout(params, world, held)
-        qpos, qvel = qpos[..., -1, :], qvel[..., -1, :]
-        sound = np.isfinite(qpos).all(-1) & (np.abs(qvel) <= MAX_SPEED).all(-1)
-        stays = world.diverged | ~sound
-        return _where(stays, world, World(qpos, qvel, world.warmstart, stays))._replace(diverged=stays), torque
+    ) -> tuple[World, Float[Array, " joints"]]:
+        limit = jnp.asarray(params.torque_limit, float)
+        torque = jnp.clip(jnp.asarray(controller(self._stages(params, world)), float), -limit, limit)
+        shapes = world.qpos.shape, world.qvel.shape, world.qvel.shape
+        state = world.qpos, world.qvel, world.warmstart
+        qpos, qvel, warmstart = _on_host(partial(self._advance, substeps), shapes, self._values(params), *state, torque)
+        return freeze_if_diverged(world, World(qpos, qvel, warmstart, jnp.bool_(False))), torque
+
+    def sensors(self, params: Any, world: World, torque: Float[AnyArray, " joints"]) -> Readings:
+        shapes = ((self.model.nsensordata,),)
+        (sensordata,) = _on_host(
+            self._sense, shapes, self._values(params), world.qpos, world.qvel, world.warmstart, torque
+        )
+        return self._readings(sensordata)
+
+    def poses(self, params: Any, world: World) -> Poses:
+        bodies = self.model.nbody
+        shapes = (bodies, 3), (bodies, 3, 3)
+        position, rotation = _on_host(self._locate, shapes, self._values(params), world.qpos)
+        return Poses(position, rotation)
 
     def rollout(
         self, params: Any, world: World, torque: Float[AnyArray, "*worlds steps joints"]
     ) -> tuple[Float[np.ndarray, "*worlds steps nq"], Float[np.ndarray, "*worlds steps nv"], Readings]:
-        """Replay torques, one each time step.
+        """Replay torques, one each time step, outside jax: numpy in and out, any number of leading axes, the same
+        `params` in all worlds.
 
         Returns:
           `qpos` and `qvel` after every step, and what the sensors said before it.
         """
-        torque = np.clip(np.asarray(torque, np.float64), -params.torque_limit, params.torque_limit)
-        worlds, steps, nq = world.qpos.shape[:-1], torque.shape[-2], self.model.nq
-        states = np.concatenate([np.zeros((*worlds, 1)), world.qpos, world.qvel], axis=-1)
-        pool = _pool(self.model)
-        with _no_warnings():
-            states, sensordata = pool.rollout.rollout(
-                self._tuned(params),
-                list(pool.data),
-                states.reshape(-1, states.shape[-1]),
-                torque.reshape(-1, steps, torque.shape[-1]),
-            )
-        states = states.reshape(*worlds, steps, -1)
-        readings = self._readings(sensordata.reshape(*worlds, steps, -1))
-        return states[..., 1 : 1 + nq], states[..., 1 + nq :], readings
+        worlds = world.qpos.shape[:-1]
+        values = np.asarray(self._values(params), np.float64)
+        torque = np.clip(np.asarray(torque, np.float64), -values[-1], values[-1])
+        state = world.qpos, world.qvel, world.warmstart
+        qpos, qvel, warmstart = (np.asarray(x, np.float64).reshape(-1, x.shape[-1]) for x in state)
+        torque = torque.reshape(-1, *torque.shape[-2:])
+        with _alone():
+            values = np.broadcast_to(values, (len(torque), len(values)))
+            states, sensordata = self._simulate(values, qpos, qvel, warmstart, torque, torque.shape[1])
+        states = states.reshape(*worlds, *states.shape[1:])
+        readings = self._readings(sensordata.reshape(*worlds, *sensordata.shape[1:]))
+        return (*self._split(states), readings)
 
-    def sensors(self, params: Any, world: World, torque: Float[AnyArray, "*worlds joints"]) -> Readings:
-        _, _, readings = self.rollout(params, world, np.asarray(torque)[..., None, :])
-        return Readings(*(x[..., 0, :] for x in readings))
-
-    def poses(self, params: Any, world: World) -> Poses:
-        model, data = self._tuned(params), _pool(self.model).data[0]
-        position = np.empty((*world.qpos.shape[:-1], model.nbody, 3))
-        rotation = np.empty((*world.qpos.shape[:-1], model.nbody, 3, 3))
-        for index in np.ndindex(world.qpos.shape[:-1]):
-            data.qpos = world.qpos[index]
-            mujoco.mj_kinematics(model, data)
-            position[index], rotation[index] = data.xpos, data.xmat.reshape(-1, 3, 3)
-        return Poses(position, rotation)
-
-    def _tuned(self, params: Any) -> mujoco.MjModel:
-        """The model with the traced values in it."""
-        return _tuned(self.model, *(float(value) for value in params))
+    def _values(self, params: Any) -> Float[Array, " values"]:
+        """What of a model is traced: the mass factors of the bodies, friction, damping, and the torque limit."""
+        factors = self.mass_factors(params.mass)
+        return jnp.concatenate([factors, jnp.stack([jnp.asarray(value, factors.dtype) for value in params[1:]])])
 
     def _stages(self, params: Any, world: World) -> Stages:
-        model, data = self._tuned(params), _pool(self.model).data[0]
-        mass_matrix = np.empty((*world.qvel.shape, model.nv))
-        bias = np.empty(world.qvel.shape)
-        with _no_warnings():
-            for index in np.ndindex(world.qvel.shape[:-1]):
-                data.qpos, data.qvel = world.qpos[index], world.qvel[index]
-                mujoco.mj_fwdPosition(model, data)
-                mujoco.mj_fwdVelocity(model, data)
-                mujoco.mj_fullM(model, data, mass_matrix[index])
-                bias[index] = data.qfrc_bias - data.qfrc_passive
-        joints = model.nu
-        inner = mass_matrix[..., -joints:, -joints:]
+        joints, nv = self.model.nu, self.model.nv
 
-        def torque_for(qacc: np.ndarray, mass: FloatScalar) -> np.ndarray:
-            return (mass / params.mass) * ((inner @ qacc[..., None])[..., 0] + bias[..., -joints:])
+        def dynamics(params: Any) -> list[Array]:
+            return _on_host(self._dynamics, ((nv, nv), (nv,)), self._values(params), world.qpos, world.qvel)
 
-        return Stages(world, world.qpos[..., -joints:], world.qvel[..., -joints:], mass_matrix, bias, torque_for)
+        def torque_for(qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
+            if jnp.ndim(mass) == jnp.ndim(params.mass) == 0:
+                return (mass / params.mass) * (matrix[-joints:, -joints:] @ qacc + bias[-joints:])
+            believed, bias_of = dynamics(params._replace(mass=mass))
+            return believed[-joints:, -joints:] @ qacc + bias_of[-joints:]
+
+        matrix, bias = dynamics(params)
+        return Stages(world, world.qpos[-joints:], world.qvel[-joints:], matrix, bias, torque_for)
+
+    def _advance(
+        self,
+        steps: int,
+        values: np.ndarray,
+        qpos: np.ndarray,
+        qvel: np.ndarray,
+        warmstart: np.ndarray,
+        torque: np.ndarray,
+    ) -> tuple[np.ndarray, ...]:
+        """State and acceleration after so many steps under the same torque."""
+        states, _ = self._simulate(values, qpos, qvel, warmstart, torque[:, None], steps)
+        moved, speed = self._split(states[:, -1])
+        before = self._split(states[:, -2])[1] if steps > 1 else qvel
+        return moved, speed, (speed - before) / self.step_s
+
+    def _sense(
+        self, values: np.ndarray, qpos: np.ndarray, qvel: np.ndarray, warmstart: np.ndarray, torque: np.ndarray
+    ) -> tuple[np.ndarray]:
+        return (self._simulate(values, qpos, qvel, warmstart, torque[:, None], 1)[1][:, 0],)
+
+    def _dynamics(self, values: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Mass matrix and bias of each world."""
+        matrix, bias = np.empty((*qvel.shape, qvel.shape[-1])), np.empty(qvel.shape)
+        for i, (model, data) in enumerate(_team(self.model).bare(values)):
+            data.qpos, data.qvel = qpos[i], qvel[i]
+            mujoco.mj_fwdPosition(model, data)
+            mujoco.mj_fwdVelocity(model, data)
+            mujoco.mj_fullM(model, data, matrix[i])
+            bias[i] = data.qfrc_bias - data.qfrc_passive
+        return matrix, bias
+
+    def _locate(self, values: np.ndarray, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        bodies = self.model.nbody
+        position, rotation = np.empty((len(qpos), bodies, 3)), np.empty((len(qpos), bodies, 3, 3))
+        for i, (model, data) in enumerate(_team(self.model).bare(values)):
+            data.qpos = qpos[i]
+            mujoco.mj_kinematics(model, data)
+            position[i], rotation[i] = data.xpos, data.xmat.reshape(-1, 3, 3)
+        return position, rotation
+
+    def _simulate(
+        self,
+        values: Float[np.ndarray, "worlds values"],
+        qpos: Float[np.ndarray, "worlds nq"],
+        qvel: Float[np.ndarray, "worlds nv"],
+        warmstart: Float[np.ndarray, "worlds nv"],
+        torque: Float[np.ndarray, "worlds held joints"],
+        steps: int,
+    ) -> tuple[Float[np.ndarray, "worlds steps nstate"], Float[np.ndarray, "worlds steps sensors"]]:
+        """States (time, positions, velocities) after every step and sensors before it, in groups of few models.
+
+        `torque` is of every step, or one for all.
+        """
+        team = _team(self.model)
+        initial = np.concatenate([np.zeros((len(qpos), 1)), qpos, qvel], axis=-1)
+        states = np.empty((len(qpos), steps, initial.shape[-1]))
+        sensordata = np.empty((len(qpos), steps, self.model.nsensordata))
+        distinct, kind = np.unique(values, axis=0, return_inverse=True)
+        for first in range(0, len(distinct), team.room):
+            models = [team.tuned(row) for row in distinct[first : first + team.room]]
+            rows = np.flatnonzero((kind >= first) & (kind < first + team.room))
+            states[rows], sensordata[rows] = team.rollout.rollout(
+                [models[i - first] for i in kind[rows]],
+                team.data,
+                initial[rows],
+                torque[rows],
+                nstep=steps,
+                initial_warmstart=warmstart[rows],
+            )
+        return states, sensordata
+
+    def _split(self, states: Float[np.ndarray, "*batch nstate"]) -> tuple[np.ndarray, np.ndarray]:
+        """Positions and velocities."""
+        nq = self.model.nq
+        return states[..., 1 : 1 + nq], states[..., 1 + nq :]
 
 
-class _Pool(NamedTuple):
-    """A thread for each processor, and what each computes in."""
+class _Team:
+    """The threads that compute with one robot, and the models and data that they compute in."""
 
-    rollout: Any
-    data: tuple[mujoco.MjData, ...]
+    def __init__(self, base: mujoco.MjModel):
+        threads = os.cpu_count() or 1
+        self.base = base
+        self.rollout = Rollout(nthread=threads)
+        self.data = [mujoco.MjData(base) for _ in range(threads)]
+        self.room = max(1, MODELS_BYTES // base.nbuffer)
+        self._damped = base.dof_damping > 0
+        self._tuned: dict[bytes, mujoco.MjModel] = {}
+        self._bare = copy(base)
+        self._bare.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+
+    def tuned(self, values: Float[np.ndarray, " values"]) -> mujoco.MjModel:
+        """The model with these `params` in it; where there is no room, in the one longest not used."""
+        key = values.tobytes()
+        model = self._tuned.pop(key, None)
+        if model is None:
+            full = len(self._tuned) >= self.room
+            model = self._tuned.pop(next(iter(self._tuned))) if full else copy(self.base)
+            model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+            self._tune(model, values)
+        self._tuned[key] = model
+        return model
+
+    def bare(self, values: Float[np.ndarray, "worlds values"]) -> Iterator[tuple[mujoco.MjModel, mujoco.MjData]]:
+        """For each row of `params` a model that knows neither contacts nor limits, and data; valid until the next."""
+        before = None
+        for row in values:
+            if before is None or (row != before).any():
+                self._tune(self._bare, row)
+                before = row
+            yield self._bare, self.data[0]
+
+    def _tune(self, model: mujoco.MjModel, values: Float[np.ndarray, " values"]) -> None:
+        base, factors, (friction, damping, torque_limit) = self.base, values[:-3], values[-3:]
+        mass = factors * base.body_mass
+        model.body_mass[:] = mass
+        model.body_inertia[:] = factors[:, None] * base.body_inertia
+        model.body_subtreemass[:] = below(base) @ mass
+        model.dof_damping[self._damped] = damping
+        model.pair_friction[:, :2] = friction
+        model.actuator_ctrlrange[:] = -torque_limit, torque_limit
 
 
 @lru_cache
-def _pool(model: mujoco.MjModel) -> _Pool:
-    threads = os.cpu_count() or 1
-    return _Pool(Rollout(nthread=threads), tuple(mujoco.MjData(model) for _ in range(threads)))
+def _team(base: mujoco.MjModel) -> _Team:
+    return _Team(base)
 
 
-@lru_cache
-def _tuned(model: mujoco.MjModel, mass: float, friction: float, damping: float, torque_limit: float) -> mujoco.MjModel:
-    model = copy(model)
-    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    model.body_mass *= mass
-    model.body_inertia *= mass
-    model.body_subtreemass *= mass
-    model.dof_damping[model.dof_damping > 0] = damping
-    model.pair_friction[:, :2] = friction
-    model.actuator_ctrlrange[:] = -torque_limit, torque_limit
-    return model
+def _on_host(
+    function: Callable[..., tuple[np.ndarray, ...]], shapes: Sequence[tuple[int, ...]], *vectors: Any
+) -> list[Array]:
+    """Call a numpy function that takes vectors and gives arrays of `shapes`, all with a leading axis of worlds."""
+    dtype = jnp.result_type(float)
+
+    def call(*arrays: Any) -> tuple[np.ndarray, ...]:
+        rows = [np.asarray(x, np.float64) for x in arrays]
+        worlds = rows[0].shape[:-1]
+        with _alone():
+            results = function(*(x.reshape(-1, x.shape[-1]) for x in rows))
+            return tuple(x.astype(dtype).reshape(*worlds, *x.shape[1:]) for x in results)
+
+    wanted = [jax.ShapeDtypeStruct(shape, dtype) for shape in shapes]
+    return jax.pure_callback(call, wanted, *vectors, vmap_method="broadcast_all")
 
 
 @contextmanager
-def _no_warnings() -> Iterator[None]:
-    """Worlds that diverge are flagged; MuJoCo would write of them to the terminal and to a file, too."""
-    handler = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda message: None)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(handler)
-
-
-def _where(mask: Any, chosen: World, other: World) -> World:
-    def pick(a: Any, b: Any) -> np.ndarray:
-        return np.where(mask.reshape(mask.shape + (1,) * (a.ndim - mask.ndim)), a, b)
-
-    return World(*(pick(a, b) for a, b in zip(chosen, other, strict=True)))
+def _alone() -> Iterator[None]:
+    """One caller at a time, without warnings: worlds that diverge are flagged; MuJoCo would write of them to the
+    terminal and to a file, and numpy of numbers too large for float32."""
+    with _LOCK, np.errstate(over="ignore", invalid="ignore"):
+        handler = mujoco.get_mju_user_warning()
+        mujoco.set_mju_user_warning(lambda message: None)
+        try:
+            yield
+        finally:
+            mujoco.set_mju_user_warning(handler)

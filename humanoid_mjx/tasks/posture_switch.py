@@ -51,7 +51,7 @@ class PostureSwitch(FiniteTask):
     A decision costs `step_reward`, the goal earns `bonus`.
     """
 
-    physics: Literal["chain", "mjx-jax", "mjx-warp"] = "chain"
+    physics: Literal["chain", "mjx-jax", "mjx-warp", "mujoco"] = "chain"
     posture: Literal["6.4", "7H"] = Field("6.4", description="the section that gives start and goal")
     places: int = Field(5, ge=2, le=50, description="points of the grid from start to goal, for each joint")
     period: float = Field(0.2, gt=0, le=10, description="s between decisions")

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from humanoid_mjx.physics import make_physics
 
@@ -20,9 +21,11 @@ def cycle(physics, qpos, qvel, torque):
 
 
 def test_accelerations():
-    native = cycle(NATIVE, QPOS, QVEL, TORQUE)
-    for physics in (CHAIN, MJX):
-        world = jax.jit(jax.vmap(lambda *state, physics=physics: cycle(physics, *state)))(QPOS, QVEL, TORQUE)
+    chain, mjx, native = (
+        jax.jit(jax.vmap(lambda *state, physics=physics: cycle(physics, *state)))(QPOS, QVEL, TORQUE)
+        for physics in (CHAIN, MJX, NATIVE)
+    )
+    for world in (chain, mjx):
         np.testing.assert_allclose((world.qvel - native.qvel) / CHAIN.timestep, 0.0, atol=1e-8)
 
 
@@ -37,10 +40,9 @@ def test_motions_over_half_a_second():
         return physics.run(physics.params, world, servo, 250)
 
     start = QPOS[:4] / 5
-    worlds = [jax.jit(jax.vmap(lambda q, physics=physics: run(physics, q)))(start) for physics in (CHAIN, MJX)]
-    native = NATIVE.start(NATIVE.params, start, np.zeros_like(start))
-    for _ in range(250):
-        native, _ = NATIVE.step(NATIVE.params, native, servo)
+    *worlds, native = (
+        jax.jit(jax.vmap(lambda q, physics=physics: run(physics, q)))(start) for physics in (CHAIN, MJX, NATIVE)
+    )
     for world in worlds:
         assert not world.diverged.any()
         np.testing.assert_allclose(world.qpos, native.qpos, rtol=0, atol=1e-9)
@@ -48,20 +50,21 @@ def test_motions_over_half_a_second():
 
 def test_places_of_the_links():
     ours = jax.vmap(lambda q: CHAIN.poses(None, CHAIN.start(None, q, q)))(QPOS)
-    native = NATIVE.poses(NATIVE.params, NATIVE.start(NATIVE.params, QPOS, QVEL))
+    native = jax.vmap(lambda q: NATIVE.poses(NATIVE.params, NATIVE.start(None, q, q)))(QPOS)
     rows = [NATIVE.body_names.index(name) for name in CHAIN.body_names]
     np.testing.assert_allclose(ours.position, native.position[:, rows], atol=1e-12)
     np.testing.assert_allclose(ours.rotation[:, 1:], native.rotation[:, rows[1:]], atol=1e-12)
 
 
-def test_what_a_model_asks_for_is_what_moves_it():
-    wanted = jnp.array(TORQUE)
-    for physics in (CHAIN, MJX):
+@pytest.mark.parametrize("physics", [CHAIN, MJX, NATIVE], ids=lambda physics: type(physics).__name__)
+def test_what_a_model_asks_for_is_what_moves_it(physics):
+    """One mass factor for the robot, or one for each link."""
 
-        def step(qpos, wanted, physics=physics):
-            params = physics.params._replace(mass=1.7, torque_limit=1e6)
-            world = physics.start(params, qpos, 0 * qpos)
-            return physics.step(params, world, lambda stages: stages.torque_for(wanted, 1.7))[0].qvel
+    def step(qpos, wanted, mass):
+        params = physics.params._replace(mass=mass, torque_limit=1e6)
+        world = physics.start(params, qpos, 0 * qpos)
+        return physics.step(params, world, lambda stages: stages.torque_for(wanted, mass))[0].qvel
 
-        qvel = jax.jit(jax.vmap(step))(QPOS, wanted)
-        np.testing.assert_allclose(qvel, wanted * CHAIN.timestep, atol=1e-10)
+    for mass in (jnp.float64(1.7), jnp.linspace(0.7, 1.7, 10)):
+        qvel = jax.jit(jax.vmap(step, in_axes=(0, 0, None)))(QPOS, jnp.array(TORQUE), mass)
+        np.testing.assert_allclose(qvel, TORQUE * CHAIN.timestep, atol=1e-10)

@@ -8,9 +8,14 @@ from humanoid_mjx.physics import make_physics
 
 
 def pair(torso):
-    mjx, native = (make_physics(name, torso=torso, ranges="human") for name in ("mjx-jax", "mujoco"))
-    step = jax.jit(jax.vmap(lambda world, target: mjx.step(mjx.params, world, servo(target))))
-    return mjx, native, step
+    """Two physics, each with a step of many worlds."""
+    both = [make_physics(name, torso=torso, ranges="human") for name in ("mjx-jax", "mujoco")]
+    steps = [jax.jit(jax.vmap(lambda world, target, p=p: p.step(p.params, world, servo(target)))) for p in both]
+    return both[0], *steps
+
+
+def start(mjx, qpos, qvel):
+    return jax.vmap(lambda q, v: mjx.start(None, q, v))(qpos, qvel)
 
 
 def servo(target):
@@ -29,12 +34,12 @@ def free():
 
 def test_accelerations_of_the_fixed_body_agree(fixed):
     """Random states: fast, at their joint limits, legs touching."""
-    mjx, native, step = fixed
+    mjx, step, native_step = fixed
     rng = np.random.default_rng(0)
     qpos, qvel = rng.uniform(*mjx.joint_ranges.T, (32, 10)), 3.0 * rng.normal(size=(32, 10))
     target = qpos + rng.uniform(-0.3, 0.3, (32, 10))
-    moved, torque = step(jax.vmap(lambda q, v: mjx.start(None, q, v))(qpos, qvel), target)
-    expected, expected_torque = native.step(native.params, native.start(None, qpos, qvel), servo(target))
+    world = start(mjx, qpos, qvel)
+    (moved, torque), (expected, expected_torque) = step(world, target), native_step(world, target)
     acceleration, native_acceleration = ((new.qvel - qvel) / mjx.step_s for new in (moved, expected))
     np.testing.assert_allclose(torque, expected_torque, atol=1e-12)
     assert np.abs(native_acceleration).max() > 100.0
@@ -43,26 +48,24 @@ def test_accelerations_of_the_fixed_body_agree(fixed):
 
 def test_trajectories_of_the_fixed_body_agree(fixed):
     """Half a second: rounding of 1e-16 that grows as errors of the state do."""
-    mjx, native, step = fixed
+    mjx, step, native_step = fixed
     target = np.random.default_rng(1).uniform(0.0, 0.5, (32, 10))
-    world = jax.vmap(lambda q: mjx.start(None, q, np.zeros(10)))(np.zeros((32, 10)))
-    other = native.start(None, np.zeros((32, 10)), np.zeros((32, 10)))
+    world = other = start(mjx, np.zeros((32, 10)), np.zeros((32, 10)))
     for _ in range(250):
         world, _ = step(world, target)
-        other, _ = native.step(native.params, other, servo(target))
+        other, _ = native_step(other, target)
     assert np.abs(other.qpos).max() > 0.3
     np.testing.assert_allclose(world.qpos, other.qpos, atol=1e-10)
 
 
 def test_a_squat_on_the_ground_agrees(free):
     """Half a second: the few iterations of the solver here converge, too."""
-    mjx, native, step = free
+    mjx, step, native_step = free
     target = np.tile([0.25, 0.0, 0.0, 0.5, -0.25], (4, 2)) * np.array([[0.25], [0.5], [0.75], [1.0]])
     qpos = np.tile(mjx.qpos0, (4, 1))
-    world = jax.vmap(lambda q: mjx.start(None, q, np.zeros(16)))(qpos)
-    other = native.start(None, qpos, np.zeros((4, 16)))
+    world = other = start(mjx, qpos, np.zeros((4, 16)))
     for _ in range(125):
         world, _ = step(world, target)
-        other, _ = native.step(native.params, other, servo(target))
+        other, _ = native_step(other, target)
     assert other.qpos[3, 2] < 0.214
     np.testing.assert_allclose(world.qpos, other.qpos, atol=1e-9)
