@@ -18,6 +18,7 @@ from humanoid_mjx import InputError, make_learner, make_task, rng, sweep
 from humanoid_mjx.cli import app
 from humanoid_mjx.learners import brax_ppo, brax_repair
 from humanoid_mjx.results.tables import finished_runs
+from humanoid_mjx.tasks import TASKS
 from humanoid_mjx.tasks.base import Task
 from humanoid_mjx.tasks.brax_env import BraxEnv, wrap
 from humanoid_mjx.tasks.continuous import ContinuousTask, State, begin
@@ -116,6 +117,27 @@ def test_under_brax_wrappers_a_task_does_what_it_does_alone(which):
             own = first if own.over else own
             np.testing.assert_allclose(state.obs[e], own.obs, atol=1e-6)
     assert ends > 4
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_every_shipped_task_is_an_environment_of_brax(name):
+    env = BraxEnv(make_task(name, **({"joint": 1} if name == "joint_reach" else {})))
+    wrapped = wrappers.EvalWrapper(wrap(env))
+    state = jax.eval_shape(wrapped.reset, jax.ShapeDtypeStruct((3, 2), jnp.uint32))
+    after = jax.eval_shape(wrapped.step, state, jax.ShapeDtypeStruct((3, env.action_size), jnp.float32))
+    assert state.obs.shape == (3, env.observation_size)
+    # A scan over steps takes a state only where its successor is of the same shapes and types.
+    assert jax.tree.structure(state) == jax.tree.structure(after)
+    assert [(a.shape, a.dtype) for a in jax.tree.leaves(state)] == [(a.shape, a.dtype) for a in jax.tree.leaves(after)]
+
+
+def test_commands_reach_a_task_of_set_points_as_they_are():
+    env = BraxEnv(make_task("leg_reach", increment=5.0))
+    state = jax.jit(env.reset)(jax.random.PRNGKey(0))
+    command = np.array([0.1, -0.37, 0.0, 0.92, -1.7], np.float32)
+    after = jax.jit(env.step)(state, command)
+    moved = after.pipeline_state.data.setpoint - state.pipeline_state.data.setpoint
+    np.testing.assert_allclose(moved, np.radians(5.0) * np.clip(command, -1, 1), atol=1e-6)
 
 
 def test_what_a_task_cuts_off_is_a_truncation_and_its_last_observation_is_kept():

@@ -158,7 +158,7 @@ class BraxPPO(WholeRunLearner):
 
     def evaluate(self, hyper: Params, policy: Any, key: Key[Array, ""]) -> dict[str, FloatScalar]:
         """Means over `evaluation_envs` greedy episodes: `greedy_return`, `greedy_steps`, `greedy_success`."""
-        return self._episodes(hyper, policy, jnp.bool_(True), key)
+        return _evaluation(self.structure())(hyper, policy, jnp.bool_(True), key)  # pyright: ignore[reportArgumentType]
 
     def _networks(self) -> Any:
         normalise = running_statistics.normalize if self.normalize_observations else lambda obs, _: obs
@@ -199,7 +199,7 @@ class BraxPPO(WholeRunLearner):
         self, curve: dict[str, np.ndarray], point: int, hyper: Params, policy: Any, key: Key[Array, ""]
     ) -> None:
         """Write a point of the learning curve."""
-        evaluation = _evaluation(self)  # pyright: ignore[reportArgumentType]
+        evaluation = _evaluation(self.structure())  # pyright: ignore[reportArgumentType]
         for greedy, prefix in ((False, ""), (True, "greedy_")):
             found = evaluation(hyper, policy, jnp.bool_(greedy), jax.random.fold_in(key, point))
             for name in MEASURES:
@@ -221,5 +221,5 @@ class BraxPPO(WholeRunLearner):
 
 @lru_cache(maxsize=16)
 def _evaluation(learner: BraxPPO) -> Callable[..., dict[str, FloatScalar]]:
-    """`_episodes`, compiled once for all runs of one structure of learner."""
+    """`_episodes`, compiled once for all points of the curves and all runs of one structure of learner."""
     return jax.jit(learner._episodes)

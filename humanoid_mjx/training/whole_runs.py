@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from humanoid_mjx.learners.base import WholeRunLearner
 from humanoid_mjx.training.plan import Group
 from humanoid_mjx.training.pool import Pool
+from humanoid_mjx.training.program import outcome
 from humanoid_mjx.types import Device
 
 
@@ -23,20 +24,36 @@ class WholeRuns(Pool):
     def __init__(self, group: Group, waiting: deque[int], device: Device, seed: int, policies: Any, stop: Event):
         super().__init__(group, waiting, 1, device, seed, policies)
         self.stop = stop
+        # Such a learner compiles by itself what it wants compiled.
+        self.program = self.program._replace(finish=self._finish)
 
     def train(self) -> None:
-        learner = self.group.learner.structure()
-        assert isinstance(learner, WholeRunLearner)
-        hyper, carry = jax.tree.map(lambda leaf: leaf[0], (self.hyper, self.carry))
+        hyper, carry = _only((self.hyper, self.carry))
         try:
-            carry = learner.train_run(hyper, carry, self._report)
+            carry = self._learner().train_run(hyper, carry, self._report)
         except Stopped:
             self.progress[0] = 0.0
             return
-        self.carry = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], carry)
+        self.carry = _as_one_of_one(carry)
         self.progress[0] = 1.0
+
+    def _finish(self, hyper: Any, carry: Any, seeds: Any) -> dict[str, Any]:
+        return _as_one_of_one(outcome(self._learner(), *_only((hyper, carry, seeds))))
+
+    def _learner(self) -> WholeRunLearner:
+        learner = self.group.learner.structure()
+        assert isinstance(learner, WholeRunLearner)
+        return learner
 
     def _report(self, share: float) -> None:
         self.progress[0] = min(share, 0.999)
         if self.stop.is_set():
             raise Stopped
+
+
+def _only(tree: Any) -> Any:
+    return jax.tree.map(lambda leaf: leaf[0], tree)
+
+
+def _as_one_of_one(tree: Any) -> Any:
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], tree)
