@@ -50,7 +50,7 @@ class MjxJax(MujocoPhysics):
         self, params: Any, world: World, controller: Controller, substeps: int = 1
     ) -> tuple[World, Float[Array, " joints"]]:
         model, blank = self._put(params), self._blank_data()
-        push = self._pushes(params)
+        push = self.pushes(params)
         limit = jnp.asarray(params.torque_limit, float)
 
         def ask(data: Any, world: World) -> Float[Array, " joints"]:
@@ -76,7 +76,8 @@ class MjxJax(MujocoPhysics):
 
     def sensors(self, params: Any, world: World, torque: Float[AnyArray, " joints"]) -> Readings:
         model = self._put(params)
-        data = self._at(model, self._blank_data(), world).replace(ctrl=jnp.asarray(torque, float))
+        data = self._at(model, self._blank_data(), world)
+        data = data.replace(ctrl=jnp.asarray(torque, float), qfrc_applied=self.pushes(params))
         if self.implementation == "warp":
             return self._readings(mjx.forward(model, data).sensordata)
         data = mjx.sensor_vel(model, mjx.sensor_pos(model, data))
@@ -101,11 +102,6 @@ class MjxJax(MujocoPhysics):
             pair_friction=model.pair_friction.at[:, :2].set(params.friction),
             actuator_ctrlrange=jnp.broadcast_to(limits, model.actuator_ctrlrange.shape),
         )
-
-    def _pushes(self, params: Any) -> Float[Array, " nv"]:
-        """The forces on the degrees of freedom that are not the motors'."""
-        none = jnp.zeros(self.model.nv)
-        return none.at[:3].set(jnp.stack(list(params.push))) if self.torso == "free" else none
 
     def _blank_data(self) -> Any:
         """An mjx.Data without a state. It is rebuilt in every step, so that loops carry nothing but a `World`."""

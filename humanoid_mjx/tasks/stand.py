@@ -89,7 +89,7 @@ class Stand(ContinuousTask):
 
     physics: Literal["mjx-jax", "mjx-warp", "mujoco"] = "mjx-jax"
     observe: Literal["sensors", "privileged"] = "sensors"
-    sensors: Sensors = Field(default_factory=Sensors, description="errors of the sensors")
+    sensors: Sensors = Field(Sensors(), description="errors of the sensors")
     choices: Literal[3, 5, 9] = Field(3, description="values of a joint's offset, evenly from -1 to 1 times it")
     offset: float = Field(20.0, gt=0, le=90, description="largest offset of a set-point from the posture, degrees")
     stiffness: float = Field(STIFFNESS, gt=0, le=200, description="of the servo, N m/rad")
@@ -157,7 +157,7 @@ class Stand(ContinuousTask):
         side_key, sensor_key = jax.random.split(key)
         body: Body = state.data
         offsets = jnp.clip(command, -1.0, 1.0)
-        servo = self.servo(params, POSTURE + jnp.radians(params.offset) * offsets)
+        servo = self.servo(params, jnp.radians(params.offset) * offsets + POSTURE)
         plant = self.simulator.params._replace(push=self._push(params, body, side_key))
         world = self.simulator.run(plant, body.world, servo, self.simulator.substeps(self.period))
         torque = servo(_joints_of(world))
