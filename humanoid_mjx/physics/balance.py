@@ -8,6 +8,7 @@ from jaxtyping import Array, Float
 
 from humanoid_mjx.mechanics.balance import LinkMotion
 from humanoid_mjx.physics.base import Stages
+from humanoid_mjx.physics.model import MujocoPhysics
 from humanoid_mjx.types import AnyArray
 
 
@@ -67,3 +68,14 @@ def ground_wrench(stages: Stages, qacc: Float[Array, " nv"]) -> tuple[Float[Arra
 def accelerations(qvel: Float[AnyArray, "*batch times nv"], timestep: float) -> Float[AnyArray, "*batch steps nv"]:
     """From the velocities at each time step those that semi-implicit Euler took between them."""
     return (qvel[..., 1:, :] - qvel[..., :-1, :]) / timestep
+
+
+def foot_corners(physics: MujocoPhysics, qpos: Float[AnyArray, "times nq"]) -> Float[np.ndarray, "times corners 3"]:
+    """The lowest points of the feet's corners in recorded postures, m, outside jax; where z <= 0 they touch."""
+    model, (balls, _) = physics.model, physics.ground_points
+    data, found = mujoco.MjData(model), np.empty((len(qpos), len(balls), 3))
+    for row, posture in zip(found, qpos, strict=True):
+        data.qpos = posture
+        mujoco.mj_kinematics(model, data)
+        row[:] = data.geom_xpos[balls] - model.geom_size[balls, :1] * (0.0, 0.0, 1.0)
+    return found

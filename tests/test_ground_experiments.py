@@ -1,0 +1,90 @@
+"""What is found on the ground: who stands, that no table of gaits walks; and the measures of a path."""
+
+import numpy as np
+import pytest
+
+from humanoid_mjx.control import ground as defaults
+from humanoid_mjx.reproduction import load_experiments, reproduce
+from humanoid_mjx.results.ground import Path, _until_fall, balance_of, physics
+
+NAMES = ("gaits-4.8", "ground-control")
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory):
+    out = tmp_path_factory.mktemp("ground")
+    findings = reproduce(NAMES, out)
+    return out, {name: [f for f in findings if f.name == name] for name in NAMES}
+
+
+def test_computed_torque_stands_only_if_it_knows_the_contacts(found):
+    out, findings = found
+    blind, *pushes, gives = findings["ground-control"]
+    assert blind.verdict == "differs" and blind.reproduced < 1.5
+    assert "within the contacts computed torque stands, and a servo of 6 N m/rad stands" in blind.why
+    # Both are thrown over by a push that a rigid body on these feet would not stand either.
+    assert all(0.1 <= taken <= 0.6 for push in pushes for taken in push.reproduced)
+    assert max(gives.reproduced) < 0.03
+    assert (out / "ground-control.png").stat().st_size > 10_000
+
+
+def test_the_gaits_of_the_tables_fall(found):
+    out, findings = found
+    assert {f.verdict for f in findings["gaits-4.8"]} <= {"differs", "reproduced"}
+    walks = [f for f in findings["gaits-4.8"] if f.printed == "walks"]
+    assert len(walks) == 2
+    for finding in walks:
+        assert finding.verdict == "differs"
+        assert all(seconds < 1.0 for seconds, _ in finding.reproduced)
+    rows = [line.split(" | ") for line in (out / "gaits-4.8.md").read_text().splitlines()[2:]]
+    printed = {(row[0].strip("| "), row[1]): float(row[8].strip(" |")) for row in rows if row[2] == "as printed"}
+    for table in ("Table 4.5", "Table 4.6"):
+        assert printed[table, "computed torque"] < 0.7 * printed[table, "servo"]
+    smallest = [row for row in rows if row[2] == "0.1"]
+    assert len(smallest) == 12 and all("(all)" in row[4] for row in smallest)
+    for figure in ("balance", "prints"):
+        assert (out / f"gaits-4.8-{figure}.png").stat().st_size > 10_000
+
+
+def test_the_experiments_use_the_gains_of_the_controllers():
+    for name in NAMES:
+        config = load_experiments()[name].config
+        assert config["servo"] == {"kp": defaults.SERVO_KP, "kd": defaults.SERVO_KD}
+        assert config["computed_torque"] == {"kp": defaults.KP, "kd": defaults.KD, "share": defaults.SHARE}
+
+
+def carried(yaw, speed, steps=51):
+    """A standing body that slides forwards over the ground at `speed` and turns by `yaw` at even rates."""
+    times = physics().step_s * np.arange(steps)
+    qpos = np.tile(physics().qpos0, (steps, 1))
+    angle = yaw * times / times[-1]
+    qpos[:, 0], qpos[:, 2] = speed * times, qpos[:, 2] - 1e-6
+    qpos[:, 3], qpos[:, 6] = np.cos(angle / 2), np.sin(angle / 2)
+    qvel = np.zeros((steps, 16))
+    qvel[:, 0], qvel[:, 5] = speed, yaw / times[-1]
+    return _until_fall(qpos, qvel, np.zeros((steps, 10)))
+
+
+def test_measures_of_a_path():
+    slides = carried(0.0, 0.3)
+    assert not slides.fell and slides.touching.all() and slides.seconds == 0.2
+    assert slides.distance == pytest.approx(0.06) and slides.slip == pytest.approx(0.3) and slides.tracking == 0.0
+    turns = carried(-0.5, 0.0)
+    assert turns.turn == pytest.approx(np.degrees(-0.5)) and turns.slip > 0.05
+    assert turns.distance == pytest.approx(0.0, abs=2e-3)
+
+
+def test_a_body_that_moves_evenly_has_its_zero_moment_point_below_its_mass():
+    balance = balance_of(carried(0.0, 0.3))
+    np.testing.assert_allclose(balance.point, balance.center[:, :2], atol=1e-5)
+    assert np.ptp(balance.center[:, 0]) > 0.05
+    # The feet reach 20 mm behind the ankles; the mass is a little before them.
+    assert (balance.margin > 0.015).all() and (balance.margin < 0.03).all()
+    np.testing.assert_allclose(balance.margin, balance.center_margin, atol=1e-5)
+
+
+def test_a_path_ends_with_the_fall():
+    qpos = np.tile(physics().qpos0, (10, 1))
+    qpos[6:, 3:7] = np.cos(0.6), np.sin(0.6), 0.0, 0.0
+    path: Path = _until_fall(qpos, np.zeros((10, 16)), np.zeros((10, 10)))
+    assert path.fell and len(path.qpos) == 6
