@@ -320,8 +320,9 @@ def test_snapshots_are_of_the_end_of_each_part():
     middle = jax.tree.map(lambda x: x[1], whole.snapshots)
     jax.tree.map(np.testing.assert_array_equal, middle, half.weights)
     jax.tree.map(np.testing.assert_array_equal, jax.tree.map(lambda x: x[3], whole.snapshots), whole.weights)
-    curve = learner.curve(hyper_of(learner), half)
+    curve, final = learner.results(hyper_of(learner), half, rng.key(1))
     np.testing.assert_array_equal(np.isfinite(curve["greedy_success"]), [True, True, False, False])
+    assert final["greedy_return"] == curve["greedy_return"][1]
 
 
 def test_a_stopped_training_of_networks_goes_on_to_the_same_bits(swept, tmp_path, monkeypatch):

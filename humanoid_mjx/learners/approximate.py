@@ -208,20 +208,22 @@ class ApproximateQ(Learner):
         return exploration.greedy(self.q_values(policy.value, self.see(policy, observation)), self.allowed(), key)
 
     def curve(self, hyper: Params, carry: Carry) -> dict[str, Float[Array, " record"]]:
-        """Means over the episodes that ended in each point; of the reward's terms, sums per episode. What is called
-        `greedy_` was evaluated at the end of each of `evaluations` parts, and is NaN at all points but the last of a
-        part, and in parts that training did not reach."""
+        """Means over the episodes that ended in each point; of the reward's terms, sums per episode."""
         updates, episodes = carry.record["updates"], carry.record["episodes"]
         means = {name: total / episodes for name, total in carry.record.items() if name not in ("updates", "episodes")}
-        scores = jax.vmap(self.evaluate, in_axes=(None, 0, None))(hyper, carry.snapshots, carry.key)
+        return means | {"td_error": jnp.sqrt(carry.record["td_error"] / updates)}
+
+    def results(self, hyper: Params, carry: Carry, key: Key[Array, ""]) -> tuple[dict[str, Array], dict[str, Array]]:
+        """What is called `greedy_` in the curve was evaluated at the end of each of `evaluations` parts of training. It
+        is NaN at all points but the last of a part, and in parts that training did not reach."""
+        scores = jax.vmap(self.evaluate, in_axes=(None, 0, None))(hyper, carry.snapshots, key)
         part = np.arange(self.evaluations)
         reached = part < self.progress(hyper, carry) * self.evaluations
         place = -(-(part + 1) * self.record // self.evaluations) - 1
-        greedy = {
-            name: jnp.full(self.record, jnp.nan).at[place].set(jnp.where(reached, score, jnp.nan))
-            for name, score in scores.items()
-        }
-        return means | greedy | {"td_error": jnp.sqrt(carry.record["td_error"] / updates)}
+        blank = jnp.full(self.record, jnp.nan)
+        greedy = {name: blank.at[place].set(jnp.where(reached, score, jnp.nan)) for name, score in scores.items()}
+        last = jnp.maximum(reached.sum() - 1, 0)
+        return self.curve(hyper, carry) | greedy, {name: score[last] for name, score in scores.items()}
 
     def evaluate(self, hyper: Params, policy: Weights, key: Key[Array, ""]) -> dict[str, FloatScalar]:
         """Means over `evaluation_envs` greedy episodes: `greedy_return`, `greedy_steps`, `greedy_success`."""
