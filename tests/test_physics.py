@@ -291,3 +291,16 @@ def test_a_cycle_is_a_multiple_of_the_time_step():
     for period in (0.01, 0.0, float("nan")):
         with pytest.raises(InputError, match=f"a control cycle of {period} s must be a multiple of the time step of"):
             MJX.substeps(period)
+
+
+def test_readings_on_the_way_are_those_of_the_last_step(params, worlds):
+    start = jax.tree.map(lambda x: x[0], worlds)
+    world, readings = jax.jit(lambda world: MJX.run_sensed(params, world, hold, 3))(start)
+    plain = jax.jit(lambda world: MJX.run(params, world, hold, 3))(start)
+    np.testing.assert_allclose(world.qpos, plain.qpos, atol=1e-6)
+    native, expected = jax.jit(lambda world: NATIVE.run_sensed(NATIVE.params, world, hold, 3))(start)
+    before = jax.jit(lambda world: NATIVE.run(NATIVE.params, world, hold, 2))(start)
+    np.testing.assert_allclose(native.qvel, world.qvel, atol=1e-3)
+    np.testing.assert_allclose(expected.encoders, before.qpos[7:], atol=1e-6)
+    for name, atol in (("encoders", 1e-5), ("gyroscope", 1e-3), ("accelerometer", 0.3), ("foot_contact", 0.1)):
+        np.testing.assert_allclose(getattr(readings, name), getattr(expected, name), atol=atol, err_msg=name)

@@ -54,6 +54,8 @@ class Carry(NamedTuple):
     failed: BoolScalar
     """Whether the next update leads to numbers that are not finite; training has stopped before it."""
     record: dict[str, Float[Array, " record"]]
+    snapshots: Weights
+    """What was known at the end of each part of training, for evaluation: a leading axis of `evaluations`."""
 
 
 class Experience(NamedTuple):
@@ -85,6 +87,7 @@ class ApproximateQ(Learner):
     envs: int = Field(128, ge=1, le=1_000_000, description="environments side by side")
     rollout: int = Field(16, ge=1, le=10_000, description="steps of each environment in an update")
     grow: bool = Field(False, description="open the choices in stages: 3, 5, 9 ... of them")
+    evaluations: int = Field(10, ge=1, le=1000, description="greedy evaluations along the learning curve")
     evaluation_envs: int = Field(64, ge=1, le=100_000, description="greedy episodes of an evaluation")
 
     class Params(NamedTuple):
@@ -151,7 +154,8 @@ class ApproximateQ(Learner):
         weights = Weights(value, moments(self.world.observation_size)) if policy is None else policy
         names = ("updates", "td_error", "episodes", "steps", "success", "return", *state.metrics)
         record = {name: jnp.zeros(self.record) for name in names}
-        return Carry(weights, optimizer, workers, key, jnp.int32(0), jnp.bool_(False), record)
+        snapshots = jax.tree.map(lambda x: jnp.zeros((self.evaluations, *x.shape), x.dtype), weights)
+        return Carry(weights, optimizer, workers, key, jnp.int32(0), jnp.bool_(False), record, snapshots)
 
     def progress(self, hyper: Params, carry: Carry) -> FloatScalar:
         """The share of the training that is done."""
@@ -183,10 +187,13 @@ class ApproximateQ(Learner):
         weights = Weights(
             value, observe(carry.weights.moments, experience.obs.reshape(-1, self.world.observation_size))
         )
-        point = jnp.minimum((progress * self.record).astype(jnp.int32), self.record - 1)
+        part, point = (
+            jnp.minimum((progress * parts).astype(jnp.int32), parts - 1) for parts in (self.evaluations, self.record)
+        )
+        snapshots = jax.tree.map(lambda old, new: old.at[part].set(new), carry.snapshots, weights)
         record = record | {"updates": 1.0, "td_error": td_error}
         record = {name: old.at[point].add(record[name]) for name, old in carry.record.items()}
-        return Carry(weights, optimizer, workers, key, carry.update + 1, carry.failed, record)
+        return Carry(weights, optimizer, workers, key, carry.update + 1, carry.failed, record, snapshots)
 
     def policy(self, carry: Carry) -> Weights:
         return carry.weights
@@ -205,6 +212,18 @@ class ApproximateQ(Learner):
         updates, episodes = carry.record["updates"], carry.record["episodes"]
         means = {name: total / episodes for name, total in carry.record.items() if name not in ("updates", "episodes")}
         return means | {"td_error": jnp.sqrt(carry.record["td_error"] / updates)}
+
+    def results(self, hyper: Params, carry: Carry, key: Key[Array, ""]) -> tuple[dict[str, Array], dict[str, Array]]:
+        """What is called `greedy_` in the curve was evaluated at the end of each of `evaluations` parts of training. It
+        is NaN at all points but the last of a part, and in parts that training did not reach."""
+        scores = jax.vmap(self.evaluate, in_axes=(None, 0, None))(hyper, carry.snapshots, key)
+        part = np.arange(self.evaluations)
+        reached = part < self.progress(hyper, carry) * self.evaluations
+        place = -(-(part + 1) * self.record // self.evaluations) - 1
+        blank = jnp.full(self.record, jnp.nan)
+        greedy = {name: blank.at[place].set(jnp.where(reached, score, jnp.nan)) for name, score in scores.items()}
+        last = jnp.maximum(reached.sum() - 1, 0)
+        return self.curve(hyper, carry) | greedy, {name: score[last] for name, score in scores.items()}
 
     def evaluate(self, hyper: Params, policy: Weights, key: Key[Array, ""]) -> dict[str, FloatScalar]:
         """Means over `evaluation_envs` greedy episodes: `greedy_return`, `greedy_steps`, `greedy_success`."""

@@ -69,6 +69,10 @@ class Learner(Spec):
         """The learning curve so far: arrays of `record` points by name; NaN where nothing was recorded."""
         raise NotImplementedError
 
+    def results(self, hyper: Any, carry: Any, key: Key[Array, ""]) -> tuple[dict[str, Array], dict[str, Array]]:
+        """The learning curve of a run that is over, and how well what was learned does, as `evaluate` says."""
+        return self.curve(hyper, carry), self.evaluate(hyper, self.policy(carry), key)
+
 
 class WholeRunLearner(Learner):
     """Base of learners whose training is a loop of its own, which cannot be cut into chunks or vmapped.

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -142,6 +143,18 @@ class Physics(Spec):
             return self.step(params, world, controller, substeps)[0], None
 
         return jax.lax.scan(cycle, world, length=cycles)[0]
+
+    def run_sensed(self, params: Any, world: World, controller: Controller, cycles: int) -> tuple[World, Readings]:
+        """`cycles` control cycles of one time step, and what the sensors say at the beginning of the last."""
+
+        def cycle(carry: tuple[World, World, Any], _: None) -> tuple[tuple[World, World, Any], None]:
+            now = carry[0]
+            after, torque = self.step(params, now, controller)
+            return (after, now, torque), None
+
+        first = world, world, jnp.zeros(len(self.joint_names))
+        (world, before, torque), _ = jax.lax.scan(cycle, first, length=cycles)
+        return world, self.sensors(params, before, torque)
 
     def sensors(self, params: Any, world: World, torque: Any) -> Readings:
         """The readings in this state while `torque` acts."""

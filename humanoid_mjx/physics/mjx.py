@@ -6,7 +6,7 @@ import importlib.util
 import io
 from contextlib import redirect_stdout
 from copy import copy
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, ClassVar, Literal
 
 import jax
@@ -50,38 +50,40 @@ class MjxJax(MujocoPhysics):
         self, params: Any, world: World, controller: Controller, substeps: int = 1
     ) -> tuple[World, Float[Array, " joints"]]:
         model, blank = self._put(params), self._blank_data()
-        push = self.pushes(params)
-        limit = jnp.asarray(params.torque_limit, float)
-
-        def ask(data: Any, world: World) -> Float[Array, " joints"]:
-            torque = controller(self._stages(params, model, data, world))
-            return jnp.clip(jnp.asarray(torque, float), -limit, limit)
+        if substeps == 1:
+            new, data = self._cycle(params, model, blank, world, controller)
+            return new, data.ctrl
 
         def substep(
             carry: tuple[World, Float[Array, " joints"]], index: IntScalar
         ) -> tuple[tuple[World, Float[Array, " joints"]], None]:
             world, torque = carry
             data = self._at(model, blank, world)
-            torque = jax.lax.cond(index == 0, lambda: ask(data, world), lambda: torque)
-            return (_advance(model, data.replace(ctrl=torque, qfrc_applied=push)), torque), None
+            ask = partial(self._ask, params, model, data, world, controller)
+            torque = jax.lax.cond(index == 0, ask, lambda: torque)
+            return (_advance(model, data.replace(ctrl=torque, qfrc_applied=self.pushes(params)))[0], torque), None
 
-        if substeps == 1:
-            data = self._at(model, blank, world)
-            torque = ask(data, world)
-            new = _advance(model, data.replace(ctrl=torque, qfrc_applied=push))
-        else:
-            held = jnp.zeros(self.model.nu)
-            (new, torque), _ = jax.lax.scan(substep, (world, held), jnp.arange(substeps))
+        held = jnp.zeros(self.model.nu)
+        (new, torque), _ = jax.lax.scan(substep, (world, held), jnp.arange(substeps))
         return freeze_if_diverged(world, new), torque
+
+    def run_sensed(self, params: Any, world: World, controller: Controller, cycles: int) -> tuple[World, Readings]:
+        model, blank = self._put(params), self._blank_data()
+
+        def cycle(carry: tuple[World, Any], _: None) -> tuple[tuple[World, Any], None]:
+            world, before = carry
+            new, data = self._cycle(params, model, blank, world, controller)
+            return (new, jnp.where(new.diverged, before, data.sensordata)), None
+
+        nothing = jnp.zeros(self.model.nsensordata)
+        (world, sensordata), _ = jax.lax.scan(cycle, (world, nothing), length=cycles)
+        return world, self._readings(sensordata)
 
     def sensors(self, params: Any, world: World, torque: Float[AnyArray, " joints"]) -> Readings:
         model = self._put(params)
         data = self._at(model, self._blank_data(), world)
         data = data.replace(ctrl=jnp.asarray(torque, float), qfrc_applied=self.pushes(params))
-        if self.implementation == "warp":
-            return self._readings(mjx.forward(model, data).sensordata)
-        data = mjx.sensor_vel(model, mjx.sensor_pos(model, data))
-        return self._readings(mjx.sensor_acc(model, _accelerate(model, data)).sensordata)
+        return self._readings(_advance(model, data)[1].sensordata)
 
     def poses(self, params: Any, world: World) -> Poses:
         data = mjx.kinematics(self._put(params), self._blank_data().replace(qpos=world.qpos))
@@ -114,6 +116,18 @@ class MjxJax(MujocoPhysics):
         if self.implementation == "warp":
             return mjx.forward(model, data).replace(qacc_warmstart=world.warmstart)
         return mjx.fwd_velocity(model, mjx.fwd_position(model, data))
+
+    def _cycle(self, params: Any, model: Any, blank: Any, world: World, controller: Controller) -> tuple[World, Any]:
+        """One time step, and the mjx.Data of its beginning."""
+        data = self._at(model, blank, world)
+        torque = self._ask(params, model, data, world, controller)
+        new, data = _advance(model, data.replace(ctrl=torque, qfrc_applied=self.pushes(params)))
+        return freeze_if_diverged(world, new), data
+
+    def _ask(self, params: Any, model: Any, data: Any, world: World, controller: Controller) -> Float[Array, " joints"]:
+        limit = jnp.asarray(params.torque_limit, float)
+        torque = controller(self._stages(params, model, data, world))
+        return jnp.clip(jnp.asarray(torque, float), -limit, limit)
 
     def _stages(self, params: Any, model: Any, data: Any, world: World) -> Stages:
         joints = self.model.nu
@@ -179,13 +193,16 @@ def _mjx_arrays(model: mujoco.MjModel, implementation: str, x64: bool) -> tuple[
     return jax.tree.map(np.asarray, (put, data))
 
 
-def _accelerate(model: Any, data: Any) -> Any:
-    """From the position and velocity stages and `ctrl` to the acceleration."""
-    data = mjx.fwd_acceleration(model, mjx.fwd_actuation(model, data))
-    return mjx.solve(model, data) if data._impl.nefc else data.replace(qacc=data.qacc_smooth)
-
-
-def _advance(model: Any, data: Any) -> World:
-    """One time step of semi-implicit Euler from where the position and velocity stages are."""
-    data = mjx.step(model, data) if model.impl.value == "warp" else mjx.euler(model, _accelerate(model, data))
-    return World(data.qpos, data.qvel, data.qacc_warmstart, jnp.bool_(False))
+def _advance(model: Any, data: Any) -> tuple[World, Any]:
+    """One time step of semi-implicit Euler from where the position and velocity stages are. Also the data of its
+    beginning, with what the sensors say there; that costs nothing where it is not used."""
+    if model.impl.value == "warp":
+        after = mjx.step(model, data)
+        data = data.replace(sensordata=after.sensordata)
+    else:
+        data = mjx.sensor_vel(model, mjx.sensor_pos(model, data))
+        data = mjx.fwd_acceleration(model, mjx.fwd_actuation(model, data))
+        data = mjx.solve(model, data) if data._impl.nefc else data.replace(qacc=data.qacc_smooth)
+        data = mjx.sensor_acc(model, data)
+        after = mjx.euler(model, data)
+    return World(after.qpos, after.qvel, after.qacc_warmstart, jnp.bool_(False)), data

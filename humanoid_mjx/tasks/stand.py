@@ -17,7 +17,6 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 from pydantic import Field, model_validator
 
-from humanoid_mjx.mechanics.contacts import no_contacts
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.physics.base import Physics, Readings, Stages, World
 from humanoid_mjx.physics.sensors import Sensors, SensorState
@@ -89,7 +88,7 @@ class Stand(ContinuousTask):
 
     physics: Literal["mjx-jax", "mjx-warp", "mujoco"] = "mjx-jax"
     observe: Literal["sensors", "privileged"] = "sensors"
-    sensors: Sensors = Field(Sensors(), description="errors of the sensors")
+    sensors: Sensors = Field(Sensors.model_validate({}), description="errors of the sensors")
     choices: Literal[3, 5, 9] = Field(3, description="values of a joint's offset, evenly from -1 to 1 times it")
     offset: float = Field(20.0, gt=0, le=90, description="largest offset of a set-point from the posture, degrees")
     stiffness: float = Field(STIFFNESS, gt=0, le=200, description="of the servo, N m/rad")
@@ -159,9 +158,8 @@ class Stand(ContinuousTask):
         offsets = jnp.clip(command, -1.0, 1.0)
         servo = self.servo(params, jnp.radians(params.offset) * offsets + POSTURE)
         plant = self.simulator.params._replace(push=self._push(params, body, side_key))
-        world = self.simulator.run(plant, body.world, servo, self.simulator.substeps(self.period))
-        torque = servo(_joints_of(world))
-        body = self._sense(params, body, world, torque, sensor_key)
+        world, true = self.simulator.run_sensed(plant, body.world, servo, self.simulator.substeps(self.period))
+        body = self._sense(params, body, world, true, sensor_key)
         body = body._replace(offsets=offsets, decisions=body.decisions + 1)
         fallen = self.fallen(world) | world.diverged
         terms = {name: jnp.where(fallen, 0.0, term) for name, term in self.reward_terms(body).items()}
@@ -227,22 +225,13 @@ class Stand(ContinuousTask):
         force = params.push / self.period * jnp.stack([jnp.cos(side), jnp.sin(side), 0.0 * side])
         return jnp.where(due, force, 0.0)
 
-    def _sense(
-        self, params: Params, body: Body, world: World, torque: Float[Array, " joints"], key: Key[Array, ""]
-    ) -> Body:
-        """The body in its new world, with what the sensors say there."""
-        true = self.simulator.sensors(self.simulator.params, world, torque)
+    def _sense(self, params: Params, body: Body, world: World, true: Readings, key: Key[Array, ""]) -> Body:
+        """The body in its new world, with what the sensors say of it."""
         sensors, readings = self.sensors.read(params.sensors, body.sensors, true, key)
         rates = (readings.encoders - body.readings.encoders) / self.period
         turned = body.down + self.period * jnp.cross(body.down, readings.gyroscope)
         down = _unit(_unit(turned) - FILTER_GAIN * _unit(readings.accelerometer))
         return body._replace(world=world, sensors=sensors, readings=readings, rates=rates, down=down)
-
-
-def _joints_of(world: World) -> Stages:
-    """What a servo needs of a world."""
-    none = jnp.zeros(0)
-    return Stages(world, world.qpos[7:], world.qvel[6:], none, none, lambda qacc, mass: qacc, lambda: no_contacts(0))
 
 
 def _rotation(qpos: Float[Array, " nq"]) -> Float[Array, "3 3"]:

@@ -44,13 +44,8 @@ def program_of(learner: Learner) -> Program:
 
 def outcome(learner: Learner, hyper: Any, carry: Any, seeds: tuple[jax.Array, jax.Array]) -> dict[str, Any]:
     """What is kept of a run that is over: its curve, final scores and policy."""
-    policy = learner.policy(carry)
-    final = learner.evaluate(hyper, policy, jax.random.fold_in(run_key(*seeds), 1))
-    return {
-        "curve": learner.curve(hyper, carry),
-        "final": final | {"diverged": learner.diverged(carry)},
-        "policy": policy,
-    }
+    curve, final = learner.results(hyper, carry, jax.random.fold_in(run_key(*seeds), 1))
+    return {"curve": curve, "final": final | {"diverged": learner.diverged(carry)}, "policy": learner.policy(carry)}
 
 
 def run_key(seed: jax.Array, number: jax.Array) -> jax.Array:
