@@ -130,6 +130,23 @@ def test_joints_accelerate_as_wanted_where_contacts_let_them(touching):
     np.testing.assert_allclose((mobility[:, 6:] @ torque + drift)[6:], wanted, atol=1e-6)
 
 
+def test_gains_are_data():
+    """A batch of gains and shares gives what each gives alone."""
+    seen = look(FREE, *random_state(0))
+    scale = jnp.array([0.5, 1.0, 2.0])
+    params = jax.vmap(lambda x: jax.tree.map(lambda leaf: x * leaf, GroundControl.build(10)))(scale)
+    still = Reference(*jnp.zeros((3, 10)))
+
+    def act(params):
+        state = still, 0.1 * jnp.ones(10), jnp.ones(10)
+        return grounded_torque(params, *state, seen["matrix"], seen["bias"], seen["contacts"])
+
+    together = jax.vmap(act)(params)
+    for i in range(3):
+        np.testing.assert_allclose(together[i], act(jax.tree.map(lambda x, i=i: x[i], params)), rtol=1e-9)
+    assert np.abs(together[2] - together[0]).min() > 1e-3
+
+
 def regulate(dt, law, seconds=1.0):
     """(steps, 10) Errors of the fixed body on its way to rest."""
     physics = make_physics("mjx-jax", torso="fixed", ranges="human", timestep=dt)
