@@ -64,11 +64,12 @@ def render(model: mujoco.MjModel, qpos: Float[AnyArray, "frames nq"], path: Path
 
 
 def render_motion(
-    model: mujoco.MjModel, qpos: Float[AnyArray, "steps nq"], timestep: float, path: Path, fps: float = 25.0
+    model: mujoco.MjModel, qpos: Float[AnyArray, "rows nq"], step_s: float, path: Path, fps: float = 25.0
 ) -> Path:
-    """`render` a simulation at its own speed, given a row for each of its steps of `timestep`, s."""
-    times = np.arange(0.0, len(qpos) * timestep, 1.0 / fps)
-    return render(model, np.asarray(qpos)[np.minimum(np.round(times / timestep).astype(int), len(qpos) - 1)], path, fps)
+    """`render` a motion at its own speed, given a row every `step_s`, s; between rows it is drawn as even."""
+    rows = np.arange(0.0, len(qpos), 1.0 / (fps * step_s))
+    columns = [np.interp(rows, np.arange(len(qpos)), column) for column in np.asarray(qpos, np.float64).T]
+    return render(model, np.stack(columns, axis=1), path, fps)
 
 
 def draw(model: mujoco.MjModel, qpos: Float[np.ndarray, "frames nq"]) -> list[Frame]:
