@@ -4,8 +4,8 @@ import os
 import platform
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
-from importlib.metadata import version
+from contextlib import contextmanager, suppress
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -63,9 +63,13 @@ def machine() -> dict[str, Any]:
 
 
 def versions() -> dict[str, str]:
-    """The versions that a result depends on."""
-    packages = ("humanoid-mjx", "jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy")
-    return {"python": platform.python_version()} | {name: version(name) for name in packages}
+    """The versions that a result depends on, as far as they are installed."""
+    packages = ("humanoid-mjx", "jax", "jaxlib", "mujoco", "mujoco-mjx", "brax", "numpy")
+    found = {"python": platform.python_version()}
+    for name in packages:
+        with suppress(PackageNotFoundError):
+            found[name] = version(name)
+    return found
 
 
 def _cpu_name() -> str:

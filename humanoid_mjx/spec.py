@@ -59,6 +59,9 @@ def make(kind: str, registry: Mapping[str, str], base: type[Spec], name: str, /,
     try:
         cls = getattr(importlib.import_module(module_name), attribute)
     except (ImportError, AttributeError) as error:
+        missing = (getattr(error, "name", None) or "").partition(".")[0]
+        if isinstance(error, ModuleNotFoundError) and missing != module_name.partition(".")[0]:
+            raise InputError(f"{kind}.name: {name!r} needs the package {missing!r}, which is not installed.") from error
         raise InputError(f"{kind}.name: {name!r} cannot be imported: {error}.") from error
     if not (isinstance(cls, type) and issubclass(cls, base)):
         raise InputError(f"{kind}.name: {name!r} must be a class derived from {base.__module__}.{base.__name__}.")

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from pydantic import Field, model_validator
 
 from humanoid_mjx.tasks.continuous import ContinuousTask, State, begin
 
@@ -84,3 +85,18 @@ PROBES = {
 def probe(name, joints=1):
     obs, start, following, reward, q = PROBES[name]
     return make(joints, obs, start, following, reward), np.asarray(obs, np.float32)[:, None], np.asarray(q, np.float32)
+
+
+class NamedProbe(Probe):
+    """A probe by its name, as a config can write it."""
+
+    which: str
+    obs: Any = Field(None, exclude=True)
+    start: Any = Field(None, exclude=True)
+    next_state: Any = Field(None, exclude=True)
+    reward: Any = Field(None, exclude=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _tables_follow_from_the_name(cls, data):
+        return dict(probe(data["which"])[0]) | data

@@ -7,6 +7,7 @@ from humanoid_mjx.spec import make
 from humanoid_mjx.tasks.base import Task
 
 LEARNERS = {
+    "brax_ppo": "humanoid_mjx.learners.brax_ppo:BraxPPO",
     "deep_q": "humanoid_mjx.learners.deep:DeepQ",
     "linear_q": "humanoid_mjx.learners.linear:LinearQ",
     "tabular_q": "humanoid_mjx.learners.tabular:TabularQ",

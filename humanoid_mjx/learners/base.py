@@ -1,6 +1,6 @@
 """The protocol of learners."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
 import jax
@@ -67,4 +67,19 @@ class Learner(Spec):
 
     def curve(self, hyper: Any, carry: Any) -> dict[str, Array]:
         """The learning curve so far: arrays of `record` points by name; NaN where nothing was recorded."""
+        raise NotImplementedError
+
+
+class WholeRunLearner(Learner):
+    """Base of learners whose training is a loop of its own, which cannot be cut into chunks or vmapped.
+
+    `train_run` takes the place of `train_chunk`. Runs train one after another on one device; a kill loses the one under
+    way, which then trains anew.
+    """
+
+    def train_run(self, hyper: Any, carry: Any, report: Callable[[float], None]) -> Any:
+        """Train from a state that `init` made to the end; the last training state.
+
+        `report` wants to be told the share that is done, often. It may raise what ends the training.
+        """
         raise NotImplementedError

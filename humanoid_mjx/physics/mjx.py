@@ -49,6 +49,7 @@ class MjxJax(MujocoPhysics):
         self, params: Any, world: World, controller: Controller, substeps: int = 1
     ) -> tuple[World, Float[Array, " joints"]]:
         model, blank = self._put(params), self._blank_data()
+        push = self.pushes(params)
         limit = jnp.asarray(params.torque_limit, float)
 
         def ask(data: Any, world: World) -> Float[Array, " joints"]:
@@ -61,12 +62,12 @@ class MjxJax(MujocoPhysics):
             world, torque = carry
             data = self._at(model, blank, world)
             torque = jax.lax.cond(index == 0, lambda: ask(data, world), lambda: torque)
-            return (_advance(model, data.replace(ctrl=torque)), torque), None
+            return (_advance(model, data.replace(ctrl=torque, qfrc_applied=push)), torque), None
 
         if substeps == 1:
             data = self._at(model, blank, world)
             torque = ask(data, world)
-            new = _advance(model, data.replace(ctrl=torque))
+            new = _advance(model, data.replace(ctrl=torque, qfrc_applied=push))
         else:
             held = jnp.zeros(self.model.nu)
             (new, torque), _ = jax.lax.scan(substep, (world, held), jnp.arange(substeps))
@@ -74,7 +75,8 @@ class MjxJax(MujocoPhysics):
 
     def sensors(self, params: Any, world: World, torque: Float[AnyArray, " joints"]) -> Readings:
         model = self._put(params)
-        data = self._at(model, self._blank_data(), world).replace(ctrl=jnp.asarray(torque, float))
+        data = self._at(model, self._blank_data(), world)
+        data = data.replace(ctrl=jnp.asarray(torque, float), qfrc_applied=self.pushes(params))
         if self.implementation == "warp":
             return self._readings(mjx.forward(model, data).sensordata)
         data = mjx.sensor_vel(model, mjx.sensor_pos(model, data))

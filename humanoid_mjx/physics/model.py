@@ -29,12 +29,15 @@ class MujocoPhysics(Physics):
     friction: float = Field(body.FRICTION, ge=0, description="of the feet on the ground")
     damping: float = Field(body.DAMPING, ge=0, description="of the lower body's joints, N m s/rad")
     torque_limit: float = Field(TORQUE_LIMIT, gt=0, description="of the motors, N m")
+    push: tuple[float, float, float] = Field((0.0, 0.0, 0.0), description="steady force on a free torso, N, world")
 
     class Params(NamedTuple):
         mass: MassFactor
         friction: FloatScalar
         damping: FloatScalar
         torque_limit: FloatScalar
+        push: Any
+        """(3,) N, in the world; it acts at the torso's origin, midway between the hips."""
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -67,6 +70,11 @@ class MujocoPhysics(Physics):
             return jnp.full(self.model.nbody, mass, float)
         links = self.model.jnt_bodyid[self.model.actuator_trnid[:, 0]]
         return jnp.ones(self.model.nbody).at[links].set(mass)
+
+    def pushes(self, params: Any) -> Float[AnyArray, " nv"]:
+        """The forces on the degrees of freedom that are not the motors'."""
+        none = jnp.zeros(self.model.nv)
+        return none.at[:3].set(jnp.stack(list(params.push))) if self.torso == "free" else none
 
     def _readings(self, sensordata: Float[AnyArray, "*worlds sensors"]) -> Readings:
         """MuJoCo's sensor array, in the order in which the robot declares its sensors."""

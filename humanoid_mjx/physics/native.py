@@ -27,6 +27,9 @@ from humanoid_mjx.types import AnyArray, MassFactor
 MODELS_BYTES = 1 << 27
 """What the models kept of one robot may take, about 0.1 MB each. Worlds of more distinct `params` take turns."""
 
+CONTROL = int(mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED)
+"""What is given to each step: the motors' torques, then the forces on all degrees of freedom."""
+
 _LOCK = threading.Lock()
 """MuJoCo's data and its handler of warnings belong to one callback at a time; each uses all processors."""
 
@@ -41,14 +44,17 @@ class Native(MujocoPhysics):
         torque = jnp.clip(jnp.asarray(controller(self._stages(params, world)), float), -limit, limit)
         shapes = world.qpos.shape, world.qvel.shape, world.qvel.shape
         state = world.qpos, world.qvel, world.warmstart
-        qpos, qvel, warmstart = _on_host(partial(self._advance, substeps), shapes, self._values(params), *state, torque)
+        control = jnp.concatenate([torque, self.pushes(params)])
+        qpos, qvel, warmstart = _on_host(
+            partial(self._advance, substeps), shapes, self._values(params), *state, control
+        )
         return freeze_if_diverged(world, World(qpos, qvel, warmstart, jnp.bool_(False))), torque
 
     def sensors(self, params: Any, world: World, torque: Float[AnyArray, " joints"]) -> Readings:
         shapes = ((self.model.nsensordata,),)
-        (sensordata,) = _on_host(
-            self._sense, shapes, self._values(params), world.qpos, world.qvel, world.warmstart, torque
-        )
+        control = jnp.concatenate([jnp.asarray(torque, float), self.pushes(params)])
+        state = world.qpos, world.qvel, world.warmstart
+        (sensordata,) = _on_host(self._sense, shapes, self._values(params), *state, control)
         return self._readings(sensordata)
 
     def poses(self, params: Any, world: World) -> Poses:
@@ -71,10 +77,12 @@ class Native(MujocoPhysics):
         torque = np.clip(np.asarray(torque, np.float64), -values[-1], values[-1])
         state = world.qpos, world.qvel, world.warmstart
         qpos, qvel, warmstart = (np.asarray(x, np.float64).reshape(-1, x.shape[-1]) for x in state)
-        torque = torque.reshape(-1, *torque.shape[-2:])
+        pushes = np.broadcast_to(self.pushes(params), (*torque.shape[:-1], self.model.nv))
+        control = np.concatenate([torque, pushes], axis=-1)
+        control = control.reshape(-1, *control.shape[-2:])
         with _alone():
-            values = np.broadcast_to(values, (len(torque), len(values)))
-            states, sensordata = self._simulate(values, qpos, qvel, warmstart, torque, torque.shape[1])
+            values = np.broadcast_to(values, (len(control), len(values)))
+            states, sensordata = self._simulate(values, qpos, qvel, warmstart, control, control.shape[1])
         states = states.reshape(*worlds, *states.shape[1:])
         readings = self._readings(sensordata.reshape(*worlds, *sensordata.shape[1:]))
         return (*self._split(states), readings)
@@ -82,7 +90,7 @@ class Native(MujocoPhysics):
     def _values(self, params: Any) -> Float[Array, " values"]:
         """What of a model is traced: the mass factors of the bodies, friction, damping, and the torque limit."""
         factors = self.mass_factors(params.mass)
-        return jnp.concatenate([factors, jnp.stack([jnp.asarray(value, factors.dtype) for value in params[1:]])])
+        return jnp.concatenate([factors, jnp.stack([jnp.asarray(value, factors.dtype) for value in params[1:-1]])])
 
     def _stages(self, params: Any, world: World) -> Stages:
         joints, nv = self.model.nu, self.model.nv
@@ -106,18 +114,18 @@ class Native(MujocoPhysics):
         qpos: np.ndarray,
         qvel: np.ndarray,
         warmstart: np.ndarray,
-        torque: np.ndarray,
+        control: np.ndarray,
     ) -> tuple[np.ndarray, ...]:
-        """State and acceleration after so many steps under the same torque."""
-        states, _ = self._simulate(values, qpos, qvel, warmstart, torque[:, None], steps)
+        """State and acceleration after so many steps under the same control."""
+        states, _ = self._simulate(values, qpos, qvel, warmstart, control[:, None], steps)
         moved, speed = self._split(states[:, -1])
         before = self._split(states[:, -2])[1] if steps > 1 else qvel
         return moved, speed, (speed - before) / self.step_s
 
     def _sense(
-        self, values: np.ndarray, qpos: np.ndarray, qvel: np.ndarray, warmstart: np.ndarray, torque: np.ndarray
+        self, values: np.ndarray, qpos: np.ndarray, qvel: np.ndarray, warmstart: np.ndarray, control: np.ndarray
     ) -> tuple[np.ndarray]:
-        return (self._simulate(values, qpos, qvel, warmstart, torque[:, None], 1)[1][:, 0],)
+        return (self._simulate(values, qpos, qvel, warmstart, control[:, None], 1)[1][:, 0],)
 
     def _dynamics(self, values: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Mass matrix and bias of each world."""
@@ -145,12 +153,12 @@ class Native(MujocoPhysics):
         qpos: Float[np.ndarray, "worlds nq"],
         qvel: Float[np.ndarray, "worlds nv"],
         warmstart: Float[np.ndarray, "worlds nv"],
-        torque: Float[np.ndarray, "worlds held joints"],
+        control: Float[np.ndarray, "worlds held controls"],
         steps: int,
     ) -> tuple[Float[np.ndarray, "worlds steps nstate"], Float[np.ndarray, "worlds steps sensors"]]:
         """States (time, positions, velocities) after every step and sensors before it, in groups of few models.
 
-        `torque` is of every step, or one for all.
+        `control` is of every step, or one for all.
         """
         team = _team(self.model)
         initial = np.concatenate([np.zeros((len(qpos), 1)), qpos, qvel], axis=-1)
@@ -164,7 +172,8 @@ class Native(MujocoPhysics):
                 [models[i - first] for i in kind[rows]],
                 team.data,
                 initial[rows],
-                torque[rows],
+                control[rows],
+                control_spec=CONTROL,
                 nstep=steps,
                 initial_warmstart=warmstart[rows],
             )

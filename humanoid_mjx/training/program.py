@@ -34,21 +34,23 @@ def program_of(learner: Learner) -> Program:
         carry, metrics = learner.train_chunk(hyper, carry, steps)
         return carry, metrics["progress"]
 
-    def finish(hyper, carry, seeds):
-        policy = learner.policy(carry)
-        final = learner.evaluate(hyper, policy, jax.random.fold_in(run_key(*seeds), 1))
-        return {
-            "curve": learner.curve(hyper, carry),
-            "final": final | {"diverged": learner.diverged(carry)},
-            "policy": policy,
-        }
-
     options = dict(learner.compiler_options)
     return Program(
         start=jax.jit(jax.vmap(start), donate_argnums=3),
         train=jax.jit(jax.vmap(train, in_axes=(0, 0, None)), donate_argnums=1, compiler_options=options),
-        finish=jax.jit(jax.vmap(finish), compiler_options=options),
+        finish=jax.jit(jax.vmap(partial(outcome, learner)), compiler_options=options),
     )
+
+
+def outcome(learner: Learner, hyper: Any, carry: Any, seeds: tuple[jax.Array, jax.Array]) -> dict[str, Any]:
+    """What is kept of a run that is over: its curve, final scores and policy."""
+    policy = learner.policy(carry)
+    final = learner.evaluate(hyper, policy, jax.random.fold_in(run_key(*seeds), 1))
+    return {
+        "curve": learner.curve(hyper, carry),
+        "final": final | {"diverged": learner.diverged(carry)},
+        "policy": policy,
+    }
 
 
 def run_key(seed: jax.Array, number: jax.Array) -> jax.Array:

@@ -15,6 +15,7 @@ import numpy as np
 
 from humanoid_mjx import runtime
 from humanoid_mjx.config import Config, load, parse
+from humanoid_mjx.learners.base import WholeRunLearner
 from humanoid_mjx.results.store import (
     RunFolder,
     diverged_name,
@@ -29,6 +30,7 @@ from humanoid_mjx.training.plan import Plan, make_plan, resolved, runs_that_fit
 from humanoid_mjx.training.pool import Pool
 from humanoid_mjx.training.progress import Reporter
 from humanoid_mjx.training.warm_start import earlier_policies
+from humanoid_mjx.training.whole_runs import WholeRuns
 
 CHECKPOINT_EVERY_S = 30.0
 """Seconds of training that a kill may cost."""
@@ -120,7 +122,9 @@ class _Session:
 
     def train(self, index: int, size: int, policies: Any) -> None:
         """Train the runs of a group that are not finished yet, at most `size` at once on each device."""
-        group, devices = self.plan.groups[index], jax.local_devices()
+        group = self.plan.groups[index]
+        whole = isinstance(group.learner, WholeRunLearner)
+        devices = jax.local_devices()[: 1 if whole else None]
         waiting = deque(run for run in group.runs.tolist() if run not in self.finished)
         if not waiting:
             return
@@ -128,7 +132,11 @@ class _Session:
         # Not of what still waits: sums over networks round by the number of runs side by side, also after a resume.
         size = min(size, -(-len(group.runs) // len(devices)))
         with runtime.counting_compiles() as compiles, ThreadPoolExecutor(len(devices)) as threads:
-            pools = [Pool(group, waiting, size, device, self.plan.config.seed, policies) for device in devices]
+            common = self.plan.config.seed, policies
+            if whole:
+                pools = [WholeRuns(group, waiting, devices[0], *common, self.stop)]
+            else:
+                pools = [Pool(group, waiting, size, device, *common) for device in devices]
             self._restore(index, pools)
             work = [threads.submit(self._work, index, number, pool) for number, pool in enumerate(pools)]
             try:

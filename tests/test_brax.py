@@ -1,0 +1,379 @@
+"""Brax both ways: tasks under its wrappers, and its PPO on tasks, through the sweep command."""
+
+import json
+import sys
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from brax.envs.wrappers import training as wrappers
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from probes import probe
+from typer.testing import CliRunner
+
+from humanoid_mjx import InputError, make_learner, make_task, rng, sweep
+from humanoid_mjx.cli import app
+from humanoid_mjx.learners import brax_ppo, brax_repair
+from humanoid_mjx.results.tables import finished_runs
+from humanoid_mjx.tasks import TASKS
+from humanoid_mjx.tasks.base import Task
+from humanoid_mjx.tasks.brax_env import BraxEnv, wrap
+from humanoid_mjx.tasks.continuous import ContinuousTask, State, begin
+from humanoid_mjx.training.progress import Reporter
+from humanoid_mjx.training.sweep import Run
+from humanoid_mjx.training.whole_runs import WholeRuns
+
+
+class Drift(ContinuousTask):
+    """What is seen says which choices were made and when; starts and rewards are random. It ends above 2.5 by itself,
+    and is cut off after `cap` steps."""
+
+    choices: tuple[int, ...] = (3, 2)
+    cap: int = 4
+
+    class Params(NamedTuple):
+        cap: int
+
+    @property
+    def observation_size(self):
+        return 2 + len(self.choices)
+
+    @property
+    def action_choices(self):
+        return self.choices
+
+    def reset(self, params, key):
+        start = jax.random.uniform(key)
+        obs = jnp.concatenate([jnp.stack([start, 0.0]), -jnp.ones(len(self.choices))])
+        return begin((start, jnp.int32(0)), obs, ("noise",))
+
+    def step(self, params, state, action, key):
+        place, count = state.data[0] + action[0] * 0.5, state.data[1] + 1
+        obs = jnp.concatenate([jnp.stack([place, count.astype(float)]), action.astype(float)])
+        noise = jax.random.uniform(key)
+        over = place > 2.5
+        cut = ~over & (count >= params.cap)
+        return State((place, count), obs, noise, over, cut, over, obs, {"noise": noise})
+
+
+def roll(env, commands, seed=0):
+    """States of environments side by side, from the reset on; `commands` lead with (steps, envs)."""
+    state = jax.jit(env.reset)(jax.random.split(jax.random.PRNGKey(seed), commands.shape[1]))
+    step = jax.jit(env.step)
+    states = [state]
+    for command in commands:
+        states.append(step(states[-1], command))
+    return states
+
+
+def column(states, take):
+    return np.stack([np.asarray(take(state)) for state in states])
+
+
+def random_commands(steps, envs, joints, seed=0):
+    return np.random.default_rng(seed).uniform(-1.3, 1.3, (steps, envs, joints)).astype(np.float32)
+
+
+@settings(max_examples=30, deadline=None)
+@given(choices=st.lists(st.integers(1, 9), min_size=1, max_size=4), data=st.data())
+def test_a_command_becomes_the_nearest_choice(choices, data):
+    command = np.array([data.draw(st.floats(-1.5, 1.5, width=32)) for _ in choices])
+    task = Drift(choices=tuple(choices))
+    state = task.reset(task.params, rng.key(0))
+    found = task.step_continuous(task.params, state, jnp.asarray(command, jnp.float32), rng.key(1)).obs[2:]
+    for value, n, choice in zip(command, choices, np.asarray(found), strict=True):
+        distance = np.abs(np.linspace(-1, 1, n) - np.clip(value, -1, 1))
+        assert distance[int(choice)] <= distance.min() + 1e-6
+
+
+@pytest.mark.parametrize("which", ["finite", "continuous"])
+def test_under_brax_wrappers_a_task_does_what_it_does_alone(which):
+    finite = make_task("joint_reach", joint=5, states=13, max_episode_steps=20)
+    task = finite if which == "finite" else probe("delayed reward", joints=2)[0]
+    env = BraxEnv(task)
+    assert env.action_size == len(env.task.action_choices) == (1 if which == "finite" else 2)
+    commands = random_commands(50, 3, env.action_size)
+    wrapped = wrappers.AutoResetWrapper(wrappers.EpisodeWrapper(wrappers.VmapWrapper(env), 1000, 1))
+    states = roll(wrapped, commands)
+    assert states[0].obs.shape == (3, env.observation_size)
+    ends = 0
+    step = jax.jit(env.task.step)
+    for e in range(3):
+        # Both tasks are deterministic from a given start, to which Brax's wrapper returns: keys do not matter.
+        first = jax.tree.map(lambda leaf, e=e: leaf[e], states[0].pipeline_state)
+        own = first
+        for t, state in enumerate(states[1:]):
+            choice = jnp.asarray((commands[t, e] > 0).astype(np.int32))
+            own = step(env.params, own, choice, rng.key(t))
+            # Two programs: XLA may round each its own way; rewards are of order 1.
+            np.testing.assert_allclose(state.reward[e], own.reward, atol=1e-6)
+            np.testing.assert_allclose(state.info["final_obs"][e], own.final_obs, atol=1e-6)
+            assert bool(state.done[e]) == bool(own.over)
+            assert float(state.metrics["success"][e]) == float(own.over & own.success)
+            ends += bool(own.over)
+            own = first if own.over else own
+            np.testing.assert_allclose(state.obs[e], own.obs, atol=1e-6)
+    assert ends > 4
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_every_shipped_task_is_an_environment_of_brax(name):
+    env = BraxEnv(make_task(name, **({"joint": 1} if name == "joint_reach" else {})))
+    wrapped = wrappers.EvalWrapper(wrap(env))
+    state = jax.eval_shape(wrapped.reset, jax.ShapeDtypeStruct((3, 2), jnp.uint32))
+    after = jax.eval_shape(wrapped.step, state, jax.ShapeDtypeStruct((3, env.action_size), jnp.float32))
+    assert state.obs.shape == (3, env.observation_size)
+    # A scan over steps takes a state only where its successor is of the same shapes and types.
+    assert jax.tree.structure(state) == jax.tree.structure(after)
+    assert [(a.shape, a.dtype) for a in jax.tree.leaves(state)] == [(a.shape, a.dtype) for a in jax.tree.leaves(after)]
+
+
+def test_commands_reach_a_task_of_set_points_as_they_are():
+    env = BraxEnv(make_task("leg_reach", increment=5.0))
+    state = jax.jit(env.reset)(jax.random.PRNGKey(0))
+    command = np.array([0.1, -0.37, 0.0, 0.92, -1.7], np.float32)
+    after = jax.jit(env.step)(state, command)
+    moved = after.pipeline_state.data.setpoint - state.pipeline_state.data.setpoint
+    np.testing.assert_allclose(moved, np.radians(5.0) * np.clip(command, -1, 1), atol=1e-6)
+
+
+def test_what_a_task_cuts_off_is_a_truncation_and_its_last_observation_is_kept():
+    env = BraxEnv(Drift(cap=4))
+    # The first environment stays where it is until it is cut off, the second climbs by 1 a step beyond 2.5.
+    commands = np.tile(np.array([[-1, 0], [1, 0]], np.float32), (9, 1, 1))
+    states = roll(wrap(env), commands)[1:]
+    done, cut = column(states, lambda s: s.done), column(states, lambda s: s.info["truncation"])
+    np.testing.assert_array_equal(np.flatnonzero(done[:, 0]), [3, 7])
+    np.testing.assert_array_equal(cut[:, 0], done[:, 0])
+    assert done[:, 1].sum() >= 3 and not cut[:, 1].any()
+    last = column(states, lambda s: s.info["final_obs"])
+    obs = column(states, lambda s: s.obs)
+    assert (last[:, 0, 1][done[:, 0] == 1] == 4).all() and (last[:, 1, 0][done[:, 1] == 1] > 2.5).all()
+    assert (obs[..., 1][done == 1] == 0).all() and (obs == last).all(axis=-1)[done == 0].all()
+    # Brax's own wrapper takes both for terminations; `time_out` still tells.
+    states = roll(wrappers.EpisodeWrapper(wrappers.VmapWrapper(env), 1000, 1), commands[:4])
+    assert states[-1].done[0] == 1 and states[-1].info["truncation"][0] == 0 and states[-1].info["time_out"][0] == 1
+    # An episode shorter than the task's own is cut off, too.
+    states = roll(wrap(env, 2), commands[:5])[1:]
+    np.testing.assert_array_equal(column(states, lambda s: s.info["truncation"])[:, 0], [0, 1, 0, 1, 0])
+
+
+def test_every_episode_begins_in_a_state_of_its_own_and_no_noise_repeats():
+    env = BraxEnv(Drift(cap=2))
+    commands = -np.ones((20, 5, 2), np.float32)
+    states = roll(wrap(env), commands)
+    starts = column(states[::2], lambda s: s.obs[:, 0])
+    assert len(np.unique(starts)) == starts.size == 55
+    noise = column(states[1:], lambda s: s.reward)
+    assert len(np.unique(noise)) == noise.size == 100
+    states = roll(wrappers.AutoResetWrapper(wrappers.EpisodeWrapper(wrappers.VmapWrapper(env), 1000, 1)), commands)
+    assert len(np.unique(column(states[::2], lambda s: s.obs[:, 0]))) == 5
+    noise = column(states[1:], lambda s: s.reward)
+    assert len(np.unique(noise)) == noise.size
+
+
+def test_brax_evaluates_a_task():
+    env = wrappers.EvalWrapper(wrap(BraxEnv(Drift(cap=4))))
+    commands = np.tile(np.array([[-1, 0], [1, 0]], np.float32), (8, 1, 1))
+    states = roll(env, commands)
+    found = states[-1].info["eval_metrics"]
+    lengths = np.asarray(found.episode_steps).astype(int)
+    assert lengths[0] == 4 and lengths[1] <= 3
+    np.testing.assert_array_equal(found.episode_metrics["success"], [0, 1])
+    rewards = column(states[1:], lambda s: s.reward)
+    expected = [rewards[:length, e].sum() for e, length in enumerate(lengths)]
+    np.testing.assert_allclose(found.episode_metrics["reward"], expected, rtol=1e-6)
+    np.testing.assert_allclose(found.episode_metrics["noise"], expected, rtol=1e-6)
+
+
+TINY = {
+    "num_envs": 32,
+    "unroll_length": 4,
+    "batch_size": 16,
+    "num_minibatches": 2,
+    "policy_hidden_layer_sizes": [16],
+    "value_hidden_layer_sizes": [16],
+    "learning_rate": 0.01,
+    "discounting": 0.5,
+}
+CONFIG = {
+    "name": "ppo",
+    "task": {"name": "probes:NamedProbe", "which": "both"},
+    "learner": {"name": "brax_ppo", **TINY},
+    "sweep": {"axes": {"task.which": ["both", "delayed reward"]}},
+    "episodes": 32 * 4 * 90,
+    "record": 6,
+}
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("ppo")
+    (folder / "ppo.yaml").write_text(json.dumps(CONFIG))
+    done = CliRunner().invoke(app, ["sweep", str(folder / "ppo.yaml"), "--out", str(folder / "run")])
+    assert done.exit_code == 0, done.output
+    return Run(folder / "run")
+
+
+def test_ppo_solves_probes_through_the_sweep_command(swept):
+    summary, results = swept.summary, swept.results
+    assert summary["task.which"].tolist() == ["both", "delayed reward"]
+    np.testing.assert_array_equal(summary["greedy_success"], [1, 1])
+    np.testing.assert_array_equal(summary["greedy_return"], [1, 1])
+    np.testing.assert_array_equal(summary["greedy_steps"], [1, 2])
+    assert not summary["diverged"].any()
+    # Of 64 random actions at the end a few may still be the other one.
+    assert (summary["return"] > 0.7).all()
+    assert results["episode"][:6].tolist() == [1920 * (i + 1) for i in range(6)]
+    for name in ("return", "steps", "success", "greedy_return", "greedy_steps", "greedy_success"):
+        assert np.isfinite(results[name]).all()
+    assert (swept.path / "figures/learning_curves.png").is_file()
+    assert "brax" in json.loads((swept.path / "provenance.json").read_text())["versions"]
+
+
+def test_a_stopped_ppo_loses_the_run_under_way_and_ends_in_the_same_bits(swept, tmp_path, monkeypatch):
+    class Interrupting(Reporter):
+        def update(self, done):
+            if done > CONFIG["episodes"]:
+                raise KeyboardInterrupt
+
+    told = []
+
+    def report(self, share):
+        told.append((int(self.slots[0]), share))
+        if self.slots[0] == 1:
+            self.progress[0] = share
+            assert self.stop.wait(60)
+        original(self, share)
+
+    original = WholeRuns._report
+    monkeypatch.setattr(WholeRuns, "_report", report)
+    with pytest.raises(KeyboardInterrupt):
+        sweep(CONFIG, tmp_path / "run", reporter=Interrupting())
+    assert told == [(0, (i + 1) / 6) for i in range(6)] + [(1, 1 / 6)]
+    assert Run(tmp_path / "run").summary["point"].tolist() == [0]
+    monkeypatch.setattr(WholeRuns, "_report", original)
+    again = sweep(CONFIG, tmp_path / "run", resume=True)
+    for name in ("results.parquet", "summary.parquet"):
+        assert (again.path / name).read_bytes() == (swept.path / name).read_bytes()
+
+
+def fake_training(monkeypatch, change):
+    """Put a function in the place of Brax's trainer that only changes the policy, once for each part."""
+    given = []
+
+    def train(**values):
+        given.append(values)
+        policy = values["restore_params"]
+        values["policy_params_fn"](0, None, policy)
+        for part in range(values["num_evals"] - 1):
+            policy = change(part, policy)
+            values["policy_params_fn"](part + 1, None, policy)
+
+    monkeypatch.setattr(brax_ppo.ppo, "train", train)
+    return given
+
+
+def trained(learner):
+    learner, hyper = learner.structure(), jax.tree.map(jnp.asarray, learner.params)
+    return learner, hyper, learner.train_run(hyper, learner.init(hyper, rng.key(0)), lambda share: None)
+
+
+def test_training_stops_at_weights_that_are_not_finite_and_keeps_the_last_good_ones(monkeypatch):
+    def change(part, policy):
+        return jax.tree.map(lambda leaf: leaf + (1 if part < 2 else np.nan), policy) if part < 3 else policy
+
+    fake_training(monkeypatch, change)
+    learner = make_learner("brax_ppo", probe("both")[0], episodes=128 * 100, record=5, **TINY)
+    learner, hyper, carry = trained(learner)
+    assert bool(learner.diverged(carry))
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(learner.policy(carry)))
+    np.testing.assert_array_equal(np.isfinite(learner.curve(hyper, carry)["return"]), [True, True, False, False, False])
+
+
+@pytest.mark.parametrize(
+    ("updates", "record", "points"),
+    [(100, 5, range(5)), (3, 5, [1, 3, 4]), (7, 5, [1, 2, 3, 4]), (1, 5, [4])],
+)
+def test_the_parts_of_a_training_fall_on_the_points_of_its_curve(monkeypatch, updates, record, points):
+    given = fake_training(monkeypatch, lambda part, policy: policy)
+    learner = make_learner("brax_ppo", probe("both")[0], episodes=128 * updates, record=record, **TINY)
+    learner, hyper, carry = trained(learner)
+    np.testing.assert_array_equal(np.flatnonzero(np.isfinite(learner.curve(hyper, carry)["steps"])), list(points))
+    parts = given[0]["num_evals"] - 1
+    assert parts * -(-updates // parts) < updates + -(-updates // record)
+
+
+def test_a_run_can_start_from_what_an_earlier_one_learned(swept, tmp_path, monkeypatch):
+    given = fake_training(monkeypatch, lambda part, policy: policy)
+    learner = CONFIG["learner"] | {"start_from": str(swept.path)}
+    run = sweep(CONFIG | {"learner": learner}, tmp_path / "run")
+    np.testing.assert_array_equal(run.summary["greedy_success"], [1, 1])
+    stored = finished_runs(swept.path, ("point", "seed", "policy"))
+    names = [name for name in stored if "kernel" in name]
+    assert len(names) == 4
+    for point, values in enumerate(given):
+        kept = [np.asarray(leaf) for leaf in jax.tree.leaves(values["restore_params"]) if leaf.ndim == 2]
+        for name, weights in zip(names, kept, strict=True):
+            np.testing.assert_array_equal(weights, stored[name][point])
+
+
+def test_the_repair_reaches_one_module_only_and_ends_with_its_block():
+    had = hasattr(jax, "device_put_replicated")
+    with pytest.raises(KeyError), brax_repair.repaired(brax_ppo.ppo):
+        assert brax_ppo.ppo.jax is not jax and brax_ppo.ppo.jax.numpy is jnp
+        assert hasattr(brax_ppo.ppo.jax, "device_put_replicated")
+        assert hasattr(jax, "device_put_replicated") == had
+        assert not hasattr(brax_ppo.ppo.jax, "no_such_thing")
+        raise KeyError
+    assert brax_ppo.ppo.jax is jax
+
+
+def test_replicated_arrays_have_a_copy_on_every_device():
+    devices = jax.local_devices()
+    tree = brax_repair.device_put_replicated({"a": np.arange(6.0).reshape(2, 3), "b": 7}, devices)
+    assert tree["a"].shape == (len(devices), 2, 3) and tree["b"].shape == (len(devices),)
+    for leaf, value in ((tree["a"], np.arange(6.0).reshape(2, 3)), (tree["b"], 7)):
+        assert {shard.device for shard in leaf.addressable_shards} == set(devices)
+        for shard in leaf.addressable_shards:
+            np.testing.assert_array_equal(shard.data.squeeze(0), value)
+    # What the next step of training is given: the same sharding spares a second compilation.
+    after = jax.pmap(lambda x: x + 1, axis_name=brax_ppo.ppo._PMAP_AXIS_NAME)(tree["a"])
+    assert after.sharding == tree["a"].sharding
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"num_envs": 24}, r"num_envs must divide batch_size \* num_minibatches \(32\), got 24"),
+        ({"value_hidden_layer_sizes": [16, 0]}, "a layer must have at least 1 unit"),
+        ({"learning_rate": 0.0}, "learner.learning_rate must be greater than 0"),
+        ({"discount": 0.9}, "learner.discount: unknown key; did you mean 'discounting'"),
+    ],
+)
+def test_bad_values_get_a_sentence(values, words):
+    with pytest.raises(InputError, match=words):
+        make_learner("brax_ppo", probe("both")[0], **(TINY | values))
+
+
+def test_what_a_task_cannot_be_for_brax_gets_a_sentence():
+    with pytest.raises(InputError, match="takes a FiniteTask or a ContinuousTask, got a Task"):
+        BraxEnv(Task())
+    env = BraxEnv(probe("both")[0])
+    with pytest.raises(InputError, match="action_repeat must be 1, got 2"):
+        wrap(env, 100, 2)
+    with pytest.raises(InputError, match="randomization_fn changes a Brax system"):
+        wrap(env, randomization_fn=lambda system, rng: (system, system))
+
+
+def test_without_brax_its_learner_gets_a_sentence(monkeypatch):
+    for name in [name for name in sys.modules if name.partition(".")[0] == "brax"]:
+        monkeypatch.delitem(sys.modules, name)
+    for name in ("humanoid_mjx.learners.brax_ppo", "humanoid_mjx.tasks.brax_env"):
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "brax", None)
+    with pytest.raises(InputError, match="'brax_ppo' needs the package 'brax', which is not installed"):
+        make_learner("brax_ppo", probe("both")[0])
