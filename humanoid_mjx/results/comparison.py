@@ -1,6 +1,7 @@
 """One figure of several runs: their learning curves in samples and in wall time, beside agents that do not learn."""
 
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,7 +12,7 @@ from humanoid_mjx.results.evaluations import Evaluation
 from humanoid_mjx.results.statistics import iqm, iqm_interval
 from humanoid_mjx.results.style import COLORS, figure, label_lines
 
-MEASURES = {"success": "share of episodes that succeed", "return": "return per episode"}
+MEASURES = {"success": "success", "return": "return per episode"}
 
 BASELINES = {"zero": ":", "random": "--"}
 """Agents that do not learn, and how their lines look."""
@@ -28,11 +29,13 @@ class Curve(NamedTuple):
     """Control steps since the start of training."""
     wall_s: Float[np.ndarray, "seeds record"] | None
     measures: dict[str, Float[np.ndarray, "seeds record"]]
-    """By names of `MEASURES`: of greedy episodes where the run recorded them, else of those of training."""
+    """By names of `MEASURES`."""
+    greedy: bool
+    """Whether they are of greedy episodes rather than of those of training."""
 
 
 def curve_of(name: str, results: Mapping[str, np.ndarray], point: int, counts_steps: bool, agents: int = 1) -> Curve:
-    """The curve of a sweep point, from the table `results` of its run.
+    """The curve of a sweep point, from the table `results` of its run: of greedy episodes where there are any.
 
     Args:
       name: for the label.
@@ -52,8 +55,10 @@ def curve_of(name: str, results: Mapping[str, np.ndarray], point: int, counts_st
         episodes = np.diff(samples, axis=1, prepend=0.0)
         samples = np.cumsum(episodes * np.nan_to_num(by_seed("steps")) * agents, axis=1)
     wall = by_seed("wall_s") if "wall_s" in results else None
-    columns = {name: f"greedy_{name}" if f"greedy_{name}" in results else name for name in MEASURES}
-    return Curve(name, samples, wall, {name: by_seed(column) for name, column in columns.items() if column in results})
+    greedy = any(f"greedy_{name}" in results for name in MEASURES)
+    columns = {name: f"greedy_{name}" if greedy else name for name in MEASURES}
+    measures = {name: by_seed(column) for name, column in columns.items() if column in results}
+    return Curve(name, samples, wall, measures, greedy)
 
 
 def compare_curves(path: Path, curves: Sequence[Curve], agents: Sequence[Evaluation]) -> None:
@@ -64,30 +69,32 @@ def compare_curves(path: Path, curves: Sequence[Curve], agents: Sequence[Evaluat
     """
     kinds = [agent.agent for agent in agents]
     level = [agent for agent in agents if kinds.count(agent.agent) == 1]
-    timed = [curve for curve in curves if curve.wall_s is not None]
+    colored = list(zip(curves, cycle(COLORS[:-1])))
+    timed = [(curve, color) for curve, color in colored if curve.wall_s is not None]
+    kinds_of_episode = " or ".join(sorted({"greedy" if curve.greedy else "training" for curve in curves}))
     names = [name for name in MEASURES if any(name in curve.measures for curve in curves)]
-    columns = [("control steps", curves)] + ([("seconds of training", timed)] if timed else [])
+    columns = [("control steps", colored)] + ([("seconds of training", timed)] if timed else [])
     with figure(path, len(names), len(columns), size=(5.2, 3.0), sharex="col", sharey="row") as (fig, panels):
         fig.suptitle("Interquartile mean over seeds, band: 95 % bootstrap", x=0.01, ha="left")
         for row, name in enumerate(names):
             for column, (unit, drawn) in enumerate(columns):
                 panel = panels[row, column]
-                shown = [curve for curve in drawn if name in curve.measures]
-                ends = [_draw(panel, curve, name, column == 1, COLORS[curves.index(curve) % 6]) for curve in shown]
+                shown = [(curve, color) for curve, color in drawn if name in curve.measures]
+                ends = [_draw(panel, curve, name, column == 1, color) for curve, color in shown]
                 heights = [_height(agent, name) for agent in level]
                 for agent, height in zip(level, heights, strict=True):
                     panel.axhline(height, color="0.35", linestyle=BASELINES.get(agent.agent, "-."), linewidth=1.0)
-                labels = [curve.name for curve in shown] + [agent.agent for agent in level]
-                colors = [COLORS[curves.index(curve) % 6] for curve in shown] + ["0.35"] * len(level)
+                labels = [curve.name for curve, _ in shown] + [agent.agent for agent in level]
+                colors = [color for _, color in shown] + ["0.35"] * len(level)
                 if name == "success":
                     panel.set_ylim(-0.03, 1.03)
                 label_lines(panel, ends + heights, labels, colors)
-                if _far_apart(drawn, column == 1):
+                if _far_apart([curve for curve, _ in drawn], column == 1):
                     panel.set_xscale("log")
                 if row == len(names) - 1:
                     panel.set_xlabel(unit)
                 if column == 0:
-                    panel.set_ylabel(MEASURES[name])
+                    panel.set_ylabel(f"{MEASURES[name]} ({kinds_of_episode})")
 
 
 def _draw(panel: Any, curve: Curve, name: str, timed: bool, color: str) -> float:
@@ -105,10 +112,10 @@ def _draw(panel: Any, curve: Curve, name: str, timed: bool, color: str) -> float
 
 
 def _height(agent: Evaluation, name: str) -> float:
-    return (agent.success if name == "success" else agent.episode_return).value
+    return agent.success.value if name == "success" else agent.mean_return
 
 
 def _far_apart(curves: Sequence[Curve], timed: bool) -> bool:
     """Whether the longest of the trainings dwarfs the shortest."""
     ends = [np.nanmax(across) for c in curves if (across := c.wall_s if timed else c.samples) is not None]
-    return max(ends) > FAR_APART * max(min(ends), 1e-9)
+    return bool(max(ends) > FAR_APART * max(min(ends), 1e-9))

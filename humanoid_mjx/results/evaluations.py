@@ -27,11 +27,12 @@ class Evaluation(NamedTuple):
     episode_return: Estimate
     """Interquartile means, with bootstrap intervals over the episodes."""
     steps: Estimate
+    mean_return: float
 
     def as_json(self) -> dict[str, Any]:
         """Plain values; the interval of each number beside it."""
         numbers = {"success": self.success, "return": self.episode_return, "steps": self.steps}
-        return {"policy": self.policy, "agent": self.agent} | {
+        return {"policy": self.policy, "agent": self.agent, "mean_return": self.mean_return} | {
             key: value
             for name, estimate in numbers.items()
             for key, value in ((name, estimate.value), (f"{name}_interval", [estimate.low, estimate.high]))
@@ -43,7 +44,8 @@ def estimated(policy: str, agent: str, episodes: Mapping[str, np.ndarray]) -> Ev
     success = np.asarray(episodes["success"], bool)
     measures = (np.asarray(episodes[name], float) for name in ("return", "steps"))
     total, steps = (Estimate(float(iqm(x)), *map(float, iqm_interval(x))) for x in measures)
-    return Evaluation(policy, agent, Estimate(float(success.mean()), *rate_interval(success)), total, steps)
+    rate = Estimate(float(success.mean()), *rate_interval(success))
+    return Evaluation(policy, agent, rate, total, steps, float(np.mean(episodes["return"])))
 
 
 def evaluation_table(title: str, evaluations: Sequence[Evaluation]) -> Table:
