@@ -271,7 +271,15 @@ def test_bad_values_get_a_sentence(name, values, words):
 SWEEP = {
     "name": "deep",
     "task": {"name": "joint_reach", "joint": 5, "states": 13, "max_episode_steps": 40},
-    "learner": {"name": "deep_q", "width": 16, "layers": 1, "envs": 8, "rollout": 8, "evaluation_envs": 4},
+    "learner": {
+        "name": "deep_q",
+        "width": 16,
+        "layers": 1,
+        "envs": 8,
+        "rollout": 8,
+        "evaluation_envs": 4,
+        "evaluations": 5,
+    },
     "sweep": {"axes": {"learner.epsilon": [0.2, 1.0], "learner.trace_decay": [0.0, 0.9]}},
     "seeds": 2,
     "episodes": 8 * 8 * 40,
@@ -289,6 +297,25 @@ def test_a_sweep_of_networks_has_a_row_for_every_point(swept):
     assert {"td_error", "return", "success", "steps"} <= set(swept.results)
     assert swept.results["episode"][9] == 8 * 8 * 40
     assert np.isfinite(swept.summary["greedy_return"]).all() and not swept.summary["diverged"].any()
+
+
+def test_learning_curves_hold_greedy_evaluations_and_the_time_they_took(swept):
+    score = swept.results["greedy_success"].reshape(8, 10)
+    np.testing.assert_array_equal(np.isfinite(score), np.tile(np.arange(1, 11) % 2 == 0, (8, 1)))
+    wall_s = swept.timing["wall_s"].reshape(8, 10)
+    assert (np.diff(wall_s) >= 0).all() and (wall_s > 0).all()
+
+
+def test_snapshots_are_of_the_end_of_each_part():
+    """Training to the middle gives the weights that stand in the middle of a longer training."""
+    learner = build("tiles", probe("both")[0], evaluations=4)
+    whole, _ = train(learner)
+    half, _ = train(learner, updates=200)
+    middle = jax.tree.map(lambda x: x[1], whole.snapshots)
+    jax.tree.map(np.testing.assert_array_equal, middle, half.weights)
+    jax.tree.map(np.testing.assert_array_equal, jax.tree.map(lambda x: x[3], whole.snapshots), whole.weights)
+    curve = learner.curve(hyper_of(learner), half)
+    np.testing.assert_array_equal(np.isfinite(curve["greedy_success"]), [True, True, False, False])
 
 
 def test_a_stopped_training_of_networks_goes_on_to_the_same_bits(swept, tmp_path, monkeypatch):

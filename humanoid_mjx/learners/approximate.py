@@ -54,6 +54,8 @@ class Carry(NamedTuple):
     failed: BoolScalar
     """Whether the next update leads to numbers that are not finite; training has stopped before it."""
     record: dict[str, Float[Array, " record"]]
+    snapshots: Weights
+    """What was known at the end of each part of training, for evaluation: a leading axis of `evaluations`."""
 
 
 class Experience(NamedTuple):
@@ -85,6 +87,7 @@ class ApproximateQ(Learner):
     envs: int = Field(128, ge=1, le=1_000_000, description="environments side by side")
     rollout: int = Field(16, ge=1, le=10_000, description="steps of each environment in an update")
     grow: bool = Field(False, description="open the choices in stages: 3, 5, 9 ... of them")
+    evaluations: int = Field(10, ge=1, le=1000, description="greedy evaluations along the learning curve")
     evaluation_envs: int = Field(64, ge=1, le=100_000, description="greedy episodes of an evaluation")
 
     class Params(NamedTuple):
@@ -151,7 +154,8 @@ class ApproximateQ(Learner):
         weights = Weights(value, moments(self.world.observation_size)) if policy is None else policy
         names = ("updates", "td_error", "episodes", "steps", "success", "return", *state.metrics)
         record = {name: jnp.zeros(self.record) for name in names}
-        return Carry(weights, optimizer, workers, key, jnp.int32(0), jnp.bool_(False), record)
+        snapshots = jax.tree.map(lambda x: jnp.zeros((self.evaluations, *x.shape), x.dtype), weights)
+        return Carry(weights, optimizer, workers, key, jnp.int32(0), jnp.bool_(False), record, snapshots)
 
     def progress(self, hyper: Params, carry: Carry) -> FloatScalar:
         """The share of the training that is done."""
@@ -183,10 +187,13 @@ class ApproximateQ(Learner):
         weights = Weights(
             value, observe(carry.weights.moments, experience.obs.reshape(-1, self.world.observation_size))
         )
-        point = jnp.minimum((progress * self.record).astype(jnp.int32), self.record - 1)
+        part, point = (
+            jnp.minimum((progress * parts).astype(jnp.int32), parts - 1) for parts in (self.evaluations, self.record)
+        )
+        snapshots = jax.tree.map(lambda old, new: old.at[part].set(new), carry.snapshots, weights)
         record = record | {"updates": 1.0, "td_error": td_error}
         record = {name: old.at[point].add(record[name]) for name, old in carry.record.items()}
-        return Carry(weights, optimizer, workers, key, carry.update + 1, carry.failed, record)
+        return Carry(weights, optimizer, workers, key, carry.update + 1, carry.failed, record, snapshots)
 
     def policy(self, carry: Carry) -> Weights:
         return carry.weights
@@ -201,10 +208,20 @@ class ApproximateQ(Learner):
         return exploration.greedy(self.q_values(policy.value, self.see(policy, observation)), self.allowed(), key)
 
     def curve(self, hyper: Params, carry: Carry) -> dict[str, Float[Array, " record"]]:
-        """Means over the episodes that ended in each point; of the reward's terms, sums per episode."""
+        """Means over the episodes that ended in each point; of the reward's terms, sums per episode. What is called
+        `greedy_` was evaluated at the end of each of `evaluations` parts, and is NaN at all points but the last of a
+        part, and in parts that training did not reach."""
         updates, episodes = carry.record["updates"], carry.record["episodes"]
         means = {name: total / episodes for name, total in carry.record.items() if name not in ("updates", "episodes")}
-        return means | {"td_error": jnp.sqrt(carry.record["td_error"] / updates)}
+        scores = jax.vmap(self.evaluate, in_axes=(None, 0, None))(hyper, carry.snapshots, carry.key)
+        part = np.arange(self.evaluations)
+        reached = part < self.progress(hyper, carry) * self.evaluations
+        place = -(-(part + 1) * self.record // self.evaluations) - 1
+        greedy = {
+            name: jnp.full(self.record, jnp.nan).at[place].set(jnp.where(reached, score, jnp.nan))
+            for name, score in scores.items()
+        }
+        return means | greedy | {"td_error": jnp.sqrt(carry.record["td_error"] / updates)}
 
     def evaluate(self, hyper: Params, policy: Weights, key: Key[Array, ""]) -> dict[str, FloatScalar]:
         """Means over `evaluation_envs` greedy episodes: `greedy_return`, `greedy_steps`, `greedy_success`."""

@@ -4,6 +4,7 @@
     provenance.json     versions, device, precision, seed, wall and compile times
     results.parquet     one row per sweep point, seed and record step
     summary.parquet     one row per sweep point and seed
+    timing.parquet      seconds since training began, per sweep point, seed and record step
     figures/            learning curves and heat maps
     checkpoint/         part-00000.npz ...: finished runs (curves, scores, policies); pool-0.npz ...: those under way;
                         diverged-POINT-SEED.npz: where runs stopped whose numbers were no longer finite

@@ -1,6 +1,7 @@
 """The tables of a run folder, derived from its finished blocks."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -15,16 +16,21 @@ LAST_SHARE = 0.1
 
 
 def write_tables(folder: RunFolder, plan: Plan) -> int:
-    """Write results.parquet and summary.parquet from all runs that are finished, ordered by point and seed.
+    """Write results, summary and timing of all runs that are finished, ordered by point and seed.
 
     Returns:
       the number of finished runs.
     """
-    arrays = finished_runs(folder.path, ("point", "seed", "curve.", "final."))
+    arrays = finished_runs(folder.path, ("point", "seed", "curve.", "final.", "time."))
     if not arrays:
         return 0
     columns = {name: pa.array(values).dictionary_encode() for name, values in plan.table().items()}
-    for name, table in (("results", _results(plan, columns, arrays)), ("summary", _summary(columns, arrays))):
+    tables = {
+        "results": _results(plan, columns, arrays),
+        "summary": _summary(columns, arrays),
+        "timing": pa.table(_rows(plan, arrays) | {"wall_s": arrays["time.wall_s"].reshape(-1)}),
+    }
+    for name, table in tables.items():
         with folder.writing(f"{name}.parquet") as path:
             pq.write_table(table, path, compression="zstd")
     return len(arrays["point"])
@@ -65,13 +71,18 @@ def named(arrays: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
 
 
 def _results(plan: Plan, columns: dict[str, pa.DictionaryArray], arrays: dict[str, np.ndarray]) -> pa.Table:
+    data = _rows(plan, arrays)
+    data |= _hyper(columns, data["point"])
+    return pa.table(data | {name: curve.reshape(-1) for name, curve in named(arrays, "curve").items()})
+
+
+def _rows(plan: Plan, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
+    """What names the rows of a table that has one for each record point of each run."""
     record = plan.config.record
     runs = np.repeat(np.arange(len(arrays["point"])), record)
     last_episode = (np.arange(1, record + 1) * plan.config.episodes) // record
-    data = {"point": arrays["point"][runs], "seed": arrays["seed"][runs]}
-    data["episode"] = np.tile(last_episode, len(arrays["point"])).astype(np.int32)
-    data |= _hyper(columns, data["point"])
-    return pa.table(data | {name: curve.reshape(-1) for name, curve in named(arrays, "curve").items()})
+    episode = np.tile(last_episode, len(arrays["point"])).astype(np.int32)
+    return {"point": arrays["point"][runs], "seed": arrays["seed"][runs], "episode": episode}
 
 
 def _summary(columns: dict[str, pa.DictionaryArray], arrays: dict[str, np.ndarray]) -> pa.Table:

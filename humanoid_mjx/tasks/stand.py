@@ -88,7 +88,7 @@ class Stand(ContinuousTask):
 
     physics: Literal["mjx-jax", "mjx-warp", "mujoco"] = "mjx-jax"
     observe: Literal["sensors", "privileged"] = "sensors"
-    sensors: Sensors = Field(Sensors(), description="errors of the sensors")
+    sensors: Sensors = Field(Sensors.model_validate({}), description="errors of the sensors")
     choices: Literal[3, 5, 9] = Field(3, description="values of a joint's offset, evenly from -1 to 1 times it")
     offset: float = Field(20.0, gt=0, le=90, description="largest offset of a set-point from the posture, degrees")
     stiffness: float = Field(STIFFNESS, gt=0, le=200, description="of the servo, N m/rad")

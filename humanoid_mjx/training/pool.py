@@ -55,7 +55,9 @@ class Pool:
         self.program = program_of(group.learner.structure())  # pyright: ignore[reportArgumentType]
         self.slots = np.full(size, IDLE, np.int64)
         self.progress = np.zeros(size)
-        self.harvested = time.monotonic()
+        self.began = self.harvested = time.monotonic()
+        self.wall_s = np.full((size, group.learner.record), np.nan, np.float32)
+        """Seconds from the beginning of training to each record point of each slot's run, pauses left out."""
         self.steps = 1
         self.diverged: dict[int, dict[str, np.ndarray]] = {}
         """The last training states of harvested runs whose numbers were no longer finite, by run."""
@@ -83,14 +85,21 @@ class Pool:
             mask = jax.device_put(fresh, self.device)
             self.carry = self.program.start(mask, self.hyper, self.seeds, self.carry, policies)
             self.progress = np.where(fresh, 0.0, self.progress)
+            self.wall_s[fresh] = np.nan
 
     def train(self) -> None:
         """Let every run train for about `CHUNK_S`."""
         began = time.monotonic()
         self.carry, progress = self.program.train(self.hyper, self.carry, np.int32(self.steps))
         self.progress = np.asarray(progress)
+        self.note_time()
         factor = CHUNK_S / max(time.monotonic() - began, 1e-6)
         self.steps = int(np.clip(self.steps * np.clip(factor, 0.25, 4.0), 1, MAX_STEPS))
+
+    def note_time(self) -> None:
+        """Enter the time at the record points that were passed since the last look."""
+        passed = np.arange(self.wall_s.shape[1]) < np.floor(self.progress[:, None] * self.wall_s.shape[1] + 1e-6)
+        self.wall_s[passed & np.isnan(self.wall_s)] = time.monotonic() - self.began
 
     def harvest(self) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
         """Take out the runs that are over, if it is worth while.
@@ -105,7 +114,7 @@ class Pool:
         results = jax.tree.map(np.asarray, self.program.finish(self.hyper, self.carry, self.seeds))
         arrays = {f"curve.{name}": array for name, array in results["curve"].items()}
         arrays |= {f"final.{name}": array for name, array in results["final"].items()}
-        arrays |= to_arrays(results["policy"], "policy")
+        arrays |= to_arrays(results["policy"], "policy") | {"time.wall_s": self.wall_s}
         runs = self.slots[over]
         diverged = over & arrays["final.diverged"]
         if diverged.any():
@@ -118,7 +127,8 @@ class Pool:
 
     def state(self) -> dict[str, np.ndarray]:
         """All that `restore` needs."""
-        return {"slots": self.slots, "progress": self.progress} | to_arrays(self.carry, "carry")
+        state = {"slots": self.slots, "progress": self.progress, "wall_s": self.wall_s}
+        return state | {"elapsed": np.array(time.monotonic() - self.began)} | to_arrays(self.carry, "carry")
 
     def restore(self, arrays: dict[str, np.ndarray], where: str) -> None:
         """Take up runs of earlier pools' `state`, as far as they still wait and slots are idle.
@@ -139,6 +149,8 @@ class Pool:
             merged[name] = array.copy()
             merged[name][idle] = stored[rows]
         self.slots[idle], self.progress[idle] = arrays["slots"][rows], arrays["progress"][rows]
+        self.wall_s[idle] = arrays["wall_s"][rows]
+        self.began = min(self.began, time.monotonic() - float(arrays["elapsed"]))
         for run in self.slots[idle].tolist():
             self.waiting.remove(run)
         self._load()

@@ -55,6 +55,11 @@ class Run:
         return read_table(self.path / "results.parquet")
 
     @property
+    def timing(self) -> dict[str, np.ndarray]:
+        """One entry per sweep point, seed and record step: `wall_s`, seconds since training began."""
+        return read_table(self.path / "timing.parquet")
+
+    @property
     def summary(self) -> dict[str, np.ndarray]:
         """One entry per sweep point and seed, by column."""
         return read_table(self.path / "summary.parquet")

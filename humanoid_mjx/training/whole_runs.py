@@ -36,6 +36,7 @@ class WholeRuns(Pool):
             return
         self.carry = _as_one_of_one(carry)
         self.progress[0] = 1.0
+        self.note_time()
 
     def _finish(self, hyper: Any, carry: Any, seeds: Any) -> dict[str, Any]:
         return _as_one_of_one(outcome(self._learner(), *_only((hyper, carry, seeds))))
@@ -47,6 +48,7 @@ class WholeRuns(Pool):
 
     def _report(self, share: float) -> None:
         self.progress[0] = min(share, 0.999)
+        self.note_time()
         if self.stop.is_set():
             raise Stopped
 
