@@ -122,9 +122,8 @@ def run_evaluate(names: Sequence[str], physics: str | None, episodes: int, file:
     if file is not None and not file.parent.is_dir():
         raise InputError(f"--json {file}: there is no folder {file.parent}.")
     runtime.start()
-    from humanoid_mjx.results.comparison import compare_curves, curve_of
+    from humanoid_mjx.results.comparison import compare_curves, curve_of_run
     from humanoid_mjx.results.evaluations import evaluation_table
-    from humanoid_mjx.results.tables import read_table
     from humanoid_mjx.training.evaluation import HELD_OUT_WORDS, evaluate_all
     from humanoid_mjx.training.policy import find_policy, on_physics
 
@@ -149,16 +148,7 @@ def run_evaluate(names: Sequence[str], physics: str | None, episodes: int, file:
         console.print(f"{file}", soft_wrap=True)
     runs = [(Path(name), policy) for name, policy in zip(names, policies, strict=True) if Path(name).is_dir()]
     if len(runs) > 1:
-        curves = [
-            curve_of(
-                policy.name,
-                read_table(path / "results.parquet"),
-                policy.point,
-                policy.learner.unit == "steps",
-                getattr(policy.learner, "agents", 1),
-            )
-            for path, policy in runs
-        ]
+        curves = [curve_of_run(path, policy) for path, policy in runs]
         target = out or runs[0][0] / "figures" / "comparison.png"
         compare_curves(target, curves, [e for e in evaluations if e.agent != "greedy"])
         console.print(f"{target}", soft_wrap=True)

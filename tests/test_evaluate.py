@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
-from humanoid_mjx import rng
+from humanoid_mjx import make_task, rng
 from humanoid_mjx.cli import app
 from humanoid_mjx.results.comparison import compare_curves, curve_of
 from humanoid_mjx.results.evaluations import Estimate, Evaluation, estimated
@@ -48,8 +48,8 @@ def test_the_best_of_a_run_reaches_its_goal_on_the_shortest_way(reach):
     best = best_policy(reach)
     assert best.config.learner["learning_rate"] == 0.5 and best.config.sweep is None
     found = play_out(best, "greedy", 20)
-    steps = abs(best.learner.task.goal - best.learner.task.start) / best.learner.task.action
-    assert found["success"].all() and (found["steps"] == np.ceil(steps)).all()
+    task = make_task("joint_reach", **{k: v for k, v in REACH.items() if k != "name"})
+    assert found["success"].all() and (found["steps"] == np.ceil(abs(task.goal - task.start) / task.action)).all()
 
 
 def test_agents_that_do_not_learn(leg):
@@ -79,9 +79,9 @@ def test_episodes_are_the_same_for_all_and_however_they_are_cut(leg, monkeypatch
 
 def test_no_training_has_a_key_of_evaluation():
     keys = jax.random.key_data(held_out_keys(64)).tolist()
-    runs = [
-        jax.random.fold_in(run_key(seed, number), fold) for seed in (0, 1) for number in range(64) for fold in (0, 1)
-    ]
+    numbers = jnp.arange(64, dtype=jnp.uint32)
+    runs = [run_key(jnp.uint32(seed), number) for seed in (0, 1) for number in numbers]
+    runs += [jax.random.fold_in(key, 1) for key in runs]
     assert not {tuple(key) for key in keys} & {tuple(jax.random.key_data(key).tolist()) for key in runs}
     assert len({tuple(key) for key in keys}) == 64
 
@@ -98,8 +98,7 @@ def test_a_policy_comes_back_from_its_file(reach, leg, tmp_path):
         best, file = best_policy(path), tmp_path / f"{path.name}.npz"
         save_policy(best, file)
         again = load_policy(file)
-        assert again.learner == best.learner and again.config == best.config and again.origin == best.origin
-        assert (again.point, again.seed, again.name) == (best.point, best.seed, best.name)
+        assert again.learner == best.learner and again.as_json() == best.as_json()
         for old, new in zip(jax.tree.leaves(best[1:3]), jax.tree.leaves(again[1:3]), strict=True):
             assert old.dtype == new.dtype and np.asarray(old).tobytes() == np.asarray(new).tobytes()
         assert again.origin["provenance"]["versions"]["jax"] and again.origin["scores"]["final.greedy_success"] >= 0
@@ -130,7 +129,10 @@ def test_files_that_are_no_policies(reach, tmp_path):
         ("pickled.npz", damaged),
         ("missing.npz", "there is no such file"),
         (write("old.npz", header=np.array(json.dumps(header | {"format": "version 0"}))), "export it again"),
-        (write("short.npz", **{name: a[:3] for name, a in arrays.items() if name != "header"}), "does not fit"),
+        (
+            write("short.npz", **{name: a[:3] for name, a in arrays.items() if name.startswith("policy")}),
+            "does not fit",
+        ),
         (write("half.npz", header=np.array(json.dumps({"format": header["format"]}))), damaged),
     ):
         with pytest.raises(InputError, match=words):

@@ -11,6 +11,8 @@ from jaxtyping import Float
 from humanoid_mjx.results.evaluations import Evaluation
 from humanoid_mjx.results.statistics import iqm, iqm_interval
 from humanoid_mjx.results.style import COLORS, figure, label_lines
+from humanoid_mjx.results.tables import read_table
+from humanoid_mjx.training.policy import Trained
 
 MEASURES = {"success": "success", "return": "return per episode"}
 
@@ -55,10 +57,22 @@ def curve_of(name: str, results: Mapping[str, np.ndarray], point: int, counts_st
         episodes = np.diff(samples, axis=1, prepend=0.0)
         samples = np.cumsum(episodes * np.nan_to_num(by_seed("steps")) * agents, axis=1)
     wall = by_seed("wall_s") if "wall_s" in results else None
-    greedy = any(f"greedy_{name}" in results for name in MEASURES)
+    greedy = any(np.isfinite(results[f"greedy_{name}"]).any() for name in MEASURES if f"greedy_{name}" in results)
     columns = {name: f"greedy_{name}" if greedy else name for name in MEASURES}
     measures = {name: by_seed(column) for name, column in columns.items() if column in results}
     return Curve(name, samples, wall, measures, greedy)
+
+
+def curve_of_run(path: Path, trained: Trained) -> Curve:
+    """The curve of a policy's sweep point, from the tables of its run folder.
+
+    Raises:
+      InputError: a table is missing or damaged.
+    """
+    results, timing, learner = read_table(path / "results.parquet"), path / "timing.parquet", trained.learner
+    if timing.is_file():
+        results["wall_s"] = read_table(timing)["wall_s"]
+    return curve_of(trained.name, results, trained.point, learner.unit == "steps", getattr(learner, "agents", 1))
 
 
 def compare_curves(path: Path, curves: Sequence[Curve], agents: Sequence[Evaluation]) -> None:

@@ -132,8 +132,11 @@ def load_policy(path: Path) -> Trained:
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
-        header = json.loads(str(arrays["header"]))
+        header = json.loads(str(arrays.pop("header")))
         version = header["format"]
+        if version == FORMAT:
+            config, origin = dict(header["config"]), dict(header["origin"])
+            name, place = str(header["name"]), (int(header["point"]), int(header["seed"]))
     except (
         OSError,
         ValueError,
@@ -147,8 +150,7 @@ def load_policy(path: Path) -> Trained:
         raise InputError(f"{path}: this is no policy file, or a truncated or damaged one.") from error
     if version != FORMAT:
         raise InputError(f"{path}: this is a {version!r}, but {FORMAT!r} is wanted; export it again from its run.")
-    place = int(header["point"]), int(header["seed"])
-    return _assemble(header["config"], arrays, place, header["origin"], path.stem, str(path))
+    return _assemble(config, arrays, place, origin, name, str(path))
 
 
 def on_physics(trained: Trained, physics: str) -> Trained:
