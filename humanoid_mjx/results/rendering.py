@@ -68,7 +68,7 @@ def render_motion(
     model: mujoco.MjModel, qpos: Float[AnyArray, "rows nq"], step_s: float, path: Path, fps: float = 25.0
 ) -> Path:
     """`render` a motion at its own speed, given a row every `step_s`, s; between rows it is drawn as even."""
-    rows = np.arange(0.0, len(qpos), 1.0 / (fps * step_s))
+    rows = np.arange(0.0, len(qpos) - 0.999, 1.0 / (fps * step_s))
     columns = [np.interp(rows, np.arange(len(qpos)), column) for column in np.asarray(qpos, np.float64).T]
     return render(model, np.stack(columns, axis=1), path, fps)
 
