@@ -14,7 +14,7 @@ import humanoid_mjx.training.sweep as session
 from humanoid_mjx import InputError, make_learner, make_task, rng, runtime, sweep
 from humanoid_mjx.learners import exploration
 from humanoid_mjx.learners.approximate import Batch
-from humanoid_mjx.learners.features import fourier, radial, tile_coding
+from humanoid_mjx.learners.features import combined, fourier, radial, tile_coding
 from humanoid_mjx.learners.normalisation import moments, normalise, observe
 from humanoid_mjx.learners.targets import lambda_targets
 from humanoid_mjx.tasks.continuous import ContinuousTask
@@ -143,8 +143,8 @@ def test_linear_with_a_feature_for_each_state_is_a_table():
 @pytest.mark.parametrize("make_basis", [tile_coding, fourier, radial])
 def test_one_sample_moves_its_value_by_the_rate_whatever_the_basis(make_basis):
     low, high = np.full(3, -2.0), np.full(3, 2.0)
-    extra = (4, 3, 2) if make_basis is tile_coding else (3, 2)
-    basis = make_basis(low, high, *extra)
+    extra = (4, 3) if make_basis is tile_coding else (3,)
+    basis = make_basis(low, high, combined([range(3)], 2), *extra)
     obs = jnp.array(np.random.default_rng(0).uniform(-2, 2, (50, 3)), jnp.float32)
     place, _ = basis.encode(obs)
     assert place.shape == (50, basis.active) and int(place.min()) >= 0 and int(place.max()) < basis.size
@@ -158,8 +158,14 @@ def test_one_sample_moves_its_value_by_the_rate_whatever_the_basis(make_basis):
     np.testing.assert_allclose(moved, [0.0, 0.5], atol=1e-5)
 
 
+def test_features_combine_observations_of_a_family():
+    assert combined([(0, 1, 2)], 2) == [(0, 1), (0, 2), (1, 2)]
+    assert combined([(0, 3), (3, 4, 0)], 2) == [(0, 3), (0, 4), (3, 4)]
+    assert combined([(2,), (0, 1)], 2) == [(0,), (1,), (2,)]
+
+
 def test_tiles_generalise_to_neighbours_only():
-    basis = tile_coding(np.zeros(1), np.ones(1), 4, 8, 1)
+    basis = tile_coding(np.zeros(1), np.ones(1), [(0,)], 4, 8)
     near, also, far = (set(basis.encode(jnp.float32([x])).place.tolist()) for x in (0.5, 0.53, 0.9))
     assert len(near & also) >= 6 and not near & far
 

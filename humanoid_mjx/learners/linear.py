@@ -7,7 +7,7 @@ from jaxtyping import Array, Float, Key
 from pydantic import Field, model_validator
 
 from humanoid_mjx.learners.approximate import ApproximateQ, Batch, chosen
-from humanoid_mjx.learners.features import Basis, fourier, radial, tile_coding
+from humanoid_mjx.learners.features import Basis, combined, fourier, radial, tile_coding
 from humanoid_mjx.types import FloatScalar
 
 
@@ -22,7 +22,7 @@ class LinearQ(ApproximateQ):
     basis: Literal["tiles", "fourier", "radial"] = "tiles"
     resolution: int = Field(8, ge=1, le=10_000, description="tiles, half periods, or centres along an observation")
     tilings: int = Field(8, ge=1, le=256, description="grids of tiles over one another")
-    order: int = Field(2, ge=1, le=4, description="observations that a feature depends on together")
+    order: int = Field(2, ge=1, le=4, description="observations of a family that a feature depends on")
     learning_rate: float = Field(0.1, gt=0, le=1)
 
     @model_validator(mode="after")
@@ -33,9 +33,10 @@ class LinearQ(ApproximateQ):
     def features(self) -> Basis:
         """The basis over the task's observations."""
         low, high = self.world.observation_bounds
+        groups = combined(self.world.observation_families, self.order)
         if self.basis == "tiles":
-            return tile_coding(low, high, self.resolution, self.tilings, self.order)
-        return (fourier if self.basis == "fourier" else radial)(low, high, self.resolution, self.order)
+            return tile_coding(low, high, groups, self.resolution, self.tilings)
+        return (fourier if self.basis == "fourier" else radial)(low, high, groups, self.resolution)
 
     def init_value(self, key: Key[Array, ""]) -> tuple[Any, Any]:
         return jnp.zeros((self.features().size, len(self.world.action_choices), self.choices)), ()

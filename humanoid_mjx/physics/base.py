@@ -8,6 +8,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
+from humanoid_mjx.mechanics.contacts import Contacts
 from humanoid_mjx.spec import InputError, Spec
 from humanoid_mjx.types import AnyArray
 
@@ -48,6 +49,8 @@ class Stages(NamedTuple):
     """(accelerations of the joints, rad/s^2, a model's mass factor) -> the torques that the model asks for, N m. The
     factor is a number, or one for each joint's link. Where the torso is free it takes it for held, and knows of no
     contacts."""
+    contacts: Callable[[], Contacts]
+    """The corners of the feet that can touch the ground; no points where there is none."""
 
 
 class Readings(NamedTuple):

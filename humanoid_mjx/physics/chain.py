@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 from pydantic import Field
 
 from humanoid_mjx.mechanics import dynamics
+from humanoid_mjx.mechanics.contacts import no_contacts
 from humanoid_mjx.mechanics.forward import frames
 from humanoid_mjx.physics.base import MAX_SPEED, Controller, Physics, Poses, Readings, Stages, World
 from humanoid_mjx.robot.leg import FRAME_0, MIRROR, Leg
@@ -133,8 +134,9 @@ class ChainPhysics(Physics):
 
         parts = [dynamics.mass_matrix_and_bias(*leg) for leg in self._each_leg(params.mass, world.qpos, world.qvel)]
         matrices, biases = zip(*parts, strict=True)
-        matrix = jax.scipy.linalg.block_diag(*matrices)
-        return Stages(world, world.qpos, world.qvel, matrix, jnp.concatenate(biases), torque_for)
+        matrix, bias = jax.scipy.linalg.block_diag(*matrices), jnp.concatenate(biases)
+        nothing = no_contacts(len(world.qvel))
+        return Stages(world, world.qpos, world.qvel, matrix, bias, torque_for, lambda: nothing)
 
     def _each_leg(self, mass: MassFactor, *joints: Float[Array, " joints"]) -> list[tuple[Any, ...]]:
         """For each leg: its chain, and its own part of the arrays."""

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from pydantic import Field, model_validator
 
+from humanoid_mjx.mechanics.contacts import Contacts, rigid_points
 from humanoid_mjx.physics.base import Controller, Poses, Readings, Stages, World
 from humanoid_mjx.physics.model import MujocoPhysics, below, freeze_if_diverged
 from humanoid_mjx.types import AnyArray, IntScalar, MassFactor
@@ -125,7 +126,14 @@ class MjxJax(MujocoPhysics):
             bias_of = other.qfrc_bias - other.qfrc_passive
             return mass_matrix(self.model, other)[-joints:, -joints:] @ qacc + bias_of[-joints:]
 
-        return Stages(world, world.qpos[-joints:], world.qvel[-joints:], matrix, bias, torque_for)
+        def contacts() -> Contacts:
+            corners, moved_by = self.ground_points
+            position = data.geom_xpos[corners] - model.geom_size[corners, :1] * jnp.array([0.0, 0.0, 1.0])
+            origin = data.subtree_com[1]
+            jacobian, drift = rigid_points(position, moved_by, data.cdof, data.cdof_dot, data.qvel, origin)
+            return Contacts(position, jacobian, drift, position[:, 2] <= 0.0)
+
+        return Stages(world, world.qpos[-joints:], world.qvel[-joints:], matrix, bias, torque_for, contacts)
 
 
 class MjxWarp(MjxJax):

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from pydantic import Field
 
 from humanoid_mjx.physics.base import MAX_SPEED, Physics, Readings, World
@@ -63,6 +63,11 @@ class MujocoPhysics(Physics):
     @property
     def qpos0(self) -> Float[np.ndarray, " nq"]:
         return self.model.qpos0.copy()
+
+    @property
+    def ground_points(self) -> tuple[Int[np.ndarray, " points"], Bool[np.ndarray, "points nv"]]:
+        """The balls of the feet that can touch the ground, z = 0: their geoms, and which velocities move them."""
+        return _ground_points(self.model)
 
     def mass_factors(self, mass: MassFactor) -> Float[AnyArray, " bodies"]:
         """The factor on each body's mass and inertia. Factors of links leave the torso as it is."""
@@ -120,3 +125,15 @@ def below(model: mujoco.MjModel) -> Float[np.ndarray, "bodies bodies"]:
 def _model(robot: str, torso: str, ranges: str, timestep: float | None) -> mujoco.MjModel:
     with jax.ensure_compile_time_eval():
         return robot_spec(robot, torso=torso, ranges=ranges, timestep=timestep).compile()
+
+
+@lru_cache
+def _ground_points(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+    pairs = np.stack([model.pair_geom1, model.pair_geom2], axis=1)
+    balls = pairs[model.geom_type[pairs[:, 0]] == mujoco.mjtGeom.mjGEOM_PLANE, 1]
+    moved_by = np.zeros((len(balls), model.nv), bool)
+    for row, link in zip(moved_by, model.geom_bodyid[balls], strict=True):
+        while link:
+            row[model.dof_bodyid == link] = True
+            link = model.body_parentid[link]
+    return balls, moved_by

@@ -20,6 +20,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from mujoco.rollout import Rollout
 
+from humanoid_mjx.mechanics.contacts import Contacts
 from humanoid_mjx.physics.base import Controller, Poses, Readings, Stages, World
 from humanoid_mjx.physics.model import MujocoPhysics, below, freeze_if_diverged
 from humanoid_mjx.types import AnyArray, MassFactor
@@ -105,7 +106,15 @@ class Native(MujocoPhysics):
             return believed[-joints:, -joints:] @ qacc + bias_of[-joints:]
 
         matrix, bias = dynamics(params)
-        return Stages(world, world.qpos[-joints:], world.qvel[-joints:], matrix, bias, torque_for)
+        return Stages(
+            world, world.qpos[-joints:], world.qvel[-joints:], matrix, bias, torque_for, partial(self._contacts, world)
+        )
+
+    def _contacts(self, world: World) -> Contacts:
+        points, nv = len(self.ground_points[0]), self.model.nv
+        shapes = (points, 3), (points, 3, nv), (points, 3)
+        position, jacobian, drift = _on_host(self._touch, shapes, world.qpos, world.qvel)
+        return Contacts(position, jacobian, drift, position[:, 2] <= 0.0)
 
     def _advance(
         self,
@@ -137,6 +146,24 @@ class Native(MujocoPhysics):
             mujoco.mj_fullM(model, data, matrix[i])
             bias[i] = data.qfrc_bias - data.qfrc_passive
         return matrix, bias
+
+    def _touch(self, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Places, Jacobians and drifts of the feet's corners in each world."""
+        model, (corners, _) = self.model, self.ground_points
+        data, rate, points = mujoco.MjData(model), np.empty((3, model.nv)), len(corners)
+        position, jacobian = np.empty((len(qpos), points, 3)), np.empty((len(qpos), points, 3, model.nv))
+        drift = np.empty_like(position)
+        for i in range(len(qpos)):
+            data.qpos, data.qvel = qpos[i], qvel[i]
+            mujoco.mj_fwdPosition(model, data)
+            mujoco.mj_fwdVelocity(model, data)
+            for k, corner in enumerate(corners):
+                position[i, k] = data.geom_xpos[corner] - (0.0, 0.0, model.geom_size[corner, 0])
+                body = model.geom_bodyid[corner]
+                mujoco.mj_jac(model, data, jacobian[i, k], None, position[i, k], body)
+                mujoco.mj_jacDot(model, data, rate, None, position[i, k], body)
+                drift[i, k] = rate @ qvel[i]
+        return position, jacobian, drift
 
     def _locate(self, values: np.ndarray, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         bodies = self.model.nbody

@@ -50,6 +50,11 @@ class ContinuousTask(Task):
         return np.full(self.observation_size, -1.0), np.full(self.observation_size, 1.0)
 
     @property
+    def observation_families(self) -> tuple[tuple[int, ...], ...]:
+        """Places of observations that matter together, for bases that combine them; here all are one family."""
+        return (tuple(range(self.observation_size)),)
+
+    @property
     def action_choices(self) -> tuple[int, ...]:
         """How many values there are to choose from, for each joint."""
         raise NotImplementedError
@@ -89,36 +94,38 @@ def auto_reset(task: ContinuousTask, params: Any, state: State, key: Key[Array, 
 
 
 class Tabulated(ContinuousTask):
-    """A finite task as a continuous one: the only observation is the row's place in the table, from 0 to 1.
+    """A finite task as a continuous one. `params` are the finite task's.
 
-    A learner that gives each row a feature of its own sees what a tabular learner sees. `params` are the finite task's.
+    Where the only observation is the row's place in the table, a learner that gives each row a feature of its own sees
+    what a tabular learner sees.
     """
 
     finite: FiniteTask
 
     @property
     def observation_size(self) -> int:
-        return 1
+        return self.finite.observation_size
 
     @property
     def observation_bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        return np.zeros(1), np.ones(1)
+        return np.zeros(self.observation_size), np.ones(self.observation_size)
 
     @property
     def action_choices(self) -> tuple[int, ...]:
-        return (self.finite.num_actions,)
+        return self.finite.action_choices
 
     def reset(self, params: Any, key: Key[Array, ""]) -> State:
         state = self.finite.reset(params, key)
-        return begin((state, jnp.int32(0)), self._observe(params, state), ())
+        return begin((state, jnp.int32(0)), self.finite.observe(params, state), ())
 
-    def step(self, params: Any, state: State, action: Int[Array, "1"], key: Key[Array, ""]) -> State:
+    def step(self, params: Any, state: State, action: Int[Array, " joints"], key: Key[Array, ""]) -> State:
         inner, length = state.data
+        chosen = jnp.sum(action * np.cumprod((1, *self.action_choices[:-1])), dtype=jnp.int32)
         obey_key, choice_key, step_key = jax.random.split(key, 3)
         obeys = jax.random.uniform(obey_key) < self.finite.obedience(params)
         random = jax.random.randint(choice_key, (), 0, self.finite.num_actions)
-        inner, reward, terminated = self.finite.step(params, inner, jnp.where(obeys, action[0], random), step_key)
-        obs = self._observe(params, inner)
+        inner, reward, terminated = self.finite.step(params, inner, jnp.where(obeys, chosen, random), step_key)
+        obs = self.finite.observe(params, inner)
         return State(
             data=(inner, length + 1),
             obs=obs,
@@ -129,7 +136,3 @@ class Tabulated(ContinuousTask):
             final_obs=obs,
             metrics={},
         )
-
-    def _observe(self, params: Any, state: Any) -> Float[Array, "1"]:
-        row = self.finite.row(params, state)
-        return jnp.asarray(row, jnp.float32)[None] / (self.finite.num_states - 1)

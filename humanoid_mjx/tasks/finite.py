@@ -62,6 +62,21 @@ class FiniteTask(Task):
         """The table row that stands for `state`. Several states may share one."""
         return state
 
+    @property
+    def observation_size(self) -> int:
+        """How many numbers `observe` gives."""
+        return 1
+
+    def observe(self, params: Any, state: Any) -> Float[Array, " observation_size"]:
+        """What a learner without a table sees of `state`, numbers from 0 to 1: here the row's place in the table."""
+        return jnp.asarray(self.row(params, state), jnp.float32)[None] / (self.num_states - 1)
+
+    @property
+    def action_choices(self) -> tuple[int, ...]:
+        """What an action consists of for such a learner, the fastest first: choices whose numbers multiply up to
+        `num_actions`."""
+        return (self.num_actions,)
+
     def initial_q(self, params: Any) -> Float[Array, "num_states num_actions"]:
         """The table before learning."""
         return jnp.zeros((self.num_states, self.num_actions))

@@ -94,6 +94,13 @@ class LegReach(ContinuousTask):
         return len(OBSERVATIONS) * JOINTS
 
     @property
+    def observation_families(self) -> tuple[tuple[int, ...], ...]:
+        """Of each joint: both errors and the place, each with the lead and the velocity."""
+        error, near_error, lead, velocity, place = np.arange(self.observation_size).reshape(-1, JOINTS)
+        families = [(error, lead, velocity), (near_error, lead, velocity), (lead, velocity, place)]
+        return tuple(tuple(int(part[joint]) for part in family) for family in families for joint in range(JOINTS))
+
+    @property
     def action_choices(self) -> tuple[int, ...]:
         return (self.choices,) * JOINTS
 

@@ -129,6 +129,19 @@ class PostureSwitch(FiniteTask):
         places = self._places(state.encoders)
         return jnp.sum(places * self.places ** np.arange(len(MOVED)), dtype=jnp.int32)
 
+    @property
+    def observation_size(self) -> int:
+        return len(MOVED)
+
+    def observe(self, params: Params, state: Body) -> Float[Array, "3"]:
+        """Where the encoders are between start, 0, and goal, 1."""
+        first, last = self.grid[:, 0], self.grid[:, -1]
+        return jnp.clip((state.encoders - first) / (last - first), 0.0, 1.0).astype(jnp.float32)
+
+    @property
+    def action_choices(self) -> tuple[int, ...]:
+        return (3,) * len(MOVED)
+
     def arrived(self, params: Params, world: World) -> BoolScalar:
         """Whether both legs are in the goal's posture and at rest."""
         goal = self.whole_body(self.grid[:, -1])

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 from pydantic import Field, model_validator
 
+from humanoid_mjx.mechanics.contacts import no_contacts
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.physics.base import Physics, Readings, Stages, World
 from humanoid_mjx.physics.sensors import Sensors, SensorState
@@ -241,7 +242,7 @@ class Stand(ContinuousTask):
 def _joints_of(world: World) -> Stages:
     """What a servo needs of a world."""
     none = jnp.zeros(0)
-    return Stages(world, world.qpos[7:], world.qvel[6:], none, none, lambda qacc, mass: qacc)
+    return Stages(world, world.qpos[7:], world.qvel[6:], none, none, lambda qacc, mass: qacc, lambda: no_contacts(0))
 
 
 def _rotation(qpos: Float[Array, " nq"]) -> Float[Array, "3 3"]:

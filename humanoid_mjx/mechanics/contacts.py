@@ -1,0 +1,59 @@
+"""The points by which a robot touches the ground, and how they move with its joints."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from humanoid_mjx.types import AnyArray
+
+
+class Contacts(NamedTuple):
+    """Points of the feet that the ground can push, in the world.
+
+    Each that touches takes away three degrees of freedom, but those of one foot are not independent, as it is rigid:
+    four or three corners take six, the two of an edge five (the foot can tip over it), one takes three.
+    """
+
+    position: Float[AnyArray, "*worlds points 3"]
+    """m"""
+    jacobian: Float[AnyArray, "*worlds points 3 nv"]
+    """From velocities of the robot to those of the points."""
+    drift: Float[AnyArray, "*worlds points 3"]
+    """What the points accelerate by where the robot's accelerations are 0, m/s^2."""
+    touching: Bool[AnyArray, "*worlds points"]
+    """At the ground's height or below: where it pushes."""
+
+
+def no_contacts(nv: int) -> Contacts:
+    """Of a robot without ground: no points."""
+    none = jnp.zeros((0, 3))
+    return Contacts(none, jnp.zeros((0, 3, nv)), none, jnp.zeros(0, bool))
+
+
+def rigid_points(
+    position: Float[Array, "points 3"],
+    moved_by: Bool[AnyArray, "points nv"],
+    motion: Float[Array, "nv 6"],
+    motion_rate: Float[Array, "nv 6"],
+    qvel: Float[Array, " nv"],
+    origin: Float[Array, "3"],
+) -> tuple[Float[Array, "points 3 nv"], Float[Array, "points 3"]]:
+    """Jacobian and drift of points of the bodies, from the spatial motions of the degrees of freedom.
+
+    Args:
+      position: m, world.
+      moved_by: which degrees of freedom move a point's body.
+      motion: by degree of freedom, angular then linear, of a body's point at the origin (MuJoCo's `cdof`).
+      motion_rate: its rate where the robot moves at qvel (`cdof_dot`).
+      origin: m, world (`subtree_com`).
+    """
+    arm = (position - origin)[:, None]
+    angular, linear = motion[:, :3], motion[:, 3:]
+    columns = jnp.where(moved_by[..., None], linear + jnp.cross(angular, arm), 0.0)
+    speeds = jnp.where(moved_by, qvel, 0.0)
+    spin = speeds @ angular
+    velocity = jnp.einsum("pvx,v->px", columns, qvel)
+    rate = speeds @ motion_rate
+    drift = rate[:, 3:] + jnp.cross(rate[:, :3], arm[:, 0]) + jnp.cross(spin, velocity)
+    return jnp.swapaxes(columns, -1, -2), drift

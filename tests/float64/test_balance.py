@@ -1,0 +1,127 @@
+"""Zero-moment point and support polygon: against MuJoCo's contact forces, and against slow geometry."""
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from scipy.spatial import ConvexHull
+
+from humanoid_mjx.mechanics import balance
+from humanoid_mjx.physics.balance import accelerations, ground_wrench, link_motion
+from humanoid_mjx.physics.base import Stages, World
+from humanoid_mjx.robot.lower_body import lower_body_model
+
+
+def swaying(seconds=2.0):
+    """A body that squats and sways on its feet, by MuJoCo: states, accelerations, contact forces (8, 3), places."""
+    model = lower_body_model(ranges="human")
+    data = mujoco.MjData(model)
+    rows = []
+    for step in range(round(seconds / model.opt.timestep)):
+        phase = 2 * np.pi * step * model.opt.timestep
+        squat, sway = 0.25 * (1 - np.cos(phase)) / 2, 0.02 * np.sin(2 * phase)
+        target = np.tile([squat, 0.0, 0.0, 2 * squat, -squat + sway], 2)
+        data.ctrl = 6.0 * (target - data.qpos[7:]) - 0.2 * data.qvel[6:]
+        before = data.qpos.copy(), data.qvel.copy()
+        mujoco.mj_step(model, data)
+        forces, places = np.zeros((8, 3)), np.zeros((8, 3))
+        for i in range(data.ncon):
+            wrench, frame = np.zeros(6), data.contact.frame[i].reshape(3, 3)
+            mujoco.mj_contactForce(model, data, i, wrench)
+            forces[i], places[i] = frame.T @ wrench[:3], data.contact.pos[i]
+        rows.append((*before, data.qacc.copy(), forces, places, data.ncon))
+    return model, [np.array(x) for x in zip(*rows, strict=True)]
+
+
+@pytest.fixture(scope="module")
+def motion():
+    return swaying()
+
+
+def test_the_zero_moment_point_is_the_center_of_pressure(motion):
+    """Within 1 mm while the feet are flat: the balls touch a half of their depth below z = 0, 0.1 mm, with friction."""
+    model, (qpos, qvel, qacc, forces, places, touching) = motion
+    flat = touching == 8
+    assert flat.sum() > 400
+    links = link_motion(model, qpos, qvel, qacc)
+    force, moment = balance.ground_wrench(links)
+    np.testing.assert_allclose(force[flat], forces[flat].sum(axis=1), rtol=1e-6, atol=1e-6)
+    zmp = balance.zero_moment_point(force, moment)
+    pressure = forces[..., 2:] * places[..., :2]
+    pressure = pressure[flat].sum(axis=1) / forces[flat, :, 2:].sum(axis=1)
+    np.testing.assert_allclose(zmp[flat], pressure, atol=1e-3)
+    still = balance.center_of_mass(links.mass, links.position)[..., :2]
+    # The accelerations are real: without them, the point would be elsewhere.
+    assert np.abs(still - zmp)[flat].max() > 5e-3
+    assert np.ptp(np.asarray(force)[flat, 2]) > 3.0
+
+
+def test_accelerations_are_those_of_the_steps(motion):
+    model, (_, qvel, qacc, *_) = motion
+    np.testing.assert_allclose(accelerations(qvel, model.opt.timestep), qacc[:-1], atol=1e-9)
+
+
+def test_the_wrench_of_the_links_is_that_of_the_mass_matrix(motion):
+    model, (qpos, qvel, qacc, *_) = motion
+    data, matrix = mujoco.MjData(model), np.zeros((16, 16))
+    links = link_motion(model, qpos, qvel, qacc)
+    expected = [np.asarray(x) for x in balance.ground_wrench(links)]
+    none = jnp.zeros(0)
+    for t in range(0, len(qpos), 50):
+        data.qpos, data.qvel = qpos[t], qvel[t]
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, matrix)
+        world = World(jnp.array(qpos[t]), jnp.array(qvel[t]), none, jnp.bool_(False))
+        stages = Stages(world, none, none, jnp.array(matrix), jnp.array(data.qfrc_bias), lambda *_: none, lambda: none)
+        force, moment = ground_wrench(stages, jnp.array(qacc[t]))
+        np.testing.assert_allclose(force, expected[0][t], atol=1e-9)
+        np.testing.assert_allclose(moment, expected[1][t], atol=1e-9)
+
+
+def test_there_is_no_point_in_flight():
+    assert np.isnan(balance.zero_moment_point(jnp.array([1.0, 0.0, 0.0]), jnp.ones(3))).all()
+
+
+def slow_margin(point, corners):
+    """By every edge of scipy's hull."""
+    hull = ConvexHull(corners)
+    inside = -(hull.equations[:, :2] @ point + hull.equations[:, 2]).max()
+    if inside >= 0:
+        return inside
+    ends = corners[hull.simplices]
+    along = ends[:, 1] - ends[:, 0]
+    place = np.clip(((point - ends[:, 0]) * along).sum(axis=1) / (along**2).sum(axis=1), 0, 1)
+    return -np.linalg.norm(point - ends[:, 0] - place[:, None] * along, axis=1).min()
+
+
+def test_the_margin_is_that_of_the_convex_hull():
+    rng = np.random.default_rng(0)
+    margin = jax.jit(balance.support_margin)
+    signs = []
+    for _ in range(200):
+        corners, touching = rng.uniform(-1, 1, (8, 2)), rng.random(8) < 0.7
+        touching[:3] = True
+        point = rng.uniform(-1.2, 1.2, 2)
+        expected = slow_margin(point, corners[touching])
+        assert float(margin(point, corners, touching)) == pytest.approx(expected, abs=1e-9)
+        polygon = balance.support_polygon(corners[touching])
+        hull = ConvexHull(corners[touching])
+        np.testing.assert_array_equal(np.sort(polygon, axis=0), np.sort(corners[touching][hull.vertices], axis=0))
+        x, y = polygon.T
+        area = (x * np.roll(y, -1) - y * np.roll(x, -1)).sum() / 2
+        assert area == pytest.approx(hull.volume)
+        signs.append(expected > 0)
+    assert 0.2 < np.mean(signs) < 0.8
+
+
+@pytest.mark.parametrize(
+    ("touching", "margin"),
+    [("0000", -np.inf), ("1000", -np.sqrt(0.5)), ("1100", -0.5), ("1001", 0.0), ("1110", 0.0), ("1111", 0.5)],
+)
+def test_margins_of_a_square(touching, margin):
+    """Its middle: no corner, one, an edge, a diagonal (which has no inside), half of it, all."""
+    corners = jnp.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
+    found = balance.support_margin(jnp.array([0.5, 0.5]), corners, jnp.array([c == "1" for c in touching]))
+    assert float(found) == pytest.approx(margin, abs=1e-12)
+    assert len(balance.support_polygon(np.asarray(corners)[[c == "1" for c in touching]])) == touching.count("1")

@@ -1,0 +1,174 @@
+"""Contacts of the feet against MuJoCo's own, and inverse dynamics within them against slow projections."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from humanoid_mjx.control import GroundControl, Reference, grounded_torque
+from humanoid_mjx.control.gains import poles
+from humanoid_mjx.control.ground import constrained_dynamics, eliminate
+from humanoid_mjx.physics import make_physics
+
+FREE = make_physics("mjx-jax", ranges="human")
+NATIVE = make_physics("mujoco", ranges="human")
+KP, KD = np.linspace(60.0, 80.0, 10), np.linspace(30.0, 38.0, 10)
+"""Like those of Table 5.1: two real poles each."""
+
+
+@partial(jax.jit, static_argnums=0)
+def look(physics, qpos, qvel):
+    """What a controller sees in a state."""
+    seen = {}
+
+    def controller(stages):
+        seen.update(matrix=stages.mass_matrix, bias=stages.bias, contacts=stages.contacts())
+        return jnp.zeros(10)
+
+    physics.step(physics.params, physics.start(physics.params, qpos, qvel), controller)
+    return seen
+
+
+def random_state(seed):
+    rng = np.random.default_rng(seed)
+    qpos = FREE.qpos0 + np.r_[0.01 * rng.normal(size=3), 0.1 * rng.normal(size=4), rng.uniform(0.2, 0.6, 10)]
+    qpos[3:7] /= np.linalg.norm(qpos[3:7])
+    return qpos, rng.normal(size=16)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_contacts_are_mujocos(seed):
+    """Their places, which of them touch, their Jacobian and its rate."""
+    qpos, qvel = random_state(seed)
+    model, data = FREE.model, mujoco.MjData(FREE.model)
+    balls, _ = FREE.ground_points
+    data.qpos, data.qvel = qpos, qvel
+    mujoco.mj_kinematics(model, data)
+    qpos[2] -= np.median(data.geom_xpos[balls, 2])
+    data.qpos = qpos
+    mujoco.mj_forward(model, data)
+    contacts = look(FREE, qpos, qvel)["contacts"]
+    assert [model.geom(ball).name for ball in balls] == [f"{s}_corner{i}" for s in ("right", "left") for i in range(4)]
+    assert {int(g) for g in data.contact.geom[:, 1]} & set(balls.tolist()) == set(balls[contacts.touching].tolist())
+    assert 0 < contacts.touching.sum() < 8
+    for i, ball in enumerate(balls):
+        jacobian, rate = np.zeros((2, 3, 16))
+        lowest, body = data.geom_xpos[ball] - [0, 0, model.geom_size[ball, 0]], model.geom_bodyid[ball]
+        mujoco.mj_jac(model, data, jacobian, None, lowest, body)
+        mujoco.mj_jacDot(model, data, rate, None, lowest, body)
+        np.testing.assert_allclose(contacts.position[i], lowest, atol=1e-12)
+        np.testing.assert_allclose(contacts.jacobian[i], jacobian, atol=1e-12)
+        np.testing.assert_allclose(contacts.drift[i], rate @ qvel, atol=1e-12)
+    for ours, others in zip(contacts, look(NATIVE, qpos, qvel)["contacts"], strict=True):
+        np.testing.assert_allclose(ours, others, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["chain", "mjx-jax"])
+def test_there_is_no_ground_in_the_air(name):
+    physics = make_physics(name) if name == "chain" else make_physics(name, torso="fixed")
+    contacts = look(physics, np.zeros(10), np.zeros(10))["contacts"]
+    assert contacts.jacobian.shape == (0, 3, 10) and contacts.touching.shape == (0,)
+
+
+@pytest.mark.parametrize(
+    ("touching", "taken"),
+    [
+        ("11111111", 12),
+        ("11110111", 12),
+        ("11110011", 11),
+        ("11110010", 9),
+        ("11110000", 6),
+        ("01000010", 6),
+        ("0" * 8, 0),
+    ],
+)
+def test_a_corner_takes_what_it_can(touching, taken):
+    """Six degrees of freedom a flat foot, five an edge, three a corner: against the projection by a pseudo-inverse."""
+    seen = look(FREE, *random_state(0))
+    touch = np.array([int(c) for c in touching], bool)
+    matrix, bias = np.asarray(seen["matrix"]), np.asarray(seen["bias"])
+    mobility, drift = constrained_dynamics(
+        seen["matrix"], seen["bias"], seen["contacts"]._replace(touching=jnp.array(touch))
+    )
+    rows = np.asarray(seen["contacts"].jacobian)[touch].reshape(-1, 16)
+    rates = np.asarray(seen["contacts"].drift)[touch].reshape(-1)
+    assert np.linalg.matrix_rank(rows, tol=1e-9) == taken
+    force = np.random.default_rng(1).normal(size=16)
+    free = np.linalg.solve(matrix, force - bias)
+    inverse = np.linalg.inv(matrix)
+    resistance = np.linalg.pinv(rows @ inverse @ rows.T, rcond=1e-10)
+    expected = free - inverse @ rows.T @ resistance @ (rows @ free + rates)
+    # The softness of 1e-4 / kg is as much of the inverse inertia that the contacts see: a percent where it is least.
+    np.testing.assert_allclose(mobility @ force + drift, expected, atol=1e-2 * np.abs(free).max())
+    assert np.abs(rows @ (mobility @ force + drift) + rates).max(initial=0.0) < 1e-3 * np.abs(free).max()
+
+
+def test_elimination_solves():
+    rng = np.random.default_rng(0)
+    root, right = rng.normal(size=(12, 12)), rng.normal(size=(12, 3))
+    matrix = root @ root.T + 1e-3 * np.eye(12)
+    np.testing.assert_allclose(
+        eliminate(jnp.array(matrix), jnp.array(right)), np.linalg.solve(matrix, right), rtol=1e-8
+    )
+
+
+@pytest.mark.parametrize("touching", ["00000000", "11110000"])
+def test_joints_accelerate_as_wanted_where_contacts_let_them(touching):
+    """In flight and on one flat foot every acceleration of the joints is possible: without a share for the servo the
+    torque brings about the one wanted."""
+    seen = look(FREE, *random_state(0))
+    contacts = seen["contacts"]._replace(touching=jnp.array([int(c) for c in touching], bool))
+    params = GroundControl.build(10, KP, KD, share=0.0)
+    rng = np.random.default_rng(2)
+    qpos, qvel, wanted = (jnp.array(rng.normal(size=10)) for _ in range(3))
+    reference = Reference(qpos, qvel, wanted)
+    torque = grounded_torque(params, reference, qpos, qvel, seen["matrix"], seen["bias"], contacts)
+    mobility, drift = constrained_dynamics(seen["matrix"], seen["bias"], contacts)
+    np.testing.assert_allclose((mobility[:, 6:] @ torque + drift)[6:], wanted, atol=1e-6)
+
+
+def regulate(dt, law, seconds=1.0):
+    """(steps, 10) Errors of the fixed body on its way to rest."""
+    physics = make_physics("mjx-jax", torso="fixed", ranges="human", timestep=dt)
+    params, goal = GroundControl.build(10, KP, KD, share=0.0), jnp.tile(jnp.array([0.3, 0.1, 0.2, 0.6, 0.1]), 2)
+    reference = Reference(goal, jnp.zeros(10), jnp.zeros(10))
+
+    def controller(stages):
+        if law == "model":
+            return stages.torque_for(KP * (goal - stages.qpos) - KD * stages.qvel, 1.0)
+        dynamics = stages.mass_matrix, stages.bias, stages.contacts()
+        return grounded_torque(params, reference, stages.qpos, stages.qvel, *dynamics)
+
+    def cycle(world, _):
+        world, torque = physics.step(physics.params, world, controller)
+        return world, (goal - world.qpos, torque)
+
+    world = physics.start(physics.params, np.zeros(10), np.zeros(10))
+    _, (errors, torque) = jax.jit(partial(jax.lax.scan, cycle, length=round(seconds / dt)))(world)
+    assert np.abs(torque).max() < physics.torque_limit
+    return np.asarray(errors)
+
+
+def measured_poles(errors, dt):
+    """(2, 10) The slow and the fast pole of the recursion that fits the errors every 20 ms, 1/s."""
+    stride = round(0.02 / dt)
+    found = []
+    for e in errors[::stride].T:
+        a, b = np.linalg.lstsq(np.stack([e[1:-1], e[:-2]], axis=1), e[2:])[0]
+        found.append(np.sort(np.log(np.roots([1.0, -a, -b]).real) / (stride * dt))[::-1])
+    return np.array(found).T
+
+
+def test_the_error_has_the_poles_of_the_gains_to_first_order():
+    """E'' + Kd E' + Kp E = 0 on MJX with an exact model: within 1% at 0.2 ms."""
+    expected = np.asarray(poles(jnp.array(KP), jnp.array(KD)))
+    off = [np.abs(measured_poles(regulate(dt, "model"), dt) / expected - 1).max() for dt in (4e-4, 2e-4)]
+    assert off[1] < 0.01
+    assert np.log2(off[0] / off[1]) == pytest.approx(1.0, abs=0.15)
+
+
+def test_without_contacts_it_is_computed_torque():
+    np.testing.assert_allclose(regulate(1e-3, "grounded", 0.1), regulate(1e-3, "model", 0.1), atol=1e-9)

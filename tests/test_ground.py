@@ -1,0 +1,74 @@
+"""Controllers on the ground, in batches on MJX: they stand, and take a push."""
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from humanoid_mjx import InputError
+from humanoid_mjx.control import GroundControl, Reference, grounded_torque, pd
+from humanoid_mjx.physics import make_physics
+
+MJX = make_physics("mjx-jax", ranges="human")
+STANDING = Reference(*jnp.zeros((3, 10)))
+PUSHES = np.array([[0.0, 0.0], [0.2, 0.0], [-0.15, 0.0], [0.0, 0.3]])
+"""N s at the hips: none, forwards, backwards, to the left."""
+
+SECONDS = 1.5
+
+
+@pytest.fixture(scope="module")
+def pushed():
+    """Worlds whose standing bodies were pushed: the paths of joints, torques, end; the servo's, then computed torque's.
+
+    The hundred copies are more than the threads of XLA can take at once.
+    """
+    data = mujoco.MjData(MJX.model)
+    mujoco.mj_forward(MJX.model, data)
+    matrix = np.zeros((16, 16))
+    mujoco.mj_fullM(MJX.model, data, matrix)
+    qvel = np.linalg.solve(matrix, np.pad(PUSHES, ((0, 0), (0, 14))).T).T
+    params = GroundControl.build(10)
+
+    def simulate(qvel, grounded):
+        def controller(stages):
+            state = STANDING, stages.qpos, stages.qvel
+            held = pd(params.servo, *state)
+            exact = grounded_torque(params, *state, stages.mass_matrix, stages.bias, stages.contacts())
+            return jnp.where(grounded, exact, held)
+
+        def cycle(world, _):
+            world, torque = MJX.step(MJX.params, world, controller)
+            return world, (world.qpos, torque)
+
+        world = MJX.start(MJX.params, MJX.qpos0, qvel)
+        return jax.lax.scan(cycle, world, length=MJX.substeps(SECONDS))[1]
+
+    copies = 25
+    velocities = np.tile(qvel, (2 * copies, 1)).astype(np.float32)
+    grounded = np.repeat([False, True], copies * len(PUSHES))
+    qpos, torque = jax.jit(jax.vmap(simulate))(velocities, grounded)
+    shape = 2, copies, len(PUSHES), -1
+    return [np.asarray(x).reshape(*shape, x.shape[-1])[:, :: copies - 1] for x in (qpos, torque)]
+
+
+def test_both_stand_and_take_a_push(pushed):
+    qpos, torque = pushed
+    assert qpos[..., -1, 2].min() > 0.21 and np.abs(qpos[..., -1, 3] - 1).max() < 1e-3
+    np.testing.assert_array_equal(qpos[:, 0], qpos[:, 1])
+    assert np.abs(qpos[..., -1, 7:]).max() < 3e-3
+    assert np.abs(torque[:, 0, 0, -1]).max() < 0.05
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"kp": -1.0}, "kp must be finite and at least 0, got"),
+        ({"servo_kd": [1.0, 2.0]}, r"servo_kd must be a number or one for each of 10 joints, got shape \(2,\)."),
+        ({"share": 2.0}, "share must be from 0 to 1, got 2.0."),
+    ],
+)
+def test_bad_input_gets_a_sentence(options, sentence):
+    with pytest.raises(InputError, match=sentence):
+        GroundControl.build(10, **options)
