@@ -104,20 +104,24 @@ def _switch(section: str, setting: Setting) -> list[Finding]:
     """Train on a posture, show the motion, and measure it against a plan that takes as long."""
     from humanoid_mjx.results.rendering import render_motion
     from humanoid_mjx.robot import robot_spec
-    from humanoid_mjx.training.episode import greedy_episode
+    from humanoid_mjx.training.episode import motion_of, play
 
     trained = _train(section, setting.config)
     task = trained.learner.task
     goal = np.asarray(task.whole_body(task.grid[:, -1]))
     tolerance = float(trained.hyper.task.tolerance)
-    episode = greedy_episode(trained)
+    episode = play(trained)
+    motion = motion_of(trained, episode)
     path = setting.out / f"figure-7.18-{section}.gif"
-    render_motion(robot_spec("legs").compile(), episode.motion.qpos, task.timestep, path)
-    learned = _measure(episode.motion, goal, task, tolerance)
+    render_motion(robot_spec("legs").compile(), motion.qpos, task.timestep, path)
+    learned = _measure(motion, goal, task, tolerance)
     plan = _measure(_planned(task, trained.hyper.task, learned.settling), goal, task, tolerance)
     heavy = trained.hyper._replace(task=trained.hyper.task._replace(mass=np.float32(HEAVY)))
-    loaded = _measure(greedy_episode(trained._replace(hyper=heavy)).motion, goal, task, tolerance)
-    decided = f"{episode.decisions} decisions, peak torque {learned.peak:.2g} N m; a quintic of {learned.settling:g} s"
+    trained = trained._replace(hyper=heavy)
+    loaded = _measure(motion_of(trained, play(trained)), goal, task, tolerance)
+    decided = (
+        f"{len(episode.actions)} decisions, peak torque {learned.peak:.2g} N m; a quintic of {learned.settling:g} s"
+    )
     quantities = {"settling": "settling time, s", "overshoot": "overshoot, degrees", "energy": "energy, J"}
     findings = [
         Finding(
@@ -154,7 +158,7 @@ def _involves_dynamics(section: str, learned: Switch, loaded: Switch) -> Finding
 
 def _train(section: str, config: dict[str, Any]) -> Any:
     """The best of a few short runs."""
-    from humanoid_mjx.training.episode import best_policy
+    from humanoid_mjx.training.policy import best_policy
     from humanoid_mjx.training.sweep import sweep
 
     full = {

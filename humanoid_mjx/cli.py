@@ -59,28 +59,51 @@ def bench(
     run_bench(names or ["all"], json)
 
 
+Policy = Annotated[str, typer.Argument(metavar="RUN|POLICY", help="A run folder, a policy file, or a shipped policy.")]
+
+
+@app.command()
+def evaluate(
+    policies: Annotated[
+        list[str], typer.Argument(metavar="RUN|POLICY...", help="Run folders, policy files, or shipped policies.")
+    ],
+    physics: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Simulate by another physics, such as mujoco.")
+    ] = None,
+    episodes: Annotated[int, typer.Option(min=1, max=1_000_000, help="Episodes of each agent.")] = 1024,
+    json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write what was found as JSON.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE.png", help="The figure of several runs; by default with the first.")
+    ] = None,
+) -> None:
+    """Measure what was learned on episodes that no training has seen, beside a zero and a random agent."""
+    from humanoid_mjx.commands import run_evaluate
+
+    run_evaluate(policies, physics, episodes, json, out)
+
+
 @app.command()
 def play(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder.")],
+    policy: Policy,
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="A .gif, .mp4 or .png; by default RUN/figures/play.gif.")
     ] = None,
 ) -> None:
-    """Show the best of what a run learned as a video or picture of the robot."""
+    """Show what was learned as a video or picture of the robot."""
     from humanoid_mjx.commands import run_play
 
-    run_play(run, out)
+    run_play(policy, out)
 
 
 @app.command()
 def export(
-    robot: Annotated[str, typer.Argument(help="lower_body.")],
-    file: Annotated[Path, typer.Argument(metavar="FILE.xml")],
+    what: Annotated[str, typer.Argument(metavar="ROBOT|RUN", help="leg, legs, lower_body; or a run folder.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="An .xml for a robot, an .npz for a run.")],
 ) -> None:
-    """Write a robot as MJCF, for MuJoCo."""
+    """Write a robot as MJCF, for MuJoCo; or the best policy of a run as a file of its own."""
     from humanoid_mjx.commands import run_export
 
-    run_export(robot, file)
+    run_export(what, file)
 
 
 @app.command()

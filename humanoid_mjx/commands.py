@@ -117,34 +117,82 @@ def run_bench(chosen: Sequence[str], file: Path | None) -> None:
         console.print(f"{file}")
 
 
-def run_play(run: Path, out: Path | None) -> None:
+def run_evaluate(names: Sequence[str], physics: str | None, episodes: int, file: Path | None, out: Path | None) -> None:
+    """`humanoid-mjx evaluate`."""
+    if file is not None and not file.parent.is_dir():
+        raise InputError(f"--json {file}: there is no folder {file.parent}.")
+    runtime.start()
+    from humanoid_mjx.results.comparison import compare_curves, curve_of_run
+    from humanoid_mjx.results.evaluations import evaluation_table
+    from humanoid_mjx.training.evaluation import HELD_OUT_WORDS, evaluate_all
+    from humanoid_mjx.training.policy import find_policy, on_physics
+
+    policies = [find_policy(name) for name in names]
+    if len({policy.name for policy in policies}) < len(policies):
+        policies = [policy._replace(name=name) for name, policy in zip(names, policies, strict=True)]
+    if physics is not None:
+        policies = [on_physics(policy, physics) for policy in policies]
+    evaluations = evaluate_all(policies, episodes)
+    title = f"{episodes:,} episodes that no training has seen" + (f", physics {physics}" if physics else "")
+    console.print(evaluation_table(title, evaluations))
+    if file is not None:
+        result = {
+            "machine": runtime.machine(),
+            "versions": runtime.versions(),
+            "episodes": episodes,
+            "held_out": HELD_OUT_WORDS,
+            "evaluations": [evaluation.as_json() for evaluation in evaluations],
+            "policies": [policy.as_json() for policy in policies],
+        }
+        file.write_text(json.dumps(result, indent=2) + "\n")
+        console.print(f"{file}", soft_wrap=True)
+    runs = [(Path(name), policy) for name, policy in zip(names, policies, strict=True) if Path(name).is_dir()]
+    if len(runs) > 1:
+        curves = [curve_of_run(path, policy) for path, policy in runs]
+        target = out or runs[0][0] / "figures" / "comparison.png"
+        compare_curves(target, curves, [e for e in evaluations if e.agent != "greedy"])
+        console.print(f"{target}", soft_wrap=True)
+
+
+def run_play(name: str, out: Path | None) -> None:
     """`humanoid-mjx play`."""
     runtime.start()
     from humanoid_mjx.results.rendering import render_motion
-    from humanoid_mjx.robot import robot_spec
-    from humanoid_mjx.training.episode import best_policy, greedy_episode, posture_task
+    from humanoid_mjx.training.episode import play, robot_of, rows_of
+    from humanoid_mjx.training.policy import find_policy
 
-    trained = best_policy(run)
-    task = posture_task(trained, str(run))
-    episode = greedy_episode(trained)
-    model = robot_spec("legs").compile()
-    path = render_motion(model, episode.motion.qpos, task.timestep, out or run / "figures" / "play.gif")
-    outcome = "reaches its goal" if episode.arrived else "does not reach its goal"
-    took = f"{episode.decisions} decisions, {episode.decisions * task.period:g} s"
-    console.print(f"point {trained.point}, seed {trained.seed}: {outcome} in {took}")
+    trained = find_policy(name)
+    model, is_run = robot_of(trained), Path(name).is_dir()
+    played = play(trained)
+    qpos, step_s = rows_of(trained, played)
+    target = out or (Path(name) / "figures" / "play.gif" if is_run else Path(f"{trained.name}.gif"))
+    path = render_motion(model, qpos, step_s, target)
+    decisions, period = len(played.actions), trained.learner.task.period  # pyright: ignore[reportAttributeAccessIssue]
+    outcome = "succeeds" if played.success else "does not succeed"
+    console.print(
+        f"point {trained.point}, seed {trained.seed}: {outcome} in {decisions} decisions, {decisions * period:g} s; "
+        f"return {played.episode_return:.4g}"
+    )
     console.print(f"{path}", soft_wrap=True)
 
 
-def run_export(robot: str, file: Path) -> None:
+def run_export(what: str, file: Path) -> None:
     """`humanoid-mjx export`."""
-    from humanoid_mjx.robot import robot_spec
-
-    spec = robot_spec(robot)
+    if file.suffix not in (".xml", ".npz"):
+        raise InputError(f"{file}: the file must end in .xml, for a robot, or in .npz, for the policy of a run.")
     if not file.parent.is_dir():
         raise InputError(f"{file}: there is no folder {file.parent}.")
-    spec.compile()
-    file.write_text(spec.to_xml())
-    console.print(f"{file}")
+    if file.suffix == ".npz":
+        from humanoid_mjx.training.policy import find_policy, save_policy
+
+        save_policy(find_policy(what), file)
+    else:
+        from humanoid_mjx.robot import robot_spec
+
+        spec = robot_spec(what)
+        spec.compile()
+        file.write_text(spec.to_xml())
+    console.print(f"{file}", soft_wrap=True)
 
 
 def show_info(config: str | None, overrides: Sequence[str]) -> None:
@@ -166,5 +214,6 @@ def show_info(config: str | None, overrides: Sequence[str]) -> None:
         return
     for name, value in (runtime.machine() | runtime.versions()).items():
         console.print(f"{name:13} {value}")
-    for kind, all_names in (("tasks", TASKS), ("learners", LEARNERS), ("configs", names("configs", ".yaml"))):
+    shipped = {"configs": names("configs", ".yaml"), "policies": names("policies", ".npz")}
+    for kind, all_names in {"tasks": TASKS, "learners": LEARNERS, **shipped}.items():
         console.print(f"{kind:13} {', '.join(all_names)}")

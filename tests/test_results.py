@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.stats import trim_mean
 
 from humanoid_mjx.results.figures import find_levels, sweep_figures
-from humanoid_mjx.results.statistics import iqm, iqm_interval
+from humanoid_mjx.results.statistics import iqm, iqm_interval, rate_interval
 
 
 @given(st.integers(1, 12), st.integers(0, 1000))
@@ -30,6 +30,24 @@ def test_bootstrap_interval_covers_the_truth_as_often_as_it_says():
         covered.append(low <= 0 <= high)
     # 300 trials of a 95 % interval: the percentile bootstrap is a little narrow at 30 values, four sigma are 5 %.
     assert 0.88 < np.mean(covered) < 0.99
+
+
+def test_interval_of_a_probability_covers_the_truth_as_often_as_it_says():
+    rng = np.random.default_rng(0)
+    intervals = [rate_interval(rng.uniform(size=40) < 0.1) for _ in range(500)]
+    # The binomial is coarse at 40 trials: its coverage by Wilson's interval is 0.94 there, four sigma are 4 %.
+    assert 0.90 < np.mean([low <= 0.1 <= high for low, high in intervals]) < 0.98
+    for certain in (np.ones(20, bool), np.zeros(20, bool)):
+        low, high = rate_interval(certain)
+        assert 0.0 <= low < high <= 1.0
+
+
+def test_resampling_in_parts_changes_little(monkeypatch):
+    values = np.random.default_rng(0).normal(size=(50, 2))
+    whole = iqm_interval(values)
+    monkeypatch.setattr("humanoid_mjx.results.statistics.RESAMPLED_NUMBERS", 1000)
+    # 500 resamples, other ones: an end of the interval has an error of about a tenth of its width.
+    np.testing.assert_allclose(iqm_interval(values), whole, atol=0.2 * np.ptp(whole, axis=0).max())
 
 
 def test_many_values_of_an_axis_are_put_into_bins():

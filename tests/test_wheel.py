@@ -1,4 +1,4 @@
-"""The wheel, installed where the checkout cannot be seen: it finds its configs and experiments by name."""
+"""The wheel, installed where the checkout cannot be seen: it finds its configs, experiments and policies by name."""
 
 import os
 import subprocess
@@ -37,10 +37,11 @@ def clean(tmp_path_factory):
     return run
 
 
-def test_configs_and_experiments_are_found_by_name(clean):
+def test_what_ships_is_found_by_name(clean):
     done = clean("-m", "humanoid_mjx", "info", "joint1")
     assert done.returncode == 0, done.stderr
     assert "300 points x 16 seeds" in done.stdout
+    assert "posture_switch" in clean("-m", "humanoid_mjx", "info").stdout.partition("policies")[2]
     done = clean("-m", "humanoid_mjx", "reproduce", "--list")
     assert "table-7.1" in done.stdout, done.stderr
 

@@ -29,8 +29,8 @@ def epsilons(hyper: Any, episode: Int[Array, " envs"]) -> Float[Array, " envs"]:
 
 
 def greedy(
-    q: Float[Array, "envs joints choices"], allowed: Bool[Array, "joints choices"], key: Key[Array, ""]
-) -> Int[Array, "envs joints"]:
+    q: Float[Array, "*batch joints choices"], allowed: Bool[Array, "joints choices"], key: Key[Array, ""]
+) -> Int[Array, "*batch joints"]:
     """The best choice of each joint; one at random among equally good ones."""
     q = jnp.where(allowed, q, -jnp.inf)
     ties = jax.random.uniform(key, q.shape)

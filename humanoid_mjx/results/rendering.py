@@ -8,6 +8,7 @@ import os
 import shutil
 import subprocess
 from collections.abc import Callable
+from functools import partial
 from itertools import combinations, product
 from pathlib import Path
 
@@ -27,7 +28,7 @@ STRIP = 6
 """Frames side by side where a motion becomes one picture."""
 
 VIEW_M = 0.36
-"""What the pictures show from top to bottom: the standing body and some room."""
+"""What the pictures show from top to bottom, at least: the standing body and some room."""
 
 Frame = UInt8[np.ndarray, "height width 3"]
 
@@ -64,17 +65,19 @@ def render(model: mujoco.MjModel, qpos: Float[AnyArray, "frames nq"], path: Path
 
 
 def render_motion(
-    model: mujoco.MjModel, qpos: Float[AnyArray, "steps nq"], timestep: float, path: Path, fps: float = 25.0
+    model: mujoco.MjModel, qpos: Float[AnyArray, "rows nq"], step_s: float, path: Path, fps: float = 25.0
 ) -> Path:
-    """`render` a simulation at its own speed, given a row for each of its steps of `timestep`, s."""
-    times = np.arange(0.0, len(qpos) * timestep, 1.0 / fps)
-    return render(model, np.asarray(qpos)[np.minimum(np.round(times / timestep).astype(int), len(qpos) - 1)], path, fps)
+    """`render` a motion at its own speed, given a row every `step_s`, s; between rows it is drawn as even."""
+    rows = np.arange(0.0, len(qpos) - 0.999, 1.0 / (fps * step_s))
+    columns = [np.interp(rows, np.arange(len(qpos)), column) for column in np.asarray(qpos, np.float64).T]
+    return render(model, np.stack(columns, axis=1), path, fps)
 
 
 def draw(model: mujoco.MjModel, qpos: Float[np.ndarray, "frames nq"]) -> list[Frame]:
     """A picture of each posture."""
     data, frames = mujoco.MjData(model), []
-    paint = _renderer(model) or _sticks
+    view = _view(model, qpos)
+    paint = _renderer(model, view) or partial(_sticks, view=view)
     for row in qpos:
         data.qpos = row
         mujoco.mj_kinematics(model, data)
@@ -83,7 +86,17 @@ def draw(model: mujoco.MjModel, qpos: Float[np.ndarray, "frames nq"]) -> list[Fr
     return frames
 
 
-def _renderer(model: mujoco.MjModel) -> Callable[[mujoco.MjModel, mujoco.MjData], Frame] | None:
+def _view(model: mujoco.MjModel, qpos: Float[np.ndarray, "frames nq"]) -> float:
+    """Metres from top to bottom in which every posture has room."""
+    data, reach = mujoco.MjData(model), 0.0
+    for row in qpos:
+        data.qpos = row
+        mujoco.mj_kinematics(model, data)
+        reach = max(reach, np.abs(data.xpos[1:] - _middle(model, data)).max())
+    return max(VIEW_M, 2.1 * reach)
+
+
+def _renderer(model: mujoco.MjModel, view: float) -> Callable[[mujoco.MjModel, mujoco.MjData], Frame] | None:
     """MuJoCo's renderer, or nothing where it finds no OpenGL."""
     if not (os.environ.get("MUJOCO_GL") or os.environ.get("DISPLAY")):
         return None
@@ -92,7 +105,7 @@ def _renderer(model: mujoco.MjModel) -> Callable[[mujoco.MjModel, mujoco.MjData]
     except Exception:  # what it raises depends on the back end
         return None
     camera = mujoco.MjvCamera()
-    camera.distance, camera.azimuth, camera.elevation = 2.0 * VIEW_M, 130.0, -12.0
+    camera.distance, camera.azimuth, camera.elevation = 2.0 * view, 130.0, -12.0
 
     def paint(model: mujoco.MjModel, data: mujoco.MjData) -> Frame:
         camera.lookat = _middle(model, data)
@@ -112,7 +125,7 @@ def _has_ground(model: mujoco.MjModel) -> bool:
     return bool((model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE).any())
 
 
-def _sticks(model: mujoco.MjModel, data: mujoco.MjData) -> Frame:
+def _sticks(model: mujoco.MjModel, data: mujoco.MjData, view: float) -> Frame:
     """Seen from the right and from the front: a line from each joint to the next, boxes by their edges."""
     figure = Figure(figsize=(WIDTH / 100, HEIGHT / 100), dpi=100, layout="constrained")
     canvas = FigureCanvasAgg(figure)
@@ -122,7 +135,7 @@ def _sticks(model: mujoco.MjModel, data: mujoco.MjData) -> Frame:
             axis.axhline(0.0, color="0.6", linewidth=1.0)
         for line, color in outline(model, data):
             axis.plot(line[:, across], line[:, 2], color=color, linewidth=1.5, solid_capstyle="round")
-        half = VIEW_M / 2
+        half = view / 2
         axis.set_xlim(middle[across] - half, middle[across] + half)
         axis.set_ylim(middle[2] - half, middle[2] + half)
         axis.set_aspect("equal")

@@ -1,9 +1,14 @@
 """Robust aggregates over seeds (R. Agarwal et al., "Deep RL at the Edge of the Statistical Precipice", 2021)."""
 
+from statistics import NormalDist
+
 import numpy as np
-from jaxtyping import Float, Num
+from jaxtyping import Bool, Float, Num
 
 RESAMPLES = 500
+
+RESAMPLED_NUMBERS = 10_000_000
+"""About so many are held at once."""
 
 
 def iqm(values: Num[np.ndarray, "n ..."]) -> Float[np.ndarray, "..."]:
@@ -20,9 +25,19 @@ def iqm_interval(
     values: Num[np.ndarray, "n ..."], confidence: float = 0.95, seed: int = 0
 ) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]:
     """Percentile bootstrap interval of the interquartile mean over the first axis, the entries resampled whole."""
-    n = len(values)
-    draws = np.random.default_rng(seed).integers(n, size=(RESAMPLES, n))
-    estimates = iqm(np.swapaxes(values[draws], 0, 1))
+    n, rng = len(values), np.random.default_rng(seed)
+    batches = np.array_split(np.arange(RESAMPLES), -(-RESAMPLES * values.size // RESAMPLED_NUMBERS))
+    draws = (rng.integers(n, size=(len(batch), n)) for batch in batches)
+    estimates = np.concatenate([iqm(np.swapaxes(values[rows], 0, 1)) for rows in draws])
     tail = (1 - confidence) / 2
     low, high = np.quantile(estimates, (tail, 1 - tail), axis=0)
     return np.asarray(low), np.asarray(high)
+
+
+def rate_interval(successes: Bool[np.ndarray, " n"], confidence: float = 0.95) -> tuple[float, float]:
+    """Interval of a probability (E. Wilson, 1927), which has a width also where all trials or none succeeded."""
+    n, share = len(successes), float(np.mean(successes))
+    z2 = NormalDist().inv_cdf((1 + confidence) / 2) ** 2
+    middle = (share + z2 / (2 * n)) / (1 + z2 / n)
+    half = (z2 * (share * (1 - share) / n + z2 / (4 * n**2))) ** 0.5 / (1 + z2 / n)
+    return max(0.0, middle - half), min(1.0, middle + half)

@@ -191,4 +191,5 @@ class LegReach(ContinuousTask):
 
 @lru_cache
 def _simulator(name: str, ranges: str, timestep: float) -> Physics:
-    return make_physics(name, robot="leg", ranges=ranges, timestep=timestep)
+    torso = {} if name == "chain" else {"torso": "fixed"}
+    return make_physics(name, robot="leg", ranges=ranges, timestep=timestep, **torso)

@@ -1,40 +1,42 @@
-"""Look at what was learned: the motion of the legs in a greedy episode of a stored run."""
+# pyright: reportAttributeAccessIssue=false
+"""Look at what was learned: the motion of the robot in a greedy episode."""
 
 import math
 from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
-from humanoid_mjx.config import parse
 from humanoid_mjx.control.computed_torque import Reference
-from humanoid_mjx.learners import Learner
-from humanoid_mjx.physics.base import World
-from humanoid_mjx.results.store import read_config
-from humanoid_mjx.results.tables import finished_runs
+from humanoid_mjx.learners.evaluation import MAX_EVALUATION_STEPS
+from humanoid_mjx.physics.base import Physics, World
+from humanoid_mjx.physics.model import MujocoPhysics
+from humanoid_mjx.robot import ROBOTS, robot_spec
 from humanoid_mjx.spec import InputError
-from humanoid_mjx.tasks.posture_switch import Body, PostureSwitch
-from humanoid_mjx.training.plan import make_plan, one_run
-from humanoid_mjx.training.state import from_arrays
+from humanoid_mjx.tasks.continuous import State
+from humanoid_mjx.tasks.finite import FiniteTask
+from humanoid_mjx.tasks.posture_switch import PostureSwitch
+from humanoid_mjx.training.evaluation import GREEDY, act, carry_out, held_out_keys, world_of
+from humanoid_mjx.training.policy import Trained
 from humanoid_mjx.types import AnyArray
 
 HOLD_S = 1.0
 """How long the last set-point is held after an episode, s: whether a posture is kept shows only then."""
 
 
-class Trained(NamedTuple):
-    """What one run of a sweep learned."""
+class Played(NamedTuple):
+    """A greedy episode, decision by decision."""
 
-    learner: Learner
-    hyper: Any
-    policy: Any
-    point: int
-    seed: int
+    states: list[Any]
+    """The task's own, before each decision and after the last."""
+    actions: list[Array]
+    success: bool
+    episode_return: float
 
 
 class Motion(NamedTuple):
@@ -47,77 +49,66 @@ class Motion(NamedTuple):
     """That acted during the step, N m."""
 
 
-class Episode(NamedTuple):
-    """A greedy episode, and `HOLD_S` more in which its last set-point is held."""
-
-    motion: Motion
-    decisions: int
-    arrived: bool
-
-
-def best_policy(path: Path) -> Trained:
-    """The best run of a run folder's best point: most often at the goal, and among equals the quickest.
+def robot_of(trained: Trained) -> mujoco.MjModel:
+    """The robot that a policy moves.
 
     Raises:
-      InputError: this is no run folder, nothing in it is finished, or its files are damaged.
+      InputError: its task has no `simulator`, which is a physics of a robot that is known.
     """
-    plan = make_plan(parse(read_config(path), str(path / "config.yaml")))
-    arrays = finished_runs(path, ("point", "seed", "policy", "final.greedy_"))
-    if not arrays:
-        raise InputError(f"{path}: holds no finished run; --resume it first.")
-    success, steps = arrays["final.greedy_success"], arrays["final.greedy_steps"]
-    points = np.unique(arrays["point"])
-    members = [arrays["point"] == point for point in points]
-    ranks = [(-round(float(success[rows].mean()), 3), float(steps[rows].mean())) for rows in members]
-    rows = np.flatnonzero(members[ranks.index(min(ranks))])
-    row = rows[np.lexsort((steps[rows], -success[rows]))[0]]
-    point = int(arrays["point"][row])
-    (group,) = (group for group in plan.groups if point in group.points)
-    place = int(np.searchsorted(group.points, point))
-    hyper = jax.tree.map(lambda leaf: jnp.asarray(leaf[place]), group.hyper)
-    like = jax.eval_shape(group.learner.policy, one_run(group))
-    stored = {name: array[row] for name, array in arrays.items() if name.startswith("policy")}
-    policy = jax.tree.map(jnp.asarray, from_arrays(like, stored, "policy", str(path)))
-    return Trained(group.learner.structure(), hyper, policy, point, int(arrays["seed"][row]))
+    simulator: Any = getattr(trained.learner.task, "simulator", None)
+    if isinstance(simulator, MujocoPhysics):
+        return simulator.model
+    if isinstance(simulator, Physics) and getattr(simulator, "robot", None) in ROBOTS:
+        return robot_spec(simulator.robot).compile()
+    name = trained.config.task["name"]
+    raise InputError(f"{trained.name}: its task {name} moves no robot; posture_switch is one that does.")
 
 
-def posture_task(trained: Trained, where: str) -> PostureSwitch:
-    """The task of what was learned, if it moves a robot.
-
-    Raises:
-      InputError: it does not.
-    """
-    task = trained.learner.task
-    if not isinstance(task, PostureSwitch):
-        raise InputError(f"{where}: its task {type(task).__name__} moves no robot; of the tasks posture_switch does.")
-    return task
-
-
-def greedy_episode(trained: Trained, seed: int = 0) -> Episode:
-    """One greedy episode of what was learned on `PostureSwitch`."""
-    learner, hyper, policy = trained[:3]
-    task, params = posture_task(trained, "the policy"), hyper.task
-    steps = task.simulator.substeps(task.period)
+def play(trained: Trained, episode: int = 0) -> Played:
+    """One of the episodes that an evaluation counts; 0 is the first."""
+    learner, hyper, policy = trained.learner, trained.hyper, trained.policy
+    world = world_of(learner)
 
     @jax.jit
-    def choose(state: Body, key: Any) -> Array:
-        return task.setpoint(state, learner.act(hyper, policy, task.row(params, state), key))
+    def decide(state: State, key: Any) -> tuple[State, Array]:
+        act_key, step_key = jax.random.split(key)
+        action = act(learner, hyper, policy, jnp.int32(GREEDY), state, act_key)
+        return carry_out(world, hyper.task, state, action, step_key), action
 
-    outcome = jax.jit(task.outcome)
-    start_key, key = jax.random.split(jax.random.key(seed))
-    state, motions, arrived = task.reset(params, start_key), [], False
-    reference = at_rest(task.whole_body(task.grid[:, 0]), steps)
-    while not arrived and len(motions) < int(params.max_episode_steps):
-        act_key, step_key = jax.random.split(jax.random.fold_in(key, len(motions)))
-        reference = at_rest(choose(state, act_key), steps)
-        world, motion = follow(task, params, state.world, reference)
-        state, _, arrived = outcome(params, state, world, step_key)
-        motions.append(motion)
-    decisions, world = len(motions), state.world
+    reset_key, key = jax.random.split(held_out_keys(episode + 1)[episode])
+    state, total = jax.jit(world.reset)(hyper.task, reset_key), 0.0
+    states, actions = [state], []
+    while not state.over and len(actions) < MAX_EVALUATION_STEPS:
+        state, action = decide(state, jax.random.fold_in(key, len(actions)))
+        states.append(state)
+        actions.append(action)
+        total += float(state.reward)
+    finite = isinstance(learner.task, FiniteTask)
+    return Played([s.data[0] if finite else s.data for s in states], actions, bool(state.success), total)
+
+
+def rows_of(trained: Trained, played: Played) -> tuple[Float[np.ndarray, "rows nq"], float]:
+    """`qpos` in rows, and the time from one to the next, s: one for each time step of the physics where the task is
+    posture switching; else one for each decision, of a task with a `period` whose states have a `world`."""
+    task: Any = trained.learner.task
+    if isinstance(task, PostureSwitch):
+        return np.asarray(motion_of(trained, played).qpos), task.timestep
+    return np.stack([np.asarray(state.world.qpos) for state in played.states]), task.period
+
+
+def motion_of(trained: Trained, played: Played) -> Motion:
+    """The motion of a played episode of `PostureSwitch`, and `HOLD_S` more in which its last set-point is held."""
+    task: Any = trained.learner.task
+    params, steps = trained.hyper.task, task.simulator.substeps(task.period)
+    world, reference, motions = played.states[-1].world, at_rest(task.whole_body(task.grid[:, 0]), steps), []
+    setpoint = jax.jit(task.setpoint)
+    for state, action in zip(played.states[:-1], played.actions, strict=True):
+        reference = at_rest(setpoint(state, action[0]), steps)
+        motions.append(follow(task, params, state.world, reference)[1])
     for _ in range(math.ceil(HOLD_S / task.period)):
         world, motion = follow(task, params, world, reference)
         motions.append(motion)
-    return Episode(joined(motions), decisions, bool(arrived))
+    return joined(motions)
 
 
 @partial(jax.jit, static_argnames="task")

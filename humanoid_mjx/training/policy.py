@@ -1,0 +1,187 @@
+"""What was learned, taken out of a run folder or a file of its own.
+
+A policy file is a numpy archive: `header`, a JSON text with the config of the policy's sweep point, its scores and
+where it comes from; and the policy's arrays by their paths. It holds no Python objects.
+"""
+
+import json
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from humanoid_mjx.config import Config, parse
+from humanoid_mjx.data import folder, names
+from humanoid_mjx.learners import Learner
+from humanoid_mjx.results.store import read_config
+from humanoid_mjx.results.tables import finished_runs
+from humanoid_mjx.spec import InputError, known
+from humanoid_mjx.tasks.finite import FiniteTask
+from humanoid_mjx.training.plan import make_plan, one_run, resolved
+from humanoid_mjx.training.state import from_arrays, to_arrays
+
+FORMAT = "humanoid_mjx policy, version 1"
+
+
+class Trained(NamedTuple):
+    """What one run of a sweep learned."""
+
+    learner: Learner
+    """Its structure: the traced values stand in `hyper`."""
+    hyper: Any
+    policy: Any
+    point: int
+    seed: int
+    name: str
+    config: Config
+    """Of its sweep point alone."""
+    origin: dict[str, Any]
+    """`scores` of the run at its end and its `provenance`."""
+
+    def as_json(self) -> dict[str, Any]:
+        """All but the arrays, as plain values."""
+        place = {"name": self.name, "point": self.point, "seed": self.seed}
+        return place | {"config": resolved(self.config), "origin": self.origin}
+
+
+def find_policy(name: str) -> Trained:
+    """The best policy of a run folder, that of a file, or the shipped one of this name.
+
+    Raises:
+      InputError: there is nothing of the kind, or it cannot be read.
+    """
+    path, shipped = Path(name), folder("policies") / f"{name}.npz"
+    if path.is_dir():
+        return best_policy(path)
+    if path.is_file() or path.suffix == ".npz":
+        return load_policy(path)
+    if path.name == name and shipped.is_file():
+        return load_policy(shipped)
+    raise InputError(f"{name}: neither a run folder nor a policy; {known(name, names('policies', '.npz'))}.")
+
+
+def best_policy(path: Path) -> Trained:
+    """The best run of a run folder's best point: most often successful; among equals the quickest, or where a task is
+    continuous that of the highest return.
+
+    Raises:
+      InputError: this is no run folder, nothing in it is finished, or its files are damaged.
+    """
+    data = read_config(path)
+    plan = make_plan(parse(data, str(path / "config.yaml")))
+    arrays = finished_runs(path, ("point", "seed", "policy", "final.greedy_"))
+    if not arrays:
+        raise InputError(f"{path}: holds no finished run; --resume it first.")
+    finite = isinstance(plan.learners[0].task, FiniteTask)
+    cost = arrays["final.greedy_steps"] if finite else -arrays["final.greedy_return"]
+    success = arrays["final.greedy_success"]
+    points = np.unique(arrays["point"])
+    members = [arrays["point"] == point for point in points]
+    ranks = [(-round(float(success[rows].mean()), 3), float(cost[rows].mean())) for rows in members]
+    rows = np.flatnonzero(members[ranks.index(min(ranks))])
+    row = rows[np.lexsort((cost[rows], -success[rows]))[0]]
+    point = int(arrays["point"][row])
+    own: dict[str, Any] = {key: value for key, value in data.items() if key != "sweep"} | {"seeds": 1}
+    for key, value in plan.points[point].items():
+        part, _, name = key.partition(".")
+        own[part] = own[part] | {name: value}
+    file = path / "provenance.json"
+    scores = {name: float(array[row]) for name, array in arrays.items() if name.startswith("final.")}
+    return _assemble(
+        own,
+        {name: array[row] for name, array in arrays.items() if name.startswith("policy")},
+        (point, int(arrays["seed"][row])),
+        {"scores": scores, "provenance": json.loads(file.read_text()) if file.is_file() else {}},
+        path.resolve().name,
+        str(path),
+    )
+
+
+def save_policy(trained: Trained, path: Path) -> None:
+    """Write a policy file.
+
+    Raises:
+      InputError: there is no such folder, or it cannot be written.
+    """
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: there is no folder {path.parent}.")
+    text = np.array(json.dumps({"format": FORMAT} | trained.as_json()))
+    temporary = path.with_name(f".new-{path.name}")
+    try:
+        with temporary.open("wb") as file:
+            np.savez_compressed(file, allow_pickle=False, header=text, **to_arrays(trained.policy, "policy"))
+        temporary.replace(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}.") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def load_policy(path: Path) -> Trained:
+    """Read a policy file.
+
+    Raises:
+      InputError: there is none, it is truncated or of another kind, or what it needs is not as it was.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file.")
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        header = json.loads(str(arrays.pop("header")))
+        version = header["format"]
+        if version == FORMAT:
+            config, origin = dict(header["config"]), dict(header["origin"])
+            name, place = str(header["name"]), (int(header["point"]), int(header["seed"]))
+    except (
+        OSError,
+        ValueError,
+        EOFError,
+        TypeError,
+        AttributeError,
+        LookupError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as error:
+        raise InputError(f"{path}: this is no policy file, or a truncated or damaged one.") from error
+    if version != FORMAT:
+        raise InputError(f"{path}: this is a {version!r}, but {FORMAT!r} is wanted; export it again from its run.")
+    return _assemble(config, arrays, place, origin, name, str(path))
+
+
+def on_physics(trained: Trained, physics: str) -> Trained:
+    """The same policy, its task simulated by another physics.
+
+    Raises:
+      InputError: the task has no choice of physics, or not this one.
+    """
+    task = trained.config.task
+    if "physics" not in type(trained.learner.task).model_fields:
+        raise InputError(f"--physics {physics}: the task {task['name']} has no choice of physics.")
+    config = trained.config.model_copy(update={"task": task | {"physics": physics}})
+    (group,) = make_plan(config).groups
+    return trained._replace(config=config, learner=group.learner.structure(), hyper=_first(group.hyper))
+
+
+def _assemble(
+    config: dict[str, Any],
+    arrays: dict[str, np.ndarray],
+    place: tuple[int, int],
+    origin: dict[str, Any],
+    name: str,
+    where: str,
+) -> Trained:
+    parsed = parse(config, where)
+    (group,) = make_plan(parsed).groups
+    like = jax.eval_shape(group.learner.policy, one_run(group))
+    policy = jax.tree.map(jnp.asarray, from_arrays(like, arrays, "policy", where))
+    return Trained(group.learner.structure(), _first(group.hyper), policy, *place, name, parsed, origin)
+
+
+def _first(hyper: Any) -> Any:
+    """The traced values of a group's only point."""
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), hyper)

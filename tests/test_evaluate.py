@@ -1,0 +1,231 @@
+"""Policies on held-out episodes and as files: what is measured, what is refused, how runs compare."""
+
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from PIL import Image
+from typer.testing import CliRunner
+
+from humanoid_mjx import make_task, rng
+from humanoid_mjx.cli import app
+from humanoid_mjx.results.comparison import compare_curves, curve_of
+from humanoid_mjx.results.evaluations import Estimate, Evaluation, estimated
+from humanoid_mjx.spec import InputError
+from humanoid_mjx.training import evaluation
+from humanoid_mjx.training.episode import play
+from humanoid_mjx.training.evaluation import evaluate_all, held_out_keys, play_out
+from humanoid_mjx.training.policy import best_policy, find_policy, load_policy, save_policy
+from humanoid_mjx.training.program import run_key
+from humanoid_mjx.training.sweep import sweep
+
+REACH = {"name": "joint_reach", "joint": 4, "states": 11, "max_episode_steps": 30}
+LEG = {"name": "leg_reach", "choices": 3, "duration": 0.4}
+TABLE = {"name": "tabular_q", "epsilon": 0.5, "learning_rate": 0.5}
+LINEAR = {"name": "linear_q", "learning_rate": 0.1, "envs": 4, "rollout": 4, "evaluation_envs": 2}
+
+
+def trained(path, task, learner, **options):
+    plain = {"name": "tiny", "task": task, "learner": learner, "seeds": 2, "episodes": 40, "record": 4}
+    return sweep(plain | options, path).path
+
+
+@pytest.fixture(scope="module")
+def reach(tmp_path_factory):
+    """Points that differ by far: one never learns."""
+    axes = {"learner.learning_rate": [0.001, 0.5]}
+    return trained(tmp_path_factory.mktemp("evaluate") / "reach", REACH, TABLE, sweep={"axes": axes}, episodes=200)
+
+
+@pytest.fixture(scope="module")
+def leg(tmp_path_factory):
+    return trained(tmp_path_factory.mktemp("evaluate") / "leg", LEG, LINEAR)
+
+
+def test_the_best_of_a_run_reaches_its_goal_on_the_shortest_way(reach):
+    best = best_policy(reach)
+    assert best.config.learner["learning_rate"] == 0.5 and best.config.sweep is None
+    found = play_out(best, "greedy", 20)
+    task = make_task("joint_reach", **{k: v for k, v in REACH.items() if k != "name"})
+    assert found["success"].all() and (found["steps"] == np.ceil(abs(task.goal - task.start) / task.action)).all()
+
+
+def test_agents_that_do_not_learn(leg):
+    """Of each joint the zero agent takes the middle choice: set-points stay. The other takes all choices alike."""
+    best, zero, random = best_policy(leg), [], []
+    world = evaluation.world_of(best.learner)
+    state = world.reset(best.hyper.task, rng.key(0))
+    for agent, found in (("zero", zero), ("random", random)):
+        number = jnp.int32(evaluation.AGENTS.index(agent))
+        decide = jax.vmap(lambda key, n=number: evaluation.act(best.learner, best.hyper, best.policy, n, state, key))
+        found.append(decide(jax.random.split(rng.key(1), 3000)))
+    assert (zero[0] == 1).all()
+    shares = np.stack([(random[0] == choice).mean(axis=0) for choice in range(3)])
+    # 3,000 draws of a third: four standard deviations are 0.034.
+    np.testing.assert_allclose(shares, 1 / 3, atol=0.035)
+
+
+def test_episodes_are_the_same_for_all_and_however_they_are_cut(leg, monkeypatch):
+    best = best_policy(leg)
+    whole = play_out(best, "random", 7)
+    monkeypatch.setattr(evaluation, "BLOCK", 4)
+    parts = play_out(best, "random", 7)
+    np.testing.assert_array_equal(whole["success"], parts["success"])
+    np.testing.assert_allclose(whole["return"], parts["return"], rtol=1e-5)
+    assert len(np.unique(whole["return"])) == 7
+
+
+def test_no_training_has_a_key_of_evaluation():
+    keys = jax.random.key_data(held_out_keys(64)).tolist()
+    numbers = jnp.arange(64, dtype=jnp.uint32)
+    runs = [run_key(jnp.uint32(seed), number) for seed in (0, 1) for number in numbers]
+    runs += [jax.random.fold_in(key, 1) for key in runs]
+    assert not {tuple(key) for key in keys} & {tuple(jax.random.key_data(key).tolist()) for key in runs}
+    assert len({tuple(key) for key in keys}) == 64
+
+
+def test_what_play_shows_is_an_episode_that_evaluation_counts(leg):
+    best = best_policy(leg)
+    counted, played = play_out(best, "greedy", 3), play(best, episode=2)
+    assert len(played.actions) == counted["steps"][2] == 4 and played.success == counted["success"][2]
+    assert played.episode_return == pytest.approx(float(counted["return"][2]), rel=1e-4)
+
+
+def test_a_policy_comes_back_from_its_file(reach, leg, tmp_path):
+    for path in (reach, leg):
+        best, file = best_policy(path), tmp_path / f"{path.name}.npz"
+        save_policy(best, file)
+        again = load_policy(file)
+        assert again.learner == best.learner and again.as_json() == best.as_json()
+        for old, new in zip(jax.tree.leaves(best[1:3]), jax.tree.leaves(again[1:3]), strict=True):
+            assert old.dtype == new.dtype and np.asarray(old).tobytes() == np.asarray(new).tobytes()
+        assert again.origin["provenance"]["versions"]["jax"] and again.origin["scores"]["final.greedy_success"] >= 0
+    assert evaluate_all([again], 3) == evaluate_all([best], 3)
+
+
+def test_files_that_are_no_policies(reach, tmp_path):
+    good = tmp_path / "good.npz"
+    save_policy(best_policy(reach), good)
+    whole = good.read_bytes()
+    with np.load(good) as file:
+        arrays = dict(file)
+    header = json.loads(str(arrays["header"]))
+
+    def write(name, **changes):
+        np.savez(tmp_path / name, **(arrays | changes))
+        return tmp_path / name
+
+    (tmp_path / "truncated.npz").write_bytes(whole[: len(whole) // 2])
+    (tmp_path / "text.npz").write_text("a policy")
+    np.savez(tmp_path / "foreign.npz", x=np.zeros(3))
+    np.savez(tmp_path / "pickled.npz", header=np.array({"format": 1}, object))
+    damaged = "is no policy file, or a truncated or damaged one"
+    for file, words in (
+        ("truncated.npz", damaged),
+        ("text.npz", damaged),
+        ("foreign.npz", damaged),
+        ("pickled.npz", damaged),
+        ("missing.npz", "there is no such file"),
+        (write("old.npz", header=np.array(json.dumps(header | {"format": "version 0"}))), "export it again"),
+        (
+            write("short.npz", **{name: a[:3] for name, a in arrays.items() if name.startswith("policy")}),
+            "does not fit",
+        ),
+        (write("half.npz", header=np.array(json.dumps({"format": header["format"]}))), damaged),
+    ):
+        with pytest.raises(InputError, match=words):
+            load_policy(tmp_path / file)
+    with pytest.raises(InputError, match="neither a run folder nor a policy; did you mean 'posture_switch'"):
+        find_policy("posture_swich")
+
+
+def test_shipped_policies_succeed():
+    (found, *others) = evaluate_all([find_policy("posture_switch")], 8)
+    assert found.success.value == 1.0 and all(other.success.value < 1.0 for other in others)
+
+
+def test_commands(reach, leg, tmp_path):
+    def run(*arguments):
+        done = CliRunner().invoke(app, [str(argument) for argument in arguments])
+        assert done.exit_code == 0, done.output
+        return done.output
+
+    file, figure, found = (tmp_path / name for name in ("leg.npz", "both.png", "found.json"))
+    run("export", leg, file)
+    output = run("evaluate", file, "--physics", "mujoco", "--episodes", 5, "--json", found)
+    for words in ("5 episodes that no training has seen, physics mujoco", "greedy", "zero", "random"):
+        assert words in output
+    result = json.loads(found.read_text())
+    assert [e["agent"] for e in result["evaluations"]] == ["greedy", "zero", "random"]
+    assert result["policies"][0]["config"]["task"]["physics"] == "mujoco"
+    for e in result["evaluations"]:
+        low, high = e["return_interval"]
+        assert low <= e["return"] <= high and e["steps"] == 4.0
+    run("evaluate", reach, leg, "--episodes", 5, "--out", figure)
+    with Image.open(figure) as image:
+        assert image.size[1] > image.size[0] / 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["evaluate", "RUN", "--physics", "mujoco"], "the task joint_reach has no choice of physics"),
+        (["evaluate", "posture_switch", "--physics", "bullet"], "task.physics must be one of"),
+        (["evaluate", "nothing"], "neither a run folder nor a policy"),
+        (["evaluate", "RUN", "--json", "none/x.json"], "there is no folder none"),
+        (["export", "RUN", "x.pkl"], "must end in .xml, for a robot, or in .npz"),
+        (["export", "RUN", "none/x.npz"], "there is no folder none"),
+        (["play", "RUN"], "its task joint_reach moves no robot"),
+    ],
+)
+def test_what_cannot_be_done_gets_a_sentence(reach, arguments, sentence):
+    done = CliRunner().invoke(app, [str(reach) if argument == "RUN" else argument for argument in arguments])
+    assert isinstance(done.exception, InputError) and sentence in str(done.exception)
+
+
+def test_estimates_are_of_the_episodes():
+    rng = np.random.default_rng(0)
+    found = estimated(
+        "p", "greedy", {"success": np.arange(8) < 2, "return": np.arange(8.0), "steps": rng.uniform(size=8)}
+    )
+    assert found.success.value == 0.25 and found.episode_return.value == 3.5 and found.mean_return == 3.5
+    # Wilson's interval of 2 in 8 by his formula with z = 1.96, printed in many tables.
+    np.testing.assert_allclose(found.success[1:], (0.0715, 0.5907), atol=1e-4)
+
+
+def test_curves_count_steps_and_time():
+    """Two seeds of point 1 among others; episodes of 10 steps, then of 4, by three agents at once."""
+    point = np.repeat([0, 1, 1], 2)
+    results = {
+        "point": point, "seed": np.array([0, 0, 0, 0, 1, 1]), "episode": np.tile([100, 200], 3),
+        "steps": np.tile([10.0, 4.0], 3), "success": np.tile([0.0, 1.0], 3), "return": np.arange(6.0),
+    }  # fmt: skip
+    curve = curve_of("table", results, 1, counts_steps=False, agents=3)
+    np.testing.assert_array_equal(curve.samples, [[3000, 4200]] * 2)
+    np.testing.assert_array_equal(curve.measures["return"], [[2, 3], [4, 5]])
+    assert curve.wall_s is None and not curve.greedy
+    timed = results | {"wall_s": np.tile([1.0, 2.0], 3), "greedy_success": np.tile([0.5, 0.75], 3)}
+    curve = curve_of("net", timed, 1, counts_steps=True)
+    np.testing.assert_array_equal(curve.samples, [[100, 200]] * 2)
+    np.testing.assert_array_equal(curve.wall_s, [[1, 2]] * 2)
+    assert curve.greedy and list(curve.measures) == ["success"]
+
+
+def test_the_figure_has_a_column_of_wall_time_where_it_is_known(tmp_path):
+    rng, table = np.random.default_rng(0), {}
+    table["point"], table["seed"] = np.zeros(40, int), np.repeat(np.arange(4), 10)
+    table["episode"] = np.tile(np.arange(1, 11) * 1000, 4)
+    table |= {"success": rng.uniform(size=40), "return": rng.normal(size=40), "steps": np.full(40, 30.0)}
+    timed = table | {"wall_s": rng.uniform(1, 2, 40).cumsum(), "episode": 100 * table["episode"]}
+    agents = [
+        Evaluation("t", a, Estimate(0.1, 0, 0.2), Estimate(0, 0, 0), Estimate(1, 1, 1), 0.0) for a in ("zero", "random")
+    ]
+    sizes = []
+    for name, curves in (("plain", [table, table]), ("timed", [table, timed])):
+        drawn = [curve_of(f"{name}{i}", t, 0, counts_steps=True) for i, t in enumerate(curves)]
+        compare_curves(tmp_path / f"{name}.png", drawn, agents)
+        with Image.open(tmp_path / f"{name}.png") as image:
+            sizes.append(image.size)
+    assert sizes[1][0] == 2 * sizes[0][0]
