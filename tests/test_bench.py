@@ -7,7 +7,7 @@ import sys
 import numpy as np
 from typer.testing import CliRunner
 
-from humanoid_mjx.bench import control, tabular
+from humanoid_mjx.bench import control, ground, postures, tabular
 from humanoid_mjx.cli import app
 
 TINY = """
@@ -54,3 +54,29 @@ def test_control_times_every_controller():
 def test_unknown_benchmarks_are_refused():
     done = CliRunner().invoke(app, ["bench", "tabula"])
     assert "did you mean 'tabular'" in str(done.exception)
+
+
+def test_the_ground_is_the_same_body_in_every_physics():
+    batch, steps = 2, 25
+    by_mjx = np.concatenate([np.asarray(x) for device in ground.mjx("mjx-jax", batch, steps)() for x in device])
+    by_mujoco = ground.mujoco(batch, steps)()
+    # 0.1 s: float32 and four iterations of the solver against float64 and convergence.
+    np.testing.assert_allclose(by_mjx, by_mujoco, atol=1e-4)
+    assert np.abs(by_mjx - ground.start(batch)[0]).max() > 1e-3
+
+
+def test_the_ground_writes_a_record_for_every_physics_and_batch():
+    lines = []
+    records = ground.run(lines.append, ground.Setting((2,), {"mjx-jax": 25, "mjx-warp": 25, "mujoco": 2}))
+    assert [(r.subject, r.batch) for r in records] == [("mjx-jax ground", 2), ("mujoco ground", 2)] and len(lines) == 2
+    assert all(r.bench == "physics" and r.value > 0 for r in records)
+
+
+def test_postures_count_the_episodes_that_they_train():
+    records = postures.run(lambda line: None, {"chain": postures.Size(1, 2)})
+    assert [(r.subject, r.batch, r.unit) for r in records] == [
+        ("chain posture_switch", 16, "episodes/s"),
+        ("chain posture_switch", 16, "steps/s"),
+    ]
+    # An episode takes at least the two decisions from start to goal, and at most the cap of 40.
+    assert 2 <= records[1].value / records[0].value <= 40
