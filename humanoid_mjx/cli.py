@@ -52,7 +52,7 @@ def reproduce(
 @app.command()
 def bench(
     names: Annotated[
-        list[str] | None, typer.Argument(metavar="[NAME]...", help="tabular, physics, control, or all.")
+        list[str] | None, typer.Argument(metavar="[NAME]...", help="tabular, physics, control, training, or all.")
     ] = None,
     json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the figures as JSON.")] = None,
 ) -> None:

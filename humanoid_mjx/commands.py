@@ -202,16 +202,18 @@ def show_info(config: str | None, overrides: Sequence[str]) -> None:
     runtime.start()
     from humanoid_mjx.learners import LEARNERS
     from humanoid_mjx.tasks import TASKS
-    from humanoid_mjx.training.plan import make_plan, resolved, run_bytes
+    from humanoid_mjx.training.plan import make_plan, resolved, run_bytes, training_bytes
 
     if config is not None:
         plan = make_plan(load(config, overrides))
         console.print(dump_yaml(resolved(plan.config)).rstrip(), markup=False)
         size = sum(run_bytes(group) * len(group.runs) for group in plan.groups)
+        most = max(training_bytes(group) for group in plan.groups)
         console.print(
             f"\n{len(plan.points):,} points x {plan.config.seeds} seeds = {plan.num_runs:,} runs "
             f"in {len(plan.groups)} compiled program{'s' * (len(plan.groups) > 1)}; "
-            f"training state {size / 2**20:,.1f} MiB if all were held at once"
+            f"training state {size / 2**20:,.1f} MiB if all were held at once, "
+            f"a run that trains an estimated {most / 2**20:,.1f} MiB"
         )
         return
     for name, value in (runtime.machine() | runtime.versions()).items():

@@ -23,6 +23,11 @@ SHARED_KERNELS: dict[str, str | bool] = {"xla_disable_hlo_passes": "none"}
 """`compiler_options` of a `jax.jit` around chain dynamics or tabular learning: after `start` the first is 5 times, the
 second 1.2 to 1.7 times faster on a CPU; else no effect."""
 
+ONE_THREAD: dict[str, str | bool] = {"xla_cpu_multi_thread_eigen": False}
+"""`compiler_options` of a `jax.jit` that runs on several CPU devices at once. Without it two programs that solve many
+linear systems, as MJX does for contacts, can wait for each other forever (jaxlib 0.10.2): their devices share a pool of
+threads. With it each computes in the thread of its device."""
+
 
 def start() -> None:
     """Keep compiled programs on disk, give every CPU core a device of its own, compute products in full float32.

@@ -116,3 +116,13 @@ def test_a_sweep_learns_to_switch(tmp_path):
 def test_bad_values_get_a_sentence(values, words):
     with pytest.raises(InputError, match=words):
         make_task("posture_switch", **values)
+
+
+@pytest.mark.parametrize("physics", ["chain", "mjx-jax", "mujoco"])
+def test_a_decision_can_be_traced_in_every_physics(physics):
+    task = make_task("posture_switch", physics=physics)
+    params, key = task.params, jax.random.key(0)
+    state = jax.eval_shape(task.reset, params, key)
+    after, reward, terminated = jax.eval_shape(task.step, params, state, jnp.int32(0), key)
+    assert jax.tree.map(lambda x: (x.shape, x.dtype), after) == jax.tree.map(lambda x: (x.shape, x.dtype), state)
+    assert reward.shape == terminated.shape == ()

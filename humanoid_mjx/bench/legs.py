@@ -1,6 +1,6 @@
 """Batches of legs to time: the chain under a controller, shared out over the devices."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache, partial
 from typing import Any
@@ -58,7 +58,7 @@ def start(batch: int) -> tuple[np.ndarray, np.ndarray]:
 
 def chain(batch: int, steps: int, controller: str, timestep: float = TIMESTEP) -> Callable[[], Any]:
     """This package's dynamics under a controller: none, PD, partitioned PD or computed torque."""
-    return on_all_devices(_chain_program(steps, controller, timestep), batch)
+    return on_all_devices(_chain_program(steps, controller, timestep), start(batch))
 
 
 @cache
@@ -77,11 +77,13 @@ def _chain_program(steps: int, name: str, timestep: float) -> Callable[..., Any]
     return jax.jit(jax.vmap(simulate), compiler_options=runtime.SHARED_KERNELS)
 
 
-def on_all_devices(simulate: Callable[..., Any], batch: int) -> Callable[[], Any]:
-    """A call that shares the legs out: a thread for each device, block after block."""
-    devices = jax.local_devices()
-    blocks = max(1, batch // (BLOCK.get(devices[0].platform, batch) * len(devices)))
-    shares = zip(*(np.array_split(array, len(devices) * blocks) for array in start(batch)), strict=True)
+def on_all_devices(
+    simulate: Callable[..., Any], state: Sequence[np.ndarray], block: int | None = None
+) -> Callable[[], Any]:
+    """A call that shares out what to start from: a thread for each device, block after block of about `block` rows."""
+    devices, batch = jax.local_devices(), len(state[0])
+    blocks = max(1, batch // ((block or BLOCK.get(devices[0].platform, batch)) * len(devices)))
+    shares = zip(*(np.array_split(array, len(devices) * blocks) for array in state), strict=True)
     placed = [jax.device_put(share, devices[i % len(devices)]) for i, share in enumerate(shares)]
     by_device = [placed[i :: len(devices)] for i in range(len(devices))]
     threads = ThreadPoolExecutor(len(devices))

@@ -8,7 +8,7 @@
     mjx-jax plain  the same with XLA as it comes, without `runtime.XLA_FLAGS`: in a process of its own, CPU only
     mujoco         native MuJoCo, float64: `mujoco.rollout`, one thread a core, without a controller only
 
-A step is one of physics, with its control where there is control.
+A step is one of physics, with its control where there is control. `ground` and `postures` follow in the same bench.
 """
 
 import contextlib
@@ -25,6 +25,7 @@ import jax
 import numpy as np
 
 from humanoid_mjx import runtime
+from humanoid_mjx.bench import ground, postures
 from humanoid_mjx.bench.legs import GOAL, KD, KP, TIMESTEP, chain, check_finite, on_all_devices, start
 from humanoid_mjx.bench.measure import Record, Subject, record, time_in_turn
 from humanoid_mjx.robot.leg import Leg
@@ -52,7 +53,12 @@ MUJOCO_BATCH = 4096
 """The most legs that native MuJoCo simulates at once: its rate no longer changes, its stored states would."""
 
 
-def run(say: Callable[[str], None], setting: Setting | None = None) -> list[Record]:
+def run(say: Callable[[str], None]) -> list[Record]:
+    """Time the leg, then the lower body on the ground, then training in simulation."""
+    return legs(say) + ground.run(say) + postures.run(say)
+
+
+def legs(say: Callable[[str], None], setting: Setting | None = None) -> list[Record]:
     """Time all subjects over several numbers of legs."""
     setting = setting or SETTINGS.get(jax.default_backend(), SETTINGS["gpu"])
     records: list[Record] = []
@@ -96,7 +102,7 @@ def make_subjects(batch: int, setting: Setting, plain: Executor) -> dict[str, Su
 
 def mjx_jax(batch: int, steps: int, controlled: bool) -> Callable[[], Any]:
     """MJX, with the jax implementation of its physics."""
-    return on_all_devices(_mjx_program(steps, controlled), batch)
+    return on_all_devices(_mjx_program(steps, controlled), start(batch))
 
 
 @cache

@@ -127,6 +127,24 @@ class ApproximateQ(Learner):
         """What the approximation is given of a raw observation."""
         return obs
 
+    def row_bytes(self) -> int:
+        """About what a value of Q takes while it is computed, of one observation."""
+        raise NotImplementedError
+
+    def learning_bytes(self, rows: int) -> int:
+        """About what `learn` takes at its peak for a batch of so many rows."""
+        raise NotImplementedError
+
+    def working_bytes(self, state: int) -> int:
+        """A second training state, and either the experience of an update and what is learned from it, or all greedy
+        episodes of the evaluations side by side. What a physics computes within a step is left out."""
+        episode = jax.eval_shape(self.world.reset, self.params.task, jax.eval_shape(lambda: jax.random.key(0)))
+        rows, joints = self.envs * self.rollout, len(self.world.action_choices)
+        experience = 4 * rows * (3 * self.world.observation_size + 2 * joints + 4)
+        greedy = sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(episode)) + self.row_bytes()
+        evaluation = self.evaluations * self.evaluation_envs * greedy
+        return state + max(experience + self.learning_bytes(rows), evaluation)
+
     @property
     def choices(self) -> int:
         """The largest number of choices of any joint."""

@@ -36,6 +36,10 @@ class Learner(Spec):
         """For XLA, of the programs that train."""
         return {}
 
+    def working_bytes(self, state: int) -> int:
+        """An estimate of what training one run holds at its peak beside a training state of `state` bytes."""
+        return 3 * state
+
     def init(self, hyper: Any, key: Key[Array, ""], policy: Any = None) -> Any:
         """The training state before the first step: a pytree of arrays. `policy` is one learned before."""
         raise NotImplementedError

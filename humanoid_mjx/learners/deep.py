@@ -53,6 +53,13 @@ class DeepQ(ApproximateQ):
     def network(self) -> QNetwork:
         return QNetwork(self.width, self.layers, len(self.world.action_choices), self.choices)
 
+    def row_bytes(self) -> int:
+        return 4 * self.width
+
+    def learning_bytes(self, rows: int) -> int:
+        """The larger of a minibatch, with what its gradient needs of each layer, and of a pass over all rows."""
+        return 4 * self.width * max(7 * self.layers * rows // self.minibatches, 2 * rows)
+
     def init_value(self, key: Key[Array, ""]) -> tuple[Any, Any]:
         value = self.network().init(key, jnp.zeros(self.world.observation_size))
         return value, self._optimizer(0.0).init(value)

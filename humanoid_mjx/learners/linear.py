@@ -38,6 +38,13 @@ class LinearQ(ApproximateQ):
             return tile_coding(low, high, groups, self.resolution, self.tilings)
         return (fourier if self.basis == "fourier" else radial)(low, high, groups, self.resolution)
 
+    def row_bytes(self) -> int:
+        return 32 * self.features().active
+
+    def learning_bytes(self, rows: int) -> int:
+        """Three arrays like the weights, and the features of every row."""
+        return 12 * self.features().size * len(self.world.action_choices) * self.choices + self.row_bytes() * rows
+
     def init_value(self, key: Key[Array, ""]) -> tuple[Any, Any]:
         return jnp.zeros((self.features().size, len(self.world.action_choices), self.choices)), ()
 

@@ -15,6 +15,7 @@ from humanoid_mjx.config import Config
 from humanoid_mjx.learners import Learner, make_learner
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.tasks import make_task
+from humanoid_mjx.tasks.check import check_task
 from humanoid_mjx.types import Device
 
 
@@ -89,7 +90,10 @@ def make_plan(config: Config) -> Plan:
     try:
         build(config, {})
         points = sweep_points(config.sweep, config.seed) if config.sweep else [{}]
-        return Plan(config, points, [build(config, point) for point in points])
+        plan = Plan(config, points, [build(config, point) for point in points])
+        for group in plan.groups:
+            check_task(group.learner.task)
+        return plan
     except InputError as error:
         raise InputError(f"{config.source}: {error}") from error
 
@@ -127,18 +131,15 @@ def runs_that_fit(group: Group, device: Device) -> int:
     Raises:
       InputError: not even one.
     """
-    per_run, memory = run_bytes(group), _free_memory(device)
-    size = memory // (WORKING_COPIES * per_run)
+    per_run, memory = training_bytes(group), _free_memory(device)
+    size = memory // per_run
     if size < 1:
         raise InputError(
-            f"one run needs about {WORKING_COPIES * per_run / 2**20:,.0f} MiB and {memory / 2**20:,.0f} MiB are free; "
+            f"one run needs about {per_run / 2**20:,.0f} MiB and {memory / 2**20:,.0f} MiB are free; "
             "make the task or the learner smaller."
         )
-    return min(size, max(1, CPU_CACHE_BYTES // per_run)) if device.platform == "cpu" else size
+    return min(size, max(1, CPU_CACHE_BYTES // run_bytes(group))) if device.platform == "cpu" else size
 
-
-WORKING_COPIES = 4
-"""Room that training takes, in copies of its state: the state, its successor, and what a step works on."""
 
 CPU_CACHE_BYTES = 1 << 21
 """Training state per core beyond which a step slows down (measured: about 1,000 agents of `joint_reach`)."""
@@ -158,6 +159,12 @@ def _free_memory(device: Device) -> int:
 def run_bytes(group: Group) -> int:
     """Bytes of training state that one run holds."""
     return sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(one_run(group)))
+
+
+def training_bytes(group: Group) -> int:
+    """About what one run takes at the peak of its training: its state, and what works on it."""
+    state = run_bytes(group)
+    return state + group.learner.working_bytes(state)
 
 
 def one_run(group: Group) -> Any:

@@ -22,6 +22,9 @@ class Reporter:
     def begin(self, total: float, unit: str) -> None:
         """A sweep begins that will take `total` of `unit`, such as episodes."""
 
+    def note(self, text: str) -> None:
+        """Something to know once."""
+
     def phase(self, text: str) -> None:
         """What is done now."""
 
@@ -67,6 +70,9 @@ class Bar(Reporter):
     def begin(self, total: float, unit: str) -> None:
         self.total, self.unit = total, unit
         self._bar.update(self._task, total=total)
+
+    def note(self, text: str) -> None:
+        self.console.print(text, highlight=False, soft_wrap=True)
 
     def phase(self, text: str) -> None:
         changed, self._text = text != self._text, text

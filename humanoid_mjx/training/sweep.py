@@ -26,7 +26,7 @@ from humanoid_mjx.results.store import (
     read_config,
 )
 from humanoid_mjx.results.tables import finished_runs, read_table, write_tables
-from humanoid_mjx.training.plan import Plan, make_plan, resolved, runs_that_fit
+from humanoid_mjx.training.plan import Group, Plan, make_plan, resolved, runs_that_fit, training_bytes
 from humanoid_mjx.training.pool import Pool
 from humanoid_mjx.training.progress import Reporter
 from humanoid_mjx.training.warm_start import earlier_policies
@@ -133,6 +133,7 @@ class _Session:
         waiting = deque(run for run in group.runs.tolist() if run not in self.finished)
         if not waiting:
             return
+        self.reporter.note(self._side_by_side(group, size, whole))
         self.reporter.phase("compiling")
         # Not of what still waits: sums over networks round by the number of runs side by side, also after a resume.
         size = min(size, -(-len(group.runs) // len(devices)))
@@ -157,6 +158,13 @@ class _Session:
         for path in self.folder.pools():
             path.unlink()
         self.stop.clear()
+
+    def _side_by_side(self, group: Group, size: int, whole: bool) -> str:
+        """How many runs train at once, and what memory that is estimated to take."""
+        devices, runs = jax.local_device_count(), len(group.runs)
+        at_once = 1 if whole else min(runs, devices * min(size, -(-runs // devices)))
+        memory = at_once * training_bytes(group) / 2**20
+        return f"{at_once:,} of {runs:,} runs train side by side, in an estimated {memory:,.0f} MiB"
 
     def _work(self, index: int, number: int, pool: Pool) -> None:
         """Train what waits in one pool, until nothing does. Runs in the thread of the pool's device."""

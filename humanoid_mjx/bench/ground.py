@@ -1,0 +1,136 @@
+"""Steps a second of the lower body on the ground, a servo asked at every step, in every physics that is installed.
+
+The torso is free, the feet touch the ground, the joints are held in the posture of the task `stand` by its servo at its
+time step of 4 ms: the contacts of all four corners of both feet are solved in every step.
+
+    mjx-jax ground   this package's `Physics` on MJX in jax, float32, a few iterations of the solver
+    mjx-warp ground  the same on MJX with NVIDIA Warp, where warp-lang is installed and the backend is a GPU
+    mujoco ground    native MuJoCo, float64, solved to convergence: `mujoco.rollout`, one thread a core, where the servo
+                     is MuJoCo's own, so that no step waits for Python
+"""
+
+import importlib.util
+import os
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from humanoid_mjx import runtime
+from humanoid_mjx.bench.legs import check_finite, on_all_devices
+from humanoid_mjx.bench.measure import Record, Subject, record, time_in_turn
+from humanoid_mjx.physics import make_physics
+from humanoid_mjx.tasks import make_task
+from humanoid_mjx.tasks.stand import POSTURE, START_HEIGHT, START_SPREAD, Stand
+
+REPEATS = 3
+
+BLOCK = {"cpu": 128, "gpu": 32_768}
+"""Bodies at once on a device."""
+
+MUJOCO_BATCH = 1024
+"""The most bodies that native MuJoCo simulates at once: its rate no longer changes, its stored states would."""
+
+UNIT = "control+physics steps/s"
+
+
+class Setting(NamedTuple):
+    """How much is timed: the numbers of bodies, and steps in a call for each subject."""
+
+    batches: Sequence[int]
+    steps: Mapping[str, int]
+
+
+SETTINGS = {
+    "cpu": Setting((256, 1024), {"mjx-jax": 10, "mujoco": 50}),
+    "gpu": Setting((4096, 32_768, 131_072), {"mjx-jax": 50, "mjx-warp": 50, "mujoco": 100}),
+}
+
+
+def run(say: Callable[[str], None], setting: Setting | None = None) -> list[Record]:
+    """Time every physics that is installed over several numbers of bodies."""
+    setting = setting or SETTINGS.get(jax.default_backend(), SETTINGS["gpu"])
+    warp = importlib.util.find_spec("warp") is not None and jax.default_backend() == "gpu"
+    records: list[Record] = []
+    for batch in setting.batches:
+        subjects: dict[str, Subject] = {}
+        for name in setting.steps:
+            if name != "mjx-warp" or warp:
+                steps, bodies = setting.steps[name], min(batch, MUJOCO_BATCH) if name == "mujoco" else batch
+                call, device = (mujoco(bodies, steps), "cpu") if name == "mujoco" else (mjx(name, bodies, steps), "")
+                subjects[name] = Subject(call, bodies * steps, bodies, REPEATS, device)
+        for name, timing in time_in_turn(subjects).items():
+            check_finite(f"{name} ground", timing.result)
+            records.append(record("physics", f"{name} ground", subjects[name], timing, UNIT))
+            say(f"{name + ' ground':15} {subjects[name].batch:9,} bodies  {records[-1].value:10.3e} {UNIT}"
+                f"  compiled in {timing.compile_s:4.1f} s")  # fmt: skip
+    return records
+
+
+def start(batch: int) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and velocities of bodies that stand in nearly the posture, by body and degree of freedom."""
+    spread = START_SPREAD * np.random.default_rng(0).uniform(-1.0, 1.0, (batch, len(POSTURE)))
+    torso = np.tile([0.0, 0.0, START_HEIGHT, 1.0, 0.0, 0.0, 0.0], (batch, 1))
+    qpos = np.concatenate([torso, POSTURE + spread], axis=1).astype(np.float32)
+    return qpos, np.zeros((batch, qpos.shape[1] - 1), np.float32)
+
+
+def mjx(physics: str, batch: int, steps: int) -> Callable[[], Any]:
+    """MJX, with jax or warp for its physics: the positions after so many steps."""
+    devices = jax.local_devices()
+    block = BLOCK.get(devices[0].platform, batch)
+    at_once = -(-batch // (max(1, batch // (block * len(devices))) * len(devices)))
+    return on_all_devices(_program(physics, steps, at_once), start(batch), block)
+
+
+@cache
+def _program(physics: str, steps: int, worlds: int) -> Callable[..., Any]:
+    task: Stand = make_task("stand")
+    room = {"worlds": worlds} if physics == "mjx-warp" else {}
+    simulator = make_physics(physics, robot="lower_body", torso="free", ranges="human", timestep=task.timestep, **room)
+    servo = task.servo(task.params, jnp.asarray(POSTURE, float))
+
+    def simulate(qpos: jax.Array, qvel: jax.Array) -> jax.Array:
+        world = simulator.run(simulator.params, simulator.start(simulator.params, qpos, qvel), servo, steps)
+        return jnp.where(world.diverged, jnp.nan, world.qpos)
+
+    return jax.jit(jax.vmap(simulate), compiler_options=runtime.ONE_THREAD)
+
+
+def mujoco(batch: int, steps: int) -> Callable[[], Any]:
+    """Native MuJoCo, one thread a core: the positions after so many steps."""
+    mj: Any = importlib.import_module("mujoco")
+    rollout = importlib.import_module("mujoco.rollout")
+
+    model, full = _model_with_servo(mj), mj.mjtState.mjSTATE_FULLPHYSICS
+    states, data = np.zeros((batch, mj.mj_stateSize(model, full))), mj.MjData(model)
+    for row, data.qpos[:], data.qvel[:] in zip(states, *start(batch), strict=True):
+        mj.mj_getState(model, data, row, full)
+    threads = os.cpu_count() or 1
+    simulate, per_thread = rollout.Rollout(nthread=threads), [mj.MjData(model) for _ in range(threads)]
+    after = np.zeros((batch, steps, states.shape[1]))
+    held = np.tile(POSTURE, (batch, steps, 1))
+
+    def call() -> np.ndarray:
+        simulate.rollout(model, per_thread, states, held, nstep=steps, state=after)
+        return after[:, -1, 1 : 1 + model.nq]
+
+    return call
+
+
+def _model_with_servo(mj: Any) -> Any:
+    """The lower body whose motors are the task's servo, their control being the set-point."""
+    task: Stand = make_task("stand", physics="mujoco")
+    model = task.simulator.model.__copy__()
+    limit = model.actuator_ctrlrange.copy()
+    model.opt.disableflags |= mj.mjtDisableBit.mjDSBL_AUTORESET
+    model.actuator_ctrllimited[:] = 0
+    model.actuator_forcelimited[:] = 1
+    model.actuator_forcerange[:] = limit
+    model.actuator_biastype[:] = mj.mjtBias.mjBIAS_AFFINE
+    model.actuator_gainprm[:, 0] = task.stiffness
+    model.actuator_biasprm[:, :3] = 0.0, -task.stiffness, -task.damping
+    return model

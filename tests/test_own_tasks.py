@@ -1,0 +1,96 @@
+"""Tasks and learners of a user's own, named by their import path."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent / "data"))
+from hop import Hop
+
+from humanoid_mjx import InputError
+from humanoid_mjx.tasks.check import check_task
+
+CONFIG = {
+    "name": "hop",
+    "task": {"name": "hop:Hop"},
+    "learner": {
+        "name": "hop:BoldQ",
+        "envs": 16,
+        "rollout": 8,
+        "discount": 0.9,
+        "evaluations": 2,
+        "learning_rate": 0.01,
+    },
+    "sweep": {"axes": {"task.stride": [0.2, 0.3]}},
+    "episodes": 16_000,
+    "record": 4,
+    "seeds": 1,
+}
+
+
+def test_they_train_from_the_command_line(tmp_path):
+    (tmp_path / "my.yaml").write_text(json.dumps(CONFIG))
+    paths = os.pathsep.join([str(Path(__file__).parent / "data"), os.environ.get("PYTHONPATH", "")])
+    command = [sys.executable, "-m", "humanoid_mjx", "sweep", "my.yaml", "--out", "run"]
+    environment = os.environ | {"PYTHONPATH": paths}
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "2 of 2 runs train side by side, in an estimated" in done.stdout
+    from humanoid_mjx.training.sweep import Run
+
+    assert (Run(tmp_path / "run").summary["greedy_success"] > 0.9).all()
+
+
+class NoField(Hop):
+    class Params(NamedTuple):
+        strid: float
+
+
+class WrongSize(Hop):
+    @property
+    def observation_size(self):
+        return 2
+
+
+class NoState(Hop):
+    def step(self, params, state, action, key):
+        return state.data
+
+
+class OtherDtype(Hop):
+    def step(self, params, state, action, key):
+        after = super().step(params, state, action, key)
+        return after._replace(data=(after.data[0], after.data[1].astype(jnp.float32)))
+
+
+class OtherTerms(Hop):
+    def step(self, params, state, action, key):
+        return super().step(params, state, action, key)._replace(metrics={})
+
+
+class NoStep(Hop):
+    step = Hop.__base__.step
+
+
+FAULTS = {
+    NoField: r"NoField.Params names 'strid', which is no field",
+    WrongSize: r"WrongSize.reset must return obs of shape \(2,\), got \(1,\)",
+    NoState: r"NoState.step must return a State, got a tuple",
+    OtherDtype: r"OtherDtype.step must return data\[1\] as reset does, int32\[\], got float32\[\]",
+    OtherTerms: r"OtherTerms.step must return a state of the structure that reset returns",
+    NoStep: r"NoStep must implement step",
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda cls: cls.__name__)
+def test_a_task_that_breaks_the_protocol_gets_one_sentence(fault):
+    check_task(Hop())
+    with pytest.raises(InputError, match=FAULTS[fault]) as caught:
+        check_task(fault())
+    assert "\n" not in str(caught.value) and str(caught.value).endswith(".")
