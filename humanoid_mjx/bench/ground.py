@@ -12,6 +12,7 @@ time step of 4 ms: the contacts of all four corners of both feet are solved in e
 import importlib.util
 import os
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -124,7 +125,7 @@ def mujoco(batch: int, steps: int) -> Callable[[], Any]:
 def _model_with_servo(mj: Any) -> Any:
     """The lower body whose motors are the task's servo, their control being the set-point."""
     task: Stand = make_task("stand", physics="mujoco")
-    model = task.simulator.model.__copy__()
+    model = copy(task.simulator.model)  # pyright: ignore[reportAttributeAccessIssue]
     limit = model.actuator_ctrlrange.copy()
     model.opt.disableflags |= mj.mjtDisableBit.mjDSBL_AUTORESET
     model.actuator_ctrllimited[:] = 0

@@ -96,14 +96,14 @@ def measure(trained: Run) -> Measured:
     lengths = results["steps"][np.isfinite(results["steps"])]
     greedy = results["greedy_success"]
     reached = np.flatnonzero(greedy >= SUCCESS)
-    success_s = wall_s[reached[0]] if len(reached) else np.nan
+    success_s = float(wall_s[reached[0]]) if len(reached) else float("nan")
     return Measured(rate, rate / lengths.mean(), success_s, float(np.nanmax(greedy)))
 
 
 @contextmanager
 def nothing_compiled() -> Iterator[None]:
     """Forget compiled programs, and neither find nor leave any on disk."""
-    before = jax.config.jax_enable_compilation_cache
+    before = jax.config.read("jax_enable_compilation_cache")
     jax.clear_caches()
     jax.config.update("jax_enable_compilation_cache", False)
     compilation_cache.reset_cache()
