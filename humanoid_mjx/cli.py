@@ -18,6 +18,9 @@ Override = Annotated[
 ]
 
 
+Physics = Annotated[str | None, typer.Option(metavar="NAME", help="Simulate by another physics, such as mujoco.")]
+
+
 @app.command()
 def sweep(
     config: Annotated[str, typer.Argument(help="A path, or the name of a shipped config.")],
@@ -67,9 +70,7 @@ def evaluate(
     policies: Annotated[
         list[str], typer.Argument(metavar="RUN|POLICY...", help="Run folders, policy files, or shipped policies.")
     ],
-    physics: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Simulate by another physics, such as mujoco.")
-    ] = None,
+    physics: Physics = None,
     episodes: Annotated[int, typer.Option(min=1, max=1_000_000, help="Episodes of each agent.")] = 1024,
     json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write what was found as JSON.")] = None,
     out: Annotated[
@@ -85,6 +86,7 @@ def evaluate(
 @app.command()
 def play(
     policy: Policy,
+    physics: Physics = None,
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="A .gif, .mp4 or .png; by default RUN/figures/play.gif.")
     ] = None,
@@ -92,7 +94,7 @@ def play(
     """Show what was learned as a video or picture of the robot."""
     from humanoid_mjx.commands import run_play
 
-    run_play(policy, out)
+    run_play(policy, physics, out)
 
 
 @app.command()

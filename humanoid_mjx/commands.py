@@ -154,14 +154,16 @@ def run_evaluate(names: Sequence[str], physics: str | None, episodes: int, file:
         console.print(f"{target}", soft_wrap=True)
 
 
-def run_play(name: str, out: Path | None) -> None:
+def run_play(name: str, physics: str | None, out: Path | None) -> None:
     """`humanoid-mjx play`."""
     runtime.start()
     from humanoid_mjx.results.rendering import render_motion
     from humanoid_mjx.training.episode import play, robot_of, rows_of
-    from humanoid_mjx.training.policy import find_policy
+    from humanoid_mjx.training.policy import find_policy, on_physics
 
     trained = find_policy(name)
+    if physics is not None:
+        trained = on_physics(trained, physics)
     model, is_run = robot_of(trained), Path(name).is_dir()
     played = play(trained)
     qpos, step_s = rows_of(trained, played)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import yaml
 
-from humanoid_mjx import InputError, make_learner, make_task
+from humanoid_mjx import InputError, make_learner, make_task, sweep
 from humanoid_mjx.config import dump_yaml, load, parse, parse_yaml
 from humanoid_mjx.data import names
 from humanoid_mjx.tasks.continuous import Tabulated
@@ -39,6 +39,33 @@ def test_every_shipped_config_makes_a_plan(name):
     again = make_plan(parse(yaml.safe_load(dump_yaml(resolved(plan.config)))))
     assert again.points == plan.points
     assert [learner.params for learner in again.learners] == [learner.params for learner in plan.learners]
+
+
+QUICK = {
+    "tabular_q": ["episodes=2", "seeds=1"],
+    "linear_q": ["episodes=64", "learner.envs=4", "learner.rollout=8", "learner.evaluation_envs=2"],
+    "deep_q": ["episodes=64", "learner.envs=4", "learner.rollout=8", "learner.evaluation_envs=2"],
+    "brax_ppo": [
+        "episodes=64",
+        "record=2",
+        "learner.num_envs=4",
+        "learner.batch_size=1",
+        "learner.num_minibatches=4",
+        "learner.unroll_length=8",
+        "learner.evaluation_envs=2",
+    ],
+    "stand": ["task.physics=mujoco", "task.duration=0.2"],
+}
+"""Two updates of each learner; bodies on the ground in the physics that compiles quickest."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", names("configs", ".yaml"))
+def test_every_shipped_config_trains(name, tmp_path):
+    config = load(name)
+    changes = QUICK[config.learner["name"]] + QUICK.get(config.task["name"], [])
+    run = sweep(load(name, [*changes, "record=2"]), tmp_path / name)
+    assert np.isfinite(run.summary["greedy_success"]).all() and not run.summary["diverged"].any()
 
 
 BAD = {

@@ -72,7 +72,7 @@ class MjxJax(MujocoPhysics):
 
         def cycle(carry: tuple[World, Any], _: None) -> tuple[tuple[World, Any], None]:
             world, before = carry
-            new, data = self._cycle(params, model, blank, world, controller)
+            new, data = self._cycle(params, model, blank, world, controller, sensed=True)
             return (new, jnp.where(new.diverged, before, data.sensordata)), None
 
         nothing = jnp.zeros(self.model.nsensordata)
@@ -83,7 +83,7 @@ class MjxJax(MujocoPhysics):
         model = self._put(params)
         data = self._at(model, self._blank_data(), world)
         data = data.replace(ctrl=jnp.asarray(torque, float), qfrc_applied=self.pushes(params))
-        return self._readings(_advance(model, data)[1].sensordata)
+        return self._readings(_advance(model, data, sensed=True)[1].sensordata)
 
     def poses(self, params: Any, world: World) -> Poses:
         data = mjx.kinematics(self._put(params), self._blank_data().replace(qpos=world.qpos))
@@ -117,11 +117,13 @@ class MjxJax(MujocoPhysics):
             return mjx.forward(model, data).replace(qacc_warmstart=world.warmstart)
         return mjx.fwd_velocity(model, mjx.fwd_position(model, data))
 
-    def _cycle(self, params: Any, model: Any, blank: Any, world: World, controller: Controller) -> tuple[World, Any]:
+    def _cycle(
+        self, params: Any, model: Any, blank: Any, world: World, controller: Controller, sensed: bool = False
+    ) -> tuple[World, Any]:
         """One time step, and the mjx.Data of its beginning."""
         data = self._at(model, blank, world)
         torque = self._ask(params, model, data, world, controller)
-        new, data = _advance(model, data.replace(ctrl=torque, qfrc_applied=self.pushes(params)))
+        new, data = _advance(model, data.replace(ctrl=torque, qfrc_applied=self.pushes(params)), sensed)
         return freeze_if_diverged(world, new), data
 
     def _ask(self, params: Any, model: Any, data: Any, world: World, controller: Controller) -> Float[Array, " joints"]:
@@ -195,16 +197,16 @@ def _mjx_arrays(model: mujoco.MjModel, implementation: str, x64: bool) -> tuple[
     return jax.tree.map(np.asarray, (put, data))
 
 
-def _advance(model: Any, data: Any) -> tuple[World, Any]:
-    """One time step of semi-implicit Euler from where the position and velocity stages are. Also the data of its
-    beginning, with what the sensors say there; that costs nothing where it is not used."""
+def _advance(model: Any, data: Any, sensed: bool = False) -> tuple[World, Any]:
+    """One time step of semi-implicit Euler from where the position and velocity stages are; also the data of its
+    beginning, if `sensed` with what the sensors say there."""
     if model.impl.value == "warp":
         after = mjx.step(model, data)
         data = data.replace(sensordata=after.sensordata)
     else:
-        data = mjx.sensor_vel(model, mjx.sensor_pos(model, data))
+        data = mjx.sensor_vel(model, mjx.sensor_pos(model, data)) if sensed else data
         data = mjx.fwd_acceleration(model, mjx.fwd_actuation(model, data))
         data = mjx.solve(model, data) if data._impl.nefc else data.replace(qacc=data.qacc_smooth)
-        data = mjx.sensor_acc(model, data)
+        data = mjx.sensor_acc(model, data) if sensed else data
         after = mjx.euler(model, data)
     return World(after.qpos, after.qvel, after.qacc_warmstart, jnp.bool_(False)), data

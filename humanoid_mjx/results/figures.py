@@ -23,6 +23,7 @@ HEAT_MAPS = {
 CURVES = {
     "steps": "steps per episode",
     "success": "share of episodes that succeed",
+    "greedy_success": "share of greedy episodes that succeed",
     "return": "return per episode",
 }
 
@@ -59,12 +60,13 @@ def learning_curves(path: Path, title: str, axes: list[str], results: Mapping[st
     A line is the interquartile mean over seeds of the mean over all points with that value; its band is the 95 %
     bootstrap interval over seeds.
     """
-    names = [name for name in CURVES if name in results]
+    recorded = [name for name in CURVES if name in results]
+    names = [name for name in recorded if _tells(results[name])] or recorded
     columns: list[str | None] = list(axes) or [None]
     seeds = len(np.unique(results["seed"]))
     with figure(path, len(names), len(columns), sharex=True, sharey="row") as (fig, panels):
         band = ", band: 95 % bootstrap over seeds" if seeds > 1 else ""
-        fig.suptitle(f"{title}: interquartile mean over {seeds} seeds{band}", x=0.01, ha="left")
+        fig.suptitle(f"{title}: interquartile mean over {seeds} seed{'s' * (seeds > 1)}{band}", x=0.01, ha="left")
         for column, axis_name in enumerate(columns):
             levels = (
                 find_levels(results[axis_name]) if axis_name else Levels(["all"], np.zeros(len(results["seed"]), int))
@@ -115,6 +117,12 @@ def find_levels(values: np.ndarray) -> Levels:
     edges = np.quantile(distinct, np.linspace(0, 1, BINS + 1))
     labels = [f"{short(a)} to {short(b)}" for a, b in pairwise(edges)]
     return Levels(labels, np.clip(np.searchsorted(edges, values, side="right") - 1, 0, BINS - 1))
+
+
+def _tells(values: np.ndarray) -> bool:
+    """Whether a measure changes at all: where no episode ends early, their length does not."""
+    known = values[np.isfinite(values)]
+    return len(known) > 0 and bool(known.min() < known.max())
 
 
 def _line(panel, results: Mapping[str, np.ndarray], chosen: np.ndarray, name: str, color) -> float:

@@ -31,7 +31,7 @@ POSTURE = np.radians([15.0, 0.0, 0.0, 30.0, -15.0] * 2)
 
 STIFFNESS, DAMPING = 3.0, 0.1
 """Of the servo, N m/rad and N m s/rad: as soft as gravity, so that posture alone does not keep the body up. With 6 N m/
-rad a body that does nothing withstands the pushes of 0.2 N s, and there is nothing to learn."""
+rad and 0.2 N m s/rad most bodies that do nothing withstand the pushes of 0.2 N s, and there is little to learn."""
 
 FALLEN_TILT, FALLEN_HEIGHT = np.radians(45.0), 0.13
 """A body has fallen whose torso leans farther, or whose hips are lower than so many metres."""
