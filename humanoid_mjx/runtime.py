@@ -19,14 +19,13 @@ XLA_FLAGS = (
 makes MJX 15 times faster. The pass that then computes several results in one kernel aborts on some programs, MJX's
 among them, so that it is off by default; `SHARED_KERNELS` is for programs that are known to pass."""
 
+POOL_THREADS = str(max(16, 4 * (os.cpu_count() or 1)))
+"""`PJRT_NPROC`: threads that all CPU devices share. By default there are as many as cores, and programs on two devices
+that solve many linear systems, as MJX does for contacts, block them all and wait forever (jaxlib 0.10.2)."""
+
 SHARED_KERNELS: dict[str, str | bool] = {"xla_disable_hlo_passes": "none"}
 """`compiler_options` of a `jax.jit` around chain dynamics or tabular learning: after `start` the first is 5 times, the
 second 1.2 to 1.7 times faster on a CPU; else no effect."""
-
-ONE_THREAD: dict[str, str | bool] = {"xla_cpu_multi_thread_eigen": False}
-"""`compiler_options` of a `jax.jit` that runs on several CPU devices at once. Without it two programs that solve many
-linear systems, as MJX does for contacts, can wait for each other forever (jaxlib 0.10.2): their devices share a pool of
-threads. With it each computes in the thread of its device."""
 
 
 def start() -> None:
@@ -44,6 +43,7 @@ def start() -> None:
     flags = os.environ.get("XLA_FLAGS", "")
     if not any(flag.split("=")[0] in flags for flag in XLA_FLAGS.split()):
         os.environ["XLA_FLAGS"] = f"{flags} {XLA_FLAGS}".lstrip()
+    os.environ.setdefault("PJRT_NPROC", POOL_THREADS)
     for name, value in defaults.items():
         if name.upper() not in os.environ:
             jax.config.update(name, value)

@@ -15,6 +15,7 @@ install_import_hook("humanoid_mjx", "typecheck.check")
 from humanoid_mjx import runtime  # noqa: E402
 
 os.environ.setdefault("XLA_FLAGS", runtime.XLA_FLAGS)
+os.environ.setdefault("PJRT_NPROC", runtime.POOL_THREADS)
 
 collect_ignore = [] if os.environ.get("JAX_ENABLE_X64") else ["float64"]
 """Those need a process of their own: test_float64.py starts it."""

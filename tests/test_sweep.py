@@ -81,7 +81,7 @@ def test_pool_size_changes_no_bit(reference, tmp_path, size, monkeypatch):
 
 
 def test_devices_that_solve_linear_systems_do_not_wait_for_each_other(tmp_path):
-    """Without `runtime.ONE_THREAD` this hangs."""
+    """With the default of PJRT_NPROC this hangs."""
     config = {
         "task": {"name": "probes:Solving", "which": "both"},
         "learner": {"name": "linear_q", "resolution": 2, "tilings": 1, "order": 1, "envs": 512, "evaluation_envs": 1},
@@ -92,6 +92,7 @@ def test_devices_that_solve_linear_systems_do_not_wait_for_each_other(tmp_path):
     paths = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
     command = ["sweep", write_config(tmp_path, **config), "--out", "run"]
     environment = os.environ | {"JAX_NUM_CPU_DEVICES": "2", "PYTHONPATH": paths}
+    del environment["PJRT_NPROC"]
     done = subprocess.run(
         [sys.executable, "-m", "humanoid_mjx", *command],
         cwd=tmp_path,

@@ -20,7 +20,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from humanoid_mjx import runtime
 from humanoid_mjx.bench.legs import check_finite, on_all_devices
 from humanoid_mjx.bench.measure import Record, Subject, record, time_in_turn
 from humanoid_mjx.physics import make_physics
@@ -98,7 +97,7 @@ def _program(physics: str, steps: int, worlds: int) -> Callable[..., Any]:
         world = simulator.run(simulator.params, simulator.start(simulator.params, qpos, qvel), servo, steps)
         return jnp.where(world.diverged, jnp.nan, world.qpos)
 
-    return jax.jit(jax.vmap(simulate), compiler_options=runtime.ONE_THREAD)
+    return jax.jit(jax.vmap(simulate))
 
 
 def mujoco(batch: int, steps: int) -> Callable[[], Any]:
