@@ -49,8 +49,10 @@ def test_subjects_finish_as_many_episodes(monkeypatch):
 
 def test_control_times_every_controller():
     lines = []
-    records = control.run(lines.append, control.Setting((8,), 2))
-    assert [(r.bench, r.subject) for r in records] == [("control", name) for name in control.CONTROLLERS]
+    records = control.run(lines.append, control.Setting((8,), 2, 2))
+    assert [(r.bench, r.subject) for r in records] == [
+        ("control", name) for name in (*control.CONTROLLERS, *control.ON_MJX)
+    ]
     assert all(r.value > 0 for r in records)
     assert "ns a step for control" in lines[-1] and "ns a step" not in lines[0]
 

@@ -5,8 +5,9 @@
     partitioned PD     with the inertia of every joint in its posture, from a model
     computed torque    with the whole dynamics of a model
 
-The model has the mass of every link 20 % off, one up, the next down. All run on the chain, float32, one program per
-core on a CPU; every step of physics is one of control.
+The model has the mass of every link 20 % off, one up, the next down. These run on the chain. Those that end in mjx-jax
+run on MJX, which takes mass matrix and bias from its own stages, off by one factor. All float32, one program per core
+on a CPU; every step of physics is one of control.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,11 +17,13 @@ import jax
 
 from humanoid_mjx.bench.legs import chain, check_finite
 from humanoid_mjx.bench.measure import Record, Subject, record, time_in_turn
+from humanoid_mjx.bench.physics import MJX_REPEATS, mjx_jax
 
 TIMESTEP = 0.0005
 """s: at 2 ms a held torque of the partitioned servo is unstable."""
 
 CONTROLLERS = ("none", "PD", "partitioned PD", "computed torque")
+ON_MJX = ("none mjx-jax", "computed torque mjx-jax")
 
 
 class Setting(NamedTuple):
@@ -28,9 +31,10 @@ class Setting(NamedTuple):
 
     batches: Sequence[int]
     steps: int
+    mjx_steps: int
 
 
-SETTINGS = {"cpu": Setting((1024, 8192), 500), "gpu": Setting((32_768, 1_048_576), 500)}
+SETTINGS = {"cpu": Setting((1024, 8192), 500, 10), "gpu": Setting((32_768, 1_048_576), 500, 50)}
 
 
 def run(say: Callable[[str], None], setting: Setting | None = None) -> list[Record]:
@@ -38,15 +42,19 @@ def run(say: Callable[[str], None], setting: Setting | None = None) -> list[Reco
     setting = setting or SETTINGS.get(jax.default_backend(), SETTINGS["gpu"])
     records: list[Record] = []
     for batch in setting.batches:
-        work = batch * setting.steps
+        work, mjx_work = batch * setting.steps, batch * setting.mjx_steps
         subjects = {name: Subject(chain(batch, setting.steps, name, TIMESTEP), work, batch) for name in CONTROLLERS}
+        for name in ON_MJX:
+            call = mjx_jax(batch, setting.mjx_steps, not name.startswith("none"))
+            subjects[name] = Subject(call, mjx_work, batch, MJX_REPEATS)
         timings = time_in_turn(subjects)
+        step_s = {name: timing.seconds / subjects[name].work for name, timing in timings.items()}
         for name, timing in timings.items():
             check_finite(name, timing.result)
-            unit = "physics steps/s" if name == "none" else "control+physics steps/s"
+            bare = ON_MJX[0] if name in ON_MJX else CONTROLLERS[0]
+            unit = "physics steps/s" if name == bare else "control+physics steps/s"
             records.append(record("control", name, subjects[name], timing, unit))
-            cost = 1e9 * (timing.seconds - timings["none"].seconds) / work
-            beside = "" if name == "none" else f"  {cost:6.2f} ns a step for control"
-            say(f"{name:16} {batch:9,} legs  {records[-1].value:10.3e} {unit:23}"
+            beside = "" if name == bare else f"  {1e9 * (step_s[name] - step_s[bare]):8.2f} ns a step for control"
+            say(f"{name:23} {batch:9,} legs  {records[-1].value:10.3e} {unit:23}"
                 f"  compiled in {timing.compile_s:4.1f} s{beside}")  # fmt: skip
     return records
