@@ -205,9 +205,7 @@ class ApproximateQ(Learner):
         weights = Weights(
             value, observe(carry.weights.moments, experience.obs.reshape(-1, self.world.observation_size))
         )
-        part, point = (
-            jnp.minimum((progress * parts).astype(jnp.int32), parts - 1) for parts in (self.evaluations, self.record)
-        )
+        part, point = (jnp.minimum((progress * n).astype(jnp.int32), n - 1) for n in (self.evaluations, self.record))
         snapshots = jax.tree.map(lambda old, new: old.at[part].set(new), carry.snapshots, weights)
         record = record | {"updates": 1.0, "td_error": td_error}
         record = {name: old.at[point].add(record[name]) for name, old in carry.record.items()}
