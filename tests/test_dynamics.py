@@ -49,7 +49,7 @@ def test_mujoco_refuses_what_it_cannot_simulate():
 
 def test_benchmark_runs():
     lines = []
-    records = physics.run(lines.append, physics.Setting((8,), 2, 2, 2))
+    records = physics.legs(lines.append, physics.Setting((8,), 2, 2, 2))
     assert {(r.subject, r.unit) for r in records} == {
         ("chain", "physics steps/s"),
         ("chain", "control+physics steps/s"),

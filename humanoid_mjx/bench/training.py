@@ -103,7 +103,7 @@ def measure(trained: Run) -> Measured:
 @contextmanager
 def nothing_compiled() -> Iterator[None]:
     """Forget compiled programs, and neither find nor leave any on disk."""
-    before = jax.config.read("jax_enable_compilation_cache")
+    before = jax.config.values["jax_enable_compilation_cache"]
     jax.clear_caches()
     jax.config.update("jax_enable_compilation_cache", False)
     compilation_cache.reset_cache()

@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float
 
 from humanoid_mjx.mechanics.forward import forward, frames, jacobian
 from humanoid_mjx.robot.leg import Leg
-from humanoid_mjx.types import FloatScalar
+from humanoid_mjx.types import AnyArray, FloatScalar
 
 SOLUTIONS = 4
 """Rows of solutions that `inverse` returns: the elbow pair of a planar pose, for both signs of cos(q3)."""
@@ -44,7 +44,7 @@ def inverse(leg: Leg, pose: Float[Array, "4 4"]) -> tuple[Float[Array, "solution
     return solutions[first], valid[first]
 
 
-def within(ranges: Float[Array, "5 2"], q: Float[Array, "*batch 5"], slack: float = 1e-6) -> Bool[Array, "*batch"]:
+def within(ranges: Float[AnyArray, "5 2"], q: Float[Array, "*batch 5"], slack: float = 1e-6) -> Bool[Array, "*batch"]:
     """Whether all joints are in their ranges, rad, give or take `slack`."""
     return jnp.all((q >= ranges[:, 0] - slack) & (q <= ranges[:, 1] + slack), axis=-1)
 

@@ -12,6 +12,7 @@ from humanoid_mjx.mechanics.forward import forward, frames, jacobian
 from humanoid_mjx.mechanics.inverse import follow, inverse, within, wrap
 from humanoid_mjx.robot.chain import Chain
 from humanoid_mjx.robot.leg import Leg
+from humanoid_mjx.types import AnyArray
 
 __all__ = [
     "follow",
@@ -70,7 +71,7 @@ def singularity_distance(leg: Leg, q: Float[Array, "5"]) -> Float[Array, ""]:
     return jnp.min(pairs)
 
 
-def workspace(chain: Chain, ranges: Float[Array, "joints 2"], key: Array, n: int) -> Float[Array, "{n} 3"]:
+def workspace(chain: Chain, ranges: Float[AnyArray, "joints 2"], key: Array, n: int) -> Float[Array, "{n} 3"]:
     """Toe positions, m, of `n` postures drawn uniformly from the joints' ranges, rad."""
     low, high = jnp.asarray(ranges, chain.d.dtype).T
     postures = jax.random.uniform(key, (n, chain.num_joints), chain.d.dtype, low, high)

@@ -87,8 +87,10 @@ def act(learner: Learner, hyper: Any, policy: Any, agent: IntScalar, state: Stat
     seen = state.obs
     if isinstance(task, FiniteTask) and not hasattr(learner, "world"):
         seen = task.row(hyper.task, state.data[0])
-    greedy = jnp.atleast_1d(learner.act(hyper, policy, seen, key))
+    greedy = learner.act(hyper, policy, seen, key)
     counts = np.array(world.action_choices)
+    if not jnp.ndim(greedy):  # a table's number of the action
+        greedy = greedy // np.cumprod((1, *counts[:-1])) % counts
     draws = jax.random.uniform(jax.random.fold_in(key, 1), counts.shape)
     random = jnp.minimum(jnp.floor(draws * counts), counts - 1)
     zero = jnp.zeros(counts.shape) if isinstance(task, FiniteTask) else jnp.asarray((counts - 1) // 2)
