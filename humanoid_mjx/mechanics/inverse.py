@@ -44,7 +44,9 @@ def inverse(leg: Leg, pose: Float[Array, "4 4"]) -> tuple[Float[Array, "solution
     return solutions[first], valid[first]
 
 
-def within(ranges: Float[AnyArray, "5 2"], q: Float[Array, "*batch 5"], slack: float = 1e-6) -> Bool[Array, "*batch"]:
+def within(
+    ranges: Float[AnyArray, "5 2"], q: Float[AnyArray, "*batch 5"], slack: float = 1e-6
+) -> Bool[Array, "*batch"]:
     """Whether all joints are in their ranges, rad, give or take `slack`."""
     return jnp.all((q >= ranges[:, 0] - slack) & (q <= ranges[:, 1] + slack), axis=-1)
 

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from humanoid_mjx.tasks.base import Task
 from humanoid_mjx.tasks.finite import FiniteTask
-from humanoid_mjx.types import BoolScalar, FloatScalar
+from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
 
 
 class State(NamedTuple):
@@ -114,13 +114,17 @@ class Tabulated(ContinuousTask):
     def action_choices(self) -> tuple[int, ...]:
         return self.finite.action_choices
 
+    def number(self, action: Int[Array, " joints"]) -> IntScalar:
+        """The finite task's number of an action."""
+        return jnp.sum(action * np.cumprod((1, *self.action_choices[:-1])), dtype=jnp.int32)
+
     def reset(self, params: Any, key: Key[Array, ""]) -> State:
         state = self.finite.reset(params, key)
         return begin((state, jnp.int32(0)), self.finite.observe(params, state), ())
 
     def step(self, params: Any, state: State, action: Int[Array, " joints"], key: Key[Array, ""]) -> State:
         inner, length = state.data
-        chosen = jnp.sum(action * np.cumprod((1, *self.action_choices[:-1])), dtype=jnp.int32)
+        chosen = self.number(action)
         obey_key, choice_key, step_key = jax.random.split(key, 3)
         obeys = jax.random.uniform(obey_key) < self.finite.obedience(params)
         random = jax.random.randint(choice_key, (), 0, self.finite.num_actions)

@@ -18,7 +18,7 @@ from humanoid_mjx.physics.base import Physics, World
 from humanoid_mjx.physics.model import MujocoPhysics
 from humanoid_mjx.robot import ROBOTS, robot_spec
 from humanoid_mjx.spec import InputError
-from humanoid_mjx.tasks.continuous import State
+from humanoid_mjx.tasks.continuous import State, Tabulated
 from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.tasks.posture_switch import PostureSwitch
 from humanoid_mjx.training.evaluation import GREEDY, act, carry_out, held_out_keys, world_of
@@ -101,9 +101,9 @@ def motion_of(trained: Trained, played: Played) -> Motion:
     task: Any = trained.learner.task
     params, steps = trained.hyper.task, task.simulator.substeps(task.period)
     world, reference, motions = played.states[-1].world, at_rest(task.whole_body(task.grid[:, 0]), steps), []
-    setpoint = jax.jit(task.setpoint)
+    setpoint, number = jax.jit(task.setpoint), Tabulated(finite=task).number
     for state, action in zip(played.states[:-1], played.actions, strict=True):
-        reference = at_rest(setpoint(state, action[0]), steps)
+        reference = at_rest(setpoint(state, number(action)), steps)
         motions.append(follow(task, params, state.world, reference)[1])
     for _ in range(math.ceil(HOLD_S / task.period)):
         world, motion = follow(task, params, world, reference)
