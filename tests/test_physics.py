@@ -209,6 +209,18 @@ def test_warp_agrees_with_native(worlds):
     np.testing.assert_allclose(world.qvel, native.qvel, atol=1e-3)
 
 
+def test_warp_counts_worlds_that_lose_contacts_as_diverged(worlds):
+    """Room for one standing body is too little for four; nobody can tell which of them lose."""
+    pytest.importorskip("warp")
+    for room, expected in ((1, True), (WORLDS, False)):
+        warp = make_physics("mjx-warp", worlds=room)
+        step = jax.jit(jax.vmap(lambda world, p=warp: p.step(p.params, world, hold)[0]))
+        moved = worlds
+        for _ in range(50):
+            moved = step(moved)
+        np.testing.assert_array_equal(moved.diverged, expected)
+
+
 def test_native_worlds_diverge_alone_and_silently(native_step, worlds, tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     with warnings.catch_warnings(action="error"):

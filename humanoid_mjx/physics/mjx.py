@@ -30,6 +30,10 @@ CONTACTS_PER_WORLD, CONSTRAINTS_PER_WORLD = 16, 64
 """Room in warp's buffers: two feet of four contacts and five pairs of the legs; four rows a foot contact, one each for
 the pairs and the ten joint limits."""
 
+LOST = 0b11111
+"""Bits of warp's `OverflowType` that tell of contacts or constraints without room: NEFC, NJMAX_NNZ, BROADPHASE,
+NARROWPHASE, CCD."""
+
 
 def _import_mjx() -> Any:
     """`mujoco.mjx`, without the lines that it prints about warp."""
@@ -153,7 +157,11 @@ class MjxJax(MujocoPhysics):
 
 
 class MjxWarp(MjxJax):
-    """MJX on NVIDIA Warp, float32. All worlds share one contact buffer, so bits depend on what else runs in it."""
+    """MJX on NVIDIA Warp, float32. All worlds share one contact buffer, so bits depend on what else runs in it.
+
+    A world that may have lost contacts or constraints, as there was no room left for them, counts as diverged; those of
+    the shared buffer may be anybody's, so then all do.
+    """
 
     implementation: ClassVar[Literal["jax", "warp"]] = "warp"
 
@@ -193,6 +201,8 @@ def _mjx_arrays(model: mujoco.MjModel, implementation: str, x64: bool) -> tuple[
         model.sensor_needstage[model.sensor_type == mujoco.mjtSensor.mjSENS_TOUCH] = mujoco.mjtStage.mjSTAGE_NONE
     with jax.ensure_compile_time_eval():
         put = mjx.put_model(model, impl=implementation)
+        if implementation == "warp":  # it would print a line for each world and step; see `LOST`
+            put = put.tree_replace({"opt._impl.warn_overflow": 0})
         data = mjx.make_data(model, impl=implementation) if implementation == "jax" else None
     return jax.tree.map(np.asarray, (put, data))
 
@@ -202,11 +212,11 @@ def _advance(model: Any, data: Any, sensed: bool = False) -> tuple[World, Any]:
     beginning, if `sensed` with what the sensors say there."""
     if model.impl.value == "warp":
         after = mjx.step(model, data)
-        data = data.replace(sensordata=after.sensordata)
+        data, lost = data.replace(sensordata=after.sensordata), (after._impl.overflow & LOST).any()
     else:
         data = mjx.sensor_vel(model, mjx.sensor_pos(model, data)) if sensed else data
         data = mjx.fwd_acceleration(model, mjx.fwd_actuation(model, data))
         data = mjx.solve(model, data) if data._impl.nefc else data.replace(qacc=data.qacc_smooth)
         data = mjx.sensor_acc(model, data) if sensed else data
-        after = mjx.euler(model, data)
-    return World(after.qpos, after.qvel, after.qacc_warmstart, jnp.bool_(False)), data
+        after, lost = mjx.euler(model, data), jnp.bool_(False)
+    return World(after.qpos, after.qvel, after.qacc_warmstart, lost), data

@@ -103,7 +103,7 @@ class MujocoPhysics(Physics):
 
 def freeze_if_diverged(old: World, new: World) -> World:
     """`new`, or where it has diverged `old` with the flag set."""
-    sound = jnp.isfinite(new.qpos).all() & (jnp.abs(new.qvel) <= MAX_SPEED).all()
+    sound = jnp.isfinite(new.qpos).all() & (jnp.abs(new.qvel) <= MAX_SPEED).all() & ~new.diverged
     stays = old.diverged | ~sound
     return _where(stays, old._replace(diverged=jnp.bool_(True)), new)
 
