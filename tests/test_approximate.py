@@ -14,7 +14,7 @@ import humanoid_mjx.training.sweep as session
 from humanoid_mjx import InputError, make_learner, make_task, rng, runtime, sweep
 from humanoid_mjx.learners import exploration
 from humanoid_mjx.learners.approximate import Batch
-from humanoid_mjx.learners.features import combined, fourier, radial, tile_coding
+from humanoid_mjx.learners.features import Scale, combined, fourier, radial, tile_coding
 from humanoid_mjx.learners.normalisation import moments, normalise, observe
 from humanoid_mjx.learners.targets import lambda_targets
 from humanoid_mjx.tasks.continuous import ContinuousTask
@@ -24,6 +24,7 @@ from humanoid_mjx.training.replay import replay
 
 LEARNERS = {
     "tiles": ("linear_q", {"resolution": 3, "tilings": 2, "order": 1, "learning_rate": 0.3}),
+    "shared tiles": ("linear_q", {"resolution": 3, "tilings": 2, "order": 1, "learning_rate": 0.3, "shared": True}),
     "fourier": ("linear_q", {"basis": "fourier", "resolution": 2, "order": 1, "learning_rate": 0.5}),
     "radial": ("linear_q", {"basis": "radial", "resolution": 3, "order": 1, "learning_rate": 0.5}),
     "deep": ("deep_q", {"width": 32, "layers": 1, "learning_rate": 0.01, "learning_rate_end": 0.1}),
@@ -137,18 +138,19 @@ def test_linear_with_a_feature_for_each_state_is_a_table():
         obs = jnp.float32([[row / 12]])
         value = learn(value, Batch(obs, jnp.int32([[action]]), jnp.float32([target])))
         table[row, action] += 0.3 * (target - table[row, action])
-    np.testing.assert_allclose(value[:, 0], table, atol=1e-5)
+    np.testing.assert_allclose(value[0], table, atol=1e-5)
 
 
 @pytest.mark.parametrize("make_basis", [tile_coding, fourier, radial])
 def test_one_sample_moves_its_value_by_the_rate_whatever_the_basis(make_basis):
-    low, high = np.full(3, -2.0), np.full(3, 2.0)
+    scale = Scale(np.full(3, -2.0), np.full(3, 2.0), 1.5)
     extra = (4, 3) if make_basis is tile_coding else (3,)
-    basis = make_basis(low, high, combined([range(3)], 2), *extra)
+    basis = make_basis(scale, combined([[range(3)], [[0, 1], [1, 2], [0, 2]]], 2), *extra)
     obs = jnp.array(np.random.default_rng(0).uniform(-2, 2, (50, 3)), jnp.float32)
     place, _ = basis.encode(obs)
-    assert place.shape == (50, basis.active) and int(place.min()) >= 0 and int(place.max()) < basis.size
-    assert all(len(set(row.tolist())) == basis.active for row in place)
+    assert place.shape == (50, 2, basis.active) and int(place.min()) >= 0 and int(place.max()) < basis.size
+    assert all(len(set(row.tolist())) == basis.active for row in place.reshape(100, -1))
+    np.testing.assert_array_equal(place[:, 0], place[:, 1])
     task, _, _ = probe("constant reward")
     learner = build({"tile_coding": "tiles", "fourier": "fourier", "radial": "radial"}[make_basis.__name__], task)
     weights, _ = learner.init_value(rng.key(0))
@@ -159,14 +161,45 @@ def test_one_sample_moves_its_value_by_the_rate_whatever_the_basis(make_basis):
 
 
 def test_features_combine_observations_of_a_family():
-    assert combined([(0, 1, 2)], 2) == [(0, 1), (0, 2), (1, 2)]
-    assert combined([(0, 3), (3, 4, 0)], 2) == [(0, 3), (0, 4), (3, 4)]
-    assert combined([(2,), (0, 1)], 2) == [(0,), (1,), (2,)]
+    assert combined([[(0, 1, 2)]], 2).tolist() == [[[0, 1], [0, 2], [1, 2]]]
+    assert combined([[(0, 3), (3, 4, 0)]], 2).tolist() == [[[0, 3], [0, 4], [3, 4]]]
+    assert combined([[(2,), (0, 1)], [(0,), (1, 2)]], 2).tolist() == [[[0], [1], [2]]] * 2
+    with pytest.raises(InputError, match="as many groups"):
+        combined([[(0, 1, 2)], [(0, 1)]], 2)
+
+
+def test_joints_that_share_weights_learn_what_all_have_seen():
+    """Against a table: each cell moves by the mean error of those that fell into it, whichever joint they came from."""
+    task = probe("constant reward", 2)[0]
+    learner = build("shared tiles", task, resolution=2, tilings=1)
+    value, _ = learner.init_value(rng.key(0))
+    table = np.random.default_rng(0).normal(size=value.shape).astype(np.float32)
+    obs = np.float32([[-0.5], [-0.5], [0.5], [-0.5]])
+    action, target = np.array([[0, 1], [1, 1], [0, 0], [0, 0]]), np.float32([1.0, 2.0, 3.0, 4.0])
+    learned, _, _ = learner.learn(
+        0.5, jnp.asarray(table), (), Batch(*map(jnp.asarray, (obs, action, target))), rng.key(0)
+    )
+    cell = (obs[:, 0] > 0).astype(int)
+    error = target - table[0, cell[:, None], action].mean(axis=1)
+    expected = table.copy()
+    for c in range(2):
+        for a in range(2):
+            fell = np.repeat(error[:, None], 2, axis=1)[(cell[:, None] == c) & (action == a)]
+            expected[0, c, a] += 0.5 * fell.mean() if len(fell) else 0.0
+    np.testing.assert_allclose(learned, expected, rtol=1e-5)
+
+
+def test_focus_makes_tiles_narrow_in_the_middle_of_a_range():
+    scale = Scale(np.full(1, -4.0), np.full(1, 4.0), 2.0)
+    np.testing.assert_allclose(scale(jnp.float32([[-9], [-4], [-1], [0], [1], [4]]))[:, 0], [0, 0, 0.25, 0.5, 0.75, 1])
+    basis = tile_coding(scale, np.array([[[0]]]), 4, 1)
+    tiles = basis.encode(jnp.float32([[-1.1], [-0.9], [-0.1], [0.1], [0.9], [1.1], [3.9]])).place[:, 0, 0]
+    assert tiles.tolist() == [0, 1, 1, 2, 2, 3, 3]
 
 
 def test_tiles_generalise_to_neighbours_only():
-    basis = tile_coding(np.zeros(1), np.ones(1), [(0,)], 4, 8)
-    near, also, far = (set(basis.encode(jnp.float32([x])).place.tolist()) for x in (0.5, 0.53, 0.9))
+    basis = tile_coding(Scale(np.zeros(1), np.ones(1)), np.array([[[0]]]), 4, 8)
+    near, also, far = (set(basis.encode(jnp.float32([x])).place[0].tolist()) for x in (0.5, 0.53, 0.9))
     assert len(near & also) >= 6 and not near & far
 
 
@@ -260,6 +293,7 @@ def test_evaluation_counts_successes_of_greedy_episodes():
     [
         ("deep_q", {"minibatches": 3}, r"minibatches must divide envs \* rollout"),
         ("deep_q", {"trace_decay": 1.5}, "learner.trace_decay must be at most 1"),
+        ("linear_q", {"focus": 0.5}, "learner.focus must be at least 1"),
         ("linear_q", {"basis": "wavelets"}, "learner.basis must be one of"),
         ("linear_q", {"resolution": 2000, "order": 2, "basis": "fourier"}, "make it coarser"),
         ("tabular_q", {}, "learner.task must be a FiniteTask"),

@@ -152,15 +152,7 @@ class ApproximateQ(Learner):
 
     def allowed(self, progress: FloatScalar = 1.0) -> Bool[Array, "joints choices"]:
         """The choices that exist, and that have been opened where they grow."""
-        counts = np.array(self.world.action_choices)[:, None]
-        place = np.arange(self.choices)
-        exist = jnp.asarray(place < counts)
-        if not self.grow:
-            return exist
-        stages = np.ceil(np.log2(np.maximum(counts - 1, 2))).astype(int)
-        stage = jnp.minimum(jnp.floor(progress * stages), stages - 1).astype(jnp.int32)
-        stride = jnp.maximum((counts - 1) >> (1 + stage), 1)
-        return exist & (place % stride == 0)
+        return exploration.opened(self.world.action_choices, progress if self.grow else None)
 
     def init(self, hyper: Params, key: Key[Array, ""], policy: Any = None) -> Carry:
         value_key, reset_key, key = jax.random.split(key, 3)
@@ -185,14 +177,17 @@ class ApproximateQ(Learner):
             finite = jnp.stack([jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(new.weights)]).all()
             stop = carry.failed | ~finite | (self.progress(hyper, carry) >= 1.0)
             new = jax.tree.map(lambda new, old: jnp.where(stop, old, new), new, carry)
-            return new._replace(failed=carry.failed | ~finite)
+            last = self.progress(hyper, new._replace(update=jnp.maximum(new.update - 1, 0)))
+            part = _part(last, self.evaluations)
+            snapshots = jax.tree.map(lambda old, new: old.at[part].set(new), new.snapshots, new.weights)
+            return new._replace(failed=carry.failed | ~finite, snapshots=snapshots)
 
         carry = jax.lax.fori_loop(0, steps, guarded, carry)
         done = jnp.where(carry.failed, 1.0, self.progress(hyper, carry))
         return carry, {"progress": done}
 
     def train_step(self, hyper: Params, carry: Carry) -> Carry:
-        """One update."""
+        """One update. The snapshots stay as they are: a training that stops would have to copy all of them."""
         key, act_key, learn_key = jax.random.split(carry.key, 3)
         progress = self.progress(hyper, carry)
         allowed = self.allowed(progress)
@@ -205,11 +200,10 @@ class ApproximateQ(Learner):
         weights = Weights(
             value, observe(carry.weights.moments, experience.obs.reshape(-1, self.world.observation_size))
         )
-        part, point = (jnp.minimum((progress * n).astype(jnp.int32), n - 1) for n in (self.evaluations, self.record))
-        snapshots = jax.tree.map(lambda old, new: old.at[part].set(new), carry.snapshots, weights)
+        point = _part(progress, self.record)
         record = record | {"updates": 1.0, "td_error": td_error}
         record = {name: old.at[point].add(record[name]) for name, old in carry.record.items()}
-        return Carry(weights, optimizer, workers, key, carry.update + 1, carry.failed, record, snapshots)
+        return Carry(weights, optimizer, workers, key, carry.update + 1, carry.failed, record, carry.snapshots)
 
     def policy(self, carry: Carry) -> Weights:
         return carry.weights
@@ -285,6 +279,11 @@ class ApproximateQ(Learner):
             hyper.discount,
             hyper.trace_decay,
         )
+
+
+def _part(progress: FloatScalar, parts: int) -> IntScalar:
+    """In which of so many equal parts of training."""
+    return jnp.minimum((progress * parts).astype(jnp.int32), parts - 1)
 
 
 class Batch(NamedTuple):

@@ -1,10 +1,14 @@
 """Exploring: epsilon with the thesis's decay, a ladder of epsilons over environments, random actions that are held."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
+
+from humanoid_mjx.types import FloatScalar
 
 
 class Holding(NamedTuple):
@@ -16,6 +20,19 @@ class Holding(NamedTuple):
 
 def no_holding(envs: int, joints: int) -> Holding:
     return Holding(*jnp.zeros((2, envs, joints), jnp.int32))
+
+
+def opened(choices: Sequence[int], progress: FloatScalar | None) -> Bool[Array, "joints choices"]:
+    """The choices that exist; with a `progress`, those that are open at this share of the training: 3, 5, 9 ..."""
+    counts = np.array(choices)[:, None]
+    place = np.arange(max(choices))
+    exist = jnp.asarray(place < counts)
+    if progress is None:
+        return exist
+    stages = np.ceil(np.log2(np.maximum(counts - 1, 2))).astype(int)
+    stage = jnp.minimum(jnp.floor(progress * stages), stages - 1).astype(jnp.int32)
+    stride = jnp.maximum((counts - 1) >> (1 + stage), 1)
+    return exist & (place % stride == 0)
 
 
 def epsilons(hyper: Any, episode: Int[Array, " envs"]) -> Float[Array, " envs"]:

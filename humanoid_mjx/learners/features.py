@@ -1,7 +1,7 @@
 """Features of an observation for linear Q-learning (R. Sutton and A. Barto, "Reinforcement Learning", 2018, 9.5).
 
-A basis turns an observation, scaled to 0..1 by the task's bounds, into `active` places among `size` features and the
-values that stand there; all other features are zero.
+A basis turns an observation, scaled to 0..1, into features for each joint, whose choices depend on observations of its
+own: `active` places among `size` features and the values that stand there; all others are zero.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,99 +17,119 @@ from humanoid_mjx.spec import InputError
 MAX_FEATURES = 1_000_000
 
 
+class Scale(NamedTuple):
+    """From observations between bounds to numbers from 0 to 1; what lies beyond is clipped.
+
+    `focus` is a power: with 2 the distance from the middle goes by its square root, so that a basis that is even in the
+    scaled numbers resolves the middle of a range best, where what is to vanish is small.
+    """
+
+    low: Float[np.ndarray, " observation_size"]
+    high: Float[np.ndarray, " observation_size"]
+    focus: float = 1.0
+
+    def __call__(self, obs: Float[Array, "*batch observation_size"]) -> Float[Array, "*batch observation_size"]:
+        low, width = (jnp.asarray(x, obs.dtype) for x in (self.low, np.subtract(self.high, self.low)))
+        unit = jnp.clip((obs - low) / width, 0.0, 1.0)
+        if self.focus == 1.0:
+            return unit
+        side = 2.0 * unit - 1.0
+        return 0.5 + 0.5 * jnp.sign(side) * jnp.abs(side) ** (1.0 / self.focus)
+
+
 class Encoded(NamedTuple):
     """The features that are not zero."""
 
-    place: Int[Array, "*batch active"]
-    value: Float[Array, "*batch active"]
+    place: Int[Array, "*batch joints active"]
+    value: Float[Array, "*batch joints active"]
 
 
-Groups = Sequence[Sequence[int]]
+Groups = Int[np.ndarray, "joints groups width"]
 """Observations whose features depend on them together."""
 
 
 class Basis(NamedTuple):
-    """A fixed map from observations to features."""
+    """A fixed map from observations to features; `size` and `active` count those of one joint."""
 
     size: int
     active: int
     encode: Callable[[Float[Array, "*batch observation_size"]], Encoded]
 
 
-def combined(families: Groups, order: int) -> Groups:
-    """Every `order` observations of each family, or the whole family where it is smaller; all groups of one size."""
-    order = min(order, min(map(len, families)))
-    return sorted({group for family in families for group in combinations(sorted(family), order)})
+def combined(families: Sequence[Sequence[Sequence[int]]], order: int) -> Groups:
+    """Every `order` observations of each family of a joint; fewer where any family is smaller, as groups have one size.
+
+    Raises:
+      InputError: the families of one joint have more such groups than those of another.
+    """
+    order = min(order, min(len(family) for own in families for family in own))
+    groups = [sorted({group for family in own for group in combinations(sorted(family), order)}) for own in families]
+    if len({len(own) for own in groups}) > 1:
+        raise InputError("observation_families must have as many groups of observations for each joint.")
+    return np.array(groups)
 
 
-def tile_coding(low: np.ndarray, high: np.ndarray, groups: Groups, tiles: int, tilings: int) -> Basis:
+def tile_coding(scale: Scale, groups: Groups, tiles: int, tilings: int) -> Basis:
     """Overlapping grids, `tilings` of them over every group of observations, each shifted by a fraction of a tile.
 
     With one tiling of a single observation, and a tile for each of its values, this is a table.
     """
-    members = np.array(groups)
-    width = members.shape[1]
+    joints, number, width = groups.shape
     # Shifts by odd multiples of a tilings-th of a tile (W. Miller and F. Glanz), which spread better than equal ones.
     shift = (np.arange(tilings)[:, None] * (2 * np.arange(width) + 1) % tilings) / tilings
     side = tiles if tilings == 1 else tiles + 1
-    cells, count = side**width, len(groups) * tilings
-    _check_size(cells * count)
-    first = (np.arange(count) * cells).reshape(len(groups), tilings)
+    cells, count = side**width, number * tilings
+    _check_size(joints * cells * count)
+    first = (np.arange(count) * cells).reshape(number, tilings)
     stride = side ** np.arange(width)
 
     def encode(obs: Float[Array, "*batch observation_size"]) -> Encoded:
-        unit = _unit(obs, low, high)[..., members]
-        cell = jnp.floor(unit[..., :, None, :] * (tiles - 1e-4) + shift).astype(jnp.int32)
+        unit = scale(obs)[..., groups]
+        cell = jnp.floor(unit[..., None, :] * (tiles - 1e-4) + shift).astype(jnp.int32)
         place = first + (cell * stride).sum(axis=-1)
-        place = place.reshape(*obs.shape[:-1], count)
+        place = place.reshape(*obs.shape[:-1], joints, count)
         return Encoded(place, jnp.ones(place.shape, obs.dtype))
 
     return Basis(cells * count, count, encode)
 
 
-def fourier(low: np.ndarray, high: np.ndarray, groups: Groups, frequencies: int) -> Basis:
+def fourier(scale: Scale, groups: Groups, frequencies: int) -> Basis:
     """Cosines of up to `frequencies` half periods along the observations of each group (G. Konidaris, 2011)."""
-    size = len(low)
-    waves = {(0,) * size}
-    for group in groups:
-        for counts in product(range(frequencies + 1), repeat=len(group)):
-            wave = [0] * size
-            for place, count in zip(group, counts, strict=True):
-                wave[place] = count
-            waves.add(tuple(wave))
-    return _dense(low, high, lambda unit: jnp.cos(np.pi * unit @ np.array(sorted(waves), np.float32).T), len(waves))
+    joints, number, width = groups.shape
+    observations = len(scale.low)
+    _check_size(joints * number * (frequencies + 1) ** width)
+    counts = np.array(list(product(range(frequencies + 1), repeat=width)))
+    waves = np.zeros((joints, number, len(counts), observations), np.float32)
+    np.put_along_axis(waves, np.broadcast_to(groups[:, :, None], (*waves.shape[:3], width)), counts, axis=-1)
+    # Groups share their waves along fewer observations; every joint has the same number of different ones.
+    angles = np.pi * np.array([np.unique(own.reshape(-1, observations), axis=0) for own in waves])
+    return _dense(scale, lambda unit: jnp.cos(jnp.einsum("...n,jfn->...jf", unit, angles)), angles.shape[1])
 
 
-def radial(low: np.ndarray, high: np.ndarray, groups: Groups, centres: int) -> Basis:
+def radial(scale: Scale, groups: Groups, centres: int) -> Basis:
     """Bells on a grid of `centres` along the observations of each group, as wide as the distance to the neighbour.
 
     The bells over one group of observations are scaled to add up to 1.
     """
-    members = np.array(groups)
-    grid = np.array(list(product(np.linspace(0.0, 1.0, centres), repeat=members.shape[1])), np.float32)
+    joints, number, dimensions = groups.shape
+    _check_size(joints * number * centres**dimensions)
+    grid = np.array(list(product(np.linspace(0.0, 1.0, centres), repeat=dimensions)), np.float32)
     width = 1.0 / max(centres - 1, 1)
-    _check_size(len(members) * len(grid))
 
-    def bells(unit: Float[Array, "*batch observation_size"]) -> Float[Array, "*batch features"]:
-        distance = ((unit[..., members][..., None, :] - grid) ** 2).sum(axis=-1)
+    def bells(unit: Float[Array, "*batch observation_size"]) -> Float[Array, "*batch joints features"]:
+        distance = ((unit[..., groups][..., None, :] - grid) ** 2).sum(axis=-1)
         bell = jnp.exp(-distance / (2 * width**2))
-        return (bell / bell.sum(axis=-1, keepdims=True)).reshape(*unit.shape[:-1], -1)
+        return (bell / bell.sum(axis=-1, keepdims=True)).reshape(*unit.shape[:-1], joints, -1)
 
-    return _dense(low, high, bells, len(members) * len(grid))
+    return _dense(scale, bells, number * len(grid))
 
 
-def _dense(low: np.ndarray, high: np.ndarray, values: Callable[[Array], Array], size: int) -> Basis:
-    _check_size(size)
-
+def _dense(scale: Scale, values: Callable[[Array], Array], size: int) -> Basis:
     def encode(obs: Float[Array, "*batch observation_size"]) -> Encoded:
-        value = values(_unit(obs, low, high))
+        value = values(scale(obs))
         return Encoded(jnp.broadcast_to(jnp.arange(size), value.shape), value)
 
     return Basis(size, size, encode)
-
-
-def _unit(obs: Float[Array, "*batch observation_size"], low: np.ndarray, high: np.ndarray) -> Float[Array, "*batch n"]:
-    return jnp.clip((obs - jnp.asarray(low, obs.dtype)) / jnp.asarray(np.subtract(high, low), obs.dtype), 0.0, 1.0)
 
 
 def _check_size(size: int) -> None:

@@ -50,9 +50,12 @@ class ContinuousTask(Task):
         return np.full(self.observation_size, -1.0), np.full(self.observation_size, 1.0)
 
     @property
-    def observation_families(self) -> tuple[tuple[int, ...], ...]:
-        """Places of observations that matter together, for bases that combine them; here all are one family."""
-        return (tuple(range(self.observation_size)),)
+    def observation_families(self) -> tuple[tuple[tuple[int, ...], ...], ...]:
+        """For each joint, families of places of observations: those that matter together for its choice.
+
+        Bases are built of them. Here all observations are one family, the same for every joint.
+        """
+        return ((tuple(range(self.observation_size)),),) * len(self.action_choices)
 
     @property
     def action_choices(self) -> tuple[int, ...]:

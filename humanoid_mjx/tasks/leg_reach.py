@@ -94,11 +94,16 @@ class LegReach(ContinuousTask):
         return len(OBSERVATIONS) * JOINTS
 
     @property
-    def observation_families(self) -> tuple[tuple[int, ...], ...]:
-        """Of each joint: both errors and the place, each with the lead and the velocity."""
-        error, near_error, lead, velocity, place = np.arange(self.observation_size).reshape(-1, JOINTS)
-        families = [(error, lead, velocity), (near_error, lead, velocity), (lead, velocity, place)]
-        return tuple(tuple(int(part[joint]) for part in family) for family in families for joint in range(JOINTS))
+    def observation_families(self) -> tuple[tuple[tuple[int, ...], ...], ...]:
+        """Of each joint for itself: both errors and the place, each with the lead and the velocity.
+
+        Computed torque takes most of what joints do to each other away.
+        """
+        own = np.arange(self.observation_size).reshape(-1, JOINTS).T.tolist()
+        return tuple(
+            ((error, lead, velocity), (near_error, lead, velocity), (lead, velocity, place))
+            for error, near_error, lead, velocity, place in own
+        )
 
     @property
     def action_choices(self) -> tuple[int, ...]:
