@@ -1,7 +1,6 @@
 """Figures 7.6 to 7.10: how controllers follow the planned motion from q = 0.
 
-Section 7 D speaks of computed torque and of partitioned PD, and prints one error for each joint, without the model of
-the simulated leg. `VARIANTS` are the controllers that it may have meant.
+Section 7 D prints an error for each joint, without its model of the leg. `VARIANTS` are what it may have meant.
 """
 
 from collections.abc import Callable
@@ -13,11 +12,15 @@ import numpy as np
 from humanoid_mjx.reproduction import Experiment, Finding, Setting, in_words, judge
 from humanoid_mjx.results.style import COLORS, figure, label_lines
 from humanoid_mjx.thesis import leg as thesis
+from humanoid_mjx.thesis.printed import dynamics as printed_dynamics
 
 JOINTS = range(5)
 STEP_S = 2e-4
-SHOWN = 50
-"""Steps from one point of a figure to the next."""
+SHOWN_S = 0.01
+"""From one point of a figure to the next."""
+
+ANALOG_STEP_S = 2e-3
+"""Of a controller whose torque is not held. Some of the laws as printed are unstable if it is."""
 
 TOLERANCES = (5e-5, 0.005, 0.0005, 0.005, 0.0005)
 """Half of the last digit of section 7 D's errors, rad; joint 1's is that of its place."""
@@ -60,6 +63,9 @@ VARIANTS = (
     Variant("partitioned PD on the script's leg", "partitioned PD", leg="script", model="script"),
     Variant("partitioned PD holding the weight", "partitioned PD and weight"),
     Variant("the mass matrix without velocity terms and weight", "mass matrix"),
+    Variant("the script as printed, on its leg", "as printed", leg="script", model="script as printed"),
+    Variant("the script as printed, with the inertias of section 4.6", "as printed", model="its equations"),
+    Variant("the same with its velocity terms alone as printed", "as printed", model="its velocity terms"),
 )
 
 DRAWN = {EXACT: "computed torque", PARTITIONED: "partitioned PD", LAGGING: "rate fed back", UNIT: "unit inertias"}
@@ -124,7 +130,8 @@ def together(setting: Setting) -> list[Finding]:
     with (setting.out / "control-7d.md").open("w", encoding="utf-8") as file:
         file.write("| error after 5 s, rad | joint 1 | joint 2 | joint 3 | joint 4 | joint 5 |\n" + "|---" * 6 + "|\n")
         for words, row in (("printed", printed), *((v.words, e) for v, e in left.items())):
-            file.write(f"| {words} | " + " | ".join(f"{x:.5f}" for x in row) + " |\n")
+            shown = (f"{x:.5f}" if np.isfinite(x) else "diverges" for x in row)
+            file.write(f"| {words} | " + " | ".join(shown) + " |\n")
     nearest = min(left, key=lambda v: float(np.abs(left[v] - printed).max()))
     agrees = bool((np.abs(left[nearest] - printed) < TOLERANCES).all())
     return [
@@ -162,30 +169,58 @@ def _laws() -> dict[str, Callable[..., Any]]:
     def partitioned(model: Any, kp: Any, kd: Any, *state: Any) -> Any:
         return control.partitioned_pd(control.PartitionedPD(model, kp, kd), *state)
 
+    def as_printed(model: Any, kp: Any, kd: Any, plan: Any, qpos: Any, qvel: Any) -> Any:
+        state = qpos[:, None], qvel[:, None], control.servo(kp, kd, plan, qpos, qvel)[:, None]
+        return printed_dynamics.inverse_dynamics(model[0], *state, model[1])[:, 0]
+
     return {
         "computed torque": computed_torque,
         "servo": lambda model, *rest: control.servo(*rest),
         "partitioned PD": partitioned,
         "partitioned PD and weight": lambda model, *rest: partitioned(model, *rest) + dynamics.gravity(model, rest[3]),
         "mass matrix": lambda model, *rest: dynamics.mass_matrix(model, rest[3]) @ control.servo(*rest),
+        "as printed": as_printed,
+    }
+
+
+def _printed_models() -> dict[str, tuple[printed_dynamics.Model, tuple[str, ...]]]:
+    """By name a model of the thesis's equations and the faults that they are to have."""
+    from humanoid_mjx.robot.leg import corrected_inertias, script_inertias
+
+    def model(lengths: tuple[float, ...], inertia: Any, centroids: Any = None) -> printed_dynamics.Model:
+        rule = printed_dynamics.script_centroids(lengths)
+        return printed_dynamics.Model(lengths, inertia, rule if centroids is None else centroids)
+
+    corrected, every = corrected_inertias(), printed_dynamics.ALL
+    return {
+        "script as printed": (model(thesis.SCRIPT_LENGTHS, script_inertias()), every),
+        "its equations": (model(thesis.LINK_LENGTHS, corrected), every),
+        "its velocity terms": (
+            model(thesis.LINK_LENGTHS, corrected, np.array(thesis.LINK_CENTROIDS)),
+            ("rule", "slips", "speeds"),
+        ),
     }
 
 
 @cache
 def _motions(kp: tuple[float, ...], kd: tuple[float, ...]) -> dict[Variant, np.ndarray]:
-    """(points, 5) Errors of every variant, rad, from time 0 on."""
+    """(points, 5) Errors of every variant, rad, from time 0 on; infinite where it diverges."""
     groups: dict[tuple[str, str, str], list[Variant]] = {}
     for variant in VARIANTS:
         groups.setdefault((variant.law, variant.leg, variant.model), []).append(variant)
     found: dict[Variant, np.ndarray] = {}
     for key, variants in groups.items():
         keeps = np.array([(v.rate, v.acceleration) for v in variants])
-        found |= zip(variants, _simulate(*key, kp, kd, keeps), strict=True)
-    return {variant: found[variant] for variant in VARIANTS}
+        found |= zip(variants, np.asarray(_program(*key)(keeps, np.array(kp), np.array(kd)), np.float64), strict=True)
+    return {variant: np.nan_to_num(found[variant], nan=np.inf) for variant in VARIANTS}
 
 
-def _simulate(law: str, leg: str, model: str, kp: Any, kd: Any, keeps: np.ndarray) -> np.ndarray:
-    """(variants, points, 5) Errors, rad. `keeps`: shares of the planned rate and acceleration that the law sees."""
+@cache
+def _program(law: str, leg: str, model: str) -> Callable[..., Any]:
+    """From the shares of the planned rate and acceleration that the law sees, (variants, 2), kp and kd to the errors.
+
+    They are (variants, points, 5), in rad.
+    """
     import jax
     import jax.numpy as jnp
 
@@ -199,25 +234,27 @@ def _simulate(law: str, leg: str, model: str, kp: Any, kd: Any, keeps: np.ndarra
         "script": Leg.matlab_script(AS_PRINTED),
         "along": Leg.thesis(ALONG_THE_LEG),
     }
+    models = legs | _printed_models()
     planned, act = thesis_quintics(), _laws()[law]
-    steps = round(thesis.QUINTIC_S / STEP_S)
+    times = jnp.linspace(0.0, thesis.QUINTIC_S, round(thesis.QUINTIC_S / SHOWN_S) + 1)
+    wanted = jax.vmap(planned.at)(times).position
 
     def simulate(keep: Any, kp: Any, kd: Any) -> Any:
-        integrator = implicit_euler(PD(kp, kd)) if law == "servo" else dynamics.semi_implicit_euler
-
         def controller(time: Any, qpos: Any, qvel: Any) -> Any:
             plan = planned.at(time)
             seen = Reference(plan.position, keep[0] * plan.velocity, keep[1] * plan.acceleration)
-            return act(legs[model], kp, kd, seen, qpos, qvel)
+            return act(models[model], kp, kd, seen, qpos, qvel)
 
-        states = dynamics.rollout(legs[leg], jnp.zeros(5), jnp.zeros(5), controller, STEP_S, steps, integrator)[1]
-        return states.qpos[SHOWN - 1 :: SHOWN]
+        if law == "as printed":
+            integrator, step_s, cycle = dynamics.runge_kutta, ANALOG_STEP_S, None
+        else:
+            integrator = implicit_euler(PD(kp, kd)) if law == "servo" else dynamics.semi_implicit_euler
+            step_s, cycle = STEP_S, 1
+        still, steps, shown = jnp.zeros(5), round(thesis.QUINTIC_S / step_s), round(SHOWN_S / step_s)
+        states = dynamics.rollout(legs[leg], still, still, controller, step_s, steps, integrator, cycle=cycle)[1]
+        return wanted - jnp.concatenate([jnp.zeros((1, 5)), states.qpos[shown - 1 :: shown]])
 
-    run = jax.jit(jax.vmap(simulate, in_axes=(0, None, None)), compiler_options=runtime.SHARED_KERNELS)
-    moved = run(*(jnp.asarray(x, float) for x in (keeps, kp, kd)))
-    times = jnp.linspace(0.0, thesis.QUINTIC_S, steps // SHOWN + 1)
-    places = np.concatenate([np.zeros((len(keeps), 1, 5)), moved], axis=1)
-    return np.asarray(jax.vmap(planned.at)(times).position, np.float64) - places
+    return jax.jit(jax.vmap(simulate, in_axes=(0, None, None)), compiler_options=runtime.SHARED_KERNELS)
 
 
 def _draw(setting: Setting, joint: int, motions: dict[Variant, np.ndarray]) -> None:

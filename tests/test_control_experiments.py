@@ -19,6 +19,8 @@ ERRORS_LEFT = {
     "partitioned PD, inertias of the posture": (0.0, 0.302, 0.007, 0.354, 0.647),
     "partitioned PD on the script's leg": (0.0, 0.138, 0.020, 0.198, 0.520),
     "the mass matrix without velocity terms and weight": (0.72, 0.83, 1.5, 1.4, 0.29),
+    "the script as printed, on its leg": (0.15, 1.06, 1.75, 0.17, 0.79),
+    "the same with its velocity terms alone as printed": (0.0, 0.0, 0.002, 0.002, 0.0),
 }
 """Errors after 5 s, rad, of an independent computation in double precision, rounded."""
 
@@ -42,7 +44,9 @@ def test_gains_are_not_critical(found):
 def test_controllers_leave_what_an_independent_computation_says(found):
     out, _ = found
     rows = [line.strip("| ").split(" | ") for line in (out / "control-7d.md").read_text().splitlines()[2:]]
-    left = {name: np.array(errors, float) for name, *errors in rows}
+    diverging = [name for name, *errors in rows if "diverges" in errors]
+    assert diverging == ["the script as printed, with the inertias of section 4.6"]
+    left = {name: np.array(errors, float) for name, *errors in rows if name not in diverging}
     for name, errors in ERRORS_LEFT.items():
         # A tenth, or what the rounding of the reference leaves open.
         np.testing.assert_allclose(left[name], errors, rtol=0.1, atol=6e-4, err_msg=name)

@@ -89,7 +89,7 @@ class State(NamedTuple):
 Controller = Callable[[FloatScalar, Joints, Joints], Joints]
 """(time in s, qpos, qvel) -> torque, N m."""
 
-Integrator = Callable[[Chain, State, Joints, FloatScalar], State]
+Integrator = Callable[..., State]
 """(chain, state, torque held over the step, length of the step in s) -> the state after it."""
 
 
@@ -100,8 +100,14 @@ def semi_implicit_euler(leg: Chain, state: State, torque: Joints, dt: FloatScala
     return State(_after(state.qpos, qvel, dt), qvel)
 
 
-def runge_kutta(leg: Chain, state: State, torque: Joints, dt: FloatScalar) -> State:
-    """One step of the classical method of fourth order."""
+def runge_kutta(
+    leg: Chain, state: State, torque: Joints | Callable[[FloatScalar, State], Joints], dt: FloatScalar
+) -> State:
+    """One step of the classical method of fourth order.
+
+    A torque that is not held is a function: (share of the step that is over, state) -> torque, N m.
+    """
+    acting = torque if callable(torque) else lambda share, state: torque
 
     def along(rate: State, time: FloatScalar) -> State:
         return State(_after(state.qpos, rate.qpos, time), _after(state.qvel, rate.qvel, time))
@@ -111,7 +117,7 @@ def runge_kutta(leg: Chain, state: State, torque: Joints, dt: FloatScalar) -> St
         rate, mean = carry
         share, weight = share_and_weight
         at = along(rate, share * dt)
-        rate = State(at.qvel, forward_dynamics(leg, *at, torque))
+        rate = State(at.qvel, forward_dynamics(leg, *at, acting(share, at)))
         return (rate, jax.tree.map(lambda m, r: m + weight * r, mean, rate)), None
 
     stages = jnp.array([[0, 1 / 6], [1 / 2, 1 / 3], [1 / 2, 1 / 3], [1, 1 / 6]], state.qpos.dtype)
@@ -128,9 +134,9 @@ def rollout(
     steps: int,
     integrator: Integrator = semi_implicit_euler,
     unroll: int = 1,
-    cycle: IntScalar = 1,
+    cycle: IntScalar | None = 1,
 ) -> tuple[State, State]:
-    """The motion of a chain under a controller whose torque is held over each cycle.
+    """The motion of a chain under a controller whose torque is held over each cycle, or not at all.
 
     Args:
       controller: (time in s, qpos, qvel) -> torque, N m.
@@ -138,19 +144,27 @@ def rollout(
       steps: how many.
       unroll: steps in one pass of the compiled loop. On a GPU 4 are twice as fast as 1, and take 4 times as long to
         compile; on a CPU they gain nothing.
-      cycle: steps from one torque to the next; may be traced, so that each robot of a batch has its own.
+      cycle: steps from one torque to the next; may be traced, so that each robot of a batch has its own. None for a
+        torque that is not held, as of an analog controller: `runge_kutta` alone can do that.
 
     Returns:
       The state after the last step, and the states after each: (steps, joints). What is not used costs nothing
       inside jit.
     """
 
-    always = isinstance(cycle, int) and cycle == 1
+    always = cycle is None or (isinstance(cycle, int) and cycle == 1)
 
     # The carry is of separate scalars, so that a batch of them is contiguous and one kernel computes them all.
     def step(carry: tuple[list[Array], ...], index: Array) -> tuple[tuple[list[Array], ...], State]:
         state = State(jnp.stack(carry[0]), jnp.stack(carry[1]))
-        torque = controller(index * jnp.asarray(dt, qpos.dtype), *state)
+
+        def acting(share: FloatScalar, state: State) -> Joints:
+            return controller((index + share) * jnp.asarray(dt, qpos.dtype), *state)
+
+        if cycle is None:
+            state = integrator(leg, state, acting, dt)
+            return (list(state.qpos), list(state.qvel), []), state
+        torque = acting(0.0, state)
         if not always:
             torque = jnp.where(index % cycle == 0, torque, jnp.stack(carry[2]))
         state = integrator(leg, state, torque, dt)

@@ -228,3 +228,20 @@ def test_a_stiff_servo_acts_through_the_step():
     rough = final(control.implicit_euler(servo), 1e-2)
     assert float(jnp.abs(rough - fine).max()) < 0.1
     assert not (jnp.abs(final(dynamics.semi_implicit_euler, 1e-2)) < 10).all()
+
+
+def test_an_analog_controller_acts_in_every_stage():
+    """Of the Runge-Kutta method, whose fourth order a torque held over the step would spoil."""
+    leg, servo = Leg.matlab_script(), control.PD.build(5, 0.02, 0.002)
+
+    def controller(time, qpos, qvel):
+        return control.pd(servo, resting(), qpos, qvel) + 0.01 * jnp.sin(5.0 * time)
+
+    def final(dt, cycle=None):
+        simulate = partial(dynamics.rollout, leg, controller=controller, dt=dt, steps=round(0.2 / dt), cycle=cycle)
+        return jax.jit(partial(simulate, integrator=dynamics.runge_kutta))(jnp.array(START), jnp.zeros(5))[0].qpos
+
+    fine = final(2e-4)
+    coarse, half, held = (float(jnp.abs(final(*how) - fine).max()) for how in ((4e-3,), (2e-3,), (2e-3, 1)))
+    assert np.log2(coarse / half) == pytest.approx(4.0, abs=0.4)
+    assert held > 100 * half

@@ -2,11 +2,14 @@
 
 The faults are data: every function takes the names of those it is to have (`FAULTS`), none of them giving the right
 equations. The faults add up: what a slip changes does not depend on whether the rule is wrong too.
+
+Postures are arrays of numpy, or of jax, also traced; so are the results.
 """
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
+from functools import cache
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,6 +24,9 @@ FAULTS = {
 ALL = tuple(FAULTS)
 
 JOINTS = range(1, 6)
+
+Array = Any
+"""Of numpy or jax."""
 
 Q = np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 0]])
 
@@ -68,12 +74,13 @@ def script_centroids(lengths: tuple[float, ...]) -> np.ndarray:
 class Factors:
     """The factors of the script's products at postures q, (5, n) rad."""
 
-    def __init__(self, model: Model, q: np.ndarray):
+    def __init__(self, model: Model, q: Array):
         self.inertia = model.inertia
+        self._xp: Any = q.__array_namespace__()
         self._links = [_link(model.lengths, joint, q[joint - 1]) for joint in JOINTS]
-        self._known: dict[tuple[int, ...], np.ndarray] = {}
+        self._known: dict[tuple[int, ...], Array] = {}
 
-    def derivative(self, link: int, *turned: int) -> np.ndarray:
+    def derivative(self, link: int, *turned: int) -> Array:
         """(n, 4, 4) The derivative of A1 ... A_link with respect to these joints: d_pj, or d d_pj / d q_k."""
         key = (link, *sorted(turned))
         if key not in self._known:
@@ -83,85 +90,96 @@ class Factors:
             self._known[key] = self.product(words)
         return self._known[key]
 
-    def product(self, words: Collection[str]) -> np.ndarray:
+    def product(self, words: Collection[str]) -> Array:
         """(n, 4, 4) The product of factors as the script names them: A1, Q1, I1 and d11', the transpose of d11."""
         value = np.eye(4)
         for word in words:
             value = value @ self._factor(word)
         return value
 
-    def trace(self, term: str) -> np.ndarray:
-        return np.trace(self.product(term.split()), axis1=-2, axis2=-1)
+    def trace(self, term: str) -> Array:
+        return self._xp.trace(self.product(term.split()), axis1=-2, axis2=-1)
 
-    def inner(self, link: int, left: tuple[int, ...], right: tuple[int, ...]) -> np.ndarray:
+    def inner(self, link: int, left: tuple[int, ...], right: tuple[int, ...]) -> Array:
         """(n,) Tr(D I D^T) of two derivatives of one link's transformation."""
         moved = self.derivative(link, *left) @ self.inertia[link - 1]
         return (moved * self.derivative(link, *right)).sum(axis=(-2, -1))
 
-    def _factor(self, word: str) -> np.ndarray:
+    def _factor(self, word: str) -> Array:
         kind, index = word[0], int(word[1])
         if kind == "d":
-            return np.swapaxes(self.derivative(index, int(word[2])), -2, -1)
+            return self._xp.matrix_transpose(self.derivative(index, int(word[2])))
         return {"A": self._links[index - 1], "Q": Q, "I": self.inertia[index - 1]}[kind]
 
 
-def mass_matrix(model: Model, q: np.ndarray, faults: Collection[str] = ALL) -> np.ndarray:
+def mass_matrix(model: Model, q: Array, faults: Collection[str] = ALL) -> Array:
     """(5, 5, n) Appendix F and the script's M, kg m^2, at q, (5, n) rad."""
-    factors, matrix = Factors(model, q), np.zeros((5, 5, q.shape[1]))
-    for i, j in product(JOINTS, JOINTS):
-        matrix[i - 1, j - 1] = sum(factors.inner(p, (j,), (i,)) for p in range(max(i, j), 6))
-    if "M33" in faults:
-        matrix[2, 2] += factors.inner(5, (5,), (3,)) - factors.inner(5, (3,), (3,))
-    return matrix
+    factors = Factors(model, q)
+
+    def element(i: int, j: int) -> Array:
+        value = sum(factors.inner(p, (j,), (i,)) for p in range(max(i, j), 6))
+        if "M33" in faults and i == j == 3:
+            value += factors.inner(5, (5,), (3,)) - factors.inner(5, (3,), (3,))
+        return value
+
+    return _stacked(element, 2, q)
 
 
-def velocity_coefficients(model: Model, q: np.ndarray, faults: Collection[str] = ALL) -> np.ndarray:
+def velocity_coefficients(model: Model, q: Array, faults: Collection[str] = ALL) -> Array:
     """(5, 5, 5, n) Appendix G and the script's h_ijk, kg m^2, at q, (5, n) rad."""
-    factors, found = Factors(model, q), np.zeros((5, 5, 5, q.shape[1]))
-    for i, j, k in product(JOINTS, JOINTS, JOINTS):
-        for p in range(max(i, j, k), 6):
-            turned = (max(j, k), p) if "rule" in faults else (j, k)
-            found[i - 1, j - 1, k - 1] += factors.inner(p, turned, (i,))
-    for (i, j, k), slip in SLIPS.items() if "slips" in faults else ():
-        change = factors.trace(slip.printed) - factors.inner(slip.link, (k, slip.link), (i,))
-        for first, second in {(j, k), (k, j)}:
-            found[i - 1, first - 1, second - 1] += change
-    return found
+    factors = Factors(model, q)
+
+    @cache
+    def upper(i: int, j: int, k: int) -> Array:
+        value = 0.0
+        for p in range(max(i, k), 6):
+            turned = (k, p) if "rule" in faults else (j, k)
+            value += factors.inner(p, turned, (i,))
+        slip = SLIPS.get((i, j, k)) if "slips" in faults else None
+        if slip:
+            value += factors.trace(slip.printed) - factors.inner(slip.link, (k, slip.link), (i,))
+        return value
+
+    return _stacked(lambda i, j, k: upper(i, min(j, k), max(j, k)), 3, q)
 
 
-def coriolis(model: Model, q: np.ndarray, qd: np.ndarray, faults: Collection[str] = ALL) -> np.ndarray:
+def coriolis(model: Model, q: Array, qd: Array, faults: Collection[str] = ALL) -> Array:
     """(5, n) The script's H, N m, at q and qd, (5, n) rad and rad/s."""
-    speeds = qd[:, None] * qd[None]
-    if "speeds" in faults:
-        speeds[2, 0] = qd[0] * qd[0]
-    return np.einsum("ijkn,jkn->in", velocity_coefficients(model, q, faults), speeds)
+
+    def speeds(j: int, k: int) -> Array:
+        return qd[0] * qd[0] if "speeds" in faults and (j, k) == (3, 1) else qd[j - 1] * qd[k - 1]
+
+    return (velocity_coefficients(model, q, faults) * _stacked(speeds, 2, q)).sum(axis=(1, 2))
 
 
-def gravity(model: Model, q: np.ndarray) -> np.ndarray:
+def gravity(model: Model, q: Array) -> Array:
     """(5, n) Appendix H and the script's G, N m, at q, (5, n) rad. Its faults are those of the model."""
-    factors, torque = Factors(model, q), np.zeros((5, q.shape[1]))
+    factors = Factors(model, q)
     g, ones = np.array([*model.gravity, 1.0]), np.ones((5, 1))
     moments = model.inertia[:, 3, 3, None] * np.concatenate([model.centroids, ones], axis=1)
-    for i in JOINTS:
-        torque[i - 1] = -sum(g @ factors.derivative(p, i) @ moments[p - 1] for p in range(i, 6))
-    return torque
+    return _stacked(lambda i: -sum(g @ factors.derivative(p, i) @ moments[p - 1] for p in range(i, 6)), 1, q)
 
 
-def inverse_dynamics(
-    model: Model, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, faults: Collection[str] = ALL
-) -> np.ndarray:
+def inverse_dynamics(model: Model, q: Array, qd: Array, qdd: Array, faults: Collection[str] = ALL) -> Array:
     """(5, n) The script's torques, N m, of a motion, (5, n) each: rad, rad/s and rad/s^2."""
-    inertial = np.einsum("ijn,jn->in", mass_matrix(model, q, faults), qdd)
+    inertial = (mass_matrix(model, q, faults) * qdd).sum(axis=1)
     return inertial + coriolis(model, q, qd, faults) + gravity(model, q)
 
 
-def _link(lengths: tuple[float, ...], joint: int, angle: np.ndarray) -> np.ndarray:
+def _stacked(element: Callable[..., Array], indices: int, like: Array) -> Array:
+    """(5, ..., 5, n) `element` of so many indices from 1 to 5, each of them (n,), in the namespace of `like`."""
+    values = like.__array_namespace__().stack([element(*at) for at in product(JOINTS, repeat=indices)])
+    return values.reshape((5,) * indices + values.shape[1:])
+
+
+def _link(lengths: tuple[float, ...], joint: int, angle: Array) -> Array:
     """(n, 4, 4) The script's A1 to A5."""
-    c, s, zero, one = np.cos(angle), np.sin(angle), 0 * angle, 0 * angle + 1
+    xp = angle.__array_namespace__()
+    c, s, zero, one = xp.cos(angle), xp.sin(angle), 0 * angle, 0 * angle + 1
     length = lengths[joint - 1] * one
     rows = {
         1: ((c, zero, s, zero), (s, zero, -c, zero), (zero, one, zero, length)),
         2: ((-s, zero, -c, zero), (c, zero, -s, zero), (zero, -one, zero, length)),
         3: ((s, zero, -c, length * s), (-c, zero, -s, -length * c), (zero, one, zero, zero)),
     }.get(joint, ((c, -s, zero, length * c), (s, c, zero, length * s), (zero, zero, one, zero)))
-    return np.moveaxis(np.array([*rows, (zero, zero, zero, one)]), -1, 0)
+    return xp.moveaxis(xp.stack([xp.stack(row) for row in (*rows, (zero, zero, zero, one))]), -1, 0)
