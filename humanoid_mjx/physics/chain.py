@@ -113,7 +113,8 @@ class ChainPhysics(Physics):
         self, params: Any, world: World, controller: Controller, substeps: int
     ) -> tuple[World, Float[Array, " joints"]]:
         limit = params.torque_limit
-        torque = jnp.clip(controller(self._stages(params, world)), -limit, limit)
+        # Joint by joint: a bound on the whole array would be a kernel of its own between those of its elements.
+        torque = jnp.stack([jnp.clip(x, -limit, limit) for x in controller(self._stages(params, world))])
         dt = jnp.asarray(self.timestep, world.qpos.dtype)
 
         def move(world: World) -> World:

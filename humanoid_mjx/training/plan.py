@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import jax
@@ -169,8 +169,12 @@ def training_bytes(group: Group) -> int:
 
 def one_run(group: Group) -> Any:
     """The shapes of one run's training state."""
-    hyper = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), group.hyper)
-    return jax.eval_shape(group.learner.init, hyper, jax.eval_shape(lambda: rng.key(0)))
+    return _one_run(group.learner, jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), group.hyper))
+
+
+@lru_cache(maxsize=64)
+def _one_run(learner: Learner, hyper: Any) -> Any:
+    return jax.eval_shape(learner.init, hyper, jax.eval_shape(lambda: rng.key(0)))
 
 
 def _column(values: tuple) -> np.ndarray:

@@ -36,7 +36,7 @@ def program_of(learner: Learner) -> Program:
 
     options = dict(learner.compiler_options)
     return Program(
-        start=jax.jit(jax.vmap(start), donate_argnums=3),
+        start=jax.jit(jax.vmap(start), donate_argnums=3, compiler_options=options),
         train=jax.jit(jax.vmap(train, in_axes=(0, 0, None)), donate_argnums=1, compiler_options=options),
         finish=jax.jit(jax.vmap(partial(outcome, learner)), compiler_options=options),
     )
