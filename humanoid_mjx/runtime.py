@@ -69,7 +69,7 @@ def machine() -> dict[str, Any]:
 
 def versions() -> dict[str, str]:
     """The versions that a result depends on, as far as they are installed."""
-    packages = ("humanoid-mjx", "jax", "jaxlib", "mujoco", "mujoco-mjx", "brax", "numpy")
+    packages = ("humanoid-mjx", "jax", "jaxlib", "mujoco", "mujoco-mjx", "warp-lang", "brax", "numpy")
     found = {"python": platform.python_version()}
     for name in packages:
         with suppress(PackageNotFoundError):

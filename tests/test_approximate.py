@@ -244,13 +244,24 @@ def test_epsilon_decays_by_the_episode_and_climbs_the_ladder():
     np.testing.assert_allclose(found, [0.5, (0.45) ** 1.5, 0.2**2], rtol=1e-5)
 
 
-def test_choices_grow_by_stages():
-    class Nine(ContinuousTask):
-        @property
-        def action_choices(self):
-            return 9, 3
+class Uneven(ContinuousTask):
+    """Joints with different numbers of choices."""
 
-    learner = build("tiles", probe("choice")[0]).model_copy(update={"grow": True, "task": Nine()})
+    @property
+    def observation_size(self):
+        return 1
+
+    @property
+    def observation_bounds(self):
+        return np.zeros(1), np.ones(1)
+
+    @property
+    def action_choices(self):
+        return 9, 3
+
+
+def test_choices_grow_by_stages():
+    learner = build("tiles", probe("choice")[0]).model_copy(update={"grow": True, "task": Uneven()})
     opened = [np.asarray(learner.allowed(p)).sum(axis=1).tolist() for p in (0.0, 0.34, 0.67, 1.0)]
     assert opened == [[3, 3], [5, 3], [9, 3], [9, 3]]
 
@@ -306,6 +317,11 @@ def test_bad_values_get_a_sentence(name, values, words):
         values = values | {"resolution": 10_000, "tilings": 200, "basis": "tiles"}
     with pytest.raises(InputError, match=words):
         make_learner(name, task, **values)
+
+
+def test_unequal_joints_share_no_weights():
+    with pytest.raises(InputError, match="shared needs joints that have the same number of choices"):
+        build("shared tiles", Uneven())
 
 
 SWEEP = {

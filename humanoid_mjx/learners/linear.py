@@ -36,7 +36,7 @@ class LinearQ(ApproximateQ):
     def _basis_must_fit(self) -> "LinearQ":
         self.features()
         if self.shared and len(set(self.world.action_choices)) > 1:
-            raise ValueError("shared asks for joints with as many choices each")
+            raise ValueError("shared needs joints that have the same number of choices")
         return self
 
     @property
