@@ -6,7 +6,7 @@ import pytest
 
 from humanoid_mjx import InputError
 from humanoid_mjx.config import load
-from humanoid_mjx.training.plan import make_plan, one_run, runs_that_fit, training_bytes
+from humanoid_mjx.training.plan import make_plan, runs_that_fit, training_bytes
 from humanoid_mjx.training.program import program_of
 
 SMALL = ["learner.evaluation_envs=32"]
@@ -20,7 +20,7 @@ def test_the_estimate_is_what_xla_takes_within_a_factor_of_two(config):
     (group,) = make_plan(load(name, overrides)).groups
     runs = 2
     hyper = jax.tree.map(lambda x: jax.ShapeDtypeStruct((runs, *x.shape[1:]), x.dtype), group.hyper)
-    carry = jax.tree.map(lambda x: jax.ShapeDtypeStruct((runs, *x.shape), x.dtype), one_run(group))
+    carry = jax.tree.map(lambda x: jax.ShapeDtypeStruct((runs, *x.shape), x.dtype), group.one_run)
     train = program_of(group.learner.structure()).train
     memory = train.lower(hyper, carry, jax.ShapeDtypeStruct((), jnp.int32)).compile().memory_analysis()
     peak = memory.argument_size_in_bytes + memory.output_size_in_bytes - memory.alias_size_in_bytes

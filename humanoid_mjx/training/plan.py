@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any
 
 import jax
@@ -36,6 +36,12 @@ class Group:
     def runs(self) -> np.ndarray:
         """(num_points * seeds,) The group's runs, in order. A run is a point with a seed: point * seeds + seed."""
         return (self.points[:, None] * self.seeds + np.arange(self.seeds)).reshape(-1)
+
+    @cached_property
+    def one_run(self) -> Any:
+        """The shapes of one run's training state."""
+        hyper = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), self.hyper)
+        return jax.eval_shape(self.learner.init, hyper, jax.eval_shape(lambda: rng.key(0)))
 
     def locate(self, runs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The row in `hyper` and the seed number of each run."""
@@ -158,23 +164,13 @@ def _free_memory(device: Device) -> int:
 
 def run_bytes(group: Group) -> int:
     """Bytes of training state that one run holds."""
-    return sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(one_run(group)))
+    return sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(group.one_run))
 
 
 def training_bytes(group: Group) -> int:
     """About what one run takes at the peak of its training: its state, and what works on it."""
     state = run_bytes(group)
     return state + group.learner.working_bytes(state)
-
-
-def one_run(group: Group) -> Any:
-    """The shapes of one run's training state."""
-    return _one_run(group.learner, jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), group.hyper))
-
-
-@lru_cache(maxsize=64)
-def _one_run(learner: Learner, hyper: Any) -> Any:
-    return jax.eval_shape(learner.init, hyper, jax.eval_shape(lambda: rng.key(0)))
 
 
 def _column(values: tuple) -> np.ndarray:

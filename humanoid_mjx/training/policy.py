@@ -21,7 +21,7 @@ from humanoid_mjx.results.store import read_config
 from humanoid_mjx.results.tables import finished_runs
 from humanoid_mjx.spec import InputError, known
 from humanoid_mjx.tasks.finite import FiniteTask
-from humanoid_mjx.training.plan import make_plan, one_run, resolved
+from humanoid_mjx.training.plan import make_plan, resolved
 from humanoid_mjx.training.state import from_arrays, to_arrays
 
 FORMAT = "humanoid_mjx policy, version 1"
@@ -177,7 +177,7 @@ def _assemble(
 ) -> Trained:
     parsed = parse(config, where)
     (group,) = make_plan(parsed).groups
-    like = jax.eval_shape(group.learner.policy, one_run(group))
+    like = jax.eval_shape(group.learner.policy, group.one_run)
     policy = jax.tree.map(jnp.asarray, from_arrays(like, arrays, "policy", where))
     return Trained(group.learner.structure(), _first(group.hyper), policy, *place, name, parsed, origin)
 

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 from humanoid_mjx.spec import InputError
-from humanoid_mjx.training.plan import Group, one_run
+from humanoid_mjx.training.plan import Group
 from humanoid_mjx.training.program import program_of
 from humanoid_mjx.training.state import blank, from_arrays, to_arrays
 from humanoid_mjx.types import Device
@@ -62,7 +62,7 @@ class Pool:
         self.diverged: dict[int, dict[str, np.ndarray]] = {}
         """The last training states of harvested runs whose numbers were no longer finite, by run."""
         self._load()
-        self.carry = jax.device_put(blank(one_run(group), size), device)
+        self.carry = jax.device_put(blank(group.one_run, size), device)
 
     @property
     def busy(self) -> np.ndarray:
