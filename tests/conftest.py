@@ -19,3 +19,8 @@ os.environ.setdefault("PJRT_NPROC", runtime.POOL_THREADS)
 
 collect_ignore = [] if os.environ.get("JAX_ENABLE_X64") else ["float64"]
 """Those need a process of their own: test_float64.py starts it."""
+
+
+def pytest_collection_modifyitems(items):
+    """The longest test first, so that it does not run alone at the end."""
+    items.sort(key=lambda item: "test_float64.py" not in item.nodeid)
