@@ -65,7 +65,8 @@ class MjxJax(MujocoPhysics):
             data = self._at(model, blank, world)
             ask = partial(self._ask, params, model, data, world, controller)
             torque = jax.lax.cond(index == 0, ask, lambda: torque)
-            return (_advance(model, data.replace(ctrl=torque, qfrc_applied=self.pushes(params)))[0], torque), None
+            after = _advance(model, data.replace(ctrl=torque, qfrc_applied=self.pushes(params)))[0]
+            return (after._replace(diverged=world.diverged | after.diverged), torque), None
 
         held = jnp.zeros(self.model.nu)
         (new, torque), _ = jax.lax.scan(substep, (world, held), jnp.arange(substeps))
