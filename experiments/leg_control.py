@@ -187,18 +187,14 @@ def _printed_models() -> dict[str, tuple[printed_dynamics.Model, tuple[str, ...]
     """By name a model of the thesis's equations and the faults that they are to have."""
     from humanoid_mjx.robot.leg import corrected_inertias, script_inertias
 
-    def model(lengths: tuple[float, ...], inertia: Any, centroids: Any = None) -> printed_dynamics.Model:
-        rule = printed_dynamics.script_centroids(lengths)
-        return printed_dynamics.Model(lengths, inertia, rule if centroids is None else centroids)
+    def model(lengths: tuple[float, ...], inertia: Any) -> printed_dynamics.Model:
+        return printed_dynamics.Model(lengths, inertia, printed_dynamics.script_centroids(lengths))
 
-    corrected, every = corrected_inertias(), printed_dynamics.ALL
+    corrected, velocity = model(thesis.LINK_LENGTHS, corrected_inertias()), ("rule", "slips", "speeds")
     return {
-        "script as printed": (model(thesis.SCRIPT_LENGTHS, script_inertias()), every),
-        "its equations": (model(thesis.LINK_LENGTHS, corrected), every),
-        "its velocity terms": (
-            model(thesis.LINK_LENGTHS, corrected, np.array(thesis.LINK_CENTROIDS)),
-            ("rule", "slips", "speeds"),
-        ),
+        "script as printed": (model(thesis.SCRIPT_LENGTHS, script_inertias()), printed_dynamics.ALL),
+        "its equations": (corrected, printed_dynamics.ALL),
+        "its velocity terms": (corrected._replace(centroids=np.array(thesis.LINK_CENTROIDS)), velocity),
     }
 
 

@@ -62,6 +62,18 @@ class ContinuousTask(Task):
         """How many values there are to choose from, for each joint."""
         raise NotImplementedError
 
+    def number(self, action: Int[Array, " joints"]) -> IntScalar:
+        """An action as one number, the first joint's choices the fastest, as finite tasks count theirs."""
+        return jnp.sum(action * self._strides, dtype=jnp.int32)
+
+    def choices_of(self, number: IntScalar) -> Int[Array, " joints"]:
+        """The action with this `number`."""
+        return number // self._strides % np.array(self.action_choices)
+
+    @property
+    def _strides(self) -> Int[np.ndarray, " joints"]:
+        return np.cumprod((1, *self.action_choices[:-1]))
+
     def reset(self, params: Any, key: Key[Array, ""]) -> State:
         """The start of an episode, another for each key."""
         raise NotImplementedError
@@ -116,10 +128,6 @@ class Tabulated(ContinuousTask):
     @property
     def action_choices(self) -> tuple[int, ...]:
         return self.finite.action_choices
-
-    def number(self, action: Int[Array, " joints"]) -> IntScalar:
-        """The finite task's number of an action."""
-        return jnp.sum(action * np.cumprod((1, *self.action_choices[:-1])), dtype=jnp.int32)
 
     def reset(self, params: Any, key: Key[Array, ""]) -> State:
         state = self.finite.reset(params, key)

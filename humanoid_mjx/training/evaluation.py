@@ -88,9 +88,9 @@ def act(learner: Learner, hyper: Any, policy: Any, agent: IntScalar, state: Stat
     if isinstance(task, FiniteTask) and not hasattr(learner, "world"):
         seen = task.row(hyper.task, state.data[0])
     greedy = learner.act(hyper, policy, seen, key)
-    counts = np.array(world.action_choices)
     if not jnp.ndim(greedy):  # a table's number of the action
-        greedy = greedy // np.cumprod((1, *counts[:-1])) % counts
+        greedy = world.choices_of(greedy)
+    counts = np.array(world.action_choices)
     draws = jax.random.uniform(jax.random.fold_in(key, 1), counts.shape)
     random = jnp.minimum(jnp.floor(draws * counts), counts - 1)
     zero = jnp.zeros(counts.shape) if isinstance(task, FiniteTask) else jnp.asarray((counts - 1) // 2)
