@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 from pydantic import Field
 
+from humanoid_mjx.spec import traced
 from humanoid_mjx.learners import exploration
 from humanoid_mjx.learners.base import Learner
 from humanoid_mjx.learners.evaluation import evaluate
@@ -75,32 +76,20 @@ class ApproximateQ(Learner):
     unit: ClassVar[str] = "steps"
 
     task: FiniteTask | ContinuousTask = Field(exclude=True, repr=False)
-    epsilon: float = Field(1.0, ge=0, le=1, description="of each joint by itself")
-    epsilon_decay: float = Field(0.99, ge=0, le=1, description="per episode of an environment")
-    epsilon_min: float = Field(0.02, ge=0, le=1)
-    ladder: float = Field(0.0, ge=0, le=100, description="epsilon is raised to 1 ... 1 + ladder over the environments")
+    epsilon: float = traced(1.0, ge=0, le=1, description="of each joint by itself")
+    epsilon_decay: float = traced(0.99, ge=0, le=1, description="per episode of an environment")
+    epsilon_min: float = traced(0.02, ge=0, le=1)
+    ladder: float = traced(0.0, ge=0, le=100, description="epsilon is raised to 1 ... 1 + ladder over the environments")
     hold: int = Field(1, ge=1, le=1000, description="longest time in steps that a random action is held")
-    learning_rate: float = Field(gt=0, le=1)
-    learning_rate_end: float = Field(1.0, ge=0, le=1, description="its share at the end, reached linearly")
-    discount: float = Field(0.97, ge=0, lt=1)
-    trace_decay: float = Field(0.65, ge=0, le=1, description="lambda")
+    learning_rate: float = traced(gt=0, le=1)
+    learning_rate_end: float = traced(1.0, ge=0, le=1, description="its share at the end, reached linearly")
+    discount: float = traced(0.97, ge=0, lt=1)
+    trace_decay: float = traced(0.65, ge=0, le=1, description="lambda")
     envs: int = Field(128, ge=1, le=1_000_000, description="environments side by side")
     rollout: int = Field(16, ge=1, le=10_000, description="steps of each environment in an update")
     grow: bool = Field(False, description="open the choices in stages: 3, 5, 9 ... of them")
     evaluations: int = Field(10, ge=1, le=1000, description="greedy evaluations along the learning curve")
     evaluation_envs: int = Field(64, ge=1, le=100_000, description="greedy episodes of an evaluation")
-
-    class Params(NamedTuple):
-        task: Any
-        episodes: int
-        epsilon: float
-        epsilon_decay: float
-        epsilon_min: float
-        ladder: float
-        learning_rate: float
-        learning_rate_end: float
-        discount: float
-        trace_decay: float
 
     @property
     def world(self) -> ContinuousTask:

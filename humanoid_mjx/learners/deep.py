@@ -12,6 +12,7 @@ from flax import linen as nn
 from jaxtyping import Array, Float, Key
 from pydantic import Field, model_validator
 
+from humanoid_mjx.spec import traced
 from humanoid_mjx.learners.approximate import ApproximateQ, Batch, Weights, chosen
 from humanoid_mjx.learners.normalisation import normalise
 from humanoid_mjx.types import FloatScalar
@@ -42,7 +43,7 @@ class DeepQ(ApproximateQ):
     epochs: int = Field(2, ge=1, le=1000, description="passes over the experience of an update")
     minibatches: int = Field(4, ge=1, le=10_000)
     max_gradient: float = Field(10.0, gt=0, description="norm at which a gradient is clipped")
-    learning_rate: float = Field(5e-4, gt=0, le=1)
+    learning_rate: float = traced(5e-4, gt=0, le=1)
 
     @model_validator(mode="after")
     def _minibatches_must_fit(self) -> "DeepQ":

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 from pydantic import Field, model_validator
 
+from humanoid_mjx.spec import traced
 from humanoid_mjx.learners.approximate import ApproximateQ, Batch, chosen
 from humanoid_mjx.learners.features import Basis, Scale, combined, fourier, radial, tile_coding
 from humanoid_mjx.types import FloatScalar
@@ -30,7 +31,7 @@ class LinearQ(ApproximateQ):
     tilings: int = Field(8, ge=1, le=256, description="grids of tiles over one another")
     order: int = Field(2, ge=1, le=4, description="observations of a family that a feature depends on")
     shared: bool = Field(False, description="all joints share one set of weights")
-    learning_rate: float = Field(0.1, gt=0, le=1)
+    learning_rate: float = traced(0.1, gt=0, le=1)
 
     @model_validator(mode="after")
     def _basis_must_fit(self) -> "LinearQ":

@@ -19,6 +19,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 from pydantic import Field
 
+from humanoid_mjx.spec import traced
 from humanoid_mjx.learners.base import Learner
 from humanoid_mjx.rng import uniforms
 from humanoid_mjx.tasks.finite import FiniteTask
@@ -70,21 +71,12 @@ class TabularQ(Learner):
     """Epsilon-greedy Q-learning in a table. In episode k epsilon is `max(epsilon_min, epsilon * epsilon_decay**k)`."""
 
     task: FiniteTask = Field(exclude=True, repr=False)
-    epsilon: float = Field(0.6, ge=0, le=1)
-    epsilon_decay: float = Field(1.0, ge=0, le=1)
-    epsilon_min: float = Field(0.0, ge=0, le=1)
-    learning_rate: float = Field(0.5, gt=0, le=1)
-    discount: float = Field(0.9, ge=0, lt=1)
+    epsilon: float = traced(0.6, ge=0, le=1)
+    epsilon_decay: float = traced(1.0, ge=0, le=1)
+    epsilon_min: float = traced(0.0, ge=0, le=1)
+    learning_rate: float = traced(0.5, gt=0, le=1)
+    discount: float = traced(0.9, ge=0, lt=1)
     agents: int = Field(1, ge=1, le=1_000_000, description="episodes at once that feed one table")
-
-    class Params(NamedTuple):
-        task: Any
-        episodes: int
-        epsilon: float
-        epsilon_decay: float
-        epsilon_min: float
-        learning_rate: float
-        discount: float
 
     @property
     def compiler_options(self) -> Mapping[str, str | bool]:

@@ -50,12 +50,10 @@ class MjxJax(MujocoPhysics):
 
     implementation: ClassVar[Literal["jax", "warp"]] = "jax"
 
-    def step(
-        self, params: Any, world: World, controller: Controller, substeps: int = 1
-    ) -> tuple[World, Float[Array, " joints"]]:
-        model, blank = self._put(params), self._blank_data()
+    def step(self, world: World, controller: Controller, substeps: int = 1) -> tuple[World, Float[Array, " joints"]]:
+        model, blank = self._put(), self._blank_data()
         if substeps == 1:
-            new, data = self._cycle(params, model, blank, world, controller)
+            new, data = self._cycle(model, blank, world, controller)
             return new, data.ctrl
 
         def substep(
@@ -63,50 +61,50 @@ class MjxJax(MujocoPhysics):
         ) -> tuple[tuple[World, Float[Array, " joints"]], None]:
             world, torque = carry
             data = self._at(model, blank, world)
-            ask = partial(self._ask, params, model, data, world, controller)
+            ask = partial(self._ask, model, data, world, controller)
             torque = jax.lax.cond(index == 0, ask, lambda: torque)
-            after = _advance(model, data.replace(ctrl=torque, qfrc_applied=self.pushes(params)))[0]
+            after = _advance(model, data.replace(ctrl=torque, qfrc_applied=self.pushes()))[0]
             return (after._replace(diverged=world.diverged | after.diverged), torque), None
 
         held = jnp.zeros(self.model.nu)
         (new, torque), _ = jax.lax.scan(substep, (world, held), jnp.arange(substeps))
         return freeze_if_diverged(world, new), torque
 
-    def run_sensed(self, params: Any, world: World, controller: Controller, cycles: int) -> tuple[World, Readings]:
-        model, blank = self._put(params), self._blank_data()
+    def run_sensed(self, world: World, controller: Controller, cycles: int) -> tuple[World, Readings]:
+        model, blank = self._put(), self._blank_data()
 
         def cycle(carry: tuple[World, Any], _: None) -> tuple[tuple[World, Any], None]:
             world, before = carry
-            new, data = self._cycle(params, model, blank, world, controller, sensed=True)
+            new, data = self._cycle(model, blank, world, controller, sensed=True)
             return (new, jnp.where(new.diverged, before, data.sensordata)), None
 
         nothing = jnp.zeros(self.model.nsensordata)
         (world, sensordata), _ = jax.lax.scan(cycle, (world, nothing), length=cycles)
         return world, self._readings(sensordata)
 
-    def sensors(self, params: Any, world: World, torque: Float[AnyArray, " joints"]) -> Readings:
-        model = self._put(params)
+    def sensors(self, world: World, torque: Float[AnyArray, " joints"]) -> Readings:
+        model = self._put()
         data = self._at(model, self._blank_data(), world)
-        data = data.replace(ctrl=jnp.asarray(torque, float), qfrc_applied=self.pushes(params))
+        data = data.replace(ctrl=jnp.asarray(torque, float), qfrc_applied=self.pushes())
         return self._readings(_advance(model, data, sensed=True)[1].sensordata)
 
-    def poses(self, params: Any, world: World) -> Poses:
-        data = mjx.kinematics(self._put(params), self._blank_data().replace(qpos=world.qpos))
+    def poses(self, world: World) -> Poses:
+        data = mjx.kinematics(self._put(), self._blank_data().replace(qpos=world.qpos))
         return Poses(data.xpos, data.xmat.reshape(-1, 3, 3))
 
-    def _put(self, params: Any) -> Any:
+    def _put(self) -> Any:
         """The mjx.Model with the traced values in it."""
         model, _ = _mjx_arrays(self.model, self.implementation, jax.config.jax_enable_x64)
         model = jax.tree.map(jnp.asarray, model)
-        limits = jnp.asarray([-params.torque_limit, params.torque_limit], float)
-        factors = self.mass_factors(params.mass)
+        limits = jnp.asarray([-self.torque_limit, self.torque_limit], float)
+        factors = self.mass_factors(self.mass)
         body_mass = model.body_mass * factors
         return model.replace(
             body_mass=body_mass,
             body_inertia=model.body_inertia * factors[:, None],
             body_subtreemass=below(self.model) @ body_mass,
-            dof_damping=jnp.where(model.dof_damping > 0, jnp.asarray(params.damping, float), 0.0),
-            pair_friction=model.pair_friction.at[:, :2].set(params.friction),
+            dof_damping=jnp.where(model.dof_damping > 0, jnp.asarray(self.damping, float), 0.0),
+            pair_friction=model.pair_friction.at[:, :2].set(self.friction),
             actuator_ctrlrange=jnp.broadcast_to(limits, model.actuator_ctrlrange.shape),
         )
 
@@ -123,27 +121,27 @@ class MjxJax(MujocoPhysics):
         return mjx.fwd_velocity(model, mjx.fwd_position(model, data))
 
     def _cycle(
-        self, params: Any, model: Any, blank: Any, world: World, controller: Controller, sensed: bool = False
+        self, model: Any, blank: Any, world: World, controller: Controller, sensed: bool = False
     ) -> tuple[World, Any]:
         """One time step, and the mjx.Data of its beginning."""
         data = self._at(model, blank, world)
-        torque = self._ask(params, model, data, world, controller)
-        new, data = _advance(model, data.replace(ctrl=torque, qfrc_applied=self.pushes(params)), sensed)
+        torque = self._ask(model, data, world, controller)
+        new, data = _advance(model, data.replace(ctrl=torque, qfrc_applied=self.pushes()), sensed)
         return freeze_if_diverged(world, new), data
 
-    def _ask(self, params: Any, model: Any, data: Any, world: World, controller: Controller) -> Float[Array, " joints"]:
-        limit = jnp.asarray(params.torque_limit, float)
-        torque = controller(self._stages(params, model, data, world))
+    def _ask(self, model: Any, data: Any, world: World, controller: Controller) -> Float[Array, " joints"]:
+        limit = jnp.asarray(self.torque_limit, float)
+        torque = controller(self._stages(model, data, world))
         return jnp.clip(jnp.asarray(torque, float), -limit, limit)
 
-    def _stages(self, params: Any, model: Any, data: Any, world: World) -> Stages:
+    def _stages(self, model: Any, data: Any, world: World) -> Stages:
         joints = self.model.nu
         matrix, bias = mass_matrix(self.model, data), data.qfrc_bias - data.qfrc_passive
 
         def torque_for(qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
-            if jnp.ndim(mass) == jnp.ndim(params.mass) == 0:
-                return (mass / params.mass) * (matrix[-joints:, -joints:] @ qacc + bias[-joints:])
-            other = self._at(self._put(params._replace(mass=mass)), data, world)
+            if jnp.ndim(mass) == jnp.ndim(self.mass) == 0:
+                return (mass / self.mass) * (matrix[-joints:, -joints:] @ qacc + bias[-joints:])
+            other = self._at(self.replace(mass=mass)._put(), data, world)
             bias_of = other.qfrc_bias - other.qfrc_passive
             return mass_matrix(self.model, other)[-joints:, -joints:] @ qacc + bias_of[-joints:]
 

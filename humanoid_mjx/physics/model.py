@@ -2,7 +2,7 @@
 """What the physics built on MuJoCo's models have in common: which robot, its model, its traced values."""
 
 from functools import lru_cache
-from typing import Any, Literal, NamedTuple
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +15,8 @@ from humanoid_mjx.physics.base import MAX_SPEED, Physics, Readings, World
 from humanoid_mjx.robot import lower_body as body
 from humanoid_mjx.robot import robot_spec
 from humanoid_mjx.robot.ranges import TORQUE_LIMIT
-from humanoid_mjx.types import AnyArray, BoolScalar, FloatScalar, MassFactor
+from humanoid_mjx.spec import traced
+from humanoid_mjx.types import AnyArray, BoolScalar, MassFactor
 
 
 class MujocoPhysics(Physics):
@@ -25,19 +26,11 @@ class MujocoPhysics(Physics):
     torso: body.Torso = "free"
     ranges: body.Ranges = "proposed"
     timestep: float | None = Field(None, gt=0, le=0.02, description="s; by default the robot's own")
-    mass: float = Field(1.0, gt=0, description="factor on the mass and the inertia of every link")
-    friction: float = Field(body.FRICTION, ge=0, description="of the feet on the ground")
-    damping: float = Field(body.DAMPING, ge=0, description="of the lower body's joints, N m s/rad")
-    torque_limit: float = Field(TORQUE_LIMIT, gt=0, description="of the motors, N m")
-    push: tuple[float, float, float] = Field((0.0, 0.0, 0.0), description="steady force on a free torso, N, world")
-
-    class Params(NamedTuple):
-        mass: MassFactor
-        friction: FloatScalar
-        damping: FloatScalar
-        torque_limit: FloatScalar
-        push: Any
-        """(3,) N, in the world; it acts at the torso's origin, midway between the hips."""
+    mass: float = traced(1.0, gt=0, description="factor on the mass and the inertia of every link")
+    friction: float = traced(body.FRICTION, ge=0, description="of the feet on the ground")
+    damping: float = traced(body.DAMPING, ge=0, description="of the lower body's joints, N m s/rad")
+    torque_limit: float = traced(TORQUE_LIMIT, gt=0, description="of the motors, N m")
+    push: tuple[float, float, float] = traced((0.0, 0.0, 0.0), description="steady force on a free torso, N, world")
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -76,10 +69,10 @@ class MujocoPhysics(Physics):
         links = self.model.jnt_bodyid[self.model.actuator_trnid[:, 0]]
         return jnp.ones(self.model.nbody).at[links].set(mass)
 
-    def pushes(self, params: Any) -> Float[AnyArray, " nv"]:
+    def pushes(self) -> Float[AnyArray, " nv"]:
         """The forces on the degrees of freedom that are not the motors'."""
         none = jnp.zeros(self.model.nv)
-        return none.at[:3].set(jnp.stack(list(params.push))) if self.torso == "free" else none
+        return none.at[:3].set(jnp.stack(list(self.push))) if self.torso == "free" else none
 
     def _readings(self, sensordata: Float[AnyArray, "*worlds sensors"]) -> Readings:
         """MuJoCo's sensor array, in the order in which the robot declares its sensors."""
@@ -91,14 +84,14 @@ class MujocoPhysics(Physics):
             foot_contact=sensordata[..., joints + 6 :],
         )
 
-    def start(self, params: Any, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]) -> World:
+    def start(self, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]) -> World:
         qvel = jnp.array(qvel, float)
         return World(jnp.array(qpos, float), qvel, jnp.zeros_like(qvel), jnp.bool_(False))
 
     def reset(
-        self, params: Any, world: World, mask: BoolScalar, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]
+        self, world: World, mask: BoolScalar, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]
     ) -> World:
-        return _where(mask, self.start(params, qpos, qvel), world)
+        return _where(mask, self.start(qpos, qvel), world)
 
 
 def freeze_if_diverged(old: World, new: World) -> World:

@@ -9,7 +9,7 @@ observation.
 """
 
 from functools import lru_cache
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +20,7 @@ from pydantic import Field, model_validator
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.physics.base import Physics, Readings, Stages, World
 from humanoid_mjx.physics.sensors import Sensors, SensorState
+from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import ContinuousTask, State, begin
 from humanoid_mjx.thesis.leg import GRAVITY
 from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
@@ -90,25 +91,14 @@ class Stand(ContinuousTask):
     observe: Literal["sensors", "privileged"] = "sensors"
     sensors: Sensors = Field(Sensors.model_validate({}), description="errors of the sensors")
     choices: Literal[3, 5, 9] = Field(3, description="values of a joint's offset, evenly from -1 to 1 times it")
-    offset: float = Field(20.0, gt=0, le=90, description="largest offset of a set-point from the posture, degrees")
-    stiffness: float = Field(STIFFNESS, gt=0, le=200, description="of the servo, N m/rad")
-    damping: float = Field(DAMPING, ge=0, le=10, description="of the servo, N m s/rad")
+    offset: float = traced(20.0, gt=0, le=90, description="largest offset of a set-point from the posture, degrees")
+    stiffness: float = traced(STIFFNESS, gt=0, le=200, description="of the servo, N m/rad")
+    damping: float = traced(DAMPING, ge=0, le=10, description="of the servo, N m s/rad")
     period: float = Field(0.02, gt=0, le=1, description="s between decisions")
     timestep: float = Field(0.004, gt=0, le=0.02, description="s of physics and servo")
-    duration: float = Field(10.0, gt=0, le=1000, description="s of an episode")
-    push: float = Field(0.2, ge=0, description="N s of an impulse on the torso, which takes one period")
-    push_every: float = Field(2.0, gt=0, description="s")
-
-    class Params(NamedTuple):
-        sensors: Any
-        offset: FloatScalar
-        stiffness: FloatScalar
-        damping: FloatScalar
-        duration: FloatScalar
-        push: FloatScalar
-        push_every: FloatScalar
-
-    nested: ClassVar[tuple[str, ...]] = ("sensors",)
+    duration: float = traced(10.0, gt=0, le=1000, description="s of an episode")
+    push: float = traced(0.2, ge=0, description="N s of an impulse on the torso, which takes one period")
+    push_every: float = traced(2.0, gt=0, description="s")
 
     @model_validator(mode="after")
     def _period_must_fit(self) -> "Stand":
@@ -128,7 +118,7 @@ class Stand(ContinuousTask):
         """What moves the body."""
         return _simulator(self.physics, self.timestep)
 
-    def reset(self, params: Params, key: Key[Array, ""]) -> State:
+    def reset(self, key: Key[Array, ""]) -> State:
         joint_key, tilt_key, turn_key, push_key, sensor_key = jax.random.split(key, 5)
         spread = START_SPREAD * jax.random.uniform(joint_key, (JOINTS,), minval=-1.0)
         lean = START_SPREAD * jax.random.uniform(tilt_key, (2,), minval=-1.0)
@@ -136,34 +126,32 @@ class Stand(ContinuousTask):
         still = jnp.zeros(3)
         qpos = jnp.concatenate([still.at[2].set(START_HEIGHT), _quaternion(heading, lean), POSTURE + spread])
         simulator = self.simulator
-        world = simulator.start(simulator.params, qpos, jnp.zeros(len(qpos) - 1))
+        world = simulator.start(qpos, jnp.zeros(len(qpos) - 1))
         true = Readings(qpos[7:], still, -GRAVITY * _down(qpos), jnp.zeros(2))
-        sensors = self.sensors.start(params.sensors, true, sensor_key)
-        sensors, readings = self.sensors.read(params.sensors, sensors, true, jax.random.fold_in(sensor_key, 1))
+        sensors = self.sensors.start(true, sensor_key)
+        sensors, readings = self.sensors.read(sensors, true, jax.random.fold_in(sensor_key, 1))
         down = _unit(-readings.accelerometer)
         none = jnp.zeros(JOINTS)
-        first_push = params.push_every * jax.random.uniform(push_key)
+        first_push = self.push_every * jax.random.uniform(push_key)
         body = Body(world, sensors, readings, none, down, none, first_push, jnp.int32(0))
         return begin(body, self.observation(body), TERMS)
 
-    def step(self, params: Params, state: State, action: Int[Array, " joints"], key: Key[Array, ""]) -> State:
-        return self.step_continuous(params, state, 2.0 * action / (self.choices - 1) - 1.0, key)
+    def step(self, state: State, action: Int[Array, " joints"], key: Key[Array, ""]) -> State:
+        return self.step_continuous(state, 2.0 * action / (self.choices - 1) - 1.0, key)
 
-    def step_continuous(
-        self, params: Params, state: State, command: Float[Array, " joints"], key: Key[Array, ""]
-    ) -> State:
+    def step_continuous(self, state: State, command: Float[Array, " joints"], key: Key[Array, ""]) -> State:
         """A step whose offsets are any parts of `offset`, from -1 to 1."""
         side_key, sensor_key = jax.random.split(key)
         body: Body = state.data
         offsets = jnp.clip(command, -1.0, 1.0)
-        servo = self.servo(params, jnp.radians(params.offset) * offsets + POSTURE)
-        plant = self.simulator.params._replace(push=self._push(params, body, side_key))
-        world, true = self.simulator.run_sensed(plant, body.world, servo, self.simulator.substeps(self.period))
-        body = self._sense(params, body, world, true, sensor_key)
+        servo = self.servo(jnp.radians(self.offset) * offsets + POSTURE)
+        plant = self.simulator.replace(push=self._push(body, side_key))
+        world, true = plant.run_sensed(body.world, servo, self.simulator.substeps(self.period))
+        body = self._sense(body, world, true, sensor_key)
         body = body._replace(offsets=offsets, decisions=body.decisions + 1)
         fallen = self.fallen(world) | world.diverged
         terms = {name: jnp.where(fallen, 0.0, term) for name, term in self.reward_terms(body).items()}
-        over = body.decisions * self.period >= params.duration - self.period / 2
+        over = body.decisions * self.period >= self.duration - self.period / 2
         obs = self.observation(body)
         return State(
             data=body,
@@ -176,11 +164,11 @@ class Stand(ContinuousTask):
             metrics=terms,
         )
 
-    def servo(self, params: Params, setpoint: Float[Array, " joints"]) -> Any:
+    def servo(self, setpoint: Float[Array, " joints"]) -> Any:
         """Torque in proportion to the error, and against the velocity, of each joint."""
 
         def control(stages: Stages) -> Float[Array, " joints"]:
-            return params.stiffness * (setpoint - stages.qpos) - params.damping * stages.qvel
+            return self.stiffness * (setpoint - stages.qpos) - self.damping * stages.qvel
 
         return control
 
@@ -217,17 +205,17 @@ class Stand(ContinuousTask):
         """Whether the body lies, or is about to."""
         return (-_down(world.qpos)[2] < np.cos(FALLEN_TILT)) | (world.qpos[2] < FALLEN_HEIGHT)
 
-    def _push(self, params: Params, body: Body, key: Key[Array, ""]) -> Float[Array, "3"]:
+    def _push(self, body: Body, key: Key[Array, ""]) -> Float[Array, "3"]:
         """The force on the torso during the decision to come, N."""
         since = body.decisions * self.period - body.first_push
-        due = (since >= 0) & (jnp.mod(since, params.push_every) < self.period)
+        due = (since >= 0) & (jnp.mod(since, self.push_every) < self.period)
         side = jax.random.uniform(key, (), maxval=2 * np.pi)
-        force = params.push / self.period * jnp.stack([jnp.cos(side), jnp.sin(side), 0.0 * side])
+        force = self.push / self.period * jnp.stack([jnp.cos(side), jnp.sin(side), 0.0 * side])
         return jnp.where(due, force, 0.0)
 
-    def _sense(self, params: Params, body: Body, world: World, true: Readings, key: Key[Array, ""]) -> Body:
+    def _sense(self, body: Body, world: World, true: Readings, key: Key[Array, ""]) -> Body:
         """The body in its new world, with what the sensors say of it."""
-        sensors, readings = self.sensors.read(params.sensors, body.sensors, true, key)
+        sensors, readings = self.sensors.read(body.sensors, true, key)
         rates = (readings.encoders - body.readings.encoders) / self.period
         turned = body.down + self.period * jnp.cross(body.down, readings.gyroscope)
         down = _unit(_unit(turned) - FILTER_GAIN * _unit(readings.accelerometer))
