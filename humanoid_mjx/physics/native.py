@@ -101,7 +101,8 @@ class Native(MujocoPhysics):
 
         def torque_for(qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
             if jnp.ndim(mass) == jnp.ndim(params.mass) == 0:
-                return (mass / params.mass) * (matrix[-joints:, -joints:] @ qacc + bias[-joints:])
+                torque = matrix[-joints:, -joints:] @ qacc + bias[-joints:]
+                return self.rescaled_torque(params, mass / params.mass, torque, qacc, world.qvel[-joints:])
             believed, bias_of = dynamics(params._replace(mass=mass))
             return believed[-joints:, -joints:] @ qacc + bias_of[-joints:]
 

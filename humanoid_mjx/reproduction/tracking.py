@@ -97,7 +97,8 @@ def tracking(joint: int, setting: Setting) -> list[Finding]:
                 possible=abs(left[nearest] - printed) < tolerance,
             ),
             why=f"{own()}: exact computed torque, whatever the leg; partitioned PD leaves "
-            f"{three_digits(left[PARTITIONED])}; of {len(VARIANTS)} controllers the nearest ({nearest.words}) leaves {three_digits(left[nearest])}",
+            f"{three_digits(left[PARTITIONED])}; of {len(VARIANTS)} controllers the nearest ({nearest.words}) leaves "
+            f"{three_digits(left[nearest])}",
         ),
         Finding(
             name=name,
