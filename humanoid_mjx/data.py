@@ -1,4 +1,4 @@
-"""Files that ship with the package: configs and experiments, found by name."""
+"""Files that ship with the package: configs and policies, found by name."""
 
 from pathlib import Path
 

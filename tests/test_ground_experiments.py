@@ -5,7 +5,7 @@ import pytest
 
 from humanoid_mjx.control import ground as defaults
 from humanoid_mjx.reproduction import load_experiments, reproduce
-from humanoid_mjx.results.ground import Path, _until_fall, balance_of, physics
+from humanoid_mjx.reproduction.ground import Path, _until_fall, balance_of, physics
 
 NAMES = ("gaits-4.8", "ground-control")
 

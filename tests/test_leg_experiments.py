@@ -5,9 +5,9 @@ import pytest
 from leg_reference import toe
 
 from humanoid_mjx.reproduction import load_experiments, reproduce
+from humanoid_mjx.reproduction.printed import kinematics
+from humanoid_mjx.reproduction.printed.erratum import States
 from humanoid_mjx.thesis import leg as thesis
-from humanoid_mjx.thesis.printed import kinematics
-from humanoid_mjx.thesis.printed.erratum import States
 
 LEG = (
     "workspace-7b",

@@ -3,9 +3,11 @@
 import importlib.util
 import warnings
 from concurrent.futures import ThreadPoolExecutor
+from copy import copy
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 
@@ -296,6 +298,41 @@ def test_bad_input_gets_a_sentence(name, options, sentence):
     with pytest.raises(InputError) as error:
         make_physics(name, **options)
     assert str(error.value).startswith(sentence)
+
+
+def held_torso_torque(mass, damping, qpos, qvel, qacc):
+    """What MuJoCo's own inverse dynamics asks for on a body `mass` times as heavy, its torso not accelerated."""
+    model, joints = copy(NATIVE.model), NATIVE.model.nu
+    model.body_mass[:] *= mass
+    model.body_inertia[:] *= mass
+    model.dof_damping[model.dof_damping > 0] = damping
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    data = mujoco.MjData(model)
+    mujoco.mj_setConst(model, data)
+    data.qpos, data.qvel, data.qacc = qpos, qvel, np.concatenate([np.zeros(6), qacc])
+    mujoco.mj_inverse(model, data)
+    return data.qfrc_inverse[-joints:]
+
+
+@pytest.mark.parametrize("physics", [MJX, NATIVE], ids=["mjx", "native"])
+@pytest.mark.parametrize("believed", [0.5, 1.0, 3.0])
+def test_a_model_s_torque_is_that_of_a_body_of_its_mass(physics, believed):
+    """Armature and damping belong to the joints: they do not grow with the links. One factor or one for each link."""
+    random = np.random.default_rng(0)
+    qpos = physics.qpos0 + np.concatenate([np.zeros(7), random.uniform(-0.5, 0.5, 10)])
+    qvel, qacc = random.normal(size=16), 10 * random.normal(size=10)
+    params = physics.params._replace(mass=2.0, damping=0.02)
+    expected = held_torso_torque(believed, 0.02, qpos, qvel, qacc)
+
+    def asks(stages: Stages):
+        return jnp.concatenate([stages.torque_for(jnp.asarray(qacc, float), x) for x in (believed, factors)])
+
+    factors, seen = jnp.full(10, believed), []
+    note = lambda stages: seen.append(asks(stages)) or jnp.zeros(10)  # noqa: E731
+    found = jax.jit(lambda: (physics.step(params, physics.start(params, qpos, qvel), note)[0], seen.pop()))()[1]
+    assert np.ptp(expected) > 0.1
+    # float32 through ten joints: torques of up to 1 N m carry a few 1e-6.
+    np.testing.assert_allclose(found, np.tile(expected, 2), atol=1e-5)
 
 
 def test_a_cycle_is_a_multiple_of_the_time_step():

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from leg_reference import GOLDEN, uniform
 
+from humanoid_mjx.reproduction.printed import dynamics
 from humanoid_mjx.robot.leg import corrected_inertias, script_inertias
 from humanoid_mjx.thesis import leg as thesis
-from humanoid_mjx.thesis.printed import dynamics
 
 SCRIPT = dynamics.Model(thesis.SCRIPT_LENGTHS, script_inertias(), dynamics.script_centroids(thesis.SCRIPT_LENGTHS))
 THESIS = dynamics.Model(thesis.LINK_LENGTHS, corrected_inertias(), np.array(thesis.LINK_CENTROIDS))

@@ -1,4 +1,4 @@
-"""The wheel, installed where the checkout cannot be seen: it finds its configs, experiments and policies by name."""
+"""The wheel, installed where the checkout cannot be seen: it finds its configs and policies by name."""
 
 import os
 import subprocess

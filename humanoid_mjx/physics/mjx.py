@@ -140,7 +140,8 @@ class MjxJax(MujocoPhysics):
 
         def torque_for(qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
             if jnp.ndim(mass) == jnp.ndim(self.mass) == 0:
-                return (mass / self.mass) * (matrix[-joints:, -joints:] @ qacc + bias[-joints:])
+                torque = matrix[-joints:, -joints:] @ qacc + bias[-joints:]
+                return self.rescaled_torque(mass / self.mass, torque, qacc, world.qvel[-joints:])
             other = self._at(self.replace(mass=mass)._put(), data, world)
             bias_of = other.qfrc_bias - other.qfrc_passive
             return mass_matrix(self.model, other)[-joints:, -joints:] @ qacc + bias_of[-joints:]

@@ -98,7 +98,8 @@ class Native(MujocoPhysics):
 
         def torque_for(qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
             if jnp.ndim(mass) == jnp.ndim(self.mass) == 0:
-                return (mass / self.mass) * (matrix[-joints:, -joints:] @ qacc + bias[-joints:])
+                torque = matrix[-joints:, -joints:] @ qacc + bias[-joints:]
+                return self.rescaled_torque(mass / self.mass, torque, qacc, world.qvel[-joints:])
             believed, bias_of = dynamics(self.replace(mass=mass))
             return believed[-joints:, -joints:] @ qacc + bias_of[-joints:]
 

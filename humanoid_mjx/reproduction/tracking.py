@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from humanoid_mjx.reproduction import Experiment, Finding, Setting, in_words, judge
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, in_words, judge, three_digits
+from humanoid_mjx.reproduction.printed import dynamics as printed_dynamics
 from humanoid_mjx.results.style import COLORS, figure, label_lines
 from humanoid_mjx.thesis import leg as thesis
-from humanoid_mjx.thesis.printed import dynamics as printed_dynamics
 
 JOINTS = range(5)
 STEP_S = 2e-4
@@ -88,7 +88,7 @@ def tracking(joint: int, setting: Setting) -> list[Finding]:
             name=name,
             quantity=f"joint {joint + 1}: error left after {thesis.QUINTIC_S:g} s, rad",
             printed=printed,
-            reproduced=_short(left[EXACT]),
+            reproduced=three_digits(left[EXACT]),
             tolerance=tolerance,
             verdict=judge(
                 abs(left[EXACT] - printed) < tolerance,
@@ -96,14 +96,15 @@ def tracking(joint: int, setting: Setting) -> list[Finding]:
                 PRINTED,
                 possible=abs(left[nearest] - printed) < tolerance,
             ),
-            why=f"{own()}: exact computed torque, whatever the leg; partitioned PD leaves {_short(left[PARTITIONED])}; "
-            f"of {len(VARIANTS)} controllers the nearest ({nearest.words}) leaves {_short(left[nearest])}",
+            why=f"{own()}: exact computed torque, whatever the leg; partitioned PD leaves "
+            f"{three_digits(left[PARTITIONED])}; of {len(VARIANTS)} controllers the nearest ({nearest.words}) leaves "
+            f"{three_digits(left[nearest])}",
         ),
         Finding(
             name=name,
             quantity=f"joint {joint + 1}: overshoot of the actual position, rad (the text sees one)",
             printed="> 0",
-            reproduced=_short(max(overshoot, 0.0)),
+            reproduced=three_digits(max(overshoot, 0.0)),
             tolerance=OVERSHOOT_RAD,
             verdict=judge(overshoot > OVERSHOOT_RAD, used, PRINTED),
             why=f"{own()}, damping ratio {ratio:.2f}: over 1, an error that starts at rest never changes its sign; "
@@ -139,7 +140,7 @@ def together(setting: Setting) -> list[Finding]:
             name="control-7d",
             quantity="errors of the five joints after 5 s under one controller, rad",
             printed=printed.tolist(),
-            reproduced=[_short(x) for x in left[nearest]],
+            reproduced=[three_digits(x) for x in left[nearest]],
             tolerance=None,
             verdict=judge(agrees, used, PRINTED, possible=agrees),
             why=f"{in_words(used, PRINTED)}: of {len(VARIANTS)} controllers the nearest ({nearest.words}) is off by up "
@@ -276,10 +277,6 @@ def _draw(setting: Setting, joint: int, motions: dict[Variant, np.ndarray]) -> N
         label_lines(places, ends, ["printed", "planned", *DRAWN.values()], [COLORS[6], COLORS[6], *COLORS[:4]])
         name = thesis.JOINT_NAMES[joint].replace("_", " ")
         fig.suptitle(f"Joint {joint + 1} ({name}) from q = 0; bars: as printed", x=0.02, ha="left", fontsize="medium")
-
-
-def _short(value: float) -> float:
-    return float(f"{value:.3g}")
 
 
 EXPERIMENTS = [

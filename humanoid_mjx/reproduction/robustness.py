@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from humanoid_mjx.reproduction import Experiment, Finding, Setting, judge
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, judge, three_digits
 from humanoid_mjx.results.style import SEQUENTIAL, figure
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.thesis import leg as thesis
@@ -65,12 +65,12 @@ def robustness(setting: Setting) -> list[Finding]:
             quantity="the error is not 0 because of the cycle time: computed torque at "
             f"{CYCLES[0] * STEP_S * 1e3:g} and {CYCLES[1] * STEP_S * 1e3:g} ms, rad",
             printed="close to 0, and more with the cycle time",
-            reproduced=[_short(torque[i, exact, load]) for i in (0, 1)],
+            reproduced=[three_digits(torque[i, exact, load]) for i in (0, 1)],
             tolerance=None,
             verdict=judge(bool(torque[0, exact, load] < torque[1, exact, load] < 0.01), {}, {}),
             why=f"but for the cycle nothing is wrong there; a model {MODEL_ERROR:.0%} too heavy at "
-            f"{CYCLES[0] * STEP_S * 1e3:g} ms leaves {_short(torque[0, -1, load])} rad, {PAYLOAD:g} kg at the toe "
-            f"{_short(torque[0, exact, -1])} rad; at {CYCLES[-1] * STEP_S * 1e3:g} ms "
+            f"{CYCLES[0] * STEP_S * 1e3:g} ms leaves {three_digits(torque[0, -1, load])} rad, {PAYLOAD:g} kg at the "
+            f"toe {three_digits(torque[0, exact, -1])} rad; at {CYCLES[-1] * STEP_S * 1e3:g} ms "
             f"{np.isinf(torque[-1]).mean():.0%} of the legs are unstable",
         ),
     ]
@@ -171,10 +171,6 @@ def _draw(setting: Setting, errors: dict[str, np.ndarray]) -> None:
 
 def _list(values: np.ndarray) -> str:
     return ", ".join("no end" if np.isinf(x) else f"{x:.2g}" for x in values)
-
-
-def _short(value: Any) -> float:
-    return float(f"{value:.3g}")
 
 
 EXPERIMENTS = [Experiment("robustness-map", "Tracking over model error, payload and cycle time", robustness, CONFIG)]

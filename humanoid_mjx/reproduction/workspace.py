@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from humanoid_mjx.reproduction import Experiment, Finding, Setting, departures, in_words, judge
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, departures, in_words, judge, listed
 from humanoid_mjx.results.style import COLORS, figure, label_lines, shades
 from humanoid_mjx.thesis import leg as thesis
 
@@ -94,8 +94,8 @@ def _place(
         reproduced=np.round(place.astype(float), 5).tolist(),
         tolerance=TOLERANCE_M,
         verdict=judge(bool(error < TOLERANCE_M), used, printed),
-        why=f"links of {', '.join(f'{1e3 * x:g}' for x in lengths.values())} mm (printed are only the script's, with "
-        f"which it is off by {1e3 * as_printed:.0f} mm), joints at {', '.join(f'{x + 0.0:g}' for x in degrees)} degrees"
+        why=f"links of {listed(1e3 * x for x in lengths.values())} mm (printed are only the script's, with "
+        f"which it is off by {1e3 * as_printed:.0f} mm), joints at {listed(degrees + 0.0)} degrees"
         + "".join(f", {change}" for change in departs)
         + f": off by {1e3 * error:.2g} mm",
     )

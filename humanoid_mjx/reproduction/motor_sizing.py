@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from humanoid_mjx.reproduction import Experiment, Finding, Setting, judge
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, judge
 from humanoid_mjx.results.style import COLORS, figure, label_lines, shades
 from humanoid_mjx.thesis import leg as thesis
 

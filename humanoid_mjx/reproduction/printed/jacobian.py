@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from humanoid_mjx.thesis.printed.erratum import Erratum, Formula, States
-from humanoid_mjx.thesis.printed.kinematics import sines
+from humanoid_mjx.reproduction.printed.erratum import Erratum, Formula, States
+from humanoid_mjx.reproduction.printed.kinematics import sines
 
 
 def jacobian_entries(states: States) -> dict[tuple[int, int], np.ndarray]:

@@ -4,8 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from humanoid_mjx.thesis import leg as thesis
-from humanoid_mjx.thesis.printed.dynamics import (
+from humanoid_mjx.reproduction.printed.dynamics import (
     ALL,
     JOINTS,
     SLIPS,
@@ -17,7 +16,8 @@ from humanoid_mjx.thesis.printed.dynamics import (
     script_centroids,
     velocity_coefficients,
 )
-from humanoid_mjx.thesis.printed.erratum import Erratum, Formula, States
+from humanoid_mjx.reproduction.printed.erratum import Erratum, Formula, States
+from humanoid_mjx.thesis import leg as thesis
 
 
 def _model(states: States) -> Model:

@@ -4,7 +4,7 @@ from itertools import combinations
 
 import numpy as np
 
-from humanoid_mjx.reproduction import Experiment, Finding, Setting, in_words, judge
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, in_words, judge
 from humanoid_mjx.thesis import leg as thesis
 
 TOLERANCE = 5e-6

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from humanoid_mjx.reproduction import Experiment, Finding, Setting, judge
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, judge, three_digits
+from humanoid_mjx.reproduction.printed import dynamics_errata, inverse, jacobian, kinematics
+from humanoid_mjx.reproduction.printed.erratum import Erratum, States
 from humanoid_mjx.thesis import leg as thesis
-from humanoid_mjx.thesis.printed import dynamics_errata, inverse, jacobian, kinematics
-from humanoid_mjx.thesis.printed.erratum import Erratum, States
 
 ENTRIES = tuple(chain(kinematics.ERRATA, jacobian.ERRATA, inverse.ERRATA, dynamics_errata.ERRATA))
 
@@ -38,7 +38,7 @@ def _compare(entry: Erratum, states: States) -> Finding:
         name="errata",
         quantity=entry.place,
         printed=entry.fault,
-        reproduced=dict(zip(NUMBERS, map(_round, (errors.max(), np.median(errors), size)), strict=True))
+        reproduced=dict(zip(NUMBERS, map(three_digits, (errors.max(), np.median(errors), size)), strict=True))
         | {"unit": entry.unit},
         tolerance=TOLERANCE,
         verdict=judge(agrees, {}, {}),
@@ -99,11 +99,6 @@ def _write(path: Path, findings: list[Finding]) -> None:
         numbers = [f"{found[key]:.3g} {found['unit']}".strip() for key in NUMBERS]
         rows.append((finding.quantity, finding.printed, *numbers, finding.verdict, finding.why))
     path.write_text("".join(f"| {' | '.join(row)} |\n" for row in rows), encoding="utf-8")
-
-
-def _round(value: float) -> float:
-    """Three digits."""
-    return float(f"{value:.3g}")
 
 
 EXPERIMENTS = [Experiment("errata", "The formulas as printed, and what is wrong with them", errata)]

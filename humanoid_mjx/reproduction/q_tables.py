@@ -4,7 +4,7 @@ from functools import partial
 
 import numpy as np
 
-from humanoid_mjx.reproduction import Experiment, Finding, Setting, in_words, judge
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, in_words, judge
 from humanoid_mjx.thesis import q_learning as thesis
 
 TOLERANCE = 5e-4
@@ -23,7 +23,7 @@ CONFIG = {
 
 
 def q_table(number: int, joint: int, setting: Setting) -> list[Finding]:
-    from humanoid_mjx.training.traces import printed_run
+    from humanoid_mjx.reproduction.traces import printed_run
 
     run = printed_run(joint, setting.config, runs=16, steps=2000)
     reached = run.q_table[run.terminated.any(axis=1)]

@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from humanoid_mjx.reproduction import Experiment, Finding, Setting, in_words, judge
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, in_words, judge
 from humanoid_mjx.results.style import COLORS, figure
 from humanoid_mjx.thesis import q_learning as thesis
 
@@ -25,7 +25,7 @@ CONFIG = {
 
 def way(number: int, joint: int, setting: Setting) -> list[Finding]:
     """Figures 7.11, 7.13, 7.15: the printed marks against the middle 95 % of many runs."""
-    from humanoid_mjx.training.traces import printed_run
+    from humanoid_mjx.reproduction.traces import printed_run
 
     run = printed_run(joint, setting.config, RUNS, STEPS)
     start, goal = thesis.JOINT_RANGES[joint]
@@ -67,7 +67,7 @@ def way(number: int, joint: int, setting: Setting) -> list[Finding]:
 
 def random_numbers(number: int, joint: int, setting: Setting) -> list[Finding]:
     """Figures 7.12, 7.14, 7.16: the printed average against the distribution of averages of single runs."""
-    from humanoid_mjx.training.traces import printed_run
+    from humanoid_mjx.reproduction.traces import printed_run
 
     run = printed_run(joint, setting.config, RUNS, STEPS)
     over = run.terminated.any(axis=1)

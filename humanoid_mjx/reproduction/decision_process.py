@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from humanoid_mjx.reproduction import Experiment, Finding, Setting, judge
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, judge
 from humanoid_mjx.results.style import COLORS, figure
 from humanoid_mjx.thesis import q_learning as thesis
 
@@ -18,7 +18,7 @@ POSITIONS = {1: 24, 4: 25, 5: 13}
 
 def decay(setting: Setting) -> list[Finding]:
     """The pseudo-code with its declared epsilonDecay at work."""
-    from humanoid_mjx.training.traces import printed_run
+    from humanoid_mjx.reproduction.traces import printed_run
 
     findings = []
     for joint in thesis.JOINT_RANGES:

@@ -4,7 +4,7 @@ from functools import partial
 
 import numpy as np
 
-from humanoid_mjx.thesis.printed.erratum import Erratum, Formula, States
+from humanoid_mjx.reproduction.printed.erratum import Erratum, Formula, States
 
 
 def sines(states: States) -> tuple[np.ndarray, ...]:

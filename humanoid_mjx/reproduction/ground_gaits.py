@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from humanoid_mjx.reproduction import Experiment, Finding, Setting, judge
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, judge, listed
 from humanoid_mjx.results.style import COLORS, figure
 from humanoid_mjx.thesis import leg as thesis
 
@@ -30,7 +30,7 @@ CONFIG = {"servo": {"kp": 6.0, "kd": 0.2}, "computed_torque": {"kp": 400.0, "kd"
 
 def walking(setting: Setting) -> list[Finding]:
     """Whether it walks and turns, with the balance on the way."""
-    from humanoid_mjx.results.ground import Trial, balance_of, play
+    from humanoid_mjx.reproduction.ground import Trial, balance_of, play
 
     tables = {(gait, name): Trial(name, gait) for gait in TABLES for name in PAIR}
     generated = {
@@ -113,7 +113,7 @@ def _turns(played: Any) -> Finding:
 
 
 def _of_generator(gait: str, others: Any) -> Finding:
-    from humanoid_mjx.results.ground import balance_of
+    from humanoid_mjx.reproduction.ground import balance_of
 
     mine = {key[1:]: path for key, path in others.items() if key[0] == gait}
     longest = max(mine, key=lambda key: (mine[key].seconds, mine[key].distance))
@@ -129,7 +129,7 @@ def _of_generator(gait: str, others: Any) -> Finding:
         reproduced=len(walks),
         tolerance=None,
         verdict=judge(bool(walks), {}, {}),
-        why=f"amplitudes {_list(AMPLITUDES)}, {_list(FREQUENCIES)} Hz, both controllers: {stay} stay up for "
+        why=f"amplitudes {listed(AMPLITUDES)}, {listed(FREQUENCIES)} Hz, both controllers: {stay} stay up for "
         f"{SECONDS:g} s; longest up ({path.seconds:g} s, {path.distance:.3f} m): {name}, "
         f"{amplitude:g} at {frequency:g} Hz, with the zero-moment point inside for {inside:.2f} of the time",
     )
@@ -147,10 +147,6 @@ def _finite(values: np.ndarray) -> np.ndarray:
 
 def _walks(path: Any) -> bool:
     return not path.fell and path.distance > STEP_M
-
-
-def _list(values: Any) -> str:
-    return ", ".join(f"{value:g}" for value in values)
 
 
 def _write(setting: Setting, played: Any, others: Any) -> None:

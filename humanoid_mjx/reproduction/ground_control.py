@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from humanoid_mjx.reproduction import Experiment, Finding, Setting, judge
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, judge, listed
 from humanoid_mjx.results.style import COLORS, figure, label_lines
 from humanoid_mjx.thesis import leg as thesis
 
@@ -23,7 +23,7 @@ CONFIG = {"servo": {"kp": 6.0, "kd": 0.2}, "computed_torque": {"kp": 400.0, "kd"
 
 def standing(setting: Setting) -> list[Finding]:
     """Who stands, who takes which push, and how far the joints give way."""
-    from humanoid_mjx.results.ground import CONTROLLERS, Path, Trial, play
+    from humanoid_mjx.reproduction.ground import CONTROLLERS, Path, Trial, play
 
     still = {name: Trial(name) for name in CONTROLLERS}
     pushed = {
@@ -64,7 +64,7 @@ def standing(setting: Setting) -> list[Finding]:
                 tolerance=None,
                 verdict=judge(taken["computed torque", side] > taken["servo", side], {}, {}),
                 why="nothing is printed; reproduced would be that the model takes a larger one: of "
-                f"{', '.join(f'{i:g}' for i in IMPULSES)}, {_taken(taken['computed torque', side])}",
+                f"{listed(IMPULSES)}, {_taken(taken['computed torque', side])}",
             )
             for side in SIDES
         ),

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from humanoid_mjx.reproduction import Experiment, Finding, Setting, judge
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, judge, three_digits
 from humanoid_mjx.results.style import figure
 from humanoid_mjx.thesis import leg
 from humanoid_mjx.thesis import q_learning as thesis
@@ -215,7 +215,7 @@ def _same(a: float, b: float) -> bool:
 
 
 def _short(value: float) -> float | None:
-    return None if np.isnan(value) else float(f"{value:.3g}")
+    return None if np.isnan(value) else three_digits(value)
 
 
 def _draw(path: Path, title: str, end: int) -> None:

@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from humanoid_mjx.reproduction import Experiment, Finding, Setting, in_words, judge
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, in_words, judge
+from humanoid_mjx.reproduction.printed import dynamics as printed
 from humanoid_mjx.results.style import COLORS, figure, label_lines
 from humanoid_mjx.thesis import leg as thesis
-from humanoid_mjx.thesis.printed import dynamics as printed
 
 START_TOLERANCE = 1e-8
 """N m. Nine digits are printed; the recovered masses are round."""

@@ -5,8 +5,8 @@ from itertools import product
 
 import numpy as np
 
-from humanoid_mjx.thesis.printed.erratum import Erratum, Formula, States
-from humanoid_mjx.thesis.printed.kinematics import sines
+from humanoid_mjx.reproduction.printed.erratum import Erratum, Formula, States
+from humanoid_mjx.reproduction.printed.kinematics import sines
 
 SIGNS = (1.0, -1.0)
 

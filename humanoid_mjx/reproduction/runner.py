@@ -1,0 +1,94 @@
+"""Run experiments by name and write down what they find."""
+
+import json
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from humanoid_mjx.config import apply_override
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting
+from humanoid_mjx.spec import InputError, known
+
+MODULES = (
+    "decision_process",
+    "errata",
+    "gains",
+    "ground_control",
+    "ground_gaits",
+    "joint_ways",
+    "motor_sizing",
+    "planned_torques",
+    "postures",
+    "q_tables",
+    "robustness",
+    "singularity",
+    "stall_torques",
+    "tracking",
+    "workspace",
+)
+"""The modules of this package that hold experiments, in their `EXPERIMENTS`."""
+
+
+def load_experiments() -> dict[str, Experiment]:
+    """All experiments by name, in the order of the thesis."""
+    modules = [import_module(f"humanoid_mjx.reproduction.{name}") for name in MODULES]
+    found = {experiment.name: experiment for module in modules for experiment in module.EXPERIMENTS}
+    return dict(sorted(found.items(), key=lambda item: _natural(item[0])))
+
+
+def reproduce(
+    names: Sequence[str],
+    out: Path,
+    overrides: Sequence[str] = (),
+    say: Callable[[Experiment, list[Finding]], None] = lambda experiment, findings: None,
+) -> list[Finding]:
+    """Run experiments (all, if none is named) and write `reproduce.json` and their figures into `out`.
+
+    Raises:
+      InputError: an unknown name, or an override of what a named experiment does not use.
+    """
+    experiments = load_experiments()
+    if odd := [name for name in names if name not in experiments]:
+        raise InputError(f"reproduce: unknown name {odd[0]!r}; {known(odd[0], experiments)}.")
+    chosen = [experiments[name] for name in names] or list(experiments.values())
+    settings = [_setting(experiment, out, overrides, named=bool(names)) for experiment in chosen]
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"--out {out}: cannot be written: {error.strerror}.") from error
+    findings: list[Finding] = []
+    for experiment, setting in zip(chosen, settings, strict=True):
+        found = experiment.run(setting)
+        say(experiment, found)
+        findings += found
+    write_findings(out / "reproduce.json", findings)
+    return findings
+
+
+def write_findings(path: Path, findings: Iterable[Finding]) -> None:
+    path.write_text(json.dumps([asdict(finding) for finding in findings], indent=2) + "\n", encoding="utf-8")
+
+
+def _setting(experiment: Experiment, out: Path, overrides: Sequence[str], named: bool) -> Setting:
+    """The experiment's config with the overrides; those of keys it lacks are errors only where it was named."""
+    config = json.loads(json.dumps(dict(experiment.config)))
+    for override in overrides:
+        key = override.partition("=")[0]
+        part: Any = config
+        for piece in key.split("."):
+            part = part.get(piece) if isinstance(part, dict) else None
+        if part is None and "=" in override:
+            if named:
+                keys = [f"{a}.{b}" for a, bs in config.items() for b in (bs if isinstance(bs, dict) else ())]
+                raise InputError(f"--set {override}: {experiment.name} has no {key}; {known(key, keys or ['none'])}.")
+            continue
+        apply_override(config, override)
+    return Setting(config, out)
+
+
+def _natural(name: str) -> list[Any]:
+    """A sort key in which figure-7.2 comes before figure-7.11."""
+    pieces = name.replace("-", " ").replace(".", " ").split()
+    return [(0, int(piece), "") if piece.isdigit() else (1, 0, piece) for piece in pieces]
