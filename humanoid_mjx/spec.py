@@ -1,18 +1,20 @@
 """Checked descriptions of things: the base of every task, learner, physics and config.
 
 A `Spec` is a frozen pydantic model whose fields are what a user may write in a config file, and a pytree whose leaves
-are the values that a compiled program takes as data. A field declared with `traced` is such a leaf: changing it compiles
-nothing, and an array may stand in its place. A field that holds another Spec is a branch. Every other field is
-*static*: it shapes the program. Specs of one `jax.tree.structure` share one compiled program.
+are the values that a compiled program takes as data. A field declared with `traced` is such a leaf: changing it
+compiles nothing, and an array may stand in its place. A field that holds another Spec is a branch. Every other field
+is *static*: it shapes the program. Specs of one `jax.tree.structure` share one compiled program.
 """
 
 import difflib
 import importlib
 from collections.abc import Iterable, Mapping
-from typing import Any, Self, get_args
+from typing import Any, Self, TypeVar, get_args
 
 import jax
 import pydantic
+
+SomeSpec = TypeVar("SomeSpec", bound="Spec")
 
 
 class InputError(ValueError):
@@ -78,26 +80,38 @@ def _flatten(spec: Spec) -> tuple[list[Any], tuple[tuple[str, ...], tuple[tuple[
 
 
 def _flatten_with_keys(spec: Spec) -> tuple[list[tuple[Any, Any]], Any]:
-    values, structure = _flatten(spec)
-    return [
-        (jax.tree_util.GetAttrKey(name), value) for name, value in zip(structure[0], values, strict=True)
-    ], structure
+    nodes, static = _split(spec)
+    return [(jax.tree_util.GetAttrKey(name), value) for name, value in nodes], (
+        tuple(name for name, _ in nodes),
+        static,
+    )
 
 
 def _completed(default: Spec, written: dict[str, Any]) -> dict[str, Any]:
     values = {name: getattr(default, name) for name in type(default).model_fields}
-    nested = {name: value for name, value in written.items() if isinstance(value, dict)}
-    merged = {
-        name: _completed(values[name], value) for name, value in nested.items() if isinstance(values.get(name), Spec)
-    }
-    return values | written | merged
+    branches = {name: value for name, value in values.items() if isinstance(value, Spec)}
+    nested = {name: x for name, x in written.items() if name in branches and isinstance(x, dict)}
+    return values | written | {name: _completed(branches[name], x) for name, x in nested.items()}
 
 
-def make(kind: str, registry: Mapping[str, str], base: type[Spec], name: str, /, **params: Any) -> Any:
+def make(kind: str, registry: Mapping[str, str], base: type[Any], name: str, /, **values: Any) -> Any:
     """Build the `kind` of thing called `name`: a name of the registry, or a user's own as "package.module:Class".
 
     Raises:
-      InputError: unknown name, a class that is no `base`, an unknown parameter, a value out of range.
+      InputError: unknown name, a class that is no `base`, an unknown key, a value out of range.
+    """
+    cls = find(kind, registry, base, name)
+    try:
+        return cls(**values)
+    except pydantic.ValidationError as error:
+        raise InputError(sentence(error, kind, cls)) from error
+
+
+def find(kind: str, registry: Mapping[str, str], base: type[SomeSpec], name: str) -> type[SomeSpec]:
+    """The class of the `kind` of thing called `name`.
+
+    Raises:
+      InputError: unknown name, a module that cannot be imported, a class that is no `base`.
     """
     if not isinstance(name, str):
         raise InputError(f"{kind}.name must be a string, got {name!r}.")
@@ -114,10 +128,7 @@ def make(kind: str, registry: Mapping[str, str], base: type[Spec], name: str, /,
         raise InputError(f"{kind}.name: {name!r} cannot be imported: {error}.") from error
     if not (isinstance(cls, type) and issubclass(cls, base)):
         raise InputError(f"{kind}.name: {name!r} must be a class derived from {base.__module__}.{base.__name__}.")
-    try:
-        return cls(**params)
-    except pydantic.ValidationError as error:
-        raise InputError(sentence(error, kind, cls)) from error
+    return cls
 
 
 def known(name: str, names: Iterable[str]) -> str:

@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from humanoid_mjx import InputError, make_learner, make_task, rng, sweep
 from humanoid_mjx.cli import app
 from humanoid_mjx.learners import brax_ppo, brax_repair
-from humanoid_mjx.results.tables import finished_runs
+from humanoid_mjx.runs.tables import finished_runs
 from humanoid_mjx.tasks import TASKS
 from humanoid_mjx.tasks.base import Task
 from humanoid_mjx.tasks.brax_env import BraxEnv, wrap

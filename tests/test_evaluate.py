@@ -11,8 +11,8 @@ from typer.testing import CliRunner
 
 from humanoid_mjx import make_task, rng
 from humanoid_mjx.cli import app
-from humanoid_mjx.results.comparison import compare_curves, curve_of
-from humanoid_mjx.results.evaluations import Estimate, Evaluation, estimated
+from humanoid_mjx.report.comparison import compare_curves, curve_of
+from humanoid_mjx.runs.evaluations import Estimate, Evaluation, estimated
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training import evaluation
 from humanoid_mjx.training.episode import play

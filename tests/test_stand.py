@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from humanoid_mjx.learners.evaluation import evaluate
 
 from humanoid_mjx import InputError, make_task
-from humanoid_mjx.learners.evaluation import evaluate
 from humanoid_mjx.tasks.stand import OBSERVATIONS, PRIVILEGED
 
 BODIES = 16

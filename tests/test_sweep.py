@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from humanoid_mjx import InputError, runtime, sweep
-from humanoid_mjx.results.store import RunFolder
+from humanoid_mjx.runs.folder import RunFolder
 from humanoid_mjx.training import pool
 
 CONFIG = {

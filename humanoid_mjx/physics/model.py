@@ -16,7 +16,7 @@ from humanoid_mjx.robot import lower_body as body
 from humanoid_mjx.robot import robot_spec
 from humanoid_mjx.robot.ranges import TORQUE_LIMIT
 from humanoid_mjx.spec import traced
-from humanoid_mjx.types import AnyArray, BoolScalar, MassFactor
+from humanoid_mjx.types import AnyArray, BoolScalar, FloatScalar, MassFactor
 
 
 class MujocoPhysics(Physics):

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from humanoid_mjx.report.style import COLORS, figure
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, judge
-from humanoid_mjx.results.style import COLORS, figure
 from humanoid_mjx.thesis import q_learning as thesis
 
 PRINTED = thesis.PSEUDO_CODE

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from humanoid_mjx.report.style import COLORS, figure
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, judge, listed
-from humanoid_mjx.results.style import COLORS, figure
 from humanoid_mjx.thesis import leg as thesis
 
 TABLES = {"straight_walk": "Table 4.5", "sudden_turn": "Table 4.6"}

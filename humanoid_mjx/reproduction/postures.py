@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from humanoid_mjx.report.style import figure
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, judge, three_digits
-from humanoid_mjx.results.style import figure
 from humanoid_mjx.thesis import leg
 from humanoid_mjx.thesis import q_learning as thesis
 
@@ -102,7 +102,7 @@ def _where(knee: float) -> str:
 
 def _switch(section: str, setting: Setting) -> list[Finding]:
     """Train on a posture, show the motion, and measure it against a plan that takes as long."""
-    from humanoid_mjx.results.rendering import render_motion
+    from humanoid_mjx.report.rendering import render_motion
     from humanoid_mjx.robot import robot_spec
     from humanoid_mjx.training.episode import motion_of, play
 
@@ -220,7 +220,7 @@ def _short(value: float) -> float | None:
 
 def _draw(path: Path, title: str, end: int) -> None:
     """One of the two postures of each section."""
-    from humanoid_mjx.results.rendering import draw
+    from humanoid_mjx.report.rendering import draw
     from humanoid_mjx.robot import robot_spec
     from humanoid_mjx.tasks import make_task
 

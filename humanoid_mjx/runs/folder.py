@@ -163,6 +163,15 @@ def read_config(path: Path) -> dict[str, Any]:
     return data
 
 
+def read_provenance(path: Path) -> dict[str, Any]:
+    """What `provenance.json` of a run folder holds; nothing where there is none that can be read."""
+    try:
+        found = json.loads((path / "provenance.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
 def fresh_path(name: str, root: Path = Path("runs")) -> Path:
     """The first free path of runs/name, runs/name-2, runs/name-3, ..."""
     number, path = 1, root / name
