@@ -8,6 +8,7 @@ is *static*: it shapes the program. Specs of one `jax.tree.structure` share one 
 
 import difflib
 import importlib
+import re
 from collections.abc import Iterable, Mapping
 from typing import Any, Self, TypeVar, get_args
 
@@ -45,7 +46,7 @@ class Spec(pydantic.BaseModel):
         jax.tree_util.register_pytree_with_keys(cls, _flatten_with_keys, cls._unflatten, _flatten)
 
     @classmethod
-    def _unflatten(cls, structure: tuple[tuple[str, ...], tuple[tuple[str, Any], ...]], nodes: Iterable[Any]) -> Self:
+    def _unflatten(cls, structure: tuple[tuple[str, ...], tuple[tuple[str, Any], ...]], nodes: Iterable[Any]) -> Any:
         names, static = structure
         return cls.model_construct(**dict(static), **dict(zip(names, nodes, strict=True)))
 
@@ -55,11 +56,11 @@ class Spec(pydantic.BaseModel):
         """Complete what is written of a nested Spec with what stands in the field's default."""
         if not isinstance(data, dict):
             return data
-        fields = ((name, cls.model_fields.get(name)) for name, value in data.items() if isinstance(value, dict))
-        defaults = {name: field.default for name, field in fields if field and isinstance(field.default, Spec)}
-        return data | {name: _completed(default, data[name]) for name, default in defaults.items()}
+        defaults = {name: cls.model_fields[name].default for name in data if name in cls.model_fields}
+        branches = {name: default for name, default in defaults.items() if isinstance(default, Spec)}
+        return data | {name: _completed(default, data[name]) for name, default in branches.items()}
 
-    def replace(self, **values: Any) -> Self:
+    def replace(self: SomeSpec, **values: Any) -> SomeSpec:
         """This spec with other values in some of its fields; nothing is checked, so that traced arrays may be given."""
         assert values.keys() <= type(self).model_fields.keys(), f"{type(self).__name__} has not all of {list(values)}"
         return self.model_copy(update=values)
@@ -81,17 +82,19 @@ def _flatten(spec: Spec) -> tuple[list[Any], tuple[tuple[str, ...], tuple[tuple[
 
 def _flatten_with_keys(spec: Spec) -> tuple[list[tuple[Any, Any]], Any]:
     nodes, static = _split(spec)
-    return [(jax.tree_util.GetAttrKey(name), value) for name, value in nodes], (
-        tuple(name for name, _ in nodes),
-        static,
-    )
+    keys = [(jax.tree_util.GetAttrKey(name), value) for name, value in nodes]
+    return keys, (tuple(name for name, _ in nodes), static)
 
 
-def _completed(default: Spec, written: dict[str, Any]) -> dict[str, Any]:
+def _completed(default: Spec, written: Any) -> Any:
+    """What is written of a branch, completed from its default unless it names another kind of thing than that."""
     values = {name: getattr(default, name) for name in type(default).model_fields}
-    branches = {name: value for name, value in values.items() if isinstance(value, Spec)}
-    nested = {name: x for name, x in written.items() if name in branches and isinstance(x, dict)}
-    return values | written | {name: _completed(branches[name], x) for name, x in nested.items()}
+    if isinstance(written, str) and "name" in values:
+        written = {"name": written}
+    if not isinstance(written, dict) or written.get("name", values.get("name")) != values.get("name"):
+        return written
+    branches = {name: values[name] for name in written if isinstance(values.get(name), Spec)}
+    return values | written | {name: _completed(default, written[name]) for name, default in branches.items()}
 
 
 def make(kind: str, registry: Mapping[str, str], base: type[Any], name: str, /, **values: Any) -> Any:
@@ -155,7 +158,11 @@ def sentence(error: pydantic.ValidationError, where: str, model: type[pydantic.B
             )
             return f"{key} must be {sign} {next(iter(fault['ctx'].values()))}{got}."
         case "value_error":
-            return f"{key}: {fault['ctx']['error']}".removeprefix(": ").rstrip(".") + "."
+            parents, _, last = key.rpartition(".")
+            message = str(fault["ctx"]["error"]).rstrip(".") + "."
+            if last and re.match(rf"{re.escape(last)}[. :]", message):  # it says the key itself, and what is in it
+                return f"{parents}.{message}".removeprefix(".")
+            return f"{key}: {message}".removeprefix(": ")
         case "literal_error":
             return f"{key} must be one of {fault['ctx']['expected']}{got}."
         case "model_type":

@@ -33,13 +33,13 @@ def bits(tree):
 @pytest.fixture(scope="module")
 def step():
     """One time step of many worlds."""
-    return jax.jit(jax.vmap(lambda params, world: MJX.step(params, world, hold), in_axes=(None, 0)))
+    return jax.jit(jax.vmap(lambda physics, world: physics.step(world, hold), in_axes=(None, 0)))
 
 
 @pytest.fixture(scope="module")
 def native_step():
     """The same in native MuJoCo, each world with its own params."""
-    return jax.jit(jax.vmap(lambda params, world: NATIVE.step(params, world, hold)))
+    return jax.jit(jax.vmap(lambda physics, world: physics.step(world, hold)))
 
 
 def same(params):
@@ -124,7 +124,7 @@ def test_native_on_two_devices_at_once(native_step, worlds):
 
 
 def test_many_worlds_are_as_one_at_a_time(step, params, worlds):
-    one_step = jax.jit(lambda params, world: MJX.step(params, world, hold))
+    one_step = jax.jit(lambda physics, world: physics.step(world, hold))
     together, alone = worlds, [jax.tree.map(lambda x, i=i: x[i], worlds) for i in range(WORLDS)]
     for _ in range(25):
         together, _ = step(params, together)

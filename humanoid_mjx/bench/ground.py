@@ -91,10 +91,10 @@ def _program(physics: str, steps: int, worlds: int) -> Callable[..., Any]:
     task: Stand = make_task("stand")
     room = {"worlds": worlds} if physics == "mjx-warp" else {}
     simulator = make_physics(physics, robot="lower_body", torso="free", ranges="human", timestep=task.timestep, **room)
-    servo = task.servo(task.params, jnp.asarray(POSTURE, float))
+    servo = task.servo(jnp.asarray(POSTURE, float))
 
     def simulate(qpos: jax.Array, qvel: jax.Array) -> jax.Array:
-        world = simulator.run(simulator.params, simulator.start(simulator.params, qpos, qvel), servo, steps)
+        world = simulator.run(simulator.start(qpos, qvel), servo, steps)
         return jnp.where(world.diverged, jnp.nan, world.qpos)
 
     return jax.jit(jax.vmap(simulate))

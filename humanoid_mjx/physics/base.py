@@ -51,6 +51,8 @@ class Stages(NamedTuple):
     factor is a number, or one for each joint's link. Treats a free torso as fixed and ignores contacts."""
     contacts: Callable[[], Contacts]
     """The corners of the feet that can touch the ground; no points where there is none."""
+    model_for: Callable[[Any], tuple[Any, Any]]
+    """(a model's mass factor) -> the mass matrix and the bias that the model believes in."""
 
 
 class Readings(NamedTuple):

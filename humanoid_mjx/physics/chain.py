@@ -123,14 +123,19 @@ class ChainPhysics(Physics):
 
     def _stages(self, world: World) -> Stages:
         def torque_for(qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
-            legs = self._each_leg(mass, world.qpos, world.qvel, qacc)
-            return jnp.concatenate([dynamics.inverse_dynamics(*leg) for leg in legs])
+            # All links as heavy: the torque grows with them, and the leg's own values stay constants of the program.
+            factor, each = (1.0, mass) if jnp.ndim(mass) else (mass, 1.0)
+            legs = self._each_leg(each, world.qpos, world.qvel, qacc)
+            return factor * jnp.concatenate([dynamics.inverse_dynamics(*leg) for leg in legs])
 
-        parts = [dynamics.mass_matrix_and_bias(*leg) for leg in self._each_leg(self.mass, world.qpos, world.qvel)]
-        matrices, biases = zip(*parts, strict=True)
-        matrix, bias = jax.scipy.linalg.block_diag(*matrices), jnp.concatenate(biases)
+        def model_for(mass: MassFactor) -> tuple[Float[Array, "nv nv"], Float[Array, " nv"]]:
+            parts = [dynamics.mass_matrix_and_bias(*leg) for leg in self._each_leg(mass, world.qpos, world.qvel)]
+            matrices, biases = zip(*parts, strict=True)
+            return jax.scipy.linalg.block_diag(*matrices), jnp.concatenate(biases)
+
         nothing = no_contacts(len(world.qvel))
-        return Stages(world, world.qpos, world.qvel, matrix, bias, torque_for, lambda: nothing)
+        own = model_for(self.mass)
+        return Stages(world, world.qpos, world.qvel, *own, torque_for, lambda: nothing, model_for)
 
     def _each_leg(self, mass: MassFactor, *joints: Float[Array, " joints"]) -> list[tuple[Any, ...]]:
         """For each leg: its chain, and its own part of the arrays."""

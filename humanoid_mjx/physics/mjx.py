@@ -138,13 +138,15 @@ class MjxJax(MujocoPhysics):
         joints = self.model.nu
         matrix, bias = mass_matrix(self.model, data), data.qfrc_bias - data.qfrc_passive
 
-        def torque_for(qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
+        def model_for(mass: MassFactor) -> tuple[Float[Array, "nv nv"], Float[Array, " nv"]]:
             if jnp.ndim(mass) == jnp.ndim(self.mass) == 0:
-                torque = matrix[-joints:, -joints:] @ qacc + bias[-joints:]
-                return self.rescaled_torque(mass / self.mass, torque, qacc, world.qvel[-joints:])
+                return self.rescaled(mass / self.mass, matrix, bias, world.qvel)
             other = self._at(self.replace(mass=mass)._put(), data, world)
-            bias_of = other.qfrc_bias - other.qfrc_passive
-            return mass_matrix(self.model, other)[-joints:, -joints:] @ qacc + bias_of[-joints:]
+            return mass_matrix(self.model, other), other.qfrc_bias - other.qfrc_passive
+
+        def torque_for(qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
+            believed, bias_of = model_for(mass)
+            return believed[-joints:, -joints:] @ qacc + bias_of[-joints:]
 
         def contacts() -> Contacts:
             corners, moved_by = self.ground_points
@@ -153,7 +155,8 @@ class MjxJax(MujocoPhysics):
             jacobian, drift = rigid_points(position, moved_by, data.cdof, data.cdof_dot, data.qvel, origin)
             return Contacts(position, jacobian, drift, position[:, 2] <= 0.0)
 
-        return Stages(world, world.qpos[-joints:], world.qvel[-joints:], matrix, bias, torque_for, contacts)
+        joint_state = world.qpos[-joints:], world.qvel[-joints:]
+        return Stages(world, *joint_state, matrix, bias, torque_for, contacts, model_for)
 
 
 class MjxWarp(MjxJax):

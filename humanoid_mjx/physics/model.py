@@ -69,25 +69,19 @@ class MujocoPhysics(Physics):
         links = self.model.jnt_bodyid[self.model.actuator_trnid[:, 0]]
         return jnp.ones(self.model.nbody).at[links].set(mass)
 
-    def rescaled_torque(
+    def rescaled(
         self,
         factor: FloatScalar,
-        torque: Float[AnyArray, " joints"],
-        qacc: Float[AnyArray, " joints"],
-        qvel: Float[AnyArray, " joints"],
-    ) -> Float[AnyArray, " joints"]:
-        """The torque for a motion, N m, if all links were `factor` times as heavy: the motors' armature and the joints'
-        damping stay as they are.
-
-        Args:
-          torque: what the motion takes with the links as they are, N m.
-          qacc: accelerations of the joints, rad/s^2.
-          qvel: their velocities, rad/s.
-        """
-        joints = self.model.nu
-        armature, damped = self.model.dof_armature[-joints:], self.model.dof_damping[-joints:] > 0
-        unscaled = armature * qacc + jnp.where(damped, self.damping, 0.0) * qvel
-        return factor * torque + (1 - factor) * unscaled
+        mass_matrix: Float[AnyArray, "nv nv"],
+        bias: Float[AnyArray, " nv"],
+        qvel: Float[AnyArray, " nv"],
+    ) -> tuple[Float[AnyArray, "nv nv"], Float[AnyArray, " nv"]]:
+        """Mass matrix and bias if all links were `factor` times as heavy: the motors' armature and the joints' damping
+        stay as they are."""
+        armature, damped = self.model.dof_armature, self.model.dof_damping > 0
+        resistance = jnp.where(damped, self.damping, 0.0) * qvel
+        others = 1 - factor
+        return factor * mass_matrix + others * np.diag(armature), factor * bias + others * resistance
 
     def pushes(self) -> Float[AnyArray, " nv"]:
         """The forces on the degrees of freedom that are not the motors'."""

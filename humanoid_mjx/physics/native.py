@@ -96,17 +96,19 @@ class Native(MujocoPhysics):
         def dynamics(physics: Native) -> list[Array]:
             return _on_host(self._dynamics, ((nv, nv), (nv,)), physics._values(), world.qpos, world.qvel)
 
-        def torque_for(qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
+        def model_for(mass: MassFactor) -> tuple[Array, Array]:
             if jnp.ndim(mass) == jnp.ndim(self.mass) == 0:
-                torque = matrix[-joints:, -joints:] @ qacc + bias[-joints:]
-                return self.rescaled_torque(mass / self.mass, torque, qacc, world.qvel[-joints:])
+                return self.rescaled(mass / self.mass, matrix, bias, world.qvel)
             believed, bias_of = dynamics(self.replace(mass=mass))
+            return believed, bias_of
+
+        def torque_for(qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
+            believed, bias_of = model_for(mass)
             return believed[-joints:, -joints:] @ qacc + bias_of[-joints:]
 
         matrix, bias = dynamics(self)
-        return Stages(
-            world, world.qpos[-joints:], world.qvel[-joints:], matrix, bias, torque_for, partial(self._contacts, world)
-        )
+        joint_state = world.qpos[-joints:], world.qvel[-joints:]
+        return Stages(world, *joint_state, matrix, bias, torque_for, partial(self._contacts, world), model_for)
 
     def _contacts(self, world: World) -> Contacts:
         points, nv = len(self.ground_points[0]), self.model.nv

@@ -1,9 +1,9 @@
 """Bring all five joints of a leg to a posture, whatever it starts from, while its controller's model is wrong.
 
 Every `period` the learner moves the set-point of each joint by a part of `increment`; every time step of the physics a
-computed-torque controller drives the leg to it (thesis 5.7, 6.4). Starts and goals are uniform in the joints' ranges,
-and each link of the leg weighs up to `model_error` more or less than the controller believes, so that gravity holds the
-leg off a set-point that equals the goal.
+control law, by default computed torque, drives the leg to it (thesis 5.7, 6.4). Starts and goals are uniform in the
+joints' ranges, and each link of the leg weighs up to `model_error` more or less than the controller believes, so that
+gravity holds the leg off a set-point that equals the goal.
 """
 
 from functools import lru_cache
@@ -15,9 +15,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 from pydantic import Field, model_validator
 
-from humanoid_mjx.control.gains import critical_kd
+from humanoid_mjx.control import Control, Follow, at_rest
+from humanoid_mjx.control.laws import ComputedTorqueLaw
 from humanoid_mjx.physics import make_physics
-from humanoid_mjx.physics.base import Physics, Stages, World
+from humanoid_mjx.physics.base import Physics, World
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import ContinuousTask, State, begin
 from humanoid_mjx.thesis.leg import JOINT_NAMES
@@ -68,13 +69,13 @@ class LegReach(ContinuousTask):
     """
 
     physics: Literal["chain", "mjx-jax", "mujoco"] = "chain"
+    control: Control = Field(ComputedTorqueLaw(), description="the law that drives the joints to their set-points")
     ranges: Literal["proposed", "human"] = Field("proposed", description="column of Table 3.2")
     choices: Literal[3, 5, 9] = Field(9, description="values of a joint's increment, evenly from -1 to 1 times it")
     increment: float = traced(8.0, gt=0, le=90, description="largest move of a set-point in a decision, degrees")
     period: float = Field(0.1, gt=0, le=10, description="s between decisions")
     timestep: float = Field(0.005, gt=0, le=0.02, description="s of physics and controller")
     duration: float = traced(3.0, gt=0, le=1000, description="s of an episode")
-    natural_frequency: float = traced(12.0, gt=0, le=200, description="of the controller, rad/s; damping is critical")
     model_error: float = traced(0.2, ge=0, lt=1, description="largest share by which a link's mass is off")
     tolerance: float = traced(2.0, gt=0, le=90, description="degrees")
 
@@ -167,15 +168,9 @@ class LegReach(ContinuousTask):
         near = jnp.abs(body.goal - body.world.qpos) <= jnp.radians(self.tolerance)
         return near & (jnp.abs(body.world.qvel) <= REST)
 
-    def controller(self, setpoint: Float[Array, " joints"]) -> Any:
-        """Computed torque towards a posture at rest, by a model whose mass factors are 1 (equations 5.40 to 5.49)."""
-        kp = self.natural_frequency**2
-        kd = critical_kd(jnp.asarray(kp, float))
-
-        def control(stages: Stages) -> Float[Array, " joints"]:
-            return stages.torque_for(kp * (setpoint - stages.qpos) - kd * stages.qvel, 1.0)
-
-        return control
+    def controller(self, setpoint: Float[Array, " joints"]) -> Follow:
+        """What drives the leg towards a posture at rest, with a model whose mass factors do not know the leg's."""
+        return self.control.follow(at_rest(setpoint))
 
     def _plant(self, mass: Float[Array, " joints"]) -> Physics:
         """The physics with the leg's own masses."""

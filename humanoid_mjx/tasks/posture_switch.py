@@ -2,8 +2,8 @@
 
 Two rates, as of a master and its joint controllers. Every `period` the learner chooses for the hip pitch, the knee and
 the ankle to go a place up, to stay, or to go a place down, on a grid from start to goal; every time step of the physics
-a computed-torque controller drives both legs to the set-point. The left leg takes the opposite values (6.4). What the
-learner knows of the joints is what the encoders of the right leg say.
+a control law, by default computed torque, drives both legs to the set-point. The left leg takes the opposite values
+(6.4). What the learner knows of the joints is what the encoders of the right leg say.
 """
 
 from collections.abc import Mapping
@@ -16,9 +16,10 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 from pydantic import Field, model_validator
 
-from humanoid_mjx.control.gains import critical_kd
+from humanoid_mjx.control import Control, Follow, Reference
+from humanoid_mjx.control.laws import ComputedTorqueLaw
 from humanoid_mjx.physics import make_physics
-from humanoid_mjx.physics.base import Physics, Stages, World
+from humanoid_mjx.physics.base import Physics, World
 from humanoid_mjx.runtime import SHARED_KERNELS
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.finite import FiniteTask
@@ -53,12 +54,12 @@ class PostureSwitch(FiniteTask):
     """
 
     physics: Literal["chain", "mjx-jax", "mjx-warp", "mujoco"] = "chain"
+    control: Control = Field(ComputedTorqueLaw(), description="the law that drives the joints to their set-points")
     posture: Literal["6.4", "7H"] = Field("6.4", description="the section that gives start and goal")
     places: int = Field(5, ge=2, le=50, description="points of the grid from start to goal, for each joint")
     period: float = Field(0.2, gt=0, le=10, description="s between decisions")
     timestep: float = Field(0.005, gt=0, le=0.02, description="s of physics and controller")
-    natural_frequency: float = traced(12.0, gt=0, le=200, description="of the controller, rad/s; damping is critical")
-    mass: float = traced(1.0, gt=0, le=10, description="of the robot, as a multiple of what its controller believes")
+    mass: float = traced(1.0, gt=0, le=10, description="of the robot, as a multiple of its own in the thesis")
     encoder_noise: float = traced(0.0, ge=0, le=90, description="standard deviation, degrees")
     tolerance: float = traced(2.0, gt=0, le=90, description="degrees")
     step_reward: float = traced(-1.0)
@@ -147,16 +148,10 @@ class PostureSwitch(FiniteTask):
         target = jnp.clip(self._places(state.encoders) + choice, 0, self.places - 1)
         return self.whole_body(jnp.asarray(self.grid, float)[np.arange(len(MOVED)), target])
 
-    def controller(self, qpos: Float[Array, "10"], qvel: AnyArray | float = 0.0, qacc: AnyArray | float = 0.0) -> Any:
-        """Computed torque towards a state of motion, by a model whose mass is 1 (equations 5.40 to 5.49)."""
-        kp = self.natural_frequency**2
-        kd = critical_kd(jnp.asarray(kp, float))
-
-        def control(stages: Stages) -> Float[Array, "10"]:
-            correction = kp * (qpos - stages.qpos) + kd * (qvel - stages.qvel)
-            return stages.torque_for(qacc + correction, 1.0)
-
-        return control
+    def controller(self, qpos: Float[Array, "10"], qvel: AnyArray | float = 0.0, qacc: AnyArray | float = 0.0) -> Follow:
+        """What drives both legs towards a state of motion."""
+        still = jnp.zeros_like(qpos)
+        return self.control.follow(Reference(qpos, still + qvel, still + qacc))
 
     @property
     def plant(self) -> Physics:

@@ -61,7 +61,7 @@ def advance(learner: Learner, training: Training, steps: IntScalar) -> tuple[Tra
 
     def lap(_: IntScalar, old: Training) -> Training:
         inner = old.carry, old.record
-        new = step(0, inner) if learner.lap == 1 else jax.lax.fori_loop(0, learner.lap, step, inner)
+        new: Any = step(0, inner) if learner.lap == 1 else jax.lax.fori_loop(0, learner.lap, step, inner)
         failed = old.failed
         if learner.lap == 1:
             failed |= ~_finite(learner.policy(new[0]))
@@ -72,7 +72,7 @@ def advance(learner: Learner, training: Training, steps: IntScalar) -> tuple[Tra
             part = _part(learner.progress(old.carry), learner.evaluations)
             policy = learner.policy(new[0])
             snapshots = jax.tree.map(lambda old, new: old.at[part].set(new), snapshots, policy)
-        return Training(*new, snapshots, failed)
+        return Training(new[0], new[1], snapshots, failed)
 
     training = jax.lax.fori_loop(0, (steps + learner.lap - 1) // learner.lap, lap, training)
     return training, _progress(learner, training)
