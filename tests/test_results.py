@@ -75,6 +75,6 @@ def test_figures_of_every_number_of_axes(tmp_path, axes, seeds):
     first = e == 0
     summary = {name: values[first] for name, values in results.items()}
     summary |= {"greedy_success": np.ones(first.sum()), "greedy_steps": rng.uniform(5, 9, first.sum())}
-    paths = sweep_figures(tmp_path, "title", axes, results, summary, "episodes")
+    paths = sweep_figures(tmp_path, "title", axes, results, summary)
     assert len(paths) == (3 if len(axes) > 1 else 1)
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in paths)

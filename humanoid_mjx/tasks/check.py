@@ -28,10 +28,6 @@ def check_task(task: Task) -> None:
     cls = type(task)
     if cls.__module__.partition(".")[0] == __name__.partition(".")[0]:
         return
-    try:
-        hash(jax.tree.structure(task))
-    except TypeError as error:
-        raise InputError(f"task: a field of {cls.__name__} that is not traced must be hashable: {error}.") from error
     traced = jax.eval_shape(lambda: jax.tree.map(jnp.asarray, task))
     with _faults_as_sentences(cls):
         if isinstance(task, ContinuousTask):
