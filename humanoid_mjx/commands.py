@@ -16,10 +16,7 @@ from rich.table import Table
 from humanoid_mjx import runtime
 from humanoid_mjx.config import dump_yaml, load
 from humanoid_mjx.data import names
-from humanoid_mjx.report.figures import sweep_figures
-from humanoid_mjx.report.style import short
 from humanoid_mjx.runs.evaluations import Evaluation
-from humanoid_mjx.runs.statistics import iqm, iqm_interval
 from humanoid_mjx.spec import InputError, known
 from humanoid_mjx.training.progress import Bar
 
@@ -32,6 +29,7 @@ BEST_POINTS = 10
 def run_sweep(config: str, out: Path | None, overrides: Sequence[str], resume: bool) -> None:
     """`humanoid-mjx sweep`."""
     runtime.start()
+    from humanoid_mjx.report.figures import sweep_figures
     from humanoid_mjx.training.sweep import sweep
 
     with Bar(console) as bar:
@@ -51,6 +49,9 @@ def run_sweep(config: str, out: Path | None, overrides: Sequence[str], resume: b
 
 def print_summary(axes: Sequence[str], summary: Mapping[str, np.ndarray]) -> None:
     """The best points of a sweep: those that succeed most often, and among them the quickest."""
+    from humanoid_mjx.report.style import short
+    from humanoid_mjx.runs.statistics import iqm, iqm_interval
+
     points = np.unique(summary["point"])
     rows = [summary["point"] == point for point in points]
     success = np.array([summary["greedy_success"][row].mean() for row in rows])

@@ -34,6 +34,9 @@ HARVEST_AFTER_S = 10.0
 
 IDLE = -1
 
+COMPILING = ("tracing", "compiling")
+"""Phases of a pool in which its thread cannot answer, and its training states stand still."""
+
 _TRACING = threading.Lock()
 """Held while a program is traced, so that pools of other devices find it traced."""
 

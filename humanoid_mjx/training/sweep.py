@@ -28,7 +28,7 @@ from humanoid_mjx.runs.folder import (
 from humanoid_mjx.runs.tables import finished_runs, read_table, write_tables
 from humanoid_mjx.training.memory import runs_that_fit, training_bytes
 from humanoid_mjx.training.plan import Group, Plan, make_plan, resolved
-from humanoid_mjx.training.pool import Pool
+from humanoid_mjx.training.pool import COMPILING, Pool
 from humanoid_mjx.training.progress import Reporter
 from humanoid_mjx.training.warm_start import earlier_policies
 from humanoid_mjx.training.whole_runs import WholeRuns
@@ -181,11 +181,21 @@ class _Session:
                     self.write_results()
         finally:
             self.stop.set()
-            deadline = time.monotonic() + LEAVE_AFTER_S
-            for thread in threads:
-                thread.join(max(0.0, deadline - time.monotonic()))
+            self._leave(index, pools, threads)
         if errors:
             raise errors[0]
+
+    def _leave(self, index: int, pools: Sequence[Pool], threads: Sequence[threading.Thread]) -> None:
+        """Wait until the threads have stored what is under way; do it for those that compile, which cannot answer."""
+        deadline = time.monotonic() + LEAVE_AFTER_S
+        for number, (pool, thread) in enumerate(zip(pools, threads, strict=True)):
+            while thread.is_alive() and pool.phase not in COMPILING and time.monotonic() < deadline:
+                thread.join(0.05)
+            if thread.is_alive() and pool.phase in COMPILING and pool.busy.any():
+                self._store_under_way(index, number, pool)
+
+    def _store_under_way(self, index: int, number: int, pool: Pool) -> None:
+        self.folder.write_arrays(pool_name(number), {"group": np.array(index)} | pool.state())
 
     def _side_by_side(self, group: Group, size: int, whole: bool) -> str:
         """How many runs train at once, and what memory that is estimated to take."""
@@ -200,7 +210,7 @@ class _Session:
         pool.fill()
         while pool.busy.any():
             if self.stop.is_set() or time.monotonic() - saved > CHECKPOINT_EVERY_S:
-                self.folder.write_arrays(pool_name(number), {"group": np.array(index)} | pool.state())
+                self._store_under_way(index, number, pool)
                 saved = time.monotonic()
             if self.stop.is_set():
                 return
@@ -227,7 +237,7 @@ class _Session:
         if under_way:
             recent = np.concatenate([pool.recent[pool.busy] for pool in busy])
             known = recent[np.isfinite(recent).all(axis=1)]
-            success, mean_return = known.mean(axis=0) if len(known) else (None, None)
+            success, mean_return = map(float, known.mean(axis=0)) if len(known) else (None, None)
             self.reporter.update((len(self.finished) + under_way) * self.plan.budget, success, mean_return)
 
     def _restore(self, index: int, pools: Sequence[Pool]) -> None:
