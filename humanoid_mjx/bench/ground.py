@@ -22,9 +22,11 @@ import numpy as np
 
 from humanoid_mjx.bench.legs import check_finite, on_all_devices
 from humanoid_mjx.bench.measure import Record, Subject, record, time_in_turn
+from humanoid_mjx.control import at_rest
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.tasks import make_task
-from humanoid_mjx.tasks.stand import POSTURE, START_HEIGHT, START_SPREAD, Stand
+from humanoid_mjx.tasks.legged import Stand
+from humanoid_mjx.tasks.legged.body import POSTURE, START_HEIGHT, START_SPREAD
 
 REPEATS = 3
 
@@ -91,7 +93,7 @@ def _program(physics: str, steps: int, worlds: int) -> Callable[..., Any]:
     task: Stand = make_task("stand")
     room = {"worlds": worlds} if physics == "mjx-warp" else {}
     simulator = make_physics(physics, robot="lower_body", torso="free", ranges="human", timestep=task.timestep, **room)
-    servo = task.servo(jnp.asarray(POSTURE, float))
+    servo = task.control.follow(at_rest(jnp.asarray(POSTURE, float)))
 
     def simulate(qpos: jax.Array, qvel: jax.Array) -> jax.Array:
         world = simulator.run(simulator.start(qpos, qvel), servo, steps)
@@ -131,6 +133,7 @@ def _model_with_servo(mj: Any) -> Any:
     model.actuator_forcelimited[:] = 1
     model.actuator_forcerange[:] = limit
     model.actuator_biastype[:] = mj.mjtBias.mjBIAS_AFFINE
-    model.actuator_gainprm[:, 0] = task.stiffness
-    model.actuator_biasprm[:, :3] = 0.0, -task.stiffness, -task.damping
+    servo: Any = task.control
+    model.actuator_gainprm[:, 0] = servo.stiffness
+    model.actuator_biasprm[:, :3] = 0.0, -servo.stiffness, -servo.damping
     return model
