@@ -65,8 +65,10 @@ def masses_of(tree: Tree, kinematics: Kinematics, factors: Sequence[Scalar]) -> 
     return found
 
 
-def mass_matrix(tree: Tree, kinematics: Kinematics, masses: Sequence[Mass]) -> Matrix:
-    """The inertia that the degrees of freedom feel, the free body's in the world's axes, armature included."""
+def mass_matrix(
+    tree: Tree, kinematics: Kinematics, masses: Sequence[Mass], armature: Sequence[Scalar]
+) -> Matrix:
+    """The inertia that the degrees of freedom feel, the free body's in the world's axes."""
     matrix: Matrix = [[ZERO] * (row + 1) for row in range(tree.nv)]
     composites = [_composite(mass) for mass in masses]
     for index in reversed(range(1, len(tree.bodies))):
@@ -78,7 +80,7 @@ def mass_matrix(tree: Tree, kinematics: Kinematics, masses: Sequence[Mass]) -> M
             for other in moving[: moving.index(dof) + 1]:
                 matrix[dof][other] = power(kinematics.motions[other], force)
         for hinge in body.hinges:
-            matrix[hinge.dof][hinge.dof] = matrix[hinge.dof][hinge.dof] + Scalar(hinge.armature)
+            matrix[hinge.dof][hinge.dof] = matrix[hinge.dof][hinge.dof] + armature[hinge.dof]
         composites[body.parent] = composites[body.parent].plus(composite)
     return matrix
 

@@ -16,9 +16,6 @@ SMALLEST = 1e-14
 IMPEDANCES = 1e-4, 1.0 - 1e-4
 """MuJoCo's bounds on `dmin`, `dmax` and the midpoint (mjMINIMP, mjMAXIMP)."""
 
-FRICTIONLESS = 1e-5
-"""MuJoCo's smallest coefficient of friction (mjMINMU)."""
-
 JOINT, GEOM = mujoco.mjtJoint, mujoco.mjtGeom
 
 
@@ -244,7 +241,7 @@ def _surface(m: Any, one: int, two: int, condim: int, friction: Any, margin: Any
         name = f"{m.geom(one).name}-{m.geom(two).name}"
         raise InputError(f"physics: the tree cannot represent contacts that resist twisting or rolling, as {name!r}.")
     weight = sum(float(m.body_invweight0[m.geom_bodyid[geom], 0]) for geom in (one, two))
-    rough = None if condim == 1 else (max(float(friction[0]), FRICTIONLESS), max(float(friction[1]), FRICTIONLESS))
+    rough = None if condim == 1 else (max(float(friction[0]), st.FRICTIONLESS), max(float(friction[1]), st.FRICTIONLESS))
     return st.Surface(rough, weight, float(margin), float(m.opt.impratio), _softness(m, solref, solimp))
 
 

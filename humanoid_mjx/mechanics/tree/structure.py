@@ -11,6 +11,10 @@ Axes = tuple[Triple, Triple, Triple]
 """The axes of one frame in another: its columns as a rotation matrix."""
 
 
+FRICTIONLESS = 1e-5
+"""MuJoCo's smallest coefficient of friction (mjMINMU)."""
+
+
 class Softness(NamedTuple):
     """A soft constraint: how a violation is answered (MuJoCo's `solref`), and how stiffly (`solimp`).
 
