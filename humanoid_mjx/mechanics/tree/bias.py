@@ -54,9 +54,7 @@ def bias_forces(
     tree: Tree, kinematics: Kinematics, masses: Sequence[Mass], drifts: Sequence[Drift], gravity: Vector
 ) -> list[Scalar]:
     """What the degrees of freedom must give so that none of them accelerates, N and N m."""
-    wrenches = [NOWHERE] + [
-        _wrench(mass, drift, gravity) for mass, drift in zip(masses[1:], drifts[1:], strict=True)
-    ]
+    wrenches = [NOWHERE] + [_wrench(mass, drift, gravity) for mass, drift in zip(masses[1:], drifts[1:], strict=True)]
     forces = [ZERO] * tree.nv
     for index in reversed(range(1, len(tree.bodies))):
         body = tree.bodies[index]

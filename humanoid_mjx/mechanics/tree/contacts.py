@@ -59,6 +59,17 @@ class Touch(NamedTuple):
         """Which facets push, by the residual in the contact's frame."""
         return [self.close & (facet.value < 0.0) for facet in self.facets(v)]
 
+    def force(self, v: Vector) -> Vector:
+        """On the second body, N, in the contact's frame, by the residual there."""
+        pushes = [
+            Scalar(jnp.where(self.close & (facet.value < 0.0), -self.weight.value * facet.value, 0.0))
+            for facet in self.facets(v)
+        ]
+        if self.friction is None:
+            return Vector(pushes[0], ZERO, ZERO)
+        (mu, nu), (a, b, c, d) = self.friction, pushes
+        return Vector(a + b + c + d, mu * (a - b), nu * (c - d))
+
     def stiffness(self, active: Sequence[Any]) -> Symmetric:
         """From the residual to less the force while these facets push, in the contact's frame."""
         on = [Scalar(jnp.where(flag, self.weight.value, 0.0)) for flag in active]
@@ -199,5 +210,3 @@ def _frame(normal: Vector, along: Vector | None) -> Rotation:
     else:
         tangent = scale(ONE / root(Scalar(jnp.maximum(square.value, 1e-30))), tangent)
     return normal, tangent, cross(normal, tangent)
-
-

@@ -65,9 +65,7 @@ def masses_of(tree: Tree, kinematics: Kinematics, factors: Sequence[Scalar]) -> 
     return found
 
 
-def mass_matrix(
-    tree: Tree, kinematics: Kinematics, masses: Sequence[Mass], armature: Sequence[Scalar]
-) -> Matrix:
+def mass_matrix(tree: Tree, kinematics: Kinematics, masses: Sequence[Mass], armature: Sequence[Scalar]) -> Matrix:
     """The inertia that the degrees of freedom feel, the free body's in the world's axes."""
     matrix: Matrix = [[ZERO] * (row + 1) for row in range(tree.nv)]
     composites = [_composite(mass) for mass in masses]

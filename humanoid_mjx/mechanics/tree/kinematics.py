@@ -146,5 +146,3 @@ def _turned(hinge: Hinge, angle: Scalar) -> Rotation:
 def _known(axes: Axes) -> Rotation:
     x, y, z = axes
     return vector(x), vector(y), vector(z)
-
-

@@ -38,6 +38,9 @@ def read_tree(model: mujoco.MjModel) -> st.Tree:
         ground=ground,
         pairs=pairs,
         motors=tuple(_motor(model, index) for index in range(model.nu)),
+        gyroscopes=_sites(model, mujoco.mjtSensor.mjSENS_GYRO),
+        accelerometers=_sites(model, mujoco.mjtSensor.mjSENS_ACCELEROMETER),
+        touch_sensors=_sites(model, mujoco.mjtSensor.mjSENS_TOUCH),
         gravity=_triple(model.opt.gravity),
         timestep=float(model.opt.timestep),
         implicit_damping=bool(damped and (model.dof_damping > 0).any()),
@@ -161,6 +164,19 @@ def _motor(m: mujoco.MjModel, index: int) -> st.Motor:
     )
 
 
+def _sites(m: mujoco.MjModel, kind: Any) -> tuple[st.Site, ...]:
+    """Where the model has sensors of a kind, in their order."""
+    found = []
+    for index in m.sensor_objid[m.sensor_type == kind]:
+        shape, box = m.site_type[index], m.site_type[index] == GEOM.mjGEOM_BOX
+        if kind == mujoco.mjtSensor.mjSENS_TOUCH and not box and shape != GEOM.mjGEOM_SPHERE:
+            name = m.site(index).name
+            raise InputError(f"physics: the tree cannot represent a touch sensor that is no box or ball, as {name!r}.")
+        place, axes, size = _triple(m.site_pos[index]), _axes(m.site_quat[index]), _triple(m.site_size[index])
+        found.append(st.Site(m.site(index).name, int(m.site_bodyid[index]), place, axes, bool(box), size))
+    return tuple(found)
+
+
 def _contacts(m: mujoco.MjModel) -> tuple[tuple[st.GroundPoint, ...], tuple[st.Pair, ...]]:
     ground: list[st.GroundPoint] = []
     pairs: list[st.Pair] = []
@@ -228,7 +244,9 @@ def _mixed_surface(m: mujoco.MjModel, one: int, two: int) -> st.Surface:
         friction, condim = m.geom_friction[first, 0], m.geom_condim[first]
     else:
         weights = m.geom_solmix[[one, two]]
-        share = weights[0] / weights.sum() if (weights >= 1e-15).all() else float(np.sign(weights[0] - weights[1]) + 1) / 2
+        share = (
+            weights[0] / weights.sum() if (weights >= 1e-15).all() else float(np.sign(weights[0] - weights[1]) + 1) / 2
+        )
         refs, imps = m.geom_solref[[one, two]], m.geom_solimp[[one, two]]
         solref = share * refs[0] + (1 - share) * refs[1] if (refs[:, 0] > 0).all() else refs.min(axis=0)
         values = solref, share * imps[0] + (1 - share) * imps[1]
@@ -236,12 +254,16 @@ def _mixed_surface(m: mujoco.MjModel, one: int, two: int) -> st.Surface:
     return _surface(m, one, two, int(condim), np.full(2, friction), margin, *values)
 
 
-def _surface(m: Any, one: int, two: int, condim: int, friction: Any, margin: Any, solref: Any, solimp: Any) -> st.Surface:
+def _surface(
+    m: Any, one: int, two: int, condim: int, friction: Any, margin: Any, solref: Any, solimp: Any
+) -> st.Surface:
     if condim not in (1, 3):
         name = f"{m.geom(one).name}-{m.geom(two).name}"
         raise InputError(f"physics: the tree cannot represent contacts that resist twisting or rolling, as {name!r}.")
     weight = sum(float(m.body_invweight0[m.geom_bodyid[geom], 0]) for geom in (one, two))
-    rough = None if condim == 1 else (max(float(friction[0]), st.FRICTIONLESS), max(float(friction[1]), st.FRICTIONLESS))
+    rough = (
+        None if condim == 1 else (max(float(friction[0]), st.FRICTIONLESS), max(float(friction[1]), st.FRICTIONLESS))
+    )
     return st.Surface(rough, weight, float(margin), float(m.opt.impratio), _softness(m, solref, solimp))
 
 

@@ -118,6 +118,16 @@ def _search(tree: Tree, problem: Problem, start: list[Any]) -> tuple[list[Any], 
     return x, settled
 
 
+def residuals(tree: Tree, problem: Problem, x: Sequence[Scalar]) -> tuple[list[Vector], list[Vector]]:
+    """Of the ground's contacts and the pairs', in their frames: where the bodies accelerate more than they should."""
+    motions = motions_of(tree, problem.kinematics, x)
+    ground = [
+        touch.residual(NOWHERE, motions[point.body]) for point, touch in zip(tree.ground, problem.ground, strict=True)
+    ]
+    pairs = [_pair_residual(touch, rows, x) for touch, rows in zip(problem.pairs, problem.rows, strict=True)]
+    return ground, pairs
+
+
 def factor_and_solve(tree: Tree, problem: Problem, active: Any) -> list[Scalar]:
     """The minimum if these facets and stops push and no others."""
     hessian, right = _normal_equations(tree, problem, active)
@@ -126,14 +136,9 @@ def factor_and_solve(tree: Tree, problem: Problem, active: Any) -> list[Scalar]:
 
 def _active(tree: Tree, problem: Problem, x: Sequence[Scalar]) -> Any:
     """Which facets of the ground's contacts, of the pairs' and which stops push at these accelerations."""
-    motions = motions_of(tree, problem.kinematics, x)
-    ground = [
-        touch.active(touch.residual(NOWHERE, motions[point.body]))
-        for point, touch in zip(tree.ground, problem.ground, strict=True)
-    ]
-    pairs = [
-        touch.active(_pair_residual(touch, rows, x)) for touch, rows in zip(problem.pairs, problem.rows, strict=True)
-    ]
+    ground, pairs = residuals(tree, problem, x)
+    ground = [touch.active(v) for touch, v in zip(problem.ground, ground, strict=True)]
+    pairs = [touch.active(v) for touch, v in zip(problem.pairs, pairs, strict=True)]
     stops = {dof: stop.close & (stop.residual(x[dof]).value < 0.0) for dof, stop in problem.stops.items()}
     return ground, pairs, stops
 

@@ -140,6 +140,20 @@ class Motor(NamedTuple):
     force: tuple[float, float] | None
 
 
+class Site(NamedTuple):
+    """A place on a body that senses."""
+
+    name: str
+    body: int
+    position: Triple
+    axes: Axes
+    """In the frame of the body."""
+    box: bool
+    """Whether its volume is a box rather than a ball."""
+    size: Triple
+    """Half the edges of the box; of a ball the first is the radius."""
+
+
 class Tree(NamedTuple):
     """Rigid bodies joined by hinges; the first that moves may be free."""
 
@@ -152,6 +166,9 @@ class Tree(NamedTuple):
     ground: tuple[GroundPoint, ...]
     pairs: tuple[Pair, ...]
     motors: tuple[Motor, ...]
+    gyroscopes: tuple[Site, ...]
+    accelerometers: tuple[Site, ...]
+    touch_sensors: tuple[Site, ...]
     gravity: Triple
     timestep: float
     implicit_damping: bool
