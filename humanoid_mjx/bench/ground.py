@@ -3,6 +3,7 @@
 The torso is free, the feet touch the ground, the joints are held in the posture of the task `stand` by its servo at its
 time step of 4 ms: the contacts of all four corners of both feet are solved in every step.
 
+    tree ground      this package's `Physics` written out as a tree, float32, its solver run to the exact minimum
     mjx-jax ground   this package's `Physics` on MJX in jax, float32, a few iterations of the solver
     mjx-warp ground  the same on MJX with NVIDIA Warp, where warp-lang is installed and the backend is a GPU
     mujoco ground    native MuJoCo, float64, solved to convergence: `mujoco.rollout`, one thread a core, where the servo
@@ -20,6 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from humanoid_mjx import runtime
 from humanoid_mjx.bench.legs import check_finite, on_all_devices
 from humanoid_mjx.bench.measure import Record, Subject, record, time_in_turn
 from humanoid_mjx.control import at_rest
@@ -47,8 +49,8 @@ class Setting(NamedTuple):
 
 
 SETTINGS = {
-    "cpu": Setting((256, 1024), {"mjx-jax": 10, "mujoco": 50}),
-    "gpu": Setting((4096, 32_768, 131_072), {"mjx-jax": 50, "mjx-warp": 50, "mujoco": 100}),
+    "cpu": Setting((256, 1024), {"tree": 50, "mjx-jax": 10, "mujoco": 50}),
+    "gpu": Setting((4096, 32_768, 131_072), {"tree": 50, "mjx-jax": 50, "mjx-warp": 50, "mujoco": 100}),
 }
 
 
@@ -80,8 +82,8 @@ def start(batch: int) -> tuple[np.ndarray, np.ndarray]:
     return qpos, np.zeros((batch, qpos.shape[1] - 1), np.float32)
 
 
-def mjx(physics: str, batch: int, steps: int) -> Callable[[], Any]:
-    """MJX, with jax or warp for its physics: the positions after so many steps."""
+def compiled(physics: str, batch: int, steps: int) -> Callable[[], Any]:
+    """Physics in a jax program: the positions after so many steps."""
     devices = jax.local_devices()
     block = BLOCK.get(devices[0].platform, batch)
     at_once = -(-batch // (max(1, batch // (block * len(devices))) * len(devices)))
@@ -99,7 +101,7 @@ def _program(physics: str, steps: int, worlds: int) -> Callable[..., Any]:
         world = simulator.run(simulator.start(qpos, qvel), servo, steps)
         return jnp.where(world.diverged, jnp.nan, world.qpos)
 
-    return jax.jit(jax.vmap(simulate))
+    return jax.jit(jax.vmap(simulate), compiler_options=runtime.SHARED_KERNELS if physics == "tree" else None)
 
 
 def mujoco(batch: int, steps: int) -> Callable[[], Any]:
