@@ -8,7 +8,7 @@ a control law, by default computed torque, drives both legs to the set-point. Th
 
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp

@@ -44,7 +44,7 @@ class LeggedBody(ContinuousTask):
 
     posture: ClassVar[Float[np.ndarray, " joints"]] = POSTURE
 
-    physics: Literal["mjx-jax", "mjx-warp", "mujoco"] = "mjx-jax"
+    physics: Literal["tree", "mjx-jax", "mjx-warp", "mujoco"] = "tree"
     control: Control = Field(ServoLaw(stiffness=3.0, damping=0.1), description="the law that drives the joints")
     ranges: Literal["human", "proposed"] = Field("human", description="column of Table 3.2")
     choices: Literal[3, 5, 9] = Field(3, description="values of a joint's offset, evenly from -1 to 1 times it")
