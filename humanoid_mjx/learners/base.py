@@ -65,8 +65,8 @@ class Learner(Spec):
 
     @property
     def compiler_options(self) -> Mapping[str, str | bool]:
-        """XLA's options for the programs that train."""
-        return {}
+        """XLA's options for the programs that train and evaluate."""
+        return self.task.compiler_options
 
     def init(self, key: Key[Array, ""], policy: Any = None) -> Any:
         """The training state before the first step: a pytree of arrays. `policy` is one learned before."""

@@ -10,7 +10,6 @@ A step first learns from the move that each agent has under way, then makes the 
 read at two places and written at one, and XLA's CPU compiler keeps the arithmetic between them in fast loops.
 """
 
-from collections.abc import Mapping
 from functools import reduce
 from typing import Any, ClassVar, NamedTuple
 
@@ -82,10 +81,6 @@ class TabularQ(Learner):
     def cumulative(self) -> bool:
         """Where an episode is a step of the only trajectory, curves are its totals so far."""
         return self.task.learning_rules.episode == "step"
-
-    @property
-    def compiler_options(self) -> Mapping[str, str | bool]:
-        return self.task.compiler_options
 
     def init(self, key: Key[Array, ""], policy: QTable | None = None) -> Carry:
         q_table = jnp.asarray(self.task.initial_q() if policy is None else policy, jnp.float32)

@@ -1,5 +1,6 @@
 """The body of a legged task: the lower body in a physics, its posture, the law of its joints, the values of its world."""
 
+from collections.abc import Mapping
 from functools import lru_cache
 from typing import ClassVar, Literal, NamedTuple
 
@@ -16,6 +17,7 @@ from humanoid_mjx.physics import make_physics
 from humanoid_mjx.physics.base import Physics, Sensed, World
 from humanoid_mjx.robot import lower_body
 from humanoid_mjx.robot.ranges import TORQUE_LIMIT
+from humanoid_mjx.runtime import SHARED_KERNELS
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import ContinuousTask
 from humanoid_mjx.types import FloatScalar
@@ -67,6 +69,10 @@ class LeggedBody(ContinuousTask):
     @property
     def action_choices(self) -> tuple[int, ...]:
         return (self.choices,) * JOINTS
+
+    @property
+    def compiler_options(self) -> Mapping[str, str | bool]:
+        return SHARED_KERNELS if self.physics == "tree" else {}
 
     @property
     def simulator(self) -> Physics:
