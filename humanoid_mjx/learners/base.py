@@ -66,7 +66,7 @@ class Learner(Spec):
     @property
     def compiler_options(self) -> Mapping[str, str | bool]:
         """XLA's options for the programs that train and evaluate."""
-        return self.task.compiler_options
+        return {}
 
     def init(self, key: Key[Array, ""], policy: Any = None) -> Any:
         """The training state before the first step: a pytree of arrays. `policy` is one learned before."""

@@ -10,6 +10,7 @@ A step first learns from the move that each agent has under way, then makes the 
 read at two places and written at one, and XLA's CPU compiler keeps the arithmetic between them in fast loops.
 """
 
+from collections.abc import Mapping
 from functools import reduce
 from typing import Any, ClassVar, NamedTuple
 
@@ -76,6 +77,10 @@ class TabularQ(Learner):
     learning_rate: float = traced(0.5, gt=0, le=1, description="share of the TD error that a value moves by")
     discount: float = traced(0.9, ge=0, lt=1, description="value of a reward one step later")
     agents: int = Field(1, ge=1, le=1_000_000, description="episodes at once that feed one table")
+
+    @property
+    def compiler_options(self) -> Mapping[str, str | bool]:
+        return self.task.compiler_options
 
     @property
     def cumulative(self) -> bool:

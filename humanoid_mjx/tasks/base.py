@@ -14,5 +14,5 @@ class Task(Spec):
 
     @property
     def compiler_options(self) -> Mapping[str, str | bool]:
-        """XLA's options for the programs that simulate the task: `runtime.SHARED_KERNELS` where they pass with it."""
+        """XLA's options for the programs that train tables on the task: `runtime.SHARED_KERNELS` where they pass."""
         return {}
