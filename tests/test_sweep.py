@@ -87,6 +87,7 @@ def test_devices_that_solve_linear_systems_do_not_wait_for_each_other(tmp_path):
         "learner": {"name": "linear_q", "resolution": 2, "tilings": 1, "order": 1, "envs": 512, "evaluation_envs": 1},
         "sweep": None,
         "seeds": 2,
+        "episodes": None,
         "total_steps": 512 * 16 * 40,
     }
     paths = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
