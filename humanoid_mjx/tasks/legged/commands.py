@@ -27,7 +27,7 @@ class Velocity(Spec):
     def draw(self, key: Key[Array, ""]) -> Float[Array, "3"]:
         """A command: forward, to the left, turn to the left."""
         value_key, part_key, stand_key = jax.random.split(key, 3)
-        low, high = (jnp.stack([jnp.asarray(x, float) for x in side]) for side in zip(*self.ranges, strict=True))
+        low, high = self.ranges.T
         command = low + (high - low) * jax.random.uniform(value_key, (3,))
         command = jnp.where(jax.random.uniform(part_key, (3,)) < self.zero, 0.0, command)
         return jnp.where(jax.random.uniform(stand_key) < self.standing, 0.0, command)
@@ -38,6 +38,7 @@ class Velocity(Spec):
         return jnp.where(jax.random.uniform(when_key) < period / self.every, self.draw(key), command)
 
     @property
-    def ranges(self) -> tuple[Range, Range, Range]:
+    def ranges(self) -> Float[Array, "3 2"]:
         """Lowest and highest of each part."""
-        return self.forward, self.sideways, self.turn
+        parts = self.forward, self.sideways, self.turn
+        return jnp.stack([jnp.asarray(bound, float) for part in parts for bound in part]).reshape(3, 2)

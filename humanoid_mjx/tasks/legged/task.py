@@ -67,7 +67,7 @@ class LeggedTask(LeggedBody):
     privileged: ClassVar[tuple[str | Observation, ...]] = PRIVILEGED
 
     observe: Literal["sensors", "privileged"] = "sensors"
-    sensors: Sensors = Field(Sensors(), description="errors of the sensors")
+    sensors: Sensors = Field(Sensors.model_validate({}), description="errors of the sensors")
     rewards: Rewards = Field(description="weights of the reward's terms")
     fall: Fall = Field(Fall(), description="what ends an episode")
     push: Push = Field(Push(), description="what disturbs the body")
