@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, judge, three_digits
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, judge, three_digits, unprinted
 from humanoid_mjx.results.style import figure
 from humanoid_mjx.thesis import leg
 from humanoid_mjx.thesis import q_learning as thesis
@@ -124,15 +124,11 @@ def _switch(section: str, setting: Setting) -> list[Finding]:
     )
     quantities = {"settling": "settling time, s", "overshoot": "overshoot, degrees", "energy": "energy, J"}
     findings = [
-        Finding(
-            name="figure-7.18",
-            quantity=f"section {section}: {words}: of the learned switch, and of a planned quintic",
-            printed=None,
-            reproduced=[_short(getattr(learned, quantity)), _short(getattr(plan, quantity))],
-            tolerance=SAME,
-            verdict=judge(_same(getattr(learned, quantity), getattr(plan, quantity)), {}, {}),
-            why=f"nothing is printed, so the plan is what it is judged against: {decided} under the same computed "
-            f"torque has {plan.peak:.2g} N m",
+        unprinted(
+            "figure-7.18",
+            f"section {section}: {words}: of the learned switch, and of a planned quintic",
+            [_short(getattr(learned, quantity)), _short(getattr(plan, quantity))],
+            f"{decided} under the same computed torque has {plan.peak:.2g} N m",
         )
         for quantity, words in quantities.items()
     ]
