@@ -124,8 +124,8 @@ def _stepping_back(share: np.ndarray) -> Finding:
         tolerance=None,
         verdict=judge(bool(keeps.all()), {}, {}),
         why=f"{STEPPING_BACK['steps']} steps back lead to the goal and its bonus of {PRINTED['bonus']:g}; "
-        f"staying earns nothing. At a discount of {PRINTED['discount']:g} the way back pays up to a cost of {limit:.2f} a "
-        "step: only beyond it is the fear right",
+        f"staying earns nothing. At a discount of {PRINTED['discount']:g} the way back pays up to a cost of "
+        f"{limit:.2f} a step: only beyond it is the fear right",
     )
 
 
