@@ -94,6 +94,6 @@ def three_digits(value: Any) -> float:
     return float(f"{value:.3g}")
 
 
-def listed(values: Iterable[float]) -> str:
+def listed(values: Iterable[Any]) -> str:
     """Numbers as words, with commas between them."""
     return ", ".join(f"{value:g}" for value in values)

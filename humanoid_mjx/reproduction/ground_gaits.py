@@ -22,7 +22,7 @@ SECONDS = 3.0
 STEP_M, TURN_DEG, SLIP = 0.06, 5.0, 0.02
 """What counts: as a way, a foot's length; as a turn, the yaw of Table 4.6; as a foot that stays, m/s."""
 
-SIGNS = tuple(product((1, -1), repeat=3))
+SIGNS = tuple((hip, knee, ankle) for hip, knee, ankle in product((1, -1), repeat=3))
 """Of hip, knee and ankle: the readings of the tables, the one in the senses of `lower_body` first."""
 
 FORWARDS = tuple(signs for signs in SIGNS if signs[0] == 1)
@@ -249,7 +249,7 @@ def _write(setting: Setting, played: Mapping[Any, Any], others: Mapping[Any, Any
     heads = "gait | reading | controller | amplitude | Hz | up, s | forwards, m | twist, degrees | slip, m/s | off, rad"
     with (setting.out / f"{NAME}.md").open("w", encoding="utf-8") as file:
         file.write(f"| {heads} |\n{'|---' * 10}|\n")
-        for trial, path in (played | others).items():
+        for trial, path in {**played, **others}.items():
             up = f"{path.seconds:g}" + ("" if path.fell else " (all)")
             told = ("as printed", "") if trial.frequency is None else (f"{trial.amplitude:g}", f"{trial.frequency:g}")
             numbers = f"{up} | {path.distance:.3f} | {path.turn:.0f} | {path.slip:.3f} | {path.tracking:.3f}"

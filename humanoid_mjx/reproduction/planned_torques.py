@@ -140,9 +140,7 @@ def _end(t: np.ndarray, tau: np.ndarray, config: Mapping[str, Any]) -> list[Find
     ]
 
 
-def _finding(
-    quantity: str, mark: Any, value: np.ndarray, tolerance: Any, why: str, config: Mapping[str, Any]
-) -> Finding:
+def _finding(quantity: str, mark: Any, value: Any, tolerance: Any, why: str, config: Mapping[str, Any]) -> Finding:
     agrees = bool((np.abs(value - np.asarray(mark)) <= tolerance).all())
     return Finding(
         name="figure-7.5",
