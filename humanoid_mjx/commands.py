@@ -83,14 +83,18 @@ def run_reproduce(names: Sequence[str], list_names: bool, overrides: Sequence[st
             console.print(f"{experiment.name:24} {experiment.title}")
         return
 
-    def say(experiment: Experiment, findings: list[Finding]) -> None:
-        console.print(f"\n{experiment.name}: {experiment.title}")
+    def say(experiment: Experiment, findings: list[Finding], seconds: float) -> None:
+        console.print(f"\n{experiment.name}: {experiment.title} ({seconds:.1f} s)")
         for finding in findings:
             console.print(f"  {finding.verdict:16} {finding.quantity}")
             console.print(f"  {'':16} printed {_shown(finding.printed)}, reproduced {_shown(finding.reproduced)}")
             console.print(f"  {'':16} {finding.why}")
 
-    findings = reproduce(names, out, overrides, say)
+    def tell(experiment: Experiment, words: str) -> None:
+        status.update(f"{experiment.name}: {words}")
+
+    with console.status("reproducing") as status:
+        findings = reproduce(names, out, overrides, say, tell)
     counts = Counter(finding.verdict for finding in findings)
     console.print(f"\n{', '.join(f'{count} {verdict}' for verdict, count in counts.items())}\n{out / 'reproduce.json'}")
 

@@ -23,7 +23,7 @@ from humanoid_mjx.tasks.legged.observations import OBSERVATIONS, Observed, swapp
 from humanoid_mjx.tasks.legged.view import unknown_feet
 
 KEYS = jax.random.split(jax.random.key(2), 8)
-EXACT = {"sensors": {name: 0.0 for name in ("encoder_noise", "encoder_bias", "gyroscope_noise", "gyroscope_bias")}}
+EXACT = {"sensors": dict.fromkeys(("encoder_noise", "encoder_bias", "gyroscope_noise", "gyroscope_bias"), 0.0)}
 EXACT["sensors"] |= {"accelerometer_noise": 0.0, "accelerometer_bias": 0.0, "foot_contact_noise": 0.0, "delay": 0}
 AHEAD = {"forward": [0.3, 0.3], "sideways": [0.0, 0.0], "turn": [0.0, 0.0], "standing": 0.0, "zero": 0.0}
 walk = partial(make_task, "walk", physics="mujoco")

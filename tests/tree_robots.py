@@ -81,9 +81,13 @@ QUADRUPED = f"""
     <exclude body1="fl_thigh" body2="rr_thigh"/>
     <pair geom1="fl_foot" geom2="ground" condim="3" friction="0.9 0.4 0 0 0" solimp="0.9 0.95 0.001 0.5 2"/>
   </contact>
-  <actuator>{"".join(
-      f'<motor joint="{leg}_{joint}" ctrlrange="-3 3" ctrllimited="true"/>'
-      for leg in ("fl", "fr", "rl", "rr") for joint in ("roll", "pitch", "knee"))}</actuator>
+  <actuator>{
+    "".join(
+        f'<motor joint="{leg}_{joint}" ctrlrange="-3 3" ctrllimited="true"/>'
+        for leg in ("fl", "fr", "rl", "rr")
+        for joint in ("roll", "pitch", "knee")
+    )
+}</actuator>
 </mujoco>
 """
 """Two hinges a body, balls on the ground and against capsules, contacts by `contype`, unequal friction."""
@@ -109,7 +113,9 @@ def states(model: mujoco.MjModel, count: int, seed: int = 0) -> tuple[np.ndarray
     qpos[:, model.jnt_qposadr[hinges]] = np.where(standing, near, anywhere)
     if model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE:
         tilt = rng.choice([0.003, 0.05, 10.0], (count, 1))
-        upright = np.concatenate([np.ones((count, 1)), np.where(standing, 0.003, tilt) * rng.normal(size=(count, 3))], 1)
+        upright = np.concatenate(
+            [np.ones((count, 1)), np.where(standing, 0.003, tilt) * rng.normal(size=(count, 3))], 1
+        )
         qpos[:, 3:7] = upright / np.linalg.norm(upright, axis=1, keepdims=True)
         qpos[:, :2] = rng.normal(size=(count, 2))
         _place(model, qpos, rng)

@@ -127,7 +127,8 @@ def _has_ground(model: mujoco.MjModel) -> bool:
 
 def _sticks(model: mujoco.MjModel, data: mujoco.MjData, view: float) -> Frame:
     """Seen from the right and from the front: a line from each joint to the next, boxes by their edges."""
-    figure = Figure(figsize=(WIDTH / 100, HEIGHT / 100), dpi=100, layout="constrained")
+    figure = Figure(figsize=(WIDTH / 100, HEIGHT / 100), dpi=100)
+    figure.subplots_adjust(left=0.08, right=0.98, bottom=0.07, top=0.92, wspace=0.2)
     canvas = FigureCanvasAgg(figure)
     middle = _middle(model, data)
     for axis, across, title in zip(figure.subplots(1, 2), (0, 1), ("from the right", "from the front"), strict=True):

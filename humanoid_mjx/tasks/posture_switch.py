@@ -148,7 +148,9 @@ class PostureSwitch(FiniteTask):
         target = jnp.clip(self._places(state.encoders) + choice, 0, self.places - 1)
         return self.whole_body(jnp.asarray(self.grid, float)[np.arange(len(MOVED)), target])
 
-    def controller(self, qpos: Float[Array, "10"], qvel: AnyArray | float = 0.0, qacc: AnyArray | float = 0.0) -> Follow:
+    def controller(
+        self, qpos: Float[Array, "10"], qvel: AnyArray | float = 0.0, qacc: AnyArray | float = 0.0
+    ) -> Follow:
         """What drives both legs towards a state of motion."""
         still = jnp.zeros_like(qpos)
         return self.control.follow(Reference(qpos, still + qvel, still + qacc))

@@ -8,12 +8,10 @@ import pytest
 from tree_robots import HOPPER, QUADRUPED, converged, native, states
 
 from humanoid_mjx import runtime
-from humanoid_mjx.mechanics.scalars import Scalar, stack, unstack
-from humanoid_mjx.mechanics.tree import sensing
-from humanoid_mjx.mechanics.tree.algebra import vector
+from humanoid_mjx.mechanics.scalars import stack, unstack
 from humanoid_mjx.mechanics.tree.kinematics import to_local
 from humanoid_mjx.mechanics.tree.reading import read_tree
-from humanoid_mjx.mechanics.tree.step import Values, accelerate, integrate, make_state, motor_forces
+from humanoid_mjx.mechanics.tree.step import Values, accelerate, make_state, motor_forces
 from humanoid_mjx.robot.lower_body import lower_body_model
 
 ROBOTS = {

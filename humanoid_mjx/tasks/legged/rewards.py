@@ -50,7 +50,9 @@ class Rewards(Spec):
         terms = self.terms(view)
         if missing := [name for name in terms if name not in type(self).model_fields]:
             name = type(self).__name__
-            raise InputError(f"rewards: the term {missing[0]!r} of {name} has no weight; declare a traced field for it.")
+            raise InputError(
+                f"rewards: the term {missing[0]!r} of {name} has no weight; declare a traced field for it."
+            )
         return {name: jnp.asarray(getattr(self, name) * term, jnp.float32) for name, term in terms.items()}
 
 
