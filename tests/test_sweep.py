@@ -80,29 +80,6 @@ def test_pool_size_changes_no_bit(reference, tmp_path, size, monkeypatch):
     same_bits(reference.results, sweep(CONFIG, tmp_path / "run", pool_size=size).results)
 
 
-def test_devices_that_solve_linear_systems_do_not_wait_for_each_other(tmp_path):
-    """With the default of PJRT_NPROC this hangs."""
-    config = {
-        "task": {"name": "probes:Solving", "which": "both"},
-        "learner": {"name": "linear_q", "resolution": 2, "tilings": 1, "order": 1, "envs": 512, "evaluation_envs": 1},
-        "sweep": None,
-        "seeds": 2,
-        "episodes": 512 * 16 * 40,
-    }
-    paths = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
-    command = ["sweep", write_config(tmp_path, **config), "--out", "run"]
-    environment = os.environ | {"JAX_NUM_CPU_DEVICES": "2", "PYTHONPATH": paths}
-    del environment["PJRT_NPROC"]
-    done = subprocess.run(
-        [sys.executable, "-m", "humanoid_mjx", *command],
-        cwd=tmp_path,
-        env=environment,
-        capture_output=True,
-        timeout=120,
-    )
-    assert done.returncode == 0, done.stderr
-
-
 def test_static_values_are_swept_in_groups(tmp_path):
     run = sweep(with_axes(task__states=[13, 5], learner__epsilon=[0.3, 0.9]), tmp_path / "run")
     alone = sweep(with_axes(task__states=[5], learner__epsilon=[0.9]), tmp_path / "alone")

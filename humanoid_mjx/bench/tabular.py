@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from humanoid_mjx import make_learner, make_task, rng
+from humanoid_mjx import make_learner, make_task, rng, runtime
 from humanoid_mjx.bench.measure import Record, Subject, record, time_in_turn
 
 MOVES, CAP, POINTS, EPISODES = 23, 500, 100, 100_000
@@ -64,10 +64,9 @@ def scan(epsilon: np.ndarray) -> Made:
     values = {"epsilon_decay": DECAY, "learning_rate": RATE, "discount": DISCOUNT}
     learner = make_learner("tabular_q", task, episodes=EPISODES, record=POINTS, **values)
     blank = learner.structure()
-    init, train = (
-        jax.jit(jax.vmap(blank.init)),
-        jax.jit(jax.vmap(blank.train_chunk, in_axes=(0, 0, None)), compiler_options=dict(task.compiler_options)),
-    )
+    options = runtime.on_every_device(blank.compiler_options)
+    init = jax.jit(jax.vmap(blank.init))
+    train = jax.jit(jax.vmap(blank.train_chunk, in_axes=(0, 0, None)), compiler_options=options)
 
     def start(device: Any, share: np.ndarray) -> tuple[Any, Any]:
         hyper = jax.tree.map(lambda x: np.full(len(share), x, np.result_type(np.float32, x)), learner.params)

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from humanoid_mjx import rng
+from humanoid_mjx import rng, runtime
 from humanoid_mjx.learners import Learner
 
 
@@ -34,7 +34,7 @@ def program_of(learner: Learner) -> Program:
         carry, metrics = learner.train_chunk(hyper, carry, steps)
         return carry, metrics["progress"]
 
-    options = dict(learner.compiler_options)
+    options = runtime.on_every_device(learner.compiler_options)
     return Program(
         start=jax.jit(jax.vmap(start), donate_argnums=3, compiler_options=options),
         train=jax.jit(jax.vmap(train, in_axes=(0, 0, None)), donate_argnums=1, compiler_options=options),
