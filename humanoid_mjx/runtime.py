@@ -21,7 +21,7 @@ among them, so that it is off by default; `SHARED_KERNELS` is for programs that 
 
 POOL_THREADS = str(max(16, 4 * (os.cpu_count() or 1)))
 """`PJRT_NPROC`: threads that all CPU devices share. By default there are as many as cores, and jaxlib 0.10.2 can use
-them up: its kernels for many linear systems share these out over the pool and wait for them in a thread of that pool. As
+them up: its kernels for many linear systems share these out over the pool and wait for them in one of its threads. As
 many such kernels at once as threads, of programs on two devices or of one program, wait forever: MJX solves so for
 contacts. XLA splits kernels into as many parts as there are threads, small ones at a loss: see `on_every_device`."""
 
