@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ import pytest
 from humanoid_mjx import InputError, runtime, sweep
 from humanoid_mjx.results.store import RunFolder
 from humanoid_mjx.training import pool
+from humanoid_mjx.training.progress import Reporter
 
 CONFIG = {
     "name": "small",
@@ -263,3 +265,22 @@ class TestRefusals:
         (tmp_path / "file").write_text("data")
         config = write_config(tmp_path)
         self.refused(["cannot be written"], "sweep", config, "--out", "file/run", cwd=tmp_path)
+
+
+def test_what_is_reported_never_goes_beyond_the_end(tmp_path):
+    """One update of the learner makes 1,024 steps where the config asks for 10."""
+
+    class Kept(Reporter):
+        done: ClassVar[list[float]] = []
+        phases: ClassVar[list[str]] = []
+
+        def update(self, done):
+            self.done.append(done)
+
+        def phase(self, text):
+            self.phases.append(text)
+
+    learner = {"name": "linear_q", "envs": 64, "rollout": 16, "evaluation_envs": 4, "evaluations": 1}
+    sweep(CONFIG | {"learner": learner, "sweep": None, "episodes": 10}, tmp_path / "run", reporter=Kept())
+    assert Kept.done and max(Kept.done) == 10 * 3
+    assert "evaluating" in Kept.phases

@@ -91,7 +91,7 @@ class Pool:
         """Let every run train for about `CHUNK_S`."""
         began = time.monotonic()
         self.carry, progress = self.program.train(self.hyper, self.carry, np.int32(self.steps))
-        self.progress = np.asarray(progress)
+        self.progress = np.minimum(progress, 1.0)  # the last update may go beyond the end
         self.note_time()
         factor = CHUNK_S / max(time.monotonic() - began, 1e-6)
         self.steps = int(np.clip(self.steps * np.clip(factor, 0.25, 4.0), 1, MAX_STEPS))

@@ -192,10 +192,10 @@ class _Session:
             self.tables_are_old = True
 
     def _report(self, pools: Sequence[Pool]) -> None:
-        under_way = sum(float(pool.progress[pool.busy].sum()) for pool in pools)
-        if under_way:
-            self.reporter.phase("training")
-            self.reporter.update((len(self.finished) + under_way) * self.plan.config.episodes)
+        progress = np.concatenate([pool.progress[pool.busy] for pool in pools])
+        if progress.any():
+            self.reporter.phase("training" if (progress < 1.0).any() else "evaluating")
+            self.reporter.update((len(self.finished) + float(progress.sum())) * self.plan.config.episodes)
 
     def _restore(self, index: int, pools: Sequence[Pool]) -> None:
         """Take up the runs of this group that an interrupted session, maybe on other devices, had under way."""
