@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
-from humanoid_mjx import rng
+from humanoid_mjx import rng, runtime
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.base import Outcome, WholeRunLearner
 from humanoid_mjx.training.rollout import greedy, mean_scores
@@ -161,7 +161,7 @@ def programs(options: tuple[tuple[str, str | bool], ...]) -> Programs:
 
 def programs_of(learner: Learner) -> Programs:
     """The programs that train learners such as this one."""
-    return programs(tuple(sorted(learner.compiler_options.items())))
+    return programs(tuple(sorted(runtime.on_every_device(learner.compiler_options).items())))
 
 
 def run_key(seed: jax.Array, number: jax.Array) -> jax.Array:
