@@ -48,8 +48,8 @@ def compiled(task: str) -> str:
     """The program that trains tables on a task, on the first device."""
     config = {"name": "c", "task": {"name": task}, "learner": {"name": "tabular_q"}, "seeds": 1024, "episodes": 10}
     group = make_plan(parse(config)).groups[0]
-    pool = Pool(group, deque(group.runs.tolist()), 1024, jax.local_devices()[0], seed=0)
-    return pool.program.train.lower(pool.hyper, pool.carry, np.int32(1)).compile().as_text()
+    pool = Pool(group, deque(group.runs.tolist()), 512, jax.local_devices(), seed=0)
+    return pool.programs.advance.lower(pool.learners, pool.training, np.int32(1)).compile().as_text()
 
 
 def test_tables_on_every_core_are_not_split_over_the_pool(monkeypatch):
