@@ -1,9 +1,9 @@
 """Checked descriptions of things: the base of every task, learner, physics and config.
 
 A `Spec` is a frozen pydantic model whose fields are what a user may write in a config file, and a pytree whose leaves
-are the values that a compiled program takes as data. A field declared with `traced` is such a leaf: changing it compiles
-nothing, and an array may stand in its place. A field that holds another Spec is a branch. Every other field is
-*static*: it shapes the program. Specs of one `jax.tree.structure` share one compiled program.
+are the values that a compiled program takes as data. A field declared with `traced` is such a leaf: changing it
+compiles nothing, and an array may stand in its place. A field that holds another Spec is a branch. Every other field
+is *static*: it shapes the program. Specs of one `jax.tree.structure` share one compiled program.
 """
 
 import difflib

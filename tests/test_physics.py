@@ -96,9 +96,7 @@ def test_native_worlds_may_differ_in_their_values(native_step, worlds, monkeypat
     """As in a batch of worlds that do not differ, also where the models are too many to be kept."""
     monkeypatch.setattr("humanoid_mjx.physics.native.MODELS_BYTES", 0)
     native._team.cache_clear()
-    heavy = same(NATIVE).replace(
-        mass=1.0 + 0.2 * jnp.arange(WORLDS), damping=jnp.array([0.01, 0.01, 0.1, 0.01])
-    )
+    heavy = same(NATIVE).replace(mass=1.0 + 0.2 * jnp.arange(WORLDS), damping=jnp.array([0.01, 0.01, 0.1, 0.01]))
     moved = worlds
     for _ in range(3):
         moved, _ = native_step(heavy, moved)
@@ -174,8 +172,7 @@ def test_torque_is_held_over_a_cycle_and_kept_within_its_limit():
 
     world, other = (physics.start(physics.qpos0 + 0.2, np.zeros(10)) for physics in both)
     cycle, native_cycle = (
-        jax.jit(lambda world, physics=physics: physics.step(world, track, substeps=4))
-        for physics in both
+        jax.jit(lambda world, physics=physics: physics.step(world, track, substeps=4)) for physics in both
     )
     torques = []
     for _ in range(10):
@@ -381,7 +378,9 @@ def test_bodies_and_contacts_of_both(worlds):
     assert (np.asarray(contacts.normal_force)[np.asarray(contacts.position)[:, 2] > 1e-3] == 0).all()
 
 
-@pytest.mark.parametrize("physics", [NATIVE, make_physics("chain"), make_physics("mujoco", torso="fixed", robot="legs")])
+@pytest.mark.parametrize(
+    "physics", [NATIVE, make_physics("chain"), make_physics("mujoco", torso="fixed", robot="legs")]
+)
 def test_velocities_are_what_poses_change_by(physics):
     random = np.random.default_rng(0)
     joints = len(physics.joint_names)

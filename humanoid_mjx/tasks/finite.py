@@ -43,7 +43,7 @@ class FiniteTask(Task):
         return Rules()
 
     def reset(self, key: Key[Array, ""]) -> Any:
-        """The state at the start of an episode: any pytree; a row of the table where `state_index` is not overridden."""
+        """The state at the start of an episode: any pytree; a row of the table unless `state_index` is overridden."""
         raise NotImplementedError
 
     def step(self, state: Any, action: IntScalar, key: Key[Array, ""]) -> tuple[Any, FloatScalar, BoolScalar]:

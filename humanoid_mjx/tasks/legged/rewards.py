@@ -50,7 +50,9 @@ class Rewards(Spec):
         terms = self.terms(view)
         if missing := [name for name in terms if name not in type(self).model_fields]:
             name = type(self).__name__
-            raise InputError(f"rewards: the term {missing[0]!r} of {name} has no weight; declare a traced field for it.")
+            raise InputError(
+                f"rewards: the term {missing[0]!r} of {name} has no weight; declare a traced field for it."
+            )
         return {name: jnp.asarray(getattr(self, name) * term, jnp.float32) for name, term in terms.items()}
 
 
@@ -144,7 +146,7 @@ def flight(view: View) -> FloatScalar:
 
 
 def slip(view: View) -> FloatScalar:
-    """The square of the corners' speed along the ground, while they touch, m^2/s^2 by four corners, times 10; at most 1.
+    """The squared speeds along the ground of the corners that touch, m^2/s^2, summed, by four, times 10; at most 1.
 
     Of the corners: the middle of a foot that rolls over its edge moves without slipping.
     """
