@@ -209,7 +209,7 @@ def test_rewards_of_feet_are_of_those_that_touch():
     )
     upright = jnp.array([0.0, 0.0, 0.21, 1.0, 0.0, 0.0, 0.0, *np.zeros(10)])
     data = state.data._replace(world=state.data.world._replace(qpos=upright), command=jnp.array([0.3, 0.0, 0.0]))
-    view = task.view(data._replace(phase=jnp.float32(0.14)), None, jnp.zeros(JOINTS))._replace(feet=feet)
+    view = task.view(data._replace(phase=jnp.float32(0.15)), None, jnp.zeros(JOINTS))._replace(feet=feet)
     assert view.swing[0] == pytest.approx(1.0, abs=1e-3) and view.swing[1] == 0.0
     on_left = feet._replace(corner_force=jnp.array([[0.0] * 4, [4.0] * 4]))
     assert rewards.schedule(view._replace(feet=on_left)) == 1.0 and rewards.schedule(view) == 0.5
