@@ -155,6 +155,7 @@ def _draw_gears(setting: Setting, motion: dict[str, np.ndarray], config: dict[st
             for joint in range(5):
                 panel.loglog(GEARS, values[:, joint], "-o", markersize=3, color=COLORS[joint], label=NAMES[joint])
             panel.axhline(limit, color="0.4", linestyle="--", linewidth=1.0)
+            panel.set_ylim(bottom=1e-3)
             panel.set_title(title)
             panel.set_xlabel("gear ratio (logarithmic)")
             panel.set_ylabel("share")
