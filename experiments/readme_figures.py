@@ -20,7 +20,7 @@ LEARNERS = ("leg_reach", "leg_reach_linear", "leg_reach_ppo")
 
 def robots(target: Path, seeds: int) -> None:
     """Both robots at zero, with the axes of their joints."""
-    from humanoid_mjx.results.robots import draw_robots
+    from humanoid_mjx.report.robots import draw_robots
 
     draw_robots(target)
 

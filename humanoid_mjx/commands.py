@@ -16,9 +16,7 @@ from rich.table import Table
 from humanoid_mjx import runtime
 from humanoid_mjx.config import dump_yaml, load
 from humanoid_mjx.data import names
-from humanoid_mjx.results.figures import sweep_figures
-from humanoid_mjx.results.statistics import iqm, iqm_interval
-from humanoid_mjx.results.style import short
+from humanoid_mjx.runs.evaluations import Evaluation
 from humanoid_mjx.spec import InputError, known
 from humanoid_mjx.training.progress import Bar
 
@@ -31,6 +29,7 @@ BEST_POINTS = 10
 def run_sweep(config: str, out: Path | None, overrides: Sequence[str], resume: bool) -> None:
     """`humanoid-mjx sweep`."""
     runtime.start()
+    from humanoid_mjx.report.figures import sweep_figures
     from humanoid_mjx.training.sweep import sweep
 
     with Bar(console) as bar:
@@ -42,7 +41,7 @@ def run_sweep(config: str, out: Path | None, overrides: Sequence[str], resume: b
         bar.phase("drawing figures")
         axes = list(run.config.sweep.axes) if run.config.sweep else []
         summary = run.summary
-        paths = sweep_figures(run.path / "figures", run.config.name, axes, run.results, summary, bar.unit)
+        paths = sweep_figures(run.path / "figures", run.config.name, axes, run.results, summary)
     print_summary(axes, summary)
     for path in (run.path / "results.parquet", run.path / "summary.parquet", *paths):
         console.print(f"{path}", soft_wrap=True)
@@ -50,6 +49,9 @@ def run_sweep(config: str, out: Path | None, overrides: Sequence[str], resume: b
 
 def print_summary(axes: Sequence[str], summary: Mapping[str, np.ndarray]) -> None:
     """The best points of a sweep: those that succeed most often, and among them the quickest."""
+    from humanoid_mjx.report.style import short
+    from humanoid_mjx.runs.statistics import iqm, iqm_interval
+
     points = np.unique(summary["point"])
     rows = [summary["point"] == point for point in points]
     success = np.array([summary["greedy_success"][row].mean() for row in rows])
@@ -126,8 +128,7 @@ def run_evaluate(names: Sequence[str], physics: str | None, episodes: int, file:
     if file is not None and not file.parent.is_dir():
         raise InputError(f"--json {file}: there is no folder {file.parent}.")
     runtime.start()
-    from humanoid_mjx.results.comparison import compare_curves, curve_of_run
-    from humanoid_mjx.results.evaluations import evaluation_table
+    from humanoid_mjx.report.comparison import compare_curves, curve_of_run
     from humanoid_mjx.training.evaluation import HELD_OUT_WORDS, evaluate_all
     from humanoid_mjx.training.policy import find_policy, on_physics
 
@@ -158,10 +159,28 @@ def run_evaluate(names: Sequence[str], physics: str | None, episodes: int, file:
         console.print(f"{target}", soft_wrap=True)
 
 
+def evaluation_table(title: str, evaluations: Sequence[Evaluation]) -> Table:
+    """A row for each, the intervals beside the numbers."""
+    table = Table(title=title, title_justify="left")
+    for heading in ("policy", "agent"):
+        table.add_column(heading)
+    for heading in ("success (95 %)", "return (95 %)", "steps (95 %)"):
+        table.add_column(heading, justify="right")
+    for evaluation in evaluations:
+        success, total, steps = evaluation.success, evaluation.episode_return, evaluation.steps
+        table.add_row(
+            evaluation.policy,
+            evaluation.agent,
+            f"{success.value:.1%} ({success.low:.1%} to {success.high:.1%})",
+            *(f"{x.value:.4g} ({x.low:.4g} to {x.high:.4g})" for x in (total, steps)),
+        )
+    return table
+
+
 def run_play(name: str, physics: str | None, out: Path | None) -> None:
     """`humanoid-mjx play`."""
     runtime.start()
-    from humanoid_mjx.results.rendering import render_motion
+    from humanoid_mjx.report.rendering import render_motion
     from humanoid_mjx.training.episode import play, robot_of, rows_of
     from humanoid_mjx.training.policy import find_policy, on_physics
 
@@ -206,7 +225,8 @@ def show_info(config: str | None, overrides: Sequence[str]) -> None:
     runtime.start()
     from humanoid_mjx.learners import LEARNERS
     from humanoid_mjx.tasks import TASKS
-    from humanoid_mjx.training.plan import make_plan, resolved, run_bytes, training_bytes
+    from humanoid_mjx.training.memory import run_bytes, training_bytes
+    from humanoid_mjx.training.plan import make_plan, resolved
 
     if config is not None:
         plan = make_plan(load(config, overrides))

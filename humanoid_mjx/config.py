@@ -24,7 +24,10 @@ class Config(pydantic.BaseModel):
     sweep: Sweep | None = None
     seeds: int = pydantic.Field(1, ge=1, le=1_000_000)
     seed: int = pydantic.Field(0, ge=0, lt=2**32)
-    episodes: int = pydantic.Field(1000, ge=1, le=1_000_000_000)
+    episodes: int | None = pydantic.Field(None, ge=1, le=1_000_000_000, description="for learners that count episodes")
+    total_steps: int | None = pydantic.Field(
+        None, ge=1, le=2_000_000_000, description="for learners that count control steps of all environments"
+    )
     record: int = pydantic.Field(100, ge=1, le=10_000)
 
     _source: str = pydantic.PrivateAttr("config")
@@ -34,24 +37,30 @@ class Config(pydantic.BaseModel):
         """Where the config came from, for messages."""
         return self._source
 
+    @property
+    def budget(self) -> int | None:
+        """How long to train, in episodes or in control steps."""
+        return self.episodes if self.episodes is not None else self.total_steps
+
     @pydantic.model_validator(mode="before")
     @classmethod
     def _short_runs_record_less(cls, data: Any) -> Any:
-        episodes = data.get("episodes") if isinstance(data, dict) else None
-        return {"record": episodes} | data if isinstance(episodes, int) and 1 <= episodes < 100 else data
+        budget = data.get("episodes", data.get("total_steps")) if isinstance(data, dict) else None
+        return {"record": budget} | data if isinstance(budget, int) and 1 <= budget < 100 else data
 
     @pydantic.model_validator(mode="after")
     def _keys_fit_together(self) -> "Config":
         for part in ("task", "learner"):
             if "name" not in getattr(self, part):
                 raise ValueError(f"{part}.name is required")
-        for key in ("episodes", "record", "task"):
+        for key in ("episodes", "total_steps", "record", "task"):
             if key in self.learner:
                 raise ValueError(f"learner.{key}: unknown key; {key} stands at the top level")
-        if self.record > self.episodes:
-            raise ValueError(f"record ({self.record}) must be at most episodes ({self.episodes})")
+        for key in ("episodes", "total_steps"):
+            if self.record > (budget := getattr(self, key) or self.record):
+                raise ValueError(f"record ({self.record}) must be at most {key} ({budget})")
         for axis in self.sweep.axes if self.sweep else ():
-            if not re.fullmatch(r"(task|learner)\.\w+", axis) or axis.endswith(".name"):
+            if not re.fullmatch(r"(task|learner)(\.\w+)+", axis) or re.fullmatch(r"\w+\.name", axis):
                 raise ValueError(
                     f"sweep.axes.{axis}: an axis is the dotted name of a value of task or learner, "
                     "such as learner.epsilon"

@@ -1,15 +1,18 @@
-"""Checked descriptions of things: the base of every task, learner and config.
+"""Checked descriptions of things: the base of every task, learner, physics and config.
 
-A `Spec` is a frozen pydantic model. Its fields are what a user may write in a config file. The fields that its
-`Params` tuple names are *traced*: they are numbers inside a compiled program, so changing them compiles nothing.
-All others are *static*: they shape the program.
+A `Spec` is a frozen pydantic model whose fields are what a user may write in a config file, and a pytree whose leaves
+are the values that a compiled program takes as data. A field declared with `traced` is such a leaf: changing it
+compiles nothing, and an array may stand in its place. A field that holds another Spec is a branch. Every other field
+is *static*: it shapes the program. Specs of one `jax.tree.structure` share one compiled program.
 """
 
 import difflib
 import importlib
+import re
 from collections.abc import Iterable, Mapping
-from typing import Any, ClassVar, NamedTuple, TypeVar, get_args
+from typing import Any, TypeVar, get_args
 
+import jax
 import pydantic
 
 SomeSpec = TypeVar("SomeSpec", bound="Spec")
@@ -19,36 +22,99 @@ class InputError(ValueError):
     """A value that the user gave cannot be used. The message is one sentence that says what would be right."""
 
 
+def traced(default: Any = ..., **constraints: Any) -> Any:
+    """A field of a `Spec` that compiled programs take as data; `constraints` are those of `pydantic.Field`."""
+    return pydantic.Field(default, json_schema_extra={"traced": True}, **constraints)
+
+
+def is_traced(field: Any) -> bool:
+    """Whether a field, as `model_fields` has it, was declared with `traced`."""
+    return isinstance(field.json_schema_extra, dict) and bool(field.json_schema_extra.get("traced"))
+
+
 class Spec(pydantic.BaseModel):
-    """Base of everything that is built from user input: frozen, strict, no unknown keys, no NaN."""
+    """Base of everything that is built from user input: frozen, strict, no unknown keys, no NaN; a pytree.
+
+    Values are checked when a Spec is built from input, and no more where jax or `replace` puts others in their place.
+    """
 
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
-    class Params(NamedTuple):
-        """The traced fields, in order."""
+    @classmethod
+    def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
+        super().__pydantic_init_subclass__(**kwargs)
+        jax.tree_util.register_pytree_with_keys(cls, _flatten_with_keys, cls._unflatten, _flatten)
 
-    nested: ClassVar[tuple[str, ...]] = ()
-    """Fields that hold another Spec, whose traced values belong to this one's."""
+    @classmethod
+    def _unflatten(cls, structure: tuple[tuple[str, ...], tuple[tuple[str, Any], ...]], nodes: Iterable[Any]) -> Any:
+        names, static = structure
+        return cls.model_construct(**dict(static), **dict(zip(names, nodes, strict=True)))
 
-    @property
-    def params(self) -> Any:
-        """The traced values, as a `Params` tuple of Python numbers."""
-        return self.Params(*(self._traced(name) for name in self.Params._fields))
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _keys_of_a_branch_change_its_default(cls, data: Any) -> Any:
+        """Complete what is written of a nested Spec with what stands in the field's default."""
+        if not isinstance(data, dict):
+            return data
+        defaults = {name: cls.model_fields[name].default for name in data if name in cls.model_fields}
+        branches = {name: default for name, default in defaults.items() if isinstance(default, Spec)}
+        return data | {name: _completed(default, data[name]) for name, default in branches.items()}
 
-    def _traced(self, name: str) -> Any:
-        return getattr(self, name).params if name in self.nested else getattr(self, name)
-
-    def structure(self: SomeSpec) -> SomeSpec:
-        """This spec with its traced fields blanked: equal for all specs that share one compiled program."""
-        blank = {name: getattr(self, name).structure() if name in self.nested else None for name in self.Params._fields}
-        return self.model_copy(update=blank)
+    def replace(self: SomeSpec, **values: Any) -> SomeSpec:
+        """This spec with other values in some of its fields; nothing is checked, so that traced arrays may be given."""
+        assert values.keys() <= type(self).model_fields.keys(), f"{type(self).__name__} has not all of {list(values)}"
+        return self.model_copy(update=values)
 
 
-def make(kind: str, registry: Mapping[str, str], base: type[Spec], name: str, /, **params: Any) -> Any:
+def _split(spec: Spec) -> tuple[list[tuple[str, Any]], tuple[tuple[str, Any], ...]]:
+    """The fields that are nodes of the tree, and the static ones."""
+    nodes, static = [], []
+    for name, field in type(spec).model_fields.items():
+        value = getattr(spec, name)
+        (nodes if is_traced(field) or isinstance(value, Spec) else static).append((name, value))
+    return nodes, tuple(static)
+
+
+def _flatten(spec: Spec) -> tuple[list[Any], tuple[tuple[str, ...], tuple[tuple[str, Any], ...]]]:
+    nodes, static = _split(spec)
+    return [value for _, value in nodes], (tuple(name for name, _ in nodes), static)
+
+
+def _flatten_with_keys(spec: Spec) -> tuple[list[tuple[Any, Any]], Any]:
+    nodes, static = _split(spec)
+    keys = [(jax.tree_util.GetAttrKey(name), value) for name, value in nodes]
+    return keys, (tuple(name for name, _ in nodes), static)
+
+
+def _completed(default: Spec, written: Any) -> Any:
+    """What is written of a branch, completed from its default unless it names another kind of thing than that."""
+    values = {name: getattr(default, name) for name in type(default).model_fields}
+    if isinstance(written, str) and "name" in values:
+        written = {"name": written}
+    if not isinstance(written, dict) or written.get("name", values.get("name")) != values.get("name"):
+        return written
+    branches = {name: values[name] for name in written if isinstance(values.get(name), Spec)}
+    return values | written | {name: _completed(default, written[name]) for name, default in branches.items()}
+
+
+def make(kind: str, registry: Mapping[str, str], base: type[Any], name: str, /, **values: Any) -> Any:
     """Build the `kind` of thing called `name`: a name of the registry, or a user's own as "package.module:Class".
 
     Raises:
-      InputError: unknown name, a class that is no `base`, an unknown parameter, a value out of range.
+      InputError: unknown name, a class that is no `base`, an unknown key, a value out of range.
+    """
+    cls = find(kind, registry, base, name)
+    try:
+        return cls(**values)
+    except pydantic.ValidationError as error:
+        raise InputError(sentence(error, kind, cls)) from error
+
+
+def find(kind: str, registry: Mapping[str, str], base: type[SomeSpec], name: str) -> type[SomeSpec]:
+    """The class of the `kind` of thing called `name`.
+
+    Raises:
+      InputError: unknown name, a module that cannot be imported, a class that is no `base`.
     """
     if not isinstance(name, str):
         raise InputError(f"{kind}.name must be a string, got {name!r}.")
@@ -65,10 +131,7 @@ def make(kind: str, registry: Mapping[str, str], base: type[Spec], name: str, /,
         raise InputError(f"{kind}.name: {name!r} cannot be imported: {error}.") from error
     if not (isinstance(cls, type) and issubclass(cls, base)):
         raise InputError(f"{kind}.name: {name!r} must be a class derived from {base.__module__}.{base.__name__}.")
-    try:
-        return cls(**params)
-    except pydantic.ValidationError as error:
-        raise InputError(sentence(error, kind, cls)) from error
+    return cls
 
 
 def known(name: str, names: Iterable[str]) -> str:
@@ -95,7 +158,11 @@ def sentence(error: pydantic.ValidationError, where: str, model: type[pydantic.B
             )
             return f"{key} must be {sign} {next(iter(fault['ctx'].values()))}{got}."
         case "value_error":
-            return f"{key}: {fault['ctx']['error']}".removeprefix(": ").rstrip(".") + "."
+            parents, _, last = key.rpartition(".")
+            message = str(fault["ctx"]["error"]).rstrip(".") + "."
+            if last and re.match(rf"{re.escape(last)}[. :]", message):  # it says the key itself, and what is in it
+                return f"{parents}.{message}".removeprefix(".")
+            return f"{key}: {message}".removeprefix(": ")
         case "literal_error":
             return f"{key} must be one of {fault['ctx']['expected']}{got}."
         case "model_type":

@@ -1,11 +1,12 @@
 """Finite decision processes given by tables, and two slow, obvious ways to solve them."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx import rng
+from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.finite import FiniteTask, Rules
 
 STANDARD = Rules()
@@ -14,23 +15,15 @@ STANDARD = Rules()
 class TableTask(FiniteTask):
     """A decision process whose transitions stand in tables; the tables are traced, their sizes are not."""
 
-    next_state: Any
-    reward: Any
-    terminal: Any
-    rows: Any
+    next_state: Any = traced()
+    reward: Any = traced()
+    terminal: Any = traced()
+    rows: Any = traced()
     num_rows: int
     actions: int
     rules: Rules = Rules()
-    success_rate: float = 1.0
-    max_episode_steps: int = 50
-
-    class Params(NamedTuple):
-        next_state: Any
-        reward: Any
-        terminal: Any
-        rows: Any
-        success_rate: float
-        max_episode_steps: int
+    success_rate: float = traced(1.0)
+    max_episode_steps: int = traced(50)
 
     @property
     def num_states(self):
@@ -44,18 +37,19 @@ class TableTask(FiniteTask):
     def learning_rules(self):
         return self.rules
 
-    def reset(self, params, key):
+    def reset(self, key):
         return jnp.int32(0)
 
-    def step(self, params, state, action, key):
-        following = params.next_state[state, action]
-        return following, params.reward[state, action], params.terminal[following]
+    def step(self, state, action, key):
+        following = self.next_state[state, action]
+        return following, self.reward[state, action], self.terminal[following]
 
-    def row(self, params, state):
-        return params.rows[state]
+    def state_index(self, state):
+        return self.rows[state]
 
-    def obedience(self, params):
-        return params.success_rate
+    @property
+    def execution_rate(self):
+        return self.success_rate
 
 
 def random_task(seed, states, actions, rows, rules=STANDARD, **kwargs):
@@ -73,55 +67,56 @@ def random_task(seed, states, actions, rows, rules=STANDARD, **kwargs):
     )
 
 
-def q_learning(task, params, hyper, q_table, draws):
+def q_learning(learner, q_table, draws):
     """Tabular Q-learning in plain Python. `draws[t]` are the three random numbers of step t; draws[0] of the first.
 
     Yields, after each step: (row, action) learned about, the table, epsilon and the number of finished episodes.
     """
     f = np.float32
     q = np.array(q_table, f)
+    task = learner.task
     rules = task.learning_rules
 
     def choose(t, row, epsilon, episode):
         explore, choice, tie = draws[t]
-        epsilon = max(f(hyper.epsilon_min), epsilon)
-        if rules.episode == "step" and episode == hyper.episodes - 1:
+        epsilon = max(f(learner.epsilon_min), epsilon)
+        if rules.episode == "step" and episode == learner.episodes - 1:
             epsilon = f(0)
-        if explore < (f(1) - epsilon) * f(params.success_rate):
+        if explore < (f(1) - epsilon) * f(task.success_rate):
             best = [a for a in range(task.num_actions) if q[row, a] == q[row].max()]
             return best[0] if rules.ties == "first" else best[int(f(tie) * f(len(best)))]
         return int(f(choice) * f(task.num_actions))
 
-    state, epsilon, episode, length = 0, f(hyper.epsilon), 0, 0
-    action = choose(0, int(params.rows[state]), epsilon, episode)
+    state, epsilon, episode, length = 0, f(learner.epsilon), 0, 0
+    action = choose(0, int(task.rows[state]), epsilon, episode)
     for t in range(1, len(draws)):
-        row = int(params.rows[state])
-        following = int(params.next_state[state, action])
-        reward = f(params.reward[state, action])
-        ended = bool(params.terminal[following])
-        training = episode < hyper.episodes
-        value = q[int(params.rows[following])].max()
+        row = int(task.rows[state])
+        following = int(task.next_state[state, action])
+        reward = f(task.reward[state, action])
+        ended = bool(task.terminal[following])
+        training = episode < learner.episodes
+        value = q[int(task.rows[following])].max()
         if ended and not rules.bootstrap_at_end:
             value = f(0)
-        target = reward + f(hyper.discount) * value
+        target = reward + f(learner.discount) * value
         if training and (rules.update == "every" or ended):
-            q[row, action] += f(hyper.learning_rate) * (target - q[row, action])
+            q[row, action] += f(learner.learning_rate) * (target - q[row, action])
         learned = row, action
         length += 1
-        over = ended or length >= params.max_episode_steps
+        over = ended or length >= task.max_episode_steps
         if rules.episode == "step":
             if training:
-                episode, epsilon, length = episode + 1, epsilon * f(hyper.epsilon_decay), 0
+                episode, epsilon, length = episode + 1, epsilon * f(learner.epsilon_decay), 0
             if ended:
-                episode = hyper.episodes
+                episode = learner.episodes
         elif training and over:
-            episode, epsilon, length = episode + 1, epsilon * f(hyper.epsilon_decay), 0
+            episode, epsilon, length = episode + 1, epsilon * f(learner.epsilon_decay), 0
         state = 0 if over else following
-        action = choose(t, int(params.rows[state]), epsilon, episode)
+        action = choose(t, int(task.rows[state]), epsilon, episode)
         yield learned, q.copy(), epsilon, episode
 
 
-def value_iteration(task, params, discount, sweeps=5000):
+def value_iteration(task, discount, sweeps=5000):
     """The optimal Q of a finite task whose states are 0 ... num_states - 1 and whose step draws nothing."""
     states, actions = task.num_states, task.num_actions
     following, reward, terminal = (
@@ -131,7 +126,7 @@ def value_iteration(task, params, discount, sweeps=5000):
     )
     key = rng.key(0)
     for s, a in np.ndindex(states, actions):
-        following[s, a], reward[s, a], terminal[s, a] = task.step(params, jnp.int32(s), jnp.int32(a), key)
+        following[s, a], reward[s, a], terminal[s, a] = task.step(jnp.int32(s), jnp.int32(a), key)
     q = np.zeros((states, actions))
     for _ in range(sweeps):
         q, old = reward + discount * (1 - terminal) * q.max(axis=1)[following], q

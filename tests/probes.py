@@ -1,12 +1,13 @@
 """Five environments of one idea each, with known values, as one continuous task whose tables are traced."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
+from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import ContinuousTask, State, begin
 
 END = 2
@@ -17,18 +18,11 @@ class Probe(ContinuousTask):
     """States 0 and 1, two choices for each of two joints; every table leads with the state."""
 
     joints: int = 1
-    obs: Any
-    start: Any
-    next_state: Any
-    reward: Any
-    max_episode_steps: int = 10
-
-    class Params(NamedTuple):
-        obs: Any
-        start: Any
-        next_state: Any
-        reward: Any
-        max_episode_steps: int
+    obs: Any = traced()
+    start: Any = traced()
+    next_state: Any = traced()
+    reward: Any = traced()
+    max_episode_steps: int = traced(10)
 
     @property
     def observation_size(self):
@@ -38,23 +32,23 @@ class Probe(ContinuousTask):
     def action_choices(self):
         return (2,) * self.joints
 
-    def reset(self, params, key):
-        state = (jax.random.uniform(key) < params.start).astype(jnp.int32)
-        return begin((state, jnp.int32(0)), params.obs[state][None], ("right",))
+    def reset(self, key):
+        state = (jax.random.uniform(key) < self.start).astype(jnp.int32)
+        return begin((state, jnp.int32(0)), self.obs[state][None], ("right",))
 
-    def step(self, params, state, action, key):
+    def step(self, state, action, key):
         place, length = state.data
         right = action.mean()
-        reward = params.reward[place, 0] * (1 - right) + params.reward[place, 1] * right
-        following = params.next_state[place]
+        reward = self.reward[place, 0] * (1 - right) + self.reward[place, 1] * right
+        following = self.next_state[place]
         over = following == END
-        obs = params.obs[jnp.minimum(following, 1)][None]
+        obs = self.obs[jnp.minimum(following, 1)][None]
         return State(
             data=(jnp.minimum(following, 1), length + 1),
             obs=obs,
             reward=reward,
             terminated=over,
-            truncated=~over & (length + 1 >= params.max_episode_steps),
+            truncated=~over & (length + 1 >= self.max_episode_steps),
             success=over & (reward > 0),
             final_obs=obs,
             metrics={"right": right},
@@ -91,21 +85,12 @@ class NamedProbe(Probe):
     """A probe by its name, as a config can write it."""
 
     which: str
-    obs: Any = Field(None, exclude=True)
-    start: Any = Field(None, exclude=True)
-    next_state: Any = Field(None, exclude=True)
-    reward: Any = Field(None, exclude=True)
+    obs: Any = traced(None, exclude=True)
+    start: Any = traced(None, exclude=True)
+    next_state: Any = traced(None, exclude=True)
+    reward: Any = traced(None, exclude=True)
 
     @model_validator(mode="before")
     @classmethod
     def _tables_follow_from_the_name(cls, data):
         return dict(probe(data["which"])[0]) | data
-
-
-class Solving(NamedProbe):
-    """A probe whose every step solves linear systems, as contacts do in MJX."""
-
-    def step(self, params, state, action, key):
-        matrix = jnp.eye(16) * 2.0 + 0.0 * state.obs
-        solution = jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(matrix), jnp.ones(16))
-        return super().step(params, state, action, key)._replace(reward=solution[0])

@@ -1,6 +1,6 @@
 """Function approximation: targets against plain Python, features, and learners on tasks whose values are known."""
 
-from functools import lru_cache
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +20,9 @@ from humanoid_mjx.learners.targets import lambda_targets
 from humanoid_mjx.tasks.continuous import ContinuousTask
 from humanoid_mjx.training import pool
 from humanoid_mjx.training.pool import Pool
+from humanoid_mjx.training.program import advance, begin, finish
 from humanoid_mjx.training.replay import replay
+from humanoid_mjx.training.rollout import greedy, mean_scores
 
 LEARNERS = {
     "tiles": ("linear_q", {"resolution": 3, "tilings": 2, "order": 1, "learning_rate": 0.3}),
@@ -34,25 +36,17 @@ LEARNERS = {
 def build(kind, task, **values):
     name, own = LEARNERS[kind]
     common = {"envs": 32, "rollout": 4, "discount": DISCOUNT, "epsilon": 1.0, "epsilon_decay": 1.0, "trace_decay": 0.5}
-    return make_learner(name, task, episodes=32 * 4 * 400, record=4, **(common | own | values))
+    return make_learner(name, task, total_steps=32 * 4 * 400, record=4, **(common | own | values))
 
 
-@lru_cache(maxsize=16)
-def trainer(structure, updates):
-    """Init and train, compiled once for all tasks and values of one structure."""
-
-    def train(hyper, key):
-        return structure.train_chunk(hyper, structure.init(hyper, key), updates)
-
-    return jax.jit(train)
-
-
-def hyper_of(learner):
-    return jax.tree.map(jnp.asarray, learner.params)
+@partial(jax.jit, static_argnums=1)
+def trained(learner, updates, key):
+    """Compiled once for all tasks and values of one structure."""
+    return advance(learner, begin(learner, key), updates)
 
 
 def train(learner, updates=400, seed=0):
-    return trainer(learner.structure(), updates)(hyper_of(learner), rng.key(seed))
+    return trained(jax.tree.map(jnp.asarray, learner), updates, rng.key(seed))
 
 
 @pytest.mark.parametrize("joints", [1, 2])
@@ -61,10 +55,10 @@ def test_learners_find_the_values_of_the_probes(kind, joints):
     for name in PROBES:
         task, obs, expected = probe(name, joints)
         learner = build(kind, task)
-        carry, metrics = train(learner)
-        assert float(metrics["progress"]) == 1.0
-        policy = learner.policy(carry)
-        q = np.asarray(learner.q_values(policy.value, learner.see(policy, jnp.asarray(obs))))
+        training, progress = train(learner)
+        assert float(progress.share) == 1.0
+        policy = learner.policy(training.carry)
+        q = np.asarray(learner.q_values(policy.value, learner.preprocess(policy, jnp.asarray(obs))))
         # Q of equal choices of all joints is their mean. The probes are deterministic: the only error is that of
         # learning, most for the network's moving features.
         np.testing.assert_allclose(q.mean(axis=1), expected, atol=0.07 if kind == "deep" else 0.02, err_msg=name)
@@ -118,8 +112,8 @@ def test_truncation_bootstraps_and_termination_does_not():
     """A state that repeats for ever with reward 1: cut off after two steps it is worth 1 / (1 - discount)."""
     task = make(1, (-1.0, 1.0), 0.0, (1, 1), ((1, 1), (1, 1)), cap=2)
     learner = build("tiles", task)
-    policy = learner.policy(train(learner)[0])
-    q = learner.q_values(policy.value, learner.see(policy, jnp.array([[-1.0], [1.0]])))
+    policy = learner.policy(train(learner)[0].carry)
+    q = learner.q_values(policy.value, learner.preprocess(policy, jnp.array([[-1.0], [1.0]])))
     np.testing.assert_allclose(q, 1 / (1 - DISCOUNT), atol=0.02)
 
 
@@ -127,12 +121,11 @@ def test_linear_with_a_feature_for_each_state_is_a_table():
     """The same moves, fed one by one to the linear learner and to the rule of the table."""
     task = make_task("joint_reach", joint=5, states=13)
     values = {"tilings": 1, "resolution": 13, "envs": 1, "rollout": 1, "trace_decay": 0.0, "learning_rate": 0.3}
-    learner = make_learner("linear_q", task, episodes=100, record=1, **values)
-    hyper = learner.params
+    learner = make_learner("linear_q", task, total_steps=100, record=1, **values)
     value, _ = learner.init_value(rng.key(0))
     table = np.zeros((13, 2))
     draw = np.random.default_rng(0)
-    learn = jax.jit(lambda value, batch: learner.learn(hyper.learning_rate, value, (), batch, rng.key(0))[0])
+    learn = jax.jit(lambda value, batch: learner.learn(learner.learning_rate, value, (), batch, rng.key(0))[0])
     for _ in range(200):
         row, action, target = draw.integers(13), draw.integers(2), draw.normal()
         obs = jnp.float32([[row / 12]])
@@ -218,7 +211,7 @@ def test_moments_are_those_of_all_that_was_seen():
 def test_training_feeds_the_statistics_raw_observations_once():
     task, _, _ = probe("delayed reward")
     learner = build("deep", task)
-    carry, _ = train(learner, updates=5)
+    carry = train(learner, updates=5)[0].carry
     assert float(carry.weights.moments.count) == 5 * 4 * 32
     np.testing.assert_allclose(carry.weights.moments.mean, 0.0, atol=1e-6)
     np.testing.assert_allclose(carry.weights.moments.variance, 1.0, atol=1e-6)
@@ -240,7 +233,7 @@ def test_exploration():
 
 def test_epsilon_decays_by_the_episode_and_climbs_the_ladder():
     learner = build("tiles", probe("choice")[0], epsilon=0.5, epsilon_decay=0.9, epsilon_min=0.2, ladder=1.0)
-    found = exploration.epsilons(learner.params, jnp.array([0, 1, 100]))
+    found = exploration.epsilons(learner, jnp.array([0, 1, 100]))
     np.testing.assert_allclose(found, [0.5, (0.45) ** 1.5, 0.2**2], rtol=1e-5)
 
 
@@ -261,7 +254,7 @@ class Uneven(ContinuousTask):
 
 
 def test_choices_grow_by_stages():
-    learner = build("tiles", probe("choice")[0]).model_copy(update={"grow": True, "task": Uneven()})
+    learner = build("tiles", probe("choice")[0]).replace(grow=True, task=Uneven())
     opened = [np.asarray(learner.allowed(p)).sum(axis=1).tolist() for p in (0.0, 0.34, 0.67, 1.0)]
     assert opened == [[3, 3], [5, 3], [9, 3], [9, 3]]
 
@@ -269,10 +262,10 @@ def test_choices_grow_by_stages():
 def test_numbers_that_are_not_finite_stop_a_run_before_the_update_that_makes_them():
     task = make(1, (-1.0, 1.0), 0.0, (1, END_NEVER), ((1, 1), (np.inf, 1)), cap=2)
     learner = build("tiles", task)
-    carry, metrics = train(learner)
-    assert bool(learner.diverged(carry)) and float(metrics["progress"]) == 1.0
-    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(carry.weights))
-    replayed = learner.train_step(hyper_of(learner), carry)
+    training, progress = train(learner)
+    assert bool(training.failed) and float(progress.share) == 1.0
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(training.carry.weights))
+    replayed, _ = learner.train_step(training.carry)
     assert not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(replayed.weights))
 
 
@@ -290,13 +283,13 @@ def test_a_second_training_compiles_nothing():
 def test_evaluation_counts_successes_of_greedy_episodes():
     task, _, _ = probe("both")
     learner = build("deep", task)
-    policy = learner.policy(train(learner)[0])
-    found = learner.evaluate(hyper_of(learner), policy, rng.key(5))
-    assert float(found["greedy_success"]) == 1.0 and float(found["greedy_return"]) == 1.0
+    policy = learner.policy(train(learner)[0].carry)
+    found = mean_scores(learner.env, greedy(learner, policy), 64, rng.key(5))
+    assert float(found["success"]) == 1.0 and float(found["return"]) == 1.0
     ignorant = policy._replace(value=jax.tree.map(jnp.zeros_like, policy.value))
     # 64 coins: three in ten million such samples leave 0.5 by more than 0.32.
-    found = learner.evaluate(hyper_of(learner), ignorant, rng.key(5))
-    assert float(found["greedy_success"]) == pytest.approx(0.5, abs=0.32)
+    found = mean_scores(learner.env, greedy(learner, ignorant), 64, rng.key(5))
+    assert float(found["success"]) == pytest.approx(0.5, abs=0.32)
 
 
 @pytest.mark.parametrize(
@@ -338,7 +331,7 @@ SWEEP = {
     },
     "sweep": {"axes": {"learner.epsilon": [0.2, 1.0], "learner.trace_decay": [0.0, 0.9]}},
     "seeds": 2,
-    "episodes": 8 * 8 * 40,
+    "total_steps": 8 * 8 * 40,
     "record": 10,
 }
 
@@ -351,7 +344,7 @@ def swept(tmp_path_factory):
 def test_a_sweep_of_networks_has_a_row_for_every_point(swept):
     assert len(swept.summary["point"]) == 8 and len(swept.results["point"]) == 80
     assert {"td_error", "return", "success", "steps"} <= set(swept.results)
-    assert swept.results["episode"][9] == 8 * 8 * 40
+    assert swept.results["step"][9] == 8 * 8 * 40
     assert np.isfinite(swept.summary["greedy_return"]).all() and not swept.summary["diverged"].any()
 
 
@@ -368,9 +361,10 @@ def test_snapshots_are_of_the_end_of_each_part():
     whole, _ = train(learner)
     half, _ = train(learner, updates=200)
     middle = jax.tree.map(lambda x: x[1], whole.snapshots)
-    jax.tree.map(np.testing.assert_array_equal, middle, half.weights)
-    jax.tree.map(np.testing.assert_array_equal, jax.tree.map(lambda x: x[3], whole.snapshots), whole.weights)
-    curve, final = learner.results(hyper_of(learner), half, rng.key(1))
+    jax.tree.map(np.testing.assert_array_equal, middle, half.carry.weights)
+    jax.tree.map(np.testing.assert_array_equal, jax.tree.map(lambda x: x[3], whole.snapshots), whole.carry.weights)
+    results = finish(learner, half, rng.key(1))
+    curve, final = results["curve"], results["final"]
     np.testing.assert_array_equal(np.isfinite(curve["greedy_success"]), [True, True, False, False])
     assert final["greedy_return"] == curve["greedy_return"][1]
 
@@ -400,13 +394,13 @@ def test_a_stopped_training_of_networks_goes_on_to_the_same_bits(swept, tmp_path
 def test_a_run_that_breaks_is_marked_and_can_be_replayed_while_the_others_finish(tmp_path):
     learner = {"name": "linear_q", "tilings": 1, "resolution": 13, "envs": 4, "rollout": 4, "evaluation_envs": 2}
     axes = {"task.bonus": [100.0, 3e38]}
-    config = SWEEP | {"learner": learner, "sweep": {"axes": axes}, "seeds": 1, "episodes": 4 * 4 * 60}
+    config = SWEEP | {"learner": learner, "sweep": {"axes": axes}, "seeds": 1, "total_steps": 4 * 4 * 60}
     run = sweep(config, tmp_path / "run")
     assert run.summary["diverged"].tolist() == [False, True]
     assert np.isfinite(run.summary["greedy_return"][0])
     again = replay(run.path, 1, 0)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(again.carry.weights))
-    broken = again.learner.train_step(again.hyper, again.carry)
+    broken, _ = again.learner.train_step(again.carry)
     assert not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(broken.weights))
     with pytest.raises(InputError, match="point 0 with seed 0 did not diverge"):
         replay(run.path, 0, 0)

@@ -64,7 +64,7 @@ def test_unknown_benchmarks_are_refused():
 
 def test_the_ground_is_the_same_body_in_every_physics():
     batch, steps = 2, 25
-    by_mjx = np.concatenate([np.asarray(x) for device in ground.mjx("mjx-jax", batch, steps)() for x in device])
+    by_mjx = np.concatenate([np.asarray(x) for device in ground.compiled("mjx-jax", batch, steps)() for x in device])
     by_mujoco = ground.mujoco(batch, steps)()
     # 0.1 s: float32 and four iterations of the solver against float64 and convergence.
     np.testing.assert_allclose(by_mjx, by_mujoco, atol=1e-4)
@@ -91,7 +91,7 @@ def test_postures_count_the_episodes_that_they_train():
 class Stored(Run):
     """A run folder of four record points, whose first two were passed when training was first looked at."""
 
-    config = SimpleNamespace(episodes=4000)
+    config = SimpleNamespace(budget=4000)
     timing = {"wall_s": np.array([5.0, 5.0, 7.0, 9.0], np.float32)}  # noqa: RUF012
     results = {  # noqa: RUF012
         "steps": np.array([20.0, np.nan, 30.0, 40.0]),
@@ -108,7 +108,7 @@ def test_rates_leave_compiling_out_and_time_to_success_does_not():
 
 def test_training_writes_records_and_skips_what_is_not_there():
     lines = []
-    tiny = ["episodes=4096", "record=4", "learner.evaluation_envs=2", "learner.envs=16", "learner.evaluations=2"]
+    tiny = ["total_steps=4096", "record=4", "learner.evaluation_envs=2", "learner.envs=16", "learner.evaluations=2"]
     records = training.run(lines.append, ["leg_reach", "nowhere"], tiny)
     assert lines[1] == "nowhere: does not ship"
     assert {r.subject for r in records} == {"deep_q leg_reach"} and {r.batch for r in records} == {16}

@@ -2,7 +2,6 @@
 
 import json
 import sys
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +16,8 @@ from typer.testing import CliRunner
 from humanoid_mjx import InputError, make_learner, make_task, rng, sweep
 from humanoid_mjx.cli import app
 from humanoid_mjx.learners import brax_ppo, brax_repair
-from humanoid_mjx.results.tables import finished_runs
+from humanoid_mjx.runs.tables import finished_runs
+from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks import TASKS
 from humanoid_mjx.tasks.base import Task
 from humanoid_mjx.tasks.brax_env import BraxEnv, wrap
@@ -32,10 +32,7 @@ class Drift(ContinuousTask):
     and is cut off after `cap` steps."""
 
     choices: tuple[int, ...] = (3, 2)
-    cap: int = 4
-
-    class Params(NamedTuple):
-        cap: int
+    cap: int = traced(4)
 
     @property
     def observation_size(self):
@@ -45,17 +42,17 @@ class Drift(ContinuousTask):
     def action_choices(self):
         return self.choices
 
-    def reset(self, params, key):
+    def reset(self, key):
         start = jax.random.uniform(key)
         obs = jnp.concatenate([jnp.stack([start, 0.0]), -jnp.ones(len(self.choices))])
         return begin((start, jnp.int32(0)), obs, ("noise",))
 
-    def step(self, params, state, action, key):
+    def step(self, state, action, key):
         place, count = state.data[0] + action[0] * 0.5, state.data[1] + 1
         obs = jnp.concatenate([jnp.stack([place, count.astype(float)]), action.astype(float)])
         noise = jax.random.uniform(key)
         over = place > 2.5
-        cut = ~over & (count >= params.cap)
+        cut = ~over & (count >= self.cap)
         return State((place, count), obs, noise, over, cut, over, obs, {"noise": noise})
 
 
@@ -82,8 +79,8 @@ def random_commands(steps, envs, joints, seed=0):
 def test_a_command_becomes_the_nearest_choice(choices, data):
     command = np.array([data.draw(st.floats(-1.5, 1.5, width=32)) for _ in choices])
     task = Drift(choices=tuple(choices))
-    state = task.reset(task.params, rng.key(0))
-    found = task.step_continuous(task.params, state, jnp.asarray(command, jnp.float32), rng.key(1)).obs[2:]
+    state = task.reset(rng.key(0))
+    found = task.step_continuous(state, jnp.asarray(command, jnp.float32), rng.key(1)).obs[2:]
     for value, n, choice in zip(command, choices, np.asarray(found), strict=True):
         distance = np.abs(np.linspace(-1, 1, n) - np.clip(value, -1, 1))
         assert distance[int(choice)] <= distance.min() + 1e-6
@@ -107,14 +104,14 @@ def test_under_brax_wrappers_a_task_does_what_it_does_alone(which):
         own = first
         for t, state in enumerate(states[1:]):
             choice = jnp.asarray((commands[t, e] > 0).astype(np.int32))
-            own = step(env.params, own, choice, rng.key(t))
+            own = step(own, choice, rng.key(t))
             # Two programs: XLA may round each its own way; rewards are of order 1.
             np.testing.assert_allclose(state.reward[e], own.reward, atol=1e-6)
             np.testing.assert_allclose(state.info["final_obs"][e], own.final_obs, atol=1e-6)
-            assert bool(state.done[e]) == bool(own.over)
-            assert float(state.metrics["success"][e]) == float(own.over & own.success)
-            ends += bool(own.over)
-            own = first if own.over else own
+            assert bool(state.done[e]) == bool(own.done)
+            assert float(state.metrics["success"][e]) == float(own.done & own.success)
+            ends += bool(own.done)
+            own = first if own.done else own
             np.testing.assert_allclose(state.obs[e], own.obs, atol=1e-6)
     assert ends > 4
 
@@ -204,7 +201,7 @@ CONFIG = {
     "task": {"name": "probes:NamedProbe", "which": "both"},
     "learner": {"name": "brax_ppo", **TINY},
     "sweep": {"axes": {"task.which": ["both", "delayed reward"]}},
-    "episodes": 32 * 4 * 90,
+    "total_steps": 32 * 4 * 90,
     "record": 6,
 }
 
@@ -227,7 +224,7 @@ def test_ppo_solves_probes_through_the_sweep_command(swept):
     assert not summary["diverged"].any()
     # Of 64 random actions at the end a few may still be the other one.
     assert (summary["return"] > 0.7).all()
-    assert results["episode"][:6].tolist() == [1920 * (i + 1) for i in range(6)]
+    assert results["step"][:6].tolist() == [1920 * (i + 1) for i in range(6)]
     for name in ("return", "steps", "success", "greedy_return", "greedy_steps", "greedy_success"):
         assert np.isfinite(results[name]).all()
     assert (swept.path / "figures/learning_curves.png").is_file()
@@ -236,26 +233,26 @@ def test_ppo_solves_probes_through_the_sweep_command(swept):
 
 def test_a_stopped_ppo_loses_the_run_under_way_and_ends_in_the_same_bits(swept, tmp_path, monkeypatch):
     class Interrupting(Reporter):
-        def update(self, done):
-            if done > CONFIG["episodes"]:
+        def update(self, done, success=None, mean_return=None):
+            if done > CONFIG["total_steps"]:
                 raise KeyboardInterrupt
 
     told = []
 
-    def report(self, share):
+    def look(self, learner, carry, share, policy):
         told.append((int(self.slots[0]), share))
         if self.slots[0] == 1:
             self.progress[0] = share
             assert self.stop.wait(60)
-        original(self, share)
+        original(self, learner, carry, share, policy)
 
-    original = WholeRuns._report
-    monkeypatch.setattr(WholeRuns, "_report", report)
+    original = WholeRuns._look
+    monkeypatch.setattr(WholeRuns, "_look", look)
     with pytest.raises(KeyboardInterrupt):
         sweep(CONFIG, tmp_path / "run", reporter=Interrupting())
     assert told == [(0, (i + 1) / 6) for i in range(6)] + [(1, 1 / 6)]
     assert Run(tmp_path / "run").summary["point"].tolist() == [0]
-    monkeypatch.setattr(WholeRuns, "_report", original)
+    monkeypatch.setattr(WholeRuns, "_look", original)
     again = sweep(CONFIG, tmp_path / "run", resume=True)
     for name in ("results.parquet", "summary.parquet"):
         assert (again.path / name).read_bytes() == (swept.path / name).read_bytes()
@@ -277,32 +274,31 @@ def fake_training(monkeypatch, change):
     return given
 
 
-def trained(learner):
-    learner, hyper = learner.structure(), jax.tree.map(jnp.asarray, learner.params)
-    return learner, hyper, learner.train_run(hyper, learner.init(hyper, rng.key(0)), lambda share: None)
+def short(updates, record):
+    axes = {"task.which": ["both"]}
+    return CONFIG | {"sweep": {"axes": axes}, "total_steps": 128 * updates, "record": record}
 
 
-def test_training_stops_at_weights_that_are_not_finite_and_keeps_the_last_good_ones(monkeypatch):
+def test_training_stops_at_weights_that_are_not_finite_and_keeps_the_last_good_ones(tmp_path, monkeypatch):
     def change(part, policy):
         return jax.tree.map(lambda leaf: leaf + (1 if part < 2 else np.nan), policy) if part < 3 else policy
 
     fake_training(monkeypatch, change)
-    learner = make_learner("brax_ppo", probe("both")[0], episodes=128 * 100, record=5, **TINY)
-    learner, hyper, carry = trained(learner)
-    assert bool(learner.diverged(carry))
-    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(learner.policy(carry)))
-    np.testing.assert_array_equal(np.isfinite(learner.curve(hyper, carry)["return"]), [True, True, False, False, False])
+    run = sweep(short(100, 5), tmp_path / "run")
+    assert run.summary["diverged"].all()
+    stored = finished_runs(run.path, ("policy", "point", "seed"))
+    assert all(np.isfinite(array).all() for array in stored.values())
+    np.testing.assert_array_equal(np.isfinite(run.results["return"]), [True, True, False, False, False])
 
 
 @pytest.mark.parametrize(
     ("updates", "record", "points"),
     [(100, 5, range(5)), (3, 5, [1, 3, 4]), (7, 5, [1, 2, 3, 4]), (1, 5, [4])],
 )
-def test_the_parts_of_a_training_fall_on_the_points_of_its_curve(monkeypatch, updates, record, points):
+def test_the_parts_of_a_training_fall_on_the_points_of_its_curve(tmp_path, monkeypatch, updates, record, points):
     given = fake_training(monkeypatch, lambda part, policy: policy)
-    learner = make_learner("brax_ppo", probe("both")[0], episodes=128 * updates, record=record, **TINY)
-    learner, hyper, carry = trained(learner)
-    np.testing.assert_array_equal(np.flatnonzero(np.isfinite(learner.curve(hyper, carry)["steps"])), list(points))
+    run = sweep(short(updates, record), tmp_path / "run")
+    np.testing.assert_array_equal(np.flatnonzero(np.isfinite(run.results["steps"])), list(points))
     parts = given[0]["num_evals"] - 1
     assert parts * -(-updates // parts) < updates + -(-updates // record)
 

@@ -38,15 +38,15 @@ def test_every_shipped_config_makes_a_plan(name):
     assert plan.config.name == name
     again = make_plan(parse(yaml.safe_load(dump_yaml(resolved(plan.config)))))
     assert again.points == plan.points
-    assert [learner.params for learner in again.learners] == [learner.params for learner in plan.learners]
+    assert again.learners == plan.learners
 
 
 QUICK = {
     "tabular_q": ["episodes=2", "seeds=1"],
-    "linear_q": ["episodes=64", "learner.envs=4", "learner.rollout=8", "learner.evaluation_envs=2"],
-    "deep_q": ["episodes=64", "learner.envs=4", "learner.rollout=8", "learner.evaluation_envs=2"],
+    "linear_q": ["total_steps=64", "learner.envs=4", "learner.rollout=8", "learner.evaluation_envs=2"],
+    "deep_q": ["total_steps=64", "learner.envs=4", "learner.rollout=8", "learner.evaluation_envs=2"],
     "brax_ppo": [
-        "episodes=64",
+        "total_steps=64",
         "record=2",
         "learner.num_envs=4",
         "learner.batch_size=1",
@@ -193,8 +193,8 @@ def test_points_that_differ_in_numbers_share_a_program():
     groups = make_plan(parse(text)).groups
     assert [len(group.points) for group in groups] == [4, 4]
     assert groups[1].points.tolist() == [4, 5, 6, 7]
-    np.testing.assert_allclose(groups[0].hyper.epsilon, [0.1, 0.1, 0.2, 0.2])
-    np.testing.assert_allclose(groups[0].hyper.task.bonus, [1.0, 2.0, 1.0, 2.0])
+    np.testing.assert_allclose(groups[0].learners.epsilon, [0.1, 0.1, 0.2, 0.2])
+    np.testing.assert_allclose(groups[0].learners.task.bonus, [1.0, 2.0, 1.0, 2.0])
 
 
 def test_a_joint_that_is_swept_takes_its_own_start_and_goal():

@@ -39,10 +39,10 @@ def pushed():
             return jnp.where(grounded, exact, held)
 
         def cycle(world, _):
-            world, torque = MJX.step(MJX.params, world, controller)
+            world, torque = MJX.step(world, controller)
             return world, (world.qpos, torque)
 
-        world = MJX.start(MJX.params, MJX.qpos0, qvel)
+        world = MJX.start(MJX.qpos0, qvel)
         return jax.lax.scan(cycle, world, length=MJX.substeps(SECONDS))[1]
 
     copies = 25

@@ -1,6 +1,6 @@
 """leg_reach: set-points move a leg whose controller believes in other masses."""
 
-from functools import cache
+from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
@@ -14,33 +14,29 @@ LEGS = 64
 
 @cache
 def programs(structure):
-    def go(params, state, command):
+    def go(task, state):
         def decide(state, _):
-            return structure.step_continuous(params, state, command(params, state), jax.random.key(0)), None
+            to_goal = (state.data.goal - state.data.setpoint) / jnp.radians(task.increment)
+            return task.step_continuous(state, to_goal, jax.random.key(0)), None
 
         return jax.lax.scan(decide, state, length=30)[0]
 
-    reset = jax.jit(jax.vmap(structure.reset, in_axes=(None, 0)))
-    step = jax.jit(jax.vmap(structure.step, in_axes=(None, 0, 0, None)))
-    return reset, step, jax.jit(jax.vmap(go, in_axes=(None, 0, None)), static_argnums=2)
+    reset = jax.jit(jax.vmap(lambda task, key: task.reset(key), in_axes=(None, 0)))
+    step = jax.jit(jax.vmap(lambda task, *args: task.step(*args), in_axes=(None, 0, 0, None)))
+    return reset, step, jax.jit(jax.vmap(go, in_axes=(None, 0)))
 
 
 def begin(task):
-    params = jax.tree.map(jnp.asarray, task.params)
-    reset, step, go = programs(task.structure())
-    state = reset(params, jax.random.split(jax.random.key(1), LEGS))
-    return params, state, step, go
-
-
-def straight(params, state):
-    """Send the set-points to the goals."""
-    return (state.data.goal - state.data.setpoint) / jnp.radians(params.increment)
+    """A state of each leg, what steps them, and what sends their set-points to their goals."""
+    reset, *others = programs(jax.tree.structure(task))
+    values = jax.tree.map(jnp.asarray, task)
+    return reset(values, jax.random.split(jax.random.key(1), LEGS)), *(partial(f, values) for f in others)
 
 
 def test_set_points_at_the_goal_reach_it_where_the_model_is_right_and_only_there():
-    params, state, _, go = begin(make_task("leg_reach"))
+    state, _, go = begin(make_task("leg_reach"))
     right = state._replace(data=state.data._replace(mass=jnp.ones_like(state.data.mass)))
-    arrived, missed = go(params, right, straight), go(params, state, straight)
+    arrived, missed = go(right), go(state)
     assert arrived.success.all() and arrived.truncated.all() and not arrived.terminated.any()
     # At rest at its goal every joint earns both halves in full.
     np.testing.assert_allclose(arrived.reward, 1.0, atol=0.02)
@@ -49,7 +45,7 @@ def test_set_points_at_the_goal_reach_it_where_the_model_is_right_and_only_there
 
 def test_starts_goals_and_masses_are_drawn_from_their_ranges():
     task = make_task("leg_reach")
-    _, state, _, _ = begin(task)
+    state, _, _ = begin(task)
     low, high = task.simulator.joint_ranges.T
     for drawn in (state.data.world.qpos, state.data.goal):
         assert (drawn >= low - 1e-6).all() and (drawn <= high + 1e-6).all()
@@ -61,24 +57,24 @@ def test_starts_goals_and_masses_are_drawn_from_their_ranges():
 
 def test_choices_are_parts_of_the_increment():
     task = make_task("leg_reach", choices=5, increment=10.0)
-    params, state, step, _ = begin(task)
+    state, step, _ = begin(task)
     action = jnp.tile(jnp.array([0, 1, 2, 3, 4]), (LEGS, 1))
-    moved = step(params, state, action, jax.random.key(0)).data.setpoint - state.data.setpoint
+    moved = step(state, action, jax.random.key(0)).data.setpoint - state.data.setpoint
     np.testing.assert_allclose(np.degrees(moved), np.tile([-10.0, -5.0, 0.0, 5.0, 10.0], (LEGS, 1)), atol=1e-3)
 
 
 def test_a_set_point_leads_its_joint_by_20_degrees_at_most():
-    params, state, step, _ = begin(make_task("leg_reach", increment=90.0))
-    after = step(params, state, jnp.full((LEGS, 5), 8), jax.random.key(0))
+    state, step, _ = begin(make_task("leg_reach", increment=90.0))
+    after = step(state, jnp.full((LEGS, 5), 8), jax.random.key(0))
     np.testing.assert_allclose(np.degrees(after.data.setpoint - state.data.world.qpos), 20.0, atol=1e-3)
 
 
 def test_a_leg_that_breaks_ends_its_episode_alone():
-    params, state, step, _ = begin(make_task("leg_reach"))
+    state, step, _ = begin(make_task("leg_reach"))
     action = jnp.full((LEGS, 5), 4)
-    sound = step(params, state, action, jax.random.key(0))
+    sound = step(state, action, jax.random.key(0))
     world = state.data.world._replace(qvel=state.data.world.qvel.at[3, 1].set(jnp.nan))
-    broken = step(params, state._replace(data=state.data._replace(world=world)), action, jax.random.key(0))
+    broken = step(state._replace(data=state.data._replace(world=world)), action, jax.random.key(0))
     assert broken.terminated.tolist() == [leg == 3 for leg in range(LEGS)] and broken.reward[3] == -1.0
     np.testing.assert_array_equal(np.delete(broken.obs, 3, axis=0), np.delete(sound.obs, 3, axis=0))
 
@@ -86,11 +82,11 @@ def test_a_leg_that_breaks_ends_its_episode_alone():
 @pytest.mark.parametrize("other", ["mujoco", pytest.param("mjx-jax", marks=pytest.mark.slow)])
 def test_another_physics_does_the_same(other):
     """The plant's links weigh as drawn and the controller's as believed, in every physics."""
-    params, state, _, go = begin(make_task("leg_reach"))
-    there = go(params, state, straight)
-    _, start, _, elsewhere = begin(make_task("leg_reach", physics=other))
+    state, _, go = begin(make_task("leg_reach"))
+    there = go(state)
+    start, _, elsewhere = begin(make_task("leg_reach", physics=other))
     # 600 steps of first order in float32; where set-points jump, velocities are large for a moment.
-    np.testing.assert_allclose(elsewhere(params, start, straight).data.world.qpos, there.data.world.qpos, atol=2e-3)
+    np.testing.assert_allclose(elsewhere(start).data.world.qpos, there.data.world.qpos, atol=2e-3)
 
 
 @pytest.mark.parametrize(

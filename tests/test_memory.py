@@ -6,8 +6,9 @@ import pytest
 
 from humanoid_mjx import InputError
 from humanoid_mjx.config import load
-from humanoid_mjx.training.plan import make_plan, runs_that_fit, training_bytes
-from humanoid_mjx.training.program import program_of
+from humanoid_mjx.training.memory import runs_that_fit, training_bytes
+from humanoid_mjx.training.plan import make_plan
+from humanoid_mjx.training.program import programs_of
 
 SMALL = ["learner.evaluation_envs=32"]
 
@@ -19,10 +20,10 @@ def test_the_estimate_is_what_xla_takes_within_a_factor_of_two(config):
     name, *overrides = config
     (group,) = make_plan(load(name, overrides)).groups
     runs = 2
-    hyper = jax.tree.map(lambda x: jax.ShapeDtypeStruct((runs, *x.shape[1:]), x.dtype), group.hyper)
-    carry = jax.tree.map(lambda x: jax.ShapeDtypeStruct((runs, *x.shape), x.dtype), group.one_run)
-    train = program_of(group.learner.structure()).train
-    memory = train.lower(hyper, carry, jax.ShapeDtypeStruct((), jnp.int32)).compile().memory_analysis()
+    learners = jax.tree.map(lambda x: jax.ShapeDtypeStruct((runs, *x.shape[1:]), x.dtype), group.learners)
+    training = jax.tree.map(lambda x: jax.ShapeDtypeStruct((runs, *x.shape), x.dtype), group.one_run)
+    train = programs_of(group.learners).advance
+    memory = train.lower(learners, training, jax.ShapeDtypeStruct((), jnp.int32)).compile().memory_analysis()
     peak = memory.argument_size_in_bytes + memory.output_size_in_bytes - memory.alias_size_in_bytes
     ratio = runs * training_bytes(group) / (peak + memory.temp_size_in_bytes)
     assert 0.5 < ratio < 2.0, ratio

@@ -5,7 +5,6 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import NamedTuple
 
 import jax.numpy as jnp
 import pytest
@@ -14,6 +13,7 @@ sys.path.insert(0, str(Path(__file__).parent / "data"))
 from hop import Hop
 
 from humanoid_mjx import InputError
+from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.check import check_task
 
 CONFIG = {
@@ -28,7 +28,7 @@ CONFIG = {
         "learning_rate": 0.01,
     },
     "sweep": {"axes": {"task.stride": [0.2, 0.3]}},
-    "episodes": 16_000,
+    "total_steps": 16_000,
     "record": 4,
     "seeds": 1,
 }
@@ -47,11 +47,6 @@ def test_they_train_from_the_command_line(tmp_path):
     assert (Run(tmp_path / "run").summary["greedy_success"] > 0.9).all()
 
 
-class NoField(Hop):
-    class Params(NamedTuple):
-        strid: float
-
-
 class WrongSize(Hop):
     @property
     def observation_size(self):
@@ -59,27 +54,42 @@ class WrongSize(Hop):
 
 
 class NoState(Hop):
-    def step(self, params, state, action, key):
+    def step(self, state, action, key):
         return state.data
 
 
 class OtherDtype(Hop):
-    def step(self, params, state, action, key):
-        after = super().step(params, state, action, key)
+    def step(self, state, action, key):
+        after = super().step(state, action, key)
         return after._replace(data=(after.data[0], after.data[1].astype(jnp.float32)))
 
 
 class OtherTerms(Hop):
-    def step(self, params, state, action, key):
-        return super().step(params, state, action, key)._replace(metrics={})
+    def step(self, state, action, key):
+        return super().step(state, action, key)._replace(metrics={})
 
 
 class NoStep(Hop):
     step = Hop.__base__.step
 
 
+class ShapedByAValue(Hop):
+    hops: int = traced(3)
+
+    def step(self, state, action, key):
+        return super().step(state, action, key)._replace(reward=jnp.ones(self.hops).sum())
+
+
+class BranchOnAValue(Hop):
+    def step(self, state, action, key):
+        if self.stride > 0.1:
+            return super().step(state, action, key)
+        return state
+
+
 FAULTS = {
-    NoField: r"NoField.Params names 'strid', which is no field",
+    ShapedByAValue: r"ShapedByAValue lets an array's shape or a Python branch depend on a traced value .* make that field",
+    BranchOnAValue: r"BranchOnAValue lets .* \(test_own_tasks.py, line \d+: if self.stride > 0.1:\)",
     WrongSize: r"WrongSize.reset must return obs of shape \(2,\), got \(1,\)",
     NoState: r"NoState.step must return a State, got a tuple",
     OtherDtype: r"OtherDtype.step must return data\[1\] as reset does, int32\[\], got float32\[\]",

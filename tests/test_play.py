@@ -58,7 +58,7 @@ def test_play_writes_an_animation(switched):
 def test_a_task_that_is_not_known_here_is_played_by_its_decisions(tmp_path):
     """On native MuJoCo: a row at the start and after each of four decisions of 0.1 s."""
     leg = {"name": "leg_reach", "physics": "mujoco", "duration": 0.4}
-    path = run(tmp_path / "leg", leg, learner={"name": "deep_q", "width": 8, "envs": 4, "rollout": 4}, episodes=32)
+    path = run(tmp_path / "leg", leg, learner={"name": "deep_q", "width": 8, "envs": 4, "rollout": 4}, total_steps=32)
     trained = best_policy(path)
     qpos, step_s = rows_of(trained, play(trained))
     assert qpos.shape == (5, robot_of(trained).nq) and step_s == 0.1

@@ -15,16 +15,16 @@ UP, DOWN = 26, 0
 
 @cache
 def compiled(structure):
-    return jax.jit(jax.vmap(structure.reset, in_axes=(None, 0))), jax.jit(
-        jax.vmap(structure.step, in_axes=(None, 0, 0, 0))
+    return jax.jit(jax.vmap(lambda task, key: task.reset(key), in_axes=(None, 0))), jax.jit(
+        jax.vmap(lambda task, *args: task.step(*args), in_axes=(None, 0, 0, 0))
     )
 
 
 def start(task, robots):
     keys = jax.random.split(rng.key(0), robots)
-    params = jax.tree.map(jnp.asarray, task.params)
-    reset, step = compiled(task.structure())
-    return reset(params, keys), lambda state, action: step(params, state, jnp.asarray(action), keys)
+    values = jax.tree.map(jnp.asarray, task)
+    reset, step = compiled(jax.tree.structure(task))
+    return reset(values, keys), lambda state, action: step(values, state, jnp.asarray(action), keys)
 
 
 def test_the_right_way_up_arrives_and_the_left_leg_takes_opposite_values():
@@ -37,7 +37,7 @@ def test_the_right_way_up_arrives_and_the_left_leg_takes_opposite_values():
     assert arrived.all() and (reward == 99.0).all()
     qpos = np.degrees(state.world.qpos[0])
     np.testing.assert_allclose(qpos, [20, 0, 0, 15, 10, -20, 0, 0, -15, -10], atol=2.0)
-    assert int(task.structure().row(task.params, jax.tree.map(lambda x: x[0], state))) == task.num_states - 1
+    assert int(task.state_index(jax.tree.map(lambda x: x[0], state))) == task.num_states - 1
 
 
 def test_staying_and_going_back_never_arrive():
@@ -109,7 +109,7 @@ def test_a_sweep_learns_to_switch(tmp_path):
         ({"physics": "chains"}, "task.physics must be one of"),
         ({"posture": "6.5"}, "task.posture must be one of"),
         ({"period": 0.0123}, "a control cycle of 0.0123 s must be a multiple of the time step of 0.005 s"),
-        ({"natural_frequency": -1.0}, "task.natural_frequency must be greater than 0"),
+        ({"control": {"natural_frequency": -1.0}}, "task.control.natural_frequency must be greater than 0"),
         ({"places": 1}, "task.places must be at least 2"),
     ],
 )
@@ -121,8 +121,8 @@ def test_bad_values_get_a_sentence(values, words):
 @pytest.mark.parametrize("physics", ["chain", "mjx-jax", "mujoco"])
 def test_a_decision_can_be_traced_in_every_physics(physics):
     task = make_task("posture_switch", physics=physics)
-    params, key = task.params, jax.random.key(0)
-    state = jax.eval_shape(task.reset, params, key)
-    after, reward, terminated = jax.eval_shape(task.step, params, state, jnp.int32(0), key)
+    key = jax.random.key(0)
+    state = jax.eval_shape(task.reset, key)
+    after, reward, terminated = jax.eval_shape(task.step, state, jnp.int32(0), key)
     assert jax.tree.map(lambda x: (x.shape, x.dtype), after) == jax.tree.map(lambda x: (x.shape, x.dtype), state)
     assert reward.shape == terminated.shape == ()

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from humanoid_mjx.results.rendering import HEIGHT, STRIP, WIDTH, draw, render
-from humanoid_mjx.results.robots import draw_robots
+from humanoid_mjx.report.rendering import HEIGHT, STRIP, WIDTH, draw, render
+from humanoid_mjx.report.robots import draw_robots
 from humanoid_mjx.robot.lower_body import lower_body_model
 from humanoid_mjx.spec import InputError
 

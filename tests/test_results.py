@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import trim_mean
 
-from humanoid_mjx.results.figures import find_levels, sweep_figures
-from humanoid_mjx.results.statistics import iqm, iqm_interval, rate_interval
+from humanoid_mjx.report.figures import find_levels, sweep_figures
+from humanoid_mjx.runs.statistics import iqm, iqm_interval, rate_interval
 
 
 @given(st.integers(1, 12), st.integers(0, 1000))
@@ -45,7 +45,7 @@ def test_interval_of_a_probability_covers_the_truth_as_often_as_it_says():
 def test_resampling_in_parts_changes_little(monkeypatch):
     values = np.random.default_rng(0).normal(size=(50, 2))
     whole = iqm_interval(values)
-    monkeypatch.setattr("humanoid_mjx.results.statistics.RESAMPLED_NUMBERS", 1000)
+    monkeypatch.setattr("humanoid_mjx.runs.statistics.RESAMPLED_NUMBERS", 1000)
     # 500 resamples, other ones: an end of the interval has an error of about a tenth of its width.
     np.testing.assert_allclose(iqm_interval(values), whole, atol=0.2 * np.ptp(whole, axis=0).max())
 
@@ -75,6 +75,6 @@ def test_figures_of_every_number_of_axes(tmp_path, axes, seeds):
     first = e == 0
     summary = {name: values[first] for name, values in results.items()}
     summary |= {"greedy_success": np.ones(first.sum()), "greedy_steps": rng.uniform(5, 9, first.sum())}
-    paths = sweep_figures(tmp_path, "title", axes, results, summary, "episodes")
+    paths = sweep_figures(tmp_path, "title", axes, results, summary)
     assert len(paths) == (3 if len(axes) > 1 else 1)
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in paths)

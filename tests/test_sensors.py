@@ -17,10 +17,10 @@ def readings(value):
 
 def run(sensors, values, key=KEY):
     """What is read of true readings that are `values`, one after the other."""
-    state = sensors.start(sensors.params, readings(values[0]), key)
+    state = sensors.start(readings(values[0]), key)
     seen = []
     for i, value in enumerate(values):
-        state, now = sensors.read(sensors.params, state, readings(value), jax.random.fold_in(key, i))
+        state, now = sensors.read(state, readings(value), jax.random.fold_in(key, i))
         seen.append(now)
     return jax.tree.map(lambda *x: np.stack(x), *seen)
 
@@ -47,7 +47,7 @@ def test_noise_and_bias_have_the_size_asked_for():
 
 def one_and_two(sensors, key):
     """Two readings in one episode, one after the other: their eight arrays."""
-    state = sensors.start(sensors.params, readings(0.0), key)
-    state, one = sensors.read(sensors.params, state, readings(0.0), jax.random.fold_in(key, 1))
-    state, two = sensors.read(sensors.params, state, readings(0.0), jax.random.fold_in(key, 2))
+    state = sensors.start(readings(0.0), key)
+    state, one = sensors.read(state, readings(0.0), jax.random.fold_in(key, 1))
+    state, two = sensors.read(state, readings(0.0), jax.random.fold_in(key, 2))
     return [*one, *two]

@@ -1,7 +1,5 @@
 """Tabular Q-learning: equal to a slow Python version step by step, and right in the limit."""
 
-from functools import lru_cache
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,20 +12,18 @@ from humanoid_mjx import make_learner, make_task, rng
 from humanoid_mjx.tasks.finite import Rules
 from humanoid_mjx.tasks.joint_reach import PRINTED
 from humanoid_mjx.tasks.navigate import shortest_path
+from humanoid_mjx.training.program import advance, begin, curve, measures
+from humanoid_mjx.training.rollout import greedy, rollout
 
 STEPS = 120
 
 
-@lru_cache
-def traced_training(learner):
-    """(hyper, key) -> the first carry and those after each of STEPS steps."""
-
-    def train(hyper, key):
-        first = learner.init(hyper, key)
-        _, carries = jax.lax.scan(lambda c, _: (learner.train_step(hyper, c),) * 2, first, length=STEPS)
-        return first, carries
-
-    return jax.jit(train)
+@jax.jit
+def train_and_keep(learner, key):
+    """The first carry and those after each of STEPS steps."""
+    first = learner.init(key)
+    _, carries = jax.lax.scan(lambda c, _: (learner.train_step(c)[0],) * 2, first, length=STEPS)
+    return first, carries
 
 
 @jax.jit
@@ -51,10 +47,10 @@ def all_draws(key):
 def test_scan_equals_python_step_by_step(seed, rules, rows, success_rate, max_episode_steps, **values):
     task = random_task(seed, 6, 3, rows, rules, success_rate=success_rate, max_episode_steps=max_episode_steps)
     learner = make_learner("tabular_q", task, episodes=20, record=20, **values)
-    hyper, key = learner.params, rng.key(seed)
-    first, carries = traced_training(learner.structure())(hyper, key)
+    key = rng.key(seed)
+    first, carries = train_and_keep(learner, key)
     draws = np.asarray(all_draws(key))
-    slow = q_learning(task, task.params, hyper, first.q_table, draws)
+    slow = q_learning(learner, first.q_table, draws)
     acted = np.concatenate([[first.agents.action], carries.agents.action])
     rows_seen = np.concatenate([[first.agents.row], carries.agents.row])
     for t, ((row, action), q_table, epsilon, episode) in enumerate(slow):
@@ -65,17 +61,18 @@ def test_scan_equals_python_step_by_step(seed, rules, rows, success_rate, max_ep
         np.testing.assert_allclose(carries.agents.epsilon[t], epsilon, rtol=1e-6, atol=1e-30)  # subnormals flush
 
 
+start = jax.jit(jax.vmap(begin, in_axes=(None, 0)))
+chunk = jax.jit(jax.vmap(advance, in_axes=(None, 0, None)))
+
+
 def train_to_end(learner, count=16):
-    """`count` seeds trained to the end: (hyper, carries)."""
-    hyper = learner.params
+    """`count` seeds trained to the end."""
     keys = jax.vmap(jax.random.fold_in, in_axes=(None, 0))(rng.key(0), jnp.arange(count))
-    blank = learner.structure()
-    carry = jax.jit(jax.vmap(blank.init, in_axes=(None, 0)))(hyper, keys)
-    chunk = jax.jit(jax.vmap(lambda h, c: blank.train_chunk(h, c, 1024), in_axes=(None, 0)))
+    training = start(learner, keys)
     for _ in range(10_000):
-        carry, metrics = chunk(hyper, carry)
-        if (np.asarray(metrics["progress"]) >= 1).all():
-            return hyper, carry
+        training, progress = chunk(learner, training, 1024)
+        if (np.asarray(progress.share) >= 1).all():
+            return training
     raise AssertionError("training does not end")
 
 
@@ -86,8 +83,8 @@ def train_to_end(learner, count=16):
 def test_standard_rules_converge_to_the_optimal_q(joint, values):
     task = make_task("joint_reach", joint=joint, states={1: 24, 5: 13}[joint])
     learner = make_learner("tabular_q", task, episodes=1500, epsilon=1.0, **values)
-    _, carry = train_to_end(learner)
-    optimal = value_iteration(task, task.params, learner.discount)
+    carry = train_to_end(learner).carry
+    optimal = value_iteration(task, learner.discount)
     # The process is deterministic, so a constant learning rate converges. What is left is float32 (values of up to
     # 230 have a spacing of 1.5e-5, and errors add over 1 / (1 - discount) steps), and rows the end of an episode
     # keeps from being visited: the goal's own.
@@ -98,10 +95,10 @@ def test_standard_rules_converge_to_the_optimal_q(joint, values):
 def test_random_processes_converge_to_the_optimal_q():
     for seed in range(5):
         task = random_task(seed, 8, 3, 8, max_episode_steps=30)
-        task = task.model_copy(update={"rows": jnp.arange(8)})
+        task = task.replace(rows=jnp.arange(8))
         learner = make_learner("tabular_q", task, episodes=3000, epsilon=1.0, learning_rate=1.0, discount=0.8)
-        _, carry = train_to_end(learner, 4)
-        optimal = value_iteration(task, task.params, 0.8)
+        carry = train_to_end(learner, 4).carry
+        optimal = value_iteration(task, 0.8)
         reachable = reachable_states(task)
         # Values of at most 5 in float32, and 3,000 episodes for at most 24 pairs of state and action.
         np.testing.assert_allclose(carry.q_table[:, reachable], optimal[None, reachable].repeat(4, 0), atol=1e-4)
@@ -122,18 +119,18 @@ def reachable_states(task):
 def test_navigate_finds_paths_as_short_as_breadth_first_search(agents):
     task = make_task("navigate", max_episode_steps=300)
     learner = make_learner("tabular_q", task, episodes=600, epsilon=0.5, discount=0.9, agents=agents)
-    hyper, carry = train_to_end(learner, 4)
-    rollout = jax.jit(jax.vmap(lambda q, k: learner.evaluate(hyper, q, k)))
-    greedy = rollout(carry.q_table, jax.random.split(rng.key(1), 4))
-    assert greedy["greedy_success"].all()
-    assert (greedy["greedy_steps"] == shortest_path(task.map)).all()
+    carry = train_to_end(learner, 4).carry
+    play = jax.jit(jax.vmap(lambda q, key: rollout(learner.env, greedy(learner, q), key)))
+    played = play(carry.q_table, jax.random.split(rng.key(1), 4))
+    assert played.success.all()
+    assert (played.steps == shortest_path(task.map)).all()
 
 
 @pytest.mark.parametrize(("joint", "value"), [(1, 117.91), (4, 121.692), (5, 106.564)])
 def test_printed_rules_give_the_printed_tables(joint, value):
     task = make_task("joint_reach", joint=joint, action=5.0, states=5, rules="printed")
     learner = make_learner("tabular_q", task, episodes=5000, epsilon=0.8, learning_rate=0.99, discount=0.9)
-    _, carry = train_to_end(learner)
+    carry = train_to_end(learner).carry
     assert np.allclose(carry.q_table[:, 4, 1], value, rtol=1e-6)
     assert np.array_equal(carry.q_table[:, :4, 0], carry.q_table[:, :4, 1])
 
@@ -141,10 +138,8 @@ def test_printed_rules_give_the_printed_tables(joint, value):
 def test_collective_update_is_the_mean_over_agents():
     task = random_task(1, 6, 3, 6)
     learner = make_learner("tabular_q", task, episodes=100, agents=50, learning_rate=0.5, discount=0.5)
-    hyper = learner.params
-    before = learner.init(hyper, rng.key(0))
-    before = jax.jit(lambda c: learner.train_chunk(hyper, c, 10)[0])(before)
-    after = jax.jit(learner.train_step)(hyper, before)
+    before = advance(learner, begin(learner, rng.key(0)), 10)[0].carry
+    after, _ = jax.jit(learner.train_step)(before)
     q, agents = np.array(before.q_table), before.agents
     expected = q.copy()
     for row in range(6):
@@ -163,25 +158,20 @@ def test_collective_update_is_the_mean_over_agents():
 def test_curve_counts_every_episode_once():
     task = make_task("joint_reach", joint=5, states=13)
     learner = make_learner("tabular_q", task, episodes=60, record=7, epsilon=1.0)
-    hyper, carry = train_to_end(learner, 3)
-    assert (carry.record[:, :, 0].sum(axis=1) == 60).all()
-    assert set(np.unique(carry.record[:, :, 0])) <= {8.0, 9.0}
-    curve = jax.vmap(learner.curve, in_axes=(None, 0))(hyper, carry)
-    assert (curve["success"] == 1).all() and (curve["steps"] >= 12).all()
+    training = train_to_end(learner, 3)
+    episodes = training.record[:, :, measures(learner, jax.tree.map(lambda x: x[0], training.carry)).index("episodes")]
+    assert (episodes.sum(axis=1) == 60).all()
+    assert set(np.unique(episodes)) <= {8.0, 9.0}
+    found = jax.vmap(curve, in_axes=(None, 0))(learner, training)
+    assert (found["success"] == 1).all() and (found["steps"] >= 12).all()
 
 
 def test_truncated_episodes_bootstrap_and_terminal_ones_do_not():
     task = random_task(0, 2, 1, 2, max_episode_steps=1)
-    task = task.model_copy(
-        update={
-            "next_state": jnp.array([[0], [1]], jnp.int32),
-            "reward": jnp.ones((2, 1)),
-            "rows": jnp.arange(2),
-        }
-    )
+    task = task.replace(next_state=jnp.array([[0], [1]], jnp.int32), reward=jnp.ones((2, 1)), rows=jnp.arange(2))
     learner = make_learner("tabular_q", task, episodes=200, learning_rate=1.0, discount=0.5)
-    _, carry = train_to_end(learner, 1)
+    carry = train_to_end(learner, 1).carry
     assert carry.q_table[0, 0, 0] == 2.0  # 1 / (1 - 0.5): every step is truncated, and each bootstraps
-    ending = task.model_copy(update={"next_state": jnp.array([[1], [1]], jnp.int32)})
-    _, carry = train_to_end(learner.model_copy(update={"task": ending}), 1)
+    ending = task.replace(next_state=jnp.array([[1], [1]], jnp.int32))
+    carry = train_to_end(learner.replace(task=ending), 1).carry
     assert carry.q_table[0, 0, 0] == 1.0

@@ -20,8 +20,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from humanoid_mjx import make_learner, make_task, rng
+from humanoid_mjx import make_learner, make_task, rng, runtime
 from humanoid_mjx.bench.measure import Record, Subject, record, time_in_turn
+from humanoid_mjx.training.program import advance, begin
 
 MOVES, CAP, POINTS, EPISODES = 23, 500, 100, 100_000
 DECAY, RATE, DISCOUNT, BONUS = 0.999, 0.5, 0.9, 100.0
@@ -63,17 +64,14 @@ def scan(epsilon: np.ndarray) -> Made:
     task = make_task("joint_reach", joint=1, max_episode_steps=CAP)
     values = {"epsilon_decay": DECAY, "learning_rate": RATE, "discount": DISCOUNT}
     learner = make_learner("tabular_q", task, episodes=EPISODES, record=POINTS, **values)
-    blank = learner.structure()
-    init, train = (
-        jax.jit(jax.vmap(blank.init)),
-        jax.jit(jax.vmap(blank.train_chunk, in_axes=(0, 0, None)), compiler_options=dict(task.compiler_options)),
-    )
+    options = runtime.on_every_device(learner.compiler_options)
+    first, train = jax.jit(jax.vmap(begin)), jax.jit(jax.vmap(advance, in_axes=(0, 0, None)), compiler_options=options)
 
     def start(device: Any, share: np.ndarray) -> tuple[Any, Any]:
-        hyper = jax.tree.map(lambda x: np.full(len(share), x, np.result_type(np.float32, x)), learner.params)
-        hyper = jax.device_put(hyper._replace(epsilon=share), device)
+        learners = jax.tree.map(lambda x: np.full(len(share), x, np.result_type(np.float32, x)), learner)
+        learners = jax.device_put(learners.replace(epsilon=share), device)
         keys = jax.device_put(jax.random.split(rng.key(device.id), len(share)), device)
-        return hyper, init(hyper, keys)
+        return learners, first(learners, keys)
 
     devices = jax.local_devices()
     blocks = max(1, len(epsilon) // (CPU_BLOCK * len(devices))) if devices[0].platform == "cpu" else 1
@@ -87,7 +85,7 @@ def scan(epsilon: np.ndarray) -> Made:
     def call() -> list[list[Any]]:
         return list(threads.map(work, states))
 
-    return call, lambda result: sum(float(carry.agents.episode.sum()) for mine in result for carry in mine)
+    return call, lambda result: sum(float(state.carry.agents.episode.sum()) for mine in result for state in mine)
 
 
 def naive_scan(epsilon: np.ndarray) -> Made:

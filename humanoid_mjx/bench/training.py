@@ -90,7 +90,7 @@ def measure(trained: Run) -> Measured:
     """
     results, wall_s = trained.results, trained.timing["wall_s"].astype(float)
     compiled = np.flatnonzero(wall_s == wall_s[0])[-1]
-    steps = (1.0 - (compiled + 1) / len(wall_s)) * trained.config.episodes
+    steps = (1.0 - (compiled + 1) / len(wall_s)) * trained.config.budget
     seconds = wall_s[-1] - wall_s[0]
     rate = steps / seconds if steps else np.nan
     lengths = results["steps"][np.isfinite(results["steps"])]

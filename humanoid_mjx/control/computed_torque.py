@@ -3,13 +3,9 @@
 from humanoid_mjx.control.pd import Joints, ModelServo, Reference, servo
 from humanoid_mjx.mechanics.dynamics import inverse_dynamics
 
-
-class ComputedTorque(ModelServo):
-    """The parameters of `computed_torque`."""
-
-    __slots__ = ()
+ComputedTorque = ModelServo
 
 
-def computed_torque(params: ComputedTorque, reference: Reference, qpos: Joints, qvel: Joints) -> Joints:
+def computed_torque(params: ModelServo, reference: Reference, qpos: Joints, qvel: Joints) -> Joints:
     """`M(q) (qdd_d + kd (qd_d - qd) + kp (q_d - q)) + bias(q, qd)` of the model, N m (section 5.7)."""
     return inverse_dynamics(params.model, qpos, qvel, servo(params.kp, params.kd, reference, qpos, qvel))

@@ -24,14 +24,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from humanoid_mjx.control.gains import check_gains
-from humanoid_mjx.control.pd import PD, Joints, Reference, checked_gains, pd, servo
+from humanoid_mjx.control.pd import PD, Gain, Joints, Reference, checked_gains, pd, servo
 from humanoid_mjx.mechanics.contacts import Contacts
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.types import FloatScalar
 
 KP, KD = 400.0, 40.0
 """1/s^2 and 1/s, critically damped: slower than MuJoCo's soft contacts, which answer within 0.02 s. At 225 and 30 a
-standing body gives way to a push further than under the servo; at 700 and 53 pushes throw it that it else stands."""
+standing body gives way to a push further than under the servo; at 700 and 53 pushes topple it that it would
+otherwise survive."""
 
 SERVO_KP, SERVO_KD = 6.0, 0.2
 """N m/rad and N m s/rad: of a servo that stands. Over a cycle of 0.02 s it is unstable: ask it at every step."""
@@ -48,9 +49,9 @@ SOFTNESS = 1e-4
 class GroundControl(NamedTuple):
     """The parameters of `grounded_torque`. `GroundControl.build` checks them."""
 
-    kp: Joints
+    kp: Gain
     """1/s^2"""
-    kd: Joints
+    kd: Gain
     """1/s"""
     servo: PD
     share: FloatScalar

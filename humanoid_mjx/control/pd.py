@@ -1,6 +1,6 @@
 """Servos: torques from the error and its rate, alone or through an inertia for each joint (thesis 5.5)."""
 
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -11,7 +11,8 @@ from humanoid_mjx.robot.chain import Chain
 from humanoid_mjx.types import FloatScalar
 
 Joints = Float[Array, " joints"]
-SomeServo = TypeVar("SomeServo", bound="ModelServo")
+Gain = FloatScalar | Joints
+"""For all joints, or one for each."""
 
 
 class Reference(NamedTuple):
@@ -22,12 +23,17 @@ class Reference(NamedTuple):
     qacc: Joints
 
 
+def at_rest(qpos: Joints) -> Reference:
+    """The reference that stays in a posture."""
+    return Reference(qpos, jnp.zeros_like(qpos), jnp.zeros_like(qpos))
+
+
 class PD(NamedTuple):
     """The parameters of a servo that knows nothing of the robot. `PD.build` checks them."""
 
-    kp: Joints
+    kp: Gain
     """N m/rad"""
-    kd: Joints
+    kd: Gain
     """N m s/rad"""
 
     @classmethod
@@ -37,25 +43,22 @@ class PD(NamedTuple):
 
 
 class ModelServo(NamedTuple):
-    """The parameters of a servo in front of a model. `build` checks them."""
+    """The parameters of `partitioned_pd` and `computed_torque`: a servo in front of a model. `build` checks them."""
 
     model: Chain
-    """It need not be the robot."""
-    kp: Joints
+    """It need not be the robot. Partitioned PD uses the inertia of each joint alone."""
+    kp: Gain
     """1/s^2"""
-    kd: Joints
+    kd: Gain
     """1/s"""
 
     @classmethod
-    def build(cls: type[SomeServo], model: Chain, kp: Any, kd: Any) -> SomeServo:
+    def build(cls, model: Chain, kp: Any, kd: Any) -> "ModelServo":
         """Check the gains, as `checked_gains` does."""
         return cls(model, *checked_gains(model.num_joints, kp, kd))
 
 
-class PartitionedPD(ModelServo):
-    """The parameters of `partitioned_pd`: of the model only the inertia of each joint is used."""
-
-    __slots__ = ()
+PartitionedPD = ModelServo
 
 
 def pd(params: PD, reference: Reference, qpos: Joints, qvel: Joints) -> Joints:
@@ -63,12 +66,12 @@ def pd(params: PD, reference: Reference, qpos: Joints, qvel: Joints) -> Joints:
     return params.kp * (reference.qpos - qpos) + params.kd * (reference.qvel - qvel)
 
 
-def servo(kp: Joints, kd: Joints, reference: Reference, qpos: Joints, qvel: Joints) -> Joints:
+def servo(kp: Gain, kd: Gain, reference: Reference, qpos: Joints, qvel: Joints) -> Joints:
     """`qdd_d + kd (qd_d - qd) + kp (q_d - q)`, rad/s^2 (5.30, 5.44): what a robot of unit inertias would be given."""
-    return reference.qacc + kd * (reference.qvel - qvel) + kp * (reference.qpos - qpos)
+    return reference.qacc + (kp * (reference.qpos - qpos) + kd * (reference.qvel - qvel))
 
 
-def partitioned_pd(params: PartitionedPD, reference: Reference, qpos: Joints, qvel: Joints) -> Joints:
+def partitioned_pd(params: ModelServo, reference: Reference, qpos: Joints, qvel: Joints) -> Joints:
     """`diag(M(q)) servo` of the model, N m (5.26 to 5.30), without the friction, which the chain has not.
 
     What couples the joints (5.17) is left out. To hold the leg, add `dynamics.gravity` of a model; to keep all but the

@@ -3,7 +3,7 @@
 from typing import Any
 
 from humanoid_mjx.learners.base import Learner
-from humanoid_mjx.spec import make
+from humanoid_mjx.spec import find, make
 from humanoid_mjx.tasks.base import Task
 
 LEARNERS = {
@@ -21,3 +21,12 @@ def make_learner(name: str, /, task: Task, **params: Any) -> Any:
       InputError: unknown name or parameter, a value out of range, or a task of a kind that it cannot learn.
     """
     return make("learner", LEARNERS, Learner, name, task=task, **params)
+
+
+def learner_class(name: str) -> type[Learner]:
+    """The class of the learner called `name`.
+
+    Raises:
+      InputError: unknown name.
+    """
+    return find("learner", LEARNERS, Learner, name)

@@ -1,93 +1,121 @@
-"""The protocol of learners."""
+"""The protocol of learners: a learner is its algorithm, and nothing else.
+
+Training (`humanoid_mjx.training`) does for all of them what is not algorithm: learning curves, snapshots, the guard
+against numbers that are not finite, evaluation, checkpoints and progress.
+"""
 
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
-import jax
-import jax.numpy as jnp
 from jaxtyping import Array, Key
 from pydantic import Field
 
-from humanoid_mjx.spec import Spec
+from humanoid_mjx.spec import Spec, traced
 from humanoid_mjx.tasks.base import Task
-from humanoid_mjx.types import BoolScalar, IntScalar
+from humanoid_mjx.tasks.continuous import ContinuousTask, State, as_continuous
+from humanoid_mjx.types import FloatScalar
+
+
+class Outcome(NamedTuple):
+    """What a training step saw, for the learning curve; every entry is a scalar, or has an axis of agents."""
+
+    done: FloatScalar
+    """How much of `budget` had been trained when it happened."""
+    episodes: FloatScalar
+    """How many episodes ended."""
+    totals: dict[str, FloatScalar]
+    """Sums over these episodes: `steps`, `success`, `return`, and the reward's terms by name."""
+    squares: dict[str, FloatScalar]
+    """Mean squares over the step, such as that of the `td_error`."""
 
 
 class Learner(Spec):
     """Base of learners: an algorithm for one task, whose hyper-parameters are data.
 
-    `params` (a tuple of numbers, the task's among them) is what the methods take as `hyper`, with arrays in the place
-    of numbers. All methods are pure and written for one point of a sweep; `jax.vmap` makes them a sweep.
+    A learner is a pytree whose leaves are its `traced` hyper-parameters and those of its task. All methods are pure and
+    written for one point of a sweep; `jax.vmap` over learners makes them a sweep.
     """
 
-    nested: ClassVar[tuple[str, ...]] = ("task",)
-
-    unit: ClassVar[str] = "episodes"
-    """What `episodes` counts; control steps for learners that count in steps."""
+    unit: ClassVar[str] = "total_steps"
+    """The field that says how long to train, and in what: `total_steps` or `episodes`."""
+    lap: ClassVar[int] = 1
+    """Training steps between two looks at what was learned. After looks at each step, training stops before one that
+    leads to numbers that are not finite."""
 
     task: Task = Field(exclude=True, repr=False)
-    episodes: int = Field(1000, ge=1, le=1_000_000_000, exclude=True, description="how long to train")
     record: int = Field(100, ge=1, le=10_000, exclude=True, description="points of a learning curve")
-
     start_from: str | None = Field(None, description="a run folder whose policies to start from")
+    evaluations: int = Field(1, ge=1, le=1000, description="greedy evaluations along the learning curve")
+    evaluation_envs: int = Field(1, ge=1, le=100_000, description="greedy episodes of an evaluation")
+
+    @property
+    def budget(self) -> Any:
+        """How long to train, in `unit`."""
+        return getattr(self, self.unit)
+
+    @property
+    def env(self) -> ContinuousTask:
+        """The task as episodes are played in it: a finite one in its continuous form."""
+        return as_continuous(self.task)
+
+    @property
+    def cumulative(self) -> bool:
+        """Whether learning curves show totals so far in the place of means over the episodes of each point."""
+        return False
 
     @property
     def compiler_options(self) -> Mapping[str, str | bool]:
-        """For XLA, of the programs that train."""
+        """XLA's options for the programs that train and evaluate."""
         return {}
 
-    def working_bytes(self, state: int) -> int:
-        """An estimate of what training one run holds at its peak beside a training state of `state` bytes."""
-        return 3 * state
-
-    def init(self, hyper: Any, key: Key[Array, ""], policy: Any = None) -> Any:
+    def init(self, key: Key[Array, ""], policy: Any = None) -> Any:
         """The training state before the first step: a pytree of arrays. `policy` is one learned before."""
         raise NotImplementedError
 
-    def train_chunk(self, hyper: Any, carry: Any, steps: IntScalar) -> tuple[Any, dict[str, Array]]:
-        """Train for `steps` steps or a few more, or less where training ends.
+    def train_step(self, carry: Any) -> tuple[Any, Outcome]:
+        """One training step: the training state after it, and what it saw. After the end it changes nothing."""
+        raise NotImplementedError
 
-        Returns:
-          the new training state, and `progress`, which is 1.0 once training has ended.
-        """
+    def progress(self, carry: Any) -> FloatScalar:
+        """The share of the training that is done; 1.0 at its end."""
         raise NotImplementedError
 
     def policy(self, carry: Any) -> Any:
         """What was learned, as a pytree of arrays: all that acting greedily needs."""
         raise NotImplementedError
 
-    def act(self, hyper: Any, policy: Any, observation: Any, key: Key[Array, ""]) -> Any:
-        """The greedy action."""
+    def observation(self, state: State) -> Any:
+        """What `act` is given of the state of an episode in `env`."""
+        return state.obs
+
+    def act(self, policy: Any, observation: Any, key: Key[Array, ""]) -> Any:
+        """The greedy action: a choice of each joint, int (joints,), or numbers in [-1, 1], float (joints,)."""
         raise NotImplementedError
 
-    def diverged(self, carry: Any) -> BoolScalar:
-        """Whether training ended in numbers that are not finite."""
-        finite = [jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(self.policy(carry))]
-        return ~jnp.stack(finite).all()
 
-    def evaluate(self, hyper: Any, policy: Any, key: Key[Array, ""]) -> dict[str, Array]:
-        """How well what was learned does, greedily: numbers by name, `greedy_success` among them."""
-        raise NotImplementedError
+class StepLearner(Learner):
+    """Base of learners whose training is measured in control steps of all environments together."""
 
-    def curve(self, hyper: Any, carry: Any) -> dict[str, Array]:
-        """The learning curve so far: arrays of `record` points by name; NaN where nothing was recorded."""
-        raise NotImplementedError
-
-    def results(self, hyper: Any, carry: Any, key: Key[Array, ""]) -> tuple[dict[str, Array], dict[str, Array]]:
-        """The learning curve of a run that is over, and how well what was learned does, as `evaluate` says."""
-        return self.curve(hyper, carry), self.evaluate(hyper, self.policy(carry), key)
+    total_steps: int = traced(
+        1_000_000, ge=1, le=2_000_000_000, exclude=True, description="control steps to train for, of all environments"
+    )
 
 
-class WholeRunLearner(Learner):
-    """Base of learners whose training is a loop of its own, which cannot be cut into chunks or vmapped.
+class WholeRunLearner(StepLearner):
+    """Base of learners whose training is a loop of its own, which cannot be cut into steps or vmapped.
 
-    `train_run` takes the place of `train_chunk`. Runs train one after another on one device; a kill loses the one under
+    `train_run` takes the place of `train_step`. Runs train one after another on one device; a kill loses the one under
     way, which then trains anew.
     """
 
-    def train_run(self, hyper: Any, carry: Any, report: Callable[[float], None]) -> Any:
+    def train_run(self, carry: Any, report: Callable[[float, Any], None]) -> Any:
         """Train from a state that `init` made to the end; the last training state.
 
-        `report` wants to be told the share that is done, often. It may raise what ends the training.
+        Call `report(share_done, policy)` often, at least once for each point that is to be recorded; it may raise to
+        stop training.
         """
+        raise NotImplementedError
+
+    def sample(self, policy: Any, observation: Any, key: Key[Array, ""]) -> Any:
+        """The action that training itself would take: greedy, or with its exploration."""
         raise NotImplementedError

@@ -7,22 +7,19 @@ each joint: `ContinuousTask.step_continuous` says what becomes of them.
 import io
 from collections.abc import Callable
 from contextlib import redirect_stdout
-from functools import lru_cache, partial
-from typing import Any, ClassVar, NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Bool, Float, Key
+from jaxtyping import Array, Float, Key
 from pydantic import Field, model_validator
 
 from humanoid_mjx.learners.base import WholeRunLearner
 from humanoid_mjx.learners.brax_repair import repaired
-from humanoid_mjx.learners.evaluation import evaluate
 from humanoid_mjx.tasks.brax_env import BraxEnv, wrap
-from humanoid_mjx.tasks.continuous import ContinuousTask, Tabulated
+from humanoid_mjx.tasks.continuous import ContinuousTask
 from humanoid_mjx.tasks.finite import FiniteTask
-from humanoid_mjx.types import BoolScalar, FloatScalar
 
 with redirect_stdout(io.StringIO()):  # mujoco.mjx prints two lines about warp
     from brax.training.acme import running_statistics, specs
@@ -49,8 +46,6 @@ HYPER = (
 )
 """What is handed to Brax as it is."""
 
-MEASURES = ("return", "steps", "success")
-
 
 class Carry(NamedTuple):
     """The training state of one run, as far as Brax shows it."""
@@ -58,19 +53,10 @@ class Carry(NamedTuple):
     policy: Any
     """As Brax's trainer returns it: the statistics of the observations, weights of the policy, weights of the value."""
     key: Key[Array, ""]
-    failed: BoolScalar
-    """Whether training stopped at weights that were not finite."""
-    record: dict[str, Float[Array, " record"]]
-
-
-class _Diverged(Exception):
-    """Ends a training whose weights are not finite."""
 
 
 class BraxPPO(WholeRunLearner):
-    """Brax's PPO. `episodes` counts steps, rounded up to parts of equally many updates, one for each point recorded."""
-
-    unit: ClassVar[str] = "steps"
+    """Brax's PPO. `total_steps` is rounded up to parts of equally many updates, one for each point recorded."""
 
     task: FiniteTask | ContinuousTask = Field(exclude=True, repr=False)
     num_envs: int = Field(128, ge=1, le=1_000_000, description="environments side by side")
@@ -90,9 +76,6 @@ class BraxPPO(WholeRunLearner):
     value_hidden_layer_sizes: tuple[int, ...] = Field((256, 256, 256, 256, 256), strict=False)
     evaluation_envs: int = Field(64, ge=1, le=100_000, description="episodes of an evaluation")
 
-    class Params(NamedTuple):
-        task: Any
-
     @model_validator(mode="after")
     def _experience_must_fill_the_minibatches(self) -> "BraxPPO":
         pieces = self.batch_size * self.num_minibatches
@@ -102,67 +85,53 @@ class BraxPPO(WholeRunLearner):
             raise ValueError("a layer must have at least 1 unit")
         return self
 
-    @property
-    def world(self) -> ContinuousTask:
-        """The task as the learner sees it: a finite one through the places of its rows."""
-        return Tabulated(finite=self.task) if isinstance(self.task, FiniteTask) else self.task
-
-    def init(self, hyper: Params, key: Key[Array, ""], policy: Any = None) -> Carry:
+    def init(self, key: Key[Array, ""], policy: Any = None) -> Carry:
         policy_key, value_key, key = jax.random.split(key, 3)
         if policy is None:
             networks = self._networks()
-            seen = running_statistics.init_state(specs.Array((self.world.observation_size,), jnp.dtype("float32")))
+            seen = running_statistics.init_state(specs.Array((self.env.observation_size,), jnp.dtype("float32")))
             policy = seen, networks.policy_network.init(policy_key), networks.value_network.init(value_key)
-        names = (*MEASURES, *(f"greedy_{name}" for name in MEASURES))
-        record = {name: jnp.full(self.record, jnp.nan) for name in names}
-        return Carry(jax.tree.map(jnp.asarray, policy), key, jnp.bool_(False), record)
+        return Carry(jax.tree.map(jnp.asarray, policy), key)
 
-    def train_run(self, hyper: Params, carry: Carry, report: Callable[[float], None]) -> Carry:
-        curve = {name: np.full(self.record, np.nan, np.float32) for name in carry.record}
-        policy, part, parts, failed = carry.policy, 0, self._parts(), False
+    def train_run(self, carry: Carry, report: Callable[[float, Any], None]) -> Carry:
+        policy, part, parts = carry.policy, 0, self._parts()
 
         def look(steps: int, _: Any, found: Any) -> None:
             nonlocal policy, part
             if steps == 0:
                 return
-            if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(found)):
-                raise _Diverged
             policy = jax.tree.map(lambda new, old: jnp.asarray(new, old.dtype), found, carry.policy)
             part += 1
-            self._record(curve, -(-part * self.record // parts) - 1, hyper, policy, carry.key)
-            report(part / parts)
+            report(part / parts, policy)
 
-        try:
-            self._train(BraxEnv(self.task, hyper.task), carry, parts, look)
-        except _Diverged:
-            failed = True
-        record = {name: jnp.asarray(values) for name, values in curve.items()}
-        return carry._replace(policy=policy, failed=jnp.bool_(failed), record=record)
+        self._train(BraxEnv(self.task), carry, parts, look)
+        return carry._replace(policy=policy)
 
     def policy(self, carry: Carry) -> Any:
         return carry.policy
 
-    def diverged(self, carry: Carry) -> BoolScalar:
-        return carry.failed
-
     def act(
-        self, hyper: Params, policy: Any, observation: Float[Array, "*batch size"], key: Key[Array, ""]
+        self, policy: Any, observation: Float[Array, "*batch size"], key: Key[Array, ""]
     ) -> Float[Array, "*batch joints"]:
         """The greedy command for a raw observation, in [-1, 1]: the mode of the policy's distribution."""
-        return self._command(policy, jnp.bool_(True), observation, key)
+        values, actions = self._distribution(policy, observation)
+        return actions.mode(values)
 
-    def curve(self, hyper: Params, carry: Carry) -> dict[str, Float[Array, " record"]]:
-        """Means over `evaluation_envs` episodes at the end of each point, of the policy with its random numbers and,
-        called `greedy_`, without. NaN where no update ended in a point."""
-        return carry.record
+    def sample(
+        self, policy: Any, observation: Float[Array, "*batch size"], key: Key[Array, ""]
+    ) -> Float[Array, "*batch joints"]:
+        """A command drawn from the policy's distribution, as training draws it."""
+        values, actions = self._distribution(policy, observation)
+        return actions.postprocess(actions.sample_no_postprocessing(values, key))
 
-    def evaluate(self, hyper: Params, policy: Any, key: Key[Array, ""]) -> dict[str, FloatScalar]:
-        """Means over `evaluation_envs` greedy episodes: `greedy_return`, `greedy_steps`, `greedy_success`."""
-        return _evaluation(self.structure())(hyper, policy, jnp.bool_(True), key)  # pyright: ignore[reportArgumentType]
+    def _distribution(self, policy: Any, obs: Float[Array, "*batch size"]) -> tuple[Array, Any]:
+        """The parameters of the policy's distribution, and the distribution."""
+        networks = self._networks()
+        return networks.policy_network.apply(policy[0], policy[1], obs), networks.parametric_action_distribution
 
     def _networks(self) -> Any:
         normalise = running_statistics.normalize if self.normalize_observations else lambda obs, _: obs
-        size = (self.world.observation_size,), len(self.world.action_choices)
+        size = (self.env.observation_size,), len(self.env.action_choices)
         return self._network_factory()(*size, preprocess_observations_fn=normalise)
 
     def _network_factory(self) -> Any:
@@ -173,7 +142,7 @@ class BraxPPO(WholeRunLearner):
 
     def _parts(self) -> int:
         """In how many parts of equally many updates training is looked at: at most `record`."""
-        updates = -(-self.episodes // (self.batch_size * self.num_minibatches * self.unroll_length))
+        updates = -(-int(self.total_steps) // (self.batch_size * self.num_minibatches * self.unroll_length))
         return -(-updates // -(-updates // self.record))
 
     def _train(self, env: BraxEnv, carry: Carry, parts: int, look: Callable[[int, Any, Any], None]) -> None:
@@ -181,7 +150,7 @@ class BraxPPO(WholeRunLearner):
         with repaired(ppo):
             ppo.train(
                 environment=env,
-                num_timesteps=self.episodes,
+                num_timesteps=int(self.total_steps),
                 max_devices_per_host=1,
                 wrap_env_fn=wrap,
                 episode_length=NEVER,
@@ -194,32 +163,3 @@ class BraxPPO(WholeRunLearner):
                 restore_params=carry.policy,
                 **{name: getattr(self, name) for name in HYPER},
             )
-
-    def _record(
-        self, curve: dict[str, np.ndarray], point: int, hyper: Params, policy: Any, key: Key[Array, ""]
-    ) -> None:
-        """Write a point of the learning curve."""
-        evaluation = _evaluation(self.structure())  # pyright: ignore[reportArgumentType]
-        for greedy, prefix in ((False, ""), (True, "greedy_")):
-            found = evaluation(hyper, policy, jnp.bool_(greedy), jax.random.fold_in(key, point))
-            for name in MEASURES:
-                curve[prefix + name][point] = found[f"greedy_{name}"]
-
-    def _episodes(self, hyper: Params, policy: Any, greedy: BoolScalar, key: Key[Array, ""]) -> dict[str, FloatScalar]:
-        act = partial(self._command, policy, greedy)
-        return evaluate(self.world, hyper.task, act, self.evaluation_envs, key, self.world.step_continuous)
-
-    def _command(
-        self, policy: Any, greedy: Bool[Array, ""], obs: Float[Array, "*batch size"], key: Key[Array, ""]
-    ) -> Float[Array, "*batch joints"]:
-        networks = self._networks()
-        values = networks.policy_network.apply(policy[0], policy[1], obs)
-        actions = networks.parametric_action_distribution
-        sample = actions.postprocess(actions.sample_no_postprocessing(values, key))
-        return jnp.where(greedy, actions.mode(values), sample)
-
-
-@lru_cache(maxsize=16)
-def _evaluation(learner: BraxPPO) -> Callable[..., dict[str, FloatScalar]]:
-    """`_episodes`, compiled once for all points of the curves and all runs of one structure of learner."""
-    return jax.jit(learner._episodes)

@@ -1,4 +1,4 @@
-"""What Brax 0.14.2 needs of jax that jax 0.10 has not got any more."""
+"""Shims for JAX functions removed in 0.10 that Brax 0.14.2 calls."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager

@@ -14,6 +14,7 @@ from pydantic import Field, model_validator
 
 from humanoid_mjx.learners.approximate import ApproximateQ, Batch, Weights, chosen
 from humanoid_mjx.learners.normalisation import normalise
+from humanoid_mjx.spec import traced
 from humanoid_mjx.types import FloatScalar
 
 
@@ -42,7 +43,7 @@ class DeepQ(ApproximateQ):
     epochs: int = Field(2, ge=1, le=1000, description="passes over the experience of an update")
     minibatches: int = Field(4, ge=1, le=10_000)
     max_gradient: float = Field(10.0, gt=0, description="norm at which a gradient is clipped")
-    learning_rate: float = Field(5e-4, gt=0, le=1)
+    learning_rate: float = traced(5e-4, gt=0, le=1)
 
     @model_validator(mode="after")
     def _minibatches_must_fit(self) -> "DeepQ":
@@ -51,20 +52,13 @@ class DeepQ(ApproximateQ):
         return self
 
     def network(self) -> QNetwork:
-        return QNetwork(self.width, self.layers, len(self.world.action_choices), self.choices)
-
-    def row_bytes(self) -> int:
-        return 4 * self.width
-
-    def learning_bytes(self, rows: int) -> int:
-        """The larger of a minibatch, with what its gradient needs of each layer, and of a pass over all rows."""
-        return 4 * self.width * max(7 * self.layers * rows // self.minibatches, 2 * rows)
+        return QNetwork(self.width, self.layers, len(self.env.action_choices), self.choices)
 
     def init_value(self, key: Key[Array, ""]) -> tuple[Any, Any]:
-        value = self.network().init(key, jnp.zeros(self.world.observation_size))
+        value = self.network().init(key, jnp.zeros(self.env.observation_size))
         return value, self._optimizer(0.0).init(value)
 
-    def see(self, weights: Weights, obs: Float[Array, "*batch size"]) -> Float[Array, "*batch size"]:
+    def preprocess(self, weights: Weights, obs: Float[Array, "*batch size"]) -> Float[Array, "*batch size"]:
         return normalise(weights.moments, obs)
 
     def q_values(self, value: Any, obs: Float[Array, "*batch size"]) -> Float[Array, "*batch joints choices"]:

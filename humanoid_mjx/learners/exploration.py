@@ -35,14 +35,15 @@ def opened(choices: Sequence[int], progress: FloatScalar | None) -> Bool[Array, 
     return exist & (place % stride == 0)
 
 
-def epsilons(hyper: Any, episode: Int[Array, " envs"]) -> Float[Array, " envs"]:
+def epsilons(schedule: Any, episode: Int[Array, " envs"]) -> Float[Array, " envs"]:
     """`max(epsilon_min, epsilon * epsilon_decay**k)` in each environment's own episode k, to the power 1 to 1 + ladder.
 
-    The power rises over the environments, so that some explore while others follow the greedy policy closely (D. Horgan
-    et al., "Distributed Prioritized Experience Replay", 2018, section 4).
+    `schedule` is what holds these four numbers. The power rises over the environments, so that some explore while
+    others follow the greedy policy closely (D. Horgan et al., "Distributed Prioritized Experience Replay", 2018,
+    section 4).
     """
-    epsilon = jnp.maximum(hyper.epsilon_min, hyper.epsilon * hyper.epsilon_decay**episode)
-    return epsilon ** (1.0 + hyper.ladder * jnp.linspace(0.0, 1.0, len(episode)))
+    epsilon = jnp.maximum(schedule.epsilon_min, schedule.epsilon * schedule.epsilon_decay**episode)
+    return epsilon ** (1.0 + schedule.ladder * jnp.linspace(0.0, 1.0, len(episode)))
 
 
 def greedy(

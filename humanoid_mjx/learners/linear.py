@@ -1,6 +1,5 @@
 """Semi-gradient Q(lambda) with linear function approximation (Sutton and Barto 2018, chapters 9 to 12)."""
 
-import math
 from typing import Any, Literal
 
 import jax.numpy as jnp
@@ -10,6 +9,7 @@ from pydantic import Field, model_validator
 
 from humanoid_mjx.learners.approximate import ApproximateQ, Batch, chosen
 from humanoid_mjx.learners.features import Basis, Scale, combined, fourier, radial, tile_coding
+from humanoid_mjx.spec import traced
 from humanoid_mjx.types import FloatScalar
 
 
@@ -30,33 +30,26 @@ class LinearQ(ApproximateQ):
     tilings: int = Field(8, ge=1, le=256, description="grids of tiles over one another")
     order: int = Field(2, ge=1, le=4, description="observations of a family that a feature depends on")
     shared: bool = Field(False, description="all joints share one set of weights")
-    learning_rate: float = Field(0.1, gt=0, le=1)
+    learning_rate: float = traced(0.1, gt=0, le=1)
 
     @model_validator(mode="after")
     def _basis_must_fit(self) -> "LinearQ":
         self.features()
-        if self.shared and len(set(self.world.action_choices)) > 1:
+        if self.shared and len(set(self.env.action_choices)) > 1:
             raise ValueError("shared needs joints that have the same number of choices")
         return self
 
     @property
     def joints(self) -> int:
-        return len(self.world.action_choices)
+        return len(self.env.action_choices)
 
     def features(self) -> Basis:
         """The basis over the task's observations."""
-        scale = Scale(*self.world.observation_bounds, self.focus)
-        groups = combined(self.world.observation_families, self.order)
+        scale = Scale(*self.env.observation_bounds, self.focus)
+        groups = combined(self.env.observation_families, self.order)
         if self.basis == "tiles":
             return tile_coding(scale, groups, self.resolution, self.tilings)
         return (fourier if self.basis == "fourier" else radial)(scale, groups, self.resolution)
-
-    def row_bytes(self) -> int:
-        return 32 * self.joints * self.features().active
-
-    def learning_bytes(self, rows: int) -> int:
-        """Three arrays like the weights, and the features of every row."""
-        return 12 * math.prod(self._shape) + self.row_bytes() * rows
 
     def init_value(self, key: Key[Array, ""]) -> tuple[Any, Any]:
         return jnp.zeros(self._shape), ()

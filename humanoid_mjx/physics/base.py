@@ -48,10 +48,11 @@ class Stages(NamedTuple):
     """Velocity term, gravity and the joints' damping."""
     torque_for: Callable[[Any, Any], Any]
     """(accelerations of the joints, rad/s^2, a model's mass factor) -> the torques that the model asks for, N m. The
-    factor is a number, or one for each joint's link. Where the torso is free it takes it for held, and knows of no
-    contacts."""
+    factor is a number, or one for each joint's link. Treats a free torso as fixed and ignores contacts."""
     contacts: Callable[[], Contacts]
     """The corners of the feet that can touch the ground; no points where there is none."""
+    model_for: Callable[[Any], tuple[Any, Any]]
+    """(a model's mass factor) -> the mass matrix and the bias that the model believes in."""
 
 
 class Readings(NamedTuple):
@@ -71,7 +72,40 @@ class Poses(NamedTuple):
     """Where the bodies are, in the world."""
 
     position: Float[AnyArray, "*worlds bodies 3"]
+    """Of the origins of their frames, m."""
     rotation: Float[AnyArray, "*worlds bodies 3 3"]
+    """From their frames to the world."""
+
+
+class Velocities(NamedTuple):
+    """How the bodies move, in the world."""
+
+    linear: Float[AnyArray, "*worlds bodies 3"]
+    """Of the origins of their frames, m/s."""
+    angular: Float[AnyArray, "*worlds bodies 3"]
+    """rad/s"""
+
+
+class GroundContacts(NamedTuple):
+    """The corners of the feet that can touch the ground, those of the right foot first; none where there is no ground."""
+
+    position: Float[AnyArray, "*worlds points 3"]
+    """Of their lowest points, m, world."""
+    velocity: Float[AnyArray, "*worlds points 3"]
+    """m/s, world."""
+    normal_force: Float[AnyArray, "*worlds points"]
+    """What the ground pushes a corner up with, N; 0 where it does not touch."""
+
+
+class Sensed(NamedTuple):
+    """Everything about one world at one moment: what its sensors say, and what is true of its bodies."""
+
+    readings: Readings
+    poses: Poses
+    velocities: Velocities
+    contacts: GroundContacts
+    torque: Float[AnyArray, "*worlds joints"]
+    """That acts, N m."""
 
 
 Controller = Callable[[Stages], Any]
@@ -81,7 +115,8 @@ Controller = Callable[[Stages], Any]
 class Physics(Spec):
     """Base of physics. All methods are pure; they are written for one world, and `jax.vmap` makes it many.
 
-    `params` are the traced values, in the place of which arrays may stand, one for each world if need be.
+    `physics.replace(friction=...)` changes a traced value, in the place of which an array may stand: under `jax.vmap`
+    each world may have its own.
     """
 
     @property
@@ -120,15 +155,15 @@ class Physics(Spec):
             raise InputError(f"a control cycle of {period} s must be a multiple of the time step of {self.step_s} s.")
         return steps
 
-    def start(self, params: Any, qpos: Any, qvel: Any) -> World:
+    def start(self, qpos: Any, qvel: Any) -> World:
         """A world in the given state."""
         raise NotImplementedError
 
-    def reset(self, params: Any, world: World, mask: Any, qpos: Any, qvel: Any) -> World:
+    def reset(self, world: World, mask: Any, qpos: Any, qvel: Any) -> World:
         """`world`, or where `mask` is true one started anew in the given state."""
         raise NotImplementedError
 
-    def step(self, params: Any, world: World, controller: Controller, substeps: int = 1) -> tuple[World, Any]:
+    def step(self, world: World, controller: Controller, substeps: int = 1) -> tuple[World, Any]:
         """One control cycle: ask the controller once, hold its torque for `substeps` time steps.
 
         Returns:
@@ -136,30 +171,33 @@ class Physics(Spec):
         """
         raise NotImplementedError
 
-    def run(self, params: Any, world: World, controller: Controller, cycles: int, substeps: int = 1) -> World:
+    def run(self, world: World, controller: Controller, cycles: int, substeps: int = 1) -> World:
         """`cycles` control cycles one after another."""
 
         def cycle(world: World, _: None) -> tuple[World, None]:
-            return self.step(params, world, controller, substeps)[0], None
+            return self.step(world, controller, substeps)[0], None
 
         return jax.lax.scan(cycle, world, length=cycles)[0]
 
-    def run_sensed(self, params: Any, world: World, controller: Controller, cycles: int) -> tuple[World, Readings]:
-        """`cycles` control cycles of one time step, and what the sensors say at the beginning of the last."""
+    def run_sensed(self, world: World, controller: Controller, cycles: int) -> tuple[World, Sensed]:
+        """`cycles` control cycles of one time step, and everything at the beginning of the last.
+
+        That is the moment of which a time step knows all: what it ends in has no forces yet.
+        """
 
         def cycle(carry: tuple[World, World, Any], _: None) -> tuple[tuple[World, World, Any], None]:
             now = carry[0]
-            after, torque = self.step(params, now, controller)
+            after, torque = self.step(now, controller)
             return (after, now, torque), None
 
         first = world, world, jnp.zeros(len(self.joint_names))
         (world, before, torque), _ = jax.lax.scan(cycle, first, length=cycles)
-        return world, self.sensors(params, before, torque)
+        return world, self.sense(before, torque)
 
-    def sensors(self, params: Any, world: World, torque: Any) -> Readings:
-        """The readings in this state while `torque` acts."""
+    def sense(self, world: World, torque: Any) -> Sensed:
+        """Everything about this state while `torque` acts."""
         raise NotImplementedError
 
-    def poses(self, params: Any, world: World) -> Poses:
+    def poses(self, world: World) -> Poses:
         """Where the bodies are."""
         raise NotImplementedError

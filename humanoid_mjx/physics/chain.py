@@ -5,7 +5,7 @@ image, and gravity lies in the plane of symmetry.
 """
 
 from functools import lru_cache
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -16,11 +16,24 @@ from pydantic import Field
 from humanoid_mjx.mechanics import dynamics
 from humanoid_mjx.mechanics.contacts import no_contacts
 from humanoid_mjx.mechanics.forward import frames
-from humanoid_mjx.physics.base import MAX_SPEED, Controller, Physics, Poses, Readings, Stages, World
+from humanoid_mjx.mechanics.rotations import angular_velocity
+from humanoid_mjx.physics.base import (
+    MAX_SPEED,
+    Controller,
+    GroundContacts,
+    Physics,
+    Poses,
+    Readings,
+    Sensed,
+    Stages,
+    Velocities,
+    World,
+)
 from humanoid_mjx.robot.leg import FRAME_0, MIRROR, Leg
 from humanoid_mjx.robot.ranges import TORQUE_LIMIT, joint_ranges
+from humanoid_mjx.spec import traced
 from humanoid_mjx.thesis.leg import GRAVITY, JOINT_NAMES
-from humanoid_mjx.types import AnyArray, BoolScalar, FloatScalar, MassFactor
+from humanoid_mjx.types import AnyArray, BoolScalar, MassFactor
 
 SIDES = ("right", "left")
 LEG = len(JOINT_NAMES)
@@ -33,12 +46,8 @@ class ChainPhysics(Physics):
     parameters: Literal["physical", "thesis", "matlab_script"] = "physical"
     ranges: Literal["proposed", "human"] = "proposed"
     timestep: float = Field(0.002, gt=0, le=0.02, description="s")
-    mass: float = Field(1.0, gt=0, description="factor on the mass and the inertia of every link")
-    torque_limit: float = Field(TORQUE_LIMIT, gt=0, description="of the motors, N m")
-
-    class Params(NamedTuple):
-        mass: MassFactor
-        torque_limit: FloatScalar
+    mass: float = traced(1.0, gt=0, description="factor on the mass and the inertia of every link")
+    torque_limit: float = traced(TORQUE_LIMIT, gt=0, description="of the motors, N m")
 
     @property
     def step_s(self) -> float:
@@ -71,37 +80,39 @@ class ChainPhysics(Physics):
         values, tree = _leg(self.parameters, jax.config.read("jax_enable_x64"))
         return tree.unflatten([jnp.asarray(value) for value in values])
 
-    def start(self, params: Any, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]) -> World:
+    def start(self, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]) -> World:
         return World(jnp.array(qpos, float), jnp.array(qvel, float), jnp.zeros(0), jnp.bool_(False))
 
     def reset(
-        self, params: Any, world: World, mask: BoolScalar, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]
+        self, world: World, mask: BoolScalar, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]
     ) -> World:
-        return jax.tree.map(lambda new, old: jnp.where(mask, new, old), self.start(params, qpos, qvel), world)
+        return jax.tree.map(lambda new, old: jnp.where(mask, new, old), self.start(qpos, qvel), world)
 
-    def step(
-        self, params: Any, world: World, controller: Controller, substeps: int = 1
-    ) -> tuple[World, Float[Array, " joints"]]:
-        new, torque = self._cycle(params, world, controller, substeps)
+    def step(self, world: World, controller: Controller, substeps: int = 1) -> tuple[World, Float[Array, " joints"]]:
+        new, torque = self._cycle(world, controller, substeps)
         return _freeze_if_diverged(world, new), torque
 
-    def run(self, params: Any, world: World, controller: Controller, cycles: int, substeps: int = 1) -> World:
+    def run(self, world: World, controller: Controller, cycles: int, substeps: int = 1) -> World:
         """`cycles` control cycles. A world that diverges in them stands still where it was before the first."""
 
         # The state is carried as separate scalars: a batch of them is contiguous, and few kernels compute them all.
         def cycle(carry: tuple[list[Array], ...], _: None) -> tuple[tuple[list[Array], ...], None]:
             now = world._replace(qpos=jnp.stack(carry[0]), qvel=jnp.stack(carry[1]))
-            now = self._cycle(params, now, controller, substeps)[0]
+            now = self._cycle(now, controller, substeps)[0]
             return (list(now.qpos), list(now.qvel)), None
 
         qpos, qvel = jax.lax.scan(cycle, (list(world.qpos), list(world.qvel)), length=cycles)[0]
         return _freeze_if_diverged(world, world._replace(qpos=jnp.stack(qpos), qvel=jnp.stack(qvel)))
 
-    def sensors(self, params: Any, world: World, torque: Float[AnyArray, " joints"]) -> Readings:
-        still = jnp.zeros(3, world.qpos.dtype)
-        return Readings(world.qpos, still, still.at[2].set(GRAVITY), still[: len(self.sides)])
+    def sense(self, world: World, torque: Float[AnyArray, " joints"]) -> Sensed:
+        still, nowhere = jnp.zeros(3, world.qpos.dtype), jnp.zeros((0, 3), world.qpos.dtype)
+        readings = Readings(world.qpos, still, still.at[2].set(GRAVITY), still[: len(self.sides)])
+        poses, rates = jax.jvp(lambda qpos: self.poses(world._replace(qpos=qpos)), (world.qpos,), (world.qvel,))
+        angular = angular_velocity(poses.rotation, rates.rotation)
+        nothing = GroundContacts(nowhere, nowhere, nowhere[:, 0])
+        return Sensed(readings, poses, Velocities(rates.position, angular), nothing, jnp.asarray(torque))
 
-    def poses(self, params: Any, world: World) -> Poses:
+    def poses(self, world: World) -> Poses:
         position, rotation = [jnp.zeros(3)], [jnp.eye(3)]
         for mirror, q in zip((np.eye(3), MIRROR), _by_leg(world.qpos), strict=False):
             for pose in frames(self.leg, q)[1:]:
@@ -109,18 +120,16 @@ class ChainPhysics(Physics):
                 rotation.append(mirror @ FRAME_0 @ pose[:3, :3] @ mirror)
         return Poses(jnp.stack(position), jnp.stack(rotation))
 
-    def _cycle(
-        self, params: Any, world: World, controller: Controller, substeps: int
-    ) -> tuple[World, Float[Array, " joints"]]:
-        limit = params.torque_limit
+    def _cycle(self, world: World, controller: Controller, substeps: int) -> tuple[World, Float[Array, " joints"]]:
+        limit = self.torque_limit
         # Joint by joint: a bound on the whole array would be a kernel of its own between those of its elements.
-        torque = jnp.stack([jnp.clip(x, -limit, limit) for x in controller(self._stages(params, world))])
+        torque = jnp.stack([jnp.clip(x, -limit, limit) for x in controller(self._stages(world))])
         dt = jnp.asarray(self.timestep, world.qpos.dtype)
 
         def move(world: World) -> World:
             legs = [
                 dynamics.semi_implicit_euler(leg, dynamics.State(qpos, qvel), held, dt)
-                for leg, qpos, qvel, held in self._each_leg(params.mass, world.qpos, world.qvel, torque)
+                for leg, qpos, qvel, held in self._each_leg(self.mass, world.qpos, world.qvel, torque)
             ]
             qpos, qvel = (jnp.concatenate(parts) for parts in zip(*legs, strict=True))
             return world._replace(qpos=qpos, qvel=qvel)
@@ -128,16 +137,21 @@ class ChainPhysics(Physics):
         new = move(world) if substeps == 1 else jax.lax.fori_loop(0, substeps, lambda _, world: move(world), world)
         return new, torque
 
-    def _stages(self, params: Any, world: World) -> Stages:
+    def _stages(self, world: World) -> Stages:
         def torque_for(qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
-            legs = self._each_leg(mass, world.qpos, world.qvel, qacc)
-            return jnp.concatenate([dynamics.inverse_dynamics(*leg) for leg in legs])
+            # All links as heavy: the torque grows with them, and the leg's own values stay constants of the program.
+            factor, each = (1.0, mass) if jnp.ndim(mass) else (mass, 1.0)
+            legs = self._each_leg(each, world.qpos, world.qvel, qacc)
+            return factor * jnp.concatenate([dynamics.inverse_dynamics(*leg) for leg in legs])
 
-        parts = [dynamics.mass_matrix_and_bias(*leg) for leg in self._each_leg(params.mass, world.qpos, world.qvel)]
-        matrices, biases = zip(*parts, strict=True)
-        matrix, bias = jax.scipy.linalg.block_diag(*matrices), jnp.concatenate(biases)
+        def model_for(mass: MassFactor) -> tuple[Float[Array, "nv nv"], Float[Array, " nv"]]:
+            parts = [dynamics.mass_matrix_and_bias(*leg) for leg in self._each_leg(mass, world.qpos, world.qvel)]
+            matrices, biases = zip(*parts, strict=True)
+            return jax.scipy.linalg.block_diag(*matrices), jnp.concatenate(biases)
+
         nothing = no_contacts(len(world.qvel))
-        return Stages(world, world.qpos, world.qvel, matrix, bias, torque_for, lambda: nothing)
+        own = model_for(self.mass)
+        return Stages(world, world.qpos, world.qvel, *own, torque_for, lambda: nothing, model_for)
 
     def _each_leg(self, mass: MassFactor, *joints: Float[Array, " joints"]) -> list[tuple[Any, ...]]:
         """For each leg: its chain, and its own part of the arrays."""

@@ -17,8 +17,8 @@ from jaxtyping import Array, Float
 from pydantic import Field, model_validator
 
 from humanoid_mjx.mechanics.contacts import Contacts, rigid_points
-from humanoid_mjx.physics.base import Controller, Poses, Readings, Stages, World
-from humanoid_mjx.physics.model import MujocoPhysics, below, freeze_if_diverged
+from humanoid_mjx.physics.base import Controller, Poses, Sensed, Stages, World
+from humanoid_mjx.physics.model import MujocoPhysics, below, freeze_if_diverged, ground_points
 from humanoid_mjx.types import AnyArray, IntScalar, MassFactor
 
 SOLVER_ITERATIONS = {"jax": 4, "warp": 30}
@@ -29,6 +29,9 @@ the slowest; in warp each world stops by itself."""
 CONTACTS_PER_WORLD, CONSTRAINTS_PER_WORLD = 16, 64
 """Room in warp's buffers: two feet of four contacts and five pairs of the legs; four rows a foot contact, one each for
 the pairs and the ten joint limits."""
+
+FOOT_CONDIM = 3
+"""Dimensions of a contact of a foot with the ground: its pyramid has four edges, whose forces sum to the normal one."""
 
 LOST = 0b11111
 """Bits of warp's `OverflowType` that tell of contacts or constraints without room: NEFC, NJMAX_NNZ, BROADPHASE,
@@ -50,12 +53,10 @@ class MjxJax(MujocoPhysics):
 
     implementation: ClassVar[Literal["jax", "warp"]] = "jax"
 
-    def step(
-        self, params: Any, world: World, controller: Controller, substeps: int = 1
-    ) -> tuple[World, Float[Array, " joints"]]:
-        model, blank = self._put(params), self._blank_data()
+    def step(self, world: World, controller: Controller, substeps: int = 1) -> tuple[World, Float[Array, " joints"]]:
+        model, blank = self._put(), self._blank_data()
         if substeps == 1:
-            new, data = self._cycle(params, model, blank, world, controller)
+            new, data = self._cycle(model, blank, world, controller)
             return new, data.ctrl
 
         def substep(
@@ -63,50 +64,69 @@ class MjxJax(MujocoPhysics):
         ) -> tuple[tuple[World, Float[Array, " joints"]], None]:
             world, torque = carry
             data = self._at(model, blank, world)
-            ask = partial(self._ask, params, model, data, world, controller)
+            ask = partial(self._ask, model, data, world, controller)
             torque = jax.lax.cond(index == 0, ask, lambda: torque)
-            after = _advance(model, data.replace(ctrl=torque, qfrc_applied=self.pushes(params)))[0]
+            after = _advance(model, data.replace(ctrl=torque, qfrc_applied=self.pushes()))[0]
             return (after._replace(diverged=world.diverged | after.diverged), torque), None
 
         held = jnp.zeros(self.model.nu)
         (new, torque), _ = jax.lax.scan(substep, (world, held), jnp.arange(substeps))
         return freeze_if_diverged(world, new), torque
 
-    def run_sensed(self, params: Any, world: World, controller: Controller, cycles: int) -> tuple[World, Readings]:
-        model, blank = self._put(params), self._blank_data()
+    def run_sensed(self, world: World, controller: Controller, cycles: int) -> tuple[World, Sensed]:
+        model, blank = self._put(), self._blank_data()
 
-        def cycle(carry: tuple[World, Any], _: None) -> tuple[tuple[World, Any], None]:
+        def cycle(carry: tuple[World, Sensed], _: None) -> tuple[tuple[World, Sensed], None]:
             world, before = carry
-            new, data = self._cycle(params, model, blank, world, controller, sensed=True)
-            return (new, jnp.where(new.diverged, before, data.sensordata)), None
+            new, data = self._cycle(model, blank, world, controller, sensed=True)
+            now = self._sensed(data)
+            return (new, jax.tree.map(lambda old, new_: jnp.where(new.diverged, old, new_), before, now)), None
 
-        nothing = jnp.zeros(self.model.nsensordata)
-        (world, sensordata), _ = jax.lax.scan(cycle, (world, nothing), length=cycles)
-        return world, self._readings(sensordata)
+        shapes = jax.eval_shape(lambda: self._sensed(blank))
+        nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+        return jax.lax.scan(cycle, (world, nothing), length=cycles)[0]
 
-    def sensors(self, params: Any, world: World, torque: Float[AnyArray, " joints"]) -> Readings:
-        model = self._put(params)
+    def sense(self, world: World, torque: Float[AnyArray, " joints"]) -> Sensed:
+        model = self._put()
         data = self._at(model, self._blank_data(), world)
-        data = data.replace(ctrl=jnp.asarray(torque, float), qfrc_applied=self.pushes(params))
-        return self._readings(_advance(model, data, sensed=True)[1].sensordata)
+        data = data.replace(ctrl=jnp.asarray(torque, float), qfrc_applied=self.pushes())
+        return self._sensed(_advance(model, data, sensed=True)[1])
 
-    def poses(self, params: Any, world: World) -> Poses:
-        data = mjx.kinematics(self._put(params), self._blank_data().replace(qpos=world.qpos))
+    def _sensed(self, data: Any) -> Sensed:
+        """What a time step knows of its beginning."""
+        poses = Poses(data.xpos, data.xmat.reshape(-1, 3, 3))
+        velocities = self._velocities(data.cvel, data.xpos, data.subtree_com)
+        contacts = self._ground_contacts(poses, velocities, self._normal_forces(data))
+        return Sensed(self._readings(data.sensordata), poses, velocities, contacts, data.ctrl)
+
+    def _normal_forces(self, data: Any) -> Float[Array, " points"]:
+        """On the corners of the feet. In jax from the solver, which costs less than MuJoCo's touch sensors."""
+        balls, _ = self.ground_points
+        if self.implementation == "warp" or not len(balls):
+            return self._corner_forces(data.sensordata)
+        contact = data._impl.contact
+        rows = np.flatnonzero((contact.dim == FOOT_CONDIM) & (contact.efc_address >= 0))
+        edges = contact.efc_address[rows, None] + np.arange(2 * (FOOT_CONDIM - 1))
+        of_corner = (contact.geom[rows][:, :, None] == balls).any(axis=1)
+        return data._impl.efc_force[edges].sum(axis=1) @ of_corner.astype(data.qpos.dtype)
+
+    def poses(self, world: World) -> Poses:
+        data = mjx.kinematics(self._put(), self._blank_data().replace(qpos=world.qpos))
         return Poses(data.xpos, data.xmat.reshape(-1, 3, 3))
 
-    def _put(self, params: Any) -> Any:
+    def _put(self) -> Any:
         """The mjx.Model with the traced values in it."""
         model, _ = _mjx_arrays(self.model, self.implementation, jax.config.jax_enable_x64)
         model = jax.tree.map(jnp.asarray, model)
-        limits = jnp.asarray([-params.torque_limit, params.torque_limit], float)
-        factors = self.mass_factors(params.mass)
+        limits = jnp.asarray([-self.torque_limit, self.torque_limit], float)
+        factors = self.mass_factors(self.mass)
         body_mass = model.body_mass * factors
         return model.replace(
             body_mass=body_mass,
             body_inertia=model.body_inertia * factors[:, None],
             body_subtreemass=below(self.model) @ body_mass,
-            dof_damping=jnp.where(model.dof_damping > 0, jnp.asarray(params.damping, float), 0.0),
-            pair_friction=model.pair_friction.at[:, :2].set(params.friction),
+            dof_damping=jnp.where(model.dof_damping > 0, jnp.asarray(self.damping, float), 0.0),
+            pair_friction=model.pair_friction.at[:, :2].set(self.friction),
             actuator_ctrlrange=jnp.broadcast_to(limits, model.actuator_ctrlrange.shape),
         )
 
@@ -123,30 +143,32 @@ class MjxJax(MujocoPhysics):
         return mjx.fwd_velocity(model, mjx.fwd_position(model, data))
 
     def _cycle(
-        self, params: Any, model: Any, blank: Any, world: World, controller: Controller, sensed: bool = False
+        self, model: Any, blank: Any, world: World, controller: Controller, sensed: bool = False
     ) -> tuple[World, Any]:
         """One time step, and the mjx.Data of its beginning."""
         data = self._at(model, blank, world)
-        torque = self._ask(params, model, data, world, controller)
-        new, data = _advance(model, data.replace(ctrl=torque, qfrc_applied=self.pushes(params)), sensed)
+        torque = self._ask(model, data, world, controller)
+        new, data = _advance(model, data.replace(ctrl=torque, qfrc_applied=self.pushes()), sensed)
         return freeze_if_diverged(world, new), data
 
-    def _ask(self, params: Any, model: Any, data: Any, world: World, controller: Controller) -> Float[Array, " joints"]:
-        limit = jnp.asarray(params.torque_limit, float)
-        torque = controller(self._stages(params, model, data, world))
+    def _ask(self, model: Any, data: Any, world: World, controller: Controller) -> Float[Array, " joints"]:
+        limit = jnp.asarray(self.torque_limit, float)
+        torque = controller(self._stages(model, data, world))
         return jnp.clip(jnp.asarray(torque, float), -limit, limit)
 
-    def _stages(self, params: Any, model: Any, data: Any, world: World) -> Stages:
+    def _stages(self, model: Any, data: Any, world: World) -> Stages:
         joints = self.model.nu
         matrix, bias = mass_matrix(self.model, data), data.qfrc_bias - data.qfrc_passive
 
+        def model_for(mass: MassFactor) -> tuple[Float[Array, "nv nv"], Float[Array, " nv"]]:
+            if jnp.ndim(mass) == jnp.ndim(self.mass) == 0:
+                return self.rescaled(mass / self.mass, matrix, bias, world.qvel)
+            other = self._at(self.replace(mass=mass)._put(), data, world)
+            return mass_matrix(self.model, other), other.qfrc_bias - other.qfrc_passive
+
         def torque_for(qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
-            if jnp.ndim(mass) == jnp.ndim(params.mass) == 0:
-                torque = matrix[-joints:, -joints:] @ qacc + bias[-joints:]
-                return self.rescaled_torque(params, mass / params.mass, torque, qacc, world.qvel[-joints:])
-            other = self._at(self._put(params._replace(mass=mass)), data, world)
-            bias_of = other.qfrc_bias - other.qfrc_passive
-            return mass_matrix(self.model, other)[-joints:, -joints:] @ qacc + bias_of[-joints:]
+            believed, bias_of = model_for(mass)
+            return believed[-joints:, -joints:] @ qacc + bias_of[-joints:]
 
         def contacts() -> Contacts:
             corners, moved_by = self.ground_points
@@ -155,7 +177,8 @@ class MjxJax(MujocoPhysics):
             jacobian, drift = rigid_points(position, moved_by, data.cdof, data.cdof_dot, data.qvel, origin)
             return Contacts(position, jacobian, drift, position[:, 2] <= 0.0)
 
-        return Stages(world, world.qpos[-joints:], world.qvel[-joints:], matrix, bias, torque_for, contacts)
+        joint_state = world.qpos[-joints:], world.qvel[-joints:]
+        return Stages(world, *joint_state, matrix, bias, torque_for, contacts, model_for)
 
 
 class MjxWarp(MjxJax):
@@ -201,6 +224,9 @@ def _mjx_arrays(model: mujoco.MjModel, implementation: str, x64: bool) -> tuple[
     model.opt.iterations, model.opt.ls_iterations = SOLVER_ITERATIONS[implementation], LINE_SEARCH_ITERATIONS
     if not model.npair:  # MJX fails at a touch sensor where nothing can touch; left out, it reads 0
         model.sensor_needstage[model.sensor_type == mujoco.mjtSensor.mjSENS_TOUCH] = mujoco.mjtStage.mjSTAGE_NONE
+    elif implementation == "jax":  # forces on the corners of the feet are the solver's: see `_normal_forces`
+        corners = len(ground_points(model)[0])
+        model.sensor_needstage[model.nsensor - corners :] = mujoco.mjtStage.mjSTAGE_NONE
     with jax.ensure_compile_time_eval():
         put = mjx.put_model(model, impl=implementation)
         if implementation == "warp":  # it would print a line for each world and step; see `LOST`

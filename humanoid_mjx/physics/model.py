@@ -2,7 +2,7 @@
 """What the physics built on MuJoCo's models have in common: which robot, its model, its traced values."""
 
 from functools import lru_cache
-from typing import Any, Literal, NamedTuple
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -11,10 +11,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from pydantic import Field
 
-from humanoid_mjx.physics.base import MAX_SPEED, Physics, Readings, World
+from humanoid_mjx.physics.base import MAX_SPEED, GroundContacts, Physics, Poses, Readings, Velocities, World
 from humanoid_mjx.robot import lower_body as body
 from humanoid_mjx.robot import robot_spec
 from humanoid_mjx.robot.ranges import TORQUE_LIMIT
+from humanoid_mjx.spec import traced
 from humanoid_mjx.types import AnyArray, BoolScalar, FloatScalar, MassFactor
 
 
@@ -25,19 +26,11 @@ class MujocoPhysics(Physics):
     torso: body.Torso = "free"
     ranges: body.Ranges = "proposed"
     timestep: float | None = Field(None, gt=0, le=0.02, description="s; by default the robot's own")
-    mass: float = Field(1.0, gt=0, description="factor on the mass and the inertia of every link")
-    friction: float = Field(body.FRICTION, ge=0, description="of the feet on the ground")
-    damping: float = Field(body.DAMPING, ge=0, description="of the lower body's joints, N m s/rad")
-    torque_limit: float = Field(TORQUE_LIMIT, gt=0, description="of the motors, N m")
-    push: tuple[float, float, float] = Field((0.0, 0.0, 0.0), description="steady force on a free torso, N, world")
-
-    class Params(NamedTuple):
-        mass: MassFactor
-        friction: FloatScalar
-        damping: FloatScalar
-        torque_limit: FloatScalar
-        push: Any
-        """(3,) N, in the world; it acts at the torso's origin, midway between the hips."""
+    mass: float = traced(1.0, gt=0, description="factor on the mass and the inertia of every link")
+    friction: float = traced(body.FRICTION, ge=0, description="of the feet on the ground")
+    damping: float = traced(body.DAMPING, ge=0, description="of the lower body's joints, N m s/rad")
+    torque_limit: float = traced(TORQUE_LIMIT, gt=0, description="of the motors, N m")
+    push: tuple[float, float, float] = traced((0.0, 0.0, 0.0), description="steady force on a free torso, N, world")
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -67,7 +60,7 @@ class MujocoPhysics(Physics):
     @property
     def ground_points(self) -> tuple[Int[np.ndarray, " points"], Bool[np.ndarray, "points nv"]]:
         """The balls of the feet that can touch the ground, z = 0: their geoms, and which velocities move them."""
-        return _ground_points(self.model)
+        return ground_points(self.model)
 
     def mass_factors(self, mass: MassFactor) -> Float[AnyArray, " bodies"]:
         """The factor on each body's mass and inertia. Factors of links leave the torso as it is."""
@@ -76,50 +69,66 @@ class MujocoPhysics(Physics):
         links = self.model.jnt_bodyid[self.model.actuator_trnid[:, 0]]
         return jnp.ones(self.model.nbody).at[links].set(mass)
 
-    def rescaled_torque(
+    def rescaled(
         self,
-        params: Any,
         factor: FloatScalar,
-        torque: Float[AnyArray, " joints"],
-        qacc: Float[AnyArray, " joints"],
-        qvel: Float[AnyArray, " joints"],
-    ) -> Float[AnyArray, " joints"]:
-        """The torque for a motion, N m, if all links were `factor` times as heavy: the motors' armature and the joints'
-        damping stay as they are.
+        mass_matrix: Float[AnyArray, "nv nv"],
+        bias: Float[AnyArray, " nv"],
+        qvel: Float[AnyArray, " nv"],
+    ) -> tuple[Float[AnyArray, "nv nv"], Float[AnyArray, " nv"]]:
+        """Mass matrix and bias if all links were `factor` times as heavy: the motors' armature and the joints' damping
+        stay as they are."""
+        armature, damped = self.model.dof_armature, self.model.dof_damping > 0
+        resistance = jnp.where(damped, self.damping, 0.0) * qvel
+        others = 1 - factor
+        return factor * mass_matrix + others * np.diag(armature), factor * bias + others * resistance
 
-        Args:
-          torque: what the motion takes with the links as they are, N m.
-          qacc: accelerations of the joints, rad/s^2.
-          qvel: their velocities, rad/s.
-        """
-        joints = self.model.nu
-        armature, damped = self.model.dof_armature[-joints:], self.model.dof_damping[-joints:] > 0
-        unscaled = armature * qacc + jnp.where(damped, params.damping, 0.0) * qvel
-        return factor * torque + (1 - factor) * unscaled
-
-    def pushes(self, params: Any) -> Float[AnyArray, " nv"]:
+    def pushes(self) -> Float[AnyArray, " nv"]:
         """The forces on the degrees of freedom that are not the motors'."""
         none = jnp.zeros(self.model.nv)
-        return none.at[:3].set(jnp.stack(list(params.push))) if self.torso == "free" else none
+        return none.at[:3].set(jnp.stack(list(self.push))) if self.torso == "free" else none
 
     def _readings(self, sensordata: Float[AnyArray, "*worlds sensors"]) -> Readings:
         """MuJoCo's sensor array, in the order in which the robot declares its sensors."""
-        joints = self.model.nu
+        joints, points = self.model.nu, len(self.ground_points[0])
         return Readings(
             encoders=sensordata[..., :joints],
             gyroscope=sensordata[..., joints : joints + 3],
             accelerometer=sensordata[..., joints + 3 : joints + 6],
-            foot_contact=sensordata[..., joints + 6 :],
+            foot_contact=sensordata[..., joints + 6 : sensordata.shape[-1] - points],
         )
 
-    def start(self, params: Any, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]) -> World:
+    def _corner_forces(self, sensordata: Float[AnyArray, "*worlds sensors"]) -> Float[AnyArray, "*worlds points"]:
+        """The last of the sensors: normal forces on the corners of the feet, N."""
+        return sensordata[..., sensordata.shape[-1] - len(self.ground_points[0]) :]
+
+    def _velocities(
+        self, cvel: Float[AnyArray, "bodies 6"], position: Float[AnyArray, "bodies 3"], com: Float[AnyArray, "bodies 3"]
+    ) -> Velocities:
+        """From MuJoCo's `cvel`, which is about the centre of mass of a body's tree, `com` (`subtree_com`)."""
+        angular = cvel[:, :3]
+        arm = position - com[self.model.body_rootid]
+        return Velocities(cvel[:, 3:] + jnp.cross(angular, arm), angular)
+
+    def _ground_contacts(
+        self, poses: Poses, velocities: Velocities, forces: Float[AnyArray, " points"]
+    ) -> GroundContacts:
+        """Where the corners of the feet are, and how they move with their bodies."""
+        balls, _ = self.ground_points
+        link = self.model.geom_bodyid[balls]
+        arm = jnp.einsum("pij,pj->pi", poses.rotation[link], jnp.asarray(self.model.geom_pos[balls], float))
+        arm = arm - self.model.geom_size[balls, :1] * np.array([0.0, 0.0, 1.0])
+        velocity = velocities.linear[link] + jnp.cross(velocities.angular[link], arm)
+        return GroundContacts(poses.position[link] + arm, velocity, forces)
+
+    def start(self, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]) -> World:
         qvel = jnp.array(qvel, float)
         return World(jnp.array(qpos, float), qvel, jnp.zeros_like(qvel), jnp.bool_(False))
 
     def reset(
-        self, params: Any, world: World, mask: BoolScalar, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]
+        self, world: World, mask: BoolScalar, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]
     ) -> World:
-        return _where(mask, self.start(params, qpos, qvel), world)
+        return _where(mask, self.start(qpos, qvel), world)
 
 
 def freeze_if_diverged(old: World, new: World) -> World:
@@ -149,7 +158,8 @@ def _model(robot: str, torso: str, ranges: str, timestep: float | None) -> mujoc
 
 
 @lru_cache
-def _ground_points(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+def ground_points(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+    """As `MujocoPhysics.ground_points`, of a model."""
     pairs = np.stack([model.pair_geom1, model.pair_geom2], axis=1)
     balls = pairs[model.geom_type[pairs[:, 0]] == mujoco.mjtGeom.mjGEOM_PLANE, 1]
     moved_by = np.zeros((len(balls), model.nv), bool)

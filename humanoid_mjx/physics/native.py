@@ -21,12 +21,12 @@ from jaxtyping import Array, Float
 from mujoco.rollout import Rollout
 
 from humanoid_mjx.mechanics.contacts import Contacts
-from humanoid_mjx.physics.base import Controller, Poses, Readings, Stages, World
+from humanoid_mjx.physics.base import Controller, Poses, Readings, Sensed, Stages, Velocities, World
 from humanoid_mjx.physics.model import MujocoPhysics, below, freeze_if_diverged
 from humanoid_mjx.types import AnyArray, MassFactor
 
 MODELS_BYTES = 1 << 27
-"""What the models kept of one robot may take, about 0.1 MB each. Worlds of more distinct `params` take turns."""
+"""What the models kept of one robot may take, about 0.1 MB each. Worlds of more distinct traced values take turns."""
 
 CONTROL = int(mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED)
 """What is given to each step: the motors' torques, then the forces on all degrees of freedom."""
@@ -36,49 +36,51 @@ _LOCK = threading.Lock()
 
 
 class Native(MujocoPhysics):
-    """Native MuJoCo. Worlds may differ in their `params`: each distinct set of them has a model of its own."""
+    """Native MuJoCo. Worlds may differ in their traced values: each distinct set of them has a model of its own."""
 
-    def step(
-        self, params: Any, world: World, controller: Controller, substeps: int = 1
-    ) -> tuple[World, Float[Array, " joints"]]:
-        limit = jnp.asarray(params.torque_limit, float)
-        torque = jnp.clip(jnp.asarray(controller(self._stages(params, world)), float), -limit, limit)
+    def step(self, world: World, controller: Controller, substeps: int = 1) -> tuple[World, Float[Array, " joints"]]:
+        limit = jnp.asarray(self.torque_limit, float)
+        torque = jnp.clip(jnp.asarray(controller(self._stages(world)), float), -limit, limit)
         shapes = world.qpos.shape, world.qvel.shape, world.qvel.shape
         state = world.qpos, world.qvel, world.warmstart
-        control = jnp.concatenate([torque, self.pushes(params)])
-        qpos, qvel, warmstart = _on_host(
-            partial(self._advance, substeps), shapes, self._values(params), *state, control
-        )
+        control = jnp.concatenate([torque, self.pushes()])
+        qpos, qvel, warmstart = _on_host(partial(self._advance, substeps), shapes, self._values(), *state, control)
         return freeze_if_diverged(world, World(qpos, qvel, warmstart, jnp.bool_(False))), torque
 
-    def sensors(self, params: Any, world: World, torque: Float[AnyArray, " joints"]) -> Readings:
+    def sense(self, world: World, torque: Float[AnyArray, " joints"]) -> Sensed:
         shapes = ((self.model.nsensordata,),)
-        control = jnp.concatenate([jnp.asarray(torque, float), self.pushes(params)])
+        torque = jnp.asarray(torque, float)
+        control = jnp.concatenate([torque, self.pushes()])
         state = world.qpos, world.qvel, world.warmstart
-        (sensordata,) = _on_host(self._sense, shapes, self._values(params), *state, control)
-        return self._readings(sensordata)
+        (sensordata,) = _on_host(self._sense, shapes, self._values(), *state, control)
+        poses, velocities = self._motion(world)
+        contacts = self._ground_contacts(poses, velocities, self._corner_forces(sensordata))
+        return Sensed(self._readings(sensordata), poses, velocities, contacts, torque)
 
-    def poses(self, params: Any, world: World) -> Poses:
+    def poses(self, world: World) -> Poses:
+        return self._motion(world)[0]
+
+    def _motion(self, world: World) -> tuple[Poses, Velocities]:
         bodies = self.model.nbody
-        shapes = (bodies, 3), (bodies, 3, 3)
-        position, rotation = _on_host(self._locate, shapes, self._values(params), world.qpos)
-        return Poses(position, rotation)
+        shapes = (bodies, 3), (bodies, 3, 3), (bodies, 6), (bodies, 3)
+        position, rotation, cvel, com = _on_host(self._locate, shapes, self._values(), world.qpos, world.qvel)
+        return Poses(position, rotation), self._velocities(cvel, position, com)
 
     def rollout(
-        self, params: Any, world: World, torque: Float[AnyArray, "*worlds steps joints"]
+        self, world: World, torque: Float[AnyArray, "*worlds steps joints"]
     ) -> tuple[Float[np.ndarray, "*worlds steps nq"], Float[np.ndarray, "*worlds steps nv"], Readings]:
         """Replay torques, one each time step, outside jax: numpy in and out, any number of leading axes, the same
-        `params` in all worlds.
+        traced values in all worlds.
 
         Returns:
           `qpos` and `qvel` after every step, and what the sensors said before it.
         """
         worlds = world.qpos.shape[:-1]
-        values = np.asarray(self._values(params), np.float64)
+        values = np.asarray(self._values(), np.float64)
         torque = np.clip(np.asarray(torque, np.float64), -values[-1], values[-1])
         state = world.qpos, world.qvel, world.warmstart
         qpos, qvel, warmstart = (np.asarray(x, np.float64).reshape(-1, x.shape[-1]) for x in state)
-        pushes = np.broadcast_to(self.pushes(params), (*torque.shape[:-1], self.model.nv))
+        pushes = np.broadcast_to(self.pushes(), (*torque.shape[:-1], self.model.nv))
         control = np.concatenate([torque, pushes], axis=-1)
         control = control.reshape(-1, *control.shape[-2:])
         with _alone():
@@ -88,28 +90,31 @@ class Native(MujocoPhysics):
         readings = self._readings(sensordata.reshape(*worlds, *sensordata.shape[1:]))
         return (*self._split(states), readings)
 
-    def _values(self, params: Any) -> Float[Array, " values"]:
+    def _values(self) -> Float[Array, " values"]:
         """What of a model is traced: the mass factors of the bodies, friction, damping, and the torque limit."""
-        factors = self.mass_factors(params.mass)
-        return jnp.concatenate([factors, jnp.stack([jnp.asarray(value, factors.dtype) for value in params[1:-1]])])
+        factors = self.mass_factors(self.mass)
+        others = self.friction, self.damping, self.torque_limit
+        return jnp.concatenate([factors, jnp.stack([jnp.asarray(value, factors.dtype) for value in others])])
 
-    def _stages(self, params: Any, world: World) -> Stages:
+    def _stages(self, world: World) -> Stages:
         joints, nv = self.model.nu, self.model.nv
 
-        def dynamics(params: Any) -> list[Array]:
-            return _on_host(self._dynamics, ((nv, nv), (nv,)), self._values(params), world.qpos, world.qvel)
+        def dynamics(physics: Native) -> list[Array]:
+            return _on_host(self._dynamics, ((nv, nv), (nv,)), physics._values(), world.qpos, world.qvel)
+
+        def model_for(mass: MassFactor) -> tuple[Array, Array]:
+            if jnp.ndim(mass) == jnp.ndim(self.mass) == 0:
+                return self.rescaled(mass / self.mass, matrix, bias, world.qvel)
+            believed, bias_of = dynamics(self.replace(mass=mass))
+            return believed, bias_of
 
         def torque_for(qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
-            if jnp.ndim(mass) == jnp.ndim(params.mass) == 0:
-                torque = matrix[-joints:, -joints:] @ qacc + bias[-joints:]
-                return self.rescaled_torque(params, mass / params.mass, torque, qacc, world.qvel[-joints:])
-            believed, bias_of = dynamics(params._replace(mass=mass))
+            believed, bias_of = model_for(mass)
             return believed[-joints:, -joints:] @ qacc + bias_of[-joints:]
 
-        matrix, bias = dynamics(params)
-        return Stages(
-            world, world.qpos[-joints:], world.qvel[-joints:], matrix, bias, torque_for, partial(self._contacts, world)
-        )
+        matrix, bias = dynamics(self)
+        joint_state = world.qpos[-joints:], world.qvel[-joints:]
+        return Stages(world, *joint_state, matrix, bias, torque_for, partial(self._contacts, world), model_for)
 
     def _contacts(self, world: World) -> Contacts:
         points, nv = len(self.ground_points[0]), self.model.nv
@@ -166,14 +171,19 @@ class Native(MujocoPhysics):
                 drift[i, k] = rate @ qvel[i]
         return position, jacobian, drift
 
-    def _locate(self, values: np.ndarray, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        bodies = self.model.nbody
-        position, rotation = np.empty((len(qpos), bodies, 3)), np.empty((len(qpos), bodies, 3, 3))
+    def _locate(self, values: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, ...]:
+        """`xpos`, `xmat`, `cvel` and `subtree_com` of each world."""
+        worlds, bodies = len(qpos), self.model.nbody
+        found = [np.empty((worlds, bodies, *shape)) for shape in ((3,), (3, 3), (6,), (3,))]
         for i, (model, data) in enumerate(_team(self.model).bare(values)):
-            data.qpos = qpos[i]
+            data.qpos, data.qvel = qpos[i], qvel[i]
             mujoco.mj_kinematics(model, data)
-            position[i], rotation[i] = data.xpos, data.xmat.reshape(-1, 3, 3)
-        return position, rotation
+            mujoco.mj_comPos(model, data)
+            mujoco.mj_comVel(model, data)
+            parts = data.xpos, data.xmat.reshape(-1, 3, 3), data.cvel, data.subtree_com
+            for rows, part in zip(found, parts, strict=True):
+                rows[i] = part
+        return tuple(found)
 
     def _simulate(
         self,
@@ -228,7 +238,7 @@ class _Team:
         self._bare.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
 
     def tuned(self, values: Float[np.ndarray, " values"]) -> mujoco.MjModel:
-        """The model with these `params` in it; where there is no room, in the one longest not used."""
+        """The model with these values in it, evicting the least recently used where there is no room."""
         key = values.tobytes()
         model = self._tuned.pop(key, None)
         if model is None:
@@ -240,7 +250,7 @@ class _Team:
         return model
 
     def bare(self, values: Float[np.ndarray, "worlds values"]) -> Iterator[tuple[mujoco.MjModel, mujoco.MjData]]:
-        """For each row of `params` a model that knows neither contacts nor limits, and data; valid until the next."""
+        """For each row of values a model that knows neither contacts nor limits, and data; valid until the next."""
         before = None
         for row in values:
             if before is None or (row != before).any():

@@ -1,6 +1,6 @@
 """Real sensors: what is between the true readings and those that a controller gets. Off unless asked for."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +8,7 @@ from jaxtyping import Array, Float, Key
 from pydantic import Field
 
 from humanoid_mjx.physics.base import Readings
-from humanoid_mjx.spec import Spec
+from humanoid_mjx.spec import Spec, traced
 from humanoid_mjx.types import FloatScalar
 
 
@@ -27,36 +27,25 @@ class Sensors(Spec):
     Noise and bias are standard deviations of normal distributions, for each component alone.
     """
 
-    encoder_noise: float = Field(0.0, ge=0, description="rad")
-    encoder_bias: float = Field(0.0, ge=0, description="rad")
-    gyroscope_noise: float = Field(0.0, ge=0, description="rad/s")
-    gyroscope_bias: float = Field(0.0, ge=0, description="rad/s")
-    accelerometer_noise: float = Field(0.0, ge=0, description="m/s^2")
-    accelerometer_bias: float = Field(0.0, ge=0, description="m/s^2")
-    foot_contact_noise: float = Field(0.0, ge=0, description="N")
+    encoder_noise: float = traced(0.0, ge=0, description="rad")
+    encoder_bias: float = traced(0.0, ge=0, description="rad")
+    gyroscope_noise: float = traced(0.0, ge=0, description="rad/s")
+    gyroscope_bias: float = traced(0.0, ge=0, description="rad/s")
+    accelerometer_noise: float = traced(0.0, ge=0, description="m/s^2")
+    accelerometer_bias: float = traced(0.0, ge=0, description="m/s^2")
+    foot_contact_noise: float = traced(0.0, ge=0, description="N")
     delay: int = Field(0, ge=0, le=100, description="control cycles")
 
-    class Params(NamedTuple):
-        encoder_noise: FloatScalar
-        encoder_bias: FloatScalar
-        gyroscope_noise: FloatScalar
-        gyroscope_bias: FloatScalar
-        accelerometer_noise: FloatScalar
-        accelerometer_bias: FloatScalar
-        foot_contact_noise: FloatScalar
-
-    def start(self, params: Any, readings: Readings, key: Key[Array, ""]) -> SensorState:
+    def start(self, readings: Readings, key: Key[Array, ""]) -> SensorState:
         """Draw the biases. The readings before the first are taken to be like `readings`."""
-        spread = params.encoder_bias, params.gyroscope_bias, params.accelerometer_bias, 0.0
+        spread = self.encoder_bias, self.gyroscope_bias, self.accelerometer_bias, 0.0
         past = jax.tree.map(lambda x: jnp.broadcast_to(x, (self.delay, *x.shape)), readings)
         return SensorState(_normal(spread, readings, key), past)
 
-    def read(
-        self, params: Any, state: SensorState, readings: Readings, key: Key[Array, ""]
-    ) -> tuple[SensorState, Readings]:
+    def read(self, state: SensorState, readings: Readings, key: Key[Array, ""]) -> tuple[SensorState, Readings]:
         """Once each control cycle: from the true readings to those of the sensors."""
         queue = jax.tree.map(lambda past, now: jnp.concatenate([past, now[None]]), state.past, readings)
-        spread = params.encoder_noise, params.gyroscope_noise, params.accelerometer_noise, params.foot_contact_noise
+        spread = self.encoder_noise, self.gyroscope_noise, self.accelerometer_noise, self.foot_contact_noise
         noise = _normal(spread, readings, key)
         seen = jax.tree.map(lambda queue, bias, noise: queue[0] + bias + noise, queue, state.bias, noise)
         return SensorState(state.bias, jax.tree.map(lambda x: x[1:], queue)), seen

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from humanoid_mjx.report.style import COLORS, figure
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, judge, listed, unprinted
 from humanoid_mjx.reproduction.stepping_back import largest_cost
-from humanoid_mjx.results.style import COLORS, figure
 from humanoid_mjx.thesis import q_learning as thesis
 
 PRINTED = thesis.PSEUDO_CODE

@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
+from humanoid_mjx.report.style import COLORS, figure
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, judge, listed, three_digits, unprinted
-from humanoid_mjx.results.style import COLORS, figure
 from humanoid_mjx.thesis import leg as thesis
 
 GEARS = np.array([1.0, 3.0, 10.0, 30.0, 100.0, 300.0])
@@ -113,10 +113,12 @@ def _selection(motion: dict[str, np.ndarray], config: dict[str, float]) -> Findi
 
 def _able(config: dict[str, float], gears: np.ndarray, torque: np.ndarray, qvel: np.ndarray) -> np.ndarray:
     """(gears, 5) Whether the driver's voltage suffices for torques at speeds, (times, 5) (5.21 to 5.24)."""
+    import jax.numpy as jnp
+
     from humanoid_mjx.control.actuator import Motor
 
     motor = Motor.build(**config, gear_ratio=gears[:, None, None])
-    return np.abs(np.asarray(motor.voltage_for(torque, qvel))).max(axis=1) <= config["max_voltage"]
+    return np.abs(np.asarray(motor.voltage_for(jnp.asarray(torque), jnp.asarray(qvel)))).max(axis=1) <= config["max_voltage"]
 
 
 def _span(gears: np.ndarray, able: Any) -> list[float]:

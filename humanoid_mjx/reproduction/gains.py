@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
+from humanoid_mjx.report.style import COLORS, figure, label_lines
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, judge, three_digits
-from humanoid_mjx.results.style import COLORS, figure, label_lines
 from humanoid_mjx.thesis import leg as thesis
 
 JOINTS = range(5)

@@ -251,11 +251,11 @@ def _program() -> Any:
             time, reference = now
             acts = (time >= PUSH_AT) & (time < PUSH_AT + PUSH_S)
             force = jnp.pad(jnp.where(acts, push / PUSH_S, 0.0), (0, 1))
-            params = simulator.params._replace(push=force)
-            world, _ = simulator.step(params, world, lambda stages: torque(gains, kind, reference, stages))
+            pushed = simulator.replace(push=force)
+            world, _ = pushed.step(world, lambda stages: torque(gains, kind, reference, stages))
             return world, (world.qpos, world.qvel)
 
-        world = simulator.start(simulator.params, qpos, jnp.concatenate([jnp.zeros(6), plan.qvel[0]]))
+        world = simulator.start(qpos, jnp.concatenate([jnp.zeros(6), plan.qvel[0]]))
         # The torque of a step brings about the motion at its end.
         ends = control.Reference(*(x[1:] for x in plan))
         moved = jax.lax.scan(cycle, world, (simulator.step_s * jnp.arange(len(ends.qpos)), ends))[1]

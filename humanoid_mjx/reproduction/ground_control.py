@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
+from humanoid_mjx.report.style import COLORS, figure, label_lines
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, listed, unprinted
-from humanoid_mjx.results.style import COLORS, figure, label_lines
 from humanoid_mjx.thesis import leg as thesis
 
 SECONDS = 3.0

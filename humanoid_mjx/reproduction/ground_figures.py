@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from humanoid_mjx.mechanics.balance import support_polygon
+from humanoid_mjx.report.style import COLORS, figure
 from humanoid_mjx.reproduction.ground import Trial
-from humanoid_mjx.results.style import COLORS, figure
 
 TABLES = {"straight_walk": "Table 4.5", "sudden_turn": "Table 4.6"}
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from humanoid_mjx.report.style import COLORS, figure
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, in_words, judge
-from humanoid_mjx.results.style import COLORS, figure
 from humanoid_mjx.thesis import q_learning as thesis
 
 RUNS, STEPS = 2000, 400

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from humanoid_mjx.report.style import COLORS, figure, label_lines, shades
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, judge
-from humanoid_mjx.results.style import COLORS, figure, label_lines, shades
 from humanoid_mjx.thesis import leg as thesis
 
 CONFIG = {"load": {"torso": -thesis.SCRIPT_FORCE[2]}, "squat": {"knee": 90.0}}

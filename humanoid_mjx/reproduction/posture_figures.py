@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-from humanoid_mjx.results.style import COLORS, figure
+from humanoid_mjx.report.style import COLORS, figure
 from humanoid_mjx.robot.lower_body import lower_body_model
 
 TILE_M = 0.05

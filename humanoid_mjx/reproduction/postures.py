@@ -113,22 +113,22 @@ def _where(knee: float) -> str:
 
 def _switch(section: str, setting: Setting) -> list[Finding]:
     """Train on a posture, show the motion, and measure it against a plan that takes as long."""
-    from humanoid_mjx.results.rendering import render_motion
+    from humanoid_mjx.report.rendering import render_motion
     from humanoid_mjx.robot import robot_spec
     from humanoid_mjx.training.episode import motion_of, play
 
     trained = _train(section, setting.config)
     task = trained.learner.task
     goal = np.asarray(task.whole_body(task.grid[:, -1]))
-    tolerance = float(trained.hyper.task.tolerance)
+    tolerance = float(task.tolerance)
     episode = play(trained)
     motion = motion_of(trained, episode)
     path = setting.out / f"figure-7.18-{section}.gif"
     render_motion(robot_spec("legs").compile(), motion.qpos, task.timestep, path)
     learned = _measure(motion, goal, task, tolerance)
-    plan = _measure(_planned(task, trained.hyper.task, learned.settling), goal, task, tolerance)
-    heavy = trained.hyper._replace(task=trained.hyper.task._replace(mass=np.float32(HEAVY)))
-    trained = trained._replace(hyper=heavy)
+    plan = _measure(_planned(task, learned.settling), goal, task, tolerance)
+    heavy = task.replace(mass=np.float32(HEAVY))
+    trained = trained._replace(learner=trained.learner.replace(task=heavy))
     loaded = _measure(motion_of(trained, play(trained)), goal, task, tolerance)
     decided = (
         f"{len(episode.actions)} decisions, peak torque {learned.peak:.2g} N m; a quintic of {learned.settling:g} s"
@@ -180,7 +180,7 @@ def _train(section: str, config: dict[str, Any]) -> Any:
         return best_policy(sweep(full, Path(folder) / "run").path)
 
 
-def _planned(task: Any, params: Any, duration: float) -> Any:
+def _planned(task: Any, duration: float) -> Any:
     """The motion along a quintic that takes `duration`, s, and then holds the goal, by the task's controller."""
     import jax
 
@@ -195,10 +195,10 @@ def _planned(task: Any, params: Any, duration: float) -> Any:
     # The torque of a step brings about the motion at its end.
     times = task.timestep * np.arange(1, chunk * chunks + 1, dtype=np.float32)
     wanted = Reference(*jax.jit(jax.vmap(Quintic.at, in_axes=(None, 0)))(path, times))
-    world, motions = task.reset(params, jax.random.key(0)).world, []
+    world, motions = task.reset(jax.random.key(0)).world, []
     for first in range(0, len(times), chunk):
         part = Reference(*(x[first : first + chunk] for x in wanted))
-        world, motion = follow(task, params, world, part)
+        world, motion = follow(task, world, part)
         motions.append(motion)
     return joined(motions)
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from humanoid_mjx.report.style import COLORS, figure, shades
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, judge, listed, three_digits
-from humanoid_mjx.results.style import COLORS, figure, shades
 
 RATIOS = np.round(np.arange(0.05, 3.001, 0.01), 2)
 """Damping ratios."""
@@ -67,7 +67,7 @@ def judge_responses(times: np.ndarray, curves: np.ndarray) -> list[Finding]:
 
 def _slowest_decay(ratios: np.ndarray) -> float:
     roots = -ratios + np.sqrt(ratios.astype(complex) ** 2 - 1)
-    return float((-roots.real).min())
+    return float((-np.real(roots)).min())
 
 
 def _settling(times: np.ndarray, curve: np.ndarray) -> float:

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from humanoid_mjx.report.style import SEQUENTIAL, figure
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, judge, three_digits
-from humanoid_mjx.results.style import SEQUENTIAL, figure
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.thesis import leg as thesis
 

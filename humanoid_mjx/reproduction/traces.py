@@ -33,20 +33,19 @@ def printed_run(joint: int, config: dict[str, Any], runs: int, steps: int, seed:
 
 def trace(learner: Any, runs: int, steps: int, seed: int = 0) -> Trace:
     """Train `runs` runs for `steps` steps and keep every step."""
-    hyper, blank = learner.params, learner.structure()
 
-    def one(hyper: Any, key: Any) -> Any:
+    def one(learner: Any, key: Any) -> Any:
         def step(carry: Any, _: None) -> Any:
             explore = rng.uniforms(key, carry.step, 3)[0]
             agent = carry.agents
             seen = agent.row, agent.action, agent.terminated, agent.state, explore
-            return blank.train_step(hyper, carry), seen
+            return learner.train_step(carry)[0], seen
 
-        first = blank.init(hyper, key)
-        start = blank.task.reset(hyper.task, jax.random.fold_in(key, 0))
+        first = learner.init(key)
+        start = learner.task.reset(jax.random.fold_in(key, 0))
         return start, *jax.lax.scan(step, first, length=steps)
 
     keys = jax.vmap(jax.random.fold_in, in_axes=(None, 0))(rng.key(seed), np.arange(runs, dtype=np.uint32))
-    start, last, (_, action, terminated, after, explore) = jax.jit(jax.vmap(one, in_axes=(None, 0)))(hyper, keys)
+    start, last, (_, action, terminated, after, explore) = jax.jit(jax.vmap(one, in_axes=(None, 0)))(learner, keys)
     state = np.concatenate([np.asarray(start)[:, None], np.asarray(after)], axis=1)
     return Trace(state, np.asarray(action), np.asarray(terminated), np.asarray(explore), np.asarray(last.q_table))

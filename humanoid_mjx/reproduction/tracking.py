@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from humanoid_mjx.report.style import COLORS, figure
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, in_words, judge, three_digits
 from humanoid_mjx.reproduction.printed import dynamics as printed_dynamics
-from humanoid_mjx.results.style import COLORS, figure
 from humanoid_mjx.thesis import leg as thesis
 
 JOINTS = range(5)

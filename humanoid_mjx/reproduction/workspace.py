@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
+from humanoid_mjx.report.style import COLORS, figure, label_lines
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, departures, in_words, judge, listed
-from humanoid_mjx.results.style import COLORS, figure, label_lines
 from humanoid_mjx.thesis import leg as thesis
 
 TOLERANCE_M = 6e-5

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Key, UInt32
 from humanoid_mjx import rng
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.tasks.base import Task
-from humanoid_mjx.tasks.continuous import ContinuousTask, State, Tabulated
+from humanoid_mjx.tasks.continuous import ContinuousTask, State, as_continuous
 from humanoid_mjx.tasks.finite import FiniteTask
 
 with redirect_stdout(io.StringIO()):  # mujoco.mjx prints two lines about warp
@@ -38,16 +38,15 @@ class BraxEnv(Env):
         rng         the words of the random key of the next step
     """
 
-    def __init__(self, task: Task, params: Any = None):
-        """`params`: the task's traced values; by default its own.
+    def __init__(self, task: Task):
+        """Wrap a finite or a continuous task, whose traced values may be arrays.
 
         Raises:
           InputError: the task is neither finite nor continuous.
         """
         if not isinstance(task, (FiniteTask, ContinuousTask)):
             raise InputError(f"BraxEnv takes a FiniteTask or a ContinuousTask, got a {type(task).__name__}.")
-        self.task = Tabulated(finite=task) if isinstance(task, FiniteTask) else task
-        self.params = jax.tree.map(jnp.asarray, task.params if params is None else params)
+        self.task = as_continuous(jax.tree.map(jnp.asarray, task))
         self._backend = getattr(task, "physics", "none")
 
     @property
@@ -67,13 +66,13 @@ class BraxEnv(Env):
     def reset(self, rng: UInt32[Array, "..."] | Key[Array, ""]) -> BraxState:
         """The start of an episode, another for each key."""
         reset_key, key = jax.random.split(_task_key(jax.random.bits(rng, (2,), jnp.uint32)))
-        return _brax_state(self.task.reset(self.params, reset_key), {}, {}, key)
+        return _brax_state(self.task.reset(reset_key), {}, {}, key)
 
     def step(self, state: BraxState, action: Float[Array, " joints"]) -> BraxState:
         """One decision carried out, its numbers cut off at -1 and 1."""
         step_key, key = jax.random.split(_task_key(state.info["rng"]))
         command = jnp.clip(action, -1.0, 1.0)
-        after = self.task.step_continuous(self.params, state.pipeline_state, command, step_key)
+        after = self.task.step_continuous(state.pipeline_state, command, step_key)
         return _brax_state(after, state.metrics, state.info, key)
 
 
@@ -108,7 +107,9 @@ def wrap(
     if action_repeat != 1:
         raise InputError(f"action_repeat must be 1, got {action_repeat}: a step of a task is one decision.")
     if randomization_fn is not None:
-        raise InputError("randomization_fn changes a Brax system, which a task does not have; give BraxEnv params.")
+        raise InputError(
+            "randomization_fn changes a Brax system, which a task does not have; change the task's own values."
+        )
     return AutoResetWrapper(EpisodeWrapper(wrappers.VmapWrapper(env), episode_length, action_repeat))
 
 
@@ -123,7 +124,7 @@ def _brax_state(state: State, metrics: dict[str, Array], info: dict[str, Any], k
         return jnp.asarray(x, float)
 
     metrics = metrics | {name: number(term) for name, term in state.metrics.items()}
-    metrics["success"] = number(state.over & state.success)
+    metrics["success"] = number(state.done & state.success)
     truncated = number(state.truncated)
     info = info | {
         "truncation": truncated,
@@ -131,4 +132,4 @@ def _brax_state(state: State, metrics: dict[str, Array], info: dict[str, Any], k
         "final_obs": state.final_obs,
         "rng": jax.random.key_data(key),
     }
-    return BraxState(state, state.obs, number(state.reward), number(state.over), metrics, info)
+    return BraxState(state, state.obs, number(state.reward), number(state.done), metrics, info)

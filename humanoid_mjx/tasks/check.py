@@ -1,5 +1,9 @@
 """Whether a user's own task keeps to its protocol: found by tracing it once, before anything is compiled."""
 
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -18,38 +22,53 @@ def check_task(task: Task) -> None:
     """Trace `reset` and `step` of a task that does not ship with this package.
 
     Raises:
-      InputError: what is missing, or has another structure, shape or dtype than it must have.
+      InputError: what is missing, or has another structure, shape or dtype than it must have; an array shape or a
+        Python branch that depends on a traced value.
     """
     cls = type(task)
     if cls.__module__.partition(".")[0] == __name__.partition(".")[0]:
         return
-    if missing := [name for name in cls.Params._fields if name not in cls.model_fields]:
-        raise InputError(f"task: {cls.__name__}.Params names {missing[0]!r}, which is no field of {cls.__name__}.")
-    if isinstance(task, FiniteTask) and "max_episode_steps" not in cls.Params._fields:
-        raise InputError(f"task: {cls.__name__}.Params must name max_episode_steps, which cuts long episodes off.")
-    try:
+    traced = jax.eval_shape(lambda: jax.tree.map(jnp.asarray, task))
+    with _faults_as_sentences(cls):
         if isinstance(task, ContinuousTask):
-            _check_continuous(task)
+            _check_continuous(traced)
         elif isinstance(task, FiniteTask):
-            _check_finite(task)
+            _check_finite(traced)
+
+
+@contextmanager
+def _faults_as_sentences(cls: type[Task]) -> Iterator[None]:
+    try:
+        yield
     except NotImplementedError as error:
-        where = error.__traceback__
-        while where is not None and where.tb_next is not None:
-            where = where.tb_next
-        name = where.tb_frame.f_code.co_name if where is not None else "a method"
-        raise InputError(f"task: {cls.__name__} must implement {name}.") from error
+        raise InputError(f"task: {cls.__name__} must implement {_raised_in(error).name}.") from error
+    except (jax.errors.JAXTypeError, TypeError) as error:
+        if not isinstance(error, jax.errors.JAXTypeError) and "concrete" not in str(error):
+            raise
+        frame = _raised_in(error)
+        raise InputError(
+            f"task: {cls.__name__} lets an array's shape or a Python branch depend on a traced value "
+            f"({Path(frame.filename).name}, line {frame.lineno}: {frame.line}); "
+            "make that field static by declaring it without traced(), or compute with jnp.where."
+        ) from error
 
 
-def _check_continuous(task: ContinuousTask) -> None:
-    name, size, choices = type(task).__name__, task.observation_size, task.action_choices
+def _raised_in(error: BaseException) -> traceback.FrameSummary:
+    """The innermost place of an error that is not in jax."""
+    inside = str(Path(jax.__file__).parent)
+    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if not frame.filename.startswith(inside)]
+    return [frame for frame in frames if "jaxtyping" not in frame.filename and "beartype" not in frame.filename][-1]
+
+
+def _check_continuous(traced: Any) -> None:
+    name, size, choices = type(traced).__name__, traced.observation_size, traced.action_choices
     if not choices or min(choices) < 2:
         raise InputError(f"task: {name}.action_choices must hold a number of at least 2 for each joint, got {choices}.")
-    params, key = _traced(task)
-    state = jax.eval_shape(task.reset, params, key)
-    action = jax.ShapeDtypeStruct((len(choices),), jnp.int32)
+    key, action = _key(), jax.ShapeDtypeStruct((len(choices),), jnp.int32)
+    state = jax.eval_shape(lambda task, *args: task.reset(*args), traced, key)
     if not isinstance(state, State):
         raise InputError(f"task: {name}.reset must return a State, got a {type(state).__name__}.")
-    after = jax.eval_shape(task.step, params, state, action, key)
+    after = jax.eval_shape(lambda task, *args: task.step(*args), traced, state, action, key)
     if not isinstance(after, State):
         raise InputError(f"task: {name}.step must return a State, got a {type(after).__name__}.")
     for method, found in (("reset", state), ("step", after)):
@@ -64,11 +83,11 @@ def _check_continuous(task: ContinuousTask) -> None:
     _check_same(f"{name}.step", state, after)
 
 
-def _check_finite(task: FiniteTask) -> None:
-    name = type(task).__name__
-    params, key = _traced(task)
-    state = jax.eval_shape(task.reset, params, key)
-    result: Any = jax.eval_shape(task.step, params, state, jax.ShapeDtypeStruct((), jnp.int32), key)
+def _check_finite(traced: Any) -> None:
+    name, key = type(traced).__name__, _key()
+    state = jax.eval_shape(lambda task, *args: task.reset(*args), traced, key)
+    action = jax.ShapeDtypeStruct((), jnp.int32)
+    result: Any = jax.eval_shape(lambda task, *args: task.step(*args), traced, state, action, key)
     if not (isinstance(result, tuple) and len(result) == 3):
         raise InputError(f"task: {name}.step must return (state, reward, terminated), got a {type(result).__name__}.")
     after, reward, terminated = result
@@ -78,9 +97,8 @@ def _check_finite(task: FiniteTask) -> None:
     _check_same(f"{name}.step", state, after)
 
 
-def _traced(task: Task) -> tuple[Any, Any]:
-    """Shapes of the traced values, as training has them, and of a key."""
-    return jax.eval_shape(lambda: jax.tree.map(jnp.asarray, task.params)), jax.eval_shape(lambda: rng.key(0))
+def _key() -> Any:
+    return jax.eval_shape(lambda: rng.key(0))
 
 
 def _check_same(what: str, before: Any, after: Any) -> None:

@@ -30,15 +30,17 @@ class State(NamedTuple):
     """The observation that the step led to; it differs from `obs` where an automatic reset followed."""
     metrics: dict[str, FloatScalar]
     """The reward's terms by name."""
+    executed: Int[Array, " joints"] | None = None
+    """The action that was carried out, in a task that may carry out another than the chosen one."""
 
     @property
-    def over(self) -> Bool[Array, "*batch"]:
+    def done(self) -> Bool[Array, "*batch"]:
         """Whether the episode ended with this step."""
         return jnp.logical_or(self.terminated, self.truncated)
 
 
 class ContinuousTask(Task):
-    """Base of continuous tasks. Derive from it, name the traced fields in `Params`, implement what raises here."""
+    """Base of continuous tasks. Derive from it, declare fields, implement what raises here."""
 
     @property
     def observation_size(self) -> int:
@@ -62,54 +64,52 @@ class ContinuousTask(Task):
         """How many values there are to choose from, for each joint."""
         raise NotImplementedError
 
-    def number(self, action: Int[Array, " joints"]) -> IntScalar:
-        """An action as one number, the first joint's choices the fastest, as finite tasks count theirs."""
+    def flat_action(self, action: Int[Array, " joints"]) -> IntScalar:
+        """Flat index of a joint action; the first joint varies fastest."""
         return jnp.sum(action * self._strides, dtype=jnp.int32)
 
-    def choices_of(self, number: IntScalar) -> Int[Array, " joints"]:
-        """The action with this `number`."""
-        return number // self._strides % np.array(self.action_choices)
+    def joint_action(self, flat: IntScalar) -> Int[Array, " joints"]:
+        """The joint action with this flat index."""
+        return flat // self._strides % np.array(self.action_choices)
 
     @property
     def _strides(self) -> Int[np.ndarray, " joints"]:
         return np.cumprod((1, *self.action_choices[:-1]))
 
-    def reset(self, params: Any, key: Key[Array, ""]) -> State:
+    def reset(self, key: Key[Array, ""]) -> State:
         """The start of an episode, another for each key."""
         raise NotImplementedError
 
-    def step(self, params: Any, state: State, action: Int[Array, " joints"], key: Key[Array, ""]) -> State:
+    def step(self, state: State, action: Int[Array, " joints"], key: Key[Array, ""]) -> State:
         """One decision carried out. No reset follows here; `auto_reset` adds it."""
         raise NotImplementedError
 
-    def step_continuous(
-        self, params: Any, state: State, command: Float[Array, " joints"], key: Key[Array, ""]
-    ) -> State:
+    def step_continuous(self, state: State, command: Float[Array, " joints"], key: Key[Array, ""]) -> State:
         """`step` for numbers in [-1, 1], one a joint: the nearest choices; choice k of n is `linspace(-1, 1, n)[k]`.
 
         A task whose choices stand for such numbers carries out the numbers themselves.
         """
         last = np.array(self.action_choices) - 1
         action = jnp.round((jnp.clip(command, -1.0, 1.0) + 1.0) * 0.5 * last).astype(jnp.int32)
-        return self.step(params, state, action, key)
+        return self.step(state, action, key)
 
 
 def begin(data: Any, obs: Float[Array, " observation_size"], terms: tuple[str, ...]) -> State:
-    """The state of an episode in which nothing has happened."""
+    """The state of an episode in which nothing has happened; `terms` are the names of the reward's terms."""
     no = jnp.bool_(False)
     return State(data, obs, jnp.float32(0), no, no, no, obs, {name: jnp.float32(0) for name in terms})
 
 
-def auto_reset(task: ContinuousTask, params: Any, state: State, key: Key[Array, ""]) -> State:
-    """Begin anew where the episode is over. Reward, flags, metrics and `final_obs` remain those of the step."""
-    fresh = task.reset(params, key)
+def auto_reset(task: ContinuousTask, state: State, key: Key[Array, ""]) -> State:
+    """Begin anew where the episode is done. Reward, flags, metrics and `final_obs` remain those of the step."""
+    fresh = task.reset(key)
     pairs = (fresh.data, fresh.obs), (state.data, state.obs)
-    data, obs = jax.tree.map(lambda new, old: jnp.where(state.over, new, old), *pairs)
+    data, obs = jax.tree.map(lambda new, old: jnp.where(state.done, new, old), *pairs)
     return state._replace(data=data, obs=obs)
 
 
 class Tabulated(ContinuousTask):
-    """A finite task as a continuous one. `params` are the finite task's.
+    """A finite task as a continuous one.
 
     Where the only observation is the row's place in the table, a learner that gives each row a feature of its own sees
     what a tabular learner sees.
@@ -129,25 +129,36 @@ class Tabulated(ContinuousTask):
     def action_choices(self) -> tuple[int, ...]:
         return self.finite.action_choices
 
-    def reset(self, params: Any, key: Key[Array, ""]) -> State:
-        state = self.finite.reset(params, key)
-        return begin((state, jnp.int32(0)), self.finite.observe(params, state), ())
+    def reset(self, key: Key[Array, ""]) -> State:
+        state = self.finite.reset(key)
+        first = begin((state, jnp.int32(0)), self.finite.observe(state), ())
+        return first._replace(executed=jnp.zeros(len(self.action_choices), jnp.int32))
 
-    def step(self, params: Any, state: State, action: Int[Array, " joints"], key: Key[Array, ""]) -> State:
+    def step(self, state: State, action: Int[Array, " joints"], key: Key[Array, ""]) -> State:
         inner, length = state.data
-        chosen = self.number(action)
+        chosen = self.flat_action(action)
         obey_key, choice_key, step_key = jax.random.split(key, 3)
-        obeys = jax.random.uniform(obey_key) < self.finite.obedience(params)
+        obeys = jax.random.uniform(obey_key) < self.finite.execution_rate
         random = jax.random.randint(choice_key, (), 0, self.finite.num_actions)
-        inner, reward, terminated = self.finite.step(params, inner, jnp.where(obeys, chosen, random), step_key)
-        obs = self.finite.observe(params, inner)
+        executed = jnp.where(obeys, chosen, random)
+        inner, reward, terminated = self.finite.step(inner, executed, step_key)
+        obs = self.finite.observe(inner)
         return State(
             data=(inner, length + 1),
             obs=obs,
             reward=jnp.asarray(reward, jnp.float32),
             terminated=jnp.asarray(terminated),
-            truncated=~terminated & (length + 1 >= params.max_episode_steps),
+            truncated=~terminated & (length + 1 >= self.finite.max_episode_steps),
             success=jnp.asarray(terminated),
             final_obs=obs,
             metrics={},
+            executed=self.joint_action(executed).astype(jnp.int32),
         )
+
+
+def as_continuous(task: Task) -> ContinuousTask:
+    """`task`, or where it is finite its continuous form."""
+    if isinstance(task, FiniteTask):
+        return Tabulated(finite=task)
+    assert isinstance(task, ContinuousTask)
+    return task

@@ -1,11 +1,11 @@
 """The protocol of finite tasks: Markov decision processes that a learner sees through the rows of a table."""
 
-from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
+from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.base import Task
 from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
 
@@ -25,15 +25,9 @@ class Rules(NamedTuple):
 
 
 class FiniteTask(Task):
-    """Base of finite tasks. Derive from it, name the traced fields in `Params`, and implement `reset` and `step`.
+    """Base of finite tasks. Derive from it and implement `num_states`, `num_actions`, `reset` and `step`."""
 
-    `Params` must have a field `max_episode_steps`: an episode that has lasted so long is truncated.
-    """
-
-    @property
-    def compiler_options(self) -> Mapping[str, str | bool]:
-        """For XLA, of the programs that train tables on the task: `runtime.SHARED_KERNELS` where they pass with it."""
-        return {}
+    max_episode_steps: int = traced(500, ge=1, le=10_000_000, description="steps after which an episode is truncated")
 
     @property
     def num_states(self) -> int:
@@ -48,17 +42,15 @@ class FiniteTask(Task):
     def learning_rules(self) -> Rules:
         return Rules()
 
-    def reset(self, params: Any, key: Key[Array, ""]) -> Any:
-        """The state at the start of an episode: any pytree; an index into the table where `row` is not overridden."""
+    def reset(self, key: Key[Array, ""]) -> Any:
+        """The state at the start of an episode: any pytree; a row of the table unless `state_index` is overridden."""
         raise NotImplementedError
 
-    def step(
-        self, params: Any, state: Any, action: IntScalar, key: Key[Array, ""]
-    ) -> tuple[Any, FloatScalar, BoolScalar]:
-        """Carry out `action`: the next state, the reward, and whether the state is terminal."""
+    def step(self, state: Any, action: IntScalar, key: Key[Array, ""]) -> tuple[Any, FloatScalar, BoolScalar]:
+        """Carry out `action`: the next state, the reward, and whether the next state is terminal."""
         raise NotImplementedError
 
-    def row(self, params: Any, state: Any) -> IntScalar:
+    def state_index(self, state: Any) -> IntScalar:
         """The table row that stands for `state`. Several states may share one."""
         return state
 
@@ -67,21 +59,21 @@ class FiniteTask(Task):
         """How many numbers `observe` gives."""
         return 1
 
-    def observe(self, params: Any, state: Any) -> Float[Array, " observation_size"]:
+    def observe(self, state: Any) -> Float[Array, " observation_size"]:
         """What a learner without a table sees of `state`, numbers from 0 to 1: here the row's place in the table."""
-        return jnp.asarray(self.row(params, state), jnp.float32)[None] / (self.num_states - 1)
+        return jnp.asarray(self.state_index(state), jnp.float32)[None] / (self.num_states - 1)
 
     @property
     def action_choices(self) -> tuple[int, ...]:
-        """What an action consists of for such a learner, the fastest first: choices whose numbers multiply up to
-        `num_actions`."""
+        """Choices per joint, the fastest first; their product is `num_actions`."""
         return (self.num_actions,)
 
-    def initial_q(self, params: Any) -> Float[Array, "num_states num_actions"]:
+    def initial_q(self) -> Float[Array, "num_states num_actions"]:
         """The table before learning."""
         return jnp.zeros((self.num_states, self.num_actions))
 
-    def obedience(self, params: Any) -> FloatScalar:
+    @property
+    def execution_rate(self) -> FloatScalar:
         """The probability that a greedy choice is carried out; else a random action takes its place (section 6.3's
         `successRate`). The learner knows which action was carried out, and learns about that one."""
         return jnp.float32(1)

@@ -1,13 +1,14 @@
 """Move one joint from a start angle to a goal angle in equal steps (thesis section 6.3, results 7 E to 7 G)."""
 
 from collections.abc import Mapping
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 from pydantic import Field, model_validator
 
 from humanoid_mjx.runtime import SHARED_KERNELS
+from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.finite import FiniteTask, Rules
 from humanoid_mjx.thesis import q_learning as thesis
 from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
@@ -26,24 +27,14 @@ class JointReach(FiniteTask):
     """
 
     joint: Literal[1, 4, 5] | None = Field(1, description="which joint's start and goal to take where none are given")
-    start: float = Field(description="degrees")
-    goal: float = Field(description="degrees")
-    action: float = Field(5.0, description="degrees a move takes towards the goal")
+    start: float = traced(description="degrees")
+    goal: float = traced(description="degrees")
+    action: float = traced(5.0, description="degrees a move takes towards the goal")
     states: int = Field(24, ge=2, le=1_000_000, description="rows of the table")
     rules: Literal["standard", "printed"] = "standard"
-    bonus: float = 100.0
-    step_reward: float = Field(0.0, description="added to the reward of every step")
-    success_rate: float = Field(1.0, ge=0, le=1)
-    max_episode_steps: int = Field(500, ge=1, le=10_000_000)
-
-    class Params(NamedTuple):
-        start: float
-        goal: float
-        action: float
-        bonus: float
-        step_reward: float
-        success_rate: float
-        max_episode_steps: int
+    bonus: float = traced(100.0)
+    step_reward: float = traced(0.0, description="added to the reward of every step")
+    success_rate: float = traced(1.0, ge=0, le=1)
 
     @model_validator(mode="before")
     @classmethod
@@ -87,33 +78,34 @@ class JointReach(FiniteTask):
     def learning_rules(self) -> Rules:
         return PRINTED if self.rules == "printed" else Rules()
 
-    def reset(self, params: Params, key: Key[Array, ""]) -> IntScalar:
+    def reset(self, key: Key[Array, ""]) -> IntScalar:
         """The number of moves made: none."""
         return jnp.int32(0)
 
     def step(
-        self, params: Params, state: IntScalar, action: IntScalar, key: Key[Array, ""]
+        self, state: IntScalar, action: IntScalar, key: Key[Array, ""]
     ) -> tuple[IntScalar, FloatScalar, BoolScalar]:
-        goal = self._moves_to_goal(params)
+        goal = self._moves_to_goal()
         state = jnp.minimum(state + action, goal)
         reached = state == goal
-        reward = thesis.REWARD_SCALE * self._angle_of_row(params, self.row(params, state))
-        return state, reward + params.step_reward + jnp.where(reached, params.bonus, 0.0), reached
+        reward = thesis.REWARD_SCALE * self._angle_of_row(self.state_index(state))
+        return state, reward + self.step_reward + jnp.where(reached, self.bonus, 0.0), reached
 
-    def row(self, params: Params, state: IntScalar) -> IntScalar:
-        place = state * (self.states - 1.0) / self._moves_to_goal(params)
+    def state_index(self, state: IntScalar) -> IntScalar:
+        place = state * (self.states - 1.0) / self._moves_to_goal()
         return jnp.ceil(place - 0.5).astype(jnp.int32)
 
-    def initial_q(self, params: Params) -> Float[Array, "num_states 2"]:
+    def initial_q(self) -> Float[Array, "num_states 2"]:
         """The reward of each row, for both actions (section 6.3: `Q = repmat(R, ...)`)."""
-        rewards = thesis.REWARD_SCALE * self._angle_of_row(params, jnp.arange(self.states))
+        rewards = thesis.REWARD_SCALE * self._angle_of_row(jnp.arange(self.states))
         return jnp.stack([rewards, rewards], axis=1)
 
-    def obedience(self, params: Params) -> FloatScalar:
-        return params.success_rate
+    @property
+    def execution_rate(self) -> FloatScalar:
+        return self.success_rate
 
-    def _moves_to_goal(self, params: Params) -> IntScalar:
-        return jnp.round((params.goal - params.start) / params.action).astype(jnp.int32)
+    def _moves_to_goal(self) -> IntScalar:
+        return jnp.round((self.goal - self.start) / self.action).astype(jnp.int32)
 
-    def _angle_of_row(self, params: Params, row: Int[Array, "..."]) -> Float[Array, "..."]:
-        return params.start + (params.goal - params.start) * row / (self.states - 1)
+    def _angle_of_row(self, row: Int[Array, "..."]) -> Float[Array, "..."]:
+        return self.start + (self.goal - self.start) * row / (self.states - 1)

@@ -1,13 +1,13 @@
 """Bring all five joints of a leg to a posture, whatever it starts from, while its controller's model is wrong.
 
 Every `period` the learner moves the set-point of each joint by a part of `increment`; every time step of the physics a
-computed-torque controller drives the leg to it (thesis 5.7, 6.4). Starts and goals are uniform in the joints' ranges,
-and each link of the leg weighs up to `model_error` more or less than the controller believes, so that gravity holds the
-leg off a set-point that equals the goal.
+control law, by default computed torque, drives the leg to it (thesis 5.7, 6.4). Starts and goals are uniform in the
+joints' ranges, and each link of the leg weighs up to `model_error` more or less than the controller believes, so that
+gravity holds the leg off a set-point that equals the goal.
 """
 
 from functools import lru_cache
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,9 +15,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 from pydantic import Field, model_validator
 
-from humanoid_mjx.control.gains import critical_kd
+from humanoid_mjx.control import Control, Follow, at_rest
+from humanoid_mjx.control.laws import ComputedTorqueLaw
 from humanoid_mjx.physics import make_physics
-from humanoid_mjx.physics.base import Physics, Stages, World
+from humanoid_mjx.physics.base import Physics, World
+from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import ContinuousTask, State, begin
 from humanoid_mjx.thesis.leg import JOINT_NAMES
 from humanoid_mjx.types import FloatScalar, IntScalar
@@ -67,22 +69,15 @@ class LegReach(ContinuousTask):
     """
 
     physics: Literal["chain", "mjx-jax", "mujoco"] = "chain"
+    control: Control = Field(ComputedTorqueLaw(), description="the law that drives the joints to their set-points")
     ranges: Literal["proposed", "human"] = Field("proposed", description="column of Table 3.2")
     choices: Literal[3, 5, 9] = Field(9, description="values of a joint's increment, evenly from -1 to 1 times it")
-    increment: float = Field(8.0, gt=0, le=90, description="largest move of a set-point in a decision, degrees")
+    increment: float = traced(8.0, gt=0, le=90, description="largest move of a set-point in a decision, degrees")
     period: float = Field(0.1, gt=0, le=10, description="s between decisions")
     timestep: float = Field(0.005, gt=0, le=0.02, description="s of physics and controller")
-    duration: float = Field(3.0, gt=0, le=1000, description="s of an episode")
-    natural_frequency: float = Field(12.0, gt=0, le=200, description="of the controller, rad/s; damping is critical")
-    model_error: float = Field(0.2, ge=0, lt=1, description="largest share by which a link's mass is off")
-    tolerance: float = Field(2.0, gt=0, le=90, description="degrees")
-
-    class Params(NamedTuple):
-        increment: FloatScalar
-        duration: FloatScalar
-        natural_frequency: FloatScalar
-        model_error: FloatScalar
-        tolerance: FloatScalar
+    duration: float = traced(3.0, gt=0, le=1000, description="s of an episode")
+    model_error: float = traced(0.2, ge=0, lt=1, description="largest share by which a link's mass is off")
+    tolerance: float = traced(2.0, gt=0, le=90, description="degrees")
 
     @model_validator(mode="after")
     def _period_must_fit(self) -> "LegReach":
@@ -114,37 +109,31 @@ class LegReach(ContinuousTask):
         """What moves the leg."""
         return _simulator(self.physics, self.ranges, self.timestep)
 
-    def reset(self, params: Params, key: Key[Array, ""]) -> State:
+    def reset(self, key: Key[Array, ""]) -> State:
         low, high = self.simulator.joint_ranges.T
         start_key, goal_key, mass_key = jax.random.split(key, 3)
         start, goal = (jax.random.uniform(key, (JOINTS,), minval=low, maxval=high) for key in (start_key, goal_key))
-        mass = 1.0 + params.model_error * jax.random.uniform(mass_key, (JOINTS,), minval=-1.0)
-        world = self.simulator.start(self._plant(mass), start, jnp.zeros(JOINTS))
+        mass = 1.0 + self.model_error * jax.random.uniform(mass_key, (JOINTS,), minval=-1.0)
+        world = self._plant(mass).start(start, jnp.zeros(JOINTS))
         body = Body(world, start, goal, mass, jnp.int32(0))
         return begin(body, self.observe(body), TERMS)
 
-    def step(self, params: Params, state: State, action: Int[Array, " joints"], key: Key[Array, ""]) -> State:
-        return self.step_continuous(params, state, 2.0 * action / (self.choices - 1) - 1.0, key)
+    def step(self, state: State, action: Int[Array, " joints"], key: Key[Array, ""]) -> State:
+        return self.step_continuous(state, 2.0 * action / (self.choices - 1) - 1.0, key)
 
-    def step_continuous(
-        self, params: Params, state: State, command: Float[Array, " joints"], key: Key[Array, ""]
-    ) -> State:
+    def step_continuous(self, state: State, command: Float[Array, " joints"], key: Key[Array, ""]) -> State:
         """A step whose moves are any parts of `increment`, from -1 to 1."""
         body: Body = state.data
         qpos = body.world.qpos
-        moved = body.setpoint + jnp.radians(params.increment) * jnp.clip(command, -1.0, 1.0)
+        moved = body.setpoint + jnp.radians(self.increment) * jnp.clip(command, -1.0, 1.0)
         low, high = self.simulator.joint_ranges.T
         setpoint = jnp.clip(jnp.clip(moved, qpos - LEAD, qpos + LEAD), low - LEAD, high + LEAD)
-        world = self.simulator.run(
-            self._plant(body.mass),
-            body.world,
-            self.controller(params, setpoint),
-            self.simulator.substeps(self.period),
-        )
+        cycles = self.simulator.substeps(self.period)
+        world = self._plant(body.mass).run(body.world, self.controller(setpoint), cycles)
         body = body._replace(world=world, setpoint=setpoint, decisions=body.decisions + 1)
-        terms = self.reward_terms(params, body)
+        terms = self.reward_terms(body)
         broken = world.diverged
-        over = body.decisions * self.period >= params.duration - self.period / 2
+        over = body.decisions * self.period >= self.duration - self.period / 2
         obs = self.observe(body)
         return State(
             data=body,
@@ -152,7 +141,7 @@ class LegReach(ContinuousTask):
             reward=jnp.where(broken, -1.0, sum(terms.values())),
             terminated=broken,
             truncated=over & ~broken,
-            success=self.settled(params, body).all() & ~broken,
+            success=self.settled(body).all() & ~broken,
             final_obs=obs,
             metrics=terms,
         )
@@ -167,31 +156,25 @@ class LegReach(ContinuousTask):
         parts = error / (high - low), error / LEAD, lead / LEAD, qvel / SPEED, place
         return jnp.clip(jnp.concatenate(parts), -1.0, 1.0).astype(jnp.float32)
 
-    def reward_terms(self, params: Params, body: Body) -> dict[str, FloatScalar]:
+    def reward_terms(self, body: Body) -> dict[str, FloatScalar]:
         """The parts of the reward by name."""
         error = jnp.abs(body.goal - body.world.qpos)
         near = 0.25 * jnp.exp(-error / NEAR) + 0.25 * jnp.exp(-error / FAR)
-        terms = near.mean(), 0.5 * self.settled(params, body).mean()
+        terms = near.mean(), 0.5 * self.settled(body).mean()
         return {name: jnp.asarray(term, jnp.float32) for name, term in zip(TERMS, terms, strict=True)}
 
-    def settled(self, params: Params, body: Body) -> Bool[Array, " joints"]:
+    def settled(self, body: Body) -> Bool[Array, " joints"]:
         """Which joints are at their goals and at rest."""
-        near = jnp.abs(body.goal - body.world.qpos) <= jnp.radians(params.tolerance)
+        near = jnp.abs(body.goal - body.world.qpos) <= jnp.radians(self.tolerance)
         return near & (jnp.abs(body.world.qvel) <= REST)
 
-    def controller(self, params: Params, setpoint: Float[Array, " joints"]) -> Any:
-        """Computed torque towards a posture at rest, by a model whose mass factors are 1 (equations 5.40 to 5.49)."""
-        kp = params.natural_frequency**2
-        kd = critical_kd(jnp.asarray(kp, float))
+    def controller(self, setpoint: Float[Array, " joints"]) -> Follow:
+        """What drives the leg towards a posture at rest, with a model whose mass factors do not know the leg's."""
+        return self.control.follow(at_rest(setpoint))
 
-        def control(stages: Stages) -> Float[Array, " joints"]:
-            return stages.torque_for(kp * (setpoint - stages.qpos) - kd * stages.qvel, 1.0)
-
-        return control
-
-    def _plant(self, mass: Float[Array, " joints"]) -> Any:
-        """The traced values of the physics."""
-        return self.simulator.params._replace(mass=mass)
+    def _plant(self, mass: Float[Array, " joints"]) -> Physics:
+        """The physics with the leg's own masses."""
+        return self.simulator.replace(mass=mass)
 
 
 @lru_cache

@@ -2,7 +2,6 @@
 
 from collections import deque
 from collections.abc import Mapping
-from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +9,7 @@ from jaxtyping import Array, Int, Key
 from pydantic import Field, model_validator
 
 from humanoid_mjx.runtime import SHARED_KERNELS
+from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
 
@@ -40,16 +40,9 @@ class Navigate(FiniteTask):
     """
 
     map: tuple[str, ...] = Field(ROOM, strict=False)
-    bonus: float = 100.0
-    step_reward: float = 0.0
-    success_rate: float = Field(1.0, ge=0, le=1)
-    max_episode_steps: int = Field(500, ge=1, le=10_000_000)
-
-    class Params(NamedTuple):
-        bonus: float
-        step_reward: float
-        success_rate: float
-        max_episode_steps: int
+    bonus: float = traced(100.0)
+    step_reward: float = traced(0.0)
+    success_rate: float = traced(1.0, ge=0, le=1)
 
     @model_validator(mode="after")
     def _map_must_be_walkable(self) -> "Navigate":
@@ -76,18 +69,19 @@ class Navigate(FiniteTask):
     def num_actions(self) -> int:
         return len(MOVES)
 
-    def reset(self, params: Params, key: Key[Array, ""]) -> IntScalar:
+    def reset(self, key: Key[Array, ""]) -> IntScalar:
         return jnp.int32("".join(self.map).index("S"))
 
     def step(
-        self, params: Params, state: IntScalar, action: IntScalar, key: Key[Array, ""]
+        self, state: IntScalar, action: IntScalar, key: Key[Array, ""]
     ) -> tuple[IntScalar, FloatScalar, BoolScalar]:
         state = jnp.asarray(_next_cells(self.map)).at[state * len(MOVES) + action].get(mode="promise_in_bounds")
         reached = state == "".join(self.map).index("G")
-        return state, params.step_reward + jnp.where(reached, params.bonus, 0.0), reached
+        return state, self.step_reward + jnp.where(reached, self.bonus, 0.0), reached
 
-    def obedience(self, params: Params) -> FloatScalar:
-        return params.success_rate
+    @property
+    def execution_rate(self) -> FloatScalar:
+        return self.success_rate
 
 
 def _next_cells(grid: tuple[str, ...]) -> Int[np.ndarray, " cells_times_actions"]:

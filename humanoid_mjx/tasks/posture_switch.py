@@ -2,13 +2,13 @@
 
 Two rates, as of a master and its joint controllers. Every `period` the learner chooses for the hip pitch, the knee and
 the ankle to go a place up, to stay, or to go a place down, on a grid from start to goal; every time step of the physics
-a computed-torque controller drives both legs to the set-point. The left leg takes the opposite values (6.4). What the
-learner knows of the joints is what the encoders of the right leg say.
+a control law, by default computed torque, drives both legs to the set-point. The left leg takes the opposite values
+(6.4). What the learner knows of the joints is what the encoders of the right leg say.
 """
 
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,10 +16,12 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 from pydantic import Field, model_validator
 
-from humanoid_mjx.control.gains import critical_kd
+from humanoid_mjx.control import Control, Follow, Reference
+from humanoid_mjx.control.laws import ComputedTorqueLaw
 from humanoid_mjx.physics import make_physics
-from humanoid_mjx.physics.base import Physics, Stages, World
+from humanoid_mjx.physics.base import Physics, World
 from humanoid_mjx.runtime import SHARED_KERNELS
+from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.thesis import leg as leg_thesis
 from humanoid_mjx.thesis import q_learning as thesis
@@ -52,26 +54,17 @@ class PostureSwitch(FiniteTask):
     """
 
     physics: Literal["chain", "mjx-jax", "mjx-warp", "mujoco"] = "chain"
+    control: Control = Field(ComputedTorqueLaw(), description="the law that drives the joints to their set-points")
     posture: Literal["6.4", "7H"] = Field("6.4", description="the section that gives start and goal")
     places: int = Field(5, ge=2, le=50, description="points of the grid from start to goal, for each joint")
     period: float = Field(0.2, gt=0, le=10, description="s between decisions")
     timestep: float = Field(0.005, gt=0, le=0.02, description="s of physics and controller")
-    natural_frequency: float = Field(12.0, gt=0, le=200, description="of the controller, rad/s; damping is critical")
-    mass: float = Field(1.0, gt=0, le=10, description="of the robot, as a multiple of what its controller believes")
-    encoder_noise: float = Field(0.0, ge=0, le=90, description="standard deviation, degrees")
-    tolerance: float = Field(2.0, gt=0, le=90, description="degrees")
-    step_reward: float = -1.0
-    bonus: float = 100.0
-    max_episode_steps: int = Field(60, ge=1, le=10_000_000)
-
-    class Params(NamedTuple):
-        natural_frequency: FloatScalar
-        mass: FloatScalar
-        encoder_noise: FloatScalar
-        tolerance: FloatScalar
-        step_reward: FloatScalar
-        bonus: FloatScalar
-        max_episode_steps: IntScalar
+    mass: float = traced(1.0, gt=0, le=10, description="of the robot, as a multiple of its own in the thesis")
+    encoder_noise: float = traced(0.0, ge=0, le=90, description="standard deviation, degrees")
+    tolerance: float = traced(2.0, gt=0, le=90, description="degrees")
+    step_reward: float = traced(-1.0)
+    bonus: float = traced(100.0)
+    max_episode_steps: int = traced(60, ge=1, le=10_000_000)
 
     @model_validator(mode="after")
     def _period_must_fit(self) -> "PostureSwitch":
@@ -101,31 +94,27 @@ class PostureSwitch(FiniteTask):
         start, goal = thesis.POSTURES[self.posture]
         return np.radians(np.linspace(start, goal, self.places)).T
 
-    def reset(self, params: Params, key: Key[Array, ""]) -> Body:
+    def reset(self, key: Key[Array, ""]) -> Body:
         qpos = self.whole_body(self.grid[:, 0])
-        world = self.simulator.start(self.plant(params), qpos, jnp.zeros(len(qpos)))
-        return self._read(params, world, jnp.int32(0), key)
+        world = self.plant.start(qpos, jnp.zeros(len(qpos)))
+        return self._read(world, jnp.int32(0), key)
 
-    def step(
-        self, params: Params, state: Body, action: IntScalar, key: Key[Array, ""]
-    ) -> tuple[Body, FloatScalar, BoolScalar]:
-        controller = self.controller(params, self.setpoint(state, action))
+    def step(self, state: Body, action: IntScalar, key: Key[Array, ""]) -> tuple[Body, FloatScalar, BoolScalar]:
+        controller = self.controller(self.setpoint(state, action))
         cycles = self.simulator.substeps(self.period)
-        world = self.simulator.run(self.plant(params), state.world, controller, cycles)
-        return self.outcome(params, state, world, key)
+        world = self.plant.run(state.world, controller, cycles)
+        return self.outcome(state, world, key)
 
-    def outcome(
-        self, params: Params, state: Body, world: World, key: Key[Array, ""]
-    ) -> tuple[Body, FloatScalar, BoolScalar]:
+    def outcome(self, state: Body, world: World, key: Key[Array, ""]) -> tuple[Body, FloatScalar, BoolScalar]:
         """What `step` returns where `world` is what a decision in `state` led to."""
         broken = world.diverged
         qpos = self.whole_body(self.grid[:, 0])
-        world = self.simulator.reset(self.plant(params), world, broken, qpos, jnp.zeros(len(qpos)))
-        after = self._read(params, world, state.diverged + broken, key)
-        arrived = ~broken & self.arrived(params, world)
-        return after, params.step_reward + jnp.where(arrived, params.bonus, 0.0), arrived
+        world = self.plant.reset(world, broken, qpos, jnp.zeros(len(qpos)))
+        after = self._read(world, state.diverged + broken, key)
+        arrived = ~broken & self.arrived(world)
+        return after, self.step_reward + jnp.where(arrived, self.bonus, 0.0), arrived
 
-    def row(self, params: Params, state: Body) -> IntScalar:
+    def state_index(self, state: Body) -> IntScalar:
         places = self._places(state.encoders)
         return jnp.sum(places * self.places ** np.arange(len(MOVED)), dtype=jnp.int32)
 
@@ -133,7 +122,7 @@ class PostureSwitch(FiniteTask):
     def observation_size(self) -> int:
         return len(MOVED)
 
-    def observe(self, params: Params, state: Body) -> Float[Array, "3"]:
+    def observe(self, state: Body) -> Float[Array, "3"]:
         """Where the encoders are between start, 0, and goal, 1."""
         first, last = self.grid[:, 0], self.grid[:, -1]
         return jnp.clip((state.encoders - first) / (last - first), 0.0, 1.0).astype(jnp.float32)
@@ -142,10 +131,10 @@ class PostureSwitch(FiniteTask):
     def action_choices(self) -> tuple[int, ...]:
         return (3,) * len(MOVED)
 
-    def arrived(self, params: Params, world: World) -> BoolScalar:
+    def arrived(self, world: World) -> BoolScalar:
         """Whether both legs are in the goal's posture and at rest."""
         goal = self.whole_body(self.grid[:, -1])
-        near = jnp.abs(world.qpos - goal) <= params.tolerance * (np.pi / 180)
+        near = jnp.abs(world.qpos - goal) <= self.tolerance * (np.pi / 180)
         return near.all() & (jnp.abs(world.qvel) <= REST).all()
 
     def whole_body(self, moved: Float[Array, "3"] | Float[np.ndarray, "3"]) -> Float[Array, "10"]:
@@ -160,24 +149,19 @@ class PostureSwitch(FiniteTask):
         return self.whole_body(jnp.asarray(self.grid, float)[np.arange(len(MOVED)), target])
 
     def controller(
-        self, params: Params, qpos: Float[Array, "10"], qvel: AnyArray | float = 0.0, qacc: AnyArray | float = 0.0
-    ) -> Any:
-        """Computed torque towards a state of motion, by a model whose mass is 1 (equations 5.40 to 5.49)."""
-        kp = params.natural_frequency**2
-        kd = critical_kd(jnp.asarray(kp, float))
+        self, qpos: Float[Array, "10"], qvel: AnyArray | float = 0.0, qacc: AnyArray | float = 0.0
+    ) -> Follow:
+        """What drives both legs towards a state of motion."""
+        still = jnp.zeros_like(qpos)
+        return self.control.follow(Reference(qpos, still + qvel, still + qacc))
 
-        def control(stages: Stages) -> Float[Array, "10"]:
-            correction = kp * (qpos - stages.qpos) + kd * (qvel - stages.qvel)
-            return stages.torque_for(qacc + correction, 1.0)
+    @property
+    def plant(self) -> Physics:
+        """The physics with the robot's own mass."""
+        return self.simulator.replace(mass=self.mass)
 
-        return control
-
-    def plant(self, params: Params) -> Any:
-        """The traced values of the physics."""
-        return self.simulator.params._replace(mass=params.mass)
-
-    def _read(self, params: Params, world: World, diverged: IntScalar, key: Key[Array, ""]) -> Body:
-        noise = params.encoder_noise * (np.pi / 180) * jax.random.normal(key, (len(MOVED),))
+    def _read(self, world: World, diverged: IntScalar, key: Key[Array, ""]) -> Body:
+        noise = self.encoder_noise * (np.pi / 180) * jax.random.normal(key, (len(MOVED),))
         return Body(world, world.qpos[jnp.array(MOVED)] + noise, diverged)
 
     def _places(self, encoders: Float[Array, "3"]) -> Int[Array, "3"]:

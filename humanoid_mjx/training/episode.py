@@ -3,7 +3,6 @@
 
 import math
 from collections.abc import Sequence
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -13,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from humanoid_mjx.control.computed_torque import Reference
-from humanoid_mjx.learners.evaluation import MAX_EVALUATION_STEPS
+from humanoid_mjx.learners import Learner
 from humanoid_mjx.physics.base import Physics, World
 from humanoid_mjx.physics.model import MujocoPhysics
 from humanoid_mjx.robot import ROBOTS, robot_spec
@@ -21,8 +20,9 @@ from humanoid_mjx.spec import InputError
 from humanoid_mjx.tasks.continuous import State, Tabulated
 from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.tasks.posture_switch import PostureSwitch
-from humanoid_mjx.training.evaluation import GREEDY, act, carry_out, held_out_keys, world_of
+from humanoid_mjx.training.evaluation import held_out_keys
 from humanoid_mjx.training.policy import Trained
+from humanoid_mjx.training.rollout import MAX_EPISODE_STEPS, decide, greedy, start
 from humanoid_mjx.types import AnyArray
 
 HOLD_S = 1.0
@@ -66,25 +66,21 @@ def robot_of(trained: Trained) -> mujoco.MjModel:
 
 def play(trained: Trained, episode: int = 0) -> Played:
     """One of the episodes that an evaluation counts; 0 is the first."""
-    learner, hyper, policy = trained.learner, trained.hyper, trained.policy
-    world = world_of(learner)
-
-    @jax.jit
-    def decide(state: State, key: Any) -> tuple[State, Array]:
-        act_key, step_key = jax.random.split(key)
-        action = act(learner, hyper, policy, jnp.int32(GREEDY), state, act_key)
-        return carry_out(world, hyper.task, state, action, step_key), action
-
-    reset_key, key = jax.random.split(held_out_keys(episode + 1)[episode])
-    state, total = jax.jit(world.reset)(hyper.task, reset_key), 0.0
+    learner, policy, key = trained.learner, trained.policy, held_out_keys(episode + 1)[episode]
+    state, total = jax.jit(lambda learner: start(learner.env, key))(learner), 0.0
     states, actions = [state], []
-    while not state.over and len(actions) < MAX_EVALUATION_STEPS:
-        state, action = decide(state, jax.random.fold_in(key, len(actions)))
+    while not state.done and len(actions) < MAX_EPISODE_STEPS:
+        state, action = _decide(learner, policy, key, state, jnp.int32(len(actions)))
         states.append(state)
         actions.append(action)
         total += float(state.reward)
     finite = isinstance(learner.task, FiniteTask)
     return Played([s.data[0] if finite else s.data for s in states], actions, bool(state.success), total)
+
+
+@jax.jit
+def _decide(learner: Learner, policy: Any, key: Any, state: State, steps: Any) -> tuple[State, Array]:
+    return decide(learner.env, greedy(learner, policy), key, state, steps)
 
 
 def rows_of(trained: Trained, played: Played) -> tuple[Float[np.ndarray, "rows nq"], float]:
@@ -99,28 +95,27 @@ def rows_of(trained: Trained, played: Played) -> tuple[Float[np.ndarray, "rows n
 def motion_of(trained: Trained, played: Played) -> Motion:
     """The motion of a played episode of `PostureSwitch`, and `HOLD_S` more in which its last set-point is held."""
     task: Any = trained.learner.task
-    params, steps = trained.hyper.task, task.simulator.substeps(task.period)
+    steps = task.simulator.substeps(task.period)
     world, reference, motions = played.states[-1].world, at_rest(task.whole_body(task.grid[:, 0]), steps), []
-    setpoint, number = jax.jit(task.setpoint), Tabulated(finite=task).number
+    setpoint, number = jax.jit(task.setpoint), Tabulated(finite=task).flat_action
     for state, action in zip(played.states[:-1], played.actions, strict=True):
         reference = at_rest(setpoint(state, number(action)), steps)
-        motions.append(follow(task, params, state.world, reference)[1])
+        motions.append(follow(task, state.world, reference)[1])
     for _ in range(math.ceil(HOLD_S / task.period)):
-        world, motion = follow(task, params, world, reference)
+        world, motion = follow(task, world, reference)
         motions.append(motion)
     return joined(motions)
 
 
-@partial(jax.jit, static_argnames="task")
-def follow(task: PostureSwitch, params: Any, world: World, reference: Reference) -> tuple[World, Motion]:
+@jax.jit
+def follow(task: PostureSwitch, world: World, reference: Reference) -> tuple[World, Motion]:
     """Let the task's controller follow a reference with a row for each time step; the world after it, and the motion.
 
     One compilation serves all references of the same length.
     """
 
     def step(world: World, wanted: Reference) -> tuple[World, Motion]:
-        controller = task.controller(params, *wanted)
-        world, torque = task.simulator.step(task.plant(params), world, controller)
+        world, torque = task.plant.step(world, task.controller(*wanted))
         return world, Motion(world.qpos, world.qvel, torque)
 
     return jax.lax.scan(step, world, reference)

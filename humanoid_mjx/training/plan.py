@@ -1,6 +1,6 @@
 """From a config to what will run: sweep points, in groups that share one compiled program."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -12,23 +12,22 @@ import numpy as np
 from humanoid_mjx import rng
 from humanoid_mjx.axes import sweep_points
 from humanoid_mjx.config import Config
-from humanoid_mjx.learners import Learner, make_learner
-from humanoid_mjx.spec import InputError
+from humanoid_mjx.learners import Learner, learner_class, make_learner
+from humanoid_mjx.runs.tables import Labels
+from humanoid_mjx.spec import InputError, Spec
 from humanoid_mjx.tasks import make_task
 from humanoid_mjx.tasks.check import check_task
-from humanoid_mjx.types import Device
+from humanoid_mjx.training.program import Training, begin
 
 
 @dataclass(frozen=True)
 class Group:
-    """Sweep points that differ only in traced values."""
+    """Sweep points whose learners share one structure, and so one compiled program."""
 
-    learner: Learner
-    """The learner of the group's first point."""
+    learners: Learner
+    """The points' learners as one: every leaf, a traced value, has a leading axis of points."""
     points: np.ndarray
     """(num_points,) Numbers of the points in the plan."""
-    hyper: Any
-    """The traced values: the learner's `Params`, every leaf with a leading axis of num_points."""
     seeds: int
     """Runs of each point."""
 
@@ -38,13 +37,17 @@ class Group:
         return (self.points[:, None] * self.seeds + np.arange(self.seeds)).reshape(-1)
 
     @cached_property
-    def one_run(self) -> Any:
+    def one_run(self) -> Training:
         """The shapes of one run's training state."""
-        hyper = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), self.hyper)
-        return jax.eval_shape(self.learner.init, hyper, jax.eval_shape(lambda: rng.key(0)))
+        learner = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), self.learners)
+        return jax.eval_shape(begin, learner, jax.eval_shape(lambda: rng.key(0)))
+
+    def learner(self, row: int = 0) -> Learner:
+        """The learner of one of the points, its traced values as arrays."""
+        return jax.tree.map(lambda leaf: jnp.asarray(leaf[row]), self.learners)
 
     def locate(self, runs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The row in `hyper` and the seed number of each run."""
+        """The row in `learners` and the seed number of each run."""
         points, seeds = np.divmod(runs, self.seeds)
         return np.searchsorted(self.points, points), seeds
 
@@ -65,26 +68,48 @@ class Plan:
 
     @cached_property
     def groups(self) -> list[Group]:
-        members: dict[Learner, list[int]] = {}
+        members: dict[Any, list[int]] = {}
         for index, learner in enumerate(self.learners):
-            members.setdefault(learner.structure(), []).append(index)
+            members.setdefault(jax.tree.structure(learner), []).append(index)
         groups: list[Group] = []
         for indices in members.values():
-            hyper = jax.tree.map(lambda *values: _column(values), *(self.learners[i].params for i in indices))
-            points = np.array(indices, np.int64)
-            groups.append(Group(self.learners[indices[0]], points, hyper, self.config.seeds))
+            learners = jax.tree.map(lambda *values: _column(values), *(self.learners[i] for i in indices))
+            groups.append(Group(learners, np.array(indices, np.int64), self.config.seeds))
         return groups
+
+    @property
+    def budget(self) -> int:
+        """How long each run trains, in `unit`s."""
+        return self.learners[0].budget
+
+    @property
+    def unit(self) -> str:
+        """What a training is measured in: `episode` or `step`."""
+        return "step" if self.learners[0].unit == "total_steps" else "episode"
+
+    def labels(self) -> Labels:
+        """What names the rows of a run folder's tables."""
+        record = self.config.record
+        return Labels(self.table(), self.unit, (np.arange(1, record + 1) * self.budget) // record)
 
     def table(self) -> dict[str, list[Any]]:
         """The hyper-parameters as columns: every scalar of task and learner by dotted name, an entry per point."""
         columns: dict[str, list[Any]] = {}
         for learner in self.learners:
             for part, spec in (("task", learner.task), ("learner", learner)):
-                for name in type(spec).model_fields:
-                    value = getattr(spec, name)
-                    if isinstance(value, (bool, int, float, str)) and name not in ("episodes", "record"):
-                        columns.setdefault(f"{part}.{name}", []).append(value)
+                for name, value in _scalars(spec, part):
+                    columns.setdefault(name, []).append(value)
         return {name: values for name, values in columns.items() if len(values) == len(self.learners)}
+
+
+def _scalars(spec: Spec, prefix: str) -> Iterator[tuple[str, Any]]:
+    """The scalars that a config may write in a Spec and the Specs that it holds, by dotted name."""
+    for name, field in type(spec).model_fields.items():
+        value = getattr(spec, name)
+        if not field.exclude and isinstance(value, Spec):
+            yield from _scalars(value, f"{prefix}.{name}")
+        elif not field.exclude and isinstance(value, (bool, int, float, str)):
+            yield f"{prefix}.{name}", value
 
 
 def make_plan(config: Config) -> Plan:
@@ -98,7 +123,7 @@ def make_plan(config: Config) -> Plan:
         points = sweep_points(config.sweep, config.seed) if config.sweep else [{}]
         plan = Plan(config, points, [build(config, point) for point in points])
         for group in plan.groups:
-            check_task(group.learner.task)
+            check_task(plan.learners[group.points[0]].task)
         return plan
     except InputError as error:
         raise InputError(f"{config.source}: {error}") from error
@@ -108,11 +133,31 @@ def build(config: Config, point: Mapping[str, Any]) -> Learner:
     """The learner, with its task, of one sweep point."""
     parts = {"task": dict(config.task), "learner": dict(config.learner)}
     for key, value in point.items():
-        part, _, name = key.partition(".")
-        parts[part][name] = value
+        set_dotted(parts, key, value)
     task = make_task(parts["task"].pop("name"), **parts["task"])
     name = parts["learner"].pop("name")
-    return make_learner(name, task, episodes=config.episodes, record=config.record, **parts["learner"])
+    given = {"episodes": config.episodes, "total_steps": config.total_steps}
+    budget = {key: value for key, value in given.items() if value is not None}
+    unit = learner_class(name).unit
+    if odd := [key for key in budget if key != unit]:
+        counts = "control steps of all environments" if unit == "total_steps" else "episodes"
+        raise InputError(f"{odd[0]}: {name} counts {counts}; write {unit}: {budget[odd[0]]} in its place.")
+    return make_learner(name, task, record=config.record, **budget, **parts["learner"])
+
+
+def set_dotted(parts: dict[str, Any], key: str, value: Any) -> None:
+    """Set `parts["task"]["sensors"]["encoder_noise"]` by the key `task.sensors.encoder_noise`; nested dicts are copied.
+
+    Raises:
+      InputError: a piece of the key on the way names a value.
+    """
+    *parents, last = key.split(".")
+    for parent in parents:
+        below = parts.get(parent, {})
+        if not isinstance(below, dict):
+            raise InputError(f"sweep.axes.{key}: {parent} holds a value and no keys.")
+        parts[parent] = parts = dict(below)
+    parts[last] = value
 
 
 def resolved(config: Config) -> dict[str, Any]:
@@ -121,7 +166,7 @@ def resolved(config: Config) -> dict[str, Any]:
     A value that follows from others (the start and goal of a joint) stays out unless it was written.
     """
     learner = build(config, {})
-    data = config.model_dump(mode="json", exclude_none=True)
+    data = config.model_dump(mode="json", exclude_none=True) | {learner.unit: learner.budget}
     for part, spec in (("task", learner.task), ("learner", learner)):
         written: dict[str, Any] = getattr(config, part)
         fields = type(spec).model_fields
@@ -129,48 +174,6 @@ def resolved(config: Config) -> dict[str, Any]:
         keep = {name: v for name, v in values.items() if name in written or not fields[name].is_required()}
         data[part] = {"name": written["name"]} | keep
     return data
-
-
-def runs_that_fit(group: Group, device: Device) -> int:
-    """How many runs of a group a device can train at once; a CPU no more than its cache serves well.
-
-    Raises:
-      InputError: not even one.
-    """
-    per_run, memory = training_bytes(group), _free_memory(device)
-    size = memory // per_run
-    if size < 1:
-        raise InputError(
-            f"one run needs about {per_run / 2**20:,.0f} MiB and {memory / 2**20:,.0f} MiB are free; "
-            "make the task or the learner smaller."
-        )
-    return min(size, max(1, CPU_CACHE_BYTES // run_bytes(group))) if device.platform == "cpu" else size
-
-
-CPU_CACHE_BYTES = 1 << 21
-"""Training state per core beyond which a step slows down (measured: about 1,000 agents of `joint_reach`)."""
-
-HOST_MEMORY = 1 << 31
-"""Bytes that training may take on all CPU devices, which report no limit: half of the 4 GB a sweep is to stay under."""
-
-
-def _free_memory(device: Device) -> int:
-    """Bytes that training may take on one device."""
-    stats = device.memory_stats()
-    if stats and "bytes_limit" in stats:
-        return (stats["bytes_limit"] - stats["bytes_in_use"]) * 8 // 10
-    return HOST_MEMORY // len(jax.local_devices())
-
-
-def run_bytes(group: Group) -> int:
-    """Bytes of training state that one run holds."""
-    return sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(group.one_run))
-
-
-def training_bytes(group: Group) -> int:
-    """About what one run takes at the peak of its training: its state, and what works on it."""
-    state = run_bytes(group)
-    return state + group.learner.working_bytes(state)
 
 
 def _column(values: tuple) -> np.ndarray:

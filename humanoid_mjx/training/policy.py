@@ -17,11 +17,11 @@ import numpy as np
 from humanoid_mjx.config import Config, parse
 from humanoid_mjx.data import folder, names
 from humanoid_mjx.learners import Learner
-from humanoid_mjx.results.store import read_config
-from humanoid_mjx.results.tables import finished_runs
+from humanoid_mjx.runs.folder import read_config
+from humanoid_mjx.runs.tables import finished_runs
 from humanoid_mjx.spec import InputError, known
 from humanoid_mjx.tasks.finite import FiniteTask
-from humanoid_mjx.training.plan import make_plan, resolved
+from humanoid_mjx.training.plan import make_plan, resolved, set_dotted
 from humanoid_mjx.training.state import from_arrays, to_arrays
 
 FORMAT = "humanoid_mjx policy, version 1"
@@ -31,8 +31,7 @@ class Trained(NamedTuple):
     """What one run of a sweep learned."""
 
     learner: Learner
-    """Its structure: the traced values stand in `hyper`."""
-    hyper: Any
+    """With the hyper-parameters of its sweep point as arrays."""
     policy: Any
     point: int
     seed: int
@@ -87,8 +86,7 @@ def best_policy(path: Path) -> Trained:
     point = int(arrays["point"][row])
     own: dict[str, Any] = {key: value for key, value in data.items() if key != "sweep"} | {"seeds": 1}
     for key, value in plan.points[point].items():
-        part, _, name = key.partition(".")
-        own[part] = own[part] | {name: value}
+        set_dotted(own, key, value)
     file = path / "provenance.json"
     scores = {name: float(array[row]) for name, array in arrays.items() if name.startswith("final.")}
     return _assemble(
@@ -164,7 +162,7 @@ def on_physics(trained: Trained, physics: str) -> Trained:
         raise InputError(f"--physics {physics}: the task {task['name']} has no choice of physics.")
     config = trained.config.model_copy(update={"task": task | {"physics": physics}})
     (group,) = make_plan(config).groups
-    return trained._replace(config=config, learner=group.learner.structure(), hyper=_first(group.hyper))
+    return trained._replace(config=config, learner=group.learner())
 
 
 def _assemble(
@@ -177,11 +175,7 @@ def _assemble(
 ) -> Trained:
     parsed = parse(config, where)
     (group,) = make_plan(parsed).groups
-    like = jax.eval_shape(group.learner.policy, group.one_run)
+    learner = group.learner()
+    like = jax.eval_shape(lambda learner, carry: learner.policy(carry), learner, group.one_run.carry)
     policy = jax.tree.map(jnp.asarray, from_arrays(like, arrays, "policy", where))
-    return Trained(group.learner.structure(), _first(group.hyper), policy, *place, name, parsed, origin)
-
-
-def _first(hyper: Any) -> Any:
-    """The traced values of a group's only point."""
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), hyper)
+    return Trained(learner, policy, *place, name, parsed, origin)

@@ -1,4 +1,4 @@
-"""Slots on one device in which runs train side by side; a slot whose run is over takes the next one that waits.
+"""Slots in which runs train side by side; a slot whose run is over takes the next one that waits.
 
 Runs differ in length by far: where the reward pays for waiting, an episode lasts to its cap. In fixed blocks the
 quick ones would wait for the slowest.
@@ -6,14 +6,17 @@ quick ones would wait for the slowest.
 
 import time
 from collections import deque
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
 import numpy as np
+from jax.sharding import NamedSharding, PartitionSpec
 
+from humanoid_mjx.learners import Learner
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.plan import Group
-from humanoid_mjx.training.program import program_of
+from humanoid_mjx.training.program import RUNS, mesh_of, programs_of
 from humanoid_mjx.training.state import blank, from_arrays, to_arrays
 from humanoid_mjx.types import Device
 
@@ -31,38 +34,45 @@ HARVEST_AFTER_S = 10.0
 
 IDLE = -1
 
+COMPILING = ("tracing", "compiling")
+"""Phases of a pool in which its thread cannot answer, and its training states stand still."""
+
 
 class Pool:
-    """Trains runs of a group, taking them from `waiting`, which pools on other devices may share."""
+    """Trains runs of a group, taking them from `waiting`, in as many slots on each device."""
 
     def __init__(
         self,
         group: Group,
         waiting: deque[int],
         size: int,
-        device: Device,
+        devices: Sequence[Device],
         seed: int,
         policies: Any = None,
     ):
-        """`policies`: what runs start from instead of anew, every leaf with a leading axis of the group's runs."""
-        self.group, self.waiting, self.device, self.seed, self.policies = (
-            group,
-            waiting,
-            device,
-            seed,
-            policies,
-        )
-        self.program = program_of(group.learner.structure())  # pyright: ignore[reportArgumentType]
+        """Make `size` slots on each of the devices.
+
+        `policies`: what runs start from instead of anew, every leaf with a leading axis of the group's runs.
+        """
+        self.group, self.waiting, self.seed, self.policies = group, waiting, seed, policies
+        self.programs, size = programs_of(group.learners, devices), size * len(devices)
+        self.over_devices = NamedSharding(mesh_of(devices), PartitionSpec(RUNS))
+        self.everywhere = NamedSharding(mesh_of(devices), PartitionSpec())
+        self.compiled: dict[str, Callable[..., Any]] = {}
+        self.phase = "starting"
+        """What is done now, in a word for the user."""
         self.slots = np.full(size, IDLE, np.int64)
         self.progress = np.zeros(size)
+        self.recent = np.full((size, 2), np.nan)
+        """Success and return of each slot's run over its last episodes."""
         self.began = self.harvested = time.monotonic()
-        self.wall_s = np.full((size, group.learner.record), np.nan, np.float32)
+        self.wall_s = np.full((size, group.learners.record), np.nan, np.float32)
         """Seconds from the beginning of training to each record point of each slot's run, pauses left out."""
         self.steps = 1
         self.diverged: dict[int, dict[str, np.ndarray]] = {}
         """The last training states of harvested runs whose numbers were no longer finite, by run."""
         self._load()
-        self.carry = jax.device_put(blank(group.one_run, size), device)
+        self.training = jax.device_put(blank(group.one_run, size), self.over_devices)
 
     @property
     def busy(self) -> np.ndarray:
@@ -82,16 +92,18 @@ class Pool:
             self._load()
             rows = np.searchsorted(self.group.runs, np.maximum(self.slots, self.group.runs[0]))
             policies = self._put(self.policies, rows)
-            mask = jax.device_put(fresh, self.device)
-            self.carry = self.program.start(mask, self.hyper, self.seeds, self.carry, policies)
+            mask = jax.device_put(fresh, self.over_devices)
+            self.training = self._call("begin", mask, self.learners, self.seeds, self.training, policies)
             self.progress = np.where(fresh, 0.0, self.progress)
             self.wall_s[fresh] = np.nan
 
     def train(self) -> None:
         """Let every run train for about `CHUNK_S`."""
+        steps = jax.device_put(np.int32(self.steps), self.everywhere)
         began = time.monotonic()
-        self.carry, progress = self.program.train(self.hyper, self.carry, np.int32(self.steps))
-        self.progress = np.asarray(progress)
+        self.training, progress = self._call("advance", self.learners, self.training, steps)
+        self.progress = np.asarray(progress.share)
+        self.recent = np.stack([progress.success, progress.episode_return], axis=1)
         self.note_time()
         factor = CHUNK_S / max(time.monotonic() - began, 1e-6)
         self.steps = int(np.clip(self.steps * np.clip(factor, 0.25, 4.0), 1, MAX_STEPS))
@@ -111,24 +123,28 @@ class Pool:
         waited = time.monotonic() - self.harvested > HARVEST_AFTER_S
         if not over.any() or not (over.sum() >= HARVEST_SHARE * len(over) or waited or (over == self.busy).all()):
             return None
-        results = jax.tree.map(np.asarray, self.program.finish(self.hyper, self.carry, self.seeds))
+        results = jax.tree.map(np.asarray, self.finish())
         arrays = {f"curve.{name}": array for name, array in results["curve"].items()}
         arrays |= {f"final.{name}": array for name, array in results["final"].items()}
         arrays |= to_arrays(results["policy"], "policy") | {"time.wall_s": self.wall_s}
         runs = self.slots[over]
         diverged = over & arrays["final.diverged"]
         if diverged.any():
-            carry = to_arrays(self.carry, "carry")
+            states = to_arrays(self.training, "training")
             for slot in np.flatnonzero(diverged):
-                self.diverged[int(self.slots[slot])] = {name: array[slot] for name, array in carry.items()}
+                self.diverged[int(self.slots[slot])] = {name: array[slot] for name, array in states.items()}
         self.slots[over] = IDLE
         self.harvested = time.monotonic()
         return runs, {name: array[over] for name, array in arrays.items()}
 
+    def finish(self) -> dict[str, Any]:
+        """Curves, final scores and policies of what the slots hold."""
+        return self._call("finish", self.learners, self.training, self.seeds)
+
     def state(self) -> dict[str, np.ndarray]:
         """All that `restore` needs."""
         state = {"slots": self.slots, "progress": self.progress, "wall_s": self.wall_s}
-        return state | {"elapsed": np.array(time.monotonic() - self.began)} | to_arrays(self.carry, "carry")
+        return state | {"elapsed": np.array(time.monotonic() - self.began)} | to_arrays(self.training, "training")
 
     def restore(self, arrays: dict[str, np.ndarray], where: str) -> None:
         """Take up runs of earlier pools' `state`, as far as they still wait and slots are idle.
@@ -141,7 +157,7 @@ class Pool:
         idle = np.flatnonzero(~self.busy)[: len(rows)]
         if not len(rows):
             return
-        merged = to_arrays(self.carry, "carry")
+        merged = to_arrays(self.training, "training")
         for name, array in merged.items():
             stored = arrays.get(name)
             if stored is None or stored.shape[1:] != array.shape[1:] or stored.dtype != array.dtype:
@@ -154,14 +170,24 @@ class Pool:
         for run in self.slots[idle].tolist():
             self.waiting.remove(run)
         self._load()
-        self.carry = jax.device_put(from_arrays(self.carry, merged, "carry", where), self.device)
+        self.training = jax.device_put(from_arrays(self.training, merged, "training", where), self.over_devices)
+
+    def _call(self, name: str, *args: Any) -> Any:
+        """Call a program of `programs`, compiled when it is first needed; wait for its result."""
+        if name not in self.compiled:
+            self.phase = "tracing"
+            lowered = getattr(self.programs, name).lower(*args)
+            self.phase = "compiling"
+            self.compiled[name] = lowered.compile()
+        self.phase = {"begin": "starting", "advance": "training", "finish": "evaluating"}[name]
+        return jax.block_until_ready(self.compiled[name](*args))
 
     def _load(self) -> None:
-        """Bring the hyper-parameters and seeds of the slots' runs to the device. An idle slot repeats the first run."""
+        """Bring the learners and seeds of the slots' runs to the devices. An idle slot repeats the first run."""
         rows, numbers = self.group.locate(np.maximum(self.slots, self.group.runs[0]))
-        self.hyper = self._put(self.group.hyper, rows)
+        self.learners: Learner = self._put(self.group.learners, rows)
         seeds = np.full(len(rows), self.seed, np.uint32), numbers.astype(np.uint32)
-        self.seeds = jax.device_put(seeds, self.device)
+        self.seeds = jax.device_put(seeds, self.over_devices)
 
     def _put(self, tree: Any, rows: np.ndarray) -> Any:
-        return jax.tree.map(lambda leaf: jax.device_put(leaf[rows], self.device), tree)
+        return jax.tree.map(lambda leaf: jax.device_put(leaf[rows], self.over_devices), tree)

@@ -1,53 +1,219 @@
-"""The compiled programs of a group of sweep points: a learner, vmapped over runs."""
+"""What training adds to a learner, written once for all: learning curves, snapshots, the guard against NaN, evaluation.
 
-from collections.abc import Callable
+All functions are of one run; `programs` compiles them for runs side by side.
+"""
+
+from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, PartitionSpec
+from jaxtyping import Array, Bool, Float, Key
 
-from humanoid_mjx import rng
+from humanoid_mjx import rng, runtime
 from humanoid_mjx.learners import Learner
+from humanoid_mjx.learners.base import Outcome, WholeRunLearner
+from humanoid_mjx.training.rollout import greedy, mean_scores
+from humanoid_mjx.types import BoolScalar, Device, FloatScalar, IntScalar
+
+RUNS = "runs"
+"""The axis of a mesh of devices over which runs are shared out."""
 
 
-class Program(NamedTuple):
-    """Functions over runs side by side; every array has a leading axis of runs."""
+class Training(NamedTuple):
+    """The state of one run under way."""
 
-    start: Callable[..., Any]
-    """(fresh (bool), hyper, seeds, training states, policies) -> training states, new where fresh."""
-    train: Callable[[Any, Any, Any], tuple[Any, jax.Array]]
-    """(hyper, training states, steps) -> training states so many steps later, and progress. Gives up the old ones."""
-    finish: Callable[..., dict[str, Any]]
-    """(hyper, training states, seeds) -> curves, final scores and policies."""
+    carry: Any
+    """The learner's own."""
+    record: Float[Array, "record measures"]
+    """Sums for each point of the learning curve, in the order of `measures`."""
+    snapshots: Any
+    """The policies at the end of each part of training, for evaluation: a leading axis of `evaluations`, or None."""
+    failed: BoolScalar
+    """Whether the next step leads to numbers that are not finite; training has stopped before it."""
 
 
-@lru_cache(maxsize=64)
-def program_of(learner: Learner) -> Program:
-    """The programs of one structure of learner (`Spec.structure`). `seeds` is (the config's seed, the seed number)."""
+class Progress(NamedTuple):
+    """How far a run is, and how it does: means over the episodes of the last points of its curve, or NaN."""
 
-    def start(fresh, hyper, seeds, old, policy):
-        new = learner.init(hyper, run_key(*seeds), policy)
+    share: FloatScalar
+    """1.0 once training has ended."""
+    success: FloatScalar
+    episode_return: FloatScalar
+
+
+def begin(learner: Learner, key: Key[Array, ""], policy: Any = None) -> Training:
+    """The state of a run before its first step."""
+    carry = learner.init(key, policy)
+    record = jnp.zeros((learner.record, len(measures(learner, carry))))
+    snapshots = None
+    if learner.evaluations > 1:
+        many = (learner.evaluations,)
+        snapshots = jax.tree.map(lambda x: jnp.zeros(many + x.shape, x.dtype), learner.policy(carry))
+    return Training(carry, record, snapshots, jnp.bool_(False))
+
+
+def advance(learner: Learner, training: Training, steps: IntScalar) -> tuple[Training, Progress]:
+    """Train for `steps` steps, or up to a lap more, or less where training ends."""
+
+    def step(_: IntScalar, inner: tuple[Any, Array]) -> tuple[Any, Array]:
+        carry, outcome = _train_step(learner, inner[0])
+        return carry, _recorded(learner, inner[1], outcome)
+
+    def lap(_: IntScalar, old: Training) -> Training:
+        inner = old.carry, old.record
+        new: Any = step(0, inner) if learner.lap == 1 else jax.lax.fori_loop(0, learner.lap, step, inner)
+        failed = old.failed
+        if learner.lap == 1:
+            failed |= ~_finite(learner.policy(new[0]))
+            stop = failed | (learner.progress(old.carry) >= 1.0)
+            new = jax.tree.map(lambda new, old: jnp.where(stop, old, new), new, inner)
+        snapshots = old.snapshots
+        if snapshots is not None:
+            part = _part(learner.progress(old.carry), learner.evaluations)
+            policy = learner.policy(new[0])
+            snapshots = jax.tree.map(lambda old, new: old.at[part].set(new), snapshots, policy)
+        return Training(new[0], new[1], snapshots, failed)
+
+    training = jax.lax.fori_loop(0, (steps + learner.lap - 1) // learner.lap, lap, training)
+    return training, _progress(learner, training)
+
+
+def finish(learner: Learner, training: Training, key: Key[Array, ""]) -> dict[str, Any]:
+    """What is kept of a run that is over: its `curve`, its `final` scores and its `policy`.
+
+    Where the learner is evaluated more than once the curve has scores called `greedy_`, measured at the end of each of
+    `evaluations` parts of training: NaN at all other points, and in parts that training did not reach.
+    """
+    policy, found = learner.policy(training.carry), curve(learner, training)
+    diverged = training.failed | ~_finite(policy)
+
+    def scores(policy: Any) -> dict[str, FloatScalar]:
+        means = mean_scores(learner.env, greedy(learner, policy), learner.evaluation_envs, key)
+        return {f"greedy_{name}": mean for name, mean in means.items()}
+
+    if training.snapshots is None:
+        final = scores(policy)
+    else:
+        along = jax.vmap(scores)(training.snapshots)
+        part = np.arange(learner.evaluations)
+        reached = part < learner.progress(training.carry) * learner.evaluations
+        place = -(-(part + 1) * learner.record // learner.evaluations) - 1
+        blank = jnp.full(learner.record, jnp.nan)
+        found |= {name: blank.at[place].set(jnp.where(reached, x, jnp.nan)) for name, x in along.items()}
+        final = {name: score[jnp.maximum(reached.sum() - 1, 0)] for name, score in along.items()}
+    return {"curve": found, "final": final | {"diverged": diverged}, "policy": policy}
+
+
+@jax.jit
+def _train_step(learner: Learner, carry: Any) -> tuple[Any, Outcome]:
+    """The learner's step, traced once for all that asks for it."""
+    return learner.train_step(carry)
+
+
+def measures(learner: Learner, carry: Any) -> tuple[str, ...]:
+    """What a learning curve records: the columns of `Training.record`."""
+    if isinstance(learner, WholeRunLearner):
+        return ()
+    _, outcome = jax.eval_shape(_train_step, learner, carry)
+    return ("episodes", *sorted(outcome.totals), *(("updates", *sorted(outcome.squares)) if outcome.squares else ()))
+
+
+def curve(learner: Learner, training: Training) -> dict[str, Float[Array, " record"]]:
+    """The learning curve so far, by name: means over the episodes that ended in each point, or totals so far where the
+    learner's curves are cumulative; of squares the root of the mean over updates. NaN where nothing was recorded."""
+    names = measures(learner, training.carry)
+    columns = dict(zip(names, training.record.T, strict=True))
+    episodes, updates = columns.pop("episodes"), columns.pop("updates", None)
+    squares = names[names.index("updates") + 1 :] if updates is not None else ()
+    found = {name: jnp.cumsum(x) if learner.cumulative else x / episodes for name, x in columns.items()}
+    return found | {name: jnp.sqrt(columns[name] / updates) for name in squares}
+
+
+class Programs(NamedTuple):
+    """Compiled functions over runs side by side; every array has a leading axis of runs, shared out over the devices.
+
+    Each device computes its runs by itself: the program is compiled once, and none waits for another within it.
+    """
+
+    begin: Callable[..., Training]
+    """(fresh, learners, seeds, training states, policies) -> training states, new where `fresh` is true."""
+    advance: Callable[[Any, Training, IntScalar], tuple[Training, Progress]]
+    """(learners, training states, steps) -> states so many steps later, and progress. Gives up the old states."""
+    finish: Callable[[Any, Training, Any], dict[str, Any]]
+    """(learners, training states, seeds) -> curves, final scores and policies."""
+
+
+@lru_cache
+def programs(options: tuple[tuple[str, str | bool], ...], mesh: Mesh) -> Programs:
+    """The programs of all learners with these compiler options on the devices of `mesh`, whose axis is `RUNS`.
+
+    `seeds` is (the config's seed, the seed number).
+    """
+
+    def anew(fresh: Bool[Array, ""], learner: Learner, seeds: Any, old: Training, policy: Any) -> Training:
+        new = begin(learner, run_key(*seeds), policy)
         return jax.tree.map(partial(jnp.where, fresh), new, old)
 
-    def train(hyper, carry, steps):
-        carry, metrics = learner.train_chunk(hyper, carry, steps)
-        return carry, metrics["progress"]
+    def end(learner: Learner, training: Training, seeds: Any) -> dict[str, Any]:
+        return finish(learner, training, jax.random.fold_in(run_key(*seeds), 1))
 
-    options = dict(learner.compiler_options)
-    return Program(
-        start=jax.jit(jax.vmap(start), donate_argnums=3, compiler_options=options),
-        train=jax.jit(jax.vmap(train, in_axes=(0, 0, None)), donate_argnums=1, compiler_options=options),
-        finish=jax.jit(jax.vmap(partial(outcome, learner)), compiler_options=options),
+    def compiled(function: Callable[..., Any], shared: Any = PartitionSpec(RUNS), **given: Any) -> Callable[..., Any]:
+        spread = jax.shard_map(function, mesh=mesh, in_specs=shared, out_specs=PartitionSpec(RUNS), check_vma=False)
+        return jax.jit(spread, compiler_options=dict(options), **given)
+
+    steps = PartitionSpec(RUNS), PartitionSpec(RUNS), PartitionSpec()
+    return Programs(
+        begin=compiled(jax.vmap(anew), donate_argnums=3),
+        advance=compiled(jax.vmap(advance, in_axes=(0, 0, None)), steps, donate_argnums=1),
+        finish=compiled(jax.vmap(end)),
     )
 
 
-def outcome(learner: Learner, hyper: Any, carry: Any, seeds: tuple[jax.Array, jax.Array]) -> dict[str, Any]:
-    """What is kept of a run that is over: its curve, final scores and policy."""
-    curve, final = learner.results(hyper, carry, jax.random.fold_in(run_key(*seeds), 1))
-    return {"curve": curve, "final": final | {"diverged": learner.diverged(carry)}, "policy": learner.policy(carry)}
+def programs_of(learner: Learner, devices: Sequence[Device]) -> Programs:
+    """The programs that train learners such as this one on the given devices."""
+    options = runtime.on_every_device(learner.compiler_options) if len(devices) > 1 else learner.compiler_options
+    return programs(tuple(sorted(options.items())), mesh_of(devices))
+
+
+def mesh_of(devices: Sequence[Device]) -> Mesh:
+    """Devices in a row, for runs to be shared out over them."""
+    return Mesh(np.array(devices), (RUNS,))
 
 
 def run_key(seed: jax.Array, number: jax.Array) -> jax.Array:
     """The key of a run: of the config's seed and the run's number alone, so that a point trains as it would alone."""
     return jax.random.fold_in(rng.key(seed), number)
+
+
+def _recorded(learner: Learner, record: Float[Array, "record measures"], outcome: Outcome) -> Array:
+    """The record with what a step saw, in the point that it belongs to."""
+    place = jnp.asarray(outcome.done, jnp.float32) * (learner.record / learner.budget)
+    point = jnp.minimum(place.astype(jnp.int32), learner.record - 1)
+    values = [outcome.episodes, *(outcome.totals[name] for name in sorted(outcome.totals))]
+    if outcome.squares:
+        values += [jnp.float32(1), *(outcome.squares[name] for name in sorted(outcome.squares))]
+    row = jnp.stack([jnp.asarray(value, jnp.float32) for value in values], axis=-1)
+    return record.at[point].add(row, mode="promise_in_bounds")
+
+
+def _progress(learner: Learner, training: Training) -> Progress:
+    share = jnp.where(training.failed, 1.0, learner.progress(training.carry))
+    columns = dict(zip(measures(learner, training.carry), training.record.T, strict=True))
+    place = jnp.arange(learner.record)
+    recent = jnp.abs(place - jnp.floor(share * learner.record)) <= max(1, learner.record // 20)
+    episodes = jnp.sum(columns["episodes"] * recent)
+    mean = {name: jnp.sum(columns[name] * recent) / episodes for name in ("success", "return") if name in columns}
+    return Progress(share, mean.get("success", jnp.nan), mean.get("return", jnp.nan))
+
+
+def _part(progress: FloatScalar, parts: int) -> IntScalar:
+    """In which of so many equal parts of training."""
+    return jnp.minimum((progress * parts).astype(jnp.int32), parts - 1)
+
+
+def _finite(tree: Any) -> BoolScalar:
+    return jnp.stack([jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(tree)]).all()

@@ -1,6 +1,7 @@
 """What the user sees while a sweep runs: a bar with rate and time left; without a terminal a line now and then."""
 
 import time
+from collections import deque
 from types import TracebackType
 
 from rich.console import Console
@@ -15,6 +16,9 @@ from rich.progress import (
 
 LINE_EVERY_S = 10.0
 
+RECENT_LOOKS = 100
+"""The rate that is shown is that of so many looks, ten a second: of the recent past."""
+
 
 class Reporter:
     """Told what happens while a sweep runs. This one keeps it to itself."""
@@ -28,8 +32,8 @@ class Reporter:
     def phase(self, text: str) -> None:
         """What is done now."""
 
-    def update(self, done: float) -> None:
-        """How much is done of the total."""
+    def update(self, done: float, success: float | None = None, mean_return: float | None = None) -> None:
+        """How much is done of the total; the success and return of recent episodes, where they are known."""
 
 
 class Bar(Reporter):
@@ -39,7 +43,7 @@ class Bar(Reporter):
         self.console, self.total, self.unit = console, 1.0, ""
         self._text, self._done = "starting", 0.0
         self._began = self._last_line = time.monotonic()
-        self._first: tuple[float, float] | None = None
+        self._seen: deque[tuple[float, float]] = deque([(self._began, 0.0)], maxlen=RECENT_LOOKS)
         columns = (
             TextColumn("{task.description}"),
             BarColumn(),
@@ -80,12 +84,15 @@ class Bar(Reporter):
         if changed and not self.console.is_terminal:
             self._line()
 
-    def update(self, done: float) -> None:
+    def update(self, done: float, success: float | None = None, mean_return: float | None = None) -> None:
         now = time.monotonic()
-        self._first = self._first or (now, self._done)
+        if done > self._done:
+            self._seen.append((now, done))
         self._done = done
-        elapsed = now - self._first[0]
-        rate = f"{(done - self._first[1]) / elapsed:,.0f} {self.unit}/s" if elapsed > 0.5 else ""
+        (first, at_first), (last, at_last) = self._seen[0], self._seen[-1]
+        rate = f"{(at_last - at_first) / (last - first):,.0f} {self.unit}/s" if last - first > 0.5 else ""
+        if success is not None:
+            rate += f"  success {success:.0%}  return {mean_return:.3g}"
         self._bar.update(self._task, completed=done, rate=rate)
         if not self.console.is_terminal and now - self._last_line > LINE_EVERY_S:
             self._line(rate)

@@ -9,17 +9,16 @@ import numpy as np
 
 from humanoid_mjx.config import parse
 from humanoid_mjx.learners import Learner
-from humanoid_mjx.results.store import diverged_name, read_arrays, read_config
+from humanoid_mjx.runs.folder import diverged_name, read_arrays, read_config
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.state import from_arrays
 
 
 class Replay(NamedTuple):
-    """A run just before it broke: `learner.train_step(hyper, carry)` takes the step that breaks it."""
+    """A run just before it broke: `learner.train_step(carry)` takes the step that breaks it."""
 
     learner: Learner
-    hyper: Any
     carry: Any
 
 
@@ -37,6 +36,5 @@ def replay(path: Path | str, point: int, seed: int) -> Replay:
         raise InputError(f"{file}: point {point} with seed {seed} did not diverge; here {known or 'nothing'} did.")
     (group,) = (group for group in plan.groups if point in group.points)
     row = int(np.searchsorted(group.points, point))
-    carry = from_arrays(group.one_run, read_arrays(file), "carry", str(file))
-    hyper = jax.tree.map(lambda leaf: leaf[row], group.hyper)
-    return Replay(group.learner.structure(), *jax.tree.map(jnp.asarray, (hyper, carry)))
+    training = from_arrays(group.one_run, read_arrays(file), "training", str(file))
+    return Replay(group.learner(row), jax.tree.map(jnp.asarray, training.carry))

@@ -4,7 +4,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Mapping, Sequence
-from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -16,18 +15,20 @@ import numpy as np
 from humanoid_mjx import runtime
 from humanoid_mjx.config import Config, load, parse
 from humanoid_mjx.learners.base import WholeRunLearner
-from humanoid_mjx.results.store import (
+from humanoid_mjx.runs.folder import (
+    POOL,
     RunFolder,
     diverged_name,
     fresh_path,
     latest_path,
-    pool_name,
     read_arrays,
     read_config,
+    read_provenance,
 )
-from humanoid_mjx.results.tables import finished_runs, read_table, write_tables
-from humanoid_mjx.training.plan import Group, Plan, make_plan, resolved, runs_that_fit, training_bytes
-from humanoid_mjx.training.pool import Pool
+from humanoid_mjx.runs.tables import finished_runs, read_table, write_tables
+from humanoid_mjx.training.memory import runs_that_fit, training_bytes
+from humanoid_mjx.training.plan import Group, Plan, make_plan, resolved
+from humanoid_mjx.training.pool import COMPILING, Pool
 from humanoid_mjx.training.progress import Reporter
 from humanoid_mjx.training.warm_start import earlier_policies
 from humanoid_mjx.training.whole_runs import WholeRuns
@@ -37,6 +38,10 @@ CHECKPOINT_EVERY_S = 30.0
 
 TABLES_SHARE = 0.05
 """The share of the wall time that rewriting the tables may take while runs finish."""
+
+LEAVE_AFTER_S = 5.0
+"""After an interrupt, training has so many seconds to store what it did since the last checkpoint. A compiler cannot be
+interrupted, so a thread that compiles is left behind."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +106,7 @@ def sweep(
         folder = RunFolder.create(Path(out or fresh_path(config.name)), resolved(config))
     try:
         session = _Session(folder, plan, reporter or Reporter())
-        session.reporter.begin(plan.num_runs * config.episodes, plan.learners[0].unit)
+        session.reporter.begin(plan.num_runs * plan.budget, f"{plan.unit}s")
         try:
             for index in range(len(plan.groups)):
                 session.train(index, sizes[index], policies[index])
@@ -113,12 +118,13 @@ def sweep(
 
 
 class _Session:
-    """The work of one process on a run folder: a thread per device, each with a pool of runs."""
+    """The work of one process on a run folder."""
 
     def __init__(self, folder: RunFolder, plan: Plan, reporter: Reporter):
         self.folder, self.plan, self.reporter = folder, plan, reporter
         done = finished_runs(folder.path, ("point", "seed"))
         self.finished = set((done["point"] * plan.config.seeds + done["seed"]).tolist()) if done else set()
+        self.earlier = read_provenance(folder.path)
         self.began = self.tables_due = time.monotonic()
         self.started = datetime.now(UTC).isoformat(timespec="seconds")
         self.compile_s = 0.0
@@ -128,56 +134,84 @@ class _Session:
     def train(self, index: int, size: int, policies: Any) -> None:
         """Train the runs of a group that are not finished yet, at most `size` at once on each device."""
         group = self.plan.groups[index]
-        whole = isinstance(group.learner, WholeRunLearner)
-        devices = jax.local_devices()[: 1 if whole else None]
         waiting = deque(run for run in group.runs.tolist() if run not in self.finished)
         if not waiting:
             return
-        self.reporter.note(self._side_by_side(group, size, whole))
-        self.reporter.phase("compiling")
+        whole = isinstance(group.learners, WholeRunLearner)
         # Not of what still waits: sums over networks round by the number of runs side by side, also after a resume.
-        size = min(size, -(-len(group.runs) // len(devices)))
-        with runtime.counting_compiles() as compiles, ThreadPoolExecutor(len(devices)) as threads:
+        devices = jax.local_devices()[: 1 if whole else len(group.runs)]
+        size = 1 if whole else min(size, -(-len(group.runs) // len(devices)))
+        self.reporter.note(self._side_by_side(group, size * len(devices)))
+        with runtime.counting_compiles() as compiles:
             common = self.plan.config.seed, policies
             if whole:
-                pools = [WholeRuns(group, waiting, devices[0], *common, self.stop)]
+                pool = WholeRuns(group, waiting, devices[0], *common, self.stop)
             else:
-                pools = [Pool(group, waiting, size, device, *common) for device in devices]
-            self._restore(index, pools)
-            work = [threads.submit(self._work, index, number, pool) for number, pool in enumerate(pools)]
-            try:
-                while wait(work, timeout=0.1, return_when=FIRST_EXCEPTION).not_done:
-                    self._report(pools)
-                    if time.monotonic() >= self.tables_due:
-                        self.write_results()
-            finally:
-                self.stop.set()
+                pool = Pool(group, waiting, size, devices, *common)
+            self._restore(index, pool)
+            self._work_in_a_thread(index, pool)
         self.compile_s += compiles.seconds
-        for future in work:
-            future.result()
+        self.tables_are_old = True
         for path in self.folder.pools():
             path.unlink()
         self.stop.clear()
 
-    def _side_by_side(self, group: Group, size: int, whole: bool) -> str:
-        """How many runs train at once, and what memory that is estimated to take."""
-        devices, runs = jax.local_device_count(), len(group.runs)
-        at_once = 1 if whole else min(runs, devices * min(size, -(-runs // devices)))
-        memory = at_once * training_bytes(group) / 2**20
-        return f"{at_once:,} of {runs:,} runs train side by side, in an estimated {memory:,.0f} MiB"
+    def _work_in_a_thread(self, index: int, pool: Pool) -> None:
+        """Train what waits, and report how it goes.
 
-    def _work(self, index: int, number: int, pool: Pool) -> None:
-        """Train what waits in one pool, until nothing does. Runs in the thread of the pool's device."""
+        Raises:
+          what training raised; or KeyboardInterrupt, once what is under way is stored.
+        """
+        errors: list[BaseException] = []
+
+        def work() -> None:
+            try:
+                self._work(index, pool)
+            except BaseException as error:
+                errors.append(error)
+
+        thread = threading.Thread(target=work, daemon=True)
+        thread.start()
+        try:
+            while thread.is_alive():
+                thread.join(0.1)
+                self._report(pool)
+                if time.monotonic() >= self.tables_due:
+                    self.write_results()
+        finally:
+            self.stop.set()
+            self._leave(index, pool, thread)
+        if errors:
+            raise errors[0]
+
+    def _leave(self, index: int, pool: Pool, thread: threading.Thread) -> None:
+        """Wait until training has stored what is under way; do it where it compiles and cannot answer."""
+        deadline = time.monotonic() + LEAVE_AFTER_S
+        while thread.is_alive() and pool.phase not in COMPILING and time.monotonic() < deadline:
+            thread.join(0.05)
+        if thread.is_alive() and pool.phase in COMPILING and pool.busy.any():
+            self._store_under_way(index, pool)
+
+    def _store_under_way(self, index: int, pool: Pool) -> None:
+        self.folder.write_arrays(POOL, {"group": np.array(index)} | pool.state())
+
+    def _side_by_side(self, group: Group, slots: int) -> str:
+        """How many runs train at once, and what memory that is estimated to take."""
+        runs, memory = len(group.runs), slots * training_bytes(group) / 2**20
+        return f"{min(slots, runs):,} of {runs:,} runs train side by side, in an estimated {memory:,.0f} MiB"
+
+    def _work(self, index: int, pool: Pool) -> None:
+        """Train what waits, until nothing does."""
         saved = time.monotonic()
         pool.fill()
         while pool.busy.any():
             if self.stop.is_set() or time.monotonic() - saved > CHECKPOINT_EVERY_S:
-                self.folder.write_arrays(pool_name(number), {"group": np.array(index)} | pool.state())
+                self._store_under_way(index, pool)
                 saved = time.monotonic()
             if self.stop.is_set():
                 return
             pool.train()
-            if harvest := pool.harvest():
+            if not self.stop.is_set() and (harvest := pool.harvest()):
                 for run, arrays in pool.diverged.items():
                     self.folder.write_arrays(diverged_name(*divmod(run, self.plan.config.seeds)), arrays)
                 pool.diverged.clear()
@@ -191,19 +225,20 @@ class _Session:
             self.finished.update(runs.tolist())
             self.tables_are_old = True
 
-    def _report(self, pools: Sequence[Pool]) -> None:
-        under_way = sum(float(pool.progress[pool.busy].sum()) for pool in pools)
-        if under_way:
-            self.reporter.phase("training")
-            self.reporter.update((len(self.finished) + under_way) * self.plan.config.episodes)
+    def _report(self, pool: Pool) -> None:
+        busy = pool.busy
+        self.reporter.phase(pool.phase)
+        if under_way := float(np.minimum(pool.progress[busy], 1.0).sum()):
+            known = pool.recent[busy][np.isfinite(pool.recent[busy]).all(axis=1)]
+            success, mean_return = map(float, known.mean(axis=0)) if len(known) else (None, None)
+            self.reporter.update((len(self.finished) + under_way) * self.plan.budget, success, mean_return)
 
-    def _restore(self, index: int, pools: Sequence[Pool]) -> None:
+    def _restore(self, index: int, pool: Pool) -> None:
         """Take up the runs of this group that an interrupted session, maybe on other devices, had under way."""
         for path in self.folder.pools():
             arrays = read_arrays(path)
             if int(arrays["group"]) == index:
-                for pool in pools:
-                    pool.restore(arrays, str(path))
+                pool.restore(arrays, str(path))
 
     def write_results(self) -> None:
         """Bring tables and provenance up to date with the finished runs."""
@@ -212,7 +247,15 @@ class _Session:
         start = time.monotonic()
         self.tables_are_old = False
         with self.lock:
-            finished = write_tables(self.folder, self.plan)
+            finished = write_tables(self.folder, self.plan.labels())
+        if finished == self.earlier.get("runs_finished"):
+            return
+        session = {
+            "started": self.started,
+            "wall_s": round(start - self.began, 3),
+            "compile_s": round(self.compile_s, 3),
+        }
+        sessions = [*self.earlier.get("sessions", []), session]
         provenance = {
             "versions": runtime.versions(),
             "machine": runtime.machine(),
@@ -221,9 +264,10 @@ class _Session:
             "points": len(self.plan.points),
             "runs": self.plan.num_runs,
             "runs_finished": finished,
-            "started": self.started,
-            "wall_s": round(start - self.began, 3),
-            "compile_s": round(self.compile_s, 3),
+            "started": sessions[0]["started"],
+            "wall_s": round(sum(each["wall_s"] for each in sessions), 3),
+            "compile_s": round(sum(each["compile_s"] for each in sessions), 3),
+            "sessions": sessions,
         }
         self.folder.write_json("provenance.json", provenance)
         now = time.monotonic()

@@ -6,8 +6,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from humanoid_mjx.results.store import read_config
-from humanoid_mjx.results.tables import finished_runs
+from humanoid_mjx.runs.folder import read_config
+from humanoid_mjx.runs.tables import finished_runs
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.plan import Group
 from humanoid_mjx.training.state import from_arrays
@@ -22,7 +22,7 @@ def earlier_policies(group: Group) -> Any:
     Raises:
       InputError: the run folder that `start_from` names cannot serve.
     """
-    name = group.learner.start_from
+    name = group.learners.start_from
     if name is None:
         return None
     path, where = Path(name), f"learner.start_from: {name}"
@@ -43,7 +43,7 @@ def earlier_policies(group: Group) -> Any:
     if missing := [pair for pair in wanted if pair not in place]:
         raise InputError(f"{where}: holds no run of point {missing[0][0]} with seed {missing[0][1]}.")
     rows = np.array([place[pair] for pair in wanted])
-    like = jax.eval_shape(group.learner.policy, group.one_run)
+    like = jax.eval_shape(lambda learner, carry: learner.policy(carry), group.learners, group.one_run.carry)
     like = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((len(rows), *leaf.shape), leaf.dtype), like)
     chosen = {key: array[rows] for key, array in arrays.items() if key.startswith("policy")}
     return from_arrays(like, chosen, "policy", where)

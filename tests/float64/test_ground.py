@@ -28,7 +28,7 @@ def look(physics, qpos, qvel):
         seen.update(matrix=stages.mass_matrix, bias=stages.bias, contacts=stages.contacts())
         return jnp.zeros(10)
 
-    physics.step(physics.params, physics.start(physics.params, qpos, qvel), controller)
+    physics.step(physics.start(qpos, qvel), controller)
     return seen
 
 
@@ -160,10 +160,10 @@ def regulate(dt, law, seconds=1.0):
         return grounded_torque(params, reference, stages.qpos, stages.qvel, *dynamics)
 
     def cycle(world, _):
-        world, torque = physics.step(physics.params, world, controller)
+        world, torque = physics.step(world, controller)
         return world, (goal - world.qpos, torque)
 
-    world = physics.start(physics.params, np.zeros(10), np.zeros(10))
+    world = physics.start(np.zeros(10), np.zeros(10))
     _, (errors, torque) = jax.jit(partial(jax.lax.scan, cycle, length=round(seconds / dt)))(world)
     assert np.abs(torque).max() < physics.torque_limit
     return np.asarray(errors)

@@ -16,8 +16,8 @@ TORQUE = rng.uniform(-1, 1, (20, 10))
 
 
 def cycle(physics, qpos, qvel, torque):
-    world = physics.start(physics.params, qpos, qvel)
-    return physics.step(physics.params, world, lambda stages: torque)[0]
+    world = physics.start(qpos, qvel)
+    return physics.step(world, lambda stages: torque)[0]
 
 
 def test_accelerations():
@@ -36,8 +36,8 @@ def test_motions_over_half_a_second():
         return 0.5 * (0.3 - stages.qpos) - 0.05 * stages.qvel
 
     def run(physics, qpos):
-        world = physics.start(physics.params, qpos, 0 * qpos)
-        return physics.run(physics.params, world, servo, 250)
+        world = physics.start(qpos, 0 * qpos)
+        return physics.run(world, servo, 250)
 
     start = QPOS[:4] / 5
     *worlds, native = (
@@ -50,7 +50,7 @@ def test_motions_over_half_a_second():
 
 def test_places_of_the_links():
     ours = jax.vmap(lambda q: CHAIN.poses(None, CHAIN.start(None, q, q)))(QPOS)
-    native = jax.vmap(lambda q: NATIVE.poses(NATIVE.params, NATIVE.start(None, q, q)))(QPOS)
+    native = jax.vmap(lambda q: NATIVE.poses(NATIVE.start(q, q)))(QPOS)
     rows = [NATIVE.body_names.index(name) for name in CHAIN.body_names]
     np.testing.assert_allclose(ours.position, native.position[:, rows], atol=1e-12)
     np.testing.assert_allclose(ours.rotation[:, 1:], native.rotation[:, rows[1:]], atol=1e-12)
@@ -61,9 +61,9 @@ def test_what_a_model_asks_for_is_what_moves_it(physics):
     """One mass factor for the robot, or one for each link."""
 
     def step(qpos, wanted, mass):
-        params = physics.params._replace(mass=mass, torque_limit=1e6)
-        world = physics.start(params, qpos, 0 * qpos)
-        return physics.step(params, world, lambda stages: stages.torque_for(wanted, mass))[0].qvel
+        plant = physics.replace(mass=mass, torque_limit=1e6)
+        world = plant.start(qpos, 0 * qpos)
+        return plant.step(world, lambda stages: stages.torque_for(wanted, mass))[0].qvel
 
     for mass in (jnp.float64(1.7), jnp.linspace(0.7, 1.7, 10)):
         qvel = jax.jit(jax.vmap(step, in_axes=(0, 0, None)))(QPOS, jnp.array(TORQUE), mass)

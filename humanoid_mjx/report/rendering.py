@@ -19,7 +19,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from humanoid_mjx.results.style import COLORS
+from humanoid_mjx.report.style import COLORS
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.types import AnyArray
 

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from humanoid_mjx.results.statistics import iqm, iqm_interval
-from humanoid_mjx.results.style import figure, label_lines, shades, short
+from humanoid_mjx.report.style import figure, label_lines, shades, short
+from humanoid_mjx.runs.statistics import iqm, iqm_interval
 
 MAX_LEVELS = 12
 """More values than this on one axis are put into bins."""
@@ -28,6 +28,10 @@ CURVES = {
 }
 
 
+COUNTED = {"episode": "episodes", "step": "control steps"}
+"""The columns that a learning curve is drawn over, and what they are called."""
+
+
 class Levels(NamedTuple):
     """The values of one swept parameter, in order, and which of them each point has."""
 
@@ -41,11 +45,10 @@ def sweep_figures(
     axes: list[str],
     results: Mapping[str, np.ndarray],
     summary: Mapping[str, np.ndarray],
-    unit: str,
 ) -> list[Path]:
     """Draw all figures of a run folder from its tables; the paths of what was drawn."""
     paths = [folder / "learning_curves.png"]
-    learning_curves(paths[0], title, axes, results, unit)
+    learning_curves(paths[0], title, axes, results)
     if len(axes) >= 2:
         for name, meaning in HEAT_MAPS.items():
             if name in summary:
@@ -54,7 +57,7 @@ def sweep_figures(
     return paths
 
 
-def learning_curves(path: Path, title: str, axes: list[str], results: Mapping[str, np.ndarray], unit: str) -> None:
+def learning_curves(path: Path, title: str, axes: list[str], results: Mapping[str, np.ndarray]) -> None:
     """A row of panels for each measure, a panel for each swept parameter, a line for each of its values.
 
     A line is the interquartile mean over seeds of the mean over all points with that value; its band is the 95 %
@@ -80,7 +83,7 @@ def learning_curves(path: Path, title: str, axes: list[str], results: Mapping[st
                 if row == 0:
                     panel.set_title(axis_name or "")
                 if row == len(names) - 1:
-                    panel.set_xlabel(unit)
+                    panel.set_xlabel(COUNTED["step" if "step" in results else "episode"])
                 if column == 0:
                     panel.set_ylabel(CURVES[name])
 
@@ -127,7 +130,8 @@ def _tells(values: np.ndarray) -> bool:
 
 def _line(panel, results: Mapping[str, np.ndarray], chosen: np.ndarray, name: str, color) -> float:
     """Draw one line with its band; its last value."""
-    episodes, e = np.unique(results["episode"][chosen], return_inverse=True)
+    count = results["step"] if "step" in results else results["episode"]
+    episodes, e = np.unique(count[chosen], return_inverse=True)
     seeds, s = np.unique(results["seed"][chosen], return_inverse=True)
     values = np.asarray(results[name][chosen], float)
     known = np.isfinite(values)

@@ -118,9 +118,8 @@ class RunFolder:
         self.write_arrays(f"checkpoint/part-{max(numbers, default=-1) + 1:05d}.npz", arrays)
 
 
-def pool_name(number: int) -> str:
-    """The file of the runs under way on a device."""
-    return f"checkpoint/pool-{number}.npz"
+POOL = "checkpoint/pool-0.npz"
+"""The file of the runs under way."""
 
 
 def diverged_name(point: int, seed: int) -> str:
@@ -161,6 +160,15 @@ def read_config(path: Path) -> dict[str, Any]:
     if not isinstance(data, dict):
         raise InputError(f"{file}: this file is damaged.")
     return data
+
+
+def read_provenance(path: Path) -> dict[str, Any]:
+    """What `provenance.json` of a run folder holds; nothing where there is none that can be read."""
+    try:
+        found = json.loads((path / "provenance.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
 
 
 def fresh_path(name: str, root: Path = Path("runs")) -> Path:

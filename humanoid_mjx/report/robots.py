@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from humanoid_mjx.results.rendering import outline
-from humanoid_mjx.results.style import COLORS, figure
+from humanoid_mjx.report.rendering import outline
+from humanoid_mjx.report.style import COLORS, figure
 from humanoid_mjx.robot import robot_spec
 
 ROBOTS = {"legs": "legs: the chain of Table 4.1, torso fixed", "lower_body": "lower_body: Table 3.1 at 1:4"}

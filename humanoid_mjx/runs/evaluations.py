@@ -1,12 +1,11 @@
-"""What an evaluation found: numbers with their intervals, as a table or as JSON."""
+"""What an evaluation found: numbers with their intervals."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from rich.table import Table
 
-from humanoid_mjx.results.statistics import iqm, iqm_interval, rate_interval
+from humanoid_mjx.runs.statistics import iqm, iqm_interval, rate_interval
 
 
 class Estimate(NamedTuple):
@@ -46,21 +45,3 @@ def estimated(policy: str, agent: str, episodes: Mapping[str, np.ndarray]) -> Ev
     total, steps = (Estimate(float(iqm(x)), *map(float, iqm_interval(x))) for x in measures)
     rate = Estimate(float(success.mean()), *rate_interval(success))
     return Evaluation(policy, agent, rate, total, steps, float(np.mean(episodes["return"])))
-
-
-def evaluation_table(title: str, evaluations: Sequence[Evaluation]) -> Table:
-    """A row for each, the intervals beside the numbers."""
-    table = Table(title=title, title_justify="left")
-    for heading in ("policy", "agent"):
-        table.add_column(heading)
-    for heading in ("success (95 %)", "return (95 %)", "steps (95 %)"):
-        table.add_column(heading, justify="right")
-    for evaluation in evaluations:
-        success, total, steps = evaluation.success, evaluation.episode_return, evaluation.steps
-        table.add_row(
-            evaluation.policy,
-            evaluation.agent,
-            f"{success.value:.1%} ({success.low:.1%} to {success.high:.1%})",
-            *(f"{x.value:.4g} ({x.low:.4g} to {x.high:.4g})" for x in (total, steps)),
-        )
-    return table

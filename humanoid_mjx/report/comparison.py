@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from humanoid_mjx.results.evaluations import Evaluation
-from humanoid_mjx.results.statistics import iqm, iqm_interval
-from humanoid_mjx.results.style import COLORS, figure, label_lines
-from humanoid_mjx.results.tables import read_table
+from humanoid_mjx.report.style import COLORS, figure, label_lines
+from humanoid_mjx.runs.evaluations import Evaluation
+from humanoid_mjx.runs.statistics import iqm, iqm_interval
+from humanoid_mjx.runs.tables import read_table
 from humanoid_mjx.training.policy import Trained
 
 MEASURES = {"success": "success", "return": "return per episode"}
@@ -36,15 +36,14 @@ class Curve(NamedTuple):
     """Whether they are of greedy episodes rather than of those of training."""
 
 
-def curve_of(name: str, results: Mapping[str, np.ndarray], point: int, counts_steps: bool, agents: int = 1) -> Curve:
+def curve_of(name: str, results: Mapping[str, np.ndarray], point: int, agents: int = 1) -> Curve:
     """The curve of a sweep point, from the table `results` of its run: of greedy episodes where there are any.
 
     Args:
       name: for the label.
       results: the columns of results.parquet.
       point: the number of the sweep point.
-      counts_steps: whether its column `episode` counts control steps. If not, an episode's steps are in `steps`.
-      agents: how many episodes ran at once, where it counts episodes.
+      agents: how many episodes ran at once, where its curves count episodes.
     """
     mine = results["point"] == point
     seeds = len(np.unique(results["seed"][mine]))
@@ -52,9 +51,10 @@ def curve_of(name: str, results: Mapping[str, np.ndarray], point: int, counts_st
     def by_seed(column: str) -> Float[np.ndarray, "seeds record"]:
         return np.asarray(results[column][mine], float).reshape(seeds, -1)
 
-    samples = by_seed("episode")
-    if not counts_steps:
-        episodes = np.diff(samples, axis=1, prepend=0.0)
+    if "step" in results:
+        samples = by_seed("step")
+    else:
+        episodes = np.diff(by_seed("episode"), axis=1, prepend=0.0)
         samples = np.cumsum(episodes * np.nan_to_num(by_seed("steps")) * agents, axis=1)
     wall = by_seed("wall_s") if "wall_s" in results else None
     greedy = any(np.isfinite(results[f"greedy_{name}"]).any() for name in MEASURES if f"greedy_{name}" in results)
@@ -72,7 +72,7 @@ def curve_of_run(path: Path, trained: Trained) -> Curve:
     results, timing, learner = read_table(path / "results.parquet"), path / "timing.parquet", trained.learner
     if timing.is_file():
         results["wall_s"] = read_table(timing)["wall_s"]
-    return curve_of(trained.name, results, trained.point, learner.unit == "steps", getattr(learner, "agents", 1))
+    return curve_of(trained.name, results, trained.point, getattr(learner, "agents", 1))
 
 
 def compare_curves(path: Path, curves: Sequence[Curve], agents: Sequence[Evaluation]) -> None:

@@ -1,21 +1,33 @@
 """The tables of a run folder, derived from its finished blocks."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from jaxtyping import Int
 
-from humanoid_mjx.results.store import RunFolder, parts, read_arrays
+from humanoid_mjx.runs.folder import RunFolder, parts, read_arrays
 from humanoid_mjx.spec import InputError
-from humanoid_mjx.training.plan import Plan
 
 LAST_SHARE = 0.1
 """The share of a learning curve, from its end, over which the summary averages."""
 
 
-def write_tables(folder: RunFolder, plan: Plan) -> int:
+class Labels(NamedTuple):
+    """What names the rows of the tables."""
+
+    hyper: Mapping[str, list[Any]]
+    """The hyper-parameters as columns, an entry for each sweep point."""
+    unit: str
+    """What a learning curve counts: `episode` or `step`."""
+    places: Int[np.ndarray, " record"]
+    """The count at each record point."""
+
+
+def write_tables(folder: RunFolder, labels: Labels) -> int:
     """Write results, summary and timing of all runs that are finished, ordered by point and seed.
 
     Returns:
@@ -24,11 +36,11 @@ def write_tables(folder: RunFolder, plan: Plan) -> int:
     arrays = finished_runs(folder.path, ("point", "seed", "curve.", "final.", "time."))
     if not arrays:
         return 0
-    columns = {name: pa.array(values).dictionary_encode() for name, values in plan.table().items()}
+    columns = {name: pa.array(values).dictionary_encode() for name, values in labels.hyper.items()}
     tables = {
-        "results": _results(plan, columns, arrays),
+        "results": _results(labels, columns, arrays),
         "summary": _summary(columns, arrays),
-        "timing": pa.table(_rows(plan, arrays) | {"wall_s": arrays["time.wall_s"].reshape(-1)}),
+        "timing": pa.table(_rows(labels, arrays) | {"wall_s": arrays["time.wall_s"].reshape(-1)}),
     }
     for name, table in tables.items():
         with folder.writing(f"{name}.parquet") as path:
@@ -70,19 +82,17 @@ def named(arrays: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
     return {name.removeprefix(prefix + "."): a for name, a in arrays.items() if name.startswith(prefix + ".")}
 
 
-def _results(plan: Plan, columns: dict[str, pa.DictionaryArray], arrays: dict[str, np.ndarray]) -> pa.Table:
-    data = _rows(plan, arrays)
+def _results(labels: Labels, columns: dict[str, pa.DictionaryArray], arrays: dict[str, np.ndarray]) -> pa.Table:
+    data = _rows(labels, arrays)
     data |= _hyper(columns, data["point"])
     return pa.table(data | {name: curve.reshape(-1) for name, curve in named(arrays, "curve").items()})
 
 
-def _rows(plan: Plan, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
+def _rows(labels: Labels, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
     """What names the rows of a table that has one for each record point of each run."""
-    record = plan.config.record
-    runs = np.repeat(np.arange(len(arrays["point"])), record)
-    last_episode = (np.arange(1, record + 1) * plan.config.episodes) // record
-    episode = np.tile(last_episode, len(arrays["point"])).astype(np.int32)
-    return {"point": arrays["point"][runs], "seed": arrays["seed"][runs], "episode": episode}
+    runs = np.repeat(np.arange(len(arrays["point"])), len(labels.places))
+    places = np.tile(labels.places, len(arrays["point"])).astype(np.int32)
+    return {"point": arrays["point"][runs], "seed": arrays["seed"][runs], labels.unit: places}
 
 
 def _summary(columns: dict[str, pa.DictionaryArray], arrays: dict[str, np.ndarray]) -> pa.Table:

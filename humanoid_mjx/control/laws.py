@@ -1,0 +1,201 @@
+"""Control laws as robot tasks choose them: `control: {name: servo, stiffness: 3.0}`, or the name alone.
+
+A law turns the motion wanted and the state of a robot into the torque of each joint. Its gains are traced. Where it
+computes with a model of the robot, `mass` is how heavy that model takes the links to be, as a multiple of the robot's
+own: the plant's mass is a value of the physics, and the two may differ.
+
+    servo            stiffness (q_d - q) - damping qd
+    pd               stiffness (q_d - q) + damping (qd_d - qd)
+    partitioned_pd   diag(M) a,            a = qdd_d + kp (q_d - q) + kd (qd_d - qd)     (5.26 to 5.30)
+    computed_torque  M a + bias            of the joints; takes a free torso for held and ignores the ground (5.40)
+    grounded         inverse dynamics within what the contacts of the feet allow (`control.ground`)
+
+with kp = natural_frequency^2 and kd = damping_ratio 2 natural_frequency (5.33, 5.34).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Annotated, Any, Literal, Protocol, runtime_checkable
+
+import jax
+import jax.numpy as jnp
+import pydantic
+
+from humanoid_mjx.control.gains import critical_kd
+from humanoid_mjx.control.ground import SERVO_KD, SERVO_KP, SHARE, GroundControl, grounded_torque
+from humanoid_mjx.control.pd import PD, Joints, Reference, pd, servo
+from humanoid_mjx.spec import InputError, Spec, make, traced
+from humanoid_mjx.types import FloatScalar
+
+
+@runtime_checkable
+class RobotState(Protocol):
+    """What a law may ask of a robot's state; `physics.base.Stages` is one."""
+
+    @property
+    def qpos(self) -> Any:
+        """(joints,) rad"""
+        ...
+
+    @property
+    def qvel(self) -> Any:
+        """(joints,) rad/s"""
+        ...
+
+    @property
+    def torque_for(self) -> Any:
+        """(accelerations, mass factor of a model) -> the torques that the model asks for."""
+        ...
+
+    @property
+    def model_for(self) -> Any:
+        """(mass factor of a model) -> its mass matrix and bias, (nv, nv) and (nv,), the joints last."""
+        ...
+
+    @property
+    def contacts(self) -> Any:
+        """() -> the points of the feet that can touch the ground (`mechanics.contacts.Contacts`)."""
+        ...
+
+
+class Law(Spec):
+    """Base of control laws: derive from it, declare gains with `traced`, implement `__call__`."""
+
+    name: str = ""
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _named_by_its_place(cls, data: Any) -> Any:
+        """A law of a user's own is known by its import path, so that what is written of it can be read again."""
+        unnamed = isinstance(data, dict) and not cls.model_fields["name"].default
+        return {"name": f"{cls.__module__}:{cls.__qualname__}"} | data if unnamed else data
+
+    def __call__(self, reference: Reference, state: RobotState) -> Joints:
+        """The torque of each joint, N m, before the motors' limit."""
+        raise NotImplementedError
+
+    def follow(self, reference: Reference) -> "Follow":
+        """The controller that follows one reference."""
+        return Follow(self, reference)
+
+
+@partial(jax.tree_util.register_dataclass, data_fields=("law", "reference"), meta_fields=())
+@dataclass(frozen=True)
+class Follow:
+    """A law with its reference: a controller as `Physics.step` takes it, and a pytree."""
+
+    law: Law
+    reference: Reference
+
+    def __call__(self, state: RobotState) -> Joints:
+        return self.law(self.reference, state)
+
+
+class ServoLaw(Law):
+    """A position servo: it knows set-points alone, and damps every motion of its joint."""
+
+    name: Literal["servo"] = "servo"
+    stiffness: float = traced(SERVO_KP, gt=0, le=200, description="N m/rad")
+    damping: float = traced(SERVO_KD, ge=0, le=10, description="N m s/rad")
+
+    def __call__(self, reference: Reference, state: RobotState) -> Joints:
+        still = reference._replace(qvel=jnp.zeros_like(reference.qpos))
+        return pd(PD(self.stiffness, self.damping), still, state.qpos, state.qvel)
+
+
+class PDLaw(Law):
+    """A servo that is told the velocity wanted, too, and damps the deviation from it."""
+
+    name: Literal["pd"] = "pd"
+    stiffness: float = traced(SERVO_KP, gt=0, le=200, description="N m/rad")
+    damping: float = traced(SERVO_KD, ge=0, le=10, description="N m s/rad")
+
+    def __call__(self, reference: Reference, state: RobotState) -> Joints:
+        return pd(PD(self.stiffness, self.damping), reference, state.qpos, state.qvel)
+
+
+class ModelLaw(Law):
+    """Base of the laws that compute with a model: the error of each joint is to vanish like a spring and a damper."""
+
+    natural_frequency: float = traced(12.0, gt=0, le=200, description="of the error, rad/s")
+    damping_ratio: float = traced(1.0, gt=0, le=10, description="of the error; 1 is critical")
+    mass: float = traced(1.0, gt=0, le=10, description="of the model's links, as a multiple of the robot's own")
+
+    @property
+    def gains(self) -> tuple[FloatScalar, FloatScalar]:
+        """kp, 1/s^2, and kd, 1/s."""
+        kp = self.natural_frequency**2
+        return kp, self.damping_ratio * critical_kd(jnp.asarray(kp, float))
+
+    def acceleration(self, reference: Reference, state: RobotState) -> Joints:
+        """What a robot of unit inertias would be given, rad/s^2."""
+        return servo(*self.gains, reference, state.qpos, state.qvel)
+
+
+class PartitionedPDLaw(ModelLaw):
+    """Each joint through its own inertia (5.26 to 5.30): couplings, velocity terms and gravity are left to the error."""
+
+    name: Literal["partitioned_pd"] = "partitioned_pd"
+
+    def __call__(self, reference: Reference, state: RobotState) -> Joints:
+        matrix, _ = state.model_for(self.mass)
+        return jnp.diagonal(matrix)[-len(state.qpos) :] * self.acceleration(reference, state)
+
+
+class ComputedTorqueLaw(ModelLaw):
+    """All of the joints' dynamics (5.40 to 5.49), the torso taken for held."""
+
+    name: Literal["computed_torque"] = "computed_torque"
+
+    def __call__(self, reference: Reference, state: RobotState) -> Joints:
+        return state.torque_for(self.acceleration(reference, state), self.mass)
+
+
+class GroundedLaw(ModelLaw):
+    """Computed torque within what the feet's contacts allow, a servo for the rest (`control.ground`)."""
+
+    name: Literal["grounded"] = "grounded"
+    natural_frequency: float = traced(20.0, gt=0, le=200, description="of the error, rad/s")
+    stiffness: float = traced(SERVO_KP, gt=0, le=200, description="of the servo, N m/rad")
+    damping: float = traced(SERVO_KD, ge=0, le=10, description="of the servo, N m s/rad")
+    share: float = traced(SHARE, ge=0, le=1, description="of mobility, below which the servo rules")
+
+    def __call__(self, reference: Reference, state: RobotState) -> Joints:
+        params = GroundControl(*self.gains, PD(self.stiffness, self.damping), self.share)
+        model = state.model_for(self.mass)
+        return grounded_torque(params, reference, state.qpos, state.qvel, *model, state.contacts())
+
+
+LAWS = {
+    "servo": "humanoid_mjx.control.laws:ServoLaw",
+    "pd": "humanoid_mjx.control.laws:PDLaw",
+    "partitioned_pd": "humanoid_mjx.control.laws:PartitionedPDLaw",
+    "computed_torque": "humanoid_mjx.control.laws:ComputedTorqueLaw",
+    "grounded": "humanoid_mjx.control.laws:GroundedLaw",
+}
+
+
+def make_law(name: str, /, **params: Any) -> Any:
+    """Build the law called `name`, or a user's own given as "package.module:Class".
+
+    Raises:
+      InputError: unknown name or parameter, or a value out of range, in one sentence.
+    """
+    return make("control", LAWS, Law, name, **params | ({} if name in LAWS else {"name": name}))
+
+
+def _built(written: Any) -> Any:
+    """The law that a config writes as a name, or as a name with gains."""
+    if isinstance(written, str):
+        return make_law(written)
+    if not isinstance(written, Mapping):
+        return written
+    gains = dict(written)
+    if "name" not in gains:
+        raise InputError("control.name: this key is required")
+    return make_law(gains.pop("name"), **gains)
+
+
+Control = Annotated[pydantic.SerializeAsAny[Law], pydantic.BeforeValidator(_built)]
+"""The type of a task's field `control`."""

@@ -1,0 +1,1 @@
+"""Figures, comparisons and renderings of what was trained."""

@@ -1,1 +1,0 @@
-"""Results: the run folder, its tables and its figures."""

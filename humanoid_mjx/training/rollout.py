@@ -1,0 +1,95 @@
+"""The one rollout: whole episodes of a learner's task, nothing learned meanwhile.
+
+Training's evaluation, `evaluate`, `play` and the comparison of learners all run episodes by these functions.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Key
+
+from humanoid_mjx.learners import Learner
+from humanoid_mjx.tasks.continuous import ContinuousTask, State
+from humanoid_mjx.tasks.finite import FiniteTask
+from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
+
+MAX_EPISODE_STEPS = 100_000
+"""An episode is given up after so many steps, should its task never end it."""
+
+AGENTS = ("greedy", "zero", "random")
+"""The policy; the middle choice of every joint (of a finite task: action 0); any choice with equal probability."""
+
+Choose = Callable[[State, Key[Array, ""]], Array]
+"""From the state of an episode to an action: choices of the joints, or commands in [-1, 1]."""
+
+
+class Episode(NamedTuple):
+    """What became of a whole episode."""
+
+    success: BoolScalar
+    episode_return: FloatScalar
+    steps: IntScalar
+
+
+def rollout(env: ContinuousTask, choose: Choose, key: Key[Array, ""]) -> Episode:
+    """Play one episode to its end, at most `MAX_EPISODE_STEPS` steps."""
+
+    def running(loop: tuple[State, FloatScalar, IntScalar]) -> BoolScalar:
+        state, _, steps = loop
+        return ~state.done & (steps < MAX_EPISODE_STEPS)
+
+    def step(loop: tuple[State, FloatScalar, IntScalar]) -> tuple[State, FloatScalar, IntScalar]:
+        state, total, steps = loop
+        state, _ = decide(env, choose, key, state, steps)
+        return state, total + state.reward, steps + 1
+
+    state, total, steps = jax.lax.while_loop(running, step, (start(env, key), jnp.float32(0), jnp.int32(0)))
+    return Episode(state.success, total, steps)
+
+
+def start(env: ContinuousTask, key: Key[Array, ""]) -> State:
+    """The first state of the episode with this key."""
+    return env.reset(jax.random.split(key)[0])
+
+
+def decide(
+    env: ContinuousTask, choose: Choose, key: Key[Array, ""], state: State, steps: IntScalar
+) -> tuple[State, Array]:
+    """The decision number `steps` of the episode with this key: the state that it leads to, and the action."""
+    act_key, step_key = jax.random.split(jax.random.fold_in(jax.random.split(key)[1], steps))
+    action = choose(state, act_key)
+    commands = jnp.issubdtype(action.dtype, jnp.floating)
+    return (env.step_continuous if commands else env.step)(state, action, step_key), action
+
+
+def greedy(learner: Learner, policy: Any) -> Choose:
+    """What the policy holds for best."""
+    return lambda state, key: learner.act(policy, learner.observation(state), key)
+
+
+def agent(learner: Learner, policy: Any, number: IntScalar) -> Choose:
+    """One of `AGENTS`, by its number, which may be traced."""
+    counts = np.array(learner.env.action_choices)
+
+    def choose(state: State, key: Key[Array, ""]) -> Array:
+        best = learner.act(policy, learner.observation(state), key)
+        draws = jax.random.uniform(jax.random.fold_in(key, 1), counts.shape)
+        random = jnp.minimum(jnp.floor(draws * counts), counts - 1)
+        zero = jnp.zeros(counts.shape) if isinstance(learner.task, FiniteTask) else jnp.asarray((counts - 1) // 2)
+        others = zero, random
+        if jnp.issubdtype(best.dtype, jnp.floating):
+            others = tuple(2.0 * choice / np.maximum(counts - 1, 1) - 1.0 for choice in others)
+        zero, random = (other.astype(best.dtype) for other in others)
+        return jnp.where(number == 0, best, jnp.where(number == 1, zero, random))
+
+    return choose
+
+
+def mean_scores(env: ContinuousTask, choose: Choose, episodes: int, key: Key[Array, ""]) -> dict[str, FloatScalar]:
+    """Means over so many episodes side by side: `return`, `steps`, `success`."""
+    played = jax.vmap(lambda key: rollout(env, choose, key))(jax.random.split(key, episodes))
+    scores = {"return": played.episode_return, "steps": played.steps, "success": played.success}
+    return {name: jnp.mean(x, dtype=jnp.float32) for name, x in scores.items()}
