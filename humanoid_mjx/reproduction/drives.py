@@ -118,7 +118,10 @@ def _able(config: dict[str, float], gears: np.ndarray, torque: np.ndarray, qvel:
     from humanoid_mjx.control.actuator import Motor
 
     motor = Motor.build(**config, gear_ratio=gears[:, None, None])
-    return np.abs(np.asarray(motor.voltage_for(jnp.asarray(torque), jnp.asarray(qvel)))).max(axis=1) <= config["max_voltage"]
+    return (
+        np.abs(np.asarray(motor.voltage_for(jnp.asarray(torque), jnp.asarray(qvel)))).max(axis=1)
+        <= config["max_voltage"]
+    )
 
 
 def _span(gears: np.ndarray, able: Any) -> list[float]:
