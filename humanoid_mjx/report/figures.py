@@ -3,9 +3,10 @@
 from collections.abc import Mapping
 from itertools import combinations, pairwise
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from matplotlib.ticker import EngFormatter, MaxNLocator
 
 from humanoid_mjx.report.style import figure, label_lines, shades, short
 from humanoid_mjx.runs.statistics import iqm, iqm_interval
@@ -46,12 +47,12 @@ def sweep_figures(
     results: Mapping[str, np.ndarray],
     summary: Mapping[str, np.ndarray],
 ) -> list[Path]:
-    """Draw all figures of a run folder from its tables; the paths of what was drawn."""
+    """Draw all figures of a run folder from its tables, what is constant left out; the paths of what was drawn."""
     paths = [folder / "learning_curves.png"]
     learning_curves(paths[0], title, axes, results)
     if len(axes) >= 2:
         for name, meaning in HEAT_MAPS.items():
-            if name in summary:
+            if name in summary and _tells(np.asarray(summary[name], float)):
                 paths.append(folder / f"{name}.png")
                 heat_maps(paths[-1], f"{title}: {meaning}", axes, summary, name)
     return paths
@@ -66,6 +67,7 @@ def learning_curves(path: Path, title: str, axes: list[str], results: Mapping[st
     recorded = [name for name in CURVES if name in results]
     names = [name for name in recorded if _tells(results[name])] or recorded
     columns: list[str | None] = list(axes) or [None]
+    labels: list[tuple[Any, ...]] = []
     seeds = len(np.unique(results["seed"]))
     with figure(path, len(names), len(columns), sharex=True, sharey="row") as (fig, panels):
         band = ", band: 95 % bootstrap over seeds" if seeds > 1 else ""
@@ -79,13 +81,17 @@ def learning_curves(path: Path, title: str, axes: list[str], results: Mapping[st
                 panel = panels[row, column]
                 ends = [_line(panel, results, levels.index == level, name, color) for level, color in enumerate(colors)]
                 if axis_name:
-                    label_lines(panel, ends, levels.labels, colors)
+                    labels.append((panel, ends, levels.labels, colors))
+                panel.xaxis.set_major_locator(MaxNLocator(4))
+                panel.xaxis.set_major_formatter(EngFormatter(sep=""))
                 if row == 0:
                     panel.set_title(axis_name or "")
                 if row == len(names) - 1:
                     panel.set_xlabel(COUNTED["step" if "step" in results else "episode"])
                 if column == 0:
                     panel.set_ylabel(CURVES[name])
+        for label in labels:  # the panels of a row share their limits, which are final now
+            label_lines(*label)
 
 
 def heat_maps(path: Path, title: str, axes: list[str], summary: Mapping[str, np.ndarray], name: str) -> None:

@@ -53,23 +53,36 @@ def shades(count: int) -> list[Any]:
 
 
 def label_lines(axis: Any, ends: Sequence[float], labels: Sequence[str], colors: Sequence[Any]) -> None:
-    """Write each line's label at its right end, moved apart where they would overlap."""
-    low, high = axis.get_ylim()
-    for place, label, color in zip(spread(ends, 0.055 * (high - low)), labels, colors, strict=True):
+    """Write each line's label at its right end, moved apart where they would overlap, and led back by a line.
+
+    To be called when the limits of the axes are final.
+    """
+    to_height = axis.transData + axis.transAxes.inverted()
+    finite = np.nan_to_num(np.asarray(ends, float), nan=axis.get_ylim()[0])
+    heights = to_height.transform(np.stack([np.full(len(ends), axis.get_xlim()[1]), finite], axis=1))[:, 1]
+    for end, place, label, color in zip(heights, spread(heights, 0.055), labels, colors, strict=True):
         axis.annotate(
             label,
-            (1.0, place),
-            xycoords=("axes fraction", "data"),
-            xytext=(4, 0),
-            textcoords="offset points",
+            (1.0, end),
+            xycoords="axes fraction",
+            xytext=(1.05, place),
+            textcoords="axes fraction",
             color=color,
             va="center",
             fontsize=7.5,
             annotation_clip=False,
+            arrowprops={
+                "arrowstyle": "-",
+                "color": color,
+                "linewidth": 0.6,
+                "shrinkA": 1,
+                "shrinkB": 0,
+                "relpos": (0, 0.5),
+            },
         )
 
 
-def spread(places: Sequence[float], gap: float) -> np.ndarray:
+def spread(places: Any, gap: float) -> np.ndarray:
     """Places at least `gap` apart, in the same order, moved as little as can be (least squares)."""
     wanted = np.nan_to_num(np.asarray(places, float))
     order = np.argsort(wanted, kind="stable")
