@@ -1,5 +1,7 @@
 """How figures look: plain, labelled at the line, in colours that survive colour blindness."""
 
+import io
+import textwrap
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,11 +12,18 @@ import numpy as np
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
+from matplotlib.ticker import EngFormatter, MaxNLocator
 
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
 """Okabe and Ito's palette, for things without an order."""
 
 SEQUENTIAL = "viridis"
+
+LETTERS_PER_INCH = 12.5
+"""Of a heading."""
+
+LABEL_POINTS = 9.0
+"""The height of a label's line."""
 
 _RC = {
     "axes.grid": True,
@@ -26,12 +35,19 @@ _RC = {
     "grid.alpha": 0.3,
     "grid.linewidth": 0.6,
     "savefig.dpi": 150,
+    "svg.hashsalt": "humanoid_mjx",
+    "text.parse_math": False,
 }
 
 
 @contextmanager
-def figure(path: Path, rows: int, columns: int, size: tuple[float, float] = (4.2, 3.0), **kwargs: Any) -> Iterator[Any]:
-    """A grid of axes, (rows, columns), saved to `path` at the end; `size` is of one of them, in inches."""
+def figure(
+    path: Path | io.BytesIO, rows: int, columns: int, size: tuple[float, float] = (4.2, 3.0), **kwargs: Any
+) -> Iterator[Any]:
+    """A grid of axes, (rows, columns), saved to `path` at the end; `size` is of one of them, in inches.
+
+    What is saved in memory is SVG, its letters drawn, its bytes the same each time.
+    """
     with plt.rc_context(_RC):  # pyright: ignore[reportArgumentType]
         fig, axes = plt.subplots(
             rows,
@@ -41,10 +57,15 @@ def figure(path: Path, rows: int, columns: int, size: tuple[float, float] = (4.2
             layout="constrained",
             **kwargs,
         )
-        yield fig, axes
-        path.parent.mkdir(parents=True, exist_ok=True)
-        fig.savefig(path)
-        plt.close(fig)
+        try:
+            yield fig, axes
+            if isinstance(path, Path):
+                path.parent.mkdir(parents=True, exist_ok=True)
+                fig.savefig(path)
+            else:
+                fig.savefig(path, format="svg", metadata={"Date": None})
+        finally:
+            plt.close(fig)
 
 
 def shades(count: int) -> list[Any]:
@@ -52,19 +73,39 @@ def shades(count: int) -> list[Any]:
     return [plt.get_cmap(SEQUENTIAL)(x) for x in np.linspace(0.0, 0.85, count)]
 
 
+def count_axis(axis: Any) -> None:
+    """Large counts below a panel as 200k or 1.5M, few enough not to touch."""
+    axis.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]))
+    axis.xaxis.set_major_formatter(EngFormatter(sep=""))
+
+
+def wrapped(text: str, fig: Any) -> str:
+    """A heading broken into lines that fit the width of a figure."""
+    return textwrap.fill(text, max(20, int(LETTERS_PER_INCH * fig.get_size_inches()[0])))
+
+
 def label_lines(axis: Any, ends: Sequence[float], labels: Sequence[str], colors: Sequence[Any]) -> None:
-    """Write each line's label at its right end, moved apart where they would overlap."""
+    """Write each line's label beside its right end, moved apart where they would overlap; none where the end is NaN.
+
+    A label that had to move is tied to its line by a thin one.
+    """
     low, high = axis.get_ylim()
-    for place, label, color in zip(spread(ends, 0.055 * (high - low)), labels, colors, strict=True):
+    shown = [i for i, end in enumerate(ends) if np.isfinite(end)]
+    gap = LABEL_POINTS / (72.0 * axis.figure.get_size_inches()[1] * axis.get_position().height) * (high - low)
+    places = spread([ends[i] for i in shown], gap)
+    if len(places):
+        places = places - max(0.0, places.max() - high) + max(0.0, low - places.min())
+    for place, i in zip(places, shown, strict=True):
         axis.annotate(
-            label,
-            (1.0, place),
+            labels[i],
+            (1.0, ends[i]),
             xycoords=("axes fraction", "data"),
-            xytext=(4, 0),
-            textcoords="offset points",
-            color=color,
+            xytext=(1.045, place),
+            textcoords=("axes fraction", "data"),
+            color=colors[i],
             va="center",
             fontsize=7.5,
+            arrowprops={"arrowstyle": "-", "color": colors[i], "linewidth": 0.5, "shrinkA": 0, "shrinkB": 0},
             annotation_clip=False,
         )
 

@@ -141,11 +141,11 @@ class Stand(ContinuousTask):
 
     def step_continuous(self, state: State, command: Float[Array, " joints"], key: Key[Array, ""]) -> State:
         """A step whose offsets are any parts of `offset`, from -1 to 1."""
-        side_key, sensor_key = jax.random.split(key)
+        _, sensor_key = jax.random.split(key)
         body: Body = state.data
         offsets = jnp.clip(command, -1.0, 1.0)
         servo = self.servo(jnp.radians(self.offset) * offsets + POSTURE)
-        plant = self.simulator.replace(push=self._push(body, side_key))
+        plant = self.simulator.replace(push=self.push_on(body, key))
         world, true = plant.run_sensed(body.world, servo, self.simulator.substeps(self.period))
         body = self._sense(body, world, true, sensor_key)
         body = body._replace(offsets=offsets, decisions=body.decisions + 1)
@@ -205,11 +205,10 @@ class Stand(ContinuousTask):
         """Whether the body lies, or is about to."""
         return (-_down(world.qpos)[2] < np.cos(FALLEN_TILT)) | (world.qpos[2] < FALLEN_HEIGHT)
 
-    def _push(self, body: Body, key: Key[Array, ""]) -> Float[Array, "3"]:
-        """The force on the torso during the decision to come, N."""
-        since = body.decisions * self.period - body.first_push
+    def push_on(self, data: Body, key: Key[Array, ""]) -> Float[Array, "3"]:
+        since = data.decisions * self.period - data.first_push
         due = (since >= 0) & (jnp.mod(since, self.push_every) < self.period)
-        side = jax.random.uniform(key, (), maxval=2 * np.pi)
+        side = jax.random.uniform(jax.random.split(key)[0], (), maxval=2 * np.pi)
         force = self.push / self.period * jnp.stack([jnp.cos(side), jnp.sin(side), 0.0 * side])
         return jnp.where(due, force, 0.0)
 
