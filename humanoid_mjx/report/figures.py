@@ -106,8 +106,6 @@ def draw_curves(panel: Any, results: Mapping[str, np.ndarray], axis_name: str | 
     levels = find_levels(results[axis_name]) if axis_name else everything
     colors = shades(len(levels.labels))
     ends = [_line(panel, results, levels.index == level, name, color) for level, color in enumerate(colors)]
-    if name.endswith("success"):
-        panel.set_ylim(-0.03, 1.03)
     if axis_name:
         label_lines(panel, ends, levels.labels, colors)
     count_axis(panel)
@@ -207,5 +205,5 @@ def _write_cells(panel, mean: np.ndarray, low: float, high: float) -> None:
             dark = low < high and (value - low) < 0.55 * (high - low)
             panel.text(
                 column, row, f"{value:.2g}" if abs(value) < 10 else f"{value:.0f}",
-                ha="center", va="center", fontsize=6, color="white" if dark else "black",
+                ha="center", va="center", fontsize=6 if mean.size > 30 else 8, color="white" if dark else "black",
             )  # fmt: skip

@@ -72,9 +72,9 @@ def film_of(trained: Trained, played: Played, title: str | None = None) -> Film:
 
 
 def in_words(values: Mapping[str, float]) -> str:
-    """`{"forward, m/s": 0.3}` as `forward 0.30 m/s`."""
+    """`{"forward, m/s": 0.3}` as `forward 0.30 m/s`; several with semicolons between them."""
     parts = [(*name.partition(", "), value) for name, value in values.items()]
-    return "   ".join(f"{name} {value:.2f} {unit}".rstrip() for name, _, unit, value in parts)
+    return "; ".join(f"{name} {value:.2f} {unit}".rstrip() for name, _, unit, value in parts)
 
 
 def merged(forces: Float[np.ndarray, "decisions 3"], period: float) -> list[Push]:

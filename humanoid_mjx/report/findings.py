@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from humanoid_mjx import runtime
-from humanoid_mjx.report.web import MEDIA, facts, image, page, section, text
+from humanoid_mjx.report.web import MEDIA, facts, image, link, page, section, text
 from humanoid_mjx.spec import InputError
 
 VERDICTS = {
@@ -31,13 +31,13 @@ def findings_of(path: Path) -> str:
     findings = _read(path / "reproduce.json")
     titles, pictures = _titles(), _pictures(path)
     names = list(dict.fromkeys(str(finding["name"]) for finding in findings))
-    parts = [_lead(findings)]
+    parts = [_lead(findings), _contents(findings, names, titles)]
     for name in names:
         mine = [finding for finding in findings if finding["name"] == name]
         own = [file for file in pictures if _belongs(file.stem, name, names)]
         pictures = [file for file in pictures if file not in own]
         heading = f"{name}: {titles[name]}" if name in titles else name
-        parts.append(section(heading, *map(_finding, mine), *map(_picture, own)))
+        parts.append(section(heading, *map(_finding, mine), *map(_picture, own), anchor=_anchor(names, name)))
     if pictures:
         parts.append(section("More figures", *map(_picture, pictures)))
     machine = facts((runtime.machine() | runtime.versions()).items())
@@ -80,6 +80,21 @@ def _lead(findings: Sequence[Mapping[str, Any]]) -> str:
     words = f"{len(findings)} quantities: what is printed in the source, and what comes out."
     meanings = facts((_words(verdict), VERDICTS[verdict]) for verdict in VERDICTS if counts[verdict])
     return f'<p class="lead">{text(words, "span")}</p><ul class="counts">{items}</ul>{meanings}'
+
+
+def _contents(findings: Sequence[Mapping[str, Any]], names: Sequence[str], titles: Mapping[str, str]) -> str:
+    """A link to each experiment, and what became of its quantities."""
+    items = []
+    for name in names:
+        counts = Counter(_words(str(finding["verdict"])) for finding in findings if finding["name"] == name)
+        found = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
+        title = f"{name}: {titles[name]}" if name in titles else name
+        items.append(f"<li>{link(title, f'#{_anchor(names, name)}')} {text(f'({found})', 'span')}</li>")
+    return f"<nav><ul>{''.join(items)}</ul></nav>"
+
+
+def _anchor(names: Sequence[str], name: str) -> str:
+    return f"experiment-{names.index(name) + 1}"
 
 
 def _finding(finding: Mapping[str, Any]) -> str:

@@ -51,7 +51,8 @@ def _draw_push(draw: ImageDraw.ImageDraw, push: Push, scene: Scene, number: int,
     barbs = [head, head - 14 * along + 7 * across, head - 14 * along - 7 * across]
     draw.line([_pixel(tail), _pixel(head - 10 * along)], fill=ALARM, width=4)
     draw.polygon([_pixel(point) for point in barbs], fill=ALARM)
-    place = np.clip(tail - 10 * along, [60, 40], [size[0] - 60, size[1] - 40])
+    beside = tail[0], tail[1] + (LETTER if along[1] < -0.3 else -LETTER)
+    place = np.clip(beside, [60, 40], [size[0] - 60, size[1] - 40])
     _write(draw, _pixel(place), push.words, "mm", ALARM)
 
 
@@ -84,4 +85,6 @@ def _fitting(text: str, width: int) -> str:
 @lru_cache
 def _font(bold: bool) -> ImageFont.FreeTypeFont:
     """The font that matplotlib brings."""
-    return ImageFont.truetype(findfont(FontProperties("DejaVu Sans", weight="bold" if bold else "normal")), LETTER)
+    return ImageFont.truetype(
+        findfont(FontProperties(family="DejaVu Sans", weight="bold" if bold else "normal")), LETTER
+    )

@@ -1,7 +1,6 @@
 """The report of a run folder as one web page that needs nothing else: no network, no other file."""
 
 import io
-import json
 from collections.abc import Callable, Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
@@ -17,7 +16,7 @@ from humanoid_mjx.report.player import player
 from humanoid_mjx.report.rendering import strip
 from humanoid_mjx.report.showing import show
 from humanoid_mjx.report.style import figure, short
-from humanoid_mjx.report.web import data_address, facts, image, page, section, table, text
+from humanoid_mjx.report.web import data_address, facts, image, link, page, section, table, text
 from humanoid_mjx.runs.folder import read_config, read_provenance
 from humanoid_mjx.runs.ranking import Ranked, ranked, ties, training_interval
 from humanoid_mjx.runs.tables import read_table
@@ -55,7 +54,9 @@ def report_of(path: Path, reporter: Reporter, motion: bool = True) -> str:
         return findings_of(path)
     if not path.is_dir():
         raise InputError(f"{path}: there is no such folder.")
-    raise InputError(f"{path}: neither a run folder (no config.yaml) nor what reproduce has written (no reproduce.json).")
+    raise InputError(
+        f"{path}: neither a run folder (no config.yaml) nor what reproduce has written (no reproduce.json)."
+    )
 
 
 def write_page(target: Path, html: str) -> None:
@@ -89,10 +90,10 @@ def run_page(path: Path, reporter: Reporter, motion: bool) -> str:
     ]
     if maps := mapped(axes, summary):
         parts.append(section("Two parameters at a time", *_maps(axes, summary, maps)))
-    if motion:
-        parts.append(section("The robot", *_motion(path, reporter)))
+    if motion and (shown := _motion(path, reporter)):
+        parts.append(section("The robot", *shown))
     parts += [
-        section("What was run", *_config(path, config, axes, summary)),
+        section("What was run", *_config(config, axes, summary)),
         section("Where and when", facts(_provenance(provenance))),
         section("Run it again", *_again(config, provenance)),
     ]
@@ -106,8 +107,8 @@ def _lead(config: Mapping[str, Any], summary: Mapping[str, np.ndarray], points: 
     budget = f"{config[unit]:,} {'episodes' if unit == 'episodes' else 'control steps'}" if config.get(unit) else ""
     best = points[0]
     words = (
-        f"{learner} on {task}: {len(points):,} point{'s' * (len(points) > 1)} × {seeds} seed{'s' * (seeds > 1)}"
-        + (f", {budget} each" if budget else "")
+        f"{learner} on {task}: {len(points):,} point{'s' * (len(points) > 1)}, {seeds} seed{'s' * (seeds > 1)} each"
+        + (f", {budget} a run" if budget else "")
         + f". The best point succeeds in {best.success:.1%} of its greedy episodes, in {best.greedy_steps:.1f} steps."
     )
     return f'<p class="lead">{text(words, "span")}</p>'
@@ -117,12 +118,20 @@ def _result(axes: Sequence[str], summary: Mapping[str, np.ndarray], points: Sequ
     rows = []
     for point in points[:BEST_POINTS]:
         low, high = training_interval(summary, point.point)
-        steps = f"{point.steps:.2f} ({low:.2f} to {high:.2f})"
+        steps = f"{point.steps:.2f} ({low:.2f} to {high:.2f})" if low < high else f"{point.steps:.2f}"
         greedy = f"{point.success:.1%}", f"{point.greedy_steps:.1f}", f"{point.greedy_return:.4g}"
         rows.append((point.point, *map(short, point.values), *greedy, steps))
-    headings = ("point", *axes, "greedy success", "greedy steps", "greedy return", "steps at the end of training (95 %)")
+    headings = (
+        "point",
+        *axes,
+        "greedy success",
+        "greedy steps",
+        "greedy return",
+        "steps at the end of training (95 %)",
+    )
     shown = len(rows)
-    caption = f"The best {shown} of {len(points):,} points" if len(points) > 1 else "The only point"
+    some = f"The best {shown} of {len(points):,} points" if shown < len(points) else f"All {shown} points, best first"
+    caption = some if len(points) > 1 else "The only point"
     parts = [table(headings, rows, caption=caption)]
     if (equals := ties(points)) > 1:
         parts.append(text(f"{equals:,} points act equally well; training tells them apart."))
@@ -137,21 +146,30 @@ def _result(axes: Sequence[str], summary: Mapping[str, np.ndarray], points: Sequ
 
 
 def _curves(axes: Sequence[str], results: Mapping[str, np.ndarray]) -> list[str]:
-    parts = []
-    for name in curved(results):
-        pictures = []
-        for axis in [*axes] or [None]:
-            ends: dict[str, float] = {}
-            svg = _svg(lambda panel, axis=axis, name=name, ends=ends: ends.update(draw_curves(panel, results, axis, name)))
-            last = ", ".join(f"{label}: {value:.4g}" for label, value in ends.items())
-            by = f" by {axis}" if axis else ""
-            pictures.append(_figure(svg, f"{CURVES[name]}{by}; at the end {last}", axis or ""))
-        parts.append(text(_capital(CURVES[name]), "h3") + f'<div class="grid">{"".join(pictures)}</div>')
-    return parts
+    """A row of panels for each measure; where nothing is swept, all measures in one."""
+    names = curved(results)
+    if not axes:
+        return [f'<div class="grid">{"".join(_curve(results, None, name) for name in names)}</div>']
+    return [
+        f'{text(_capital(CURVES[name]), "h3")}<div class="grid">'
+        + "".join(_curve(results, axis, name) for axis in axes)
+        + "</div>"
+        for name in names
+    ]
+
+
+def _curve(results: Mapping[str, np.ndarray], axis: str | None, name: str) -> str:
+    ends: dict[str, float] = {}
+    svg = _svg(lambda panel: ends.update(draw_curves(panel, results, axis, name)))
+    last = ", ".join(f"{label}: {value:.4g}" for label, value in ends.items())
+    by = f" by {axis}" if axis else ""
+    return _figure(svg, f"{CURVES[name]}{by}; at the end {last}", axis or _capital(CURVES[name]))
 
 
 def _maps(axes: Sequence[str], summary: Mapping[str, np.ndarray], names: Sequence[str]) -> list[str]:
-    parts = [text("Means over seeds and over all values of the other parameters; maps of a measure share their colours.")]
+    parts = [
+        text("Means over seeds and over all values of the other parameters; maps of a measure share their colours.")
+    ]
     for name in names:
         span = limits(axes, summary, name)
         pictures = []
@@ -167,32 +185,34 @@ def _maps(axes: Sequence[str], summary: Mapping[str, np.ndarray], names: Sequenc
 
 
 def _motion(path: Path, reporter: Reporter) -> list[str]:
-    """The robot under the best policy, in its first held-out episode."""
+    """The robot under the best policy, in its first held-out episode; nothing where the task has none."""
     try:
-        shown = show(find_policy(str(path)), reporter)
+        trained = find_policy(str(path))
+        if getattr(trained.learner.task, "simulator", None) is None:
+            return []
+        shown = show(trained, reporter)
     except InputError as error:
         return [f'<p class="note">{text(str(error), "span")}</p>']
     reporter.phase("rendering")
     pictures = []
-    for frame, seconds in strip(shown.film):
+    for frame, seconds in strip(shown.film._replace(title="")):
         file = io.BytesIO()
         Image.fromarray(frame).save(file, "JPEG", quality=88)
-        pictures.append(_figure(file.getvalue(), f"The robot after {seconds:.2f} s", "", ".jpg"))
+        pictures.append(_figure(file.getvalue(), f"The robot after {seconds:.2f} s", f"{seconds:.2f} s", ".jpg"))
     words = f"The best policy in the first held-out episode: {shown.outcome}."
     return [text(words), player(shown.film, still=NO_SCRIPT), f'<div class="grid strip">{"".join(pictures)}</div>']
 
 
-def _config(path: Path, config: Mapping[str, Any], axes: Sequence[str], summary: Mapping[str, np.ndarray]) -> list[str]:
+def _config(config: Mapping[str, Any], axes: Sequence[str], summary: Mapping[str, np.ndarray]) -> list[str]:
     swept = []
     for axis in axes:
         values = np.unique(summary[axis])
         shown = values if len(values) <= FEW_VALUES else [*values[:3], "…", *values[-2:]]
         swept.append((axis, len(values), ", ".join(map(short, shown))))
-    yaml = dump_yaml(dict(config))
-    name = f"{path.resolve().name}.yaml"
-    link = f'<p><a href="{data_address(yaml.encode(), "text/yaml")}" download="{_attribute(name)}">'
+    yaml, name = dump_yaml(dict(config)), f"{_file_name(config)}.yaml"
+    save = link(f"Save as {name}", data_address(yaml.encode(), "text/yaml"), name)
     parts = [table(("swept parameter", "values", ""), swept)] if swept else []
-    return [*parts, text("The config, with all defaults:"), text(yaml.rstrip(), "pre"), f"{link}{text(f'Save as {name}', 'span')}</a></p>"]
+    return [*parts, text("The config, with all defaults:"), text(yaml.rstrip(), "pre"), f"<p>{save}</p>"]
 
 
 def _provenance(provenance: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -212,14 +232,20 @@ def _again(config: Mapping[str, Any], provenance: Mapping[str, Any]) -> list[str
     versions = provenance.get("versions")
     versions = versions if isinstance(versions, dict) else {}
     pins = " ".join(f"{name}=={versions[name]}" for name in PACKAGES if name in versions)
-    name = "".join(x if x.isalnum() or x in "-_" else "-" for x in str(config.get("name", "run")))
+    name = _file_name(config)
     commands = [f"pip install {pins}"] if pins else []
-    commands.append(f"humanoid-mjx sweep config.yaml --out {name}-again")
+    commands.append(f"humanoid-mjx sweep {name}.yaml --out {name}-again")
     words = (
-        "Save the config above as config.yaml. With the same versions on the same kind of device the numbers are the "
+        f"Save the config above as {name}.yaml. With the same versions on the same kind of device the numbers are the "
         "same; elsewhere rounding differs, and learning amplifies it."
     )
     return [text("\n".join(commands), "pre"), text(words)]
+
+
+def _file_name(config: Mapping[str, Any]) -> str:
+    """The config's name without what a shell or a file system would take amiss."""
+    name = "".join(x if x.isascii() and (x.isalnum() or x in "-_") else "-" for x in str(config.get("name", "run")))
+    return name.lstrip("-") or "run"
 
 
 def _svg(draw: Callable[[Any], object]) -> bytes:
@@ -237,7 +263,3 @@ def _figure(data: bytes, alt: str, caption: str, kind: str = ".svg") -> str:
 
 def _capital(words: str) -> str:
     return words[:1].upper() + words[1:]
-
-
-def _attribute(words: str) -> str:
-    return json.dumps(words)[1:-1].replace("<", "").replace(">", "").replace("&", "").replace('"', "")

@@ -1,8 +1,9 @@
-// Plays the motion of a robot on a canvas: shaded solids, sorted from far to near, seen from any side.
+// Plays the motion of a robot on a canvas: shaded solids with a depth buffer, seen from any side. No WebGL: it is drawn
+// the same where there is no GPU.
 // Each `figure.player` holds its film as JSON (report/player.py) and gets canvas, buttons and keys here.
 "use strict";
 (() => {
-  const AROUND = 20, LIGHT = unit([-0.5, 0.25, -0.85]), AMBIENT = 0.5, DIFFUSE = 0.55;
+  const AROUND = 24, FINE = 1.2e6, LIGHT = unit([-0.5, 0.25, -0.85]), AMBIENT = 0.5, DIFFUSE = 0.55;
   const FIELD = Math.tan(Math.PI / 8), NEAR = 0.02, GRID = 0.1, TURN = 0.12, PUSH_SHOWN = 0.5, ARROW = 0.11;
   const START = { yaw: (130 * Math.PI) / 180, pitch: (-12 * Math.PI) / 180, zoom: 1 };
 
@@ -12,59 +13,57 @@
     return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
   }
 
-  // Solids of revolution come as rings of [radius, height], boxes as six faces cut into squares.
+  // The faces of a solid: corners anticlockwise seen from outside, and the surface's normal at each.
+  // Solids of revolution are bands between two rings of [radius, height, outward and upward part of the normal].
   function solid(shape) {
-    const [a, b, c] = shape.size, rings = [];
-    const arc = (from, to, steps, z) => {
-      for (let i = 0; i <= steps; i++) {
-        const t = from + ((to - from) * i) / steps;
-        rings.push([a * Math.cos(t), z + a * Math.sin(t)]);
-      }
-    };
-    const side = () => { for (let i = 1; i < 6; i++) rings.push([a, b * (i / 3 - 1)]); };
+    const [a, b, c] = shape.size, bands = [];
     if (shape.kind === "box") return box(shape.size);
-    if (shape.kind === "capsule") { arc(-Math.PI / 2, 0, 5, -b); side(); arc(0, Math.PI / 2, 5, b); }
-    else if (shape.kind === "cylinder") { rings.push([0, -b], [a, -b]); side(); rings.push([a, b], [0, b]); }
-    else arc(-Math.PI / 2, Math.PI / 2, 10, 0);
+    const arc = (from, to, steps, z) => {
+      const ring = (i) => {
+        const t = from + ((to - from) * i) / steps;
+        return [a * Math.cos(t), z + a * Math.sin(t), Math.cos(t), Math.sin(t)];
+      };
+      for (let i = 0; i < steps; i++) bands.push([ring(i), ring(i + 1)]);
+    };
+    if (shape.kind === "capsule") {
+      arc(-Math.PI / 2, 0, 6, -b);
+      bands.push([[a, -b, 1, 0], [a, b, 1, 0]]);
+      arc(0, Math.PI / 2, 6, b);
+    } else if (shape.kind === "cylinder")
+      bands.push([[0, -b, 0, -1], [a, -b, 0, -1]], [[a, -b, 1, 0], [a, b, 1, 0]], [[a, b, 0, 1], [0, b, 0, 1]]);
+    else arc(-Math.PI / 2, Math.PI / 2, 12, 0);
     const scale = shape.kind === "ellipsoid" ? [1, b / a, c / a] : [1, 1, 1];
-    const at = (ring, k) => {
-      const t = (2 * Math.PI * k) / AROUND;
-      return [ring[0] * Math.cos(t), ring[0] * Math.sin(t) * scale[1], ring[1] * scale[2]];
+    const corner = ([radius, z, out, up], k) => {
+      const t = (2 * Math.PI * k) / AROUND, x = Math.cos(t), y = Math.sin(t);
+      return {
+        point: [radius * x, radius * y * scale[1], z * scale[2]],
+        normal: unit([out * x, (out * y) / scale[1], up / scale[2]]),
+      };
     };
     const faces = [];
-    for (let i = 0; i + 1 < rings.length; i++)
+    for (const [low, high] of bands)
       for (let k = 0; k < AROUND; k++)
-        faces.push(face([at(rings[i], k), at(rings[i], k + 1), at(rings[i + 1], k + 1), at(rings[i + 1], k)]));
-    return faces.filter((f) => f);
+        faces.push([corner(low, k), corner(low, k + 1), corner(high, k + 1), corner(high, k)]);
+    return faces.map(face);
   }
 
   function box(size) {
-    const faces = [], cut = Math.max(...size) / 2;
+    const faces = [];
     for (let axis = 0; axis < 3; axis++)
       for (const sign of [-1, 1]) {
-        const u = (axis + 1) % 3, v = (axis + 2) % 3;
-        const nu = Math.ceil(size[u] / cut), nv = Math.ceil(size[v] / cut);
-        for (let i = 0; i < nu; i++)
-          for (let j = 0; j < nv; j++) {
-            const corner = (s, t) => {
-              const p = [0, 0, 0];
-              p[axis] = sign * size[axis];
-              p[u] = size[u] * ((2 * (i + s)) / nu - 1);
-              p[v] = size[v] * ((2 * (j + t)) / nv - 1);
-              return p;
-            };
-            const around = [corner(0, 0), corner(1, 0), corner(1, 1), corner(0, 1)];
-            faces.push(face(sign > 0 ? around : around.reverse()));
-          }
+        const normal = [0, 1, 2].map((i) => (i === axis ? sign : 0));
+        const corners = [[-1, -1], [1, -1], [1, 1], [-1, 1]].map(([s, t]) => {
+          const point = size.map((x, i) => (i === axis ? sign * x : i === (axis + 1) % 3 ? s * x : t * x));
+          return { point, normal };
+        });
+        faces.push(face(sign > 0 ? corners : corners.reverse()));
       }
     return faces;
   }
 
-  // A polygon, its corners anticlockwise seen from outside; none where it has no area.
-  function face(points) {
-    const d = [0, 1, 2].map((i) => points[2][i] - points[0][i]), e = [0, 1, 2].map((i) => points[3][i] - points[1][i]);
-    const normal = cross(d, e);
-    return Math.hypot(...normal) < 1e-12 ? null : { points, normal: unit(normal) };
+  function face(corners) {
+    const [p, q, r, s] = corners.map((corner) => corner.point);
+    return { corners, normal: unit(cross(r.map((x, i) => x - p[i]), s.map((x, i) => x - q[i]))) };
   }
 
   // Position and unit quaternion (w x y z) of a shape as a 3 x 4 matrix.
@@ -115,7 +114,7 @@
           make("option", { value, selected: value === 1 }, text + " ×")));
       speeds.setAttribute("aria-label", "Speed");
       const home = make("button", { type: "button", onclick: () => this.home() }, "Reset view");
-      this.words = make("p", { className: "told" });
+      this.words = make("p", { className: "told", hidden: !this.film.told.length });
       const hint = make("p", { className: "hint" },
         "Drag or arrow keys: turn. Wheel or + −: zoom. Space: play. , . : a frame back or on.");
       const bar = make("div", { className: "controls" }, this.button, this.slider, this.clock, speeds, home);
@@ -211,8 +210,9 @@
         },
       };
       const context = this.canvas.getContext("2d");
-      const sky = context.createLinearGradient(0, 0, 0, height);
-      sky.addColorStop(0, "#d5dfea"); sky.addColorStop(0.45, "#ffffff");
+      const horizon = Math.max(1, height / 2 + focus * Math.tan(Math.max(-1.4, Math.min(1.4, pitch))));
+      const sky = context.createLinearGradient(0, horizon - height / 2, 0, horizon);
+      sky.addColorStop(0, "#d5dfea"); sky.addColorStop(1, "#ffffff");
       context.fillStyle = sky;
       context.fillRect(0, 0, width, height);
       const matrices = this.between(film.frames).map(placed);
@@ -248,8 +248,8 @@
       context.beginPath();
       matrices.forEach((matrix, s) => this.solids[s].forEach((f) => {
         if (dot(turned(matrix, f.normal), LIGHT) >= 0) return;
-        const points = f.points.map((p) => {
-          const [x, y, z] = moved(matrix, p), t = Math.max(z, 0) / -LIGHT[2];
+        const points = f.corners.map(({ point }) => {
+          const [x, y, z] = moved(matrix, point), t = Math.max(z, 0) / -LIGHT[2];
           return camera.see([x + t * LIGHT[0], y + t * LIGHT[1], 0]);
         });
         if (points.some((p) => !p)) return;
@@ -260,28 +260,57 @@
       context.fill("nonzero");
     }
 
+    // Triangles with a depth buffer into a picture of their own, finer than the canvas, which smooths the edges.
     drawSolids(context, camera, matrices) {
-      const shown = [];
+      const fine = Math.min(2, Math.sqrt(FINE / (camera.width * camera.height))), triangles = [];
+      let left = Infinity, right = -Infinity, top = Infinity, bottom = -Infinity;
       matrices.forEach((matrix, s) => this.solids[s].forEach((f) => {
-        const points = f.points.map((p) => moved(matrix, p)), normal = turned(matrix, f.normal);
-        if (dot([0, 1, 2].map((i) => points[0][i] - camera.eye[i]), normal) >= 0) return;
-        const seen = points.map(camera.see);
+        const first = moved(matrix, f.corners[0].point);
+        if (dot(first.map((x, i) => x - camera.eye[i]), turned(matrix, f.normal)) >= 0) return;
+        const seen = f.corners.map(({ point, normal }) => {
+          const at = camera.see(moved(matrix, point));
+          const light = AMBIENT + DIFFUSE * Math.max(0, -dot(turned(matrix, normal), LIGHT));
+          return at && [at[0] * fine, at[1] * fine, 1 / at[2], light];
+        });
         if (seen.some((p) => !p)) return;
-        const light = AMBIENT + DIFFUSE * Math.max(0, -dot(normal, LIGHT));
-        const color = this.film.shapes[s].color.map((x) => Math.min(255, Math.round(255 * light * x)));
-        shown.push({ seen, depth: seen.reduce((sum, p) => sum + p[2], 0) / seen.length, color: `rgb(${color})` });
+        for (const [x, y] of seen) {
+          left = Math.min(left, x); right = Math.max(right, x);
+          top = Math.min(top, y); bottom = Math.max(bottom, y);
+        }
+        triangles.push([seen[0], seen[1], seen[2], s], [seen[0], seen[2], seen[3], s]);
       }));
-      shown.sort((a, b) => b.depth - a.depth);
-      context.lineJoin = "round";
-      context.lineWidth = 1;
-      for (const { seen, color } of shown) {
-        context.fillStyle = context.strokeStyle = color;
-        context.beginPath();
-        seen.forEach((p, i) => (i ? context.lineTo(p[0], p[1]) : context.moveTo(p[0], p[1])));
-        context.closePath();
-        context.fill();
-        context.stroke();
+      left = Math.max(0, Math.floor(left)); right = Math.min(Math.ceil(camera.width * fine), Math.ceil(right) + 1);
+      top = Math.max(0, Math.floor(top)); bottom = Math.min(Math.ceil(camera.height * fine), Math.ceil(bottom) + 1);
+      if (right <= left || bottom <= top) return;
+      const width = right - left, height = bottom - top, picture = new ImageData(width, height);
+      const pixels = new Uint32Array(picture.data.buffer), depth = new Float32Array(width * height);
+      for (const [a, b, c, s] of triangles) {
+        const area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
+        if (Math.abs(area) < 1e-6) continue;
+        const color = this.film.shapes[s].color.map((x) => 255 * x);
+        const x0 = Math.max(left, Math.ceil(Math.min(a[0], b[0], c[0]) - 0.5));
+        const x1 = Math.min(right - 1, Math.floor(Math.max(a[0], b[0], c[0]) - 0.5));
+        const y0 = Math.max(top, Math.ceil(Math.min(a[1], b[1], c[1]) - 0.5));
+        const y1 = Math.min(bottom - 1, Math.floor(Math.max(a[1], b[1], c[1]) - 0.5));
+        for (let y = y0; y <= y1; y++)
+          for (let x = x0; x <= x1; x++) {
+            const px = x + 0.5 - a[0], py = y + 0.5 - a[1];
+            const v = (px * (c[1] - a[1]) - py * (c[0] - a[0])) / area;
+            const w = (py * (b[0] - a[0]) - px * (b[1] - a[1])) / area;
+            if (v < -1e-6 || w < -1e-6 || v + w > 1 + 1e-6) continue;
+            const near = a[2] + v * (b[2] - a[2]) + w * (c[2] - a[2]), i = (y - top) * width + x - left;
+            if (near <= depth[i]) continue;
+            depth[i] = near;
+            const light = a[3] + v * (b[3] - a[3]) + w * (c[3] - a[3]);
+            const red = Math.min(255, color[0] * light), green = Math.min(255, color[1] * light);
+            pixels[i] = (255 << 24) | (Math.min(255, color[2] * light) << 16) | (green << 8) | red;
+          }
       }
+      this.buffer = this.buffer || document.createElement("canvas");
+      Object.assign(this.buffer, { width, height });
+      this.buffer.getContext("2d").putImageData(picture, 0, 0);
+      context.imageSmoothingQuality = "high";
+      context.drawImage(this.buffer, left / fine, top / fine, width / fine, height / fine);
     }
 
     drawPush(context, camera, torso, ratio) {
@@ -307,7 +336,7 @@
         context.textAlign = "center";
         context.lineWidth = 4 * ratio;
         context.strokeStyle = "#ffffff";
-        const place = [tail[0] - 12 * ratio * along[0], tail[1] - 12 * ratio * along[1]];
+        const place = [tail[0], tail[1] + (along[1] < -0.3 ? 20 : -10) * ratio];
         context.strokeText(push.words, ...place);
         context.fillText(push.words, ...place);
       }

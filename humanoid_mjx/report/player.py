@@ -13,8 +13,8 @@ import mujoco
 import numpy as np
 
 from humanoid_mjx.report.film import Film
-from humanoid_mjx.report.web import page
 from humanoid_mjx.report.scene import make_scene
+from humanoid_mjx.report.web import page
 
 FPS = 25.0
 """Of the postures that a page holds; the player draws what lies between."""

@@ -103,7 +103,7 @@ def colored(model: mujoco.MjModel, geom: int) -> tuple[float, ...]:
     """The colour of a geom; where the model leaves it MuJoCo's grey, that of the side which its body's name tells."""
     rgba = model.geom_rgba[geom] if model.geom_matid[geom] < 0 else model.mat_rgba[model.geom_matid[geom]]
     side = model.body(model.geom_bodyid[geom]).name.partition("_")[0]
-    return LOOKS[side] if np.allclose(rgba, _MUJOCO_GREY) and side in LOOKS else tuple(rgba)
+    return LOOKS[side] if np.allclose(rgba, _MUJOCO_GREY) and side in LOOKS else tuple(rgba.tolist())
 
 
 def _middle(model: mujoco.MjModel, data: mujoco.MjData) -> Float[np.ndarray, "3"]:
@@ -157,9 +157,7 @@ class Camera(NamedTuple):
 def make_camera(height: int) -> Camera:
     """The camera of `AZIMUTH`, `ELEVATION` and `FIELD_OF_VIEW` for pictures of so many pixels from top to bottom."""
     azimuth, elevation = np.radians(AZIMUTH), np.radians(ELEVATION)
-    forward = np.array(
-        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
-    )
+    forward = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     right = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
     focus = height / 2 / np.tan(np.radians(FIELD_OF_VIEW / 2))
     return Camera(right, np.cross(right, forward), forward, float(focus))

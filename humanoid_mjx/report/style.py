@@ -92,9 +92,7 @@ def label_lines(axis: Any, ends: Sequence[float], labels: Sequence[str], colors:
     low, high = axis.get_ylim()
     shown = [i for i, end in enumerate(ends) if np.isfinite(end)]
     gap = LABEL_POINTS / (72.0 * axis.figure.get_size_inches()[1] * axis.get_position().height) * (high - low)
-    places = spread([ends[i] for i in shown], gap)
-    if len(places):
-        places = places - max(0.0, places.max() - high) + max(0.0, low - places.min())
+    places = spread([ends[i] for i in shown], gap, low, high)
     for place, i in zip(places, shown, strict=True):
         axis.annotate(
             labels[i],
@@ -110,8 +108,11 @@ def label_lines(axis: Any, ends: Sequence[float], labels: Sequence[str], colors:
         )
 
 
-def spread(places: Sequence[float], gap: float) -> np.ndarray:
-    """Places at least `gap` apart, in the same order, moved as little as can be (least squares)."""
+def spread(places: Sequence[float], gap: float, low: float = -np.inf, high: float = np.inf) -> np.ndarray:
+    """Places at least `gap` apart from `low` to `high`, in the same order, moved as little as can be (least squares).
+
+    Where there is no room for all, they begin at `low`.
+    """
     wanted = np.nan_to_num(np.asarray(places, float))
     order = np.argsort(wanted, kind="stable")
     pools: list[list[float]] = []
@@ -120,7 +121,9 @@ def spread(places: Sequence[float], gap: float) -> np.ndarray:
         while len(pools) > 1 and np.mean(pools[-2]) > np.mean(pools[-1]):
             pools[-2:] = [pools[-2] + pools[-1]]
     moved = np.empty(len(wanted))
-    moved[order] = np.repeat([np.mean(p) for p in pools], [len(p) for p in pools]) + np.arange(len(wanted)) * gap
+    level = np.repeat([np.mean(p) for p in pools], [len(p) for p in pools])
+    room = max(low, high - (len(wanted) - 1) * gap)
+    moved[order] = np.clip(level, low, room) + np.arange(len(wanted)) * gap
     return moved
 
 

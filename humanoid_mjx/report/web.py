@@ -6,6 +6,7 @@ came from a config or a task could do nothing, were it ever written unescaped.
 
 import base64
 import hashlib
+import re
 from collections.abc import Iterable, Sequence
 from html import escape
 from importlib.resources import files
@@ -18,6 +19,9 @@ MEDIA = {
     ".webp": "image/webp",
     ".jpg": "image/jpeg",
 }
+
+_NUMBER = re.compile(r"(-?[\d,.]*\d(e[+-]?\d+)?%?|nan|inf|-inf)( \(.*\))?|")
+"""With an interval maybe, or nothing."""
 
 
 def page(title: str, body: str) -> str:
@@ -64,9 +68,16 @@ def facts(pairs: Iterable[tuple[str, object]]) -> str:
     return f"<dl>{rows}</dl>"
 
 
-def section(title: str, *parts: str) -> str:
-    """A part of the page with a heading."""
-    return f"<section><h2>{escape(title)}</h2>{''.join(parts)}</section>"
+def section(title: str, *parts: str, anchor: str = "") -> str:
+    """A part of the page with a heading, and a name that links can lead to."""
+    name = f' id="{escape(anchor)}"' if anchor else ""
+    return f"<section{name}><h2>{escape(title)}</h2>{''.join(parts)}</section>"
+
+
+def link(words: str, address: str, file: str = "") -> str:
+    """A link within the page; with the name of a `file`, one that saves it."""
+    saves = f' download="{escape(file)}"' if file else ""
+    return f'<a href="{escape(address)}"{saves}>{escape(words)}</a>'
 
 
 def text(words: str, kind: str = "p") -> str:
@@ -79,7 +90,7 @@ def _side(right: bool) -> str:
 
 
 def _is_number(cell: str) -> bool:
-    return cell.lstrip("-")[:1].isdigit() or cell in ("", "nan")
+    return bool(_NUMBER.fullmatch(cell))
 
 
 def _hash(content: str) -> str:
