@@ -3,23 +3,19 @@
 Public names load on first use, so that importing the package costs nothing.
 """
 
-# pyright: reportUnsupportedDunderAll=false
-
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from humanoid_mjx import control
+    from humanoid_mjx.learners import make_learner
+    from humanoid_mjx.mechanics import dynamics, kinematics
+    from humanoid_mjx.robot.leg import Leg
+    from humanoid_mjx.spec import InputError
+    from humanoid_mjx.tasks import make_task
+    from humanoid_mjx.training.sweep import sweep
 
 __version__ = "0.1.0"
-
-_PUBLIC = {
-    "InputError": "humanoid_mjx.spec:InputError",
-    "Leg": "humanoid_mjx.robot.leg:Leg",
-    "control": "humanoid_mjx.control:",
-    "dynamics": "humanoid_mjx.mechanics.dynamics:",
-    "kinematics": "humanoid_mjx.mechanics.kinematics:",
-    "make_learner": "humanoid_mjx.learners:make_learner",
-    "make_task": "humanoid_mjx.tasks:make_task",
-    "sweep": "humanoid_mjx.training.sweep:sweep",
-}
 
 __all__ = [
     "InputError",
@@ -33,11 +29,22 @@ __all__ = [
     "sweep",
 ]
 
+_HOMES = {
+    "InputError": "humanoid_mjx.spec:InputError",
+    "Leg": "humanoid_mjx.robot.leg:Leg",
+    "control": "humanoid_mjx.control:",
+    "dynamics": "humanoid_mjx.mechanics.dynamics:",
+    "kinematics": "humanoid_mjx.mechanics.kinematics:",
+    "make_learner": "humanoid_mjx.learners:make_learner",
+    "make_task": "humanoid_mjx.tasks:make_task",
+    "sweep": "humanoid_mjx.training.sweep:sweep",
+}
+
 
 def __getattr__(name: str) -> Any:
-    if name not in _PUBLIC:
+    if name not in _HOMES:
         raise AttributeError(f"module 'humanoid_mjx' has no attribute {name!r}")
-    module, _, attribute = _PUBLIC[name].partition(":")
+    module, _, attribute = _HOMES[name].partition(":")
     value = import_module(module)
     return getattr(value, attribute) if attribute else value
 

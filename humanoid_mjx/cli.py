@@ -1,6 +1,8 @@
 """The command line. Heavy imports wait until a command needs them."""
 
+import os
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -135,12 +137,20 @@ def info(
     show_info(config, set_ or [])
 
 
+INTERRUPTED = 130
+"""The exit code after Ctrl-C, by the convention of shells."""
+
+
 def main() -> None:
     """Run the command line. Unusable input ends with one sentence and exit code 2."""
     try:
         app()
-    except KeyboardInterrupt:
-        sys.exit(130)
+    except (KeyboardInterrupt, SystemExit) as error:
+        if isinstance(error, SystemExit) and error.code != INTERRUPTED:
+            raise
+        with suppress(OSError):
+            sys.stdout.flush()
+        os._exit(INTERRUPTED)  # a thread that compiles cannot be interrupted, and Python would wait for it
     except ValueError as error:
         from humanoid_mjx.spec import InputError
 

@@ -17,10 +17,7 @@ from rich.table import Table
 from humanoid_mjx import runtime
 from humanoid_mjx.config import dump_yaml, load
 from humanoid_mjx.data import names
-from humanoid_mjx.report.figures import sweep_figures
-from humanoid_mjx.report.style import short
 from humanoid_mjx.runs.evaluations import Evaluation
-from humanoid_mjx.runs.ranking import ranked, ties, training_interval
 from humanoid_mjx.spec import InputError, known
 from humanoid_mjx.training.progress import Bar
 
@@ -33,6 +30,7 @@ BEST_POINTS = 10
 def run_sweep(config: str, out: Path | None, overrides: Sequence[str], resume: bool) -> None:
     """`humanoid-mjx sweep`."""
     runtime.start()
+    from humanoid_mjx.report.figures import sweep_figures
     from humanoid_mjx.training.sweep import sweep
 
     with Bar(console) as bar:
@@ -52,6 +50,9 @@ def run_sweep(config: str, out: Path | None, overrides: Sequence[str], resume: b
 
 def print_summary(axes: Sequence[str], summary: Mapping[str, np.ndarray]) -> None:
     """The best points of a sweep: those that succeed most often, and among them the quickest."""
+    from humanoid_mjx.report.style import short
+    from humanoid_mjx.runs.ranking import ranked, ties, training_interval
+
     points = ranked(axes, summary)
     best = points[:BEST_POINTS]
     title = f"{len(points)} points; the best {len(best)}" if len(points) > 1 else "1 point"
@@ -81,14 +82,18 @@ def run_reproduce(names: Sequence[str], list_names: bool, overrides: Sequence[st
             console.print(f"{experiment.name:24} {experiment.title}")
         return
 
-    def say(experiment: Experiment, findings: list[Finding]) -> None:
-        console.print(f"\n{experiment.name}: {experiment.title}")
+    def say(experiment: Experiment, findings: list[Finding], seconds: float) -> None:
+        console.print(f"\n{experiment.name}: {experiment.title} ({seconds:.1f} s)")
         for finding in findings:
             console.print(f"  {finding.verdict:16} {finding.quantity}")
             console.print(f"  {'':16} printed {_shown(finding.printed)}, reproduced {_shown(finding.reproduced)}")
             console.print(f"  {'':16} {finding.why}")
 
-    findings = reproduce(names, out, overrides, say)
+    def tell(experiment: Experiment, words: str) -> None:
+        status.update(f"{experiment.name}: {words}")
+
+    with console.status("reproducing") as status:
+        findings = reproduce(names, out, overrides, say, tell)
     counts = Counter(finding.verdict for finding in findings)
     console.print(f"\n{', '.join(f'{count} {verdict}' for verdict, count in counts.items())}\n{out / 'reproduce.json'}")
 

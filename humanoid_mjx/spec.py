@@ -10,7 +10,7 @@ import difflib
 import importlib
 import re
 from collections.abc import Iterable, Mapping
-from typing import Any, Self, TypeVar, get_args
+from typing import Any, TypeVar, get_args
 
 import jax
 import pydantic

@@ -94,12 +94,3 @@ class NamedProbe(Probe):
     @classmethod
     def _tables_follow_from_the_name(cls, data):
         return dict(probe(data["which"])[0]) | data
-
-
-class Solving(NamedProbe):
-    """A probe whose every step solves linear systems, as contacts do in MJX."""
-
-    def step(self, state, action, key):
-        matrix = jnp.eye(16) * 2.0 + 0.0 * state.obs
-        solution = jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(matrix), jnp.ones(16))
-        return super().step(state, action, key)._replace(reward=solution[0])

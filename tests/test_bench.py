@@ -64,7 +64,7 @@ def test_unknown_benchmarks_are_refused():
 
 def test_the_ground_is_the_same_body_in_every_physics():
     batch, steps = 2, 25
-    by_mjx = np.concatenate([np.asarray(x) for device in ground.mjx("mjx-jax", batch, steps)() for x in device])
+    by_mjx = np.concatenate([np.asarray(x) for device in ground.compiled("mjx-jax", batch, steps)() for x in device])
     by_mujoco = ground.mujoco(batch, steps)()
     # 0.1 s: float32 and four iterations of the solver against float64 and convergence.
     np.testing.assert_allclose(by_mjx, by_mujoco, atol=1e-4)

@@ -55,8 +55,9 @@ def test_it_needs_nothing_and_runs_nothing_foreign(address):
             # Wide tables scroll within themselves.
             assert opened.value("document.documentElement.scrollWidth") <= width
         foreign = (
-            "new Promise(done => { const added = document.createElement('script'); added.textContent = 'window.hacked=1';"
-            "document.body.append(added); setTimeout(() => done(typeof window.hacked), 50); })"
+            "new Promise(done => { const added = document.createElement('script');"
+            "added.textContent = 'window.hacked=1'; document.body.append(added);"
+            "setTimeout(() => done(typeof window.hacked), 50); })"
         )
         assert opened.value(foreign) == "undefined"
 

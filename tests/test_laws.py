@@ -134,7 +134,10 @@ def test_every_law_can_be_traced_in_a_task(law):
         ({"damping_ratio": 0.0}, r"^task.control.damping_ratio must be greater than 0"),
         (3.0, r"^task.control must be a Law, got a float"),
         ("spring:Sprung", r"^task.control.name: 'spring:Sprung' cannot be imported"),
-        ("spring:traced", r"^task.control.name: .spring:traced. must be a class derived from humanoid_mjx.control.laws.Law"),
+        (
+            "spring:traced",
+            r"^task.control.name: .spring:traced. must be a class derived from humanoid_mjx.control.laws.Law",
+        ),
     ],
 )
 def test_what_cannot_be_gets_one_sentence(written, sentence):

@@ -95,7 +95,7 @@ def test_a_run_is_told_from_beginning_to_end(swept):
     assert dump_yaml(read_config(swept)).splitlines()[0] in html
     # Two swept parameters: a curve of each measure by each, and a heat map of what differs between points.
     alts = [attrs["alt"] for tag, attrs in Parts(html).tags if tag == "img"]
-    assert any(re.match(r"steps per episode by learner.epsilon; at the end 0.1: \d", alt) for alt in alts)
+    assert any(re.match(r"return per episode .* by learner.epsilon; at the end 0.1: \d", alt) for alt in alts)
     # The task moves no robot.
     assert "<h2>The robot" not in html and '<figure class="player"' not in html
 

@@ -4,6 +4,7 @@ import importlib.util
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -38,41 +39,41 @@ def step():
 
 @pytest.fixture(scope="module")
 def native_step():
-    """The same in native MuJoCo, each world with its own params."""
+    """The same in native MuJoCo, each world with its own values."""
     return jax.jit(jax.vmap(lambda physics, world: physics.step(world, hold)))
 
 
-def same(params):
-    """Params of all worlds."""
-    return jax.tree.map(lambda value: jnp.full(WORLDS, value), params)
+def same(physics):
+    """The physics with its values once for each world."""
+    return jax.tree.map(lambda value: jnp.full(WORLDS, value), physics)
 
 
 @pytest.fixture(scope="module")
-def params():
-    return jax.tree.map(jnp.float32, MJX.params)
+def mjx():
+    return jax.tree.map(jnp.float32, MJX)
 
 
 @pytest.fixture(scope="module")
-def worlds(params):
+def worlds():
     """Standing bodies, each joint up to 0.1 rad away from zero."""
     qpos = np.tile(MJX.qpos0, (WORLDS, 1))
     qpos[:, 7:] += np.random.default_rng(0).uniform(0, 0.1, (WORLDS, 10))
-    return jax.vmap(lambda qpos: MJX.start(params, qpos, np.zeros(16)))(qpos)
+    return jax.vmap(lambda qpos: MJX.start(qpos, np.zeros(16)))(qpos)
 
 
 @pytest.fixture(scope="module")
-def rested(step, params, worlds):
+def rested(step, mjx, worlds):
     """After three seconds of standing: worlds and torques."""
     for _ in range(750):
-        worlds, torque = step(params, worlds)
+        worlds, torque = step(mjx, worlds)
     return worlds, torque
 
 
-def test_a_standing_body_rests_on_its_weight(params, rested):
+def test_a_standing_body_rests_on_its_weight(rested):
     worlds, torque = rested
     assert not worlds.diverged.any()
     assert np.abs(worlds.qvel).max() < 0.01
-    readings = jax.jit(jax.vmap(lambda world, torque: MJX.sensors(params, world, torque)))(worlds, torque)
+    readings = jax.jit(jax.vmap(lambda world, torque: MJX.sense(world, torque).readings))(worlds, torque)
     weight = MJX.model.body_mass.sum() * 9.81
     np.testing.assert_allclose(readings.foot_contact.sum(-1), weight, rtol=0.01)
     np.testing.assert_allclose(np.linalg.norm(readings.accelerometer, axis=-1), 9.81, rtol=0.01)
@@ -82,22 +83,20 @@ def test_a_standing_body_rests_on_its_weight(params, rested):
 
 def test_native_rests_in_the_same_posture_on_the_same_weight(worlds, rested):
     """In a scan; the forces of a body that stands still change by less than its servo lets it sway."""
-    rest = jax.jit(jax.vmap(lambda world: NATIVE.run(NATIVE.params, world, hold, 375, substeps=2)))
+    rest = jax.jit(jax.vmap(lambda world: NATIVE.run(world, hold, 375, substeps=2)))
     resting = rest(worlds)
     np.testing.assert_allclose(resting.qpos, rested[0].qpos, atol=5e-3)
     np.testing.assert_allclose(resting.warmstart, 0.0, atol=0.5)
-    sense = jax.jit(jax.vmap(lambda world: NATIVE.sensors(NATIVE.params, world, -6.0 * world.qpos[7:])))
+    sense = jax.jit(jax.vmap(lambda world: NATIVE.sense(world, -6.0 * world.qpos[7:]).readings))
     weight = MJX.model.body_mass.sum() * 9.81
     np.testing.assert_allclose(sense(resting).foot_contact.sum(-1), weight, rtol=0.01)
 
 
-def test_native_worlds_may_differ_in_their_params(native_step, worlds, monkeypatch):
+def test_native_worlds_may_differ_in_their_values(native_step, worlds, monkeypatch):
     """As in a batch of worlds that do not differ, also where the models are too many to be kept."""
     monkeypatch.setattr("humanoid_mjx.physics.native.MODELS_BYTES", 0)
     native._team.cache_clear()
-    heavy = same(NATIVE.params)._replace(
-        mass=1.0 + 0.2 * jnp.arange(WORLDS), damping=jnp.array([0.01, 0.01, 0.1, 0.01])
-    )
+    heavy = same(NATIVE).replace(mass=1.0 + 0.2 * jnp.arange(WORLDS), damping=jnp.array([0.01, 0.01, 0.1, 0.01]))
     moved = worlds
     for _ in range(3):
         moved, _ = native_step(heavy, moved)
@@ -115,7 +114,7 @@ def test_native_on_two_devices_at_once(native_step, worlds):
     def run(device):
         world = jax.device_put(worlds, device)
         for _ in range(30):
-            world, _ = native_step(same(NATIVE.params), world)
+            world, _ = native_step(same(NATIVE), world)
         return bits(world)
 
     with ThreadPoolExecutor(2) as threads:
@@ -123,42 +122,42 @@ def test_native_on_two_devices_at_once(native_step, worlds):
     assert one == other
 
 
-def test_many_worlds_are_as_one_at_a_time(step, params, worlds):
+def test_many_worlds_are_as_one_at_a_time(step, mjx, worlds):
     one_step = jax.jit(lambda physics, world: physics.step(world, hold))
     together, alone = worlds, [jax.tree.map(lambda x, i=i: x[i], worlds) for i in range(WORLDS)]
     for _ in range(25):
-        together, _ = step(params, together)
-        alone = [one_step(params, world)[0] for world in alone]
+        together, _ = step(mjx, together)
+        alone = [one_step(mjx, world)[0] for world in alone]
     for i, world in enumerate(alone):
         np.testing.assert_allclose(together.qpos[i], world.qpos, atol=1e-5)
         np.testing.assert_allclose(together.qvel[i], world.qvel, atol=1e-2)
 
 
 @pytest.mark.parametrize("fault", [np.nan, np.inf, 1e6])
-def test_a_diverging_world_is_flagged_and_changes_no_bit_of_another(step, params, worlds, fault):
+def test_a_diverging_world_is_flagged_and_changes_no_bit_of_another(step, mjx, worlds, fault):
     broken = worlds._replace(qvel=worlds.qvel.at[1, 8].set(fault))
     others = np.array([0, 2, 3])
     good, bad = worlds, broken
     for _ in range(5):
-        (good, _), (bad, _) = step(params, good), step(params, bad)
+        (good, _), (bad, _) = step(mjx, good), step(mjx, bad)
     np.testing.assert_array_equal(bad.diverged, [False, True, False, False])
     np.testing.assert_array_equal(bad.qpos[1], broken.qpos[1])
     assert bits(jax.tree.map(lambda x: x[others], good)) == bits(jax.tree.map(lambda x: x[others], bad))
 
 
-def test_reset_is_masked(step, params, worlds):
-    bad, _ = step(params, worlds._replace(qpos=worlds.qpos.at[1].set(np.nan)))
+def test_reset_is_masked(step, mjx, worlds):
+    bad, _ = step(mjx, worlds._replace(qpos=worlds.qpos.at[1].set(np.nan)))
     qpos, qvel = jnp.asarray(MJX.qpos0), jnp.zeros(16)
-    reset = jax.vmap(lambda world, mask: MJX.reset(params, world, mask, qpos, qvel))(bad, bad.diverged)
+    reset = jax.vmap(lambda world, mask: MJX.reset(world, mask, qpos, qvel))(bad, bad.diverged)
     assert bits(reset.qpos[1]) == bits(jnp.asarray(MJX.qpos0, jnp.float32)) and not reset.diverged.any()
     assert bits(reset.qpos[2:]) == bits(bad.qpos[2:])
-    fine, _ = step(params, reset)
+    fine, _ = step(mjx, reset)
     assert not fine.diverged.any()
 
 
-def test_a_second_call_compiles_nothing(step, params, rested):
+def test_a_second_call_compiles_nothing(step, mjx, rested):
     worlds, _ = rested
-    slippery = params._replace(friction=jnp.float32(0.1))
+    slippery = mjx.replace(friction=jnp.float32(0.1))
     with counting_compiles() as compiles:
         step(slippery, worlds)
     assert compiles.programs == 0
@@ -171,10 +170,9 @@ def test_torque_is_held_over_a_cycle_and_kept_within_its_limit():
     def track(stages: Stages):
         return stages.mass_matrix @ (2000.0 * (0.5 - stages.qpos) - 60.0 * stages.qvel) + stages.bias
 
-    world, other = (physics.start(physics.params, physics.qpos0 + 0.2, np.zeros(10)) for physics in both)
+    world, other = (physics.start(physics.qpos0 + 0.2, np.zeros(10)) for physics in both)
     cycle, native_cycle = (
-        jax.jit(lambda world, physics=physics: physics.step(physics.params, world, track, substeps=4))
-        for physics in both
+        jax.jit(lambda world, physics=physics: physics.step(world, track, substeps=4)) for physics in both
     )
     torques = []
     for _ in range(10):
@@ -186,13 +184,13 @@ def test_torque_is_held_over_a_cycle_and_kept_within_its_limit():
     assert np.abs(torques).max() == 0.3
 
 
-def test_one_step_on_the_ground_agrees_with_native(step, native_step, params, worlds):
+def test_one_step_on_the_ground_agrees_with_native(step, native_step, mjx, worlds):
     """Tilted feet that strike the ground, in single precision: 1 mm/s in velocities of several m/s and rad/s."""
     kicked = worlds._replace(qvel=0.3 * jax.random.normal(jax.random.key(0), worlds.qvel.shape))
     for _ in range(5):
-        kicked, _ = step(params, kicked)
-    expected, _ = native_step(same(NATIVE.params), kicked)
-    np.testing.assert_allclose(step(params, kicked)[0].qvel, expected.qvel, atol=1e-3)
+        kicked, _ = step(mjx, kicked)
+    expected, _ = native_step(same(NATIVE), kicked)
+    np.testing.assert_allclose(step(mjx, kicked)[0].qvel, expected.qvel, atol=1e-3)
 
 
 def test_warp_agrees_with_native(worlds):
@@ -205,7 +203,7 @@ def test_warp_agrees_with_native(worlds):
         return hold(stages) + 0.1 * weight
 
     world, native = (
-        jax.jit(jax.vmap(lambda world, p=physics: p.step(p.params, world, balance, substeps=2)[0]))(worlds)
+        jax.jit(jax.vmap(lambda world, p=physics: p.step(world, balance, substeps=2)[0]))(worlds)
         for physics in (warp, NATIVE)
     )
     np.testing.assert_allclose(world.qvel, native.qvel, atol=1e-3)
@@ -216,7 +214,7 @@ def test_warp_counts_worlds_that_lose_contacts_as_diverged(worlds):
     pytest.importorskip("warp")
     for room, expected in ((1, True), (WORLDS, False)):
         warp = make_physics("mjx-warp", worlds=room)
-        step = jax.jit(jax.vmap(lambda world, p=warp: p.step(p.params, world, hold)[0]))
+        step = jax.jit(jax.vmap(lambda world, p=warp: p.step(world, hold)[0]))
         moved = worlds
         for _ in range(50):
             moved = step(moved)
@@ -229,7 +227,7 @@ def test_native_worlds_diverge_alone_and_silently(native_step, worlds, tmp_path,
         for fault in (np.nan, 1e9):
             broken = worlds._replace(qvel=worlds.qvel.at[1, 8].set(fault))
             for _ in range(3):
-                broken, _ = native_step(same(NATIVE.params), broken)
+                broken, _ = native_step(same(NATIVE), broken)
             np.testing.assert_array_equal(broken.diverged, [False, True, False, False])
             np.testing.assert_array_equal(broken.qpos[1], worlds.qpos[1])
             assert np.isfinite(broken.qpos).all()
@@ -240,24 +238,24 @@ def test_replayed_torques_move_as_the_controller_did(native_step, worlds):
     """Outside jax, in float64: what is left is the rounding of the states to float32 between steps."""
     moved, torques = worlds, []
     for _ in range(5):
-        moved, torque = native_step(same(NATIVE.params), moved)
+        moved, torque = native_step(same(NATIVE), moved)
         torques.append(torque)
-    qpos, qvel, readings = NATIVE.rollout(NATIVE.params, worlds, np.stack(torques, axis=1))
+    qpos, qvel, readings = NATIVE.rollout(worlds, np.stack(torques, axis=1))
     np.testing.assert_allclose(qpos[:, -1], moved.qpos, atol=1e-5)
     np.testing.assert_allclose(qvel[:, -1], moved.qvel, atol=1e-3)
     np.testing.assert_array_equal(readings.encoders[:, 1:], qpos[:, :-1, 7:])
 
 
-def test_poses_of_both(params, worlds):
-    poses = jax.jit(lambda world: MJX.poses(params, world))(jax.tree.map(lambda x: x[0], worlds))
-    expected = jax.jit(jax.vmap(lambda world: NATIVE.poses(NATIVE.params, world)))(worlds)
+def test_poses_of_both(worlds):
+    poses = jax.jit(lambda world: MJX.poses(world))(jax.tree.map(lambda x: x[0], worlds))
+    expected = jax.jit(jax.vmap(lambda world: NATIVE.poses(world)))(worlds)
     np.testing.assert_allclose(poses.position, expected.position[0], atol=1e-6)
     np.testing.assert_allclose(poses.rotation, expected.rotation[0], atol=1e-6)
     assert len(MJX.body_names) == len(poses.position) and MJX.body_names[1] == "torso"
 
 
 def test_nothing_a_body_can_do_counts_as_diverged():
-    assert MJX.params.torque_limit / MJX.params.damping < MAX_SPEED / 2
+    assert MJX.torque_limit / MJX.damping < MAX_SPEED / 2
 
 
 @pytest.mark.parametrize("physics", [MJX, NATIVE], ids=["mjx", "native"])
@@ -269,10 +267,10 @@ def test_a_push_on_the_torso_gives_its_impulse(physics):
 
     @jax.jit
     def after(push):
-        params = physics.params._replace(push=push)
+        pushed = physics.replace(push=tuple(push))
         matrices = []
         note = lambda stages: matrices.append(stages.mass_matrix) or jnp.zeros(10)  # noqa: E731
-        world, _ = physics.step(params, physics.start(params, qpos, qvel), note)
+        world, _ = pushed.step(physics.start(qpos, qvel), note)
         return world.qvel, matrices[0]
 
     (pushed, matrix), (left_alone, _) = after(jnp.asarray(force, float)), after(jnp.zeros(3))
@@ -321,7 +319,7 @@ def test_a_model_s_torque_is_that_of_a_body_of_its_mass(physics, believed):
     random = np.random.default_rng(0)
     qpos = physics.qpos0 + np.concatenate([np.zeros(7), random.uniform(-0.5, 0.5, 10)])
     qvel, qacc = random.normal(size=16), 10 * random.normal(size=10)
-    params = physics.params._replace(mass=2.0, damping=0.02)
+    plant = physics.replace(mass=2.0, damping=0.02)
     expected = held_torso_torque(believed, 0.02, qpos, qvel, qacc)
 
     def asks(stages: Stages):
@@ -329,7 +327,7 @@ def test_a_model_s_torque_is_that_of_a_body_of_its_mass(physics, believed):
 
     factors, seen = jnp.full(10, believed), []
     note = lambda stages: seen.append(asks(stages)) or jnp.zeros(10)  # noqa: E731
-    found = jax.jit(lambda: (physics.step(params, physics.start(params, qpos, qvel), note)[0], seen.pop()))()[1]
+    found = jax.jit(lambda: (plant.step(physics.start(qpos, qvel), note)[0], seen.pop()))()[1]
     assert np.ptp(expected) > 0.1
     # float32 through ten joints: torques of up to 1 N m carry a few 1e-6.
     np.testing.assert_allclose(found, np.tile(expected, 2), atol=1e-5)
@@ -342,14 +340,65 @@ def test_a_cycle_is_a_multiple_of_the_time_step():
             MJX.substeps(period)
 
 
-def test_readings_on_the_way_are_those_of_the_last_step(params, worlds):
+def test_readings_on_the_way_are_those_of_the_last_step(worlds):
     start = jax.tree.map(lambda x: x[0], worlds)
-    world, readings = jax.jit(lambda world: MJX.run_sensed(params, world, hold, 3))(start)
-    plain = jax.jit(lambda world: MJX.run(params, world, hold, 3))(start)
+    world, sensed = jax.jit(lambda world: MJX.run_sensed(world, hold, 3))(start)
+    plain = jax.jit(lambda world: MJX.run(world, hold, 3))(start)
     np.testing.assert_allclose(world.qpos, plain.qpos, atol=1e-6)
-    native, expected = jax.jit(lambda world: NATIVE.run_sensed(NATIVE.params, world, hold, 3))(start)
-    before = jax.jit(lambda world: NATIVE.run(NATIVE.params, world, hold, 2))(start)
+    native, expected = jax.jit(lambda world: NATIVE.run_sensed(world, hold, 3))(start)
+    before = jax.jit(lambda world: NATIVE.run(world, hold, 2))(start)
     np.testing.assert_allclose(native.qvel, world.qvel, atol=1e-3)
-    np.testing.assert_allclose(expected.encoders, before.qpos[7:], atol=1e-6)
+    np.testing.assert_allclose(expected.readings.encoders, before.qpos[7:], atol=1e-6)
     for name, atol in (("encoders", 1e-5), ("gyroscope", 1e-3), ("accelerometer", 0.3), ("foot_contact", 0.1)):
-        np.testing.assert_allclose(getattr(readings, name), getattr(expected, name), atol=atol, err_msg=name)
+        found, right = (getattr(x.readings, name) for x in (sensed, expected))
+        np.testing.assert_allclose(found, right, atol=atol, err_msg=name)
+    np.testing.assert_allclose(sensed.torque, hold(Joints(before.qpos[7:], before.qvel[6:])), atol=1e-3)
+
+
+class Joints(NamedTuple):
+    qpos: np.ndarray
+    qvel: np.ndarray
+
+
+def test_bodies_and_contacts_of_both(worlds):
+    """On a body that leans and moves, a few steps after a kick, so that corners differ in what they carry."""
+    start = jax.tree.map(lambda x: x[0], worlds)
+    start = start._replace(qvel=start.qvel.at[:6].set(jnp.array([0.3, 0.2, 0.0, 0.4, -0.3, 0.5])))
+    world = jax.jit(lambda world: NATIVE.run(world, hold, 10))(start)
+    torque = hold(Joints(world.qpos[7:], world.qvel[6:]))
+    sensed, expected = (jax.jit(p.sense)(world, torque) for p in (MJX, NATIVE))
+    for part in ("poses", "velocities", "contacts"):
+        for name, found in getattr(sensed, part)._asdict().items():
+            # Float32 from one state; the forces of four iterations of the solver, of a weight of 17 N.
+            atol = 0.1 if name == "normal_force" else 1e-5
+            np.testing.assert_allclose(found, getattr(getattr(expected, part), name), atol=atol, err_msg=name)
+    contacts, readings = expected.contacts, expected.readings
+    assert contacts.position.shape == (8, 3) and np.ptp(contacts.normal_force) > 1.0
+    np.testing.assert_allclose(contacts.normal_force.reshape(2, 4).sum(1), readings.foot_contact, rtol=1e-4)
+    assert (np.asarray(contacts.normal_force)[np.asarray(contacts.position)[:, 2] > 1e-3] == 0).all()
+
+
+@pytest.mark.parametrize(
+    "physics", [NATIVE, make_physics("chain"), make_physics("mujoco", torso="fixed", robot="legs")]
+)
+def test_velocities_are_what_poses_change_by(physics):
+    random = np.random.default_rng(0)
+    joints = len(physics.joint_names)
+    qpos = physics.qpos0 + np.concatenate([np.zeros(len(physics.qpos0) - joints), random.uniform(-0.5, 0.5, joints)])
+    world = physics.start(qpos, random.normal(size=len(qpos) - (len(qpos) > joints)))
+    sensed = physics.sense(world, jnp.zeros(joints))
+    h = 1e-3
+    moved = world.qpos[-joints:] + h * world.qvel[-joints:]
+    after = world._replace(qpos=jnp.concatenate([world.qpos[: len(qpos) - joints], moved]))
+    if len(qpos) > joints:
+        after = physics.start(world.qpos, world.qvel)
+        mj = np.array(world.qpos, float)
+        mujoco.mj_integratePos(physics.model, mj, np.asarray(world.qvel, float), h)
+        after = world._replace(qpos=jnp.asarray(mj, float))
+    poses, change = physics.poses(world), physics.poses(after)
+    np.testing.assert_array_equal(poses.position, sensed.poses.position)
+    # Positions of up to 0.3 m carry 3e-8 in float32, a quotient by h 1000 times as much; the rest is of order h.
+    np.testing.assert_allclose((change.position - poses.position) / h, sensed.velocities.linear, atol=5e-3)
+    spin = np.einsum("bij,bkj->bik", (change.rotation - poses.rotation) / h, poses.rotation)
+    angular = np.stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]], axis=-1)
+    np.testing.assert_allclose(angular, sensed.velocities.angular, atol=3e-2)

@@ -3,6 +3,7 @@
 The torso is free, the feet touch the ground, the joints are held in the posture of the task `stand` by its servo at its
 time step of 4 ms: the contacts of all four corners of both feet are solved in every step.
 
+    tree ground      this package's `Physics` written out as a tree, float32, its solver run to the exact minimum
     mjx-jax ground   this package's `Physics` on MJX in jax, float32, a few iterations of the solver
     mjx-warp ground  the same on MJX with NVIDIA Warp, where warp-lang is installed and the backend is a GPU
     mujoco ground    native MuJoCo, float64, solved to convergence: `mujoco.rollout`, one thread a core, where the servo
@@ -20,11 +21,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from humanoid_mjx import runtime
 from humanoid_mjx.bench.legs import check_finite, on_all_devices
 from humanoid_mjx.bench.measure import Record, Subject, record, time_in_turn
+from humanoid_mjx.control import at_rest
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.tasks import make_task
-from humanoid_mjx.tasks.stand import POSTURE, START_HEIGHT, START_SPREAD, Stand
+from humanoid_mjx.tasks.legged import Stand
+from humanoid_mjx.tasks.legged.body import POSTURE, START_HEIGHT, START_SPREAD
 
 REPEATS = 3
 
@@ -45,8 +49,8 @@ class Setting(NamedTuple):
 
 
 SETTINGS = {
-    "cpu": Setting((256, 1024), {"mjx-jax": 10, "mujoco": 50}),
-    "gpu": Setting((4096, 32_768, 131_072), {"mjx-jax": 50, "mjx-warp": 50, "mujoco": 100}),
+    "cpu": Setting((256, 1024), {"tree": 50, "mjx-jax": 10, "mujoco": 50}),
+    "gpu": Setting((4096, 32_768, 131_072), {"tree": 50, "mjx-jax": 50, "mjx-warp": 50, "mujoco": 100}),
 }
 
 
@@ -60,7 +64,9 @@ def run(say: Callable[[str], None], setting: Setting | None = None) -> list[Reco
         for name in setting.steps:
             if name != "mjx-warp" or warp:
                 steps, bodies = setting.steps[name], min(batch, MUJOCO_BATCH) if name == "mujoco" else batch
-                call, device = (mujoco(bodies, steps), "cpu") if name == "mujoco" else (mjx(name, bodies, steps), "")
+                call, device = (
+                    (mujoco(bodies, steps), "cpu") if name == "mujoco" else (compiled(name, bodies, steps), "")
+                )
                 subjects[name] = Subject(call, bodies * steps, bodies, REPEATS, device)
         for name, timing in time_in_turn(subjects).items():
             check_finite(f"{name} ground", timing.result)
@@ -78,8 +84,8 @@ def start(batch: int) -> tuple[np.ndarray, np.ndarray]:
     return qpos, np.zeros((batch, qpos.shape[1] - 1), np.float32)
 
 
-def mjx(physics: str, batch: int, steps: int) -> Callable[[], Any]:
-    """MJX, with jax or warp for its physics: the positions after so many steps."""
+def compiled(physics: str, batch: int, steps: int) -> Callable[[], Any]:
+    """Physics in a jax program: the positions after so many steps."""
     devices = jax.local_devices()
     block = BLOCK.get(devices[0].platform, batch)
     at_once = -(-batch // (max(1, batch // (block * len(devices))) * len(devices)))
@@ -91,13 +97,13 @@ def _program(physics: str, steps: int, worlds: int) -> Callable[..., Any]:
     task: Stand = make_task("stand")
     room = {"worlds": worlds} if physics == "mjx-warp" else {}
     simulator = make_physics(physics, robot="lower_body", torso="free", ranges="human", timestep=task.timestep, **room)
-    servo = task.servo(jnp.asarray(POSTURE, float))
+    servo = task.control.follow(at_rest(jnp.asarray(POSTURE, float)))
 
     def simulate(qpos: jax.Array, qvel: jax.Array) -> jax.Array:
         world = simulator.run(simulator.start(qpos, qvel), servo, steps)
         return jnp.where(world.diverged, jnp.nan, world.qpos)
 
-    return jax.jit(jax.vmap(simulate))
+    return jax.jit(jax.vmap(simulate), compiler_options=runtime.SHARED_KERNELS if physics == "tree" else None)
 
 
 def mujoco(batch: int, steps: int) -> Callable[[], Any]:
@@ -131,6 +137,7 @@ def _model_with_servo(mj: Any) -> Any:
     model.actuator_forcelimited[:] = 1
     model.actuator_forcerange[:] = limit
     model.actuator_biastype[:] = mj.mjtBias.mjBIAS_AFFINE
-    model.actuator_gainprm[:, 0] = task.stiffness
-    model.actuator_biasprm[:, :3] = 0.0, -task.stiffness, -task.damping
+    servo: Any = task.control
+    model.actuator_gainprm[:, 0] = servo.stiffness
+    model.actuator_biasprm[:, :3] = 0.0, -servo.stiffness, -servo.damping
     return model

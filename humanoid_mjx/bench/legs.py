@@ -74,7 +74,7 @@ def _chain_program(steps: int, name: str, timestep: float) -> Callable[..., Any]
         unroll = UNROLL.get(jax.default_backend(), 1)
         return dynamics.rollout(leg, qpos, qvel, controller, timestep, steps, unroll=unroll)[0]
 
-    return jax.jit(jax.vmap(simulate), compiler_options=runtime.SHARED_KERNELS)
+    return jax.jit(jax.vmap(simulate), compiler_options=runtime.on_every_device(runtime.SHARED_KERNELS))
 
 
 def on_all_devices(

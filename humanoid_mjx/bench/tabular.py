@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from humanoid_mjx import make_learner, make_task, rng
+from humanoid_mjx import make_learner, make_task, rng, runtime
 from humanoid_mjx.bench.measure import Record, Subject, record, time_in_turn
 from humanoid_mjx.training.program import advance, begin
 
@@ -64,7 +64,7 @@ def scan(epsilon: np.ndarray) -> Made:
     task = make_task("joint_reach", joint=1, max_episode_steps=CAP)
     values = {"epsilon_decay": DECAY, "learning_rate": RATE, "discount": DISCOUNT}
     learner = make_learner("tabular_q", task, episodes=EPISODES, record=POINTS, **values)
-    options = dict(learner.compiler_options)
+    options = runtime.on_every_device(learner.compiler_options)
     first, train = jax.jit(jax.vmap(begin)), jax.jit(jax.vmap(advance, in_axes=(0, 0, None)), compiler_options=options)
 
     def start(device: Any, share: np.ndarray) -> tuple[Any, Any]:

@@ -13,7 +13,7 @@ own: the plant's mass is a value of the physics, and the two may differ.
 with kp = natural_frequency^2 and kd = damping_ratio 2 natural_frequency (5.33, 5.34).
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any, Literal, Protocol, runtime_checkable
@@ -25,7 +25,6 @@ import pydantic
 from humanoid_mjx.control.gains import critical_kd
 from humanoid_mjx.control.ground import SERVO_KD, SERVO_KP, SHARE, GroundControl, grounded_torque
 from humanoid_mjx.control.pd import PD, Joints, Reference, pd, servo
-from humanoid_mjx.mechanics.contacts import Contacts
 from humanoid_mjx.spec import InputError, Spec, make, traced
 from humanoid_mjx.types import FloatScalar
 
@@ -45,18 +44,18 @@ class RobotState(Protocol):
         ...
 
     @property
-    def torque_for(self) -> Callable[[Any, Any], Any]:
+    def torque_for(self) -> Any:
         """(accelerations, mass factor of a model) -> the torques that the model asks for."""
         ...
 
     @property
-    def model_for(self) -> Callable[[Any], tuple[Any, Any]]:
+    def model_for(self) -> Any:
         """(mass factor of a model) -> its mass matrix and bias, (nv, nv) and (nv,), the joints last."""
         ...
 
     @property
-    def contacts(self) -> Callable[[], Contacts]:
-        """The points of the feet that can touch the ground."""
+    def contacts(self) -> Any:
+        """() -> the points of the feet that can touch the ground (`mechanics.contacts.Contacts`)."""
         ...
 
 

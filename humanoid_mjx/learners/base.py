@@ -65,7 +65,7 @@ class Learner(Spec):
 
     @property
     def compiler_options(self) -> Mapping[str, str | bool]:
-        """XLA's options for the programs that train."""
+        """XLA's options for the programs that train and evaluate."""
         return {}
 
     def init(self, key: Key[Array, ""], policy: Any = None) -> Any:

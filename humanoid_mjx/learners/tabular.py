@@ -79,13 +79,13 @@ class TabularQ(Learner):
     agents: int = Field(1, ge=1, le=1_000_000, description="episodes at once that feed one table")
 
     @property
+    def compiler_options(self) -> Mapping[str, str | bool]:
+        return self.task.compiler_options
+
+    @property
     def cumulative(self) -> bool:
         """Where an episode is a step of the only trajectory, curves are its totals so far."""
         return self.task.learning_rules.episode == "step"
-
-    @property
-    def compiler_options(self) -> Mapping[str, str | bool]:
-        return self.task.compiler_options
 
     def init(self, key: Key[Array, ""], policy: QTable | None = None) -> Carry:
         q_table = jnp.asarray(self.task.initial_q() if policy is None else policy, jnp.float32)

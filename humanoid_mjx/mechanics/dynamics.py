@@ -100,6 +100,14 @@ def semi_implicit_euler(leg: Chain, state: State, torque: Joints, dt: FloatScala
     return State(_after(state.qpos, qvel, dt), qvel)
 
 
+def midpoint(leg: Chain, state: State, torque: Joints, dt: FloatScalar) -> State:
+    """One step of the midpoint rule, of second order, which takes the dynamics twice."""
+    qacc = forward_dynamics(leg, *state, torque)
+    middle = State(_after(state.qpos, state.qvel, dt / 2), _after(state.qvel, qacc, dt / 2))
+    qacc = forward_dynamics(leg, *middle, torque)
+    return State(_after(state.qpos, middle.qvel, dt), _after(state.qvel, qacc, dt))
+
+
 def runge_kutta(
     leg: Chain, state: State, torque: Joints | Callable[[FloatScalar, State], Joints], dt: FloatScalar
 ) -> State:

@@ -10,6 +10,7 @@ PHYSICS = {
     "mjx-jax": "humanoid_mjx.physics.mjx:MjxJax",
     "mjx-warp": "humanoid_mjx.physics.mjx:MjxWarp",
     "mujoco": "humanoid_mjx.physics.native:Native",
+    "tree": "humanoid_mjx.physics.tree:TreePhysics",
 }
 
 

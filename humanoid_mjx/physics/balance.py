@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from humanoid_mjx.mechanics.balance import LinkMotion
+from humanoid_mjx.mechanics.rotations import rotate
 from humanoid_mjx.physics.base import Stages
 from humanoid_mjx.physics.model import MujocoPhysics
 from humanoid_mjx.types import AnyArray
@@ -59,9 +60,7 @@ def ground_wrench(stages: Stages, qacc: Float[Array, " nv"]) -> tuple[Float[Arra
       qacc: of all degrees of freedom.
     """
     force, moment = jnp.split((stages.mass_matrix @ qacc + stages.bias)[:6], 2)
-    scalar, vector = stages.world.qpos[3], stages.world.qpos[4:7]
-    across = 2.0 * jnp.cross(vector, moment)
-    turned = moment + scalar * across + jnp.cross(vector, across)
+    turned = rotate(stages.world.qpos[3:7], moment)
     return force, turned + jnp.cross(stages.world.qpos[:3], force)
 
 

@@ -72,7 +72,40 @@ class Poses(NamedTuple):
     """Where the bodies are, in the world."""
 
     position: Float[AnyArray, "*worlds bodies 3"]
+    """Of the origins of their frames, m."""
     rotation: Float[AnyArray, "*worlds bodies 3 3"]
+    """From their frames to the world."""
+
+
+class Velocities(NamedTuple):
+    """How the bodies move, in the world."""
+
+    linear: Float[AnyArray, "*worlds bodies 3"]
+    """Of the origins of their frames, m/s."""
+    angular: Float[AnyArray, "*worlds bodies 3"]
+    """rad/s"""
+
+
+class GroundContacts(NamedTuple):
+    """The corners of the feet that can touch the ground, those of the right foot first; none where there is no ground."""
+
+    position: Float[AnyArray, "*worlds points 3"]
+    """Of their lowest points, m, world."""
+    velocity: Float[AnyArray, "*worlds points 3"]
+    """m/s, world."""
+    normal_force: Float[AnyArray, "*worlds points"]
+    """What the ground pushes a corner up with, N; 0 where it does not touch."""
+
+
+class Sensed(NamedTuple):
+    """Everything about one world at one moment: what its sensors say, and what is true of its bodies."""
+
+    readings: Readings
+    poses: Poses
+    velocities: Velocities
+    contacts: GroundContacts
+    torque: Float[AnyArray, "*worlds joints"]
+    """That acts, N m."""
 
 
 Controller = Callable[[Stages], Any]
@@ -146,8 +179,11 @@ class Physics(Spec):
 
         return jax.lax.scan(cycle, world, length=cycles)[0]
 
-    def run_sensed(self, world: World, controller: Controller, cycles: int) -> tuple[World, Readings]:
-        """`cycles` control cycles of one time step, and what the sensors say at the beginning of the last."""
+    def run_sensed(self, world: World, controller: Controller, cycles: int) -> tuple[World, Sensed]:
+        """`cycles` control cycles of one time step, and everything at the beginning of the last.
+
+        That is the moment of which a time step knows all: what it ends in has no forces yet.
+        """
 
         def cycle(carry: tuple[World, World, Any], _: None) -> tuple[tuple[World, World, Any], None]:
             now = carry[0]
@@ -156,10 +192,10 @@ class Physics(Spec):
 
         first = world, world, jnp.zeros(len(self.joint_names))
         (world, before, torque), _ = jax.lax.scan(cycle, first, length=cycles)
-        return world, self.sensors(before, torque)
+        return world, self.sense(before, torque)
 
-    def sensors(self, world: World, torque: Any) -> Readings:
-        """The readings in this state while `torque` acts."""
+    def sense(self, world: World, torque: Any) -> Sensed:
+        """Everything about this state while `torque` acts."""
         raise NotImplementedError
 
     def poses(self, world: World) -> Poses:

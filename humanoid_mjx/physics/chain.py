@@ -16,7 +16,19 @@ from pydantic import Field
 from humanoid_mjx.mechanics import dynamics
 from humanoid_mjx.mechanics.contacts import no_contacts
 from humanoid_mjx.mechanics.forward import frames
-from humanoid_mjx.physics.base import MAX_SPEED, Controller, Physics, Poses, Readings, Stages, World
+from humanoid_mjx.mechanics.rotations import angular_velocity
+from humanoid_mjx.physics.base import (
+    MAX_SPEED,
+    Controller,
+    GroundContacts,
+    Physics,
+    Poses,
+    Readings,
+    Sensed,
+    Stages,
+    Velocities,
+    World,
+)
 from humanoid_mjx.robot.leg import FRAME_0, MIRROR, Leg
 from humanoid_mjx.robot.ranges import TORQUE_LIMIT, joint_ranges
 from humanoid_mjx.spec import traced
@@ -92,9 +104,13 @@ class ChainPhysics(Physics):
         qpos, qvel = jax.lax.scan(cycle, (list(world.qpos), list(world.qvel)), length=cycles)[0]
         return _freeze_if_diverged(world, world._replace(qpos=jnp.stack(qpos), qvel=jnp.stack(qvel)))
 
-    def sensors(self, world: World, torque: Float[AnyArray, " joints"]) -> Readings:
-        still = jnp.zeros(3, world.qpos.dtype)
-        return Readings(world.qpos, still, still.at[2].set(GRAVITY), still[: len(self.sides)])
+    def sense(self, world: World, torque: Float[AnyArray, " joints"]) -> Sensed:
+        still, nowhere = jnp.zeros(3, world.qpos.dtype), jnp.zeros((0, 3), world.qpos.dtype)
+        readings = Readings(world.qpos, still, still.at[2].set(GRAVITY), still[: len(self.sides)])
+        poses, rates = jax.jvp(lambda qpos: self.poses(world._replace(qpos=qpos)), (world.qpos,), (world.qvel,))
+        angular = angular_velocity(poses.rotation, rates.rotation)
+        nothing = GroundContacts(nowhere, nowhere, nowhere[:, 0])
+        return Sensed(readings, poses, Velocities(rates.position, angular), nothing, jnp.asarray(torque))
 
     def poses(self, world: World) -> Poses:
         position, rotation = [jnp.zeros(3)], [jnp.eye(3)]

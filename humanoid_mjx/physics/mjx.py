@@ -17,8 +17,8 @@ from jaxtyping import Array, Float
 from pydantic import Field, model_validator
 
 from humanoid_mjx.mechanics.contacts import Contacts, rigid_points
-from humanoid_mjx.physics.base import Controller, Poses, Readings, Stages, World
-from humanoid_mjx.physics.model import MujocoPhysics, below, freeze_if_diverged
+from humanoid_mjx.physics.base import Controller, Poses, Sensed, Stages, World
+from humanoid_mjx.physics.model import MujocoPhysics, below, freeze_if_diverged, ground_points
 from humanoid_mjx.types import AnyArray, IntScalar, MassFactor
 
 SOLVER_ITERATIONS = {"jax": 4, "warp": 30}
@@ -29,6 +29,9 @@ the slowest; in warp each world stops by itself."""
 CONTACTS_PER_WORLD, CONSTRAINTS_PER_WORLD = 16, 64
 """Room in warp's buffers: two feet of four contacts and five pairs of the legs; four rows a foot contact, one each for
 the pairs and the ten joint limits."""
+
+FOOT_CONDIM = 3
+"""Dimensions of a contact of a foot with the ground: its pyramid has four edges, whose forces sum to the normal one."""
 
 LOST = 0b11111
 """Bits of warp's `OverflowType` that tell of contacts or constraints without room: NEFC, NJMAX_NNZ, BROADPHASE,
@@ -70,23 +73,42 @@ class MjxJax(MujocoPhysics):
         (new, torque), _ = jax.lax.scan(substep, (world, held), jnp.arange(substeps))
         return freeze_if_diverged(world, new), torque
 
-    def run_sensed(self, world: World, controller: Controller, cycles: int) -> tuple[World, Readings]:
+    def run_sensed(self, world: World, controller: Controller, cycles: int) -> tuple[World, Sensed]:
         model, blank = self._put(), self._blank_data()
 
-        def cycle(carry: tuple[World, Any], _: None) -> tuple[tuple[World, Any], None]:
+        def cycle(carry: tuple[World, Sensed], _: None) -> tuple[tuple[World, Sensed], None]:
             world, before = carry
             new, data = self._cycle(model, blank, world, controller, sensed=True)
-            return (new, jnp.where(new.diverged, before, data.sensordata)), None
+            now = self._sensed(data)
+            return (new, jax.tree.map(lambda old, new_: jnp.where(new.diverged, old, new_), before, now)), None
 
-        nothing = jnp.zeros(self.model.nsensordata)
-        (world, sensordata), _ = jax.lax.scan(cycle, (world, nothing), length=cycles)
-        return world, self._readings(sensordata)
+        shapes = jax.eval_shape(lambda: self._sensed(blank))
+        nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+        return jax.lax.scan(cycle, (world, nothing), length=cycles)[0]
 
-    def sensors(self, world: World, torque: Float[AnyArray, " joints"]) -> Readings:
+    def sense(self, world: World, torque: Float[AnyArray, " joints"]) -> Sensed:
         model = self._put()
         data = self._at(model, self._blank_data(), world)
         data = data.replace(ctrl=jnp.asarray(torque, float), qfrc_applied=self.pushes())
-        return self._readings(_advance(model, data, sensed=True)[1].sensordata)
+        return self._sensed(_advance(model, data, sensed=True)[1])
+
+    def _sensed(self, data: Any) -> Sensed:
+        """What a time step knows of its beginning."""
+        poses = Poses(data.xpos, data.xmat.reshape(-1, 3, 3))
+        velocities = self._velocities(data.cvel, data.xpos, data.subtree_com)
+        contacts = self._ground_contacts(poses, velocities, self._normal_forces(data))
+        return Sensed(self._readings(data.sensordata), poses, velocities, contacts, data.ctrl)
+
+    def _normal_forces(self, data: Any) -> Float[Array, " points"]:
+        """On the corners of the feet. In jax from the solver, which costs less than MuJoCo's touch sensors."""
+        balls, _ = self.ground_points
+        if self.implementation == "warp" or not len(balls):
+            return self._corner_forces(data.sensordata)
+        contact = data._impl.contact
+        rows = np.flatnonzero((contact.dim == FOOT_CONDIM) & (contact.efc_address >= 0))
+        edges = contact.efc_address[rows, None] + np.arange(2 * (FOOT_CONDIM - 1))
+        of_corner = (contact.geom[rows][:, :, None] == balls).any(axis=1)
+        return data._impl.efc_force[edges].sum(axis=1) @ of_corner.astype(data.qpos.dtype)
 
     def poses(self, world: World) -> Poses:
         data = mjx.kinematics(self._put(), self._blank_data().replace(qpos=world.qpos))
@@ -202,6 +224,9 @@ def _mjx_arrays(model: mujoco.MjModel, implementation: str, x64: bool) -> tuple[
     model.opt.iterations, model.opt.ls_iterations = SOLVER_ITERATIONS[implementation], LINE_SEARCH_ITERATIONS
     if not model.npair:  # MJX fails at a touch sensor where nothing can touch; left out, it reads 0
         model.sensor_needstage[model.sensor_type == mujoco.mjtSensor.mjSENS_TOUCH] = mujoco.mjtStage.mjSTAGE_NONE
+    elif implementation == "jax":  # forces on the corners of the feet are the solver's: see `_normal_forces`
+        corners = len(ground_points(model)[0])
+        model.sensor_needstage[model.nsensor - corners :] = mujoco.mjtStage.mjSTAGE_NONE
     with jax.ensure_compile_time_eval():
         put = mjx.put_model(model, impl=implementation)
         if implementation == "warp":  # it would print a line for each world and step; see `LOST`

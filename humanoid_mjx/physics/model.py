@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from pydantic import Field
 
-from humanoid_mjx.physics.base import MAX_SPEED, Physics, Readings, World
+from humanoid_mjx.physics.base import MAX_SPEED, GroundContacts, Physics, Poses, Readings, Velocities, World
 from humanoid_mjx.robot import lower_body as body
 from humanoid_mjx.robot import robot_spec
 from humanoid_mjx.robot.ranges import TORQUE_LIMIT
@@ -60,7 +60,7 @@ class MujocoPhysics(Physics):
     @property
     def ground_points(self) -> tuple[Int[np.ndarray, " points"], Bool[np.ndarray, "points nv"]]:
         """The balls of the feet that can touch the ground, z = 0: their geoms, and which velocities move them."""
-        return _ground_points(self.model)
+        return ground_points(self.model)
 
     def mass_factors(self, mass: MassFactor) -> Float[AnyArray, " bodies"]:
         """The factor on each body's mass and inertia. Factors of links leave the torso as it is."""
@@ -90,13 +90,36 @@ class MujocoPhysics(Physics):
 
     def _readings(self, sensordata: Float[AnyArray, "*worlds sensors"]) -> Readings:
         """MuJoCo's sensor array, in the order in which the robot declares its sensors."""
-        joints = self.model.nu
+        joints, points = self.model.nu, len(self.ground_points[0])
         return Readings(
             encoders=sensordata[..., :joints],
             gyroscope=sensordata[..., joints : joints + 3],
             accelerometer=sensordata[..., joints + 3 : joints + 6],
-            foot_contact=sensordata[..., joints + 6 :],
+            foot_contact=sensordata[..., joints + 6 : sensordata.shape[-1] - points],
         )
+
+    def _corner_forces(self, sensordata: Float[AnyArray, "*worlds sensors"]) -> Float[AnyArray, "*worlds points"]:
+        """The last of the sensors: normal forces on the corners of the feet, N."""
+        return sensordata[..., sensordata.shape[-1] - len(self.ground_points[0]) :]
+
+    def _velocities(
+        self, cvel: Float[AnyArray, "bodies 6"], position: Float[AnyArray, "bodies 3"], com: Float[AnyArray, "bodies 3"]
+    ) -> Velocities:
+        """From MuJoCo's `cvel`, which is about the centre of mass of a body's tree, `com` (`subtree_com`)."""
+        angular = cvel[:, :3]
+        arm = position - com[self.model.body_rootid]
+        return Velocities(cvel[:, 3:] + jnp.cross(angular, arm), angular)
+
+    def _ground_contacts(
+        self, poses: Poses, velocities: Velocities, forces: Float[AnyArray, " points"]
+    ) -> GroundContacts:
+        """Where the corners of the feet are, and how they move with their bodies."""
+        balls, _ = self.ground_points
+        link = self.model.geom_bodyid[balls]
+        arm = jnp.einsum("pij,pj->pi", poses.rotation[link], jnp.asarray(self.model.geom_pos[balls], float))
+        arm = arm - self.model.geom_size[balls, :1] * np.array([0.0, 0.0, 1.0])
+        velocity = velocities.linear[link] + jnp.cross(velocities.angular[link], arm)
+        return GroundContacts(poses.position[link] + arm, velocity, forces)
 
     def start(self, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]) -> World:
         qvel = jnp.array(qvel, float)
@@ -135,7 +158,8 @@ def _model(robot: str, torso: str, ranges: str, timestep: float | None) -> mujoc
 
 
 @lru_cache
-def _ground_points(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+def ground_points(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+    """As `MujocoPhysics.ground_points`, of a model."""
     pairs = np.stack([model.pair_geom1, model.pair_geom2], axis=1)
     balls = pairs[model.geom_type[pairs[:, 0]] == mujoco.mjtGeom.mjGEOM_PLANE, 1]
     moved_by = np.zeros((len(balls), model.nv), bool)

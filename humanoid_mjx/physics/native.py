@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 from mujoco.rollout import Rollout
 
 from humanoid_mjx.mechanics.contacts import Contacts
-from humanoid_mjx.physics.base import Controller, Poses, Readings, Stages, World
+from humanoid_mjx.physics.base import Controller, Poses, Readings, Sensed, Stages, Velocities, World
 from humanoid_mjx.physics.model import MujocoPhysics, below, freeze_if_diverged
 from humanoid_mjx.types import AnyArray, MassFactor
 
@@ -47,18 +47,24 @@ class Native(MujocoPhysics):
         qpos, qvel, warmstart = _on_host(partial(self._advance, substeps), shapes, self._values(), *state, control)
         return freeze_if_diverged(world, World(qpos, qvel, warmstart, jnp.bool_(False))), torque
 
-    def sensors(self, world: World, torque: Float[AnyArray, " joints"]) -> Readings:
+    def sense(self, world: World, torque: Float[AnyArray, " joints"]) -> Sensed:
         shapes = ((self.model.nsensordata,),)
-        control = jnp.concatenate([jnp.asarray(torque, float), self.pushes()])
+        torque = jnp.asarray(torque, float)
+        control = jnp.concatenate([torque, self.pushes()])
         state = world.qpos, world.qvel, world.warmstart
         (sensordata,) = _on_host(self._sense, shapes, self._values(), *state, control)
-        return self._readings(sensordata)
+        poses, velocities = self._motion(world)
+        contacts = self._ground_contacts(poses, velocities, self._corner_forces(sensordata))
+        return Sensed(self._readings(sensordata), poses, velocities, contacts, torque)
 
     def poses(self, world: World) -> Poses:
+        return self._motion(world)[0]
+
+    def _motion(self, world: World) -> tuple[Poses, Velocities]:
         bodies = self.model.nbody
-        shapes = (bodies, 3), (bodies, 3, 3)
-        position, rotation = _on_host(self._locate, shapes, self._values(), world.qpos)
-        return Poses(position, rotation)
+        shapes = (bodies, 3), (bodies, 3, 3), (bodies, 6), (bodies, 3)
+        position, rotation, cvel, com = _on_host(self._locate, shapes, self._values(), world.qpos, world.qvel)
+        return Poses(position, rotation), self._velocities(cvel, position, com)
 
     def rollout(
         self, world: World, torque: Float[AnyArray, "*worlds steps joints"]
@@ -165,14 +171,19 @@ class Native(MujocoPhysics):
                 drift[i, k] = rate @ qvel[i]
         return position, jacobian, drift
 
-    def _locate(self, values: np.ndarray, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        bodies = self.model.nbody
-        position, rotation = np.empty((len(qpos), bodies, 3)), np.empty((len(qpos), bodies, 3, 3))
+    def _locate(self, values: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, ...]:
+        """`xpos`, `xmat`, `cvel` and `subtree_com` of each world."""
+        worlds, bodies = len(qpos), self.model.nbody
+        found = [np.empty((worlds, bodies, *shape)) for shape in ((3,), (3, 3), (6,), (3,))]
         for i, (model, data) in enumerate(_team(self.model).bare(values)):
-            data.qpos = qpos[i]
+            data.qpos, data.qvel = qpos[i], qvel[i]
             mujoco.mj_kinematics(model, data)
-            position[i], rotation[i] = data.xpos, data.xmat.reshape(-1, 3, 3)
-        return position, rotation
+            mujoco.mj_comPos(model, data)
+            mujoco.mj_comVel(model, data)
+            parts = data.xpos, data.xmat.reshape(-1, 3, 3), data.cvel, data.subtree_com
+            for rows, part in zip(found, parts, strict=True):
+                rows[i] = part
+        return tuple(found)
 
     def _simulate(
         self,

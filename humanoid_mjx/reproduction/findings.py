@@ -6,7 +6,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-Verdict = Literal["reproduced", "recovered", "differs", "not_reproducible"]
+Verdict = Literal["reproduced", "recovered", "differs", "not_reproducible", "finding"]
+"""`reproduced`: what is printed comes out. `recovered`: it does with values that are not the printed ones. `differs`:
+it does not. `not_reproducible`: no values that are possible could make it. `finding`: nothing is printed, so there is
+nothing to agree with."""
 
 
 @dataclass(frozen=True)
@@ -17,10 +20,19 @@ class Finding:
     """The experiment."""
     quantity: str
     printed: Any
+    """A number, numbers, or a statement in words; None where the source says nothing."""
     reproduced: Any
     tolerance: float | None
     verdict: Verdict
     why: str
+
+    def __post_init__(self) -> None:
+        if (self.printed is None) != (self.verdict == "finding"):
+            raise ValueError(f"{self.name}, {self.quantity}: {self.verdict!r}, but printed is {self.printed!r}.")
+
+
+def _ignore(words: str) -> None:
+    """Nobody is there to be told."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +41,8 @@ class Setting:
 
     config: dict[str, Any]
     out: Path
+    tell: Callable[[str], None] = _ignore
+    """Say in a few words what is being computed."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +53,11 @@ class Experiment:
     title: str
     run: Callable[[Setting], list[Finding]]
     config: Mapping[str, Any] = field(default_factory=dict)
+
+
+def unprinted(name: str, quantity: str, reproduced: Any, why: str, tolerance: float | None = None) -> Finding:
+    """What comes out where the source prints nothing."""
+    return Finding(name, quantity, None, reproduced, tolerance, "finding", why)
 
 
 def judge(agrees: bool, used: Mapping[str, Any], printed: Mapping[str, Any], *, possible: bool = True) -> Verdict:
@@ -75,6 +94,6 @@ def three_digits(value: Any) -> float:
     return float(f"{value:.3g}")
 
 
-def listed(values: Iterable[float]) -> str:
+def listed(values: Iterable[Any]) -> str:
     """Numbers as words, with commas between them."""
     return ", ".join(f"{value:g}" for value in values)

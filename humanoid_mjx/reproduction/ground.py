@@ -1,12 +1,14 @@
 """Motions played on the free lower body on the ground, and what becomes of it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import Mesh
+from jax.sharding import PartitionSpec as P
 from jaxtyping import Array, Bool, Float
 
 from humanoid_mjx import control
@@ -15,7 +17,7 @@ from humanoid_mjx.physics import make_physics
 from humanoid_mjx.physics.balance import accelerations, foot_corners, link_motion
 from humanoid_mjx.physics.base import World
 from humanoid_mjx.thesis import leg as thesis
-from humanoid_mjx.types import FloatScalar, IntScalar
+from humanoid_mjx.types import AnyArray, FloatScalar, IntScalar
 
 CONTROLLERS = ("servo", "computed torque", "section 5.7")
 """A plain servo; computed torque within the contacts (`control.ground`); computed torque with the gains of Table 5.1
@@ -23,6 +25,12 @@ that knows no contacts and takes the torso for held. Each is asked at every time
 
 FALLEN_M, FALLEN_TILT = 0.15, 60.0
 """Of the hips above the ground (standing: 0.215), and of the torso in degrees: the body has fallen."""
+
+AT_ONCE = 64
+"""Trials that are simulated together."""
+
+ROUND = 256
+"""Steps, to a multiple of which the balance of a path is computed."""
 
 PUSH_S, PUSH_AT = 0.1, 0.5
 """How long a push takes, and when it begins, s."""
@@ -40,6 +48,11 @@ class Trial(NamedTuple):
     """Of the pattern generator."""
     push: tuple[float, float] = (0.0, 0.0)
     """On the hips, forwards and to the left, N s."""
+    signs: tuple[int, int, int] = (1, 1, 1)
+    """Of hip pitch, knee and ankle: 1 takes the gait's angles as they are printed, in the senses of `lower_body`, where
+    a positive knee swings the shank back and a positive ankle turns the toes down; -1 in the other sense."""
+    same_yaw: bool = False
+    """Whether both legs yaw in the same sense, to the right, in place of both toes outwards."""
 
 
 class Path(NamedTuple):
@@ -94,13 +107,13 @@ class Path(NamedTuple):
 class Balance(NamedTuple):
     """Of a path, at each time step but the last."""
 
-    center: Float[np.ndarray, "steps 3"]
+    center: Float[AnyArray, "steps 3"]
     """Of mass, m."""
-    point: Float[np.ndarray, "steps 2"]
+    point: Float[AnyArray, "steps 2"]
     """The zero-moment point, m; NaN in flight."""
-    margin: Float[np.ndarray, " steps"]
+    margin: Float[AnyArray, " steps"]
     """Of the point in the support polygon, m; infinite in flight. An edge has no inside: 0 at most."""
-    center_margin: Float[np.ndarray, " steps"]
+    center_margin: Float[AnyArray, " steps"]
     """Of the point below the centre of mass."""
 
 
@@ -110,40 +123,63 @@ def physics() -> Any:
     return make_physics("mjx-jax", ranges="human")
 
 
-def play(trials: Sequence[Trial], seconds: float, config: Mapping[str, Mapping[str, float]]) -> dict[Trial, Path]:
-    """Simulate all trials at once.
+def play(
+    trials: Sequence[Trial],
+    seconds: float,
+    config: Mapping[str, Mapping[str, float]],
+    tell: Callable[[str], None] = lambda words: None,
+) -> dict[Trial, Path]:
+    """Simulate trials, some at once.
 
     Args:
       trials: none twice.
       seconds: a multiple of the time step.
       config: under `servo` the kp and kd of `control.PD`, under `computed_torque` the kp, kd and share of
         `control.GroundControl`, whose servo is the first.
+      tell: told how far it is.
 
     Raises:
       InputError: an unknown gait, gains that no controller takes.
     """
-    plans = [_plan(trial, seconds) for trial in trials]
-    start = np.stack([_start(np.asarray(plan.qpos[0], np.float64)) for plan in plans])
-    kinds = jnp.array([CONTROLLERS.index(trial.controller) for trial in trials])
-    pushes = jnp.array([trial.push for trial in trials], float)
-    wanted = control.Reference(*(jnp.stack(x) for x in zip(*plans, strict=True)))
-    simulate = jax.jit(jax.vmap(_simulation(config)))
-    states = simulate(kinds, pushes, wanted, jnp.asarray(start, float))
-    qpos, qvel = (np.asarray(x, np.float64) for x in states)
-    rows = zip(trials, qpos, qvel, wanted.qpos, strict=True)
-    return {trial: _until_fall(qpos, qvel, np.asarray(plan)) for trial, qpos, qvel, plan in rows}
+    program, gains, paths = _program(), _gains(config), {}
+    for first in range(0, len(trials), AT_ONCE):
+        part = list(trials[first : first + AT_ONCE])
+        tell(f"{first:,} of {len(trials):,} bodies simulated")
+        plans = [_plan(trial, seconds) for trial in part]
+        start = [_start(np.asarray(plan.qpos[0], np.float64)) for plan in plans]
+        kinds, pushes = [CONTROLLERS.index(trial.controller) for trial in part], [trial.push for trial in part]
+        # As many in every call, so that one program serves them all: the last trial fills the rest.
+        rows = np.minimum(np.arange(AT_ONCE), len(part) - 1)
+        wanted = control.Reference(*(jnp.stack(x)[rows] for x in zip(*plans, strict=True)))
+        kinds, pushes, start = (
+            jnp.asarray(np.asarray(x)[rows], t) for x, t in ((kinds, int), (pushes, float), (start, float))
+        )
+        states = (np.asarray(x, np.float64) for x in program(gains, kinds, pushes, wanted, start))
+        found = zip(part, *states, (np.asarray(plan.qpos) for plan in plans), strict=False)
+        paths |= {trial: _until_fall(*rest) for trial, *rest in found}
+    return paths
 
 
 def balance_of(path: Path) -> Balance:
     """Centre of mass, zero-moment point and its margin."""
     qacc = accelerations(path.qvel, physics().step_s)
     links = link_motion(physics().model, path.qpos[:-1], path.qvel[:-1], qacc)
+    # The last row fills up to a round number, so that paths that end anywhere share few programs.
+    steps = len(qacc)
+    rows = np.minimum(np.arange(-(-steps // ROUND) * ROUND), steps - 1)
+    given = (*links, path.corners[:-1, :, :2], path.touching[:-1])
+    found = _balance(*(np.asarray(x)[rows] for x in given))
+    return Balance(*(np.asarray(x, np.float64)[:steps] for x in found))
+
+
+@jax.jit
+def _balance(*given: Array) -> Balance:
+    """From the fields of `balance.LinkMotion`, the corners and whether they touch, (steps, ...) each."""
+    links, corners, touching = balance.LinkMotion(*given[:-2]), *given[-2:]
     point = balance.zero_moment_point(*balance.ground_wrench(links))
     center = balance.center_of_mass(links.mass, links.position)
-    support = path.corners[:-1, :, :2], path.touching[:-1]
-    margin = jax.jit(jax.vmap(balance.support_margin))
-    found = center, point, margin(point, *support), margin(center[:, :2], *support)
-    return Balance(*(np.asarray(x, np.float64) for x in found))
+    margin = jax.vmap(balance.support_margin)
+    return Balance(center, point, margin(point, corners, touching), margin(center[:, :2], corners, touching))
 
 
 def _plan(trial: Trial, seconds: float) -> control.Reference:
@@ -153,12 +189,22 @@ def _plan(trial: Trial, seconds: float) -> control.Reference:
         return control.Reference(*jnp.zeros((3, len(times), 10)))
     gait = gaits.gait(trial.motion)
     if trial.frequency is None:
-        motion = jax.vmap(gait.both_legs)(times)
+        motion = _played(gait, times)
     else:
-        params = pattern_generator.pattern_generator(gait, trial.frequency, trial.amplitude)
-        begin = pattern_generator.init(params)
-        motion = jax.vmap(lambda t: pattern_generator.step(params, begin, t)[1])(times)
-    return control.Reference(*(x.reshape(len(times), 10) for x in motion))
+        motion = _generated(pattern_generator.pattern_generator(gait, trial.frequency, trial.amplitude), times)
+    hip, knee, ankle = trial.signs
+    leg = np.array([hip, 1, 1, knee, ankle])
+    signs = np.stack([leg, leg * ([1, -1, 1, 1, 1] if trial.same_yaw else 1)])
+    return control.Reference(*((signs * x).reshape(len(times), 10) for x in motion))
+
+
+_played = jax.jit(jax.vmap(gaits.Gait.both_legs, in_axes=(None, 0)))
+
+
+@jax.jit
+def _generated(params: pattern_generator.Params, times: Float[Array, " times"]) -> Any:
+    begin = pattern_generator.init(params)
+    return jax.vmap(lambda time: pattern_generator.step(params, begin, time)[1])(times)
 
 
 def _start(joints: Float[np.ndarray, " joints"]) -> Float[np.ndarray, " nq"]:
@@ -168,30 +214,45 @@ def _start(joints: Float[np.ndarray, " joints"]) -> Float[np.ndarray, " nq"]:
     return qpos
 
 
-def _simulation(config: Mapping[str, Any]) -> Any:
-    """From controller, push, plan and start to the states, (steps + 1, ...)."""
-    held = control.PD.build(10, **config["servo"])
+class _Gains(NamedTuple):
+    """Of the three controllers."""
+
+    servo: control.PD
+    grounded: control.GroundControl
+    kp: Float[Array, " joints"]
+    kd: Float[Array, " joints"]
+
+
+def _gains(config: Mapping[str, Mapping[str, float]]) -> _Gains:
     servo = {f"servo_{name}": gain for name, gain in config["servo"].items()}
+    table = (jnp.tile(jnp.array(gains), 2) for gains in (thesis.KP, thesis.KD))
     grounded = control.GroundControl.build(10, **config["computed_torque"], **servo)
-    kp, kd = (jnp.tile(jnp.array(gains), 2) for gains in (thesis.KP, thesis.KD))
+    return _Gains(control.PD.build(10, **config["servo"]), grounded, *table)
+
+
+@cache
+def _program() -> Any:
+    """From gains, and by trial controller, push, plan and start, to the states, (trials, steps + 1, ...) each."""
     simulator = physics()
 
-    def torque(kind: IntScalar, reference: control.Reference, stages: Any) -> Float[Array, " joints"]:
+    def torque(gains: _Gains, kind: IntScalar, reference: control.Reference, stages: Any) -> Float[Array, " joints"]:
         state = reference, stages.qpos, stages.qvel
         torques = (
-            control.pd(held, *state),
-            control.grounded_torque(grounded, *state, stages.mass_matrix, stages.bias, stages.contacts()),
-            stages.torque_for(control.servo(kp, kd, *state), 1.0),
+            control.pd(gains.servo, *state),
+            control.grounded_torque(gains.grounded, *state, stages.mass_matrix, stages.bias, stages.contacts()),
+            stages.torque_for(control.servo(gains.kp, gains.kd, *state), 1.0),
         )
         return jnp.select([kind == index for index in range(len(CONTROLLERS))], torques)
 
-    def simulate(kind: IntScalar, push: Float[Array, "2"], plan: control.Reference, qpos: Float[Array, " nq"]) -> Any:
+    def simulate(
+        gains: _Gains, kind: IntScalar, push: Float[Array, "2"], plan: control.Reference, qpos: Float[Array, " nq"]
+    ) -> Any:
         def cycle(world: World, now: tuple[FloatScalar, control.Reference]) -> tuple[World, tuple[Array, Array]]:
             time, reference = now
             acts = (time >= PUSH_AT) & (time < PUSH_AT + PUSH_S)
             force = jnp.pad(jnp.where(acts, push / PUSH_S, 0.0), (0, 1))
             pushed = simulator.replace(push=force)
-            world, _ = pushed.step(world, lambda stages: torque(kind, reference, stages))
+            world, _ = pushed.step(world, lambda stages: torque(gains, kind, reference, stages))
             return world, (world.qpos, world.qvel)
 
         world = simulator.start(qpos, jnp.concatenate([jnp.zeros(6), plan.qvel[0]]))
@@ -200,7 +261,12 @@ def _simulation(config: Mapping[str, Any]) -> Any:
         moved = jax.lax.scan(cycle, world, (simulator.step_s * jnp.arange(len(ends.qpos)), ends))[1]
         return tuple(jnp.concatenate([first[None], later]) for first, later in zip(world[:2], moved, strict=True))
 
-    return simulate
+    # Each device its share: XLA itself would gather what MJX solves.
+    devices = jax.local_devices()
+    mesh = Mesh(np.array(devices if AT_ONCE % len(devices) == 0 else devices[:1]), ("bodies",))
+    share = P("bodies")
+    every = jax.vmap(simulate, in_axes=(None, 0, 0, 0, 0))
+    return jax.jit(jax.shard_map(every, mesh=mesh, in_specs=(P(), *[share] * 4), out_specs=share, check_vma=False))
 
 
 def _until_fall(qpos: np.ndarray, qvel: np.ndarray, plan: np.ndarray) -> Path:

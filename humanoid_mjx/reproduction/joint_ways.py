@@ -1,7 +1,9 @@
 """Figures 7.11 to 7.16: the way of a joint to its goal, and the random numbers drawn on it. Only the text is at hand,
 which names two places and an average for each joint; one run is not reproducible, its distribution is."""
 
+import math
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -16,11 +18,13 @@ PRINTED = thesis.PSEUDO_CODE
 CONFIG = {
     "task": {"action": thesis.FIGURES_ACTION, "states": PRINTED["states"]},
     "learner": {
-        "epsilon": thesis.FIGURES_EPSILON,
+        "epsilon": PRINTED["epsilon"],
         "learning_rate": PRINTED["learning_rate"],
         "discount": PRINTED["discount"],
     },
 }
+
+CONFIDENCE = 0.95
 
 
 def way(number: int, joint: int, setting: Setting) -> list[Finding]:
@@ -28,10 +32,7 @@ def way(number: int, joint: int, setting: Setting) -> list[Finding]:
     from humanoid_mjx.reproduction.traces import printed_run
 
     run = printed_run(joint, setting.config, RUNS, STEPS)
-    start, goal = thesis.JOINT_RANGES[joint]
-    arrived = np.cumsum(run.terminated, axis=1)[:, :-1] > 0
-    angle = start + setting.config["task"]["action"] * run.state[:, :-1]
-    angle[:, 1:][arrived] = goal
+    angle = _angles(run, joint, setting.config["task"]["action"])
     low, high = np.quantile(angle, (0.025, 0.975), axis=0)
     used = setting.config["task"] | setting.config["learner"]
     lengths = np.where(run.terminated.any(axis=1), run.terminated.argmax(axis=1) + 1, STEPS)
@@ -47,7 +48,8 @@ def way(number: int, joint: int, setting: Setting) -> list[Finding]:
                 tolerance=None,
                 verdict=judge(bool(low[middle] <= mark <= high[middle]), used, PRINTED),
                 why=f"{in_words(used, PRINTED)}; the middle 95 % of {RUNS} runs, which take "
-                f"{np.quantile(lengths, 0.05):.0f} to {np.quantile(lengths, 0.95):.0f} episodes to the goal",
+                f"{np.quantile(lengths, 0.05):.0f} to {np.quantile(lengths, 0.95):.0f} episodes to the goal; a single "
+                "mark tells no epsilon from another: epsilon-7e asks all",
             )
         )
     with figure(setting.out / f"figure-7.{number}.png", 1, 1, size=(6.0, 3.6)) as (_, axes):
@@ -59,7 +61,8 @@ def way(number: int, joint: int, setting: Setting) -> list[Finding]:
         for (first, last), mark in thesis.FIGURE_MARKS[joint]:
             panel.plot([first, last], [mark, mark], color=COLORS[1], linewidth=4, solid_capstyle="butt")
             panel.annotate("printed", (last, mark), (6, -10), textcoords="offset points", color=COLORS[1])
-        panel.set_title(f"Joint {joint} by the printed rules: 5 of {RUNS} runs and their middle 95 %")
+        epsilon = setting.config["learner"]["epsilon"]
+        panel.set_title(f"Joint {joint} by the printed rules, epsilon {epsilon:g}: 5 of {RUNS} runs, their middle 95 %")
         panel.set_xlabel("episode (one step of the pseudo-code)")
         panel.set_ylabel("angle, degrees")
     return findings
@@ -72,18 +75,12 @@ def random_numbers(number: int, joint: int, setting: Setting) -> list[Finding]:
     run = printed_run(joint, setting.config, RUNS, STEPS)
     over = run.terminated.any(axis=1)
     lengths = run.terminated.argmax(axis=1) + 1
-    means = np.array([draws[:n].mean() for draws, n in zip(run.explore[over], lengths[over], strict=True)])
+    drawn = [draws[:n] for draws, n in zip(run.explore[over], lengths[over], strict=True)]
+    means = np.array([draws.mean() for draws in drawn])
     low, high = np.quantile(means, (0.025, 0.975))
     printed = thesis.AVERAGE_RANDOM_NUMBER[joint]
     used = setting.config["task"] | setting.config["learner"]
-    with figure(setting.out / f"figure-7.{number}.png", 1, 1, size=(5.0, 3.2)) as (_, axes):
-        panel = axes[0, 0]
-        panel.hist(means, bins=40, color=COLORS[0], alpha=0.6)
-        panel.axvline(printed, color=COLORS[1], linewidth=2)
-        panel.annotate("printed", (printed, panel.get_ylim()[1]), (4, -12), textcoords="offset points", color=COLORS[1])
-        panel.set_title(f"Joint {joint}: average random number of each of {over.sum()} runs")
-        panel.set_xlabel("average of the numbers drawn until the goal")
-        panel.set_ylabel("runs")
+    _draw_numbers(setting, number, joint, drawn, means)
     return [
         Finding(
             name=f"figure-7.{number}",
@@ -98,18 +95,137 @@ def random_numbers(number: int, joint: int, setting: Setting) -> list[Finding]:
     ]
 
 
-EXPERIMENTS = [
-    experiment
-    for i, joint in enumerate((1, 4, 5))
-    for experiment in (
-        Experiment(
-            f"figure-7.{11 + 2 * i}", f"Way of joint {joint} to its goal", partial(way, 11 + 2 * i, joint), CONFIG
-        ),
-        Experiment(
-            f"figure-7.{12 + 2 * i}",
-            f"Random numbers of joint {joint}",
-            partial(random_numbers, 12 + 2 * i, joint),
-            CONFIG,
-        ),
+def _draw_numbers(setting: Setting, number: int, joint: int, drawn: list[np.ndarray], means: np.ndarray) -> None:
+    """The numbers of one run against the episode, as the figure has them, and the averages of all runs."""
+    printed = thesis.AVERAGE_RANDOM_NUMBER[joint]
+    nearest = drawn[int(np.abs(means - printed).argmin())]
+    episodes = np.arange(1, len(nearest) + 1)
+    with figure(setting.out / f"figure-7.{number}.png", 1, 2, size=(4.6, 3.4), width_ratios=(2, 1), sharey=True) as (
+        fig,
+        axes,
+    ):
+        left, right = axes[0]
+        left.plot(episodes, nearest, "o-", color=COLORS[0], markersize=3, linewidth=0.6, label="drawn")
+        left.plot(episodes, np.cumsum(nearest) / episodes, color=COLORS[2], linewidth=1.6, label="average so far")
+        left.axhline(printed, color=COLORS[1], linewidth=1.6, linestyle="--", label=f"printed average, {printed:g}")
+        left.set_xlabel("episode (one step of the pseudo-code)")
+        left.set_ylabel("random number")
+        left.set_ylim(0, 1)
+        left.set_title("The run whose average is nearest to the printed one")
+        left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=3, frameon=False)
+        right.hist(means, bins=40, orientation="horizontal", color=COLORS[0], alpha=0.6)
+        right.axhline(printed, color=COLORS[1], linewidth=1.6, linestyle="--")
+        right.set_title(f"Averages of {len(means)} runs")
+        right.set_xlabel("runs")
+        fig.suptitle(f"Random numbers on the way of joint {joint} to its goal", x=0.02, ha="left", fontsize="medium")
+
+
+def pooled_epsilon(setting: Setting) -> list[Finding]:
+    """The epsilon behind the late marks of Figures 7.11, 7.13 and 7.15 together, and the averages together.
+
+    By the printed rules a joint moves with probability epsilon / 2 in a step and stays else, whatever it has learned:
+    the moves up to a step are binomial. The late mark of a figure says how many moves were made before its first step.
+    """
+    start = {joint: low for joint, (low, _) in thesis.JOINT_RANGES.items()}
+    late = {joint: marks[-1] for joint, marks in thesis.FIGURE_MARKS.items()}
+    action = setting.config["task"]["action"]
+    moves = {joint: round((mark - start[joint]) / action) for joint, (_, mark) in late.items()}
+    steps = {joint: first for joint, ((first, _), _) in late.items()}
+    return [_epsilon(moves, steps, setting.config), _averages(thesis.AVERAGE_RANDOM_NUMBER, steps)]
+
+
+def _epsilon(moves: dict[int, int], steps: dict[int, int], config: dict[str, Any]) -> Finding:
+    made, of = sum(moves.values()), sum(steps.values())
+    low, high = (2 * share for share in binomial_interval(made, of, CONFIDENCE))
+    epsilon = config["learner"]["epsilon"]
+    used, printed = config["task"] | config["learner"], PRINTED
+    counts = ", ".join(f"{moves[joint]} of {steps[joint]} (joint {joint})" for joint in moves)
+    off = (made - of * epsilon / 2) / math.sqrt(of * epsilon / 2 * (1 - epsilon / 2)) if 0 < epsilon < 2 else math.inf
+    return Finding(
+        name="epsilon-7e",
+        quantity="epsilon behind the late marks of Figures 7.11, 7.13 and 7.15, pooled: between",
+        printed=PRINTED["epsilon"],
+        reproduced=[round(low, 3), round(min(high, 1.0), 3)],
+        tolerance=None,
+        verdict=judge(low <= epsilon <= high, used, printed),
+        why=f"{in_words(used, printed)}: {made} moves in {of} steps, {counts}, estimate {2 * made / of:.2f} and its "
+        f"{CONFIDENCE:.0%} interval (Clopper and Pearson); epsilon {epsilon:g} is {abs(off):.1f} standard deviations "
+        "away",
     )
+
+
+def _averages(averages: dict[int, float], steps: dict[int, int]) -> Finding:
+    """Whether the three averages are those of uniform numbers, weighted with how many were drawn at least."""
+    weights = np.array([steps[joint] for joint in averages], float)
+    pooled = float(np.average(list(averages.values()), weights=weights))
+    half = 1.96 * math.sqrt(1 / 12 / weights.sum())
+    return Finding(
+        name="epsilon-7e",
+        quantity="average random number of Figures 7.12, 7.14 and 7.16 together: of uniform numbers between",
+        printed=round(pooled, 4),
+        reproduced=[round(0.5 - half, 4), round(0.5 + half, 4)],
+        tolerance=None,
+        verdict=judge(abs(pooled - 0.5) <= half, {}, {}),
+        why=f"the middle {CONFIDENCE:.0%} of averages of {weights.sum():.0f} uniform numbers, as many as the late "
+        "marks say were drawn at least",
+    )
+
+
+def binomial_interval(successes: int, trials: int, confidence: float) -> tuple[float, float]:
+    """The interval of Clopper and Pearson for a share: what no one-sided test at half the error refuses."""
+    tail = (1 - confidence) / 2
+
+    def at_most(count: int, share: float) -> float:
+        """The probability of at most `count` successes."""
+        if share in (0.0, 1.0):
+            return 1.0 if share == 0.0 or count >= trials else 0.0
+        logs = (
+            math.lgamma(trials + 1)
+            - math.lgamma(k + 1)
+            - math.lgamma(trials - k + 1)
+            + k * math.log(share)
+            + (trials - k) * math.log1p(-share)
+            for k in range(count + 1)
+        )
+        return min(1.0, sum(map(math.exp, logs)))
+
+    def bisect(count: int, target: float) -> float:
+        """The share at which at most `count` successes have the probability `target`; it falls as the share grows."""
+        low, high = 0.0, 1.0
+        for _ in range(60):
+            middle = (low + high) / 2
+            low, high = (middle, high) if at_most(count, middle) > target else (low, middle)
+        return (low + high) / 2
+
+    lowest = 0.0 if successes == 0 else bisect(successes - 1, 1 - tail)
+    highest = 1.0 if successes == trials else bisect(successes, tail)
+    return lowest, highest
+
+
+def _angles(run: Any, joint: int, action: float) -> np.ndarray:
+    """(runs, steps) The joint's angle before each step, degrees; the goal once it is reached."""
+    start, goal = thesis.JOINT_RANGES[joint]
+    arrived = np.cumsum(run.terminated, axis=1)[:, :-1] > 0
+    angle = start + action * run.state[:, :-1]
+    angle[:, 1:][arrived] = goal
+    return angle
+
+
+EXPERIMENTS = [
+    *(
+        experiment
+        for i, joint in enumerate((1, 4, 5))
+        for experiment in (
+            Experiment(
+                f"figure-7.{11 + 2 * i}", f"Way of joint {joint} to its goal", partial(way, 11 + 2 * i, joint), CONFIG
+            ),
+            Experiment(
+                f"figure-7.{12 + 2 * i}",
+                f"Random numbers of joint {joint}",
+                partial(random_numbers, 12 + 2 * i, joint),
+                CONFIG,
+            ),
+        )
+    ),
+    Experiment("epsilon-7e", "The epsilon behind Figures 7.11 to 7.16 together", pooled_epsilon, CONFIG),
 ]

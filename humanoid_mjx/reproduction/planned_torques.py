@@ -32,6 +32,15 @@ RECOVERED = {
 }
 """With the knee driven by joint 3's trajectory, as in the straight walking of section 7 B."""
 
+EVIDENCE = (
+    "so are all quantities of this figure; no value was fitted to this 0, which says that gravity is sideways",
+    "m2 was solved from this number, which is therefore no evidence; that it comes out round is (0.043900 kg)",
+    "m3 was solved from this number, which is therefore no evidence; that it comes out round is (0.043940 kg)",
+    "m4 was solved from this number, which is therefore no evidence; that it comes out round is (0.067000 kg)",
+    "evidence for the model: no value was fitted to it, and all nine digits agree",
+)
+"""What the start torques say of the recovered values, by joint."""
+
 GRAVITY = {"sideways": (0.0, 0.0, -thesis.GRAVITY), "along the leg": (0.0, -thesis.GRAVITY, 0.0)}
 
 NAMES = [name.replace("_", " ") for name in thesis.JOINT_NAMES]
@@ -100,26 +109,28 @@ def torques(setting: Setting) -> list[Finding]:
     }
     _draw(setting.out / "figure-7.5.png", t, curves)
     words = in_words(_flat(config), _flat(AS_PLANNED))
-    findings = [
-        _finding(f"joint {j + 1} ({NAMES[j]}) at the start, N m", mark, tau[j, 0], START_TOLERANCE, words, config)
-        for j, mark in enumerate(thesis.FIGURE_7_5["start"])
-    ]
-    findings += _end(t, tau, words, config)
+    findings = []
+    for j, (mark, why) in enumerate(zip(thesis.FIGURE_7_5["start"], EVIDENCE, strict=True)):
+        quantity = f"joint {j + 1} ({NAMES[j]}) at the start, N m"
+        findings.append(
+            _finding(quantity, mark, tau[j, 0], START_TOLERANCE, f"{words}; {why}" if j == 0 else why, config)
+        )
+    findings += _end(t, tau, config)
     for j, mark in enumerate(thesis.FIGURE_7_5["maximum"]):
-        why = f"{words}; the script's erroneous velocity terms with the same values give {erroneous[j].max():.5f}"
+        why = f"the script's erroneous velocity terms with the same values give {erroneous[j].max():.5f}"
         quantity = f"joint {j + 1} ({NAMES[j]}), greatest, N m"
         findings.append(_finding(quantity, mark, tau[j].max(), TOLERANCE * mark, why, config))
     return findings
 
 
-def _end(t: np.ndarray, tau: np.ndarray, words: str, config: Mapping[str, Any]) -> list[Finding]:
+def _end(t: np.ndarray, tau: np.ndarray, config: Mapping[str, Any]) -> list[Finding]:
     """The printed end values against the motion's end, and against the time that fits joints 2 to 5 best."""
     marks = np.array(thesis.FIGURE_7_5["end"])
     off = np.abs(tau / marks[:, None] - 1)
     best = int(off[1:].max(axis=0).argmin())
-    early = f"{words}; at {t[best]:.2f} s of {thesis.QUINTIC_S:g}, which fits joints 2 to 5 best"
+    early = f"at {t[best]:.2f} s of {thesis.QUINTIC_S:g}, which fits joints 2 to 5 best"
     parts = [
-        ("all joints at the end, N m", slice(0, 5), -1, f"{words}; at rest joint 1 has no torque, whatever the masses"),
+        ("all joints at the end, N m", slice(0, 5), -1, "at rest joint 1 has no torque, whatever the masses"),
         ("joints 2 to 5 shortly before the end, N m", slice(1, 5), best, early),
         ("joint 1 shortly before the end, N m", slice(0, 1), best, early),
     ]
@@ -129,9 +140,7 @@ def _end(t: np.ndarray, tau: np.ndarray, words: str, config: Mapping[str, Any]) 
     ]
 
 
-def _finding(
-    quantity: str, mark: Any, value: np.ndarray, tolerance: Any, why: str, config: Mapping[str, Any]
-) -> Finding:
+def _finding(quantity: str, mark: Any, value: Any, tolerance: Any, why: str, config: Mapping[str, Any]) -> Finding:
     agrees = bool((np.abs(value - np.asarray(mark)) <= tolerance).all())
     return Finding(
         name="figure-7.5",

@@ -6,8 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from humanoid_mjx.report.style import figure
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, judge, three_digits
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, judge, three_digits, unprinted
 from humanoid_mjx.thesis import leg
 from humanoid_mjx.thesis import q_learning as thesis
 
@@ -46,13 +45,25 @@ class Switch(NamedTuple):
 
 def initial(setting: Setting) -> list[Finding]:
     """Figure 7.17: where the switch starts."""
-    _draw(setting.out / "figure-7.17.png", "Initial posture", 0)
+    from humanoid_mjx.reproduction.posture_figures import draw_postures
+
+    upright = ('As the figure has it, "0° for all the joint"', np.zeros(10))
+    others = [(_words(section, ends[0]), _posture(ends[0])) for section, ends in thesis.POSTURES.items()]
+    title = "Initial postures: degrees of the right leg, the left takes the opposite"
+    draw_postures(setting.out / "figure-7.17.png", title, [upright, *others])
     return [_in_range("figure-7.17", section, "start", ends[0]) for section, ends in thesis.POSTURES.items()]
 
 
 def following(setting: Setting) -> list[Finding]:
     """Figure 7.18: where the switch ends, and how it gets there."""
-    _draw(setting.out / "figure-7.18.png", "Next posture", 1)
+    from humanoid_mjx.reproduction.posture_figures import draw_postures
+
+    postures = [(_words(section, ends[1]), _posture(ends[1])) for section, ends in thesis.POSTURES.items()]
+    hip, _, ankle = thesis.POSTURES["7H"][1]
+    as_printed = (hip, PRINTED_GOAL["knee"], ankle)
+    postures.append((f"{_words('7H', as_printed)}, the knee as printed", _posture(as_printed)))
+    title = "Next postures: degrees of the right leg, the left takes the opposite"
+    draw_postures(setting.out / "figure-7.18.png", title, postures)
     findings = [_in_range("figure-7.18", section, "goal", ends[1]) for section, ends in thesis.POSTURES.items()]
     findings.append(_sign())
     for section in thesis.POSTURES:
@@ -124,15 +135,11 @@ def _switch(section: str, setting: Setting) -> list[Finding]:
     )
     quantities = {"settling": "settling time, s", "overshoot": "overshoot, degrees", "energy": "energy, J"}
     findings = [
-        Finding(
-            name="figure-7.18",
-            quantity=f"section {section}: {words}: of the learned switch, and of a planned quintic",
-            printed=None,
-            reproduced=[_short(getattr(learned, quantity)), _short(getattr(plan, quantity))],
-            tolerance=SAME,
-            verdict=judge(_same(getattr(learned, quantity), getattr(plan, quantity)), {}, {}),
-            why=f"nothing is printed, so the plan is what it is judged against: {decided} under the same computed "
-            f"torque has {plan.peak:.2g} N m",
+        unprinted(
+            "figure-7.18",
+            f"section {section}: {words}: of the learned switch, and of a planned quintic",
+            [_short(getattr(learned, quantity)), _short(getattr(plan, quantity))],
+            f"{decided} under the same computed torque has {plan.peak:.2g} N m",
         )
         for quantity, words in quantities.items()
     ]
@@ -218,22 +225,15 @@ def _short(value: float) -> float | None:
     return None if np.isnan(value) else three_digits(value)
 
 
-def _draw(path: Path, title: str, end: int) -> None:
-    """One of the two postures of each section."""
-    from humanoid_mjx.report.rendering import draw
-    from humanoid_mjx.robot import robot_spec
-    from humanoid_mjx.tasks import make_task
+def _posture(degrees: tuple[float, ...]) -> np.ndarray:
+    """(10,) rad: hip, knee and ankle of the right leg as given, of the left opposite; yaw and roll at 0."""
+    leg = np.zeros((2, 5))
+    leg[:, [0, 3, 4]] = np.radians(degrees) * np.array(list(LEGS.values()))[:, None]
+    return leg.ravel()
 
-    tasks = {section: make_task("posture_switch", posture=section) for section in thesis.POSTURES}
-    qpos = np.stack([np.asarray(task.whole_body(task.grid[:, -end])) for task in tasks.values()])
-    frames = draw(robot_spec("legs").compile(), qpos)
-    with figure(path, 1, len(tasks), size=(4.8, 3.8)) as (fig, axes):
-        for panel, frame, (section, ends) in zip(axes[0], frames, thesis.POSTURES.items(), strict=True):
-            panel.imshow(frame)
-            panel.set_axis_off()
-            words = ", ".join(f"{joint} {angle:g}" for joint, angle in zip(JOINTS, ends[end], strict=True))
-            panel.set_title(f"Section {section}: {words}")
-        fig.suptitle(f"{title}; degrees of the right leg (blue), the left (orange) takes opposite values", fontsize=9)
+
+def _words(section: str, degrees: tuple[float, ...]) -> str:
+    return f"Section {section}\n" + ", ".join(f"{joint} {a:g}°" for joint, a in zip(JOINTS, degrees, strict=True))
 
 
 EXPERIMENTS = [

@@ -1,8 +1,10 @@
 """Run experiments by name and write down what they find."""
 
 import json
+import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -42,9 +44,15 @@ def reproduce(
     names: Sequence[str],
     out: Path,
     overrides: Sequence[str] = (),
-    say: Callable[[Experiment, list[Finding]], None] = lambda experiment, findings: None,
+    say: Callable[[Experiment, list[Finding], float], None] = lambda experiment, findings, seconds: None,
+    tell: Callable[[Experiment, str], None] = lambda experiment, words: None,
 ) -> list[Finding]:
-    """Run experiments (all, if none is named) and write `reproduce.json` and their figures into `out`.
+    """Run experiments (all, if none is named) and write their figures, `reproduce.json` and the seconds that each took,
+    `reproduce_times.json`, into `out`.
+
+    Args:
+      say: called after each experiment with what it found and the seconds it took.
+      tell: called while one runs, with what it computes at the moment.
 
     Raises:
       InputError: an unknown name, or an override of what a named experiment does not use.
@@ -58,12 +66,15 @@ def reproduce(
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"--out {out}: cannot be written: {error.strerror}.") from error
-    findings: list[Finding] = []
+    findings, times = [], {}
     for experiment, setting in zip(chosen, settings, strict=True):
-        found = experiment.run(setting)
-        say(experiment, found)
+        start = time.perf_counter()
+        found = experiment.run(replace(setting, tell=partial(tell, experiment)))
+        times[experiment.name] = round(time.perf_counter() - start, 2)
+        say(experiment, found, times[experiment.name])
         findings += found
-    write_findings(out / "reproduce.json", findings)
+        write_findings(out / "reproduce.json", findings)
+        (out / "reproduce_times.json").write_text(json.dumps(times, indent=2) + "\n", encoding="utf-8")
     return findings
 
 

@@ -37,12 +37,12 @@ def stall_torque(setting: Setting) -> list[Finding]:
         )
         for off, link_lengths, force, posture, roll in tried[:20]:
             file.write(f"| {link_lengths} | {force} | {posture} | {roll:.5f} | {off:.2g} |\n")
-    findings = []
+    findings, arms = [], _torque(lengths, np.zeros(5), [0.0, 0.0, 1.0])
     for joint, (mark, value) in enumerate(zip(thesis.STALL_TORQUES, torque, strict=True)):
         agrees = bool(abs(value - mark) < TOLERANCE)
         why = f"{in_words(used, printed)} of the script, at the zero posture"
-        if mark != 0:
-            arm = _torque(lengths, np.zeros(5), [0.0, 0.0, 1.0])[joint]
+        arm = float(arms[joint])
+        if arm:
             why += (
                 f"; it would take {mark / arm:.5f} N; of {len(tried)} sets of printed lengths, postures and "
                 f"weights the nearest ({nearest[1]}, {nearest[2]}, {nearest[3]}) is off by {nearest[0]:.2g} N m"
@@ -56,7 +56,7 @@ def stall_torque(setting: Setting) -> list[Finding]:
                 printed=mark,
                 reproduced=round(float(value), 5),
                 tolerance=TOLERANCE,
-                verdict=judge(agrees, used, printed, possible=nearest[0] < TOLERANCE),
+                verdict=judge(agrees, used, printed, possible=arm != 0 and nearest[0] < TOLERANCE),
                 why=why,
             )
         )

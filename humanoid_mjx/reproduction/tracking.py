@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from humanoid_mjx.report.style import COLORS, figure, label_lines
+from humanoid_mjx.report.style import COLORS, figure
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, in_words, judge, three_digits
 from humanoid_mjx.reproduction.printed import dynamics as printed_dynamics
 from humanoid_mjx.thesis import leg as thesis
@@ -26,6 +26,9 @@ TOLERANCES = (5e-5, 0.005, 0.0005, 0.005, 0.0005)
 """Half of the last digit of section 7 D's errors, rad; joint 1's is that of its place."""
 
 OVERSHOOT_RAD = 1e-3
+
+LEAST = 1e-6
+"""The least error that figures show, rad."""
 
 CONFIG = {
     name: {f"joint{i}": gain for i, gain in enumerate(gains, start=1)}
@@ -68,7 +71,12 @@ VARIANTS = (
     Variant("the same with its velocity terms alone as printed", "as printed", model="its velocity terms"),
 )
 
-DRAWN = {EXACT: "computed torque", PARTITIONED: "partitioned PD", LAGGING: "rate fed back", UNIT: "unit inertias"}
+DRAWN = {
+    EXACT: "computed torque, exact model",
+    PARTITIONED: "partitioned PD: inertias of the posture, nothing else of the model",
+    LAGGING: "computed torque that feeds back the rate, not the rate's error",
+    UNIT: "partitioned PD with every inertia 1 kg m²",
+}
 
 
 def tracking(joint: int, setting: Setting) -> list[Finding]:
@@ -259,24 +267,29 @@ def _draw(setting: Setting, joint: int, motions: dict[Variant, np.ndarray]) -> N
     planned = np.radians(thesis.QUINTIC_COEFFICIENTS[joint]) @ [times**0, times**3, times**4, times**5]
     last = (thesis.QUINTIC_S - 0.3, thesis.QUINTIC_S)
     printed = thesis.TRACKING["end"][joint], thesis.TRACKING["error"][joint]
-    with figure(setting.out / f"figure-7.{joint + 6}.png", 1, 2, size=(5.2, 3.6)) as (fig, axes):
+    bar = {"color": COLORS[6], "linewidth": 4, "solid_capstyle": "butt", "clip_on": False}
+    with figure(setting.out / f"figure-7.{joint + 6}.png", 1, 2, size=(5.2, 4.2)) as (fig, axes):
         places, errors = axes[0]
-        for color, variant in zip(COLORS, DRAWN, strict=False):
-            places.plot(times, planned - motions[variant][:, joint], color=color)
+        places.plot(times, planned, color=COLORS[6], linestyle="--", linewidth=1, label="planned")
+        for color, (variant, words) in zip(COLORS, DRAWN.items(), strict=False):
+            places.plot(times, planned - motions[variant][:, joint], color=color, label=words)
             errors.semilogy(times, np.abs(motions[variant][:, joint]), color=color)
-        places.plot(times, planned, color=COLORS[6], linestyle="--", linewidth=1)
-        errors.set_ylim(1e-6, 3)
-        for panel, mark in zip(axes[0], printed, strict=True):
-            panel.plot(last, [max(mark, 1e-6)] * 2, color=COLORS[6], linewidth=4, solid_capstyle="butt", clip_on=False)
+        errors.set_ylim(LEAST, 3)
+        places.plot(last, [printed[0]] * 2, **bar, label="as printed, at 5 s")
+        errors.plot(last, [max(printed[1], LEAST)] * 2, **bar)
+        if printed[1] < LEAST:
+            errors.annotate("0 as printed", (last[0], LEAST), (-4, 3), textcoords="offset points", ha="right")
+        places.set_title("Where the joint is")
         places.set_ylabel("angle, rad")
-        errors.set_ylabel("distance from the plan, rad")
+        errors.set_title("How far it is from the plan")
+        errors.set_ylabel("distance, rad (logarithmic)")
         for panel in axes[0]:
             panel.set_xlabel("time, s")
             panel.set_xlim(0, thesis.QUINTIC_S)
-        ends = [printed[0], planned[-1], *(planned[-1] - motions[v][-1, joint] for v in DRAWN)]
-        label_lines(places, ends, ["printed", "planned", *DRAWN.values()], [COLORS[6], COLORS[6], *COLORS[:4]])
+        handles, words = places.get_legend_handles_labels()
+        fig.legend(handles, words, loc="outside lower center", ncols=2, frameon=False)
         name = thesis.JOINT_NAMES[joint].replace("_", " ")
-        fig.suptitle(f"Joint {joint + 1} ({name}) from q = 0; bars: as printed", x=0.02, ha="left", fontsize="medium")
+        fig.suptitle(f"Joint {joint + 1} ({name}) from q = 0", x=0.02, ha="left", fontsize="medium")
 
 
 EXPERIMENTS = [

@@ -1,12 +1,13 @@
 """Section 7 B and Figures 7.1 to 7.4: the planned motion of the joints and where it takes the toe."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
+from matplotlib.ticker import MaxNLocator
 
-from humanoid_mjx.report.style import COLORS, figure, label_lines, shades
+from humanoid_mjx.report.style import COLORS, figure, label_lines
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, departures, in_words, judge, listed
 from humanoid_mjx.thesis import leg as thesis
 
@@ -16,6 +17,9 @@ TOLERANCE_M = 6e-5
 TOLERANCE_RAD = 5e-5
 
 SAMPLES = 20_000
+
+HEMISPHERE = 0.1
+"""By how much thickness over width may differ from a half."""
 
 LENGTHS = {
     "lengths": {f"l{i}": x for i, x in enumerate(thesis.LINK_LENGTHS, start=1)},
@@ -102,77 +106,121 @@ def _place(
 
 
 def workspace(number: int, setting: Setting) -> list[Finding]:
-    """Figures 7.2 to 7.4: the toe's path, and all places that the moving joints reach in their ranges."""
+    """Figures 7.2 to 7.4: the toe's path, and all places that the moving joints reach in the ranges of Table 3.2."""
     name = MOTIONS[number]
     lengths = setting.config["lengths"]
-    moving = thesis.WORKSPACE_JOINTS[name]
     t = np.linspace(0, thesis.QUINTIC_S, 401)
     path = _toe(lengths.values(), _motion(name, t))
-    cloud = _cloud(lengths.values(), moving)
-    _draw(setting.out / f"figure-7.{number}.png", name, path, cloud)
+    cloud = _cloud(lengths.values(), thesis.WORKSPACE_JOINTS[name])
+    paths = {"planned": path}
+    if name == "straight walking":
+        paths["knee to 45°, ankle to 120°"] = _toe(lengths.values(), _miswired(t))
+    _draw(setting.out / f"figure-7.{number}.png", name, paths, cloud)
+    findings = [_extents(number, name, path, lengths)]
+    return [*findings, _hemisphere(number, name, cloud, lengths)] if number == 2 else findings
+
+
+def _extents(number: int, name: str, path: np.ndarray, lengths: dict[str, float]) -> Finding:
     marks = np.sort(np.array(thesis.WORKSPACE[name]), axis=0)
     extent = np.stack([path.min(axis=0), path.max(axis=0)])
     error = float(np.abs(extent - marks).max())
-    findings = [
-        Finding(
-            name=f"figure-7.{number}",
-            quantity=f"{name}: from where to where the toe's path reaches along x, y and z, m",
-            printed=marks.tolist(),
-            reproduced=np.round(extent.astype(float), 4).tolist(),
-            tolerance=TOLERANCE_M,
-            verdict=judge(error < TOLERANCE_M, lengths, PRINTED_LENGTHS),
-            why="the text says that the reach varies from one triple to the other; they are the path's two ends "
-            f"(workspace-7b), not its extents, which differ by up to {1e3 * error:.0f} mm",
-        )
-    ]
-    if number == 2:
-        thickness, half = float(np.ptp(cloud, axis=0).min()), float(np.ptp(cloud, axis=0).max() / 2)
-        findings.append(
-            Finding(
-                name=f"figure-7.{number}",
-                quantity=f"{name}: the workspace is hemispherical: its least extent, m",
-                printed=round(half, 4),
-                reproduced=round(thickness, 6),
-                tolerance=0.01,
-                verdict=judge(thickness > half - 0.01, lengths, PRINTED_LENGTHS),
-                why="joints 1, 4 and 5 have parallel axes, so the workspace is a flat piece of the plane z = l1; "
-                "a hemisphere would be half as thick as wide",
-            )
-        )
-    return findings
+    return Finding(
+        name=f"figure-7.{number}",
+        quantity=f"{name}: from where to where the toe's path reaches along x, y and z, m",
+        printed=marks.tolist(),
+        reproduced=np.round(extent.astype(float), 4).tolist(),
+        tolerance=TOLERANCE_M,
+        verdict=judge(error < TOLERANCE_M, lengths, PRINTED_LENGTHS),
+        why="the text says that the reach varies from one triple to the other; they are the path's two ends "
+        f"(workspace-7b), not its extents, which differ by up to {1e3 * error:.0f} mm",
+    )
 
 
-def _draw(path: Any, name: str, toe: np.ndarray, cloud: np.ndarray) -> None:
-    hue = shades(len(toe))
-    with figure(path, 1, 2, size=(4.4, 4.2)) as (fig, axes):
-        for panel, (across, label) in zip(axes[0], ((0, "x (forward), m"), (2, "z (sideways), m")), strict=True):
+def _hemisphere(number: int, name: str, cloud: np.ndarray, lengths: dict[str, float]) -> Finding:
+    """A hemisphere is half as thick as it is wide, in one direction or another."""
+    widths = np.sort(np.ptp(cloud - cloud.mean(axis=0), axis=0))
+    thick, wide = float(widths[0]), float(widths[-1])
+    return Finding(
+        name=f"figure-7.{number}",
+        quantity=f"{name}: how thick and how wide the workspace is, m",
+        printed="hemispherical in shape",
+        reproduced=[round(thick, 6), round(wide, 4)],
+        tolerance=HEMISPHERE,
+        verdict=judge(abs(thick / wide - 0.5) < HEMISPHERE, lengths, PRINTED_LENGTHS),
+        why="joints 1, 4 and 5 have parallel axes, so the workspace is a flat piece of the plane z = l1; a hemisphere "
+        "would be half as thick as wide",
+    )
+
+
+def _draw(path: Any, name: str, paths: Mapping[str, np.ndarray], cloud: np.ndarray) -> None:
+    """In space, from the right and from behind: places in reach, paths, and the printed ends."""
+    hip = np.array([0.0, 0.0, thesis.LINK_LENGTHS[0]])
+    marks = np.array(thesis.WORKSPACE[name])
+    styles = dict(zip(paths, ((COLORS[0], "-"), (COLORS[2], "--")), strict=False))
+    with figure(path, 1, 3, size=(4.2, 4.4)) as (fig, axes):
+        flat = axes[0, 1:]
+        axes[0, 0].remove()
+        space = fig.add_subplot(1, 3, 1, projection="3d")
+        order = [2, 0, 1]  # z sideways and x forwards span the ground, y points up
+        space.scatter(*cloud[::8, order].T, s=0.3, color="0.75", rasterized=True)
+        for words, toe in paths.items():
+            space.plot(*toe[:, order].T, color=styles[words][0], linestyle=styles[words][1])
+        space.scatter(*marks[:, order].T, marker="x", s=45, color=COLORS[1], depthshade=False)
+        space.scatter(*hip[order], marker="s", s=25, color=COLORS[6], depthshade=False)
+        for label, set_label in zip("zxy", (space.set_xlabel, space.set_ylabel, space.set_zlabel), strict=True):
+            set_label(f"{label}, m")
+        everything = np.concatenate([cloud, marks, *paths.values(), hip[None]])[:, order]
+        middle, spans = (everything.max(axis=0) + everything.min(axis=0)) / 2, np.ptp(everything, axis=0)
+        spans = np.maximum(1.05 * spans, 0.12)
+        for axis, set_limits, at, span in zip(
+            (space.xaxis, space.yaxis, space.zaxis),
+            (space.set_xlim, space.set_ylim, space.set_zlim),
+            middle,
+            spans,
+            strict=True,
+        ):
+            set_limits(at - span / 2, at + span / 2)
+            axis.set_major_locator(MaxNLocator(max(2, round(span / 0.12))))
+        space.tick_params(labelsize=7)
+        space.set_box_aspect(spans, zoom=0.85)
+        space.view_init(elev=18, azim=-50)
+        space.set_title("In space")
+        views = ((0, "x (forwards), m", "From the right"), (2, "z (sideways), m", "From behind"))
+        for panel, (across, label, title) in zip(flat, views, strict=True):
             panel.plot(cloud[:, across], cloud[:, 1], ",", color="0.75", zorder=1)
-            panel.scatter(toe[:, across], toe[:, 1], c=hue, s=5, zorder=2)
-            for mark in thesis.WORKSPACE[name]:
-                panel.plot(mark[across], mark[1], "x", color=COLORS[1], markersize=8, markeredgewidth=2, zorder=3)
-            panel.plot(0 if across == 0 else thesis.LINK_LENGTHS[0], 0, "s", color=COLORS[6], markersize=5)
+            panel.plot([], [], "s", color="0.75", label="in reach in the ranges of Table 3.2")
+            for words, toe in paths.items():
+                line = {"color": styles[words][0], "linestyle": styles[words][1]}
+                panel.plot(toe[:, across], toe[:, 1], **line, label=f"path of the toe, {words}", zorder=2)
+                panel.plot(toe[0, across], toe[0, 1], "o", color=styles[words][0], markersize=4, zorder=2)
+            panel.plot(marks[:, across], marks[:, 1], "x", color=COLORS[1], markersize=8, label="ends as printed")
+            panel.plot(hip[across], hip[1], "s", color=COLORS[6], markersize=5, label="hip")
             panel.set_xlabel(label)
+            panel.set_title(title)
             panel.set_aspect("equal", adjustable="datalim")
-        axes[0, 0].set_ylabel("y (upward), m")
-        fig.suptitle(
-            f"{name.capitalize()}: the toe's planned path (dark to light) and all places it can reach (grey);\n"
-            "crosses: the two ends as printed; square: the hip",
-            x=0.02,
-            ha="left",
-            fontsize="medium",
-        )
+        flat[0].set_ylabel("y (upwards), m")
+        handles, words = flat[0].get_legend_handles_labels()
+        fig.legend(handles, words, loc="outside lower center", ncols=3, frameon=False)
+        fig.suptitle(f"{name.capitalize()}: where the toe goes and could go; dots: where it starts", x=0.02, ha="left")
 
 
 def _cloud(lengths: Any, moving: Sequence[int]) -> np.ndarray:
-    """(n, 3) The toe's places, m, with these joints anywhere in the trajectories' ranges and the others at 0."""
+    """(n, 3) The toe's places, m, with these joints anywhere in the proposed ranges and the others at 0."""
     import jax
     import jax.numpy as jnp
 
     from humanoid_mjx import kinematics
 
-    ranges = np.radians(thesis.QUINTIC_RANGES) * np.isin(np.arange(1, 6), moving)[:, None]
+    ranges = np.radians(thesis.JOINT_RANGES["proposed"]) * np.isin(np.arange(1, 6), moving)[:, None]
     sample = jax.jit(kinematics.workspace, static_argnames="n")
     return np.asarray(sample(_leg(lengths), jnp.array(ranges), jax.random.key(0), n=SAMPLES))
+
+
+def _miswired(t: np.ndarray) -> np.ndarray:
+    """(n, 5) Straight walking from its start to the posture that gives the end as printed, rad, in the same time."""
+    q = _motion("straight walking", t)
+    share = (q[:, :1] - q[0, 0]) / (np.radians(thesis.STRAIGHT_WALK_END[0]) - q[0, 0])
+    return q[0] + share * (np.radians(thesis.STRAIGHT_WALK_END) - q[0])
 
 
 def _planned(t: np.ndarray) -> np.ndarray:

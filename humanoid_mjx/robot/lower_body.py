@@ -135,6 +135,8 @@ def lower_body_spec(torso: str = "free", ranges: str = "proposed", timestep: flo
     if torso == "free":
         _add_ground(spec)
     add_motors_and_sensors(spec)
+    if torso == "free":
+        _add_corner_sensors(spec)
     return spec
 
 
@@ -209,6 +211,7 @@ def _add_foot_contact(foot: mujoco.MjsBody, side: str, pos: np.ndarray, size: np
     for index, corner in enumerate(CORNERS):
         center = pos + (*corner, -1) * (size - CORNER_RADIUS)
         foot.add_geom(name=f"{side}_corner{index}", type=ball, pos=center, size=(CORNER_RADIUS, 0.0, 0.0), **silent)
+        foot.add_site(name=f"{side}_corner{index}", type=box, pos=center, size=(3 * CORNER_RADIUS,) * 3, group=3)
     along = np.array([size[0] - size[1], 0.0, 0.0])
     fromto = (*(pos - along), *(pos + along))
     foot.add_geom(name=f"{side}_sole", type=capsule, fromto=fromto, size=(size[1], 0.0, 0.0), **silent)
@@ -230,6 +233,15 @@ def _add_ground(spec: mujoco.MjSpec) -> None:
             corner = f"{side}_corner{index}"
             pair = spec.add_pair(name=f"{corner}_ground", geomname1="ground", geomname2=corner, condim=3)
             pair.friction[:2] = FRICTION
+
+
+def _add_corner_sensors(spec: mujoco.MjSpec) -> None:
+    """What each corner of the feet presses on the ground with, in the order of the pairs with the ground."""
+    touch, site = mujoco.mjtSensor.mjSENS_TOUCH, mujoco.mjtObj.mjOBJ_SITE
+    for side in SIDES:
+        for index in range(len(CORNERS)):
+            corner = f"{side}_corner{index}"
+            spec.add_sensor(name=f"{corner}_contact", type=touch, objtype=site, objname=corner)
 
 
 def add_motors_and_sensors(spec: mujoco.MjSpec, joints: Sequence[str] = JOINTS, sides: Sequence[str] = SIDES) -> None:

@@ -118,9 +118,8 @@ class RunFolder:
         self.write_arrays(f"checkpoint/part-{max(numbers, default=-1) + 1:05d}.npz", arrays)
 
 
-def pool_name(number: int) -> str:
-    """The file of the runs under way on a device."""
-    return f"checkpoint/pool-{number}.npz"
+POOL = "checkpoint/pool-0.npz"
+"""The file of the runs under way."""
 
 
 def diverged_name(point: int, seed: int) -> str:

@@ -7,7 +7,7 @@ gravity holds the leg off a set-point that equals the goal.
 """
 
 from functools import lru_cache
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp

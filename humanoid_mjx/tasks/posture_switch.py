@@ -8,7 +8,7 @@ a control law, by default computed torque, drives both legs to the set-point. Th
 
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -152,7 +152,9 @@ class PostureSwitch(FiniteTask):
         target = jnp.clip(self._places(state.encoders) + choice, 0, self.places - 1)
         return self.whole_body(jnp.asarray(self.grid, float)[np.arange(len(MOVED)), target])
 
-    def controller(self, qpos: Float[Array, "10"], qvel: AnyArray | float = 0.0, qacc: AnyArray | float = 0.0) -> Follow:
+    def controller(
+        self, qpos: Float[Array, "10"], qvel: AnyArray | float = 0.0, qacc: AnyArray | float = 0.0
+    ) -> Follow:
         """What drives both legs towards a state of motion."""
         still = jnp.zeros_like(qpos)
         return self.control.follow(Reference(qpos, still + qvel, still + qacc))

@@ -44,9 +44,6 @@ TABLES_LEARNING_RATE = 0.99
 FIGURES_ACTION = 5.0
 """Recovered: the step in degrees at which the marks below lie on the grid of positions. The text says 1."""
 
-FIGURES_EPSILON = 0.8
-"""Recovered: the epsilon whose 0.4 moves a step match the marks below. The text says .6."""
-
 FIGURE_MARKS = {
     1: (((4, 6), 0.0), ((45, 49), 75.0)),
     4: (((7, 12), 25.0), ((54, 60), 110.0)),

@@ -1,22 +1,22 @@
-"""Slots on one device in which runs train side by side; a slot whose run is over takes the next one that waits.
+"""Slots in which runs train side by side; a slot whose run is over takes the next one that waits.
 
 Runs differ in length by far: where the reward pays for waiting, an episode lasts to its cap. In fixed blocks the
 quick ones would wait for the slowest.
 """
 
-import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
 import numpy as np
+from jax.sharding import NamedSharding, PartitionSpec
 
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.plan import Group
-from humanoid_mjx.training.program import programs_of
+from humanoid_mjx.training.program import RUNS, mesh_of, programs_of
 from humanoid_mjx.training.state import blank, from_arrays, to_arrays
 from humanoid_mjx.types import Device
 
@@ -34,25 +34,30 @@ HARVEST_AFTER_S = 10.0
 
 IDLE = -1
 
-_TRACING = threading.Lock()
-"""Held while a program is traced, so that pools of other devices find it traced."""
+COMPILING = ("tracing", "compiling")
+"""Phases of a pool in which its thread cannot answer, and its training states stand still."""
 
 
 class Pool:
-    """Trains runs of a group, taking them from `waiting`, which pools on other devices may share."""
+    """Trains runs of a group, taking them from `waiting`, in as many slots on each device."""
 
     def __init__(
         self,
         group: Group,
         waiting: deque[int],
         size: int,
-        device: Device,
+        devices: Sequence[Device],
         seed: int,
         policies: Any = None,
     ):
-        """`policies`: what runs start from instead of anew, every leaf with a leading axis of the group's runs."""
-        self.group, self.waiting, self.device, self.seed, self.policies = group, waiting, device, seed, policies
-        self.programs = programs_of(group.learners)
+        """Make `size` slots on each of the devices.
+
+        `policies`: what runs start from instead of anew, every leaf with a leading axis of the group's runs.
+        """
+        self.group, self.waiting, self.seed, self.policies = group, waiting, seed, policies
+        self.programs, size = programs_of(group.learners, devices), size * len(devices)
+        self.over_devices = NamedSharding(mesh_of(devices), PartitionSpec(RUNS))
+        self.everywhere = NamedSharding(mesh_of(devices), PartitionSpec())
         self.compiled: dict[str, Callable[..., Any]] = {}
         self.phase = "starting"
         """What is done now, in a word for the user."""
@@ -67,7 +72,7 @@ class Pool:
         self.diverged: dict[int, dict[str, np.ndarray]] = {}
         """The last training states of harvested runs whose numbers were no longer finite, by run."""
         self._load()
-        self.training = jax.device_put(blank(group.one_run, size), device)
+        self.training = jax.device_put(blank(group.one_run, size), self.over_devices)
 
     @property
     def busy(self) -> np.ndarray:
@@ -87,14 +92,14 @@ class Pool:
             self._load()
             rows = np.searchsorted(self.group.runs, np.maximum(self.slots, self.group.runs[0]))
             policies = self._put(self.policies, rows)
-            mask = jax.device_put(fresh, self.device)
+            mask = jax.device_put(fresh, self.over_devices)
             self.training = self._call("begin", mask, self.learners, self.seeds, self.training, policies)
             self.progress = np.where(fresh, 0.0, self.progress)
             self.wall_s[fresh] = np.nan
 
     def train(self) -> None:
         """Let every run train for about `CHUNK_S`."""
-        steps = jax.device_put(np.int32(self.steps), self.device)
+        steps = jax.device_put(np.int32(self.steps), self.everywhere)
         began = time.monotonic()
         self.training, progress = self._call("advance", self.learners, self.training, steps)
         self.progress = np.asarray(progress.share)
@@ -165,25 +170,24 @@ class Pool:
         for run in self.slots[idle].tolist():
             self.waiting.remove(run)
         self._load()
-        self.training = jax.device_put(from_arrays(self.training, merged, "training", where), self.device)
+        self.training = jax.device_put(from_arrays(self.training, merged, "training", where), self.over_devices)
 
     def _call(self, name: str, *args: Any) -> Any:
         """Call a program of `programs`, compiled when it is first needed; wait for its result."""
         if name not in self.compiled:
             self.phase = "tracing"
-            with _TRACING:
-                lowered = getattr(self.programs, name).lower(*args)
+            lowered = getattr(self.programs, name).lower(*args)
             self.phase = "compiling"
             self.compiled[name] = lowered.compile()
         self.phase = {"begin": "starting", "advance": "training", "finish": "evaluating"}[name]
         return jax.block_until_ready(self.compiled[name](*args))
 
     def _load(self) -> None:
-        """Bring the learners and seeds of the slots' runs to the device. An idle slot repeats the first run."""
+        """Bring the learners and seeds of the slots' runs to the devices. An idle slot repeats the first run."""
         rows, numbers = self.group.locate(np.maximum(self.slots, self.group.runs[0]))
         self.learners: Learner = self._put(self.group.learners, rows)
         seeds = np.full(len(rows), self.seed, np.uint32), numbers.astype(np.uint32)
-        self.seeds = jax.device_put(seeds, self.device)
+        self.seeds = jax.device_put(seeds, self.over_devices)
 
     def _put(self, tree: Any, rows: np.ndarray) -> Any:
-        return jax.tree.map(lambda leaf: jax.device_put(leaf[rows], self.device), tree)
+        return jax.tree.map(lambda leaf: jax.device_put(leaf[rows], self.over_devices), tree)

@@ -3,20 +3,24 @@
 All functions are of one run; `programs` compiles them for runs side by side.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Array, Bool, Float, Key
 
-from humanoid_mjx import rng
+from humanoid_mjx import rng, runtime
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.base import Outcome, WholeRunLearner
 from humanoid_mjx.training.rollout import greedy, mean_scores
-from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
+from humanoid_mjx.types import BoolScalar, Device, FloatScalar, IntScalar
+
+RUNS = "runs"
+"""The axis of a mesh of devices over which runs are shared out."""
 
 
 class Training(NamedTuple):
@@ -130,7 +134,10 @@ def curve(learner: Learner, training: Training) -> dict[str, Float[Array, " reco
 
 
 class Programs(NamedTuple):
-    """Compiled functions over runs side by side; every array has a leading axis of runs."""
+    """Compiled functions over runs side by side; every array has a leading axis of runs, shared out over the devices.
+
+    Each device computes its runs by itself: the program is compiled once, and none waits for another within it.
+    """
 
     begin: Callable[..., Training]
     """(fresh, learners, seeds, training states, policies) -> training states, new where `fresh` is true."""
@@ -141,8 +148,11 @@ class Programs(NamedTuple):
 
 
 @lru_cache
-def programs(options: tuple[tuple[str, str | bool], ...]) -> Programs:
-    """The programs of all learners with these compiler options. `seeds` is (the config's seed, the seed number)."""
+def programs(options: tuple[tuple[str, str | bool], ...], mesh: Mesh) -> Programs:
+    """The programs of all learners with these compiler options on the devices of `mesh`, whose axis is `RUNS`.
+
+    `seeds` is (the config's seed, the seed number).
+    """
 
     def anew(fresh: Bool[Array, ""], learner: Learner, seeds: Any, old: Training, policy: Any) -> Training:
         new = begin(learner, run_key(*seeds), policy)
@@ -151,17 +161,27 @@ def programs(options: tuple[tuple[str, str | bool], ...]) -> Programs:
     def end(learner: Learner, training: Training, seeds: Any) -> dict[str, Any]:
         return finish(learner, training, jax.random.fold_in(run_key(*seeds), 1))
 
-    compiled = partial(jax.jit, compiler_options=dict(options))
+    def compiled(function: Callable[..., Any], shared: Any = PartitionSpec(RUNS), **given: Any) -> Callable[..., Any]:
+        spread = jax.shard_map(function, mesh=mesh, in_specs=shared, out_specs=PartitionSpec(RUNS), check_vma=False)
+        return jax.jit(spread, compiler_options=dict(options), **given)
+
+    steps = PartitionSpec(RUNS), PartitionSpec(RUNS), PartitionSpec()
     return Programs(
         begin=compiled(jax.vmap(anew), donate_argnums=3),
-        advance=compiled(jax.vmap(advance, in_axes=(0, 0, None)), donate_argnums=1),
+        advance=compiled(jax.vmap(advance, in_axes=(0, 0, None)), steps, donate_argnums=1),
         finish=compiled(jax.vmap(end)),
     )
 
 
-def programs_of(learner: Learner) -> Programs:
-    """The programs that train learners such as this one."""
-    return programs(tuple(sorted(learner.compiler_options.items())))
+def programs_of(learner: Learner, devices: Sequence[Device]) -> Programs:
+    """The programs that train learners such as this one on the given devices."""
+    options = runtime.on_every_device(learner.compiler_options) if len(devices) > 1 else learner.compiler_options
+    return programs(tuple(sorted(options.items())), mesh_of(devices))
+
+
+def mesh_of(devices: Sequence[Device]) -> Mesh:
+    """Devices in a row, for runs to be shared out over them."""
+    return Mesh(np.array(devices), (RUNS,))
 
 
 def run_key(seed: jax.Array, number: jax.Array) -> jax.Array:

@@ -16,11 +16,11 @@ from humanoid_mjx import runtime
 from humanoid_mjx.config import Config, load, parse
 from humanoid_mjx.learners.base import WholeRunLearner
 from humanoid_mjx.runs.folder import (
+    POOL,
     RunFolder,
     diverged_name,
     fresh_path,
     latest_path,
-    pool_name,
     read_arrays,
     read_config,
     read_provenance,
@@ -28,7 +28,7 @@ from humanoid_mjx.runs.folder import (
 from humanoid_mjx.runs.tables import finished_runs, read_table, write_tables
 from humanoid_mjx.training.memory import runs_that_fit, training_bytes
 from humanoid_mjx.training.plan import Group, Plan, make_plan, resolved
-from humanoid_mjx.training.pool import Pool
+from humanoid_mjx.training.pool import COMPILING, Pool
 from humanoid_mjx.training.progress import Reporter
 from humanoid_mjx.training.warm_start import earlier_policies
 from humanoid_mjx.training.whole_runs import WholeRuns
@@ -118,7 +118,7 @@ def sweep(
 
 
 class _Session:
-    """The work of one process on a run folder: a thread per device, each with a pool of runs."""
+    """The work of one process on a run folder."""
 
     def __init__(self, folder: RunFolder, plan: Plan, reporter: Reporter):
         self.folder, self.plan, self.reporter = folder, plan, reporter
@@ -134,73 +134,79 @@ class _Session:
     def train(self, index: int, size: int, policies: Any) -> None:
         """Train the runs of a group that are not finished yet, at most `size` at once on each device."""
         group = self.plan.groups[index]
-        whole = isinstance(group.learners, WholeRunLearner)
-        devices = jax.local_devices()[: 1 if whole else None]
         waiting = deque(run for run in group.runs.tolist() if run not in self.finished)
         if not waiting:
             return
-        self.reporter.note(self._side_by_side(group, size, whole))
+        whole = isinstance(group.learners, WholeRunLearner)
         # Not of what still waits: sums over networks round by the number of runs side by side, also after a resume.
-        size = min(size, -(-len(group.runs) // len(devices)))
+        devices = jax.local_devices()[: 1 if whole else len(group.runs)]
+        size = 1 if whole else min(size, -(-len(group.runs) // len(devices)))
+        self.reporter.note(self._side_by_side(group, size * len(devices)))
         with runtime.counting_compiles() as compiles:
             common = self.plan.config.seed, policies
             if whole:
-                pools = [WholeRuns(group, waiting, devices[0], *common, self.stop)]
+                pool = WholeRuns(group, waiting, devices[0], *common, self.stop)
             else:
-                pools = [Pool(group, waiting, size, device, *common) for device in devices]
-            self._restore(index, pools)
-            self._work_in_threads(index, pools)
+                pool = Pool(group, waiting, size, devices, *common)
+            self._restore(index, pool)
+            self._work_in_a_thread(index, pool)
         self.compile_s += compiles.seconds
         self.tables_are_old = True
         for path in self.folder.pools():
             path.unlink()
         self.stop.clear()
 
-    def _work_in_threads(self, index: int, pools: Sequence[Pool]) -> None:
-        """Train what waits, a thread for each pool, and report how it goes.
+    def _work_in_a_thread(self, index: int, pool: Pool) -> None:
+        """Train what waits, and report how it goes.
 
         Raises:
-          what a thread raised; or KeyboardInterrupt, once every pool has stored what it has under way.
+          what training raised; or KeyboardInterrupt, once what is under way is stored.
         """
         errors: list[BaseException] = []
 
-        def work(number: int) -> None:
+        def work() -> None:
             try:
-                self._work(index, number, pools[number])
+                self._work(index, pool)
             except BaseException as error:
                 errors.append(error)
 
-        threads = [threading.Thread(target=work, args=(i,), daemon=True) for i in range(len(pools))]
-        for thread in threads:
-            thread.start()
+        thread = threading.Thread(target=work, daemon=True)
+        thread.start()
         try:
-            while any(thread.is_alive() for thread in threads) and not errors:
-                threads[0].join(0.1) if threads[0].is_alive() else time.sleep(0.1)
-                self._report(pools)
+            while thread.is_alive():
+                thread.join(0.1)
+                self._report(pool)
                 if time.monotonic() >= self.tables_due:
                     self.write_results()
         finally:
             self.stop.set()
-            deadline = time.monotonic() + LEAVE_AFTER_S
-            for thread in threads:
-                thread.join(max(0.0, deadline - time.monotonic()))
+            self._leave(index, pool, thread)
         if errors:
             raise errors[0]
 
-    def _side_by_side(self, group: Group, size: int, whole: bool) -> str:
-        """How many runs train at once, and what memory that is estimated to take."""
-        devices, runs = jax.local_device_count(), len(group.runs)
-        at_once = 1 if whole else min(runs, devices * min(size, -(-runs // devices)))
-        memory = at_once * training_bytes(group) / 2**20
-        return f"{at_once:,} of {runs:,} runs train side by side, in an estimated {memory:,.0f} MiB"
+    def _leave(self, index: int, pool: Pool, thread: threading.Thread) -> None:
+        """Wait until training has stored what is under way; do it where it compiles and cannot answer."""
+        deadline = time.monotonic() + LEAVE_AFTER_S
+        while thread.is_alive() and pool.phase not in COMPILING and time.monotonic() < deadline:
+            thread.join(0.05)
+        if thread.is_alive() and pool.phase in COMPILING and pool.busy.any():
+            self._store_under_way(index, pool)
 
-    def _work(self, index: int, number: int, pool: Pool) -> None:
-        """Train what waits in one pool, until nothing does. Runs in the thread of the pool's device."""
+    def _store_under_way(self, index: int, pool: Pool) -> None:
+        self.folder.write_arrays(POOL, {"group": np.array(index)} | pool.state())
+
+    def _side_by_side(self, group: Group, slots: int) -> str:
+        """How many runs train at once, and what memory that is estimated to take."""
+        runs, memory = len(group.runs), slots * training_bytes(group) / 2**20
+        return f"{min(slots, runs):,} of {runs:,} runs train side by side, in an estimated {memory:,.0f} MiB"
+
+    def _work(self, index: int, pool: Pool) -> None:
+        """Train what waits, until nothing does."""
         saved = time.monotonic()
         pool.fill()
         while pool.busy.any():
             if self.stop.is_set() or time.monotonic() - saved > CHECKPOINT_EVERY_S:
-                self.folder.write_arrays(pool_name(number), {"group": np.array(index)} | pool.state())
+                self._store_under_way(index, pool)
                 saved = time.monotonic()
             if self.stop.is_set():
                 return
@@ -219,24 +225,20 @@ class _Session:
             self.finished.update(runs.tolist())
             self.tables_are_old = True
 
-    def _report(self, pools: Sequence[Pool]) -> None:
-        busy = [pool for pool in pools if pool.busy.any()]
-        if busy:
-            self.reporter.phase(busy[0].phase)
-        under_way = sum(float(np.minimum(pool.progress[pool.busy], 1.0).sum()) for pool in busy)
-        if under_way:
-            recent = np.concatenate([pool.recent[pool.busy] for pool in busy])
-            known = recent[np.isfinite(recent).all(axis=1)]
-            success, mean_return = known.mean(axis=0) if len(known) else (None, None)
+    def _report(self, pool: Pool) -> None:
+        busy = pool.busy
+        self.reporter.phase(pool.phase)
+        if under_way := float(np.minimum(pool.progress[busy], 1.0).sum()):
+            known = pool.recent[busy][np.isfinite(pool.recent[busy]).all(axis=1)]
+            success, mean_return = map(float, known.mean(axis=0)) if len(known) else (None, None)
             self.reporter.update((len(self.finished) + under_way) * self.plan.budget, success, mean_return)
 
-    def _restore(self, index: int, pools: Sequence[Pool]) -> None:
+    def _restore(self, index: int, pool: Pool) -> None:
         """Take up the runs of this group that an interrupted session, maybe on other devices, had under way."""
         for path in self.folder.pools():
             arrays = read_arrays(path)
             if int(arrays["group"]) == index:
-                for pool in pools:
-                    pool.restore(arrays, str(path))
+                pool.restore(arrays, str(path))
 
     def write_results(self) -> None:
         """Bring tables and provenance up to date with the finished runs."""

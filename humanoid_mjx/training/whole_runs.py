@@ -35,7 +35,7 @@ class WholeRuns(Pool):
     """
 
     def __init__(self, group: Group, waiting: deque[int], device: Device, seed: int, policies: Any, stop: Event):
-        super().__init__(group, waiting, 1, device, seed, policies)
+        super().__init__(group, waiting, 1, [device], seed, policies)
         self.stop = stop
         names = (*MEASURES, *(f"greedy_{name}" for name in MEASURES))
         self.curve = {name: np.full(self.wall_s.shape[1], np.nan, np.float32) for name in names}

@@ -1,0 +1,144 @@
+"""What the tree needs of `mechanics.scalars` beyond a chain: pytrees of scalars, 3x3 matrices, spatial vectors."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from humanoid_mjx.mechanics.scalars import NULL, ONE, ZERO, Scalar, Vector, add, cross, dot, scale
+
+
+def _flatten(scalar: Scalar) -> tuple[tuple[Any, ...], float | None]:
+    return ((), scalar.value) if isinstance(scalar.value, float) else ((scalar.value,), None)
+
+
+def _unflatten(known: float | None, children: tuple[Any, ...]) -> Scalar:
+    return Scalar(children[0] if known is None else known)
+
+
+jax.tree_util.register_pytree_node(Scalar, _flatten, _unflatten)
+"""Numbers that are known while tracing are structure, those that are traced are leaves."""
+
+Rotation = tuple[Vector, Vector, Vector]
+"""The axes of a frame in the world: the columns of its rotation matrix."""
+
+UNTURNED: Rotation = (Vector(ONE, ZERO, ZERO), Vector(ZERO, ONE, ZERO), Vector(ZERO, ZERO, ONE))
+
+
+class Spatial(NamedTuple):
+    """A motion or a force about one origin, in axes of the world.
+
+    Of a motion: the velocity of the body's point at the origin, and its angular velocity. Of a force: the force, and
+    its moment about the origin.
+    """
+
+    linear: Vector
+    angular: Vector
+
+
+NOWHERE = Spatial(NULL, NULL)
+
+
+class Symmetric(NamedTuple):
+    """A symmetric 3x3 matrix."""
+
+    xx: Scalar = ZERO
+    xy: Scalar = ZERO
+    xz: Scalar = ZERO
+    yy: Scalar = ZERO
+    yz: Scalar = ZERO
+    zz: Scalar = ZERO
+
+    def plus(self, other: "Symmetric") -> "Symmetric":
+        """The sum of two."""
+        return Symmetric(*(a + b for a, b in zip(self, other, strict=True)))
+
+    def apply(self, v: Vector) -> Vector:
+        """Its product with a vector."""
+        return Vector(dot(self[:3], v), dot((self.xy, self.yy, self.yz), v), dot((self.xz, self.yz, self.zz), v))
+
+    @property
+    def rows(self) -> tuple[Vector, Vector, Vector]:
+        """By row."""
+        return Vector(*self[:3]), Vector(self.xy, self.yy, self.yz), Vector(self.xz, self.yz, self.zz)
+
+
+def isotropic(value: Scalar) -> Symmetric:
+    """`value` times the identity."""
+    return Symmetric(xx=value, yy=value, zz=value)
+
+
+def outer(factor: Scalar, v: Vector) -> Symmetric:
+    """`factor v v^T`."""
+    scaled = scale(factor, v)
+    return Symmetric(scaled.x * v.x, scaled.x * v.y, scaled.x * v.z, scaled.y * v.y, scaled.y * v.z, scaled.z * v.z)
+
+
+def subtract(a: Vector, b: Vector) -> Vector:
+    """The difference of two vectors."""
+    return Vector(a.x - b.x, a.y - b.y, a.z - b.z)
+
+
+def vector(values: Sequence[Any]) -> Vector:
+    """From three numbers or traced values."""
+    return Vector(*(number(value) for value in values))
+
+
+def number(value: Any) -> Scalar:
+    """A scalar of a number, known while tracing, or of a traced value."""
+    return Scalar(float(value)) if isinstance(value, float | int) else Scalar(value)
+
+
+def combine(axes: Rotation, v: Vector) -> Vector:
+    """A vector of a frame in the world: the sum of the frame's axes times its components."""
+    return Vector(*(dot((axes[0][i], axes[1][i], axes[2][i]), v) for i in range(3)))
+
+
+def resolve(axes: Rotation, v: Vector) -> Vector:
+    """A vector of the world in a frame: its components along the frame's axes."""
+    return Vector(*(dot(axis, v) for axis in axes))
+
+
+def compose(axes: Rotation, other: Rotation) -> Rotation:
+    """The axes, in the world, of a frame that is turned by `other` against the frame of `axes`."""
+    one, two, three = (combine(axes, axis) for axis in other)
+    return one, two, three
+
+
+def total(motions: Sequence[Spatial]) -> Spatial:
+    """The sum of spatial vectors."""
+    linear = angular = NULL
+    for motion in motions:
+        linear, angular = add(linear, motion.linear), add(angular, motion.angular)
+    return Spatial(linear, angular)
+
+
+def times(factor: Scalar, s: Spatial) -> Spatial:
+    """A number times a spatial vector."""
+    return Spatial(scale(factor, s.linear), scale(factor, s.angular))
+
+
+def power(motion: Spatial, force: Spatial) -> Scalar:
+    """The scalar product of a motion and a force."""
+    return dot(motion.linear, force.linear) + dot(motion.angular, force.angular)
+
+
+def velocity_at(motion: Spatial, point: Vector) -> Vector:
+    """Of the body's point at `point` against the origin."""
+    return add(motion.linear, cross(motion.angular, point))
+
+
+def force_at(force: Vector, point: Vector) -> Spatial:
+    """A force that acts at `point`, about the origin."""
+    return Spatial(force, cross(point, force))
+
+
+def root(value: Scalar) -> Scalar:
+    """The square root."""
+    return Scalar(jnp.sqrt(value.value))
+
+
+def root_over(value: Scalar) -> Scalar:
+    """The square root's inverse."""
+    return Scalar(jax.lax.rsqrt(value.value))

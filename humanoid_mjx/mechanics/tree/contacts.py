@@ -1,0 +1,212 @@
+"""Where a tree touches the ground and itself: places, directions, and how stiffly each contact answers.
+
+See "Computation" in MuJoCo's documentation. A contact's frame is its normal and two tangents; its pyramid of friction
+has a facet along the normal plus and minus each tangent, weighted by the coefficient of friction.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+
+from humanoid_mjx.mechanics.scalars import HALF, ONE, TWO, ZERO, Scalar, Vector, add, cross, dot, scale
+from humanoid_mjx.mechanics.tree.algebra import (
+    Rotation,
+    Spatial,
+    Symmetric,
+    resolve,
+    root,
+    subtract,
+    vector,
+    velocity_at,
+)
+from humanoid_mjx.mechanics.tree.kinematics import Kinematics
+from humanoid_mjx.mechanics.tree.segments import nearest_points
+from humanoid_mjx.mechanics.tree.structure import GroundPoint, Limit, Pair, Softness, Surface, Tree
+
+Friction = tuple[Scalar, Scalar] | None
+
+
+class Touch(NamedTuple):
+    """A contact. The second body's acceleration against the first's at its place decides on its force."""
+
+    place: Vector
+    """Midway between the surfaces, against the origin, m."""
+    frame: Rotation
+    distance: Scalar
+    """Between the surfaces, m; negative where they overlap."""
+    close: Any
+    """Whether it counts: the distance is within the margin."""
+    weight: Scalar
+    """1 / R of each facet: the force for a unit of acceleration that is missing, kg."""
+    offset: Vector
+    """Less its reference acceleration, in its frame: what is added to the acceleration of its place."""
+    friction: Friction
+
+    def residual(self, one: Spatial, two: Spatial) -> Vector:
+        """Accelerations less their reference where the bodies accelerate so, in the contact's frame."""
+        relative = subtract(velocity_at(two, self.place), velocity_at(one, self.place))
+        return add(resolve(self.frame, relative), self.offset)
+
+    def facets(self, v: Vector) -> list[Scalar]:
+        """A vector of the contact's frame along each facet of the pyramid."""
+        if self.friction is None:
+            return [v.x]
+        slips = (self.friction[0] * v.y, self.friction[1] * v.z)
+        return [sum_ for slip in slips for sum_ in (v.x + slip, v.x - slip)]
+
+    def active(self, v: Vector) -> list[Any]:
+        """Which facets push, by the residual in the contact's frame."""
+        return [self.close & (facet.value < 0.0) for facet in self.facets(v)]
+
+    def force(self, v: Vector) -> Vector:
+        """On the second body, N, in the contact's frame, by the residual there."""
+        pushes = [
+            Scalar(jnp.where(self.close & (facet.value < 0.0), -self.weight.value * facet.value, 0.0))
+            for facet in self.facets(v)
+        ]
+        if self.friction is None:
+            return Vector(pushes[0], ZERO, ZERO)
+        (mu, nu), (a, b, c, d) = self.friction, pushes
+        return Vector(a + b + c + d, mu * (a - b), nu * (c - d))
+
+    def stiffness(self, active: Sequence[Any]) -> Symmetric:
+        """From the residual to less the force while these facets push, in the contact's frame."""
+        on = [Scalar(jnp.where(flag, self.weight.value, 0.0)) for flag in active]
+        if self.friction is None:
+            return Symmetric(xx=on[0])
+        (mu, nu), first, second = self.friction, on[0] + on[1], on[2] + on[3]
+        return Symmetric(
+            xx=first + second,
+            xy=mu * (on[0] - on[1]),
+            xz=nu * (on[2] - on[3]),
+            yy=mu * mu * first,
+            zz=nu * nu * second,
+        )
+
+
+class Stop(NamedTuple):
+    """The nearer end of a joint's range."""
+
+    sign: Scalar
+    """1 at the lower end, -1 at the upper."""
+    close: Any
+    weight: Scalar
+    offset: Scalar
+
+    def residual(self, rate: Scalar) -> Scalar:
+        """The joint's acceleration into the range less its reference."""
+        return self.sign * rate + self.offset
+
+
+def ground_touches(
+    tree: Tree, kinematics: Kinematics, motions: Sequence[Spatial], frictions: Sequence[Friction]
+) -> list[Touch]:
+    """The contacts of the points in `tree.ground`, where the bodies move by `motions`."""
+    return [
+        _ground_touch(point, kinematics, motions[point.body], friction)
+        for point, friction in zip(tree.ground, frictions, strict=True)
+    ]
+
+
+def pair_touches(
+    tree: Tree, kinematics: Kinematics, motions: Sequence[Spatial], frictions: Sequence[Friction]
+) -> list[Touch]:
+    """The contacts of `tree.pairs`."""
+    return [
+        _pair_touch(pair, kinematics, motions, friction) for pair, friction in zip(tree.pairs, frictions, strict=True)
+    ]
+
+
+def stop_of(limit: Limit, angle: Scalar, speed: Scalar) -> Stop:
+    """The joint's range at an angle and speed."""
+    above, below = angle - Scalar(limit.lower), Scalar(limit.upper) - angle
+    nearer = above.value < below.value
+    sign = Scalar(jnp.where(nearer, 1.0, -1.0).astype(above.value.dtype))
+    distance = Scalar(jnp.minimum(above.value, below.value))
+    close, weight, push = _soft(limit.softness, distance, limit.margin, Scalar(limit.inverse_weight))
+    return Stop(sign, close, weight, Scalar(limit.softness.damping) * sign * speed + push)
+
+
+def friction_of(surface: Surface) -> Friction:
+    """The model's own."""
+    return None if surface.friction is None else (Scalar(surface.friction[0]), Scalar(surface.friction[1]))
+
+
+def _ground_touch(point: GroundPoint, kinematics: Kinematics, motion: Spatial, friction: Friction) -> Touch:
+    center, normal = kinematics.place(point.body, point.center), vector(point.normal)
+    height = dot(normal, center) + (dot(normal, kinematics.origin) - Scalar(point.height))
+    distance = height - Scalar(point.radius)
+    place = subtract(center, scale(Scalar(point.radius) + HALF * distance, normal))
+    along = None if point.along is None else kinematics.direction(point.body, point.along)
+    return _touch(point.surface, place, _frame(normal, along), distance, velocity_at(motion, place), friction)
+
+
+def _pair_touch(pair: Pair, kinematics: Kinematics, motions: Sequence[Spatial], friction: Friction) -> Touch:
+    one, two = nearest_points(pair, kinematics)
+    apart = subtract(two, one)
+    square = dot(apart, apart)
+    # Centres that meet have no direction; MuJoCo takes one as well.
+    meet = square.value <= 0.0
+    length = root(Scalar(jnp.where(meet, 1.0, square.value)))
+    normal = scale(ONE / length, apart)
+    normal = normal._replace(x=Scalar(jnp.where(meet, 1.0, normal.x.value)))
+    distance = Scalar(jnp.where(meet, 0.0, length.value)) - Scalar(pair.one.radius + pair.two.radius)
+    place = add(one, scale(Scalar(pair.one.radius) + HALF * distance, normal))
+    velocity = subtract(velocity_at(motions[pair.two.body], place), velocity_at(motions[pair.one.body], place))
+    # Without friction the tangents are never asked for, and cost nothing.
+    return _touch(pair.surface, place, _frame(normal, None), distance, velocity, friction)
+
+
+def _touch(
+    surface: Surface, place: Vector, frame: Rotation, distance: Scalar, velocity: Vector, friction: Friction
+) -> Touch:
+    inverse = Scalar(surface.inverse_weight)
+    if friction is not None:
+        square = friction[0] * friction[0]
+        inverse = TWO * square * inverse * (ONE + square) / Scalar(surface.impratio)
+    close, weight, push = _soft(surface.softness, distance, surface.margin, inverse)
+    offset = scale(Scalar(surface.softness.damping), resolve(frame, velocity))
+    return Touch(place, frame, distance, close, weight, offset._replace(x=offset.x + push), friction)
+
+
+def _soft(softness: Softness, distance: Scalar, margin: float, inverse: Scalar) -> tuple[Any, Scalar, Scalar]:
+    """Whether a constraint counts, its weight 1 / R, and the part of its reference acceleration that is position's."""
+    violation = distance - Scalar(margin)
+    close = violation.value < 0.0
+    impedance = _impedance(softness, violation)
+    weight = impedance / ((ONE - impedance) * inverse)
+    return close, weight, Scalar(softness.stiffness) * impedance * violation
+
+
+def _impedance(softness: Softness, violation: Scalar) -> Scalar:
+    """`solimp`: from `dmin` to `dmax` over `width`, along two powers that meet at the midpoint."""
+    low, high, middle, power = softness.dmin, softness.dmax, softness.midpoint, softness.power
+    if low == high or softness.width <= 1e-15:
+        return Scalar(0.5 * (low + high))
+    x = jnp.minimum(jnp.abs(violation.value) * (1.0 / softness.width), 1.0)
+    if power == 1.0:
+        y = x
+    else:
+        rise, fall = 1.0 / middle ** (power - 1.0), 1.0 / (1.0 - middle) ** (power - 1.0)
+        y = jnp.where(x <= middle, rise * x**power, 1.0 - fall * (1.0 - x) ** power)
+    return Scalar(low + (high - low) * y)
+
+
+def _frame(normal: Vector, along: Vector | None) -> Rotation:
+    """MuJoCo's tangents: the first follows `along` where that is not too near the normal, else an axis of the world."""
+    upright = all(isinstance(part.value, float) for part in normal)
+    if along is None and upright:
+        sideways = abs(normal.y.value) < 0.5
+        along = Vector(ZERO, ONE if sideways else ZERO, ZERO if sideways else ONE)
+    elif along is None:
+        sideways = jnp.abs(normal.y.value) < 0.5
+        y = sideways.astype(normal.y.value.dtype)
+        along = Vector(ZERO, Scalar(y), Scalar(1.0 - y))
+    tangent = subtract(along, scale(dot(normal, along), normal))
+    square = dot(tangent, tangent)
+    if isinstance(square.value, float):
+        tangent = scale(Scalar(square.value**-0.5), tangent)
+    else:
+        tangent = scale(ONE / root(Scalar(jnp.maximum(square.value, 1e-30))), tangent)
+    return normal, tangent, cross(normal, tangent)

@@ -1,0 +1,148 @@
+"""Where the bodies of a tree are and how its degrees of freedom move them.
+
+Vectors have the axes of the world and start at one origin: that of the free body, or of the world where there is none.
+Angular velocities of the free body are the world's in here, its own frame's in `qvel`.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from humanoid_mjx.mechanics.scalars import NULL, ONE, TWO, Scalar, Vector, add, cross, scale
+from humanoid_mjx.mechanics.tree.algebra import (
+    UNTURNED,
+    Rotation,
+    Spatial,
+    combine,
+    compose,
+    root_over,
+    subtract,
+    times,
+    total,
+    vector,
+)
+from humanoid_mjx.mechanics.tree.structure import Axes, Hinge, Tree, Triple
+
+
+class Pose(NamedTuple):
+    """Of a body."""
+
+    position: Vector
+    axes: Rotation
+
+
+class Kinematics(NamedTuple):
+    """A tree in one posture."""
+
+    origin: Vector
+    """In the world, m."""
+    poses: tuple[Pose, ...]
+    anchors: tuple[Vector, ...]
+    """A point on the axis of each hinge."""
+    motions: tuple[Spatial, ...]
+    """What a unit velocity of each degree of freedom does to the bodies that it moves."""
+
+    def place(self, body: int, point: Triple) -> Vector:
+        """A point of a body's frame, against the origin."""
+        pose = self.poses[body]
+        return add(pose.position, combine(pose.axes, vector(point)))
+
+    def direction(self, body: int, axis: Triple) -> Vector:
+        """A direction of a body's frame."""
+        return combine(self.poses[body].axes, vector(axis))
+
+
+def make_kinematics(tree: Tree, qpos: Sequence[Scalar]) -> Kinematics:
+    """The bodies' poses at `qpos`, whose quaternion, if there is one, need not have length 1."""
+    origin = Vector(*qpos[:3]) if tree.free is not None else NULL
+    poses = [Pose(Vector(-origin.x, -origin.y, -origin.z), UNTURNED)]
+    anchors: list[Vector] = []
+    motions = [Spatial(axis, NULL) for axis in UNTURNED] + [Spatial(NULL, axis) for axis in UNTURNED]
+    if tree.free is None:
+        motions = []
+    for index, body in enumerate(tree.bodies[1:], 1):
+        if index == tree.free:
+            poses.append(Pose(NULL, rotation(unit(qpos[3:7]))))
+            continue
+        parent = poses[body.parent]
+        position = add(parent.position, combine(parent.axes, vector(body.position)))
+        axes = compose(parent.axes, _known(body.axes))
+        for hinge in body.hinges:
+            anchor = add(position, combine(axes, vector(hinge.anchor)))
+            axis = combine(axes, vector(hinge.axis))
+            axes = compose(axes, _turned(hinge, qpos[hinge.qpos]))
+            position = subtract(anchor, combine(axes, vector(hinge.anchor))) if any(hinge.anchor) else position
+            anchors.append(anchor)
+            motions.append(Spatial(cross(anchor, axis), axis))
+        poses.append(Pose(position, axes))
+    return Kinematics(origin, tuple(poses), tuple(anchors), tuple(motions))
+
+
+def motions_of(tree: Tree, kinematics: Kinematics, speeds: Sequence[Scalar]) -> list[Spatial]:
+    """The motion of each body where the degrees of freedom move at `speeds`, the free body's in the world's axes."""
+    base = Spatial(Vector(*speeds[:3]), Vector(*speeds[3:6])) if tree.free is not None else None
+    found = [Spatial(NULL, NULL)]
+    for index, body in enumerate(tree.bodies[1:], 1):
+        if index == tree.free and base is not None:
+            found.append(base)
+            continue
+        turning = [times(speeds[hinge.dof], kinematics.motions[hinge.dof]) for hinge in body.hinges]
+        found.append(total([found[body.parent], *turning]))
+    return found
+
+
+def to_world(tree: Tree, kinematics: Kinematics, rates: Sequence[Scalar]) -> list[Scalar]:
+    """Velocities or accelerations with the free body's angular part in the world's axes, from those of `qvel`."""
+    if tree.free is None:
+        return list(rates)
+    turned = combine(kinematics.poses[tree.free].axes, Vector(*rates[3:6]))
+    return [*rates[:3], *turned, *rates[6:]]
+
+
+def to_local(tree: Tree, kinematics: Kinematics, rates: Sequence[Scalar]) -> list[Scalar]:
+    """The inverse of `to_world`; forces turn alike."""
+    if tree.free is None:
+        return list(rates)
+    x, y, z = kinematics.poses[tree.free].axes
+    turned = [a.x * rates[3] + a.y * rates[4] + a.z * rates[5] for a in (x, y, z)]
+    return [*rates[:3], *turned, *rates[6:]]
+
+
+def unit(quaternion: Sequence[Scalar]) -> list[Scalar]:
+    """The quaternion at length 1."""
+    w, x, y, z = quaternion
+    factor = root_over(w * w + x * x + y * y + z * z)
+    return [factor * part for part in quaternion]
+
+
+def rotation(quaternion: Sequence[Scalar]) -> Rotation:
+    """The axes of a frame from its unit quaternion, w x y z."""
+    w, x, y, z = quaternion
+    wx, wy, wz = (TWO * w * part for part in (x, y, z))
+    xx, yy, zz = (TWO * part * part for part in (x, y, z))
+    xy, xz, yz = TWO * x * y, TWO * x * z, TWO * y * z
+    return (
+        Vector(ONE - (yy + zz), xy + wz, xz - wy),
+        Vector(xy - wz, ONE - (xx + zz), yz + wx),
+        Vector(xz + wy, yz - wx, ONE - (xx + yy)),
+    )
+
+
+def _turned(hinge: Hinge, angle: Scalar) -> Rotation:
+    """Rodrigues' formula about an axis of fixed components: an axis of the frame gives a rotation of two."""
+    turn = angle - Scalar(hinge.reference)
+    cosine, sine = Scalar(jnp.cos(turn.value)), Scalar(jnp.sin(turn.value))
+    axis = vector(hinge.axis)
+    columns = []
+    for index, unmoved in enumerate(UNTURNED):
+        along = scale(axis[index], axis)
+        lying = Vector(*(e - a for e, a in zip(unmoved, along, strict=True)))
+        columns.append(add(along, add(scale(cosine, lying), scale(sine, cross(axis, unmoved)))))
+    one, two, three = columns
+    return one, two, three
+
+
+def _known(axes: Axes) -> Rotation:
+    x, y, z = axes
+    return vector(x), vector(y), vector(z)

@@ -1,0 +1,19 @@
+"""Tasks of the lower body on the ground, made of parts that are declared.
+
+body          the robot in a physics under a control law, and the values of its world
+view          what observations, rewards and terminations are functions of
+observations  named numbers, from which size, scale, bounds and mirror image follow
+rewards       named terms, and the Specs that hold their weights
+terminations  when a body has fallen
+commands, gait, events   what is asked of it, its clock and open-loop steps, pushes and randomised worlds
+task          reset and step
+stand, walk   the tasks that ship
+"""
+
+from humanoid_mjx.tasks.legged.rewards import Rewards, StandRewards, WalkRewards
+from humanoid_mjx.tasks.legged.stand import Stand
+from humanoid_mjx.tasks.legged.task import LeggedTask
+from humanoid_mjx.tasks.legged.view import Feet, View
+from humanoid_mjx.tasks.legged.walk import Walk
+
+__all__ = ["Feet", "LeggedTask", "Rewards", "Stand", "StandRewards", "View", "Walk", "WalkRewards"]

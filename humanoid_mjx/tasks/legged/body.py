@@ -1,0 +1,115 @@
+"""The body of a legged task: the lower body in a physics, its posture, the law of its joints, the values of its world."""
+
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import ClassVar, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Key
+from pydantic import Field, model_validator
+
+from humanoid_mjx.control import Control, at_rest
+from humanoid_mjx.control.laws import ServoLaw
+from humanoid_mjx.mechanics.rotations import leaning_quaternion
+from humanoid_mjx.physics import make_physics
+from humanoid_mjx.physics.base import Physics, Sensed, World
+from humanoid_mjx.robot import lower_body
+from humanoid_mjx.robot.ranges import TORQUE_LIMIT
+from humanoid_mjx.runtime import SHARED_KERNELS
+from humanoid_mjx.spec import traced
+from humanoid_mjx.tasks.continuous import ContinuousTask
+from humanoid_mjx.types import FloatScalar
+
+JOINTS = len(lower_body.JOINTS)
+
+POSTURE = np.radians([15.0, 0.0, 0.0, 30.0, -15.0] * 2)
+"""rad. Knees bent a little, so that legs can give way and stretch; the feet are flat under the hips."""
+
+START_HEIGHT, START_SPREAD = 0.210, 0.03
+"""m of the hips above the ground, a few millimetres above what the posture has; rad, by which every joint and the
+torso's lean differ from it at most."""
+
+
+class Plant(NamedTuple):
+    """Values of the world that a body lives in; under randomisation each episode has its own."""
+
+    mass: FloatScalar
+    friction: FloatScalar
+    joint_damping: FloatScalar
+    torque_limit: FloatScalar
+
+
+class LeggedBody(ContinuousTask):
+    """What all legged tasks have of the robot: derive from `LeggedTask`."""
+
+    posture: ClassVar[Float[np.ndarray, " joints"]] = POSTURE
+
+    physics: Literal["tree", "mjx-jax", "mjx-warp", "mujoco"] = "tree"
+    control: Control = Field(ServoLaw(stiffness=3.0, damping=0.1), description="the law that drives the joints")
+    ranges: Literal["human", "proposed"] = Field("human", description="column of Table 3.2")
+    choices: Literal[3, 5, 9] = Field(3, description="values of a joint's offset, evenly from -1 to 1 times it")
+    offset: float = traced(20.0, gt=0, le=90, description="largest offset of a set-point from the posture, degrees")
+    offset_shares: tuple[float, float, float, float, float] = traced(
+        (1.0, 1.0, 1.0, 1.0, 1.0), strict=False, description="of it for hip pitch, yaw and roll, knee and ankle"
+    )
+    period: float = Field(0.02, gt=0, le=1, description="s between decisions")
+    timestep: float = Field(0.004, gt=0, le=0.02, description="s of physics and control law")
+    mass: float = traced(1.0, gt=0, le=10, description="factor on the mass and the inertia of every link")
+    friction: float = traced(lower_body.FRICTION, ge=0, le=10, description="of the feet on the ground")
+    joint_damping: float = traced(lower_body.DAMPING, ge=0, le=1, description="of the robot's joints, N m s/rad")
+    torque_limit: float = traced(TORQUE_LIMIT, gt=0, le=1000, description="of the motors, N m")
+
+    @model_validator(mode="after")
+    def _period_must_fit(self) -> "LeggedBody":
+        self.simulator.substeps(self.period)
+        return self
+
+    @property
+    def action_choices(self) -> tuple[int, ...]:
+        return (self.choices,) * JOINTS
+
+    @property
+    def compiler_options(self) -> Mapping[str, str | bool]:
+        return SHARED_KERNELS if self.physics == "tree" else {}
+
+    @property
+    def simulator(self) -> Physics:
+        """What moves the body, with the robot's own values."""
+        return _simulator(self.physics, self.ranges, self.timestep)
+
+    @property
+    def plant(self) -> Plant:
+        """The values of the world as the task declares them."""
+        return Plant(self.mass, self.friction, self.joint_damping, self.torque_limit)
+
+    def start(self, keys: Key[Array, "3"]) -> World:
+        """The body at rest near its posture, in any direction, about to touch the ground."""
+        spread = START_SPREAD * jax.random.uniform(keys[0], (JOINTS,), minval=-1.0)
+        lean = START_SPREAD * jax.random.uniform(keys[1], (2,), minval=-1.0)
+        heading = jax.random.uniform(keys[2], (), maxval=2 * np.pi)
+        place = jnp.zeros(3).at[2].set(START_HEIGHT)
+        qpos = jnp.concatenate([place, leaning_quaternion(heading, lean), self.posture + spread])
+        return self.simulator.start(qpos, jnp.zeros(len(qpos) - 1))
+
+    def setpoint(
+        self, offsets: Float[Array, " joints"], reference: Float[Array, " joints"] | float = 0.0
+    ) -> Float[Array, " joints"]:
+        """Where the law is to bring the joints, rad: the posture, a motion about it and the learner's offsets."""
+        shares = jnp.tile(jnp.stack([jnp.asarray(share, float) for share in self.offset_shares]), 2)
+        return jnp.radians(self.offset) * (shares * offsets) + (reference + self.posture)
+
+    def advance(
+        self, world: World, setpoint: Float[Array, " joints"], plant: Plant, force: Float[Array, "3"]
+    ) -> tuple[World, Sensed]:
+        """One decision carried out while `force`, N, pushes the torso: the law is asked at every time step."""
+        values = {"mass": plant.mass, "friction": plant.friction, "torque_limit": plant.torque_limit}
+        physics = self.simulator.replace(**values, damping=plant.joint_damping, push=force)
+        controller = self.control.follow(at_rest(setpoint))
+        return physics.run_sensed(world, controller, self.simulator.substeps(self.period))
+
+
+@lru_cache
+def _simulator(name: str, ranges: str, timestep: float) -> Physics:
+    return make_physics(name, robot="lower_body", torso="free", ranges=ranges, timestep=timestep)

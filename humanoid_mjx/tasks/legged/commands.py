@@ -1,0 +1,44 @@
+"""What a walking body is told to do."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Key
+
+from humanoid_mjx.spec import Spec, traced
+from humanoid_mjx.types import FloatScalar
+
+Range = tuple[float, float]
+
+
+class Velocity(Spec):
+    """A velocity and a turn rate, uniform in ranges, drawn anew from time to time.
+
+    Each part of a command is 0 in a share of the cases, and all of it in another. A range of one value is that value:
+    `forward: [0.3, 0.3]`.
+    """
+
+    forward: Range = traced((0.0, 0.5), strict=False, description="m/s")
+    sideways: Range = traced((-0.1, 0.1), strict=False, description="m/s, to the left")
+    turn: Range = traced((-1.0, 1.0), strict=False, description="rad/s, to the left")
+    standing: float = traced(0.1, ge=0, le=1, description="share of commands to stand still")
+    zero: float = traced(0.2, ge=0, le=1, description="share of commands in which a part is 0, for each alone")
+    every: float = traced(4.0, gt=0, description="s between commands, on average")
+
+    def draw(self, key: Key[Array, ""]) -> Float[Array, "3"]:
+        """A command: forward, to the left, turn to the left."""
+        value_key, part_key, stand_key = jax.random.split(key, 3)
+        low, high = self.ranges.T
+        command = low + (high - low) * jax.random.uniform(value_key, (3,))
+        command = jnp.where(jax.random.uniform(part_key, (3,)) < self.zero, 0.0, command)
+        return jnp.where(jax.random.uniform(stand_key) < self.standing, 0.0, command)
+
+    def following(self, command: Float[Array, "3"], key: Key[Array, ""], period: FloatScalar) -> Float[Array, "3"]:
+        """The command after `period` seconds: mostly the same."""
+        when_key, key = jax.random.split(key)
+        return jnp.where(jax.random.uniform(when_key) < period / self.every, self.draw(key), command)
+
+    @property
+    def ranges(self) -> Float[Array, "3 2"]:
+        """Lowest and highest of each part."""
+        parts = self.forward, self.sideways, self.turn
+        return jnp.stack([jnp.asarray(bound, float) for part in parts for bound in part]).reshape(3, 2)

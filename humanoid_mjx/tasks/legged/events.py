@@ -1,0 +1,43 @@
+"""What happens to a body: pushes, and worlds that differ from episode to episode."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Key
+
+from humanoid_mjx.spec import Spec, traced
+from humanoid_mjx.tasks.legged.body import Plant
+from humanoid_mjx.types import FloatScalar
+
+
+class Push(Spec):
+    """An impulse on the torso from a random side, over one period between decisions."""
+
+    impulse: float = traced(0.2, ge=0, description="N s; the body weighs 1.7 kg")
+    every: float = traced(2.0, gt=0, description="s from one to the next")
+
+    def first(self, key: Key[Array, ""]) -> FloatScalar:
+        """When the first one comes, s."""
+        return self.every * jax.random.uniform(key)
+
+    def force(self, since: FloatScalar, period: float, key: Key[Array, ""]) -> Float[Array, "3"]:
+        """The force on the torso during the period to come, N, where the first push was due `since` seconds ago."""
+        due = (since >= 0) & (jnp.mod(since, self.every) < period)
+        side = jax.random.uniform(key, (), maxval=2 * np.pi)
+        force = self.impulse / period * jnp.stack([jnp.cos(side), jnp.sin(side), 0.0 * side])
+        return jnp.where(due, force, 0.0)
+
+
+class Randomise(Spec):
+    """Each episode takes place in a world of its own: values off by at most these shares, uniformly."""
+
+    mass: float = traced(0.1, ge=0, lt=1, description="share of the links' mass")
+    friction: float = traced(0.3, ge=0, lt=1, description="share of the feet's friction")
+    joint_damping: float = traced(0.3, ge=0, lt=1, description="share of the joints' damping")
+    torque_limit: float = traced(0.1, ge=0, lt=1, description="share of the motors' limit")
+
+    def draw(self, plant: Plant, key: Key[Array, ""]) -> Plant:
+        """The values of one episode about those of `plant`."""
+        spread = jnp.stack([jnp.asarray(getattr(self, name), float) for name in Plant._fields])
+        factors = 1.0 + spread * jax.random.uniform(key, (len(Plant._fields),), minval=-1.0)
+        return Plant(*(value * factor for value, factor in zip(plant, factors, strict=True)))

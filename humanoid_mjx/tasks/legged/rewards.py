@@ -1,0 +1,176 @@
+"""Terms of rewards, plain functions of a view, and the Specs that give them weights.
+
+A weight is a traced field, its name the term's: `task.rewards.slip` can be swept. A term of one's own is a field more
+and an entry more in `terms`.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+
+from humanoid_mjx.mechanics.rotations import heading_frame
+from humanoid_mjx.robot.ranges import TORQUE_LIMIT
+from humanoid_mjx.spec import InputError, Spec, traced
+from humanoid_mjx.tasks.legged.view import View
+from humanoid_mjx.types import FloatScalar
+
+UPRIGHT, STILL = np.radians(10.0), 0.2
+"""rad and m/s: the lean and the speed at which a reward has dropped to 1 / e."""
+
+NEAR_SPEED, FAR_SPEED = 0.02, 0.2
+"""(m/s)^2: squared errors at which the two halves of `speed` have dropped to 1 / e. The narrow one alone leaves a body
+on the spot, where it does not feel the command; the wide one alone does not hold it to it."""
+
+NEAR_TURN, FAR_TURN = 0.15, 1.0
+"""(rad/s)^2, likewise of `turn`."""
+
+LOADED = 0.8
+"""N on a foot that stands, a twentieth of the weight."""
+
+CLEARANCE, CLOSE = 0.03, 0.012
+"""m: how high a foot should be in mid-swing, and the error at which `clearance` has dropped to 1 / e."""
+
+APART, TOO_NEAR = 0.05, 0.02
+"""m between the feet, sideways: where they begin to be too near, and the lack at which `crossing` is 1. The hips are
+0.08 m apart and a foot 0.022 m wide."""
+
+
+class Rewards(Spec):
+    """Base of rewards: declare a weight for each term, and give the terms by name."""
+
+    def terms(self, view: View) -> dict[str, FloatScalar]:
+        """The terms without their weights."""
+        raise NotImplementedError
+
+    def weighted(self, view: View) -> dict[str, FloatScalar]:
+        """The parts of the reward by name; it is their sum.
+
+        Raises:
+          InputError: a term has no weight.
+        """
+        terms = self.terms(view)
+        if missing := [name for name in terms if name not in type(self).model_fields]:
+            name = type(self).__name__
+            raise InputError(
+                f"rewards: the term {missing[0]!r} of {name} has no weight; declare a traced field for it."
+            )
+        return {name: jnp.asarray(getattr(self, name) * term, jnp.float32) for name, term in terms.items()}
+
+
+class StandRewards(Rewards):
+    """Keep the torso upright and still with set-points near the posture. The sum is at most 1."""
+
+    alive: float = traced(0.4, description="for every step")
+    upright: float = traced(0.3, description="for a torso that does not lean")
+    still: float = traced(0.2, description="for hips that do not move")
+    calm: float = traced(0.1, description="for set-points near the posture")
+
+    def terms(self, view: View) -> dict[str, FloatScalar]:
+        return {"alive": 1.0, "upright": upright(view), "still": still(view), "calm": calm(view)}
+
+
+class WalkRewards(Rewards):
+    """Do as commanded, step by the gait's clock, keep upright, and neither slip, fly nor cross the feet.
+
+    The defaults are those of the steadiest of the settings that were compared, times 0.3. The sum is at most 2.4.
+    """
+
+    speed: float = traced(0.9, description="for the commanded velocity, at two scales")
+    turn: float = traced(0.75, description="for the commanded turn rate, at two scales")
+    upright: float = traced(0.1, description="for a torso that does not lean")
+    schedule: float = traced(0.45, description="for feet that are loaded and lifted when the clock says so")
+    clearance: float = traced(0.3, description="for feet as high above the ground as the clock says")
+    flight: float = traced(-0.45, description="for each step without a foot on the ground")
+    slip: float = traced(-0.6, description="for corners that touch and move")
+    flat: float = traced(-0.15, description="for feet that stand tilted")
+    crossing: float = traced(-0.1, description="for feet too near each other")
+    smooth: float = traced(-0.03, description="for set-points that jump")
+    effort: float = traced(-0.03, description="for torque")
+
+    def terms(self, view: View) -> dict[str, FloatScalar]:
+        return {
+            "speed": speed(view),
+            "turn": turn(view),
+            "upright": upright(view),
+            "schedule": schedule(view),
+            "clearance": clearance(view),
+            "flight": flight(view),
+            "slip": slip(view),
+            "flat": tilted_feet(view),
+            "crossing": crossing(view),
+            "smooth": jumps(view),
+            "effort": effort(view),
+        }
+
+
+def upright(view: View) -> FloatScalar:
+    """1 for an upright torso, 1 / e at a lean of 10 degrees."""
+    return jnp.exp(-((view.lean / UPRIGHT) ** 2))
+
+
+def still(view: View) -> FloatScalar:
+    """1 for hips that do not move, 1 / e at 0.2 m/s."""
+    return jnp.exp(-jnp.sum(view.world.qvel[:3] ** 2) / STILL**2)
+
+
+def calm(view: View) -> FloatScalar:
+    """1 less the mean square of the offsets."""
+    return 1.0 - jnp.mean(view.offsets**2)
+
+
+def speed(view: View) -> FloatScalar:
+    """1 at the commanded velocity, forward and sideways."""
+    error = jnp.sum((view.velocity[:2] - view.command[:2]) ** 2)
+    return 0.5 * jnp.exp(-error / NEAR_SPEED) + 0.5 * jnp.exp(-error / FAR_SPEED)
+
+
+def turn(view: View) -> FloatScalar:
+    """1 at the commanded turn rate."""
+    error = (view.turn_rate - view.command[2]) ** 2
+    return 0.5 * jnp.exp(-error / NEAR_TURN) + 0.5 * jnp.exp(-error / FAR_TURN)
+
+
+def schedule(view: View) -> FloatScalar:
+    """The share of feet that are in the air where they should swing, and carry weight where they should stand."""
+    loaded = view.feet.load > LOADED
+    return jnp.mean(jnp.where(view.swing > 0.2, ~loaded, loaded))
+
+
+def clearance(view: View) -> FloatScalar:
+    """1 where both feet are as high as the clock says."""
+    return jnp.exp(-jnp.sum(((view.feet.height - CLEARANCE * view.swing) / CLOSE) ** 2))
+
+
+def flight(view: View) -> FloatScalar:
+    """1 without a foot on the ground."""
+    return (view.feet.load <= LOADED).all() * 1.0
+
+
+def slip(view: View) -> FloatScalar:
+    """The square of the corners' speed along the ground, while they touch, m^2/s^2 by four corners, times 10; at most 1.
+
+    Of the corners: the middle of a foot that rolls over its edge moves without slipping.
+    """
+    squares = jnp.sum(view.feet.corner_velocity[..., :2] ** 2, axis=-1)
+    return jnp.minimum(10 * jnp.sum(squares * view.feet.touching) / 4, 1.0)
+
+
+def tilted_feet(view: View) -> FloatScalar:
+    """Five times the squared sines of the tilts of loaded feet, summed; at most 1."""
+    loaded = view.feet.load > LOADED
+    return jnp.minimum(5 * jnp.sum(loaded * (1 - view.feet.rotation[:, 2, 2] ** 2)), 1.0)
+
+
+def crossing(view: View) -> FloatScalar:
+    """The squared lack of distance between the feet, sideways, by `TOO_NEAR`; at most 2."""
+    gap = (heading_frame(view.rotation) @ (view.feet.position[1] - view.feet.position[0]))[1]
+    return jnp.minimum((jnp.maximum(APART - gap, 0.0) / TOO_NEAR) ** 2, 2.0)
+
+
+def jumps(view: View) -> FloatScalar:
+    """The mean square of the offsets' changes."""
+    return jnp.mean((view.offsets - view.last_offsets) ** 2)
+
+
+def effort(view: View) -> FloatScalar:
+    """The mean square of the torques as shares of the robot's own limit."""
+    return jnp.mean((view.torque / TORQUE_LIMIT) ** 2)

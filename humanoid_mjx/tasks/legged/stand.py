@@ -1,0 +1,27 @@
+"""Keep standing on the ground while pushed, from what the sensors say.
+
+What a learner that sees `privileged` does better is the price of partial observation.
+"""
+
+from pydantic import Field
+
+from humanoid_mjx.control import Control
+from humanoid_mjx.control.laws import ServoLaw
+from humanoid_mjx.tasks.legged.rewards import StandRewards
+from humanoid_mjx.tasks.legged.task import LeggedTask
+
+SERVO = ServoLaw(stiffness=3.0, damping=0.1)
+"""As soft as gravity, so that posture alone does not keep the body up. With 6 N m/rad and 0.2 N m s/rad most bodies that
+do nothing withstand the pushes of 0.2 N s, and there is little to learn."""
+
+
+class Stand(LeggedTask):
+    """Keep the torso upright for `duration` seconds.
+
+    A step earns `alive` 0.4, and up to 0.3 for an `upright` torso, 0.2 for one that is `still`, 0.1 for `calm`
+    set-points near the posture. A body that falls, or whose simulation breaks down, terminates with the reward 0. An
+    episode succeeds if it lasts to its end.
+    """
+
+    control: Control = Field(SERVO, description="the law that drives the joints")
+    rewards: StandRewards = Field(StandRewards(), description="weights of the reward's terms")

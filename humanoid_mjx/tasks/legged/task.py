@@ -1,0 +1,212 @@
+"""Reset and step of a legged task, from its declared parts.
+
+Every `period` the learner chooses how far each joint's set-point is from the posture's, or from an open-loop motion
+about it; every time step of the physics a control law drives the joints there. The learner sees encoders, gyroscope,
+accelerometer and foot contacts with their errors, and an attitude estimated from them (R. Mahony et al., "Nonlinear
+Complementary Filters on the Special Orthogonal Group", 2008, for the direction of gravity alone); with `observe:
+privileged` also how the torso really lies and moves.
+"""
+
+from functools import lru_cache
+from typing import Any, ClassVar, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, Key
+from pydantic import Field
+
+from humanoid_mjx.mechanics.rotations import rotation_matrix, unit
+from humanoid_mjx.physics.base import Readings, Sensed, World
+from humanoid_mjx.physics.sensors import Sensors, SensorState
+from humanoid_mjx.spec import traced
+from humanoid_mjx.tasks.continuous import State, begin
+from humanoid_mjx.tasks.legged.body import JOINTS, LeggedBody, Plant
+from humanoid_mjx.tasks.legged.commands import Velocity
+from humanoid_mjx.tasks.legged.events import Push, Randomise
+from humanoid_mjx.tasks.legged.gait import Gait
+from humanoid_mjx.tasks.legged.observations import PRIVILEGED, PROPRIOCEPTION, Observation, Observed, swapped
+from humanoid_mjx.tasks.legged.rewards import Rewards
+from humanoid_mjx.tasks.legged.terminations import Fall
+from humanoid_mjx.tasks.legged.view import View, feet_of, unknown_feet
+from humanoid_mjx.thesis.leg import GRAVITY
+from humanoid_mjx.types import FloatScalar, IntScalar
+
+FILTER_GAIN = 0.02
+"""The share of the accelerometer in each new estimate of the direction of gravity; the gyroscope gives the rest."""
+
+
+class Episode(NamedTuple):
+    """An episode under way: the `data` of a state."""
+
+    world: World
+    sensors: SensorState
+    readings: Readings
+    """The last."""
+    rates: Float[Array, " joints"]
+    """Change of the encoders since the readings before, rad/s."""
+    down: Float[Array, "3"]
+    """The estimated direction of gravity in the torso's frame."""
+    offsets: Float[Array, " joints"]
+    """Of the set-points, -1 to 1."""
+    first_push: FloatScalar
+    """s"""
+    decisions: IntScalar
+    command: Float[Array, "3"]
+    """m/s, m/s and rad/s; 0 in a task without commands."""
+    phase: FloatScalar
+    """Of the gait; 0 in a task without one."""
+    plant: Plant | None
+    """This episode's own, under randomisation."""
+
+
+class LeggedTask(LeggedBody):
+    """Base of legged tasks: declare `rewards`, and what else differs. A fall ends an episode with the reward 0."""
+
+    observations: ClassVar[tuple[str | Observation, ...]] = PROPRIOCEPTION
+    privileged: ClassVar[tuple[str | Observation, ...]] = PRIVILEGED
+
+    observe: Literal["sensors", "privileged"] = "sensors"
+    sensors: Sensors = Field(Sensors.model_validate({}), description="errors of the sensors")
+    rewards: Rewards = Field(description="weights of the reward's terms")
+    fall: Fall = Field(Fall(), description="what ends an episode")
+    push: Push = Field(Push(), description="what disturbs the body")
+    randomise: Randomise | None = Field(None, description="by how much worlds differ; none: all are as declared")
+    command: Velocity | None = Field(None, description="what the body is told to do")
+    gait: Gait | None = Field(None, description="clock and open-loop steps")
+    symmetric: bool = Field(False, description="show the gait's second half as the mirror image of its first")
+    duration: float = traced(10.0, gt=0, le=1000, description="s of an episode")
+
+    @property
+    def observed(self) -> Observed:
+        """What the learner sees."""
+        return _observed((*self.observations, *(self.privileged if self.observe == "privileged" else ())))
+
+    @property
+    def observation_size(self) -> int:
+        return self.observed.size
+
+    @property
+    def observation_bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.observed.bounds
+
+    def reset(self, key: Key[Array, ""]) -> State:
+        *start_keys, push_key, sensor_key = jax.random.split(key, 5)
+        command_key, phase_key, plant_key = jax.random.split(jax.random.fold_in(key, 1), 3)
+        world = self.start(jnp.stack(start_keys))
+        down, still = -rotation_matrix(world.qpos[3:7])[2], jnp.zeros(3)
+        true = Readings(world.qpos[7:], still, -GRAVITY * down, jnp.zeros(2))
+        sensors = self.sensors.start(true, sensor_key)
+        sensors, readings = self.sensors.read(sensors, true, jax.random.fold_in(sensor_key, 1))
+        none = jnp.zeros(JOINTS)
+        episode = Episode(
+            world,
+            sensors,
+            readings,
+            rates=none,
+            down=unit(-readings.accelerometer),
+            offsets=none,
+            first_push=self.push.first(push_key),
+            decisions=jnp.int32(0),
+            command=self.command.draw(command_key) if self.command else still,
+            phase=jax.random.uniform(phase_key) if self.gait else jnp.float32(0),
+            plant=self.randomise.draw(self.plant, plant_key) if self.randomise else None,
+        )
+        view = self.view(episode, None, none)
+        return begin(episode, self.seen(view), tuple(self.rewards.terms(view)))
+
+    def step(self, state: State, action: Int[Array, " joints"], key: Key[Array, ""]) -> State:
+        return self.step_continuous(state, 2.0 * action / (self.choices - 1) - 1.0, key)
+
+    def step_continuous(self, state: State, command: Float[Array, " joints"], key: Key[Array, ""]) -> State:
+        """A step whose offsets are any parts of `offset`, from -1 to 1."""
+        _, sensor_key = jax.random.split(key)
+        before: Episode = state.data
+        offsets = jnp.clip(command, -1.0, 1.0)
+        offsets = jnp.where(self.mirrored(before.phase), swapped(offsets), offsets) if self.symmetric else offsets
+        force = self.push_on(before, key)
+        setpoint = self.setpoint(offsets, self.reference(before))
+        world, sensed = self.advance(before.world, setpoint, before.plant or self.plant, force)
+        after = self._sense(before, world, sensed.readings, sensor_key)
+        after = after._replace(offsets=offsets, decisions=before.decisions + 1)
+        view = self.view(after, sensed, before.offsets)
+        fallen = self.fall.fallen(view) | world.diverged
+        terms = {name: jnp.where(fallen, 0.0, term) for name, term in self.rewards.weighted(view).items()}
+        after = self._go_on(after, jax.random.fold_in(key, 1))
+        over = after.decisions * self.period >= self.duration - self.period / 2
+        obs = self.seen(view._replace(command=after.command, phase=after.phase))
+        return State(
+            data=after,
+            obs=obs,
+            reward=jnp.asarray(sum(terms.values())),
+            terminated=fallen,
+            truncated=over & ~fallen,
+            success=~fallen,
+            final_obs=obs,
+            metrics=terms,
+        )
+
+    def push_on(self, data: Episode, key: Key[Array, ""]) -> Float[Array, "3"]:
+        since = data.decisions * self.period - data.first_push
+        return self.push.force(since, self.period, jax.random.split(key)[0])
+
+    def told(self, data: Episode) -> dict[str, FloatScalar]:
+        names = "forward, m/s", "left, m/s", "turn left, rad/s"
+        return dict(zip(names, data.command, strict=True)) if self.command else {}
+
+    def reference(self, episode: Episode) -> Float[Array, " joints"] | float:
+        """The motion about the posture that the offsets correct, rad."""
+        return self.gait.reference(episode.phase, (episode.command != 0).any()) if self.gait else 0.0
+
+    def view(self, episode: Episode, sensed: Sensed | None, last_offsets: Float[Array, " joints"]) -> View:
+        """The body as the parts of the task see it; at the beginning of an episode nothing has been `sensed`."""
+        moving = (episode.command != 0).any()
+        return View(
+            world=episode.world,
+            rotation=rotation_matrix(episode.world.qpos[3:7]),
+            feet=feet_of(sensed, self.simulator.body_names) if sensed else unknown_feet(),
+            torque=sensed.torque if sensed else jnp.zeros(JOINTS),
+            readings=episode.readings,
+            rates=episode.rates,
+            down=episode.down,
+            posture=self.posture,
+            offsets=episode.offsets,
+            last_offsets=last_offsets,
+            command=episode.command,
+            phase=episode.phase,
+            swing=self.gait.swing(episode.phase) * moving if self.gait else jnp.zeros(2),
+        )
+
+    def seen(self, view: View) -> Float[Array, " observation_size"]:
+        """What the learner sees."""
+        obs = self.observed(view)
+        return jnp.where(self.mirrored(view.phase), self.observed.mirrored(obs), obs) if self.symmetric else obs
+
+    def mirrored(self, phase: FloatScalar) -> Bool[Array, ""]:
+        """Whether a `symmetric` task shows the body's mirror image, and takes the offsets for its joints.
+
+        A policy then treats both sides alike, whatever it learned from either.
+        """
+        return jnp.asarray(phase) >= 0.5
+
+    def _go_on(self, episode: Episode, key: Key[Array, ""]) -> Episode:
+        """The gait's clock and the command of the decision to come."""
+        if self.gait:
+            moving = (episode.command != 0).any()
+            episode = episode._replace(phase=self.gait.after(episode.phase, moving, self.period))
+        if self.command:
+            episode = episode._replace(command=self.command.following(episode.command, key, self.period))
+        return episode
+
+    def _sense(self, before: Episode, world: World, true: Readings, key: Key[Array, ""]) -> Episode:
+        """The episode in its new world, with what the sensors say of it."""
+        sensors, readings = self.sensors.read(before.sensors, true, key)
+        rates = (readings.encoders - before.readings.encoders) / self.period
+        turned = before.down + self.period * jnp.cross(before.down, readings.gyroscope)
+        down = unit(unit(turned) - FILTER_GAIN * unit(readings.accelerometer))
+        return before._replace(world=world, sensors=sensors, readings=readings, rates=rates, down=down)
+
+
+@lru_cache
+def _observed(names: tuple[Any, ...]) -> Observed:
+    return Observed(names)

@@ -1,0 +1,20 @@
+"""When an episode of a legged task ends before its time."""
+
+import jax.numpy as jnp
+
+from humanoid_mjx.spec import Spec, traced
+from humanoid_mjx.tasks.legged.view import View
+from humanoid_mjx.types import BoolScalar
+
+
+class Fall(Spec):
+    """What counts as a fall: a body that lies, or is about to."""
+
+    tilt: float = traced(45.0, gt=0, le=180, description="lean of the torso, degrees")
+    height: float = traced(
+        0.13, ge=0, le=0.3, description="of the hips, m; upright with knees straight it is 0.23 or so"
+    )
+
+    def fallen(self, view: View) -> BoolScalar:
+        """Whether the torso leans farther, or the hips are lower."""
+        return (view.rotation[2, 2] < jnp.cos(jnp.radians(self.tilt))) | (view.height < self.height)

@@ -1,0 +1,128 @@
+"""What observations, rewards and terminations are functions of: the body as it is and as it appears."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from humanoid_mjx.mechanics.rotations import heading_frame
+from humanoid_mjx.physics.base import Readings, Sensed, World
+from humanoid_mjx.robot.lower_body import CORNERS, SIDES
+from humanoid_mjx.types import BoolScalar, FloatScalar
+
+TOUCHING = 0.1
+"""N on a corner that counts as touching: less than a hundredth of the body's weight."""
+
+
+class Feet(NamedTuple):
+    """The right and the left foot, in the world. Before the first step of an episode all is 0, as contacts are."""
+
+    position: Float[Array, "2 3"]
+    """Of the ankles, m."""
+    velocity: Float[Array, "2 3"]
+    """m/s"""
+    rotation: Float[Array, "2 3 3"]
+    corners: Float[Array, "2 4 3"]
+    """The lowest points of the soles' corners, m."""
+    corner_velocity: Float[Array, "2 4 3"]
+    """m/s"""
+    corner_force: Float[Array, "2 4"]
+    """What the ground pushes them up with, N."""
+
+    @property
+    def height(self) -> Float[Array, "2"]:
+        """Of each foot's lowest corner above the ground, m."""
+        return self.corners[..., 2].min(axis=-1)
+
+    @property
+    def load(self) -> Float[Array, "2"]:
+        """What the ground pushes each foot up with, N."""
+        return self.corner_force.sum(axis=-1)
+
+    @property
+    def touching(self) -> Bool[Array, "2 4"]:
+        """Which corners touch the ground."""
+        return self.corner_force > TOUCHING
+
+
+def feet_of(sensed: Sensed, body_names: tuple[str, ...]) -> Feet:
+    """Pick the feet out of all bodies."""
+    rows = np.array([body_names.index(f"{side}_foot") for side in SIDES])
+    poses, velocities, contacts = sensed.poses, sensed.velocities, sensed.contacts
+    shape = len(SIDES), len(CORNERS)
+    return Feet(
+        poses.position[rows],
+        velocities.linear[rows],
+        poses.rotation[rows],
+        contacts.position.reshape(*shape, 3),
+        contacts.velocity.reshape(*shape, 3),
+        contacts.normal_force.reshape(shape),
+    )
+
+
+def unknown_feet() -> Feet:
+    """What is known of the feet before the first step."""
+    pair, corners = jnp.zeros((2, 3)), jnp.zeros((2, len(CORNERS), 3))
+    return Feet(pair, pair, jnp.zeros((2, 3, 3)), corners, corners, corners[..., 0])
+
+
+class View(NamedTuple):
+    """One moment of an episode."""
+
+    world: World
+    """As it really is."""
+    rotation: Float[Array, "3 3"]
+    """From the torso's frame to the world."""
+    feet: Feet
+    """As they really are, at the beginning of the last time step."""
+    torque: Float[Array, " joints"]
+    """That acted in the last time step, N m."""
+    readings: Readings
+    """Of the sensors, the last."""
+    rates: Float[Array, " joints"]
+    """Change of the encoders since the readings before, rad/s."""
+    down: Float[Array, "3"]
+    """The direction of gravity in the torso's frame, as estimated from the sensors."""
+    posture: Float[np.ndarray, " joints"]
+    """rad"""
+    offsets: Float[Array, " joints"]
+    """Of the set-points from the posture, -1 to 1."""
+    last_offsets: Float[Array, " joints"]
+    """Those of the decision before."""
+    command: Float[Array, "3"]
+    """Speed forward and to the left, m/s, and turn to the left, rad/s."""
+    phase: FloatScalar
+    """Of the gait, 0 to 1."""
+    swing: Float[Array, "2"]
+    """How far along its way up each foot should be, 0 to 1, by the gait's clock; 0 where it should stand."""
+
+    @property
+    def true_down(self) -> Float[Array, "3"]:
+        """The direction of gravity in the torso's frame."""
+        return -self.rotation[2]
+
+    @property
+    def lean(self) -> FloatScalar:
+        """Of the torso from upright, rad."""
+        return jnp.arccos(jnp.clip(self.rotation[2, 2], -1.0, 1.0))
+
+    @property
+    def height(self) -> FloatScalar:
+        """Of the hips, m."""
+        return self.world.qpos[2]
+
+    @property
+    def velocity(self) -> Float[Array, "3"]:
+        """Of the hips: forward, to the left and up, m/s."""
+        return heading_frame(self.rotation) @ self.world.qvel[:3]
+
+    @property
+    def turn_rate(self) -> FloatScalar:
+        """About the vertical, to the left, rad/s."""
+        return self.rotation[2] @ self.world.qvel[3:6]
+
+    @property
+    def moving(self) -> BoolScalar:
+        """Whether the body is told to move."""
+        return (self.command != 0).any()

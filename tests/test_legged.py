@@ -1,0 +1,263 @@
+"""Legged tasks and their parts: what a user adds from outside, mirror images, commands, worlds, and steps of `walk`."""
+
+import sys
+from functools import partial
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent / "data"))
+
+from humanoid_mjx import InputError, make_task
+from humanoid_mjx.runtime import counting_compiles
+from humanoid_mjx.tasks.check import check_task
+from humanoid_mjx.tasks.legged import LeggedTask, StandRewards, rewards
+from humanoid_mjx.tasks.legged.body import JOINTS
+from humanoid_mjx.tasks.legged.commands import Velocity
+from humanoid_mjx.tasks.legged.events import Randomise
+from humanoid_mjx.tasks.legged.gait import Gait
+from humanoid_mjx.tasks.legged.observations import OBSERVATIONS, Observed, swapped
+from humanoid_mjx.tasks.legged.view import unknown_feet
+
+KEYS = jax.random.split(jax.random.key(2), 8)
+EXACT = {"sensors": dict.fromkeys(("encoder_noise", "encoder_bias", "gyroscope_noise", "gyroscope_bias"), 0.0)}
+EXACT["sensors"] |= {"accelerometer_noise": 0.0, "accelerometer_bias": 0.0, "foot_contact_noise": 0.0, "delay": 0}
+AHEAD = {"forward": [0.3, 0.3], "sideways": [0.0, 0.0], "turn": [0.0, 0.0], "standing": 0.0, "zero": 0.0}
+walk = partial(make_task, "walk", physics="mujoco")
+
+reset = jax.jit(jax.vmap(lambda task, key: task.reset(key), in_axes=(None, 0)))
+step = jax.jit(jax.vmap(lambda task, *args: task.step_continuous(*args), in_axes=(None, 0, 0, 0)))
+
+
+def arrays(task):
+    return jax.tree.map(jnp.asarray, task)
+
+
+def once(task, offsets=0.0):
+    """The states before and after one decision."""
+    state = reset(arrays(task), KEYS)
+    return state, step(arrays(task), state, jnp.full((len(KEYS), JOINTS), offsets), KEYS)
+
+
+def test_a_users_own_reward_term_needs_a_weight_and_an_entry():
+    task = make_task("my_walk:MyWalk", physics="mujoco", rewards={"hop": 0.2})
+    check_task(task)
+    assert task.rewards.hop == 0.2 and task.rewards.slip == walk().rewards.slip
+    paths = [jax.tree_util.keystr(path) for path, _ in jax.tree_util.tree_leaves_with_path(task)]
+    assert ".rewards.hop" in paths and ".rewards.slip" in paths
+    before, after = once(task)
+    assert before.metrics.keys() == after.metrics.keys() >= {"hop", "slip", "speed"}
+    lowest = after.data.world.qpos[:, 2] - 0.206
+    # The body begins some millimetres above the ground, and so do its lower corners.
+    np.testing.assert_allclose(after.metrics["hop"] / 0.2, lowest, atol=0.01)
+    assert (after.metrics["hop"] != 0).any()
+    np.testing.assert_allclose(sum(after.metrics.values()), after.reward, atol=1e-6)
+
+
+def test_a_term_without_a_weight_gets_a_sentence():
+    class Careless(StandRewards):
+        def terms(self, view):
+            return super().terms(view) | {"hop": view.feet.height.min()}
+
+    class Task(LeggedTask):
+        rewards: Careless = Careless()
+
+    task = Task(physics="mujoco")
+    state = jax.eval_shape(task.reset, KEYS[0])
+    with pytest.raises(InputError, match="rewards: the term 'hop' of Careless has no weight; declare a traced field"):
+        jax.eval_shape(task.step, state, jax.ShapeDtypeStruct((JOINTS,), jnp.int32), KEYS[0])
+
+
+def test_weights_gains_and_the_world_are_data_of_one_program():
+    tasks = [walk(), walk(rewards={"slip": -2.0}, control={"stiffness": 8.0}, friction=0.3, gait={"lift": 0.0})]
+    assert jax.tree.structure(tasks[0]) == jax.tree.structure(tasks[1])
+    _, one = once(tasks[0])
+    with counting_compiles() as count:
+        _, other = once(tasks[1])
+    assert count.programs == 0
+    assert not np.array_equal(one.data.world.qpos, other.data.world.qpos)
+
+
+def mirror_image(world):
+    """The world in the mirror that stands along x and z."""
+    qpos = world.qpos.at[:, 1].multiply(-1).at[:, 4].multiply(-1).at[:, 6].multiply(-1)
+    qvel = world.qvel.at[:, 1].multiply(-1).at[:, 3].multiply(-1).at[:, 5].multiply(-1)
+    qpos = qpos.at[:, 7:].set(jax.vmap(swapped)(world.qpos[:, 7:]))
+    qvel = qvel.at[:, 6:].set(jax.vmap(swapped)(world.qvel[:, 6:]))
+    return world._replace(qpos=qpos, qvel=qvel, warmstart=jnp.zeros_like(world.warmstart))
+
+
+def test_the_mirror_image_of_a_body_sees_the_mirror_image():
+    """Every declared observation, after a decision of a body that moves and of its image under the image's offsets."""
+    task = walk(observe="privileged", push={"impulse": 0.0}, **EXACT)
+    observed, values = task.observed, arrays(task)
+    assert observed.size == task.observation_size == sum(part.size for part in observed.parts)
+    assert {id(part) for part in observed.parts} == {id(part) for part in OBSERVATIONS.values()}
+    state = reset(values, KEYS)
+    command, phase = jnp.tile(jnp.array([0.3, 0.1, 0.5]), (8, 1)), jnp.linspace(0.0, 0.4, 8)
+    kick = jnp.tile(jnp.array([0.2, 0.3, 0.0, 0.5, -0.4, 0.6]), (8, 1))
+    world = state.data.world._replace(qvel=state.data.world.qvel.at[:, :6].set(kick))
+    offsets = jax.random.uniform(KEYS[0], (8, JOINTS), minval=-0.3, maxval=0.3)
+    straight = state.data._replace(world=world, command=command, phase=phase)
+    image = straight._replace(
+        world=mirror_image(world),
+        command=command * jnp.array([1.0, -1.0, -1.0]),
+        phase=jnp.mod(phase + 0.5, 1.0),
+        readings=state.data.readings._replace(encoders=jax.vmap(swapped)(state.data.readings.encoders)),
+        down=state.data.down * jnp.array([1.0, -1.0, 1.0]),
+    )
+    # No key may lead to another command.
+    values = values.replace(command=values.command.replace(every=jnp.float32(1e9)))
+    seen, seen_by_image = (
+        step(values, state._replace(data=data), action, KEYS)
+        for data, action in ((straight, offsets), (image, jax.vmap(swapped)(offsets)))
+    )
+    mirrored = jax.vmap(observed.mirrored)(seen_by_image.obs)
+    # Float32 through five steps of a body whose feet strike the ground; accelerations are the most sensitive.
+    np.testing.assert_allclose(mirrored, seen.obs, atol=5e-3)
+    assert np.abs(np.asarray(seen_by_image.obs - seen.obs)).max() > 0.5
+    np.testing.assert_allclose(seen_by_image.reward, seen.reward, atol=1e-3)
+
+
+def test_a_symmetric_task_shows_one_half_of_the_gait_alone():
+    task = walk(symmetric=True, push={"impulse": 0.0}, command=AHEAD | {"every": 1e9}, **EXACT)
+    plain = task.replace(symmetric=False)
+    state, same = reset(arrays(task), KEYS), reset(arrays(plain), KEYS)
+    late = np.asarray(state.data.phase) >= 0.5
+    assert 0 < late.sum() < len(KEYS)
+    image = jax.vmap(task.observed.mirrored)(same.obs)
+    np.testing.assert_array_equal(state.obs, np.where(late[:, None], image, same.obs))
+    offsets = jax.random.uniform(KEYS[0], (8, JOINTS), minval=-1.0)
+    after = step(arrays(task), state, offsets, KEYS)
+    as_meant = jnp.where(late[:, None], jax.vmap(swapped)(offsets), offsets)
+    np.testing.assert_array_equal(after.data.world.qpos, step(arrays(plain), same, as_meant, KEYS).data.world.qpos)
+
+
+def test_what_is_observed_is_a_tuple_of_names():
+    one = Observed(("height", "encoders", OBSERVATIONS["clock"]))
+    assert one.size == 13 and one.bounds[0].shape == (13,)
+    np.testing.assert_array_equal(one.mirrored(jnp.arange(13.0)), [0, 6, 7, 8, 9, 10, 1, 2, 3, 4, 5, -11, -12])
+    with pytest.raises(InputError, match="observations: unknown name 'encoder'; did you mean 'encoders'"):
+        Observed(("encoder",))
+
+
+def test_commands_keep_to_their_ranges_and_shares():
+    command = Velocity(forward=(0.1, 0.5), sideways=(-0.2, 0.0), turn=(-1.0, 2.0), standing=0.25, zero=0.2)
+    drawn = np.asarray(jax.vmap(command.draw)(jax.random.split(jax.random.key(0), 4000)))
+    standing = (drawn == 0).all(axis=1)
+    # Of 4000 draws a share of 0.25 is off by 0.007 on average; all three parts are 0 in 0.008 more of them.
+    assert standing.mean() == pytest.approx(0.25 + 0.75 * 0.008, abs=0.03)
+    moving = drawn[~standing]
+    for part, (low, high) in enumerate(command.ranges):
+        values = moving[moving[:, part] != 0, part]
+        assert low <= values.min() < low + 0.02 and high - 0.02 < values.max() <= high
+        assert (moving[:, part] == 0).mean() == pytest.approx(0.2, abs=0.03)
+    fixed, _ = once(walk(command=AHEAD))
+    np.testing.assert_allclose(fixed.data.command, np.tile([0.3, 0.0, 0.0], (8, 1)), atol=1e-7)
+    kept = jax.vmap(lambda key: command.following(jnp.full(3, 9.0), key, 0.02))(jax.random.split(KEYS[0], 4000))
+    # A period of 0.02 s of 4 s.
+    assert (np.asarray(kept) != 9.0).all(axis=1).mean() == pytest.approx(0.005, abs=0.004)
+
+
+def test_the_clock_turns_while_the_body_is_to_move():
+    gait = Gait(period=0.4, stance=0.75, lift=10.0, sway=4.0)
+    phases = jnp.linspace(0.0, 1.0, 401)[:-1]
+    swing = np.asarray(jax.vmap(gait.swing)(phases))
+    np.testing.assert_allclose((swing > 1e-6).mean(axis=0), 0.25, atol=0.01)
+    np.testing.assert_allclose(swing[:, 0], np.roll(swing[:, 1], 200), atol=1e-5)
+    assert not (swing > 1e-6).all(axis=1).any() and swing.max() == pytest.approx(1.0, abs=1e-3)
+    assert gait.after(0.9, True, 0.08) == pytest.approx(0.1, abs=1e-6) and gait.after(0.9, False, 0.08) == 0.0
+    motion = np.degrees(jax.vmap(lambda phase: gait.reference(phase, True))(phases)).reshape(-1, 2, 5)
+    pitch, yaw, roll, knee, ankle = motion.transpose(2, 0, 1)
+    np.testing.assert_allclose(pitch, knee - ankle, atol=1e-5)
+    np.testing.assert_allclose(knee.max(axis=0), 20.0, atol=0.01)
+    np.testing.assert_allclose(roll[:, 0], -roll[:, 1], atol=1e-5)
+    assert (yaw == 0).all() and not np.any(gait.reference(0.3, False))
+
+
+def test_a_changed_world_is_asked_for_by_name():
+    plain, slippery, heavy, weak = (
+        once(walk(**changed))[1].data.world.qvel
+        for changed in ({}, {"friction": 0.02}, {"mass": 1.5}, {"torque_limit": 0.05})
+    )
+    for changed in (slippery, heavy, weak):
+        assert np.abs(changed - plain).max() > 1e-3
+    names = jax.tree_util.tree_leaves_with_path(walk())
+    assert {".mass", ".friction", ".joint_damping", ".torque_limit"} <= {jax.tree_util.keystr(p) for p, _ in names}
+
+
+def test_each_episode_has_a_world_of_its_own_under_randomisation():
+    task = walk(randomise={"mass": 0.2, "friction": 0.5, "torque_limit": 0.0}, friction=0.8)
+    state, after = once(task)
+    mass, friction, _, limit = (np.asarray(x) for x in after.data.plant)
+    assert len(np.unique(mass)) == len(KEYS) and 0.8 <= mass.min() < mass.max() <= 1.2
+    assert 0.4 <= friction.min() < friction.max() <= 1.2 and np.allclose(limit, task.torque_limit)
+    np.testing.assert_array_equal(state.data.plant.mass, mass)
+    none = once(task.replace(randomise=Randomise(mass=0.0, friction=0.0, joint_damping=0.0, torque_limit=0.0)))[1]
+    np.testing.assert_allclose(none.data.plant.mass, 1.0)
+    assert np.abs(none.data.world.qvel - after.data.world.qvel).max() > 1e-4
+
+
+def test_rewards_of_feet_are_of_those_that_touch():
+    task = walk(**EXACT)
+    state = jax.tree.map(lambda x: x[0], reset(arrays(task), KEYS))
+    feet = unknown_feet()._replace(
+        position=jnp.array([[0.0, -0.04, 0.025], [0.0, 0.04, 0.025]]), rotation=jnp.tile(jnp.eye(3), (2, 1, 1))
+    )
+    upright = jnp.array([0.0, 0.0, 0.21, 1.0, 0.0, 0.0, 0.0, *np.zeros(10)])
+    data = state.data._replace(world=state.data.world._replace(qpos=upright), command=jnp.array([0.3, 0.0, 0.0]))
+    view = task.view(data._replace(phase=jnp.float32(0.14)), None, jnp.zeros(JOINTS))._replace(feet=feet)
+    assert view.swing[0] == pytest.approx(1.0, abs=1e-3) and view.swing[1] == 0.0
+    on_left = feet._replace(corner_force=jnp.array([[0.0] * 4, [4.0] * 4]))
+    assert rewards.schedule(view._replace(feet=on_left)) == 1.0 and rewards.schedule(view) == 0.5
+    assert rewards.flight(view) == 1.0 and rewards.flight(view._replace(feet=on_left)) == 0.0
+    sliding = on_left._replace(corner_velocity=feet.corner_velocity.at[:, :, 0].set(0.2))
+    # Four of the eight moving corners touch: 10 * 4 * 0.2^2 / 4.
+    assert rewards.slip(view._replace(feet=sliding)) == pytest.approx(0.4, rel=1e-5)
+    assert rewards.slip(view._replace(feet=sliding._replace(corner_force=jnp.zeros((2, 4))))) == 0.0
+    assert rewards.crossing(view) == 0.0
+    crossed = feet._replace(position=feet.position[::-1])
+    assert rewards.crossing(view._replace(feet=crossed)) == 2.0
+    lifted = on_left._replace(corners=feet.corners.at[0, :, 2].set(rewards.CLEARANCE))
+    assert rewards.clearance(view._replace(feet=lifted)) == pytest.approx(1.0, abs=1e-4)
+    still = view._replace(world=view.world._replace(qvel=jnp.zeros(16)))
+    assert rewards.speed(still) < rewards.speed(still._replace(command=jnp.array([0.1, 0.0, 0.0]))) < 1.0
+
+
+@pytest.fixture(scope="module", params=["mujoco", pytest.param("mjx-jax", marks=pytest.mark.slow)])
+def stepped(request):
+    """Five seconds of `walk` on the spot by its open-loop reference alone: offsets are 0. Readings and flags."""
+    task = make_task("walk", physics=request.param, push={"impulse": 0.0}, **EXACT)
+
+    def decide(task, carry, key):
+        state, down = carry
+        on_the_spot = jnp.array([1e-6, 0.0, 0.0])
+        state = state._replace(data=state.data._replace(command=on_the_spot))
+        state = task.step_continuous(state, jnp.zeros(JOINTS), key)
+        down |= state.terminated
+        return (state, down), (down, state.data.phase, state.data.readings.foot_contact)
+
+    def go(task, key):
+        start = task.reset(key), jnp.bool_(False)
+        return jax.lax.scan(partial(decide, task), start, jax.random.split(key, 250))[1]
+
+    return jax.tree.map(np.asarray, jax.jit(jax.vmap(go, in_axes=(None, 0)))(arrays(task), KEYS))
+
+
+def test_walk_steps_on_the_spot_by_its_reference_alone(stepped):
+    down, phase, force = stepped
+    # One of 24 bodies fell within 12 s when this motion was chosen; here one of eight may.
+    assert down[:, -1].sum() <= 1
+    loaded = (force > 0.8)[~down[:, -1]]
+    phase = phase[~down[:, -1]]
+    right_alone, left_alone = loaded[..., 0] & ~loaded[..., 1], loaded[..., 1] & ~loaded[..., 0]
+    assert right_alone.mean() > 0.2 and left_alone.mean() > 0.2 and (~loaded.any(axis=-1))[:, 25:].mean() < 0.02
+    # Feet alternate: in each stride of 18 decisions both are once alone on the ground.
+    for alone in (right_alone, left_alone):
+        strides = alone[:, 25:241].reshape(len(alone), 12, 18)
+        assert strides.any(axis=-1).mean() > 0.95
+    # In mid-swing of the right foot the left one carries the body.
+    assert left_alone[:, 25:][np.abs(phase[:, 25:] - 0.2) < 0.05].mean() > 0.8

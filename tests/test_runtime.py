@@ -1,0 +1,67 @@
+"""Settings of the process: what XLA's pool of threads does to programs, and what keeps it from harm."""
+
+import os
+import subprocess
+import sys
+from collections import deque
+
+import jax
+import numpy as np
+import pytest
+
+from humanoid_mjx import runtime
+from humanoid_mjx.config import parse
+from humanoid_mjx.training.plan import make_plan
+from humanoid_mjx.training.pool import Pool
+
+SOLVES = """
+import faulthandler, sys, threading
+from humanoid_mjx import runtime
+runtime.start()
+import jax, jax.numpy as jnp
+faulthandler.dump_traceback_later(60, exit=True)
+systems = int(sys.argv[1])
+
+def step(x, _):
+    matrices = [jnp.eye(16) * (2.0 + number) + 0.0 * x[0] for number in range(systems)]
+    return sum(jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(m), x) for m in matrices), None
+
+run = jax.jit(jax.vmap(lambda x: jax.lax.scan(step, x, length=200)[0]))
+starts = [jax.device_put(jnp.ones((512, 16)), device) for device in jax.devices()]
+work = [threading.Thread(target=lambda x=x: [jax.block_until_ready(run(x)) for _ in range(5)]) for x in starts]
+for thread in work: thread.start()
+for thread in work: thread.join()
+"""
+
+
+@pytest.mark.parametrize(("devices", "systems"), [(1, 3), (2, 1), (2, 3)])
+def test_programs_that_solve_many_systems_do_not_wait_for_each_other_forever(devices, systems):
+    """They do with `PJRT_NPROC` of 2, which is the default on two cores."""
+    environment = os.environ | {"JAX_NUM_CPU_DEVICES": str(devices)}
+    environment.pop("PJRT_NPROC", None)
+    command = [sys.executable, "-c", SOLVES, str(systems)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+
+
+def compiled(task: str) -> str:
+    """The program that trains tables on a task, on the first device."""
+    config = {"name": "c", "task": {"name": task}, "learner": {"name": "tabular_q"}, "seeds": 1024, "episodes": 10}
+    group = make_plan(parse(config)).groups[0]
+    pool = Pool(group, deque(group.runs.tolist()), 512, jax.local_devices(), seed=0)
+    return pool.programs.advance.lower(pool.learners, pool.training, np.int32(1)).compile().as_text()
+
+
+def test_tables_on_every_core_are_not_split_over_the_pool(monkeypatch):
+    assert jax.local_device_count() > 1
+    assert "outer_dimension_partitions" not in compiled("joint_reach")
+    monkeypatch.setattr(runtime, "on_every_device", dict)
+    assert "outer_dimension_partitions" in compiled("navigate")
+
+
+def test_a_program_alone_may_use_every_thread(monkeypatch):
+    options = {"xla_disable_hlo_passes": "none"}
+    assert runtime.on_every_device(options) == {"xla_disable_hlo_passes": f"none,{runtime.SPLITTING}"}
+    assert runtime.on_every_device({}) == {}
+    monkeypatch.setattr(jax, "local_device_count", lambda: 1)
+    assert runtime.on_every_device(options) == options

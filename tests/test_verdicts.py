@@ -1,0 +1,225 @@
+"""Every verdict can turn: an experiment that is fed another printed value, or another result, judges otherwise."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from humanoid_mjx.reproduction import (
+    Finding,
+    errata,
+    ground,
+    ground_gaits,
+    load_experiments,
+    motor_sizing,
+    postures,
+    reproduce,
+    robustness,
+    singularity,
+)
+from humanoid_mjx.reproduction import decision_process as process
+from humanoid_mjx.reproduction import joint_ways as ways
+from humanoid_mjx.reproduction import workspace as space
+from humanoid_mjx.reproduction.findings import Setting, unprinted
+from humanoid_mjx.thesis import leg
+from humanoid_mjx.thesis import q_learning as thesis
+
+
+def verdicts(name, out, containing=""):
+    return [finding.verdict for finding in reproduce([name], out) if containing in finding.quantity]
+
+
+def changed(values, index, by):
+    """`values` with `by` added to one of them."""
+    return tuple(value + by if i == index else value for i, value in enumerate(values))
+
+
+def table_with(joint, by):
+    stay, move = thesis.TABLES[joint]
+    return thesis.TABLES | {joint: (stay, changed(move, 4, by))}
+
+
+WRONG = {
+    "table-7.1": (thesis, "TABLES", table_with(1, 0.01), "", ["differs"]),
+    "table-7.2": (thesis, "TABLES", table_with(4, 0.01), "", ["differs"]),
+    "table-7.3": (thesis, "TABLES", table_with(5, 0.01), "", ["differs"]),
+    "table-5.1": (leg, "KD", tuple(2 * np.sqrt(leg.KP)), "", ["reproduced"] * 5),
+    "table-4.2": (leg, "STALL_TORQUES", (1.0, 0.0, -5.0, 0.0, 0.0), "", ["not_reproducible", *["reproduced"] * 4]),
+    "figure-7.1": (leg, "FIGURE_7_1", ((-0.8, 0.7875), *leg.FIGURE_7_1[1:]), "", ["differs", *["recovered"] * 4]),
+    "workspace-7b": (
+        leg,
+        "WORKSPACE",
+        leg.WORKSPACE | {"straight walking": ((-0.16, -0.2084, 0.0413), (-0.1194, -0.0405, 0.0412))},
+        "straight walking,",
+        ["differs", "recovered", "differs"],
+    ),
+    "figure-7.3": (
+        leg,
+        "WORKSPACE",
+        leg.WORKSPACE | {"sudden turn": ((-0.17289, -0.20784, -0.12834), (-0.01698, 0.05331, 0.04222))},
+        "",
+        ["recovered"],
+    ),
+    "figure-7.5": (
+        leg,
+        "FIGURE_7_5",
+        leg.FIGURE_7_5 | {"start": changed(leg.FIGURE_7_5["start"], 4, 1e-7)},
+        "at the start",
+        ["recovered"] * 4 + ["differs"],
+    ),
+    "figure-7.11": (thesis, "FIGURE_MARKS", {1: (((4, 6), 40.0), ((45, 49), 75.0))}, "", ["differs", "recovered"]),
+    "figure-7.13": (thesis, "FIGURE_MARKS", {4: (((7, 12), 25.0), ((54, 60), 10.0))}, "", ["recovered", "differs"]),
+    "figure-7.15": (thesis, "FIGURE_MARKS", {5: (((4, 9), -10.0), ((16, 18), 40.0))}, "", ["recovered", "differs"]),
+    "figure-7.12": (thesis, "AVERAGE_RANDOM_NUMBER", {1: 0.4}, "", ["differs"]),
+    "figure-7.14": (thesis, "AVERAGE_RANDOM_NUMBER", {4: 0.6}, "", ["differs"]),
+    "figure-7.16": (thesis, "AVERAGE_RANDOM_NUMBER", {5: 0.7}, "", ["differs"]),
+    "finding-singularity": (singularity, "SINGULAR", 0.0, "singular postures in a step", ["reproduced"] * 2),
+    "motor-sizing": (motor_sizing, "MOTORS", np.full(5, 10.0), "", ["reproduced"] * 6),
+    "figure-7.17": (thesis, "POSTURES", {"0": ((0.0,) * 3, (0.0,) * 3)}, "", ["reproduced"]),
+}
+"""By experiment: the module and the name of what is changed, the value put there, whose verdicts, and what they are."""
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_another_value_turns_the_verdict(name, monkeypatch, tmp_path):
+    module, attribute, value, containing, expected = WRONG[name]
+    before = verdicts(name, tmp_path, containing)
+    monkeypatch.setattr(module, attribute, value)
+    assert verdicts(name, tmp_path, containing) == expected
+    if name != "figure-7.17":
+        assert before != expected and len(before) == len(expected)
+
+
+def test_the_maxima_of_a_model_that_was_tried_are_recovered(monkeypatch, tmp_path):
+    from humanoid_mjx.reproduction import planned_torques
+
+    trial = planned_torques._trials()[-1]
+    monkeypatch.setattr(leg, "MAX_TORQUES", tuple(trial.maxima))
+    assert verdicts("table-4.7", tmp_path, "joint ")[:5] == ["recovered"] * 5
+
+
+def test_a_hemisphere_would_be_seen():
+    points = np.random.default_rng(0).normal(size=(20_000, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    ball = points * [1, -np.sign(points[:, 1:2]).ravel()[0], 1]
+    half = np.where(np.arange(3) == 1, -np.abs(ball), ball)
+    lengths = space.LENGTHS["lengths"]
+    assert space._hemisphere(2, "all joints", half, lengths).verdict == "recovered"
+    assert space._hemisphere(2, "all joints", points, lengths).verdict == "differs"
+
+
+def test_the_pooled_marks_tell_epsilon(tmp_path):
+    pooled = ways._epsilon({1: 18, 4: 22, 5: 7}, {1: 45, 4: 54, 5: 16}, ways.CONFIG)
+    assert pooled.verdict == "differs" and "2.5 standard deviations" in pooled.why
+    fewer = ways._epsilon({1: 14, 4: 16, 5: 5}, {1: 45, 4: 54, 5: 16}, ways.CONFIG)
+    assert fewer.verdict == "recovered", "the step of 5 degrees is not printed"
+    assert reproduce(["epsilon-7e"], tmp_path, ["learner.epsilon=0.8"])[0].verdict == "recovered"
+    assert ways._averages({1: 0.4, 4: 0.4}, {1: 50, 4: 50}).verdict == "differs"
+
+
+def test_the_binomial_interval_is_that_of_clopper_and_pearson():
+    stats = pytest.importorskip("scipy.stats")
+    for successes, trials in ((0, 10), (3, 10), (47, 115), (10, 10)):
+        interval = stats.binomtest(successes, trials).proportion_ci(0.95, method="exact")
+        np.testing.assert_allclose(ways.binomial_interval(successes, trials, 0.95), interval, atol=1e-9)
+
+
+@pytest.mark.parametrize(("share", "expected"), [(1.0, "reproduced"), (0.0, "differs")])
+def test_waiting_turns_with_the_share_that_arrives(share, expected, monkeypatch, tmp_path):
+    monkeypatch.setattr(process, "_greedy_success", lambda task, axes: np.full(len(axes["learner.discount"]), share))
+    assert verdicts("finding-waiting", tmp_path) == [expected] * 3
+
+
+def test_stepping_back_turns_with_the_share_that_does_not():
+    costs = np.array(process.BACK_REWARDS) < 0
+    assert process._stepping_back(np.where(costs, 0.0, 1.0)).verdict == "reproduced"
+    assert process._stepping_back(np.where(np.arange(len(costs)) == len(costs) - 1, 0.0, 1.0)).verdict == "differs"
+
+
+def test_a_printed_formula_that_is_right_is_reproduced():
+    entry = errata.ENTRIES[0]
+    states = errata._states(errata.CIRCLE)
+    for wrong in errata.ENTRIES:
+        if wrong.fault == "none":
+            entry = wrong
+    assert errata._compare(replace(entry, printed=entry.right), states).verdict == "reproduced"
+    assert errata._compare(replace(entry, printed=lambda s: entry.right(s) * 1.01), states).verdict == "differs"
+
+
+def test_computed_torque_can_lose(monkeypatch, tmp_path):
+    shape = (len(robustness.CYCLES), 3, 2)
+    even = dict.fromkeys(robustness.LAWS, np.full(shape, 0.1))
+    monkeypatch.setattr(robustness, "_errors", lambda *given: even | {"computed torque": np.full(shape, 0.2)})
+    assert verdicts("robustness-map", tmp_path) == ["differs"] * 2
+
+
+@pytest.fixture
+def walk():
+    """A standing body that goes 0.3 m/s forwards for a while, without a fall, and turns if asked."""
+
+    def carried(yaw=0.0):
+        steps = 251
+        qpos = np.tile(ground.physics().qpos0, (steps, 1))
+        times = ground.physics().step_s * np.arange(steps)
+        angle = np.radians(yaw) * times / times[-1]
+        qpos[:, 0], qpos[:, 2] = 0.3 * times, qpos[:, 2] - 1e-6
+        qpos[:, 3], qpos[:, 6] = np.cos(angle / 2), np.sin(angle / 2)
+        qvel = np.zeros((steps, 16))
+        qvel[:, 0] = 0.3
+        return ground._until_fall(qpos, qvel, np.zeros((steps, 10)))
+
+    return carried
+
+
+def test_gaits_that_walk_and_turn_are_reproduced(walk):
+    straight, turned = walk(), walk(30.0)
+    played = {
+        trial: turned if trial.motion == "sudden_turn" and trial.same_yaw else straight
+        for trial in ground_gaits.printed_trials()
+    }
+    level = {id(path): ground.balance_of(path) for path in (straight, turned)}
+    balances = {trial: level[id(path)] for trial, path in played.items()}
+    found = [f for f in ground_gaits.on_tables(played, balances) if f.printed is not None]
+    assert len(found) == 5 and {f.verdict for f in found} == {"reproduced"}
+    fallen = {trial: path._replace(fell=True) for trial, path in played.items()}
+    again = [f for f in ground_gaits.on_tables(fallen, balances) if f.printed is not None]
+    assert [f.verdict for f in again] == ["differs", "reproduced", "differs", "reproduced", "differs"]
+
+
+def test_dynamics_are_involved_unless_the_mass_changes_nothing():
+    switch = postures.Switch(settling=1.0, overshoot=0.0, energy=1.0, peak=0.1)
+    assert postures._involves_dynamics("7H", switch, switch).verdict == "reproduced"
+    assert postures._involves_dynamics("7H", switch, switch._replace(settling=1.1)).verdict == "differs"
+
+
+def test_the_sign_of_the_knee(monkeypatch):
+    assert postures._sign().verdict == "recovered"
+    start, (hip, knee, ankle) = thesis.POSTURES["7H"]
+    monkeypatch.setattr(thesis, "POSTURES", {"7H": (start, (hip, -knee, ankle))})
+    assert postures._sign().verdict == "differs"
+
+
+def test_nothing_printed_is_no_verdict():
+    assert unprinted("x", "y", 1.0, "why").verdict == "finding"
+    with pytest.raises(ValueError, match="'differs', but printed is None"):
+        Finding("x", "y", None, 1.0, None, "differs", "why")
+    with pytest.raises(ValueError, match="'finding', but printed is 1"):
+        Finding("x", "y", 1.0, 1.0, None, "finding", "why")
+
+
+def test_every_experiment_is_tried_with_another_value():
+    """Those that other tests or this file's own tests turn, by name, and those that print nothing."""
+    elsewhere = {"table-4.7", "figure-7.2", "figure-7.4", "figure-7.18", "epsilon-7e", "errata", "robustness-map"}
+    elsewhere |= {"finding-waiting", "finding-decay", "finding-negative-reward", "gaits-4.8", "control-7d"}
+    elsewhere |= {f"figure-7.{number}" for number in range(6, 11)}
+    prints_nothing = {"finding-aliasing", "ground-control"}
+    assert set(load_experiments()) == set(WRONG) | elsewhere | prints_nothing
+
+
+def test_progress_is_told(tmp_path):
+    told = []
+    reproduce(
+        ["finding-negative-reward"], tmp_path, tell=lambda experiment, words: told.append((experiment.name, words))
+    )
+    assert told and told[0][0] == "finding-negative-reward"
+    assert Setting({}, tmp_path).tell("nobody hears") is None

@@ -1,0 +1,150 @@
+"""Robots that are not the lower body, and states of any robot that try all that a contact solver must bear."""
+
+import mujoco
+import numpy as np
+
+HOPPER = """
+<mujoco>
+  <option timestep="0.002" impratio="2"/>
+  <default>
+    <geom friction="0.8" solimp="0.8 0.9 0.002 0.4 3" margin="0.001"/>
+    <joint damping="0.1" armature="0.002" limited="true"/>
+  </default>
+  <worldbody>
+    <geom name="ground" type="plane" size="0 0 1" quat="1 0.05 -0.1 0"/>
+    <body name="trunk" pos="0 0 0.6">
+      <freejoint/>
+      <geom type="capsule" fromto="-0.05 0 0 0.1 0 0.1" size="0.04" mass="2"/>
+      <site name="imu" pos="0.02 0 0.05" quat="1 0.2 0 0"/>
+      <body name="thigh" pos="0 0 -0.03" quat="1 0 0.1 0.05">
+        <joint name="hip" axis="0 1 0.2" pos="0.01 0 0.02" range="-80 60" stiffness="2" springref="10"/>
+        <geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.02" mass="0.5"/>
+        <body name="shank" pos="0 0 -0.2">
+          <joint name="knee" axis="0 1 0" range="0 120" ref="10"/>
+          <geom name="shank" type="capsule" fromto="0 0 0 0 0 -0.2" size="0.015" mass="0.3" condim="1"/>
+          <body name="foot" pos="0 0 -0.2">
+            <joint name="ankle" axis="0 1 0" range="-40 40"/>
+            <geom name="foot" type="capsule" fromto="-0.04 0 0 0.08 0 0" size="0.015" mass="0.1" friction="1.2"/>
+            <site name="sole" type="sphere" size="0.1" pos="0.02 0 0"/>
+          </body>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor joint="hip" gear="2" ctrlrange="-5 5" ctrllimited="true"/>
+    <position joint="knee" kp="20" forcerange="-10 10" forcelimited="true"/>
+    <motor joint="ankle"/>
+  </actuator>
+  <sensor>
+    <gyro site="imu"/>
+    <accelerometer site="imu"/>
+    <touch site="sole"/>
+  </sensor>
+</mujoco>
+"""
+"""A sloping ground, capsules on it, damping taken implicitly, springs, a turned axis off its body's origin."""
+
+
+def _leg(name: str, x: float, y: float) -> str:
+    return f"""
+      <body name="{name}_thigh" pos="{x} {y} 0">
+        <joint name="{name}_roll" axis="1 0 0" range="-40 40"/>
+        <joint name="{name}_pitch" axis="0 1 0" range="-60 60"/>
+        <geom name="{name}_thigh" type="capsule" fromto="0 0 0 0 0 -0.15" size="0.02" mass="0.2"/>
+        <body name="{name}_shank" pos="0 0 -0.15">
+          <joint name="{name}_knee" axis="0 1 0" range="-120 -10"/>
+          <geom name="{name}_shank" type="capsule" fromto="0 0 0 0 0 -0.15" size="0.01" mass="0.1"
+                contype="0" conaffinity="0"/>
+          <geom name="{name}_foot" type="sphere" pos="0 0 -0.15" size="0.02" mass="0.02"/>
+        </body>
+      </body>"""
+
+
+QUADRUPED = f"""
+<mujoco>
+  <option timestep="0.003"><flag eulerdamp="disable"/></option>
+  <default>
+    <geom condim="3" friction="0.7" solref="-2000 -80"/>
+    <joint damping="0.05" armature="0.001" limited="true"/>
+  </default>
+  <worldbody>
+    <geom name="ground" type="plane" size="0 0 1"/>
+    <body name="trunk" pos="0 0 0.4">
+      <freejoint/>
+      <inertial pos="0.01 0 0.02" mass="3" diaginertia="0.01 0.03 0.035" quat="1 0.1 0.2 0"/>
+      <geom type="box" size="0.15 0.08 0.04" contype="0" conaffinity="0"/>
+      {_leg("fl", 0.15, 0.1)}{_leg("fr", 0.15, -0.1)}{_leg("rl", -0.15, 0.1)}{_leg("rr", -0.15, -0.1)}
+    </body>
+  </worldbody>
+  <contact>
+    <exclude body1="fl_thigh" body2="rr_thigh"/>
+    <pair geom1="fl_foot" geom2="ground" condim="3" friction="0.9 0.4 0 0 0" solimp="0.9 0.95 0.001 0.5 2"/>
+  </contact>
+  <actuator>{
+    "".join(
+        f'<motor joint="{leg}_{joint}" ctrlrange="-3 3" ctrllimited="true"/>'
+        for leg in ("fl", "fr", "rl", "rr")
+        for joint in ("roll", "pitch", "knee")
+    )
+}</actuator>
+</mujoco>
+"""
+"""Two hinges a body, balls on the ground and against capsules, contacts by `contype`, unequal friction."""
+
+
+def converged(model: mujoco.MjModel) -> mujoco.MjModel:
+    """The model with a solver that stops at rounding."""
+    model.opt.tolerance, model.opt.ls_tolerance, model.opt.iterations, model.opt.ls_iterations = 0.0, 1e-12, 100, 100
+    return model
+
+
+def states(model: mujoco.MjModel, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Positions, velocities and controls: standing, tilted and lying in, on and off the ground, limbs beyond their
+    limits and against each other, slow and fast. No shape touches another within rounding of their distance.
+    """
+    rng = np.random.default_rng(seed)
+    hinges = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE)
+    qpos = np.tile(model.qpos0, (count, 1))
+    lower, upper = model.jnt_range[hinges].T
+    anywhere = rng.uniform(lower - 0.05, upper + 0.05, (count, len(hinges)))
+    near = np.clip(0.02 * rng.normal(size=anywhere.shape), lower - 0.01, upper + 0.01)
+    standing = rng.random((count, 1)) < 0.4
+    qpos[:, model.jnt_qposadr[hinges]] = np.where(standing, near, anywhere)
+    if model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE:
+        tilt = rng.choice([0.003, 0.05, 10.0], (count, 1))
+        upright = np.concatenate(
+            [np.ones((count, 1)), np.where(standing, 0.003, tilt) * rng.normal(size=(count, 3))], 1
+        )
+        qpos[:, 3:7] = upright / np.linalg.norm(upright, axis=1, keepdims=True)
+        qpos[:, :2] = rng.normal(size=(count, 2))
+        _place(model, qpos, rng)
+    speed = np.exp(rng.uniform(np.log(0.01), np.log(5.0), (count, 1)))
+    return qpos, speed * rng.normal(size=(count, model.nv)), rng.uniform(-2.5, 2.5, (count, model.nu))
+
+
+def _place(model: mujoco.MjModel, qpos: np.ndarray, rng: np.random.Generator) -> None:
+    """Put the lowest shape that the ground feels a little above or below it."""
+    data = mujoco.MjData(model)
+    (plane,) = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
+    felt = {int(g) for pair in zip(model.pair_geom1, model.pair_geom2, strict=True) if plane in pair for g in pair}
+    felt |= {int(g) for g in range(model.ngeom) if model.geom_contype[g] and model.geom_bodyid[g]}
+    shapes = sorted(felt - {int(plane)})
+    for row in qpos:
+        row[2], data.qpos = 0.0, row
+        mujoco.mj_kinematics(model, data)
+        normal = data.geom_xmat[plane].reshape(3, 3)[:, 2]
+        half = np.where(model.geom_type[shapes] == mujoco.mjtGeom.mjGEOM_CAPSULE, model.geom_size[shapes, 1], 0.0)
+        tips = np.abs(data.geom_xmat[shapes].reshape(-1, 3, 3)[:, :, 2] @ normal) * half
+        lowest = (data.geom_xpos[shapes] @ normal - tips - model.geom_size[shapes, 0]).min()
+        row[2] = (rng.choice([0.01, -1e-4, -5e-4, -2e-3, -5e-3]) * rng.uniform(0.1, 1.0) - lowest) / normal[2]
+
+
+def native(model: mujoco.MjModel, qpos: np.ndarray, qvel: np.ndarray, ctrl: np.ndarray) -> np.ndarray:
+    """Accelerations in native MuJoCo."""
+    data, found = mujoco.MjData(model), np.empty_like(qvel)
+    for row, position, velocity, control in zip(found, qpos, qvel, ctrl, strict=True):
+        data.qpos, data.qvel, data.ctrl, data.qacc_warmstart = position, velocity, control, 0.0
+        mujoco.mj_forward(model, data)
+        row[:] = data.qacc
+    return found
