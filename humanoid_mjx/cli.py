@@ -90,13 +90,30 @@ def play(
     policy: Policy,
     physics: Physics = None,
     out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="A .gif, .mp4 or .png; by default RUN/figures/play.gif.")
+        Path | None, typer.Option(metavar="FILE", help="A .gif, .mp4, .webm or .png; by default RUN/figures/play.gif.")
     ] = None,
+    view: Annotated[
+        bool, typer.Option("--view", help="Show it in the browser instead, from any side; no other machine sees it.")
+    ] = False,
 ) -> None:
-    """Show what was learned as a video or picture of the robot."""
+    """Show what was learned as a video or picture of the robot, or in the browser."""
     from humanoid_mjx.commands import run_play
 
-    run_play(policy, physics, out)
+    run_play(policy, physics, out, view)
+
+
+@app.command()
+def report(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder, or a folder that reproduce has written.")],
+    out: Annotated[Path | None, typer.Option(metavar="FILE.html", help="By default RUN/report.html.")] = None,
+    motion: Annotated[
+        bool, typer.Option(help="Simulate the best policy and show how the robot moves, where its task has one.")
+    ] = True,
+) -> None:
+    """Write one self-contained web page: what was run, curves, tables, the robot's motion, how to run it again."""
+    from humanoid_mjx.commands import run_report
+
+    run_report(run, out, motion)
 
 
 @app.command()

@@ -4,6 +4,7 @@ import json
 import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -50,24 +51,22 @@ def run_sweep(config: str, out: Path | None, overrides: Sequence[str], resume: b
 def print_summary(axes: Sequence[str], summary: Mapping[str, np.ndarray]) -> None:
     """The best points of a sweep: those that succeed most often, and among them the quickest."""
     from humanoid_mjx.report.style import short
-    from humanoid_mjx.runs.statistics import iqm, iqm_interval
+    from humanoid_mjx.runs.ranking import ranked, ties, training_interval
 
-    points = np.unique(summary["point"])
-    rows = [summary["point"] == point for point in points]
-    success = np.array([summary["greedy_success"][row].mean() for row in rows])
-    steps = np.array([iqm(summary["greedy_steps"][row]) for row in rows])
-    learning = np.array([iqm(summary["steps"][row]) for row in rows])
-    best = np.lexsort((learning, steps, -np.round(success, 3)))[:BEST_POINTS]
+    points = ranked(axes, summary)
+    best = points[:BEST_POINTS]
     title = f"{len(points)} points; the best {len(best)}" if len(points) > 1 else "1 point"
+    if (equals := ties(points)) > len(best):
+        title += f" of {equals} that act equally well"
     table = Table(title=title, title_justify="left")
     for axis in axes:
         table.add_column(axis.partition(".")[2], justify="right")
     for heading in ("greedy success", "greedy steps", "steps at the end of training (95 %)"):
         table.add_column(heading, justify="right")
-    for i in best:
-        values = [short(summary[axis][rows[i]][0]) for axis in axes]
-        low, high = iqm_interval(summary["steps"][rows[i]].astype(float))
-        table.add_row(*values, f"{success[i]:.1%}", f"{steps[i]:.1f}", f"{learning[i]:.2f} ({low:.2f} to {high:.2f})")
+    for point in best:
+        low, high = training_interval(summary, point.point)
+        steps = f"{point.steps:.2f} ({low:.2f} to {high:.2f})"
+        table.add_row(*map(short, point.values), f"{point.success:.1%}", f"{point.greedy_steps:.1f}", steps)
     console.print(table)
     if diverged := int(np.sum(summary["diverged"])):
         console.print(f"{diverged} runs stopped at numbers that were not finite; the summary marks them.")
@@ -177,28 +176,62 @@ def evaluation_table(title: str, evaluations: Sequence[Evaluation]) -> Table:
     return table
 
 
-def run_play(name: str, physics: str | None, out: Path | None) -> None:
+def run_play(name: str, physics: str | None, out: Path | None, view: bool) -> None:
     """`humanoid-mjx play`."""
+    from humanoid_mjx.report.video import check_file
+
+    if view and out is not None:
+        raise InputError("play: --view shows the motion in the browser and --out writes a file; choose one.")
+    if out is not None:
+        check_file(out)
     runtime.start()
-    from humanoid_mjx.report.rendering import render_motion
-    from humanoid_mjx.training.episode import play, robot_of, rows_of
+    from humanoid_mjx.report.player import serve
+    from humanoid_mjx.report.rendering import render_film
+    from humanoid_mjx.report.showing import show
     from humanoid_mjx.training.policy import find_policy, on_physics
 
-    trained = find_policy(name)
-    if physics is not None:
-        trained = on_physics(trained, physics)
-    model, is_run = robot_of(trained), Path(name).is_dir()
-    played = play(trained)
-    qpos, step_s = rows_of(trained, played)
-    target = out or (Path(name) / "figures" / "play.gif" if is_run else Path(f"{trained.name}.gif"))
-    path = render_motion(model, qpos, step_s, target)
-    decisions, period = len(played.actions), trained.learner.task.period  # pyright: ignore[reportAttributeAccessIssue]
-    outcome = "succeeds" if played.success else "does not succeed"
-    console.print(
-        f"point {trained.point}, seed {trained.seed}: {outcome} in {decisions} decisions, {decisions * period:g} s; "
-        f"return {played.episode_return:.4g}"
-    )
-    console.print(f"{path}", soft_wrap=True)
+    with Bar(console) as bar:
+        bar.phase("loading")
+        trained = find_policy(name)
+        if physics is not None:
+            trained = on_physics(trained, physics)
+        shown = show(trained, bar)
+        if not view:
+            target = out or _play_file(name, trained.name)
+            bar.phase("rendering")
+            render_film(shown.film, target, tell=bar.count)
+    console.print(shown.outcome)
+    if not view:
+        console.print(f"{target}", soft_wrap=True)
+        return
+
+    def told(address: str) -> None:
+        console.print(f"{address}  (Ctrl-C ends it)", soft_wrap=True)
+
+    with suppress(KeyboardInterrupt):
+        serve(shown.film, told)
+
+
+def _play_file(name: str, policy: str) -> Path:
+    """Where a motion goes by default: into the run folder, or for a policy into the working directory."""
+    if not Path(name).is_dir():
+        return Path(f"{policy}.gif")
+    folder = Path(name) / "figures"
+    folder.mkdir(exist_ok=True)
+    return folder / "play.gif"
+
+
+def run_report(path: Path, out: Path | None, motion: bool) -> None:
+    """`humanoid-mjx report`."""
+    from humanoid_mjx.report.page import report_of, write_page
+
+    target = out or path / "report.html"
+    if not target.parent.is_dir():
+        raise InputError(f"{target}: there is no folder {target.parent}.")
+    runtime.start()
+    with Bar(console) as bar:
+        write_page(target, report_of(path, bar, motion))
+    console.print(f"{target}", soft_wrap=True)
 
 
 def run_export(what: str, file: Path) -> None:

@@ -1,12 +1,23 @@
 """A stored run as a video, and what cannot be shown."""
 
+import sys
+import threading
+from pathlib import Path
+from urllib.error import HTTPError
+from urllib.request import urlopen
+
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
 from humanoid_mjx.cli import app
+from humanoid_mjx.report.film import film_of
+from humanoid_mjx.report.player import make_server
 from humanoid_mjx.spec import InputError
+from humanoid_mjx.tasks import make_task
 from humanoid_mjx.tasks.posture_switch import LEFT_SIGN
 from humanoid_mjx.training.episode import HOLD_S, motion_of, play, robot_of, rows_of
 from humanoid_mjx.training.policy import best_policy
@@ -28,8 +39,10 @@ def switched(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def no_opengl(monkeypatch):
-    monkeypatch.delenv("MUJOCO_GL", raising=False)
-    monkeypatch.delenv("DISPLAY", raising=False)
+    """Frames of a few rays: what they look like is test_rendering.py's."""
+    monkeypatch.setattr("humanoid_mjx.report.opengl.ways", list)
+    monkeypatch.setattr("humanoid_mjx.report.rendering.WIDTH", 64)
+    monkeypatch.setattr("humanoid_mjx.report.rendering.HEIGHT", 48)
 
 
 def test_a_motion_is_that_of_the_task(switched):
@@ -51,21 +64,39 @@ def test_play_writes_an_animation(switched):
     done = CliRunner().invoke(app, ["play", str(switched)])
     assert done.exit_code == 0, done.output
     assert "succeeds in" in done.output
+    for phase in ("loading", "simulating", "rendering"):
+        assert phase in done.output
     with Image.open(switched / "figures" / "play.gif") as image:
         assert image.n_frames > 25 * HOLD_S
 
 
-def test_a_task_that_is_not_known_here_is_played_by_its_decisions(tmp_path):
-    """On native MuJoCo: a row at the start and after each of four decisions of 0.1 s."""
+def test_the_file_is_looked_at_before_any_work(switched, tmp_path, monkeypatch):
+    monkeypatch.setattr("humanoid_mjx.training.policy.find_policy", lambda name: pytest.fail("it was loaded"))
+    for arguments, sentence in (
+        (["--out", str(tmp_path / "x.avi")], "must end in .gif, .mp4, .webm or .png"),
+        (["--out", str(tmp_path / "none" / "x.gif")], "there is no folder"),
+        (["--out", str(tmp_path / "x.gif"), "--view"], "choose one"),
+    ):
+        done = CliRunner().invoke(app, ["play", str(switched), *arguments])
+        assert isinstance(done.exception, InputError) and sentence in str(done.exception)
+
+
+def test_between_long_decisions_a_leg_is_shown_step_by_step(tmp_path):
+    """Four decisions of 0.1 s and the second after, on native MuJoCo in steps of 5 ms; each decision ends where the
+    task says that it does."""
     leg = {"name": "leg_reach", "physics": "mujoco", "duration": 0.4}
     path = run(tmp_path / "leg", leg, learner={"name": "deep_q", "width": 8, "envs": 4, "rollout": 4}, total_steps=32)
     trained = best_policy(path)
-    qpos, step_s = rows_of(trained, play(trained))
-    assert qpos.shape == (5, robot_of(trained).nq) and step_s == 0.1
+    played = play(trained)
+    qpos, step_s = rows_of(trained, played)
+    assert step_s == pytest.approx(0.005)
+    assert qpos.shape == (round((0.4 + HOLD_S) / step_s), robot_of(trained).nq)
+    for i in range(4):
+        np.testing.assert_allclose(qpos[20 * (i + 1) - 1], played.states[i + 1].world.qpos, atol=1e-5)
     done = CliRunner().invoke(app, ["play", str(path), "--out", str(tmp_path / "leg.gif")])
     assert done.exit_code == 0 and "4 decisions, 0.4 s" in done.output
     with Image.open(tmp_path / "leg.gif") as image:
-        assert image.n_frames == 25 * 0.4 + 1
+        assert image.n_frames == 25 * (0.4 + HOLD_S)
 
 
 def test_what_cannot_be_played(tmp_path):
@@ -73,7 +104,63 @@ def test_what_cannot_be_played(tmp_path):
     for path, sentence in (
         (tmp_path / "none", "neither a run folder nor a policy"),
         (tmp_path, "this is no run folder"),
-        (reach, "its task joint_reach moves no robot; posture_switch is one that does"),
+        (reach, "its task joint_reach moves no robot: it has no `simulator` and `period`, as posture_switch does"),
     ):
         done = CliRunner().invoke(app, ["play", str(path)])
         assert isinstance(done.exception, InputError) and sentence in str(done.exception)
+
+
+def test_a_task_of_ones_own_is_played(tmp_path):
+    """Its state is a dict with a world in it; it says what pushes the body and what the body is told."""
+    sys.path.insert(0, str(Path(__file__).parent / "data"))
+    try:
+        learner = {"name": "deep_q", "width": 8, "envs": 4, "rollout": 4, "evaluation_envs": 2}
+        trained = best_policy(run(tmp_path / "own", {"name": "sway:Sway"}, learner=learner, total_steps=32))
+    finally:
+        sys.path.pop(0)
+    played = play(trained)
+    film = film_of(trained, played)
+    assert film.step_s == 0.04 and len(film.qpos) == 11
+    np.testing.assert_allclose(film.qpos[-1], played.states[-1]["robot"][0].qpos)
+    assert film.asked(0.0) == "lean 0.10 rad" and film.asked(0.39) == "lean 0.20 rad"
+    (push,) = film.pushes
+    assert (push.start, push.words) == (pytest.approx(0.12), "push 0.16 N s")
+    np.testing.assert_allclose(push.force, [0.0, 2.0, 0.0])
+    assert push.seconds == pytest.approx(0.08)
+
+
+def test_pushes_of_legged_tasks_are_those_that_their_steps_carry_out():
+    """A push that is due moves the body its way; without one the same step does not."""
+    task = make_task("stand", physics="mujoco", push={"impulse": 0.2, "every": 0.1})
+    key = jax.random.key(3)
+    state = task.reset(key)
+    number = jnp.ceil(state.data.first_push / task.period).astype(jnp.int32)
+    due = state._replace(data=state.data._replace(decisions=number))
+    force = np.asarray(task.push_on(due.data, key))
+    assert np.linalg.norm(force) == pytest.approx(0.2 / task.period)
+    calm = task.replace(push=task.push.replace(impulse=0.0))
+    pushed, still = (t.step(due, jnp.ones(10, int), key).data.world.qvel[:3] for t in (task, calm))
+    # 0.2 N s on 1.7 kg are 0.12 m/s, of which the feet take some.
+    assert 0.03 < (pushed - still) @ force / np.linalg.norm(force) < 0.15
+
+
+def test_a_walk_shows_its_command():
+    task = make_task("walk", physics="mujoco", command={"forward": [0.3, 0.3], "standing": 0.0, "zero": 0.0})
+    told = task.told(task.reset(jax.random.key(0)).data)
+    assert list(told) == ["forward, m/s", "left, m/s", "turn left, rad/s"]
+    assert told["forward, m/s"] == pytest.approx(0.3)
+    stand = make_task("stand", physics="mujoco")
+    assert stand.told(stand.reset(jax.random.key(0)).data) == {}
+
+
+def test_the_viewer_serves_one_page_to_this_machine(switched):
+    film = film_of(best_policy(switched), play(best_policy(switched)))
+    with make_server(film) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        host, port = server.server_address[:2]
+        assert host == "127.0.0.1"
+        with urlopen(f"http://{host}:{port}/") as answer:
+            assert 'class="player" data-autoplay' in answer.read().decode()
+        with pytest.raises(HTTPError, match="404"):
+            urlopen(f"http://{host}:{port}/config.yaml")
+        server.shutdown()

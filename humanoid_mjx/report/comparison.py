@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from humanoid_mjx.report.style import COLORS, figure, label_lines
+from humanoid_mjx.report.style import COLORS, count_axis, figure, label_lines, wrapped
 from humanoid_mjx.runs.evaluations import Evaluation
 from humanoid_mjx.runs.statistics import iqm, iqm_interval
 from humanoid_mjx.runs.tables import read_table
 from humanoid_mjx.training.policy import Trained
 
-MEASURES = {"success": "success", "return": "return per episode"}
+MEASURES = {"success": "success", "return": "return per episode, undiscounted"}
 
 BASELINES = {"zero": ":", "random": "--"}
 """Agents that do not learn, and how their lines look."""
@@ -89,7 +89,7 @@ def compare_curves(path: Path, curves: Sequence[Curve], agents: Sequence[Evaluat
     names = [name for name in MEASURES if any(name in curve.measures for curve in curves)]
     columns = [("control steps", colored)] + ([("seconds of training", timed)] if timed else [])
     with figure(path, len(names), len(columns), size=(5.2, 3.0), sharex="col", sharey="row") as (fig, panels):
-        fig.suptitle("Interquartile mean over seeds, band: 95 % bootstrap", x=0.01, ha="left")
+        fig.suptitle(wrapped("Interquartile mean over seeds; band: 95 % bootstrap", fig), x=0.01, ha="left")
         for row, name in enumerate(names):
             for column, (unit, drawn) in enumerate(columns):
                 panel = panels[row, column]
@@ -105,10 +105,12 @@ def compare_curves(path: Path, curves: Sequence[Curve], agents: Sequence[Evaluat
                 label_lines(panel, ends + heights, labels, colors)
                 if _far_apart([curve for curve, _ in drawn], column == 1):
                     panel.set_xscale("log")
+                else:
+                    count_axis(panel)
                 if row == len(names) - 1:
                     panel.set_xlabel(unit)
                 if column == 0:
-                    panel.set_ylabel(f"{MEASURES[name]} ({kinds_of_episode})")
+                    panel.set_ylabel(f"{MEASURES[name]}\n({kinds_of_episode} episodes)")
 
 
 def _draw(panel: Any, curve: Curve, name: str, timed: bool, color: str) -> float:

@@ -1,14 +1,14 @@
 """The figures of a sweep: learning curves by swept value, heat maps over any two swept parameters."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import combinations, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from matplotlib.ticker import EngFormatter, MaxNLocator
+from jaxtyping import Float
 
-from humanoid_mjx.report.style import figure, label_lines, shades, short
+from humanoid_mjx.report.style import count_axis, figure, label_lines, shades, short, wrapped
 from humanoid_mjx.runs.statistics import iqm, iqm_interval
 
 MAX_LEVELS = 12
@@ -25,7 +25,7 @@ CURVES = {
     "steps": "steps per episode",
     "success": "share of episodes that succeed",
     "greedy_success": "share of greedy episodes that succeed",
-    "return": "return per episode",
+    "return": "return per episode (undiscounted)",
 }
 
 
@@ -47,15 +47,32 @@ def sweep_figures(
     results: Mapping[str, np.ndarray],
     summary: Mapping[str, np.ndarray],
 ) -> list[Path]:
-    """Draw all figures of a run folder from its tables, what is constant left out; the paths of what was drawn."""
+    """Draw all figures of a run folder from its tables; the paths of what was drawn."""
     paths = [folder / "learning_curves.png"]
     learning_curves(paths[0], title, axes, results)
-    if len(axes) >= 2:
-        for name, meaning in HEAT_MAPS.items():
-            if name in summary and _tells(np.asarray(summary[name], float)):
-                paths.append(folder / f"{name}.png")
-                heat_maps(paths[-1], f"{title}: {meaning}", axes, summary, name)
+    for name in mapped(axes, summary):
+        paths.append(folder / f"{name}.png")
+        heat_maps(paths[-1], f"{title}: {HEAT_MAPS[name]}", axes, summary, name)
     return paths
+
+
+def mapped(axes: list[str], summary: Mapping[str, np.ndarray]) -> list[str]:
+    """The measures worth a heat map: there are two swept parameters, and the measure is not the same everywhere."""
+    return [name for name in HEAT_MAPS if len(axes) >= 2 and name in summary and _tells(summary[name])]
+
+
+def curved(results: Mapping[str, np.ndarray]) -> list[str]:
+    """The measures worth a learning curve: those that change, or if none does all."""
+    recorded = [name for name in CURVES if name in results]
+    return [name for name in recorded if _tells(results[name])] or recorded
+
+
+def averaged(axes: Sequence[str], results: Mapping[str, np.ndarray]) -> str:
+    """What the lines and bands of learning curves are, in words."""
+    seeds = len(np.unique(results["seed"]))
+    others = ", over all values of the other parameters" if len(axes) > 1 else ""
+    band = "; band: 95 % bootstrap over seeds" if seeds > 1 else ""
+    return f"interquartile mean over {seeds} seed{'s' * (seeds > 1)}{others}{band}"
 
 
 def learning_curves(path: Path, title: str, axes: list[str], results: Mapping[str, np.ndarray]) -> None:
@@ -64,58 +81,84 @@ def learning_curves(path: Path, title: str, axes: list[str], results: Mapping[st
     A line is the interquartile mean over seeds of the mean over all points with that value; its band is the 95 %
     bootstrap interval over seeds.
     """
-    recorded = [name for name in CURVES if name in results]
-    names = [name for name in recorded if _tells(results[name])] or recorded
+    names = curved(results)
     columns: list[str | None] = list(axes) or [None]
-    labels: list[tuple[Any, ...]] = []
-    seeds = len(np.unique(results["seed"]))
     with figure(path, len(names), len(columns), sharex=True, sharey="row") as (fig, panels):
-        band = ", band: 95 % bootstrap over seeds" if seeds > 1 else ""
-        fig.suptitle(f"{title}: interquartile mean over {seeds} seed{'s' * (seeds > 1)}{band}", x=0.01, ha="left")
+        fig.suptitle(wrapped(f"{title}: {averaged(axes, results)}", fig), x=0.01, ha="left")
         for column, axis_name in enumerate(columns):
-            levels = (
-                find_levels(results[axis_name]) if axis_name else Levels(["all"], np.zeros(len(results["seed"]), int))
-            )
-            colors = shades(len(levels.labels))
             for row, name in enumerate(names):
-                panel = panels[row, column]
-                ends = [_line(panel, results, levels.index == level, name, color) for level, color in enumerate(colors)]
-                if axis_name:
-                    labels.append((panel, ends, levels.labels, colors))
-                panel.xaxis.set_major_locator(MaxNLocator(4))
-                panel.xaxis.set_major_formatter(EngFormatter(sep=""))
+                draw_curves(panels[row, column], results, axis_name, name)
                 if row == 0:
-                    panel.set_title(axis_name or "")
-                if row == len(names) - 1:
-                    panel.set_xlabel(COUNTED["step" if "step" in results else "episode"])
-                if column == 0:
-                    panel.set_ylabel(CURVES[name])
-        for label in labels:  # the panels of a row share their limits, which are final now
-            label_lines(*label)
+                    panels[row, column].set_title(axis_name or "")
+                if row < len(names) - 1:
+                    panels[row, column].set_xlabel("")
+                if column > 0:
+                    panels[row, column].set_ylabel("")
+
+
+def draw_curves(panel: Any, results: Mapping[str, np.ndarray], axis_name: str | None, name: str) -> dict[str, float]:
+    """One panel of learning curves.
+
+    Returns:
+      the last value of each line by its label; NaN where there is none.
+    """
+    everything = Levels(["all"], np.zeros(len(results["seed"]), int))
+    levels = find_levels(results[axis_name]) if axis_name else everything
+    colors = shades(len(levels.labels))
+    ends = [_line(panel, results, levels.index == level, name, color) for level, color in enumerate(colors)]
+    if axis_name:
+        label_lines(panel, ends, levels.labels, colors)
+    count_axis(panel)
+    panel.set_xlabel(COUNTED["step" if "step" in results else "episode"])
+    panel.set_ylabel(CURVES[name])
+    return dict(zip(levels.labels, ends, strict=True))
 
 
 def heat_maps(path: Path, title: str, axes: list[str], summary: Mapping[str, np.ndarray], name: str) -> None:
     """A panel for every two swept parameters: the mean of `name` over seeds and over all other parameters."""
     pairs = list(combinations(axes, 2))
-    values = np.asarray(summary[name], float)
+    others = " and all values of the other parameters" if len(axes) > 2 else ""
     with figure(path, 1, len(pairs), size=(4.4, 3.8)) as (fig, panels):
-        fig.suptitle(f"{title} (mean)", x=0.01, ha="left")
-        low, high = np.nanmin(values), np.nanmax(values)
-        for panel, (x_name, y_name) in zip(panels[0], pairs, strict=True):
-            x, y = find_levels(summary[x_name]), find_levels(summary[y_name])
-            cells = y.index * len(x.labels) + x.index
-            count = np.bincount(cells, minlength=len(x.labels) * len(y.labels))
-            total = np.bincount(cells, values, minlength=len(count))
-            mean = np.where(count > 0, total / np.maximum(count, 1), np.nan).reshape(len(y.labels), len(x.labels))
-            image = panel.imshow(mean, origin="lower", aspect="auto", cmap="cividis", vmin=low, vmax=high)
-            panel.grid(False)
-            panel.set_xticks(range(len(x.labels)), x.labels, rotation=45 if len(x.labels) > 5 else 0, ha="right")
-            panel.set_yticks(range(len(y.labels)), y.labels)
-            panel.set_xlabel(x_name)
-            panel.set_ylabel(y_name)
-            if mean.size <= 150:
-                _write_cells(panel, mean, low, high)
-        fig.colorbar(image, ax=list(panels[0]), fraction=0.03, pad=0.01)
+        fig.suptitle(wrapped(f"{title}: mean over seeds{others}", fig), x=0.01, ha="left")
+        span = limits(axes, summary, name)
+        images = [draw_map(panel, summary, pair, name, span) for panel, pair in zip(panels[0], pairs, strict=True)]
+        if span[0] < span[1]:
+            fig.colorbar(images[0], ax=list(panels[0]), fraction=0.03, pad=0.01)
+
+
+def draw_map(
+    panel: Any, summary: Mapping[str, np.ndarray], pair: tuple[str, str], name: str, span: tuple[float, float]
+) -> Any:
+    """One heat map, its colours from the first to the second value of `span`; the image."""
+    x, y = (find_levels(summary[axis]) for axis in pair)
+    mean = cell_means(summary, pair, name)
+    image = panel.imshow(mean, origin="lower", aspect="auto", cmap="cividis", vmin=span[0], vmax=span[1])
+    panel.grid(False)
+    crowded = len(x.labels) > 5
+    panel.set_xticks(range(len(x.labels)), x.labels, rotation=45 if crowded else 0, ha="right" if crowded else "center")
+    panel.set_yticks(range(len(y.labels)), y.labels)
+    panel.set_xlabel(pair[0])
+    panel.set_ylabel(pair[1])
+    if mean.size <= 150:
+        _write_cells(panel, mean, *span)
+    return image
+
+
+def limits(axes: Sequence[str], summary: Mapping[str, np.ndarray], name: str) -> tuple[float, float]:
+    """The least and the greatest value in all heat maps of a measure, so that they can share their colours."""
+    every = [cell_means(summary, pair, name) for pair in combinations(axes, 2)]
+    return float(min(map(np.nanmin, every))), float(max(map(np.nanmax, every)))
+
+
+def cell_means(summary: Mapping[str, np.ndarray], pair: tuple[str, str], name: str) -> Float[np.ndarray, "y x"]:
+    """The mean of a measure for each two values of two swept parameters; NaN where it is not known."""
+    x, y = (find_levels(summary[axis]) for axis in pair)
+    values = np.asarray(summary[name], float)
+    known = np.isfinite(values)
+    cells = (y.index * len(x.labels) + x.index)[known]
+    size = len(x.labels) * len(y.labels)
+    count, total = np.bincount(cells, minlength=size), np.bincount(cells, values[known], minlength=size)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan).reshape(len(y.labels), len(x.labels))
 
 
 def find_levels(values: np.ndarray) -> Levels:
@@ -159,8 +202,8 @@ def _line(panel, results: Mapping[str, np.ndarray], chosen: np.ndarray, name: st
 def _write_cells(panel, mean: np.ndarray, low: float, high: float) -> None:
     for (row, column), value in np.ndenumerate(mean):
         if np.isfinite(value):
-            dark = (value - low) < 0.55 * (high - low)
+            dark = low < high and (value - low) < 0.55 * (high - low)
             panel.text(
                 column, row, f"{value:.2g}" if abs(value) < 10 else f"{value:.0f}",
-                ha="center", va="center", fontsize=6, color="white" if dark else "black",
+                ha="center", va="center", fontsize=6 if mean.size > 30 else 8, color="white" if dark else "black",
             )  # fmt: skip

@@ -1,5 +1,7 @@
 """How figures look: plain, labelled at the line, in colours that survive colour blindness."""
 
+import io
+import textwrap
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,11 +12,18 @@ import numpy as np
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
+from matplotlib.ticker import EngFormatter, MaxNLocator
 
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
 """Okabe and Ito's palette, for things without an order."""
 
 SEQUENTIAL = "viridis"
+
+LETTERS_PER_INCH = 12.5
+"""Of a heading."""
+
+LABEL_POINTS = 9.0
+"""The height of a label's line."""
 
 _RC = {
     "axes.grid": True,
@@ -26,12 +35,19 @@ _RC = {
     "grid.alpha": 0.3,
     "grid.linewidth": 0.6,
     "savefig.dpi": 150,
+    "svg.hashsalt": "humanoid_mjx",
+    "text.parse_math": False,
 }
 
 
 @contextmanager
-def figure(path: Path, rows: int, columns: int, size: tuple[float, float] = (4.2, 3.0), **kwargs: Any) -> Iterator[Any]:
-    """A grid of axes, (rows, columns), saved to `path` at the end; `size` is of one of them, in inches."""
+def figure(
+    path: Path | io.BytesIO, rows: int, columns: int, size: tuple[float, float] = (4.2, 3.0), **kwargs: Any
+) -> Iterator[Any]:
+    """A grid of axes, (rows, columns), saved to `path` at the end; `size` is of one of them, in inches.
+
+    What is saved in memory is SVG, its letters drawn, its bytes the same each time.
+    """
     with plt.rc_context(_RC):  # pyright: ignore[reportArgumentType]
         fig, axes = plt.subplots(
             rows,
@@ -41,10 +57,15 @@ def figure(path: Path, rows: int, columns: int, size: tuple[float, float] = (4.2
             layout="constrained",
             **kwargs,
         )
-        yield fig, axes
-        path.parent.mkdir(parents=True, exist_ok=True)
-        fig.savefig(path)
-        plt.close(fig)
+        try:
+            yield fig, axes
+            if isinstance(path, Path):
+                path.parent.mkdir(parents=True, exist_ok=True)
+                fig.savefig(path)
+            else:
+                fig.savefig(path, format="svg", metadata={"Date": None})
+        finally:
+            plt.close(fig)
 
 
 def shades(count: int) -> list[Any]:
@@ -52,38 +73,46 @@ def shades(count: int) -> list[Any]:
     return [plt.get_cmap(SEQUENTIAL)(x) for x in np.linspace(0.0, 0.85, count)]
 
 
-def label_lines(axis: Any, ends: Sequence[float], labels: Sequence[str], colors: Sequence[Any]) -> None:
-    """Write each line's label at its right end, moved apart where they would overlap, and led back by a line.
+def count_axis(axis: Any) -> None:
+    """Large counts below a panel as 200k or 1.5M, few enough not to touch."""
+    axis.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]))
+    axis.xaxis.set_major_formatter(EngFormatter(sep=""))
 
-    To be called when the limits of the axes are final.
+
+def wrapped(text: str, fig: Any) -> str:
+    """A heading broken into lines that fit the width of a figure."""
+    return textwrap.fill(text, max(20, int(LETTERS_PER_INCH * fig.get_size_inches()[0])))
+
+
+def label_lines(axis: Any, ends: Sequence[float], labels: Sequence[str], colors: Sequence[Any]) -> None:
+    """Write each line's label beside its right end, moved apart where they would overlap; none where the end is NaN.
+
+    A label that had to move is tied to its line by a thin one.
     """
-    to_height = axis.transData + axis.transAxes.inverted()
-    finite = np.nan_to_num(np.asarray(ends, float), nan=axis.get_ylim()[0])
-    heights = to_height.transform(np.stack([np.full(len(ends), axis.get_xlim()[1]), finite], axis=1))[:, 1]
-    for end, place, label, color in zip(heights, spread(heights, 0.055), labels, colors, strict=True):
+    low, high = axis.get_ylim()
+    shown = [i for i, end in enumerate(ends) if np.isfinite(end)]
+    gap = LABEL_POINTS / (72.0 * axis.figure.get_size_inches()[1] * axis.get_position().height) * (high - low)
+    places = spread([ends[i] for i in shown], gap, low, high)
+    for place, i in zip(places, shown, strict=True):
         axis.annotate(
-            label,
-            (1.0, end),
-            xycoords="axes fraction",
-            xytext=(1.05, place),
-            textcoords="axes fraction",
-            color=color,
+            labels[i],
+            (1.0, ends[i]),
+            xycoords=("axes fraction", "data"),
+            xytext=(1.045, place),
+            textcoords=("axes fraction", "data"),
+            color=colors[i],
             va="center",
             fontsize=7.5,
+            arrowprops={"arrowstyle": "-", "color": colors[i], "linewidth": 0.5, "shrinkA": 0, "shrinkB": 0},
             annotation_clip=False,
-            arrowprops={
-                "arrowstyle": "-",
-                "color": color,
-                "linewidth": 0.6,
-                "shrinkA": 1,
-                "shrinkB": 0,
-                "relpos": (0, 0.5),
-            },
         )
 
 
-def spread(places: Any, gap: float) -> np.ndarray:
-    """Places at least `gap` apart, in the same order, moved as little as can be (least squares)."""
+def spread(places: Sequence[float], gap: float, low: float = -np.inf, high: float = np.inf) -> np.ndarray:
+    """Places at least `gap` apart from `low` to `high`, in the same order, moved as little as can be (least squares).
+
+    Where there is no room for all, they begin at `low`.
+    """
     wanted = np.nan_to_num(np.asarray(places, float))
     order = np.argsort(wanted, kind="stable")
     pools: list[list[float]] = []
@@ -92,7 +121,9 @@ def spread(places: Any, gap: float) -> np.ndarray:
         while len(pools) > 1 and np.mean(pools[-2]) > np.mean(pools[-1]):
             pools[-2:] = [pools[-2] + pools[-1]]
     moved = np.empty(len(wanted))
-    moved[order] = np.repeat([np.mean(p) for p in pools], [len(p) for p in pools]) + np.arange(len(wanted)) * gap
+    level = np.repeat([np.mean(p) for p in pools], [len(p) for p in pools])
+    room = max(low, high - (len(wanted) - 1) * gap)
+    moved[order] = np.clip(level, low, room) + np.arange(len(wanted)) * gap
     return moved
 
 

@@ -1,8 +1,14 @@
 """What all tasks have in common."""
 
 from collections.abc import Mapping
+from typing import Any
 
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Key
+
+from humanoid_mjx.physics.base import Controller, Physics
 from humanoid_mjx.spec import Spec
+from humanoid_mjx.types import FloatScalar
 
 
 class Task(Spec):
@@ -10,9 +16,32 @@ class Task(Spec):
 
     A task is a pytree: the values of its `traced` fields are data of compiled programs, and `self.stride` inside a
     method is an array there. Array shapes and Python's `if` may depend on static fields only.
+
+    A task can be played, as `humanoid-mjx play` does, if it has a `simulator`, which is the `Physics` of a robot, and a
+    `period`, s between decisions, and if the data of its states hold a `World` anywhere. What else is worth showing it
+    may say by `drive`, `push_on` and `told`.
     """
 
     @property
     def compiler_options(self) -> Mapping[str, str | bool]:
         """XLA's options for the programs that train tables on the task: `runtime.SHARED_KERNELS` where they pass."""
+        return {}
+
+    def drive(self, data: Any, action: Array) -> tuple[Physics, Controller]:
+        """What moves the robot through a decision: the physics, and the controller that it asks at every time step.
+
+        A task whose decisions are longer than a frame of a video implements it to be shown between them.
+
+        Args:
+          data: the task's own, before the decision.
+          action: choices of the joints as integers, or commands in [-1, 1].
+        """
+        raise NotImplementedError
+
+    def push_on(self, data: Any, key: Key[Array, ""]) -> Float[Array, "3"]:
+        """The force on the torso during the decision to come, N, in the world; `key` is the one that `step` gets."""
+        return jnp.zeros(3)
+
+    def told(self, data: Any) -> dict[str, FloatScalar]:
+        """What the robot is asked for at the moment, by a name with its unit, such as `forward, m/s`."""
         return {}

@@ -124,10 +124,7 @@ class LegReach(ContinuousTask):
     def step_continuous(self, state: State, command: Float[Array, " joints"], key: Key[Array, ""]) -> State:
         """A step whose moves are any parts of `increment`, from -1 to 1."""
         body: Body = state.data
-        qpos = body.world.qpos
-        moved = body.setpoint + jnp.radians(self.increment) * jnp.clip(command, -1.0, 1.0)
-        low, high = self.simulator.joint_ranges.T
-        setpoint = jnp.clip(jnp.clip(moved, qpos - LEAD, qpos + LEAD), low - LEAD, high + LEAD)
+        setpoint = self.setpoint_after(body, command)
         cycles = self.simulator.substeps(self.period)
         world = self._plant(body.mass).run(body.world, self.controller(setpoint), cycles)
         body = body._replace(world=world, setpoint=setpoint, decisions=body.decisions + 1)
@@ -145,6 +142,18 @@ class LegReach(ContinuousTask):
             final_obs=obs,
             metrics=terms,
         )
+
+    def drive(self, data: Body, action: Array) -> tuple[Physics, Follow]:
+        chosen = not jnp.issubdtype(action.dtype, jnp.floating)
+        command = 2.0 * action / (self.choices - 1) - 1.0 if chosen else action
+        return self._plant(data.mass), self.controller(self.setpoint_after(data, command))
+
+    def setpoint_after(self, body: Body, command: Float[Array, " joints"]) -> Float[Array, " joints"]:
+        """Where moves of `command` times `increment` take the set-point, rad."""
+        qpos = body.world.qpos
+        moved = body.setpoint + jnp.radians(self.increment) * jnp.clip(command, -1.0, 1.0)
+        low, high = self.simulator.joint_ranges.T
+        return jnp.clip(jnp.clip(moved, qpos - LEAD, qpos + LEAD), low - LEAD, high + LEAD)
 
     def observe(self, body: Body) -> Float[Array, " observation_size"]:
         """`OBSERVATIONS`, each of the five joints, within -1 to 1."""

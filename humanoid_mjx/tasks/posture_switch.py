@@ -131,6 +131,10 @@ class PostureSwitch(FiniteTask):
     def action_choices(self) -> tuple[int, ...]:
         return (3,) * len(MOVED)
 
+    def drive(self, data: Body, action: Int[Array, "3"]) -> tuple[Physics, Follow]:
+        number = jnp.sum(action * 3 ** np.arange(len(MOVED)), dtype=jnp.int32)
+        return self.plant, self.controller(self.setpoint(data, number))
+
     def arrived(self, world: World) -> BoolScalar:
         """Whether both legs are in the goal's posture and at rest."""
         goal = self.whole_body(self.grid[:, -1])

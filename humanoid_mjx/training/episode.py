@@ -2,7 +2,7 @@
 """Look at what was learned: the motion of the robot in a greedy episode."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -14,19 +14,23 @@ from jaxtyping import Array, Float
 from humanoid_mjx.control.computed_torque import Reference
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.physics.base import Physics, World
-from humanoid_mjx.physics.model import MujocoPhysics
 from humanoid_mjx.robot import ROBOTS, robot_spec
 from humanoid_mjx.spec import InputError
-from humanoid_mjx.tasks.continuous import State, Tabulated
+from humanoid_mjx.tasks.base import Task
+from humanoid_mjx.tasks.continuous import State
 from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.tasks.posture_switch import PostureSwitch
 from humanoid_mjx.training.evaluation import held_out_keys
 from humanoid_mjx.training.policy import Trained
-from humanoid_mjx.training.rollout import MAX_EPISODE_STEPS, decide, greedy, start
+from humanoid_mjx.training.rollout import MAX_EPISODE_STEPS, decide, decision_keys, greedy, start
 from humanoid_mjx.types import AnyArray
 
 HOLD_S = 1.0
 """How long the last set-point is held after an episode, s: whether a posture is kept shows only then."""
+
+SMOOTH_S = 0.05
+"""Decisions that take longer are shown time step by time step, where their task has `drive`: between them a robot
+moves otherwise than evenly."""
 
 
 class Played(NamedTuple):
@@ -35,8 +39,13 @@ class Played(NamedTuple):
     states: list[Any]
     """The task's own, before each decision and after the last."""
     actions: list[Array]
+    """As they were carried out: choices of the joints, or commands in [-1, 1]."""
     success: bool
     episode_return: float
+    pushes: Float[np.ndarray, "decisions 3"]
+    """Force on the torso during each decision, N, in the world."""
+    told: list[dict[str, float]]
+    """What the robot was asked for at each decision, by its task's `told`."""
 
 
 class Motion(NamedTuple):
@@ -53,58 +62,106 @@ def robot_of(trained: Trained) -> mujoco.MjModel:
     """The robot that a policy moves.
 
     Raises:
-      InputError: its task has no `simulator`, which is a physics of a robot that is known.
+      InputError: its task has no `simulator`, which is a physics of a robot that is known, or no `period`.
     """
-    simulator: Any = getattr(trained.learner.task, "simulator", None)
-    if isinstance(simulator, MujocoPhysics):
-        return simulator.model
-    if isinstance(simulator, Physics) and getattr(simulator, "robot", None) in ROBOTS:
-        return robot_spec(simulator.robot).compile()
-    name = trained.config.task["name"]
-    raise InputError(f"{trained.name}: its task {name} moves no robot; posture_switch is one that does.")
+    task: Any = trained.learner.task
+    simulator = getattr(task, "simulator", None)
+    if isinstance(simulator, Physics) and isinstance(getattr(task, "period", None), float):
+        model = getattr(simulator, "model", None)
+        if isinstance(model, mujoco.MjModel):
+            return model
+        if getattr(simulator, "robot", None) in ROBOTS:
+            return robot_spec(simulator.robot).compile()
+    raise InputError(
+        f"{trained.name}: its task {trained.config.task['name']} moves no robot: it has no `simulator` and `period`, "
+        "as posture_switch does."
+    )
 
 
-def play(trained: Trained, episode: int = 0) -> Played:
-    """One of the episodes that an evaluation counts; 0 is the first."""
+def world_of(data: Any) -> World:
+    """The world in the data of a task's state, wherever it is.
+
+    Raises:
+      InputError: there is none.
+    """
+    leaves = jax.tree.leaves(data, is_leaf=lambda leaf: isinstance(leaf, World))
+    worlds = [leaf for leaf in leaves if isinstance(leaf, World)]
+    if not worlds:
+        raise InputError("play: the task's states hold no World of its physics, so there is nothing to show.")
+    return worlds[0]
+
+
+def play(trained: Trained, episode: int = 0, tell: Callable[[int], None] = lambda decisions: None) -> Played:
+    """One of the episodes that an evaluation counts; 0 is the first.
+
+    Args:
+      trained: what plays.
+      episode: the number of the episode.
+      tell: called after each decision with how many there were.
+    """
     learner, policy, key = trained.learner, trained.policy, held_out_keys(episode + 1)[episode]
     state, total = jax.jit(lambda learner: start(learner.env, key))(learner), 0.0
-    states, actions = [state], []
+    states, actions, pushes, told = [state], [], [], []
     while not state.done and len(actions) < MAX_EPISODE_STEPS:
-        state, action = _decide(learner, policy, key, state, jnp.int32(len(actions)))
+        state, action, push, words = _decide(learner, policy, key, state, jnp.int32(len(actions)))
         states.append(state)
-        actions.append(action)
+        actions.append(action if state.executed is None else state.executed)
+        pushes.append(np.asarray(push))
+        told.append({name: float(value) for name, value in words.items()})
         total += float(state.reward)
-    finite = isinstance(learner.task, FiniteTask)
-    return Played([s.data[0] if finite else s.data for s in states], actions, bool(state.success), total)
+        tell(len(actions))
+    data = [_own_data(learner.task, state) for state in states]
+    forces = np.array(pushes, np.float64).reshape(-1, 3)
+    return Played(data, actions, bool(state.success), total, forces, told)
+
+
+def _own_data(task: Task, state: State) -> Any:
+    """The data of a task's state without what makes a finite task a continuous one."""
+    return state.data[0] if isinstance(task, FiniteTask) else state.data
 
 
 @jax.jit
-def _decide(learner: Learner, policy: Any, key: Any, state: State, steps: Any) -> tuple[State, Array]:
-    return decide(learner.env, greedy(learner, policy), key, state, steps)
+def _decide(learner: Learner, policy: Any, key: Any, state: State, steps: Any) -> tuple[State, Array, Any, Any]:
+    """A decision; and the push during it and what the task tells of the state before it."""
+    task, (_, step_key) = learner.task, decision_keys(key, steps)
+    data = _own_data(task, state)
+    if isinstance(task, FiniteTask):
+        step_key = jax.random.split(step_key, 3)[2]
+    after, action = decide(learner.env, greedy(learner, policy), key, state, steps)
+    return after, action, task.push_on(data, step_key), task.told(data)
 
 
 def rows_of(trained: Trained, played: Played) -> tuple[Float[np.ndarray, "rows nq"], float]:
-    """`qpos` in rows, and the time from one to the next, s: one for each time step of the physics where the task is
-    posture switching; else one for each decision, of a task with a `period` whose states have a `world`."""
+    """`qpos` in rows, and the time from one to the next, s: one for each time step of the physics and `HOLD_S` more
+    where decisions are longer than `SMOOTH_S` and the task has `drive`; else one for each decision."""
     task: Any = trained.learner.task
-    if isinstance(task, PostureSwitch):
-        return np.asarray(motion_of(trained, played).qpos), task.timestep
-    return np.stack([np.asarray(state.world.qpos) for state in played.states]), task.period
+    if task.period > SMOOTH_S and type(task).drive is not Task.drive:
+        return np.asarray(motion_of(trained, played).qpos), task.simulator.step_s
+    return np.stack([np.asarray(world_of(data).qpos) for data in played.states]), task.period
 
 
 def motion_of(trained: Trained, played: Played) -> Motion:
-    """The motion of a played episode of `PostureSwitch`, and `HOLD_S` more in which its last set-point is held."""
+    """The motion of a played episode of a task that has `drive`, and `HOLD_S` more under its last controller."""
     task: Any = trained.learner.task
-    steps = task.simulator.substeps(task.period)
-    world, reference, motions = played.states[-1].world, at_rest(task.whole_body(task.grid[:, 0]), steps), []
-    setpoint, number = jax.jit(task.setpoint), Tabulated(finite=task).flat_action
-    for state, action in zip(played.states[:-1], played.actions, strict=True):
-        reference = at_rest(setpoint(state, number(action)), steps)
-        motions.append(follow(task, state.world, reference)[1])
-    for _ in range(math.ceil(HOLD_S / task.period)):
-        world, motion = follow(task, world, reference)
+    world, data, action, motions = world_of(played.states[-1]), played.states[0], None, []
+    for data, action in zip(played.states[:-1], played.actions, strict=True):
+        motions.append(_driven(task, world_of(data), data, action)[1])
+    for _ in range(math.ceil(HOLD_S / task.period) if motions else 0):
+        world, motion = _driven(task, world, data, action)
         motions.append(motion)
     return joined(motions)
+
+
+@jax.jit
+def _driven(task: Any, world: World, data: Any, action: Array) -> tuple[World, Motion]:
+    """Let a task drive the robot, wherever it is, as in the decision with this data and action."""
+    plant, controller = task.drive(data, action)
+
+    def step(world: World, _: None) -> tuple[World, Motion]:
+        world, torque = plant.step(world, controller)
+        return world, Motion(world.qpos, world.qvel, torque)
+
+    return jax.lax.scan(step, world, length=task.simulator.substeps(task.period))
 
 
 @jax.jit

@@ -35,6 +35,9 @@ class Reporter:
     def update(self, done: float, success: float | None = None, mean_return: float | None = None) -> None:
         """How much is done of the total; the success and return of recent episodes, where they are known."""
 
+    def count(self, done: int, total: int) -> None:
+        """So many of a number of things are done, such as frames painted."""
+
 
 class Bar(Reporter):
     """Reports on a console."""
@@ -96,6 +99,11 @@ class Bar(Reporter):
         self._bar.update(self._task, completed=done, rate=rate)
         if not self.console.is_terminal and now - self._last_line > LINE_EVERY_S:
             self._line(rate)
+
+    def count(self, done: int, total: int) -> None:
+        self.total = total
+        self._bar.update(self._task, total=total)
+        self.update(done)
 
     def _line(self, rate: str = "") -> None:
         self._last_line = time.monotonic()

@@ -59,10 +59,16 @@ def decide(
     env: ContinuousTask, choose: Choose, key: Key[Array, ""], state: State, steps: IntScalar
 ) -> tuple[State, Array]:
     """The decision number `steps` of the episode with this key: the state that it leads to, and the action."""
-    act_key, step_key = jax.random.split(jax.random.fold_in(jax.random.split(key)[1], steps))
+    act_key, step_key = decision_keys(key, steps)
     action = choose(state, act_key)
     commands = jnp.issubdtype(action.dtype, jnp.floating)
     return (env.step_continuous if commands else env.step)(state, action, step_key), action
+
+
+def decision_keys(key: Key[Array, ""], steps: IntScalar) -> tuple[Key[Array, ""], Key[Array, ""]]:
+    """For the choice and for the step of the decision number `steps` of the episode with this key."""
+    act_key, step_key = jax.random.split(jax.random.fold_in(jax.random.split(key)[1], steps))
+    return act_key, step_key
 
 
 def greedy(learner: Learner, policy: Any) -> Choose:

@@ -93,12 +93,11 @@ class LeggedTask(LeggedBody):
 
     def step_continuous(self, state: State, command: Float[Array, " joints"], key: Key[Array, ""]) -> State:
         """A step whose offsets are any parts of `offset`, from -1 to 1."""
-        side_key, sensor_key = jax.random.split(key)
+        _, sensor_key = jax.random.split(key)
         before: Episode = state.data
         offsets = jnp.clip(command, -1.0, 1.0)
         offsets = jnp.where(self.mirrored(before.phase), swapped(offsets), offsets) if self.symmetric else offsets
-        since = before.decisions * self.period - before.first_push
-        force = self.push.force(since, self.period, side_key)
+        force = self.push_on(before, key)
         setpoint = self.setpoint(offsets, self.reference(before))
         world, sensed = self.advance(before.world, setpoint, before.plant or self.plant, force)
         after = before.sense(self.sensors, world, sensed.readings, self.period, sensor_key)
@@ -119,6 +118,14 @@ class LeggedTask(LeggedBody):
             final_obs=obs,
             metrics=terms,
         )
+
+    def push_on(self, data: Episode, key: Key[Array, ""]) -> Float[Array, "3"]:
+        since = data.decisions * self.period - data.first_push
+        return self.push.force(since, self.period, jax.random.split(key)[0])
+
+    def told(self, data: Episode) -> dict[str, FloatScalar]:
+        names = "forward, m/s", "left, m/s", "turn left, rad/s"
+        return dict(zip(names, data.command, strict=True)) if self.command else {}
 
     def reference(self, episode: Episode) -> Float[Array, " joints"] | float:
         """The motion about the posture that the offsets correct, rad."""

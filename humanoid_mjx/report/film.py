@@ -1,0 +1,92 @@
+"""A motion with the words that go with it, and what was pushed when: what is shown of a played episode."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from humanoid_mjx.training.episode import Played, robot_of, rows_of
+from humanoid_mjx.training.policy import Trained
+from humanoid_mjx.types import AnyArray
+
+SHORT_S = 0.25
+"""A push that is over sooner is told by its impulse, a longer one by its force."""
+
+
+class Push(NamedTuple):
+    """A force on the torso."""
+
+    start: float
+    """s"""
+    seconds: float
+    force: Float[np.ndarray, "3"]
+    """N, world."""
+
+    @property
+    def words(self) -> str:
+        """How hard it is."""
+        size = float(np.linalg.norm(self.force))
+        return f"push {size * self.seconds:.2g} N s" if self.seconds < SHORT_S else f"push {size:.2g} N"
+
+
+class Film(NamedTuple):
+    """A motion, its rows `step_s` apart, and what goes with it."""
+
+    model: mujoco.MjModel
+    qpos: Float[AnyArray, "rows nq"]
+    step_s: float
+    title: str = ""
+    told: tuple[tuple[float, str], ...] = ()
+    """From when, s, the robot is asked for what."""
+    pushes: tuple[Push, ...] = ()
+
+    def at(self, fps: float) -> tuple[Float[np.ndarray, "frames nq"], Float[np.ndarray, " frames"]]:
+        """Postures at the motion's own speed, so many a second, and their times, s; between rows it is even."""
+        rows = np.arange(0.0, len(self.qpos) - 0.999, 1.0 / (fps * self.step_s))
+        columns = np.asarray(self.qpos, np.float64).T
+        places = np.arange(len(self.qpos))
+        return np.stack([np.interp(rows, places, column) for column in columns], axis=1), rows * self.step_s
+
+    def asked(self, seconds: float) -> str:
+        """What the robot is asked for at a time."""
+        return next((words for start, words in reversed(self.told) if start <= seconds + 1e-9), "")
+
+
+def film_of(trained: Trained, played: Played, title: str | None = None) -> Film:
+    """What a played episode looks like. `title` is by default the policy's name.
+
+    Raises:
+      InputError: the policy's task moves no robot, or its states hold no World.
+    """
+    model, (qpos, step_s) = robot_of(trained), rows_of(trained, played)
+    period: float = trained.learner.task.period  # pyright: ignore[reportAttributeAccessIssue]
+    told: list[tuple[float, str]] = []
+    for number, values in enumerate(played.told):
+        words = in_words(values)
+        if words and (not told or told[-1][1] != words):
+            told.append((number * period, words))
+    title = trained.name if title is None else title
+    return Film(model, qpos, step_s, title, tuple(told), tuple(merged(played.pushes, period)))
+
+
+def in_words(values: Mapping[str, float]) -> str:
+    """`{"forward, m/s": 0.3}` as `forward 0.30 m/s`; several with semicolons between them."""
+    parts = [(*name.partition(", "), value) for name, value in values.items()]
+    return "; ".join(f"{name} {value:.2f} {unit}".rstrip() for name, _, unit, value in parts)
+
+
+def merged(forces: Float[np.ndarray, "decisions 3"], period: float) -> list[Push]:
+    """Pushes from the force during each decision; one that stays the same is one push."""
+    pushes: list[Push] = []
+    for number, force in enumerate(forces):
+        if not force.any():
+            continue
+        last, start = (pushes[-1] if pushes else None), number * period
+        goes_on = last and np.isclose(last.start + last.seconds, start) and np.allclose(last.force, force)
+        if last and goes_on:
+            pushes[-1] = last._replace(seconds=last.seconds + period)
+        else:
+            pushes.append(Push(start, period, force))
+    return pushes

@@ -1,0 +1,90 @@
+"""Words and arrows on the pictures of a film: title, time, what the robot is asked for, pushes."""
+
+from functools import lru_cache
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.font_manager import FontProperties, findfont
+from PIL import Image, ImageDraw, ImageFont
+
+from humanoid_mjx.report.film import Film, Push
+from humanoid_mjx.report.raycast import Frame
+from humanoid_mjx.report.scene import VIEW_M, Scene, make_camera
+
+ARROW_M = 0.3 * VIEW_M
+"""Length of a push's arrow, m. Its words say how hard it is: a length between others would be guessed."""
+
+SHOWN_S = 0.5
+"""A push is shown for at least so long: most last shorter than the eye takes to see them."""
+
+INK, ALARM = (32, 32, 32), (193, 18, 31)
+
+MARGIN, LETTER = 10, 14
+"""Pixels."""
+
+
+def annotate(frame: Frame, film: Film, scene: Scene, number: int, seconds: float) -> Frame:
+    """A frame of a film with its words and arrows."""
+    image = Image.fromarray(frame)
+    draw = ImageDraw.Draw(image)
+    width, height = image.size
+    for push in film.pushes:
+        if push.start <= seconds + 1e-9 < push.start + max(push.seconds, SHOWN_S):
+            _draw_push(draw, push, scene, number, (width, height))
+    if film.title:
+        _write(draw, (MARGIN, MARGIN), _fitting(film.title, width - 2 * MARGIN - 70), "la", bold=True)
+    _write(draw, (width - MARGIN, MARGIN), f"{seconds:.2f} s", "ra")
+    if words := film.asked(seconds):
+        _write(draw, (MARGIN, height - MARGIN), _fitting(words, width - 2 * MARGIN), "ld")
+    return np.asarray(image)
+
+
+def _draw_push(draw: ImageDraw.ImageDraw, push: Push, scene: Scene, number: int, size: tuple[int, int]) -> None:
+    """An arrow whose head is at the torso."""
+    camera = make_camera(size[1])
+    torso = scene.torso[number]
+    direction = push.force / np.linalg.norm(push.force)
+    ends = np.stack([torso - ARROW_M * direction, torso])
+    tail, head = camera.seen(ends, camera.place(scene.middle[number], scene.distance), size)
+    along = (head - tail) / max(float(np.linalg.norm(head - tail)), 1e-6)
+    across = np.array([-along[1], along[0]])
+    barbs = [head, head - 14 * along + 7 * across, head - 14 * along - 7 * across]
+    draw.line([_pixel(tail), _pixel(head - 10 * along)], fill=ALARM, width=4)
+    draw.polygon([_pixel(point) for point in barbs], fill=ALARM)
+    beside = tail[0], tail[1] + (LETTER if along[1] < -0.3 else -LETTER)
+    place = np.clip(beside, [60, 40], [size[0] - 60, size[1] - 40])
+    _write(draw, _pixel(place), push.words, "mm", ALARM)
+
+
+def _pixel(point: Float[np.ndarray, "2"]) -> tuple[float, float]:
+    return float(point[0]), float(point[1])
+
+
+def _write(
+    draw: ImageDraw.ImageDraw,
+    place: tuple[float, float],
+    text: str,
+    anchor: str,
+    color: tuple[int, int, int] = INK,
+    bold: bool = False,
+) -> None:
+    """Text with a white rim, readable on everything."""
+    draw.text(place, text, color, _font(bold), anchor, stroke_width=2, stroke_fill=(255, 255, 255))
+
+
+def _fitting(text: str, width: int) -> str:
+    """A text, its end cut off where it is wider than so many pixels."""
+    line = " ".join(text.split())
+    if _font(False).getlength(line) <= width:
+        return line
+    while line and _font(False).getlength(line + "…") > width:
+        line = line[:-1]
+    return line + "…"
+
+
+@lru_cache
+def _font(bold: bool) -> ImageFont.FreeTypeFont:
+    """The font that matplotlib brings."""
+    return ImageFont.truetype(
+        findfont(FontProperties(family="DejaVu Sans", weight="bold" if bold else "normal")), LETTER
+    )

@@ -1,0 +1,163 @@
+# pyright: reportAttributeAccessIssue=false
+"""What pictures of a robot show: its shapes and where they are in each frame, the camera, the light."""
+
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from humanoid_mjx.robot.lower_body import LOOKS
+from humanoid_mjx.types import AnyArray
+
+VIEW_M = 0.36
+"""What the pictures show from top to bottom, at least: the standing body and some room."""
+
+AZIMUTH, ELEVATION = 130.0, -12.0
+"""Direction in which the camera looks, degrees: from the right and the front of the robot, a little downwards."""
+
+FIELD_OF_VIEW = 45.0
+"""Degrees from top to bottom, as MuJoCo's own camera has."""
+
+LIGHT = np.array([-0.5, 0.25, -0.85]) / np.linalg.norm([-0.5, 0.25, -0.85])
+"""Direction in which the light falls."""
+
+GRID_M = 0.1
+"""Between the lines on the ground, which show how far a robot goes."""
+
+VISIBLE_GROUPS = 3
+"""Geoms of groups below this are drawn, as by MuJoCo's own viewer; the others serve contacts."""
+
+_KINDS = {
+    mujoco.mjtGeom.mjGEOM_SPHERE: "sphere",
+    mujoco.mjtGeom.mjGEOM_CAPSULE: "capsule",
+    mujoco.mjtGeom.mjGEOM_ELLIPSOID: "ellipsoid",
+    mujoco.mjtGeom.mjGEOM_CYLINDER: "cylinder",
+    mujoco.mjtGeom.mjGEOM_BOX: "box",
+}
+
+_MUJOCO_GREY = (0.5, 0.5, 0.5, 1.0)
+
+
+class Shape(NamedTuple):
+    """A solid of a robot's body. Sizes are as MuJoCo has them: radius and half lengths, m."""
+
+    kind: str
+    """`sphere`, `capsule`, `ellipsoid`, `cylinder` or `box`."""
+    size: Float[np.ndarray, "3"]
+    color: Float[np.ndarray, "3"]
+    """Red, green and blue, 0 to 1."""
+
+
+class Scene(NamedTuple):
+    """A motion of shapes, and the camera that follows it."""
+
+    shapes: list[Shape]
+    position: Float[np.ndarray, "frames shapes 3"]
+    """m, world: x forward, y to the left, z up."""
+    rotation: Float[np.ndarray, "frames shapes 3 3"]
+    """From the shape's axes to the world's."""
+    middle: Float[np.ndarray, "frames 3"]
+    """Where the camera looks, m."""
+    torso: Float[np.ndarray, "frames 3"]
+    """Where a push acts, m."""
+    view: float
+    """Metres from top to bottom in which every posture has room."""
+    ground: bool
+
+    @property
+    def distance(self) -> float:
+        """From the camera to where it looks, m."""
+        return 0.58 * self.view / np.tan(np.radians(FIELD_OF_VIEW / 2))
+
+
+def make_scene(model: mujoco.MjModel, qpos: Float[AnyArray, "frames nq"]) -> Scene:
+    """The shapes of a robot in each posture. Meshes appear as the boxes around them."""
+    rows, data = np.asarray(qpos, np.float64), mujoco.MjData(model)
+    shown = [g for g in range(model.ngeom) if model.geom_group[g] < VISIBLE_GROUPS and not _is_plane(model, g)]
+    places, turns, torso, reach = [], [], [], 0.0
+    for row in rows:
+        data.qpos = row
+        mujoco.mj_kinematics(model, data)
+        matrices = data.geom_xmat[shown].reshape(-1, 3, 3).copy()
+        places.append(data.geom_xpos[shown] + np.einsum("sij,sj->si", matrices, _offsets(model)[shown]))
+        turns.append(matrices)
+        torso.append(data.xpos[1].copy())
+        ends = np.concatenate([data.xpos[1:], data.geom_xpos[shown]])
+        reach = max(reach, float(np.abs(ends - _middle(model, data)).max()))
+    middles = np.array(torso)
+    middles[:, 2] = _middle(model, data)[2]
+    shapes = [_shape(model, g) for g in shown]
+    return Scene(
+        shapes,
+        np.stack(places),
+        np.stack(turns),
+        middles,
+        np.array(torso),
+        max(VIEW_M, 2.1 * reach),
+        any(_is_plane(model, g) for g in range(model.ngeom)),
+    )
+
+
+def colored(model: mujoco.MjModel, geom: int) -> tuple[float, ...]:
+    """The colour of a geom; where the model leaves it MuJoCo's grey, that of the side which its body's name tells."""
+    rgba = model.geom_rgba[geom] if model.geom_matid[geom] < 0 else model.mat_rgba[model.geom_matid[geom]]
+    side = model.body(model.geom_bodyid[geom]).name.partition("_")[0]
+    return LOOKS[side] if np.allclose(rgba, _MUJOCO_GREY) and side in LOOKS else tuple(rgba.tolist())
+
+
+def _middle(model: mujoco.MjModel, data: mujoco.MjData) -> Float[np.ndarray, "3"]:
+    """The middle of the picture: it follows the robot over the ground, not up and down, or hangs below it."""
+    grounded = any(_is_plane(model, g) for g in range(model.ngeom))
+    height = 0.42 * VIEW_M if grounded else model.body_pos[1][2] - 0.33 * VIEW_M
+    return np.array([*data.xpos[1][:2], height])
+
+
+def _is_plane(model: mujoco.MjModel, geom: int) -> bool:
+    return bool(model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE)
+
+
+def _shape(model: mujoco.MjModel, geom: int) -> Shape:
+    kind = _KINDS.get(mujoco.mjtGeom(model.geom_type[geom]))
+    size = model.geom_size[geom].copy() if kind else model.geom_aabb[geom, 3:].copy()
+    if kind == "sphere":
+        size = np.repeat(size[0], 3)
+    return Shape(kind or "box", size, np.array(colored(model, geom)[:3]))
+
+
+def _offsets(model: mujoco.MjModel) -> Float[np.ndarray, "geoms 3"]:
+    """From a geom's place to the middle of what is drawn for it: only a mesh's box has one."""
+    known = np.isin(model.geom_type, [int(kind) for kind in _KINDS])
+    return np.where(known[:, None], 0.0, model.geom_aabb[:, :3])
+
+
+class Camera(NamedTuple):
+    """A pinhole camera that looks in a fixed direction."""
+
+    right: Float[np.ndarray, "3"]
+    up: Float[np.ndarray, "3"]
+    forward: Float[np.ndarray, "3"]
+    focus: float
+    """Pixels on the picture for a unit of the tangent."""
+
+    def place(self, middle: Float[np.ndarray, "3"], distance: float) -> Float[np.ndarray, "3"]:
+        """Where the camera is, m, to look at `middle` from a distance."""
+        return middle - distance * self.forward
+
+    def seen(
+        self, points: Float[np.ndarray, "points 3"], place: Float[np.ndarray, "3"], size: tuple[int, int]
+    ) -> Float[np.ndarray, "points 2"]:
+        """Pixels, to the right and downwards, of points in the world on a picture of (width, height)."""
+        away = points - place
+        depth = np.maximum(away @ self.forward, 1e-6)
+        across, upwards = away @ self.right / depth, away @ self.up / depth
+        return np.stack([size[0] / 2 + self.focus * across, size[1] / 2 - self.focus * upwards], axis=1)
+
+
+def make_camera(height: int) -> Camera:
+    """The camera of `AZIMUTH`, `ELEVATION` and `FIELD_OF_VIEW` for pictures of so many pixels from top to bottom."""
+    azimuth, elevation = np.radians(AZIMUTH), np.radians(ELEVATION)
+    forward = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
+    right = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
+    focus = height / 2 / np.tan(np.radians(FIELD_OF_VIEW / 2))
+    return Camera(right, np.cross(right, forward), forward, float(focus))

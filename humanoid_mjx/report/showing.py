@@ -1,0 +1,41 @@
+"""From a policy to its film, told step by step."""
+
+from typing import NamedTuple
+
+from humanoid_mjx.report.film import Film, film_of
+from humanoid_mjx.training.episode import play, robot_of
+from humanoid_mjx.training.policy import Trained
+from humanoid_mjx.training.progress import Reporter
+
+
+class Shown(NamedTuple):
+    """A played episode as a film, and what became of it."""
+
+    film: Film
+    outcome: str
+    """A sentence."""
+
+
+def show(trained: Trained, reporter: Reporter) -> Shown:
+    """Play a policy's first held-out episode.
+
+    Raises:
+      InputError: the policy's task moves no robot.
+    """
+    robot_of(trained)
+    period: float = trained.learner.task.period  # pyright: ignore[reportAttributeAccessIssue]
+    reporter.phase("compiling")
+
+    def tell(decisions: int) -> None:
+        reporter.phase("simulating")
+
+    played = play(trained, tell=tell)
+    task = trained.config.task["name"]
+    film = film_of(trained, played, f"{trained.name}: {task}, point {trained.point}, seed {trained.seed}")
+    decisions = len(played.actions)
+    outcome = "succeeds" if played.success else "does not succeed"
+    return Shown(
+        film,
+        f"point {trained.point}, seed {trained.seed}: {outcome} in {decisions} decisions, {decisions * period:g} s; "
+        f"return {played.episode_return:.4g}",
+    )

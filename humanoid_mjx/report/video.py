@@ -1,0 +1,104 @@
+"""Frames as files: animations, videos, strips."""
+
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterable, Sequence
+from importlib.util import find_spec
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from humanoid_mjx.report.raycast import Frame
+from humanoid_mjx.spec import InputError
+
+ENDINGS = (".gif", ".mp4", ".webm", ".png")
+
+CODECS = {
+    ".mp4": ("-pix_fmt", "yuv420p", "-movflags", "+faststart"),
+    ".webm": ("-c:v", "libvpx-vp9", "-pix_fmt", "yuv420p", "-crf", "32", "-b:v", "0", "-cpu-used", "5"),
+}
+"""Options of ffmpeg for videos that browsers play."""
+
+
+def check_file(path: Path) -> None:
+    """Whether a file of this name can be made, before any work.
+
+    Raises:
+      InputError: its ending is none of `ENDINGS`, there is no such folder, or its kind needs ffmpeg and there is none.
+    """
+    if path.suffix not in ENDINGS:
+        raise InputError(f"{path}: the file must end in .gif, .mp4, .webm or .png.")
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: there is no folder {path.parent}.")
+    if path.suffix in CODECS and ffmpeg() is None:
+        raise InputError(
+            f"{path}: {path.suffix} needs ffmpeg, which is not installed: pip install 'humanoid-mjx[video]' brings "
+            "one; .gif needs nothing."
+        )
+
+
+def ffmpeg() -> str | None:
+    """The program ffmpeg: the system's, or the one of the package imageio-ffmpeg."""
+    if found := shutil.which("ffmpeg"):
+        return found
+    if find_spec("imageio_ffmpeg") is None:
+        return None
+    import imageio_ffmpeg  # pyright: ignore[reportMissingImports]
+
+    try:
+        return imageio_ffmpeg.get_ffmpeg_exe()
+    except RuntimeError:
+        return None
+
+
+def write_frames(frames: Iterable[Frame], path: Path, fps: float) -> None:
+    """Write frames into the file that `check_file` has passed: .png side by side, else one after another.
+
+    Raises:
+      InputError: the file cannot be written.
+    """
+    temporary = path.with_name(f".new-{path.name}")
+    try:
+        if path.suffix == ".png":
+            Image.fromarray(np.concatenate(list(frames), axis=1)).save(temporary)
+        elif path.suffix == ".gif":
+            first, *rest = map(Image.fromarray, frames)
+            first.save(temporary, save_all=True, append_images=rest, duration=1000 / fps, loop=0)
+        else:
+            _encode(frames, temporary, fps)
+        temporary.replace(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}.") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _encode(frames: Iterable[Frame], path: Path, fps: float) -> None:
+    """Let ffmpeg make a video."""
+    program, rest = ffmpeg(), iter(frames)
+    assert program is not None
+    first = next(rest)
+    size = f"{first.shape[1]}x{first.shape[0]}"
+    raw: Sequence[str] = ("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", str(fps), "-i", "-")
+    command = [program, "-y", "-loglevel", "error", *raw, *CODECS[path.suffix], str(path)]
+    with tempfile.TemporaryFile() as errors:
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=errors)
+        assert process.stdin is not None
+        try:
+            for frame in chain([first], rest):
+                process.stdin.write(frame.tobytes())
+            process.stdin.close()
+        except BrokenPipeError:
+            pass
+        except BaseException:
+            process.kill()
+            raise
+        finally:
+            process.wait()
+        if process.returncode:
+            errors.seek(0)
+            words = " ".join(errors.read().decode(errors="replace").split())
+            raise InputError(f"{path}: ffmpeg could not write it: {words[-300:]}.")

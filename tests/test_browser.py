@@ -1,0 +1,94 @@
+"""Pages in a real browser: they need no network, run nothing that text brings, and answer to keys."""
+
+import json
+import time
+
+import numpy as np
+import pytest
+from browser import CHROMIUM, browser
+from test_page import HOSTILE
+
+from humanoid_mjx.report.film import Film, Push
+from humanoid_mjx.report.player import player
+from humanoid_mjx.report.web import page, section, table, text
+from humanoid_mjx.robot import robot_spec
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium here"),
+]
+
+SIZES = ((360, 740), (1280, 900))
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory):
+    """A page with all its kinds of parts, every text of which would do harm if it were not escaped."""
+    model = robot_spec("lower_body").compile()
+    qpos = np.tile(model.qpos0, (26, 1))
+    qpos[:, 8] = np.linspace(0.0, 0.5, 26)
+    push = Push(0.2, 0.02, np.array([0.0, 10.0, 0.0]))
+    film = Film(model, qpos, 0.04, HOSTILE, ((0.0, HOSTILE), (0.5, "halt")), (push,))
+    wide = table([f"learner.{HOSTILE}"] * 12, [[f"{i} {HOSTILE}" for i in range(12)]] * 3)
+    body = section(HOSTILE, text(HOSTILE), text("x" * 400, "pre"), wide)
+    file = tmp_path_factory.mktemp("page") / "page.html"
+    file.write_text(page(HOSTILE, body + section("The robot", player(film, still="<p>No script here.</p>"))))
+    return file.as_uri()
+
+
+def state(opened):
+    return json.loads(opened.value("JSON.stringify(document.querySelector('canvas').dataset)"))
+
+
+def picture(opened):
+    return opened.value("document.querySelector('canvas').toDataURL()")
+
+
+def test_it_needs_nothing_and_runs_nothing_foreign(address):
+    with browser() as opened:
+        for width, height in SIZES:
+            opened.open(address, width, height)
+            assert opened.faults == []
+            assert [url for url in opened.requests if not url.startswith("data:")] == [address]
+            assert opened.value("typeof window.hacked") == "undefined"
+            assert opened.value("document.querySelectorAll('canvas').length") == 1
+            # Wide tables scroll within themselves.
+            assert opened.value("document.documentElement.scrollWidth") <= width
+        foreign = (
+            "new Promise(done => { const added = document.createElement('script');"
+            "added.textContent = 'window.hacked=1'; document.body.append(added);"
+            "setTimeout(() => done(typeof window.hacked), 50); })"
+        )
+        assert opened.value(foreign) == "undefined"
+
+
+def test_keys_turn_the_view_and_move_the_time(address):
+    with browser() as opened:
+        opened.open(address)
+        opened.value("document.querySelector('canvas').focus()")
+        first = picture(opened)
+        opened.press("ArrowRight")
+        assert float(state(opened)["yaw"]) == pytest.approx(np.radians(130) + 0.12, abs=2e-3)
+        turned = picture(opened)
+        opened.press("ArrowLeft")
+        assert turned != first == picture(opened)
+        for _ in range(3):
+            opened.press(".")
+        assert float(state(opened)["time"]) == pytest.approx(0.12) and picture(opened) != first
+        opened.press(" ")
+        until = time.monotonic() + 30.0
+        while float(state(opened)["time"]) < 1.0 and time.monotonic() < until:
+            time.sleep(0.05)
+        assert float(state(opened)["time"]) == pytest.approx(1.0)
+        assert opened.value("document.querySelector('.told').textContent") == "halt"
+        assert opened.faults == []
+
+
+def test_everything_but_the_motion_is_there_without_javascript_and_on_paper(address, tmp_path):
+    with browser(javascript=False) as opened:
+        opened.open(address)
+        shown = opened.ask("DOM.getDocument", depth=-1)
+        words = json.dumps(shown)
+        assert "No script here." in words and '"CANVAS"' not in words
+        opened.pdf(tmp_path / "page.pdf")
+        assert (tmp_path / "page.pdf").read_bytes().startswith(b"%PDF")

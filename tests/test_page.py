@@ -1,0 +1,177 @@
+"""The report of a run folder and of `reproduce`: what stands in it, what never gets into it."""
+
+import base64
+import json
+import re
+import shutil
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from humanoid_mjx.cli import app
+from humanoid_mjx.config import dump_yaml
+from humanoid_mjx.report.film import Film
+from humanoid_mjx.report.player import film_data, player
+from humanoid_mjx.report.web import page, table
+from humanoid_mjx.robot import robot_spec
+from humanoid_mjx.runs.folder import read_config
+from humanoid_mjx.spec import InputError
+from humanoid_mjx.training.sweep import sweep
+
+HOSTILE = "</pre></script><script>window.hacked=1</script><img src=x onerror=\"window.hacked=1\"> $x_{ & 'q' \u202e"
+
+FINDING = {
+    "name": "table-7.1",
+    "quantity": "steps, joint 1",
+    "printed": [23, 1e-7],
+    "reproduced": {"steps": 24.0},
+    "tolerance": 0.5,
+    "verdict": "differs",
+    "why": "as computed",
+}
+
+
+class Parts(HTMLParser):
+    """The tags of a page with their attributes, and the text of each script that would run."""
+
+    def __init__(self, html):
+        super().__init__()
+        self.tags, self.scripts, self._runs = [], [], False
+        self.feed(html)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        self._runs = tag == "script" and dict(attrs).get("type") != "application/json"
+
+    def handle_endtag(self, tag):
+        self._runs = False
+
+    def handle_data(self, data):
+        if self._runs:
+            self.scripts.append(data)
+
+    def addresses(self):
+        return [value for _, attrs in self.tags for name, value in attrs.items() if name in ("src", "href")]
+
+
+def report(folder, *arguments):
+    done = CliRunner().invoke(app, ["report", str(folder), *arguments])
+    if done.exception is not None:
+        raise done.exception
+    return (folder / "report.html").read_text()
+
+
+def assert_nothing_gets_in(html):
+    parts = Parts(html)
+    assert len(parts.scripts) == 1 and "window.hacked" not in parts.scripts[0]
+    assert not [attrs for _, attrs in parts.tags if any(name.startswith("on") for name in attrs)]
+    assert all(address.startswith(("data:", "#")) for address in parts.addresses())
+    assert not [tag for tag, _ in parts.tags if tag in ("iframe", "object", "embed", "form")]
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory):
+    config = {
+        "name": "tiny",
+        "task": {"name": "joint_reach", "joint": 4, "states": 11, "max_episode_steps": 9},
+        "learner": {"name": "tabular_q"},
+        "sweep": {"axes": {"learner.epsilon": [0.1, 0.5], "learner.discount": [0.5, 0.9]}},
+        "episodes": 40,
+        "record": 10,
+        "seeds": 3,
+    }
+    return sweep(config, tmp_path_factory.mktemp("page") / "run").path
+
+
+def test_a_run_is_told_from_beginning_to_end(swept):
+    html = report(swept)
+    assert_nothing_gets_in(html)
+    for words in ("4 points, 3 seeds each, 40 episodes a run", "All 4 points, best first", "Save as tiny.yaml"):
+        assert words in html
+    versions = json.loads((swept / "provenance.json").read_text())["versions"]
+    assert f"jax=={versions['jax']}" in html and "humanoid-mjx sweep tiny.yaml --out tiny-again" in html
+    assert dump_yaml(read_config(swept)).splitlines()[0] in html
+    # Two swept parameters: a curve of each measure by each, and a heat map of what differs between points.
+    alts = [attrs["alt"] for tag, attrs in Parts(html).tags if tag == "img"]
+    assert any(re.match(r"return per episode .* by learner.epsilon; at the end 0.1: \d", alt) for alt in alts)
+    # The task moves no robot.
+    assert "<h2>The robot" not in html and '<figure class="player"' not in html
+
+
+def test_the_config_that_a_page_offers_runs_the_same_sweep(swept, tmp_path):
+    html = report(swept)
+    (address,) = [attrs["href"] for _, attrs in Parts(html).tags if attrs.get("download") == "tiny.yaml"]
+    (tmp_path / "tiny.yaml").write_bytes(base64.b64decode(address.partition("base64,")[2]))
+    again = sweep(str(tmp_path / "tiny.yaml"), tmp_path / "again").path
+    assert (again / "results.parquet").read_bytes() == (swept / "results.parquet").read_bytes()
+
+
+def test_hostile_text_of_a_run_is_text(swept, tmp_path):
+    folder = tmp_path / "run <b> $a$ & co"
+    shutil.copytree(swept, folder)
+    config = read_config(folder)
+    (folder / "config.yaml").write_text(dump_yaml(config | {"name": HOSTILE, "task": {"name": HOSTILE}}))
+    (folder / "provenance.json").write_text(json.dumps({"seed": HOSTILE, "versions": {"jax": HOSTILE, HOSTILE: 1}}))
+    html = report(folder)
+    assert_nothing_gets_in(html)
+    assert "&lt;script&gt;window.hacked=1" in html
+
+
+def test_hostile_text_of_a_film_stays_in_its_json():
+    model = robot_spec("legs").compile()
+    film = Film(model, np.zeros((2, model.nq)), 0.1, HOSTILE, ((0.0, HOSTILE),))
+    assert_nothing_gets_in(page(HOSTILE, player(film)))
+
+
+def test_findings_are_compared_and_their_figures_shown(tmp_path):
+    others = [FINDING | {"name": HOSTILE, "quantity": HOSTILE, "why": HOSTILE, "printed": HOSTILE, "verdict": HOSTILE}]
+    (tmp_path / "reproduce.json").write_text(json.dumps([FINDING, *others]))
+    for name in ("table-7.1-way.png", "other.png"):
+        (tmp_path / name).write_bytes(b"\x89PNG")
+    html = report(tmp_path)
+    assert_nothing_gets_in(html)
+    for words in (
+        "23, 1e-07",
+        "steps: 24",
+        "1 differs",
+        "table-7.1-way.png",
+        "More figures",
+        "humanoid-mjx reproduce table-7.1",
+    ):
+        assert words in html
+    assert html.index("table-7.1-way.png") < html.index("More figures") < html.index("other.png")
+
+
+@pytest.mark.parametrize("content", ["", "{}", '[{"name": "table-7.1"}]', "[1]"])
+def test_damaged_findings(tmp_path, content):
+    (tmp_path / "reproduce.json").write_text(content)
+    with pytest.raises(InputError, match=r"reproduce\.json: this "):
+        report(tmp_path)
+
+
+def test_what_cannot_be_reported(tmp_path, swept):
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match=r"neither a run folder .* nor what reproduce has written"):
+        report(tmp_path / "empty")
+    with pytest.raises(InputError, match="there is no such folder"):
+        report(tmp_path / "none", "--out", str(tmp_path / "x.html"))
+    with pytest.raises(InputError, match="there is no folder"):
+        report(swept, "--out", str(tmp_path / "none" / "x.html"))
+
+
+def test_columns_of_numbers_are_set_to_the_right():
+    html = table(("a", "b", "c"), [("1.5 (1 to 2)", "x", "1e-05"), ("100.0%", "2", "")])
+    assert re.findall(r"<th( class=\"number\")? scope", html) == [' class="number"', "", ' class="number"']
+
+
+def test_a_film_as_data_is_the_motion():
+    model = robot_spec("lower_body").compile()
+    qpos = np.tile(model.qpos0, (5, 1))
+    qpos[:, 0] = np.linspace(0.0, 0.4, 5)
+    data = film_data(Film(model, qpos, 0.04))
+    torso = next(i for i, shape in enumerate(data["shapes"]) if shape["color"] == [0.6, 0.6, 0.6])
+    np.testing.assert_allclose([frame[torso][0] for frame in data["frames"]], qpos[:, 0], atol=1e-4)
+    np.testing.assert_allclose([frame[torso][3:] for frame in data["frames"]], [[1, 0, 0, 0]] * 5, atol=1e-4)
+    assert data["ground"] and len(data["frames"]) == 5
