@@ -191,13 +191,18 @@ def run_key(seed: jax.Array, number: jax.Array) -> jax.Array:
 
 def _recorded(learner: Learner, record: Float[Array, "record measures"], outcome: Outcome) -> Array:
     """The record with what a step saw, in the point that it belongs to."""
+    point, values = record_entry(learner, outcome)
+    return record.at[point].add(jnp.stack(values, axis=-1), mode="promise_in_bounds")
+
+
+def record_entry(learner: Learner, outcome: Outcome) -> tuple[Array, list[Array]]:
+    """The point of the record that a step belongs to, and what it adds there in the order of `measures`."""
     place = jnp.asarray(outcome.done, jnp.float32) * (learner.record / learner.budget)
     point = jnp.minimum(place.astype(jnp.int32), learner.record - 1)
     values = [outcome.episodes, *(outcome.totals[name] for name in sorted(outcome.totals))]
     if outcome.squares:
         values += [jnp.float32(1), *(outcome.squares[name] for name in sorted(outcome.squares))]
-    row = jnp.stack([jnp.asarray(value, jnp.float32) for value in values], axis=-1)
-    return record.at[point].add(row, mode="promise_in_bounds")
+    return point, [jnp.asarray(value, jnp.float32) for value in values]
 
 
 def _progress(learner: Learner, training: Training) -> Progress:
