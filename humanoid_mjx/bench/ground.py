@@ -62,7 +62,9 @@ def run(say: Callable[[str], None], setting: Setting | None = None) -> list[Reco
         for name in setting.steps:
             if name != "mjx-warp" or warp:
                 steps, bodies = setting.steps[name], min(batch, MUJOCO_BATCH) if name == "mujoco" else batch
-                call, device = (mujoco(bodies, steps), "cpu") if name == "mujoco" else (mjx(name, bodies, steps), "")
+                call, device = (
+                    (mujoco(bodies, steps), "cpu") if name == "mujoco" else (compiled(name, bodies, steps), "")
+                )
                 subjects[name] = Subject(call, bodies * steps, bodies, REPEATS, device)
         for name, timing in time_in_turn(subjects).items():
             check_finite(f"{name} ground", timing.result)
