@@ -6,22 +6,24 @@ it is fastest after `runtime.start()` in a `jax.jit` with `compiler_options=runt
 128 worlds for each core.
 """
 
+from collections.abc import Sequence
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import mujoco
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from humanoid_mjx.mechanics.contacts import Contacts, no_contacts
-from humanoid_mjx.mechanics.scalars import Scalar, Vector, stack, unstack
+from humanoid_mjx.mechanics.scalars import Scalar, Vector, unstack
 from humanoid_mjx.mechanics.tree import sensing
-from humanoid_mjx.mechanics.tree import step as tree_step
+from humanoid_mjx.mechanics.tree import step as mechanics
 from humanoid_mjx.mechanics.tree.algebra import vector
-from humanoid_mjx.mechanics.tree.kinematics import Kinematics, make_kinematics, to_local
+from humanoid_mjx.mechanics.tree.batching import worlds_last
+from humanoid_mjx.mechanics.tree.folding import fold
 from humanoid_mjx.mechanics.tree.reading import read_tree
-from humanoid_mjx.mechanics.tree.solver import Problem, Solution
 from humanoid_mjx.mechanics.tree.structure import Tree
 from humanoid_mjx.physics.base import MAX_SPEED, Controller, Poses, Readings, Stages, World
 from humanoid_mjx.physics.model import MujocoPhysics
@@ -61,17 +63,17 @@ class TreePhysics(MujocoPhysics):
     def step(
         self, params: Any, world: World, controller: Controller, substeps: int = 1
     ) -> tuple[World, Float[Array, " joints"]]:
+        values = self._values(params)
         if substeps == 1:
-            state = self._state(params, world)
+            state = self._state(values, world)
             torque = self._ask(params, state, world, controller)
-            return self._advance(params, state, world, torque), torque
+            return self._advance(values, state, world, torque), torque
 
         def substep(carry: tuple[World, Any], index: IntScalar) -> tuple[tuple[World, Any], None]:
             world, torque = carry
-            state = self._state(params, world)
-            ask = partial(self._ask, params, state, world, controller)
-            torque = jax.lax.cond(index == 0, ask, lambda: torque)
-            return (self._advance(params, state, world, torque), torque), None
+            state = self._state(values, world)
+            torque = jax.lax.cond(index == 0, partial(self._ask, params, state, world, controller), lambda: torque)
+            return (self._advance(values, state, world, torque), torque), None
 
         held = jnp.zeros(len(self.tree.motors))
         return jax.lax.scan(substep, (world, held), jnp.arange(substeps))[0]
@@ -89,131 +91,178 @@ class TreePhysics(MujocoPhysics):
         return World(*(jnp.stack(part) for part in parts), diverged)
 
     def sensors(self, params: Any, world: World, torque: Float[AnyArray, " joints"]) -> Readings:
-        tree, state = self.tree, self._state(params, world)
-        problem, solution = self._accelerate(params, state, world, torque)
-        pushes, gravity = sensing.pushes_of(tree, problem, solution), vector(tree.gravity)
-        felt = [sensing.touch_sensor(state, pushes, site) for site in tree.touch_sensors]
-        accelerations = [
-            sensing.accelerometer(tree, state, solution.acceleration, gravity, site) for site in tree.accelerometers
-        ]
-        like = world.qpos
-        return Readings(
-            encoders=like[jnp.array([motor.qpos for motor in tree.motors])],
-            gyroscope=_join([part for site in tree.gyroscopes for part in sensing.gyroscope(state, site)], like),
-            accelerometer=_join([part for reading in accelerations for part in reading], like),
-            foot_contact=_join(felt, like),
-        )
+        values, torque = self._values(params), self._within(params, torque)
+        readings = worlds_last(partial(_readings, self.tree))
+        return Readings(world.qpos[self._joints], *readings(values, *world[:3], torque))
 
     def poses(self, params: Any, world: World) -> Poses:
-        at = make_kinematics(self.tree, unstack(world.qpos))
-        position = [_in_world(at, pose.position) for pose in at.poses]
-        columns = jnp.stack([_rows(list(pose.axes), world.qpos) for pose in at.poses])
-        return Poses(_rows(position, world.qpos), jnp.swapaxes(columns, -1, -2))
+        return Poses(*worlds_last(partial(_poses, self.tree))(self._state(self._values(params), world)))
 
     def velocities(self, params: Any, world: World) -> Velocities:
         """How the bodies move."""
-        found = sensing.velocities_of(self.tree, self._state(params, world))
-        return Velocities(
-            _rows([motion.linear for motion in found], world.qpos),
-            _rows([motion.angular for motion in found], world.qpos),
-        )
+        return Velocities(*worlds_last(partial(_velocities, self.tree))(self._state(self._values(params), world)))
 
     def contact_forces(self, params: Any, world: World, torque: Float[AnyArray, " joints"]) -> ContactForces:
         """What the contacts do while `torque` acts."""
-        state = self._state(params, world)
-        pushes = sensing.pushes_of(self.tree, *self._accelerate(params, state, world, torque))
-        normal = _join([push.pressure for push in pushes], world.qpos)
-        return ContactForces(
-            position=_rows([push.place for push in pushes], world.qpos),
-            normal=normal,
-            tangential=_rows([push.friction for push in pushes], world.qpos),
-            active=normal > 0.0,
+        values, torque = self._values(params), self._within(params, torque)
+        position, normal, tangential = worlds_last(partial(_forces, self.tree))(values, *world[:3], torque)
+        return ContactForces(position, normal, tangential, normal > 0.0)
+
+    @property
+    def _joints(self) -> np.ndarray:
+        return np.array([motor.qpos for motor in self.tree.motors])
+
+    def _values(self, params: Any) -> mechanics.Values:
+        push = jnp.stack([jnp.asarray(part, float) for part in params.push]) if self.torso == "free" else None
+        mass, friction, damping = params.mass, params.friction, params.damping
+        return mechanics.Values(
+            self.mass_factors(mass), *(jnp.asarray(x, float) for x in (friction, damping)), push=push
         )
 
-    def _values(self, params: Any) -> tree_step.Values:
-        push = params.push if self.torso == "free" else None
-        return tree_step.Values(self.mass_factors(params.mass), params.friction, params.damping, push=push)
+    def _state(self, values: mechanics.Values, world: World) -> mechanics.State:
+        return worlds_last(partial(_state, self.tree))(values, world.qpos, world.qvel)
 
-    def _state(self, params: Any, world: World) -> tree_step.State:
-        return tree_step.make_state(self.tree, self._values(params), unstack(world.qpos), unstack(world.qvel))
-
-    def _accelerate(
-        self, params: Any, state: tree_step.State, world: World, torque: Float[AnyArray, " joints"]
-    ) -> tuple[Problem, Solution]:
-        limit = jnp.asarray(params.torque_limit, float)
-        told = [Scalar(jnp.clip(part, -limit, limit)) for part in jnp.asarray(torque, float)]
-        motor = tree_step.motor_forces(self.tree, state, told)
-        return tree_step.accelerate(self.tree, self._values(params), state, motor, unstack(world.warmstart))
-
-    def _advance(self, params: Any, state: tree_step.State, world: World, torque: Float[Array, " joints"]) -> World:
+    def _advance(
+        self, values: mechanics.Values, state: mechanics.State, world: World, torque: Float[Array, " joints"]
+    ) -> World:
         """One time step; a world that diverges in it, or whose contacts were not found, stays where it was."""
-        _, solution = self._accelerate(params, state, world, torque)
-        parts = tree_step.integrate(self.tree, state, solution.acceleration)
-        # Scalar by scalar, as a check of whole arrays would be a kernel of its own between those of the step.
-        stays = world.diverged | ~solution.settled
-        for value in parts[0]:
-            stays = stays | ~jnp.isfinite(value.value)
-        for value in parts[1]:
-            stays = stays | ~(jnp.abs(value.value) <= MAX_SPEED)
-        kept = [
-            jnp.stack([jnp.where(stays, old, new.value) for old, new in zip(before, after, strict=True)])
-            for before, after in zip((world.qpos, world.qvel, world.warmstart), parts, strict=True)
-        ]
-        return World(*kept, stays)
+        return World(*worlds_last(partial(_advance, self.tree))(values, state, *world, torque))
+
+    def _within(self, params: Any, torque: Any) -> Float[Array, " joints"]:
+        limit = jnp.asarray(params.torque_limit, float)
+        # Joint by joint: a bound on the whole array would be a kernel of its own between those of its elements.
+        return jnp.stack([jnp.clip(part, -limit, limit) for part in jnp.asarray(torque, float)])
 
     def _ask(
-        self, params: Any, state: tree_step.State, world: World, controller: Controller
+        self, params: Any, state: mechanics.State, world: World, controller: Controller
     ) -> Float[Array, " joints"]:
-        limit = jnp.asarray(params.torque_limit, float)
-        torque = jnp.asarray(controller(self._stages(params, state, world)), float)
-        return jnp.stack([jnp.clip(part, -limit, limit) for part in torque])
+        return self._within(params, controller(self._stages(params, state, world)))
 
-    def _stages(self, params: Any, state: tree_step.State, world: World) -> Stages:
-        tree, joints, like = self.tree, self.model.nu, world.qpos
-        matrix = jnp.stack([_join(row, like) for row in sensing.full_matrix(tree, state)])
-        bias = [b - p for b, p in zip(state.bias, state.passive, strict=True)]
-        full = _join(to_local(tree, state.kinematics, bias), like)
+    def _stages(self, params: Any, state: mechanics.State, world: World) -> Stages:
+        joints, dynamics = len(self.tree.motors), worlds_last(partial(_dynamics, self.tree))
 
         def torque_for(qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
-            other = self._state(params._replace(mass=mass), world)
-            believed = jnp.stack([_join(row, like) for row in sensing.full_matrix(tree, other)])
-            held = [b - p for b, p in zip(other.bias, other.passive, strict=True)]
-            return believed[-joints:, -joints:] @ qacc + _join(held[-joints:], like)
+            other = self._values(params)._replace(mass=self.mass_factors(mass))
+            matrix, bias = dynamics(self._state(other, world))
+            return matrix[-joints:, -joints:] @ qacc + bias[-joints:]
 
-        contacts = partial(self._contacts, state, like)
-        return Stages(world, world.qpos[-joints:], world.qvel[-joints:], matrix, full, torque_for, contacts)
+        def contacts() -> Contacts:
+            if not self.tree.ground:
+                return no_contacts(len(world.qvel))
+            position, jacobian, drift = worlds_last(partial(_points, self.tree))(state)
+            return Contacts(position, jacobian, drift, position[:, 2] <= 0.0)
 
-    def _contacts(self, state: tree_step.State, like: Float[Array, " nq"]) -> Contacts:
-        """The lowest points of what the ground can push."""
-        tree, places, jacobians, drifts = self.tree, [], [], []
-        for point in tree.ground:
-            center = state.kinematics.place(point.body, point.center)
-            place = Vector(*(c - Scalar(point.radius * n) for c, n in zip(center, point.normal, strict=True)))
-            places.append(_in_world(state.kinematics, place))
-            columns = sensing.point_jacobian(tree, state, point.body, place)
-            jacobians.append(jnp.stack([_join([column[i] for column in columns], like) for i in range(3)]))
-            drifts.append(sensing.drift_at(state, point.body, place))
-        if not places:
-            return no_contacts(tree.nv)
-        position = _rows(places, like)
-        return Contacts(position, jnp.stack(jacobians), _rows(drifts, like), position[:, 2] <= 0.0)
+        matrix, bias = dynamics(state)
+        return Stages(world, world.qpos[-joints:], world.qvel[-joints:], matrix, bias, torque_for, contacts)
 
 
-def _in_world(at: Kinematics, place: Vector) -> Vector:
-    return Vector(*(o + p for o, p in zip(at.origin, place, strict=True)))
+# What follows is of many worlds at once, their axis the last.
 
 
-def _join(scalars: list[Scalar], like: Float[Array, " _"]) -> Float[Array, " n"]:
-    return stack(scalars, like) if scalars else jnp.zeros(0, like.dtype)
+def _state(tree: Tree, values: mechanics.Values, qpos: Any, qvel: Any) -> mechanics.State:
+    positions = mechanics.folded(unstack(qpos), tree.coordinates)
+    return mechanics.make_state(tree, values, positions, mechanics.folded(unstack(qvel), tree.dofs))
 
 
-def _rows(vectors: list[Vector], like: Float[Array, " _"]) -> Float[Array, "n 3"]:
-    return jnp.stack([stack(v, like) for v in vectors]) if vectors else jnp.zeros((0, 3), like.dtype)
+def _accelerate(
+    tree: Tree, values: mechanics.Values, state: mechanics.State, qpos: Any, qvel: Any, warmstart: Any, torque: Any
+) -> tuple[mechanics.Problem, mechanics.Solution]:
+    forces = mechanics.motor_forces(tree, unstack(qpos), unstack(qvel), unstack(torque))
+    near = mechanics.folded(unstack(warmstart), tree.dofs)
+    return mechanics.accelerate(tree, values, state, mechanics.folded(forces, tree.dofs), near)
+
+
+def _advance(
+    tree: Tree,
+    values: mechanics.Values,
+    state: mechanics.State,
+    qpos: Any,
+    qvel: Any,
+    warmstart: Any,
+    diverged: Any,
+    torque: Any,
+) -> tuple[Any, ...]:
+    _, solution = _accelerate(tree, values, state, qpos, qvel, warmstart, torque)
+    places = tree.coordinates, tree.dofs, tree.dofs
+    parts = mechanics.integrate(tree, state, solution.acceleration)
+    after = [mechanics.unfolded(part, where) for part, where in zip(parts, places, strict=True)]
+    stays = diverged | ~solution.settled
+    for value in after[0]:
+        stays = stays | ~jnp.isfinite(value.value)
+    for value in after[1]:
+        stays = stays | ~(jnp.abs(value.value) <= MAX_SPEED)
+    kept = [
+        jnp.stack([jnp.where(stays, old, new.value) for old, new in zip(before, part, strict=True)])
+        for before, part in zip((qpos, qvel, warmstart), after, strict=True)
+    ]
+    return (*kept, stays)
+
+
+def _dynamics(tree: Tree, state: mechanics.State) -> tuple[Any, Any]:
+    """Mass matrix and bias."""
+    rows = sensing.full_matrix(tree, state)
+    like = _worlds(state)
+    return jnp.stack([_join(row, like) for row in rows]), _join(sensing.bias_of(tree, state), like)
+
+
+def _points(tree: Tree, state: mechanics.State) -> tuple[Any, Any, Any]:
+    """Positions, Jacobians and drifts of what the ground can push."""
+    points, like = sensing.lowest_points(tree, state), _worlds(state)
+    jacobians = [jnp.stack([_join([c[i] for c in point.columns], like) for i in range(3)]) for point in points]
+    return _rows([p.place for p in points], like), jnp.stack(jacobians), _rows([p.drift for p in points], like)
+
+
+def _poses(tree: Tree, state: mechanics.State) -> tuple[Any, Any]:
+    poses, like = sensing.poses_of(tree, state), _worlds(state)
+    rotations = [jnp.stack([_join([axis[i] for axis in pose.axes], like) for i in range(3)]) for pose in poses]
+    return _rows([pose.position for pose in poses], like), jnp.stack(rotations)
+
+
+def _velocities(tree: Tree, state: mechanics.State) -> tuple[Any, Any]:
+    motions, like = sensing.velocities_of(tree, state), _worlds(state)
+    return _rows([motion.linear for motion in motions], like), _rows([motion.angular for motion in motions], like)
+
+
+def _forces(tree: Tree, values: mechanics.Values, *given: Any) -> tuple[Any, Any, Any]:
+    """Places, normal forces and friction of the contacts."""
+    state = _state(tree, values, *given[:2])
+    pushes, like = sensing.pushes_of(tree, *_accelerate(tree, values, state, *given)), _worlds(state)
+    normal = _join([push.pressure for push in pushes], like)
+    return _rows([push.place for push in pushes], like), normal, _rows([push.friction for push in pushes], like)
+
+
+def _readings(tree: Tree, values: mechanics.Values, *given: Any) -> tuple[Any, Any, Any]:
+    """Of gyroscopes, accelerometers and touch sensors."""
+    state = _state(tree, values, *given[:2])
+    problem, solution = _accelerate(tree, values, state, *given)
+    like, gravity = _worlds(state), vector(tree.gravity)
+    pushes = sensing.pushes_of(tree, problem, solution) if tree.touch_sensors else []
+    turning = [part for site in tree.gyroscopes for part in sensing.gyroscope(state, site)]
+    acceleration = solution.acceleration
+    felt = [
+        part for site in tree.accelerometers for part in sensing.accelerometer(tree, state, acceleration, gravity, site)
+    ]
+    touch = [sensing.touch_sensor(state, pushes, site) for site in tree.touch_sensors]
+    return _join(turning, like), _join(felt, like), _join(touch, like)
+
+
+def _worlds(state: mechanics.State) -> tuple[int, ...]:
+    """The shape of a scalar."""
+    return jnp.shape(state.qpos[0].value)[-1:]
+
+
+def _join(scalars: Sequence[Scalar], shape: tuple[int, ...]) -> Any:
+    values = [jnp.broadcast_to(jnp.asarray(scalar.value, float), shape) for scalar in scalars]
+    return jnp.stack(values) if values else jnp.zeros((0, *shape))
+
+
+def _rows(vectors: Sequence[Vector], shape: tuple[int, ...]) -> Any:
+    return jnp.stack([_join(v, shape) for v in vectors]) if vectors else jnp.zeros((0, 3, *shape))
 
 
 @lru_cache
 def _tree(model: mujoco.MjModel) -> Tree:
     with jax.ensure_compile_time_eval():
-        tree = read_tree(model)
+        tree = fold(read_tree(model))
     # The torque limit is traced, in the place of the model's.
     return tree._replace(motors=tuple(motor._replace(control=None) for motor in tree.motors))

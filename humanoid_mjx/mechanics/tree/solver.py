@@ -93,8 +93,10 @@ def _search(tree: Tree, problem: Problem, start: list[Any]) -> tuple[list[Any], 
     def going(carry: tuple[Any, ...]) -> Any:
         return ~carry[2].all() & (carry[3] < MOST_STEPS)
 
+    worlds = jnp.broadcast_shapes(*(jnp.shape(leaf)[-1:] for leaf in jax.tree.leaves((problem, start))))
+    start = [jnp.broadcast_to(value, (*jnp.shape(value)[:-1], *worlds)) for value in start]
     active = _active(tree, problem, [Scalar(value) for value in start])
-    unsettled = jnp.zeros(start[0].shape[-1:], bool)
+    unsettled = jnp.zeros(worlds, bool)
     x, _, settled, _ = jax.lax.while_loop(going, step, (start, active, unsettled, jnp.int32(0)))
     return x, settled
 
