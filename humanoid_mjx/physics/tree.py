@@ -92,20 +92,20 @@ class TreePhysics(MujocoPhysics):
 
     def sensors(self, params: Any, world: World, torque: Float[AnyArray, " joints"]) -> Readings:
         values, torque = self._values(params), self._within(params, torque)
-        readings = worlds_last(partial(_readings, self.tree))
+        readings = worlds_last(_readings, self.tree)
         return Readings(world.qpos[self._joints], *readings(values, *world[:3], torque))
 
     def poses(self, params: Any, world: World) -> Poses:
-        return Poses(*worlds_last(partial(_poses, self.tree))(self._state(self._values(params), world)))
+        return Poses(*worlds_last(_poses, self.tree)(self._state(self._values(params), world)))
 
     def velocities(self, params: Any, world: World) -> Velocities:
         """How the bodies move."""
-        return Velocities(*worlds_last(partial(_velocities, self.tree))(self._state(self._values(params), world)))
+        return Velocities(*worlds_last(_velocities, self.tree)(self._state(self._values(params), world)))
 
     def contact_forces(self, params: Any, world: World, torque: Float[AnyArray, " joints"]) -> ContactForces:
         """What the contacts do while `torque` acts."""
         values, torque = self._values(params), self._within(params, torque)
-        position, normal, tangential = worlds_last(partial(_forces, self.tree))(values, *world[:3], torque)
+        position, normal, tangential = worlds_last(_forces, self.tree)(values, *world[:3], torque)
         return ContactForces(position, normal, tangential, normal > 0.0)
 
     @property
@@ -120,13 +120,13 @@ class TreePhysics(MujocoPhysics):
         )
 
     def _state(self, values: mechanics.Values, world: World) -> mechanics.State:
-        return worlds_last(partial(_state, self.tree))(values, world.qpos, world.qvel)
+        return worlds_last(_state, self.tree)(values, world.qpos, world.qvel)
 
     def _advance(
         self, values: mechanics.Values, state: mechanics.State, world: World, torque: Float[Array, " joints"]
     ) -> World:
         """One time step; a world that diverges in it, or whose contacts were not found, stays where it was."""
-        return World(*worlds_last(partial(_advance, self.tree))(values, state, *world, torque))
+        return World(*worlds_last(_advance, self.tree)(values, state, *world, torque))
 
     def _within(self, params: Any, torque: Any) -> Float[Array, " joints"]:
         limit = jnp.asarray(params.torque_limit, float)
@@ -139,7 +139,7 @@ class TreePhysics(MujocoPhysics):
         return self._within(params, controller(self._stages(params, state, world)))
 
     def _stages(self, params: Any, state: mechanics.State, world: World) -> Stages:
-        joints, dynamics = len(self.tree.motors), worlds_last(partial(_dynamics, self.tree))
+        joints, dynamics = len(self.tree.motors), worlds_last(_dynamics, self.tree)
 
         def torque_for(qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
             other = self._values(params)._replace(mass=self.mass_factors(mass))
@@ -149,7 +149,7 @@ class TreePhysics(MujocoPhysics):
         def contacts() -> Contacts:
             if not self.tree.ground:
                 return no_contacts(len(world.qvel))
-            position, jacobian, drift = worlds_last(partial(_points, self.tree))(state)
+            position, jacobian, drift = worlds_last(_points, self.tree)(state)
             return Contacts(position, jacobian, drift, position[:, 2] <= 0.0)
 
         matrix, bias = dynamics(state)

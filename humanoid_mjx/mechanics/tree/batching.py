@@ -5,6 +5,7 @@ would put behind.
 """
 
 from collections.abc import Callable
+from functools import lru_cache, partial
 from typing import Any
 
 import jax
@@ -12,12 +13,16 @@ import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
 
 
-def worlds_last(function: Callable[..., Any]) -> Callable[..., Any]:
-    """`function` for one world; under `jax.vmap` it gets all worlds at once, in the last axis of what differs by world.
+@lru_cache
+def worlds_last(function: Callable[..., Any], *static: Any) -> Callable[..., Any]:
+    """`function`, with `static` for its first arguments, as one of a single world.
 
+    Under `jax.vmap` it gets all worlds at once, in the last axis of what differs by world.
     It takes and gives pytrees of arrays, and must not mix worlds. What it gives may lack the axis where all agree.
-    Derivatives are those of one world after another.
+    Derivatives are those of one world after another. It is traced once for each number of worlds, whatever programs
+    use it.
     """
+    function = jax.jit(partial(function, *static))
 
     def single(*args: Any) -> Any:
         found = function(*jax.tree.map(lambda x: jnp.asarray(x)[..., None], args))

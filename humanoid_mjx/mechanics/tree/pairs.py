@@ -6,9 +6,10 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from humanoid_mjx.mechanics.scalars import ZERO, Scalar, Vector, add
-from humanoid_mjx.mechanics.tree.algebra import force_at, known, lane, over_lanes, power
+from humanoid_mjx.mechanics.tree.algebra import force_at, known, over_lanes, power
 from humanoid_mjx.mechanics.tree.contacts import Touch
 from humanoid_mjx.mechanics.tree.inertia import Matrix
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics
@@ -99,55 +100,75 @@ def _dense(
     active: Sequence[Sequence[Any]],
 ) -> list[Any]:
     """By elimination of whole matrices, one column after another, with an axis of worlds behind."""
-    places = [(dof, index) for dof in range(tree.nv) for index in range(len(tree.dofs[dof]))]
-    like = jnp.broadcast_shapes(
-        *(jnp.shape(x.value)[-1:] for row in matrix for x in row), *(jnp.shape(x.value)[-1:] for x in right)
-    )
-
-    def entry(row: tuple[int, int], column: tuple[int, int]) -> Any:
-        (i, a), (j, b) = (row, column) if row[0] >= column[0] else (column, row)
-        apart = a != b and tree.laned(i) and tree.laned(j)
-        return ZERO.value if apart else lane(matrix[i][j], a).value
-
-    def whole(values: Sequence[Any]) -> Any:
-        return jnp.stack([jnp.broadcast_to(jnp.asarray(value, float), like) for value in values])
-
-    size = len(places)
-    equations = whole(
-        [value for i in places for value in (*(entry(i, j) for j in places), lane(right[i[0]], i[1]).value)]
-    ).reshape(size, size + 1, *like)
+    stem = next((dof for dof in range(tree.nv) if tree.laned(dof)), tree.nv)
+    worlds = jnp.broadcast_shapes(*(jnp.shape(x.value)[-1:] for x in [*right, *(x for row in matrix for x in row)]))
+    equations = _whole(tree, stem, matrix, right, worlds)
+    size = len(equations)
     for touch, group, flags in zip(touches, rows, active, strict=True):
-        equations = _add_facets(tree, places, touch, group, flags, equations)
+        equations = _add_facets(tree, stem, touch, group, flags, equations)
 
     def eliminate(k: Any, table: Any) -> Any:
         pivot = table[k] / table[k, k]
         return (table - table[:, k][:, None] * pivot[None]).at[k].set(pivot)
 
     solution = jax.lax.fori_loop(0, size, eliminate, equations)[:, -1]
-    found = iter(solution)
-    parts = [[next(found) for _ in tree.dofs[dof]] for dof in range(tree.nv)]
-    return [jnp.stack(part) if len(part) > 1 else part[0] for part in parts]
+    laned = solution[stem:].reshape(tree.nv - stem, tree.lanes, *worlds)
+    return [*solution[:stem], *laned]
+
+
+def _stacked(tree: Tree, scalars: Sequence[Scalar], worlds: tuple[int, ...], laned: bool) -> Any:
+    """With a first axis of their own; those of lanes have one of lanes behind it."""
+    shape = (tree.lanes, *worlds) if laned else worlds
+    values = [jnp.broadcast_to(jnp.asarray(scalar.value, float), shape) for scalar in scalars]
+    return jnp.stack(values) if values else jnp.zeros((0, *shape))
+
+
+def _whole(
+    tree: Tree, stem: int, matrix: Matrix, right: Sequence[Scalar], worlds: tuple[int, ...]
+) -> Float[Array, "size columns worlds"]:
+    """The equations of all lanes: matrix and right side."""
+    limb, lanes = tree.nv - stem, tree.lanes
+    rows, columns = range(stem), range(stem, tree.nv)
+    base = _stacked(tree, [matrix[max(i, j)][min(i, j)] for i in rows for j in rows], worlds, False)
+    base = base.reshape(stem, stem, *worlds)
+    base = jnp.concatenate([base, _stacked(tree, right[:stem], worlds, False)[:, None]], axis=1)
+    if not limb:
+        return base
+    cross = _stacked(tree, [matrix[i][j] for i in columns for j in rows], worlds, True)
+    cross = cross.reshape(limb, stem, lanes, *worlds).swapaxes(1, 2).reshape(limb * lanes, stem, *worlds)
+    own = _stacked(tree, [matrix[max(i, j)][min(i, j)] for i in columns for j in columns], worlds, True)
+    own = own.reshape(limb, 1, limb, lanes, *worlds) * jnp.eye(lanes)[None, :, None, :, None]
+    own = own.reshape(limb * lanes, limb * lanes, *worlds)
+    last = _stacked(tree, right[stem:], worlds, True).reshape(limb * lanes, 1, *worlds)
+    above = jnp.concatenate([base[:, :stem], cross.swapaxes(0, 1), base[:, stem:]], axis=1)
+    return jnp.concatenate([above, jnp.concatenate([cross, own, last], axis=1)])
 
 
 def _add_facets(
-    tree: Tree, places: Sequence[tuple[int, int]], touch: Touch, rows: Rows, flags: Sequence[Any], equations: Any
-) -> Any:
+    tree: Tree, stem: int, touch: Touch, rows: Rows, flags: Sequence[Any], equations: Any
+) -> Float[Array, "size columns worlds"]:
     """Each facet of each pair that pushes adds `weight J J^T`, and `- weight offset J` to the right."""
-    shape = (len(flags[0]), *equations.shape[-1:])
+    pairs, worlds = len(flags[0]), equations.shape[-1:]
 
-    def along(row: dict[int, Scalar], place: tuple[int, int]) -> Any:
-        return jnp.broadcast_to(lane(row[place[0]], place[1]).value if place[0] in row else 0.0, shape)
+    def whole(row: dict[int, Scalar]) -> Scalar:
+        plain = [jnp.broadcast_to(row[dof].value if dof in row else 0.0, (pairs, *worlds)) for dof in range(stem)]
+        shape = (pairs, tree.lanes, *worlds)
+        laned = [jnp.broadcast_to(row[dof].value if dof in row else 0.0, shape) for dof in range(stem, tree.nv)]
+        parts = [jnp.stack(plain, axis=1)] if plain else []
+        parts += [jnp.stack(laned, axis=1).reshape(pairs, -1, *worlds)] if laned else []
+        return Scalar(jnp.concatenate(parts, axis=1))
 
-    columns = [Vector(*(Scalar(along(row, place)) for row in rows), *[ZERO] * (3 - len(rows))) for place in places]
-    by_place = [touch.facets(column) for column in columns]
-    for facet, (offset, flag) in enumerate(zip(touch.facets(touch.offset), flags, strict=True)):
-        jacobian = jnp.stack([values[facet].value for values in by_place], axis=1)
-        felt = jnp.concatenate([jacobian, -jnp.broadcast_to(offset.value, shape)[:, None]], axis=1)
+    jacobians = Vector(*(whole(row) for row in rows), *[ZERO] * (3 - len(rows)))
+    friction = touch.friction and tuple(Scalar(jnp.atleast_2d(mu.value)[..., None, :]) for mu in touch.friction)
+    facets = touch._replace(friction=friction).facets(jacobians)
+    for jacobian, offset, flag in zip(facets, touch.facets(touch.offset), flags, strict=True):
+        pull = -jnp.broadcast_to(offset.value, (pairs, *worlds))[:, None]
+        felt = jnp.concatenate([jacobian.value, pull], axis=1)
         weight = jnp.where(flag, touch.weight.value, 0.0)
 
-        def add_pair(pair: Any, table: Any, parts: tuple[Any, ...] = (jacobian, felt, weight)) -> Any:
+        def add_pair(pair: Any, table: Any, parts: tuple[Any, ...] = (jacobian.value, felt, weight)) -> Any:
             left, felt, weight = (part[pair] for part in parts)
             return table + (weight * left)[:, None] * felt[None]
 
-        equations = jax.lax.fori_loop(0, shape[0], add_pair, equations)
+        equations = jax.lax.fori_loop(0, pairs, add_pair, equations)
     return equations
