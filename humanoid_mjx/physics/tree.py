@@ -87,6 +87,9 @@ class TreePhysics(MujocoPhysics):
             return [list(now.qpos), list(now.qvel), list(now.warmstart), [now.diverged]], None
 
         start = [list(world.qpos), list(world.qvel), list(world.warmstart), [world.diverged]]
+        # Under vmap all that is carried depends on the world from the start, else the loop would be traced twice.
+        mine = world.qpos[-1] == world.qpos[-1]
+        start = jax.tree.map(lambda part: jnp.where(mine, part, part), start)
         *parts, (diverged,) = jax.lax.scan(cycle, start, length=cycles)[0]
         return World(*(jnp.stack(part) for part in parts), diverged)
 
