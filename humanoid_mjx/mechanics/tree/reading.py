@@ -30,18 +30,21 @@ def read_tree(model: mujoco.MjModel) -> st.Tree:
     free = np.flatnonzero(model.jnt_type == JOINT.mjJNT_FREE)
     ground, pairs = _contacts(model)
     damped = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_EULERDAMP
+    x, y, z = (float(part) for part in model.opt.gravity)
     return st.Tree(
         bodies=tuple(_body(model, index) for index in range(model.nbody)),
         free=int(model.jnt_bodyid[free[0]]) if len(free) else None,
-        nq=model.nq,
-        nv=model.nv,
-        ground=ground,
-        pairs=pairs,
+        coordinates=tuple((index,) for index in range(model.nq)),
+        dofs=tuple((index,) for index in range(model.nv)),
+        lanes=1,
+        body_places=tuple((index,) for index in range(model.nbody)),
+        ground=tuple(ground),
+        pairs=tuple(pairs),
         motors=tuple(_motor(model, index) for index in range(model.nu)),
         gyroscopes=_sites(model, mujoco.mjtSensor.mjSENS_GYRO),
         accelerometers=_sites(model, mujoco.mjtSensor.mjSENS_ACCELEROMETER),
         touch_sensors=_sites(model, mujoco.mjtSensor.mjSENS_TOUCH),
-        gravity=_triple(model.opt.gravity),
+        gravity=(x, y, z),
         timestep=float(model.opt.timestep),
         implicit_damping=bool(damped and (model.dof_damping > 0).any()),
     )
@@ -113,17 +116,25 @@ def _condims(m: mujoco.MjModel) -> np.ndarray:
 def _body(m: mujoco.MjModel, index: int) -> st.Body:
     first, count = m.body_jntadr[index], m.body_jntnum[index]
     hinges = [j for j in range(first, first + count) if m.jnt_type[j] == JOINT.mjJNT_HINGE]
+    moment, extra = _moments(m.body_inertia[index], _axes(m.body_iquat[index]))
     return st.Body(
-        name=m.body(index).name,
         parent=int(m.body_parentid[index]),
         position=_triple(m.body_pos[index]),
         axes=_axes(m.body_quat[index]),
         mass=float(m.body_mass[index]),
         center=_triple(m.body_ipos[index]),
-        moments=_triple(m.body_inertia[index]),
-        principal=_axes(m.body_iquat[index]),
+        moment=moment,
+        extra=extra,
         hinges=tuple(_hinge(m, joint) for joint in hinges),
     )
+
+
+def _moments(moments: np.ndarray, axes: st.Axes) -> tuple[float, tuple[tuple[float, st.Triple], ...]]:
+    """The moment that most principal axes share, and by how much those about the others exceed it."""
+    same = np.abs(moments[:, None] - moments) <= 1e-12 * moments.max()
+    base = float(moments[same.sum(axis=1).argmax()])
+    more = [(float(moment) - base, axis) for moment, axis in zip(moments, axes, strict=True)]
+    return base, tuple((extra, axis) for extra, axis in more if abs(extra) > 1e-12 * moments.max())
 
 
 def _hinge(m: mujoco.MjModel, joint: int) -> st.Hinge:
@@ -134,8 +145,7 @@ def _hinge(m: mujoco.MjModel, joint: int) -> st.Hinge:
         softness = _softness(m, m.jnt_solref[joint], m.jnt_solimp[joint])
         limit = st.Limit(lower, upper, float(m.jnt_margin[joint]), float(m.dof_invweight0[dof]), softness)
     return st.Hinge(
-        name=m.joint(joint).name,
-        qpos=qpos,
+        coordinate=qpos,
         dof=dof,
         axis=_triple(m.jnt_axis[joint]),
         anchor=_triple(m.jnt_pos[joint]),
@@ -153,7 +163,6 @@ def _motor(m: mujoco.MjModel, index: int) -> st.Motor:
     affine = m.actuator_biastype[index] == mujoco.mjtBias.mjBIAS_AFFINE
     clamped = m.actuator_ctrllimited[index] and not m.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
     return st.Motor(
-        name=m.actuator(index).name,
         qpos=int(m.jnt_qposadr[joint]),
         dof=int(m.jnt_dofadr[joint]),
         gear=float(m.actuator_gear[index, 0]),
@@ -173,13 +182,13 @@ def _sites(m: mujoco.MjModel, kind: Any) -> tuple[st.Site, ...]:
             name = m.site(index).name
             raise InputError(f"physics: the tree cannot represent a touch sensor that is no box or ball, as {name!r}.")
         place, axes, size = _triple(m.site_pos[index]), _axes(m.site_quat[index]), _triple(m.site_size[index])
-        found.append(st.Site(m.site(index).name, int(m.site_bodyid[index]), place, axes, bool(box), size))
+        found.append(st.Site(int(m.site_bodyid[index]), place, axes, bool(box), size))
     return tuple(found)
 
 
-def _contacts(m: mujoco.MjModel) -> tuple[tuple[st.GroundPoint, ...], tuple[st.Pair, ...]]:
-    ground: list[st.GroundPoint] = []
-    pairs: list[st.Pair] = []
+def _contacts(m: mujoco.MjModel) -> tuple[list[st.GroundPoints], list[st.Pairs]]:
+    ground: list[st.GroundPoints] = []
+    pairs: list[st.Pairs] = []
     for one, two, surface in [*_explicit_pairs(m), *_implicit_pairs(m)]:
         # As MuJoCo: the plane first, then balls, then capsules.
         one, two = sorted((one, two), key=lambda geom: m.geom_type[geom])
@@ -188,13 +197,13 @@ def _contacts(m: mujoco.MjModel) -> tuple[tuple[st.GroundPoint, ...], tuple[st.P
         if kinds[0] == GEOM.mjGEOM_PLANE and kinds[1] in round_ones:
             if m.body_weldid[m.geom_bodyid[one]] != 0:
                 raise InputError(f"physics: the tree cannot represent a plane that moves, as {m.geom(one).name!r}.")
-            ground += _ground_points(m, one, two, surface)
+            ground += _ground_points(m, one, two, surface, len(ground))
         elif kinds[0] in round_ones and kinds[1] in round_ones:
-            pairs.append(st.Pair(name, _capsule(m, one), _capsule(m, two), surface))
+            pairs.append(st.Pairs((_capsule(m, one),), (_capsule(m, two),), surface, (len(pairs),)))
         else:
             words = " and a ".join(GEOM(int(kind)).name.removeprefix("mjGEOM_").lower() for kind in kinds)
             raise InputError(f"physics: the tree cannot represent contacts of a {words}, as those of {name!r}.")
-    return tuple(ground), tuple(pairs)
+    return ground, pairs
 
 
 Touching = tuple[int, int, st.Surface]
@@ -288,22 +297,24 @@ def _capsule(m: mujoco.MjModel, geom: int) -> st.Capsule:
     return st.Capsule(int(m.geom_bodyid[geom]), _triple(m.geom_pos[geom]), axis, radius, half)
 
 
-def _ground_points(m: mujoco.MjModel, plane: int, geom: int, surface: st.Surface) -> Iterator[st.GroundPoint]:
+def _ground_points(
+    m: mujoco.MjModel, plane: int, geom: int, surface: st.Surface, first: int
+) -> Iterator[st.GroundPoints]:
     data = mujoco.MjData(m)
     mujoco.mj_kinematics(m, data)
     normal = data.geom_xmat[plane].reshape(3, 3)[:, 2]
-    shape, name = _capsule(m, geom), m.geom(geom).name
+    shape = _capsule(m, geom)
     ends = (1.0, -1.0) if m.geom_type[geom] == GEOM.mjGEOM_CAPSULE else (0.0,)
     for number, end in enumerate(ends):
-        yield st.GroundPoint(
-            name=f"{name}{number}" if end else name,
+        yield st.GroundPoints(
             body=shape.body,
-            center=_triple(np.add(shape.center, np.multiply(end * shape.half_length, shape.axis))),
+            center=_triple(m.geom_pos[geom] + end * shape.half_length * np.array(shape.axis)),
             radius=shape.radius,
             normal=_triple(normal),
             height=float(normal @ data.geom_xpos[plane]),
             along=shape.axis if end else None,
             surface=surface,
+            order=(first + number,),
         )
 
 
