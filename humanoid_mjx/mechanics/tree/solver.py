@@ -25,6 +25,10 @@ from humanoid_mjx.mechanics.tree.structure import Tree
 MOST_STEPS = 20
 """Newton steps before a world is given up. Of random states the worst need about 10, of motions 2."""
 
+SAME = 200.0
+"""Rounding errors by which two accelerations may differ, as shares of the largest, and count as the same. A facet whose
+force is zero but for rounding may go on and off for ever, and moves nothing."""
+
 
 class Problem(NamedTuple):
     """What the accelerations minimise."""
@@ -85,10 +89,11 @@ def solve(tree: Tree, problem: Problem, start: Sequence[Scalar]) -> Solution:
 
 def _search(tree: Tree, problem: Problem, start: list[Any]) -> tuple[list[Any], Any]:
     def step(carry: tuple[Any, ...]) -> tuple[Any, ...]:
-        _, active, _, count = carry
+        before, active, _, count = carry
         x = _minimum(tree, problem, active)
         now = _active(tree, problem, x)
-        return [v.value for v in x], now, ~_differ(tree, active, now), count + 1
+        values = [v.value for v in x]
+        return values, now, ~_differ(tree, active, now) | _same(before, values), count + 1
 
     def going(carry: tuple[Any, ...]) -> Any:
         return ~carry[2].all() & (carry[3] < MOST_STEPS)
@@ -110,6 +115,15 @@ def _differ(tree: Tree, one: _Active, two: _Active) -> Any:
             changed = _any(changed)
         found = found | changed
     return found
+
+
+def _same(one: Sequence[Any], two: Sequence[Any]) -> Any:
+    """In which worlds two accelerations are the same but for rounding."""
+    change, size = jnp.zeros((), two[0].dtype), jnp.zeros((), two[0].dtype)
+    for a, b in zip(one, two, strict=True):
+        for part, whole in zip(*(jnp.reshape(x, (-1, jnp.shape(x)[-1])) for x in (a - b, b)), strict=True):
+            change, size = jnp.maximum(change, jnp.abs(part)), jnp.maximum(size, jnp.abs(whole))
+    return change <= SAME * jnp.finfo(change.dtype).eps * size
 
 
 def _any(flags: Any) -> Any:
