@@ -161,14 +161,15 @@ def programs(options: tuple[tuple[str, str | bool], ...], mesh: Mesh) -> Program
     def end(learner: Learner, training: Training, seeds: Any) -> dict[str, Any]:
         return finish(learner, training, jax.random.fold_in(run_key(*seeds), 1))
 
-    def compiled(function: Callable[..., Any], shared: Any = PartitionSpec(RUNS), **given: Any) -> Callable[..., Any]:
-        spread = jax.shard_map(function, mesh=mesh, in_specs=shared, out_specs=PartitionSpec(RUNS), check_vma=False)
-        return jax.jit(spread, compiler_options=dict(options), **given)
+    by_run, same = PartitionSpec(RUNS), PartitionSpec()
 
-    steps = PartitionSpec(RUNS), PartitionSpec(RUNS), PartitionSpec()
+    def compiled(function: Callable[..., Any], given: Any = by_run, **options_of_jit: Any) -> Callable[..., Any]:
+        spread = jax.shard_map(function, mesh=mesh, in_specs=given, out_specs=by_run, check_vma=False)
+        return jax.jit(spread, compiler_options=dict(options), **options_of_jit)
+
     return Programs(
         begin=compiled(jax.vmap(anew), donate_argnums=3),
-        advance=compiled(jax.vmap(advance, in_axes=(0, 0, None)), steps, donate_argnums=1),
+        advance=compiled(jax.vmap(advance, in_axes=(0, 0, None)), (by_run, by_run, same), donate_argnums=1),
         finish=compiled(jax.vmap(end)),
     )
 
