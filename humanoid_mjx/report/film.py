@@ -1,3 +1,4 @@
+# pyright: reportAttributeAccessIssue=false
 """A motion with the words that go with it, and what was pushed when: what is shown of a played episode."""
 
 from collections.abc import Mapping
@@ -61,7 +62,7 @@ def film_of(trained: Trained, played: Played, title: str | None = None) -> Film:
       InputError: the policy's task moves no robot, or its states hold no World.
     """
     model, (qpos, step_s) = robot_of(trained), rows_of(trained, played)
-    period: float = trained.learner.task.period  # pyright: ignore[reportAttributeAccessIssue]
+    period: float = trained.learner.task.period
     told: list[tuple[float, str]] = []
     for number, values in enumerate(played.told):
         words = in_words(values)

@@ -16,8 +16,8 @@ OVERSAMPLED = 2
 """Rays across and down each pixel, whose mean smooths the edges."""
 
 AMBIENT, DIFFUSE = 0.5, 0.55
-SKY, HORIZON = np.float32([0.80, 0.86, 0.92]), np.float32([1.0, 1.0, 1.0])
-GROUND, LINE = np.float32([0.93, 0.93, 0.92]), np.float32([0.74, 0.75, 0.76])
+SKY, HORIZON = np.array([0.80, 0.86, 0.92], np.float32), np.ones(3, np.float32)
+GROUND, LINE = np.array([0.93, 0.93, 0.92], np.float32), np.array([0.74, 0.75, 0.76], np.float32)
 LINE_M = 0.002
 SHADOW = 0.72
 """What is left of the light in the shadow."""
@@ -155,6 +155,15 @@ def meet(shape: Shape, origin: Points, rays: Points) -> tuple[Scalars, Points]:
       how many times its own length a ray goes until there, infinite where it does not meet the shape; and the unit
       vectors that point outwards there.
     """
+    start = -np.sum(origin * rays, axis=1) / np.sum(rays**2, axis=1)
+    # From where a ray is nearest to the shape's middle: squares of large distances would leave few digits.
+    depth, normal = _meet(shape, origin + start[:, None] * rays, rays)
+    depth = start + depth
+    return np.where(depth > 0, depth, np.float32(np.inf)), normal
+
+
+def _meet(shape: Shape, origin: Points, rays: Points) -> tuple[Scalars, Points]:
+    """As `meet`, but it counts from an origin near the shape, and meets what lies behind it, too."""
     size = shape.size.astype(np.float32)
     if shape.kind == "box":
         return _meet_box(size, origin, rays)
@@ -193,7 +202,7 @@ def _meet_ends(size: Any, origin: Points, rays: Points, flat: bool) -> list[tupl
         with np.errstate(divide="ignore", invalid="ignore"):
             depth = (end[2] - origin[:, 2]) / rays[:, 2]
             at = origin[:, :2] + depth[:, None] * rays[:, :2]
-            met = (depth > 0) & (np.sum(at**2, axis=1) <= size[0] ** 2)
+            met = np.sum(at**2, axis=1) <= size[0] ** 2
         normal = np.broadcast_to(np.array([0.0, 0.0, side], np.float32), rays.shape)
         found.append((np.where(met, depth, np.float32(np.inf)), normal))
     return found
@@ -204,7 +213,7 @@ def _meet_box(size: Any, origin: Points, rays: Points) -> tuple[Scalars, Points]
     safe = np.where(np.abs(rays) < 1e-9, np.float32(1e-9), rays)
     entries, exits = (-np.sign(safe) * size - origin) / safe, (np.sign(safe) * size - origin) / safe
     face, depth = entries.argmax(axis=1), entries.max(axis=1)
-    met = (depth <= exits.min(axis=1)) & (depth > 0)
+    met = depth <= exits.min(axis=1)
     normal = np.zeros_like(rays)
     index = np.arange(len(rays))
     normal[index, face] = -np.sign(safe[index, face])
@@ -212,11 +221,11 @@ def _meet_box(size: Any, origin: Points, rays: Points) -> tuple[Scalars, Points]
 
 
 def _root(a: Scalars, half_b: Scalars, c: Scalars) -> Scalars:
-    """The smaller root of a t^2 + 2 half_b t + c, where it is positive; else infinite."""
+    """The smaller root of a t^2 + 2 half_b t + c; infinite where there is none."""
     inside = half_b**2 - a * c
     with np.errstate(divide="ignore", invalid="ignore"):
         root = (-half_b - np.sqrt(np.maximum(inside, 0.0))) / a
-    return np.where((inside >= 0) & (root > 0), root, np.float32(np.inf)).astype(np.float32)
+    return np.where((inside >= 0) & (a > 0), root, np.float32(np.inf)).astype(np.float32)
 
 
 def _nearer(*found: tuple[Scalars, Points]) -> tuple[Scalars, Points]:

@@ -1,3 +1,4 @@
+# pyright: reportAttributeAccessIssue=false
 """Motions as pictures and videos: by MuJoCo's renderer where it finds OpenGL, else by rays and shades of our own."""
 
 from collections.abc import Callable, Iterator
