@@ -16,11 +16,12 @@ from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int, Key
 from pydantic import Field
 
 from humanoid_mjx.learners.base import Learner, Outcome
-from humanoid_mjx.rng import uniforms
+from humanoid_mjx.rng import uniform
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import State
 from humanoid_mjx.tasks.finite import FiniteTask
@@ -180,13 +181,19 @@ class TabularQ(Learner):
         )
 
     def move(self, agent: Agent, q_row: QRow, step: IntScalar) -> Agent:
-        """Choose an action epsilon-greedily where the agent is, and carry it out; `q_row`: the table's row there."""
-        explore, choice, tie = uniforms(agent.key, step, 3)
+        """Choose an action epsilon-greedily where the agent is, and carry it out; `q_row`: the table's row there.
+
+        Three random numbers belong to a step: whether to explore, the random action, the choice among equally good
+        ones. Of the last two only one is needed, so only that one is drawn.
+        """
+        draw = jnp.asarray(step).astype(jnp.uint32) * np.uint32(3)
         obeys = (1.0 - jnp.maximum(self.epsilon_min, agent.epsilon)) * self.task.execution_rate
         if self.task.learning_rules.episode == "step":
             obeys = jnp.where(agent.episode == self.episodes - 1, self.task.execution_rate, obeys)
+        greedy = uniform(agent.key, draw) < obeys
+        choice = uniform(agent.key, draw + jnp.where(greedy, np.uint32(2), np.uint32(1)))
         random = (choice * self.task.num_actions).astype(jnp.int32)
-        action = jnp.where(explore < obeys, self._greedy(q_row, tie), random)
+        action = jnp.where(greedy, self._greedy(q_row, choice), random)
         task_key = jax.random.fold_in(jax.random.fold_in(agent.key, step), 1)
         state, reward, terminated = self.task.step(agent.state, action, task_key)
         return agent._replace(

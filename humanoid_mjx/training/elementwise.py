@@ -34,6 +34,10 @@ Lookup = Callable[[np.ndarray, Array], Array]
 """From a constant vector and indices inside it to its entries."""
 
 
+Truncate = Callable[[Array], Array]
+"""From float32 to int32, towards zero, the nearest int32 where it is too large, 0 for NaN."""
+
+
 class NotElementwise(Exception):
     """A function does more than arithmetic on scalars and look-ups in constant vectors; the message says what."""
 
@@ -61,6 +65,7 @@ class Elementwise:
         names, equations, self.outputs = _inlined(traced)
         self.fixed = names[: len(jax.tree.leaves(fixed))]
         self.varying = names[len(self.fixed) :]
+        equations, self.outputs = _each_once(equations, self.outputs)
         equations = _needed(equations, self.outputs)
         known = set(self.fixed)
         self.before: list[Equation] = []
@@ -89,7 +94,7 @@ class Elementwise:
             values |= zip(equation.outputs, found if equation.primitive.multiple_results else [found], strict=True)
         return [values[var] for var in self.kept]
 
-    def step(self, kept: Sequence[Array], varying: Any, lookup: Lookup) -> Any:
+    def step(self, kept: Sequence[Array], varying: Any, lookup: Lookup, truncate: Truncate) -> Any:
         """The part for each step, of a vector of runs."""
         values: dict[Any, Any] = dict(zip(self.kept, kept, strict=True))
         values |= zip(self.varying, jax.tree.leaves(varying), strict=True)
@@ -104,6 +109,8 @@ class Elementwise:
                 found = value(equation.inputs[0])
             elif name in LOOKUPS:
                 found = lookup(equation.inputs[0], value(equation.inputs[1]))
+            elif _truncates(equation):
+                found = truncate(value(equation.inputs[0]))
             else:
                 found = equation.primitive.bind(*map(value, equation.inputs), **equation.params)
             values[equation.outputs[0]] = found
@@ -135,6 +142,26 @@ def _inlined(traced: ClosedJaxpr) -> tuple[list[Var], list[Equation], tuple[Any,
     return list(traced.jaxpr.invars), equations, tuple(outputs)
 
 
+def _each_once(equations: list[Equation], outputs: tuple[Any, ...]) -> tuple[list[Equation], tuple[Any, ...]]:
+    """Without operations that repeat one before: a compiler does not see them all through inline assembly."""
+    names: dict[Any, Any] = {}
+    seen: dict[Any, tuple[Var, ...]] = {}
+    kept = []
+
+    def same(x: Any) -> Any:
+        return x if isinstance(x, Var) else (x.dtype, x.item()) if x.size == 1 else id(x)
+
+    for equation in equations:
+        inputs = tuple(names.get(x, x) if isinstance(x, Var) else x for x in equation.inputs)
+        what = equation.primitive, str(sorted(equation.params.items())), tuple(map(same, inputs))
+        if what in seen:
+            names |= zip(equation.outputs, seen[what], strict=True)
+        else:
+            seen[what] = equation.outputs
+            kept.append(equation._replace(inputs=inputs))
+    return kept, tuple(names.get(x, x) if isinstance(x, Var) else x for x in outputs)
+
+
 def _needed(equations: list[Equation], outputs: Sequence[Any]) -> list[Equation]:
     """Without what no output depends on."""
     needed, kept = {x for x in outputs if isinstance(x, Var)}, []
@@ -143,6 +170,13 @@ def _needed(equations: list[Equation], outputs: Sequence[Any]) -> list[Equation]
             kept.append(equation)
             needed |= {x for x in equation.inputs if isinstance(x, Var)}
     return kept[::-1]
+
+
+def _truncates(equation: Equation) -> bool:
+    source = equation.inputs[0]
+    dtype = source.aval.dtype if isinstance(source, Var) else source.dtype
+    into = equation.outputs[0].aval.dtype
+    return equation.primitive.name == "convert_element_type" and dtype == jnp.float32 and into == jnp.int32
 
 
 def _check(equation: Equation) -> None:

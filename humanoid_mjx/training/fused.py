@@ -247,6 +247,9 @@ def _kernel(
     def lookup(table: np.ndarray, index: Array) -> Array:
         return gpu.load(constants[numbers[id(table)]].at[jnp.clip(index, 0, len(table) - 1)])
 
+    def truncate(x: Array) -> Array:
+        return x.astype(jnp.int32) if place is None else _assembly("cvt.rzi.s32.f32 $0, $1;", "=r,f", jnp.int32, x)
+
     agent, step = jax.tree.unflatten(
         jax.tree.structure(like),
         [gpu.load(ref.at[run]).astype(x.dtype) for ref, x in zip(state_refs, jax.tree.leaves(like), strict=True)],
@@ -261,21 +264,34 @@ def _kernel(
 
         token, memory = jax.lax.fori_loop(0, place[0] * num_actions, fill, token), shared
 
-    def one(_: Array, inner: Any) -> Any:
-        token, agent, step = inner
-        q_row = memory.row(token, agent.next_row)
-        row, action, change, point, values = parts.learn.step(kept[0], (agent, q_row), lookup)
-        token = memory.add(token, row, action, change, (*agent.q_row, *q_row))
-        for measure, value in enumerate(values):
-            entry = record.at[run, point, jnp.full(block, measure)]
-            ended = values[0] > 0
-            gpu.store(entry, gpu.load(entry, mask=ended, other=0.0) + value, mask=ended)
-        step = step + 1
-        agent = parts.go_on.step(kept[1], (agent, step), lookup)
-        agent = parts.move.step(kept[2], (agent, memory.row(token, agent.row), step), lookup)
-        return token, agent, step
+    def entry(point: Array, measure: int) -> Any:
+        return record.at[run, point, jnp.full(block, measure)]
 
-    token, agent, step = jax.lax.fori_loop(0, steps[0], one, (token, agent, step))
+    def fetch(point: Array, mask: Array, others: list[Array]) -> list[Array]:
+        return [gpu.load(entry(point, i), mask=mask, other=other) for i, other in enumerate(others)]
+
+    def put(point: Array, sums: list[Array], mask: Array) -> None:
+        for measure, value in enumerate(sums):
+            gpu.store(entry(point, measure), value, mask=mask)
+
+    def one(_: Array, inner: Any) -> Any:
+        token, agent, step, here, sums = inner
+        q_row = memory.row(token, agent.next_row)
+        row, action, change, point, values = parts.learn.step(kept[0], (agent, q_row), lookup, truncate)
+        token = memory.add(token, row, action, change, (*agent.q_row, *q_row))
+        moved = point != here
+        put(here, sums, moved)
+        sums = [old + value for old, value in zip(fetch(point, moved, sums), values, strict=True)]
+        step = step + 1
+        agent = parts.go_on.step(kept[1], (agent, step), lookup, truncate)
+        agent = parts.move.step(kept[2], (agent, memory.row(token, agent.row), step), lookup, truncate)
+        return token, agent, step, point, sums
+
+    here = jnp.zeros(block, jnp.int32)
+    sums = fetch(here, here == 0, [jnp.zeros(block, jnp.float32)] * record.shape[2])
+    start = token, agent, step, here, sums
+    token, agent, step, here, sums = jax.lax.fori_loop(0, steps[0], one, start)
+    put(here, sums, here >= 0)
     if place is not None:
 
         def empty(cell: Array, _: Any) -> None:
