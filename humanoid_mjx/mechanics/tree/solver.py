@@ -72,7 +72,7 @@ def solve(tree: Tree, problem: Problem, start: Sequence[Scalar]) -> Solution:
         active = _active(tree, structure.unflatten(leaves), [Scalar(value) for value in x])
 
         def again(leaves: list[Any]) -> list[Any]:
-            found = _minimum(tree, structure.unflatten(leaves), active)
+            found = _minimum(tree, structure.unflatten(leaves), active, linear=True)
             return [v.value for v in found]
 
         moved = jax.jvp(again, (leaves,), (tangents[0],))[1]
@@ -130,8 +130,8 @@ def _active(tree: Tree, problem: Problem, x: Sequence[Scalar]) -> _Active:
     )
 
 
-def _minimum(tree: Tree, problem: Problem, active: _Active) -> list[Scalar]:
-    """If these facets and stops push and no others."""
+def _minimum(tree: Tree, problem: Problem, active: _Active, linear: bool = False) -> list[Scalar]:
+    """If these facets and stops push and no others; `linear` for derivatives."""
     matrix, right = [list(row) for row in problem.matrix], list(problem.force)
     add_ground(tree, problem.kinematics, problem.ground, active.ground, matrix, right)
     for dof, stop in problem.stops.items():
@@ -141,4 +141,4 @@ def _minimum(tree: Tree, problem: Problem, active: _Active) -> list[Scalar]:
     x = factor(tree, matrix).solve(right)
     if not problem.pairs:
         return x
-    return pairs.with_pairs(tree, matrix, right, problem.pairs, problem.rows, active.pairs, x)
+    return pairs.with_pairs(tree, matrix, right, problem.pairs, problem.rows, active.pairs, x, linear)
