@@ -124,7 +124,7 @@ def cross(a: Vector, b: Vector) -> Vector:
     return Vector(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x)
 
 
-def unstack(array: Shaped[Array, "n *worlds"]) -> list[Scalar]:
+def unstack(array: Shaped[Array, "n ..."]) -> list[Scalar]:
     """The elements along the first axis of an array."""
     return [Scalar(element) for element in array]
 
