@@ -84,8 +84,8 @@ def subtract(a: Vector, b: Vector) -> Vector:
     return Vector(a.x - b.x, a.y - b.y, a.z - b.z)
 
 
-def vector(values: Sequence[Any]) -> Vector:
-    """From three numbers or traced values."""
+def vector(values: Any) -> Vector:
+    """From three numbers, or an array of them."""
     return Vector(*(number(value) for value in values))
 
 

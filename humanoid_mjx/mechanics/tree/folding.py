@@ -182,7 +182,8 @@ def _join_points(tree: Tree, points: Sequence[GroundPoints]) -> GroundPoints:
 def _join_pairs(pairs: Sequence[Pairs]) -> Pairs:
     """Pairs of like shapes that feel each other in one way."""
     first = pairs[0]
-    ones, twos = (tuple(shape for p in pairs for shape in p[side]) for side in range(2))
+    ones = tuple(shape for p in pairs for shape in p.ones)
+    twos = tuple(shape for p in pairs for shape in p.twos)
     if len({(bool(one.half_length), bool(two.half_length)) for one, two in zip(ones, twos, strict=True)}) > 1:
         raise _Unlike
     surfaces = [p.surface for p in pairs for _ in p.ones] if len(pairs) > 1 else [first.surface]

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from humanoid_mjx.mechanics.tree import structure as st
+from humanoid_mjx.mechanics.tree.refusing import first_fault
 from humanoid_mjx.spec import InputError
 
 SMALLEST = 1e-14
@@ -25,7 +26,7 @@ def read_tree(model: mujoco.MjModel) -> st.Tree:
     Raises:
       InputError: the model has something that a tree of hinges with plane and capsule contacts does not.
     """
-    if fault := next((sentence for wrong, sentence in _faults(model) if wrong), None):
+    if fault := first_fault(model):
         raise InputError(f"physics: the tree cannot represent {fault}.")
     free = np.flatnonzero(model.jnt_type == JOINT.mjJNT_FREE)
     ground, pairs = _contacts(model)
@@ -48,69 +49,6 @@ def read_tree(model: mujoco.MjModel) -> st.Tree:
         timestep=float(model.opt.timestep),
         implicit_damping=bool(damped and (model.dof_damping > 0).any()),
     )
-
-
-def _faults(m: mujoco.MjModel) -> Iterator[tuple[Any, str]]:
-    """What makes a model impossible here, and what to call it."""
-    option, flags = m.opt, mujoco.mjtDisableBit
-    harmless = flags.mjDSBL_EULERDAMP | flags.mjDSBL_AUTORESET | flags.mjDSBL_WARMSTART | flags.mjDSBL_REFSAFE
-    harmless |= flags.mjDSBL_FILTERPARENT | flags.mjDSBL_CLAMPCTRL
-    yield option.integrator != mujoco.mjtIntegrator.mjINT_EULER, "an integrator other than Euler"
-    yield option.cone != mujoco.mjtCone.mjCONE_PYRAMIDAL and (_condims(m) > 1).any(), "elliptic friction cones"
-    yield option.disableflags & ~int(harmless), "a model with parts of its physics disabled"
-    yield option.enableflags & ~int(mujoco.mjtEnableBit.mjENBL_ENERGY), "a model with optional physics enabled"
-    yield option.density or option.viscosity or np.any(option.wind), "a fluid"
-    yield option.noslip_iterations, "noslip iterations"
-    yield m.neq, "equality constraints"
-    yield m.ntendon, "tendons"
-    yield m.nflex, "flexible bodies"
-    yield m.nplugin, "plugins"
-    yield m.nmocap, "mocap bodies"
-    yield m.na, "actuators with activation"
-    yield np.any(m.body_gravcomp), "gravity compensation"
-    yield np.any(m.dof_frictionloss), "dry friction of joints"
-    yield from _faulty_joints(m)
-    yield from _faulty_actuators(m)
-
-
-def _faulty_joints(m: mujoco.MjModel) -> Iterator[tuple[Any, str]]:
-    for kind in ("SLIDE", "BALL"):
-        found = np.flatnonzero(m.jnt_type == getattr(JOINT, f"mjJNT_{kind}"))
-        yield len(found), f"{kind.lower()} joints, as {m.joint(found[0]).name!r}" if len(found) else ""
-    free = np.flatnonzero(m.jnt_type == JOINT.mjJNT_FREE)
-    yield len(free) > 1, "more than one free body"
-    if len(free):
-        yield m.jnt_dofadr[free[0]] != 0, "a free body that is not the first that moves"
-        base = m.jnt_bodyid[free[0]]
-        moving = m.body_weldid[1:] != 0
-        yield np.any(m.body_rootid[1:][moving] != base), "moving bodies beside a free one"
-        dofs = slice(0, 6)
-        yield m.dof_damping[dofs].any() or m.dof_armature[dofs].any(), "damping or armature of a free joint"
-    for name in ("jnt_stiffnesspoly", "dof_dampingpoly", "jnt_springyield", "jnt_actgravcomp", "jnt_actfrclimited"):
-        yield np.any(getattr(m, name, 0)), f"what {name} sets"
-    width = m.jnt_range[:, 1] - m.jnt_range[:, 0]
-    narrow = np.flatnonzero((m.jnt_limited != 0) & (width <= 2.0 * m.jnt_margin))
-    yield len(narrow), "joint ranges that are no wider than twice their margin"
-
-
-def _faulty_actuators(m: mujoco.MjModel) -> Iterator[tuple[Any, str]]:
-    if not m.nu:
-        return
-    transmission, gain, bias = mujoco.mjtTrn, mujoco.mjtGain, mujoco.mjtBias
-    yield np.any(m.actuator_trntype != transmission.mjTRN_JOINT), "actuators of anything but joints"
-    if (m.actuator_trntype == transmission.mjTRN_JOINT).all():
-        yield np.any(m.jnt_type[m.actuator_trnid[:, 0]] != JOINT.mjJNT_HINGE), "actuators of anything but hinges"
-    yield np.any(m.actuator_dyntype != mujoco.mjtDyn.mjDYN_NONE), "actuators with dynamics of their own"
-    yield np.any(m.actuator_gaintype != gain.mjGAIN_FIXED), "actuators whose gain is not fixed"
-    known = np.isin(m.actuator_biastype, (int(bias.mjBIAS_NONE), int(bias.mjBIAS_AFFINE)))
-    yield not known.all(), "actuators whose bias is not affine"
-    for name in ("actuator_damping", "actuator_armature", "actuator_delay", "actuator_dampingpoly"):
-        yield np.any(getattr(m, name, 0)), f"what {name} sets"
-
-
-def _condims(m: mujoco.MjModel) -> np.ndarray:
-    """Of everything that may touch."""
-    return np.concatenate([m.pair_dim, m.geom_condim[(m.geom_contype | m.geom_conaffinity) != 0]])
 
 
 def _body(m: mujoco.MjModel, index: int) -> st.Body:
@@ -181,8 +119,9 @@ def _sites(m: mujoco.MjModel, kind: Any) -> tuple[st.Site, ...]:
         if kind == mujoco.mjtSensor.mjSENS_TOUCH and not box and shape != GEOM.mjGEOM_SPHERE:
             name = m.site(index).name
             raise InputError(f"physics: the tree cannot represent a touch sensor that is no box or ball, as {name!r}.")
-        place, axes, size = _triple(m.site_pos[index]), _axes(m.site_quat[index]), _triple(m.site_size[index])
-        found.append(st.Site(int(m.site_bodyid[index]), place, axes, bool(box), size))
+        place, axes = _triple(m.site_pos[index]), _axes(m.site_quat[index])
+        x, y, z = (float(half) for half in m.site_size[index])
+        found.append(st.Site(int(m.site_bodyid[index]), place, axes, bool(box), (x, y, z)))
     return tuple(found)
 
 

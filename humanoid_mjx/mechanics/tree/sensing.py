@@ -56,13 +56,13 @@ def pushes_of(tree: Tree, problem: Problem, solution: Solution) -> list[Push]:
         for index, order in enumerate(points.order):
             point, one = divmod(index, lanes)
             picked = _picked((touch.place, touch.frame, touch.force(v)), [point] * several, [one] * (lanes > 1))
-            ground[order] = _push(at.origin, *picked, ((0, 0), (points.body, one)))
+            ground[order] = _push(at.origin, picked, ((0, 0), (points.body, one)))
     pairs: dict[int, Push] = {}
     for group, touch, rows in zip(tree.pairs, problem.pairs, problem.rows, strict=True):
         force = touch.force(residual(tree, touch, rows, x))
         for index, (order, one, two) in enumerate(zip(group.order, group.ones, group.twos, strict=True)):
             picked = _picked((touch.place, touch.frame, force), [index], [])
-            pairs[order] = _push(at.origin, *picked, ((one.body, one.lane), (two.body, two.lane)))
+            pairs[order] = _push(at.origin, picked, ((one.body, one.lane), (two.body, two.lane)))
     return [found[index] for found in (ground, pairs) for index in range(len(found))]
 
 
@@ -79,8 +79,8 @@ def _picked(things: Any, point: Sequence[int], one: Sequence[int]) -> Any:
     return jax.tree.map(pick, things, is_leaf=lambda part: isinstance(part, Scalar))
 
 
-def _push(origin: Vector, place: Vector, frame: Rotation, force: Vector, bodies: tuple[Place, Place]) -> Push:
-    normal, one, two = frame
+def _push(origin: Vector, contact: tuple[Vector, Rotation, Vector], bodies: tuple[Place, Place]) -> Push:
+    place, (normal, one, two), force = contact
     slip = add(scale(force.y, one), scale(force.z, two))
     return Push(add(origin, place), normal, force.x, slip, bodies)
 

@@ -15,10 +15,10 @@ import jax
 import jax.numpy as jnp
 
 from humanoid_mjx.mechanics.scalars import Scalar
-from humanoid_mjx.mechanics.tree import pairs
 from humanoid_mjx.mechanics.tree.contacts import Stop, Touch
 from humanoid_mjx.mechanics.tree.inertia import Matrix, factor
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics
+from humanoid_mjx.mechanics.tree.pairs import Rows, residual, with_pairs
 from humanoid_mjx.mechanics.tree.pushing import add_ground, ground_residuals
 from humanoid_mjx.mechanics.tree.structure import Tree
 
@@ -39,7 +39,7 @@ class Problem(NamedTuple):
     kinematics: Kinematics
     ground: list[Touch]
     pairs: list[Touch]
-    rows: list[pairs.Rows]
+    rows: list[Rows]
     stops: dict[int, Stop]
     """By degree of freedom."""
 
@@ -76,7 +76,7 @@ def solve(tree: Tree, problem: Problem, start: Sequence[Scalar]) -> Solution:
         active = _active(tree, structure.unflatten(leaves), [Scalar(value) for value in x])
 
         def again(leaves: list[Any]) -> list[Any]:
-            found = _minimum(tree, structure.unflatten(leaves), active)
+            found = _minimum(tree, structure.unflatten(leaves), active, linear=True)
             return [v.value for v in found]
 
         moved = jax.jvp(again, (leaves,), (tangents[0],))[1]
@@ -139,13 +139,13 @@ def _active(tree: Tree, problem: Problem, x: Sequence[Scalar]) -> _Active:
     ground = ground_residuals(tree, problem.kinematics, problem.ground, x)
     return _Active(
         [touch.active(v) for touch, v in zip(problem.ground, ground, strict=True)],
-        [t.active(pairs.residual(tree, t, r, x)) for t, r in zip(problem.pairs, problem.rows, strict=True)],
+        [t.active(residual(tree, t, r, x)) for t, r in zip(problem.pairs, problem.rows, strict=True)],
         {dof: stop.close & (stop.residual(x[dof]).value < 0.0) for dof, stop in problem.stops.items()},
     )
 
 
-def _minimum(tree: Tree, problem: Problem, active: _Active) -> list[Scalar]:
-    """If these facets and stops push and no others."""
+def _minimum(tree: Tree, problem: Problem, active: _Active, linear: bool = False) -> list[Scalar]:
+    """If these facets and stops push and no others; `linear` for derivatives."""
     matrix, right = [list(row) for row in problem.matrix], list(problem.force)
     add_ground(tree, problem.kinematics, problem.ground, active.ground, matrix, right)
     for dof, stop in problem.stops.items():
@@ -155,4 +155,4 @@ def _minimum(tree: Tree, problem: Problem, active: _Active) -> list[Scalar]:
     x = factor(tree, matrix).solve(right)
     if not problem.pairs:
         return x
-    return pairs.with_pairs(tree, matrix, right, problem.pairs, problem.rows, active.pairs, x)
+    return with_pairs(tree, matrix, right, problem.pairs, problem.rows, active.pairs, x, linear)

@@ -20,7 +20,7 @@ from humanoid_mjx.mechanics.tree.inertia import Mass, Matrix, factor, mass_matri
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics, make_kinematics, motions_of, to_local, to_world, unit
 from humanoid_mjx.mechanics.tree.pairs import pair_rows
 from humanoid_mjx.mechanics.tree.solver import Problem, Solution, solve
-from humanoid_mjx.mechanics.tree.structure import FRICTIONLESS, Surface, Tree
+from humanoid_mjx.mechanics.tree.structure import FRICTIONLESS, Number, Surface, Tree
 
 
 class Values(NamedTuple):
@@ -201,7 +201,7 @@ def _factors(tree: Tree, mass: Any) -> list[Scalar]:
     return [in_lanes([number(mass[i]) for i in places]) for places in tree.body_places]
 
 
-def _joint_values(tree: Tree, own: Sequence[float], given: Any) -> list[Scalar]:
+def _joint_values(tree: Tree, own: Sequence[Number], given: Any) -> list[Scalar]:
     """By degree of freedom: what is given, where the model has any, or else the model's."""
     found = [ZERO] * tree.nv
     for hinge, value in zip(tree.hinges, own, strict=True):
