@@ -167,9 +167,9 @@ def stand_step() -> Any:
     """A step of the task for several bodies, traced."""
     task = make_task("stand")
     keys = jax.eval_shape(lambda: jax.random.split(jax.random.key(0), 8))
-    state = jax.eval_shape(jax.vmap(lambda key: task.reset(task.params, key)), keys)
+    state = jax.eval_shape(jax.vmap(lambda key: task.reset(key)), keys)
     action = jax.ShapeDtypeStruct((8, len(task.action_choices)), jnp.int32)
-    return jax.jit(jax.vmap(lambda *now: task.step(task.params, *now))).trace(state, action, keys)
+    return jax.jit(jax.vmap(lambda *now: task.step(*now))).trace(state, action, keys)
 
 
 def long_program(parts: int) -> Callable[[], Any]:

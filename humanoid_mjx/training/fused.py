@@ -151,7 +151,9 @@ class SharedMemory(NamedTuple):
 
     def write(self, token: Array, address: Array, value: Array, seen: tuple[Array, ...] = ()) -> Array:
         constraints = ",".join(["=r", "r", "f", "r", *("f" for _ in seen)])
-        return _assembly("st.shared.f32 [$1], $2; mov.b32 $0, $3;", constraints, jnp.int32, address, value, token, *seen)
+        return _assembly(
+            "st.shared.f32 [$1], $2; mov.b32 $0, $3;", constraints, jnp.int32, address, value, token, *seen
+        )
 
     def row(self, token: Array, row: Array) -> tuple[Array, ...]:
         address, width = self.cell(row * self.num_actions), 4 * len(self.address)
@@ -164,9 +166,7 @@ class SharedMemory(NamedTuple):
 
 def _assembly(code: str, constraints: str, dtype: Any, *args: Array) -> Array:
     result = jax.ShapeDtypeStruct(args[0].shape, dtype)
-    return gpu.elementwise_inline_asm(
-        code, args=args, constraints=constraints, pack=1, result_shape_dtypes=[result]
-    )[0]
+    return gpu.elementwise_inline_asm(code, args=args, constraints=constraints, pack=1, result_shape_dtypes=[result])[0]
 
 
 def block_size(cells: int) -> int | None:
@@ -233,9 +233,7 @@ def _tables(parts: Functions) -> list[Array]:
     return [jnp.asarray(table) for table in found.values()]
 
 
-def _kernel(
-    *refs: Any, parts: Functions, inputs: Any, like: Any, place: Any, block: int, num_actions: int
-) -> None:
+def _kernel(*refs: Any, parts: Functions, inputs: Any, like: Any, place: Any, block: int, num_actions: int) -> None:
     """All steps of a block of agents."""
     count = inputs.num_leaves
     steps, kept, constants, _ = jax.tree.unflatten(inputs, refs[:count])
