@@ -115,7 +115,7 @@ def test_number_of_devices_changes_no_bit(reference, tmp_path, devices):
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "run/results.parquet").read_bytes() == (reference.path / "results.parquet").read_bytes()
     assert (tmp_path / "run/summary.parquet").read_bytes() == (reference.path / "summary.parquet").read_bytes()
-    assert {path.name for path in (tmp_path / "run/figures").iterdir()} >= {"learning_curves.png", "greedy_success.png"}
+    assert {path.name for path in (tmp_path / "run/figures").iterdir()} >= {"learning_curves.png"}
 
 
 LONG = {

@@ -1,7 +1,7 @@
 """Functions of many worlds, whose axis is the last, as functions of one world.
 
 A scalar of many worlds is then contiguous whatever axes of lanes or contacts it has before, which `jax.vmap` by itself
-would put behind.
+would put behind. Worlds of several runs become one axis of all, so that no loop is mapped over loops.
 """
 
 from collections.abc import Callable
@@ -17,10 +17,9 @@ from jax.custom_batching import custom_vmap
 def worlds_last(function: Callable[..., Any], *static: Any) -> Callable[..., Any]:
     """`function`, with `static` for its first arguments, as one of a single world.
 
-    Under `jax.vmap` it gets all worlds at once, in the last axis of what differs by world.
-    It takes and gives pytrees of arrays, and must not mix worlds. What it gives may lack the axis where all agree.
-    Derivatives are those of one world after another. It is traced once for each number of worlds, whatever programs
-    use it.
+    Under `jax.vmap`, once or nested, it gets all worlds at once, in the last axis of every array. It takes and gives
+    pytrees of arrays, and must not mix worlds. What it gives may lack the axis where all agree. Derivatives are those
+    of one world after another. It is traced once for each number of worlds, whatever programs use it.
     """
     function = jax.jit(partial(function, *static))
 
@@ -28,16 +27,31 @@ def worlds_last(function: Callable[..., Any], *static: Any) -> Callable[..., Any
         found = function(*jax.tree.map(lambda x: jnp.asarray(x)[..., None], args))
         return jax.tree.map(lambda x: x[..., 0] if jnp.ndim(x) else jnp.asarray(x), found)
 
-    def rule(worlds: int, batched: Any, *args: Any) -> tuple[Any, Any]:
-        flags = jax.tree.leaves(batched)
-        leaves, structure = jax.tree.flatten(args)
-        leaves = [jnp.moveaxis(x, 0, -1) if flag else x for x, flag in zip(leaves, flags, strict=True)]
-        found = function(*structure.unflatten(leaves))
-        found = jax.tree.map(lambda x: jnp.moveaxis(jnp.broadcast_to(x, (*jnp.shape(x)[:-1], worlds)), -1, 0), found)
+    @custom_vmap
+    def many(*args: Any) -> Any:
+        worlds = jax.tree.leaves(args)[0].shape[-1]
+        return jax.tree.map(lambda x: jnp.broadcast_to(x, (*jnp.shape(x)[:-1], worlds)), function(*args))
+
+    @many.def_vmap
+    def _(runs: int, batched: Any, *args: Any) -> tuple[Any, Any]:
+        def merged(x: Any, flag: bool) -> Any:
+            x = jnp.moveaxis(x, 0, -2) if flag else jnp.broadcast_to(x[..., None, :], (*x.shape[:-1], runs, x.shape[-1]))
+            return x.reshape(*x.shape[:-2], -1)
+
+        found = many(*jax.tree.map(merged, args, tuple(batched)))
+        found = jax.tree.map(lambda x: jnp.moveaxis(x.reshape(*x.shape[:-1], runs, -1), -2, 0), found)
         return found, jax.tree.map(lambda _: True, found)
 
     batched = custom_vmap(single)
-    batched.def_vmap(rule)
+
+    @batched.def_vmap
+    def _(worlds: int, batched: Any, *args: Any) -> tuple[Any, Any]:
+        def last(x: Any, flag: bool) -> Any:
+            return jnp.moveaxis(x, 0, -1) if flag else jnp.broadcast_to(x[..., None], (*jnp.shape(x), worlds))
+
+        found = many(*jax.tree.map(last, args, tuple(batched)))
+        found = jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), found)
+        return found, jax.tree.map(lambda _: True, found)
 
     @jax.custom_jvp
     def call(*args: Any) -> Any:
