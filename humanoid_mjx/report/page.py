@@ -107,7 +107,7 @@ def _lead(config: Mapping[str, Any], summary: Mapping[str, np.ndarray], points: 
     budget = f"{config[unit]:,} {'episodes' if unit == 'episodes' else 'control steps'}" if config.get(unit) else ""
     best = points[0]
     words = (
-        f"{learner} on {task}: {len(points):,} point{'s' * (len(points) > 1)}, {seeds} seed{'s' * (seeds > 1)} each"
+        f"{learner} on {task}: {len(points):,} point{'s' * (len(points) > 1)}, {seeds} seed{'s' * (seeds > 1)}{' each' * (len(points) > 1)}"
         + (f", {budget} a run" if budget else "")
         + f". The best point succeeds in {best.success:.1%} of its greedy episodes, in {best.greedy_steps:.1f} steps."
     )
