@@ -71,14 +71,16 @@ def key(seed: int | Array) -> Key[Array, ""]:
     return jax.random.key(seed, impl=FAST)
 
 
+def uniform(key: Key[Array, ""], number: UInt32[Array, ""]) -> Float[Array, ""]:
+    """The uniform number in [0, 1) that stands at place `number` in `jax.random.uniform(key, (n,))`, for a key of this
+    generator. Scalars compile to fewer and faster loops than an array."""
+    word = _words(jax.random.key_data(key), number, _DRAW)
+    return jax.lax.bitcast_convert_type((word >> 9) | np.uint32(0x3F800000), jnp.float32) - 1.0
+
+
 def uniforms(
     key: Key[Array, ""], step: UInt32[Array, ""] | Int32[Array, ""], count: int
 ) -> tuple[Float[Array, ""], ...]:
-    """`count` uniform numbers in [0, 1) for one step: scalars, which compile to fewer and faster loops than an array.
-
-    They equal `jax.random.uniform(key, (count * steps,))[count * step:][:count]` for a key of this generator.
-    """
-    counter = jnp.asarray(step).astype(jnp.uint32) * np.uint32(count)
-    words = (_words(jax.random.key_data(key), counter + np.uint32(i), _DRAW) for i in range(count))
-    ones = (jax.lax.bitcast_convert_type((word >> 9) | np.uint32(0x3F800000), jnp.float32) for word in words)
-    return tuple(one - 1.0 for one in ones)
+    """`count` of these numbers for one step: `jax.random.uniform(key, (count * steps,))[count * step:][:count]`."""
+    first = jnp.asarray(step).astype(jnp.uint32) * np.uint32(count)
+    return tuple(uniform(key, first + np.uint32(i)) for i in range(count))

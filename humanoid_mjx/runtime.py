@@ -2,6 +2,7 @@
 
 import os
 import platform
+import subprocess
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -12,12 +13,19 @@ from typing import Any
 import jax
 import jax.monitoring
 
-XLA_FLAGS = (
+SHARING_FLAGS = (
     "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion --xla_disable_hlo_passes=cpu_multi_output_fusion"
 )
 """For XLA on a CPU. By itself it computes what several results share again for each of them; these stop that, which
 makes MJX 15 times faster. The pass that then computes several results in one kernel aborts on some programs, MJX's
 among them, so that it is off by default; `SHARED_KERNELS` is for programs that are known to pass."""
+
+LIBRARY_FLAG = "--xla_cpu_experimental_ynn_fusion_type="
+"""For XLA on a CPU: no sums and products by the library YNNPACK. That of jaxlib 0.10.2 writes beyond its stack where a
+sum has seven axes, as evaluating on MJX has with runs, snapshots and episodes side by side, and the process crashes
+(jax issues 39257 and 40412). Large enough arrays only are given to it. MJX is 1.5 times faster without."""
+
+XLA_FLAGS = f"{SHARING_FLAGS} {LIBRARY_FLAG}"
 
 POOL_THREADS = str(max(16, 4 * (os.cpu_count() or 1)))
 """`PJRT_NPROC`: threads that all CPU devices share. By default there are as many as cores, and jaxlib 0.10.2 can use
@@ -57,9 +65,10 @@ def start() -> None:
         "jax_num_cpu_devices": os.cpu_count() or 1,
         "jax_default_matmul_precision": "highest",
     }
-    flags = os.environ.get("XLA_FLAGS", "")
-    if not any(flag.split("=")[0] in flags for flag in XLA_FLAGS.split()):
-        os.environ["XLA_FLAGS"] = f"{flags} {XLA_FLAGS}".lstrip()
+    for ours in (SHARING_FLAGS, LIBRARY_FLAG):
+        flags = os.environ.get("XLA_FLAGS", "")
+        if not any(flag.split("=")[0] in flags for flag in ours.split()):
+            os.environ["XLA_FLAGS"] = f"{flags} {ours}".lstrip()
     os.environ.setdefault("PJRT_NPROC", POOL_THREADS)
     for name, value in defaults.items():
         if name.upper() not in os.environ:
@@ -92,6 +101,18 @@ def versions() -> dict[str, str]:
         with suppress(PackageNotFoundError):
             found[name] = version(name)
     return found
+
+
+def commit() -> str | None:
+    """The git commit of this package, with "-dirty" behind it where files differ; None outside a checkout."""
+    root = Path(__file__).parent.parent
+    if not (root / ".git").exists():
+        return None
+    described = ("git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*")
+    try:
+        return subprocess.run(described, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return None
 
 
 def _cpu_name() -> str:

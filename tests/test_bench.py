@@ -1,8 +1,11 @@
 """The benchmarks run, and their subjects do the same work."""
 
+import dataclasses
 import json
 import subprocess
 import sys
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -10,7 +13,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from humanoid_mjx.bench import control, ground, postures, tabular, training
+from humanoid_mjx import InputError, runtime
+from humanoid_mjx.bench import compare, control, ground, guard, postures, tabular, training
+from humanoid_mjx.bench.measure import Subject, spread, time_in_turn
 from humanoid_mjx.cli import app
 from humanoid_mjx.training.sweep import Run
 
@@ -29,9 +34,9 @@ def test_tabular_writes_its_records(tmp_path):
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     result = json.loads(file.read_text())
-    assert set(result) == {"machine", "versions", "records"}
+    assert set(result) == {"machine", "versions", "commit", "records"}
     assert {record["subject"] for record in result["records"]} >= {"scan", "naive_scan", "python"}
-    keys = {"bench", "subject", "device", "batch", "value", "unit", "compile_s", "repeats"}
+    keys = {"bench", "subject", "device", "batch", "value", "unit", "compile_s", "repeats", "spread"}
     assert all(set(record) == keys for record in result["records"])
 
 
@@ -113,3 +118,157 @@ def test_training_writes_records_and_skips_what_is_not_there():
     assert lines[1] == "nowhere: does not ship"
     assert {r.subject for r in records} == {"deep_q leg_reach"} and {r.batch for r in records} == {16}
     assert {r.unit for r in records} == {"steps/s", "episodes/s"} and all(r.compile_s > 0 for r in records)
+
+
+def test_the_commit_is_that_of_the_checkout_and_none_outside_one(tmp_path, monkeypatch):
+    def git(*arguments: str) -> str:
+        who = ("-c", "user.name=a", "-c", "user.email=a@b.c")
+        return subprocess.run(("git", "-C", tmp_path, *who, *arguments), capture_output=True, text=True).stdout.strip()
+
+    module = tmp_path / "package" / "runtime.py"
+    module.parent.mkdir()
+    module.write_text("")
+    monkeypatch.setattr(runtime, "__file__", str(module))
+    assert runtime.commit() is None
+    git("init")
+    git("add", ".")
+    git("commit", "-m", "first")
+    assert runtime.commit() == git("rev-parse", "HEAD") != ""
+    module.write_text("changed")
+    assert runtime.commit() == git("rev-parse", "HEAD") + "-dirty"
+
+
+def test_the_spread_is_the_range_of_the_middle_half():
+    assert spread([1.0]) is None
+    assert spread([2.0, 2.0, 2.0]) == 0.0
+    assert spread([1.0, 2.0, 3.0, 4.0, 5.0]) == pytest.approx(2.0 / 3.0, abs=1e-4)
+    timings = time_in_turn({"once": Subject(lambda: 0, 1, 1, repeats=1), "often": Subject(lambda: 0, 1, 1, repeats=5)})
+    assert timings["once"].spread is None and timings["often"].spread >= 0.0
+
+
+def result(**values):
+    """A result of made-up records: subject = (value, spread) or (value, spread, unit)."""
+    records = [
+        {"bench": "b", "subject": name, "device": "cpu", "batch": 8, "value": x[0], "unit": (*x, "steps/s")[2]}
+        | ({} if x[1] is None else {"spread": x[1]})
+        for name, x in values.items()
+    ]
+    return {"machine": {"cpu": "one"}, "versions": {"jax": "1"}, "records": records}
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "regressed"),
+    [
+        ((100.0, 0.0), (96.0, 0.0), False),  # the least noise is 5 %
+        ((100.0, 0.0), (94.0, 0.0), True),
+        ((100.0, 0.0), (300.0, 0.0), False),
+        ((100.0, 0.3), (71.0, 0.0), False),
+        ((100.0, 0.3), (69.0, 0.0), True),
+        ((100.0, 0.3), (61.0, 0.4), False),  # both spreads: half
+        ((100.0, 0.3), (49.0, 0.4), True),
+        ((100.0, None), (81.0, 0.0), False),
+        ((100.0, None), (79.0, 0.0), True),
+        ((10.0, 0.0, "s to 95 %"), (11.0, 0.0, "s to 95 %"), True),  # seconds are better the fewer they are
+        ((10.0, 0.0, "s to 95 %"), (9.0, 0.0, "s to 95 %"), False),
+    ],
+)
+def test_a_figure_regressed_where_it_is_worse_by_more_than_the_noise(before, after, regressed):
+    (change,) = compare.changes(result(one=before), result(one=after))
+    assert change.regressed == regressed
+
+
+def test_results_that_differ_are_compared_where_they_agree(tmp_path, monkeypatch):
+    before, after = result(one=(100.0, 0.0), two=(5.0, 0.0)), result(three=(1.0, 0.0), one=(50.0, 0.0))
+    after["machine"]["cpu"] = "another"
+    for name, content in (("a", before), ("b", after), ("c", result(four=(1.0, 0.0)))):
+        (tmp_path / f"{name}.json").write_text(json.dumps(content))
+    (tmp_path / "odd.json").write_text('{"records": [{"bench": "b"}]}')
+    monkeypatch.chdir(tmp_path)
+    bench = partial(CliRunner().invoke, app)
+    done = bench(["bench", "compare", "a.json", "b.json"])
+    assert done.exit_code == 1 and "SLOWER" in done.output and "1 of 1 figures became worse" in done.output
+    assert "cpu was one, is another" in done.output and "1 of the first result's figures" in done.output
+    done = bench(["bench", "compare", "b.json", "a.json"])
+    assert done.exit_code == 0 and "SLOWER" not in done.output and "None of 1 figures" in done.output
+    for files, why in (
+        (["a.json"], "give two files"),
+        (["a.json", "c.json"], "no figure in common"),
+        (["a.json", "nowhere.json"], "nowhere.json: not a result"),
+        (["odd.json", "a.json"], "odd.json: not a result"),
+    ):
+        assert why in str(bench(["bench", "compare", *files]).exception)
+
+
+class Clock:
+    """Time that passes only where a call says so."""
+
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+    def taking(self, *seconds: float) -> Callable[[], None]:
+        """A call that takes the first of `seconds`, then the next, and so on; the last for ever."""
+        left = list(seconds)
+
+        def call() -> None:
+            self.now += left.pop(0) if len(left) > 1 else left[0]
+
+        return call
+
+
+def pair(subject: Sequence[float], reference: Sequence[float], work: float = 1.0) -> guard.Pair:
+    clock = Clock()
+    return guard.Pair(clock.taking(*subject), clock.taking(*reference), work, repeats=2, clock=clock)
+
+
+def test_the_guard_finds_the_ratio_that_fell():
+    lines = []
+    ratios = {
+        "same": lambda: pair([3.0, 1.0], [8.0, 2.0]),  # the fastest of each: 2
+        "slower": lambda: pair([1.0], [1.0], work=5.0),
+        "new": lambda: pair([1.0], [1.0]),
+    }
+    found = guard.run(lines.append, {"same": 2.6, "slower": 7.0}, ratios)
+    assert [(ratio.name, ratio.value, ratio.fell) for ratio in found] == [
+        ("same", 2.0, False),
+        ("slower", 5.0, True),
+        ("new", 1.0, False),
+    ]
+    assert [line.endswith("FELL") for line in lines] == [False, True, False]
+    assert "fell slower to 0.71;" in guard.verdict(found)
+    assert guard.verdict(found[:1]).startswith("None of 1")
+
+
+def test_the_guard_times_again_what_seems_to_have_fallen():
+    """A machine that is busy for two repeats of three times two."""
+    (ratio,) = guard.run(lambda line: None, {"one": 4.0}, {"one": lambda: pair([9.0, 9.0, 1.0], [4.0])})
+    assert ratio.value == 4.0 and not ratio.fell
+
+
+def test_the_guard_ends_with_one_where_a_ratio_fell(tmp_path, monkeypatch):
+    monkeypatch.setattr(guard, "RATIOS", {"one": lambda: pair([1.0], [3.0])})
+    monkeypatch.setattr(guard, "record_path", lambda: tmp_path / "guard.json")
+    monkeypatch.setattr(runtime, "start", lambda: None)
+    bench = partial(CliRunner().invoke, app)
+    assert "not a record of ratios" in str(bench(["bench", "guard"]).exception)
+    assert bench(["bench", "guard", "--json", str(tmp_path / "guard.json")]).exit_code == 0
+    record = json.loads((tmp_path / "guard.json").read_text())
+    assert record["ratios"] == {"one": 3.0} and {"machine", "versions", "commit"} <= set(record)
+    assert bench(["bench", "guard"]).exit_code == 0
+    monkeypatch.setattr(guard, "RATIOS", {"one": lambda: pair([2.0], [3.0])})
+    done = bench(["bench", "guard"])
+    assert done.exit_code == 1 and "Of its recorded value fell one to 0.50; 0.75 is allowed." in done.output
+
+
+def test_the_committed_record_has_every_ratio():
+    assert set(guard.read_record(guard.record_path())) == set(guard.RATIOS)
+    with pytest.raises(InputError, match="not a record"):
+        guard.read_record(Path(__file__))
+
+
+@pytest.mark.parametrize("name", ["scan", "chain", "help"])
+def test_ratios_time_what_they_say(name):
+    made = guard.RATIOS[name]()
+    subject, reference = guard.time_pair(dataclasses.replace(made, repeats=1), (np.inf, np.inf))
+    assert 0.0 < subject < np.inf and 0.0 < reference < np.inf

@@ -63,6 +63,14 @@ def test_printed_errors_are_no_controllers(found):
     assert all((out / f"figure-7.{number}.png").stat().st_size > 10_000 for number in first)
 
 
+def test_a_controller_that_leaves_nothing_agrees_with_errors_of_nothing(monkeypatch, found, tmp_path):
+    """The verdicts turn with what is printed; the motions are those of the other tests."""
+    monkeypatch.setattr(thesis, "TRACKING", {"end": (0.7875, 1.75, 0.7875, 2.1, 0.7), "error": (0.0,) * 5})
+    findings = [reproduce([f"figure-7.{number}"], tmp_path) for number in range(6, 11)]
+    assert [[f.verdict for f in some] for some in findings] == [["reproduced", "differs", "reproduced"]] * 5
+    assert reproduce(["control-7d"], tmp_path)[0].verdict == "reproduced"
+
+
 def test_other_gains_are_no_longer_the_printed_ones(tmp_path):
     settings = [f"kd.joint{joint}={2 * np.sqrt(kp)}" for joint, kp in enumerate(thesis.KP, start=1)]
     finding = reproduce(["figure-7.6"], tmp_path, settings)[0]

@@ -88,7 +88,7 @@ class BranchOnAValue(Hop):
 
 
 FAULTS = {
-    ShapedByAValue: r"ShapedByAValue lets an array's shape or a Python branch depend on a traced value .* make that field",
+    ShapedByAValue: r"ShapedByAValue lets an array's shape or a Python branch depend on a traced value .* make that",
     BranchOnAValue: r"BranchOnAValue lets .* \(test_own_tasks.py, line \d+: if self.stride > 0.1:\)",
     WrongSize: r"WrongSize.reset must return obs of shape \(2,\), got \(1,\)",
     NoState: r"NoState.step must return a State, got a tuple",

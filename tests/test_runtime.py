@@ -44,6 +44,34 @@ def test_programs_that_solve_many_systems_do_not_wait_for_each_other_forever(dev
     assert done.returncode == 0, done.stderr
 
 
+SUMS = """
+from humanoid_mjx import runtime
+runtime.start()
+import jax, jax.numpy as jnp
+shape = 3, 1, 2, 2, 8, 8, 8
+print(jax.jit(lambda a, b: jnp.sum(a * b, axis=3))(jnp.ones(shape), jnp.full(shape, 2.0)).max())
+"""
+
+
+def test_sums_over_arrays_of_seven_axes_do_not_crash():
+    """They do where XLA hands them to YNNPACK."""
+    environment = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
+    done = subprocess.run([sys.executable, "-c", SUMS], env=environment, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0 and done.stdout.strip() == "4.0", done
+
+
+def test_flags_that_the_environment_sets_are_kept():
+    program = "import os; from humanoid_mjx import runtime; runtime.start(); print(os.environ['XLA_FLAGS'])"
+    for given, kept in (
+        ("", runtime.XLA_FLAGS),
+        ("--xla_disable_hlo_passes=dce", f"--xla_disable_hlo_passes=dce {runtime.LIBRARY_FLAG}"),
+        (f"{runtime.LIBRARY_FLAG}invalid", f"{runtime.LIBRARY_FLAG}invalid {runtime.SHARING_FLAGS}"),
+    ):
+        environment = os.environ | {"XLA_FLAGS": given}
+        done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
+        assert done.stdout.strip() == kept
+
+
 def compiled(task: str) -> str:
     """The program that trains tables on a task, on the first device."""
     config = {"name": "c", "task": {"name": task}, "learner": {"name": "tabular_q"}, "seeds": 1024, "episodes": 10}

@@ -212,6 +212,7 @@ def test_every_experiment_is_tried_with_another_value():
     elsewhere = {"table-4.7", "figure-7.2", "figure-7.4", "figure-7.18", "epsilon-7e", "errata", "robustness-map"}
     elsewhere |= {"finding-waiting", "finding-decay", "finding-negative-reward", "gaits-4.8", "control-7d"}
     elsewhere |= {f"figure-7.{number}" for number in range(6, 11)}
+    elsewhere |= {"responses-5.2", "motors-5.3", "resonance-5.6"}
     prints_nothing = {"finding-aliasing", "ground-control"}
     assert set(load_experiments()) == set(WRONG) | elsewhere | prints_nothing
 
@@ -223,3 +224,34 @@ def test_progress_is_told(tmp_path):
     )
     assert told and told[0][0] == "finding-negative-reward"
     assert Setting({}, tmp_path).tell("nobody hears") is None
+
+
+def test_critical_damping_is_the_fastest_without_overshoot():
+    from humanoid_mjx.reproduction import responses
+
+    times = np.linspace(0.0, 30.0, 6001)
+    right = responses._step_responses(times, responses.RATIOS)
+    fastest, close, stable = (f.verdict for f in responses.judge_responses(times, right))
+    assert (fastest, close, stable) == ("reproduced", "differs", "differs")
+    shifted = responses._step_responses(times, responses.RATIOS + 0.1)
+    fastest, close, _ = (f.verdict for f in responses.judge_responses(times, shifted))
+    assert (fastest, close) == ("differs", "reproduced")
+
+
+def test_gears_hide_what_is_small():
+    from humanoid_mjx.reproduction import drives
+
+    random = np.random.default_rng(0)
+    qacc, inertia = random.normal(size=(50, 5)), 1e-3 * np.ones((50, 5))
+    motion = {"qvel": 0 * qacc, "qacc": qacc, "inertia": inertia, "torque": inertia * qacc}
+    assert [f.verdict for f in drives.judge_gears(motion, 1e-6, 0.0)] == ["reproduced"] * 2
+    heavy = motion | {"torque": inertia * qacc + 1.0, "inertia": inertia * random.uniform(1, 1e3, (50, 1))}
+    assert [f.verdict for f in drives.judge_gears(heavy, 1e-6, 0.0)] == ["differs"] * 2
+
+
+def test_gains_against_their_bound():
+    from humanoid_mjx.reproduction import gains
+
+    kp = np.array(leg.KP)
+    assert [f.verdict for f in gains.judge_gains(kp, 1.1 * kp)] == ["reproduced"] * 2
+    assert [f.verdict for f in gains.judge_gains(kp, 0.9 * kp)] == ["differs", "reproduced"]

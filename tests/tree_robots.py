@@ -1,7 +1,17 @@
 """Robots that are not the lower body, and states of any robot that try all that a contact solver must bear."""
 
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
+
+from humanoid_mjx import runtime
+from humanoid_mjx.mechanics.scalars import unstack
+from humanoid_mjx.mechanics.tree.step import accelerate, folded, integrate, make_state, motor_forces, unfolded
+from humanoid_mjx.mechanics.tree.structure import Tree
 
 HOPPER = """
 <mujoco>
@@ -140,11 +150,40 @@ def _place(model: mujoco.MjModel, qpos: np.ndarray, rng: np.random.Generator) ->
         row[2] = (rng.choice([0.01, -1e-4, -5e-4, -2e-3, -5e-3]) * rng.uniform(0.1, 1.0) - lowest) / normal[2]
 
 
-def native(model: mujoco.MjModel, qpos: np.ndarray, qvel: np.ndarray, ctrl: np.ndarray) -> np.ndarray:
-    """Accelerations in native MuJoCo."""
+def native(model: mujoco.MjModel, qpos: np.ndarray, qvel: np.ndarray, ctrl: np.ndarray, force: Any = 0.0) -> np.ndarray:
+    """Accelerations in native MuJoCo, while `force` acts on the degrees of freedom."""
     data, found = mujoco.MjData(model), np.empty_like(qvel)
+    data.qfrc_applied[:] = force
     for row, position, velocity, control in zip(found, qpos, qvel, ctrl, strict=True):
         data.qpos, data.qvel, data.ctrl, data.qacc_warmstart = position, velocity, control, 0.0
         mujoco.mj_forward(model, data)
         row[:] = data.qacc
     return found
+
+
+def qacc_of(tree: Tree, steps: int = 0) -> Callable[..., Any]:
+    """From values, positions, velocities and controls, by world, to accelerations and whether the solver settled, or
+    after so many steps to positions and velocities; in jax, by the mechanics alone."""
+
+    def moved(values: Any, qpos: Any, qvel: Any, ctrl: Any) -> Any:
+        def step(qpos: Any, qvel: Any, warmstart: Any) -> Any:
+            q, v = unstack(qpos), unstack(qvel)
+            state = make_state(tree, values, folded(q, tree.coordinates), folded(v, tree.dofs))
+            motor = folded(motor_forces(tree, q, v, unstack(ctrl)), tree.dofs)
+            _, solution = accelerate(tree, values, state, motor, folded(unstack(warmstart), tree.dofs))
+            parts = integrate(tree, state, solution.acceleration)
+            places = tree.coordinates, tree.dofs, tree.dofs
+            parts = [unfolded(part, where) for part, where in zip(parts, places, strict=True)]
+            return [jnp.stack([x.value for x in part]) for part in parts], solution.settled
+
+        cold = jnp.zeros_like(qvel)
+        if not steps:
+            (_, _, qacc), settled = step(qpos, qvel, cold)
+            return qacc, settled
+        return jax.lax.fori_loop(0, steps, lambda _, at: tuple(step(*at)[0]), (qpos, qvel, cold))
+
+    def batch(values: Any, *at: Any) -> Any:
+        return moved(values, *(jnp.moveaxis(jnp.asarray(x, float), 0, -1) for x in at))
+
+    jitted = jax.jit(batch, compiler_options=runtime.SHARED_KERNELS)
+    return lambda *args: jax.tree.map(lambda x: np.moveaxis(np.asarray(x), -1, 0), jitted(*args))

@@ -2,7 +2,7 @@
 
 import statistics
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
 
@@ -23,6 +23,8 @@ class Record:
     unit: str
     compile_s: float
     repeats: int
+    spread: float | None = None
+    """How far the repeats' seconds lie apart: the range of their middle half over their median. None: there is one."""
 
     def as_json(self) -> dict[str, Any]:
         return asdict(self)
@@ -40,11 +42,15 @@ class Subject:
 
 
 class Timing(NamedTuple):
-    """What `time_in_turn` found of one subject: median seconds of a call, seconds to compile, what a call returns."""
+    """What `time_in_turn` found of one subject."""
 
     seconds: float
+    """Of a call, the median."""
     compile_s: float
     result: Any
+    """What a call returns."""
+    spread: float | None
+    """As in `Record`."""
 
 
 def time_in_turn(subjects: Mapping[str, Subject]) -> dict[str, Timing]:
@@ -62,7 +68,17 @@ def time_in_turn(subjects: Mapping[str, Subject]) -> dict[str, Timing]:
             if turn < subject.repeats:
                 times[name].append(_timed(subject.call)[0])
     middle = {name: statistics.median(ts) for name, ts in times.items()}
-    return {name: Timing(t, max(0.0, first[name] - t), results[name]) for name, t in middle.items()}
+    return {
+        name: Timing(t, max(0.0, first[name] - t), results[name], spread(times[name])) for name, t in middle.items()
+    }
+
+
+def spread(seconds: Sequence[float]) -> float | None:
+    """How far repeats lie apart: the range of their middle half over their median. None: there is only one."""
+    if len(seconds) < 2:
+        return None
+    low, middle, high = statistics.quantiles(seconds, n=4, method="inclusive")
+    return round((high - low) / middle, 4)
 
 
 def record(bench: str, name: str, subject: Subject, timing: Timing, unit: str, work: float | None = None) -> Record:
@@ -76,6 +92,7 @@ def record(bench: str, name: str, subject: Subject, timing: Timing, unit: str, w
         unit=unit,
         compile_s=round(timing.compile_s, 3),
         repeats=subject.repeats,
+        spread=timing.spread,
     )
 
 

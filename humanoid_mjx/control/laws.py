@@ -16,7 +16,7 @@ with kp = natural_frequency^2 and kd = damping_ratio 2 natural_frequency (5.33, 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, Any, Literal, Protocol, runtime_checkable
+from typing import Annotated, Any, Literal, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -28,35 +28,9 @@ from humanoid_mjx.control.pd import PD, Joints, Reference, pd, servo
 from humanoid_mjx.spec import InputError, Spec, make, traced
 from humanoid_mjx.types import FloatScalar
 
-
-@runtime_checkable
-class RobotState(Protocol):
-    """What a law may ask of a robot's state; `physics.base.Stages` is one."""
-
-    @property
-    def qpos(self) -> Any:
-        """(joints,) rad"""
-        ...
-
-    @property
-    def qvel(self) -> Any:
-        """(joints,) rad/s"""
-        ...
-
-    @property
-    def torque_for(self) -> Any:
-        """(accelerations, mass factor of a model) -> the torques that the model asks for."""
-        ...
-
-    @property
-    def model_for(self) -> Any:
-        """(mass factor of a model) -> its mass matrix and bias, (nv, nv) and (nv,), the joints last."""
-        ...
-
-    @property
-    def contacts(self) -> Any:
-        """() -> the points of the feet that can touch the ground (`mechanics.contacts.Contacts`)."""
-        ...
+RobotState: TypeAlias = Any
+"""What a law may ask of a robot: `qpos` and `qvel` of its joints, `torque_for`, `model_for` and `contacts`, as
+`physics.base.Stages` has them."""
 
 
 class Law(Spec):
@@ -134,7 +108,7 @@ class ModelLaw(Law):
 
 
 class PartitionedPDLaw(ModelLaw):
-    """Each joint through its own inertia (5.26 to 5.30): couplings, velocity terms and gravity are left to the error."""
+    """Each joint through its own inertia (5.26 to 5.30): the error takes couplings, velocity terms and gravity."""
 
     name: Literal["partitioned_pd"] = "partitioned_pd"
 
@@ -163,8 +137,8 @@ class GroundedLaw(ModelLaw):
 
     def __call__(self, reference: Reference, state: RobotState) -> Joints:
         params = GroundControl(*self.gains, PD(self.stiffness, self.damping), self.share)
-        model = state.model_for(self.mass)
-        return grounded_torque(params, reference, state.qpos, state.qvel, *model, state.contacts())
+        matrix, bias = state.model_for(self.mass)
+        return grounded_torque(params, reference, state.qpos, state.qvel, matrix, bias, state.contacts())
 
 
 LAWS = {

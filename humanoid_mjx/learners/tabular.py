@@ -16,17 +16,20 @@ from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int, Key
 from pydantic import Field
 
 from humanoid_mjx.learners.base import Learner, Outcome
-from humanoid_mjx.rng import uniforms
+from humanoid_mjx.rng import uniform
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import State
 from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
 
 QTable = Float[Array, "num_states num_actions"]
+QRow = tuple[FloatScalar, ...]
+"""The values of one row of the table."""
 
 
 class Agent(NamedTuple):
@@ -38,7 +41,7 @@ class Agent(NamedTuple):
     length: IntScalar
     episode_return: FloatScalar
     row: IntScalar
-    q_row: tuple[FloatScalar, ...]
+    q_row: QRow
     action: IntScalar
     state: Any
     next_row: IntScalar
@@ -93,8 +96,10 @@ class TabularQ(Learner):
 
         def start(key: Key[Array, ""]) -> Agent:
             state = self.task.reset(jax.random.fold_in(key, 0))
-            epsilon = jnp.asarray(self.epsilon, jnp.float32)
-            return self._move(q_table, step, key, state, epsilon, step, step, jnp.float32(0))
+            row, zero, nothing = self.task.state_index(state), jnp.int32(0), jnp.float32(0)
+            epsilon, q_row = jnp.asarray(self.epsilon, jnp.float32), _row(q_table, row)
+            agent = Agent(key, epsilon, zero, zero, nothing, row, q_row, zero, state, row, nothing, jnp.bool_(False))
+            return self.move(agent, q_row, step)
 
         agents = start(key) if self.agents == 1 else jax.vmap(start)(jax.random.split(key, self.agents))
         return Carry(q_table, agents, step)
@@ -103,15 +108,18 @@ class TabularQ(Learner):
         """Learn from the moves under way and make the next ones."""
         q_table, agents, step = carry
         if self.agents == 1:
-            update, outcome = self._learn(q_table, agents)
+            update, outcome = self.learn(agents, _row(q_table, agents.next_row))
             q_table = _add(q_table, update, self.learning_rate * update.td_error)
-            agents = self._next(q_table, step + 1, agents)
+            agents = self.go_on(agents, step + 1)
+            agents = self.move(agents, _row(q_table, agents.row), step + 1)
         else:
-            update, outcome = jax.vmap(self._learn, in_axes=(None, 0))(q_table, agents)
+            rows = jax.vmap(_row, in_axes=(None, 0))
+            update, outcome = jax.vmap(self.learn)(agents, rows(q_table, agents.next_row))
             total = _add(jnp.zeros_like(q_table), update, update.td_error)
             count = _add(jnp.zeros_like(q_table), update, jnp.ones_like(update.td_error))
             q_table = q_table + self.learning_rate * total / jnp.maximum(count, 1.0)
-            agents = jax.vmap(self._next, in_axes=(None, None, 0))(q_table, step + 1, agents)
+            agents = jax.vmap(self.go_on, in_axes=(0, None))(agents, step + 1)
+            agents = jax.vmap(self.move, in_axes=(0, 0, None))(agents, rows(q_table, agents.row), step + 1)
         return Carry(q_table, agents, step + 1), outcome
 
     def progress(self, carry: Carry) -> FloatScalar:
@@ -135,10 +143,10 @@ class TabularQ(Learner):
         training = agent.episode < self.episodes
         return over, training if self.task.learning_rules.episode == "step" else training & over
 
-    def _learn(self, q_table: QTable, agent: Agent) -> tuple[Update, Outcome]:
+    def learn(self, agent: Agent, next_q_row: QRow) -> tuple[Update, Outcome]:
         """What the move under way teaches, and what to record if it ended an episode. After training: nothing."""
         rules = self.task.learning_rules
-        value = reduce(jnp.maximum, _row(q_table, agent.next_row))
+        value = reduce(jnp.maximum, next_q_row)
         if not rules.bootstrap_at_end:
             value = jnp.where(agent.terminated, 0.0, value)
         old = agent.q_row[0]
@@ -154,48 +162,41 @@ class TabularQ(Learner):
         totals = {name: jnp.where(ends, x, 0.0) for name, x in totals.items()}
         return update, Outcome(agent.episode, jnp.where(ends, 1.0, 0.0), totals, {})
 
-    def _next(self, q_table: QTable, step: IntScalar, agent: Agent) -> Agent:
-        """Go on from the move under way, in a new episode where it ended one."""
+    def go_on(self, agent: Agent, step: IntScalar) -> Agent:
+        """Leave the move under way behind: the agent where the next is made, in a new episode if it ended one."""
         over, ends = self._ended(agent)
         fresh = self.task.reset(jax.random.fold_in(agent.key, step))
-        state = jax.tree.map(lambda new, old: jnp.where(over, new, old), fresh, agent.state)
         episode = agent.episode + ends
         if self.task.learning_rules.episode == "step":
             episode = jnp.where(agent.terminated, self.episodes, episode)
-        epsilon = jnp.where(ends, agent.epsilon * self.epsilon_decay, agent.epsilon)
-        length, total = jnp.where(ends, 0, agent.length), jnp.where(ends, 0.0, agent.episode_return)
-        return self._move(q_table, step, agent.key, state, epsilon, episode, length, total)
-
-    def _move(
-        self,
-        q_table: QTable,
-        step: IntScalar,
-        key: Key[Array, ""],
-        state: Any,
-        epsilon: FloatScalar,
-        episode: IntScalar,
-        length: IntScalar,
-        episode_return: FloatScalar,
-    ) -> Agent:
-        """Choose an action epsilon-greedily in `state`, and carry it out."""
-        rules = self.task.learning_rules
-        row = self.task.state_index(state)
-        q_row = _row(q_table, row)
-        explore, choice, tie = uniforms(key, step, 3)
-        obeys = (1.0 - jnp.maximum(self.epsilon_min, epsilon)) * self.task.execution_rate
-        if rules.episode == "step":
-            obeys = jnp.where(episode == self.episodes - 1, self.task.execution_rate, obeys)
-        random = (choice * self.task.num_actions).astype(jnp.int32)
-        action = jnp.where(explore < obeys, self._greedy(q_row, tie), random)
-        task_key = jax.random.fold_in(jax.random.fold_in(key, step), 1)
-        state, reward, terminated = self.task.step(state, action, task_key)
-        return Agent(
-            key=key,
-            epsilon=epsilon,
+        return agent._replace(
+            epsilon=jnp.where(ends, agent.epsilon * self.epsilon_decay, agent.epsilon),
             episode=episode,
-            length=length + 1,
-            episode_return=episode_return + reward,
-            row=row,
+            length=jnp.where(ends, 0, agent.length),
+            episode_return=jnp.where(ends, 0.0, agent.episode_return),
+            row=jnp.where(over, self.task.state_index(fresh), agent.next_row),
+            state=jax.tree.map(lambda new, old: jnp.where(over, new, old), fresh, agent.state),
+        )
+
+    def move(self, agent: Agent, q_row: QRow, step: IntScalar) -> Agent:
+        """Choose an action epsilon-greedily where the agent is, and carry it out; `q_row`: the table's row there.
+
+        Three random numbers belong to a step: whether to explore, the random action, the choice among equally good
+        ones. Of the last two only one is needed, so only that one is drawn.
+        """
+        draw = jnp.asarray(step).astype(jnp.uint32) * np.uint32(3)
+        obeys = (1.0 - jnp.maximum(self.epsilon_min, agent.epsilon)) * self.task.execution_rate
+        if self.task.learning_rules.episode == "step":
+            obeys = jnp.where(agent.episode == self.episodes - 1, self.task.execution_rate, obeys)
+        greedy = uniform(agent.key, draw) < obeys
+        choice = uniform(agent.key, draw + jnp.where(greedy, np.uint32(2), np.uint32(1)))
+        random = (choice * self.task.num_actions).astype(jnp.int32)
+        action = jnp.where(greedy, self._greedy(q_row, choice), random)
+        task_key = jax.random.fold_in(jax.random.fold_in(agent.key, step), 1)
+        state, reward, terminated = self.task.step(agent.state, action, task_key)
+        return agent._replace(
+            length=agent.length + 1,
+            episode_return=agent.episode_return + reward,
             q_row=q_row,
             action=action,
             state=state,
@@ -204,7 +205,7 @@ class TabularQ(Learner):
             terminated=terminated,
         )
 
-    def _greedy(self, q_row: tuple[FloatScalar, ...], tie: FloatScalar) -> IntScalar:
+    def _greedy(self, q_row: QRow, tie: FloatScalar) -> IntScalar:
         """The best action; `tie` in [0, 1) chooses among equally good ones."""
         top = reduce(jnp.maximum, q_row)
         best = [(q == top).astype(jnp.float32) for q in q_row]
@@ -216,7 +217,7 @@ class TabularQ(Learner):
         return action
 
 
-def _row(q_table: QTable, row: IntScalar) -> tuple[FloatScalar, ...]:
+def _row(q_table: QTable, row: IntScalar) -> QRow:
     """The values of one row as scalars: a maximum over them compiles to arithmetic, over an array to a slow loop."""
     return tuple(q_table.at[row].get(mode="promise_in_bounds"))
 

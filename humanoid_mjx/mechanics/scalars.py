@@ -3,10 +3,13 @@
 Sums and products with a known 0 and products with a known 1 or -1 cost nothing: they never reach the compiled program.
 """
 
-from collections.abc import Sequence
+import operator
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
+from jax import lax
 from jaxtyping import Array, Shaped
 
 
@@ -23,17 +26,17 @@ class Scalar:
         return isinstance(self.value, float) and self.value == number
 
     def __neg__(self) -> "Scalar":
-        return Scalar(-self.value)
+        return Scalar(-self.value if isinstance(self.value, float | np.ndarray) else lax.neg(self.value))
 
     def __add__(self, other: "Scalar") -> "Scalar":
         if self.is_known(0.0) or other.is_known(0.0):
             return other if self.is_known(0.0) else self
-        return Scalar(self.value + other.value)
+        return Scalar(_apply(operator.add, lax.add, self.value, other.value))
 
     def __sub__(self, other: "Scalar") -> "Scalar":
         if self.is_known(0.0) or other.is_known(0.0):
             return -other if self.is_known(0.0) else self
-        return Scalar(self.value - other.value)
+        return Scalar(_apply(operator.sub, lax.sub, self.value, other.value))
 
     def __mul__(self, other: "Scalar") -> "Scalar":
         for one, two in ((self, other), (other, self)):
@@ -43,10 +46,19 @@ class Scalar:
                 return two
             if one.is_known(-1.0):
                 return -two
-        return Scalar(self.value * other.value)
+        return Scalar(_apply(operator.mul, lax.mul, self.value, other.value))
 
     def __truediv__(self, other: "Scalar") -> "Scalar":
-        return self if self.is_known(0.0) else Scalar(self.value / other.value)
+        return self if self.is_known(0.0) else Scalar(_apply(operator.truediv, lax.div, self.value, other.value))
+
+
+def _apply(general: Callable[..., Any], direct: Callable[..., Any], a: Any, b: Any) -> Any:
+    """An operation on two values, `direct` where they fit each other: that traces three times as fast."""
+    if isinstance(a, float | np.ndarray) and isinstance(b, float | np.ndarray):
+        return general(a, b)
+    if isinstance(a, float) or isinstance(b, float) or (a.shape == b.shape and a.dtype == b.dtype):
+        return direct(a, b)
+    return general(a, b)
 
 
 ZERO, HALF, ONE, TWO = (Scalar(number) for number in (0.0, 0.5, 1.0, 2.0))
@@ -112,8 +124,8 @@ def cross(a: Vector, b: Vector) -> Vector:
     return Vector(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x)
 
 
-def unstack(array: Shaped[Array, " n"]) -> list[Scalar]:
-    """The elements of an array."""
+def unstack(array: Shaped[Array, "n ..."]) -> list[Scalar]:
+    """The elements along the first axis of an array."""
     return [Scalar(element) for element in array]
 
 

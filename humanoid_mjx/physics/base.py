@@ -87,7 +87,7 @@ class Velocities(NamedTuple):
 
 
 class GroundContacts(NamedTuple):
-    """The corners of the feet that can touch the ground, those of the right foot first; none where there is no ground."""
+    """The corners of the feet that can touch the ground, the right foot's first; none where there is no ground."""
 
     position: Float[AnyArray, "*worlds points 3"]
     """Of their lowest points, m, world."""

@@ -99,14 +99,15 @@ class Native(MujocoPhysics):
     def _stages(self, world: World) -> Stages:
         joints, nv = self.model.nu, self.model.nv
 
-        def dynamics(physics: Native) -> list[Array]:
-            return _on_host(self._dynamics, ((nv, nv), (nv,)), physics._values(), world.qpos, world.qvel)
+        def dynamics(physics: Native) -> tuple[Array, Array]:
+            shapes = (nv, nv), (nv,)
+            matrix, bias = _on_host(self._dynamics, shapes, physics._values(), world.qpos, world.qvel)
+            return matrix, bias
 
         def model_for(mass: MassFactor) -> tuple[Array, Array]:
             if jnp.ndim(mass) == jnp.ndim(self.mass) == 0:
                 return self.rescaled(mass / self.mass, matrix, bias, world.qvel)
-            believed, bias_of = dynamics(self.replace(mass=mass))
-            return believed, bias_of
+            return dynamics(self.replace(mass=mass))
 
         def torque_for(qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
             believed, bias_of = model_for(mass)

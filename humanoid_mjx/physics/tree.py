@@ -13,21 +13,21 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import mujoco
+import numpy as np
 from jaxtyping import Array, Float
 
 from humanoid_mjx.mechanics.contacts import Contacts, no_contacts
-from humanoid_mjx.mechanics.scalars import Scalar, Vector, stack, unstack
+from humanoid_mjx.mechanics.scalars import Scalar, Vector, unstack
 from humanoid_mjx.mechanics.tree import sensing
-from humanoid_mjx.mechanics.tree import step as tree_step
-from humanoid_mjx.mechanics.tree.algebra import vector, velocity_at
-from humanoid_mjx.mechanics.tree.kinematics import Kinematics, make_kinematics, to_local
+from humanoid_mjx.mechanics.tree import step as mechanics
+from humanoid_mjx.mechanics.tree.algebra import vector
+from humanoid_mjx.mechanics.tree.batching import worlds_last
+from humanoid_mjx.mechanics.tree.folding import fold
 from humanoid_mjx.mechanics.tree.reading import read_tree
-from humanoid_mjx.mechanics.tree.solver import Problem, Solution
-from humanoid_mjx.mechanics.tree.structure import GroundPoint, Tree
+from humanoid_mjx.mechanics.tree.structure import Tree
 from humanoid_mjx.physics.base import (
     MAX_SPEED,
     Controller,
-    GroundContacts,
     Poses,
     Readings,
     Sensed,
@@ -48,17 +48,17 @@ class TreePhysics(MujocoPhysics):
         return _tree(self.model)
 
     def step(self, world: World, controller: Controller, substeps: int = 1) -> tuple[World, Float[Array, " joints"]]:
+        values = self._values()
         if substeps == 1:
-            state = self._state(world)
+            state = self._state(values, world)
             torque = self._ask(state, world, controller)
-            return self._advance(state, world, torque), torque
+            return self._advance(values, state, world, torque), torque
 
         def substep(carry: tuple[World, Any], index: IntScalar) -> tuple[tuple[World, Any], None]:
             world, torque = carry
-            state = self._state(world)
-            ask = partial(self._ask, state, world, controller)
-            torque = jax.lax.cond(index == 0, ask, lambda: torque)
-            return (self._advance(state, world, torque), torque), None
+            state = self._state(values, world)
+            torque = jax.lax.cond(index == 0, partial(self._ask, state, world, controller), lambda: torque)
+            return (self._advance(values, state, world, torque), torque), None
 
         held = jnp.zeros(len(self.tree.motors))
         return jax.lax.scan(substep, (world, held), jnp.arange(substeps))[0]
@@ -72,189 +72,229 @@ class TreePhysics(MujocoPhysics):
             return [list(now.qpos), list(now.qvel), list(now.warmstart), [now.diverged]], None
 
         start = [list(world.qpos), list(world.qvel), list(world.warmstart), [world.diverged]]
+        # Under vmap all that is carried depends on the world from the start, else the loop would be traced twice.
+        mine = world.qpos[-1] == world.qpos[-1]
+        start = jax.tree.map(lambda part: jnp.where(mine, part, part), start)
         *parts, (diverged,) = jax.lax.scan(cycle, start, length=cycles)[0]
         return World(*(jnp.stack(part) for part in parts), diverged)
 
     def run_sensed(self, world: World, controller: Controller, cycles: int) -> tuple[World, Sensed]:
-        # Scalar by scalar, as in `run`; what is sensed is stacked after the last cycle.
-        def cycle(carry: tuple[Any, Any], _: None) -> tuple[tuple[Any, Any], None]:
-            now = World(*(jnp.stack(part) for part in carry[0][:-1]), carry[0][-1])
-            state = self._state(now)
-            torque = self._ask(state, now, controller)
-            problem, solution = self._accelerate(state, now, torque)
-            after = self._integrated(state, now, solution)
-            sensed = self._sensed(state, problem, solution, now, torque)
-            sensed = jax.tree.map(lambda new, old: jnp.where(after.diverged, old, new), sensed, carry[1])
-            return ((list(after.qpos), list(after.qvel), list(after.warmstart), after.diverged), sensed), None
+        values = self._values()
 
-        start = list(world.qpos), list(world.qvel), list(world.warmstart), world.diverged
-        (parts, sensed), _ = jax.lax.scan(cycle, (start, self._nothing(world.qpos)), length=cycles)
-        return World(*(jnp.stack(part) for part in parts[:-1]), parts[-1]), _stacked(sensed)
+        def cycle(carry: tuple[World, Any], _: None) -> tuple[tuple[World, Any], None]:
+            now, before = carry
+            state = self._state(values, now)
+            torque = self._ask(state, now, controller)
+            parts, seen = worlds_last(_advance_sensed, self.tree)(values, state, *now, torque)
+            after, sensed = World(*parts), (now.qpos[self._joints], torque, seen)
+            kept = jax.tree.map(lambda new, old: jnp.where(after.diverged, old, new), sensed, before)
+            return (after, kept), None
+
+        mine = jnp.where(world.qpos[-1] == world.qpos[-1], 0.0, 0.0)
+        start = jax.tree.map(lambda part: jnp.where(mine == 0.0, part, part), world)
+        (world, sensed), _ = jax.lax.scan(cycle, (start, self._nothing(mine)), length=cycles)
+        return world, self._sensed(*sensed)
 
     def sense(self, world: World, torque: Float[AnyArray, " joints"]) -> Sensed:
-        state = self._state(world)
-        problem, solution = self._accelerate(state, world, torque)
-        return _stacked(self._sensed(state, problem, solution, world, torque))
+        values, torque = self._values(), self._within(torque)
+        state = self._state(values, world)
+        seen = worlds_last(_advance_sensed, self.tree)(values, state, *world, torque)[1]
+        return self._sensed(world.qpos[self._joints], torque, seen)
 
     def poses(self, world: World) -> Poses:
-        return _stacked(_poses(make_kinematics(self.tree, unstack(world.qpos)), world.qpos))
+        return Poses(*worlds_last(_poses, self.tree)(self._state(self._values(), world)))
 
-    def _sensed(
-        self,
-        state: tree_step.State,
-        problem: Problem,
-        solution: Solution,
-        world: World,
-        torque: Float[AnyArray, " joints"],
-    ) -> Any:
-        """A `Sensed` whose arrays are nested lists of scalars."""
-        tree, like, gravity = self.tree, world.qpos, vector(self.tree.gravity)
-        pushes, moved = sensing.pushes_of(tree, problem, solution), sensing.velocities_of(tree, state)
-        feet = tree.touch_sensors[: len(tree.touch_sensors) - len(tree.ground)]
-        felt = [
-            sensing.accelerometer(tree, state, solution.acceleration, gravity, site) for site in tree.accelerometers
-        ]
-        readings = Readings(
-            encoders=[like[motor.qpos] for motor in tree.motors],
-            gyroscope=_values([x for site in tree.gyroscopes for x in sensing.gyroscope(state, site)], like),
-            accelerometer=_values([x for reading in felt for x in reading], like),
-            foot_contact=_values([sensing.touch_sensor(state, pushes, site) for site in feet], like),
-        )
-        lowest = [(point.body, self._lowest(state, point)) for point in tree.ground]
-        contacts = GroundContacts(
-            position=[_values(_in_world(state.kinematics, place), like) for _, place in lowest],
-            velocity=[_values(velocity_at(state.motions[body], place), like) for body, place in lowest],
-            normal_force=_values([push.pressure for push in pushes[: len(lowest)]], like),
-        )
-        velocities = Velocities(
-            [_values(motion.linear, like) for motion in moved], [_values(motion.angular, like) for motion in moved]
-        )
-        return Sensed(readings, _poses(state.kinematics, like), velocities, contacts, list(torque))
+    def _sensed(self, encoders: Any, torque: Any, seen: tuple[Any, ...]) -> Sensed:
+        gyroscope, accelerometer, touch, position, rotation, linear, angular, normal = seen
+        poses, velocities = Poses(position, rotation), Velocities(linear, angular)
+        readings = Readings(encoders, gyroscope, accelerometer, touch)
+        return Sensed(readings, poses, velocities, self._ground_contacts(poses, velocities, normal), torque)
 
-    def _nothing(self, like: Float[Array, " nq"]) -> Any:
-        """What is sensed before anything is, in the structure of `_sensed`."""
-        bodies, points, joints = self.model.nbody, len(self.tree.ground), len(self.tree.motors)
-        zero, triple = jnp.zeros((), like.dtype), [jnp.zeros((), like.dtype)] * 3
-        feet = len(self.tree.touch_sensors) - points
-        return Sensed(
-            Readings([zero] * joints, triple, triple, [zero] * feet),
-            Poses([triple] * bodies, [[triple] * 3] * bodies),
-            Velocities([triple] * bodies, [triple] * bodies),
-            GroundContacts([triple] * points, [triple] * points, [zero] * points),
-            [zero] * joints,
+    def _nothing(self, zero: Float[Array, ""]) -> tuple[Any, ...]:
+        """What is carried in the place of something sensed before anything is."""
+        bodies, points, joints = self.model.nbody, len(self.ground_points[0]), len(self.tree.motors)
+        touch, shapes = (
+            len(self.tree.touch_sensors) - points,
+            ((bodies, 3), (bodies, 3, 3), (bodies, 3), (bodies, 3), (points,)),
+        )
+        sensors = (3 * len(self.tree.gyroscopes),), (3 * len(self.tree.accelerometers),), (touch,)
+        seen = tuple(jnp.zeros(shape, zero.dtype) + zero for shape in (*sensors, *shapes))
+        return jnp.zeros(joints, zero.dtype) + zero, jnp.zeros(joints, zero.dtype) + zero, seen
+
+    @property
+    def _joints(self) -> np.ndarray:
+        return np.array([motor.qpos for motor in self.tree.motors])
+
+    def _values(self) -> mechanics.Values:
+        push = jnp.stack([jnp.asarray(part, float) for part in self.push]) if self.torso == "free" else None
+        mass, friction, damping = self.mass, self.friction, self.damping
+        return mechanics.Values(
+            self.mass_factors(mass), *(jnp.asarray(x, float) for x in (friction, damping)), push=push
         )
 
-    def _values(self) -> tree_step.Values:
-        push = self.push if self.torso == "free" else None
-        return tree_step.Values(self.mass_factors(self.mass), self.friction, self.damping, push=push)
+    def _state(self, values: mechanics.Values, world: World) -> mechanics.State:
+        return worlds_last(_state, self.tree)(values, world.qpos, world.qvel)
 
-    def _state(self, world: World) -> tree_step.State:
-        return tree_step.make_state(self.tree, self._values(), unstack(world.qpos), unstack(world.qvel))
+    def _advance(
+        self, values: mechanics.Values, state: mechanics.State, world: World, torque: Float[Array, " joints"]
+    ) -> World:
+        """One time step; a world that diverges in it, or whose contacts were not found, stays where it was."""
+        return World(*worlds_last(_advance, self.tree)(values, state, *world, torque))
 
-    def _accelerate(
-        self, state: tree_step.State, world: World, torque: Float[AnyArray, " joints"]
-    ) -> tuple[Problem, Solution]:
+    def _within(self, torque: Any) -> Float[Array, " joints"]:
         limit = jnp.asarray(self.torque_limit, float)
-        told = [Scalar(jnp.clip(part, -limit, limit)) for part in jnp.asarray(torque, float)]
-        motor = tree_step.motor_forces(self.tree, state, told)
-        return tree_step.accelerate(self.tree, self._values(), state, motor, unstack(world.warmstart))
+        # Joint by joint: a bound on the whole array would be a kernel of its own between those of its elements.
+        return jnp.stack([jnp.clip(part, -limit, limit) for part in jnp.asarray(torque, float)])
 
-    def _advance(self, state: tree_step.State, world: World, torque: Float[Array, " joints"]) -> World:
-        """One time step."""
-        return self._integrated(state, world, self._accelerate(state, world, torque)[1])
+    def _ask(self, state: mechanics.State, world: World, controller: Controller) -> Float[Array, " joints"]:
+        return self._within(controller(self._stages(state, world)))
 
-    def _integrated(self, state: tree_step.State, world: World, solution: Solution) -> World:
-        """The world after a time step; one that diverges in it, or whose contacts were not found, stays as it was."""
-        parts = tree_step.integrate(self.tree, state, solution.acceleration)
-        # Scalar by scalar, as a check of whole arrays would be a kernel of its own between those of the step.
-        stays = world.diverged | ~solution.settled
-        for value in parts[0]:
-            stays = stays | ~jnp.isfinite(value.value)
-        for value in parts[1]:
-            stays = stays | ~(jnp.abs(value.value) <= MAX_SPEED)
-        kept = [
-            jnp.stack([jnp.where(stays, old, new.value) for old, new in zip(before, after, strict=True)])
-            for before, after in zip((world.qpos, world.qvel, world.warmstart), parts, strict=True)
-        ]
-        return World(*kept, stays)
-
-    def _ask(self, state: tree_step.State, world: World, controller: Controller) -> Float[Array, " joints"]:
-        limit = jnp.asarray(self.torque_limit, float)
-        torque = jnp.asarray(controller(self._stages(state, world)), float)
-        return jnp.stack([jnp.clip(part, -limit, limit) for part in torque])
-
-    def _stages(self, state: tree_step.State, world: World) -> Stages:
-        tree, joints, like = self.tree, self.model.nu, world.qpos
-        matrix = jnp.stack([_join(row, like) for row in sensing.full_matrix(tree, state)])
-        bias = [b - p for b, p in zip(state.bias, state.passive, strict=True)]
-        full = _join(to_local(tree, state.kinematics, bias), like)
+    def _stages(self, state: mechanics.State, world: World) -> Stages:
+        joints, dynamics = len(self.tree.motors), worlds_last(_dynamics, self.tree)
 
         def model_for(mass: MassFactor) -> tuple[Float[Array, "nv nv"], Float[Array, " nv"]]:
-            other = self.replace(mass=mass)._state(world)
-            believed = jnp.stack([_join(row, like) for row in sensing.full_matrix(tree, other)])
-            held = [b - p for b, p in zip(other.bias, other.passive, strict=True)]
-            return believed, _join(to_local(tree, other.kinematics, held), like)
+            other = self._values()._replace(mass=self.mass_factors(mass))
+            return dynamics(self._state(other, world))
 
         def torque_for(qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
             believed, held = model_for(mass)
             return believed[-joints:, -joints:] @ qacc + held[-joints:]
 
-        contacts = partial(self._contacts, state, like)
-        return Stages(world, world.qpos[-joints:], world.qvel[-joints:], matrix, full, torque_for, contacts, model_for)
+        def contacts() -> Contacts:
+            if not self.tree.ground:
+                return no_contacts(len(world.qvel))
+            position, jacobian, drift = worlds_last(_points, self.tree)(state)
+            return Contacts(position, jacobian, drift, position[:, 2] <= 0.0)
 
-    def _lowest(self, state: tree_step.State, point: GroundPoint) -> Vector:
-        """The point of a ball that is nearest to the ground, against the origin."""
-        center = state.kinematics.place(point.body, point.center)
-        return Vector(*(c - Scalar(point.radius * n) for c, n in zip(center, point.normal, strict=True)))
-
-    def _contacts(self, state: tree_step.State, like: Float[Array, " nq"]) -> Contacts:
-        """The lowest points of what the ground can push."""
-        tree, places, jacobians, drifts = self.tree, [], [], []
-        for point in tree.ground:
-            place = self._lowest(state, point)
-            places.append(_in_world(state.kinematics, place))
-            columns = sensing.point_jacobian(tree, state, point.body, place)
-            jacobians.append(jnp.stack([_join([column[i] for column in columns], like) for i in range(3)]))
-            drifts.append(sensing.drift_at(state, point.body, place))
-        if not places:
-            return no_contacts(tree.nv)
-        position = _rows(places, like)
-        return Contacts(position, jnp.stack(jacobians), _rows(drifts, like), position[:, 2] <= 0.0)
+        matrix, bias = dynamics(state)
+        return Stages(world, world.qpos[-joints:], world.qvel[-joints:], matrix, bias, torque_for, contacts, model_for)
 
 
-def _poses(at: Kinematics, like: Float[Array, " nq"]) -> Any:
-    """`Poses` whose arrays are nested lists of scalars."""
-    rotations = [[_values([axis[i] for axis in pose.axes], like) for i in range(3)] for pose in at.poses]
-    return Poses([_values(_in_world(at, pose.position), like) for pose in at.poses], rotations)
+# What follows is of many worlds at once, their axis the last.
 
 
-def _values(scalars: Sequence[Scalar], like: Float[Array, " _"]) -> list[Any]:
-    """The scalars as arrays of jax."""
-    return [jnp.asarray(scalar.value, like.dtype) for scalar in scalars]
+def _state(tree: Tree, values: mechanics.Values, qpos: Any, qvel: Any) -> mechanics.State:
+    positions = mechanics.folded(unstack(qpos), tree.coordinates)
+    return mechanics.make_state(tree, values, positions, mechanics.folded(unstack(qvel), tree.dofs))
 
 
-def _stacked(tree: Any) -> Any:
-    """Nested lists of scalars, in whatever holds them, as arrays."""
-    if isinstance(tree, list):
-        return jnp.stack([_stacked(part) for part in tree]) if tree else jnp.zeros(0)
-    return type(tree)(*map(_stacked, tree)) if isinstance(tree, tuple) else tree
+def _accelerate(
+    tree: Tree, values: mechanics.Values, state: mechanics.State, qpos: Any, qvel: Any, warmstart: Any, torque: Any
+) -> tuple[mechanics.Problem, mechanics.Solution]:
+    forces = mechanics.motor_forces(tree, unstack(qpos), unstack(qvel), unstack(torque))
+    near = mechanics.folded(unstack(warmstart), tree.dofs)
+    return mechanics.accelerate(tree, values, state, mechanics.folded(forces, tree.dofs), near)
 
 
-def _in_world(at: Kinematics, place: Vector) -> Vector:
-    return Vector(*(o + p for o, p in zip(at.origin, place, strict=True)))
+def _advance(
+    tree: Tree,
+    values: mechanics.Values,
+    state: mechanics.State,
+    qpos: Any,
+    qvel: Any,
+    warmstart: Any,
+    diverged: Any,
+    torque: Any,
+) -> tuple[Any, ...]:
+    _, solution = _accelerate(tree, values, state, qpos, qvel, warmstart, torque)
+    return _moved(tree, state, solution, (qpos, qvel, warmstart), diverged)
 
 
-def _join(scalars: list[Scalar], like: Float[Array, " _"]) -> Float[Array, " n"]:
-    return stack(scalars, like) if scalars else jnp.zeros(0, like.dtype)
+def _moved(
+    tree: Tree, state: mechanics.State, solution: mechanics.Solution, old: tuple[Any, ...], diverged: Any
+) -> tuple[Any, ...]:
+    """The parts of the world after a time step; where it diverges or its contacts were not found they stay."""
+    places = tree.coordinates, tree.dofs, tree.dofs
+    parts = mechanics.integrate(tree, state, solution.acceleration)
+    after = [mechanics.unfolded(part, where) for part, where in zip(parts, places, strict=True)]
+    stays = diverged | ~solution.settled
+    for value in after[0]:
+        stays = stays | ~jnp.isfinite(value.value)
+    for value in after[1]:
+        stays = stays | ~(jnp.abs(value.value) <= MAX_SPEED)
+    kept = [
+        jnp.stack([jnp.where(stays, old, new.value) for old, new in zip(before, part, strict=True)])
+        for before, part in zip(old, after, strict=True)
+    ]
+    return (*kept, stays)
 
 
-def _rows(vectors: list[Vector], like: Float[Array, " _"]) -> Float[Array, "n 3"]:
-    return jnp.stack([stack(v, like) for v in vectors]) if vectors else jnp.zeros((0, 3), like.dtype)
+def _dynamics(tree: Tree, state: mechanics.State) -> tuple[Any, Any]:
+    """Mass matrix and bias."""
+    rows = sensing.full_matrix(tree, state)
+    like = _worlds(state)
+    return jnp.stack([_join(row, like) for row in rows]), _join(sensing.bias_of(tree, state), like)
+
+
+def _points(tree: Tree, state: mechanics.State) -> tuple[Any, Any, Any]:
+    """Positions, Jacobians and drifts of what the ground can push."""
+    points, like = sensing.lowest_points(tree, state), _worlds(state)
+    jacobians = [jnp.stack([_join([c[i] for c in point.columns], like) for i in range(3)]) for point in points]
+    return _rows([p.place for p in points], like), jnp.stack(jacobians), _rows([p.drift for p in points], like)
+
+
+def _poses(tree: Tree, state: mechanics.State) -> tuple[Any, Any]:
+    poses, like = sensing.poses_of(tree, state), _worlds(state)
+    rotations = [jnp.stack([_join([axis[i] for axis in pose.axes], like) for i in range(3)]) for pose in poses]
+    return _rows([pose.position for pose in poses], like), jnp.stack(rotations)
+
+
+def _velocities(tree: Tree, state: mechanics.State) -> tuple[Any, Any]:
+    motions, like = sensing.velocities_of(tree, state), _worlds(state)
+    return _rows([motion.linear for motion in motions], like), _rows([motion.angular for motion in motions], like)
+
+
+def _advance_sensed(
+    tree: Tree,
+    values: mechanics.Values,
+    state: mechanics.State,
+    qpos: Any,
+    qvel: Any,
+    warmstart: Any,
+    diverged: Any,
+    torque: Any,
+) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+    """One time step, and what is true at its beginning: the sensors but the encoders, poses, velocities, forces."""
+    problem, solution = _accelerate(tree, values, state, qpos, qvel, warmstart, torque)
+    like, gravity, acceleration = _worlds(state), vector(tree.gravity), solution.acceleration
+    pushes = sensing.pushes_of(tree, problem, solution)
+    turning = [part for site in tree.gyroscopes for part in sensing.gyroscope(state, site)]
+    felt = [
+        part for site in tree.accelerometers for part in sensing.accelerometer(tree, state, acceleration, gravity, site)
+    ]
+    points = _ground_points(tree)
+    # The last of the model's touch sensors are those of the points themselves, whose forces are at hand.
+    touch = [
+        sensing.touch_sensor(state, pushes, site) for site in tree.touch_sensors[: len(tree.touch_sensors) - points]
+    ]
+    readings = (_join(part, like) for part in (turning, felt, touch))
+    normal = _join([push.pressure for push in pushes[:points]], like)
+    seen = *readings, *_poses(tree, state), *_velocities(tree, state), normal
+    return _moved(tree, state, solution, (qpos, qvel, warmstart), diverged), seen
+
+
+def _ground_points(tree: Tree) -> int:
+    """How many points the ground can push."""
+    return sum(len(points.order) for points in tree.ground)
+
+
+def _worlds(state: mechanics.State) -> tuple[int, ...]:
+    """The shape of a scalar."""
+    return jnp.shape(state.qpos[0].value)[-1:]
+
+
+def _join(scalars: Sequence[Scalar], shape: tuple[int, ...]) -> Any:
+    values = [jnp.broadcast_to(jnp.asarray(scalar.value, float), shape) for scalar in scalars]
+    return jnp.stack(values) if values else jnp.zeros((0, *shape))
+
+
+def _rows(vectors: Sequence[Vector], shape: tuple[int, ...]) -> Any:
+    return jnp.stack([_join(v, shape) for v in vectors]) if vectors else jnp.zeros((0, 3, *shape))
 
 
 @lru_cache
 def _tree(model: mujoco.MjModel) -> Tree:
     with jax.ensure_compile_time_eval():
-        tree = read_tree(model)
+        tree = fold(read_tree(model))
     # The torque limit is traced, in the place of the model's.
     return tree._replace(motors=tuple(motor._replace(control=None) for motor in tree.motors))

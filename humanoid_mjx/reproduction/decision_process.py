@@ -30,6 +30,7 @@ def decay(setting: Setting) -> list[Finding]:
 
     findings = []
     for joint in thesis.JOINT_RANGES:
+        setting.tell(f"joint {joint}: {RUNS} runs of {STEPS:,} steps")
         run = printed_run(joint, setting.config, runs=RUNS, steps=STEPS)
         reached = int(run.terminated.any(axis=1).sum())
         findings.append(
@@ -50,7 +51,10 @@ def decay(setting: Setting) -> list[Finding]:
 def waiting(setting: Setting) -> list[Finding]:
     """From which discount on the reward pays for waiting just before the goal."""
     discounts = np.round(np.arange(0.80, 0.99, 0.01), 2)
-    share = {joint: _greedy_success(_reach(joint), {"learner.discount": discounts.tolist()}) for joint in POSITIONS}
+    share = {}
+    for joint in POSITIONS:
+        setting.tell(f"joint {joint}: training with {len(discounts)} discounts, {SEEDS} seeds each")
+        share[joint] = _greedy_success(_reach(joint), {"learner.discount": discounts.tolist()})
     at_printed = int(np.argmin(np.abs(discounts - PRINTED["discount"])))
     findings = []
     for joint, (_, goal) in thesis.JOINT_RANGES.items():
@@ -87,6 +91,7 @@ def aliasing(setting: Setting) -> list[Finding]:
     discounts = np.round(np.arange(0.88, 0.93, 0.005), 3)
     largest = {}
     for states in (thesis.TABLES_STATES, PRINTED["states"], POSITIONS[1]):
+        setting.tell(f"training with {states} states")
         share = _greedy_success(_reach(1, states=states), {"learner.discount": discounts.tolist()})
         largest[states] = _largest(discounts, share)
     own = largest[POSITIONS[1]]

@@ -6,11 +6,20 @@ from pathlib import Path
 import numpy as np
 
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, judge, three_digits
-from humanoid_mjx.reproduction.printed import dynamics_errata, inverse, jacobian, kinematics
+from humanoid_mjx.reproduction.printed import control, derivatives, dynamics_errata, inverse, jacobian, kinematics
 from humanoid_mjx.reproduction.printed.erratum import Erratum, States
 from humanoid_mjx.thesis import leg as thesis
 
-ENTRIES = tuple(chain(kinematics.ERRATA, jacobian.ERRATA, inverse.ERRATA, dynamics_errata.ERRATA))
+ENTRIES = tuple(
+    chain(
+        kinematics.ERRATA,
+        jacobian.ERRATA,
+        derivatives.ERRATA,
+        inverse.ERRATA,
+        dynamics_errata.ERRATA,
+        control.ERRATA,
+    )
+)
 
 STATES = 2000
 

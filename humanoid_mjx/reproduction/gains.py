@@ -1,17 +1,23 @@
-"""Table 5.1: the gains of the joint controllers, and the damping that they give."""
+"""Table 5.1: the gains of the joint controllers, the damping that they give, and what the links allow (5.6)."""
 
 from typing import Any
 
 import numpy as np
 
 from humanoid_mjx.report.style import COLORS, figure, label_lines
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, judge
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, judge, three_digits
 from humanoid_mjx.thesis import leg as thesis
 
 JOINTS = range(5)
 
 CRITICAL = 0.05
 """A damping ratio this near to 1 would be called critical."""
+
+ALUMINIUM = {"modulus": 69e9, "density": 2710.0}
+"""Of aluminium 1060, the material of section 3.1: Pa and kg/m^3."""
+
+NEAR = 0.5
+"""A gain of this share of its bound could have been selected by it."""
 
 
 def table(setting: Setting) -> list[Finding]:
@@ -61,4 +67,66 @@ def _draw_responses(setting: Setting, frequencies: Any, ratios: np.ndarray) -> N
         panel.set_ylabel("share of the step")
 
 
-EXPERIMENTS = [Experiment("table-5.1", "Gains of the joint controllers", table)]
+def resonance(setting: Setting) -> list[Finding]:
+    """Section 5.6: what the links' stiffness allows of Kp, against Table 5.1."""
+    return judge_gains(np.array(thesis.KP), _allowed_gains())
+
+
+def judge_gains(gains: np.ndarray, allowed: np.ndarray) -> list[Finding]:
+    bounds = [three_digits(x) for x in allowed]
+    why = (
+        "the links are tubes of aluminium 1060, as thick as Table 3.1 at 1:4 and as heavy as Table 4.3; each bends at "
+        "its base under the inertia beyond it, the largest in the ranges of Table 3.2"
+    )
+    return [
+        Finding(
+            name="resonance-5.6",
+            quantity="the largest Kp that (5.37) allows, by joint, 1/s^2: Table 5.1's are not above it",
+            printed=gains.tolist(),
+            reproduced=bounds,
+            tolerance=None,
+            verdict=judge(bool((gains <= allowed).all()), {}, {}),
+            why=f"{why}; the lowest resonance is {2 * np.sqrt(allowed.min()) / (2 * np.pi):.0f} Hz",
+        ),
+        Finding(
+            name="resonance-5.6",
+            quantity="Table 5.1's Kp as shares of what (5.37) allows, by joint",
+            printed="the gains were selected on the material's stiffness and the natural frequency (chapter 8)",
+            reproduced=[three_digits(x) for x in gains / allowed],
+            tolerance=NEAR,
+            verdict=judge(bool((gains / allowed >= NEAR).all()), {}, {}),
+            why="a gain that the stiffness selected would be near its bound; these could be larger by a factor of "
+            f"{(allowed / gains).min():.1g} and more, so it is something else that keeps them low",
+        ),
+    ]
+
+
+def _allowed_gains() -> np.ndarray:
+    """(5,) The bounds of (5.37), 1/s^2."""
+    import jax
+    import jax.numpy as jnp
+
+    from humanoid_mjx import dynamics
+    from humanoid_mjx.control.gains import max_kp
+    from humanoid_mjx.robot.leg import Leg
+
+    around = {4: thesis.BODY_MM["upper_leg_circumference"], 5: thesis.BODY_MM["lower_leg_circumference"]}
+    stiffness = {}
+    for link, circumference in around.items():
+        radius = 1e-3 * thesis.SCALE * circumference / (2 * np.pi)
+        length = thesis.LINK_LENGTHS[link - 1]
+        area = thesis.LINK_MASSES[link - 1] / (ALUMINIUM["density"] * length)
+        stiffness[link] = 3 * ALUMINIUM["modulus"] * area * radius**2 / 2 / length  # 3 E I / L of a thin tube, N m/rad
+    low, high = np.radians(thesis.JOINT_RANGES["proposed"]).T
+    postures = np.random.default_rng(0).uniform(low, high, (2000, 5))
+    inertias = jax.jit(jax.vmap(dynamics.joint_inertias, in_axes=(None, 0)))
+    still, anywhere = (np.asarray(inertias(Leg.physical(), jnp.asarray(q))) for q in (np.zeros((1, 5)), postures))
+    bends = np.array([stiffness[4]] * 4 + [stiffness[5]])
+    frequency = np.sqrt(bends / still[0])
+    return np.asarray(max_kp(frequency, still[0], np.maximum(anywhere.max(axis=0), still[0])), float)
+
+
+EXPERIMENTS = [
+    Experiment("table-5.1", "Gains of the joint controllers", table),
+    Experiment("resonance-5.6", "What the links' stiffness allows of the gains", resonance),
+]

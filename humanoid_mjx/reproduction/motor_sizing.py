@@ -129,7 +129,8 @@ def _lean(torso: float) -> float:
     places, first = (np.asarray(x) for x in _masses(Leg.physical(), jnp.zeros(5)))
     ankle = places[4, 1]
     links = 2 * thesis.GRAVITY * (first[:4, 1] - first[:4, 3] * ankle).sum()
-    return float(np.degrees(np.arcsin(2 * MOTORS[4] / (links + torso * (places[0, 1] - ankle)))))
+    share = 2 * MOTORS[4] / (links + torso * (places[0, 1] - ankle))
+    return float(np.degrees(np.arcsin(min(share, 1.0))))
 
 
 def _masses(leg: Any, q: Any) -> tuple[Any, Any]:

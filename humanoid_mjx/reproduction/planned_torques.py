@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from humanoid_mjx.report.style import COLORS, figure, label_lines
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, in_words, judge
+from humanoid_mjx.reproduction.leg_figures import draw_torques
 from humanoid_mjx.reproduction.printed import dynamics as printed
 from humanoid_mjx.thesis import leg as thesis
 
@@ -107,7 +107,7 @@ def torques(setting: Setting) -> list[Finding]:
         "The right equations, same values": tau,
         "Solid links, gravity along the leg, knee to 120°": upright,
     }
-    _draw(setting.out / "figure-7.5.png", t, curves)
+    draw_torques(setting.out / "figure-7.5.png", t, curves)
     words = in_words(_flat(config), _flat(AS_PLANNED))
     findings = []
     for j, (mark, why) in enumerate(zip(thesis.FIGURE_7_5["start"], EVIDENCE, strict=True)):
@@ -265,23 +265,6 @@ def _torque(leg: Any, motion: tuple[np.ndarray, ...]) -> np.ndarray:
 
     compute = jax.jit(jax.vmap(dynamics.inverse_dynamics, in_axes=(None, 0, 0, 0)))
     return np.asarray(compute(leg, *(x.T for x in motion))).T
-
-
-def _draw(path: Path, t: np.ndarray, curves: Mapping[str, np.ndarray]) -> None:
-    with figure(path, 1, len(curves), size=(4.3, 3.8), sharey=True) as (fig, axes):
-        for panel, (title, tau) in zip(axes[0], curves.items(), strict=True):
-            for joint in range(5):
-                panel.plot(t, tau[joint], color=COLORS[joint])
-            panel.set_title(title)
-            panel.set_xlabel("time, s")
-            panel.set_xlim(0, thesis.QUINTIC_S)
-        for time, when in ((0.0, "start"), (thesis.QUINTIC_S, "end")):
-            for joint, mark in enumerate(thesis.FIGURE_7_5[when]):
-                axes[0, 0].plot(time, mark, "o", color=COLORS[joint], markersize=5, clip_on=False)
-        for panel, tau in zip(axes[0], curves.values(), strict=True):
-            label_lines(panel, tau[:, -1].tolist(), [f"{i} {name}" for i, name in enumerate(NAMES, 1)], COLORS[:5])
-        axes[0, 0].set_ylabel("joint torque, N m")
-        fig.suptitle("Torques of the planned motion; dots: start and end as section 7 C prints them", x=0.02, ha="left")
 
 
 def _write(path: Path, trials: list[Trial], off: np.ndarray) -> None:

@@ -82,7 +82,7 @@ def _in_range(name: str, section: str, when: str, degrees: tuple[float, ...]) ->
     return Finding(
         name=name,
         quantity=f"section {section}: joints of both legs outside Table 3.2's proposed ranges at the {when}",
-        printed=0,
+        printed="the ranges of Table 3.2",
         reproduced=len(outside),
         tolerance=0,
         verdict=judge(not outside, {}, {}),
@@ -117,7 +117,9 @@ def _switch(section: str, setting: Setting) -> list[Finding]:
     from humanoid_mjx.robot import robot_spec
     from humanoid_mjx.training.episode import motion_of, play
 
+    setting.tell(f"section {section}: training {SEEDS} tables of {EPISODES} episodes")
     trained = _train(section, setting.config)
+    setting.tell(f"section {section}: playing and drawing the motion")
     task = trained.learner.task
     goal = np.asarray(task.whole_body(task.grid[:, -1]))
     tolerance = float(task.tolerance)
@@ -125,6 +127,7 @@ def _switch(section: str, setting: Setting) -> list[Finding]:
     motion = motion_of(trained, episode)
     path = setting.out / f"figure-7.18-{section}.gif"
     render_motion(robot_spec("legs").compile(), motion.qpos, task.timestep, path)
+    setting.tell(f"section {section}: the same along a plan, and with twice the mass")
     learned = _measure(motion, goal, task, tolerance)
     plan = _measure(_planned(task, learned.settling), goal, task, tolerance)
     heavy = task.replace(mass=np.float32(HEAVY))

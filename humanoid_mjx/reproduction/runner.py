@@ -15,6 +15,7 @@ from humanoid_mjx.spec import InputError, known
 
 MODULES = (
     "decision_process",
+    "drives",
     "errata",
     "gains",
     "ground_control",
@@ -24,6 +25,7 @@ MODULES = (
     "planned_torques",
     "postures",
     "q_tables",
+    "responses",
     "robustness",
     "singularity",
     "stall_torques",

@@ -64,7 +64,7 @@ def _rank_test() -> Finding:
     return Finding(
         name="finding-singularity",
         quantity="share of the straight walk where (4.22) and (4.23) are 0 and the Jacobian has full rank",
-        printed=0.0,
+        printed="singular where the determinants are 0 (4.4.1)",
         reproduced=round(wrong, 4),
         tolerance=None,
         verdict=judge(wrong == 0.0, {}, {}),

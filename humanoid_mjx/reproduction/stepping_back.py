@@ -1,11 +1,10 @@
 """A joint that has gone beyond its goal: the one way to it is back, and stepping back may cost something."""
 
-from typing import NamedTuple
-
 import jax.numpy as jnp
 from jaxtyping import Array, Key
 from pydantic import Field
 
+from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
 
@@ -18,14 +17,8 @@ class SteppingBack(FiniteTask):
     """
 
     steps: int = Field(12, ge=1, le=1000, description="from the start back to the goal")
-    bonus: float = 100.0
-    back_reward: float = Field(0.0, le=0, description="of every step back")
-    max_episode_steps: int = Field(100, ge=1)
-
-    class Params(NamedTuple):
-        bonus: float
-        back_reward: float
-        max_episode_steps: int
+    bonus: float = traced(100.0)
+    back_reward: float = traced(0.0, le=0, description="of every step back")
 
     @property
     def num_states(self) -> int:
@@ -35,17 +28,17 @@ class SteppingBack(FiniteTask):
     def num_actions(self) -> int:
         return 3
 
-    def reset(self, params: Params, key: Key[Array, ""]) -> IntScalar:
+    def reset(self, key: Key[Array, ""]) -> IntScalar:
         """How many steps the joint is beyond the goal."""
         return jnp.int32(self.steps)
 
     def step(
-        self, params: Params, state: IntScalar, action: IntScalar, key: Key[Array, ""]
+        self, state: IntScalar, action: IntScalar, key: Key[Array, ""]
     ) -> tuple[IntScalar, FloatScalar, BoolScalar]:
         back = action == 2
         state = jnp.clip(state + jnp.where(back, -1, action), 0, 2 * self.steps).astype(jnp.int32)
         there = state == 0
-        return state, jnp.where(back, params.back_reward, 0.0) + jnp.where(there, params.bonus, 0.0), there
+        return state, jnp.where(back, self.back_reward, 0.0) + jnp.where(there, self.bonus, 0.0), there
 
 
 def largest_cost(steps: int, bonus: float, discount: float) -> float:

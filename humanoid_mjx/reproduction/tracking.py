@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from humanoid_mjx.report.style import COLORS, figure
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, in_words, judge, three_digits
+from humanoid_mjx.reproduction.leg_figures import draw_tracking
 from humanoid_mjx.reproduction.printed import dynamics as printed_dynamics
 from humanoid_mjx.thesis import leg as thesis
 
@@ -26,9 +26,6 @@ TOLERANCES = (5e-5, 0.005, 0.0005, 0.005, 0.0005)
 """Half of the last digit of section 7 D's errors, rad; joint 1's is that of its place."""
 
 OVERSHOOT_RAD = 1e-3
-
-LEAST = 1e-6
-"""The least error that figures show, rad."""
 
 CONFIG = {
     name: {f"joint{i}": gain for i, gain in enumerate(gains, start=1)}
@@ -82,8 +79,10 @@ DRAWN = {
 def tracking(joint: int, setting: Setting) -> list[Finding]:
     """Figures 7.6 to 7.10, by joint: the error left after 5 s, the overshoot, and the printed place."""
     used, kp, kd = _gains(setting)
+    setting.tell(f"the motion under {len(VARIANTS)} controllers")
     motions = _motions(tuple(kp.tolist()), tuple(kd.tolist()))
-    _draw(setting, joint, motions)
+    curves = {words: motions[variant][:, joint] for variant, words in DRAWN.items()}
+    draw_tracking(setting.out / f"figure-7.{joint + 6}.png", joint, curves)
     printed, tolerance = thesis.TRACKING["error"][joint], TOLERANCES[joint]
     left = {v: abs(float(e[-1, joint])) for v, e in motions.items()}
     nearest = min(left, key=lambda v: abs(left[v] - printed))
@@ -133,6 +132,7 @@ def tracking(joint: int, setting: Setting) -> list[Finding]:
 def together(setting: Setting) -> list[Finding]:
     """Section 7 D: whether any one controller leaves all five errors; the table of those tried."""
     used, kp, kd = _gains(setting)
+    setting.tell(f"the motion under {len(VARIANTS)} controllers")
     motions = _motions(tuple(kp.tolist()), tuple(kd.tolist()))
     printed = np.array(thesis.TRACKING["error"])
     left = {v: np.abs(e[-1]) for v, e in motions.items()}
@@ -260,36 +260,6 @@ def _program(law: str, leg: str, model: str) -> Callable[..., Any]:
         return wanted - jnp.concatenate([jnp.zeros((1, 5)), states.qpos[shown - 1 :: shown]])
 
     return jax.jit(jax.vmap(simulate, in_axes=(0, None, None)), compiler_options=runtime.SHARED_KERNELS)
-
-
-def _draw(setting: Setting, joint: int, motions: dict[Variant, np.ndarray]) -> None:
-    times = np.linspace(0, thesis.QUINTIC_S, len(motions[EXACT]))
-    planned = np.radians(thesis.QUINTIC_COEFFICIENTS[joint]) @ [times**0, times**3, times**4, times**5]
-    last = (thesis.QUINTIC_S - 0.3, thesis.QUINTIC_S)
-    printed = thesis.TRACKING["end"][joint], thesis.TRACKING["error"][joint]
-    bar = {"color": COLORS[6], "linewidth": 4, "solid_capstyle": "butt", "clip_on": False}
-    with figure(setting.out / f"figure-7.{joint + 6}.png", 1, 2, size=(5.2, 4.2)) as (fig, axes):
-        places, errors = axes[0]
-        places.plot(times, planned, color=COLORS[6], linestyle="--", linewidth=1, label="planned")
-        for color, (variant, words) in zip(COLORS, DRAWN.items(), strict=False):
-            places.plot(times, planned - motions[variant][:, joint], color=color, label=words)
-            errors.semilogy(times, np.abs(motions[variant][:, joint]), color=color)
-        errors.set_ylim(LEAST, 3)
-        places.plot(last, [printed[0]] * 2, **bar, label="as printed, at 5 s")
-        errors.plot(last, [max(printed[1], LEAST)] * 2, **bar)
-        if printed[1] < LEAST:
-            errors.annotate("0 as printed", (last[0], LEAST), (-4, 3), textcoords="offset points", ha="right")
-        places.set_title("Where the joint is")
-        places.set_ylabel("angle, rad")
-        errors.set_title("How far it is from the plan")
-        errors.set_ylabel("distance, rad (logarithmic)")
-        for panel in axes[0]:
-            panel.set_xlabel("time, s")
-            panel.set_xlim(0, thesis.QUINTIC_S)
-        handles, words = places.get_legend_handles_labels()
-        fig.legend(handles, words, loc="outside lower center", ncols=2, frameon=False)
-        name = thesis.JOINT_NAMES[joint].replace("_", " ")
-        fig.suptitle(f"Joint {joint + 1} ({name}) from q = 0", x=0.02, ha="left", fontsize="medium")
 
 
 EXPERIMENTS = [

@@ -161,14 +161,15 @@ def programs(options: tuple[tuple[str, str | bool], ...], mesh: Mesh) -> Program
     def end(learner: Learner, training: Training, seeds: Any) -> dict[str, Any]:
         return finish(learner, training, jax.random.fold_in(run_key(*seeds), 1))
 
-    def compiled(function: Callable[..., Any], shared: Any = PartitionSpec(RUNS), **given: Any) -> Callable[..., Any]:
-        spread = jax.shard_map(function, mesh=mesh, in_specs=shared, out_specs=PartitionSpec(RUNS), check_vma=False)
-        return jax.jit(spread, compiler_options=dict(options), **given)
+    by_run, same = PartitionSpec(RUNS), PartitionSpec()
 
-    steps = PartitionSpec(RUNS), PartitionSpec(RUNS), PartitionSpec()
+    def compiled(function: Callable[..., Any], given: Any = by_run, **options_of_jit: Any) -> Callable[..., Any]:
+        spread = jax.shard_map(function, mesh=mesh, in_specs=given, out_specs=by_run, check_vma=False)
+        return jax.jit(spread, compiler_options=dict(options), **options_of_jit)
+
     return Programs(
         begin=compiled(jax.vmap(anew), donate_argnums=3),
-        advance=compiled(jax.vmap(advance, in_axes=(0, 0, None)), steps, donate_argnums=1),
+        advance=compiled(jax.vmap(advance, in_axes=(0, 0, None)), (by_run, by_run, same), donate_argnums=1),
         finish=compiled(jax.vmap(end)),
     )
 
@@ -191,13 +192,18 @@ def run_key(seed: jax.Array, number: jax.Array) -> jax.Array:
 
 def _recorded(learner: Learner, record: Float[Array, "record measures"], outcome: Outcome) -> Array:
     """The record with what a step saw, in the point that it belongs to."""
+    point, values = record_entry(learner, outcome)
+    return record.at[point].add(jnp.stack(values, axis=-1), mode="promise_in_bounds")
+
+
+def record_entry(learner: Learner, outcome: Outcome) -> tuple[Array, list[Array]]:
+    """The point of the record that a step belongs to, and what it adds there in the order of `measures`."""
     place = jnp.asarray(outcome.done, jnp.float32) * (learner.record / learner.budget)
     point = jnp.minimum(place.astype(jnp.int32), learner.record - 1)
     values = [outcome.episodes, *(outcome.totals[name] for name in sorted(outcome.totals))]
     if outcome.squares:
         values += [jnp.float32(1), *(outcome.squares[name] for name in sorted(outcome.squares))]
-    row = jnp.stack([jnp.asarray(value, jnp.float32) for value in values], axis=-1)
-    return record.at[point].add(row, mode="promise_in_bounds")
+    return point, [jnp.asarray(value, jnp.float32) for value in values]
 
 
 def _progress(learner: Learner, training: Training) -> Progress:

@@ -1,17 +1,18 @@
 """The tree against native MuJoCo with a converged solver, in double precision; and the laws of mechanics."""
 
+from functools import cache
+
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from tree_robots import HOPPER, QUADRUPED, converged, native, states
+from tree_robots import HOPPER, QUADRUPED, converged, native, qacc_of, states
 
-from humanoid_mjx import runtime
-from humanoid_mjx.mechanics.scalars import stack, unstack
-from humanoid_mjx.mechanics.tree.kinematics import to_local
+from humanoid_mjx.mechanics.tree.folding import fold
 from humanoid_mjx.mechanics.tree.reading import read_tree
-from humanoid_mjx.mechanics.tree.step import Values, accelerate, make_state, motor_forces
+from humanoid_mjx.mechanics.tree.step import Values
+from humanoid_mjx.physics import make_physics
 from humanoid_mjx.robot.lower_body import lower_body_model
 
 ROBOTS = {
@@ -22,31 +23,179 @@ ROBOTS = {
 }
 
 
-def accelerations(model, qpos, qvel, ctrl, values=None):
-    """By the tree, from cold."""
-    tree = read_tree(model)
-
-    def one(values, qpos, qvel, ctrl):
-        state = make_state(tree, values, unstack(qpos), unstack(qvel))
-        motor = motor_forces(tree, state, unstack(ctrl))
-        _, solution = accelerate(tree, values, state, motor, unstack(jnp.zeros_like(qvel)))
-        return stack(to_local(tree, state.kinematics, solution.acceleration), qvel), solution.settled
-
-    batched = jax.jit(jax.vmap(one, in_axes=(None, 0, 0, 0)), compiler_options=runtime.SHARED_KERNELS)
-    qacc, settled = batched(values or Values(), *map(jnp.asarray, (qpos, qvel, ctrl)))
-    assert settled.all()
-    return np.asarray(qacc)
-
-
 def errors(found, expected):
     """Relative, by state."""
     return np.linalg.norm(found - expected, axis=1) / np.linalg.norm(expected, axis=1)
 
 
-@pytest.mark.parametrize(("name", "count"), [("free", 10_000), ("fixed", 1000), ("hopper", 1000), ("quadruped", 1000)])
+@cache
+def solver(name):
+    return qacc_of(fold(read_tree(ROBOTS[name]())))
+
+
+@pytest.mark.parametrize(("name", "count"), [("free", 10_000), ("fixed", 2000), ("hopper", 2000), ("quadruped", 2000)])
 def test_accelerations_agree_with_native(name, count):
-    """Rounding, with what stiff contacts of light feet make of it: 1e-13 as a rule."""
+    """What is left is rounding, and what stiff contacts of light feet make of it: 1e-13 as a rule."""
     model = converged(ROBOTS[name]())
     at = states(model, count)
-    expected = native(model, *at)
-    assert errors(accelerations(model, *at), expected).max() < 1e-9
+    qacc, settled = solver(name)(Values(), *at)
+    assert settled.all()
+    assert errors(qacc, native(model, *at)).max() < 1e-9
+
+
+def test_traced_values_are_those_of_a_model_with_them():
+    """Each link's mass, friction, damping, armature, gravity, a push: all at once."""
+    model = converged(ROBOTS["free"]())
+    rng = np.random.default_rng(1)
+    at = states(model, 500, seed=1)
+    mass, push, gravity = rng.uniform(0.5, 2.0, model.nbody), np.array([2.0, -1.0, 3.0]), np.array([0.5, -0.3, -8.0])
+    values = Values(mass, 0.4, 0.05, 0.002, gravity, push)
+    qacc, settled = solver("free")(values, *at)
+    # MuJoCo computes what contacts and limits feel of the inertia once, when it compiles a model.
+    model.body_mass *= mass
+    model.body_inertia *= mass[:, None]
+    model.dof_damping[6:], model.dof_armature[6:] = 0.05, 0.002
+    model.pair_friction[:, :2] = 0.4
+    model.opt.gravity = gravity
+    expected = native(model, *at, force=np.concatenate([push, np.zeros(13)]))
+    assert settled.all()
+    assert errors(qacc, expected).max() < 1e-9
+
+
+@pytest.mark.parametrize("name", ["free", "quadruped"])
+def test_lanes_compute_what_limbs_alone_do(name):
+    """The quadruped's fourth leg is on other ground than the three."""
+    tree = read_tree(ROBOTS[name]())
+    assert fold(tree).lanes == {"free": 2, "quadruped": 3}[name]
+    at = states(ROBOTS[name](), 200)
+    alone, together = (qacc_of(each)(Values(), *at)[0] for each in (tree, fold(tree)))
+    assert errors(together, alone).max() < 1e-9
+
+
+@pytest.mark.parametrize("name", ["hopper", "quadruped"])
+def test_steps_agree_with_native(name):
+    """Half a second from 16 states, springs, servos and damping in it; rounding grows as errors of the state do."""
+    model = converged(ROBOTS[name]())
+    qpos, qvel, ctrl = states(model, 16, seed=2)
+    steps = 100
+    moved = qacc_of(fold(read_tree(model)), steps)(Values(), qpos, 0.2 * qvel, ctrl)
+    data = mujoco.MjData(model)
+    for i in range(len(qpos)):
+        mujoco.mj_resetData(model, data)
+        data.qpos, data.qvel, data.ctrl = qpos[i], 0.2 * qvel[i], ctrl[i]
+        mujoco.mj_step(model, data, steps)
+        np.testing.assert_allclose(moved[0][i], data.qpos, atol=1e-7)
+        np.testing.assert_allclose(moved[1][i], data.qvel, atol=1e-5)
+
+
+@pytest.fixture(scope="module")
+def physics():
+    return make_physics("tree", ranges="human")
+
+
+def start(physics, qpos, qvel):
+    return jax.vmap(lambda q, v: physics.start(physics.params, q, v))(jnp.asarray(qpos), jnp.asarray(qvel))
+
+
+def test_sensors_and_forces_are_mujocos(physics):
+    """Readings, forces of each contact, and velocities of bodies."""
+    model = converged(ROBOTS["free"]())
+    qpos, qvel, ctrl = states(model, 300, seed=3)
+    ctrl = np.clip(ctrl, -2.0, 2.0)
+    world = start(physics, qpos, qvel)
+    params = physics.params
+    sense = jax.jit(jax.vmap(lambda w, t: (physics.sensors(params, w, t), physics.contact_forces(params, w, t))))
+    readings, forces = sense(world, ctrl)
+    velocities = jax.jit(jax.vmap(lambda w: physics.velocities(params, w)))(world)
+    assert (np.asarray(forces.normal) >= 0.0).all()
+    slip = np.linalg.norm(forces.tangential, ord=1, axis=-1)
+    # The tangents of level ground are along the world's axes, and the pyramid's facets along the tangents.
+    assert (slip <= np.asarray(forces.normal) * (1.0 + 1e-9) + 1e-12).all()
+    assert (forces.active == (forces.normal > 0.0)).all()
+    data, wrench, rate = mujoco.MjData(model), np.zeros(6), np.zeros(6)
+    for i in range(len(qpos)):
+        data.qpos, data.qvel, data.ctrl = qpos[i], qvel[i], ctrl[i]
+        mujoco.mj_forward(model, data)
+        expected = physics._readings(data.sensordata)
+        for name, reading in readings._asdict().items():
+            np.testing.assert_allclose(reading[i], getattr(expected, name), rtol=1e-9, atol=1e-9, err_msg=name)
+        total = np.zeros(3)
+        for number, contact in enumerate(data.contact):
+            mujoco.mj_contactForce(model, data, number, wrench)
+            if model.geom_bodyid[contact.geom[0]] == 0:
+                total += contact.frame.reshape(3, 3).T @ wrench[:3]
+        ground = np.asarray(forces.tangential[i, :8]).sum(0)
+        ground[2] += np.asarray(forces.normal[i, :8]).sum()
+        np.testing.assert_allclose(ground, total, rtol=1e-9, atol=1e-9)
+        for body in range(1, model.nbody):
+            mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, body, rate, 0)
+            np.testing.assert_allclose(velocities.angular[i, body], rate[:3], atol=1e-10)
+            np.testing.assert_allclose(velocities.linear[i, body], rate[3:], atol=1e-10)
+
+
+def mechanical(model, qpos, qvel):
+    """Energy, J, momentum, kg m/s, and angular momentum about the centre of mass, kg m^2/s, armature left out."""
+    model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
+    data, found = mujoco.MjData(model), []
+    for q, v in zip(qpos, qvel, strict=True):
+        data.qpos, data.qvel = q, v
+        mujoco.mj_forward(model, data)
+        mujoco.mj_subtreeVel(model, data)
+        linear, angular = data.subtree_linvel[1] * model.body_subtreemass[1], data.subtree_angmom[1]
+        found.append((data.energy.sum(), *linear, *angular))
+    return np.array(found)
+
+
+def test_momentum_in_flight(physics):
+    """Gravity adds to the vertical momentum what it must, and nothing to the rest; armature alone turns the body."""
+    model = ROBOTS["free"]()
+    rng = np.random.default_rng(4)
+    qpos = np.tile(physics.qpos0, (4, 1))
+    qpos[:, 2] += 5.0
+    qpos[:, 7:] = np.tile(rng.uniform(0.1, 0.3, (4, 5)), 2)
+    qvel = rng.normal(size=(4, 16))
+    params, steps = physics.params, 50
+    fly = jax.jit(jax.vmap(lambda w: physics.run(params, w, lambda s: 0.1 * jnp.sin(30.0 * s.qpos), steps)))
+    after = fly(start(physics, qpos, qvel))
+    before, now = mechanical(model, qpos, qvel), mechanical(model, np.asarray(after.qpos), np.asarray(after.qvel))
+    fallen = -model.body_subtreemass[1] * 9.81 * steps * physics.step_s
+    np.testing.assert_allclose(now[:, 1:4] - before[:, 1:4], np.tile([0.0, 0.0, fallen], (4, 1)), atol=2e-3)
+
+
+def test_energy_does_not_grow_without_actuation(physics):
+    """Bodies that fall over and lie: 1 s, in which what contacts store for a moment is less than 1 mJ."""
+    model = ROBOTS["free"]()
+    qpos, qvel, _ = states(model, 16, seed=5)
+    world = start(physics, qpos, 0.3 * qvel)
+    params = physics.params
+    fall = jax.jit(jax.vmap(lambda w: physics.run(params, w, lambda s: jnp.zeros(10), 50)))
+    energies = [mechanical(model, np.asarray(world.qpos), np.asarray(world.qvel))[:, 0]]
+    for _ in range(5):
+        world = fall(world)
+        energies.append(mechanical(model, np.asarray(world.qpos), np.asarray(world.qvel))[:, 0])
+    assert not world.diverged.any()
+    assert (energies[-1] < energies[0]).all()
+
+
+def test_gradients_are_those_of_differences(physics):
+    """Through contacts, limits and the search for what pushes, by world and over all worlds."""
+    model = ROBOTS["free"]()
+    qpos, qvel, ctrl = states(model, 20, seed=6)
+    params = physics.params
+
+    def after(ctrl, qpos, qvel):
+        world, _ = physics.step(params, physics.start(params, qpos, qvel), lambda stages: ctrl)
+        return (world.qvel**2).sum()
+
+    ctrl = np.clip(ctrl, -1.9, 1.9)
+    each = jax.jit(jax.vmap(jax.grad(after, argnums=(0, 2))))(ctrl, qpos, qvel)
+    together = jax.jit(jax.grad(lambda c: jax.vmap(after)(c, qpos, qvel).sum()))(ctrl)
+    np.testing.assert_allclose(each[0], together, rtol=1e-9, atol=1e-12)
+    assert all(np.isfinite(gradient).all() for gradient in each)
+    value, small = jax.jit(jax.vmap(after)), 1e-6
+    for joint in range(10):
+        ahead, behind = (value(ctrl + sign * small * np.eye(10)[joint], qpos, qvel) for sign in (1.0, -1.0))
+        difference = (np.asarray(ahead) - np.asarray(behind)) / (2.0 * small)
+        close = np.abs(difference - each[0][:, joint]) <= 1e-4 * (1.0 + np.abs(difference))
+        # Where a facet begins to push between the two, there is no derivative.
+        assert close.mean() >= 0.9

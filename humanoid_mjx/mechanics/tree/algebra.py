@@ -1,12 +1,16 @@
 """What the tree needs of `mechanics.scalars` beyond a chain: pytrees of scalars, 3x3 matrices, spatial vectors."""
 
+import functools
+import operator
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from humanoid_mjx.mechanics.scalars import NULL, ONE, ZERO, Scalar, Vector, add, cross, dot, scale
+from humanoid_mjx.mechanics.tree.structure import Table
 
 
 def _flatten(scalar: Scalar) -> tuple[tuple[Any, ...], float | None]:
@@ -80,14 +84,67 @@ def subtract(a: Vector, b: Vector) -> Vector:
     return Vector(a.x - b.x, a.y - b.y, a.z - b.z)
 
 
-def vector(values: Sequence[Any]) -> Vector:
-    """From three numbers or traced values."""
+def vector(values: Any) -> Vector:
+    """From three numbers, or an array of them."""
     return Vector(*(number(value) for value in values))
 
 
 def number(value: Any) -> Scalar:
-    """A scalar of a number, known while tracing, or of a traced value."""
+    """A scalar of a number, known while tracing, of a table, or of a traced value."""
+    if isinstance(value, Table):
+        return known(np.asarray(value.values).reshape(value.shape))
     return Scalar(float(value)) if isinstance(value, float | int) else Scalar(value)
+
+
+def known(values: Any) -> Scalar:
+    """A scalar of an array that is known while tracing, with an axis for the worlds behind; a number if all agree."""
+    values = np.asarray(values, np.float64)
+    if (values == values.flat[0]).all():
+        return Scalar(float(values.flat[0]))
+    return Scalar(values[..., None].astype(jnp.result_type(float)))
+
+
+def in_lanes(scalars: Sequence[Scalar]) -> Scalar:
+    """One scalar of each lane as one; a single one stays as it is."""
+    if len(scalars) == 1:
+        return scalars[0]
+    if all(isinstance(scalar.value, float) for scalar in scalars):
+        return known([scalar.value for scalar in scalars])
+    values = [jnp.asarray(scalar.value, float) for scalar in scalars]
+    return Scalar(jnp.stack(jnp.broadcast_arrays(*(v if v.ndim else v[None] for v in values))))
+
+
+def in_order(scalars: Sequence[Scalar]) -> Scalar:
+    """Scalars with an axis that counts them."""
+    if all(isinstance(scalar.value, float) for scalar in scalars):
+        return known([scalar.value for scalar in scalars])
+    return in_lanes(scalars) if len(scalars) > 1 else Scalar(jnp.atleast_1d(scalars[0].value)[None])
+
+
+def lane(scalar: Scalar, index: int) -> Scalar:
+    """What a scalar of a laned body is in one lane."""
+    return scalar if jnp.ndim(scalar.value) < 2 else Scalar(scalar.value[..., index, :])
+
+
+def over_lanes(scalar: Scalar, lanes: int) -> Scalar:
+    """The sum over the lanes."""
+    return _summed(scalar, lanes, -2) if jnp.ndim(scalar.value) > 1 else scalar * Scalar(float(lanes))
+
+
+def over_points(scalar: Scalar, points: int, rank: int) -> Scalar:
+    """The sum over the first of `rank` axes, that of the points; less axes tell that all points agree."""
+    return _summed(scalar, points, 0) if jnp.ndim(scalar.value) == rank else scalar * Scalar(float(points))
+
+
+def _summed(scalar: Scalar, count: int, axis: int) -> Scalar:
+    """By slices, which the kernel that needs the sum can take itself."""
+    value = scalar.value
+    parts = (
+        [value[0] if axis == 0 else value[..., 0, :]] * count
+        if value.shape[axis] == 1
+        else [value[i] if axis == 0 else value[..., i, :] for i in range(count)]
+    )
+    return Scalar(functools.reduce(operator.add, parts))
 
 
 def combine(axes: Rotation, v: Vector) -> Vector:

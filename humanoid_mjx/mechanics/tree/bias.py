@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from humanoid_mjx.mechanics.scalars import NULL, ZERO, Scalar, Vector, add, cross, dot, scale
 from humanoid_mjx.mechanics.tree.algebra import NOWHERE, Spatial, power, subtract, total
-from humanoid_mjx.mechanics.tree.inertia import Mass
+from humanoid_mjx.mechanics.tree.inertia import Mass, summed
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics
 from humanoid_mjx.mechanics.tree.structure import Tree
 
@@ -39,7 +39,7 @@ def drifts_of(tree: Tree, kinematics: Kinematics, velocity: Sequence[Scalar]) ->
         now, place = found[body.parent], kinematics.poses[body.parent].position
         moved = body.position != (0.0, 0.0, 0.0)
         for hinge in body.hinges:
-            anchor = kinematics.anchors[hinge.dof - (6 if tree.free is not None else 0)]
+            anchor = kinematics.anchors[hinge.dof]
             if moved or any(hinge.anchor):
                 now = now._replace(linear=now.at(subtract(anchor, place)))
             place, moved = anchor, False
@@ -62,7 +62,9 @@ def bias_forces(
             forces[:6] = [*wrenches[index].linear, *wrenches[index].angular]
         for hinge in body.hinges:
             forces[hinge.dof] = power(kinematics.motions[hinge.dof], wrenches[index])
-        wrenches[body.parent] = total([wrenches[body.parent], wrenches[index]])
+        merge = body.laned and not tree.bodies[body.parent].laned
+        wrench = summed(wrenches[index], tree.lanes) if merge else wrenches[index]
+        wrenches[body.parent] = total([wrenches[body.parent], wrench])
     return forces
 
 

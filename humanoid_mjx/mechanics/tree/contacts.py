@@ -14,6 +14,10 @@ from humanoid_mjx.mechanics.tree.algebra import (
     Rotation,
     Spatial,
     Symmetric,
+    in_order,
+    known,
+    lane,
+    number,
     resolve,
     root,
     subtract,
@@ -22,13 +26,14 @@ from humanoid_mjx.mechanics.tree.algebra import (
 )
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics
 from humanoid_mjx.mechanics.tree.segments import nearest_points
-from humanoid_mjx.mechanics.tree.structure import GroundPoint, Limit, Pair, Softness, Surface, Tree
+from humanoid_mjx.mechanics.tree.structure import Capsule, GroundPoints, Limit, Pairs, Softness, Surface, Tree
 
 Friction = tuple[Scalar, Scalar] | None
 
 
 class Touch(NamedTuple):
-    """A contact. The second body's acceleration against the first's at its place decides on its force."""
+    """A contact, or several alike. The second body's acceleration against the first's at its place decides on its
+    force."""
 
     place: Vector
     """Midway between the surfaces, against the origin, m."""
@@ -43,10 +48,9 @@ class Touch(NamedTuple):
     """Less its reference acceleration, in its frame: what is added to the acceleration of its place."""
     friction: Friction
 
-    def residual(self, one: Spatial, two: Spatial) -> Vector:
-        """Accelerations less their reference where the bodies accelerate so, in the contact's frame."""
-        relative = subtract(velocity_at(two, self.place), velocity_at(one, self.place))
-        return add(resolve(self.frame, relative), self.offset)
+    def residual(self, motion: Spatial) -> Vector:
+        """Its acceleration against the ground less its reference where the body accelerates so, in its frame."""
+        return add(resolve(self.frame, velocity_at(motion, self.place)), self.offset)
 
     def facets(self, v: Vector) -> list[Scalar]:
         """A vector of the contact's frame along each facet of the pyramid."""
@@ -104,46 +108,46 @@ def ground_touches(
 ) -> list[Touch]:
     """The contacts of the points in `tree.ground`, where the bodies move by `motions`."""
     return [
-        _ground_touch(point, kinematics, motions[point.body], friction)
-        for point, friction in zip(tree.ground, frictions, strict=True)
+        _ground_touch(points, kinematics, motions[points.body], friction)
+        for points, friction in zip(tree.ground, frictions, strict=True)
     ]
 
 
 def pair_touches(
     tree: Tree, kinematics: Kinematics, motions: Sequence[Spatial], frictions: Sequence[Friction]
 ) -> list[Touch]:
-    """The contacts of `tree.pairs`."""
+    """The contacts of `tree.pairs`, with an axis of pairs."""
     return [
-        _pair_touch(pair, kinematics, motions, friction) for pair, friction in zip(tree.pairs, frictions, strict=True)
+        _pair_touch(pairs, kinematics, motions, friction) for pairs, friction in zip(tree.pairs, frictions, strict=True)
     ]
 
 
 def stop_of(limit: Limit, angle: Scalar, speed: Scalar) -> Stop:
     """The joint's range at an angle and speed."""
-    above, below = angle - Scalar(limit.lower), Scalar(limit.upper) - angle
+    above, below = angle - number(limit.lower), number(limit.upper) - angle
     nearer = above.value < below.value
     sign = Scalar(jnp.where(nearer, 1.0, -1.0).astype(above.value.dtype))
     distance = Scalar(jnp.minimum(above.value, below.value))
-    close, weight, push = _soft(limit.softness, distance, limit.margin, Scalar(limit.inverse_weight))
+    close, weight, push = _soft(limit.softness, distance, number(limit.margin), number(limit.inverse_weight))
     return Stop(sign, close, weight, Scalar(limit.softness.damping) * sign * speed + push)
 
 
 def friction_of(surface: Surface) -> Friction:
     """The model's own."""
-    return None if surface.friction is None else (Scalar(surface.friction[0]), Scalar(surface.friction[1]))
+    return None if surface.friction is None else (number(surface.friction[0]), number(surface.friction[1]))
 
 
-def _ground_touch(point: GroundPoint, kinematics: Kinematics, motion: Spatial, friction: Friction) -> Touch:
-    center, normal = kinematics.place(point.body, point.center), vector(point.normal)
-    height = dot(normal, center) + (dot(normal, kinematics.origin) - Scalar(point.height))
-    distance = height - Scalar(point.radius)
-    place = subtract(center, scale(Scalar(point.radius) + HALF * distance, normal))
-    along = None if point.along is None else kinematics.direction(point.body, point.along)
-    return _touch(point.surface, place, _frame(normal, along), distance, velocity_at(motion, place), friction)
+def _ground_touch(points: GroundPoints, kinematics: Kinematics, motion: Spatial, friction: Friction) -> Touch:
+    center, normal, radius = kinematics.place(points.body, points.center), vector(points.normal), number(points.radius)
+    height = dot(normal, center) + (dot(normal, kinematics.origin) - number(points.height))
+    distance = height - radius
+    place = subtract(center, scale(radius + HALF * distance, normal))
+    along = None if points.along is None else kinematics.direction(points.body, points.along)
+    return _touch(points.surface, place, _frame(normal, along), distance, velocity_at(motion, place), friction)
 
 
-def _pair_touch(pair: Pair, kinematics: Kinematics, motions: Sequence[Spatial], friction: Friction) -> Touch:
-    one, two = nearest_points(pair, kinematics)
+def _pair_touch(pairs: Pairs, kinematics: Kinematics, motions: Sequence[Spatial], friction: Friction) -> Touch:
+    one, two = nearest_points(pairs, kinematics)
     apart = subtract(two, one)
     square = dot(apart, apart)
     # Centres that meet have no direction; MuJoCo takes one as well.
@@ -151,28 +155,38 @@ def _pair_touch(pair: Pair, kinematics: Kinematics, motions: Sequence[Spatial], 
     length = root(Scalar(jnp.where(meet, 1.0, square.value)))
     normal = scale(ONE / length, apart)
     normal = normal._replace(x=Scalar(jnp.where(meet, 1.0, normal.x.value)))
-    distance = Scalar(jnp.where(meet, 0.0, length.value)) - Scalar(pair.one.radius + pair.two.radius)
-    place = add(one, scale(Scalar(pair.one.radius) + HALF * distance, normal))
-    velocity = subtract(velocity_at(motions[pair.two.body], place), velocity_at(motions[pair.one.body], place))
+    thickness = known([a.radius + b.radius for a, b in zip(pairs.ones, pairs.twos, strict=True)])
+    distance = Scalar(jnp.where(meet, 0.0, length.value)) - thickness
+    place = add(one, scale(known([shape.radius for shape in pairs.ones]) + HALF * distance, normal))
+    velocity = subtract(_velocity(pairs.twos, motions, place), _velocity(pairs.ones, motions, place))
     # Without friction the tangents are never asked for, and cost nothing.
-    return _touch(pair.surface, place, _frame(normal, None), distance, velocity, friction)
+    return _touch(pairs.surface, place, _frame(normal, None), distance, velocity, friction)
+
+
+def _velocity(shapes: Sequence[Capsule], motions: Sequence[Spatial], place: Vector) -> Vector:
+    """Of the points of the shapes' bodies at `place`, shape by shape."""
+    stacked = [
+        Vector(*(in_order([lane(motions[s.body][part][axis], s.lane) for s in shapes]) for axis in range(3)))
+        for part in range(2)
+    ]
+    return velocity_at(Spatial(*stacked), place)
 
 
 def _touch(
     surface: Surface, place: Vector, frame: Rotation, distance: Scalar, velocity: Vector, friction: Friction
 ) -> Touch:
-    inverse = Scalar(surface.inverse_weight)
+    inverse = number(surface.inverse_weight)
     if friction is not None:
         square = friction[0] * friction[0]
         inverse = TWO * square * inverse * (ONE + square) / Scalar(surface.impratio)
-    close, weight, push = _soft(surface.softness, distance, surface.margin, inverse)
+    close, weight, push = _soft(surface.softness, distance, number(surface.margin), inverse)
     offset = scale(Scalar(surface.softness.damping), resolve(frame, velocity))
     return Touch(place, frame, distance, close, weight, offset._replace(x=offset.x + push), friction)
 
 
-def _soft(softness: Softness, distance: Scalar, margin: float, inverse: Scalar) -> tuple[Any, Scalar, Scalar]:
+def _soft(softness: Softness, distance: Scalar, margin: Scalar, inverse: Scalar) -> tuple[Any, Scalar, Scalar]:
     """Whether a constraint counts, its weight 1 / R, and the part of its reference acceleration that is position's."""
-    violation = distance - Scalar(margin)
+    violation = distance - margin
     close = violation.value < 0.0
     impedance = _impedance(softness, violation)
     weight = impedance / ((ONE - impedance) * inverse)

@@ -4,12 +4,24 @@ See R. Featherstone, "Rigid Body Dynamics Algorithms" (2008): chapter 6 for the 
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
+
+import jax
 
 from humanoid_mjx.mechanics.scalars import NULL, ONE, ZERO, Scalar, Vector, add, cross, dot, scale
-from humanoid_mjx.mechanics.tree.algebra import Spatial, Symmetric, combine, isotropic, outer, power, vector
+from humanoid_mjx.mechanics.tree.algebra import (
+    Spatial,
+    Symmetric,
+    combine,
+    isotropic,
+    number,
+    outer,
+    over_lanes,
+    power,
+    vector,
+)
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics
-from humanoid_mjx.mechanics.tree.structure import Body, Tree
+from humanoid_mjx.mechanics.tree.structure import Tree
 
 Matrix = list[list[Scalar]]
 """The lower triangle of a symmetric matrix, row by row."""
@@ -59,9 +71,9 @@ def masses_of(tree: Tree, kinematics: Kinematics, factors: Sequence[Scalar]) -> 
     for index, (body, factor) in enumerate(zip(tree.bodies[1:], factors[1:], strict=True), 1):
         pose = kinematics.poses[index]
         arm = combine(pose.axes, vector(body.center))
-        base, extra = _principal(body)
-        axes = tuple((factor * Scalar(more), kinematics.direction(index, body.principal[axis])) for axis, more in extra)
-        found.append(Mass(factor * Scalar(body.mass), add(pose.position, arm), arm, factor * Scalar(base), axes))
+        extra = tuple((factor * number(more), kinematics.direction(index, axis)) for more, axis in body.extra)
+        mass, moment = factor * number(body.mass), factor * number(body.moment)
+        found.append(Mass(mass, add(pose.position, arm), arm, moment, extra))
     return found
 
 
@@ -70,15 +82,14 @@ def mass_matrix(tree: Tree, kinematics: Kinematics, masses: Sequence[Mass], arma
     matrix: Matrix = [[ZERO] * (row + 1) for row in range(tree.nv)]
     composites = [_composite(mass) for mass in masses]
     for index in reversed(range(1, len(tree.bodies))):
-        body, composite = tree.bodies[index], composites[index]
-        moving = tree.dofs(index)
-        own = [hinge.dof for hinge in body.hinges] if index != tree.free else list(range(6))
-        for dof in own:
+        body, composite, moving = tree.bodies[index], composites[index], tree.moving(index)
+        for dof in tree.own(index):
             force = composite.apply(kinematics.motions[dof])
             for other in moving[: moving.index(dof) + 1]:
                 matrix[dof][other] = power(kinematics.motions[other], force)
-        for hinge in body.hinges:
-            matrix[hinge.dof][hinge.dof] = matrix[hinge.dof][hinge.dof] + armature[hinge.dof]
+            matrix[dof][dof] = matrix[dof][dof] + armature[dof]
+        if body.laned and not tree.bodies[body.parent].laned:
+            composite = summed(composite, tree.lanes)
         composites[body.parent] = composites[body.parent].plus(composite)
     return matrix
 
@@ -89,11 +100,20 @@ class Factors(NamedTuple):
     lower: Matrix
     inverse: list[Scalar]
     """1 / D"""
+    stem: int
+    """How many degrees of freedom there are before those of lanes, which are the last."""
+    lanes: int
 
     def solve(self, right: Sequence[Scalar]) -> list[Scalar]:
         """x of `A x = right`."""
-        x, size = list(right), len(right)
-        for row in reversed(range(size)):
+        x, size, stem = list(right), len(right), self.stem
+        for row in reversed(range(stem, size)):
+            for column in range(stem, row):
+                x[column] = x[column] - self.lower[row][column] * x[row]
+        for column in range(stem if size > stem else 0):
+            felt = dot([self.lower[row][column] for row in range(stem, size)], x[stem:])
+            x[column] = x[column] - over_lanes(felt, self.lanes)
+        for row in reversed(range(stem)):
             for column in range(row):
                 x[column] = x[column] - self.lower[row][column] * x[row]
         for row in range(size):
@@ -101,27 +121,47 @@ class Factors(NamedTuple):
         return x
 
 
-def factor(matrix: Matrix) -> Factors:
+def factor(tree: Tree, matrix: Matrix) -> Factors:
     """The factors of a symmetric, positive definite matrix, from the leaves of the tree to its root."""
-    rows, size = [list(row) for row in matrix], len(matrix)
-    inverse = [ZERO] * size
+    rows, size = [list(row) for row in matrix], tree.nv
+    stem = next((dof for dof in range(size) if tree.laned(dof)), size)
+    inverse, passed = [ZERO] * size, [[ZERO] * (row + 1) for row in range(stem)]
     for last in reversed(range(size)):
+        if last == stem - 1:
+            for row, changes in enumerate(passed):
+                rows[row] = [a - over_lanes(b, tree.lanes) for a, b in zip(rows[row], changes, strict=True)]
         inverse[last] = ONE / rows[last][last]
         below = rows[last][:last]
         rows[last] = [entry * inverse[last] for entry in below]
         for row in range(last):
             for column in range(row + 1):
-                rows[row][column] = rows[row][column] - rows[last][row] * below[column]
-    return Factors(rows, inverse)
+                change = rows[last][row] * below[column]
+                if row < stem <= last:
+                    passed[row][column] = passed[row][column] + change
+                else:
+                    rows[row][column] = rows[row][column] - change
+    return Factors(rows, inverse, stem, tree.lanes)
 
 
-def product(matrix: Matrix, x: Sequence[Scalar]) -> list[Scalar]:
+def product(tree: Tree, matrix: Matrix, x: Sequence[Scalar]) -> list[Scalar]:
     """The matrix, given by its lower triangle, times a vector."""
-    size = len(x)
-    return [
-        dot(matrix[row], x[: row + 1]) + dot([matrix[k][row] for k in range(row + 1, size)], x[row + 1 :])
-        for row in range(size)
-    ]
+    found = []
+    for row in range(tree.nv):
+        total = dot(matrix[row], x[: row + 1])
+        for other in range(row + 1, tree.nv):
+            part = matrix[other][row] * x[other]
+            total = total + (over_lanes(part, tree.lanes) if tree.laned(other) > tree.laned(row) else part)
+        found.append(total)
+    return found
+
+
+Summed = TypeVar("Summed")
+
+
+def summed(thing: Summed, lanes: int) -> Summed:
+    """A pytree of scalars, each the sum over the lanes."""
+    is_scalar = lambda part: isinstance(part, Scalar)  # noqa: E731
+    return jax.tree.map(lambda part: over_lanes(part, lanes), thing, is_leaf=is_scalar)
 
 
 def _composite(mass: Mass) -> Composite:
@@ -131,11 +171,3 @@ def _composite(mass: Mass) -> Composite:
     xx, yy, zz = first.x * c.x, first.y * c.y, first.z * c.z
     shift = Symmetric(yy + zz, -(first.x * c.y), -(first.x * c.z), xx + zz, -(first.y * c.z), xx + yy)
     return Composite(mass.mass, first, mass.rotational().plus(shift))
-
-
-def _principal(body: Body) -> tuple[float, list[tuple[int, float]]]:
-    """The moment of inertia that most principal axes share, and by how much those of the others exceed it."""
-    alike = [[abs(one - two) <= 1e-12 * max(body.moments) for two in body.moments].count(True) for one in body.moments]
-    base = body.moments[alike.index(max(alike))]
-    rest = [(axis, moment - base) for axis, moment in enumerate(body.moments)]
-    return base, [(axis, more) for axis, more in rest if abs(more) > 1e-12 * max(body.moments)]

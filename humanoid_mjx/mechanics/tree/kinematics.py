@@ -8,21 +8,25 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 
-from humanoid_mjx.mechanics.scalars import NULL, ONE, TWO, Scalar, Vector, add, cross, scale
+from humanoid_mjx.mechanics.scalars import NULL, ONE, TWO, Scalar, Vector, add, cross
 from humanoid_mjx.mechanics.tree.algebra import (
     UNTURNED,
     Rotation,
     Spatial,
     combine,
     compose,
+    known,
+    lane,
+    number,
     root_over,
     subtract,
     times,
     total,
     vector,
 )
-from humanoid_mjx.mechanics.tree.structure import Axes, Hinge, Tree, Triple
+from humanoid_mjx.mechanics.tree.structure import Axes, Hinge, Table, Tree, Triple
 
 
 class Pose(NamedTuple):
@@ -38,10 +42,16 @@ class Kinematics(NamedTuple):
     origin: Vector
     """In the world, m."""
     poses: tuple[Pose, ...]
-    anchors: tuple[Vector, ...]
-    """A point on the axis of each hinge."""
+    anchors: dict[int, Vector]
+    """A point on the axis of each hinge, by degree of freedom."""
     motions: tuple[Spatial, ...]
     """What a unit velocity of each degree of freedom does to the bodies that it moves."""
+
+    def of_lane(self, body: int, index: int) -> Pose:
+        """A body's pose in one lane; that of a body without lanes."""
+        position, axes = self.poses[body]
+        turned = [Vector(*(lane(part, index) for part in axis)) for axis in axes]
+        return Pose(Vector(*(lane(part, index) for part in position)), (turned[0], turned[1], turned[2]))
 
     def place(self, body: int, point: Triple) -> Vector:
         """A point of a body's frame, against the origin."""
@@ -57,7 +67,7 @@ def make_kinematics(tree: Tree, qpos: Sequence[Scalar]) -> Kinematics:
     """The bodies' poses at `qpos`, whose quaternion, if there is one, need not have length 1."""
     origin = Vector(*qpos[:3]) if tree.free is not None else NULL
     poses = [Pose(Vector(-origin.x, -origin.y, -origin.z), UNTURNED)]
-    anchors: list[Vector] = []
+    anchors: dict[int, Vector] = {}
     motions = [Spatial(axis, NULL) for axis in UNTURNED] + [Spatial(NULL, axis) for axis in UNTURNED]
     if tree.free is None:
         motions = []
@@ -71,12 +81,12 @@ def make_kinematics(tree: Tree, qpos: Sequence[Scalar]) -> Kinematics:
         for hinge in body.hinges:
             anchor = add(position, combine(axes, vector(hinge.anchor)))
             axis = combine(axes, vector(hinge.axis))
-            axes = compose(axes, _turned(hinge, qpos[hinge.qpos]))
+            axes = compose(axes, _turned(hinge, qpos[hinge.coordinate]))
             position = subtract(anchor, combine(axes, vector(hinge.anchor))) if any(hinge.anchor) else position
-            anchors.append(anchor)
+            anchors[hinge.dof] = anchor
             motions.append(Spatial(cross(anchor, axis), axis))
         poses.append(Pose(position, axes))
-    return Kinematics(origin, tuple(poses), tuple(anchors), tuple(motions))
+    return Kinematics(origin, tuple(poses), anchors, tuple(motions))
 
 
 def motions_of(tree: Tree, kinematics: Kinematics, speeds: Sequence[Scalar]) -> list[Spatial]:
@@ -131,14 +141,17 @@ def rotation(quaternion: Sequence[Scalar]) -> Rotation:
 
 def _turned(hinge: Hinge, angle: Scalar) -> Rotation:
     """Rodrigues' formula about an axis of fixed components: an axis of the frame gives a rotation of two."""
-    turn = angle - Scalar(hinge.reference)
+    turn = angle - number(hinge.reference)
     cosine, sine = Scalar(jnp.cos(turn.value)), Scalar(jnp.sin(turn.value))
-    axis = vector(hinge.axis)
+    axis = np.stack(
+        np.broadcast_arrays(*(np.asarray(part.values if isinstance(part, Table) else part) for part in hinge.axis))
+    )
     columns = []
-    for index, unmoved in enumerate(UNTURNED):
-        along = scale(axis[index], axis)
-        lying = Vector(*(e - a for e, a in zip(unmoved, along, strict=True)))
-        columns.append(add(along, add(scale(cosine, lying), scale(sine, cross(axis, unmoved)))))
+    for unmoved in np.eye(3).reshape(3, 3, *[1] * (axis.ndim - 1)):
+        along = axis * (axis * unmoved).sum(axis=0)
+        across = np.cross(axis, unmoved, axis=0)
+        parts = zip(along, np.broadcast_to(unmoved, axis.shape) - along, across, strict=True)
+        columns.append(Vector(*(known(a) + cosine * known(b) + sine * known(c) for a, b, c in parts)))
     one, two, three = columns
     return one, two, three
 

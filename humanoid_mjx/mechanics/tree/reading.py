@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from humanoid_mjx.mechanics.tree import structure as st
+from humanoid_mjx.mechanics.tree.refusing import first_fault
 from humanoid_mjx.spec import InputError
 
 SMALLEST = 1e-14
@@ -25,105 +26,53 @@ def read_tree(model: mujoco.MjModel) -> st.Tree:
     Raises:
       InputError: the model has something that a tree of hinges with plane and capsule contacts does not.
     """
-    if fault := next((sentence for wrong, sentence in _faults(model) if wrong), None):
+    if fault := first_fault(model):
         raise InputError(f"physics: the tree cannot represent {fault}.")
     free = np.flatnonzero(model.jnt_type == JOINT.mjJNT_FREE)
     ground, pairs = _contacts(model)
     damped = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_EULERDAMP
+    x, y, z = (float(part) for part in model.opt.gravity)
     return st.Tree(
         bodies=tuple(_body(model, index) for index in range(model.nbody)),
         free=int(model.jnt_bodyid[free[0]]) if len(free) else None,
-        nq=model.nq,
-        nv=model.nv,
-        ground=ground,
-        pairs=pairs,
+        coordinates=tuple((index,) for index in range(model.nq)),
+        dofs=tuple((index,) for index in range(model.nv)),
+        lanes=1,
+        body_places=tuple((index,) for index in range(model.nbody)),
+        ground=tuple(ground),
+        pairs=tuple(pairs),
         motors=tuple(_motor(model, index) for index in range(model.nu)),
         gyroscopes=_sites(model, mujoco.mjtSensor.mjSENS_GYRO),
         accelerometers=_sites(model, mujoco.mjtSensor.mjSENS_ACCELEROMETER),
         touch_sensors=_sites(model, mujoco.mjtSensor.mjSENS_TOUCH),
-        gravity=_triple(model.opt.gravity),
+        gravity=(x, y, z),
         timestep=float(model.opt.timestep),
         implicit_damping=bool(damped and (model.dof_damping > 0).any()),
     )
 
 
-def _faults(m: mujoco.MjModel) -> Iterator[tuple[Any, str]]:
-    """What makes a model impossible here, and what to call it."""
-    option, flags = m.opt, mujoco.mjtDisableBit
-    harmless = flags.mjDSBL_EULERDAMP | flags.mjDSBL_AUTORESET | flags.mjDSBL_WARMSTART | flags.mjDSBL_REFSAFE
-    harmless |= flags.mjDSBL_FILTERPARENT | flags.mjDSBL_CLAMPCTRL
-    yield option.integrator != mujoco.mjtIntegrator.mjINT_EULER, "an integrator other than Euler"
-    yield option.cone != mujoco.mjtCone.mjCONE_PYRAMIDAL and (_condims(m) > 1).any(), "elliptic friction cones"
-    yield option.disableflags & ~int(harmless), "a model with parts of its physics disabled"
-    yield option.enableflags & ~int(mujoco.mjtEnableBit.mjENBL_ENERGY), "a model with optional physics enabled"
-    yield option.density or option.viscosity or np.any(option.wind), "a fluid"
-    yield option.noslip_iterations, "noslip iterations"
-    yield m.neq, "equality constraints"
-    yield m.ntendon, "tendons"
-    yield m.nflex, "flexible bodies"
-    yield m.nplugin, "plugins"
-    yield m.nmocap, "mocap bodies"
-    yield m.na, "actuators with activation"
-    yield np.any(m.body_gravcomp), "gravity compensation"
-    yield np.any(m.dof_frictionloss), "dry friction of joints"
-    yield from _faulty_joints(m)
-    yield from _faulty_actuators(m)
-
-
-def _faulty_joints(m: mujoco.MjModel) -> Iterator[tuple[Any, str]]:
-    for kind in ("SLIDE", "BALL"):
-        found = np.flatnonzero(m.jnt_type == getattr(JOINT, f"mjJNT_{kind}"))
-        yield len(found), f"{kind.lower()} joints, as {m.joint(found[0]).name!r}" if len(found) else ""
-    free = np.flatnonzero(m.jnt_type == JOINT.mjJNT_FREE)
-    yield len(free) > 1, "more than one free body"
-    if len(free):
-        yield m.jnt_dofadr[free[0]] != 0, "a free body that is not the first that moves"
-        base = m.jnt_bodyid[free[0]]
-        moving = m.body_weldid[1:] != 0
-        yield np.any(m.body_rootid[1:][moving] != base), "moving bodies beside a free one"
-        dofs = slice(0, 6)
-        yield m.dof_damping[dofs].any() or m.dof_armature[dofs].any(), "damping or armature of a free joint"
-    for name in ("jnt_stiffnesspoly", "dof_dampingpoly", "jnt_springyield", "jnt_actgravcomp", "jnt_actfrclimited"):
-        yield np.any(getattr(m, name, 0)), f"what {name} sets"
-    width = m.jnt_range[:, 1] - m.jnt_range[:, 0]
-    narrow = np.flatnonzero((m.jnt_limited != 0) & (width <= 2.0 * m.jnt_margin))
-    yield len(narrow), "joint ranges that are no wider than twice their margin"
-
-
-def _faulty_actuators(m: mujoco.MjModel) -> Iterator[tuple[Any, str]]:
-    if not m.nu:
-        return
-    transmission, gain, bias = mujoco.mjtTrn, mujoco.mjtGain, mujoco.mjtBias
-    yield np.any(m.actuator_trntype != transmission.mjTRN_JOINT), "actuators of anything but joints"
-    if (m.actuator_trntype == transmission.mjTRN_JOINT).all():
-        yield np.any(m.jnt_type[m.actuator_trnid[:, 0]] != JOINT.mjJNT_HINGE), "actuators of anything but hinges"
-    yield np.any(m.actuator_dyntype != mujoco.mjtDyn.mjDYN_NONE), "actuators with dynamics of their own"
-    yield np.any(m.actuator_gaintype != gain.mjGAIN_FIXED), "actuators whose gain is not fixed"
-    known = np.isin(m.actuator_biastype, (int(bias.mjBIAS_NONE), int(bias.mjBIAS_AFFINE)))
-    yield not known.all(), "actuators whose bias is not affine"
-    for name in ("actuator_damping", "actuator_armature", "actuator_delay", "actuator_dampingpoly"):
-        yield np.any(getattr(m, name, 0)), f"what {name} sets"
-
-
-def _condims(m: mujoco.MjModel) -> np.ndarray:
-    """Of everything that may touch."""
-    return np.concatenate([m.pair_dim, m.geom_condim[(m.geom_contype | m.geom_conaffinity) != 0]])
-
-
 def _body(m: mujoco.MjModel, index: int) -> st.Body:
     first, count = m.body_jntadr[index], m.body_jntnum[index]
     hinges = [j for j in range(first, first + count) if m.jnt_type[j] == JOINT.mjJNT_HINGE]
+    moment, extra = _moments(m.body_inertia[index], _axes(m.body_iquat[index]))
     return st.Body(
-        name=m.body(index).name,
         parent=int(m.body_parentid[index]),
         position=_triple(m.body_pos[index]),
         axes=_axes(m.body_quat[index]),
         mass=float(m.body_mass[index]),
         center=_triple(m.body_ipos[index]),
-        moments=_triple(m.body_inertia[index]),
-        principal=_axes(m.body_iquat[index]),
+        moment=moment,
+        extra=extra,
         hinges=tuple(_hinge(m, joint) for joint in hinges),
     )
+
+
+def _moments(moments: np.ndarray, axes: st.Axes) -> tuple[float, tuple[tuple[float, st.Triple], ...]]:
+    """The moment that most principal axes share, and by how much those about the others exceed it."""
+    same = np.abs(moments[:, None] - moments) <= 1e-12 * moments.max()
+    base = float(moments[same.sum(axis=1).argmax()])
+    more = [(float(moment) - base, axis) for moment, axis in zip(moments, axes, strict=True)]
+    return base, tuple((extra, axis) for extra, axis in more if abs(extra) > 1e-12 * moments.max())
 
 
 def _hinge(m: mujoco.MjModel, joint: int) -> st.Hinge:
@@ -134,8 +83,7 @@ def _hinge(m: mujoco.MjModel, joint: int) -> st.Hinge:
         softness = _softness(m, m.jnt_solref[joint], m.jnt_solimp[joint])
         limit = st.Limit(lower, upper, float(m.jnt_margin[joint]), float(m.dof_invweight0[dof]), softness)
     return st.Hinge(
-        name=m.joint(joint).name,
-        qpos=qpos,
+        coordinate=qpos,
         dof=dof,
         axis=_triple(m.jnt_axis[joint]),
         anchor=_triple(m.jnt_pos[joint]),
@@ -153,7 +101,6 @@ def _motor(m: mujoco.MjModel, index: int) -> st.Motor:
     affine = m.actuator_biastype[index] == mujoco.mjtBias.mjBIAS_AFFINE
     clamped = m.actuator_ctrllimited[index] and not m.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
     return st.Motor(
-        name=m.actuator(index).name,
         qpos=int(m.jnt_qposadr[joint]),
         dof=int(m.jnt_dofadr[joint]),
         gear=float(m.actuator_gear[index, 0]),
@@ -172,14 +119,15 @@ def _sites(m: mujoco.MjModel, kind: Any) -> tuple[st.Site, ...]:
         if kind == mujoco.mjtSensor.mjSENS_TOUCH and not box and shape != GEOM.mjGEOM_SPHERE:
             name = m.site(index).name
             raise InputError(f"physics: the tree cannot represent a touch sensor that is no box or ball, as {name!r}.")
-        place, axes, size = _triple(m.site_pos[index]), _axes(m.site_quat[index]), _triple(m.site_size[index])
-        found.append(st.Site(m.site(index).name, int(m.site_bodyid[index]), place, axes, bool(box), size))
+        place, axes = _triple(m.site_pos[index]), _axes(m.site_quat[index])
+        x, y, z = (float(half) for half in m.site_size[index])
+        found.append(st.Site(int(m.site_bodyid[index]), place, axes, bool(box), (x, y, z)))
     return tuple(found)
 
 
-def _contacts(m: mujoco.MjModel) -> tuple[tuple[st.GroundPoint, ...], tuple[st.Pair, ...]]:
-    ground: list[st.GroundPoint] = []
-    pairs: list[st.Pair] = []
+def _contacts(m: mujoco.MjModel) -> tuple[list[st.GroundPoints], list[st.Pairs]]:
+    ground: list[st.GroundPoints] = []
+    pairs: list[st.Pairs] = []
     for one, two, surface in [*_explicit_pairs(m), *_implicit_pairs(m)]:
         # As MuJoCo: the plane first, then balls, then capsules.
         one, two = sorted((one, two), key=lambda geom: m.geom_type[geom])
@@ -188,13 +136,13 @@ def _contacts(m: mujoco.MjModel) -> tuple[tuple[st.GroundPoint, ...], tuple[st.P
         if kinds[0] == GEOM.mjGEOM_PLANE and kinds[1] in round_ones:
             if m.body_weldid[m.geom_bodyid[one]] != 0:
                 raise InputError(f"physics: the tree cannot represent a plane that moves, as {m.geom(one).name!r}.")
-            ground += _ground_points(m, one, two, surface)
+            ground += _ground_points(m, one, two, surface, len(ground))
         elif kinds[0] in round_ones and kinds[1] in round_ones:
-            pairs.append(st.Pair(name, _capsule(m, one), _capsule(m, two), surface))
+            pairs.append(st.Pairs((_capsule(m, one),), (_capsule(m, two),), surface, (len(pairs),)))
         else:
             words = " and a ".join(GEOM(int(kind)).name.removeprefix("mjGEOM_").lower() for kind in kinds)
             raise InputError(f"physics: the tree cannot represent contacts of a {words}, as those of {name!r}.")
-    return tuple(ground), tuple(pairs)
+    return ground, pairs
 
 
 Touching = tuple[int, int, st.Surface]
@@ -288,22 +236,24 @@ def _capsule(m: mujoco.MjModel, geom: int) -> st.Capsule:
     return st.Capsule(int(m.geom_bodyid[geom]), _triple(m.geom_pos[geom]), axis, radius, half)
 
 
-def _ground_points(m: mujoco.MjModel, plane: int, geom: int, surface: st.Surface) -> Iterator[st.GroundPoint]:
+def _ground_points(
+    m: mujoco.MjModel, plane: int, geom: int, surface: st.Surface, first: int
+) -> Iterator[st.GroundPoints]:
     data = mujoco.MjData(m)
     mujoco.mj_kinematics(m, data)
     normal = data.geom_xmat[plane].reshape(3, 3)[:, 2]
-    shape, name = _capsule(m, geom), m.geom(geom).name
+    shape = _capsule(m, geom)
     ends = (1.0, -1.0) if m.geom_type[geom] == GEOM.mjGEOM_CAPSULE else (0.0,)
     for number, end in enumerate(ends):
-        yield st.GroundPoint(
-            name=f"{name}{number}" if end else name,
+        yield st.GroundPoints(
             body=shape.body,
-            center=_triple(np.add(shape.center, np.multiply(end * shape.half_length, shape.axis))),
+            center=_triple(m.geom_pos[geom] + end * shape.half_length * np.array(shape.axis)),
             radius=shape.radius,
             normal=_triple(normal),
             height=float(normal @ data.geom_xpos[plane]),
             along=shape.axis if end else None,
             surface=surface,
+            order=(first + number,),
         )
 
 

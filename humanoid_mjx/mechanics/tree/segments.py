@@ -1,31 +1,38 @@
 """The nearest points of two segments, as MuJoCo finds them for capsules."""
 
+from collections.abc import Sequence
+
 import jax.numpy as jnp
 
 from humanoid_mjx.mechanics.scalars import Scalar, Vector, add, dot, scale
-from humanoid_mjx.mechanics.tree.algebra import subtract
+from humanoid_mjx.mechanics.tree.algebra import combine, in_order, subtract, vector
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics
-from humanoid_mjx.mechanics.tree.structure import Capsule, Pair
+from humanoid_mjx.mechanics.tree.structure import Capsule, Pairs
 
 
-def nearest_points(pair: Pair, kinematics: Kinematics) -> tuple[Vector, Vector]:
-    """Of the segments of two capsules, against the origin; a ball's is its centre."""
-    (one, along_one), (two, along_two) = (_segment(shape, kinematics) for shape in (pair.one, pair.two))
+def nearest_points(pairs: Pairs, kinematics: Kinematics) -> tuple[Vector, Vector]:
+    """Of the segments of pairs of capsules, against the origin, pair by pair; a ball's is its centre."""
+    (one, along_one), (two, along_two) = (_segments(shapes, kinematics) for shapes in (pairs.ones, pairs.twos))
     apart = subtract(one, two)
-    if pair.one.half_length and pair.two.half_length:
+    if pairs.ones[0].half_length and pairs.twos[0].half_length:
         x, y = _both(along_one, along_two, apart)
         return add(one, scale(x, along_one)), add(two, scale(y, along_two))
-    if pair.one.half_length:
+    if pairs.ones[0].half_length:
         return add(one, scale(_clipped(-dot(along_one, apart), dot(along_one, along_one)), along_one)), two
-    if pair.two.half_length:
+    if pairs.twos[0].half_length:
         return one, add(two, scale(_clipped(dot(along_two, apart), dot(along_two, along_two)), along_two))
     return one, two
 
 
-def _segment(shape: Capsule, kinematics: Kinematics) -> tuple[Vector, Vector]:
-    """The middle, and from there to the end."""
-    axis = kinematics.direction(shape.body, shape.axis)
-    return kinematics.place(shape.body, shape.center), scale(Scalar(shape.half_length), axis)
+def _segments(shapes: Sequence[Capsule], kinematics: Kinematics) -> tuple[Vector, Vector]:
+    """The middles, and from there to the ends."""
+    middles, halves = [], []
+    for shape in shapes:
+        position, axes = kinematics.of_lane(shape.body, shape.lane)
+        middles.append(add(position, combine(axes, vector(shape.center))))
+        halves.append(scale(Scalar(shape.half_length), combine(axes, vector(shape.axis))))
+    one, two = (Vector(*(in_order([v[i] for v in some]) for i in range(3))) for some in (middles, halves))
+    return one, two
 
 
 def _both(a: Vector, b: Vector, apart: Vector) -> tuple[Scalar, Scalar]:

@@ -3,17 +3,31 @@
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from humanoid_mjx.mechanics.scalars import NULL, ZERO, Scalar, Vector, add, dot, scale
-from humanoid_mjx.mechanics.tree.algebra import Spatial, resolve, subtract, velocity_at
+from humanoid_mjx.mechanics.tree.algebra import (
+    Rotation,
+    Spatial,
+    compose,
+    lane,
+    number,
+    resolve,
+    subtract,
+    vector,
+    velocity_at,
+)
 from humanoid_mjx.mechanics.tree.bias import Drift
-from humanoid_mjx.mechanics.tree.contacts import Touch
-from humanoid_mjx.mechanics.tree.inertia import Matrix
-from humanoid_mjx.mechanics.tree.kinematics import motions_of, to_local
-from humanoid_mjx.mechanics.tree.solver import Problem, Solution, residuals
-from humanoid_mjx.mechanics.tree.step import State
+from humanoid_mjx.mechanics.tree.kinematics import Pose, motions_of, to_local
+from humanoid_mjx.mechanics.tree.pairs import residual
+from humanoid_mjx.mechanics.tree.pushing import ground_residuals
+from humanoid_mjx.mechanics.tree.solver import Problem, Solution
+from humanoid_mjx.mechanics.tree.step import State, unfolded
 from humanoid_mjx.mechanics.tree.structure import Site, Tree
+
+Place = tuple[int, int]
+"""A body of a tree, and its lane."""
 
 
 class Push(NamedTuple):
@@ -27,34 +41,74 @@ class Push(NamedTuple):
     """Along the normal, N; 0 where the contact does not push."""
     friction: Vector
     """On the second body, in the world, N."""
-    bodies: tuple[int, int]
+    bodies: tuple[Place, Place]
 
 
 def pushes_of(tree: Tree, problem: Problem, solution: Solution) -> list[Push]:
-    """All contacts: those of `tree.ground`, then those of `tree.pairs`."""
-    ground, pairs = residuals(tree, problem, solution.acceleration)
-    bodies = [(0, point.body) for point in tree.ground] + [(pair.one.body, pair.two.body) for pair in tree.pairs]
-    touches = [*problem.ground, *problem.pairs]
-    return [_push(problem, *each) for each in zip(touches, [*ground, *pairs], bodies, strict=True)]
+    """All contacts: those of the ground, then those of pairs, each in the model's order."""
+    at, x = problem.kinematics, solution.acceleration
+    ground: dict[int, Push] = {}
+    for points, touch, v in zip(
+        tree.ground, problem.ground, ground_residuals(tree, at, problem.ground, x), strict=True
+    ):
+        lanes = tree.lanes if tree.bodies[points.body].laned else 1
+        several = len(points.order) > lanes
+        for index, order in enumerate(points.order):
+            point, one = divmod(index, lanes)
+            picked = _picked((touch.place, touch.frame, touch.force(v)), [point] * several, [one] * (lanes > 1))
+            ground[order] = _push(at.origin, picked, ((0, 0), (points.body, one)))
+    pairs: dict[int, Push] = {}
+    for group, touch, rows in zip(tree.pairs, problem.pairs, problem.rows, strict=True):
+        force = touch.force(residual(tree, touch, rows, x))
+        for index, (order, one, two) in enumerate(zip(group.order, group.ones, group.twos, strict=True)):
+            picked = _picked((touch.place, touch.frame, force), [index], [])
+            pairs[order] = _push(at.origin, picked, ((one.body, one.lane), (two.body, two.lane)))
+    return [found[index] for found in (ground, pairs) for index in range(len(found))]
 
 
-def _push(problem: Problem, touch: Touch, residual: Vector, bodies: tuple[int, int]) -> Push:
-    force, (normal, one, two) = touch.force(residual), touch.frame
+def _picked(things: Any, point: Sequence[int], one: Sequence[int]) -> Any:
+    """One contact's of a pytree of scalars with axes of points and of lanes, if any."""
+    rank = len(point) + len(one) + 1
+
+    def pick(scalar: Scalar) -> Scalar:
+        value = scalar.value
+        if jnp.ndim(value) == rank and point:
+            value = value[point[0] if value.shape[0] > 1 else 0]
+        return lane(Scalar(value), one[0]) if one and jnp.ndim(value) > 1 else Scalar(value)
+
+    return jax.tree.map(pick, things, is_leaf=lambda part: isinstance(part, Scalar))
+
+
+def _push(origin: Vector, contact: tuple[Vector, Rotation, Vector], bodies: tuple[Place, Place]) -> Push:
+    place, (normal, one, two), force = contact
     slip = add(scale(force.y, one), scale(force.z, two))
-    return Push(add(problem.kinematics.origin, touch.place), normal, force.x, slip, bodies)
+    return Push(add(origin, place), normal, force.x, slip, bodies)
+
+
+def poses_of(tree: Tree, state: State) -> list[Pose]:
+    """Of the model's bodies, in the world."""
+    found: dict[int, Pose] = {}
+    for index, places in enumerate(tree.body_places):
+        for one, place in enumerate(places):
+            position, axes = state.kinematics.of_lane(index, one)
+            found[place] = Pose(add(state.kinematics.origin, position), axes)
+    return [found[index] for index in range(len(found))]
 
 
 def velocities_of(tree: Tree, state: State) -> list[Spatial]:
-    """Of each body: the velocity of its own origin and its angular velocity, in the world."""
-    return [
-        Spatial(velocity_at(motion, pose.position), motion.angular)
-        for motion, pose in zip(state.motions, state.kinematics.poses, strict=True)
-    ]
+    """Of the model's bodies: the velocities of their own origins and the angular velocities, in the world."""
+    found: dict[int, Spatial] = {}
+    for index, places in enumerate(tree.body_places):
+        motion = state.motions[index]
+        own = Spatial(velocity_at(motion, state.kinematics.poses[index].position), motion.angular)
+        for one, place in enumerate(places):
+            found[place] = _picked(own, [], [one] * (len(places) > 1))
+    return [found[index] for index in range(len(found))]
 
 
 def gyroscope(state: State, site: Site) -> Vector:
     """The angular velocity, rad/s, in the site's frame."""
-    return resolve(_axes(state, site), state.motions[site.body].angular)
+    return resolve(_axes(state, site), _of(site, state.motions[site.body].angular))
 
 
 def accelerometer(tree: Tree, state: State, acceleration: Sequence[Scalar], gravity: Vector, site: Site) -> Vector:
@@ -64,20 +118,20 @@ def accelerometer(tree: Tree, state: State, acceleration: Sequence[Scalar], grav
       acceleration: of the degrees of freedom, as the solver has it.
     """
     place = state.kinematics.place(site.body, site.position)
-    arm = subtract(place, state.kinematics.poses[site.body].position)
     moved = velocity_at(motions_of(tree, state.kinematics, acceleration)[site.body], place)
-    return resolve(_axes(state, site), subtract(add(moved, state.drifts[site.body].at(arm)), gravity))
+    felt = _of(site, add(moved, drift_at(state, site.body, place)))
+    return resolve(_axes(state, site), subtract(felt, gravity))
 
 
 def touch_sensor(state: State, pushes: Sequence[Push], site: Site) -> Scalar:
     """The sum of the normal forces, N, of the contacts of the site's body that point into the site's volume."""
-    axes = _axes(state, site)
-    center = add(state.kinematics.origin, state.kinematics.place(site.body, site.position))
+    axes, own = _axes(state, site), (site.body, site.lane)
+    center = add(state.kinematics.origin, _of(site, state.kinematics.place(site.body, site.position)))
     felt = ZERO
     for push in pushes:
-        if site.body not in push.bodies:
+        if own not in push.bodies:
             continue
-        sign = Scalar(-1.0 if push.bodies[1] == site.body else 1.0)
+        sign = Scalar(-1.0 if push.bodies[1] == own else 1.0)
         ray, start = resolve(axes, scale(sign, push.normal)), resolve(axes, subtract(push.place, center))
         hit = _hits_box(start, ray, site) if site.box else _hits_ball(start, ray, site)
         felt = felt + Scalar(jnp.where(hit, push.pressure.value, 0.0))
@@ -106,14 +160,42 @@ def _hits_ball(start: Vector, ray: Vector, site: Site) -> Any:
     return dot(point, point).value <= site.size[0] ** 2
 
 
-def point_jacobian(tree: Tree, state: State, body: int, place: Vector) -> list[Vector]:
-    """How a point of a body, against the origin, moves with each degree of freedom of `qvel`."""
-    moving = tree.dofs(body)
-    columns = [
-        velocity_at(motion, place) if dof in moving else NULL for dof, motion in enumerate(state.kinematics.motions)
-    ]
-    rows = [to_local(tree, state.kinematics, [column[i] for column in columns]) for i in range(3)]
-    return [Vector(*(row[dof] for row in rows)) for dof in range(tree.nv)]
+class PointMotion(NamedTuple):
+    """How a point of a body moves."""
+
+    place: Vector
+    """In the world, m."""
+    columns: list[Vector]
+    """Its velocity for a unit of each degree of freedom of `qvel`."""
+    drift: Vector
+    """Its acceleration where none of them accelerates, m/s^2."""
+
+
+def lowest_points(tree: Tree, state: State) -> list[PointMotion]:
+    """Of what the ground can push, in the model's order."""
+    at = state.kinematics
+    found: dict[int, PointMotion] = {}
+    for points in tree.ground:
+        lanes = tree.lanes if tree.bodies[points.body].laned else 1
+        several = len(points.order) > lanes
+        below = scale(number(points.radius), vector(points.normal))
+        place = subtract(at.place(points.body, points.center), below)
+        moving = tree.moving(points.body)
+        motions = [velocity_at(at.motions[dof], place) for dof in moving]
+        drift = drift_at(state, points.body, place)
+        for index, order in enumerate(points.order):
+            point, one = divmod(index, lanes)
+            where = [point] * several, [one] * (lanes > 1)
+            own = dict(zip(moving, _picked(motions, *where), strict=True))
+            columns = {
+                real: own[dof] if dof in own and lanes_of in (one, 0 if not tree.laned(dof) else one) else NULL
+                for dof, reals in enumerate(tree.dofs)
+                for lanes_of, real in enumerate(reals)
+            }
+            rows = [to_local(tree, at, [columns[real][i] for real in range(len(columns))]) for i in range(3)]
+            turned = [Vector(*(row[real] for row in rows)) for real in range(len(columns))]
+            found[order] = PointMotion(add(at.origin, _picked(place, *where)), turned, _picked(drift, *where))
+    return [found[index] for index in range(len(found))]
 
 
 def drift_at(state: State, body: int, place: Vector) -> Vector:
@@ -122,15 +204,33 @@ def drift_at(state: State, body: int, place: Vector) -> Vector:
     return drift.at(subtract(place, state.kinematics.poses[body].position))
 
 
-def full_matrix(tree: Tree, state: State) -> Matrix:
+def full_matrix(tree: Tree, state: State) -> list[list[Scalar]]:
     """The mass matrix, all of it, for velocities as `qvel` has them."""
-    size, at = tree.nv, state.kinematics
-    rows = [[state.matrix[max(i, j)][min(i, j)] for j in range(size)] for i in range(size)]
-    columns = [to_local(tree, at, row) for row in rows]
-    turned = [to_local(tree, at, [row[j] for row in columns]) for j in range(size)]
-    return [[turned[j][i] for j in range(size)] for i in range(size)]
+    where = {real: (dof, one) for dof, reals in enumerate(tree.dofs) for one, real in enumerate(reals)}
+
+    def entry(i: int, j: int) -> Scalar:
+        (row, a), (column, b) = max(where[i], where[j]), min(where[i], where[j])
+        apart = a != b and tree.laned(row) and tree.laned(column)
+        return ZERO if apart else lane(state.matrix[row][column], a)
+
+    size, at = len(where), state.kinematics
+    rows = [to_local(tree, at, [entry(i, j) for j in range(size)]) for i in range(size)]
+    columns = [to_local(tree, at, [row[j] for row in rows]) for j in range(size)]
+    return [[column[i] for column in columns] for i in range(size)]
 
 
-def _axes(state: State, site: Site) -> tuple[Vector, Vector, Vector]:
-    x, y, z = (state.kinematics.direction(site.body, axis) for axis in site.axes)
-    return x, y, z
+def bias_of(tree: Tree, state: State) -> list[Scalar]:
+    """Velocity terms and gravity less the joints' passive forces, for `qvel`."""
+    bias = [b - p for b, p in zip(state.bias, state.passive, strict=True)]
+    return unfolded(to_local(tree, state.kinematics, bias), tree.dofs)
+
+
+def _of(site: Site, thing: Any) -> Any:
+    """What is of the site's body in the site's lane."""
+    return jax.tree.map(lambda part: lane(part, site.lane), thing, is_leaf=lambda part: isinstance(part, Scalar))
+
+
+def _axes(state: State, site: Site) -> Rotation:
+    axes = state.kinematics.of_lane(site.body, site.lane).axes
+    x, y, z = (vector(axis) for axis in site.axes)
+    return compose(axes, (x, y, z))

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from humanoid_mjx.mechanics.scalars import HALF, ONE, ZERO, Scalar, Vector, dot
-from humanoid_mjx.mechanics.tree.algebra import Spatial, number, vector
+from humanoid_mjx.mechanics.tree.algebra import Spatial, in_lanes, lane, number, vector
 from humanoid_mjx.mechanics.tree.bias import Drift, bias_forces, drifts_of
 from humanoid_mjx.mechanics.tree.contacts import (
     Friction,
@@ -18,8 +18,9 @@ from humanoid_mjx.mechanics.tree.contacts import (
 )
 from humanoid_mjx.mechanics.tree.inertia import Mass, Matrix, factor, mass_matrix, masses_of, product
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics, make_kinematics, motions_of, to_local, to_world, unit
-from humanoid_mjx.mechanics.tree.solver import Problem, Solution, pair_rows, solve
-from humanoid_mjx.mechanics.tree.structure import FRICTIONLESS, Surface, Tree
+from humanoid_mjx.mechanics.tree.pairs import pair_rows
+from humanoid_mjx.mechanics.tree.solver import Problem, Solution, solve
+from humanoid_mjx.mechanics.tree.structure import FRICTIONLESS, Number, Surface, Tree
 
 
 class Values(NamedTuple):
@@ -70,8 +71,8 @@ def make_state(tree: Tree, values: Values, qpos: Sequence[Scalar], qvel: Sequenc
     armature = _joint_values(tree, [hinge.armature for hinge in tree.hinges], values.armature)
     passive = [-(damping[dof] * qvel[dof]) for dof in range(tree.nv)]
     for hinge in tree.hinges:
-        stretch = qpos[hinge.qpos] - Scalar(hinge.spring)
-        passive[hinge.dof] = passive[hinge.dof] - Scalar(hinge.stiffness) * stretch
+        stretch = qpos[hinge.coordinate] - number(hinge.spring)
+        passive[hinge.dof] = passive[hinge.dof] - number(hinge.stiffness) * stretch
     return State(
         list(qpos),
         list(qvel),
@@ -87,14 +88,25 @@ def make_state(tree: Tree, values: Values, qpos: Sequence[Scalar], qvel: Sequenc
     )
 
 
-def motor_forces(tree: Tree, state: State, control: Sequence[Scalar]) -> list[Scalar]:
-    """Of all motors on the degrees of freedom, N m, from what they are told, by motor."""
-    forces = [ZERO] * tree.nv
+def folded(scalars: Sequence[Scalar], places: Sequence[tuple[int, ...]]) -> list[Scalar]:
+    """From `qpos` or `qvel` to the tree's coordinates or degrees of freedom, those of lanes together."""
+    return [in_lanes([scalars[index] for index in lanes]) for lanes in places]
+
+
+def unfolded(scalars: Sequence[Scalar], places: Sequence[tuple[int, ...]]) -> list[Scalar]:
+    """The inverse of `folded`."""
+    found = {index: lane(s, i) for s, lanes in zip(scalars, places, strict=True) for i, index in enumerate(lanes)}
+    return [found[index] for index in range(len(found))]
+
+
+def motor_forces(tree: Tree, qpos: Sequence[Scalar], qvel: Sequence[Scalar], control: Sequence[Scalar]) -> list[Scalar]:
+    """Of all motors on the degrees of freedom of `qvel`, N m, from what they are told, by motor."""
+    forces = [ZERO] * len(qvel)
     for motor, told in zip(tree.motors, control, strict=True):
         gear = Scalar(motor.gear)
         force = Scalar(motor.gain) * _within(motor.control, told) + Scalar(motor.bias[0])
-        force = force + Scalar(motor.bias[1]) * gear * state.qpos[motor.qpos]
-        force = force + Scalar(motor.bias[2]) * gear * state.qvel[motor.dof]
+        force = force + Scalar(motor.bias[1]) * gear * qpos[motor.qpos]
+        force = force + Scalar(motor.bias[2]) * gear * qvel[motor.dof]
         forces[motor.dof] = forces[motor.dof] + gear * _within(motor.force, force)
     return forces
 
@@ -114,7 +126,7 @@ def accelerate(
     start = to_world(tree, state.kinematics, warmstart)
     problem = make_problem(tree, values, state, force)
     if not (problem.ground or problem.pairs or problem.stops):
-        return problem, Solution(factor(state.matrix).solve(force), jnp.bool_(True))
+        return problem, Solution(factor(tree, state.matrix).solve(force), jnp.bool_(True))
     return problem, solve(tree, problem, start)
 
 
@@ -124,7 +136,7 @@ def make_problem(tree: Tree, values: Values, state: State, force: list[Scalar]) 
     ground = ground_touches(tree, at, state.motions, _frictions([p.surface for p in tree.ground], values.friction))
     pairs = pair_touches(tree, at, state.motions, _frictions([p.surface for p in tree.pairs], values.friction))
     stops = {
-        hinge.dof: stop_of(hinge.limit, state.qpos[hinge.qpos], state.qvel[hinge.dof])
+        hinge.dof: stop_of(hinge.limit, state.qpos[hinge.coordinate], state.qvel[hinge.dof])
         for hinge in tree.hinges
         if hinge.limit is not None
     }
@@ -144,7 +156,7 @@ def integrate(
         matrix = [list(row) for row in state.matrix]
         for dof in range(tree.nv):
             matrix[dof][dof] = matrix[dof][dof] + dt * state.damping[dof]
-        slowed = factor(matrix).solve(product(state.matrix, acceleration))
+        slowed = factor(tree, matrix).solve(product(tree, state.matrix, acceleration))
         moved = to_local(tree, state.kinematics, slowed)
     qvel = [v + dt * a for v, a in zip(state.qvel, moved, strict=True)]
     qpos = list(state.qpos)
@@ -152,7 +164,7 @@ def integrate(
         qpos[:3] = [x + dt * v for x, v in zip(qpos[:3], qvel[:3], strict=True)]
         qpos[3:7] = turned(unit(qpos[3:7]), Vector(*qvel[3:6]), dt)
     for hinge in tree.hinges:
-        qpos[hinge.qpos] = qpos[hinge.qpos] + dt * qvel[hinge.dof]
+        qpos[hinge.coordinate] = qpos[hinge.coordinate] + dt * qvel[hinge.dof]
     return qpos, qvel, local
 
 
@@ -184,14 +196,16 @@ def _series(square: Scalar, factorials: Sequence[int]) -> Scalar:
 
 
 def _factors(tree: Tree, mass: Any) -> list[Scalar]:
-    return [ONE] * len(tree.bodies) if mass is None else [number(mass[i]) for i in range(len(tree.bodies))]
+    if mass is None:
+        return [ONE] * len(tree.bodies)
+    return [in_lanes([number(mass[i]) for i in places]) for places in tree.body_places]
 
 
-def _joint_values(tree: Tree, own: Sequence[float], given: Any) -> list[Scalar]:
+def _joint_values(tree: Tree, own: Sequence[Number], given: Any) -> list[Scalar]:
     """By degree of freedom: what is given, where the model has any, or else the model's."""
     found = [ZERO] * tree.nv
     for hinge, value in zip(tree.hinges, own, strict=True):
-        found[hinge.dof] = Scalar(value) if given is None or not value else number(given)
+        found[hinge.dof] = number(value) if given is None or not value else number(given)
     return found
 
 

@@ -2,11 +2,23 @@
 
 All of it is plain numbers in tuples, so that a `Tree` is hashable and zeros and ones fold away in `mechanics.scalars`.
 Lengths in m, masses in kg, angles in rad. `reading.read_tree` makes it from a compiled MuJoCo model.
+
+Limbs of one build, as the legs of a body, are *lanes*: `folding.fold` makes them one branch, whose numbers are a table
+of the lanes' where they differ. What is computed of a branch then has an axis of lanes before that of the worlds.
 """
 
 from typing import NamedTuple
 
-Triple = tuple[float, float, float]
+
+class Table(NamedTuple):
+    """Numbers where one would stand: of alike limbs, or of alike contacts of one body."""
+
+    shape: tuple[int, ...]
+    values: tuple[float, ...]
+
+
+Number = float | Table
+Triple = tuple[Number, Number, Number]
 Axes = tuple[Triple, Triple, Triple]
 """The axes of one frame in another: its columns as a rotation matrix."""
 
@@ -35,10 +47,10 @@ class Softness(NamedTuple):
 class Limit(NamedTuple):
     """The range of a hinge."""
 
-    lower: float
-    upper: float
-    margin: float
-    inverse_weight: float
+    lower: Number
+    upper: Number
+    margin: Number
+    inverse_weight: Number
     """1/(kg m^2): what MuJoCo takes for the inverse inertia that the limit feels."""
     softness: Softness
 
@@ -46,46 +58,46 @@ class Limit(NamedTuple):
 class Hinge(NamedTuple):
     """A joint with one axis."""
 
-    name: str
-    qpos: int
-    """Where its angle stands in `qpos`; the bodies' poses in the model are those at `reference`."""
+    coordinate: int
+    """Which of the tree's coordinates is its angle; the bodies' poses in the model are those at `reference`."""
     dof: int
     axis: Triple
     anchor: Triple
     """Axis and a point on it in the frame of the body that the joint moves."""
-    reference: float
-    armature: float
-    damping: float
-    stiffness: float
-    spring: float
+    reference: Number
+    armature: Number
+    damping: Number
+    stiffness: Number
+    spring: Number
     """N m/rad, and the angle at which the spring is slack."""
     limit: Limit | None
 
 
 class Body(NamedTuple):
-    """A rigid body."""
+    """A rigid body, or one of each lane."""
 
-    name: str
     parent: int
     position: Triple
     """Of its origin in the frame of its parent, and where its axes point there, all joints at their reference."""
     axes: Axes
-    mass: float
+    mass: Number
     center: Triple
     """Of mass, in its frame."""
-    moments: Triple
-    principal: Axes
-    """Moments of inertia about the centre of mass, kg m^2, and the axes that they belong to, in its frame."""
+    moment: Number
+    extra: tuple[tuple[Number, Triple], ...]
+    """The moment of inertia about the centre of mass across all of these principal axes, in its frame, and by how much
+    more it is about each, kg m^2. Bodies of revolution have one, balls none."""
     hinges: tuple[Hinge, ...]
     """Those between its parent and it, the parent's end first."""
+    laned: bool = False
 
 
 class Surface(NamedTuple):
     """How two shapes feel each other."""
 
-    friction: tuple[float, float] | None
+    friction: tuple[Number, Number] | None
     """Along the two tangents of the contact; None where there is none."""
-    inverse_weight: float
+    inverse_weight: Number
     """1/kg: what MuJoCo takes for the inverse mass that the contact feels, both bodies together."""
     margin: float
     impratio: float
@@ -101,38 +113,40 @@ class Capsule(NamedTuple):
     """A unit vector; both in the frame of the body."""
     radius: float
     half_length: float
+    lane: int = 0
 
 
-class GroundPoint(NamedTuple):
-    """A ball, or the end of a capsule, that a fixed plane pushes."""
+class GroundPoints(NamedTuple):
+    """Balls, or ends of capsules, of one body that a fixed plane pushes."""
 
-    name: str
     body: int
     center: Triple
-    radius: float
+    radius: Number
     normal: Triple
-    height: float
+    height: Number
     """Of the plane, along its normal in the world."""
     along: Triple | None
     """The first tangent follows this axis of the body (MuJoCo's capsules do); None: a fixed axis of the world."""
     surface: Surface
+    order: tuple[int, ...]
+    """Which of the model's points they are; point by point, lane by lane."""
 
 
-class Pair(NamedTuple):
-    """Two capsules that push each other."""
+class Pairs(NamedTuple):
+    """Capsules that push each other, pair by pair."""
 
-    name: str
-    one: Capsule
-    two: Capsule
+    ones: tuple[Capsule, ...]
+    twos: tuple[Capsule, ...]
     surface: Surface
+    order: tuple[int, ...]
 
 
 class Motor(NamedTuple):
     """What acts on a hinge: `clip(gain * clip(control) + bias[0] + bias[1] * length + bias[2] * speed)`, times gear."""
 
-    name: str
     qpos: int
     dof: int
+    """In `qpos` and `qvel`."""
     gear: float
     gain: float
     bias: Triple
@@ -143,15 +157,15 @@ class Motor(NamedTuple):
 class Site(NamedTuple):
     """A place on a body that senses."""
 
-    name: str
     body: int
     position: Triple
     axes: Axes
     """In the frame of the body."""
     box: bool
     """Whether its volume is a box rather than a ball."""
-    size: Triple
+    size: tuple[float, float, float]
     """Half the edges of the box; of a ball the first is the radius."""
+    lane: int = 0
 
 
 class Tree(NamedTuple):
@@ -161,15 +175,19 @@ class Tree(NamedTuple):
     """The world is the first; parents come before their children."""
     free: int | None
     """The body that floats, whose six degrees of freedom are the first; None: everything hangs on the world."""
-    nq: int
-    nv: int
-    ground: tuple[GroundPoint, ...]
-    pairs: tuple[Pair, ...]
+    coordinates: tuple[tuple[int, ...], ...]
+    dofs: tuple[tuple[int, ...], ...]
+    """Where each coordinate stands in `qpos` and each degree of freedom in `qvel`: one place, or one for each lane."""
+    lanes: int
+    body_places: tuple[tuple[int, ...], ...]
+    """Which of the model's bodies each body is: one, or one for each lane."""
+    ground: tuple[GroundPoints, ...]
+    pairs: tuple[Pairs, ...]
     motors: tuple[Motor, ...]
     gyroscopes: tuple[Site, ...]
     accelerometers: tuple[Site, ...]
     touch_sensors: tuple[Site, ...]
-    gravity: Triple
+    gravity: tuple[float, float, float]
     timestep: float
     implicit_damping: bool
     """Whether the joints' damping is taken at the end of a step, as MuJoCo's Euler does unless told otherwise."""
@@ -179,16 +197,22 @@ class Tree(NamedTuple):
         """All of them, by degree of freedom."""
         return tuple(hinge for body in self.bodies for hinge in body.hinges)
 
-    def path(self, body: int) -> tuple[int, ...]:
-        """The bodies from the world's child to this one."""
-        found: list[int] = []
-        while body:
-            found.append(body)
-            body = self.bodies[body].parent
-        return tuple(reversed(found))
+    @property
+    def nv(self) -> int:
+        """Degrees of freedom, those of all lanes counted once."""
+        return len(self.dofs)
 
-    def dofs(self, body: int) -> tuple[int, ...]:
-        """The degrees of freedom that move this body, in their order."""
-        path = self.path(body)
-        base = tuple(range(6)) if self.free in path else ()
-        return base + tuple(hinge.dof for link in path for hinge in self.bodies[link].hinges)
+    def own(self, body: int) -> tuple[int, ...]:
+        """The degrees of freedom between a body and its parent."""
+        return tuple(range(6)) if body == self.free else tuple(hinge.dof for hinge in self.bodies[body].hinges)
+
+    def moving(self, body: int) -> tuple[int, ...]:
+        """The degrees of freedom that move a body, in their order."""
+        found: tuple[int, ...] = ()
+        while body:
+            found, body = self.own(body) + found, self.bodies[body].parent
+        return found
+
+    def laned(self, dof: int) -> bool:
+        """Whether there is one of each lane."""
+        return len(self.dofs[dof]) > 1

@@ -108,7 +108,17 @@ _TORQUES = {
     4: (("fx", "fx", "fz"), "the second f_x", "f_y"),
     5: (("fx", "fy", "fz"), "C1 C2 S4 as in J5", "C1 C2 C4"),
 }
-"""Torque 1 has unpaired brackets and cannot be evaluated."""
+"""Torque 1 has a place of its own below."""
+
+
+def first_torque(states: States) -> np.ndarray:
+    """What torque 1 of appendix D multiplies f_x with, its brackets paired as far as they are printed, m."""
+    c1, s1, c2, s2, c3, s3, c4, s4, c5, s5 = sines(states)
+    _, l2, l3, l4, l5 = states.lengths
+    y = c1 * c3 + s1 * s2 * s3
+    before = l2 * c1 + l4 * c4 * y + l3 * c1 * c3 + l5 * c5 * (c4 * y + c2 * s1 * s4)
+    return before - l5 * s5 * (s4 * y) - c2 * c4 * s1 + l4 * c2 * s1 * s4 + l3 * s1 * s2 * s3
+
 
 ERRATA = (
     *(
@@ -131,6 +141,14 @@ ERRATA = (
             lambda states, joint=joint: states.true["jacobian"][:, 3:, joint - 1].T,
         )
         for joint in range(1, 6)
+    ),
+    Erratum(
+        "appendix D, torque 1, factor of f_x",
+        "the bracket of l5 S5 closes before - C2 C4 S1, and another that never opened after it",
+        "l5 S5 (S4 (C1 C3 + S1 S2 S3) - C2 C4 S1) as in J1",
+        first_torque,
+        lambda states: states.true["jacobian"][:, 0, 0],
+        "m",
     ),
     *(
         Erratum(f"appendix D, torque {joint}", fault, fix, stall_torque(joint, factors), _true_torque(joint), "N m")

@@ -1,4 +1,4 @@
-"""The body of a legged task: the lower body in a physics, its posture, the law of its joints, the values of its world."""
+"""The body of a legged task: the lower body in a physics, its posture, its joints' law, the values of its world."""
 
 from collections.abc import Mapping
 from functools import lru_cache

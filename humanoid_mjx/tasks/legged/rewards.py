@@ -146,7 +146,7 @@ def flight(view: View) -> FloatScalar:
 
 
 def slip(view: View) -> FloatScalar:
-    """The square of the corners' speed along the ground, while they touch, m^2/s^2 by four corners, times 10; at most 1.
+    """The squared speeds along the ground of the corners that touch, m^2/s^2, summed, by four, times 10; at most 1.
 
     Of the corners: the middle of a foot that rolls over its edge moves without slipping.
     """

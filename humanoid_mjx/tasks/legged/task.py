@@ -1,14 +1,13 @@
 """Reset and step of a legged task, from its declared parts.
 
 Every `period` the learner chooses how far each joint's set-point is from the posture's, or from an open-loop motion
-about it; every time step of the physics a control law drives the joints there. The learner sees encoders, gyroscope,
-accelerometer and foot contacts with their errors, and an attitude estimated from them (R. Mahony et al., "Nonlinear
-Complementary Filters on the Special Orthogonal Group", 2008, for the direction of gravity alone); with `observe:
-privileged` also how the torso really lies and moves.
+about it; every time step of the physics a control law drives the joints there. The learner sees what the sensors say,
+with their errors, and an attitude estimated from them; with `observe: privileged` also how the torso really lies and
+moves.
 """
 
 from functools import lru_cache
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal
 
 import jax
 import jax.numpy as jnp
@@ -17,12 +16,13 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from pydantic import Field
 
 from humanoid_mjx.mechanics.rotations import rotation_matrix, unit
-from humanoid_mjx.physics.base import Readings, Sensed, World
-from humanoid_mjx.physics.sensors import Sensors, SensorState
+from humanoid_mjx.physics.base import Readings, Sensed
+from humanoid_mjx.physics.sensors import Sensors
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import State, begin
-from humanoid_mjx.tasks.legged.body import JOINTS, LeggedBody, Plant
+from humanoid_mjx.tasks.legged.body import JOINTS, LeggedBody
 from humanoid_mjx.tasks.legged.commands import Velocity
+from humanoid_mjx.tasks.legged.episode import Episode
 from humanoid_mjx.tasks.legged.events import Push, Randomise
 from humanoid_mjx.tasks.legged.gait import Gait
 from humanoid_mjx.tasks.legged.observations import PRIVILEGED, PROPRIOCEPTION, Observation, Observed, swapped
@@ -30,34 +30,7 @@ from humanoid_mjx.tasks.legged.rewards import Rewards
 from humanoid_mjx.tasks.legged.terminations import Fall
 from humanoid_mjx.tasks.legged.view import View, feet_of, unknown_feet
 from humanoid_mjx.thesis.leg import GRAVITY
-from humanoid_mjx.types import FloatScalar, IntScalar
-
-FILTER_GAIN = 0.02
-"""The share of the accelerometer in each new estimate of the direction of gravity; the gyroscope gives the rest."""
-
-
-class Episode(NamedTuple):
-    """An episode under way: the `data` of a state."""
-
-    world: World
-    sensors: SensorState
-    readings: Readings
-    """The last."""
-    rates: Float[Array, " joints"]
-    """Change of the encoders since the readings before, rad/s."""
-    down: Float[Array, "3"]
-    """The estimated direction of gravity in the torso's frame."""
-    offsets: Float[Array, " joints"]
-    """Of the set-points, -1 to 1."""
-    first_push: FloatScalar
-    """s"""
-    decisions: IntScalar
-    command: Float[Array, "3"]
-    """m/s, m/s and rad/s; 0 in a task without commands."""
-    phase: FloatScalar
-    """Of the gait; 0 in a task without one."""
-    plant: Plant | None
-    """This episode's own, under randomisation."""
+from humanoid_mjx.types import FloatScalar
 
 
 class LeggedTask(LeggedBody):
@@ -127,7 +100,7 @@ class LeggedTask(LeggedBody):
         force = self.push_on(before, key)
         setpoint = self.setpoint(offsets, self.reference(before))
         world, sensed = self.advance(before.world, setpoint, before.plant or self.plant, force)
-        after = self._sense(before, world, sensed.readings, sensor_key)
+        after = before.sense(self.sensors, world, sensed.readings, self.period, sensor_key)
         after = after._replace(offsets=offsets, decisions=before.decisions + 1)
         view = self.view(after, sensed, before.offsets)
         fallen = self.fall.fallen(view) | world.diverged
@@ -197,14 +170,6 @@ class LeggedTask(LeggedBody):
         if self.command:
             episode = episode._replace(command=self.command.following(episode.command, key, self.period))
         return episode
-
-    def _sense(self, before: Episode, world: World, true: Readings, key: Key[Array, ""]) -> Episode:
-        """The episode in its new world, with what the sensors say of it."""
-        sensors, readings = self.sensors.read(before.sensors, true, key)
-        rates = (readings.encoders - before.readings.encoders) / self.period
-        turned = before.down + self.period * jnp.cross(before.down, readings.gyroscope)
-        down = unit(unit(turned) - FILTER_GAIN * unit(readings.accelerometer))
-        return before._replace(world=world, sensors=sensors, readings=readings, rates=rates, down=down)
 
 
 @lru_cache

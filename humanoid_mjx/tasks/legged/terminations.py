@@ -11,9 +11,7 @@ class Fall(Spec):
     """What counts as a fall: a body that lies, or is about to."""
 
     tilt: float = traced(45.0, gt=0, le=180, description="lean of the torso, degrees")
-    height: float = traced(
-        0.13, ge=0, le=0.3, description="of the hips, m; upright with knees straight it is 0.23 or so"
-    )
+    height: float = traced(0.13, ge=0, le=0.3, description="of the hips, m; on straight legs 0.215")
 
     def fallen(self, view: View) -> BoolScalar:
         """Whether the torso leans farther, or the hips are lower."""

@@ -1,6 +1,6 @@
 """Walk as commanded: forwards, sideways and round, from what real sensors say.
 
-The learner corrects open-loop steps on the spot (`gait`), which with `gait: {lift: 0, sway: 0}` it has to find for itself. Each
+The learner corrects open-loop steps on the spot (`gait`); with `gait: {lift: 0, sway: 0}` it has to find its own. Each
 term of the reward can be weighed, each range of the commands be set, each value of the world be changed by its name.
 """
 
@@ -35,7 +35,7 @@ sheets by what a walking body shakes; force-sensing resistors good to 3 % of the
 of it is read."""
 
 
-SERVO = ServoLaw(stiffness=12.0, damping=0.27)
+SERVO = ServoLaw(stiffness=14.0, damping=0.35)
 """Stiff enough that the open-loop steps keep the body up; with 6 N m/rad they end in a fall within a second."""
 
 

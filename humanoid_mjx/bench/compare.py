@@ -1,0 +1,103 @@
+"""Two results of `bench --json` side by side: what became slower beyond the noise."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rich.table import Table
+
+from humanoid_mjx.spec import InputError
+
+SAME = ("bench", "subject", "device", "batch", "unit")
+"""What two records that are compared have in common."""
+
+LEAST_NOISE = 0.05
+"""Medians of the same code in two runs differ by as much, whatever the spread within each."""
+
+UNKNOWN_SPREAD = 0.2
+"""Of a record with one repeat, or from before spreads were written."""
+
+
+class Change(NamedTuple):
+    """A figure in both results."""
+
+    key: tuple[Any, ...]
+    """The values of `SAME`."""
+    before: float
+    after: float
+    noise: float
+    """The share by which the figure changes where nothing did."""
+
+    @property
+    def factor(self) -> float:
+        """How many times as good it became: above 1 is better, also where a unit is seconds."""
+        seconds = str(self.key[-1]).split()[0] == "s"
+        return self.before / self.after if seconds else self.after / self.before
+
+    @property
+    def regressed(self) -> bool:
+        return self.factor < 1.0 - self.noise
+
+
+def read_result(path: Path) -> dict[str, Any]:
+    """A result of `bench --json`.
+
+    Raises:
+      InputError: the file is something else.
+    """
+    try:
+        result = json.loads(path.read_text())
+        if not all(_key(record) and float(record["value"]) > 0.0 for record in result["records"]):
+            raise ValueError("values are rates or seconds, both positive")
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{path}: not a result of `bench --json`.") from error
+    return result
+
+
+def changes(before: dict[str, Any], after: dict[str, Any]) -> list[Change]:
+    """What both results measured, in the order of the second."""
+    old = {_key(record): record for record in before["records"]}
+    pairs = [(old[_key(new)], new) for new in after["records"] if _key(new) in old]
+    return [Change(_key(new), a["value"], new["value"], noise(a, new)) for a, new in pairs]
+
+
+def noise(before: dict[str, Any], after: dict[str, Any]) -> float:
+    """The share that lies within the spreads of the repeats of both, taken together as independent."""
+    spreads = [record.get("spread") for record in (before, after)]
+    return max(LEAST_NOISE, math.hypot(*(UNKNOWN_SPREAD if spread is None else spread for spread in spreads)))
+
+
+def table(found: list[Change]) -> Table:
+    """A row for each figure, regressions marked."""
+    shown = Table()
+    for heading in (*SAME[:3], "batch", "unit", "before", "after", "times", "noise", ""):
+        shown.add_column(heading, justify="left" if heading in (*SAME[:3], "unit", "") else "right")
+    for change in found:
+        bench, subject, device, batch, unit = change.key
+        figures = f"{change.before:.3e}", f"{change.after:.3e}", f"{change.factor:.2f}", f"{change.noise:.0%}"
+        shown.add_row(bench, subject, device, f"{batch:,}", unit, *figures, "SLOWER" if change.regressed else "")
+    return shown
+
+
+def verdict(found: list[Change]) -> str:
+    """One sentence about all figures."""
+    slower = sum(change.regressed for change in found)
+    return f"{slower or 'None'} of {len(found)} figures became worse beyond the noise."
+
+
+def warnings(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
+    """Why the two results may not be comparable: other machines, other versions, and figures that only one has."""
+    lines: list[str] = []
+    for part in ("machine", "versions"):
+        old, new = before.get(part, {}), after.get(part, {})
+        differing = [name for name in sorted({*old, *new}) if old.get(name) != new.get(name)]
+        lines += [f"{part}: {name} was {old.get(name)}, is {new.get(name)}" for name in differing]
+    keys = [{_key(record) for record in result["records"]} for result in (before, after)]
+    if missing := len(keys[0] - keys[1]):
+        lines.append(f"{missing} of the first result's figures are not in the second.")
+    return lines
+
+
+def _key(record: dict[str, Any]) -> tuple[Any, ...]:
+    return tuple(record[name] for name in SAME)

@@ -1,0 +1,215 @@
+"""A handful of ratios in one run, against the record of them that is committed: has something become slow?
+
+    scan               tabular Q-learning of this package, against a naive scan in JAX
+    chain              the leg without control, against native MuJoCo on all cores
+    help               `humanoid-mjx --help` in a new process, against importing numpy in one
+    trace              tracing and lowering a step of `stand`, against tracing a program that stays the same
+    compile            XLA's share of the same, against compiling such a program
+
+A ratio says how many times as fast its subject is as its reference, the work of both counted in the same unit; larger
+is better. Both are timed in turn, the fastest of each counts, and what seems to have fallen is timed again before it is
+said to have. All of it computes on the CPU. To add a ratio: a function that returns a `Pair`, and a line in `RATIOS`.
+"""
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from humanoid_mjx import runtime
+from humanoid_mjx.bench import legs, physics, tabular
+from humanoid_mjx.bench.training import nothing_compiled
+from humanoid_mjx.data import folder
+from humanoid_mjx.spec import InputError
+from humanoid_mjx.tasks import make_task
+
+MAY_FALL = 0.25
+"""The share of its recorded value that a ratio may lose: repeats on a busy machine differ by up to .15."""
+
+TRIES = 3
+"""How often a ratio that fell is timed before that is said."""
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two calls to time in turn."""
+
+    subject: Callable[[], Any]
+    reference: Callable[[], Any]
+    work: float = 1.0
+    """What a call of the subject does, in calls of the reference."""
+    repeats: int = 7
+    clock: Callable[[], float] = time.perf_counter
+    """In seconds. That of the processor for what computes in this process for long, on one thread or a few."""
+
+
+class Found(NamedTuple):
+    """A ratio beside what the record says."""
+
+    name: str
+    value: float
+    recorded: float | None
+    """None: the record does not have it."""
+
+    @property
+    def fell(self) -> bool:
+        return self.recorded is not None and self.value < (1.0 - MAY_FALL) * self.recorded
+
+
+def record_path() -> Path:
+    """The committed record."""
+    return folder("docs") / "bench" / "guard.json"
+
+
+def read_record(path: Path) -> dict[str, float]:
+    """The ratios of a record by name.
+
+    Raises:
+      InputError: it cannot be read.
+    """
+    try:
+        ratios = json.loads(path.read_text())["ratios"]
+        return {str(name): float(value) for name, value in ratios.items()}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"{path}: not a record of ratios; `bench guard --json FILE` writes one.") from error
+
+
+def run(
+    say: Callable[[str], None],
+    recorded: Mapping[str, float],
+    ratios: "Mapping[str, Callable[[], Pair]] | None" = None,
+) -> list[Found]:
+    """Measure every ratio beside its recorded value."""
+    found: list[Found] = []
+    for name, make in (ratios or RATIOS).items():
+        found.append(_measured(name, make(), recorded.get(name)))
+        value, before = found[-1].value, found[-1].recorded
+        beside = "not in the record" if before is None else f"{value / before:5.2f} of the recorded {before:.3g}"
+        say(f"{name:12} {value:10.3g}  {beside}{'  FELL' if found[-1].fell else ''}")
+    return found
+
+
+def _measured(name: str, pair: Pair, recorded: float | None) -> Found:
+    fastest = (np.inf, np.inf)
+    for _ in range(TRIES):
+        fastest = time_pair(pair, fastest)
+        found = Found(name, pair.work * fastest[1] / fastest[0], recorded)
+        if not found.fell:
+            break
+    return found
+
+
+def time_pair(pair: Pair, fastest: tuple[float, float]) -> tuple[float, float]:
+    """Seconds of the fastest call of subject and reference, called in turn, and not slower than `fastest`."""
+    subject, reference = fastest
+    for _ in range(pair.repeats):
+        subject = min(subject, _seconds(pair.subject, pair.clock))
+        reference = min(reference, _seconds(pair.reference, pair.clock))
+    return subject, reference
+
+
+def verdict(found: list[Found]) -> str:
+    """One sentence about all ratios."""
+    if fell := [ratio for ratio in found if ratio.fell]:
+        parts = [f"{ratio.name} to {ratio.value / ratio.recorded:.2f}" for ratio in fell if ratio.recorded]
+        return f"Of its recorded value fell {', '.join(parts)}; {1.0 - MAY_FALL:g} is allowed."
+    return f"None of {len(found)} ratios fell by more than a quarter."
+
+
+def _seconds(call: Callable[[], Any], clock: Callable[[], float]) -> float:
+    start = clock()
+    jax.block_until_ready(call())
+    return clock() - start
+
+
+def scan() -> Pair:
+    """Both train as many agents for as many steps."""
+    epsilon = np.linspace(0.1, 0.9, tabular.CPU_BLOCK * jax.local_device_count(), dtype=np.float32)
+    pair = Pair(tabular.scan(epsilon)[0], tabular.naive_scan(epsilon)[0])
+    return _warm(pair)
+
+
+def chain() -> Pair:
+    """As many legs, five times the steps."""
+    return _warm(Pair(legs.chain(1024, 500, "none"), physics.mujoco(1024, 100), work=5.0))
+
+
+def start_up() -> Pair:
+    """Processes of their own."""
+
+    def process(*arguments: str) -> None:
+        subprocess.run([sys.executable, *arguments], check=True, stdout=subprocess.DEVNULL)
+
+    return Pair(partial(process, "-m", "humanoid_mjx", "--help"), partial(process, "-c", "import numpy"))
+
+
+def trace() -> Pair:
+    """No cache helps."""
+    return Pair(partial(_lowered, stand_step), partial(_lowered, long_program(600)), 1.0, 2, time.process_time)
+
+
+def compiling() -> Pair:
+    """No cache helps; what is compiled has been traced before."""
+    subject, reference = _lowered(stand_step), _lowered(long_program(150))
+    return Pair(partial(_compiled, subject), partial(_compiled, reference), 1.0, 1, time.process_time)
+
+
+def stand_step() -> Any:
+    """A step of the task for several bodies, traced."""
+    task = make_task("stand")
+    keys = jax.eval_shape(lambda: jax.random.split(jax.random.key(0), 8))
+    state = jax.eval_shape(jax.vmap(lambda key: task.reset(key)), keys)
+    action = jax.ShapeDtypeStruct((8, len(task.action_choices)), jnp.int32)
+    return jax.jit(jax.vmap(lambda *now: task.step(*now))).trace(state, action, keys)
+
+
+def long_program(parts: int) -> Callable[[], Any]:
+    """Traces a program that no change of this package touches."""
+
+    def compute(x: jax.Array) -> jax.Array:
+        for part in range(parts):
+            wave = jnp.sin(x * (part + 1.0))
+            x = jnp.where(wave > 0, jnp.cumsum(wave, axis=-1) @ jnp.ones((16, 16)), x[::-1] + wave)
+        return x
+
+    return lambda: jax.jit(compute).trace(jax.ShapeDtypeStruct((8, 16), jnp.float32))
+
+
+def _lowered(traced: Callable[[], Any]) -> Any:
+    with nothing_compiled():
+        return traced().lower()
+
+
+def _compiled(lowered: Any) -> None:
+    with nothing_compiled():
+        lowered.compile()
+
+
+def _warm(pair: Pair) -> Pair:
+    """Compile both, which is not timed."""
+    jax.block_until_ready((pair.subject(), pair.reference()))
+    return pair
+
+
+RATIOS: dict[str, Callable[[], Pair]] = {
+    "scan": scan,
+    "chain": chain,
+    "help": start_up,
+    "trace": trace,
+    "compile": compiling,
+}
+
+
+def as_json(found: list[Found]) -> dict[str, Any]:
+    """What a record holds."""
+    header = {"machine": runtime.machine(), "versions": runtime.versions(), "commit": runtime.commit()}
+    return header | {"ratios": {ratio.name: round(ratio.value, 4) for ratio in found}}

@@ -1,0 +1,193 @@
+"""Limbs of one build computed as one: half the program for two legs, a quarter for four."""
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from humanoid_mjx.mechanics.tree.structure import Body, Capsule, GroundPoints, Pairs, Site, Surface, Table, Tree
+
+
+class _Unlike(Exception):
+    """Two things cannot be told apart by numbers alone."""
+
+
+def fold(tree: Tree) -> Tree:
+    """The tree with its largest set of alike limbs on one body as lanes, and with alike contacts as tables."""
+    best: list[tuple[int, ...]] = []
+    for parent in range(len(tree.bodies)):
+        for group in _alike(tree, [i for i, body in enumerate(tree.bodies) if i and body.parent == parent]):
+            best = max(best, group, key=lambda limbs: (len(limbs) - 1) * len(limbs[0]) if limbs else 0)
+    folded = _with_lanes(tree, best) if len(best) > 1 else tree
+    ground = _grouped(folded.ground, lambda points: _join_points(folded, points))
+    return folded._replace(ground=ground, pairs=_grouped(folded.pairs, _join_pairs))
+
+
+def _alike(tree: Tree, roots: Sequence[int]) -> list[list[tuple[int, ...]]]:
+    """The limbs at these bodies, those of one build together; a limb is the numbers of its bodies."""
+    groups: list[list[tuple[int, ...]]] = []
+    for limb in (_limb(tree, root) for root in roots):
+        if tree.free in limb or not tree.bodies[limb[0]].hinges:
+            continue
+        for group in groups:
+            try:
+                _merge([_described(tree, group[0]), _described(tree, limb)])
+                group.append(limb)
+                break
+            except _Unlike:
+                continue
+        else:
+            groups.append([limb])
+    return groups
+
+
+def _limb(tree: Tree, root: int) -> tuple[int, ...]:
+    found = [root]
+    for index in range(root + 1, len(tree.bodies)):
+        if tree.bodies[index].parent in found:
+            found.append(index)
+    return tuple(found)
+
+
+def _described(tree: Tree, limb: tuple[int, ...]) -> Any:
+    """Its bodies and points, with numbers of bodies, coordinates and degrees of freedom that count from its root."""
+    dof = tree.bodies[limb[0]].hinges[0].dof
+    coordinate = tree.bodies[limb[0]].hinges[0].coordinate
+    bodies = []
+    for index in limb:
+        body = tree.bodies[index]
+        hinges = tuple(h._replace(dof=h.dof - dof, coordinate=h.coordinate - coordinate) for h in body.hinges)
+        parent = limb.index(body.parent) if body.parent in limb else -1
+        bodies.append(body._replace(parent=parent, hinges=hinges))
+    points = [p._replace(body=limb.index(p.body), order=()) for p in tree.ground if p.body in limb]
+    return tuple(bodies), tuple(points)
+
+
+def _merge(things: Sequence[Any], shape: tuple[int, ...] = ()) -> Any:
+    """Nested tuples of numbers as one: a table, of the given shape, where they differ."""
+    first = things[0]
+    if all(thing == first for thing in things):
+        return first
+    if all(isinstance(thing, float) for thing in things):
+        return Table(shape or (len(things),), tuple(things))
+    if any(type(thing) is not type(first) for thing in things) or not isinstance(first, tuple):
+        raise _Unlike
+    if any(len(thing) != len(first) for thing in things):
+        raise _Unlike
+    parts = [_merge(part, shape) for part in zip(*things, strict=True)]
+    return type(first)(*parts) if hasattr(first, "_fields") else tuple(parts)
+
+
+def _with_lanes(tree: Tree, limbs: Sequence[tuple[int, ...]]) -> Tree:
+    """These limbs as the last branch."""
+    inside = {body for limb in limbs for body in limb}
+    kept = [index for index in range(len(tree.bodies)) if index not in inside]
+    new = {old: index for index, old in enumerate(kept)}
+    lane = {body: number for number, limb in enumerate(limbs) for body in limb}
+    new |= {body: len(kept) + place for limb in limbs for place, body in enumerate(limb)}
+    taken = {h.dof for body in inside for h in tree.bodies[body].hinges}
+    old_dofs = [dof for dof in range(tree.nv) if dof not in taken]
+    taken = {h.coordinate for body in inside for h in tree.bodies[body].hinges}
+    old_coordinates = [place for place in range(len(tree.coordinates)) if place not in taken]
+
+    bodies = [
+        _renumbered(
+            tree.bodies[old], tree.bodies[old].parent and new[tree.bodies[old].parent], old_dofs, old_coordinates
+        )
+        for old in kept
+    ]
+    merged, points = _merge([_described(tree, limb) for limb in limbs])
+    stem, first = new[tree.bodies[limbs[0][0]].parent], len(kept)
+    for body in merged:
+        hinges = tuple(
+            h._replace(dof=h.dof + len(old_dofs), coordinate=h.coordinate + len(old_coordinates)) for h in body.hinges
+        )
+        parent = stem if body.parent < 0 else first + body.parent
+        bodies.append(body._replace(parent=parent, hinges=hinges, laned=True))
+    orders = zip(*([p.order[0] for p in tree.ground if p.body in limb] for limb in limbs), strict=True)
+    ground = [p._replace(body=new[p.body]) for p in tree.ground if p.body not in inside]
+    ground += [p._replace(body=first + p.body, order=order) for p, order in zip(points, orders, strict=True)]
+
+    def moved(thing: Any) -> Any:
+        return thing._replace(body=new[thing.body], lane=lane.get(thing.body, 0))
+
+    def sites(some: Iterable[Site]) -> tuple[Site, ...]:
+        return tuple(moved(site) for site in some)
+
+    def shapes(some: Iterable[Capsule]) -> tuple[Capsule, ...]:
+        return tuple(moved(shape) for shape in some)
+
+    angles = zip(*(_hinges(tree, limb, "coordinate") for limb in limbs), strict=True)
+    speeds = zip(*(_hinges(tree, limb, "dof") for limb in limbs), strict=True)
+    return tree._replace(
+        bodies=tuple(bodies),
+        free=None if tree.free is None else new[tree.free],
+        coordinates=(*((place,) for place in old_coordinates), *angles),
+        dofs=(*((dof,) for dof in old_dofs), *speeds),
+        lanes=len(limbs),
+        body_places=(*((old,) for old in kept), *zip(*limbs, strict=True)),
+        ground=tuple(ground),
+        pairs=tuple(pair._replace(ones=shapes(pair.ones), twos=shapes(pair.twos)) for pair in tree.pairs),
+        gyroscopes=sites(tree.gyroscopes),
+        accelerometers=sites(tree.accelerometers),
+        touch_sensors=sites(tree.touch_sensors),
+    )
+
+
+def _renumbered(body: Body, parent: int, dofs: list[int], coordinates: list[int]) -> Body:
+    hinges = tuple(h._replace(dof=dofs.index(h.dof), coordinate=coordinates.index(h.coordinate)) for h in body.hinges)
+    return body._replace(parent=parent, hinges=hinges)
+
+
+def _hinges(tree: Tree, limb: tuple[int, ...], field: str) -> list[int]:
+    return [getattr(hinge, field) for body in limb for hinge in tree.bodies[body].hinges]
+
+
+def _grouped(things: Sequence[Any], join: Any) -> tuple[Any, ...]:
+    """Those that can be joined as one."""
+    groups: list[list[Any]] = []
+    for thing in things:
+        for group in groups:
+            try:
+                join([*group, thing])
+                group.append(thing)
+                break
+            except _Unlike:
+                continue
+        else:
+            groups.append([thing])
+    return tuple(join(group) for group in groups)
+
+
+def _join_points(tree: Tree, points: Sequence[GroundPoints]) -> GroundPoints:
+    """Points of one body that a plane pushes in one way: tables by point, then by lane where there are lanes."""
+    first = points[0]
+    if any(p._replace(center=first.center, radius=first.radius, order=()) != first._replace(order=()) for p in points):
+        raise _Unlike
+    if len(points) == 1:
+        return first
+    lanes = tree.lanes if tree.bodies[first.body].laned else 0
+
+    def table(values: Sequence[Any]) -> Any:
+        if all(value == values[0] for value in values) and isinstance(values[0], float):
+            return values[0]
+        by_lane = any(isinstance(value, Table) for value in values)
+        count = (lanes if by_lane else 1) if lanes else 0
+        flat = [number for v in values for number in (v.values if isinstance(v, Table) else (v,) * max(count, 1))]
+        return Table((len(values), count) if lanes else (len(values),), tuple(flat))
+
+    center = tuple(table(axis) for axis in zip(*(p.center for p in points), strict=True))
+    order = tuple(place for p in points for place in p.order)
+    return first._replace(center=center, radius=table([p.radius for p in points]), order=order)
+
+
+def _join_pairs(pairs: Sequence[Pairs]) -> Pairs:
+    """Pairs of like shapes that feel each other in one way."""
+    first = pairs[0]
+    ones = tuple(shape for p in pairs for shape in p.ones)
+    twos = tuple(shape for p in pairs for shape in p.twos)
+    if len({(bool(one.half_length), bool(two.half_length)) for one, two in zip(ones, twos, strict=True)}) > 1:
+        raise _Unlike
+    surfaces = [p.surface for p in pairs for _ in p.ones] if len(pairs) > 1 else [first.surface]
+    if any(s.softness != surfaces[0].softness or s.margin != surfaces[0].margin for s in surfaces):
+        raise _Unlike
+    surface: Surface = _merge(surfaces)
+    return Pairs(ones, twos, surface, tuple(place for p in pairs for place in p.order))

@@ -1,0 +1,181 @@
+"""What contacts between bodies add to the equations of a tree. They join its branches, so the equations lose their
+sparsity; as such contacts are rare, that is paid for only where some world of a batch has one."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from humanoid_mjx.mechanics.scalars import ZERO, Scalar, Vector, add
+from humanoid_mjx.mechanics.tree.algebra import force_at, known, over_lanes, power
+from humanoid_mjx.mechanics.tree.contacts import Touch
+from humanoid_mjx.mechanics.tree.inertia import Matrix
+from humanoid_mjx.mechanics.tree.kinematics import Kinematics
+from humanoid_mjx.mechanics.tree.structure import Pairs, Tree
+
+Rows = list[dict[int, Scalar]]
+"""For each direction of the contacts' frames that is felt: how the degrees of freedom move the second body against the
+first, with an axis of pairs, and behind it one of lanes for those that have lanes."""
+
+
+def pair_rows(tree: Tree, kinematics: Kinematics, touches: Sequence[Touch]) -> list[Rows]:
+    """Of all groups of pairs."""
+    return [_rows(tree, kinematics, *each) for each in zip(tree.pairs, touches, strict=True)]
+
+
+def _rows(tree: Tree, kinematics: Kinematics, pairs: Pairs, touch: Touch) -> Rows:
+    signs = {dof: sign for dof in range(tree.nv) if not (sign := _sign(tree, pairs, dof)).is_known(0.0)}
+    found = []
+    for axis in touch.frame[: 1 if touch.friction is None else 3]:
+        force = force_at(axis, touch.place)
+        laned = jax.tree.map(lambda part: part[:, None], force)
+        found.append(
+            {
+                dof: sign * power(kinematics.motions[dof], laned if tree.laned(dof) else force)
+                for dof, sign in signs.items()
+            }
+        )
+    return found
+
+
+def _sign(tree: Tree, pairs: Pairs, dof: int) -> Scalar:
+    """1 where it moves a pair's second body alone, -1 where it moves the first alone."""
+
+    def moves(shape: Any, index: int) -> bool:
+        return dof in tree.moving(shape.body) and index in (shape.lane, None)
+
+    each = list(zip(pairs.ones, pairs.twos, strict=True))
+    if not tree.laned(dof):
+        return known([float(moves(two, two.lane)) - float(moves(one, one.lane)) for one, two in each])
+    lanes = range(tree.lanes)
+    return known([[float(moves(two, index)) - float(moves(one, index)) for index in lanes] for one, two in each])
+
+
+def residual(tree: Tree, touch: Touch, rows: Rows, x: Sequence[Scalar]) -> Vector:
+    """By how much the bodies accelerate more than they should, in the contacts' frames."""
+    moved = []
+    for row in rows:
+        plain = laned = ZERO
+        for dof, part in row.items():
+            if tree.laned(dof):
+                laned = laned + part * x[dof]
+            else:
+                plain = plain + part * x[dof]
+        moved.append(plain + (laned if laned is ZERO else over_lanes(laned, tree.lanes)))
+    return add(Vector(*moved, *[ZERO] * (3 - len(moved))), touch.offset)
+
+
+def with_pairs(
+    tree: Tree,
+    matrix: Matrix,
+    right: Sequence[Scalar],
+    touches: Sequence[Touch],
+    rows: Sequence[Rows],
+    active: Sequence[Sequence[Any]],
+    without: Sequence[Scalar],
+    linear: bool,
+) -> list[Scalar]:
+    """The solution of the equations with the pairs' contacts in them, from that `without`, where any facet pushes.
+
+    Where `linear` there is no branch, which has no transpose once its condition differs between worlds.
+    """
+    flags = [flag for group in active for flag in group]
+    pushing = jnp.concatenate(flags).any(axis=0)
+    leaves, structure = jax.tree.flatten((matrix, list(right), list(touches), list(rows), list(active)))
+    plain = [x.value for x in without]
+
+    def joined(leaves: list[Any], plain: list[Any]) -> list[Any]:
+        matrix, right, touches, rows, active = structure.unflatten(leaves)
+        x = _dense(tree, matrix, right, touches, rows, active)
+        return [jnp.where(pushing, new, old) for new, old in zip(x, plain, strict=True)]
+
+    if linear:
+        found = joined(leaves, plain)
+    else:
+        found = jax.lax.cond(pushing.any(), joined, lambda leaves, plain: plain, leaves, plain)
+    return [Scalar(value) for value in found]
+
+
+def _dense(
+    tree: Tree,
+    matrix: Matrix,
+    right: Sequence[Scalar],
+    touches: Sequence[Touch],
+    rows: Sequence[Rows],
+    active: Sequence[Sequence[Any]],
+) -> list[Any]:
+    """By elimination of whole matrices, one column after another, with an axis of worlds behind."""
+    stem = next((dof for dof in range(tree.nv) if tree.laned(dof)), tree.nv)
+    worlds = jnp.broadcast_shapes(*(jnp.shape(x.value)[-1:] for x in [*right, *(x for row in matrix for x in row)]))
+    equations = _whole(tree, stem, matrix, right, worlds)
+    size = len(equations)
+    for touch, group, flags in zip(touches, rows, active, strict=True):
+        equations = _add_facets(tree, stem, touch, group, flags, equations)
+
+    def eliminate(k: Any, table: Any) -> Any:
+        pivot = table[k] / table[k, k]
+        return (table - table[:, k][:, None] * pivot[None]).at[k].set(pivot)
+
+    solution = jax.lax.fori_loop(0, size, eliminate, equations)[:, -1]
+    laned = solution[stem:].reshape(tree.nv - stem, tree.lanes, *worlds)
+    return [*solution[:stem], *laned]
+
+
+def _stacked(tree: Tree, scalars: Sequence[Scalar], worlds: tuple[int, ...], laned: bool) -> Any:
+    """With a first axis of their own; those of lanes have one of lanes behind it."""
+    shape = (tree.lanes, *worlds) if laned else worlds
+    values = [jnp.broadcast_to(jnp.asarray(scalar.value, float), shape) for scalar in scalars]
+    return jnp.stack(values) if values else jnp.zeros((0, *shape))
+
+
+def _whole(
+    tree: Tree, stem: int, matrix: Matrix, right: Sequence[Scalar], worlds: tuple[int, ...]
+) -> Float[Array, "size columns worlds"]:
+    """The equations of all lanes: matrix and right side."""
+    limb, lanes = tree.nv - stem, tree.lanes
+    rows, columns = range(stem), range(stem, tree.nv)
+    base = _stacked(tree, [matrix[max(i, j)][min(i, j)] for i in rows for j in rows], worlds, False)
+    base = base.reshape(stem, stem, *worlds)
+    base = jnp.concatenate([base, _stacked(tree, right[:stem], worlds, False)[:, None]], axis=1)
+    if not limb:
+        return base
+    cross = _stacked(tree, [matrix[i][j] for i in columns for j in rows], worlds, True)
+    cross = cross.reshape(limb, stem, lanes, *worlds).swapaxes(1, 2).reshape(limb * lanes, stem, *worlds)
+    own = _stacked(tree, [matrix[max(i, j)][min(i, j)] for i in columns for j in columns], worlds, True)
+    own = own.reshape(limb, 1, limb, lanes, *worlds) * jnp.eye(lanes)[None, :, None, :, None]
+    own = own.reshape(limb * lanes, limb * lanes, *worlds)
+    last = _stacked(tree, right[stem:], worlds, True).reshape(limb * lanes, 1, *worlds)
+    above = jnp.concatenate([base[:, :stem], cross.swapaxes(0, 1), base[:, stem:]], axis=1)
+    return jnp.concatenate([above, jnp.concatenate([cross, own, last], axis=1)])
+
+
+def _add_facets(
+    tree: Tree, stem: int, touch: Touch, rows: Rows, flags: Sequence[Any], equations: Any
+) -> Float[Array, "size columns worlds"]:
+    """Each facet of each pair that pushes adds `weight J J^T`, and `- weight offset J` to the right."""
+    pairs, worlds = len(flags[0]), equations.shape[-1:]
+
+    def whole(row: dict[int, Scalar]) -> Scalar:
+        plain = [jnp.broadcast_to(row[dof].value if dof in row else 0.0, (pairs, *worlds)) for dof in range(stem)]
+        shape = (pairs, tree.lanes, *worlds)
+        laned = [jnp.broadcast_to(row[dof].value if dof in row else 0.0, shape) for dof in range(stem, tree.nv)]
+        parts = [jnp.stack(plain, axis=1)] if plain else []
+        parts += [jnp.stack(laned, axis=1).reshape(pairs, -1, *worlds)] if laned else []
+        return Scalar(jnp.concatenate(parts, axis=1))
+
+    jacobians = Vector(*(whole(row) for row in rows), *[ZERO] * (3 - len(rows)))
+    friction = touch.friction and tuple(Scalar(jnp.atleast_2d(mu.value)[..., None, :]) for mu in touch.friction)
+    facets = touch._replace(friction=friction).facets(jacobians)
+    for jacobian, offset, flag in zip(facets, touch.facets(touch.offset), flags, strict=True):
+        pull = -jnp.broadcast_to(offset.value, (pairs, *worlds))[:, None]
+        felt = jnp.concatenate([jacobian.value, pull], axis=1)
+        weight = jnp.where(flag, touch.weight.value, 0.0)
+
+        def add_pair(pair: Any, table: Any, parts: tuple[Any, ...] = (jacobian.value, felt, weight)) -> Any:
+            left, felt, weight = (part[pair] for part in parts)
+            return table + (weight * left)[:, None] * felt[None]
+
+        equations = jax.lax.fori_loop(0, pairs, add_pair, equations)
+    return equations

@@ -1,0 +1,300 @@
+"""Tabular training as one GPU kernel: every thread trains an agent, whose table lies in the shared memory of its block.
+
+The scan of `training.program` starts several kernels for each training step and moves all state through device memory
+between them. Here one kernel makes all steps of a chunk. It runs the learner's and the task's own functions, taken
+apart by `elementwise`, so that no rule is written twice: from the same keys it draws the same random numbers as the
+scan and makes the same operations in the same order. Results differ by rounding alone, where one compiler contracts a
+multiplication and an addition and the other does not; `tests/test_fused.py` compares them.
+
+`why_not` says whether a learner is trained so; the scan is the reference, and trains everything else.
+"""
+
+from functools import partial
+from typing import Any, NamedTuple, Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.experimental import pallas as pl
+from jax.experimental.pallas import triton as gpu
+from jaxtyping import Array
+
+from humanoid_mjx import rng
+from humanoid_mjx.learners import Learner
+from humanoid_mjx.learners.tabular import TabularQ
+from humanoid_mjx.training.elementwise import Elementwise, NotElementwise
+from humanoid_mjx.training.program import Training, record_entry
+from humanoid_mjx.types import IntScalar
+
+SHARED_BYTES = 48 * 1024
+"""Shared memory that a block of threads may declare."""
+
+BLOCKS = (128, 64, 32)
+"""Agents a block, a thread each: as many as have room for their tables."""
+
+
+class Functions(NamedTuple):
+    """What a training step does between its accesses to the table. What is fixed: the learner and the agent's key."""
+
+    learn: Elementwise
+    """(agent, next_q_row) -> row, action and change of the table; point of the record and values to add there."""
+    go_on: Elementwise
+    """(agent, step) -> agent."""
+    move: Elementwise
+    """(agent, q_row, step) -> agent."""
+
+
+def why_not(learner: Learner) -> str | None:
+    """Why the runs of a learner are not trained by the kernel; None where they are."""
+    if not isinstance(learner, TabularQ):
+        return "the fused kernel trains tables"
+    if learner.agents > 1:
+        return "several agents feed one table"
+    if learner.evaluations > 1:
+        return "tables are kept along the way, for evaluation"
+    if jax.default_backend() != "gpu":
+        return "there is no GPU"
+    try:
+        functions(learner)
+    except NotElementwise as reason:
+        return f"the task {type(learner.task).__name__} {reason}"
+    return None
+
+
+def functions(learner: TabularQ) -> Functions:
+    """The parts of a training step of one run.
+
+    Raises:
+      NotElementwise: the task does more than arithmetic and look-ups in constant tables.
+    """
+    carry = jax.eval_shape(TabularQ.init, learner, rng.key(0))
+    key, agent = carry.agents.key, carry.agents._replace(key=None)
+    row = tuple(jax.ShapeDtypeStruct((), jnp.float32) for _ in range(learner.task.num_actions))
+
+    def learn(fixed: Any, varying: Any) -> Any:
+        learner, key = fixed
+        agent, q_row = varying
+        update, outcome = learner.learn(agent._replace(key=key), q_row)
+        change = learner.learning_rate * update.td_error
+        return update.row, update.action, change, *record_entry(learner, outcome)
+
+    def go_on(fixed: Any, varying: Any) -> Any:
+        learner, key = fixed
+        agent, step = varying
+        return learner.go_on(agent._replace(key=key), step)._replace(key=None)
+
+    def move(fixed: Any, varying: Any) -> Any:
+        learner, key = fixed
+        agent, q_row, step = varying
+        return learner.move(agent._replace(key=key), q_row, step)._replace(key=None)
+
+    fixed = learner, key
+    return Functions(
+        Elementwise(learn, fixed, (agent, row)),
+        Elementwise(go_on, fixed, (agent, carry.step)),
+        Elementwise(move, fixed, (agent, row, carry.step)),
+    )
+
+
+class Memory(Protocol):
+    """Where the tables of a block of agents lie."""
+
+    def row(self, token: Array, row: Array) -> tuple[Array, ...]:
+        """The values of a row of each agent's table, after the write that gave this token."""
+        ...
+
+    def add(self, token: Array, row: Array, action: Array, change: Array, seen: tuple[Array, ...]) -> Array:
+        """Add to one value of each table, after these values were read; a token of the write."""
+        ...
+
+
+class DeviceMemory(NamedTuple):
+    """Tables in the memory of the device: of any size, and in the interpreter too."""
+
+    tables: Any
+    """A reference to float (runs, num_states * num_actions)."""
+    run: Array
+    num_actions: int
+
+    def row(self, token: Array, row: Array) -> tuple[Array, ...]:
+        cells = [row * self.num_actions + action for action in range(self.num_actions)]
+        return tuple(gpu.load(self.tables.at[self.run, cell]) for cell in cells)
+
+    def add(self, token: Array, row: Array, action: Array, change: Array, seen: tuple[Array, ...]) -> Array:
+        place = self.tables.at[self.run, row * self.num_actions + action]
+        gpu.store(place, gpu.load(place) + change)
+        return token
+
+
+class SharedMemory(NamedTuple):
+    """Tables in the memory that the threads of a block share, a column for each agent so that no two banks collide.
+
+    Pallas has no such arrays for Triton. Its inline assembly can reach them, but may be moved unless something depends
+    on it: hence a write takes what was read before it and gives a token, a number, which later reads take.
+    """
+
+    address: Array
+    """Of the first value of each agent's table."""
+    num_actions: int
+
+    @classmethod
+    def of(cls, num_states: int, num_actions: int, block: int) -> "SharedMemory":
+        thread = jnp.arange(block, dtype=jnp.int32)
+        code = f".shared .align 4 .b8 q_tables[{num_states * num_actions * block * 4}];"
+        return cls(_assembly(f"{code} mov.u32 $0, q_tables;", "=r,r", jnp.int32, thread) + 4 * thread, num_actions)
+
+    def cell(self, number: Array) -> Array:
+        return self.address + number * (4 * len(self.address))
+
+    def read(self, token: Array, address: Array, beyond: int = 0) -> Array:
+        return _assembly(f"ld.shared.f32 $0, [$1+{beyond}];", "=f,r,r", jnp.float32, address, token)
+
+    def write(self, token: Array, address: Array, value: Array, seen: tuple[Array, ...] = ()) -> Array:
+        constraints = ",".join(["=r", "r", "f", "r", *("f" for _ in seen)])
+        return _assembly(
+            "st.shared.f32 [$1], $2; mov.b32 $0, $3;", constraints, jnp.int32, address, value, token, *seen
+        )
+
+    def row(self, token: Array, row: Array) -> tuple[Array, ...]:
+        address, width = self.cell(row * self.num_actions), 4 * len(self.address)
+        return tuple(self.read(token, address, width * action) for action in range(self.num_actions))
+
+    def add(self, token: Array, row: Array, action: Array, change: Array, seen: tuple[Array, ...]) -> Array:
+        address = self.cell(row * self.num_actions + action)
+        return self.write(token, address, self.read(token, address) + change, seen)
+
+
+def _assembly(code: str, constraints: str, dtype: Any, *args: Array) -> Array:
+    result = jax.ShapeDtypeStruct(args[0].shape, dtype)
+    return gpu.elementwise_inline_asm(code, args=args, constraints=constraints, pack=1, result_shape_dtypes=[result])[0]
+
+
+def block_size(cells: int) -> int | None:
+    """Agents a block whose tables of so many values fit into shared memory; None where not even few do."""
+    return next((block for block in BLOCKS if block * cells * 4 <= SHARED_BYTES), None)
+
+
+def advance(
+    learners: TabularQ, training: Training, steps: IntScalar, block: int | None = None, interpret: bool = False
+) -> Training:
+    """What `program.advance` makes of the training states of runs side by side, all with a leading axis.
+
+    `block`: agents a block. `interpret`: run on a CPU, slowly, with the tables in device memory.
+    """
+    runs, num_states, num_actions = training.carry.q_table.shape
+    fits = block_size(num_states * num_actions)
+    shared, block = fits is not None and not interpret, block or fits or BLOCKS[-1]
+    padded = pl.cdiv(runs, block) * block
+    if padded != runs:
+        rows = np.minimum(np.arange(padded), runs - 1)
+        wide = jax.tree.map(lambda x: jnp.asarray(x)[rows], (learners, training))
+        return jax.tree.map(lambda x: x[:runs], advance(*wide, steps, block, interpret))
+    parts = functions(jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), learners))
+    key, agents = training.carry.agents.key, training.carry.agents._replace(key=None)
+    kept = [jax.vmap(part.once)((learners, key)) for part in parts]
+    laps = (jnp.int32(steps) + learners.lap - 1) // learners.lap * learners.lap
+    tables = _tables(parts)
+    state = jax.tree.map(_storable, (agents, training.carry.step))
+    memory = training.carry.q_table.reshape(runs, -1), training.record
+    inputs = (laps[None], kept, tables, (state, *memory))
+    first = len(jax.tree.leaves(inputs[:3]))
+    outputs = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), inputs[3])
+    found = pl.pallas_call(
+        partial(
+            _kernel,
+            parts=parts,
+            inputs=jax.tree.structure(inputs),
+            like=(agents, training.carry.step),
+            place=(num_states, num_actions, block) if shared else None,
+            block=block,
+            num_actions=num_actions,
+        ),
+        grid=(runs // block,),
+        out_shape=jax.tree.leaves(outputs),
+        input_output_aliases={first + i: i for i in range(len(jax.tree.leaves(outputs)))},
+        compiler_params=gpu.CompilerParams(num_warps=max(1, block // 32), num_stages=1),
+        interpret=interpret,
+    )(*jax.tree.leaves(inputs))
+    state, q_table, record = jax.tree.unflatten(jax.tree.structure(outputs), found)
+    agents, step = jax.tree.map(lambda new, old: new.astype(old.dtype), state, (agents, training.carry.step))
+    carry = training.carry._replace(
+        q_table=q_table.reshape(training.carry.q_table.shape), agents=agents._replace(key=key), step=step
+    )
+    return training._replace(carry=carry, record=record)
+
+
+def _storable(x: Array) -> Array:
+    return x.astype(jnp.int32) if x.dtype == bool else x
+
+
+def _tables(parts: Functions) -> list[Array]:
+    """The constant vectors that the parts look up, each once."""
+    found = {id(table): table for part in parts for table in part.tables}
+    return [jnp.asarray(table) for table in found.values()]
+
+
+def _kernel(*refs: Any, parts: Functions, inputs: Any, like: Any, place: Any, block: int, num_actions: int) -> None:
+    """All steps of a block of agents."""
+    count = inputs.num_leaves
+    steps, kept, constants, _ = jax.tree.unflatten(inputs, refs[:count])
+    *state_refs, tables, record = refs[count:]
+    run = pl.program_id(0) * block + jnp.arange(block, dtype=jnp.int32)
+    kept = jax.tree.map(lambda ref: gpu.load(ref.at[run]), kept)
+    numbers = {name: i for i, name in enumerate({id(table): None for part in parts for table in part.tables})}
+
+    def lookup(table: np.ndarray, index: Array) -> Array:
+        return gpu.load(constants[numbers[id(table)]].at[jnp.clip(index, 0, len(table) - 1)])
+
+    def truncate(x: Array) -> Array:
+        return x.astype(jnp.int32) if place is None else _assembly("cvt.rzi.s32.f32 $0, $1;", "=r,f", jnp.int32, x)
+
+    agent, step = jax.tree.unflatten(
+        jax.tree.structure(like),
+        [gpu.load(ref.at[run]).astype(x.dtype) for ref, x in zip(state_refs, jax.tree.leaves(like), strict=True)],
+    )
+    token = jnp.zeros(block, jnp.int32)
+    memory: Any = DeviceMemory(tables, run, num_actions)
+    if place is not None:
+        shared = SharedMemory.of(*place)
+
+        def fill(cell: Array, token: Array) -> Array:
+            return shared.write(token, shared.cell(cell), gpu.load(tables.at[run, jnp.full(block, cell)]))
+
+        token, memory = jax.lax.fori_loop(0, place[0] * num_actions, fill, token), shared
+
+    def entry(point: Array, measure: int) -> Any:
+        return record.at[run, point, jnp.full(block, measure)]
+
+    def fetch(point: Array, mask: Array, others: list[Array]) -> list[Array]:
+        return [gpu.load(entry(point, i), mask=mask, other=other) for i, other in enumerate(others)]
+
+    def put(point: Array, sums: list[Array], mask: Array) -> None:
+        for measure, value in enumerate(sums):
+            gpu.store(entry(point, measure), value, mask=mask)
+
+    def one(_: Array, inner: Any) -> Any:
+        token, agent, step, here, sums = inner
+        q_row = memory.row(token, agent.next_row)
+        row, action, change, point, values = parts.learn.step(kept[0], (agent, q_row), lookup, truncate)
+        token = memory.add(token, row, action, change, (*agent.q_row, *q_row))
+        moved = point != here
+        put(here, sums, moved)
+        sums = [old + value for old, value in zip(fetch(point, moved, sums), values, strict=True)]
+        step = step + 1
+        agent = parts.go_on.step(kept[1], (agent, step), lookup, truncate)
+        agent = parts.move.step(kept[2], (agent, memory.row(token, agent.row), step), lookup, truncate)
+        return token, agent, step, point, sums
+
+    here = jnp.zeros(block, jnp.int32)
+    sums = fetch(here, here == 0, [jnp.zeros(block, jnp.float32)] * record.shape[2])
+    start = token, agent, step, here, sums
+    token, agent, step, here, sums = jax.lax.fori_loop(0, steps[0], one, start)
+    put(here, sums, here >= 0)
+    if place is not None:
+
+        def empty(cell: Array, _: Any) -> None:
+            gpu.store(tables.at[run, jnp.full(block, cell)], shared.read(token, shared.cell(cell)))
+
+        jax.lax.fori_loop(0, place[0] * num_actions, empty, None)
+    for ref, value in zip(state_refs, jax.tree.leaves((agent, step)), strict=True):
+        gpu.store(ref.at[run], _storable(value))
