@@ -51,3 +51,5 @@ def test_a_sweep_runs(clean):
     done = clean("-m", "humanoid_mjx", "sweep", "joint5", *changes)
     assert done.returncode == 0, done.stderr
     assert "runs/joint5/results.parquet" in done.stdout
+    done = clean("-m", "humanoid_mjx", "report", "runs/joint5")
+    assert done.returncode == 0 and "runs/joint5/report.html" in done.stdout, done.stderr

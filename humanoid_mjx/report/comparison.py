@@ -89,7 +89,8 @@ def compare_curves(path: Path, curves: Sequence[Curve], agents: Sequence[Evaluat
     names = [name for name in MEASURES if any(name in curve.measures for curve in curves)]
     columns = [("control steps", colored)] + ([("seconds of training", timed)] if timed else [])
     with figure(path, len(names), len(columns), size=(5.2, 3.0), sharex="col", sharey="row") as (fig, panels):
-        fig.suptitle(wrapped("Interquartile mean over seeds; band: 95 % bootstrap", fig), x=0.01, ha="left")
+        band = "; band: 95 % bootstrap" if any(len(curve.samples) > 1 for curve in curves) else ""
+        fig.suptitle(wrapped(f"Interquartile mean over seeds{band}", fig), x=0.01, ha="left")
         for row, name in enumerate(names):
             for column, (unit, drawn) in enumerate(columns):
                 panel = panels[row, column]

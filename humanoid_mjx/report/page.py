@@ -106,12 +106,16 @@ def _lead(config: Mapping[str, Any], summary: Mapping[str, np.ndarray], points: 
     unit = "episodes" if config.get("episodes") else "total_steps"
     budget = f"{config[unit]:,} {'episodes' if unit == 'episodes' else 'control steps'}" if config.get(unit) else ""
     best = points[0]
+    size = f"{_many(len(points), 'point')}, {_many(seeds, 'seed')}{' each' * (len(points) > 1)}"
     words = (
-        f"{learner} on {task}: {len(points):,} point{'s' * (len(points) > 1)}, {seeds} seed{'s' * (seeds > 1)} each"
-        + (f", {budget} a run" if budget else "")
-        + f". The best point succeeds in {best.success:.1%} of its greedy episodes, in {best.greedy_steps:.1f} steps."
+        f"{learner} on {task}: {size}{f', {budget} a run' if budget else ''}. "
+        f"The best point succeeds in {best.success:.1%} of its greedy episodes, in {best.greedy_steps:.1f} steps."
     )
     return f'<p class="lead">{text(words, "span")}</p>'
+
+
+def _many(count: int, name: str) -> str:
+    return f"{count:,} {name}{'s' * (count != 1)}"
 
 
 def _result(axes: Sequence[str], summary: Mapping[str, np.ndarray], points: Sequence[Ranked]) -> list[str]:

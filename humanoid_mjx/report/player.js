@@ -173,7 +173,10 @@
         if (!this.playing) return;
         if (before !== null) this.time += (this.speed * Math.min(now - before, 100)) / 1000;
         before = now;
-        if (this.time >= this.length) { this.time = this.length; this.toggle(); }
+        if (this.time >= this.length) {
+          if (this.figure.hasAttribute("data-autoplay")) this.time = 0;
+          else { this.time = this.length; this.toggle(); }
+        }
         this.draw();
         if (this.playing) requestAnimationFrame(step);
       };
