@@ -22,7 +22,7 @@ def test_the_estimate_is_what_xla_takes_within_a_factor_of_two(config):
     runs = 2
     learners = jax.tree.map(lambda x: jax.ShapeDtypeStruct((runs, *x.shape[1:]), x.dtype), group.learners)
     training = jax.tree.map(lambda x: jax.ShapeDtypeStruct((runs, *x.shape), x.dtype), group.one_run)
-    train = programs_of(group.learners).advance
+    train = programs_of(group.learners, jax.local_devices()[:1]).advance
     memory = train.lower(learners, training, jax.ShapeDtypeStruct((), jnp.int32)).compile().memory_analysis()
     peak = memory.argument_size_in_bytes + memory.output_size_in_bytes - memory.alias_size_in_bytes
     ratio = runs * training_bytes(group) / (peak + memory.temp_size_in_bytes)
