@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 app = typer.Typer(
-    add_completion=False,
+    add_completion=True,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     help="Batched simulation and Q-learning for the lower body of a humanoid, in JAX.",
@@ -134,12 +134,33 @@ def export(
 
 @app.command()
 def info(
-    config: Annotated[str | None, typer.Argument(help="A config to resolve.")] = None, set_: Override = None
+    name: Annotated[
+        str | None, typer.Argument(metavar="[CONFIG|TASK|LEARNER]", help="A config to resolve; a task or learner.")
+    ] = None,
+    set_: Override = None,
+    keys: Annotated[bool, typer.Option("--keys", help="Every key with its meaning, range and default.")] = False,
 ) -> None:
     """Show devices, versions and what ships; with CONFIG, the resolved config, its points and the memory they take."""
-    from humanoid_mjx.commands import show_info
+    from humanoid_mjx.commands import show_info, show_keys
 
-    show_info(config, set_ or [])
+    show_keys(name) if keys and name else show_info(name, set_ or [])
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from humanoid_mjx import __version__
+
+        print(f"humanoid-mjx {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def common(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
+    ] = False,
+) -> None:
+    """Batched simulation and Q-learning for the lower body of a humanoid, in JAX."""
 
 
 INTERRUPTED = 130

@@ -294,6 +294,32 @@ def run_export(what: str, file: Path) -> None:
     console.print(f"{file}", soft_wrap=True)
 
 
+def show_keys(name: str) -> None:
+    """`humanoid-mjx info NAME --keys`: of a task, a learner, or both of a config."""
+    from humanoid_mjx.keys import keys_of
+    from humanoid_mjx.learners import LEARNERS, Learner
+    from humanoid_mjx.spec import find
+    from humanoid_mjx.tasks import TASKS
+    from humanoid_mjx.tasks.base import Task
+
+    chosen: list[tuple[str, Any]] = []
+    if name in TASKS or name in LEARNERS or ":" in name:
+        kind, registry, base = ("learner", LEARNERS, Learner) if name in LEARNERS else ("task", TASKS, Task)
+        chosen.append((kind, find(kind, registry, base, name)))
+    else:
+        config = load(name)
+        chosen.append(("task", find("task", TASKS, Task, config.task["name"])))
+        chosen.append(("learner", find("learner", LEARNERS, Learner, config.learner["name"])))
+    table = Table(title=f"{name}: keys of its config", title_justify="left")
+    for heading in ("key", "default", "values", "", "meaning"):
+        table.add_column(heading, overflow="fold")
+    for kind, cls in chosen:
+        for key in keys_of(cls, kind):
+            table.add_row(key.name, key.default, key.allowed, "traced" if key.traced else "static", key.meaning)
+    console.print(table)
+    console.print("Sweeping a traced value compiles nothing; points that differ in static ones compile apart.")
+
+
 def show_info(config: str | None, overrides: Sequence[str]) -> None:
     """`humanoid-mjx info`."""
     runtime.start()

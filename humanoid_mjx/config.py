@@ -1,6 +1,7 @@
 """Config files: what to train, over which sweep, for how long. Strict: unknown keys and wrong types are refused."""
 
 import re
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -75,6 +76,8 @@ def load(config: str | Path, overrides: Sequence[str] = ()) -> Config:
       InputError: no such config, not YAML, or a key or value that cannot be used, in one sentence.
     """
     path = shipped("configs", str(config), ".yaml")
+    if str(path.parent.resolve()) not in sys.path:  # for modules of the user's own beside the config
+        sys.path.append(str(path.parent.resolve()))
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:

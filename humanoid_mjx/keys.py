@@ -1,0 +1,67 @@
+"""The reference of keys: every value of a task or learner that a config may hold, read off its class."""
+
+from collections.abc import Iterator
+from typing import Any, Literal, NamedTuple, get_args, get_origin
+
+from humanoid_mjx.spec import Spec, is_traced
+
+BOUNDS = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
+
+
+class Key(NamedTuple):
+    """One key of a config."""
+
+    name: str
+    """Dotted, as `--set` and axes have it."""
+    default: str
+    """As YAML has it; empty where the key is required or follows from others."""
+    allowed: str
+    """The kind of value and its range."""
+    traced: bool
+    """Whether sweeping it compiles nothing."""
+    meaning: str
+
+
+def keys_of(cls: type[Spec], prefix: str, branch: Spec | None = None) -> Iterator[Key]:
+    """The keys of a Spec, those of a Spec in its defaults below it; `branch` is such a default."""
+    for name, field in cls.model_fields.items():
+        if field.exclude:
+            continue
+        dotted, default = f"{prefix}.{name}", getattr(branch, name) if branch else field.default
+        if isinstance(default, Spec):
+            named = getattr(default, "name", "")
+            yield Key(dotted, str(named), "keys below", False, field.description or "")
+            yield from keys_of(type(default), dotted, default)
+            continue
+        shown = "" if field.is_required() and not branch else _plain(default)
+        yield Key(dotted, shown, _allowed(field), is_traced(field), field.description or "")
+
+
+def _plain(value: Any) -> str:
+    if value is None or isinstance(value, bool):
+        return {None: "null", True: "true", False: "false"}[value]
+    return str(list(value)) if isinstance(value, tuple) else str(value)
+
+
+def _allowed(field: Any) -> str:
+    kinds = [kind for kind in _kinds(field.annotation) if kind]
+    bounds = [
+        f"{word} {bound:g}"
+        for item in field.metadata
+        for sign, word in BOUNDS.items()
+        if isinstance(bound := getattr(item, sign, None), (int, float))
+    ]
+    return ", ".join([" or ".join(dict.fromkeys(kinds)), *bounds])
+
+
+def _kinds(annotation: Any) -> list[str]:
+    """What values a field takes, in words."""
+    if get_origin(annotation) is Literal:
+        return [str(choice) for choice in get_args(annotation)]
+    if get_origin(annotation) is tuple:
+        inner = [kind for kind in get_args(annotation) if kind is not Ellipsis]
+        return [f"list of {_kinds(inner[0])[0]}"]
+    if get_args(annotation):
+        return [kind for part in get_args(annotation) for kind in _kinds(part)]
+    words = {float: "number", int: "whole number", bool: "true or false", str: "text", type(None): "null"}
+    return [words.get(annotation, getattr(annotation, "__name__", str(annotation)))]
