@@ -1,5 +1,7 @@
 """How many runs a device can train at once."""
 
+from collections import Counter
+
 import jax
 import numpy as np
 from jax.extend import core
@@ -47,23 +49,34 @@ def training_bytes(group: Group) -> int:
     return 2 * run_bytes(group) + working_bytes(program.jaxpr)
 
 
+FUSED = frozenset(
+    (
+        *("abs", "add", "and", "broadcast_in_dim", "clamp", "convert_element_type", "cos", "div", "eq", "exp", "floor"),
+        *("ge", "gt", "integer_pow", "iota", "le", "log", "logistic", "lt", "max", "min", "mul", "ne", "neg", "not"),
+        *("or", "pow", "reshape", "rsqrt", "select_n", "sign", "sin", "sqrt", "square", "squeeze", "sub", "tanh"),
+    )
+)
+"""Primitives that XLA computes in the pass of what uses them: used once, their results are never in memory."""
+
+
 def working_bytes(jaxpr: core.Jaxpr) -> int:
     """The most bytes that the values computed in a program hold at once, each until its last use.
 
-    Of loops and calls the inside counts. XLA holds less where it computes elementwise operations in one pass.
+    Of loops and calls the inside counts, but for what XLA computes in one pass with what uses it (`FUSED`).
     """
-    last_use = {var: len(jaxpr.eqns) for var in jaxpr.outvars if isinstance(var, core.Var)}
+    uses = Counter(var for equation in jaxpr.eqns for var in equation.invars if _is_var(var))
+    last_use = {var: len(jaxpr.eqns) for var in jaxpr.outvars if _is_var(var)}
     for place in reversed(range(len(jaxpr.eqns))):
-        for var in jaxpr.eqns[place].invars:
-            if isinstance(var, core.Var):
-                last_use.setdefault(var, place)
+        for var in filter(_is_var, jaxpr.eqns[place].invars):
+            last_use.setdefault(var, place)
     held, peak, sizes = 0, 0, {}
     for place, equation in enumerate(jaxpr.eqns):
         inside = [working_bytes(inner) for inner in core.jaxprs_in_params(equation.params)]
-        sizes |= {var: _bytes(var.aval) for var in equation.outvars if last_use.get(var, place) > place}
-        new = sum(_bytes(var.aval) for var in equation.outvars)
-        peak = max(peak, held + max(new, *inside, 0))
-        held += sum(sizes[var] for var in equation.outvars if var in sizes)
+        fused = equation.primitive.name in FUSED and uses[equation.outvars[0]] == 1
+        new = {var: 0 if fused else _bytes(var.aval) for var in equation.outvars}
+        peak = max(peak, held + max(sum(new.values()), *inside, 0))
+        sizes |= {var: size for var, size in new.items() if last_use.get(var, place) > place}
+        held += sum(size for var, size in new.items() if var in sizes)
         ended = {var for var in equation.invars if _is_var(var)} & {var for var in sizes if last_use[var] == place}
         held -= sum(sizes.pop(var) for var in ended)
     return peak
