@@ -134,13 +134,12 @@ def _seconds(call: Callable[[], Any], clock: Callable[[], float]) -> float:
 def scan() -> Pair:
     """Both train as many agents for as many steps."""
     epsilon = np.linspace(0.1, 0.9, tabular.CPU_BLOCK * jax.local_device_count(), dtype=np.float32)
-    pair = Pair(tabular.scan(epsilon)[0], tabular.naive_scan(epsilon)[0])
-    return _warm(pair)
+    return _warm(Pair(tabular.scan(epsilon)[0], tabular.naive_scan(epsilon)[0], repeats=15))
 
 
 def chain() -> Pair:
     """As many legs, five times the steps."""
-    return _warm(Pair(legs.chain(1024, 500, "none"), physics.mujoco(1024, 100), work=5.0))
+    return _warm(Pair(legs.chain(1024, 500, "none"), physics.mujoco(1024, 100), work=5.0, repeats=15))
 
 
 def start_up() -> Pair:
