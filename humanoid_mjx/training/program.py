@@ -141,8 +141,11 @@ class Programs(NamedTuple):
 
 
 @lru_cache
-def programs(options: tuple[tuple[str, str | bool], ...]) -> Programs:
-    """The programs of all learners with these compiler options. `seeds` is (the config's seed, the seed number)."""
+def programs(options: tuple[tuple[str, str | bool], ...], fused: bool = False) -> Programs:
+    """The programs of all learners with these compiler options. `seeds` is (the config's seed, the seed number).
+
+    `fused`: steps are made by the kernel of `training.fused`.
+    """
 
     def anew(fresh: Bool[Array, ""], learner: Learner, seeds: Any, old: Training, policy: Any) -> Training:
         new = begin(learner, run_key(*seeds), policy)
@@ -151,17 +154,26 @@ def programs(options: tuple[tuple[str, str | bool], ...]) -> Programs:
     def end(learner: Learner, training: Training, seeds: Any) -> dict[str, Any]:
         return finish(learner, training, jax.random.fold_in(run_key(*seeds), 1))
 
+    def by_kernel(learners: Any, training: Training, steps: IntScalar) -> tuple[Training, Progress]:
+        from humanoid_mjx.training import fused  # which takes apart what stands here
+
+        training = fused.advance(learners, training, steps)
+        return training, jax.vmap(_progress)(learners, training)
+
     compiled = partial(jax.jit, compiler_options=dict(options))
+    train = by_kernel if fused else jax.vmap(advance, in_axes=(0, 0, None))
     return Programs(
         begin=compiled(jax.vmap(anew), donate_argnums=3),
-        advance=compiled(jax.vmap(advance, in_axes=(0, 0, None)), donate_argnums=1),
+        advance=compiled(train, donate_argnums=1),
         finish=compiled(jax.vmap(end)),
     )
 
 
-def programs_of(learner: Learner) -> Programs:
-    """The programs that train learners such as this one."""
-    return programs(tuple(sorted(learner.compiler_options.items())))
+def programs_of(learners: Learner) -> Programs:
+    """The programs that train learners such as these, which stand side by side."""
+    from humanoid_mjx.training.fused import why_not
+
+    return programs(tuple(sorted(learners.compiler_options.items())), why_not(learners) is None)
 
 
 def run_key(seed: jax.Array, number: jax.Array) -> jax.Array:
