@@ -45,7 +45,7 @@ class Functions(NamedTuple):
 
 
 def why_not(learner: Learner) -> str | None:
-    """Why the runs of a learner are not trained by the kernel; None where they are."""
+    """Why a learner, or learners side by side, are not trained by the kernel; None where they are."""
     if not isinstance(learner, TabularQ):
         return "the fused kernel trains tables"
     if learner.agents > 1:
@@ -55,10 +55,15 @@ def why_not(learner: Learner) -> str | None:
     if jax.default_backend() != "gpu":
         return "there is no GPU"
     try:
-        functions(learner)
+        functions(one_of(learner) if all(map(np.ndim, jax.tree.leaves(learner))) else learner)
     except NotElementwise as reason:
         return f"the task {type(learner.task).__name__} {reason}"
     return None
+
+
+def one_of(learners: Learner) -> Any:
+    """The shapes of one of the learners side by side."""
+    return jax.eval_shape(lambda tree: jax.tree.map(lambda x: x[0], tree), learners)
 
 
 def functions(learner: TabularQ) -> Functions:
@@ -189,7 +194,7 @@ def advance(
         rows = np.minimum(np.arange(padded), runs - 1)
         wide = jax.tree.map(lambda x: jnp.asarray(x)[rows], (learners, training))
         return jax.tree.map(lambda x: x[:runs], advance(*wide, steps, block, interpret))
-    parts = functions(jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), learners))
+    parts = functions(one_of(learners))
     key, agents = training.carry.agents.key, training.carry.agents._replace(key=None)
     kept = [jax.vmap(part.once)((learners, key)) for part in parts]
     laps = (jnp.int32(steps) + learners.lap - 1) // learners.lap * learners.lap

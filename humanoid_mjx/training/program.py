@@ -148,10 +148,10 @@ class Programs(NamedTuple):
 
 
 @lru_cache
-def programs(options: tuple[tuple[str, str | bool], ...], mesh: Mesh) -> Programs:
+def programs(options: tuple[tuple[str, str | bool], ...], mesh: Mesh, fused: bool = False) -> Programs:
     """The programs of all learners with these compiler options on the devices of `mesh`, whose axis is `RUNS`.
 
-    `seeds` is (the config's seed, the seed number).
+    `seeds` is (the config's seed, the seed number). Where `fused` the kernel of `training.fused` makes the steps.
     """
 
     def anew(fresh: Bool[Array, ""], learner: Learner, seeds: Any, old: Training, policy: Any) -> Training:
@@ -161,23 +161,33 @@ def programs(options: tuple[tuple[str, str | bool], ...], mesh: Mesh) -> Program
     def end(learner: Learner, training: Training, seeds: Any) -> dict[str, Any]:
         return finish(learner, training, jax.random.fold_in(run_key(*seeds), 1))
 
+    def by_kernel(learners: Any, training: Training, steps: IntScalar) -> tuple[Training, Progress]:
+        from humanoid_mjx.training import fused  # which takes apart what stands here
+
+        training = fused.advance(learners, training, steps)
+        return training, jax.vmap(_progress)(learners, training)
+
     by_run, same = PartitionSpec(RUNS), PartitionSpec()
 
     def compiled(function: Callable[..., Any], given: Any = by_run, **options_of_jit: Any) -> Callable[..., Any]:
         spread = jax.shard_map(function, mesh=mesh, in_specs=given, out_specs=by_run, check_vma=False)
         return jax.jit(spread, compiler_options=dict(options), **options_of_jit)
 
+    train = by_kernel if fused else jax.vmap(advance, in_axes=(0, 0, None))
     return Programs(
         begin=compiled(jax.vmap(anew), donate_argnums=3),
-        advance=compiled(jax.vmap(advance, in_axes=(0, 0, None)), (by_run, by_run, same), donate_argnums=1),
+        advance=compiled(train, (by_run, by_run, same), donate_argnums=1),
         finish=compiled(jax.vmap(end)),
     )
 
 
-def programs_of(learner: Learner, devices: Sequence[Device]) -> Programs:
-    """The programs that train learners such as this one on the given devices."""
-    options = runtime.on_every_device(learner.compiler_options) if len(devices) > 1 else learner.compiler_options
-    return programs(tuple(sorted(options.items())), mesh_of(devices))
+def programs_of(learners: Learner, devices: Sequence[Device]) -> Programs:
+    """The programs that train learners such as these, which stand side by side, on the given devices."""
+    from humanoid_mjx.training.fused import why_not
+
+    alone = len(devices) == 1
+    options = learners.compiler_options if alone else runtime.on_every_device(learners.compiler_options)
+    return programs(tuple(sorted(options.items())), mesh_of(devices), why_not(learners) is None)
 
 
 def mesh_of(devices: Sequence[Device]) -> Mesh:

@@ -35,7 +35,11 @@ def worlds_last(function: Callable[..., Any], *static: Any) -> Callable[..., Any
     @many.def_vmap
     def _(runs: int, batched: Any, *args: Any) -> tuple[Any, Any]:
         def merged(x: Any, flag: bool) -> Any:
-            x = jnp.moveaxis(x, 0, -2) if flag else jnp.broadcast_to(x[..., None, :], (*x.shape[:-1], runs, x.shape[-1]))
+            x = (
+                jnp.moveaxis(x, 0, -2)
+                if flag
+                else jnp.broadcast_to(x[..., None, :], (*x.shape[:-1], runs, x.shape[-1]))
+            )
             return x.reshape(*x.shape[:-2], -1)
 
         found = many(*jax.tree.map(merged, args, tuple(batched)))

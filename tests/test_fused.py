@@ -1,0 +1,106 @@
+"""The kernel that trains tables equals the scan; here its interpreter runs it, with tables in device memory."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from finite_mdp import random_task
+
+from humanoid_mjx import make_learner, make_task, rng
+from humanoid_mjx.tasks.finite import FiniteTask
+from humanoid_mjx.training import fused
+from humanoid_mjx.training.elementwise import Elementwise, NotElementwise
+from humanoid_mjx.training.program import advance, begin
+
+RUNS, BLOCK = 6, 4
+
+TASKS = {
+    "standard": {"name": "joint_reach", "joint": 5, "states": 4, "action": 15.0},
+    "truncated": {"name": "joint_reach", "joint": 1, "max_episode_steps": 9},
+    "disobeyed": {"name": "joint_reach", "joint": 1, "action": 23.0, "states": 6, "success_rate": 0.75},
+    "printed": {"name": "joint_reach", "joint": 1, "states": 5, "rules": "printed"},
+    "grid": {"name": "navigate", "map": ("S..", ".#.", "..G"), "success_rate": 0.75, "step_reward": -0.25},
+}
+
+
+def runs_of(task):
+    """Learners side by side that differ in every hyper-parameter, and their training before the first step."""
+    learner = make_learner("tabular_q", task, episodes=30, record=7)
+    learners = jax.tree.map(lambda x: jnp.full(RUNS, x), learner)
+    spread = jnp.linspace(0.25, 1.0, RUNS)
+    values = {"epsilon": spread[::-1], "epsilon_decay": spread, "learning_rate": spread, "discount": spread - 0.25}
+    learners = learners.replace(**values)
+    return learners, jax.jit(jax.vmap(begin))(learners, jax.random.split(rng.key(3), RUNS))
+
+
+@pytest.mark.parametrize("case", TASKS)
+def test_kernel_equals_scan_in_chunks_and_beyond_the_end_of_training(case):
+    values = dict(TASKS[case])
+    learners, start = runs_of(make_task(values.pop("name"), **values))
+    scan = jax.jit(jax.vmap(advance, in_axes=(0, 0, None)))
+    kernel = jax.jit(lambda *args: fused.advance(*args, block=BLOCK, interpret=True))  # RUNS is no multiple of BLOCK
+    expected, found = start, start
+    for steps in (32, 70, 200):
+        expected, _ = scan(learners, expected, steps)
+        found = kernel(learners, found, steps)
+    assert expected.record[..., 0].sum() > RUNS  # so that records and restarts are compared too
+    for wanted, got in zip(jax.tree.leaves(expected), jax.tree.leaves(found), strict=True):
+        if jnp.issubdtype(wanted.dtype, jax.dtypes.prng_key):
+            wanted, got = jax.random.key_data(wanted), jax.random.key_data(got)
+        assert wanted.dtype == got.dtype
+        # The same operations in the same order; a contracted multiplication and addition moves the last place of a
+        # value, and 300 steps average such errors away rather than add them up.
+        np.testing.assert_allclose(got, wanted, rtol=1e-5, atol=1e-5)
+
+
+class Guess(FiniteTask):
+    """A coin falls, and the guess was right or not."""
+
+    @property
+    def num_states(self):
+        return 1
+
+    @property
+    def num_actions(self):
+        return 2
+
+    def reset(self, key):
+        return jnp.int32(0)
+
+    def step(self, state, action, key):
+        right = jax.random.bernoulli(key) == (action == 1)
+        return state, jnp.where(right, 1.0, 0.0), jnp.bool_(True)
+
+
+@pytest.mark.parametrize(
+    ("task", "values", "words"),
+    [
+        (make_task("joint_reach"), {"agents": 2}, "several agents"),
+        (make_task("joint_reach"), {"evaluations": 3}, "along the way"),
+        (make_task("joint_reach"), {}, "no GPU"),
+    ],
+)
+def test_the_scan_trains_what_the_kernel_cannot(task, values, words):
+    assert words in fused.why_not(make_learner("tabular_q", task, **values))
+
+
+@pytest.mark.parametrize(("task", "words"), [(random_task(0, 4, 2, 4), "tables"), (Guess(), "operation")])
+def test_tasks_of_more_than_arithmetic_are_refused(task, words):
+    learner = make_learner("tabular_q", task)
+    with pytest.raises(NotElementwise, match=words):
+        fused.functions(learner)
+
+
+def test_what_is_fixed_is_computed_once():
+    part = Elementwise(lambda fixed, x: jnp.round(fixed / 3) * x + jnp.round(fixed / 3), 10.0, 2.0)
+    assert [equation.primitive.name for equation in part.each] == ["mul", "add"]
+    assert [equation.primitive.name for equation in part.before] == ["div", "round"]
+    kept = part.once(10.0)
+    unused = {"lookup": lambda table, index: index, "truncate": lambda x: x}
+    assert part.step([x[None] for x in kept], jnp.float32([2.0]), **unused) == 9.0
+
+
+def test_tables_that_no_block_can_hold_lie_in_device_memory():
+    assert fused.block_size(48) == 128
+    assert fused.block_size(128) == 64
+    assert fused.block_size(400) is None
