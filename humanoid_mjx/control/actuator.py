@@ -22,11 +22,11 @@ class MotorState(NamedTuple):
     """What a motor does at one moment."""
 
     torque: Float[Array, "*joints"]
-    """At the joint, what is left after the rotor's friction, N m."""
+    """Torque at the joint, less the rotor's friction, N m."""
     current: Float[Array, "*joints"]
     """A"""
     voltage: Float[Array, "*joints"]
-    """At the terminals, V."""
+    """Voltage at the terminals, V."""
 
 
 @partial(
@@ -38,8 +38,8 @@ class MotorState(NamedTuple):
 class Motor:
     """A geared DC motor for each joint, every value a scalar or an array over joints. `Motor.build` checks them.
 
-    In SI units the back-emf constant equals the torque constant (else the motor would not conserve power), so there is
-    one. The armature's inductance is left out, as in (5.23).
+    In SI units the back-emf constant equals the torque constant (otherwise the motor would not conserve power), so
+    there is one. The armature's inductance is left out, as in (5.23).
     """
 
     torque_constant: Any
@@ -53,7 +53,7 @@ class Motor:
     friction: Any
     """B_a, viscous friction at the rotor, N m s/rad."""
     max_voltage: Any
-    """What the driver can give, V."""
+    """Largest voltage of the driver, V."""
 
     @classmethod
     def build(
@@ -119,7 +119,7 @@ class Motor:
         return self.torque_constant * speed + current * self.resistance
 
     def actuate(self, torque: Float[Array, "*joints"], qvel: Float[Array, "*joints"]) -> MotorState:
-        """What comes of asking for `torque`: the motor's torque-speed line cuts it off where the voltage ends."""
+        """What a command of `torque` brings about: the motor's torque-speed line cuts it off where the voltage ends."""
         return self.drive(self.voltage_for(torque, qvel), qvel)
 
     def stall_torque(self) -> Float[Array, "*joints"]:
@@ -133,7 +133,7 @@ class Motor:
 
 
 def through_motors(motor: Motor, controller: Controller) -> Controller:
-    """A controller of a `rollout` whose torques are those that the motors bring about.
+    """A controller of a `rollout` whose torques are those that the motors produce.
 
     The rotors' inertia is left out, and a torque that is held over a cycle stays that of the speed at its start.
     """

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from humanoid_mjx.spec import InputError
 
 RESONANCE_SHARE = 0.5
-"""The natural frequency may be at most this share of the lowest resonance (5.37)."""
+"""Largest natural frequency as a share of the lowest resonance (5.37)."""
 
 
 def damping_ratio(kp: Float[Array, "*joints"], kd: Float[Array, "*joints"]) -> Float[Array, "*joints"]:

@@ -1,20 +1,20 @@
 """Computed torque on the ground: inverse dynamics within what the feet's contacts allow, and a servo for the rest.
 
-The ground is taken for rigid. Then a torque moves the joints by
+The ground is assumed rigid. Then a torque moves the joints by
 
     qacc = B torque + b,    B = M^-1 - M^-1 J^T (J M^-1 J^T)^-1 J M^-1 (the joints' rows and columns),
 
 with J the Jacobian of the corners that touch (`Contacts`): the projected inverse dynamics of Aghili (IEEE Transactions
 on Robotics 21, 2005) and of Mistry, Buchli and Schaal (ICRA 2010). With both feet flat B has rank four only: twelve of
-the sixteen degrees of freedom are taken, and no torque whatever reaches an acceleration that would tear a foot from
-the ground. There the torque is that of a plain servo, so that the soft contacts of a real ground meet a spring.
+the sixteen degrees of freedom are constrained, and no torque reaches an acceleration that would lift a foot off the
+ground. There the torque is that of a plain servo, so that the soft contacts of a real ground meet a spring.
 
 All is one least-squares problem, in the metric of the joints' inertia M_j (Gauss's),
 
     min |B torque + b - wanted|^2 (in M_j) + share^2 |torque - servo|^2 (in M_j^-1),
 
-which knows every set of corners: flat feet, a foot on its edge or on one corner, the flight. The ground is taken to
-pull as well as push; the corners that touch are asked for at every step, so that a wrong belief lasts one step.
+which covers every set of corners: flat feet, a foot on its edge or on one corner, flight. The ground is assumed to pull
+as well as push; the corners that touch are read anew at every step, so that an error of this lasts one step.
 """
 
 from typing import Any, NamedTuple
@@ -35,12 +35,13 @@ standing body gives way to a push further than under the servo; at 700 and 53 pu
 otherwise survive."""
 
 SERVO_KP, SERVO_KD = 6.0, 0.2
-"""N m/rad and N m s/rad: of a servo that stands. Over a cycle of 0.02 s it is unstable: ask it at every step."""
+"""Gains of a servo that keeps the body standing, N m/rad and N m s/rad. It is unstable over a cycle of 0.02 s: call it
+at every step."""
 
 SHARE = 0.1
-"""Where the contacts leave less than this share of what a torque would do to the held robot's joints, the servo rules.
-A push sideways needs it: without ankle roll, rigid flat feet let no sway pass, but a real foot's edges lift. For 0.01
-and less such a push ends in torques at their limit and a fall."""
+"""Where the contacts leave less than this share of what a torque would do to the joints of a held robot, the servo
+takes over. A push sideways needs it: without ankle roll, rigid flat feet let no sway pass, but a real foot's edges
+lift. For 0.01 and less such a push ends in torques at their limit and a fall."""
 
 SOFTNESS = 1e-4
 """1/kg, added to the contacts' inverse inertia: the corners of a foot are redundant. The body weighs 1.7 kg."""
@@ -55,7 +56,7 @@ class GroundControl(NamedTuple):
     """1/s"""
     servo: PD
     share: FloatScalar
-    """0: no servo, computed torque as exact as the contacts allow."""
+    """Weight of the servo, 0 to 1; at 0 computed torque is as exact as the contacts allow."""
 
     @classmethod
     def build(
@@ -87,13 +88,13 @@ def grounded_torque(
     bias: Float[Array, " nv"],
     contacts: Contacts,
 ) -> Joints:
-    """The torque of the joints, N m, from the motion wanted and the state.
+    """Joint torques, N m, from the motion wanted and the state.
 
     Args:
-      reference: of the joints.
-      qpos: of the joints, rad.
-      qvel: rad/s.
-      mass_matrix: of all degrees of freedom, the joints' the last.
+      reference: motion wanted of the joints.
+      qpos: joint angles, rad.
+      qvel: joint velocities, rad/s.
+      mass_matrix: mass matrix of all degrees of freedom, the joints last.
       bias: what acceleration and velocity add to `mass_matrix @ qacc` in the absence of contacts.
       contacts: the points of the feet.
     """
@@ -129,7 +130,7 @@ def constrained_dynamics(
 def eliminate(matrix: Float[Array, "n n"], right: Float[Array, "n columns"]) -> Float[Array, "n columns"]:
     """`matrix^-1 right` of a symmetric positive definite matrix, by elimination without pivots.
 
-    LAPACK's routines, several at once in a batch, lock each other out for ever in XLA on a CPU (jax 0.10.2).
+    LAPACK's routines deadlock in XLA on a CPU when a batch calls several at once (jax 0.10.2).
     """
     table = jnp.concatenate([matrix, right], axis=1)
 

@@ -1,13 +1,13 @@
 """Control laws as robot tasks choose them: `control: {name: servo, stiffness: 3.0}`, or the name alone.
 
 A law turns the motion wanted and the state of a robot into the torque of each joint. Its gains are traced. Where it
-computes with a model of the robot, `mass` is how heavy that model takes the links to be, as a multiple of the robot's
-own: the plant's mass is a value of the physics, and the two may differ.
+computes with a model of the robot, `mass` is the mass of that model's links as a multiple of the robot's own: the
+plant's mass is a value of the physics, and the two may differ.
 
     servo            stiffness (q_d - q) - damping qd
     pd               stiffness (q_d - q) + damping (qd_d - qd)
     partitioned_pd   diag(M) a,            a = qdd_d + kp (q_d - q) + kd (qd_d - qd)     (5.26 to 5.30)
-    computed_torque  M a + bias            of the joints; takes a free torso for held and ignores the ground (5.40)
+    computed_torque  M a + bias            of the joints; treats a free torso as fixed and ignores the ground (5.40)
     grounded         inverse dynamics within what the contacts of the feet allow (`control.ground`)
 
 with kp = natural_frequency^2 and kd = damping_ratio 2 natural_frequency (5.33, 5.34).
@@ -41,7 +41,7 @@ class Law(Spec):
     @pydantic.model_validator(mode="before")
     @classmethod
     def _named_by_its_place(cls, data: Any) -> Any:
-        """A law of a user's own is known by its import path, so that what is written of it can be read again."""
+        """A user's own law is named by its import path, so that a stored config can be read again."""
         unnamed = isinstance(data, dict) and not cls.model_fields["name"].default
         return {"name": f"{cls.__module__}:{cls.__qualname__}"} | data if unnamed else data
 
@@ -67,7 +67,7 @@ class Follow:
 
 
 class ServoLaw(Law):
-    """A position servo: it knows set-points alone, and damps every motion of its joint."""
+    """A position servo: it takes set-points only, and damps every motion of its joint."""
 
     name: Literal["servo"] = "servo"
     stiffness: float = traced(SERVO_KP, gt=0, le=200, description="N m/rad")
@@ -79,7 +79,7 @@ class ServoLaw(Law):
 
 
 class PDLaw(Law):
-    """A servo that is told the velocity wanted, too, and damps the deviation from it."""
+    """A servo that also takes the velocity wanted, and damps the deviation from it."""
 
     name: Literal["pd"] = "pd"
     stiffness: float = traced(SERVO_KP, gt=0, le=200, description="N m/rad")
@@ -103,12 +103,12 @@ class ModelLaw(Law):
         return kp, self.damping_ratio * critical_kd(jnp.asarray(kp, float))
 
     def acceleration(self, reference: Reference, state: RobotState) -> Joints:
-        """What a robot of unit inertias would be given, rad/s^2."""
+        """Joint accelerations to ask for, rad/s^2: the torques of a robot of unit inertias."""
         return servo(*self.gains, reference, state.qpos, state.qvel)
 
 
 class PartitionedPDLaw(ModelLaw):
-    """Each joint through its own inertia (5.26 to 5.30): the error takes couplings, velocity terms and gravity."""
+    """Each joint through its own inertia (5.26 to 5.30): couplings, velocity terms and gravity remain as errors."""
 
     name: Literal["partitioned_pd"] = "partitioned_pd"
 
@@ -118,7 +118,7 @@ class PartitionedPDLaw(ModelLaw):
 
 
 class ComputedTorqueLaw(ModelLaw):
-    """All of the joints' dynamics (5.40 to 5.49), the torso taken for held."""
+    """All of the joints' dynamics (5.40 to 5.49), with the torso treated as fixed."""
 
     name: Literal["computed_torque"] = "computed_torque"
 

@@ -12,7 +12,7 @@ from humanoid_mjx.types import FloatScalar
 
 Joints = Float[Array, " joints"]
 Gain = FloatScalar | Joints
-"""For all joints, or one for each."""
+"""A gain for all joints, or one for each."""
 
 
 class Reference(NamedTuple):
@@ -29,7 +29,7 @@ def at_rest(qpos: Joints) -> Reference:
 
 
 class PD(NamedTuple):
-    """The parameters of a servo that knows nothing of the robot. `PD.build` checks them."""
+    """The parameters of a servo without a model of the robot. `PD.build` checks them."""
 
     kp: Gain
     """N m/rad"""
@@ -46,7 +46,7 @@ class ModelServo(NamedTuple):
     """The parameters of `partitioned_pd` and `computed_torque`: a servo in front of a model. `build` checks them."""
 
     model: Chain
-    """It need not be the robot. Partitioned PD uses the inertia of each joint alone."""
+    """The model, which may differ from the robot. Partitioned PD uses the inertia of each joint alone."""
     kp: Gain
     """1/s^2"""
     kd: Gain
@@ -67,12 +67,12 @@ def pd(params: PD, reference: Reference, qpos: Joints, qvel: Joints) -> Joints:
 
 
 def servo(kp: Gain, kd: Gain, reference: Reference, qpos: Joints, qvel: Joints) -> Joints:
-    """`qdd_d + kd (qd_d - qd) + kp (q_d - q)`, rad/s^2 (5.30, 5.44): what a robot of unit inertias would be given."""
+    """`qdd_d + kd (qd_d - qd) + kp (q_d - q)`, rad/s^2 (5.30, 5.44): the torques of a robot of unit inertias."""
     return reference.qacc + (kp * (reference.qpos - qpos) + kd * (reference.qvel - qvel))
 
 
 def partitioned_pd(params: ModelServo, reference: Reference, qpos: Joints, qvel: Joints) -> Joints:
-    """`diag(M(q)) servo` of the model, N m (5.26 to 5.30), without the friction, which the chain has not.
+    """`diag(M(q)) servo` of the model, N m (5.26 to 5.30), without friction, as the chain has none.
 
     What couples the joints (5.17) is left out. To hold the leg, add `dynamics.gravity` of a model; to keep all but the
     inertial couplings, `dynamics.bias`.
@@ -83,8 +83,8 @@ def partitioned_pd(params: ModelServo, reference: Reference, qpos: Joints, qvel:
 def implicit_euler(params: PD) -> Integrator:
     """Steps of first order through which a servo of these gains acts, as analog ones do, in place of a held torque.
 
-    Linearly implicit in the servo, so that its stiffness does not limit the step: a held torque is unstable over more
-    than `2 M / kd`, 7 microseconds for the gains of Table 5.1 as N m/rad and N m s/rad on the thesis's leg.
+    Linearly implicit in the servo, so that its stiffness does not limit the step: a held torque is unstable in steps
+    longer than `2 M / kd`, 7 microseconds for the gains of Table 5.1 as N m/rad and N m s/rad on the thesis's leg.
     """
 
     def step(leg: Chain, state: State, torque: Joints, dt: FloatScalar) -> State:

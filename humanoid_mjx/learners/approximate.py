@@ -28,7 +28,7 @@ class Weights(NamedTuple):
 
     value: Any
     moments: Moments
-    """Of the raw observations seen so far."""
+    """Running mean and variance of the raw observations seen so far."""
 
 
 class Envs(NamedTuple):
@@ -98,7 +98,7 @@ class ApproximateQ(StepLearner):
         raise NotImplementedError
 
     def preprocess(self, weights: Weights, obs: Float[Array, "*batch size"]) -> Float[Array, "*batch size"]:
-        """What the approximation is given of a raw observation."""
+        """A raw observation in the form that the approximation takes."""
         return obs
 
     @property
@@ -107,7 +107,7 @@ class ApproximateQ(StepLearner):
         return max(self.env.action_choices)
 
     def allowed(self, progress: FloatScalar = 1.0) -> Bool[Array, "joints choices"]:
-        """The choices that exist, and that have been opened where they grow."""
+        """The choices that exist and, where their number grows, are open already."""
         return exploration.opened(self.env.action_choices, progress if self.grow else None)
 
     def init(self, key: Key[Array, ""], policy: Any = None) -> Carry:

@@ -85,7 +85,7 @@ class Learner(Spec):
         raise NotImplementedError
 
     def observation(self, state: State) -> Any:
-        """What `act` is given of the state of an episode in `env`."""
+        """The observation that `act` takes, from the state of an episode in `env`."""
         return state.obs
 
     def act(self, policy: Any, observation: Any, key: Key[Array, ""]) -> Any:
@@ -111,8 +111,8 @@ class WholeRunLearner(StepLearner):
     def train_run(self, carry: Any, report: Callable[[float, Any], None]) -> Any:
         """Train from a state that `init` made to the end; the last training state.
 
-        Call `report(share_done, policy)` often, at least once for each point that is to be recorded; it may raise to
-        stop training.
+        Call `report(share_done, policy)` often, at least once for each point to be recorded; it may raise to stop
+        training.
         """
         raise NotImplementedError
 

@@ -1,7 +1,7 @@
-"""Proximal policy optimization (J. Schulman et al., 2017) as Brax has it, on the tasks of this package.
+"""Proximal policy optimization (J. Schulman et al., 2017) as Brax implements it, on the tasks of this package.
 
 Hyper-parameters have Brax's names and meanings (`brax.training.agents.ppo.train`). Actions are numbers in [-1, 1] for
-each joint: `ContinuousTask.step_continuous` says what becomes of them.
+each joint: `ContinuousTask.step_continuous` carries them out.
 """
 
 import io
@@ -44,7 +44,7 @@ HYPER = (
     "reward_scaling",
     "normalize_observations",
 )
-"""What is handed to Brax as it is."""
+"""Keyword arguments that go to Brax unchanged."""
 
 
 class Carry(NamedTuple):
@@ -141,7 +141,7 @@ class BraxPPO(WholeRunLearner):
         )
 
     def _parts(self) -> int:
-        """In how many parts of equally many updates training is looked at: at most `record`."""
+        """How many parts of equally many updates training has, one for each point recorded: at most `record`."""
         updates = -(-int(self.total_steps) // (self.batch_size * self.num_minibatches * self.unroll_length))
         return -(-updates // -(-updates // self.record))
 

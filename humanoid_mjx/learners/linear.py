@@ -78,7 +78,7 @@ class LinearQ(ApproximateQ):
 
     @property
     def _shape(self) -> tuple[int, int, int]:
-        """Of the weights: sets of them, features, choices."""
+        """Shape of the weights: sets of them, features, choices."""
         return 1 if self.shared else self.joints, self.features().size, self.choices
 
     @property

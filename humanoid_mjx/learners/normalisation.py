@@ -12,7 +12,7 @@ MAX_DEVIATIONS = 10.0
 
 
 class Moments(NamedTuple):
-    """Of all observations seen so far."""
+    """Number, mean and variance of all observations seen so far."""
 
     count: FloatScalar
     mean: Float[Array, " size"]
@@ -20,7 +20,7 @@ class Moments(NamedTuple):
 
 
 def moments(size: int) -> Moments:
-    """Of nothing seen yet: mean 0 and variance 1."""
+    """The moments before anything is seen: count 0, mean 0 and variance 1."""
     return Moments(jnp.float32(0), jnp.zeros(size), jnp.ones(size))
 
 
@@ -35,5 +35,5 @@ def observe(old: Moments, obs: Float[Array, "batch size"]) -> Moments:
 
 
 def normalise(seen: Moments, obs: Float[Array, "*batch size"]) -> Float[Array, "*batch size"]:
-    """Observations with mean 0 and variance 1, as far as what was seen tells."""
+    """Observations scaled to mean 0 and variance 1 by the moments seen so far."""
     return jnp.clip((obs - seen.mean) / jnp.sqrt(seen.variance + 1e-6), -MAX_DEVIATIONS, MAX_DEVIATIONS)

@@ -2,12 +2,12 @@
 
     td_target = reward + discount * max_a' Q(s', a'),   Q(s, a) += learning_rate * (td_target - Q(s, a))
 
-with no value beyond a terminal state. How a task bends this (the pseudo-code of section 6.3 does) stands in its
-`Rules`. With `agents` above 1 the learner is collective: that many episodes run at once and feed one table, each
-visited (s, a) moving by the mean of the updates that fell on it.
+with no value beyond a terminal state. A task may change this by its `Rules`, as the pseudo-code of section 6.3 does.
+With `agents` above 1 the learner is collective: that many episodes run at once and feed one table, each visited (s, a)
+moving by the mean of the updates that fell on it.
 
-A step first learns from the move that each agent has under way, then makes the next one. In this order a table is
-read at two places and written at one, and XLA's CPU compiler keeps the arithmetic between them in fast loops.
+A step first learns from the move that each agent has under way, then makes the next one. In this order a table is read
+at two places and written at one, and XLA's CPU compiler keeps the arithmetic between them in fast loops.
 """
 
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""What a step says of the value of its action: Q(lambda) targets over a piece of experience."""
+"""Targets for the value of an action: Q(lambda) over a piece of experience."""
 
 import jax
 import jax.numpy as jnp

@@ -1,9 +1,10 @@
 """Balance on level ground: centre of mass, zero-moment point, support polygon (sections 4.5 and 4.8).
 
 The thesis asks that the zero-moment point stay in the polygon of the feet and prints no formula. These are the standard
-ones (Vukobratovic and Borovac, International Journal of Humanoid Robotics 1, 2004): what the ground must give is what
-the links' weights and accelerations ask for, and where that wrench has no moment about a level axis is the point. As
-long as the feet can give it, it is the centre of pressure of the contact forces, and lies in their convex hull.
+ones (Vukobratovic and Borovac, International Journal of Humanoid Robotics 1, 2004): the ground must give the wrench
+that the links' weights and accelerations require, and the zero-moment point is where this wrench has no moment about a
+level axis. As long as the feet can give it, the point is the centre of pressure of the contact forces and lies in their
+convex hull.
 """
 
 from typing import NamedTuple
@@ -22,11 +23,11 @@ class LinkMotion(NamedTuple):
     mass: Float[AnyArray, "*batch links"]
     """kg"""
     inertia: Float[AnyArray, "*batch links 3 3"]
-    """About the centre of mass, kg m^2."""
+    """Inertia of each link about its centre of mass, kg m^2."""
     position: Float[AnyArray, "*batch links 3"]
-    """Of the centre of mass, m."""
+    """Position of each link's centre of mass, m."""
     acceleration: Float[AnyArray, "*batch links 3"]
-    """Of the centre of mass, m/s^2."""
+    """Acceleration of each link's centre of mass, m/s^2."""
     angular_velocity: Float[AnyArray, "*batch links 3"]
     """rad/s"""
     angular_acceleration: Float[AnyArray, "*batch links 3"]
@@ -55,8 +56,8 @@ def zero_moment_point(force: Float[AnyArray, "*batch 3"], moment: Float[AnyArray
     """Where on the plane z = 0 a wrench has no moment about x and y, (*batch, 2), m.
 
     Args:
-      force: N; the world's frame, z up.
-      moment: about the world's origin, N m.
+      force: force, N, in the world's frame, z up.
+      moment: moment about the world's origin, N m.
 
     Returns:
       x and y; NaN where the force does not push the ground, as in flight.

@@ -11,22 +11,22 @@ from humanoid_mjx.types import AnyArray
 class Contacts(NamedTuple):
     """Points of the feet that the ground can push, in the world.
 
-    Each that touches takes away three degrees of freedom, but those of one foot are not independent, as it is rigid:
-    four or three corners take six, the two of an edge five (the foot can tip over it), one takes three.
+    Each that touches removes three degrees of freedom, but those of one foot are not independent, as it is rigid: four
+    or three corners remove six, the two of an edge five (the foot can tip over it), one removes three.
     """
 
     position: Float[AnyArray, "*worlds points 3"]
     """m"""
     jacobian: Float[AnyArray, "*worlds points 3 nv"]
-    """From velocities of the robot to those of the points."""
+    """Jacobian: from velocities of the robot to those of the points."""
     drift: Float[AnyArray, "*worlds points 3"]
-    """What the points accelerate by where the robot's accelerations are 0, m/s^2."""
+    """Acceleration of the points where the robot's accelerations are 0, m/s^2."""
     touching: Bool[AnyArray, "*worlds points"]
-    """At the ground's height or below: where it pushes."""
+    """Whether each point is at the ground's height or below, where the ground pushes."""
 
 
 def no_contacts(nv: int) -> Contacts:
-    """Of a robot without ground: no points."""
+    """The contacts of a robot without ground: no points."""
     none = jnp.zeros((0, 3))
     return Contacts(none, jnp.zeros((0, 3, nv)), none, jnp.zeros(0, bool))
 
@@ -42,11 +42,11 @@ def rigid_points(
     """Jacobian and drift of points of the bodies, from the spatial motions of the degrees of freedom.
 
     Args:
-      position: m, world.
+      position: positions of the points, m, world.
       moved_by: which degrees of freedom move a point's body.
-      motion: by degree of freedom, angular then linear, of a body's point at the origin (MuJoCo's `cdof`).
-      motion_rate: its rate where the robot moves at qvel (`cdof_dot`).
-      origin: m, world (`subtree_com`).
+      motion: motion by degree of freedom, angular then linear, of a body's point at the origin (MuJoCo's `cdof`).
+      motion_rate: rate of `motion` where the robot moves at qvel (`cdof_dot`).
+      origin: origin of the motions, m, world (`subtree_com`).
     """
     arm = (position - origin)[:, None]
     angular, linear = motion[:, :3], motion[:, 3:]

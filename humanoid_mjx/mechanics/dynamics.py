@@ -113,7 +113,7 @@ def runge_kutta(
 ) -> State:
     """One step of the classical method of fourth order.
 
-    A torque that is not held is a function: (share of the step that is over, state) -> torque, N m.
+    A torque that is not held is a function: (share of the step that has passed, state) -> torque, N m.
     """
     acting = torque if callable(torque) else lambda share, state: torque
 
@@ -150,10 +150,10 @@ def rollout(
       controller: (time in s, qpos, qvel) -> torque, N m.
       dt: length of a step, s.
       steps: how many.
-      unroll: steps in one pass of the compiled loop. On a GPU 4 are twice as fast as 1, and take 4 times as long to
+      unroll: steps in one pass of the compiled loop. On a GPU 4 are twice as fast as 1 and take 4 times as long to
         compile; on a CPU they gain nothing.
       cycle: steps from one torque to the next; may be traced, so that each robot of a batch has its own. None for a
-        torque that is not held, as of an analog controller: `runge_kutta` alone can do that.
+        torque that is not held, as from an analog controller: only `runge_kutta` can do that.
 
     Returns:
       The state after the last step, and the states after each: (steps, joints). What is not used costs nothing

@@ -13,7 +13,7 @@ from humanoid_mjx.thesis import leg as thesis
 from humanoid_mjx.types import FloatScalar
 
 TABLES = {"straight_walk": thesis.STRAIGHT_WALK, "sudden_turn": thesis.SUDDEN_TURN}
-"""Tables 4.5 and 4.6. Their "hip" is the hip's pitch. Joints they do not name stay at 0."""
+"""Tables 4.5 and 4.6. Their "hip" is the hip's pitch. Joints that they do not name stay at 0."""
 
 
 class Gait(NamedTuple):
@@ -22,7 +22,7 @@ class Gait(NamedTuple):
     knots: Float[Array, " knots"]
     """s, from 0 to the period."""
     coefficients: Float[Array, "spans 4 5"]
-    """Of (t - knot)^0 to (t - knot)^3, rad and s."""
+    """Coefficients of (t - knot)^0 to (t - knot)^3 for each span and joint, rad and s."""
 
     @property
     def period(self) -> Float[Array, ""]:

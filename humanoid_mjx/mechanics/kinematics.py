@@ -51,7 +51,7 @@ def singularity_distance(leg: Leg, q: Float[Array, "5"]) -> Float[Array, ""]:
     The Jacobian is singular exactly where one of four pairs of conditions holds: yaw and knee straight (`S2 = S4 = 0`,
     the only one in the joint ranges), `S2 = 0` and `C3 = -l3/l2`, `C3 = S4 = 0`, or `C3 = C2 = 0`. Each fixes two of
     the angles q2, q3 and q4; the distance is the Euclidean one to the nearest such place. The determinants of equations
-    4.20 and 4.21 are no such test: both vanish on the whole straight walk.
+    4.20 and 4.21 do not tell: both vanish on the whole straight walk.
     """
     _, q2, q3, q4, _ = q
     l2, l3 = leg.d[1], leg.a[2]

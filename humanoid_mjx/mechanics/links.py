@@ -1,4 +1,4 @@
-"""The links of a chain at one configuration, as scalars of which the structural zeros are known."""
+"""The links of a chain at one configuration, as scalars whose structural zeros are known."""
 
 from typing import Any, NamedTuple
 
@@ -29,7 +29,7 @@ class Body(NamedTuple):
         return Body(self.mass + other.mass, add(self.first, other.first), *second)
 
     def moved(self, by: Vector) -> "Body":
-        """The body about the origin that lies at -`by` in its frame."""
+        """The body about an origin that lies at -`by` in its frame."""
         h = self.first
         first = add(h, scale(self.mass, by))
         return Body(

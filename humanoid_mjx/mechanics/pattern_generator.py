@@ -25,7 +25,7 @@ IN_STEP = jnp.pi
 
 
 class Params(NamedTuple):
-    """What the generator is told. All values may be traced and may change between steps."""
+    """The commands and constants of the generator. All values may be traced and may change between steps."""
 
     gait: Gait
     frequency: FloatScalar
@@ -47,7 +47,7 @@ class Follower(NamedTuple):
 
 class State(NamedTuple):
     phase: Float[Array, "2"]
-    """Of the right and the left leg, rad in [0, 2 pi)."""
+    """Phases of the right and the left leg, rad in [0, 2 pi)."""
     frequency: Follower
     amplitude: Follower
 

@@ -42,11 +42,12 @@ def heading_frame(rotation: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
 def angular_velocity(
     rotation: Float[Array, "*bodies 3 3"], rate: Float[Array, "*bodies 3 3"]
 ) -> Float[Array, "*bodies 3"]:
-    """In the world, rad/s, of a rotation that changes at `rate`: `rate rotation^T` is the cross product with it."""
+    """Angular velocity in the world, rad/s, of a rotation that changes at `rate`: `rate rotation^T` is the cross
+    product with it."""
     spin = jnp.einsum("...ij,...kj->...ik", rate, rotation)
     return jnp.stack([spin[..., 2, 1], spin[..., 0, 2], spin[..., 1, 0]], axis=-1)
 
 
 def unit(vector: Float[Array, " n"]) -> Float[Array, " n"]:
-    """The vector at length 1; none stays none."""
+    """The vector scaled to length 1; a zero vector stays zero."""
     return vector / (jnp.linalg.norm(vector) + 1e-9)

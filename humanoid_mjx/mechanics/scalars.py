@@ -130,7 +130,8 @@ def unstack(array: Shaped[Array, "n ..."]) -> list[Scalar]:
 
 
 def stack(scalars: Sequence[Scalar], like: Shaped[Array, " _"]) -> Shaped[Array, " n"]:
-    """The scalars as an array with the element type of `like`, or of what they were traced with if that is wider."""
+    """The scalars as an array with the element type of `like`, or with the one they were traced with if that is
+    wider."""
     return jnp.stack([jnp.asarray(s.value, like.dtype if isinstance(s.value, float) else None) for s in scalars])
 
 

@@ -23,7 +23,7 @@ class Quintic(NamedTuple):
     """A polynomial of fifth order in time for every joint, from time 0 to `duration`."""
 
     coefficients: Float[Array, "6 ..."]
-    """Of t^0 to t^5."""
+    """Coefficients of t^0 to t^5 for each joint, rad and s."""
     duration: FloatScalar
     """s"""
 

@@ -22,7 +22,7 @@ def link_motion(
     """The bodies of a recorded motion, outside jax, in float64.
 
     Args:
-      model: of the robot.
+      model: model of the robot.
       qpos: and
       qvel: the states.
       qacc: the accelerations in them. Over a step of semi-implicit Euler they are the change of `qvel` over the step.
@@ -52,12 +52,12 @@ def link_motion(
 def ground_wrench(stages: Stages, qacc: Float[Array, " nv"]) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
     """What pushes a free body from outside, inside jax: force, N, and moment about the world's origin, N m.
 
-    It is what the first six rows of `mass_matrix @ qacc + bias` leave unexplained: the forces at the torso, world, and
-    the moment about its frame's origin, in its frame. With the ground alone it is the ground's.
+    It is what the first six rows of `mass_matrix @ qacc + bias` leave unexplained: the force at the torso, world, and
+    the moment about its frame's origin, in its frame. Where only the ground pushes, it is the ground's wrench.
 
     Args:
-      stages: of a robot with a free torso.
-      qacc: of all degrees of freedom.
+      stages: stages of a robot with a free torso.
+      qacc: accelerations of all degrees of freedom.
     """
     force, moment = jnp.split((stages.mass_matrix @ qacc + stages.bias)[:6], 2)
     turned = rotate(stages.world.qpos[3:7], moment)

@@ -19,12 +19,13 @@ bare joint at 100 rad/s, and contact forces that have blown up soon reach thousa
 
 
 class World(NamedTuple):
-    """The state of one world; with leading axes, of many."""
+    """The state of one world, or with leading axes of many."""
 
     qpos: Float[AnyArray, "*worlds nq"]
-    """Position and quaternion (w x y z) of the torso where it is free, then the joints, rad."""
+    """Position, m, and quaternion (w x y z) of the torso where it is free; then the joint angles, rad."""
     qvel: Float[AnyArray, "*worlds nv"]
-    """Of the torso where it is free: velocity in the world, angular velocity in its own frame. Then the joints."""
+    """Velocity of the torso in the world, m/s, and its angular velocity in its own frame, rad/s, where it is free; then
+    those of the joints, rad/s."""
     warmstart: Float[AnyArray, "*worlds nv"]
     """Accelerations of the last step, from which the search for contact forces starts."""
     diverged: Bool[AnyArray, "*worlds"]
@@ -33,17 +34,17 @@ class World(NamedTuple):
 
 
 class Stages(NamedTuple):
-    """What a controller may use of the current state. It is computed anyhow; what is not used costs nothing.
+    """What a controller may use of the current state. A step computes it in any case, and unused parts cost nothing.
 
     In the absence of contacts `mass_matrix @ acceleration + bias = torque`, with zeros for the torque of the torso.
     """
 
     world: World
     qpos: Float[AnyArray, "*worlds joints"]
-    """Of the actuated joints, rad."""
+    """Angles of the actuated joints, rad."""
     qvel: Float[AnyArray, "*worlds joints"]
     mass_matrix: Float[AnyArray, "*worlds nv nv"]
-    """The last rows and columns are the joints'."""
+    """Mass matrix of all degrees of freedom; its last rows and columns are the joints'."""
     bias: Float[AnyArray, "*worlds nv"]
     """Velocity term, gravity and the joints' damping."""
     torque_for: Callable[[Any, Any], Any]
@@ -52,18 +53,18 @@ class Stages(NamedTuple):
     contacts: Callable[[], Contacts]
     """The corners of the feet that can touch the ground; no points where there is none."""
     model_for: Callable[[Any], tuple[Any, Any]]
-    """(a model's mass factor) -> the mass matrix and the bias that the model believes in."""
+    """(a model's mass factor) -> the mass matrix and the bias of that model."""
 
 
 class Readings(NamedTuple):
-    """What the sensors say."""
+    """Readings of the sensors."""
 
     encoders: Float[AnyArray, "*worlds joints"]
     """rad"""
     gyroscope: Float[AnyArray, "*worlds 3"]
     """Angular velocity of the torso in its own frame, rad/s."""
     accelerometer: Float[AnyArray, "*worlds 3"]
-    """Of the torso in its own frame, m/s^2; +9.81 upwards at rest."""
+    """Acceleration that the torso feels, in its own frame, m/s^2; +9.81 upwards at rest."""
     foot_contact: Float[AnyArray, "*worlds 2"]
     """Normal force on the right and the left foot, N."""
 
@@ -90,22 +91,22 @@ class GroundContacts(NamedTuple):
     """The corners of the feet that can touch the ground, the right foot's first; none where there is no ground."""
 
     position: Float[AnyArray, "*worlds points 3"]
-    """Of their lowest points, m, world."""
+    """Positions of the corners' lowest points, m, world."""
     velocity: Float[AnyArray, "*worlds points 3"]
-    """m/s, world."""
+    """Velocities of the same points, m/s, world."""
     normal_force: Float[AnyArray, "*worlds points"]
-    """What the ground pushes a corner up with, N; 0 where it does not touch."""
+    """Force with which the ground pushes each corner up, N; 0 where it does not touch."""
 
 
 class Sensed(NamedTuple):
-    """Everything about one world at one moment: what its sensors say, and what is true of its bodies."""
+    """Everything about one world at one moment: the readings of its sensors and the true state of its bodies."""
 
     readings: Readings
     poses: Poses
     velocities: Velocities
     contacts: GroundContacts
     torque: Float[AnyArray, "*worlds joints"]
-    """That acts, N m."""
+    """Torques that act on the actuated joints, N m."""
 
 
 Controller = Callable[[Stages], Any]
@@ -115,8 +116,8 @@ Controller = Callable[[Stages], Any]
 class Physics(Spec):
     """Base of physics. All methods are pure; they are written for one world, and `jax.vmap` makes it many.
 
-    `physics.replace(friction=...)` changes a traced value, in the place of which an array may stand: under `jax.vmap`
-    each world may have its own.
+    `physics.replace(friction=...)` changes a traced value, which may be an array: under `jax.vmap` each world may have
+    its own.
     """
 
     @property
@@ -182,7 +183,7 @@ class Physics(Spec):
     def run_sensed(self, world: World, controller: Controller, cycles: int) -> tuple[World, Sensed]:
         """`cycles` control cycles of one time step, and everything at the beginning of the last.
 
-        That is the moment of which a time step knows all: what it ends in has no forces yet.
+        A time step computes everything for its beginning only: its end has no forces yet.
         """
 
         def cycle(carry: tuple[World, World, Any], _: None) -> tuple[tuple[World, World, Any], None]:

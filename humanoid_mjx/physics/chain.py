@@ -71,7 +71,7 @@ class ChainPhysics(Physics):
 
     @property
     def sides(self) -> tuple[str, ...]:
-        """The legs that there are."""
+        """The sides that have a leg."""
         return SIDES if self.robot == "legs" else SIDES[:1]
 
     @property
@@ -139,7 +139,7 @@ class ChainPhysics(Physics):
 
     def _stages(self, world: World) -> Stages:
         def torque_for(qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
-            # All links as heavy: the torque grows with them, and the leg's own values stay constants of the program.
+            # One factor for all links: the torque grows with it, and the leg's own values stay constants.
             factor, each = (1.0, mass) if jnp.ndim(mass) else (mass, 1.0)
             legs = self._each_leg(each, world.qpos, world.qvel, qacc)
             return factor * jnp.concatenate([dynamics.inverse_dynamics(*leg) for leg in legs])
@@ -173,7 +173,7 @@ def _by_leg(x: Float[Array, " joints"]) -> list[Float[Array, " leg"]]:
 
 @lru_cache
 def _leg(parameters: str, x64: bool) -> tuple[list[np.ndarray], Any]:
-    """The leg's values in numpy, which belong to no trace, and its structure."""
+    """The leg's values as numpy arrays, outside any trace, and its structure."""
     with jax.ensure_compile_time_eval():
         values, tree = jax.tree.flatten(getattr(Leg, parameters)())
     return [np.asarray(value) for value in values], tree

@@ -1,5 +1,5 @@
 # pyright: reportAttributeAccessIssue=false
-"""MuJoCo MJX: physics inside compiled jax programs. What is private to MJX is touched in this module alone."""
+"""MuJoCo MJX: physics inside compiled jax programs. Only this module touches what is private to MJX."""
 
 import importlib
 import importlib.util
@@ -23,8 +23,8 @@ from humanoid_mjx.types import AnyArray, IntScalar, MassFactor
 
 SOLVER_ITERATIONS = {"jax": 4, "warp": 30}
 LINE_SEARCH_ITERATIONS = 8
-"""Of Newton's method for the contact forces, which starts from the last accelerations. In jax all worlds wait for
-the slowest; in warp each world stops by itself."""
+"""Largest numbers of iterations of Newton's method for the contact forces and of its line search. It starts from the
+last accelerations. In jax all worlds wait for the slowest; in warp each world stops by itself."""
 
 CONTACTS_PER_WORLD, CONSTRAINTS_PER_WORLD = 16, 64
 """Room in warp's buffers: two feet of four contacts and five pairs of the legs; four rows a foot contact, one each for
@@ -34,7 +34,7 @@ FOOT_CONDIM = 3
 """Dimensions of a contact of a foot with the ground: its pyramid has four edges, whose forces sum to the normal one."""
 
 LOST = 0b11111
-"""Bits of warp's `OverflowType` that tell of contacts or constraints without room: NEFC, NJMAX_NNZ, BROADPHASE,
+"""Bits of warp's `OverflowType` that report contacts or constraints without room: NEFC, NJMAX_NNZ, BROADPHASE,
 NARROWPHASE, CCD."""
 
 
@@ -93,14 +93,15 @@ class MjxJax(MujocoPhysics):
         return self._sensed(_advance(model, data, sensed=True)[1])
 
     def _sensed(self, data: Any) -> Sensed:
-        """What a time step knows of its beginning."""
+        """Everything that a time step computes about its beginning."""
         poses = Poses(data.xpos, data.xmat.reshape(-1, 3, 3))
         velocities = self._velocities(data.cvel, data.xpos, data.subtree_com)
         contacts = self._ground_contacts(poses, velocities, self._normal_forces(data))
         return Sensed(self._readings(data.sensordata), poses, velocities, contacts, data.ctrl)
 
     def _normal_forces(self, data: Any) -> Float[Array, " points"]:
-        """On the corners of the feet. In jax from the solver, which costs less than MuJoCo's touch sensors."""
+        """Normal forces on the corners of the feet, N. In jax they come from the solver, which costs less than MuJoCo's
+        touch sensors."""
         balls, _ = self.ground_points
         if self.implementation == "warp" or not len(balls):
             return self._corner_forces(data.sensordata)
@@ -182,10 +183,11 @@ class MjxJax(MujocoPhysics):
 
 
 class MjxWarp(MjxJax):
-    """MJX on NVIDIA Warp, float32. All worlds share one contact buffer, so bits depend on what else runs in it.
+    """MJX on NVIDIA Warp, float32. All worlds share one contact buffer, so results depend bit by bit on what else runs
+    in it.
 
-    A world that may have lost contacts or constraints, as there was no room left for them, counts as diverged; those of
-    the shared buffer may be anybody's, so then all do.
+    A world that may have lost contacts or constraints for want of room counts as diverged; contacts lost from the
+    shared buffer may be any world's, so then all count as diverged.
     """
 
     implementation: ClassVar[Literal["jax", "warp"]] = "warp"
@@ -208,7 +210,8 @@ class MjxWarp(MjxJax):
 
 
 def mass_matrix(model: mujoco.MjModel, data: Any) -> Float[Array, "nv nv"]:
-    """Of the position stage, whatever the implementation: dense, or the packed lower triangle of warp."""
+    """Dense mass matrix of the position stage, from either implementation: dense in jax, a packed lower triangle in
+    warp."""
     packed = data._impl.M
     if packed.shape == (model.nv, model.nv):
         return packed
@@ -219,7 +222,7 @@ def mass_matrix(model: mujoco.MjModel, data: Any) -> Float[Array, "nv nv"]:
 
 @lru_cache
 def _mjx_arrays(model: mujoco.MjModel, implementation: str, x64: bool) -> tuple[Any, Any]:
-    """MJX's model and data with numpy leaves, which belong to no device and to no trace."""
+    """MJX's model and data with numpy leaves, outside any device and any trace."""
     model = copy(model)
     model.opt.iterations, model.opt.ls_iterations = SOLVER_ITERATIONS[implementation], LINE_SEARCH_ITERATIONS
     if not model.npair:  # MJX fails at a touch sensor where nothing can touch; left out, it reads 0
@@ -237,7 +240,7 @@ def _mjx_arrays(model: mujoco.MjModel, implementation: str, x64: bool) -> tuple[
 
 def _advance(model: Any, data: Any, sensed: bool = False) -> tuple[World, Any]:
     """One time step of semi-implicit Euler from where the position and velocity stages are; also the data of its
-    beginning, if `sensed` with what the sensors say there."""
+    beginning, if `sensed` with the readings of the sensors there."""
     if model.impl.value == "warp":
         after = mjx.step(model, data)
         data, lost = data.replace(sensordata=after.sensordata), (after._impl.overflow & LOST).any()

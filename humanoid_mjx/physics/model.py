@@ -34,7 +34,7 @@ class MujocoPhysics(Physics):
 
     @property
     def model(self) -> mujoco.MjModel:
-        """The compiled model with its own values in the place of the traced ones. It is shared: change copies only."""
+        """The compiled model with its own values in place of the traced ones. It is shared: change copies only."""
         return _model(self.robot, self.torso, self.ranges, self.timestep)
 
     @property
@@ -76,7 +76,7 @@ class MujocoPhysics(Physics):
         bias: Float[AnyArray, " nv"],
         qvel: Float[AnyArray, " nv"],
     ) -> tuple[Float[AnyArray, "nv nv"], Float[AnyArray, " nv"]]:
-        """Mass matrix and bias if all links were `factor` times as heavy: the motors' armature and the joints' damping
+        """Mass matrix and bias with all links `factor` times as heavy; the motors' armature and the joints' damping
         stay as they are."""
         armature, damped = self.model.dof_armature, self.model.dof_damping > 0
         resistance = jnp.where(damped, self.damping, 0.0) * qvel
@@ -84,7 +84,7 @@ class MujocoPhysics(Physics):
         return factor * mass_matrix + others * np.diag(armature), factor * bias + others * resistance
 
     def pushes(self) -> Float[AnyArray, " nv"]:
-        """The forces on the degrees of freedom that are not the motors'."""
+        """The forces on the degrees of freedom other than the motors'."""
         none = jnp.zeros(self.model.nv)
         return none.at[:3].set(jnp.stack(list(self.push))) if self.torso == "free" else none
 
@@ -99,13 +99,14 @@ class MujocoPhysics(Physics):
         )
 
     def _corner_forces(self, sensordata: Float[AnyArray, "*worlds sensors"]) -> Float[AnyArray, "*worlds points"]:
-        """The last of the sensors: normal forces on the corners of the feet, N."""
+        """Normal forces on the corners of the feet, N: the last of the sensors."""
         return sensordata[..., sensordata.shape[-1] - len(self.ground_points[0]) :]
 
     def _velocities(
         self, cvel: Float[AnyArray, "bodies 6"], position: Float[AnyArray, "bodies 3"], com: Float[AnyArray, "bodies 3"]
     ) -> Velocities:
-        """From MuJoCo's `cvel`, which is about the centre of mass of a body's tree, `com` (`subtree_com`)."""
+        """Velocities of the bodies from MuJoCo's `cvel`, which is about the centre of mass of a body's tree, `com`
+        (`subtree_com`)."""
         angular = cvel[:, :3]
         arm = position - com[self.model.body_rootid]
         return Velocities(cvel[:, 3:] + jnp.cross(angular, arm), angular)
@@ -132,7 +133,7 @@ class MujocoPhysics(Physics):
 
 
 def freeze_if_diverged(old: World, new: World) -> World:
-    """`new`, or where it has diverged `old` with the flag set."""
+    """`new`; where it has diverged, `old` with the flag set."""
     sound = jnp.isfinite(new.qpos).all() & (jnp.abs(new.qvel) <= MAX_SPEED).all() & ~new.diverged
     stays = old.diverged | ~sound
     return _where(stays, old._replace(diverged=jnp.bool_(True)), new)

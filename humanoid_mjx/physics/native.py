@@ -1,8 +1,8 @@
 # pyright: reportAttributeAccessIssue=false
 """Native MuJoCo over threads, behind host callbacks: a reference for the other physics, its solver run to convergence.
 
-It computes in float64 and hands back what jax computes in. A batch of worlds reaches MuJoCo as one call. A program that
-holds it runs wherever jax has its CPU backend, but each control cycle waits for the host.
+It computes in float64 and returns the precision of jax. A batch of worlds reaches MuJoCo as one call. A program that
+uses it runs wherever jax has its CPU backend, but each control cycle waits for the host.
 """
 
 import os
@@ -26,10 +26,11 @@ from humanoid_mjx.physics.model import MujocoPhysics, below, freeze_if_diverged
 from humanoid_mjx.types import AnyArray, MassFactor
 
 MODELS_BYTES = 1 << 27
-"""What the models kept of one robot may take, about 0.1 MB each. Worlds of more distinct traced values take turns."""
+"""Bytes that the models kept of one robot may take, at about 0.1 MB each. Worlds of more distinct traced values take
+turns."""
 
 CONTROL = int(mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED)
-"""What is given to each step: the motors' torques, then the forces on all degrees of freedom."""
+"""Control of each step: the motors' torques, then the forces on all degrees of freedom."""
 
 _LOCK = threading.Lock()
 """MuJoCo's data and its handler of warnings belong to one callback at a time; each uses all processors."""
@@ -73,7 +74,7 @@ class Native(MujocoPhysics):
         traced values in all worlds.
 
         Returns:
-          `qpos` and `qvel` after every step, and what the sensors said before it.
+          `qpos` and `qvel` after every step, and the readings of the sensors before it.
         """
         worlds = world.qpos.shape[:-1]
         values = np.asarray(self._values(), np.float64)
@@ -91,7 +92,7 @@ class Native(MujocoPhysics):
         return (*self._split(states), readings)
 
     def _values(self) -> Float[Array, " values"]:
-        """What of a model is traced: the mass factors of the bodies, friction, damping, and the torque limit."""
+        """The traced values of a model: the mass factors of the bodies, friction, damping, and the torque limit."""
         factors = self.mass_factors(self.mass)
         others = self.friction, self.damping, self.torque_limit
         return jnp.concatenate([factors, jnp.stack([jnp.asarray(value, factors.dtype) for value in others])])
@@ -251,7 +252,7 @@ class _Team:
         return model
 
     def bare(self, values: Float[np.ndarray, "worlds values"]) -> Iterator[tuple[mujoco.MjModel, mujoco.MjData]]:
-        """For each row of values a model that knows neither contacts nor limits, and data; valid until the next."""
+        """A model without contacts and limits, and data, for each row of values; valid until the next."""
         before = None
         for row in values:
             if before is None or (row != before).any():
@@ -294,8 +295,8 @@ def _on_host(
 
 @contextmanager
 def _alone() -> Iterator[None]:
-    """One caller at a time, without warnings: worlds that diverge are flagged; MuJoCo would write of them to the
-    terminal and to a file, and numpy of numbers too large for float32."""
+    """One caller at a time, without warnings: worlds that diverge are flagged, but MuJoCo would report them on the
+    terminal and in a file, and numpy would warn of numbers too large for float32."""
     with _LOCK, np.errstate(over="ignore", invalid="ignore"):
         handler = mujoco.get_mju_user_warning()
         mujoco.set_mju_user_warning(lambda message: None)

@@ -1,4 +1,4 @@
-"""Real sensors: what is between the true readings and those that a controller gets. Off unless asked for."""
+"""Real sensors: what lies between the true readings and those that a controller gets. Off by default."""
 
 from typing import NamedTuple
 
@@ -13,10 +13,10 @@ from humanoid_mjx.types import FloatScalar
 
 
 class SensorState(NamedTuple):
-    """Of one world."""
+    """State of one world's sensors."""
 
     bias: Readings
-    """Drawn at the start of an episode."""
+    """Biases, drawn at the start of an episode."""
     past: Readings
     """The last `delay` readings, the oldest first: a leading axis on each array."""
 
@@ -37,7 +37,7 @@ class Sensors(Spec):
     delay: int = Field(0, ge=0, le=100, description="control cycles")
 
     def start(self, readings: Readings, key: Key[Array, ""]) -> SensorState:
-        """Draw the biases. The readings before the first are taken to be like `readings`."""
+        """Draw the biases. The readings before the first are set to `readings`."""
         spread = self.encoder_bias, self.gyroscope_bias, self.accelerometer_bias, 0.0
         past = jax.tree.map(lambda x: jnp.broadcast_to(x, (self.delay, *x.shape)), readings)
         return SensorState(_normal(spread, readings, key), past)

@@ -1,5 +1,5 @@
 # pyright: reportAttributeAccessIssue=false
-"""A motion with the words that go with it, and what was pushed when: what is shown of a played episode."""
+"""A motion with its words and its pushes: what is shown of a played episode."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -13,7 +13,7 @@ from humanoid_mjx.training.policy import Trained
 from humanoid_mjx.types import AnyArray
 
 SHORT_S = 0.25
-"""A push that is over sooner is told by its impulse, a longer one by its force."""
+"""Length, s, below which a push is described by its impulse, and from which by its force."""
 
 
 class Push(NamedTuple):
@@ -27,7 +27,7 @@ class Push(NamedTuple):
 
     @property
     def words(self) -> str:
-        """How hard it is."""
+        """How hard the push is, in words."""
         size = float(np.linalg.norm(self.force))
         return f"push {size * self.seconds:.2g} N s" if self.seconds < SHORT_S else f"push {size:.2g} N"
 
@@ -40,11 +40,12 @@ class Film(NamedTuple):
     step_s: float
     title: str = ""
     told: tuple[tuple[float, str], ...] = ()
-    """From when, s, the robot is asked for what."""
+    """What the robot is asked for, in words, and the time from which, s."""
     pushes: tuple[Push, ...] = ()
 
     def at(self, fps: float) -> tuple[Float[np.ndarray, "frames nq"], Float[np.ndarray, " frames"]]:
-        """Postures at the motion's own speed, so many a second, and their times, s; between rows it is even."""
+        """Postures at the motion's own speed, so many a second, and their times, s; interpolated linearly between
+        rows."""
         rows = np.arange(0.0, len(self.qpos) - 0.999, 1.0 / (fps * self.step_s))
         columns = np.asarray(self.qpos, np.float64).T
         places = np.arange(len(self.qpos))

@@ -1,8 +1,8 @@
 # pyright: reportAttributeAccessIssue=false
-"""MuJoCo's own renderer wherever it finds OpenGL, without being told where.
+"""MuJoCo's own renderer wherever it finds OpenGL, without any setting.
 
-MuJoCo takes one way to OpenGL for a whole process, named by MUJOCO_GL before it is first imported, and drivers that do
-not work print, raise or crash. So a process of its own paints (`opengl_worker.py`), and each way is tried in turn.
+MuJoCo takes one way to OpenGL for a whole process, named by MUJOCO_GL before the first import, and drivers that do not
+work print, raise or crash. So a separate process paints (`opengl_worker.py`), and each way is tried in turn.
 """
 
 import copy
@@ -25,14 +25,14 @@ from humanoid_mjx.report.scene import AZIMUTH, ELEVATION, GRID_M, LIGHT, Scene, 
 from humanoid_mjx.types import AnyArray
 
 PATIENCE_S = 120.0
-"""A process that has painted nothing for so long is given up. A first picture takes seconds on a busy machine."""
+"""A process that has painted nothing for so long, s, is given up. A first picture takes seconds on a busy machine."""
 
 APART = 0.002
-"""By this share more balls are smaller, one after another: surfaces in the same place would flicker."""
+"""Share by which each further ball is made smaller: surfaces in the same place would flicker."""
 
 
 def ways() -> list[str]:
-    """The values of MUJOCO_GL to try; the environment's own alone, where there is one."""
+    """The values of MUJOCO_GL to try; only the environment's own where there is one."""
     told = os.environ.get("MUJOCO_GL")
     if told:
         return [told]

@@ -1,5 +1,5 @@
 # pyright: reportAttributeAccessIssue=false
-"""Paint a motion by MuJoCo's renderer: a process of its own, started by `opengl.py`.
+"""Paint a motion by MuJoCo's renderer, in a separate process that `opengl.py` starts.
 
     python -P opengl_worker.py FOLDER
 
@@ -71,7 +71,7 @@ def _add_grid(scene: mujoco.MjvScene, spacing: float, middle: np.ndarray, color:
 
 
 def _add_backdrop(scene: mujoco.MjvScene, forward: np.ndarray, middle: np.ndarray) -> None:
-    """A white wall behind the robot, where the model has no sky: else all is black there."""
+    """A white wall behind the robot where the model has no sky, which would otherwise be black."""
     aside = np.cross(forward, [0.0, 0.0, 1.0])
     aside /= np.linalg.norm(aside)
     turn = np.stack([aside, np.cross(aside, forward), -forward], axis=1)

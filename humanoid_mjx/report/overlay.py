@@ -12,7 +12,7 @@ from humanoid_mjx.report.raycast import Frame
 from humanoid_mjx.report.scene import VIEW_M, Scene, make_camera
 
 ARROW_M = 0.3 * VIEW_M
-"""Length of a push's arrow, m. Its words say how hard it is: a length between others would be guessed."""
+"""Length of a push's arrow, m. Its words say how hard it is, as a reader could only guess a length."""
 
 SHOWN_S = 0.5
 """A push is shown for at least so long: most last shorter than the eye takes to see them."""
@@ -20,7 +20,7 @@ SHOWN_S = 0.5
 INK, ALARM = (32, 32, 32), (193, 18, 31)
 
 MARGIN, LETTER = 10, 14
-"""Pixels."""
+"""Margin and height of a letter, pixels."""
 
 
 def annotate(frame: Frame, film: Film, scene: Scene, number: int, seconds: float) -> Frame:

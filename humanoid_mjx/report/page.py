@@ -41,7 +41,7 @@ def report_of(path: Path, reporter: Reporter, motion: bool = True) -> str:
 
     Args:
       path: the folder.
-      reporter: told what is done.
+      reporter: receives what is being done.
       motion: simulate the best policy and show how the robot moves.
 
     Raises:
@@ -247,7 +247,7 @@ def _again(config: Mapping[str, Any], provenance: Mapping[str, Any]) -> list[str
 
 
 def _file_name(config: Mapping[str, Any]) -> str:
-    """The config's name without what a shell or a file system would take amiss."""
+    """The config's name without characters that a shell or a file system cannot take."""
     name = "".join(x if x.isascii() and (x.isalnum() or x in "-_") else "-" for x in str(config.get("name", "run")))
     return name.lstrip("-") or "run"
 

@@ -17,7 +17,7 @@ from humanoid_mjx.report.scene import make_scene
 from humanoid_mjx.report.web import page
 
 FPS = 25.0
-"""Of the postures that a page holds; the player draws what lies between."""
+"""Postures per second that a page holds; the player draws what lies between."""
 
 LOOPBACK = "127.0.0.1"
 

@@ -1,8 +1,8 @@
 """Shaded pictures of a robot without OpenGL: a ray through each pixel meets the nearest of its shapes.
 
-In a shape's own axes a ray `o + t d` meets a sphere, a capsule, a cylinder, an ellipsoid or a box where a quadratic or
-linear equation says; `d` keeps its length there, so that `t` is the same for all. Only the pixels that the sphere
-around a shape covers are asked. The ground's shadow is found by rays towards the light.
+In a shape's own axes a quadratic or linear equation gives where a ray `o + t d` meets a sphere, a capsule, a cylinder,
+an ellipsoid or a box; `d` keeps its length there, so that `t` is the same for all. Only the pixels inside the sphere
+around a shape are tested. Rays towards the light find the ground's shadow.
 """
 
 from typing import Any
@@ -20,7 +20,7 @@ SKY, HORIZON = np.array([0.80, 0.86, 0.92], np.float32), np.ones(3, np.float32)
 GROUND, LINE = np.array([0.93, 0.93, 0.92], np.float32), np.array([0.74, 0.75, 0.76], np.float32)
 LINE_M = 0.002
 SHADOW = 0.72
-"""What is left of the light in the shadow."""
+"""Share of the light that is left in the shadow."""
 
 FAR_M = 3.0
 """The ground fades into the horizon from half as far to there."""
@@ -72,7 +72,7 @@ class Painter:
         nearest[window][seen] = depth[seen]
 
     def _window(self, away: Float[np.ndarray, "3"], radius: float) -> tuple[slice, slice] | None:
-        """The rows and columns that a sphere may cover; nothing where it is outside of the picture."""
+        """The rows and columns that a sphere may cover; nothing where it is outside the picture."""
         depth = float(away @ self.camera.forward)
         if depth < 1.05 * radius:
             return (slice(None), slice(None)) if depth > -radius else None
@@ -163,7 +163,7 @@ def meet(shape: Shape, origin: Points, rays: Points) -> tuple[Scalars, Points]:
 
 
 def _meet(shape: Shape, origin: Points, rays: Points) -> tuple[Scalars, Points]:
-    """As `meet`, but it counts from an origin near the shape, and meets what lies behind it, too."""
+    """Like `meet`, but counts from an origin near the shape, and also meets what lies behind it."""
     size = shape.size.astype(np.float32)
     if shape.kind == "box":
         return _meet_box(size, origin, rays)
@@ -229,7 +229,7 @@ def _root(a: Scalars, half_b: Scalars, c: Scalars) -> Scalars:
 
 
 def _nearer(*found: tuple[Scalars, Points]) -> tuple[Scalars, Points]:
-    """Of several things that rays meet the first."""
+    """The first of several things that rays meet."""
     depth, normal = found[0]
     for other_depth, other_normal in found[1:]:
         first = other_depth < depth

@@ -1,5 +1,5 @@
 # pyright: reportAttributeAccessIssue=false
-"""Motions as pictures and videos: by MuJoCo's renderer where it finds OpenGL, else by rays and shades of our own."""
+"""Motions as pictures and videos: by MuJoCo's renderer where it finds OpenGL, otherwise by our own ray caster."""
 
 from collections.abc import Callable, Iterator
 from itertools import combinations, product
@@ -34,7 +34,7 @@ def render_film(
       film: what is shown.
       path: the file.
       fps: frames a second.
-      tell: called for each frame with how many are painted, and of how many.
+      tell: called for each frame with the number painted and the number of all frames.
 
     Raises:
       InputError: another kind of file, one that cannot be written, or .mp4 and .webm where there is no ffmpeg.
@@ -54,7 +54,7 @@ def render_motion(model: mujoco.MjModel, qpos: Float[AnyArray, "rows nq"], step_
 
 
 def strip(film: Film, count: int = STRIP) -> list[tuple[Frame, float]]:
-    """So many frames of a film from its first to its last, and their times, s."""
+    """Evenly spaced frames of a film from its first to its last, and their times, s."""
     qpos, times = film.at(FPS)
     chosen = np.unique(np.linspace(0, len(qpos) - 1, count).astype(int))
     frames = _annotated(film, qpos[chosen], times[chosen], lambda done, total: None)

@@ -13,7 +13,7 @@ from humanoid_mjx.report.style import COLORS, figure
 from humanoid_mjx.robot import robot_spec
 
 ROBOTS = {"legs": "legs: the chain of Table 4.1, torso fixed", "lower_body": "lower_body: Table 3.1 at 1:4"}
-"""Robots and what they are called in the drawing."""
+"""Robots and their names in the drawing."""
 
 SENSES = {
     "hip_pitch": "hip pitch: the leg swings forward",

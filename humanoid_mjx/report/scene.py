@@ -23,10 +23,10 @@ LIGHT = np.array([-0.5, 0.25, -0.85]) / np.linalg.norm([-0.5, 0.25, -0.85])
 """Direction in which the light falls."""
 
 GRID_M = 0.1
-"""Between the lines on the ground, which show how far a robot goes."""
+"""Distance between the lines on the ground, m, which show how far a robot goes."""
 
 VISIBLE_GROUPS = 3
-"""Geoms of groups below this are drawn, as by MuJoCo's own viewer; the others serve contacts."""
+"""Geoms of groups below this are drawn, as in MuJoCo's own viewer; the others serve contacts."""
 
 _KINDS = {
     mujoco.mjtGeom.mjGEOM_SPHERE: "sphere",
@@ -54,9 +54,9 @@ class Scene(NamedTuple):
 
     shapes: list[Shape]
     position: Float[np.ndarray, "frames shapes 3"]
-    """m, world: x forward, y to the left, z up."""
+    """Positions of the shapes, m, world: x forward, y to the left, z up."""
     rotation: Float[np.ndarray, "frames shapes 3 3"]
-    """From the shape's axes to the world's."""
+    """Rotations from each shape's axes to the world's."""
     middle: Float[np.ndarray, "frames 3"]
     """Where the camera looks, m."""
     torso: Float[np.ndarray, "frames 3"]
@@ -100,7 +100,7 @@ def make_scene(model: mujoco.MjModel, qpos: Float[AnyArray, "frames nq"]) -> Sce
 
 
 def colored(model: mujoco.MjModel, geom: int) -> tuple[float, ...]:
-    """The colour of a geom; where the model leaves it MuJoCo's grey, that of the side which its body's name tells."""
+    """The colour of a geom; where the model leaves it MuJoCo's grey, the colour of the side in its body's name."""
     rgba = model.geom_rgba[geom] if model.geom_matid[geom] < 0 else model.mat_rgba[model.geom_matid[geom]]
     side = model.body(model.geom_bodyid[geom]).name.partition("_")[0]
     return LOOKS[side] if np.allclose(rgba, _MUJOCO_GREY) and side in LOOKS else tuple(rgba.tolist())

@@ -1,4 +1,4 @@
-"""From a policy to its film, told step by step."""
+"""From a policy to its film, with a report of each step."""
 
 from typing import NamedTuple
 
@@ -9,7 +9,7 @@ from humanoid_mjx.training.progress import Reporter
 
 
 class Shown(NamedTuple):
-    """A played episode as a film, and what became of it."""
+    """A played episode as a film, and how it ended."""
 
     film: Film
     outcome: str

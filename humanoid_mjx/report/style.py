@@ -1,4 +1,4 @@
-"""How figures look: plain, labelled at the line, in colours that survive colour blindness."""
+"""How figures look: plain, labelled at the line, in colours that colour-blind readers can tell apart."""
 
 import io
 import textwrap
@@ -20,7 +20,7 @@ COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#00
 SEQUENTIAL = "viridis"
 
 LETTERS_PER_INCH = 12.5
-"""Of a heading."""
+"""Letters of a heading that fit in an inch."""
 
 LABEL_POINTS = 9.0
 """The height of a label's line."""
@@ -46,7 +46,7 @@ def figure(
 ) -> Iterator[Any]:
     """A grid of axes, (rows, columns), saved to `path` at the end; `size` is of one of them, in inches.
 
-    What is saved in memory is SVG, its letters drawn, its bytes the same each time.
+    A figure saved in memory is SVG with its letters drawn as paths, and its bytes are the same each time.
     """
     with plt.rc_context(_RC):  # pyright: ignore[reportArgumentType]
         fig, axes = plt.subplots(

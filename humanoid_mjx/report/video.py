@@ -55,7 +55,7 @@ def ffmpeg() -> str | None:
 
 
 def write_frames(frames: Iterable[Frame], path: Path, fps: float) -> None:
-    """Write frames into the file that `check_file` has passed: .png side by side, else one after another.
+    """Write frames into the file that `check_file` has passed: .png side by side, the others one after another.
 
     Raises:
       InputError: the file cannot be written.

@@ -1,7 +1,7 @@
 """One self-contained web page: style, script and pictures within it, nothing fetched, all text escaped.
 
-Its content security policy forbids every connection, and every script and style whose hash it does not name: text that
-came from a config or a task could do nothing, were it ever written unescaped.
+Its content security policy forbids every connection, and every script and style whose hash it does not name: text from
+a config or a task could do nothing even if it were written unescaped.
 """
 
 import base64
@@ -21,7 +21,7 @@ MEDIA = {
 }
 
 _NUMBER = re.compile(r"(-?[\d,.]*\d(e[+-]?\d+)?%?|nan|inf|-inf)( \(.*\))?|")
-"""With an interval maybe, or nothing."""
+"""The text of a number, perhaps with an interval, or no text."""
 
 
 def page(title: str, body: str) -> str:
@@ -42,7 +42,7 @@ def image(data: bytes, kind: str, alt: str) -> str:
 
 
 def data_address(data: bytes, media: str) -> str:
-    """The address of data that stands within the page."""
+    """A URL that holds the data itself, within the page."""
     return f"data:{media};base64,{base64.b64encode(data).decode()}"
 
 
