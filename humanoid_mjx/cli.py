@@ -146,12 +146,13 @@ def info(
     show_keys(name) if keys and name else show_info(name, set_ or [])
 
 
-def _version(wanted: bool) -> None:
+def _version(wanted: bool) -> bool:
     if wanted:
         from humanoid_mjx import __version__
 
         print(f"humanoid-mjx {__version__}")
         raise typer.Exit
+    return wanted
 
 
 @app.callback()

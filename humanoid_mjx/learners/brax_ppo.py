@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Key
 from pydantic import Field, model_validator
 
@@ -100,7 +101,7 @@ class BraxPPO(WholeRunLearner):
             nonlocal policy, part
             if steps == 0:
                 return
-            policy = jax.tree.map(lambda new, old: jnp.asarray(new, old.dtype), found, carry.policy)
+            policy = jax.tree.map(lambda new, old: jnp.asarray(np.asarray(new), old.dtype), found, carry.policy)
             part += 1
             report(part / parts, policy)
 

@@ -95,4 +95,5 @@ def _scores(learner: WholeRunLearner, policy: Any, key: jax.Array) -> dict[str, 
 
 
 def _only(tree: Any) -> Any:
-    return jax.tree.map(lambda leaf: leaf[0], tree)
+    """The single run of a tree of runs, on its device alone: no mesh of theirs may meet another that `train_run` makes."""
+    return jax.tree.map(lambda leaf: jax.device_put(leaf[0], min(leaf.devices(), key=lambda device: device.id)), tree)
