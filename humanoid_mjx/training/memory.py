@@ -14,11 +14,12 @@ CPU_CACHE_BYTES = 1 << 21
 """Training state per core beyond which a step slows down (measured: about 1,000 agents of `joint_reach`)."""
 
 HOST_MEMORY = 1 << 31
-"""Bytes that training may take on all CPU devices, which report no limit: half of the 4 GB a sweep is to stay under."""
+"""Bytes that training may take on all CPU devices, which report no limit: half of the 4 GB that a sweep should stay
+under."""
 
 
 def runs_that_fit(group: Group, device: Device) -> int:
-    """How many runs of a group a device can train at once; a CPU no more than its cache serves well.
+    """How many runs of a group a device can train at once; on a CPU no more than its cache serves well.
 
     Raises:
       InputError: not even one.
@@ -39,7 +40,7 @@ def run_bytes(group: Group) -> int:
 
 
 def training_bytes(group: Group) -> int:
-    """About what one run takes at the peak of its training: its state before and after, and what works on it."""
+    """Approximate bytes of one run at the peak of its training: its state before and after, and intermediate values."""
     if isinstance(group.learners, WholeRunLearner):
         return 4 * run_bytes(group)
     learner = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), group.learners)
@@ -50,7 +51,7 @@ def training_bytes(group: Group) -> int:
 def working_bytes(jaxpr: core.Jaxpr) -> int:
     """The most bytes that the values computed in a program hold at once, each until its last use.
 
-    Of loops and calls the inside counts. XLA holds less where it computes elementwise operations in one pass.
+    Loops and calls count by their inside. XLA holds less where it computes elementwise operations in one pass.
     """
     last_use = {var: len(jaxpr.eqns) for var in jaxpr.outvars if isinstance(var, core.Var)}
     for place in reversed(range(len(jaxpr.eqns))):
