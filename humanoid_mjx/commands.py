@@ -200,7 +200,7 @@ def run_evaluate(names: Sequence[str], physics: str | None, episodes: int, file:
 
 
 def evaluation_table(title: str, evaluations: Sequence[Evaluation]) -> Table:
-    """A row for each, the intervals beside the numbers."""
+    """A table with a row for each evaluation, the intervals beside the numbers."""
     table = Table(title=title, title_justify="left")
     for heading in ("policy", "agent"):
         table.add_column(heading)
@@ -254,7 +254,7 @@ def run_play(name: str, physics: str | None, out: Path | None, view: bool) -> No
 
 
 def _play_file(name: str, policy: str) -> Path:
-    """Where a motion goes by default: into the run folder, or for a policy into the working directory."""
+    """Default place of a motion: in the run folder, or for a policy in the working directory."""
     if not Path(name).is_dir():
         return Path(f"{policy}.gif")
     folder = Path(name) / "figures"

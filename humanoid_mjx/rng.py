@@ -1,11 +1,11 @@
 """A cheap random number generator behind the standard `jax.random` functions.
 
-`jax.random`'s own generator (threefry, 20 rounds) costs more than everything else in a step of tabular
-Q-learning. `key(seed)` makes a key of a lighter, counter-based generator instead: word `i` drawn from the 64-bit key
-`(k0, k1)` is `mix(mix(k0 + i * G) ^ (k1 + stream))`, where `mix` is a 32-bit finaliser found by automated search for
-low bias (C. Wellons, "Prospecting for hash functions", 2018: constants 7feb352d, 846ca68b) and `G` is the odd
-number nearest 2**32 / golden ratio. Streams keep draws, splits and folds apart. It is no cryptographic generator;
-`tests/test_rng.py` tests uniformity and independence across agents and steps.
+`jax.random`'s own generator (threefry, 20 rounds) costs more than everything else in a step of tabular Q-learning.
+`key(seed)` makes a key of a lighter, counter-based generator instead: word `i` drawn from the 64-bit key `(k0, k1)` is
+`mix(mix(k0 + i * G) ^ (k1 + stream))`, where `mix` is a 32-bit finaliser found by automated search for low bias (C.
+Wellons, "Prospecting for hash functions", 2018: constants 7feb352d, 846ca68b) and `G` is the odd number nearest 2**32 /
+golden ratio. Streams keep draws, splits and folds apart. It is not a cryptographic generator; `tests/test_rng.py` tests
+uniformity and independence across agents and steps.
 """
 
 import math

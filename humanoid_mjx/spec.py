@@ -35,7 +35,7 @@ def is_traced(field: Any) -> bool:
 class Spec(pydantic.BaseModel):
     """Base of everything that is built from user input: frozen, strict, no unknown keys, no NaN; a pytree.
 
-    Values are checked when a Spec is built from input, and no more where jax or `replace` puts others in their place.
+    Values are checked when a Spec is built from input, but not where jax or `replace` puts others in their place.
     """
 
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
@@ -53,7 +53,7 @@ class Spec(pydantic.BaseModel):
     @pydantic.model_validator(mode="before")
     @classmethod
     def _keys_of_a_branch_change_its_default(cls, data: Any) -> Any:
-        """Complete what is written of a nested Spec with what stands in the field's default."""
+        """Complete the values given for a nested Spec from the field's default."""
         if not isinstance(data, dict):
             return data
         defaults = {name: cls.model_fields[name].default for name in data if name in cls.model_fields}
@@ -62,7 +62,7 @@ class Spec(pydantic.BaseModel):
 
     def replace(self: SomeSpec, **values: Any) -> SomeSpec:
         """This spec with other values in some of its fields; nothing is checked, so that traced arrays may be given."""
-        assert values.keys() <= type(self).model_fields.keys(), f"{type(self).__name__} has not all of {list(values)}"
+        assert values.keys() <= type(self).model_fields.keys(), f"{type(self).__name__} lacks some of {list(values)}"
         return self.model_copy(update=values)
 
 
@@ -87,7 +87,7 @@ def _flatten_with_keys(spec: Spec) -> tuple[list[tuple[Any, Any]], Any]:
 
 
 def _completed(default: Spec, written: Any) -> Any:
-    """What is written of a branch, completed from its default unless it names another kind of thing than that."""
+    """The values given for a branch, completed from its default unless they name another kind of thing."""
     values = {name: getattr(default, name) for name in type(default).model_fields}
     if isinstance(written, str) and "name" in values:
         written = {"name": written}

@@ -73,16 +73,16 @@ class Poses(NamedTuple):
     """Where the bodies are, in the world."""
 
     position: Float[AnyArray, "*worlds bodies 3"]
-    """Of the origins of their frames, m."""
+    """Positions of the origins of the bodies' frames, m."""
     rotation: Float[AnyArray, "*worlds bodies 3 3"]
-    """From their frames to the world."""
+    """Rotations from the bodies' frames to the world."""
 
 
 class Velocities(NamedTuple):
     """How the bodies move, in the world."""
 
     linear: Float[AnyArray, "*worlds bodies 3"]
-    """Of the origins of their frames, m/s."""
+    """Velocities of the origins of the bodies' frames, m/s."""
     angular: Float[AnyArray, "*worlds bodies 3"]
     """rad/s"""
 

@@ -14,18 +14,18 @@ from humanoid_mjx.thesis import q_learning as thesis
 PRINTED = thesis.PSEUDO_CODE
 SEEDS = 32
 RUNS, STEPS = 100, 20_000
-"""Of the pseudo-code with its decay."""
+"""Runs of the pseudo-code with its decay, and the steps of each."""
 
 BACK_REWARDS = (0.0, -1.0, -2.0, -4.0, -8.0, -16.0)
-"""Of a step back."""
+"""Rewards of a step back that are compared."""
 
 STEPPING_BACK = {"name": "humanoid_mjx.reproduction.stepping_back:SteppingBack", "steps": 6}
 POSITIONS = {1: 24, 4: 25, 5: 13}
-"""Places of each joint in steps of 5 degrees: with so many states, rows and places are the same."""
+"""Places of each joint in steps of 5 degrees: with this number of states each place has a row of its own."""
 
 
 def decay(setting: Setting) -> list[Finding]:
-    """The pseudo-code with its declared epsilonDecay at work."""
+    """The pseudo-code with its declared epsilonDecay applied."""
     from humanoid_mjx.reproduction.traces import printed_run
 
     findings = []
@@ -49,7 +49,7 @@ def decay(setting: Setting) -> list[Finding]:
 
 
 def waiting(setting: Setting) -> list[Finding]:
-    """From which discount on the reward pays for waiting just before the goal."""
+    """The discount from which the reward pays for waiting just before the goal."""
     discounts = np.round(np.arange(0.80, 0.99, 0.01), 2)
     share = {}
     for joint in POSITIONS:
@@ -87,7 +87,7 @@ def waiting(setting: Setting) -> list[Finding]:
 
 
 def aliasing(setting: Setting) -> list[Finding]:
-    """What few states do: several places share a row of the table, whose optimum is not that of the places."""
+    """The effect of few states: several places share a row of the table, whose optimum is not that of the places."""
     discounts = np.round(np.arange(0.88, 0.93, 0.005), 3)
     largest = {}
     for states in (thesis.TABLES_STATES, PRINTED["states"], POSITIONS[1]):

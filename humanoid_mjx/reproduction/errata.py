@@ -24,7 +24,7 @@ ENTRIES = tuple(
 STATES = 2000
 
 TOLERANCE = 1e-3
-"""Of the quantity's largest value: the printed coefficients have three digits."""
+"""Tolerance as a share of the quantity's largest value: the printed coefficients have three digits."""
 
 NUMBERS = ("largest error", "median error", "largest value")
 

@@ -32,7 +32,7 @@ class Finding:
 
 
 def _ignore(words: str) -> None:
-    """Nobody is there to be told."""
+    """Discard progress: the default where nobody watches."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def judge(agrees: bool, used: Mapping[str, Any], printed: Mapping[str, Any], *, 
 
 
 def departures(used: Mapping[str, Any], printed: Mapping[str, Any]) -> list[str]:
-    """The values used that are not as printed, as words."""
+    """The values used that differ from the printed ones, in words."""
     return [
         f"{name} {value:g} in place of the printed {printed[name]:g}"
         for name, value in used.items()

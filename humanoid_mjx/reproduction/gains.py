@@ -14,7 +14,7 @@ CRITICAL = 0.05
 """A damping ratio this near to 1 would be called critical."""
 
 ALUMINIUM = {"modulus": 69e9, "density": 2710.0}
-"""Of aluminium 1060, the material of section 3.1: Pa and kg/m^3."""
+"""Elastic modulus, Pa, and density, kg/m^3, of aluminium 1060, the material of section 3.1."""
 
 NEAR = 0.5
 """A gain of this share of its bound could have been selected by it."""

@@ -20,43 +20,45 @@ from humanoid_mjx.thesis import leg as thesis
 from humanoid_mjx.types import AnyArray, FloatScalar, IntScalar
 
 CONTROLLERS = ("servo", "computed torque", "section 5.7")
-"""A plain servo; computed torque within the contacts (`control.ground`); computed torque with the gains of Table 5.1
-that knows no contacts and takes the torso for held. Each is asked at every time step."""
+"""A plain servo; computed torque within the contacts (`control.ground`); computed torque with the gains of Table 5.1,
+which ignores contacts and treats the torso as fixed. Each acts anew at every time step."""
 
 FALLEN_M, FALLEN_TILT = 0.15, 60.0
-"""Of the hips above the ground (standing: 0.215), and of the torso in degrees: the body has fallen."""
+"""Height of the hips above the ground, m (standing: 0.215), below which the body has fallen, and lean of the torso,
+degrees, above which it has."""
 
 AT_ONCE = 64
 """Trials that are simulated together."""
 
 ROUND = 256
-"""Steps, to a multiple of which the balance of a path is computed."""
+"""The balance of a path is computed for a multiple of so many steps."""
 
 PUSH_S, PUSH_AT = 0.1, 0.5
-"""How long a push takes, and when it begins, s."""
+"""Length of a push and the time at which it begins, s."""
 
 
 class Trial(NamedTuple):
-    """What one body is told."""
+    """What one body is to do, and under which controller."""
 
     controller: str
     motion: str = "stand"
-    """Or the name of a gait."""
+    """`stand`, or the name of a gait."""
     frequency: float | None = None
-    """Hz of the pattern generator, which starts in the gait's mean posture; without it the table as it is printed."""
+    """Frequency of the pattern generator, Hz, which starts in the gait's mean posture; None plays the table as
+    printed."""
     amplitude: float = 1.0
-    """Of the pattern generator."""
+    """Amplitude of the pattern generator; 1 is that of the table."""
     push: tuple[float, float] = (0.0, 0.0)
-    """On the hips, forwards and to the left, N s."""
+    """Impulse on the hips, forwards and to the left, N s."""
     signs: tuple[int, int, int] = (1, 1, 1)
-    """Of hip pitch, knee and ankle: 1 takes the gait's angles as they are printed, in the senses of `lower_body`, where
-    a positive knee swings the shank back and a positive ankle turns the toes down; -1 in the other sense."""
+    """Signs of hip pitch, knee and ankle: 1 takes the gait's angles as printed, in the senses of `lower_body`, where a
+    positive knee swings the shank back and a positive ankle turns the toes down; -1 takes the other sense."""
     same_yaw: bool = False
-    """Whether both legs yaw in the same sense, to the right, in place of both toes outwards."""
+    """Whether both legs yaw in the same sense, to the right, instead of both toes outwards."""
 
 
 class Path(NamedTuple):
-    """What became of it, up to its fall."""
+    """The recorded motion of one body, up to its fall."""
 
     qpos: Float[np.ndarray, "times nq"]
     qvel: Float[np.ndarray, "times nv"]
@@ -72,7 +74,7 @@ class Path(NamedTuple):
 
     @property
     def seconds(self) -> float:
-        """s, till the fall or the end."""
+        """Duration until the fall or the end, s."""
         return round(float(self.times[-1]), 3)
 
     @property
@@ -81,13 +83,14 @@ class Path(NamedTuple):
 
     @property
     def distance(self) -> float:
-        """Of the middle between the feet, forwards, m. A falling torso goes somewhere, too."""
+        """Distance that the middle between the feet moved forwards, m. The torso is no measure, as it also moves in a
+        fall."""
         middle = self.corners[..., 0].mean(axis=1)
         return float(middle[-1] - middle[0])
 
     @property
     def turn(self) -> float:
-        """Of the torso about the vertical, to the left, degrees: the twist of its rotation, whatever it leans."""
+        """Turn of the torso about the vertical, to the left, degrees: the twist of its rotation, however it leans."""
         yaw = np.unwrap(2 * np.arctan2(self.qpos[:, 6], self.qpos[:, 3]))
         return float(np.degrees(yaw[-1] - yaw[0]))
 
@@ -105,16 +108,17 @@ class Path(NamedTuple):
 
 
 class Balance(NamedTuple):
-    """Of a path, at each time step but the last."""
+    """Balance along a path, at each time step but the last."""
 
     center: Float[AnyArray, "steps 3"]
-    """Of mass, m."""
+    """Position of the centre of mass, m."""
     point: Float[AnyArray, "steps 2"]
     """The zero-moment point, m; NaN in flight."""
     margin: Float[AnyArray, " steps"]
-    """Of the point in the support polygon, m; infinite in flight. An edge has no inside: 0 at most."""
+    """Margin of the zero-moment point in the support polygon, m; infinite in flight. An edge has no inside: 0 at
+    most."""
     center_margin: Float[AnyArray, " steps"]
-    """Of the point below the centre of mass."""
+    """Margin of the point below the centre of mass, m."""
 
 
 @cache
@@ -132,14 +136,14 @@ def play(
     """Simulate trials, some at once.
 
     Args:
-      trials: none twice.
-      seconds: a multiple of the time step.
+      trials: trials without repetition.
+      seconds: duration, a multiple of the time step.
       config: under `servo` the kp and kd of `control.PD`, under `computed_torque` the kp, kd and share of
         `control.GroundControl`, whose servo is the first.
-      tell: told how far it is.
+      tell: called with the progress in words.
 
     Raises:
-      InputError: an unknown gait, gains that no controller takes.
+      InputError: an unknown gait, or gains that no controller takes.
     """
     program, gains, paths = _program(), _gains(config), {}
     for first in range(0, len(trials), AT_ONCE):
@@ -215,7 +219,7 @@ def _start(joints: Float[np.ndarray, " joints"]) -> Float[np.ndarray, " nq"]:
 
 
 class _Gains(NamedTuple):
-    """Of the three controllers."""
+    """Gains of the three controllers."""
 
     servo: control.PD
     grounded: control.GroundControl
@@ -232,7 +236,7 @@ def _gains(config: Mapping[str, Mapping[str, float]]) -> _Gains:
 
 @cache
 def _program() -> Any:
-    """From gains, and by trial controller, push, plan and start, to the states, (trials, steps + 1, ...) each."""
+    """From gains and, by trial, controller, push, plan and start, to the states, (trials, steps + 1, ...) each."""
     simulator = physics()
 
     def torque(gains: _Gains, kind: IntScalar, reference: control.Reference, stages: Any) -> Float[Array, " joints"]:

@@ -11,10 +11,10 @@ from humanoid_mjx.thesis import leg as thesis
 SECONDS = 3.0
 SIDES = {"forwards": (1.0, 0.0), "backwards": (-1.0, 0.0), "sideways": (0.0, 1.0)}
 IMPULSES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
-"""N s, on the hips over 0.1 s. The body weighs 1.7 kg."""
+"""Impulses on the hips over 0.1 s, N s. The body weighs 1.7 kg."""
 
 SHOWN = 0.2
-"""N s, of the pushes drawn."""
+"""Impulse of the pushes drawn, N s."""
 
 PAIR = ("servo", "computed torque")
 NAME = "ground-control"
@@ -22,7 +22,7 @@ CONFIG = {"servo": {"kp": 6.0, "kd": 0.2}, "computed_torque": {"kp": 400.0, "kd"
 
 
 def standing(setting: Setting) -> list[Finding]:
-    """Who stands, who takes which push, and how far the joints give way."""
+    """Which controllers stand, which pushes they withstand, and how far the joints give way."""
     from humanoid_mjx.reproduction.ground import CONTROLLERS, Path, Trial, play
 
     still = {name: Trial(name) for name in CONTROLLERS}
@@ -48,7 +48,7 @@ def standing(setting: Setting) -> list[Finding]:
             NAME,
             f"seconds of {SECONDS:g} that computed torque of section 5.7 with Table 5.1's gains stands",
             blind.seconds,
-            "the section's law takes the torso for held and knows of no ground; within the contacts computed "
+            "the section's law treats the torso as fixed and ignores the ground; within the contacts computed "
             f"torque {_stands(alone['computed torque'])}, and a servo of {setting.config['servo']['kp']:g} N m/rad "
             f"{_stands(alone['servo'])}",
         ),

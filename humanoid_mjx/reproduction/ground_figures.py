@@ -1,4 +1,4 @@
-"""Figures of bodies on the ground: their balance, and what of their feet touches where."""
+"""Figures of bodies on the ground: their balance, and where which parts of their feet touch."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -48,7 +48,8 @@ def draw_balance(path: Path, played: Mapping[Trial, Any], balances: Mapping[Tria
 
 
 def draw_prints(path: Path, played: Mapping[Trial, Any], balances: Mapping[Trial, Any]) -> None:
-    """From above: what of the feet touches, and the ways of the centre of mass and the zero-moment point."""
+    """View from above: the parts of the feet that touch, and the paths of the centre of mass and the zero-moment
+    point."""
     with figure(path, 1, len(played), size=(3.4, 3.5)) as (_, axes):
         for panel, (trial, way) in zip(axes[0], played.items(), strict=True):
             found = balances[trial]
@@ -71,5 +72,5 @@ def draw_prints(path: Path, played: Mapping[Trial, Any], balances: Mapping[Trial
 
 
 def _near(point: np.ndarray) -> np.ndarray:
-    """Without what is far off, where hardly a force pushes the ground."""
+    """The points without those far off, where hardly any force pushes the ground."""
     return np.where((np.abs(point) < VIEW_M).all(axis=1, keepdims=True), point, np.nan)

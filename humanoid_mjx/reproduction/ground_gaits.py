@@ -20,16 +20,18 @@ CONTROLLERS = (*PAIR, "section 5.7")
 NAME = "gaits-4.8"
 SECONDS = 3.0
 STEP_M, TURN_DEG, SLIP = 0.06, 5.0, 0.02
-"""What counts: as a way, a foot's length; as a turn, the yaw of Table 4.6; as a foot that stays, m/s."""
+"""Thresholds: a foot's length counts as walking, m; the yaw of Table 4.6 as turning, degrees; a foot slower than this
+stays, m/s."""
 
 SIGNS = tuple((hip, knee, ankle) for hip, knee, ankle in product((1, -1), repeat=3))
-"""Of hip, knee and ankle: the readings of the tables, the one in the senses of `lower_body` first."""
+"""Signs of hip, knee and ankle in each reading of the tables, the one in the senses of `lower_body` first."""
 
 FORWARDS = tuple(signs for signs in SIGNS if signs[0] == 1)
-"""Those of the pattern generator: with the hip the other way round a body walks backwards."""
+"""Readings for the pattern generator: with the hip the other way round a body walks backwards."""
 
 AMPLITUDES, FREQUENCIES = (0.1, 0.25, 0.5, 1.0), (0.625, 1.25, 2.5)
-"""Of the pattern generator: share of the table's angles, and Hz; the table's own are 1 and 1.25."""
+"""Amplitudes of the pattern generator as shares of the table's angles, and frequencies, Hz; the table's own are 1 and
+1.25."""
 
 CONFIG = {"servo": {"kp": 6.0, "kd": 0.2}, "computed_torque": {"kp": 400.0, "kd": 40.0, "share": 0.1}}
 
@@ -79,7 +81,7 @@ def generator_trials() -> list[Any]:
 
 
 def on_tables(played: Mapping[Any, Any], balances: Mapping[Any, Any]) -> list[Finding]:
-    """What became of the tables as printed."""
+    """The findings on the tables as printed."""
     findings = []
     for gait in TABLES:
         mine = {trial: path for trial, path in played.items() if trial.motion == gait}
@@ -167,7 +169,7 @@ def _turns(played: Mapping[Any, Any]) -> Finding:
 
 
 def on_generator(others: Mapping[Any, Any]) -> list[Finding]:
-    """What became of the generator's settings; nothing is printed of them."""
+    """The findings on the generator's settings, of which nothing is printed."""
     findings = []
     for gait in TABLES:
         mine = {trial: path for trial, path in others.items() if trial.motion == gait}

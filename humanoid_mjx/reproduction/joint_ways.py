@@ -123,8 +123,9 @@ def _draw_numbers(setting: Setting, number: int, joint: int, drawn: list[np.ndar
 def pooled_epsilon(setting: Setting) -> list[Finding]:
     """The epsilon behind the late marks of Figures 7.11, 7.13 and 7.15 together, and the averages together.
 
-    By the printed rules a joint moves with probability epsilon / 2 in a step and stays else, whatever it has learned:
-    the moves up to a step are binomial. The late mark of a figure says how many moves were made before its first step.
+    By the printed rules a joint moves with probability epsilon / 2 in a step and otherwise stays, whatever it has
+    learned: the moves up to a step are binomial. The late mark of a figure says how many moves were made before its
+    first step.
     """
     start = {joint: low for joint, (low, _) in thesis.JOINT_RANGES.items()}
     late = {joint: marks[-1] for joint, marks in thesis.FIGURE_MARKS.items()}

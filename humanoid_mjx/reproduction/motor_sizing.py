@@ -30,7 +30,7 @@ LEGS = {2: "two legs", 1: "one leg"}
 MOTORS = np.array(thesis.MAX_TORQUES)
 
 UPRIGHT = 1e-6
-"""N m. What counts as no torque."""
+"""Torque that counts as none, N m."""
 
 
 class Squat(NamedTuple):
@@ -113,7 +113,7 @@ def _finding(what: str, needed: np.ndarray, why: str) -> Finding:
 
 
 def _weight(torso: float) -> float:
-    """Of the torso and both legs, N."""
+    """Weight of the torso and both legs, N."""
     return torso + 2 * thesis.GRAVITY * sum(thesis.LINK_MASSES)
 
 

@@ -16,7 +16,7 @@ START_TOLERANCE = 1e-8
 """N m. Nine digits are printed; the recovered masses are round."""
 
 TOLERANCE = 0.02
-"""Of a printed maximum or end value."""
+"""Tolerance as a share of a printed maximum or end value."""
 
 SAMPLES = 501
 
@@ -39,7 +39,7 @@ EVIDENCE = (
     "m4 was solved from this number, which is therefore no evidence; that it comes out round is (0.067000 kg)",
     "evidence for the model: no value was fitted to it, and all nine digits agree",
 )
-"""What the start torques say of the recovered values, by joint."""
+"""What the start torques say about the recovered values, by joint."""
 
 GRAVITY = {"sideways": (0.0, 0.0, -thesis.GRAVITY), "along the leg": (0.0, -thesis.GRAVITY, 0.0)}
 
@@ -182,7 +182,7 @@ def maxima(setting: Setting) -> list[Finding]:
 
 
 def _largest(trial: Trial) -> Finding:
-    """That a maximum with its sign is not what a motor needs."""
+    """The finding that a signed maximum is not what a motor needs."""
     used, as_printed = _flat(RECOVERED), _flat(AS_PLANNED)
     joint = int((trial.peaks / trial.maxima).argmax())
     agrees = bool((np.abs(trial.peaks / np.array(thesis.MAX_TORQUES) - 1)[1:] <= TOLERANCE).all())

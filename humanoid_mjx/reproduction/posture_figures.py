@@ -14,13 +14,13 @@ from humanoid_mjx.report.style import COLORS, figure
 from humanoid_mjx.robot.lower_body import lower_body_model
 
 TILE_M = 0.05
-"""Of the squares on the ground."""
+"""Side of the squares on the ground, m."""
 
 TILES = 3
 """Squares from the middle to each side."""
 
 LIGHT = np.array([0.5, -0.6, 0.62])
-"""Where it comes from, a unit vector."""
+"""Direction from which the light comes, a unit vector."""
 
 ROUND = 16
 """Faces around a link."""
@@ -82,7 +82,7 @@ def _shaded(face: np.ndarray, color: Any) -> Any:
 
 
 def _faces(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> list[np.ndarray]:
-    """The polygons of a box or a capsule in the world; what only makes contact is left out."""
+    """The polygons of a box or a capsule in the world; geoms that only make contact are left out."""
     kind, name = model.geom_type[geom], model.geom(geom).name
     if kind == mujoco.mjtGeom.mjGEOM_BOX:
         c = _corners(model, data, geom)
@@ -109,6 +109,6 @@ def _faces(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> list[np.nda
 
 
 def _corners(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Float[np.ndarray, "8 3"]:
-    """Of a box, in the world: the last axis changes the fastest."""
+    """Corners of a box in the world, m; the last axis changes fastest."""
     signs = np.stack(np.meshgrid(*[(-1, 1)] * 3, indexing="ij"), axis=-1).reshape(8, 3)
     return data.geom_xpos[geom] + (signs * model.geom_size[geom]) @ data.geom_xmat[geom].reshape(3, 3).T

@@ -16,7 +16,7 @@ LEGS = {"right": 1.0, "left": -1.0}
 """The left leg takes opposite values (6.4)."""
 
 PRINTED_GOAL = {"knee": -120.0}
-"""Of section 7 H, degrees."""
+"""Goal that section 7 H prints, degrees."""
 
 TRAINING = {
     "task": {"places": 3, "max_episode_steps": 40},
@@ -27,14 +27,14 @@ SAME = 0.02
 """Share by which two measurements may differ and count as the same."""
 
 HEAVY = 2.0
-"""Mass of a robot whose controller believes 1, for the claim of section 7 H."""
+"""Mass of the robot, as a multiple of the mass in its controller's model, for the claim of section 7 H."""
 
 
 class Switch(NamedTuple):
     """How a switch of posture went."""
 
     settling: float
-    """s until all joints are within the task's tolerance of the goal for good; NaN if they never are."""
+    """Time until all joints are within the task's tolerance of the goal for good, s; NaN if they never are."""
     overshoot: float
     """The furthest that a joint goes beyond its goal, degrees to the hundredth."""
     energy: float

@@ -71,14 +71,14 @@ def _slowest_decay(ratios: np.ndarray) -> float:
 
 
 def _settling(times: np.ndarray, curve: np.ndarray) -> float:
-    """When a response stays within `SETTLED` of its end, s; infinite if it does not within these times."""
+    """Time from which a response stays within `SETTLED` of its end, s; infinite if it does not within these times."""
     away = np.flatnonzero(np.abs(curve - 1) > SETTLED)
     last = int(away[-1]) + 1 if len(away) else 0
     return float(times[last]) if last < len(times) else float("inf")
 
 
 def _step_responses(times: np.ndarray, ratios: np.ndarray) -> np.ndarray:
-    """(ratios, times) At a natural frequency of 1 rad/s."""
+    """(ratios, times) Responses at a natural frequency of 1 rad/s."""
     import jax
     import jax.numpy as jnp
 

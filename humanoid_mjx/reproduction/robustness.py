@@ -1,4 +1,4 @@
-"""How far controllers stray from the plan when their model, the load or the cycle time is not what they were made for.
+"""How far controllers stray from the plan when the model, the load or the cycle time differs from their design.
 
 Section 5.6 says that a cycle time keeps the error from being 0, section 5.7 that computed torque follows better than
 linear controllers do; neither is shown there.
@@ -16,16 +16,16 @@ from humanoid_mjx.thesis import leg as thesis
 
 STEP_S = 5e-4
 CYCLES = (1, 2, 20, 100)
-"""Steps of a cycle."""
+"""Steps in a control cycle."""
 
 MODEL_ERROR = 0.3
-"""The largest, of every link's inertia in the controller's model, as a share."""
+"""Largest error of every link's inertia in the controller's model, as a share."""
 
 PAYLOAD = 0.03
-"""The largest at the toe, kg."""
+"""Largest payload at the toe, kg."""
 
 CONFIG = {"grid": {"model_errors": 13, "payloads": 21}}
-"""How many of each: from one too light to one too heavy, and from none on."""
+"""Number of model errors, from too light to too heavy, and of payloads, from none upwards."""
 
 LAWS = {
     "partitioned PD": "partitioned PD",
@@ -37,7 +37,7 @@ WORST, BEST = 1.0, 1e-3
 """Ends of the colours, rad."""
 
 LOST = 10.0
-"""An error of so many rad is no following."""
+"""Error from which a controller has lost the plan, rad."""
 
 
 def robustness(setting: Setting) -> list[Finding]:

@@ -42,7 +42,7 @@ class SteppingBack(FiniteTask):
 
 
 def largest_cost(steps: int, bonus: float, discount: float) -> float:
-    """The largest cost of a step back at which going to the goal is worth more than staying for ever.
+    """The largest cost of a step back at which going to the goal is worth more than staying forever.
 
     The way is worth `discount**(steps - 1) * bonus - cost * (1 - discount**steps) / (1 - discount)`, staying 0.
     """

@@ -17,10 +17,10 @@ from humanoid_mjx.thesis import leg as thesis
 JOINTS = range(5)
 STEP_S = 2e-4
 SHOWN_S = 0.01
-"""From one point of a figure to the next."""
+"""Time from one point of a figure to the next, s."""
 
 ANALOG_STEP_S = 2e-3
-"""Of a controller whose torque is not held. Some of the laws as printed are unstable if it is."""
+"""Step for a controller whose torque is not held, s. Some of the laws as printed are unstable if it is."""
 
 TOLERANCES = (5e-5, 0.005, 0.0005, 0.005, 0.0005)
 """Half of the last digit of section 7 D's errors, rad; joint 1's is that of its place."""
@@ -35,7 +35,7 @@ PRINTED = {f"{name} of {joint}": gain for name, gains in CONFIG.items() for join
 
 
 class Variant(NamedTuple):
-    """A controller and the leg that it drives. Parameters are those of section 4.6, corrected, if nothing is said."""
+    """A controller and the leg that it drives. By default the parameters are those of section 4.6, corrected."""
 
     words: str
     law: str
@@ -193,7 +193,7 @@ def _laws() -> dict[str, Callable[..., Any]]:
 
 
 def _printed_models() -> dict[str, tuple[printed_dynamics.Model, tuple[str, ...]]]:
-    """By name a model of the thesis's equations and the faults that they are to have."""
+    """Models of the thesis's equations with their faults, by name."""
     from humanoid_mjx.robot.leg import corrected_inertias, script_inertias
 
     def model(lengths: tuple[float, ...], inertia: Any) -> printed_dynamics.Model:

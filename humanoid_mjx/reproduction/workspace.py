@@ -153,7 +153,7 @@ def _hemisphere(number: int, name: str, cloud: np.ndarray, lengths: dict[str, fl
 
 
 def _draw(path: Any, name: str, paths: Mapping[str, np.ndarray], cloud: np.ndarray) -> None:
-    """In space, from the right and from behind: places in reach, paths, and the printed ends."""
+    """Places in reach, paths and the printed ends: in space, from the right and from behind."""
     hip = np.array([0.0, 0.0, thesis.LINK_LENGTHS[0]])
     marks = np.array(thesis.WORKSPACE[name])
     styles = dict(zip(paths, ((COLORS[0], "-"), (COLORS[2], "--")), strict=False))

@@ -21,7 +21,7 @@ SomeChain = TypeVar("SomeChain", bound="Chain")
 
 
 class Structure(NamedTuple):
-    """What shapes the compiled mechanics: the angles between the axes, and where zeros stand for ever.
+    """The static part of the mechanics: the angles between the axes, and the places of permanent zeros.
 
     A program folds these zeros away. Values that vanish here must stay zero when the chain's arrays are changed.
     """
@@ -33,7 +33,7 @@ class Structure(NamedTuple):
     has_d: tuple[bool, ...]
     has_a: tuple[bool, ...]
     has_inertia: tuple[tuple[tuple[bool, ...], ...], ...]
-    """By link, row and column of the pseudo-inertia."""
+    """Places that are not zero, by link, row and column of the pseudo-inertia."""
     has_gravity: tuple[bool, ...]
 
 

@@ -20,16 +20,16 @@ from humanoid_mjx.spec import InputError
 from humanoid_mjx.thesis import leg as thesis
 
 ALONG_THE_LEG = (0.0, -thesis.GRAVITY, 0.0)
-"""Gravity where it is in a standing robot."""
+"""Gravity of a standing robot."""
 
 AS_PRINTED = (0.0, 0.0, -thesis.GRAVITY)
-"""Gravity as appendix H and the MATLAB script have it: sideways, in the frames of Table 4.1."""
+"""Gravity of appendix H and the MATLAB script: sideways in the frames of Table 4.1."""
 
 FRAME_0 = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """From frame 0 of the right leg (x forward, y up, z to the right) to a world with x forward, y left and z up."""
 
 MIRROR = np.diag([1.0, -1.0, 1.0])
-"""Across the sagittal plane of that world, to the left leg."""
+"""Reflection across the sagittal plane of that world, to the left leg."""
 
 HIP_DIAMETER = KNEE_DIAMETER = thesis.BODY_MM["upper_leg_circumference"] * 1e-3 * thesis.SCALE / math.pi
 """Thickness of the cylinders that stand for links 1 to 3 in `Leg.physical`: the upper leg's. Nothing is printed."""
@@ -73,7 +73,7 @@ class Leg(Chain):
 
     @classmethod
     def physical(cls, gravity: Sequence[float] = ALONG_THE_LEG) -> "Leg":
-        """The recovered lengths, the masses of Table 4.3, and links that are solid cylinders where the links are."""
+        """The recovered lengths, the masses of Table 4.3, and solid cylinders in the places of the links."""
         return cls.from_links(thesis.LINK_LENGTHS, cylinder_inertias(), gravity)
 
     @classmethod
@@ -90,7 +90,7 @@ class Leg(Chain):
     def figure_7_5(cls, gravity: Sequence[float] = AS_PRINTED) -> "Leg":
         """The recovered model behind the torques of section 7 C: `thesis` with other masses and gravity sideways.
 
-        Only the masses and centroids are known from there; second moments are those of `thesis`, scaled by mass.
+        Section 7 C determines only masses and centroids; second moments are those of `thesis`, scaled by mass.
         """
         scale = np.array(thesis.FIGURE_7_5_MASSES) / np.array(thesis.LINK_MASSES)
         return cls.from_links(thesis.LINK_LENGTHS, corrected_inertias() * scale[:, None, None], gravity)

@@ -22,7 +22,7 @@ TIMESTEP = 0.002
 
 
 def leg_spec(torso: str = "fixed", ranges: str = "proposed", timestep: float | None = None) -> mujoco.MjSpec:
-    """The right leg, as `legs_spec` has it."""
+    """The right leg of `legs_spec`."""
     return legs_spec(torso, ranges, timestep, SIDES[:1])
 
 
@@ -36,10 +36,10 @@ def legs_spec(
     """Both legs with their motors and sensors, as a MuJoCo model that can still be changed.
 
     Args:
-      torso: "fixed", the only one that the chain has.
+      torso: "fixed", the only choice for the chain.
       ranges: a column of Table 3.2. Nothing stops a joint there: postures of section 6.4 lie beyond it.
       timestep: s; by default `TIMESTEP`.
-      sides: the legs that there are.
+      sides: which legs to build.
       leg: the chain of the right leg; by default `Leg.physical()`.
 
     Raises:

@@ -44,10 +44,10 @@ SHANK_LENGTH, SHANK_RADIUS = _METRES["lower_leg_height"], _METRES["lower_leg_cir
 FOOT_LENGTH, FOOT_WIDTH, FOOT_HEIGHT = _METRES["foot_length"], _METRES["foot_width"], _METRES["foot_height"]
 
 HIP_HEIGHT = THIGH_LENGTH + SHANK_LENGTH + FOOT_HEIGHT
-"""Of the standing body, m; also the height of the torso's frame, whose origin is the middle between the hips."""
+"""Height of the standing body's hips, m; also of the torso's frame, whose origin is the middle between the hips."""
 
 TORSO_MASS = 1.02
-"""kg: the load of 10 N on the script's leg. The source gives the torso no mass."""
+"""Mass of the torso, kg: the load of 10 N on the script's leg. The source gives it no mass."""
 
 TORSO_HEIGHT = 0.060
 """m, from the hips up. Left open: a pelvis somewhat less high than wide, which puts the load 30 mm above the hips."""
@@ -64,16 +64,16 @@ ARMATURE = 0.001
 """kg m^2. Left open: a rotor of 2.5e-8 behind a gear of 200. The foot's own 4e-5 would ask for steps under 1 ms."""
 
 DAMPING = 0.02
-"""N m s/rad. Left open: it brings a joint without torque to rest in about 0.1 s, and costs 1% of the torque limit at
-1 rad/s. A step of 4 ms takes it explicitly, since timestep x damping / armature = 0.08 is far below 1."""
+"""N m s/rad. Left open: it brings a joint without torque to rest in about 0.1 s, and costs 1% of the torque limit at 1
+rad/s. A step of 4 ms may treat it explicitly, since timestep x damping / armature = 0.08 is far below 1."""
 
 FRICTION = 1.0
-"""Of the feet on the ground: rubber on dry floors. MuJoCo has one coefficient; the source names a static and a kinetic
-one and prints neither. Torsion and rolling are MuJoCo's defaults."""
+"""Coefficient of friction between feet and ground: rubber on dry floors. MuJoCo has one coefficient; the source names a
+static and a kinetic one and prints neither. Torsion and rolling are MuJoCo's defaults."""
 
 TIMESTEPS = {"free": 0.004, "fixed": 0.002}
 """s. In the air 2 ms keeps the first-order error of computed torque at 1.6e-4 rad. On the ground 4 ms is stable, twice
-as fast, and within the differences that soft contacts make anyhow."""
+as fast, and within the differences that soft contacts make in any case."""
 
 _AXES = {
     "hip_pitch": (0.0, -1.0, 0.0),
@@ -82,7 +82,7 @@ _AXES = {
     "knee_pitch": (0.0, 1.0, 0.0),
     "ankle_pitch": (0.0, 1.0, 0.0),
 }
-"""Of the right leg. The left's are the mirror images: yaw and roll turn the other way."""
+"""Joint axes of the right leg. The left leg's are their mirror images: yaw and roll turn the other way."""
 
 LOOKS = {
     "ground": (0.9, 0.9, 0.9, 1.0),
@@ -93,7 +93,7 @@ LOOKS = {
 """Colours of the parts in MuJoCo's renderer."""
 
 CORNERS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
-"""Of a foot: towards the toe or the heel, towards the left or the right."""
+"""Corners of a foot: towards the toe or the heel, towards the left or the right."""
 
 _LEG_CONTACTS = (("thigh", "thigh"), ("shank", "shank"), ("sole", "sole"), ("shank", "sole"), ("sole", "shank"))
 """Parts of the right and the left leg that cannot pass through each other; all are capsules, one contact a pair."""
@@ -141,7 +141,7 @@ def lower_body_spec(torso: str = "free", ranges: str = "proposed", timestep: flo
 
 
 def _add_light(spec: mujoco.MjSpec) -> None:
-    """A bright sky, which MuJoCo's renderer would else leave black."""
+    """A bright sky, which MuJoCo's renderer would otherwise leave black."""
     spec.visual.headlight.ambient, spec.visual.headlight.diffuse = (0.45,) * 3, (0.6,) * 3
     spec.add_texture(
         name="sky",
@@ -236,7 +236,7 @@ def _add_ground(spec: mujoco.MjSpec) -> None:
 
 
 def _add_corner_sensors(spec: mujoco.MjSpec) -> None:
-    """What each corner of the feet presses on the ground with, in the order of the pairs with the ground."""
+    """Sensors of each corner's force on the ground, in the order of the pairs with the ground."""
     touch, site = mujoco.mjtSensor.mjSENS_TOUCH, mujoco.mjtObj.mjOBJ_SITE
     for side in SIDES:
         for index in range(len(CORNERS)):

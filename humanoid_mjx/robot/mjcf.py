@@ -13,7 +13,8 @@ from humanoid_mjx.spec import InputError
 from humanoid_mjx.thesis.leg import JOINT_NAMES
 
 SMALLEST_INERTIA = 1e-13
-"""kg m^2, added where a link has none about some axis, as thin rods: MuJoCo wants inertias above 1e-15."""
+"""Inertia added where a link has none about some axis, such as a thin rod, kg m^2: MuJoCo requires inertias above
+1e-15."""
 
 
 def make_mjspec(chain: Chain, timestep: float = 0.002) -> Any:

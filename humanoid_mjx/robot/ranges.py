@@ -7,8 +7,9 @@ from humanoid_mjx.spec import InputError, known
 from humanoid_mjx.thesis import leg as thesis
 
 TORQUE_LIMIT = 2.0
-"""N m, every joint. Table 4.7's maxima (0.28 and less) are of a leg that hangs. Balancing on one leg takes 0.69 at the
-hip's roll, and a squat on one leg with the thigh level 1.35 at the knee; 2.0 leaves a motion half as much again."""
+"""Limit of every joint's torque, N m. Table 4.7's maxima (0.28 and less) are of a leg that hangs. Balancing on one leg
+takes 0.69 at the hip's roll, and a squat on one leg with the thigh level 1.35 at the knee; 2.0 leaves a motion half as
+much again."""
 
 
 def joint_ranges(name: str = "proposed") -> Float[np.ndarray, "5 2"]:

@@ -1,4 +1,4 @@
-"""What an evaluation found: numbers with their intervals."""
+"""Results of an evaluation: numbers with their intervals."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -29,7 +29,7 @@ class Evaluation(NamedTuple):
     mean_return: float
 
     def as_json(self) -> dict[str, Any]:
-        """Plain values; the interval of each number beside it."""
+        """The evaluation as plain values, with each number's interval beside it."""
         numbers = {"success": self.success, "return": self.episode_return, "steps": self.steps}
         return {"policy": self.policy, "agent": self.agent, "mean_return": self.mean_return} | {
             key: value
@@ -39,7 +39,7 @@ class Evaluation(NamedTuple):
 
 
 def estimated(policy: str, agent: str, episodes: Mapping[str, np.ndarray]) -> Evaluation:
-    """From what each episode gave."""
+    """The evaluation of episodes from the results of each."""
     success = np.asarray(episodes["success"], bool)
     measures = (np.asarray(episodes[name], float) for name in ("return", "steps"))
     total, steps = (Estimate(float(iqm(x)), *map(float, iqm_interval(x))) for x in measures)

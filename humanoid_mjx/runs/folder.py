@@ -163,7 +163,7 @@ def read_config(path: Path) -> dict[str, Any]:
 
 
 def read_provenance(path: Path) -> dict[str, Any]:
-    """What `provenance.json` of a run folder holds; nothing where there is none that can be read."""
+    """The content of a run folder's `provenance.json`; empty where it is missing or cannot be read."""
     try:
         found = json.loads((path / "provenance.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):

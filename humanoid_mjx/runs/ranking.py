@@ -13,14 +13,14 @@ class Ranked(NamedTuple):
 
     point: int
     values: tuple[Any, ...]
-    """Of the swept parameters."""
+    """Values of the swept parameters."""
     success: float
     """Share of greedy episodes that succeed: the mean over seeds."""
     greedy_return: float
-    """Interquartile means over seeds from here on. Undiscounted."""
+    """Undiscounted return of greedy episodes; like the fields below an interquartile mean over seeds."""
     greedy_steps: float
     steps: float
-    """Of an episode at the end of training."""
+    """Steps of an episode at the end of training."""
 
 
 def ranked(axes: Sequence[str], summary: Mapping[str, np.ndarray]) -> list[Ranked]:

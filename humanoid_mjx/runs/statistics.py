@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Num
 RESAMPLES = 500
 
 RESAMPLED_NUMBERS = 10_000_000
-"""About so many are held at once."""
+"""Approximate number of resampled values held at once."""
 
 
 def iqm(values: Num[np.ndarray, "n ..."]) -> Float[np.ndarray, "..."]:
@@ -35,7 +35,7 @@ def iqm_interval(
 
 
 def rate_interval(successes: Bool[np.ndarray, " n"], confidence: float = 0.95) -> tuple[float, float]:
-    """Interval of a probability (E. Wilson, 1927), which has a width also where all trials or none succeeded."""
+    """Interval of a probability (E. Wilson, 1927), which keeps a width even where all trials or none succeeded."""
     n, share = len(successes), float(np.mean(successes))
     z2 = NormalDist().inv_cdf((1 + confidence) / 2) ** 2
     middle = (share + z2 / (2 * n)) / (1 + z2 / n)

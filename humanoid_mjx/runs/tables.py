@@ -17,7 +17,7 @@ LAST_SHARE = 0.1
 
 
 class Labels(NamedTuple):
-    """What names the rows of the tables."""
+    """The columns that name the rows of the tables."""
 
     hyper: Mapping[str, list[Any]]
     """The hyper-parameters as columns, an entry for each sweep point."""

@@ -18,8 +18,8 @@ class Task(Spec):
     method is an array there. Array shapes and Python's `if` may depend on static fields only.
 
     A task can be played, as `humanoid-mjx play` does, if it has a `simulator`, which is the `Physics` of a robot, and a
-    `period`, s between decisions, and if the data of its states hold a `World` anywhere. What else is worth showing it
-    may say by `drive`, `push_on` and `told`.
+    `period`, s between decisions, and if the data of its states hold a `World` anywhere. It may show more by `drive`,
+    `push_on` and `told`.
     """
 
     @property
@@ -28,7 +28,7 @@ class Task(Spec):
         return {}
 
     def drive(self, data: Any, action: Array) -> tuple[Physics, Controller]:
-        """What moves the robot through a decision: the physics, and the controller that it asks at every time step.
+        """What moves the robot through a decision: the physics, and the controller that acts at every time step.
 
         A task whose decisions are longer than a frame of a video implements it to be shown between them.
 
@@ -43,5 +43,5 @@ class Task(Spec):
         return jnp.zeros(3)
 
     def told(self, data: Any) -> dict[str, FloatScalar]:
-        """What the robot is asked for at the moment, by a name with its unit, such as `forward, m/s`."""
+        """The present command to the robot, by a name with its unit, such as `forward, m/s`."""
         return {}

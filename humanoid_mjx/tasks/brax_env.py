@@ -60,7 +60,7 @@ class BraxEnv(Env):
 
     @property
     def backend(self) -> str:
-        """The task's physics, `none` where it has no choice of them."""
+        """Name of the task's physics; `none` where it has no choice."""
         return self._backend
 
     def reset(self, rng: UInt32[Array, "..."] | Key[Array, ""]) -> BraxState:
@@ -77,7 +77,7 @@ class BraxEnv(Env):
 
 
 class EpisodeWrapper(wrappers.EpisodeWrapper):
-    """Brax's, where what the task itself cuts off is a truncation."""
+    """Brax's wrapper, in which an end by the task's own time limit counts as a truncation."""
 
     def step(self, state: BraxState, action: Float[Array, "*batch joints"]) -> BraxState:
         state = super().step(state, action)
@@ -86,7 +86,7 @@ class EpisodeWrapper(wrappers.EpisodeWrapper):
 
 
 class AutoResetWrapper(wrappers.AutoResetWrapper):
-    """Brax's, where every episode begins in a state of its own. It goes around environments side by side."""
+    """Brax's wrapper, in which every episode begins in a state of its own. It goes around environments side by side."""
 
     def step(self, state: BraxState, action: Float[Array, "*batch joints"]) -> BraxState:
         fresh = self.env.reset(state.info["rng"])
@@ -118,7 +118,7 @@ def _task_key(words: UInt32[Array, "2"]) -> Key[Array, ""]:
 
 
 def _brax_state(state: State, metrics: dict[str, Array], info: dict[str, Any], key: Key[Array, ""]) -> BraxState:
-    """`metrics` and `info` hold what wrappers have added."""
+    """The state with what wrappers have added to `metrics` and `info`."""
 
     def number(x: Any) -> Float[Array, ""]:
         return jnp.asarray(x, float)

@@ -22,8 +22,8 @@ def check_task(task: Task) -> None:
     """Trace `reset` and `step` of a task that does not ship with this package.
 
     Raises:
-      InputError: what is missing, or has another structure, shape or dtype than it must have; an array shape or a
-        Python branch that depends on a traced value.
+      InputError: something is missing, or has a wrong structure, shape or dtype; or an array shape or a Python
+        branch depends on a traced value.
     """
     cls = type(task)
     if cls.__module__.partition(".")[0] == __name__.partition(".")[0]:

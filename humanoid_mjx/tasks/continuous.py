@@ -16,9 +16,9 @@ class State(NamedTuple):
     """One episode under way."""
 
     data: Any
-    """The task's own: any pytree."""
+    """The task's own data: any pytree."""
     obs: Float[Array, " observation_size"]
-    """What the learner sees. After an automatic reset, of the new episode."""
+    """What the learner sees; after an automatic reset, the first observation of the new episode."""
     reward: FloatScalar
     terminated: BoolScalar
     """The episode ended in a state beyond which there is no value."""
@@ -31,7 +31,7 @@ class State(NamedTuple):
     metrics: dict[str, FloatScalar]
     """The reward's terms by name."""
     executed: Int[Array, " joints"] | None = None
-    """The action that was carried out, in a task that may carry out another than the chosen one."""
+    """The action carried out, in a task that may replace the chosen one."""
 
     @property
     def done(self) -> Bool[Array, "*batch"]:
@@ -53,9 +53,9 @@ class ContinuousTask(Task):
 
     @property
     def observation_families(self) -> tuple[tuple[tuple[int, ...], ...], ...]:
-        """For each joint, families of places of observations: those that matter together for its choice.
+        """Families of observations for each joint, as indices: those that matter together for its choice.
 
-        Bases are built of them. Here all observations are one family, the same for every joint.
+        Bases are built from them. Here all observations are one family, the same for every joint.
         """
         return ((tuple(range(self.observation_size)),),) * len(self.action_choices)
 
@@ -157,7 +157,7 @@ class Tabulated(ContinuousTask):
 
 
 def as_continuous(task: Task) -> ContinuousTask:
-    """`task`, or where it is finite its continuous form."""
+    """`task` itself, or its continuous form where it is finite."""
     if isinstance(task, FiniteTask):
         return Tabulated(finite=task)
     assert isinstance(task, ContinuousTask)

@@ -11,7 +11,7 @@ from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
 
 
 class Rules(NamedTuple):
-    """How a tabular learner treats a task. The defaults are Q-learning as section 6.2 of the thesis means it."""
+    """How a tabular learner treats a task. The defaults are the Q-learning of section 6.2 of the thesis."""
 
     update: Literal["every", "terminal"] = "every"
     """The transitions that write to the table: every one, or only the one that reaches the end."""
@@ -65,7 +65,7 @@ class FiniteTask(Task):
 
     @property
     def action_choices(self) -> tuple[int, ...]:
-        """Choices per joint, the fastest first; their product is `num_actions`."""
+        """Choices per joint, fastest first; their product is `num_actions`."""
         return (self.num_actions,)
 
     def initial_q(self) -> Float[Array, "num_states num_actions"]:
@@ -74,6 +74,6 @@ class FiniteTask(Task):
 
     @property
     def execution_rate(self) -> FloatScalar:
-        """The probability that a greedy choice is carried out; else a random action takes its place (section 6.3's
+        """The probability that a greedy choice is carried out; otherwise a random action takes its place (section 6.3's
         `successRate`). The learner knows which action was carried out, and learns about that one."""
         return jnp.float32(1)

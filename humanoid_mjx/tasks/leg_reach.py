@@ -2,8 +2,8 @@
 
 Every `period` the learner moves the set-point of each joint by a part of `increment`; every time step of the physics a
 control law, by default computed torque, drives the leg to it (thesis 5.7, 6.4). Starts and goals are uniform in the
-joints' ranges, and each link of the leg weighs up to `model_error` more or less than the controller believes, so that
-gravity holds the leg off a set-point that equals the goal.
+joints' ranges, and each link of the leg weighs up to `model_error` more or less than in the controller's model, so that
+gravity keeps the leg away from a set-point that equals the goal.
 """
 
 from functools import lru_cache
@@ -27,16 +27,16 @@ from humanoid_mjx.types import FloatScalar, IntScalar
 JOINTS = len(JOINT_NAMES)
 
 REST = 0.1
-"""rad/s. A leg whose joints are all slower is at rest."""
+"""Largest joint speed of a leg at rest, rad/s."""
 
 LEAD = np.radians(20.0)
-"""rad. The farthest that a set-point goes from its joint."""
+"""Largest distance of a set-point from its joint, rad."""
 
 SPEED = 5.0
-"""rad/s: where the observation of a velocity is 1."""
+"""Velocity whose observation is 1, rad/s."""
 
 NEAR, FAR = np.radians(5.0), np.radians(40.0)
-"""rad: errors at which the two halves of the reward's first term have dropped to 1 / e."""
+"""Errors at which the two halves of the reward's first term have dropped to 1 / e, rad."""
 
 
 OBSERVATIONS = ("error", "near_error", "lead", "velocity", "place")
@@ -44,7 +44,7 @@ OBSERVATIONS = ("error", "near_error", "lead", "velocity", "place")
 set-point's lead over the joint; velocity; place in the range."""
 
 TERMS = ("near", "settled")
-"""Of the reward."""
+"""Names of the reward's terms."""
 
 
 class Body(NamedTuple):
@@ -56,7 +56,7 @@ class Body(NamedTuple):
     goal: Float[Array, " joints"]
     """rad"""
     mass: Float[Array, " joints"]
-    """Of the links, as multiples of what the controller believes."""
+    """Masses of the links as multiples of those in the controller's model."""
     decisions: IntScalar
 
 
@@ -64,8 +64,8 @@ class LegReach(ContinuousTask):
     """Reach a posture and stay there until the time is up.
 
     A step's reward has two terms, each at most one half: `near`, which grows as the joints' errors vanish, and
-    `settled`, the share of joints that are within `tolerance` of their goals and at rest. An episode succeeds where at
-    its end all are; one whose simulation breaks down terminates with the reward -1.
+    `settled`, the share of joints that are within `tolerance` of their goals and at rest. An episode succeeds if all
+    joints are so at its end; one whose simulation breaks down terminates with the reward -1.
     """
 
     physics: Literal["chain", "mjx-jax", "mujoco"] = "chain"
@@ -90,9 +90,9 @@ class LegReach(ContinuousTask):
 
     @property
     def observation_families(self) -> tuple[tuple[tuple[int, ...], ...], ...]:
-        """Of each joint for itself: both errors and the place, each with the lead and the velocity.
+        """Families of each joint alone: both errors and the place, each with the lead and the velocity.
 
-        Computed torque takes most of what joints do to each other away.
+        Computed torque removes most coupling between joints.
         """
         own = np.arange(self.observation_size).reshape(-1, JOINTS).T.tolist()
         return tuple(
@@ -178,7 +178,8 @@ class LegReach(ContinuousTask):
         return near & (jnp.abs(body.world.qvel) <= REST)
 
     def controller(self, setpoint: Float[Array, " joints"]) -> Follow:
-        """What drives the leg towards a posture at rest, with a model whose mass factors do not know the leg's."""
+        """The controller that drives the leg towards a posture at rest; its model does not have the leg's mass
+        factors."""
         return self.control.follow(at_rest(setpoint))
 
     def _plant(self, mass: Float[Array, " joints"]) -> Physics:

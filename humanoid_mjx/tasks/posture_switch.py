@@ -1,9 +1,9 @@
 """Switch the legs from one posture to another (thesis sections 6.4 and 7 H): Q-learning decides, computed torque acts.
 
-Two rates, as of a master and its joint controllers. Every `period` the learner chooses for the hip pitch, the knee and
-the ankle to go a place up, to stay, or to go a place down, on a grid from start to goal; every time step of the physics
-a control law, by default computed torque, drives both legs to the set-point. The left leg takes the opposite values
-(6.4). What the learner knows of the joints is what the encoders of the right leg say.
+There are two rates, like those of a master and its joint controllers. Every `period` the learner chooses for the hip
+pitch, the knee and the ankle to go a place up, to stay, or to go a place down, on a grid from start to goal; every time
+step of the physics a control law, by default computed torque, drives both legs to the set-point. The left leg takes the
+opposite values (6.4). The learner knows the joints only by the encoders of the right leg.
 """
 
 from collections.abc import Mapping
@@ -34,7 +34,7 @@ LEFT_SIGN = -1.0
 """The left leg takes the right's values with the opposite sign."""
 
 REST = 0.2
-"""rad/s. A body whose moved joints are all slower is at rest."""
+"""Largest speed of the moved joints of a body at rest, rad/s."""
 
 
 class Body(NamedTuple):
@@ -42,7 +42,7 @@ class Body(NamedTuple):
 
     world: World
     encoders: Float[Array, "3"]
-    """Of the right hip pitch, knee and ankle, rad, as read."""
+    """Readings of the right hip pitch, knee and ankle, rad."""
     diverged: IntScalar
     """How often the simulation broke down in this episode and was started anew."""
 
@@ -85,7 +85,7 @@ class PostureSwitch(FiniteTask):
 
     @property
     def simulator(self) -> Physics:
-        """What moves the legs."""
+        """The physics that moves the legs."""
         return _simulator(self.physics, self.timestep)
 
     @property
@@ -106,7 +106,7 @@ class PostureSwitch(FiniteTask):
         return self.outcome(state, world, key)
 
     def outcome(self, state: Body, world: World, key: Key[Array, ""]) -> tuple[Body, FloatScalar, BoolScalar]:
-        """What `step` returns where `world` is what a decision in `state` led to."""
+        """The result of `step` where a decision in `state` led to `world`."""
         broken = world.diverged
         qpos = self.whole_body(self.grid[:, 0])
         world = self.plant.reset(world, broken, qpos, jnp.zeros(len(qpos)))
@@ -155,7 +155,7 @@ class PostureSwitch(FiniteTask):
     def controller(
         self, qpos: Float[Array, "10"], qvel: AnyArray | float = 0.0, qacc: AnyArray | float = 0.0
     ) -> Follow:
-        """What drives both legs towards a state of motion."""
+        """The controller that drives both legs towards a state of motion."""
         still = jnp.zeros_like(qpos)
         return self.control.follow(Reference(qpos, still + qvel, still + qacc))
 

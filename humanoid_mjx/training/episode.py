@@ -29,33 +29,33 @@ HOLD_S = 1.0
 """How long the last set-point is held after an episode, s: whether a posture is kept shows only then."""
 
 SMOOTH_S = 0.05
-"""Decisions that take longer are shown time step by time step, where their task has `drive`: between them a robot
-moves otherwise than evenly."""
+"""Decisions that take longer are shown time step by time step, where their task has `drive`: between them a robot does
+not move evenly."""
 
 
 class Played(NamedTuple):
     """A greedy episode, decision by decision."""
 
     states: list[Any]
-    """The task's own, before each decision and after the last."""
+    """The task's data before each decision and after the last."""
     actions: list[Array]
-    """As they were carried out: choices of the joints, or commands in [-1, 1]."""
+    """Actions as carried out: choices of the joints, or commands in [-1, 1]."""
     success: bool
     episode_return: float
     pushes: Float[np.ndarray, "decisions 3"]
     """Force on the torso during each decision, N, in the world."""
     told: list[dict[str, float]]
-    """What the robot was asked for at each decision, by its task's `told`."""
+    """Command to the robot at each decision, from its task's `told`."""
 
 
 class Motion(NamedTuple):
     """What the legs did, a row for each time step of the physics."""
 
     qpos: Float[AnyArray, "steps joints"]
-    """After the step, rad."""
+    """Joint angles after the step, rad."""
     qvel: Float[AnyArray, "steps joints"]
     torque: Float[AnyArray, "steps joints"]
-    """That acted during the step, N m."""
+    """Torques that acted during the step, N m."""
 
 
 def robot_of(trained: Trained) -> mujoco.MjModel:

@@ -1,7 +1,7 @@
 """Evaluate on held-out episodes, beside zero and random agents.
 
 The key of evaluation is the key of seed 0 with 2**32 - 1 folded in. Training folds the numbers of its runs, all below a
-million, into the key of its own seed, so that it draws no episode of these. Episode i has the key of evaluation with i
+million, into the key of its own seed, so that it never draws these episodes. Episode i has the key of evaluation with i
 folded in: all policies and agents start from the same states.
 """
 
@@ -24,7 +24,7 @@ from humanoid_mjx.training.rollout import AGENTS, Episode, agent, rollout
 from humanoid_mjx.types import IntScalar
 
 HELD_OUT = 2**32 - 1
-"""What is folded into the key of seed 0."""
+"""Number folded into the key of seed 0."""
 
 HELD_OUT_WORDS = "seed 0, fold 2**32 - 1: no run of a training has this key"
 
@@ -39,7 +39,7 @@ def held_out_keys(episodes: int) -> Key[Array, " episodes"]:
 
 
 def play_out(trained: Trained, name: str, episodes: int) -> dict[str, np.ndarray]:
-    """`success`, `return` and `steps` of so many episodes, (episodes,) each, in which one of `AGENTS` decides."""
+    """`success`, `return` and `steps` of held-out episodes, (episodes,) each, in which one of `AGENTS` decides."""
     block = min(episodes, BLOCK)
     keys = held_out_keys(-(-episodes // block) * block)
     run, number = _program(tuple(sorted(trained.learner.compiler_options.items()))), jnp.int32(AGENTS.index(name))

@@ -54,7 +54,7 @@ class Group:
 
 @dataclass(frozen=True)
 class Plan:
-    """All that a config asks for."""
+    """Everything that a config asks for."""
 
     config: Config
     points: list[dict[str, Any]]
@@ -84,11 +84,11 @@ class Plan:
 
     @property
     def unit(self) -> str:
-        """What a training is measured in: `episode` or `step`."""
+        """Unit of the length of training: `episode` or `step`."""
         return "step" if self.learners[0].unit == "total_steps" else "episode"
 
     def labels(self) -> Labels:
-        """What names the rows of a run folder's tables."""
+        """The columns that name the rows of a run folder's tables."""
         record = self.config.record
         return Labels(self.table(), self.unit, (np.arange(1, record + 1) * self.budget) // record)
 

@@ -31,18 +31,18 @@ class Trained(NamedTuple):
     """What one run of a sweep learned."""
 
     learner: Learner
-    """With the hyper-parameters of its sweep point as arrays."""
+    """The learner, with the hyper-parameters of its sweep point as arrays."""
     policy: Any
     point: int
     seed: int
     name: str
     config: Config
-    """Of its sweep point alone."""
+    """Config of the policy's sweep point alone."""
     origin: dict[str, Any]
     """`scores` of the run at its end and its `provenance`."""
 
     def as_json(self) -> dict[str, Any]:
-        """All but the arrays, as plain values."""
+        """Everything but the arrays, as plain values."""
         place = {"name": self.name, "point": self.point, "seed": self.seed}
         return place | {"config": resolved(self.config), "origin": self.origin}
 
@@ -123,7 +123,7 @@ def load_policy(path: Path) -> Trained:
     """Read a policy file.
 
     Raises:
-      InputError: there is none, it is truncated or of another kind, or what it needs is not as it was.
+      InputError: there is none, it is truncated or of another kind, or what it needs has changed.
     """
     if not path.is_file():
         raise InputError(f"{path}: there is no such file.")

@@ -1,7 +1,7 @@
 """Slots in which runs train side by side; a slot whose run is over takes the next one that waits.
 
-Runs differ in length by far: where the reward pays for waiting, an episode lasts to its cap. In fixed blocks the
-quick ones would wait for the slowest.
+Runs differ widely in length: where the reward pays for waiting, an episode lasts to its cap. In fixed blocks the quick
+ones would wait for the slowest.
 """
 
 import time
@@ -21,10 +21,10 @@ from humanoid_mjx.training.state import blank, from_arrays, to_arrays
 from humanoid_mjx.types import Device
 
 CHUNK_S = 0.2
-"""Seconds of training between two looks at what is over. How training is cut up changes no result."""
+"""Seconds of training between two checks for finished runs. The length of the chunks changes no result."""
 
 MAX_STEPS = 1 << 20
-"""A chunk has at most so many steps."""
+"""Largest number of steps in a chunk."""
 
 HARVEST_SHARE = 0.25
 """The share of slots that must be over before they are emptied and filled again ..."""
@@ -52,7 +52,7 @@ class Pool:
     ):
         """Make `size` slots on each of the devices.
 
-        `policies`: what runs start from instead of anew, every leaf with a leading axis of the group's runs.
+        `policies`: policies that runs start from instead of anew, every leaf with a leading axis of the group's runs.
         """
         self.group, self.waiting, self.seed, self.policies = group, waiting, seed, policies
         self.programs, size = programs_of(group.learners, devices), size * len(devices)
@@ -60,7 +60,7 @@ class Pool:
         self.everywhere = NamedSharding(mesh_of(devices), PartitionSpec())
         self.compiled: dict[str, Callable[..., Any]] = {}
         self.phase = "starting"
-        """What is done now, in a word for the user."""
+        """The present phase, in a word for the user."""
         self.slots = np.full(size, IDLE, np.int64)
         self.progress = np.zeros(size)
         self.recent = np.full((size, 2), np.nan)
@@ -109,12 +109,12 @@ class Pool:
         self.steps = int(np.clip(self.steps * np.clip(factor, 0.25, 4.0), 1, MAX_STEPS))
 
     def note_time(self) -> None:
-        """Enter the time at the record points that were passed since the last look."""
+        """Enter the time at the record points passed since the last check."""
         passed = np.arange(self.wall_s.shape[1]) < np.floor(self.progress[:, None] * self.wall_s.shape[1] + 1e-6)
         self.wall_s[passed & np.isnan(self.wall_s)] = time.monotonic() - self.began
 
     def harvest(self) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
-        """Take out the runs that are over, if it is worth while.
+        """Take out the runs that are over, if it is worthwhile.
 
         Returns:
           the runs, and their curves, final scores and policies by name, every array with a leading axis of runs.

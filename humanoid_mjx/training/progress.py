@@ -1,4 +1,5 @@
-"""What the user sees while a sweep runs: a bar with rate and time left; without a terminal a line now and then."""
+"""Progress that the user sees while a sweep runs: a bar with rate and time left; without a terminal a line now and
+then."""
 
 import time
 from collections import deque
@@ -17,26 +18,26 @@ from rich.progress import (
 LINE_EVERY_S = 10.0
 
 RECENT_LOOKS = 100
-"""The rate that is shown is that of so many looks, ten a second: of the recent past."""
+"""Number of looks, ten a second, over which the rate shown is taken: the recent past."""
 
 
 class Reporter:
-    """Told what happens while a sweep runs. This one keeps it to itself."""
+    """Base of reporters, which are called while a sweep runs. This one shows nothing."""
 
     def begin(self, total: float, unit: str) -> None:
         """A sweep begins that will take `total` of `unit`, such as episodes."""
 
     def note(self, text: str) -> None:
-        """Something to know once."""
+        """A remark, shown once."""
 
     def phase(self, text: str) -> None:
-        """What is done now."""
+        """The present phase."""
 
     def update(self, done: float, success: float | None = None, mean_return: float | None = None) -> None:
         """How much is done of the total; the success and return of recent episodes, where they are known."""
 
     def count(self, done: int, total: int) -> None:
-        """So many of a number of things are done, such as frames painted."""
+        """A count of things done out of a total, such as frames painted."""
 
 
 class Bar(Reporter):

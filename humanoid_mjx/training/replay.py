@@ -1,4 +1,4 @@
-"""Look again at a run that stopped at numbers that were not finite."""
+"""Replay a run that stopped at numbers that were not finite."""
 
 from pathlib import Path
 from typing import Any, NamedTuple

@@ -1,4 +1,4 @@
-"""The one rollout: whole episodes of a learner's task, nothing learned meanwhile.
+"""The one rollout: whole episodes of a learner's task, without learning.
 
 Training's evaluation, `evaluate`, `play` and the comparison of learners all run episodes by these functions.
 """
@@ -17,7 +17,7 @@ from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
 
 MAX_EPISODE_STEPS = 100_000
-"""An episode is given up after so many steps, should its task never end it."""
+"""Number of steps after which an episode is given up, should its task never end it."""
 
 AGENTS = ("greedy", "zero", "random")
 """The policy; the middle choice of every joint (of a finite task: action 0); any choice with equal probability."""
@@ -27,7 +27,7 @@ Choose = Callable[[State, Key[Array, ""]], Array]
 
 
 class Episode(NamedTuple):
-    """What became of a whole episode."""
+    """Results of a whole episode."""
 
     success: BoolScalar
     episode_return: FloatScalar
@@ -66,13 +66,13 @@ def decide(
 
 
 def decision_keys(key: Key[Array, ""], steps: IntScalar) -> tuple[Key[Array, ""], Key[Array, ""]]:
-    """For the choice and for the step of the decision number `steps` of the episode with this key."""
+    """Keys for the choice and for the step of decision number `steps` of the episode with this key."""
     act_key, step_key = jax.random.split(jax.random.fold_in(jax.random.split(key)[1], steps))
     return act_key, step_key
 
 
 def greedy(learner: Learner, policy: Any) -> Choose:
-    """What the policy holds for best."""
+    """The choice that the policy rates best."""
     return lambda state, key: learner.act(policy, learner.observation(state), key)
 
 
@@ -95,7 +95,7 @@ def agent(learner: Learner, policy: Any, number: IntScalar) -> Choose:
 
 
 def mean_scores(env: ContinuousTask, choose: Choose, episodes: int, key: Key[Array, ""]) -> dict[str, FloatScalar]:
-    """Means over so many episodes side by side: `return`, `steps`, `success`."""
+    """Means over episodes side by side: `return`, `steps`, `success`."""
     played = jax.vmap(lambda key: rollout(env, choose, key))(jax.random.split(key, episodes))
     scores = {"return": played.episode_return, "steps": played.steps, "success": played.success}
     return {name: jnp.mean(x, dtype=jnp.float32) for name, x in scores.items()}

@@ -40,7 +40,7 @@ TABLES_SHARE = 0.05
 """The share of the wall time that rewriting the tables may take while runs finish."""
 
 LEAVE_AFTER_S = 5.0
-"""After an interrupt, training has so many seconds to store what it did since the last checkpoint. A compiler cannot be
+"""Seconds that training has after an interrupt to store what it did since the last checkpoint. A compiler cannot be
 interrupted, so a thread that compiles is left behind."""
 
 
@@ -86,9 +86,9 @@ def sweep(
       out: the run folder; by default the first free of runs/NAME, runs/NAME-2, ..., or the latest to be resumed.
       resume: complete a run folder instead of making one.
       overrides: such as "learner.epsilon=0.1"; only where `config` is a path or a name.
-      pool_size: how many runs train at once; by default what memory and cache hold. It changes no bit of what tables
-        learn; networks' sums round by it.
-      reporter: told what happens; by default nobody.
+      pool_size: how many runs train at once; by default what memory and cache hold. Tables learn the same
+        bit by bit whatever it is; sums in networks round differently.
+      reporter: called with the progress; by default nothing is shown.
 
     Raises:
       InputError: the config or the place cannot be used, in one sentence. Nothing stored is lost.
@@ -138,7 +138,7 @@ class _Session:
         if not waiting:
             return
         whole = isinstance(group.learners, WholeRunLearner)
-        # Not of what still waits: sums over networks round by the number of runs side by side, also after a resume.
+        # Not the number still waiting: networks' sums depend on how many runs are side by side, also after a resume.
         devices = jax.local_devices()[: 1 if whole else len(group.runs)]
         size = 1 if whole else min(size, -(-len(group.runs) // len(devices)))
         self.reporter.note(self._side_by_side(group, size * len(devices)))
@@ -201,7 +201,7 @@ class _Session:
         return f"{min(slots, runs):,} of {runs:,} runs train side by side, in an estimated {memory:,.0f} MiB"
 
     def _work(self, index: int, pool: Pool) -> None:
-        """Train what waits, until nothing does."""
+        """Train the waiting runs until none is left."""
         saved = time.monotonic()
         pool.fill()
         while pool.busy.any():
@@ -234,7 +234,7 @@ class _Session:
             self.reporter.update((len(self.finished) + under_way) * self.plan.budget, success, mean_return)
 
     def _restore(self, index: int, pool: Pool) -> None:
-        """Take up the runs of this group that an interrupted session, maybe on other devices, had under way."""
+        """Take up the runs of this group that an interrupted session, perhaps on other devices, had under way."""
         for path in self.folder.pools():
             arrays = read_arrays(path)
             if int(arrays["group"]) == index:

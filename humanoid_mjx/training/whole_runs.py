@@ -30,8 +30,8 @@ class Diverged(Exception):
 class WholeRuns(Pool):
     """A pool of one slot. `train` trains its run to the end; where `stop` is set meanwhile the run stays untrained.
 
-    Its curve has the means over `evaluation_envs` episodes at the end of each point, of the policy as training acts
-    and, called `greedy_`, at its best. NaN where the learner reported nothing in a point.
+    Its curve has the means over `evaluation_envs` episodes at the end of each point, of the policy with its exploration
+    and, called `greedy_`, of the greedy policy. NaN where the learner reported nothing in a point.
     """
 
     def __init__(self, group: Group, waiting: deque[int], device: Device, seed: int, policies: Any, stop: Event):

@@ -9,7 +9,7 @@ from humanoid_mjx.reproduction.printed.erratum import Erratum, Formula, States
 from humanoid_mjx.thesis import leg as thesis
 
 LONGEST_S = 1.0
-"""Of the responses."""
+"""Longest time of the responses, s."""
 
 
 def _between(low: float, high: float, angles: np.ndarray) -> np.ndarray:
@@ -78,7 +78,7 @@ def _geared(states: States) -> tuple[np.ndarray, ...]:
 
 
 def at_the_motor(states: States) -> np.ndarray:
-    """(5.13), times the gear ratio: what the motor's torque is worth at the joint."""
+    """(5.13) times the gear ratio: the motor's torque at the joint."""
     ratio, rotor, link, bearing, friction, qacc, qvel = _geared(states)
     return ratio * ((rotor + link / ratio**2) * ratio * qacc + (bearing + friction / ratio**2) * ratio * qvel)
 

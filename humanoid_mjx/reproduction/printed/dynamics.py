@@ -26,7 +26,7 @@ ALL = tuple(FAULTS)
 JOINTS = range(1, 6)
 
 Array = Any
-"""Of numpy or jax."""
+"""An array of numpy or jax."""
 
 Q = np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 0]])
 
@@ -35,7 +35,7 @@ class Slip(NamedTuple):
     """A term of a velocity coefficient in which the script differs from its own rule."""
 
     link: int
-    """p of the term."""
+    """Index p of the term."""
     printed: str
     """The term: factors of a trace."""
     fault: str
@@ -49,7 +49,7 @@ SLIPS = {
     (3, 2, 5): Slip(5, "A1 A2 Q3 A3 A4 Q5 A5 I5 d53'", "the product of another coefficient: Q3 for the first Q5"),
     (3, 4, 5): Slip(5, "A1 A2 A3 A4 Q5 Q5 A5 d53'", "lacks I5"),
 }
-"""By i, j and k, j < k or equal. The coefficient with j and k exchanged is set to the same."""
+"""Slips by i, j and k, with j < k or equal. The coefficient with j and k exchanged is set to the same."""
 
 
 class Model(NamedTuple):

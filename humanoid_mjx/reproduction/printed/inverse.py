@@ -95,7 +95,7 @@ def solved(states: States) -> np.ndarray:
 
 
 def _nearest(branches: Callable[[States, float], np.ndarray], joint: int) -> Formula:
-    """Of both signs, the angle nearest to the true one."""
+    """The angle nearest to the true one, over both signs."""
 
     def formula(states: States) -> np.ndarray:
         both = np.array([branches(states, sign) for sign in SIGNS])

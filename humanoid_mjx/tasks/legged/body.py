@@ -28,8 +28,8 @@ POSTURE = np.radians([15.0, 0.0, 0.0, 30.0, -15.0] * 2)
 """rad. Knees bent a little, so that legs can give way and stretch; the feet are flat under the hips."""
 
 START_HEIGHT, START_SPREAD = 0.210, 0.03
-"""m of the hips above the ground, a few millimetres above what the posture has; rad, by which every joint and the
-torso's lean differ from it at most."""
+"""Height of the hips above the ground at the start, m, a few millimetres above that of the posture; and the largest
+difference of every joint and of the torso's lean from the posture, rad."""
 
 
 class Plant(NamedTuple):
@@ -42,7 +42,7 @@ class Plant(NamedTuple):
 
 
 class LeggedBody(ContinuousTask):
-    """What all legged tasks have of the robot: derive from `LeggedTask`."""
+    """The part of legged tasks that concerns the robot; derive from `LeggedTask`."""
 
     posture: ClassVar[Float[np.ndarray, " joints"]] = POSTURE
 
@@ -76,7 +76,7 @@ class LeggedBody(ContinuousTask):
 
     @property
     def simulator(self) -> Physics:
-        """What moves the body, with the robot's own values."""
+        """The physics of the body, with the robot's own values."""
         return _simulator(self.physics, self.ranges, self.timestep)
 
     @property
@@ -103,7 +103,7 @@ class LeggedBody(ContinuousTask):
     def advance(
         self, world: World, setpoint: Float[Array, " joints"], plant: Plant, force: Float[Array, "3"]
     ) -> tuple[World, Sensed]:
-        """One decision carried out while `force`, N, pushes the torso: the law is asked at every time step."""
+        """One decision carried out while `force`, N, pushes the torso; the law acts anew at every time step."""
         values = {"mass": plant.mass, "friction": plant.friction, "torque_limit": plant.torque_limit}
         physics = self.simulator.replace(**values, damping=plant.joint_damping, push=force)
         controller = self.control.follow(at_rest(setpoint))

@@ -1,4 +1,4 @@
-"""What a walking body is told to do."""
+"""Commands to a walking body."""
 
 import jax
 import jax.numpy as jnp

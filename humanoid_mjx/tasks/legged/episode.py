@@ -25,25 +25,26 @@ class Episode(NamedTuple):
     world: World
     sensors: SensorState
     readings: Readings
-    """The last."""
+    """The last readings of the sensors."""
     rates: Float[Array, " joints"]
     """Change of the encoders since the readings before, rad/s."""
     down: Float[Array, "3"]
     """The estimated direction of gravity in the torso's frame."""
     offsets: Float[Array, " joints"]
-    """Of the set-points, -1 to 1."""
+    """Offsets of the set-points from the posture, -1 to 1."""
     first_push: FloatScalar
     """s"""
     decisions: IntScalar
     command: Float[Array, "3"]
-    """m/s, m/s and rad/s; 0 in a task without commands."""
+    """Commanded velocity forward and to the left, m/s, and turn rate to the left, rad/s; 0 in a task without
+    commands."""
     phase: FloatScalar
-    """Of the gait; 0 in a task without one."""
+    """Phase of the gait; 0 in a task without one."""
     plant: Plant | None
-    """This episode's own, under randomisation."""
+    """Values of this episode's world under randomisation."""
 
     def sense(self, sensors: Sensors, world: World, true: Readings, period: float, key: Key[Array, ""]) -> "Episode":
-        """The episode in its new world, `period` seconds later, with what the sensors say of it."""
+        """The episode in its new world, `period` seconds later, with the sensors' readings of it."""
         state, readings = sensors.read(self.sensors, true, key)
         rates = (readings.encoders - self.readings.encoders) / period
         turned = self.down + period * jnp.cross(self.down, readings.gyroscope)

@@ -19,8 +19,8 @@ class Gait(Spec):
 
     `reference` is a motion about the posture that steps on the spot; with `lift` and `sway` 0 there is none, and only
     the clock is left. Derive from it for another. The defaults step by themselves under a servo of 14 N m/rad and 0.35
-    N m s/rad: of 64 bodies in native MuJoCo 7 fall in their first second, none of the others within 6 s. The hips roll
-    against the shift of weight, which lags half a cycle behind them at this pace.
+    N m s/rad: of 64 bodies in native MuJoCo 7 fall in their first second and none of the others within 6 s. The hips
+    roll against the shift of weight, which lags half a cycle behind them at this pace.
     """
 
     period: float = traced(0.36, gt=0.05, le=5, description="s of a step with each foot")
@@ -33,7 +33,7 @@ class Gait(Spec):
         return jnp.where(moving, jnp.mod(phase + seconds / self.period, 1.0), 0.0)
 
     def swing(self, phase: FloatScalar) -> Float[Array, "2"]:
-        """How far up each foot should be: half a sine in its turn, else 0."""
+        """How far up each foot should be: half a sine in its turn, otherwise 0."""
         share = jnp.mod(phase - LEGS_APART, 1.0) / (1.0 - self.stance)
         return jnp.where(share < 1.0, jnp.sin(jnp.pi * jnp.minimum(share, 1.0)), 0.0)
 

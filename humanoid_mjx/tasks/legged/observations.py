@@ -1,4 +1,4 @@
-"""Named observations of a view. A task declares a tuple of names; all else about them follows from it."""
+"""Named observations of a view. A task declares a tuple of names; everything else about them follows from it."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple
@@ -13,10 +13,10 @@ from humanoid_mjx.tasks.legged.view import View
 from humanoid_mjx.thesis.leg import GRAVITY
 
 SPEED, TURN, FORCE = 5.0, 3.0, 10.0
-"""rad/s of a joint, rad/s of the torso, N on a foot: where an observation is 1."""
+"""Velocity of a joint, rad/s, turn rate of the torso, rad/s, and force on a foot, N, whose observations are 1."""
 
 FARTHEST = 5.0
-"""Where observations are cut off."""
+"""Size at which observations are cut off."""
 
 POLAR, AXIAL = (1.0, -1.0, 1.0), (-1.0, 1.0, -1.0)
 """Signs of the mirror image of a vector, and of a rotation."""
@@ -28,11 +28,11 @@ class Observation(NamedTuple):
     size: int
     value: Callable[[View], Any]
     scale: Any = 1.0
-    """What is 1 to the learner: one number, or one for each."""
+    """The value that the learner sees as 1: one number, or one for each."""
     mirror: tuple[float, ...] | Literal["swap"] = "swap"
     """The image in the plane of symmetry: left and right halves swapped, or the sign of each number."""
     bounds: tuple[float, float] = (-1.0, 1.0)
-    """In the scale: beyond them a basis may saturate."""
+    """Bounds in this scale, beyond which a basis may saturate."""
 
 
 OBSERVATIONS = {
@@ -52,18 +52,18 @@ OBSERVATIONS = {
     "foot_heights": Observation(2, lambda view: view.feet.height, 0.03),
     "foot_loads": Observation(2, lambda view: view.feet.load, FORCE),
 }
-"""By name. A task may name others of its own by putting an `Observation` among the names."""
+"""The observations by name. A task may add its own by putting an `Observation` among the names."""
 
 PROPRIOCEPTION = ("encoders", "rates", "gyroscope", "accelerometer", "down", "contact", "offsets")
 """Encoders about the posture, their rates of change, the torso's gyroscope and accelerometer, the direction of gravity
 as estimated, foot contacts, the set-points' offsets."""
 
 PRIVILEGED = ("true_down", "velocity", "height")
-"""How the torso really lies and moves: direction of gravity and velocity in its frame, height of the hips."""
+"""The true attitude and motion of the torso: direction of gravity and velocity in its frame, height of the hips."""
 
 
 def clock(view: View) -> Float[Array, "2"]:
-    """Sine and cosine of the gait's phase; both 0 while the body is told to stand."""
+    """Sine and cosine of the gait's phase; both 0 while the command is to stand."""
     angle = 2 * jnp.pi * view.phase
     return jnp.where(view.moving, jnp.stack([jnp.sin(angle), jnp.cos(angle)]), 0.0)
 

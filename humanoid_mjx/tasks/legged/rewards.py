@@ -1,7 +1,7 @@
 """Terms of rewards, plain functions of a view, and the Specs that give them weights.
 
-A weight is a traced field, its name the term's: `task.rewards.slip` can be swept. A term of one's own is a field more
-and an entry more in `terms`.
+A weight is a traced field, its name the term's: `task.rewards.slip` can be swept. A term of one's own needs one more
+field and one more entry in `terms`.
 """
 
 import jax.numpy as jnp
@@ -14,24 +14,24 @@ from humanoid_mjx.tasks.legged.view import View
 from humanoid_mjx.types import FloatScalar
 
 UPRIGHT, STILL = np.radians(10.0), 0.2
-"""rad and m/s: the lean and the speed at which a reward has dropped to 1 / e."""
+"""Lean, rad, and speed, m/s, at which a reward has dropped to 1 / e."""
 
 NEAR_SPEED, FAR_SPEED = 0.02, 0.2
-"""(m/s)^2: squared errors at which the two halves of `speed` have dropped to 1 / e. The narrow one alone leaves a body
-on the spot, where it does not feel the command; the wide one alone does not hold it to it."""
+"""Squared errors at which the two halves of `speed` have dropped to 1 / e, (m/s)^2. With the narrow one alone a body
+stays on the spot, where the term has no slope; with the wide one alone it follows the command loosely."""
 
 NEAR_TURN, FAR_TURN = 0.15, 1.0
-"""(rad/s)^2, likewise of `turn`."""
+"""Squared errors at which the two halves of `turn` have dropped to 1 / e, (rad/s)^2."""
 
 LOADED = 0.8
-"""N on a foot that stands, a twentieth of the weight."""
+"""Force on a foot that stands, N: a twentieth of the weight."""
 
 CLEARANCE, CLOSE = 0.03, 0.012
-"""m: how high a foot should be in mid-swing, and the error at which `clearance` has dropped to 1 / e."""
+"""Height of a foot in mid-swing, m, and the error at which `clearance` has dropped to 1 / e, m."""
 
 APART, TOO_NEAR = 0.05, 0.02
-"""m between the feet, sideways: where they begin to be too near, and the lack at which `crossing` is 1. The hips are
-0.08 m apart and a foot 0.022 m wide."""
+"""Distance between the feet, sideways, below which they are too near, m, and the lack at which `crossing` is 1, m. The
+hips are 0.08 m apart and a foot 0.022 m wide."""
 
 
 class Rewards(Spec):
@@ -148,7 +148,7 @@ def flight(view: View) -> FloatScalar:
 def slip(view: View) -> FloatScalar:
     """The squared speeds along the ground of the corners that touch, m^2/s^2, summed, by four, times 10; at most 1.
 
-    Of the corners: the middle of a foot that rolls over its edge moves without slipping.
+    It takes the corners, as the middle of a foot that rolls over its edge moves without slipping.
     """
     squares = jnp.sum(view.feet.corner_velocity[..., :2] ** 2, axis=-1)
     return jnp.minimum(10 * jnp.sum(squares * view.feet.touching) / 4, 1.0)

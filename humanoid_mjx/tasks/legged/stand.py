@@ -1,6 +1,6 @@
-"""Keep standing on the ground while pushed, from what the sensors say.
+"""Keep standing on the ground while pushed, from the sensors' readings.
 
-What a learner that sees `privileged` does better is the price of partial observation.
+The advantage of a learner that sees `privileged` is the price of partial observation.
 """
 
 from pydantic import Field
@@ -11,8 +11,8 @@ from humanoid_mjx.tasks.legged.rewards import StandRewards
 from humanoid_mjx.tasks.legged.task import LeggedTask
 
 SERVO = ServoLaw(stiffness=3.0, damping=0.1)
-"""As soft as gravity, so that posture alone does not keep the body up. With 6 N m/rad and 0.2 N m s/rad most bodies
-that do nothing withstand the pushes of 0.2 N s, and there is little to learn."""
+"""Gains of a servo as soft as gravity, so that posture alone does not keep the body up. With 6 N m/rad and 0.2 N m
+s/rad most bodies that do nothing withstand the pushes of 0.2 N s, and there is little to learn."""
 
 
 class Stand(LeggedTask):

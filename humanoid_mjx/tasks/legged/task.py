@@ -1,9 +1,9 @@
 """Reset and step of a legged task, from its declared parts.
 
 Every `period` the learner chooses how far each joint's set-point is from the posture's, or from an open-loop motion
-about it; every time step of the physics a control law drives the joints there. The learner sees what the sensors say,
-with their errors, and an attitude estimated from them; with `observe: privileged` also how the torso really lies and
-moves.
+about it; every time step of the physics a control law drives the joints there. The learner sees the sensors' readings,
+with their errors, and an attitude estimated from them; with `observe: privileged` also the true attitude and motion of
+the torso.
 """
 
 from functools import lru_cache
@@ -34,7 +34,7 @@ from humanoid_mjx.types import FloatScalar
 
 
 class LeggedTask(LeggedBody):
-    """Base of legged tasks: declare `rewards`, and what else differs. A fall ends an episode with the reward 0."""
+    """Base of legged tasks: declare `rewards` and whatever else differs. A fall ends an episode with the reward 0."""
 
     observations: ClassVar[tuple[str | Observation, ...]] = PROPRIOCEPTION
     privileged: ClassVar[tuple[str | Observation, ...]] = PRIVILEGED
@@ -132,7 +132,7 @@ class LeggedTask(LeggedBody):
         return self.gait.reference(episode.phase, (episode.command != 0).any()) if self.gait else 0.0
 
     def view(self, episode: Episode, sensed: Sensed | None, last_offsets: Float[Array, " joints"]) -> View:
-        """The body as the parts of the task see it; at the beginning of an episode nothing has been `sensed`."""
+        """The view that the parts of the task take; `sensed` is None at the beginning of an episode."""
         moving = (episode.command != 0).any()
         return View(
             world=episode.world,

@@ -14,5 +14,5 @@ class Fall(Spec):
     height: float = traced(0.13, ge=0, le=0.3, description="of the hips, m; on straight legs 0.215")
 
     def fallen(self, view: View) -> BoolScalar:
-        """Whether the torso leans farther, or the hips are lower."""
+        """Whether the torso leans farther or the hips are lower than these."""
         return (view.rotation[2, 2] < jnp.cos(jnp.radians(self.tilt))) | (view.height < self.height)

@@ -1,4 +1,4 @@
-"""What observations, rewards and terminations are functions of: the body as it is and as it appears."""
+"""The view that observations, rewards and terminations are functions of: the body as it is and as it appears."""
 
 from typing import NamedTuple
 
@@ -12,14 +12,15 @@ from humanoid_mjx.robot.lower_body import CORNERS, SIDES
 from humanoid_mjx.types import BoolScalar, FloatScalar
 
 TOUCHING = 0.1
-"""N on a corner that counts as touching: less than a hundredth of the body's weight."""
+"""Force on a corner from which it counts as touching, N: less than a hundredth of the body's weight."""
 
 
 class Feet(NamedTuple):
-    """The right and the left foot, in the world. Before the first step of an episode all is 0, as contacts are."""
+    """The right and the left foot, in the world. Before the first step of an episode everything is 0, including the
+    contacts."""
 
     position: Float[Array, "2 3"]
-    """Of the ankles, m."""
+    """Positions of the ankles, m."""
     velocity: Float[Array, "2 3"]
     """m/s"""
     rotation: Float[Array, "2 3 3"]
@@ -28,16 +29,16 @@ class Feet(NamedTuple):
     corner_velocity: Float[Array, "2 4 3"]
     """m/s"""
     corner_force: Float[Array, "2 4"]
-    """What the ground pushes them up with, N."""
+    """Force with which the ground pushes each corner up, N."""
 
     @property
     def height(self) -> Float[Array, "2"]:
-        """Of each foot's lowest corner above the ground, m."""
+        """Height of each foot's lowest corner above the ground, m."""
         return self.corners[..., 2].min(axis=-1)
 
     @property
     def load(self) -> Float[Array, "2"]:
-        """What the ground pushes each foot up with, N."""
+        """Force with which the ground pushes each foot up, N."""
         return self.corner_force.sum(axis=-1)
 
     @property
@@ -62,7 +63,7 @@ def feet_of(sensed: Sensed, body_names: tuple[str, ...]) -> Feet:
 
 
 def unknown_feet() -> Feet:
-    """What is known of the feet before the first step."""
+    """The feet before the first step: all 0."""
     pair, corners = jnp.zeros((2, 3)), jnp.zeros((2, len(CORNERS), 3))
     return Feet(pair, pair, jnp.zeros((2, 3, 3)), corners, corners, corners[..., 0])
 
@@ -71,15 +72,15 @@ class View(NamedTuple):
     """One moment of an episode."""
 
     world: World
-    """As it really is."""
+    """The true state of the world."""
     rotation: Float[Array, "3 3"]
     """From the torso's frame to the world."""
     feet: Feet
-    """As they really are, at the beginning of the last time step."""
+    """The true state of the feet at the beginning of the last time step."""
     torque: Float[Array, " joints"]
-    """That acted in the last time step, N m."""
+    """Torques that acted in the last time step, N m."""
     readings: Readings
-    """Of the sensors, the last."""
+    """The last readings of the sensors."""
     rates: Float[Array, " joints"]
     """Change of the encoders since the readings before, rad/s."""
     down: Float[Array, "3"]
@@ -87,13 +88,13 @@ class View(NamedTuple):
     posture: Float[np.ndarray, " joints"]
     """rad"""
     offsets: Float[Array, " joints"]
-    """Of the set-points from the posture, -1 to 1."""
+    """Offsets of the set-points from the posture, -1 to 1."""
     last_offsets: Float[Array, " joints"]
-    """Those of the decision before."""
+    """Offsets of the decision before."""
     command: Float[Array, "3"]
-    """Speed forward and to the left, m/s, and turn to the left, rad/s."""
+    """Commanded velocity forward and to the left, m/s, and turn rate to the left, rad/s."""
     phase: FloatScalar
-    """Of the gait, 0 to 1."""
+    """Phase of the gait, 0 to 1."""
     swing: Float[Array, "2"]
     """How far along its way up each foot should be, 0 to 1, by the gait's clock; 0 where it should stand."""
 
@@ -104,25 +105,25 @@ class View(NamedTuple):
 
     @property
     def lean(self) -> FloatScalar:
-        """Of the torso from upright, rad."""
+        """Lean of the torso from upright, rad."""
         return jnp.arccos(jnp.clip(self.rotation[2, 2], -1.0, 1.0))
 
     @property
     def height(self) -> FloatScalar:
-        """Of the hips, m."""
+        """Height of the hips, m."""
         return self.world.qpos[2]
 
     @property
     def velocity(self) -> Float[Array, "3"]:
-        """Of the hips: forward, to the left and up, m/s."""
+        """Velocity of the hips: forward, to the left and up, m/s."""
         return heading_frame(self.rotation) @ self.world.qvel[:3]
 
     @property
     def turn_rate(self) -> FloatScalar:
-        """About the vertical, to the left, rad/s."""
+        """Turn rate of the torso about the vertical, to the left, rad/s."""
         return self.rotation[2] @ self.world.qvel[3:6]
 
     @property
     def moving(self) -> BoolScalar:
-        """Whether the body is told to move."""
+        """Whether the command is to move."""
         return (self.command != 0).any()

@@ -1,7 +1,7 @@
-"""Walk as commanded: forwards, sideways and round, from what real sensors say.
+"""Walk as commanded: forwards, sideways and round, from the readings of real sensors.
 
 The learner corrects open-loop steps on the spot (`gait`); with `gait: {lift: 0, sway: 0}` it has to find its own. Each
-term of the reward can be weighed, each range of the commands be set, each value of the world be changed by its name.
+weight of the reward, each range of the commands and each value of the world can be set by its name.
 """
 
 from typing import ClassVar
@@ -30,9 +30,9 @@ SENSORS = Sensors(
     delay=1,
 )
 """Cheap parts, well mounted: encoders of 12 bits, whose steps are 0.0015 rad, set to zero within half a degree; a MEMS
-gyroscope that drifts by 1 degree/s after its calibration and accelerometer off by 20 mg, both noisier than their data
-sheets by what a walking body shakes; force-sensing resistors good to 3 % of the weight; one control cycle until all
-of it is read."""
+gyroscope that drifts by 1 degree/s after its calibration and accelerometer off by 20 mg, both noisier than in their
+data sheets, as a walking body shakes them; force-sensing resistors good to 3 % of the weight; one control cycle until
+all of it is read."""
 
 
 SERVO = ServoLaw(stiffness=14.0, damping=0.35)
