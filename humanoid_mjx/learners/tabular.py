@@ -98,9 +98,7 @@ class TabularQ(Learner):
             state = self.task.reset(jax.random.fold_in(key, 0))
             row, zero, nothing = self.task.state_index(state), jnp.int32(0), jnp.float32(0)
             epsilon, q_row = jnp.asarray(self.epsilon, jnp.float32), _row(q_table, row)
-            agent = Agent(
-                key, epsilon, zero, zero, nothing, row, q_row, zero, state, row, nothing, jnp.bool_(False)
-            )
+            agent = Agent(key, epsilon, zero, zero, nothing, row, q_row, zero, state, row, nothing, jnp.bool_(False))
             return self.move(agent, q_row, step)
 
         agents = start(key) if self.agents == 1 else jax.vmap(start)(jax.random.split(key, self.agents))
