@@ -1,4 +1,4 @@
-"""Training steps and episodes a second of tabular Q-learning on joint 1, against three other ways to write it.
+"""Training steps and episodes a second of tabular Q-learning on joint 1, against other ways to write it.
 
 All subjects train the same agents by the same rules: 24 states, 2 actions, ties broken at random, every transition
 learned from, episodes of at most 500 steps, epsilon decayed per episode and different for every agent, and the
@@ -6,6 +6,7 @@ outcome of every episode added to one of 100 points of a learning curve.
 
     scan         this package: the learner vmapped, the cheap generator, table accesses promised to be in bounds;
                  on a CPU one program per core
+    fused        the same in one kernel, as a sweep runs it on a GPU
     naive_scan   the same as one would first write it: jax.random's own keys split in every step, plain indexing
     python       one agent at a time in plain Python
     numba        one agent a thread, compiled, fastmath, all cores (where numba is installed)
@@ -22,6 +23,8 @@ import numpy as np
 
 from humanoid_mjx import make_learner, make_task, rng, runtime
 from humanoid_mjx.bench.measure import Record, Subject, record, time_in_turn
+from humanoid_mjx.learners.tabular import TabularQ
+from humanoid_mjx.training import fused as kernel
 from humanoid_mjx.training.program import advance, begin
 
 MOVES, CAP, POINTS, EPISODES = 23, 500, 100, 100_000
@@ -36,7 +39,11 @@ CPU_BLOCK = 1024
 def run(say: Callable[[str], None]) -> list[Record]:
     """Time all subjects over several numbers of agents."""
     records: list[Record] = []
-    makers = {name: make for name, make in SUBJECTS.items() if name != "numba" or find_spec("numba")}
+    absent = {"numba"} if find_spec("numba") is None else set()
+    if why_not := kernel.why_not(_learner()):
+        say(f"fused: not measured, for {why_not}")
+        absent.add("fused")
+    makers = {name: make for name, make in SUBJECTS.items() if name not in absent}
     for batch in BATCHES.get(jax.default_backend(), BATCHES["gpu"]):
         epsilon = np.linspace(0.1, 0.9, batch, dtype=np.float32)
         made = {name: make(epsilon) for name, make in makers.items()}
@@ -59,11 +66,15 @@ Made = tuple[Callable[[], Any], Callable[[Any], float]]
 """A training to time, and a function that counts the episodes in what it returns."""
 
 
-def scan(epsilon: np.ndarray) -> Made:
-    """This package's learner, as a sweep runs it: a thread for each device, blocks that fit the cache of a CPU."""
+def _learner() -> TabularQ:
     task = make_task("joint_reach", joint=1, max_episode_steps=CAP)
     values = {"epsilon_decay": DECAY, "learning_rate": RATE, "discount": DISCOUNT}
-    learner = make_learner("tabular_q", task, episodes=EPISODES, record=POINTS, **values)
+    return make_learner("tabular_q", task, episodes=EPISODES, record=POINTS, **values)
+
+
+def scan(epsilon: np.ndarray) -> Made:
+    """This package's learner in a scan: a thread for each device, blocks that fit the cache of a CPU."""
+    learner = _learner()
     options = runtime.on_every_device(learner.compiler_options)
     first, train = jax.jit(jax.vmap(begin)), jax.jit(jax.vmap(advance, in_axes=(0, 0, None)), compiler_options=options)
 
@@ -86,6 +97,14 @@ def scan(epsilon: np.ndarray) -> Made:
         return list(threads.map(work, states))
 
     return call, lambda result: sum(float(state.carry.agents.episode.sum()) for mine in result for state in mine)
+
+
+def fused(epsilon: np.ndarray) -> Made:
+    """This package's learner in one kernel."""
+    learners = jax.tree.map(lambda x: jnp.full(len(epsilon), x), _learner()).replace(epsilon=jnp.asarray(epsilon))
+    training = jax.jit(jax.vmap(begin))(learners, jax.random.split(rng.key(0), len(epsilon)))
+    train = jax.jit(kernel.advance)
+    return lambda: train(learners, training, STEPS), lambda result: float(result.carry.agents.episode.sum())
 
 
 def naive_scan(epsilon: np.ndarray) -> Made:
@@ -203,4 +222,4 @@ def numba(epsilon: np.ndarray) -> Made:
     return lambda: train(epsilon, STEPS), lambda result: float(result.sum())
 
 
-SUBJECTS = {"scan": scan, "naive_scan": naive_scan, "python": python, "numba": numba}
+SUBJECTS = {"scan": scan, "fused": fused, "naive_scan": naive_scan, "python": python, "numba": numba}

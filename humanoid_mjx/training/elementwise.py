@@ -15,20 +15,42 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal, Var
 from jaxtyping import Array
 
-ARITHMETIC = frozenset(
-    "abs add and bitcast_convert_type ceil clamp convert_element_type div eq exp floor ge gt integer_pow is_finite le"
-    " log lt max min mul ne neg not or rem select_n shift_left shift_right_arithmetic shift_right_logical sign sqrt"
-    " square sub xor".split()
-)
+ARITHMETIC = {
+    *(
+        "abs",
+        "add",
+        "and",
+        "bitcast_convert_type",
+        "ceil",
+        "clamp",
+        "convert_element_type",
+        "div",
+        "eq",
+        "exp",
+        "floor",
+    ),
+    *("ge", "gt", "integer_pow", "is_finite", "le", "log", "lt", "max", "min", "mul", "ne", "neg", "not", "or", "rem"),
+    *(
+        "select_n",
+        "shift_left",
+        "shift_right_arithmetic",
+        "shift_right_logical",
+        "sign",
+        "sqrt",
+        "square",
+        "sub",
+        "xor",
+    ),
+}
 """Primitives that act on each element alone."""
 
-RESHAPES = frozenset(("broadcast_in_dim", "reshape", "squeeze"))
+RESHAPES = {"broadcast_in_dim", "reshape", "squeeze"}
 """Of one element these change nothing."""
 
-LOOKUPS = frozenset(("gather", "dynamic_slice"))
+LOOKUPS = {"gather", "dynamic_slice"}
 """Of one entry."""
 
-CALLS = frozenset(("jit", "pjit", "closed_call", "custom_jvp_call"))
+CALLS = {"jit", "pjit", "closed_call", "custom_jvp_call"}
 
 Lookup = Callable[[np.ndarray, Array], Array]
 """From a constant vector and indices inside it to its entries."""
@@ -82,7 +104,7 @@ class Elementwise:
         tables = [e.inputs[0] for e in self.each if e.primitive.name in LOOKUPS]
         self.tables: list[np.ndarray] = list({id(table): table for table in tables}.values())
         """The constant vectors that are looked up."""
-        if any(var.aval.shape for var in self.kept):
+        if any(_aval(var).shape for var in self.kept):
             raise NotElementwise("looks up tables that are not constants")
 
     def once(self, fixed: Any) -> list[Array]:
@@ -125,7 +147,7 @@ def _inlined(traced: ClosedJaxpr) -> tuple[list[Var], list[Equation], tuple[Any,
         names = dict(zip(closed.jaxpr.constvars, closed.consts, strict=True)) | given
 
         def source(x: Any) -> Any:
-            return np.asarray(x.val, x.aval.dtype) if isinstance(x, Literal) else names.get(x, x)
+            return np.asarray(x.val, _aval(x).dtype) if isinstance(x, Literal) else names.get(x, x)
 
         for eqn in closed.jaxpr.eqns:
             inputs = tuple(source(x) for x in eqn.invars)
@@ -172,16 +194,20 @@ def _needed(equations: list[Equation], outputs: Sequence[Any]) -> list[Equation]
     return kept[::-1]
 
 
+def _aval(x: Var | Literal) -> Any:
+    return x.aval
+
+
 def _truncates(equation: Equation) -> bool:
     source = equation.inputs[0]
-    dtype = source.aval.dtype if isinstance(source, Var) else source.dtype
-    into = equation.outputs[0].aval.dtype
+    dtype = _aval(source).dtype if isinstance(source, Var) else source.dtype
+    into = _aval(equation.outputs[0]).dtype
     return equation.primitive.name == "convert_element_type" and dtype == jnp.float32 and into == jnp.int32
 
 
 def _check(equation: Equation) -> None:
     name = equation.primitive.name
-    size = max(np.prod(var.aval.shape, dtype=int) for var in equation.outputs)
+    size = max(np.prod(_aval(var).shape, dtype=int) for var in equation.outputs)
     if name in LOOKUPS:
         table, *index = equation.inputs
         if isinstance(table, Var) or table.ndim != 1 or size != 1 or len(index) != 1 or not isinstance(index[0], Var):

@@ -6,11 +6,11 @@ apart by `elementwise`, so that no rule is written twice: from the same keys it 
 scan and makes the same operations in the same order. Results differ by rounding alone, where one compiler contracts a
 multiplication and an addition and the other does not; `tests/test_fused.py` compares them.
 
-`why_not` says whether a learner is trained so; the scan is the reference, and trains everything else.
+`why_not` says whether a learner can be trained so; the scan is the reference, and trains everything unless asked.
 """
 
 from functools import partial
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -24,6 +24,7 @@ from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.tabular import TabularQ
 from humanoid_mjx.training.elementwise import Elementwise, NotElementwise
 from humanoid_mjx.training.program import Training, record_entry
+from humanoid_mjx.training.table_memory import DeviceMemory, Record, SharedMemory, assembly
 from humanoid_mjx.types import IntScalar
 
 SHARED_BYTES = 48 * 1024
@@ -101,79 +102,6 @@ def functions(learner: TabularQ) -> Functions:
     )
 
 
-class Memory(Protocol):
-    """Where the tables of a block of agents lie."""
-
-    def row(self, token: Array, row: Array) -> tuple[Array, ...]:
-        """The values of a row of each agent's table, after the write that gave this token."""
-        ...
-
-    def add(self, token: Array, row: Array, action: Array, change: Array, seen: tuple[Array, ...]) -> Array:
-        """Add to one value of each table, after these values were read; a token of the write."""
-        ...
-
-
-class DeviceMemory(NamedTuple):
-    """Tables in the memory of the device: of any size, and in the interpreter too."""
-
-    tables: Any
-    """A reference to float (runs, num_states * num_actions)."""
-    run: Array
-    num_actions: int
-
-    def row(self, token: Array, row: Array) -> tuple[Array, ...]:
-        cells = [row * self.num_actions + action for action in range(self.num_actions)]
-        return tuple(gpu.load(self.tables.at[self.run, cell]) for cell in cells)
-
-    def add(self, token: Array, row: Array, action: Array, change: Array, seen: tuple[Array, ...]) -> Array:
-        place = self.tables.at[self.run, row * self.num_actions + action]
-        gpu.store(place, gpu.load(place) + change)
-        return token
-
-
-class SharedMemory(NamedTuple):
-    """Tables in the memory that the threads of a block share, a column for each agent so that no two banks collide.
-
-    Pallas has no such arrays for Triton. Its inline assembly can reach them, but may be moved unless something depends
-    on it: hence a write takes what was read before it and gives a token, a number, which later reads take.
-    """
-
-    address: Array
-    """Of the first value of each agent's table."""
-    num_actions: int
-
-    @classmethod
-    def of(cls, num_states: int, num_actions: int, block: int) -> "SharedMemory":
-        thread = jnp.arange(block, dtype=jnp.int32)
-        code = f".shared .align 4 .b8 q_tables[{num_states * num_actions * block * 4}];"
-        return cls(_assembly(f"{code} mov.u32 $0, q_tables;", "=r,r", jnp.int32, thread) + 4 * thread, num_actions)
-
-    def cell(self, number: Array) -> Array:
-        return self.address + number * (4 * len(self.address))
-
-    def read(self, token: Array, address: Array, beyond: int = 0) -> Array:
-        return _assembly(f"ld.shared.f32 $0, [$1+{beyond}];", "=f,r,r", jnp.float32, address, token)
-
-    def write(self, token: Array, address: Array, value: Array, seen: tuple[Array, ...] = ()) -> Array:
-        constraints = ",".join(["=r", "r", "f", "r", *("f" for _ in seen)])
-        return _assembly(
-            "st.shared.f32 [$1], $2; mov.b32 $0, $3;", constraints, jnp.int32, address, value, token, *seen
-        )
-
-    def row(self, token: Array, row: Array) -> tuple[Array, ...]:
-        address, width = self.cell(row * self.num_actions), 4 * len(self.address)
-        return tuple(self.read(token, address, width * action) for action in range(self.num_actions))
-
-    def add(self, token: Array, row: Array, action: Array, change: Array, seen: tuple[Array, ...]) -> Array:
-        address = self.cell(row * self.num_actions + action)
-        return self.write(token, address, self.read(token, address) + change, seen)
-
-
-def _assembly(code: str, constraints: str, dtype: Any, *args: Array) -> Array:
-    result = jax.ShapeDtypeStruct(args[0].shape, dtype)
-    return gpu.elementwise_inline_asm(code, args=args, constraints=constraints, pack=1, result_shape_dtypes=[result])[0]
-
-
 def block_size(cells: int) -> int | None:
     """Agents a block whose tables of so many values fit into shared memory; None where not even few do."""
     return next((block for block in BLOCKS if block * cells * 4 <= SHARED_BYTES), None)
@@ -193,7 +121,7 @@ def advance(
     if padded != runs:
         rows = np.minimum(np.arange(padded), runs - 1)
         wide = jax.tree.map(lambda x: jnp.asarray(x)[rows], (learners, training))
-        return jax.tree.map(lambda x: x[:runs], advance(*wide, steps, block, interpret))
+        return jax.tree.map(lambda x: x[:runs], advance(wide[0], wide[1], steps, block, interpret))
     parts = functions(one_of(learners))
     key, agents = training.carry.agents.key, training.carry.agents._replace(key=None)
     kept = [jax.vmap(part.once)((learners, key)) for part in parts]
@@ -251,7 +179,7 @@ def _kernel(*refs: Any, parts: Functions, inputs: Any, like: Any, place: Any, bl
         return gpu.load(constants[numbers[id(table)]].at[jnp.clip(index, 0, len(table) - 1)])
 
     def truncate(x: Array) -> Array:
-        return x.astype(jnp.int32) if place is None else _assembly("cvt.rzi.s32.f32 $0, $1;", "=r,f", jnp.int32, x)
+        return x.astype(jnp.int32) if place is None else assembly("cvt.rzi.s32.f32 $0, $1;", "=r,f", jnp.int32, x)
 
     agent, step = jax.tree.unflatten(
         jax.tree.structure(like),
@@ -267,34 +195,25 @@ def _kernel(*refs: Any, parts: Functions, inputs: Any, like: Any, place: Any, bl
 
         token, memory = jax.lax.fori_loop(0, place[0] * num_actions, fill, token), shared
 
-    def entry(point: Array, measure: int) -> Any:
-        return record.at[run, point, jnp.full(block, measure)]
-
-    def fetch(point: Array, mask: Array, others: list[Array]) -> list[Array]:
-        return [gpu.load(entry(point, i), mask=mask, other=other) for i, other in enumerate(others)]
-
-    def put(point: Array, sums: list[Array], mask: Array) -> None:
-        for measure, value in enumerate(sums):
-            gpu.store(entry(point, measure), value, mask=mask)
-
     def one(_: Array, inner: Any) -> Any:
         token, agent, step, here, sums = inner
         q_row = memory.row(token, agent.next_row)
         row, action, change, point, values = parts.learn.step(kept[0], (agent, q_row), lookup, truncate)
         token = memory.add(token, row, action, change, (*agent.q_row, *q_row))
         moved = point != here
-        put(here, sums, moved)
-        sums = [old + value for old, value in zip(fetch(point, moved, sums), values, strict=True)]
+        curve.put(here, sums, moved)
+        sums = [old + value for old, value in zip(curve.row(point, sums, moved), values, strict=True)]
         step = step + 1
         agent = parts.go_on.step(kept[1], (agent, step), lookup, truncate)
         agent = parts.move.step(kept[2], (agent, memory.row(token, agent.row), step), lookup, truncate)
         return token, agent, step, point, sums
 
     here = jnp.zeros(block, jnp.int32)
-    sums = fetch(here, here == 0, [jnp.zeros(block, jnp.float32)] * record.shape[2])
+    curve = Record(record, run)
+    sums = curve.row(here, [jnp.zeros(block)] * record.shape[2], here == 0)
     start = token, agent, step, here, sums
     token, agent, step, here, sums = jax.lax.fori_loop(0, steps[0], one, start)
-    put(here, sums, here >= 0)
+    curve.put(here, sums, here >= 0)
     if place is not None:
 
         def empty(cell: Array, _: Any) -> None:
