@@ -2,8 +2,8 @@
 
 import functools
 import operator
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +23,8 @@ def _unflatten(known: float | None, children: tuple[Any, ...]) -> Scalar:
 
 jax.tree_util.register_pytree_node(Scalar, _flatten, _unflatten)
 """Numbers that are known while tracing are structure, those that are traced are leaves."""
+
+Tree = TypeVar("Tree")
 
 Rotation = tuple[Vector, Vector, Vector]
 """The axes of a frame in the world: the columns of its rotation matrix."""
@@ -126,25 +128,33 @@ def lane(scalar: Scalar, index: int) -> Scalar:
     return scalar if jnp.ndim(scalar.value) < 2 else Scalar(scalar.value[..., index, :])
 
 
-def over_lanes(scalar: Scalar, lanes: int) -> Scalar:
-    """The sum over the lanes."""
-    return _summed(scalar, lanes, -2) if jnp.ndim(scalar.value) > 1 else scalar * Scalar(float(lanes))
+def over_lanes(scalars: Sequence[Scalar], lanes: int) -> list[Scalar]:
+    """The sums over the lanes, all in one kernel; less axes tell that all lanes agree."""
+    return _summed(scalars, lanes, lambda value: jnp.ndim(value) > 1, -2)
 
 
-def over_points(scalar: Scalar, points: int, rank: int) -> Scalar:
-    """The sum over the first of `rank` axes, that of the points; less axes tell that all points agree."""
-    return _summed(scalar, points, 0) if jnp.ndim(scalar.value) == rank else scalar * Scalar(float(points))
+def over_points(scalars: Sequence[Scalar], points: int, rank: int) -> list[Scalar]:
+    """The sums over the first of `rank` axes, that of the points."""
+    return _summed(scalars, points, lambda value: jnp.ndim(value) == rank, 0)
 
 
-def _summed(scalar: Scalar, count: int, axis: int) -> Scalar:
-    """By slices, which the kernel that needs the sum can take itself."""
-    value = scalar.value
-    parts = (
-        [value[0] if axis == 0 else value[..., 0, :]] * count
-        if value.shape[axis] == 1
-        else [value[i] if axis == 0 else value[..., i, :] for i in range(count)]
-    )
-    return Scalar(functools.reduce(operator.add, parts))
+def _summed(scalars: Sequence[Scalar], count: int, has_axis: Callable[[Any], bool], axis: int) -> list[Scalar]:
+    parts = [scalar.value for scalar in scalars if has_axis(scalar.value)]
+    sums: Iterator[Any] = iter(())
+    if parts:
+        shape = list(jnp.broadcast_shapes(*(part.shape for part in parts)))
+        shape[axis] = count
+        stacked = jnp.stack([jnp.broadcast_to(part, shape) for part in parts])
+        pieces = [jax.lax.index_in_dim(stacked, i, axis % len(shape) + 1, keepdims=False) for i in range(count)]
+        sums = iter(functools.reduce(operator.add, pieces))
+    many = Scalar(float(count))
+    return [Scalar(next(sums)) if has_axis(scalar.value) else scalar * many for scalar in scalars]
+
+
+def summed(thing: Tree, sums: Callable[[Sequence[Scalar]], list[Scalar]]) -> Tree:
+    """A pytree of scalars, by a function of all of them."""
+    scalars, structure = jax.tree.flatten(thing, is_leaf=lambda part: isinstance(part, Scalar))
+    return structure.unflatten(sums(scalars))
 
 
 def combine(axes: Rotation, v: Vector) -> Vector:

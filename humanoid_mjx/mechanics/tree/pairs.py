@@ -63,7 +63,7 @@ def residual(tree: Tree, touch: Touch, rows: Rows, x: Sequence[Scalar]) -> Vecto
                 laned = laned + part * x[dof]
             else:
                 plain = plain + part * x[dof]
-        moved.append(plain + (laned if laned is ZERO else over_lanes(laned, tree.lanes)))
+        moved.append(plain + (laned if laned is ZERO else over_lanes([laned], tree.lanes)[0]))
     return add(Vector(*moved, *[ZERO] * (3 - len(moved))), touch.offset)
 
 

@@ -1,9 +1,8 @@
 """What the ground's contacts add to the equations of a tree, body by body, as a composite inertia does."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
-
-import jax
 
 from humanoid_mjx.mechanics.scalars import Scalar, Vector, add, cross, dot
 from humanoid_mjx.mechanics.tree.algebra import (
@@ -13,13 +12,15 @@ from humanoid_mjx.mechanics.tree.algebra import (
     Symmetric,
     combine,
     force_at,
+    over_lanes,
     over_points,
     power,
     resolve,
+    summed,
     total,
 )
 from humanoid_mjx.mechanics.tree.contacts import Touch
-from humanoid_mjx.mechanics.tree.inertia import Matrix, summed
+from humanoid_mjx.mechanics.tree.inertia import Matrix
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics, motions_of
 from humanoid_mjx.mechanics.tree.structure import GroundPoints, Tree
 
@@ -76,7 +77,7 @@ def add_ground(
                 matrix[dof][other] = matrix[dof][other] + power(motions[other], force)
             right[dof] = right[dof] - power(motions[dof], push)
         if body.laned and not tree.bodies[body.parent].laned:
-            own, push = summed((own, push), tree.lanes)
+            own, push = summed((own, push), partial(over_lanes, lanes=tree.lanes))
         stiffness[body.parent] = stiffness[body.parent].plus(own) if body.parent in stiffness else own
         forces[body.parent] = total([forces.get(body.parent, NOWHERE), push])
 
@@ -88,13 +89,9 @@ def _of_points(tree: Tree, points: GroundPoints, touch: Touch, flags: Sequence[A
     push = force_at(combine(touch.frame, local.apply(touch.offset)), touch.place)
     laned = tree.bodies[points.body].laned
     count = len(points.order) // (tree.lanes if laned else 1)
-    return (own, push) if count == 1 else over_points_of((own, push), count, 3 if laned else 2)
-
-
-def over_points_of(thing: Any, count: int, rank: int) -> Any:
-    """A pytree of scalars, each the sum over points."""
-    is_scalar = lambda part: isinstance(part, Scalar)  # noqa: E731
-    return jax.tree.map(lambda part: over_points(part, count, rank), thing, is_leaf=is_scalar)
+    if count == 1:
+        return own, push
+    return summed((own, push), partial(over_points, points=count, rank=3 if laned else 2))
 
 
 def _at(place: Vector, matrix: Symmetric) -> Stiffness:

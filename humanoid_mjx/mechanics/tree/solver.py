@@ -23,7 +23,7 @@ from humanoid_mjx.mechanics.tree.pushing import add_ground, ground_residuals
 from humanoid_mjx.mechanics.tree.structure import Tree
 
 MOST_STEPS = 20
-"""Newton steps before a world is given up. Of random states the worst need about 10, of motions 2."""
+"""Newton steps before a world is given up. From cold the worst of 10,000 random states of the lower body needs 8."""
 
 
 class Problem(NamedTuple):
