@@ -139,16 +139,15 @@ def over_points(scalars: Sequence[Scalar], points: int, rank: int) -> list[Scala
 
 
 def _summed(scalars: Sequence[Scalar], count: int, has_axis: Callable[[Any], bool], axis: int) -> list[Scalar]:
-    parts = [scalar.value for scalar in scalars if has_axis(scalar.value)]
-    sums: Iterator[Any] = iter(())
-    if parts:
-        shape = list(jnp.broadcast_shapes(*(part.shape for part in parts)))
-        shape[axis] = count
-        stacked = jnp.stack([jnp.broadcast_to(part, shape) for part in parts])
-        pieces = [jax.lax.index_in_dim(stacked, i, axis % len(shape) + 1, keepdims=False) for i in range(count)]
-        sums = iter(functools.reduce(operator.add, pieces))
-    many = Scalar(float(count))
-    return [Scalar(next(sums)) if has_axis(scalar.value) else scalar * many for scalar in scalars]
+    found = []
+    for scalar in scalars:
+        value = scalar.value
+        if has_axis(value):
+            pieces = [value[..., min(i, value.shape[-2] - 1), :] for i in range(count)]
+            found.append(Scalar(functools.reduce(operator.add, pieces)))
+        else:
+            found.append(scalar * Scalar(float(count)))
+    return found
 
 
 def summed(thing: Tree, sums: Callable[[Sequence[Scalar]], list[Scalar]]) -> Tree:

@@ -4,6 +4,9 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
+
 from humanoid_mjx.mechanics.scalars import Scalar, Vector, add, cross, dot
 from humanoid_mjx.mechanics.tree.algebra import (
     NOWHERE,
@@ -84,14 +87,21 @@ def add_ground(
 
 def _of_points(tree: Tree, points: GroundPoints, touch: Touch, flags: Sequence[Any]) -> tuple[Stiffness, Spatial]:
     """Of all points of a body together: the stiffness, and the force against an acceleration of 0."""
-    local = touch.stiffness(flags)
-    own = _at(touch.place, _in_world(touch, local))
-    push = force_at(combine(touch.frame, local.apply(touch.offset)), touch.place)
     laned = tree.bodies[points.body].laned
-    count = len(points.order) // (tree.lanes if laned else 1)
-    if count == 1:
-        return own, push
-    return summed((own, push), partial(over_points, points=count, rank=3 if laned else 2))
+    count, rank = len(points.order) // (tree.lanes if laned else 1), 3 if laned else 2
+    found: list[tuple[Stiffness, Spatial]] = []
+    for index in range(count):
+        if count > 1:
+            one, on = jax.tree.map(lambda x: x[min(index, x.shape[0]-1)] if jnp.ndim(x) == rank else x, (touch, list(flags)))
+        else:
+            one, on = touch, flags
+        local = one.stiffness(on)
+        own = _at(one.place, _in_world(one, local))
+        found.append((own, force_at(combine(one.frame, local.apply(one.offset)), one.place)))
+    own = found[0][0]
+    for other, _ in found[1:]:
+        own = own.plus(other)
+    return own, total([push for _, push in found])
 
 
 def _at(place: Vector, matrix: Symmetric) -> Stiffness:
