@@ -2,7 +2,7 @@
 
 import functools
 import operator
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import jax
@@ -129,24 +129,15 @@ def lane(scalar: Scalar, index: int) -> Scalar:
 
 
 def over_lanes(scalars: Sequence[Scalar], lanes: int) -> list[Scalar]:
-    """The sums over the lanes, all in one kernel; less axes tell that all lanes agree."""
-    return _summed(scalars, lanes, lambda value: jnp.ndim(value) > 1, -2)
-
-
-def over_points(scalars: Sequence[Scalar], points: int, rank: int) -> list[Scalar]:
-    """The sums over the first of `rank` axes, that of the points."""
-    return _summed(scalars, points, lambda value: jnp.ndim(value) == rank, 0)
-
-
-def _summed(scalars: Sequence[Scalar], count: int, has_axis: Callable[[Any], bool], axis: int) -> list[Scalar]:
+    """The sums over the lanes, by slices; less axes tell that all lanes agree."""
     found = []
     for scalar in scalars:
         value = scalar.value
-        if has_axis(value):
-            pieces = [value[..., min(i, value.shape[-2] - 1), :] for i in range(count)]
+        if jnp.ndim(value) > 1:
+            pieces = [value[..., min(index, value.shape[-2] - 1), :] for index in range(lanes)]
             found.append(Scalar(functools.reduce(operator.add, pieces)))
         else:
-            found.append(scalar * Scalar(float(count)))
+            found.append(scalar * Scalar(float(lanes)))
     return found
 
 

@@ -1,5 +1,6 @@
 """What the ground's contacts add to the equations of a tree, body by body, as a composite inertia does."""
 
+import functools
 from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -16,7 +17,6 @@ from humanoid_mjx.mechanics.tree.algebra import (
     combine,
     force_at,
     over_lanes,
-    over_points,
     power,
     resolve,
     summed,
@@ -88,20 +88,22 @@ def add_ground(
 def _of_points(tree: Tree, points: GroundPoints, touch: Touch, flags: Sequence[Any]) -> tuple[Stiffness, Spatial]:
     """Of all points of a body together: the stiffness, and the force against an acceleration of 0."""
     laned = tree.bodies[points.body].laned
-    count, rank = len(points.order) // (tree.lanes if laned else 1), 3 if laned else 2
-    found: list[tuple[Stiffness, Spatial]] = []
-    for index in range(count):
-        if count > 1:
-            one, on = jax.tree.map(lambda x: x[min(index, x.shape[0]-1)] if jnp.ndim(x) == rank else x, (touch, list(flags)))
-        else:
-            one, on = touch, flags
-        local = one.stiffness(on)
-        own = _at(one.place, _in_world(one, local))
-        found.append((own, force_at(combine(one.frame, local.apply(one.offset)), one.place)))
-    own = found[0][0]
-    for other, _ in found[1:]:
-        own = own.plus(other)
-    return own, total([push for _, push in found])
+    count = len(points.order) // (tree.lanes if laned else 1)
+    # Point by point, as sums over an axis of points would take them through memory.
+    each = [_of_point(touch, flags, index if count > 1 else None, 3 if laned else 2) for index in range(count)]
+    own = functools.reduce(Stiffness.plus, [stiffness for stiffness, _ in each])
+    return own, total([push for _, push in each])
+
+
+def _of_point(touch: Touch, flags: Sequence[Any], index: int | None, rank: int) -> tuple[Stiffness, Spatial]:
+    """Of one point, that at `index` of the first of so many axes."""
+    if index is not None:
+        touch, flags = jax.tree.map(
+            lambda x: x[min(index, x.shape[0] - 1)] if jnp.ndim(x) == rank else x, (touch, list(flags))
+        )
+    local = touch.stiffness(flags)
+    push = force_at(combine(touch.frame, local.apply(touch.offset)), touch.place)
+    return _at(touch.place, _in_world(touch, local)), push
 
 
 def _at(place: Vector, matrix: Symmetric) -> Stiffness:
