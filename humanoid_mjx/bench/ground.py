@@ -35,6 +35,9 @@ REPEATS = 3
 BLOCK = {"cpu": 128, "gpu": 32_768}
 """Bodies at once on a device."""
 
+TREE_BLOCK = {"cpu": 512}
+"""Of the tree, whose kernels are many and short."""
+
 MUJOCO_BATCH = 1024
 """The most bodies that native MuJoCo simulates at once: its rate no longer changes, its stored states would."""
 
@@ -87,7 +90,7 @@ def start(batch: int) -> tuple[np.ndarray, np.ndarray]:
 def compiled(physics: str, batch: int, steps: int) -> Callable[[], Any]:
     """Physics in a jax program: the positions after so many steps."""
     devices = jax.local_devices()
-    block = BLOCK.get(devices[0].platform, batch)
+    block = (BLOCK | TREE_BLOCK if physics == "tree" else BLOCK).get(devices[0].platform, batch)
     at_once = -(-batch // (max(1, batch // (block * len(devices))) * len(devices)))
     return on_all_devices(_program(physics, steps, at_once), start(batch), block)
 

@@ -62,14 +62,17 @@ def test_traced_values_are_those_of_a_model_with_them():
     assert errors(qacc, expected).max() < 1e-9
 
 
-@pytest.mark.parametrize("name", ["free", "quadruped"])
-def test_lanes_compute_what_limbs_alone_do(name):
-    """The quadruped's fourth leg is on other ground than the three."""
-    tree = read_tree(ROBOTS[name]())
-    assert fold(tree).lanes == {"free": 2, "quadruped": 3}[name]
-    at = states(ROBOTS[name](), 200)
-    alone, together = (qacc_of(each)(Values(), *at)[0] for each in (tree, fold(tree)))
+def test_lanes_compute_what_limbs_alone_do():
+    tree = read_tree(ROBOTS["free"]())
+    at = states(ROBOTS["free"](), 200)
+    alone, together = (solve(Values(), *at)[0] for solve in (qacc_of(tree), solver("free")))
     assert errors(together, alone).max() < 1e-9
+
+
+def test_limbs_of_one_build_are_lanes():
+    """The quadruped's fourth leg stands on other ground than the three."""
+    lanes = {name: fold(read_tree(make())).lanes for name, make in ROBOTS.items()}
+    assert lanes == {"free": 2, "fixed": 2, "hopper": 1, "quadruped": 3}
 
 
 @pytest.mark.parametrize("name", ["hopper", "quadruped"])
@@ -133,69 +136,69 @@ def test_sensors_and_forces_are_mujocos(physics):
             np.testing.assert_allclose(velocities.linear[i, body], rate[3:], atol=1e-10)
 
 
-def mechanical(model, qpos, qvel):
-    """Energy, J, momentum, kg m/s, and angular momentum about the centre of mass, kg m^2/s, armature left out."""
+def mechanical(model, world):
+    """Energy, J, and momentum, kg m/s, by world."""
     model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
     data, found = mujoco.MjData(model), []
-    for q, v in zip(qpos, qvel, strict=True):
-        data.qpos, data.qvel = q, v
+    for data.qpos, data.qvel in zip(np.asarray(world.qpos), np.asarray(world.qvel), strict=True):
         mujoco.mj_forward(model, data)
         mujoco.mj_subtreeVel(model, data)
-        linear, angular = data.subtree_linvel[1] * model.body_subtreemass[1], data.subtree_angmom[1]
-        found.append((data.energy.sum(), *linear, *angular))
+        found.append((data.energy.sum(), *(data.subtree_linvel[1] * model.body_subtreemass[1])))
     return np.array(found)
 
 
 def test_momentum_in_flight(physics):
-    """Gravity adds to the vertical momentum what it must, and nothing to the rest; armature alone turns the body."""
-    model = ROBOTS["free"]()
+    """Gravity adds to the vertical momentum what it must, and nothing to the rest, whatever the joints do."""
+    model, params, steps = ROBOTS["free"](), physics.params, 50
     rng = np.random.default_rng(4)
     qpos = np.tile(physics.qpos0, (4, 1))
     qpos[:, 2] += 5.0
     qpos[:, 7:] = np.tile(rng.uniform(0.1, 0.3, (4, 5)), 2)
-    qvel = rng.normal(size=(4, 16))
-    params, steps = physics.params, 50
+    before = start(physics, qpos, rng.normal(size=(4, 16)))
     fly = jax.jit(jax.vmap(lambda w: physics.run(params, w, lambda s: 0.1 * jnp.sin(30.0 * s.qpos), steps)))
-    after = fly(start(physics, qpos, qvel))
-    before, now = mechanical(model, qpos, qvel), mechanical(model, np.asarray(after.qpos), np.asarray(after.qvel))
+    gained = (mechanical(model, fly(before)) - mechanical(model, before))[:, 1:]
     fallen = -model.body_subtreemass[1] * 9.81 * steps * physics.step_s
-    np.testing.assert_allclose(now[:, 1:4] - before[:, 1:4], np.tile([0.0, 0.0, fallen], (4, 1)), atol=2e-3)
+    # 0.1% of the weight's impulse: the integrator is of first order.
+    np.testing.assert_allclose(gained, np.tile([0.0, 0.0, fallen], (4, 1)), atol=3e-3)
 
 
 def test_energy_does_not_grow_without_actuation(physics):
-    """Bodies that fall over and lie: 1 s, in which what contacts store for a moment is less than 1 mJ."""
-    model = ROBOTS["free"]()
+    """1 s in which bodies fall over and lie, once what they start with in limits and in the ground has come out."""
+    model, params = ROBOTS["free"](), physics.params
     qpos, qvel, _ = states(model, 16, seed=5)
     world = start(physics, qpos, 0.3 * qvel)
-    params = physics.params
     fall = jax.jit(jax.vmap(lambda w: physics.run(params, w, lambda s: jnp.zeros(10), 50)))
-    energies = [mechanical(model, np.asarray(world.qpos), np.asarray(world.qvel))[:, 0]]
+    energies = [mechanical(model, world)[:, 0]]
     for _ in range(5):
         world = fall(world)
-        energies.append(mechanical(model, np.asarray(world.qpos), np.asarray(world.qvel))[:, 0])
+        energies.append(mechanical(model, world)[:, 0])
     assert not world.diverged.any()
-    assert (energies[-1] < energies[0]).all()
+    assert (np.diff(energies[1:], axis=0) < 0.0).all()
 
 
 def test_gradients_are_those_of_differences(physics):
-    """Through contacts, limits and the search for what pushes, by world and over all worlds."""
-    model = ROBOTS["free"]()
-    qpos, qvel, ctrl = states(model, 20, seed=6)
+    """Through contacts, limits and the search for what pushes."""
+    qpos, qvel, ctrl = states(ROBOTS["free"](), 20, seed=6)
     params = physics.params
 
-    def after(ctrl, qpos, qvel):
-        world, _ = physics.step(params, physics.start(params, qpos, qvel), lambda stages: ctrl)
-        return (world.qvel**2).sum()
+    def after(ctrl, qvel):
+        def step(ctrl, qpos, qvel):
+            return physics.step(params, physics.start(params, qpos, qvel), lambda stages: ctrl)[0].qvel
+
+        return (jax.vmap(step)(ctrl, qpos, qvel) ** 2).sum(axis=1)
 
     ctrl = np.clip(ctrl, -1.9, 1.9)
-    each = jax.jit(jax.vmap(jax.grad(after, argnums=(0, 2))))(ctrl, qpos, qvel)
-    together = jax.jit(jax.grad(lambda c: jax.vmap(after)(c, qpos, qvel).sum()))(ctrl)
-    np.testing.assert_allclose(each[0], together, rtol=1e-9, atol=1e-12)
-    assert all(np.isfinite(gradient).all() for gradient in each)
-    value, small = jax.jit(jax.vmap(after)), 1e-6
-    for joint in range(10):
-        ahead, behind = (value(ctrl + sign * small * np.eye(10)[joint], qpos, qvel) for sign in (1.0, -1.0))
-        difference = (np.asarray(ahead) - np.asarray(behind)) / (2.0 * small)
-        close = np.abs(difference - each[0][:, joint]) <= 1e-4 * (1.0 + np.abs(difference))
-        # Where a facet begins to push between the two, there is no derivative.
-        assert close.mean() >= 0.9
+    gradients = jax.jit(jax.grad(lambda *at: after(*at).sum(), argnums=(0, 1)))(ctrl, qvel)
+    assert all(np.isfinite(gradient).all() for gradient in gradients)
+    value, small = jax.jit(after), 1e-6
+    for number, (gradient, size) in enumerate(zip(gradients, (10, 16), strict=True)):
+        for index in range(size):
+            change = small * np.eye(size)[index]
+            ahead, behind = (
+                value(*(x + sign * change if i == number else x for i, x in enumerate((ctrl, qvel))))
+                for sign in (1.0, -1.0)
+            )
+            difference = (np.asarray(ahead) - np.asarray(behind)) / (2.0 * small)
+            close = np.abs(difference - gradient[:, index]) <= 1e-4 * (1.0 + np.abs(difference))
+            # Where a facet begins to push between the two, there is no derivative.
+            assert close.mean() >= 0.9

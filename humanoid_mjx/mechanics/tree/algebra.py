@@ -2,8 +2,8 @@
 
 import functools
 import operator
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +23,8 @@ def _unflatten(known: float | None, children: tuple[Any, ...]) -> Scalar:
 
 jax.tree_util.register_pytree_node(Scalar, _flatten, _unflatten)
 """Numbers that are known while tracing are structure, those that are traced are leaves."""
+
+Tree = TypeVar("Tree")
 
 Rotation = tuple[Vector, Vector, Vector]
 """The axes of a frame in the world: the columns of its rotation matrix."""
@@ -126,25 +128,23 @@ def lane(scalar: Scalar, index: int) -> Scalar:
     return scalar if jnp.ndim(scalar.value) < 2 else Scalar(scalar.value[..., index, :])
 
 
-def over_lanes(scalar: Scalar, lanes: int) -> Scalar:
-    """The sum over the lanes."""
-    return _summed(scalar, lanes, -2) if jnp.ndim(scalar.value) > 1 else scalar * Scalar(float(lanes))
+def over_lanes(scalars: Sequence[Scalar], lanes: int) -> list[Scalar]:
+    """The sums over the lanes, by slices; less axes tell that all lanes agree."""
+    found = []
+    for scalar in scalars:
+        value = scalar.value
+        if jnp.ndim(value) > 1:
+            pieces = [value[..., min(index, value.shape[-2] - 1), :] for index in range(lanes)]
+            found.append(Scalar(functools.reduce(operator.add, pieces)))
+        else:
+            found.append(scalar * Scalar(float(lanes)))
+    return found
 
 
-def over_points(scalar: Scalar, points: int, rank: int) -> Scalar:
-    """The sum over the first of `rank` axes, that of the points; less axes tell that all points agree."""
-    return _summed(scalar, points, 0) if jnp.ndim(scalar.value) == rank else scalar * Scalar(float(points))
-
-
-def _summed(scalar: Scalar, count: int, axis: int) -> Scalar:
-    """By slices, which the kernel that needs the sum can take itself."""
-    value = scalar.value
-    parts = (
-        [value[0] if axis == 0 else value[..., 0, :]] * count
-        if value.shape[axis] == 1
-        else [value[i] if axis == 0 else value[..., i, :] for i in range(count)]
-    )
-    return Scalar(functools.reduce(operator.add, parts))
+def summed(thing: Tree, sums: Callable[[Sequence[Scalar]], list[Scalar]]) -> Tree:
+    """A pytree of scalars, by a function of all of them."""
+    scalars, structure = jax.tree.flatten(thing, is_leaf=lambda part: isinstance(part, Scalar))
+    return structure.unflatten(sums(scalars))
 
 
 def combine(axes: Rotation, v: Vector) -> Vector:

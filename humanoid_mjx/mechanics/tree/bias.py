@@ -1,11 +1,12 @@
 """What a tree's motion asks of its degrees of freedom: velocity terms and gravity, by Newton and Euler's recursion."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 from humanoid_mjx.mechanics.scalars import NULL, ZERO, Scalar, Vector, add, cross, dot, scale
-from humanoid_mjx.mechanics.tree.algebra import NOWHERE, Spatial, power, subtract, total
-from humanoid_mjx.mechanics.tree.inertia import Mass, summed
+from humanoid_mjx.mechanics.tree.algebra import NOWHERE, Spatial, over_lanes, power, subtract, summed, total
+from humanoid_mjx.mechanics.tree.inertia import Mass
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics
 from humanoid_mjx.mechanics.tree.structure import Tree
 
@@ -63,7 +64,7 @@ def bias_forces(
         for hinge in body.hinges:
             forces[hinge.dof] = power(kinematics.motions[hinge.dof], wrenches[index])
         merge = body.laned and not tree.bodies[body.parent].laned
-        wrench = summed(wrenches[index], tree.lanes) if merge else wrenches[index]
+        wrench = summed(wrenches[index], partial(over_lanes, lanes=tree.lanes)) if merge else wrenches[index]
         wrenches[body.parent] = total([wrenches[body.parent], wrench])
     return forces
 

@@ -4,9 +4,8 @@ See R. Featherstone, "Rigid Body Dynamics Algorithms" (2008): chapter 6 for the 
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple, TypeVar
-
-import jax
+from functools import partial
+from typing import NamedTuple
 
 from humanoid_mjx.mechanics.scalars import NULL, ONE, ZERO, Scalar, Vector, add, cross, dot, scale
 from humanoid_mjx.mechanics.tree.algebra import (
@@ -18,6 +17,7 @@ from humanoid_mjx.mechanics.tree.algebra import (
     outer,
     over_lanes,
     power,
+    summed,
     vector,
 )
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics
@@ -89,7 +89,7 @@ def mass_matrix(tree: Tree, kinematics: Kinematics, masses: Sequence[Mass], arma
                 matrix[dof][other] = power(kinematics.motions[other], force)
             matrix[dof][dof] = matrix[dof][dof] + armature[dof]
         if body.laned and not tree.bodies[body.parent].laned:
-            composite = summed(composite, tree.lanes)
+            composite = summed(composite, partial(over_lanes, lanes=tree.lanes))
         composites[body.parent] = composites[body.parent].plus(composite)
     return matrix
 
@@ -110,9 +110,9 @@ class Factors(NamedTuple):
         for row in reversed(range(stem, size)):
             for column in range(stem, row):
                 x[column] = x[column] - self.lower[row][column] * x[row]
-        for column in range(stem if size > stem else 0):
-            felt = dot([self.lower[row][column] for row in range(stem, size)], x[stem:])
-            x[column] = x[column] - over_lanes(felt, self.lanes)
+        if size > stem:
+            felt = [dot([self.lower[row][column] for row in range(stem, size)], x[stem:]) for column in range(stem)]
+            x[:stem] = [a - b for a, b in zip(x[:stem], over_lanes(felt, self.lanes), strict=True)]
         for row in reversed(range(stem)):
             for column in range(row):
                 x[column] = x[column] - self.lower[row][column] * x[row]
@@ -127,9 +127,10 @@ def factor(tree: Tree, matrix: Matrix) -> Factors:
     stem = next((dof for dof in range(size) if tree.laned(dof)), size)
     inverse, passed = [ZERO] * size, [[ZERO] * (row + 1) for row in range(stem)]
     for last in reversed(range(size)):
-        if last == stem - 1:
-            for row, changes in enumerate(passed):
-                rows[row] = [a - over_lanes(b, tree.lanes) for a, b in zip(rows[row], changes, strict=True)]
+        if last == stem - 1 < size - 1:
+            changes = iter(over_lanes([change for row in passed for change in row], tree.lanes))
+            for row in range(stem):
+                rows[row] = [entry - next(changes) for entry in rows[row]]
         inverse[last] = ONE / rows[last][last]
         below = rows[last][:last]
         rows[last] = [entry * inverse[last] for entry in below]
@@ -150,18 +151,9 @@ def product(tree: Tree, matrix: Matrix, x: Sequence[Scalar]) -> list[Scalar]:
         total = dot(matrix[row], x[: row + 1])
         for other in range(row + 1, tree.nv):
             part = matrix[other][row] * x[other]
-            total = total + (over_lanes(part, tree.lanes) if tree.laned(other) > tree.laned(row) else part)
+            total = total + (over_lanes([part], tree.lanes)[0] if tree.laned(other) > tree.laned(row) else part)
         found.append(total)
     return found
-
-
-Summed = TypeVar("Summed")
-
-
-def summed(thing: Summed, lanes: int) -> Summed:
-    """A pytree of scalars, each the sum over the lanes."""
-    is_scalar = lambda part: isinstance(part, Scalar)  # noqa: E731
-    return jax.tree.map(lambda part: over_lanes(part, lanes), thing, is_leaf=is_scalar)
 
 
 def _composite(mass: Mass) -> Composite:

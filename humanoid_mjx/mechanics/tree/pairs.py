@@ -63,7 +63,7 @@ def residual(tree: Tree, touch: Touch, rows: Rows, x: Sequence[Scalar]) -> Vecto
                 laned = laned + part * x[dof]
             else:
                 plain = plain + part * x[dof]
-        moved.append(plain + (laned if laned is ZERO else over_lanes(laned, tree.lanes)))
+        moved.append(plain + (laned if laned is ZERO else over_lanes([laned], tree.lanes)[0]))
     return add(Vector(*moved, *[ZERO] * (3 - len(moved))), touch.offset)
 
 
@@ -75,27 +75,12 @@ def with_pairs(
     rows: Sequence[Rows],
     active: Sequence[Sequence[Any]],
     without: Sequence[Scalar],
-    linear: bool,
 ) -> list[Scalar]:
-    """The solution of the equations with the pairs' contacts in them, from that `without`, where any facet pushes.
-
-    Where `linear` there is no branch, which has no transpose once its condition differs between worlds.
-    """
-    flags = [flag for group in active for flag in group]
-    pushing = jnp.concatenate(flags).any(axis=0)
-    leaves, structure = jax.tree.flatten((matrix, list(right), list(touches), list(rows), list(active)))
-    plain = [x.value for x in without]
-
-    def joined(leaves: list[Any], plain: list[Any]) -> list[Any]:
-        matrix, right, touches, rows, active = structure.unflatten(leaves)
-        x = _dense(tree, matrix, right, touches, rows, active)
-        return [jnp.where(pushing, new, old) for new, old in zip(x, plain, strict=True)]
-
-    if linear:
-        found = joined(leaves, plain)
-    else:
-        found = jax.lax.cond(pushing.any(), joined, lambda leaves, plain: plain, leaves, plain)
-    return [Scalar(value) for value in found]
+    """The solution of the equations with the pairs' contacts in them, or that `without` in worlds where none pushes."""
+    pushing = jnp.concatenate([flag for group in active for flag in group]).any(axis=0)
+    found = _dense(tree, matrix, right, touches, rows, active)
+    # A world's bits must not depend on whether another made its batch come here.
+    return [Scalar(jnp.where(pushing, new, old.value)) for new, old in zip(found, without, strict=True)]
 
 
 def _dense(

@@ -1,9 +1,12 @@
 """What the ground's contacts add to the equations of a tree, body by body, as a composite inertia does."""
 
+import functools
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 
 from humanoid_mjx.mechanics.scalars import Scalar, Vector, add, cross, dot
 from humanoid_mjx.mechanics.tree.algebra import (
@@ -13,13 +16,14 @@ from humanoid_mjx.mechanics.tree.algebra import (
     Symmetric,
     combine,
     force_at,
-    over_points,
+    over_lanes,
     power,
     resolve,
+    summed,
     total,
 )
 from humanoid_mjx.mechanics.tree.contacts import Touch
-from humanoid_mjx.mechanics.tree.inertia import Matrix, summed
+from humanoid_mjx.mechanics.tree.inertia import Matrix
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics, motions_of
 from humanoid_mjx.mechanics.tree.structure import GroundPoints, Tree
 
@@ -76,25 +80,30 @@ def add_ground(
                 matrix[dof][other] = matrix[dof][other] + power(motions[other], force)
             right[dof] = right[dof] - power(motions[dof], push)
         if body.laned and not tree.bodies[body.parent].laned:
-            own, push = summed((own, push), tree.lanes)
+            own, push = summed((own, push), partial(over_lanes, lanes=tree.lanes))
         stiffness[body.parent] = stiffness[body.parent].plus(own) if body.parent in stiffness else own
         forces[body.parent] = total([forces.get(body.parent, NOWHERE), push])
 
 
 def _of_points(tree: Tree, points: GroundPoints, touch: Touch, flags: Sequence[Any]) -> tuple[Stiffness, Spatial]:
     """Of all points of a body together: the stiffness, and the force against an acceleration of 0."""
-    local = touch.stiffness(flags)
-    own = _at(touch.place, _in_world(touch, local))
-    push = force_at(combine(touch.frame, local.apply(touch.offset)), touch.place)
     laned = tree.bodies[points.body].laned
     count = len(points.order) // (tree.lanes if laned else 1)
-    return (own, push) if count == 1 else over_points_of((own, push), count, 3 if laned else 2)
+    # Point by point, as sums over an axis of points would take them through memory.
+    each = [_of_point(touch, flags, index if count > 1 else None, 3 if laned else 2) for index in range(count)]
+    own = functools.reduce(Stiffness.plus, [stiffness for stiffness, _ in each])
+    return own, total([push for _, push in each])
 
 
-def over_points_of(thing: Any, count: int, rank: int) -> Any:
-    """A pytree of scalars, each the sum over points."""
-    is_scalar = lambda part: isinstance(part, Scalar)  # noqa: E731
-    return jax.tree.map(lambda part: over_points(part, count, rank), thing, is_leaf=is_scalar)
+def _of_point(touch: Touch, flags: Sequence[Any], index: int | None, rank: int) -> tuple[Stiffness, Spatial]:
+    """Of one point, that at `index` of the first of so many axes."""
+    if index is not None:
+        touch, flags = jax.tree.map(
+            lambda x: x[min(index, x.shape[0] - 1)] if jnp.ndim(x) == rank else x, (touch, list(flags))
+        )
+    local = touch.stiffness(flags)
+    push = force_at(combine(touch.frame, local.apply(touch.offset)), touch.place)
+    return _at(touch.place, _in_world(touch, local)), push
 
 
 def _at(place: Vector, matrix: Symmetric) -> Stiffness:

@@ -20,7 +20,7 @@ from humanoid_mjx.mechanics.tree.algebra import (
 )
 from humanoid_mjx.mechanics.tree.bias import Drift
 from humanoid_mjx.mechanics.tree.kinematics import Pose, motions_of, to_local
-from humanoid_mjx.mechanics.tree.pairs import residual
+from humanoid_mjx.mechanics.tree.pairs import pair_rows, residual
 from humanoid_mjx.mechanics.tree.pushing import ground_residuals
 from humanoid_mjx.mechanics.tree.solver import Problem, Solution
 from humanoid_mjx.mechanics.tree.step import State, unfolded
@@ -58,7 +58,8 @@ def pushes_of(tree: Tree, problem: Problem, solution: Solution) -> list[Push]:
             picked = _picked((touch.place, touch.frame, touch.force(v)), [point] * several, [one] * (lanes > 1))
             ground[order] = _push(at.origin, picked, ((0, 0), (points.body, one)))
     pairs: dict[int, Push] = {}
-    for group, touch, rows in zip(tree.pairs, problem.pairs, problem.rows, strict=True):
+    rows_of = pair_rows(tree, at, problem.pairs)
+    for group, touch, rows in zip(tree.pairs, problem.pairs, rows_of, strict=True):
         force = touch.force(residual(tree, touch, rows, x))
         for index, (order, one, two) in enumerate(zip(group.order, group.ones, group.twos, strict=True)):
             picked = _picked((touch.place, touch.frame, force), [index], [])

@@ -8,6 +8,7 @@ It is quadratic as long as the same facets push. So a Newton step to the minimum
 they stay the same, and the search stops there: x is the minimum itself.
 """
 
+import functools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -18,12 +19,12 @@ from humanoid_mjx.mechanics.scalars import Scalar
 from humanoid_mjx.mechanics.tree.contacts import Stop, Touch
 from humanoid_mjx.mechanics.tree.inertia import Matrix, factor
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics
-from humanoid_mjx.mechanics.tree.pairs import Rows, residual, with_pairs
+from humanoid_mjx.mechanics.tree.pairs import Rows, pair_rows, residual, with_pairs
 from humanoid_mjx.mechanics.tree.pushing import add_ground, ground_residuals
 from humanoid_mjx.mechanics.tree.structure import Tree
 
 MOST_STEPS = 20
-"""Newton steps before a world is given up. Of random states the worst need about 10, of motions 2."""
+"""Newton steps before a world is given up. From cold the worst of 10,000 random states of the lower body needs 8."""
 
 SAME = 200.0
 """Rounding errors by which two accelerations may differ, as shares of the largest, and count as the same. A facet whose
@@ -39,7 +40,6 @@ class Problem(NamedTuple):
     kinematics: Kinematics
     ground: list[Touch]
     pairs: list[Touch]
-    rows: list[Rows]
     stops: dict[int, Stop]
     """By degree of freedom."""
 
@@ -73,10 +73,18 @@ def solve(tree: Tree, problem: Problem, start: Sequence[Scalar]) -> Solution:
         # The minimum for the facets that push at the minimum is itself, and its derivative, while they are the same.
         leaves, start = primals
         x, settled = search(leaves, start)
-        active = _active(tree, structure.unflatten(leaves), [Scalar(value) for value in x])
+        problem, at = structure.unflatten(leaves), [Scalar(value) for value in x]
+        rows = pair_rows(tree, problem.kinematics, problem.pairs)
+        active = _active(tree, problem, at)._replace(pairs=_active_pairs(tree, problem, rows, at))
 
+        # Without branches, which have no transpose once their condition differs between worlds.
         def again(leaves: list[Any]) -> list[Any]:
-            found = _minimum(tree, structure.unflatten(leaves), active, linear=True)
+            problem = structure.unflatten(leaves)
+            matrix, right = _normal_equations(tree, problem, active)
+            found = factor(tree, matrix).solve(right)
+            if problem.pairs:
+                rows = pair_rows(tree, problem.kinematics, problem.pairs)
+                found = with_pairs(tree, matrix, right, problem.pairs, rows, active.pairs, found)
             return [v.value for v in found]
 
         moved = jax.jvp(again, (leaves,), (tangents[0],))[1]
@@ -88,12 +96,14 @@ def solve(tree: Tree, problem: Problem, start: Sequence[Scalar]) -> Solution:
 
 
 def _search(tree: Tree, problem: Problem, start: list[Any]) -> tuple[list[Any], Any]:
+    near = functools.reduce(jnp.logical_or, [touch.close.any() for touch in problem.pairs], jnp.bool_(False))
+
     def step(carry: tuple[Any, ...]) -> tuple[Any, ...]:
         before, active, _, count = carry
-        x = _minimum(tree, problem, active)
-        now = _active(tree, problem, x)
+        x, pairs = _minimum(tree, problem, active, near)
+        now = _active(tree, problem, x)._replace(pairs=pairs)
         values = [v.value for v in x]
-        return values, now, ~_differ(tree, active, now) | _same(before, values), count + 1
+        return values, now, ~_differ(active, now) | _same(before, values), count + 1
 
     def going(carry: tuple[Any, ...]) -> Any:
         return ~carry[2].all() & (carry[3] < MOST_STEPS)
@@ -106,7 +116,7 @@ def _search(tree: Tree, problem: Problem, start: list[Any]) -> tuple[list[Any], 
     return x, settled
 
 
-def _differ(tree: Tree, one: _Active, two: _Active) -> Any:
+def _differ(one: _Active, two: _Active) -> Any:
     """In which worlds they do."""
     found = jnp.zeros((), bool)
     for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(two), strict=True):
@@ -135,24 +145,49 @@ def _any(flags: Any) -> Any:
 
 
 def _active(tree: Tree, problem: Problem, x: Sequence[Scalar]) -> _Active:
-    """At these accelerations."""
+    """At these accelerations; of pairs all that are close, which is a guess."""
     ground = ground_residuals(tree, problem.kinematics, problem.ground, x)
     return _Active(
         [touch.active(v) for touch, v in zip(problem.ground, ground, strict=True)],
-        [t.active(residual(tree, t, r, x)) for t, r in zip(problem.pairs, problem.rows, strict=True)],
+        [[touch.close] * (1 if touch.friction is None else 4) for touch in problem.pairs],
         {dof: stop.close & (stop.residual(x[dof]).value < 0.0) for dof, stop in problem.stops.items()},
     )
 
 
-def _minimum(tree: Tree, problem: Problem, active: _Active, linear: bool = False) -> list[Scalar]:
-    """If these facets and stops push and no others; `linear` for derivatives."""
+def _active_pairs(tree: Tree, problem: Problem, rows: Sequence[Rows], x: Sequence[Scalar]) -> list[list[Any]]:
+    """Which facets of pairs push at these accelerations."""
+    return [t.active(residual(tree, t, r, x)) for t, r in zip(problem.pairs, rows, strict=True)]
+
+
+def _minimum(tree: Tree, problem: Problem, active: _Active, near: Any) -> tuple[list[Scalar], list[list[Any]]]:
+    """If these facets and stops push and no others, and which facets of pairs push there.
+
+    Args:
+      near: whether in any world the bodies of any pair are close; none are computed where they are not.
+    """
+    matrix, right = _normal_equations(tree, problem, active)
+    x = factor(tree, matrix).solve(right)
+    if not problem.pairs:
+        return x, []
+
+    def joined() -> tuple[list[Any], list[list[Any]]]:
+        rows = pair_rows(tree, problem.kinematics, problem.pairs)
+        found = with_pairs(tree, matrix, right, problem.pairs, rows, active.pairs, x)
+        return [v.value for v in found], _active_pairs(tree, problem, rows, found)
+
+    def alone() -> tuple[list[Any], list[list[Any]]]:
+        return [v.value for v in x], jax.tree.map(jnp.zeros_like, active.pairs)
+
+    values, pairs = jax.lax.cond(near, joined, alone)
+    return [Scalar(value) for value in values], pairs
+
+
+def _normal_equations(tree: Tree, problem: Problem, active: _Active) -> tuple[Matrix, list[Scalar]]:
+    """All but the pairs: the second derivative, and what it times the minimum is."""
     matrix, right = [list(row) for row in problem.matrix], list(problem.force)
     add_ground(tree, problem.kinematics, problem.ground, active.ground, matrix, right)
     for dof, stop in problem.stops.items():
         on = Scalar(jnp.where(active.stops[dof], stop.weight.value, 0.0))
         matrix[dof][dof] = matrix[dof][dof] + on
         right[dof] = right[dof] - on * stop.sign * stop.offset
-    x = factor(tree, matrix).solve(right)
-    if not problem.pairs:
-        return x
-    return with_pairs(tree, matrix, right, problem.pairs, problem.rows, active.pairs, x, linear)
+    return matrix, right

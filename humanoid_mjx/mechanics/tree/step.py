@@ -18,7 +18,6 @@ from humanoid_mjx.mechanics.tree.contacts import (
 )
 from humanoid_mjx.mechanics.tree.inertia import Mass, Matrix, factor, mass_matrix, masses_of, product
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics, make_kinematics, motions_of, to_local, to_world, unit
-from humanoid_mjx.mechanics.tree.pairs import pair_rows
 from humanoid_mjx.mechanics.tree.solver import Problem, Solution, solve
 from humanoid_mjx.mechanics.tree.structure import FRICTIONLESS, Number, Surface, Tree
 
@@ -140,7 +139,7 @@ def make_problem(tree: Tree, values: Values, state: State, force: list[Scalar]) 
         for hinge in tree.hinges
         if hinge.limit is not None
     }
-    return Problem(state.matrix, force, at, ground, pairs, pair_rows(tree, at, pairs), stops)
+    return Problem(state.matrix, force, at, ground, pairs, stops)
 
 
 def integrate(
