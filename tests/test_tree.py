@@ -16,7 +16,6 @@ from humanoid_mjx.robot.lower_body import lower_body_model
 from humanoid_mjx.spec import InputError
 
 TREE, NATIVE = (make_physics(name, ranges="human") for name in ("tree", "mujoco"))
-PARAMS = jax.tree.map(jnp.float32, TREE.params)
 
 
 def test_accelerations_agree_with_native():
@@ -35,9 +34,7 @@ def motion(physics, name, steps):
     """Joints of a servo's motion, and pushes: none, sideways, or none while the legs step."""
 
     def run(qpos, qvel):
-        params = physics.params
-        if name == "pushed":
-            params = params._replace(push=jnp.array([0.6, 0.3, 0.0]))
+        one = physics.replace(push=(0.6, 0.3, 0.0)) if name == "pushed" else physics
 
         def cycle(carry, index):
             world = carry
@@ -45,10 +42,10 @@ def motion(physics, name, steps):
             lift = 0.3 * jnp.maximum(jnp.sin(2.0 * jnp.pi * time / 0.5 + jnp.array([0.0, jnp.pi])), 0.0)
             leg = jnp.array([1.0, 0.0, 0.0, 2.0, 1.0]) if name == "stepping" else jnp.zeros(5)
             target = jnp.array([0.15, 0.0, 0.0, 0.3, 0.15] * 2) + (lift[:, None] * leg).reshape(10)
-            world, _ = physics.step(params, world, lambda s: 6.0 * (target - s.qpos) - 0.2 * s.qvel)
+            world, _ = one.step(world, lambda s: 6.0 * (target - s.qpos) - 0.2 * s.qvel)
             return world, None
 
-        world = physics.start(params, qpos, qvel)
+        world = one.start(qpos, qvel)
         return jax.lax.scan(cycle, world, jnp.arange(steps))[0]
 
     options = runtime.SHARED_KERNELS if physics is TREE else None
@@ -70,7 +67,7 @@ def test_a_second_of_motion_agrees_with_native(name):
 @pytest.fixture(scope="module")
 def step():
     hold = lambda stages: -6.0 * stages.qpos - 0.2 * stages.qvel  # noqa: E731
-    each = jax.vmap(lambda params, world: TREE.step(params, world, hold), in_axes=(None, 0))
+    each = jax.vmap(lambda world: TREE.step(world, hold))
     return jax.jit(each, compiler_options=runtime.SHARED_KERNELS)
 
 
@@ -78,7 +75,7 @@ def step():
 def worlds():
     qpos = np.tile(TREE.qpos0, (4, 1))
     qpos[:, 7:] += np.random.default_rng(0).uniform(0, 0.1, (4, 10))
-    return jax.vmap(lambda qpos: TREE.start(PARAMS, qpos, np.zeros(16)))(qpos)
+    return jax.vmap(lambda qpos: TREE.start(qpos, np.zeros(16)))(qpos)
 
 
 def legs_crossed(worlds):
@@ -100,7 +97,7 @@ def test_a_faulty_world_changes_no_bit_of_another(step, worlds, fault):
     """Nor do contacts that only one world has, though they let all take another way through the program."""
     good, bad, others = worlds, FAULTS[fault](worlds), np.array([0, 2, 3])
     for _ in range(10):
-        (good, torque), (bad, bad_torque) = step(PARAMS, good), step(PARAMS, bad)
+        (good, torque), (bad, bad_torque) = step(good), step(bad)
         for one, two in zip(jax.tree.leaves((good, torque)), jax.tree.leaves((bad, bad_torque)), strict=True):
             np.testing.assert_array_equal(np.asarray(one)[others], np.asarray(two)[others])
     assert not bad.diverged[others].any()
@@ -117,7 +114,7 @@ def test_an_unsettled_world_is_flagged_and_stays(monkeypatch, worlds):
     qpos = worlds.qpos.at[1, 2].add(1.0)
     start = worlds._replace(qpos=qpos, warmstart=worlds.warmstart.at[:, 2].set(1e3))
     try:
-        after = jax.jit(jax.vmap(lambda world: TREE.step(PARAMS, world, lambda stages: jnp.zeros(10))[0]))(start)
+        after = jax.jit(jax.vmap(lambda world: TREE.step(world, lambda stages: jnp.zeros(10))[0]))(start)
     finally:
         batching.worlds_last.cache_clear()
     np.testing.assert_array_equal(after.diverged, [True, False, True, True])
@@ -180,7 +177,7 @@ def test_a_cycle_of_several_steps_holds_its_torque(worlds):
         return -6.0 * stages.qpos - 0.2 * stages.qvel + 0.1 * weight + 1e-3 * pull
 
     def cycles(physics):
-        return jax.jit(jax.vmap(lambda world: physics.step(physics.params, world, balance, substeps=3)))
+        return jax.jit(jax.vmap(lambda world: physics.step(world, balance, substeps=3)))
 
     (world, torque), (expected, expected_torque) = cycles(TREE)(worlds), cycles(NATIVE)(worlds)
     np.testing.assert_allclose(torque, expected_torque, atol=1e-6)
@@ -200,7 +197,7 @@ def test_torque_for_another_mass_is_the_models(worlds):
             return jnp.zeros(10)
 
         def ask(world):
-            physics.step(physics.params, world, note)
+            physics.step(world, note)
             return noted[-1]
 
         return jax.jit(jax.vmap(ask))(worlds._replace(qvel=worlds.qvel + 0.3))
