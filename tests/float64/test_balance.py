@@ -73,7 +73,16 @@ def test_the_wrench_of_the_links_is_that_of_the_mass_matrix(motion):
         mujoco.mj_forward(model, data)
         mujoco.mj_fullM(model, data, matrix)
         world = World(jnp.array(qpos[t]), jnp.array(qvel[t]), none, jnp.bool_(False))
-        stages = Stages(world, none, none, jnp.array(matrix), jnp.array(data.qfrc_bias), lambda *_: none, lambda: none)
+        stages = Stages(
+            world,
+            none,
+            none,
+            jnp.array(matrix),
+            jnp.array(data.qfrc_bias),
+            lambda *_: none,
+            lambda: none,
+            lambda _: (none, none),
+        )
         force, moment = ground_wrench(stages, jnp.array(qacc[t]))
         np.testing.assert_allclose(force, expected[0][t], atol=1e-9)
         np.testing.assert_allclose(moment, expected[1][t], atol=1e-9)

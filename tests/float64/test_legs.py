@@ -49,7 +49,7 @@ def test_motions_over_half_a_second():
 
 
 def test_places_of_the_links():
-    ours = jax.vmap(lambda q: CHAIN.poses(None, CHAIN.start(None, q, q)))(QPOS)
+    ours = jax.vmap(lambda q: CHAIN.poses(CHAIN.start(q, q)))(QPOS)
     native = jax.vmap(lambda q: NATIVE.poses(NATIVE.start(q, q)))(QPOS)
     rows = [NATIVE.body_names.index(name) for name in CHAIN.body_names]
     np.testing.assert_allclose(ours.position, native.position[:, rows], atol=1e-12)

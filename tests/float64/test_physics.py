@@ -15,7 +15,7 @@ def pair(torso):
 
 
 def start(mjx, qpos, qvel):
-    return jax.vmap(lambda q, v: mjx.start(None, q, v))(qpos, qvel)
+    return jax.vmap(lambda q, v: mjx.start(q, v))(qpos, qvel)
 
 
 def servo(target):
