@@ -284,4 +284,5 @@ def test_what_is_reported_never_goes_beyond_the_end(tmp_path):
     budget = {"episodes": None, "total_steps": 10}
     sweep(CONFIG | budget | {"learner": learner, "sweep": None}, tmp_path / "run", reporter=Kept())
     assert Kept.done and max(Kept.done) == 10 * 3
+    assert Kept.phases[-1] == "evaluating"
     assert set(Kept.phases) <= {"starting", "tracing", "compiling", "training", "evaluating"}

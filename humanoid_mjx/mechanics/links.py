@@ -7,7 +7,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from humanoid_mjx.mechanics.scalars import NULL, ZERO, Scalar, Turn, Vector, add, scale
+from humanoid_mjx.mechanics.scalars import NULL, ZERO, Scalar, Symmetric, Turn, Vector, add, scale
 from humanoid_mjx.robot.chain import Chain, quarter_turns
 
 
@@ -16,32 +16,25 @@ class Body(NamedTuple):
 
     mass: Scalar = ZERO
     first: Vector = NULL
-    xx: Scalar = ZERO
-    xy: Scalar = ZERO
-    xz: Scalar = ZERO
-    yy: Scalar = ZERO
-    yz: Scalar = ZERO
-    zz: Scalar = ZERO
+    second: Symmetric = Symmetric()
 
     def plus(self, other: "Body") -> "Body":
         """Both together."""
-        second = (one + two for one, two in zip(self[2:], other[2:], strict=True))
-        return Body(self.mass + other.mass, add(self.first, other.first), *second)
+        return Body(self.mass + other.mass, add(self.first, other.first), self.second.plus(other.second))
 
     def moved(self, by: Vector) -> "Body":
         """The body about an origin that lies at -`by` in its frame."""
-        h = self.first
+        h, old = self.first, self.second
         first = add(h, scale(self.mass, by))
-        return Body(
-            self.mass,
-            first,
-            xx=self.xx + by.x * (h.x + first.x),
-            xy=self.xy + by.x * first.y + by.y * h.x,
-            xz=self.xz + by.x * first.z + by.z * h.x,
-            yy=self.yy + by.y * (h.y + first.y),
-            yz=self.yz + by.y * first.z + by.z * h.y,
-            zz=self.zz + by.z * (h.z + first.z),
+        second = Symmetric(
+            xx=old.xx + by.x * (h.x + first.x),
+            xy=old.xy + by.x * first.y + by.y * h.x,
+            xz=old.xz + by.x * first.z + by.z * h.x,
+            yy=old.yy + by.y * (h.y + first.y),
+            yz=old.yz + by.y * first.z + by.z * h.y,
+            zz=old.zz + by.z * (h.z + first.z),
         )
+        return Body(self.mass, first, second)
 
 
 class Link(NamedTuple):
@@ -66,11 +59,12 @@ class Link(NamedTuple):
     def inward_body(self, body: Body) -> Body:
         """A body of frame i in frame i-1."""
         body = body.moved(self.offset)
-        xy, xz = self.twist.apply(body.xy, body.xz)
-        yy, yz, zz = self.twist.apply_symmetric(body.yy, body.yz, body.zz)
+        second = body.second
+        xy, xz = self.twist.apply(second.xy, second.xz)
+        yy, yz, zz = self.twist.apply_symmetric(second.yy, second.yz, second.zz)
         xz, yz = self.turn.apply(xz, yz)
-        xx, xy, yy = self.turn.apply_symmetric(body.xx, xy, yy)
-        return Body(body.mass, self.inward(body.first), xx, xy, xz, yy, yz, zz)
+        xx, xy, yy = self.turn.apply_symmetric(second.xx, xy, yy)
+        return Body(body.mass, self.inward(body.first), Symmetric(xx, xy, xz, yy, yz, zz))
 
 
 def make_links(chain: Chain, qpos: Float[Array, " joints"]) -> list[Link]:
@@ -83,7 +77,7 @@ def make_links(chain: Chain, qpos: Float[Array, " joints"]) -> list[Link]:
         start, twist = (Turn(*map(Scalar, quarter_turns(s[i]))) for s in (structure.theta_offset, structure.alpha))
         turn = Turn(*start.apply(Scalar(jnp.cos(qpos[i])), Scalar(jnp.sin(qpos[i]))))
         (xx, xy, xz, x), (_, yy, yz, y), (_, _, zz, z), (*_, mass) = inertias[i]
-        body = Body(mass, Vector(x, y, z), xx, xy, xz, yy, yz, zz)
+        body = Body(mass, Vector(x, y, z), Symmetric(xx, xy, xz, yy, yz, zz))
         links.append(Link(turn, twist, Vector(a[i], d[i] * twist.sin, d[i] * twist.cos), body))
     return links
 

@@ -45,7 +45,8 @@ def composite_inertia(links: Sequence[Link]) -> list[list[Scalar]]:
         composite = links[column].inward_body(composite.plus(links[column].body))
         # What turning that body about z by 1 rad/s^2 takes: the acceleration of its point r is z x r.
         force = Vector(-composite.first.y, composite.first.x, ZERO)
-        moment = Vector(-composite.xz, -composite.yz, composite.xx + composite.yy)
+        second = composite.second
+        moment = Vector(-second.xz, -second.yz, second.xx + second.yy)
         matrix[column][column] = moment.z
         for row in reversed(range(column)):
             force, moment = _inward((force, moment), links[row])
@@ -66,7 +67,7 @@ def acceleration_gradient(w: Vector, rate: Vector) -> Rows:
 
 def _inertial_wrench(body: Body, linear: Vector, gradient: Rows) -> Wrench:
     """The integrals of a dm and r x a dm, where a = linear + gradient r."""
-    x, y, z = (body.xx, body.xy, body.xz), (body.xy, body.yy, body.yz), (body.xz, body.yz, body.zz)
+    x, y, z = body.second.rows
     to_x, to_y, to_z = gradient
     turning = Vector(dot(y, to_z) - dot(z, to_y), dot(z, to_x) - dot(x, to_z), dot(x, to_y) - dot(y, to_x))
     force = add(scale(body.mass, linear), _product(gradient, body.first))

@@ -75,6 +75,30 @@ class Vector(NamedTuple):
 NULL = Vector(ZERO, ZERO, ZERO)
 
 
+class Symmetric(NamedTuple):
+    """A symmetric 3x3 matrix."""
+
+    xx: Scalar = ZERO
+    xy: Scalar = ZERO
+    xz: Scalar = ZERO
+    yy: Scalar = ZERO
+    yz: Scalar = ZERO
+    zz: Scalar = ZERO
+
+    def plus(self, other: "Symmetric") -> "Symmetric":
+        """The sum of two."""
+        return Symmetric(*(a + b for a, b in zip(self, other, strict=True)))
+
+    def apply(self, v: Vector) -> Vector:
+        """Its product with a vector."""
+        return Vector(dot(self[:3], v), dot((self.xy, self.yy, self.yz), v), dot((self.xz, self.yz, self.zz), v))
+
+    @property
+    def rows(self) -> tuple[Vector, Vector, Vector]:
+        """By row."""
+        return Vector(*self[:3]), Vector(self.xy, self.yy, self.yz), Vector(self.xz, self.yz, self.zz)
+
+
 class Turn(NamedTuple):
     """A rotation about one axis, by the cosine and sine of its angle."""
 

@@ -85,7 +85,7 @@ class TreePhysics(MujocoPhysics):
             now, before = carry
             state = self._state(values, now)
             torque = self._ask(state, now, controller)
-            parts, seen = worlds_last(_advance_sensed, self.tree)(values, state, *now, torque)
+            parts, seen = worlds_last(_advance_sensed, self.tree)(values, state, tuple(now), torque)
             after, sensed = World(*parts), (now.qpos[self._joints], torque, seen)
             kept = jax.tree.map(lambda new, old: jnp.where(after.diverged, old, new), sensed, before)
             return (after, kept), None
@@ -98,7 +98,7 @@ class TreePhysics(MujocoPhysics):
     def sense(self, world: World, torque: Float[AnyArray, " joints"]) -> Sensed:
         values, torque = self._values(), self._within(torque)
         state = self._state(values, world)
-        seen = worlds_last(_advance_sensed, self.tree)(values, state, *world, torque)[1]
+        seen = worlds_last(_advance_sensed, self.tree)(values, state, tuple(world), torque)[1]
         return self._sensed(world.qpos[self._joints], torque, seen)
 
     def poses(self, world: World) -> Poses:
@@ -139,7 +139,7 @@ class TreePhysics(MujocoPhysics):
         self, values: mechanics.Values, state: mechanics.State, world: World, torque: Float[Array, " joints"]
     ) -> World:
         """One time step; a world that diverges in it, or whose contacts were not found, stays where it was."""
-        return World(*worlds_last(_advance, self.tree)(values, state, *world, torque))
+        return World(*worlds_last(_advance, self.tree)(values, state, tuple(world), torque))
 
     def _within(self, torque: Any) -> Float[Array, " joints"]:
         limit = jnp.asarray(self.torque_limit, float)
@@ -172,6 +172,9 @@ class TreePhysics(MujocoPhysics):
 
 # What follows is of many worlds at once, their axis the last.
 
+Parts = tuple[Any, ...]
+"""The parts of `World`, in its order."""
+
 
 def _state(tree: Tree, values: mechanics.Values, qpos: Any, qvel: Any) -> mechanics.State:
     positions = mechanics.folded(unstack(qpos), tree.coordinates)
@@ -179,31 +182,23 @@ def _state(tree: Tree, values: mechanics.Values, qpos: Any, qvel: Any) -> mechan
 
 
 def _accelerate(
-    tree: Tree, values: mechanics.Values, state: mechanics.State, qpos: Any, qvel: Any, warmstart: Any, torque: Any
+    tree: Tree, values: mechanics.Values, state: mechanics.State, world: Parts, torque: Any
 ) -> tuple[mechanics.Problem, mechanics.Solution]:
+    qpos, qvel, warmstart, _ = world
     forces = mechanics.motor_forces(tree, unstack(qpos), unstack(qvel), unstack(torque))
     near = mechanics.folded(unstack(warmstart), tree.dofs)
     return mechanics.accelerate(tree, values, state, mechanics.folded(forces, tree.dofs), near)
 
 
-def _advance(
-    tree: Tree,
-    values: mechanics.Values,
-    state: mechanics.State,
-    qpos: Any,
-    qvel: Any,
-    warmstart: Any,
-    diverged: Any,
-    torque: Any,
-) -> tuple[Any, ...]:
-    _, solution = _accelerate(tree, values, state, qpos, qvel, warmstart, torque)
-    return _moved(tree, state, solution, (qpos, qvel, warmstart), diverged)
+def _advance(tree: Tree, values: mechanics.Values, state: mechanics.State, world: Parts, torque: Any) -> Parts:
+    """One time step."""
+    _, solution = _accelerate(tree, values, state, world, torque)
+    return _moved(tree, state, solution, world)
 
 
-def _moved(
-    tree: Tree, state: mechanics.State, solution: mechanics.Solution, old: tuple[Any, ...], diverged: Any
-) -> tuple[Any, ...]:
+def _moved(tree: Tree, state: mechanics.State, solution: mechanics.Solution, world: Parts) -> Parts:
     """The parts of the world after a time step; where it diverges or its contacts were not found they stay."""
+    *old, diverged = world
     places = tree.coordinates, tree.dofs, tree.dofs
     parts = mechanics.integrate(tree, state, solution.acceleration)
     after = [mechanics.unfolded(part, where) for part, where in zip(parts, places, strict=True)]
@@ -245,17 +240,10 @@ def _velocities(tree: Tree, state: mechanics.State) -> tuple[Any, Any]:
 
 
 def _advance_sensed(
-    tree: Tree,
-    values: mechanics.Values,
-    state: mechanics.State,
-    qpos: Any,
-    qvel: Any,
-    warmstart: Any,
-    diverged: Any,
-    torque: Any,
-) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+    tree: Tree, values: mechanics.Values, state: mechanics.State, world: Parts, torque: Any
+) -> tuple[Parts, tuple[Any, ...]]:
     """One time step, and what is true at its beginning: the sensors but the encoders, poses, velocities, forces."""
-    problem, solution = _accelerate(tree, values, state, qpos, qvel, warmstart, torque)
+    problem, solution = _accelerate(tree, values, state, world, torque)
     like, gravity, acceleration = _worlds(state), vector(tree.gravity), solution.acceleration
     pushes = sensing.pushes_of(tree, problem, solution)
     turning = [part for site in tree.gyroscopes for part in sensing.gyroscope(state, site)]
@@ -270,7 +258,7 @@ def _advance_sensed(
     readings = (_join(part, like) for part in (turning, felt, touch))
     normal = _join([push.pressure for push in pushes[:points]], like)
     seen = *readings, *_poses(tree, state), *_velocities(tree, state), normal
-    return _moved(tree, state, solution, (qpos, qvel, warmstart), diverged), seen
+    return _moved(tree, state, solution, world), seen
 
 
 def _ground_points(tree: Tree) -> int:

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from humanoid_mjx.control.computed_torque import Reference
 from humanoid_mjx.learners import Learner
-from humanoid_mjx.physics.base import Physics, World
+from humanoid_mjx.physics.base import Controller, Physics, World
 from humanoid_mjx.robot import ROBOTS, robot_spec
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.tasks.base import Task
@@ -156,11 +156,7 @@ def motion_of(trained: Trained, played: Played) -> Motion:
 def _driven(task: Any, world: World, data: Any, action: Array) -> tuple[World, Motion]:
     """Let a task drive the robot, wherever it is, as in the decision with this data and action."""
     plant, controller = task.drive(data, action)
-
-    def step(world: World, _: None) -> tuple[World, Motion]:
-        world, torque = plant.step(world, controller)
-        return world, Motion(world.qpos, world.qvel, torque)
-
+    step = lambda world, _: _step(plant, world, controller)  # noqa: E731
     return jax.lax.scan(step, world, length=task.simulator.substeps(task.period))
 
 
@@ -170,12 +166,14 @@ def follow(task: PostureSwitch, world: World, reference: Reference) -> tuple[Wor
 
     One compilation serves all references of the same length.
     """
-
-    def step(world: World, wanted: Reference) -> tuple[World, Motion]:
-        world, torque = task.plant.step(world, task.controller(*wanted))
-        return world, Motion(world.qpos, world.qvel, torque)
-
+    step = lambda world, wanted: _step(task.plant, world, task.controller(*wanted))  # noqa: E731
     return jax.lax.scan(step, world, reference)
+
+
+def _step(plant: Physics, world: World, controller: Controller) -> tuple[World, Motion]:
+    """A time step, and its row of the motion."""
+    world, torque = plant.step(world, controller)
+    return world, Motion(world.qpos, world.qvel, torque)
 
 
 def at_rest(setpoint: Float[Array, " joints"], steps: int) -> Reference:

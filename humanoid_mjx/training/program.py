@@ -191,11 +191,13 @@ def programs_of(learners: Learner, devices: Sequence[Device]) -> Programs:
 
     Where the environment sets `FUSED` to 1, tables that the kernel of `training.fused` can train are trained by it.
     """
-    from humanoid_mjx.training.fused import why_not
-
     alone = len(devices) == 1
     options = learners.compiler_options if alone else runtime.on_every_device(learners.compiler_options)
-    fused = os.environ.get(FUSED) == "1" and why_not(learners) is None
+    fused = False
+    if os.environ.get(FUSED) == "1":
+        from humanoid_mjx.training.fused import why_not  # whose import takes time that all others save
+
+        fused = why_not(learners) is None
     return programs(tuple(sorted(options.items())), mesh_of(devices), fused)
 
 

@@ -9,11 +9,10 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from humanoid_mjx.mechanics.scalars import HALF, ONE, TWO, ZERO, Scalar, Vector, add, cross, dot, scale
+from humanoid_mjx.mechanics.scalars import HALF, ONE, TWO, ZERO, Scalar, Symmetric, Vector, add, cross, dot, scale
 from humanoid_mjx.mechanics.tree.algebra import (
     Rotation,
     Spatial,
-    Symmetric,
     in_order,
     known,
     lane,

@@ -7,10 +7,9 @@ from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
-from humanoid_mjx.mechanics.scalars import NULL, ONE, ZERO, Scalar, Vector, add, cross, dot, scale
+from humanoid_mjx.mechanics.scalars import NULL, ONE, ZERO, Scalar, Symmetric, Vector, add, cross, dot, scale
 from humanoid_mjx.mechanics.tree.algebra import (
     Spatial,
-    Symmetric,
     combine,
     isotropic,
     number,

@@ -76,22 +76,10 @@ def with_pairs(
     active: Sequence[Sequence[Any]],
     without: Sequence[Scalar],
 ) -> list[Scalar]:
-    """The solution of the equations with the pairs' contacts in them, or that `without` in worlds where none pushes."""
-    pushing = jnp.concatenate([flag for group in active for flag in group]).any(axis=0)
-    found = _dense(tree, matrix, right, touches, rows, active)
-    # A world's bits must not depend on whether another made its batch come here.
-    return [Scalar(jnp.where(pushing, new, old.value)) for new, old in zip(found, without, strict=True)]
+    """The solution of the equations with the pairs' contacts in them, or that `without` in worlds where none pushes.
 
-
-def _dense(
-    tree: Tree,
-    matrix: Matrix,
-    right: Sequence[Scalar],
-    touches: Sequence[Touch],
-    rows: Sequence[Rows],
-    active: Sequence[Sequence[Any]],
-) -> list[Any]:
-    """By elimination of whole matrices, one column after another, with an axis of worlds behind."""
+    By elimination of whole matrices, one column after another, with an axis of worlds behind.
+    """
     stem = next((dof for dof in range(tree.nv) if tree.laned(dof)), tree.nv)
     worlds = jnp.broadcast_shapes(*(jnp.shape(x.value)[-1:] for x in [*right, *(x for row in matrix for x in row)]))
     equations = _whole(tree, stem, matrix, right, worlds)
@@ -105,7 +93,10 @@ def _dense(
 
     solution = jax.lax.fori_loop(0, size, eliminate, equations)[:, -1]
     laned = solution[stem:].reshape(tree.nv - stem, tree.lanes, *worlds)
-    return [*solution[:stem], *laned]
+    pushing = jnp.concatenate([flag for group in active for flag in group]).any(axis=0)
+    # A world's bits must not depend on whether another made its batch come here.
+    found = zip([*solution[:stem], *laned], without, strict=True)
+    return [Scalar(jnp.where(pushing, new, old.value)) for new, old in found]
 
 
 def _stacked(tree: Tree, scalars: Sequence[Scalar], worlds: tuple[int, ...], laned: bool) -> Any:

@@ -8,12 +8,11 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from humanoid_mjx.mechanics.scalars import Scalar, Vector, add, cross, dot
+from humanoid_mjx.mechanics.scalars import Scalar, Symmetric, Vector, add, cross, dot
 from humanoid_mjx.mechanics.tree.algebra import (
     NOWHERE,
     UNTURNED,
     Spatial,
-    Symmetric,
     combine,
     force_at,
     over_lanes,
