@@ -56,11 +56,11 @@ class Probe(ContinuousTask):
 
 
 def make(joints, obs, start, next_state, reward, cap=10):
-    arrays = (np.asarray(x, np.float32) for x in (obs, start))
+    arrays = (jnp.asarray(x, jnp.float32) for x in (obs, start))
     obs, start = arrays
     return Probe(
-        joints=joints, obs=obs, start=start, next_state=np.asarray(next_state, np.int32),
-        reward=np.asarray(reward, np.float32), max_episode_steps=cap,
+        joints=joints, obs=obs, start=start, next_state=jnp.asarray(next_state, jnp.int32),
+        reward=jnp.asarray(reward, jnp.float32), max_episode_steps=cap,
     )  # fmt: skip
 
 
