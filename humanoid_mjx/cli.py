@@ -64,7 +64,7 @@ def bench(
     json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the figures as JSON.")] = None,
 ) -> None:
     """Measure steps and episodes per second against the alternatives, compile time apart."""
-    from humanoid_mjx.commands import run_bench
+    from humanoid_mjx.bench.commands import run_bench
 
     run_bench(names or ["all"], json)
 

@@ -5,11 +5,9 @@ import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 import typer
 from rich.console import Console
@@ -19,7 +17,7 @@ from humanoid_mjx import runtime
 from humanoid_mjx.config import dump_yaml, load
 from humanoid_mjx.data import names
 from humanoid_mjx.runs.evaluations import Evaluation
-from humanoid_mjx.spec import InputError, known
+from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.progress import Bar
 
 console = Console(highlight=False, width=None if sys.stdout.isatty() else 120)
@@ -101,66 +99,6 @@ def run_reproduce(names: Sequence[str], list_names: bool, overrides: Sequence[st
 
 def _shown(value: Any) -> str:
     return "nothing" if value is None else str(value)
-
-
-def run_bench(chosen: Sequence[str], file: Path | None) -> None:
-    """`humanoid-mjx bench`."""
-    from humanoid_mjx.bench import BENCHES
-
-    if chosen[0] == "compare":
-        compare_benches(chosen[1:])
-        return
-    if odd := [name for name in chosen if name not in (*BENCHES, "all") and chosen != ["guard"]]:
-        names = (*BENCHES, "all", "guard", "compare")
-        raise InputError(f"bench: unknown benchmark {odd[0]!r}; {known(odd[0], names)}.")
-    if file is not None and not file.parent.is_dir():
-        raise InputError(f"--json {file}: there is no folder {file.parent}.")
-    if chosen == ["guard"]:
-        guard_benches(file)
-        return
-    runtime.start()
-    records: list[dict[str, Any]] = []
-    for name in BENCHES if "all" in chosen else chosen:
-        module = import_module(f"humanoid_mjx.bench.{name}")
-        console.print(f"{name}:")
-        records += [record.as_json() for record in module.run(lambda line: console.print("  " + line))]
-    if file is not None:
-        result = {"machine": runtime.machine(), "versions": runtime.versions(), "commit": runtime.commit()}
-        file.write_text(json.dumps(result | {"records": records}, indent=2) + "\n")
-        console.print(f"{file}")
-
-
-def compare_benches(files: Sequence[str]) -> None:
-    """`humanoid-mjx bench compare`."""
-    from humanoid_mjx.bench.compare import changes, read_result, table, verdict, warnings
-
-    if len(files) != 2:
-        raise InputError("bench compare: give two files that `bench --json` wrote, the older first.")
-    before, after = (read_result(Path(name)) for name in files)
-    found = changes(before, after)
-    if not found:
-        raise InputError(f"bench compare: {files[0]} and {files[1]} have no figure in common.")
-    console.print(table(found))
-    for line in (*warnings(before, after), verdict(found)):
-        console.print(line, soft_wrap=True)
-    if any(change.regressed for change in found):
-        raise typer.Exit(1)
-
-
-def guard_benches(file: Path | None) -> None:
-    """`humanoid-mjx bench guard`."""
-    runtime.start()
-    jax.config.update("jax_platforms", "cpu")
-    from humanoid_mjx.bench import guard
-
-    recorded = guard.read_record(guard.record_path()) if file is None or guard.record_path().is_file() else {}
-    found = guard.run(lambda line: console.print("  " + line, soft_wrap=True), recorded)
-    if file is not None:
-        file.write_text(json.dumps(guard.as_json(found), indent=2) + "\n")
-        console.print(f"{file}")
-    console.print(guard.verdict(found), soft_wrap=True)
-    if any(ratio.fell for ratio in found):
-        raise typer.Exit(1)
 
 
 def run_evaluate(names: Sequence[str], physics: str | None, episodes: int, file: Path | None, out: Path | None) -> None:

@@ -17,10 +17,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from humanoid_mjx.mechanics.contacts import Contacts, no_contacts
-from humanoid_mjx.mechanics.scalars import Scalar, Vector, unstack
+from humanoid_mjx.mechanics.scalars import Vector, unstack
 from humanoid_mjx.mechanics.tree import sensing
 from humanoid_mjx.mechanics.tree import step as mechanics
-from humanoid_mjx.mechanics.tree.algebra import vector
+from humanoid_mjx.mechanics.tree.algebra import stacked, vector
 from humanoid_mjx.mechanics.tree.batching import worlds_last
 from humanoid_mjx.mechanics.tree.folding import fold
 from humanoid_mjx.mechanics.tree.reading import read_tree
@@ -218,19 +218,19 @@ def _dynamics(tree: Tree, state: mechanics.State) -> tuple[Any, Any]:
     """Mass matrix and bias."""
     rows = sensing.full_matrix(tree, state)
     like = _worlds(state)
-    return jnp.stack([_join(row, like) for row in rows]), _join(sensing.bias_of(tree, state), like)
+    return jnp.stack([stacked(row, like) for row in rows]), stacked(sensing.bias_of(tree, state), like)
 
 
 def _points(tree: Tree, state: mechanics.State) -> tuple[Any, Any, Any]:
     """Positions, Jacobians and drifts of what the ground can push."""
     points, like = sensing.lowest_points(tree, state), _worlds(state)
-    jacobians = [jnp.stack([_join([c[i] for c in point.columns], like) for i in range(3)]) for point in points]
+    jacobians = [jnp.stack([stacked([c[i] for c in point.columns], like) for i in range(3)]) for point in points]
     return _rows([p.place for p in points], like), jnp.stack(jacobians), _rows([p.drift for p in points], like)
 
 
 def _poses(tree: Tree, state: mechanics.State) -> tuple[Any, Any]:
     poses, like = sensing.poses_of(tree, state), _worlds(state)
-    rotations = [jnp.stack([_join([axis[i] for axis in pose.axes], like) for i in range(3)]) for pose in poses]
+    rotations = [jnp.stack([stacked([axis[i] for axis in pose.axes], like) for i in range(3)]) for pose in poses]
     return _rows([pose.position for pose in poses], like), jnp.stack(rotations)
 
 
@@ -255,8 +255,8 @@ def _advance_sensed(
     touch = [
         sensing.touch_sensor(state, pushes, site) for site in tree.touch_sensors[: len(tree.touch_sensors) - points]
     ]
-    readings = (_join(part, like) for part in (turning, felt, touch))
-    normal = _join([push.pressure for push in pushes[:points]], like)
+    readings = (stacked(part, like) for part in (turning, felt, touch))
+    normal = stacked([push.pressure for push in pushes[:points]], like)
     seen = *readings, *_poses(tree, state), *_velocities(tree, state), normal
     return _moved(tree, state, solution, world), seen
 
@@ -271,13 +271,8 @@ def _worlds(state: mechanics.State) -> tuple[int, ...]:
     return jnp.shape(state.qpos[0].value)[-1:]
 
 
-def _join(scalars: Sequence[Scalar], shape: tuple[int, ...]) -> Any:
-    values = [jnp.broadcast_to(jnp.asarray(scalar.value, float), shape) for scalar in scalars]
-    return jnp.stack(values) if values else jnp.zeros((0, *shape))
-
-
 def _rows(vectors: Sequence[Vector], shape: tuple[int, ...]) -> Any:
-    return jnp.stack([_join(v, shape) for v in vectors]) if vectors else jnp.zeros((0, 3, *shape))
+    return jnp.stack([stacked(v, shape) for v in vectors]) if vectors else jnp.zeros((0, 3, *shape))
 
 
 @lru_cache

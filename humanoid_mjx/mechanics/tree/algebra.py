@@ -99,6 +99,12 @@ def in_order(scalars: Sequence[Scalar]) -> Scalar:
     return in_lanes(scalars) if len(scalars) > 1 else Scalar(jnp.atleast_1d(scalars[0].value)[None])
 
 
+def stacked(scalars: Sequence[Scalar], shape: tuple[int, ...]) -> Any:
+    """An array of scalars that all get this shape, with a first axis that counts them."""
+    values = [jnp.broadcast_to(jnp.asarray(scalar.value, float), shape) for scalar in scalars]
+    return jnp.stack(values) if values else jnp.zeros((0, *shape))
+
+
 def lane(scalar: Scalar, index: int) -> Scalar:
     """What a scalar of a laned body is in one lane."""
     return scalar if jnp.ndim(scalar.value) < 2 else Scalar(scalar.value[..., index, :])

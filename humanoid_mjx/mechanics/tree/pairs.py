@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from humanoid_mjx.mechanics.scalars import ZERO, Scalar, Vector, add
-from humanoid_mjx.mechanics.tree.algebra import force_at, known, over_lanes, power
+from humanoid_mjx.mechanics.tree.algebra import force_at, known, over_lanes, power, stacked
 from humanoid_mjx.mechanics.tree.contacts import Touch
 from humanoid_mjx.mechanics.tree.inertia import Matrix
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics
@@ -99,30 +99,24 @@ def with_pairs(
     return [Scalar(jnp.where(pushing, new, old.value)) for new, old in found]
 
 
-def _stacked(tree: Tree, scalars: Sequence[Scalar], worlds: tuple[int, ...], laned: bool) -> Any:
-    """With a first axis of their own; those of lanes have one of lanes behind it."""
-    shape = (tree.lanes, *worlds) if laned else worlds
-    values = [jnp.broadcast_to(jnp.asarray(scalar.value, float), shape) for scalar in scalars]
-    return jnp.stack(values) if values else jnp.zeros((0, *shape))
-
-
 def _whole(
     tree: Tree, stem: int, matrix: Matrix, right: Sequence[Scalar], worlds: tuple[int, ...]
 ) -> Float[Array, "size columns worlds"]:
     """The equations of all lanes: matrix and right side."""
     limb, lanes = tree.nv - stem, tree.lanes
+    laned = (lanes, *worlds)
     rows, columns = range(stem), range(stem, tree.nv)
-    base = _stacked(tree, [matrix[max(i, j)][min(i, j)] for i in rows for j in rows], worlds, False)
+    base = stacked([matrix[max(i, j)][min(i, j)] for i in rows for j in rows], worlds)
     base = base.reshape(stem, stem, *worlds)
-    base = jnp.concatenate([base, _stacked(tree, right[:stem], worlds, False)[:, None]], axis=1)
+    base = jnp.concatenate([base, stacked(right[:stem], worlds)[:, None]], axis=1)
     if not limb:
         return base
-    cross = _stacked(tree, [matrix[i][j] for i in columns for j in rows], worlds, True)
+    cross = stacked([matrix[i][j] for i in columns for j in rows], laned)
     cross = cross.reshape(limb, stem, lanes, *worlds).swapaxes(1, 2).reshape(limb * lanes, stem, *worlds)
-    own = _stacked(tree, [matrix[max(i, j)][min(i, j)] for i in columns for j in columns], worlds, True)
+    own = stacked([matrix[max(i, j)][min(i, j)] for i in columns for j in columns], laned)
     own = own.reshape(limb, 1, limb, lanes, *worlds) * jnp.eye(lanes)[None, :, None, :, None]
     own = own.reshape(limb * lanes, limb * lanes, *worlds)
-    last = _stacked(tree, right[stem:], worlds, True).reshape(limb * lanes, 1, *worlds)
+    last = stacked(right[stem:], laned).reshape(limb * lanes, 1, *worlds)
     above = jnp.concatenate([base[:, :stem], cross.swapaxes(0, 1), base[:, stem:]], axis=1)
     return jnp.concatenate([above, jnp.concatenate([cross, own, last], axis=1)])
 

@@ -1,0 +1,74 @@
+"""What `humanoid-mjx bench` does, and what it prints."""
+
+import json
+from collections.abc import Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import jax
+import typer
+
+from humanoid_mjx import runtime
+from humanoid_mjx.commands import console
+from humanoid_mjx.spec import InputError, known
+
+
+def run_bench(chosen: Sequence[str], file: Path | None) -> None:
+    """`humanoid-mjx bench`."""
+    from humanoid_mjx.bench import BENCHES
+
+    if chosen[0] == "compare":
+        compare_benches(chosen[1:])
+        return
+    if odd := [name for name in chosen if name not in (*BENCHES, "all") and chosen != ["guard"]]:
+        names = (*BENCHES, "all", "guard", "compare")
+        raise InputError(f"bench: unknown benchmark {odd[0]!r}; {known(odd[0], names)}.")
+    if file is not None and not file.parent.is_dir():
+        raise InputError(f"--json {file}: there is no folder {file.parent}.")
+    if chosen == ["guard"]:
+        guard_benches(file)
+        return
+    runtime.start()
+    records: list[dict[str, Any]] = []
+    for name in BENCHES if "all" in chosen else chosen:
+        module = import_module(f"humanoid_mjx.bench.{name}")
+        console.print(f"{name}:")
+        records += [record.as_json() for record in module.run(lambda line: console.print("  " + line))]
+    if file is not None:
+        result = {"machine": runtime.machine(), "versions": runtime.versions(), "commit": runtime.commit()}
+        file.write_text(json.dumps(result | {"records": records}, indent=2) + "\n")
+        console.print(f"{file}")
+
+
+def compare_benches(files: Sequence[str]) -> None:
+    """`humanoid-mjx bench compare`."""
+    from humanoid_mjx.bench.compare import changes, read_result, table, verdict, warnings
+
+    if len(files) != 2:
+        raise InputError("bench compare: give two files that `bench --json` wrote, the older first.")
+    before, after = (read_result(Path(name)) for name in files)
+    found = changes(before, after)
+    if not found:
+        raise InputError(f"bench compare: {files[0]} and {files[1]} have no figure in common.")
+    console.print(table(found))
+    for line in (*warnings(before, after), verdict(found)):
+        console.print(line, soft_wrap=True)
+    if any(change.regressed for change in found):
+        raise typer.Exit(1)
+
+
+def guard_benches(file: Path | None) -> None:
+    """`humanoid-mjx bench guard`."""
+    runtime.start()
+    jax.config.update("jax_platforms", "cpu")
+    from humanoid_mjx.bench import guard
+
+    recorded = guard.read_record(guard.record_path()) if file is None or guard.record_path().is_file() else {}
+    found = guard.run(lambda line: console.print("  " + line, soft_wrap=True), recorded)
+    if file is not None:
+        file.write_text(json.dumps(guard.as_json(found), indent=2) + "\n")
+        console.print(f"{file}")
+    console.print(guard.verdict(found), soft_wrap=True)
+    if any(ratio.fell for ratio in found):
+        raise typer.Exit(1)
