@@ -263,6 +263,7 @@ def show_info(config: str | None, overrides: Sequence[str]) -> None:
     runtime.start()
     from humanoid_mjx.learners import LEARNERS
     from humanoid_mjx.tasks import TASKS
+    from humanoid_mjx.training.fused import why_not
     from humanoid_mjx.training.memory import run_bytes, training_bytes
     from humanoid_mjx.training.plan import make_plan, resolved
 
@@ -277,6 +278,8 @@ def show_info(config: str | None, overrides: Sequence[str]) -> None:
             f"training state {size / 2**20:,.1f} MiB if all were held at once, "
             f"a run that trains an estimated {most / 2**20:,.1f} MiB"
         )
+        for reason in dict.fromkeys(why_not(group.learner()) for group in plan.groups):
+            console.print("trained by one fused kernel" if reason is None else f"no fused kernel: {reason}")
         return
     for name, value in (runtime.machine() | runtime.versions()).items():
         console.print(f"{name:13} {value}")

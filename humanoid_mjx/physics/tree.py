@@ -85,7 +85,7 @@ class TreePhysics(MujocoPhysics):
             now, before = carry
             state = self._state(values, now)
             torque = self._ask(state, now, controller)
-            parts, seen = worlds_last(_advance_sensed, self.tree)(values, state, tuple(now), torque)
+            parts, seen = self._move(_advance_sensed, values, state, now, torque)
             after, sensed = World(*parts), (now.qpos[self._joints], torque, seen)
             kept = jax.tree.map(lambda new, old: jnp.where(after.diverged, old, new), sensed, before)
             return (after, kept), None
@@ -98,7 +98,7 @@ class TreePhysics(MujocoPhysics):
     def sense(self, world: World, torque: Float[AnyArray, " joints"]) -> Sensed:
         values, torque = self._values(), self._within(torque)
         state = self._state(values, world)
-        seen = worlds_last(_advance_sensed, self.tree)(values, state, tuple(world), torque)[1]
+        seen = self._move(_advance_sensed, values, state, world, torque)[1]
         return self._sensed(world.qpos[self._joints], torque, seen)
 
     def poses(self, world: World) -> Poses:
@@ -139,7 +139,12 @@ class TreePhysics(MujocoPhysics):
         self, values: mechanics.Values, state: mechanics.State, world: World, torque: Float[Array, " joints"]
     ) -> World:
         """One time step; a world that diverges in it, or whose contacts were not found, stays where it was."""
-        return World(*worlds_last(_advance, self.tree)(values, state, tuple(world), torque))
+        return World(*self._move(_advance, values, state, world, torque))
+
+    def _move(self, function: Any, values: mechanics.Values, state: mechanics.State, world: World, torque: Any) -> Any:
+        """`_advance` or `_advance_sensed`: one kernel on a GPU, which makes the state itself rather than read it."""
+        kernel = jax.default_backend() == "gpu"
+        return worlds_last(function, self.tree, kernel=kernel)(values, None if kernel else state, tuple(world), torque)
 
     def _within(self, torque: Any) -> Float[Array, " joints"]:
         limit = jnp.asarray(self.torque_limit, float)
@@ -182,17 +187,18 @@ def _state(tree: Tree, values: mechanics.Values, qpos: Any, qvel: Any) -> mechan
 
 
 def _accelerate(
-    tree: Tree, values: mechanics.Values, state: mechanics.State, world: Parts, torque: Any
-) -> tuple[mechanics.Problem, mechanics.Solution]:
+    tree: Tree, values: mechanics.Values, state: mechanics.State | None, world: Parts, torque: Any
+) -> tuple[mechanics.State, mechanics.Problem, mechanics.Solution]:
     qpos, qvel, warmstart, _ = world
+    state = state or _state(tree, values, qpos, qvel)
     forces = mechanics.motor_forces(tree, unstack(qpos), unstack(qvel), unstack(torque))
     near = mechanics.folded(unstack(warmstart), tree.dofs)
-    return mechanics.accelerate(tree, values, state, mechanics.folded(forces, tree.dofs), near)
+    return state, *mechanics.accelerate(tree, values, state, mechanics.folded(forces, tree.dofs), near)
 
 
-def _advance(tree: Tree, values: mechanics.Values, state: mechanics.State, world: Parts, torque: Any) -> Parts:
+def _advance(tree: Tree, values: mechanics.Values, given: mechanics.State | None, world: Parts, torque: Any) -> Parts:
     """One time step."""
-    _, solution = _accelerate(tree, values, state, world, torque)
+    state, _, solution = _accelerate(tree, values, given, world, torque)
     return _moved(tree, state, solution, world)
 
 
@@ -240,10 +246,10 @@ def _velocities(tree: Tree, state: mechanics.State) -> tuple[Any, Any]:
 
 
 def _advance_sensed(
-    tree: Tree, values: mechanics.Values, state: mechanics.State, world: Parts, torque: Any
+    tree: Tree, values: mechanics.Values, given: mechanics.State | None, world: Parts, torque: Any
 ) -> tuple[Parts, tuple[Any, ...]]:
     """One time step, and what is true at its beginning: the sensors but the encoders, poses, velocities, forces."""
-    problem, solution = _accelerate(tree, values, state, world, torque)
+    state, problem, solution = _accelerate(tree, values, given, world, torque)
     like, gravity, acceleration = _worlds(state), vector(tree.gravity), solution.acceleration
     pushes = sensing.pushes_of(tree, problem, solution)
     turning = [part for site in tree.gyroscopes for part in sensing.gyroscope(state, site)]

@@ -6,7 +6,7 @@ apart by `elementwise`, so that no rule is written twice: from the same keys it 
 scan and makes the same operations in the same order. Results differ by rounding alone, where one compiler contracts a
 multiplication and an addition and the other does not; `tests/test_fused.py` compares them.
 
-`why_not` says whether a learner can be trained so; the scan is the reference, and trains everything unless asked.
+`why_not` says whether a learner can be trained so; the scan is the reference, and trains everything else.
 """
 
 from functools import partial
@@ -20,11 +20,12 @@ from jax.experimental.pallas import triton as gpu
 from jaxtyping import Array
 
 from humanoid_mjx import rng
+from humanoid_mjx.assembly import assembly
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.tabular import TabularQ
 from humanoid_mjx.training.elementwise import Elementwise, NotElementwise
 from humanoid_mjx.training.program import Training, record_entry
-from humanoid_mjx.training.table_memory import DeviceMemory, Record, SharedMemory, assembly
+from humanoid_mjx.training.table_memory import DeviceMemory, Record, SharedMemory
 from humanoid_mjx.types import IntScalar
 
 SHARED_BYTES = 48 * 1024

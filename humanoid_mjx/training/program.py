@@ -3,7 +3,6 @@
 All functions are of one run; `programs` compiles them for runs side by side.
 """
 
-import os
 from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
@@ -148,10 +147,6 @@ class Programs(NamedTuple):
     """(learners, training states, seeds) -> curves, final scores and policies."""
 
 
-FUSED = "HUMANOID_MJX_FUSED"
-"""The environment variable that asks for the fused kernel. A sweep has not yet been run with it on a GPU."""
-
-
 @lru_cache
 def programs(options: tuple[tuple[str, str | bool], ...], mesh: Mesh, fused: bool = False) -> Programs:
     """The programs of all learners with these compiler options on the devices of `mesh`, whose axis is `RUNS`.
@@ -189,12 +184,12 @@ def programs(options: tuple[tuple[str, str | bool], ...], mesh: Mesh, fused: boo
 def programs_of(learners: Learner, devices: Sequence[Device]) -> Programs:
     """The programs that train learners such as these, which stand side by side, on the given devices.
 
-    Where the environment sets `FUSED` to 1, tables that the kernel of `training.fused` can train are trained by it.
+    On a GPU tables that the kernel of `training.fused` can train are trained by it.
     """
     alone = len(devices) == 1
     options = learners.compiler_options if alone else runtime.on_every_device(learners.compiler_options)
     fused = False
-    if os.environ.get(FUSED) == "1":
+    if jax.default_backend() == "gpu":
         from humanoid_mjx.training.fused import why_not  # whose import takes time that all others save
 
         fused = why_not(learners) is None

@@ -2,10 +2,11 @@
 
 from typing import Any, NamedTuple, Protocol
 
-import jax
 import jax.numpy as jnp
 from jax.experimental.pallas import triton as gpu
 from jaxtyping import Array
+
+from humanoid_mjx.assembly import assembly
 
 
 class Memory(Protocol):
@@ -91,8 +92,3 @@ class Record(NamedTuple):
 
     def _entry(self, point: Array, measure: int) -> Any:
         return self.record.at[self.run, point, jnp.full(len(self.run), measure)]
-
-
-def assembly(code: str, constraints: str, dtype: Any, *args: Array) -> Array:
-    result = jax.ShapeDtypeStruct(args[0].shape, dtype)
-    return gpu.elementwise_inline_asm(code, args=args, constraints=constraints, pack=1, result_shape_dtypes=[result])[0]

@@ -12,14 +12,18 @@ import jax
 import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
 
+from humanoid_mjx.mechanics.tree.kernel import one_kernel
+
 
 @lru_cache
-def worlds_last(function: Callable[..., Any], *static: Any) -> Callable[..., Any]:
+def worlds_last(function: Callable[..., Any], *static: Any, kernel: bool = False) -> Callable[..., Any]:
     """`function`, with `static` for its first arguments, as one of a single world.
 
     Under `jax.vmap`, once or nested, it gets all worlds at once, in the last axis of every array. It takes and gives
     pytrees of arrays, and must not mix worlds. What it gives may lack the axis where all agree. Derivatives are those
     of one world after another. It is traced once for each number of worlds, whatever programs use it.
+
+    `kernel`: compute many worlds in one GPU kernel rather than in those that XLA makes.
     """
     function = jax.jit(partial(function, *static))
 
@@ -30,6 +34,8 @@ def worlds_last(function: Callable[..., Any], *static: Any) -> Callable[..., Any
     @custom_vmap
     def many(*args: Any) -> Any:
         worlds = jax.tree.leaves(args)[0].shape[-1]
+        if kernel:
+            return one_kernel(function, *args)
         return jax.tree.map(lambda x: jnp.broadcast_to(x, (*jnp.shape(x)[:-1], worlds)), function(*args))
 
     @many.def_vmap

@@ -89,7 +89,8 @@ def with_pairs(
 
     def eliminate(k: Any, table: Any) -> Any:
         pivot = table[k] / table[k, k]
-        return (table - table[:, k][:, None] * pivot[None]).at[k].set(pivot)
+        rest = table - table[:, k][:, None] * pivot[None]
+        return jax.lax.dynamic_update_index_in_dim(rest, pivot, k, axis=0)
 
     solution = jax.lax.fori_loop(0, size, eliminate, equations)[:, -1]
     laned = solution[stem:].reshape(tree.nv - stem, tree.lanes, *worlds)

@@ -1,0 +1,121 @@
+"""A function of many worlds as one GPU kernel, a thread for each world.
+
+XLA makes some hundred kernels of a time step, moves what is between them through memory, and lets all worlds wait for
+the one whose contacts are found last. One kernel keeps a world in registers, and 32 worlds wait for each other.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.experimental import pallas as pl
+from jax.experimental.pallas import triton as gpu
+from jax.extend.core import ClosedJaxpr
+from jaxtyping import Array, Float
+
+from humanoid_mjx.assembly import assembly
+from humanoid_mjx.mechanics.tree.threads import WORLDS, arranged, evaluate, vector
+
+
+def one_kernel(function: Callable[..., Any], *args: Any, interpret: bool = False) -> Any:
+    """`function(*args)`, both pytrees of arrays whose last axis is of worlds that do not mix; floats are float32.
+
+    `interpret`: run on a CPU, slowly.
+    """
+    leaves, structure = jax.tree.flatten(args)
+    worlds = leaves[0].shape[-1]
+    single = [jax.ShapeDtypeStruct((*leaf.shape[:-1], 1), leaf.dtype) for leaf in leaves]
+    traced, shapes = jax.make_jaxpr(function, return_shape=True)(*structure.unflatten(single))
+    outputs = jax.tree.leaves(shapes)
+    sizes = [math.prod(x.shape[:-1]) for x in outputs]
+    found = pl.pallas_call(
+        partial(_kernel, traced=traced, staged=not interpret),
+        grid=(pl.cdiv(worlds, WORLDS),),
+        out_shape=jax.ShapeDtypeStruct((sum(sizes), worlds), jnp.float32),
+        compiler_params=gpu.CompilerParams(num_warps=WORLDS // 32, num_stages=1),
+        interpret=interpret,
+    )(jnp.concatenate([leaf.astype(jnp.float32).reshape(-1, worlds) for leaf in leaves]))
+    parts = jnp.split(found, np.cumsum(sizes)[:-1])
+    found = [part.astype(x.dtype).reshape(*x.shape[:-1], worlds) for part, x in zip(parts, outputs, strict=True)]
+    return jax.tree.unflatten(jax.tree.structure(shapes), found)
+
+
+def _kernel(rows: Any, out: Any, *, traced: ClosedJaxpr, staged: bool) -> None:
+    """A block of worlds, from rows of numbers to rows of results."""
+    # The threads that are left over in the last block repeat the last world.
+    world = jnp.minimum(pl.program_id(0) * WORLDS + jnp.arange(WORLDS, dtype=jnp.int32), rows.shape[1] - 1)
+    if not staged:
+        for row, number in enumerate(_results(traced, [rows[row, world] for row in range(rows.shape[0])])):
+            out[row, world] = number
+        return
+    stage = _Stage.of(max(rows.shape[0], out.shape[0]))
+    token = stage.fill(rows, world)
+    numbers = [stage.read(token, row) for row in range(rows.shape[0])]
+    token = stage.after(token, numbers)
+    for row, number in enumerate(_results(traced, numbers)):
+        token = stage.write(token, row, number)
+    stage.empty(token, out, world)
+
+
+def _results(traced: ClosedJaxpr, numbers: Sequence[Array]) -> list[Float[Array, " worlds"]]:
+    """What a function of one world gives, from the elements of its arguments."""
+    values, first = [], 0
+    for var in traced.jaxpr.invars:
+        shape, dtype = var.aval.shape, var.aval.dtype  # pyright: ignore[reportAttributeAccessIssue]
+        last = first + math.prod(shape)
+        values.append(arranged([number.astype(dtype) for number in numbers[first:last]], shape))
+        first = last
+    return [vector(element).astype(jnp.float32) for value in evaluate(traced, values) for element in value.flat]
+
+
+class _Stage(NamedTuple):
+    """Shared memory on the way between the device's memory and the registers, a column for each world.
+
+    For every access to the device's memory in a program Triton looks at all that depends on it: with one for each
+    number a time step compiles for half an hour. So there are two, in loops. Inline assembly reaches shared memory; it
+    may be moved unless something depends on it, hence a write gives a token, a number, which what follows takes.
+    """
+
+    address: Array
+    """Of each world's first number."""
+
+    @classmethod
+    def of(cls, rows: int) -> "_Stage":
+        thread = jnp.arange(WORLDS, dtype=jnp.int32)
+        code = f".shared .align 4 .b8 stage[{rows * WORLDS * 4}]; mov.u32 $0, stage;"
+        return cls(assembly(code, "=r,r", jnp.int32, thread) + 4 * thread)
+
+    def fill(self, rows: Any, world: Array) -> Array:
+        def one(row: Array, token: Array) -> Array:
+            address = self.address + row * (4 * WORLDS)
+            value = gpu.load(rows.at[row, world])
+            return assembly("st.shared.f32 [$1], $2; mov.b32 $0, $3;", "=r,r,f,r", jnp.int32, address, value, token)
+
+        return lax.fori_loop(0, rows.shape[0], one, jnp.zeros(WORLDS, jnp.int32))
+
+    def read(self, token: Array, row: int) -> Array:
+        code = f"ld.shared.f32 $0, [$1+{4 * WORLDS * row}];"
+        return assembly(code, "=f,r,r", jnp.float32, self.address, token)
+
+    def after(self, token: Array, seen: Sequence[Array]) -> Array:
+        for first in range(0, len(seen), 8):
+            group = seen[first : first + 8]
+            token = assembly("mov.b32 $0, $1;", ",".join(["=r", "r", *("f" for _ in group)]), jnp.int32, token, *group)
+        return token
+
+    def write(self, token: Array, row: int, value: Array) -> Array:
+        code = f"st.shared.f32 [$1+{4 * WORLDS * row}], $2; mov.b32 $0, $3;"
+        return assembly(code, "=r,r,f,r", jnp.int32, self.address, value, token)
+
+    def empty(self, token: Array, out: Any, world: Array) -> None:
+        def one(row: Array, _: None) -> None:
+            address = self.address + row * (4 * WORLDS)
+            value = assembly("ld.shared.f32 $0, [$1];", "=f,r,r", jnp.float32, address, token)
+            gpu.store(out.at[row, world], value)
+
+        lax.fori_loop(0, out.shape[0], one, None)

@@ -1,0 +1,80 @@
+# pyright: reportAttributeAccessIssue=false
+"""A function of many worlds, written out for threads, computes what XLA makes of it; here in Pallas's interpreter."""
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from tree_robots import HOPPER, converged, states
+
+from humanoid_mjx.mechanics.tree.folding import fold
+from humanoid_mjx.mechanics.tree.kernel import one_kernel
+from humanoid_mjx.mechanics.tree.reading import read_tree
+from humanoid_mjx.mechanics.tree.step import Values
+from humanoid_mjx.physics import tree
+
+TABLE = np.array([[0.0, 1.0, -2.0], [0.5, 0.0, 1.0]], np.float32)[..., None]
+
+
+def everything(x, flag):
+    """Rows that are moved about, loops, a branch that some worlds need, sums, zeros and ones that are known."""
+    rows = jnp.concatenate([x[1:], x[:1]]) * TABLE[0] + jnp.stack([x[0], x[2] - x[1], jnp.sqrt(jnp.abs(x[1]))])
+    table = jnp.where(flag, rows[None] * TABLE, rows.swapaxes(0, 0)[None])
+
+    def eliminate(k, table):
+        pivot = table[k] / (1.0 + jnp.abs(table[k, k]))
+        return jax.lax.dynamic_update_index_in_dim(table - 0.1 * table[:, k][:, None] * pivot[None], pivot, k, axis=0)
+
+    table = jax.lax.fori_loop(0, 2, eliminate, table)
+    halved, count = jax.lax.while_loop(
+        lambda carry: ~(jnp.abs(carry[0]) < 1.0).all(),
+        lambda carry: (jnp.where(jnp.abs(carry[0]) < 1.0, carry[0], 0.5 * carry[0]), carry[1] + 1),
+        (8.0 * x[0], jnp.int32(0)),
+    )
+    far = jax.lax.cond(
+        (x[2] > 1.0).any(), lambda: jnp.where(x[2] > 1.0, table.sum(axis=(0, 1)), 0.0), lambda: 0.0 * x[0]
+    )
+    return {"table": table, "halved": halved, "far": far, "flag": (table > 0).all(axis=1) | flag, "most": count < 20}
+
+
+@pytest.mark.parametrize("worlds", [5, 64, 70])
+def test_loops_branches_and_indices_are_those_of_xla(worlds):
+    x = np.random.default_rng(worlds).normal(size=(3, worlds)).astype(np.float32)
+    flag = x[0] > 0.3
+    expected = jax.jit(everything)(x, flag)
+    found = jax.jit(lambda *args: one_kernel(everything, *args, interpret=True))(x, flag)
+    for name, value in expected.items():
+        assert found[name].dtype == value.dtype
+        wanted = np.broadcast_to(value, found[name].shape)
+        np.testing.assert_allclose(found[name], wanted, rtol=1e-5, atol=1e-6)  # contracted or not, a dozen operations
+
+
+REFUSED = {
+    "threads do no 'sort'": lambda x: jnp.sort(x, axis=0),
+    "known while tracing": lambda x: jax.lax.dynamic_index_in_dim(x, jnp.int32(x[0, 0])),
+}
+
+
+@pytest.mark.parametrize("words", REFUSED)
+def test_what_threads_cannot_do_is_refused(words):
+    with pytest.raises(NotImplementedError, match=words):
+        jax.eval_shape(lambda x: one_kernel(REFUSED[words], x), jnp.zeros((3, 8)))
+
+
+def test_a_time_step_is_that_of_xla():
+    """Ground, pairs and limits in states that need one to eight Newton steps."""
+    model = converged(mujoco.MjModel.from_xml_string(HOPPER))
+    robot = fold(read_tree(model))
+    qpos, qvel, control = (np.float32(x.T) for x in states(model, 100))
+    world = qpos, qvel, np.zeros_like(qvel), np.zeros(100, bool)
+
+    def step(world, control):
+        return tree._advance_sensed(robot, Values(), None, world, control)
+
+    expected = jax.jit(step)(world, control)
+    found = jax.jit(lambda *args: one_kernel(step, *args, interpret=True))(world, control)
+    for wanted, got in zip(jax.tree.leaves(expected), jax.tree.leaves(found), strict=True):
+        size = np.abs(np.float64(wanted)).max() if wanted.size else 0.0
+        # Rounding in another order, made larger by the stiffness of the contacts.
+        np.testing.assert_allclose(got, np.broadcast_to(wanted, got.shape), atol=1e-4 * size + 1e-6)
