@@ -71,20 +71,22 @@ class StandRewards(Rewards):
 class WalkRewards(Rewards):
     """Do as commanded, step by the gait's clock, keep upright, and neither slip, fly nor cross the feet.
 
-    The defaults are those of the steadiest of the settings that were compared, times 0.3. The sum is at most 2.4.
+    The defaults are those of the settings that were compared with which all seeds learned to follow a speed; a smaller
+    sum learns to stay up sooner, a larger share of `schedule` and `flight` to step cleanly, on the spot. The sum is at
+    most 1.42.
     """
 
-    speed: float = traced(0.9, description="for the commanded velocity, at two scales")
-    turn: float = traced(0.75, description="for the commanded turn rate, at two scales")
-    upright: float = traced(0.1, description="for a torso that does not lean")
-    schedule: float = traced(0.45, description="for feet that are loaded and lifted when the clock says so")
-    clearance: float = traced(0.3, description="for feet as high above the ground as the clock says")
-    flight: float = traced(-0.45, description="for each step without a foot on the ground")
-    slip: float = traced(-0.6, description="for corners that touch and move")
-    flat: float = traced(-0.15, description="for feet that stand tilted")
-    crossing: float = traced(-0.1, description="for feet too near each other")
-    smooth: float = traced(-0.03, description="for set-points that jump")
-    effort: float = traced(-0.03, description="for torque")
+    speed: float = traced(0.6, description="for the commanded velocity, at two scales")
+    turn: float = traced(0.48, description="for the commanded turn rate, at two scales")
+    upright: float = traced(0.04, description="for a torso that does not lean")
+    schedule: float = traced(0.18, description="for feet that are loaded and lifted when the clock says so")
+    clearance: float = traced(0.12, description="for feet as high above the ground as the clock says")
+    flight: float = traced(-0.18, description="for each step without a foot on the ground")
+    slip: float = traced(-0.24, description="for corners that touch and move")
+    flat: float = traced(-0.06, description="for feet that stand tilted")
+    crossing: float = traced(-0.04, description="for feet too near each other")
+    smooth: float = traced(-0.012, description="for set-points that jump")
+    effort: float = traced(-0.012, description="for torque")
 
     def terms(self, view: View) -> dict[str, FloatScalar]:
         return {

@@ -35,8 +35,8 @@ data sheets, as a walking body shakes them; force-sensing resistors good to 3 % 
 all of it is read."""
 
 
-SERVO = ServoLaw(stiffness=14.0, damping=0.35)
-"""Stiff enough that the open-loop steps keep the body up; with 6 N m/rad they end in a fall within a second."""
+SERVO = ServoLaw(stiffness=6.0, damping=0.2)
+"""Soft enough that a random choice is no blow: with 14 or 21 N m/rad fewer training runs learn to stay up."""
 
 
 class Walk(LeggedTask):
@@ -51,7 +51,7 @@ class Walk(LeggedTask):
         (1.0, 0.8, 0.6, 1.2, 1.0), strict=False, description="of it for hip pitch, yaw and roll, knee and ankle"
     )
     sensors: Sensors = Field(SENSORS, description="errors of the sensors")
-    command: Velocity = Field(Velocity(), description="what the body is told to do")
+    command: Velocity = Field(Velocity(forward=(0.0, 0.8)), description="what the body is told to do")
     gait: Gait = Field(Gait(), description="clock and open-loop steps")
     rewards: WalkRewards = Field(WalkRewards(), description="weights of the reward's terms")
     push: Push = Field(Push(impulse=0.1, every=3.0), description="what disturbs the body")
