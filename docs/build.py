@@ -93,11 +93,12 @@ def _off_by_default(cls: Any, prefix: str) -> Iterator[Any]:
 
 
 def _table(keys: Iterable[Any]) -> str:
-    lines = ["| key | default | values | | meaning |", "|---|---|---|---|---|"]
+    lines = ["| key | default | meaning, and what it may be |", "|---|---|---|"]
     for key in keys:
         default = f"`{key.default}`" if key.default else ""
-        traced = "traced" if key.traced else "static"
-        lines.append(f"| `{key.name}` | {default} | {key.allowed} | {traced} | {_escaped(key.meaning)} |")
+        meaning = f"{_escaped(key.meaning)}<br>" if key.meaning else ""
+        values = f"*{_escaped(key.allowed)}; {'traced' if key.traced else 'static'}*"
+        lines.append(f"| `{key.name}` | {default} | {meaning}{values} |")
     return "\n".join(lines) + "\n"
 
 

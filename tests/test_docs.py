@@ -3,6 +3,7 @@
 import ast
 import importlib
 import importlib.util
+import json
 import os
 import pydoc
 import re
@@ -13,8 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from docs_reader import Reader, blocks, commands
+from docs_reader import Reader, commands
 
+from humanoid_mjx.bench import BENCHES
 from humanoid_mjx.control.laws import LAWS
 from humanoid_mjx.keys import keys_of
 from humanoid_mjx.learners import LEARNERS, Learner
@@ -43,9 +45,7 @@ def build_module():
 BUILD = build_module()
 GENERATED = BUILD.pages()
 TEXTS = {name: path.read_text(encoding="utf-8") for name, path in PAGES.items()}
-TYPED = [
-    name for name, text in TEXTS.items() if list(commands(text)) or any(b.language == "python" for b in blocks(text))
-]
+TYPED = [name for name, text in TEXTS.items() if "```" in text or "`humanoid-mjx " in text]
 
 
 @pytest.mark.parametrize("name", TYPED)
@@ -149,6 +149,14 @@ def test_constants_are_those_of_the_code():
     assert len(found) > 8
     for module, name, value in found:
         assert getattr(importlib.import_module(f"humanoid_mjx.{module}"), name) == ast.literal_eval(value), name
+
+
+def test_records_hold_what_is_said_of_them():
+    rows = re.findall(r"^\| \[(\w+\.json)\]\(bench/\1\) \| (.+) \|$", TEXTS["docs/benchmarks.md"], re.M)
+    assert {name for name, _ in rows} == {path.name for path in (DOCS / "bench").iterdir()}
+    for name, words in rows:
+        held = {record["bench"] for record in json.loads((DOCS / "bench" / name).read_text()).get("records", [])}
+        assert set(re.findall(r"`(\w+)`", words)) & set(BENCHES) == held & set(BENCHES), name
 
 
 def test_axes_are_those_of_the_robot():
