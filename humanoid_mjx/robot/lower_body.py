@@ -3,11 +3,13 @@
 
 World and torso have x forward, y left and z up. At `qpos = 0` (joints) the body stands upright with its feet flat on
 the ground plane z = 0. Joints come in the order of `JOINTS`: the right leg's five, then the left's. Positive is
-  hip_pitch    flexion: the leg swings forward
-  hip_yaw      external rotation: the toes turn outwards
-  hip_roll     abduction: the leg swings outwards
-  knee_pitch   flexion: the shank swings back
-  ankle_pitch  plantar flexion: the toes go down
+
+    hip_pitch    flexion: the leg swings forward
+    hip_yaw      external rotation: the toes turn outwards
+    hip_roll     abduction: the leg swings outwards
+    knee_pitch   flexion: the shank swings back
+    ankle_pitch  plantar flexion: the toes go down
+
 on both sides, so equal values are a posture that is its own mirror image. With these signs the human column of
 Table 3.2 is a human's: hip extension 15 and flexion 130 degrees, adduction 30 and abduction 45, dorsiflexion 20 and
 plantar flexion 50. They are also those of the right leg of Table 4.1, with x0 forward, y0 up and z0 to the right: there

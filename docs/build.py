@@ -1,0 +1,212 @@
+"""Build the documentation, with the pages that follow from the code.
+
+python docs/build.py          # into build/site; fails at a link that leads nowhere
+python docs/build.py serve    # on this machine, at the address that it prints
+"""
+
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any, get_args
+
+DOCS = Path(__file__).parent
+ROOT = DOCS.parent
+PACKAGE = ROOT / "humanoid_mjx"
+
+NOT_DOCUMENTED = {"__init__", "__main__", "cli", "commands"}
+"""Modules that the reference leaves out: the command line documents itself."""
+
+REFERENCE = "reference"
+"""The folder of the reference, which has a page for each folder of the package."""
+
+
+def pages() -> dict[str, str]:
+    """The Markdown of every generated page, by its path in `docs/`."""
+    return {"keys.md": keys_page(), "errata.md": errata_page()} | reference_pages()
+
+
+def keys_page() -> str:
+    """Every key of a config, as `humanoid-mjx info NAME --keys` shows them task by task."""
+    from humanoid_mjx.config import Config
+    from humanoid_mjx.control.laws import LAWS, Law
+    from humanoid_mjx.keys import keys_of
+    from humanoid_mjx.learners import LEARNERS, Learner
+    from humanoid_mjx.spec import find
+    from humanoid_mjx.tasks import TASKS
+    from humanoid_mjx.tasks.base import Task
+
+    parts = [KEYS_HEAD, _top_level(Config)]
+    for kind, registry, base in (("task", TASKS, Task), ("learner", LEARNERS, Learner)):
+        parts.append(f"## {kind.capitalize()}s\n")
+        for name in registry:
+            cls = find(kind, registry, base, name)
+            keys = [*keys_of(cls, kind), *_off_by_default(cls, kind)]
+            parts.append(f"### {name} {{ #{kind}-{name} }}\n\n{_first_sentence(cls)}\n\n{_table(keys)}")
+    parts.append("## Control laws\n\nA task of a robot takes each of them by its name: `control: {name: pd}`.\n")
+    for name in LAWS:
+        cls = find("control", LAWS, Law, name)
+        parts.append(f"### {name} {{ #control-{name} }}\n\n{_first_sentence(cls)}\n\n{_table(keys_of(cls, 'control'))}")
+    return "\n".join(parts)
+
+
+KEYS_HEAD = """# Every key of a config
+
+This page is made from the classes that check a config. The command line shows the same, for one task or learner, with
+`humanoid-mjx info NAME --keys`.
+
+*Traced* keys are data of the compiled program: a sweep over them compiles once. *Static* keys shape the program: points
+that differ in them compile apart. A key without a default is required, or follows from others.
+"""
+
+
+def _top_level(config: Any) -> str:
+    """The keys beside `task` and `learner`."""
+    meanings = {
+        "name": "names the run folder",
+        "task": "what there is to learn: its `name` and keys",
+        "learner": "how to learn it: its `name` and keys",
+        "sweep": "`mode`, `axes` and, in mode `random`, `points`; see [Sweeps](sweeps.md)",
+        "seeds": "runs of every point",
+        "seed": "the seed from which all others follow",
+        "record": "points of a learning curve",
+    }
+    lines = ["## The top level\n", "| key | default | meaning |", "|---|---|---|"]
+    for name, field in config.model_fields.items():
+        default = "" if field.is_required() or field.default is None else f"`{field.default}`"
+        lines.append(f"| `{name}` | {default} | {field.description or meanings[name]} |")
+    return "\n".join(lines) + "\n"
+
+
+def _off_by_default(cls: Any, prefix: str) -> Iterator[Any]:
+    """The keys of parts that a config may switch on."""
+    from humanoid_mjx.keys import keys_of
+    from humanoid_mjx.spec import Spec
+
+    for name, field in cls.model_fields.items():
+        if field.default is None and not field.exclude:
+            for kind in get_args(field.annotation):
+                if isinstance(kind, type) and issubclass(kind, Spec):
+                    yield from keys_of(kind, f"{prefix}.{name}")
+
+
+def _table(keys: Iterable[Any]) -> str:
+    lines = ["| key | default | meaning, and what it may be |", "|---|---|---|"]
+    for key in keys:
+        default = f"`{key.default}`" if key.default else ""
+        meaning = f"{_escaped(key.meaning)}<br>" if key.meaning else ""
+        values = f"*{_escaped(key.allowed)}; {'traced' if key.traced else 'static'}*"
+        lines.append(f"| `{key.name}` | {default} | {meaning}{values} |")
+    return "\n".join(lines) + "\n"
+
+
+def _first_sentence(cls: Any) -> str:
+    return (cls.__doc__ or "").strip().split("\n\n")[0].replace("\n", " ")
+
+
+def _escaped(text: str) -> str:
+    """Text that may stand in a cell of a table."""
+    return text.replace("|", "\\|").replace("*", "\\*")
+
+
+def errata_page() -> str:
+    """The printed formulas that can be evaluated, with the fault of each."""
+    from humanoid_mjx.reproduction.errata import ENTRIES
+
+    wrong = [entry for entry in ENTRIES if entry.fault != "none"]
+    right = [entry for entry in ENTRIES if entry.fault == "none"]
+    lines = [ERRATA_HEAD, "| where | what is wrong | what it should be |", "|---|---|---|"]
+    lines += [f"| {_escaped(e.place)} | {_escaped(e.fault)} | {_escaped(e.fix)} |" for e in wrong]
+    lines += ["\n## Right as printed\n", *(f"* {_escaped(e.place)}" for e in right)]
+    return "\n".join(lines) + "\n"
+
+
+ERRATA_HEAD = """# Errata of the thesis
+
+Each formula of the thesis that can be evaluated is kept *as printed* in
+[reproduction/printed/](../humanoid_mjx/reproduction/printed) and compared with a right one at random postures. Nothing
+else uses the printed ones. This page is made from that list. How far each is off, in numbers, is what the command
+computes; it writes `reproduced/errata.md`:
+
+```bash
+humanoid-mjx reproduce errata
+```
+
+Tables, figures and statements that disagree with what is computed have a verdict of their own: see
+[Every figure, table and equation](thesis.md).
+"""
+
+
+def reference_pages() -> dict[str, str]:
+    """A page for each folder of the package, whose text mkdocstrings takes from the docstrings."""
+    found = {}
+    for folder in _folders():
+        name = _dotted(folder)
+        modules = sorted(file.stem for file in folder.glob("*.py") if file.stem not in NOT_DOCUMENTED)
+        blocks = [] if folder == PACKAGE else [_block(name, "__all__" in (folder / "__init__.py").read_text())]
+        blocks += [_block(f"{name}.{module}") for module in modules]
+        found[_page_of(folder)] = "\n\n".join([f"# {name}", *blocks]) + "\n"
+    return found
+
+
+def _block(module: str, words_only: bool = False) -> str:
+    """What mkdocstrings replaces by a module's docstrings; by its own alone where its names have a place elsewhere."""
+    return f"::: {module}" + ("\n    options: {members: []}" if words_only else "")
+
+
+def _folders() -> list[Path]:
+    return sorted(file.parent for file in PACKAGE.rglob("__init__.py"))
+
+
+def _dotted(path: Path) -> str:
+    """The import path of a folder or a module."""
+    return ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts)
+
+
+def _page_of(folder: Path) -> str:
+    return f"{REFERENCE}/{_dotted(folder)}.md"
+
+
+def source_links(markdown: str) -> str:
+    """Markdown whose links to files of the package lead to their place in the reference."""
+
+    def place(match: re.Match[str]) -> str:
+        return f"][humanoid_mjx.{_dotted(PACKAGE / match['path']).partition('.')[2]}]"
+
+    return re.sub(r"\]\((?:\.\./)+humanoid_mjx/(?P<path>[^)#]+?)/?\)", place, markdown)
+
+
+def stage(folder: Path) -> None:
+    """Put all that the site is made of into `folder`: the pages of `docs/`, those that follow from the code, pictures.
+
+    Links to files of the package lead into the reference there. What `folder` held before is gone.
+    """
+    shutil.rmtree(folder, ignore_errors=True)
+    shutil.copytree(DOCS, folder, ignore=shutil.ignore_patterns("*.py", "__pycache__"))
+    for path, text in pages().items():
+        (folder / path).write_text(text, encoding="utf-8")
+    for page in folder.rglob("*.md"):
+        page.write_text(source_links(page.read_text(encoding="utf-8")), encoding="utf-8")
+
+
+def loaded_from_elsewhere(folder: Path) -> list[str]:
+    """What the pages in `folder` load from other machines; links that a reader may follow are none of it."""
+    tags = re.compile(r"<(?:script|img|link|iframe|source)\b[^>]*?(?:src|href)=[\"']?((?:https?:)?//[^\"'\s>]+)")
+    found = [(page, match) for page in folder.rglob("*.html") for match in tags.findall(page.read_text("utf-8"))]
+    return sorted(f"{page.relative_to(folder)}: {address}" for page, address in found)
+
+
+def main() -> None:
+    """Build the site, or with `serve` show it while it is written."""
+    stage(ROOT / "build" / "docs")
+    arguments = sys.argv[1:] or ["build", "--clean", "--strict"]
+    done = subprocess.run([sys.executable, "-m", "zensical", *arguments], cwd=ROOT, check=False)
+    if foreign := loaded_from_elsewhere(ROOT / "build" / "site"):
+        sys.exit("\n".join(["The site must work offline, but loads from elsewhere:", *foreign]))
+    sys.exit(done.returncode)
+
+
+if __name__ == "__main__":
+    main()

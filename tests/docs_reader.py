@@ -1,0 +1,161 @@
+"""A reader of one page of the documentation, who types all that stands there: `python docs_reader.py PAGE`.
+
+With `--commands` behind it the Python of the page is not run.
+
+It works in the current folder, in a process of its own. Files that the page names are written there, Python is run, and
+commands are read as the command line reads them, without being carried out: their options, and the names of configs,
+policies, run folders, experiments and benchmarks must exist.
+"""
+
+import re
+import shlex
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import typer
+
+from humanoid_mjx.cli import app
+from humanoid_mjx.data import names
+
+ROOT = Path(__file__).parent.parent
+SHELL = {"bash", "sh"}
+OTHER_COMMANDS = {"python3", "python", "source", "pip", "pytest", "ruff", "pyright", "pre-commit"}
+
+
+class Block(NamedTuple):
+    """A fenced block of a page."""
+
+    language: str
+    title: str | None
+    text: str
+
+
+def blocks(markdown):
+    """The fenced blocks of a page, in their order."""
+    found = re.findall(r"^```(\w*)([^\n]*)\n(.*?)^```", markdown, re.MULTILINE | re.DOTALL)
+    return [
+        Block(language, (re.findall(r'title="([^"]+)"', rest) or [None])[0], text) for language, rest, text in found
+    ]
+
+
+def commands(markdown):
+    """Every command of a page, in blocks and within its text; none with words that stand for others, such as NAME."""
+    lines = [line for block in blocks(markdown) if block.language in SHELL for line in block.text.splitlines()]
+    prose = re.sub(r"^```.*?^```", "", markdown, flags=re.MULTILINE | re.DOTALL)
+    mentioned = re.findall(r"`(humanoid-mjx\s\w+\s[^`]+)`", prose)
+    lines += [" ".join(code.split()) for code in mentioned if not re.search(r"\b[A-Z]{3,}\b|\||\[", code)]
+    for line in lines:
+        for command in line.partition(" #")[0].split("&&"):
+            if words := shlex.split(command):
+                yield [Path(words[0]).name, *words[1:]]
+
+
+class Reader:
+    """What a reader has after the commands so far."""
+
+    def __init__(self):
+        self.group = typer.main.get_command(app)
+        self.folders, self.files = set(), set()
+        self.earlier = {f"runs/{name}" for name in names("configs", ".yaml")}
+
+    def type(self, words):
+        """Check a command, and note what it would leave behind."""
+        program, *arguments = words
+        if program != "humanoid-mjx":
+            assert program in OTHER_COMMANDS, f"{program}: an unknown program"
+            scripts = [word for word in arguments if word.endswith(".py")]
+            assert all((ROOT / script).is_file() for script in scripts), f"{scripts}: no such file"
+        elif arguments[0].startswith("-"):
+            self.group.make_context(program, arguments)
+        else:
+            name, *rest = arguments
+            assert name in self.group.commands, f"{name}: no such command"
+            try:
+                context = self.group.commands[name].make_context(name, rest)
+            except Exception as error:  # typer brings a click of its own, whose errors have no public name
+                raise AssertionError(f"{shlex.join(words)}: {error}") from error
+            getattr(self, name)(**context.params)
+
+    def sweep(self, config, out, set_, resume):
+        from humanoid_mjx.config import load
+        from humanoid_mjx.training.plan import make_plan
+
+        name = make_plan(load(config, set_ or [])).config.name
+        folder = str(out or f"runs/{name}")
+        assert not resume or folder in self.folders, f"{folder}: nothing to be resumed"
+        self.folders.add(folder)
+
+    def info(self, name, set_, keys):
+        from humanoid_mjx.commands import show_info, show_keys
+
+        if keys:
+            show_keys(name)
+        elif name:
+            show_info(name, set_ or [])
+
+    def reproduce(self, names, list_, set_, out):
+        from humanoid_mjx.reproduction import load_experiments
+
+        assert set(names or []) <= set(load_experiments())
+
+    def bench(self, names, json):
+        from humanoid_mjx.bench import BENCHES
+
+        if names and names[0] == "compare":
+            assert set(names[1:]) <= self.files and len(names) == 3, names
+        else:
+            assert set(names or []) <= {*BENCHES, "all", "guard"}
+        self.files.add(str(json))
+
+    def evaluate(self, policies, physics, episodes, json, out):
+        for policy in policies:
+            self.has(policy)
+        self.simulates(physics)
+
+    def play(self, policy, physics, out, view):
+        self.has(policy)
+        self.simulates(physics)
+
+    def report(self, run, out, motion):
+        assert str(run) in self.folders | self.earlier, run
+
+    def export(self, what, file):
+        from humanoid_mjx.robot import ROBOTS
+
+        assert (
+            what in ROBOTS if file.suffix == ".xml" else what in self.folders | self.earlier and file.suffix == ".npz"
+        )
+        self.files.add(str(file))
+
+    def has(self, policy):
+        there = {*self.folders, *self.files, *names("policies", ".npz"), *self.earlier}
+        assert policy in there, f"{policy}: not there yet"
+
+    def simulates(self, physics):
+        from humanoid_mjx.physics import PHYSICS
+
+        assert physics is None or physics in PHYSICS, physics
+
+
+def read(page, run_python=True):
+    """Type all that stands on a page."""
+    markdown = page.read_text(encoding="utf-8")
+    found = blocks(markdown)
+    for block in found:
+        if block.title:
+            Path(block.title).write_text(block.text, encoding="utf-8")
+    sys.path.insert(0, "")
+    reader = Reader()
+    for words in commands(markdown):
+        print("$", shlex.join(words))
+        reader.type(words)
+    variables = {"__name__": "__main__"}
+    for block in found:
+        if block.language == "python" and not block.title and run_python:
+            print(block.text)
+            exec(compile(block.text, f"{page.name}, a block", "exec"), variables)
+
+
+if __name__ == "__main__":
+    read(Path(sys.argv[1]), run_python="--commands" not in sys.argv)
