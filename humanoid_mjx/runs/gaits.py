@@ -20,10 +20,12 @@ class Summary(NamedTuple):
     """Over the training seeds."""
     worst: float
     """The least favourable of the training seeds; NaN for a figure of which neither more nor less is better."""
+    better: int
+    """As `Figure.better`."""
 
     def as_json(self) -> dict[str, Any]:
-        """The figure as plain values, None in the place of NaN."""
-        seeds = [{"value": _plain(x.value), "interval": [_plain(x.low), _plain(x.high)]} for x in self.seeds]
+        """The figure as plain values: of the seeds [value, low, high] each; None in the place of NaN."""
+        seeds = [[_plain(number) for number in seed] for seed in self.seeds]
         return {"median": _plain(self.median), "worst": _plain(self.worst), "seeds": seeds}
 
 
@@ -52,12 +54,12 @@ def summarised(episodes: Mapping[str, Float[np.ndarray, "seeds episodes"]]) -> d
     intervals = [mean_interval(of_seed) for of_seed in values]
     found = {}
     for column, name in enumerate(names):
-        estimates = []
+        estimates, better = [], FIGURES[name].better
         for seed, (low, high) in enumerate(intervals):
             one = values[seed, known[seed, :, column], column]
             ends = rate_interval(one > 0.5) if name in RATES and len(one) else (low[column], high[column])
             estimates.append(Estimate(float(means[seed, column]), *map(float, ends)))
-        found[name] = Summary(tuple(estimates), *_over_seeds(means[:, column], FIGURES[name].better))
+        found[name] = Summary(tuple(estimates), *_over_seeds(means[:, column], better), better)
     return found
 
 
@@ -71,4 +73,5 @@ def _over_seeds(means: Float[np.ndarray, " seeds"], better: int) -> tuple[float,
 
 
 def _plain(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
+    """The number to six digits, which is what float32 holds; None for NaN."""
+    return float(f"{value:.6g}") if np.isfinite(value) else None

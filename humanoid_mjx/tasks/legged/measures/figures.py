@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Num
 
 from humanoid_mjx.tasks.legged.measures.tally import EDGES, HOLD, Tally, as_seen
 from humanoid_mjx.thesis.leg import GRAVITY
@@ -119,7 +119,7 @@ def figures(
     } | _sudden_turn(tally, turns, fallen)
 
 
-def _positive(number: FloatScalar) -> FloatScalar:
+def _positive(number: Num[Array, "*parts"]) -> Float[Array, "*parts"]:
     """A divisor: NaN in the place of 0."""
     return jnp.where(number > 0, number, jnp.nan)
 

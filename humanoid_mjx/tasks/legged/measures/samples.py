@@ -125,6 +125,7 @@ def _pairs() -> list[tuple[_Capsule, _Capsule]]:
 
     kind = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
     pairs = zip(model.pair_geom1, model.pair_geom2, strict=True)
+    pairs = ((int(one), int(two)) for one, two in pairs)
     return [(capsule(one), capsule(two)) for one, two in pairs if model.geom_type[one] == model.geom_type[two] == kind]
 
 
