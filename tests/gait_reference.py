@@ -81,5 +81,5 @@ def steps(motion, loaded, first, interval):
     return found | {
         "clearance": np.mean(lifts),
         "step_frequency": number / seconds,
-        "step_length": np.mean(sum(lengths, [])),
+        "step_length": np.mean([*lengths[0], *lengths[1]]),
     }

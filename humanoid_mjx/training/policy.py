@@ -115,7 +115,7 @@ def _ranked(path: Path, all_seeds: bool) -> list[Trained]:
         place, origin = (point, int(arrays["seed"][row])), {"scores": scores, "provenance": provenance}
         return _assemble(own, learned, place, origin, path.resolve().name, str(path))
 
-    return [trained(row) for row in rows]
+    return [trained(row) for row in rows.tolist()]
 
 
 def save_policy(trained: Trained, path: Path) -> None:
