@@ -72,22 +72,39 @@ def bench(
 Policy = Annotated[str, typer.Argument(metavar="RUN|POLICY", help="A run folder, a policy file, or a shipped policy.")]
 
 
+World = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="task.KEY=VALUE", help="Change a value of the task, such as task.friction=0.5."),
+]
+
+
 @app.command()
 def evaluate(
     policies: Annotated[
         list[str], typer.Argument(metavar="RUN|POLICY...", help="Run folders, policy files, or shipped policies.")
     ],
+    gait: Annotated[
+        bool,
+        typer.Option("--gait", help="How it walks under commands that stay: errors, slip, steps, effort, by command."),
+    ] = False,
+    set_: World = None,
     physics: Physics = None,
-    episodes: Annotated[int, typer.Option(min=1, max=1_000_000, help="Episodes of each agent.")] = 1024,
+    episodes: Annotated[
+        int | None,
+        typer.Option(min=1, max=1_000_000, help="Episodes of each agent, 1024; with --gait of each command, 64."),
+    ] = None,
     json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write what was found as JSON.")] = None,
     out: Annotated[
         Path | None, typer.Option(metavar="FILE.png", help="The figure of several runs; by default with the first.")
     ] = None,
 ) -> None:
     """Measure what was learned on episodes that no training has seen, beside a zero and a random agent."""
-    from humanoid_mjx.commands import run_evaluate
+    from humanoid_mjx.evaluating import run_evaluate, run_gait
 
-    run_evaluate(policies, physics, episodes, json, out)
+    if gait:
+        run_gait(policies, physics, set_ or [], episodes or 64, json)
+    else:
+        run_evaluate(policies, physics, set_ or [], episodes or 1024, json, out)
 
 
 @app.command()

@@ -1,6 +1,5 @@
 """What the commands of the command line do, and what they print."""
 
-import json
 import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -16,7 +15,6 @@ from rich.table import Table
 from humanoid_mjx import runtime
 from humanoid_mjx.config import dump_yaml, load
 from humanoid_mjx.data import names
-from humanoid_mjx.runs.evaluations import Evaluation
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.progress import Bar
 
@@ -99,60 +97,6 @@ def run_reproduce(names: Sequence[str], list_names: bool, overrides: Sequence[st
 
 def _shown(value: Any) -> str:
     return "nothing" if value is None else str(value)
-
-
-def run_evaluate(names: Sequence[str], physics: str | None, episodes: int, file: Path | None, out: Path | None) -> None:
-    """`humanoid-mjx evaluate`."""
-    if file is not None and not file.parent.is_dir():
-        raise InputError(f"--json {file}: there is no folder {file.parent}.")
-    runtime.start()
-    from humanoid_mjx.report.comparison import compare_curves, curve_of_run
-    from humanoid_mjx.training.evaluation import HELD_OUT_WORDS, evaluate_all
-    from humanoid_mjx.training.policy import find_policy, on_physics
-
-    policies = [find_policy(name) for name in names]
-    if len({policy.name for policy in policies}) < len(policies):
-        policies = [policy._replace(name=name) for name, policy in zip(names, policies, strict=True)]
-    if physics is not None:
-        policies = [on_physics(policy, physics) for policy in policies]
-    evaluations = evaluate_all(policies, episodes)
-    title = f"{episodes:,} episodes that no training has seen" + (f", physics {physics}" if physics else "")
-    console.print(evaluation_table(title, evaluations))
-    if file is not None:
-        result = {
-            "machine": runtime.machine(),
-            "versions": runtime.versions(),
-            "episodes": episodes,
-            "held_out": HELD_OUT_WORDS,
-            "evaluations": [evaluation.as_json() for evaluation in evaluations],
-            "policies": [policy.as_json() for policy in policies],
-        }
-        file.write_text(json.dumps(result, indent=2) + "\n")
-        console.print(f"{file}", soft_wrap=True)
-    runs = [(Path(name), policy) for name, policy in zip(names, policies, strict=True) if Path(name).is_dir()]
-    if len(runs) > 1:
-        curves = [curve_of_run(path, policy) for path, policy in runs]
-        target = out or runs[0][0] / "figures" / "comparison.png"
-        compare_curves(target, curves, [e for e in evaluations if e.agent != "greedy"])
-        console.print(f"{target}", soft_wrap=True)
-
-
-def evaluation_table(title: str, evaluations: Sequence[Evaluation]) -> Table:
-    """A table with a row for each evaluation, the intervals beside the numbers."""
-    table = Table(title=title, title_justify="left")
-    for heading in ("policy", "agent"):
-        table.add_column(heading)
-    for heading in ("success (95 %)", "return (95 %)", "steps (95 %)"):
-        table.add_column(heading, justify="right")
-    for evaluation in evaluations:
-        success, total, steps = evaluation.success, evaluation.episode_return, evaluation.steps
-        table.add_row(
-            evaluation.policy,
-            evaluation.agent,
-            f"{success.value:.1%} ({success.low:.1%} to {success.high:.1%})",
-            *(f"{x.value:.4g} ({x.low:.4g} to {x.high:.4g})" for x in (total, steps)),
-        )
-    return table
 
 
 def run_play(name: str, physics: str | None, out: Path | None, view: bool) -> None:

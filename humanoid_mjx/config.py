@@ -112,7 +112,8 @@ def apply_override(data: dict[str, Any], override: str) -> None:
     axis = key.removeprefix("sweep.axes.")
     *parents, last = ("sweep", "axes", axis) if axis != key else key.split(".")
     for parent in parents:
-        data = data.setdefault(parent, {})
+        data[parent] = {} if data.get(parent) is None else data[parent]
+        data = data[parent]
         if not isinstance(data, dict):
             raise InputError(f"--set {override}: {parent} holds a value and no keys.")
     data[last] = parse_yaml(text, f"--set {override}")

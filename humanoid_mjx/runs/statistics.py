@@ -41,3 +41,20 @@ def rate_interval(successes: Bool[np.ndarray, " n"], confidence: float = 0.95) -
     middle = (share + z2 / (2 * n)) / (1 + z2 / n)
     half = (z2 * (share * (1 - share) / n + z2 / (4 * n**2))) ** 0.5 / (1 + z2 / n)
     return max(0.0, middle - half), min(1.0, middle + half)
+
+
+def mean_interval(
+    values: Float[np.ndarray, "n ..."], confidence: float = 0.95, seed: int = 0
+) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]:
+    """Percentile bootstrap interval of the mean over the first axis, whose NaN entries are left out; NaN where fewer
+    than two others remain."""
+    n, known = len(values), np.isfinite(values)
+    draws = np.random.default_rng(seed).multinomial(n, np.full(n, 1 / n), RESAMPLES).astype(float)
+    totals, counts = (np.tensordot(draws, part, axes=1) for part in (np.where(known, values, 0.0), known.astype(float)))
+    means = np.divide(totals, counts, out=np.full(totals.shape, np.nan), where=counts > 0)
+    tail = (1 - confidence) / 2
+    enough = known.sum(axis=0) > 1
+    # A resample that holds no known entry says nothing; the others always do.
+    ends = np.nanquantile(np.where(enough, means, 0.0), (tail, 1 - tail), axis=0)
+    low, high = np.where(enough, ends, np.nan)
+    return np.asarray(low), np.asarray(high)

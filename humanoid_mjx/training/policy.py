@@ -7,6 +7,8 @@ where it comes from; and the policy's arrays by their paths. It holds no Python 
 import json
 import zipfile
 import zlib
+from collections.abc import Sequence
+from copy import deepcopy
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from humanoid_mjx.config import Config, parse
+from humanoid_mjx.config import Config, apply_override, parse
 from humanoid_mjx.data import folder, names
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.runs.folder import read_config
@@ -25,6 +27,10 @@ from humanoid_mjx.training.plan import make_plan, resolved, set_dotted
 from humanoid_mjx.training.state import from_arrays, to_arrays
 
 FORMAT = "humanoid_mjx policy, version 1"
+
+
+OBSERVED = "task.observe", "task.symmetric"
+"""Values of tasks that change what a policy observes, but not always how many numbers."""
 
 
 class Trained(NamedTuple):
@@ -70,6 +76,19 @@ def best_policy(path: Path) -> Trained:
     Raises:
       InputError: this is no run folder, nothing in it is finished, or its files are damaged.
     """
+    return _ranked(path, all_seeds=False)[0]
+
+
+def policies_of_best(path: Path) -> list[Trained]:
+    """All runs of a run folder's best point, one for each training seed that is finished, the best first.
+
+    Raises:
+      InputError: as `best_policy`.
+    """
+    return _ranked(path, all_seeds=True)
+
+
+def _ranked(path: Path, all_seeds: bool) -> list[Trained]:
     data = read_config(path)
     plan = make_plan(parse(data, str(path / "config.yaml")))
     arrays = finished_runs(path, ("point", "seed", "policy", "final.greedy_"))
@@ -82,21 +101,21 @@ def best_policy(path: Path) -> Trained:
     members = [arrays["point"] == point for point in points]
     ranks = [(-round(float(success[rows].mean()), 3), float(cost[rows].mean())) for rows in members]
     rows = np.flatnonzero(members[ranks.index(min(ranks))])
-    row = rows[np.lexsort((cost[rows], -success[rows]))[0]]
-    point = int(arrays["point"][row])
+    rows = rows[np.lexsort((cost[rows], -success[rows]))][: None if all_seeds else 1]
+    point = int(arrays["point"][rows[0]])
     own: dict[str, Any] = {key: value for key, value in data.items() if key != "sweep"} | {"seeds": 1}
     for key, value in plan.points[point].items():
         set_dotted(own, key, value)
     file = path / "provenance.json"
-    scores = {name: float(array[row]) for name, array in arrays.items() if name.startswith("final.")}
-    return _assemble(
-        own,
-        {name: array[row] for name, array in arrays.items() if name.startswith("policy")},
-        (point, int(arrays["seed"][row])),
-        {"scores": scores, "provenance": json.loads(file.read_text()) if file.is_file() else {}},
-        path.resolve().name,
-        str(path),
-    )
+    provenance = json.loads(file.read_text()) if file.is_file() else {}
+
+    def trained(row: int) -> Trained:
+        scores = {name: float(array[row]) for name, array in arrays.items() if name.startswith("final.")}
+        learned = {name: array[row] for name, array in arrays.items() if name.startswith("policy")}
+        place, origin = (point, int(arrays["seed"][row])), {"scores": scores, "provenance": provenance}
+        return _assemble(own, learned, place, origin, path.resolve().name, str(path))
+
+    return [trained(row) for row in rows.tolist()]
 
 
 def save_policy(trained: Trained, path: Path) -> None:
@@ -160,9 +179,36 @@ def on_physics(trained: Trained, physics: str) -> Trained:
     task = trained.config.task
     if "physics" not in type(trained.learner.task).model_fields:
         raise InputError(f"--physics {physics}: the task {task['name']} has no choice of physics.")
-    config = trained.config.model_copy(update={"task": task | {"physics": physics}})
+    return in_changed_world(trained, [f"task.physics={physics}"])
+
+
+def in_changed_world(trained: Trained, overrides: Sequence[str]) -> Trained:
+    """The same policy where values of its task are others, such as "task.friction=0.5".
+
+    Raises:
+      InputError: what is no value of the task, or one that it cannot have, or that changes what the policy observes or
+        chooses from.
+    """
+    data = {"task": deepcopy(trained.config.task)}
+    for override in overrides:
+        apply_override(data, override)
+        key = override.partition("=")[0]
+        if not key.startswith("task.") or key == "task.name":
+            raise InputError(f"--set {override}: a policy stays as it is; change its task, as task.friction=0.5 does.")
+        if key in OBSERVED:
+            raise InputError(f"--set {override}: this would change what the policy observes.")
+    config = trained.config.model_copy(update=data)
     (group,) = make_plan(config).groups
-    return trained._replace(config=config, learner=group.learner())
+    learner = group.learner()
+    like = jax.eval_shape(lambda learner, carry: learner.policy(carry), learner, group.one_run.carry)
+    fits = _shapes(like) == _shapes(trained.policy)
+    if not fits or learner.env.action_choices != trained.learner.env.action_choices:
+        raise InputError(f"--set {' '.join(overrides)}: this would change what the policy observes or chooses from.")
+    return trained._replace(config=config, learner=learner)
+
+
+def _shapes(policy: Any) -> Any:
+    return jax.tree.map(lambda leaf: (leaf.shape, str(leaf.dtype)), policy)
 
 
 def _assemble(

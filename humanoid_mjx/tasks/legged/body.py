@@ -14,7 +14,7 @@ from humanoid_mjx.control import Control, at_rest
 from humanoid_mjx.control.laws import ServoLaw
 from humanoid_mjx.mechanics.rotations import leaning_quaternion
 from humanoid_mjx.physics import make_physics
-from humanoid_mjx.physics.base import Physics, Sensed, World
+from humanoid_mjx.physics.base import Controller, Physics, Sensed, World
 from humanoid_mjx.robot import lower_body
 from humanoid_mjx.robot.ranges import TORQUE_LIMIT
 from humanoid_mjx.runtime import SHARED_KERNELS
@@ -104,10 +104,27 @@ class LeggedBody(ContinuousTask):
         self, world: World, setpoint: Float[Array, " joints"], plant: Plant, force: Float[Array, "3"]
     ) -> tuple[World, Sensed]:
         """One decision carried out while `force`, N, pushes the torso; the law acts anew at every time step."""
+        physics, controller = self._moving(setpoint, plant, force)
+        return physics.run_sensed(world, controller, self.simulator.substeps(self.period))
+
+    def advance_watched(
+        self, world: World, setpoint: Float[Array, " joints"], plant: Plant, force: Float[Array, "3"]
+    ) -> tuple[World, Sensed]:
+        """`advance`, with everything at the beginning of each of its time steps: a leading axis of them."""
+        physics, controller = self._moving(setpoint, plant, force)
+
+        def step(world: World, _: None) -> tuple[World, Sensed]:
+            return physics.run_sensed(world, controller, 1)
+
+        return jax.lax.scan(step, world, length=self.simulator.substeps(self.period))
+
+    def _moving(
+        self, setpoint: Float[Array, " joints"], plant: Plant, force: Float[Array, "3"]
+    ) -> tuple[Physics, Controller]:
+        """What moves the body during a decision."""
         values = {"mass": plant.mass, "friction": plant.friction, "torque_limit": plant.torque_limit}
         physics = self.simulator.replace(**values, damping=plant.joint_damping, push=force)
-        controller = self.control.follow(at_rest(setpoint))
-        return physics.run_sensed(world, controller, self.simulator.substeps(self.period))
+        return physics, self.control.follow(at_rest(setpoint))
 
 
 @lru_cache

@@ -89,17 +89,41 @@ class LeggedTask(LeggedBody):
         return begin(episode, self.seen(view), tuple(self.rewards.terms(view)))
 
     def step(self, state: State, action: Int[Array, " joints"], key: Key[Array, ""]) -> State:
-        return self.step_continuous(state, 2.0 * action / (self.choices - 1) - 1.0, key)
+        return self.step_continuous(state, self.parts_of_offset(action), key)
+
+    def parts_of_offset(self, action: Int[Array, " joints"]) -> Float[Array, " joints"]:
+        """What the choices stand for, from -1 to 1."""
+        return 2.0 * action / (self.choices - 1) - 1.0
 
     def step_continuous(self, state: State, command: Float[Array, " joints"], key: Key[Array, ""]) -> State:
         """A step whose offsets are any parts of `offset`, from -1 to 1."""
+        return self._carry_out(state, command, key, watched=False)[0]
+
+    def step_watched(
+        self, state: State, command: Float[Array, " joints"], key: Key[Array, ""]
+    ) -> tuple[State, View, Sensed]:
+        """`step_continuous`; the view of where it leads to; everything at the beginning of each of its time steps, with
+        a leading axis of them."""
+        return self._carry_out(state, command, key, watched=True)
+
+    def commanded(self, state: State, view: View, command: Float[Array, "3"]) -> State:
+        """A state under this command in the place of its own, as its data and what the learner sees have it; `view` is
+        that of the state."""
+        data = state.data._replace(command=command)
+        return state._replace(data=data, obs=self.seen(view._replace(command=command, phase=data.phase)))
+
+    def _carry_out(
+        self, state: State, command: Float[Array, " joints"], key: Key[Array, ""], watched: bool
+    ) -> tuple[State, View, Sensed]:
         _, sensor_key = jax.random.split(key)
         before: Episode = state.data
         offsets = jnp.clip(command, -1.0, 1.0)
         offsets = jnp.where(self.mirrored(before.phase), swapped(offsets), offsets) if self.symmetric else offsets
         force = self.push_on(before, key)
         setpoint = self.setpoint(offsets, self.reference(before))
-        world, sensed = self.advance(before.world, setpoint, before.plant or self.plant, force)
+        advance = self.advance_watched if watched else self.advance
+        world, seen = advance(before.world, setpoint, before.plant or self.plant, force)
+        sensed = jax.tree.map(lambda part: part[-1], seen) if watched else seen
         after = before.sense(self.sensors, world, sensed.readings, self.period, sensor_key)
         after = after._replace(offsets=offsets, decisions=before.decisions + 1)
         view = self.view(after, sensed, before.offsets)
@@ -108,7 +132,7 @@ class LeggedTask(LeggedBody):
         after = self._go_on(after, jax.random.fold_in(key, 1))
         over = after.decisions * self.period >= self.duration - self.period / 2
         obs = self.seen(view._replace(command=after.command, phase=after.phase))
-        return State(
+        state = State(
             data=after,
             obs=obs,
             reward=jnp.asarray(sum(terms.values())),
@@ -118,6 +142,7 @@ class LeggedTask(LeggedBody):
             final_obs=obs,
             metrics=terms,
         )
+        return state, view, seen
 
     def push_on(self, data: Episode, key: Key[Array, ""]) -> Float[Array, "3"]:
         since = data.decisions * self.period - data.first_push

@@ -1,0 +1,122 @@
+"""What `humanoid-mjx evaluate` does, and what it prints."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+
+from humanoid_mjx import runtime
+from humanoid_mjx.commands import console
+from humanoid_mjx.runs.evaluations import Evaluation
+from humanoid_mjx.spec import InputError
+
+
+def run_evaluate(
+    names: Sequence[str],
+    physics: str | None,
+    overrides: Sequence[str],
+    episodes: int,
+    file: Path | None,
+    out: Path | None,
+) -> None:
+    """`humanoid-mjx evaluate`."""
+    _check_folder(file)
+    runtime.start()
+    from humanoid_mjx.report.comparison import compare_curves, curve_of_run
+    from humanoid_mjx.training.evaluation import HELD_OUT_WORDS, evaluate_all
+    from humanoid_mjx.training.policy import find_policy, in_changed_world, on_physics
+
+    policies = [find_policy(name) for name in names]
+    if len({policy.name for policy in policies}) < len(policies):
+        policies = [policy._replace(name=name) for name, policy in zip(names, policies, strict=True)]
+    if physics is not None:
+        policies = [on_physics(policy, physics) for policy in policies]
+    if overrides:
+        policies = [in_changed_world(policy, overrides) for policy in policies]
+    evaluations = evaluate_all(policies, episodes)
+    title = f"{episodes:,} episodes that no training has seen{_changes(physics, overrides)}"
+    console.print(evaluation_table(title, evaluations))
+    if file is not None:
+        result = _made_by() | {
+            "episodes": episodes,
+            "held_out": HELD_OUT_WORDS,
+            "set": list(overrides),
+            "evaluations": [evaluation.as_json() for evaluation in evaluations],
+            "policies": [policy.as_json() for policy in policies],
+        }
+        _write(file, result)
+    runs = [(Path(name), policy) for name, policy in zip(names, policies, strict=True) if Path(name).is_dir()]
+    if len(runs) > 1:
+        curves = [curve_of_run(path, policy) for path, policy in runs]
+        target = out or runs[0][0] / "figures" / "comparison.png"
+        compare_curves(target, curves, [e for e in evaluations if e.agent != "greedy"])
+        console.print(f"{target}", soft_wrap=True)
+
+
+def evaluation_table(title: str, evaluations: Sequence[Evaluation]) -> Table:
+    """A table with a row for each evaluation, the intervals beside the numbers."""
+    table = Table(title=title, title_justify="left")
+    for heading in ("policy", "agent"):
+        table.add_column(heading)
+    for heading in ("success (95 %)", "return (95 %)", "steps (95 %)"):
+        table.add_column(heading, justify="right")
+    for evaluation in evaluations:
+        success, total, steps = evaluation.success, evaluation.episode_return, evaluation.steps
+        table.add_row(
+            evaluation.policy,
+            evaluation.agent,
+            f"{success.value:.1%} ({success.low:.1%} to {success.high:.1%})",
+            *(f"{x.value:.4g} ({x.low:.4g} to {x.high:.4g})" for x in (total, steps)),
+        )
+    return table
+
+
+def run_gait(
+    names: Sequence[str], physics: str | None, overrides: Sequence[str], episodes: int, file: Path | None
+) -> None:
+    """`humanoid-mjx evaluate --gait`."""
+    _check_folder(file)
+    runtime.start()
+    from humanoid_mjx.report.gaits import gait_table, remarks
+    from humanoid_mjx.tasks.legged.measures.figures import FIGURES
+    from humanoid_mjx.training.evaluation import HELD_OUT_WORDS
+    from humanoid_mjx.training.gait_policies import measure, settings_of, trained_seeds
+    from humanoid_mjx.training.policy import in_changed_world, on_physics
+
+    policies, settings = trained_seeds(names), settings_of(overrides)
+    if physics is not None:
+        policies = [on_physics(policy, physics) for policy in policies]
+    policies = [in_changed_world(policy, settings) for policy in policies]
+    measured = measure(policies, episodes)
+    for each in measured:
+        seeds = len(each.policies)
+        whose = each.policies[0].name + (f", {seeds} training seeds" if seeds > 1 else "")
+        title = f"{whose}: {episodes:,} episodes a command that no training has seen{_changes(physics, settings)}"
+        console.print(gait_table(title, each.gaits, each.beyond), *remarks(each.gaits, each.beyond), sep="\n")
+    if file is not None:
+        figures = {name: figure._asdict() for name, figure in FIGURES.items()}
+        results = [each.as_json() for each in measured]
+        settings_used = {"episodes": episodes, "held_out": HELD_OUT_WORDS, "set": settings, "physics": physics}
+        _write(file, _made_by() | settings_used | {"figures": figures, "results": results}, indent=None)
+
+
+def _changes(physics: str | None, overrides: Sequence[str]) -> str:
+    """What is not as in training, for a title."""
+    changes = [f"physics {physics}"] * (physics is not None) + list(overrides)
+    return "".join(f", {change}" for change in changes)
+
+
+def _made_by() -> dict[str, Any]:
+    return {"machine": runtime.machine(), "versions": runtime.versions(), "commit": runtime.commit()}
+
+
+def _check_folder(file: Path | None) -> None:
+    if file is not None and not file.parent.is_dir():
+        raise InputError(f"--json {file}: there is no folder {file.parent}.")
+
+
+def _write(file: Path, result: dict[str, Any], indent: int | None = 2) -> None:
+    file.write_text(json.dumps(result, indent=indent) + "\n")
+    console.print(f"{file}", soft_wrap=True)

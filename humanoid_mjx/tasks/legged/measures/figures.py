@@ -1,0 +1,158 @@
+"""What the sums of an episode say of its gait."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Num
+
+from humanoid_mjx.tasks.legged.measures.tally import EDGES, HOLD, Tally, as_seen
+from humanoid_mjx.thesis.leg import GRAVITY
+from humanoid_mjx.types import BoolScalar, FloatScalar
+
+SLOW = 0.05
+"""Mean speed below which there is no cost of transport and no asymmetry of steps, m/s."""
+
+PERCENTILE = 0.95
+
+IN_TIME = 1.5
+"""When the heading must be near the goal of a sudden turn for good, s, for it to succeed."""
+
+
+class Figure(NamedTuple):
+    """A figure of a gait."""
+
+    unit: str
+    better: int
+    """1 where more is better, -1 where less is, 0 where neither."""
+    meaning: str
+
+
+FIGURES = {
+    "success": Figure("", 1, "share of episodes without a fall"),
+    "seconds": Figure("s", 1, "until the fall, or the end"),
+    "forward": Figure("m/s", 0, "mean velocity forward"),
+    "left": Figure("m/s", 0, "mean velocity to the left"),
+    "turn": Figure("rad/s", 0, "mean turn rate, to the left"),
+    "speed_error": Figure("m/s", -1, "mean absolute error of the velocity as a vector, of means over a window"),
+    "forward_error": Figure("m/s", -1, "the same of its forward part"),
+    "left_error": Figure("m/s", -1, "the same of its part to the left"),
+    "turn_error": Figure("rad/s", -1, "mean absolute error of the turn rate, of means over a window"),
+    "drift": Figure("m", -1, "distance from the start where no velocity is commanded, from a straight way elsewhere"),
+    "heading_error": Figure("degrees", -1, "change of the heading where none is commanded"),
+    "slip": Figure("m/s", -1, "mean speed along the ground of the corners of the feet that touch it"),
+    "slip_95": Figure("m/s", -1, "95th percentile of the same, within a tenth of itself"),
+    "duty": Figure("", 0, "share of time that a foot carries weight, mean of both"),
+    "duty_right": Figure("", 0, "of the right foot"),
+    "duty_left": Figure("", 0, "of the left foot"),
+    "flight": Figure("", -1, "share of time that no foot carries weight"),
+    "double_support": Figure("", 0, "share of time that both feet carry weight"),
+    "step_length": Figure("m", 0, "by how much a foot is ahead of the other one at touchdown, mean of both"),
+    "step_length_right": Figure("m", 0, "of the right foot"),
+    "step_length_left": Figure("m", 0, "of the left foot"),
+    "step_frequency": Figure("1/s", 0, "touchdowns of both feet"),
+    "clearance": Figure("m", 1, "largest height of a foot's lowest corner in a step"),
+    "duty_asymmetry": Figure("", -1, "difference of left and right by their mean"),
+    "step_asymmetry": Figure("", -1, "difference of left and right step lengths by the mean of their sizes"),
+    "crossing": Figure("", -1, "share of time that the feet are too near each other, sideways"),
+    "leg_contact": Figure("", -1, "share of time that the legs touch each other"),
+    "peak_torque": Figure("N m", -1, "largest torque of a joint"),
+    "cost_of_transport": Figure("", -1, "work of the joints, positive and negative, by weight and way"),
+    "turn_seconds": Figure("s", -1, "until the heading is within 5 degrees of a sudden turn's goal for good"),
+    "turn_success": Figure("", 1, "share of sudden turns that take at most 1.5 s, without a fall"),
+}
+"""The figures of an episode by name."""
+
+RATES = "success", "turn_success"
+"""Figures that are 0 or 1 in an episode."""
+
+
+def figures(
+    tally: Tally, asked: Float[Array, "3"], turns: BoolScalar, fallen: BoolScalar, mass: FloatScalar, interval: float
+) -> dict[str, FloatScalar]:
+    """The figures of an episode, NaN where one has no meaning.
+
+    Args:
+      asked: the command of the episode.
+      turns: whether there is a sudden turn, too.
+      mass: of the body, kg.
+      interval: s between samples.
+    """
+    seconds = tally.counted * interval
+    forward, left, turn = tally.motion / _positive(seconds)
+    forward_error, left_error, speed_error, turn_error = tally.windows.errors / _positive(tally.windows.number)
+    straight = (asked[2] == 0) & ~turns
+    shares = tally.feet.loaded / _positive(tally.counted)
+    lengths = tally.feet.lengths / _positive(tally.feet.steps)
+    way = jnp.where(tally.windows.way > SLOW * seconds, tally.windows.way, jnp.nan)
+    walks = jnp.abs(forward) > SLOW
+    return {
+        "success": 1.0 - fallen,
+        "seconds": tally.samples * interval,
+        "forward": forward,
+        "left": left,
+        "turn": turn,
+        "speed_error": speed_error,
+        "forward_error": forward_error,
+        "left_error": left_error,
+        "turn_error": turn_error,
+        "drift": jnp.where(turns, jnp.nan, _drift(tally, asked)),
+        "heading_error": jnp.where(straight, jnp.degrees(jnp.abs(tally.turned)), jnp.nan),
+        "slip": tally.slip.total / _positive(tally.slip.bins.sum()),
+        "slip_95": _percentile(tally),
+        "duty": shares.mean(),
+        "duty_right": shares[0],
+        "duty_left": shares[1],
+        "flight": tally.flight / _positive(tally.counted),
+        "double_support": tally.double / _positive(tally.counted),
+        "step_length": tally.feet.lengths.sum() / _positive(tally.feet.steps.sum()),
+        "step_length_right": lengths[0],
+        "step_length_left": lengths[1],
+        "step_frequency": tally.feet.steps.sum() / _positive(seconds),
+        "clearance": tally.feet.lifts.sum() / _positive(tally.feet.steps.sum()),
+        "duty_asymmetry": _asymmetry(shares),
+        "step_asymmetry": jnp.where(walks, _asymmetry(lengths), jnp.nan),
+        "crossing": tally.crossing / _positive(tally.counted),
+        "leg_contact": tally.contact / _positive(tally.counted),
+        "peak_torque": tally.peak_torque,
+        "cost_of_transport": tally.windows.work / (mass * GRAVITY * way),
+    } | _sudden_turn(tally, turns, fallen)
+
+
+def _positive(number: Num[Array, "*parts"]) -> Float[Array, "*parts"]:
+    """A divisor: NaN in the place of 0."""
+    return jnp.where(number > 0, number, jnp.nan)
+
+
+def _drift(tally: Tally, asked: Float[Array, "3"]) -> FloatScalar:
+    """Distance from the start, or of the straight way along the first heading; NaN for a way that turns, m."""
+    forward, left = as_seen(tally.last.place - tally.start, tally.last.heading - tally.turned)
+    speed = jnp.hypot(asked[0], asked[1])
+    aside = jnp.abs(asked[0] * left - asked[1] * forward) / _positive(speed)
+    return jnp.where(speed == 0, jnp.hypot(forward, left), jnp.where(asked[2] == 0, aside, jnp.nan))
+
+
+def _percentile(tally: Tally) -> FloatScalar:
+    """The percentile of slip, linearly inside its bin, m/s; above the last edge that edge."""
+    below, wanted = jnp.cumsum(tally.slip.bins), PERCENTILE * _positive(tally.slip.bins.sum())
+    place = jnp.argmax(below >= wanted)
+    low, high = jnp.asarray(np.append(0.0, EDGES)), jnp.asarray(np.append(EDGES, EDGES[-1]))
+    inside = tally.slip.bins[place]
+    share = (wanted - (below[place] - inside)) / _positive(inside)
+    return low[place] + share * (high[place] - low[place])
+
+
+def _asymmetry(pair: Float[Array, "2"]) -> FloatScalar:
+    """0 for equal sides, 2 where one is 0."""
+    return jnp.abs(pair[1] - pair[0]) / _positive(jnp.abs(pair).mean())
+
+
+def _sudden_turn(tally: Tally, turns: BoolScalar, fallen: BoolScalar) -> dict[str, FloatScalar]:
+    """A turn counts once it was watched to the end of `HOLD`, or ended in a fall."""
+    watched = turns & (tally.since >= HOLD)
+    settled = watched & (tally.late < HOLD - 0.1)
+    success = settled & (tally.late <= IN_TIME) & ~fallen
+    return {
+        "turn_seconds": jnp.where(settled, tally.late, jnp.nan),
+        "turn_success": jnp.where(watched | (turns & fallen), 1.0 * success, jnp.nan),
+    }

@@ -1,0 +1,135 @@
+# pyright: reportAttributeAccessIssue=false
+"""What a gait is measured by: one moment of a body, and how near its legs are to each other."""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from humanoid_mjx.mechanics.rotations import heading_frame
+from humanoid_mjx.physics.base import Poses, Sensed
+from humanoid_mjx.robot.lower_body import lower_body_model
+from humanoid_mjx.tasks.legged.view import feet_of
+from humanoid_mjx.types import FloatScalar
+
+
+class Sample(NamedTuple):
+    """The true state of a body at the beginning of a time step."""
+
+    place: Float[Array, "2"]
+    """Of the hips, on the ground, m."""
+    heading: FloatScalar
+    """Where the torso looks, rad, -pi to pi."""
+    angles: Float[Array, " joints"]
+    """rad"""
+    torque: Float[Array, " joints"]
+    """Torques that act until the next time step, N m."""
+    gap: Float[Array, "2"]
+    """From the right ankle to the left one, forward and to the left as the torso looks, m."""
+    height: Float[Array, "2"]
+    """Of the lowest corner of the right and the left foot, m."""
+    load: Float[Array, "2"]
+    """Force with which the ground pushes each foot up, N."""
+    speed: Float[Array, "2 4"]
+    """Of each foot's corners along the ground, m/s."""
+    touching: Bool[Array, "2 4"]
+    legs_apart: FloatScalar
+    """Least distance between the surfaces of the right and the left leg, m; not above 0 where they touch."""
+
+
+def sample_of(sensed: Sensed, body_names: tuple[str, ...]) -> Sample:
+    """The moment that `sensed` is of."""
+    torso, feet = body_names.index("torso"), feet_of(sensed, body_names)
+    rotation = sensed.poses.rotation[torso]
+    return Sample(
+        place=sensed.poses.position[torso, :2],
+        heading=heading_of(rotation),
+        angles=sensed.readings.encoders,
+        torque=sensed.torque,
+        gap=(heading_frame(rotation) @ (feet.position[1] - feet.position[0]))[:2],
+        height=feet.height,
+        load=feet.load,
+        speed=jnp.linalg.norm(feet.corner_velocity[..., :2], axis=-1),
+        touching=feet.touching,
+        legs_apart=legs_apart(sensed.poses),
+    )
+
+
+def heading_of(rotation: Float[Array, "3 3"]) -> FloatScalar:
+    """Where a body's x axis points, from above, rad, -pi to pi."""
+    return jnp.arctan2(rotation[1, 0], rotation[0, 0])
+
+
+def wrapped(angle: FloatScalar) -> FloatScalar:
+    """The same angle from -pi to pi, rad."""
+    return jnp.mod(angle + jnp.pi, 2 * jnp.pi) - jnp.pi
+
+
+def legs_apart(poses: Poses) -> FloatScalar:
+    """The least distance between the capsules of the right and the left leg that cannot pass through each other, m.
+
+    MuJoCo sees a contact where it is below 0.
+    """
+    distances = []
+    for one, two in _pairs():
+        (start, along), (other_start, other_along) = (
+            (poses.position[c.body] + poses.rotation[c.body] @ c.start, poses.rotation[c.body] @ c.along)
+            for c in (one, two)
+        )
+        gap = between_segments(start, along, other_start, other_along)
+        distances.append(gap - np.float32(one.radius + two.radius))
+    return jnp.stack(distances).min()
+
+
+def between_segments(
+    start: Float[Array, "3"], along: Float[Array, "3"], other_start: Float[Array, "3"], other_along: Float[Array, "3"]
+) -> FloatScalar:
+    """The distance between two segments, each from a start along a vector that is not 0.
+
+    C. Ericson, "Real-Time Collision Detection", 2005, section 5.1.9.
+    """
+    apart = start - other_start
+    a, b, e = along @ along, along @ other_along, other_along @ other_along
+    c, f = along @ apart, other_along @ apart
+    determinant = a * e - b * b
+    # Of parallel segments any nearest pair will do: begin with the start of the first.
+    s = jnp.where(determinant > 1e-6 * a * e, jnp.clip((b * f - c * e) / (determinant + 1e-30), 0.0, 1.0), 0.0)
+    t = (b * s + f) / e
+    s = jnp.where(t < 0.0, jnp.clip(-c / a, 0.0, 1.0), jnp.where(t > 1.0, jnp.clip((b - c) / a, 0.0, 1.0), s))
+    return jnp.linalg.norm(apart + s * along - jnp.clip(t, 0.0, 1.0) * other_along + 1e-12)
+
+
+class _Capsule(NamedTuple):
+    body: int
+    start: np.ndarray
+    along: np.ndarray
+    radius: float
+
+
+@lru_cache
+def _pairs() -> list[tuple[_Capsule, _Capsule]]:
+    """The pairs of capsules of the lower body that feel each other."""
+    with jax.ensure_compile_time_eval():
+        model = lower_body_model("free")
+
+    def capsule(geom: int) -> _Capsule:
+        rotation = np.empty(9)
+        mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
+        half = rotation.reshape(3, 3)[:, 2] * model.geom_size[geom, 1]
+        start, along = (x.astype(np.float32) for x in (model.geom_pos[geom] - half, 2 * half))
+        return _Capsule(int(model.geom_bodyid[geom]), start, along, float(model.geom_size[geom, 0]))
+
+    kind = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
+    pairs = zip(model.pair_geom1, model.pair_geom2, strict=True)
+    pairs = ((int(one), int(two)) for one, two in pairs)
+    return [(capsule(one), capsule(two)) for one, two in pairs if model.geom_type[one] == model.geom_type[two] == kind]
+
+
+@lru_cache
+def total_mass() -> float:
+    """Of the lower body, kg."""
+    return float(lower_body_model("free").body_mass.sum())

@@ -1,0 +1,262 @@
+"""Held-out episodes of a body under commands that stay: what `evaluate --gait` measures.
+
+Every episode is one of the held-out ones (`training.evaluation`), under one of `SCENARIOS` for its whole length. Only
+what is left of the motion are the sums of `tasks.legged.measures`.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Key
+
+from humanoid_mjx.learners import Learner
+from humanoid_mjx.physics.base import World
+from humanoid_mjx.runs.gaits import Gait, summarised
+from humanoid_mjx.spec import InputError
+from humanoid_mjx.tasks.base import Task
+from humanoid_mjx.tasks.continuous import State
+from humanoid_mjx.tasks.legged.measures import tally as sums
+from humanoid_mjx.tasks.legged.measures.figures import FIGURES, figures
+from humanoid_mjx.tasks.legged.measures.samples import heading_of, sample_of, total_mass, wrapped
+from humanoid_mjx.tasks.legged.measures.tally import Asked, Tally
+from humanoid_mjx.tasks.legged.task import LeggedTask
+from humanoid_mjx.tasks.legged.view import View
+from humanoid_mjx.training.evaluation import held_out_keys
+from humanoid_mjx.training.rollout import AGENTS, agent, decision_keys, start
+from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
+
+SECONDS = 20.0
+"""Length of an episode, s."""
+
+WORLDS = {"cpu": 1024}
+"""How many bodies move side by side at most, by jax's backend."""
+
+MANY_WORLDS = 32_768
+"""The same on any other backend."""
+
+TURN_GAIN, TURN_RATE = 4.0, 1.0
+"""A sudden turn is commanded as a turn rate: so much of the heading's error, 1/s, at most so much, rad/s. It begins to
+slow down 14 degrees before its goal, a fourth of a second that a gait has to stop turning in."""
+
+
+class Scenario(NamedTuple):
+    """A command that stays."""
+
+    name: str
+    command: tuple[float, float, float]
+    """Velocity forward and to the left, m/s, and turn rate to the left, rad/s."""
+    turn_at: float = np.inf
+    """When a sudden turn is commanded, s."""
+    turn_by: float = 0.0
+    """Of the heading, to the left, rad."""
+
+
+SCENARIOS = (
+    Scenario("stand", (0.0, 0.0, 0.0)),
+    *(Scenario(f"forward {speed}", (speed, 0.0, 0.0)) for speed in (0.15, 0.3, 0.5, 0.8)),
+    *(Scenario(f"turn {rate:+}", (0.0, 0.0, rate)) for rate in (0.5, -0.5, 1.0, -1.0)),
+    *(Scenario(f"forward 0.3, turn {rate:+}", (0.3, 0.0, rate)) for rate in (0.5, -0.5)),
+    *(Scenario(f"sideways {speed:+}", (0.0, speed, 0.0)) for speed in (0.15, -0.15)),
+    Scenario("sudden turn at 0.3", (0.3, 0.0, 0.0), turn_at=5.0, turn_by=float(np.radians(45.0))),
+)
+"""Standing; a stroll, two walks, and the speed at which running begins to pay (Froude numbers v^2 / (g l) of 0.01,
+0.05, 0.13 and 0.33 on legs of 0.2 m); both ways round on the spot, slowly and fast; curves; sidesteps; a turn of 45
+degrees at once, in mid-walk. Both sides are asked for the same, to show one that is worse."""
+
+
+class _Commands(NamedTuple):
+    """Scenarios as data of a program."""
+
+    command: Float[Array, "*scenarios 3"]
+    turn_at: Float[Array, "*scenarios"]
+    turn_by: Float[Array, "*scenarios"]
+
+
+class _Loop(NamedTuple):
+    state: State
+    view: View
+    tally: Tally
+    goal: FloatScalar
+    """Heading that a sudden turn is to reach, against that of the start, rad; NaN before it."""
+    fallen: BoolScalar
+    first: World
+
+
+def walking_task(task: Task, what: str = "evaluate --gait") -> LeggedTask:
+    """The task, of which it is certain now that it moves a body by commands.
+
+    Raises:
+      InputError: it does not.
+    """
+    if not isinstance(task, LeggedTask) or task.command is None:
+        raise InputError(f"{what}: the task {type(task).__name__} gives no commands to a body on legs, as walk does.")
+    return task
+
+
+def calm(learner: Learner) -> Learner:
+    """The learner with a task in which nothing pushes the body and all worlds are as declared."""
+    task = walking_task(learner.task)
+    return learner.replace(task=task.replace(push=task.push.replace(impulse=jnp.float32(0.0)), randomise=None))
+
+
+def evaluate_gait(
+    learner: Learner,
+    policies: Any,
+    episodes: int,
+    seconds: float = SECONDS,
+    agents: Sequence[str] = ("greedy",),
+    scenarios: Sequence[Scenario] = SCENARIOS,
+) -> list[Gait]:
+    """What each agent does under each scenario, with intervals; the arguments are those of `play_gaits`."""
+    found = play_gaits(learner, policies, episodes, seconds, agents, scenarios)
+    return [
+        Gait(name, scenario.name, scenario.command, summarised({key: x[:, row] for key, x in found[name].items()}))
+        for name in agents
+        for row, scenario in enumerate(scenarios)
+    ]
+
+
+def play_gaits(
+    learner: Learner,
+    policies: Any,
+    episodes: int,
+    seconds: float = SECONDS,
+    agents: Sequence[str] = ("greedy",),
+    scenarios: Sequence[Scenario] = SCENARIOS,
+) -> dict[str, dict[str, np.ndarray]]:
+    """The figures of every held-out episode under every scenario, by agent and name of the figure.
+
+    Args:
+      learner: whose task is played, as it is: `calm(learner)` takes the pushes out of it.
+      policies: what was learned, a pytree whose leaves lead with an axis of training seeds.
+      agents: some of `AGENTS`.
+
+    Returns:
+      for "greedy" arrays of shape (seeds, scenarios, episodes), for the others (1, scenarios, episodes).
+
+    Raises:
+      InputError: the task moves no body by commands.
+    """
+    task = walking_task(learner.task)
+    seeds = len(jax.tree.leaves(policies)[0])
+    chosen = [(name, seed) for name in agents for seed in (range(seeds) if name == "greedy" else (0,))]
+    rows = np.array([seed for _, seed in chosen])
+    policies = jax.tree.map(lambda leaf: jnp.asarray(leaf)[rows], policies)
+    numbers = jnp.array([AGENTS.index(name) for name, _ in chosen], jnp.int32)
+    commands = _Commands(*(jnp.array(column, float) for column in list(zip(*scenarios, strict=True))[1:]))
+    room = WORLDS.get(jax.default_backend(), MANY_WORLDS) // (len(chosen) * len(scenarios))
+    block = min(episodes, max(room, 1))
+    keys = held_out_keys(-(-episodes // block) * block)
+    options = tuple(sorted(task.compiler_options.items()))
+    run, decisions = _program(options), jnp.int32(round(seconds / task.period))
+    parts = [
+        jax.device_get(run(learner, policies, numbers, commands, keys[first : first + block], decisions))
+        for first in range(0, len(keys), block)
+    ]
+    found = {name: np.concatenate([part[name] for part in parts], axis=-1)[..., :episodes] for name in parts[0]}
+    of = {name: np.array([index for index, (one, _) in enumerate(chosen) if one == name]) for name in agents}
+    return {name: {key: found[key][of[name]] for key in FIGURES} for name in agents}
+
+
+@lru_cache
+def _program(options: tuple[tuple[str, str | bool], ...]) -> Callable[..., dict[str, Array]]:
+    """(learner, policies, agents' numbers, commands, keys, decisions) -> figures by name, (agents, commands, keys)."""
+
+    def run(
+        learner: Learner, policies: Any, numbers: Array, commands: _Commands, keys: Array, decisions: IntScalar
+    ) -> dict[str, Array]:
+        def over_all(function: Callable[..., Any]) -> Callable[..., Any]:
+            """A function of (index, policy, number, command, key, loop) as one of all of them."""
+            for axes in ((None, None, None, 0, 0), (None, None, 0, None, 0), (0, 0, None, None, 0)):
+                function = jax.vmap(function, in_axes=axes)
+            return function
+
+        def begin(policy: Any, number: IntScalar, command: _Commands, key: Key[Array, ""], _: Array) -> _Loop:
+            return _begin(learner, key)
+
+        def running(carry: tuple[IntScalar, _Loop]) -> BoolScalar:
+            return (carry[0] < decisions) & ~carry[1].fallen.all()
+
+        def step(carry: tuple[IntScalar, _Loop]) -> tuple[IntScalar, _Loop]:
+            index, loop = carry
+            one = lambda *args: _decide(learner, index, *args)  # noqa: E731
+            return index + 1, over_all(one)(policies, numbers, commands, keys, loop)
+
+        def end(policy: Any, number: IntScalar, command: _Commands, key: Key[Array, ""], loop: _Loop) -> Any:
+            return _figures(learner, command, loop)
+
+        shape = len(numbers), len(commands.turn_at), len(keys)
+        args = policies, numbers, commands, keys
+        loop = over_all(begin)(*args, jnp.zeros(shape))
+        _, loop = jax.lax.while_loop(running, step, (jnp.int32(0), loop))
+        return over_all(end)(*args, loop)
+
+    return jax.jit(run, compiler_options=dict(options))
+
+
+def _begin(learner: Learner, key: Key[Array, ""]) -> _Loop:
+    task = walking_task(learner.task)
+    state = start(learner.env, key)
+    view = task.view(state.data, None, jnp.zeros_like(state.data.offsets))
+    sensed = jax.eval_shape(lambda: task.simulator.sense(state.data.world, jnp.zeros_like(state.data.offsets)))
+    blank = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), sensed)
+    world = state.data.world
+    first = sample_of(blank, task.simulator.body_names)._replace(
+        place=world.qpos[:2], heading=heading_of(view.rotation), angles=world.qpos[7:]
+    )
+    return _Loop(state, view, sums.begin(first), jnp.float32(jnp.nan), jnp.bool_(False), world)
+
+
+def _decide(
+    learner: Learner,
+    index: IntScalar,
+    policy: Any,
+    number: IntScalar,
+    command: _Commands,
+    key: Key[Array, ""],
+    loop: _Loop,
+) -> _Loop:
+    """Decision number `index` of one episode."""
+    task = walking_task(learner.task)
+    seconds = index * task.period
+    heading = loop.tally.turned + wrapped(heading_of(loop.view.rotation) - loop.tally.last.heading)
+    begun = jnp.asarray(seconds > command.turn_at - task.period / 2)
+    goal = jnp.where(begun & jnp.isnan(loop.goal), heading + command.turn_by, loop.goal)
+    rate = jnp.clip(TURN_GAIN * (goal - heading), -TURN_RATE, TURN_RATE)
+    asked = command.command.at[2].set(jnp.where(begun, rate, command.command[2]))
+    state = task.commanded(loop.state, loop.view, asked)
+    act_key, step_key = decision_keys(key, index)
+    action = agent(learner, policy, number)(state, act_key)
+    offsets = action if jnp.issubdtype(action.dtype, jnp.floating) else task.parts_of_offset(action)
+    state, view, sensed = task.step_watched(state, offsets, step_key)
+    fallen = loop.fallen | state.terminated
+    interval = task.simulator.step_s
+    window = sums.window_samples(task.gait.period if task.gait else None, interval)
+
+    def add(tally: Tally, sensed: Any) -> tuple[Tally, None]:
+        since = (tally.samples * interval - command.turn_at).astype(jnp.float32)
+        sample = sample_of(sensed, task.simulator.body_names)
+        return sums.add(tally, sample, Asked(asked, goal, since), window, interval), None
+
+    tally, _ = jax.lax.scan(add, loop.tally, sensed)
+    tally = _where(fallen, loop.tally, tally)
+    # A body that lies tangled would be the most expensive of all to simulate: it is put back on its feet, unwatched.
+    state = state._replace(data=state.data._replace(world=_where(fallen, loop.first, state.data.world)))
+    return _Loop(state, view, tally, goal, fallen, loop.first)
+
+
+def _where(flag: BoolScalar, chosen: Any, other: Any) -> Any:
+    return jax.tree.map(lambda a, b: jnp.where(jnp.asarray(flag), a, b), chosen, other)
+
+
+def _figures(learner: Learner, command: _Commands, loop: _Loop) -> dict[str, FloatScalar]:
+    task = walking_task(learner.task)
+    plant = loop.state.data.plant or task.plant
+    turns = jnp.isfinite(command.turn_at)
+    mass = total_mass() * plant.mass
+    found = figures(loop.tally, command.command, turns, loop.fallen, mass, task.simulator.step_s)
+    return {name: jnp.asarray(value, jnp.float32) for name, value in found.items()}

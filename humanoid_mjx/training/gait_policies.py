@@ -1,0 +1,83 @@
+"""The policies that `evaluate --gait` is given, and the world that it asks them in."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from humanoid_mjx.runs.gaits import Gait
+from humanoid_mjx.tasks.legged.commands import Velocity
+from humanoid_mjx.training.gait_evaluation import SCENARIOS, Scenario, evaluate_gait, walking_task
+from humanoid_mjx.training.plan import resolved
+from humanoid_mjx.training.policy import Trained, find_policy, policies_of_best
+from humanoid_mjx.training.rollout import AGENTS
+
+WORLD = {"task.duration": "20", "task.push.impulse": "0", "task.randomise": "null"}
+"""Values of the task unless others are asked for: 20 s in which nothing pushes the body, all in the same world."""
+
+
+class Measured(NamedTuple):
+    """Policies of one task that differ by their training seed alone, and what they do."""
+
+    policies: list[Trained]
+    gaits: list[Gait]
+    beyond: list[str]
+    """Scenarios whose commands lie outside the ranges of the task's own."""
+
+    def as_json(self) -> dict[str, Any]:
+        """The gaits as plain values, with what they are of."""
+        policies, gaits = [policy.as_json() for policy in self.policies], [gait.as_json() for gait in self.gaits]
+        return {"policies": policies, "beyond_training": self.beyond, "gaits": gaits}
+
+
+def trained_seeds(names: Sequence[str]) -> list[Trained]:
+    """Of each run folder all runs of its best point, and what else is named.
+
+    Raises:
+      InputError: as `find_policy`; or a policy's task moves no body by commands.
+    """
+    found: list[Trained] = []
+    for name in names:
+        found += policies_of_best(Path(name)) if Path(name).is_dir() else [find_policy(name)]
+    for policy in found:
+        walking_task(policy.learner.task)
+    return found
+
+
+def settings_of(overrides: Sequence[str]) -> list[str]:
+    """`WORLD` and the overrides, which take the place of what they concern."""
+    keys = [override.partition("=")[0] for override in overrides]
+    ours = {
+        key: value
+        for key, value in WORLD.items()
+        if not any(other == key or other.startswith(f"{key}.") or key.startswith(f"{other}.") for other in keys)
+    }
+    return [*(f"{key}={value}" for key, value in ours.items()), *overrides]
+
+
+def measure(policies: Sequence[Trained], episodes: int) -> list[Measured]:
+    """What all agents do, for each group of policies of the same task and the same kind of learner."""
+    groups: dict[Any, list[Trained]] = {}
+    for policy in policies:
+        task = json.dumps(resolved(policy.config)["task"], sort_keys=True)
+        groups.setdefault((task, jax.tree.structure((policy.learner, policy.policy))), []).append(policy)
+    return [_measure(group, episodes) for group in groups.values()]
+
+
+def _measure(policies: list[Trained], episodes: int) -> Measured:
+    learner = policies[0].learner
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(policy.policy for policy in policies))
+    seconds = float(walking_task(learner.task).duration)
+    gaits = evaluate_gait(learner, stacked, episodes, seconds, AGENTS)
+    return Measured(policies, gaits, [each.name for each in SCENARIOS if _beyond(learner.task, each)])
+
+
+def _beyond(task: Any, scenario: Scenario) -> bool:
+    """Whether the command lies outside the task's, as far as these have ranges."""
+    if not isinstance(task.command, Velocity):
+        return False
+    low, high = task.command.ranges.T
+    return bool(((jnp.array(scenario.command) < low - 1e-6) | (jnp.array(scenario.command) > high + 1e-6)).any())

@@ -1,0 +1,198 @@
+"""evaluate --gait: what bodies do under commands that stay, and what is asked on the command line. In native MuJoCo,
+which compiles quickest, and once on the tree."""
+
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from humanoid_mjx import rng
+from humanoid_mjx.cli import app
+from humanoid_mjx.config import parse
+from humanoid_mjx.report.gaits import bad_end
+from humanoid_mjx.runs.gaits import summarised
+from humanoid_mjx.spec import InputError
+from humanoid_mjx.tasks.legged.measures.figures import FIGURES
+from humanoid_mjx.training import gait_evaluation
+from humanoid_mjx.training.gait_evaluation import SCENARIOS, Scenario, calm, evaluate_gait, play_gaits
+from humanoid_mjx.training.gait_policies import settings_of
+from humanoid_mjx.training.plan import make_plan
+from humanoid_mjx.training.policy import best_policy, in_changed_world, policies_of_best, save_policy
+from humanoid_mjx.training.sweep import sweep
+
+TINY = {"name": "deep_q", "width": 8, "layers": 1, "envs": 4, "rollout": 4, "minibatches": 2, "evaluation_envs": 2}
+TASK = {"name": "walk", "physics": "mujoco"}
+ASKED = (
+    Scenario("stand", (0.0, 0.0, 0.0)),
+    Scenario("ahead", (0.3, 0.0, 0.0)),
+    Scenario("stay", (0.0, 0.0, 0.0), turn_at=0.5, turn_by=0.0),
+    Scenario("turn", (0.0, 0.0, 0.0), turn_at=0.5, turn_by=0.8),
+)
+
+
+def config(**task):
+    return {"name": "tiny", "task": TASK | task, "learner": TINY, "seeds": 2, "record": 4, "total_steps": 64}
+
+
+def learner_of(**task):
+    (group,) = make_plan(parse(config(**task))).groups
+    return group.learner()
+
+
+def played(learner, agent="greedy", seconds=0.5, seed=5):
+    """The figures of four episodes under each of `ASKED`, (4, 4): one program for all; weights are untrained."""
+    policy = learner.policy(learner.init(rng.key(seed)))
+    found = play_gaits(learner, jax.tree.map(lambda x: x[None], policy), 4, seconds, (agent,), ASKED)[agent]
+    assert list(found) == list(FIGURES)
+    return {name: figure[0] for name, figure in found.items()}
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """The run folder of two training seeds, and one of its policies as a file."""
+    folder = tmp_path_factory.mktemp("gaits")
+    path = sweep(config(), folder / "tiny").path
+    save_policy(best_policy(path), folder / "one.npz")
+    return path, folder / "one.npz"
+
+
+def test_a_body_that_does_nothing_stands_or_steps_by_the_clock():
+    found = played(calm(learner_of()), "zero", 6.0)
+    stand, ahead, stay, turn = ({name: x[row] for name, x in found.items()} for row in range(len(ASKED)))
+    np.testing.assert_allclose(stand["duty"], 1.0, atol=1e-6)
+    assert (stand["success"] == 1).all() and (stand["step_frequency"] == 0).all() and (stand["slip"] < 1e-3).all()
+    assert (stand["speed_error"] < 1e-3).all() and (stand["drift"] < 0.02).all() and (stand["flight"] == 0).all()
+    up = ahead["success"] == 1
+    assert up.sum() >= 2
+    # Two steps in 0.36 s, on the spot, neither foot favoured and none in flight.
+    np.testing.assert_allclose(ahead["step_frequency"][up], 2 / 0.36, rtol=0.05)
+    np.testing.assert_allclose(ahead["speed_error"][up], 0.3, atol=0.03)
+    assert (ahead["flight"][up] < 0.02).all() and (ahead["duty_asymmetry"][up] < 0.1).all()
+    assert ((ahead["duty"] > 0.5) & (ahead["duty"] < 0.75))[up].all() and (ahead["clearance"][up] > 0.001).all()
+    # It keeps its heading: a turn by nothing is over at once, one by 0.8 rad never.
+    up = stay["success"] == 1
+    assert up.sum() >= 2 and (stay["turn_success"] == up).all() and (stay["turn_seconds"][up] == 0).all()
+    assert (turn["turn_success"] == 0).all() and np.isnan(turn["turn_seconds"]).all()
+    assert np.isnan(stand["turn_success"]).all() and (turn["turn_error"][turn["success"] == 1] > 0.5).all()
+
+
+def test_commands_stay_whatever_the_task_draws():
+    one, other = (played(calm(learner_of(command={"every": every}))) for every in (1e9, 0.02))
+    for name in ("seconds", "drift", "peak_torque"):
+        np.testing.assert_array_equal(one[name], other[name])
+    assert not np.array_equal(one["seconds"][0], one["seconds"][1]), "commands change nothing"
+    assert not np.array_equal(one["seconds"], played(calm(learner_of()), seed=6)["seconds"])
+
+
+def test_episodes_are_the_same_however_they_are_cut(monkeypatch):
+    whole = played(calm(learner_of()))
+    monkeypatch.setitem(gait_evaluation.WORLDS, "cpu", 3 * len(ASKED))
+    parts = played(calm(learner_of()))
+    np.testing.assert_array_equal(whole["success"], parts["success"])
+    np.testing.assert_allclose(whole["seconds"], parts["seconds"], atol=0.021)  # a decision more or less
+
+
+def test_a_watched_step_is_the_step():
+    task = jax.tree.map(jnp.asarray, learner_of().task)
+    state = task.reset(rng.key(0))
+    offsets, key = jnp.linspace(-1.0, 1.0, 10), rng.key(1)
+    plain = jax.jit(lambda: task.step_continuous(state, offsets, key))()
+    watched, view, sensed = jax.jit(lambda: task.step_watched(state, offsets, key))()
+    jax.tree.map(
+        lambda a, b: np.testing.assert_allclose(a, b, atol=1e-5), plain._replace(data=0), watched._replace(data=0)
+    )
+    np.testing.assert_allclose(plain.data.world.qpos, watched.data.world.qpos, atol=1e-6)
+    assert sensed.torque.shape == (5, 10)
+    np.testing.assert_array_equal(sensed.torque[-1], view.torque)
+    np.testing.assert_array_equal(view.world.qpos, watched.data.world.qpos)
+    again = task.commanded(watched, view, watched.data.command)
+    np.testing.assert_allclose(again.obs, watched.obs, atol=1e-6)
+    other = task.commanded(watched, view, jnp.array([0.5, 0.25, 1.0]))
+    changed = np.flatnonzero(np.asarray(other.obs) != np.asarray(again.obs))
+    np.testing.assert_array_equal(other.obs[-5:-2], 1.0)
+    assert set(changed) <= set(range(len(other.obs) - 5, len(other.obs)))
+
+
+def test_what_pushes_the_body_is_asked_for():
+    assert settings_of([]) == ["task.duration=20", "task.push.impulse=0", "task.randomise=null"]
+    pushed = ["task.push.impulse=0.2", "task.randomise.mass=0.1"]
+    assert settings_of(pushed) == ["task.duration=20", *pushed]
+    learner = learner_of(push={"impulse": 3.0, "every": 0.1})
+    still, shaken = played(calm(learner), "zero", 0.6), played(learner, "zero", 0.6)
+    assert (still["success"][0] == 1).all() and (shaken["success"] == 0).all()
+    assert (shaken["seconds"] < 0.6).all() and (still["seconds"][0] == np.float32(0.6)).all()
+
+
+def test_the_worse_end_is_worse():
+    found = summarised({"success": np.array([[1.0, 0.0, 1.0]]), "slip": np.array([[0.1, 0.2, 0.4]])})
+    assert bad_end(found["success"]) < found["success"].median < 1.0
+    assert bad_end(found["slip"]) > found["slip"].median
+
+
+def run(*arguments):
+    done = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    assert done.exit_code == 0, done.output
+    return done.output
+
+
+@pytest.mark.parametrize("physics", ["tree", "mujoco"])
+def test_the_command(runs, tmp_path, physics):
+    file, short = tmp_path / "gaits.json", ("--episodes", 2, "--set", "task.duration=2.2")
+    output = run("evaluate", runs[0], "--gait", "--physics", physics, *short, "--json", file)
+    for words in ("2 training seeds", f"physics {physics}", "task.push.impulse=0", "sudden turn", "The random agent"):
+        assert words in output.replace("\n", " ")
+    result = json.loads(file.read_text())
+    assert result["set"] == ["task.push.impulse=0", "task.randomise=null", "task.duration=2.2"]
+    assert result["commit"] and result["figures"]["slip"]["unit"] == "m/s"
+    (group,) = result["results"]
+    assert group["beyond_training"] == ["forward 0.8", "sideways +0.15", "sideways -0.15"]
+    assert [policy["config"]["task"]["physics"] for policy in group["policies"]] == [physics] * 2
+    assert len(group["gaits"]) == 3 * len(SCENARIOS)
+    assert [len(gait["figures"]["success"]["seeds"]) for gait in group["gaits"][:: len(SCENARIOS)]] == [2, 1, 1]
+    zero = group["gaits"][len(SCENARIOS)]
+    assert zero["agent"] == "zero" and zero["figures"]["success"]["median"] == 1.0
+    assert zero["figures"]["duty"]["median"] == 1.0 and zero["figures"]["turn_success"]["median"] is None
+
+
+def test_evaluate_in_a_changed_world(runs, tmp_path):
+    file = tmp_path / "found.json"
+    output = run("evaluate", runs[1], "--set", "task.duration=0.1", "--episodes", 2, "--json", file)
+    assert "task.duration=0.1" in output
+    result = json.loads(file.read_text())
+    assert result["set"] == ["task.duration=0.1"] and [e["steps"] for e in result["evaluations"]] == [5.0] * 3
+    assert result["policies"][0]["config"]["task"]["duration"] == 0.1
+
+
+def test_all_seeds_of_the_best_point(runs):
+    found, best = policies_of_best(runs[0]), best_policy(runs[0])
+    assert sorted(policy.seed for policy in found) == [0, 1] and found[0].seed == best.seed
+    changed = in_changed_world(best, ["task.friction=0.5", "task.randomise.mass=0.3"])
+    assert float(changed.learner.task.friction) == 0.5 and float(changed.learner.task.randomise.mass) == np.float32(0.3)
+    assert best.config.task["randomise"] is None and best.learner.task.randomise is None
+    gaits = evaluate_gait(calm(best.learner), jax.tree.map(lambda x: x[None], best.policy), 2, 0.3, scenarios=ASKED[:1])
+    assert [gait.scenario for gait in gaits] == ["stand"] and len(gaits[0].figures["drift"].seeds) == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["stand", "--gait"], "the task Stand gives no commands to a body on legs"),
+        (["posture_switch", "--gait"], "the task PostureSwitch gives no commands"),
+        (["RUN", "--gait", "--json", "none/x.json"], "there is no folder none"),
+        (["RUN", "--set", "task.frictoin=1"], "task.frictoin: unknown key; did you mean 'friction'"),
+        (["RUN", "--set", "task.friction=-1"], "task.friction must be at least 0"),
+        (["RUN", "--set", "learner.epsilon=0"], "a policy stays as it is; change its task, as task.friction=0.5 does"),
+        (["RUN", "--set", "friction"], "write it as key=value"),
+        (["RUN", "--set", "task.name=stand"], "a policy stays as it is"),
+        (["RUN", "--set", "task.observe=privileged"], "this would change what the policy observes"),
+        (["RUN", "--gait", "--set", "task.symmetric=true"], "this would change what the policy observes"),
+        (["RUN", "--gait", "--set", "task.choices=5"], "this would change what the policy observes or chooses from"),
+        (["posture_switch", "--set", "task.places=7"], "this would change what the policy observes or chooses from"),
+    ],
+)
+def test_what_cannot_be_done_gets_a_sentence(runs, arguments, sentence):
+    done = CliRunner().invoke(app, ["evaluate", *(str(runs[0]) if word == "RUN" else word for word in arguments)])
+    assert isinstance(done.exception, InputError) and sentence in str(done.exception), done.exception
