@@ -122,6 +122,16 @@ def report(
 
 
 @app.command()
+def runs(
+    folder: Annotated[Path, typer.Argument(metavar="[FOLDER]", help="Where run folders are.")] = Path("runs"),
+) -> None:
+    """List run folders: what each trained, how far it is, and how its best point does."""
+    from humanoid_mjx.report.commands import run_runs
+
+    run_runs(folder)
+
+
+@app.command()
 def export(
     what: Annotated[str, typer.Argument(metavar="ROBOT|RUN", help="leg, legs, lower_body; or a run folder.")],
     file: Annotated[Path, typer.Argument(metavar="FILE", help="An .xml for a robot, an .npz for a run.")],

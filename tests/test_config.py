@@ -91,6 +91,7 @@ BAD = {
     "record above episodes": ("record: 10", "record: 30", ["record", "at most episodes"]),
     "tags": ("epsilon: 0.5", "epsilon: !!python/object:os.system 1", ["plain YAML", "line 4"]),
     "broken YAML": ("epsilon: 0.5}", "epsilon: 0.5", ["plain YAML", "line"]),
+    "nested 3,000 deep": ("epsilon: 0.5", "epsilon: " + 3000 * "[" + 3000 * "]", ["nested too deep"]),
     "a key twice": ("episodes: 20", "episodes: 20\nepisodes: 30", ["episodes", "twice"]),
     "a list": (BASE, "- 1\n- 2", ["mapping"]),
     "a bad name": ("name: small", "name: ../small", ["name", "pattern"]),

@@ -156,7 +156,10 @@ def read_config(path: Path) -> dict[str, Any]:
     file = path / "config.yaml"
     if not file.is_file():
         raise InputError(f"{path}: this is no run folder (it holds no config.yaml).")
-    data = parse_yaml(file.read_text(encoding="utf-8"), str(file))
+    try:
+        data = parse_yaml(file.read_text(encoding="utf-8"), str(file))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{file}: cannot be read as text: {error}.") from error
     if not isinstance(data, dict):
         raise InputError(f"{file}: this file is damaged.")
     return data
