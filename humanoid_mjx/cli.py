@@ -132,6 +132,29 @@ def runs(
 
 
 @app.command()
+def plot(
+    run: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Run folders.")],
+    x: Annotated[
+        str | None, typer.Option("--x", metavar="COLUMN", help="Across; by default the episodes or steps trained.")
+    ] = None,
+    y: Annotated[str, typer.Option("--y", metavar="COLUMN", help="Upwards.")] = "success",
+    by: Annotated[
+        str | None,
+        typer.Option(
+            "--by", metavar="COLUMN", help="A line for each value; run: for each run. By default what is swept, if one."
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE.png", help="By default in the figures of the first run.")
+    ] = None,
+) -> None:
+    """Draw any column of the tables of runs over any other: lines with their 95 % interval over seeds."""
+    from humanoid_mjx.report.commands import run_plot
+
+    run_plot(run, x, y, by, out)
+
+
+@app.command()
 def export(
     what: Annotated[str, typer.Argument(metavar="ROBOT|RUN", help="leg, legs, lower_body; or a run folder.")],
     file: Annotated[Path, typer.Argument(metavar="FILE", help="An .xml for a robot, an .npz for a run.")],

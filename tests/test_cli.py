@@ -22,7 +22,7 @@ def test_asking_for_help_imports_nothing_heavy(how):
 def test_help_names_every_command():
     done = subprocess.run([sys.executable, "-m", "humanoid_mjx", "--help"], capture_output=True, text=True)
     assert done.returncode == 0
-    for command in ("sweep", "reproduce", "bench", "evaluate", "play", "report", "runs", "export", "info"):
+    for command in ("sweep", "reproduce", "bench", "evaluate", "play", "report", "plot", "runs", "export", "info"):
         assert command in done.stdout
 
 

@@ -11,6 +11,7 @@ from rich.table import Table
 from humanoid_mjx.commands import console
 from humanoid_mjx.runs.disk import in_words
 from humanoid_mjx.runs.listing import Listed, list_runs
+from humanoid_mjx.spec import InputError
 
 
 def run_runs(folder: Path) -> None:
@@ -60,3 +61,17 @@ def _name(run: Listed) -> str:
 def _state(run: Listed) -> str:
     state = run.state if run.state == "finished" else f"{run.state} at {run.share:.0%}"
     return f"{state}, {run.diverged:,} diverged" if run.diverged else state
+
+
+def run_plot(paths: Sequence[Path], x: str | None, y: str, by: str | None, out: Path | None) -> None:
+    """`humanoid-mjx plot`."""
+    from humanoid_mjx.report.plotting import plot
+
+    if out is not None and out.suffix != ".png":
+        raise InputError(f"--out {out}: the file must end in .png.")
+    if out is not None and not out.parent.is_dir():
+        raise InputError(f"--out {out}: there is no folder {out.parent}.")
+    target, notes = plot(paths, x, y, by, out)
+    for note in notes:
+        console.print(note, markup=False)
+    console.print(f"{target}", soft_wrap=True)
