@@ -29,11 +29,14 @@ def sweep(
     out: Annotated[Path | None, typer.Option(help="The run folder; by default the next free runs/NAME.")] = None,
     set_: Override = None,
     resume: Annotated[bool, typer.Option("--resume", help="Complete an interrupted run.")] = False,
+    tensorboard: Annotated[
+        bool, typer.Option("--tensorboard", help="Write event files of TensorBoard into RUN/tensorboard meanwhile.")
+    ] = False,
 ) -> None:
     """Train every point of a sweep; write a run folder with tables and figures."""
     from humanoid_mjx.commands import run_sweep
 
-    run_sweep(config, out, set_ or [], resume)
+    run_sweep(config, out, set_ or [], resume, tensorboard)
 
 
 @app.command()

@@ -26,7 +26,7 @@ BEST_POINTS = 10
 """Rows of the summary that is printed."""
 
 
-def run_sweep(config: str, out: Path | None, overrides: Sequence[str], resume: bool) -> None:
+def run_sweep(config: str, out: Path | None, overrides: Sequence[str], resume: bool, tensorboard: bool) -> None:
     """`humanoid-mjx sweep`."""
     runtime.start()
     from humanoid_mjx.report.figures import sweep_figures
@@ -34,7 +34,7 @@ def run_sweep(config: str, out: Path | None, overrides: Sequence[str], resume: b
 
     with Bar(console) as bar:
         try:
-            run = sweep(config, out, resume=resume, overrides=overrides, reporter=bar)
+            run = sweep(config, out, resume=resume, overrides=overrides, reporter=bar, tensorboard=tensorboard)
         except KeyboardInterrupt:
             console.print("Stopped. What is finished is stored; the same command with --resume completes it.")
             raise typer.Exit(130) from None
@@ -45,6 +45,8 @@ def run_sweep(config: str, out: Path | None, overrides: Sequence[str], resume: b
     print_summary(axes, summary)
     for path in (run.path / "results.parquet", run.path / "summary.parquet", *paths):
         console.print(f"{path}", soft_wrap=True)
+    if tensorboard:
+        console.print(f"tensorboard --logdir {run.path / 'tensorboard'}", soft_wrap=True)
 
 
 def print_summary(axes: Sequence[str], summary: Mapping[str, np.ndarray]) -> None:

@@ -6,6 +6,7 @@
     summary.parquet     one row per sweep point and seed
     timing.parquet      seconds since training began, per sweep point, seed and record step
     figures/            learning curves and heat maps
+    tensorboard/        where asked for: event files, a folder for each sweep point
     checkpoint/         part-00000.npz ...: finished runs (curves, scores, policies); pool-0.npz ...: those under way;
                         diverged-POINT-SEED.npz: where runs stopped whose numbers were no longer finite
 
