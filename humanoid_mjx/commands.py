@@ -16,6 +16,7 @@ from rich.table import Table
 from humanoid_mjx import runtime
 from humanoid_mjx.config import dump_yaml, load
 from humanoid_mjx.data import names
+from humanoid_mjx.runs.disk import in_words
 from humanoid_mjx.runs.evaluations import Evaluation
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.progress import Bar
@@ -263,9 +264,12 @@ def show_keys(name: str) -> None:
 def show_info(config: str | None, overrides: Sequence[str]) -> None:
     """`humanoid-mjx info`."""
     runtime.start()
+    import jax
+
     from humanoid_mjx.learners import LEARNERS
     from humanoid_mjx.tasks import TASKS
-    from humanoid_mjx.training.memory import run_bytes, training_bytes
+    from humanoid_mjx.training.disk import disk_bytes
+    from humanoid_mjx.training.memory import run_bytes, runs_that_fit, slots, training_bytes
     from humanoid_mjx.training.plan import make_plan, resolved
 
     if config is not None:
@@ -273,12 +277,16 @@ def show_info(config: str | None, overrides: Sequence[str]) -> None:
         console.print(dump_yaml(resolved(plan.config)).rstrip(), markup=False)
         size = sum(run_bytes(group) * len(group.runs) for group in plan.groups)
         most = max(training_bytes(group) for group in plan.groups)
+        together = [1] * len(plan.groups)
+        with suppress(InputError):  # that memory cannot hold a run is for training to say
+            together = [slots(group, runs_that_fit(group, jax.local_devices()[0])) for group in plan.groups]
         console.print(
             f"\n{len(plan.points):,} points x {plan.config.seeds} seeds = {plan.num_runs:,} runs "
             f"in {len(plan.groups)} compiled program{'s' * (len(plan.groups) > 1)}; "
             f"training state {size / 2**20:,.1f} MiB if all were held at once, "
             f"a run that trains an estimated {most / 2**20:,.1f} MiB"
         )
+        console.print(f"on disk an estimated {in_words(disk_bytes(plan, together))}, without figures")
         return
     for name, value in (runtime.machine() | runtime.versions()).items():
         console.print(f"{name:13} {value}")

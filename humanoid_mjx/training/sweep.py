@@ -27,8 +27,9 @@ from humanoid_mjx.runs.folder import (
     read_provenance,
 )
 from humanoid_mjx.runs.tables import finished_runs, read_table, write_tables
+from humanoid_mjx.training.disk import check_disk
 from humanoid_mjx.training.events import EventFiles, event_writer
-from humanoid_mjx.training.memory import runs_that_fit, training_bytes
+from humanoid_mjx.training.memory import runs_that_fit, slots, training_bytes
 from humanoid_mjx.training.plan import Group, Plan, make_plan, resolved
 from humanoid_mjx.training.pool import COMPILING, Pool
 from humanoid_mjx.training.progress import Reporter
@@ -106,10 +107,9 @@ def sweep(
     policies = [earlier_policies(group) for group in plan.groups]
     if tensorboard:
         event_writer()
-    if resume:
-        folder = RunFolder.resume(Path(out or latest_path(config.name)), resolved(config))
-    else:
-        folder = RunFolder.create(Path(out or fresh_path(config.name)), resolved(config))
+    place = Path(out or (latest_path if resume else fresh_path)(config.name))
+    check_disk(place, plan, [slots(group, size) for group, size in zip(plan.groups, sizes, strict=True)])
+    folder = (RunFolder.resume if resume else RunFolder.create)(place, resolved(config))
     try:
         session = _Session(folder, plan, reporter or Reporter(), EventFiles(folder, plan) if tensorboard else None)
         session.reporter.begin(plan.num_runs * plan.budget, f"{plan.unit}s")
