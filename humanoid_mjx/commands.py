@@ -1,6 +1,7 @@
 """What the commands of the command line do, and what they print."""
 
 import json
+import os
 import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -21,7 +22,16 @@ from humanoid_mjx.runs.evaluations import Evaluation
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.progress import Bar
 
-console = Console(highlight=False, width=None if sys.stdout.isatty() else 120)
+
+class PatientConsole(Console):
+    """A console that goes on in silence where its reader has gone, as after `| head`: training is worth more."""
+
+    def on_broken_pipe(self) -> None:
+        self.quiet = True
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+console = PatientConsole(highlight=False, width=None if sys.stdout.isatty() else 120)
 
 BEST_POINTS = 10
 """Rows of the summary that is printed."""

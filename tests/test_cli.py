@@ -60,3 +60,12 @@ def test_info_shows_what_a_config_will_take():
     assert "1,000 points x 8 seeds = 8,000 runs in 1 compiled program;" in done.output
     assert "goal: 100" in done.output or "joint: 1" in done.output
     assert "joint1_fine" in CliRunner().invoke(app, ["info"]).output
+
+
+def test_a_sweep_whose_reader_has_gone_trains_on(tmp_path):
+    command = [sys.executable, "-m", "humanoid_mjx", "sweep", write_config(tmp_path / "a.yaml", [0.1]), "--out", "run"]
+    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert process.stdout.readline()
+    process.stdout.close()
+    assert process.stderr.read() == b"" and process.wait() == 0
+    assert (tmp_path / "run/figures/learning_curves.png").exists()
