@@ -17,6 +17,8 @@ import contextlib
 import fcntl
 import json
 import os
+import struct
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
@@ -119,6 +121,13 @@ class RunFolder:
         self.write_arrays(f"checkpoint/part-{max(numbers, default=-1) + 1:05d}.npz", arrays)
 
 
+DAMAGE = (
+    *(OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error, struct.error),
+    *(SyntaxError, tokenize.TokenError, NotImplementedError, RuntimeError, OverflowError),
+)
+"""What numpy and zipfile raise on damaged files: numpy parses the header of an array as Python, and a flipped bit can
+ask for a password or another compression."""
+
 POOL = "checkpoint/pool-0.npz"
 """The file of the runs under way."""
 
@@ -142,7 +151,7 @@ def read_arrays(path: Path, prefixes: tuple[str, ...] = ("",)) -> dict[str, np.n
     try:
         with np.load(path, allow_pickle=False) as file:
             return {name: file[name] for name in file.files if name.startswith(prefixes)}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+    except DAMAGE as error:
         raise InputError(
             f"{path}: this file is truncated or damaged; remove it, and --resume trains its runs again."
         ) from error
