@@ -1,5 +1,6 @@
 """The command line. Heavy imports wait until a command needs them."""
 
+import errno
 import os
 import sys
 from contextlib import suppress
@@ -119,7 +120,7 @@ def report(
     ] = True,
 ) -> None:
     """Write one self-contained web page: what was run, curves, tables, the robot's motion, how to run it again."""
-    from humanoid_mjx.commands import run_report
+    from humanoid_mjx.report.commands import run_report
 
     run_report(run, out, motion)
 
@@ -200,6 +201,9 @@ def common(
     """Batched simulation and Q-learning for the lower body of a humanoid, in JAX."""
 
 
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS)
+"""Errors of a disk, not of this program."""
+
 INTERRUPTED = 130
 """The exit code after Ctrl-C, by the convention of shells."""
 
@@ -214,6 +218,13 @@ def main() -> None:
         with suppress(OSError):
             sys.stdout.flush()
         os._exit(INTERRUPTED)  # a thread that compiles cannot be interrupted, and Python would wait for it
+    except OSError as error:
+        if error.errno not in FULL:
+            raise
+        place = f"{error.filename}: " if error.filename else ""
+        print(f"error: {place}{error.strerror}; what a sweep has stored is valid, --resume goes on.", file=sys.stderr)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is buffered would fail again at exit
+        sys.exit(2)
     except ValueError as error:
         from humanoid_mjx.spec import InputError
 

@@ -1,7 +1,6 @@
 """What the commands of the command line do, and what they print."""
 
 import json
-import os
 import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -11,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from humanoid_mjx import runtime
@@ -20,16 +18,7 @@ from humanoid_mjx.data import names
 from humanoid_mjx.runs.disk import in_words
 from humanoid_mjx.runs.evaluations import Evaluation
 from humanoid_mjx.spec import InputError
-from humanoid_mjx.training.progress import Bar
-
-
-class PatientConsole(Console):
-    """A console that goes on in silence where its reader has gone, as after `| head`: training is worth more."""
-
-    def on_broken_pipe(self) -> None:
-        self.quiet = True
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
+from humanoid_mjx.training.progress import Bar, PatientConsole
 
 console = PatientConsole(highlight=False, width=None if sys.stdout.isatty() else 120)
 
@@ -111,6 +100,10 @@ def run_reproduce(names: Sequence[str], list_names: bool, overrides: Sequence[st
 
 
 def _shown(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {_shown(inner)}" for name, inner in value.items() if inner != "")
+    if isinstance(value, (list, tuple)):
+        return ", ".join(map(_shown, value))
     return "nothing" if value is None else str(value)
 
 
@@ -211,19 +204,6 @@ def _play_file(name: str, policy: str) -> Path:
     folder = Path(name) / "figures"
     folder.mkdir(exist_ok=True)
     return folder / "play.gif"
-
-
-def run_report(path: Path, out: Path | None, motion: bool) -> None:
-    """`humanoid-mjx report`."""
-    from humanoid_mjx.report.page import report_of, write_page
-
-    target = out or path / "report.html"
-    if not target.parent.is_dir():
-        raise InputError(f"{target}: there is no folder {target.parent}.")
-    runtime.start()
-    with Bar(console) as bar:
-        write_page(target, report_of(path, bar, motion))
-    console.print(f"{target}", soft_wrap=True)
 
 
 def run_export(what: str, file: Path) -> None:

@@ -315,3 +315,24 @@ def test_a_flipped_bit_of_a_checkpoint_is_named_or_harmless(tmp_path):
             assert "truncated or damaged" in str(error)
             refused += 1
     assert refused > 4 * len(whole)
+
+
+def test_what_is_reported_never_goes_back_while_runs_are_stored(tmp_path, monkeypatch):
+    done = []
+
+    class Kept(Reporter):
+        def update(self, share, success=None, mean_return=None):
+            done.append(share)
+
+    store = RunFolder.add_part
+
+    def slow(self, arrays):
+        time.sleep(0.3)  # three looks
+        store(self, arrays)
+
+    monkeypatch.setattr(RunFolder, "add_part", slow)
+    monkeypatch.setattr(pool, "MAX_STEPS", 32)
+    monkeypatch.setattr(pool, "HARVEST_SHARE", 0.1)
+    learner = CONFIG["learner"] | {"epsilon_decay": 1.0}
+    sweep(CONFIG | {"learner": learner, "episodes": 400}, tmp_path / "run", pool_size=4, reporter=Kept())
+    assert len(set(done)) > 3 and done == sorted(done)

@@ -8,10 +8,12 @@ import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
+from humanoid_mjx import runtime
 from humanoid_mjx.commands import console
 from humanoid_mjx.runs.disk import in_words
 from humanoid_mjx.runs.listing import Listed, list_runs
 from humanoid_mjx.spec import InputError
+from humanoid_mjx.training.progress import Bar
 
 
 def run_runs(folder: Path) -> None:
@@ -74,4 +76,17 @@ def run_plot(paths: Sequence[Path], x: str | None, y: str, by: str | None, out: 
     target, notes = plot(paths, x, y, by, out)
     for note in notes:
         console.print(note, markup=False)
+    console.print(f"{target}", soft_wrap=True)
+
+
+def run_report(path: Path, out: Path | None, motion: bool) -> None:
+    """`humanoid-mjx report`."""
+    from humanoid_mjx.report.page import report_of, write_page
+
+    target = out or path / "report.html"
+    if not target.parent.is_dir():
+        raise InputError(f"{target}: there is no folder {target.parent}.")
+    runtime.start()
+    with Bar(console) as bar:
+        write_page(target, report_of(path, bar, motion))
     console.print(f"{target}", soft_wrap=True)

@@ -135,7 +135,7 @@ class _Session:
         self.earlier = read_provenance(folder.path)
         self.began = self.tables_due = time.monotonic()
         self.started = datetime.now(UTC).isoformat(timespec="seconds")
-        self.compile_s = 0.0
+        self.compile_s = self.shown = 0.0
         self.tables_are_old = True
         self.lock, self.stop = threading.Lock(), threading.Event()
 
@@ -243,7 +243,9 @@ class _Session:
         if under_way := float(np.minimum(pool.progress[busy], 1.0).sum()):
             known = pool.recent[busy][np.isfinite(pool.recent[busy]).all(axis=1)]
             success, mean_return = map(float, known.mean(axis=0)) if len(known) else (None, None)
-            self.reporter.update((len(self.finished) + under_way) * self.plan.budget, success, mean_return)
+            # Runs that were harvested are for a moment neither under way nor stored.
+            self.shown = max(self.shown, (len(self.finished) + under_way) * self.plan.budget)
+            self.reporter.update(self.shown, success, mean_return)
 
     def _restore(self, index: int, pool: Pool) -> None:
         """Take up the runs of this group that an interrupted session, perhaps on other devices, had under way."""
