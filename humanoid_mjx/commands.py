@@ -54,7 +54,7 @@ def print_summary(axes: Sequence[str], summary: Mapping[str, np.ndarray]) -> Non
     from humanoid_mjx.report.style import short
     from humanoid_mjx.runs.ranking import ranked, ties, training_interval
 
-    points = ranked(axes, summary)
+    points, seeds = ranked(axes, summary), len(np.unique(summary["seed"]))
     best = points[:BEST_POINTS]
     title = f"{len(points)} points; the best {len(best)}" if len(points) > 1 else "1 point"
     if (equals := ties(points)) > len(best):
@@ -64,13 +64,17 @@ def print_summary(axes: Sequence[str], summary: Mapping[str, np.ndarray]) -> Non
         table.add_column(axis.partition(".")[2], justify="right")
     for heading in ("greedy success", "greedy steps", "steps at the end of training (95 %)"):
         table.add_column(heading, justify="right")
+    diverged = {point.point: int(np.sum(summary["diverged"][summary["point"] == point.point])) for point in points}
+    if any(diverged.values()):
+        table.add_column("diverged", justify="right")
     for point in best:
         low, high = training_interval(summary, point.point)
         steps = f"{point.steps:.2f} ({low:.2f} to {high:.2f})"
-        table.add_row(*map(short, point.values), f"{point.success:.1%}", f"{point.greedy_steps:.1f}", steps)
+        broken = [f"{diverged[point.point]} of {seeds}"] if any(diverged.values()) else []
+        table.add_row(*map(short, point.values), f"{point.success:.1%}", f"{point.greedy_steps:.1f}", steps, *broken)
     console.print(table)
-    if diverged := int(np.sum(summary["diverged"])):
-        console.print(f"{diverged} runs stopped at numbers that were not finite; the summary marks them.")
+    if stopped := sum(diverged.values()):
+        console.print(f"{stopped} runs stopped at numbers that were not finite; the summary marks them.")
 
 
 def run_reproduce(names: Sequence[str], list_names: bool, overrides: Sequence[str], out: Path) -> None:

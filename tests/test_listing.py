@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 
 from humanoid_mjx import InputError, sweep
 from humanoid_mjx.cli import app
+from humanoid_mjx.commands import print_summary
 from humanoid_mjx.config import parse
 from humanoid_mjx.runs.disk import disk_used, in_words
 from humanoid_mjx.runs.folder import RunFolder
@@ -91,6 +92,15 @@ def test_diverged_runs_are_marked(folder):
     assert only(folder).diverged == 2
     done = CliRunner().invoke(app, ["runs", str(folder)])
     assert "finished, 2 diverged" in done.output
+
+
+def test_the_best_points_say_which_of_them_diverged(folder, capsys):
+    summary = sweep(CONFIG, folder / "small", resume=True).summary
+    print_summary(["learner.epsilon"], summary)
+    assert "diverged" not in capsys.readouterr().out
+    print_summary(["learner.epsilon"], summary | {"diverged": np.array([True, True] + [False] * 10)})
+    out = capsys.readouterr().out
+    assert "2 of 3" in out and out.count("0 of 3") == 3 and "2 runs stopped" in out
 
 
 def test_foreign_and_damaged_folders_get_a_sentence_each(folder, monkeypatch):
