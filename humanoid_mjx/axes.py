@@ -35,7 +35,8 @@ def sweep_points(sweep: Sweep, seed: int) -> list[dict[str, Any]]:
     """The values of the swept keys at each point, by dotted name. Random draws depend on `seed`.
 
     Raises:
-      InputError: an axis that is empty or unusable, or axes of unequal length in mode zip.
+      InputError: an axis that is empty or unusable, one with a value twice in mode grid, axes of unequal length in mode
+        zip.
     """
     if sweep.mode == "random":
         rng = np.random.default_rng(seed)
@@ -43,6 +44,10 @@ def sweep_points(sweep: Sweep, seed: int) -> list[dict[str, Any]]:
     else:
         columns = [axis_values(name, axis) for name, axis in sweep.axes.items()]
     lengths = [len(column) for column in columns]
+    for name, column in zip(sweep.axes, columns, strict=True):
+        if sweep.mode == "grid" and len({(type(value), value) for value in column}) < len(column):
+            twice = next(value for place, value in enumerate(column) if value in column[:place])
+            raise InputError(f"sweep.axes.{name}: {twice!r} stands there twice.")
     if sweep.mode == "zip" and len(set(lengths)) != 1:
         pairs = ", ".join(f"{name}: {length}" for name, length in zip(sweep.axes, lengths, strict=True))
         raise InputError(f"sweep.axes must be equally long in mode zip, got {pairs}.")
@@ -62,7 +67,9 @@ def axis_values(name: str, axis: Axis) -> list:
         return axis
     kind, (low, high, count) = _entries(name, axis, ("linspace", "logspace"), 3)
     if not isinstance(count, int) or not 1 <= count <= MAX_POINTS:
-        raise InputError(f"sweep.axes.{name}: the third entry is the number of values, at least 1, got {count!r}.")
+        raise InputError(
+            f"sweep.axes.{name}: the third entry is the number of values, from 1 to {MAX_POINTS:,}, got {count!r}."
+        )
     if kind == "logspace" and not (low > 0 and high > 0):
         raise InputError(f"sweep.axes.{name}: logspace needs ends above 0, got {low!r} and {high!r}.")
     space = np.linspace if kind == "linspace" else np.geomspace

@@ -1,5 +1,6 @@
 """The command line. Heavy imports wait until a command needs them."""
 
+import errno
 import os
 import sys
 from contextlib import suppress
@@ -29,11 +30,14 @@ def sweep(
     out: Annotated[Path | None, typer.Option(help="The run folder; by default the next free runs/NAME.")] = None,
     set_: Override = None,
     resume: Annotated[bool, typer.Option("--resume", help="Complete an interrupted run.")] = False,
+    tensorboard: Annotated[
+        bool, typer.Option("--tensorboard", help="Write event files of TensorBoard into RUN/tensorboard meanwhile.")
+    ] = False,
 ) -> None:
     """Train every point of a sweep; write a run folder with tables and figures."""
     from humanoid_mjx.commands import run_sweep
 
-    run_sweep(config, out, set_ or [], resume)
+    run_sweep(config, out, set_ or [], resume, tensorboard)
 
 
 @app.command()
@@ -133,9 +137,42 @@ def report(
     ] = True,
 ) -> None:
     """Write one self-contained web page: what was run, curves, tables, the robot's motion, how to run it again."""
-    from humanoid_mjx.commands import run_report
+    from humanoid_mjx.report.commands import run_report
 
     run_report(run, out, motion)
+
+
+@app.command()
+def runs(
+    folder: Annotated[Path, typer.Argument(metavar="[FOLDER]", help="Where run folders are.")] = Path("runs"),
+) -> None:
+    """List run folders: what each trained, how far it is, and how its best point does."""
+    from humanoid_mjx.report.commands import run_runs
+
+    run_runs(folder)
+
+
+@app.command()
+def plot(
+    run: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Run folders.")],
+    x: Annotated[
+        str | None, typer.Option("--x", metavar="COLUMN", help="Across; by default the episodes or steps trained.")
+    ] = None,
+    y: Annotated[str, typer.Option("--y", metavar="COLUMN", help="Upwards.")] = "success",
+    by: Annotated[
+        str | None,
+        typer.Option(
+            "--by", metavar="COLUMN", help="A line for each value; run: for each run. By default what is swept, if one."
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE.png", help="By default in the figures of the first run.")
+    ] = None,
+) -> None:
+    """Draw any column of the tables of runs over any other: lines with their 95 % interval over seeds."""
+    from humanoid_mjx.report.commands import run_plot
+
+    run_plot(run, x, y, by, out)
 
 
 @app.command()
@@ -181,6 +218,9 @@ def common(
     """Batched simulation and Q-learning for the lower body of a humanoid, in JAX."""
 
 
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS)
+"""Errors of a disk, not of this program."""
+
 INTERRUPTED = 130
 """The exit code after Ctrl-C, by the convention of shells."""
 
@@ -195,6 +235,13 @@ def main() -> None:
         with suppress(OSError):
             sys.stdout.flush()
         os._exit(INTERRUPTED)  # a thread that compiles cannot be interrupted, and Python would wait for it
+    except OSError as error:
+        if error.errno not in FULL:
+            raise
+        place = f"{error.filename}: " if error.filename else ""
+        print(f"error: {place}{error.strerror}; what a sweep has stored is valid, --resume goes on.", file=sys.stderr)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is buffered would fail again at exit
+        sys.exit(2)
     except ValueError as error:
         from humanoid_mjx.spec import InputError
 

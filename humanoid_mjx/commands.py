@@ -9,22 +9,22 @@ from typing import Any
 
 import numpy as np
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from humanoid_mjx import runtime
 from humanoid_mjx.config import dump_yaml, load
 from humanoid_mjx.data import names
+from humanoid_mjx.runs.disk import in_words
 from humanoid_mjx.spec import InputError
-from humanoid_mjx.training.progress import Bar
+from humanoid_mjx.training.progress import Bar, PatientConsole
 
-console = Console(highlight=False, width=None if sys.stdout.isatty() else 120)
+console = PatientConsole(highlight=False, width=None if sys.stdout.isatty() else 120)
 
 BEST_POINTS = 10
 """Rows of the summary that is printed."""
 
 
-def run_sweep(config: str, out: Path | None, overrides: Sequence[str], resume: bool) -> None:
+def run_sweep(config: str, out: Path | None, overrides: Sequence[str], resume: bool, tensorboard: bool) -> None:
     """`humanoid-mjx sweep`."""
     runtime.start()
     from humanoid_mjx.report.figures import sweep_figures
@@ -32,7 +32,7 @@ def run_sweep(config: str, out: Path | None, overrides: Sequence[str], resume: b
 
     with Bar(console) as bar:
         try:
-            run = sweep(config, out, resume=resume, overrides=overrides, reporter=bar)
+            run = sweep(config, out, resume=resume, overrides=overrides, reporter=bar, tensorboard=tensorboard)
         except KeyboardInterrupt:
             console.print("Stopped. What is finished is stored; the same command with --resume completes it.")
             raise typer.Exit(130) from None
@@ -43,6 +43,8 @@ def run_sweep(config: str, out: Path | None, overrides: Sequence[str], resume: b
     print_summary(axes, summary)
     for path in (run.path / "results.parquet", run.path / "summary.parquet", *paths):
         console.print(f"{path}", soft_wrap=True)
+    if tensorboard:
+        console.print(f"tensorboard --logdir {run.path / 'tensorboard'}", soft_wrap=True)
 
 
 def print_summary(axes: Sequence[str], summary: Mapping[str, np.ndarray]) -> None:
@@ -50,7 +52,7 @@ def print_summary(axes: Sequence[str], summary: Mapping[str, np.ndarray]) -> Non
     from humanoid_mjx.report.style import short
     from humanoid_mjx.runs.ranking import ranked, ties, training_interval
 
-    points = ranked(axes, summary)
+    points, seeds = ranked(axes, summary), len(np.unique(summary["seed"]))
     best = points[:BEST_POINTS]
     title = f"{len(points)} points; the best {len(best)}" if len(points) > 1 else "1 point"
     if (equals := ties(points)) > len(best):
@@ -60,13 +62,17 @@ def print_summary(axes: Sequence[str], summary: Mapping[str, np.ndarray]) -> Non
         table.add_column(axis.partition(".")[2], justify="right")
     for heading in ("greedy success", "greedy steps", "steps at the end of training (95 %)"):
         table.add_column(heading, justify="right")
+    diverged = {point.point: int(np.sum(summary["diverged"][summary["point"] == point.point])) for point in points}
+    if any(diverged.values()):
+        table.add_column("diverged", justify="right")
     for point in best:
         low, high = training_interval(summary, point.point)
         steps = f"{point.steps:.2f} ({low:.2f} to {high:.2f})"
-        table.add_row(*map(short, point.values), f"{point.success:.1%}", f"{point.greedy_steps:.1f}", steps)
+        broken = [f"{diverged[point.point]} of {seeds}"] if any(diverged.values()) else []
+        table.add_row(*map(short, point.values), f"{point.success:.1%}", f"{point.greedy_steps:.1f}", steps, *broken)
     console.print(table)
-    if diverged := int(np.sum(summary["diverged"])):
-        console.print(f"{diverged} runs stopped at numbers that were not finite; the summary marks them.")
+    if stopped := sum(diverged.values()):
+        console.print(f"{stopped} runs stopped at numbers that were not finite; the summary marks them.")
 
 
 def run_reproduce(names: Sequence[str], list_names: bool, overrides: Sequence[str], out: Path) -> None:
@@ -96,6 +102,10 @@ def run_reproduce(names: Sequence[str], list_names: bool, overrides: Sequence[st
 
 
 def _shown(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {_shown(inner)}" for name, inner in value.items() if inner != "")
+    if isinstance(value, (list, tuple)):
+        return ", ".join(map(_shown, value))
     return "nothing" if value is None else str(value)
 
 
@@ -142,19 +152,6 @@ def _play_file(name: str, policy: str) -> Path:
     folder = Path(name) / "figures"
     folder.mkdir(exist_ok=True)
     return folder / "play.gif"
-
-
-def run_report(path: Path, out: Path | None, motion: bool) -> None:
-    """`humanoid-mjx report`."""
-    from humanoid_mjx.report.page import report_of, write_page
-
-    target = out or path / "report.html"
-    if not target.parent.is_dir():
-        raise InputError(f"{target}: there is no folder {target.parent}.")
-    runtime.start()
-    with Bar(console) as bar:
-        write_page(target, report_of(path, bar, motion))
-    console.print(f"{target}", soft_wrap=True)
 
 
 def run_export(what: str, file: Path) -> None:
@@ -205,10 +202,13 @@ def show_keys(name: str) -> None:
 def show_info(config: str | None, overrides: Sequence[str]) -> None:
     """`humanoid-mjx info`."""
     runtime.start()
+    import jax
+
     from humanoid_mjx.learners import LEARNERS
     from humanoid_mjx.tasks import TASKS
+    from humanoid_mjx.training.disk import disk_bytes
     from humanoid_mjx.training.fused import why_not
-    from humanoid_mjx.training.memory import run_bytes, training_bytes
+    from humanoid_mjx.training.memory import run_bytes, runs_that_fit, slots, training_bytes
     from humanoid_mjx.training.plan import make_plan, resolved
 
     if config is not None:
@@ -216,12 +216,16 @@ def show_info(config: str | None, overrides: Sequence[str]) -> None:
         console.print(dump_yaml(resolved(plan.config)).rstrip(), markup=False)
         size = sum(run_bytes(group) * len(group.runs) for group in plan.groups)
         most = max(training_bytes(group) for group in plan.groups)
+        together = [1] * len(plan.groups)
+        with suppress(InputError):  # that memory cannot hold a run is for training to say
+            together = [slots(group, runs_that_fit(group, jax.local_devices()[0])) for group in plan.groups]
         console.print(
             f"\n{len(plan.points):,} points x {plan.config.seeds} seeds = {plan.num_runs:,} runs "
             f"in {len(plan.groups)} compiled program{'s' * (len(plan.groups) > 1)}; "
             f"training state {size / 2**20:,.1f} MiB if all were held at once, "
             f"a run that trains an estimated {most / 2**20:,.1f} MiB"
         )
+        console.print(f"on disk an estimated {in_words(disk_bytes(plan, together))}, without figures")
         for reason in dict.fromkeys(why_not(group.learner()) for group in plan.groups):
             console.print("trained by one fused kernel" if reason is None else f"no fused kernel: {reason}")
         return

@@ -19,7 +19,9 @@ class Config(pydantic.BaseModel):
 
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
-    name: str = pydantic.Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
+    name: str = pydantic.Field(
+        pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", description="letters, digits and . _ -, the first a letter or digit"
+    )
     task: dict[str, Any]
     learner: dict[str, Any]
     sweep: Sweep | None = None
@@ -146,10 +148,13 @@ def parse_yaml(text: str, where: str) -> Any:
     """Plain values from YAML text.
 
     Raises:
-      InputError: text that is not YAML, or that carries tags, or keys that are no strings or appear twice.
+      InputError: text that is not YAML, is nested too deep, carries tags, or has keys that are no strings or appear
+        twice.
     """
     try:
         return yaml.load(text, Loader=_Loader)
+    except RecursionError as error:
+        raise InputError(f"{where}: this is nested too deep for a config.") from error
     except (yaml.YAMLError, ValueError, TypeError) as error:
         mark = getattr(error, "problem_mark", None)
         place = f" in line {mark.line + 1}" if mark else ""

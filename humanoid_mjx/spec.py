@@ -9,7 +9,9 @@ is *static*: it shapes the program. Specs of one `jax.tree.structure` share one 
 import difflib
 import importlib
 import re
+import traceback
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Any, TypeVar, get_args
 
 import jax
@@ -101,13 +103,22 @@ def make(kind: str, registry: Mapping[str, str], base: type[Any], name: str, /, 
     """Build the `kind` of thing called `name`: a name of the registry, or a user's own as "package.module:Class".
 
     Raises:
-      InputError: unknown name, a class that is no `base`, an unknown key, a value out of range.
+      InputError: unknown name, a class that is no `base`, an unknown key, a value out of range, or an error that a
+        user's own class raises.
     """
     cls = find(kind, registry, base, name)
     try:
         return cls(**values)
     except pydantic.ValidationError as error:
         raise InputError(sentence(error, kind, cls)) from error
+    except Exception as error:
+        if ":" not in name or isinstance(error, InputError):
+            raise
+        frame = traceback.extract_tb(error.__traceback__)[-1]
+        place = f"{Path(frame.filename).name}, line {frame.lineno}"
+        raise InputError(
+            f"{kind}.name: {name!r} cannot be built: {type(error).__name__}: {error} ({place})."
+        ) from error
 
 
 def find(kind: str, registry: Mapping[str, str], base: type[SomeSpec], name: str) -> type[SomeSpec]:
@@ -144,7 +155,8 @@ def known(name: str, names: Iterable[str]) -> str:
 def sentence(error: pydantic.ValidationError, where: str, model: type[pydantic.BaseModel] | None = None) -> str:
     """The first fault of a pydantic error as one sentence that names the key and what would be right."""
     fault: dict[str, Any] = {"ctx": {}} | dict(error.errors()[0])
-    key = ".".join(str(part) for part in (where, *fault["loc"]) if part != "")
+    parts = [str(part) for part in (where, *fault["loc"])]
+    key = ".".join(part for part in parts if part != "" and "[" not in part)  # in brackets stand kinds, not keys
     got = f", got {fault['input']!r}"
     match fault["type"]:
         case "extra_forbidden":
@@ -167,6 +179,17 @@ def sentence(error: pydantic.ValidationError, where: str, model: type[pydantic.B
             return f"{key} must be one of {fault['ctx']['expected']}{got}."
         case "model_type":
             return f"{key} must be a {fault['ctx']['class_name']}, got a {type(fault['input']).__name__}."
+        case "string_pattern_mismatch":
+            field = _fields(model, fault["loc"][:-1]).get(fault["loc"][-1])
+            meaning = f", {field.description}" if field and field.description else ""
+            return f"{key} must match the pattern {fault['ctx']['pattern']}{meaning}{got}."
+        case "too_short":
+            least = fault["ctx"]["min_length"]
+            return f"{key} must hold at least {least} {'entry' if least == 1 else 'entries'}{got}."
+        case "dict_type":
+            return f"{key} must be a mapping of keys{got}."
+        case "list_type":
+            return f"{key} must be a list{got}."
         case "finite_number":
             return f"{key} must be a finite number{got}."
         case _:

@@ -272,3 +272,17 @@ def test_ratios_time_what_they_say(name):
     made = guard.RATIOS[name]()
     subject, reference = guard.time_pair(dataclasses.replace(made, repeats=1), (np.inf, np.inf))
     assert 0.0 < subject < np.inf and 0.0 < reference < np.inf
+
+
+def test_what_is_not_installed_is_said(monkeypatch):
+    from humanoid_mjx.bench import tabular
+
+    said = []
+    monkeypatch.setattr(tabular, "BATCHES", {"cpu": (), "gpu": ()})
+    monkeypatch.setattr(tabular, "find_spec", lambda name: None)
+    tabular.run(said.append)
+    assert any(line.startswith("numba: not measured") for line in said)
+    said.clear()
+    monkeypatch.setattr(tabular, "find_spec", lambda name: object())
+    tabular.run(said.append)
+    assert not any("numba" in line for line in said)

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
@@ -22,7 +23,7 @@ def test_asking_for_help_imports_nothing_heavy(how):
 def test_help_names_every_command():
     done = subprocess.run([sys.executable, "-m", "humanoid_mjx", "--help"], capture_output=True, text=True)
     assert done.returncode == 0
-    for command in ("sweep", "reproduce", "bench", "evaluate", "play", "report", "export", "info"):
+    for command in ("sweep", "reproduce", "bench", "evaluate", "play", "report", "plot", "runs", "export", "info"):
         assert command in done.stdout
 
 
@@ -60,3 +61,47 @@ def test_info_shows_what_a_config_will_take():
     assert "1,000 points x 8 seeds = 8,000 runs in 1 compiled program;" in done.output
     assert "goal: 100" in done.output or "joint: 1" in done.output
     assert "joint1_fine" in CliRunner().invoke(app, ["info"]).output
+
+
+def test_a_sweep_whose_reader_has_gone_trains_on(tmp_path):
+    command = [sys.executable, "-m", "humanoid_mjx", "sweep", write_config(tmp_path / "a.yaml", [0.1]), "--out", "run"]
+    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert process.stdout.readline()
+    process.stdout.close()
+    assert process.stderr.read() == b"" and process.wait() == 0
+    assert (tmp_path / "run/figures/learning_curves.png").exists()
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no full device")
+def test_output_that_cannot_be_written_gets_one_sentence():
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "humanoid_mjx", "info"], stdout=full, stderr=subprocess.PIPE, text=True
+        )
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: No space left on device;") and done.stderr.count("\n") == 1
+
+
+def test_a_disk_that_fills_up_gets_one_sentence_and_what_is_stored_stays(tmp_path):
+    code = """
+import errno, itertools, sys
+from humanoid_mjx.runs.folder import RunFolder
+writes, count = RunFolder.write_arrays, itertools.count()
+def fails(self, name, arrays):
+    if next(count) == 0:
+        raise OSError(errno.ENOSPC, "No space left on device")
+    writes(self, name, arrays)
+RunFolder.write_arrays = fails
+from humanoid_mjx.cli import main
+main()
+"""
+    config = write_config(tmp_path / "a.yaml", {"linspace": [0.01, 0.9, 40]})
+    sweep = ["sweep", config, "--out", "run"]
+    done = subprocess.run([sys.executable, "-c", code, *sweep], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.startswith("error: No space left on device; what a sweep has stored is valid")
+    assert done.stderr.count("\n") == 1
+    again = subprocess.run(
+        [sys.executable, "-m", "humanoid_mjx", *sweep, "--resume"], cwd=tmp_path, capture_output=True
+    )
+    assert again.returncode == 0

@@ -81,7 +81,17 @@ BAD = {
     "rate out of range": ("epsilon: 0.5", "learning_rate: 0.0", ["learner.learning_rate", "greater than 0"]),
     "NaN": ("epsilon: 0.5", "epsilon: .nan", ["learner.epsilon", "finite"]),
     "empty axis": ("[0.1, 0.2]", "[]", ["sweep.axes.learner.epsilon", "empty"]),
-    "no axes": ("    learner.epsilon: [0.1, 0.2]", "    {}", ["sweep.axes", "at least 1"]),
+    "no axes": ("    learner.epsilon: [0.1, 0.2]", "    {}", ["sweep.axes must hold at least 1 entry, got {}"]),
+    "an axis that is one value": ("[0.1, 0.2]", "0.5", ["sweep.axes.learner.epsilon must be a list, got 0.5"]),
+    "an axis with a value twice": ("[0.1, 0.2]", "[0.1, 0.2, 0.1]", ["sweep.axes.learner.epsilon: 0.1", "twice"]),
+    "an axis of too many values": ("[0.1, 0.2]", "{linspace: [0, 1, 2000000000]}", ["from 1 to 10,000,000"]),
+    "a task that the learner cannot learn": (
+        "{name: joint_reach, joint: 5, states: 13}", "{name: leg_reach}",
+        ["learner.task must be a FiniteTask, got a LegReach; learners for it are brax_ppo, deep_q, linear_q"],
+    ),
+    "a task that is no mapping": (
+        "{name: joint_reach, joint: 5, states: 13}", "joint_reach", ["task must be a mapping of keys, got"]
+    ),
     "axis that does not exist": ("learner.epsilon: [", "learner.epsilom: [", ["learner.epsilom", "unknown key"]),
     "axis of neither part": ("learner.epsilon: [", "epsilon: [", ["sweep.axes.epsilon", "learner.epsilon"]),
     "axis value out of range": ("[0.1, 0.2]", "[0.1, 2.0]", ["learner.epsilon", "at most 1", "2.0"]),
@@ -91,9 +101,10 @@ BAD = {
     "record above episodes": ("record: 10", "record: 30", ["record", "at most episodes"]),
     "tags": ("epsilon: 0.5", "epsilon: !!python/object:os.system 1", ["plain YAML", "line 4"]),
     "broken YAML": ("epsilon: 0.5}", "epsilon: 0.5", ["plain YAML", "line"]),
+    "nested 3,000 deep": ("epsilon: 0.5", "epsilon: " + 3000 * "[" + 3000 * "]", ["nested too deep"]),
     "a key twice": ("episodes: 20", "episodes: 20\nepisodes: 30", ["episodes", "twice"]),
     "a list": (BASE, "- 1\n- 2", ["mapping"]),
-    "a bad name": ("name: small", "name: ../small", ["name", "pattern"]),
+    "a bad name": ("name: small", "name: ../small", ["name must match the pattern", "letters, digits and . _ -"]),
     "no task": ("task: {name: joint_reach, joint: 5, states: 13}", "", ["task", "required"]),
     "random without points": ("sweep:", "sweep:\n  mode: random", ["sweep", "points"]),
     "zip of unequal axes": (

@@ -119,12 +119,17 @@ def test_files_that_are_no_policies(reach, tmp_path):
 
     (tmp_path / "truncated.npz").write_bytes(whole[: len(whole) // 2])
     (tmp_path / "text.npz").write_text("a policy")
+    packed = bytearray(whole)
+    packed[8] ^= 1 << 6  # another way of compression, in the directory too
+    packed[whole.index(b"PK\x01\x02") + 10] ^= 1 << 6
+    (tmp_path / "packed.npz").write_bytes(bytes(packed))
     np.savez(tmp_path / "foreign.npz", x=np.zeros(3))
     np.savez(tmp_path / "pickled.npz", header=np.array({"format": 1}, object))
     damaged = "is no policy file, or a truncated or damaged one"
     for file, words in (
         ("truncated.npz", damaged),
         ("text.npz", damaged),
+        ("packed.npz", damaged),
         ("foreign.npz", damaged),
         ("pickled.npz", damaged),
         ("missing.npz", "there is no such file"),

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from humanoid_mjx import InputError, runtime, sweep
-from humanoid_mjx.runs.folder import RunFolder
+from humanoid_mjx.runs.folder import RunFolder, read_arrays
 from humanoid_mjx.training import pool
 from humanoid_mjx.training.progress import Reporter
 
@@ -286,3 +286,53 @@ def test_what_is_reported_never_goes_beyond_the_end(tmp_path):
     assert Kept.done and max(Kept.done) == 10 * 3
     assert Kept.phases[-1] == "evaluating"
     assert set(Kept.phases) <= {"starting", "tracing", "compiling", "training", "evaluating"}
+
+
+def test_a_point_of_a_curve_in_which_no_episode_ended_is_not_known(tmp_path):
+    """Terms of the reward are added up before an episode ends."""
+    task = {"name": "leg_reach", "physics": "chain"}
+    learner = {"name": "linear_q", "envs": 4, "rollout": 4, "evaluation_envs": 1}
+    config = {"name": "leg", "task": task, "learner": learner, "total_steps": 320, "record": 20}
+    results = sweep(config, tmp_path / "run").results
+    unknown = np.isnan(results["success"])
+    assert unknown.any() and not unknown.all()
+    for name in ("return", "steps", "near", "settled"):
+        np.testing.assert_array_equal(np.isfinite(results[name]), ~unknown)
+
+
+def test_a_flipped_bit_of_a_checkpoint_is_named_or_harmless(tmp_path):
+    """Every bit of a small file: its checksums find most, its headers and directory must be read without surprise."""
+    path = tmp_path / "part.npz"
+    np.savez(path, point=np.arange(2, dtype=np.int32), **{"curve.steps": np.ones((2, 3), np.float32)})
+    whole, refused = path.read_bytes(), 0
+    for place in range(8 * len(whole)):
+        data = bytearray(whole)
+        data[place // 8] ^= 1 << place % 8
+        path.write_bytes(bytes(data))
+        try:
+            read_arrays(path)
+        except InputError as error:
+            assert "truncated or damaged" in str(error)
+            refused += 1
+    assert refused > 4 * len(whole)
+
+
+def test_what_is_reported_never_goes_back_while_runs_are_stored(tmp_path, monkeypatch):
+    done = []
+
+    class Kept(Reporter):
+        def update(self, share, success=None, mean_return=None):
+            done.append(share)
+
+    store = RunFolder.add_part
+
+    def slow(self, arrays):
+        time.sleep(0.3)  # three looks
+        store(self, arrays)
+
+    monkeypatch.setattr(RunFolder, "add_part", slow)
+    monkeypatch.setattr(pool, "MAX_STEPS", 32)
+    monkeypatch.setattr(pool, "HARVEST_SHARE", 0.1)
+    learner = CONFIG["learner"] | {"epsilon_decay": 1.0}
+    sweep(CONFIG | {"learner": learner, "episodes": 400}, tmp_path / "run", pool_size=4, reporter=Kept())
+    assert len(set(done)) > 3 and done == sorted(done)

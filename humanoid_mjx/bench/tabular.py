@@ -40,6 +40,8 @@ def run(say: Callable[[str], None]) -> list[Record]:
     """Time all subjects over several numbers of agents."""
     records: list[Record] = []
     absent = {"numba"} if find_spec("numba") is None else set()
+    if absent:
+        say("numba: not measured, for it is not installed; pip install 'humanoid-mjx[bench]' brings it")
     if why_not := kernel.why_not(_learner()):
         say(f"fused: not measured, for {why_not}")
         absent.add("fused")

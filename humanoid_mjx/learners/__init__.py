@@ -1,9 +1,9 @@
 """Learners: how to learn it. `make_learner("tabular_q", task, epsilon=0.2)` builds a checked one for a task."""
 
-from typing import Any
+from typing import Any, get_args
 
 from humanoid_mjx.learners.base import Learner
-from humanoid_mjx.spec import find, make
+from humanoid_mjx.spec import InputError, find, make
 from humanoid_mjx.tasks.base import Task
 
 LEARNERS = {
@@ -20,6 +20,11 @@ def make_learner(name: str, /, task: Task, **params: Any) -> Any:
     Raises:
       InputError: unknown name or parameter, a value out of range, or a task of a kind that it cannot learn.
     """
+    wanted = _kinds(learner_class(name))
+    if isinstance(task, Task) and not isinstance(task, wanted):
+        fit = ", ".join(other for other in LEARNERS if isinstance(task, _kinds(learner_class(other))))
+        kinds = " or a ".join(kind.__name__ for kind in wanted)
+        raise InputError(f"learner.task must be a {kinds}, got a {type(task).__name__}; learners for it are {fit}.")
     return make("learner", LEARNERS, Learner, name, task=task, **params)
 
 
@@ -30,3 +35,9 @@ def learner_class(name: str) -> type[Learner]:
       InputError: unknown name.
     """
     return find("learner", LEARNERS, Learner, name)
+
+
+def _kinds(cls: type[Learner]) -> tuple[type[Task], ...]:
+    """The kinds of task that a learner learns."""
+    declared = cls.model_fields["task"].annotation
+    return tuple(kind for kind in get_args(declared) or (declared,) if isinstance(kind, type)) or (Task,)

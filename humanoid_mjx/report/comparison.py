@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from humanoid_mjx.report.style import COLORS, count_axis, figure, label_lines, wrapped
+from humanoid_mjx.report.style import COLORS, count_axis, figure, label_lines, log_axis, wrapped
 from humanoid_mjx.runs.evaluations import Evaluation
 from humanoid_mjx.runs.statistics import iqm, iqm_interval
 from humanoid_mjx.runs.tables import read_table
@@ -105,7 +105,7 @@ def compare_curves(path: Path, curves: Sequence[Curve], agents: Sequence[Evaluat
                     panel.set_ylim(-0.03, 1.03)
                 label_lines(panel, ends + heights, labels, colors)
                 if _far_apart([curve for curve, _ in drawn], column == 1):
-                    panel.set_xscale("log")
+                    log_axis(panel, counted=True)
                 else:
                     count_axis(panel)
                 if row == len(names) - 1:

@@ -67,12 +67,15 @@ def curved(results: Mapping[str, np.ndarray]) -> list[str]:
     return [name for name in recorded if _tells(results[name])] or recorded
 
 
-def averaged(axes: Sequence[str], results: Mapping[str, np.ndarray]) -> str:
-    """What the lines and bands of learning curves are, in words."""
-    seeds = len(np.unique(results["seed"]))
+def averaged(axes: Sequence[str], results: Mapping[str, np.ndarray], interval: str = "band") -> str:
+    """What the lines and bands of learning curves are, in words; `interval` is how the interval is drawn."""
+    runs = results.get("run", np.zeros(len(results["seed"]), int))
+    counts = sorted({len(np.unique(results["seed"][runs == run])) for run in np.unique(runs)})
     others = ", over all values of the other parameters" if len(axes) > 1 else ""
-    band = "; band: 95 % bootstrap over seeds" if seeds > 1 else ""
-    return f"interquartile mean over {seeds} seed{'s' * (seeds > 1)}{others}{band}"
+    if counts[-1] == 1:
+        return f"1 seed{others}"
+    seeds = str(counts[0]) if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
+    return f"interquartile mean over {seeds} seeds{others}; {interval}: 95 % bootstrap over seeds"
 
 
 def learning_curves(path: Path, title: str, axes: list[str], results: Mapping[str, np.ndarray]) -> None:
@@ -105,13 +108,85 @@ def draw_curves(panel: Any, results: Mapping[str, np.ndarray], axis_name: str | 
     everything = Levels(["all"], np.zeros(len(results["seed"]), int))
     levels = find_levels(results[axis_name]) if axis_name else everything
     colors = shades(len(levels.labels))
-    ends = [_line(panel, results, levels.index == level, name, color) for level, color in enumerate(colors)]
+    count, seed, values = results["step" if "step" in results else "episode"], results["seed"], results[name]
+    rows = [levels.index == level for level in range(len(colors))]
+    ends = [
+        draw_line(panel, count[chosen], seed[chosen], values[chosen], color).end
+        for chosen, color in zip(rows, colors, strict=True)
+    ]
     if axis_name:
         label_lines(panel, ends, levels.labels, colors)
     count_axis(panel)
     panel.set_xlabel(COUNTED["step" if "step" in results else "episode"])
     panel.set_ylabel(CURVES[name])
     return dict(zip(levels.labels, ends, strict=True))
+
+
+class Line(NamedTuple):
+    """What was drawn of a line."""
+
+    end: float
+    """Its last value; NaN where nothing is drawn."""
+    left_out: int
+    """How many places it leaves out because only some of the seeds have a number there."""
+
+
+def draw_line(
+    panel: Any,
+    x: np.ndarray,
+    seed: np.ndarray,
+    y: np.ndarray,
+    color: Any,
+    *,
+    place: np.ndarray | None = None,
+    joined: bool = True,
+    **look: Any,
+) -> Line:
+    """Draw one line with its band from rows of a table, or its places apart, each with a bar for its interval.
+
+    At each place the value of a seed is the mean of its rows. Drawn are the interquartile mean over seeds and its 95 %
+    bootstrap interval, where every seed has a number.
+
+    Args:
+      panel: the axes of matplotlib.
+      x, seed, y: (rows,) of numbers.
+      color: of the line and its band.
+      place: (rows,) Which rows belong together; by default those of equal `x`. A place is drawn at its mean `x`.
+      joined: whether to draw a line through the places.
+      look: how the line looks, such as `linestyle`.
+    """
+    places, p = np.unique(x if place is None else place, return_inverse=True)
+    seeds, s = np.unique(seed, return_inverse=True)
+    curves = cell_mean(s, p, y, (len(seeds), len(places)))
+    known = np.isfinite(curves)
+    shown = known.all(axis=0)
+    left_out = int((known.any(axis=0) & ~shown).sum())
+    if not shown.any():
+        return Line(float("nan"), left_out)
+    across = places if place is None else cell_mean(np.zeros_like(p), p, x, (1, len(places)))[0]
+    at, middle = across[shown], iqm(curves[:, shown])
+    low, high = iqm_interval(curves[:, shown]) if len(seeds) > 1 else (middle, middle)
+    if joined:
+        panel.plot(at, middle, color=color, **{"linewidth": 1.4} | look)
+        if len(seeds) > 1:
+            panel.fill_between(at, low, high, color=color, alpha=0.2, linewidth=0)
+    else:
+        # A percentile interval need not hold the estimate itself.
+        ends = np.maximum([middle - low, high - middle], 0.0)
+        panel.errorbar(at, middle, yerr=ends, color=color, **{"fmt": "o", "markersize": 3, "elinewidth": 0.8} | look)
+    return Line(float(middle[-1]), left_out)
+
+
+def cell_mean(
+    row: np.ndarray, column: np.ndarray, values: np.ndarray, shape: tuple[int, int]
+) -> Float[np.ndarray, "rows columns"]:
+    """The mean of the values that belong to each cell of a table; NaN where none is known."""
+    values = np.asarray(values, float)
+    known = np.isfinite(values)
+    cells = (row * shape[1] + column)[known]
+    size = shape[0] * shape[1]
+    count, total = np.bincount(cells, minlength=size), np.bincount(cells, values[known], minlength=size)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan).reshape(shape)
 
 
 def heat_maps(path: Path, title: str, axes: list[str], summary: Mapping[str, np.ndarray], name: str) -> None:
@@ -153,12 +228,7 @@ def limits(axes: Sequence[str], summary: Mapping[str, np.ndarray], name: str) ->
 def cell_means(summary: Mapping[str, np.ndarray], pair: tuple[str, str], name: str) -> Float[np.ndarray, "y x"]:
     """The mean of a measure for each two values of two swept parameters; NaN where it is not known."""
     x, y = (find_levels(summary[axis]) for axis in pair)
-    values = np.asarray(summary[name], float)
-    known = np.isfinite(values)
-    cells = (y.index * len(x.labels) + x.index)[known]
-    size = len(x.labels) * len(y.labels)
-    count, total = np.bincount(cells, minlength=size), np.bincount(cells, values[known], minlength=size)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan).reshape(len(y.labels), len(x.labels))
+    return cell_mean(y.index, x.index, summary[name], (len(y.labels), len(x.labels)))
 
 
 def find_levels(values: np.ndarray) -> Levels:
@@ -175,28 +245,6 @@ def _tells(values: np.ndarray) -> bool:
     """Whether a measure changes at all: where no episode ends early, their length does not."""
     known = values[np.isfinite(values)]
     return len(known) > 0 and bool(known.min() < known.max())
-
-
-def _line(panel, results: Mapping[str, np.ndarray], chosen: np.ndarray, name: str, color) -> float:
-    """Draw one line with its band; its last value."""
-    count = results["step"] if "step" in results else results["episode"]
-    episodes, e = np.unique(count[chosen], return_inverse=True)
-    seeds, s = np.unique(results["seed"][chosen], return_inverse=True)
-    values = np.asarray(results[name][chosen], float)
-    known = np.isfinite(values)
-    cell = (s * len(episodes) + e)[known]
-    total = np.bincount(cell, values[known], minlength=len(seeds) * len(episodes))
-    count = np.bincount(cell, minlength=len(total))
-    curves = np.where(count > 0, total / np.maximum(count, 1), np.nan).reshape(len(seeds), len(episodes))
-    shown = np.isfinite(curves).all(axis=0)
-    if not shown.any():
-        return float("nan")
-    middle = iqm(curves[:, shown])
-    panel.plot(episodes[shown], middle, color=color, linewidth=1.4)
-    if len(seeds) > 1:
-        low, high = iqm_interval(curves[:, shown])
-        panel.fill_between(episodes[shown], low, high, color=color, alpha=0.2, linewidth=0)
-    return float(middle[-1])
 
 
 def _write_cells(panel, mean: np.ndarray, low: float, high: float) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
-from matplotlib.ticker import EngFormatter, MaxNLocator
+from matplotlib.ticker import EngFormatter, MaxNLocator, NullFormatter, StrMethodFormatter
 
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
 """Okabe and Ito's palette, for things without an order."""
@@ -77,6 +77,13 @@ def count_axis(axis: Any) -> None:
     """Large counts below a panel as 200k or 1.5M, few enough not to touch."""
     axis.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]))
     axis.xaxis.set_major_formatter(EngFormatter(sep=""))
+
+
+def log_axis(axis: Any, counted: bool = False) -> None:
+    """A logarithmic scale below a panel whose ticks are plain numbers: 0.01, or for large counts 200k."""
+    axis.set_xscale("log")
+    axis.xaxis.set_major_formatter(EngFormatter(sep="") if counted else StrMethodFormatter("{x:g}"))
+    axis.xaxis.set_minor_formatter(NullFormatter())
 
 
 def wrapped(text: str, fig: Any) -> str:

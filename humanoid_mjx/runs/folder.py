@@ -6,6 +6,7 @@
     summary.parquet     one row per sweep point and seed
     timing.parquet      seconds since training began, per sweep point, seed and record step
     figures/            learning curves and heat maps
+    tensorboard/        where asked for: event files, a folder for each sweep point
     checkpoint/         part-00000.npz ...: finished runs (curves, scores, policies); pool-0.npz ...: those under way;
                         diverged-POINT-SEED.npz: where runs stopped whose numbers were no longer finite
 
@@ -16,6 +17,8 @@ import contextlib
 import fcntl
 import json
 import os
+import struct
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
@@ -118,6 +121,13 @@ class RunFolder:
         self.write_arrays(f"checkpoint/part-{max(numbers, default=-1) + 1:05d}.npz", arrays)
 
 
+DAMAGE = (
+    *(OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error, struct.error),
+    *(SyntaxError, tokenize.TokenError, NotImplementedError, RuntimeError, OverflowError),
+)
+"""What numpy and zipfile raise on damaged files: numpy parses the header of an array as Python, and a flipped bit can
+ask for a password or another compression."""
+
 POOL = "checkpoint/pool-0.npz"
 """The file of the runs under way."""
 
@@ -141,7 +151,7 @@ def read_arrays(path: Path, prefixes: tuple[str, ...] = ("",)) -> dict[str, np.n
     try:
         with np.load(path, allow_pickle=False) as file:
             return {name: file[name] for name in file.files if name.startswith(prefixes)}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+    except DAMAGE as error:
         raise InputError(
             f"{path}: this file is truncated or damaged; remove it, and --resume trains its runs again."
         ) from error
@@ -156,7 +166,10 @@ def read_config(path: Path) -> dict[str, Any]:
     file = path / "config.yaml"
     if not file.is_file():
         raise InputError(f"{path}: this is no run folder (it holds no config.yaml).")
-    data = parse_yaml(file.read_text(encoding="utf-8"), str(file))
+    try:
+        data = parse_yaml(file.read_text(encoding="utf-8"), str(file))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{file}: cannot be read as text: {error}.") from error
     if not isinstance(data, dict):
         raise InputError(f"{file}: this file is damaged.")
     return data

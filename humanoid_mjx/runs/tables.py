@@ -1,6 +1,6 @@
 """The tables of a run folder, derived from its finished blocks."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -62,8 +62,8 @@ def finished_runs(path: Path, prefixes: tuple[str, ...]) -> dict[str, np.ndarray
     return {name: array[order] for name, array in arrays.items()}
 
 
-def read_table(path: Path) -> dict[str, np.ndarray]:
-    """The columns of a parquet file of a run folder.
+def read_table(path: Path, columns: Sequence[str] | None = None) -> dict[str, np.ndarray]:
+    """The columns of a parquet file of a run folder: all, or those named.
 
     Raises:
       InputError: the file is missing, truncated or damaged.
@@ -71,10 +71,24 @@ def read_table(path: Path) -> dict[str, np.ndarray]:
     if not path.is_file():
         raise InputError(f"{path}: there is no such file; --resume the run to write it.")
     try:
-        table = pq.read_table(path)
+        table = pq.read_table(path, columns=None if columns is None else list(columns))
     except (pa.ArrowException, OSError) as error:
         raise InputError(f"{path}: this file is truncated or damaged; --resume the run to write it again.") from error
     return {name: table[name].to_numpy() for name in table.column_names}
+
+
+def column_names(path: Path) -> list[str]:
+    """The names of the columns of a parquet file of a run folder; none where there is no such file.
+
+    Raises:
+      InputError: the file is truncated or damaged.
+    """
+    if not path.is_file():
+        return []
+    try:
+        return pq.read_schema(path).names
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(f"{path}: this file is truncated or damaged; --resume the run to write it again.") from error
 
 
 def named(arrays: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:

@@ -35,6 +35,11 @@ def runs_that_fit(group: Group, device: Device) -> int:
     return min(size, max(1, CPU_CACHE_BYTES // run_bytes(group))) if device.platform == "cpu" else size
 
 
+def slots(group: Group, size: int) -> int:
+    """How many runs of a group train side by side on all devices, where each can train `size`."""
+    return 1 if isinstance(group.learners, WholeRunLearner) else min(size * len(jax.local_devices()), len(group.runs))
+
+
 def run_bytes(group: Group) -> int:
     """Bytes of training state that one run holds."""
     return sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(group.one_run))

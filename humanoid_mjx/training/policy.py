@@ -5,8 +5,6 @@ where it comes from; and the policy's arrays by their paths. It holds no Python 
 """
 
 import json
-import zipfile
-import zlib
 from collections.abc import Sequence
 from copy import deepcopy
 from pathlib import Path
@@ -19,7 +17,7 @@ import numpy as np
 from humanoid_mjx.config import Config, apply_override, parse
 from humanoid_mjx.data import folder, names
 from humanoid_mjx.learners import Learner
-from humanoid_mjx.runs.folder import read_config
+from humanoid_mjx.runs.folder import DAMAGE, read_config
 from humanoid_mjx.runs.tables import finished_runs
 from humanoid_mjx.spec import InputError, known
 from humanoid_mjx.tasks.finite import FiniteTask
@@ -154,16 +152,7 @@ def load_policy(path: Path) -> Trained:
         if version == FORMAT:
             config, origin = dict(header["config"]), dict(header["origin"])
             name, place = str(header["name"]), (int(header["point"]), int(header["seed"]))
-    except (
-        OSError,
-        ValueError,
-        EOFError,
-        TypeError,
-        AttributeError,
-        LookupError,
-        zipfile.BadZipFile,
-        zlib.error,
-    ) as error:
+    except (*DAMAGE, TypeError, AttributeError, LookupError) as error:
         raise InputError(f"{path}: this is no policy file, or a truncated or damaged one.") from error
     if version != FORMAT:
         raise InputError(f"{path}: this is a {version!r}, but {FORMAT!r} is wanted; export it again from its run.")

@@ -10,13 +10,14 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.sharding import NamedSharding, PartitionSpec
 
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.plan import Group
-from humanoid_mjx.training.program import RUNS, mesh_of, programs_of
+from humanoid_mjx.training.program import RUNS, Training, curve, mesh_of, programs_of
 from humanoid_mjx.training.state import blank, from_arrays, to_arrays
 from humanoid_mjx.types import Device
 
@@ -69,6 +70,8 @@ class Pool:
         self.wall_s = np.full((size, group.learners.record), np.nan, np.float32)
         """Seconds from the beginning of training to each record point of each slot's run, pauses left out."""
         self.steps = 1
+        self.looked: Callable[[], None] = lambda: None
+        """Called in the thread that trains when the progress of the slots is known anew."""
         self.diverged: dict[int, dict[str, np.ndarray]] = {}
         """The last training states of harvested runs whose numbers were no longer finite, by run."""
         self._load()
@@ -105,6 +108,7 @@ class Pool:
         self.progress = np.asarray(progress.share)
         self.recent = np.stack([progress.success, progress.episode_return], axis=1)
         self.note_time()
+        self.looked()
         factor = CHUNK_S / max(time.monotonic() - began, 1e-6)
         self.steps = int(np.clip(self.steps * np.clip(factor, 0.25, 4.0), 1, MAX_STEPS))
 
@@ -140,6 +144,15 @@ class Pool:
     def finish(self) -> dict[str, Any]:
         """Curves, final scores and policies of what the slots hold."""
         return self._call("finish", self.learners, self.training, self.seeds)
+
+    def curves(self, slots: np.ndarray, most: int) -> dict[str, np.ndarray]:
+        """The learning curves so far of some of the slots, at most `most`, by name: each (slots, record).
+
+        What is recorded at a point is complete once a run's progress is beyond it.
+        """
+        size = min(most, len(self.slots))  # of one size, so that it compiles once
+        rows = jnp.asarray(np.resize(slots, size))
+        return {name: np.asarray(x)[: len(slots)] for name, x in _curves(self.learners, self.training, rows).items()}
 
     def state(self) -> dict[str, np.ndarray]:
         """All that `restore` needs."""
@@ -191,3 +204,9 @@ class Pool:
 
     def _put(self, tree: Any, rows: np.ndarray) -> Any:
         return jax.tree.map(lambda leaf: jax.device_put(leaf[rows], self.over_devices), tree)
+
+
+@jax.jit
+def _curves(learners: Learner, training: Training, rows: jax.Array) -> dict[str, jax.Array]:
+    """The learning curves so far of some rows of training states."""
+    return {name: x[rows] for name, x in jax.vmap(curve)(learners, training).items()}

@@ -129,7 +129,8 @@ def curve(learner: Learner, training: Training) -> dict[str, Float[Array, " reco
     columns = dict(zip(names, training.record.T, strict=True))
     episodes, updates = columns.pop("episodes"), columns.pop("updates", None)
     squares = names[names.index("updates") + 1 :] if updates is not None else ()
-    found = {name: jnp.cumsum(x) if learner.cumulative else x / episodes for name, x in columns.items()}
+    ended = jnp.where(episodes > 0, episodes, jnp.nan)  # terms of the reward are added up before an episode ends
+    found = {name: jnp.cumsum(x) if learner.cumulative else x / ended for name, x in columns.items()}
     return found | {name: jnp.sqrt(columns[name] / updates) for name in squares}
 
 

@@ -1,6 +1,8 @@
 """Progress that the user sees while a sweep runs: a bar with rate and time left; without a terminal a line now and
 then."""
 
+import os
+import sys
 import time
 from collections import deque
 from types import TracebackType
@@ -38,6 +40,14 @@ class Reporter:
 
     def count(self, done: int, total: int) -> None:
         """A count of things done out of a total, such as frames painted."""
+
+
+class PatientConsole(Console):
+    """A console that goes on in silence where its reader has gone, as after `| head`: training is worth more."""
+
+    def on_broken_pipe(self) -> None:
+        self.quiet = True
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 class Bar(Reporter):

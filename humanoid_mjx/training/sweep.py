@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,9 @@ from humanoid_mjx.runs.folder import (
     read_provenance,
 )
 from humanoid_mjx.runs.tables import finished_runs, read_table, write_tables
-from humanoid_mjx.training.memory import runs_that_fit, training_bytes
+from humanoid_mjx.training.disk import check_disk
+from humanoid_mjx.training.events import EventFiles, event_writer
+from humanoid_mjx.training.memory import runs_that_fit, slots, training_bytes
 from humanoid_mjx.training.plan import Group, Plan, make_plan, resolved
 from humanoid_mjx.training.pool import COMPILING, Pool
 from humanoid_mjx.training.progress import Reporter
@@ -78,6 +81,7 @@ def sweep(
     overrides: Sequence[str] = (),
     pool_size: int | None = None,
     reporter: Reporter | None = None,
+    tensorboard: bool = False,
 ) -> Run:
     """Train every point of a sweep with every seed.
 
@@ -89,6 +93,7 @@ def sweep(
       pool_size: how many runs train at once; by default what memory and cache hold. Tables learn the same
         bit by bit whatever it is; sums in networks round differently.
       reporter: called with the progress; by default nothing is shown.
+      tensorboard: write learning curves as event files of TensorBoard into the run folder while it trains.
 
     Raises:
       InputError: the config or the place cannot be used, in one sentence. Nothing stored is lost.
@@ -100,18 +105,21 @@ def sweep(
     plan = make_plan(config)
     sizes = [pool_size or runs_that_fit(group, jax.local_devices()[0]) for group in plan.groups]
     policies = [earlier_policies(group) for group in plan.groups]
-    if resume:
-        folder = RunFolder.resume(Path(out or latest_path(config.name)), resolved(config))
-    else:
-        folder = RunFolder.create(Path(out or fresh_path(config.name)), resolved(config))
+    if tensorboard:
+        event_writer()
+    place = Path(out or (latest_path if resume else fresh_path)(config.name))
+    check_disk(place, plan, [slots(group, size) for group, size in zip(plan.groups, sizes, strict=True)])
+    folder = (RunFolder.resume if resume else RunFolder.create)(place, resolved(config))
     try:
-        session = _Session(folder, plan, reporter or Reporter())
+        session = _Session(folder, plan, reporter or Reporter(), EventFiles(folder, plan) if tensorboard else None)
         session.reporter.begin(plan.num_runs * plan.budget, f"{plan.unit}s")
         try:
             for index in range(len(plan.groups)):
                 session.train(index, sizes[index], policies[index])
         finally:
             session.write_results()
+            if session.events:
+                session.events.close()
     finally:
         folder.close()
     return Run(folder.path)
@@ -120,14 +128,14 @@ def sweep(
 class _Session:
     """The work of one process on a run folder."""
 
-    def __init__(self, folder: RunFolder, plan: Plan, reporter: Reporter):
-        self.folder, self.plan, self.reporter = folder, plan, reporter
+    def __init__(self, folder: RunFolder, plan: Plan, reporter: Reporter, events: EventFiles | None):
+        self.folder, self.plan, self.reporter, self.events = folder, plan, reporter, events
         done = finished_runs(folder.path, ("point", "seed"))
         self.finished = set((done["point"] * plan.config.seeds + done["seed"]).tolist()) if done else set()
         self.earlier = read_provenance(folder.path)
         self.began = self.tables_due = time.monotonic()
         self.started = datetime.now(UTC).isoformat(timespec="seconds")
-        self.compile_s = 0.0
+        self.compile_s = self.shown = 0.0
         self.tables_are_old = True
         self.lock, self.stop = threading.Lock(), threading.Event()
 
@@ -148,6 +156,8 @@ class _Session:
                 pool = WholeRuns(group, waiting, devices[0], *common, self.stop)
             else:
                 pool = Pool(group, waiting, size, devices, *common)
+            if self.events:
+                pool.looked = partial(self.events.look, pool)
             self._restore(index, pool)
             self._work_in_a_thread(index, pool)
         self.compile_s += compiles.seconds
@@ -224,6 +234,8 @@ class _Session:
             self.folder.add_part({"point": points.astype(np.int32), "seed": seeds.astype(np.int32)} | arrays)
             self.finished.update(runs.tolist())
             self.tables_are_old = True
+        if self.events:
+            self.events.store(runs, arrays)
 
     def _report(self, pool: Pool) -> None:
         busy = pool.busy
@@ -231,7 +243,9 @@ class _Session:
         if under_way := float(np.minimum(pool.progress[busy], 1.0).sum()):
             known = pool.recent[busy][np.isfinite(pool.recent[busy]).all(axis=1)]
             success, mean_return = map(float, known.mean(axis=0)) if len(known) else (None, None)
-            self.reporter.update((len(self.finished) + under_way) * self.plan.budget, success, mean_return)
+            # Runs that were harvested are for a moment neither under way nor stored.
+            self.shown = max(self.shown, (len(self.finished) + under_way) * self.plan.budget)
+            self.reporter.update(self.shown, success, mean_return)
 
     def _restore(self, index: int, pool: Pool) -> None:
         """Take up the runs of this group that an interrupted session, perhaps on other devices, had under way."""

@@ -66,6 +66,9 @@ class WholeRuns(Pool):
         results = {"curve": self.curve, "final": final | {"diverged": jnp.bool_(self.failed)}, "policy": policy}
         return jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], results)
 
+    def curves(self, slots: np.ndarray, most: int) -> dict[str, np.ndarray]:
+        return {name: values[None][slots] for name, values in self.curve.items()}
+
     def _look(self, learner: WholeRunLearner, carry: Any, share: float, policy: Any) -> None:
         """Record a point of the learning curve."""
         if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(policy)):
@@ -79,6 +82,7 @@ class WholeRuns(Pool):
         self.recent[0] = self.curve["success"][point], self.curve["return"][point]
         self.progress[0] = min(share, 0.999)
         self.note_time()
+        self.looked()
         if self.stop.is_set():
             raise Stopped
 

@@ -1,0 +1,92 @@
+"""What the commands about runs that exist already do, and what they print."""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from rich.markup import escape
+from rich.table import Table
+
+from humanoid_mjx import runtime
+from humanoid_mjx.commands import console
+from humanoid_mjx.runs.disk import in_words
+from humanoid_mjx.runs.listing import Listed, list_runs
+from humanoid_mjx.spec import InputError
+from humanoid_mjx.training.progress import Bar
+
+
+def run_runs(folder: Path) -> None:
+    """`humanoid-mjx runs`."""
+    found, problems = list_runs(folder)
+    if found:
+        console.print(runs_table(found))
+        console.print("Success and return are those of greedy episodes of the best point, over its seeds.")
+    else:
+        console.print(f"{folder}: there is no run folder in it.")
+    for problem in problems:
+        console.print(problem, markup=False, soft_wrap=True)
+    if any(run.state == "interrupted" for run in found):
+        console.print("An interrupted run is completed by: humanoid-mjx sweep RUN/config.yaml --out RUN --resume")
+
+
+def runs_table(found: Sequence[Listed]) -> Table:
+    """A row for each run folder, the newest last."""
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for heading in ("run", "task", "learner"):
+        table.add_column(heading, overflow="fold")
+    table.add_column("points x seeds", justify="right", no_wrap=True)
+    table.add_column("state", overflow="fold")
+    for heading in ("success", "return", "started", "size"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for run in found:
+        table.add_row(
+            escape(_name(run)),
+            escape(run.task),
+            escape(run.learner),
+            f"{run.points:,} x {run.seeds:,}",
+            _state(run),
+            f"{run.success:.1%}" if np.isfinite(run.success) else "",
+            f"{run.greedy_return:.4g}" if np.isfinite(run.greedy_return) else "",
+            f"{run.started.astimezone():%Y-%m-%d %H:%M}",
+            in_words(run.size),
+        )
+    return table
+
+
+def _name(run: Listed) -> str:
+    """A run folder's name, with that of its config where it does not follow from it."""
+    name = run.path.resolve().name
+    return name if re.fullmatch(rf"{re.escape(run.config)}(-\d+)?", name) else f"{name} ({run.config})"
+
+
+def _state(run: Listed) -> str:
+    state = run.state if run.state == "finished" else f"{run.state} at {run.share:.0%}"
+    return f"{state}, {run.diverged:,} diverged" if run.diverged else state
+
+
+def run_plot(paths: Sequence[Path], x: str | None, y: str, by: str | None, out: Path | None) -> None:
+    """`humanoid-mjx plot`."""
+    from humanoid_mjx.report.plotting import plot
+
+    if out is not None and out.suffix != ".png":
+        raise InputError(f"--out {out}: the file must end in .png.")
+    if out is not None and not out.parent.is_dir():
+        raise InputError(f"--out {out}: there is no folder {out.parent}.")
+    target, notes = plot(paths, x, y, by, out)
+    for note in notes:
+        console.print(note, markup=False)
+    console.print(f"{target}", soft_wrap=True)
+
+
+def run_report(path: Path, out: Path | None, motion: bool) -> None:
+    """`humanoid-mjx report`."""
+    from humanoid_mjx.report.page import report_of, write_page
+
+    target = out or path / "report.html"
+    if not target.parent.is_dir():
+        raise InputError(f"{target}: there is no folder {target.parent}.")
+    runtime.start()
+    with Bar(console) as bar:
+        write_page(target, report_of(path, bar, motion))
+    console.print(f"{target}", soft_wrap=True)

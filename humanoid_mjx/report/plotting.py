@@ -1,0 +1,189 @@
+"""A figure of one's own: any column of the tables of runs over any other, a line for each value of a third."""
+
+from collections.abc import Sequence
+from itertools import product
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.ticker import NullLocator
+
+from humanoid_mjx.report.columns import RECORD, RUN, TIME, Rows, read_rows
+from humanoid_mjx.report.figures import MAX_LEVELS, Levels, averaged, draw_line, find_levels
+from humanoid_mjx.report.style import COLORS, count_axis, figure, label_lines, log_axis, shades, short, wrapped
+from humanoid_mjx.spec import InputError
+
+MAX_LINES = 24
+"""More lines than this cannot be told apart."""
+
+BINS = 12
+"""The x axis has so many bins of equally many values where a swept parameter has more than `MAX_VALUES`."""
+
+MAX_VALUES = 36
+
+STYLES = ("-", "--", ":", "-.")
+"""How the lines of several runs look, where colours tell something else."""
+
+
+class Across(NamedTuple):
+    """Where the rows stand on the x axis."""
+
+    x: np.ndarray
+    place: np.ndarray | None
+    """Which rows belong together; None: those of equal `x`."""
+    joined: bool
+    """Whether lines go through the places: they are in order."""
+    labels: list[str] | None
+    """Words below 0, 1, 2 ... where x is no number."""
+
+
+class LineOf(NamedTuple):
+    """The rows of one line, and how it looks."""
+
+    label: str
+    chosen: np.ndarray
+    color: Any
+    style: str
+
+
+def plot(paths: Sequence[Path], x: str | None, y: str, by: str | None, out: Path | None) -> tuple[Path, list[str]]:
+    """Draw a column over another: lines with the 95 % interval over seeds, one for each value of `by` and each run.
+
+    Args:
+      paths: run folders.
+      x: the column across; by default what counts the training. A measured one gives points and no lines.
+      y: the column drawn.
+      by: the column that tells the lines apart; by default the swept parameter, where there is one only.
+      out: the file; by default in the figures of the first run.
+
+    Returns:
+      the file, and what the figure leaves out, in sentences.
+
+    Raises:
+      InputError: no run folder, a damaged table, a column that is not there or cannot be drawn, too many lines.
+    """
+    if by is None and len(axes := read_rows(paths, x, y, None).axes) == 1 and axes[0] != x:
+        by = axes[0]
+    rows = read_rows(paths, x, y, by)
+    x = x or rows.counter
+    if rows.columns[y].dtype.kind not in "biuf":
+        raise InputError(f"--y {y}: this column holds words; choose one that holds numbers.")
+    rows = rows._replace(columns=_known(rows.columns, [name for name in (x, by) if name]))
+    if not len(rows.columns["point"]):
+        raise InputError(f"plot: no row has a number for {' and '.join(name for name in (x, by) if name)}.")
+    parts = [part.replace(".", "_") for part in (y, "over", x, *(("by", by) if by else ()))]
+    target = out or paths[0] / "figures" / f"{'_'.join(parts)}.png"
+    with figure(target, 1, 1, size=(6.4, 4.2)) as (fig, panels):
+        panel, across = panels[0, 0], _across(rows, x)
+        others = [axis for axis in rows.axes if axis not in (x, by)] if across.joined else []
+        columns = rows.columns | ({"seed": np.zeros_like(rows.columns["seed"])} if "seed" in (x, by) else {})
+        words = averaged([by or x, *others], columns, "band" if across.joined else "bar")
+        each = "" if across.joined else "each point of the sweep, "
+        fig.suptitle(wrapped(f"{', '.join(rows.runs)}: {each}{words}", fig), x=0.01, ha="left")
+        left_out = _draw(panel, rows, across, x, y, by)
+        panel.set_xlabel(wrapped(rows.name(x), fig))
+        panel.set_ylabel(wrapped(rows.name(y), fig))
+    return target, left_out
+
+
+def _known(columns: dict[str, np.ndarray], names: Sequence[str]) -> dict[str, np.ndarray]:
+    """The rows in which the numbers of some columns are known."""
+    kept = np.ones(len(columns["point"]), bool)
+    for name in names:
+        if columns[name].dtype.kind == "f":
+            kept &= np.isfinite(columns[name])
+    return {name: values[kept] for name, values in columns.items()}
+
+
+def _draw(panel: Any, rows: Rows, across: Across, x: str, y: str, by: str | None) -> list[str]:
+    """Draw all lines, the x axis and the labels; what is left out, in sentences."""
+    columns, lines = rows.columns, _lines(rows, by)
+    seed = columns["seed"] if x != "seed" else np.zeros_like(columns["seed"])
+    few = len(np.unique(across.x if across.place is None else across.place)) <= MAX_LEVELS
+    drawn = []
+    for line in lines:
+        look: dict[str, Any] = {"linestyle": line.style} | ({"marker": "o", "markersize": 3} if few else {})
+        place = None if across.place is None else across.place[line.chosen]
+        at, seeds, values = (each[line.chosen] for each in (across.x, seed, columns[y]))
+        look = look if across.joined else {"label": line.label}
+        drawn.append(draw_line(panel, at, seeds, values, line.color, place=place, joined=across.joined, **look))
+    _ticks(panel, across, x in (rows.counter, TIME))
+    heading = by or (RUN if len(rows.runs) > 1 else "")
+    labels, colors = [line.label for line in lines], [line.color for line in lines]
+    if across.joined and heading:
+        label_lines(panel, [line.end for line in drawn], labels, colors)
+        panel.set_title(rows.name(heading))
+    elif heading:
+        panel.legend(title=heading, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
+    if all(np.isnan(line.end) for line in drawn):
+        raise InputError(f"plot: {y} has nowhere a number for every seed over {x}.")
+    partly = sum(line.left_out for line in drawn)
+    notes = [f"Left out for want of a number of every seed: {partly:,} place{'s' * (partly > 1)}."] if partly else []
+    if empty := [label for label, line in zip(labels, drawn, strict=True) if np.isnan(line.end)]:
+        notes.append(f"Not drawn for want of a number of every seed: {', '.join(empty)}.")
+    return notes
+
+
+def _across(rows: Rows, x: str) -> Across:
+    values = rows.columns[x]
+    if values.dtype.kind not in "iuf":
+        levels = find_levels(values)
+        return Across(levels.index.astype(float), None, True, levels.labels)
+    values = values.astype(float)
+    if x == TIME:  # seeds reach a record point at different times
+        return Across(values, rows.columns[RECORD], True, None)
+    if x in (rows.counter, "point", "seed"):
+        return Across(values, None, True, None)
+    if not x.startswith(("task.", "learner.")):  # measured: every seed has its own
+        point, record = rows.columns["point"].astype(np.int64), rows.columns[RECORD]
+        return Across(values, point * (record.max() + 1) + record, False, None)
+    distinct = np.unique(values)
+    if len(distinct) <= MAX_VALUES:
+        return Across(values, None, True, None)
+    edges = np.quantile(distinct, np.linspace(0, 1, BINS + 1))
+    return Across(values, np.clip(np.searchsorted(edges, values, side="right") - 1, 0, BINS - 1), True, None)
+
+
+def _lines(rows: Rows, by: str | None) -> list[LineOf]:
+    """The lines of a figure: for each value of `by`, and where there are several runs for each of them."""
+    columns, one = rows.columns, np.zeros(len(rows.columns["point"]), int)
+    by_run = Levels(rows.runs, np.searchsorted(np.sort(rows.runs), columns[RUN].astype(str)))
+    by_run = by_run._replace(labels=sorted(rows.runs))
+    apart = by_run if len(rows.runs) > 1 and by != RUN else Levels([""], one)
+    levels = by_run if by == RUN else find_levels(columns[by]) if by else Levels([""], one)
+    ordered = by is not None and by != RUN and columns[by].dtype.kind in "biuf"
+    lines = []
+    for (i, level), (j, run) in product(enumerate(levels.labels), enumerate(apart.labels)):
+        chosen = (levels.index == i) & (apart.index == j)
+        if not chosen.any():
+            continue
+        k = i if by else j
+        color = shades(len(levels.labels))[i] if ordered else COLORS[k % len(COLORS)]
+        style = STYLES[j % len(STYLES)] if by else "-"
+        lines.append(LineOf(", ".join(filter(None, (level, run))), chosen, color, style))
+    if len(lines) > MAX_LINES:
+        raise InputError(f"plot: {len(lines)} lines cannot be told apart; choose another --by, or fewer runs.")
+    return lines
+
+
+def _ticks(panel: Any, across: Across, counted: bool) -> None:
+    distinct = np.unique(across.x)
+    if across.labels is not None:
+        crowded = len(across.labels) > 5
+        turn, side = (45, "right") if crowded else (0, "center")
+        panel.set_xticks(range(len(across.labels)), across.labels, rotation=turn, ha=side)
+    elif counted:
+        count_axis(panel)
+    elif across.joined and _geometric(distinct):
+        log_axis(panel)
+        if len(distinct) <= MAX_LEVELS:
+            panel.xaxis.set_minor_locator(NullLocator())
+            panel.set_xticks(distinct, [short(value) for value in distinct])
+
+
+def _geometric(values: np.ndarray) -> bool:
+    """Whether numbers in order are spread evenly by their ratios rather than by their differences."""
+    if len(values) < 3 or values[0] <= 0 or values[-1] < 10 * values[0]:
+        return False
+    ratios, gaps = np.diff(np.log(values)), np.diff(values)
+    return bool(np.std(ratios) / np.mean(ratios) < np.std(gaps) / np.mean(gaps))

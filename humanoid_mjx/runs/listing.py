@@ -1,0 +1,144 @@
+"""A list of run folders: what each trained, how far it is, and how its best point does."""
+
+import fcntl
+import os
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from humanoid_mjx.axes import sweep_points
+from humanoid_mjx.config import parse
+from humanoid_mjx.runs.disk import disk_used
+from humanoid_mjx.runs.folder import POOL, read_arrays, read_config, read_provenance
+from humanoid_mjx.runs.ranking import ranked
+from humanoid_mjx.runs.tables import finished_runs, read_table
+from humanoid_mjx.spec import InputError
+
+
+class Listed(NamedTuple):
+    """A run folder in a few words and numbers."""
+
+    path: Path
+    config: str
+    """The name of its config."""
+    task: str
+    learner: str
+    points: int
+    seeds: int
+    state: str
+    """`finished`, `training` or `interrupted`."""
+    share: float
+    """How much of the training is done, from 0 to 1."""
+    success: float
+    """Share of greedy episodes of the best point that succeed: the mean over seeds. NaN where no run is finished."""
+    greedy_return: float
+    """Return of greedy episodes of the best point: the interquartile mean over seeds. NaN as above."""
+    diverged: int
+    """Runs that stopped at numbers that were not finite."""
+    started: datetime
+    size: int
+    """Bytes on disk."""
+
+
+def list_runs(folder: Path) -> tuple[list[Listed], list[str]]:
+    """The run folders directly in `folder`, or `folder` itself where it is one; the oldest first.
+
+    Returns:
+      the run folders; and a sentence for each other folder, which is foreign or broken.
+
+    Raises:
+      InputError: there is no such folder, or it cannot be read.
+    """
+    if not folder.is_dir():
+        raise InputError(f"{folder}: there is no such folder.")
+    try:
+        inside = [path for path in sorted(folder.iterdir()) if path.is_dir() and not path.name.startswith(".")]
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be read: {error.strerror}.") from error
+    found, problems = [], []
+    for path in [folder] if (folder / "config.yaml").is_file() else inside:
+        try:
+            found.append(look_at(path))
+        except InputError as error:
+            problems.append(str(error))
+        except OSError as error:
+            problems.append(f"{path}: cannot be read: {error.strerror}.")
+    return sorted(found, key=lambda run: run.started), problems
+
+
+def look_at(path: Path) -> Listed:
+    """One run folder.
+
+    Raises:
+      InputError: it is none, or what it holds is damaged.
+    """
+    config, provenance = read_config(path), read_provenance(path)
+    try:
+        seeds = int(config.get("seeds", 1))
+        points = int(provenance["points"]) if "points" in provenance else _count_points(path, config)
+        started = _started(path, provenance)
+        share = _share(path, points * seeds, seeds, provenance)
+        success, greedy_return, diverged = _outcome(path, config)
+        named = (str(config["name"]), str(config["task"]["name"]), str(config["learner"]["name"]))
+    except InputError:
+        raise
+    except (LookupError, TypeError, ValueError) as error:
+        raise InputError(f"{path}: its config, provenance and tables do not fit together.") from error
+    state = "finished" if share >= 1.0 else "training" if _in_use(path) else "interrupted"
+    return Listed(path, *named, points, seeds, state, share, success, greedy_return, diverged, started, disk_used(path))
+
+
+def _count_points(path: Path, config: dict[str, Any]) -> int:
+    """The number of sweep points of a run that was killed before anything was finished."""
+    parsed = parse(config, str(path / "config.yaml"))
+    return len(sweep_points(parsed.sweep, parsed.seed)) if parsed.sweep else 1
+
+
+def _started(path: Path, provenance: Mapping[str, Any]) -> datetime:
+    if "started" in provenance:
+        found = datetime.fromisoformat(provenance["started"])
+        return found if found.tzinfo else found.replace(tzinfo=UTC)
+    return datetime.fromtimestamp((path / "config.yaml").stat().st_mtime, UTC)
+
+
+def _share(path: Path, runs: int, seeds: int, provenance: Mapping[str, Any]) -> float:
+    """How much of all runs is trained: of finished ones all, of those under way what their checkpoint says."""
+    if provenance.get("runs_finished") == runs:
+        return 1.0
+    done = finished_runs(path, ("point", "seed"))
+    finished = done["point"] * seeds + done["seed"] if done else np.zeros(0, int)
+    if len(finished) >= runs:
+        return 1.0
+    under_way = 0.0
+    if (path / POOL).is_file():
+        pool = read_arrays(path / POOL, ("slots", "progress"))
+        waits = (pool["slots"] >= 0) & ~np.isin(pool["slots"], finished)
+        under_way = float(np.minimum(pool["progress"][waits], 1.0).sum())
+    return min((len(finished) + under_way) / runs, 0.999)
+
+
+def _outcome(path: Path, config: Mapping[str, Any]) -> tuple[float, float, int]:
+    """Success and return of the best point, and how many runs diverged."""
+    if not (path / "summary.parquet").is_file():
+        return float("nan"), float("nan"), 0
+    summary = read_table(path / "summary.parquet")
+    best = ranked(list((config.get("sweep") or {}).get("axes", {})), summary)[0]
+    return best.success, best.greedy_return, int(np.sum(summary["diverged"]))
+
+
+def _in_use(path: Path) -> bool:
+    """Whether a process holds the folder's lock."""
+    try:
+        handle = os.open(path / ".lock", os.O_RDONLY)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError:
+        return True
+    finally:
+        os.close(handle)
+    return False

@@ -1,0 +1,97 @@
+"""The estimate of what a run folder takes, against run folders; and what a disk cannot hold is refused."""
+
+import json
+import shutil
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import jax
+import pytest
+from typer.testing import CliRunner
+
+from humanoid_mjx import InputError, sweep
+from humanoid_mjx.cli import app
+from humanoid_mjx.config import parse
+from humanoid_mjx.runs.disk import disk_used
+from humanoid_mjx.training.disk import disk_bytes
+from humanoid_mjx.training.plan import make_plan
+from humanoid_mjx.training.pool import Pool
+
+TABLES = {
+    "name": "tables",
+    "task": {"name": "joint_reach", "joint": 1, "states": 24, "max_episode_steps": 60},
+    "learner": {"name": "tabular_q"},
+    "sweep": {"axes": {"learner.epsilon": {"linspace": [0.05, 0.95, 10]}}},
+    "seeds": 20,
+    "episodes": 200,
+}
+NETWORK = {
+    "name": "network",
+    "task": {"name": "leg_reach", "physics": "chain", "duration": 0.4},
+    "learner": {"name": "deep_q", "envs": 8, "rollout": 4, "evaluations": 2, "evaluation_envs": 4},
+    "seeds": 2,
+    "total_steps": 640,
+    "record": 20,
+}
+
+
+@pytest.mark.parametrize("config", [TABLES, NETWORK], ids=["tables", "network"])
+def test_the_estimate_is_what_a_finished_run_takes_within_a_factor_of_three(config, tmp_path):
+    run = sweep(config, tmp_path / "run")
+    estimate = disk_bytes(make_plan(parse(config)), [0])
+    # Never below; above as far as the curves in the tables are compressed, which are half of the estimate at most.
+    assert estimate / 3 < disk_used(run.path) < 1.05 * estimate
+
+
+@pytest.mark.parametrize("config", [TABLES, NETWORK], ids=["tables", "network"])
+def test_the_estimate_of_the_checkpoint_is_what_is_stored(config):
+    (group,) = (plan := make_plan(parse(config))).groups
+    pool = Pool(group, deque(group.runs.tolist()), 2, jax.local_devices()[:1], 0)
+    stored = sum(array.nbytes for array in pool.state().values())
+    estimate = disk_bytes(plan, [2]) - disk_bytes(plan, [0])
+    # Twice what is stored, without the bookkeeping of the slots: the times of the record points.
+    assert 2 * stored * 0.5 < estimate <= 2 * stored
+
+
+@pytest.fixture
+def free(monkeypatch) -> Callable[[int], None]:
+    def set_free(size: int) -> None:
+        monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=size if Path(path).exists() else 0))
+
+    return set_free
+
+
+def test_what_the_disk_cannot_hold_is_refused_before_training(tmp_path, free):
+    needed = disk_bytes(make_plan(parse(TABLES)), [200])
+    free(needed // 2)
+    place = tmp_path / "some/where/run"
+    with pytest.raises(InputError, match=r"run: the run takes an estimated .*iB on disk and .*iB are free; "):
+        sweep(TABLES, place)
+    assert not (tmp_path / "some").exists()
+    free(needed)
+    sweep(TABLES, place)
+    free(needed // 2)  # what the folder holds is not needed again
+    with pytest.raises(InputError, match="are free"):
+        sweep(TABLES, tmp_path / "other")
+    free(needed - disk_used(place))
+    sweep(TABLES, place, resume=True)
+
+
+def test_the_command_refuses_in_one_sentence_and_info_says_the_estimate(tmp_path, free, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("tables.yaml").write_text(json.dumps(TABLES))
+    shown = CliRunner().invoke(app, ["info", "tables.yaml"])
+    assert "on disk an estimated" in shown.output and "iB, without figures" in shown.output
+    free(1000)
+    refused = CliRunner().invoke(app, ["sweep", "tables.yaml"])
+    assert isinstance(refused.exception, InputError) and "and 1.0 KiB are free" in str(refused.exception)
+    assert not Path("runs").exists()
+
+
+def test_info_shows_what_no_memory_can_hold():
+    overrides = ["learner.envs=65536", "learner.rollout=128", "learner.width=1024", "learner.minibatches=1"]
+    sets = [word for override in overrides for word in ("--set", override)]
+    done = CliRunner().invoke(app, ["info", "leg_reach", *sets])
+    assert done.exit_code == 0 and "on disk an estimated" in done.output

@@ -1,0 +1,144 @@
+"""The list of run folders: finished, under way, killed, foreign and damaged ones."""
+
+import json
+import shutil
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from typer.testing import CliRunner
+
+from humanoid_mjx import InputError, sweep
+from humanoid_mjx.cli import app
+from humanoid_mjx.commands import print_summary
+from humanoid_mjx.config import parse
+from humanoid_mjx.runs.disk import disk_used, in_words
+from humanoid_mjx.runs.folder import RunFolder
+from humanoid_mjx.runs.listing import list_runs
+from humanoid_mjx.training.plan import resolved
+
+CONFIG = {
+    "name": "small",
+    "task": {"name": "joint_reach", "joint": 4, "states": 11, "max_episode_steps": 41},
+    "learner": {"name": "tabular_q"},
+    "sweep": {"axes": {"learner.epsilon": [0.1, 0.9], "learner.learning_rate": [0.2, 0.4]}},
+    "seeds": 3,
+    "episodes": 40,
+}
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    return sweep(CONFIG, tmp_path_factory.mktemp("runs") / "small").path
+
+
+@pytest.fixture
+def folder(finished, tmp_path):
+    shutil.copytree(finished, tmp_path / "runs" / "small")
+    return tmp_path / "runs"
+
+
+def only(folder):
+    found, problems = list_runs(folder)
+    assert not problems and len(found) == 1
+    return found[0]
+
+
+def test_a_finished_run_and_its_best_point(folder):
+    run, summary = only(folder), sweep(CONFIG, folder / "small", resume=True).summary
+    assert (run.config, run.task, run.learner) == ("small", "joint_reach", "tabular_q")
+    assert (run.points, run.seeds, run.state, run.share, run.diverged) == (4, 3, "finished", 1.0, 0)
+    success = [summary["greedy_success"][summary["point"] == point].mean() for point in range(4)]
+    assert run.success == pytest.approx(max(success))
+    assert run.size == sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+    assert only(folder / "small") == run, "the folder itself may be named"
+
+
+def test_a_run_that_was_killed_says_how_far_it_is(folder):
+    path = folder / "small"
+    for name in ("results", "summary", "timing"):
+        (path / f"{name}.parquet").unlink()
+    (path / "provenance.json").unlink()
+    (part,) = (path / "checkpoint").glob("part-*.npz")
+    with np.load(part) as file:
+        arrays = {name: file[name][:6] for name in file.files}
+    np.savez(part, **arrays)
+    done = arrays["point"] * 3 + arrays["seed"]
+    others = np.setdiff1d(np.arange(12), done)
+    # Two runs half trained, one that the parts hold already, and an idle slot: 6 + 1 of 12.
+    slots = np.array([others[0], others[1], done[0], -1])
+    np.savez(path / "checkpoint/pool-0.npz", slots=slots, progress=np.array([0.5, 0.5, 1.0, 1.0]))
+    run = only(folder)
+    assert (run.points, run.state, run.share) == (4, "interrupted", 7 / 12)
+    assert np.isnan(run.success)
+
+
+def test_a_run_that_a_process_holds_is_training(folder):
+    (folder / "small/provenance.json").write_text(json.dumps({"points": 4, "runs": 12, "runs_finished": 3}))
+    (part,) = (folder / "small/checkpoint").glob("part-*.npz")
+    part.unlink()
+    assert only(folder).state == "interrupted"
+    held = RunFolder.resume(folder / "small", resolved(parse(CONFIG)))
+    assert only(folder).state == "training"
+    held.close()
+
+
+def test_diverged_runs_are_marked(folder):
+    file = folder / "small/summary.parquet"
+    table = pq.read_table(file)
+    column = table.column_names.index("diverged")
+    pq.write_table(table.set_column(column, "diverged", pa.array([True, True] + [False] * 10)), file)
+    assert only(folder).diverged == 2
+    done = CliRunner().invoke(app, ["runs", str(folder)])
+    assert "finished, 2 diverged" in done.output
+
+
+def test_the_best_points_say_which_of_them_diverged(folder, capsys):
+    summary = sweep(CONFIG, folder / "small", resume=True).summary
+    print_summary(["learner.epsilon"], summary)
+    assert "diverged" not in capsys.readouterr().out
+    print_summary(["learner.epsilon"], summary | {"diverged": np.array([True, True] + [False] * 10)})
+    out = capsys.readouterr().out
+    assert "2 of 3" in out and out.count("0 of 3") == 3 and "2 runs stopped" in out
+
+
+def test_foreign_and_damaged_folders_get_a_sentence_each(folder, monkeypatch):
+    def copy(name):
+        return shutil.copytree(folder / "small", folder / name)
+
+    (folder / "notes").mkdir()
+    (folder / "file").write_text("no folder")
+    (copy("binary") / "config.yaml").write_bytes(b"\xff\xfe\x00\x81")
+    (copy("nested") / "config.yaml").write_text("[" * 5000)
+    (copy("other") / "config.yaml").write_text("a: 1\n")
+    (copy("short") / "summary.parquet").write_bytes(b"PAR1")
+    (copy("words") / "provenance.json").write_text('{"points": "many"}')
+    shutil.copy(folder / "small/timing.parquet", copy("mixed") / "summary.parquet")
+    found, problems = list_runs(folder)
+    assert [run.path.name for run in found] == ["small"]
+    for name in ("binary", "mixed", "nested", "notes", "other", "short", "words"):
+        assert sum(f"/{name}" in problem for problem in problems) == 1, name
+    assert len(problems) == 7 and all(problem.endswith(".") and "\n" not in problem for problem in problems)
+    monkeypatch.chdir(folder.parent)
+    done = CliRunner().invoke(app, ["runs"])
+    assert done.exit_code == 0 and "4 x 3" in done.output and "notes: this is no run folder" in done.output
+
+
+def test_an_empty_folder_and_none(tmp_path):
+    done = CliRunner().invoke(app, ["runs", str(tmp_path)])
+    assert done.exit_code == 0 and "no run folder" in done.output
+    with pytest.raises(InputError, match="there is no such folder"):
+        list_runs(tmp_path / "nowhere")
+
+
+def test_sizes_in_words(tmp_path):
+    (tmp_path / "below").mkdir()
+    (tmp_path / "below/file").write_bytes(b"x" * 831)
+    assert in_words(disk_used(tmp_path)) == "831 B"
+    assert [in_words(size) for size in (0, 4.2 * 2**20, 763 * 2**30, 3 * 2**50)] == [
+        "0 B",
+        "4.2 MiB",
+        "763 GiB",
+        "3,072.0 TiB",
+    ]

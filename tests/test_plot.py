@@ -1,0 +1,191 @@
+"""Figures of one's own: what is drawn is what the tables hold; what cannot be drawn gets a sentence."""
+
+from contextlib import contextmanager
+from itertools import pairwise
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from typer.testing import CliRunner
+
+from humanoid_mjx import InputError, sweep
+from humanoid_mjx.cli import app, main
+from humanoid_mjx.report import plotting, style
+from humanoid_mjx.report.plotting import plot
+from humanoid_mjx.runs.statistics import iqm, iqm_interval
+
+CONFIG = {
+    "name": "small",
+    "task": {"name": "joint_reach", "joint": 4, "states": 11, "max_episode_steps": 41},
+    "learner": {"name": "tabular_q"},
+    "sweep": {"axes": {"learner.epsilon": [0.1, 0.5, 0.9], "learner.learning_rate": {"logspace": [0.01, 1.0, 3]}}},
+    "seeds": 5,
+    "episodes": 40,
+    "record": 8,
+}
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    return sweep(CONFIG, tmp_path_factory.mktemp("plot") / "small")
+
+
+@pytest.fixture(scope="module")
+def other(small):
+    changed = CONFIG | {"seeds": 3, "episodes": 30, "record": 6, "sweep": {"axes": {"task.rules": ["standard"]}}}
+    return sweep(changed, small.path.parent / "other")
+
+
+@pytest.fixture
+def panels(monkeypatch):
+    """The panel of each figure, as it is when it is saved."""
+    found = []
+
+    @contextmanager
+    def kept(*args, **kwargs):
+        with style.figure(*args, **kwargs) as (fig, axes):
+            yield fig, axes
+            fig.canvas.draw()
+            found.append(axes[0, 0])
+
+    monkeypatch.setattr(plotting, "figure", kept)
+    return found
+
+
+def labels(panel):
+    return [text.get_text() for text in panel.texts]
+
+
+def test_a_line_is_the_mean_over_seeds_of_what_the_table_holds(small, panels, tmp_path):
+    plot([small.path], "episode", "steps", "learner.epsilon", tmp_path / "x.png")
+    (panel,), results = panels, small.results
+    assert len(panel.lines) == len(panel.collections) == 3
+    ends = {}
+    for epsilon, line, band in zip([0.1, 0.5, 0.9], panel.lines, panel.collections, strict=True):
+        mine = np.isclose(results["learner.epsilon"], epsilon)
+        by_seed = [
+            [
+                results["steps"][mine & (results["seed"] == s) & (results["episode"] == e)].mean()
+                for e in range(5, 41, 5)
+            ]
+            for s in range(5)
+        ]
+        low, high = iqm_interval(np.array(by_seed))
+        np.testing.assert_array_equal(line.get_xdata(), np.arange(5, 41, 5))
+        np.testing.assert_allclose(line.get_ydata(), iqm(np.array(by_seed)), rtol=1e-6)
+        inside = band.get_paths()[0].get_extents()
+        np.testing.assert_allclose([inside.y0, inside.y1], [low.min(), high.max()], rtol=1e-6)
+        ends[f"{epsilon:g}"] = line.get_ydata()[-1]
+    assert labels(panel) == list(ends)
+    heights = {text.get_text(): text.xyann[1] for text in panel.texts}
+    assert sorted(heights, key=heights.get) == sorted(ends, key=ends.get)
+    assert "probability of a random action" in panel.get_title(loc="left")
+    assert (panel.get_xlabel(), panel.get_ylabel()) == ("episodes", "steps per episode")
+
+
+def test_final_values_over_a_parameter_that_is_spread_by_ratios(small, panels, tmp_path):
+    plot([small.path], "learner.learning_rate", "greedy_success", "learner.epsilon", tmp_path / "x.png")
+    (panel,), summary = panels, small.summary
+    assert panel.get_xscale() == "log"
+    ticks = [tick for tick in panel.get_xticklabels() if tick.get_text()]
+    assert [tick.get_text() for tick in ticks] == ["0.01", "0.1", "1"]
+    boxes = [tick.get_window_extent() for tick in ticks]
+    assert all(a.x1 < b.x0 for a, b in pairwise(boxes))
+    mine = np.isclose(summary["learner.epsilon"], 0.9) & np.isclose(summary["learner.learning_rate"], 1.0)
+    assert panel.lines[2].get_ydata()[-1] == pytest.approx(iqm(summary["greedy_success"][mine].astype(float)))
+
+
+def test_several_runs_are_told_apart(small, other, panels, tmp_path):
+    plot([small.path, other.path], None, "return", None, tmp_path / "a.png")
+    plot([small.path, other.path], None, "return", "learner.epsilon", tmp_path / "b.png")
+    alone, both = panels
+    assert sorted(labels(alone)) == ["other", "small"]
+    by_run = dict(zip(labels(alone), alone.lines, strict=True))
+    assert by_run["other"].get_xdata()[-1] == 30 and by_run["small"].get_xdata()[-1] == 40
+    results = other.results
+    last = results["return"][results["episode"] == 30].astype(float)
+    assert by_run["other"].get_ydata()[-1] == pytest.approx(iqm(last))
+    assert "over 3 to 5 seeds" in alone.figure.get_suptitle()
+    assert labels(both) == ["0.1, small", "0.5, small", "0.6, other", "0.9, small"]
+    assert both.lines[2].get_linestyle() != both.lines[0].get_linestyle()
+
+
+def test_time_and_measured_columns_across(small, panels, tmp_path):
+    plot([small.path], "wall_s", "success", None, tmp_path / "a.png")
+    plot([small.path], "steps", "return", "learner.epsilon", tmp_path / "b.png")
+    timed, measured = panels
+    assert (np.diff(timed.lines[0].get_xdata()) >= 0).all() and len(timed.lines[0].get_xdata()) == 8
+    assert len(measured.containers) == 3
+    marks = [container.lines[0] for container in measured.containers]
+    assert [len(mark.get_xdata()) for mark in marks] == [3, 3, 3]
+    summary = small.summary
+    assert marks[0].get_xdata()[0] == pytest.approx(summary["steps"][summary["point"] == 0].mean())
+    legend = [text.get_text() for text in measured.get_legend().get_texts()]
+    assert legend == ["0.1", "0.5", "0.9"]
+
+
+def test_words_seeds_and_many_values_across(small, panels, tmp_path):
+    draws = {"learner.epsilon": {"uniform": [0, 1]}, "task.rules": ["printed", "standard"]}
+    drawn = {"sweep": {"mode": "random", "points": 60, "axes": draws}, "episodes": 4, "record": 2, "seeds": 2}
+    run = sweep(CONFIG | drawn, tmp_path / "drawn")
+    plot([run.path], "task.rules", "steps", None, tmp_path / "a.png")
+    plot([run.path], "learner.epsilon", "steps", None, tmp_path / "b.png")
+    plot([small.path], "seed", "steps", None, tmp_path / "c.png")
+    words, many, seeds = panels
+    assert [tick.get_text() for tick in words.get_xticklabels()] == ["printed", "standard"]
+    assert len(many.lines[0].get_xdata()) == plotting.BINS
+    assert seeds.lines[0].get_xdata().tolist() == [0, 1, 2, 3, 4]
+    one = small.summary["steps"][small.summary["seed"] == 2].mean()
+    assert seeds.lines[0].get_ydata()[2] == pytest.approx(one)
+    assert "1 seed" in seeds.figure.get_suptitle()
+
+
+def test_places_where_some_seeds_have_no_number_are_left_out_and_said(small, panels, tmp_path):
+    table = pq.read_table(small.path / "summary.parquet")
+    values = table["steps"].to_numpy().copy()
+    values[np.isclose(table["learner.epsilon"].to_numpy(), 0.5) & (table["seed"].to_numpy() == 1)] = np.nan
+    (tmp_path / "run").mkdir()
+    for name in ("config.yaml", "results.parquet"):
+        (tmp_path / "run" / name).write_bytes((small.path / name).read_bytes())
+    changed = table.set_column(table.column_names.index("steps"), "steps", pa.array(values))
+    pq.write_table(changed, tmp_path / "run/summary.parquet")
+    _, notes = plot([tmp_path / "run"], "learner.epsilon", "steps", None, tmp_path / "x.png")
+    assert notes == ["Left out for want of a number of every seed: 1 place."]
+    np.testing.assert_allclose(panels[0].lines[0].get_xdata(), [0.1, 0.9], rtol=1e-6)
+
+
+def refused(capsys, *arguments):
+    with pytest.raises(SystemExit) as stop, pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sys.argv", ["humanoid-mjx", "plot", *map(str, arguments)])
+        main()
+    assert stop.value.code == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: ") and said.count("\n") == 1
+    return said
+
+
+def test_what_cannot_be_drawn(small, other, tmp_path, capsys):
+    run = small.path
+    assert "did you mean 'learner.epsilon'" in refused(capsys, run, "--x", "learner.epsilom")
+    assert "did you mean 'return'" in refused(capsys, run, "--y", "retrun")
+    assert "at the end of training only" in refused(capsys, run, "--y", "greedy_success")
+    assert "holds words" in refused(capsys, run, "--y", "task.rules", "--x", "learner.epsilon")
+    assert "named twice" in refused(capsys, run, run)
+    assert "no run folder" in refused(capsys, tmp_path)
+    assert "end in .png" in refused(capsys, run, "--out", "x.jpg")
+    assert "there is no folder" in refused(capsys, run, "--out", tmp_path / "no" / "x.png")
+
+
+def test_the_command_draws_into_the_run_folder(small):
+    done = CliRunner().invoke(app, ["plot", str(small.path), "--by", "learner.learning_rate"])
+    assert done.exit_code == 0, done.output
+    file = small.path / "figures/success_over_episode_by_learner_learning_rate.png"
+    assert str(file) in done.output.replace("\n", "") and file.read_bytes().startswith(b"\x89PNG")
+
+
+def test_more_lines_than_can_be_told_apart(small, monkeypatch, tmp_path):
+    monkeypatch.setattr(plotting, "MAX_LINES", 2)
+    with pytest.raises(InputError, match="3 lines cannot be told apart"):
+        plot([small.path], None, "return", "learner.epsilon", tmp_path / "x.png")
+    assert not (tmp_path / "x.png").exists()
