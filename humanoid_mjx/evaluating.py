@@ -11,6 +11,7 @@ from humanoid_mjx import runtime
 from humanoid_mjx.commands import console
 from humanoid_mjx.runs.evaluations import Evaluation
 from humanoid_mjx.spec import InputError
+from humanoid_mjx.training.progress import Bar
 
 
 def run_evaluate(
@@ -89,7 +90,10 @@ def run_gait(
     if physics is not None:
         policies = [on_physics(policy, physics) for policy in policies]
     policies = [in_changed_world(policy, settings) for policy in policies]
-    measured = measure(policies, episodes)
+    with Bar(console) as bar:
+        bar.begin(1, "episodes")
+        bar.phase("walking")
+        measured = measure(policies, episodes, bar.count)
     for each in measured:
         seeds = len(each.policies)
         whose = each.policies[0].name + (f", {seeds} training seeds" if seeds > 1 else "")

@@ -89,7 +89,7 @@ def test_commands_stay_whatever_the_task_draws():
 
 def test_episodes_are_the_same_however_they_are_cut(monkeypatch):
     whole = played(calm(learner_of()))
-    monkeypatch.setitem(gait_evaluation.WORLDS, "cpu", 3 * len(ASKED))
+    monkeypatch.setattr(gait_evaluation, "WORLDS_IN_MUJOCO", 3 * len(ASKED))
     parts = played(calm(learner_of()))
     np.testing.assert_array_equal(whole["success"], parts["success"])
     np.testing.assert_allclose(whole["seconds"], parts["seconds"], atol=0.021)  # a decision more or less

@@ -1,5 +1,6 @@
 """The table of `evaluate --gait`: a row for each command."""
 
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -8,22 +9,22 @@ from rich.table import Table
 from humanoid_mjx.runs.gaits import Gait, Summary
 
 COLUMNS = (
-    ("upright", "success", ".0%", True),
-    ("forward\nm/s", "forward", ".3f", False),
-    ("error\nm/s", "speed_error", ".3f", True),
-    ("turn\nrad/s", "turn", ".2f", False),
-    ("error\nrad/s", "turn_error", ".2f", True),
-    ("drift\nm", "drift", ".2f", False),
-    ("heading\ndegrees", "heading_error", ".0f", False),
-    ("slip\nm/s", "slip", ".3f", True),
-    ("duty", "duty", ".2f", False),
-    ("flight", "flight", ".0%", False),
-    ("step\nm", "step_length", ".3f", False),
-    ("steps\n1/s", "step_frequency", ".1f", False),
-    ("lift\nm", "clearance", ".3f", False),
-    ("cost", "cost_of_transport", ".1f", False),
+    ("upright", "success", "z.0%", True),
+    ("speed\nm/s", "forward", "z.3f", False),
+    ("error\nm/s", "speed_error", "z.3f", True),
+    ("turn\nrad/s", "turn", "z.2f", False),
+    ("error\nrad/s", "turn_error", "z.2f", True),
+    ("drift\nm", "drift", "z.2f", False),
+    ("off\ndeg", "heading_error", "z.0f", False),
+    ("slip\nm/s", "slip", "z.3f", True),
+    ("duty", "duty", "z.2f", False),
+    ("flight", "flight", "z.0%", False),
+    ("step\nm", "step_length", "z.3f", False),
+    ("steps\n1/s", "step_frequency", "z.1f", False),
+    ("lift\nm", "clearance", "z.3f", False),
+    ("cost", "cost_of_transport", "z.1f", False),
 )
-"""Heading, figure, its format, and whether its unfavourable end stands beside it."""
+"""Heading, figure, its format, whether its unfavourable end stands beside it. The speed of a sidestep is sideways."""
 
 
 def gait_table(title: str, gaits: Sequence[Gait], beyond: Sequence[str] = ()) -> Table:
@@ -34,7 +35,8 @@ def gait_table(title: str, gaits: Sequence[Gait], beyond: Sequence[str] = ()) ->
         table.add_column(heading, justify="right")
     for gait in gaits:
         if gait.agent == "greedy":
-            cells = (_cell(gait.figures[name], form, ends) for _, name, form, ends in COLUMNS)
+            ways = {"forward": "left" if gait.command[1] else "forward"}
+            cells = (_cell(gait.figures[ways.get(name, name)], form, ends) for _, name, form, ends in COLUMNS)
             table.add_row(gait.scenario + " *" * (gait.scenario in beyond), *cells)
     return table
 
@@ -42,16 +44,20 @@ def gait_table(title: str, gaits: Sequence[Gait], beyond: Sequence[str] = ()) ->
 def _cell(summary: Summary, form: str, ends: bool) -> str:
     if not np.isfinite(summary.median):
         return ""
-    value = format(summary.median, form)
-    return f"{value} ({format(bad_end(summary), form)})" if ends else value
+    value = _short(summary.median, form)
+    return f"{value} ({_short(bad_end(summary), form)})" if ends else value
+
+
+def _short(value: float, form: str) -> str:
+    """A number without the 0 before its point."""
+    return re.sub(r"^(-?)0\.", r"\1.", format(value, form))
 
 
 def bad_end(summary: Summary) -> float:
     """The worst training seed; of a single one the unfavourable end of the interval over its episodes."""
-    if len(summary.seeds) > 1:
-        return summary.worst
-    one = summary.seeds[0]
-    return one.low if summary.better > 0 else one.high
+    first, *others = summary.seeds
+    alone = first.low if summary.better > 0 else first.high
+    return summary.worst if others else alone
 
 
 def remarks(gaits: Sequence[Gait], beyond: Sequence[str]) -> list[str]:
@@ -59,14 +65,19 @@ def remarks(gaits: Sequence[Gait], beyond: Sequence[str]) -> list[str]:
     seeds = max(len(gait.figures["success"].seeds) for gait in gaits)
     many = "medians over the training seeds; in brackets the worst of them"
     one = "means over the episodes; in brackets the worse end of the 95 % interval"
-    lines = [f"Errors are of means over whole gait cycles near 1 s. Figures are {many if seeds > 1 else one}."]
+    lines = [
+        f"Figures are {many if seeds > 1 else one}. Errors are of means over whole gait cycles near 1 s; off: how far "
+        "the heading has changed; cost: of transport."
+    ]
     if beyond:
         lines.append("* a command beyond those of training")
     for gait in gaits:
         turn, success = gait.figures["turn_seconds"], gait.figures["turn_success"]
         if gait.agent == "greedy" and np.isfinite(success.median):
             took = f", in {turn.median:.2f} s" if np.isfinite(turn.median) else ""
-            lines.append(f"{gait.scenario}: 45 degrees within 1.5 s in {_cell(success, '.0%', True)} of episodes{took}")
+            lines.append(
+                f"{gait.scenario}: 45 degrees within 1.5 s in {_cell(success, 'z.0%', True)} of episodes{took}"
+            )
     for agent in dict.fromkeys(gait.agent for gait in gaits if gait.agent != "greedy"):
         mine = [gait.figures for gait in gaits if gait.agent == agent]
         upright, error = (np.array([one[name].median for one in mine]) for name in ("success", "speed_error"))

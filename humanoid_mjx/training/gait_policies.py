@@ -1,7 +1,7 @@
 """The policies that `evaluate --gait` is given, and the world that it asks them in."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -58,20 +58,23 @@ def settings_of(overrides: Sequence[str]) -> list[str]:
     return [*(f"{key}={value}" for key, value in ours.items()), *overrides]
 
 
-def measure(policies: Sequence[Trained], episodes: int) -> list[Measured]:
-    """What all agents do, for each group of policies of the same task and the same kind of learner."""
+def measure(policies: Sequence[Trained], episodes: int, tell: Callable[[int, int], None]) -> list[Measured]:
+    """What all agents do, for each group of policies of the same task and the same kind of learner.
+
+    `tell` is called with how many of a group's episodes have been played.
+    """
     groups: dict[Any, list[Trained]] = {}
     for policy in policies:
         task = json.dumps(resolved(policy.config)["task"], sort_keys=True)
         groups.setdefault((task, jax.tree.structure((policy.learner, policy.policy))), []).append(policy)
-    return [_measure(group, episodes) for group in groups.values()]
+    return [_measure(group, episodes, tell) for group in groups.values()]
 
 
-def _measure(policies: list[Trained], episodes: int) -> Measured:
+def _measure(policies: list[Trained], episodes: int, tell: Callable[[int, int], None]) -> Measured:
     learner = policies[0].learner
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(policy.policy for policy in policies))
     seconds = float(walking_task(learner.task).duration)
-    gaits = evaluate_gait(learner, stacked, episodes, seconds, AGENTS)
+    gaits = evaluate_gait(learner, stacked, episodes, seconds, AGENTS, tell=tell)
     return Measured(policies, gaits, [each.name for each in SCENARIOS if _beyond(learner.task, each)])
 
 
