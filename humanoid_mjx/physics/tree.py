@@ -142,8 +142,8 @@ class TreePhysics(MujocoPhysics):
         return World(*self._move(_advance, values, state, world, torque))
 
     def _move(self, function: Any, values: mechanics.Values, state: mechanics.State, world: World, torque: Any) -> Any:
-        """`_advance` or `_advance_sensed`: one kernel on a GPU, which makes the state itself rather than read it."""
-        kernel = jax.default_backend() == "gpu"
+        """`_advance` or `_advance_sensed`; of float32 on a GPU one kernel, that makes the state rather than read it."""
+        kernel = jax.default_backend() == "gpu" and not jax.config.read("jax_enable_x64")
         return worlds_last(function, self.tree, kernel=kernel)(values, None if kernel else state, tuple(world), torque)
 
     def _within(self, torque: Any) -> Float[Array, " joints"]:

@@ -21,9 +21,12 @@ from jaxtyping import Array, Float
 from humanoid_mjx.assembly import assembly
 from humanoid_mjx.mechanics.tree.threads import WORLDS, arranged, evaluate, vector
 
+PAGE = 48 * 1024 // (4 * WORLDS)
+"""Rows that fit into the shared memory that a block may declare."""
+
 
 def one_kernel(function: Callable[..., Any], *args: Any, interpret: bool = False) -> Any:
-    """`function(*args)`, both pytrees of arrays whose last axis is of worlds that do not mix; floats are float32.
+    """`function(*args)`, both pytrees of arrays whose last axis is of worlds that do not mix: of float32, or of flags.
 
     `interpret`: run on a CPU, slowly.
     """
@@ -53,13 +56,20 @@ def _kernel(rows: Any, out: Any, *, traced: ClosedJaxpr, staged: bool) -> None:
         for row, number in enumerate(_results(traced, [rows[row, world] for row in range(rows.shape[0])])):
             out[row, world] = number
         return
-    stage = _Stage.of(max(rows.shape[0], out.shape[0]))
-    token = stage.fill(rows, world)
-    numbers = [stage.read(token, row) for row in range(rows.shape[0])]
-    token = stage.after(token, numbers)
-    for row, number in enumerate(_results(traced, numbers)):
-        token = stage.write(token, row, number)
-    stage.empty(token, out, world)
+    stage = _Stage.of(min(PAGE, max(rows.shape[0], out.shape[0])))
+    token, numbers = jnp.zeros(WORLDS, jnp.int32), []
+    for first in range(0, rows.shape[0], PAGE):
+        count = min(PAGE, rows.shape[0] - first)
+        token = stage.fill(token, rows, world, first, count)
+        page = [stage.read(token, row) for row in range(count)]
+        token = stage.after(token, page)
+        numbers += page
+    results = _results(traced, numbers)
+    for first in range(0, len(results), PAGE):
+        page = results[first : first + PAGE]
+        for row, number in enumerate(page):
+            token = stage.write(token, row, number)
+        token = stage.empty(token, out, world, first, len(page))
 
 
 def _results(traced: ClosedJaxpr, numbers: Sequence[Array]) -> list[Float[Array, " worlds"]]:
@@ -77,8 +87,9 @@ class _Stage(NamedTuple):
     """Shared memory on the way between the device's memory and the registers, a column for each world.
 
     For every access to the device's memory in a program Triton looks at all that depends on it: with one for each
-    number a time step compiles for half an hour. So there are two, in loops. Inline assembly reaches shared memory; it
-    may be moved unless something depends on it, hence a write gives a token, a number, which what follows takes.
+    number a time step compiles for half an hour. So there is one for each `PAGE`, in loops. Inline assembly reaches
+    shared memory; it may be moved unless something depends on it, hence a write gives a token, a number, which what
+    follows takes.
     """
 
     address: Array
@@ -90,13 +101,13 @@ class _Stage(NamedTuple):
         code = f".shared .align 4 .b8 stage[{rows * WORLDS * 4}]; mov.u32 $0, stage;"
         return cls(assembly(code, "=r,r", jnp.int32, thread) + 4 * thread)
 
-    def fill(self, rows: Any, world: Array) -> Array:
+    def fill(self, token: Array, rows: Any, world: Array, first: int, count: int) -> Array:
         def one(row: Array, token: Array) -> Array:
             address = self.address + row * (4 * WORLDS)
-            value = gpu.load(rows.at[row, world])
+            value = gpu.load(rows.at[first + row, world])
             return assembly("st.shared.f32 [$1], $2; mov.b32 $0, $3;", "=r,r,f,r", jnp.int32, address, value, token)
 
-        return lax.fori_loop(0, rows.shape[0], one, jnp.zeros(WORLDS, jnp.int32))
+        return lax.fori_loop(0, count, one, token)
 
     def read(self, token: Array, row: int) -> Array:
         code = f"ld.shared.f32 $0, [$1+{4 * WORLDS * row}];"
@@ -112,10 +123,11 @@ class _Stage(NamedTuple):
         code = f"st.shared.f32 [$1+{4 * WORLDS * row}], $2; mov.b32 $0, $3;"
         return assembly(code, "=r,r,f,r", jnp.int32, self.address, value, token)
 
-    def empty(self, token: Array, out: Any, world: Array) -> None:
-        def one(row: Array, _: None) -> None:
+    def empty(self, token: Array, out: Any, world: Array, first: int, count: int) -> Array:
+        def one(row: Array, token: Array) -> Array:
             address = self.address + row * (4 * WORLDS)
             value = assembly("ld.shared.f32 $0, [$1];", "=f,r,r", jnp.float32, address, token)
-            gpu.store(out.at[row, world], value)
+            gpu.store(out.at[first + row, world], value)
+            return self.after(token, [value])
 
-        lax.fori_loop(0, out.shape[0], one, None)
+        return lax.fori_loop(0, count, one, token)
