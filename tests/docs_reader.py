@@ -77,7 +77,7 @@ class Reader:
                 raise AssertionError(f"{shlex.join(words)}: {error}") from error
             getattr(self, name)(**context.params)
 
-    def sweep(self, config, out, set_, resume):
+    def sweep(self, config, out, set_, resume, tensorboard):
         from humanoid_mjx.config import load
         from humanoid_mjx.training.plan import make_plan
 
@@ -108,10 +108,23 @@ class Reader:
             assert set(names or []) <= {*BENCHES, "all", "guard"}
         self.files.add(str(json))
 
-    def evaluate(self, policies, physics, episodes, json, out):
+    def evaluate(self, policies, gait, set_, physics, episodes, json, out):
+        from humanoid_mjx.training.gait_evaluation import walking_task
+        from humanoid_mjx.training.policy import find_policy, in_changed_world
+
         for policy in policies:
             self.has(policy)
+            if policy in names("policies", ".npz"):
+                trained = in_changed_world(find_policy(policy), set_ or [])
+                assert not gait or walking_task(trained.learner.task)
         self.simulates(physics)
+
+    def runs(self, folder):
+        assert str(folder) == "runs", folder
+
+    def plot(self, run, x, y, by, out):
+        for folder in run:
+            assert str(folder) in self.folders | self.earlier, folder
 
     def play(self, policy, physics, out, view):
         self.has(policy)

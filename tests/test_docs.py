@@ -31,7 +31,7 @@ DOCS = ROOT / "docs"
 PAGES = {
     str(path.relative_to(ROOT)): path for path in (*DOCS.rglob("*.md"), ROOT / "README.md", ROOT / "CONTRIBUTING.md")
 }
-COMMANDS_ONLY = {"README.md"}
+COMMANDS_ONLY = {"README.md", "docs/results.md"}
 """Pages whose Python is a sweep at full length."""
 
 
