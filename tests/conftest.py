@@ -1,5 +1,6 @@
 """Settings for all tests: two CPU devices, compiled programs kept between runs, types checked at every call."""
 
+import gc
 import os
 from pathlib import Path
 
@@ -8,6 +9,8 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parent.parent / ".pytest_cache" / "xla"))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
 
+import jax
+import pytest
 from jaxtyping import install_import_hook
 
 install_import_hook("humanoid_mjx", "typecheck.check")
@@ -19,6 +22,21 @@ os.environ.setdefault("PJRT_NPROC", runtime.POOL_THREADS)
 
 collect_ignore = [] if os.environ.get("JAX_ENABLE_X64") else ["float64"]
 """Those need a process of their own: test_float64.py starts it."""
+
+
+MAPPINGS = 15_000
+"""Parts of memory after which compiled programs are let go. Each has a few; Linux allows a process 65,530, and XLA
+crashes when it gets no more."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_compiled_programs():
+    """A worker does not keep the programs of all modules that it has run."""
+    yield
+    maps = Path("/proc/self/maps")
+    if maps.exists() and len(maps.read_bytes().splitlines()) > MAPPINGS:
+        jax.clear_caches()
+        gc.collect()
 
 
 def pytest_collection_modifyitems(items):
