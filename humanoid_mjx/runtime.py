@@ -75,6 +75,14 @@ def start() -> None:
             jax.config.update(name, value)
 
 
+def why_no_kernel() -> str | None:
+    """Why kernels that Pallas makes through Triton do not run here; None where they do."""
+    if jax.default_backend() != "gpu":
+        return "there is no GPU"
+    major = str(getattr(jax.local_devices()[0], "compute_capability", "")).partition(".")[0]
+    return None if major.isdigit() and int(major) >= 8 else "the GPU is not of NVIDIA's Ampere or later ones"
+
+
 def _cache_folder() -> Path:
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "humanoid_mjx" / "xla"

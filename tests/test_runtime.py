@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from collections import deque
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -93,3 +94,22 @@ def test_a_program_alone_may_use_every_thread(monkeypatch):
     assert runtime.on_every_device({}) == {}
     monkeypatch.setattr(jax, "local_device_count", lambda: 1)
     assert runtime.on_every_device(options) == options
+
+
+@pytest.mark.parametrize(
+    ("backend", "capability", "words"),
+    [
+        ("cpu", None, "no GPU"),
+        ("gpu", "9.0", None),
+        ("gpu", "8.0", None),
+        ("gpu", "7.5", "Ampere"),
+        ("gpu", "gfx90a", "Ampere"),
+        ("gpu", None, "Ampere"),
+    ],
+)
+def test_kernels_are_for_gpus_that_triton_compiles_for(monkeypatch, backend, capability, words):
+    device = SimpleNamespace() if capability is None else SimpleNamespace(compute_capability=capability)
+    monkeypatch.setattr(jax, "default_backend", lambda: backend)
+    monkeypatch.setattr(jax, "local_devices", lambda: [device])
+    reason = runtime.why_no_kernel()
+    assert reason is None if words is None else words in reason

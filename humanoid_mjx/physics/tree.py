@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
+from humanoid_mjx import runtime
 from humanoid_mjx.mechanics.contacts import Contacts, no_contacts
 from humanoid_mjx.mechanics.scalars import Vector, unstack
 from humanoid_mjx.mechanics.tree import sensing
@@ -143,7 +144,7 @@ class TreePhysics(MujocoPhysics):
 
     def _move(self, function: Any, values: mechanics.Values, state: mechanics.State, world: World, torque: Any) -> Any:
         """`_advance` or `_advance_sensed`; of float32 on a GPU one kernel, that makes the state rather than read it."""
-        kernel = jax.default_backend() == "gpu" and not jax.config.read("jax_enable_x64")
+        kernel = runtime.why_no_kernel() is None and not jax.config.read("jax_enable_x64")
         return worlds_last(function, self.tree, kernel=kernel)(values, None if kernel else state, tuple(world), torque)
 
     def _within(self, torque: Any) -> Float[Array, " joints"]:

@@ -19,7 +19,7 @@ from jax.experimental import pallas as pl
 from jax.experimental.pallas import triton as gpu
 from jaxtyping import Array
 
-from humanoid_mjx import rng
+from humanoid_mjx import rng, runtime
 from humanoid_mjx.assembly import assembly
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.tabular import TabularQ
@@ -54,8 +54,8 @@ def why_not(learner: Learner) -> str | None:
         return "several agents feed one table"
     if learner.evaluations > 1:
         return "tables are kept along the way, for evaluation"
-    if jax.default_backend() != "gpu":
-        return "there is no GPU"
+    if reason := runtime.why_no_kernel():
+        return reason
     try:
         functions(one_of(learner) if all(map(np.ndim, jax.tree.leaves(learner))) else learner)
     except NotElementwise as reason:
