@@ -15,7 +15,7 @@ from humanoid_mjx import runtime
 from humanoid_mjx.config import dump_yaml, load
 from humanoid_mjx.data import names
 from humanoid_mjx.runs.disk import in_words
-from humanoid_mjx.spec import InputError
+from humanoid_mjx.spec import InputError, check_folder
 from humanoid_mjx.training.progress import Bar, PatientConsole
 
 console = PatientConsole(highlight=False, width=None if sys.stdout.isatty() else 120)
@@ -158,8 +158,7 @@ def run_export(what: str, file: Path) -> None:
     """`humanoid-mjx export`."""
     if file.suffix not in (".xml", ".npz"):
         raise InputError(f"{file}: the file must end in .xml, for a robot, or in .npz, for the policy of a run.")
-    if not file.parent.is_dir():
-        raise InputError(f"{file}: there is no folder {file.parent}.")
+    check_folder(file)
     if file.suffix == ".npz":
         from humanoid_mjx.training.policy import find_policy, save_policy
 

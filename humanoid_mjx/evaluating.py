@@ -10,7 +10,7 @@ from rich.table import Table
 from humanoid_mjx import runtime
 from humanoid_mjx.commands import console
 from humanoid_mjx.runs.evaluations import Evaluation
-from humanoid_mjx.spec import InputError
+from humanoid_mjx.spec import check_folder
 from humanoid_mjx.training.progress import Bar
 
 
@@ -23,7 +23,8 @@ def run_evaluate(
     out: Path | None,
 ) -> None:
     """`humanoid-mjx evaluate`."""
-    _check_folder(file)
+    if file is not None:
+        check_folder(file, "--json")
     runtime.start()
     from humanoid_mjx.report.comparison import compare_curves, curve_of_run
     from humanoid_mjx.training.evaluation import HELD_OUT_WORDS, evaluate_all
@@ -40,7 +41,7 @@ def run_evaluate(
     title = f"{episodes:,} episodes that no training has seen{_changes(physics, overrides)}"
     console.print(evaluation_table(title, evaluations))
     if file is not None:
-        result = _made_by() | {
+        result = runtime.made_by() | {
             "episodes": episodes,
             "held_out": HELD_OUT_WORDS,
             "set": list(overrides),
@@ -78,7 +79,8 @@ def run_gait(
     names: Sequence[str], physics: str | None, overrides: Sequence[str], episodes: int, file: Path | None
 ) -> None:
     """`humanoid-mjx evaluate --gait`."""
-    _check_folder(file)
+    if file is not None:
+        check_folder(file, "--json")
     runtime.start()
     from humanoid_mjx.report.gaits import gait_table, remarks
     from humanoid_mjx.tasks.legged.measures.figures import FIGURES
@@ -103,22 +105,13 @@ def run_gait(
         figures = {name: figure._asdict() for name, figure in FIGURES.items()}
         results = [each.as_json() for each in measured]
         settings_used = {"episodes": episodes, "held_out": HELD_OUT_WORDS, "set": settings, "physics": physics}
-        _write(file, _made_by() | settings_used | {"figures": figures, "results": results}, indent=None)
+        _write(file, runtime.made_by() | settings_used | {"figures": figures, "results": results}, indent=None)
 
 
 def _changes(physics: str | None, overrides: Sequence[str]) -> str:
     """What is not as in training, for a title."""
     changes = [f"physics {physics}"] * (physics is not None) + list(overrides)
     return "".join(f", {change}" for change in changes)
-
-
-def _made_by() -> dict[str, Any]:
-    return {"machine": runtime.machine(), "versions": runtime.versions(), "commit": runtime.commit()}
-
-
-def _check_folder(file: Path | None) -> None:
-    if file is not None and not file.parent.is_dir():
-        raise InputError(f"--json {file}: there is no folder {file.parent}.")
 
 
 def _write(file: Path, result: dict[str, Any], indent: int | None = 2) -> None:

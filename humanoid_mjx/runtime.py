@@ -75,6 +75,11 @@ def start() -> None:
             jax.config.update(name, value)
 
 
+def made_by() -> dict[str, Any]:
+    """What made a record: machine, versions, commit."""
+    return {"machine": machine(), "versions": versions(), "commit": commit()}
+
+
 def why_no_kernel() -> str | None:
     """Why kernels that Pallas makes through Triton do not run here; None where they do."""
     if jax.default_backend() != "gpu":

@@ -24,6 +24,16 @@ class InputError(ValueError):
     """A value that the user gave cannot be used. The message is one sentence that says what would be right."""
 
 
+def check_folder(file: Path, option: str = "") -> None:
+    """Refuse a file, given by an option, whose folder is not there.
+
+    Raises:
+      InputError: there is no such folder.
+    """
+    if not file.parent.is_dir():
+        raise InputError(f"{option} {file}: there is no folder {file.parent}.".lstrip())
+
+
 def traced(default: Any = ..., **constraints: Any) -> Any:
     """A field of a `Spec` that compiled programs take as data; `constraints` are those of `pydantic.Field`."""
     return pydantic.Field(default, json_schema_extra={"traced": True}, **constraints)

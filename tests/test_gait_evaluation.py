@@ -17,7 +17,7 @@ from humanoid_mjx.runs.gaits import summarised
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.tasks.legged.measures.figures import FIGURES
 from humanoid_mjx.training import gait_evaluation
-from humanoid_mjx.training.gait_evaluation import SCENARIOS, Scenario, calm, evaluate_gait, play_gaits
+from humanoid_mjx.training.gait_evaluation import SCENARIOS, Scenario, calm, gaits_of, play_gaits
 from humanoid_mjx.training.gait_policies import settings_of
 from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.policy import best_policy, in_changed_world, policies_of_best, save_policy
@@ -177,7 +177,8 @@ def test_all_seeds_of_the_best_point(runs):
     changed = in_changed_world(best, ["task.friction=0.5", "task.randomise.mass=0.3"])
     assert float(changed.learner.task.friction) == 0.5 and float(changed.learner.task.randomise.mass) == np.float32(0.3)
     assert best.config.task["randomise"] is None and best.learner.task.randomise is None
-    gaits = evaluate_gait(calm(best.learner), jax.tree.map(lambda x: x[None], best.policy), 2, 0.3, scenarios=ASKED[:1])
+    one = jax.tree.map(lambda x: x[None], best.policy)
+    gaits = gaits_of(play_gaits(calm(best.learner), one, 2, 0.3, scenarios=ASKED[:1]), ASKED[:1])
     assert [gait.scenario for gait in gaits] == ["stand"] and len(gaits[0].figures["drift"].seeds) == 1
 
 

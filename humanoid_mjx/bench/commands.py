@@ -11,7 +11,7 @@ import typer
 
 from humanoid_mjx import runtime
 from humanoid_mjx.commands import console
-from humanoid_mjx.spec import InputError, known
+from humanoid_mjx.spec import InputError, check_folder, known
 
 
 def run_bench(chosen: Sequence[str], file: Path | None) -> None:
@@ -24,8 +24,8 @@ def run_bench(chosen: Sequence[str], file: Path | None) -> None:
     if odd := [name for name in chosen if name not in (*BENCHES, "all") and chosen != ["guard"]]:
         names = (*BENCHES, "all", "guard", "compare")
         raise InputError(f"bench: unknown benchmark {odd[0]!r}; {known(odd[0], names)}.")
-    if file is not None and not file.parent.is_dir():
-        raise InputError(f"--json {file}: there is no folder {file.parent}.")
+    if file is not None:
+        check_folder(file, "--json")
     if chosen == ["guard"]:
         guard_benches(file)
         return
@@ -36,8 +36,7 @@ def run_bench(chosen: Sequence[str], file: Path | None) -> None:
         console.print(f"{name}:")
         records += [record.as_json() for record in module.run(lambda line: console.print("  " + line))]
     if file is not None:
-        result = {"machine": runtime.machine(), "versions": runtime.versions(), "commit": runtime.commit()}
-        file.write_text(json.dumps(result | {"records": records}, indent=2) + "\n")
+        file.write_text(json.dumps(runtime.made_by() | {"records": records}, indent=2) + "\n")
         console.print(f"{file}")
 
 

@@ -210,5 +210,5 @@ RATIOS: dict[str, Callable[[], Pair]] = {
 
 def as_json(found: list[Found]) -> dict[str, Any]:
     """What a record holds."""
-    header = {"machine": runtime.machine(), "versions": runtime.versions(), "commit": runtime.commit()}
+    header = runtime.made_by()
     return header | {"ratios": {ratio.name: round(ratio.value, 4) for ratio in found}}

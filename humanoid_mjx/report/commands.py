@@ -12,7 +12,7 @@ from humanoid_mjx import runtime
 from humanoid_mjx.commands import console
 from humanoid_mjx.runs.disk import in_words
 from humanoid_mjx.runs.listing import Listed, list_runs
-from humanoid_mjx.spec import InputError
+from humanoid_mjx.spec import InputError, check_folder
 from humanoid_mjx.training.progress import Bar
 
 
@@ -71,8 +71,8 @@ def run_plot(paths: Sequence[Path], x: str | None, y: str, by: str | None, out: 
 
     if out is not None and out.suffix != ".png":
         raise InputError(f"--out {out}: the file must end in .png.")
-    if out is not None and not out.parent.is_dir():
-        raise InputError(f"--out {out}: there is no folder {out.parent}.")
+    if out is not None:
+        check_folder(out, "--out")
     target, notes = plot(paths, x, y, by, out)
     for note in notes:
         console.print(note, markup=False)
@@ -84,8 +84,7 @@ def run_report(path: Path, out: Path | None, motion: bool) -> None:
     from humanoid_mjx.report.page import report_of, write_page
 
     target = out or path / "report.html"
-    if not target.parent.is_dir():
-        raise InputError(f"{target}: there is no folder {target.parent}.")
+    check_folder(target)
     runtime.start()
     with Bar(console) as bar:
         write_page(target, report_of(path, bar, motion))

@@ -12,7 +12,7 @@ import numpy as np
 from PIL import Image
 
 from humanoid_mjx.report.raycast import Frame
-from humanoid_mjx.spec import InputError
+from humanoid_mjx.spec import InputError, check_folder
 
 ENDINGS = (".gif", ".mp4", ".webm", ".png")
 
@@ -31,8 +31,7 @@ def check_file(path: Path) -> None:
     """
     if path.suffix not in ENDINGS:
         raise InputError(f"{path}: the file must end in .gif, .mp4, .webm or .png.")
-    if not path.parent.is_dir():
-        raise InputError(f"{path}: there is no folder {path.parent}.")
+    check_folder(path)
     if path.suffix in CODECS and ffmpeg() is None:
         raise InputError(
             f"{path}: {path.suffix} needs ffmpeg, which is not installed: pip install 'humanoid-mjx[video]' brings "

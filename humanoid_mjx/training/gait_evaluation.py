@@ -100,24 +100,6 @@ def calm(learner: Learner) -> Learner:
     return learner.replace(task=task.replace(push=task.push.replace(impulse=jnp.float32(0.0)), randomise=None))
 
 
-def evaluate_gait(
-    learner: Learner,
-    policies: Any,
-    episodes: int,
-    seconds: float = SECONDS,
-    agents: Sequence[str] = ("greedy",),
-    scenarios: Sequence[Scenario] = SCENARIOS,
-    tell: Callable[[int, int], None] = lambda done, total: None,
-) -> list[Gait]:
-    """What each agent does under each scenario, with intervals; the arguments are those of `play_gaits`."""
-    found = play_gaits(learner, policies, episodes, seconds, agents, scenarios, tell)
-    return [
-        Gait(name, scenario.name, scenario.command, summarised({key: x[:, row] for key, x in found[name].items()}))
-        for name in agents
-        for row, scenario in enumerate(scenarios)
-    ]
-
-
 def play_gaits(
     learner: Learner,
     policies: Any,
@@ -160,6 +142,15 @@ def play_gaits(
     found = {name: np.concatenate([part[name] for part in parts], axis=-1)[..., :episodes] for name in parts[0]}
     of = {name: np.array([index for index, (one, _) in enumerate(chosen) if one == name]) for name in agents}
     return {name: {key: found[key][of[name]] for key in FIGURES} for name in agents}
+
+
+def gaits_of(found: dict[str, dict[str, np.ndarray]], scenarios: Sequence[Scenario] = SCENARIOS) -> list[Gait]:
+    """What `play_gaits` found, with intervals: of each agent under each scenario."""
+    return [
+        Gait(name, scenario.name, scenario.command, summarised({key: x[:, row] for key, x in of_agent.items()}))
+        for name, of_agent in found.items()
+        for row, scenario in enumerate(scenarios)
+    ]
 
 
 def _worlds(task: LeggedTask) -> int:

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from humanoid_mjx.runs.gaits import Gait
 from humanoid_mjx.tasks.legged.commands import Velocity
-from humanoid_mjx.training.gait_evaluation import SCENARIOS, Scenario, evaluate_gait, walking_task
+from humanoid_mjx.training.gait_evaluation import SCENARIOS, Scenario, gaits_of, play_gaits, walking_task
 from humanoid_mjx.training.plan import resolved
 from humanoid_mjx.training.policy import Trained, find_policy, policies_of_best
 from humanoid_mjx.training.rollout import AGENTS
@@ -74,7 +74,7 @@ def _measure(policies: list[Trained], episodes: int, tell: Callable[[int, int], 
     learner = policies[0].learner
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(policy.policy for policy in policies))
     seconds = float(walking_task(learner.task).duration)
-    gaits = evaluate_gait(learner, stacked, episodes, seconds, AGENTS, tell=tell)
+    gaits = gaits_of(play_gaits(learner, stacked, episodes, seconds, AGENTS, tell=tell))
     return Measured(policies, gaits, [each.name for each in SCENARIOS if _beyond(learner.task, each)])
 
 

@@ -19,7 +19,7 @@ from humanoid_mjx.data import folder, names
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.runs.folder import DAMAGE, read_config
 from humanoid_mjx.runs.tables import finished_runs
-from humanoid_mjx.spec import InputError, known
+from humanoid_mjx.spec import InputError, check_folder, known
 from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.training.plan import make_plan, resolved, set_dotted
 from humanoid_mjx.training.state import from_arrays, to_arrays
@@ -122,8 +122,7 @@ def save_policy(trained: Trained, path: Path) -> None:
     Raises:
       InputError: there is no such folder, or it cannot be written.
     """
-    if not path.parent.is_dir():
-        raise InputError(f"{path}: there is no folder {path.parent}.")
+    check_folder(path)
     text = np.array(json.dumps({"format": FORMAT} | trained.as_json()))
     temporary = path.with_name(f".new-{path.name}")
     try:
