@@ -1,7 +1,7 @@
 """A function of many worlds as one GPU kernel, a thread for each world.
 
-XLA makes some hundred kernels of a time step, moves what is between them through memory, and lets all worlds wait for
-the one whose contacts are found last. One kernel keeps a world in registers, and 32 worlds wait for each other.
+XLA makes some four hundred kernels of a time step, moves what is between them through memory, and lets all worlds wait
+for the one whose contacts are found last. One kernel keeps a world in registers, and 32 worlds wait for each other.
 """
 
 import math
@@ -87,9 +87,9 @@ class _Stage(NamedTuple):
     """Shared memory on the way between the device's memory and the registers, a column for each world.
 
     For every access to the device's memory in a program Triton looks at all that depends on it: with one for each
-    number a time step compiles for half an hour. So there is one for each `PAGE`, in loops. Inline assembly reaches
-    shared memory; it may be moved unless something depends on it, hence a write gives a token, a number, which what
-    follows takes.
+    number a time step did not compile within four minutes. So there is one for each `PAGE`, in loops. Inline assembly
+    reaches shared memory; it may be moved unless something depends on it, hence a write gives a token, a number, which
+    what follows takes.
     """
 
     address: Array

@@ -36,7 +36,7 @@ all of it is read."""
 
 
 SERVO = ServoLaw(stiffness=6.0, damping=0.2)
-"""Soft enough that a random choice is no blow: with 14 or 21 N m/rad fewer training runs learn to stay up."""
+"""Soft, so that a random choice is no blow. Open-loop steps do not keep the body up with it; a learner has to."""
 
 
 class Walk(LeggedTask):
