@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(Path(__file__).parent / "data"))
 
@@ -19,15 +20,17 @@ from humanoid_mjx.runtime import counting_compiles
 from humanoid_mjx.tasks.check import check_task
 from humanoid_mjx.tasks.legged import LeggedTask, StandRewards, rewards
 from humanoid_mjx.tasks.legged.body import JOINTS, POSTURE
-from humanoid_mjx.tasks.legged.commands import Velocity
+from humanoid_mjx.tasks.legged.commands import LARGEST, Velocity
 from humanoid_mjx.tasks.legged.events import Randomise
 from humanoid_mjx.tasks.legged.gait import Gait
 from humanoid_mjx.tasks.legged.observations import OBSERVATIONS, Observed, swapped
 from humanoid_mjx.tasks.legged.view import unknown_feet
+from humanoid_mjx.thesis.leg import GRAVITY
 
 KEYS = jax.random.split(jax.random.key(2), 8)
 EXACT = {"sensors": dict.fromkeys(("encoder_noise", "encoder_bias", "gyroscope_noise", "gyroscope_bias"), 0.0)}
 EXACT["sensors"] |= {"accelerometer_noise": 0.0, "accelerometer_bias": 0.0, "foot_contact_noise": 0.0, "delay": 0}
+STAND, ON_THE_SPOT = jnp.zeros(3), jnp.array([1e-6, 0.0, 0.0])
 AHEAD = {"forward": [0.3, 0.3], "sideways": [0.0, 0.0], "turn": [0.0, 0.0], "standing": 0.0, "zero": 0.0}
 walk = partial(make_task, "walk", physics="mujoco")
 
@@ -172,24 +175,52 @@ def test_the_clock_turns_while_the_body_is_to_move():
     np.testing.assert_allclose((swing > 1e-6).mean(axis=0), 0.25, atol=0.01)
     np.testing.assert_allclose(swing[:, 0], np.roll(swing[:, 1], 200), atol=1e-5)
     assert not (swing > 1e-6).all(axis=1).any() and swing.max() == pytest.approx(1.0, abs=1e-3)
-    assert gait.after(0.9, True, 0.08) == pytest.approx(0.1, abs=1e-6) and gait.after(0.9, False, 0.08) == 0.0
-    motion = np.degrees(jax.vmap(lambda phase: gait.reference(phase, True))(phases)).reshape(-1, 2, 5)
+    assert gait.after(0.9, ON_THE_SPOT, 0.08) == pytest.approx(0.1, abs=1e-6)
+    assert gait.after(0.9, STAND, 0.08) == 0.0 and not np.any(gait.reference(0.3, STAND))
+    assert gait.lasting(jnp.array([0.6, -0.8, 0.5])) == pytest.approx(0.4 / 1.5)
+    motion = np.degrees(jax.vmap(lambda phase: gait.reference(phase, ON_THE_SPOT))(phases)).reshape(-1, 2, 5)
     pitch, yaw, roll, knee, ankle = motion.transpose(2, 0, 1)
     np.testing.assert_allclose(ankle, pitch - knee, atol=1e-5)
     np.testing.assert_allclose(knee.max(axis=0), 20.0, atol=0.01)
     np.testing.assert_allclose(roll[:, 0], -roll[:, 1], atol=1e-5)
-    assert (yaw == 0).all() and not np.any(gait.reference(0.3, False))
+    np.testing.assert_allclose(yaw, 0.0, atol=1e-3)
 
 
-def test_a_lifted_foot_stays_level():
-    """By MuJoCo's forward kinematics, with a torso that does not move."""
-    model, gait = walk().simulator.model, Gait(lift=12.0, sway=0.0)
-    data = mujoco.MjData(model)
-    for phase in (0.1, 0.2, 0.6):
-        data.qpos[:] = [0, 0, 0.5, 1, 0, 0, 0, *(POSTURE + np.asarray(gait.reference(phase, True)))]
-        mujoco.mj_kinematics(model, data)
-        feet = np.array([data.body(f"{side}_foot").xmat.reshape(3, 3) for side in SIDES])
-        np.testing.assert_allclose(feet, np.tile(np.eye(3), (2, 1, 1)), atol=1e-6)  # the reference is float32
+def feet_by(gait, phase, command):
+    """Positions and rotations of the feet by MuJoCo's forward kinematics, under a torso that does not move."""
+    data = mujoco.MjData(walk().simulator.model)
+    data.qpos[:] = [0, 0, 0.5, 1, 0, 0, 0, *(POSTURE + np.asarray(gait.reference(phase, jnp.array(command))))]
+    mujoco.mj_kinematics(data.model, data)
+    return [np.array([getattr(data.body(f"{side}_foot"), name) for side in SIDES]) for name in ("xpos", "xmat")]
+
+
+@pytest.mark.parametrize("phase", [0.1, 0.2, 0.6])
+def test_a_lifted_foot_stays_level(phase):
+    _, rotation = feet_by(Gait(lift=12.0, sway=0.0), phase, (0.3, 0.0, 0.0))
+    np.testing.assert_allclose(rotation, np.tile(np.eye(3).ravel(), (2, 1)), atol=1e-6)  # the reference is float32
+
+
+@pytest.mark.parametrize(
+    "command", [(0.3, 0.0, 0.0), (-0.2, 0.0, 0.0), (0.0, 0.15, 0.0), (0.0, 0.0, 1.0), (0.2, 0.1, 0.5)]
+)
+def test_a_standing_foot_goes_back_as_the_ground_does(command):
+    """In mid-stance, and there and back in one period; the ground turns, too, under a body that does."""
+    gait, seconds = Gait(), 1e-2
+    period = float(gait.lasting(jnp.array(command)))
+    for foot, middle in enumerate((0.69, 0.19)):
+        (before, turned_before), (after, turned_after) = (
+            [part[foot] for part in feet_by(gait, middle + side * seconds / period / 2, command)] for side in (-1, 1)
+        )
+        place = (before + after) / 2
+        ground = -np.array([command[0] - command[2] * place[1], command[1] + command[2] * place[0]])
+        # Legs are links that turn, so their feet's ways bend; a step of 10 ms averages over some of it.
+        np.testing.assert_allclose((after - before)[:2] / seconds, ground, atol=0.01)
+        turn = (turned_after.reshape(3, 3) @ turned_before.reshape(3, 3).T)[1, 0] / seconds
+        assert turn == pytest.approx(-command[2], abs=0.03)
+    ways = np.array([feet_by(gait, phase, command)[0] for phase in np.linspace(0.0, 1.0, 41)])
+    # A cubic comes back: no jump from the last to the first, and none on the way.
+    np.testing.assert_allclose(ways[0], ways[-1], atol=1e-6)
+    assert np.abs(np.diff(ways, axis=0)).max() < 0.03
 
 
 def test_a_changed_world_is_asked_for_by_name():
@@ -224,7 +255,7 @@ def test_rewards_of_feet_are_of_those_that_touch():
     upright = jnp.array([0.0, 0.0, 0.21, 1.0, 0.0, 0.0, 0.0, *np.zeros(10)])
     data = state.data._replace(world=state.data.world._replace(qpos=upright), command=jnp.array([0.3, 0.0, 0.0]))
     view = task.view(data._replace(phase=jnp.float32(0.2)), None, jnp.zeros(JOINTS))._replace(feet=feet)
-    assert view.swing[0] == pytest.approx(1.0, abs=1e-3) and view.swing[1] == 0.0
+    assert view.swing[0] == pytest.approx(1.0, abs=0.01) and view.swing[1] == 0.0
     on_left = feet._replace(corner_force=jnp.array([[0.0] * 4, [4.0] * 4]))
     assert rewards.schedule(view._replace(feet=on_left)) == 1.0 and rewards.schedule(view) == 0.5
     assert rewards.flight(view) == 1.0 and rewards.flight(view._replace(feet=on_left)) == 0.0
@@ -236,36 +267,101 @@ def test_rewards_of_feet_are_of_those_that_touch():
     crossed = feet._replace(position=feet.position[::-1])
     assert rewards.crossing(view._replace(feet=crossed)) == 2.0
     lifted = on_left._replace(corners=feet.corners.at[0, :, 2].set(rewards.CLEARANCE))
-    assert rewards.clearance(view._replace(feet=lifted)) == pytest.approx(1.0, abs=1e-4)
-    still = view._replace(world=view.world._replace(qvel=jnp.zeros(16)))
-    assert rewards.speed(still) < rewards.speed(still._replace(command=jnp.array([0.1, 0.0, 0.0]))) < 1.0
+    assert rewards.clearance(view._replace(feet=lifted)) == pytest.approx(1.0, abs=0.01)
+    now = view._replace(command=jnp.array([0.1, 0.0, 0.0]))
+    late = now._replace(strayed=jnp.array([-0.1, 0.0, 0.0]))
+    assert rewards.speed(late) < rewards.speed(now) < rewards.speed(now._replace(command=STAND)) == 1.0
+
+
+def test_the_heading_is_kept_while_the_turn_rate_stays_the_same():
+    task = walk(command={"heading_gain": 4.0, "every": 1e9}, **EXACT)
+    episode = jax.tree.map(lambda x: x[0], reset(arrays(task), KEYS)).data
+    down = jnp.array([0.0, 0.0, -1.0])
+    readings = episode.readings._replace(gyroscope=jnp.array([0.3, -0.2, 0.1]))
+    told = jnp.array([0.3, 0.0, 0.5])
+    episode = episode._replace(command=told, down=down, readings=readings, heading_error=jnp.float32(0.0))
+    for decision in range(1, 4):
+        episode = episode.told(told, 0.02)
+        assert episode.heading_error == pytest.approx(decision * 0.02 * (0.5 - 0.1), rel=1e-4)
+    np.testing.assert_allclose(task.followed(episode), [0.3, 0.0, 0.5 + 4.0 * 0.024], rtol=1e-4)
+    faster = episode.told(told.at[0].set(0.5), 0.02)
+    assert faster.heading_error > episode.heading_error
+    for other in (told.at[2].set(0.2), STAND):
+        assert episode.told(other, 0.02).heading_error == 0.0
+    assert not np.any(task.followed(episode.told(STAND, 0.02)._replace(heading_error=jnp.float32(0.3))))
+    for _ in range(200):
+        episode = episode.told(told, 0.5)
+    assert episode.heading_error == pytest.approx(LARGEST)
+
+
+def test_an_imu_that_integrates_reads_what_the_torso_did():
+    """Its rates add up to the rotation, and its forces to the change of velocity, over decisions of a shaken body."""
+    task = walk(**(EXACT | {"sensors": EXACT["sensors"] | {"averages": True}}))
+    state = reset(arrays(task), KEYS)
+    qpos, qvel = (np.asarray(x) for x in (state.data.world.qpos, state.data.world.qvel))
+    for seed in range(3):
+        offsets = jax.random.uniform(jax.random.key(seed), (8, JOINTS), minval=-1.0)
+        state = step(arrays(task), state, offsets, KEYS)
+        before, turned = (
+            Rotation.from_quat(x[:, 3:7], scalar_first=True) for x in (qpos, np.asarray(state.data.world.qpos))
+        )
+        spin = (before.inv() * turned).as_rotvec() / task.period
+        # Quaternions in float32, and a twentieth of a radian between them at most.
+        np.testing.assert_allclose(state.data.readings.gyroscope, spin, atol=2e-4)
+        middle = before * Rotation.from_rotvec(spin * task.period / 2)
+        push = (np.asarray(state.data.world.qvel) - qvel)[:, :3] / task.period + [0.0, 0.0, GRAVITY]
+        np.testing.assert_allclose(state.data.readings.accelerometer, middle.inv().apply(push), atol=2e-3)
+        qpos, qvel = (np.asarray(x) for x in (state.data.world.qpos, state.data.world.qvel))
+
+
+def test_an_offset_stays_behind_its_new_value():
+    slow, quick = (once(walk(inertia=inertia, offset=20.0), 1.0)[1].data for inertia in (0.75, 0.0))
+    np.testing.assert_allclose(slow.offsets, 0.25)
+    np.testing.assert_allclose(quick.offsets, 1.0)
+    quarter = once(walk(inertia=0.0, offset=20.0), 0.25)[1].data
+    np.testing.assert_array_equal(slow.world.qpos, quarter.world.qpos)
 
 
 @pytest.fixture(scope="module", params=["mujoco", pytest.param("mjx-jax", marks=pytest.mark.slow)])
 def stepped(request):
-    """Five seconds of `walk` on the spot by an open-loop reference alone: offsets are 0. Readings and flags."""
+    """Five seconds of `walk` by an open-loop reference alone (offsets are 0), 16 on the spot and 16 turning: flags,
+    phases, readings and headings."""
     control = {"name": "servo", "stiffness": 20.0, "damping": 0.45}
     gait = {"period": 0.32, "stance": 0.62, "lift": 9.0, "sway": -2.0}
-    task = make_task("walk", physics=request.param, push={"impulse": 0.0}, control=control, gait=gait, **EXACT)
+    command = {"heading_gain": 4.0, "every": 1e9}
+    changed = {"control": control, "gait": gait, "command": command, "push": {"impulse": 0.0}}
+    task = make_task("walk", physics=request.param, **changed, sensors=EXACT["sensors"] | {"averages": True})
 
     def decide(task, carry, key):
         state, down = carry
-        on_the_spot = jnp.array([1e-6, 0.0, 0.0])
-        state = state._replace(data=state.data._replace(command=on_the_spot))
         state = task.step_continuous(state, jnp.zeros(JOINTS), key)
         down |= state.terminated
-        return (state, down), (down, state.data.phase, state.data.readings.foot_contact)
+        w, x, y, z = state.data.world.qpos[3:7]
+        heading = jnp.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        return (state, down), (down, state.data.phase, state.data.readings.foot_contact, heading)
 
-    def go(task, key):
-        start = task.reset(key), jnp.bool_(False)
-        return jax.lax.scan(partial(decide, task), start, jax.random.split(key, 250))[1]
+    def go(task, command, key):
+        state = task.reset(key)
+        state = state._replace(data=state.data._replace(command=command, heading_error=jnp.float32(0)))
+        return jax.lax.scan(partial(decide, task), (state, jnp.bool_(False)), jax.random.split(key, 250))[1]
 
     keys = jax.random.split(jax.random.key(4), 16)
-    return jax.tree.map(np.asarray, jax.jit(jax.vmap(go, in_axes=(None, 0)))(arrays(task), keys))
+    commands = jnp.stack([ON_THE_SPOT, jnp.array([0.0, 0.0, 0.5])])
+    each = jax.vmap(jax.vmap(go, in_axes=(None, None, 0)), in_axes=(None, 0, None))
+    return jax.tree.map(np.asarray, jax.jit(each)(arrays(task), commands, keys))
+
+
+def test_walk_turns_as_told_by_its_reference_alone(stepped):
+    down, _, _, heading = stepped
+    turned = np.unwrap(heading, axis=-1)[..., -1] - heading[..., 0]
+    assert down[1, :, -1].sum() <= 4
+    # 249 decisions of 0.02 s. A P-controller of 4 / s lags, and the torso sways by 2 degrees within a step.
+    np.testing.assert_allclose(turned[1, ~down[1, :, -1]], 0.5 * 4.98, atol=np.radians(6.0))
+    np.testing.assert_allclose(turned[0, ~down[0, :, -1]], 0.0, atol=np.radians(6.0))
 
 
 def test_walk_steps_on_the_spot_by_its_reference_alone(stepped):
-    down, phase, force = stepped
+    down, phase, force, _ = (x[0] for x in stepped)
     # One in thirteen falls (5 of 64 within 6 s where this was measured).
     assert down[:, -1].sum() <= 4
     loaded = (force > 0.8)[~down[:, -1]]

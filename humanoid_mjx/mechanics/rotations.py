@@ -25,6 +25,15 @@ def rotate(quaternion: Float[Array, "4"], vector: Float[Array, "3"]) -> Float[Ar
     return vector + scalar * across + jnp.cross(axis, across)
 
 
+def turned_by(before: Float[Array, "4"], after: Float[Array, "4"]) -> Float[Array, "3"]:
+    """The rotation between two unit quaternions as a vector along its axis, in the body, as long as its angle, rad."""
+    scalar = before @ after
+    axis = before[0] * after[1:] - after[0] * before[1:] - jnp.cross(before[1:], after[1:])
+    axis = jnp.where(scalar < 0, -axis, axis)
+    sine = jnp.sqrt(axis @ axis + 1e-30)
+    return 2.0 * jnp.arctan2(sine, jnp.abs(scalar)) / sine * axis
+
+
 def leaning_quaternion(heading: FloatScalar, lean: Float[Array, "2"]) -> Float[Array, "4"]:
     """Lean by small angles about the body's x and y, rad, then turn by `heading` about the vertical."""
     x, y = lean / 2

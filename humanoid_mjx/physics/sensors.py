@@ -35,6 +35,7 @@ class Sensors(Spec):
     accelerometer_bias: float = traced(0.0, ge=0, description="m/s^2")
     foot_contact_noise: float = traced(0.0, ge=0, description="N")
     delay: int = Field(0, ge=0, le=100, description="control cycles")
+    averages: bool = Field(False, description="gyroscope and accelerometer read means of a control cycle")
 
     def start(self, readings: Readings, key: Key[Array, ""]) -> SensorState:
         """Draw the biases. The readings before the first are set to `readings`."""

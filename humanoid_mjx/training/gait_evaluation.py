@@ -100,6 +100,12 @@ def calm(learner: Learner) -> Learner:
     return learner.replace(task=task.replace(push=task.push.replace(impulse=jnp.float32(0.0)), randomise=None))
 
 
+def under_one_command(learner: Learner) -> Learner:
+    """The learner with a task that gives no other command before an episode ends."""
+    task = walking_task(learner.task)
+    return learner.replace(task=task.replace(command=task.command and task.command.replace(every=jnp.float32(jnp.inf))))
+
+
 def play_gaits(
     learner: Learner,
     policies: Any,
@@ -123,6 +129,7 @@ def play_gaits(
     Raises:
       InputError: the task moves no body by commands.
     """
+    learner = under_one_command(learner)
     task = walking_task(learner.task)
     seeds = len(jax.tree.leaves(policies)[0])
     chosen = [(name, seed) for name in agents for seed in (range(seeds) if name == "greedy" else (0,))]

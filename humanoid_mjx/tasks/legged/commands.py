@@ -9,6 +9,9 @@ from humanoid_mjx.types import FloatScalar
 
 Range = tuple[float, float]
 
+LARGEST = 0.5
+"""Error of the heading beyond which none is kept, rad: a body that cannot follow has no turns to make up for later."""
+
 
 class Velocity(Spec):
     """A velocity and a turn rate, uniform in ranges, drawn anew from time to time.
@@ -23,6 +26,7 @@ class Velocity(Spec):
     standing: float = traced(0.1, ge=0, le=1, description="share of commands to stand still")
     zero: float = traced(0.2, ge=0, le=1, description="share of commands in which a part is 0, for each alone")
     every: float = traced(4.0, gt=0, description="s between commands, on average")
+    heading_gain: float = traced(0.0, ge=0, le=20, description="turn rate for an error of the heading, 1/s")
 
     def draw(self, key: Key[Array, ""]) -> Float[Array, "3"]:
         """A command: forward, to the left, turn to the left."""
@@ -36,6 +40,11 @@ class Velocity(Spec):
         """The command after `period` seconds: mostly the same."""
         when_key, key = jax.random.split(key)
         return jnp.where(jax.random.uniform(when_key) < period / self.every, self.draw(key), command)
+
+    def held(self, command: Float[Array, "3"], heading_error: FloatScalar) -> Float[Array, "3"]:
+        """The command with its turn rate corrected so that the heading does not drift; at rest nothing is."""
+        rate = command[2] + self.heading_gain * heading_error
+        return jnp.where((command != 0).any(), command.at[2].set(rate), command)
 
     @property
     def ranges(self) -> Float[Array, "3 2"]:

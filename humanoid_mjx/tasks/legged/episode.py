@@ -9,20 +9,49 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
-from humanoid_mjx.mechanics.rotations import unit
+from humanoid_mjx.mechanics.rotations import heading_frame, rotation_matrix, turned_by, unit
 from humanoid_mjx.physics.base import Readings, World
 from humanoid_mjx.physics.sensors import Sensors, SensorState
 from humanoid_mjx.tasks.legged.body import Plant
+from humanoid_mjx.tasks.legged.commands import LARGEST
+from humanoid_mjx.thesis.leg import GRAVITY
 from humanoid_mjx.types import FloatScalar, IntScalar
 
 FILTER_GAIN = 0.02
 """The share of the accelerometer in each new estimate of the direction of gravity; the gyroscope gives the rest."""
+
+LATELY = 0.4
+"""s: about a gait's period. Within one the body sways, which is no error."""
+
+
+class MeanMotion(NamedTuple):
+    """What the torso did in a decision, on average: a moment's rates shake with each set-point and each footfall."""
+
+    velocity: Float[Array, "3"]
+    """Of the hips: forward, to the left and up, m/s."""
+    turn_rate: FloatScalar
+    """About the vertical, to the left, rad/s."""
+    spin: Float[Array, "3"]
+    """Angular velocity in the torso's frame, rad/s."""
+    force: Float[Array, "3"]
+    """Acceleration less that of gravity, in the torso's frame, m/s^2."""
+
+
+def mean_motion(before: World, after: World, period: float) -> MeanMotion:
+    """From where the body was and is; `period` seconds lie between."""
+    first, last = before.qpos[3:7], after.qpos[3:7]
+    rotation = rotation_matrix(unit(first + jnp.where(first @ last < 0, -last, last)))
+    spin = turned_by(first, last) / period
+    velocity = heading_frame(rotation) @ (after.qpos[:3] - before.qpos[:3]) / period
+    force = (after.qvel[:3] - before.qvel[:3]) / period + jnp.array([0.0, 0.0, GRAVITY])
+    return MeanMotion(velocity, rotation[2] @ spin, spin, rotation.T @ force)
 
 
 class Episode(NamedTuple):
     """The `data` of a state."""
 
     world: World
+    motion: MeanMotion
     sensors: SensorState
     readings: Readings
     """The last readings of the sensors."""
@@ -38,6 +67,12 @@ class Episode(NamedTuple):
     command: Float[Array, "3"]
     """Commanded velocity forward and to the left, m/s, and turn rate to the left, rad/s; 0 in a task without
     commands."""
+    heading_error: FloatScalar
+    """How far the heading, by the gyroscope, is behind the one that the turn rates told since the last change of them
+    lead to, to the left, rad."""
+    strayed: Float[Array, "3"]
+    """Velocity forward and to the left, m/s, and turn rate to the left, rad/s, less what the command was, as a running
+    mean over `LATELY`."""
     phase: FloatScalar
     """Phase of the gait; 0 in a task without one."""
     plant: Plant | None
@@ -45,8 +80,28 @@ class Episode(NamedTuple):
 
     def sense(self, sensors: Sensors, world: World, true: Readings, period: float, key: Key[Array, ""]) -> "Episode":
         """The episode in its new world, `period` seconds later, with the sensors' readings of it."""
+        motion = mean_motion(self.world, world, period)
+        if sensors.averages:
+            true = true._replace(gyroscope=motion.spin, accelerometer=motion.force)
         state, readings = sensors.read(self.sensors, true, key)
         rates = (readings.encoders - self.readings.encoders) / period
         turned = self.down + period * jnp.cross(self.down, readings.gyroscope)
         down = unit(unit(turned) - FILTER_GAIN * unit(readings.accelerometer))
-        return self._replace(world=world, sensors=state, readings=readings, rates=rates, down=down)
+        return self._replace(world=world, motion=motion, sensors=state, readings=readings, rates=rates, down=down)
+
+    def compared(self, command: Float[Array, "3"], period: float) -> "Episode":
+        """The episode after a decision in which the body was to follow this command."""
+        error = jnp.append(self.motion.velocity[:2], self.motion.turn_rate) - command
+        return self._replace(strayed=self.strayed + (period / LATELY) * (error - self.strayed))
+
+    def told(self, command: Float[Array, "3"], period: float) -> "Episode":
+        """The episode with the command of the decision to come, `period` seconds after the last one.
+
+        While the turn rate stays the same its heading is kept: that which the body has by its gyroscope against that
+        which the rate leads to. Another rate counts from where the body looks.
+        """
+        turned = -period * (self.down @ self.readings.gyroscope)
+        error = self.heading_error + period * self.command[2] - turned
+        kept = (command[2] == self.command[2]) & (command != 0).any()
+        error = jnp.where(kept, jnp.clip(error, -LARGEST, LARGEST), 0.0)
+        return self._replace(command=command, heading_error=error)

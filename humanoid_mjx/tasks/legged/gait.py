@@ -1,11 +1,13 @@
-"""The clock of a gait, and open-loop stepping on the spot as a motion for a learner to correct."""
+"""The clock of a gait, and open-loop stepping as a motion for a learner to correct."""
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from humanoid_mjx.robot.lower_body import HIP_OFFSET, SHANK_LENGTH, THIGH_LENGTH
 from humanoid_mjx.spec import Spec, traced
-from humanoid_mjx.types import BoolScalar, FloatScalar
+from humanoid_mjx.tasks.legged.body import POSTURE
+from humanoid_mjx.types import FloatScalar
 
 LEGS_APART = np.array([0.0, 0.5])
 """Where in the period the right and the left foot's turns begin."""
@@ -13,33 +15,67 @@ LEGS_APART = np.array([0.0, 0.5])
 SHORTENED = np.array([1.0, 0.0, 0.0, 2.0, -1.0])
 """Hip pitch, yaw, roll, knee and ankle of a leg that becomes shorter under the hip while its foot stays level."""
 
+LEG_LENGTH = (THIGH_LENGTH + SHANK_LENGTH) * np.cos(POSTURE[0])
+"""From a hip to the ankle under it, m: thigh and shank are of equal length and lean by equal angles."""
+
+LEFTWARDS = np.array([-1.0, 1.0])
+"""The sense in which the right and the left hip's yaw and roll turn a leg: positive is outwards on both sides."""
+
 
 class Gait(Spec):
     """Both feet swing once in a period, the left half a period after the right one.
 
-    `reference` is a motion about the posture that steps on the spot; with `lift` and `sway` 0 there is none, and only
-    the clock is left. Derive from it for another. The defaults are for a learner to correct: under the soft servo of
-    `walk` nobody stays up by them alone. Under one of 20 N m/rad and 0.45 N m s/rad a period of 0.32 s with a stance of
-    0.62, a lift of 9 degrees and a sway of -2 steps by itself: of 64 bodies 59 are up after 6 s. There the hips roll
-    against the shift of weight, which lags half a cycle behind them at this pace.
+    `reference` is a motion about the posture that steps as commanded; with `stride` 0 it steps on the spot, and with
+    `lift` and `sway` 0, too, there is none, and only the clock is left. Derive from it for another. The defaults are
+    for a learner to correct. Under a servo of 20 N m/rad and 0.45 N m s/rad a period of 0.32 s with a stance of 0.62, a
+    lift of 9 degrees and a sway of -2 steps and turns on the spot by itself, but falls when it is to go ahead. There
+    the hips roll against the shift of weight, which lags half a cycle behind them at this pace.
     """
 
-    period: float = traced(0.5, gt=0.05, le=5, description="s of a step with each foot")
-    stance: float = traced(0.6, ge=0.5, lt=1, description="share of the period in which a foot is to stand")
+    period: float = traced(0.48, gt=0.05, le=5, description="s of a step with each foot, at slow speeds")
+    cadence: float = traced(0.5, ge=0, le=10, description="by how much the clock runs faster for each m/s commanded")
+    stance: float = traced(0.62, ge=0.5, lt=1, description="share of the period in which a foot is to stand")
     lift: float = traced(12.0, ge=0, le=60, description="of the hip's pitch in mid-swing, degrees")
     sway: float = traced(0.0, ge=-30, le=30, description="of the hips' roll towards the standing foot, degrees")
+    stride: float = traced(1.0, ge=0, le=3, description="share of the commanded motion that the legs sweep through")
 
-    def after(self, phase: FloatScalar, moving: BoolScalar, seconds: FloatScalar) -> FloatScalar:
+    def after(self, phase: FloatScalar, command: Float[Array, "3"], seconds: FloatScalar) -> FloatScalar:
         """The phase, 0 to 1, so much later; it waits at 0 while the body stands."""
-        return jnp.where(moving, jnp.mod(phase + seconds / self.period, 1.0), 0.0)
+        return jnp.where((command != 0).any(), jnp.mod(phase + seconds / self.lasting(command), 1.0), 0.0)
+
+    def lasting(self, command: Float[Array, "3"]) -> FloatScalar:
+        """The period under this command, s."""
+        return self.period / (1.0 + self.cadence * jnp.sqrt(jnp.sum(command[:2] ** 2) + 1e-12))
 
     def swing(self, phase: FloatScalar) -> Float[Array, "2"]:
         """How far up each foot should be: half a sine in its turn, otherwise 0."""
         share = jnp.mod(phase - LEGS_APART, 1.0) / (1.0 - self.stance)
         return jnp.where(share < 1.0, jnp.sin(jnp.pi * jnp.minimum(share, 1.0)), 0.0)
 
-    def reference(self, phase: FloatScalar, moving: BoolScalar) -> Float[Array, " joints"]:
-        """The motion about the posture, rad; 0 while the body stands."""
-        lifted = self.lift * self.swing(phase)[:, None] * SHORTENED
-        roll = self.sway * jnp.sin(2 * jnp.pi * phase) * np.array([[1.0], [-1.0]]) * (np.arange(5) == 2)
-        return jnp.where(moving, jnp.radians(lifted + roll).reshape(-1), 0.0)
+    def sweep(self, phase: FloatScalar) -> Float[Array, "2"]:
+        """Where each foot should be along its way, 1 in front to -1 behind: steadily back while it stands, and forth
+        while it swings, as a cubic that leaves the ground and comes back to it as fast as that goes."""
+        turn, swing = jnp.mod(phase - LEGS_APART, 1.0), 1.0 - self.stance
+        u = jnp.minimum(turn / swing, 1.0)
+        slope = 2.0 * swing / self.stance
+        forth = -1.0 + u * (u * (6.0 - 4.0 * u) - slope * (1.0 - u) * (1.0 - 2.0 * u))
+        return jnp.where(turn < swing, forth, 1.0 - 2.0 * (turn - swing) / self.stance)
+
+    def reference(self, phase: FloatScalar, command: Float[Array, "3"]) -> Float[Array, " joints"]:
+        """The motion about the posture, rad; 0 while the command is to stand.
+
+        A foot that stands goes back as the ground does under a body that moves as commanded (velocity forward and to
+        the left, m/s, and turn rate to the left, rad/s), times `stride`.
+        """
+        moving = (jnp.asarray(command) != 0).any()
+        way = self.sweep(phase) * self.lasting(command) * self.stance / 2
+        forward, left, turn = self.stride * jnp.asarray(command, float)
+        pitch = jnp.arctan(way * (forward - turn * HIP_OFFSET * LEFTWARDS) / LEG_LENGTH)
+        aside, around = way * left / LEG_LENGTH, way * turn
+        # The hip's yaw and roll turn about axes that lean with the thigh.
+        cos, sin = jnp.cos(POSTURE[0] + pitch), jnp.sin(POSTURE[0] + pitch)
+        yaw, roll = cos * around - sin * aside, cos * aside + sin * around
+        roll = roll - jnp.radians(self.sway) * jnp.sin(2 * jnp.pi * phase)
+        swept = jnp.stack([pitch, yaw * LEFTWARDS, roll * LEFTWARDS, jnp.zeros(2), pitch], axis=-1)
+        lifted = jnp.radians(self.lift) * self.swing(phase)[:, None] * SHORTENED
+        return jnp.where(moving, (swept + lifted).reshape(-1), 0.0)

@@ -16,12 +16,13 @@ from humanoid_mjx.types import FloatScalar
 UPRIGHT, STILL = np.radians(10.0), 0.2
 """Lean, rad, and speed, m/s, at which a reward has dropped to 1 / e."""
 
-NEAR_SPEED, FAR_SPEED = 0.02, 0.2
-"""Squared errors at which the two halves of `speed` have dropped to 1 / e, (m/s)^2. With the narrow one alone a body
-stays on the spot, where the term has no slope; with the wide one alone it follows the command loosely."""
+SPEED_SCALES = 0.005, 0.04, 0.3
+"""Squared errors at which the thirds of `speed` have dropped to 1 / e, (m/s)^2. With the narrow ones alone a body stays
+on the spot, where the term has no slope; with the wide one alone it follows the command loosely. The narrow ones are of
+the error of late: within a step the body sways by more."""
 
-NEAR_TURN, FAR_TURN = 0.15, 1.0
-"""Squared errors at which the two halves of `turn` have dropped to 1 / e, (rad/s)^2."""
+TURN_SCALES = 0.03, 0.2, 1.0
+"""Squared errors at which the thirds of `turn` have dropped to 1 / e, (rad/s)^2."""
 
 LOADED = 0.8
 """Force on a foot that stands, N: a twentieth of the weight."""
@@ -71,21 +72,20 @@ class StandRewards(Rewards):
 class WalkRewards(Rewards):
     """Do as commanded, step by the gait's clock, keep upright, and neither slip, fly nor cross the feet.
 
-    The sum is at most 1.42. `docs/bench/h200_walk_settings.json` has what was tried, and how bodies then walked: with
-    these weights four of four followed a speed, hopping.
+    The sum is at most 1.26. `docs/bench/h200_walk_settings.json` has what was tried, and how bodies then walked.
     """
 
-    speed: float = traced(0.6, description="for the commanded velocity, at two scales")
-    turn: float = traced(0.48, description="for the commanded turn rate, at two scales")
-    upright: float = traced(0.04, description="for a torso that does not lean")
+    speed: float = traced(0.6, description="for the commanded velocity, at three scales")
+    turn: float = traced(0.4, description="for the commanded turn rate, at three scales")
+    upright: float = traced(0.02, description="for a torso that does not lean")
     schedule: float = traced(0.18, description="for feet that are loaded and lifted when the clock says so")
-    clearance: float = traced(0.12, description="for feet as high above the ground as the clock says")
-    flight: float = traced(-0.18, description="for each step without a foot on the ground")
-    slip: float = traced(-0.24, description="for corners that touch and move")
-    flat: float = traced(-0.06, description="for feet that stand tilted")
-    crossing: float = traced(-0.04, description="for feet too near each other")
-    smooth: float = traced(-0.012, description="for set-points that jump")
-    effort: float = traced(-0.012, description="for torque")
+    clearance: float = traced(0.06, description="for feet as high above the ground as the clock says")
+    flight: float = traced(-0.3, description="for each step without a foot on the ground")
+    slip: float = traced(-0.6, description="for corners that touch and move")
+    flat: float = traced(-0.03, description="for feet that stand tilted")
+    crossing: float = traced(-0.06, description="for feet too near each other")
+    smooth: float = traced(-0.06, description="for set-points that jump")
+    effort: float = traced(-0.006, description="for torque")
 
     def terms(self, view: View) -> dict[str, FloatScalar]:
         return {
@@ -119,15 +119,17 @@ def calm(view: View) -> FloatScalar:
 
 
 def speed(view: View) -> FloatScalar:
-    """1 at the commanded velocity, forward and sideways."""
-    error = jnp.sum((view.velocity[:2] - view.command[:2]) ** 2)
-    return 0.5 * jnp.exp(-error / NEAR_SPEED) + 0.5 * jnp.exp(-error / FAR_SPEED)
+    """1 at the commanded velocity, forward and sideways, at three scales; the widest is of the last decision alone."""
+    late, now = jnp.sum(view.strayed[:2] ** 2), jnp.sum((view.velocity[:2] - view.command[:2]) ** 2)
+    near, middle, far = SPEED_SCALES
+    return (jnp.exp(-late / near) + jnp.exp(-late / middle) + jnp.exp(-now / far)) / 3
 
 
 def turn(view: View) -> FloatScalar:
-    """1 at the commanded turn rate."""
-    error = (view.turn_rate - view.command[2]) ** 2
-    return 0.5 * jnp.exp(-error / NEAR_TURN) + 0.5 * jnp.exp(-error / FAR_TURN)
+    """1 at the commanded turn rate, at three scales; the widest is of the last decision alone."""
+    late, now = view.strayed[2] ** 2, (view.turn_rate - view.command[2]) ** 2
+    near, middle, far = TURN_SCALES
+    return (jnp.exp(-late / near) + jnp.exp(-late / middle) + jnp.exp(-now / far)) / 3
 
 
 def schedule(view: View) -> FloatScalar:

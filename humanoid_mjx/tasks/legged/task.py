@@ -22,7 +22,7 @@ from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import State, begin
 from humanoid_mjx.tasks.legged.body import JOINTS, LeggedBody
 from humanoid_mjx.tasks.legged.commands import Velocity
-from humanoid_mjx.tasks.legged.episode import Episode
+from humanoid_mjx.tasks.legged.episode import Episode, MeanMotion
 from humanoid_mjx.tasks.legged.events import Push, Randomise
 from humanoid_mjx.tasks.legged.gait import Gait
 from humanoid_mjx.tasks.legged.observations import PRIVILEGED, PROPRIOCEPTION, Observation, Observed, swapped
@@ -74,6 +74,7 @@ class LeggedTask(LeggedBody):
         none = jnp.zeros(JOINTS)
         episode = Episode(
             world,
+            MeanMotion(still, jnp.float32(0), still, true.accelerometer),
             sensors,
             readings,
             rates=none,
@@ -82,6 +83,8 @@ class LeggedTask(LeggedBody):
             first_push=self.push.first(push_key),
             decisions=jnp.int32(0),
             command=self.command.draw(command_key) if self.command else still,
+            heading_error=jnp.float32(0),
+            strayed=still,
             phase=jax.random.uniform(phase_key) if self.gait else jnp.float32(0),
             plant=self.randomise.draw(self.plant, plant_key) if self.randomise else None,
         )
@@ -109,8 +112,8 @@ class LeggedTask(LeggedBody):
     def commanded(self, state: State, view: View, command: Float[Array, "3"]) -> State:
         """A state under this command in the place of its own, as its data and what the learner sees have it; `view` is
         that of the state."""
-        data = state.data._replace(command=command)
-        return state._replace(data=data, obs=self.seen(view._replace(command=command, phase=data.phase)))
+        data = state.data.told(command, 0.0)
+        return state._replace(data=data, obs=self.seen(view._replace(command=self.followed(data), phase=data.phase)))
 
     def _carry_out(
         self, state: State, command: Float[Array, " joints"], key: Key[Array, ""], watched: bool
@@ -119,19 +122,21 @@ class LeggedTask(LeggedBody):
         before: Episode = state.data
         offsets = jnp.clip(command, -1.0, 1.0)
         offsets = jnp.where(self.mirrored(before.phase), swapped(offsets), offsets) if self.symmetric else offsets
+        offsets = offsets + self.inertia * (before.offsets - offsets)
         force = self.push_on(before, key)
         setpoint = self.setpoint(offsets, self.reference(before))
         advance = self.advance_watched if watched else self.advance
         world, seen = advance(before.world, setpoint, before.plant or self.plant, force)
         sensed = jax.tree.map(lambda part: part[-1], seen) if watched else seen
         after = before.sense(self.sensors, world, sensed.readings, self.period, sensor_key)
+        after = after.compared(self.followed(before), self.period)
         after = after._replace(offsets=offsets, decisions=before.decisions + 1)
         view = self.view(after, sensed, before.offsets)
         fallen = self.fall.fallen(view) | world.diverged
         terms = {name: jnp.where(fallen, 0.0, term) for name, term in self.rewards.weighted(view).items()}
         after = self._go_on(after, jax.random.fold_in(key, 1))
         over = after.decisions * self.period >= self.duration - self.period / 2
-        obs = self.seen(view._replace(command=after.command, phase=after.phase))
+        obs = self.seen(view._replace(command=self.followed(after), phase=after.phase))
         state = State(
             data=after,
             obs=obs,
@@ -152,15 +157,21 @@ class LeggedTask(LeggedBody):
         names = "forward, m/s", "left, m/s", "turn left, rad/s"
         return dict(zip(names, data.command, strict=True)) if self.command else {}
 
+    def followed(self, episode: Episode) -> Float[Array, "3"]:
+        """The command that the body is to follow now: the one that it was told, its heading held."""
+        return self.command.held(episode.command, episode.heading_error) if self.command else episode.command
+
     def reference(self, episode: Episode) -> Float[Array, " joints"] | float:
         """The motion about the posture that the offsets correct, rad."""
-        return self.gait.reference(episode.phase, (episode.command != 0).any()) if self.gait else 0.0
+        return self.gait.reference(episode.phase, self.followed(episode)) if self.gait else 0.0
 
     def view(self, episode: Episode, sensed: Sensed | None, last_offsets: Float[Array, " joints"]) -> View:
         """The view that the parts of the task take; `sensed` is None at the beginning of an episode."""
         moving = (episode.command != 0).any()
         return View(
             world=episode.world,
+            motion=episode.motion,
+            strayed=episode.strayed,
             rotation=rotation_matrix(episode.world.qpos[3:7]),
             feet=feet_of(sensed, self.simulator.body_names) if sensed else unknown_feet(),
             torque=sensed.torque if sensed else jnp.zeros(JOINTS),
@@ -170,7 +181,7 @@ class LeggedTask(LeggedBody):
             posture=self.posture,
             offsets=episode.offsets,
             last_offsets=last_offsets,
-            command=episode.command,
+            command=self.followed(episode),
             phase=episode.phase,
             swing=self.gait.swing(episode.phase) * moving if self.gait else jnp.zeros(2),
         )
@@ -190,10 +201,9 @@ class LeggedTask(LeggedBody):
     def _go_on(self, episode: Episode, key: Key[Array, ""]) -> Episode:
         """The gait's clock and the command of the decision to come."""
         if self.gait:
-            moving = (episode.command != 0).any()
-            episode = episode._replace(phase=self.gait.after(episode.phase, moving, self.period))
+            episode = episode._replace(phase=self.gait.after(episode.phase, episode.command, self.period))
         if self.command:
-            episode = episode._replace(command=self.command.following(episode.command, key, self.period))
+            episode = episode.told(self.command.following(episode.command, key, self.period), self.period)
         return episode
 
 

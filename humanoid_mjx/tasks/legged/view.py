@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from humanoid_mjx.mechanics.rotations import heading_frame
 from humanoid_mjx.physics.base import Readings, Sensed, World
 from humanoid_mjx.robot.lower_body import CORNERS, SIDES
+from humanoid_mjx.tasks.legged.episode import MeanMotion
 from humanoid_mjx.types import BoolScalar, FloatScalar
 
 TOUCHING = 0.1
@@ -73,6 +73,10 @@ class View(NamedTuple):
 
     world: World
     """The true state of the world."""
+    motion: MeanMotion
+    """What the torso did in the last decision."""
+    strayed: Float[Array, "3"]
+    """Velocity forward and to the left, m/s, and turn rate to the left, rad/s, less the command, of late."""
     rotation: Float[Array, "3 3"]
     """From the torso's frame to the world."""
     feet: Feet
@@ -115,13 +119,13 @@ class View(NamedTuple):
 
     @property
     def velocity(self) -> Float[Array, "3"]:
-        """Velocity of the hips: forward, to the left and up, m/s."""
-        return heading_frame(self.rotation) @ self.world.qvel[:3]
+        """Mean velocity of the hips in the last decision: forward, to the left and up, m/s."""
+        return self.motion.velocity
 
     @property
     def turn_rate(self) -> FloatScalar:
-        """Turn rate of the torso about the vertical, to the left, rad/s."""
-        return self.rotation[2] @ self.world.qvel[3:6]
+        """Mean turn rate of the torso about the vertical in the last decision, to the left, rad/s."""
+        return self.motion.turn_rate
 
     @property
     def moving(self) -> BoolScalar:
