@@ -5,7 +5,7 @@ The source says nothing of this, so nothing is judged; but which column serves a
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -80,20 +80,21 @@ def feasibility(setting: Setting) -> list[Finding]:
     setting.tell("rocking and walking")
     body = Body("human")
     loads = walking_loads(body, config, columns["human"].longest[1])
-    _write(setting.out / f"{NAME}.md", columns, loads)
+    rows = torque_rows(columns, loads, config)
+    _write(setting.out / f"{NAME}.md", columns, rows)
     draw_stances(setting.out / f"{NAME}-stances.png", columns)
-    draw_feasibility(setting.out / f"{NAME}.png", columns, loads, body, joints, config)
+    draw_feasibility(setting.out / f"{NAME}.png", columns, rows, body, joints, config)
     return [
         *on_balance(columns),
         *on_rocking(body, joints, config),
         *on_steps(columns, config),
-        *on_torques(columns, loads, config),
+        on_torques(rows),
         conclude(columns, needed(body, config)),
     ]
 
 
 def posture(config: Config) -> tuple[np.ndarray, float]:
-    """The joints, (10,) rad, with the knees bent and flat feet below the hips, and the hips' height above the ankles."""
+    """The walking posture's joints, (10,) rad, feet flat below the hips, and the hips' height above the ankles, m."""
     bend = math.radians(config["posture"]["knee"]) / 2
     return np.tile([bend, 0.0, 0.0, 2 * bend, -bend], 2), LEG_LENGTH * math.cos(bend)
 
@@ -122,37 +123,36 @@ def walking_loads(body: Body, config: Config, height: float) -> Loads:
 
 def on_balance(columns: Mapping[str, Column]) -> list[Finding]:
     """One foot, and the weight shifted to it."""
-    mm = {name: [_mm(x) for x in c.lifted] for name, c in columns.items()}
-    both = {name: [_mm(x) for x in c.planted] for name, c in columns.items()}
-    high = [_mm(c.highest) for c in columns.values()]
-    share = [float(np.abs(c.torque).max() / TORQUE_LIMIT) for c in columns.values()]
-    leans = listed(LEANS)
-    order = " and ".join(columns)
+    each, leans = list(columns.values()), listed(LEANS)
+    alone, both = ({name: getattr(c, field) for name, c in columns.items()} for field in ("lifted", "planted"))
+    within = {name: [f"{x:g} degrees" for x, y in zip(LEANS, both[name], strict=True) if y > 0] for name in columns}
+    first = ", ".join(f"{leans[0] if leans else 'no lean'} ({name})" for name, leans in within.items())
     return [
         unprinted(
             NAME,
-            f"margin of the centre of mass in the sole of one foot, torso upright, mm: {order}",
-            [row[0] for row in mm.values()],
-            f"the best posture, the other foot lifted by {_mm(CLEAR):g} mm, of a sole that offers {_mm(OUTER - INNER) / 2}"
-            f"; negative is outside, where it falls. With a lean up to {leans} degrees: {_rows(mm)}. No ankle rolls, so "
-            "the hip stays above the foot's middle line, and only leaning or turning the torso over it, or the other "
-            "leg thrown across, brings the mass there",
+            f"margin of the mass in the sole of one foot, upright, mm: {' and '.join(columns)}",
+            [_mm(c.lifted[0]) for c in each],
+            f"the best posture, the other foot {_mm(CLEAR):g} mm up; the middle of a sole has "
+            f"{_mm(OUTER - INNER) / 2:g}, a negative margin is a fall. Leaning up to {leans} degrees: {_rows(alone)}. "
+            "No ankle rolls, so the hip "
+            "stays above the foot's middle line: the mass comes there only as the torso leans or turns over it, or the "
+            "other leg is thrown across",
         ),
         unprinted(
             NAME,
-            f"least lean of the torso to stand on one foot, degrees: {order}",
-            [round(math.degrees(c.lean), 1) for c in columns.values()],
-            f"the mass {_mm(HELD):g} mm inside the sole's edges; it takes {share[0]:.0%} and {share[1]:.0%} of the "
-            f"torque of the busiest joint, and up to {LEANS[-1]:g} degrees the other foot gets {high[0]:.0f} and "
-            f"{high[1]:.0f} mm high",
+            f"least lean of the torso to stand on one foot, degrees: {' and '.join(columns)}",
+            [round(math.degrees(c.lean), 1) for c in each],
+            f"the mass {_mm(HELD):g} mm inside; the busiest joint gives "
+            f"{_both(np.abs(c.torque).max() / TORQUE_LIMIT for c in each)} of its torque. Leaning up to {LEANS[-1]:g} "
+            f"degrees the other foot comes {_both(c.highest for c in each)} m high",
         ),
         unprinted(
             NAME,
-            f"margin in one sole with both flat on the ground, side by side below the hips, mm: {order}",
-            [_mm(c.beside) for c in columns.values()],
-            f"up to {LEANS[-1]:g} degrees of lean: the mass stays in the middle, {_mm(INNER):g} mm from either sole, as "
-            "hips above both feet can neither roll nor turn. With the feet put anywhere, the legs clear of each other, "
-            f"leaning up to {leans} degrees: {_rows(both)}. So no weight is shifted at rest before a foot is lifted",
+            f"margin in one sole, both flat below the hips, mm: {' and '.join(columns)}",
+            [_mm(c.beside) for c in each],
+            f"leaning up to {LEANS[-1]:g} degrees: hips above both feet neither roll nor turn, so the mass stays in "
+            f"the middle. With the feet put anywhere, leaning up to {leans} degrees: {_rows(both)}; it comes above a "
+            f"sole from {first} on: a walk shifts no weight at rest",
         ),
     ]
 
@@ -160,86 +160,80 @@ def on_balance(columns: Mapping[str, Column]) -> list[Finding]:
 def on_rocking(body: Body, joints: np.ndarray, config: Config) -> list[Finding]:
     """Sideways sway that is not at rest."""
     period, stance = config["gait"].values()
-    way = rocking(body, joints, period, stance)
-    longest = slowest(body, joints, stance)
+    air = (1 - stance) * period
+    way, longest = rocking(body, joints, period, stance), slowest(body, joints, stance)
     drop, hike = hiking(body, period, stance)
     upright = carried(body, body.standing(np.zeros(10)))
     borne = (OUTER - INNER) / 2 * upright.force[2]
     return [
         unprinted(
             NAME,
-            f"sway to each side, mm, and tilt of the soles, degrees, of a body that rocks from foot to foot in {period:g} s",
+            f"sway to each side, mm, and tilt of the soles, degrees, as it rocks from foot to foot in {period:g} s",
             [round(_mm(way.sway), 1), round(math.degrees(way.tilt), 1)],
-            f"over the soles' outer edges, {_mm(OUTER):g} mm from the middle, falling as exp({way.rate:.2f} t), while a "
-            f"foot is in the air for {(1 - stance) * period:g} s; a point mass at that height has sqrt(g / h) = "
-            f"{way.natural:.2f} / s. Above {longest:.2f} s the mass would have to come above a sole",
+            f"stiff, over the soles' outer edges, {_mm(OUTER):g} mm from the middle, a foot in the air for {air:g} s: "
+            f"it falls as exp({way.rate:.2f} t), a point at its height, by sqrt(g / h), as exp({way.natural:.2f} t). "
+            f"In a period above {longest:.2f} s the mass has to come {_mm(INNER):g} mm aside, above a sole",
         ),
         unprinted(
             NAME,
-            "hike of the free hip, degrees, if no sole tilts",
+            f"hike of the free hip, degrees, if no sole tilts in {period:g} s",
             round(math.degrees(hike), 1),
-            f"in {period:g} s, of which a foot is in the air for {(1 - stance) * period:g} s: on one "
-            f"straight leg level hips take {upright.torque[2]:.2f} N m at its roll, the sole's inner edge bears "
-            f"{borne:.2f}, and so the free hip drops at {drop:.0f} rad/s^2 and has to be thrown up before; in 1 s it "
-            f"would be {math.degrees(hiking(body, 1.0, stance)[1]):.0f} degrees, as it grows with the period's square",
+            f"level hips take {upright.torque[2]:.2f} N m at the roll of a straight leg, and a sole's edge bears "
+            f"{borne:.2f}: the free hip drops at {drop:.0f} rad/s^2 and has to be thrown up first; in 1 s by "
+            f"{math.degrees(hiking(body, 1.0, stance)[1]):.0f} degrees, since it grows with the period's square. So "
+            "a quick gait asks the least",
         ),
     ]
 
 
 def on_steps(columns: Mapping[str, Column], config: Config) -> list[Finding]:
     """Steps and turns."""
-    on_ground, period = config["gait"]["stance"] * config["gait"]["period"], config["gait"]["period"]
-    order = " and ".join(columns)
+    period, on_ground = config["gait"]["period"], config["gait"]["stance"] * config["gait"]["period"]
     each = list(columns.values())
     rates = [(c.toes_in + c.toes_out) / on_ground for c in each]
     steps = [math.ceil(math.radians(SUDDEN) / (rate * period / 2)) for rate in rates]
-    extension = [abs(thesis.JOINT_RANGES[name][0][0]) for name in columns]
     return [
         unprinted(
             NAME,
-            f"speed with flat feet, level hips and an upright torso, m/s: {order}",
+            f"speed on flat feet, hips level, torso upright, m/s: {' and '.join(columns)}",
             [three_digits(c.longest[0] / on_ground) for c in each],
-            f"hips {_mm(each[0].longest[1]):.0f} mm above the ankles pass {_mm(each[0].longest[0]):.0f} mm over a foot "
-            f"while it stands, {on_ground:g} s; in the walking posture {_mm(each[0].travel):.0f} mm, "
-            f"{each[0].travel / on_ground:.2f} m/s, and {_mm(each[0].rolling):.0f} mm, {each[0].rolling / on_ground:.2f} "
-            f"m/s, if the heel leaves the ground first. Behind the hip the ankle ends it, at 20 degrees of dorsiflexion "
-            f"in both columns, not the hip's extension of {extension[0]:g} and {extension[1]:g}; the same ankle lets a "
-            f"level foot be lifted by {_mm(each[0].level):.1f} mm only",
+            f"hips {_both(_mm(c.longest[1]) for c in each)} mm above the ankles pass "
+            f"{_both(_mm(c.longest[0]) for c in each)} mm over a foot in {on_ground:g} s. Lower ones would bend the "
+            "hind foot's ankle beyond its 20 degrees: in the walking posture they pass "
+            f"{_both(_mm(c.travel) for c in each)} mm, or, if the heel then rises, "
+            f"{_both(_mm(c.rolling) for c in each)} mm, {_both(c.rolling / on_ground for c in each)} m/s. The same "
+            f"ankle lets a level foot be lifted by {_both(_mm(c.level) for c in each)} mm only, in both columns",
         ),
         unprinted(
             NAME,
-            f"toes in and out in the walking posture, the foot flat, degrees: {order}",
-            [[round(math.degrees(c.toes_in), 1) + 0.0, round(math.degrees(c.toes_out), 1)] for c in each],
-            "a thigh that is not upright has to roll inwards when its foot turns inwards, which the proposed hip cannot. "
-            f"Swept from end to end while the foot stands, these turn by {rates[0]:.1f} and {rates[1]:.1f} rad/s; "
-            f"{SUDDEN:g} degrees take {steps[0]} and {steps[1]} steps of {period / 2:g} s",
+            f"toes in and out in the walking posture, sole flat, degrees: {' and '.join(columns)}",
+            [[round(math.degrees(x), 1) + 0.0 for x in (c.toes_in, c.toes_out)] for c in each],
+            "above bent knees the thigh points forward, and a foot can turn inwards only if its hip rolls inwards. "
+            f"Swept while the foot stands this gives {_both(rates)} rad/s, and {SUDDEN:g} degrees in "
+            f"{steps[0]} and {steps[1]} steps of {period / 2:g} s",
         ),
     ]
 
 
-def on_torques(columns: Mapping[str, Column], loads: Loads, config: Config) -> list[Finding]:
-    """Torques as shares of the limit."""
-    walk = config["walk"]
-    rows = {
-        "a leg that carries all, slowly through a step": loads.slow,
-        f"the same at {walk['speed']:g} m/s": loads.fast,
-        "a leg that swings": loads.swing,
-        **{f"one foot with the {name} ranges": np.abs(c.torque).reshape(2, 5).max(axis=0) for name, c in columns.items()},
-    }
-    worst = max(rows, key=lambda name: rows[name].max())
-    return [
-        unprinted(
-            NAME,
-            f"largest share of the limit of {TORQUE_LIMIT:g} N m",
-            round(float(rows[worst].max() / TORQUE_LIMIT), 2),
-            "; ".join(
-                f"{name}: "
-                + ", ".join(f"{joint.replace('_', ' ')} {t:.2f}" for joint, t in zip(thesis.JOINT_NAMES, row, strict=True))
-                for name, row in rows.items()
-            )
-            + " N m. Torque does not tell the columns apart",
-        )
-    ]
+def on_torques(rows: Mapping[str, np.ndarray]) -> Finding:
+    """Torques against the limit."""
+    worst = max(rows, key=lambda words: rows[words].max())
+    names = ", ".join(joint.replace("_", " ") for joint in thesis.JOINT_NAMES)
+    told = "; ".join(f"{words} {', '.join(f'{x:.2f}' for x in row)}" for words, row in rows.items())
+    return unprinted(
+        NAME,
+        f"largest share of the torque limit of {TORQUE_LIMIT:g} N m",
+        round(float(rows[worst].max() / TORQUE_LIMIT), 2),
+        f"where it {worst}; {names}, N m: {told}",
+    )
+
+
+def torque_rows(columns: Mapping[str, Column], loads: Loads, config: Config) -> dict[str, np.ndarray]:
+    """The largest torques of a leg, (5,) N m, by what it does."""
+    pace = f"at {config['walk']['speed']:g} m/s"
+    walks = dict(zip(("carries all, slowly", f"carries all {pace}", f"swings {pace}"), loads, strict=True))
+    still = {f"stands on one foot, {n} ranges": np.abs(c.torque).reshape(2, 5).max(axis=0) for n, c in columns.items()}
+    return walks | still
 
 
 def conclude(columns: Mapping[str, Column], needs: Needs) -> Finding:
@@ -249,7 +243,7 @@ def conclude(columns: Mapping[str, Column], needs: Needs) -> Finding:
         NAME,
         "columns of Table 3.2 with which a walk can swing both ways about its posture",
         [name for name, missing in unmet.items() if not missing],
-        "; ".join(f"{name} {'lacks ' + ', '.join(words) if words else 'lacks nothing'}" for name, words in unmet.items()),
+        "; ".join(f"{name} lacks {', '.join(words) if words else 'nothing'}" for name, words in unmet.items()),
     )
 
 
@@ -257,36 +251,39 @@ def _mm(metres: float) -> float:
     return round(1e3 * metres, 2) + 0.0
 
 
-def _rows(values: Mapping[str, list[float]]) -> str:
-    return "; ".join(f"{name} {listed(round(x, 1) for x in row)}" for name, row in values.items())
+def _rows(margins: Mapping[str, list[float]]) -> str:
+    return "; ".join(f"{name} {listed(round(_mm(x), 1) for x in row)}" for name, row in margins.items())
 
 
-def _write(path: Path, columns: Mapping[str, Column], loads: Loads) -> None:
-    """All that was found as a table."""
-    each = columns.values()
-    rows: list[tuple[str, list[float]]] = []
+def _both(values: Iterable[float]) -> str:
+    """Numbers of the columns in words, one where they agree."""
+    return " and ".join(dict.fromkeys(f"{value:.3g}" for value in values))
+
+
+def _write(path: Path, columns: Mapping[str, Column], rows: Mapping[str, np.ndarray]) -> None:
+    """All that was found, as two tables."""
+    each, table = columns.values(), []
     for words, field in (("the other lifted", "lifted"), ("both flat, anywhere", "planted")):
         for i, lean in enumerate(LEANS):
-            rows.append((f"margin in one sole, {words}, lean {lean:g} degrees, mm", [_mm(getattr(c, field)[i]) for c in each]))
-    rows += [
-        ("both flat below the hips, mm", [_mm(c.beside) for c in each]),
-        ("least lean on one foot, degrees", [math.degrees(c.lean) for c in each]),
-        ("other foot lifted by, mm", [_mm(c.highest) for c in each]),
-        ("hips pass over a flat foot in the walking posture, mm", [_mm(c.travel) for c in each]),
-        ("the same at the best height, mm", [_mm(c.longest[0]) for c in each]),
-        ("the same in the walking posture, the foot ending on its toes, mm", [_mm(c.rolling) for c in each]),
-        ("level foot lifted by, mm", [_mm(c.level) for c in each]),
-        ("toes in, degrees", [math.degrees(c.toes_in) for c in each]),
-        ("toes out, degrees", [math.degrees(c.toes_out) for c in each]),
-    ]
-    for i, joint in enumerate(thesis.JOINT_NAMES):
-        name = joint.replace("_", " ")
-        rows.append((f"{name}, on one foot, N m", [abs(float(c.torque[i])) for c in each]))
-        for words, torque in zip(("carrying, slowly", "carrying, walking", "swinging"), loads, strict=True):
-            rows.append((f"{name}, {words}, N m", [float(torque[i])] * 2))
+            margins = [1e3 * getattr(column, field)[i] for column in each]
+            table.append((f"margin in one sole, {words}, leaning up to {lean:g} degrees, mm", margins))
+    lengths = {
+        "margin in one sole, both flat below the hips": [c.beside for c in each],
+        "other foot lifted by": [c.highest for c in each],
+        "hips pass over a flat foot in the walking posture": [c.travel for c in each],
+        "hips pass over a flat foot at the best height": [c.longest[0] for c in each],
+        "hips pass over a foot that ends on its toes, in the walking posture": [c.rolling for c in each],
+        "level foot lifted by": [c.level for c in each],
+    }
+    angles = {"least lean on one foot": "lean", "toes in": "toes_in", "toes out": "toes_out"}
+    table += [(f"{words}, mm", [1e3 * x for x in values]) for words, values in lengths.items()]
+    table += [(f"{words}, degrees", [math.degrees(getattr(c, x)) for c in each]) for words, x in angles.items()]
+    joints = [joint.replace("_", " ") for joint in thesis.JOINT_NAMES]
     with path.open("w", encoding="utf-8") as file:
-        file.write(f"| what | {' | '.join(columns)} |\n|---|---|---|\n")
-        file.writelines(f"| {what} | {' | '.join(f'{v:.4g}' for v in values)} |\n" for what, values in rows)
+        for heads, lines in (("what", *columns), table), (("largest torque of a leg that, N m", *joints), rows.items()):
+            file.write(f"| {' | '.join(heads)} |\n{'|---' * len(heads)}|\n")
+            file.writelines(f"| {what} | {' | '.join(f'{x + 0.0:.2f}' for x in values)} |\n" for what, values in lines)
+            file.write("\n")
 
 
 EXPERIMENTS = [Experiment(NAME, "What the lower body can do with each column of Table 3.2", feasibility, CONFIG)]

@@ -7,6 +7,7 @@ foot, the right one. As no ankle rolls, its hip is straight above the foot's mid
 
 import math
 from collections.abc import Callable, Sequence
+from itertools import product
 from typing import Any, NamedTuple
 
 import mujoco
@@ -41,7 +42,7 @@ class Seen(NamedTuple):
     corners: Float[np.ndarray, "4 3"]
     """Lower corners of the left foot, m."""
     apart: float
-    """Distance between the two legs, m."""
+    """Distance between the two legs, m, all parts of them, of which the model's own contacts leave some out."""
 
     @property
     def margin(self) -> Float[np.ndarray, "4"]:
@@ -90,7 +91,7 @@ class Body:
         self._corners = [self.model.geom(f"left_corner{i}").id for i in range(len(robot.CORNERS))]
         self._pairs = [
             (self.model.geom(f"right_{one}").id, self.model.geom(f"left_{other}").id)
-            for one, other in robot.LEG_CONTACTS
+            for one, other in product(("thigh", "shank", "sole"), repeat=2)
         ]
 
     def see(self, joints: Float[np.ndarray, "10"]) -> Seen:

@@ -1,4 +1,4 @@
-"""What a column of Table 3.2 lets the lower body do with flat soles: balance on one foot, shift its weight, step, turn."""
+"""What a column of Table 3.2 lets the lower body do on flat soles: balance, shift its weight, step and turn."""
 
 import math
 from collections.abc import Callable

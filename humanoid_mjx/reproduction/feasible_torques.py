@@ -160,7 +160,8 @@ def _swinging(
     joints = leg_over(ahead, height - lift * up)
     # The ankle leaves the ground and meets it as it moves there, and in between goes as far as it can.
     small = 1e-6
-    beside = leg_over(np.array([[-half], [half]]) + [-small, 0.0, small], np.full((2, 3), height))[..., 4]
+    ends = np.add.outer([-half, half], [-small, 0.0, small])
+    beside = leg_over(ends, np.full_like(ends, height))[..., 4]
     leaves, meets = ([angle, back * (after - before) / (2 * small), 0.0] for before, angle, after in beside)
     ankle = BPoly.from_derivatives([0.0, 0.5, 1.0], [leaves, [DORSIFLEXION, 0.0], meets])
     joints[:, 4] = np.where(swings, ankle(share), joints[:, 4])

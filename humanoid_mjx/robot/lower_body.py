@@ -97,7 +97,7 @@ LOOKS = {
 CORNERS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 """Corners of a foot: towards the toe or the heel, towards the left or the right."""
 
-LEG_CONTACTS = (("thigh", "thigh"), ("shank", "shank"), ("sole", "sole"), ("shank", "sole"), ("sole", "shank"))
+_LEG_CONTACTS = (("thigh", "thigh"), ("shank", "shank"), ("sole", "sole"), ("shank", "sole"), ("sole", "shank"))
 """Parts of the right and the left leg that cannot pass through each other; all are capsules, one contact a pair."""
 
 
@@ -132,7 +132,7 @@ def lower_body_spec(torso: str = "free", ranges: str = "proposed", timestep: flo
     body = _add_torso(spec, torso)
     for side in SIDES:
         _add_leg(spec, body, side, np.radians(thesis.JOINT_RANGES[ranges]))
-    for right, left in LEG_CONTACTS:
+    for right, left in _LEG_CONTACTS:
         spec.add_pair(name=f"{right}_{left}", geomname1=f"right_{right}", geomname2=f"left_{left}", condim=1)
     if torso == "free":
         _add_ground(spec)
