@@ -7,6 +7,7 @@ foot, the right one. As no ankle rolls, its hip is straight above the foot's mid
 
 import math
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -159,12 +160,15 @@ def furthest(
     random, best, most = np.random.default_rng(0), None, -np.inf
     pull = np.append(np.zeros(len(limits)), -1.0)
 
+    # Both kinds of conditions are asked of the same postures.
+    seen_at = lru_cache(64)(lambda joints: look(np.frombuffer(joints)))
+
     def unequal(x: np.ndarray) -> np.ndarray:
-        seen = look(x[:-1])
+        seen = seen_at(x[:-1].tobytes())
         return np.concatenate([np.atleast_1d(goal(seen)) - x[-1], inside(seen)])
 
     def equalities(x: np.ndarray) -> np.ndarray:
-        return np.asarray(equal(look(x[:-1])), float)
+        return np.asarray(equal(seen_at(x[:-1].tobytes())), float)
 
     kinds: list[dict[str, Any]] = [{"type": "ineq", "fun": unequal}]
     if len(equalities(np.append(limits.mean(axis=1), 0.0))):
@@ -191,7 +195,9 @@ def furthest(
     return best
 
 
-def leg_over(ahead: np.ndarray, height: np.ndarray) -> Float[np.ndarray, "times 5"]:
+def leg_over(
+    ahead: Float[np.ndarray, "*places"], height: Float[np.ndarray, "*places"]
+) -> Float[np.ndarray, "*places 5"]:
     """Joints of a leg whose ankle is so far ahead of the hip and below it, m, and whose sole is level."""
     bend = np.arccos(np.clip(np.hypot(ahead, height) / (robot.THIGH_LENGTH + robot.SHANK_LENGTH), -1.0, 1.0))
     hip, none = np.arctan2(ahead, height) + bend, np.zeros_like(bend)

@@ -1,7 +1,7 @@
 """What a column of Table 3.2 lets the lower body do on flat soles: balance, shift its weight, step and turn."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,8 +14,8 @@ LEANS = (1.0, 5.0, 15.0, 25.0, 35.0, 45.0)
 """Largest lean of the torso, degrees: from upright to what the legged tasks count as a fall."""
 
 HELD = 0.005
-"""m. A body stands on one foot if its mass is so far inside the sole's edges: nearly half of what there is, and no more
-than a tilt by 1.5 degrees uses up."""
+"""m. A body stands on one foot if its mass is so far inside the sole's edges: nearly half of what there is, and used up
+by a tilt of 1.5 degrees."""
 
 CLEAR = 0.005
 """m. The height of the other foot, if it is lifted."""
@@ -98,7 +98,10 @@ def explore(name: str, height: float, tell: Callable[[str], None] = lambda words
 
 
 def furthest_inside(
-    body: Body, inside: Callable[[Seen], Any], equal: Callable[[Seen], Any] = lambda seen: [], leans: Any = LEANS
+    body: Body,
+    inside: Callable[[Seen], Any],
+    equal: Callable[[Seen], Any] = lambda seen: [],
+    leans: Sequence[float] | None = None,
 ) -> list[np.ndarray]:
     """The postures, joints in rad, whose centre of mass is furthest inside the right sole, one for each lean.
 
@@ -106,10 +109,10 @@ def furthest_inside(
       body: body.
       inside: and
       equal: further conditions, as in `furthest`.
-      leans: largest leans of the torso, degrees, in rising order.
+      leans: largest leans of the torso, degrees, in rising order; by default `LEANS`.
     """
     found: list[np.ndarray] = []
-    for lean in reversed(leans):
+    for lean in reversed(LEANS if leans is None else leans):
         best = furthest(
             body.see,
             body.limits,
