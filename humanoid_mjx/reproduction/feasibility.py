@@ -200,7 +200,7 @@ def on_steps(columns: Mapping[str, Column], config: Config) -> list[Finding]:
             f"hips {_both(_mm(c.longest[1]) for c in each)} mm above the ankles pass "
             f"{_both(_mm(c.longest[0]) for c in each)} mm over a foot in {on_ground:g} s. Lower ones would bend the "
             "hind foot's ankle beyond its 20 degrees: in the walking posture they pass "
-            f"{_both(_mm(c.travel) for c in each)} mm, or, if the heel then rises, "
+            f"{_both(_mm(c.travel) for c in each)} mm, or, the heel rising until the hip cannot stretch further, "
             f"{_both(_mm(c.rolling) for c in each)} mm, {_both(c.rolling / on_ground for c in each)} m/s. The same "
             f"ankle lets a level foot be lifted by {_both(_mm(c.level) for c in each)} mm only, in both columns",
         ),

@@ -45,7 +45,7 @@ class Column(NamedTuple):
     longest: tuple[float, float]
     """at the best height how far, and above the ankle where,"""
     rolling: float
-    """and at the posture's height if the foot may end on its toes."""
+    """and at the posture's height if the foot may end on its tip, the sole nearly upright."""
     level: float
     """How high a foot can be lifted flat below the hip."""
     toes_in: float
