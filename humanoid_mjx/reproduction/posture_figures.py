@@ -26,8 +26,14 @@ ROUND = 16
 """Faces around a link."""
 
 
-def draw_postures(path: Path, title: str, postures: Sequence[tuple[str, Float[np.ndarray, "10"]]]) -> None:
-    """A panel for each posture, its lowest point on the ground: words, and the joints, the right leg's first, rad."""
+def draw_postures(path: Path, title: str, postures: Sequence[tuple[str, Float[np.ndarray, " angles"]]]) -> None:
+    """A panel for each posture, its lowest point on the ground.
+
+    Args:
+      path: of the figure.
+      title: its heading.
+      postures: words, and the ten joints, the right leg's first, rad, of an upright body, or `qpos` of any.
+    """
     with figure(path, 1, len(postures), size=(3.5, 4.4), subplot_kw={"projection": "3d"}) as (fig, axes):
         for panel, (words, joints) in zip(axes[0], postures, strict=True):
             _draw(panel, joints)
@@ -40,10 +46,10 @@ def draw_postures(path: Path, title: str, postures: Sequence[tuple[str, Float[np
         )
 
 
-def _draw(panel: Any, joints: Float[np.ndarray, "10"]) -> None:
+def _draw(panel: Any, angles: Float[np.ndarray, " angles"]) -> None:
     model = lower_body_model()
     data = mujoco.MjData(model)
-    data.qpos[7:] = joints
+    data.qpos[model.nq - len(angles) :] = angles
     mujoco.mj_kinematics(model, data)
     faces, colors = _ground()
     solid = [(_color(model, geom), face) for geom in range(model.ngeom) for face in _faces(model, data, geom)]

@@ -17,6 +17,7 @@ MODULES = (
     "decision_process",
     "drives",
     "errata",
+    "feasibility",
     "gains",
     "ground_control",
     "ground_gaits",
