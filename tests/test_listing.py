@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from humanoid_mjx import InputError, sweep
 from humanoid_mjx.cli import app
-from humanoid_mjx.commands import print_summary
+from humanoid_mjx.commands.sweep import print_summary
 from humanoid_mjx.config import parse
 from humanoid_mjx.runs.disk import disk_used, in_words
 from humanoid_mjx.runs.folder import RunFolder

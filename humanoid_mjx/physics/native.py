@@ -87,7 +87,7 @@ class Native(MujocoPhysics):
 
     def _sensed(self, torque: Float[Array, " joints"], sensordata: Float[Array, " sensors"]) -> Sensed:
         """What the sensors of a model of `_watched` say."""
-        own, frames = jnp.split(sensordata, [self.model.nsensordata])
+        own, frames = sensordata[: self.model.nsensordata], sensordata[self.model.nsensordata :]
         position, *axes, linear, angular = frames.reshape(len(FRAMES), self.model.nbody, 3)
         poses, velocities = Poses(position, jnp.stack(axes, axis=-1)), Velocities(linear, angular)
         contacts = self._ground_contacts(poses, velocities, self._corner_forces(own))
