@@ -36,7 +36,7 @@ BLOCK = {"cpu": 128, "gpu": 32_768}
 """Bodies at once on a device."""
 
 TREE_BLOCK = {"cpu": 512}
-"""Of the tree, whose kernels are many and short."""
+"""The same for the tree, whose kernels are many and short."""
 
 MUJOCO_BATCH = 1024
 """The most bodies that native MuJoCo simulates at once: its rate no longer changes, its stored states would."""

@@ -74,8 +74,8 @@ class Native(MujocoPhysics):
         """The world after a control cycle, the torque that acted, and what was sensed before it."""
         limit = jnp.asarray(self.torque_limit, float)
         torque = jnp.clip(jnp.asarray(controller(self._stages(world)), float), -limit, limit)
-        *state, sensordata = self._held(world, torque, substeps, sensed)
-        return freeze_if_diverged(world, World(*state, jnp.bool_(False))), torque, sensordata
+        qpos, qvel, warmstart, sensordata = self._held(world, torque, substeps, sensed)
+        return freeze_if_diverged(world, World(qpos, qvel, warmstart, jnp.bool_(False))), torque, sensordata
 
     def _held(self, world: World, torque: Float[Array, " joints"], steps: int, sensed: bool) -> list[Array]:
         """Position, velocity and acceleration after so many steps under the same torque, and what was sensed before
