@@ -130,22 +130,32 @@ def _mjx_program(steps: int, controlled: bool) -> Callable[..., Any]:
 
 
 def mujoco(batch: int, steps: int) -> Callable[[], Any]:
-    """Native MuJoCo, one thread a core."""
+    """Native MuJoCo, one thread a core: the legs after so many steps."""
+    return native_rollout(_mujoco_model(), *start(batch), steps)
+
+
+def native_rollout(
+    model: Any, qpos: np.ndarray, qvel: np.ndarray, steps: int, held: np.ndarray | None = None
+) -> Callable[[], np.ndarray]:
+    """MuJoCo's own `rollout` from these states on one thread a core, under `held` control, (batch, steps, controls).
+
+    Returns:
+      a call that gives the state, `mjSTATE_FULLPHYSICS`, of each world after the last step.
+    """
     mj: Any = import_module("mujoco")
     rollout = import_module("mujoco.rollout")
 
-    model, full = _mujoco_model(), mj.mjtState.mjSTATE_FULLPHYSICS
-    states = np.zeros((batch, mj.mj_stateSize(model, full)))
-    data = mj.MjData(model)
-    for row, data.qpos[:], data.qvel[:] in zip(states, *start(batch), strict=True):
+    full, data = mj.mjtState.mjSTATE_FULLPHYSICS, mj.MjData(model)
+    states = np.zeros((len(qpos), mj.mj_stateSize(model, full)))
+    for row, data.qpos[:], data.qvel[:] in zip(states, qpos, qvel, strict=True):
         mj.mj_getState(model, data, row, full)
     threads = os.cpu_count() or 1
-    simulate = rollout.Rollout(nthread=threads)
-    per_thread, states_after = [mj.MjData(model) for _ in range(threads)], np.zeros((batch, steps, states.shape[1]))
+    simulate, per_thread = rollout.Rollout(nthread=threads), [mj.MjData(model) for _ in range(threads)]
+    after = np.zeros((len(qpos), steps, states.shape[1]))
 
     def call() -> np.ndarray:
-        simulate.rollout(model, per_thread, states, nstep=steps, state=states_after)
-        return states_after[:, -1]
+        simulate.rollout(model, per_thread, states, held, nstep=steps, state=after)
+        return after[:, -1]
 
     return call
 

@@ -43,35 +43,41 @@ def show_keys(name: str) -> None:
 def show_info(config: str | None, overrides: Sequence[str]) -> None:
     """`humanoid-mjx info`."""
     runtime.start()
-    import jax
-
+    if config is not None:
+        _show_plan(config, overrides)
+        return
     from humanoid_mjx.learners import LEARNERS
     from humanoid_mjx.tasks import TASKS
-    from humanoid_mjx.training.disk import disk_bytes
-    from humanoid_mjx.training.fused import why_not
-    from humanoid_mjx.training.memory import run_bytes, runs_that_fit, slots, training_bytes
-    from humanoid_mjx.training.plan import make_plan, resolved
 
-    if config is not None:
-        plan = make_plan(load(config, overrides))
-        console.print(dump_yaml(resolved(plan.config)).rstrip(), markup=False)
-        size = sum(run_bytes(group) * len(group.runs) for group in plan.groups)
-        most = max(training_bytes(group) for group in plan.groups)
-        together = [1] * len(plan.groups)
-        with suppress(InputError):  # that memory cannot hold a run is for training to say
-            together = [slots(group, runs_that_fit(group, jax.local_devices()[0])) for group in plan.groups]
-        console.print(
-            f"\n{len(plan.points):,} points x {plan.config.seeds} seeds = {plan.num_runs:,} runs "
-            f"in {len(plan.groups)} compiled program{'s' * (len(plan.groups) > 1)}; "
-            f"training state {size / 2**20:,.1f} MiB if all were held at once, "
-            f"a run that trains an estimated {most / 2**20:,.1f} MiB"
-        )
-        console.print(f"on disk an estimated {in_words(disk_bytes(plan, together))}, without figures")
-        for reason in dict.fromkeys(why_not(group.learner()) for group in plan.groups):
-            console.print("trained by one fused kernel" if reason is None else f"no fused kernel: {reason}")
-        return
     for name, value in (runtime.machine() | runtime.versions()).items():
         console.print(f"{name:13} {value}")
     shipped = {"configs": names("configs", ".yaml"), "policies": names("policies", ".npz")}
     for kind, all_names in {"tasks": TASKS, "learners": LEARNERS, **shipped}.items():
         console.print(f"{kind:13} {', '.join(all_names)}")
+
+
+def _show_plan(config: str, overrides: Sequence[str]) -> None:
+    """A config in full, and what its sweep will take."""
+    import jax
+
+    from humanoid_mjx.training.disk import disk_bytes
+    from humanoid_mjx.training.fused import why_not
+    from humanoid_mjx.training.memory import run_bytes, runs_that_fit, slots, training_bytes
+    from humanoid_mjx.training.plan import make_plan, resolved
+
+    plan = make_plan(load(config, overrides))
+    console.print(dump_yaml(resolved(plan.config)).rstrip(), markup=False)
+    size = sum(run_bytes(group) * len(group.runs) for group in plan.groups)
+    most = max(training_bytes(group) for group in plan.groups)
+    together = [1] * len(plan.groups)
+    with suppress(InputError):  # that memory cannot hold a run is for training to say
+        together = [slots(group, runs_that_fit(group, jax.local_devices()[0])) for group in plan.groups]
+    console.print(
+        f"\n{len(plan.points):,} points x {plan.config.seeds} seeds = {plan.num_runs:,} runs "
+        f"in {len(plan.groups)} compiled program{'s' * (len(plan.groups) > 1)}; "
+        f"training state {size / 2**20:,.1f} MiB if all were held at once, "
+        f"a run that trains an estimated {most / 2**20:,.1f} MiB"
+    )
+    console.print(f"on disk an estimated {in_words(disk_bytes(plan, together))}, without figures")
+    for reason in dict.fromkeys(why_not(group.learner()) for group in plan.groups):
+        console.print("trained by one fused kernel" if reason is None else f"no fused kernel: {reason}")
