@@ -107,6 +107,7 @@ class EventFiles:
         self._take(points, seeds, np.full(len(rows), len(self.places)), curves)
 
     def close(self) -> None:
+        """Write out what is still held back."""
         for writer in self.writers:
             writer.close()
 

@@ -150,6 +150,7 @@ def record_entry(learner: Learner, outcome: Outcome) -> tuple[Array, list[Array]
 
 
 def progress_of(learner: Learner, training: Training) -> Progress:
+    """How far a run is, and how it did over the last twentieth of its curve."""
     share = jnp.where(training.failed, 1.0, learner.progress(training.carry))
     columns = dict(zip(measures(learner, training.carry), training.record.T, strict=True))
     place = jnp.arange(learner.record)
