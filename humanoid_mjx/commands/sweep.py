@@ -31,19 +31,19 @@ def run_sweep(config: str, out: Path | None, overrides: Sequence[str], resume: b
         axes = list(run.config.sweep.axes) if run.config.sweep else []
         summary = run.summary
         paths = sweep_figures(run.path / "figures", run.config.name, axes, run.results, summary)
-    print_summary(axes, summary)
+    print_summary(axes, summary, quickest=run.config.episodes is not None)
     for path in (run.path / "results.parquet", run.path / "summary.parquet", *paths):
         console.print(f"{path}", soft_wrap=True)
     if tensorboard:
         console.print(f"tensorboard --logdir {run.path / 'tensorboard'}", soft_wrap=True)
 
 
-def print_summary(axes: Sequence[str], summary: Mapping[str, np.ndarray]) -> None:
-    """The best points of a sweep: those that succeed most often, and among them the quickest."""
+def print_summary(axes: Sequence[str], summary: Mapping[str, np.ndarray], quickest: bool) -> None:
+    """The best points of a sweep, as `ranked` has them."""
     from humanoid_mjx.report.style import short
     from humanoid_mjx.runs.ranking import ranked, ties, training_interval
 
-    points, seeds = ranked(axes, summary), len(np.unique(summary["seed"]))
+    points, seeds = ranked(axes, summary, quickest), len(np.unique(summary["seed"]))
     best = points[:BEST_POINTS]
     title = f"{len(points)} points; the best {len(best)}" if len(points) > 1 else "1 point"
     if (equals := ties(points)) > len(best):
@@ -51,7 +51,8 @@ def print_summary(axes: Sequence[str], summary: Mapping[str, np.ndarray]) -> Non
     table = Table(title=title, title_justify="left")
     for axis in axes:
         table.add_column(axis.partition(".")[2], justify="right")
-    for heading in ("greedy success", "greedy steps", "steps at the end of training (95 %)"):
+    greedy = ("greedy steps",) if quickest else ("greedy return", "greedy steps")
+    for heading in ("greedy success", *greedy, "steps at the end of training (95 %)"):
         table.add_column(heading, justify="right")
     diverged = {point.point: int(np.sum(summary["diverged"][summary["point"] == point.point])) for point in points}
     if any(diverged.values()):
@@ -60,7 +61,9 @@ def print_summary(axes: Sequence[str], summary: Mapping[str, np.ndarray]) -> Non
         low, high = training_interval(summary, point.point)
         steps = f"{point.steps:.2f} ({low:.2f} to {high:.2f})"
         broken = [f"{diverged[point.point]} of {seeds}"] if any(diverged.values()) else []
-        table.add_row(*map(short, point.values), f"{point.success:.1%}", f"{point.greedy_steps:.1f}", steps, *broken)
+        greedy = [] if quickest else [f"{point.greedy_return:.4g}"]
+        greedy = [f"{point.success:.1%}", *greedy, f"{point.greedy_steps:.1f}"]
+        table.add_row(*map(short, point.values), *greedy, steps, *broken)
     console.print(table)
     if stopped := sum(diverged.values()):
         console.print(f"{stopped} runs stopped at numbers that were not finite; the summary marks them.")

@@ -58,7 +58,7 @@ def run_page(path: Path, reporter: Reporter, motion: bool) -> str:
     results, summary = (read_table(path / f"{name}.parquet") for name in ("results", "summary"))
     axes = list((config.get("sweep") or {}).get("axes", {}))
     reporter.phase("drawing figures")
-    points = ranked(axes, summary)
+    points = ranked(axes, summary, quickest=bool(config.get("episodes")))
     parts = [
         _lead(config, summary, points),
         section("Result", *_result(axes, summary, points)),
