@@ -27,7 +27,6 @@ class Record:
     """How far the repeats' seconds lie apart: the range of their middle half over their median. None: there is one."""
 
     def as_json(self) -> dict[str, Any]:
-        """The fields as plain values, by name."""
         return asdict(self)
 
 
