@@ -23,7 +23,7 @@ import numpy as np
 from humanoid_mjx import runtime
 from humanoid_mjx.bench.legs import check_finite, on_all_devices
 from humanoid_mjx.bench.measure import Record, Subject, record, time_in_turn
-from humanoid_mjx.bench.physics import native_rollout
+from humanoid_mjx.bench.native import native_rollout
 from humanoid_mjx.control import at_rest
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.tasks import make_task

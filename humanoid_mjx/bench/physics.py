@@ -22,12 +22,12 @@ from importlib import import_module
 from typing import Any, NamedTuple
 
 import jax
-import numpy as np
 
 from humanoid_mjx import runtime
 from humanoid_mjx.bench import ground, postures
 from humanoid_mjx.bench.legs import GOAL, KD, KP, TIMESTEP, chain, check_finite, on_all_devices, start
 from humanoid_mjx.bench.measure import Record, Subject, record, time_in_turn
+from humanoid_mjx.bench.native import native_rollout
 from humanoid_mjx.robot.leg import Leg
 from humanoid_mjx.robot.mjcf import make_mjspec
 
@@ -132,32 +132,6 @@ def _mjx_program(steps: int, controlled: bool) -> Callable[..., Any]:
 def mujoco(batch: int, steps: int) -> Callable[[], Any]:
     """Native MuJoCo, one thread a core: the legs after so many steps."""
     return native_rollout(_mujoco_model(), *start(batch), steps)
-
-
-def native_rollout(
-    model: Any, qpos: np.ndarray, qvel: np.ndarray, steps: int, held: np.ndarray | None = None
-) -> Callable[[], np.ndarray]:
-    """MuJoCo's own `rollout` from these states on one thread a core, under `held` control, (batch, steps, controls).
-
-    Returns:
-      a call that gives the state, `mjSTATE_FULLPHYSICS`, of each world after the last step.
-    """
-    mj: Any = import_module("mujoco")
-    rollout = import_module("mujoco.rollout")
-
-    full, data = mj.mjtState.mjSTATE_FULLPHYSICS, mj.MjData(model)
-    states = np.zeros((len(qpos), mj.mj_stateSize(model, full)))
-    for row, data.qpos[:], data.qvel[:] in zip(states, qpos, qvel, strict=True):
-        mj.mj_getState(model, data, row, full)
-    threads = os.cpu_count() or 1
-    simulate, per_thread = rollout.Rollout(nthread=threads), [mj.MjData(model) for _ in range(threads)]
-    after = np.zeros((len(qpos), steps, states.shape[1]))
-
-    def call() -> np.ndarray:
-        simulate.rollout(model, per_thread, states, held, nstep=steps, state=after)
-        return after[:, -1]
-
-    return call
 
 
 def _mujoco_model() -> Any:
