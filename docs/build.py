@@ -17,7 +17,7 @@ ROOT = DOCS.parent
 PACKAGE = ROOT / "humanoid_mjx"
 
 NOT_DOCUMENTED = {"__init__", "__main__", "cli", "commands"}
-"""Modules that the reference leaves out: the command line documents itself."""
+"""Modules and folders that the reference leaves out: the command line documents itself."""
 
 REFERENCE = "reference"
 """The folder of the reference, which has a page for each folder of the package."""
@@ -157,7 +157,8 @@ def _block(module: str, words_only: bool = False) -> str:
 
 
 def _folders() -> list[Path]:
-    return sorted(file.parent for file in PACKAGE.rglob("__init__.py"))
+    folders = (file.parent for file in PACKAGE.rglob("__init__.py"))
+    return sorted(folder for folder in folders if folder.name not in NOT_DOCUMENTED)
 
 
 def _dotted(path: Path) -> str:

@@ -58,7 +58,11 @@ def sweep_points(sweep: Sweep, seed: int) -> list[dict[str, Any]]:
 
 
 def axis_values(name: str, axis: Axis) -> list:
-    """The values of one axis of a grid or zip: a list, `{linspace: [first, last, count]}` or `{logspace: ...}`."""
+    """The values of one axis of a grid or zip: a list, `{linspace: [first, last, count]}` or `{logspace: ...}`.
+
+    Raises:
+      InputError: an empty list, another form, or ends and counts that make no axis.
+    """
     if isinstance(axis, list):
         if not axis:
             raise InputError(f"sweep.axes.{name}: the list is empty.")

@@ -35,7 +35,7 @@ def sweep(
     ] = False,
 ) -> None:
     """Train every point of a sweep; write a run folder with tables and figures."""
-    from humanoid_mjx.commands import run_sweep
+    from humanoid_mjx.commands.sweep import run_sweep
 
     run_sweep(config, out, set_ or [], resume, tensorboard)
 
@@ -50,7 +50,7 @@ def reproduce(
     out: Annotated[Path, typer.Option(help="Where reproduce.json and the figures go.")] = Path("reproduced"),
 ) -> None:
     """Reproduce tables and figures of the thesis, each with a computed verdict."""
-    from humanoid_mjx.commands import run_reproduce
+    from humanoid_mjx.commands.reproduce import run_reproduce
 
     run_reproduce(names or [], list_, set_ or [], out)
 
@@ -68,7 +68,7 @@ def bench(
     json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the figures as JSON.")] = None,
 ) -> None:
     """Measure steps and episodes per second against the alternatives, compile time apart."""
-    from humanoid_mjx.bench.commands import run_bench
+    from humanoid_mjx.commands.bench import run_bench
 
     run_bench(names or ["all"], json)
 
@@ -103,7 +103,7 @@ def evaluate(
     ] = None,
 ) -> None:
     """Measure what was learned on episodes that no training has seen, beside a zero and a random agent."""
-    from humanoid_mjx.evaluating import run_evaluate, run_gait
+    from humanoid_mjx.commands.evaluate import run_evaluate, run_gait
 
     if gait:
         run_gait(policies, physics, set_ or [], episodes or 64, json)
@@ -123,7 +123,7 @@ def play(
     ] = False,
 ) -> None:
     """Show what was learned as a video or picture of the robot, or in the browser."""
-    from humanoid_mjx.commands import run_play
+    from humanoid_mjx.commands.play import run_play
 
     run_play(policy, physics, out, view)
 
@@ -137,7 +137,7 @@ def report(
     ] = True,
 ) -> None:
     """Write one self-contained web page: what was run, curves, tables, the robot's motion, how to run it again."""
-    from humanoid_mjx.report.commands import run_report
+    from humanoid_mjx.commands.runs import run_report
 
     run_report(run, out, motion)
 
@@ -147,7 +147,7 @@ def runs(
     folder: Annotated[Path, typer.Argument(metavar="[FOLDER]", help="Where run folders are.")] = Path("runs"),
 ) -> None:
     """List run folders: what each trained, how far it is, and how its best point does."""
-    from humanoid_mjx.report.commands import run_runs
+    from humanoid_mjx.commands.runs import run_runs
 
     run_runs(folder)
 
@@ -170,7 +170,7 @@ def plot(
     ] = None,
 ) -> None:
     """Draw any column of the tables of runs over any other: lines with their 95 % interval over seeds."""
-    from humanoid_mjx.report.commands import run_plot
+    from humanoid_mjx.commands.runs import run_plot
 
     run_plot(run, x, y, by, out)
 
@@ -181,7 +181,7 @@ def export(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="An .xml for a robot, an .npz for a run.")],
 ) -> None:
     """Write a robot as MJCF, for MuJoCo; or the best policy of a run as a file of its own."""
-    from humanoid_mjx.commands import run_export
+    from humanoid_mjx.commands.play import run_export
 
     run_export(what, file)
 
@@ -195,7 +195,7 @@ def info(
     keys: Annotated[bool, typer.Option("--keys", help="Every key with its meaning, range and default.")] = False,
 ) -> None:
     """Show devices, versions and what ships; with CONFIG, the resolved config, its points and the memory they take."""
-    from humanoid_mjx.commands import show_info, show_keys
+    from humanoid_mjx.commands.info import show_info, show_keys
 
     show_keys(name) if keys and name else show_info(name, set_ or [])
 

@@ -107,7 +107,11 @@ def parse(data: dict[str, Any], source: str = "config") -> Config:
 
 
 def apply_override(data: dict[str, Any], override: str) -> None:
-    """Set one dotted key in place, as `--set key=value` does; the value is read as YAML."""
+    """Set one dotted key in place, as `--set key=value` does; the value is read as YAML.
+
+    Raises:
+      InputError: no `key=value`, a value that is no YAML, or a key below one that holds a value.
+    """
     key, sign, text = override.partition("=")
     if not sign or not all(key.split(".")):
         raise InputError(f"--set {override}: write it as key=value, such as --set learner.epsilon=0.1.")

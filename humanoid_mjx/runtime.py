@@ -149,6 +149,7 @@ class CompileCount:
 
     @property
     def programs(self) -> int:
+        """How many programs were compiled."""
         return self.events["/jax/core/compile/backend_compile_duration"]
 
 

@@ -87,7 +87,7 @@ class Reader:
         self.folders.add(folder)
 
     def info(self, name, set_, keys):
-        from humanoid_mjx.commands import show_info, show_keys
+        from humanoid_mjx.commands.info import show_info, show_keys
 
         if keys:
             show_keys(name)

@@ -13,6 +13,7 @@ from humanoid_mjx import make_task, rng
 from humanoid_mjx.cli import app
 from humanoid_mjx.report.comparison import compare_curves, curve_of
 from humanoid_mjx.runs.evaluations import Estimate, Evaluation, estimated
+from humanoid_mjx.runs.ranking import ranked
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training import evaluation
 from humanoid_mjx.training.episode import play
@@ -20,7 +21,7 @@ from humanoid_mjx.training.evaluation import evaluate_all, held_out_keys, play_o
 from humanoid_mjx.training.policy import best_policy, find_policy, load_policy, save_policy
 from humanoid_mjx.training.program import run_key
 from humanoid_mjx.training.rollout import AGENTS, agent
-from humanoid_mjx.training.sweep import sweep
+from humanoid_mjx.training.sweep import Run, sweep
 
 REACH = {"name": "joint_reach", "joint": 4, "states": 11, "max_episode_steps": 30}
 LEG = {"name": "leg_reach", "choices": 3, "duration": 0.4}
@@ -52,6 +53,15 @@ def test_the_best_of_a_run_reaches_its_goal_on_the_shortest_way(reach):
     found = play_out(best, "greedy", 20)
     task = make_task("joint_reach", **{k: v for k, v in REACH.items() if k != "name"})
     assert found["success"].all() and (found["steps"] == np.ceil(abs(task.goal - task.start) / task.action)).all()
+
+
+def test_the_best_of_a_run_is_the_first_of_its_table(tmp_path):
+    """None succeeds in so few steps, and all episodes are as long: what is left is the return."""
+    axes = {"learner.learning_rate": [0.0001, 0.3, 0.01]}
+    run = Run(trained(tmp_path / "leg", LEG, LINEAR, sweep={"axes": axes}, total_steps=400))
+    first = ranked(list(axes), run.summary, quickest=False)[0]
+    means = [run.summary["greedy_return"][run.summary["point"] == point].mean() for point in range(3)]
+    assert first.point == best_policy(run.path).point == np.argmax(means)
 
 
 def test_agents_that_do_not_learn(leg):

@@ -172,13 +172,13 @@ def test_a_sudden_turn_is_timed(rate, seconds, success):
 
 def test_the_distance_between_segments_is_the_least_there_is():
     rng = np.random.default_rng(0)
-    shares = np.linspace(0.0, 1.0, 201)
+    shares, sizes = np.linspace(-1.0, 1.0, 201), np.array([[1.0], [0.5], [1.0], [0.5]])
     for k in range(40):
-        start, along, other, across = rng.normal(size=(4, 3)).astype(np.float32)
-        across = along * np.float32(-0.7) if k % 4 == 0 else across
-        points = [begin + shares[:, None] * way for begin, way in ((start, along), (other, across))]
+        middle, half, other, across = (sizes * rng.normal(size=(4, 3))).astype(np.float32)
+        across = half * np.float32(-0.7) if k % 4 == 0 else across
+        points = [centre + shares[:, None] * way for centre, way in ((middle, half), (other, across))]
         least = np.linalg.norm(points[0][:, None] - points[1], axis=-1).min()
-        found = between_segments(*map(jnp.asarray, (start, along, other, across)))
+        found = between_segments(*map(jnp.asarray, (middle, half, other, across)))
         # A grid of 200 parts of segments of some 2 m misses the nearest points by at most half a part of each.
         assert least - 0.02 <= found <= least + 1e-5
 

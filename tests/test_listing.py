@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from humanoid_mjx import InputError, sweep
 from humanoid_mjx.cli import app
-from humanoid_mjx.commands import print_summary
+from humanoid_mjx.commands.sweep import print_summary
 from humanoid_mjx.config import parse
 from humanoid_mjx.runs.disk import disk_used, in_words
 from humanoid_mjx.runs.folder import RunFolder
@@ -96,9 +96,9 @@ def test_diverged_runs_are_marked(folder):
 
 def test_the_best_points_say_which_of_them_diverged(folder, capsys):
     summary = sweep(CONFIG, folder / "small", resume=True).summary
-    print_summary(["learner.epsilon"], summary)
+    print_summary(["learner.epsilon"], summary, quickest=True)
     assert "diverged" not in capsys.readouterr().out
-    print_summary(["learner.epsilon"], summary | {"diverged": np.array([True, True] + [False] * 10)})
+    print_summary(["learner.epsilon"], summary | {"diverged": np.array([True, True] + [False] * 10)}, quickest=True)
     out = capsys.readouterr().out
     assert "2 of 3" in out and out.count("0 of 3") == 3 and "2 runs stopped" in out
 

@@ -8,7 +8,7 @@ from humanoid_mjx import InputError
 from humanoid_mjx.config import load
 from humanoid_mjx.training.memory import runs_that_fit, training_bytes
 from humanoid_mjx.training.plan import make_plan
-from humanoid_mjx.training.program import programs_of
+from humanoid_mjx.training.programs import programs_of
 
 SMALL = ["learner.evaluation_envs=32"]
 

@@ -95,10 +95,12 @@ def test_points_are_ranked_by_success_then_speed_then_learning():
         "greedy_return": np.zeros(8),
         "steps": np.array([20.0, 30.0, 30.0, 40.0, 1.0, 1.0, 1.0, 1.0]),
     }
-    points = ranked(["learner.epsilon"], summary)
+    points = ranked(["learner.epsilon"], summary, quickest=True)
     assert [point.point for point in points] == [2, 0, 3, 1]
     assert (points[0].values, points[0].success, points[0].greedy_steps, points[0].steps) == ((0.2,), 1.0, 9.0, 25.0)
     assert ties(points) == 2
+    by_return = summary | {"greedy_return": np.array([1.0, 1.0, 2.0, 2.0, 9.0, 9.0, 3.0, 3.0])}
+    assert [point.point for point in ranked([], by_return, quickest=False)] == [3, 0, 2, 1]
     low, high = training_interval(summary, 2)
     assert 20.0 <= low < high <= 30.0
 

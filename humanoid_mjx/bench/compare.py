@@ -16,7 +16,7 @@ LEAST_NOISE = 0.05
 """Medians of the same code in two runs differ by as much, whatever the spread within each."""
 
 UNKNOWN_SPREAD = 0.2
-"""Of a record with one repeat, or from before spreads were written."""
+"""The spread that is assumed of a record with one repeat, or from before spreads were written."""
 
 
 class Change(NamedTuple):

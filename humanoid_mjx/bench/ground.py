@@ -11,7 +11,6 @@ time step of 4 ms: the contacts of all four corners of both feet are solved in e
 """
 
 import importlib.util
-import os
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from functools import cache
@@ -24,6 +23,7 @@ import numpy as np
 from humanoid_mjx import runtime
 from humanoid_mjx.bench.legs import check_finite, on_all_devices
 from humanoid_mjx.bench.measure import Record, Subject, record, time_in_turn
+from humanoid_mjx.bench.native import native_rollout
 from humanoid_mjx.control import at_rest
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.tasks import make_task
@@ -36,7 +36,7 @@ BLOCK = {"cpu": 128, "gpu": 32_768}
 """Bodies at once on a device."""
 
 TREE_BLOCK = {"cpu": 512}
-"""Of the tree, whose kernels are many and short."""
+"""The same for the tree, whose kernels are many and short."""
 
 MUJOCO_BATCH = 1024
 """The most bodies that native MuJoCo simulates at once: its rate no longer changes, its stored states would."""
@@ -111,23 +111,9 @@ def _program(physics: str, steps: int, worlds: int) -> Callable[..., Any]:
 
 def mujoco(batch: int, steps: int) -> Callable[[], Any]:
     """Native MuJoCo, one thread a core: the positions after so many steps."""
-    mj: Any = importlib.import_module("mujoco")
-    rollout = importlib.import_module("mujoco.rollout")
-
-    model, full = _model_with_servo(mj), mj.mjtState.mjSTATE_FULLPHYSICS
-    states, data = np.zeros((batch, mj.mj_stateSize(model, full))), mj.MjData(model)
-    for row, data.qpos[:], data.qvel[:] in zip(states, *start(batch), strict=True):
-        mj.mj_getState(model, data, row, full)
-    threads = os.cpu_count() or 1
-    simulate, per_thread = rollout.Rollout(nthread=threads), [mj.MjData(model) for _ in range(threads)]
-    after = np.zeros((batch, steps, states.shape[1]))
-    held = np.tile(POSTURE, (batch, steps, 1))
-
-    def call() -> np.ndarray:
-        simulate.rollout(model, per_thread, states, held, nstep=steps, state=after)
-        return after[:, -1, 1 : 1 + model.nq]
-
-    return call
+    model = _model_with_servo(importlib.import_module("mujoco"))
+    call = native_rollout(model, *start(batch), steps, np.tile(POSTURE, (batch, steps, 1)))
+    return lambda: call()[:, 1 : 1 + model.nq]
 
 
 def _model_with_servo(mj: Any) -> Any:

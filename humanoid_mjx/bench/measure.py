@@ -45,7 +45,7 @@ class Timing(NamedTuple):
     """What `time_in_turn` found of one subject."""
 
     seconds: float
-    """Of a call, the median."""
+    """The median over the calls, s."""
     compile_s: float
     result: Any
     """What a call returns."""

@@ -22,12 +22,12 @@ from importlib import import_module
 from typing import Any, NamedTuple
 
 import jax
-import numpy as np
 
 from humanoid_mjx import runtime
 from humanoid_mjx.bench import ground, postures
 from humanoid_mjx.bench.legs import GOAL, KD, KP, TIMESTEP, chain, check_finite, on_all_devices, start
 from humanoid_mjx.bench.measure import Record, Subject, record, time_in_turn
+from humanoid_mjx.bench.native import native_rollout
 from humanoid_mjx.robot.leg import Leg
 from humanoid_mjx.robot.mjcf import make_mjspec
 
@@ -130,24 +130,8 @@ def _mjx_program(steps: int, controlled: bool) -> Callable[..., Any]:
 
 
 def mujoco(batch: int, steps: int) -> Callable[[], Any]:
-    """Native MuJoCo, one thread a core."""
-    mj: Any = import_module("mujoco")
-    rollout = import_module("mujoco.rollout")
-
-    model, full = _mujoco_model(), mj.mjtState.mjSTATE_FULLPHYSICS
-    states = np.zeros((batch, mj.mj_stateSize(model, full)))
-    data = mj.MjData(model)
-    for row, data.qpos[:], data.qvel[:] in zip(states, *start(batch), strict=True):
-        mj.mj_getState(model, data, row, full)
-    threads = os.cpu_count() or 1
-    simulate = rollout.Rollout(nthread=threads)
-    per_thread, states_after = [mj.MjData(model) for _ in range(threads)], np.zeros((batch, steps, states.shape[1]))
-
-    def call() -> np.ndarray:
-        simulate.rollout(model, per_thread, states, nstep=steps, state=states_after)
-        return states_after[:, -1]
-
-    return call
+    """Native MuJoCo, one thread a core: the legs after so many steps."""
+    return native_rollout(_mujoco_model(), *start(batch), steps)
 
 
 def _mujoco_model() -> Any:

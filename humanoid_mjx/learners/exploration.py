@@ -19,6 +19,7 @@ class Holding(NamedTuple):
 
 
 def no_holding(envs: int, joints: int) -> Holding:
+    """No random choice under way in any environment."""
     return Holding(*jnp.zeros((2, envs, joints), jnp.int32))
 
 

@@ -1,7 +1,7 @@
 """The gaits of Tables 4.5 and 4.6 as periodic motions of both legs."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -41,18 +41,6 @@ class Gait(NamedTuple):
         """The motions of the right and the left leg, (2, 5): the left does the same half a period later."""
         legs = self.at(t), self.at(t - self.period / 2)
         return Motion(*(jnp.stack(pair) for pair in zip(*legs, strict=True)))
-
-
-class Excursion(NamedTuple):
-    """How far and how fast a gait moves a joint: rad, rad/s and rad/s^2."""
-
-    joint: str
-    lowest: float
-    highest: float
-    peak_velocity: float
-    peak_acceleration: float
-    within: bool
-    """Whether it stays in the joint's range."""
 
 
 def gait(name: str, kind: str = "spline") -> Gait:
@@ -95,32 +83,6 @@ def from_table(times: Sequence[float], degrees: Mapping[str, Sequence[float]], k
         angles[:, thesis.JOINT_NAMES.index(joint)] = np.radians(column)
     slopes = _spline_slopes(knots, angles) if kind == "spline" else None
     return Gait(jnp.array(knots), jnp.array(_cubics(knots, angles, slopes)))
-
-
-def excursions(motion: Gait, ranges: Any) -> list[Excursion]:
-    """How far and how fast a gait moves each joint, exactly, and whether it leaves the ranges ((5, 2), rad)."""
-    spans = np.diff(np.asarray(motion.knots, float))
-    coefficients = np.asarray(motion.coefficients, float)
-    found = []
-    for joint, (low, high) in enumerate(np.asarray(ranges, float)):
-        positions, velocities, accelerations = [], [], []
-        for span, (c0, c1, c2, c3) in zip(spans, coefficients[:, :, joint], strict=True):
-            position = np.polynomial.Polynomial([c0, c1, c2, c3])
-            velocity, acceleration = position.deriv(), position.deriv(2)
-            positions += _extremes(position, span)
-            velocities += _extremes(velocity, span)
-            accelerations += _extremes(acceleration, span)
-        lowest, highest = min(positions), max(positions)
-        within = bool(low - 1e-6 <= lowest and highest <= high + 1e-6)
-        peaks = max(map(abs, velocities)), max(map(abs, accelerations))
-        found.append(Excursion(thesis.JOINT_NAMES[joint], lowest, highest, *peaks, within))
-    return found
-
-
-def _extremes(polynomial: np.polynomial.Polynomial, span: float) -> list[float]:
-    """The values at both ends and at the turning points between them."""
-    turning = [float(x.real) for x in polynomial.deriv().roots() if abs(x.imag) < 1e-12 and 0 < x.real < span]
-    return [float(polynomial(x)) for x in (0.0, span, *turning)]
 
 
 def _spline_slopes(knots: np.ndarray, values: np.ndarray) -> np.ndarray:

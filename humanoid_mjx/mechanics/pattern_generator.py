@@ -46,6 +46,8 @@ class Follower(NamedTuple):
 
 
 class State(NamedTuple):
+    """What the generator remembers: the phases of its two oscillators, and how far they follow their commands."""
+
     phase: Float[Array, "2"]
     """Phases of the right and the left leg, rad in [0, 2 pi)."""
     frequency: Follower

@@ -95,7 +95,7 @@ class Symmetric(NamedTuple):
 
     @property
     def rows(self) -> tuple[Vector, Vector, Vector]:
-        """By row."""
+        """The entries row by row."""
         return Vector(*self[:3]), Vector(self.xy, self.yy, self.yz), Vector(self.xz, self.yz, self.zz)
 
 

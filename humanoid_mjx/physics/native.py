@@ -21,8 +21,9 @@ from jaxtyping import Array, Float
 from mujoco.rollout import Rollout
 
 from humanoid_mjx.mechanics.contacts import Contacts
-from humanoid_mjx.physics.base import Controller, Poses, Readings, Sensed, Stages, Velocities, World
+from humanoid_mjx.physics.base import Controller, Poses, Sensed, Stages, Velocities, World
 from humanoid_mjx.physics.model import MujocoPhysics, below, freeze_if_diverged
+from humanoid_mjx.robot import robot_spec
 from humanoid_mjx.types import AnyArray, MassFactor
 
 MODELS_BYTES = 1 << 27
@@ -32,6 +33,18 @@ turns."""
 CONTROL = int(mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED)
 """Control of each step: the motors' torques, then the forces on all degrees of freedom."""
 
+FRAMES = (
+    *(mujoco.mjtSensor.mjSENS_FRAMEPOS, mujoco.mjtSensor.mjSENS_FRAMEXAXIS, mujoco.mjtSensor.mjSENS_FRAMEYAXIS),
+    *(mujoco.mjtSensor.mjSENS_FRAMEZAXIS, mujoco.mjtSensor.mjSENS_FRAMELINVEL, mujoco.mjtSensor.mjSENS_FRAMEANGVEL),
+)
+"""Sensors of where each body is and how it moves, so that MuJoCo's threads compute it with the step."""
+
+OFF = {
+    True: int(mujoco.mjtDisableBit.mjDSBL_AUTORESET),
+    False: int(mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_SENSOR),
+}
+"""What is switched off in MuJoCo where sensors are read, and where they are not."""
+
 _LOCK = threading.Lock()
 """MuJoCo's data and its handler of warnings belong to one callback at a time; each uses all processors."""
 
@@ -40,56 +53,49 @@ class Native(MujocoPhysics):
     """Native MuJoCo. Worlds may differ in their traced values: each distinct set of them has a model of its own."""
 
     def step(self, world: World, controller: Controller, substeps: int = 1) -> tuple[World, Float[Array, " joints"]]:
-        limit = jnp.asarray(self.torque_limit, float)
-        torque = jnp.clip(jnp.asarray(controller(self._stages(world)), float), -limit, limit)
-        shapes = world.qpos.shape, world.qvel.shape, world.qvel.shape
-        state = world.qpos, world.qvel, world.warmstart
-        control = jnp.concatenate([torque, self.pushes()])
-        qpos, qvel, warmstart = _on_host(partial(self._advance, substeps), shapes, self._values(), *state, control)
-        return freeze_if_diverged(world, World(qpos, qvel, warmstart, jnp.bool_(False))), torque
+        return self._cycle(world, controller, substeps, sensed=False)[:2]
+
+    def run_sensed(self, world: World, controller: Controller, cycles: int) -> tuple[World, Sensed]:
+        def cycle(carry: tuple[World, Array, Array], _: None) -> tuple[tuple[World, Array, Array], None]:
+            return self._cycle(carry[0], controller, 1, sensed=True), None
+
+        nothing = jnp.zeros(self.model.nu), jnp.zeros(self._team.base.nsensordata)
+        (world, torque, sensordata), _ = jax.lax.scan(cycle, (world, *nothing), length=cycles)
+        return world, self._sensed(torque, sensordata)
 
     def sense(self, world: World, torque: Float[AnyArray, " joints"]) -> Sensed:
-        shapes = ((self.model.nsensordata,),)
         torque = jnp.asarray(torque, float)
-        control = jnp.concatenate([torque, self.pushes()])
-        state = world.qpos, world.qvel, world.warmstart
-        (sensordata,) = _on_host(self._sense, shapes, self._values(), *state, control)
-        poses, velocities = self._motion(world)
-        contacts = self._ground_contacts(poses, velocities, self._corner_forces(sensordata))
-        return Sensed(self._readings(sensordata), poses, velocities, contacts, torque)
+        return self._sensed(torque, self._held(world, torque, 1, sensed=True)[-1])
 
     def poses(self, world: World) -> Poses:
-        return self._motion(world)[0]
+        return self.sense(world, jnp.zeros(self.model.nu)).poses
 
-    def _motion(self, world: World) -> tuple[Poses, Velocities]:
-        bodies = self.model.nbody
-        shapes = (bodies, 3), (bodies, 3, 3), (bodies, 6), (bodies, 3)
-        position, rotation, cvel, com = _on_host(self._locate, shapes, self._values(), world.qpos, world.qvel)
-        return Poses(position, rotation), self._velocities(cvel, position, com)
+    def _cycle(self, world: World, controller: Controller, substeps: int, sensed: bool) -> tuple[World, Array, Array]:
+        """The world after a control cycle, the torque that acted, and what was sensed before it."""
+        limit = jnp.asarray(self.torque_limit, float)
+        torque = jnp.clip(jnp.asarray(controller(self._stages(world)), float), -limit, limit)
+        qpos, qvel, warmstart, sensordata = self._held(world, torque, substeps, sensed)
+        return freeze_if_diverged(world, World(qpos, qvel, warmstart, jnp.bool_(False))), torque, sensordata
 
-    def rollout(
-        self, world: World, torque: Float[AnyArray, "*worlds steps joints"]
-    ) -> tuple[Float[np.ndarray, "*worlds steps nq"], Float[np.ndarray, "*worlds steps nv"], Readings]:
-        """Replay torques, one each time step, outside jax: numpy in and out, any number of leading axes, the same
-        traced values in all worlds.
-
-        Returns:
-          `qpos` and `qvel` after every step, and the readings of the sensors before it.
-        """
-        worlds = world.qpos.shape[:-1]
-        values = np.asarray(self._values(), np.float64)
-        torque = np.clip(np.asarray(torque, np.float64), -values[-1], values[-1])
+    def _held(self, world: World, torque: Float[Array, " joints"], steps: int, sensed: bool) -> list[Array]:
+        """Position, velocity and acceleration after so many steps under the same torque, and what was sensed before
+        them: nothing unless `sensed`."""
         state = world.qpos, world.qvel, world.warmstart
-        qpos, qvel, warmstart = (np.asarray(x, np.float64).reshape(-1, x.shape[-1]) for x in state)
-        pushes = np.broadcast_to(self.pushes(), (*torque.shape[:-1], self.model.nv))
-        control = np.concatenate([torque, pushes], axis=-1)
-        control = control.reshape(-1, *control.shape[-2:])
-        with _alone():
-            values = np.broadcast_to(values, (len(control), len(values)))
-            states, sensordata = self._simulate(values, qpos, qvel, warmstart, control, control.shape[1])
-        states = states.reshape(*worlds, *states.shape[1:])
-        readings = self._readings(sensordata.reshape(*worlds, *sensordata.shape[1:]))
-        return (*self._split(states), readings)
+        control = jnp.concatenate([torque, self.pushes()])
+        shapes = *(x.shape for x in state), (self._team.base.nsensordata * sensed,)
+        return _on_host(partial(self._advance, steps, sensed), shapes, self._values(), *state, control)
+
+    def _sensed(self, torque: Float[Array, " joints"], sensordata: Float[Array, " sensors"]) -> Sensed:
+        """What the sensors of a model of `_watched` say."""
+        own, frames = sensordata[: self.model.nsensordata], sensordata[self.model.nsensordata :]
+        position, *axes, linear, angular = frames.reshape(len(FRAMES), self.model.nbody, 3)
+        poses, velocities = Poses(position, jnp.stack(axes, axis=-1)), Velocities(linear, angular)
+        contacts = self._ground_contacts(poses, velocities, self._corner_forces(own))
+        return Sensed(self._readings(own), poses, velocities, contacts, torque)
+
+    @property
+    def _team(self) -> "_Team":
+        return _team(_watched(self.robot, self.torso, self.ranges, self.timestep))
 
     def _values(self) -> Float[Array, " values"]:
         """The traced values of a model: the mass factors of the bodies, friction, damping, and the torque limit."""
@@ -127,27 +133,40 @@ class Native(MujocoPhysics):
     def _advance(
         self,
         steps: int,
-        values: np.ndarray,
-        qpos: np.ndarray,
-        qvel: np.ndarray,
-        warmstart: np.ndarray,
-        control: np.ndarray,
+        sensed: bool,
+        values: Float[np.ndarray, "worlds values"],
+        qpos: Float[np.ndarray, "worlds nq"],
+        qvel: Float[np.ndarray, "worlds nv"],
+        warmstart: Float[np.ndarray, "worlds nv"],
+        control: Float[np.ndarray, "worlds controls"],
     ) -> tuple[np.ndarray, ...]:
-        """State and acceleration after so many steps under the same control."""
-        states, _ = self._simulate(values, qpos, qvel, warmstart, control[:, None], steps)
-        moved, speed = self._split(states[:, -1])
-        before = self._split(states[:, -2])[1] if steps > 1 else qvel
-        return moved, speed, (speed - before) / self.step_s
-
-    def _sense(
-        self, values: np.ndarray, qpos: np.ndarray, qvel: np.ndarray, warmstart: np.ndarray, control: np.ndarray
-    ) -> tuple[np.ndarray]:
-        return (self._simulate(values, qpos, qvel, warmstart, control[:, None], 1)[1][:, 0],)
+        """What `_held` gives, of worlds in groups of few models."""
+        team, nq = self._team, qpos.shape[-1]
+        initial = np.concatenate([np.zeros((len(qpos), 1)), qpos, qvel], axis=-1)
+        states = np.empty((len(qpos), steps, initial.shape[-1]))
+        sensordata = np.empty((len(qpos), steps, team.base.nsensordata))
+        distinct, kind = np.unique(values, axis=0, return_inverse=True)
+        for first in range(0, len(distinct), team.room):
+            models = [team.tuned(row, sensed) for row in distinct[first : first + team.room]]
+            rows = np.flatnonzero((kind >= first) & (kind < first + team.room))
+            states[rows], sensordata[rows] = team.rollout.rollout(
+                [models[i - first] for i in kind[rows]],
+                team.data,
+                initial[rows],
+                control[rows, None],
+                control_spec=CONTROL,
+                nstep=steps,
+                initial_warmstart=warmstart[rows],
+            )
+        states = states[..., 1:]  # without the time
+        before = states[:, -2, nq:] if steps > 1 else qvel
+        moved, speed = states[:, -1, :nq], states[:, -1, nq:]
+        return moved, speed, (speed - before) / self.step_s, sensordata[:, 0, : sensordata.shape[-1] * sensed]
 
     def _dynamics(self, values: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Mass matrix and bias of each world."""
         matrix, bias = np.empty((*qvel.shape, qvel.shape[-1])), np.empty(qvel.shape)
-        for i, (model, data) in enumerate(_team(self.model).bare(values)):
+        for i, (model, data) in enumerate(self._team.bare(values)):
             data.qpos, data.qvel = qpos[i], qvel[i]
             mujoco.mj_fwdPosition(model, data)
             mujoco.mj_fwdVelocity(model, data)
@@ -173,57 +192,6 @@ class Native(MujocoPhysics):
                 drift[i, k] = rate @ qvel[i]
         return position, jacobian, drift
 
-    def _locate(self, values: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, ...]:
-        """`xpos`, `xmat`, `cvel` and `subtree_com` of each world."""
-        worlds, bodies = len(qpos), self.model.nbody
-        found = [np.empty((worlds, bodies, *shape)) for shape in ((3,), (3, 3), (6,), (3,))]
-        for i, (model, data) in enumerate(_team(self.model).bare(values)):
-            data.qpos, data.qvel = qpos[i], qvel[i]
-            mujoco.mj_kinematics(model, data)
-            mujoco.mj_comPos(model, data)
-            mujoco.mj_comVel(model, data)
-            parts = data.xpos, data.xmat.reshape(-1, 3, 3), data.cvel, data.subtree_com
-            for rows, part in zip(found, parts, strict=True):
-                rows[i] = part
-        return tuple(found)
-
-    def _simulate(
-        self,
-        values: Float[np.ndarray, "worlds values"],
-        qpos: Float[np.ndarray, "worlds nq"],
-        qvel: Float[np.ndarray, "worlds nv"],
-        warmstart: Float[np.ndarray, "worlds nv"],
-        control: Float[np.ndarray, "worlds held controls"],
-        steps: int,
-    ) -> tuple[Float[np.ndarray, "worlds steps nstate"], Float[np.ndarray, "worlds steps sensors"]]:
-        """States (time, positions, velocities) after every step and sensors before it, in groups of few models.
-
-        `control` is of every step, or one for all.
-        """
-        team = _team(self.model)
-        initial = np.concatenate([np.zeros((len(qpos), 1)), qpos, qvel], axis=-1)
-        states = np.empty((len(qpos), steps, initial.shape[-1]))
-        sensordata = np.empty((len(qpos), steps, self.model.nsensordata))
-        distinct, kind = np.unique(values, axis=0, return_inverse=True)
-        for first in range(0, len(distinct), team.room):
-            models = [team.tuned(row) for row in distinct[first : first + team.room]]
-            rows = np.flatnonzero((kind >= first) & (kind < first + team.room))
-            states[rows], sensordata[rows] = team.rollout.rollout(
-                [models[i - first] for i in kind[rows]],
-                team.data,
-                initial[rows],
-                control[rows],
-                control_spec=CONTROL,
-                nstep=steps,
-                initial_warmstart=warmstart[rows],
-            )
-        return states, sensordata
-
-    def _split(self, states: Float[np.ndarray, "*batch nstate"]) -> tuple[np.ndarray, np.ndarray]:
-        """Positions and velocities."""
-        nq = self.model.nq
-        return states[..., 1 : 1 + nq], states[..., 1 + nq :]
-
 
 class _Team:
     """The threads that compute with one robot, and the models and data that they compute in."""
@@ -239,15 +207,15 @@ class _Team:
         self._bare = copy(base)
         self._bare.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
 
-    def tuned(self, values: Float[np.ndarray, " values"]) -> mujoco.MjModel:
-        """The model with these values in it, evicting the least recently used where there is no room."""
+    def tuned(self, values: Float[np.ndarray, " values"], sensed: bool) -> mujoco.MjModel:
+        """The model with these values in it, its sensors on or off; the least recently used makes room for it."""
         key = values.tobytes()
         model = self._tuned.pop(key, None)
         if model is None:
             full = len(self._tuned) >= self.room
             model = self._tuned.pop(next(iter(self._tuned))) if full else copy(self.base)
-            model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
             self._tune(model, values)
+        model.opt.disableflags = self.base.opt.disableflags | OFF[sensed]
         self._tuned[key] = model
         return model
 
@@ -269,6 +237,17 @@ class _Team:
         model.dof_damping[self._damped] = damping
         model.pair_friction[:, :2] = friction
         model.actuator_ctrlrange[:] = -torque_limit, torque_limit
+
+
+@lru_cache
+def _watched(robot: str, torso: str, ranges: str, timestep: float | None) -> mujoco.MjModel:
+    """The robot with `FRAMES` on every body, behind its own sensors."""
+    with jax.ensure_compile_time_eval():
+        spec = robot_spec(robot, torso=torso, ranges=ranges, timestep=timestep)
+        for kind in FRAMES:
+            for body in spec.bodies:
+                spec.add_sensor(type=kind, objtype=mujoco.mjtObj.mjOBJ_XBODY, objname=body.name)
+        return spec.compile()
 
 
 @lru_cache

@@ -11,7 +11,6 @@ from PIL import Image
 
 from humanoid_mjx.config import dump_yaml
 from humanoid_mjx.report.figures import CURVES, HEAT_MAPS, averaged, curved, draw_curves, draw_map, limits, mapped
-from humanoid_mjx.report.findings import findings_of
 from humanoid_mjx.report.player import player
 from humanoid_mjx.report.rendering import strip
 from humanoid_mjx.report.showing import show
@@ -34,29 +33,6 @@ NO_SCRIPT = "<noscript><p>The motion needs JavaScript; the pictures below it sho
 
 PACKAGES = ("humanoid-mjx", "jax", "jaxlib", "mujoco", "mujoco-mjx", "warp-lang", "brax", "numpy")
 """Whose versions a result depends on, by their names in a package index."""
-
-
-def report_of(path: Path, reporter: Reporter, motion: bool = True) -> str:
-    """The page of a run folder, or of a folder that `reproduce` has written.
-
-    Args:
-      path: the folder.
-      reporter: receives what is being done.
-      motion: simulate the best policy and show how the robot moves.
-
-    Raises:
-      InputError: there is no such folder, it holds neither, nothing in it is finished, or a table is damaged.
-    """
-    if (path / "config.yaml").is_file():
-        return run_page(path, reporter, motion)
-    if (path / "reproduce.json").is_file():
-        reporter.phase("reading")
-        return findings_of(path)
-    if not path.is_dir():
-        raise InputError(f"{path}: there is no such folder.")
-    raise InputError(
-        f"{path}: neither a run folder (no config.yaml) nor what reproduce has written (no reproduce.json)."
-    )
 
 
 def write_page(target: Path, html: str) -> None:
@@ -82,7 +58,7 @@ def run_page(path: Path, reporter: Reporter, motion: bool) -> str:
     results, summary = (read_table(path / f"{name}.parquet") for name in ("results", "summary"))
     axes = list((config.get("sweep") or {}).get("axes", {}))
     reporter.phase("drawing figures")
-    points = ranked(axes, summary)
+    points = ranked(axes, summary, quickest=bool(config.get("episodes")))
     parts = [
         _lead(config, summary, points),
         section("Result", *_result(axes, summary, points)),

@@ -73,6 +73,7 @@ def resonance(setting: Setting) -> list[Finding]:
 
 
 def judge_gains(gains: np.ndarray, allowed: np.ndarray) -> list[Finding]:
+    """What the gains, by joint, say against the largest that the resonance of each link allows, 1/s^2."""
     bounds = [three_digits(x) for x in allowed]
     why = (
         "the links are tubes of aluminium 1060, as thick as Table 3.1 at 1:4 and as heavy as Table 4.3; each bends at "

@@ -67,6 +67,7 @@ def printed_trials() -> list[Any]:
 
 
 def generator_trials() -> list[Any]:
+    """The trials in which the pattern generator makes the gait."""
     from humanoid_mjx.reproduction.ground import Trial
 
     return [
@@ -201,6 +202,7 @@ def sole_tilts(signs: tuple[int, int, int]) -> tuple[float, float]:
 
 
 def walks(path: Any) -> bool:
+    """Whether a body stays on its feet and gets further than a step."""
     return not path.fell and abs(path.distance) > STEP_M
 
 

@@ -104,6 +104,7 @@ class Chain:
 
     @property
     def num_joints(self) -> int:
+        """How many joints, and as many links."""
         return len(self.structure.alpha)
 
     @property

@@ -31,7 +31,7 @@ FRAME_0 = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 MIRROR = np.diag([1.0, -1.0, 1.0])
 """Reflection across the sagittal plane of that world, to the left leg."""
 
-HIP_DIAMETER = KNEE_DIAMETER = thesis.BODY_MM["upper_leg_circumference"] * 1e-3 * thesis.SCALE / math.pi
+HIP_DIAMETER = thesis.BODY_MM["upper_leg_circumference"] * 1e-3 * thesis.SCALE / math.pi
 """Thickness of the cylinders that stand for links 1 to 3 in `Leg.physical`: the upper leg's. Nothing is printed."""
 
 SHANK_DIAMETER = thesis.BODY_MM["lower_leg_circumference"] * 1e-3 * thesis.SCALE / math.pi

@@ -80,16 +80,20 @@ class RunFolder:
         return run
 
     def close(self) -> None:
+        """Let other programs write to the folder."""
         os.close(self._lock)
 
     def write_text(self, name: str, text: str) -> None:
+        """Write a text file, as a whole or not at all."""
         with self.writing(name) as temporary:
             temporary.write_text(text, encoding="utf-8")
 
     def write_json(self, name: str, data: Any) -> None:
+        """Write plain values as JSON, as a whole or not at all."""
         self.write_text(name, json.dumps(data, indent=2) + "\n")
 
     def write_arrays(self, name: str, arrays: Arrays) -> None:
+        """Write an archive of numpy arrays, as a whole or not at all."""
         with self.writing(name) as temporary, temporary.open("wb") as file:
             np.savez(file, allow_pickle=False, **arrays)
 

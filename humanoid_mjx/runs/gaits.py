@@ -15,7 +15,7 @@ class Summary(NamedTuple):
     """A figure under one command."""
 
     seeds: tuple[Estimate, ...]
-    """Of each training seed the mean over its episodes with the 95 % interval; NaN where the figure has no meaning."""
+    """The mean over the episodes of each training seed with its 95 % interval; NaN where the figure has no meaning."""
     median: float
     """Over the training seeds."""
     worst: float

@@ -125,7 +125,7 @@ def _outcome(path: Path, config: Mapping[str, Any]) -> tuple[float, float, int]:
     if not (path / "summary.parquet").is_file():
         return float("nan"), float("nan"), 0
     summary = read_table(path / "summary.parquet")
-    best = ranked(list((config.get("sweep") or {}).get("axes", {})), summary)[0]
+    best = ranked((), summary, quickest=bool(config.get("episodes")))[0]
     return best.success, best.greedy_return, int(np.sum(summary["diverged"]))
 
 

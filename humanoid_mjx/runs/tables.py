@@ -96,6 +96,17 @@ def named(arrays: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
     return {name.removeprefix(prefix + "."): a for name, a in arrays.items() if name.startswith(prefix + ".")}
 
 
+def scores(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The scores of finished runs, (runs,) each: means over the last part of their curves, and scores at their end."""
+    found = {}
+    for name, curve in named(arrays, "curve").items():
+        last = curve[:, -max(1, round(curve.shape[1] * LAST_SHARE)) :]
+        count = np.maximum(np.isfinite(last).sum(axis=1), 1)
+        mean = np.nansum(last, axis=1) / count
+        found[name] = np.where(np.isfinite(last).any(axis=1), mean, np.nan).astype(np.float32)
+    return found | named(arrays, "final")
+
+
 def _results(labels: Labels, columns: dict[str, pa.DictionaryArray], arrays: dict[str, np.ndarray]) -> pa.Table:
     data = _rows(labels, arrays)
     data |= _hyper(columns, data["point"])
@@ -110,13 +121,8 @@ def _rows(labels: Labels, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
 
 
 def _summary(columns: dict[str, pa.DictionaryArray], arrays: dict[str, np.ndarray]) -> pa.Table:
-    data = {"point": arrays["point"], "seed": arrays["seed"]} | _hyper(columns, arrays["point"])
-    for name, curve in named(arrays, "curve").items():
-        last = curve[:, -max(1, round(curve.shape[1] * LAST_SHARE)) :]
-        count = np.maximum(np.isfinite(last).sum(axis=1), 1)
-        mean = np.nansum(last, axis=1) / count
-        data[name] = np.where(np.isfinite(last).any(axis=1), mean, np.nan).astype(np.float32)
-    return pa.table(data | named(arrays, "final"))
+    data: dict[str, Any] = {"point": arrays["point"], "seed": arrays["seed"]} | _hyper(columns, arrays["point"])
+    return pa.table(data | scores(arrays))
 
 
 def _hyper(columns: dict[str, pa.DictionaryArray], point: np.ndarray) -> dict[str, pa.DictionaryArray]:

@@ -15,42 +15,18 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal, Var
 from jaxtyping import Array
 
-ARITHMETIC = {
-    *(
-        "abs",
-        "add",
-        "and",
-        "bitcast_convert_type",
-        "ceil",
-        "clamp",
-        "convert_element_type",
-        "div",
-        "eq",
-        "exp",
-        "floor",
-    ),
-    *("ge", "gt", "integer_pow", "is_finite", "le", "log", "lt", "max", "min", "mul", "ne", "neg", "not", "or", "rem"),
-    *(
-        "select_n",
-        "shift_left",
-        "shift_right_arithmetic",
-        "shift_right_logical",
-        "sign",
-        "sqrt",
-        "square",
-        "sub",
-        "xor",
-    ),
-}
+from humanoid_mjx.primitives import CALLS, ELEMENTWISE
+
+SHIFTS = {"shift_left", "shift_right_arithmetic", "shift_right_logical"}
+
+ARITHMETIC = ELEMENTWISE | SHIFTS | {"bitcast_convert_type"}
 """Primitives that act on each element alone."""
 
 RESHAPES = {"broadcast_in_dim", "reshape", "squeeze"}
-"""Of one element these change nothing."""
+"""Primitives that change nothing about a single element."""
 
 LOOKUPS = {"gather", "dynamic_slice"}
-"""Of one entry."""
-
-CALLS = {"jit", "pjit", "closed_call", "custom_jvp_call"}
+"""Primitives that read an entry of a vector."""
 
 Lookup = Callable[[np.ndarray, Array], Array]
 """From a constant vector and indices inside it to its entries."""
@@ -152,7 +128,7 @@ def _inlined(traced: ClosedJaxpr) -> tuple[list[Var], list[Equation], tuple[Any,
         for eqn in closed.jaxpr.eqns:
             inputs = tuple(source(x) for x in eqn.invars)
             if eqn.primitive.name in CALLS:
-                inner = eqn.params.get("jaxpr", eqn.params.get("call_jaxpr"))
+                inner = eqn.params[CALLS[eqn.primitive.name]]
                 names |= zip(eqn.outvars, walk(inner, dict(zip(inner.jaxpr.invars, inputs, strict=True))), strict=True)
                 continue
             outputs = tuple(Var(var.aval) for var in eqn.outvars)  # an inner function may be called twice

@@ -20,7 +20,8 @@ FOLDER = "tensorboard"
 """Where the event files are in a run folder."""
 
 MAX_POINTS = 30
-"""Of more sweep points so many are written: drawn by chance, for even steps through a grid would confound its axes."""
+"""The most sweep points that are written. Of more they are drawn by chance: even steps through a grid would confound
+its axes."""
 
 LOOK_EVERY_S = 2.0
 """Seconds between two looks at the curves of the runs under way."""
@@ -106,6 +107,7 @@ class EventFiles:
         self._take(points, seeds, np.full(len(rows), len(self.places)), curves)
 
     def close(self) -> None:
+        """Write out what is still held back."""
         for writer in self.writers:
             writer.close()
 

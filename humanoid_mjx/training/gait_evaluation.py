@@ -49,7 +49,7 @@ class Scenario(NamedTuple):
     turn_at: float = np.inf
     """When a sudden turn is commanded, s."""
     turn_by: float = 0.0
-    """Of the heading, to the left, rad."""
+    """The change of heading that a sudden turn is to make, rad, to the left."""
 
 
 SCENARIOS = (

@@ -34,7 +34,7 @@ class Measured(NamedTuple):
 
 
 def trained_seeds(names: Sequence[str]) -> list[Trained]:
-    """Of each run folder all runs of its best point, and what else is named.
+    """All runs of the best point of each run folder named, and the policies that are named themselves.
 
     Raises:
       InputError: as `find_policy`; or a policy's task moves no body by commands.

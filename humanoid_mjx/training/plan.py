@@ -64,10 +64,12 @@ class Plan:
 
     @property
     def num_runs(self) -> int:
+        """How many runs: one for each point and seed."""
         return len(self.points) * self.config.seeds
 
     @cached_property
     def groups(self) -> list[Group]:
+        """The points whose learners have one structure and so share compiled programs."""
         members: dict[Any, list[int]] = {}
         for index, learner in enumerate(self.learners):
             members.setdefault(jax.tree.structure(learner), []).append(index)
@@ -130,7 +132,11 @@ def make_plan(config: Config) -> Plan:
 
 
 def build(config: Config, point: Mapping[str, Any]) -> Learner:
-    """The learner, with its task, of one sweep point."""
+    """The learner, with its task, of one sweep point.
+
+    Raises:
+      InputError: an unknown task, learner or key, a value out of range, or a budget in the wrong unit.
+    """
     parts = {"task": dict(config.task), "learner": dict(config.learner)}
     for key, value in point.items():
         set_dotted(parts, key, value)

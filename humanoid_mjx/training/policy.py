@@ -18,9 +18,9 @@ from humanoid_mjx.config import Config, apply_override, parse
 from humanoid_mjx.data import folder, names
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.runs.folder import DAMAGE, read_config
-from humanoid_mjx.runs.tables import finished_runs
+from humanoid_mjx.runs.ranking import ranked
+from humanoid_mjx.runs.tables import finished_runs, scores
 from humanoid_mjx.spec import InputError, check_folder, known
-from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.training.plan import make_plan, resolved, set_dotted
 from humanoid_mjx.training.state import from_arrays, to_arrays
 
@@ -68,8 +68,8 @@ def find_policy(name: str) -> Trained:
 
 
 def best_policy(path: Path) -> Trained:
-    """The best run of a run folder's best point: most often successful; among equals the quickest, or where a task is
-    continuous that of the highest return.
+    """The best run of a run folder's best point (`runs.ranking`): the most often successful, among equals the quickest
+    or that of the highest return.
 
     Raises:
       InputError: this is no run folder, nothing in it is finished, or its files are damaged.
@@ -89,17 +89,14 @@ def policies_of_best(path: Path) -> list[Trained]:
 def _ranked(path: Path, all_seeds: bool) -> list[Trained]:
     data = read_config(path)
     plan = make_plan(parse(data, str(path / "config.yaml")))
-    arrays = finished_runs(path, ("point", "seed", "policy", "final.greedy_"))
+    arrays = finished_runs(path, ("point", "seed", "policy", "curve.steps", "final."))
     if not arrays:
         raise InputError(f"{path}: holds no finished run; --resume it first.")
-    finite = isinstance(plan.learners[0].task, FiniteTask)
-    cost = arrays["final.greedy_steps"] if finite else -arrays["final.greedy_return"]
-    success = arrays["final.greedy_success"]
-    points = np.unique(arrays["point"])
-    members = [arrays["point"] == point for point in points]
-    ranks = [(-round(float(success[rows].mean()), 3), float(cost[rows].mean())) for rows in members]
-    rows = np.flatnonzero(members[ranks.index(min(ranks))])
-    rows = rows[np.lexsort((cost[rows], -success[rows]))][: None if all_seeds else 1]
+    quickest = plan.config.episodes is not None
+    best = ranked((), {"point": arrays["point"]} | scores(arrays), quickest)[0]
+    cost = arrays["final.greedy_steps"] if quickest else -arrays["final.greedy_return"]
+    rows = np.flatnonzero(arrays["point"] == best.point)
+    rows = rows[np.lexsort((cost[rows], -arrays["final.greedy_success"][rows]))][: None if all_seeds else 1]
     point = int(arrays["point"][rows[0]])
     own: dict[str, Any] = {key: value for key, value in data.items() if key != "sweep"} | {"seeds": 1}
     for key, value in plan.points[point].items():
@@ -108,9 +105,9 @@ def _ranked(path: Path, all_seeds: bool) -> list[Trained]:
     provenance = json.loads(file.read_text()) if file.is_file() else {}
 
     def trained(row: int) -> Trained:
-        scores = {name: float(array[row]) for name, array in arrays.items() if name.startswith("final.")}
+        final = {name: float(array[row]) for name, array in arrays.items() if name.startswith("final.greedy_")}
         learned = {name: array[row] for name, array in arrays.items() if name.startswith("policy")}
-        place, origin = (point, int(arrays["seed"][row])), {"scores": scores, "provenance": provenance}
+        place, origin = (point, int(arrays["seed"][row])), {"scores": final, "provenance": provenance}
         return _assemble(own, learned, place, origin, path.resolve().name, str(path))
 
     return [trained(row) for row in rows.tolist()]

@@ -17,7 +17,8 @@ from jax.sharding import NamedSharding, PartitionSpec
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.plan import Group
-from humanoid_mjx.training.program import RUNS, Training, curve, mesh_of, programs_of
+from humanoid_mjx.training.program import Training, curve
+from humanoid_mjx.training.programs import RUNS, mesh_of, programs_of
 from humanoid_mjx.training.state import blank, from_arrays, to_arrays
 from humanoid_mjx.types import Device
 

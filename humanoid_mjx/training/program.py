@@ -1,26 +1,20 @@
 """What training adds to a learner, written once for all: learning curves, snapshots, the guard against NaN, evaluation.
 
-All functions are of one run; `programs` compiles them for runs side by side.
+All functions are of one run; `training.programs` compiles them for runs side by side.
 """
 
-from collections.abc import Callable, Sequence
-from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, PartitionSpec
-from jaxtyping import Array, Bool, Float, Key
+from jaxtyping import Array, Float, Key
 
-from humanoid_mjx import rng, runtime
+from humanoid_mjx import rng
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.base import Outcome, WholeRunLearner
 from humanoid_mjx.training.rollout import greedy, mean_scores
-from humanoid_mjx.types import BoolScalar, Device, FloatScalar, IntScalar
-
-RUNS = "runs"
-"""The axis of a mesh of devices over which runs are shared out."""
+from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
 
 
 class Training(NamedTuple):
@@ -79,7 +73,7 @@ def advance(learner: Learner, training: Training, steps: IntScalar) -> tuple[Tra
         return Training(new[0], new[1], snapshots, failed)
 
     training = jax.lax.fori_loop(0, (steps + learner.lap - 1) // learner.lap, lap, training)
-    return training, _progress(learner, training)
+    return training, progress_of(learner, training)
 
 
 def finish(learner: Learner, training: Training, key: Key[Array, ""]) -> dict[str, Any]:
@@ -134,74 +128,6 @@ def curve(learner: Learner, training: Training) -> dict[str, Float[Array, " reco
     return found | {name: jnp.sqrt(columns[name] / updates) for name in squares}
 
 
-class Programs(NamedTuple):
-    """Compiled functions over runs side by side; every array has a leading axis of runs, shared out over the devices.
-
-    Each device computes its runs by itself: the program is compiled once, and none waits for another within it.
-    """
-
-    begin: Callable[..., Training]
-    """(fresh, learners, seeds, training states, policies) -> training states, new where `fresh` is true."""
-    advance: Callable[[Any, Training, IntScalar], tuple[Training, Progress]]
-    """(learners, training states, steps) -> states so many steps later, and progress. Gives up the old states."""
-    finish: Callable[[Any, Training, Any], dict[str, Any]]
-    """(learners, training states, seeds) -> curves, final scores and policies."""
-
-
-@lru_cache
-def programs(options: tuple[tuple[str, str | bool], ...], mesh: Mesh, fused: bool = False) -> Programs:
-    """The programs of all learners with these compiler options on the devices of `mesh`, whose axis is `RUNS`.
-
-    `seeds` is (the config's seed, the seed number). Where `fused` the kernel of `training.fused` makes the steps.
-    """
-
-    def anew(fresh: Bool[Array, ""], learner: Learner, seeds: Any, old: Training, policy: Any) -> Training:
-        new = begin(learner, run_key(*seeds), policy)
-        return jax.tree.map(partial(jnp.where, fresh), new, old)
-
-    def end(learner: Learner, training: Training, seeds: Any) -> dict[str, Any]:
-        return finish(learner, training, jax.random.fold_in(run_key(*seeds), 1))
-
-    def by_kernel(learners: Any, training: Training, steps: IntScalar) -> tuple[Training, Progress]:
-        from humanoid_mjx.training import fused  # which takes apart what stands here
-
-        training = fused.advance(learners, training, steps)
-        return training, jax.vmap(_progress)(learners, training)
-
-    by_run, same = PartitionSpec(RUNS), PartitionSpec()
-
-    def compiled(function: Callable[..., Any], given: Any = by_run, **options_of_jit: Any) -> Callable[..., Any]:
-        spread = jax.shard_map(function, mesh=mesh, in_specs=given, out_specs=by_run, check_vma=False)
-        return jax.jit(spread, compiler_options=dict(options), **options_of_jit)
-
-    train = by_kernel if fused else jax.vmap(advance, in_axes=(0, 0, None))
-    return Programs(
-        begin=compiled(jax.vmap(anew), donate_argnums=3),
-        advance=compiled(train, (by_run, by_run, same), donate_argnums=1),
-        finish=compiled(jax.vmap(end)),
-    )
-
-
-def programs_of(learners: Learner, devices: Sequence[Device]) -> Programs:
-    """The programs that train learners such as these, which stand side by side, on the given devices.
-
-    On a GPU tables that the kernel of `training.fused` can train are trained by it.
-    """
-    alone = len(devices) == 1
-    options = learners.compiler_options if alone else runtime.on_every_device(learners.compiler_options)
-    fused = False
-    if jax.default_backend() == "gpu":
-        from humanoid_mjx.training.fused import why_not  # whose import takes time that all others save
-
-        fused = why_not(learners) is None
-    return programs(tuple(sorted(options.items())), mesh_of(devices), fused)
-
-
-def mesh_of(devices: Sequence[Device]) -> Mesh:
-    """Devices in a row, for runs to be shared out over them."""
-    return Mesh(np.array(devices), (RUNS,))
-
-
 def run_key(seed: jax.Array, number: jax.Array) -> jax.Array:
     """The key of a run: of the config's seed and the run's number alone, so that a point trains as it would alone."""
     return jax.random.fold_in(rng.key(seed), number)
@@ -223,7 +149,8 @@ def record_entry(learner: Learner, outcome: Outcome) -> tuple[Array, list[Array]
     return point, [jnp.asarray(value, jnp.float32) for value in values]
 
 
-def _progress(learner: Learner, training: Training) -> Progress:
+def progress_of(learner: Learner, training: Training) -> Progress:
+    """How far a run is, and how it did over the last twentieth of its curve."""
     share = jnp.where(training.failed, 1.0, learner.progress(training.carry))
     columns = dict(zip(measures(learner, training.carry), training.record.T, strict=True))
     place = jnp.arange(learner.record)

@@ -55,6 +55,7 @@ class Run:
 
     @property
     def config(self) -> Config:
+        """The config that the run was made with, fully resolved."""
         return parse(read_config(self.path), str(self.path / "config.yaml"))
 
     @property

@@ -47,7 +47,7 @@ class SharedMemory(NamedTuple):
     """
 
     address: Array
-    """Of the first value of each agent's table."""
+    """Addresses of the first value of each agent's table, in bytes."""
     num_actions: int
 
     @classmethod

@@ -164,7 +164,7 @@ def power(motion: Spatial, force: Spatial) -> Scalar:
 
 
 def velocity_at(motion: Spatial, point: Vector) -> Vector:
-    """Of the body's point at `point` against the origin."""
+    """The velocity of a body's point at `point`, which is given against the origin."""
     return add(motion.linear, cross(motion.angular, point))
 
 

@@ -30,7 +30,7 @@ class Drift(NamedTuple):
 
 
 def drifts_of(tree: Tree, kinematics: Kinematics, velocity: Sequence[Scalar]) -> list[Drift]:
-    """Of each body. Velocities have the free body's angular part in the world's axes."""
+    """The drift of each body. `velocity` has the free body's angular part in the world's axes."""
     still = Drift(NULL, NULL, NULL)
     found = [still]
     for index, body in enumerate(tree.bodies[1:], 1):

@@ -48,7 +48,7 @@ class Touch(NamedTuple):
     friction: Friction
 
     def residual(self, motion: Spatial) -> Vector:
-        """Its acceleration against the ground less its reference where the body accelerates so, in its frame."""
+        """The contact's acceleration less its reference where the body accelerates by `motion`, in its own frame."""
         return add(resolve(self.frame, velocity_at(motion, self.place)), self.offset)
 
     def facets(self, v: Vector) -> list[Scalar]:
@@ -63,7 +63,7 @@ class Touch(NamedTuple):
         return [self.close & (facet.value < 0.0) for facet in self.facets(v)]
 
     def force(self, v: Vector) -> Vector:
-        """On the second body, N, in the contact's frame, by the residual there."""
+        """The force on the second body, N, at this residual; both in the contact's frame."""
         pushes = [
             Scalar(jnp.where(self.close & (facet.value < 0.0), -self.weight.value * facet.value, 0.0))
             for facet in self.facets(v)
@@ -74,7 +74,7 @@ class Touch(NamedTuple):
         return Vector(a + b + c + d, mu * (a - b), nu * (c - d))
 
     def stiffness(self, active: Sequence[Any]) -> Symmetric:
-        """From the residual to less the force while these facets push, in the contact's frame."""
+        """Minus the derivative of the force by the residual while these facets push, in the contact's frame."""
         on = [Scalar(jnp.where(flag, self.weight.value, 0.0)) for flag in active]
         if self.friction is None:
             return Symmetric(xx=on[0])
@@ -163,7 +163,7 @@ def _pair_touch(pairs: Pairs, kinematics: Kinematics, motions: Sequence[Spatial]
 
 
 def _velocity(shapes: Sequence[Capsule], motions: Sequence[Spatial], place: Vector) -> Vector:
-    """Of the points of the shapes' bodies at `place`, shape by shape."""
+    """Velocities, m/s, of the points of the shapes' bodies that are at `place`, shape by shape."""
     stacked = [
         Vector(*(in_order([lane(motions[s.body][part][axis], s.lane) for s in shapes]) for axis in range(3)))
         for part in range(2)

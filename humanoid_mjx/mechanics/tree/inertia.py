@@ -31,7 +31,7 @@ class Mass(NamedTuple):
 
     mass: Scalar
     center: Vector
-    """Of mass, against the origin."""
+    """Centre of mass against the origin, m."""
     arm: Vector
     """From the body's own origin to the centre of mass."""
     base: Scalar

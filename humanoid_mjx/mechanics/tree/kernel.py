@@ -93,7 +93,7 @@ class _Stage(NamedTuple):
     """
 
     address: Array
-    """Of each world's first number."""
+    """Addresses of each world's first number, in bytes."""
 
     @classmethod
     def of(cls, rows: int) -> "_Stage":

@@ -30,7 +30,7 @@ from humanoid_mjx.mechanics.tree.structure import Axes, Hinge, Table, Tree, Trip
 
 
 class Pose(NamedTuple):
-    """Of a body."""
+    """Where a body is: its origin, m, and its axes."""
 
     position: Vector
     axes: Rotation

@@ -21,7 +21,7 @@ first, with an axis of pairs, and behind it one of lanes for those that have lan
 
 
 def pair_rows(tree: Tree, kinematics: Kinematics, touches: Sequence[Touch]) -> list[Rows]:
-    """Of all groups of pairs."""
+    """The rows of all groups of pairs."""
     return [_rows(tree, kinematics, *each) for each in zip(tree.pairs, touches, strict=True)]
 
 

@@ -28,7 +28,7 @@ from humanoid_mjx.mechanics.tree.structure import GroundPoints, Tree
 
 
 class Stiffness(NamedTuple):
-    """From a body's motion to less the force of its contacts with the ground, about the origin."""
+    """Minus the derivative of the force of a body's contacts with the ground by its acceleration, about the origin."""
 
     linear: Symmetric
     mixed: tuple[Vector, Vector, Vector]
@@ -85,7 +85,7 @@ def add_ground(
 
 
 def _of_points(tree: Tree, points: GroundPoints, touch: Touch, flags: Sequence[Any]) -> tuple[Stiffness, Spatial]:
-    """Of all points of a body together: the stiffness, and the force against an acceleration of 0."""
+    """The stiffness of all points of a body together, and their force against an acceleration of 0."""
     laned = tree.bodies[points.body].laned
     count = len(points.order) // (tree.lanes if laned else 1)
     # Point by point, as sums over an axis of points would take them through memory.
@@ -95,7 +95,7 @@ def _of_points(tree: Tree, points: GroundPoints, touch: Touch, flags: Sequence[A
 
 
 def _of_point(touch: Touch, flags: Sequence[Any], index: int | None, rank: int) -> tuple[Stiffness, Spatial]:
-    """Of one point, that at `index` of the first of so many axes."""
+    """The same of the one point at `index` of the first of `rank` axes; of a single point where `index` is None."""
     if index is not None:
         touch, flags = jax.tree.map(
             lambda x: x[min(index, x.shape[0] - 1)] if jnp.ndim(x) == rank else x, (touch, list(flags))
@@ -106,7 +106,7 @@ def _of_point(touch: Touch, flags: Sequence[Any], index: int | None, rank: int) 
 
 
 def _at(place: Vector, matrix: Symmetric) -> Stiffness:
-    """Of a contact at `place`: the force there is the matrix times the acceleration there."""
+    """The stiffness of a contact at `place`, where the force is `matrix` times the acceleration."""
     a, b, c = (cross(place, row) for row in matrix.rows)
     columns = [cross(place, Vector(a[j], b[j], c[j])) for j in range(3)]
     angular = Symmetric(columns[0].x, columns[1].x, columns[2].x, columns[1].y, columns[2].y, columns[2].z)

@@ -74,5 +74,5 @@ def _faulty_actuators(m: mujoco.MjModel) -> Iterator[tuple[Any, str]]:
 
 
 def _condims(m: mujoco.MjModel) -> np.ndarray:
-    """Of everything that may touch."""
+    """Dimensions of the contacts of everything that may touch."""
     return np.concatenate([m.pair_dim, m.geom_condim[(m.geom_contype | m.geom_conaffinity) != 0]])

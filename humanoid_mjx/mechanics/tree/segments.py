@@ -11,11 +11,12 @@ from humanoid_mjx.mechanics.tree.structure import Capsule, Pairs
 
 
 def nearest_points(pairs: Pairs, kinematics: Kinematics) -> tuple[Vector, Vector]:
-    """Of the segments of pairs of capsules, against the origin, pair by pair; a ball's is its centre."""
+    """The nearest points of the segments in pairs of capsules, against the origin, m, pair by pair; a ball's segment is
+    its centre."""
     (one, along_one), (two, along_two) = (_segments(shapes, kinematics) for shapes in (pairs.ones, pairs.twos))
     apart = subtract(one, two)
     if pairs.ones[0].half_length and pairs.twos[0].half_length:
-        x, y = _both(along_one, along_two, apart)
+        x, y = nearest_shares(along_one, along_two, apart)
         return add(one, scale(x, along_one)), add(two, scale(y, along_two))
     if pairs.ones[0].half_length:
         return add(one, scale(_clipped(-dot(along_one, apart), dot(along_one, along_one)), along_one)), two
@@ -35,8 +36,12 @@ def _segments(shapes: Sequence[Capsule], kinematics: Kinematics) -> tuple[Vector
     return one, two
 
 
-def _both(a: Vector, b: Vector, apart: Vector) -> tuple[Scalar, Scalar]:
-    """Where on each: from -1 to 1. The unbounded minimum, then one clipped and the other anew, and again."""
+def nearest_shares(a: Vector, b: Vector, apart: Vector) -> tuple[Scalar, Scalar]:
+    """Where two segments are nearest: shares from -1 to 1 of `a` and `b`, which lead from their middles to their ends.
+
+    `apart` leads from the second middle to the first. The unbounded minimum, then one share clipped and the other
+    anew, and again.
+    """
     aa, ab, bb = dot(a, a), dot(a, b), dot(b, b)
     u, v = -dot(a, apart), dot(b, apart)
     # Parallel segments have many nearest points; the second's middle stands for them.

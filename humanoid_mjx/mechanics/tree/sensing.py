@@ -87,7 +87,7 @@ def _push(origin: Vector, contact: tuple[Vector, Rotation, Vector], bodies: tupl
 
 
 def poses_of(tree: Tree, state: State) -> list[Pose]:
-    """Of the model's bodies, in the world."""
+    """Poses of the model's bodies in the world, in the model's order."""
     found: dict[int, Pose] = {}
     for index, places in enumerate(tree.body_places):
         for one, place in enumerate(places):
@@ -97,7 +97,8 @@ def poses_of(tree: Tree, state: State) -> list[Pose]:
 
 
 def velocities_of(tree: Tree, state: State) -> list[Spatial]:
-    """Of the model's bodies: the velocities of their own origins and the angular velocities, in the world."""
+    """Velocities of the origins of the model's bodies, m/s, and angular velocities, rad/s, in the world, in the model's
+    order."""
     found: dict[int, Spatial] = {}
     for index, places in enumerate(tree.body_places):
         motion = state.motions[index]
@@ -173,7 +174,7 @@ class PointMotion(NamedTuple):
 
 
 def lowest_points(tree: Tree, state: State) -> list[PointMotion]:
-    """Of what the ground can push, in the model's order."""
+    """The lowest points of the shapes that the ground can push, and how they move, in the model's order."""
     at = state.kinematics
     found: dict[int, PointMotion] = {}
     for points in tree.ground:

@@ -28,7 +28,7 @@ class Values(NamedTuple):
     mass: Any = None
     """(bodies,) factors on each body's mass and inertia, the world's being of no use."""
     friction: Any = None
-    """Of all contacts that have any, along both tangents: a number."""
+    """Coefficient of friction, a number, along both tangents of all contacts that have any."""
     damping: Any = None
     """N m s/rad, of the joints that are damped: a number."""
     armature: Any = None
@@ -48,7 +48,7 @@ class State(NamedTuple):
     velocity: list[Scalar]
     """As `qvel`, the free body's angular velocity in the world's axes."""
     motions: list[Spatial]
-    """Of the bodies."""
+    """Velocities of the bodies, about the origin."""
     masses: list[Mass]
     drifts: list[Drift]
     matrix: Matrix
@@ -88,7 +88,7 @@ def make_state(tree: Tree, values: Values, qpos: Sequence[Scalar], qvel: Sequenc
 
 
 def folded(scalars: Sequence[Scalar], places: Sequence[tuple[int, ...]]) -> list[Scalar]:
-    """From `qpos` or `qvel` to the tree's coordinates or degrees of freedom, those of lanes together."""
+    """The tree's coordinates or degrees of freedom, those of lanes together, from `qpos` or `qvel`."""
     return [in_lanes([scalars[index] for index in lanes]) for lanes in places]
 
 
@@ -99,7 +99,7 @@ def unfolded(scalars: Sequence[Scalar], places: Sequence[tuple[int, ...]]) -> li
 
 
 def motor_forces(tree: Tree, qpos: Sequence[Scalar], qvel: Sequence[Scalar], control: Sequence[Scalar]) -> list[Scalar]:
-    """Of all motors on the degrees of freedom of `qvel`, N m, from what they are told, by motor."""
+    """Forces of all motors on the degrees of freedom of `qvel`, N m; `control` is what each motor is told."""
     forces = [ZERO] * len(qvel)
     for motor, told in zip(tree.motors, control, strict=True):
         gear = Scalar(motor.gear)

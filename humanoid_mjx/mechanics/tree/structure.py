@@ -78,11 +78,12 @@ class Body(NamedTuple):
 
     parent: int
     position: Triple
-    """Of its origin in the frame of its parent, and where its axes point there, all joints at their reference."""
+    """Position of its origin in the frame of its parent, m, and below where its axes point there, all joints at their
+    reference."""
     axes: Axes
     mass: Number
     center: Triple
-    """Of mass, in its frame."""
+    """Centre of mass in its frame, m."""
     moment: Number
     extra: tuple[tuple[Number, Triple], ...]
     """The moment of inertia about the centre of mass across all of these principal axes, in its frame, and by how much
@@ -124,7 +125,7 @@ class GroundPoints(NamedTuple):
     radius: Number
     normal: Triple
     height: Number
-    """Of the plane, along its normal in the world."""
+    """Height of the plane along its normal in the world, m."""
     along: Triple | None
     """The first tangent follows this axis of the body (MuJoCo's capsules do); None: a fixed axis of the world."""
     surface: Surface

@@ -18,14 +18,10 @@ from jax import lax
 from jax.extend.core import ClosedJaxpr, Literal
 from jaxtyping import Array
 
-ARITHMETIC = {
-    *("abs", "add", "and", "atan2", "ceil", "clamp", "convert_element_type", "cos", "div", "eq", "exp", "floor"),
-    *("ge", "gt", "integer_pow", "is_finite", "le", "log", "lt", "max", "min", "mul", "ne", "neg", "not", "or", "pow"),
-    *("rem", "rsqrt", "select_n", "sign", "sin", "sqrt", "square", "sub", "tan", "xor"),
-}
-"""Primitives that act on each element alone."""
+from humanoid_mjx.primitives import CALLS, ELEMENTWISE
 
-CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "custom_jvp_call": "call_jaxpr"}
+ARITHMETIC = ELEMENTWISE | {"atan2", "cos", "pow", "rsqrt", "sin", "tan"}
+"""Primitives that act on each element alone."""
 
 WORLDS = 32
 """Worlds in a block: the threads of a warp."""
@@ -143,7 +139,7 @@ def _slice(params: dict[str, Any], array: np.ndarray) -> list[np.ndarray]:
 
 
 def _place(array: np.ndarray, sizes: Sequence[int], starts: Sequence[np.ndarray]) -> tuple[slice, ...]:
-    """Of a part of these sizes, wherever it may begin."""
+    """The place in an array of a part of these sizes; beginnings beyond the ends are moved inside, as jax does."""
     if not all(isinstance(start.item(), np.generic) for start in starts):
         raise NotImplementedError("threads index only by what is known while tracing")
     limits = [full - size for full, size in zip(array.shape, sizes, strict=True)]

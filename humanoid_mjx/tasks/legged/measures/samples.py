@@ -11,6 +11,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from humanoid_mjx.mechanics.rotations import heading_frame
+from humanoid_mjx.mechanics.scalars import Scalar, Vector
+from humanoid_mjx.mechanics.tree.segments import nearest_shares
 from humanoid_mjx.physics.base import Poses, Sensed
 from humanoid_mjx.robot.lower_body import lower_body_model
 from humanoid_mjx.tasks.legged.view import feet_of
@@ -21,7 +23,7 @@ class Sample(NamedTuple):
     """The true state of a body at the beginning of a time step."""
 
     place: Float[Array, "2"]
-    """Of the hips, on the ground, m."""
+    """Where the hips are above the ground, x and y, m."""
     heading: FloatScalar
     """Where the torso looks, rad, -pi to pi."""
     angles: Float[Array, " joints"]
@@ -31,11 +33,11 @@ class Sample(NamedTuple):
     gap: Float[Array, "2"]
     """From the right ankle to the left one, forward and to the left as the torso looks, m."""
     height: Float[Array, "2"]
-    """Of the lowest corner of the right and the left foot, m."""
+    """Height of the lowest corner of the right and the left foot, m."""
     load: Float[Array, "2"]
     """Force with which the ground pushes each foot up, N."""
     speed: Float[Array, "2 4"]
-    """Of each foot's corners along the ground, m/s."""
+    """Speed of each foot's corners along the ground, m/s."""
     touching: Bool[Array, "2 4"]
     legs_apart: FloatScalar
     """Least distance between the surfaces of the right and the left leg, m; not above 0 where they touch."""
@@ -76,37 +78,28 @@ def legs_apart(poses: Poses) -> FloatScalar:
     """
     distances = []
     for one, two in _pairs():
-        (start, along), (other_start, other_along) = (
-            (poses.position[c.body] + poses.rotation[c.body] @ c.start, poses.rotation[c.body] @ c.along)
+        (middle, half), (other_middle, other_half) = (
+            (poses.position[c.body] + poses.rotation[c.body] @ c.middle, poses.rotation[c.body] @ c.half)
             for c in (one, two)
         )
-        gap = between_segments(start, along, other_start, other_along)
+        gap = between_segments(middle, half, other_middle, other_half)
         distances.append(gap - np.float32(one.radius + two.radius))
     return jnp.stack(distances).min()
 
 
 def between_segments(
-    start: Float[Array, "3"], along: Float[Array, "3"], other_start: Float[Array, "3"], other_along: Float[Array, "3"]
+    middle: Float[Array, "3"], half: Float[Array, "3"], other_middle: Float[Array, "3"], other_half: Float[Array, "3"]
 ) -> FloatScalar:
-    """The distance between two segments, each from a start along a vector that is not 0.
-
-    C. Ericson, "Real-Time Collision Detection", 2005, section 5.1.9.
-    """
-    apart = start - other_start
-    a, b, e = along @ along, along @ other_along, other_along @ other_along
-    c, f = along @ apart, other_along @ apart
-    determinant = a * e - b * b
-    # Of parallel segments any nearest pair will do: begin with the start of the first.
-    s = jnp.where(determinant > 1e-6 * a * e, jnp.clip((b * f - c * e) / (determinant + 1e-30), 0.0, 1.0), 0.0)
-    t = (b * s + f) / e
-    s = jnp.where(t < 0.0, jnp.clip(-c / a, 0.0, 1.0), jnp.where(t > 1.0, jnp.clip((b - c) / a, 0.0, 1.0), s))
-    return jnp.linalg.norm(apart + s * along - jnp.clip(t, 0.0, 1.0) * other_along + 1e-12)
+    """The distance between two segments, each from its middle along half of it, which is not 0, both ways."""
+    apart = middle - other_middle
+    x, y = nearest_shares(*(Vector(*map(Scalar, vector)) for vector in (half, other_half, apart)))
+    return jnp.linalg.norm(apart + x.value * half - y.value * other_half + 1e-12)
 
 
 class _Capsule(NamedTuple):
     body: int
-    start: np.ndarray
-    along: np.ndarray
+    middle: np.ndarray
+    half: np.ndarray
     radius: float
 
 
@@ -120,8 +113,8 @@ def _pairs() -> list[tuple[_Capsule, _Capsule]]:
         rotation = np.empty(9)
         mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
         half = rotation.reshape(3, 3)[:, 2] * model.geom_size[geom, 1]
-        start, along = (x.astype(np.float32) for x in (model.geom_pos[geom] - half, 2 * half))
-        return _Capsule(int(model.geom_bodyid[geom]), start, along, float(model.geom_size[geom, 0]))
+        middle, half = (x.astype(np.float32) for x in (model.geom_pos[geom], half))
+        return _Capsule(int(model.geom_bodyid[geom]), middle, half, float(model.geom_size[geom, 0]))
 
     kind = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
     pairs = zip(model.pair_geom1, model.pair_geom2, strict=True)
@@ -131,5 +124,5 @@ def _pairs() -> list[tuple[_Capsule, _Capsule]]:
 
 @lru_cache
 def total_mass() -> float:
-    """Of the lower body, kg."""
+    """The mass of the lower body, kg."""
     return float(lower_body_model("free").body_mass.sum())

@@ -61,7 +61,7 @@ class Windows(NamedTuple):
 
     number: IntScalar
     errors: Float[Array, "4"]
-    """Of the windows' means, absolute: forward, to the left, of the velocity as a vector, of the turn rate."""
+    """Absolute errors of the windows' means: velocity forward, to the left and as a vector, m/s; turn rate, rad/s."""
     way: FloatScalar
     """Length of the windows' mean motions, m."""
     work: FloatScalar
@@ -188,7 +188,7 @@ def add(tally: Tally, sample: Sample, asked: Asked, window: IntScalar, interval:
 
 
 def _motion(last: Sample, now: Sample) -> Float[Array, "3"]:
-    """From sample to sample: forward and to the left as the torso looks halfway between, m, and the turn, rad."""
+    """The way between samples, forward and to the left as the torso looks halfway between, m, and the turn, rad."""
     turn = wrapped(now.heading - last.heading)
     return jnp.append(as_seen(now.place - last.place, last.heading + turn / 2), turn)
 

@@ -80,12 +80,23 @@ def run_plot(paths: Sequence[Path], x: str | None, y: str, by: str | None, out: 
 
 
 def run_report(path: Path, out: Path | None, motion: bool) -> None:
-    """`humanoid-mjx report`."""
-    from humanoid_mjx.report.page import report_of, write_page
+    """`humanoid-mjx report`, of a run folder or of what `reproduce` has written."""
+    from humanoid_mjx.report.page import run_page, write_page
+    from humanoid_mjx.reproduction.page import findings_page
 
     target = out or path / "report.html"
     check_folder(target)
     runtime.start()
     with Bar(console) as bar:
-        write_page(target, report_of(path, bar, motion))
+        if (path / "config.yaml").is_file():
+            page = run_page(path, bar, motion)
+        elif (path / "reproduce.json").is_file():
+            page = findings_page(path)
+        else:
+            raise InputError(
+                f"{path}: neither a run folder (no config.yaml) nor what reproduce has written (no reproduce.json)."
+                if path.is_dir()
+                else f"{path}: there is no such folder."
+            )
+        write_page(target, page)
     console.print(f"{target}", soft_wrap=True)

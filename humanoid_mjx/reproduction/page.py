@@ -8,6 +8,7 @@ from typing import Any
 
 from humanoid_mjx import runtime
 from humanoid_mjx.report.web import MEDIA, facts, image, link, page, section, text
+from humanoid_mjx.reproduction.runner import load_experiments
 from humanoid_mjx.spec import InputError
 
 VERDICTS = {
@@ -22,14 +23,15 @@ VERDICTS = {
 KEYS = ("name", "quantity", "printed", "reproduced", "tolerance", "verdict", "why")
 
 
-def findings_of(path: Path) -> str:
+def findings_page(path: Path) -> str:
     """The page of a folder that `reproduce` has written.
 
     Raises:
       InputError: its reproduce.json is damaged.
     """
     findings = _read(path / "reproduce.json")
-    titles, pictures = _titles(), _pictures(path)
+    pictures = _pictures(path)
+    titles = {name: experiment.title for name, experiment in load_experiments().items()}
     names = list(dict.fromkeys(str(finding["name"]) for finding in findings))
     parts = [_lead(findings), _contents(findings, names, titles)]
     for name in names:
@@ -55,12 +57,6 @@ def _read(file: Path) -> list[dict[str, Any]]:
     if not isinstance(found, list) or not all(isinstance(each, dict) and set(KEYS) <= set(each) for each in found):
         raise InputError(f"{file}: this is not what reproduce writes.")
     return found
-
-
-def _titles() -> dict[str, str]:
-    from humanoid_mjx.reproduction import load_experiments
-
-    return {name: experiment.title for name, experiment in load_experiments().items()}
 
 
 def _pictures(path: Path) -> list[Path]:

@@ -1,0 +1,83 @@
+"""What `humanoid-mjx info` prints."""
+
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import Any
+
+from rich.table import Table
+
+from humanoid_mjx import runtime
+from humanoid_mjx.commands import console
+from humanoid_mjx.config import dump_yaml, load
+from humanoid_mjx.data import names
+from humanoid_mjx.runs.disk import in_words
+from humanoid_mjx.spec import InputError
+
+
+def show_keys(name: str) -> None:
+    """`humanoid-mjx info NAME --keys`: of a task, a learner, or both of a config."""
+    from humanoid_mjx.keys import keys_of
+    from humanoid_mjx.learners import LEARNERS, Learner
+    from humanoid_mjx.spec import find
+    from humanoid_mjx.tasks import TASKS
+    from humanoid_mjx.tasks.base import Task
+
+    chosen: list[tuple[str, Any]] = []
+    if name in TASKS or name in LEARNERS or ":" in name:
+        kind, registry, base = ("learner", LEARNERS, Learner) if name in LEARNERS else ("task", TASKS, Task)
+        chosen.append((kind, find(kind, registry, base, name)))
+    else:
+        config = load(name)
+        chosen.append(("task", find("task", TASKS, Task, config.task["name"])))
+        chosen.append(("learner", find("learner", LEARNERS, Learner, config.learner["name"])))
+    table = Table(title=f"{name}: keys of its config", title_justify="left")
+    for heading in ("key", "default", "values", "", "meaning"):
+        table.add_column(heading, overflow="fold")
+    for kind, cls in chosen:
+        for key in keys_of(cls, kind):
+            table.add_row(key.name, key.default, key.allowed, "traced" if key.traced else "static", key.meaning)
+    console.print(table)
+    console.print("Sweeping a traced value compiles nothing; points that differ in static ones compile apart.")
+
+
+def show_info(config: str | None, overrides: Sequence[str]) -> None:
+    """`humanoid-mjx info`."""
+    runtime.start()
+    if config is not None:
+        _show_plan(config, overrides)
+        return
+    from humanoid_mjx.learners import LEARNERS
+    from humanoid_mjx.tasks import TASKS
+
+    for name, value in (runtime.machine() | runtime.versions()).items():
+        console.print(f"{name:13} {value}")
+    shipped = {"configs": names("configs", ".yaml"), "policies": names("policies", ".npz")}
+    for kind, all_names in {"tasks": TASKS, "learners": LEARNERS, **shipped}.items():
+        console.print(f"{kind:13} {', '.join(all_names)}")
+
+
+def _show_plan(config: str, overrides: Sequence[str]) -> None:
+    """A config in full, and what its sweep will take."""
+    import jax
+
+    from humanoid_mjx.training.disk import disk_bytes
+    from humanoid_mjx.training.fused import why_not
+    from humanoid_mjx.training.memory import run_bytes, runs_that_fit, slots, training_bytes
+    from humanoid_mjx.training.plan import make_plan, resolved
+
+    plan = make_plan(load(config, overrides))
+    console.print(dump_yaml(resolved(plan.config)).rstrip(), markup=False)
+    size = sum(run_bytes(group) * len(group.runs) for group in plan.groups)
+    most = max(training_bytes(group) for group in plan.groups)
+    together = [1] * len(plan.groups)
+    with suppress(InputError):  # that memory cannot hold a run is for training to say
+        together = [slots(group, runs_that_fit(group, jax.local_devices()[0])) for group in plan.groups]
+    console.print(
+        f"\n{len(plan.points):,} points x {plan.config.seeds} seeds = {plan.num_runs:,} runs "
+        f"in {len(plan.groups)} compiled program{'s' * (len(plan.groups) > 1)}; "
+        f"training state {size / 2**20:,.1f} MiB if all were held at once, "
+        f"a run that trains an estimated {most / 2**20:,.1f} MiB"
+    )
+    console.print(f"on disk an estimated {in_words(disk_bytes(plan, together))}, without figures")
+    for reason in dict.fromkeys(why_not(group.learner()) for group in plan.groups):
+        console.print("trained by one fused kernel" if reason is None else f"no fused kernel: {reason}")

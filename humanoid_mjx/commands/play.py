@@ -1,0 +1,72 @@
+"""What `humanoid-mjx play` and `humanoid-mjx export` do: trained results and robots for other programs to show."""
+
+from contextlib import suppress
+from pathlib import Path
+
+from humanoid_mjx import runtime
+from humanoid_mjx.commands import console
+from humanoid_mjx.spec import InputError, check_folder
+from humanoid_mjx.training.progress import Bar
+
+
+def run_play(name: str, physics: str | None, out: Path | None, view: bool) -> None:
+    """`humanoid-mjx play`."""
+    from humanoid_mjx.report.video import check_file
+
+    if view and out is not None:
+        raise InputError("play: --view shows the motion in the browser and --out writes a file; choose one.")
+    if out is not None:
+        check_file(out)
+    runtime.start()
+    from humanoid_mjx.report.player import serve
+    from humanoid_mjx.report.rendering import render_film
+    from humanoid_mjx.report.showing import show
+    from humanoid_mjx.training.policy import find_policy, on_physics
+
+    with Bar(console) as bar:
+        bar.phase("loading")
+        trained = find_policy(name)
+        if physics is not None:
+            trained = on_physics(trained, physics)
+        shown = show(trained, bar)
+        if not view:
+            target = out or _play_file(name, trained.name)
+            bar.phase("rendering")
+            render_film(shown.film, target, tell=bar.count)
+    console.print(shown.outcome)
+    if not view:
+        console.print(f"{target}", soft_wrap=True)
+        return
+
+    def told(address: str) -> None:
+        console.print(f"{address}  (Ctrl-C ends it)", soft_wrap=True)
+
+    with suppress(KeyboardInterrupt):
+        serve(shown.film, told)
+
+
+def _play_file(name: str, policy: str) -> Path:
+    """Default place of a motion: in the run folder, or for a policy in the working directory."""
+    if not Path(name).is_dir():
+        return Path(f"{policy}.gif")
+    folder = Path(name) / "figures"
+    folder.mkdir(exist_ok=True)
+    return folder / "play.gif"
+
+
+def run_export(what: str, file: Path) -> None:
+    """`humanoid-mjx export`."""
+    if file.suffix not in (".xml", ".npz"):
+        raise InputError(f"{file}: the file must end in .xml, for a robot, or in .npz, for the policy of a run.")
+    check_folder(file)
+    if file.suffix == ".npz":
+        from humanoid_mjx.training.policy import find_policy, save_policy
+
+        save_policy(find_policy(what), file)
+    else:
+        from humanoid_mjx.robot import robot_spec
+
+        spec = robot_spec(what)
+        spec.compile()
+        file.write_text(spec.to_xml())
+    console.print(f"{file}", soft_wrap=True)

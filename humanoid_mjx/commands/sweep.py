@@ -1,0 +1,69 @@
+"""What `humanoid-mjx sweep` does, and what it prints."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import typer
+from rich.table import Table
+
+from humanoid_mjx import runtime
+from humanoid_mjx.commands import console
+from humanoid_mjx.training.progress import Bar
+
+BEST_POINTS = 10
+"""Rows of the summary that is printed."""
+
+
+def run_sweep(config: str, out: Path | None, overrides: Sequence[str], resume: bool, tensorboard: bool) -> None:
+    """`humanoid-mjx sweep`."""
+    runtime.start()
+    from humanoid_mjx.report.figures import sweep_figures
+    from humanoid_mjx.training.sweep import sweep
+
+    with Bar(console) as bar:
+        try:
+            run = sweep(config, out, resume=resume, overrides=overrides, reporter=bar, tensorboard=tensorboard)
+        except KeyboardInterrupt:
+            console.print("Stopped. What is finished is stored; the same command with --resume completes it.")
+            raise typer.Exit(130) from None
+        bar.phase("drawing figures")
+        axes = list(run.config.sweep.axes) if run.config.sweep else []
+        summary = run.summary
+        paths = sweep_figures(run.path / "figures", run.config.name, axes, run.results, summary)
+    print_summary(axes, summary, quickest=run.config.episodes is not None)
+    for path in (run.path / "results.parquet", run.path / "summary.parquet", *paths):
+        console.print(f"{path}", soft_wrap=True)
+    if tensorboard:
+        console.print(f"tensorboard --logdir {run.path / 'tensorboard'}", soft_wrap=True)
+
+
+def print_summary(axes: Sequence[str], summary: Mapping[str, np.ndarray], quickest: bool) -> None:
+    """The best points of a sweep, as `ranked` has them."""
+    from humanoid_mjx.report.style import short
+    from humanoid_mjx.runs.ranking import ranked, ties, training_interval
+
+    points, seeds = ranked(axes, summary, quickest), len(np.unique(summary["seed"]))
+    best = points[:BEST_POINTS]
+    title = f"{len(points)} points; the best {len(best)}" if len(points) > 1 else "1 point"
+    if (equals := ties(points)) > len(best):
+        title += f" of {equals} that act equally well"
+    table = Table(title=title, title_justify="left")
+    for axis in axes:
+        table.add_column(axis.partition(".")[2], justify="right")
+    greedy = ("greedy steps",) if quickest else ("greedy return", "greedy steps")
+    for heading in ("greedy success", *greedy, "steps at the end of training (95 %)"):
+        table.add_column(heading, justify="right")
+    diverged = {point.point: int(np.sum(summary["diverged"][summary["point"] == point.point])) for point in points}
+    if any(diverged.values()):
+        table.add_column("diverged", justify="right")
+    for point in best:
+        low, high = training_interval(summary, point.point)
+        steps = f"{point.steps:.2f} ({low:.2f} to {high:.2f})"
+        broken = [f"{diverged[point.point]} of {seeds}"] if any(diverged.values()) else []
+        greedy = [] if quickest else [f"{point.greedy_return:.4g}"]
+        greedy = [f"{point.success:.1%}", *greedy, f"{point.greedy_steps:.1f}"]
+        table.add_row(*map(short, point.values), *greedy, steps, *broken)
+    console.print(table)
+    if stopped := sum(diverged.values()):
+        console.print(f"{stopped} runs stopped at numbers that were not finite; the summary marks them.")

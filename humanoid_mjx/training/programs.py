@@ -1,0 +1,87 @@
+"""Training compiled for runs side by side, on as many devices as there are."""
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, PartitionSpec
+from jaxtyping import Array, Bool
+
+from humanoid_mjx import runtime
+from humanoid_mjx.learners import Learner
+from humanoid_mjx.training.program import Progress, Training, advance, begin, finish, progress_of, run_key
+from humanoid_mjx.types import Device, IntScalar
+
+RUNS = "runs"
+"""The axis of a mesh of devices over which runs are shared out."""
+
+
+class Programs(NamedTuple):
+    """Compiled functions over runs side by side; every array has a leading axis of runs, shared out over the devices.
+
+    Each device computes its runs by itself: the program is compiled once, and none waits for another within it.
+    """
+
+    begin: Callable[..., Training]
+    """(fresh, learners, seeds, training states, policies) -> training states, new where `fresh` is true."""
+    advance: Callable[[Any, Training, IntScalar], tuple[Training, Progress]]
+    """(learners, training states, steps) -> states so many steps later, and progress. Gives up the old states."""
+    finish: Callable[[Any, Training, Any], dict[str, Any]]
+    """(learners, training states, seeds) -> curves, final scores and policies."""
+
+
+@lru_cache
+def programs(options: tuple[tuple[str, str | bool], ...], mesh: Mesh, fused: bool = False) -> Programs:
+    """The programs of all learners with these compiler options on the devices of `mesh`, whose axis is `RUNS`.
+
+    `seeds` is (the config's seed, the seed number). Where `fused` the kernel of `training.fused` makes the steps.
+    """
+
+    def anew(fresh: Bool[Array, ""], learner: Learner, seeds: Any, old: Training, policy: Any) -> Training:
+        new = begin(learner, run_key(*seeds), policy)
+        return jax.tree.map(partial(jnp.where, fresh), new, old)
+
+    def end(learner: Learner, training: Training, seeds: Any) -> dict[str, Any]:
+        return finish(learner, training, jax.random.fold_in(run_key(*seeds), 1))
+
+    def by_kernel(learners: Any, training: Training, steps: IntScalar) -> tuple[Training, Progress]:
+        from humanoid_mjx.training import fused  # whose import takes time that all others save
+
+        training = fused.advance(learners, training, steps)
+        return training, jax.vmap(progress_of)(learners, training)
+
+    by_run, same = PartitionSpec(RUNS), PartitionSpec()
+
+    def compiled(function: Callable[..., Any], given: Any = by_run, **options_of_jit: Any) -> Callable[..., Any]:
+        spread = jax.shard_map(function, mesh=mesh, in_specs=given, out_specs=by_run, check_vma=False)
+        return jax.jit(spread, compiler_options=dict(options), **options_of_jit)
+
+    train = by_kernel if fused else jax.vmap(advance, in_axes=(0, 0, None))
+    return Programs(
+        begin=compiled(jax.vmap(anew), donate_argnums=3),
+        advance=compiled(train, (by_run, by_run, same), donate_argnums=1),
+        finish=compiled(jax.vmap(end)),
+    )
+
+
+def programs_of(learners: Learner, devices: Sequence[Device]) -> Programs:
+    """The programs that train learners such as these, which stand side by side, on the given devices.
+
+    On a GPU tables that the kernel of `training.fused` can train are trained by it.
+    """
+    alone = len(devices) == 1
+    options = learners.compiler_options if alone else runtime.on_every_device(learners.compiler_options)
+    fused = False
+    if jax.default_backend() == "gpu":
+        from humanoid_mjx.training.fused import why_not  # whose import takes time that all others save
+
+        fused = why_not(learners) is None
+    return programs(tuple(sorted(options.items())), mesh_of(devices), fused)
+
+
+def mesh_of(devices: Sequence[Device]) -> Mesh:
+    """Devices in a row, for runs to be shared out over them."""
+    return Mesh(np.array(devices), (RUNS,))
