@@ -4,6 +4,7 @@
 import sys
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -28,8 +29,9 @@ from humanoid_mjx.tasks.legged.view import unknown_feet
 from humanoid_mjx.thesis.leg import GRAVITY
 
 KEYS = jax.random.split(jax.random.key(2), 8)
-EXACT = {"sensors": dict.fromkeys(("encoder_noise", "encoder_bias", "gyroscope_noise", "gyroscope_bias"), 0.0)}
-EXACT["sensors"] |= {"accelerometer_noise": 0.0, "accelerometer_bias": 0.0, "foot_contact_noise": 0.0, "delay": 0}
+NO_ERRORS: dict[str, Any] = dict.fromkeys(("encoder_noise", "encoder_bias", "gyroscope_noise", "gyroscope_bias"), 0.0)
+NO_ERRORS |= {"accelerometer_noise": 0.0, "accelerometer_bias": 0.0, "foot_contact_noise": 0.0, "delay": 0}
+EXACT = {"sensors": NO_ERRORS}
 STAND, ON_THE_SPOT = jnp.zeros(3), jnp.array([1e-6, 0.0, 0.0])
 AHEAD = {"forward": [0.3, 0.3], "sideways": [0.0, 0.0], "turn": [0.0, 0.0], "standing": 0.0, "zero": 0.0}
 walk = partial(make_task, "walk", physics="mujoco")
@@ -296,7 +298,7 @@ def test_the_heading_is_kept_while_the_turn_rate_stays_the_same():
 
 def test_an_imu_that_integrates_reads_what_the_torso_did():
     """Its rates add up to the rotation, and its forces to the change of velocity, over decisions of a shaken body."""
-    task = walk(**(EXACT | {"sensors": EXACT["sensors"] | {"averages": True}}))
+    task = walk(sensors=NO_ERRORS | {"averages": True})
     state = reset(arrays(task), KEYS)
     qpos, qvel = (np.asarray(x) for x in (state.data.world.qpos, state.data.world.qvel))
     for seed in range(3):
@@ -330,7 +332,7 @@ def stepped(request):
     gait = {"period": 0.32, "stance": 0.62, "lift": 9.0, "sway": -2.0}
     command = {"heading_gain": 4.0, "every": 1e9}
     changed = {"control": control, "gait": gait, "command": command, "push": {"impulse": 0.0}}
-    task = make_task("walk", physics=request.param, **changed, sensors=EXACT["sensors"] | {"averages": True})
+    task = make_task("walk", physics=request.param, **changed, sensors=NO_ERRORS | {"averages": True})
 
     def decide(task, carry, key):
         state, down = carry
