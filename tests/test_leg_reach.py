@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from humanoid_mjx import InputError, make_task
+from humanoid_mjx import InputError, make_task, rng
 
 LEGS = 64
 
@@ -17,7 +17,7 @@ def programs(structure):
     def go(task, state):
         def decide(state, _):
             to_goal = (state.data.goal - state.data.setpoint) / jnp.radians(task.increment)
-            return task.step_continuous(state, to_goal, jax.random.key(0)), None
+            return task.step_continuous(state, to_goal, rng.key(0)), None
 
         return jax.lax.scan(decide, state, length=30)[0]
 
@@ -30,7 +30,7 @@ def begin(task):
     """A state of each leg, what steps them, and what sends their set-points to their goals."""
     reset, *others = programs(jax.tree.structure(task))
     values = jax.tree.map(jnp.asarray, task)
-    return reset(values, jax.random.split(jax.random.key(1), LEGS)), *(partial(f, values) for f in others)
+    return reset(values, jax.random.split(rng.key(1), LEGS)), *(partial(f, values) for f in others)
 
 
 def test_set_points_at_the_goal_reach_it_where_the_model_is_right_and_only_there():
@@ -59,22 +59,22 @@ def test_choices_are_parts_of_the_increment():
     task = make_task("leg_reach", choices=5, increment=10.0)
     state, step, _ = begin(task)
     action = jnp.tile(jnp.array([0, 1, 2, 3, 4]), (LEGS, 1))
-    moved = step(state, action, jax.random.key(0)).data.setpoint - state.data.setpoint
+    moved = step(state, action, rng.key(0)).data.setpoint - state.data.setpoint
     np.testing.assert_allclose(np.degrees(moved), np.tile([-10.0, -5.0, 0.0, 5.0, 10.0], (LEGS, 1)), atol=1e-3)
 
 
 def test_a_set_point_leads_its_joint_by_20_degrees_at_most():
     state, step, _ = begin(make_task("leg_reach", increment=90.0))
-    after = step(state, jnp.full((LEGS, 5), 8), jax.random.key(0))
+    after = step(state, jnp.full((LEGS, 5), 8), rng.key(0))
     np.testing.assert_allclose(np.degrees(after.data.setpoint - state.data.world.qpos), 20.0, atol=1e-3)
 
 
 def test_a_leg_that_breaks_ends_its_episode_alone():
     state, step, _ = begin(make_task("leg_reach"))
     action = jnp.full((LEGS, 5), 4)
-    sound = step(state, action, jax.random.key(0))
+    sound = step(state, action, rng.key(0))
     world = state.data.world._replace(qvel=state.data.world.qvel.at[3, 1].set(jnp.nan))
-    broken = step(state._replace(data=state.data._replace(world=world)), action, jax.random.key(0))
+    broken = step(state._replace(data=state.data._replace(world=world)), action, rng.key(0))
     assert broken.terminated.tolist() == [leg == 3 for leg in range(LEGS)] and broken.reward[3] == -1.0
     np.testing.assert_array_equal(np.delete(broken.obs, 3, axis=0), np.delete(sound.obs, 3, axis=0))
 

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(Path(__file__).parent / "data"))
 
-from humanoid_mjx import InputError, make_task
+from humanoid_mjx import InputError, make_task, rng
 from humanoid_mjx.robot.lower_body import SIDES
 from humanoid_mjx.runtime import counting_compiles
 from humanoid_mjx.tasks.check import check_task
@@ -28,7 +28,7 @@ from humanoid_mjx.tasks.legged.observations import OBSERVATIONS, Observed, swapp
 from humanoid_mjx.tasks.legged.view import unknown_feet
 from humanoid_mjx.thesis.leg import GRAVITY
 
-KEYS = jax.random.split(jax.random.key(2), 8)
+KEYS = jax.random.split(rng.key(2), 8)
 NO_ERRORS: dict[str, Any] = dict.fromkeys(("encoder_noise", "encoder_bias", "gyroscope_noise", "gyroscope_bias"), 0.0)
 NO_ERRORS |= {"accelerometer_noise": 0.0, "accelerometer_bias": 0.0, "foot_contact_noise": 0.0, "delay": 0}
 EXACT = {"sensors": NO_ERRORS}
@@ -154,7 +154,7 @@ def test_what_is_observed_is_a_tuple_of_names():
 
 def test_commands_keep_to_their_ranges_and_shares():
     command = Velocity(forward=(0.1, 0.5), sideways=(-0.2, 0.0), turn=(-1.0, 2.0), standing=0.25, zero=0.2)
-    drawn = np.asarray(jax.vmap(command.draw)(jax.random.split(jax.random.key(0), 4000)))
+    drawn = np.asarray(jax.vmap(command.draw)(jax.random.split(rng.key(0), 4000)))
     standing = (drawn == 0).all(axis=1)
     # Of 4000 draws a share of 0.25 is off by 0.007 on average; all three parts are 0 in 0.008 more of them.
     assert standing.mean() == pytest.approx(0.25 + 0.75 * 0.008, abs=0.03)
@@ -347,7 +347,7 @@ def stepped(request):
         state = state._replace(data=state.data._replace(command=command, heading_error=jnp.float32(0)))
         return jax.lax.scan(partial(decide, task), (state, jnp.bool_(False)), jax.random.split(key, 250))[1]
 
-    keys = jax.random.split(jax.random.key(4), 16)
+    keys = jax.random.split(rng.key(4), 16)
     commands = jnp.stack([ON_THE_SPOT, jnp.array([0.0, 0.0, 0.5])])
     each = jax.vmap(jax.vmap(go, in_axes=(None, None, 0)), in_axes=(None, 0, None))
     return jax.tree.map(np.asarray, jax.jit(each)(arrays(task), commands, keys))

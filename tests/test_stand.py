@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from humanoid_mjx import InputError, make_task
+from humanoid_mjx import InputError, make_task, rng
 from humanoid_mjx.tasks.legged.observations import OBSERVATIONS, PRIVILEGED, PROPRIOCEPTION
 
 BODIES = 16
@@ -28,7 +28,7 @@ def begin(task):
     task = jax.tree.map(jnp.asarray, task)
     middle = jnp.full((BODIES, 10), (task.choices - 1) // 2)
     step_all = lambda state, key: step(task, state, middle, jax.random.split(key, BODIES))  # noqa: E731
-    return reset(task, jax.random.split(jax.random.key(1), BODIES)), step_all
+    return reset(task, jax.random.split(rng.key(1), BODIES)), step_all
 
 
 @pytest.mark.parametrize(
@@ -44,8 +44,8 @@ def begin(task):
 def test_it_is_as_it_was_before_it_was_made_of_parts(name, options):
     """Observations, rewards and falls of four bodies over 12 random decisions, recorded at 042ed5c.
 
-    They are the same bits where they were recorded. Elsewhere MuJoCo and XLA may round differently, and a body about to
-    fall doubles a difference some ten times in 0.24 s.
+    With the keys of `jax.random` itself, as then. They are the same bits where they were recorded. Elsewhere MuJoCo and
+    XLA may round differently, and a body about to fall doubles a difference some ten times in 0.24 s.
     """
     recorded = np.load(Path(__file__).parent / "data" / "stand_before_parts.npz")
     task, bodies = stand(**options), 4
@@ -66,7 +66,7 @@ def test_a_body_that_does_nothing_falls_unless_its_servo_is_stiff():
         state, step = begin(task)
         up = np.ones(BODIES, bool)
         for k in range(250):
-            state = step(state, jax.random.key(k))
+            state = step(state, rng.key(k))
             up &= ~np.asarray(state.terminated)
         assert stays[0] <= up.mean() <= stays[1]
 
@@ -85,10 +85,10 @@ def test_a_fall_terminates_with_no_reward_and_the_end_of_time_truncates():
     state, step = begin(stand(duration=0.1))
     for k in range(5):
         assert not state.truncated.any()
-        state = step(state, jax.random.key(k))
+        state = step(state, rng.key(k))
     assert state.truncated.all() and state.success.all() and not state.terminated.any()
     world = state.data.world._replace(qpos=state.data.world.qpos.at[2, 2].set(0.05))
-    after = step(state._replace(data=state.data._replace(world=world)), jax.random.key(9))
+    after = step(state._replace(data=state.data._replace(world=world)), rng.key(9))
     assert after.terminated.tolist() == [body == 2 for body in range(BODIES)]
     assert after.reward[2] == 0.0 and not after.truncated[2] and not after.success[2]
     np.testing.assert_allclose(sum(after.metrics.values()), after.reward, atol=1e-6)
@@ -96,13 +96,13 @@ def test_a_fall_terminates_with_no_reward_and_the_end_of_time_truncates():
 
 def test_what_counts_as_a_fall_is_declared():
     state, step = begin(stand(fall={"tilt": 1.0}))
-    after = step(state, jax.random.key(0))
+    after = step(state, rng.key(0))
     _, x, y, _ = np.asarray(after.data.world.qpos[:, 3:7]).T
     leaning = np.degrees(np.arccos(1 - 2 * (x**2 + y**2))) > 1.0
     assert 0 < leaning.sum() < BODIES
     np.testing.assert_array_equal(after.terminated, leaning)
     state, step = begin(stand(fall={"height": 0.3}))
-    assert step(state, jax.random.key(0)).terminated.all()
+    assert step(state, rng.key(0)).terminated.all()
 
 
 def test_pushes_come_when_they_are_due_and_change_nothing_before():
@@ -110,7 +110,7 @@ def test_pushes_come_when_they_are_due_and_change_nothing_before():
     calm, rest = begin(stand(control=STIFF, push={"every": 0.1, "impulse": 0.0}))
     first = np.ceil(np.asarray(pushed.data.first_push) / 0.02 - 1e-4)
     for k in range(6):
-        pushed, calm = push(pushed, jax.random.key(k)), rest(calm, jax.random.key(k))
+        pushed, calm = push(pushed, rng.key(k)), rest(calm, rng.key(k))
         differs = (np.asarray(pushed.data.world.qpos) != np.asarray(calm.data.world.qpos)).any(axis=1)
         np.testing.assert_array_equal(differs, k >= first)
     assert 0 < first.min() + 1 <= first.max() + 1 <= 6
@@ -119,7 +119,7 @@ def test_pushes_come_when_they_are_due_and_change_nothing_before():
 def test_the_estimate_of_gravity_is_near_the_truth():
     state, step = begin(stand(control=STIFF, observe="privileged"))
     for k in range(100):
-        state = step(state, jax.random.key(k))
+        state = step(state, rng.key(k))
     seen, true = state.obs[:, 26:29], state.obs[:, 41:44]
     # Pushed bodies accelerate by some tenths of gravity, of which the filter lets 2 % through at a time.
     assert np.degrees(np.arccos(np.clip((seen * true).sum(axis=1), -1, 1))).max() < 4.0
@@ -132,14 +132,14 @@ def test_observations_are_as_many_as_their_names_say():
     privileged = stand(observe="privileged")
     assert privileged.observation_size == 41 + sum(OBSERVATIONS[name].size for name in PRIVILEGED)
     state, step = begin(privileged)
-    assert step(state, jax.random.key(0)).obs.shape == (BODIES, 48)
+    assert step(state, rng.key(0)).obs.shape == (BODIES, 48)
     assert all(bounds.shape == (48,) for bounds in privileged.observation_bounds)
 
 
 def test_noisy_sensors_are_seen_and_do_not_move_the_body():
     clean, step = begin(stand())
     noisy, noisy_step = begin(stand(sensors={"encoder_noise": 0.01, "gyroscope_bias": 0.1}))
-    clean, noisy = step(clean, jax.random.key(0)), noisy_step(noisy, jax.random.key(0))
+    clean, noisy = step(clean, rng.key(0)), noisy_step(noisy, rng.key(0))
     np.testing.assert_array_equal(clean.data.world.qpos, noisy.data.world.qpos)
     spread = np.asarray(noisy.obs - clean.obs)[:, :10].std()
     assert 0.007 < spread < 0.013

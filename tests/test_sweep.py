@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from humanoid_mjx import InputError, runtime, sweep
+from humanoid_mjx.cli import main
 from humanoid_mjx.runs.folder import RunFolder, read_arrays
 from humanoid_mjx.training import pool
 from humanoid_mjx.training.progress import Reporter
@@ -147,11 +148,18 @@ def wait_for(condition, process, seconds=120):
         time.sleep(0.02)
 
 
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """The run folder of a sweep that nothing interrupts."""
+    folder = tmp_path_factory.mktemp("whole")
+    done = run_cli("sweep", write_config(folder, **LONG), "--out", "run", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return folder / "run"
+
+
 @pytest.mark.parametrize("kill", [signal.SIGKILL, signal.SIGINT])
-def test_an_interrupted_sweep_resumes_to_the_same_bits(tmp_path, kill):
+def test_an_interrupted_sweep_resumes_to_the_same_bits(whole, tmp_path, kill):
     config = write_config(tmp_path, **LONG)
-    whole = run_cli("sweep", config, "--out", "whole", cwd=tmp_path)
-    assert whole.returncode == 0, whole.stderr
     process = start(["sweep", config, "--out", "run"], tmp_path)
     run = tmp_path / "run"
     wait_for(lambda: (run / "summary.parquet").exists() and list(run.glob("checkpoint/pool-*.npz")), process)
@@ -165,7 +173,7 @@ def test_an_interrupted_sweep_resumes_to_the_same_bits(tmp_path, kill):
     resumed = run_cli("sweep", config, "--out", "run", "--resume", cwd=tmp_path)
     assert resumed.returncode == 0, resumed.stderr
     for name in ("results.parquet", "summary.parquet"):
-        assert (run / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+        assert (run / name).read_bytes() == (whole / name).read_bytes()
     assert not list(run.glob("checkpoint/pool-*.npz")) and not list(run.rglob(".new-*"))
 
 
@@ -186,37 +194,52 @@ def test_collective_sweep_is_repeatable(tmp_path):
 class TestRefusals:
     """Each gets one sentence, and nothing that is stored is lost."""
 
-    def refused(self, words, *arguments, cwd):
-        before = {p: p.read_bytes() for p in Path(cwd).rglob("*") if p.is_file() and p.name != ".lock"}
-        done = run_cli(*arguments, cwd=cwd)
-        assert done.returncode == 2, done
-        assert done.stdout == "" and done.stderr.startswith("error: ") and done.stderr.count("\n") == 1
-        assert "Traceback" not in done.stderr
-        for word in words:
-            assert word in done.stderr, done.stderr
-        after = {p: p.read_bytes() for p in Path(cwd).rglob("*") if p.is_file() and p.name != ".lock"}
-        assert before == after
+    @pytest.fixture
+    def refused(self, monkeypatch, capfd):
+        """Runs the command line in this process, which must end as one of its own would."""
 
-    def test_a_bad_config_makes_no_folder(self, tmp_path):
+        def call(words, *arguments, cwd):
+            before = {p: p.read_bytes() for p in Path(cwd).rglob("*") if p.is_file() and p.name != ".lock"}
+            monkeypatch.chdir(cwd)
+            monkeypatch.setattr(runtime, "start", lambda: None)
+            monkeypatch.setattr(sys, "argv", ["humanoid-mjx", *arguments])
+            capfd.readouterr()
+            with pytest.raises(SystemExit) as ended:
+                main()
+            stdout, stderr = capfd.readouterr()
+            assert ended.value.code == 2 and stdout == ""
+            assert stderr.startswith("error: ") and stderr.count("\n") == 1
+            for word in words:
+                assert word in stderr, stderr
+            after = {p: p.read_bytes() for p in Path(cwd).rglob("*") if p.is_file() and p.name != ".lock"}
+            assert before == after
+
+        return call
+
+    def test_a_sentence_is_all_that_a_process_says(self, tmp_path):
+        done = run_cli("sweep", write_config(tmp_path, episodes=-1), cwd=tmp_path)
+        assert done.returncode == 2 and done.stdout == "" and done.stderr.count("\n") == 1
+
+    def test_a_bad_config_makes_no_folder(self, refused, tmp_path):
         config = write_config(tmp_path, episodes=-1)
-        self.refused([config, "episodes", "at least 1"], "sweep", config, cwd=tmp_path)
+        refused([config, "episodes", "at least 1"], "sweep", config, cwd=tmp_path)
         assert not (tmp_path / "runs").exists()
 
-    def test_a_place_that_is_taken(self, tmp_path):
+    def test_a_place_that_is_taken(self, refused, tmp_path):
         (tmp_path / "run").mkdir()
         (tmp_path / "run" / "precious").write_text("data")
         config = write_config(tmp_path)
-        self.refused(["run", "already exists", "--resume"], "sweep", config, "--out", "run", cwd=tmp_path)
+        refused(["run", "already exists", "--resume"], "sweep", config, "--out", "run", cwd=tmp_path)
 
-    def test_resume_of_what_is_no_run(self, tmp_path):
+    def test_resume_of_what_is_no_run(self, refused, tmp_path):
         config = write_config(tmp_path)
-        self.refused(["no run to resume"], "sweep", config, "--resume", cwd=tmp_path)
+        refused(["no run to resume"], "sweep", config, "--resume", cwd=tmp_path)
         (tmp_path / "empty").mkdir()
-        self.refused(["no run folder"], "sweep", config, "--resume", "--out", "empty", cwd=tmp_path)
+        refused(["no run folder"], "sweep", config, "--resume", "--out", "empty", cwd=tmp_path)
 
-    def test_start_from_what_does_not_fit(self, tmp_path, reference):
+    def test_start_from_what_does_not_fit(self, refused, tmp_path, reference):
         config = write_config(tmp_path, learner=CONFIG["learner"] | {"start_from": "nowhere"})
-        self.refused(["learner.start_from", "nowhere"], "sweep", config, cwd=tmp_path)
+        refused(["learner.start_from", "nowhere"], "sweep", config, cwd=tmp_path)
 
     @pytest.fixture
     def copy(self, reference, tmp_path):
@@ -225,25 +248,25 @@ class TestRefusals:
         shutil.copytree(reference.path, tmp_path / "run")
         return tmp_path
 
-    def test_resume_with_another_config(self, copy):
+    def test_resume_with_another_config(self, refused, copy):
         config = write_config(copy, episodes=61)
-        self.refused(["another config", "episodes"], "sweep", config, "--out", "run", "--resume", cwd=copy)
+        refused(["another config", "episodes"], "sweep", config, "--out", "run", "--resume", cwd=copy)
 
-    def test_a_run_folder_in_use(self, copy):
+    def test_a_run_folder_in_use(self, refused, copy):
         from humanoid_mjx.training.sweep import Run, resolved
 
         held = RunFolder.resume(copy / "run", resolved(Run(copy / "run").config))
         config = write_config(copy)
-        self.refused(["run", "in use"], "sweep", config, "--out", "run", "--resume", cwd=copy)
+        refused(["run", "in use"], "sweep", config, "--out", "run", "--resume", cwd=copy)
         held.close()
 
-    def test_a_truncated_checkpoint(self, copy):
+    def test_a_truncated_checkpoint(self, refused, copy):
         part = sorted((copy / "run/checkpoint").glob("part-*.npz"))[0]
         part.write_bytes(part.read_bytes()[:-100])
         config = write_config(copy)
-        self.refused([part.name, "truncated", "remove it"], "sweep", config, "--out", "run", "--resume", cwd=copy)
+        refused([part.name, "truncated", "remove it"], "sweep", config, "--out", "run", "--resume", cwd=copy)
         part.unlink()
-        assert run_cli("sweep", config, "--out", "run", "--resume", cwd=copy).returncode == 0
+        sweep(CONFIG, copy / "run", resume=True)
 
     def test_a_truncated_results_file(self, copy, reference):
         results = copy / "run/results.parquet"
@@ -252,19 +275,19 @@ class TestRefusals:
 
         with pytest.raises(InputError, match=r"results.parquet: this file is truncated or damaged; --resume"):
             _ = Run(copy / "run").results
-        assert run_cli("sweep", write_config(copy), "--out", "run", "--resume", cwd=copy).returncode == 0
+        sweep(CONFIG, copy / "run", resume=True)
         assert results.read_bytes() == (reference.path / "results.parquet").read_bytes()
 
     @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
-    def test_a_place_that_cannot_be_written(self, tmp_path):
+    def test_a_place_that_cannot_be_written(self, refused, tmp_path):
         (tmp_path / "shut").mkdir(mode=0o500)
         config = write_config(tmp_path)
-        self.refused(["cannot be written"], "sweep", config, "--out", "shut/run", cwd=tmp_path)
+        refused(["cannot be written"], "sweep", config, "--out", "shut/run", cwd=tmp_path)
 
-    def test_a_place_below_a_file(self, tmp_path):
+    def test_a_place_below_a_file(self, refused, tmp_path):
         (tmp_path / "file").write_text("data")
         config = write_config(tmp_path)
-        self.refused(["cannot be written"], "sweep", config, "--out", "file/run", cwd=tmp_path)
+        refused(["cannot be written"], "sweep", config, "--out", "file/run", cwd=tmp_path)
 
 
 def test_what_is_reported_never_goes_beyond_the_end(tmp_path):

@@ -138,7 +138,7 @@ def rollout(
     qpos: Joints,
     qvel: Joints,
     controller: Controller,
-    dt: float,
+    dt: FloatScalar,
     steps: int,
     integrator: Integrator = semi_implicit_euler,
     unroll: int = 1,
@@ -148,7 +148,7 @@ def rollout(
 
     Args:
       controller: (time in s, qpos, qvel) -> torque, N m.
-      dt: length of a step, s.
+      dt: length of a step, s; may be traced.
       steps: how many.
       unroll: steps in one pass of the compiled loop. On a GPU 4 are twice as fast as 1 and take 4 times as long to
         compile; on a CPU they gain nothing.

@@ -1,6 +1,6 @@
 """Controllers on the simulated leg: the error equation, its order of convergence, batches, cycles and motors."""
 
-from functools import partial
+from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
@@ -28,29 +28,44 @@ def resting(goal=GOAL):
     return control.Reference(jnp.array(goal), jnp.zeros(5), jnp.zeros(5))
 
 
-def regulate(dt, seconds):
-    """(steps, 5) Errors of exact computed torque on its way to rest."""
+def in_steps_of(lengths, seconds, simulate):
+    """What `simulate(dt, steps)` returns by step, for each length of a step: one program, whose fine steps go on for
+    the time asked for and whose coarse ones for longer, which is cut off."""
+    together = jax.jit(jax.vmap(partial(simulate, steps=round(seconds / min(lengths)))))(jnp.array(lengths))
+    places = ((i, slice(round(seconds / dt))) for i, dt in enumerate(lengths))
+    return [jax.tree.map(lambda x, place=place: np.asarray(x[place]), together) for place in places]
+
+
+@cache
+def regulate():
+    """(steps, 5) Errors of exact computed torque on its way to rest, by steps of 0.4 and of 0.2 ms."""
     leg = Leg.physical()
     params = control.ComputedTorque.build(leg, KP, KD)
 
     def controller(time, qpos, qvel):
         return control.computed_torque(params, resting(), qpos, qvel)
 
-    simulate = partial(dynamics.rollout, leg, controller=controller, dt=dt, steps=round(seconds / dt))
-    return GOAL - jax.jit(simulate)(jnp.array(START), jnp.zeros(5))[1].qpos
+    def errors(dt, steps):
+        return GOAL - dynamics.rollout(leg, jnp.array(START), jnp.zeros(5), controller, dt, steps)[1].qpos
+
+    return in_steps_of((4e-4, 2e-4), 1.0, errors)
 
 
-def follow(dt):
-    """(steps, 5) Errors of exact computed torque along the thesis's trajectories, from q = 0."""
+@cache
+def follow():
+    """(steps, 5) Errors of exact computed torque along the thesis's trajectories, from q = 0, by steps of 0.4, 0.2 and
+    0.1 ms."""
     leg, planned = Leg.thesis(), thesis_quintics()
     params = control.ComputedTorque.build(leg, KP, KD)
 
     def controller(time, qpos, qvel):
         return control.computed_torque(params, control.Reference(*planned.at(time)), qpos, qvel)
 
-    steps = round(thesis.QUINTIC_S / dt)
-    states = jax.jit(lambda q: dynamics.rollout(leg, q, q, controller, dt, steps)[1])(jnp.zeros(5))
-    return jax.vmap(planned.at)(dt * jnp.arange(1, steps + 1)).position - states.qpos
+    def errors(dt, steps):
+        states = dynamics.rollout(leg, jnp.zeros(5), jnp.zeros(5), controller, dt, steps)[1]
+        return jax.vmap(planned.at)(dt * jnp.arange(1, steps + 1)).position - states.qpos
+
+    return in_steps_of((4e-4, 2e-4, 1e-4), thesis.QUINTIC_S, errors)
 
 
 def measured_poles(errors, dt, stride):
@@ -64,13 +79,13 @@ def measured_poles(errors, dt, stride):
 
 
 def test_the_error_has_the_poles_of_the_gains():
-    dt = 2e-4
-    found = measured_poles(regulate(dt, 1.0), dt, 100)
+    found = measured_poles(regulate()[1], 2e-4, 100)
     np.testing.assert_allclose(found, POLES, rtol=0.01)
 
 
 def test_the_poles_converge_at_first_order():
-    off = [np.abs(measured_poles(regulate(dt, 1.0), dt, round(0.02 / dt)) / POLES - 1).max() for dt in (4e-4, 2e-4)]
+    found = (measured_poles(e, dt, round(0.02 / dt)) for e, dt in zip(regulate(), (4e-4, 2e-4), strict=True))
+    off = [np.abs(poles / POLES - 1).max() for poles in found]
     assert np.log2(off[0] / off[1]) == pytest.approx(1.0, abs=0.15)
 
 
@@ -84,15 +99,14 @@ def closed_form(times):
 
 def test_the_error_along_the_trajectories_is_that_of_its_equation():
     off = []
-    for dt in (4e-4, 2e-4):
-        errors = follow(dt)
+    for errors, dt in zip(follow(), (4e-4, 2e-4), strict=False):
         off.append(np.abs(errors - closed_form(dt * np.arange(1, len(errors) + 1))).max())
     assert np.log2(off[0] / off[1]) == pytest.approx(1.0, abs=0.15)
     assert off[1] < 1e-3
 
 
 def test_little_is_left_at_the_end():
-    assert float(jnp.abs(follow(1e-4)[-1]).max()) < 2e-5
+    assert np.abs(follow()[2][-1]).max() < 2e-5
 
 
 def fleet(number):
@@ -153,24 +167,31 @@ def test_a_lost_or_saturated_robot_changes_no_bit_of_another():
         np.testing.assert_array_equal(getattr(ill, name)[others], getattr(quiet, name)[others])
 
 
-@pytest.mark.parametrize("cycle", [1, 3, jnp.array(3)])
-def test_a_torque_is_held_over_its_cycle(cycle):
-    leg, dt, steps = Leg.physical(), 1e-3, 20
-    params = control.ComputedTorque.build(leg, KP, KD)
+@cache
+def by_hand():
+    """A controller and a step, each a program of its own."""
+    params = control.ComputedTorque.build(Leg.physical(), KP, KD)
 
     def controller(time, qpos, qvel):
         goal = control.Reference(jnp.array(GOAL) * time, jnp.array(GOAL), jnp.zeros(5))
         return control.computed_torque(params, goal, qpos, qvel)
 
+    return jax.jit(controller), jax.jit(dynamics.semi_implicit_euler)
+
+
+@pytest.mark.parametrize("cycle", [1, 3, jnp.array(3)])
+def test_a_torque_is_held_over_its_cycle(cycle):
+    leg, dt, steps = Leg.physical(), 1e-3, 20
+    controller, step = by_hand()
     final, _ = jax.jit(partial(dynamics.rollout, leg, controller=controller, dt=dt, steps=steps, cycle=cycle))(
         jnp.array(START), jnp.zeros(5)
     )
     state = dynamics.State(jnp.array(START), jnp.zeros(5))
-    torque, step = jnp.zeros(5), jax.jit(partial(dynamics.semi_implicit_euler, leg, dt=dt))
+    torque = jnp.zeros(5)
     for index in range(steps):
         if index % int(cycle) == 0:
-            torque = controller(jnp.asarray(index * dt), *state)
-        state = step(state, torque)
+            torque = controller(index * dt, *state)
+        state = step(leg, state, torque, dt)
     np.testing.assert_allclose(final.qpos, state.qpos, rtol=1e-12)
     np.testing.assert_allclose(final.qvel, state.qvel, rtol=1e-10)
 
@@ -184,20 +205,21 @@ def test_motors_in_a_rollout_conserve_power():
     def ask(time, qpos, qvel):
         return control.computed_torque(params, resting(10 * GOAL), qpos, qvel)
 
-    lost = []
-    for dt in (2e-4, 1e-4):
-        simulate = partial(
-            dynamics.rollout, leg, controller=through_motors(motor, ask), dt=dt, steps=round(seconds / dt)
-        )
+    def simulate(dt, steps):
+        """The states before each step and after it, with the energy, J, and the drives."""
         start = dynamics.State(jnp.array(START), jnp.zeros(5))
-        final, states = jax.jit(simulate)(*start)
-        before = jax.tree.map(lambda first, later: jnp.concatenate([first[None], later[:-1]]), start, states)
-        drives = jax.vmap(lambda q, v: motor.actuate(ask(0.0, q, v), v))(*before)
+        _, after = dynamics.rollout(leg, *start, through_motors(motor, ask), dt, steps)
+        before = jax.tree.map(lambda first, later: jnp.concatenate([first[None], later[:-1]]), start, after)
+        energy = jax.vmap(partial(dynamics.energy, leg))
+        return before, energy(*before), energy(*after), jax.vmap(lambda q, v: motor.actuate(ask(0.0, q, v), v))(*before)
+
+    lost, lengths = [], (2e-4, 1e-4)
+    for dt, (before, had, has, drives) in zip(lengths, in_steps_of(lengths, seconds, simulate), strict=True):
         drawn = (drives.voltage * drives.current).sum() * dt
-        heat = (motor.resistance * drives.current**2 + motor.reflected_friction * before.qvel**2).sum() * dt
-        gained = dynamics.energy(leg, *final) - dynamics.energy(leg, *start)
-        lost.append(abs(float((drawn - heat - gained) / drawn)))
-        assert (jnp.abs(drives.voltage) >= 6.0).any()
+        heat = (np.asarray(motor.resistance) * drives.current**2).sum() * dt
+        heat += (np.asarray(motor.reflected_friction) * before.qvel**2).sum() * dt
+        lost.append(abs((drawn - heat - (has[-1] - had[0])) / drawn))
+        assert (np.abs(drives.voltage) >= 6.0).any()
     assert lost[1] < 0.02
     assert np.log2(lost[0] / lost[1]) == pytest.approx(1.0, abs=0.3)
 
@@ -205,7 +227,8 @@ def test_motors_in_a_rollout_conserve_power():
 def test_a_payload_pulls_with_its_weight():
     leg, mass = Leg.physical(), 0.2
     qpos = jnp.array([0.1, 0.0, 0.0, 0.3, -0.2])
-    more = dynamics.gravity(leg.carrying(mass), qpos) - dynamics.gravity(leg, qpos)
+    pull = jax.jit(dynamics.gravity)
+    more = pull(leg.carrying(mass), qpos) - pull(leg, qpos)
     _, l2, l3, l4, l5 = thesis.LINK_LENGTHS
     hip = mass * thesis.GRAVITY * ((l2 + l3) * np.sin(0.1) + l4 * np.sin(0.1 - 0.3) + l5 * np.sin(0.1 - 0.3 + 0.2))
     assert float(more[0]) == pytest.approx(hip, rel=1e-9)
@@ -215,19 +238,22 @@ def test_a_stiff_servo_acts_through_the_step():
     """It converges to the motion of fine steps, and goes on where a held torque is lost."""
     leg, servo = Leg.matlab_script(), control.PD.build(5, 0.02 * KP, 0.02 * KD)
 
-    def final(integrator, dt):
-        def controller(time, qpos, qvel):
-            return control.pd(servo, resting(), qpos, qvel)
+    def controller(time, qpos, qvel):
+        return control.pd(servo, resting(), qpos, qvel)
 
-        simulate = partial(dynamics.rollout, leg, controller=controller, dt=dt, steps=round(0.1 / dt))
-        return jax.jit(partial(simulate, integrator=integrator))(jnp.array(START), jnp.zeros(5))[0].qpos
+    def final(integrator, *lengths):
+        """(len(lengths), 5) Where it is after 0.1 s."""
 
-    fine = final(dynamics.runge_kutta, 2e-5)
-    off = [float(jnp.abs(final(control.implicit_euler(servo), dt) - fine).max()) for dt in (8e-4, 4e-4)]
-    assert np.log2(off[0] / off[1]) == pytest.approx(1.0, abs=0.2)
-    rough = final(control.implicit_euler(servo), 1e-2)
-    assert float(jnp.abs(rough - fine).max()) < 0.1
-    assert not (jnp.abs(final(dynamics.semi_implicit_euler, 1e-2)) < 10).all()
+        def simulate(dt, steps):
+            return dynamics.rollout(leg, jnp.array(START), jnp.zeros(5), controller, dt, steps, integrator)[1].qpos
+
+        return np.array([qpos[-1] for qpos in in_steps_of(lengths, 0.1, simulate)])
+
+    (fine,) = final(dynamics.runge_kutta, 2e-5)
+    coarse, half, rough = np.abs(final(control.implicit_euler(servo), 8e-4, 4e-4, 1e-2) - fine).max(axis=1)
+    assert np.log2(coarse / half) == pytest.approx(1.0, abs=0.2)
+    assert rough < 0.1
+    assert not (np.abs(final(dynamics.semi_implicit_euler, 1e-2)) < 10).all()
 
 
 def test_an_analog_controller_acts_in_every_stage():
@@ -237,11 +263,16 @@ def test_an_analog_controller_acts_in_every_stage():
     def controller(time, qpos, qvel):
         return control.pd(servo, resting(), qpos, qvel) + 0.01 * jnp.sin(5.0 * time)
 
-    def final(dt, cycle=None):
-        simulate = partial(dynamics.rollout, leg, controller=controller, dt=dt, steps=round(0.2 / dt), cycle=cycle)
-        return jax.jit(partial(simulate, integrator=dynamics.runge_kutta))(jnp.array(START), jnp.zeros(5))[0].qpos
+    def final(*lengths, cycle=None):
+        """(len(lengths), 5) Where it is after 0.2 s."""
 
-    fine = final(2e-4)
-    coarse, half, held = (float(jnp.abs(final(*how) - fine).max()) for how in ((4e-3,), (2e-3,), (2e-3, 1)))
+        def simulate(dt, steps):
+            start = jnp.array(START), jnp.zeros(5)
+            return dynamics.rollout(leg, *start, controller, dt, steps, dynamics.runge_kutta, cycle=cycle)[1].qpos
+
+        return np.array([qpos[-1] for qpos in in_steps_of(lengths, 0.2, simulate)])
+
+    coarse, half, fine = final(4e-3, 2e-3, 2e-4)
+    coarse, half, held = (np.abs(x - fine).max() for x in (coarse, half, final(2e-3, cycle=1)[0]))
     assert np.log2(coarse / half) == pytest.approx(4.0, abs=0.4)
     assert held > 100 * half
