@@ -112,9 +112,7 @@ class OneAfterAnother(Stored):
 
 
 class OneFails(Stored):
-    results = Stored.results | {  # noqa: RUF012
-        "greedy_success": np.array([np.nan, 0.5, 0.96, 0.9, np.nan, 0.5, 0.9, 0.94])
-    }
+    results = Stored.results | {"greedy_success": np.array([np.nan, 0.5, 0.96, 0.9, np.nan, 0.5, 0.9, 0.94])}
 
 
 def test_rates_leave_compiling_out_and_time_to_success_does_not():

@@ -1,20 +1,20 @@
 """Training end to end by each learner, as the shipped configs say: steps and episodes a second, what success takes.
 
-Each config is swept with several seeds into a folder of its own, with nothing compiled before it and no compiled program
-found on disk. Seeds train side by side, those of `brax_ppo` one after another. Rates are of all seeds together and leave
-compiling out: they are taken between the first and the last look at the training.
+Each config is swept with several seeds into a folder of its own, with nothing compiled before it and no compiled
+program found on disk. Seeds train side by side, those of `brax_ppo` one after another. Rates are of all seeds together
+and leave compiling out: they are taken between the first and the last look at the training.
 
     steps/s             decisions of the task, all environments together, with the learning between them
     episodes/s          the same by the mean length of an episode in training
-    steps to 95 %       median over seeds of a seed's steps up to the first record point whose greedy episodes succeed in
-                        95 %: of all figures the one that another machine, or a busy one, does not change
-    success at the end  mean over seeds of the share of greedy episodes that succeed after training
+    steps to 95 %       of a seed up to the first record point whose greedy episodes succeed in 95 %, the median over
+                        seeds: of all figures the one that another machine, or a busy one, does not change
+    success at the end  share of greedy episodes that succeed after training, the mean over seeds
     s to 95 %           wall time, compiling included, until every seed has come to such a point
 
-`by_seed` has the value of each seed, None where it never came to such a point; `interval` is the 95 % interval of the mean
-over seeds. The greedy episodes that `deep_q` and `linear_q` are judged by run after training and take none of this time;
-those of `brax_ppo` run on the way, and are in its time. A config that does not ship, or needs brax where that is not
-installed, is left out.
+`by_seed` has the value of each seed, None where it never came to such a point; `interval` is the 95 % interval of the
+mean over seeds. The greedy episodes that `deep_q` and `linear_q` are judged by run after training and take none of this
+time; those of `brax_ppo` run on the way, and are in its time. A config that does not ship, or needs brax where that is
+not installed, is left out.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
