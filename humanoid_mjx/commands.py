@@ -15,10 +15,13 @@ from humanoid_mjx import runtime
 from humanoid_mjx.config import dump_yaml, load
 from humanoid_mjx.data import names
 from humanoid_mjx.runs.disk import in_words
+from humanoid_mjx.runs.folder import read_provenance
 from humanoid_mjx.spec import InputError, check_folder
 from humanoid_mjx.training.progress import Bar, PatientConsole
 
 console = PatientConsole(highlight=False, width=None if sys.stdout.isatty() else 120)
+
+RATES = ("episodes", "steps")
 
 BEST_POINTS = 10
 """Rows of the summary that is printed."""
@@ -40,15 +43,15 @@ def run_sweep(config: str, out: Path | None, overrides: Sequence[str], resume: b
         axes = list(run.config.sweep.axes) if run.config.sweep else []
         summary = run.summary
         paths = sweep_figures(run.path / "figures", run.config.name, axes, run.results, summary)
-    print_summary(axes, summary)
+    print_summary(axes, summary, read_provenance(run.path))
     for path in (run.path / "results.parquet", run.path / "summary.parquet", *paths):
         console.print(f"{path}", soft_wrap=True)
     if tensorboard:
         console.print(f"tensorboard --logdir {run.path / 'tensorboard'}", soft_wrap=True)
 
 
-def print_summary(axes: Sequence[str], summary: Mapping[str, np.ndarray]) -> None:
-    """The best points of a sweep: those that succeed most often, and among them the quickest."""
+def print_summary(axes: Sequence[str], summary: Mapping[str, np.ndarray], provenance: Mapping[str, Any]) -> None:
+    """The best points of a sweep: those that succeed most often, and among them the quickest; how fast it trained."""
     from humanoid_mjx.report.style import short
     from humanoid_mjx.runs.ranking import ranked, ties, training_interval
 
@@ -57,7 +60,9 @@ def print_summary(axes: Sequence[str], summary: Mapping[str, np.ndarray]) -> Non
     title = f"{len(points)} points; the best {len(best)}" if len(points) > 1 else "1 point"
     if (equals := ties(points)) > len(best):
         title += f" of {equals} that act equally well"
-    table = Table(title=title, title_justify="left")
+    rates = [f"{provenance[f'{unit}_per_s']:,.0f} {unit}/s" for unit in RATES if f"{unit}_per_s" in provenance]
+    caption = f"training made {' and '.join(rates)}, without compiling" if rates else None
+    table = Table(title=title, title_justify="left", caption=caption, caption_justify="left")
     for axis in axes:
         table.add_column(axis.partition(".")[2], justify="right")
     for heading in ("greedy success", "greedy steps", "steps at the end of training (95 %)"):
