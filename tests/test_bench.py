@@ -76,10 +76,21 @@ def test_the_ground_is_the_same_body_in_every_physics():
     assert np.abs(by_mjx - ground.start(batch)[0]).max() > 1e-3
 
 
+def test_computed_torque_holds_the_body_where_the_servo_does():
+    servo, torque = (
+        np.concatenate([np.asarray(x) for device in ground.compiled(name, 2, 25)() for x in device])
+        for name in ("mjx-jax", ground.COMPUTED_TORQUE)
+    )
+    # 0.1 s, in which the body gives way by millimetres and milliradians: other torques, but the same posture.
+    assert 1e-5 < np.abs(servo - torque).max() < 0.1
+
+
 def test_the_ground_writes_a_record_for_every_physics_and_batch():
     lines = []
-    records = ground.run(lines.append, ground.Setting((2,), {"mjx-jax": 25, "mjx-warp": 25, "mujoco": 2}))
-    assert [(r.subject, r.batch) for r in records] == [("mjx-jax ground", 2), ("mujoco ground", 2)] and len(lines) == 2
+    steps = {"mjx-jax": 25, ground.COMPUTED_TORQUE: 2, "mjx-warp": 25, "mujoco": 2}
+    records = ground.run(lines.append, ground.Setting((2,), steps))
+    subjects = ["mjx-jax ground", "mjx-jax computed torque ground", "mujoco ground"]
+    assert [(r.subject, r.batch) for r in records] == [(name, 2) for name in subjects] and len(lines) == 3
     assert all(r.bench == "physics" and r.value > 0 for r in records)
 
 

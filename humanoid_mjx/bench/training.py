@@ -135,12 +135,13 @@ def environments(learner: Mapping[str, object]) -> int:
 def measure(trained: Run) -> Measured:
     """Rates and success of the only point of a sweep, from the tables of its run folder."""
     results, config = trained.results, trained.config
+    budget = float(config.budget or np.nan)
     wall_s = trained.timing["wall_s"].astype(float).reshape(config.seeds, -1)
     greedy = results["greedy_success"].reshape(config.seeds, -1)
     # Runs that train one after another have windows of their own, between which the next one compiles.
     windows = wall_s if np.all(wall_s[1:, 0] >= wall_s[:-1, -1]) else wall_s.reshape(1, -1)
     first = windows.min(axis=1, keepdims=True)
-    steps = float(np.mean(windows > first)) * config.budget * config.seeds
+    steps = float(np.mean(windows > first)) * budget * config.seeds
     rate = steps / float(np.sum(windows.max(axis=1, keepdims=True) - first)) if steps else np.nan
     lengths = results["steps"][np.isfinite(results["steps"])]
     reached = greedy >= SUCCESS
@@ -150,7 +151,7 @@ def measure(trained: Run) -> Measured:
     return Measured(
         steps_per_s=rate,
         episodes_per_s=rate / float(lengths.mean()),
-        steps=np.where(never, np.nan, share * config.budget),
+        steps=np.where(never, np.nan, share * budget),
         seconds=float(seconds.max()),
         final=trained.summary["greedy_success"].astype(float),
     )

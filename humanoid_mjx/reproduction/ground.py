@@ -240,11 +240,11 @@ class _Gains(NamedTuple):
 
 def _gains(config: Mapping[str, Mapping[str, float]]) -> _Gains:
     servo = {f"servo_{name}": gain for name, gain in config["servo"].items()}
-    table = (jnp.tile(jnp.array(gains), 2) for gains in (thesis.KP, thesis.KD))
+    kp, kd = (jnp.tile(jnp.array(gains), 2) for gains in (thesis.KP, thesis.KD))
     grounded = control.GroundControl.build(10, **config["computed_torque"], **servo)
     roll = np.tile(np.array(thesis.JOINT_NAMES) == "hip_roll", 2)
     held = {"kp": np.where(roll, HELD_KP, config["servo"]["kp"]), "kd": np.where(roll, HELD_KD, config["servo"]["kd"])}
-    return _Gains(control.PD.build(10, **config["servo"]), grounded, *table, control.PD.build(10, **held))
+    return _Gains(control.PD.build(10, **config["servo"]), grounded, kp, kd, control.PD.build(10, **held))
 
 
 @cache
