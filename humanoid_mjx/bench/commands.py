@@ -32,6 +32,7 @@ def run_bench(chosen: Sequence[str], file: Path | None, seeds: int | None = None
         guard_benches(file)
         return
     runtime.start()
+    made_by = runtime.made_by()  # before the first benchmark: the checkout may change meanwhile
     records: list[dict[str, Any]] = []
     for name in BENCHES if "all" in chosen else chosen:
         module = import_module(f"humanoid_mjx.bench.{name}")
@@ -39,7 +40,7 @@ def run_bench(chosen: Sequence[str], file: Path | None, seeds: int | None = None
         options = {"seeds": seeds} if name == "training" and seeds is not None else {}
         records += [record.as_json() for record in module.run(lambda line: console.print("  " + line), **options)]
     if file is not None:
-        file.write_text(json.dumps(runtime.made_by() | {"records": records}, indent=2) + "\n")
+        file.write_text(json.dumps(made_by | {"records": records}, indent=2) + "\n")
         console.print(f"{file}")
 
 
