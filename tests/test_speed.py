@@ -84,8 +84,9 @@ def test_the_progress_says_episodes_a_second_whatever_is_counted(unit, shown, mo
     out = io.StringIO()
     with progress.Bar(Console(file=out, width=120)) as bar:
         bar.begin(50_000, unit)
+        bar.length(25.0)
         for at, done in ((100.0, 0.0), (101.0, 5_000.0), (106.0, 10_000.0), (121.0, 25_000.0)):
             now[0] = at
-            bar.update(done, 0.5, 1.0, 25.0)
+            bar.update(done, 0.5, 1.0)
     last = out.getvalue().splitlines()[-1]
     assert f"{shown}  success 50%" in last, last

@@ -245,11 +245,13 @@ class _Session:
         self.reporter.phase(pool.phase)
         if under_way := float(np.minimum(pool.progress[busy], 1.0).sum()):
             known = pool.recent[busy][np.isfinite(pool.recent[busy]).all(axis=1)]
-            recent = map(float, known.mean(axis=0)) if len(known) else ()
+            success, mean_return, length = map(float, known.mean(axis=0)) if len(known) else (None, None, None)
             # Runs that were harvested are for a moment neither under way nor stored.
             self.shown = max(self.shown, (len(self.finished) + under_way) * self.plan.budget)
             self.speed.look(time.monotonic(), self.shown)
-            self.reporter.update(self.shown, *recent)
+            if length is not None:
+                self.reporter.length(length)
+            self.reporter.update(self.shown, success, mean_return)
 
     def _restore(self, index: int, pool: Pool) -> None:
         """Take up the runs of this group that an interrupted session, perhaps on other devices, had under way."""
