@@ -4,8 +4,8 @@
     python experiments/readme_figures.py robots               # one of them, in seconds
     python experiments/readme_figures.py leg_reach_learners --seeds 1 --out /tmp/figures
 
-On two CPU cores `joint1_learning_curves` takes a quarter of a minute, `walk` one, `leg_reach_learners` minutes
-for every seed.
+On two CPU cores `joint1_learning_curves` takes a quarter of a minute, `walk` one, `leg_reach_sweep_curves` and
+`leg_reach_learners` minutes for every seed.
 """
 
 import argparse
@@ -34,6 +34,14 @@ def joint1_learning_curves(target: Path, seeds: int) -> None:
     with tempfile.TemporaryDirectory() as folder:
         run = Path(folder) / "joint1"
         command("sweep", "joint1", "--out", run)
+        shutil.copy(run / "figures" / "learning_curves.png", target)
+
+
+def leg_reach_sweep_curves(target: Path, seeds: int) -> None:
+    """The learning curves of tile coding by epsilon, its decay and the learning rate."""
+    with tempfile.TemporaryDirectory() as folder:
+        run = Path(folder) / "leg_reach_sweep"
+        command("sweep", "leg_reach_sweep", "--out", run, "--set", f"seeds={seeds}")
         shutil.copy(run / "figures" / "learning_curves.png", target)
 
 
@@ -70,13 +78,15 @@ def command(*arguments: object) -> None:
     subprocess.run([sys.executable, "-m", "humanoid_mjx", *map(str, arguments)], check=True)
 
 
-FIGURES = {make.__name__: make for make in (robots, walk, joint1_learning_curves, leg_reach_learners)}
+FIGURES = {
+    make.__name__: make for make in (robots, walk, joint1_learning_curves, leg_reach_sweep_curves, leg_reach_learners)
+}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("figures", nargs="*", metavar="FIGURE", help=f"{', '.join(FIGURES)}; by default all")
-    parser.add_argument("--seeds", type=int, default=5, help="of every learner of leg_reach_learners")
+    parser.add_argument("--seeds", type=int, default=5, help="of every point of a leg_reach figure")
     parser.add_argument("--out", type=Path, default=Path(__file__).parent.parent / "docs", help="the folder")
     chosen = parser.parse_args()
     if odd := [name for name in chosen.figures if name not in FIGURES]:

@@ -66,11 +66,12 @@ def bench(
         ),
     ] = None,
     json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the figures as JSON.")] = None,
+    seeds: Annotated[int | None, typer.Option(min=1, help="Seeds of every learner that training trains; 5.")] = None,
 ) -> None:
     """Measure steps and episodes per second against the alternatives, compile time apart."""
     from humanoid_mjx.commands.bench import run_bench
 
-    run_bench(names or ["all"], json)
+    run_bench(names or ["all"], json, seeds)
 
 
 Policy = Annotated[str, typer.Argument(metavar="RUN|POLICY", help="A run folder, a policy file, or a shipped policy.")]

@@ -99,7 +99,7 @@ class Reader:
 
         assert set(names or []) <= set(load_experiments())
 
-    def bench(self, names, json):
+    def bench(self, names, json, seeds):
         from humanoid_mjx.bench import BENCHES
 
         if names and names[0] == "compare":

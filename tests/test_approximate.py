@@ -137,6 +137,18 @@ def test_linear_with_a_feature_for_each_state_is_a_table():
     np.testing.assert_allclose(value[0], table, atol=1e-5)
 
 
+def test_the_action_that_is_credited_is_the_one_carried_out():
+    """As a table does: where most moves are replaced by any, what is learned of a move is where that move leads."""
+    task = make_task("joint_reach", joint=5, states=13, success_rate=0.3)
+    learner = make_learner("linear_q", task, total_steps=100, record=1, envs=64, rollout=8, epsilon=0.0)
+    _, seen, _ = learner._collect(learner.init(rng.key(0)), learner.allowed(), rng.key(1))
+    rows, after = (np.round(12 * np.asarray(obs)[..., 0]) for obs in (seen.obs, seen.final_obs))
+    credited = np.asarray(seen.action)[..., 0]
+    assert 0.2 < credited.mean() < 0.8, "both are carried out"
+    # Each place has a row: the first action stays, the second goes one on.
+    np.testing.assert_array_equal(after - rows, credited)
+
+
 @pytest.mark.parametrize("make_basis", [tile_coding, fourier, radial])
 def test_one_sample_moves_its_value_by_the_rate_whatever_the_basis(make_basis):
     scale = Scale(np.full(3, -2.0), np.full(3, 2.0), 1.5)

@@ -76,10 +76,21 @@ def test_the_ground_is_the_same_body_in_every_physics():
     assert np.abs(by_mjx - ground.start(batch)[0]).max() > 1e-3
 
 
+def test_computed_torque_holds_the_body_where_the_servo_does():
+    servo, torque = (
+        np.concatenate([np.asarray(x) for device in ground.compiled(name, 2, 25)() for x in device])
+        for name in ("mjx-jax", ground.COMPUTED_TORQUE)
+    )
+    # 0.1 s, in which the body gives way by millimetres and milliradians: other torques, but the same posture.
+    assert 1e-5 < np.abs(servo - torque).max() < 0.1
+
+
 def test_the_ground_writes_a_record_for_every_physics_and_batch():
     lines = []
-    records = ground.run(lines.append, ground.Setting((2,), {"mjx-jax": 25, "mjx-warp": 25, "mujoco": 2}))
-    assert [(r.subject, r.batch) for r in records] == [("mjx-jax ground", 2), ("mujoco ground", 2)] and len(lines) == 2
+    steps = {"mjx-jax": 25, ground.COMPUTED_TORQUE: 2, "mjx-warp": 25, "mujoco": 2}
+    records = ground.run(lines.append, ground.Setting((2,), steps))
+    subjects = ["mjx-jax ground", "mjx-jax computed torque ground", "mujoco ground"]
+    assert [(r.subject, r.batch) for r in records] == [(name, 2) for name in subjects] and len(lines) == 3
     assert all(r.bench == "physics" and r.value > 0 for r in records)
 
 
@@ -94,30 +105,64 @@ def test_postures_count_the_episodes_that_they_train():
 
 
 class Stored(Run):
-    """A run folder of four record points, whose first two were passed when training was first looked at."""
+    """A run folder of two seeds side by side, four record points each, the first two passed at the first look."""
 
-    config = SimpleNamespace(budget=4000)
-    timing = {"wall_s": np.array([5.0, 5.0, 7.0, 9.0], np.float32)}  # noqa: RUF012
+    config = SimpleNamespace(budget=4000, seeds=2)
+    timing = {"wall_s": np.array([5.0, 5.0, 7.0, 9.0] * 2, np.float32)}  # noqa: RUF012
     results = {  # noqa: RUF012
-        "steps": np.array([20.0, np.nan, 30.0, 40.0]),
-        "greedy_success": np.array([np.nan, 0.5, 0.96, 0.9]),
+        "steps": np.array([20.0, np.nan, 30.0, 40.0, 20.0, 30.0, np.nan, 40.0]),
+        "greedy_success": np.array([np.nan, 0.5, 0.96, 0.9, np.nan, 0.5, 0.9, 0.97]),
     }
+    summary = {"greedy_success": np.array([0.9, 0.97])}  # noqa: RUF012
+
+
+class OneAfterAnother(Stored):
+    """The same, where the second seed begins when the first is over, and compiles for 10 s."""
+
+    timing = {"wall_s": np.array([5.0, 5.0, 7.0, 9.0, 19.0, 19.0, 21.0, 23.0], np.float32)}  # noqa: RUF012
+
+
+class OneFails(Stored):
+    results = Stored.results | {"greedy_success": np.array([np.nan, 0.5, 0.96, 0.9, np.nan, 0.5, 0.9, 0.94])}
 
 
 def test_rates_leave_compiling_out_and_time_to_success_does_not():
     found = training.measure(Stored(Path()))
-    assert found == pytest.approx((2000 / 4.0, 500 / 30.0, 7.0, 0.96))
-    Stored.results["greedy_success"][2] = 0.94
-    assert np.isnan(training.measure(Stored(Path())).success_s)
+    assert found[:2] == pytest.approx((2 * 2000 / 4.0, 1000 / 30.0)) and found.seconds == 9.0
+    assert found.steps.tolist() == [3000.0, 4000.0] and found.final.tolist() == [0.9, 0.97]
+    found = training.measure(OneAfterAnother(Path()))
+    assert found[:2] == pytest.approx((2 * 2000 / 8.0, 500 / 30.0)) and found.seconds == 23.0
+
+
+def test_what_a_training_records_names_every_seed():
+    by_unit = {figure["unit"]: figure for figure in training.figures(training.measure(Stored(Path())))}
+    assert by_unit["steps to 95 %"]["value"] == 3500.0 and by_unit["steps to 95 %"]["by_seed"] == [3000.0, 4000.0]
+    low, high = by_unit["success at the end"]["interval"]
+    assert 0.9 <= low < by_unit["success at the end"]["value"] < high <= 0.97
+
+
+def test_a_seed_that_never_succeeds_is_not_left_out():
+    found = training.measure(OneFails(Path()))
+    by_unit = {figure["unit"]: figure for figure in training.figures(found)}
+    assert by_unit["steps to 95 %"]["by_seed"] == [3000.0, None]
+    assert by_unit["steps to 95 %"]["value"] == np.inf and np.isnan(by_unit["s to 95 %"]["value"])
+    assert "at worst never, not every seed" in training.in_words(found)
 
 
 def test_training_writes_records_and_skips_what_is_not_there():
     lines = []
     tiny = ["total_steps=4096", "record=4", "learner.evaluation_envs=2", "learner.envs=16", "learner.evaluations=2"]
-    records = training.run(lines.append, ["leg_reach", "nowhere"], tiny)
+    records = training.run(lines.append, ["leg_reach", "nowhere"], tiny, seeds=2)
     assert lines[1] == "nowhere: does not ship"
     assert {r.subject for r in records} == {"deep_q leg_reach"} and {r.batch for r in records} == {16}
-    assert {r.unit for r in records} == {"steps/s", "episodes/s"} and all(r.compile_s > 0 for r in records)
+    assert {r.unit for r in records} == {"steps/s", "episodes/s", "success at the end"}
+    assert all(r.compile_s > 0 and r.repeats == 2 for r in records) and len(records[-1].as_json()["by_seed"]) == 2
+    assert "by_seed" not in records[0].as_json()
+
+
+def test_only_training_has_seeds():
+    done = CliRunner().invoke(app, ["bench", "tabular", "--seeds", "3"])
+    assert "only training has seeds" in str(done.exception)
 
 
 def test_the_commit_is_that_of_the_checkout_and_none_outside_one(tmp_path, monkeypatch):
@@ -170,6 +215,9 @@ def result(**values):
         ((100.0, None), (79.0, 0.0), True),
         ((10.0, 0.0, "s to 95 %"), (11.0, 0.0, "s to 95 %"), True),  # seconds are better the fewer they are
         ((10.0, 0.0, "s to 95 %"), (9.0, 0.0, "s to 95 %"), False),
+        ((1e6, 0.0, "steps to 95 %"), (2e6, 0.0, "steps to 95 %"), True),  # and so are steps
+        ((0.0, None, "success at the end"), (0.5, 0.0, "success at the end"), False),
+        ((0.5, 0.0, "success at the end"), (0.0, None, "success at the end"), True),
     ],
 )
 def test_a_figure_regressed_where_it_is_worse_by_more_than_the_noise(before, after, regressed):

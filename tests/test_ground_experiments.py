@@ -1,10 +1,12 @@
 """What is found on the ground: who stands, that no table of gaits walks; and the measures of a path."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from humanoid_mjx.control import ground as defaults
-from humanoid_mjx.reproduction import ground_gaits, load_experiments, reproduce
+from humanoid_mjx.reproduction import ground_control, ground_gaits, load_experiments, reproduce
 from humanoid_mjx.reproduction.ground import Path, _until_fall, balance_of, physics
 
 NAMES = ("gaits-4.8", "ground-control")
@@ -22,13 +24,24 @@ def found(tmp_path_factory):
 
 def test_computed_torque_stands_only_if_it_knows_the_contacts(found):
     out, findings = found
-    blind, *pushes, gives = findings["ground-control"]
-    assert {f.verdict for f in findings["ground-control"]} == {"finding"} and blind.reproduced < 1.5
+    blind, *pushes, gives, roll = findings["ground-control"]
+    assert {f.verdict for f in (blind, *pushes, gives)} == {"finding"} and blind.reproduced < 1.5
+    # A push that a body with ankles that do not roll stands, it stands as well with hips that do not.
+    assert roll.verdict == "differs" and roll.reproduced[1] >= roll.reproduced[0] >= 0.3
     assert "within the contacts computed torque stands, and a servo of 6 N m/rad stands" in blind.why
     # Both are thrown over by a push that a rigid body on these feet would not stand either.
     assert all(0.1 <= taken <= 0.6 for push in pushes for taken in push.reproduced)
     assert max(gives.reproduced) < 0.03
     assert (out / "ground-control.png").stat().st_size > 10_000
+
+
+def test_rolls_that_help_against_pushes_from_the_side_would_be_found():
+    def paths(largest):
+        still = np.zeros((2, 17))
+        return {i: SimpleNamespace(fell=i > largest, qpos=still) for i in ground_control.IMPULSES}
+
+    assert ground_control.judge_roll(paths(0.5), paths(0.3)).verdict == "reproduced"
+    assert ground_control.judge_roll(paths(0.3), paths(0.3)).verdict == "differs"
 
 
 def test_the_gaits_of_the_tables_fall_in_every_reading(found):

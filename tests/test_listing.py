@@ -96,10 +96,13 @@ def test_diverged_runs_are_marked(folder):
 
 def test_the_best_points_say_which_of_them_diverged(folder, capsys):
     summary = sweep(CONFIG, folder / "small", resume=True).summary
-    print_summary(["learner.epsilon"], summary, quickest=True)
-    assert "diverged" not in capsys.readouterr().out
-    print_summary(["learner.epsilon"], summary | {"diverged": np.array([True, True] + [False] * 10)}, quickest=True)
+    print_summary(["learner.epsilon"], summary, {}, quickest=True)
     out = capsys.readouterr().out
+    assert "diverged" not in out and "training made" not in out
+    broken = summary | {"diverged": np.array([True, True] + [False] * 10)}
+    print_summary(["learner.epsilon"], broken, {"episodes_per_s": 1234.5, "steps_per_s": 56789.0}, quickest=True)
+    out = capsys.readouterr().out
+    assert "training made 1,234 episodes/s and 56,789 steps/s" in out
     assert "2 of 3" in out and out.count("0 of 3") == 3 and "2 runs stopped" in out
 
 

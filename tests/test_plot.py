@@ -96,6 +96,17 @@ def test_final_values_over_a_parameter_that_is_spread_by_ratios(small, panels, t
     assert panel.lines[2].get_ydata()[-1] == pytest.approx(iqm(summary["greedy_success"][mine].astype(float)))
 
 
+def test_logarithmic_ticks_are_plain_numbers_at_both_sides(tmp_path):
+    with style.figure(tmp_path / "x.png", 1, 1) as (fig, axes):
+        axes[0, 0].plot([1, 1000], [1e-3, 10.0])
+        style.log_axis(axes[0, 0], counted=True)
+        style.log_axis(axes[0, 0], upright=True)
+        fig.canvas.draw()
+        ticks = axes[0, 0].get_xticklabels(), axes[0, 0].get_yticklabels()
+        below, left = ({tick.get_text() for tick in side} for side in ticks)
+    assert {"1", "10", "100", "1k"} <= below and {"0.001", "0.01", "0.1", "1", "10"} <= left
+
+
 def test_several_runs_are_told_apart(small, other, panels, tmp_path):
     plot([small.path, other.path], None, "return", None, tmp_path / "a.png")
     plot([small.path, other.path], None, "return", "learner.epsilon", tmp_path / "b.png")

@@ -12,6 +12,9 @@ from humanoid_mjx.spec import InputError
 SAME = ("bench", "subject", "device", "batch", "unit")
 """What two records that are compared have in common."""
 
+COSTS = ("s", "steps")
+"""Units of which less is better, by their first word."""
+
 LEAST_NOISE = 0.05
 """Medians of the same code in two runs differ by as much, whatever the spread within each."""
 
@@ -31,9 +34,10 @@ class Change(NamedTuple):
 
     @property
     def factor(self) -> float:
-        """How many times as good it became: above 1 is better, also where a unit is seconds."""
-        seconds = str(self.key[-1]).split()[0] == "s"
-        return self.before / self.after if seconds else self.after / self.before
+        """How many times as good it became: above 1 is better, also where a unit is seconds or steps to success."""
+        cost = str(self.key[-1]).split()[0] in COSTS
+        better, worse = (self.before, self.after) if cost else (self.after, self.before)
+        return better / worse if worse else math.inf
 
     @property
     def regressed(self) -> bool:
@@ -48,8 +52,8 @@ def read_result(path: Path) -> dict[str, Any]:
     """
     try:
         result = json.loads(path.read_text())
-        if not all(_key(record) and float(record["value"]) > 0.0 for record in result["records"]):
-            raise ValueError("values are rates or seconds, both positive")
+        if not all(_key(record) and float(record["value"]) >= 0.0 for record in result["records"]):
+            raise ValueError("values are rates, shares or costs, none of them negative")
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{path}: not a result of `bench --json`.") from error
     return result

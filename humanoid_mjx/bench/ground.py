@@ -5,6 +5,8 @@ time step of 4 ms: the contacts of all four corners of both feet are solved in e
 
     tree ground      this package's `Physics` written out as a tree, float32, its solver run to the exact minimum
     mjx-jax ground   this package's `Physics` on MJX in jax, float32, a few iterations of the solver
+    mjx-jax computed torque ground
+                     the same, where computed torque within the feet's contacts takes the place of the servo
     mjx-warp ground  the same on MJX with NVIDIA Warp, where warp-lang is installed and the backend is a GPU
     mujoco ground    native MuJoCo, float64, solved to convergence: `mujoco.rollout`, one thread a core, where the servo
                      is MuJoCo's own, so that no step waits for Python
@@ -41,6 +43,8 @@ TREE_BLOCK = {"cpu": 512}
 MUJOCO_BATCH = 1024
 """The most bodies that native MuJoCo simulates at once: its rate no longer changes, its stored states would."""
 
+COMPUTED_TORQUE = "mjx-jax computed torque"
+
 UNIT = "control+physics steps/s"
 
 
@@ -52,8 +56,10 @@ class Setting(NamedTuple):
 
 
 SETTINGS = {
-    "cpu": Setting((256, 1024), {"tree": 50, "mjx-jax": 10, "mujoco": 50}),
-    "gpu": Setting((4096, 32_768, 131_072), {"tree": 50, "mjx-jax": 50, "mjx-warp": 50, "mujoco": 100}),
+    "cpu": Setting((256, 1024), {"tree": 50, "mjx-jax": 10, COMPUTED_TORQUE: 10, "mujoco": 50}),
+    "gpu": Setting(
+        (4096, 32_768, 131_072), {"tree": 50, "mjx-jax": 50, COMPUTED_TORQUE: 50, "mjx-warp": 50, "mujoco": 100}
+    ),
 }
 
 
@@ -74,7 +80,7 @@ def run(say: Callable[[str], None], setting: Setting | None = None) -> list[Reco
         for name, timing in time_in_turn(subjects).items():
             check_finite(f"{name} ground", timing.result)
             records.append(record("physics", f"{name} ground", subjects[name], timing, UNIT))
-            say(f"{name + ' ground':15} {subjects[name].batch:9,} bodies  {records[-1].value:10.3e} {UNIT}"
+            say(f"{name + ' ground':30} {subjects[name].batch:9,} bodies  {records[-1].value:10.3e} {UNIT}"
                 f"  compiled in {timing.compile_s:4.1f} s")  # fmt: skip
     return records
 
@@ -87,23 +93,24 @@ def start(batch: int) -> tuple[np.ndarray, np.ndarray]:
     return qpos, np.zeros((batch, qpos.shape[1] - 1), np.float32)
 
 
-def compiled(physics: str, batch: int, steps: int) -> Callable[[], Any]:
-    """Physics in a jax program: the positions after so many steps."""
+def compiled(subject: str, batch: int, steps: int) -> Callable[[], Any]:
+    """Physics in a jax program, by the name of its subject: the positions after so many steps."""
     devices = jax.local_devices()
-    block = (BLOCK | TREE_BLOCK if physics == "tree" else BLOCK).get(devices[0].platform, batch)
+    block = (BLOCK | TREE_BLOCK if subject == "tree" else BLOCK).get(devices[0].platform, batch)
     at_once = -(-batch // (max(1, batch // (block * len(devices))) * len(devices)))
-    return on_all_devices(_program(physics, steps, at_once), start(batch), block)
+    return on_all_devices(_program(subject, steps, at_once), start(batch), block)
 
 
 @cache
-def _program(physics: str, steps: int, worlds: int) -> Callable[..., Any]:
-    task: Stand = make_task("stand")
+def _program(subject: str, steps: int, worlds: int) -> Callable[..., Any]:
+    physics = subject.partition(" ")[0]
+    task: Stand = make_task("stand", control="grounded") if subject == COMPUTED_TORQUE else make_task("stand")
     room = {"worlds": worlds} if physics == "mjx-warp" else {}
     simulator = make_physics(physics, robot="lower_body", torso="free", ranges="human", timestep=task.timestep, **room)
-    servo = task.control.follow(at_rest(jnp.asarray(POSTURE, float)))
+    controller = task.control.follow(at_rest(jnp.asarray(POSTURE, float)))
 
     def simulate(qpos: jax.Array, qvel: jax.Array) -> jax.Array:
-        world = simulator.run(simulator.start(qpos, qvel), servo, steps)
+        world = simulator.run(simulator.start(qpos, qvel), controller, steps)
         return jnp.where(world.diverged, jnp.nan, world.qpos)
 
     return jax.jit(jax.vmap(simulate), compiler_options=runtime.SHARED_KERNELS if physics == "tree" else None)

@@ -24,10 +24,16 @@ class Record:
     compile_s: float
     repeats: int
     spread: float | None = None
-    """How far the repeats' seconds lie apart: the range of their middle half over their median. None: there is one."""
+    """How far the repeats lie apart: the range of their middle half over their median. None: there is one."""
+    by_seed: Sequence[float | None] | None = None
+    """The value of each training seed, None where it has none; only of figures that differ from seed to seed."""
+    interval: tuple[float, float] | None = None
+    """The 95 % interval of the mean over training seeds."""
 
     def as_json(self) -> dict[str, Any]:
-        return asdict(self)
+        """The figure as plain values, without what only trainings have."""
+        seeds = ("by_seed", "interval")
+        return {name: value for name, value in asdict(self).items() if name not in seeds or value is not None}
 
 
 @dataclass(frozen=True)

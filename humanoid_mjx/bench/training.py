@@ -1,15 +1,20 @@
-"""Training end to end by each learner, as the shipped configs say: steps and episodes a second, seconds to success.
+"""Training end to end by each learner, as the shipped configs say: steps and episodes a second, what success takes.
 
-One run of each config, seed 0, is swept into a folder of its own, with nothing compiled before it and no compiled
-program found on disk. Rates leave compiling out: they are taken between the first and the last look at the training.
+Each config is swept with several seeds into a folder of its own, with nothing compiled before it and no compiled
+program found on disk. Seeds train side by side, those of `brax_ppo` one after another. Rates are of all seeds together
+and leave compiling out: they are taken between the first and the last look at the training.
 
-    steps/s     decisions of the task, all environments together, with the learning between them
-    episodes/s  the same by the mean length of an episode in training
-    s to 95 %   wall time, compiling included, to the first record point whose greedy episodes succeed in 95 %
+    steps/s             decisions of the task, all environments together, with the learning between them
+    episodes/s          the same by the mean length of an episode in training
+    steps to 95 %       of a seed up to the first record point whose greedy episodes succeed in 95 %, the median over
+                        seeds: of all figures the one that another machine, or a busy one, does not change
+    success at the end  share of greedy episodes that succeed after training, the mean over seeds
+    s to 95 %           wall time, compiling included, until every seed has come to such a point
 
-The greedy episodes that `deep_q` and `linear_q` are judged by run after training and take none of this time; those of
-`brax_ppo` run on the way, and are in its time. A config that does not ship, or needs brax where that is not installed,
-is left out.
+`by_seed` has the value of each seed, None where it never came to such a point; `interval` is the 95 % interval of the
+mean over seeds. The greedy episodes that `deep_q` and `linear_q` are judged by run after training and take none of this
+time; those of `brax_ppo` run on the way, and are in its time. A config that does not ship, or needs brax where that is
+not installed, is left out.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -18,44 +23,54 @@ from importlib.util import find_spec
 from json import loads
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from jax.experimental.compilation_cache import compilation_cache
+from jaxtyping import Float
 
-from humanoid_mjx.bench.measure import Record
+from humanoid_mjx.bench.measure import Record, spread
 from humanoid_mjx.config import load
 from humanoid_mjx.data import names
+from humanoid_mjx.runs.statistics import mean_interval
 from humanoid_mjx.training.sweep import Run, sweep
 
 SUCCESS = 0.95
+
+SEEDS = 5
 
 LEG = ("leg_reach", "leg_reach_linear", "leg_reach_ppo")
 CONFIGS = {"cpu": LEG, "gpu": (*LEG, "stand", "stand_ppo")}
 
 
 class Measured(NamedTuple):
-    """What a run tells of its speed."""
+    """What the only point of a sweep tells of its learner."""
 
     steps_per_s: float
+    """Of all seeds together; NaN where training was over at the first look."""
     episodes_per_s: float
-    success_s: float
-    """NaN where it was never reached."""
-    best: float
-    """The highest share of greedy episodes that succeeded at any record point."""
+    steps: Float[np.ndarray, " seeds"]
+    """To the first point of success; NaN where a seed never came there."""
+    seconds: float
+    """Until every seed has come there; NaN where one never did."""
+    final: Float[np.ndarray, " seeds"]
+    """Share of greedy episodes that succeed after training."""
 
 
 def run(
-    say: Callable[[str], None], configs: Sequence[str] | None = None, overrides: Sequence[str] = ()
+    say: Callable[[str], None],
+    configs: Sequence[str] | None = None,
+    overrides: Sequence[str] = (),
+    seeds: int = SEEDS,
 ) -> list[Record]:
-    """Train one run of every config."""
+    """Train every config with so many seeds."""
     records: list[Record] = []
     for name in configs or CONFIGS.get(jax.default_backend(), CONFIGS["gpu"]):
         if name not in names("configs", ".yaml"):
             say(f"{name}: does not ship")
             continue
-        config = load(name, ["seeds=1", *overrides])
+        config = load(name, [f"seeds={seeds}", *overrides])
         learner = config.learner["name"]
         if learner == "brax_ppo" and find_spec("brax") is None:
             say(f"{name}: brax is not installed")
@@ -65,17 +80,51 @@ def run(
             compile_s = loads((trained.path / "provenance.json").read_text())["compile_s"]
             found, envs = measure(trained), environments(trained.config.learner)
         subject = f"{learner} {config.task['name']}"
-        values = {"steps/s": found.steps_per_s, "episodes/s": found.episodes_per_s, "s to 95 %": found.success_s}
-        device = jax.devices()[0].device_kind
+        common = {"device": jax.devices()[0].device_kind, "batch": envs, "compile_s": compile_s, "repeats": seeds}
         records += [
-            Record("training", subject, device, envs, value, unit, compile_s, 1)
-            for unit, value in values.items()
-            if np.isfinite(value)
+            Record(bench="training", subject=subject, **common, **figure)
+            for figure in figures(found)
+            if np.isfinite(figure["value"])
         ]
-        reached = f"{found.success_s:.1f} s to 95 %" if np.isfinite(found.success_s) else f"at most {found.best:.1%}"
         say(f"{subject:20} {envs:7,} envs  {found.steps_per_s:10.3e} steps/s  {found.episodes_per_s:10.3e} episodes/s"
-            f"  {reached}  compiled in {compile_s:4.1f} s")  # fmt: skip
+            f"  {in_words(found)}  compiled in {compile_s:4.1f} s")  # fmt: skip
     return records
+
+
+def figures(found: Measured) -> list[dict[str, Any]]:
+    """What the records of a training say, as fields of `Record`."""
+    steps = [float(x) if np.isfinite(x) else None for x in found.steps]
+    low, high = mean_interval(found.final)
+    ends = (float(low), float(high)) if np.isfinite(low) else None
+    middle, _ = _middle_and_worst(found.steps)
+    known = [x for x in steps if x is not None]
+    return [
+        {"unit": "steps/s", "value": found.steps_per_s},
+        {"unit": "episodes/s", "value": found.episodes_per_s},
+        {"unit": "steps to 95 %", "value": middle, "by_seed": steps, "spread": spread(known)},
+        {
+            "unit": "success at the end",
+            "value": float(found.final.mean()),
+            "by_seed": found.final.tolist(),
+            "interval": ends,
+            "spread": spread(found.final.tolist()) if found.final.all() else None,
+        },
+        {"unit": "s to 95 %", "value": found.seconds},
+    ]
+
+
+def in_words(found: Measured) -> str:
+    """Success in a few words: the steps that the seeds took to it, in the middle and at worst, and where they ended."""
+    middle, worst = (f"{x:.3g}" if np.isfinite(x) else "never" for x in _middle_and_worst(found.steps))
+    took = f"{found.seconds:.1f} s until every seed was there" if np.isfinite(found.seconds) else "not every seed"
+    final = f"{found.final.mean():.1%} at the end, at worst {found.final.min():.1%}"
+    return f"95 % after {middle} steps, at worst {worst}, {took}; {final}"
+
+
+def _middle_and_worst(steps: Float[np.ndarray, " seeds"]) -> tuple[float, float]:
+    """Median and maximum, infinite where a seed never came to success: it took longer than any that did."""
+    known = np.where(np.isfinite(steps), steps, np.inf)
+    return float(np.median(known)), float(known.max())
 
 
 def environments(learner: Mapping[str, object]) -> int:
@@ -84,20 +133,28 @@ def environments(learner: Mapping[str, object]) -> int:
 
 
 def measure(trained: Run) -> Measured:
-    """Rates and the time to success of the only run of a sweep.
-
-    A rate is NaN where training was over at the first look.
-    """
-    results, wall_s = trained.results, trained.timing["wall_s"].astype(float)
-    compiled = np.flatnonzero(wall_s == wall_s[0])[-1]
-    steps = (1.0 - (compiled + 1) / len(wall_s)) * trained.config.budget
-    seconds = wall_s[-1] - wall_s[0]
-    rate = steps / seconds if steps else np.nan
+    """Rates and success of the only point of a sweep, from the tables of its run folder."""
+    results, config = trained.results, trained.config
+    budget = float(config.budget or np.nan)
+    wall_s = trained.timing["wall_s"].astype(float).reshape(config.seeds, -1)
+    greedy = results["greedy_success"].reshape(config.seeds, -1)
+    # Runs that train one after another have windows of their own, between which the next one compiles.
+    windows = wall_s if np.all(wall_s[1:, 0] >= wall_s[:-1, -1]) else wall_s.reshape(1, -1)
+    first = windows.min(axis=1, keepdims=True)
+    steps = float(np.mean(windows > first)) * budget * config.seeds
+    rate = steps / float(np.sum(windows.max(axis=1, keepdims=True) - first)) if steps else np.nan
     lengths = results["steps"][np.isfinite(results["steps"])]
-    greedy = results["greedy_success"]
-    reached = np.flatnonzero(greedy >= SUCCESS)
-    success_s = float(wall_s[reached[0]]) if len(reached) else float("nan")
-    return Measured(rate, rate / lengths.mean(), success_s, float(np.nanmax(greedy)))
+    reached = greedy >= SUCCESS
+    never, place = ~reached.any(axis=1), reached.argmax(axis=1)
+    share = (place + 1) / greedy.shape[1]
+    seconds = np.where(never, np.nan, wall_s[np.arange(len(place)), place])
+    return Measured(
+        steps_per_s=rate,
+        episodes_per_s=rate / float(lengths.mean()),
+        steps=np.where(never, np.nan, share * budget),
+        seconds=float(seconds.max()),
+        final=trained.summary["greedy_success"].astype(float),
+    )
 
 
 @contextmanager

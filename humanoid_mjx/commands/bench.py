@@ -14,10 +14,12 @@ from humanoid_mjx.commands import console
 from humanoid_mjx.spec import InputError, check_folder, known
 
 
-def run_bench(chosen: Sequence[str], file: Path | None) -> None:
+def run_bench(chosen: Sequence[str], file: Path | None, seeds: int | None = None) -> None:
     """`humanoid-mjx bench`."""
     from humanoid_mjx.bench import BENCHES
 
+    if seeds is not None and not {"training", "all"} & set(chosen):
+        raise InputError("bench --seeds: only training has seeds.")
     if chosen[0] == "compare":
         compare_benches(chosen[1:])
         return
@@ -30,13 +32,15 @@ def run_bench(chosen: Sequence[str], file: Path | None) -> None:
         guard_benches(file)
         return
     runtime.start()
+    made_by = runtime.made_by()  # before the first benchmark: the checkout may change meanwhile
     records: list[dict[str, Any]] = []
     for name in BENCHES if "all" in chosen else chosen:
         module = import_module(f"humanoid_mjx.bench.{name}")
         console.print(f"{name}:")
-        records += [record.as_json() for record in module.run(lambda line: console.print("  " + line))]
+        options = {"seeds": seeds} if name == "training" and seeds is not None else {}
+        records += [record.as_json() for record in module.run(lambda line: console.print("  " + line), **options)]
     if file is not None:
-        file.write_text(json.dumps(runtime.made_by() | {"records": records}, indent=2) + "\n")
+        file.write_text(json.dumps(made_by | {"records": records}, indent=2) + "\n")
         console.print(f"{file}")
 
 

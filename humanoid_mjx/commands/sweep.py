@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import typer
@@ -9,7 +10,10 @@ from rich.table import Table
 
 from humanoid_mjx import runtime
 from humanoid_mjx.commands import console
+from humanoid_mjx.runs.folder import read_provenance
 from humanoid_mjx.training.progress import Bar
+
+RATES = ("episodes", "steps")
 
 BEST_POINTS = 10
 """Rows of the summary that is printed."""
@@ -31,15 +35,17 @@ def run_sweep(config: str, out: Path | None, overrides: Sequence[str], resume: b
         axes = list(run.config.sweep.axes) if run.config.sweep else []
         summary = run.summary
         paths = sweep_figures(run.path / "figures", run.config.name, axes, run.results, summary)
-    print_summary(axes, summary, quickest=run.config.episodes is not None)
+    print_summary(axes, summary, read_provenance(run.path), quickest=run.config.episodes is not None)
     for path in (run.path / "results.parquet", run.path / "summary.parquet", *paths):
         console.print(f"{path}", soft_wrap=True)
     if tensorboard:
         console.print(f"tensorboard --logdir {run.path / 'tensorboard'}", soft_wrap=True)
 
 
-def print_summary(axes: Sequence[str], summary: Mapping[str, np.ndarray], quickest: bool) -> None:
-    """The best points of a sweep, as `ranked` has them."""
+def print_summary(
+    axes: Sequence[str], summary: Mapping[str, np.ndarray], provenance: Mapping[str, Any], quickest: bool
+) -> None:
+    """The best points of a sweep, as `ranked` has them, and how fast it trained."""
     from humanoid_mjx.report.style import short
     from humanoid_mjx.runs.ranking import ranked, ties, training_interval
 
@@ -48,7 +54,9 @@ def print_summary(axes: Sequence[str], summary: Mapping[str, np.ndarray], quicke
     title = f"{len(points)} points; the best {len(best)}" if len(points) > 1 else "1 point"
     if (equals := ties(points)) > len(best):
         title += f" of {equals} that act equally well"
-    table = Table(title=title, title_justify="left")
+    rates = [f"{provenance[f'{unit}_per_s']:,.0f} {unit}/s" for unit in RATES if f"{unit}_per_s" in provenance]
+    caption = f"training made {' and '.join(rates)}, without compiling" if rates else None
+    table = Table(title=title, title_justify="left", caption=caption, caption_justify="left")
     for axis in axes:
         table.add_column(axis.partition(".")[2], justify="right")
     greedy = ("greedy steps",) if quickest else ("greedy return", "greedy steps")

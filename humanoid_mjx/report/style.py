@@ -79,11 +79,13 @@ def count_axis(axis: Any) -> None:
     axis.xaxis.set_major_formatter(EngFormatter(sep=""))
 
 
-def log_axis(axis: Any, counted: bool = False) -> None:
-    """A logarithmic scale below a panel whose ticks are plain numbers: 0.01, or for large counts 200k."""
-    axis.set_xscale("log")
-    axis.xaxis.set_major_formatter(EngFormatter(sep="") if counted else StrMethodFormatter("{x:g}"))
-    axis.xaxis.set_minor_formatter(NullFormatter())
+def log_axis(axis: Any, counted: bool = False, upright: bool = False) -> None:
+    """A logarithmic scale below a panel, or at its left where `upright`, whose ticks are plain numbers: 0.01, or for
+    large counts 200k."""
+    (axis.set_yscale if upright else axis.set_xscale)("log")
+    ticks = axis.yaxis if upright else axis.xaxis
+    ticks.set_major_formatter(EngFormatter(sep="") if counted else StrMethodFormatter("{x:g}"))
+    ticks.set_minor_formatter(NullFormatter())
 
 
 def wrapped(text: str, fig: Any) -> str:

@@ -42,7 +42,8 @@ def decay(setting: Setting) -> list[Finding]:
                 tolerance=0,
                 verdict=judge(reached == RUNS, {}, {}, possible=reached > 0),
                 why=f"epsilonDecay = {setting.config['learner']['epsilon_decay']:g} is declared, not used; applied in "
-                "every step, exploration dies before the joint arrives, and greedy ties mean to stay ({STEPS:,} steps)",
+                "every step, exploration dies before the joint arrives, and greedy ties mean to stay "
+                f"({STEPS:,} steps)",
             )
         )
     return findings

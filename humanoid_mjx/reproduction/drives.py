@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from humanoid_mjx.report.style import COLORS, figure
+from humanoid_mjx.report.style import COLORS, figure, log_axis
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, judge, listed, three_digits, unprinted
 from humanoid_mjx.thesis import leg as thesis
 
@@ -158,8 +158,11 @@ def _draw_gears(setting: Setting, motion: dict[str, np.ndarray], config: dict[st
         titles = ("Interaction terms in the motor's torque", "Change of I_eff over the planned motion")
         for panel, values, title, limit in zip(axes[0], (shares, varies), titles, (SMALL, STEADY), strict=True):
             for joint in range(5):
-                panel.loglog(GEARS, values[:, joint], "-o", markersize=3, color=COLORS[joint], label=NAMES[joint])
+                panel.plot(GEARS, values[:, joint], "-o", markersize=3, color=COLORS[joint], label=NAMES[joint])
             panel.axhline(limit, color="0.4", linestyle="--", linewidth=1.0)
+            panel.text(GEARS[0], limit, f"small: up to {limit:g}", color="0.4", va="bottom", fontsize=8)
+            log_axis(panel)
+            log_axis(panel, upright=True)
             panel.set_ylim(bottom=1e-3)
             panel.set_title(title)
             panel.set_xlabel("gear ratio (logarithmic)")

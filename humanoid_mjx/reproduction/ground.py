@@ -23,6 +23,14 @@ CONTROLLERS = ("servo", "computed torque", "section 5.7")
 """A plain servo; computed torque within the contacts (`control.ground`); computed torque with the gains of Table 5.1,
 which ignores contacts and treats the torso as fixed. Each acts anew at every time step."""
 
+ROLL_HELD = "servo, rolls held"
+"""The servo on a body as if without hip rolls: they are held where they are."""
+
+LAWS = (*CONTROLLERS, ROLL_HELD)
+
+HELD_KP, HELD_KD = 100.0, 1.0
+"""Gains of a joint that is held, N m/rad and N m s/rad: more than ten times as stiff as the servo."""
+
 FALLEN_M, FALLEN_TILT = 0.15, 60.0
 """Height of the hips above the ground, m (standing: 0.215), below which the body has fallen, and lean of the torso,
 degrees, above which it has."""
@@ -41,6 +49,7 @@ class Trial(NamedTuple):
     """What one body is to do, and under which controller."""
 
     controller: str
+    """One of `CONTROLLERS`, or `ROLL_HELD`."""
     motion: str = "stand"
     """`stand`, or the name of a gait."""
     frequency: float | None = None
@@ -151,7 +160,7 @@ def play(
         tell(f"{first:,} of {len(trials):,} bodies simulated")
         plans = [_plan(trial, seconds) for trial in part]
         start = [_start(np.asarray(plan.qpos[0], np.float64)) for plan in plans]
-        kinds, pushes = [CONTROLLERS.index(trial.controller) for trial in part], [trial.push for trial in part]
+        kinds, pushes = [LAWS.index(trial.controller) for trial in part], [trial.push for trial in part]
         # As many in every call, so that one program serves them all: the last trial fills the rest.
         rows = np.minimum(np.arange(AT_ONCE), len(part) - 1)
         wanted = control.Reference(*(jnp.stack(x)[rows] for x in zip(*plans, strict=True)))
@@ -219,19 +228,23 @@ def _start(joints: Float[np.ndarray, " joints"]) -> Float[np.ndarray, " nq"]:
 
 
 class _Gains(NamedTuple):
-    """Gains of the three controllers."""
+    """Gains of the controllers."""
 
     servo: control.PD
     grounded: control.GroundControl
     kp: Float[Array, " joints"]
     kd: Float[Array, " joints"]
+    held: control.PD
+    """The servo's, but for the hips' rolls."""
 
 
 def _gains(config: Mapping[str, Mapping[str, float]]) -> _Gains:
     servo = {f"servo_{name}": gain for name, gain in config["servo"].items()}
-    table = (jnp.tile(jnp.array(gains), 2) for gains in (thesis.KP, thesis.KD))
+    kp, kd = (jnp.tile(jnp.array(gains), 2) for gains in (thesis.KP, thesis.KD))
     grounded = control.GroundControl.build(10, **config["computed_torque"], **servo)
-    return _Gains(control.PD.build(10, **config["servo"]), grounded, *table)
+    roll = np.tile(np.array(thesis.JOINT_NAMES) == "hip_roll", 2)
+    held = {"kp": np.where(roll, HELD_KP, config["servo"]["kp"]), "kd": np.where(roll, HELD_KD, config["servo"]["kd"])}
+    return _Gains(control.PD.build(10, **config["servo"]), grounded, kp, kd, control.PD.build(10, **held))
 
 
 @cache
@@ -245,8 +258,9 @@ def _program() -> Any:
             control.pd(gains.servo, *state),
             control.grounded_torque(gains.grounded, *state, stages.mass_matrix, stages.bias, stages.contacts()),
             stages.torque_for(control.servo(gains.kp, gains.kd, *state), 1.0),
+            control.pd(gains.held, *state),
         )
-        return jnp.select([kind == index for index in range(len(CONTROLLERS))], torques)
+        return jnp.select([kind == index for index in range(len(LAWS))], torques)
 
     def simulate(
         gains: _Gains, kind: IntScalar, push: Float[Array, "2"], plan: control.Reference, qpos: Float[Array, " nq"]

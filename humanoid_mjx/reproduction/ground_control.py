@@ -1,11 +1,12 @@
 """Chapter 5 on the ground: a plain servo and computed torque hold the standing body, still and pushed."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from humanoid_mjx.report.style import COLORS, figure, label_lines
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, listed, unprinted
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, judge, listed, unprinted
 from humanoid_mjx.thesis import leg as thesis
 
 SECONDS = 3.0
@@ -23,7 +24,7 @@ CONFIG = {"servo": {"kp": 6.0, "kd": 0.2}, "computed_torque": {"kp": 400.0, "kd"
 
 def standing(setting: Setting) -> list[Finding]:
     """Which controllers stand, which pushes they withstand, and how far the joints give way."""
-    from humanoid_mjx.reproduction.ground import CONTROLLERS, Path, Trial, play
+    from humanoid_mjx.reproduction.ground import CONTROLLERS, ROLL_HELD, Path, Trial, play
 
     still = {name: Trial(name) for name in CONTROLLERS}
     pushed = {
@@ -32,13 +33,14 @@ def standing(setting: Setting) -> list[Finding]:
         for side, (x, y) in SIDES.items()
         for impulse in IMPULSES
     }
+    rolls = {(ROLL_HELD, "sideways", impulse): Trial(ROLL_HELD, push=(0.0, impulse)) for impulse in IMPULSES}
+    pushed |= rolls
     paths = play([*still.values(), *pushed.values()], SECONDS, setting.config)
     pushes = {key: paths[trial] for key, trial in pushed.items()}
     alone = {name: paths[trial] for name, trial in still.items()}
     taken = {
         (name, side): max((i for i in IMPULSES if not pushes[name, side, i].fell), default=0.0)
-        for name in PAIR
-        for side in SIDES
+        for name, side in dict.fromkeys((name, side) for name, side, _ in pushes)
     }
     gives = {name: [_largest(pushes[name, side, SHOWN]) for side in SIDES] for name in PAIR}
     _draw(setting, pushes, alone, taken)
@@ -67,7 +69,35 @@ def standing(setting: Setting) -> list[Finding]:
             [round(x, 4) for x in gives["computed torque"]],
             f"the servo gives way by {', '.join(f'{x:.4f}' for x in gives['servo'])}",
         ),
+        judge_roll(*({i: pushes[name, "sideways", i] for i in IMPULSES} for name in ("servo", ROLL_HELD))),
     ]
+
+
+def judge_roll(free: Mapping[float, Any], held: Mapping[float, Any]) -> Finding:
+    """Whether the hips' rolls help against pushes from the side (chapter 8), from the paths of a servo by impulse.
+
+    Args:
+      free: of the body as it is.
+      held: of the body whose rolls are held.
+    """
+    largest = [max((i for i, path in paths.items() if not path.fell), default=0.0) for paths in (free, held)]
+    off = [_aside(paths[SHOWN]) for paths in (free, held)]
+    return Finding(
+        name=NAME,
+        quantity="the largest push sideways that it stands, N s: with hip rolls, and with hip rolls that are held",
+        printed="the third joints help to stay in place when a sudden impact comes from the side (8)",
+        reproduced=largest,
+        tolerance=0.0,
+        verdict=judge(largest[0] > largest[1], {}, {}),
+        why=f"under a servo that holds the posture and takes no step; {SHOWN:g} N s move the hips aside by "
+        f"{1e3 * off[0]:.1f} mm, and by {1e3 * off[1]:.1f} mm where the rolls are held: as the ankles do not roll, two "
+        "feet that are flat leave the hips no way aside",
+    )
+
+
+def _aside(path: Any) -> float:
+    """How far the hips go sideways, m."""
+    return float(np.abs(path.qpos[:, 1] - path.qpos[0, 1]).max())
 
 
 def _largest(path: Any) -> float:

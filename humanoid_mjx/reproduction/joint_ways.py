@@ -60,7 +60,7 @@ def way(number: int, joint: int, setting: Setting) -> list[Finding]:
             panel.step(range(shown), angle[i, :shown], where="mid", color=COLORS[0], linewidth=0.8, alpha=0.8)
         for (first, last), mark in thesis.FIGURE_MARKS[joint]:
             panel.plot([first, last], [mark, mark], color=COLORS[1], linewidth=4, solid_capstyle="butt")
-            panel.annotate("printed", (last, mark), (6, -10), textcoords="offset points", color=COLORS[1])
+            panel.annotate("printed", (first, mark), (-6, 4), textcoords="offset points", color=COLORS[1], ha="right")
         epsilon = setting.config["learner"]["epsilon"]
         panel.set_title(f"Joint {joint} by the printed rules, epsilon {epsilon:g}: 5 of {RUNS} runs, their middle 95 %")
         panel.set_xlabel("episode (one step of the pseudo-code)")

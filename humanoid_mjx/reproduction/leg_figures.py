@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from humanoid_mjx.report.style import COLORS, figure, label_lines
+from humanoid_mjx.report.style import COLORS, figure, label_lines, log_axis
 from humanoid_mjx.thesis import leg as thesis
 
 LEAST = 1e-6
@@ -48,7 +48,8 @@ def draw_tracking(path: Path, joint: int, errors: Mapping[str, np.ndarray]) -> N
         places.plot(times, planned, color=COLORS[6], linestyle="--", linewidth=1, label="planned")
         for color, (words, error) in zip(COLORS, errors.items(), strict=False):
             places.plot(times, planned - error, color=color, label=words)
-            distances.semilogy(times, np.abs(error), color=color)
+            distances.plot(times, np.abs(error), color=color)
+        log_axis(distances, upright=True)
         distances.set_ylim(LEAST, 3)
         places.plot(last, [printed[0]] * 2, **bar, label="as printed, at 5 s")
         distances.plot(last, [max(printed[1], LEAST)] * 2, **bar)

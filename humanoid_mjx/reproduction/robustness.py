@@ -168,7 +168,8 @@ def _draw(setting: Setting, errors: dict[str, np.ndarray]) -> None:
                     panel.set_title(f"cycle of {cycle * STEP_S * 1e3:g} ms")
                 if row == len(LAWS) - 1:
                     panel.set_xlabel("payload, g")
-        fig.colorbar(image, ax=axes, label="root mean square error of the worst joint, rad", extend="both")
+        words = "root mean square error of the worst joint, rad"
+        fig.colorbar(image, ax=axes, label=words, extend="both", format="{x:g}")
         fig.suptitle(
             f"{sum(e.size for e in errors.values()):,} legs on the planned motion, gains of Table 5.1; grey: unstable",
             x=0.02,

@@ -180,7 +180,7 @@ def _draw(path: Any, name: str, paths: Mapping[str, np.ndarray], cloud: np.ndarr
             strict=True,
         ):
             set_limits(at - span / 2, at + span / 2)
-            axis.set_major_locator(MaxNLocator(max(2, round(span / 0.12))))
+            axis.set_major_locator(MaxNLocator(max(1, round(span / 0.12))))
         space.tick_params(labelsize=7)
         space.set_box_aspect(spans, zoom=0.85)
         space.view_init(elev=18, azim=-50)
@@ -192,8 +192,9 @@ def _draw(path: Any, name: str, paths: Mapping[str, np.ndarray], cloud: np.ndarr
             for words, toe in paths.items():
                 line = {"color": styles[words][0], "linestyle": styles[words][1]}
                 panel.plot(toe[:, across], toe[:, 1], **line, label=f"path of the toe, {words}", zorder=2)
-                panel.plot(toe[0, across], toe[0, 1], "o", color=styles[words][0], markersize=4, zorder=2)
-            panel.plot(marks[:, across], marks[:, 1], "x", color=COLORS[1], markersize=8, label="ends as printed")
+            panel.plot(marks[:, across], marks[:, 1], "x", color=COLORS[1], markersize=8, label="both ends as printed")
+            start = next(iter(paths.values()))[0]
+            panel.plot(start[across], start[1], "o", color=COLORS[6], fillstyle="none", markersize=11, label="start")
             panel.plot(hip[across], hip[1], "s", color=COLORS[6], markersize=5, label="hip")
             panel.set_xlabel(label)
             panel.set_title(title)
@@ -201,7 +202,7 @@ def _draw(path: Any, name: str, paths: Mapping[str, np.ndarray], cloud: np.ndarr
         flat[0].set_ylabel("y (upwards), m")
         handles, words = flat[0].get_legend_handles_labels()
         fig.legend(handles, words, loc="outside lower center", ncols=3, frameon=False)
-        fig.suptitle(f"{name.capitalize()}: where the toe goes and could go; dots: where it starts", x=0.02, ha="left")
+        fig.suptitle(f"{name.capitalize()}: where the toe goes and could go", x=0.02, ha="left")
 
 
 def _cloud(lengths: Any, moving: Sequence[int]) -> np.ndarray:

@@ -65,8 +65,8 @@ class Pool:
         """The present phase, in a word for the user."""
         self.slots = np.full(size, IDLE, np.int64)
         self.progress = np.zeros(size)
-        self.recent = np.full((size, 2), np.nan)
-        """Success and return of each slot's run over its last episodes."""
+        self.recent = np.full((size, 3), np.nan)
+        """Success, return and steps of an episode of each slot's run, over its last ones."""
         self.began = self.harvested = time.monotonic()
         self.wall_s = np.full((size, group.learners.record), np.nan, np.float32)
         """Seconds from the beginning of training to each record point of each slot's run, pauses left out."""
@@ -107,7 +107,7 @@ class Pool:
         began = time.monotonic()
         self.training, progress = self._call("advance", self.learners, self.training, steps)
         self.progress = np.asarray(progress.share)
-        self.recent = np.stack([progress.success, progress.episode_return], axis=1)
+        self.recent = np.stack([progress.success, progress.episode_return, progress.length], axis=1)
         self.note_time()
         self.looked()
         factor = CHUNK_S / max(time.monotonic() - began, 1e-6)

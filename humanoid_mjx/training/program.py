@@ -30,6 +30,10 @@ class Training(NamedTuple):
     """Whether the next step leads to numbers that are not finite; training has stopped before it."""
 
 
+SHOWN = ("success", "return", "steps")
+"""Columns of a learning curve that show how a run does, in the order of the last fields of `Progress`."""
+
+
 class Progress(NamedTuple):
     """How far a run is, and how it does: means over the episodes of the last points of its curve, or NaN."""
 
@@ -37,6 +41,8 @@ class Progress(NamedTuple):
     """1.0 once training has ended."""
     success: FloatScalar
     episode_return: FloatScalar
+    length: FloatScalar
+    """Steps of an episode."""
 
 
 def begin(learner: Learner, key: Key[Array, ""], policy: Any = None) -> Training:
@@ -156,8 +162,8 @@ def progress_of(learner: Learner, training: Training) -> Progress:
     place = jnp.arange(learner.record)
     recent = jnp.abs(place - jnp.floor(share * learner.record)) <= max(1, learner.record // 20)
     episodes = jnp.sum(columns["episodes"] * recent)
-    mean = {name: jnp.sum(columns[name] * recent) / episodes for name in ("success", "return") if name in columns}
-    return Progress(share, mean.get("success", jnp.nan), mean.get("return", jnp.nan))
+    mean = {name: jnp.sum(columns[name] * recent) / episodes for name in SHOWN if name in columns}
+    return Progress(share, *(mean.get(name, jnp.nan) for name in SHOWN))
 
 
 def _part(progress: FloatScalar, parts: int) -> IntScalar:

@@ -38,6 +38,9 @@ class Reporter:
     def update(self, done: float, success: float | None = None, mean_return: float | None = None) -> None:
         """How much is done of the total; the success and return of recent episodes, where they are known."""
 
+    def length(self, steps: float) -> None:
+        """The mean number of steps of recent episodes."""
+
     def count(self, done: int, total: int) -> None:
         """A count of things done out of a total, such as frames painted."""
 
@@ -55,7 +58,7 @@ class Bar(Reporter):
 
     def __init__(self, console: Console):
         self.console, self.total, self.unit = console, 1.0, ""
-        self._text, self._done = "starting", 0.0
+        self._text, self._done, self._length = "starting", 0.0, 0.0
         self._began = self._last_line = time.monotonic()
         self._seen: deque[tuple[float, float]] = deque([(self._began, 0.0)], maxlen=RECENT_LOOKS)
         columns = (
@@ -98,13 +101,21 @@ class Bar(Reporter):
         if changed and not self.console.is_terminal:
             self._line()
 
+    def length(self, steps: float) -> None:
+        self._length = steps
+
     def update(self, done: float, success: float | None = None, mean_return: float | None = None) -> None:
         now = time.monotonic()
         if done > self._done:
+            if not self._done:
+                self._seen.clear()  # what comes before the first progress is compiling
             self._seen.append((now, done))
         self._done = done
         (first, at_first), (last, at_last) = self._seen[0], self._seen[-1]
-        rate = f"{(at_last - at_first) / (last - first):,.0f} {self.unit}/s" if last - first > 0.5 else ""
+        speed = (at_last - at_first) / (last - first) if last - first > 0.5 else 0.0
+        rate = f"{speed:,.0f} {self.unit}/s" if speed else ""
+        if speed and self._length and self.unit == "steps":
+            rate += f"  {speed / self._length:,.0f} episodes/s"
         if success is not None:
             rate += f"  success {success:.0%}  return {mean_return:.3g}"
         self._bar.update(self._task, completed=done, rate=rate)

@@ -33,6 +33,7 @@ from humanoid_mjx.training.memory import runs_that_fit, slots, training_bytes
 from humanoid_mjx.training.plan import Group, Plan, make_plan, resolved
 from humanoid_mjx.training.pool import COMPILING, Pool
 from humanoid_mjx.training.progress import Reporter
+from humanoid_mjx.training.speed import Speed
 from humanoid_mjx.training.warm_start import earlier_policies
 from humanoid_mjx.training.whole_runs import WholeRuns
 
@@ -137,6 +138,7 @@ class _Session:
         self.began = self.tables_due = time.monotonic()
         self.started = datetime.now(UTC).isoformat(timespec="seconds")
         self.compile_s = self.shown = 0.0
+        self.speed = Speed()
         self.tables_are_old = True
         self.lock, self.stop = threading.Lock(), threading.Event()
 
@@ -162,6 +164,7 @@ class _Session:
             self._restore(index, pool)
             self._work_in_a_thread(index, pool)
         self.compile_s += compiles.seconds
+        self.speed.pause()
         self.tables_are_old = True
         for path in self.folder.pools():
             path.unlink()
@@ -243,9 +246,12 @@ class _Session:
         self.reporter.phase(pool.phase)
         if under_way := float(np.minimum(pool.progress[busy], 1.0).sum()):
             known = pool.recent[busy][np.isfinite(pool.recent[busy]).all(axis=1)]
-            success, mean_return = map(float, known.mean(axis=0)) if len(known) else (None, None)
+            success, mean_return, length = map(float, known.mean(axis=0)) if len(known) else (None, None, None)
             # Runs that were harvested are for a moment neither under way nor stored.
             self.shown = max(self.shown, (len(self.finished) + under_way) * self.plan.budget)
+            self.speed.look(time.monotonic(), self.shown)
+            if length is not None:
+                self.reporter.length(length)
             self.reporter.update(self.shown, success, mean_return)
 
     def _restore(self, index: int, pool: Pool) -> None:
@@ -269,7 +275,7 @@ class _Session:
             "started": self.started,
             "wall_s": round(start - self.began, 3),
             "compile_s": round(self.compile_s, 3),
-        }
+        } | self.speed.rates(self.plan, self.folder.path)
         sessions = [*self.earlier.get("sessions", []), session]
         provenance = {
             "versions": runtime.versions(),
@@ -282,6 +288,7 @@ class _Session:
             "started": sessions[0]["started"],
             "wall_s": round(sum(each["wall_s"] for each in sessions), 3),
             "compile_s": round(sum(each["compile_s"] for each in sessions), 3),
+            **self.speed.rates(self.plan, self.folder.path),
             "sessions": sessions,
         }
         self.folder.write_json("provenance.json", provenance)

@@ -12,7 +12,7 @@ import numpy as np
 from humanoid_mjx.learners.base import WholeRunLearner
 from humanoid_mjx.training.plan import Group
 from humanoid_mjx.training.pool import Pool
-from humanoid_mjx.training.program import run_key
+from humanoid_mjx.training.program import SHOWN, run_key
 from humanoid_mjx.training.rollout import Choose, greedy, mean_scores
 from humanoid_mjx.types import Device
 
@@ -79,7 +79,7 @@ class WholeRuns(Pool):
         for kind, prefix in (("sample", ""), ("greedy", "greedy_")):
             for name in MEASURES:
                 self.curve[prefix + name][point] = scores[kind][name]
-        self.recent[0] = self.curve["success"][point], self.curve["return"][point]
+        self.recent[0] = [self.curve[name][point] for name in SHOWN]
         self.progress[0] = min(share, 0.999)
         self.note_time()
         self.looked()

@@ -1,0 +1,92 @@
+"""How fast training is, as the user sees it: in the progress, in the provenance."""
+
+import io
+import json
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from rich.console import Console
+
+from humanoid_mjx import sweep
+from humanoid_mjx.config import parse
+from humanoid_mjx.training import progress
+from humanoid_mjx.training.plan import make_plan
+from humanoid_mjx.training.speed import Speed
+
+
+def plan(unit, agents=1, rules="standard"):
+    learner = {"name": "tabular_q", "agents": agents} if unit == "episode" else {"name": "linear_q"}
+    length = {"episodes": 500} if unit == "episode" else {"total_steps": 500}
+    task = {"name": "joint_reach", "joint": 1, "rules": rules}
+    return make_plan(parse({"name": "x", "task": task, "learner": learner} | length))
+
+
+@pytest.fixture
+def folder(tmp_path):
+    pq.write_table(pa.table({"steps": [10.0, 40.0, float("nan")]}), tmp_path / "results.parquet")
+    return tmp_path
+
+
+def looked(*looks):
+    speed = Speed()
+    for look in looks:
+        speed.look(*look)
+    speed.pause()
+    return speed
+
+
+def test_the_rate_is_that_between_the_first_and_the_last_progress(folder):
+    speed = looked((0.0, 50.0), (60.0, 50.0), (61.0, 100.0), (62.0, 150.0), (63.0, 300.0), (90.0, 300.0))
+    assert speed.rates(plan("episode"), folder) == {"steps_per_s": 100.0 * 25, "episodes_per_s": 100.0}
+    # The next program took 50 s to compile.
+    for time_s, done in ((100.0, 300.0), (150.0, 400.0), (152.0, 1000.0)):
+        speed.look(time_s, done)
+    speed.pause()
+    assert speed.rates(plan("episode"), folder)["episodes_per_s"] == (200.0 + 600.0) / (2.0 + 2.0)
+
+
+def test_steps_are_episodes_by_the_length_of_each(folder):
+    speed = looked((0.0, 0.0), (1.0, 100.0), (2.0, 1100.0))
+    found = speed.rates(plan("step"), folder)
+    # As many steps make ten episodes of ten steps as 2.5 of forty.
+    assert found == {"steps_per_s": 1000.0, "episodes_per_s": pytest.approx(500 / 10 + 500 / 40)}
+
+
+def test_episodes_that_feed_one_table_count_all(folder):
+    speed = looked((0.0, 0.0), (1.0, 100.0), (2.0, 110.0))
+    assert speed.rates(plan("episode", agents=16), folder)["episodes_per_s"] == 160.0
+    assert speed.rates(plan("episode", rules="printed"), folder) == {"episodes_per_s": 10.0}
+
+
+def test_a_training_that_is_over_at_the_first_look_has_no_rate(folder):
+    assert looked((0.0, 0.0), (1.0, 100.0)).rates(plan("episode"), folder) == {}
+    assert Speed().rates(plan("step"), folder) == {}
+
+
+@pytest.mark.parametrize("learner", ["tabular_q", "linear_q"])
+def test_provenance_has_both_rates(learner, tmp_path):
+    length = {"episodes": 30_000} if learner == "tabular_q" else {"total_steps": 400_000}
+    config = {"name": "x", "task": {"name": "joint_reach", "max_episode_steps": 60}, "learner": {"name": learner}}
+    run = sweep(config | length, tmp_path / "run")
+    made = json.loads((run.path / "provenance.json").read_text())
+    assert made["sessions"][0]["episodes_per_s"] == made["episodes_per_s"]
+    # An episode takes from one step to the cap of 60.
+    assert 1.0 <= made["steps_per_s"] / made["episodes_per_s"] <= 60.0
+
+
+@pytest.mark.parametrize(
+    ("unit", "shown"), [("steps", "1,000 steps/s  40 episodes/s"), ("episodes", "1,000 episodes/s")]
+)
+def test_the_progress_says_episodes_a_second_whatever_is_counted(unit, shown, monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    out = io.StringIO()
+    with progress.Bar(Console(file=out, width=120)) as bar:
+        bar.begin(50_000, unit)
+        bar.length(25.0)
+        for at, done in ((100.0, 0.0), (101.0, 5_000.0), (106.0, 10_000.0), (121.0, 25_000.0)):
+            now[0] = at
+            bar.update(done, 0.5, 1.0)
+    last = out.getvalue().splitlines()[-1]
+    assert f"{shown}  success 50%" in last, last

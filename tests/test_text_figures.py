@@ -1,0 +1,305 @@
+"""The figures of README.md are those of the records that it links, to the digits printed."""
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from decimal import Decimal
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).parent.parent
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+RECORDS = {path.name: json.loads(path.read_text()) for path in (ROOT / "docs" / "bench").glob("*.json")}
+NUMBER = r"-?\d[\d,]*(?:\.\d+)?(?:e\d+)?"
+
+
+class Claim(NamedTuple):
+    """A figure of the text beside what the record says."""
+
+    record: str
+    place: str
+    printed: str
+    value: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether the record's value, rounded to the digits printed, is what is printed."""
+        number = Decimal(self.printed.replace(",", ""))
+        half = 0.5 * 10.0 ** int(number.as_tuple().exponent)
+        return abs(self.value - float(number)) <= half * (1 + 1e-6)
+
+
+def tables(markdown: str) -> Iterator[list[list[str]]]:
+    """The tables of a page as rows of cells, the ruler left out."""
+    for block in re.findall(r"(?:^\|.*\|\n)+", markdown, re.M):
+        rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in block.splitlines()]
+        yield [rows[0], *rows[2:]]
+
+
+def table_with(markdown: str, heading: str) -> list[list[str]]:
+    """The only table whose first cell, or whose first column, has `heading`."""
+    (found,) = (rows for rows in tables(markdown) if heading in [row[0] for row in rows])
+    return found
+
+
+# How `walk` walks: a row for each command, a column for each figure of the record.
+
+GAIT = {
+    "upright": ("success", 100.0),
+    "speed": ("forward", 1.0),
+    "turn rate": ("turn", 1.0),
+    "slip": ("slip", 1.0),
+    "in flight": ("flight", 100.0),
+    "steps": ("step_frequency", 1.0),
+}
+"""By how a column's heading begins: the record's name, and by what it is multiplied."""
+
+
+def walking(markdown: str, records: Mapping[str, Any]) -> Iterator[Claim]:
+    (rows,) = (rows for rows in tables(markdown) if rows[0][0] == "command" and "upright" in rows[0][1])
+    (name,) = re.findall(r"bench/(\w+\.json)\)+:\s+\| command ", markdown)
+    gaits = records[name]["results"][0]["gaits"]
+    for row in rows[1:]:
+        command = [0.0, 0.0, 0.0]
+        for number, unit in re.findall(rf"({NUMBER}) (m/s|rad/s)", row[0]):
+            command[2 if unit == "rad/s" else 1 if re.search("left|right|side", row[0]) else 0] = float(number)
+        (gait,) = (
+            g for g in gaits if (g["agent"], g["command"]) == ("greedy", command) and g["scenario"] != "sudden turn"
+        )
+        for heading, cell in zip(rows[0][1:], row[1:], strict=True):
+            (known,) = (GAIT[start] for start in GAIT if heading.startswith(start))
+            figure, factor = gait["figures"][known[0]], known[1]
+            printed = re.findall(NUMBER, cell)
+            values = [figure["median"], *figure["seeds"][0][1:]]  # of one seed: with the interval over episodes
+            if len(figure["seeds"]) > 1:
+                values[1:] = [min(of_seed := [seed[0] for seed in figure["seeds"]]), max(of_seed)]
+            for text, value in zip(printed, values, strict=False):
+                yield Claim(name, f"walk, {row[0]}, {heading}", text, value * factor)
+
+
+# Speed: groups of rows below a row that gives the sizes.
+
+SPEED = {
+    "`bench physics`": {
+        "`chain`": ("chain", "control+physics steps/s"),
+        "`mjx-jax`": ("mjx-jax", "control+physics steps/s"),
+        "`mjx-jax`, without our XLA flags": ("mjx-jax plain", "control+physics steps/s"),
+        "native MuJoCo on all cores, no controller": ("mujoco", "physics steps/s"),
+    },
+    "the lower body on the ground": {
+        "`tree`": ("tree ground", "control+physics steps/s"),
+        "`mjx-jax`": ("mjx-jax ground", "control+physics steps/s"),
+        "`mjx-jax`, computed torque within the contacts": ("mjx-jax computed torque ground", "control+physics steps/s"),
+        "`mjx-warp`": ("mjx-warp ground", "control+physics steps/s"),
+        "native MuJoCo on all cores (its own servo)": ("mujoco ground", "control+physics steps/s"),
+    },
+    "`bench tabular`": {
+        "`scan`, what a sweep runs": ("scan", "steps/s"),
+        "`naive_scan`, `jax.random` in every step": ("naive_scan", "steps/s"),
+        "`numba`, all cores": ("numba", "steps/s"),
+    },
+}
+MACHINES = {"2 CPU cores": "cpu_2_cores.json", "one H200": "h200.json"}
+NEWER = {("the lower body on the ground", "2 CPU cores"): "cpu_2_cores_ground.json"}
+
+
+def speeds(markdown: str, records: Mapping[str, Any]) -> Iterator[Claim]:
+    rows = table_with(markdown, "**`bench physics`**")
+    machines = {column: name for column, name in enumerate(rows[0]) if name}
+    assert set(machines.values()) == set(MACHINES)
+    group, sizes, firsts = "", {}, {}
+    for row in rows[1:]:
+        if row[0].strip("*") in SPEED:
+            group, firsts = row[0].strip("*"), {}
+            sizes = {column: int(row[column].split()[0].replace(",", "")) for column in machines}
+            continue
+        subject, unit = SPEED[group][row[0]]
+        for column, machine in machines.items():
+            name = NEWER.get((group, machine), MACHINES[machine])
+            if not re.match(NUMBER, row[column]):
+                assert row[column + 1] == "" and row[column] in ("", "not recorded yet")
+                continue
+            value = measured(records[name]["records"], SPEED[group].values(), sizes[column], subject, unit)
+            yield Claim(name, f"{group}, {row[0]}, {machine}", row[column], value)
+            first = firsts.setdefault(column, value)
+            for times, sense in re.findall(rf"({NUMBER}) times (slower|faster)", row[column + 1]):
+                ratio = first / value if sense == "slower" else value / first
+                yield Claim(name, f"{group}, {row[0]}, {machine}, times {sense}", times, ratio)
+
+
+def measured(found: list[dict[str, Any]], group: Any, size: int, subject: str, unit: str) -> float:
+    """The figure of a subject, measured beside the group's first that has this size. Native MuJoCo has its own size."""
+    names = {name for name, _ in group}
+    begin = next(i for i, record in enumerate(found) if record["subject"] in names and record["batch"] == size)
+    return next(r["value"] for r in found[begin:] if (r["subject"], r["unit"]) == (subject, unit))
+
+
+# Training of all learners: five seeds of each.
+
+TRAINED = {"steps to 95 %": "steps to 95 %", "success": "success at the end", "episodes a second": "episodes/s"}
+"""By how a row's name begins: the unit of the record."""
+
+
+def trainings(markdown: str, records: Mapping[str, Any]) -> Iterator[Claim]:
+    (rows,) = (rows for rows in tables(markdown) if rows[0][1:] == ["`linear_q`", "`deep_q`", "`brax_ppo`"])
+    for row in rows[1:]:
+        (unit,) = (TRAINED[start] for start in TRAINED if row[0].startswith(start))
+        (name,) = re.findall(r"bench/(\w+\.json)\)", row[0])
+        for learner, cell in zip(rows[0][1:], row[1:], strict=True):
+            of = f"{learner.strip('`')} leg_reach"
+            (record,) = (r for r in records[name]["records"] if (r["subject"], r["unit"]) == (of, unit))
+            values = [record["value"]]
+            if unit == "steps to 95 %":
+                assert len(record["by_seed"]) >= 5 and "never" not in cell
+                values.append(max(record["by_seed"]))
+            elif unit == "success at the end":
+                values = [*values, *record["interval"], min(record["by_seed"])]
+            printed = re.findall(NUMBER, cell)
+            assert len(printed) == len(values), cell
+            yield from (Claim(name, f"{row[0]}, {learner}", text, x) for text, x in zip(printed, values, strict=True))
+
+
+# Sentences: what each pattern's groups must be, from a record.
+
+
+def of_stand(record: Any) -> list[float]:
+    (found,) = record["records"]
+    success = np.array(found["greedy_success_by_seed"])
+    reached = np.maximum.accumulate(success, axis=1) > 0.9
+    back = success[:, 1:][reached[:, :-1]].min()
+    last = success[:, -1]
+    return [len(success), found["total_steps"][-1] / 1e6, last.mean(), last.min(), back, found["training_wall_s"][-1]]
+
+
+def of_postures(record: Any) -> list[float]:
+    subjects = ("chain posture_switch", "mjx-jax posture_switch")
+    return [r["value"] for s in subjects for r in record["records"] if (r["subject"], r["unit"]) == (s, "episodes/s")]
+
+
+def of_one_kernel(record: Any) -> list[float]:
+    return [record[kind]["control steps/s of training"] for kind in ("one_kernel", "kernels of XLA")]
+
+
+def of_experiments(record: Any) -> list[float]:
+    return [len(record["cpu_s"]), sum(record["cpu_s"].values()) / 60]
+
+
+def of_both_legs(record: Any) -> list[float]:
+    (found,) = record["records"]
+    runs = np.array([point["greedy_success_by_seed"] for point in found["points"]])
+    return [found["episodes"], runs.sum(), runs.size, *runs.shape]
+
+
+WORDS = {"one": 1, "four": 4, "two": 2, "five": 5, "eight": 8}
+
+SENTENCES = [
+    (
+        "h200_stand_8_seeds.json",
+        rf"`stand` with `deep_q`, (\w+) seeds side by side on one H200.*? after ({NUMBER})M control steps is "
+        rf"({NUMBER}) in the mean of the seeds and ({NUMBER}) in the worst of them\. .*? fell back to ({NUMBER}) at "
+        rf"one of its five evaluations\. Training all eight took ({NUMBER}) s",
+        of_stand,
+    ),
+    (
+        "cpu_2_cores.json",
+        rf"`posture_switch` end to end makes on two CPU cores ({NUMBER}) episodes a second on the chain and "
+        rf"({NUMBER}) on MJX",
+        of_postures,
+    ),
+    ("h200.json", rf"`posture_switch` .*? MJX; on one H200 ({NUMBER}) and ({NUMBER})", of_postures),
+    (
+        "cpu_2_cores_posture_switch_mjx.json",
+        rf"`posture_switch_mjx` .*? after ({NUMBER}) episodes ({NUMBER}) of ({NUMBER}) runs, (\w+) points of (\w+) "
+        "seeds, reach the goal",
+        of_both_legs,
+    ),
+    (
+        "cpu_2_cores_reproduce.json",
+        rf"All ({NUMBER}) experiments take ({NUMBER}) minutes of processor time",
+        of_experiments,
+    ),
+    (
+        "h200_one_kernel.json",
+        rf"`walk` trains ({NUMBER}) control steps a second where XLA's own kernels made ({NUMBER})",
+        of_one_kernel,
+    ),
+]
+
+
+def sentences(markdown: str, records: Mapping[str, Any]) -> Iterator[Claim]:
+    plain = " ".join(markdown.split())
+    for name, pattern, of in SENTENCES:
+        found = re.findall(pattern, plain)
+        assert len(found) == 1, f"{name}: the sentence that gives its figures: {pattern}"
+        for text, value in zip(found[0], of(records[name]), strict=True):
+            yield Claim(name, pattern, str(WORDS.get(text, text)), value)
+
+
+READERS = (walking, speeds, trainings, sentences)
+
+
+def claims(markdown: str = README, records: Mapping[str, Any] = RECORDS) -> list[Claim]:
+    return [claim for reader in READERS for claim in reader(markdown, records)]
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_no_figure_of_the_readme_is_contradicted_by_its_record(reader):
+    found = list(reader(README, RECORDS))
+    assert found and not [claim for claim in found if not claim.holds]
+
+
+WITHOUT_FIGURES = {"guard.json", "h200_walk_settings.json"}
+"""Records that are linked, whose figures are not in a table or sentence of a form that is read here."""
+
+
+def test_every_record_that_the_readme_links_is_compared_with_it():
+    linked = set(re.findall(r"docs/bench/(\w+\.json)", README))
+    assert linked - WITHOUT_FIGURES <= {claim.record for claim in claims()}
+
+
+def test_pages_but_the_readme_print_no_speed():
+    """Benchmarks' page says so; then nothing there can contradict a record."""
+    for page in (ROOT / "docs").glob("*.md"):
+        text = " ".join(page.read_text(encoding="utf-8").split())
+        rate = rf"{NUMBER} (?:control |physics )?(?:steps|episodes) (?:a|per) second"
+        assert not re.findall(rf"{rate}|{NUMBER} times (?:faster|slower|as fast)", text), page.name
+
+
+def changed(text: str) -> str:
+    """A number with its last printed digit another one."""
+    place = max(i for i, letter in enumerate(text.partition("e")[0]) if letter.isdigit())
+    return text[:place] + str((int(text[place]) + 2) % 10) + text[place + 1 :]
+
+
+def test_a_digit_that_changes_is_found():
+    for claim in claims():
+        assert claim.holds and not claim._replace(printed=changed(claim.printed)).holds, claim
+        assert not claim._replace(value=1.2 * claim.value + 1.0).holds, claim
+
+
+def test_a_figure_that_changes_in_a_copy_of_the_readme_is_found():
+    """Those that stand there once, one after another."""
+    once = [claim for claim in claims() if README.count(claim.printed) == 1]
+    assert len(once) > 10
+    for claim in once:
+        text = README.replace(claim.printed, changed(claim.printed))
+        assert [other for other in claims(text) if not other.holds], claim
+
+
+def shifted(record: Any) -> Any:
+    """A copy of a record whose figures are others; commands, by which figures are found, stay."""
+    if isinstance(record, dict):
+        return {key: value if key == "command" else shifted(value) for key, value in record.items()}
+    if isinstance(record, list):
+        return [shifted(value) for value in record]
+    return 1.3 * record + 0.1 if isinstance(record, float) else record
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_a_record_that_changes_is_found(reader):
+    for name in {claim.record for claim in reader(README, RECORDS)}:
+        changed_records = RECORDS | {name: shifted(RECORDS[name])}
+        assert [claim for claim in reader(README, changed_records) if not claim.holds], name
