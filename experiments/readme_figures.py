@@ -15,7 +15,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-WALK_S, FRAME_S = (12.4, 18.0), 0.04
+WALK_S, FRAME_S = (10.4, 18.0), 0.04
 """The part of the shipped policy's first episode that is shown, s, and the time between frames of a film, s."""
 
 LEARNERS = ("leg_reach", "leg_reach_linear", "leg_reach_ppo")
