@@ -115,6 +115,7 @@ def evaluate(
 @app.command()
 def play(
     policy: Policy,
+    set_: World = None,
     physics: Physics = None,
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="A .gif, .mp4, .webm or .png; by default RUN/figures/play.gif.")
@@ -126,7 +127,7 @@ def play(
     """Show what was learned as a video or picture of the robot, or in the browser."""
     from humanoid_mjx.commands.play import run_play
 
-    run_play(policy, physics, out, view)
+    run_play(policy, set_ or [], physics, out, view)
 
 
 @app.command()

@@ -110,14 +110,18 @@ class Reader:
 
     def evaluate(self, policies, gait, set_, physics, episodes, json, out):
         from humanoid_mjx.training.gait_evaluation import walking_task
-        from humanoid_mjx.training.policy import find_policy, in_changed_world
 
         for policy in policies:
             self.has(policy)
-            if policy in names("policies", ".npz"):
-                trained = in_changed_world(find_policy(policy), set_ or [])
-                assert not gait or walking_task(trained.learner.task)
+            trained = self.changes(policy, set_)
+            assert not gait or not trained or walking_task(trained.learner.task)
         self.simulates(physics)
+
+    def changes(self, policy, set_):
+        """The shipped policy, if it is one, in its changed world."""
+        from humanoid_mjx.training.policy import find_policy, in_changed_world
+
+        return in_changed_world(find_policy(policy), set_ or []) if policy in names("policies", ".npz") else None
 
     def runs(self, folder):
         assert str(folder) == "runs", folder
@@ -126,8 +130,9 @@ class Reader:
         for folder in run:
             assert str(folder) in self.folders | self.earlier, folder
 
-    def play(self, policy, physics, out, view):
+    def play(self, policy, set_, physics, out, view):
         self.has(policy)
+        self.changes(policy, set_)
         self.simulates(physics)
 
     def report(self, run, out, motion):

@@ -75,6 +75,16 @@ def test_play_writes_an_animation(switched):
         assert image.n_frames > 25 * HOLD_S
 
 
+def test_play_shows_a_changed_world(switched, tmp_path):
+    def played(*more):
+        result = CliRunner().invoke(app, ["play", str(switched), "--out", str(tmp_path / "play.png"), *more])
+        return f"{' '.join(result.output.split())} {result.exception}"
+
+    assert "succeeds in 3 decisions" in played()
+    assert "does not succeed in 1 decisions" in played("--set", "task.max_episode_steps=1")
+    assert "a policy stays as it is" in played("--set", "learner.epsilon=0.1")
+
+
 def test_the_file_is_looked_at_before_any_work(switched, tmp_path, monkeypatch):
     monkeypatch.setattr("humanoid_mjx.training.policy.find_policy", lambda name: pytest.fail("it was loaded"))
     for arguments, sentence in (

@@ -216,8 +216,8 @@ SENTENCES = [
     ),
     (
         "h200_walk_8_seeds.json",
-        rf"`walk` is learned by every one of (\w+) seeds.*? takes ({NUMBER}) s for ({NUMBER})M control steps of each.*? "
-        rf"the heading is off by ({NUMBER}) degrees \(({NUMBER}) with the worst seed\);.*? within 1\.5 s in "
+        rf"`walk` is learned by every one of (\w+) seeds.*? takes ({NUMBER}) s for ({NUMBER})M control steps of each"
+        rf".*? the heading is off by ({NUMBER}) degrees \(({NUMBER}) with the worst seed\);.*? within 1\.5 s in "
         rf"({NUMBER})% of episodes \(({NUMBER})% with the worst seed\)",
         of_walk,
     ),

@@ -1,5 +1,6 @@
 """What `humanoid-mjx play` and `humanoid-mjx export` do: trained results and robots for other programs to show."""
 
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -9,7 +10,7 @@ from humanoid_mjx.spec import InputError, check_folder
 from humanoid_mjx.training.progress import Bar
 
 
-def run_play(name: str, physics: str | None, out: Path | None, view: bool) -> None:
+def run_play(name: str, overrides: Sequence[str], physics: str | None, out: Path | None, view: bool) -> None:
     """`humanoid-mjx play`."""
     from humanoid_mjx.report.video import check_file
 
@@ -21,13 +22,14 @@ def run_play(name: str, physics: str | None, out: Path | None, view: bool) -> No
     from humanoid_mjx.report.player import serve
     from humanoid_mjx.report.rendering import render_film
     from humanoid_mjx.report.showing import show
-    from humanoid_mjx.training.policy import find_policy, on_physics
+    from humanoid_mjx.training.policy import find_policy, in_changed_world, on_physics
 
     with Bar(console) as bar:
         bar.phase("loading")
         trained = find_policy(name)
         if physics is not None:
             trained = on_physics(trained, physics)
+        trained = in_changed_world(trained, overrides)
         shown = show(trained, bar)
         if not view:
             target = out or _play_file(name, trained.name)
