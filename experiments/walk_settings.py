@@ -27,7 +27,7 @@ PANELS = (
 USUAL = {
     "stance": (("task", "gait", "stance"), 0.62),
     "cadence": (("task", "gait", "cadence"), 0.5),
-    "inertia": (("task", "inertia"), 0.5),
+    "smoothing": (("task", "smoothing"), 0.5),
     "slip": (("task", "rewards", "slip"), -0.6),
     "speed": (("task", "rewards", "speed"), 0.6),
     "flight": (("task", "rewards", "flight"), -0.3),
@@ -36,7 +36,7 @@ USUAL = {
 }
 """What a row says only where it differs: where it stands in a setting, and its usual value."""
 
-BEFORE = {"F": ("cadence", "inertia", "slip", "speed", "smooth"), "G": ("cadence", "inertia", "smooth")}
+BEFORE = {"F": ("cadence", "smoothing", "slip", "speed", "smooth"), "G": ("cadence", "smoothing", "smooth")}
 """What whole series differ in, which their rows do not repeat."""
 
 

@@ -283,16 +283,16 @@ def test_the_heading_is_kept_while_the_turn_rate_stays_the_same():
     told = jnp.array([0.3, 0.0, 0.5])
     episode = episode._replace(command=told, down=down, readings=readings, heading_error=jnp.float32(0.0))
     for decision in range(1, 4):
-        episode = episode.told(told, 0.02)
+        episode = episode.under(told, 0.02)
         assert episode.heading_error == pytest.approx(decision * 0.02 * (0.5 - 0.1), rel=1e-4)
     np.testing.assert_allclose(task.followed(episode), [0.3, 0.0, 0.5 + 4.0 * 0.024], rtol=1e-4)
-    faster = episode.told(told.at[0].set(0.5), 0.02)
+    faster = episode.under(told.at[0].set(0.5), 0.02)
     assert faster.heading_error > episode.heading_error
     for other in (told.at[2].set(0.2), STAND):
-        assert episode.told(other, 0.02).heading_error == 0.0
-    assert not np.any(task.followed(episode.told(STAND, 0.02)._replace(heading_error=jnp.float32(0.3))))
+        assert episode.under(other, 0.02).heading_error == 0.0
+    assert not np.any(task.followed(episode.under(STAND, 0.02)._replace(heading_error=jnp.float32(0.3))))
     for _ in range(200):
-        episode = episode.told(told, 0.5)
+        episode = episode.under(told, 0.5)
     assert episode.heading_error == pytest.approx(LARGEST)
 
 
@@ -317,10 +317,10 @@ def test_an_imu_that_integrates_reads_what_the_torso_did():
 
 
 def test_an_offset_stays_behind_its_new_value():
-    slow, quick = (once(walk(inertia=inertia, offset=20.0), 1.0)[1].data for inertia in (0.75, 0.0))
+    slow, quick = (once(walk(smoothing=smoothing, offset=20.0), 1.0)[1].data for smoothing in (0.75, 0.0))
     np.testing.assert_allclose(slow.offsets, 0.25)
     np.testing.assert_allclose(quick.offsets, 1.0)
-    quarter = once(walk(inertia=0.0, offset=20.0), 0.25)[1].data
+    quarter = once(walk(smoothing=0.0, offset=20.0), 0.25)[1].data
     np.testing.assert_array_equal(slow.world.qpos, quarter.world.qpos)
 
 

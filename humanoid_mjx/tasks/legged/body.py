@@ -54,7 +54,9 @@ class LeggedBody(ContinuousTask):
     offset_shares: tuple[float, float, float, float, float] = traced(
         (1.0, 1.0, 1.0, 1.0, 1.0), strict=False, description="of it for hip pitch, yaw and roll, knee and ankle"
     )
-    inertia: float = traced(0.0, ge=0, lt=1, description="share of its way to a new value that an offset stays behind")
+    smoothing: float = traced(
+        0.0, ge=0, lt=1, description="share of its way to a new value that an offset stays behind"
+    )
     period: float = Field(0.02, gt=0, le=1, description="s between decisions")
     timestep: float = Field(0.004, gt=0, le=0.02, description="s of physics and control law")
     mass: float = traced(1.0, gt=0, le=10, description="factor on the mass and the inertia of every link")

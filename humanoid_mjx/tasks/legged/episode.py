@@ -94,7 +94,7 @@ class Episode(NamedTuple):
         error = jnp.append(self.motion.velocity[:2], self.motion.turn_rate) - command
         return self._replace(strayed=self.strayed + (period / LATELY) * (error - self.strayed))
 
-    def told(self, command: Float[Array, "3"], period: float) -> "Episode":
+    def under(self, command: Float[Array, "3"], period: float) -> "Episode":
         """The episode with the command of the decision to come, `period` seconds after the last one.
 
         While the turn rate stays the same its heading is kept: that which the body has by its gyroscope against that

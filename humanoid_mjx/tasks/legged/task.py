@@ -112,7 +112,7 @@ class LeggedTask(LeggedBody):
     def commanded(self, state: State, view: View, command: Float[Array, "3"]) -> State:
         """A state under this command in the place of its own, as its data and what the learner sees have it; `view` is
         that of the state."""
-        data = state.data.told(command, 0.0)
+        data = state.data.under(command, 0.0)
         return state._replace(data=data, obs=self.seen(view._replace(command=self.followed(data), phase=data.phase)))
 
     def _carry_out(
@@ -122,7 +122,7 @@ class LeggedTask(LeggedBody):
         before: Episode = state.data
         offsets = jnp.clip(command, -1.0, 1.0)
         offsets = jnp.where(self.mirrored(before.phase), swapped(offsets), offsets) if self.symmetric else offsets
-        offsets = offsets + self.inertia * (before.offsets - offsets)
+        offsets = offsets + self.smoothing * (before.offsets - offsets)
         force = self.push_on(before, key)
         setpoint = self.setpoint(offsets, self.reference(before))
         advance = self.advance_watched if watched else self.advance
@@ -203,7 +203,7 @@ class LeggedTask(LeggedBody):
         if self.gait:
             episode = episode._replace(phase=self.gait.after(episode.phase, episode.command, self.period))
         if self.command:
-            episode = episode.told(self.command.following(episode.command, key, self.period), self.period)
+            episode = episode.under(self.command.following(episode.command, key, self.period), self.period)
         return episode
 
 

@@ -54,7 +54,9 @@ class Walk(LeggedTask):
     offset_shares: tuple[float, float, float, float, float] = traced(
         (1.0, 0.8, 0.6, 1.2, 1.0), strict=False, description="of it for hip pitch, yaw and roll, knee and ankle"
     )
-    inertia: float = traced(0.5, ge=0, lt=1, description="share of its way to a new value that an offset stays behind")
+    smoothing: float = traced(
+        0.5, ge=0, lt=1, description="share of its way to a new value that an offset stays behind"
+    )
     sensors: Sensors = Field(SENSORS, description="errors of the sensors")
     command: Velocity = Field(COMMAND, description="what the body is told to do")
     gait: Gait = Field(Gait(), description="clock and open-loop steps")
