@@ -24,12 +24,12 @@ from humanoid_mjx.training.policy import best_policy, in_changed_world, policies
 from humanoid_mjx.training.sweep import sweep
 
 TINY = {"name": "deep_q", "width": 8, "layers": 1, "envs": 4, "rollout": 4, "minibatches": 2, "evaluation_envs": 2}
-TASK = {"name": "walk", "physics": "mujoco"}
+TASK = {"name": "walk", "physics": "mujoco", "command": {"sideways": [-0.1, 0.1]}}
 STEPPING = {
     "control": {"name": "servo", "stiffness": 20.0, "damping": 0.45},
-    "gait": {"period": 0.32, "stance": 0.62, "lift": 9.0, "sway": -2.0},
+    "gait": {"period": 0.32, "cadence": 0.0, "stance": 0.62, "lift": 9.0, "sway": -2.0, "stride": 0.0},
 }
-"""A servo and a gait with which the body steps without a learner."""
+"""A servo and a gait with which the body steps on the spot without a learner."""
 ASKED = (
     Scenario("stand", (0.0, 0.0, 0.0)),
     Scenario("ahead", (0.3, 0.0, 0.0)),

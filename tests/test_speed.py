@@ -65,7 +65,9 @@ def test_a_training_that_is_over_at_the_first_look_has_no_rate(folder):
 
 
 @pytest.mark.parametrize("learner", ["tabular_q", "linear_q"])
-def test_provenance_has_both_rates(learner, tmp_path):
+def test_provenance_has_both_rates(learner, tmp_path, monkeypatch):
+    # Looked at often enough that it is not over at the first look, on a quick machine either.
+    monkeypatch.setattr("humanoid_mjx.training.pool.CHUNK_S", 0.01)
     length = {"episodes": 30_000} if learner == "tabular_q" else {"total_steps": 400_000}
     config = {"name": "x", "task": {"name": "joint_reach", "max_episode_steps": 60}, "learner": {"name": learner}}
     run = sweep(config | length, tmp_path / "run")

@@ -21,9 +21,9 @@ from humanoid_mjx.thesis import leg as thesis
 NAME = "feasibility-3.2"
 
 CONFIG = {
-    "gait": {"period": 0.5, "stance": 0.6},
+    "gait": {"period": 0.48, "stance": 0.62},
     "posture": {"knee": 30.0},
-    "walk": {"speed": 0.25, "sideways": 0.1, "turn": 1.0, "lift": 0.015},
+    "walk": {"speed": 0.25, "sideways": 0.15, "turn": 1.0, "lift": 0.015},
 }
 """The gait's clock, s and share; the bend of the knees, degrees; what a walk is to do at least, m/s and rad/s, and how
 high it lifts its ankles, m. Clock, posture and the commands sideways and round are those of the task `walk`."""
