@@ -2,6 +2,7 @@
 
 import io
 import json
+import time
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -12,6 +13,7 @@ from humanoid_mjx import sweep
 from humanoid_mjx.config import parse
 from humanoid_mjx.training import progress
 from humanoid_mjx.training.plan import make_plan
+from humanoid_mjx.training.pool import Pool
 from humanoid_mjx.training.speed import Speed
 
 
@@ -66,9 +68,11 @@ def test_a_training_that_is_over_at_the_first_look_has_no_rate(folder):
 
 @pytest.mark.parametrize("learner", ["tabular_q", "linear_q"])
 def test_provenance_has_both_rates(learner, tmp_path, monkeypatch):
-    # Looked at often enough that it is not over at the first look, on a quick machine either.
+    # It is looked at every 0.1 s: on any machine several times before it is over.
+    train = Pool.train
+    monkeypatch.setattr(Pool, "train", lambda pool: (train(pool), time.sleep(0.2)))
     monkeypatch.setattr("humanoid_mjx.training.pool.CHUNK_S", 0.01)
-    length = {"episodes": 30_000} if learner == "tabular_q" else {"total_steps": 400_000}
+    length = {"episodes": 3000} if learner == "tabular_q" else {"total_steps": 40_000}
     config = {"name": "x", "task": {"name": "joint_reach", "max_episode_steps": 60}, "learner": {"name": learner}}
     run = sweep(config | length, tmp_path / "run")
     made = json.loads((run.path / "provenance.json").read_text())
