@@ -103,7 +103,6 @@ SPEED = {
     },
 }
 MACHINES = {"2 CPU cores": "cpu_2_cores.json", "one H200": "h200.json"}
-NEWER = {("the lower body on the ground", "2 CPU cores"): "cpu_2_cores_ground.json"}
 
 
 def speeds(markdown: str, records: Mapping[str, Any]) -> Iterator[Claim]:
@@ -118,7 +117,7 @@ def speeds(markdown: str, records: Mapping[str, Any]) -> Iterator[Claim]:
             continue
         subject, unit = SPEED[group][row[0]]
         for column, machine in machines.items():
-            name = NEWER.get((group, machine), MACHINES[machine])
+            name = MACHINES[machine]
             if not re.match(NUMBER, row[column]):
                 assert row[column + 1] == "" and row[column] in ("", "not recorded yet")
                 continue
