@@ -92,7 +92,7 @@ class Episode(NamedTuple):
     def compared(self, command: Float[Array, "3"], period: float) -> "Episode":
         """The episode after a decision in which the body was to follow this command."""
         error = jnp.append(self.motion.velocity[:2], self.motion.turn_rate) - command
-        return self._replace(strayed=self.strayed + (period / LATELY) * (error - self.strayed))
+        return self._replace(strayed=self.strayed + min(period / LATELY, 1.0) * (error - self.strayed))
 
     def under(self, command: Float[Array, "3"], period: float) -> "Episode":
         """The episode with the command of the decision to come, `period` seconds after the last one.
