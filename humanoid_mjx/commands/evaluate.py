@@ -28,15 +28,12 @@ def run_evaluate(
     runtime.start()
     from humanoid_mjx.report.comparison import compare_curves, curve_of_run
     from humanoid_mjx.training.evaluation import HELD_OUT_WORDS, evaluate_all
-    from humanoid_mjx.training.policy import find_policy, in_changed_world, on_physics
+    from humanoid_mjx.training.policy import find_policy, in_world
 
     policies = [find_policy(name) for name in names]
     if len({policy.name for policy in policies}) < len(policies):
         policies = [policy._replace(name=name) for name, policy in zip(names, policies, strict=True)]
-    if physics is not None:
-        policies = [on_physics(policy, physics) for policy in policies]
-    if overrides:
-        policies = [in_changed_world(policy, overrides) for policy in policies]
+    policies = [in_world(policy, physics, overrides) for policy in policies]
     evaluations = evaluate_all(policies, episodes)
     title = f"{episodes:,} episodes that no training has seen{_changes(physics, overrides)}"
     console.print(evaluation_table(title, evaluations))
@@ -86,12 +83,10 @@ def run_gait(
     from humanoid_mjx.tasks.legged.measures.figures import FIGURES
     from humanoid_mjx.training.evaluation import HELD_OUT_WORDS
     from humanoid_mjx.training.gait_policies import measure, settings_of, trained_seeds
-    from humanoid_mjx.training.policy import in_changed_world, on_physics
+    from humanoid_mjx.training.policy import in_world
 
-    policies, settings = trained_seeds(names), settings_of(overrides)
-    if physics is not None:
-        policies = [on_physics(policy, physics) for policy in policies]
-    policies = [in_changed_world(policy, settings) for policy in policies]
+    settings = settings_of(overrides)
+    policies = [in_world(policy, physics, settings) for policy in trained_seeds(names)]
     with Bar(console) as bar:
         bar.begin(1, "episodes")
         bar.phase("walking")

@@ -22,14 +22,11 @@ def run_play(name: str, overrides: Sequence[str], physics: str | None, out: Path
     from humanoid_mjx.report.player import serve
     from humanoid_mjx.report.rendering import render_film
     from humanoid_mjx.report.showing import show
-    from humanoid_mjx.training.policy import find_policy, in_changed_world, on_physics
+    from humanoid_mjx.training.policy import find_policy, in_world
 
     with Bar(console) as bar:
         bar.phase("loading")
-        trained = find_policy(name)
-        if physics is not None:
-            trained = on_physics(trained, physics)
-        trained = in_changed_world(trained, overrides)
+        trained = in_world(find_policy(name), physics, overrides)
         shown = show(trained, bar)
         if not view:
             target = out or _play_file(name, trained.name)

@@ -155,6 +155,13 @@ def load_policy(path: Path) -> Trained:
     return _assemble(config, arrays, place, origin, name, str(path))
 
 
+def in_world(trained: Trained, physics: str | None, overrides: Sequence[str]) -> Trained:
+    """The same policy on another physics (`on_physics`) and in a changed world (`in_changed_world`), if asked for."""
+    if physics is not None:
+        trained = on_physics(trained, physics)
+    return in_changed_world(trained, overrides) if overrides else trained
+
+
 def on_physics(trained: Trained, physics: str) -> Trained:
     """The same policy, its task simulated by another physics.
 

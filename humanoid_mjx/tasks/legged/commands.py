@@ -5,12 +5,17 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
 from humanoid_mjx.spec import Spec, traced
-from humanoid_mjx.types import FloatScalar
+from humanoid_mjx.types import BoolScalar, FloatScalar
 
 Range = tuple[float, float]
 
 LARGEST = 0.5
 """Error of the heading beyond which none is kept, rad: a body that cannot follow has no turns to make up for later."""
+
+
+def moves(command: Float[Array, "3"]) -> BoolScalar:
+    """Whether a command is to move, and not to stand."""
+    return (command != 0).any()
 
 
 class Velocity(Spec):
@@ -44,7 +49,7 @@ class Velocity(Spec):
     def held(self, command: Float[Array, "3"], heading_error: FloatScalar) -> Float[Array, "3"]:
         """The command with its turn rate corrected so that the heading does not drift; at rest nothing is."""
         rate = command[2] + self.heading_gain * heading_error
-        return jnp.where((command != 0).any(), command.at[2].set(rate), command)
+        return jnp.where(moves(command), command.at[2].set(rate), command)
 
     @property
     def ranges(self) -> Float[Array, "3 2"]:

@@ -13,7 +13,7 @@ from humanoid_mjx.mechanics.rotations import heading_frame, rotation_matrix, tur
 from humanoid_mjx.physics.base import Readings, World
 from humanoid_mjx.physics.sensors import Sensors, SensorState
 from humanoid_mjx.tasks.legged.body import Plant
-from humanoid_mjx.tasks.legged.commands import LARGEST
+from humanoid_mjx.tasks.legged.commands import LARGEST, moves
 from humanoid_mjx.thesis.leg import GRAVITY
 from humanoid_mjx.types import FloatScalar, IntScalar
 
@@ -72,7 +72,7 @@ class Episode(NamedTuple):
     lead to, to the left, rad."""
     strayed: Float[Array, "3"]
     """Velocity forward and to the left, m/s, and turn rate to the left, rad/s, less what the command was, as a running
-    mean over `LATELY`."""
+    mean over `LATELY`; 0 in a task without commands."""
     phase: FloatScalar
     """Phase of the gait; 0 in a task without one."""
     plant: Plant | None
@@ -102,6 +102,6 @@ class Episode(NamedTuple):
         """
         turned = -period * (self.down @ self.readings.gyroscope)
         error = self.heading_error + period * self.command[2] - turned
-        kept = (command[2] == self.command[2]) & (command != 0).any()
+        kept = (command[2] == self.command[2]) & moves(command)
         error = jnp.where(kept, jnp.clip(error, -LARGEST, LARGEST), 0.0)
         return self._replace(command=command, heading_error=error)

@@ -7,6 +7,7 @@ from jaxtyping import Array, Float
 from humanoid_mjx.robot.lower_body import HIP_OFFSET, SHANK_LENGTH, THIGH_LENGTH
 from humanoid_mjx.spec import Spec, traced
 from humanoid_mjx.tasks.legged.body import POSTURE
+from humanoid_mjx.tasks.legged.commands import moves
 from humanoid_mjx.types import FloatScalar
 
 LEGS_APART = np.array([0.0, 0.5])
@@ -41,7 +42,7 @@ class Gait(Spec):
 
     def after(self, phase: FloatScalar, command: Float[Array, "3"], seconds: FloatScalar) -> FloatScalar:
         """The phase, 0 to 1, so much later; it waits at 0 while the body stands."""
-        return jnp.where((command != 0).any(), jnp.mod(phase + seconds / self.lasting(command), 1.0), 0.0)
+        return jnp.where(moves(command), jnp.mod(phase + seconds / self.lasting(command), 1.0), 0.0)
 
     def lasting(self, command: Float[Array, "3"]) -> FloatScalar:
         """The period under this command, s."""
@@ -67,9 +68,8 @@ class Gait(Spec):
         A foot that stands goes back as the ground does under a body that moves as commanded (velocity forward and to
         the left, m/s, and turn rate to the left, rad/s), times `stride`.
         """
-        moving = (jnp.asarray(command) != 0).any()
         way = self.sweep(phase) * self.lasting(command) * self.stance / 2
-        forward, left, turn = self.stride * jnp.asarray(command, float)
+        forward, left, turn = self.stride * command
         pitch = jnp.arctan(way * (forward - turn * HIP_OFFSET * LEFTWARDS) / LEG_LENGTH)
         aside, around = way * left / LEG_LENGTH, way * turn
         # The hip's yaw and roll turn about axes that lean with the thigh.
@@ -78,4 +78,4 @@ class Gait(Spec):
         roll = roll - jnp.radians(self.sway) * jnp.sin(2 * jnp.pi * phase)
         swept = jnp.stack([pitch, yaw * LEFTWARDS, roll * LEFTWARDS, jnp.zeros(2), pitch], axis=-1)
         lifted = jnp.radians(self.lift) * self.swing(phase)[:, None] * SHORTENED
-        return jnp.where(moving, (swept + lifted).reshape(-1), 0.0)
+        return jnp.where(moves(command), (swept + lifted).reshape(-1), 0.0)

@@ -21,7 +21,7 @@ from humanoid_mjx.physics.sensors import Sensors
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import State, begin
 from humanoid_mjx.tasks.legged.body import JOINTS, LeggedBody
-from humanoid_mjx.tasks.legged.commands import Velocity
+from humanoid_mjx.tasks.legged.commands import Velocity, moves
 from humanoid_mjx.tasks.legged.episode import Episode, MeanMotion
 from humanoid_mjx.tasks.legged.events import Push, Randomise
 from humanoid_mjx.tasks.legged.gait import Gait
@@ -129,7 +129,8 @@ class LeggedTask(LeggedBody):
         world, seen = advance(before.world, setpoint, before.plant or self.plant, force)
         sensed = jax.tree.map(lambda part: part[-1], seen) if watched else seen
         after = before.sense(self.sensors, world, sensed.readings, self.period, sensor_key)
-        after = after.compared(self.followed(before), self.period)
+        if self.command:
+            after = after.compared(self.followed(before), self.period)
         after = after._replace(offsets=offsets, decisions=before.decisions + 1)
         view = self.view(after, sensed, before.offsets)
         fallen = self.fall.fallen(view) | world.diverged
@@ -167,7 +168,6 @@ class LeggedTask(LeggedBody):
 
     def view(self, episode: Episode, sensed: Sensed | None, last_offsets: Float[Array, " joints"]) -> View:
         """The view that the parts of the task take; `sensed` is None at the beginning of an episode."""
-        moving = (episode.command != 0).any()
         return View(
             world=episode.world,
             motion=episode.motion,
@@ -183,7 +183,7 @@ class LeggedTask(LeggedBody):
             last_offsets=last_offsets,
             command=self.followed(episode),
             phase=episode.phase,
-            swing=self.gait.swing(episode.phase) * moving if self.gait else jnp.zeros(2),
+            swing=self.gait.swing(episode.phase) * moves(episode.command) if self.gait else jnp.zeros(2),
         )
 
     def seen(self, view: View) -> Float[Array, " observation_size"]:

@@ -8,6 +8,7 @@ from jaxtyping import Array, Bool, Float
 
 from humanoid_mjx.physics.base import Readings, Sensed, World
 from humanoid_mjx.robot.lower_body import CORNERS, SIDES
+from humanoid_mjx.tasks.legged.commands import moves
 from humanoid_mjx.tasks.legged.episode import MeanMotion
 from humanoid_mjx.types import BoolScalar, FloatScalar
 
@@ -130,4 +131,4 @@ class View(NamedTuple):
     @property
     def moving(self) -> BoolScalar:
         """Whether the command is to move."""
-        return (self.command != 0).any()
+        return moves(self.command)

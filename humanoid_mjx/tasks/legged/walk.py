@@ -41,6 +41,7 @@ SERVO = ServoLaw(stiffness=7.5, damping=0.24)
 up by open-loop steps under it when it is to go ahead."""
 
 COMMAND = Velocity(forward=(0.0, 0.8), sideways=(-0.15, 0.15), heading_gain=4.0)
+"""Up to the speed at which running begins to pay, and to sidesteps and turns as quick as the evaluator asks for."""
 
 
 class Walk(LeggedTask):
