@@ -1,42 +1,14 @@
 """The figures of README.md are those of the records that it links, to the digits printed."""
 
-import json
 import re
 from collections.abc import Iterator, Mapping
-from decimal import Decimal
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
+from text_claims import NUMBER, RECORDS, ROOT, Claim, greedy_gaits, tables
 
-ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-RECORDS = {path.name: json.loads(path.read_text()) for path in (ROOT / "docs" / "bench").glob("*.json")}
-NUMBER = r"-?\d[\d,]*(?:\.\d+)?(?:e\d+)?"
-
-
-class Claim(NamedTuple):
-    """A figure of the text beside what the record says."""
-
-    record: str
-    place: str
-    printed: str
-    value: float
-
-    @property
-    def holds(self) -> bool:
-        """Whether the record's value, rounded to the digits printed, is what is printed."""
-        number = Decimal(self.printed.replace(",", ""))
-        half = 0.5 * 10.0 ** int(number.as_tuple().exponent)
-        return abs(self.value - float(number)) <= half * (1 + 1e-6)
-
-
-def tables(markdown: str) -> Iterator[list[list[str]]]:
-    """The tables of a page as rows of cells, the ruler left out."""
-    for block in re.findall(r"(?:^\|.*\|\n)+", markdown, re.M):
-        rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in block.splitlines()]
-        yield [rows[0], *rows[2:]]
 
 
 def table_with(markdown: str, heading: str) -> list[list[str]]:
@@ -184,7 +156,7 @@ def of_one_kernel(record: Any) -> list[float]:
 
 def of_walk(record: Any) -> list[float]:
     """What README says of `walk` beside the table."""
-    gaits = {gait["scenario"]: gait["figures"] for gait in record["results"][0]["gaits"] if gait["agent"] == "greedy"}
+    gaits = greedy_gaits(record)
     heading, turns = gaits["forward 0.3"]["heading_error"], gaits["sudden turn"]["turn_success"]
     training = record["training"]
     return [
@@ -275,54 +247,6 @@ WITHOUT_FIGURES = {"guard.json"}
 def test_every_record_that_the_readme_links_is_compared_with_it():
     linked = set(re.findall(r"docs/bench/(\w+\.json)", README))
     assert linked - WITHOUT_FIGURES <= {claim.record for claim in claims()}
-
-
-def test_walkings_goals_stand_beside_what_the_records_say():
-    """Each row of the page's table, by the record's medians over seeds and the worst of them."""
-
-    def gaits(name: str) -> dict[str, Any]:
-        found = RECORDS[name]["results"][0]["gaits"]
-        return {gait["scenario"]: gait["figures"] for gait in found if gait["agent"] == "greedy"}
-
-    here, there = gaits("h200_walk_8_seeds.json"), gaits("cpu_2_cores_walk_mujoco.json")
-    slow = [here[f"forward {speed}"] for speed in (0.15, 0.3, 0.5)]
-    fast, stand, sudden = here["forward 0.8"], here["stand"], here["sudden turn"]
-    straight = [here[name] for name in here if name.startswith("forward")]
-    turns = [here[name] for name in here if name.startswith("turn")]
-
-    def span(figures: list[Any], name: str, which: str = "median") -> list[float]:
-        values = [figure[name][which] for figure in figures]
-        return [min(values), max(values)]
-
-    training = RECORDS["h200_walk_8_seeds.json"]["training"]
-    seeds = [seed[0] for seed in sudden["turn_success"]["seeds"]]
-    lowest = min(figure["success"]["worst"] for figure in there.values())
-    expected = {
-        "within 5 minutes": [training["command_s"] / 60],
-        "98 % of rollouts": [0.8, 100 * fast["success"]["worst"]],
-        "mean speed error": [*span(slow, "speed_error"), 0.5, fast["speed_error"]["median"], 0.8],
-        "heading within": span(straight, "heading_error"),
-        "slip at most": [x for f, v in zip(slow, (0.15, 0.3, 0.5), strict=True) for x in (f["slip"]["median"], v)],
-        "never both feet": [
-            100 * span(slow, "flight", "worst")[1],
-            *(100 * x for x in span(slow, "duty_asymmetry")),
-            100 * span(slow, "duty_asymmetry", "worst")[1],
-        ],
-        "turn rates": [span(turns, "turn_error")[1], span(turns, "turn_error", "worst")[1]],
-        "standing still": [100 * stand["drift"]["median"], 100 * stand["drift"]["worst"]],
-        "45 degrees": [100 * sudden["turn_success"]["median"], 100 * min(seeds), 100 * max(seeds)],
-        "in native MuJoCo": [100 * min(f["success"]["median"] for f in there.values()), 100 * lowest],
-    }
-    assert all(gait["success"]["worst"] == 1.0 for gait in (stand, sudden, *slow))
-    assert max(gait["flight"]["median"] for gait in slow) < 0.0005
-    page = (ROOT / "docs" / "walking.md").read_text(encoding="utf-8")
-    (rows,) = (rows for rows in tables(page) if rows[0][1] == "reached")
-    assert len(rows) == 1 + len(expected)
-    for row in rows[1:]:
-        (wanted,) = (values for start, values in expected.items() if row[0].startswith(start))
-        printed = re.findall(NUMBER, row[1])[: len(wanted)]
-        claims = [Claim("walking.md", row[0], text, value) for text, value in zip(printed, wanted, strict=True)]
-        assert not [claim for claim in claims if not claim.holds], row
 
 
 def test_pages_but_the_readme_print_no_speed():

@@ -1,0 +1,71 @@
+# pyright: reportAttributeAccessIssue=false
+"""The clock of a gait, and its open-loop steps by MuJoCo's forward kinematics."""
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from humanoid_mjx import make_task
+from humanoid_mjx.robot.lower_body import SIDES
+from humanoid_mjx.tasks.legged.body import POSTURE
+from humanoid_mjx.tasks.legged.gait import Gait
+
+STAND, ON_THE_SPOT = jnp.zeros(3), jnp.array([1e-6, 0.0, 0.0])
+
+
+def test_the_clock_turns_while_the_body_is_to_move():
+    gait = Gait(period=0.4, stance=0.75, lift=10.0, sway=4.0)
+    phases = jnp.linspace(0.0, 1.0, 401)[:-1]
+    swing = np.asarray(jax.vmap(gait.swing)(phases))
+    np.testing.assert_allclose((swing > 1e-6).mean(axis=0), 0.25, atol=0.01)
+    np.testing.assert_allclose(swing[:, 0], np.roll(swing[:, 1], 200), atol=1e-5)
+    assert not (swing > 1e-6).all(axis=1).any() and swing.max() == pytest.approx(1.0, abs=1e-3)
+    assert gait.after(0.9, ON_THE_SPOT, 0.08) == pytest.approx(0.1, abs=1e-6)
+    assert gait.after(0.9, STAND, 0.08) == 0.0 and not np.any(gait.reference(0.3, STAND))
+    assert gait.lasting(jnp.array([0.6, -0.8, 0.5])) == pytest.approx(0.4 / 1.5)
+    motion = np.degrees(jax.vmap(lambda phase: gait.reference(phase, ON_THE_SPOT))(phases)).reshape(-1, 2, 5)
+    pitch, yaw, roll, knee, ankle = motion.transpose(2, 0, 1)
+    np.testing.assert_allclose(ankle, pitch - knee, atol=1e-5)
+    np.testing.assert_allclose(knee.max(axis=0), 20.0, atol=0.01)
+    np.testing.assert_allclose(roll[:, 0], -roll[:, 1], atol=1e-5)
+    np.testing.assert_allclose(yaw, 0.0, atol=1e-3)
+
+
+def feet_by(gait, phase, command):
+    """Positions and rotations of the feet by MuJoCo's forward kinematics, under a torso that does not move."""
+    data = mujoco.MjData(make_task("walk").simulator.model)
+    data.qpos[:] = [0, 0, 0.5, 1, 0, 0, 0, *(POSTURE + np.asarray(gait.reference(phase, jnp.array(command))))]
+    mujoco.mj_kinematics(data.model, data)
+    return [np.array([getattr(data.body(f"{side}_foot"), name) for side in SIDES]) for name in ("xpos", "xmat")]
+
+
+@pytest.mark.parametrize("phase", [0.1, 0.2, 0.6])
+def test_a_lifted_foot_stays_level(phase):
+    _, rotation = feet_by(Gait(lift=12.0, sway=0.0), phase, (0.3, 0.0, 0.0))
+    np.testing.assert_allclose(rotation, np.tile(np.eye(3).ravel(), (2, 1)), atol=1e-6)  # the reference is float32
+
+
+@pytest.mark.parametrize(
+    "command", [(0.3, 0.0, 0.0), (-0.2, 0.0, 0.0), (0.0, 0.15, 0.0), (0.0, 0.0, 1.0), (0.2, 0.1, 0.5)]
+)
+def test_a_standing_foot_goes_back_as_the_ground_does(command):
+    """In mid-stance, and there and back in one period; the ground turns, too, under a body that does."""
+    gait, seconds = Gait(), 1e-2
+    period = float(gait.lasting(jnp.array(command)))
+    for foot, middle in enumerate((0.69, 0.19)):
+        (before, turned_before), (after, turned_after) = (
+            [part[foot] for part in feet_by(gait, middle + side * seconds / period / 2, command)] for side in (-1, 1)
+        )
+        place = (before + after) / 2
+        ground = -np.array([command[0] - command[2] * place[1], command[1] + command[2] * place[0]])
+        # Legs are links that turn, so their feet's ways bend, and headings turn about leaning axes: a step of 10 ms
+        # averages over some of it, 3 % of the fastest command.
+        np.testing.assert_allclose((after - before)[:2] / seconds, ground, atol=0.01)
+        turn = (turned_after.reshape(3, 3) @ turned_before.reshape(3, 3).T)[1, 0] / seconds
+        assert turn == pytest.approx(-command[2], abs=0.03)
+    ways = np.array([feet_by(gait, phase, command)[0] for phase in np.linspace(0.0, 1.0, 41)])
+    # A cubic comes back: no jump from the last to the first, and none on the way.
+    np.testing.assert_allclose(ways[0], ways[-1], atol=1e-6)
+    assert np.abs(np.diff(ways, axis=0)).max() < 0.03

@@ -1,0 +1,50 @@
+"""The goals of docs/walking.md stand beside what the records say."""
+
+import re
+from typing import Any
+
+from text_claims import NUMBER, RECORDS, ROOT, Claim, greedy_gaits, tables
+
+
+def test_walkings_goals_stand_beside_what_the_records_say():
+    """Each row of the page's table, by the record's medians over seeds and the worst of them."""
+    here = greedy_gaits(RECORDS["h200_walk_8_seeds.json"])
+    there = greedy_gaits(RECORDS["cpu_2_cores_walk_mujoco.json"])
+    slow = [here[f"forward {speed}"] for speed in (0.15, 0.3, 0.5)]
+    fast, stand, sudden = here["forward 0.8"], here["stand"], here["sudden turn"]
+    straight = [here[name] for name in here if name.startswith("forward")]
+    turns = [here[name] for name in here if name.startswith("turn")]
+
+    def span(figures: list[Any], name: str, which: str = "median") -> list[float]:
+        values = [figure[name][which] for figure in figures]
+        return [min(values), max(values)]
+
+    training = RECORDS["h200_walk_8_seeds.json"]["training"]
+    seeds = [seed[0] for seed in sudden["turn_success"]["seeds"]]
+    lowest = min(figure["success"]["worst"] for figure in there.values())
+    expected = {
+        "within 5 minutes": [training["command_s"] / 60],
+        "98 % of rollouts": [0.8, 100 * fast["success"]["worst"]],
+        "mean speed error": [*span(slow, "speed_error"), 0.5, fast["speed_error"]["median"], 0.8],
+        "heading within": span(straight, "heading_error"),
+        "slip at most": [x for f, v in zip(slow, (0.15, 0.3, 0.5), strict=True) for x in (f["slip"]["median"], v)],
+        "never both feet": [
+            100 * span(slow, "flight", "worst")[1],
+            *(100 * x for x in span(slow, "duty_asymmetry")),
+            100 * span(slow, "duty_asymmetry", "worst")[1],
+        ],
+        "turn rates": [span(turns, "turn_error")[1], span(turns, "turn_error", "worst")[1]],
+        "standing still": [100 * stand["drift"]["median"], 100 * stand["drift"]["worst"]],
+        "45 degrees": [100 * sudden["turn_success"]["median"], 100 * min(seeds), 100 * max(seeds)],
+        "in native MuJoCo": [100 * min(f["success"]["median"] for f in there.values()), 100 * lowest],
+    }
+    assert all(gait["success"]["worst"] == 1.0 for gait in (stand, sudden, *slow))
+    assert max(gait["flight"]["median"] for gait in slow) < 0.0005
+    page = (ROOT / "docs" / "walking.md").read_text(encoding="utf-8")
+    (rows,) = (rows for rows in tables(page) if rows[0][1] == "reached")
+    assert len(rows) == 1 + len(expected)
+    for row in rows[1:]:
+        (wanted,) = (values for start, values in expected.items() if row[0].startswith(start))
+        printed = re.findall(NUMBER, row[1])[: len(wanted)]
+        claims = [Claim("walking.md", row[0], text, value) for text, value in zip(printed, wanted, strict=True)]
+        assert not [claim for claim in claims if not claim.holds], row
