@@ -16,7 +16,7 @@ from humanoid_mjx.robot import lower_body as robot
 from humanoid_mjx.robot.ranges import TORQUE_LIMIT
 from humanoid_mjx.thesis import leg as thesis
 
-PERIODS = np.linspace(0.1, 1.5, 141)
+PERIODS = np.linspace(0.1, 1.6, 151)
 
 
 def draw_stances(path: Path, columns: Mapping[str, Column]) -> None:
@@ -74,7 +74,8 @@ def _rocking(panel: Any, body: Body, joints: np.ndarray, clock: Mapping[str, flo
     panel.plot(PERIODS, np.degrees([way.tilt for way in ways]), color=COLORS[2])
     panel.plot(PERIODS, hikes, color=COLORS[3])
     panel.text(0.99, 4.2, "tilt of the soles,\nif it rocks stiffly", color=COLORS[2], fontsize=8, va="top")
-    panel.text(0.48, 17.0, "hike of the free hip,\nif the soles stay flat", color=COLORS[3], fontsize=8, ha="right")
+    hike = "hike of the free hip,\nif the soles stay flat"
+    panel.text(period - 0.02, 17.0, hike, color=COLORS[3], fontsize=8, ha="right")
     panel.axvline(period, color="0.4", linewidth=0.8)
     panel.text(period - 0.01, 29.0, f"gait of `walk`: {period:g} s", fontsize=8, va="top", ha="right")
     panel.axvspan(end, PERIODS[-1], color="0.92", linewidth=0)
@@ -123,4 +124,4 @@ def _torques(panel: Any, rows: Mapping[str, np.ndarray]) -> None:
     panel.grid(False, axis="x")
     panel.set_ylabel("largest torque of a leg that ..., N m")
     panel.set_title("Are the motors strong enough?")
-    panel.legend(frameon=False, fontsize=7, loc=(0.4, 0.5))
+    panel.legend(frameon=False, fontsize=7, loc=(0.4, 0.56))
