@@ -77,7 +77,7 @@ def _rocking(panel: Any, body: Body, joints: np.ndarray, clock: Mapping[str, flo
     hike = "hike of the free hip,\nif the soles stay flat"
     panel.text(period - 0.02, 17.0, hike, color=COLORS[3], fontsize=8, ha="right")
     panel.axvline(period, color="0.4", linewidth=0.8)
-    panel.text(period - 0.01, 29.0, f"gait of `walk`: {period:g} s", fontsize=8, va="top", ha="right")
+    panel.text(period - 0.02, 29.0, f"gait of `walk`:\n{period:g} s", fontsize=8, va="top", ha="right")
     panel.axvspan(end, PERIODS[-1], color="0.92", linewidth=0)
     panel.text(
         end + 0.01,
