@@ -10,7 +10,7 @@ import subprocess
 import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, get_args
+from typing import Annotated, Any, get_args, get_origin
 
 DOCS = Path(__file__).parent
 ROOT = DOCS.parent
@@ -37,6 +37,7 @@ def keys_page() -> str:
     from humanoid_mjx.spec import find
     from humanoid_mjx.tasks import TASKS
     from humanoid_mjx.tasks.base import Task
+    from humanoid_mjx.tasks.legged.gait import GAITS, Gait
 
     parts = [KEYS_HEAD, _top_level(Config)]
     for kind, registry, base in (("task", TASKS, Task), ("learner", LEARNERS, Learner)):
@@ -45,10 +46,13 @@ def keys_page() -> str:
             cls = find(kind, registry, base, name)
             keys = [*keys_of(cls, kind), *_off_by_default(cls, kind)]
             parts.append(f"### {name} {{ #{kind}-{name} }}\n\n{_first_sentence(cls)}\n\n{_table(keys)}")
-    parts.append("## Control laws\n\nA task of a robot takes each of them by its name: `control: {name: pd}`.\n")
-    for name in LAWS:
-        cls = find("control", LAWS, Law, name)
-        parts.append(f"### {name} {{ #control-{name} }}\n\n{_first_sentence(cls)}\n\n{_table(keys_of(cls, 'control'))}")
+    laws = "## Control laws\n\nA task of a robot takes each of them by its name: `control: {name: pd}`.\n"
+    gaits = "## Gaits\n\n`walk` takes each of them by its name: `gait: {name: clock}`.\n"
+    for kind, heading, registry, base in (("control", laws, LAWS, Law), ("gait", gaits, GAITS, Gait)):
+        parts.append(heading)
+        for name in registry:
+            cls = find(kind, registry, base, name)
+            parts.append(f"### {name} {{ #{kind}-{name} }}\n\n{_first_sentence(cls)}\n\n{_table(keys_of(cls, kind))}")
     return "\n".join(parts)
 
 
@@ -88,6 +92,7 @@ def _off_by_default(cls: Any, prefix: str) -> Iterator[Any]:
     for name, field in cls.model_fields.items():
         if field.default is None and not field.exclude:
             for kind in get_args(field.annotation):
+                kind = get_args(kind)[0] if get_origin(kind) is Annotated else kind
                 if isinstance(kind, type) and issubclass(kind, Spec):
                     yield from keys_of(kind, f"{prefix}.{name}")
 

@@ -1,7 +1,7 @@
 """The reference of keys: every value of a task or learner that a config may hold, read off its class."""
 
 from collections.abc import Iterator
-from typing import Any, Literal, NamedTuple, get_args, get_origin
+from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin
 
 from humanoid_mjx.spec import Spec, is_traced
 
@@ -56,6 +56,8 @@ def _allowed(field: Any) -> str:
 
 def _kinds(annotation: Any) -> list[str]:
     """What values a field takes, in words."""
+    if get_origin(annotation) is Annotated:
+        return _kinds(get_args(annotation)[0])
     if get_origin(annotation) is Literal:
         return [str(choice) for choice in get_args(annotation)]
     if get_origin(annotation) is tuple:

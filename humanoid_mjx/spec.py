@@ -109,6 +109,19 @@ def _completed(default: Spec, written: Any) -> Any:
     return values | written | {name: _completed(default, written[name]) for name, default in branches.items()}
 
 
+class Named(Spec):
+    """Base of Specs that a config chooses among by `name`: derive from it once for each kind of thing."""
+
+    name: str = ""
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _named_by_its_place(cls, data: Any) -> Any:
+        """A user's own is named by its import path, so that a stored config can be read again."""
+        unnamed = isinstance(data, dict) and not cls.model_fields["name"].default
+        return {"name": f"{cls.__module__}:{cls.__qualname__}"} | data if unnamed else data
+
+
 def make(kind: str, registry: Mapping[str, str], base: type[Any], name: str, /, **values: Any) -> Any:
     """Build the `kind` of thing called `name`: a name of the registry, or a user's own as "package.module:Class".
 
@@ -129,6 +142,27 @@ def make(kind: str, registry: Mapping[str, str], base: type[Any], name: str, /, 
         raise InputError(
             f"{kind}.name: {name!r} cannot be built: {type(error).__name__}: {error} ({place})."
         ) from error
+
+
+def make_named(kind: str, registry: Mapping[str, str], base: type[Any], name: str, /, **values: Any) -> Any:
+    """`make` for a kind whose base is a `Named`."""
+    return make(kind, registry, base, name, **values | ({} if name in registry else {"name": name}))
+
+
+def written(kind: str, registry: Mapping[str, str], base: type[Any]) -> pydantic.BeforeValidator:
+    """What makes a field take a `Named` of this kind as a config writes it: a name, or a name with values."""
+
+    def build(given: Any) -> Any:
+        if isinstance(given, str):
+            given = {"name": given}
+        if not isinstance(given, Mapping):
+            return given
+        values = dict(given)
+        if "name" not in values:
+            raise InputError(f"{kind}.name: this key is required")
+        return make_named(kind, registry, base, values.pop("name"), **values)
+
+    return pydantic.BeforeValidator(build)
 
 
 def find(kind: str, registry: Mapping[str, str], base: type[SomeSpec], name: str) -> type[SomeSpec]:

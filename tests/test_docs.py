@@ -25,6 +25,7 @@ from humanoid_mjx.robot.lower_body import JOINTS
 from humanoid_mjx.spec import InputError, find
 from humanoid_mjx.tasks import TASKS
 from humanoid_mjx.tasks.base import Task
+from humanoid_mjx.tasks.legged.gait import GAITS
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
@@ -131,10 +132,11 @@ def test_the_page_of_keys_has_them_all(name):
         assert f"| `{key.name}` | {f'`{key.default}`' if key.default else ''} | " in section
 
 
-def test_the_page_of_keys_has_what_is_off_by_default_and_every_law():
+def test_the_page_of_keys_has_what_is_off_by_default_every_law_and_every_gait():
     text = GENERATED["keys.md"]
     assert "`task.randomise.friction`" in text
     assert all(f"{{ #control-{name} }}" in text for name in LAWS)
+    assert all(f"{{ #gait-{name} }}" in text for name in GAITS)
 
 
 def test_errata_are_those_that_are_computed():

@@ -21,6 +21,7 @@ from humanoid_mjx.tasks.legged import LeggedTask, StandRewards, rewards
 from humanoid_mjx.tasks.legged.body import JOINTS
 from humanoid_mjx.tasks.legged.commands import LARGEST, Velocity
 from humanoid_mjx.tasks.legged.events import Randomise
+from humanoid_mjx.tasks.legged.gait import Clock
 from humanoid_mjx.tasks.legged.observations import OBSERVATIONS, Observed, swapped
 from humanoid_mjx.tasks.legged.view import unknown_feet
 from humanoid_mjx.thesis.leg import GRAVITY
@@ -106,11 +107,11 @@ def test_the_mirror_image_of_a_body_sees_the_mirror_image():
     kick = jnp.tile(jnp.array([0.2, 0.3, 0.0, 0.5, -0.4, 0.6]), (8, 1))
     world = state.data.world._replace(qvel=state.data.world.qvel.at[:, :6].set(kick))
     offsets = jax.random.uniform(KEYS[0], (8, JOINTS), minval=-0.3, maxval=0.3)
-    straight = state.data._replace(world=world, command=command, phase=phase)
+    straight = state.data._replace(world=world, command=command, clock=Clock(phase))
     image = straight._replace(
         world=mirror_image(world),
         command=command * jnp.array([1.0, -1.0, -1.0]),
-        phase=jnp.mod(phase + 0.5, 1.0),
+        clock=Clock(jnp.mod(phase + 0.5, 1.0)),
         readings=state.data.readings._replace(encoders=jax.vmap(swapped)(state.data.readings.encoders)),
         down=state.data.down * jnp.array([1.0, -1.0, 1.0]),
     )
@@ -162,9 +163,39 @@ def test_commands_keep_to_their_ranges_and_shares():
         assert (moving[:, part] == 0).mean() == pytest.approx(0.2, abs=0.03)
     fixed, _ = once(walk(command=AHEAD))
     np.testing.assert_allclose(fixed.data.command, np.tile([0.3, 0.0, 0.0], (8, 1)), atol=1e-7)
-    kept = jax.vmap(lambda key: command.following(jnp.full(3, 9.0), key, 0.02))(jax.random.split(KEYS[0], 4000))
+    kept, angles = followings(command)
     # A period of 0.02 s of 4 s.
-    assert (np.asarray(kept) != 9.0).all(axis=1).mean() == pytest.approx(0.005, abs=0.004)
+    assert (kept != 9.0).all(axis=1).mean() == pytest.approx(0.005, abs=0.004) and not angles.any()
+
+
+def followings(command):
+    """(4000, 3) and (4000,) What follows on a command of 9, 9, 9 within 0.02 s."""
+    keys = jax.random.split(KEYS[0], 4000)
+    kept, angles = jax.jit(jax.vmap(lambda key: command.following(jnp.full(3, 9.0), key, 0.02)))(keys)
+    return np.asarray(kept), np.asarray(angles)
+
+
+def test_a_sudden_turn_is_a_new_command_straight_ahead_and_an_error_of_the_heading():
+    command = Velocity(every=0.02, sudden=0.25, angle=(30.0, 60.0), standing=0.1, zero=0.0)
+    told, angles = followings(command)
+    sudden = angles != 0
+    # A tenth of the commands is to stand, and no body that stands turns. 4000 draws are off by 0.007.
+    assert sudden.mean() == pytest.approx(0.25 * 0.9, abs=0.03)
+    assert np.radians(30.0) <= angles[sudden].min() < angles[sudden].max() <= np.radians(60.0)
+    assert not told[sudden, 2].any() and told[sudden, 0].all() and (told[~sudden, 2] != 0).mean() > 0.8
+    task = walk(command={"heading_gain": 4.0, "every": 1e9}, **EXACT)
+    episode = jax.tree.map(lambda x: x[0], reset(arrays(task), KEYS)).data
+    ahead, down = jnp.array([0.3, 0.0, 0.0]), jnp.array([0.0, 0.0, -1.0])
+    readings = episode.readings._replace(gyroscope=jnp.array([0.0, 0.0, 1.0]))
+    episode = episode._replace(command=ahead, down=down, readings=readings, heading_error=jnp.float32(0.0))
+    rates = []
+    for decision in range(60):  # a body that turns by 1 rad/s until it is there
+        turning = readings if episode.heading_error > 0 else readings._replace(gyroscope=jnp.zeros(3))
+        episode = episode._replace(readings=turning).under(ahead, 0.02, np.radians(45.0) if decision == 0 else 0.0)
+        rates.append(float(task.followed(episode)[2]))
+    # It is told to turn as quickly as an error may make it, and in the last quarter of a radian less and less.
+    assert rates[0] == rates[20] == 1.0 and 0.0 < rates[35] < 1.0
+    assert abs(episode.heading_error) <= 0.02 + 1e-6 and abs(rates[-1]) <= 0.08 + 1e-6
 
 
 def test_a_changed_world_is_asked_for_by_name():
@@ -198,7 +229,7 @@ def test_rewards_of_feet_are_of_those_that_touch():
     )
     upright = jnp.array([0.0, 0.0, 0.21, 1.0, 0.0, 0.0, 0.0, *np.zeros(10)])
     data = state.data._replace(world=state.data.world._replace(qpos=upright), command=jnp.array([0.3, 0.0, 0.0]))
-    view = task.view(data._replace(phase=jnp.float32(0.2)), None, jnp.zeros(JOINTS))._replace(feet=feet)
+    view = task.view(data._replace(clock=Clock(jnp.float32(0.2))), None, jnp.zeros(JOINTS))._replace(feet=feet)
     assert view.swing[0] == pytest.approx(1.0, abs=0.01) and view.swing[1] == 0.0
     on_left = feet._replace(corner_force=jnp.array([[0.0] * 4, [4.0] * 4]))
     assert rewards.schedule(view._replace(feet=on_left)) == 1.0 and rewards.schedule(view) == 0.5

@@ -13,7 +13,6 @@ plant's mass is a value of the physics, and the two may differ.
 with kp = natural_frequency^2 and kd = damping_ratio 2 natural_frequency (5.33, 5.34).
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any, Literal, TypeAlias
@@ -25,7 +24,7 @@ import pydantic
 from humanoid_mjx.control.gains import critical_kd
 from humanoid_mjx.control.ground import SERVO_KD, SERVO_KP, SHARE, GroundControl, grounded_torque
 from humanoid_mjx.control.pd import PD, Joints, Reference, pd, servo
-from humanoid_mjx.spec import InputError, Spec, make, traced
+from humanoid_mjx.spec import Named, make_named, traced, written
 from humanoid_mjx.types import FloatScalar
 
 RobotState: TypeAlias = Any
@@ -33,17 +32,8 @@ RobotState: TypeAlias = Any
 `physics.base.Stages` has them."""
 
 
-class Law(Spec):
+class Law(Named):
     """Base of control laws: derive from it, declare gains with `traced`, implement `__call__`."""
-
-    name: str = ""
-
-    @pydantic.model_validator(mode="before")
-    @classmethod
-    def _named_by_its_place(cls, data: Any) -> Any:
-        """A user's own law is named by its import path, so that a stored config can be read again."""
-        unnamed = isinstance(data, dict) and not cls.model_fields["name"].default
-        return {"name": f"{cls.__module__}:{cls.__qualname__}"} | data if unnamed else data
 
     def __call__(self, reference: Reference, state: RobotState) -> Joints:
         """The torque of each joint, N m, before the motors' limit."""
@@ -156,20 +146,8 @@ def make_law(name: str, /, **params: Any) -> Any:
     Raises:
       InputError: unknown name or parameter, or a value out of range, in one sentence.
     """
-    return make("control", LAWS, Law, name, **params | ({} if name in LAWS else {"name": name}))
+    return make_named("control", LAWS, Law, name, **params)
 
 
-def _built(written: Any) -> Any:
-    """The law that a config writes as a name, or as a name with gains."""
-    if isinstance(written, str):
-        return make_law(written)
-    if not isinstance(written, Mapping):
-        return written
-    gains = dict(written)
-    if "name" not in gains:
-        raise InputError("control.name: this key is required")
-    return make_law(gains.pop("name"), **gains)
-
-
-Control = Annotated[pydantic.SerializeAsAny[Law], pydantic.BeforeValidator(_built)]
+Control = Annotated[pydantic.SerializeAsAny[Law], written("control", LAWS, Law)]
 """The type of a task's field `control`."""

@@ -10,7 +10,10 @@ from humanoid_mjx.types import BoolScalar, FloatScalar
 Range = tuple[float, float]
 
 LARGEST = 0.5
-"""Error of the heading beyond which none is kept, rad: a body that cannot follow has no turns to make up for later."""
+"""Error of the heading that can add up, rad: a body that cannot follow has no turns to make up for later."""
+
+QUICKEST = 1.0
+"""What an error of the heading changes the turn rate by at most, rad/s."""
 
 
 def moves(command: Float[Array, "3"]) -> BoolScalar:
@@ -19,7 +22,7 @@ def moves(command: Float[Array, "3"]) -> BoolScalar:
 
 
 class Velocity(Spec):
-    """A velocity and a turn rate, uniform in ranges, drawn anew from time to time.
+    """A velocity and a turn rate, or a heading to turn to at once, uniform in ranges, drawn anew from time to time.
 
     Each part of a command is 0 in a share of the cases, and all of it in another. A range of one value is that value:
     `forward: [0.3, 0.3]`.
@@ -31,6 +34,8 @@ class Velocity(Spec):
     standing: float = traced(0.1, ge=0, le=1, description="share of commands to stand still")
     zero: float = traced(0.2, ge=0, le=1, description="share of commands in which a part is 0, for each alone")
     every: float = traced(4.0, gt=0, description="s between commands, on average")
+    sudden: float = traced(0.0, ge=0, le=1, description="share of commands to turn by an angle at once, on the way")
+    angle: Range = traced((-60.0, 60.0), strict=False, description="of sudden turns, degrees, to the left")
     heading_gain: float = traced(0.0, ge=0, le=20, description="turn rate for an error of the heading, 1/s")
 
     def draw(self, key: Key[Array, ""]) -> Float[Array, "3"]:
@@ -41,14 +46,25 @@ class Velocity(Spec):
         command = jnp.where(jax.random.uniform(part_key, (3,)) < self.zero, 0.0, command)
         return jnp.where(jax.random.uniform(stand_key) < self.standing, 0.0, command)
 
-    def following(self, command: Float[Array, "3"], key: Key[Array, ""], period: FloatScalar) -> Float[Array, "3"]:
-        """The command after `period` seconds: mostly the same."""
+    def following(
+        self, command: Float[Array, "3"], key: Key[Array, ""], period: FloatScalar
+    ) -> tuple[Float[Array, "3"], FloatScalar]:
+        """The command after `period` seconds, mostly the same, and by how much the heading is to change at once, rad,
+        mostly 0."""
         when_key, key = jax.random.split(key)
-        return jnp.where(jax.random.uniform(when_key) < period / self.every, self.draw(key), command)
+        anew = jax.random.uniform(when_key) < period / self.every
+        sudden_key, angle_key = jax.random.split(jax.random.fold_in(key, 1))
+        sudden = jax.random.uniform(sudden_key) < self.sudden
+        drawn = self.draw(key)
+        ahead = drawn.at[2].set(0.0)
+        low, high = jnp.radians(jnp.stack([jnp.asarray(bound, float) for bound in self.angle]))
+        angle = low + (high - low) * jax.random.uniform(angle_key)
+        angle = jnp.where(anew & sudden & moves(ahead), angle, 0.0)
+        return jnp.where(anew, jnp.where(sudden, ahead, drawn), command), angle
 
     def held(self, command: Float[Array, "3"], heading_error: FloatScalar) -> Float[Array, "3"]:
         """The command with its turn rate corrected so that the heading does not drift; at rest nothing is."""
-        rate = command[2] + self.heading_gain * heading_error
+        rate = command[2] + jnp.clip(self.heading_gain * heading_error, -QUICKEST, QUICKEST)
         return jnp.where(moves(command), command.at[2].set(rate), command)
 
     @property

@@ -14,6 +14,7 @@ from humanoid_mjx.physics.base import Readings, World
 from humanoid_mjx.physics.sensors import Sensors, SensorState
 from humanoid_mjx.tasks.legged.body import Plant
 from humanoid_mjx.tasks.legged.commands import LARGEST, moves
+from humanoid_mjx.tasks.legged.gait import Clock
 from humanoid_mjx.thesis.leg import GRAVITY
 from humanoid_mjx.types import FloatScalar, IntScalar
 
@@ -73,10 +74,15 @@ class Episode(NamedTuple):
     strayed: Float[Array, "3"]
     """Velocity forward and to the left, m/s, and turn rate to the left, rad/s, less what the command was, as a running
     mean over `LATELY`; 0 in a task without commands."""
-    phase: FloatScalar
-    """Phase of the gait; 0 in a task without one."""
+    clock: Clock
+    """Where the gait is; at 0 in a task without one."""
     plant: Plant | None
     """Values of this episode's world under randomisation."""
+
+    @property
+    def phase(self) -> Float[Array, "*batch"]:
+        """Phase of the gait, 0 to 1."""
+        return jnp.asarray(self.clock.phase)
 
     def sense(self, sensors: Sensors, world: World, true: Readings, period: float, key: Key[Array, ""]) -> "Episode":
         """The episode in its new world, `period` seconds later, with the sensors' readings of it."""
@@ -94,14 +100,14 @@ class Episode(NamedTuple):
         error = jnp.append(self.motion.velocity[:2], self.motion.turn_rate) - command
         return self._replace(strayed=self.strayed + min(period / LATELY, 1.0) * (error - self.strayed))
 
-    def under(self, command: Float[Array, "3"], period: float) -> "Episode":
+    def under(self, command: Float[Array, "3"], period: float, angle: FloatScalar = 0.0) -> "Episode":
         """The episode with the command of the decision to come, `period` seconds after the last one.
 
         While the turn rate stays the same its heading is kept: that which the body has by its gyroscope against that
-        which the rate leads to. Another rate counts from where the body looks.
+        which the rate leads to. Another rate counts from where the body looks. `angle`, rad, is added at once.
         """
         turned = -period * (self.down @ self.readings.gyroscope)
-        error = self.heading_error + period * self.command[2] - turned
+        most = jnp.maximum(jnp.abs(self.heading_error), LARGEST)
+        error = jnp.clip(self.heading_error + period * self.command[2] - turned, -most, most)
         kept = (command[2] == self.command[2]) & moves(command)
-        error = jnp.where(kept, jnp.clip(error, -LARGEST, LARGEST), 0.0)
-        return self._replace(command=command, heading_error=error)
+        return self._replace(command=command, heading_error=jnp.where(kept, error, 0.0) + angle)

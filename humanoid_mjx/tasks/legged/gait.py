@@ -1,11 +1,14 @@
-"""The clock of a gait, and open-loop stepping as a motion for a learner to correct."""
+"""The clock of a gait, and open-loop steps as a motion for a learner to correct."""
+
+from typing import Annotated, Any, Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+import pydantic
 from jaxtyping import Array, Float
 
 from humanoid_mjx.robot.lower_body import HIP_OFFSET, SHANK_LENGTH, THIGH_LENGTH
-from humanoid_mjx.spec import Spec, traced
+from humanoid_mjx.spec import Named, traced, written
 from humanoid_mjx.tasks.legged.body import POSTURE
 from humanoid_mjx.tasks.legged.commands import moves
 from humanoid_mjx.types import FloatScalar
@@ -23,26 +26,35 @@ LEFTWARDS = np.array([-1.0, 1.0])
 """The sense in which the right and the left hip's yaw and roll turn a leg: positive is outwards on both sides."""
 
 
-class Gait(Spec):
+class Clock(NamedTuple):
+    """Where a gait is."""
+
+    phase: FloatScalar
+    """0 to 1"""
+    generator: Any = None
+    """What a gait of more than a clock remembers besides: any pytree."""
+
+
+class Gait(Named):
     """Both feet swing once in a period, the left half a period after the right one.
 
-    `reference` is a motion about the posture that steps as commanded; with `stride` 0 it steps on the spot, and with
-    `lift` and `sway` 0, too, there is none, and only the clock is left. Derive from it for another. The defaults are
-    for a learner to correct. Under a servo of 20 N m/rad and 0.45 N m s/rad a period of 0.32 s with a stance of 0.62, a
-    lift of 9 degrees and a sway of -2 steps and turns on the spot by itself, but falls when it is to go ahead. There
-    the hips roll against the shift of weight, which lags half a cycle behind them at this pace.
+    Base of gaits, and a gait itself, `clock`: it says when each foot is to swing, and leaves the motion to the learner.
+    Derive from it for a motion about the posture that the learner corrects: `reference`.
     """
 
+    name: str = "clock"
     period: float = traced(0.48, gt=0.05, le=5, description="s of a step with each foot, at slow speeds")
     cadence: float = traced(0.5, ge=0, le=10, description="by how much the clock runs faster for each m/s commanded")
     stance: float = traced(0.62, ge=0.5, lt=1, description="share of the period in which a foot is to stand")
-    lift: float = traced(12.0, ge=0, le=60, description="of the hip's pitch in mid-swing, degrees")
-    sway: float = traced(0.0, ge=-30, le=30, description="of the hips' roll towards the standing foot, degrees")
-    stride: float = traced(1.0, ge=0, le=3, description="share of the commanded motion that the legs sweep through")
 
-    def after(self, phase: FloatScalar, command: Float[Array, "3"], seconds: FloatScalar) -> FloatScalar:
-        """The phase, 0 to 1, so much later; it waits at 0 while the body stands."""
-        return jnp.where(moves(command), jnp.mod(phase + seconds / self.lasting(command), 1.0), 0.0)
+    def start(self, phase: FloatScalar) -> Clock:
+        """The gait at the beginning of an episode."""
+        return Clock(phase)
+
+    def after(self, clock: Clock, command: Float[Array, "3"], seconds: FloatScalar) -> Clock:
+        """The gait so much later; it waits at 0 while the body stands."""
+        later = jnp.mod(clock.phase + seconds / self.lasting(command), 1.0)
+        return Clock(jnp.where(moves(command), later, 0.0))
 
     def lasting(self, command: Float[Array, "3"]) -> FloatScalar:
         """The period under this command, s."""
@@ -53,6 +65,25 @@ class Gait(Spec):
         share = jnp.mod(phase - LEGS_APART, 1.0) / (1.0 - self.stance)
         return jnp.where(share < 1.0, jnp.sin(jnp.pi * jnp.minimum(share, 1.0)), 0.0)
 
+    def reference(self, clock: Clock, command: Float[Array, "3"]) -> Float[Array, " joints"]:
+        """The motion about the posture, rad; here none."""
+        return jnp.zeros(len(POSTURE))
+
+
+class Steps(Gait):
+    """Steps as commanded, for a learner to correct; with `stride` 0 on the spot.
+
+    Under a servo of 20 N m/rad and 0.45 N m s/rad a period of 0.32 s with a stance of 0.62, a lift of 9 degrees and a
+    sway of -2 steps and turns on the spot by itself, but falls when it is to go ahead. There the hips roll against the
+    shift of weight, which lags half a cycle behind them at this pace.
+    """
+
+    name: Literal["steps"] = "steps"
+    lift: float = traced(12.0, ge=0, le=60, description="of the hip's pitch in mid-swing, degrees")
+    sway: float = traced(0.0, ge=-30, le=30, description="of the hips' roll towards the standing foot, degrees")
+    stride: float = traced(1.0, ge=0, le=3, description="share of the commanded motion that the legs sweep through")
+    landing: float = traced(0.0, ge=0, le=3, description="how softly a foot leaves the ground and lands; 1: at rest")
+
     def sweep(self, phase: FloatScalar) -> Float[Array, "2"]:
         """Where each foot should be along its way, 1 in front to -1 behind: steadily back while it stands, and forth
         while it swings, as a cubic that leaves the ground and comes back to it as fast as that goes."""
@@ -62,12 +93,13 @@ class Gait(Spec):
         forth = -1.0 + u * (u * (6.0 - 4.0 * u) - slope * (1.0 - u) * (1.0 - 2.0 * u))
         return jnp.where(turn < swing, forth, 1.0 - 2.0 * (turn - swing) / self.stance)
 
-    def reference(self, phase: FloatScalar, command: Float[Array, "3"]) -> Float[Array, " joints"]:
+    def reference(self, clock: Clock, command: Float[Array, "3"]) -> Float[Array, " joints"]:
         """The motion about the posture, rad; 0 while the command is to stand.
 
         A foot that stands goes back as the ground does under a body that moves as commanded (velocity forward and to
         the left, m/s, and turn rate to the left, rad/s), times `stride`.
         """
+        phase = clock.phase
         way = self.sweep(phase) * self.lasting(command) * self.stance / 2
         forward, left, turn = self.stride * command
         pitch = jnp.arctan(way * (forward - turn * HIP_OFFSET * LEFTWARDS) / LEG_LENGTH)
@@ -77,5 +109,17 @@ class Gait(Spec):
         yaw, roll = cos * around - sin * aside, cos * aside + sin * around
         roll = roll - jnp.radians(self.sway) * jnp.sin(2 * jnp.pi * phase)
         swept = jnp.stack([pitch, yaw * LEFTWARDS, roll * LEFTWARDS, jnp.zeros(2), pitch], axis=-1)
-        lifted = jnp.radians(self.lift) * self.swing(phase)[:, None] * SHORTENED
+        lift = self.swing(phase) * jnp.maximum(self.swing(phase), 1e-6) ** self.landing
+        lifted = jnp.radians(self.lift) * lift[:, None] * SHORTENED
         return jnp.where(moves(command), (swept + lifted).reshape(-1), 0.0)
+
+
+GAITS = {
+    "clock": "humanoid_mjx.tasks.legged.gait:Gait",
+    "steps": "humanoid_mjx.tasks.legged.gait:Steps",
+    "table": "humanoid_mjx.tasks.legged.thesis_gaits:TableSteps",
+    "oscillators": "humanoid_mjx.tasks.legged.thesis_gaits:Oscillators",
+}
+
+Gaits = Annotated[pydantic.SerializeAsAny[Gait], written("gait", GAITS, Gait)]
+"""The type of a task's field `gait`: `gait: {name: table}`, or the name alone."""

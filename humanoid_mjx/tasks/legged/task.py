@@ -24,7 +24,7 @@ from humanoid_mjx.tasks.legged.body import JOINTS, LeggedBody
 from humanoid_mjx.tasks.legged.commands import Velocity, moves
 from humanoid_mjx.tasks.legged.episode import Episode, MeanMotion
 from humanoid_mjx.tasks.legged.events import Push, Randomise
-from humanoid_mjx.tasks.legged.gait import Gait
+from humanoid_mjx.tasks.legged.gait import Clock, Gaits
 from humanoid_mjx.tasks.legged.observations import PRIVILEGED, PROPRIOCEPTION, Observation, Observed, swapped
 from humanoid_mjx.tasks.legged.rewards import Rewards
 from humanoid_mjx.tasks.legged.terminations import Fall
@@ -46,7 +46,7 @@ class LeggedTask(LeggedBody):
     push: Push = Field(Push(), description="what disturbs the body")
     randomise: Randomise | None = Field(None, description="by how much worlds differ; none: all are as declared")
     command: Velocity | None = Field(None, description="what the body is told to do")
-    gait: Gait | None = Field(None, description="clock and open-loop steps")
+    gait: Gaits | None = Field(None, description="clock and open-loop steps")
     symmetric: bool = Field(False, description="show the gait's second half as the mirror image of its first")
     duration: float = traced(10.0, gt=0, le=1000, description="s of an episode")
 
@@ -85,7 +85,7 @@ class LeggedTask(LeggedBody):
             command=self.command.draw(command_key) if self.command else still,
             heading_error=jnp.float32(0),
             strayed=still,
-            phase=jax.random.uniform(phase_key) if self.gait else jnp.float32(0),
+            clock=self.gait.start(jax.random.uniform(phase_key)) if self.gait else Clock(jnp.float32(0)),
             plant=self.randomise.draw(self.plant, plant_key) if self.randomise else None,
         )
         view = self.view(episode, None, none)
@@ -164,7 +164,7 @@ class LeggedTask(LeggedBody):
 
     def reference(self, episode: Episode) -> Float[Array, " joints"] | float:
         """The motion about the posture that the offsets correct, rad."""
-        return self.gait.reference(episode.phase, self.followed(episode)) if self.gait else 0.0
+        return self.gait.reference(episode.clock, self.followed(episode)) if self.gait else 0.0
 
     def view(self, episode: Episode, sensed: Sensed | None, last_offsets: Float[Array, " joints"]) -> View:
         """The view that the parts of the task take; `sensed` is None at the beginning of an episode."""
@@ -201,9 +201,10 @@ class LeggedTask(LeggedBody):
     def _go_on(self, episode: Episode, key: Key[Array, ""]) -> Episode:
         """The gait's clock and the command of the decision to come."""
         if self.gait:
-            episode = episode._replace(phase=self.gait.after(episode.phase, episode.command, self.period))
+            episode = episode._replace(clock=self.gait.after(episode.clock, episode.command, self.period))
         if self.command:
-            episode = episode.under(self.command.following(episode.command, key, self.period), self.period)
+            command, angle = self.command.following(episode.command, key, self.period)
+            episode = episode.under(command, self.period, angle)
         return episode
 
 

@@ -1,8 +1,8 @@
 """Walk as commanded: forwards, sideways and round, from the readings of real sensors.
 
-The learner corrects open-loop steps (`gait`), which go where the command says but fall; with `gait: {stride: 0}` it
-corrects steps on the spot, and with `gait: {stride: 0, lift: 0}` it has to find its own. Each weight of the reward,
-each range of the commands and each value of the world can be set by its name.
+The learner corrects open-loop steps (`gait`), which go where the command says but fall. With `gait: {stride: 0}` it
+corrects steps on the spot, with `gait: table` or `gait: oscillators` the thesis's, and with `gait: clock` it has to
+find its own. Each weight of the reward, each range of the commands and each value of the world can be set by its name.
 """
 
 from typing import ClassVar
@@ -15,7 +15,7 @@ from humanoid_mjx.physics.sensors import Sensors
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.legged.commands import Velocity
 from humanoid_mjx.tasks.legged.events import Push
-from humanoid_mjx.tasks.legged.gait import Gait
+from humanoid_mjx.tasks.legged.gait import Gaits, Steps
 from humanoid_mjx.tasks.legged.observations import PRIVILEGED, PROPRIOCEPTION, Observation
 from humanoid_mjx.tasks.legged.rewards import WalkRewards
 from humanoid_mjx.tasks.legged.task import LeggedTask
@@ -60,7 +60,7 @@ class Walk(LeggedTask):
     )
     sensors: Sensors = Field(SENSORS, description="errors of the sensors")
     command: Velocity = Field(COMMAND, description="what the body is told to do")
-    gait: Gait = Field(Gait(), description="clock and open-loop steps")
+    gait: Gaits = Field(Steps(), description="clock and open-loop steps")
     rewards: WalkRewards = Field(WalkRewards(), description="weights of the reward's terms")
     push: Push = Field(Push(impulse=0.1, every=3.0), description="what disturbs the body")
     duration: float = traced(20.0, gt=0, le=1000, description="s of an episode")
