@@ -1,4 +1,4 @@
-"""Settings for all tests: two CPU devices, compiled programs kept between runs, types checked at every call."""
+"""Settings for all tests: two CPU devices, plain kernels, programs kept between runs, types checked at every call."""
 
 import gc
 import os
@@ -12,6 +12,9 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
 import jax
 import pytest
 from jaxtyping import install_import_hook
+
+# Before the hook: a program's hundred thousand sums and products of scalars would take twice as long to trace.
+import humanoid_mjx.mechanics.scalars  # noqa: F401
 
 install_import_hook("humanoid_mjx", "typecheck.check")
 
