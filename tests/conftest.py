@@ -1,4 +1,4 @@
-"""Settings for all tests: two CPU devices, compiled programs kept between runs, types checked at every call."""
+"""Settings for all tests: two CPU devices, plain kernels, programs kept between runs, types checked at every call."""
 
 import gc
 import os
@@ -13,25 +13,34 @@ import jax
 import pytest
 from jaxtyping import install_import_hook
 
+# Before the hook: a program's hundred thousand sums and products of scalars would take twice as long to trace.
+import humanoid_mjx.mechanics.scalars  # noqa: F401
+
 install_import_hook("humanoid_mjx", "typecheck.check")
 
 from humanoid_mjx import runtime  # noqa: E402
 
-DOUBLE = bool(os.environ.get("JAX_ENABLE_X64"))
-"""Whether jax computes in double precision, which the package never does by itself."""
-
 PLAIN_KERNELS = "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0"
-"""Kernels that run slower and that XLA compiles in a third of the time where programs are of chains, in two thirds
-where they are MJX's. Only for double precision: what is tested there is mathematics, and most of the time goes into
-compiling it."""
+"""Kernels that run slower and that XLA compiles in a third of the time, in which most of the time of tests goes. What
+is tested with them is what programs compute, not how XLA rounds it."""
 
-os.environ.setdefault("XLA_FLAGS", runtime.XLA_FLAGS)
-if DOUBLE:
-    os.environ["XLA_FLAGS"] += f" {PLAIN_KERNELS}"
+AS_SHIPPED = ("test_memory.py", "test_physics.py", "test_runtime.py", "test_sweep.py", "test_tree.py")
+"""Files with tests of the kernels that users have: that worlds, runs and devices change no bit of each other, how near
+single precision comes, what XLA makes of a program. They need a process of their own: test_as_shipped.py starts it."""
+
 os.environ.setdefault("PJRT_NPROC", runtime.POOL_THREADS)
 
-collect_ignore = [] if DOUBLE else ["float64"]
-"""Those need a process of their own: test_float64.py starts it."""
+collect_ignore: list[str] = []
+
+
+def pytest_configure(config):
+    """Choose the kernels, before a test module computes anything, and leave out what is not for them."""
+    double = bool(os.environ.get("JAX_ENABLE_X64"))
+    shipped = not double and any(Path(asked.partition("::")[0]).name in AS_SHIPPED for asked in config.args)
+    flags = runtime.XLA_FLAGS if shipped else f"{runtime.XLA_FLAGS} {PLAIN_KERNELS}"
+    os.environ.setdefault("XLA_FLAGS", flags)
+    collect_ignore.extend([] if double else ["float64"])
+    collect_ignore.extend([] if shipped else AS_SHIPPED)
 
 
 MAPPINGS = 15_000
@@ -50,5 +59,5 @@ def few_compiled_programs():
 
 
 def pytest_collection_modifyitems(items):
-    """The longest test first, so that it does not run alone at the end."""
-    items.sort(key=lambda item: "test_float64.py" not in item.nodeid)
+    """The longest first, so that they do not run alone at the end."""
+    items.sort(key=lambda item: not item.nodeid.startswith(("tests/test_as_shipped.py", "tests/test_float64.py")))

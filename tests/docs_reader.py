@@ -1,7 +1,5 @@
 """A reader of one page of the documentation, who types all that stands there: `python docs_reader.py PAGE`.
 
-With `--commands` behind it the Python of the page is not run.
-
 It works in the current folder, in a process of its own. Files that the page names are written there, Python is run, and
 commands are read as the command line reads them, without being carried out: their options, and the names of configs,
 policies, run folders, experiments and benchmarks must exist.
@@ -156,7 +154,15 @@ class Reader:
         assert physics is None or physics in PHYSICS, physics
 
 
-def read(page, run_python=True):
+def type_commands(markdown):
+    """Type the commands of a page, one after another."""
+    reader = Reader()
+    for words in commands(markdown):
+        print("$", shlex.join(words))
+        reader.type(words)
+
+
+def read(page):
     """Type all that stands on a page."""
     markdown = page.read_text(encoding="utf-8")
     found = blocks(markdown)
@@ -164,16 +170,13 @@ def read(page, run_python=True):
         if block.title:
             Path(block.title).write_text(block.text, encoding="utf-8")
     sys.path.insert(0, "")
-    reader = Reader()
-    for words in commands(markdown):
-        print("$", shlex.join(words))
-        reader.type(words)
+    type_commands(markdown)
     variables = {"__name__": "__main__"}
     for block in found:
-        if block.language == "python" and not block.title and run_python:
+        if block.language == "python" and not block.title:
             print(block.text)
             exec(compile(block.text, f"{page.name}, a block", "exec"), variables)
 
 
 if __name__ == "__main__":
-    read(Path(sys.argv[1]), run_python="--commands" not in sys.argv)
+    read(Path(sys.argv[1]))

@@ -14,8 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from docs_reader import Reader, commands
+from docs_reader import Reader, commands, type_commands
 
+from humanoid_mjx import runtime
 from humanoid_mjx.bench import BENCHES
 from humanoid_mjx.control.laws import LAWS
 from humanoid_mjx.keys import keys_of
@@ -50,11 +51,21 @@ TYPED = [name for name, text in TEXTS.items() if "```" in text or "`humanoid-mjx
 
 
 @pytest.mark.parametrize("name", TYPED)
-def test_what_a_reader_types_works(name, tmp_path):
+def test_what_a_reader_types_works(name, tmp_path, monkeypatch):
+    if "```python" in TEXTS[name] and name not in COMMANDS_ONLY:
+        in_a_process_of_its_own(PAGES[name], tmp_path)
+    else:
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setattr(runtime, "start", lambda: None)
+        type_commands(TEXTS[name])
+
+
+def in_a_process_of_its_own(page, folder):
+    """A reader's: with the page's Python, where nothing is imported yet."""
     script = ROOT / "tests" / "docs_reader.py"
     environment = os.environ | {"PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg"}
-    command = [sys.executable, str(script), str(PAGES[name]), *(["--commands"] if name in COMMANDS_ONLY else [])]
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    command = [sys.executable, str(script), str(page)]
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"{done.stdout[-2000:]}\n{done.stderr[-3000:]}"
 
 

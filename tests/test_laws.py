@@ -63,7 +63,8 @@ def test_the_model_may_weigh_other_than_the_plant(name):
     # Nothing of the chain resists its motion but its links, so that a model half as heavy asks for half.
     light = on_leg(make_law(name, mass=0.5, **({"share": 0.0} if name == "grounded" else {})))
     whole = on_leg(make_law(name, **({"share": 0.0} if name == "grounded" else {})))
-    np.testing.assert_allclose(light, 0.5 * whole, rtol=1e-3, atol=1e-6)
+    # Torques of up to 0.1 N m, of which the grounded law's elimination in float32 keeps three to four places.
+    np.testing.assert_allclose(light, 0.5 * whole, rtol=1e-3, atol=5e-5)
 
 
 def test_on_the_ground_the_model_is_a_body_of_its_mass():

@@ -1,5 +1,7 @@
 """The tree in single precision: against native MuJoCo, world by world, and what it refuses."""
 
+from functools import cache
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -30,18 +32,22 @@ def test_accelerations_agree_with_native():
     assert np.quantile(errors, 0.999) < 1e-4
 
 
-def motion(physics, name, steps):
-    """Joints of a servo's motion, and pushes: none, sideways, or none while the legs step."""
+MOTIONS = {"standing": ((0.0, 0.0, 0.0), 0.0), "pushed": ((0.6, 0.3, 0.0), 0.0), "stepping": ((0.0, 0.0, 0.0), 0.3)}
+"""The push, N, and how far the legs step, rad."""
 
-    def run(qpos, qvel):
-        one = physics.replace(push=(0.6, 0.3, 0.0)) if name == "pushed" else physics
 
-        def cycle(carry, index):
-            world = carry
+@cache
+def motion(physics, steps):
+    """Worlds after so many steps under a servo, while pushed and stepping: one program for all of `MOTIONS`."""
+
+    def run(push, lift, qpos, qvel):
+        one = physics.replace(push=push)
+
+        def cycle(world, index):
             time = index * physics.step_s
-            lift = 0.3 * jnp.maximum(jnp.sin(2.0 * jnp.pi * time / 0.5 + jnp.array([0.0, jnp.pi])), 0.0)
-            leg = jnp.array([1.0, 0.0, 0.0, 2.0, 1.0]) if name == "stepping" else jnp.zeros(5)
-            target = jnp.array([0.15, 0.0, 0.0, 0.3, 0.15] * 2) + (lift[:, None] * leg).reshape(10)
+            lifted = lift * jnp.maximum(jnp.sin(2.0 * jnp.pi * time / 0.5 + jnp.array([0.0, jnp.pi])), 0.0)
+            leg = jnp.array([1.0, 0.0, 0.0, 2.0, 1.0])
+            target = jnp.array([0.15, 0.0, 0.0, 0.3, 0.15] * 2) + (lifted[:, None] * leg).reshape(10)
             world, _ = one.step(world, lambda s: 6.0 * (target - s.qpos) - 0.2 * s.qvel)
             return world, None
 
@@ -49,17 +55,17 @@ def motion(physics, name, steps):
         return jax.lax.scan(cycle, world, jnp.arange(steps))[0]
 
     options = runtime.SHARED_KERNELS if physics is TREE else None
-    return jax.jit(jax.vmap(run), compiler_options=options)
+    return jax.jit(jax.vmap(run, in_axes=(None, None, 0, 0)), compiler_options=options)
 
 
-@pytest.mark.parametrize("name", ["standing", "pushed", "stepping"])
+@pytest.mark.parametrize("name", MOTIONS)
 def test_a_second_of_motion_agrees_with_native(name):
     rng = np.random.default_rng(8)
     qpos = np.tile(TREE.qpos0, (8, 1))
     qpos[:, 7:] += np.array([0.15, 0.0, 0.0, 0.3, 0.15] * 2) + rng.uniform(-0.02, 0.02, (8, 10))
     qpos[:, 2] -= 0.004
     qvel = 0.05 * rng.normal(size=(8, 16))
-    world, expected = (motion(physics, name, 250)(qpos, qvel) for physics in (TREE, NATIVE))
+    world, expected = (motion(physics, 250)(*MOTIONS[name], qpos, qvel) for physics in (TREE, NATIVE))
     assert not world.diverged.any()
     np.testing.assert_allclose(world.qpos, expected.qpos, atol=1e-3)
 

@@ -13,6 +13,7 @@ from humanoid_mjx.mechanics.tree.folding import fold
 from humanoid_mjx.mechanics.tree.reading import read_tree
 from humanoid_mjx.mechanics.tree.step import Values
 from humanoid_mjx.physics import make_physics
+from humanoid_mjx.physics.tree import TreePhysics
 from humanoid_mjx.robot.lower_body import lower_body_model
 
 ROBOTS = {
@@ -136,6 +137,37 @@ def mechanical(model, world):
         mujoco.mj_subtreeVel(model, data)
         found.append((data.energy.sum(), *(data.subtree_linvel[1] * model.body_subtreemass[1])))
     return np.array(found)
+
+
+class Hopper(TreePhysics):
+    """A smaller robot than the lower body."""
+
+    @property
+    def model(self):
+        return hopper()
+
+
+@cache
+def hopper():
+    return ROBOTS["hopper"]()
+
+
+def test_a_batch_of_batches_is_one_batch():
+    """Four worlds, each with robots of three masses: a world is shared by its robots, and the masses by all worlds, so
+    that neither has both axes by itself."""
+    robot, (qpos, qvel, _) = Hopper(), states(hopper(), 4, seed=7)
+    worlds, masses = start(robot, qpos, qvel), jnp.array([0.7, 1.0, 1.6])
+
+    def move(world, mass):
+        return robot.replace(mass=mass).step(world, lambda stages: 0.1 * stages.bias[-3:] - stages.qpos)
+
+    nested = jax.jit(jax.vmap(jax.vmap(move, in_axes=(None, 0)), in_axes=(0, None)))(worlds, masses)
+    copies = jax.tree.map(lambda x: jnp.repeat(x, len(masses), axis=0), worlds)
+    flat = jax.jit(jax.vmap(move))(copies, jnp.tile(masses, len(qpos)))
+    assert not flat[0].diverged.any() and np.ptp(nested[0].qvel, axis=1).max() > 1e-2, "masses matter"
+    for batch, one in zip(jax.tree.leaves(nested), jax.tree.leaves(flat), strict=True):
+        # Rounding, and what stiff contacts make of it.
+        np.testing.assert_allclose(batch.reshape(one.shape), one, rtol=1e-9, atol=1e-9)
 
 
 def test_momentum_in_flight(physics):

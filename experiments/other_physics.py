@@ -1,0 +1,67 @@
+"""Evaluate policies on every physics that their task offers: the one that they were trained on, and the others.
+
+    python experiments/other_physics.py        # writes docs/bench/cpu_2_cores_other_physics.json, in minutes
+    python experiments/other_physics.py --episodes 8 --out /tmp/found.json posture_switch
+
+A policy that ships is taken as it is; `leg_reach`, of which none does, is first trained as its config says.
+"""
+
+import argparse
+import json
+import sys
+import tempfile
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, get_args
+
+from humanoid_mjx import runtime
+from humanoid_mjx.config import load
+from humanoid_mjx.data import names
+from humanoid_mjx.training.evaluation import HELD_OUT_WORDS, evaluate_all
+from humanoid_mjx.training.policy import Trained, best_policy, find_policy, on_physics
+from humanoid_mjx.training.sweep import sweep
+
+RECORD = Path(__file__).parent.parent / "docs" / "bench" / "cpu_2_cores_other_physics.json"
+TASKS = ("posture_switch", "leg_reach", "stand")
+
+
+def policy_for(task: str) -> Trained:
+    """The policy that ships, or else the one that the config of this name trains."""
+    if task in names("policies", ".npz"):
+        return find_policy(task)
+    with tempfile.TemporaryDirectory() as folder:
+        return best_policy(sweep(load(task), Path(folder) / task).path)
+
+
+def on_each_physics(trained: Trained, episodes: int) -> list[dict[str, Any]]:
+    """What the policy, the zero and the random agent reach on each physics, that of the training first."""
+    task = trained.learner.task
+    own, offered = trained.config.task["physics"], get_args(type(task).model_fields["physics"].annotation)
+    found = []
+    for physics in (own, *(name for name in offered if name != own)):
+        place = {"policy": trained.config.name, "trained_on": own, "physics": physics}
+        if physics == "mjx-warp" and find_spec("warp") is None:
+            found.append(place | {"not_measured": "the package warp-lang is not installed"})
+            continue
+        evaluations = evaluate_all([on_physics(trained, physics)], episodes)
+        found.append(place | {"agents": {each.agent: each.as_json() for each in evaluations}})
+        print(f"{trained.config.name} on {physics}: {evaluations[0].success.value:.1%}", flush=True)
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("tasks", nargs="*", default=TASKS, help=f"some of {', '.join(TASKS)}")
+    parser.add_argument("--episodes", type=int, default=128, help="of each agent on each physics")
+    parser.add_argument("--out", type=Path, default=RECORD, help="the record")
+    asked = parser.parse_args()
+    runtime.start()
+    command = " ".join(["python", "experiments/other_physics.py", *sys.argv[1:]])
+    made_by = runtime.made_by() | {"command": command, "episodes": asked.episodes, "held_out": HELD_OUT_WORDS}
+    results = [row for task in asked.tasks for row in on_each_physics(policy_for(task), asked.episodes)]
+    asked.out.write_text(json.dumps(made_by | {"results": results}, indent=1) + "\n")
+    print(asked.out)
+
+
+if __name__ == "__main__":
+    main()
