@@ -4,11 +4,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 import typer
 from rich.table import Table
 
-from humanoid_mjx import runtime
+from humanoid_mjx import processes, runtime
 from humanoid_mjx.commands import console
 from humanoid_mjx.runs.folder import read_provenance
 from humanoid_mjx.training.progress import Bar
@@ -22,9 +23,13 @@ BEST_POINTS = 10
 def run_sweep(config: str, out: Path | None, overrides: Sequence[str], resume: bool, tensorboard: bool) -> None:
     """`humanoid-mjx sweep`."""
     runtime.start()
+    processes.join()
     from humanoid_mjx.report.figures import sweep_figures
     from humanoid_mjx.training.sweep import sweep
 
+    if jax.process_index():  # the first process speaks for all
+        sweep(config, out, resume=resume, overrides=overrides, tensorboard=tensorboard)
+        return
     with Bar(console) as bar:
         try:
             run = sweep(config, out, resume=resume, overrides=overrides, reporter=bar, tensorboard=tensorboard)
