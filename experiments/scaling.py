@@ -60,13 +60,16 @@ def rate(pool: Pool) -> float:
     before, began = pool.progress.sum(), time.monotonic()
     while time.monotonic() - began < ROUND_S:
         pool.train()
-    return float(pool.progress.sum() - before) * pool.group.learner().budget / (time.monotonic() - began)
+    return float((pool.progress.sum() - before) * pool.group.learner().budget / (time.monotonic() - began))
 
 
 def measure(name: str, seeds: int) -> list[Record]:
     """The rates of one device and of all, and the efficiency."""
-    devices = jax.local_devices()
-    pools = {1: pool_on(devices[:1], SWEEPS[name], seeds), len(devices): pool_on(devices, SWEEPS[name], seeds)}
+    devices, pools, compile_s = jax.local_devices(), {}, {}
+    for count in (1, len(devices)):
+        with runtime.counting_compiles() as compiles:
+            pools[count] = pool_on(devices[:count], SWEEPS[name], seeds)
+        compile_s[count] = round(compiles.seconds, 3)
     rounds = [{count: rate(pool) for count, pool in pools.items()} for _ in range(ROUNDS)]
 
     def record(subject: str, count: int, values: list[float], unit: str) -> Record:
@@ -77,7 +80,7 @@ def measure(name: str, seeds: int) -> list[Record]:
             batch=len(pools[count].slots),
             value=statistics.median(values),
             unit=unit,
-            compile_s=0.0,
+            compile_s=compile_s[count],
             repeats=ROUNDS,
             spread=spread(values),
         )
