@@ -11,6 +11,7 @@ import jax
 import numpy as np
 
 from humanoid_mjx import runtime
+from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.base import WholeRunLearner
 from humanoid_mjx.processes import Processes
 from humanoid_mjx.runs.folder import RunFolder, diverged_name, pools, read_arrays, read_provenance
@@ -65,15 +66,16 @@ class Session:
             return
         whole = isinstance(group.learners, WholeRunLearner)
         # Not the number still waiting: networks' sums depend on how many runs are side by side, also after a resume.
-        devices = jax.local_devices()[: 1 if whole else len(runs)]
-        size = 1 if whole else min(size, -(-len(runs) // len(devices)))
-        self.reporter.note(self._side_by_side(group, len(runs), size * len(devices)))
+        share = devices_of_a_run(group.learners, len(runs))
+        devices = jax.local_devices()[: 1 if whole else len(runs) * share]
+        size = 1 if whole else min(size, -(-len(runs) * share // len(devices)))
+        self.reporter.note(self._side_by_side(group, len(runs), size * len(devices) // share))
         with runtime.counting_compiles() as compiles:
             common = self.plan.config.seed, policies
             if whole:
                 pool = WholeRuns(group, waiting, devices[0], *common, self.stop)
             else:
-                pool = Pool(group, waiting, size, devices, *common)
+                pool = Pool(group, waiting, size, devices, *common, share)
             if self.events:
                 pool.looked = partial(self.events.look, pool)
             for path, arrays in self.interrupted:
@@ -226,3 +228,12 @@ def _only(runs: set[int], arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray
     """What a file of runs under way holds of some runs."""
     rows = np.isin(arrays["slots"], list(runs))
     return {name: array[rows] if array.ndim else array for name, array in arrays.items()}
+
+
+def devices_of_a_run(learners: Learner, runs: int) -> int:
+    """How many devices share the environments of each run: several where there are fewer runs than GPUs.
+
+    Cores of a CPU share a run's arrays as they are.
+    """
+    most = 1 if jax.default_backend() == "cpu" else jax.local_device_count() // runs
+    return next((share for share in range(most, 1, -1) if learners.can_split(share)), 1)
