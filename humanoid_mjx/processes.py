@@ -4,13 +4,14 @@ Each computes on its own devices. What they tell each other goes through the key
 is in process 0: no array crosses the network, so that it need not be fast, and NCCL need not work.
 """
 
-import atexit
 import itertools
 import json
 import os
+import sys
 import threading
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, TypeVar
 
 import jax
@@ -24,18 +25,37 @@ HEARTBEAT_S = 100
 WAIT_S = 30 * 24 * 3600
 """Seconds that processes wait for each other: as long as any job lasts. One that is lost ends the wait."""
 
+LEAVE_S = 60
+"""Seconds that process 0 waits at its end until the others have left."""
+
 T = TypeVar("T")
 
 
-def join() -> None:
-    """Become one of several processes where the environment says so. Must come before jax first computes.
+@contextmanager
+def joined() -> Iterator[int]:
+    """Be one of several processes, where the environment says so. Must begin before jax first computes.
 
-    It says so by `JAX_COORDINATOR_ADDRESS`, `JAX_NUM_PROCESSES` and `JAX_PROCESS_ID`, or where Slurm's `srun` has
-    started several tasks. A task that is alone on its node takes all devices there; of several each takes one, as is
-    jax's custom.
+    Yields the number of this process. At the end process 0 waits until the others have left, for `LEAVE_S` at most,
+    since its own end ends them at once. When it is told to stop it waits for nobody.
 
     Raises:
       InputError: the environment contradicts itself, or the other processes cannot be reached.
+    """
+    _join()
+    try:
+        yield jax.process_index()
+    finally:
+        told_to_stop = isinstance(sys.exception(), (KeyboardInterrupt, SystemExit))
+        if jax.process_index() == 0 and not told_to_stop:
+            _apart(lambda: [_lost([0, other]) for other in range(1, jax.process_count())], LEAVE_S)
+
+
+def _join() -> None:
+    """Start jax's distributed runtime where the environment asks for it.
+
+    It does so by `JAX_COORDINATOR_ADDRESS`, `JAX_NUM_PROCESSES` and `JAX_PROCESS_ID`, or where Slurm's `srun` has
+    started several tasks. A task that is alone on its node takes all devices there; of several each takes one, as is
+    jax's custom.
     """
     where: dict[str, Any]
     if "JAX_NUM_PROCESSES" in os.environ:
@@ -64,7 +84,6 @@ def join() -> None:
             jax.distributed.initialize(**where, heartbeat_timeout_seconds=HEARTBEAT_S)
         except RuntimeError as error:
             raise InputError(f"the {count} processes of this job cannot reach each other: {error}.") from error
-        atexit.register(_leave)
 
 
 class Processes:
@@ -128,32 +147,31 @@ class Processes:
         return [self._client.blocking_key_value_get(key, WAIT_S * 1000) for key in keys]
 
     def _meet(self, meetings: Sequence[Sequence[int]]) -> None:
-        """Meet groups of processes, one after another, in a thread of its own, so that Ctrl-C is heard."""
+        """Meet groups of processes, one after another."""
+        if self.count == 1:
+            return
         lost: set[int] = set()
-
-        def meet() -> None:
-            for members in meetings:
-                try:
-                    lost.update(set(members) - set(self._client.get_live_nodes(list(members))))
-                except RuntimeError:
-                    lost.add(0)  # which answers such calls
-
-        thread = threading.Thread(target=meet, daemon=True)
-        if self.count > 1:
-            thread.start()
-        while thread.is_alive():
-            thread.join(0.1)
+        _apart(lambda: [lost.update(_lost(members)) for members in meetings])
         if lost:
             numbers = " and ".join(map(str, sorted(lost)))
             raise InputError(f"process {numbers} of this job was lost; what is finished is stored, --resume goes on.")
 
 
-def _leave() -> None:
-    """Keep process 0, whose end ends all others at once, until they have left."""
-    if jax.process_index() == 0:
-        for other in range(1, jax.process_count()):
-            with suppress(RuntimeError):
-                _client().get_live_nodes([0, other])
+def _apart(call: Callable[[], Any], seconds: float = WAIT_S) -> None:
+    """Call what may wait in a thread of its own, so that Ctrl-C is heard, for so long at most."""
+    thread = threading.Thread(target=call, daemon=True)
+    thread.start()
+    until = time.monotonic() + seconds
+    while thread.is_alive() and time.monotonic() < until:
+        thread.join(0.1)
+
+
+def _lost(members: Sequence[int]) -> set[int]:
+    """Wait until each of some processes asks the same or is gone; those that are gone."""
+    try:
+        return set(members) - set(_client().get_live_nodes(list(members)))
+    except RuntimeError:
+        return {0}  # which answers such questions
 
 
 def _client() -> Any:

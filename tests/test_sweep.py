@@ -13,7 +13,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from humanoid_mjx import InputError, runtime, sweep
+from humanoid_mjx import InputError, processes, runtime, sweep
 from humanoid_mjx.cli import main
 from humanoid_mjx.runs.folder import RunFolder, read_arrays
 from humanoid_mjx.runs.folder import parts as parts_of
@@ -209,6 +209,33 @@ def test_number_of_processes_changes_no_bit(reference, tmp_path):
     parts = [read_arrays(path) for path in parts_of(tmp_path / "run")]
     shares = [set((part["point"] * 3 + part["seed"]) % 2) for part in parts]
     assert {0} in shares and {1} in shares
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"JAX_COORDINATOR_ADDRESS": "here:1"}, ["JAX_PROCESS_ID is not set"]),
+        ({"JAX_COORDINATOR_ADDRESS": "here:1", "JAX_PROCESS_ID": "one"}, ["whole numbers, got 2 and one"]),
+        ({"JAX_COORDINATOR_ADDRESS": "here:1", "JAX_PROCESS_ID": "2"}, ["JAX_PROCESS_ID at least 0 and less than"]),
+        ({"JAX_COORDINATOR_ADDRESS": "here", "JAX_PROCESS_ID": "1"}, ["JAX_COORDINATOR_ADDRESS must be HOST:PORT"]),
+    ],
+)
+def test_an_environment_that_contradicts_itself_is_refused(monkeypatch, given, words):
+    for name, value in ({"JAX_NUM_PROCESSES": "2"} | given).items():
+        monkeypatch.setenv(name, value)
+    with pytest.raises(InputError) as error, processes.joined():
+        pass
+    assert all(word in str(error.value) for word in words) and "\n" not in str(error.value)
+
+
+def test_what_process_0_refuses_all_refuse(reference, tmp_path):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "precious").write_text("data")
+    job = start_job(["sweep", write_config(tmp_path), "--out", "run"], tmp_path)
+    for process in job:
+        _, stderr = process.communicate(timeout=100)
+        assert process.returncode == 2 and "already exists; resume it with --resume" in stderr, stderr
+    assert [path.name for path in (tmp_path / "run").iterdir()] == ["precious"]
 
 
 @pytest.mark.parametrize("lost", [0, 1])

@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 import typer
 from rich.table import Table
@@ -23,19 +22,19 @@ BEST_POINTS = 10
 def run_sweep(config: str, out: Path | None, overrides: Sequence[str], resume: bool, tensorboard: bool) -> None:
     """`humanoid-mjx sweep`."""
     runtime.start()
-    processes.join()
     from humanoid_mjx.report.figures import sweep_figures
     from humanoid_mjx.training.sweep import sweep
 
-    if jax.process_index():  # the first process speaks for all
-        sweep(config, out, resume=resume, overrides=overrides, tensorboard=tensorboard)
-        return
     with Bar(console) as bar:
         try:
-            run = sweep(config, out, resume=resume, overrides=overrides, reporter=bar, tensorboard=tensorboard)
+            with processes.joined() as process:
+                reporter = None if process else bar  # the first process speaks for all
+                run = sweep(config, out, resume=resume, overrides=overrides, reporter=reporter, tensorboard=tensorboard)
         except KeyboardInterrupt:
             console.print("Stopped. What is finished is stored; the same command with --resume completes it.")
             raise typer.Exit(130) from None
+        if process:
+            return
         bar.phase("drawing figures")
         axes = list(run.config.sweep.axes) if run.config.sweep else []
         summary = run.summary
