@@ -1,6 +1,6 @@
 """Measure how training scales over the devices of this machine: all n of them with n times the work, against one.
 
-python experiments/scaling.py --json scaling.json     # two to three minutes on two GPUs
+python experiments/scaling.py --json scaling.json     # about two minutes on two GPUs
 
 A sweep has n times the runs; a single run has n times the environments, which the devices share. Efficiency is the rate
 of all devices over the rate of one, by their number; 1 is ideal. The two train in turn, round after round, by the same
@@ -42,7 +42,7 @@ NETWORKS = {
 SIZES = {"cpu": (32, 2, 512), "gpu": (4096, 32, 16_384)}
 """Work for each device, by backend, where one is well used: seeds of tables, seeds of networks, environments of one."""
 
-ROUNDS, ROUND_S = 5, 3.0
+ROUNDS, ROUND_S = 7, 1.5
 
 
 def tables(devices: Sequence[Device], seeds: int) -> Pool:

@@ -96,7 +96,11 @@ class ApproximateQ(StepLearner):
     def learn(
         self, rate: FloatScalar, value: Any, optimizer: Any, batch: "Batch", key: Key[Array, ""]
     ) -> tuple[Any, Any, FloatScalar]:
-        """Move the weights towards the targets: new weights, optimizer state, and the mean squared TD error."""
+        """Move the weights towards the targets: new weights, optimizer state, and the mean squared TD error.
+
+        Where devices share the environments, `batch` is this device's part of them; a class that then moves the weights
+        by the `mean` over the devices may say so in `can_split`.
+        """
         raise NotImplementedError
 
     def preprocess(self, weights: Weights, obs: Float[Array, "*batch size"]) -> Float[Array, "*batch size"]:
@@ -111,9 +115,6 @@ class ApproximateQ(StepLearner):
     def allowed(self, progress: FloatScalar = 1.0) -> Bool[Array, "joints choices"]:
         """The choices that exist and, where their number grows, are open already."""
         return exploration.opened(self.env.action_choices, progress if self.grow else None)
-
-    def can_split(self, devices: int) -> bool:
-        return self.envs % devices == 0
 
     def split_over(self, devices: int) -> Any:
         return self.replace(envs=self.envs // devices, devices=devices)

@@ -52,7 +52,7 @@ class DeepQ(ApproximateQ):
         return self
 
     def can_split(self, devices: int) -> bool:
-        return super().can_split(devices) and self.envs // devices * self.rollout % self.minibatches == 0
+        return self.envs % devices == 0 and self.envs // devices * self.rollout % self.minibatches == 0
 
     def network(self) -> QNetwork:
         return QNetwork(self.width, self.layers, len(self.env.action_choices), self.choices)

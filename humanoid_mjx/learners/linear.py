@@ -39,6 +39,9 @@ class LinearQ(ApproximateQ):
             raise ValueError("shared needs joints that have the same number of choices")
         return self
 
+    def can_split(self, devices: int) -> bool:
+        return self.envs % devices == 0
+
     @property
     def joints(self) -> int:
         return len(self.env.action_choices)

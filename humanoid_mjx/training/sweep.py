@@ -94,7 +94,8 @@ def sweep(
         place = Path(out or (latest_path if resume else fresh_path)(config.name))
         check_disk(place, plan, [slots(group, size) for group, size in zip(plan.groups, sizes, strict=True)])
         folder = (RunFolder.resume if resume else RunFolder.create)(place, resolved(config))
-        folder.share(processes.count)
+        if processes.count > 1:
+            folder.share(processes.count)
         return folder
 
     def join_folder(path: str) -> RunFolder:
