@@ -42,12 +42,12 @@ class Session:
         self, folder: RunFolder, plan: Plan, processes: Processes, reporter: Reporter, events: EventFiles | None
     ):
         self.folder, self.plan, self.processes, self.reporter, self.events = folder, plan, processes, reporter, events
-        mine = {run for group in plan.groups for run in processes.share(group.runs).tolist()}
+        self.mine = set(processes.share(np.concatenate([group.runs for group in plan.groups])).tolist())
         done = finished_runs(folder.path, ("point", "seed"))
         finished = set((done["point"] * plan.config.seeds + done["seed"]).tolist()) if done else set()
-        self.finished, self.waiting = finished & mine, mine - finished
+        self.finished, self.waiting = finished & self.mine, self.mine - finished
         self.interrupted = [(path, _only(self.waiting, read_arrays(path))) for path in pools(folder.path)]
-        self.reporter.begin(len(mine) * plan.budget, f"{plan.unit}s")
+        self.reporter.begin(len(self.mine) * plan.budget, f"{plan.unit}s")
         processes.meet()  # before anyone writes
         self.earlier = read_provenance(folder.path)
         self.began = self.tables_due = time.monotonic()
@@ -60,8 +60,8 @@ class Session:
     def train(self, index: int, size: int, policies: Any) -> None:
         """Train the runs of a group that are not finished yet, at most `size` at once on each device."""
         group = self.plan.groups[index]
-        runs = self.processes.share(group.runs)
-        waiting = deque(run for run in runs.tolist() if run in self.waiting)
+        runs = [run for run in group.runs.tolist() if run in self.mine]
+        waiting = deque(run for run in runs if run in self.waiting)
         if not waiting:
             return
         whole = isinstance(group.learners, WholeRunLearner)
