@@ -134,7 +134,10 @@ class Processes:
         self._meet([range(self.count)])
 
     def collect(self, name: str, word: str) -> list[str]:
-        """Let process 0 wait for all others, each of which waits for process 0 alone; the words that process 0 is left.
+        """Let process 0 wait for all others, each of which waits for process 0 alone.
+
+        Returns:
+          the word of each process; in others than process 0 nothing.
 
         Raises:
           InputError: a process is lost. Process 0 has waited for those that are not.

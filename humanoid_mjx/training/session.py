@@ -98,8 +98,8 @@ class Session:
             self.reporter.phase("waiting for the other processes")
             self.tables_are_old = True
         words = self.processes.collect("trained", str(self.speed.mean))
-        self.speed.elsewhere = sum(map(float, words)) - self.speed.mean
         if self.processes.index == 0:
+            self.speed.elsewhere = sum(map(float, words[1:]))
             for path in pools(self.folder.path):
                 path.unlink()
 
