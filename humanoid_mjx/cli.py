@@ -33,11 +33,20 @@ def sweep(
     tensorboard: Annotated[
         bool, typer.Option("--tensorboard", help="Write event files of TensorBoard into RUN/tensorboard meanwhile.")
     ] = False,
+    slurm: Annotated[
+        list[str] | None,
+        typer.Option(metavar="KEY=VALUE", help="Hand it to Slurm: partition=gpu, nodes=2, timeout_min=60, ..."),
+    ] = None,
 ) -> None:
     """Train every point of a sweep; write a run folder with tables and figures."""
-    from humanoid_mjx.commands.sweep import run_sweep
+    if slurm:
+        from humanoid_mjx.commands.slurm import submit_sweep
 
-    run_sweep(config, out, set_ or [], resume, tensorboard)
+        submit_sweep(config, out, set_ or [], resume, tensorboard, slurm)
+    else:
+        from humanoid_mjx.commands.sweep import run_sweep
+
+        run_sweep(config, out, set_ or [], resume, tensorboard)
 
 
 @app.command()

@@ -18,7 +18,7 @@ from humanoid_mjx.data import names
 
 ROOT = Path(__file__).parent.parent
 SHELL = {"bash", "sh"}
-OTHER_COMMANDS = {"python3", "python", "source", "pip", "pytest", "ruff", "pyright", "pre-commit"}
+OTHER_COMMANDS = {"python3", "python", "source", "pip", "pytest", "ruff", "pyright", "pre-commit", "srun"}
 
 
 class Block(NamedTuple):
@@ -75,7 +75,7 @@ class Reader:
                 raise AssertionError(f"{shlex.join(words)}: {error}") from error
             getattr(self, name)(**context.params)
 
-    def sweep(self, config, out, set_, resume, tensorboard):
+    def sweep(self, config, out, set_, resume, tensorboard, slurm):
         from humanoid_mjx.config import load
         from humanoid_mjx.training.plan import make_plan
 

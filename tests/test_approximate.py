@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from probes import DISCOUNT, PROBES, make, probe
 
-import humanoid_mjx.training.sweep as session
+import humanoid_mjx.training.session as session
 from humanoid_mjx import InputError, make_learner, make_task, rng, runtime, sweep
 from humanoid_mjx.learners import exploration
 from humanoid_mjx.learners.approximate import Batch

@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -12,9 +13,10 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from humanoid_mjx import InputError, runtime, sweep
+from humanoid_mjx import InputError, processes, runtime, sweep
 from humanoid_mjx.cli import main
 from humanoid_mjx.runs.folder import RunFolder, read_arrays
+from humanoid_mjx.runs.folder import parts as parts_of
 from humanoid_mjx.training import pool
 from humanoid_mjx.training.progress import Reporter
 
@@ -129,16 +131,34 @@ LONG = {
 
 KILLABLE = """
 import sys
-from humanoid_mjx.training import pool, sweep
-sweep.CHECKPOINT_EVERY_S, pool.HARVEST_SHARE, pool.HARVEST_AFTER_S = 0.2, 0.1, 0.5
+from humanoid_mjx import processes
+from humanoid_mjx.training import pool, session
+session.CHECKPOINT_EVERY_S, pool.HARVEST_SHARE, pool.HARVEST_AFTER_S = 0.2, 0.1, 0.5
+processes.HEARTBEAT_S = 10
 from humanoid_mjx.cli import main
 main()
 """
 
 
-def start(arguments, cwd):
+def start(arguments, cwd, **environment):
     command = [sys.executable, "-c", KILLABLE, *arguments]
-    return subprocess.Popen(command, cwd=cwd, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    return subprocess.Popen(command, cwd=cwd, env=os.environ | environment, **pipes)
+
+
+def start_job(arguments, cwd, count=2, slurm=False):
+    """So many processes that share a sweep, each with one device; `slurm`: told of each other as by its `srun`."""
+    with socket.socket() as free:
+        free.bind(("localhost", 0))
+        port = str(free.getsockname()[1])
+    if slurm:
+        job = {"SLURM_JOB_ID": "1", "SLURM_STEP_NODELIST": "localhost", "SLURM_STEP_NUM_NODES": str(count)}
+        job |= {"SLURM_NTASKS": str(count), "SLURM_LOCALID": "0", "JAX_COORDINATOR_PORT": port}
+    else:
+        job = {"JAX_COORDINATOR_ADDRESS": f"localhost:{port}", "JAX_NUM_PROCESSES": str(count)}
+    number = "SLURM_PROCID" if slurm else "JAX_PROCESS_ID"
+    job["JAX_NUM_CPU_DEVICES"] = "1"
+    return [start(arguments, cwd, **job, **{number: str(index)}) for index in range(count)]
 
 
 def wait_for(condition, process, seconds=120):
@@ -172,6 +192,72 @@ def test_an_interrupted_sweep_resumes_to_the_same_bits(whole, tmp_path, kill):
     assert 0 < found < 240
     resumed = run_cli("sweep", config, "--out", "run", "--resume", cwd=tmp_path)
     assert resumed.returncode == 0, resumed.stderr
+    for name in ("results.parquet", "summary.parquet"):
+        assert (run / name).read_bytes() == (whole / name).read_bytes()
+    assert not list(run.glob("checkpoint/pool-*.npz")) and not list(run.rglob(".new-*"))
+
+
+def test_number_of_processes_changes_no_bit(reference, tmp_path):
+    job = start_job(["sweep", write_config(tmp_path), "--out", "run"], tmp_path, slurm=True)
+    (stdout, stderr), (silence, other) = (process.communicate(timeout=300) for process in job)
+    assert [process.returncode for process in job] == [0, 0], stderr + other
+    assert "9 of 9 runs train side by side in process 0 of 2" in stdout and silence == ""
+    for name in ("results.parquet", "summary.parquet"):
+        assert (tmp_path / "run" / name).read_bytes() == (reference.path / name).read_bytes()
+    provenance = json.loads((tmp_path / "run/provenance.json").read_text())
+    assert provenance["processes"] == 2 and provenance["runs_finished"] == 18
+    parts = [read_arrays(path) for path in parts_of(tmp_path / "run")]
+    shares = [set((part["point"] * 3 + part["seed"]) % 2) for part in parts]
+    assert {0} in shares and {1} in shares
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"JAX_COORDINATOR_ADDRESS": "here:1"}, ["JAX_PROCESS_ID is not set"]),
+        ({"JAX_COORDINATOR_ADDRESS": "here:1", "JAX_PROCESS_ID": "one"}, ["whole numbers, got 2 and one"]),
+        ({"JAX_COORDINATOR_ADDRESS": "here:1", "JAX_PROCESS_ID": "2"}, ["JAX_PROCESS_ID at least 0 and less than"]),
+        ({"JAX_COORDINATOR_ADDRESS": "here", "JAX_PROCESS_ID": "1"}, ["JAX_COORDINATOR_ADDRESS must be HOST:PORT"]),
+    ],
+)
+def test_an_environment_that_contradicts_itself_is_refused(monkeypatch, given, words):
+    for name, value in ({"JAX_NUM_PROCESSES": "2"} | given).items():
+        monkeypatch.setenv(name, value)
+    with pytest.raises(InputError) as error, processes.joined():
+        pass
+    assert all(word in str(error.value) for word in words) and "\n" not in str(error.value)
+
+
+def test_what_process_0_refuses_all_refuse(reference, tmp_path):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "precious").write_text("data")
+    job = start_job(["sweep", write_config(tmp_path), "--out", "run"], tmp_path)
+    for process in job:
+        _, stderr = process.communicate(timeout=300)
+        assert process.returncode == 2 and "already exists; resume it with --resume" in stderr, stderr
+    assert [path.name for path in (tmp_path / "run").iterdir()] == ["precious"]
+
+
+@pytest.mark.parametrize("lost", [0, 1])
+def test_a_job_that_lost_a_process_resumes_to_the_same_bits(whole, tmp_path, lost):
+    arguments = ["sweep", write_config(tmp_path, **LONG), "--out", "run"]
+    job, run = start_job(arguments, tmp_path), tmp_path / "run"
+    wait_for(lambda: (run / f"checkpoint/pool-{lost}.npz").exists() and parts_of(run), job[lost])
+    job[lost].kill()
+    _, stderr = job[1 - lost].communicate(timeout=300)
+    assert job[1 - lost].returncode != 0
+    if lost == 1:  # what process 0 has to do it does, and says what is missing
+        assert job[0].returncode == 2 and stderr.splitlines()[-1].startswith("error: process 1 of this job was lost"), (
+            stderr
+        )
+        from humanoid_mjx.training.sweep import Run
+
+        summary = Run(run).summary
+        runs = summary["point"] * 40 + summary["seed"]
+        assert len(runs) < 240 and set(range(0, 240, 2)) <= set(runs)
+    again = start_job([*arguments, "--resume"], tmp_path, count=1 + lost)
+    ends = [process.communicate(timeout=300) for process in again]
+    assert not any(process.returncode for process in again), ends
     for name in ("results.parquet", "summary.parquet"):
         assert (run / name).read_bytes() == (whole / name).read_bytes()
     assert not list(run.glob("checkpoint/pool-*.npz")) and not list(run.rglob(".new-*"))

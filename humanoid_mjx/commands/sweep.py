@@ -8,7 +8,7 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from humanoid_mjx import runtime
+from humanoid_mjx import processes, runtime
 from humanoid_mjx.commands import console
 from humanoid_mjx.runs.folder import read_provenance
 from humanoid_mjx.training.progress import Bar
@@ -27,10 +27,14 @@ def run_sweep(config: str, out: Path | None, overrides: Sequence[str], resume: b
 
     with Bar(console) as bar:
         try:
-            run = sweep(config, out, resume=resume, overrides=overrides, reporter=bar, tensorboard=tensorboard)
+            with processes.joined() as process:
+                reporter = None if process else bar  # the first process speaks for all
+                run = sweep(config, out, resume=resume, overrides=overrides, reporter=reporter, tensorboard=tensorboard)
         except KeyboardInterrupt:
             console.print("Stopped. What is finished is stored; the same command with --resume completes it.")
             raise typer.Exit(130) from None
+        if process:
+            return
         bar.phase("drawing figures")
         axes = list(run.config.sweep.axes) if run.config.sweep else []
         summary = run.summary

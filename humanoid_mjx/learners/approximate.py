@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from pydantic import Field
 
 from humanoid_mjx.learners import exploration
-from humanoid_mjx.learners.base import Outcome, StepLearner
+from humanoid_mjx.learners.base import ENVS, Outcome, StepLearner
 from humanoid_mjx.learners.normalisation import Moments, moments, observe
 from humanoid_mjx.learners.targets import lambda_targets
 from humanoid_mjx.spec import traced
@@ -80,6 +80,8 @@ class ApproximateQ(StepLearner):
     grow: bool = Field(False, description="open the choices in stages: 3, 5, 9 ... of them")
     evaluations: int = Field(10, ge=1, le=1000, description="greedy evaluations along the learning curve")
     evaluation_envs: int = Field(64, ge=1, le=100_000, description="greedy episodes of an evaluation")
+    devices: int = Field(1, ge=1, le=1, exclude=True, repr=False)
+    """How many devices share the environments, of which `envs` are on each: set by `split_over`, in no config."""
 
     def init_value(self, key: Key[Array, ""]) -> tuple[Any, Any]:
         """The weights of the approximation and the optimizer's state before the first update."""
@@ -94,7 +96,11 @@ class ApproximateQ(StepLearner):
     def learn(
         self, rate: FloatScalar, value: Any, optimizer: Any, batch: "Batch", key: Key[Array, ""]
     ) -> tuple[Any, Any, FloatScalar]:
-        """Move the weights towards the targets: new weights, optimizer state, and the mean squared TD error."""
+        """Move the weights towards the targets: new weights, optimizer state, and the mean squared TD error.
+
+        Where devices share the environments, `batch` is this device's part of them; a class that then moves the weights
+        by the `mean` over the devices may say so in `can_split`.
+        """
         raise NotImplementedError
 
     def preprocess(self, weights: Weights, obs: Float[Array, "*batch size"]) -> Float[Array, "*batch size"]:
@@ -110,10 +116,20 @@ class ApproximateQ(StepLearner):
         """The choices that exist and, where their number grows, are open already."""
         return exploration.opened(self.env.action_choices, progress if self.grow else None)
 
+    def split_over(self, devices: int) -> Any:
+        return self.replace(envs=self.envs // devices, devices=devices)
+
+    def layout(self, same: Any, split: Any) -> Any:
+        return Carry(same, same, split, same, same)
+
+    def mean(self, tree: Any) -> Any:
+        """The mean over the devices that share the environments."""
+        return tree if self.devices == 1 else jax.lax.pmean(tree, ENVS)
+
     def init(self, key: Key[Array, ""], policy: Any = None) -> Carry:
         value_key, reset_key, key = jax.random.split(key, 3)
         value, optimizer = self.init_value(value_key)
-        state = jax.vmap(self.env.reset)(jax.random.split(reset_key, self.envs))
+        state = jax.vmap(self.env.reset)(jax.random.split(self._own(reset_key), self.envs))
         none = jnp.zeros(self.envs, jnp.int32)
         holding = exploration.no_holding(self.envs, len(self.env.action_choices))
         weights = Weights(value, moments(self.env.observation_size)) if policy is None else policy
@@ -125,6 +141,7 @@ class ApproximateQ(StepLearner):
     def train_step(self, carry: Carry) -> tuple[Carry, Outcome]:
         """One update: act, compute the targets of what was seen, move the weights towards them."""
         key, act_key, learn_key = jax.random.split(carry.key, 3)
+        act_key, learn_key = self._own(act_key), self._own(learn_key)
         progress = self.progress(carry)
         allowed = self.allowed(progress)
         envs, experience, totals = self._collect(carry, allowed, act_key)
@@ -133,9 +150,11 @@ class ApproximateQ(StepLearner):
         batch = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), batch)
         rate = self.learning_rate * (1.0 + (self.learning_rate_end - 1.0) * jnp.minimum(progress, 1.0))
         value, optimizer, td_error = self.learn(rate, carry.weights.value, carry.optimizer, batch, learn_key)
-        seen = observe(carry.weights.moments, experience.obs.reshape(-1, self.env.observation_size))
+        seen = experience.obs.reshape(-1, self.env.observation_size)
+        seen = observe(carry.weights.moments, seen, ENVS if self.devices > 1 else None)
         after = Carry(Weights(value, seen), optimizer, envs, key, carry.update + 1)
-        return after, Outcome(self._steps(carry), totals.pop("episodes"), totals, {"td_error": td_error})
+        totals = jax.tree.map(lambda x: x * self.devices, self.mean(totals))
+        return after, Outcome(self._steps(carry), totals.pop("episodes"), totals, {"td_error": self.mean(td_error)})
 
     def policy(self, carry: Carry) -> Weights:
         return carry.weights
@@ -149,7 +168,11 @@ class ApproximateQ(StepLearner):
 
     def _steps(self, carry: Carry) -> FloatScalar:
         """Control steps so far."""
-        return carry.update.astype(jnp.float32) * (self.rollout * self.envs)
+        return carry.update.astype(jnp.float32) * (self.rollout * self.envs * self.devices)
+
+    def _own(self, key: Key[Array, ""]) -> Key[Array, ""]:
+        """The key of this device, where several share the environments."""
+        return key if self.devices == 1 else jax.random.fold_in(key, jax.lax.axis_index(ENVS))
 
     def _collect(
         self, carry: Carry, allowed: Bool[Array, "joints choices"], key: Key[Array, ""]

@@ -51,6 +51,9 @@ class DeepQ(ApproximateQ):
             raise ValueError(f"minibatches must divide envs * rollout ({self.envs * self.rollout})")
         return self
 
+    def can_split(self, devices: int) -> bool:
+        return self.envs % devices == 0 and self.envs // devices * self.rollout % self.minibatches == 0
+
     def network(self) -> QNetwork:
         return QNetwork(self.width, self.layers, len(self.env.action_choices), self.choices)
 
@@ -76,6 +79,7 @@ class DeepQ(ApproximateQ):
         def step(carry: tuple[Any, Any], part: Batch) -> tuple[tuple[Any, Any], FloatScalar]:
             value, optimizer = carry
             error, gradient = jax.value_and_grad(loss)(value, part)
+            gradient = self.mean(gradient)
             change, optimizer = transform.update(gradient, optimizer, value)
             return (optax.apply_updates(value, change), optimizer), error
 

@@ -39,6 +39,9 @@ class LinearQ(ApproximateQ):
             raise ValueError("shared needs joints that have the same number of choices")
         return self
 
+    def can_split(self, devices: int) -> bool:
+        return self.envs % devices == 0
+
     @property
     def joints(self) -> int:
         return len(self.env.action_choices)
@@ -72,6 +75,7 @@ class LinearQ(ApproximateQ):
         at = self._set[:, None], place, batch.action[:, :, None]
         change = jnp.zeros_like(value).at[at].add(strength * td_error[:, None, None])
         weight = jnp.zeros_like(value).at[at].add(strength**2)
+        change, weight = self.mean((change, weight))
         # The mean over joints divides a weight's part in Q by their number, and this gives it back.
         step = change / jnp.maximum(weight, 1e-12) / basis.active
         return value + rate * step, optimizer, jnp.mean(td_error**2)

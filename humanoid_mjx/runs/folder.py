@@ -7,8 +7,9 @@
     timing.parquet      seconds since training began, per sweep point, seed and record step
     figures/            learning curves and heat maps
     tensorboard/        where asked for: event files, a folder for each sweep point
-    checkpoint/         part-00000.npz ...: finished runs (curves, scores, policies); pool-0.npz ...: those under way;
-                        diverged-POINT-SEED.npz: where runs stopped whose numbers were no longer finite
+    checkpoint/         part-00000.npz ...: finished runs (curves, scores, policies); pool-0.npz ...: those under way,
+                        a file for each process; diverged-POINT-SEED.npz: where runs stopped whose numbers were no
+                        longer finite
 
 Every file is written beside its place and renamed into it, so a kill leaves the old or the new, never half of one.
 """
@@ -34,10 +35,11 @@ Arrays = Mapping[str, np.ndarray]
 
 
 class RunFolder:
-    """A run folder, locked while this object lives."""
+    """A run folder, locked while this object lives: for one process, or for the several that share it."""
 
     def __init__(self, path: Path, lock: int):
         self.path = path
+        self.process, self.processes = 0, 1
         self._lock = lock
 
     @classmethod
@@ -79,6 +81,27 @@ class RunFolder:
             left_by_a_kill.unlink()
         return run
 
+    @classmethod
+    def join(cls, path: Path, process: int, processes: int) -> "RunFolder":
+        """Open a run folder that process 0 of this job has opened and shares.
+
+        Raises:
+          InputError: this machine does not see it.
+        """
+        try:
+            run = cls(path, _lock(path, fcntl.LOCK_SH))
+        except OSError as error:
+            raise InputError(
+                f"{path}: process {process} cannot write here: {error.strerror}; all processes need one file system."
+            ) from error
+        run.process, run.processes = process, processes
+        return run
+
+    def share(self, processes: int) -> None:
+        """Let the other processes of this job, of which this is process 0, `join`, and still nobody else."""
+        self.processes = processes
+        fcntl.flock(self._lock, fcntl.LOCK_SH)
+
     def close(self) -> None:
         """Let other programs write to the folder."""
         os.close(self._lock)
@@ -115,14 +138,16 @@ class RunFolder:
         """The files of finished runs."""
         return parts(self.path)
 
-    def pools(self) -> list[Path]:
-        """The files of runs under way."""
-        return sorted((self.path / "checkpoint").glob("pool-*.npz"))
+    @property
+    def pool(self) -> str:
+        """The file of the runs that this process has under way."""
+        return f"checkpoint/pool-{self.process}.npz"
 
     def add_part(self, arrays: Arrays) -> None:
-        """Store finished runs."""
-        numbers = [int(path.stem.removeprefix("part-")) for path in self.parts()]
-        self.write_arrays(f"checkpoint/part-{max(numbers, default=-1) + 1:05d}.npz", arrays)
+        """Store finished runs, under the next number of those that are this process's own."""
+        number = max((int(path.stem.removeprefix("part-")) for path in self.parts()), default=-1) + 1
+        number += (self.process - number) % self.processes
+        self.write_arrays(f"checkpoint/part-{number:05d}.npz", arrays)
 
 
 DAMAGE = (
@@ -131,9 +156,6 @@ DAMAGE = (
 )
 """What numpy and zipfile raise on damaged files: numpy parses the header of an array as Python, and a flipped bit can
 ask for a password or another compression."""
-
-POOL = "checkpoint/pool-0.npz"
-"""The file of the runs under way."""
 
 
 def diverged_name(point: int, seed: int) -> str:
@@ -144,6 +166,11 @@ def diverged_name(point: int, seed: int) -> str:
 def parts(path: Path) -> list[Path]:
     """The files of finished runs of a run folder."""
     return sorted((path / "checkpoint").glob("part-*.npz"))
+
+
+def pools(path: Path) -> list[Path]:
+    """The files of the runs that a run folder has under way, the newest first."""
+    return sorted((path / "checkpoint").glob("pool-*.npz"), key=lambda file: file.stat().st_mtime, reverse=True)
 
 
 def read_arrays(path: Path, prefixes: tuple[str, ...] = ("",)) -> dict[str, np.ndarray]:
@@ -211,10 +238,10 @@ def latest_path(name: str, root: Path = Path("runs")) -> Path:
     return path
 
 
-def _lock(path: Path) -> int:
+def _lock(path: Path, kind: int = fcntl.LOCK_EX) -> int:
     handle = os.open(path / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(handle, kind | fcntl.LOCK_NB)
     except OSError as error:
         os.close(handle)
         raise InputError(f"{path}: is in use by another process; wait for it, or choose another place.") from error

@@ -12,7 +12,7 @@ import numpy as np
 from humanoid_mjx.axes import sweep_points
 from humanoid_mjx.config import parse
 from humanoid_mjx.runs.disk import disk_used
-from humanoid_mjx.runs.folder import POOL, read_arrays, read_config, read_provenance
+from humanoid_mjx.runs.folder import pools, read_arrays, read_config, read_provenance
 from humanoid_mjx.runs.ranking import ranked
 from humanoid_mjx.runs.tables import finished_runs, read_table
 from humanoid_mjx.spec import InputError
@@ -112,12 +112,12 @@ def _share(path: Path, runs: int, seeds: int, provenance: Mapping[str, Any]) -> 
     finished = done["point"] * seeds + done["seed"] if done else np.zeros(0, int)
     if len(finished) >= runs:
         return 1.0
-    under_way = 0.0
-    if (path / POOL).is_file():
-        pool = read_arrays(path / POOL, ("slots", "progress"))
+    under_way: dict[int, float] = {}
+    for file in reversed(pools(path)):
+        pool = read_arrays(file, ("slots", "progress"))
         waits = (pool["slots"] >= 0) & ~np.isin(pool["slots"], finished)
-        under_way = float(np.minimum(pool["progress"][waits], 1.0).sum())
-    return min((len(finished) + under_way) / runs, 0.999)
+        under_way |= zip(pool["slots"][waits].tolist(), np.minimum(pool["progress"][waits], 1.0).tolist(), strict=True)
+    return min((len(finished) + sum(under_way.values())) / runs, 0.999)
 
 
 def _outcome(path: Path, config: Mapping[str, Any]) -> tuple[float, float, int]:
@@ -130,15 +130,17 @@ def _outcome(path: Path, config: Mapping[str, Any]) -> tuple[float, float, int]:
 
 
 def _in_use(path: Path) -> bool:
-    """Whether a process holds the folder's lock."""
+    """Whether a process, or several that share the folder, holds its lock."""
     try:
         handle = os.open(path / ".lock", os.O_RDONLY)
     except OSError:
         return False
     try:
-        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except OSError:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
         return True
+    except OSError:
+        return False  # some file systems lock only what may be written
     finally:
         os.close(handle)
     return False

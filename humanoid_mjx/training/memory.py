@@ -36,8 +36,9 @@ def runs_that_fit(group: Group, device: Device) -> int:
 
 
 def slots(group: Group, size: int) -> int:
-    """How many runs of a group train side by side on all devices, where each can train `size`."""
-    return 1 if isinstance(group.learners, WholeRunLearner) else min(size * len(jax.local_devices()), len(group.runs))
+    """How many runs of a group train side by side on all devices of all processes, where each can train `size`."""
+    at_once = jax.process_count() if isinstance(group.learners, WholeRunLearner) else size * jax.device_count()
+    return min(at_once, len(group.runs))
 
 
 def run_bytes(group: Group) -> int:

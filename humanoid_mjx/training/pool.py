@@ -7,6 +7,7 @@ ones would wait for the slowest.
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import jax
@@ -18,7 +19,7 @@ from humanoid_mjx.learners import Learner
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.plan import Group
 from humanoid_mjx.training.program import Training, curve
-from humanoid_mjx.training.programs import RUNS, mesh_of, programs_of
+from humanoid_mjx.training.programs import RUNS, layout_of, mesh_of, programs_of
 from humanoid_mjx.training.state import blank, from_arrays, to_arrays
 from humanoid_mjx.types import Device
 
@@ -51,15 +52,18 @@ class Pool:
         devices: Sequence[Device],
         seed: int,
         policies: Any = None,
+        share: int = 1,
     ):
-        """Make `size` slots on each of the devices.
+        """Make `size` slots on each of the devices, or on each `share` of them that share the environments of a run.
 
         `policies`: policies that runs start from instead of anew, every leaf with a leading axis of the group's runs.
         """
         self.group, self.waiting, self.seed, self.policies = group, waiting, seed, policies
-        self.programs, size = programs_of(group.learners, devices), size * len(devices)
-        self.over_devices = NamedSharding(mesh_of(devices), PartitionSpec(RUNS))
-        self.everywhere = NamedSharding(mesh_of(devices), PartitionSpec())
+        self.programs, size = programs_of(group.learners, devices, share), size * len(devices) // share
+        mesh = mesh_of(devices, share)
+        self.over_devices = NamedSharding(mesh, PartitionSpec(RUNS))
+        self.everywhere = NamedSharding(mesh, PartitionSpec())
+        self.layout = jax.tree.map(partial(NamedSharding, mesh), layout_of(group.learners))
         self.compiled: dict[str, Callable[..., Any]] = {}
         self.phase = "starting"
         """The present phase, in a word for the user."""
@@ -76,7 +80,7 @@ class Pool:
         self.diverged: dict[int, dict[str, np.ndarray]] = {}
         """The last training states of harvested runs whose numbers were no longer finite, by run."""
         self._load()
-        self.training = jax.device_put(blank(group.one_run, size), self.over_devices)
+        self.training = jax.device_put(blank(group.one_run, size), self.layout)
 
     @property
     def busy(self) -> np.ndarray:
@@ -184,7 +188,7 @@ class Pool:
         for run in self.slots[idle].tolist():
             self.waiting.remove(run)
         self._load()
-        self.training = jax.device_put(from_arrays(self.training, merged, "training", where), self.over_devices)
+        self.training = jax.device_put(from_arrays(self.training, merged, "training", where), self.layout)
 
     def _call(self, name: str, *args: Any) -> Any:
         """Call a program of `programs`, compiled when it is first needed; wait for its result."""

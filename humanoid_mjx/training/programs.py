@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool
 
 from humanoid_mjx import runtime
 from humanoid_mjx.learners import Learner
+from humanoid_mjx.learners.base import ENVS
 from humanoid_mjx.training.program import Progress, Training, advance, begin, finish, progress_of, run_key
 from humanoid_mjx.types import Device, IntScalar
 
@@ -22,7 +23,8 @@ RUNS = "runs"
 class Programs(NamedTuple):
     """Compiled functions over runs side by side; every array has a leading axis of runs, shared out over the devices.
 
-    Each device computes its runs by itself: the program is compiled once, and none waits for another within it.
+    Each device computes its runs by itself: the program is compiled once, and none waits for another within it. Where
+    the mesh has several devices along `ENVS`, these have the same runs and a part of the environments each.
     """
 
     begin: Callable[..., Training]
@@ -34,41 +36,48 @@ class Programs(NamedTuple):
 
 
 @lru_cache
-def programs(options: tuple[tuple[str, str | bool], ...], mesh: Mesh, fused: bool = False) -> Programs:
-    """The programs of all learners with these compiler options on the devices of `mesh`, whose axis is `RUNS`.
+def programs(
+    options: tuple[tuple[str, str | bool], ...], mesh: Mesh, training: Training, fused: bool = False
+) -> Programs:
+    """The programs of all learners with these compiler options on the devices of `mesh`.
 
-    `seeds` is (the config's seed, the seed number). Where `fused` the kernel of `training.fused` makes the steps.
+    `seeds` is (the config's seed, the seed number). `training` says how training states lie on the mesh, as
+    `layout_of` has it. Where `fused` the kernel of `training.fused` makes the steps.
     """
+    by_run, same, split = PartitionSpec(RUNS), PartitionSpec(), mesh.shape[ENVS]
 
     def anew(fresh: Bool[Array, ""], learner: Learner, seeds: Any, old: Training, policy: Any) -> Training:
-        new = begin(learner, run_key(*seeds), policy)
+        new = begin(learner.split_over(split), run_key(*seeds), policy)
         return jax.tree.map(partial(jnp.where, fresh), new, old)
 
-    def end(learner: Learner, training: Training, seeds: Any) -> dict[str, Any]:
-        return finish(learner, training, jax.random.fold_in(run_key(*seeds), 1))
+    def further(learner: Learner, old: Training, steps: IntScalar) -> tuple[Training, Progress]:
+        return advance(learner.split_over(split), old, steps)
 
-    def by_kernel(learners: Any, training: Training, steps: IntScalar) -> tuple[Training, Progress]:
+    def end(learner: Learner, last: Training, seeds: Any) -> dict[str, Any]:
+        return finish(learner.split_over(split), last, jax.random.fold_in(run_key(*seeds), 1))
+
+    def by_kernel(learners: Any, old: Training, steps: IntScalar) -> tuple[Training, Progress]:
         from humanoid_mjx.training import fused  # whose import takes time that all others save
 
-        training = fused.advance(learners, training, steps)
-        return training, jax.vmap(progress_of)(learners, training)
+        new = fused.advance(learners, old, steps)
+        return new, jax.vmap(progress_of)(learners, new)
 
-    by_run, same = PartitionSpec(RUNS), PartitionSpec()
-
-    def compiled(function: Callable[..., Any], given: Any = by_run, **options_of_jit: Any) -> Callable[..., Any]:
-        spread = jax.shard_map(function, mesh=mesh, in_specs=given, out_specs=by_run, check_vma=False)
+    def compiled(function: Callable[..., Any], given: Any, found: Any, **options_of_jit: Any) -> Callable[..., Any]:
+        spread = jax.shard_map(function, mesh=mesh, in_specs=given, out_specs=found, check_vma=False)
         return jax.jit(spread, compiler_options=dict(options), **options_of_jit)
 
-    train = by_kernel if fused else jax.vmap(advance, in_axes=(0, 0, None))
+    train = by_kernel if fused else jax.vmap(further, in_axes=(0, 0, None))
     return Programs(
-        begin=compiled(jax.vmap(anew), donate_argnums=3),
-        advance=compiled(train, (by_run, by_run, same), donate_argnums=1),
-        finish=compiled(jax.vmap(end)),
+        begin=compiled(jax.vmap(anew), (by_run, by_run, by_run, training, by_run), training, donate_argnums=3),
+        advance=compiled(train, (by_run, training, same), (training, by_run), donate_argnums=1),
+        finish=compiled(jax.vmap(end), (by_run, training, by_run), by_run),
     )
 
 
-def programs_of(learners: Learner, devices: Sequence[Device]) -> Programs:
+def programs_of(learners: Learner, devices: Sequence[Device], share: int = 1) -> Programs:
     """The programs that train learners such as these, which stand side by side, on the given devices.
+
+    `share`: how many of the devices share the environments of each run.
 
     On a GPU tables that the kernel of `training.fused` can train are trained by it.
     """
@@ -79,9 +88,15 @@ def programs_of(learners: Learner, devices: Sequence[Device]) -> Programs:
         from humanoid_mjx.training.fused import why_not  # whose import takes time that all others save
 
         fused = why_not(learners) is None
-    return programs(tuple(sorted(options.items())), mesh_of(devices), fused)
+    return programs(tuple(sorted(options.items())), mesh_of(devices, share), layout_of(learners), fused)
 
 
-def mesh_of(devices: Sequence[Device]) -> Mesh:
-    """Devices in a row, for runs to be shared out over them."""
-    return Mesh(np.array(devices), (RUNS,))
+def mesh_of(devices: Sequence[Device], share: int = 1) -> Mesh:
+    """Devices for runs to be shared out over them; `share` of them share the environments of each run."""
+    return Mesh(np.array(devices).reshape(-1, share), (RUNS, ENVS))
+
+
+def layout_of(learners: Learner) -> Training:
+    """How training states lie on a mesh of devices: the beginnings of their branches."""
+    by_run: Any = PartitionSpec(RUNS)
+    return Training(learners.layout(by_run, PartitionSpec(RUNS, ENVS)), by_run, by_run, by_run)

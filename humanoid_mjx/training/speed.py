@@ -25,6 +25,8 @@ class Speed:
 
     def __init__(self) -> None:
         self.seconds = self.work = 0.0
+        self.elsewhere = 0.0
+        """What other processes make a second."""
         self._first: Look | None = None
         self._last: Look | None = None
         self._idle: float | None = None
@@ -47,14 +49,20 @@ class Speed:
             self.work += self._last.done - self._first.done
         self._first = self._last = self._idle = None
 
+    @property
+    def mean(self) -> float:
+        """What this process makes a second, in the plan's unit; 0 where training was over at the first look."""
+        return self.work / self.seconds if self.seconds else 0.0
+
     def rates(self, plan: Plan, folder: Path) -> dict[str, float]:
         """`steps_per_s` and `episodes_per_s`, by the length of all episodes of training in the tables of `folder`;
         neither where training was over at the first look, and no steps where lengths are not recorded."""
-        if not self.seconds:
+        speed = self.mean + self.elsewhere
+        if not speed:
             return {}
         # Where several episodes feed one table its episodes are counted once for all of them.
         together = np.mean([getattr(learner, "agents", 1) for learner in plan.learners])
-        speed = self.work / self.seconds * float(together)
+        speed *= float(together)
         lengths = np.zeros(0) if plan.learners[0].cumulative else _lengths(folder / "results.parquet")
         if plan.unit == "episode":
             found = {"steps_per_s": speed * lengths.mean()} if len(lengths) else {}

@@ -1,51 +1,25 @@
 """Run a sweep: train every point into a run folder that can be resumed."""
 
-import threading
-import time
-from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
-from humanoid_mjx import runtime
 from humanoid_mjx.config import Config, load, parse
-from humanoid_mjx.learners.base import WholeRunLearner
-from humanoid_mjx.runs.folder import (
-    POOL,
-    RunFolder,
-    diverged_name,
-    fresh_path,
-    latest_path,
-    read_arrays,
-    read_config,
-    read_provenance,
-)
-from humanoid_mjx.runs.tables import finished_runs, read_table, write_tables
+from humanoid_mjx.processes import Processes
+from humanoid_mjx.runs.folder import RunFolder, fresh_path, latest_path, read_config
+from humanoid_mjx.runs.tables import read_table
+from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.disk import check_disk
 from humanoid_mjx.training.events import EventFiles, event_writer
-from humanoid_mjx.training.memory import runs_that_fit, slots, training_bytes
-from humanoid_mjx.training.plan import Group, Plan, make_plan, resolved
-from humanoid_mjx.training.pool import COMPILING, Pool
+from humanoid_mjx.training.memory import runs_that_fit, slots
+from humanoid_mjx.training.plan import make_plan, resolved
 from humanoid_mjx.training.progress import Reporter
-from humanoid_mjx.training.speed import Speed
+from humanoid_mjx.training.session import Session
 from humanoid_mjx.training.warm_start import earlier_policies
-from humanoid_mjx.training.whole_runs import WholeRuns
-
-CHECKPOINT_EVERY_S = 30.0
-"""Seconds of training that a kill may cost."""
-
-TABLES_SHARE = 0.05
-"""The share of the wall time that rewriting the tables may take while runs finish."""
-
-LEAVE_AFTER_S = 5.0
-"""Seconds that training has after an interrupt to store what it did since the last checkpoint. A compiler cannot be
-interrupted, so a thread that compiles is left behind."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +61,9 @@ def sweep(
 ) -> Run:
     """Train every point of a sweep with every seed.
 
+    Where this program is one of several processes of `jax.distributed`, all of them call this alike: each trains its
+    share of the runs, into one run folder.
+
     Args:
       config: a config, its plain values, a path, or the name of a shipped one.
       out: the run folder; by default the first free of runs/NAME, runs/NAME-2, ..., or the latest to be resumed.
@@ -107,190 +84,36 @@ def sweep(
     plan = make_plan(config)
     sizes = [pool_size or runs_that_fit(group, jax.local_devices()[0]) for group in plan.groups]
     policies = [earlier_policies(group) for group in plan.groups]
+    processes = Processes()
     if tensorboard:
         event_writer()
-    place = Path(out or (latest_path if resume else fresh_path)(config.name))
-    check_disk(place, plan, [slots(group, size) for group, size in zip(plan.groups, sizes, strict=True)])
-    folder = (RunFolder.resume if resume else RunFolder.create)(place, resolved(config))
+        if processes.count > 1:
+            raise InputError("--tensorboard: event files are written by one process only; leave it out.")
+
+    def open_folder() -> RunFolder:
+        place = Path(out or (latest_path if resume else fresh_path)(config.name))
+        check_disk(place, plan, [slots(group, size) for group, size in zip(plan.groups, sizes, strict=True)])
+        folder = (RunFolder.resume if resume else RunFolder.create)(place, resolved(config))
+        if processes.count > 1:
+            folder.share(processes.count)
+        return folder
+
+    def join_folder(path: str) -> RunFolder:
+        return RunFolder.join(Path(path), processes.index, processes.count)
+
+    folder = processes.first(open_folder, lambda folder: str(folder.path.absolute()), join_folder)
     try:
-        session = _Session(folder, plan, reporter or Reporter(), EventFiles(folder, plan) if tensorboard else None)
-        session.reporter.begin(plan.num_runs * plan.budget, f"{plan.unit}s")
+        events = EventFiles(folder, plan) if tensorboard else None
+        session = Session(folder, plan, processes, reporter or Reporter(), events)
         try:
             for index in range(len(plan.groups)):
                 session.train(index, sizes[index], policies[index])
+            session.wait()
         finally:
             session.write_results()
             if session.events:
                 session.events.close()
+        processes.meet()  # the tables are written
     finally:
         folder.close()
     return Run(folder.path)
-
-
-class _Session:
-    """The work of one process on a run folder."""
-
-    def __init__(self, folder: RunFolder, plan: Plan, reporter: Reporter, events: EventFiles | None):
-        self.folder, self.plan, self.reporter, self.events = folder, plan, reporter, events
-        done = finished_runs(folder.path, ("point", "seed"))
-        self.finished = set((done["point"] * plan.config.seeds + done["seed"]).tolist()) if done else set()
-        self.earlier = read_provenance(folder.path)
-        self.began = self.tables_due = time.monotonic()
-        self.started = datetime.now(UTC).isoformat(timespec="seconds")
-        self.compile_s = self.shown = 0.0
-        self.speed = Speed()
-        self.tables_are_old = True
-        self.lock, self.stop = threading.Lock(), threading.Event()
-
-    def train(self, index: int, size: int, policies: Any) -> None:
-        """Train the runs of a group that are not finished yet, at most `size` at once on each device."""
-        group = self.plan.groups[index]
-        waiting = deque(run for run in group.runs.tolist() if run not in self.finished)
-        if not waiting:
-            return
-        whole = isinstance(group.learners, WholeRunLearner)
-        # Not the number still waiting: networks' sums depend on how many runs are side by side, also after a resume.
-        devices = jax.local_devices()[: 1 if whole else len(group.runs)]
-        size = 1 if whole else min(size, -(-len(group.runs) // len(devices)))
-        self.reporter.note(self._side_by_side(group, size * len(devices)))
-        with runtime.counting_compiles() as compiles:
-            common = self.plan.config.seed, policies
-            if whole:
-                pool = WholeRuns(group, waiting, devices[0], *common, self.stop)
-            else:
-                pool = Pool(group, waiting, size, devices, *common)
-            if self.events:
-                pool.looked = partial(self.events.look, pool)
-            self._restore(index, pool)
-            self._work_in_a_thread(index, pool)
-        self.compile_s += compiles.seconds
-        self.speed.pause()
-        self.tables_are_old = True
-        for path in self.folder.pools():
-            path.unlink()
-        self.stop.clear()
-
-    def _work_in_a_thread(self, index: int, pool: Pool) -> None:
-        """Train what waits, and report how it goes.
-
-        Raises:
-          what training raised; or KeyboardInterrupt, once what is under way is stored.
-        """
-        errors: list[BaseException] = []
-
-        def work() -> None:
-            try:
-                self._work(index, pool)
-            except BaseException as error:
-                errors.append(error)
-
-        thread = threading.Thread(target=work, daemon=True)
-        thread.start()
-        try:
-            while thread.is_alive():
-                thread.join(0.1)
-                self._report(pool)
-                if time.monotonic() >= self.tables_due:
-                    self.write_results()
-        finally:
-            self.stop.set()
-            self._leave(index, pool, thread)
-        if errors:
-            raise errors[0]
-
-    def _leave(self, index: int, pool: Pool, thread: threading.Thread) -> None:
-        """Wait until training has stored what is under way; do it where it compiles and cannot answer."""
-        deadline = time.monotonic() + LEAVE_AFTER_S
-        while thread.is_alive() and pool.phase not in COMPILING and time.monotonic() < deadline:
-            thread.join(0.05)
-        if thread.is_alive() and pool.phase in COMPILING and pool.busy.any():
-            self._store_under_way(index, pool)
-
-    def _store_under_way(self, index: int, pool: Pool) -> None:
-        self.folder.write_arrays(POOL, {"group": np.array(index)} | pool.state())
-
-    def _side_by_side(self, group: Group, slots: int) -> str:
-        """How many runs train at once, and what memory that is estimated to take."""
-        runs, memory = len(group.runs), slots * training_bytes(group) / 2**20
-        return f"{min(slots, runs):,} of {runs:,} runs train side by side, in an estimated {memory:,.0f} MiB"
-
-    def _work(self, index: int, pool: Pool) -> None:
-        """Train the waiting runs until none is left."""
-        saved = time.monotonic()
-        pool.fill()
-        while pool.busy.any():
-            if self.stop.is_set() or time.monotonic() - saved > CHECKPOINT_EVERY_S:
-                self._store_under_way(index, pool)
-                saved = time.monotonic()
-            if self.stop.is_set():
-                return
-            pool.train()
-            if not self.stop.is_set() and (harvest := pool.harvest()):
-                for run, arrays in pool.diverged.items():
-                    self.folder.write_arrays(diverged_name(*divmod(run, self.plan.config.seeds)), arrays)
-                pool.diverged.clear()
-                self._store(*harvest)
-                pool.fill()
-
-    def _store(self, runs: np.ndarray, arrays: dict[str, np.ndarray]) -> None:
-        points, seeds = np.divmod(runs, self.plan.config.seeds)
-        with self.lock:
-            self.folder.add_part({"point": points.astype(np.int32), "seed": seeds.astype(np.int32)} | arrays)
-            self.finished.update(runs.tolist())
-            self.tables_are_old = True
-        if self.events:
-            self.events.store(runs, arrays)
-
-    def _report(self, pool: Pool) -> None:
-        busy = pool.busy
-        self.reporter.phase(pool.phase)
-        if under_way := float(np.minimum(pool.progress[busy], 1.0).sum()):
-            known = pool.recent[busy][np.isfinite(pool.recent[busy]).all(axis=1)]
-            success, mean_return, length = map(float, known.mean(axis=0)) if len(known) else (None, None, None)
-            # Runs that were harvested are for a moment neither under way nor stored.
-            self.shown = max(self.shown, (len(self.finished) + under_way) * self.plan.budget)
-            self.speed.look(time.monotonic(), self.shown)
-            if length is not None:
-                self.reporter.length(length)
-            self.reporter.update(self.shown, success, mean_return)
-
-    def _restore(self, index: int, pool: Pool) -> None:
-        """Take up the runs of this group that an interrupted session, perhaps on other devices, had under way."""
-        for path in self.folder.pools():
-            arrays = read_arrays(path)
-            if int(arrays["group"]) == index:
-                pool.restore(arrays, str(path))
-
-    def write_results(self) -> None:
-        """Bring tables and provenance up to date with the finished runs."""
-        if not self.tables_are_old:
-            return
-        start = time.monotonic()
-        self.tables_are_old = False
-        with self.lock:
-            finished = write_tables(self.folder, self.plan.labels())
-        if finished == self.earlier.get("runs_finished"):
-            return
-        session = {
-            "started": self.started,
-            "wall_s": round(start - self.began, 3),
-            "compile_s": round(self.compile_s, 3),
-        } | self.speed.rates(self.plan, self.folder.path)
-        sessions = [*self.earlier.get("sessions", []), session]
-        provenance = {
-            "versions": runtime.versions(),
-            "machine": runtime.machine(),
-            "precision": "float64" if jax.config.read("jax_enable_x64") else "float32",
-            "seed": self.plan.config.seed,
-            "points": len(self.plan.points),
-            "runs": self.plan.num_runs,
-            "runs_finished": finished,
-            "started": sessions[0]["started"],
-            "wall_s": round(sum(each["wall_s"] for each in sessions), 3),
-            "compile_s": round(sum(each["compile_s"] for each in sessions), 3),
-            **self.speed.rates(self.plan, self.folder.path),
-            "sessions": sessions,
-        }
-        self.folder.write_json("provenance.json", provenance)
-        now = time.monotonic()
-        self.tables_due = now + (now - start) / TABLES_SHARE

@@ -1,0 +1,239 @@
+"""The work of one process on a run folder: groups of runs trained in turn, stored, resumed, reported."""
+
+import threading
+import time
+from collections import deque
+from datetime import UTC, datetime
+from functools import partial
+from typing import Any
+
+import jax
+import numpy as np
+
+from humanoid_mjx import runtime
+from humanoid_mjx.learners import Learner
+from humanoid_mjx.learners.base import WholeRunLearner
+from humanoid_mjx.processes import Processes
+from humanoid_mjx.runs.folder import RunFolder, diverged_name, pools, read_arrays, read_provenance
+from humanoid_mjx.runs.tables import finished_runs, write_tables
+from humanoid_mjx.training.events import EventFiles
+from humanoid_mjx.training.memory import training_bytes
+from humanoid_mjx.training.plan import Group, Plan
+from humanoid_mjx.training.pool import COMPILING, Pool
+from humanoid_mjx.training.progress import Reporter
+from humanoid_mjx.training.speed import Speed
+from humanoid_mjx.training.whole_runs import WholeRuns
+
+CHECKPOINT_EVERY_S = 30.0
+"""Seconds of training that a kill may cost."""
+
+TABLES_SHARE = 0.05
+"""The share of the wall time that rewriting the tables may take while runs finish."""
+
+LEAVE_AFTER_S = 5.0
+"""Seconds that training has after an interrupt to store what it did since the last checkpoint. A compiler cannot be
+interrupted, so a thread that compiles is left behind."""
+
+
+class Session:
+    """The work of one process on a run folder."""
+
+    def __init__(
+        self, folder: RunFolder, plan: Plan, processes: Processes, reporter: Reporter, events: EventFiles | None
+    ):
+        self.folder, self.plan, self.processes, self.reporter, self.events = folder, plan, processes, reporter, events
+        self.mine = set(processes.share(np.concatenate([group.runs for group in plan.groups])).tolist())
+        done = finished_runs(folder.path, ("point", "seed"))
+        finished = set((done["point"] * plan.config.seeds + done["seed"]).tolist()) if done else set()
+        self.finished, self.waiting = finished & self.mine, self.mine - finished
+        self.interrupted = [(path, _only(self.waiting, read_arrays(path))) for path in pools(folder.path)]
+        self.reporter.begin(len(self.mine) * plan.budget, f"{plan.unit}s")
+        processes.meet()  # before anyone writes
+        self.earlier = read_provenance(folder.path)
+        self.began = self.tables_due = time.monotonic()
+        self.started = datetime.now(UTC).isoformat(timespec="seconds")
+        self.compile_s = self.shown = 0.0
+        self.speed = Speed()
+        self.tables_are_old = True
+        self.lock, self.stop = threading.Lock(), threading.Event()
+
+    def train(self, index: int, size: int, policies: Any) -> None:
+        """Train the runs of a group that are not finished yet, at most `size` at once on each device."""
+        group = self.plan.groups[index]
+        runs = [run for run in group.runs.tolist() if run in self.mine]
+        waiting = deque(run for run in runs if run in self.waiting)
+        if not waiting:
+            return
+        whole = isinstance(group.learners, WholeRunLearner)
+        # Not the number still waiting: networks' sums depend on how many runs are side by side, also after a resume.
+        share = devices_of_a_run(group.learners, len(runs))
+        devices = jax.local_devices()[: 1 if whole else len(runs) * share]
+        size = 1 if whole else min(size, -(-len(runs) * share // len(devices)))
+        self.reporter.note(self._side_by_side(group, len(runs), size * len(devices) // share))
+        with runtime.counting_compiles() as compiles:
+            common = self.plan.config.seed, policies
+            if whole:
+                pool = WholeRuns(group, waiting, devices[0], *common, self.stop)
+            else:
+                pool = Pool(group, waiting, size, devices, *common, share)
+            if self.events:
+                pool.looked = partial(self.events.look, pool)
+            for path, arrays in self.interrupted:
+                if int(arrays["group"]) == index:
+                    pool.restore(arrays, str(path))
+            self._work_in_a_thread(index, pool)
+        self.compile_s += compiles.seconds
+        self.speed.pause()
+        self.tables_are_old = True
+        (self.folder.path / self.folder.pool).unlink(missing_ok=True)
+        self.stop.clear()
+
+    def wait(self) -> None:
+        """Wait for the other processes.
+
+        Raises:
+          InputError: one is lost, and its runs are not finished.
+        """
+        if self.processes.count > 1:
+            self.reporter.phase("waiting for the other processes")
+            self.tables_are_old = True
+        words = self.processes.collect("trained", str(self.speed.mean))
+        if self.processes.index == 0:
+            self.speed.elsewhere = sum(map(float, words[1:]))
+            for path in pools(self.folder.path):
+                path.unlink()
+
+    def _work_in_a_thread(self, index: int, pool: Pool) -> None:
+        """Train what waits, and report how it goes.
+
+        Raises:
+          what training raised; or KeyboardInterrupt, once what is under way is stored.
+        """
+        errors: list[BaseException] = []
+
+        def work() -> None:
+            try:
+                self._work(index, pool)
+            except BaseException as error:
+                errors.append(error)
+
+        thread = threading.Thread(target=work, daemon=True)
+        thread.start()
+        try:
+            while thread.is_alive():
+                thread.join(0.1)
+                self._report(pool)
+                if time.monotonic() >= self.tables_due:
+                    self.write_results()
+        finally:
+            self.stop.set()
+            self._leave(index, pool, thread)
+        if errors:
+            raise errors[0]
+
+    def _leave(self, index: int, pool: Pool, thread: threading.Thread) -> None:
+        """Wait until training has stored what is under way; do it where it compiles and cannot answer."""
+        deadline = time.monotonic() + LEAVE_AFTER_S
+        while thread.is_alive() and pool.phase not in COMPILING and time.monotonic() < deadline:
+            thread.join(0.05)
+        if thread.is_alive() and pool.phase in COMPILING and pool.busy.any():
+            self._store_under_way(index, pool)
+
+    def _store_under_way(self, index: int, pool: Pool) -> None:
+        self.folder.write_arrays(self.folder.pool, {"group": np.array(index)} | pool.state())
+
+    def _side_by_side(self, group: Group, runs: int, slots: int) -> str:
+        """How many runs train at once, and what memory that is estimated to take."""
+        memory = slots * training_bytes(group) / 2**20
+        where = f" in process 0 of {self.processes.count}" if self.processes.count > 1 else ""
+        return f"{min(slots, runs):,} of {runs:,} runs train side by side{where}, in an estimated {memory:,.0f} MiB"
+
+    def _work(self, index: int, pool: Pool) -> None:
+        """Train the waiting runs until none is left."""
+        saved = time.monotonic()
+        pool.fill()
+        while pool.busy.any():
+            if self.stop.is_set() or time.monotonic() - saved > CHECKPOINT_EVERY_S:
+                self._store_under_way(index, pool)
+                saved = time.monotonic()
+            if self.stop.is_set():
+                return
+            pool.train()
+            if not self.stop.is_set() and (harvest := pool.harvest()):
+                for run, arrays in pool.diverged.items():
+                    self.folder.write_arrays(diverged_name(*divmod(run, self.plan.config.seeds)), arrays)
+                pool.diverged.clear()
+                self._store(*harvest)
+                pool.fill()
+
+    def _store(self, runs: np.ndarray, arrays: dict[str, np.ndarray]) -> None:
+        points, seeds = np.divmod(runs, self.plan.config.seeds)
+        with self.lock:
+            self.folder.add_part({"point": points.astype(np.int32), "seed": seeds.astype(np.int32)} | arrays)
+            self.finished.update(runs.tolist())
+            self.tables_are_old = True
+        if self.events:
+            self.events.store(runs, arrays)
+
+    def _report(self, pool: Pool) -> None:
+        busy = pool.busy
+        self.reporter.phase(pool.phase)
+        if under_way := float(np.minimum(pool.progress[busy], 1.0).sum()):
+            known = pool.recent[busy][np.isfinite(pool.recent[busy]).all(axis=1)]
+            success, mean_return, length = map(float, known.mean(axis=0)) if len(known) else (None, None, None)
+            # Runs that were harvested are for a moment neither under way nor stored.
+            self.shown = max(self.shown, (len(self.finished) + under_way) * self.plan.budget)
+            self.speed.look(time.monotonic(), self.shown)
+            if length is not None:
+                self.reporter.length(length)
+            self.reporter.update(self.shown, success, mean_return)
+
+    def write_results(self) -> None:
+        """Bring tables and provenance up to date with the finished runs."""
+        if not self.tables_are_old or self.processes.index:
+            return
+        start = time.monotonic()
+        self.tables_are_old = False
+        with self.lock:
+            finished = write_tables(self.folder, self.plan.labels())
+        if finished == self.earlier.get("runs_finished"):
+            return
+        session = {
+            "started": self.started,
+            "wall_s": round(start - self.began, 3),
+            "compile_s": round(self.compile_s, 3),
+        } | self.speed.rates(self.plan, self.folder.path)
+        sessions = [*self.earlier.get("sessions", []), session]
+        provenance = {
+            "versions": runtime.versions(),
+            "machine": runtime.machine(),
+            "processes": self.processes.count,
+            "precision": "float64" if jax.config.read("jax_enable_x64") else "float32",
+            "seed": self.plan.config.seed,
+            "points": len(self.plan.points),
+            "runs": self.plan.num_runs,
+            "runs_finished": finished,
+            "started": sessions[0]["started"],
+            "wall_s": round(sum(each["wall_s"] for each in sessions), 3),
+            "compile_s": round(sum(each["compile_s"] for each in sessions), 3),
+            **self.speed.rates(self.plan, self.folder.path),
+            "sessions": sessions,
+        }
+        self.folder.write_json("provenance.json", provenance)
+        now = time.monotonic()
+        self.tables_due = now + (now - start) / TABLES_SHARE
+
+
+def _only(runs: set[int], arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """What a file of runs under way holds of some runs."""
+    rows = np.isin(arrays["slots"], list(runs))
+    return {name: array[rows] if array.ndim else array for name, array in arrays.items()}
+
+
+def devices_of_a_run(learners: Learner, runs: int) -> int:
+    """How many devices share the environments of each run: several where there are fewer runs than GPUs.
+
+    Cores of a CPU share a run's arrays as they are.
+    """
+    most = 1 if jax.default_backend() == "cpu" else jax.local_device_count() // runs
+    return next((share for share in range(most, 1, -1) if learners.can_split(share)), 1)
