@@ -19,6 +19,9 @@ from humanoid_mjx.tasks import make_task
 from humanoid_mjx.tasks.check import check_task
 from humanoid_mjx.training.program import Training, begin
 
+MAX_RUNS = 10_000_000
+"""The most runs of a sweep: points times seeds."""
+
 
 @dataclass(frozen=True)
 class Group:
@@ -123,6 +126,8 @@ def make_plan(config: Config) -> Plan:
     try:
         build(config, {})
         points = sweep_points(config.sweep, config.seed) if config.sweep else [{}]
+        if len(points) * config.seeds > MAX_RUNS:
+            raise InputError(f"{len(points):,} points x {config.seeds:,} seeds are more than {MAX_RUNS:,} runs.")
         plan = Plan(config, points, [build(config, point) for point in points])
         for group in plan.groups:
             check_task(plan.learners[group.points[0]].task)

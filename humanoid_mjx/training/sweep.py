@@ -1,5 +1,6 @@
 """Run a sweep: train every point into a run folder that can be resumed."""
 
+import gc
 import threading
 import time
 from collections import deque
@@ -19,6 +20,7 @@ from humanoid_mjx.learners.base import WholeRunLearner
 from humanoid_mjx.runs.folder import (
     POOL,
     RunFolder,
+    damaged,
     diverged_name,
     fresh_path,
     latest_path,
@@ -27,6 +29,7 @@ from humanoid_mjx.runs.folder import (
     read_provenance,
 )
 from humanoid_mjx.runs.tables import finished_runs, read_table, write_tables
+from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.disk import check_disk
 from humanoid_mjx.training.events import EventFiles, event_writer
 from humanoid_mjx.training.memory import runs_that_fit, slots, training_bytes
@@ -36,6 +39,7 @@ from humanoid_mjx.training.progress import Reporter
 from humanoid_mjx.training.speed import Speed
 from humanoid_mjx.training.warm_start import earlier_policies
 from humanoid_mjx.training.whole_runs import WholeRuns
+from humanoid_mjx.types import Device
 
 CHECKPOINT_EVERY_S = 30.0
 """Seconds of training that a kill may cost."""
@@ -111,7 +115,7 @@ def sweep(
         event_writer()
     place = Path(out or (latest_path if resume else fresh_path)(config.name))
     check_disk(place, plan, [slots(group, size) for group, size in zip(plan.groups, sizes, strict=True)])
-    folder = (RunFolder.resume if resume else RunFolder.create)(place, resolved(config))
+    folder = _open(place, config, resume, given=out is not None)
     try:
         session = _Session(folder, plan, reporter or Reporter(), EventFiles(folder, plan) if tensorboard else None)
         session.reporter.begin(plan.num_runs * plan.budget, f"{plan.unit}s")
@@ -127,6 +131,18 @@ def sweep(
     return Run(folder.path)
 
 
+def _open(place: Path, config: Config, resume: bool, given: bool) -> RunFolder:
+    """The run folder of a sweep. Where no place was given and another sweep takes it meanwhile: the next free one."""
+    while True:
+        try:
+            return (RunFolder.resume if resume else RunFolder.create)(place, resolved(config))
+        except InputError:
+            after = place if given or resume else fresh_path(config.name)
+            if after == place:
+                raise
+            place = after
+
+
 class _Session:
     """The work of one process on a run folder."""
 
@@ -134,6 +150,8 @@ class _Session:
         self.folder, self.plan, self.reporter, self.events = folder, plan, reporter, events
         done = finished_runs(folder.path, ("point", "seed"))
         self.finished = set((done["point"] * plan.config.seeds + done["seed"]).tolist()) if done else set()
+        if self.finished and not 0 <= min(self.finished) <= max(self.finished) < plan.num_runs:
+            raise InputError(f"{folder.path / 'checkpoint'}: what it holds does not fit this training.")
         self.earlier = read_provenance(folder.path)
         self.began = self.tables_due = time.monotonic()
         self.started = datetime.now(UTC).isoformat(timespec="seconds")
@@ -143,19 +161,51 @@ class _Session:
         self.lock, self.stop = threading.Lock(), threading.Event()
 
     def train(self, index: int, size: int, policies: Any) -> None:
-        """Train the runs of a group that are not finished yet, at most `size` at once on each device."""
+        """Train the runs of a group that are not finished yet, at most `size` at once on each device, and fewer where
+        the memory turns out not to suffice.
+
+        Raises:
+          InputError: it does not suffice for one run.
+        """
         group = self.plan.groups[index]
-        waiting = deque(run for run in group.runs.tolist() if run not in self.finished)
-        if not waiting:
-            return
         whole = isinstance(group.learners, WholeRunLearner)
         # Not the number still waiting: networks' sums depend on how many runs are side by side, also after a resume.
         devices = jax.local_devices()[: 1 if whole else len(group.runs)]
         size = 1 if whole else min(size, -(-len(group.runs) // len(devices)))
+        while waiting := deque(run for run in group.runs.tolist() if run not in self.finished):
+            try:
+                self._train_side_by_side(index, waiting, size, devices, policies)
+            except Exception as error:
+                if not runtime.out_of_memory(error):
+                    raise
+                self._too_large(group, size * len(devices))
+            gc.collect()  # the arrays of a pool that failed; its error's frames held them
+            size //= 2
+            self.speed.pause()
+
+    def _too_large(self, group: Group, slots: int) -> None:
+        """Say that the memory does not suffice for so many runs side by side.
+
+        Raises:
+          InputError: they are as few as can be.
+        """
+        if slots <= len(jax.local_devices()):
+            raise InputError(
+                f"{self.folder.path}: the memory does not suffice for one run, which is estimated to need "
+                f"{training_bytes(group) / 2**20:,.0f} MiB; make the task or the learner smaller."
+            )
+        self.reporter.note(f"the memory does not suffice for {slots:,} runs side by side; half as many go on")
+
+    def _train_side_by_side(
+        self, index: int, waiting: deque[int], size: int, devices: Sequence[Device], policies: Any
+    ) -> None:
+        """Train the waiting runs of a group, `size` at once on each of the devices."""
+        group = self.plan.groups[index]
+        self.stop.clear()
         self.reporter.note(self._side_by_side(group, size * len(devices)))
         with runtime.counting_compiles() as compiles:
             common = self.plan.config.seed, policies
-            if whole:
+            if isinstance(group.learners, WholeRunLearner):
                 pool = WholeRuns(group, waiting, devices[0], *common, self.stop)
             else:
                 pool = Pool(group, waiting, size, devices, *common)
@@ -164,11 +214,9 @@ class _Session:
             self._restore(index, pool)
             self._work_in_a_thread(index, pool)
         self.compile_s += compiles.seconds
-        self.speed.pause()
         self.tables_are_old = True
         for path in self.folder.pools():
             path.unlink()
-        self.stop.clear()
 
     def _work_in_a_thread(self, index: int, pool: Pool) -> None:
         """Train what waits, and report how it goes.
@@ -258,8 +306,11 @@ class _Session:
         """Take up the runs of this group that an interrupted session, perhaps on other devices, had under way."""
         for path in self.folder.pools():
             arrays = read_arrays(path)
-            if int(arrays["group"]) == index:
-                pool.restore(arrays, str(path))
+            try:
+                if int(arrays["group"]) == index:
+                    pool.restore(arrays, str(path))
+            except (LookupError, TypeError, ValueError) as error:
+                raise damaged(path, "does not fit this training") from error
 
     def write_results(self) -> None:
         """Bring tables and provenance up to date with the finished runs."""
