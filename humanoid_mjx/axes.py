@@ -8,13 +8,15 @@ from typing import Any, Literal
 import numpy as np
 import pydantic
 
-from humanoid_mjx.spec import InputError, shown
+from humanoid_mjx.spec import InputError
 
-MAX_POINTS = 1_000_000
-"""The most points of a sweep. Each is checked by itself, and takes some kilobytes of memory."""
+MAX_POINTS = 100_000
+"""The most points of a sweep. Each is checked by itself, which takes time and kilobytes of memory."""
 
 LARGEST = float(np.finfo(np.float32).max)
 """The largest number that training can have."""
+
+SHOWN_LETTERS = 200
 
 Axis = list | dict[str, list]
 
@@ -84,6 +86,12 @@ def axis_values(name: str, axis: Axis) -> list:
     return [float(v) for v in space(low, high, count)]
 
 
+def shown(value: Any) -> str:
+    """A value that a user wrote, cut to what a sentence can bear."""
+    text = repr(value)
+    return text if len(text) <= SHOWN_LETTERS else f"{text[:SHOWN_LETTERS]}..."
+
+
 def _draw(rng: np.random.Generator, name: str, axis: Axis, count: int) -> list:
     """Random values of one axis: from a list, `{uniform: [low, high]}`, `{loguniform: ...}` or `{integers: ...}`."""
     if isinstance(axis, list):
@@ -91,7 +99,8 @@ def _draw(rng: np.random.Generator, name: str, axis: Axis, count: int) -> list:
         return [values[i] for i in rng.integers(len(values), size=count)]
     kind, (low, high) = _entries(name, axis, ("uniform", "loguniform", "integers"), 2)
     if low > high or (kind == "loguniform" and low <= 0):
-        raise InputError(f"sweep.axes.{name}: the ends must be in order, and above 0 for loguniform, got {shown(axis)}.")
+        got = shown(axis)
+        raise InputError(f"sweep.axes.{name}: the ends must be in order, and above 0 for loguniform, got {got}.")
     if kind == "integers":
         if not all(isinstance(end, int) and abs(end) < 2**31 for end in (low, high)):
             raise InputError(f"sweep.axes.{name}: the ends of integers must be whole numbers, got {shown(axis)}.")

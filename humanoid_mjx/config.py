@@ -2,16 +2,16 @@
 
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import pydantic
 import yaml
 
-from humanoid_mjx.axes import Sweep
+from humanoid_mjx.axes import Sweep, shown
 from humanoid_mjx.data import shipped
-from humanoid_mjx.spec import InputError, sentence, shown
+from humanoid_mjx.spec import InputError, sentence
 
 TOP_LEVEL = ("episodes", "total_steps", "record", "task")
 """Keys that a learner has, but not from its own part of a config."""
@@ -59,6 +59,9 @@ class Config(pydantic.BaseModel):
         for part in ("task", "learner"):
             if "name" not in getattr(self, part):
                 raise ValueError(f"{part}.name is required")
+            for place, name in _names(getattr(self, part), part):
+                if not isinstance(name, str):
+                    raise ValueError(f"{place} must be a string, got {shown(name)}")
         for key in TOP_LEVEL:
             if key in self.learner:
                 raise ValueError(f"learner.{key}: unknown key; {key} stands at the top level")
@@ -74,6 +77,15 @@ class Config(pydantic.BaseModel):
             if axis.split(".")[0] == "learner" and (key := axis.split(".")[1]) in TOP_LEVEL:
                 raise ValueError(f"sweep.axes.{axis}: {key} stands at the top level and cannot be swept there")
         return self
+
+
+def _names(values: dict[str, Any], place: str) -> Iterator[tuple[str, Any]]:
+    """What a part of a config names, itself and the parts within it, by dotted key."""
+    for key, value in values.items():
+        if key == "name":
+            yield f"{place}.name", value
+        elif isinstance(value, dict):
+            yield from _names(value, f"{place}.{key}")
 
 
 def load(config: str | Path, overrides: Sequence[str] = ()) -> Config:
@@ -157,6 +169,15 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
+def _integer(loader: yaml.SafeLoader, node: Any) -> int:
+    """An integer that still is one as a float: Python has larger ones, which it neither converts nor prints."""
+    value = loader.construct_yaml_int(node)
+    if abs(value) > sys.float_info.max:
+        raise yaml.constructor.ConstructorError(None, None, "a number has hundreds of digits", node.start_mark)
+    return value
+
+
+_Loader.add_constructor("tag:yaml.org,2002:int", _integer)
 _Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float",
     re.compile(r"^[-+]?(\d[\d_]*\.?[\d_]*|\.\d[\d_]*)[eE][-+]?\d+$"),

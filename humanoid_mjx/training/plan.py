@@ -1,8 +1,10 @@
 """From a config to what will run: sweep points, in groups that share one compiled program."""
 
+import traceback
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -134,6 +136,13 @@ def make_plan(config: Config) -> Plan:
         return plan
     except InputError as error:
         raise InputError(f"{config.source}: {error}") from error
+    except Exception as error:
+        if not any(":" in part["name"] for part in (config.task, config.learner)):
+            raise
+        frame = traceback.extract_tb(error.__traceback__)[-1]
+        place = "" if isinstance(error, SyntaxError) else f" ({Path(frame.filename).name}, line {frame.lineno})"
+        fault = f"{type(error).__name__}: {error}{place}"
+        raise InputError(f"{config.source}: a module that it names cannot be used: {fault}.") from error
 
 
 def build(config: Config, point: Mapping[str, Any]) -> Learner:

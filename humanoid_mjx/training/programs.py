@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, PartitionSpec
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Bool
 
 from humanoid_mjx import runtime
@@ -57,7 +57,10 @@ def programs(options: tuple[tuple[str, str | bool], ...], mesh: Mesh, fused: boo
 
     def compiled(function: Callable[..., Any], given: Any = by_run, **options_of_jit: Any) -> Callable[..., Any]:
         spread = jax.shard_map(function, mesh=mesh, in_specs=given, out_specs=by_run, check_vma=False)
-        return jax.jit(spread, compiler_options=dict(options), **options_of_jit)
+        # By itself jax says of arrays without entries that every device has them whole, and a compiled program then
+        # refuses the states that another one has made.
+        whole = NamedSharding(mesh, by_run)
+        return jax.jit(spread, compiler_options=dict(options), out_shardings=whole, **options_of_jit)
 
     train = by_kernel if fused else jax.vmap(advance, in_axes=(0, 0, None))
     return Programs(

@@ -148,6 +148,8 @@ class _Session:
 
     def __init__(self, folder: RunFolder, plan: Plan, reporter: Reporter, events: EventFiles | None):
         self.folder, self.plan, self.reporter, self.events = folder, plan, reporter, events
+        for part in folder.parts():
+            read_arrays(part)  # a damaged policy would else be found after the sweep that could have trained it again
         done = finished_runs(folder.path, ("point", "seed"))
         self.finished = set((done["point"] * plan.config.seeds + done["seed"]).tolist()) if done else set()
         if self.finished and not 0 <= min(self.finished) <= max(self.finished) < plan.num_runs:
