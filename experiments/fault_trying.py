@@ -25,17 +25,17 @@ CONFIGS: dict[str, dict[str, Any]] = {
         "task": {"name": "joint_reach", "joint": 1, "states": 24, "max_episode_steps": 400},
         "learner": {"name": "tabular_q", "epsilon_decay": 0.99},
         "sweep": {"axes": {"learner.discount": [0.5, 0.97], "learner.epsilon": [0.3, 1.0]}},
-        "seeds": 40,
-        "episodes": 1000,
+        "seeds": 12,
+        "episodes": 600,
         "record": 20,
     },
     "linear_q": {
         "name": "linear",
         "task": LEG,
-        "learner": {"name": "linear_q", **STEPS, "learning_rate": 0.1},
+        "learner": {"name": "linear_q", **STEPS, "learning_rate": 0.1, "resolution": 4, "tilings": 2, "order": 1},
         "sweep": {"axes": {"learner.epsilon": [0.1, 0.5]}},
         "seeds": 3,
-        "total_steps": 40_000,
+        "total_steps": 2_560,
         "record": 20,
     },
     "deep_q": {
@@ -44,18 +44,24 @@ CONFIGS: dict[str, dict[str, Any]] = {
         "learner": {"name": "deep_q", **STEPS, "width": 16, "layers": 1},
         "sweep": {"axes": {"learner.epsilon": [0.1, 0.5]}},
         "seeds": 3,
-        "total_steps": 20_000,
+        "total_steps": 5_120,
         "record": 20,
     },
     "brax_ppo": {
         "name": "ppo",
         "task": LEG,
         "learner": {
-            "name": "brax_ppo", "num_envs": 8, "batch_size": 4, "num_minibatches": 2, "unroll_length": 4,
-            "policy_hidden_layer_sizes": [8], "value_hidden_layer_sizes": [8], "evaluation_envs": 4,
+            "name": "brax_ppo",
+            "num_envs": 8,
+            "batch_size": 4,
+            "num_minibatches": 2,
+            "unroll_length": 4,
+            "policy_hidden_layer_sizes": [8],
+            "value_hidden_layer_sizes": [8],
+            "evaluation_envs": 4,
         },
         "seeds": 3,
-        "total_steps": 1024,
+        "total_steps": 512,
         "record": 4,
     },
 }
@@ -64,6 +70,9 @@ over while others are half done."""
 
 TINY = CONFIGS["tabular_q"] | {"seeds": 2, "episodes": 100, "record": 10}
 """A training of a fraction of a second."""
+
+
+SAME = "resumed to the same bits"
 
 
 class Done(NamedTuple):
@@ -164,6 +173,11 @@ def isolated(function: Callable[[Any], Any], cases: Sequence[Any], folder: Path,
         process.kill()
         process.join()
     return results
+
+
+def whole(run: Path) -> Done:
+    """The sweep that nothing hits."""
+    return command("sweep", write_config(run.parent, TINY), "--out", run)
 
 
 class Matrix:
