@@ -82,7 +82,7 @@ def _poisoned(learner: str) -> str:
     good, bad = (sweep_module.Run(runs[name]).summary for name in ("healthy", "poisoned"))
     marks.append(bad["diverged"].tolist() == [False, False, True, True])
     marks.append(all(repr(good[name][:2].tolist()) == repr(bad[name][:2].tolist()) for name in good))
-    marks.append("2 diverged" in command("runs", runs["poisoned"]).said)
+    marks.append("diverged" in command("runs", runs["poisoned"]).said)  # words may stand on two lines
     page = runs["poisoned"] / "report.html"
     marks.append(command("report", runs["poisoned"], "--no-motion").how == "worked")
     marks.append("2 of 4 runs stopped at numbers that were not finite" in page.read_text())

@@ -16,6 +16,7 @@ from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 
+import fault_configs
 import fault_disks
 import fault_input
 import fault_numbers
@@ -40,15 +41,15 @@ def experiments(matrix: Matrix, folder: Path, tries: int | None, seed: int) -> d
     for kind, words in fault_disks.AT_A_WRITE.items():
         found[kind] = partial(fault_disks.at_every_write, matrix, kind, words, folder / kind, many(1000))
     found |= {
-        "disks": partial(fault_disks.small_disks, matrix, folder / "disks", 4),
+        "disks": partial(fault_disks.small_disks, matrix, folder / "disks", 32),
         "processes": partial(fault_running.crowds, matrix, folder / "processes", many(5)),
         "clocks": partial(fault_running.clocks, matrix, folder / "clocks"),
         "memory": partial(fault_numbers.memory, matrix, folder / "memory"),
         "nan": partial(fault_numbers.not_finite, matrix, folder / "nan"),
         "runs": partial(fault_input.damaged_runs, matrix, folder / "runs", many(8), seed),
         "policies": partial(fault_input.policies, matrix, folder / "policies", many(200), seed),
-        "configs": partial(fault_input.configs, matrix, folder / "configs", many(200), seed),
-        "bombs": partial(fault_input.bombs, matrix, folder / "bombs"),
+        "configs": partial(fault_configs.configs, matrix, folder / "configs", many(200), seed),
+        "bombs": partial(fault_configs.bombs, matrix, folder / "bombs"),
     }
     return found
 
