@@ -10,7 +10,13 @@ import pydantic
 
 from humanoid_mjx.spec import InputError
 
-MAX_POINTS = 10_000_000
+MAX_POINTS = 100_000
+"""The most points of a sweep. Each is checked by itself, which takes time and kilobytes of memory."""
+
+LARGEST = float(np.finfo(np.float32).max)
+"""The largest number that training can have."""
+
+SHOWN_LETTERS = 200
 
 Axis = list | dict[str, list]
 
@@ -67,17 +73,23 @@ def axis_values(name: str, axis: Axis) -> list:
         if not axis:
             raise InputError(f"sweep.axes.{name}: the list is empty.")
         if odd := [v for v in axis if isinstance(v, (dict, list)) or v is None]:
-            raise InputError(f"sweep.axes.{name}: a list of values cannot hold {odd[0]!r}.")
+            raise InputError(f"sweep.axes.{name}: a list of values cannot hold {shown(odd[0])}.")
         return axis
     kind, (low, high, count) = _entries(name, axis, ("linspace", "logspace"), 3)
     if not isinstance(count, int) or not 1 <= count <= MAX_POINTS:
         raise InputError(
-            f"sweep.axes.{name}: the third entry is the number of values, from 1 to {MAX_POINTS:,}, got {count!r}."
+            f"sweep.axes.{name}: the third entry is the number of values, from 1 to {MAX_POINTS:,}, got {shown(count)}."
         )
     if kind == "logspace" and not (low > 0 and high > 0):
-        raise InputError(f"sweep.axes.{name}: logspace needs ends above 0, got {low!r} and {high!r}.")
+        raise InputError(f"sweep.axes.{name}: logspace needs ends above 0, got {shown(low)} and {shown(high)}.")
     space = np.linspace if kind == "linspace" else np.geomspace
     return [float(v) for v in space(low, high, count)]
+
+
+def shown(value: Any) -> str:
+    """A value that a user wrote, cut to what a sentence can bear."""
+    text = repr(value)
+    return text if len(text) <= SHOWN_LETTERS else f"{text[:SHOWN_LETTERS]}..."
 
 
 def _draw(rng: np.random.Generator, name: str, axis: Axis, count: int) -> list:
@@ -87,10 +99,11 @@ def _draw(rng: np.random.Generator, name: str, axis: Axis, count: int) -> list:
         return [values[i] for i in rng.integers(len(values), size=count)]
     kind, (low, high) = _entries(name, axis, ("uniform", "loguniform", "integers"), 2)
     if low > high or (kind == "loguniform" and low <= 0):
-        raise InputError(f"sweep.axes.{name}: the ends must be in order, and above 0 for loguniform, got {axis!r}.")
+        got = shown(axis)
+        raise InputError(f"sweep.axes.{name}: the ends must be in order, and above 0 for loguniform, got {got}.")
     if kind == "integers":
-        if not (isinstance(low, int) and isinstance(high, int)):
-            raise InputError(f"sweep.axes.{name}: the ends of integers must be whole numbers, got {axis!r}.")
+        if not all(isinstance(end, int) and abs(end) < 2**31 for end in (low, high)):
+            raise InputError(f"sweep.axes.{name}: the ends of integers must be whole numbers, got {shown(axis)}.")
         return [int(v) for v in rng.integers(low, high, size=count, endpoint=True)]
     if kind == "loguniform":
         return [float(v) for v in np.exp(rng.uniform(np.log(low), np.log(high), count))]
@@ -100,8 +113,8 @@ def _draw(rng: np.random.Generator, name: str, axis: Axis, count: int) -> list:
 def _entries(name: str, axis: dict[str, list], kinds: tuple[str, ...], size: int) -> tuple[str, list]:
     if len(axis) != 1 or (kind := next(iter(axis))) not in kinds:
         forms = ", ".join(f"{{{kind}: [...]}}" for kind in kinds)
-        raise InputError(f"sweep.axes.{name}: write a list of values or one of {forms}, got {axis!r}.")
+        raise InputError(f"sweep.axes.{name}: write a list of values or one of {forms}, got {shown(axis)}.")
     numbers = [v for v in axis[kind] if isinstance(v, (int, float)) and not isinstance(v, bool)]
-    if len(axis[kind]) != size or len(numbers) != size or not all(map(math.isfinite, numbers)):
-        raise InputError(f"sweep.axes.{name}: {kind} takes {size} finite numbers, got {axis[kind]!r}.")
+    if len(axis[kind]) != size or len(numbers) != size or not all(abs(v) <= LARGEST for v in numbers):
+        raise InputError(f"sweep.axes.{name}: {kind} takes {size} finite numbers, got {shown(axis[kind])}.")
     return kind, numbers

@@ -5,7 +5,7 @@ import os
 import sys
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 
@@ -229,15 +229,19 @@ def common(
     """Batched simulation and Q-learning for the lower body of a humanoid, in JAX."""
 
 
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS)
-"""Errors of a disk, not of this program."""
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
+"""Errors of a disk that can hold no more."""
+
+LETTERS = 2000
+"""The longest sentence that is said of unusable input."""
 
 INTERRUPTED = 130
 """The exit code after Ctrl-C, by the convention of shells."""
 
 
 def main() -> None:
-    """Run the command line. Unusable input ends with one sentence and exit code 2."""
+    """Run the command line. Unusable input, and files, disks and memory that fail, end with one sentence and exit
+    code 2."""
     try:
         app()
     except (KeyboardInterrupt, SystemExit) as error:
@@ -247,16 +251,25 @@ def main() -> None:
             sys.stdout.flush()
         os._exit(INTERRUPTED)  # a thread that compiles cannot be interrupted, and Python would wait for it
     except OSError as error:
-        if error.errno not in FULL:
-            raise
         place = f"{error.filename}: " if error.filename else ""
-        print(f"error: {place}{error.strerror}; what a sweep has stored is valid, --resume goes on.", file=sys.stderr)
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is buffered would fail again at exit
-        sys.exit(2)
-    except ValueError as error:
+        what = os.strerror(error.errno) if error.errno else str(error)
+        goes_on = "; what a sweep has stored is valid, --resume goes on" if error.errno in FULL else ""
+        _end(f"{place}{what}{goes_on}.")
+    except Exception as error:
+        from humanoid_mjx.runtime import out_of_memory
         from humanoid_mjx.spec import InputError
 
+        if out_of_memory(error):
+            _end("the memory does not suffice; make the task, the learner or the number of episodes smaller.")
         if not isinstance(error, InputError):
             raise
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(2)
+        _end(str(error))
+
+
+def _end(sentence: str) -> NoReturn:
+    """Say why there is no result, on one line whatever the words are that a user's file holds, and exit."""
+    plain = "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in sentence)
+    print(f"error: {plain if len(plain) <= LETTERS else plain[:LETTERS] + '...'}", file=sys.stderr)
+    with suppress(OSError, ValueError):  # what is buffered would fail again at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    sys.exit(2)

@@ -2,16 +2,19 @@
 
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import pydantic
 import yaml
 
-from humanoid_mjx.axes import Sweep
+from humanoid_mjx.axes import Sweep, shown
 from humanoid_mjx.data import shipped
 from humanoid_mjx.spec import InputError, sentence
+
+TOP_LEVEL = ("episodes", "total_steps", "record", "task")
+"""Keys that a learner has, but not from its own part of a config."""
 
 
 class Config(pydantic.BaseModel):
@@ -56,7 +59,10 @@ class Config(pydantic.BaseModel):
         for part in ("task", "learner"):
             if "name" not in getattr(self, part):
                 raise ValueError(f"{part}.name is required")
-        for key in ("episodes", "total_steps", "record", "task"):
+            for place, name in _names(getattr(self, part), part):
+                if not isinstance(name, str):
+                    raise ValueError(f"{place} must be a string, got {shown(name)}")
+        for key in TOP_LEVEL:
             if key in self.learner:
                 raise ValueError(f"learner.{key}: unknown key; {key} stands at the top level")
         for key in ("episodes", "total_steps"):
@@ -68,7 +74,18 @@ class Config(pydantic.BaseModel):
                     f"sweep.axes.{axis}: an axis is the dotted name of a value of task or learner, "
                     "such as learner.epsilon"
                 )
+            if axis.split(".")[0] == "learner" and (key := axis.split(".")[1]) in TOP_LEVEL:
+                raise ValueError(f"sweep.axes.{axis}: {key} stands at the top level and cannot be swept there")
         return self
+
+
+def _names(values: dict[str, Any], place: str) -> Iterator[tuple[str, Any]]:
+    """What a part of a config names, itself and the parts within it, by dotted key."""
+    for key, value in values.items():
+        if key == "name":
+            yield f"{place}.name", value
+        elif isinstance(value, dict):
+            yield from _names(value, f"{place}.{key}")
 
 
 def load(config: str | Path, overrides: Sequence[str] = ()) -> Config:
@@ -125,22 +142,42 @@ def apply_override(data: dict[str, Any], override: str) -> None:
     data[last] = parse_yaml(text, f"--set {override}")
 
 
+MAX_NODES = 1_000_000
+"""The most values that a text may hold, those that it repeats by aliases counted each time. Nine lines of ten aliases
+each, a billion values, would otherwise fill the memory as soon as they are looked at."""
+
+
 class _Loader(yaml.SafeLoader):
     """YAML without tags and duplicate keys, in which 1e-3 is a number."""
+
+    def get_single_node(self) -> Any:
+        node = super().get_single_node()
+        if node is not None and _size(node, {}) > MAX_NODES:
+            raise yaml.constructor.ConstructorError(None, None, f"it holds more than {MAX_NODES:,} values")
+        return node
 
     def construct_mapping(self, node: Any, deep: bool = False) -> dict:
         seen: set[str] = set()
         for key_node, _ in node.value:
             key = self.construct_object(key_node, deep=True)
-            problem = f"key {key!r} is no string" if not isinstance(key, str) else None
+            problem = f"key {shown(key)} is no string" if not isinstance(key, str) else None
             if problem is None and key in seen:
-                problem = f"key {key!r} appears twice"
+                problem = f"key {shown(key)} appears twice"
             if problem:
                 raise yaml.constructor.ConstructorError(None, None, problem, key_node.start_mark)
             seen.add(key)
         return super().construct_mapping(node, deep)
 
 
+def _integer(loader: yaml.SafeLoader, node: Any) -> int:
+    """An integer that still is one as a float: Python has larger ones, which it neither converts nor prints."""
+    value = loader.construct_yaml_int(node)
+    if abs(value) > sys.float_info.max:
+        raise yaml.constructor.ConstructorError(None, None, "a number has hundreds of digits", node.start_mark)
+    return value
+
+
+_Loader.add_constructor("tag:yaml.org,2002:int", _integer)
 _Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float",
     re.compile(r"^[-+]?(\d[\d_]*\.?[\d_]*|\.\d[\d_]*)[eE][-+]?\d+$"),
@@ -148,18 +185,35 @@ _Loader.add_implicit_resolver(
 )
 
 
+def _size(node: yaml.Node, sizes: dict[yaml.Node, int]) -> int:
+    """How many values a node holds, aliases followed; `sizes` are those of the nodes that are known.
+
+    Raises:
+      ConstructorError: a node holds itself.
+    """
+    if isinstance(node, yaml.ScalarNode):
+        return 1
+    if node not in sizes:
+        sizes[node] = -1
+        inside = [part for entry in node.value for part in (entry if isinstance(entry, tuple) else (entry,))]
+        sizes[node] = 1 + sum(_size(part, sizes) for part in inside)
+    elif sizes[node] < 0:
+        raise yaml.constructor.ConstructorError(None, None, "a value holds itself", node.start_mark)
+    return sizes[node]
+
+
 def parse_yaml(text: str, where: str) -> Any:
     """Plain values from YAML text.
 
     Raises:
-      InputError: text that is not YAML, is nested too deep, carries tags, or has keys that are no strings or appear
-        twice.
+      InputError: text that is not YAML, is nested too deep, carries tags, holds too much by aliases, or has keys that
+        are no strings or appear twice.
     """
     try:
         return yaml.load(text, Loader=_Loader)
     except RecursionError as error:
         raise InputError(f"{where}: this is nested too deep for a config.") from error
-    except (yaml.YAMLError, ValueError, TypeError) as error:
+    except (yaml.YAMLError, ValueError, TypeError, AttributeError, LookupError, OverflowError) as error:
         mark = getattr(error, "problem_mark", None)
         place = f" in line {mark.line + 1}" if mark else ""
         problem = getattr(error, "problem", None) or "the text cannot be read"

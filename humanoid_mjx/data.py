@@ -1,5 +1,8 @@
-"""Files that ship with the package: configs and policies, found by name."""
+"""Files: those that ship with the package, configs and policies, found by name; and those that are written whole."""
 
+import contextlib
+import os
+from collections.abc import Iterator
 from pathlib import Path
 
 from humanoid_mjx.spec import InputError, known
@@ -11,6 +14,29 @@ def folder(name: str) -> Path:
     """The folder `name`: inside the package when installed, beside it in a checkout."""
     inside = _PACKAGE / name
     return inside if inside.is_dir() else _PACKAGE.parent / name
+
+
+@contextlib.contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """A temporary path beside `path`, whose file takes its place when the block ends well.
+
+    A kill, an error or a full disk leaves the old file or the new one, never half of one.
+    """
+    temporary = path.with_name(f".new-{path.name}")
+    try:
+        yield temporary
+        with temporary.open("rb") as file:
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    finally:
+        with contextlib.suppress(OSError):  # what went wrong before is what there is to say
+            temporary.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file, as a whole or not at all."""
+    with whole_file(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
 
 
 def names(kind: str, suffix: str) -> list[str]:

@@ -75,6 +75,12 @@ def start() -> None:
             jax.config.update(name, value)
 
 
+def out_of_memory(error: BaseException) -> bool:
+    """Whether an error says that the memory of a device or of the machine does not suffice."""
+    exhausted = isinstance(error, jax.errors.JaxRuntimeError) and "RESOURCE_EXHAUSTED" in str(error)
+    return exhausted or isinstance(error, MemoryError)
+
+
 def made_by() -> dict[str, Any]:
     """What made a record: machine, versions, commit."""
     return {"machine": machine(), "versions": versions(), "commit": commit()}

@@ -1,4 +1,5 @@
-"""The wheel, installed where the checkout cannot be seen: it finds its configs and policies by name."""
+"""The wheel, made of the source distribution and installed where the checkout cannot be seen: it finds its configs and
+policies by name, trains, reports and plays."""
 
 import os
 import subprocess
@@ -15,8 +16,9 @@ ROOT = Path(__file__).parent.parent
 def clean(tmp_path_factory):
     """A function that runs Python where only the wheel and the packages it needs can be imported."""
     folder = tmp_path_factory.mktemp("wheel")
-    build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(folder), str(ROOT)]
-    subprocess.run(build, check=True, capture_output=True)
+    build = [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(folder), str(ROOT)]
+    subprocess.run(build, check=True, capture_output=True)  # the source distribution, and of that the wheel
+    assert len(list(folder.glob("*.tar.gz"))) == 1
     (wheel,) = folder.glob("*.whl")
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(folder / "venv")], check=True)
     python = folder / "venv/bin/python"
@@ -44,6 +46,11 @@ def test_what_ships_is_found_by_name(clean):
     assert "posture_switch" in clean("-m", "humanoid_mjx", "info").stdout.partition("policies")[2]
     done = clean("-m", "humanoid_mjx", "reproduce", "--list")
     assert "table-7.1" in done.stdout, done.stderr
+
+
+def test_what_ships_is_played(clean):
+    done = clean("-m", "humanoid_mjx", "play", "posture_switch", "--out", "switch.png")
+    assert done.returncode == 0 and "switch.png" in done.stdout, done.stderr
 
 
 def test_a_sweep_runs(clean):

@@ -54,7 +54,7 @@ def read_result(path: Path) -> dict[str, Any]:
         result = json.loads(path.read_text())
         if not all(_key(record) and float(record["value"]) >= 0.0 for record in result["records"]):
             raise ValueError("values are rates, shares or costs, none of them negative")
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{path}: not a result of `bench --json`.") from error
     return result
 

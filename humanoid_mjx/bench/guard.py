@@ -79,7 +79,7 @@ def read_record(path: Path) -> dict[str, float]:
     try:
         ratios = json.loads(path.read_text())["ratios"]
         return {str(name): float(value) for name, value in ratios.items()}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{path}: not a record of ratios; `bench guard --json FILE` writes one.") from error
 
 

@@ -4,4 +4,4 @@ import sys
 
 from humanoid_mjx.training.progress import PatientConsole
 
-console = PatientConsole(highlight=False, width=None if sys.stdout.isatty() else 120)
+console = PatientConsole(highlight=False, markup=False, emoji=False, width=None if sys.stdout.isatty() else 120)

@@ -11,6 +11,7 @@ import typer
 
 from humanoid_mjx import runtime
 from humanoid_mjx.commands import console
+from humanoid_mjx.data import write_text
 from humanoid_mjx.spec import InputError, check_folder, known
 
 
@@ -40,7 +41,7 @@ def run_bench(chosen: Sequence[str], file: Path | None, seeds: int | None = None
         options = {"seeds": seeds} if name == "training" and seeds is not None else {}
         records += [record.as_json() for record in module.run(lambda line: console.print("  " + line), **options)]
     if file is not None:
-        file.write_text(json.dumps(made_by | {"records": records}, indent=2) + "\n")
+        write_text(file, json.dumps(made_by | {"records": records}, indent=2) + "\n")
         console.print(f"{file}")
 
 
@@ -70,7 +71,7 @@ def guard_benches(file: Path | None) -> None:
     recorded = guard.read_record(guard.record_path()) if file is None or guard.record_path().is_file() else {}
     found = guard.run(lambda line: console.print("  " + line, soft_wrap=True), recorded)
     if file is not None:
-        file.write_text(json.dumps(guard.as_json(found), indent=2) + "\n")
+        write_text(file, json.dumps(guard.as_json(found), indent=2) + "\n")
         console.print(f"{file}")
     console.print(guard.verdict(found), soft_wrap=True)
     if any(ratio.fell for ratio in found):

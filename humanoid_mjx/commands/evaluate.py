@@ -9,6 +9,7 @@ from rich.table import Table
 
 from humanoid_mjx import runtime
 from humanoid_mjx.commands import console
+from humanoid_mjx.data import write_text
 from humanoid_mjx.runs.evaluations import Evaluation
 from humanoid_mjx.spec import check_folder
 from humanoid_mjx.training.progress import Bar
@@ -110,5 +111,5 @@ def _changes(physics: str | None, overrides: Sequence[str]) -> str:
 
 
 def _write(file: Path, result: dict[str, Any], indent: int | None = 2) -> None:
-    file.write_text(json.dumps(result, indent=indent) + "\n")
+    write_text(file, json.dumps(result, indent=indent) + "\n")
     console.print(f"{file}", soft_wrap=True)

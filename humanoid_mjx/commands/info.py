@@ -66,7 +66,7 @@ def _show_plan(config: str, overrides: Sequence[str]) -> None:
     from humanoid_mjx.training.plan import make_plan, resolved
 
     plan = make_plan(load(config, overrides))
-    console.print(dump_yaml(resolved(plan.config)).rstrip(), markup=False)
+    console.print(dump_yaml(resolved(plan.config)).rstrip())
     size = sum(run_bytes(group) * len(group.runs) for group in plan.groups)
     most = max(training_bytes(group) for group in plan.groups)
     together = [1] * len(plan.groups)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from humanoid_mjx import runtime
 from humanoid_mjx.commands import console
+from humanoid_mjx.data import write_text
 from humanoid_mjx.spec import InputError, check_folder
 from humanoid_mjx.training.progress import Bar
 
@@ -67,5 +68,5 @@ def run_export(what: str, file: Path) -> None:
 
         spec = robot_spec(what)
         spec.compile()
-        file.write_text(spec.to_xml())
+        write_text(file, spec.to_xml())
     console.print(f"{file}", soft_wrap=True)

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from rich.markup import escape
 from rich.table import Table
 
 from humanoid_mjx import runtime
@@ -25,7 +24,7 @@ def run_runs(folder: Path) -> None:
     else:
         console.print(f"{folder}: there is no run folder in it.")
     for problem in problems:
-        console.print(problem, markup=False, soft_wrap=True)
+        console.print(problem, soft_wrap=True)
     if any(run.state == "interrupted" for run in found):
         console.print("An interrupted run is completed by: humanoid-mjx sweep RUN/config.yaml --out RUN --resume")
 
@@ -41,9 +40,9 @@ def runs_table(found: Sequence[Listed]) -> Table:
         table.add_column(heading, justify="right", no_wrap=True)
     for run in found:
         table.add_row(
-            escape(_name(run)),
-            escape(run.task),
-            escape(run.learner),
+            _name(run),
+            run.task,
+            run.learner,
             f"{run.points:,} x {run.seeds:,}",
             _state(run),
             f"{run.success:.1%}" if np.isfinite(run.success) else "",
@@ -75,7 +74,7 @@ def run_plot(paths: Sequence[Path], x: str | None, y: str, by: str | None, out: 
         check_folder(out, "--out")
     target, notes = plot(paths, x, y, by, out)
     for note in notes:
-        console.print(note, markup=False)
+        console.print(note)
     console.print(f"{target}", soft_wrap=True)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from PIL import Image
 
 from humanoid_mjx.config import dump_yaml
+from humanoid_mjx.data import write_text
 from humanoid_mjx.report.figures import CURVES, HEAT_MAPS, averaged, curved, draw_curves, draw_map, limits, mapped
 from humanoid_mjx.report.player import player
 from humanoid_mjx.report.rendering import strip
@@ -36,19 +37,15 @@ PACKAGES = ("humanoid-mjx", "jax", "jaxlib", "mujoco", "mujoco-mjx", "warp-lang"
 
 
 def write_page(target: Path, html: str) -> None:
-    """Write a page beside its place and rename it into it.
+    """Write a page, as a whole or not at all.
 
     Raises:
       InputError: it cannot be written.
     """
-    temporary = target.with_name(f".new-{target.name}")
     try:
-        temporary.write_text(html, encoding="utf-8")
-        temporary.replace(target)
+        write_text(target, html)
     except OSError as error:
         raise InputError(f"{target}: cannot be written: {error.strerror}.") from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def run_page(path: Path, reporter: Reporter, motion: bool) -> str:
@@ -57,6 +54,8 @@ def run_page(path: Path, reporter: Reporter, motion: bool) -> str:
     config, provenance = read_config(path), read_provenance(path)
     results, summary = (read_table(path / f"{name}.parquet") for name in ("results", "summary"))
     axes = list((config.get("sweep") or {}).get("axes", {}))
+    if missing := [axis for axis in axes if axis not in summary or axis not in results]:
+        raise InputError(f"{path}: its tables do not fit its config; they have no column {missing[0]}.")
     reporter.phase("drawing figures")
     points = ranked(axes, summary, quickest=bool(config.get("episodes")))
     parts = [

@@ -14,6 +14,8 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from matplotlib.ticker import EngFormatter, MaxNLocator, NullFormatter, StrMethodFormatter
 
+from humanoid_mjx.data import whole_file
+
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
 """Okabe and Ito's palette, for things without an order."""
 
@@ -61,7 +63,8 @@ def figure(
             yield fig, axes
             if isinstance(path, Path):
                 path.parent.mkdir(parents=True, exist_ok=True)
-                fig.savefig(path)
+                with whole_file(path) as temporary:
+                    fig.savefig(temporary)
             else:
                 fig.savefig(path, format="svg", metadata={"Date": None})
         finally:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from humanoid_mjx.data import whole_file
 from humanoid_mjx.report.raycast import Frame
 from humanoid_mjx.spec import InputError, check_folder
 
@@ -59,20 +60,17 @@ def write_frames(frames: Iterable[Frame], path: Path, fps: float) -> None:
     Raises:
       InputError: the file cannot be written.
     """
-    temporary = path.with_name(f".new-{path.name}")
     try:
-        if path.suffix == ".png":
-            Image.fromarray(np.concatenate(list(frames), axis=1)).save(temporary)
-        elif path.suffix == ".gif":
-            first, *rest = map(Image.fromarray, frames)
-            first.save(temporary, save_all=True, append_images=rest, duration=1000 / fps, loop=0)
-        else:
-            _encode(frames, temporary, fps)
-        temporary.replace(path)
+        with whole_file(path) as temporary:
+            if path.suffix == ".png":
+                Image.fromarray(np.concatenate(list(frames), axis=1)).save(temporary)
+            elif path.suffix == ".gif":
+                first, *rest = map(Image.fromarray, frames)
+                first.save(temporary, save_all=True, append_images=rest, duration=1000 / fps, loop=0)
+            else:
+                _encode(frames, temporary, fps)
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror or error}.") from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _encode(frames: Iterable[Frame], path: Path, fps: float) -> None:

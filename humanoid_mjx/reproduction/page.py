@@ -52,7 +52,7 @@ def findings_page(path: Path) -> str:
 def _read(file: Path) -> list[dict[str, Any]]:
     try:
         found = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{file}: this file is truncated or damaged; run reproduce again.") from error
     if not isinstance(found, list) or not all(isinstance(each, dict) and set(KEYS) <= set(each) for each in found):
         raise InputError(f"{file}: this is not what reproduce writes.")

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from humanoid_mjx.config import apply_override
+from humanoid_mjx.data import write_text
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting
 from humanoid_mjx.spec import InputError, known
 
@@ -79,12 +80,12 @@ def reproduce(
         say(experiment, found, wall_s)
         findings += found
         write_findings(out / "reproduce.json", findings)
-        (out / "reproduce_times.json").write_text(json.dumps(times, indent=2) + "\n", encoding="utf-8")
+        write_text(out / "reproduce_times.json", json.dumps(times, indent=2) + "\n")
     return findings
 
 
 def write_findings(path: Path, findings: Iterable[Finding]) -> None:
-    path.write_text(json.dumps([asdict(finding) for finding in findings], indent=2) + "\n", encoding="utf-8")
+    write_text(path, json.dumps([asdict(finding) for finding in findings], indent=2) + "\n")
 
 
 def _setting(experiment: Experiment, out: Path, overrides: Sequence[str], named: bool) -> Setting:

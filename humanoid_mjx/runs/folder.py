@@ -15,20 +15,21 @@ Every file is written beside its place and renamed into it, so a kill leaves the
 """
 
 import contextlib
+import errno
 import fcntl
 import json
+import math
 import os
-import struct
-import tokenize
-import zipfile
-import zlib
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from humanoid_mjx.config import dump_yaml, parse_yaml
+from humanoid_mjx.config import dump_yaml, parse, parse_yaml
+from humanoid_mjx.data import whole_file
+from humanoid_mjx.runs.archive import DAMAGE, read_archive
 from humanoid_mjx.spec import InputError
 
 Arrays = Mapping[str, np.ndarray]
@@ -49,23 +50,35 @@ class RunFolder:
         Raises:
           InputError: the place is taken or cannot be written; nothing is left behind.
         """
-        if path.exists() and (not path.is_dir() or any(path.iterdir())):
-            raise InputError(f"{path}: already exists; resume it with --resume, or choose another place with --out.")
         try:
-            (path / "checkpoint").mkdir(parents=True)
+            if path.exists() and not _only_begun(path):
+                raise InputError(
+                    f"{path}: already exists; resume it with --resume, or choose another place with --out."
+                )
+            (path / "checkpoint").mkdir(parents=True, exist_ok=True)
             run = cls(path, _lock(path))
-            run.write_text("config.yaml", dump_yaml(dict(config)))
         except OSError as error:
             raise InputError(f"{path}: cannot be written: {error.strerror}.") from error
+        try:
+            if not _only_begun(path):  # another process was quicker
+                raise InputError(f"{path}: is in use by another process; choose another place with --out.")
+            run.write_text("config.yaml", dump_yaml(dict(config)))
+        except BaseException as error:
+            run.close()
+            if isinstance(error, OSError):
+                raise InputError(f"{path}: cannot be written: {error.strerror}.") from error
+            raise
         return run
 
     @classmethod
     def resume(cls, path: Path, config: Mapping[str, Any]) -> "RunFolder":
-        """Open a run folder to complete it.
+        """Open a run folder to complete it; one that a kill left before its config was written begins anew.
 
         Raises:
           InputError: there is none, it is in use, or it was made with another config.
         """
+        if (path / "checkpoint").is_dir() and _only_begun(path):
+            return cls.create(path, config)
         stored = read_config(path)
         try:
             run = cls(path, _lock(path))
@@ -125,14 +138,8 @@ class RunFolder:
         """A temporary path whose file becomes `name` when the block ends well."""
         target = self.path / name
         target.parent.mkdir(exist_ok=True)
-        temporary = target.with_name(f".new-{target.name}")
-        try:
+        with whole_file(target) as temporary:
             yield temporary
-            with temporary.open("rb") as file:
-                os.fsync(file.fileno())
-            temporary.replace(target)
-        finally:
-            temporary.unlink(missing_ok=True)
 
     def parts(self) -> list[Path]:
         """The files of finished runs."""
@@ -145,17 +152,12 @@ class RunFolder:
 
     def add_part(self, arrays: Arrays) -> None:
         """Store finished runs, under the next number of those that are this process's own."""
-        number = max((int(path.stem.removeprefix("part-")) for path in self.parts()), default=-1) + 1
+        number = max((int(NUMBER.findall(path.name)[0]) for path in self.parts()), default=-1) + 1
         number += (self.process - number) % self.processes
         self.write_arrays(f"checkpoint/part-{number:05d}.npz", arrays)
 
 
-DAMAGE = (
-    *(OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error, struct.error),
-    *(SyntaxError, tokenize.TokenError, NotImplementedError, RuntimeError, OverflowError),
-)
-"""What numpy and zipfile raise on damaged files: numpy parses the header of an array as Python, and a flipped bit can
-ask for a password or another compression."""
+NUMBER = re.compile(r"^part-(\d+)\.npz$")
 
 
 def diverged_name(point: int, seed: int) -> str:
@@ -165,7 +167,7 @@ def diverged_name(point: int, seed: int) -> str:
 
 def parts(path: Path) -> list[Path]:
     """The files of finished runs of a run folder."""
-    return sorted((path / "checkpoint").glob("part-*.npz"))
+    return sorted(part for part in (path / "checkpoint").glob("part-*.npz") if NUMBER.match(part.name))
 
 
 def pools(path: Path) -> list[Path]:
@@ -177,22 +179,26 @@ def read_arrays(path: Path, prefixes: tuple[str, ...] = ("",)) -> dict[str, np.n
     """The arrays of one checkpoint file whose names start with one of `prefixes`.
 
     Raises:
-      InputError: the file is truncated or damaged.
+      InputError: the file is truncated or damaged, or cannot be read.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
-            return {name: file[name] for name in file.files if name.startswith(prefixes)}
+        return read_archive(path, prefixes)
+    except PermissionError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}.") from error
     except DAMAGE as error:
-        raise InputError(
-            f"{path}: this file is truncated or damaged; remove it, and --resume trains its runs again."
-        ) from error
+        raise damaged(path) from error
+
+
+def damaged(path: Path, how: str = "is truncated or damaged") -> InputError:
+    """What to say of a file of the checkpoint that cannot be used."""
+    return InputError(f"{path}: this file {how}; remove it, and --resume trains its runs again.")
 
 
 def read_config(path: Path) -> dict[str, Any]:
     """The resolved config of a run folder as plain values.
 
     Raises:
-      InputError: `path` is no run folder.
+      InputError: `path` is no run folder, or its config is none.
     """
     file = path / "config.yaml"
     if not file.is_file():
@@ -203,16 +209,31 @@ def read_config(path: Path) -> dict[str, Any]:
         raise InputError(f"{file}: cannot be read as text: {error}.") from error
     if not isinstance(data, dict):
         raise InputError(f"{file}: this file is damaged.")
+    parse(data, str(file))
     return data
 
 
 def read_provenance(path: Path) -> dict[str, Any]:
-    """The content of a run folder's `provenance.json`; empty where it is missing or cannot be read."""
+    """The content of a run folder's `provenance.json`; empty where it is missing or cannot be read, and without its
+    sessions where they are none."""
     try:
         found = json.loads((path / "provenance.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return {}
-    return found if isinstance(found, dict) else {}
+    if not isinstance(found, dict):
+        return {}
+    sessions = found.get("sessions")
+    if isinstance(sessions, list) and all(map(_is_session, sessions)):
+        return found
+    return {name: value for name, value in found.items() if name != "sessions"}
+
+
+def _is_session(data: Any) -> bool:
+    """Whether plain values are what provenance says of one process."""
+    if not isinstance(data, dict) or not isinstance(data.get("started"), str):
+        return False
+    seconds = [data.get(name) for name in ("wall_s", "compile_s")]
+    return all(isinstance(value, (int, float)) and math.isfinite(value) for value in seconds)
 
 
 def fresh_path(name: str, root: Path = Path("runs")) -> Path:
@@ -238,12 +259,23 @@ def latest_path(name: str, root: Path = Path("runs")) -> Path:
     return path
 
 
+def _only_begun(path: Path) -> bool:
+    """Whether a folder holds nothing, or what a kill leaves of a run folder before it has a config."""
+    checkpoint = path / "checkpoint"
+    if not path.is_dir() or (checkpoint.is_dir() and any(checkpoint.iterdir())):
+        return False
+    left = {".lock", ".new-config.yaml"} | ({"checkpoint"} if checkpoint.is_dir() else set())
+    return {entry.name for entry in path.iterdir()} <= left
+
+
 def _lock(path: Path, kind: int = fcntl.LOCK_EX) -> int:
     handle = os.open(path / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
     try:
         fcntl.flock(handle, kind | fcntl.LOCK_NB)
     except OSError as error:
         os.close(handle)
+        if error.errno not in (errno.EWOULDBLOCK, errno.EACCES):  # a file system without locks
+            raise
         raise InputError(f"{path}: is in use by another process; wait for it, or choose another place.") from error
     return handle
 

@@ -85,7 +85,7 @@ def look_at(path: Path) -> Listed:
         named = (str(config["name"]), str(config["task"]["name"]), str(config["learner"]["name"]))
     except InputError:
         raise
-    except (LookupError, TypeError, ValueError) as error:
+    except (LookupError, TypeError, ValueError, ArithmeticError) as error:
         raise InputError(f"{path}: its config, provenance and tables do not fit together.") from error
     state = "finished" if share >= 1.0 else "training" if _in_use(path) else "interrupted"
     return Listed(path, *named, points, seeds, state, share, success, greedy_return, diverged, started, disk_used(path))
@@ -100,12 +100,14 @@ def _count_points(path: Path, config: dict[str, Any]) -> int:
 def _started(path: Path, provenance: Mapping[str, Any]) -> datetime:
     if "started" in provenance:
         found = datetime.fromisoformat(provenance["started"])
-        return found if found.tzinfo else found.replace(tzinfo=UTC)
+        return (found if found.tzinfo else found.replace(tzinfo=UTC)).astimezone(UTC)
     return datetime.fromtimestamp((path / "config.yaml").stat().st_mtime, UTC)
 
 
 def _share(path: Path, runs: int, seeds: int, provenance: Mapping[str, Any]) -> float:
     """How much of all runs is trained: of finished ones all, of those under way what their checkpoint says."""
+    if runs < 1:
+        raise ValueError("no runs")
     if provenance.get("runs_finished") == runs:
         return 1.0
     done = finished_runs(path, ("point", "seed"))

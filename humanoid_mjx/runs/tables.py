@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from jaxtyping import Int
 
-from humanoid_mjx.runs.folder import RunFolder, parts, read_arrays
+from humanoid_mjx.runs.folder import RunFolder, damaged, parts, read_arrays
 from humanoid_mjx.spec import InputError
 
 LAST_SHARE = 0.1
@@ -32,19 +32,25 @@ def write_tables(folder: RunFolder, labels: Labels) -> int:
 
     Returns:
       the number of finished runs.
+
+    Raises:
+      InputError: a file of the checkpoint is damaged or of another training.
     """
     arrays = finished_runs(folder.path, ("point", "seed", "curve.", "final.", "time."))
     if not arrays:
         return 0
     columns = {name: pa.array(values).dictionary_encode() for name, values in labels.hyper.items()}
-    tables = {
-        "results": _results(labels, columns, arrays),
-        "summary": _summary(columns, arrays),
-        "timing": pa.table(_rows(labels, arrays) | {"wall_s": arrays["time.wall_s"].reshape(-1)}),
-    }
+    try:
+        tables = {
+            "results": _results(labels, columns, arrays),
+            "summary": _summary(columns, arrays),
+            "timing": pa.table(_rows(labels, arrays) | {"wall_s": arrays["time.wall_s"].reshape(-1)}),
+        }
+    except (LookupError, ValueError, pa.ArrowException) as error:
+        raise InputError(f"{folder.path / 'checkpoint'}: what it holds does not fit this training.") from error
     for name, table in tables.items():
         with folder.writing(f"{name}.parquet") as path:
-            pq.write_table(table, path, compression="zstd")
+            pq.write_table(table, path, compression="zstd", write_page_checksum=True)
     return len(arrays["point"])
 
 
@@ -52,29 +58,59 @@ def finished_runs(path: Path, prefixes: tuple[str, ...]) -> dict[str, np.ndarray
     """The arrays of a run folder's finished runs whose names start so, ordered by point and seed.
 
     Raises:
-      InputError: a file of the checkpoint is damaged.
+      InputError: a file of the checkpoint is damaged, of another training, or there twice.
     """
-    loaded = [read_arrays(part, prefixes) for part in parts(path)]
+    loaded = {part: read_arrays(part, prefixes) for part in parts(path)}
     if not loaded:
         return {}
-    arrays = {name: np.concatenate([part[name] for part in loaded]) for name in loaded[0]}
-    order = np.lexsort((arrays["seed"], arrays["point"]))
-    return {name: array[order] for name, array in arrays.items()}
+    form, seen = None, set()
+    for part, arrays in loaded.items():
+        form = form or _form(arrays)
+        if form is None or _form(arrays) != form:
+            raise damaged(part, "is of another training")
+        runs = set(zip(arrays["point"].tolist(), arrays["seed"].tolist(), strict=True))
+        if len(runs) < len(arrays["point"]) or runs & seen:
+            raise damaged(part, "holds runs that another one holds")
+        seen |= runs
+    whole = {name: np.concatenate([arrays[name] for arrays in loaded.values()]) for name in form or ()}
+    order = np.lexsort((whole["seed"], whole["point"]))
+    return {name: array[order] for name, array in whole.items()}
+
+
+def _form(arrays: dict[str, np.ndarray]) -> dict[str, Any] | None:
+    """What the arrays of all parts have in common; None where they are not those of runs."""
+    runs = len(arrays["point"]) if "point" in arrays and arrays["point"].ndim == 1 else -1
+    numbers = all(name in arrays and arrays[name].dtype.kind == "i" for name in ("point", "seed"))
+    if not numbers or any(array.shape[:1] != (runs,) for array in arrays.values()) or arrays["seed"].ndim != 1:
+        return None
+    return {name: (array.shape[1:], array.dtype) for name, array in arrays.items()}
+
+
+NEEDED = {
+    "results": {"point", "seed"},
+    "summary": {"point", "seed", "greedy_success", "diverged"},
+    "timing": {"point", "seed", "wall_s"},
+}
+"""Columns without which a parquet file of a run folder is another one."""
 
 
 def read_table(path: Path, columns: Sequence[str] | None = None) -> dict[str, np.ndarray]:
     """The columns of a parquet file of a run folder: all, or those named.
 
     Raises:
-      InputError: the file is missing, truncated or damaged.
+      InputError: the file is missing, truncated, damaged or another one.
     """
     if not path.is_file():
         raise InputError(f"{path}: there is no such file; --resume the run to write it.")
     try:
-        table = pq.read_table(path, columns=None if columns is None else list(columns))
-    except (pa.ArrowException, OSError) as error:
+        chosen = None if columns is None else list(columns)
+        table = pq.read_table(path, columns=chosen, page_checksum_verification=True)
+        arrays = {name: table[name].to_numpy() for name in table.column_names}
+    except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
         raise InputError(f"{path}: this file is truncated or damaged; --resume the run to write it again.") from error
-    return {name: table[name].to_numpy() for name in table.column_names}
+    if columns is None and not (table.num_rows and NEEDED.get(path.stem, set()) <= set(arrays)):
+        raise InputError(f"{path}: this file is another one; --resume the run to write it again.")
+    return arrays
 
 
 def column_names(path: Path) -> list[str]:

@@ -1,5 +1,6 @@
 """Move one joint from a start angle to a goal angle in equal steps (thesis section 6.3, results 7 E to 7 G)."""
 
+import math
 from collections.abc import Mapping
 from typing import Literal
 
@@ -39,7 +40,8 @@ class JointReach(FiniteTask):
     @model_validator(mode="before")
     @classmethod
     def _fill_from_joint(cls, data: dict) -> dict:
-        if isinstance(data, dict) and (joint := data.get("joint", 1)) in thesis.JOINT_RANGES:
+        joint = data.get("joint", 1) if isinstance(data, dict) else None
+        if isinstance(joint, int) and joint in thesis.JOINT_RANGES:
             start, goal = thesis.JOINT_RANGES[joint]
             data = {"start": start, "goal": goal} | data
         return data
@@ -51,7 +53,7 @@ class JointReach(FiniteTask):
         if self.action == 0:
             raise ValueError("action must be a non-zero number of degrees")
         moves = (self.goal - self.start) / self.action
-        if moves < 0 or abs(moves - round(moves)) > 1e-6:
+        if moves < 0 or not math.isfinite(moves) or abs(moves - round(moves)) > 1e-6:
             raise ValueError(
                 f"from {self.start:g} the goal {self.goal:g} cannot be hit in steps of {self.action:g} degrees; "
                 f"the distance {self.goal - self.start:g} must be a whole multiple of action"

@@ -1,8 +1,10 @@
 """From a config to what will run: sweep points, in groups that share one compiled program."""
 
+import traceback
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -18,6 +20,9 @@ from humanoid_mjx.spec import InputError, Spec
 from humanoid_mjx.tasks import make_task
 from humanoid_mjx.tasks.check import check_task
 from humanoid_mjx.training.program import Training, begin
+
+MAX_RUNS = 10_000_000
+"""The most runs of a sweep: points times seeds."""
 
 
 @dataclass(frozen=True)
@@ -123,12 +128,21 @@ def make_plan(config: Config) -> Plan:
     try:
         build(config, {})
         points = sweep_points(config.sweep, config.seed) if config.sweep else [{}]
+        if len(points) * config.seeds > MAX_RUNS:
+            raise InputError(f"{len(points):,} points x {config.seeds:,} seeds are more than {MAX_RUNS:,} runs.")
         plan = Plan(config, points, [build(config, point) for point in points])
         for group in plan.groups:
             check_task(plan.learners[group.points[0]].task)
         return plan
     except InputError as error:
         raise InputError(f"{config.source}: {error}") from error
+    except Exception as error:
+        if not any(":" in part["name"] for part in (config.task, config.learner)):
+            raise
+        frame = traceback.extract_tb(error.__traceback__)[-1]
+        place = "" if isinstance(error, SyntaxError) else f" ({Path(frame.filename).name}, line {frame.lineno})"
+        fault = f"{type(error).__name__}: {error}{place}"
+        raise InputError(f"{config.source}: a module that it names cannot be used: {fault}.") from error
 
 
 def build(config: Config, point: Mapping[str, Any]) -> Learner:

@@ -15,13 +15,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx.config import Config, apply_override, parse
-from humanoid_mjx.data import folder, names
+from humanoid_mjx.data import folder, names, whole_file
 from humanoid_mjx.learners import Learner
-from humanoid_mjx.runs.folder import DAMAGE, read_config
+from humanoid_mjx.runs.archive import DAMAGE, read_archive
+from humanoid_mjx.runs.folder import read_config, read_provenance
 from humanoid_mjx.runs.ranking import ranked
 from humanoid_mjx.runs.tables import finished_runs, scores
 from humanoid_mjx.spec import InputError, check_folder, known
-from humanoid_mjx.training.plan import make_plan, resolved, set_dotted
+from humanoid_mjx.training.plan import Plan, make_plan, resolved, set_dotted
 from humanoid_mjx.training.state import from_arrays, to_arrays
 
 FORMAT = "humanoid_mjx policy, version 1"
@@ -92,6 +93,16 @@ def _ranked(path: Path, all_seeds: bool) -> list[Trained]:
     arrays = finished_runs(path, ("point", "seed", "policy", "curve.steps", "final."))
     if not arrays:
         raise InputError(f"{path}: holds no finished run; --resume it first.")
+    try:
+        return _best_runs(path, data, plan, arrays, all_seeds)
+    except LookupError as error:
+        raise InputError(f"{path / 'checkpoint'}: what it holds does not fit the config beside it.") from error
+
+
+def _best_runs(
+    path: Path, data: dict[str, Any], plan: Plan, arrays: dict[str, np.ndarray], all_seeds: bool
+) -> list[Trained]:
+    """The runs of the best point of finished `arrays`: the best of them, or all."""
     quickest = plan.config.episodes is not None
     best = ranked((), {"point": arrays["point"]} | scores(arrays), quickest)[0]
     cost = arrays["final.greedy_steps"] if quickest else -arrays["final.greedy_return"]
@@ -101,8 +112,7 @@ def _ranked(path: Path, all_seeds: bool) -> list[Trained]:
     own: dict[str, Any] = {key: value for key, value in data.items() if key != "sweep"} | {"seeds": 1}
     for key, value in plan.points[point].items():
         set_dotted(own, key, value)
-    file = path / "provenance.json"
-    provenance = json.loads(file.read_text()) if file.is_file() else {}
+    provenance = read_provenance(path)
 
     def trained(row: int) -> Trained:
         final = {name: float(array[row]) for name, array in arrays.items() if name.startswith("final.greedy_")}
@@ -121,15 +131,11 @@ def save_policy(trained: Trained, path: Path) -> None:
     """
     check_folder(path)
     text = np.array(json.dumps({"format": FORMAT} | trained.as_json()))
-    temporary = path.with_name(f".new-{path.name}")
     try:
-        with temporary.open("wb") as file:
+        with whole_file(path) as temporary, temporary.open("wb") as file:
             np.savez_compressed(file, allow_pickle=False, header=text, **to_arrays(trained.policy, "policy"))
-        temporary.replace(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}.") from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def load_policy(path: Path) -> Trained:
@@ -141,14 +147,15 @@ def load_policy(path: Path) -> Trained:
     if not path.is_file():
         raise InputError(f"{path}: there is no such file.")
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
+        arrays = read_archive(path)
         header = json.loads(str(arrays.pop("header")))
         version = header["format"]
         if version == FORMAT:
             config, origin = dict(header["config"]), dict(header["origin"])
             name, place = str(header["name"]), (int(header["point"]), int(header["seed"]))
-    except (*DAMAGE, TypeError, AttributeError, LookupError) as error:
+    except PermissionError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}.") from error
+    except DAMAGE as error:
         raise InputError(f"{path}: this is no policy file, or a truncated or damaged one.") from error
     if version != FORMAT:
         raise InputError(f"{path}: this is a {version!r}, but {FORMAT!r} is wanted; export it again from its run.")
@@ -212,6 +219,8 @@ def _assemble(
     where: str,
 ) -> Trained:
     parsed = parse(config, where)
+    if parsed.sweep:
+        raise InputError(f"{where}: its config has a sweep, and a policy has one point.")
     (group,) = make_plan(parsed).groups
     learner = group.learner()
     like = jax.eval_shape(lambda learner, carry: learner.policy(carry), learner, group.one_run.carry)

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, PartitionSpec
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Bool
 
 from humanoid_mjx import runtime
@@ -64,7 +64,10 @@ def programs(
 
     def compiled(function: Callable[..., Any], given: Any, found: Any, **options_of_jit: Any) -> Callable[..., Any]:
         spread = jax.shard_map(function, mesh=mesh, in_specs=given, out_specs=found, check_vma=False)
-        return jax.jit(spread, compiler_options=dict(options), **options_of_jit)
+        # By itself jax says of arrays without entries that every device has them whole, and a compiled program then
+        # refuses the states that another one has made.
+        lying = jax.tree.map(partial(NamedSharding, mesh), found)
+        return jax.jit(spread, compiler_options=dict(options), out_shardings=lying, **options_of_jit)
 
     train = by_kernel if fused else jax.vmap(further, in_axes=(0, 0, None))
     return Programs(

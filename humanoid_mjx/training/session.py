@@ -1,10 +1,13 @@
 """The work of one process on a run folder: groups of runs trained in turn, stored, resumed, reported."""
 
+import gc
 import threading
 import time
 from collections import deque
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -14,8 +17,9 @@ from humanoid_mjx import runtime
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.base import WholeRunLearner
 from humanoid_mjx.processes import Processes
-from humanoid_mjx.runs.folder import RunFolder, diverged_name, pools, read_arrays, read_provenance
+from humanoid_mjx.runs.folder import RunFolder, damaged, diverged_name, pools, read_arrays, read_provenance
 from humanoid_mjx.runs.tables import finished_runs, write_tables
+from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.events import EventFiles
 from humanoid_mjx.training.memory import training_bytes
 from humanoid_mjx.training.plan import Group, Plan
@@ -23,6 +27,7 @@ from humanoid_mjx.training.pool import COMPILING, Pool
 from humanoid_mjx.training.progress import Reporter
 from humanoid_mjx.training.speed import Speed
 from humanoid_mjx.training.whole_runs import WholeRuns
+from humanoid_mjx.types import Device
 
 CHECKPOINT_EVERY_S = 30.0
 """Seconds of training that a kill may cost."""
@@ -42,11 +47,15 @@ class Session:
         self, folder: RunFolder, plan: Plan, processes: Processes, reporter: Reporter, events: EventFiles | None
     ):
         self.folder, self.plan, self.processes, self.reporter, self.events = folder, plan, processes, reporter, events
+        for part in folder.parts():
+            read_arrays(part)  # a damaged policy would else be found after the sweep that could have trained it again
         self.mine = set(processes.share(np.concatenate([group.runs for group in plan.groups])).tolist())
         done = finished_runs(folder.path, ("point", "seed"))
         finished = set((done["point"] * plan.config.seeds + done["seed"]).tolist()) if done else set()
-        self.finished, self.waiting = finished & self.mine, self.mine - finished
-        self.interrupted = [(path, _only(self.waiting, read_arrays(path))) for path in pools(folder.path)]
+        if finished and not 0 <= min(finished) <= max(finished) < plan.num_runs:
+            raise InputError(f"{folder.path / 'checkpoint'}: what it holds does not fit this training.")
+        self.finished = finished & self.mine
+        self.interrupted = self._under_way()
         self.reporter.begin(len(self.mine) * plan.budget, f"{plan.unit}s")
         processes.meet()  # before anyone writes
         self.earlier = read_provenance(folder.path)
@@ -58,35 +67,81 @@ class Session:
         self.lock, self.stop = threading.Lock(), threading.Event()
 
     def train(self, index: int, size: int, policies: Any) -> None:
-        """Train the runs of a group that are not finished yet, at most `size` at once on each device."""
+        """Train the runs of a group that are not finished yet, at most `size` at once on each device, and fewer where
+        the memory turns out not to suffice.
+
+        Raises:
+          InputError: it does not suffice for one run.
+        """
         group = self.plan.groups[index]
         runs = [run for run in group.runs.tolist() if run in self.mine]
-        waiting = deque(run for run in runs if run in self.waiting)
-        if not waiting:
+        if not runs:
             return
         whole = isinstance(group.learners, WholeRunLearner)
         # Not the number still waiting: networks' sums depend on how many runs are side by side, also after a resume.
         share = devices_of_a_run(group.learners, len(runs))
         devices = jax.local_devices()[: 1 if whole else len(runs) * share]
         size = 1 if whole else min(size, -(-len(runs) * share // len(devices)))
-        self.reporter.note(self._side_by_side(group, len(runs), size * len(devices) // share))
+        while waiting := deque(run for run in runs if run not in self.finished):
+            slots = size * len(devices) // share
+            self.reporter.note(self._side_by_side(group, len(runs), slots))
+            try:
+                self._train_side_by_side(index, waiting, size, devices, share, policies)
+            except Exception as error:
+                if not runtime.out_of_memory(error):
+                    raise
+                self._too_large(group, size, slots)
+                self.interrupted = self._under_way()
+            gc.collect()  # the arrays of a pool that failed; its error's frames held them
+            size //= 2
+            self.speed.pause()
+
+    def _too_large(self, group: Group, size: int, slots: int) -> None:
+        """Say that the memory does not suffice for so many runs side by side.
+
+        Raises:
+          InputError: they are as few as can be.
+        """
+        if size <= 1:
+            raise InputError(
+                f"{self.folder.path}: the memory does not suffice for one run, which is estimated to need "
+                f"{training_bytes(group) / 2**20:,.0f} MiB; make the task or the learner smaller."
+            )
+        self.reporter.note(f"the memory does not suffice for {slots:,} runs side by side; half as many go on")
+
+    def _train_side_by_side(
+        self, index: int, waiting: deque[int], size: int, devices: Sequence[Device], share: int, policies: Any
+    ) -> None:
+        """Train the waiting runs of a group, `size` at once on each of the devices, or on each `share` of them."""
+        group = self.plan.groups[index]
+        self.stop.clear()
         with runtime.counting_compiles() as compiles:
             common = self.plan.config.seed, policies
-            if whole:
+            if isinstance(group.learners, WholeRunLearner):
                 pool = WholeRuns(group, waiting, devices[0], *common, self.stop)
             else:
                 pool = Pool(group, waiting, size, devices, *common, share)
             if self.events:
                 pool.looked = partial(self.events.look, pool)
-            for path, arrays in self.interrupted:
-                if int(arrays["group"]) == index:
-                    pool.restore(arrays, str(path))
+            self._restore(index, pool)
             self._work_in_a_thread(index, pool)
         self.compile_s += compiles.seconds
-        self.speed.pause()
         self.tables_are_old = True
         (self.folder.path / self.folder.pool).unlink(missing_ok=True)
-        self.stop.clear()
+
+    def _under_way(self) -> list[tuple[Path, dict[str, np.ndarray]]]:
+        """What an interrupted session, perhaps on other devices or of other processes, had under way of our runs."""
+        waiting = self.mine - self.finished
+        return [(path, _only(waiting, read_arrays(path))) for path in pools(self.folder.path)]
+
+    def _restore(self, index: int, pool: Pool) -> None:
+        """Take up the runs of this group that were under way."""
+        for path, arrays in self.interrupted:
+            try:
+                if int(arrays["group"]) == index:
+                    pool.restore(arrays, str(path))
+            except (LookupError, TypeError, ValueError) as error:
+                raise damaged(path, "does not fit this training") from error
 
     def wait(self) -> None:
         """Wait for the other processes.
@@ -226,6 +281,8 @@ class Session:
 
 def _only(runs: set[int], arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """What a file of runs under way holds of some runs."""
+    if "slots" not in arrays:  # no such file: who restores it says so
+        return arrays
     rows = np.isin(arrays["slots"], list(runs))
     return {name: array[rows] if array.ndim else array for name, array in arrays.items()}
 

@@ -93,7 +93,7 @@ def sweep(
     def open_folder() -> RunFolder:
         place = Path(out or (latest_path if resume else fresh_path)(config.name))
         check_disk(place, plan, [slots(group, size) for group, size in zip(plan.groups, sizes, strict=True)])
-        folder = (RunFolder.resume if resume else RunFolder.create)(place, resolved(config))
+        folder = _open(place, config, resume, given=out is not None)
         if processes.count > 1:
             folder.share(processes.count)
         return folder
@@ -117,3 +117,15 @@ def sweep(
     finally:
         folder.close()
     return Run(folder.path)
+
+
+def _open(place: Path, config: Config, resume: bool, given: bool) -> RunFolder:
+    """The run folder of a sweep. Where no place was given and another sweep takes it meanwhile: the next free one."""
+    while True:
+        try:
+            return (RunFolder.resume if resume else RunFolder.create)(place, resolved(config))
+        except InputError:
+            after = place if given or resume else fresh_path(config.name)
+            if after == place:
+                raise
+            place = after

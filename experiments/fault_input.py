@@ -1,0 +1,210 @@
+"""Faults of what is read: damaged, foreign and malformed files of run folders, policies and configs, and YAML bombs."""
+
+import io
+import json
+import random
+import re
+import shutil
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from fault_configs import mutated
+from fault_running import killed
+from fault_trying import CONFIGS, SAME, Done, Matrix, bits, command, isolated
+
+from humanoid_mjx.data import folder as shipped_folder
+from humanoid_mjx.runs.archive import read_archive
+from humanoid_mjx.spec import InputError
+from humanoid_mjx.training.sweep import sweep
+
+
+def flipped(data: bytes, draw: random.Random) -> bytes:
+    """One bit changed."""
+    changed = bytearray(data)
+    place = draw.randrange(8 * len(data))
+    changed[place // 8] ^= 1 << place % 8
+    return bytes(changed)
+
+
+def garbled(data: bytes, draw: random.Random) -> bytes:
+    """One byte changed."""
+    changed = bytearray(data)
+    changed[draw.randrange(len(data))] = draw.randrange(256)
+    return bytes(changed)
+
+
+def truncated(data: bytes, draw: random.Random) -> bytes:
+    """Cut off somewhere."""
+    return data[: draw.randrange(len(data))]
+
+
+def foreign(run: Path, draw: random.Random) -> bytes:
+    """The content of something else: noise, text, another archive, or another file of the run."""
+    files = [file for file in sorted(run.rglob("*.*")) if file.is_file() and file.stat().st_size]
+    others = (draw.randbytes(300), b"", b"some words\n", b"[1, 2]", b'{"a": {"b": 1}}', b"null", b"[" * 100_000)
+    return draw.choice((draw.choice(others), draw.choice(files).read_bytes()))
+
+
+WAYS: dict[str, Callable[[bytes, random.Random], bytes]] = {
+    "truncated": truncated,
+    "one bit flipped": flipped,
+    "one byte changed": garbled,
+}
+
+
+CONFIG = CONFIGS["tabular_q"]
+
+
+def _look(run: Path) -> dict[str, Any]:
+    """What the commands say of a run folder, without what depends on the time and on the place."""
+    page, policy, picture = run.parent / "page.html", run.parent / "policy.npz", run.parent / "plot.png"
+    calls = {
+        "runs": ("runs", run),
+        "report": ("report", run, "--no-motion", "--out", page),
+        "plot": ("plot", run, "--out", picture),
+        "evaluate": ("evaluate", run, "--episodes", 8),
+        "export": ("export", run, policy),
+    }
+    found: dict[str, Any] = {}
+    for name, call in calls.items():
+        page.unlink(missing_ok=True)
+        policy.unlink(missing_ok=True)
+        done = command(*call)
+        said = done.said
+        if done.how == "worked" and name == "export":
+            said = str({key: array.tobytes() for key, array in read_archive(policy, ("policy",)).items()})
+        if done.how == "worked" and name == "report":
+            said = page.read_text()
+        if done.how == "worked" and name == "plot":
+            said = str(hash(picture.read_bytes()))
+        found[name] = (done.how, said)
+    return found
+
+
+BEFORE: dict[Path, dict[str, Any]] = {}
+"""What is said of run folders before anything is damaged."""
+
+
+def _resume(run: Path) -> Done:
+    """Resume a run folder without drawing its figures."""
+    try:
+        sweep(CONFIG, run, resume=True)
+    except InputError as error:
+        return Done("one sentence", str(error))
+    except Exception:
+        return Done("traceback", traceback.format_exc())
+    return Done("worked", "")
+
+
+def _damage(case: tuple[str, bytes | None, str]) -> tuple[str, str]:
+    """Damage a copy of a run folder, read it by every command, resume it: an outcome, and what is wrong."""
+    file, data, source = case
+    run = Path.cwd() / "work" / "run"
+    shutil.rmtree(run, ignore_errors=True)
+    shutil.copytree(Path.cwd() / source, run)
+    before = BEFORE.setdefault(Path(source), _look(run))
+    if data is None:
+        (run / file).unlink()
+    else:
+        (run / file).write_bytes(data)
+    after = _look(run)
+    if odd := [said for how, said in after.values() if how not in ("worked", "one sentence")]:
+        return "wrong", f"{file}: {odd[0]}"
+    resumed = _resume(run)
+    if resumed.how == "one sentence" and "remove it" in resumed.said:
+        Path(resumed.said.partition(": ")[0]).unlink()
+        resumed = _resume(run)
+    if resumed.how == "traceback":
+        return "wrong", f"{file}: --resume: {resumed.said}"
+    if resumed.how == "worked" and bits(run) != bits(Path.cwd() / "whole"):
+        return "wrong", f"{file}: resumed to other bits"
+    silent = [name for name in after if after[name][0] == "worked" and after[name] != before[name]]
+    told = any(how == "one sentence" and before[name][0] == "worked" for name, (how, _) in after.items())
+    if silent and not told and file.endswith((".npz", ".parquet")) and data is not None:
+        return "wrong", f"{file}: read by {silent} as something else"
+    how = "named" if told else "shown as it stands there" if silent else "no difference"
+    return f"{how}; {SAME if resumed.how == 'worked' else 'refused to resume'}", ""
+
+
+def _prepare(folder: Path) -> None:
+    """A finished run in `whole`; in `cut` one that a kill has left with runs under way and others over."""
+    sweep(CONFIG, folder / "whole")
+
+
+def damaged_runs(matrix: Matrix, folder: Path, tries: int, seed: int) -> None:
+    """Every kind of file of a run folder: truncated, a bit flipped, a byte changed, foreign, missing."""
+    shutil.rmtree(folder, ignore_errors=True)
+    (folder / "work").mkdir(parents=True)
+    isolated(_prepare, [folder], folder, 300)
+    draw, wait = random.Random(seed), 0.3
+    while not any((folder / "cut").glob("checkpoint/pool-*.npz")) or not any((folder / "cut").glob("*.parquet")):
+        shutil.rmtree(folder / "cut", ignore_errors=True)
+        killed(CONFIG, folder / "cut", wait)
+        wait = draw.uniform(0.2, 4.0)
+    run = folder / "whole"
+    files = [file.relative_to(run).as_posix() for file in sorted(run.rglob("*.*")) if file.is_file()]
+    of_a_kind = {re.sub(r"-\d+", "", name): name for name in files if name[0] != "." and "figures" not in name}
+    places = [(name, "whole") for name in of_a_kind.values()]
+    for name, source in [*places, ("checkpoint/pool-0.npz", "cut")]:
+        data = (folder / source / name).read_bytes()
+        cases: list[tuple[str, bytes | None, str]] = [(name, None, source)]
+        for _ in range(tries):
+            cases += [(name, way(data, draw), source) for way in WAYS.values()]
+            cases.append((name, foreign(run, draw), source))
+
+        def tried(cases: list[tuple[str, bytes | None, str]] = cases) -> tuple[list[str], list[str]]:
+            found = [x if isinstance(x, tuple) else (x, x) for x in isolated(_damage, cases, folder)]
+            return [how for how, _ in found], [why for _, why in found if why]
+
+        matrix.row("truncated, flipped, changed, foreign or missing file", re.sub(r"-\d+", "", name), tried)
+
+
+def _evaluate(case: tuple[str, bytes]) -> tuple[str, str]:
+    """What `evaluate` says of a policy file of these bytes."""
+    name, data = case
+    path = Path.cwd() / "policy.npz"
+    path.write_bytes(data)
+    done = command("evaluate", path, "--episodes", 8)
+    return done.how, f"{name}: {done.said}"
+
+
+def policies(matrix: Matrix, folder: Path, tries: int, seed: int) -> None:
+    """Policy files: truncated, a bit flipped, a byte changed; and with a header or arrays that are malformed."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    original = (shipped_folder("policies") / "posture_switch.npz").read_bytes()
+    draw = random.Random(seed)
+    ((_, expected),) = isolated(_evaluate, [("", original)], folder, 300)
+    with np.load(io.BytesIO(original)) as file:
+        arrays = dict(file)
+
+    def judged(cases: list[tuple[str, bytes]], exact: bool) -> tuple[list[str], list[str]]:
+        outcomes, wrong = [], []
+        for found in isolated(_evaluate, cases, folder, 300):
+            how, said = found if isinstance(found, tuple) else (found, found)
+            other = exact and how == "worked" and said.partition(": ")[2] != expected.partition(": ")[2]
+            good = how in ("worked", "one sentence") and not other
+            outcomes.append(("no difference" if exact else "evaluated") if good and how == "worked" else how)
+            wrong += [] if good else [f"{'silently another policy: ' if other else ''}{said}"]
+        return outcomes, wrong
+
+    def malformed(_: int) -> bytes:
+        header, others = json.loads(str(arrays["header"])), dict(arrays)
+        if draw.random() < 0.3:
+            name = draw.choice([name for name in others if name != "header"])
+            others[name] = draw.choice((others[name][:1], others[name].astype(float), np.array("x"), np.zeros(0)))
+        else:
+            header = mutated(header, draw)
+        others["header"] = np.array(draw.choice((json.dumps(header), json.dumps(header), json.dumps([header]))))
+        written = io.BytesIO()
+        np.savez(written, **others)
+        return written.getvalue()
+
+    for name, way in WAYS.items():
+        cases = [(name, way(original, draw)) for _ in range(tries)]
+        matrix.row(name, "policy file", lambda cases=cases: judged(cases, True))
+    cases = [(f"malformed {number}", malformed(number)) for number in range(tries)]
+    matrix.row("malformed header or arrays", "policy file", lambda: judged(cases, False))

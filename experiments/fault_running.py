@@ -1,0 +1,184 @@
+"""Faults that hit a training under way: kills, disks, folders, other processes, clocks, memory, numbers."""
+
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from fault_trying import CONFIGS, SAME, TINY, Matrix, bits, command, isolated, processes, whole, write_config
+
+from humanoid_mjx import runtime
+from humanoid_mjx.runs.folder import parts
+from humanoid_mjx.runs.listing import list_runs
+from humanoid_mjx.training import pool as pool_module
+from humanoid_mjx.training import session as session_module
+from humanoid_mjx.training.sweep import sweep
+
+KILLS_OF_A_RUN = 5
+
+
+def train(config: dict[str, Any], run: Path, began: Any) -> None:
+    """Train, or go on with what a kill has left, storing much more often than usual."""
+    runtime.start()
+    session_module.CHECKPOINT_EVERY_S = 0.05
+    pool_module.CHUNK_S, pool_module.HARVEST_AFTER_S, pool_module.HARVEST_SHARE = 0.02, 0.2, 0.05
+    began.set()
+    sweep(config, run, resume=(run / "checkpoint").is_dir())
+
+
+def killed(config: dict[str, Any], run: Path, after_s: float | None) -> tuple[bool, float]:
+    """Train in a process and kill it after so many seconds; whether it was quicker, and how long it took."""
+    context = processes()
+    began = context.Event()
+    process = context.Process(target=train, args=(config, run, began))
+    process.start()
+    began.wait()
+    start = time.monotonic()
+    process.join(after_s)
+    took, over = time.monotonic() - start, not process.is_alive()
+    process.kill()
+    process.join()
+    if over and process.exitcode:
+        raise RuntimeError(f"training ended with exit code {process.exitcode}")
+    return over, took
+
+
+def _left(run: Path) -> str:
+    """What a kill found."""
+    if not (run / "config.yaml").exists():
+        return "before the config was there"
+    stored = "under way" if any((run / "checkpoint").glob("pool-*.npz")) else "nothing under way stored"
+    return f"{len(parts(run))} parts stored, {stored}" if parts(run) else f"no run over, {stored}"
+
+
+def kills(matrix: Matrix, learner: str, tries: int, seed: int) -> None:
+    """Kill -9 at random moments. A run is killed a few times, each time resumed, and compared when it is over."""
+    config, draw = CONFIGS[learner], random.Random(seed)
+    found: list[str] = []
+
+    def tried() -> tuple[list[str], list[str]]:
+        outcomes: list[str] = []
+        wrong: list[str] = []
+        with tempfile.TemporaryDirectory() as folder:
+            place = Path(folder)
+            killed(config, place / "warm", None)  # compiles what the cache lacks
+            _, whole_s = killed(config, place / "whole", None)
+            expected, chain, number = bits(place / "whole"), 0, 0
+            while len(outcomes) + chain < tries or chain:
+                run = place / f"run-{number}"
+                ends = chain == KILLS_OF_A_RUN or len(outcomes) + chain >= tries
+                try:
+                    over, _ = killed(config, run, None if ends else draw.uniform(0.0, whole_s))
+                except RuntimeError as error:
+                    wrong.append(f"{run.name} after {chain} kills: {error}")
+                    outcomes += ["did not go on"] * max(chain, 1)
+                    chain, number = 0, number + 1
+                    continue
+                if not over:
+                    chain += 1
+                    found.append(_left(run))
+                    if run.exists() and (run / "config.yaml").exists() and (problems := list_runs(run)[1]):
+                        wrong.append(f"after a kill: {problems[0]}")
+                    continue
+                same = bits(run) == expected
+                if not same:
+                    wrong.append(f"{run.name} after {chain} kills: other bits")
+                outcomes += [SAME if same else "other bits"] * chain
+                chain, number = 0, number + 1
+        return outcomes, wrong
+
+    matrix.row("kill -9 at a random moment", learner, tried)
+    matrix.say(f"  what was stored then: {json.dumps(dict(sorted({x: found.count(x) for x in found}.items())))}")
+
+
+def crowds(matrix: Matrix, folder: Path, rounds: int, size: int = 4) -> None:
+    """Processes that start at once: in one folder, and with folders of their own choice."""
+
+    def start(*arguments: object) -> list[subprocess.Popen[str]]:
+        call = [sys.executable, "-m", "humanoid_mjx", "sweep", *map(str, arguments)]
+        return [
+            subprocess.Popen(call, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+            for _ in range(size)
+        ]
+
+    def ended(all_of_them: list[subprocess.Popen[str]]) -> list[tuple[int, str]]:
+        said = [process.communicate()[1] for process in all_of_them]
+        return [(process.returncode, words) for process, words in zip(all_of_them, said, strict=True)]
+
+    def tried() -> tuple[list[str], list[str]]:
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir()
+        config, outcomes, wrong = write_config(folder, TINY), [], []
+        isolated(whole, [folder / "whole"], folder)
+        for number in range(rounds):
+            ends = ended(start(config, "--out", folder / f"one-{number}"))
+            refused = [
+                words for code, words in ends if code == 2 and words.startswith("error: ") and words.count("\n") == 1
+            ]
+            fine = len(refused) == size - 1 and bits(folder / f"one-{number}") == bits(folder / "whole")
+            outcomes.append("one trained, the others got a sentence" if fine else "wrong")
+            wrong += [] if fine else [str(ends)]
+        ends = ended(start(config))
+        runs = [path for path in sorted((folder / "runs").iterdir()) if bits(path) == bits(folder / "whole")]
+        fine = not any(code for code, _ in ends) and len(runs) == size
+        outcomes.append("each trained in a folder of its own" if fine else "wrong")
+        wrong += [] if fine else [str(ends)]
+        return outcomes, wrong
+
+    matrix.row(f"{size} processes at once", "sweep of tables", tried)
+
+
+def _at_odd_time(kind: str) -> str:
+    """A sweep while the clock is wrong; and what the list of runs says."""
+    real, jump = time.time, random.Random(0)
+    shift = {"a day back at each look": lambda n: -86_400.0 * n, "ten years ahead": lambda n: 3.2e8,
+             "at random by years": lambda n: jump.uniform(-1e9, 1e9)}[kind]  # fmt: skip
+    looks = iter(range(10**9))
+    time.time = lambda: max(0.0, real() + shift(next(looks)))
+    sweep_module.datetime = _Clock  # type: ignore[attr-defined]
+    run = Path.cwd() / kind.replace(" ", "-")
+    done = command("sweep", write_config(Path.cwd(), TINY), "--out", run)
+    os.utime(run / "config.yaml", (4e9, 4e9))
+    listed = command("runs", Path.cwd())
+    fine = done.how == listed.how == "worked" and bits(run) == bits(Path.cwd() / "whole")
+    return "the same bits" if fine else f"wrong: {done.said} {listed.said}"
+
+
+class _Clock:
+    """In the place of `datetime`: its `now` is what `time.time` says."""
+
+    @staticmethod
+    def now(zone: Any) -> Any:
+        from datetime import datetime
+
+        return datetime.fromtimestamp(time.time(), zone)
+
+
+def clocks(matrix: Matrix, folder: Path) -> None:
+    """Clocks that jump, and a process that stands still for two seconds."""
+
+    def tried() -> tuple[list[str], list[str]]:
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir()
+        isolated(whole, [folder / "whole"], folder)
+        found = isolated(_at_odd_time, ["a day back at each look", "ten years ahead", "at random by years"], folder)
+        context = processes()
+        began = context.Event()
+        process = context.Process(target=train, args=(TINY, folder / "stopped", began))
+        process.start()
+        began.wait()
+        for sign, seconds in ((signal.SIGSTOP, 2.0), (signal.SIGCONT, 0.0)):
+            os.kill(process.pid, sign)
+            time.sleep(seconds)
+        process.join()
+        found.append("the same bits" if bits(folder / "stopped") == bits(folder / "whole") else "wrong: stopped")
+        return [word.partition(":")[0] for word in found], [word for word in found if word != "the same bits"]
+
+    matrix.row("clock that jumps, process that is stopped", "sweep of tables", tried)

@@ -1,0 +1,318 @@
+"""Faults of files, memory and machines: nothing is lost, nothing is taken for something else, one sentence each.
+
+`experiments/faults.py` tries many more of them; these are the ones that once got by, on small trainings.
+"""
+
+import errno
+import io
+import json
+import os
+import shutil
+import sys
+from collections import deque
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from humanoid_mjx import InputError, cli, runtime, sweep
+from humanoid_mjx.commands.runs import run_runs
+from humanoid_mjx.config import load, parse, parse_yaml
+from humanoid_mjx.data import whole_file
+from humanoid_mjx.runs.archive import DAMAGE, read_archive
+from humanoid_mjx.runs.folder import RunFolder, read_arrays, read_provenance
+from humanoid_mjx.runs.tables import read_table
+from humanoid_mjx.training import pool as pool_module
+from humanoid_mjx.training.plan import make_plan, resolved
+from humanoid_mjx.training.policy import best_policy
+from humanoid_mjx.training.pool import Pool
+from humanoid_mjx.training.progress import Reporter
+
+CONFIG = {
+    "name": "small",
+    "task": {"name": "joint_reach", "joint": 5, "states": 13, "max_episode_steps": 40},
+    "learner": {"name": "tabular_q"},
+    "sweep": {"axes": {"learner.epsilon": [0.2, 0.6]}},
+    "seeds": 4,
+    "episodes": 40,
+    "record": 10,
+}
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    return sweep(CONFIG, tmp_path_factory.mktemp("faults") / "run").path
+
+
+@pytest.fixture
+def run(finished, tmp_path):
+    return Path(shutil.copytree(finished, tmp_path / "run"))
+
+
+@pytest.fixture
+def said(monkeypatch, capfd):
+    """Runs the command line in this process: its exit code and what it says of a failure."""
+
+    def call(*arguments):
+        monkeypatch.setattr(runtime, "start", lambda: None)
+        monkeypatch.setattr(sys, "argv", ["humanoid-mjx", *map(str, arguments)])
+        capfd.readouterr()
+        try:
+            cli.main()
+        except SystemExit as ended:
+            return ended.code, capfd.readouterr().err
+        return 0, capfd.readouterr().err
+
+    return call
+
+
+def test_an_array_that_became_shorter_is_damaged(tmp_path):
+    """One bit makes (1014,) of (9014,), and numpy reads no further."""
+    path = tmp_path / "part.npz"
+    np.savez(path, point=np.arange(9014, dtype=np.int32))
+    data = path.read_bytes()
+    assert data.count(b"(9014,)") == 1
+    path.write_bytes(data.replace(b"(9014,)", b"(1014,)"))
+    assert len(np.load(path)["point"]) == 1014, "numpy notices by itself"
+    with pytest.raises(DAMAGE):
+        read_archive(path)
+    np.savez(path, a=np.zeros((2, 3), order="F"), b=np.array("text"), c=np.zeros((0, 2)), d=np.float32(2.0))
+    read, wanted = read_archive(path), dict(np.load(path))
+    assert {name: (a.shape, a.dtype, a.tobytes()) for name, a in read.items()} == {
+        name: (a.shape, a.dtype, a.tobytes()) for name, a in wanted.items()
+    }
+
+
+def test_a_table_with_a_flipped_bit_is_damaged(run):
+    """Without sums of its pages parquet gives other numbers. Every tenth byte of what is not the footer."""
+    path = run / "results.parquet"
+    whole, expected = path.read_bytes(), read_table(path)
+    footer = int.from_bytes(whole[-8:-4], "little") + 8
+    for place in range(4, len(whole) - footer, 10):
+        data = bytearray(whole)
+        data[place] ^= 8
+        path.write_bytes(bytes(data))
+        try:
+            found = read_table(path)
+        except InputError:
+            continue
+        assert all(found[name].tolist() == expected[name].tolist() for name in expected if name != "steps")
+
+
+def test_what_a_kill_leaves_before_the_config_is_no_obstacle(tmp_path):
+    for number, resume in enumerate((True, False)):
+        run = tmp_path / f"run-{number}"
+        (run / "checkpoint").mkdir(parents=True)
+        (run / ".lock").touch()
+        (run / ".new-config.yaml").write_text("name: sm")
+        assert len(sweep(CONFIG, run, resume=resume).summary["point"]) == 8
+    (tmp_path / "mine/checkpoint").mkdir(parents=True)
+    (tmp_path / "mine/notes.txt").touch()
+    with pytest.raises(InputError, match="already exists"):
+        sweep(CONFIG, tmp_path / "mine")
+
+
+def test_two_sweeps_that_choose_the_same_place_get_one_each(tmp_path, monkeypatch):
+    from humanoid_mjx.training import sweep as module
+
+    monkeypatch.chdir(tmp_path)
+    first = RunFolder.create(Path("runs/small"), resolved(parse(CONFIG)))
+    places = iter([Path("runs/small"), Path("runs/small-2")])  # as if the first had come between
+    monkeypatch.setattr(module, "fresh_path", lambda name: next(places, Path("runs/small-2")))
+    assert sweep(CONFIG).path == Path("runs/small-2")
+    first.close()
+
+
+@pytest.mark.parametrize(
+    ("file", "spoil", "words"),
+    [
+        (
+            "checkpoint/part-00009.npz",
+            lambda run: next(run.glob("checkpoint/part-*")).read_bytes(),
+            "another one holds",
+        ),
+        ("checkpoint/part-00009.npz", lambda run: saved(x=np.zeros(3)), "another training"),
+        ("checkpoint/part-00009.npz", lambda run: saved(point=np.int32([0]), seed=np.int32([77])), "does not fit"),
+        ("checkpoint/part-x.npz", lambda run: b"notes", None),
+        ("provenance.json", lambda run: b"[" * 100_000, None),
+        ("provenance.json", lambda run: b'{"sessions": [5], "runs_finished": []}', None),
+        ("provenance.json", lambda run: b"\xff", None),
+        ("summary.parquet", lambda run: (run / "timing.parquet").read_bytes(), None),
+        (
+            "config.yaml",
+            lambda run: b"name: small\ntask: reach\nlearner: {name: tabular_q}\n",
+            "task must be a mapping",
+        ),
+    ],
+)
+def test_foreign_files_in_a_run_folder(run, finished, said, file, spoil, words):
+    """Every command says a sentence at most, and resuming ends with the same tables."""
+    (run / file).write_bytes(spoil(run))
+    config = run.parent / "small.yaml"
+    config.write_text(json.dumps(CONFIG))
+    for command in (["runs", run], ["report", run, "--no-motion"], ["export", run, run.parent / "x.npz"]):
+        code, err = said(*command)
+        assert code == 0 or (code == 2 and err.startswith("error: ") and err.count("\n") == 1), err
+    if words:
+        with pytest.raises(InputError, match=words):
+            sweep(CONFIG, run, resume=True)
+        return
+    sweep(CONFIG, run, resume=True)
+    for name in ("results.parquet", "summary.parquet"):
+        assert (run / name).read_bytes() == (finished / name).read_bytes()
+    assert read_provenance(run)["runs_finished"] == 8
+
+
+def saved(**arrays):
+    file = io.BytesIO()
+    np.savez(file, **arrays)
+    return file.getvalue()
+
+
+def test_a_damaged_policy_is_found_when_a_run_is_resumed(run):
+    (part,) = run.glob("checkpoint/part-*.npz")
+    data = bytearray(part.read_bytes())
+    data[data.rindex(b"policy", 0, data.index(b"PK\x01\x02")) + 400] ^= 1
+    part.write_bytes(bytes(data))
+    assert read_arrays(part, ("point", "seed"))
+    with pytest.raises(InputError, match=r"part-00000.npz: this file is truncated or damaged; remove it"):
+        sweep(CONFIG, run, resume=True)
+
+
+def test_a_state_of_another_training_is_named(run):
+    (run / "checkpoint/pool-0.npz").write_bytes(saved(x=np.zeros(2)))
+    (part,) = run.glob("checkpoint/part-*.npz")
+    part.unlink()
+    with pytest.raises(InputError, match=r"pool-0.npz: this file does not fit this training; remove it"):
+        sweep(CONFIG, run, resume=True)
+
+
+def test_a_resumed_pool_goes_on_whatever_its_arrays_hold():
+    """The chain's world has an array without entries; of these jax forgets over which devices they lie."""
+    learner = {"name": "linear_q", "envs": 2, "rollout": 4, "resolution": 2, "tilings": 1, "order": 1}
+    task = {"name": "leg_reach", "physics": "chain", "duration": 0.4, "choices": 3}
+    config = {"name": "leg", "task": task, "learner": learner | {"evaluation_envs": 2}, "seeds": 2, "total_steps": 640}
+    (group,) = make_plan(parse(config)).groups
+    assert any(0 in leaf.shape for leaf in jax.tree.leaves(group.one_run)) and len(jax.local_devices()) > 1
+
+    def pool():
+        return Pool(group, deque(group.runs.tolist()), 1, jax.local_devices()[:2], 0)
+
+    first, again = pool(), pool()
+    first.fill()
+    first.train()
+    again.restore({name: np.array(x) for name, x in first.state().items()}, "stored")
+    for _ in range(2):  # the state that the first leaves is what the second was not compiled for
+        again.train()
+    assert (again.progress > 0).all()
+
+
+@pytest.mark.parametrize("enough", [3, 0])
+def test_where_memory_does_not_suffice_fewer_runs_train_side_by_side(finished, tmp_path, monkeypatch, enough):
+    """Tables learn the same bit by bit; for fewer than one run there is a sentence."""
+    notes, train = [], Pool.train
+
+    class Kept(Reporter):
+        def note(self, text):
+            notes.append(text)
+
+    def limited(self):
+        if len(self.slots) > enough:
+            raise jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 12345 bytes.")
+        train(self)
+
+    monkeypatch.setattr(pool_module.Pool, "train", limited)
+    if not enough:
+        with pytest.raises(InputError, match="the memory does not suffice for one run"):
+            sweep(CONFIG, tmp_path / "run", pool_size=4, reporter=Kept())
+        return
+    sweep(CONFIG, tmp_path / "run", pool_size=4, reporter=Kept())
+    assert sum("the memory does not suffice for" in note for note in notes) == 2
+    for name in ("results.parquet", "summary.parquet"):
+        assert (tmp_path / "run" / name).read_bytes() == (finished / name).read_bytes()
+
+
+LAUGHS = "a0: &a0 [x]\n" + "".join(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 10)}]\n" for n in range(1, 10))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *(LAUGHS, "&x {a: *x}", "a: &x [*x]", "a: !!int ''", "a: !!bool x", "a: !!timestamp x", "a: 0x" + "f" * 5000),
+        "a: 2001-99-99",
+    ],
+)
+def test_yaml_bombs_get_one_sentence(tmp_path, text):
+    path = tmp_path / "bomb.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        load(path)
+    assert "\n" not in str(caught.value) and len(str(caught.value)) < 1000
+    assert parse_yaml("a: &x [1, 2]\nb: [*x, *x]", "here") == {"a": [1, 2], "b": [[1, 2], [1, 2]]}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"sweep": {"axes": {"learner.record": [1, 2]}}},
+        {"sweep": {"axes": {"learner.task.states": [5]}}},
+        {"sweep": {"axes": {"learner.epsilon": {"linspace": [0, 10**400, 3]}}}},
+        {"sweep": {"mode": "random", "points": 2, "axes": {"task.states": {"integers": [2, 10**30]}}}},
+        {"seeds": 1_000_000, "sweep": {"axes": {"learner.epsilon": {"linspace": [0, 1, 11]}}}},
+        {"task": CONFIG["task"] | {"joint": [1]}},
+        {"task": CONFIG["task"] | {"start": 0.0, "goal": 1e300, "action": 1e-300}},
+        {"task": {"name": ":Task"}},
+        {"task": {"name": ".mine:Task"}},
+        {"task": {"name": "leg_reach", "control": {"name": {}}}},
+    ],
+)
+def test_values_that_no_config_may_have(change):
+    with pytest.raises(InputError) as caught:
+        make_plan(parse(CONFIG | change))
+    assert "\n" not in str(caught.value) and len(str(caught.value)) < 1000
+
+
+def test_a_module_that_cannot_be_read_is_named(tmp_path):
+    (tmp_path / "broken_module_of_mine.py").write_text("class Task(\n")
+    (tmp_path / "c.yaml").write_text(json.dumps(CONFIG | {"task": {"name": "broken_module_of_mine:Task"}}))
+    with pytest.raises(InputError, match=r"a module that it names cannot be used: SyntaxError.*mine.py, line 1"):
+        make_plan(load(tmp_path / "c.yaml"))
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (OSError(errno.ENOENT, "x", "runs/a"), "error: runs/a: No such file or directory.\n"),
+        (OSError(errno.EFBIG, "x", "runs/a"), "error: runs/a: File too large; what a sweep has stored is valid"),
+        (MemoryError(), "error: the memory does not suffice"),
+        (jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory"), "error: the memory does not suffice"),
+        (InputError("task.a\nb\x1b[31m: unknown."), "error: task.a\\nb\\x1b[31m: unknown.\n"),
+    ],
+)
+def test_errors_of_the_machine_get_one_line(said, monkeypatch, error, words):
+    def fails(folder):
+        raise error
+
+    monkeypatch.setattr("humanoid_mjx.commands.runs.run_runs", fails)
+    assert callable(run_runs)
+    code, err = said("runs")
+    assert code == 2 and err.startswith(words) and err.count("\n") == 1
+
+
+def test_names_are_not_taken_for_markup(run, said):
+    odd = run.rename(run.parent / "[red]a:bug:[")
+    code, err = said("runs", run.parent)
+    assert code == 0 and not err
+    assert best_policy(odd).name == "[red]a:bug:["
+    assert said("evaluate", odd, "--episodes", 2, "--json", run.parent / "[b].json")[0] == 0
+    assert (run.parent / "[b].json").exists()
+
+
+def test_a_file_that_cannot_be_written_whole_leaves_the_old_one(tmp_path):
+    path = tmp_path / "found.json"
+    path.write_text("old")
+    with pytest.raises(OSError), whole_file(path) as temporary:
+        temporary.write_text("half")
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    assert path.read_text() == "old" and os.listdir(tmp_path) == ["found.json"]
