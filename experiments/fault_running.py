@@ -142,7 +142,7 @@ def _at_odd_time(kind: str) -> str:
              "at random by years": lambda n: jump.uniform(-1e9, 1e9)}[kind]  # fmt: skip
     looks = iter(range(10**9))
     time.time = lambda: max(0.0, real() + shift(next(looks)))
-    sweep_module.datetime = _Clock  # type: ignore[attr-defined]
+    session_module.datetime = _Clock  # type: ignore[attr-defined]
     run = Path.cwd() / kind.replace(" ", "-")
     done = command("sweep", write_config(Path.cwd(), TINY), "--out", run)
     os.utime(run / "config.yaml", (4e9, 4e9))

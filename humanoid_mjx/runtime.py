@@ -13,19 +13,12 @@ from typing import Any
 import jax
 import jax.monitoring
 
-SHARING_FLAGS = (
+XLA_FLAGS = (
     "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion --xla_disable_hlo_passes=cpu_multi_output_fusion"
 )
 """For XLA on a CPU. By itself it computes what several results share again for each of them; these stop that, which
 makes MJX 15 times faster. The pass that then computes several results in one kernel aborts on some programs, MJX's
 among them, so that it is off by default; `SHARED_KERNELS` is for programs that are known to pass."""
-
-LIBRARY_FLAG = "--xla_cpu_experimental_ynn_fusion_type="
-"""For XLA on a CPU: no sums and products by the library YNNPACK. That of jaxlib 0.10.2 writes beyond its stack where a
-sum has seven axes, as evaluating on MJX has with runs, snapshots and episodes side by side, and the process crashes
-(jax issues 39257 and 40412). Large enough arrays only are given to it. MJX is 1.5 times faster without."""
-
-XLA_FLAGS = f"{SHARING_FLAGS} {LIBRARY_FLAG}"
 
 POOL_THREADS = str(max(16, 4 * (os.cpu_count() or 1)))
 """`PJRT_NPROC`: threads that all CPU devices share. By default there are as many as cores, and jaxlib 0.10.2 can use
@@ -36,6 +29,16 @@ contacts. XLA splits kernels into as many parts as there are threads, small ones
 SHARED_KERNELS: dict[str, str | bool] = {"xla_disable_hlo_passes": "none"}
 """`compiler_options` of a `jax.jit` around chain dynamics or tabular learning: after `start` the first is 5 times, the
 second 1.2 to 1.7 times faster on a CPU; else no effect."""
+
+
+def no_library() -> dict[str, str | bool]:
+    """`compiler_options` of a `jax.jit` around MJX: on a CPU no sums and products by the library YNNPACK.
+
+    That of jaxlib 0.10.2 writes beyond its stack where a sum has seven axes, as evaluating on MJX has with runs,
+    snapshots and episodes side by side, and the process crashes (jax issues 39257 and 40412). Large enough arrays only
+    are given to it. MJX is 1.3 to 1.7 times faster without it; tile coding and Brax's PPO are so with it.
+    """
+    return {"xla_cpu_experimental_ynn_fusion_type": ""} if jax.default_backend() == "cpu" else {}
 
 
 def on_every_device(options: Mapping[str, str | bool]) -> dict[str, str | bool]:
@@ -65,10 +68,9 @@ def start() -> None:
         "jax_num_cpu_devices": os.cpu_count() or 1,
         "jax_default_matmul_precision": "highest",
     }
-    for ours in (SHARING_FLAGS, LIBRARY_FLAG):
-        flags = os.environ.get("XLA_FLAGS", "")
-        if not any(flag.split("=")[0] in flags for flag in ours.split()):
-            os.environ["XLA_FLAGS"] = f"{flags} {ours}".lstrip()
+    flags = os.environ.get("XLA_FLAGS", "")
+    if not any(flag.split("=")[0] in flags for flag in XLA_FLAGS.split()):
+        os.environ["XLA_FLAGS"] = f"{flags} {XLA_FLAGS}".lstrip()
     os.environ.setdefault("PJRT_NPROC", POOL_THREADS)
     for name, value in defaults.items():
         if name.upper() not in os.environ:

@@ -113,7 +113,8 @@ def _program(subject: str, steps: int, worlds: int) -> Callable[..., Any]:
         world = simulator.run(simulator.start(qpos, qvel), controller, steps)
         return jnp.where(world.diverged, jnp.nan, world.qpos)
 
-    return jax.jit(jax.vmap(simulate), compiler_options=runtime.SHARED_KERNELS if physics == "tree" else None)
+    options = runtime.SHARED_KERNELS if physics == "tree" else runtime.no_library()
+    return jax.jit(jax.vmap(simulate), compiler_options=dict(options))
 
 
 def mujoco(batch: int, steps: int) -> Callable[[], Any]:

@@ -126,7 +126,9 @@ def _mjx_program(steps: int, controlled: bool) -> Callable[..., Any]:
         data = jax.lax.scan(step, data, length=steps)[0]
         return data.qpos, data.qvel
 
-    return jax.jit(jax.vmap(simulate))
+    # XLA as it comes is what this process has where `_start_plain` began it.
+    ours = runtime.XLA_FLAGS in os.environ.get("XLA_FLAGS", "")
+    return jax.jit(jax.vmap(simulate), compiler_options=runtime.no_library() if ours else None)
 
 
 def mujoco(batch: int, steps: int) -> Callable[[], Any]:

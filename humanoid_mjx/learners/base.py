@@ -10,6 +10,7 @@ from typing import Any, ClassVar, NamedTuple
 from jaxtyping import Array, Key
 from pydantic import Field
 
+from humanoid_mjx.runtime import SHARED_KERNELS
 from humanoid_mjx.spec import Spec, traced
 from humanoid_mjx.tasks.base import Task
 from humanoid_mjx.tasks.continuous import ContinuousTask, State, as_continuous
@@ -68,8 +69,9 @@ class Learner(Spec):
 
     @property
     def compiler_options(self) -> Mapping[str, str | bool]:
-        """XLA's options for the programs that train and evaluate."""
-        return {}
+        """XLA's options for the programs that train and evaluate: the task's, but for `SHARED_KERNELS`, which makes XLA
+        abort on some that hold a network."""
+        return {name: value for name, value in self.task.compiler_options.items() if name not in SHARED_KERNELS}
 
     def can_split(self, devices: int) -> bool:
         """Whether the environments of a run can be split over so many devices."""

@@ -22,6 +22,7 @@ from pydantic import Field
 
 from humanoid_mjx.learners.base import Learner, Outcome
 from humanoid_mjx.rng import uniform
+from humanoid_mjx.runtime import no_library
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import State
 from humanoid_mjx.tasks.finite import FiniteTask
@@ -83,7 +84,7 @@ class TabularQ(Learner):
 
     @property
     def compiler_options(self) -> Mapping[str, str | bool]:
-        return self.task.compiler_options
+        return {**self.task.compiler_options, **no_library()}
 
     @property
     def cumulative(self) -> bool:

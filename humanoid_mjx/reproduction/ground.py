@@ -11,7 +11,7 @@ from jax.sharding import Mesh
 from jax.sharding import PartitionSpec as P
 from jaxtyping import Array, Bool, Float
 
-from humanoid_mjx import control
+from humanoid_mjx import control, runtime
 from humanoid_mjx.mechanics import balance, gaits, pattern_generator
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.physics.balance import accelerations, foot_corners, link_motion
@@ -284,7 +284,8 @@ def _program() -> Any:
     mesh = Mesh(np.array(devices if AT_ONCE % len(devices) == 0 else devices[:1]), ("bodies",))
     share = P("bodies")
     every = jax.vmap(simulate, in_axes=(None, 0, 0, 0, 0))
-    return jax.jit(jax.shard_map(every, mesh=mesh, in_specs=(P(), *[share] * 4), out_specs=share, check_vma=False))
+    spread = jax.shard_map(every, mesh=mesh, in_specs=(P(), *[share] * 4), out_specs=share, check_vma=False)
+    return jax.jit(spread, compiler_options=runtime.no_library())
 
 
 def _until_fall(qpos: np.ndarray, qvel: np.ndarray, plan: np.ndarray) -> Path:

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
 from humanoid_mjx.physics.base import Controller, Physics
+from humanoid_mjx.runtime import no_library
 from humanoid_mjx.spec import Spec
 from humanoid_mjx.types import FloatScalar
 
@@ -24,8 +25,9 @@ class Task(Spec):
 
     @property
     def compiler_options(self) -> Mapping[str, str | bool]:
-        """XLA's options for the programs that train tables on the task: `runtime.SHARED_KERNELS` where they pass."""
-        return {}
+        """XLA's options for the programs that train and evaluate on the task: `runtime.SHARED_KERNELS` where they pass,
+        and `runtime.no_library` unless no sum of theirs has as many axes as MJX's."""
+        return no_library()
 
     def drive(self, data: Any, action: Array) -> tuple[Physics, Controller]:
         """What moves the robot through a decision: the physics, and the controller that acts at every time step.

@@ -81,7 +81,7 @@ class PostureSwitch(FiniteTask):
 
     @property
     def compiler_options(self) -> Mapping[str, str | bool]:
-        return SHARED_KERNELS if self.physics == "chain" else {}
+        return SHARED_KERNELS if self.physics == "chain" else super().compiler_options
 
     @property
     def simulator(self) -> Physics:

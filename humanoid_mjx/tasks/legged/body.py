@@ -17,7 +17,7 @@ from humanoid_mjx.physics import make_physics
 from humanoid_mjx.physics.base import Controller, Physics, Sensed, World
 from humanoid_mjx.robot import lower_body
 from humanoid_mjx.robot.ranges import TORQUE_LIMIT
-from humanoid_mjx.runtime import SHARED_KERNELS
+from humanoid_mjx.runtime import SHARED_KERNELS, no_library
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import ContinuousTask
 from humanoid_mjx.types import FloatScalar
@@ -75,7 +75,7 @@ class LeggedBody(ContinuousTask):
 
     @property
     def compiler_options(self) -> Mapping[str, str | bool]:
-        return SHARED_KERNELS if self.physics == "tree" else {}
+        return SHARED_KERNELS | no_library() if self.physics == "tree" else super().compiler_options
 
     @property
     def simulator(self) -> Physics:
