@@ -179,7 +179,7 @@ def find(kind: str, registry: Mapping[str, str], base: type[SomeSpec], name: str
     module_name, _, attribute = path.partition(":")
     try:
         cls = getattr(importlib.import_module(module_name), attribute)
-    except (ImportError, AttributeError) as error:
+    except (ImportError, AttributeError, ValueError) as error:
         missing = (getattr(error, "name", None) or "").partition(".")[0]
         if isinstance(error, ModuleNotFoundError) and missing != module_name.partition(".")[0]:
             raise InputError(f"{kind}.name: {name!r} needs the package {missing!r}, which is not installed.") from error

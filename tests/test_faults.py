@@ -23,11 +23,9 @@ from humanoid_mjx.data import whole_file
 from humanoid_mjx.runs.archive import DAMAGE, read_archive
 from humanoid_mjx.runs.folder import RunFolder, read_arrays, read_provenance
 from humanoid_mjx.runs.tables import read_table
-from humanoid_mjx.training import pool as pool_module
 from humanoid_mjx.training.plan import make_plan, resolved
 from humanoid_mjx.training.policy import best_policy
 from humanoid_mjx.training.pool import Pool
-from humanoid_mjx.training.progress import Reporter
 
 CONFIG = {
     "name": "small",
@@ -206,31 +204,6 @@ def test_a_resumed_pool_goes_on_whatever_its_arrays_hold():
     for _ in range(2):  # the state that the first leaves is what the second was not compiled for
         again.train()
     assert (again.progress > 0).all()
-
-
-@pytest.mark.parametrize("enough", [3, 0])
-def test_where_memory_does_not_suffice_fewer_runs_train_side_by_side(finished, tmp_path, monkeypatch, enough):
-    """Tables learn the same bit by bit; for fewer than one run there is a sentence."""
-    notes, train = [], Pool.train
-
-    class Kept(Reporter):
-        def note(self, text):
-            notes.append(text)
-
-    def limited(self):
-        if len(self.slots) > enough:
-            raise jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 12345 bytes.")
-        train(self)
-
-    monkeypatch.setattr(pool_module.Pool, "train", limited)
-    if not enough:
-        with pytest.raises(InputError, match="the memory does not suffice for one run"):
-            sweep(CONFIG, tmp_path / "run", pool_size=4, reporter=Kept())
-        return
-    sweep(CONFIG, tmp_path / "run", pool_size=4, reporter=Kept())
-    assert sum("the memory does not suffice for" in note for note in notes) == 2
-    for name in ("results.parquet", "summary.parquet"):
-        assert (tmp_path / "run" / name).read_bytes() == (finished / name).read_bytes()
 
 
 LAUGHS = "a0: &a0 [x]\n" + "".join(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 10)}]\n" for n in range(1, 10))

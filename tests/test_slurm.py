@@ -15,6 +15,12 @@ from humanoid_mjx.commands.slurm import submit_sweep
 from humanoid_mjx.runs.folder import parts
 from humanoid_mjx.runs.listing import look_at
 
+try:
+    # Before any test: it closes all handlers of logs, and that of absl then closes what pytest captures them with.
+    import submitit
+except ImportError:
+    submitit = None
+
 LOCAL = ["--slurm", "cluster=local", "--slurm", "tasks_per_node=2"]
 
 
@@ -22,8 +28,8 @@ def children(pid):
     return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
 
 
+@pytest.mark.skipif(submitit is None, reason="needs submitit")
 def test_a_job_that_slurm_interrupts_begins_anew_and_completes_its_run_folder(tmp_path, monkeypatch, capfd):
-    pytest.importorskip("submitit")
     config = CONFIG | LONG | {"seeds": 10}
     whole = sweep(config, tmp_path / "whole")
     monkeypatch.chdir(tmp_path)
@@ -47,11 +53,11 @@ def test_a_job_that_slurm_interrupts_begins_anew_and_completes_its_run_folder(tm
     assert look_at(run).state == "finished"
 
 
+@pytest.mark.skipif(submitit is None, reason="needs submitit")
 def test_what_cannot_be_submitted_leaves_no_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     config = write_config(tmp_path)
     for given, words in {"nodes": "KEY=VALUE", "nodes=3": "only one node", "nodes=two": "expected type"}.items():
-        pytest.importorskip("submitit")
         with pytest.raises(InputError, match=f"^--slurm.*{words}"):
             submit_sweep(config, None, [], False, False, ["cluster=local", given])
     assert not list(tmp_path.rglob("runs/*"))

@@ -7,17 +7,21 @@ import socket
 import subprocess
 import sys
 import time
+from collections import deque
 from pathlib import Path
 from typing import ClassVar
 
+import jax
 import numpy as np
 import pytest
 
 from humanoid_mjx import InputError, processes, runtime, sweep
 from humanoid_mjx.cli import main
+from humanoid_mjx.config import parse
 from humanoid_mjx.runs.folder import RunFolder, read_arrays
 from humanoid_mjx.runs.folder import parts as parts_of
 from humanoid_mjx.training import pool
+from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.progress import Reporter
 
 CONFIG = {
@@ -395,6 +399,51 @@ def test_what_is_reported_never_goes_beyond_the_end(tmp_path):
     assert Kept.done and max(Kept.done) == 10 * 3
     assert Kept.phases[-1] == "evaluating"
     assert set(Kept.phases) <= {"starting", "tracing", "compiling", "training", "evaluating"}
+
+
+@pytest.mark.parametrize("enough", [3, 0])
+def test_where_memory_does_not_suffice_fewer_runs_train_side_by_side(reference, tmp_path, monkeypatch, enough):
+    """Tables learn the same bit by bit; for fewer than one run there is a sentence."""
+    notes, train = [], pool.Pool.train
+
+    class Kept(Reporter):
+        def note(self, text):
+            notes.append(text)
+
+    def limited(self):
+        if len(self.slots) > enough:
+            raise jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 12345 bytes.")
+        train(self)
+
+    monkeypatch.setattr(pool.Pool, "train", limited)
+    if not enough:
+        with pytest.raises(InputError, match="the memory does not suffice for one run"):
+            sweep(CONFIG, tmp_path / "run", pool_size=4, reporter=Kept())
+        return
+    sweep(CONFIG, tmp_path / "run", pool_size=4, reporter=Kept())
+    assert sum("the memory does not suffice for" in note for note in notes) == 2
+    for name in ("results.parquet", "summary.parquet"):
+        assert (tmp_path / "run" / name).read_bytes() == (reference.path / name).read_bytes()
+
+
+def test_a_run_that_begins_in_the_place_of_another_has_made_no_progress(monkeypatch):
+    """Who looks on while it is made ready would else count the last one twice."""
+    group = make_plan(parse(CONFIG | {"sweep": None})).groups[0]
+    runs = pool.Pool(group, deque(group.runs.tolist()), 1, jax.local_devices()[:1], seed=0)
+    seen, call = [], pool.Pool._call
+
+    def watched(self, name, *args):
+        if name == "begin":
+            seen.append((self.progress.tolist(), np.isnan(self.recent).all()))
+        return call(self, name, *args)
+
+    monkeypatch.setattr(pool.Pool, "_call", watched)
+    runs.fill()
+    while runs.busy.any():
+        runs.train()
+        if runs.harvest():
+            runs.fill()
+    assert seen == [([0.0], True)] * CONFIG["seeds"]
 
 
 def test_a_point_of_a_curve_in_which_no_episode_ended_is_not_known(tmp_path):

@@ -142,7 +142,15 @@ def of_stand(record: Any) -> list[float]:
     reached = np.maximum.accumulate(success, axis=1) > 0.9
     back = success[:, 1:][reached[:, :-1]].min()
     last = success[:, -1]
-    return [len(success), found["total_steps"][-1] / 1e6, last.mean(), last.min(), back, found["training_wall_s"][-1]]
+    speed = found["training_wall_s"][-1], found["steps_per_s"]
+    return [len(success), found["total_steps"][-1] / 1e6, last.mean(), last.min(), back, *speed]
+
+
+def of_computed_torque(record: Any) -> list[float]:
+    (found,) = record["records"]
+    last = np.array(found["greedy_success_by_seed"])[:, -1]
+    rate, steps = found["steps_per_s"], found["total_steps"][-1] / 1e6
+    return [rate, steps, len(last), last.mean(), last.min(), last.max()]
 
 
 def of_postures(record: Any) -> list[float]:
@@ -181,9 +189,15 @@ SENTENCES = [
     (
         "h200_stand_8_seeds.json",
         rf"`stand` with `deep_q`, (\w+) seeds side by side on one H200.*? after ({NUMBER})M control steps is "
-        rf"({NUMBER}) in the mean of the seeds and ({NUMBER}) in the worst of them\. .*? fell back to ({NUMBER}) at "
-        rf"one of its five evaluations\. Training all eight took ({NUMBER}) s",
+        rf"({NUMBER}) in the mean of the seeds and ({NUMBER}) in the worst of them; none that had reached 0\.9 was "
+        rf"below ({NUMBER}) later\. Training all eight took ({NUMBER}) s.*? makes ({NUMBER}) control steps a second",
         of_stand,
+    ),
+    (
+        "h200_stand_mjx.json",
+        rf"`stand_mjx` trains .*?, at ({NUMBER}) control steps a second on one H200\. After ({NUMBER})M of them (\w+) "
+        rf"seeds stand through ({NUMBER}) of their episodes in the mean, from ({NUMBER}) in the worst to ({NUMBER}) in",
+        of_computed_torque,
     ),
     (
         "h200_walk_8_seeds.json",

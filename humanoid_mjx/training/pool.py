@@ -89,6 +89,9 @@ class Pool:
 
     def fill(self) -> None:
         """Give the idle slots the runs that wait."""
+        # Who looks on in another thread must not take the end of a slot's last run for the present of the next.
+        self.progress = np.where(self.busy, self.progress, 0.0)
+        self.recent = np.where(self.busy[:, None], self.recent, np.nan)
         fresh = np.zeros(len(self.slots), bool)
         for slot in np.flatnonzero(~self.busy):
             try:
@@ -102,7 +105,6 @@ class Pool:
             policies = self._put(self.policies, rows)
             mask = jax.device_put(fresh, self.over_devices)
             self.training = self._call("begin", mask, self.learners, self.seeds, self.training, policies)
-            self.progress = np.where(fresh, 0.0, self.progress)
             self.wall_s[fresh] = np.nan
 
     def train(self) -> None:
