@@ -54,6 +54,9 @@ def few_compiled_programs():
     yield
     maps = Path("/proc/self/maps")
     if maps.exists() and len(maps.read_bytes().splitlines()) > MAPPINGS:
+        from humanoid_mjx.training.programs import programs
+
+        programs.cache_clear()
         jax.clear_caches()
         gc.collect()
 

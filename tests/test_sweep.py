@@ -446,6 +446,13 @@ def test_a_run_that_begins_in_the_place_of_another_has_made_no_progress(monkeypa
     assert seen == [([0.0], True)] * CONFIG["seeds"]
 
 
+def test_a_second_sweep_of_a_process_compiles_nothing(reference, tmp_path):
+    with runtime.counting_compiles() as compiles:
+        again = sweep(CONFIG, tmp_path / "run")
+    assert compiles.programs == 0
+    same_bits(again.summary, reference.summary)
+
+
 def test_a_point_of_a_curve_in_which_no_episode_ended_is_not_known(tmp_path):
     """Terms of the reward are added up before an episode ends."""
     task = {"name": "leg_reach", "physics": "chain"}

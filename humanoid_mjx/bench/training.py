@@ -34,6 +34,7 @@ from humanoid_mjx.bench.measure import Record, spread
 from humanoid_mjx.config import load
 from humanoid_mjx.data import names
 from humanoid_mjx.runs.statistics import mean_interval
+from humanoid_mjx.training.programs import programs
 from humanoid_mjx.training.sweep import Run, sweep
 
 SUCCESS = 0.95
@@ -161,6 +162,7 @@ def measure(trained: Run) -> Measured:
 def nothing_compiled() -> Iterator[None]:
     """Forget compiled programs, and neither find nor leave any on disk."""
     before = jax.config.values["jax_enable_compilation_cache"]
+    programs.cache_clear()
     jax.clear_caches()
     jax.config.update("jax_enable_compilation_cache", False)
     compilation_cache.reset_cache()

@@ -195,10 +195,14 @@ class Pool:
     def _call(self, name: str, *args: Any) -> Any:
         """Call a program of `programs`, compiled when it is first needed; wait for its result."""
         if name not in self.compiled:
-            self.phase = "tracing"
-            lowered = getattr(self.programs, name).lower(*args)
-            self.phase = "compiling"
-            self.compiled[name] = lowered.compile()
+            leaves, structure = jax.tree.flatten(args)
+            kind = name, structure, tuple((leaf.aval, leaf.sharding) for leaf in leaves)
+            if kind not in self.programs.compiled:
+                self.phase = "tracing"
+                lowered = getattr(self.programs, name).lower(*args)
+                self.phase = "compiling"
+                self.programs.compiled[kind] = lowered.compile()
+            self.compiled[name] = self.programs.compiled[kind]
         self.phase = {"begin": "starting", "advance": "training", "finish": "evaluating"}[name]
         return jax.block_until_ready(self.compiled[name](*args))
 

@@ -33,6 +33,8 @@ class Programs(NamedTuple):
     """(learners, training states, steps) -> states so many steps later, and progress. Gives up the old states."""
     finish: Callable[[Any, Training, Any], dict[str, Any]]
     """(learners, training states, seeds) -> curves, final scores and policies."""
+    compiled: dict[Any, Callable[..., Any]]
+    """What was compiled of them, by name and kind of arguments: a second sweep in a process does not trace them."""
 
 
 @lru_cache
@@ -74,6 +76,7 @@ def programs(
         begin=compiled(jax.vmap(anew), (by_run, by_run, by_run, training, by_run), training, donate_argnums=3),
         advance=compiled(train, (by_run, training, same), (training, by_run), donate_argnums=1),
         finish=compiled(jax.vmap(end), (by_run, training, by_run), by_run),
+        compiled={},
     )
 
 
