@@ -70,7 +70,7 @@ class Learner(Spec):
     @property
     def compiler_options(self) -> Mapping[str, str | bool]:
         """XLA's options for the programs that train and evaluate: the task's, but for `SHARED_KERNELS`, which makes XLA
-        abort on some that hold a network."""
+        abort on some of them."""
         return {name: value for name, value in self.task.compiler_options.items() if name not in SHARED_KERNELS}
 
     def can_split(self, devices: int) -> bool:
