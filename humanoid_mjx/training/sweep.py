@@ -1,6 +1,6 @@
 """Run a sweep: train every point into a run folder that can be resumed."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -93,15 +93,9 @@ def sweep(
     def open_folder() -> RunFolder:
         place = Path(out or (latest_path if resume else fresh_path)(config.name))
         check_disk(place, plan, [slots(group, size) for group, size in zip(plan.groups, sizes, strict=True)])
-        folder = _open(place, config, resume, given=out is not None)
-        if processes.count > 1:
-            folder.share(processes.count)
-        return folder
+        return _open(place, config, resume, given=out is not None)
 
-    def join_folder(path: str) -> RunFolder:
-        return RunFolder.join(Path(path), processes.index, processes.count)
-
-    folder = processes.first(open_folder, lambda folder: str(folder.path.absolute()), join_folder)
+    folder = _shared(processes, open_folder)
     try:
         events = EventFiles(folder, plan) if tensorboard else None
         session = Session(folder, plan, processes, reporter or Reporter(), events)
@@ -117,6 +111,21 @@ def sweep(
     finally:
         folder.close()
     return Run(folder.path)
+
+
+def _shared(processes: Processes, open_folder: Callable[[], RunFolder]) -> RunFolder:
+    """The run folder that process 0 opens, and that all others join."""
+
+    def first() -> RunFolder:
+        folder = open_folder()
+        if processes.count > 1:
+            folder.share(processes.count)
+        return folder
+
+    def join(path: str) -> RunFolder:
+        return RunFolder.join(Path(path), processes.index, processes.count)
+
+    return processes.first(first, lambda folder: str(folder.path.absolute()), join)
 
 
 def _open(place: Path, config: Config, resume: bool, given: bool) -> RunFolder:

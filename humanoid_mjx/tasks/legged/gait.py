@@ -109,7 +109,8 @@ class Steps(Gait):
         yaw, roll = cos * around - sin * aside, cos * aside + sin * around
         roll = roll - jnp.radians(self.sway) * jnp.sin(2 * jnp.pi * phase)
         swept = jnp.stack([pitch, yaw * LEFTWARDS, roll * LEFTWARDS, jnp.zeros(2), pitch], axis=-1)
-        lift = self.swing(phase) * jnp.maximum(self.swing(phase), 1e-6) ** self.landing
+        swing = self.swing(phase)
+        lift = swing * jnp.maximum(swing, 1e-6) ** self.landing
         lifted = jnp.radians(self.lift) * lift[:, None] * SHORTENED
         return jnp.where(moves(command), (swept + lifted).reshape(-1), 0.0)
 
