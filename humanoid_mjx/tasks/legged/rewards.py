@@ -81,10 +81,10 @@ class WalkRewards(Rewards):
     schedule: float = traced(0.18, description="for feet that are loaded and lifted when the clock says so")
     clearance: float = traced(0.06, description="for feet as high above the ground as the clock says")
     flight: float = traced(-0.3, description="for each step without a foot on the ground")
-    slip: float = traced(-0.6, description="for corners that touch and move")
+    slip: float = traced(-1.5, description="for corners that touch and move")
     flat: float = traced(-0.03, description="for feet that stand tilted")
     crossing: float = traced(-0.06, description="for feet too near each other")
-    smooth: float = traced(-0.06, description="for set-points that jump")
+    smooth: float = traced(-0.12, description="for set-points that jump")
     effort: float = traced(-0.006, description="for torque")
 
     def terms(self, view: View) -> dict[str, FloatScalar]:

@@ -5,7 +5,7 @@ corrects steps on the spot, with `gait: table` or `gait: oscillators` the thesis
 find its own. Each weight of the reward, each range of the commands and each value of the world can be set by its name.
 """
 
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 from pydantic import Field
 
@@ -40,8 +40,9 @@ SERVO = ServoLaw(stiffness=7.5, damping=0.24)
 """Soft: a learner's random choice is no blow, and a foot that meets the ground early gives way. The body does not stay
 up by open-loop steps under it when it is to go ahead."""
 
-COMMAND = Velocity(forward=(0.0, 0.8), sideways=(-0.15, 0.15), heading_gain=4.0)
-"""Up to the speed at which running begins to pay, and to sidesteps and turns as quick as the evaluator asks for."""
+COMMAND = Velocity(forward=(0.0, 0.8), sideways=(-0.15, 0.15), sudden=0.15, heading_gain=4.0)
+"""Up to the speed at which running begins to pay, and to sidesteps and turns as quick as the evaluator asks for; one new
+command in seven is to turn at once."""
 
 
 class Walk(LeggedTask):
@@ -51,9 +52,10 @@ class Walk(LeggedTask):
     privileged: ClassVar[tuple[str | Observation, ...]] = (*PRIVILEGED, "turn_rate", "foot_heights", "foot_loads")
 
     control: Control = Field(SERVO, description="the law that drives the joints")
+    choices: Literal[3, 5, 9] = Field(5, description="values of a joint's offset, evenly from -1 to 1 times it")
     offset: float = traced(13.0, gt=0, le=90, description="largest offset of a set-point from the motion, degrees")
     offset_shares: tuple[float, float, float, float, float] = traced(
-        (1.0, 0.8, 0.6, 1.2, 1.0), strict=False, description="of it for hip pitch, yaw and roll, knee and ankle"
+        (1.5, 0.8, 0.6, 1.6, 1.4), strict=False, description="of it for hip pitch, yaw and roll, knee and ankle"
     )
     smoothing: float = traced(
         0.5, ge=0, lt=1, description="share of its way to a new value that an offset stays behind"
