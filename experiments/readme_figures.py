@@ -4,8 +4,8 @@
     python experiments/readme_figures.py robots               # one of them, in seconds
     python experiments/readme_figures.py leg_reach_learners --seeds 1 --out /tmp/figures
 
-On two CPU cores `joint1_learning_curves` takes a quarter of a minute, `walk` one, `leg_reach_sweep_curves` and
-`leg_reach_learners` minutes for every seed.
+On two CPU cores `joint1_learning_curves` takes a quarter of a minute, `leg_reach_sweep_curves` and `leg_reach_learners`
+minutes for every seed. The film is made by `walk_film.py`.
 """
 
 import argparse
@@ -14,9 +14,6 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
-
-WALK_S, FRAME_S = (10.4, 18.0), 0.04
-"""The part of the shipped policy's first episode that is shown, s, and the time between frames of a film, s."""
 
 LEARNERS = ("leg_reach", "leg_reach_linear", "leg_reach_ppo")
 """The configs whose learning curves are drawn side by side."""
@@ -54,33 +51,12 @@ def leg_reach_learners(target: Path, seeds: int) -> None:
         command("evaluate", *runs, "--out", target)
 
 
-def walk(target: Path, seeds: int) -> None:
-    """The shipped policy under one command, every other frame, small enough for a page."""
-    from PIL import Image
-
-    with tempfile.TemporaryDirectory() as folder:
-        film = Path(folder) / "walk.gif"
-        command("play", "walk", "--out", film)
-        frames = []
-        with Image.open(film) as whole:
-            first, last = (round(second / FRAME_S) for second in WALK_S)
-            for number in range(first, last, 2):
-                whole.seek(number)
-                frames.append(whole.convert("RGB").resize((360, 270), Image.Resampling.LANCZOS))
-    # The colour of the far leg covers little, and would be left out of a palette by frequency.
-    palette = frames[0].quantize(96, method=Image.Quantize.MAXCOVERAGE)
-    begin, *others = (frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames)
-    begin.save(target, save_all=True, append_images=others, duration=2000 * FRAME_S, loop=0)
-
-
 def command(*arguments: object) -> None:
     """Run `humanoid-mjx` in a process of its own, so that each starts from nothing, as a reader's does."""
     subprocess.run([sys.executable, "-m", "humanoid_mjx", *map(str, arguments)], check=True)
 
 
-FIGURES = {
-    make.__name__: make for make in (robots, walk, joint1_learning_curves, leg_reach_sweep_curves, leg_reach_learners)
-}
+FIGURES = {make.__name__: make for make in (robots, joint1_learning_curves, leg_reach_sweep_curves, leg_reach_learners)}
 
 
 def main() -> None:
@@ -93,7 +69,7 @@ def main() -> None:
         parser.error(f"there is no figure {odd[0]}; there are {', '.join(FIGURES)}")
     chosen.out.mkdir(parents=True, exist_ok=True)
     for name in chosen.figures or FIGURES:
-        target = chosen.out / f"{name}.{'gif' if name == 'walk' else 'png'}"
+        target = chosen.out / f"{name}.png"
         FIGURES[name](target, chosen.seeds)
         print(target)
 

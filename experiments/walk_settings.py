@@ -1,19 +1,28 @@
-"""Draw how every training run of the last five series of settings of `walk` walks, from their record.
+"""Draw how every training run in the later series of settings of `walk` walks, from their records.
 
-python experiments/walk_settings.py            # writes docs/walk_settings.png, in seconds
+python experiments/walk_settings.py            # writes docs/walk_settings.png and docs/walk_finer.png, in seconds
 """
 
 import argparse
 import json
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from humanoid_mjx.report.style import COLORS, figure
 
 ROOT = Path(__file__).parent.parent
-RECORD = ROOT / "docs" / "bench" / "h200_walk_stride.json"
+
+RECORDS = {"walk_settings": ("h200_walk_stride", 8.0), "walk_finer": ("h200_walk_finer", 6.0)}
+"""The figures by name: of which record of `docs/bench`, and how high, inches."""
+
+Seeds: TypeAlias = Callable[[str, str], list[float]]
+"""The training seeds' values of a figure under a command."""
+
+Row: TypeAlias = tuple[str, Seeds]
+"""What a row is, and its seeds."""
 
 PANELS = (
     ("forward, m/s, when\ntold 0.3, 0.5, 0.8", "forward", ("forward 0.3", "forward 0.5", "forward 0.8"), None),
@@ -33,6 +42,7 @@ USUAL = {
     "flight": (("task", "rewards", "flight"), -0.3),
     "smooth": (("task", "rewards", "smooth"), -0.06),
     "discount": (("learner", "discount"), 0.97),
+    "landing": (("task", "gait", "landing"), 0.0),
 }
 """What a row says only where it differs: where it stands in a setting, and its usual value."""
 
@@ -41,9 +51,15 @@ BEFORE = {"F": ("cadence", "smoothing", "slip", "speed", "smooth"), "G": ("caden
 
 
 def words(setting: dict[str, Any]) -> str:
-    """A setting by its servo's stiffness, the largest offset, the period, and what is unusual."""
+    """A setting by its servo's stiffness, or its choices where all have the same servo; by the largest offset,
+    and what is unusual."""
     series, task = setting["series"], setting["task"]
-    text = f"{series}   {task['control']['stiffness']:g} N m/rad, {task['offset']:g}°, {task['gait']['period']:g} s"
+    if "choices" in task:
+        grow = " growing" if setting["learner"].get("grow") else ""
+        text = f"{series}   {task['choices']}{grow} choices, {task['offset']:g}°"
+        text += ", more along the legs" if task["offset_shares"][0] > 1.0 else ""
+    else:
+        text = f"{series}   {task['control']['stiffness']:g} N m/rad, {task['offset']:g}°, {task['gait']['period']:g} s"
     for name, (place, usual) in USUAL.items():
         value: Any = setting
         for part in place:
@@ -54,32 +70,41 @@ def words(setting: dict[str, Any]) -> str:
     return text + (f", up to {fastest:g} m/s" if fastest != 0.8 else "")
 
 
-def draw(target: Path) -> None:
-    """One row for each setting, one dot for each training seed."""
-    record = json.loads(RECORD.read_text())
-    settings, commands = record["settings"], record["commands"]
-    rows = np.arange(len(settings))[::-1]
-    with figure(target, 1, len(PANELS), size=(2.4, 8.0), sharey=True) as (_, axes):
+def seeds_of(record: dict[str, Any], setting: dict[str, Any]) -> Seeds:
+    """The seeds of one setting of the record."""
+    return lambda name, command: [seed[record["commands"].index(command)] for seed in setting["figures"][name]]
+
+
+def rows_of(record: dict[str, Any]) -> list[Row]:
+    """A row for each setting of the record."""
+    return [(words(setting), seeds_of(record, setting)) for setting in record["settings"]]
+
+
+def draw(target: Path, rows: list[Row], size: tuple[float, float]) -> None:
+    """One row for each setting, one dot for each training seed; `size` is a panel's, inches."""
+    places = np.arange(len(rows))[::-1]
+    with figure(target, 1, len(PANELS), size=size, sharey=True) as (_, axes):
         for panel, (heading, name, told, goal) in zip(axes[0], PANELS, strict=True):
             for color, command in zip(COLORS, told, strict=False):
-                column = commands.index(command)
-                for row, setting in zip(rows, settings, strict=True):
-                    values = [seed[column] for seed in setting["figures"][name]]
-                    panel.plot(values, np.full(len(values), row), "o", color=color, alpha=0.7, markersize=4)
+                for place, (_, values) in zip(places, rows, strict=True):
+                    seeds = values(name, command)
+                    panel.plot(seeds, np.full(len(seeds), place), "o", color=color, alpha=0.7, markersize=4)
                 if len(told) > 1:
                     panel.axvline(float(command.split()[1]), color=color, linewidth=0.8)
             if goal is not None:
                 panel.axvline(goal, color="black", linewidth=0.8, linestyle="--")
             panel.set_title(heading)
-        axes[0, 0].set_yticks(rows, [words(setting) for setting in settings])
+        axes[0, 0].set_yticks(places, [label for label, _ in rows])
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=ROOT / "docs", help="the folder")
-    target = parser.parse_args().out / "walk_settings.png"
-    draw(target)
-    print(target)
+    out = parser.parse_args().out
+    for name, (record, height) in RECORDS.items():
+        target = out / f"{name}.png"
+        draw(target, rows_of(json.loads((ROOT / "docs" / "bench" / f"{record}.json").read_text())), (2.4, height))
+        print(target)
 
 
 if __name__ == "__main__":

@@ -168,9 +168,19 @@ def of_walk(record: Any) -> list[float]:
     heading, turns = gaits["forward 0.3"]["heading_error"], gaits["sudden turn"]["turn_success"]
     training = record["training"]
     return [
-        *(training["runs"], training["command_s"], training["steps"] / 1e6),
+        *(len(record["results"][0]["policies"]), training["runs"], training["command_s"], training["steps"] / 1e6),
         *(heading["median"], heading["worst"], 100 * turns["median"], 100 * turns["worst"]),
     ]
+
+
+def of_ppo(record: Any) -> list[float]:
+    """What README says of PPO on `walk`."""
+    gaits, training = greedy_gaits(record), record["training"]
+    turns = gaits["sudden turn"]["turn_success"]
+    assert turns["median"] == turns["worst"]
+    speeds = [gaits[f"forward {speed}"]["forward"]["median"] for speed in (0.5, 0.8)]
+    slip = gaits["forward 0.3"]["slip"]["median"]
+    return [slip, 100 * turns["worst"], *speeds, training["runs"], training["command_s"], training["steps"] / 1e6]
 
 
 def of_experiments(record: Any) -> list[float]:
@@ -183,7 +193,7 @@ def of_both_legs(record: Any) -> list[float]:
     return [found["episodes"], runs.sum(), runs.size, *runs.shape]
 
 
-WORDS = {"one": 1, "four": 4, "two": 2, "five": 5, "eight": 8}
+WORDS = {"one": 1, "two": 2, "four": 4, "five": 5, "eight": 8, "ten": 10}
 
 SENTENCES = [
     (
@@ -200,11 +210,18 @@ SENTENCES = [
         of_computed_torque,
     ),
     (
-        "h200_walk_8_seeds.json",
-        rf"`walk` is learned by every one of (\w+) seeds.*? takes ({NUMBER}) s for ({NUMBER})M control steps of each"
-        rf".*? the heading is off by ({NUMBER}) degrees \(({NUMBER}) with the worst seed\);.*? within 1\.5 s in "
-        rf"({NUMBER})% of episodes \(({NUMBER})% with the worst seed\)",
+        "h200_walk_seeds.json",
+        rf"`walk` is learned by every one of (\w+) seeds.*? (\w+) runs side by side on one H200, takes ({NUMBER}) s for "
+        rf"({NUMBER})M control steps of each.*? the heading is off by ({NUMBER}) degrees \(({NUMBER}) with the worst "
+        rf"seed\);.*? within 1\.5 s in ({NUMBER})% of episodes \(({NUMBER})% with the worst seed\)",
         of_walk,
+    ),
+    (
+        "h200_walk_ppo.json",
+        rf"Brax's PPO on the same task.*? slips less \(({NUMBER}) m/s at 0\.3 m/s\), and turns at once in ({NUMBER})% of "
+        rf"episodes.*? at 0\.5 and 0\.8 m/s it goes at ({NUMBER}) and ({NUMBER}) m/s\. Its (\w+) seeds, one after the "
+        rf"other, took ({NUMBER}) s for ({NUMBER})M control steps",
+        of_ppo,
     ),
     (
         "cpu_2_cores.json",

@@ -41,7 +41,7 @@ SERVO = ServoLaw(stiffness=7.5, damping=0.24)
 up by open-loop steps under it when it is to go ahead."""
 
 COMMAND = Velocity(forward=(0.0, 0.8), sideways=(-0.15, 0.15), sudden=0.15, heading_gain=4.0)
-"""Up to the speed at which running begins to pay, and to sidesteps and turns as quick as the evaluator asks for; one new
+"""Up to the speed at which running begins to pay, and to sidesteps and turns as quick as the evaluator asks for. One
 command in seven is to turn at once."""
 
 
@@ -53,7 +53,7 @@ class Walk(LeggedTask):
 
     control: Control = Field(SERVO, description="the law that drives the joints")
     choices: Literal[3, 5, 9] = Field(5, description="values of a joint's offset, evenly from -1 to 1 times it")
-    offset: float = traced(13.0, gt=0, le=90, description="largest offset of a set-point from the motion, degrees")
+    offset: float = traced(16.0, gt=0, le=90, description="largest offset of a set-point from the motion, degrees")
     offset_shares: tuple[float, float, float, float, float] = traced(
         (1.5, 0.8, 0.6, 1.6, 1.4), strict=False, description="of it for hip pitch, yaw and roll, knee and ankle"
     )

@@ -1,0 +1,123 @@
+"""Film the shipped policy of `walk` under one command after another.
+
+    python experiments/walk_film.py            # writes docs/walk_commands.webm and docs/walk.gif, in three minutes
+
+The first is all of it; the second the part that the README shows, every other frame, small enough for a page.
+"""
+
+import argparse
+from itertools import islice
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from PIL import Image, ImageSequence
+
+from humanoid_mjx import runtime
+from humanoid_mjx.report.film import Film
+from humanoid_mjx.report.rendering import render_film
+from humanoid_mjx.tasks.continuous import State
+from humanoid_mjx.tasks.legged.commands import QUICKEST
+from humanoid_mjx.tasks.legged.measures.samples import heading_of, wrapped
+from humanoid_mjx.tasks.legged.view import View
+from humanoid_mjx.training.episode import robot_of
+from humanoid_mjx.training.evaluation import held_out_keys
+from humanoid_mjx.training.gait_evaluation import TURN_GAIN, calm, under_one_command
+from humanoid_mjx.training.policy import find_policy
+from humanoid_mjx.training.rollout import decision_keys, greedy, start
+
+FRAME_S, SMALL = 0.04, (360, 270)
+"""Time between frames of the film, s, and size of the README's, pixels."""
+
+
+class Scene(NamedTuple):
+    """A part of the film."""
+
+    words: str
+    seconds: float
+    command: tuple[float, float, float]
+    """Velocity forward and to the left, m/s, and turn rate to the left, rad/s."""
+    turn_by: float = 0.0
+    """Degrees to turn to the left, at once at the beginning."""
+
+
+SCENES = (
+    Scene("stand", 2.0, (0.0, 0.0, 0.0)),
+    *(Scene(f"forward {speed} m/s", 3.0, (speed, 0.0, 0.0)) for speed in (0.15, 0.3, 0.5, 0.8)),
+    *(Scene(f"turn {rate:+.0f} rad/s", 3.0, (0.0, 0.0, rate)) for rate in (1.0, -1.0)),
+    *(Scene(f"sideways {speed:+} m/s", 2.0, (0.0, speed, 0.0)) for speed in (0.15, -0.15)),
+    Scene("forward 0.3 m/s", 2.0, (0.3, 0.0, 0.0)),
+    Scene("45 degrees left, at once", 2.5, (0.3, 0.0, 0.0), 45.0),
+    Scene("45 degrees right, at once", 2.5, (0.3, 0.0, 0.0), -45.0),
+    Scene("stand", 2.0, (0.0, 0.0, 0.0)),
+)
+
+README = slice(9, 13)
+"""The scenes that the README shows."""
+
+
+def filmed(name: str) -> Film:
+    """The policy of this name through all scenes."""
+    trained = find_policy(name)
+    learner: Any = under_one_command(calm(trained.learner))
+    task = learner.task
+    (key,) = held_out_keys(1)
+
+    @jax.jit
+    def decide(state: State, view: View, command: Any, number: Any) -> tuple[State, View]:
+        act_key, step_key = decision_keys(key, number)
+        state = task.commanded(state, view, command)
+        offsets = task.parts_of_offset(greedy(learner, trained.policy)(state, act_key))
+        return task.step_watched(state, offsets, step_key)[:2]
+
+    state = start(learner.env, key)
+    view = task.view(state.data, None, jnp.zeros_like(state.data.offsets))
+    rows, told, number = [np.asarray(state.data.world.qpos)], [], 0
+    for scene in SCENES:
+        told.append((number * task.period, scene.words))
+        goal = heading_of(view.rotation) + np.radians(scene.turn_by)
+        for _ in range(round(scene.seconds / task.period)):
+            command = np.array(scene.command, np.float32)
+            if scene.turn_by:
+                rate = TURN_GAIN * wrapped(goal - heading_of(view.rotation))
+                command[2] = np.clip(rate, -QUICKEST, QUICKEST)
+            state, view = decide(state, view, command, jnp.int32(number))
+            rows.append(np.asarray(state.data.world.qpos))
+            number += 1
+        if state.terminated:
+            raise SystemExit(f"{name} falls when told: {scene.words}")
+    return Film(robot_of(trained), np.stack(rows), task.period, "Q-learning walks as told", tuple(told))
+
+
+def small(film: Film, target: Path) -> None:
+    """The README's scenes as an animation of few colours."""
+    first, last = (round(sum(scene.seconds for scene in SCENES[:n]) / film.step_s) for n in (README.start, README.stop))
+    times = np.array([start for start, _ in film.told[README]]) - first * film.step_s
+    told = tuple(zip(times.tolist(), [words for _, words in film.told[README]], strict=True))
+    part = film._replace(qpos=film.qpos[first:last], told=told)
+    render_film(part, target)
+    with Image.open(target) as whole:
+        shown = islice(ImageSequence.Iterator(whole), 0, None, 2)
+        frames = [frame.convert("RGB").resize(SMALL, Image.Resampling.LANCZOS) for frame in shown]
+    # The colour of the far leg covers little, and would be left out of a palette by frequency.
+    palette = frames[0].quantize(96, method=Image.Quantize.MAXCOVERAGE)
+    begin, *others = (frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames)
+    begin.save(target, save_all=True, append_images=others, duration=2000 * FRAME_S, loop=0)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--policy", default="walk", help="a policy by name, or a run folder")
+    parser.add_argument("--out", type=Path, default=Path(__file__).parent.parent / "docs", help="the folder")
+    chosen = parser.parse_args()
+    runtime.start()
+    film = filmed(chosen.policy)
+    print(render_film(film, chosen.out / "walk_commands.webm"))
+    small(film, chosen.out / "walk.gif")
+    print(chosen.out / "walk.gif")
+
+
+if __name__ == "__main__":
+    main()
