@@ -1,8 +1,8 @@
 """Seconds from a command to the beginning of its training, with nothing compiled before it and the second time.
 
 `humanoid-mjx sweep` runs in a process of its own, with a folder of its own for compiled programs, and is ended once it
-trains: what counts is importing, tracing, compiling and reading what was compiled. The process that measures and the one
-that is measured share a GPU, so that the latter takes memory as it needs it.
+trains: what counts is importing, tracing, compiling and reading what was compiled. On a GPU it takes memory as it needs
+it, because it shares the GPU with the process that measures.
 
     cold               the folder is empty
     warm               the same command again
