@@ -70,8 +70,9 @@ def bench(
         list[str] | None,
         typer.Argument(
             metavar="[NAME]...",
-            help="tabular, physics, control, training, or all; guard: some ratios against their record, within a "
-            "minute; compare OLD.json NEW.json: two results. Both end with exit code 1 where something became slow.",
+            help="tabular, physics, control, training, startup or all; guard: some ratios against their record, "
+            "within a minute; compare OLD.json NEW.json: two results. Both end with exit code 1 where something "
+            "became slow.",
         ),
     ] = None,
     json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the figures as JSON.")] = None,

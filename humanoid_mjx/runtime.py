@@ -1,8 +1,10 @@
 """Settings of jax for a whole process. The command line calls `start` first; importing the package sets nothing."""
 
+import math
 import os
 import platform
 import subprocess
+import time
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -145,16 +147,28 @@ def _cpu_name() -> str:
 
 
 class CompileCount:
-    """Programs compiled and the seconds it took, while `counting_compiles` runs."""
+    """Programs compiled and the seconds in which any was traced or compiled, while `counting_compiles` runs."""
 
     def __init__(self) -> None:
         self.events: Counter[str] = Counter()
-        self.seconds = 0.0
+        self.times: list[tuple[float, float]] = []
+        """Beginning and end of each event, by the monotonic clock. They overlap: programs compile side by side, and
+        tracing a function takes in tracing those that it calls."""
 
     def __call__(self, event: str, duration_secs: float, **kwargs: str | int) -> None:
         if event.startswith("/jax/core/compile/"):
             self.events[event] += 1
-            self.seconds += duration_secs
+            now = time.monotonic()
+            self.times.append((now - duration_secs, now))
+
+    @property
+    def seconds(self) -> float:
+        """Seconds in which something was traced or compiled, those of threads side by side once."""
+        total, last = 0.0, -math.inf
+        for begin, end in sorted(self.times):
+            total += max(0.0, end - max(begin, last))
+            last = max(last, end)
+        return total
 
     @property
     def programs(self) -> int:

@@ -14,7 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 from humanoid_mjx import InputError, runtime
-from humanoid_mjx.bench import compare, control, ground, guard, postures, tabular, training
+from humanoid_mjx.bench import compare, control, ground, guard, postures, startup, tabular, training
 from humanoid_mjx.bench.measure import Subject, spread, time_in_turn
 from humanoid_mjx.cli import app
 from humanoid_mjx.training.sweep import Run
@@ -334,3 +334,14 @@ def test_what_is_not_installed_is_said(monkeypatch):
     monkeypatch.setattr(tabular, "find_spec", lambda name: object())
     tabular.run(said.append)
     assert not any("numba" in line for line in said)
+
+
+def test_startup_is_measured_with_nothing_compiled_and_again():
+    lines = []
+    records = startup.run(lines.append, ("joint1",), ("seeds=1",), repeats=1)
+    assert [(r.bench, r.subject, r.batch, r.unit) for r in records] == [
+        ("startup", f"joint1 {kind}", 1, "s to training") for kind in ("cold", "warm")
+    ]
+    assert all(r.value > 0.0 for r in records) and len(lines) == 1
+    with pytest.raises(InputError, match=r"did not come to training: error: .*learner\.nothing"):
+        startup.run(lines.append, ("joint1",), ("learner.nothing=1",), repeats=1)

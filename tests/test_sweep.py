@@ -18,6 +18,7 @@ import pytest
 from humanoid_mjx import InputError, processes, runtime, sweep
 from humanoid_mjx.cli import main
 from humanoid_mjx.config import parse
+from humanoid_mjx.learners.tabular import TabularQ
 from humanoid_mjx.runs.folder import RunFolder, read_arrays
 from humanoid_mjx.runs.folder import parts as parts_of
 from humanoid_mjx.training import pool
@@ -451,6 +452,82 @@ def test_a_second_sweep_of_a_process_compiles_nothing(reference, tmp_path):
         again = sweep(CONFIG, tmp_path / "run")
     assert compiles.programs == 0
     same_bits(again.summary, reference.summary)
+
+
+def new_pool(**changes):
+    """A pool of one run, on one device."""
+    (group,) = make_plan(parse(with_axes(learner__epsilon=[0.3]) | {"seeds": 1} | changes)).groups
+    return pool.Pool(group, deque(group.runs.tolist()), 1, jax.local_devices()[:1], CONFIG["seed"])
+
+
+def being_compiled(runs):
+    return [kind[0] for kind in runs.programs.compiled]
+
+
+def test_training_steps_compile_beside_the_beginning_and_what_ends_runs_beside_training():
+    runs = new_pool(record=6, task=CONFIG["task"] | {"states": 11})
+    before = len(being_compiled(runs))
+    runs.prepare()
+    assert being_compiled(runs)[before:] == ["advance"]
+    runs.fill()
+    assert being_compiled(runs)[before:] == ["advance", "begin"]
+    runs.train()
+    assert being_compiled(runs)[before:] == ["advance", "begin", "finish"]
+    while not (harvest := runs.harvest()):
+        runs.train()
+    assert harvest[0].tolist() == [0] and runs.phase == "evaluating"
+    assert len(being_compiled(runs)) == before + 3
+
+
+def test_on_one_device_nothing_is_traced_twice_for_training(monkeypatch):
+    """Tracing the physics of a legged task takes seconds."""
+    runs = new_pool(record=5, task=CONFIG["task"] | {"states": 9})
+    traced, step = [], TabularQ.train_step
+    monkeypatch.setattr(TabularQ, "train_step", lambda *args: traced.append(args) or step(*args))
+    runs.prepare()
+    assert not traced  # but when the pool was planned
+
+
+def test_what_cannot_be_compiled_beside_training_is_tried_again_when_it_is_needed():
+    class Broken:
+        def lower(self, *args):
+            raise MemoryError("no room for the compiler")
+
+    runs = new_pool(record=4, task=CONFIG["task"] | {"states": 10})
+    whole = runs.programs
+    runs.programs = whole._replace(finish=Broken())
+    runs.fill()
+    runs.train()  # which needs nothing of it
+    with pytest.raises(MemoryError, match="no room"):
+        runs.finish()
+    runs.programs = whole
+    assert set(runs.finish()) == {"curve", "final", "policy"}
+
+
+WAITING = f"""
+import pathlib, time
+from humanoid_mjx.training import pool
+finish = pool.Pool.finish
+pool._compile_after = lambda other, trace: time.sleep(600)
+def told(self):
+    pathlib.Path("waiting").touch()
+    return finish(self)
+pool.Pool.finish = told
+{KILLABLE}"""
+
+
+def test_an_interrupt_is_answered_while_the_end_of_runs_compiles(reference, tmp_path):
+    config = write_config(tmp_path)
+    command = [sys.executable, "-c", WAITING, "sweep", config, "--out", "run"]
+    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    wait_for((tmp_path / "waiting").exists, process)
+    process.send_signal(signal.SIGINT)
+    stdout, stderr = process.communicate(timeout=300)  # the compiler would take twice as long
+    assert process.returncode == 130 and "--resume completes it" in stdout, stderr
+    resumed = run_cli("sweep", config, "--out", "run", "--resume", cwd=tmp_path)
+    assert resumed.returncode == 0, resumed.stderr
+    for name in ("results.parquet", "summary.parquet"):
+        assert (tmp_path / "run" / name).read_bytes() == (reference.path / name).read_bytes()
 
 
 def test_a_point_of_a_curve_in_which_no_episode_ended_is_not_known(tmp_path):

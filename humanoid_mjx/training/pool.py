@@ -4,22 +4,25 @@ Runs differ widely in length: where the reward pays for waiting, an episode last
 ones would wait for the slowest.
 """
 
+import os
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import NamedSharding, PartitionSpec
+from jax.sharding import PartitionSpec
 
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.spec import InputError
+from humanoid_mjx.training.beside import beside
 from humanoid_mjx.training.plan import Group
 from humanoid_mjx.training.program import Training, curve
-from humanoid_mjx.training.programs import RUNS, layout_of, mesh_of, programs_of
+from humanoid_mjx.training.programs import RUNS, layout_of, mesh_of, placed, programs_of
 from humanoid_mjx.training.state import blank, from_arrays, to_arrays
 from humanoid_mjx.types import Device
 
@@ -39,6 +42,10 @@ IDLE = -1
 
 COMPILING = ("tracing", "compiling")
 """Phases of a pool in which its thread cannot answer, and its training states stand still."""
+
+CORES_OF_A_COMPILER = 4
+"""Cores that XLA keeps busy while it compiles a program. Where a machine has no more, what ends a run is compiled
+after the training steps, which are waited for."""
 
 
 class Pool:
@@ -61,9 +68,8 @@ class Pool:
         self.group, self.waiting, self.seed, self.policies = group, waiting, seed, policies
         self.programs, size = programs_of(group.learners, devices, share), size * len(devices) // share
         mesh = mesh_of(devices, share)
-        self.over_devices = NamedSharding(mesh, PartitionSpec(RUNS))
-        self.everywhere = NamedSharding(mesh, PartitionSpec())
-        self.layout = jax.tree.map(partial(NamedSharding, mesh), layout_of(group.learners))
+        self.over_devices, self.everywhere = placed(mesh, PartitionSpec(RUNS)), placed(mesh, PartitionSpec())
+        self.layout = jax.tree.map(partial(placed, mesh), layout_of(group.learners))
         self.compiled: dict[str, Callable[..., Any]] = {}
         self.phase = "starting"
         """The present phase, in a word for the user."""
@@ -87,6 +93,10 @@ class Pool:
         """Which slots hold a run."""
         return self.slots != IDLE
 
+    def prepare(self) -> None:
+        """Begin to compile the training steps, which takes longest, beside what `fill` compiles."""
+        self._program("advance", *self._steps_taken())
+
     def fill(self) -> None:
         """Give the idle slots the runs that wait."""
         # Who looks on in another thread must not take the end of a slot's last run for the present of the next.
@@ -109,9 +119,11 @@ class Pool:
 
     def train(self) -> None:
         """Let every run train for about `CHUNK_S`."""
-        steps = jax.device_put(np.int32(self.steps), self.everywhere)
+        given = self._steps_taken()
+        if "advance" not in self.compiled:  # what ends the runs is compiled while they train
+            self._program("finish", *self._ended(), after=self._program("advance", *given))
         began = time.monotonic()
-        self.training, progress = self._call("advance", self.learners, self.training, steps)
+        self.training, progress = self._call("advance", *given)
         self.progress = np.asarray(progress.share)
         self.recent = np.stack([progress.success, progress.episode_return, progress.length], axis=1)
         self.note_time()
@@ -150,7 +162,7 @@ class Pool:
 
     def finish(self) -> dict[str, Any]:
         """Curves, final scores and policies of what the slots hold."""
-        return self._call("finish", self.learners, self.training, self.seeds)
+        return self._call("finish", *self._ended())
 
     def curves(self, slots: np.ndarray, most: int) -> dict[str, np.ndarray]:
         """The learning curves so far of some of the slots, at most `most`, by name: each (slots, record).
@@ -192,19 +204,44 @@ class Pool:
         self._load()
         self.training = jax.device_put(from_arrays(self.training, merged, "training", where), self.layout)
 
+    def _steps_taken(self) -> tuple[Any, ...]:
+        """What `advance` is given."""
+        return self.learners, self.training, jax.device_put(np.int32(self.steps), self.everywhere)
+
+    def _ended(self) -> tuple[Any, ...]:
+        """What `finish` is given."""
+        return self.learners, self.training, self.seeds
+
     def _call(self, name: str, *args: Any) -> Any:
-        """Call a program of `programs`, compiled when it is first needed; wait for its result."""
+        """Call a program of `programs`, compiled by the time that it is first needed; wait for its result."""
         if name not in self.compiled:
-            leaves, structure = jax.tree.flatten(args)
-            kind = name, structure, tuple((leaf.aval, leaf.sharding) for leaf in leaves)
-            if kind not in self.programs.compiled:
-                self.phase = "tracing"
-                lowered = getattr(self.programs, name).lower(*args)
+            program = self._program(name, *args)
+            if not program.done():
                 self.phase = "compiling"
-                self.programs.compiled[kind] = lowered.compile()
-            self.compiled[name] = self.programs.compiled[kind]
+            self.compiled[name] = program.result()
         self.phase = {"begin": "starting", "advance": "training", "finish": "evaluating"}[name]
         return jax.block_until_ready(self.compiled[name](*args))
+
+    def _program(self, name: str, *args: Any, after: "Future[Any] | None" = None) -> "Future[Callable[..., Any]]":
+        """A program of `programs` for such arguments, which is compiled in a thread of its own.
+
+        `after`: a program that is waited for. This one is then traced in that thread, too, and where cores are few
+        compiled once the other one is.
+        """
+        leaves, structure = jax.tree.flatten(args)
+        kind = name, structure, tuple((leaf.aval, leaf.sharding) for leaf in leaves)
+        known = self.programs.compiled.get(kind)
+        if known is not None and not (known.done() and known.exception()):
+            return known
+        # Shapes in the place of arrays, which the training steps give up meanwhile.
+        trace = partial(getattr(self.programs, name).lower, *jax.tree.map(_shape, args))
+        if after is None:
+            self.phase = "tracing"
+            program = beside(trace().compile)
+        else:
+            program = beside(partial(_compile_after, after, trace))
+        self.programs.compiled[kind] = program
+        return program
 
     def _load(self) -> None:
         """Bring the learners and seeds of the slots' runs to the devices. An idle slot repeats the first run."""
@@ -215,6 +252,17 @@ class Pool:
 
     def _put(self, tree: Any, rows: np.ndarray) -> Any:
         return jax.tree.map(lambda leaf: jax.device_put(leaf[rows], self.over_devices), tree)
+
+
+def _shape(leaf: jax.Array) -> jax.ShapeDtypeStruct:
+    return jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=leaf.sharding, weak_type=leaf.aval.weak_type)
+
+
+def _compile_after(other: "Future[Any]", trace: Callable[[], Any]) -> Callable[..., Any]:
+    lowered = trace()
+    if (os.cpu_count() or 1) <= CORES_OF_A_COMPILER:
+        other.exception()  # waits
+    return lowered.compile()
 
 
 @jax.jit

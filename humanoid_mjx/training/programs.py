@@ -1,13 +1,14 @@
 """Training compiled for runs side by side, on as many devices as there are."""
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jax.sharding import Mesh, NamedSharding, PartitionSpec, SingleDeviceSharding
 from jaxtyping import Array, Bool
 
 from humanoid_mjx import runtime
@@ -33,8 +34,9 @@ class Programs(NamedTuple):
     """(learners, training states, steps) -> states so many steps later, and progress. Gives up the old states."""
     finish: Callable[[Any, Training, Any], dict[str, Any]]
     """(learners, training states, seeds) -> curves, final scores and policies."""
-    compiled: dict[Any, Callable[..., Any]]
-    """What was compiled of them, by name and kind of arguments: a second sweep in a process does not trace them."""
+    compiled: "dict[Any, Future[Callable[..., Any]]]"
+    """What was or is being compiled of them, by name and kind of arguments: a second sweep in a process does not trace
+    them."""
 
 
 @lru_cache
@@ -65,10 +67,12 @@ def programs(
         return new, jax.vmap(progress_of)(learners, new)
 
     def compiled(function: Callable[..., Any], given: Any, found: Any, **options_of_jit: Any) -> Callable[..., Any]:
-        spread = jax.shard_map(function, mesh=mesh, in_specs=given, out_specs=found, check_vma=False)
+        spread = function
+        if mesh.size > 1:  # in which all is traced anew that planning has traced
+            spread = jax.shard_map(function, mesh=mesh, in_specs=given, out_specs=found, check_vma=False)
         # By itself jax says of arrays without entries that every device has them whole, and a compiled program then
         # refuses the states that another one has made.
-        lying = jax.tree.map(partial(NamedSharding, mesh), found)
+        lying = jax.tree.map(partial(placed, mesh), found)
         return jax.jit(spread, compiler_options=dict(options), out_shardings=lying, **options_of_jit)
 
     train = by_kernel if fused else jax.vmap(further, in_axes=(0, 0, None))
@@ -100,6 +104,12 @@ def programs_of(learners: Learner, devices: Sequence[Device], share: int = 1) ->
 def mesh_of(devices: Sequence[Device], share: int = 1) -> Mesh:
     """Devices for runs to be shared out over them; `share` of them share the environments of each run."""
     return Mesh(np.array(devices).reshape(-1, share), (RUNS, ENVS))
+
+
+def placed(mesh: Mesh, spec: PartitionSpec) -> NamedSharding | SingleDeviceSharding:
+    """How an array lies on a mesh. On one device it lies as any array does, so that functions which were traced of such
+    ones need not be traced again."""
+    return NamedSharding(mesh, spec) if mesh.size > 1 else SingleDeviceSharding(mesh.devices.item())
 
 
 def layout_of(learners: Learner) -> Training:

@@ -206,6 +206,7 @@ class Session:
     def _work(self, index: int, pool: Pool) -> None:
         """Train the waiting runs until none is left."""
         saved = time.monotonic()
+        pool.prepare()
         pool.fill()
         while pool.busy.any():
             if self.stop.is_set() or time.monotonic() - saved > CHECKPOINT_EVERY_S:

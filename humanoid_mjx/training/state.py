@@ -34,12 +34,13 @@ def from_arrays(like: Any, arrays: dict[str, np.ndarray], prefix: str, where: st
 
 
 def blank(like: Any, size: int) -> Any:
-    """A pytree like `like`, every leaf with a leading axis of `size`, full of zeros."""
+    """A pytree like `like`, every leaf with a leading axis of `size`, full of zeros: of numpy, so that none compiles a
+    program of its own, but for random keys."""
 
     def leaf(like: Any) -> Any:
         words = jax.eval_shape(_plain, like)
-        zeros = jnp.zeros((size, *words.shape), words.dtype)
-        return jax.random.wrap_key_data(zeros, impl=rng.FAST) if _is_key(like) else zeros
+        zeros = np.zeros((size, *words.shape), words.dtype)
+        return jax.random.wrap_key_data(jnp.asarray(zeros), impl=rng.FAST) if _is_key(like) else zeros
 
     return jax.tree.map(leaf, like)
 

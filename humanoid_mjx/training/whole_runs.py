@@ -41,6 +41,9 @@ class WholeRuns(Pool):
         self.curve = {name: np.full(self.wall_s.shape[1], np.nan, np.float32) for name in names}
         self.failed, self.policy = False, None
 
+    def prepare(self) -> None:
+        """Nothing: the learner compiles its own training."""
+
     def train(self) -> None:
         learner, training = _only((self.learners, self.training))
         self.phase, self.failed = "training", False
