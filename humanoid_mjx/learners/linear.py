@@ -1,5 +1,6 @@
 """Semi-gradient Q(lambda) with linear function approximation (Sutton and Barto 2018, chapters 9 to 12)."""
 
+from collections.abc import Mapping
 from typing import Any, Literal
 
 import jax.numpy as jnp
@@ -41,6 +42,10 @@ class LinearQ(ApproximateQ):
 
     def can_split(self, devices: int) -> bool:
         return self.envs % devices == 0
+
+    @property
+    def compiler_options(self) -> Mapping[str, str | bool]:
+        return self.task.compiler_options
 
     @property
     def joints(self) -> int:
