@@ -55,7 +55,7 @@ class DeepQ(ApproximateQ):
 
     @property
     def compiler_options(self) -> Mapping[str, str | bool]:
-        return {**super().compiler_options, **no_library()}
+        return {**self.task.compiler_options, **no_library()}
 
     def can_split(self, devices: int) -> bool:
         return self.envs % devices == 0 and self.envs // devices * self.rollout % self.minibatches == 0
