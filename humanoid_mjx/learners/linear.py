@@ -1,6 +1,6 @@
 """Semi-gradient Q(lambda) with linear function approximation (Sutton and Barto 2018, chapters 9 to 12)."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, Literal
 
 import jax
@@ -46,10 +46,6 @@ class LinearQ(ApproximateQ):
 
     def can_split(self, devices: int) -> bool:
         return self.envs % devices == 0
-
-    @property
-    def compiler_options(self) -> Mapping[str, str | bool]:
-        return self.task.compiler_options
 
     @property
     def joints(self) -> int:
