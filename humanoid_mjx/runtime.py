@@ -20,7 +20,9 @@ XLA_FLAGS = (
 )
 """For XLA on a CPU. By itself it computes what several results share again for each of them; these stop that, which
 makes MJX 15 times faster. The pass that then computes several results in one kernel aborts on some programs, MJX's
-among them, so that it is off by default; `SHARED_KERNELS` is for programs that are known to pass."""
+among them, so that it is off by default; `SHARED_KERNELS` is for programs that are known to pass. jaxlib 0.10.2 aborts
+where it joins two sums with two results each, as `jnp.argmax` is, or two scatters; both arise from operations on arrays
+of one shape that have an operand in common."""
 
 POOL_THREADS = str(max(16, 4 * (os.cpu_count() or 1)))
 """`PJRT_NPROC`: threads that all CPU devices share. By default there are as many as cores, and jaxlib 0.10.2 can use
@@ -30,16 +32,16 @@ contacts. XLA splits kernels into as many parts as there are threads, small ones
 
 SHARED_KERNELS: dict[str, str | bool] = {"xla_disable_hlo_passes": "none"}
 """`compiler_options` of a `jax.jit` around chain dynamics or tabular learning: after `start` the first is 5 times, the
-second 1.2 to 1.7 times faster on a CPU; else no effect."""
+second 1.2 to 1.7 times faster on a CPU; tile coding on chain dynamics is so 2 times; else no effect."""
 
 
 def no_library() -> dict[str, str | bool]:
-    """`compiler_options` of a `jax.jit` around MJX: on a CPU no sums and products by the library YNNPACK.
+    """`compiler_options` of a `jax.jit` around MJX or approximate Q-learning: on a CPU no sums and products by YNNPACK.
 
     That of jaxlib 0.10.2 writes beyond its stack where a sum has seven axes, as evaluating on MJX has with runs,
     snapshots and episodes side by side, and the process crashes (jax issues 39257 and 40412). Large enough arrays only
-    are given to it. MJX is 1.3 to 1.7 times faster without it, `deep_q` on two idle cores 1.3 times; Brax's PPO is 1.2
-    times faster with it.
+    are given to it. MJX, `deep_q` and tile coding are 1.3 to 1.7 times faster without it; Brax's PPO is 1.2 times so
+    with it.
     """
     return {"xla_cpu_experimental_ynn_fusion_type": ""} if jax.default_backend() == "cpu" else {}
 

@@ -542,6 +542,14 @@ def test_a_point_of_a_curve_in_which_no_episode_ended_is_not_known(tmp_path):
         np.testing.assert_array_equal(np.isfinite(results[name]), ~unknown)
 
 
+def test_runs_that_approximate_train_side_by_side_with_shared_kernels(tmp_path):
+    """XLA aborted on two writes of snapshots in one kernel: of the moments, and of a network's leaves of one shape."""
+    learner = {"name": "deep_q", "width": 8, "layers": 1, "envs": 4, "rollout": 4, "minibatches": 1, "evaluations": 2}
+    config = {"name": "side", "task": CONFIG["task"], "learner": learner | {"evaluation_envs": 1}}
+    run = sweep(config | {"seeds": 4, "total_steps": 32, "record": 2}, tmp_path / "run")
+    assert np.isfinite(run.results["greedy_return"]).all()
+
+
 def test_a_flipped_bit_of_a_checkpoint_is_named_or_harmless(tmp_path):
     """Every bit of a small file: its checksums find most, its headers and directory must be read without surprise."""
     path = tmp_path / "part.npz"

@@ -6,6 +6,7 @@ weights towards them. Where a task has several joints Q is the mean of a value f
 "Solving Continuous Control via Q-Learning", 2023), so that the best action is the best choice of every joint.
 """
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -17,6 +18,7 @@ from humanoid_mjx.learners import exploration
 from humanoid_mjx.learners.base import ENVS, Outcome, StepLearner
 from humanoid_mjx.learners.normalisation import Moments, moments, observe
 from humanoid_mjx.learners.targets import lambda_targets
+from humanoid_mjx.runtime import no_library
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import ContinuousTask, State, auto_reset
 from humanoid_mjx.tasks.finite import FiniteTask
@@ -82,6 +84,10 @@ class ApproximateQ(StepLearner):
     evaluation_envs: int = Field(64, ge=1, le=100_000, description="greedy episodes of an evaluation")
     devices: int = Field(1, ge=1, le=1, exclude=True, repr=False)
     """How many devices share the environments, of which `envs` are on each: set by `split_over`, in no config."""
+
+    @property
+    def compiler_options(self) -> Mapping[str, str | bool]:
+        return {**self.task.compiler_options, **no_library()}
 
     def init_value(self, key: Key[Array, ""]) -> tuple[Any, Any]:
         """The weights of the approximation and the optimizer's state before the first update."""

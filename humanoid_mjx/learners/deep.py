@@ -3,7 +3,6 @@
 What keeps it stable is a LayerNorm after every layer; the optimizer is RAdam with the gradient's norm clipped.
 """
 
-from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -15,7 +14,6 @@ from pydantic import Field, model_validator
 
 from humanoid_mjx.learners.approximate import ApproximateQ, Batch, Weights, chosen
 from humanoid_mjx.learners.normalisation import normalise
-from humanoid_mjx.runtime import no_library
 from humanoid_mjx.spec import traced
 from humanoid_mjx.types import FloatScalar
 
@@ -52,10 +50,6 @@ class DeepQ(ApproximateQ):
         if self.envs * self.rollout % self.minibatches:
             raise ValueError(f"minibatches must divide envs * rollout ({self.envs * self.rollout})")
         return self
-
-    @property
-    def compiler_options(self) -> Mapping[str, str | bool]:
-        return {**super().compiler_options, **no_library()}
 
     def can_split(self, devices: int) -> bool:
         return self.envs % devices == 0 and self.envs // devices * self.rollout % self.minibatches == 0

@@ -53,7 +53,7 @@ def greedy(
     """The best choice of each joint; one at random among equally good ones."""
     q = jnp.where(allowed, q, -jnp.inf)
     ties = jax.random.uniform(key, q.shape)
-    return jnp.argmax(jnp.where(q == q.max(axis=-1, keepdims=True), ties, -1.0), axis=-1)
+    return _largest(jnp.where(q == q.max(axis=-1, keepdims=True), ties, -1.0))
 
 
 def explore(
@@ -72,8 +72,19 @@ def explore(
     start_key, action_key, length_key = jax.random.split(key, 3)
     starts = (holding.steps_left == 0) & (jax.random.uniform(start_key, best.shape) < epsilon[:, None])
     draws = jax.random.uniform(action_key, (len(best), *allowed.shape))
-    random = jnp.argmax(jnp.where(allowed, draws, -1.0), axis=-1)
+    random = _largest(jnp.where(allowed, draws, -1.0))
     length = jax.random.randint(length_key, best.shape, 1, hold + 1)
     steps_left = jnp.where(starts, length, holding.steps_left)
     held = jnp.where(starts, random, holding.action)
     return jnp.where(steps_left > 0, held, best), Holding(jnp.maximum(steps_left - 1, 0), held)
+
+
+def _largest(values: Float[Array, "*batch choices"]) -> Int[Array, "*batch"]:
+    """Where the largest value stands, of equal ones the first: `jnp.argmax` of numbers that are all finite.
+
+    That is one sum with two results, on which XLA aborts where it computes it in one kernel with others
+    (`runtime.SHARED_KERNELS`).
+    """
+    count = values.shape[-1]
+    place = jax.lax.broadcasted_iota(jnp.int32, values.shape, values.ndim - 1)
+    return jnp.min(jnp.where(values == values.max(axis=-1, keepdims=True), place, count), axis=-1)

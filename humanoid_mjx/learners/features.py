@@ -55,6 +55,11 @@ class Basis(NamedTuple):
     active: int
     encode: Callable[[Float[Array, "*batch observation_size"]], Encoded]
 
+    @property
+    def dense(self) -> bool:
+        """Whether all features are active, each at its own place."""
+        return self.active == self.size
+
 
 def combined(families: Sequence[Sequence[Sequence[int]]], order: int) -> Groups:
     """Every `order` observations of each family of a joint; fewer where any family is smaller, as groups have one size.
@@ -80,14 +85,17 @@ def tile_coding(scale: Scale, groups: Groups, tiles: int, tilings: int) -> Basis
     side = tiles if tilings == 1 else tiles + 1
     cells, count = side**width, number * tilings
     _check_size(joints * cells * count)
-    first = (np.arange(count) * cells).reshape(number, tilings)
-    stride = side ** np.arange(width)
+    first = (np.arange(count) * cells).reshape(number, tilings).T
 
     def encode(obs: Float[Array, "*batch observation_size"]) -> Encoded:
-        unit = scale(obs)[..., groups]
-        cell = jnp.floor(unit[..., None, :] * (tiles - 1e-4) + shift).astype(jnp.int32)
-        place = first + (cell * stride).sum(axis=-1)
-        place = place.reshape(*obs.shape[:-1], joints, count)
+        # By (tiling, group, batch, joint): so each feature's places lie side by side, as they are used.
+        lift = (slice(None), *(None,) * (obs.ndim + 1))
+        unit, place = scale(obs) * (tiles - 1e-4), first[..., *(None,) * obs.ndim]
+        for dimension in range(width):
+            at = jnp.moveaxis(unit[..., groups[:, :, dimension]], -1, 0)
+            cell = jnp.floor(at + shift[:, dimension][lift].astype(obs.dtype))
+            place = place + cell.astype(jnp.int32) * side**dimension
+        place = jnp.moveaxis(place.reshape(count, *obs.shape[:-1], joints), 0, -1)
         return Encoded(place, jnp.ones(place.shape, obs.dtype))
 
     return Basis(cells * count, count, encode)

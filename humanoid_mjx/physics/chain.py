@@ -142,7 +142,8 @@ class ChainPhysics(Physics):
             # One factor for all links: the torque grows with it, and the leg's own values stay constants.
             factor, each = (1.0, mass) if jnp.ndim(mass) else (mass, 1.0)
             legs = self._each_leg(each, world.qpos, world.qvel, qacc)
-            return factor * jnp.concatenate([dynamics.inverse_dynamics(*leg) for leg in legs])
+            # Joint by joint, as for the limit in `_cycle`.
+            return jnp.stack([factor * x for leg in legs for x in dynamics.inverse_dynamics(*leg)])
 
         def model_for(mass: MassFactor) -> tuple[Float[Array, "nv nv"], Float[Array, " nv"]]:
             parts = [dynamics.mass_matrix_and_bias(*leg) for leg in self._each_leg(mass, world.qpos, world.qvel)]

@@ -64,6 +64,7 @@ def advance(learner: Learner, training: Training, steps: IntScalar) -> tuple[Tra
         return carry, _recorded(learner, inner[1], outcome)
 
     def lap(_: IntScalar, old: Training) -> Training:
+        """`snapshots` are rows here."""
         inner = old.carry, old.record
         new: Any = step(0, inner) if learner.lap == 1 else jax.lax.fori_loop(0, learner.lap, step, inner)
         failed = old.failed
@@ -74,12 +75,42 @@ def advance(learner: Learner, training: Training, steps: IntScalar) -> tuple[Tra
         snapshots = old.snapshots
         if snapshots is not None:
             part = _part(learner.progress(old.carry), learner.evaluations)
-            policy = learner.policy(new[0])
-            snapshots = jax.tree.map(lambda old, new: old.at[part].set(new), snapshots, policy)
+            snapshots = [
+                old.at[part].set(new) for old, new in zip(snapshots, _row(learner.policy(new[0])), strict=True)
+            ]
         return Training(new[0], new[1], snapshots, failed)
 
-    training = jax.lax.fori_loop(0, (steps + learner.lap - 1) // learner.lap, lap, training)
-    return training, progress_of(learner, training)
+    kept = training.snapshots
+    rows = training if kept is None else training._replace(snapshots=jax.vmap(_row)(kept))
+    last = jax.lax.fori_loop(0, (steps + learner.lap - 1) // learner.lap, lap, rows)
+    last = last if kept is None else last._replace(snapshots=_unrow(last.snapshots, kept))
+    return last, progress_of(learner, last)
+
+
+def _row(tree: Any) -> list[Array]:
+    """A pytree as one vector, or one for each type of number in it.
+
+    Rows of snapshots are written at once. One write for each leaf takes longer, and XLA would compute writes of equal
+    shapes in one kernel, on which it aborts (`runtime.SHARED_KERNELS`).
+    """
+    leaves = jax.tree.leaves(tree)
+    return [jnp.concatenate([x.reshape(-1) for x in leaves if x.dtype == kind]) for kind in _kinds(leaves)]
+
+
+def _unrow(rows: list[Array], like: Any) -> Any:
+    """The pytrees of `_row` again, side by side along the first axis of all arrays."""
+    leaves, structure = jax.tree.flatten(like)
+    found = [jnp.empty(0)] * len(leaves)
+    for row, kind in zip(rows, _kinds(leaves), strict=True):
+        places = [place for place, leaf in enumerate(leaves) if leaf.dtype == kind]
+        ends = np.cumsum([leaves[place][0].size for place in places])
+        for place, part in zip(places, jnp.split(row, ends[:-1], axis=1), strict=True):
+            found[place] = part.reshape(leaves[place].shape)
+    return jax.tree.unflatten(structure, found)
+
+
+def _kinds(leaves: list[Array]) -> list[np.dtype]:
+    return list(dict.fromkeys(leaf.dtype for leaf in leaves))
 
 
 def finish(learner: Learner, training: Training, key: Key[Array, ""]) -> dict[str, Any]:
@@ -101,9 +132,9 @@ def finish(learner: Learner, training: Training, key: Key[Array, ""]) -> dict[st
         along = jax.vmap(scores)(training.snapshots)
         part = np.arange(learner.evaluations)
         reached = part < learner.progress(training.carry) * learner.evaluations
-        place = -(-(part + 1) * learner.record // learner.evaluations) - 1
-        blank = jnp.full(learner.record, jnp.nan)
-        found |= {name: blank.at[place].set(jnp.where(reached, x, jnp.nan)) for name, x in along.items()}
+        at = np.full(learner.record, learner.evaluations)
+        at[-(-(part + 1) * learner.record // learner.evaluations) - 1] = part
+        found |= {name: jnp.append(jnp.where(reached, x, jnp.nan), jnp.nan)[at] for name, x in along.items()}
         final = {name: score[jnp.maximum(reached.sum() - 1, 0)] for name, score in along.items()}
     return {"curve": found, "final": final | {"diverged": diverged}, "policy": policy}
 
