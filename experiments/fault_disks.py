@@ -66,8 +66,8 @@ def _sweep_at_fault(case: tuple[str, int]) -> tuple[str, Done, str]:
 
     def fail(place: str) -> None:
         TRAPS.clear()
-        if kind == "vanished":
-            shutil.rmtree(run, ignore_errors=True)
+        if kind == "vanished":  # at once: what removes file by file races with what another thread writes
+            run.rename(here / "gone")
         else:
             code = {"full": errno.ENOSPC, "read-only": errno.EROFS, "forbidden": errno.EACCES}[kind]
             raise OSError(code, os.strerror(code), place)

@@ -9,6 +9,8 @@ from typing import Annotated, NoReturn
 
 import typer
 
+from humanoid_mjx.report import ways
+
 app = typer.Typer(
     add_completion=True,
     no_args_is_help=True,
@@ -242,6 +244,7 @@ INTERRUPTED = 130
 def main() -> None:
     """Run the command line. Unusable input, and files, disks and memory that fail, end with one sentence and exit
     code 2."""
+    ways.take_over()
     try:
         app()
     except (KeyboardInterrupt, SystemExit) as error:
