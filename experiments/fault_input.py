@@ -123,6 +123,7 @@ def _damage(case: tuple[str, bytes | None, str]) -> tuple[str, str]:
         return "wrong", f"{file}: resumed to other bits"
     silent = [name for name in after if after[name][0] == "worked" and after[name] != before[name]]
     told = any(how == "one sentence" and before[name][0] == "worked" for name, (how, _) in after.items())
+    told |= f"/{file}: " in after["runs"][1]  # which goes on with the other folders
     if silent and not told and file.endswith((".npz", ".parquet")) and data is not None:
         return "wrong", f"{file}: read by {silent} as something else"
     how = "named" if told else "shown as it stands there" if silent else "no difference"

@@ -206,11 +206,15 @@ def info(
     ] = None,
     set_: Override = None,
     keys: Annotated[bool, typer.Option("--keys", help="Every key with its meaning, range and default.")] = False,
+    time: Annotated[
+        bool, typer.Option("--time", help="Train a piece of CONFIG to estimate how long it takes.")
+    ] = False,
 ) -> None:
-    """Show devices, versions and what ships; with CONFIG, the resolved config, its points and the memory they take."""
+    """Show devices, versions and what ships; with CONFIG, the resolved config, its points, and what memory, disk and
+    time they take."""
     from humanoid_mjx.commands.info import show_info, show_keys
 
-    show_keys(name) if keys and name else show_info(name, set_ or [])
+    show_keys(name) if keys and name else show_info(name, set_ or [], time)
 
 
 def _version(wanted: bool) -> bool:

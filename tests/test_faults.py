@@ -20,6 +20,7 @@ from humanoid_mjx import InputError, cli, runtime, sweep
 from humanoid_mjx.commands.runs import run_runs
 from humanoid_mjx.config import load, parse, parse_yaml
 from humanoid_mjx.data import whole_file
+from humanoid_mjx.report.style import figure
 from humanoid_mjx.runs.archive import DAMAGE, read_archive
 from humanoid_mjx.runs.folder import RunFolder, read_arrays, read_provenance
 from humanoid_mjx.runs.tables import read_table
@@ -107,8 +108,20 @@ def test_what_a_kill_leaves_before_the_config_is_no_obstacle(tmp_path):
         assert len(sweep(CONFIG, run, resume=resume).summary["point"]) == 8
     (tmp_path / "mine/checkpoint").mkdir(parents=True)
     (tmp_path / "mine/notes.txt").touch()
-    with pytest.raises(InputError, match="already exists"):
+    with pytest.raises(InputError, match="already exists; it is no run folder: remove it"):
         sweep(CONFIG, tmp_path / "mine")
+
+
+def test_a_run_folder_that_is_gone_is_not_made_anew(tmp_path):
+    run = RunFolder.create(tmp_path / "run", {"name": "x"})
+    run.path.rename(tmp_path / "gone")
+    for name in ("provenance.json", "checkpoint/part-00000.npz"):
+        with pytest.raises(FileNotFoundError):
+            run.write_text(name, "")
+    with pytest.raises(FileNotFoundError), figure(run.path / "figures" / "curves.png", 1, 1):
+        pass
+    assert not run.path.exists()
+    run.close()
 
 
 def test_two_sweeps_that_choose_the_same_place_get_one_each(tmp_path, monkeypatch):

@@ -137,7 +137,8 @@ class RunFolder:
     def writing(self, name: str) -> Iterator[Path]:
         """A temporary path whose file becomes `name` when the block ends well."""
         target = self.path / name
-        target.parent.mkdir(exist_ok=True)
+        if target.parent != self.path:  # a run folder that is gone stays so
+            target.parent.mkdir(exist_ok=True)
         with whole_file(target) as temporary:
             yield temporary
 

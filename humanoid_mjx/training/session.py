@@ -77,11 +77,8 @@ class Session:
         runs = [run for run in group.runs.tolist() if run in self.mine]
         if not runs:
             return
-        whole = isinstance(group.learners, WholeRunLearner)
         # Not the number still waiting: networks' sums depend on how many runs are side by side, also after a resume.
-        share = devices_of_a_run(group.learners, len(runs))
-        devices = jax.local_devices()[: 1 if whole else len(runs) * share]
-        size = 1 if whole else min(size, -(-len(runs) * share // len(devices)))
+        size, devices, share = arranged(group.learners, len(runs), size)
         while waiting := deque(run for run in runs if run not in self.finished):
             slots = size * len(devices) // share
             self.reporter.note(self._side_by_side(group, len(runs), slots))
@@ -285,6 +282,20 @@ def _only(runs: set[int], arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray
         return arrays
     rows = np.isin(arrays["slots"], list(runs))
     return {name: array[rows] if array.ndim else array for name, array in arrays.items()}
+
+
+def arranged(learners: Learner, runs: int, size: int) -> tuple[int, Sequence[Device], int]:
+    """How so many runs train side by side, where a device can train `size` of them.
+
+    Returns:
+      how many runs each device, or each group of devices that share a run, trains at once; the devices; how many of
+      these share a run.
+    """
+    if isinstance(learners, WholeRunLearner):
+        return 1, jax.local_devices()[:1], 1
+    share = devices_of_a_run(learners, runs)
+    devices = jax.local_devices()[: runs * share]
+    return min(size, -(-runs * share // len(devices))), devices, share
 
 
 def devices_of_a_run(learners: Learner, runs: int) -> int:
