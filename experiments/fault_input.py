@@ -140,16 +140,16 @@ def damaged_runs(matrix: Matrix, folder: Path, tries: int, seed: int) -> None:
     shutil.rmtree(folder, ignore_errors=True)
     (folder / "work").mkdir(parents=True)
     isolated(_prepare, [folder], folder, 300)
-    draw, wait = random.Random(seed), 0.3
+    draw, wait, longest = random.Random(seed), 0.3, 4.0
     while not any((folder / "cut").glob("checkpoint/pool-*.npz")) or not any((folder / "cut").glob("*.parquet")):
         shutil.rmtree(folder / "cut", ignore_errors=True)
         killed(CONFIG, folder / "cut", wait)
-        wait = draw.uniform(0.2, 4.0)
+        wait, longest = draw.uniform(0.2, longest), longest + 0.5  # a busy machine takes longer
     run = folder / "whole"
     files = [file.relative_to(run).as_posix() for file in sorted(run.rglob("*.*")) if file.is_file()]
     of_a_kind = {re.sub(r"-\d+", "", name): name for name in files if name[0] != "." and "figures" not in name}
     places = [(name, "whole") for name in of_a_kind.values()]
-    for name, source in [*places, ("checkpoint/pool-0.npz", "cut")]:
+    for name, source in [("checkpoint/pool-0.npz", "cut"), *places]:
         data = (folder / source / name).read_bytes()
         cases: list[tuple[str, bytes | None, str]] = [(name, None, source)]
         for _ in range(tries):

@@ -9,6 +9,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
+from humanoid_mjx import completion
 from humanoid_mjx.report import ways
 
 app = typer.Typer(
@@ -28,7 +29,9 @@ Physics = Annotated[str | None, typer.Option(metavar="NAME", help="Simulate by a
 
 @app.command()
 def sweep(
-    config: Annotated[str, typer.Argument(help="A path, or the name of a shipped config.")],
+    config: Annotated[
+        str, typer.Argument(help="A path, or the name of a shipped config.", autocompletion=completion.configs)
+    ],
     out: Annotated[Path | None, typer.Option(help="The run folder; by default the next free runs/NAME.")] = None,
     set_: Override = None,
     resume: Annotated[bool, typer.Option("--resume", help="Complete an interrupted run.")] = False,
@@ -85,7 +88,14 @@ def bench(
     run_bench(names or ["all"], json, seeds)
 
 
-Policy = Annotated[str, typer.Argument(metavar="RUN|POLICY", help="A run folder, a policy file, or a shipped policy.")]
+Policy = Annotated[
+    str,
+    typer.Argument(
+        metavar="RUN|POLICY",
+        help="A run folder, a policy file, or a shipped policy.",
+        autocompletion=completion.policies,
+    ),
+]
 
 
 World = Annotated[
@@ -97,7 +107,12 @@ World = Annotated[
 @app.command()
 def evaluate(
     policies: Annotated[
-        list[str], typer.Argument(metavar="RUN|POLICY...", help="Run folders, policy files, or shipped policies.")
+        list[str],
+        typer.Argument(
+            metavar="RUN|POLICY...",
+            help="Run folders, policy files, or shipped policies.",
+            autocompletion=completion.policies,
+        ),
     ],
     gait: Annotated[
         bool,
@@ -202,7 +217,12 @@ def export(
 @app.command()
 def info(
     name: Annotated[
-        str | None, typer.Argument(metavar="[CONFIG|TASK|LEARNER]", help="A config to resolve; a task or learner.")
+        str | None,
+        typer.Argument(
+            metavar="[CONFIG|TASK|LEARNER]",
+            help="A config to resolve; a task or learner.",
+            autocompletion=completion.configs,
+        ),
     ] = None,
     set_: Override = None,
     keys: Annotated[bool, typer.Option("--keys", help="Every key with its meaning, range and default.")] = False,

@@ -150,6 +150,8 @@ def test_two_sweeps_that_choose_the_same_place_get_one_each(tmp_path, monkeypatc
         ("provenance.json", lambda run: b'{"sessions": [5], "runs_finished": []}', None),
         ("provenance.json", lambda run: b"\xff", None),
         ("summary.parquet", lambda run: (run / "timing.parquet").read_bytes(), None),
+        ("results.parquet", lambda run: (run / "summary.parquet").read_bytes(), None),
+        ("results.parquet", lambda run: (run / "timing.parquet").read_bytes(), None),
         (
             "config.yaml",
             lambda run: b"name: small\ntask: reach\nlearner: {name: tabular_q}\n",

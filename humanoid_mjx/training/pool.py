@@ -37,9 +37,6 @@ HARVEST_AFTER_S = 10.0
 
 IDLE = -1
 
-COMPILING = ("tracing", "compiling")
-"""Phases of a pool in which its thread cannot answer, and its training states stand still."""
-
 
 class Pool:
     """Trains runs of a group, taking them from `waiting`, in as many slots on each device."""
