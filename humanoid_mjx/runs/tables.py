@@ -132,7 +132,7 @@ def column_names(path: Path) -> list[str]:
         return []
     try:
         return pq.read_schema(path).names
-    except (pa.ArrowException, OSError) as error:
+    except (pa.ArrowException, OSError, ValueError) as error:  # names that are no text
         raise InputError(f"{path}: this file is truncated or damaged; --resume the run to write it again.") from error
 
 
