@@ -6,6 +6,7 @@ import re
 import numpy as np
 import pytest
 from rich.console import Console
+from rich.progress import Progress
 
 from humanoid_mjx.training import progress
 from humanoid_mjx.training.remaining import EVERY_S, Remaining
@@ -71,3 +72,14 @@ def test_what_the_bar_says_counts_compiling_and_evaluating(monkeypatch):
         hours, minutes, seconds = map(int, re.fullmatch(r"(\d+):(\d\d):(\d\d)", shown[second]).groups())
         assert (hours, minutes) == (0, 0) and seconds == pytest.approx(32 - second, abs=1.0), second
     assert shown[33] == progress.UNKNOWN
+
+
+def test_the_time_that_has_passed_goes_on_after_training():
+    now = [100.0]
+    bars = Progress(progress.Elapsed(), console=Console(file=io.StringIO()), get_time=lambda: now[0])
+    bars.add_task("", total=10)
+    (task,) = bars.tasks
+    now[0] = 130.0
+    bars.update(task.id, completed=10)
+    now[0] = 175.0
+    assert progress.Elapsed().render(task).plain == "0:01:15"

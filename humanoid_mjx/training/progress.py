@@ -9,7 +9,8 @@ from datetime import timedelta
 from types import TracebackType
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskProgressColumn, TextColumn
+from rich.text import Text
 
 LINE_EVERY_S = 10.0
 
@@ -56,6 +57,13 @@ class PatientConsole(Console):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
+class Elapsed(ProgressColumn):
+    """The time since the beginning, which goes on while evaluating and drawing, when all is trained."""
+
+    def render(self, task: Task) -> Text:
+        return Text(str(timedelta(seconds=int(task.elapsed or 0.0))))
+
+
 class Bar(Reporter):
     """Reports on a console."""
 
@@ -75,7 +83,7 @@ class Bar(Reporter):
             TextColumn("{task.description}"),
             BarColumn(bar_width=20),
             TaskProgressColumn(),
-            TimeElapsedColumn(),
+            Elapsed(),
             TextColumn("left {task.fields[left]}"),
             TextColumn("{task.fields[rate]}"),  # the last, so that a narrow screen cuts it and nothing else
         )
