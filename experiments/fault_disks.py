@@ -14,10 +14,10 @@ from fault_trying import SAME, TINY, Done, Matrix, bits, command, isolated, whol
 from humanoid_mjx.training import sweep as sweep_module
 
 AT_A_WRITE = {
-    "full": "disk is full from one of the writes",
-    "read-only": "disk is read-only from one of the writes",
-    "forbidden": "writing is forbidden from one of the writes",
-    "vanished": "folder is gone from one of the writes",
+    "full": "disk is full at one of the writes",
+    "read-only": "disk is read-only at one of the writes",
+    "forbidden": "writing is forbidden at one of the writes",
+    "vanished": "folder is gone at one of the writes",
 }
 """Faults at each write of a sweep in turn."""
 
