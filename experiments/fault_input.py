@@ -73,7 +73,7 @@ def _look(run: Path) -> dict[str, Any]:
         page.unlink(missing_ok=True)
         policy.unlink(missing_ok=True)
         done = command(*call)
-        said = done.said
+        said = re.sub(r"[\d.,]+ [KMG]?i?B\b", "", done.said)  # the bytes on disk
         if done.how == "worked" and name == "export":
             said = str({key: array.tobytes() for key, array in read_archive(policy, ("policy",)).items()})
         if done.how == "worked" and name == "report":
