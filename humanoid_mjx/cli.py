@@ -23,7 +23,6 @@ Override = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one value of the config.")
 ]
 
-
 Physics = Annotated[str | None, typer.Option(metavar="NAME", help="Simulate by another physics, such as mujoco.")]
 
 
@@ -96,7 +95,6 @@ Policy = Annotated[
         autocompletion=completion.policies,
     ),
 ]
-
 
 World = Annotated[
     list[str] | None,
