@@ -55,8 +55,8 @@ class Table(JointReach):
 
 class Leg(LegReach):
     poison: float = traced(0.0)
-    def step(self, state, action, key):
-        found = super().step(state, action, key)
+    def step_continuous(self, state, command, key):  # `step` goes through it
+        found = super().step_continuous(state, command, key)
         return found._replace(reward=found.reward + jnp.where(self.poison > 0, jnp.nan, 0.0))
 """
 """Tasks whose reward is no number where `poison` is above 0."""
@@ -71,7 +71,8 @@ def _poisoned(learner: str) -> str:
     runs = {}
     for name, poison in (("healthy", [0.0, 0.25]), ("poisoned", [0.0, 0.5])):
         values = [0.0, 0.0] if name == "healthy" else poison
-        axes = {"task.poison": values, "learner.discount": [0.8, 0.9]}
+        discount = "learner.discounting" if learner == "brax_ppo" else "learner.discount"
+        axes = {"task.poison": values, discount: [0.8, 0.9]}
         changed = {"name": name, "sweep": {"mode": "zip", "axes": axes}, "seeds": 2}
         path = write_config(Path.cwd(), config | {"task": {"name": f"poisoned_tasks:{kind}", **task}} | changed)
         runs[name] = Path.cwd() / f"{learner}-{name}"

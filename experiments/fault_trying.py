@@ -181,11 +181,11 @@ def whole(run: Path) -> Done:
 
 
 class Matrix:
-    """The rows found so far; `row` times and adds one."""
+    """The rows found so far; `row` times and adds one, and calls `found`."""
 
-    def __init__(self, say: Callable[[str], None]):
+    def __init__(self, say: Callable[[str], None], found: Callable[["Matrix"], None]):
         self.rows: list[Fault] = []
-        self.say = say
+        self.say, self.found = say, found
 
     def row(self, fault: str, subject: str, tried: Callable[[], tuple[list[str], list[str]]]) -> None:
         """Add what `tried` returns: an outcome for each try, and what should not have happened."""
@@ -197,3 +197,4 @@ class Matrix:
         self.say(f"{fault}, {subject}: {len(outcomes)} tries: {words}; {self.rows[-1].seconds:.0f} s")
         for sentence in wrong[:10]:
             self.say(f"  WRONG {sentence[-1500:]}")
+        self.found(self)

@@ -75,7 +75,7 @@ def table() -> str:
 
 def main() -> None:
     """Try what the command line names."""
-    matrix = Matrix(partial(print, flush=True))
+    matrix = Matrix(partial(print, flush=True), store)
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     known = experiments(matrix, Path(), None, 0)
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(known)}; by default all")
@@ -88,7 +88,6 @@ def main() -> None:
         chosen = experiments(matrix, Path(folder), args.tries, args.seed)
         for name in args.names or chosen:
             chosen[name]()
-            store(matrix)
     print(table())
     sys.exit(any(row.wrong for row in matrix.rows))
 

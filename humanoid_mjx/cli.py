@@ -9,6 +9,9 @@ from typing import Annotated, NoReturn
 
 import typer
 
+from humanoid_mjx import completion
+from humanoid_mjx.report import ways
+
 app = typer.Typer(
     add_completion=True,
     no_args_is_help=True,
@@ -20,13 +23,14 @@ Override = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one value of the config.")
 ]
 
-
 Physics = Annotated[str | None, typer.Option(metavar="NAME", help="Simulate by another physics, such as mujoco.")]
 
 
 @app.command()
 def sweep(
-    config: Annotated[str, typer.Argument(help="A path, or the name of a shipped config.")],
+    config: Annotated[
+        str, typer.Argument(help="A path, or the name of a shipped config.", autocompletion=completion.configs)
+    ],
     out: Annotated[Path | None, typer.Option(help="The run folder; by default the next free runs/NAME.")] = None,
     set_: Override = None,
     resume: Annotated[bool, typer.Option("--resume", help="Complete an interrupted run.")] = False,
@@ -70,9 +74,8 @@ def bench(
         list[str] | None,
         typer.Argument(
             metavar="[NAME]...",
-            help="tabular, physics, control, training, startup or all; guard: some ratios against their record, "
-            "within a minute; compare OLD.json NEW.json: two results. Both end with exit code 1 where something "
-            "became slow.",
+            help="tabular, physics, control, training, startup or all; guard: some ratios against their record, within "
+            "a minute; compare OLD.json NEW.json: two results. Both end with exit code 1 where something became slow.",
         ),
     ] = None,
     json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the figures as JSON.")] = None,
@@ -84,8 +87,14 @@ def bench(
     run_bench(names or ["all"], json, seeds)
 
 
-Policy = Annotated[str, typer.Argument(metavar="RUN|POLICY", help="A run folder, a policy file, or a shipped policy.")]
-
+Policy = Annotated[
+    str,
+    typer.Argument(
+        metavar="RUN|POLICY",
+        help="A run folder, a policy file, or a shipped policy.",
+        autocompletion=completion.policies,
+    ),
+]
 
 World = Annotated[
     list[str] | None,
@@ -96,7 +105,12 @@ World = Annotated[
 @app.command()
 def evaluate(
     policies: Annotated[
-        list[str], typer.Argument(metavar="RUN|POLICY...", help="Run folders, policy files, or shipped policies.")
+        list[str],
+        typer.Argument(
+            metavar="RUN|POLICY...",
+            help="Run folders, policy files, or shipped policies.",
+            autocompletion=completion.policies,
+        ),
     ],
     gait: Annotated[
         bool,
@@ -201,15 +215,24 @@ def export(
 @app.command()
 def info(
     name: Annotated[
-        str | None, typer.Argument(metavar="[CONFIG|TASK|LEARNER]", help="A config to resolve; a task or learner.")
+        str | None,
+        typer.Argument(
+            metavar="[CONFIG|TASK|LEARNER]",
+            help="A config to resolve; a task or learner.",
+            autocompletion=completion.configs,
+        ),
     ] = None,
     set_: Override = None,
     keys: Annotated[bool, typer.Option("--keys", help="Every key with its meaning, range and default.")] = False,
+    time: Annotated[
+        bool, typer.Option("--time", help="Train a piece of CONFIG to estimate how long it takes.")
+    ] = False,
 ) -> None:
-    """Show devices, versions and what ships; with CONFIG, the resolved config, its points and the memory they take."""
+    """Show devices, versions and what ships; with CONFIG, the resolved config, its points, and what memory, disk and
+    time they take."""
     from humanoid_mjx.commands.info import show_info, show_keys
 
-    show_keys(name) if keys and name else show_info(name, set_ or [])
+    show_keys(name) if keys and name else show_info(name, set_ or [], time)
 
 
 def _version(wanted: bool) -> bool:
@@ -243,6 +266,7 @@ INTERRUPTED = 130
 def main() -> None:
     """Run the command line. Unusable input, and files, disks and memory that fail, end with one sentence and exit
     code 2."""
+    ways.take_over()
     try:
         app()
     except (KeyboardInterrupt, SystemExit) as error:

@@ -25,11 +25,13 @@ class InputError(ValueError):
 
 
 def check_folder(file: Path, option: str = "") -> None:
-    """Refuse a file, given by an option, whose folder is not there.
+    """Refuse a file, given by an option, that is a folder or whose folder is not there.
 
     Raises:
-      InputError: there is no such folder.
+      InputError: there is no such folder, or a folder of this name.
     """
+    if file.is_dir():
+        raise InputError(f"{option} {file}: this is a folder; name a file.".lstrip())
     if not file.parent.is_dir():
         raise InputError(f"{option} {file}: there is no folder {file.parent}.".lstrip())
 

@@ -84,13 +84,13 @@ class Reader:
         assert not resume or folder in self.folders, f"{folder}: nothing to be resumed"
         self.folders.add(folder)
 
-    def info(self, name, set_, keys):
+    def info(self, name, set_, keys, time):
         from humanoid_mjx.commands.info import show_info, show_keys
 
         if keys:
             show_keys(name)
         elif name:
-            show_info(name, set_ or [])
+            show_info(name, set_ or [], timed=False)  # which only trains a piece of what `sweep` trains
 
     def reproduce(self, names, list_, set_, out):
         from humanoid_mjx.reproduction import load_experiments

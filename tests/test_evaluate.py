@@ -190,6 +190,7 @@ def test_commands(reach, leg, tmp_path):
         (["evaluate", "posture_switch", "--physics", "bullet"], "task.physics must be one of"),
         (["evaluate", "nothing"], "neither a run folder nor a policy"),
         (["evaluate", "RUN", "--json", "none/x.json"], "there is no folder none"),
+        (["evaluate", "RUN", "--json", "."], "--json .: this is a folder; name a file"),
         (["export", "RUN", "x.pkl"], "must end in .xml, for a robot, or in .npz"),
         (["export", "RUN", "none/x.npz"], "there is no folder none"),
         (["play", "RUN"], "its task joint_reach moves no robot"),

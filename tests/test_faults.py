@@ -20,9 +20,11 @@ from humanoid_mjx import InputError, cli, runtime, sweep
 from humanoid_mjx.commands.runs import run_runs
 from humanoid_mjx.config import load, parse, parse_yaml
 from humanoid_mjx.data import whole_file
+from humanoid_mjx.report.style import figure
 from humanoid_mjx.runs.archive import DAMAGE, read_archive
 from humanoid_mjx.runs.folder import RunFolder, read_arrays, read_provenance
-from humanoid_mjx.runs.tables import read_table
+from humanoid_mjx.runs.listing import list_runs
+from humanoid_mjx.runs.tables import column_names, read_table
 from humanoid_mjx.training.plan import make_plan, resolved
 from humanoid_mjx.training.policy import best_policy
 from humanoid_mjx.training.pool import Pool
@@ -98,6 +100,18 @@ def test_a_table_with_a_flipped_bit_is_damaged(run):
         assert all(found[name].tolist() == expected[name].tolist() for name in expected if name != "steps")
 
 
+def test_a_name_of_a_column_that_is_no_text_is_damage(run):
+    path = run / "results.parquet"
+    data, name = bytearray(path.read_bytes()), b"success"
+    assert name in data
+    while (place := data.find(name)) >= 0:
+        data[place] = 0xBF
+    path.write_bytes(bytes(data))
+    for read in (column_names, read_table):
+        with pytest.raises(InputError, match="truncated or damaged"):
+            read(path)
+
+
 def test_what_a_kill_leaves_before_the_config_is_no_obstacle(tmp_path):
     for number, resume in enumerate((True, False)):
         run = tmp_path / f"run-{number}"
@@ -107,8 +121,20 @@ def test_what_a_kill_leaves_before_the_config_is_no_obstacle(tmp_path):
         assert len(sweep(CONFIG, run, resume=resume).summary["point"]) == 8
     (tmp_path / "mine/checkpoint").mkdir(parents=True)
     (tmp_path / "mine/notes.txt").touch()
-    with pytest.raises(InputError, match="already exists"):
+    with pytest.raises(InputError, match="already exists; it is no run folder: remove it"):
         sweep(CONFIG, tmp_path / "mine")
+
+
+def test_a_run_folder_that_is_gone_is_not_made_anew(tmp_path):
+    run = RunFolder.create(tmp_path / "run", {"name": "x"})
+    run.path.rename(tmp_path / "gone")
+    for name in ("provenance.json", "checkpoint/part-00000.npz"):
+        with pytest.raises(FileNotFoundError):
+            run.write_text(name, "")
+    with pytest.raises(FileNotFoundError), figure(run.path / "figures" / "curves.png", 1, 1):
+        pass
+    assert not run.path.exists()
+    run.close()
 
 
 def test_two_sweeps_that_choose_the_same_place_get_one_each(tmp_path, monkeypatch):
@@ -137,6 +163,8 @@ def test_two_sweeps_that_choose_the_same_place_get_one_each(tmp_path, monkeypatc
         ("provenance.json", lambda run: b'{"sessions": [5], "runs_finished": []}', None),
         ("provenance.json", lambda run: b"\xff", None),
         ("summary.parquet", lambda run: (run / "timing.parquet").read_bytes(), None),
+        ("results.parquet", lambda run: (run / "summary.parquet").read_bytes(), None),
+        ("results.parquet", lambda run: (run / "timing.parquet").read_bytes(), None),
         (
             "config.yaml",
             lambda run: b"name: small\ntask: reach\nlearner: {name: tabular_q}\n",
@@ -160,6 +188,15 @@ def test_foreign_files_in_a_run_folder(run, finished, said, file, spoil, words):
     for name in ("results.parquet", "summary.parquet"):
         assert (run / name).read_bytes() == (finished / name).read_bytes()
     assert read_provenance(run)["runs_finished"] == 8
+
+
+def test_a_foreign_file_of_runs_under_way_is_named_in_the_list(run):
+    part = next(run.glob("checkpoint/part-*"))
+    part.rename(run / "checkpoint/pool-0.npz")
+    (run / "provenance.json").unlink()
+    assert [problem.partition("/checkpoint/")[2][:39] for problem in list_runs(run)[1]] == [
+        "pool-0.npz: this file does not fit this"
+    ]
 
 
 def saved(**arrays):

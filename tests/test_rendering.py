@@ -1,11 +1,15 @@
 """Pictures of motions: a file of the kind asked for, with OpenGL or without."""
 
+import os
+import subprocess
+import sys
+
 import mujoco
 import numpy as np
 import pytest
 from PIL import Image
 
-from humanoid_mjx.report import opengl, rendering
+from humanoid_mjx.report import opengl, rendering, ways
 from humanoid_mjx.report.film import Film, Push, in_words, merged
 from humanoid_mjx.report.overlay import ALARM, annotate
 from humanoid_mjx.report.raycast import Painter, meet
@@ -99,9 +103,7 @@ def test_both_renderers_show_the_same_body(motion):
 
 @pytest.mark.parametrize("way", ["none-such", "osmesa"])
 def test_a_way_to_opengl_that_does_not_work_is_no_noise(way, motion, monkeypatch, capfd):
-    monkeypatch.setenv("MUJOCO_GL", way)
-    if way == "osmesa":
-        monkeypatch.setenv("LIBGL_ALWAYS_SOFTWARE", "1")
+    monkeypatch.setattr(opengl, "ways", lambda: [way])
     painted = opengl.paint(MODEL, motion[:1], make_scene(MODEL, motion[:1]), 32, 24)
     if painted is not None:
         assert next(painted).shape == (24, 32, 3)
@@ -110,9 +112,39 @@ def test_a_way_to_opengl_that_does_not_work_is_no_noise(way, motion, monkeypatch
     assert capfd.readouterr() == ("", "")
 
 
-def test_the_environment_has_its_way(monkeypatch):
-    monkeypatch.setenv("MUJOCO_GL", "glfw")
-    assert opengl.ways() == ["glfw"]
+@pytest.mark.parametrize(
+    ("told", "display", "tried"),
+    [
+        (None, None, ["egl", "osmesa"]),
+        (None, ":0", ["egl", "glfw", "osmesa"]),
+        ("osmesa", None, ["osmesa", "egl"]),
+        (" GLX", None, ["glfw", "egl", "osmesa"]),
+        ("none-such", ":0", ["none-such", "egl", "glfw", "osmesa"]),
+        ("off", ":0", []),
+    ],
+)
+@pytest.mark.parametrize("taken", [False, True], ids=["in the environment", "taken out of it"])
+def test_what_the_environment_says_is_tried_first(told, display, tried, taken, monkeypatch):
+    monkeypatch.setattr("sys.platform", "linux")
+    monkeypatch.setattr(ways, "_told", [])
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    for name, value in (("MUJOCO_GL", told), ("DISPLAY", display)):
+        monkeypatch.delenv(name, raising=False)
+        if value is not None:
+            monkeypatch.setenv(name, value)
+    if taken:
+        ways.take_over()
+        assert "MUJOCO_GL" not in os.environ
+    assert ways.ways() == tried
+
+
+@pytest.mark.parametrize("told", ["none-such", "osmesa"])
+def test_commands_run_where_mujoco_refuses_what_the_environment_says(told, tmp_path):
+    """MuJoCo cannot be imported where MUJOCO_GL names a way that it does not know, or whose library is missing."""
+    call = [sys.executable, "-m", "humanoid_mjx", "export", "leg", str(tmp_path / "leg.xml")]
+    done = subprocess.run(call, env=os.environ | {"MUJOCO_GL": told}, capture_output=True, text=True)
+    assert done.returncode == 0 and not done.stderr, done.stderr
+    assert mujoco.MjModel.from_xml_path(str(tmp_path / "leg.xml")).nq == 5
 
 
 def test_a_strip_of_frames(tmp_path, motion, no_opengl):

@@ -211,16 +211,16 @@ SENTENCES = [
     ),
     (
         "h200_walk_seeds.json",
-        rf"`walk` is learned by every one of (\w+) seeds.*? (\w+) runs side by side on one H200, takes ({NUMBER}) s for "
-        rf"({NUMBER})M control steps of each.*? the heading is off by ({NUMBER}) degrees \(({NUMBER}) with the worst "
-        rf"seed\);.*? within 1\.5 s in ({NUMBER})% of episodes \(({NUMBER})% with the worst seed\)",
+        rf"`walk` is learned by every one of (\w+) seeds.*? (\w+) runs side by side on one H200, takes ({NUMBER}) s "
+        rf"for ({NUMBER})M control steps of each.*? the heading is off by ({NUMBER}) degrees \(({NUMBER}) with the "
+        rf"worst seed\);.*? within 1\.5 s in ({NUMBER})% of episodes \(({NUMBER})% with the worst seed\)",
         of_walk,
     ),
     (
         "h200_walk_ppo.json",
-        rf"Brax's PPO on the same task.*? slips less \(({NUMBER}) m/s at 0\.3 m/s\), and turns at once in ({NUMBER})% of "
-        rf"episodes.*? at 0\.5 and 0\.8 m/s it goes at ({NUMBER}) and ({NUMBER}) m/s\. Its (\w+) seeds, one after the "
-        rf"other, took ({NUMBER}) s for ({NUMBER})M control steps",
+        rf"Brax's PPO on the same task.*? slips less \(({NUMBER}) m/s at 0\.3 m/s\), and turns at once in ({NUMBER})% "
+        rf"of episodes.*? at 0\.5 and 0\.8 m/s it goes at ({NUMBER}) and ({NUMBER}) m/s\. Its (\w+) seeds, one after "
+        rf"the other, took ({NUMBER}) s for ({NUMBER})M control steps",
         of_ppo,
     ),
     (

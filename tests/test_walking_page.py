@@ -75,8 +75,8 @@ def test_walkings_sentences_are_those_of_the_records():
             ppo["sudden turn"]["turn_seconds"]["median"],
         ],
         rf"PPO's bodies go at ({NUMBER}) and ({NUMBER}):": speeds,
-        rf"five seeds of ({NUMBER})M steps, one after the other in ({NUMBER}) s, the first of them in ({NUMBER}) s with "
-        rf"({NUMBER}) s of compiling": [training["steps"] / 1e6, *seconds],
+        rf"five seeds of ({NUMBER})M steps, one after the other in ({NUMBER}) s, the first of them in ({NUMBER}) s "
+        rf"with ({NUMBER}) s of compiling": [training["steps"] / 1e6, *seconds],
     }
     for sentence, values in sentences.items():
         (printed,) = re.findall(sentence, page)

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
@@ -12,6 +12,10 @@ from humanoid_mjx.config import dump_yaml, load
 from humanoid_mjx.data import names
 from humanoid_mjx.runs.disk import in_words
 from humanoid_mjx.spec import InputError
+from humanoid_mjx.training.progress import Bar
+
+if TYPE_CHECKING:
+    from humanoid_mjx.training.plan import Plan
 
 
 def show_keys(name: str) -> None:
@@ -40,12 +44,14 @@ def show_keys(name: str) -> None:
     console.print("Sweeping a traced value compiles nothing; points that differ in static ones compile apart.")
 
 
-def show_info(config: str | None, overrides: Sequence[str]) -> None:
+def show_info(config: str | None, overrides: Sequence[str], timed: bool) -> None:
     """`humanoid-mjx info`."""
     runtime.start()
     if config is not None:
-        _show_plan(config, overrides)
+        _show_plan(config, overrides, timed)
         return
+    if timed:
+        raise InputError("info --time: name the config whose sweep to time.")
     from humanoid_mjx.learners import LEARNERS
     from humanoid_mjx.tasks import TASKS
 
@@ -56,8 +62,8 @@ def show_info(config: str | None, overrides: Sequence[str]) -> None:
         console.print(f"{kind:13} {', '.join(all_names)}")
 
 
-def _show_plan(config: str, overrides: Sequence[str]) -> None:
-    """A config in full, and what its sweep will take."""
+def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
+    """A config in full, and what its sweep will take; where `timed` also how long."""
     import jax
 
     from humanoid_mjx.training.disk import disk_bytes
@@ -81,3 +87,25 @@ def _show_plan(config: str, overrides: Sequence[str]) -> None:
     console.print(f"on disk an estimated {in_words(disk_bytes(plan, together))}, without figures")
     for reason in dict.fromkeys(why_not(group.learner()) for group in plan.groups):
         console.print("trained by one fused kernel" if reason is None else f"no fused kernel: {reason}")
+    if timed:
+        _show_time(plan)
+    else:
+        console.print(f"how long it takes here: humanoid-mjx info {config} --time measures a piece of it")
+
+
+def _show_time(plan: "Plan") -> None:
+    """How long a sweep will take."""
+    import jax
+
+    from humanoid_mjx.training.duration import MEASURED_S, estimate, time_in_words
+    from humanoid_mjx.training.memory import runs_that_fit
+
+    with Bar(console) as bar:
+        bar.phase("compiling and training a piece of it")
+        found = estimate(plan, [runs_that_fit(group, jax.local_devices()[0]) for group in plan.groups])
+    parts = {"compiling (less once it is cached)": found.compile_s, "training": found.train_s}
+    parts |= {"evaluating": found.evaluate_s} if found.evaluate_s > 0 else {}
+    words = ", ".join(f"{time_in_words(seconds)} of {part}" for part, seconds in parts.items())
+    how = f"by {MEASURED_S:g} s of its training"
+    how += f" in each of {found.measured} programs" if len(plan.groups) > 1 else ""
+    console.print(f"about {time_in_words(found.total_s)} on this machine, without figures: {words}; estimated {how}")

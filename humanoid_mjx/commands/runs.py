@@ -21,7 +21,7 @@ def run_runs(folder: Path) -> None:
     if found:
         console.print(runs_table(found))
         console.print("Success and return are those of greedy episodes of the best point, over its seeds.")
-    else:
+    elif not problems:
         console.print(f"{folder}: there is no run folder in it.")
     for problem in problems:
         console.print(problem, soft_wrap=True)

@@ -2,7 +2,7 @@
 """MuJoCo's own renderer wherever it finds OpenGL, without any setting.
 
 MuJoCo takes one way to OpenGL for a whole process, named by MUJOCO_GL before the first import, and drivers that do not
-work print, raise or crash. So a separate process paints (`opengl_worker.py`), and each way is tried in turn.
+work print, raise or crash. So a separate process paints (`opengl_worker.py`), and `ways.py` says which way to try next.
 """
 
 import copy
@@ -22,6 +22,7 @@ from jaxtyping import Float
 from humanoid_mjx.report import opengl_worker
 from humanoid_mjx.report.raycast import LINE, Frame
 from humanoid_mjx.report.scene import AZIMUTH, ELEVATION, GRID_M, LIGHT, Scene, colored, make_camera
+from humanoid_mjx.report.ways import ways
 from humanoid_mjx.types import AnyArray
 
 PATIENCE_S = 120.0
@@ -29,17 +30,6 @@ PATIENCE_S = 120.0
 
 APART = 0.002
 """Share by which each further ball is made smaller: surfaces in the same place would flicker."""
-
-
-def ways() -> list[str]:
-    """The values of MUJOCO_GL to try; only the environment's own where there is one."""
-    told = os.environ.get("MUJOCO_GL")
-    if told:
-        return [told]
-    if sys.platform != "linux":
-        return [""]
-    shown = [""] if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") else []
-    return ["egl", *shown, "osmesa"]
 
 
 def paint(

@@ -62,7 +62,7 @@ def figure(
         try:
             yield fig, axes
             if isinstance(path, Path):
-                path.parent.mkdir(parents=True, exist_ok=True)
+                path.parent.mkdir(exist_ok=True)  # not those above: a run folder that is gone stays so
                 with whole_file(path) as temporary:
                     fig.savefig(temporary)
             else:

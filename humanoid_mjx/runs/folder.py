@@ -52,9 +52,9 @@ class RunFolder:
         """
         try:
             if path.exists() and not _only_begun(path):
-                raise InputError(
-                    f"{path}: already exists; resume it with --resume, or choose another place with --out."
-                )
+                there = (path / "config.yaml").exists()
+                remedy = "resume it with --resume" if there else "it is no run folder: remove it"
+                raise InputError(f"{path}: already exists; {remedy}, or choose another place with --out.")
             (path / "checkpoint").mkdir(parents=True, exist_ok=True)
             run = cls(path, _lock(path))
         except OSError as error:
@@ -137,7 +137,8 @@ class RunFolder:
     def writing(self, name: str) -> Iterator[Path]:
         """A temporary path whose file becomes `name` when the block ends well."""
         target = self.path / name
-        target.parent.mkdir(exist_ok=True)
+        if target.parent != self.path:  # a run folder that is gone stays so
+            target.parent.mkdir(exist_ok=True)
         with whole_file(target) as temporary:
             yield temporary
 

@@ -12,7 +12,7 @@ import numpy as np
 from humanoid_mjx.axes import sweep_points
 from humanoid_mjx.config import parse
 from humanoid_mjx.runs.disk import disk_used
-from humanoid_mjx.runs.folder import pools, read_arrays, read_config, read_provenance
+from humanoid_mjx.runs.folder import damaged, pools, read_arrays, read_config, read_provenance
 from humanoid_mjx.runs.ranking import ranked
 from humanoid_mjx.runs.tables import finished_runs, read_table
 from humanoid_mjx.spec import InputError
@@ -117,8 +117,12 @@ def _share(path: Path, runs: int, seeds: int, provenance: Mapping[str, Any]) -> 
     under_way: dict[int, float] = {}
     for file in reversed(pools(path)):
         pool = read_arrays(file, ("slots", "progress"))
-        waits = (pool["slots"] >= 0) & ~np.isin(pool["slots"], finished)
-        under_way |= zip(pool["slots"][waits].tolist(), np.minimum(pool["progress"][waits], 1.0).tolist(), strict=True)
+        try:
+            waits = (pool["slots"] >= 0) & ~np.isin(pool["slots"], finished)
+            shares = np.minimum(pool["progress"][waits], 1.0).tolist()
+            under_way |= zip(pool["slots"][waits].tolist(), shares, strict=True)
+        except (LookupError, TypeError, ValueError) as error:
+            raise damaged(file, "does not fit this training") from error
     return min((len(finished) + sum(under_way.values())) / runs, 0.999)
 
 

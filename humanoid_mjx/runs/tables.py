@@ -93,6 +93,9 @@ NEEDED = {
 }
 """Columns without which a parquet file of a run folder is another one."""
 
+UNITS = {"results": {"episode", "step"}, "timing": {"episode", "step"}}
+"""Columns of which such a file needs one."""
+
 
 def read_table(path: Path, columns: Sequence[str] | None = None) -> dict[str, np.ndarray]:
     """The columns of a parquet file of a run folder: all, or those named.
@@ -108,9 +111,15 @@ def read_table(path: Path, columns: Sequence[str] | None = None) -> dict[str, np
         arrays = {name: table[name].to_numpy() for name in table.column_names}
     except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
         raise InputError(f"{path}: this file is truncated or damaged; --resume the run to write it again.") from error
-    if columns is None and not (table.num_rows and NEEDED.get(path.stem, set()) <= set(arrays)):
+    if columns is None and not (table.num_rows and _fits(path.stem, set(arrays))):
         raise InputError(f"{path}: this file is another one; --resume the run to write it again.")
     return arrays
+
+
+def _fits(stem: str, columns: set[str]) -> bool:
+    """Whether a parquet file with such columns can be the one of that name."""
+    without_times = stem != "results" or "wall_s" not in columns
+    return NEEDED.get(stem, set()) <= columns and (stem not in UNITS or bool(UNITS[stem] & columns)) and without_times
 
 
 def column_names(path: Path) -> list[str]:
@@ -123,7 +132,7 @@ def column_names(path: Path) -> list[str]:
         return []
     try:
         return pq.read_schema(path).names
-    except (pa.ArrowException, OSError) as error:
+    except (pa.ArrowException, OSError, ValueError) as error:  # names that are no text
         raise InputError(f"{path}: this file is truncated or damaged; --resume the run to write it again.") from error
 
 

@@ -40,9 +40,6 @@ HARVEST_AFTER_S = 10.0
 
 IDLE = -1
 
-COMPILING = ("tracing", "compiling")
-"""Phases of a pool in which its thread cannot answer, and its training states stand still."""
-
 CORES_OF_A_COMPILER = 4
 """Cores that XLA keeps busy while it compiles a program. Where a machine has no more, what ends a run is compiled
 after the training steps, which are waited for."""

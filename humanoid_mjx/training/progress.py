@@ -5,29 +5,30 @@ import os
 import sys
 import time
 from collections import deque
+from datetime import timedelta
 from types import TracebackType
 
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    Progress,
-    TaskProgressColumn,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskProgressColumn, TextColumn
+from rich.text import Text
 
 LINE_EVERY_S = 10.0
 
 RECENT_LOOKS = 100
 """Number of looks, ten a second, over which the rate shown is taken: the recent past."""
 
+UNKNOWN = "-:--:--"
+"""In the place of a time that is not known."""
+
+COMPILING = ("tracing", "compiling")
+"""Phases in which training stands still."""
+
 
 class Reporter:
     """Base of reporters, which are called while a sweep runs. This one shows nothing."""
 
-    def begin(self, total: float, unit: str) -> None:
-        """A sweep begins that will take `total` of `unit`, such as episodes."""
+    def begin(self, total: float, unit: str, programs: int = 1) -> None:
+        """A sweep begins that will take `total` of `unit`, such as episodes, in so many compiled programs."""
 
     def note(self, text: str) -> None:
         """A remark, shown once."""
@@ -37,6 +38,9 @@ class Reporter:
 
     def update(self, done: float, success: float | None = None, mean_return: float | None = None) -> None:
         """How much is done of the total; the success and return of recent episodes, where they are known."""
+
+    def left(self, seconds: float | None) -> None:
+        """How long training will still take without compiling, s, where it is known better than by its rate."""
 
     def length(self, steps: float) -> None:
         """The mean number of steps of recent episodes."""
@@ -53,6 +57,13 @@ class PatientConsole(Console):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
+class Elapsed(ProgressColumn):
+    """The time since the beginning, which goes on while evaluating and drawing, when all is trained."""
+
+    def render(self, task: Task) -> Text:
+        return Text(str(timedelta(seconds=int(task.elapsed or 0.0))))
+
+
 class Bar(Reporter):
     """Reports on a console."""
 
@@ -61,21 +72,23 @@ class Bar(Reporter):
         self._text, self._done, self._length = "starting", 0.0, 0.0
         self._began = self._last_line = time.monotonic()
         self._seen: deque[tuple[float, float]] = deque([(self._began, 0.0)], maxlen=RECENT_LOOKS)
+        self._speed = 0.0
+        self._left: float | None = None
+        self._programs = 0
+        self._stood, self._looked = 0.0, self._began
+        """The seconds of compiling so far, and when they were last counted."""
+        self._standing, self._evaluated = 0.0, False
+        """The seconds that all compiling is expected to take; whether a program for evaluating was compiled, too."""
         columns = (
             TextColumn("{task.description}"),
-            BarColumn(),
+            BarColumn(bar_width=20),
             TaskProgressColumn(),
-            TextColumn("{task.fields[rate]}"),
+            Elapsed(),
+            TextColumn("left {task.fields[left]}"),
+            TextColumn("{task.fields[rate]}"),  # the last, so that a narrow screen cuts it and nothing else
         )
-        self._bar = Progress(
-            *columns,
-            TimeElapsedColumn(),
-            TextColumn("left"),
-            TimeRemainingColumn(),
-            console=console,
-            transient=True,
-        )
-        self._task = self._bar.add_task(self._text, total=None, rate="")
+        self._bar = Progress(*columns, console=console, transient=True)
+        self._task = self._bar.add_task(self._text, total=None, rate="", left=UNKNOWN)
 
     def __enter__(self) -> "Bar":
         if self.console.is_terminal:
@@ -88,18 +101,26 @@ class Bar(Reporter):
         if self.console.is_terminal:
             self._bar.stop()
 
-    def begin(self, total: float, unit: str) -> None:
-        self.total, self.unit = total, unit
+    def begin(self, total: float, unit: str, programs: int = 1) -> None:
+        self.total, self.unit, self._programs = total, unit, programs
         self._bar.update(self._task, total=total)
 
     def note(self, text: str) -> None:
         self.console.print(text, highlight=False, soft_wrap=True)
 
     def phase(self, text: str) -> None:
+        now = time.monotonic()
+        self._stood += now - self._looked if self._text in COMPILING else 0.0
+        self._looked = now
+        if text == "evaluating" and not self._evaluated:
+            self._evaluated, self._standing = True, self._stood * self._programs
         changed, self._text = text != self._text, text
-        self._bar.update(self._task, description=text)
+        self._bar.update(self._task, description=text, left=self._time_left())
         if changed and not self.console.is_terminal:
             self._line()
+
+    def left(self, seconds: float | None) -> None:
+        self._left = seconds
 
     def length(self, steps: float) -> None:
         self._length = steps
@@ -109,18 +130,29 @@ class Bar(Reporter):
         if done > self._done:
             if not self._done:
                 self._seen.clear()  # what comes before the first progress is compiling
+                self._standing = 2.0 * self._stood * self._programs  # evaluation compiles about as long
             self._seen.append((now, done))
         self._done = done
         (first, at_first), (last, at_last) = self._seen[0], self._seen[-1]
-        speed = (at_last - at_first) / (last - first) if last - first > 0.5 else 0.0
-        rate = f"{speed:,.0f} {self.unit}/s" if speed else ""
-        if speed and self._length and self.unit == "steps":
-            rate += f"  {speed / self._length:,.0f} episodes/s"
+        self._speed = (at_last - at_first) / (last - first) if last - first > 0.5 else 0.0
+        rate = f"{self._speed:,.0f} {self.unit}/s" if self._speed else ""
+        if self._speed and self._length and self.unit == "steps":
+            rate += f"  {self._speed / self._length:,.0f} episodes/s"
         if success is not None:
             rate += f"  success {success:.0%}  return {mean_return:.3g}"
-        self._bar.update(self._task, completed=done, rate=rate)
+        self._bar.update(self._task, completed=done, rate=rate, left=self._time_left())
         if not self.console.is_terminal and now - self._last_line > LINE_EVERY_S:
             self._line(rate)
+
+    def _time_left(self) -> str:
+        """The time until training is over, or dashes where it is not known."""
+        training = self._left
+        if training is None and self._speed:
+            training = (self.total - self._done) / self._speed
+        if not self._done or training is None:
+            return UNKNOWN
+        seconds = training + max(self._standing - self._stood, 0.0)
+        return str(timedelta(seconds=round(seconds))) if seconds > 0.5 else UNKNOWN
 
     def count(self, done: int, total: int) -> None:
         self.total = total
@@ -130,6 +162,8 @@ class Bar(Reporter):
     def _line(self, rate: str = "") -> None:
         self._last_line = time.monotonic()
         share = f" {self._done / self.total:.0%}" if self._done else ""
+        left = self._time_left() if share else UNKNOWN
+        left = "" if left == UNKNOWN else f"  left {left}"
         self.console.print(
-            f"{self._last_line - self._began:6.1f} s  {self._text}{share}  {rate}".rstrip(), highlight=False
+            f"{self._last_line - self._began:6.1f} s  {self._text}{share}{left}  {rate}".rstrip(), highlight=False
         )

@@ -14,17 +14,18 @@ import jax
 import numpy as np
 
 from humanoid_mjx import runtime
-from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.base import WholeRunLearner
 from humanoid_mjx.processes import Processes
 from humanoid_mjx.runs.folder import RunFolder, damaged, diverged_name, pools, read_arrays, read_provenance
 from humanoid_mjx.runs.tables import finished_runs, write_tables
 from humanoid_mjx.spec import InputError
+from humanoid_mjx.training.arrangement import arranged
 from humanoid_mjx.training.events import EventFiles
 from humanoid_mjx.training.memory import training_bytes
 from humanoid_mjx.training.plan import Group, Plan
-from humanoid_mjx.training.pool import COMPILING, Pool
-from humanoid_mjx.training.progress import Reporter
+from humanoid_mjx.training.pool import Pool
+from humanoid_mjx.training.progress import COMPILING, Reporter
+from humanoid_mjx.training.remaining import Remaining
 from humanoid_mjx.training.speed import Speed
 from humanoid_mjx.training.whole_runs import WholeRuns
 from humanoid_mjx.types import Device
@@ -56,7 +57,8 @@ class Session:
             raise InputError(f"{folder.path / 'checkpoint'}: what it holds does not fit this training.")
         self.finished = finished & self.mine
         self.interrupted = self._under_way()
-        self.reporter.begin(len(self.mine) * plan.budget, f"{plan.unit}s")
+        self.reporter.begin(len(self.mine) * plan.budget, f"{plan.unit}s", len(plan.groups))
+        self.remaining, self.stood, self.reported = Remaining(plan.num_runs), 0.0, time.monotonic()
         processes.meet()  # before anyone writes
         self.earlier = read_provenance(folder.path)
         self.began = self.tables_due = time.monotonic()
@@ -77,11 +79,8 @@ class Session:
         runs = [run for run in group.runs.tolist() if run in self.mine]
         if not runs:
             return
-        whole = isinstance(group.learners, WholeRunLearner)
         # Not the number still waiting: networks' sums depend on how many runs are side by side, also after a resume.
-        share = devices_of_a_run(group.learners, len(runs))
-        devices = jax.local_devices()[: 1 if whole else len(runs) * share]
-        size = 1 if whole else min(size, -(-len(runs) * share // len(devices)))
+        size, devices, share = arranged(group.learners, len(runs), size)
         while waiting := deque(run for run in runs if run not in self.finished):
             slots = size * len(devices) // share
             self.reporter.note(self._side_by_side(group, len(runs), slots))
@@ -232,14 +231,20 @@ class Session:
             self.events.store(runs, arrays)
 
     def _report(self, pool: Pool) -> None:
-        busy = pool.busy
+        busy, now = pool.busy, time.monotonic()
         self.reporter.phase(pool.phase)
+        self.stood += now - self.reported if pool.phase in COMPILING else 0.0
+        self.reported = now
         if under_way := float(np.minimum(pool.progress[busy], 1.0).sum()):
             known = pool.recent[busy][np.isfinite(pool.recent[busy]).all(axis=1)]
             success, mean_return, length = map(float, known.mean(axis=0)) if len(known) else (None, None, None)
             # Runs that were harvested are for a moment neither under way nor stored.
             self.shown = max(self.shown, (len(self.finished) + under_way) * self.plan.budget)
-            self.speed.look(time.monotonic(), self.shown)
+            self.speed.look(now, self.shown)
+            whole = isinstance(pool.group.learners, WholeRunLearner)  # each of its runs compiles anew
+            if not whole and self.remaining.look(now - self.stood, pool.slots, pool.progress):
+                waiting = len(self.mine) - len(self.finished) - int(busy.sum())
+                self.reporter.left(self.remaining.seconds(max(waiting, 0)))
             if length is not None:
                 self.reporter.length(length)
             self.reporter.update(self.shown, success, mean_return)
@@ -286,12 +291,3 @@ def _only(runs: set[int], arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray
         return arrays
     rows = np.isin(arrays["slots"], list(runs))
     return {name: array[rows] if array.ndim else array for name, array in arrays.items()}
-
-
-def devices_of_a_run(learners: Learner, runs: int) -> int:
-    """How many devices share the environments of each run: several where there are fewer runs than GPUs.
-
-    Cores of a CPU share a run's arrays as they are.
-    """
-    most = 1 if jax.default_backend() == "cpu" else jax.local_device_count() // runs
-    return next((share for share in range(most, 1, -1) if learners.can_split(share)), 1)
