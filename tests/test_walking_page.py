@@ -3,6 +3,7 @@
 import re
 from typing import Any
 
+import numpy as np
 from text_claims import NUMBER, RECORDS, ROOT, Claim, greedy_gaits, tables
 
 
@@ -63,6 +64,12 @@ def test_walkings_sentences_are_those_of_the_records():
     slips = [ppo[f"forward {speed}"]["slip"]["median"] for speed in (0.15, 0.3, 0.5)]
     speeds = [ppo[f"forward {speed}"]["forward"]["median"] for speed in (0.5, 0.8)]
     seconds = [training[name] for name in ("command_s", "first_run_s", "first_training_s")]
+    record = RECORDS["h200_walk_gaits.json"]
+    gaits = {setting["setting"]: setting["figures"] for setting in record["settings"]}
+
+    def median(gait: str, name: str, command: str) -> float:
+        return float(np.median([seed[record["commands"].index(command)] for seed in gaits[gait][name]]))
+
     page = " ".join((ROOT / "docs" / "walking.md").read_text(encoding="utf-8").split())
     sentences = {
         rf"succeeds in ({NUMBER}) % \(({NUMBER}) % with the worst seed\), and the slip at 0\.5 m/s is ({NUMBER}) m/s": [
@@ -77,6 +84,12 @@ def test_walkings_sentences_are_those_of_the_records():
         rf"PPO's bodies go at ({NUMBER}) and ({NUMBER}):": speeds,
         rf"five seeds of ({NUMBER})M steps, one after the other in ({NUMBER}) s, the first of them in ({NUMBER}) s "
         rf"with ({NUMBER}) s of compiling": [training["steps"] / 1e6, *seconds],
+        rf"feet slip by ({NUMBER}) m/s instead of ({NUMBER}) at 0\.3 m/s, and a turn at once succeeds in ({NUMBER}) % "
+        rf"of episodes instead of ({NUMBER}) %.*? at 0\.5 m/s ({NUMBER}) % of them stay up": [
+            *(median(gait, "slip", "forward 0.3") for gait in ("in place", "steps")),
+            *(100 * median(gait, "turn_success", "sudden turn") for gait in ("in place", "steps")),
+            100 * median("none", "success", "forward 0.5"),
+        ],
     }
     for sentence, values in sentences.items():
         (printed,) = re.findall(sentence, page)
