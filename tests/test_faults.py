@@ -121,7 +121,7 @@ def test_what_a_kill_leaves_before_the_config_is_no_obstacle(tmp_path):
         assert len(sweep(CONFIG, run, resume=resume).summary["point"]) == 8
     (tmp_path / "mine/checkpoint").mkdir(parents=True)
     (tmp_path / "mine/notes.txt").touch()
-    with pytest.raises(InputError, match="already exists; it is no run folder: remove it"):
+    with pytest.raises(InputError, match="already exists and is no run folder"):
         sweep(CONFIG, tmp_path / "mine")
 
 

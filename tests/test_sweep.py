@@ -239,7 +239,7 @@ def test_what_process_0_refuses_all_refuse(reference, tmp_path):
     job = start_job(["sweep", write_config(tmp_path), "--out", "run"], tmp_path)
     for process in job:
         _, stderr = process.communicate(timeout=300)
-        assert process.returncode == 2 and "already exists; resume it with --resume" in stderr, stderr
+        assert process.returncode == 2 and "already exists and is no run folder" in stderr, stderr
     assert [path.name for path in (tmp_path / "run").iterdir()] == ["precious"]
 
 
@@ -320,7 +320,9 @@ class TestRefusals:
         (tmp_path / "run").mkdir()
         (tmp_path / "run" / "precious").write_text("data")
         config = write_config(tmp_path)
-        refused(["run", "already exists", "--resume"], "sweep", config, "--out", "run", cwd=tmp_path)
+        refused(["run", "already exists and is no run folder"], "sweep", config, "--out", "run", cwd=tmp_path)
+        (tmp_path / "run" / "config.yaml").write_text("name: another")
+        refused(["run", "already exists; resume it with --resume"], "sweep", config, "--out", "run", cwd=tmp_path)
 
     def test_resume_of_what_is_no_run(self, refused, tmp_path):
         config = write_config(tmp_path)

@@ -53,8 +53,8 @@ class RunFolder:
         try:
             if path.exists() and not _only_begun(path):
                 there = (path / "config.yaml").exists()
-                remedy = "resume it with --resume" if there else "it is no run folder: remove it"
-                raise InputError(f"{path}: already exists; {remedy}, or choose another place with --out.")
+                words = "exists; resume it with --resume, or" if there else "exists and is no run folder;"
+                raise InputError(f"{path}: already {words} choose another place with --out.")
             (path / "checkpoint").mkdir(parents=True, exist_ok=True)
             run = cls(path, _lock(path))
         except OSError as error:
