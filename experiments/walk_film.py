@@ -19,12 +19,11 @@ from humanoid_mjx import runtime
 from humanoid_mjx.report.film import Film
 from humanoid_mjx.report.rendering import render_film
 from humanoid_mjx.tasks.continuous import State
-from humanoid_mjx.tasks.legged.commands import QUICKEST
 from humanoid_mjx.tasks.legged.measures.samples import heading_of, wrapped
 from humanoid_mjx.tasks.legged.view import View
 from humanoid_mjx.training.episode import robot_of
 from humanoid_mjx.training.evaluation import held_out_keys
-from humanoid_mjx.training.gait_evaluation import TURN_GAIN, calm, under_one_command
+from humanoid_mjx.training.gait_evaluation import TURN_GAIN, TURN_RATE, calm, under_one_command
 from humanoid_mjx.training.policy import find_policy
 from humanoid_mjx.training.rollout import decision_keys, greedy, start
 
@@ -82,7 +81,7 @@ def filmed(name: str) -> Film:
             command = np.array(scene.command, np.float32)
             if scene.turn_by:
                 rate = TURN_GAIN * wrapped(goal - heading_of(view.rotation))
-                command[2] = np.clip(rate, -QUICKEST, QUICKEST)
+                command[2] = np.clip(rate, -TURN_RATE, TURN_RATE)
             state, view = decide(state, view, command, jnp.int32(number))
             rows.append(np.asarray(state.data.world.qpos))
             number += 1

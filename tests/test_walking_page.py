@@ -83,7 +83,7 @@ def test_walkings_sentences_are_those_of_the_records():
         ],
         rf"PPO's bodies go at ({NUMBER}) and ({NUMBER}),": speeds,
         rf"five seeds of ({NUMBER})M steps, one after the other in ({NUMBER}) s, the first of them in ({NUMBER}) s "
-        rf"with ({NUMBER}) s of compiling": [training["steps"] / 1e6, *seconds],
+        rf"with ({NUMBER}) s to its first progress": [training["steps"] / 1e6, *seconds],
         rf"feet slip by ({NUMBER}) m/s instead of ({NUMBER}) at 0\.3 m/s, and a turn at once succeeds in ({NUMBER}) % "
         rf"of episodes instead of ({NUMBER}) %.*? at 0\.5 m/s ({NUMBER}) % of them stay up": [
             *(median(gait, "slip", "forward 0.3") for gait in ("in place", "steps")),
