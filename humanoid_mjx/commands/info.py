@@ -81,8 +81,8 @@ def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
     console.print(
         f"\n{len(plan.points):,} points x {plan.config.seeds} seeds = {plan.num_runs:,} runs "
         f"in {len(plan.groups)} compiled program{'s' * (len(plan.groups) > 1)}; "
-        f"training state {size / 2**20:,.1f} MiB if all were held at once, "
-        f"a run that trains an estimated {most / 2**20:,.1f} MiB"
+        f"training state {in_words(size)} if all were held at once, "
+        f"a run that trains an estimated {in_words(most)}"
     )
     console.print(f"on disk an estimated {in_words(disk_bytes(plan, together))}, without figures")
     for reason in dict.fromkeys(why_not(group.learner()) for group in plan.groups):

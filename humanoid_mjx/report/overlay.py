@@ -23,8 +23,8 @@ MARGIN, LETTER = 10, 14
 """Margin and height of a letter, pixels."""
 
 
-def annotate(frame: Frame, film: Film, scene: Scene, number: int, seconds: float) -> Frame:
-    """A frame of a film with its words and arrows."""
+def annotate(frame: Frame, film: Film, scene: Scene, number: int, seconds: float, clock: bool = True) -> Frame:
+    """A frame of a film with its words and arrows, and the time if a `clock` is wanted."""
     image = Image.fromarray(frame)
     draw = ImageDraw.Draw(image)
     width, height = image.size
@@ -33,7 +33,8 @@ def annotate(frame: Frame, film: Film, scene: Scene, number: int, seconds: float
             _draw_push(draw, push, scene, number, (width, height))
     if film.title:
         _write(draw, (MARGIN, MARGIN), _fitting(film.title, width - 2 * MARGIN - 70), "la", bold=True)
-    _write(draw, (width - MARGIN, MARGIN), f"{seconds:.2f} s", "ra")
+    if clock:
+        _write(draw, (width - MARGIN, MARGIN), f"{seconds:.2f} s", "ra")
     if words := film.asked(seconds):
         _write(draw, (MARGIN, height - MARGIN), _fitting(words, width - 2 * MARGIN), "ld")
     return np.asarray(image)

@@ -106,7 +106,7 @@ def _result(axes: Sequence[str], summary: Mapping[str, np.ndarray], points: Sequ
         "greedy success",
         "greedy steps",
         "greedy return",
-        "steps at the end of training (95 %)",
+        "steps at the end of training (95\u00a0%)",
     )
     shown = len(rows)
     some = f"The best {shown} of {len(points):,} points" if shown < len(points) else f"All {shown} points, best first"
@@ -174,7 +174,7 @@ def _motion(path: Path, reporter: Reporter) -> list[str]:
         return [f'<p class="note">{text(str(error), "span")}</p>']
     reporter.phase("rendering")
     pictures = []
-    for frame, seconds in strip(shown.film._replace(title="")):
+    for frame, seconds in strip(shown.film):
         file = io.BytesIO()
         Image.fromarray(frame).save(file, "JPEG", quality=88)
         pictures.append(_figure(file.getvalue(), f"The robot after {seconds:.2f} s", f"{seconds:.2f} s", ".jpg"))
@@ -203,8 +203,13 @@ def _provenance(provenance: Mapping[str, Any]) -> list[tuple[str, str]]:
         elif name == "sessions":
             found.append(("sessions", str(len(value)) if isinstance(value, list) else str(value)))
         else:
-            found.append((name.replace("_", " "), f"{value:,}" if isinstance(value, int) else str(value)))
+            found.append((name.replace("_", " "), _plain(value)))
     return found or [("provenance", "this folder holds no provenance.json")]
+
+
+def _plain(value: Any) -> str:
+    """Numbers with all their digits, a comma at each thousand; texts as they are."""
+    return f"{value:,.10g}" if isinstance(value, int | float) else str(value)
 
 
 def _again(config: Mapping[str, Any], provenance: Mapping[str, Any]) -> list[str]:

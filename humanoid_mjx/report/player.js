@@ -101,7 +101,7 @@
         return element;
       };
       this.canvas = make("canvas", { tabIndex: 0 });
-      this.canvas.setAttribute("role", "img");
+      this.canvas.setAttribute("role", "application");
       this.canvas.setAttribute("aria-label", `${this.film.title}: the moving robot. Arrow keys turn the view, plus and ` +
         "minus zoom, space plays and pauses, comma and full stop go a frame back and on, Home resets the view.");
       this.button = make("button", { type: "button", onclick: () => this.toggle() }, "Play");

@@ -54,10 +54,10 @@ def render_motion(model: mujoco.MjModel, qpos: Float[AnyArray, "rows nq"], step_
 
 
 def strip(film: Film, count: int = STRIP) -> list[tuple[Frame, float]]:
-    """Evenly spaced frames of a film from its first to its last, and their times, s."""
+    """Evenly spaced frames of a film from its first to its last, without title and clock, and their times, s."""
     qpos, times = film.at(FPS)
     chosen = np.unique(np.linspace(0, len(qpos) - 1, count).astype(int))
-    frames = _annotated(film, qpos[chosen], times[chosen], lambda done, total: None)
+    frames = _annotated(film._replace(title=""), qpos[chosen], times[chosen], lambda done, total: None, clock=False)
     return list(zip(frames, times[chosen].tolist(), strict=True))
 
 
@@ -71,10 +71,11 @@ def _annotated(
     qpos: Float[np.ndarray, "frames nq"],
     times: Float[np.ndarray, " frames"],
     tell: Callable[[int, int], None],
+    clock: bool = True,
 ) -> Iterator[Frame]:
     scene = make_scene(film.model, qpos)
     for number, (frame, seconds) in enumerate(zip(_paint(film.model, qpos, scene), times, strict=True)):
-        yield annotate(frame, film, scene, number, float(seconds))
+        yield annotate(frame, film, scene, number, float(seconds), clock)
         tell(number + 1, len(qpos))
 
 

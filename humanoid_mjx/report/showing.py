@@ -31,7 +31,8 @@ def show(trained: Trained, reporter: Reporter) -> Shown:
 
     played = play(trained, tell=tell)
     task = trained.config.task["name"]
-    film = film_of(trained, played, f"{trained.name}: {task}, point {trained.point}, seed {trained.seed}")
+    name = task if trained.name == task else f"{trained.name}: {task}"
+    film = film_of(trained, played, f"{name}, point {trained.point}, seed {trained.seed}")
     decisions = len(played.actions)
     outcome = "succeeds" if played.success else "does not succeed"
     return Shown(

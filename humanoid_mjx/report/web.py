@@ -50,15 +50,15 @@ def table(headings: Sequence[str], rows: Iterable[Sequence[object]], *, caption:
     """A table of texts and numbers. Columns of numbers alone are set to the right."""
     cells = [[str(cell) for cell in row] for row in rows]
     right = [all(_is_number(row[i]) for row in cells) and bool(cells) for i in range(len(headings))]
-    head = "".join(f"<th{_side(r)} scope=col>{escape(text)}</th>" for text, r in zip(headings, right, strict=True))
+    head = "".join(f"<th{_side(r)} scope=col>{_heading(text)}</th>" for text, r in zip(headings, right, strict=True))
     body = "".join(
         "<tr>" + "".join(f"<td{_side(r)}>{escape(text)}</td>" for text, r in zip(row, right, strict=True)) + "</tr>"
         for row in cells
     )
     above = f"<caption>{escape(caption)}</caption>" if caption else ""
     return (
-        f'<div class="wide" tabindex="0"><table>{above}<thead><tr>{head}</tr></thead>'
-        f"<tbody>{body}</tbody></table></div>"
+        f'<div class="wide" tabindex="0" role="region" aria-label="{escape(caption or "Table")}">'
+        f"<table>{above}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
     )
 
 
@@ -83,6 +83,11 @@ def link(words: str, address: str, file: str = "") -> str:
 def text(words: str, kind: str = "p") -> str:
     """A paragraph, or another element, of plain text."""
     return f"<{kind}>{escape(words)}</{kind}>"
+
+
+def _heading(words: str) -> str:
+    """A heading of a column, which may break after a dot or an underscore, as in learner.epsilon_decay."""
+    return re.sub(r"([._])", r"\1<wbr>", escape(words))
 
 
 def _side(right: bool) -> str:
