@@ -17,6 +17,7 @@ import numpy as np
 from matplotlib.patches import Circle, Polygon
 from PIL import Image
 
+from humanoid_mjx.report.rendering import FPS
 from humanoid_mjx.report.style import COLORS, figure
 from humanoid_mjx.robot import robot_spec
 from humanoid_mjx.robot.lower_body import FOOT_LENGTH, HIP_HEIGHT, HIP_OFFSET, SHANK_LENGTH, THIGH_LENGTH
@@ -284,14 +285,21 @@ def _hull(points: np.ndarray) -> np.ndarray:
     return np.array(chain(ordered) + chain(ordered[::-1]))
 
 
+MOMENTS_S = (0.0, 1.24, 3.24, 5.24, 7.24, 9.24)
+"""What `stand` shows: the beginning, and each push while its arrow is drawn."""
+
+
 def stand(path: Path) -> None:
     """Six moments of the shipped policy of `stand`, in two rows."""
-    subprocess.run([sys.executable, "-m", "humanoid_mjx", "play", "stand", "--out", str(path)], check=True)
-    with Image.open(path) as strip:
-        width, height = strip.width // 2, strip.height
-        rows = Image.new("RGB", (width, 2 * height))
-        for row in range(2):
-            rows.paste(strip.crop((row * width, 0, (row + 1) * width, height)), (0, row * height))
+    film = path.with_suffix(".gif")
+    subprocess.run([sys.executable, "-m", "humanoid_mjx", "play", "stand", "--out", str(film)], check=True)
+    with Image.open(film) as frames:
+        width, height = frames.size
+        rows = Image.new("RGB", (3 * width, 2 * height))
+        for number, seconds in enumerate(MOMENTS_S):
+            frames.seek(round(seconds * FPS))
+            rows.paste(frames.convert("RGB"), (number % 3 * width, number // 3 * height))
+    film.unlink()
     _save(rows, path)
 
 

@@ -55,13 +55,19 @@ def experiments(matrix: Matrix, folder: Path, tries: int | None, seed: int) -> d
 
 
 def store(matrix: Matrix) -> None:
-    """Put the rows found into the record, in the place of those of the same fault and subject."""
+    """Put the rows found into the record, in the place of those of the same fault and subject.
+
+    A row has its commit; the record's own is that of the rows without one.
+    """
     old = json.loads(RECORD.read_text()) if RECORD.exists() else {"rows": []}
-    new = [row._asdict() | {"tried": f"{datetime.now(UTC):%Y-%m-%d}"} for row in matrix.rows]
+    made = made_by()
+    when = {"tried": f"{datetime.now(UTC):%Y-%m-%d}", "commit": made["commit"]}
+    new = [row._asdict() | when for row in matrix.rows]
     seen = {(row["fault"], row["subject"]) for row in new}
     kept = [row for row in old["rows"] if (row["fault"], row["subject"]) not in seen]
     rows = sorted(kept + new, key=lambda row: (row["fault"], row["subject"]))
-    write_text(RECORD, json.dumps(made_by() | {"rows": rows}, indent=1) + "\n")
+    head = {key: old.get(key, value) for key, value in made.items()} if kept else made
+    write_text(RECORD, json.dumps(head | {"rows": rows}, indent=1) + "\n")
 
 
 def table() -> str:

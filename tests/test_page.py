@@ -5,6 +5,7 @@ import json
 import re
 import shutil
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -153,7 +154,7 @@ def test_damaged_findings(tmp_path, content):
         report(tmp_path)
 
 
-def test_what_cannot_be_reported(tmp_path, swept):
+def test_what_cannot_be_reported(tmp_path, swept, monkeypatch):
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match=r"neither a run folder .* nor what reproduce has written"):
         report(tmp_path / "empty")
@@ -161,6 +162,11 @@ def test_what_cannot_be_reported(tmp_path, swept):
         report(tmp_path / "none", "--out", str(tmp_path / "x.html"))
     with pytest.raises(InputError, match="there is no folder"):
         report(swept, "--out", str(tmp_path / "none" / "x.html"))
+    # Where a run has only been called by its name, its folder is said.
+    (tmp_path / "runs").symlink_to(swept.parent)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match=f"there is no such folder, but runs/{swept.name} is one"):
+        report(Path(swept.name))
 
 
 def test_columns_of_numbers_are_set_to_the_right():

@@ -35,7 +35,9 @@ def run_evaluate(
     if len({policy.name for policy in policies}) < len(policies):
         policies = [policy._replace(name=name) for name, policy in zip(names, policies, strict=True)]
     policies = [in_world(policy, physics, overrides) for policy in policies]
-    evaluations = evaluate_all(policies, episodes)
+    with Bar(console) as bar:
+        bar.phase("compiling and playing")
+        evaluations = evaluate_all(policies, episodes)
     title = f"{episodes:,} episodes that no training has seen{_changes(physics, overrides)}"
     console.print(evaluation_table(title, evaluations))
     if file is not None:
@@ -90,7 +92,7 @@ def run_gait(
     policies = [in_world(policy, physics, settings) for policy in trained_seeds(names)]
     with Bar(console) as bar:
         bar.begin(1, "episodes")
-        bar.phase("walking")
+        bar.phase("compiling and walking")
         measured = measure(policies, episodes, bar.count)
     for each in measured:
         seeds = len(each.policies)

@@ -10,6 +10,7 @@ from rich.table import Table
 from humanoid_mjx import runtime
 from humanoid_mjx.commands import console
 from humanoid_mjx.runs.disk import in_words
+from humanoid_mjx.runs.folder import elsewhere
 from humanoid_mjx.runs.listing import Listed, list_runs
 from humanoid_mjx.spec import InputError, check_folder
 from humanoid_mjx.training.progress import Bar
@@ -83,6 +84,8 @@ def run_report(path: Path, out: Path | None, motion: bool) -> None:
     from humanoid_mjx.report.page import run_page, write_page
     from humanoid_mjx.reproduction.page import findings_page
 
+    if not path.is_dir():
+        raise InputError(f"{path}: there is no such folder{elsewhere(path)}.")
     target = out or path / "report.html"
     check_folder(target)
     runtime.start()
@@ -94,8 +97,6 @@ def run_report(path: Path, out: Path | None, motion: bool) -> None:
         else:
             raise InputError(
                 f"{path}: neither a run folder (no config.yaml) nor what reproduce has written (no reproduce.json)."
-                if path.is_dir()
-                else f"{path}: there is no such folder."
             )
         write_page(target, page)
     console.print(f"{target}", soft_wrap=True)

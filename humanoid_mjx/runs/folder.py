@@ -203,7 +203,7 @@ def read_config(path: Path) -> dict[str, Any]:
     """
     file = path / "config.yaml"
     if not file.is_file():
-        raise InputError(f"{path}: this is no run folder (it holds no config.yaml).")
+        raise InputError(f"{path}: this is no run folder (it holds no config.yaml){elsewhere(path)}.")
     try:
         data = parse_yaml(file.read_text(encoding="utf-8"), str(file))
     except (OSError, UnicodeDecodeError) as error:
@@ -235,6 +235,12 @@ def _is_session(data: Any) -> bool:
         return False
     seconds = [data.get(name) for name in ("wall_s", "compile_s")]
     return all(isinstance(value, (int, float)) and math.isfinite(value) for value in seconds)
+
+
+def elsewhere(path: Path) -> str:
+    """Words that end a refusal of `path`: a folder of this name within `runs`, where there is one."""
+    there = Path("runs") / path
+    return f", but {there} is one" if (there / "config.yaml").is_file() else ""
 
 
 def fresh_path(name: str, root: Path = Path("runs")) -> Path:

@@ -18,7 +18,7 @@ from humanoid_mjx.config import Config, apply_override, parse
 from humanoid_mjx.data import folder, names, whole_file
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.runs.archive import DAMAGE, read_archive
-from humanoid_mjx.runs.folder import read_config, read_provenance
+from humanoid_mjx.runs.folder import elsewhere, read_config, read_provenance
 from humanoid_mjx.runs.ranking import ranked
 from humanoid_mjx.runs.tables import finished_runs, scores
 from humanoid_mjx.spec import InputError, check_folder, known
@@ -65,7 +65,8 @@ def find_policy(name: str) -> Trained:
         return load_policy(path)
     if path.name == name and shipped.is_file():
         return load_policy(shipped)
-    raise InputError(f"{name}: neither a run folder nor a policy; {known(name, names('policies', '.npz'))}.")
+    shipping = known(name, names("policies", ".npz"))
+    raise InputError(f"{name}: neither a run folder nor a policy{elsewhere(path)}; {shipping}.")
 
 
 def best_policy(path: Path) -> Trained:
