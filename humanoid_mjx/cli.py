@@ -141,6 +141,9 @@ def play(
     policy: Policy,
     set_: World = None,
     physics: Physics = None,
+    episode: Annotated[
+        int, typer.Option(metavar="N", min=0, max=10**6, help="Which of the episodes that no training has seen.")
+    ] = 0,
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="A .gif, .mp4, .webm or .png; by default RUN/figures/play.gif.")
     ] = None,
@@ -151,7 +154,7 @@ def play(
     """Show what was learned as a video or picture of the robot, or in the browser."""
     from humanoid_mjx.commands.play import run_play
 
-    run_play(policy, set_ or [], physics, out, view)
+    run_play(policy, set_ or [], physics, episode, out, view)
 
 
 @app.command()

@@ -17,11 +17,13 @@ from humanoid_mjx import rng
 from humanoid_mjx.cli import app
 from humanoid_mjx.report.film import film_of
 from humanoid_mjx.report.player import make_server
+from humanoid_mjx.report.showing import show
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.tasks import make_task
 from humanoid_mjx.tasks.posture_switch import LEFT_SIGN
 from humanoid_mjx.training.episode import HOLD_S, motion_of, play, robot_of, rows_of
 from humanoid_mjx.training.policy import best_policy
+from humanoid_mjx.training.progress import Reporter
 from humanoid_mjx.training.sweep import sweep
 
 POSTURE = {"name": "posture_switch", "places": 2, "timestep": 0.02, "max_episode_steps": 10}
@@ -108,8 +110,10 @@ def test_between_long_decisions_a_leg_is_shown_step_by_step(tmp_path):
     assert qpos.shape == (round((0.4 + HOLD_S) / step_s), robot_of(trained).nq)
     for i in range(4):
         np.testing.assert_allclose(qpos[20 * (i + 1) - 1], played.states[i + 1].world.qpos, atol=1e-5)
-    done = CliRunner().invoke(app, ["play", str(path), "--out", str(tmp_path / "leg.gif")])
+    done = CliRunner().invoke(app, ["play", str(path), "--out", str(tmp_path / "leg.png"), "--episode", "1"])
     assert done.exit_code == 0 and "4 decisions, 0.4 s" in done.output
+    second = show(trained, Reporter(), 1).film
+    assert second.title.endswith(", episode 1") and not np.array_equal(second.qpos[0], qpos[0])
     with Image.open(tmp_path / "leg.gif") as image:
         assert image.n_frames == 25 * (0.4 + HOLD_S)
 

@@ -11,7 +11,9 @@ from humanoid_mjx.spec import InputError, check_folder
 from humanoid_mjx.training.progress import Bar
 
 
-def run_play(name: str, overrides: Sequence[str], physics: str | None, out: Path | None, view: bool) -> None:
+def run_play(
+    name: str, overrides: Sequence[str], physics: str | None, episode: int, out: Path | None, view: bool
+) -> None:
     """`humanoid-mjx play`."""
     from humanoid_mjx.report.video import check_file
 
@@ -28,7 +30,7 @@ def run_play(name: str, overrides: Sequence[str], physics: str | None, out: Path
     with Bar(console) as bar:
         bar.phase("loading")
         trained = in_world(find_policy(name), physics, overrides)
-        shown = show(trained, bar)
+        shown = show(trained, bar, episode)
         if not view:
             target = out or _play_file(name, trained.name)
             bar.phase("rendering")

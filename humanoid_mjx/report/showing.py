@@ -16,8 +16,8 @@ class Shown(NamedTuple):
     """A sentence."""
 
 
-def show(trained: Trained, reporter: Reporter) -> Shown:
-    """Play a policy's first held-out episode.
+def show(trained: Trained, reporter: Reporter, episode: int = 0) -> Shown:
+    """Play a policy's held-out episode of this number; 0 is the first.
 
     Raises:
       InputError: the policy's task moves no robot.
@@ -29,10 +29,11 @@ def show(trained: Trained, reporter: Reporter) -> Shown:
     def tell(decisions: int) -> None:
         reporter.phase("simulating")
 
-    played = play(trained, tell=tell)
+    played = play(trained, episode, tell)
     task = trained.config.task["name"]
     name = task if trained.name == task else f"{trained.name}: {task}"
-    film = film_of(trained, played, f"{name}, point {trained.point}, seed {trained.seed}")
+    which = f", episode {episode}" * (episode > 0)
+    film = film_of(trained, played, f"{name}, point {trained.point}, seed {trained.seed}{which}")
     decisions = len(played.actions)
     outcome = "succeeds" if played.success else "does not succeed"
     return Shown(

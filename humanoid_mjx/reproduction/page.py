@@ -114,7 +114,7 @@ def _value(value: Any) -> str:
     if isinstance(value, list):
         return ", ".join(map(_value, value))
     if isinstance(value, dict):
-        return "; ".join(f"{key}: {_value(inner)}" for key, inner in value.items())
+        return "; ".join(f"{key}: {_value(inner)}" for key, inner in value.items() if inner != "")
     return str(value)
 
 
