@@ -21,12 +21,12 @@ GAITS = {"steps": "steps as commanded", "clock": "no steps, a clock", "table": "
 
 
 def words(task: dict[str, Any], learner: str, steps: float) -> str:
-    """What is trained, what it corrects by how much at most, and for how long."""
+    """What is trained, what it corrects, how heavily slip weighs, and for how long."""
     gait = task.get("gait") or {}
     kind = GAITS[gait.get("name", "steps")]
     if gait.get("stride") == 0.0:
         kind = "no steps, a clock" if gait.get("lift") == 0.0 else "steps on the spot"
-    return f"{LEARNERS[learner]}, {kind}, {task.get('offset', 0.0):g}°, {steps / 1e6:.0f}M control steps"
+    return f"{LEARNERS[learner]}, {kind}, slip {task['rewards']['slip']:g}, {steps / 1e6:.0f}M control steps"
 
 
 def rows() -> list[Row]:

@@ -1,6 +1,6 @@
 """Draw how every training run in the later series of settings of `walk` walks, from their records.
 
-python experiments/walk_settings.py            # writes docs/walk_settings.png and docs/walk_finer.png, in seconds
+python experiments/walk_settings.py            # writes docs/walk_settings, walk_finer and walk_yawing.png, in seconds
 """
 
 import argparse
@@ -15,7 +15,11 @@ from humanoid_mjx.report.style import COLORS, figure
 
 ROOT = Path(__file__).parent.parent
 
-RECORDS = {"walk_settings": ("h200_walk_stride", 8.0), "walk_finer": ("h200_walk_finer", 6.0)}
+RECORDS = {
+    "walk_settings": ("h200_walk_stride", 8.0),
+    "walk_finer": ("h200_walk_finer", 6.0),
+    "walk_yawing": ("h200_walk_yawing", 4.6),
+}
 """The figures by name: of which record of `docs/bench`, and how high, inches."""
 
 Seeds: TypeAlias = Callable[[str, str], list[float]]
@@ -27,22 +31,25 @@ Row: TypeAlias = tuple[str, Seeds]
 PANELS = (
     ("forward, m/s, when\ntold 0.3, 0.5, 0.8", "forward", ("forward 0.3", "forward 0.5", "forward 0.8"), None),
     ("upright for 20 s\nat 0.5 m/s", "success", ("forward 0.5",), 0.98),
-    ("slip at 0.3 m/s,\nm/s", "slip", ("forward 0.3",), 0.03),
+    ("slip, m/s, when\ntold 0.3, 0.5", "slip", ("forward 0.3", "forward 0.5"), 0.03),
     ("heading off after 20 s\nat 0.3 m/s, degrees", "heading_error", ("forward 0.3",), 10.0),
     ("45 degrees at once\nwithin 1.5 s", "turn_success", ("sudden turn",), 0.9),
 )
-"""Heading, figure of the record, commands, and the goal."""
+"""Heading, figure of the record, commands, and the goal; lines of the first panel are the commands."""
 
 USUAL = {
     "stance": (("task", "gait", "stance"), 0.62),
     "cadence": (("task", "gait", "cadence"), 0.5),
     "smoothing": (("task", "smoothing"), 0.5),
     "slip": (("task", "rewards", "slip"), -0.6),
+    "yawing": (("task", "rewards", "yawing"), 0.0),
     "speed": (("task", "rewards", "speed"), 0.6),
     "flight": (("task", "rewards", "flight"), -0.3),
     "smooth": (("task", "rewards", "smooth"), -0.06),
     "discount": (("learner", "discount"), 0.97),
     "landing": (("task", "gait", "landing"), 0.0),
+    "last epsilon": (("learner", "epsilon_min"), 0.03),
+    "last rate": (("learner", "learning_rate_end"), 0.1),
 }
 """What a row says only where it differs: where it stands in a setting, and its usual value."""
 
@@ -51,23 +58,28 @@ BEFORE = {"F": ("cadence", "smoothing", "slip", "speed", "smooth"), "G": ("caden
 
 
 def words(setting: dict[str, Any]) -> str:
-    """A setting by its servo's stiffness, or its choices where all have the same servo; by the largest offset,
-    and what is unusual."""
+    """A setting by its servo's stiffness and largest offset, by its choices where all have the same servo, or by the
+    weight of `yawing` where all begin from one setting; and what is unusual."""
     series, task = setting["series"], setting["task"]
-    if "choices" in task:
+    usually = {name: usual for name, (_, usual) in USUAL.items()}
+    if (yawing := task["rewards"].get("yawing")) is not None:
+        usually |= {"slip": -1.5, "smooth": -0.12, "yawing": yawing}
+        text = f"{series}   yawing {yawing:g}" + (", little yaw" if task["offset_shares"][1] < 0.8 else "")
+    elif "choices" in task:
         grow = " growing" if setting["learner"].get("grow") else ""
         text = f"{series}   {task['choices']}{grow} choices, {task['offset']:g}°"
         text += ", more along the legs" if task["offset_shares"][0] > 1.0 else ""
     else:
         text = f"{series}   {task['control']['stiffness']:g} N m/rad, {task['offset']:g}°, {task['gait']['period']:g} s"
-    for name, (place, usual) in USUAL.items():
+    for name, (place, _) in USUAL.items():
         value: Any = setting
         for part in place:
             value = value.get(part, 0.0)
-        if abs(value - usual) > 1e-6 and name not in BEFORE.get(series, ()):
+        if abs(value - usually[name]) > 1e-6 and name not in BEFORE.get(series, ()):
             text += f", {name} {value:.2g}"
-    fastest = task["command"]["forward"][1]
-    return text + (f", up to {fastest:g} m/s" if fastest != 0.8 else "")
+    fastest, steps = task["command"]["forward"][1], setting["steps"] / 1e6
+    text += f", up to {fastest:g} m/s" if fastest != 0.8 else ""
+    return text + (f", {steps:.0f}M steps" if yawing is not None and steps > 45 else "")
 
 
 def seeds_of(record: dict[str, Any], setting: dict[str, Any]) -> Seeds:
@@ -89,7 +101,7 @@ def draw(target: Path, rows: list[Row], size: tuple[float, float]) -> None:
                 for place, (_, values) in zip(places, rows, strict=True):
                     seeds = values(name, command)
                     panel.plot(seeds, np.full(len(seeds), place), "o", color=color, alpha=0.7, markersize=4)
-                if len(told) > 1:
+                if name == "forward":
                     panel.axvline(float(command.split()[1]), color=color, linewidth=0.8)
             if goal is not None:
                 panel.axvline(goal, color="black", linewidth=0.8, linestyle="--")

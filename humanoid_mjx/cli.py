@@ -96,6 +96,11 @@ Policy = Annotated[
     ),
 ]
 
+Point = Annotated[
+    int | None,
+    typer.Option(min=0, metavar="N", help="The point of a sweep, by its number in the tables; by default the best."),
+]
+
 World = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="task.KEY=VALUE", help="Change a value of the task, such as task.friction=0.5."),
@@ -116,6 +121,7 @@ def evaluate(
         bool,
         typer.Option("--gait", help="How it walks under commands that stay: errors, slip, steps, effort, by command."),
     ] = False,
+    point: Point = None,
     set_: World = None,
     physics: Physics = None,
     episodes: Annotated[
@@ -131,14 +137,15 @@ def evaluate(
     from humanoid_mjx.commands.evaluate import run_evaluate, run_gait
 
     if gait:
-        run_gait(policies, physics, set_ or [], episodes or 64, json)
+        run_gait(policies, point, physics, set_ or [], episodes or 64, json)
     else:
-        run_evaluate(policies, physics, set_ or [], episodes or 1024, json, out)
+        run_evaluate(policies, point, physics, set_ or [], episodes or 1024, json, out)
 
 
 @app.command()
 def play(
     policy: Policy,
+    point: Point = None,
     set_: World = None,
     physics: Physics = None,
     episode: Annotated[
@@ -154,7 +161,7 @@ def play(
     """Show what was learned as a video or picture of the robot, or in the browser."""
     from humanoid_mjx.commands.play import run_play
 
-    run_play(policy, set_ or [], physics, episode, out, view)
+    run_play(policy, point, set_ or [], physics, episode, out, view)
 
 
 @app.command()
@@ -208,11 +215,12 @@ def plot(
 def export(
     what: Annotated[str, typer.Argument(metavar="ROBOT|RUN", help="leg, legs, lower_body; or a run folder.")],
     file: Annotated[Path, typer.Argument(metavar="FILE", help="An .xml for a robot, an .npz for a run.")],
+    point: Point = None,
 ) -> None:
     """Write a robot as MJCF, for MuJoCo; or the best policy of a run as a file of its own."""
     from humanoid_mjx.commands.play import run_export
 
-    run_export(what, file)
+    run_export(what, file, point)
 
 
 @app.command()

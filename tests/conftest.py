@@ -24,7 +24,14 @@ PLAIN_KERNELS = "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_
 """Kernels that run slower and that XLA compiles in a third of the time, in which most of the time of tests goes. What
 is tested with them is what programs compute, not how XLA rounds it."""
 
-AS_SHIPPED = ("test_memory.py", "test_physics.py", "test_runtime.py", "test_sweep.py", "test_tree.py")
+AS_SHIPPED = (
+    "test_memory.py",
+    "test_physics.py",
+    "test_processes.py",
+    "test_runtime.py",
+    "test_sweep.py",
+    "test_tree.py",
+)
 """Files with tests of the kernels that users have: that worlds, runs and devices change no bit of each other, how near
 single precision comes, what XLA makes of a program. They need a process of their own: test_as_shipped.py starts it."""
 

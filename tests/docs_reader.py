@@ -106,7 +106,7 @@ class Reader:
             assert set(names or []) <= {*BENCHES, "all", "guard"}
         self.files.add(str(json))
 
-    def evaluate(self, policies, gait, set_, physics, episodes, json, out):
+    def evaluate(self, policies, gait, point, set_, physics, episodes, json, out):
         from humanoid_mjx.training.gait_evaluation import walking_task
 
         for policy in policies:
@@ -128,7 +128,7 @@ class Reader:
         for folder in run:
             assert str(folder) in self.folders | self.earlier, folder
 
-    def play(self, policy, set_, physics, out, view):
+    def play(self, policy, point, set_, physics, episode, out, view):
         self.has(policy)
         self.changes(policy, set_)
         self.simulates(physics)
@@ -136,7 +136,7 @@ class Reader:
     def report(self, run, out, motion):
         assert str(run) in self.folders | self.earlier, run
 
-    def export(self, what, file):
+    def export(self, what, file, point):
         from humanoid_mjx.robot import ROBOTS
 
         assert (

@@ -18,7 +18,7 @@ from humanoid_mjx.spec import InputError
 from humanoid_mjx.training import evaluation
 from humanoid_mjx.training.episode import play
 from humanoid_mjx.training.evaluation import evaluate_all, held_out_keys, play_out
-from humanoid_mjx.training.policy import best_policy, find_policy, load_policy, save_policy
+from humanoid_mjx.training.policy import best_policy, find_policy, load_policy, policies_of_best, save_policy
 from humanoid_mjx.training.program import run_key
 from humanoid_mjx.training.rollout import AGENTS, agent
 from humanoid_mjx.training.sweep import Run, sweep
@@ -53,6 +53,16 @@ def test_the_best_of_a_run_reaches_its_goal_on_the_shortest_way(reach):
     found = play_out(best, "greedy", 20)
     task = make_task("joint_reach", **{k: v for k, v in REACH.items() if k != "name"})
     assert found["success"].all() and (found["steps"] == np.ceil(abs(task.goal - task.start) / task.action)).all()
+
+
+def test_another_point_than_the_best(reach):
+    worse = best_policy(reach, 0)
+    assert worse.point == 0 and worse.config.learner["learning_rate"] == 0.001 and best_policy(reach).point == 1
+    assert {policy.point for policy in policies_of_best(reach, 0)} == {0}
+    with pytest.raises(InputError, match=r"--point 2: .* holds no finished run of it; it has 2, from 0 on"):
+        best_policy(reach, 2)
+    with pytest.raises(InputError, match="--point: posture_switch is no run folder"):
+        find_policy("posture_switch", 0)
 
 
 def test_the_best_of_a_run_is_the_first_of_its_table(tmp_path):
@@ -168,7 +178,7 @@ def test_commands(reach, leg, tmp_path):
         return done.output
 
     file, figure, found = (tmp_path / name for name in ("leg.npz", "both.png", "found.json"))
-    run("export", leg, file)
+    run("export", leg, file, "--point", 0)
     output = run("evaluate", file, "--physics", "mujoco", "--episodes", 5, "--json", found)
     for words in ("5 episodes that no training has seen, physics mujoco", "greedy", "zero", "random"):
         assert words in output
@@ -191,6 +201,8 @@ def test_commands(reach, leg, tmp_path):
         (["evaluate", "nothing"], "neither a run folder nor a policy"),
         (["evaluate", "RUN", "--json", "none/x.json"], "there is no folder none"),
         (["evaluate", "RUN", "--json", "."], "--json .: this is a folder; name a file"),
+        (["evaluate", "posture_switch", "--point", "1"], "--point: posture_switch is no run folder"),
+        (["export", "leg", "x.xml", "--point", "1"], "--point: x.xml is of a robot"),
         (["export", "RUN", "x.pkl"], "must end in .xml, for a robot, or in .npz"),
         (["export", "RUN", "none/x.npz"], "there is no folder none"),
         (["play", "RUN"], "its task joint_reach moves no robot"),

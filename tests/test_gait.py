@@ -19,7 +19,7 @@ STAND, ON_THE_SPOT = jnp.zeros(3), jnp.array([1e-6, 0.0, 0.0])
 
 
 def test_the_clock_turns_while_the_body_is_to_move():
-    gait = Steps(period=0.4, stance=0.75, lift=10.0, sway=4.0)
+    gait = Steps(period=0.4, cadence=0.5, stance=0.75, lift=10.0, sway=4.0)
     phases = jnp.linspace(0.0, 1.0, 401)[:-1]
     swing = np.asarray(jax.vmap(gait.swing)(phases))
     np.testing.assert_allclose((swing > 1e-6).mean(axis=0), 0.25, atol=0.01)

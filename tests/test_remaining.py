@@ -53,25 +53,27 @@ def test_nothing_is_said_before_a_pace_is_known():
     assert remaining.seconds(1) == pytest.approx(19.0)
 
 
-def test_what_the_bar_says_counts_compiling_and_evaluating(monkeypatch):
-    """One program: 6 s of compiling before it trains for 20 s, and 6 s before it evaluates."""
+@pytest.mark.parametrize("training_s", [20, 3])
+def test_what_the_bar_says_counts_compiling_and_evaluating(monkeypatch, training_s):
+    """One program: 6 s of compiling before it trains, and 6 s beside training, which a short training waits for."""
     now = [0.0]
     monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
     bar = progress.Bar(Console(file=io.StringIO(), width=80))
-    bar.begin(200, "steps")
-    shown = {}
-    for second in range(36):
+    bar.begin(10 * training_s, "steps")
+    trained = 6 + training_s
+    end, shown = max(trained, 12), {}
+    for second in range(end + 3):
         now[0] = float(second)
-        bar.phase("compiling" if second < 6 or 26 <= second < 32 else "training" if second < 26 else "evaluating")
+        bar.phase("training" if 6 <= second < trained else "evaluating" if second >= end else "compiling")
         if second >= 6:
-            bar.update(min(10.0 * (second - 6), 200.0))
+            bar.update(10.0 * min(second - 6, training_s))
         shown[second] = bar._time_left()
     assert shown[5] == progress.UNKNOWN
-    # Training and evaluation up to second 32, where nobody knows how long the rest takes.
-    for second in range(8, 31):
+    # Training and evaluation up to the end, after which nobody knows how long the rest takes.
+    for second in range(8, end):
         hours, minutes, seconds = map(int, re.fullmatch(r"(\d+):(\d\d):(\d\d)", shown[second]).groups())
-        assert (hours, minutes) == (0, 0) and seconds == pytest.approx(32 - second, abs=1.0), second
-    assert shown[33] == progress.UNKNOWN
+        assert (hours, minutes) == (0, 0) and seconds == pytest.approx(end - second, abs=1.0), second
+    assert shown[end + 1] == progress.UNKNOWN
 
 
 def test_the_time_that_has_passed_goes_on_after_training():

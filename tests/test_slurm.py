@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 import pytest
-from test_sweep import CONFIG, LONG, write_config
+from small_sweep import CONFIG, LONG, write_config
 
 from humanoid_mjx import InputError, sweep
 from humanoid_mjx.cli import main

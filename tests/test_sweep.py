@@ -1,10 +1,7 @@
-"""Sweeps: the same bits alone or together, in any pool, on any number of devices, interrupted or not."""
+"""Sweeps: the same bits alone or together and in any pool; what is refused, reported and compiled."""
 
 import json
 import os
-import signal
-import socket
-import subprocess
 import sys
 import time
 from collections import deque
@@ -14,27 +11,16 @@ from typing import ClassVar
 import jax
 import numpy as np
 import pytest
+from small_sweep import CONFIG, run_cli, write_config
 
-from humanoid_mjx import InputError, processes, runtime, sweep
+from humanoid_mjx import InputError, runtime, sweep
 from humanoid_mjx.cli import main
 from humanoid_mjx.config import parse
 from humanoid_mjx.learners.tabular import TabularQ
 from humanoid_mjx.runs.folder import RunFolder, read_arrays
-from humanoid_mjx.runs.folder import parts as parts_of
 from humanoid_mjx.training import pool
 from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.progress import Reporter
-
-CONFIG = {
-    "name": "small",
-    "task": {"name": "joint_reach", "joint": 5, "states": 13, "max_episode_steps": 40},
-    "learner": {"name": "tabular_q", "epsilon_decay": 0.99},
-    "sweep": {"axes": {"learner.epsilon": [0.2, 0.6, 1.0], "learner.learning_rate": [0.1, 0.7]}},
-    "seeds": 3,
-    "seed": 5,
-    "episodes": 60,
-    "record": 10,
-}
 
 
 @pytest.fixture(scope="module")
@@ -103,169 +89,6 @@ def test_a_sweep_of_other_values_compiles_nothing(reference, tmp_path):
             with_axes(learner__epsilon=[0.25, 0.5, 0.75], task__bonus=[50.0, 70.0]) | {"episodes": 50}, tmp_path / "run"
         )
     assert compiles.programs == 0
-
-
-def run_cli(*arguments, cwd, devices="2", **kwargs):
-    environment = os.environ | {"JAX_NUM_CPU_DEVICES": devices}
-    command = [sys.executable, "-m", "humanoid_mjx", *arguments]
-    return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, **kwargs)
-
-
-def write_config(folder, **changes):
-    path = folder / "small.yaml"
-    path.write_text(json.dumps(CONFIG | changes))
-    return str(path)
-
-
-@pytest.mark.parametrize("devices", ["1", "3"])
-def test_number_of_devices_changes_no_bit(reference, tmp_path, devices):
-    done = run_cli("sweep", write_config(tmp_path), "--out", "run", cwd=tmp_path, devices=devices)
-    assert done.returncode == 0, done.stderr
-    assert (tmp_path / "run/results.parquet").read_bytes() == (reference.path / "results.parquet").read_bytes()
-    assert (tmp_path / "run/summary.parquet").read_bytes() == (reference.path / "summary.parquet").read_bytes()
-    assert {path.name for path in (tmp_path / "run/figures").iterdir()} >= {"learning_curves.png"}
-
-
-LONG = {
-    "task": CONFIG["task"] | {"joint": 1, "states": 24, "max_episode_steps": 400},
-    "sweep": {"axes": {"learner.discount": [0.5, 0.97], "learner.epsilon": [0.3, 0.6, 1.0]}},
-    "episodes": 3000,
-    "seeds": 40,
-}
-"""Half of these runs wait before the goal and take 20 times as long as the others: a kill finds them half done."""
-
-KILLABLE = """
-import sys
-from humanoid_mjx import processes
-from humanoid_mjx.training import pool, session
-session.CHECKPOINT_EVERY_S, pool.HARVEST_SHARE, pool.HARVEST_AFTER_S = 0.2, 0.1, 0.5
-processes.HEARTBEAT_S = 10
-from humanoid_mjx.cli import main
-main()
-"""
-
-
-def start(arguments, cwd, **environment):
-    command = [sys.executable, "-c", KILLABLE, *arguments]
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    return subprocess.Popen(command, cwd=cwd, env=os.environ | environment, **pipes)
-
-
-def start_job(arguments, cwd, count=2, slurm=False):
-    """So many processes that share a sweep, each with one device; `slurm`: told of each other as by its `srun`."""
-    with socket.socket() as free:
-        free.bind(("localhost", 0))
-        port = str(free.getsockname()[1])
-    if slurm:
-        job = {"SLURM_JOB_ID": "1", "SLURM_STEP_NODELIST": "localhost", "SLURM_STEP_NUM_NODES": str(count)}
-        job |= {"SLURM_NTASKS": str(count), "SLURM_LOCALID": "0", "JAX_COORDINATOR_PORT": port}
-    else:
-        job = {"JAX_COORDINATOR_ADDRESS": f"localhost:{port}", "JAX_NUM_PROCESSES": str(count)}
-    number = "SLURM_PROCID" if slurm else "JAX_PROCESS_ID"
-    job["JAX_NUM_CPU_DEVICES"] = "1"
-    return [start(arguments, cwd, **job, **{number: str(index)}) for index in range(count)]
-
-
-def wait_for(condition, process, seconds=120):
-    until = time.monotonic() + seconds
-    while not condition():
-        assert process.poll() is None and time.monotonic() < until, process.communicate()
-        time.sleep(0.02)
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    """The run folder of a sweep that nothing interrupts."""
-    folder = tmp_path_factory.mktemp("whole")
-    done = run_cli("sweep", write_config(folder, **LONG), "--out", "run", cwd=folder)
-    assert done.returncode == 0, done.stderr
-    return folder / "run"
-
-
-@pytest.mark.parametrize("kill", [signal.SIGKILL, signal.SIGINT])
-def test_an_interrupted_sweep_resumes_to_the_same_bits(whole, tmp_path, kill):
-    config = write_config(tmp_path, **LONG)
-    process = start(["sweep", config, "--out", "run"], tmp_path)
-    run = tmp_path / "run"
-    wait_for(lambda: (run / "summary.parquet").exists() and list(run.glob("checkpoint/pool-*.npz")), process)
-    process.send_signal(kill)
-    process.wait()
-    assert process.returncode == (130 if kill == signal.SIGINT else -9)
-    from humanoid_mjx.training.sweep import Run
-
-    found = len(Run(run).summary["point"])
-    assert 0 < found < 240
-    resumed = run_cli("sweep", config, "--out", "run", "--resume", cwd=tmp_path)
-    assert resumed.returncode == 0, resumed.stderr
-    for name in ("results.parquet", "summary.parquet"):
-        assert (run / name).read_bytes() == (whole / name).read_bytes()
-    assert not list(run.glob("checkpoint/pool-*.npz")) and not list(run.rglob(".new-*"))
-
-
-def test_number_of_processes_changes_no_bit(reference, tmp_path):
-    job = start_job(["sweep", write_config(tmp_path), "--out", "run"], tmp_path, slurm=True)
-    (stdout, stderr), (silence, other) = (process.communicate(timeout=300) for process in job)
-    assert [process.returncode for process in job] == [0, 0], stderr + other
-    assert "9 of 9 runs train side by side in process 0 of 2" in stdout and silence == ""
-    for name in ("results.parquet", "summary.parquet"):
-        assert (tmp_path / "run" / name).read_bytes() == (reference.path / name).read_bytes()
-    provenance = json.loads((tmp_path / "run/provenance.json").read_text())
-    assert provenance["processes"] == 2 and provenance["runs_finished"] == 18
-    parts = [read_arrays(path) for path in parts_of(tmp_path / "run")]
-    shares = [set((part["point"] * 3 + part["seed"]) % 2) for part in parts]
-    assert {0} in shares and {1} in shares
-
-
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        ({"JAX_COORDINATOR_ADDRESS": "here:1"}, ["JAX_PROCESS_ID is not set"]),
-        ({"JAX_COORDINATOR_ADDRESS": "here:1", "JAX_PROCESS_ID": "one"}, ["whole numbers, got 2 and one"]),
-        ({"JAX_COORDINATOR_ADDRESS": "here:1", "JAX_PROCESS_ID": "2"}, ["JAX_PROCESS_ID at least 0 and less than"]),
-        ({"JAX_COORDINATOR_ADDRESS": "here", "JAX_PROCESS_ID": "1"}, ["JAX_COORDINATOR_ADDRESS must be HOST:PORT"]),
-    ],
-)
-def test_an_environment_that_contradicts_itself_is_refused(monkeypatch, given, words):
-    for name, value in ({"JAX_NUM_PROCESSES": "2"} | given).items():
-        monkeypatch.setenv(name, value)
-    with pytest.raises(InputError) as error, processes.joined():
-        pass
-    assert all(word in str(error.value) for word in words) and "\n" not in str(error.value)
-
-
-def test_what_process_0_refuses_all_refuse(reference, tmp_path):
-    (tmp_path / "run").mkdir()
-    (tmp_path / "run" / "precious").write_text("data")
-    job = start_job(["sweep", write_config(tmp_path), "--out", "run"], tmp_path)
-    for process in job:
-        _, stderr = process.communicate(timeout=300)
-        assert process.returncode == 2 and "already exists and is no run folder" in stderr, stderr
-    assert [path.name for path in (tmp_path / "run").iterdir()] == ["precious"]
-
-
-@pytest.mark.parametrize("lost", [0, 1])
-def test_a_job_that_lost_a_process_resumes_to_the_same_bits(whole, tmp_path, lost):
-    arguments = ["sweep", write_config(tmp_path, **LONG), "--out", "run"]
-    job, run = start_job(arguments, tmp_path), tmp_path / "run"
-    wait_for(lambda: (run / f"checkpoint/pool-{lost}.npz").exists() and parts_of(run), job[lost])
-    job[lost].kill()
-    _, stderr = job[1 - lost].communicate(timeout=300)
-    assert job[1 - lost].returncode != 0
-    if lost == 1:  # what process 0 has to do it does, and says what is missing
-        assert job[0].returncode == 2 and stderr.splitlines()[-1].startswith("error: process 1 of this job was lost"), (
-            stderr
-        )
-        from humanoid_mjx.training.sweep import Run
-
-        summary = Run(run).summary
-        runs = summary["point"] * 40 + summary["seed"]
-        assert len(runs) < 240 and set(range(0, 240, 2)) <= set(runs)
-    again = start_job([*arguments, "--resume"], tmp_path, count=1 + lost)
-    ends = [process.communicate(timeout=300) for process in again]
-    assert not any(process.returncode for process in again), ends
-    for name in ("results.parquet", "summary.parquet"):
-        assert (run / name).read_bytes() == (whole / name).read_bytes()
-    assert not list(run.glob("checkpoint/pool-*.npz")) and not list(run.rglob(".new-*"))
 
 
 def test_start_from_what_was_learned_before(reference, tmp_path):
@@ -504,32 +327,6 @@ def test_what_cannot_be_compiled_beside_training_is_tried_again_when_it_is_neede
         runs.finish()
     runs.programs = whole
     assert set(runs.finish()) == {"curve", "final", "policy"}
-
-
-WAITING = f"""
-import pathlib, time
-from humanoid_mjx.training import pool
-finish = pool.Pool.finish
-pool._compile_after = lambda other, trace: time.sleep(600)
-def told(self):
-    pathlib.Path("waiting").touch()
-    return finish(self)
-pool.Pool.finish = told
-{KILLABLE}"""
-
-
-def test_an_interrupt_is_answered_while_the_end_of_runs_compiles(reference, tmp_path):
-    config = write_config(tmp_path)
-    command = [sys.executable, "-c", WAITING, "sweep", config, "--out", "run"]
-    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    wait_for((tmp_path / "waiting").exists, process)
-    process.send_signal(signal.SIGINT)
-    stdout, stderr = process.communicate(timeout=300)  # the compiler would take twice as long
-    assert process.returncode == 130 and "--resume completes it" in stdout, stderr
-    resumed = run_cli("sweep", config, "--out", "run", "--resume", cwd=tmp_path)
-    assert resumed.returncode == 0, resumed.stderr
-    for name in ("results.parquet", "summary.parquet"):
-        assert (tmp_path / "run" / name).read_bytes() == (reference.path / name).read_bytes()
 
 
 def test_a_point_of_a_curve_in_which_no_episode_ended_is_not_known(tmp_path):

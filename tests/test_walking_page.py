@@ -26,9 +26,18 @@ def test_walkings_goals_stand_beside_what_the_records_say():
     expected = {
         "within 5 minutes": [training["command_s"] / 60],
         "98 % of rollouts": [0.8, 100 * fast["success"]["median"], 100 * fast["success"]["worst"]],
-        "mean speed error": [*span(slow, "speed_error"), 0.5, fast["speed_error"]["median"], 0.8],
+        "mean speed error": [
+            *span(slow, "speed_error"),
+            0.5,
+            span(slow, "speed_error", "worst")[1],
+            fast["speed_error"]["median"],
+            0.8,
+        ],
         "heading within": span(straight, "heading_error"),
-        "slip at most": [x for f, v in zip(slow, (0.15, 0.3, 0.5), strict=True) for x in (f["slip"]["median"], v)],
+        "slip at most": [
+            *(x for f, v in zip(slow, (0.15, 0.3, 0.5), strict=True) for x in (f["slip"]["median"], v)),
+            span(slow, "slip", "worst")[1],
+        ],
         "never both feet": [
             100 * span(slow, "flight")[1],
             100 * span(slow, "flight", "worst")[1],
@@ -41,7 +50,7 @@ def test_walkings_goals_stand_beside_what_the_records_say():
         "in native MuJoCo": [100 * min(f["success"]["median"] for f in there.values()), 100 * lowest],
     }
     assert all(gait["success"]["median"] == 1.0 for gait in (stand, sudden, *slow))
-    assert sudden["success"]["worst"] == 1.0 and span(turns, "turn_error", "worst")[1] < 0.025
+    assert span(turns, "turn_error", "worst")[1] < 0.015
     page = (ROOT / "docs" / "walking.md").read_text(encoding="utf-8")
     (rows,) = (rows for rows in tables(page) if rows[0][1] == "reached")
     assert len(rows) == 1 + len(expected)
@@ -53,14 +62,13 @@ def test_walkings_goals_stand_beside_what_the_records_say():
 
 
 def test_walkings_sentences_are_those_of_the_records():
-    """What is said of the setting that was not chosen, and of PPO."""
+    """What is said of the setting that was not chosen, of PPO, of gaits and of the last series."""
     other = {
         gait["scenario"]: gait["figures"]
         for gait in RECORDS["h200_walk_seeds.json"]["results"][1]["gaits"]
         if gait["agent"] == "greedy"
     }
     ppo, training = greedy_gaits(RECORDS["h200_walk_ppo.json"]), RECORDS["h200_walk_ppo.json"]["training"]
-    turns, slip = other["sudden turn"]["turn_success"], other["forward 0.5"]["slip"]["median"]
     slips = [ppo[f"forward {speed}"]["slip"]["median"] for speed in (0.15, 0.3, 0.5)]
     speeds = [ppo[f"forward {speed}"]["forward"]["median"] for speed in (0.5, 0.8)]
     seconds = [training[name] for name in ("command_s", "first_run_s", "first_training_s")]
@@ -71,24 +79,44 @@ def test_walkings_sentences_are_those_of_the_records():
         return float(np.median([seed[record["commands"].index(command)] for seed in gaits[gait][name]]))
 
     page = " ".join((ROOT / "docs" / "walking.md").read_text(encoding="utf-8").split())
+    last = RECORDS["h200_walk_yawing.json"]
+    of_last = {setting["setting"]: setting["figures"] for setting in last["settings"]}
+    cadences = [
+        float(np.median([seed[last["commands"].index("forward 0.5")] for seed in of_last[name]["slip"]]))
+        for name in ("cadence .2", "yawing .3")
+    ]
+    reached = [seed[last["commands"].index("forward 0.8")] for seed in of_last["cadence .2"]["forward"]]
+    least = [min(seed[-1] for seed in of_last[name]["turn_success"]) for name in ("yawing -0.3", "yawing 0")]
+    upright = [
+        min(share for setting in last["settings"] for seed in setting[which]["success"] for share in seed)
+        for which in ("averaged", "figures")
+    ]
+    assert last["commands"][-1] == "sudden turn" and sum(setting["seeds"] for setting in last["settings"]) == 65
     sentences = {
-        rf"succeeds in ({NUMBER}) % \(({NUMBER}) % with the worst seed\), and the slip at 0\.5 m/s is ({NUMBER}) m/s": [
-            100 * turns["median"],
-            100 * turns["worst"],
-            slip,
+        rf"told 0\.5 and 0\.8 m/s it goes at ({NUMBER}) and ({NUMBER})\. -": [
+            other[f"forward {speed}"]["forward"]["median"] for speed in (0.5, 0.8)
         ],
-        rf"slips half as much \(({NUMBER}), ({NUMBER}), ({NUMBER}) m/s at .*?\) and turns at once in ({NUMBER}) s": [
+        rf"It slips by ({NUMBER}), ({NUMBER}), ({NUMBER}) m/s at .*?, and turns at once in ({NUMBER}) s": [
             *slips,
             ppo["sudden turn"]["turn_seconds"]["median"],
         ],
+        rf"the least of five seeds turns at once in ({NUMBER}) % of episodes, without it in ({NUMBER}) %": [
+            100 * share for share in least
+        ],
+        rf"feet slip by ({NUMBER}) instead of ({NUMBER}) m/s at 0\.5 m/s, and go at ({NUMBER}) when told 0\.8": [
+            *cadences,
+            float(np.median(reached)),
+        ],
+        rf"under any of eight commands is ({NUMBER}) at worst instead of ({NUMBER})": upright,
         rf"PPO's bodies go at ({NUMBER}) and ({NUMBER}),": speeds,
-        rf"five seeds of ({NUMBER})M steps, one after the other in ({NUMBER}) s, the first of them in ({NUMBER}) s "
+        rf"Five seeds of ({NUMBER})M steps, one after the other in ({NUMBER}) s, the first of them in ({NUMBER}) s "
         rf"with ({NUMBER}) s to its first progress": [training["steps"] / 1e6, *seconds],
         rf"feet slip by ({NUMBER}) m/s instead of ({NUMBER}) at 0\.3 m/s, and a turn at once succeeds in ({NUMBER}) % "
-        rf"of episodes instead of ({NUMBER}) %.*? at 0\.5 m/s ({NUMBER}) % of them stay up": [
+        rf"of episodes instead of ({NUMBER}) %.*? slip ({NUMBER}) m/s, ({NUMBER}) % of turns": [
             *(median(gait, "slip", "forward 0.3") for gait in ("in place", "steps")),
             *(100 * median(gait, "turn_success", "sudden turn") for gait in ("in place", "steps")),
-            100 * median("none", "success", "forward 0.5"),
+            median("none", "slip", "forward 0.3"),
+            100 * median("none", "turn_success", "sudden turn"),
         ],
     }
     for sentence, values in sentences.items():

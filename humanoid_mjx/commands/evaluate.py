@@ -17,6 +17,7 @@ from humanoid_mjx.training.progress import Bar
 
 def run_evaluate(
     names: Sequence[str],
+    point: int | None,
     physics: str | None,
     overrides: Sequence[str],
     episodes: int,
@@ -31,7 +32,7 @@ def run_evaluate(
     from humanoid_mjx.training.evaluation import HELD_OUT_WORDS, evaluate_all
     from humanoid_mjx.training.policy import find_policy, in_world
 
-    policies = [find_policy(name) for name in names]
+    policies = [find_policy(name, point) for name in names]
     if len({policy.name for policy in policies}) < len(policies):
         policies = [policy._replace(name=name) for name, policy in zip(names, policies, strict=True)]
     policies = [in_world(policy, physics, overrides) for policy in policies]
@@ -76,7 +77,12 @@ def evaluation_table(title: str, evaluations: Sequence[Evaluation]) -> Table:
 
 
 def run_gait(
-    names: Sequence[str], physics: str | None, overrides: Sequence[str], episodes: int, file: Path | None
+    names: Sequence[str],
+    point: int | None,
+    physics: str | None,
+    overrides: Sequence[str],
+    episodes: int,
+    file: Path | None,
 ) -> None:
     """`humanoid-mjx evaluate --gait`."""
     if file is not None:
@@ -89,7 +95,7 @@ def run_gait(
     from humanoid_mjx.training.policy import in_world
 
     settings = settings_of(overrides)
-    policies = [in_world(policy, physics, settings) for policy in trained_seeds(names)]
+    policies = [in_world(policy, physics, settings) for policy in trained_seeds(names, point)]
     with Bar(console) as bar:
         bar.begin(1, "episodes")
         bar.phase("compiling and walking")

@@ -12,7 +12,13 @@ from humanoid_mjx.training.progress import Bar
 
 
 def run_play(
-    name: str, overrides: Sequence[str], physics: str | None, episode: int, out: Path | None, view: bool
+    name: str,
+    point: int | None,
+    overrides: Sequence[str],
+    physics: str | None,
+    episode: int,
+    out: Path | None,
+    view: bool,
 ) -> None:
     """`humanoid-mjx play`."""
     from humanoid_mjx.report.video import check_file
@@ -29,7 +35,7 @@ def run_play(
 
     with Bar(console) as bar:
         bar.phase("loading")
-        trained = in_world(find_policy(name), physics, overrides)
+        trained = in_world(find_policy(name, point), physics, overrides)
         shown = show(trained, bar, episode)
         if not view:
             target = out or _play_file(name, trained.name)
@@ -56,7 +62,7 @@ def _play_file(name: str, policy: str) -> Path:
     return folder / "play.gif"
 
 
-def run_export(what: str, file: Path) -> None:
+def run_export(what: str, file: Path, point: int | None) -> None:
     """`humanoid-mjx export`."""
     if file.suffix not in (".xml", ".npz"):
         raise InputError(f"{file}: the file must end in .xml, for a robot, or in .npz, for the policy of a run.")
@@ -64,8 +70,10 @@ def run_export(what: str, file: Path) -> None:
     if file.suffix == ".npz":
         from humanoid_mjx.training.policy import find_policy, save_policy
 
-        save_policy(find_policy(what), file)
+        save_policy(find_policy(what, point), file)
     else:
+        if point is not None:
+            raise InputError(f"--point: {file.name} is of a robot, and only a sweep has points.")
         from humanoid_mjx.robot import robot_spec
 
         spec = robot_spec(what)

@@ -33,15 +33,16 @@ class Measured(NamedTuple):
         return {"policies": policies, "beyond_training": self.beyond, "gaits": gaits}
 
 
-def trained_seeds(names: Sequence[str]) -> list[Trained]:
-    """All runs of the best point of each run folder named, and the policies that are named themselves.
+def trained_seeds(names: Sequence[str], point: int | None = None) -> list[Trained]:
+    """All runs of the best point of each run folder named, or of the point of this number, and the policies that are
+    named themselves.
 
     Raises:
       InputError: as `find_policy`; or a policy's task moves no body by commands.
     """
     found: list[Trained] = []
     for name in names:
-        found += policies_of_best(Path(name)) if Path(name).is_dir() else [find_policy(name)]
+        found += policies_of_best(Path(name), point) if Path(name).is_dir() else [find_policy(name, point)]
     for policy in found:
         walking_task(policy.learner.task)
     return found

@@ -52,15 +52,17 @@ class Trained(NamedTuple):
         return place | {"config": resolved(self.config), "origin": self.origin}
 
 
-def find_policy(name: str) -> Trained:
-    """The best policy of a run folder, that of a file, or the shipped one of this name.
+def find_policy(name: str, point: int | None = None) -> Trained:
+    """The best policy of a run folder, or of one point of its sweep; that of a file; or the shipped one of this name.
 
     Raises:
-      InputError: there is nothing of the kind, or it cannot be read.
+      InputError: there is nothing of the kind, or it cannot be read; `point` is given for what is no run folder.
     """
     path, shipped = Path(name), folder("policies") / f"{name}.npz"
     if path.is_dir():
-        return best_policy(path)
+        return best_policy(path, point)
+    if point is not None:
+        raise InputError(f"--point: {name} is no run folder, and only a sweep has points.")
     if path.is_file() or path.suffix == ".npz":
         return load_policy(path)
     if path.name == name and shipped.is_file():
@@ -69,47 +71,55 @@ def find_policy(name: str) -> Trained:
     raise InputError(f"{name}: neither a run folder nor a policy{elsewhere(path)}; {shipping}.")
 
 
-def best_policy(path: Path) -> Trained:
-    """The best run of a run folder's best point (`runs.ranking`): the most often successful, among equals the quickest
-    or that of the highest return.
+def best_policy(path: Path, point: int | None = None) -> Trained:
+    """The best run of a run folder's best point (`runs.ranking`), or of the point of this number: the most often
+    successful, among equals the quickest or that of the highest return.
 
     Raises:
-      InputError: this is no run folder, nothing in it is finished, or its files are damaged.
+      InputError: this is no run folder, nothing in it or of the point is finished, or its files are damaged.
     """
-    return _ranked(path, all_seeds=False)[0]
+    return _ranked(path, point, all_seeds=False)[0]
 
 
-def policies_of_best(path: Path) -> list[Trained]:
-    """All runs of a run folder's best point, one for each training seed that is finished, the best first.
+def policies_of_best(path: Path, point: int | None = None) -> list[Trained]:
+    """All runs of a run folder's best point, or of the point of this number, one for each training seed that is
+    finished, the best first.
 
     Raises:
       InputError: as `best_policy`.
     """
-    return _ranked(path, all_seeds=True)
+    return _ranked(path, point, all_seeds=True)
 
 
-def _ranked(path: Path, all_seeds: bool) -> list[Trained]:
+def _ranked(path: Path, point: int | None, all_seeds: bool) -> list[Trained]:
     data = read_config(path)
     plan = make_plan(parse(data, str(path / "config.yaml")))
     arrays = finished_runs(path, ("point", "seed", "policy", "curve.steps", "final."))
     if not arrays:
         raise InputError(f"{path}: holds no finished run; --resume it first.")
+    if point is not None and point not in arrays["point"]:
+        raise InputError(f"--point {point}: {path} holds no finished run of it; it has {len(plan.points)}, from 0 on.")
     try:
-        return _best_runs(path, data, plan, arrays, all_seeds)
+        return _best_runs(path, data, plan, arrays, point, all_seeds)
     except LookupError as error:
         raise InputError(f"{path / 'checkpoint'}: what it holds does not fit the config beside it.") from error
 
 
 def _best_runs(
-    path: Path, data: dict[str, Any], plan: Plan, arrays: dict[str, np.ndarray], all_seeds: bool
+    path: Path,
+    data: dict[str, Any],
+    plan: Plan,
+    arrays: dict[str, np.ndarray],
+    point: int | None,
+    all_seeds: bool,
 ) -> list[Trained]:
-    """The runs of the best point of finished `arrays`: the best of them, or all."""
+    """The runs of a point of finished `arrays`, or of the best one: the best of them, or all."""
     quickest = plan.config.episodes is not None
-    best = ranked((), {"point": arrays["point"]} | scores(arrays), quickest)[0]
+    if point is None:
+        point = ranked((), {"point": arrays["point"]} | scores(arrays), quickest)[0].point
     cost = arrays["final.greedy_steps"] if quickest else -arrays["final.greedy_return"]
-    rows = np.flatnonzero(arrays["point"] == best.point)
+    rows = np.flatnonzero(arrays["point"] == point)
     rows = rows[np.lexsort((cost[rows], -arrays["final.greedy_success"][rows]))][: None if all_seeds else 1]
-    point = int(arrays["point"][rows[0]])
     own: dict[str, Any] = {key: value for key, value in data.items() if key != "sweep"} | {"seeds": 1}
     for key, value in plan.points[point].items():
         set_dotted(own, key, value)

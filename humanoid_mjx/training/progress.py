@@ -77,8 +77,9 @@ class Bar(Reporter):
         self._programs = 0
         self._stood, self._looked = 0.0, self._began
         """The seconds of compiling so far, and when they were last counted."""
-        self._standing, self._evaluated = 0.0, False
-        """The seconds that all compiling is expected to take; whether a program for evaluating was compiled, too."""
+        self._standing, self._ready = 0.0, 0.0
+        """The seconds that all compiling is expected to take while nothing trains, and when what evaluates will be
+        compiled, which is while the first runs train."""
         columns = (
             TextColumn("{task.description}"),
             BarColumn(bar_width=20),
@@ -112,8 +113,8 @@ class Bar(Reporter):
         now = time.monotonic()
         self._stood += now - self._looked if self._text in COMPILING else 0.0
         self._looked = now
-        if text == "evaluating" and not self._evaluated:
-            self._evaluated, self._standing = True, self._stood * self._programs
+        if text == "evaluating" and self._ready:
+            self._ready, self._standing = 0.0, self._stood * self._programs
         changed, self._text = text != self._text, text
         self._bar.update(self._task, description=text, left=self._time_left())
         if changed and not self.console.is_terminal:
@@ -130,7 +131,8 @@ class Bar(Reporter):
         if done > self._done:
             if not self._done:
                 self._seen.clear()  # what comes before the first progress is compiling
-                self._standing = 2.0 * self._stood * self._programs  # evaluation compiles about as long
+                self._standing = self._stood * self._programs
+                self._ready = now + self._stood  # it takes about as long
             self._seen.append((now, done))
         self._done = done
         (first, at_first), (last, at_last) = self._seen[0], self._seen[-1]
@@ -151,7 +153,7 @@ class Bar(Reporter):
             training = (self.total - self._done) / self._speed
         if not self._done or training is None:
             return UNKNOWN
-        seconds = training + max(self._standing - self._stood, 0.0)
+        seconds = max(training, self._ready - time.monotonic()) + max(self._standing - self._stood, 0.0)
         return str(timedelta(seconds=round(seconds))) if seconds > 0.5 else UNKNOWN
 
     def count(self, done: int, total: int) -> None:

@@ -44,7 +44,7 @@ class Gait(Named):
 
     name: str = "clock"
     period: float = traced(0.48, gt=0.05, le=5, description="s of a step with each foot, at slow speeds")
-    cadence: float = traced(0.5, ge=0, le=10, description="by how much the clock runs faster for each m/s commanded")
+    cadence: float = traced(0.2, ge=0, le=10, description="by how much the clock runs faster for each m/s commanded")
     stance: float = traced(0.62, ge=0.5, lt=1, description="share of the period in which a foot is to stand")
 
     def start(self, phase: FloatScalar) -> Clock:

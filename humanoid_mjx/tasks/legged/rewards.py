@@ -81,9 +81,10 @@ class WalkRewards(Rewards):
     schedule: float = traced(0.18, description="for feet that are loaded and lifted when the clock says so")
     clearance: float = traced(0.06, description="for feet as high above the ground as the clock says")
     flight: float = traced(-0.3, description="for each step without a foot on the ground")
-    slip: float = traced(-1.5, description="for corners that touch and move")
+    slip: float = traced(-1.8, description="for corners that touch and move")
     flat: float = traced(-0.03, description="for feet that stand tilted")
     crossing: float = traced(-0.06, description="for feet too near each other")
+    yawing: float = traced(-0.5, description="for a torso that turns to and fro")
     smooth: float = traced(-0.12, description="for set-points that jump")
     effort: float = traced(-0.006, description="for torque")
 
@@ -98,6 +99,7 @@ class WalkRewards(Rewards):
             "slip": slip(view),
             "flat": tilted_feet(view),
             "crossing": crossing(view),
+            "yawing": yawing(view),
             "smooth": jumps(view),
             "effort": effort(view),
         }
@@ -167,6 +169,14 @@ def crossing(view: View) -> FloatScalar:
     """The squared lack of distance between the feet, sideways, by `TOO_NEAR`; at most 2."""
     gap = (heading_frame(view.rotation) @ (view.feet.position[1] - view.feet.position[0]))[1]
     return jnp.minimum((jnp.maximum(APART - gap, 0.0) / TOO_NEAR) ** 2, 2.0)
+
+
+def yawing(view: View) -> FloatScalar:
+    """The squared error of the turn rate, (rad/s)^2, less that of late; at most 1.
+
+    A torso that turns to and fro with its steps has none of late, and misses the heading that it is to keep.
+    """
+    return jnp.minimum((view.turn_rate - view.command[2] - view.strayed[2]) ** 2, 1.0)
 
 
 def jumps(view: View) -> FloatScalar:

@@ -1,0 +1,38 @@
+"""A small sweep that tests train in this process and in others."""
+
+import json
+import os
+import subprocess
+import sys
+
+CONFIG = {
+    "name": "small",
+    "task": {"name": "joint_reach", "joint": 5, "states": 13, "max_episode_steps": 40},
+    "learner": {"name": "tabular_q", "epsilon_decay": 0.99},
+    "sweep": {"axes": {"learner.epsilon": [0.2, 0.6, 1.0], "learner.learning_rate": [0.1, 0.7]}},
+    "seeds": 3,
+    "seed": 5,
+    "episodes": 60,
+    "record": 10,
+}
+
+
+LONG = {
+    "task": CONFIG["task"] | {"joint": 1, "states": 24, "max_episode_steps": 400},
+    "sweep": {"axes": {"learner.discount": [0.5, 0.97], "learner.epsilon": [0.3, 0.6, 1.0]}},
+    "episodes": 3000,
+    "seeds": 40,
+}
+"""Half of these runs wait before the goal and take 20 times as long as the others: a kill finds them half done."""
+
+
+def run_cli(*arguments, cwd, devices="2", **kwargs):
+    environment = os.environ | {"JAX_NUM_CPU_DEVICES": devices}
+    command = [sys.executable, "-m", "humanoid_mjx", *arguments]
+    return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, **kwargs)
+
+
+def write_config(folder, **changes):
+    path = folder / "small.yaml"
+    path.write_text(json.dumps(CONFIG | changes))
+    return str(path)
