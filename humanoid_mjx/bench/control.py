@@ -56,5 +56,6 @@ def run(say: Callable[[str], None], setting: Setting | None = None) -> list[Reco
             records.append(record("control", name, subjects[name], timing, unit))
             beside = "" if name == bare else f"  {1e9 * (step_s[name] - step_s[bare]):8.2f} ns a step for control"
             say(f"{name:23} {batch:9,} legs  {records[-1].value:10.3e} {unit:23}"
-                f"  compiled in {timing.compile_s:4.1f} s{beside}")  # fmt: skip
+                f"  compiled in {timing.compile_s:4.1f} s{beside}"
+                f"{records[-1].cost_in_words()}")  # fmt: skip
     return records
