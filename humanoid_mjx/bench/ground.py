@@ -82,7 +82,7 @@ def run(say: Callable[[str], None], setting: Setting | None = None) -> list[Reco
             records.append(record("physics", f"{name} ground", subjects[name], timing, UNIT))
             say(f"{name + ' ground':30} {subjects[name].batch:9,} bodies  {records[-1].value:10.3e} {UNIT}"
                 f"  compiled in {timing.compile_s:4.1f} s"
-                f"{records[-1].cost_in_words()}")  # fmt: skip
+                f"{records[-1].in_words()}")  # fmt: skip
     return records
 
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx import runtime
-from humanoid_mjx.bench.measure import Programs
+from humanoid_mjx.bench.cost import Programs
 from humanoid_mjx.control import (
     PD,
     ComputedTorque,

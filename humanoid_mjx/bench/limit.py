@@ -17,9 +17,9 @@ import jax
 import jax.numpy as jnp
 
 from humanoid_mjx import runtime
-from humanoid_mjx.bench.measure import Programs
+from humanoid_mjx.bench.cost import Programs
 
-SIZES = (2**19, 2**23, 2**26, 2**30)
+SIZES = (2**19, 2**21, 2**23, 2**26, 2**30)
 """Bytes of the arrays of all devices together. The last fits no cache."""
 
 MOVED = 2**31
@@ -46,15 +46,19 @@ class Limit(NamedTuple):
         """Bytes a second that a program can move at best which holds so many."""
         return max(rate for size, rate in self.bytes.items() if size >= min(held, max(self.bytes)))
 
-    def as_json(self) -> dict[str, Any]:
-        """What a result says of the machine."""
-        return {"operations/s": self.operations, "bytes/s": {str(size): rate for size, rate in self.bytes.items()}}
-
 
 @cache
 def machine_limit() -> Limit:
     """Measured once in a process."""
     return Limit(most_operations(), {size: most_bytes(size) for size in SIZES})
+
+
+def measured() -> dict[str, Any]:
+    """What a result says of the machine; nothing where no benchmark asked for it."""
+    if not machine_limit.cache_info().currsize:
+        return {}
+    best = machine_limit()
+    return {"limit": {"operations/s": best.operations, "bytes/s": {str(size): x for size, x in best.bytes.items()}}}
 
 
 def most_operations() -> float:
@@ -87,13 +91,14 @@ def triad(x: jax.Array, a: jax.Array, b: jax.Array) -> jax.Array:
 def _on_each(step: Callable[..., jax.Array], arrays: tuple[jax.Array, ...], turns: int) -> Programs:
     """Each device takes the step again and again, on arrays of its own."""
 
-    def loop(x: jax.Array, *rest: jax.Array) -> jax.Array:
-        return jax.lax.fori_loop(0, turns, lambda _, x: step(x, *rest), x)
+    def loop(x: jax.Array, turns: jax.Array, *rest: jax.Array) -> jax.Array:
+        return jax.lax.fori_loop(0, turns, lambda _, x: step(x, *rest), x)  # a number that XLA knows might be unrolled
 
     options = runtime.on_every_device(runtime.SHARED_KERNELS)
-    first, half, *rest = arrays[0], jnp.float32(0.5), *arrays[1:]
-    shares = [[jax.device_put((first.copy(), half, *rest), device)] for device in jax.local_devices()]
-    return Programs(jax.jit(loop, donate_argnums=0, compiler_options=options), shares)
+    first, *rest = arrays
+    inputs = turns, jnp.float32(0.5), *rest
+    shares = [[jax.device_put((first.copy(), *inputs), device)] for device in jax.local_devices()]
+    return Programs(jax.jit(loop, donate_argnums=0, compiler_options=options), shares, turns)
 
 
 def _fastest(call: Programs) -> float:

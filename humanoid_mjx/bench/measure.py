@@ -3,14 +3,13 @@
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import jax
 
-from humanoid_mjx.bench.cost import Cost, cost
+from humanoid_mjx.bench.cost import Cost, Programs
+from humanoid_mjx.bench.limit import machine_limit
 
 REPEATS = 7
 
@@ -44,53 +43,24 @@ class Record:
     limit: float | None = None
     """The share of what the machine can do at best: of operations or of bytes, the larger."""
     limit_of: str | None = None
-    """Of which: "operations" or "memory"."""
+    """Of which: "arithmetic" or "memory"."""
 
     def as_json(self) -> dict[str, Any]:
         """The figure as plain values, without what it does not have."""
         return {name: value for name, value in asdict(self).items() if value is not None or name == "spread"}
 
-    def cost_in_words(self) -> str:
-        """What one costs and the share of the machine's limit, on a line of its own below the rate; empty if unknown."""
-        one, words = self.unit.split()[-1].removesuffix("s/s"), []
+    def in_words(self, *more: str) -> str:
+        """What one costs, the share of the machine's limit, the memory, and more: a line below the rate, or nothing."""
+        one, least = self.unit.split()[-1].removesuffix("s/s"), "at least " if self.at_least else ""
+        words: list[str] = []
         if self.operations is not None and self.bytes is not None:
-            words.append(f"{'at least ' * bool(self.at_least)}{self.operations:.2g} op, {self.bytes:.2g} B a {one}")
+            words.append(f"{least}{self.operations:.2g} op, {self.bytes:.2g} B a {one}")
         if self.limit is not None:
-            words.append(f"{'at least ' * bool(self.at_least)}{self.limit:.0%} of the limit of {self.limit_of}")
+            words.append(f"{least}{self.limit:.0%} of the limit of {self.limit_of}")
         if self.memory_mib is not None:
             words.append(f"{self.memory_mib:.3g} MiB")
+        words += more
         return "\n      " + ", ".join(words) if words else ""
-
-
-class Programs:
-    """A call of one jitted program on shares of the work: a thread for each device, one share after another.
-
-    Its result is a list for each device, of what the program returns for each share.
-    """
-
-    def __init__(
-        self, program: Callable[..., Any], by_device: Sequence[Sequence[Sequence[Any]]], turns: int | None = None
-    ) -> None:
-        """`by_device`: the arguments for each share. `turns`: of the outermost loop, where no program knows it."""
-        self.program, self.by_device, self.turns = program, by_device, turns
-        self.threads = ThreadPoolExecutor(len(by_device))
-
-    def __call__(self) -> list[list[Any]]:
-        return list(self.threads.map(self._work, self.by_device))
-
-    def _work(self, shares: Sequence[Sequence[Any]]) -> list[Any]:
-        return [jax.block_until_ready(self.program(*share)) for share in shares]
-
-    @cached_property
-    def cost(self) -> Cost:
-        """Of a call, all shares together; memory is that of the shares that run at once.
-
-        After a call this compiles nothing: jax finds what it has.
-        """
-        program: Any = self.program
-        one = cost(program.lower(*self.by_device[0][0]).compile(), self.turns)
-        total = [x and x * sum(map(len, self.by_device)) for x in (one.operations, one.bytes)]
-        return Cost(*total, one.memory and one.memory * len(self.by_device), one.at_least)
 
 
 @dataclass(frozen=True)
@@ -163,15 +133,13 @@ def record(bench: str, name: str, subject: Subject, timing: Timing, unit: str, w
 
 def limits(spent: Cost, seconds: float, work: float) -> dict[str, Any]:
     """What a call of so many units of work costs in so many seconds, as fields of `Record`."""
-    from humanoid_mjx.bench.limit import machine_limit
-
     found: dict[str, Any] = {}
     if spent.memory is not None:
         found["memory_mib"] = spent.memory / 2**20
     if work and spent.operations is not None and spent.bytes is not None and spent.memory is not None:
         best = machine_limit()
         shares = {
-            "operations": spent.operations / seconds / best.operations,
+            "arithmetic": spent.operations / seconds / best.operations,
             "memory": spent.bytes / seconds / best.bandwidth(spent.memory),
         }
         nearest = max(shares, key=lambda name: shares[name])

@@ -21,7 +21,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx import make_learner, make_task, rng, runtime
-from humanoid_mjx.bench.measure import Programs, Record, Subject, record, time_in_turn
+from humanoid_mjx.bench.cost import Programs
+from humanoid_mjx.bench.measure import Record, Subject, record, time_in_turn
 from humanoid_mjx.learners.tabular import TabularQ
 from humanoid_mjx.training import fused as kernel
 from humanoid_mjx.training.program import advance, begin
@@ -59,7 +60,7 @@ def run(say: Callable[[str], None]) -> list[Record]:
             records.append(record("tabular", name, subjects[name], timing, "episodes/s", episodes))
             say(f"{name:12} {subjects[name].batch:9,} agents  {records[-2].value:10.3e} steps/s"
                 f"  {records[-1].value:10.3e} episodes/s  compiled in {timing.compile_s:4.1f} s"
-                f"{records[-2].cost_in_words()}")  # fmt: skip
+                f"{records[-2].in_words()}")  # fmt: skip
         makers.pop("python", None)
     return records
 
