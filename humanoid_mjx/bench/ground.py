@@ -56,9 +56,9 @@ class Setting(NamedTuple):
 
 
 SETTINGS = {
-    "cpu": Setting((256, 1024), {"tree": 50, "mjx-jax": 10, COMPUTED_TORQUE: 10, "mujoco": 50}),
+    "cpu": Setting((16, 256, 1024, 4096), {"tree": 50, "mjx-jax": 10, COMPUTED_TORQUE: 10, "mujoco": 50}),
     "gpu": Setting(
-        (4096, 32_768, 131_072), {"tree": 50, "mjx-jax": 50, COMPUTED_TORQUE: 50, "mjx-warp": 50, "mujoco": 100}
+        (256, 4096, 32_768, 131_072), {"tree": 50, "mjx-jax": 50, COMPUTED_TORQUE: 50, "mjx-warp": 50, "mujoco": 100}
     ),
 }
 

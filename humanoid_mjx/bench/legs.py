@@ -79,7 +79,8 @@ def _chain_program(steps: int, name: str, timestep: float) -> Callable[..., Any]
 
 def on_all_devices(simulate: Callable[..., Any], state: Sequence[np.ndarray], block: int | None = None) -> Programs:
     """A call that shares out what to start from: a thread for each device, block after block of about `block` rows."""
-    devices, batch = jax.local_devices(), len(state[0])
+    batch = len(state[0])
+    devices = jax.local_devices()[:batch]
     blocks = max(1, batch // ((block or BLOCK.get(devices[0].platform, batch)) * len(devices)))
     shares = zip(*(np.array_split(array, len(devices) * blocks) for array in state), strict=True)
     placed = [jax.device_put(share, devices[i % len(devices)]) for i, share in enumerate(shares)]

@@ -29,7 +29,7 @@ from humanoid_mjx.training.program import advance, begin
 
 MOVES, CAP, POINTS, EPISODES = 23, 500, 100, 100_000
 DECAY, RATE, DISCOUNT, BONUS = 0.999, 0.5, 0.9, 100.0
-BATCHES = {"cpu": (1024, 4096, 65_536), "gpu": (4096, 65_536, 1_048_576)}
+BATCHES = {"cpu": (1, 1024, 4096, 65_536), "gpu": (1, 256, 4096, 65_536, 1_048_576)}
 STEPS = 1024
 
 CPU_BLOCK = 1024
@@ -87,7 +87,7 @@ def scan(epsilon: np.ndarray) -> Made:
         keys = jax.device_put(jax.random.split(rng.key(device.id), len(share)), device)
         return learners, first(learners, keys), STEPS
 
-    devices = jax.local_devices()
+    devices = jax.local_devices()[: len(epsilon)]
     blocks = max(1, len(epsilon) // (CPU_BLOCK * len(devices))) if devices[0].platform == "cpu" else 1
     shares = np.array_split(epsilon, len(devices) * blocks)
     states = [[start(device, share) for share in shares[i :: len(devices)]] for i, device in enumerate(devices)]
