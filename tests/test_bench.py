@@ -170,7 +170,8 @@ def test_training_writes_records_and_skips_what_is_not_there():
     assert lines[1] == "nowhere: does not ship"
     assert {r.subject for r in records} == {"deep_q leg_reach"} and {r.batch for r in records} == {16}
     assert {r.unit for r in records} == {"steps/s", "episodes/s", "success at the end"}
-    assert all(r.compile_s > 0 and r.repeats == 2 for r in records) and len(records[-1].as_json()["by_seed"]) == 2
+    assert all(r.compile_s > 0 and r.repeats == 2 and r.memory_mib for r in records) and lines[0].endswith(" MiB")
+    assert len(records[-1].as_json()["by_seed"]) == 2
     assert "by_seed" not in records[0].as_json()
 
 

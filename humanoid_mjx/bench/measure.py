@@ -56,7 +56,8 @@ class Record:
         if self.operations is not None and self.bytes is not None:
             words.append(f"{least}{self.operations:.2g} op, {self.bytes:.2g} B a {one}")
         if self.limit is not None:
-            words.append(f"{least}{self.limit:.0%} of the limit of {self.limit_of}")
+            share = f"{self.limit:.0%}" if self.limit >= 0.01 else "under 1%"
+            words.append(f"{least}{share} of the limit of {self.limit_of}")
         if self.memory_mib is not None:
             words.append(f"{self.memory_mib:.3g} MiB")
         words += more
