@@ -86,7 +86,7 @@ def test_programs_run_every_share_and_count_them_all():
 @pytest.mark.parametrize(
     ("step", "arrays", "operations", "moved"),
     [
-        # 256 of multiply-adds; one more to begin each of 8 chains but the first, 7 to add them up, one to divide.
+        # 1,024 of multiply-adds; one more to begin each of 8 chains but the first, 7 to add them up, one to divide.
         (limit.multiply_add, 1, 2 * limit.CHAINS * limit.DEPTH + 15, 8),
         (limit.triad, 2, 2, 12),
     ],

@@ -25,10 +25,10 @@ SIZES = (2**19, 2**21, 2**23, 2**26, 2**30)
 MOVED = 2**31
 """Bytes of arrays worked on for each size, in as many turns as that takes."""
 
-ELEMENTS, TURNS = 2**24, 4
+ELEMENTS, TURNS = 2**22, 4
 """Numbers on which all devices together compute, and how often."""
 
-CHAINS, DEPTH = 8, 16
+CHAINS, DEPTH = 8, 64
 """Multiply-adds for each number in one kernel: chains that wait for nothing but themselves, and links of a chain."""
 
 REPEATS = 3
