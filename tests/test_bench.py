@@ -14,14 +14,17 @@ import pytest
 from typer.testing import CliRunner
 
 from humanoid_mjx import InputError, runtime
-from humanoid_mjx.bench import compare, control, ground, guard, postures, startup, tabular, training
-from humanoid_mjx.bench.measure import Subject, spread, time_in_turn
+from humanoid_mjx.bench import compare, control, ground, guard, measure, postures, startup, tabular, training
+from humanoid_mjx.bench.cost import Cost
+from humanoid_mjx.bench.limit import Limit
+from humanoid_mjx.bench.measure import Record, Subject, spread, time_in_turn
 from humanoid_mjx.cli import app
 from humanoid_mjx.training.sweep import Run
 
 TINY = """
-from humanoid_mjx.bench import tabular
+from humanoid_mjx.bench import limit, tabular
 tabular.BATCHES, tabular.STEPS, tabular.PYTHON_STEPS = {"cpu": (8,), "gpu": (8,)}, 50, 50
+limit.SIZES, limit.MOVED, limit.ELEMENTS = (2**14, 2**16), 2**16, 2**12
 from humanoid_mjx.cli import main
 main()
 """
@@ -34,10 +37,20 @@ def test_tabular_writes_its_records(tmp_path):
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     result = json.loads(file.read_text())
-    assert set(result) == {"machine", "versions", "commit", "records"}
+    assert set(result) == {"machine", "versions", "commit", "limit", "records"}
+    assert set(result["limit"]["bytes/s"]) == {str(2**14), str(2**16)} and result["limit"]["operations/s"] > 0.0
     assert {record["subject"] for record in result["records"]} >= {"scan", "naive_scan", "python"}
     keys = {"bench", "subject", "device", "batch", "value", "unit", "compile_s", "repeats", "spread"}
-    assert all(set(record) == keys for record in result["records"])
+    of_programs = keys | {"operations", "bytes", "memory_mib", "limit", "limit_of"}
+    for record in result["records"]:
+        assert set(record) == (of_programs if "scan" in record["subject"] else keys)
+    assert "B a step, " in done.stdout and max(map(len, done.stdout.splitlines())) <= 100
+
+
+@pytest.fixture(autouse=True)
+def machine(monkeypatch):
+    """A machine that does as many operations and bytes a second as nobody needs to measure."""
+    monkeypatch.setattr(measure, "machine_limit", lambda: Limit(1e10, {2**20: 4e10, 2**30: 1e10}))
 
 
 def test_subjects_finish_as_many_episodes(monkeypatch):
@@ -58,7 +71,8 @@ def test_control_times_every_controller():
     assert [(r.bench, r.subject) for r in records] == [
         ("control", name) for name in (*control.CONTROLLERS, *control.ON_MJX)
     ]
-    assert all(r.value > 0 for r in records)
+    assert all(r.value > 0 and r.operations and r.bytes and r.limit and r.memory_mib for r in records)
+    assert records[-1].at_least and not records[0].at_least  # LAPACK inverts the mass matrix of MJX
     assert "ns a step for control" in lines[-1] and "ns a step" not in lines[0]
 
 
@@ -156,7 +170,8 @@ def test_training_writes_records_and_skips_what_is_not_there():
     assert lines[1] == "nowhere: does not ship"
     assert {r.subject for r in records} == {"deep_q leg_reach"} and {r.batch for r in records} == {16}
     assert {r.unit for r in records} == {"steps/s", "episodes/s", "success at the end"}
-    assert all(r.compile_s > 0 and r.repeats == 2 for r in records) and len(records[-1].as_json()["by_seed"]) == 2
+    assert all(r.compile_s > 0 and r.repeats == 2 and r.memory_mib for r in records) and lines[0].endswith(" MiB")
+    assert len(records[-1].as_json()["by_seed"]) == 2
     assert "by_seed" not in records[0].as_json()
 
 
@@ -189,6 +204,31 @@ def test_the_spread_is_the_range_of_the_middle_half():
     assert spread([1.0, 2.0, 3.0, 4.0, 5.0]) == pytest.approx(2.0 / 3.0, abs=1e-4)
     timings = time_in_turn({"once": Subject(lambda: 0, 1, 1, repeats=1), "often": Subject(lambda: 0, 1, 1, repeats=5)})
     assert timings["once"].spread is None and timings["often"].spread >= 0.0
+
+
+@pytest.mark.parametrize(
+    ("spent", "share", "of"),
+    [
+        (Cost(2e9, 1e9, 2.0**19), 0.4, "arithmetic"),  # in half a second; memory would pass 4e10 a second: 0.05
+        (Cost(2e9, 1e10, 2.0**19, True), 0.5, "memory"),
+        (Cost(2e9, 1e10, 2.0**21), 2.0, "memory"),  # of what does not fit the small memory
+        (Cost(2e9, 1e10, 2.0**31), 2.0, "memory"),  # nor the large one
+    ],
+)
+def test_the_limit_is_that_which_is_nearer(spent, share, of):
+    found = measure.limits(spent, seconds=0.5, work=100.0)
+    assert (found["limit"], found["limit_of"]) == (pytest.approx(share), of)
+    assert (found["operations"], found["bytes"]) == (spent.operations / 100, spent.bytes / 100)
+    written = Record("b", "s", "cpu", 8, 1.0, "control+physics steps/s", 0.0, 1, None, **found)
+    assert written.in_words("more").endswith(f"{share:.0%} of the limit of {of}, {spent.memory / 2**20:.3g} MiB, more")
+    assert ("at least 2e+07 op, 1e+08 B a step" in written.in_words()) == spent.at_least == ("at_least" in found)
+
+
+def test_what_is_not_known_is_left_out():
+    assert measure.limits(Cost(None, None, None), 1.0, 1.0) == {}
+    assert measure.limits(Cost(None, None, 2.0**20), 1.0, 1.0) == {"memory_mib": 1.0}
+    bare = Record("b", "s", "cpu", 8, 1.0, "steps/s", 0.0, 1)
+    assert bare.in_words() == "" and "operations" not in bare.as_json() and bare.as_json()["spread"] is None
 
 
 def result(**values):

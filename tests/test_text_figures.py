@@ -219,8 +219,8 @@ SENTENCES = [
     (
         "h200_walk_ppo.json",
         rf"Brax's PPO on the same task.*? slips about as much \(({NUMBER}) m/s at 0\.3 m/s\), and turns at once in "
-        rf"({NUMBER})% of episodes.*? at 0\.5 and 0\.8 m/s it goes at ({NUMBER}) and ({NUMBER}) m/s\. Its (\w+) seeds, one "
-        rf"after the other, took ({NUMBER}) s for ({NUMBER})M control steps",
+        rf"({NUMBER})% of episodes.*? at 0\.5 and 0\.8 m/s it goes at ({NUMBER}) and ({NUMBER}) m/s\. Its (\w+) seeds, "
+        rf"one after the other, took ({NUMBER}) s for ({NUMBER})M control steps",
         of_ppo,
     ),
     (

@@ -54,7 +54,8 @@ def run(say: Callable[[str], None], setting: Setting | None = None) -> list[Reco
             bare = ON_MJX[0] if name in ON_MJX else CONTROLLERS[0]
             unit = "physics steps/s" if name == bare else "control+physics steps/s"
             records.append(record("control", name, subjects[name], timing, unit))
-            beside = "" if name == bare else f"  {1e9 * (step_s[name] - step_s[bare]):8.2f} ns a step for control"
+            more = () if name == bare else (f"{1e9 * (step_s[name] - step_s[bare]):.3g} ns a step for control",)
             say(f"{name:23} {batch:9,} legs  {records[-1].value:10.3e} {unit:23}"
-                f"  compiled in {timing.compile_s:4.1f} s{beside}")  # fmt: skip
+                f"  compiled in {timing.compile_s:4.1f} s"
+                f"{records[-1].in_words(*more)}")  # fmt: skip
     return records

@@ -56,9 +56,9 @@ class Setting(NamedTuple):
 
 
 SETTINGS = {
-    "cpu": Setting((256, 1024), {"tree": 50, "mjx-jax": 10, COMPUTED_TORQUE: 10, "mujoco": 50}),
+    "cpu": Setting((16, 256, 1024, 4096), {"tree": 50, "mjx-jax": 10, COMPUTED_TORQUE: 10, "mujoco": 50}),
     "gpu": Setting(
-        (4096, 32_768, 131_072), {"tree": 50, "mjx-jax": 50, COMPUTED_TORQUE: 50, "mjx-warp": 50, "mujoco": 100}
+        (256, 4096, 32_768, 131_072), {"tree": 50, "mjx-jax": 50, COMPUTED_TORQUE: 50, "mjx-warp": 50, "mujoco": 100}
     ),
 }
 
@@ -81,7 +81,8 @@ def run(say: Callable[[str], None], setting: Setting | None = None) -> list[Reco
             check_finite(f"{name} ground", timing.result)
             records.append(record("physics", f"{name} ground", subjects[name], timing, UNIT))
             say(f"{name + ' ground':30} {subjects[name].batch:9,} bodies  {records[-1].value:10.3e} {UNIT}"
-                f"  compiled in {timing.compile_s:4.1f} s")  # fmt: skip
+                f"  compiled in {timing.compile_s:4.1f} s"
+                f"{records[-1].in_words()}")  # fmt: skip
     return records
 
 

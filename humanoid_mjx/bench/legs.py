@@ -1,7 +1,6 @@
 """Batches of legs to time: the chain under a controller, shared out over the devices."""
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from functools import cache, partial
 from typing import Any
 
@@ -10,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx import runtime
+from humanoid_mjx.bench.cost import Programs
 from humanoid_mjx.control import (
     PD,
     ComputedTorque,
@@ -56,7 +56,7 @@ def start(batch: int) -> tuple[np.ndarray, np.ndarray]:
     return qpos, qvel
 
 
-def chain(batch: int, steps: int, controller: str, timestep: float = TIMESTEP) -> Callable[[], Any]:
+def chain(batch: int, steps: int, controller: str, timestep: float = TIMESTEP) -> Programs:
     """This package's dynamics under a controller: none, PD, partitioned PD or computed torque."""
     return on_all_devices(_chain_program(steps, controller, timestep), start(batch))
 
@@ -77,21 +77,14 @@ def _chain_program(steps: int, name: str, timestep: float) -> Callable[..., Any]
     return jax.jit(jax.vmap(simulate), compiler_options=runtime.on_every_device(runtime.SHARED_KERNELS))
 
 
-def on_all_devices(
-    simulate: Callable[..., Any], state: Sequence[np.ndarray], block: int | None = None
-) -> Callable[[], Any]:
+def on_all_devices(simulate: Callable[..., Any], state: Sequence[np.ndarray], block: int | None = None) -> Programs:
     """A call that shares out what to start from: a thread for each device, block after block of about `block` rows."""
-    devices, batch = jax.local_devices(), len(state[0])
+    batch = len(state[0])
+    devices = jax.local_devices()[:batch]
     blocks = max(1, batch // ((block or BLOCK.get(devices[0].platform, batch)) * len(devices)))
     shares = zip(*(np.array_split(array, len(devices) * blocks) for array in state), strict=True)
     placed = [jax.device_put(share, devices[i % len(devices)]) for i, share in enumerate(shares)]
-    by_device = [placed[i :: len(devices)] for i in range(len(devices))]
-    threads = ThreadPoolExecutor(len(devices))
-
-    def call() -> list[Any]:
-        return list(threads.map(lambda mine: [jax.block_until_ready(simulate(*share)) for share in mine], by_device))
-
-    return call
+    return Programs(simulate, [placed[i :: len(devices)] for i in range(len(devices))])
 
 
 def check_finite(name: str, result: Any) -> None:

@@ -45,8 +45,8 @@ class Setting(NamedTuple):
 
 
 SETTINGS = {
-    "cpu": Setting((1024, 8192), 500, 10, 100),
-    "gpu": Setting((4096, 32_768, 262_144, 1_048_576), 500, 100, 100),
+    "cpu": Setting((16, 256, 1024, 8192), 500, 10, 100),
+    "gpu": Setting((256, 4096, 32_768, 262_144, 1_048_576), 500, 100, 100),
 }
 
 MUJOCO_BATCH = 4096
@@ -73,7 +73,8 @@ def legs(say: Callable[[str], None], setting: Setting | None = None) -> list[Rec
                 records.append(record("physics", what, subject, timing, unit))
                 rates[name] = records[-1].value
                 say(f"{what:14} {subject.batch:9,} legs  {rates[name]:10.3e} {unit:23}"
-                    f"  compiled in {timing.compile_s:4.1f} s")  # fmt: skip
+                    f"  compiled in {timing.compile_s:4.1f} s"
+                f"{records[-1].in_words()}")  # fmt: skip
             ours = rates.pop("chain with control")
             say("chain with control: " + ", ".join(f"{ours / rate:.1f} x {name}" for name, rate in rates.items()))
     return records

@@ -13,7 +13,6 @@ outcome of every episode added to one of 100 points of a learning curve.
 """
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from importlib.util import find_spec
 from typing import Any
 
@@ -22,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx import make_learner, make_task, rng, runtime
+from humanoid_mjx.bench.cost import Programs
 from humanoid_mjx.bench.measure import Record, Subject, record, time_in_turn
 from humanoid_mjx.learners.tabular import TabularQ
 from humanoid_mjx.training import fused as kernel
@@ -29,7 +29,7 @@ from humanoid_mjx.training.program import advance, begin
 
 MOVES, CAP, POINTS, EPISODES = 23, 500, 100, 100_000
 DECAY, RATE, DISCOUNT, BONUS = 0.999, 0.5, 0.9, 100.0
-BATCHES = {"cpu": (1024, 4096, 65_536), "gpu": (4096, 65_536, 1_048_576)}
+BATCHES = {"cpu": (1, 1024, 4096, 65_536), "gpu": (1, 256, 4096, 65_536, 1_048_576)}
 STEPS = 1024
 
 CPU_BLOCK = 1024
@@ -59,7 +59,8 @@ def run(say: Callable[[str], None]) -> list[Record]:
             records.append(record("tabular", name, subjects[name], timing, "steps/s"))
             records.append(record("tabular", name, subjects[name], timing, "episodes/s", episodes))
             say(f"{name:12} {subjects[name].batch:9,} agents  {records[-2].value:10.3e} steps/s"
-                f"  {records[-1].value:10.3e} episodes/s  compiled in {timing.compile_s:4.1f} s")  # fmt: skip
+                f"  {records[-1].value:10.3e} episodes/s  compiled in {timing.compile_s:4.1f} s"
+                f"{records[-2].in_words()}")  # fmt: skip
         makers.pop("python", None)
     return records
 
@@ -80,25 +81,18 @@ def scan(epsilon: np.ndarray) -> Made:
     options = runtime.on_every_device(learner.compiler_options)
     first, train = jax.jit(jax.vmap(begin)), jax.jit(jax.vmap(advance, in_axes=(0, 0, None)), compiler_options=options)
 
-    def start(device: Any, share: np.ndarray) -> tuple[Any, Any]:
+    def start(device: Any, share: np.ndarray) -> tuple[Any, Any, int]:
         learners = jax.tree.map(lambda x: np.full(len(share), x, np.result_type(np.float32, x)), learner)
         learners = jax.device_put(learners.replace(epsilon=share), device)
         keys = jax.device_put(jax.random.split(rng.key(device.id), len(share)), device)
-        return learners, first(learners, keys)
+        return learners, first(learners, keys), STEPS
 
-    devices = jax.local_devices()
+    devices = jax.local_devices()[: len(epsilon)]
     blocks = max(1, len(epsilon) // (CPU_BLOCK * len(devices))) if devices[0].platform == "cpu" else 1
     shares = np.array_split(epsilon, len(devices) * blocks)
     states = [[start(device, share) for share in shares[i :: len(devices)]] for i, device in enumerate(devices)]
-    threads = ThreadPoolExecutor(len(devices))
-
-    def work(mine: list[tuple[Any, Any]]) -> list[Any]:
-        return [jax.block_until_ready(train(*state, STEPS))[0] for state in mine]
-
-    def call() -> list[list[Any]]:
-        return list(threads.map(work, states))
-
-    return call, lambda result: sum(float(state.carry.agents.episode.sum()) for mine in result for state in mine)
+    call = Programs(train, states, turns=-(-STEPS // learner.lap))
+    return call, lambda result: sum(float(state.carry.agents.episode.sum()) for mine in result for state, _ in mine)
 
 
 def fused(epsilon: np.ndarray) -> Made:
@@ -106,7 +100,8 @@ def fused(epsilon: np.ndarray) -> Made:
     learners = jax.tree.map(lambda x: jnp.full(len(epsilon), x), _learner()).replace(epsilon=jnp.asarray(epsilon))
     training = jax.jit(jax.vmap(begin))(learners, jax.random.split(rng.key(0), len(epsilon)))
     train = jax.jit(kernel.advance)
-    return lambda: train(learners, training, STEPS), lambda result: float(result.carry.agents.episode.sum())
+    call = Programs(train, [[(learners, training, STEPS)]])
+    return call, lambda result: float(result[0][0].carry.agents.episode.sum())
 
 
 def naive_scan(epsilon: np.ndarray) -> Made:
@@ -141,7 +136,7 @@ def naive_scan(epsilon: np.ndarray) -> Made:
         return jax.lax.scan(step, start, length=STEPS)[0]
 
     keys = jax.random.split(jax.random.key(0), len(epsilon))
-    return lambda: train(epsilon, keys), lambda result: float(result[3].sum())
+    return Programs(train, [[(epsilon, keys)]]), lambda result: float(result[0][0][3].sum())
 
 
 PYTHON_STEPS = 100_000

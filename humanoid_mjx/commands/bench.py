@@ -41,7 +41,9 @@ def run_bench(chosen: Sequence[str], file: Path | None, seeds: int | None = None
         options = {"seeds": seeds} if name == "training" and seeds is not None else {}
         records += [record.as_json() for record in module.run(lambda line: console.print("  " + line), **options)]
     if file is not None:
-        write_text(file, json.dumps(made_by | {"records": records}, indent=2) + "\n")
+        from humanoid_mjx.bench.limit import measured
+
+        write_text(file, json.dumps(made_by | measured() | {"records": records}, indent=2) + "\n")
         console.print(f"{file}")
 
 
