@@ -66,8 +66,9 @@ def remarks(gaits: Sequence[Gait], beyond: Sequence[str]) -> list[str]:
     many = "medians over the training seeds; in brackets the worst of them"
     one = "means over the episodes; in brackets the worse end of the 95 % interval"
     lines = [
-        f"Figures are {many if seeds > 1 else one}. Errors are of means over whole gait cycles near 1 s; off: how far "
-        "the heading has changed; cost: of transport."
+        f"Figures are {many if seeds > 1 else one}. Errors are of means over whole gait cycles near 1 s; drift: from a "
+        "straight way; off: how far the heading has changed; duty: share of the time that a foot carries weight; lift: "
+        "of a foot in a step; cost: of transport."
     ]
     if beyond:
         lines.append("* a command beyond those of training")
@@ -79,9 +80,6 @@ def remarks(gaits: Sequence[Gait], beyond: Sequence[str]) -> list[str]:
                 f"{gait.scenario}: 45 degrees within 1.5 s in {_cell(success, 'z.0%', True)} of episodes{took}"
             )
     for agent in dict.fromkeys(gait.agent for gait in gaits if gait.agent != "greedy"):
-        mine = [gait.figures for gait in gaits if gait.agent == agent]
-        upright, error = (np.array([one[name].median for one in mine]) for name in ("success", "speed_error"))
-        known = error[np.isfinite(error)]
-        errors = f", its speed off by {known.mean():.3f} m/s" if len(known) else ""
-        lines.append(f"The {agent} agent stays upright in {upright.mean():.0%} of episodes{errors}.")
+        upright = np.mean([gait.figures["success"].median for gait in gaits if gait.agent == agent])
+        lines.append(f"The {agent} agent stays upright in {upright:.0%} of episodes.")
     return lines
