@@ -26,6 +26,9 @@ from humanoid_mjx.mechanics.tree.structure import Tree
 MOST_STEPS = 20
 """Newton steps before a world is given up. From cold the worst of 10,000 random states of the lower body needs 8."""
 
+BLOCK = 128
+"""Worlds with pairs that are searched together. Under random actions bodies are close in 2 to 4 % of worlds."""
+
 SAME = 200.0
 """Rounding errors by which two accelerations may differ, as shares of the largest, and count as the same. A facet whose
 force is zero but for rounding may go on and off for ever, and moves nothing."""
@@ -66,7 +69,7 @@ def solve(tree: Tree, problem: Problem, start: Sequence[Scalar]) -> Solution:
 
     @jax.custom_jvp
     def search(leaves: list[Any], start: list[Any]) -> tuple[list[Any], Any]:
-        return _search(tree, structure.unflatten(leaves), start)
+        return _search_blocks(tree, structure.unflatten(leaves), start)
 
     @search.defjvp
     def _(primals: tuple[Any, Any], tangents: tuple[Any, Any]) -> tuple[Any, Any]:
@@ -95,6 +98,39 @@ def solve(tree: Tree, problem: Problem, start: Sequence[Scalar]) -> Solution:
     return Solution([Scalar(value) for value in x], settled)
 
 
+def _search_blocks(tree: Tree, problem: Problem, start: list[Any]) -> tuple[list[Any], Any]:
+    """`_search`; of more worlds than a block holds, on a CPU, without pairs, then with them where bodies are close.
+
+    Worlds of a block wait for the slowest of them and for no others.
+    """
+    worlds = _worlds(problem, start)
+    if not problem.pairs or worlds <= (BLOCK,) or jax.default_backend() != "cpu":
+        return _search(tree, problem, start)
+    near = functools.reduce(jnp.logical_or, [_any(touch.close) for touch in problem.pairs])
+    number = jnp.cumsum(near, dtype=jnp.int32)  # of each world that is near, from 1
+    apart = _search(tree, problem._replace(pairs=[]), start)
+
+    def block(index: Any, found: Any) -> Any:
+        wanted = index * BLOCK + 1 + jnp.arange(BLOCK)
+        at = jnp.minimum(jnp.searchsorted(number, wanted), worlds[0] - 1)
+        part = jax.tree.map(lambda v: v[..., at] if jnp.shape(v)[-1:] == worlds else v, (problem, start))
+        return jax.tree.map(
+            lambda old, new: jax.lax.dynamic_update_slice_in_dim(old, new, index * BLOCK, axis=-1),
+            found,
+            _search(tree, *part),
+        )
+
+    room = -(-worlds[0] // BLOCK) * BLOCK
+    found = jax.tree.map(lambda v: jnp.zeros((*v.shape[:-1], room), v.dtype), apart)
+    found = jax.lax.fori_loop(0, (number[-1] + BLOCK - 1) // BLOCK, block, found)
+    return jax.tree.map(lambda new, old: jnp.where(near, new[..., number - 1], old), found, apart)
+
+
+def _worlds(problem: Problem, start: list[Any]) -> tuple[int, ...]:
+    """The shape of a scalar of all worlds."""
+    return jnp.broadcast_shapes(*(jnp.shape(leaf)[-1:] for leaf in jax.tree.leaves((problem, start))))
+
+
 def _search(tree: Tree, problem: Problem, start: list[Any]) -> tuple[list[Any], Any]:
     near = functools.reduce(jnp.logical_or, [touch.close.any() for touch in problem.pairs], jnp.bool_(False))
 
@@ -108,7 +144,7 @@ def _search(tree: Tree, problem: Problem, start: list[Any]) -> tuple[list[Any], 
     def going(carry: tuple[Any, ...]) -> Any:
         return ~carry[2].all() & (carry[3] < MOST_STEPS)
 
-    worlds = jnp.broadcast_shapes(*(jnp.shape(leaf)[-1:] for leaf in jax.tree.leaves((problem, start))))
+    worlds = _worlds(problem, start)
     start = [jnp.broadcast_to(value, (*jnp.shape(value)[:-1], *worlds)) for value in start]
     active = _active(tree, problem, [Scalar(value) for value in start])
     unsettled = jnp.zeros(worlds, bool)
