@@ -146,6 +146,13 @@ def of_stand(record: Any) -> list[float]:
     return [len(success), found["total_steps"][-1] / 1e6, last.mean(), last.min(), back, *speed]
 
 
+def of_stand_on_a_cpu(record: Any) -> list[float]:
+    (found,) = record["records"]
+    last = np.array(found["greedy_success_by_seed"])[:, -1]
+    minutes = found["one_seed_wall_s"] / 60, found["wall_s"] / 60
+    return [found["total_steps"][-1] / 1e6, minutes[0], len(last), minutes[1], float(np.median(last)), last.min()]
+
+
 def of_computed_torque(record: Any) -> list[float]:
     (found,) = record["records"]
     last = np.array(found["greedy_success_by_seed"])[:, -1]
@@ -202,6 +209,12 @@ SENTENCES = [
         rf"({NUMBER}) in the mean of the seeds and ({NUMBER}) in the worst of them; none that had reached 0\.9 was "
         rf"below ({NUMBER}) later\. Training all eight took ({NUMBER}) s.*? makes ({NUMBER}) control steps a second",
         of_stand,
+    ),
+    (
+        "cpu_2_cores_stand.json",
+        rf"`humanoid-mjx sweep stand_cpu` .*? for ({NUMBER})M control steps.*? ({NUMBER}) minutes for one seed.*? "
+        rf"(\w+) seeds side by side take ({NUMBER}) minutes and end at ({NUMBER}) in the median, ({NUMBER}) in the",
+        of_stand_on_a_cpu,
     ),
     (
         "h200_stand_mjx.json",
