@@ -16,7 +16,6 @@ CONFIG = {
     "record": 10,
 }
 
-
 LONG = {
     "task": CONFIG["task"] | {"joint": 1, "states": 24, "max_episode_steps": 400},
     "sweep": {"axes": {"learner.discount": [0.5, 0.97], "learner.epsilon": [0.3, 0.6, 1.0]}},
@@ -36,3 +35,9 @@ def write_config(folder, **changes):
     path = folder / "small.yaml"
     path.write_text(json.dumps(CONFIG | changes))
     return str(path)
+
+
+def assert_same_tables(run, other):
+    """The tables of two run folders are the same, byte by byte."""
+    for name in ("results.parquet", "summary.parquet"):
+        assert (run / name).read_bytes() == (other / name).read_bytes(), name

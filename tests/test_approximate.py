@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from probes import DISCOUNT, PROBES, make, probe
+from small_sweep import assert_same_tables
 
 import humanoid_mjx.training.session as session
 from humanoid_mjx import InputError, make_learner, make_task, rng, runtime, sweep
@@ -400,8 +401,7 @@ def test_a_stopped_training_of_networks_goes_on_to_the_same_bits(swept, tmp_path
     assert list((tmp_path / "run/checkpoint").glob("pool-*.npz"))
     monkeypatch.setattr(Pool, "train", train)
     again = sweep(SWEEP, tmp_path / "run", resume=True)
-    for name in ("results.parquet", "summary.parquet"):
-        assert (again.path / name).read_bytes() == (swept.path / name).read_bytes()
+    assert_same_tables(again.path, swept.path)
 
 
 def test_a_run_that_breaks_is_marked_and_can_be_replayed_while_the_others_finish(tmp_path):

@@ -248,6 +248,21 @@ def test_rewards_of_feet_are_of_those_that_touch():
     assert rewards.speed(late) < rewards.speed(now) < rewards.speed(now._replace(command=STAND)) == 1.0
 
 
+def test_yawing_is_what_the_turn_rate_strays_by_beyond_that_of_late():
+    task = walk(**EXACT)
+    state = jax.tree.map(lambda x: x[0], reset(arrays(task), KEYS))
+    view = task.view(state.data, None, jnp.zeros(JOINTS))
+
+    def yawing(turn_rate, command, late):
+        motion = view.motion._replace(turn_rate=jnp.float32(turn_rate))
+        told, strayed = (jnp.array([0.3, 0.0, x]) for x in (command, late))
+        return float(rewards.yawing(view._replace(motion=motion, command=told, strayed=strayed)))
+
+    assert yawing(0.9, 0.5, 0.0) == pytest.approx(0.16, rel=1e-5) == yawing(0.1, 0.5, 0.0)
+    assert yawing(0.9, 0.5, 0.4) == pytest.approx(0.0, abs=1e-6)  # it has turned so fast for a while
+    assert yawing(5.0, 0.5, 0.0) == 1.0
+
+
 def test_the_heading_is_kept_while_the_turn_rate_stays_the_same():
     task = walk(command={"heading_gain": 4.0, "every": 1e9}, **EXACT)
     episode = jax.tree.map(lambda x: x[0], reset(arrays(task), KEYS)).data

@@ -10,7 +10,7 @@ import sys
 import time
 
 import pytest
-from small_sweep import CONFIG, LONG, run_cli, write_config
+from small_sweep import CONFIG, LONG, assert_same_tables, run_cli, write_config
 
 from humanoid_mjx import InputError, processes, sweep
 from humanoid_mjx.runs.folder import parts as parts_of
@@ -26,8 +26,7 @@ def reference(tmp_path_factory):
 def test_number_of_devices_changes_no_bit(reference, tmp_path, devices):
     done = run_cli("sweep", write_config(tmp_path), "--out", "run", cwd=tmp_path, devices=devices)
     assert done.returncode == 0, done.stderr
-    assert (tmp_path / "run/results.parquet").read_bytes() == (reference.path / "results.parquet").read_bytes()
-    assert (tmp_path / "run/summary.parquet").read_bytes() == (reference.path / "summary.parquet").read_bytes()
+    assert_same_tables(tmp_path / "run", reference.path)
     assert {path.name for path in (tmp_path / "run/figures").iterdir()} >= {"learning_curves.png"}
 
 
@@ -94,8 +93,7 @@ def test_an_interrupted_sweep_resumes_to_the_same_bits(whole, tmp_path, kill):
     assert 0 < found < 240
     resumed = run_cli("sweep", config, "--out", "run", "--resume", cwd=tmp_path)
     assert resumed.returncode == 0, resumed.stderr
-    for name in ("results.parquet", "summary.parquet"):
-        assert (run / name).read_bytes() == (whole / name).read_bytes()
+    assert_same_tables(run, whole)
     assert not list(run.glob("checkpoint/pool-*.npz")) and not list(run.rglob(".new-*"))
 
 
@@ -104,8 +102,7 @@ def test_number_of_processes_changes_no_bit(reference, tmp_path):
     (stdout, stderr), (silence, other) = (process.communicate(timeout=300) for process in job)
     assert [process.returncode for process in job] == [0, 0], stderr + other
     assert "9 of 9 runs train side by side in process 0 of 2" in stdout and silence == ""
-    for name in ("results.parquet", "summary.parquet"):
-        assert (tmp_path / "run" / name).read_bytes() == (reference.path / name).read_bytes()
+    assert_same_tables(tmp_path / "run", reference.path)
     provenance = json.loads((tmp_path / "run/provenance.json").read_text())
     assert provenance["processes"] == 2 and provenance["runs_finished"] == 18
     parts = [read_arrays(path) for path in parts_of(tmp_path / "run")]
@@ -160,8 +157,7 @@ def test_a_job_that_lost_a_process_resumes_to_the_same_bits(whole, tmp_path, los
     again = start_job([*arguments, "--resume"], tmp_path, count=1 + lost)
     ends = [process.communicate(timeout=300) for process in again]
     assert not any(process.returncode for process in again), ends
-    for name in ("results.parquet", "summary.parquet"):
-        assert (run / name).read_bytes() == (whole / name).read_bytes()
+    assert_same_tables(run, whole)
     assert not list(run.glob("checkpoint/pool-*.npz")) and not list(run.rglob(".new-*"))
 
 
@@ -187,5 +183,4 @@ def test_an_interrupt_is_answered_while_the_end_of_runs_compiles(reference, tmp_
     assert process.returncode == 130 and "--resume completes it" in stdout, stderr
     resumed = run_cli("sweep", config, "--out", "run", "--resume", cwd=tmp_path)
     assert resumed.returncode == 0, resumed.stderr
-    for name in ("results.parquet", "summary.parquet"):
-        assert (tmp_path / "run" / name).read_bytes() == (reference.path / name).read_bytes()
+    assert_same_tables(tmp_path / "run", reference.path)

@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 import pytest
-from small_sweep import CONFIG, LONG, write_config
+from small_sweep import CONFIG, LONG, assert_same_tables, write_config
 
 from humanoid_mjx import InputError, sweep
 from humanoid_mjx.cli import main
@@ -48,8 +48,7 @@ def test_a_job_that_slurm_interrupts_begins_anew_and_completes_its_run_folder(tm
     os.waitpid(job, 0)
     logs = "".join(path.read_text() for path in run.glob("slurm/*.out"))
     assert "Calling checkpoint method" in logs and logs.count("Job completed successfully") == 2, logs
-    for name in ("results.parquet", "summary.parquet"):
-        assert (run / name).read_bytes() == (whole.path / name).read_bytes()
+    assert_same_tables(run, whole.path)
     assert look_at(run).state == "finished"
 
 

@@ -11,7 +11,7 @@ from typing import ClassVar
 import jax
 import numpy as np
 import pytest
-from small_sweep import CONFIG, run_cli, write_config
+from small_sweep import CONFIG, assert_same_tables, run_cli, write_config
 
 from humanoid_mjx import InputError, runtime, sweep
 from humanoid_mjx.cli import main
@@ -248,8 +248,7 @@ def test_where_memory_does_not_suffice_fewer_runs_train_side_by_side(reference, 
         return
     sweep(CONFIG, tmp_path / "run", pool_size=4, reporter=Kept())
     assert sum("the memory does not suffice for" in note for note in notes) == 2
-    for name in ("results.parquet", "summary.parquet"):
-        assert (tmp_path / "run" / name).read_bytes() == (reference.path / name).read_bytes()
+    assert_same_tables(tmp_path / "run", reference.path)
 
 
 def test_a_run_that_begins_in_the_place_of_another_has_made_no_progress(monkeypatch):

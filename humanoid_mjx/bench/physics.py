@@ -74,7 +74,7 @@ def legs(say: Callable[[str], None], setting: Setting | None = None) -> list[Rec
                 rates[name] = records[-1].value
                 say(f"{what:14} {subject.batch:9,} legs  {rates[name]:10.3e} {unit:23}"
                     f"  compiled in {timing.compile_s:4.1f} s"
-                f"{records[-1].in_words()}")  # fmt: skip
+                    f"{records[-1].in_words()}")  # fmt: skip
             ours = rates.pop("chain with control")
             say("chain with control: " + ", ".join(f"{ours / rate:.1f} x {name}" for name, rate in rates.items()))
     return records
