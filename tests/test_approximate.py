@@ -369,6 +369,22 @@ def test_learning_curves_hold_greedy_evaluations_and_the_time_they_took(swept):
     assert (np.diff(wall_s) >= 0).all() and (wall_s > 0).all()
 
 
+def test_the_policy_is_the_mean_of_the_weights_of_late():
+    """Those after each update, that of update i of t counting as a beta distribution's density at i / t does."""
+    learner = build("tiles", probe("both")[0], averaging=0.25)
+    step, carry = jax.jit(learner.train_step), jax.jit(learner.init)(rng.key(0))
+    seen = []
+    for _ in range(20):
+        carry = step(carry)[0]
+        seen.append(np.asarray(carry.weights.value, float))
+    # (i + eta - 1)! / (i - 1)! with eta = 1 / averaging - 1 = 3
+    share = np.array([i * (i + 1) * (i + 2) for i in range(1, 21)], float)
+    policy = learner.policy(carry)
+    np.testing.assert_allclose(policy.value, np.tensordot(share / share.sum(), seen, 1), rtol=1e-5, atol=1e-7)
+    assert not np.allclose(policy.value, seen[-1], rtol=1e-3)
+    jax.tree.map(np.testing.assert_array_equal, policy.moments, carry.weights.moments)
+
+
 def test_snapshots_are_of_the_end_of_each_part():
     """Training to the middle gives the weights that stand in the middle of a longer training."""
     learner = build("tiles", probe("both")[0], evaluations=4)

@@ -47,6 +47,8 @@ class Carry(NamedTuple):
     """The training state of one sweep point."""
 
     weights: Weights
+    average: Any
+    """Of the approximation's weights after each update, the latest counting most: see `averaging`."""
     optimizer: Any
     envs: Envs
     key: Key[Array, ""]
@@ -75,6 +77,7 @@ class ApproximateQ(StepLearner):
     hold: int = Field(1, ge=1, le=1000, description="longest time in steps that a random action is held")
     learning_rate: float = traced(gt=0, le=1)
     learning_rate_end: float = traced(1.0, ge=0, le=1, description="its share at the end, reached linearly")
+    averaging: float = traced(0.0, ge=0, le=1, description="the policy is a mean over this last share of training")
     discount: float = traced(0.97, ge=0, lt=1, description="value of a reward one step later")
     trace_decay: float = traced(0.65, ge=0, le=1, description="lambda")
     envs: int = Field(128, ge=1, le=1_000_000, description="environments side by side")
@@ -126,7 +129,7 @@ class ApproximateQ(StepLearner):
         return self.replace(envs=self.envs // devices, devices=devices)
 
     def layout(self, same: Any, split: Any) -> Any:
-        return Carry(same, same, split, same, same)
+        return Carry(same, same, same, split, same, same)
 
     def mean(self, tree: Any) -> Any:
         """The mean over the devices that share the environments."""
@@ -139,7 +142,8 @@ class ApproximateQ(StepLearner):
         none = jnp.zeros(self.envs, jnp.int32)
         holding = exploration.no_holding(self.envs, len(self.env.action_choices))
         weights = Weights(value, moments(self.env.observation_size)) if policy is None else policy
-        return Carry(weights, optimizer, Envs(state, holding, none, none, jnp.zeros(self.envs)), key, jnp.int32(0))
+        envs = Envs(state, holding, none, none, jnp.zeros(self.envs))
+        return Carry(weights, weights.value, optimizer, envs, key, jnp.int32(0))
 
     def progress(self, carry: Carry) -> FloatScalar:
         return self._steps(carry) / self.total_steps
@@ -158,12 +162,13 @@ class ApproximateQ(StepLearner):
         value, optimizer, td_error = self.learn(rate, carry.weights.value, carry.optimizer, batch, learn_key)
         seen = experience.obs.reshape(-1, self.env.observation_size)
         seen = observe(carry.weights.moments, seen, ENVS if self.devices > 1 else None)
-        after = Carry(Weights(value, seen), optimizer, envs, key, carry.update + 1)
+        average = self._averaged(carry, value)
+        after = Carry(Weights(value, seen), average, optimizer, envs, key, carry.update + 1)
         totals = jax.tree.map(lambda x: x * self.devices, self.mean(totals))
         return after, Outcome(self._steps(carry), totals.pop("episodes"), totals, {"td_error": self.mean(td_error)})
 
     def policy(self, carry: Carry) -> Weights:
-        return carry.weights
+        return carry.weights._replace(value=carry.average)
 
     def act(
         self, policy: Weights, observation: Float[Array, "*batch size"], key: Key[Array, ""]
@@ -171,6 +176,12 @@ class ApproximateQ(StepLearner):
         """The greedy action for a raw observation."""
         q = self.q_values(policy.value, self.preprocess(policy, observation))
         return exploration.greedy(q, self.allowed(), key)
+
+    def _averaged(self, carry: Carry, value: Any) -> Any:
+        """The mean with new weights in it (O. Shamir and T. Zhang, "Stochastic Gradient Descent for Non-smooth
+        Optimization", 2013, section 4, with eta + 1 = 1 / averaging)."""
+        part = 1.0 / (1.0 + self.averaging * carry.update)
+        return jax.tree.map(lambda mean, new: (1.0 - part) * mean + part * new, carry.average, value)
 
     def _steps(self, carry: Carry) -> FloatScalar:
         """Control steps so far."""
