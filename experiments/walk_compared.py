@@ -17,7 +17,12 @@ GAITS_RECORD = "h200_walk_gaits"
 """The record of settings that differ in the gait."""
 
 LEARNERS = {"deep_q": "Q(λ)", "brax_ppo": "PPO"}
-GAITS = {"steps": "steps as commanded", "clock": "no steps, a clock", "table": "Table 4.5"}
+GAITS = {
+    "steps": "steps as commanded",
+    "clock": "no steps, a clock",
+    "table": "poses of Table 4.5",
+    "oscillators": "oscillators",
+}
 
 
 def words(task: dict[str, Any], learner: str, steps: float) -> str:
@@ -48,7 +53,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=ROOT / "docs", help="the folder")
     target = parser.parse_args().out / "walk_compared.png"
-    draw(target, rows(), (2.4, 2.2))
+    draw(target, rows(), (2.4, 2.7))
     print(target)
 
 

@@ -1,6 +1,6 @@
 """Draw how every training run in the later series of settings of `walk` walks, from their records.
 
-python experiments/walk_settings.py            # writes docs/walk_settings, walk_finer and walk_yawing.png, in seconds
+python experiments/walk_settings.py            # writes docs/walk_settings.png and three like it, in seconds
 """
 
 import argparse
@@ -19,6 +19,7 @@ RECORDS = {
     "walk_settings": ("h200_walk_stride", 8.0),
     "walk_finer": ("h200_walk_finer", 6.0),
     "walk_yawing": ("h200_walk_yawing", 4.6),
+    "walk_learning": ("h200_walk_learning", 3.9),
 }
 """The figures by name: of which record of `docs/bench`, and how high, inches."""
 
@@ -59,8 +60,10 @@ BEFORE = {"F": ("cadence", "smoothing", "slip", "speed", "smooth"), "G": ("caden
 
 def words(setting: dict[str, Any]) -> str:
     """A setting by its servo's stiffness and largest offset, by its choices where all have the same servo, or by the
-    weight of `yawing` where all begin from one setting; and what is unusual."""
+    weight of `yawing` where all begin from one setting; and what is unusual. By its name where that is all."""
     series, task = setting["series"], setting["task"]
+    if "averaging" in setting["learner"]:
+        return f"{series}   {setting['setting']}"
     usually = {name: usual for name, (_, usual) in USUAL.items()}
     if (yawing := task["rewards"].get("yawing")) is not None:
         usually |= {"slip": -1.5, "smooth": -0.12, "yawing": yawing}

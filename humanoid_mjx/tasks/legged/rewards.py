@@ -81,7 +81,7 @@ class WalkRewards(Rewards):
     schedule: float = traced(0.18, description="for feet that are loaded and lifted when the clock says so")
     clearance: float = traced(0.06, description="for feet as high above the ground as the clock says")
     flight: float = traced(-0.3, description="for each step without a foot on the ground")
-    slip: float = traced(-1.8, description="for corners that touch and move")
+    slip: float = traced(-2.4, description="for corners that touch and move")
     flat: float = traced(-0.03, description="for feet that stand tilted")
     crossing: float = traced(-0.06, description="for feet too near each other")
     yawing: float = traced(-0.5, description="for a torso that turns to and fro")
