@@ -3,7 +3,7 @@
     scan               tabular Q-learning of this package, against a naive scan in JAX
     chain              the leg without control, against native MuJoCo on all cores
     help               `humanoid-mjx --help` in a new process, against importing numpy in one
-    trace              tracing and lowering a step of `stand`, against tracing a program that stays the same
+    trace              tracing and lowering a step of `stand` for 256 bodies, against a program that stays the same
     compile            XLA's share of the same, against compiling such a program
 
 A ratio says how many times as fast its subject is as its reference, the work of both counted in the same unit; larger

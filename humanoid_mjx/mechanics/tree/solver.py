@@ -27,7 +27,7 @@ MOST_STEPS = 20
 """Newton steps before a world is given up. From cold the worst of 10,000 random states of the lower body needs 8."""
 
 BLOCK = 128
-"""Worlds with pairs that are searched together."""
+"""Worlds that are searched together on a CPU."""
 
 SAME = 200.0
 """Rounding errors by which two accelerations may differ, as shares of the largest, and count as the same. A facet whose
