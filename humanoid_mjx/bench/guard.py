@@ -3,7 +3,7 @@
     scan               tabular Q-learning of this package, against a naive scan in JAX
     chain              the leg without control, against native MuJoCo on all cores
     help               `humanoid-mjx --help` in a new process, against importing numpy in one
-    trace              tracing and lowering a step of `stand`, against tracing a program that stays the same
+    trace              tracing and lowering a step of `stand` for 256 bodies, against a program that stays the same
     compile            XLA's share of the same, against compiling such a program
 
 A ratio says how many times as fast its subject is as its reference, the work of both counted in the same unit; larger
@@ -29,6 +29,7 @@ from humanoid_mjx import runtime
 from humanoid_mjx.bench import legs, physics, tabular
 from humanoid_mjx.bench.training import nothing_compiled
 from humanoid_mjx.data import folder
+from humanoid_mjx.mechanics.tree.solver import BLOCK
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.tasks import make_task
 
@@ -162,12 +163,16 @@ def compiling() -> Pair:
     return Pair(partial(_compiled, subject), partial(_compiled, reference), 1.0, 1, time.process_time)
 
 
+BODIES = 2 * BLOCK
+"""Those of `stand_step`: enough that their contacts are searched block by block, as in training."""
+
+
 def stand_step() -> Any:
-    """A step of the task for several bodies, traced."""
+    """A step of the task for many bodies, traced."""
     task = make_task("stand")
-    keys = jax.eval_shape(lambda: jax.random.split(jax.random.key(0), 8))
+    keys = jax.eval_shape(lambda: jax.random.split(jax.random.key(0), BODIES))
     state = jax.eval_shape(jax.vmap(lambda key: task.reset(key)), keys)
-    action = jax.ShapeDtypeStruct((8, len(task.action_choices)), jnp.int32)
+    action = jax.ShapeDtypeStruct((BODIES, len(task.action_choices)), jnp.int32)
     return jax.jit(jax.vmap(lambda *now: task.step(*now))).trace(state, action, keys)
 
 
@@ -190,7 +195,7 @@ def _lowered(traced: Callable[[], Any]) -> Any:
 
 def _compiled(lowered: Any) -> None:
     with nothing_compiled():
-        lowered.compile()
+        lowered.compile(runtime.SHARED_KERNELS)  # without options it would keep what it compiled, and not do it again
 
 
 def _warm(pair: Pair) -> Pair:

@@ -27,7 +27,7 @@ MOST_STEPS = 20
 """Newton steps before a world is given up. From cold the worst of 10,000 random states of the lower body needs 8."""
 
 BLOCK = 128
-"""Worlds with pairs that are searched together."""
+"""Worlds that are searched together on a CPU."""
 
 SAME = 200.0
 """Rounding errors by which two accelerations may differ, as shares of the largest, and count as the same. A facet whose
@@ -99,31 +99,23 @@ def solve(tree: Tree, problem: Problem, start: Sequence[Scalar]) -> Solution:
 
 
 def _search_blocks(tree: Tree, problem: Problem, start: list[Any]) -> tuple[list[Any], Any]:
-    """`_search`; of more worlds than a block holds, on a CPU, without pairs, then with them where bodies are close.
+    """`_search`; of more worlds than a block holds, on a CPU, block by block, those where bodies are close the last.
 
-    Worlds of a block wait for the slowest of them and for no others.
+    Worlds of a block wait for the slowest of them and for no others, and only the last blocks compute pairs.
     """
     worlds = _worlds(problem, start)
     if not problem.pairs or worlds <= (BLOCK,) or jax.default_backend() != "cpu":
         return _search(tree, problem, start)
     near = functools.reduce(jnp.logical_or, [_any(touch.close) for touch in problem.pairs])
-    number = jnp.cumsum(near, dtype=jnp.int32)  # of each world that is near, from 1
-    apart = _search(tree, problem._replace(pairs=[]), start)
+    order = jnp.argsort(near).astype(jnp.uint32)  # of what may be negative, each look-up would be traced at length
 
-    def block(index: Any, found: Any) -> Any:
-        wanted = index * BLOCK + 1 + jnp.arange(BLOCK)
-        at = jnp.minimum(jnp.searchsorted(number, wanted), worlds[0] - 1)
+    def block(at: Any) -> tuple[list[Any], Any]:
         part = jax.tree.map(lambda v: v[..., at] if jnp.shape(v)[-1:] == worlds else v, (problem, start))
-        return jax.tree.map(
-            lambda old, new: jax.lax.dynamic_update_slice_in_dim(old, new, index * BLOCK, axis=-1),
-            found,
-            _search(tree, *part),
-        )
+        return _search(tree, *part)
 
-    room = -(-worlds[0] // BLOCK) * BLOCK
-    found = jax.tree.map(lambda v: jnp.zeros((*v.shape[:-1], room), v.dtype), apart)
-    found = jax.lax.fori_loop(0, (number[-1] + BLOCK - 1) // BLOCK, block, found)
-    return jax.tree.map(lambda new, old: jnp.where(near, new[..., number - 1], old), found, apart)
+    found = jax.lax.map(block, jnp.pad(order, (0, -worlds[0] % BLOCK), mode="edge").reshape(-1, BLOCK))
+    back = jnp.argsort(order)
+    return jax.tree.map(lambda v: jnp.moveaxis(v, 0, -2).reshape(*v.shape[1:-1], -1)[..., back], found)
 
 
 def _worlds(problem: Problem, start: list[Any]) -> tuple[int, ...]:
