@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from humanoid_mjx import make_learner, make_task, rng
+from humanoid_mjx.indexing import add_at
 from humanoid_mjx.tasks.finite import Rules
 from humanoid_mjx.tasks.joint_reach import PRINTED
 from humanoid_mjx.tasks.navigate import shortest_path
@@ -175,3 +176,22 @@ def test_truncated_episodes_bootstrap_and_terminal_ones_do_not():
     ending = task.replace(next_state=jnp.array([[1], [1]], jnp.int32))
     carry = train_to_end(learner.replace(task=ending), 1).carry
     assert carry.q_table[0, 0, 0] == 1.0
+
+
+@pytest.mark.parametrize("agents", [(), (9,)], ids=["one place", "several places"])
+@pytest.mark.parametrize("shared", ["array", "index", "values", None])
+def test_additions_of_all_runs_are_those_of_each(agents, shared):
+    """Of one place or several in each run's array, the same ones again among them; numbers whose sums are exact."""
+    draw = np.random.default_rng(0)
+    args = {
+        "array": draw.integers(0, 9, (5, 7, 3)).astype(np.float32),
+        "index": draw.integers(0, 7, (5, *agents)).astype(np.int32),
+        "values": draw.integers(0, 9, (5, *agents, 3)).astype(np.float32),
+    }
+    each = {name: [x[0]] * 5 if name == shared else list(x) for name, x in args.items()}
+    expected = np.stack(each["array"])
+    for run in range(5):
+        np.add.at(expected[run], each["index"][run], each["values"][run])
+    given = [x[0] if name == shared else x for name, x in args.items()]
+    found = jax.vmap(add_at, in_axes=[None if name == shared else 0 for name in args])(*given)
+    np.testing.assert_array_equal(found, expected)

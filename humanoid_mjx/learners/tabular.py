@@ -20,6 +20,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 from pydantic import Field
 
+from humanoid_mjx.indexing import add_at
 from humanoid_mjx.learners.base import Learner, Outcome
 from humanoid_mjx.rng import uniform
 from humanoid_mjx.runtime import no_library
@@ -224,4 +225,5 @@ def _row(q_table: QTable, row: IntScalar) -> QRow:
 
 
 def _add(q_table: QTable, update: Update, change: Float[Array, "..."]) -> QTable:
-    return q_table.at[update.row, update.action].add(change, mode="promise_in_bounds")
+    place = update.row * q_table.shape[1] + update.action
+    return add_at(q_table.reshape(-1), place, change).reshape(q_table.shape)

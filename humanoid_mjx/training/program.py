@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from humanoid_mjx import rng
+from humanoid_mjx.indexing import add_at
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.base import Outcome, WholeRunLearner
 from humanoid_mjx.training.rollout import greedy, mean_scores
@@ -173,7 +174,7 @@ def run_key(seed: jax.Array, number: jax.Array) -> jax.Array:
 def _recorded(learner: Learner, record: Float[Array, "record measures"], outcome: Outcome) -> Array:
     """The record with what a step saw, in the point that it belongs to."""
     point, values = record_entry(learner, outcome)
-    return record.at[point].add(jnp.stack(values, axis=-1), mode="promise_in_bounds")
+    return add_at(record, point, jnp.stack(values, axis=-1))
 
 
 def record_entry(learner: Learner, outcome: Outcome) -> tuple[Array, list[Array]]:

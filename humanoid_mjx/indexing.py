@@ -1,0 +1,33 @@
+"""Additions at an index, each run's to an array of its own, as one addition to one array of all runs.
+
+`jax.vmap` of `array.at[index].add(values)` makes an index of two numbers for each run: its own, and that in its array.
+On a CPU XLA then adds half as fast as it does by one number.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.custom_batching import custom_vmap
+from jaxtyping import Array, Float, Int
+
+
+@custom_vmap
+def add_at(array: Float[Array, "rows ..."], index: Int[Array, "..."], values: Float[Array, "..."]) -> Array:
+    """`array.at[index].add(values)`, of one row or several. All must be there."""
+    return array.at[index].add(values, mode="promise_in_bounds")
+
+
+@add_at.def_vmap
+def _(runs: int, batched: list[bool], *args: Any) -> tuple[Array, bool]:
+    array, index, values = (
+        jnp.asarray(x) if flag else jnp.broadcast_to(x, (runs, *jnp.shape(x)))
+        for x, flag in zip(args, batched, strict=True)
+    )
+    rows = array.shape[1]
+    if index.ndim > 1 or runs * rows > np.iinfo(np.int32).max:
+        return jax.vmap(add_at.fun)(array, index, values), True
+    place = jnp.arange(runs, dtype=jnp.int32) * rows + index
+    flat = array.reshape(runs * rows, *array.shape[2:])
+    return flat.at[place].add(values, mode="promise_in_bounds", unique_indices=True).reshape(array.shape), True
