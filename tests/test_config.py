@@ -54,7 +54,7 @@ QUICK = {
         "learner.unroll_length=8",
         "learner.evaluation_envs=2",
     ],
-    "posture_switch": ["task.physics=chain"],
+    "posture_switch": ["task.physics=chain", "sweep=null"],
     "stand": ["task.physics=mujoco", "task.duration=0.2"],
     "walk": ["task.physics=mujoco", "task.duration=0.2"],
 }
