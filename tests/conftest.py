@@ -23,7 +23,7 @@ from humanoid_mjx import runtime  # noqa: E402
 PLAIN_KERNELS = (
     "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1"
 )
-"""Kernels that run slower and that XLA compiles in a quarter of the time, in which most of the time of tests goes. What
+"""Kernels that run slower and that XLA compiles in a third of the time, in which most of the time of tests goes. What
 is tested with them is what programs compute, not how XLA rounds it. In one piece, a program costs less in all, and both
 cores are busy anyway."""
 
