@@ -1,5 +1,7 @@
 """Function approximation: targets against plain Python, features, and learners on tasks whose values are known."""
 
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from probes import DISCOUNT, PROBES, make, probe
-from small_sweep import assert_same_tables
+from small_sweep import CONFIG, assert_same_tables
 
 import humanoid_mjx.training.session as session
 from humanoid_mjx import InputError, make_learner, make_task, rng, runtime, sweep
@@ -20,6 +22,7 @@ from humanoid_mjx.tasks.continuous import ContinuousTask
 from humanoid_mjx.training import pool
 from humanoid_mjx.training.pool import Pool
 from humanoid_mjx.training.program import advance, begin, finish
+from humanoid_mjx.training.progress import Reporter
 from humanoid_mjx.training.replay import replay
 from humanoid_mjx.training.rollout import greedy, mean_scores
 
@@ -433,3 +436,36 @@ def test_a_run_that_breaks_is_marked_and_can_be_replayed_while_the_others_finish
     assert not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(broken.weights))
     with pytest.raises(InputError, match="point 0 with seed 0 did not diverge"):
         replay(run.path, 0, 0)
+
+
+def test_what_is_reported_never_goes_beyond_the_end(tmp_path):
+    """One update of the learner makes 1,024 steps where the config asks for 10."""
+
+    class Kept(Reporter):
+        done: ClassVar[list[float]] = []
+        phases: ClassVar[list[str]] = []
+
+        def update(self, done, success=None, mean_return=None):
+            self.done.append(done)
+
+        def phase(self, text):
+            self.phases.append(text)
+
+    learner = {"name": "linear_q", "envs": 64, "rollout": 16, "evaluation_envs": 4, "evaluations": 1}
+    budget = {"episodes": None, "total_steps": 10}
+    sweep(CONFIG | budget | {"learner": learner, "sweep": None}, tmp_path / "run", reporter=Kept())
+    assert Kept.done and max(Kept.done) == 10 * 3
+    assert Kept.phases[-1] == "evaluating"
+    assert set(Kept.phases) <= {"starting", "tracing", "compiling", "training", "evaluating"}
+
+
+def test_a_point_of_a_curve_in_which_no_episode_ended_is_not_known(tmp_path):
+    """Terms of the reward are added up before an episode ends."""
+    task = {"name": "leg_reach", "physics": "chain"}
+    learner = {"name": "linear_q", "envs": 4, "rollout": 4, "evaluation_envs": 1}
+    config = {"name": "leg", "task": task, "learner": learner, "total_steps": 320, "record": 20}
+    results = sweep(config, tmp_path / "run").results
+    unknown = np.isnan(results["success"])
+    assert unknown.any() and not unknown.all()
+    for name in ("return", "steps", "near", "settled"):
+        np.testing.assert_array_equal(np.isfinite(results[name]), ~unknown)

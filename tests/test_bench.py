@@ -67,7 +67,7 @@ def test_subjects_finish_as_many_episodes(monkeypatch):
 
 def test_control_times_every_controller():
     lines = []
-    records = control.run(lines.append, control.Setting((8,), 2, 2))
+    records = control.run(lines.append, control.Setting((1,), 2, 2))  # one leg is on one device, and compiled once
     assert [(r.bench, r.subject) for r in records] == [
         ("control", name) for name in (*control.CONTROLLERS, *control.ON_MJX)
     ]
@@ -82,7 +82,7 @@ def test_unknown_benchmarks_are_refused():
 
 
 def test_the_ground_is_the_same_body_in_every_physics():
-    batch, steps = 2, 25
+    batch, steps = 1, 25  # one body is on one device, and compiled once
     by_mjx = np.concatenate([np.asarray(x) for device in ground.compiled("mjx-jax", batch, steps)() for x in device])
     by_mujoco = ground.mujoco(batch, steps)()
     # 0.1 s: float32 and four iterations of the solver against float64 and convergence.
@@ -92,7 +92,7 @@ def test_the_ground_is_the_same_body_in_every_physics():
 
 def test_computed_torque_holds_the_body_where_the_servo_does():
     servo, torque = (
-        np.concatenate([np.asarray(x) for device in ground.compiled(name, 2, 25)() for x in device])
+        np.concatenate([np.asarray(x) for device in ground.compiled(name, 1, 25)() for x in device])
         for name in ("mjx-jax", ground.COMPUTED_TORQUE)
     )
     # 0.1 s, in which the body gives way by millimetres and milliradians: other torques, but the same posture.
@@ -101,14 +101,15 @@ def test_computed_torque_holds_the_body_where_the_servo_does():
 
 def test_the_ground_writes_a_record_for_every_physics_and_batch():
     lines = []
-    steps = {"mjx-jax": 25, ground.COMPUTED_TORQUE: 25, "mjx-warp": 25, "mujoco": 2}  # the programs of the tests above
-    records = ground.run(lines.append, ground.Setting((2,), steps))
-    subjects = ["mjx-jax ground", "mjx-jax computed torque ground", "mujoco ground"]
-    assert [(r.subject, r.batch) for r in records] == [(name, 2) for name in subjects] and len(lines) == 3
+    steps = {"mjx-jax": 25, "mjx-warp": 25, "mujoco": 2}  # the program of the tests above
+    records = ground.run(lines.append, ground.Setting((1,), steps))
+    subjects = ["mjx-jax ground", "mujoco ground"]
+    assert [(r.subject, r.batch) for r in records] == [(name, 1) for name in subjects] and len(lines) == 2
     assert all(r.bench == "physics" and r.value > 0 for r in records)
 
 
-def test_postures_count_the_episodes_that_they_train():
+def test_postures_count_the_episodes_that_they_train(monkeypatch):
+    monkeypatch.setattr(postures, "REPEATS", 1)
     records = postures.run(lambda line: None, {"chain": postures.Size(1, 2)})
     assert [(r.subject, r.batch, r.unit) for r in records] == [
         ("chain posture_switch", 16, "episodes/s"),

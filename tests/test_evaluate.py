@@ -44,7 +44,9 @@ def reach(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def leg(tmp_path_factory):
-    return trained(tmp_path_factory.mktemp("evaluate") / "leg", LEG, LINEAR)
+    """Episodes of so few steps that none succeeds, and all are as long."""
+    axes = {"learner.learning_rate": [0.0001, 0.3, 0.01]}
+    return trained(tmp_path_factory.mktemp("evaluate") / "leg", LEG, LINEAR, sweep={"axes": axes}, total_steps=400)
 
 
 def test_the_best_of_a_run_reaches_its_goal_on_the_shortest_way(reach):
@@ -65,11 +67,10 @@ def test_another_point_than_the_best(reach):
         find_policy("posture_switch", 0)
 
 
-def test_the_best_of_a_run_is_the_first_of_its_table(tmp_path):
-    """None succeeds in so few steps, and all episodes are as long: what is left is the return."""
-    axes = {"learner.learning_rate": [0.0001, 0.3, 0.01]}
-    run = Run(trained(tmp_path / "leg", LEG, LINEAR, sweep={"axes": axes}, total_steps=400))
-    first = ranked(list(axes), run.summary, quickest=False)[0]
+def test_the_best_of_a_run_is_the_first_of_its_table(leg):
+    """What is left to tell them apart is the return."""
+    run = Run(leg)
+    first = ranked(["learner.learning_rate"], run.summary, quickest=False)[0]
     means = [run.summary["greedy_return"][run.summary["point"] == point].mean() for point in range(3)]
     assert first.point == best_policy(run.path).point == np.argmax(means)
 

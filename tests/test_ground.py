@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from humanoid_mjx import InputError
+from humanoid_mjx import InputError, runtime
 from humanoid_mjx.control import GroundControl, Reference, grounded_torque, pd
 from humanoid_mjx.physics import make_physics
 
@@ -22,7 +22,7 @@ SECONDS = 1.5
 def pushed():
     """Worlds whose standing bodies were pushed: the paths of joints, torques, end; the servo's, then computed torque's.
 
-    The hundred copies are more than the threads of XLA can take at once.
+    With their copies they are more than the threads of XLA can take at once.
     """
     data = mujoco.MjData(MJX.model)
     mujoco.mj_forward(MJX.model, data)
@@ -45,7 +45,7 @@ def pushed():
         world = MJX.start(MJX.qpos0, qvel)
         return jax.lax.scan(cycle, world, length=MJX.substeps(SECONDS))[1]
 
-    copies = 25
+    copies = int(runtime.POOL_THREADS) // len(PUSHES) + 2
     velocities = np.tile(qvel, (2 * copies, 1)).astype(np.float32)
     grounded = np.repeat([False, True], copies * len(PUSHES))
     qpos, torque = jax.jit(jax.vmap(simulate))(velocities, grounded)

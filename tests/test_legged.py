@@ -315,7 +315,7 @@ def test_an_offset_stays_behind_its_new_value():
 
 @pytest.fixture(scope="module", params=["mujoco", pytest.param("mjx-jax", marks=pytest.mark.slow)])
 def stepped(request):
-    """Five seconds of `walk` by an open-loop reference alone (offsets are 0), 16 on the spot and 16 turning: flags,
+    """Five seconds of `walk` by an open-loop reference alone (offsets are 0), 8 on the spot and 8 turning: flags,
     phases, readings and headings."""
     control = {"name": "servo", "stiffness": 20.0, "damping": 0.45}
     gait = {"period": 0.32, "stance": 0.62, "lift": 9.0, "sway": -2.0}
@@ -336,7 +336,7 @@ def stepped(request):
         state = state._replace(data=state.data._replace(command=command, heading_error=jnp.float32(0)))
         return jax.lax.scan(partial(decide, task), (state, jnp.bool_(False)), jax.random.split(key, 250))[1]
 
-    keys = jax.random.split(rng.key(4), 16)
+    keys = jax.random.split(rng.key(4), 8)
     commands = jnp.stack([ON_THE_SPOT, jnp.array([0.0, 0.0, 0.5])])
     each = jax.vmap(jax.vmap(go, in_axes=(None, None, 0)), in_axes=(None, 0, None))
     return jax.tree.map(np.asarray, jax.jit(each)(arrays(task), commands, keys))
@@ -345,7 +345,7 @@ def stepped(request):
 def test_walk_turns_as_told_by_its_reference_alone(stepped):
     down, _, _, heading = stepped
     turned = np.unwrap(heading, axis=-1)[..., -1] - heading[..., 0]
-    assert down[1, :, -1].sum() <= 4
+    assert down[1, :, -1].sum() <= 2
     # 249 decisions of 0.02 s. A P-controller of 4 / s lags, and the torso sways by 2 degrees within a step.
     np.testing.assert_allclose(turned[1, ~down[1, :, -1]], 0.5 * 4.98, atol=np.radians(6.0))
     np.testing.assert_allclose(turned[0, ~down[0, :, -1]], 0.0, atol=np.radians(6.0))
@@ -354,7 +354,7 @@ def test_walk_turns_as_told_by_its_reference_alone(stepped):
 def test_walk_steps_on_the_spot_by_its_reference_alone(stepped):
     down, phase, force, _ = (x[0] for x in stepped)
     # One in thirteen falls (5 of 64 within 6 s where this was measured).
-    assert down[:, -1].sum() <= 4
+    assert down[:, -1].sum() <= 2
     loaded = (force > 0.8)[~down[:, -1]]
     phase = phase[~down[:, -1]]
     right_alone, left_alone = loaded[..., 0] & ~loaded[..., 1], loaded[..., 1] & ~loaded[..., 0]

@@ -6,7 +6,6 @@ import sys
 import time
 from collections import deque
 from pathlib import Path
-from typing import ClassVar
 
 import jax
 import numpy as np
@@ -206,27 +205,6 @@ class TestRefusals:
         refused(["cannot be written"], "sweep", config, "--out", "file/run", cwd=tmp_path)
 
 
-def test_what_is_reported_never_goes_beyond_the_end(tmp_path):
-    """One update of the learner makes 1,024 steps where the config asks for 10."""
-
-    class Kept(Reporter):
-        done: ClassVar[list[float]] = []
-        phases: ClassVar[list[str]] = []
-
-        def update(self, done, success=None, mean_return=None):
-            self.done.append(done)
-
-        def phase(self, text):
-            self.phases.append(text)
-
-    learner = {"name": "linear_q", "envs": 64, "rollout": 16, "evaluation_envs": 4, "evaluations": 1}
-    budget = {"episodes": None, "total_steps": 10}
-    sweep(CONFIG | budget | {"learner": learner, "sweep": None}, tmp_path / "run", reporter=Kept())
-    assert Kept.done and max(Kept.done) == 10 * 3
-    assert Kept.phases[-1] == "evaluating"
-    assert set(Kept.phases) <= {"starting", "tracing", "compiling", "training", "evaluating"}
-
-
 @pytest.mark.parametrize("enough", [3, 0])
 def test_where_memory_does_not_suffice_fewer_runs_train_side_by_side(reference, tmp_path, monkeypatch, enough):
     """Tables learn the same bit by bit; for fewer than one run there is a sentence."""
@@ -326,18 +304,6 @@ def test_what_cannot_be_compiled_beside_training_is_tried_again_when_it_is_neede
         runs.finish()
     runs.programs = whole
     assert set(runs.finish()) == {"curve", "final", "policy"}
-
-
-def test_a_point_of_a_curve_in_which_no_episode_ended_is_not_known(tmp_path):
-    """Terms of the reward are added up before an episode ends."""
-    task = {"name": "leg_reach", "physics": "chain"}
-    learner = {"name": "linear_q", "envs": 4, "rollout": 4, "evaluation_envs": 1}
-    config = {"name": "leg", "task": task, "learner": learner, "total_steps": 320, "record": 20}
-    results = sweep(config, tmp_path / "run").results
-    unknown = np.isnan(results["success"])
-    assert unknown.any() and not unknown.all()
-    for name in ("return", "steps", "near", "settled"):
-        np.testing.assert_array_equal(np.isfinite(results[name]), ~unknown)
 
 
 def test_runs_that_approximate_train_side_by_side_with_shared_kernels(tmp_path):

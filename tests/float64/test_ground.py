@@ -1,6 +1,6 @@
 """Contacts of the feet against MuJoCo's own, and inverse dynamics within them against slow projections."""
 
-from functools import partial
+from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
@@ -69,7 +69,7 @@ def test_contacts_are_mujocos(seed):
 @pytest.mark.parametrize("name", ["chain", "mjx-jax"])
 def test_there_is_no_ground_in_the_air(name):
     physics = make_physics(name) if name == "chain" else make_physics(name, torso="fixed")
-    contacts = look(physics, np.zeros(10), np.zeros(10))["contacts"]
+    contacts = jax.eval_shape(partial(look, physics), np.zeros(10), np.zeros(10))["contacts"]
     assert contacts.jacobian.shape == (0, 3, 10) and contacts.touching.shape == (0,)
 
 
@@ -147,6 +147,7 @@ def test_gains_are_data():
     assert np.abs(together[2] - together[0]).min() > 1e-3
 
 
+@cache
 def regulate(dt, law, seconds=1.0):
     """(steps, 10) Errors of the fixed body on its way to rest."""
     physics = make_physics("mjx-jax", torso="fixed", ranges="human", timestep=dt)
@@ -188,4 +189,5 @@ def test_the_error_has_the_poles_of_the_gains_to_first_order():
 
 
 def test_without_contacts_it_is_computed_torque():
-    np.testing.assert_allclose(regulate(1e-3, "grounded", 0.1), regulate(1e-3, "model", 0.1), atol=1e-9)
+    grounded = regulate(4e-4, "grounded", 0.1)
+    np.testing.assert_allclose(grounded, regulate(4e-4, "model")[: len(grounded)], atol=1e-9)

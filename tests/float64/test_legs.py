@@ -15,16 +15,20 @@ QPOS, QVEL = rng.uniform(-3, 3, (2, 20, 10))
 TORQUE = rng.uniform(-1, 1, (20, 10))
 
 
-def cycle(physics, qpos, qvel, torque):
-    world = physics.start(qpos, qvel)
-    return physics.step(world, lambda stages: torque)[0]
+def cycle(physics):
+    """A step of many robots from where they are, under these torques."""
+
+    def one(qpos, qvel, torque):
+        return physics.step(physics.start(qpos, qvel), lambda stages: torque)[0]
+
+    return jax.jit(jax.vmap(one))
+
+
+CYCLES = [cycle(physics) for physics in (CHAIN, MJX, NATIVE)]
 
 
 def test_accelerations():
-    chain, mjx, native = (
-        jax.jit(jax.vmap(lambda *state, physics=physics: cycle(physics, *state)))(QPOS, QVEL, TORQUE)
-        for physics in (CHAIN, MJX, NATIVE)
-    )
+    chain, mjx, native = (step(QPOS, QVEL, TORQUE) for step in CYCLES)
     for world in (chain, mjx):
         np.testing.assert_allclose((world.qvel - native.qvel) / CHAIN.timestep, 0.0, atol=1e-8)
 
@@ -32,17 +36,14 @@ def test_accelerations():
 def test_motions_over_half_a_second():
     """Under a servo, so that rounding does not grow as it does in a free leg."""
 
-    def servo(stages):
-        return 0.5 * (0.3 - stages.qpos) - 0.05 * stages.qvel
+    def run(step):
+        start = np.tile(QPOS[:4] / 5, (5, 1))
+        world = step(start, 0 * start, 0 * start)
+        for _ in range(250):
+            world = step(world.qpos, world.qvel, 0.5 * (0.3 - world.qpos) - 0.05 * world.qvel)
+        return world
 
-    def run(physics, qpos):
-        world = physics.start(qpos, 0 * qpos)
-        return physics.run(world, servo, 250)
-
-    start = QPOS[:4] / 5
-    *worlds, native = (
-        jax.jit(jax.vmap(lambda q, physics=physics: run(physics, q)))(start) for physics in (CHAIN, MJX, NATIVE)
-    )
+    *worlds, native = map(run, CYCLES)
     for world in worlds:
         assert not world.diverged.any()
         np.testing.assert_allclose(world.qpos, native.qpos, rtol=0, atol=1e-9)
