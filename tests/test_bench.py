@@ -101,10 +101,10 @@ def test_computed_torque_holds_the_body_where_the_servo_does():
 
 def test_the_ground_writes_a_record_for_every_physics_and_batch():
     lines = []
-    steps = {"mjx-jax": 25, "mjx-warp": 25, "mujoco": 2}  # the program of the tests above
+    steps = {"mjx-jax": 25, ground.COMPUTED_TORQUE: 25, "mjx-warp": 25, "mujoco": 2}  # the programs of the tests above
     records = ground.run(lines.append, ground.Setting((1,), steps))
-    subjects = ["mjx-jax ground", "mujoco ground"]
-    assert [(r.subject, r.batch) for r in records] == [(name, 1) for name in subjects] and len(lines) == 2
+    subjects = ["mjx-jax ground", "mjx-jax computed torque ground", "mujoco ground"]
+    assert [(r.subject, r.batch) for r in records] == [(name, 1) for name in subjects] and len(lines) == 3
     assert all(r.bench == "physics" and r.value > 0 for r in records)
 
 

@@ -143,9 +143,9 @@ def run(*arguments):
     return done.output
 
 
-def test_the_command(runs, tmp_path):
-    """In another physics than that of training."""
-    physics, file, short = "tree", tmp_path / "gaits.json", ("--episodes", 2, "--set", "task.duration=2.2")
+@pytest.mark.parametrize("physics", ["tree", "mujoco"])
+def test_the_command(runs, tmp_path, physics):
+    file, short = tmp_path / "gaits.json", ("--episodes", 2, "--set", "task.duration=2.2")
     output = run("evaluate", runs[0], "--gait", "--physics", physics, *short, "--json", file)
     for words in ("2 training seeds", f"physics {physics}", "task.push.impulse=0", "sudden turn", "The random agent"):
         assert words in output.replace("\n", " ")

@@ -63,6 +63,7 @@ def test_walkings_goals_stand_beside_what_the_records_say():
         ],
     }
     assert fast["success"]["worst"] > span(goals, "success", "worst")[0]
+    assert sudden["success"]["median"] == 1.0
     page = (ROOT / "docs" / "walking.md").read_text(encoding="utf-8")
     (rows,) = (rows for rows in tables(page) if rows[0][1] == "reached")
     assert len(rows) == 1 + len(expected)
