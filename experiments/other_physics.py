@@ -55,7 +55,7 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=128, help="of each agent on each physics")
     parser.add_argument("--out", type=Path, default=RECORD, help="the record")
     asked = parser.parse_args()
-    runtime.start()
+    runtime.start("mjx-jax")
     command = " ".join(["python", "experiments/other_physics.py", *sys.argv[1:]])
     made_by = runtime.made_by() | {"command": command, "episodes": asked.episodes, "held_out": HELD_OUT_WORDS}
     results = [row for task in asked.tasks for row in on_each_physics(policy_for(task), asked.episodes)]

@@ -120,6 +120,10 @@ def parse(data: dict[str, Any], source: str = "config") -> Config:
     except pydantic.ValidationError as error:
         raise InputError(f"{source}: {sentence(error, '', Config)}") from error
     config._source = source
+    if "mjx-" in str(data):
+        from humanoid_mjx.runtime import make_room  # imports jax
+
+        make_room()
     return config
 
 

@@ -25,10 +25,11 @@ where it joins two sums with two results each, as `jnp.argmax` is, or two scatte
 of one shape that have an operand in common."""
 
 POOL_THREADS = str(max(16, 4 * (os.cpu_count() or 1)))
-"""`PJRT_NPROC`: threads that all CPU devices share. By default there are as many as cores, and jaxlib 0.10.2 can use
-them up: its kernels for many linear systems share these out over the pool and wait for them in one of its threads. As
-many such kernels at once as threads, of programs on two devices or of one program, wait forever: MJX solves so for
-contacts. XLA splits kernels into as many parts as there are threads, small ones at a loss: see `on_every_device`."""
+"""`PJRT_NPROC` for MJX: threads that all CPU devices share. By default there are as many as cores, and jaxlib 0.10.2
+can use them up: its kernels for many linear systems share these out over the pool and wait for them in one of its
+threads. As many such kernels at once as threads, of programs on two devices, wait forever, and MJX solves so for
+contacts. All else is faster with as many as cores: among more, a program moves from thread to thread where it could
+go on. `make_room` is for programs that need it."""
 
 SHARED_KERNELS: dict[str, str | bool] = {"xla_disable_hlo_passes": "none"}
 """`compiler_options` of a `jax.jit` around chain dynamics or tabular learning: after `start` the first is 5 times, the
@@ -50,7 +51,7 @@ def on_every_device(options: Mapping[str, str | bool]) -> dict[str, str | bool]:
     """`compiler_options` of a program that runs on all devices at once, made from those of one that runs alone.
 
     Where several CPU devices keep the cores busy, kernels of programs with `SHARED_KERNELS` are not split over the pool
-    of threads: tables train 3 times as fast.
+    of threads: in one that has MJX's (`POOL_THREADS`) tables train 3 times as fast so, in others as fast or faster.
     """
     alone = jax.default_backend() != "cpu" or jax.local_device_count() == 1
     passes = options.get("xla_disable_hlo_passes")
@@ -61,11 +62,14 @@ SPLITTING = "cpu-parallel-task-assigner"
 """XLA's pass that splits kernels into parts for the pool of threads."""
 
 
-def start() -> None:
+def start(*asked: str | None) -> None:
     """Keep compiled programs on disk, give every CPU core a device of its own, compute products in full float32.
 
     Must come before jax first computes. Settings that the environment makes (`JAX_COMPILATION_CACHE_DIR`,
     `JAX_NUM_CPU_DEVICES`, ...) are kept.
+
+    Args:
+      asked: what a user asks for that no config says, such as "mjx-jax": for MJX it makes room.
     """
     defaults = {
         "jax_compilation_cache_dir": str(_cache_folder()),
@@ -76,10 +80,36 @@ def start() -> None:
     flags = os.environ.get("XLA_FLAGS", "")
     if not any(flag.split("=")[0] in flags for flag in XLA_FLAGS.split()):
         os.environ["XLA_FLAGS"] = f"{flags} {XLA_FLAGS}".lstrip()
-    os.environ.setdefault("PJRT_NPROC", POOL_THREADS)
     for name, value in defaults.items():
         if name.upper() not in os.environ:
             jax.config.update(name, value)
+    if any("mjx-" in word for word in asked if word):
+        make_room()
+
+
+def make_room() -> bool:
+    """Have XLA's pool on a CPU so many threads that programs which solve many linear systems do not wait for each other
+    forever (`POOL_THREADS`), unless the environment says how many.
+
+    Returns whether they will not: false where jax has already begun to compute with fewer, on several CPU devices.
+    """
+    if "PJRT_NPROC" in os.environ:
+        return True
+    if _computes() and jax.default_backend() == "cpu" and jax.local_device_count() > 1:
+        return False
+    os.environ["PJRT_NPROC"] = POOL_THREADS
+    return True
+
+
+def _computes() -> bool:
+    """Whether jax has begun to compute: after that it takes no other number of devices."""
+    devices = jax.config.jax_num_cpu_devices  # pyright: ignore[reportAttributeAccessIssue]
+    try:
+        jax.config.update("jax_num_cpu_devices", devices + 1)
+    except RuntimeError:
+        return True
+    jax.config.update("jax_num_cpu_devices", devices)
+    return False
 
 
 def out_of_memory(error: BaseException) -> bool:

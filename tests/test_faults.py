@@ -56,7 +56,7 @@ def said(monkeypatch, capfd):
     """Runs the command line in this process: its exit code and what it says of a failure."""
 
     def call(*arguments):
-        monkeypatch.setattr(runtime, "start", lambda: None)
+        monkeypatch.setattr(runtime, "start", lambda *asked: None)
         monkeypatch.setattr(sys, "argv", ["humanoid-mjx", *map(str, arguments)])
         capfd.readouterr()
         try:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from humanoid_mjx import make_task, runtime
-from humanoid_mjx.config import parse
+from humanoid_mjx.config import load, parse
 from humanoid_mjx.tasks.base import Task
 from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.pool import Pool
@@ -19,7 +19,7 @@ from humanoid_mjx.training.pool import Pool
 SOLVES = """
 import faulthandler, sys, threading
 from humanoid_mjx import runtime
-runtime.start()
+runtime.start(*sys.argv[2:])
 import jax, jax.numpy as jnp
 faulthandler.dump_traceback_later(60, exit=True)
 systems = int(sys.argv[1])
@@ -41,9 +41,45 @@ def test_programs_that_solve_many_systems_do_not_wait_for_each_other_forever(dev
     """They do with `PJRT_NPROC` of 2, which is the default on two cores."""
     environment = os.environ | {"JAX_NUM_CPU_DEVICES": str(devices)}
     environment.pop("PJRT_NPROC", None)
-    command = [sys.executable, "-c", SOLVES, str(systems)]
+    command = [sys.executable, "-c", SOLVES, str(systems), "task.physics=mjx-jax"]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
+
+
+LATE = """
+from humanoid_mjx import runtime
+from humanoid_mjx.physics import make_physics
+runtime.start()
+import jax
+jax.devices()
+make_physics("mjx-jax", robot="legs", torso="fixed")
+"""
+
+
+def test_mjx_that_comes_too_late_for_its_threads_is_refused_in_a_sentence():
+    environment = {name: value for name, value in os.environ.items() if name != "PJRT_NPROC"}
+    environment["JAX_NUM_CPU_DEVICES"] = "2"
+    command = [sys.executable, "-c", LATE]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
+    assert "InputError: physics: MJX could wait forever" in done.stderr, done
+    environment["PJRT_NPROC"] = runtime.POOL_THREADS
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("overrides", "threads"),
+    [
+        ((), None),
+        (("task.physics=mjx-jax",), runtime.POOL_THREADS),
+        (("sweep.axes.task.physics=[chain, mjx-jax]",), runtime.POOL_THREADS),
+    ],
+)
+def test_a_config_with_mjx_anywhere_makes_room_for_it_and_no_other_does(monkeypatch, overrides, threads):
+    monkeypatch.delenv("PJRT_NPROC")
+    monkeypatch.setattr(runtime, "_computes", lambda: False)
+    load("leg_reach", overrides)
+    assert os.environ.get("PJRT_NPROC") == threads
 
 
 SUMS = """

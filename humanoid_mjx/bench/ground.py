@@ -15,7 +15,7 @@ time step of 4 ms: the contacts of all four corners of both feet are solved in e
 import importlib.util
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
-from functools import cache
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -23,6 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx import runtime
+from humanoid_mjx.bench.elsewhere import with_room
 from humanoid_mjx.bench.legs import check_finite, on_all_devices
 from humanoid_mjx.bench.measure import Record, Subject, record, time_in_turn
 from humanoid_mjx.bench.native import native_rollout
@@ -73,10 +74,10 @@ def run(say: Callable[[str], None], setting: Setting | None = None) -> list[Reco
         for name in setting.steps:
             if name != "mjx-warp" or warp:
                 steps, bodies = setting.steps[name], min(batch, MUJOCO_BATCH) if name == "mujoco" else batch
-                call, device = (
-                    (mujoco(bodies, steps), "cpu") if name == "mujoco" else (compiled(name, bodies, steps), "")
-                )
-                subjects[name] = Subject(call, bodies * steps, bodies, REPEATS, device)
+                elsewhere = partial(with_room, compiled, name)
+                call = {"tree": partial(compiled, name), "mujoco": mujoco}.get(name, elsewhere)
+                device = "cpu" if name == "mujoco" else ""
+                subjects[name] = Subject(call(bodies, steps), bodies * steps, bodies, REPEATS, device)
         for name, timing in time_in_turn(subjects).items():
             check_finite(f"{name} ground", timing.result)
             records.append(record("physics", f"{name} ground", subjects[name], timing, UNIT))

@@ -2,6 +2,7 @@
 
     scan               tabular Q-learning of this package, against a naive scan in JAX
     chain              the leg without control, against native MuJoCo on all cores
+    tree               the lower body on the ground under a servo, against native MuJoCo on all cores
     help               `humanoid-mjx --help` in a new process, against importing numpy in one
     trace              tracing and lowering a step of `stand` for 256 bodies, against a program that stays the same
     compile            XLA's share of the same, against compiling such a program
@@ -26,7 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx import runtime
-from humanoid_mjx.bench import legs, physics, tabular
+from humanoid_mjx.bench import ground, legs, physics, tabular
 from humanoid_mjx.bench.training import nothing_compiled
 from humanoid_mjx.data import folder
 from humanoid_mjx.mechanics.tree.solver import BLOCK
@@ -143,6 +144,11 @@ def chain() -> Pair:
     return _warm(Pair(legs.chain(1024, 500, "none"), physics.mujoco(1024, 100), work=5.0, repeats=15))
 
 
+def tree() -> Pair:
+    """As many bodies for as many steps each."""
+    return _warm(Pair(ground.compiled("tree", 1024, 50), ground.mujoco(1024, 50)))
+
+
 def start_up() -> Pair:
     """Processes of their own."""
 
@@ -207,6 +213,7 @@ def _warm(pair: Pair) -> Pair:
 RATIOS: dict[str, Callable[[], Pair]] = {
     "scan": scan,
     "chain": chain,
+    "tree": tree,
     "help": start_up,
     "trace": trace,
     "compile": compiling,

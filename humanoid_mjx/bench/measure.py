@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import jax
 
 from humanoid_mjx.bench.cost import Cost, Programs
+from humanoid_mjx.bench.elsewhere import Elsewhere
 from humanoid_mjx.bench.limit import machine_limit
 
 REPEATS = 7
@@ -128,7 +129,7 @@ def record(bench: str, name: str, subject: Subject, timing: Timing, unit: str, w
         compile_s=round(timing.compile_s, 3),
         repeats=subject.repeats,
         spread=timing.spread,
-        **(limits(subject.call.cost, timing.seconds, work) if isinstance(subject.call, Programs) else {}),
+        **(limits(subject.call.cost, timing.seconds, work) if isinstance(subject.call, Programs | Elsewhere) else {}),
     )
 
 

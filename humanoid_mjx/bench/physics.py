@@ -5,19 +5,19 @@
     mjx-jax        MJX on the same leg, float32, batched the same way. With the controller, the position and velocity
                    stages run once a step, and their mass matrix and bias make the torque, so its model can be off only
                    by one factor (0.8) for all links: less work than the chain does.
-    mjx-jax plain  the same with XLA as it comes, without `runtime.XLA_FLAGS`: in a process of its own, CPU only
+    mjx-jax plain  the same with XLA as it comes, without `runtime.XLA_FLAGS`: CPU only
     mujoco         native MuJoCo, float64: `mujoco.rollout`, one thread a core, without a controller only
+
+On a CPU, MJX runs in a process of its own (`bench.elsewhere`).
 
 A step is one of physics, with its control where there is control. `ground` and `postures` follow in the same bench.
 """
 
 import contextlib
 import io
-import multiprocessing
 import os
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor
-from functools import cache, partial
+from collections.abc import Callable, Sequence
+from functools import cache
 from importlib import import_module
 from typing import Any, NamedTuple
 
@@ -25,6 +25,7 @@ import jax
 
 from humanoid_mjx import runtime
 from humanoid_mjx.bench import ground, postures
+from humanoid_mjx.bench.elsewhere import Elsewhere, with_room
 from humanoid_mjx.bench.legs import GOAL, KD, KP, TIMESTEP, chain, check_finite, on_all_devices, start
 from humanoid_mjx.bench.measure import Record, Subject, record, time_in_turn
 from humanoid_mjx.bench.native import native_rollout
@@ -62,25 +63,24 @@ def legs(say: Callable[[str], None], setting: Setting | None = None) -> list[Rec
     """Time all subjects over several numbers of legs."""
     setting = setting or SETTINGS.get(jax.default_backend(), SETTINGS["gpu"])
     records: list[Record] = []
-    with process_with_plain_xla() as plain:
-        for batch in setting.batches:
-            subjects = make_subjects(batch, setting, plain)
-            rates = {}
-            for name, timing in time_in_turn(subjects).items():
-                subject, (what, _, controlled) = subjects[name], name.partition(" with ")
-                check_finite(name, timing.result)
-                unit = "control+physics steps/s" if controlled else "physics steps/s"
-                records.append(record("physics", what, subject, timing, unit))
-                rates[name] = records[-1].value
-                say(f"{what:14} {subject.batch:9,} legs  {rates[name]:10.3e} {unit:23}"
-                    f"  compiled in {timing.compile_s:4.1f} s"
-                    f"{records[-1].in_words()}")  # fmt: skip
-            ours = rates.pop("chain with control")
-            say("chain with control: " + ", ".join(f"{ours / rate:.1f} x {name}" for name, rate in rates.items()))
+    for batch in setting.batches:
+        subjects = make_subjects(batch, setting)
+        rates = {}
+        for name, timing in time_in_turn(subjects).items():
+            subject, (what, _, controlled) = subjects[name], name.partition(" with ")
+            check_finite(name, timing.result)
+            unit = "control+physics steps/s" if controlled else "physics steps/s"
+            records.append(record("physics", what, subject, timing, unit))
+            rates[name] = records[-1].value
+            say(f"{what:14} {subject.batch:9,} legs  {rates[name]:10.3e} {unit:23}"
+                f"  compiled in {timing.compile_s:4.1f} s"
+                f"{records[-1].in_words()}")  # fmt: skip
+        ours = rates.pop("chain with control")
+        say("chain with control: " + ", ".join(f"{ours / rate:.1f} x {name}" for name, rate in rates.items()))
     return records
 
 
-def make_subjects(batch: int, setting: Setting, plain: Executor) -> dict[str, Subject]:
+def make_subjects(batch: int, setting: Setting) -> dict[str, Subject]:
     """The subjects for a number of legs; those that are controlled end in "with control"."""
     native = min(batch, MUJOCO_BATCH)
     slow = batch * setting.mjx_steps
@@ -88,16 +88,14 @@ def make_subjects(batch: int, setting: Setting, plain: Executor) -> dict[str, Su
         "chain with control": Subject(
             chain(batch, setting.chain_steps, "computed torque"), batch * setting.chain_steps, batch
         ),
-        "mjx-jax with control": Subject(mjx_jax(batch, setting.mjx_steps, True), slow, batch, MJX_REPEATS),
+        "mjx-jax with control": Subject(with_room(mjx_jax, batch, setting.mjx_steps, True), slow, batch, MJX_REPEATS),
         "chain": Subject(chain(batch, setting.chain_steps, "none"), batch * setting.chain_steps, batch),
-        "mjx-jax": Subject(mjx_jax(batch, setting.mjx_steps, False), slow, batch, MJX_REPEATS),
+        "mjx-jax": Subject(with_room(mjx_jax, batch, setting.mjx_steps, False), slow, batch, MJX_REPEATS),
         "mujoco": Subject(mujoco(native, setting.mujoco_steps), native * setting.mujoco_steps, native, device="cpu"),
     }
     if jax.default_backend() == "cpu":
-        elsewhere = partial(_call_mjx_jax, batch, setting.mjx_steps)
-        subjects["mjx-jax plain with control"] = Subject(
-            lambda: plain.submit(elsewhere).result(), slow, batch, MJX_REPEATS
-        )
+        plain = Elsewhere(mjx_jax, batch, setting.mjx_steps, True, plain=True)
+        subjects["mjx-jax plain with control"] = Subject(plain, slow, batch, MJX_REPEATS)
     return subjects
 
 
@@ -127,7 +125,7 @@ def _mjx_program(steps: int, controlled: bool) -> Callable[..., Any]:
         data = jax.lax.scan(step, data, length=steps)[0]
         return data.qpos, data.qvel
 
-    # XLA as it comes is what this process has where `_start_plain` began it.
+    # XLA as it comes is what this process has where `Elsewhere` began it so.
     ours = runtime.XLA_FLAGS in os.environ.get("XLA_FLAGS", "")
     return jax.jit(jax.vmap(simulate), compiler_options=runtime.no_library() if ours else None)
 
@@ -143,25 +141,3 @@ def _mujoco_model() -> Any:
     model = make_mjspec(Leg.physical(), TIMESTEP).compile()
     model.opt.disableflags |= mj.mjtDisableBit.mjDSBL_CONSTRAINT | mj.mjtDisableBit.mjDSBL_CONTACT
     return model
-
-
-@contextlib.contextmanager
-def process_with_plain_xla() -> Iterator[Executor]:
-    """A process that computes as this one, but with XLA as it comes."""
-    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=_start_plain) as pool:
-        pool.submit(jax.device_count).result()
-        yield pool
-
-
-def _start_plain() -> None:
-    runtime.start()
-    os.environ["XLA_FLAGS"] = os.environ["XLA_FLAGS"].replace(runtime.XLA_FLAGS, "")
-
-
-def _call_mjx_jax(batch: int, steps: int) -> Any:
-    return jax.device_get(_cached_mjx_jax(batch, steps)())
-
-
-@cache
-def _cached_mjx_jax(batch: int, steps: int) -> Callable[[], Any]:
-    return mjx_jax(batch, steps, True)

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from humanoid_mjx.bench.elsewhere import with_room
 from humanoid_mjx.bench.measure import Record, Subject, record, time_in_turn
 from humanoid_mjx.config import load
 from humanoid_mjx.training.plan import make_plan
@@ -42,9 +43,11 @@ def run(say: Callable[[str], None], setting: Mapping[str, Size] | None = None) -
     setting = setting or SETTINGS.get(jax.default_backend(), SETTINGS["gpu"])
     records: list[Record] = []
     for physics, size in setting.items():
-        overrides = [f"task.physics={physics}", f"seeds={size.seeds}", f"episodes={size.episodes}", "record=1"]
-        runs = make_plan(load("posture_switch", overrides)).num_runs
-        subject = Subject(training(overrides), runs * size.episodes, runs, REPEATS)
+        sizes = f"seeds={size.seeds}", f"episodes={size.episodes}", "record=1"
+        runs = make_plan(load("posture_switch", sizes)).num_runs
+        overrides = *sizes, f"task.physics={physics}"
+        call = with_room(training, *overrides) if physics.startswith("mjx") else training(*overrides)
+        subject = Subject(call, runs * size.episodes, runs, REPEATS)
         name = f"{physics} posture_switch"
         timing = time_in_turn({name: subject})[name]
         records.append(record("physics", name, subject, timing, "episodes/s"))
@@ -54,7 +57,7 @@ def run(say: Callable[[str], None], setting: Mapping[str, Size] | None = None) -
     return records
 
 
-def training(overrides: list[str]) -> Callable[[], np.float64]:
+def training(*overrides: str) -> Callable[[], np.float64]:
     """A call that trains the sweep of `posture_switch` so changed, and counts the steps of all its episodes."""
 
     def call() -> np.float64:

@@ -27,7 +27,7 @@ def run_evaluate(
     """`humanoid-mjx evaluate`."""
     if file is not None:
         check_folder(file, "--json")
-    runtime.start()
+    runtime.start(physics, *overrides)
     from humanoid_mjx.report.comparison import compare_curves, curve_of_run
     from humanoid_mjx.training.evaluation import HELD_OUT_WORDS, evaluate_all
     from humanoid_mjx.training.policy import find_policy, in_world
@@ -87,7 +87,7 @@ def run_gait(
     """`humanoid-mjx evaluate --gait`."""
     if file is not None:
         check_folder(file, "--json")
-    runtime.start()
+    runtime.start(physics, *overrides)
     from humanoid_mjx.report.gaits import gait_table, remarks
     from humanoid_mjx.tasks.legged.measures.figures import FIGURES
     from humanoid_mjx.training.evaluation import HELD_OUT_WORDS

@@ -27,7 +27,7 @@ def run_play(
         raise InputError("play: --view shows the motion in the browser and --out writes a file; choose one.")
     if out is not None:
         check_file(out)
-    runtime.start()
+    runtime.start(physics, *overrides)
     from humanoid_mjx.report.player import serve
     from humanoid_mjx.report.rendering import render_film
     from humanoid_mjx.report.showing import show

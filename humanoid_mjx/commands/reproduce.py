@@ -11,7 +11,7 @@ from humanoid_mjx.commands import console
 
 def run_reproduce(names: Sequence[str], list_names: bool, overrides: Sequence[str], out: Path) -> None:
     """`humanoid-mjx reproduce`."""
-    runtime.start()
+    runtime.start("mjx-jax")
     from humanoid_mjx.reproduction import Experiment, Finding, load_experiments, reproduce
 
     if list_names:

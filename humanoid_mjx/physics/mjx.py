@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from pydantic import Field, model_validator
 
+from humanoid_mjx import runtime
 from humanoid_mjx.mechanics.contacts import Contacts, rigid_points
 from humanoid_mjx.physics.base import Controller, Poses, Sensed, Stages, World
 from humanoid_mjx.physics.model import MujocoPhysics, below, freeze_if_diverged, ground_points
@@ -52,6 +53,15 @@ class MjxJax(MujocoPhysics):
     """MJX in jax: CPU and GPU, float32 or float64."""
 
     implementation: ClassVar[Literal["jax", "warp"]] = "jax"
+
+    @model_validator(mode="after")
+    def _room(self) -> "MjxJax":
+        if not runtime.make_room():
+            raise ValueError(
+                "MJX could wait forever with as few threads as jax has begun to compute with; set "
+                f"PJRT_NPROC={runtime.POOL_THREADS} in the environment, or make MJX's physics before any other"
+            )
+        return self
 
     def step(self, world: World, controller: Controller, substeps: int = 1) -> tuple[World, Float[Array, " joints"]]:
         model, blank = self._put(), self._blank_data()

@@ -1,0 +1,64 @@
+"""MJX on a CPU in a process of its own: it needs more of XLA's threads than all else is fastest with.
+
+That process is this program's child, begun when it is first asked, and waits while others are timed.
+"""
+
+import multiprocessing
+import os
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from functools import cache
+from typing import Any
+
+import jax
+
+from humanoid_mjx import runtime
+from humanoid_mjx.bench.cost import Cost, Programs
+
+
+class Elsewhere:
+    """A call made and kept in the other process: its result is what the call returns there, as numpy's arrays."""
+
+    def __init__(self, make: Callable[..., Callable[[], Any]], *arguments: Any, plain: bool = False) -> None:
+        """`make(*arguments)` makes the call. `plain`: with XLA as it comes, without `runtime.XLA_FLAGS`."""
+        self.process, self.place = _process(plain), (make, *arguments)
+
+    def __call__(self) -> Any:
+        return self.process.submit(_call, *self.place).result()
+
+    @property
+    def cost(self) -> Cost:
+        """As that of `Programs`."""
+        return self.process.submit(_cost, *self.place).result()
+
+
+def with_room(make: Callable[..., Callable[[], Any]], *arguments: Any) -> Callable[[], Any]:
+    """The call `make(*arguments)` where MJX has room for its threads: elsewhere on a CPU, here on a GPU."""
+    return Elsewhere(make, *arguments) if jax.default_backend() == "cpu" else make(*arguments)
+
+
+@cache
+def _process(plain: bool) -> ProcessPoolExecutor:
+    pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=_start, initargs=(plain,))
+    pool.submit(jax.device_count).result()
+    return pool
+
+
+def _start(plain: bool) -> None:
+    runtime.start("mjx-jax")
+    if plain:
+        os.environ["XLA_FLAGS"] = os.environ["XLA_FLAGS"].replace(runtime.XLA_FLAGS, "")
+
+
+@cache
+def _made(make: Callable[..., Callable[[], Any]], *arguments: Any) -> Callable[[], Any]:
+    return make(*arguments)
+
+
+def _call(make: Callable[..., Callable[[], Any]], *arguments: Any) -> Any:
+    return jax.device_get(_made(make, *arguments)())
+
+
+def _cost(make: Callable[..., Callable[[], Any]], *arguments: Any) -> Cost:
+    call = _made(make, *arguments)
+    return call.cost if isinstance(call, Programs) else Cost(None, None, None)
