@@ -37,39 +37,40 @@ def one_kernel(function: Callable[..., Any], *args: Any, interpret: bool = False
     outputs = jax.tree.leaves(shapes)
     sizes = [math.prod(x.shape[:-1]) for x in outputs]
     found = pl.pallas_call(
-        partial(_kernel, traced=traced, staged=not interpret),
+        partial(_kernel, traced=traced, worlds=worlds, staged=not interpret),
         grid=(pl.cdiv(worlds, WORLDS),),
-        out_shape=jax.ShapeDtypeStruct((sum(sizes), worlds), jnp.float32),
+        out_shape=jax.ShapeDtypeStruct((sum(sizes) * worlds,), jnp.float32),
         compiler_params=gpu.CompilerParams(num_warps=WORLDS // 32, num_stages=1),
         interpret=interpret,
-    )(jnp.concatenate([leaf.astype(jnp.float32).reshape(-1, worlds) for leaf in leaves]))
-    parts = jnp.split(found, np.cumsum(sizes)[:-1])
+    )(jnp.concatenate([leaf.astype(jnp.float32).reshape(-1) for leaf in leaves]))
+    parts = jnp.split(found.reshape(-1, worlds), np.cumsum(sizes)[:-1])
     found = [part.astype(x.dtype).reshape(*x.shape[:-1], worlds) for part, x in zip(parts, outputs, strict=True)]
     return jax.tree.unflatten(jax.tree.structure(shapes), found)
 
 
-def _kernel(rows: Any, out: Any, *, traced: ClosedJaxpr, staged: bool) -> None:
-    """A block of worlds, from rows of numbers to rows of results."""
+def _kernel(numbers: Any, out: Any, *, traced: ClosedJaxpr, worlds: int, staged: bool) -> None:
+    """A block of worlds, from rows of a number for each world to rows of results, all rows one after another."""
     # The threads that are left over in the last block repeat the last world.
-    world = jnp.minimum(pl.program_id(0) * WORLDS + jnp.arange(WORLDS, dtype=jnp.int32), rows.shape[1] - 1)
+    world = jnp.minimum(pl.program_id(0) * WORLDS + jnp.arange(WORLDS, dtype=jnp.int32), worlds - 1)
+    given, found = numbers.shape[0] // worlds, out.shape[0] // worlds
     if not staged:
-        for row, number in enumerate(_results(traced, [rows[row, world] for row in range(rows.shape[0])])):
-            out[row, world] = number
+        for row, result in enumerate(_results(traced, [numbers[row * worlds + world] for row in range(given)])):
+            out[row * worlds + world] = result
         return
-    stage = _Stage.of(min(PAGE, max(rows.shape[0], out.shape[0])))
-    token, numbers = jnp.zeros(WORLDS, jnp.int32), []
-    for first in range(0, rows.shape[0], PAGE):
-        count = min(PAGE, rows.shape[0] - first)
-        token = stage.fill(token, rows, world, first, count)
+    stage = _Stage.of(min(PAGE, max(given, found)))
+    token, values = jnp.zeros(WORLDS, jnp.int32), []
+    for first in range(0, given, PAGE):
+        count = min(PAGE, given - first)
+        token = stage.fill(token, numbers, first * worlds + world, worlds, count)
         page = [stage.read(token, row) for row in range(count)]
         token = stage.after(token, page)
-        numbers += page
-    results = _results(traced, numbers)
+        values += page
+    results = _results(traced, values)
     for first in range(0, len(results), PAGE):
         page = results[first : first + PAGE]
-        for row, number in enumerate(page):
-            token = stage.write(token, row, number)
-        token = stage.empty(token, out, world, first, len(page))
+        for row, result in enumerate(page):
+            token = stage.write(token, row, result)
+        token = stage.empty(token, out, first * worlds + world, worlds, len(page))
 
 
 def _results(traced: ClosedJaxpr, numbers: Sequence[Array]) -> list[Float[Array, " worlds"]]:
@@ -86,10 +87,12 @@ def _results(traced: ClosedJaxpr, numbers: Sequence[Array]) -> list[Float[Array,
 class _Stage(NamedTuple):
     """Shared memory on the way between the device's memory and the registers, a column for each world.
 
-    For every access to the device's memory in a program Triton looks at all that depends on it: with one for each
-    number a time step did not compile within four minutes. So there is one for each `PAGE`, in loops. Inline assembly
-    reaches shared memory; it may be moved unless something depends on it, hence a write gives a token, a number, which
-    what follows takes.
+    For every access to the device's memory in a program Triton looks at all that has an operand in common with what
+    depends on it: with one for each number a time step did not compile within four minutes. So there is one for each
+    `PAGE`, in loops that take nothing from outside, addresses neither: with any, a time step compiles in 24 s, without
+    in 8. From loops over a range Triton looks outside all the same, hence `while`. Inline assembly reaches shared
+    memory; it may be moved unless something depends on it, hence a write gives a token, a number, which what follows
+    takes.
     """
 
     address: Array
@@ -101,13 +104,14 @@ class _Stage(NamedTuple):
         code = f".shared .align 4 .b8 stage[{rows * WORLDS * 4}]; mov.u32 $0, stage;"
         return cls(assembly(code, "=r,r", jnp.int32, thread) + 4 * thread)
 
-    def fill(self, token: Array, rows: Any, world: Array, first: int, count: int) -> Array:
-        def one(row: Array, token: Array) -> Array:
-            address = self.address + row * (4 * WORLDS)
-            value = gpu.load(rows.at[first + row, world])
+    def fill(self, token: Array, numbers: Any, place: Array, stride: int, count: int) -> Array:
+        """Bring so many rows from the device's memory, the first from `place`."""
+
+        def one(token: Array, address: Array, place: Array) -> Array:
+            value = gpu.load(numbers.at[place])
             return assembly("st.shared.f32 [$1], $2; mov.b32 $0, $3;", "=r,r,f,r", jnp.int32, address, value, token)
 
-        return lax.fori_loop(0, count, one, token)
+        return self._each(one, token, place, stride, count)
 
     def read(self, token: Array, row: int) -> Array:
         code = f"ld.shared.f32 $0, [$1+{4 * WORLDS * row}];"
@@ -123,11 +127,20 @@ class _Stage(NamedTuple):
         code = f"st.shared.f32 [$1+{4 * WORLDS * row}], $2; mov.b32 $0, $3;"
         return assembly(code, "=r,r,f,r", jnp.int32, self.address, value, token)
 
-    def empty(self, token: Array, out: Any, world: Array, first: int, count: int) -> Array:
-        def one(row: Array, token: Array) -> Array:
-            address = self.address + row * (4 * WORLDS)
+    def empty(self, token: Array, out: Any, place: Array, stride: int, count: int) -> Array:
+        """Bring so many rows to the device's memory, the first to `place`."""
+
+        def one(token: Array, address: Array, place: Array) -> Array:
             value = assembly("ld.shared.f32 $0, [$1];", "=f,r,r", jnp.float32, address, token)
-            gpu.store(out.at[first + row, world], value)
+            gpu.store(out.at[place], value)
             return self.after(token, [value])
 
-        return lax.fori_loop(0, count, one, token)
+        return self._each(one, token, place, stride, count)
+
+    def _each(self, one: Callable[..., Array], token: Array, place: Array, stride: int, count: int) -> Array:
+        def further(carry: tuple[Array, ...]) -> tuple[Array, ...]:
+            row, token, address, place = carry
+            return row + 1, one(token, address, place), address + 4 * WORLDS, place + stride
+
+        start = jnp.int32(0), token, self.address, place
+        return lax.while_loop(lambda carry: carry[0] < count, further, start)[1]
