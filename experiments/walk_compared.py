@@ -10,7 +10,7 @@ from typing import Any
 
 from walk_settings import ROOT, Row, draw, seeds_of
 
-RUNS = ("h200_walk_seeds", "h200_walk_ppo")
+RUNS = ("h200_walk_seeds", "h200_walk_ppo", "h200_walk_control")
 """Records of `humanoid-mjx evaluate RUN --gait --json FILE`."""
 
 GAITS_RECORD = "h200_walk_gaits"
@@ -31,7 +31,8 @@ def words(task: dict[str, Any], learner: str, steps: float) -> str:
     kind = GAITS[gait.get("name", "steps")]
     if gait.get("stride") == 0.0:
         kind = "no steps, a clock" if gait.get("lift") == 0.0 else "steps on the spot"
-    return f"{LEARNERS[learner]}, {kind}, slip {task['rewards']['slip']:g}, {steps / 1e6:.0f}M control steps"
+    law = "computed torque, " if task["control"]["name"] == "grounded" else ""
+    return f"{LEARNERS[learner]}, {law}{kind}, slip {task['rewards']['slip']:g}, {steps / 1e6:.0f}M control steps"
 
 
 def rows() -> list[Row]:

@@ -76,11 +76,7 @@ def test_walkings_goals_stand_beside_what_the_records_say():
 
 def test_walkings_sentences_are_those_of_the_records():
     """What is said of the setting that was not chosen, of PPO, of gaits and of the last series."""
-    other = {
-        gait["scenario"]: gait["figures"]
-        for gait in RECORDS["h200_walk_seeds.json"]["results"][1]["gaits"]
-        if gait["agent"] == "greedy"
-    }
+    other = greedy_gaits(RECORDS["h200_walk_seeds.json"], 1)
     ppo, training = greedy_gaits(RECORDS["h200_walk_ppo.json"]), RECORDS["h200_walk_ppo.json"]["training"]
     slips = [ppo[f"forward {speed}"]["slip"]["median"] for speed in (0.15, 0.3, 0.5)]
     speeds = [ppo[f"forward {speed}"]["forward"]["median"] for speed in (0.5, 0.8)]
@@ -102,7 +98,6 @@ def test_walkings_sentences_are_those_of_the_records():
         (found,) = (one["figures"][name] for one in swept if one["setting"] == setting)
         return float(np.median([seed[learning["commands"].index(command)] for seed in found]))
 
-    page = " ".join((ROOT / "docs" / "walking.md").read_text(encoding="utf-8").split())
     last = RECORDS["h200_walk_yawing.json"]
     of_last = {setting["setting"]: setting["figures"] for setting in last["settings"]}
     cadences = [
@@ -174,6 +169,55 @@ def test_walkings_sentences_are_those_of_the_records():
             100 * median("none", "turn_success", "sudden turn"),
         ],
     }
+    check(sentences)
+
+
+def test_what_is_said_of_ppo_on_walks_reward_of_computed_torque_and_of_averaging():
+    ppo, grounded = greedy_gaits(RECORDS["h200_walk_ppo.json"], 1), greedy_gaits(RECORDS["h200_walk_control.json"])
+    turns = [figures for name, figures in grounded.items() if name.startswith("turn")]
+    swept = RECORDS["h200_walk_learning.json"]
+    (servo,) = (one for one in swept["settings"] if (one["series"], one["setting"]) == ("R", "learning_rate 0.002"))
+    assert servo["task"]["rewards"]["slip"] == -1.8
+    reached = np.array(servo["figures"]["forward"])[:, swept["commands"].index("forward 0.8")]
+    without, mean = RECORDS["h200_stand_8_seeds.json"]["records"]
+
+    def reaching(record: Any) -> float:
+        """Control steps to 95 % success, the median over seeds."""
+        success = np.array(record["greedy_success_by_seed"])
+        return float(np.median(np.array(record["total_steps"])[(success >= 0.95).argmax(axis=1)]))
+
+    assert all(ppo[command]["success"]["worst"] == 1.0 for command in ppo)
+    assert ppo["sudden turn"]["turn_success"]["worst"] == 1.0
+    assert abs(servo["steps"] - RECORDS["h200_walk_control.json"]["training"]["steps"]) < 1e6
+    check({
+        rf"five seeds, ({NUMBER}) s by the shell\) that shows more: PPO slips by ({NUMBER}) m/s when told 0\.3 and "
+        rf"goes at ({NUMBER}); told 0\.5 and 0\.8 it goes at ({NUMBER}) and ({NUMBER})\.": [
+            RECORDS["h200_walk_ppo.json"]["second"]["command_s"],
+            ppo["forward 0.3"]["slip"]["median"],
+            *(ppo[f"forward {speed}"]["forward"]["median"] for speed in (0.3, 0.5, 0.8)),
+        ],
+        rf"({NUMBER}) % stay up with the worst seed under any command, turn rates are off by ({NUMBER}) rad/s, feet "
+        rf"slip by ({NUMBER}) m/s; but told .*? the bodies go at ({NUMBER}), ({NUMBER}), ({NUMBER}), ({NUMBER})\. "
+        rf"Under the servo as many steps reach ({NUMBER}) m/s \(with a weight of slip of -1\.8, not -2\.4\)\. A turn "
+        rf"at once succeeds in ({NUMBER}) % of episodes in the median and in ({NUMBER}) % with": [
+            100 * min(figures["success"]["worst"] for figures in grounded.values()),
+            max(figures["turn_error"]["median"] for figures in turns),
+            max(figures["slip"]["median"] for figures in grounded.values()),
+            *(grounded[f"forward {speed}"]["forward"]["median"] for speed in (0.15, 0.3, 0.5, 0.8)),
+            float(np.median(reached)),
+            *(100 * grounded["sudden turn"]["turn_success"][which] for which in ("median", "worst")),
+        ],
+        rf"it is at 95 % after ({NUMBER})M steps in the median, without it after ({NUMBER})M; at the end its worst "
+        rf"seed is at ({NUMBER}), without it at ({NUMBER})\.": [
+            *(reaching(one) / 1e6 for one in (mean, without)),
+            *(min(seed[-1] for seed in one["greedy_success_by_seed"]) for one in (mean, without)),
+        ],
+    })  # fmt: skip
+
+
+def check(sentences: dict[str, Any]) -> None:
+    """The page has each of these sentences, patterns whose groups are numbers, with these values."""
+    page = " ".join((ROOT / "docs" / "walking.md").read_text(encoding="utf-8").split())
     for sentence, values in sentences.items():
         (printed,) = re.findall(sentence, page)
         printed = [printed] if isinstance(printed, str) else printed

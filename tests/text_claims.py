@@ -35,7 +35,7 @@ def tables(markdown: str) -> Iterator[list[list[str]]]:
         yield [rows[0], *rows[2:]]
 
 
-def greedy_gaits(record: Any) -> dict[str, Any]:
-    """The figures of the trained policies in a record of `evaluate --gait`, by scenario."""
-    gaits = record["results"][0]["gaits"]
+def greedy_gaits(record: Any, result: int = 0) -> dict[str, Any]:
+    """The figures of the trained policies in a result of a record of `evaluate --gait`, by scenario."""
+    gaits = record["results"][result]["gaits"]
     return {gait["scenario"]: gait["figures"] for gait in gaits if gait["agent"] == "greedy"}
