@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from humanoid_mjx import runtime
 from humanoid_mjx.cli import app
 from humanoid_mjx.config import dump_yaml
 from humanoid_mjx.report.film import Film
@@ -91,14 +92,34 @@ def test_a_run_is_told_from_beginning_to_end(swept):
     assert_nothing_gets_in(html)
     for words in ("4 points, 3 seeds each, 40 episodes a run", "All 4 points, best first", "Save as tiny.yaml"):
         assert words in html
-    versions = json.loads((swept / "provenance.json").read_text())["versions"]
-    assert f"jax=={versions['jax']}" in html and "humanoid-mjx sweep tiny.yaml --out tiny-again" in html
+    provenance = json.loads((swept / "provenance.json").read_text())
+    assert f"jax=={provenance['versions']['jax']}" in html and "humanoid-mjx sweep tiny.yaml --out tiny-again" in html
+    assert provenance["commit"] == runtime.commit()
     assert dump_yaml(read_config(swept)).splitlines()[0] in html
     # Two swept parameters: a curve of each measure by each, and a heat map of what differs between points.
     alts = [attrs["alt"] for tag, attrs in Parts(html).tags if tag == "img"]
     assert any(re.match(r"return per episode .* by learner.epsilon; at the end 0.1: \d", alt) for alt in alts)
     # The task moves no robot.
     assert "<h2>The robot" not in html and '<figure class="player"' not in html
+
+
+@pytest.mark.parametrize(
+    ("commit", "commands"),
+    [
+        ("0" * 40, f"git checkout {'0' * 40}\npip install -e . jax==1.0"),
+        (f"{'0' * 40}-dirty", f"git checkout {'0' * 40}\npip install -e . jax==1.0"),
+        (None, "pip install humanoid-mjx==0.1.0 jax==1.0"),
+        ("main; reboot", "pip install humanoid-mjx==0.1.0 jax==1.0"),
+    ],
+)
+def test_a_page_says_which_code_to_run_again(swept, tmp_path, commit, commands):
+    folder = tmp_path / "run"
+    shutil.copytree(swept, folder)
+    versions = {"humanoid-mjx": "0.1.0", "jax": "1.0"}
+    (folder / "provenance.json").write_text(json.dumps({"versions": versions, "commit": commit}))
+    html = report(folder)
+    assert f"<pre>{commands}\nhumanoid-mjx sweep" in html
+    assert ("Files differed from that commit" in html) == str(commit).endswith("-dirty")
 
 
 def test_the_config_that_a_page_offers_runs_the_same_sweep(swept, tmp_path):

@@ -1,6 +1,7 @@
 """The report of a run folder as one web page that needs nothing else: no network, no other file."""
 
 import io
+import re
 from collections.abc import Callable, Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
@@ -33,7 +34,7 @@ FEW_VALUES = 12
 NO_SCRIPT = "<noscript><p>The motion needs JavaScript; the pictures below it show the same.</p></noscript>"
 
 PACKAGES = ("humanoid-mjx", "jax", "jaxlib", "mujoco", "mujoco-mjx", "warp-lang", "brax", "numpy")
-"""Whose versions a result depends on, by their names in a package index."""
+"""Whose versions a result depends on, by their names in a package index, this package's first."""
 
 
 def write_page(target: Path, html: str) -> None:
@@ -202,7 +203,7 @@ def _provenance(provenance: Mapping[str, Any]) -> list[tuple[str, str]]:
             found += [(str(key), str(inner)) for key, inner in value.items()]
         elif name == "sessions":
             found.append(("sessions", str(len(value)) if isinstance(value, list) else str(value)))
-        else:
+        elif value is not None:
             found.append((name.replace("_", " "), _plain(value)))
     return found or [("provenance", "this folder holds no provenance.json")]
 
@@ -215,14 +216,19 @@ def _plain(value: Any) -> str:
 def _again(config: Mapping[str, Any], provenance: Mapping[str, Any]) -> list[str]:
     versions = provenance.get("versions")
     versions = versions if isinstance(versions, dict) else {}
-    pins = " ".join(f"{name}=={versions[name]}" for name in PACKAGES if name in versions)
+    commit = re.fullmatch(r"([0-9a-f]{40})(-dirty)?", str(provenance.get("commit")))
+    pins = " ".join(f"{name}=={versions[name]}" for name in PACKAGES[bool(commit) :] if name in versions)
     name = _file_name(config)
     commands = [f"pip install {pins}"] if pins else []
+    if commit:
+        commands = [f"git checkout {commit[1]}", f"pip install -e . {pins}"]
     commands.append(f"humanoid-mjx sweep {name}.yaml --out {name}-again")
     words = (
         f"Save the config above as {name}.yaml. With the same versions on the same kind of device the numbers are the "
         "same; elsewhere rounding differs, and learning amplifies it."
     )
+    if commit and commit[2]:
+        words += " Files differed from that commit when it ran."
     return [text("\n".join(commands), "pre"), text(words)]
 
 

@@ -63,6 +63,7 @@ class Session:
         self.earlier = read_provenance(folder.path)
         self.began = self.tables_due = time.monotonic()
         self.started = datetime.now(UTC).isoformat(timespec="seconds")
+        self.made_by = runtime.made_by()
         self.compile_s = self.shown = 0.0
         self.speed = Speed()
         self.tables_are_old = True
@@ -266,8 +267,7 @@ class Session:
         } | self.speed.rates(self.plan, self.folder.path)
         sessions = [*self.earlier.get("sessions", []), session]
         provenance = {
-            "versions": runtime.versions(),
-            "machine": runtime.machine(),
+            **self.made_by,
             "processes": self.processes.count,
             "precision": "float64" if jax.config.read("jax_enable_x64") else "float32",
             "seed": self.plan.config.seed,
