@@ -91,6 +91,8 @@ def _names(values: dict[str, Any], place: str) -> Iterator[tuple[str, Any]]:
 def load(config: str | Path, overrides: Sequence[str] = ()) -> Config:
     """Read a config from a path, or a shipped one by its name, and apply overrides such as "learner.epsilon=0.1".
 
+    A key that the config sweeps has that one value then, and its axis goes.
+
     Raises:
       InputError: no such config, not YAML, or a key or value that cannot be used, in one sentence.
     """
@@ -106,7 +108,16 @@ def load(config: str | Path, overrides: Sequence[str] = ()) -> Config:
         raise InputError(f"{config}: a config is a mapping of keys such as name, task and learner.")
     for override in overrides:
         apply_override(data, override)
+        _sweep_no_more(data, override.partition("=")[0])
     return parse(data, str(config))
+
+
+def _sweep_no_more(data: dict[str, Any], key: str) -> None:
+    """Take the axis of a key out of the sweep, if it has one; without axes there is no sweep."""
+    axes = sweep.get("axes") if isinstance(sweep := data.get("sweep"), dict) else None
+    if isinstance(axes, dict) and key in axes:
+        del axes[key]
+        data["sweep"] = sweep if axes else None
 
 
 def parse(data: dict[str, Any], source: str = "config") -> Config:

@@ -154,6 +154,16 @@ def test_overrides_and_numbers_without_a_point(write):
     assert plan.points == [{"learner.epsilon": 0.3}] and plan.num_runs == 3
 
 
+def test_a_swept_key_that_is_set_is_swept_no_more(write):
+    swept = write(BASE.replace("[0.1, 0.2]\n", "[0.1, 0.2]\n    learner.discount: [0.5, 0.9]\n"))
+    plan = make_plan(load(swept, ["learner.epsilon=0.3"]))
+    assert plan.points == [{"learner.discount": 0.5}, {"learner.discount": 0.9}]
+    assert plan.config.learner["epsilon"] == 0.3
+    assert load(swept, ["learner.epsilon=0.3", "learner.discount=0.7"]).sweep is None
+    again = load(swept, ["learner.epsilon=0.3", "sweep.axes.learner.epsilon=[0.4]"])
+    assert again.sweep.axes["learner.epsilon"] == [0.4]
+
+
 def test_missing_config_names_those_that_ship():
     with pytest.raises(InputError, match=r"joint1x.*did you mean 'joint1'"):
         load("joint1x")

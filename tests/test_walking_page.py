@@ -111,7 +111,13 @@ def test_walkings_sentences_are_those_of_the_records():
         for which in ("averaged", "figures")
     ]
     assert last["commands"][-1] == "sudden turn" and sum(setting["seeds"] for setting in last["settings"]) == 65
+    series = ("settings", "stride", "finer", "yawing", "learning", "gaits")
+    settings = [one for name in series for one in RECORDS[f"h200_walk_{name}.json"]["settings"]]
     sentences = {
+        rf"({NUMBER}) runs in ({NUMBER}) settings, all recorded": [
+            sum(one["seeds"] for one in settings),
+            len(settings),
+        ],
         rf"told 0\.8 m/s it goes at ({NUMBER}), and with every seed at ({NUMBER}) or more when told 0\.5, but slips by "
         rf"({NUMBER}) m/s there": [
             other["forward 0.8"]["forward"]["median"],
@@ -181,6 +187,14 @@ def test_what_is_said_of_ppo_on_walks_reward_of_computed_torque_and_of_averaging
     reached = np.array(servo["figures"]["forward"])[:, swept["commands"].index("forward 0.8")]
     without, mean = RECORDS["h200_stand_8_seeds.json"]["records"]
 
+    plain, _, mirrored, slower = RECORDS["cpu_2_cores_stand.json"]["records"]
+    assert (mirrored["symmetric"], slower["learning_rate"]) == (True, 0.001)
+
+    def ends(record: Any) -> list[float]:
+        """Success after training, in the median of the seeds and with the worst."""
+        last = [seed[-1] for seed in record["greedy_success_by_seed"]]
+        return [float(np.median(last)), min(last)]
+
     def reaching(record: Any) -> float:
         """Control steps to 95 % success, the median over seeds."""
         success = np.array(record["greedy_success_by_seed"])
@@ -210,7 +224,15 @@ def test_what_is_said_of_ppo_on_walks_reward_of_computed_torque_and_of_averaging
         rf"it is at 95 % after ({NUMBER})M steps in the median, without it after ({NUMBER})M; at the end its worst "
         rf"seed is at ({NUMBER}), without it at ({NUMBER})\.": [
             *(reaching(one) / 1e6 for one in (mean, without)),
-            *(min(seed[-1] for seed in one["greedy_success_by_seed"]) for one in (mean, without)),
+            *(ends(one)[1] for one in (mean, without)),
+        ],
+        rf"the median is at 95 % after ({NUMBER})M steps, without it after ({NUMBER})M; at the end its worst seed is "
+        rf"at ({NUMBER}), without it at ({NUMBER})\. A learning rate of 0\.001 ends at ({NUMBER}) in the median and at "
+        rf"({NUMBER}) in the worst, the 0\.002 of the config at ({NUMBER}) and ({NUMBER})\.": [
+            *(reaching(one) / 1e6 for one in (mirrored, plain)),
+            *(ends(one)[1] for one in (mirrored, plain)),
+            *ends(slower),
+            *ends(plain),
         ],
     })  # fmt: skip
 

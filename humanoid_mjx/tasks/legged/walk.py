@@ -1,4 +1,4 @@
-"""Walk as commanded: forwards, sideways and round, from the readings of real sensors.
+"""Walk as commanded: forwards, sideways and round, from the readings of noisy sensors.
 
 The learner corrects open-loop steps (`gait`), which go where the command says but fall. With `gait: {stride: 0}` it
 corrects steps on the spot, with `gait: table` or `gait: oscillators` the thesis's, and with `gait: clock` it has to
