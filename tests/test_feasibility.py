@@ -34,7 +34,7 @@ def explored(tmp_path_factory):
         return columns[name]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(feasible_postures, "STARTS", 6)
+        patch.setattr(feasible_postures, "STARTS", 20)
         for module in (feasible_ranges, feasibility, feasibility_figures):
             patch.setattr(module, "LEANS", (1.0, 45.0))
         patch.setattr(feasibility, "explore", kept)
@@ -241,7 +241,7 @@ def test_the_conclusion_turns_with_the_ranges(explored, body, monkeypatch):
     assert "toes" in feasibility.conclude({"x": human._replace(toes_in=0.1)}, needs).why
     rolls = (*thesis.JOINT_RANGES["proposed"][:2], (-30.0, 45.0), *thesis.JOINT_RANGES["proposed"][3:])
     monkeypatch.setitem(thesis.JOINT_RANGES, "proposed", rolls)
-    monkeypatch.setattr(feasible_postures, "STARTS", 6)
+    monkeypatch.setattr(feasible_postures, "STARTS", 20)
     inwards = feasible_ranges._leg(
         Body("proposed"), lambda r: r.heading, lambda r: [*feasible_ranges._below(r), 100 * (r.ankle[2] + HEIGHT)]
     )
