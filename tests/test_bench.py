@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
+import jax
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -23,7 +24,7 @@ from humanoid_mjx.training.sweep import Run
 
 TINY = """
 from humanoid_mjx.bench import limit, tabular
-tabular.BATCHES, tabular.STEPS, tabular.PYTHON_STEPS = {"cpu": (8,), "gpu": (8,)}, 50, 50
+tabular.BATCHES, tabular.STEPS, tabular.PYTHON_STEPS = {"cpu": (8,), "gpu": (8,)}, (50, 50), 50
 limit.SIZES, limit.MOVED, limit.ELEMENTS = (2**14, 2**16), 2**16, 2**12
 from humanoid_mjx.cli import main
 main()
@@ -55,11 +56,10 @@ def machine(monkeypatch):
 
 def test_subjects_finish_as_many_episodes(monkeypatch):
     steps = 200_000
-    monkeypatch.setattr(tabular, "STEPS", steps)
     monkeypatch.setattr(tabular, "PYTHON_STEPS", steps)
     finished = {}
     for name in ("scan", "naive_scan", "python"):
-        call, count = tabular.SUBJECTS[name](np.full(2, 0.5, np.float32))
+        call, count = tabular.SUBJECTS[name](np.full(2, 0.5, np.float32), steps)
         finished[name] = count(call()) / (1 if name == "python" else 2)
     # Episodes take 23 steps once epsilon has decayed, after some thousand: 8,500 or so of 200,000 steps.
     assert all(abs(n / finished["python"] - 1) < 0.02 for n in finished.values()), finished
@@ -356,11 +356,18 @@ def test_the_committed_record_has_every_ratio():
         guard.read_record(Path(__file__))
 
 
-@pytest.mark.parametrize("name", ["scan", "chain", "help"])
+@pytest.mark.parametrize("name", guard.RATIOS)
 def test_ratios_time_what_they_say(name):
     made = guard.RATIOS[name]()
     subject, reference = guard.time_pair(dataclasses.replace(made, repeats=1), (np.inf, np.inf))
     assert 0.0 < subject < np.inf and 0.0 < reference < np.inf
+
+
+def test_the_guard_runs_bodies_that_stand():
+    """What falls has its contacts sooner, or none."""
+    state = guard.stand().steps(3)()
+    assert state.data.world.qpos.shape[0] == guard.Stand.BODIES * jax.local_device_count()
+    assert not state.terminated.any() and not state.data.world.diverged.any()
 
 
 def test_what_is_not_installed_is_said(monkeypatch):

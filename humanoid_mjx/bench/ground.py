@@ -38,9 +38,6 @@ REPEATS = 3
 BLOCK = {"cpu": 128, "gpu": 32_768}
 """Bodies at once on a device."""
 
-TREE_BLOCK = {"cpu": 512}
-"""The same for the tree, whose kernels are many and short."""
-
 MUJOCO_BATCH = 1024
 """The most bodies that native MuJoCo simulates at once: its rate no longer changes, its stored states would."""
 
@@ -98,7 +95,7 @@ def start(batch: int) -> tuple[np.ndarray, np.ndarray]:
 def compiled(subject: str, batch: int, steps: int) -> Callable[[], Any]:
     """Physics in a jax program, by the name of its subject: the positions after so many steps."""
     devices = jax.local_devices()
-    block = (BLOCK | TREE_BLOCK if subject == "tree" else BLOCK).get(devices[0].platform, batch)
+    block = BLOCK.get(devices[0].platform, batch)
     at_once = -(-batch // (max(1, batch // (block * len(devices))) * len(devices)))
     return on_all_devices(_program(subject, steps, at_once), start(batch), block)
 

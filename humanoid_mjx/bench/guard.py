@@ -2,10 +2,10 @@
 
     scan               tabular Q-learning of this package, against a naive scan in JAX
     chain              the leg without control, against native MuJoCo on all cores
-    tree               the lower body on the ground under a servo, against native MuJoCo on all cores
     help               `humanoid-mjx --help` in a new process, against importing numpy in one
-    trace              tracing and lowering a step of `stand` for 256 bodies, against a program that stays the same
+    trace              tracing and lowering a step of `stand`, against a program that stays the same
     compile            XLA's share of the same, against compiling such a program
+    tree               running it, the lower body on the ground, against native MuJoCo on all cores
 
 A ratio says how many times as fast its subject is as its reference, the work of both counted in the same unit; larger
 is better. Both are timed in turn, the fastest of each counts, and what seems to have fallen is timed again before it is
@@ -18,13 +18,14 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from humanoid_mjx import runtime
 from humanoid_mjx.bench import ground, legs, physics, tabular
@@ -134,19 +135,15 @@ def _seconds(call: Callable[[], Any], clock: Callable[[], float]) -> float:
 
 
 def scan() -> Pair:
-    """Both train as many agents for as many steps."""
+    """Both train as many agents; the scan, being quicker, for more steps."""
     epsilon = np.linspace(0.1, 0.9, tabular.CPU_BLOCK * jax.local_device_count(), dtype=np.float32)
-    return _warm(Pair(tabular.scan(epsilon)[0], tabular.naive_scan(epsilon)[0], repeats=15))
+    ours, naive = 4096, 256
+    return _warm(Pair(tabular.scan(epsilon, ours)[0], tabular.naive_scan(epsilon, naive)[0], ours / naive, repeats=15))
 
 
 def chain() -> Pair:
     """The chain and native MuJoCo, as many legs each; the chain, being quicker, makes five times the steps."""
     return _warm(Pair(legs.chain(1024, 500, "none"), physics.mujoco(1024, 100), work=5.0, repeats=15))
-
-
-def tree() -> Pair:
-    """As many bodies for as many steps each."""
-    return _warm(Pair(ground.compiled("tree", 1024, 50), ground.mujoco(1024, 50)))
 
 
 def start_up() -> Pair:
@@ -158,28 +155,85 @@ def start_up() -> Pair:
     return Pair(partial(process, "-m", "humanoid_mjx", "--help"), partial(process, "-c", "import numpy"))
 
 
+class Stand:
+    """A step of `stand` for many bodies on every device: traced, compiled and run once for three of the ratios."""
+
+    BODIES = 2 * BLOCK
+    """On a device: enough that their contacts are searched block by block, as in training."""
+
+    def __init__(self) -> None:
+        devices = np.array(jax.local_devices())
+        self.task, self.bodies = make_task("stand"), self.BODIES * len(devices)
+        self.over_devices = NamedSharding(Mesh(devices, ("bodies",)), PartitionSpec("bodies"))
+        self.lowered: Any = None
+        self.compiled: Any = None
+
+    @property
+    def time_steps(self) -> int:
+        """Those of all bodies in a step of the task."""
+        task: Any = self.task
+        return self.bodies * task.simulator.substeps(task.period)
+
+    def start(self) -> tuple[Any, ...]:
+        """Bodies at the beginning of an episode, an action and a key for each."""
+        keys = jax.random.split(jax.random.key(0), self.bodies)
+        action = jnp.tile(jnp.array(self.task.action_choices) // 2, (self.bodies, 1))
+        return jax.vmap(lambda key: self.task.reset(key))(keys), action, keys
+
+    def trace(self) -> None:
+        """Trace and lower it; no cache helps."""
+        mesh, spec = self.over_devices.mesh, self.over_devices.spec
+        step = jax.vmap(lambda *now: self.task.step(*now))
+        step = jax.shard_map(step, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
+        step = jax.jit(step, out_shardings=self.over_devices)
+        found = jax.eval_shape(self.start)
+        given = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=self.over_devices), found)
+        self.lowered = _lowered(partial(step.trace, *given))
+
+    def compile(self) -> None:
+        """Compile what has been traced; no cache helps."""
+        if self.lowered is None:
+            self.trace()
+        self.compiled = _compiled(self.lowered)
+
+    def steps(self, number: int) -> Callable[[], Any]:
+        """So many steps from the beginning of an episode."""
+        if self.compiled is None:
+            self.compile()
+        state, action, keys = jax.jit(self.start, out_shardings=self.over_devices)()
+
+        def run() -> Any:
+            now = state
+            for _ in range(number):
+                now = self.compiled(now, action, keys)
+            return now
+
+        return run
+
+
+@cache
+def stand() -> Stand:
+    """The one of this process."""
+    return Stand()
+
+
 def trace() -> Pair:
     """No cache helps."""
-    return Pair(partial(_lowered, stand_step), partial(_lowered, long_program(600)), 1.0, 2, time.process_time)
+    return Pair(stand().trace, partial(_lowered, long_program(300)), 1.0, 2, time.process_time)
 
 
 def compiling() -> Pair:
     """No cache helps; what is compiled has been traced before."""
-    subject, reference = _lowered(stand_step), _lowered(long_program(150))
-    return Pair(partial(_compiled, subject), partial(_compiled, reference), 1.0, 1, time.process_time)
+    if stand().lowered is None:
+        stand().trace()
+    return Pair(stand().compile, partial(_compiled, _lowered(long_program(100))), 1.0, 1, time.process_time)
 
 
-BODIES = 2 * BLOCK
-"""Those of `stand_step`: enough that their contacts are searched block by block, as in training."""
-
-
-def stand_step() -> Any:
-    """A step of the task for many bodies, traced."""
-    task = make_task("stand")
-    keys = jax.eval_shape(lambda: jax.random.split(jax.random.key(0), BODIES))
-    state = jax.eval_shape(jax.vmap(lambda key: task.reset(key)), keys)
-    action = jax.ShapeDtypeStruct((BODIES, len(task.action_choices)), jnp.int32)
-    return jax.jit(jax.vmap(lambda *now: task.step(*now))).trace(state, action, keys)
+def tree() -> Pair:
+    """Time steps of `stand`, with what is sensed and decided between them, and of native MuJoCo under its servo."""
+    steps, worlds, time_steps = 20, 1024, 20
+    native = ground.mujoco(worlds, time_steps)
+    return _warm(Pair(stand().steps(steps), native, steps * stand().time_steps / (worlds * time_steps)))
 
 
 def long_program(parts: int) -> Callable[[], Any]:
@@ -199,9 +253,10 @@ def _lowered(traced: Callable[[], Any]) -> Any:
         return traced().lower()
 
 
-def _compiled(lowered: Any) -> None:
+def _compiled(lowered: Any) -> Any:
     with nothing_compiled():
-        lowered.compile(runtime.SHARED_KERNELS)  # without options it would keep what it compiled, and not do it again
+        # Without options it would keep what it compiled, and not do it again.
+        return lowered.compile(runtime.SHARED_KERNELS)
 
 
 def _warm(pair: Pair) -> Pair:
@@ -213,10 +268,10 @@ def _warm(pair: Pair) -> Pair:
 RATIOS: dict[str, Callable[[], Pair]] = {
     "scan": scan,
     "chain": chain,
-    "tree": tree,
     "help": start_up,
     "trace": trace,
     "compile": compiling,
+    "tree": tree,
 }
 
 

@@ -30,7 +30,12 @@ from humanoid_mjx.training.program import advance, begin
 MOVES, CAP, POINTS, EPISODES = 23, 500, 100, 100_000
 DECAY, RATE, DISCOUNT, BONUS = 0.999, 0.5, 0.9, 100.0
 BATCHES = {"cpu": (1, 1024, 4096, 65_536), "gpu": (1, 256, 4096, 65_536, 1_048_576)}
-STEPS = 1024
+
+AT_ONCE = 2**24
+"""Agents times steps in a call, as far as `STEPS` allows: starting a call of 5 ms takes two more."""
+
+STEPS = 1024, 8192
+"""The fewest and the most steps in a call. A sweep makes as many as fit into a fifth of a second."""
 
 CPU_BLOCK = 1024
 """Agents whose state the cache of a core holds."""
@@ -48,12 +53,14 @@ def run(say: Callable[[str], None]) -> list[Record]:
     makers = {name: make for name, make in SUBJECTS.items() if name not in absent}
     for batch in BATCHES.get(jax.default_backend(), BATCHES["gpu"]):
         epsilon = np.linspace(0.1, 0.9, batch, dtype=np.float32)
-        made = {name: make(epsilon) for name, make in makers.items()}
-        subjects = {name: Subject(call, batch * STEPS, batch) for name, (call, _) in made.items()}
+        least, most = STEPS
+        steps = min(max(AT_ONCE // batch, least), most)
+        made = {name: make(epsilon, steps) for name, make in makers.items()}
+        subjects = {name: Subject(call, batch * steps, batch) for name, (call, _) in made.items()}
         if "python" in subjects:
             subjects["python"] = Subject(made["python"][0], PYTHON_STEPS, 1, 3, "cpu")
         if "numba" in subjects:
-            subjects["numba"] = Subject(made["numba"][0], batch * STEPS, batch, device="cpu")
+            subjects["numba"] = Subject(made["numba"][0], batch * steps, batch, device="cpu")
         for name, timing in time_in_turn(subjects).items():
             episodes = made[name][1](timing.result)
             records.append(record("tabular", name, subjects[name], timing, "steps/s"))
@@ -75,7 +82,7 @@ def _learner() -> TabularQ:
     return make_learner("tabular_q", task, episodes=EPISODES, record=POINTS, **values)
 
 
-def scan(epsilon: np.ndarray) -> Made:
+def scan(epsilon: np.ndarray, steps: int) -> Made:
     """This package's learner in a scan: a thread for each device, blocks that fit the cache of a CPU."""
     learner = _learner()
     options = runtime.on_every_device(learner.compiler_options)
@@ -85,26 +92,26 @@ def scan(epsilon: np.ndarray) -> Made:
         learners = jax.tree.map(lambda x: np.full(len(share), x, np.result_type(np.float32, x)), learner)
         learners = jax.device_put(learners.replace(epsilon=share), device)
         keys = jax.device_put(jax.random.split(rng.key(device.id), len(share)), device)
-        return learners, first(learners, keys), STEPS
+        return learners, first(learners, keys), steps
 
     devices = jax.local_devices()[: len(epsilon)]
     blocks = max(1, len(epsilon) // (CPU_BLOCK * len(devices))) if devices[0].platform == "cpu" else 1
     shares = np.array_split(epsilon, len(devices) * blocks)
     states = [[start(device, share) for share in shares[i :: len(devices)]] for i, device in enumerate(devices)]
-    call = Programs(train, states, turns=-(-STEPS // learner.lap))
+    call = Programs(train, states, turns=-(-steps // learner.lap))
     return call, lambda result: sum(float(state.carry.agents.episode.sum()) for mine in result for state, _ in mine)
 
 
-def fused(epsilon: np.ndarray) -> Made:
+def fused(epsilon: np.ndarray, steps: int) -> Made:
     """This package's learner in one kernel."""
     learners = jax.tree.map(lambda x: jnp.full(len(epsilon), x), _learner()).replace(epsilon=jnp.asarray(epsilon))
     training = jax.jit(jax.vmap(begin))(learners, jax.random.split(rng.key(0), len(epsilon)))
     train = jax.jit(kernel.advance)
-    call = Programs(train, [[(learners, training, STEPS)]])
+    call = Programs(train, [[(learners, training, steps)]])
     return call, lambda result: float(result[0][0].carry.agents.episode.sum())
 
 
-def naive_scan(epsilon: np.ndarray) -> Made:
+def naive_scan(epsilon: np.ndarray, steps: int) -> Made:
     """Q-learning in a scan as one would first write it."""
     angles = jnp.linspace(-15.0, 100.0, MOVES + 1) * 0.1
 
@@ -133,7 +140,7 @@ def naive_scan(epsilon: np.ndarray) -> Made:
         q = jnp.stack([angles, angles], axis=1)
         zero = jnp.int32(0)
         start = q, zero, eps, zero, zero, jnp.float32(0), key, jnp.zeros((POINTS, 4))
-        return jax.lax.scan(step, start, length=STEPS)[0]
+        return jax.lax.scan(step, start, length=steps)[0]
 
     keys = jax.random.split(jax.random.key(0), len(epsilon))
     return Programs(train, [[(epsilon, keys)]]), lambda result: float(result[0][0][3].sum())
@@ -142,8 +149,8 @@ def naive_scan(epsilon: np.ndarray) -> Made:
 PYTHON_STEPS = 100_000
 
 
-def python(epsilon: np.ndarray) -> Made:
-    """One agent in plain Python."""
+def python(epsilon: np.ndarray, _: int) -> Made:
+    """One agent in plain Python, for `PYTHON_STEPS`."""
     import random
 
     def train() -> int:
@@ -172,7 +179,7 @@ def python(epsilon: np.ndarray) -> Made:
     return train, float
 
 
-def numba(epsilon: np.ndarray) -> Made:
+def numba(epsilon: np.ndarray, steps: int) -> Made:
     """One agent a thread, compiled by numba with fastmath, on all cores."""
     import numba as nb  # pyright: ignore[reportMissingImports]
 
@@ -216,7 +223,7 @@ def numba(epsilon: np.ndarray) -> Made:
             finished[agent] = episode
         return finished
 
-    return lambda: train(epsilon, STEPS), lambda result: float(result.sum())
+    return lambda: train(epsilon, steps), lambda result: float(result.sum())
 
 
 SUBJECTS = {"scan": scan, "fused": fused, "naive_scan": naive_scan, "python": python, "numba": numba}

@@ -3,7 +3,7 @@
 
 It computes what native MuJoCo does, contacts included (`mechanics.tree`), in plain jax operations on scalars. On a CPU
 it is fastest after `runtime.start()` in a `jax.jit` with `compiler_options=runtime.SHARED_KERNELS`, in batches of some
-512 worlds for each core.
+128 worlds for each core.
 """
 
 from collections.abc import Sequence
