@@ -6,7 +6,7 @@ for the one whose contacts are found last. One kernel keeps a world in registers
 
 import math
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -21,6 +21,9 @@ from jaxtyping import Array, Float
 from humanoid_mjx.assembly import assembly
 from humanoid_mjx.mechanics.tree.threads import WORLDS, arranged, evaluate, vector
 
+Results = Callable[[Sequence[Array]], list[Float[Array, " worlds"]]]
+"""From the elements of a function's arguments to those of what it gives, each of all worlds of a block."""
+
 PAGE = 48 * 1024 // (4 * WORLDS)
 """Rows that fit into the shared memory that a block may declare."""
 
@@ -32,12 +35,11 @@ def one_kernel(function: Callable[..., Any], *args: Any, interpret: bool = False
     """
     leaves, structure = jax.tree.flatten(args)
     worlds = leaves[0].shape[-1]
-    single = [jax.ShapeDtypeStruct((*leaf.shape[:-1], 1), leaf.dtype) for leaf in leaves]
-    traced, shapes = jax.make_jaxpr(function, return_shape=True)(*structure.unflatten(single))
+    results, shapes = _written_out(function, structure, tuple((leaf.shape[:-1], leaf.dtype) for leaf in leaves))
     outputs = jax.tree.leaves(shapes)
     sizes = [math.prod(x.shape[:-1]) for x in outputs]
     found = pl.pallas_call(
-        partial(_kernel, traced=traced, worlds=worlds, staged=not interpret),
+        partial(_kernel, results=results, worlds=worlds, staged=not interpret),
         grid=(pl.cdiv(worlds, WORLDS),),
         out_shape=jax.ShapeDtypeStruct((sum(sizes) * worlds,), jnp.float32),
         compiler_params=gpu.CompilerParams(num_warps=WORLDS // 32, num_stages=1),
@@ -48,13 +50,22 @@ def one_kernel(function: Callable[..., Any], *args: Any, interpret: bool = False
     return jax.tree.unflatten(jax.tree.structure(shapes), found)
 
 
-def _kernel(numbers: Any, out: Any, *, traced: ClosedJaxpr, worlds: int, staged: bool) -> None:
+@lru_cache
+def _written_out(function: Callable[..., Any], structure: Any, kinds: tuple[Any, ...]) -> tuple[Results, Any]:
+    """A function as arithmetic of threads, which is traced once whatever the number of worlds, and what it gives of one
+    world; `kinds`: shape and type of each argument for a world."""
+    single = [jax.ShapeDtypeStruct((*shape, 1), dtype) for shape, dtype in kinds]
+    traced, shapes = jax.make_jaxpr(function, return_shape=True)(*structure.unflatten(single))
+    return jax.jit(partial(_results, traced)), shapes
+
+
+def _kernel(numbers: Any, out: Any, *, results: Results, worlds: int, staged: bool) -> None:
     """A block of worlds, from rows of a number for each world to rows of results, all rows one after another."""
     # The threads that are left over in the last block repeat the last world.
     world = jnp.minimum(pl.program_id(0) * WORLDS + jnp.arange(WORLDS, dtype=jnp.int32), worlds - 1)
     given, found = numbers.shape[0] // worlds, out.shape[0] // worlds
     if not staged:
-        for row, result in enumerate(_results(traced, [numbers[row * worlds + world] for row in range(given)])):
+        for row, result in enumerate(results([numbers[row * worlds + world] for row in range(given)])):
             out[row * worlds + world] = result
         return
     stage = _Stage.of(min(PAGE, max(given, found)))
@@ -65,9 +76,9 @@ def _kernel(numbers: Any, out: Any, *, traced: ClosedJaxpr, worlds: int, staged:
         page = [stage.read(token, row) for row in range(count)]
         token = stage.after(token, page)
         values += page
-    results = _results(traced, values)
-    for first in range(0, len(results), PAGE):
-        page = results[first : first + PAGE]
+    rows = results(values)
+    for first in range(0, len(rows), PAGE):
+        page = rows[first : first + PAGE]
         for row, result in enumerate(page):
             token = stage.write(token, row, result)
         token = stage.empty(token, out, first * worlds + world, worlds, len(page))

@@ -66,10 +66,23 @@ def _apply(eqn: Any, args: list[np.ndarray]) -> list[np.ndarray]:
     return [arranged([_element(eqn, elements) for elements in zip(*columns, strict=True)], shape)]
 
 
+KNOWN: dict[str, Callable[..., np.generic]] = {
+    "add": lambda _, a, b: a + b,
+    "convert_element_type": lambda params, a: a.astype(params["new_dtype"]),
+    "lt": lambda _, a, b: a < b,
+    "mul": lambda _, a, b: a * b,
+}
+"""Operations on numbers known while tracing that are so frequent that a GPU must not be asked for each."""
+
+
 def _element(eqn: Any, args: Sequence[Element]) -> Element:
     """An operation on single elements."""
     name = eqn.primitive.name
+    if name == "select_n" and isinstance(args[0], np.generic):
+        return args[1 + int(args[0])]
     if all(isinstance(arg, np.generic) for arg in args):
+        if name in KNOWN:
+            return KNOWN[name](eqn.params, *args)
         with jax.ensure_compile_time_eval():
             return np.asarray(eqn.primitive.bind(*map(jnp.asarray, args), **eqn.params))[()]
     if name in ("add", "mul"):
@@ -80,8 +93,6 @@ def _element(eqn: Any, args: Sequence[Element]) -> Element:
                 return two
     if name == "sub" and _is(args[1], 0):
         return args[0]
-    if name == "select_n" and isinstance(args[0], np.generic):
-        return args[1 + int(args[0])]
     return eqn.primitive.bind(*(vector(arg) for arg in args), **eqn.params)
 
 
