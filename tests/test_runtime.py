@@ -121,16 +121,13 @@ def compiled(task: str) -> str:
     return pool.programs.advance.lower(pool.learners, pool.training, np.int32(1)).compile().as_text()
 
 
-@pytest.mark.parametrize(
-    ("physics", "rollout", "one_graph"), [("chain", 16, True), ("mjx-jax", 16, False), ("chain", 128, False)]
-)
-def test_an_update_is_one_graph_on_a_gpu_unless_it_is_too_long(monkeypatch, physics, rollout, one_graph):
-    config = {"name": "c", "task": {"name": "leg_reach", "physics": physics}}
-    learner = parse(config | {"learner": {"name": "linear_q", "rollout": rollout}, "total_steps": 4096})
-    (group,) = make_plan(learner).groups
-    assert "xla_gpu_enable_command_buffer" not in group.learners.compiler_options
+@pytest.mark.parametrize(("physics", "short"), [("chain", True), ("mjx-jax", False)])
+def test_short_kernels_are_graphs_on_a_gpu(monkeypatch, physics, short):
+    task = {"name": "leg_reach", "physics": physics}
+    (group,) = make_plan(parse({"name": "c", "task": task, "learner": {"name": "linear_q"}})).groups
+    assert "xla_gpu_graph_min_graph_size" not in group.learners.compiler_options
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    assert ("xla_gpu_enable_command_buffer" in group.learners.compiler_options) == one_graph
+    assert ("xla_gpu_graph_min_graph_size" in group.learners.compiler_options) == short
 
 
 def test_tables_on_every_core_are_not_split_over_the_pool(monkeypatch):

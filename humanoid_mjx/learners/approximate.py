@@ -18,7 +18,7 @@ from humanoid_mjx.learners import exploration
 from humanoid_mjx.learners.base import ENVS, Outcome, StepLearner
 from humanoid_mjx.learners.normalisation import Moments, moments, observe
 from humanoid_mjx.learners.targets import lambda_targets
-from humanoid_mjx.runtime import SHARED_KERNELS, no_library, one_graph
+from humanoid_mjx.runtime import SHARED_KERNELS, no_library, short_kernels
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import ContinuousTask, State, auto_reset
 from humanoid_mjx.tasks.finite import FiniteTask
@@ -66,10 +66,6 @@ class Experience(NamedTuple):
     final_obs: Float[Array, "steps envs observation_size"]
 
 
-LONGEST_IN_A_GRAPH = 64
-"""Steps of a rollout: 16 make some 5,000 kernels of `stand`."""
-
-
 class ApproximateQ(StepLearner):
     """Base of learners that approximate Q. A derived class gives the approximation and how it learns."""
 
@@ -94,9 +90,9 @@ class ApproximateQ(StepLearner):
 
     @property
     def compiler_options(self) -> Mapping[str, str | bool]:
-        # Written out, loops over MJX or many steps would be too many kernels for a graph.
-        short = SHARED_KERNELS.items() <= self.task.compiler_options.items() and self.rollout <= LONGEST_IN_A_GRAPH
-        return {**self.task.compiler_options, **no_library(), **(one_graph() if short else {})}
+        options = self.task.compiler_options
+        of_scalars = SHARED_KERNELS.items() <= options.items()
+        return {**options, **no_library(), **(short_kernels() if of_scalars else {})}
 
     def init_value(self, key: Key[Array, ""]) -> tuple[Any, Any]:
         """The weights of the approximation and the optimizer's state before the first update."""
