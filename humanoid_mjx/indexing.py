@@ -29,5 +29,8 @@ def _(runs: int, batched: list[bool], *args: Any) -> tuple[Array, bool]:
     if index.ndim > 1 or runs * rows > np.iinfo(np.int32).max:
         return jax.vmap(add_at.fun)(array, index, values), True
     place = jnp.arange(runs, dtype=jnp.int32) * rows + index
+    if jax.default_backend() != "cpu":
+        # In one kernel with the additions a GPU would read what they come from, and copy the array for it first.
+        place, values = jax.lax.optimization_barrier((place, values))
     flat = array.reshape(runs * rows, *array.shape[2:])
     return flat.at[place].add(values, mode="promise_in_bounds", unique_indices=True).reshape(array.shape), True

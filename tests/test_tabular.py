@@ -180,8 +180,10 @@ def test_truncated_episodes_bootstrap_and_terminal_ones_do_not():
 
 @pytest.mark.parametrize("agents", [(), (9,)], ids=["one place", "several places"])
 @pytest.mark.parametrize("shared", ["array", "index", "values", None])
-def test_additions_of_all_runs_are_those_of_each(agents, shared):
+@pytest.mark.parametrize("backend", ["cpu", "gpu"])
+def test_additions_of_all_runs_are_those_of_each(agents, shared, backend, monkeypatch):
     """Of one place or several in each run's array, the same ones again among them; numbers whose sums are exact."""
+    monkeypatch.setattr(jax, "default_backend", lambda: backend)
     draw = np.random.default_rng(0)
     args = {
         "array": draw.integers(0, 9, (5, 7, 3)).astype(np.float32),
