@@ -78,11 +78,6 @@ SPLITTING = "cpu-parallel-task-assigner"
 """XLA's pass that splits kernels into parts for the pool of threads."""
 
 
-GARBAGE_AFTER = 50_000
-"""New objects after which Python looks for garbage, 700 by default. Tracing a program makes hundreds of thousands that
-stay, and Python looks through them all again and again: a tenth of the time until training begins."""
-
-
 def start(*asked: str | None) -> None:
     """Keep compiled programs on disk, give every CPU core a device of its own, compute products in full float32, have
     Python look for garbage seldom.
@@ -105,10 +100,19 @@ def start(*asked: str | None) -> None:
     for name, value in defaults.items():
         if name.upper() not in os.environ:
             jax.config.update(name, value)
-    gc.freeze()  # what is imported stays
-    gc.set_threshold(GARBAGE_AFTER, *gc.get_threshold()[1:])
+    look_for_garbage_seldom()
     if any("mjx-" in word for word in asked if word):
         make_room()
+
+
+def look_for_garbage_seldom() -> None:
+    """Have Python look for garbage after 50,000 new objects, by default 700, and not among what is imported.
+
+    Tracing a program makes hundreds of thousands of objects that stay, through which Python looks again and again: a
+    seventh of the time until `stand` begins to train on a CPU.
+    """
+    gc.freeze()
+    gc.set_threshold(50_000, *gc.get_threshold()[1:])
 
 
 def make_room() -> bool:

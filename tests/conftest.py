@@ -72,8 +72,6 @@ def few_compiled_programs():
 
 
 def pytest_collection_modifyitems(items):
-    """The longest first, so that they do not run alone at the end. What was imported stays: Python need not look
-    through it again and again while programs are traced."""
+    """The longest first, so that they do not run alone at the end."""
     items.sort(key=lambda item: not item.nodeid.startswith(("tests/test_as_shipped.py", "tests/test_float64.py")))
-    gc.freeze()
-    gc.set_threshold(50_000, 20, 100)
+    runtime.look_for_garbage_seldom()

@@ -190,11 +190,15 @@ class Stand:
         given = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=self.over_devices), found)
         self.lowered = _lowered(partial(step.trace, *given))
 
-    def compile(self) -> None:
-        """Compile what has been traced; no cache helps."""
+    def traced(self) -> Any:
+        """What `trace` made last."""
         if self.lowered is None:
             self.trace()
-        self.compiled = _compiled(self.lowered)
+        return self.lowered
+
+    def compile(self) -> None:
+        """Compile what has been traced; no cache helps."""
+        self.compiled = _compiled(self.traced())
 
     def steps(self, number: int) -> Callable[[], Any]:
         """So many steps from the beginning of an episode."""
@@ -224,8 +228,7 @@ def trace() -> Pair:
 
 def compiling() -> Pair:
     """No cache helps; what is compiled has been traced before."""
-    if stand().lowered is None:
-        stand().trace()
+    stand().traced()
     return Pair(stand().compile, partial(_compiled, _lowered(long_program(100))), 1.0, 1, time.process_time)
 
 
