@@ -2,6 +2,8 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import jax
@@ -33,8 +35,9 @@ class World(NamedTuple):
     last sound state until it is reset."""
 
 
-class Stages(NamedTuple):
-    """What a controller may use of the current state. A step computes it in any case, and unused parts cost nothing.
+@dataclass(frozen=True)
+class Stages:
+    """What a controller may use of the current state. What it does not ask for is not even traced.
 
     In the absence of contacts `mass_matrix @ acceleration + bias = torque`, with zeros for the torque of the torso.
     """
@@ -43,10 +46,8 @@ class Stages(NamedTuple):
     qpos: Float[AnyArray, "*worlds joints"]
     """Angles of the actuated joints, rad."""
     qvel: Float[AnyArray, "*worlds joints"]
-    mass_matrix: Float[AnyArray, "*worlds nv nv"]
-    """Mass matrix of all degrees of freedom; its last rows and columns are the joints'."""
-    bias: Float[AnyArray, "*worlds nv"]
-    """Velocity term, gravity and the joints' damping."""
+    dynamics: Callable[[], tuple[Any, Any]]
+    """() -> `mass_matrix` and `bias`."""
     torque_for: Callable[[Any, Any], Any]
     """(accelerations of the joints, rad/s^2, a model's mass factor) -> the torques that the model asks for, N m. The
     factor is a number, or one for each joint's link. Treats a free torso as fixed and ignores contacts."""
@@ -54,6 +55,20 @@ class Stages(NamedTuple):
     """The corners of the feet that can touch the ground; no points where there is none."""
     model_for: Callable[[Any], tuple[Any, Any]]
     """(a model's mass factor) -> the mass matrix and the bias of that model."""
+
+    @property
+    def mass_matrix(self) -> Float[AnyArray, "*worlds nv nv"]:
+        """Mass matrix of all degrees of freedom; its last rows and columns are the joints'."""
+        return self._dynamics[0]
+
+    @property
+    def bias(self) -> Float[AnyArray, "*worlds nv"]:
+        """Velocity term, gravity and the joints' damping."""
+        return self._dynamics[1]
+
+    @cached_property
+    def _dynamics(self) -> tuple[Any, Any]:
+        return self.dynamics()
 
 
 class Readings(NamedTuple):

@@ -4,7 +4,7 @@ Both legs have the same equations: the left leg's joints turn so that equal valu
 image, and gravity lies in the plane of symmetry.
 """
 
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, Literal
 
 import jax
@@ -151,8 +151,8 @@ class ChainPhysics(Physics):
             return jax.scipy.linalg.block_diag(*matrices), jnp.concatenate(biases)
 
         nothing = no_contacts(len(world.qvel))
-        own = model_for(self.mass)
-        return Stages(world, world.qpos, world.qvel, *own, torque_for, lambda: nothing, model_for)
+        own = partial(model_for, self.mass)
+        return Stages(world, world.qpos, world.qvel, own, torque_for, lambda: nothing, model_for)
 
     def _each_leg(self, mass: MassFactor, *joints: Float[Array, " joints"]) -> list[tuple[Any, ...]]:
         """For each leg: its chain, and its own part of the arrays."""

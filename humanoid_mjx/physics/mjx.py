@@ -189,7 +189,7 @@ class MjxJax(MujocoPhysics):
             return Contacts(position, jacobian, drift, position[:, 2] <= 0.0)
 
         joint_state = world.qpos[-joints:], world.qvel[-joints:]
-        return Stages(world, *joint_state, matrix, bias, torque_for, contacts, model_for)
+        return Stages(world, *joint_state, lambda: (matrix, bias), torque_for, contacts, model_for)
 
 
 class MjxWarp(MjxJax):

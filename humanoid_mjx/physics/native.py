@@ -10,7 +10,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from copy import copy
-from functools import lru_cache, partial
+from functools import cache, lru_cache, partial
 from typing import Any
 
 import jax
@@ -113,16 +113,16 @@ class Native(MujocoPhysics):
 
         def model_for(mass: MassFactor) -> tuple[Array, Array]:
             if jnp.ndim(mass) == jnp.ndim(self.mass) == 0:
-                return self.rescaled(mass / self.mass, matrix, bias, world.qvel)
+                return self.rescaled(mass / self.mass, *own(), world.qvel)
             return dynamics(self.replace(mass=mass))
 
         def torque_for(qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
             believed, bias_of = model_for(mass)
             return believed[-joints:, -joints:] @ qacc + bias_of[-joints:]
 
-        matrix, bias = dynamics(self)
+        own = cache(partial(dynamics, self))
         joint_state = world.qpos[-joints:], world.qvel[-joints:]
-        return Stages(world, *joint_state, matrix, bias, torque_for, partial(self._contacts, world), model_for)
+        return Stages(world, *joint_state, own, torque_for, partial(self._contacts, world), model_for)
 
     def _contacts(self, world: World) -> Contacts:
         points, nv = len(self.ground_points[0]), self.model.nv

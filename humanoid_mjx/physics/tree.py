@@ -6,8 +6,8 @@ it is fastest after `runtime.start()` in a `jax.jit` with `compiler_options=runt
 128 worlds for each core.
 """
 
-from collections.abc import Sequence
-from functools import lru_cache, partial
+from collections.abc import Callable, Sequence
+from functools import cache, lru_cache, partial
 from typing import Any
 
 import jax
@@ -51,14 +51,13 @@ class TreePhysics(MujocoPhysics):
     def step(self, world: World, controller: Controller, substeps: int = 1) -> tuple[World, Float[Array, " joints"]]:
         values = self._values()
         if substeps == 1:
-            state = self._state(values, world)
-            torque = self._ask(state, world, controller)
+            torque, state = self._ask_first(values, world, controller)
             return self._advance(values, state, world, torque), torque
 
         def substep(carry: tuple[World, Any], index: IntScalar) -> tuple[tuple[World, Any], None]:
             world, torque = carry
             state = self._state(values, world)
-            torque = jax.lax.cond(index == 0, partial(self._ask, state, world, controller), lambda: torque)
+            torque = jax.lax.cond(index == 0, partial(self._ask, lambda: state, world, controller), lambda: torque)
             return (self._advance(values, state, world, torque), torque), None
 
         held = jnp.zeros(len(self.tree.motors))
@@ -84,8 +83,7 @@ class TreePhysics(MujocoPhysics):
 
         def cycle(carry: tuple[World, Any], _: None) -> tuple[tuple[World, Any], None]:
             now, before = carry
-            state = self._state(values, now)
-            torque = self._ask(state, now, controller)
+            torque, state = self._ask_first(values, now, controller)
             parts, seen = self._move(_advance_sensed, values, state, now, torque)
             after, sensed = World(*parts), (now.qpos[self._joints], torque, seen)
             kept = jax.tree.map(lambda new, old: jnp.where(after.diverged, old, new), sensed, before)
@@ -98,8 +96,7 @@ class TreePhysics(MujocoPhysics):
 
     def sense(self, world: World, torque: Float[AnyArray, " joints"]) -> Sensed:
         values, torque = self._values(), self._within(torque)
-        state = self._state(values, world)
-        seen = self._move(_advance_sensed, values, state, world, torque)[1]
+        seen = self._move(_advance_sensed, values, None, world, torque)[1]
         return self._sensed(world.qpos[self._joints], torque, seen)
 
     def poses(self, world: World) -> Poses:
@@ -137,12 +134,14 @@ class TreePhysics(MujocoPhysics):
         return worlds_last(_state, self.tree)(values, world.qpos, world.qvel)
 
     def _advance(
-        self, values: mechanics.Values, state: mechanics.State, world: World, torque: Float[Array, " joints"]
+        self, values: mechanics.Values, state: mechanics.State | None, world: World, torque: Float[Array, " joints"]
     ) -> World:
         """One time step; a world that diverges in it, or whose contacts were not found, stays where it was."""
         return World(*self._move(_advance, values, state, world, torque))
 
-    def _move(self, function: Any, values: mechanics.Values, state: mechanics.State, world: World, torque: Any) -> Any:
+    def _move(
+        self, function: Any, values: mechanics.Values, state: mechanics.State | None, world: World, torque: Any
+    ) -> Any:
         """`_advance` or `_advance_sensed`; of float32 on a GPU one kernel, that makes the state rather than read it."""
         kernel = runtime.why_no_kernel() is None and not jax.config.read("jax_enable_x64")
         return worlds_last(function, self.tree, kernel=kernel)(values, None if kernel else state, tuple(world), torque)
@@ -152,10 +151,20 @@ class TreePhysics(MujocoPhysics):
         # Joint by joint: a bound on the whole array would be a kernel of its own between those of its elements.
         return jnp.stack([jnp.clip(part, -limit, limit) for part in jnp.asarray(torque, float)])
 
-    def _ask(self, state: mechanics.State, world: World, controller: Controller) -> Float[Array, " joints"]:
+    def _ask_first(
+        self, values: mechanics.Values, world: World, controller: Controller
+    ) -> tuple[Float[Array, " joints"], mechanics.State | None]:
+        """What the controller commands, and the state if it used any of it."""
+        state = cache(partial(self._state, values, world))
+        torque = self._ask(state, world, controller)
+        return torque, state() if state.cache_info().currsize else None
+
+    def _ask(
+        self, state: Callable[[], mechanics.State], world: World, controller: Controller
+    ) -> Float[Array, " joints"]:
         return self._within(controller(self._stages(state, world)))
 
-    def _stages(self, state: mechanics.State, world: World) -> Stages:
+    def _stages(self, state: Callable[[], mechanics.State], world: World) -> Stages:
         joints, dynamics = len(self.tree.motors), worlds_last(_dynamics, self.tree)
 
         def model_for(mass: MassFactor) -> tuple[Float[Array, "nv nv"], Float[Array, " nv"]]:
@@ -169,11 +178,11 @@ class TreePhysics(MujocoPhysics):
         def contacts() -> Contacts:
             if not self.tree.ground:
                 return no_contacts(len(world.qvel))
-            position, jacobian, drift = worlds_last(_points, self.tree)(state)
+            position, jacobian, drift = worlds_last(_points, self.tree)(state())
             return Contacts(position, jacobian, drift, position[:, 2] <= 0.0)
 
-        matrix, bias = dynamics(state)
-        return Stages(world, world.qpos[-joints:], world.qvel[-joints:], matrix, bias, torque_for, contacts, model_for)
+        own = lambda: dynamics(state())  # noqa: E731
+        return Stages(world, world.qpos[-joints:], world.qvel[-joints:], own, torque_for, contacts, model_for)
 
 
 # What follows is of many worlds at once, their axis the last.
