@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Key
+from jaxtyping import Array, Key
 from pydantic import Field
 
 from humanoid_mjx.physics.base import Readings
@@ -53,8 +53,7 @@ class Sensors(Spec):
 
 
 def _normal(spread: tuple[FloatScalar, ...], like: Readings, key: Key[Array, ""]) -> Readings:
-    def draw(spread: FloatScalar, like: Float[Array, " n"], key: Key[Array, ""]) -> Float[Array, " n"]:
-        return spread * jax.random.normal(key, like.shape, like.dtype)
-
-    keys = jax.random.split(key, len(like))
-    return Readings(*(draw(*each) for each in zip(spread, like, keys, strict=True)))
+    # Drawn side by side, each as many as the most: the long arithmetic of a normal number is compiled once.
+    keys, most = jax.random.split(key, len(like)), max(map(len, like))
+    drawn = jax.vmap(lambda key: jax.random.normal(key, (most,)))(keys)
+    return Readings(*(size * row[: len(part)] for size, row, part in zip(spread, drawn, like, strict=True)))
