@@ -6,6 +6,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from humanoid_mjx.mechanics.scalars import ZERO, Scalar, Vector, add
@@ -78,7 +79,8 @@ def with_pairs(
 ) -> list[Scalar]:
     """The solution of the equations with the pairs' contacts in them, or that `without` in worlds where none pushes.
 
-    By elimination of whole matrices, one column after another, with an axis of worlds behind.
+    By elimination of whole matrices, one column after another, with an axis of worlds behind. Where loops are written
+    out, what is multiplied by a zero here is not.
     """
     stem = next((dof for dof in range(tree.nv) if tree.laned(dof)), tree.nv)
     worlds = jnp.broadcast_shapes(*(jnp.shape(x.value)[-1:] for x in [*right, *(x for row in matrix for x in row)]))
@@ -87,12 +89,20 @@ def with_pairs(
     for touch, group, flags in zip(touches, rows, active, strict=True):
         equations = _add_facets(tree, stem, touch, group, flags, equations)
 
+    rows_at, columns_at = np.arange(size)[:, None], np.arange(size + 1)[:, None]
+
     def eliminate(k: Any, table: Any) -> Any:
         pivot = table[k] / table[k, k]
-        rest = table - table[:, k][:, None] * pivot[None]
-        return jax.lax.dynamic_update_index_in_dim(rest, pivot, k, axis=0)
+        below, ahead = jnp.where(rows_at > k, table[:, k], 0.0), jnp.where(columns_at > k, pivot, 0.0)
+        return jax.lax.dynamic_update_index_in_dim(table - below[:, None] * ahead[None], pivot, k, axis=0)
 
-    solution = jax.lax.fori_loop(0, size, eliminate, equations)[:, -1]
+    triangle = jax.lax.fori_loop(0, size, eliminate, equations)
+
+    def substitute(step: Any, found: Any) -> Any:
+        k = size - 1 - step
+        return found - jnp.where(rows_at < k, triangle[:, k], 0.0) * found[k]
+
+    solution = jax.lax.fori_loop(0, size, substitute, triangle[:, -1])
     laned = solution[stem:].reshape(tree.nv - stem, tree.lanes, *worlds)
     pushing = jnp.concatenate([flag for group in active for flag in group]).any(axis=0)
     # A world's bits must not depend on whether another made its batch come here.

@@ -67,10 +67,13 @@ def _apply(eqn: Any, args: list[np.ndarray]) -> list[np.ndarray]:
 
 
 KNOWN: dict[str, Callable[..., np.generic]] = {
-    "add": lambda _, a, b: a + b,
-    "convert_element_type": lambda params, a: a.astype(params["new_dtype"]),
-    "lt": lambda _, a, b: a < b,
-    "mul": lambda _, a, b: a * b,
+    "add": np.add,
+    "and": np.bitwise_and,
+    "eq": np.equal,
+    "gt": np.greater,
+    "lt": np.less,
+    "mul": np.multiply,
+    "sub": np.subtract,
 }
 """Operations on numbers known while tracing that are so frequent that a GPU must not be asked for each."""
 
@@ -81,15 +84,17 @@ def _element(eqn: Any, args: Sequence[Element]) -> Element:
     if name == "select_n" and isinstance(args[0], np.generic):
         return args[1 + int(args[0])]
     if all(isinstance(arg, np.generic) for arg in args):
+        if name == "convert_element_type":
+            return args[0].astype(eqn.params["new_dtype"])
         if name in KNOWN:
-            return KNOWN[name](eqn.params, *args)
+            return KNOWN[name](*args)
         with jax.ensure_compile_time_eval():
             return np.asarray(eqn.primitive.bind(*map(jnp.asarray, args), **eqn.params))[()]
     if name in ("add", "mul"):
         for one, two in (args, args[::-1]):
             if _is(one, 0):
                 return two if name == "add" else one
-            if _is(one, 1) and name == "mul":
+            if name == "mul" and _is(one, 1):
                 return two
     if name == "sub" and _is(args[1], 0):
         return args[0]
