@@ -5,11 +5,12 @@ import math
 import os
 import platform
 import subprocess
+import threading
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import PackageNotFoundError, entry_points, version
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,10 @@ makes MJX 15 times faster. The pass that then computes several results in one ke
 among them, so that it is off by default; `SHARED_KERNELS` is for programs that are known to pass. jaxlib 0.10.2 aborts
 where it joins two sums with two results each, as `jnp.argmax` is, or two scatters; both arise from operations on arrays
 of one shape that have an operand in common."""
+
+NO_VECTORS = "--xla_backend_extra_options=-vectorize-slp=false"
+"""For XLA where there is an NVIDIA GPU: LLVM does not look for scalars that could be a vector, of which a GPU has none.
+That takes 2 s of compiling the tree's kernel. A CPU is slower without."""
 
 POOL_THREADS = str(max(16, 4 * (os.cpu_count() or 1)))
 """`PJRT_NPROC` for MJX: threads that all CPU devices share. By default there are as many as cores, and jaxlib 0.10.2
@@ -54,13 +59,18 @@ def short_kernels() -> dict[str, str | bool]:
 
     An update makes thousands of short kernels, each of which costs its launch: in graphs `leg_reach` trains 2 times,
     `leg_reach_linear` 1.9 times as fast on one H200. XLA's own kernels for products are up to 1.1 times as fast where
-    several runs train side by side, but to try them out takes 13 s of the time until `stand` begins to train. Graphs of
+    several runs train side by side, but to try them out takes 13 s of the time until `stand` begins to train; so XLA
+    does not try out Triton for other kernels either. Graphs of
     whole loops (`xla_gpu_enable_command_buffer` with `WHILE`) are faster still, but one of ten runs of `stand` that had
     them fell in greedy episodes at the end of a training in which it stood; nobody knows why yet.
     """
     if jax.default_backend() != "gpu":
         return {}
-    return {"xla_gpu_graph_min_graph_size": "1", "xla_gpu_enable_triton_gemm": False}
+    return {
+        "xla_gpu_graph_min_graph_size": "1",
+        "xla_gpu_enable_triton_gemm": False,
+        "xla_gpu_experimental_enable_fusion_autotuner": False,
+    }
 
 
 def on_every_device(options: Mapping[str, str | bool]) -> dict[str, str | bool]:
@@ -96,13 +106,20 @@ def start(*asked: str | None) -> None:
     }
     flags = os.environ.get("XLA_FLAGS", "")
     if not any(flag.split("=")[0] in flags for flag in XLA_FLAGS.split()):
-        os.environ["XLA_FLAGS"] = f"{flags} {XLA_FLAGS}".lstrip()
+        os.environ["XLA_FLAGS"] = f"{flags} {XLA_FLAGS} {NO_VECTORS if _nvidia() else ''}".strip()
     for name, value in defaults.items():
         if name.upper() not in os.environ:
             jax.config.update(name, value)
     look_for_garbage_seldom()
     if any("mjx-" in word for word in asked if word):
         make_room()
+
+
+def _nvidia() -> bool:
+    """Whether jax will compute on an NVIDIA GPU, told before it looks for one."""
+    asked = os.environ.get("JAX_PLATFORMS") or "cuda"
+    plugin = any("cuda" in plugin.name for plugin in entry_points(group="jax_plugins"))
+    return plugin and ("cuda" in asked or "gpu" in asked) and any(Path("/dev").glob("nvidia[0-9]*"))
 
 
 def look_for_garbage_seldom() -> None:
@@ -113,6 +130,14 @@ def look_for_garbage_seldom() -> None:
     """
     gc.freeze()
     gc.set_threshold(50_000, *gc.get_threshold()[1:])
+
+
+def reserve_memory() -> None:
+    """Have GPUs reserve their memory in threads of their own, which takes 1.5 s on one H200, while the caller goes on:
+    at the first number that is put on one it would wait for that."""
+    if jax.default_backend() == "gpu":
+        for device in jax.local_devices():
+            threading.Thread(target=jax.device_put, args=(0.0, device), daemon=True).start()
 
 
 def make_room() -> bool:

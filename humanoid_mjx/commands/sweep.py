@@ -22,7 +22,6 @@ BEST_POINTS = 10
 def run_sweep(config: str, out: Path | None, overrides: Sequence[str], resume: bool, tensorboard: bool) -> None:
     """`humanoid-mjx sweep`."""
     runtime.start()
-    from humanoid_mjx.report.figures import sweep_figures
     from humanoid_mjx.training.sweep import sweep
 
     with Bar(console) as bar:
@@ -36,6 +35,8 @@ def run_sweep(config: str, out: Path | None, overrides: Sequence[str], resume: b
         if process:
             return
         bar.phase("drawing figures")
+        from humanoid_mjx.report.figures import sweep_figures  # matplotlib takes a while
+
         axes = list(run.config.sweep.axes) if run.config.sweep else []
         summary = run.summary
         paths = sweep_figures(run.path / "figures", run.config.name, axes, run.results, summary)

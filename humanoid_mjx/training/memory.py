@@ -1,6 +1,7 @@
 """How many runs a device can train at once."""
 
 from collections import Counter
+from functools import lru_cache
 
 import jax
 import numpy as np
@@ -46,6 +47,7 @@ def run_bytes(group: Group) -> int:
     return sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(group.one_run))
 
 
+@lru_cache(maxsize=16)
 def training_bytes(group: Group) -> int:
     """About what one run takes at the peak of its training: its state before and after, and what works on it."""
     if isinstance(group.learners, WholeRunLearner):
@@ -77,7 +79,8 @@ def working_bytes(jaxpr: core.Jaxpr) -> int:
             last_use.setdefault(var, place)
     held, peak, sizes = 0, 0, {}
     for place, equation in enumerate(jaxpr.eqns):
-        inside = [working_bytes(inner) for inner in core.jaxprs_in_params(equation.params)]
+        kernel = equation.primitive.name == "pallas_call"  # what one computes is in registers
+        inside = [] if kernel else [working_bytes(inner) for inner in core.jaxprs_in_params(equation.params)]
         fused = equation.primitive.name in FUSED and uses[equation.outvars[0]] == 1
         new = {var: 0 if fused else _bytes(var.aval) for var in equation.outvars}
         peak = max(peak, held + max(sum(new.values()), *inside, 0))

@@ -25,7 +25,7 @@ MAX_RUNS = 10_000_000
 """The most runs of a sweep: points times seeds."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Group:
     """Sweep points whose learners share one structure, and so one compiled program."""
 

@@ -8,6 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from humanoid_mjx import runtime
 from humanoid_mjx.config import Config, load, parse
 from humanoid_mjx.processes import Processes
 from humanoid_mjx.runs.folder import RunFolder, fresh_path, latest_path, read_config
@@ -82,6 +83,7 @@ def sweep(
     elif isinstance(config, Mapping):
         config = parse(dict(config))
     plan = make_plan(config)
+    runtime.reserve_memory()
     sizes = [pool_size or runs_that_fit(group, jax.local_devices()[0]) for group in plan.groups]
     policies = [earlier_policies(group) for group in plan.groups]
     processes = Processes()
