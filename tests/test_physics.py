@@ -142,6 +142,25 @@ def held_torso_torque(mass, damping, qpos, qvel, qacc):
     return data.qfrc_inverse[-joints:]
 
 
+@pytest.mark.parametrize("name", ["chain", "tree", "mujoco"])
+def test_what_a_branch_asks_for_first_is_there_behind_it_too(name):
+    """It is made when asked for, and what a branch makes must not leave it."""
+    robot = {} if name == "chain" else {"torso": "fixed"}
+    physics = make_physics(name, torque_limit=10.0, **robot)
+    joints = len(np.asarray(physics.qpos0))
+
+    def branching(stages: Stages):
+        in_branch = jax.lax.cond(stages.qpos[0] > -1.0, lambda: stages.mass_matrix @ stages.qpos, lambda: stages.qpos)
+        return in_branch + stages.bias
+
+    world = physics.start(physics.qpos0 + 0.2, 0.1 * np.ones(joints))
+    _, torque = jax.jit(lambda world: physics.step(world, branching))(world)
+    _, expected = jax.jit(
+        lambda world: physics.step(world, lambda stages: stages.mass_matrix @ stages.qpos + stages.bias)
+    )(world)
+    np.testing.assert_allclose(torque, expected, rtol=1e-5, atol=1e-6)
+
+
 @jax.jit
 def torques_for(plant, qpos, qvel, qacc, believed):
     """What a controller asks for that believes in links of this mass: one factor, then one for each link."""

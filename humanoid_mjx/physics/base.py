@@ -3,12 +3,12 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import get_opaque_trace_state
 from jaxtyping import Bool, Float
 
 from humanoid_mjx.mechanics.contacts import Contacts
@@ -35,6 +35,26 @@ class World(NamedTuple):
     last sound state until it is reset."""
 
 
+T = TypeVar("T")
+
+
+class Once(Generic[T]):
+    """What is made when it is first asked for, and kept. If a branch or a loop asks first, which it must not leave, it
+    is made anew for whoever asks next."""
+
+    def __init__(self, make: Callable[[], T]) -> None:
+        self._make, self._trace = make, get_opaque_trace_state()
+        self.made: T | None = None
+
+    def __call__(self) -> T:
+        if self.made is not None:
+            return self.made
+        found = self._make()
+        if get_opaque_trace_state() == self._trace:
+            self.made = found
+        return found
+
+
 @dataclass(frozen=True)
 class Stages:
     """What a controller may use of the current state. What it does not ask for is not even traced.
@@ -59,16 +79,12 @@ class Stages:
     @property
     def mass_matrix(self) -> Float[AnyArray, "*worlds nv nv"]:
         """Mass matrix of all degrees of freedom; its last rows and columns are the joints'."""
-        return self._dynamics[0]
+        return self.dynamics()[0]
 
     @property
     def bias(self) -> Float[AnyArray, "*worlds nv"]:
         """Velocity term, gravity and the joints' damping."""
-        return self._dynamics[1]
-
-    @cached_property
-    def _dynamics(self) -> tuple[Any, Any]:
-        return self.dynamics()
+        return self.dynamics()[1]
 
 
 class Readings(NamedTuple):

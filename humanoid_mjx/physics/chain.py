@@ -21,6 +21,7 @@ from humanoid_mjx.physics.base import (
     MAX_SPEED,
     Controller,
     GroundContacts,
+    Once,
     Physics,
     Poses,
     Readings,
@@ -151,7 +152,7 @@ class ChainPhysics(Physics):
             return jax.scipy.linalg.block_diag(*matrices), jnp.concatenate(biases)
 
         nothing = no_contacts(len(world.qvel))
-        own = partial(model_for, self.mass)
+        own = Once(partial(model_for, self.mass))
         return Stages(world, world.qpos, world.qvel, own, torque_for, lambda: nothing, model_for)
 
     def _each_leg(self, mass: MassFactor, *joints: Float[Array, " joints"]) -> list[tuple[Any, ...]]:

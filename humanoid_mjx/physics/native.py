@@ -10,7 +10,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from copy import copy
-from functools import cache, lru_cache, partial
+from functools import lru_cache, partial
 from typing import Any
 
 import jax
@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 from mujoco.rollout import Rollout
 
 from humanoid_mjx.mechanics.contacts import Contacts
-from humanoid_mjx.physics.base import Controller, Poses, Sensed, Stages, Velocities, World
+from humanoid_mjx.physics.base import Controller, Once, Poses, Sensed, Stages, Velocities, World
 from humanoid_mjx.physics.model import MujocoPhysics, below, freeze_if_diverged
 from humanoid_mjx.robot import robot_spec
 from humanoid_mjx.types import AnyArray, MassFactor
@@ -120,7 +120,7 @@ class Native(MujocoPhysics):
             believed, bias_of = model_for(mass)
             return believed[-joints:, -joints:] @ qacc + bias_of[-joints:]
 
-        own = cache(partial(dynamics, self))
+        own = Once(partial(dynamics, self))
         joint_state = world.qpos[-joints:], world.qvel[-joints:]
         return Stages(world, *joint_state, own, torque_for, partial(self._contacts, world), model_for)
 

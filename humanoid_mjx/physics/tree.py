@@ -7,7 +7,7 @@ it is fastest after `runtime.start()` in a `jax.jit` with `compiler_options=runt
 """
 
 from collections.abc import Callable, Sequence
-from functools import cache, lru_cache, partial
+from functools import lru_cache, partial
 from typing import Any
 
 import jax
@@ -29,6 +29,7 @@ from humanoid_mjx.mechanics.tree.structure import Tree
 from humanoid_mjx.physics.base import (
     MAX_SPEED,
     Controller,
+    Once,
     Poses,
     Readings,
     Sensed,
@@ -155,9 +156,8 @@ class TreePhysics(MujocoPhysics):
         self, values: mechanics.Values, world: World, controller: Controller
     ) -> tuple[Float[Array, " joints"], mechanics.State | None]:
         """What the controller commands, and the state if it used any of it."""
-        state = cache(partial(self._state, values, world))
-        torque = self._ask(state, world, controller)
-        return torque, state() if state.cache_info().currsize else None
+        state = Once(partial(self._state, values, world))
+        return self._ask(state, world, controller), state.made
 
     def _ask(
         self, state: Callable[[], mechanics.State], world: World, controller: Controller
@@ -181,7 +181,7 @@ class TreePhysics(MujocoPhysics):
             position, jacobian, drift = worlds_last(_points, self.tree)(state())
             return Contacts(position, jacobian, drift, position[:, 2] <= 0.0)
 
-        own = lambda: dynamics(state())  # noqa: E731
+        own = Once(lambda: dynamics(state()))
         return Stages(world, world.qpos[-joints:], world.qvel[-joints:], own, torque_for, contacts, model_for)
 
 
