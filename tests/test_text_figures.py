@@ -143,9 +143,10 @@ def of_stand(record: Any) -> list[float]:
     reached = np.maximum.accumulate(success, axis=1) > 0.9
     back = success[:, 1:][reached[:, :-1]].min()
     last = success[:, -1]
-    names = "command_s", "training_begins_s", "steps_per_s"
-    speed = [way[name] for way in (found, found["with_triton"]) for name in names]
-    return [len(success), found["total_steps"][-1] / 1e6, last.mean(), last.min(), back, *speed]
+    times = "training_begins_s", "command_s"
+    speed = found["command_s"], found["training_begins_s"], found["steps_per_s"], found["second_time"][times[0]]
+    alone = [of(one[name] for one in found["one_seed"]) for name in times for of in (min, max)]
+    return [len(success), found["total_steps"][-1] / 1e6, last.mean(), last.min(), back, *speed, *alone]
 
 
 def of_stand_on_a_cpu(record: Any) -> list[float]:
@@ -222,7 +223,8 @@ SENTENCES = [
         rf"`stand` with `deep_q`, (\w+) seeds side by side on one H200.*? after ({NUMBER})M control steps is "
         rf"({NUMBER}) in the mean of the seeds and ({NUMBER}) in the worst of them; none that had reached 0\.9 was "
         rf"below ({NUMBER}) later\. The command took ({NUMBER}) s, ({NUMBER}) s of it before .*? makes ({NUMBER}) "
-        rf"control steps a second.*? With them it took ({NUMBER}) s, ({NUMBER}) s of it .*? made ({NUMBER})\.",
+        rf"control steps a second\. The second time, .*? began after ({NUMBER}) s\. Commands of one seed, .*? after "
+        rf"({NUMBER}) to ({NUMBER}) s and were done after ({NUMBER}) to ({NUMBER}) s\.",
         of_stand,
     ),
     (
@@ -264,6 +266,11 @@ SENTENCES = [
         rf"`posture_switch` end to end makes on two CPU cores ({NUMBER}) episodes a second on the chain and "
         rf"({NUMBER}) on MJX",
         of_postures,
+    ),
+    (
+        "h200_tables.json",
+        rf"On the GPU `scan` .*? makes ({NUMBER}) since it does not, beside ({NUMBER}) of `fused`",
+        lambda record: [row["value"] for row in record["records"] if row["batch"] == 1_048_576],
     ),
     ("h200.json", rf"`posture_switch` .*? MJX; on one H200 ({NUMBER}) and ({NUMBER})", of_postures),
     (
