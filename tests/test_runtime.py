@@ -108,9 +108,19 @@ def test_flags_that_the_environment_sets_are_kept():
         ("--xla_disable_hlo_passes=dce", "--xla_disable_hlo_passes=dce"),
         ("--xla_cpu_enable_fast_math=false", f"--xla_cpu_enable_fast_math=false {runtime.XLA_FLAGS}"),
     ):
-        environment = os.environ | {"XLA_FLAGS": given}
+        environment = os.environ | {"XLA_FLAGS": given, "JAX_PLATFORMS": "cpu"}
         done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
         assert done.stdout.strip() == kept
+
+
+def test_where_there_is_a_gpu_xla_looks_for_no_vectors_and_takes_both_options():
+    program = (
+        "import os; from humanoid_mjx import runtime; runtime._nvidia = lambda: True; runtime.start(); "
+        "import jax; print(jax.jit(lambda x: x + 1)(1), os.environ['XLA_FLAGS'])"
+    )
+    environment = os.environ | {"XLA_FLAGS": "", "JAX_PLATFORMS": "cpu"}
+    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
+    assert done.stdout.strip() == f"2 {runtime.XLA_FLAGS} {runtime.NO_VECTORS}", done.stderr
 
 
 def compiled(task: str) -> str:
@@ -127,7 +137,9 @@ def test_short_kernels_are_graphs_on_a_gpu(monkeypatch, physics, short):
     (group,) = make_plan(parse({"name": "c", "task": task, "learner": {"name": "linear_q"}})).groups
     assert "xla_gpu_graph_min_graph_size" not in group.learners.compiler_options
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    assert ("xla_gpu_graph_min_graph_size" in group.learners.compiler_options) == short
+    options = group.learners.compiler_options
+    assert ("xla_gpu_graph_min_graph_size" in options) == short
+    jax.jit(lambda x: x + 1).lower(1).compile(dict(options))  # XLA refuses an option that it does not know
 
 
 def test_tables_on_every_core_are_not_split_over_the_pool(monkeypatch):
