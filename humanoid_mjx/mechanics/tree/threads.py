@@ -92,7 +92,7 @@ def _element(eqn: Any, args: Sequence[Element]) -> Element:
             return np.asarray(eqn.primitive.bind(*map(jnp.asarray, args), **eqn.params))[()]
     if name in ("add", "mul"):
         for one, two in (args, args[::-1]):
-            if _is(one, 0):
+            if _is(one, 0):  # times what is not finite, too: `Scalar` has it so
                 return two if name == "add" else one
             if name == "mul" and _is(one, 1):
                 return two
