@@ -59,10 +59,10 @@ def short_kernels() -> dict[str, str | bool]:
 
     An update makes thousands of short kernels, each of which costs its launch: in graphs `leg_reach` trains 2 times,
     `leg_reach_linear` 1.9 times as fast on one H200. XLA's own kernels for products are up to 1.1 times as fast where
-    several runs train side by side, but to try them out takes 13 s of the time until `stand` begins to train; so XLA
-    does not try out Triton for other kernels either. Graphs of
-    whole loops (`xla_gpu_enable_command_buffer` with `WHILE`) are faster still, but one of ten runs of `stand` that had
-    them fell in greedy episodes at the end of a training in which it stood; nobody knows why yet.
+    several runs train side by side, but to try them out took 10 s of the time until `stand` began to train; so XLA does
+    not try out Triton for other kernels either, which gained nothing. Graphs of whole loops
+    (`xla_gpu_enable_command_buffer` with `WHILE`) are faster still, but one of ten runs of `stand` that had them fell
+    in greedy episodes at the end of a training in which it stood; nobody knows why yet.
     """
     if jax.default_backend() != "gpu":
         return {}
@@ -125,8 +125,8 @@ def _nvidia() -> bool:
 def look_for_garbage_seldom() -> None:
     """Have Python look for garbage after 50,000 new objects, by default 700, and not among what is imported.
 
-    Tracing a program makes hundreds of thousands of objects that stay, through which Python looks again and again: a
-    seventh of the time until `stand` begins to train on a CPU.
+    Tracing a program makes hundreds of thousands of objects that stay, through which Python looks again and again: an
+    eighth of the time until `stand` begins to train on a CPU, its programs compiled before.
     """
     gc.freeze()
     gc.set_threshold(50_000, *gc.get_threshold()[1:])

@@ -142,7 +142,7 @@ def held_torso_torque(mass, damping, qpos, qvel, qacc):
     return data.qfrc_inverse[-joints:]
 
 
-@pytest.mark.parametrize("name", ["chain", "tree", "mujoco"])
+@pytest.mark.parametrize("name", ["chain", "tree", "mjx-jax", "mujoco"])
 def test_what_a_branch_asks_for_first_is_there_behind_it_too(name):
     """It is made when asked for, and what a branch makes must not leave it."""
     robot = {} if name == "chain" else {"torso": "fixed"}

@@ -113,6 +113,26 @@ def test_flags_that_the_environment_sets_are_kept():
         assert done.stdout.strip() == kept
 
 
+@pytest.mark.parametrize(
+    ("platforms", "plugin", "device", "found"),
+    [
+        ("", "xla_cuda13", "nvidia0", True),
+        ("cuda,cpu", "xla_cuda12", "nvidia3", True),
+        ("cpu", "xla_cuda13", "nvidia0", False),
+        ("", "xla_rocm", "nvidia0", False),
+        ("", "xla_cuda13", "nvidiactl", False),
+    ],
+)
+def test_a_gpu_is_told_by_its_plugin_its_device_and_what_is_asked_for(
+    monkeypatch, tmp_path, platforms, plugin, device, found
+):
+    (tmp_path / device).touch()
+    monkeypatch.setenv("JAX_PLATFORMS", platforms)
+    monkeypatch.setattr(runtime, "entry_points", lambda group: [SimpleNamespace(name=plugin)])
+    monkeypatch.setattr(runtime, "Path", lambda _: tmp_path)
+    assert runtime._nvidia() == found
+
+
 def test_where_there_is_a_gpu_xla_looks_for_no_vectors_and_takes_both_options():
     program = (
         "import os; from humanoid_mjx import runtime; runtime._nvidia = lambda: True; runtime.start(); "

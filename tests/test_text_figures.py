@@ -268,7 +268,7 @@ SENTENCES = [
         of_postures,
     ),
     (
-        "h200_tables.json",
+        "h200_in_turn.json",
         rf"On the GPU `scan` .*? makes ({NUMBER}) since it does not, beside ({NUMBER}) of `fused`",
         lambda record: [row["value"] for row in record["records"] if row["batch"] == 1_048_576],
     ),

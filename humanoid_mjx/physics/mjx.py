@@ -18,7 +18,7 @@ from pydantic import Field, model_validator
 
 from humanoid_mjx import runtime
 from humanoid_mjx.mechanics.contacts import Contacts, rigid_points
-from humanoid_mjx.physics.base import Controller, Poses, Sensed, Stages, World
+from humanoid_mjx.physics.base import Controller, Once, Poses, Sensed, Stages, World
 from humanoid_mjx.physics.model import MujocoPhysics, below, freeze_if_diverged, ground_points
 from humanoid_mjx.types import AnyArray, IntScalar, MassFactor
 
@@ -169,13 +169,16 @@ class MjxJax(MujocoPhysics):
 
     def _stages(self, model: Any, data: Any, world: World) -> Stages:
         joints = self.model.nu
-        matrix, bias = mass_matrix(self.model, data), data.qfrc_bias - data.qfrc_passive
+
+        def dynamics(data: Any) -> tuple[Float[Array, "nv nv"], Float[Array, " nv"]]:
+            return mass_matrix(self.model, data), data.qfrc_bias - data.qfrc_passive
+
+        own = Once(partial(dynamics, data))
 
         def model_for(mass: MassFactor) -> tuple[Float[Array, "nv nv"], Float[Array, " nv"]]:
             if jnp.ndim(mass) == jnp.ndim(self.mass) == 0:
-                return self.rescaled(mass / self.mass, matrix, bias, world.qvel)
-            other = self._at(self.replace(mass=mass)._put(), data, world)
-            return mass_matrix(self.model, other), other.qfrc_bias - other.qfrc_passive
+                return self.rescaled(mass / self.mass, *own(), world.qvel)
+            return dynamics(self._at(self.replace(mass=mass)._put(), data, world))
 
         def torque_for(qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
             believed, bias_of = model_for(mass)
@@ -189,7 +192,7 @@ class MjxJax(MujocoPhysics):
             return Contacts(position, jacobian, drift, position[:, 2] <= 0.0)
 
         joint_state = world.qpos[-joints:], world.qvel[-joints:]
-        return Stages(world, *joint_state, lambda: (matrix, bias), torque_for, contacts, model_for)
+        return Stages(world, *joint_state, own, torque_for, contacts, model_for)
 
 
 class MjxWarp(MjxJax):
