@@ -14,6 +14,10 @@ from humanoid_mjx.bench.limit import machine_limit
 
 REPEATS = 7
 
+REST = 0.02
+"""Seconds in which threads of the subject before come to rest: those of OpenMP, as numba has, go on to ask for work and
+keep the cores from the next."""
+
 
 @dataclass(frozen=True)
 class Record:
@@ -91,7 +95,7 @@ class Timing(NamedTuple):
 def time_in_turn(subjects: Mapping[str, Subject]) -> dict[str, Timing]:
     """Time subjects in turn, round after round, so that a machine whose speed drifts favours none.
 
-    The seconds to compile are those of the first call less those of a later one.
+    Before each there is a pause of `REST`. The seconds to compile are those of the first call less those of a later.
     """
     first: dict[str, float] = {}
     results: dict[str, Any] = {}
@@ -151,6 +155,7 @@ def limits(spent: Cost, seconds: float, work: float) -> dict[str, Any]:
 
 
 def _timed(call: Callable[[], Any]) -> tuple[float, Any]:
+    time.sleep(REST)
     start = time.perf_counter()
     result = jax.block_until_ready(call())
     return time.perf_counter() - start, result
