@@ -10,10 +10,15 @@ outcome of every episode added to one of 100 points of a learning curve.
     naive_scan   the same as one would first write it: jax.random's own keys split in every step, plain indexing
     python       one agent at a time in plain Python
     numba        one agent a thread, compiled, fastmath, all cores (where numba is installed)
+    cuda         one agent a thread of a GPU, its table in shared memory: CUDA by hand (where CuPy is installed)
+
+`fused` and `cuda` train tables of other sizes, too.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import partial
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -31,11 +36,21 @@ MOVES, CAP, POINTS, EPISODES = 23, 500, 100, 100_000
 DECAY, RATE, DISCOUNT, BONUS = 0.999, 0.5, 0.9, 100.0
 BATCHES = {"cpu": (1, 1024, 4096, 65_536), "gpu": (1, 256, 4096, 65_536, 1_048_576)}
 
+OTHER_MOVES = (4, 63)
+"""Of the other tables that kernels train. A table has a row more."""
+
 AT_ONCE = 2**24
 """Agents times steps in a call, as far as `STEPS` allows: starting a call of 5 ms takes two more."""
 
 STEPS = 1024, 8192
-"""The fewest and the most steps in a call. A sweep makes as many as fit into a fifth of a second."""
+"""The fewest and the most steps in a call; a kernel makes the most. A sweep makes as many as fit into a fifth of a
+second."""
+
+KERNELS = ("fused", "cuda")
+"""Subjects that make all steps in one kernel of a GPU."""
+
+CUDA_BLOCK = 128
+"""Threads of `cuda` that share a block's memory."""
 
 CPU_BLOCK = 1024
 """Agents whose state the cache of a core holds."""
@@ -44,40 +59,57 @@ CPU_BLOCK = 1024
 def run(say: Callable[[str], None]) -> list[Record]:
     """Time all subjects over several numbers of agents."""
     records: list[Record] = []
-    absent = {"numba"} if find_spec("numba") is None else set()
-    if absent:
-        say("numba: not measured, for it is not installed; pip install 'humanoid-mjx[bench]' brings it")
-    if why_not := kernel.why_not(_learner()):
-        say(f"fused: not measured, for {why_not}")
-        absent.add("fused")
-    makers = {name: make for name, make in SUBJECTS.items() if name not in absent}
-    for batch in BATCHES.get(jax.default_backend(), BATCHES["gpu"]):
+    for batch, makers in _cases(_absent(say)):
         epsilon = np.linspace(0.1, 0.9, batch, dtype=np.float32)
         least, most = STEPS
-        steps = min(max(AT_ONCE // batch, least), most)
-        made = {name: make(epsilon, steps) for name, make in makers.items()}
-        subjects = {name: Subject(call, batch * steps, batch) for name, (call, _) in made.items()}
-        if "python" in subjects:
+        made: dict[str, Made] = {}
+        subjects: dict[str, Subject] = {}
+        for name, make in makers.items():
+            steps = most if name.startswith(KERNELS) else min(max(AT_ONCE // batch, least), most)
+            made[name] = make(epsilon, steps)
+            subjects[name] = Subject(made[name][0], batch * steps, batch, device="cpu" if name == "numba" else "")
+        if "python" in made:
             subjects["python"] = Subject(made["python"][0], PYTHON_STEPS, 1, 3, "cpu")
-        if "numba" in subjects:
-            subjects["numba"] = Subject(made["numba"][0], batch * steps, batch, device="cpu")
         for name, timing in time_in_turn(subjects).items():
             episodes = made[name][1](timing.result)
             records.append(record("tabular", name, subjects[name], timing, "steps/s"))
             records.append(record("tabular", name, subjects[name], timing, "episodes/s", episodes))
-            say(f"{name:12} {subjects[name].batch:9,} agents  {records[-2].value:10.3e} steps/s"
+            say(f"{name:16} {subjects[name].batch:9,} agents  {records[-2].value:10.3e} steps/s"
                 f"  {records[-1].value:10.3e} episodes/s  compiled in {timing.compile_s:4.1f} s"
                 f"{records[-2].in_words()}")  # fmt: skip
-        makers.pop("python", None)
     return records
+
+
+def _absent(say: Callable[[str], None]) -> set[str]:
+    """The subjects that cannot be measured here, once it is said why."""
+    why = {"numba": None if find_spec("numba") else "it is not installed; pip install 'humanoid-mjx[bench]' brings it"}
+    why["fused"] = why["cuda"] = kernel.why_not(_learner())
+    if why["cuda"] is None and not find_spec("cupy"):
+        why["cuda"] = "CuPy is not installed; pip install cupy-cuda13x brings it"
+    for name, reason in why.items():
+        if reason:
+            say(f"{name}: not measured, for {reason}")
+    return {name for name, reason in why.items() if reason}
+
+
+def _cases(absent: set[str]) -> Iterator[tuple[int, dict[str, Callable[[np.ndarray, int], "Made"]]]]:
+    """How many agents, and what trains them."""
+    makers = {name: make for name, make in SUBJECTS.items() if name not in absent}
+    batches = BATCHES.get(jax.default_backend(), BATCHES["gpu"])
+    for batch in batches:
+        yield batch, dict(makers)
+        makers.pop("python", None)
+    kernels = [name for name in KERNELS if name in makers]
+    for moves in OTHER_MOVES if kernels else ():
+        yield batches[-1], {f"{name}, {moves + 1} rows": partial(SUBJECTS[name], moves=moves) for name in kernels}
 
 
 Made = tuple[Callable[[], Any], Callable[[Any], float]]
 """A training to time, and a function that counts the episodes in what it returns."""
 
 
-def _learner() -> TabularQ:
-    task = make_task("joint_reach", joint=1, max_episode_steps=CAP)
+def _learner(moves: int = MOVES) -> TabularQ:
+    task = make_task("joint_reach", joint=1, states=moves + 1, action=115.0 / moves, max_episode_steps=CAP)
     values = {"epsilon_decay": DECAY, "learning_rate": RATE, "discount": DISCOUNT}
     return make_learner("tabular_q", task, episodes=EPISODES, record=POINTS, **values)
 
@@ -102,9 +134,10 @@ def scan(epsilon: np.ndarray, steps: int) -> Made:
     return call, lambda result: sum(float(state.carry.agents.episode.sum()) for mine in result for state, _ in mine)
 
 
-def fused(epsilon: np.ndarray, steps: int) -> Made:
+def fused(epsilon: np.ndarray, steps: int, moves: int = MOVES) -> Made:
     """This package's learner in one kernel."""
-    learners = jax.tree.map(lambda x: jnp.full(len(epsilon), x), _learner()).replace(epsilon=jnp.asarray(epsilon))
+    learner = _learner(moves)
+    learners = jax.tree.map(lambda x: jnp.full(len(epsilon), x), learner).replace(epsilon=jnp.asarray(epsilon))
     training = jax.jit(jax.vmap(begin))(learners, jax.random.split(rng.key(0), len(epsilon)))
     train = jax.jit(kernel.advance)
     call = Programs(train, [[(learners, training, steps)]])
@@ -226,4 +259,35 @@ def numba(epsilon: np.ndarray, steps: int) -> Made:
     return lambda: train(epsilon, steps), lambda result: float(result.sum())
 
 
-SUBJECTS = {"scan": scan, "fused": fused, "naive_scan": naive_scan, "python": python, "numba": numba}
+def cuda(epsilon: np.ndarray, steps: int, moves: int = MOVES) -> Made:
+    """One agent a thread of a GPU, the kernel of `tabular.cu` with fast arithmetic."""
+    import cupy as cp  # pyright: ignore[reportMissingImports]
+
+    numbers = {"DECAY": DECAY, "RATE": RATE, "DISCOUNT": DISCOUNT, "BONUS": BONUS}
+    macros = {"MOVES": moves, "CAP": CAP, "POINTS": POINTS, "EPISODES": EPISODES}
+    macros |= {name: f"{number}f" for name, number in numbers.items()}
+    options = "-std=c++17", "--use_fast_math", *(f"-D{name}={value}" for name, value in macros.items())
+    train = cp.RawKernel(Path(__file__).with_suffix(".cu").read_text(), "train", options=options)
+    agents, block = len(epsilon), CUDA_BLOCK
+    shared = 4 * 2 * (moves + 1) * block
+    train.max_dynamic_shared_size_bytes = shared
+    epsilons, finished = cp.asarray(epsilon), cp.zeros(agents, cp.int32)
+    curves = cp.zeros((agents, POINTS, 4), cp.float32)
+
+    def call() -> Any:
+        arguments = epsilons, curves, finished, np.int32(steps), np.int32(agents)
+        train((-(-agents // block),), (block,), arguments, shared_mem=shared)
+        cp.cuda.runtime.deviceSynchronize()
+        return finished
+
+    return call, lambda result: float(result.sum())
+
+
+SUBJECTS: dict[str, Callable[..., Made]] = {
+    "scan": scan,
+    "fused": fused,
+    "naive_scan": naive_scan,
+    "python": python,
+    "numba": numba,
+    "cuda": cuda,
+}
