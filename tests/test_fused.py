@@ -9,7 +9,7 @@ from finite_mdp import random_task
 from humanoid_mjx import make_learner, make_task, rng
 from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.training import fused
-from humanoid_mjx.training.elementwise import Elementwise, NotElementwise
+from humanoid_mjx.training.elementwise import Elementwise, NotElementwise, kept_in_common
 from humanoid_mjx.training.program import advance, begin
 
 RUNS, BLOCK = 6, 4
@@ -104,6 +104,16 @@ def test_what_is_fixed_is_computed_once():
     kept = part.once(10.0)
     unused = {"lookup": lambda table, index: index, "truncate": lambda x: x}
     assert part.step([x[None] for x in kept], jnp.float32([2.0]), **unused) == 9.0
+
+
+def test_parts_know_what_they_keep_in_common_and_keep_no_constants():
+    one = Elementwise(lambda fixed, x: jnp.where(x > jnp.round(fixed / 3), x, 0.0), 10.0, 2.0)
+    other = Elementwise(lambda fixed, x: x * fixed + jnp.round(fixed / 3), 10.0, 2.0)
+    another = Elementwise(lambda fixed, x: x + jnp.round(fixed / 4), 10.0, 2.0)
+    assert [len(part.kept) for part in (one, other, another)] == [1, 2, 1]
+    (mine,), theirs, (third,) = kept_in_common((one, other, another))
+    assert mine in theirs and third not in (mine, *theirs)
+    assert one.once(10.0) == [other.once(10.0)[theirs.index(mine)]] == [3.0]
 
 
 def test_tables_that_no_block_can_hold_lie_in_device_memory():

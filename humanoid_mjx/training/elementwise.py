@@ -131,6 +131,9 @@ def _inlined(traced: ClosedJaxpr) -> tuple[list[Var], list[Equation], tuple[Any,
                 inner = eqn.params[CALLS[eqn.primitive.name]]
                 names |= zip(eqn.outvars, walk(inner, dict(zip(inner.jaxpr.invars, inputs, strict=True))), strict=True)
                 continue
+            if eqn.primitive.name == "convert_element_type" and not isinstance(inputs[0], Var):
+                names[eqn.outvars[0]] = inputs[0].astype(eqn.params["new_dtype"])
+                continue
             outputs = tuple(Var(var.aval) for var in eqn.outvars)  # an inner function may be called twice
             names |= zip(eqn.outvars, outputs, strict=True)
             equations.append(Equation(eqn.primitive, eqn.params, inputs, outputs))
@@ -140,18 +143,37 @@ def _inlined(traced: ClosedJaxpr) -> tuple[list[Var], list[Equation], tuple[Any,
     return list(traced.jaxpr.invars), equations, tuple(outputs)
 
 
+def kept_in_common(parts: Sequence[Elementwise]) -> list[list[int]]:
+    """A number for each value that each part keeps; with one `fixed` for all, equal numbers are equal values.
+
+    What a kernel is given twice it does not know to be the same, and computes everything that follows from it twice.
+    """
+    numbers: dict[Any, int] = {}
+    found = []
+    for part in parts:
+        known = {var: numbers.setdefault(place, len(numbers)) for place, var in enumerate(part.fixed)}
+        for equation in part.before:
+            what = _what(equation, [known.get(x, x) if isinstance(x, Var) else x for x in equation.inputs])
+            for place, var in enumerate(equation.outputs):
+                known[var] = numbers.setdefault((what, place), len(numbers))
+        found.append([known[var] for var in part.kept])
+    return found
+
+
+def _what(equation: Equation, inputs: Sequence[Any]) -> Any:
+    """The same for operations that do the same with the same inputs."""
+    same = [((x.dtype, x.item()) if x.size == 1 else id(x)) if isinstance(x, np.ndarray) else x for x in inputs]
+    return equation.primitive, str(sorted(equation.params.items())), tuple(same)
+
+
 def _each_once(equations: list[Equation], outputs: tuple[Any, ...]) -> tuple[list[Equation], tuple[Any, ...]]:
     """Without operations that repeat one before: a compiler does not see them all through inline assembly."""
     names: dict[Any, Any] = {}
     seen: dict[Any, tuple[Var, ...]] = {}
     kept = []
-
-    def same(x: Any) -> Any:
-        return x if isinstance(x, Var) else (x.dtype, x.item()) if x.size == 1 else id(x)
-
     for equation in equations:
         inputs = tuple(names.get(x, x) if isinstance(x, Var) else x for x in equation.inputs)
-        what = equation.primitive, str(sorted(equation.params.items())), tuple(map(same, inputs))
+        what = _what(equation, inputs)
         if what in seen:
             names |= zip(equation.outputs, seen[what], strict=True)
         else:

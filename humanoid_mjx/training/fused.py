@@ -23,7 +23,7 @@ from humanoid_mjx import rng, runtime
 from humanoid_mjx.assembly import assembly
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.tabular import TabularQ
-from humanoid_mjx.training.elementwise import Elementwise, NotElementwise
+from humanoid_mjx.training.elementwise import Elementwise, NotElementwise, kept_in_common
 from humanoid_mjx.training.program import Training, record_entry
 from humanoid_mjx.training.table_memory import DeviceMemory, Record, SharedMemory
 from humanoid_mjx.types import IntScalar
@@ -125,7 +125,9 @@ def advance(
         return jax.tree.map(lambda x: x[:runs], advance(wide[0], wide[1], steps, block, interpret))
     parts = functions(one_of(learners))
     key, agents = training.carry.agents.key, training.carry.agents._replace(key=None)
-    kept = [jax.vmap(part.once)((learners, key)) for part in parts]
+    kept: dict[int, Array] = {}
+    for part, numbers in zip(parts, kept_in_common(parts), strict=True):
+        kept |= zip(numbers, jax.vmap(part.once)((learners, key)), strict=True)
     laps = (jnp.int32(steps) + learners.lap - 1) // learners.lap * learners.lap
     tables = _tables(parts)
     state = jax.tree.map(_storable, (agents, training.carry.step))
@@ -174,6 +176,7 @@ def _kernel(*refs: Any, parts: Functions, inputs: Any, like: Any, place: Any, bl
     *state_refs, tables, record = refs[count:]
     run = pl.program_id(0) * block + jnp.arange(block, dtype=jnp.int32)
     kept = jax.tree.map(lambda ref: gpu.load(ref.at[run]), kept)
+    fixed = [[kept[number] for number in numbers] for numbers in kept_in_common(parts)]
     numbers = {name: i for i, name in enumerate({id(table): None for part in parts for table in part.tables})}
 
     def lookup(table: np.ndarray, index: Array) -> Array:
@@ -199,14 +202,14 @@ def _kernel(*refs: Any, parts: Functions, inputs: Any, like: Any, place: Any, bl
     def one(_: Array, inner: Any) -> Any:
         token, agent, step, here, sums = inner
         q_row = memory.row(token, agent.next_row)
-        row, action, change, point, values = parts.learn.step(kept[0], (agent, q_row), lookup, truncate)
+        row, action, change, point, values = parts.learn.step(fixed[0], (agent, q_row), lookup, truncate)
         token = memory.add(token, row, action, change, (*agent.q_row, *q_row))
         moved = point != here
         curve.put(here, sums, moved)
         sums = [old + value for old, value in zip(curve.row(point, sums, moved), values, strict=True)]
         step = step + 1
-        agent = parts.go_on.step(kept[1], (agent, step), lookup, truncate)
-        agent = parts.move.step(kept[2], (agent, memory.row(token, agent.row), step), lookup, truncate)
+        agent = parts.go_on.step(fixed[1], (agent, step), lookup, truncate)
+        agent = parts.move.step(fixed[2], (agent, memory.row(token, agent.row), step), lookup, truncate)
         return token, agent, step, point, sums
 
     here = jnp.zeros(block, jnp.int32)
