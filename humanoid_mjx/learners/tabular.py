@@ -23,7 +23,7 @@ from pydantic import Field
 from humanoid_mjx.indexing import add_at
 from humanoid_mjx.learners.base import Learner, Outcome
 from humanoid_mjx.rng import uniform
-from humanoid_mjx.runtime import no_library
+from humanoid_mjx.runtime import SHARED_KERNELS, no_library, wide_vectors
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import State
 from humanoid_mjx.tasks.finite import FiniteTask
@@ -85,7 +85,8 @@ class TabularQ(Learner):
 
     @property
     def compiler_options(self) -> Mapping[str, str | bool]:
-        return {**self.task.compiler_options, **no_library()}
+        options = {**self.task.compiler_options, **no_library()}
+        return options | wide_vectors() if SHARED_KERNELS.items() <= options.items() else options
 
     @property
     def cumulative(self) -> bool:
@@ -160,8 +161,9 @@ class TabularQ(Learner):
             learns &= agent.terminated
         update = Update(agent.row, agent.action, jnp.where(learns, td_target - old, 0.0))
         _, ends = self._ended(agent)
-        totals = {"steps": agent.length, "success": agent.terminated, "return": agent.episode_return}
+        totals = {"steps": agent.length, "return": agent.episode_return}
         totals = {name: jnp.where(ends, x, 0.0) for name, x in totals.items()}
+        totals["success"] = jnp.where(ends & agent.terminated, 1.0, 0.0)
         return update, Outcome(agent.episode, jnp.where(ends, 1.0, 0.0), totals, {})
 
     def go_on(self, agent: Agent, step: IntScalar) -> Agent:
