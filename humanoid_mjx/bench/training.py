@@ -1,8 +1,8 @@
 """Training end to end by each learner, as the shipped configs say: steps and episodes a second, what success takes.
 
-Each config is swept with several seeds into a folder of its own, with nothing compiled before it and no compiled
-program found on disk. Seeds train side by side, those of `brax_ppo` one after another. Rates are of all seeds together
-and leave compiling out: they are taken between the first and the last look at the training.
+Each config is swept with several seeds into a folder of its own, with nothing compiled before it, not on disk either.
+Seeds train side by side, those of `brax_ppo` one after another: the first compiles, the others find that on disk. Rates
+are of all seeds together and leave compiling out: they are taken between the first and the last look at the training.
 
     steps/s             decisions of the task, all environments together, with the learning between them
     episodes/s          the same by the mean length of an episode in training
@@ -80,7 +80,7 @@ def run(
         if learner == "brax_ppo" and find_spec("brax") is None:
             say(f"{name}: brax is not installed")
             continue
-        with TemporaryDirectory() as folder, nothing_compiled():
+        with TemporaryDirectory() as folder, nothing_compiled(Path(folder) / "programs"):
             trained = sweep(config, Path(folder) / "run")
             compile_s = loads((trained.path / "provenance.json").read_text())["compile_s"]
             found, envs, held = measure(trained), environments(trained.config.learner), memory(config)
@@ -175,15 +175,20 @@ def measure(trained: Run) -> Measured:
 
 
 @contextmanager
-def nothing_compiled() -> Iterator[None]:
-    """Forget compiled programs, and neither find nor leave any on disk."""
-    before = jax.config.values["jax_enable_compilation_cache"]
+def nothing_compiled(cache: Path | None = None) -> Iterator[None]:
+    """Forget compiled programs and find none on disk, but those that the block itself leaves in the folder `cache`."""
+    settings = {"jax_enable_compilation_cache": cache is not None, "jax_compilation_cache_dir": cache and str(cache)}
+    before = {name: jax.config.values[name] for name in settings}
     programs.cache_clear()
     jax.clear_caches()
-    jax.config.update("jax_enable_compilation_cache", False)
-    compilation_cache.reset_cache()
+    _set_cache(settings)
     try:
         yield
     finally:
-        jax.config.update("jax_enable_compilation_cache", before)
-        compilation_cache.reset_cache()
+        _set_cache(before)
+
+
+def _set_cache(settings: Mapping[str, Any]) -> None:
+    for name, value in settings.items():
+        jax.config.update(name, value)
+    compilation_cache.reset_cache()
