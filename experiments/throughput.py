@@ -21,7 +21,7 @@ ROOT = Path(__file__).parent.parent
 MACHINES = {"two CPU cores": "cpu_2_cores", "one NVIDIA H200": "h200"}
 """The rows of panels: of which record of `docs/bench`. Native MuJoCo and numba use all cores of that machine's CPU."""
 
-BLUE, RED, GREEN, PINK, SKY, *_ = COLORS
+BLUE, RED, GREEN, PINK, SKY, ORANGE, *_ = COLORS
 
 
 class Line(NamedTuple):
@@ -51,6 +51,7 @@ PANELS = (
             Line("scan", "steps/s", "scan", BLUE),
             Line("fused", "steps/s", "fused", SKY),
             Line("naive_scan", "steps/s", "naive scan", RED),
+            Line("cuda", "steps/s", "CUDA by hand", ORANGE),
             Line("numba", "steps/s", "numba", GREEN),
             Line("python", "steps/s", "plain Python", PINK),
         ),

@@ -71,6 +71,7 @@ SPEED = {
     "`bench tabular`": {
         "`scan`, what a sweep runs on a CPU": ("scan", "steps/s"),
         "`fused`, what it runs on a GPU": ("fused", "steps/s"),
+        "`cuda`, a kernel written by hand with CuPy": ("cuda", "steps/s"),
         "`naive_scan`, `jax.random` in every step": ("naive_scan", "steps/s"),
         "`numba`, all cores": ("numba", "steps/s"),
     },
@@ -215,6 +216,18 @@ def of_both_legs(record: Any) -> list[float]:
     return [found["episodes"], runs.sum(), runs.size, *runs.shape]
 
 
+def of_few_agents(record: dict[str, Any]) -> list[float]:
+    """numba against this package, with 1,024 agents and with one."""
+    rates = {(r["subject"], r["batch"]): r["value"] for r in record["records"] if r["unit"] == "steps/s"}
+    return [rates["numba", batch] / rates["scan", batch] for batch in (1024, 1)]
+
+
+def of_table_kernel(found: dict[str, Any]) -> list[float]:
+    """`fused`, and against CUDA by hand, with its own random numbers and with this package's."""
+    fused, *by_hand = [value for name, value in found["table_kernel"]["now"].items() if name != "commit"]
+    return [fused, *(fused / rate for rate in by_hand)]
+
+
 WORDS = {"one": 1, "two": 2, "four": 4, "five": 5, "eight": 8, "ten": 10, "sixteen": 16}
 
 SENTENCES = [
@@ -268,9 +281,15 @@ SENTENCES = [
         of_postures,
     ),
     (
+        "cpu_2_cores.json",
+        rf"`numba` is the faster one with few agents, ({NUMBER}) times with 1,024 and ({NUMBER}) times with one;",
+        of_few_agents,
+    ),
+    (
         "h200_in_turn.json",
-        rf"On the GPU `scan` .*? makes ({NUMBER}) since it does not, beside ({NUMBER}) of `fused`",
-        lambda record: [row["value"] for row in record["records"] if row["batch"] == 1_048_576],
+        rf"In turn with the CUDA kernel it makes ({NUMBER}) steps a second, ({NUMBER}) of what that makes, .*? and "
+        rf"({NUMBER}) of what it makes with this",
+        of_table_kernel,
     ),
     ("h200.json", rf"`posture_switch` .*? MJX; on one H200 ({NUMBER}) and ({NUMBER})", of_postures),
     (
