@@ -107,13 +107,14 @@ def test_what_is_fixed_is_computed_once():
 
 
 def test_parts_know_what_they_keep_in_common_and_keep_no_constants():
-    one = Elementwise(lambda fixed, x: jnp.where(x > jnp.round(fixed / 3), x, 0.0), 10.0, 2.0)
-    other = Elementwise(lambda fixed, x: x * fixed + jnp.round(fixed / 3), 10.0, 2.0)
-    another = Elementwise(lambda fixed, x: x + jnp.round(fixed / 4), 10.0, 2.0)
+    ten, two = jnp.float32(10.0), jnp.float32(2.0)
+    one = Elementwise(lambda fixed, x: jnp.where(x > jnp.round(fixed / 3), x, 0.0), ten, two)
+    other = Elementwise(lambda fixed, x: x * fixed + jnp.round(fixed / 3), ten, two)
+    another = Elementwise(lambda fixed, x: x + jnp.round(fixed / 4), ten, two)
     assert [len(part.kept) for part in (one, other, another)] == [1, 2, 1]
     (mine,), theirs, (third,) = kept_in_common((one, other, another))
     assert mine in theirs and third not in (mine, *theirs)
-    assert one.once(10.0) == [other.once(10.0)[theirs.index(mine)]] == [3.0]
+    assert one.once(ten) == [other.once(ten)[theirs.index(mine)]] == [3.0]
 
 
 def test_tables_that_no_block_can_hold_lie_in_device_memory():
