@@ -222,6 +222,11 @@ def of_few_agents(record: dict[str, Any]) -> list[float]:
     return [rates["numba", batch] / rates["scan", batch] for batch in (1024, 1)]
 
 
+def of_two_devices(record: dict[str, Any]) -> list[float]:
+    """Medians of the efficiency of sweeps of tables and of networks, and of environments."""
+    return [float(np.median(found["efficiency"])) for found in record["devices"].values() if isinstance(found, dict)]
+
+
 def of_table_kernel(found: dict[str, Any]) -> list[float]:
     """`fused`, and against CUDA by hand, with its own random numbers and with this package's."""
     fused, *by_hand = [value for name, value in found["table_kernel"]["now"].items() if name != "commit"]
@@ -284,6 +289,12 @@ SENTENCES = [
         "cpu_2_cores.json",
         rf"`numba` is the faster one with few agents, ({NUMBER}) times with 1,024 and ({NUMBER}) times with one;",
         of_few_agents,
+    ),
+    (
+        "cpu_2_cores_in_turn.json",
+        rf"Two CPU devices, .*? a sweep at ({NUMBER}) \(tables\) and ({NUMBER}) \(.*?\) of twice the rate of one, and "
+        rf"a run whose environments they share at ({NUMBER})",
+        of_two_devices,
     ),
     (
         "h200_in_turn.json",
