@@ -43,6 +43,11 @@ SHARED_KERNELS: dict[str, str | bool] = {"xla_disable_hlo_passes": "none"}
 second 1.2 to 1.7 times faster on a CPU; tile coding on chain dynamics is so 2 times; else no effect."""
 
 
+def shares_kernels(options: Mapping[str, str | bool]) -> bool:
+    """Whether these options have `SHARED_KERNELS`, as those of tasks on physics of scalars have and on none."""
+    return SHARED_KERNELS.items() <= options.items()
+
+
 def no_library() -> dict[str, str | bool]:
     """`compiler_options` of a `jax.jit` around MJX or approximate Q-learning: on a CPU no sums and products by YNNPACK.
 

@@ -378,6 +378,13 @@ def test_what_is_not_installed_is_said(monkeypatch):
     monkeypatch.setattr(tabular, "find_spec", lambda name: None)
     tabular.run(said.append)
     assert any(line.startswith("numba: not measured") for line in said)
+    assert "fused: not measured, for there is no GPU" in said and "cuda: not measured, for there is no GPU" in said
+    said.clear()
+    monkeypatch.setattr(tabular, "OTHER_MOVES", ())
+    monkeypatch.setattr(tabular.kernel, "why_not", lambda learner: None)
+    tabular.run(said.append)
+    assert any(line.startswith("cuda: not measured, for CuPy") for line in said)
+    assert not any(line.startswith("fused") for line in said)
     said.clear()
     monkeypatch.setattr(tabular, "find_spec", lambda name: object())
     tabular.run(said.append)

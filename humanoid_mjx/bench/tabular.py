@@ -56,6 +56,10 @@ CPU_BLOCK = 1024
 """Agents whose state the cache of a core holds."""
 
 
+Made = tuple[Callable[[], Any], Callable[[Any], float]]
+"""A training to time, and a function that counts the episodes in what it returns."""
+
+
 def run(say: Callable[[str], None]) -> list[Record]:
     """Time all subjects over several numbers of agents."""
     records: list[Record] = []
@@ -92,7 +96,7 @@ def _absent(say: Callable[[str], None]) -> set[str]:
     return {name for name, reason in why.items() if reason}
 
 
-def _cases(absent: set[str]) -> Iterator[tuple[int, dict[str, Callable[[np.ndarray, int], "Made"]]]]:
+def _cases(absent: set[str]) -> Iterator[tuple[int, dict[str, Callable[[np.ndarray, int], Made]]]]:
     """How many agents, and what trains them."""
     makers = {name: make for name, make in SUBJECTS.items() if name not in absent}
     batches = BATCHES.get(jax.default_backend(), BATCHES["gpu"])
@@ -102,10 +106,6 @@ def _cases(absent: set[str]) -> Iterator[tuple[int, dict[str, Callable[[np.ndarr
     kernels = [name for name in KERNELS if name in makers]
     for moves in OTHER_MOVES if kernels else ():
         yield batches[-1], {f"{name}, {moves + 1} rows": partial(SUBJECTS[name], moves=moves) for name in kernels}
-
-
-Made = tuple[Callable[[], Any], Callable[[Any], float]]
-"""A training to time, and a function that counts the episodes in what it returns."""
 
 
 def _learner(moves: int = MOVES) -> TabularQ:

@@ -18,7 +18,7 @@ from humanoid_mjx.learners import exploration
 from humanoid_mjx.learners.base import ENVS, Outcome, StepLearner
 from humanoid_mjx.learners.normalisation import Moments, moments, observe
 from humanoid_mjx.learners.targets import lambda_targets
-from humanoid_mjx.runtime import SHARED_KERNELS, no_library, short_kernels
+from humanoid_mjx.runtime import no_library, shares_kernels, short_kernels
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import ContinuousTask, State, auto_reset
 from humanoid_mjx.tasks.finite import FiniteTask
@@ -91,8 +91,7 @@ class ApproximateQ(StepLearner):
     @property
     def compiler_options(self) -> Mapping[str, str | bool]:
         options = self.task.compiler_options
-        of_scalars = SHARED_KERNELS.items() <= options.items()
-        return {**options, **no_library(), **(short_kernels() if of_scalars else {})}
+        return {**options, **no_library(), **(short_kernels() if shares_kernels(options) else {})}
 
     def init_value(self, key: Key[Array, ""]) -> tuple[Any, Any]:
         """The weights of the approximation and the optimizer's state before the first update."""

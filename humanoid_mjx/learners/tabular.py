@@ -23,7 +23,7 @@ from pydantic import Field
 from humanoid_mjx.indexing import add_at
 from humanoid_mjx.learners.base import Learner, Outcome
 from humanoid_mjx.rng import uniform
-from humanoid_mjx.runtime import SHARED_KERNELS, no_library, wide_vectors
+from humanoid_mjx.runtime import no_library, shares_kernels, wide_vectors
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import State
 from humanoid_mjx.tasks.finite import FiniteTask
@@ -86,7 +86,7 @@ class TabularQ(Learner):
     @property
     def compiler_options(self) -> Mapping[str, str | bool]:
         options = {**self.task.compiler_options, **no_library()}
-        return options | wide_vectors() if SHARED_KERNELS.items() <= options.items() else options
+        return options | wide_vectors() if shares_kernels(options) else options
 
     @property
     def cumulative(self) -> bool:

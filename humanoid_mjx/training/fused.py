@@ -126,8 +126,9 @@ def advance(
     parts = functions(one_of(learners))
     key, agents = training.carry.agents.key, training.carry.agents._replace(key=None)
     kept: dict[int, Array] = {}
-    for part, numbers in zip(parts, kept_in_common(parts), strict=True):
-        kept |= zip(numbers, jax.vmap(part.once)((learners, key)), strict=True)
+    numbers = kept_in_common(parts)
+    for part, mine in zip(parts, numbers, strict=True):
+        kept |= zip(mine, jax.vmap(part.once)((learners, key)), strict=True)
     laps = (jnp.int32(steps) + learners.lap - 1) // learners.lap * learners.lap
     tables = _tables(parts)
     state = jax.tree.map(_storable, (agents, training.carry.step))
@@ -139,6 +140,7 @@ def advance(
         partial(
             _kernel,
             parts=parts,
+            numbers=numbers,
             inputs=jax.tree.structure(inputs),
             like=(agents, training.carry.step),
             place=(num_states, num_actions, block) if shared else None,
@@ -169,18 +171,27 @@ def _tables(parts: Functions) -> list[Array]:
     return [jnp.asarray(table) for table in found.values()]
 
 
-def _kernel(*refs: Any, parts: Functions, inputs: Any, like: Any, place: Any, block: int, num_actions: int) -> None:
-    """All steps of a block of agents."""
+def _kernel(
+    *refs: Any,
+    parts: Functions,
+    numbers: list[list[int]],
+    inputs: Any,
+    like: Any,
+    place: Any,
+    block: int,
+    num_actions: int,
+) -> None:
+    """All steps of a block of agents; `numbers`: of what each part keeps, as `kept_in_common` says."""
     count = inputs.num_leaves
     steps, kept, constants, _ = jax.tree.unflatten(inputs, refs[:count])
     *state_refs, tables, record = refs[count:]
     run = pl.program_id(0) * block + jnp.arange(block, dtype=jnp.int32)
     kept = jax.tree.map(lambda ref: gpu.load(ref.at[run]), kept)
-    fixed = [[kept[number] for number in numbers] for numbers in kept_in_common(parts)]
-    numbers = {name: i for i, name in enumerate({id(table): None for part in parts for table in part.tables})}
+    fixed = [[kept[number] for number in mine] for mine in numbers]
+    places = {name: i for i, name in enumerate({id(table): None for part in parts for table in part.tables})}
 
     def lookup(table: np.ndarray, index: Array) -> Array:
-        return gpu.load(constants[numbers[id(table)]].at[jnp.clip(index, 0, len(table) - 1)])
+        return gpu.load(constants[places[id(table)]].at[jnp.clip(index, 0, len(table) - 1)])
 
     def truncate(x: Array) -> Array:
         return x.astype(jnp.int32) if place is None else assembly("cvt.rzi.s32.f32 $0, $1;", "=r,f", jnp.int32, x)
