@@ -162,8 +162,22 @@ def type_commands(markdown):
         reader.type(words)
 
 
+def sweep_shortly():
+    """Have `humanoid_mjx.sweep` train a small part of a shipped config: a page shows a sweep at full length."""
+    import humanoid_mjx
+
+    whole = humanoid_mjx.sweep
+
+    def sweep(config, *arguments, overrides=(), **options):
+        shorter = ["seeds=1", "episodes=20", "record=2"] if isinstance(config, str) else []
+        return whole(config, *arguments, overrides=[*overrides, *shorter], **options)
+
+    humanoid_mjx.sweep = sweep
+
+
 def read(page):
     """Type all that stands on a page."""
+    sweep_shortly()
     markdown = page.read_text(encoding="utf-8")
     found = blocks(markdown)
     for block in found:
