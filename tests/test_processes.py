@@ -41,8 +41,8 @@ main()
 """
 
 
-def start(arguments, cwd, **environment):
-    command = [sys.executable, "-c", KILLABLE, *arguments]
+def start(arguments, cwd, program=KILLABLE, **environment):
+    command = [sys.executable, "-c", program, *arguments]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     return subprocess.Popen(command, cwd=cwd, env=os.environ | environment, **pipes)
 
@@ -78,12 +78,26 @@ def whole(tmp_path_factory):
     return folder / "run"
 
 
+HALFWAY = f"""
+import pathlib
+from humanoid_mjx.training import session
+store = session.Session._store_under_way
+def store_and_wait(self, index, pool):
+    store(self, index, pool)
+    if (self.folder.path / "summary.parquet").exists():
+        pathlib.Path("halfway").touch()
+        self.stop.wait(300)
+session.Session._store_under_way = store_and_wait
+{KILLABLE}"""
+"""A sweep that stays where some of its runs are finished and others are stored half done, however busy the machine."""
+
+
 @pytest.mark.parametrize("kill", [signal.SIGKILL, signal.SIGINT])
 def test_an_interrupted_sweep_resumes_to_the_same_bits(whole, tmp_path, kill):
     config = write_config(tmp_path, **LONG)
-    process = start(["sweep", config, "--out", "run"], tmp_path)
+    process = start(["sweep", config, "--out", "run"], tmp_path, HALFWAY)
     run = tmp_path / "run"
-    wait_for(lambda: (run / "summary.parquet").exists() and list(run.glob("checkpoint/pool-*.npz")), process)
+    wait_for((tmp_path / "halfway").exists, process)
     process.send_signal(kill)
     process.wait()
     assert process.returncode == (130 if kill == signal.SIGINT else -9)
