@@ -277,6 +277,9 @@ INTERRUPTED = 130
 def main() -> None:
     """Run the command line. Unusable input, and files, disks and memory that fail, end with one sentence and exit
     code 2."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed, as some services start programs
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
     ways.take_over()
     try:
         app()
