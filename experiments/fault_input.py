@@ -131,12 +131,16 @@ def _damage(case: tuple[str, bytes | None, str]) -> tuple[str, str]:
 
 
 def _prepare(folder: Path) -> None:
-    """A finished run in `whole`; in `cut` one that a kill has left with runs under way and others over."""
+    """A finished run in `whole`, and in `other` one of the same shape that differs in a value."""
     sweep(CONFIG, folder / "whole")
+    sweep(CONFIG | {"seed": 1}, folder / "other")
 
 
 def damaged_runs(matrix: Matrix, folder: Path, tries: int, seed: int) -> None:
-    """Every kind of file of a run folder: truncated, a bit flipped, a byte changed, foreign, missing."""
+    """Every kind of file of a run folder: truncated, a bit flipped, a byte changed, foreign, of another run, missing.
+
+    Those under way are of a run in `cut`, which a kill has left with others over.
+    """
     shutil.rmtree(folder, ignore_errors=True)
     (folder / "work").mkdir(parents=True)
     isolated(_prepare, [folder], folder, 300)
@@ -155,6 +159,8 @@ def damaged_runs(matrix: Matrix, folder: Path, tries: int, seed: int) -> None:
         for _ in range(tries):
             cases += [(name, way(data, draw), source) for way in WAYS.values()]
             cases.append((name, foreign(run, draw), source))
+        if (other := folder / "other" / name).exists():
+            cases.append((name, other.read_bytes(), source))
 
         def tried(cases: list[tuple[str, bytes | None, str]] = cases) -> tuple[list[str], list[str]]:
             found = [x if isinstance(x, tuple) else (x, x) for x in isolated(_damage, cases, folder)]

@@ -1,8 +1,10 @@
 """Config files: what to train, over which sweep, for how long. Strict: unknown keys and wrong types are refused."""
 
+import hashlib
+import json
 import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -238,3 +240,9 @@ def parse_yaml(text: str, where: str) -> Any:
 def dump_yaml(data: dict[str, Any]) -> str:
     """Plain values as YAML text, keys in their given order."""
     return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=110)
+
+
+def config_digest(data: Mapping[str, Any]) -> str:
+    """The SHA-256 of a resolved config's values, all but its name: two runs of one digest have the same results."""
+    values = {key: value for key, value in data.items() if key != "name"}
+    return hashlib.sha256(json.dumps(values, sort_keys=True, default=str).encode()).hexdigest()

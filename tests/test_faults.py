@@ -7,6 +7,7 @@ import errno
 import io
 import json
 import os
+import re
 import shutil
 import sys
 from collections import deque
@@ -14,21 +15,24 @@ from pathlib import Path
 
 import jax
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from small_sweep import assert_same_tables
 
 from humanoid_mjx import InputError, cli, runtime, sweep
 from humanoid_mjx.commands.runs import run_runs
-from humanoid_mjx.config import load, parse, parse_yaml
+from humanoid_mjx.config import config_digest, load, parse, parse_yaml
 from humanoid_mjx.data import whole_file
 from humanoid_mjx.report.style import figure
 from humanoid_mjx.runs.archive import DAMAGE, read_archive
-from humanoid_mjx.runs.folder import RunFolder, read_arrays, read_provenance
+from humanoid_mjx.runs.folder import RunFolder, read_arrays, read_config, read_provenance
 from humanoid_mjx.runs.listing import list_runs
 from humanoid_mjx.runs.tables import column_names, read_table
+from humanoid_mjx.training import pool as pool_module
 from humanoid_mjx.training.plan import make_plan, resolved
 from humanoid_mjx.training.policy import best_policy
 from humanoid_mjx.training.pool import Pool
+from humanoid_mjx.training.progress import Reporter
 
 CONFIG = {
     "name": "small",
@@ -157,8 +161,9 @@ def test_two_sweeps_that_choose_the_same_place_get_one_each(tmp_path, monkeypatc
             lambda run: next(run.glob("checkpoint/part-*")).read_bytes(),
             "another one holds",
         ),
-        ("checkpoint/part-00009.npz", lambda run: saved(x=np.zeros(3)), "another training"),
-        ("checkpoint/part-00009.npz", lambda run: saved(point=np.int32([0]), seed=np.int32([77])), "does not fit"),
+        ("checkpoint/part-00009.npz", lambda run: saved(x=np.zeros(3)), "does not say which run it belongs to"),
+        ("checkpoint/part-00009.npz", lambda run: saved(run, x=np.zeros(3)), "another training"),
+        ("checkpoint/part-00009.npz", lambda run: saved(run, point=np.int32([0]), seed=np.int32([77])), "does not fit"),
         ("checkpoint/part-x.npz", lambda run: b"notes", None),
         ("provenance.json", lambda run: b"[" * 100_000, None),
         ("provenance.json", lambda run: b'{"sessions": [5], "runs_finished": []}', None),
@@ -199,9 +204,100 @@ def test_a_foreign_file_of_runs_under_way_is_named_in_the_list(run):
     ]
 
 
-def saved(**arrays):
+@pytest.fixture(scope="module")
+def others(tmp_path_factory):
+    """Run folders that differ in the discount alone: one finished, one that was stopped with a run under way."""
+
+    class Stops(Reporter):
+        def update(self, done, success=None, mean_return=None):
+            if done > 0:
+                raise KeyboardInterrupt
+
+    place = tmp_path_factory.mktemp("others")
+    config = CONFIG | {"learner": CONFIG["learner"] | {"discount": 0.5}}
+    with pytest.raises(KeyboardInterrupt), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pool_module, "MAX_STEPS", 8)
+        sweep(config, place / "stopped", pool_size=1, reporter=Stops())
+    return sweep(config, place / "finished").path, place / "stopped"
+
+
+@pytest.mark.parametrize("table", ["results", "summary", "timing"])
+def test_a_table_of_another_run_is_refused(run, finished, others, said, table):
+    """By the commands that read it; resuming writes it anew."""
+    file = f"{table}.parquet"
+    shutil.copy(others[0] / file, run / file)
+    words = f"{run / file}: this file belongs to another run, or config.yaml was edited (then undo that); --resume"
+    for read in (read_table, column_names):
+        with pytest.raises(InputError, match=re.escape(words)):
+            read(run / file)
+    reads = {
+        "results": [["report", run, "--no-motion"], ["plot", run]],
+        "summary": [["report", run, "--no-motion"], ["plot", run, "--x", "learner.epsilon"]],
+        "timing": [["plot", run, "--x", "wall_s"]],
+    }
+    for command in reads[table]:
+        code, err = said(*command)
+        assert code == 2 and err.startswith(f"error: {words}") and err.count("\n") == 1, (command, err)
+    assert [problem.startswith(words) for problem in list_runs(run)[1]] == ([True] if table == "summary" else [])
+    sweep(CONFIG, run, resume=True)
+    assert_same_tables(run, finished)
+    read_table(run / file)
+
+
+def test_a_part_of_another_run_is_refused(run, finished, others, said):
+    part = "checkpoint/part-00000.npz"
+    shutil.copy(others[0] / part, run / part)
+    (run.parent / "small.yaml").write_text(json.dumps(CONFIG))
+    words = f"{run / part}: this file belongs to another run, or config.yaml was edited (then undo that); remove it"
+    for command in (
+        ["sweep", run.parent / "small.yaml", "--resume", "--out", run],
+        ["evaluate", run],
+        ["export", run, run.parent / "x.npz"],
+        ["play", run, "--out", run.parent / "x.png"],
+    ):
+        code, err = said(*command)
+        assert code == 2 and err.startswith(f"error: {words}") and err.count("\n") == 1, (command, err)
+    (run / "provenance.json").unlink()  # as where a kill came before the end: the list counts the runs of the parts
+    assert [problem.startswith(words) for problem in list_runs(run)[1]] == [True]
+    (run / part).unlink()
+    sweep(CONFIG, run, resume=True)
+    assert_same_tables(run, finished)
+
+
+def test_a_state_of_another_run_is_refused(run, finished, others):
+    (part,) = run.glob("checkpoint/part-*.npz")
+    part.unlink()
+    (run / "provenance.json").unlink()
+    pool = "checkpoint/pool-0.npz"
+    shutil.copy(others[1] / pool, run / pool)
+    words = f"{run / pool}: this file belongs to another run, or config.yaml was edited (then undo that); remove it"
+    assert [problem.startswith(words) for problem in list_runs(run)[1]] == [True]
+    with pytest.raises(InputError, match=re.escape(words)):
+        sweep(CONFIG, run, resume=True)
+    (run / pool).unlink()
+    sweep(CONFIG, run, resume=True)
+    assert_same_tables(run, finished)
+
+
+def test_a_table_without_a_digest_is_damaged(run):
+    file = run / "summary.parquet"
+    pq.write_table(pq.read_table(file).replace_schema_metadata(None), file)
+    with pytest.raises(InputError, match="damaged: it does not say which run it belongs to; --resume the run"):
+        read_table(file)
+
+
+def test_a_run_belongs_to_a_config_whatever_its_name_and_the_layout_of_the_file(run):
+    config = read_config(run)
+    (run / "config.yaml").write_text(json.dumps(dict(reversed(config.items())) | {"name": "other"}))
+    assert len(read_table(run / "summary.parquet")["point"]) == 8 and best_policy(run)
+    (run / "config.yaml").write_text(json.dumps(config | {"seed": 1}))
+    assert "config.yaml was edited" in list_runs(run)[1][0]
+
+
+def saved(run=None, **arrays):
+    """An archive; one of a run folder where that is given."""
     file = io.BytesIO()
-    np.savez(file, **arrays)
+    np.savez(file, **arrays, **({"config": np.array(config_digest(read_config(run)))} if run else {}))
     return file.getvalue()
 
 
@@ -216,7 +312,7 @@ def test_a_damaged_policy_is_found_when_a_run_is_resumed(run):
 
 
 def test_a_state_of_another_training_is_named(run):
-    (run / "checkpoint/pool-0.npz").write_bytes(saved(x=np.zeros(2)))
+    (run / "checkpoint/pool-0.npz").write_bytes(saved(run, x=np.zeros(2)))
     (part,) = run.glob("checkpoint/part-*.npz")
     part.unlink()
     with pytest.raises(InputError, match=r"pool-0.npz: this file does not fit this training; remove it"):

@@ -62,13 +62,14 @@ def test_a_run_that_was_killed_says_how_far_it_is(folder):
     (path / "provenance.json").unlink()
     (part,) = (path / "checkpoint").glob("part-*.npz")
     with np.load(part) as file:
-        arrays = {name: file[name][:6] for name in file.files}
+        arrays = {name: file[name][:6] if file[name].ndim else file[name] for name in file.files}
     np.savez(part, **arrays)
     done = arrays["point"] * 3 + arrays["seed"]
     others = np.setdiff1d(np.arange(12), done)
     # Two runs half trained, one that the parts hold already, and an idle slot: 6 + 1 of 12.
     slots = np.array([others[0], others[1], done[0], -1])
-    np.savez(path / "checkpoint/pool-0.npz", slots=slots, progress=np.array([0.5, 0.5, 1.0, 1.0]))
+    progress = np.array([0.5, 0.5, 1.0, 1.0])
+    np.savez(path / "checkpoint/pool-0.npz", slots=slots, progress=progress, config=arrays["config"])
     run = only(folder)
     assert (run.points, run.state, run.share) == (4, "interrupted", 7 / 12)
     assert np.isnan(run.success)

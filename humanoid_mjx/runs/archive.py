@@ -1,4 +1,4 @@
-"""Archives of numpy arrays, read so that a damaged one is never taken for another one."""
+"""Archives of numpy arrays, read so that a damaged one, or one of another run, is never taken for the right one."""
 
 import io
 import struct
@@ -31,6 +31,14 @@ def read_archive(path: Path, prefixes: tuple[str, ...] = ("",)) -> dict[str, np.
     with zipfile.ZipFile(path) as archive:
         wanted = [name for name in archive.namelist() if name.startswith(prefixes)]
         return {name.removesuffix(".npy"): _array(archive.read(name)) for name in wanted}
+
+
+def misplaced(stored: object, digest: str) -> str | None:
+    """The fault of a file that stores this digest of a config, or None, in the folder of a run of `digest`; None where
+    it is that run's own."""
+    if stored is None:
+        return "is truncated or damaged: it does not say which run it belongs to"
+    return None if stored == digest else "belongs to another run, or config.yaml was edited (then undo that)"
 
 
 def _array(data: bytes) -> np.ndarray:

@@ -12,6 +12,7 @@
                         longer finite
 
 Every file is written beside its place and renamed into it, so a kill leaves the old or the new, never half of one.
+Tables and checkpoint files hold the digest of the config as `config`, by which one of another run is refused.
 """
 
 import contextlib
@@ -27,9 +28,9 @@ from typing import Any
 
 import numpy as np
 
-from humanoid_mjx.config import dump_yaml, parse, parse_yaml
+from humanoid_mjx.config import config_digest, dump_yaml, parse, parse_yaml
 from humanoid_mjx.data import whole_file
-from humanoid_mjx.runs.archive import DAMAGE, read_archive
+from humanoid_mjx.runs.archive import DAMAGE, misplaced, read_archive
 from humanoid_mjx.spec import InputError
 
 Arrays = Mapping[str, np.ndarray]
@@ -38,8 +39,8 @@ Arrays = Mapping[str, np.ndarray]
 class RunFolder:
     """A run folder, locked while this object lives: for one process, or for the several that share it."""
 
-    def __init__(self, path: Path, lock: int):
-        self.path = path
+    def __init__(self, path: Path, lock: int, config: Mapping[str, Any]):
+        self.path, self.digest = path, config_digest(config)
         self.process, self.processes = 0, 1
         self._lock = lock
 
@@ -56,7 +57,7 @@ class RunFolder:
                 words = "exists; resume it with --resume, or" if there else "exists and is no run folder;"
                 raise InputError(f"{path}: already {words} choose another place with --out.")
             (path / "checkpoint").mkdir(parents=True, exist_ok=True)
-            run = cls(path, _lock(path))
+            run = cls(path, _lock(path), config)
         except OSError as error:
             raise InputError(f"{path}: cannot be written: {error.strerror}.") from error
         try:
@@ -81,7 +82,7 @@ class RunFolder:
             return cls.create(path, config)
         stored = read_config(path)
         try:
-            run = cls(path, _lock(path))
+            run = cls(path, _lock(path), stored)
         except OSError as error:
             raise InputError(f"{path}: cannot be written: {error.strerror}.") from error
         if changed := _differences(stored, dict(config)):
@@ -102,7 +103,7 @@ class RunFolder:
           InputError: this machine does not see it.
         """
         try:
-            run = cls(path, _lock(path, fcntl.LOCK_SH))
+            run = cls(path, _lock(path, fcntl.LOCK_SH), read_config(path))
         except OSError as error:
             raise InputError(
                 f"{path}: process {process} cannot write here: {error.strerror}; all processes need one file system."
@@ -129,9 +130,9 @@ class RunFolder:
         self.write_text(name, json.dumps(data, indent=2) + "\n")
 
     def write_arrays(self, name: str, arrays: Arrays) -> None:
-        """Write an archive of numpy arrays, as a whole or not at all."""
+        """Write a checkpoint file: numpy arrays and the digest of the config, as a whole or not at all."""
         with self.writing(name) as temporary, temporary.open("wb") as file:
-            np.savez(file, allow_pickle=False, **arrays)
+            np.savez(file, allow_pickle=False, config=np.array(self.digest), **arrays)
 
     @contextlib.contextmanager
     def writing(self, name: str) -> Iterator[Path]:
@@ -176,18 +177,24 @@ def pools(path: Path) -> list[Path]:
     return sorted((path / "checkpoint").glob("pool-*.npz"), key=lambda file: file.stat().st_mtime, reverse=True)
 
 
-def read_arrays(path: Path, prefixes: tuple[str, ...] = ("",)) -> dict[str, np.ndarray]:
+def read_arrays(path: Path, prefixes: tuple[str, ...] = ("",), digest: str | None = None) -> dict[str, np.ndarray]:
     """The arrays of one checkpoint file whose names start with one of `prefixes`.
 
+    `digest`: that of its run's config; by default of `config.yaml`.
+
     Raises:
-      InputError: the file is truncated or damaged, or cannot be read.
+      InputError: the file is truncated, damaged or of another run, or cannot be read.
     """
     try:
-        return read_archive(path, prefixes)
+        arrays = read_archive(path, (*prefixes, "config"))
     except PermissionError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}.") from error
     except DAMAGE as error:
         raise damaged(path) from error
+    stored = arrays.pop("config", np.array(None)).tolist()
+    if how := misplaced(stored, digest or config_digest(read_config(path.parent.parent))):
+        raise damaged(path, how)
+    return arrays
 
 
 def damaged(path: Path, how: str = "is truncated or damaged") -> InputError:

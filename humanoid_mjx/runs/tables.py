@@ -9,7 +9,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from jaxtyping import Int
 
-from humanoid_mjx.runs.folder import RunFolder, damaged, parts, read_arrays
+from humanoid_mjx.config import config_digest
+from humanoid_mjx.runs.archive import misplaced
+from humanoid_mjx.runs.folder import RunFolder, damaged, parts, read_arrays, read_config
 from humanoid_mjx.spec import InputError
 
 LAST_SHARE = 0.1
@@ -36,7 +38,7 @@ def write_tables(folder: RunFolder, labels: Labels) -> int:
     Raises:
       InputError: a file of the checkpoint is damaged or of another training.
     """
-    arrays = finished_runs(folder.path, ("point", "seed", "curve.", "final.", "time."))
+    arrays = finished_runs(folder.path, ("point", "seed", "curve.", "final.", "time."), folder.digest)
     if not arrays:
         return 0
     columns = {name: pa.array(values).dictionary_encode() for name, values in labels.hyper.items()}
@@ -50,17 +52,21 @@ def write_tables(folder: RunFolder, labels: Labels) -> int:
         raise InputError(f"{folder.path / 'checkpoint'}: what it holds does not fit this training.") from error
     for name, table in tables.items():
         with folder.writing(f"{name}.parquet") as path:
+            table = table.replace_schema_metadata({"config": folder.digest})
             pq.write_table(table, path, compression="zstd", write_page_checksum=True)
     return len(arrays["point"])
 
 
-def finished_runs(path: Path, prefixes: tuple[str, ...]) -> dict[str, np.ndarray]:
+def finished_runs(path: Path, prefixes: tuple[str, ...], digest: str | None = None) -> dict[str, np.ndarray]:
     """The arrays of a run folder's finished runs whose names start so, ordered by point and seed.
 
+    `digest`: that of the run's config; by default of `config.yaml`.
+
     Raises:
-      InputError: a file of the checkpoint is damaged, of another training, or there twice.
+      InputError: a file of the checkpoint is damaged, of another run, or there twice.
     """
-    loaded = {part: read_arrays(part, prefixes) for part in parts(path)}
+    digest = digest or config_digest(read_config(path))
+    loaded = {part: read_arrays(part, prefixes, digest) for part in parts(path)}
     if not loaded:
         return {}
     form, seen = None, set()
@@ -101,7 +107,7 @@ def read_table(path: Path, columns: Sequence[str] | None = None) -> dict[str, np
     """The columns of a parquet file of a run folder: all, or those named.
 
     Raises:
-      InputError: the file is missing, truncated, damaged or another one.
+      InputError: the file is missing, truncated, damaged, another one or of another run.
     """
     if not path.is_file():
         raise InputError(f"{path}: there is no such file; --resume the run to write it.")
@@ -110,10 +116,22 @@ def read_table(path: Path, columns: Sequence[str] | None = None) -> dict[str, np
         table = pq.read_table(path, columns=chosen, page_checksum_verification=True)
         arrays = {name: table[name].to_numpy() for name in table.column_names}
     except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
-        raise InputError(f"{path}: this file is truncated or damaged; --resume the run to write it again.") from error
+        raise _useless(path) from error
+    _check_run(path, table.schema)
     if columns is None and not (table.num_rows and _fits(path.stem, set(arrays))):
-        raise InputError(f"{path}: this file is another one; --resume the run to write it again.")
+        raise _useless(path, "is another one")
     return arrays
+
+
+def _check_run(path: Path, schema: pa.Schema) -> None:
+    stored = (schema.metadata or {}).get(b"config")
+    digest = config_digest(read_config(path.parent))
+    if how := misplaced(stored and stored.decode(errors="replace"), digest):
+        raise _useless(path, how)
+
+
+def _useless(path: Path, how: str = "is truncated or damaged") -> InputError:
+    return InputError(f"{path}: this file {how}; --resume the run to write it again.")
 
 
 def _fits(stem: str, columns: set[str]) -> bool:
@@ -126,14 +144,17 @@ def column_names(path: Path) -> list[str]:
     """The names of the columns of a parquet file of a run folder; none where there is no such file.
 
     Raises:
-      InputError: the file is truncated or damaged.
+      InputError: the file is truncated, damaged or of another run.
     """
     if not path.is_file():
         return []
     try:
-        return pq.read_schema(path).names
+        schema = pq.read_schema(path)
+        names = schema.names
     except (pa.ArrowException, OSError, ValueError) as error:  # names that are no text
-        raise InputError(f"{path}: this file is truncated or damaged; --resume the run to write it again.") from error
+        raise _useless(path) from error
+    _check_run(path, schema)
+    return names
 
 
 def named(arrays: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:

@@ -81,7 +81,7 @@ class EventFiles:
         ]
         self.measures: dict[str, _Measure] = {}
         self.looked = time.monotonic()
-        done = finished_runs(folder.path, ("point", "seed", "curve.", "final."))
+        done = finished_runs(folder.path, ("point", "seed", "curve.", "final."), folder.digest)
         if done:
             self.store(done["point"] * self.seeds + done["seed"], done)
 

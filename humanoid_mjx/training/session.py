@@ -49,9 +49,10 @@ class Session:
     ):
         self.folder, self.plan, self.processes, self.reporter, self.events = folder, plan, processes, reporter, events
         for part in folder.parts():
-            read_arrays(part)  # a damaged policy would else be found after the sweep that could have trained it again
+            # A damaged policy would else be found after the sweep that could have trained it again.
+            read_arrays(part, digest=folder.digest)
         self.mine = set(processes.share(np.concatenate([group.runs for group in plan.groups])).tolist())
-        done = finished_runs(folder.path, ("point", "seed"))
+        done = finished_runs(folder.path, ("point", "seed"), folder.digest)
         finished = set((done["point"] * plan.config.seeds + done["seed"]).tolist()) if done else set()
         if finished and not 0 <= min(finished) <= max(finished) < plan.num_runs:
             raise InputError(f"{folder.path / 'checkpoint'}: what it holds does not fit this training.")
@@ -132,7 +133,8 @@ class Session:
     def _under_way(self) -> list[tuple[Path, dict[str, np.ndarray]]]:
         """What an interrupted session, perhaps on other devices or of other processes, had under way of our runs."""
         waiting = self.mine - self.finished
-        return [(path, _only(waiting, read_arrays(path))) for path in pools(self.folder.path)]
+        digest = self.folder.digest
+        return [(path, _only(waiting, read_arrays(path, digest=digest))) for path in pools(self.folder.path)]
 
     def _restore(self, index: int, pool: Pool) -> None:
         """Take up the runs of this group that were under way."""

@@ -4,8 +4,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import pyarrow.parquet as pq
 
-from humanoid_mjx.runs.tables import read_table
 from humanoid_mjx.training.plan import Plan
 
 
@@ -77,7 +77,7 @@ class Speed:
 def _lengths(results: Path) -> np.ndarray:
     """Steps of an episode at each record point of each run in which one ended."""
     try:
-        lengths = read_table(results, ["steps"])["steps"].astype(float)
+        lengths = pq.read_table(results, columns=["steps"])["steps"].to_numpy().astype(float)
     except KeyError:
         return np.zeros(0)
     return lengths[np.isfinite(lengths) & (lengths > 0)]
