@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from text_claims import NUMBER, RECORDS, ROOT, Claim, greedy_gaits, tables
 
+from humanoid_mjx.reproduction import load_experiments
+
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
@@ -207,7 +209,10 @@ def of_grounded(record: Any) -> list[float]:
 
 
 def of_experiments(record: Any) -> list[float]:
-    return [len(record["cpu_s"]), record["command_s"] / 60, sum(record["cpu_s"].values()) / 60]
+    """Those that there still are. A study of 41 s that was an experiment, too, when the record was made has left."""
+    own = load_experiments().keys()
+    gone = sum(seconds for name, seconds in record["wall_s"].items() if name not in own)
+    return [len(own), (record["command_s"] - gone) / 60, sum(record["cpu_s"][name] for name in own) / 60]
 
 
 def of_both_legs(record: Any) -> list[float]:

@@ -18,7 +18,6 @@ MODULES = (
     "decision_process",
     "drives",
     "errata",
-    "feasibility",
     "gains",
     "ground_control",
     "ground_gaits",

@@ -5,9 +5,9 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from feasible_postures import LONG, Body, Reached, Seen, furthest, level_travel
+from feasible_torques import carried
 
-from humanoid_mjx.reproduction.feasible_postures import LONG, Body, Reached, Seen, furthest, level_travel
-from humanoid_mjx.reproduction.feasible_torques import carried
 from humanoid_mjx.robot import lower_body as robot
 
 LEANS = (1.0, 5.0, 15.0, 25.0, 35.0, 45.0)

@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
+from feasible_postures import Body, leg_over
 from jaxtyping import Float
 from scipy.interpolate import BPoly, CubicSpline
 
-from humanoid_mjx.reproduction.feasible_postures import Body, leg_over
 from humanoid_mjx.robot import lower_body as robot
 from humanoid_mjx.thesis import leg as thesis
 
@@ -21,6 +21,23 @@ MOMENTS = 400
 
 DORSIFLEXION = math.radians(thesis.JOINT_RANGES["human"][4][0])
 """Least angle of an ankle, rad, the same in both columns. A lifted foot would have to go beyond it to stay level."""
+
+
+class Way(NamedTuple):
+    """How the body is to walk: a gait's clock, s and share, and what it does at least, m/s, m/s, rad/s and m."""
+
+    period: float
+    stance: float
+    speed: float
+    sideways: float
+    turn: float
+    lift: float
+    """How high it lifts its ankles."""
+
+    @property
+    def on_ground(self) -> float:
+        """For how long a foot stands, s."""
+        return self.stance * self.period
 
 
 class Load(NamedTuple):

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from feasible_postures import Body
+from feasible_ranges import LEANS, Column
+from feasible_torques import INNER, Way, hiking, rocking, slowest
 
 from humanoid_mjx.report.style import COLORS, figure
-from humanoid_mjx.reproduction.feasible_postures import Body
-from humanoid_mjx.reproduction.feasible_ranges import LEANS, Column
-from humanoid_mjx.reproduction.feasible_torques import INNER, hiking, rocking, slowest
 from humanoid_mjx.reproduction.posture_figures import draw_postures
 from humanoid_mjx.robot import lower_body as robot
 from humanoid_mjx.robot.ranges import TORQUE_LIMIT
@@ -37,13 +37,13 @@ def draw_feasibility(
     rows: Mapping[str, np.ndarray],
     body: Body,
     joints: np.ndarray,
-    config: Any,
+    way: Way,
 ) -> None:
     """Balance on one foot, rocking from foot to foot, turns of a foot, and torques."""
     with figure(path, 2, 2, size=(5.4, 3.7)) as (fig, axes):
         _balance(axes[0, 0], columns)
-        _rocking(axes[0, 1], body, joints, config["gait"])
-        _turns(axes[1, 0], columns, config)
+        _rocking(axes[0, 1], body, joints, way)
+        _turns(axes[1, 0], columns, way)
         _torques(axes[1, 1], rows)
         fig.suptitle(
             "What the lower body can do with its soles flat, by Table 3.2's ranges of the joints", x=0.02, ha="left"
@@ -66,12 +66,12 @@ def _balance(panel: Any, columns: Mapping[str, Column]) -> None:
     panel.legend(frameon=False, fontsize=7, ncols=2, loc=(0.05, 0.07))
 
 
-def _rocking(panel: Any, body: Body, joints: np.ndarray, clock: Mapping[str, float]) -> None:
-    period, stance = clock["period"], clock["stance"]
-    ways = [rocking(body, joints, float(t), stance) for t in PERIODS]
+def _rocking(panel: Any, body: Body, joints: np.ndarray, way: Way) -> None:
+    period, stance = way.period, way.stance
+    rocks = [rocking(body, joints, float(t), stance) for t in PERIODS]
     hikes = [math.degrees(hiking(body, float(t), stance)[1]) for t in PERIODS]
     end = slowest(body, joints, stance)
-    panel.plot(PERIODS, np.degrees([way.tilt for way in ways]), color=COLORS[2])
+    panel.plot(PERIODS, np.degrees([rock.tilt for rock in rocks]), color=COLORS[2])
     panel.plot(PERIODS, hikes, color=COLORS[3])
     panel.text(0.99, 4.2, "tilt of the soles,\nif it rocks stiffly", color=COLORS[2], fontsize=8, va="top")
     hike = "hike of the free hip,\nif the soles stay flat"
@@ -94,15 +94,15 @@ def _rocking(panel: Any, body: Body, joints: np.ndarray, clock: Mapping[str, flo
     panel.set_title("What a sway from foot to foot takes instead")
 
 
-def _turns(panel: Any, columns: Mapping[str, Column], config: Any) -> None:
-    sweep = math.degrees(config["walk"]["turn"] * config["gait"]["stance"] * config["gait"]["period"])
+def _turns(panel: Any, columns: Mapping[str, Column], way: Way) -> None:
+    sweep = math.degrees(way.turn * way.on_ground)
     panel.axvspan(-sweep / 2, sweep / 2, color="0.85", linewidth=0)
     for row, column in enumerate(columns.values()):
         inwards, outwards = math.degrees(column.toes_in), math.degrees(column.toes_out)
         panel.barh(row, inwards + outwards, left=-inwards, height=0.5, color=COLORS[row])
         panel.text(outwards + 1, row, f"out {outwards:.0f}", va="center", fontsize=8)
         panel.text(-inwards - 1, row, f"in {inwards + 0.0:.0f}", va="center", ha="right", fontsize=8)
-    rate = f"{config['walk']['turn']:g} rad/s"
+    rate = f"{way.turn:g} rad/s"
     panel.text(0, -0.52, f"grey: what a foot turns each way at {rate}", ha="center", fontsize=8)
     panel.set_yticks(range(len(columns)), [f"{name}\nranges" for name in columns])
     panel.set_ylim(-0.65, len(columns) - 0.4)
