@@ -4,6 +4,7 @@ import gc
 import math
 import os
 import platform
+import re
 import subprocess
 import threading
 import time
@@ -31,7 +32,48 @@ NO_VECTORS = "--xla_backend_extra_options=-vectorize-slp=false"
 That takes 2 s of compiling the tree's kernel; of 526 kernels of other programs it changes 16. A CPU is slower
 without."""
 
-POOL_THREADS = str(max(16, 4 * (os.cpu_count() or 1)))
+
+def cores() -> int:
+    """CPU cores that this process may use: its affinity, or the quota of its control group where that is less."""
+    found = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    for group in _control_groups("cpu"):
+        if (group / "cpu.max").is_file():
+            quota, period = (group / "cpu.max").read_text().split()
+        elif (group / "cpu.cfs_quota_us").is_file():
+            quota, period = ((group / f"cpu.cfs_{name}_us").read_text().strip() for name in ("quota", "period"))
+        else:
+            continue
+        if quota.isdigit():  # without a quota it is "max" or -1
+            found = min(found, max(1, -(-int(quota) // int(period))))
+    return found
+
+
+def available_memory() -> int:
+    """Bytes that this process may still take without swapping; half of the machine's memory where no system says it."""
+    meminfo = Path("/proc/meminfo")
+    known = re.search(r"^MemAvailable: *(\d+) kB$", meminfo.read_text(), re.M) if meminfo.is_file() else None
+    found = int(known[1]) << 10 if known else os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 2
+    for group in _control_groups("memory"):
+        for limit, usage in (("memory.max", "memory.current"), ("memory.limit_in_bytes", "memory.usage_in_bytes")):
+            if (group / limit).is_file() and (most := (group / limit).read_text().strip()).isdigit():
+                cached = re.search(r"^(?:total_)?inactive_file (\d+)$", (group / "memory.stat").read_text(), re.M)
+                used = int((group / usage).read_text()) - (int(cached[1]) if cached else 0)
+                found = min(found, max(0, int(most) - used))
+    return found
+
+
+def _control_groups(kind: str, root: Path = Path("/")) -> Iterator[Path]:
+    """The folders of this process's control groups, of either version, that limit its `kind`: cpu or memory."""
+    file = root / "proc/self/cgroup"
+    for line in file.read_text().splitlines() if file.is_file() else ():
+        _, kinds, path = line.split(":", 2)
+        if kinds == "" or kind in kinds.split(","):
+            mount = root / "sys/fs/cgroup" / (kinds and kind)
+            inside = mount / path.lstrip("/")
+            yield from (folder for folder in (inside, *inside.parents) if folder.is_relative_to(mount))
+
+
+POOL_THREADS = str(max(16, 4 * cores()))
 """`PJRT_NPROC` for MJX: threads that all CPU devices share. By default there are as many as cores, and jaxlib 0.10.2
 can use them up: its kernels for many linear systems share these out over the pool and wait for them in one of its
 threads. As many such kernels at once as threads, of programs on two devices, wait forever, and MJX solves so for
@@ -116,7 +158,7 @@ def start(*asked: str | None) -> None:
     defaults = {
         "jax_compilation_cache_dir": str(_cache_folder()),
         "jax_persistent_cache_min_compile_time_secs": 0.1,
-        "jax_num_cpu_devices": os.cpu_count() or 1,
+        "jax_num_cpu_devices": cores(),
         "jax_default_matmul_precision": "highest",
     }
     flags = os.environ.get("XLA_FLAGS", "")
@@ -212,7 +254,7 @@ def machine() -> dict[str, Any]:
         "backend": jax.default_backend(),
         "device_count": len(devices),
         "cpu": _cpu_name(),
-        "cpu_count": os.cpu_count(),
+        "cpu_count": cores(),
         "system": f"{platform.system()} {platform.machine()}",
     }
 

@@ -1,11 +1,12 @@
 """Native MuJoCo as the benchmarks time it: its own rollout, without this package between."""
 
-import os
 from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
 import numpy as np
+
+from humanoid_mjx.runtime import cores
 
 
 def native_rollout(
@@ -23,7 +24,7 @@ def native_rollout(
     states = np.zeros((len(qpos), mj.mj_stateSize(model, full)))
     for row, data.qpos[:], data.qvel[:] in zip(states, qpos, qvel, strict=True):
         mj.mj_getState(model, data, row, full)
-    threads = os.cpu_count() or 1
+    threads = cores()
     simulate, per_thread = rollout.Rollout(nthread=threads), [mj.MjData(model) for _ in range(threads)]
     after = np.zeros((len(qpos), steps, states.shape[1]))
 

@@ -1,7 +1,6 @@
 """What `humanoid-mjx info` prints."""
 
 from collections.abc import Sequence
-from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
@@ -64,8 +63,6 @@ def show_info(config: str | None, overrides: Sequence[str], timed: bool) -> None
 
 def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
     """A config in full, and what its sweep will take; where `timed` also how long."""
-    import jax
-
     from humanoid_mjx.training.disk import disk_bytes
     from humanoid_mjx.training.fused import why_not
     from humanoid_mjx.training.memory import run_bytes, runs_that_fit, slots, training_bytes
@@ -76,8 +73,11 @@ def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
     size = sum(run_bytes(group) * len(group.runs) for group in plan.groups)
     most = max(training_bytes(group) for group in plan.groups)
     together = [1] * len(plan.groups)
-    with suppress(InputError):  # that memory cannot hold a run is for training to say
-        together = [slots(group, runs_that_fit(group, jax.local_devices()[0])) for group in plan.groups]
+    refusal = None
+    try:
+        together = [slots(group, runs_that_fit(group)) for group in plan.groups]
+    except InputError as error:
+        refusal = error
     console.print(
         f"\n{len(plan.points):,} points x {plan.config.seeds} seeds = {plan.num_runs:,} runs "
         f"in {len(plan.groups)} compiled program{'s' * (len(plan.groups) > 1)}; "
@@ -85,6 +85,8 @@ def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
         f"a run that trains an estimated {in_words(most)}"
     )
     console.print(f"on disk an estimated {in_words(disk_bytes(plan, together))}, without figures")
+    if refusal:
+        console.print(f"sweep refuses it here: {refusal}")
     for reason in dict.fromkeys(why_not(group.learner()) for group in plan.groups):
         console.print("trained by one fused kernel" if reason is None else f"no fused kernel: {reason}")
     if timed:
@@ -95,14 +97,12 @@ def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
 
 def _show_time(plan: "Plan") -> None:
     """How long a sweep will take."""
-    import jax
-
     from humanoid_mjx.training.duration import MEASURED_S, estimate, time_in_words
     from humanoid_mjx.training.memory import runs_that_fit
 
     with Bar(console) as bar:
         bar.phase("compiling and training a piece of it")
-        found = estimate(plan, [runs_that_fit(group, jax.local_devices()[0]) for group in plan.groups])
+        found = estimate(plan, [runs_that_fit(group) for group in plan.groups])
     parts = {"compiling (less once it is cached)": found.compile_s, "training": found.train_s}
     parts |= {"evaluating": found.evaluate_s} if found.evaluate_s > 0 else {}
     words = ", ".join(f"{time_in_words(seconds)} of {part}" for part, seconds in parts.items())

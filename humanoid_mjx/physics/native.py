@@ -5,7 +5,6 @@ It computes in float64 and returns the precision of jax. A batch of worlds reach
 uses it runs wherever jax has its CPU backend, but each control cycle waits for the host.
 """
 
-import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -24,6 +23,7 @@ from humanoid_mjx.mechanics.contacts import Contacts
 from humanoid_mjx.physics.base import Controller, Once, Poses, Sensed, Stages, Velocities, World
 from humanoid_mjx.physics.model import MujocoPhysics, below, freeze_if_diverged
 from humanoid_mjx.robot import robot_spec
+from humanoid_mjx.runtime import cores
 from humanoid_mjx.types import AnyArray, MassFactor
 
 MODELS_BYTES = 1 << 27
@@ -197,7 +197,7 @@ class _Team:
     """The threads that compute with one robot, and the models and data that they compute in."""
 
     def __init__(self, base: mujoco.MjModel):
-        threads = os.cpu_count() or 1
+        threads = cores()
         self.base = base
         self.rollout = Rollout(nthread=threads)
         self.data = [mujoco.MjData(base) for _ in range(threads)]

@@ -9,8 +9,8 @@ from humanoid_mjx.learners.base import WholeRunLearner
 from humanoid_mjx.types import Device
 
 
-def arranged(learners: Learner, runs: int, size: int) -> tuple[int, Sequence[Device], int]:
-    """How so many runs train side by side, where a device can train `size` of them.
+def arranged(learners: Learner, runs: int, room: int) -> tuple[int, Sequence[Device], int]:
+    """How so many runs train side by side, where the devices of this process have `room` for as many at once.
 
     Returns:
       how many runs each device, or each group of devices that share a run, trains at once; the devices; how many of
@@ -19,8 +19,8 @@ def arranged(learners: Learner, runs: int, size: int) -> tuple[int, Sequence[Dev
     if isinstance(learners, WholeRunLearner):
         return 1, jax.local_devices()[:1], 1
     share = devices_of_a_run(learners, runs)
-    devices = jax.local_devices()[: runs * share]
-    return min(size, -(-runs * share // len(devices))), devices, share
+    devices = jax.local_devices()[: min(runs, room) * share]
+    return min(room * share // len(devices), -(-runs * share // len(devices))), devices, share
 
 
 def devices_of_a_run(learners: Learner, runs: int) -> int:

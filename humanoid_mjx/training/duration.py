@@ -41,7 +41,7 @@ class Duration(NamedTuple):
         return self.compile_s + self.train_s + self.evaluate_s
 
 
-def estimate(plan: Plan, sizes: Sequence[int], measured_s: float = MEASURED_S) -> Duration:
+def estimate(plan: Plan, rooms: Sequence[int], measured_s: float = MEASURED_S) -> Duration:
     """Train a piece of a sweep and say how long all of it would take.
 
     A sample of the runs trains side by side, as many as the sweep would train at once. The rate is that of the second
@@ -50,21 +50,21 @@ def estimate(plan: Plan, sizes: Sequence[int], measured_s: float = MEASURED_S) -
 
     Args:
       plan: what is to be trained.
-      sizes: how many runs of each group a device can train at once.
+      rooms: how many runs of each group the devices can train at once.
       measured_s: how long each program that is measured trains, s.
     """
     chosen = np.unique(np.linspace(0, len(plan.groups) - 1, MOST_PROGRAMS).round().astype(int))
-    found = np.array([_measure(plan, plan.groups[index], sizes[index], measured_s) for index in chosen])
+    found = np.array([_measure(plan, plan.groups[index], rooms[index], measured_s) for index in chosen])
     runs = np.array([len(group.runs) for group in plan.groups])
     compiling, training, evaluating = found.sum(axis=0)
     more = runs.sum() / runs[chosen].sum()
     return Duration(compiling * len(runs) / len(chosen), training * more, evaluating * more, len(chosen))
 
 
-def _measure(plan: Plan, group: Group, size: int, measured_s: float) -> tuple[float, float, float]:
+def _measure(plan: Plan, group: Group, room: int, measured_s: float) -> tuple[float, float, float]:
     """The seconds of compiling, training and evaluating of a group."""
     runs = np.random.default_rng(0).permutation(group.runs).tolist()
-    size, devices, share = arranged(group.learners, len(runs), size)
+    size, devices, share = arranged(group.learners, len(runs), room)
     common = plan.config.seed, earlier_policies(group)
     if isinstance(group.learners, WholeRunLearner):
         return _measure_whole_runs(WholeRuns(group, deque(runs), devices[0], *common, Event()), measured_s)

@@ -7,6 +7,7 @@ import jax
 import numpy as np
 from jax.extend import core
 
+from humanoid_mjx import runtime
 from humanoid_mjx.learners.base import WholeRunLearner
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.plan import Group
@@ -16,29 +17,32 @@ from humanoid_mjx.types import Device
 CPU_CACHE_BYTES = 1 << 21
 """Training state per core beyond which a step slows down (measured: about 1,000 agents of `joint_reach`)."""
 
-HOST_MEMORY = 1 << 31
-"""Bytes that training may take on all CPU devices, which report no limit: half of the 4 GB a sweep is to stay under."""
+MEMORY_SHARE = 0.8
+"""The share of a device's free memory, or of a machine's for all its CPU devices together, that training may take."""
 
 
-def runs_that_fit(group: Group, device: Device) -> int:
-    """How many runs of a group a device can train at once; a CPU no more than its cache serves well.
+def runs_that_fit(group: Group) -> int:
+    """How many runs of a group the devices of this process can train at once; CPUs no more than caches serve well.
 
     Raises:
       InputError: not even one.
     """
-    per_run, memory = training_bytes(group), _free_memory(device)
-    size = memory // per_run
-    if size < 1:
+    device, devices = jax.local_devices()[0], jax.local_device_count()
+    per_run, free = training_bytes(group), _free_memory(device)
+    fit = int(MEMORY_SHARE * free) // per_run
+    if fit < 1:
         raise InputError(
-            f"one run needs about {per_run / 2**20:,.0f} MiB and {memory / 2**20:,.0f} MiB are free; "
-            "make the task or the learner smaller."
+            f"one run needs about {per_run / 2**20:,.0f} MiB, more than {MEMORY_SHARE:.0%} of the "
+            f"{free / 2**20:,.0f} MiB that are free; make the task or the learner smaller."
         )
-    return min(size, max(1, CPU_CACHE_BYTES // run_bytes(group))) if device.platform == "cpu" else size
+    if device.platform != "cpu":
+        return fit * devices
+    return min(fit, devices * max(1, CPU_CACHE_BYTES // run_bytes(group)))
 
 
-def slots(group: Group, size: int) -> int:
-    """How many runs of a group train side by side on all devices of all processes, where each can train `size`."""
-    at_once = jax.process_count() if isinstance(group.learners, WholeRunLearner) else size * jax.device_count()
+def slots(group: Group, room: int) -> int:
+    """How many runs of a group train side by side on all devices of all processes, where each process has `room`."""
+    at_once = jax.process_count() * (1 if isinstance(group.learners, WholeRunLearner) else room)
     return min(at_once, len(group.runs))
 
 
@@ -101,8 +105,8 @@ def _bytes(aval: object) -> int:
 
 
 def _free_memory(device: Device) -> int:
-    """Bytes that training may take on one device."""
+    """Bytes that are free on a device; of CPU devices, which share it, those of the whole machine."""
     stats = device.memory_stats()
     if stats and "bytes_limit" in stats:
-        return (stats["bytes_limit"] - stats["bytes_in_use"]) * 8 // 10
-    return HOST_MEMORY // len(jax.local_devices())
+        return stats["bytes_limit"] - stats["bytes_in_use"]
+    return runtime.available_memory()

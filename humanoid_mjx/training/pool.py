@@ -4,7 +4,6 @@ Runs differ widely in length: where the reward pays for waiting, an episode last
 ones would wait for the slowest.
 """
 
-import os
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -17,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import PartitionSpec
 
+from humanoid_mjx import runtime
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.beside import beside
@@ -257,7 +257,7 @@ def _shape(leaf: jax.Array) -> jax.ShapeDtypeStruct:
 
 def _compile_after(other: "Future[Any]", trace: Callable[[], Any]) -> Callable[..., Any]:
     lowered = trace()
-    if (os.cpu_count() or 1) <= CORES_OF_A_COMPILER:
+    if runtime.cores() <= CORES_OF_A_COMPILER:
         other.exception()  # waits
     return lowered.compile()
 

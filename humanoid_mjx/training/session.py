@@ -70,8 +70,8 @@ class Session:
         self.tables_are_old = True
         self.lock, self.stop = threading.Lock(), threading.Event()
 
-    def train(self, index: int, size: int, policies: Any) -> None:
-        """Train the runs of a group that are not finished yet, at most `size` at once on each device, and fewer where
+    def train(self, index: int, room: int, policies: Any) -> None:
+        """Train the runs of a group that are not finished yet, at most `room` at once, and fewer where
         the memory turns out not to suffice.
 
         Raises:
@@ -82,7 +82,7 @@ class Session:
         if not runs:
             return
         # Not the number still waiting: networks' sums depend on how many runs are side by side, also after a resume.
-        size, devices, share = arranged(group.learners, len(runs), size)
+        size, devices, share = arranged(group.learners, len(runs), room)
         while waiting := deque(run for run in runs if run not in self.finished):
             slots = size * len(devices) // share
             self.reporter.note(self._side_by_side(group, len(runs), slots))

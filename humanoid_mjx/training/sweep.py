@@ -70,7 +70,7 @@ def sweep(
       out: the run folder; by default the first free of runs/NAME, runs/NAME-2, ..., or the latest to be resumed.
       resume: complete a run folder instead of making one.
       overrides: such as "learner.epsilon=0.1"; only where `config` is a path or a name.
-      pool_size: how many runs train at once; by default what memory and cache hold. Tables learn the same
+      pool_size: how many runs each device trains at once; by default what memory and cache hold. Tables learn the same
         bit by bit whatever it is; sums in networks round differently.
       reporter: called with the progress; by default nothing is shown.
       tensorboard: write learning curves as event files of TensorBoard into the run folder while it trains.
@@ -84,7 +84,8 @@ def sweep(
         config = parse(dict(config))
     plan = make_plan(config)
     runtime.reserve_memory()
-    sizes = [pool_size or runs_that_fit(group, jax.local_devices()[0]) for group in plan.groups]
+    room = pool_size and pool_size * jax.local_device_count()
+    rooms = [room or runs_that_fit(group) for group in plan.groups]
     policies = [earlier_policies(group) for group in plan.groups]
     processes = Processes()
     if tensorboard:
@@ -94,7 +95,7 @@ def sweep(
 
     def open_folder() -> RunFolder:
         place = Path(out or (latest_path if resume else fresh_path)(config.name))
-        check_disk(place, plan, [slots(group, size) for group, size in zip(plan.groups, sizes, strict=True)])
+        check_disk(place, plan, [slots(group, room) for group, room in zip(plan.groups, rooms, strict=True)])
         return _open(place, config, resume, given=out is not None)
 
     folder = _shared(processes, open_folder)
@@ -103,7 +104,7 @@ def sweep(
         session = Session(folder, plan, processes, reporter or Reporter(), events)
         try:
             for index in range(len(plan.groups)):
-                session.train(index, sizes[index], policies[index])
+                session.train(index, rooms[index], policies[index])
             session.wait()
         finally:
             session.write_results()
