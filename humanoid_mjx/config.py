@@ -12,7 +12,7 @@ import pydantic
 import yaml
 
 from humanoid_mjx.axes import Sweep, shown
-from humanoid_mjx.data import shipped
+from humanoid_mjx.data import folder, shipped
 from humanoid_mjx.spec import InputError, sentence
 
 TOP_LEVEL = ("episodes", "total_steps", "record", "task")
@@ -37,6 +37,9 @@ class Config(pydantic.BaseModel):
         None, ge=1, le=2_000_000_000, description="for learners that count control steps of all environments"
     )
     record: int = pydantic.Field(100, ge=1, le=10_000)
+    modules: str | None = pydantic.Field(
+        None, description="folder of modules that import paths name, by default that of the config"
+    )
 
     _source: str = pydantic.PrivateAttr("config")
 
@@ -99,8 +102,6 @@ def load(config: str | Path, overrides: Sequence[str] = ()) -> Config:
       InputError: no such config, not YAML, or a key or value that cannot be used, in one sentence.
     """
     path = shipped("configs", str(config), ".yaml")
-    if str(path.parent.resolve()) not in sys.path:  # for modules of the user's own beside the config
-        sys.path.append(str(path.parent.resolve()))
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -111,6 +112,9 @@ def load(config: str | Path, overrides: Sequence[str] = ()) -> Config:
     for override in overrides:
         apply_override(data, override)
         _sweep_no_more(data, override.partition("=")[0])
+    if re.search(r"\w:\w", str(data)):  # an import path: the run remembers where its module is
+        beside = Path() if path.parent == folder("configs") else path.parent
+        data["modules"] = str((beside / str(data.get("modules", ""))).resolve())
     return parse(data, str(config))
 
 

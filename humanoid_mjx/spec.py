@@ -8,10 +8,15 @@ is *static*: it shapes the program. Specs of one `jax.tree.structure` share one 
 
 import difflib
 import importlib
+import os
 import re
+import sys
 import traceback
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
+from types import ModuleType
 from typing import Any, TypeVar, get_args
 
 import jax
@@ -167,6 +172,39 @@ def written(kind: str, registry: Mapping[str, str], base: type[Any]) -> pydantic
     return pydantic.BeforeValidator(build)
 
 
+_folder: ContextVar[str | None] = ContextVar("_folder", default=None)
+
+
+@contextmanager
+def modules_in(folder: str | None) -> Iterator[None]:
+    """Within the block, a module that Python does not find is searched in this folder, if any is given."""
+    before = _folder.set(folder)
+    try:
+        yield
+    finally:
+        _folder.reset(before)
+
+
+def _import(name: str) -> ModuleType:
+    """The module of this name: on Python's path, in the folder of `modules_in`, or in the working directory."""
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        if error.name != name.partition(".")[0]:
+            raise
+        folders = list(dict.fromkeys(filter(None, (_folder.get(), os.getcwd()))))
+        sys.path += (added := [folder for folder in folders if folder not in sys.path])
+        try:
+            return importlib.import_module(name)
+        except BaseException as error:
+            for folder in added:
+                sys.path.remove(folder)
+            if isinstance(error, ModuleNotFoundError) and error.name == name.partition(".")[0]:
+                words = f"{error.msg} on Python's path or in {' or '.join(folders)}"
+                raise ModuleNotFoundError(words, name=error.name) from None
+            raise
+
+
 def find(kind: str, registry: Mapping[str, str], base: type[SomeSpec], name: str) -> type[SomeSpec]:
     """The class of the `kind` of thing called `name`.
 
@@ -180,7 +218,7 @@ def find(kind: str, registry: Mapping[str, str], base: type[SomeSpec], name: str
         raise InputError(f"{kind}.name: unknown {kind} {name!r}; {known(name, registry)}.")
     module_name, _, attribute = path.partition(":")
     try:
-        cls = getattr(importlib.import_module(module_name), attribute)
+        cls = getattr(_import(module_name), attribute)
     except (ImportError, AttributeError, ValueError) as error:
         missing = (getattr(error, "name", None) or "").partition(".")[0]
         if isinstance(error, ModuleNotFoundError) and missing != module_name.partition(".")[0]:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -32,6 +33,48 @@ CONFIG = {
     "record": 4,
     "seeds": 1,
 }
+
+
+FEW = {"total_steps": 1024, "record": 1, "sweep": None}
+
+
+def command(folder, *words):
+    """A command typed in a folder, in a process of its own, whose Python does not know the modules of the tests."""
+    return subprocess.run([SCRIPT, *words], cwd=folder, capture_output=True, text=True)
+
+
+SCRIPT = Path(sys.executable).parent / "humanoid-mjx"
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory):
+    """A folder with a user's own module and config, and the run folder and policy that were made there."""
+    folder = tmp_path_factory.mktemp("own")
+    shutil.copy(Path(__file__).parent / "data/hop.py", folder / "hop.py")
+    (folder / "my.yaml").write_text(json.dumps(CONFIG | FEW))
+    for words in (("sweep", "my.yaml", "--out", "run"), ("export", "run", "hop.npz")):
+        done = command(folder, *words)
+        assert done.returncode == 0, done.stderr
+    return folder
+
+
+def test_what_they_learned_is_found_again_from_any_folder(own, tmp_path):
+    for folder, run, policy in ((own, "run", "hop.npz"), (tmp_path, str(own / "run"), str(own / "hop.npz"))):
+        for words in (("evaluate", run, "--episodes", "2"), ("export", run, str(tmp_path / "again.npz"))):
+            done = command(folder, *words)
+            assert done.returncode == 0, done.stderr
+        done = command(folder, "evaluate", policy, "--episodes", "2")
+        assert done.returncode == 0, done.stderr
+    done = command(tmp_path, "sweep", str(own / "my.yaml"), "--resume", "--out", str(own / "run"))
+    assert done.returncode == 0, done.stderr
+
+
+def test_import_paths_are_searched_in_the_working_directory_and_the_error_says_where(own, tmp_path):
+    shown = command(own, "info", "hop:Hop", "--keys")
+    assert shown.returncode == 0 and "task.stride" in shown.stdout, shown.stderr
+    refused = command(tmp_path, "info", "hop:Hop", "--keys")
+    assert refused.returncode == 2
+    assert f"No module named 'hop' on Python's path or in {tmp_path}." in refused.stderr
 
 
 def test_they_train_from_the_command_line(tmp_path):

@@ -21,7 +21,7 @@ def show_keys(name: str) -> None:
     """`humanoid-mjx info NAME --keys`: of a task, a learner, or both of a config."""
     from humanoid_mjx.keys import keys_of
     from humanoid_mjx.learners import LEARNERS, Learner
-    from humanoid_mjx.spec import find
+    from humanoid_mjx.spec import find, modules_in
     from humanoid_mjx.tasks import TASKS
     from humanoid_mjx.tasks.base import Task
 
@@ -31,8 +31,9 @@ def show_keys(name: str) -> None:
         chosen.append((kind, find(kind, registry, base, name)))
     else:
         config = load(name)
-        chosen.append(("task", find("task", TASKS, Task, config.task["name"])))
-        chosen.append(("learner", find("learner", LEARNERS, Learner, config.learner["name"])))
+        with modules_in(config.modules):
+            chosen.append(("task", find("task", TASKS, Task, config.task["name"])))
+            chosen.append(("learner", find("learner", LEARNERS, Learner, config.learner["name"])))
     table = Table(title=f"{name}: keys of its config", title_justify="left")
     for heading in ("key", "default", "values", "", "meaning"):
         table.add_column(heading, overflow="fold")

@@ -3,7 +3,6 @@
 import importlib
 import os
 import shutil
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,6 @@ from typing import Any
 from humanoid_mjx.commands import console
 from humanoid_mjx.commands.sweep import run_sweep
 from humanoid_mjx.config import load, parse_yaml
-from humanoid_mjx.data import shipped
 from humanoid_mjx.runs.folder import RunFolder, fresh_path, latest_path
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.plan import make_plan, resolved
@@ -29,8 +27,6 @@ class Job:
     """A sweep as each task of a job runs it: it completes a run folder that was made when the job was submitted."""
 
     run: Path
-    modules: Path
-    """The folder beside the config, for modules of the user's own."""
     tensorboard: bool
 
     def __call__(self) -> None:
@@ -39,7 +35,6 @@ class Job:
             os.environ["JAX_COORDINATOR_ADDRESS"] = f"localhost:{49152 + int(job.job_id) % 16384}"
             os.environ["JAX_NUM_PROCESSES"] = str(job.num_tasks)
             os.environ["JAX_PROCESS_ID"] = str(job.global_rank)
-        sys.path.append(str(self.modules))
         run_sweep(str(self.run / "config.yaml"), self.run, [], resume=True, tensorboard=self.tensorboard)
 
     def checkpoint(self) -> Any:
@@ -61,11 +56,10 @@ def submit_sweep(
     plan = make_plan(load(config, overrides))
     place = Path(out or (latest_path if resume else fresh_path)(plan.config.name))
     (RunFolder.resume if resume else RunFolder.create)(place, resolved(plan.config)).close()
-    modules = shipped("configs", config, ".yaml").parent.resolve()
     try:
         executor = submitit.AutoExecutor(folder=place / LOGS, cluster=parameters.pop("cluster", "slurm"))
         executor.update_parameters(**{"name": plan.config.name} | parameters)
-        job = executor.submit(Job(place.absolute(), modules, tensorboard))
+        job = executor.submit(Job(place.absolute(), tensorboard))
     except Exception as error:  # submitit raises half a dozen kinds
         if not resume:
             shutil.rmtree(place)

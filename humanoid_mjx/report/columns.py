@@ -12,7 +12,7 @@ from humanoid_mjx.learners.base import Learner
 from humanoid_mjx.report.figures import COUNTED, CURVES, HEAT_MAPS
 from humanoid_mjx.runs.folder import read_config
 from humanoid_mjx.runs.tables import column_names, read_table
-from humanoid_mjx.spec import InputError, find, known
+from humanoid_mjx.spec import InputError, find, known, modules_in
 from humanoid_mjx.tasks import TASKS
 from humanoid_mjx.tasks.base import Task
 
@@ -120,7 +120,8 @@ def _meanings(config: Mapping[str, Any], wanted: Iterable[str]) -> list[tuple[st
     for kind, registry, base in kinds:
         if any(name.startswith(f"{kind}.") for name in wanted):
             try:
-                cls = find(kind, registry, base, config[kind]["name"])
+                with modules_in(config.get("modules")):
+                    cls = find(kind, registry, base, config[kind]["name"])
             except (InputError, LookupError, TypeError):  # a task of one's own may be elsewhere by now
                 continue
             found += [(key.name, key.meaning) for key in keys_of(cls, kind) if key.name in wanted and key.meaning]

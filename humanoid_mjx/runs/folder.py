@@ -85,7 +85,7 @@ class RunFolder:
             run = cls(path, _lock(path), stored)
         except OSError as error:
             raise InputError(f"{path}: cannot be written: {error.strerror}.") from error
-        if changed := _differences(stored, dict(config)):
+        if changed := [key for key in _differences(stored, dict(config)) if key != "modules"]:
             run.close()
             raise InputError(
                 f"{path}: was made with another config ({changed[0]} differs); "

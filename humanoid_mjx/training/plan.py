@@ -16,7 +16,7 @@ from humanoid_mjx.axes import sweep_points
 from humanoid_mjx.config import Config
 from humanoid_mjx.learners import Learner, learner_class, make_learner
 from humanoid_mjx.runs.tables import Labels
-from humanoid_mjx.spec import InputError, Spec
+from humanoid_mjx.spec import InputError, Spec, modules_in
 from humanoid_mjx.tasks import make_task
 from humanoid_mjx.tasks.check import check_task
 from humanoid_mjx.training.program import Training, begin
@@ -154,15 +154,17 @@ def build(config: Config, point: Mapping[str, Any]) -> Learner:
     parts = {"task": dict(config.task), "learner": dict(config.learner)}
     for key, value in point.items():
         set_dotted(parts, key, value)
-    task = make_task(parts["task"].pop("name"), **parts["task"])
     name = parts["learner"].pop("name")
     given = {"episodes": config.episodes, "total_steps": config.total_steps}
     budget = {key: value for key, value in given.items() if value is not None}
-    unit = learner_class(name).unit
+    with modules_in(config.modules):
+        task = make_task(parts["task"].pop("name"), **parts["task"])
+        unit = learner_class(name).unit
     if odd := [key for key in budget if key != unit]:
         counts = "control steps of all environments" if unit == "total_steps" else "episodes"
         raise InputError(f"{odd[0]}: {name} counts {counts}; write {unit}: {budget[odd[0]]} in its place.")
-    return make_learner(name, task, record=config.record, **budget, **parts["learner"])
+    with modules_in(config.modules):
+        return make_learner(name, task, record=config.record, **budget, **parts["learner"])
 
 
 def set_dotted(parts: dict[str, Any], key: str, value: Any) -> None:
