@@ -247,6 +247,7 @@ def dump_yaml(data: dict[str, Any]) -> str:
 
 
 def config_digest(data: Mapping[str, Any]) -> str:
-    """The SHA-256 of a resolved config's values, all but its name: two runs of one digest have the same results."""
-    values = {key: value for key, value in data.items() if key != "name"}
+    """The SHA-256 of a resolved config's values, but for its name and its modules' folder: two runs of one digest have
+    the same results."""
+    values = {key: value for key, value in data.items() if key not in ("name", "modules")}
     return hashlib.sha256(json.dumps(values, sort_keys=True, default=str).encode()).hexdigest()
