@@ -31,7 +31,8 @@ def test_number_of_devices_changes_no_bit(reference, tmp_path, devices):
 
 
 KILLABLE = """
-import sys
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a suite in the background of a shell ignores it
 from humanoid_mjx import processes
 from humanoid_mjx.training import pool, session
 session.CHECKPOINT_EVERY_S, pool.HARVEST_SHARE, pool.HARVEST_AFTER_S = 0.2, 0.1, 0.5
