@@ -1,7 +1,8 @@
-"""Build the documentation, with the pages that follow from the code.
+"""Build the documentation, with the pages that follow from the code and the figures that follow from records.
 
 python docs/build.py          # into build/site; fails at a link that leads nowhere
 python docs/build.py serve    # on this machine, at the address that it prints
+python docs/build.py tables   # only writes the figures of README.md and docs/*.md, as the two above do first
 """
 
 import re
@@ -12,6 +13,9 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin
 
+import tables
+import walking_tables
+
 DOCS = Path(__file__).parent
 ROOT = DOCS.parent
 PACKAGE = ROOT / "humanoid_mjx"
@@ -21,6 +25,25 @@ NOT_DOCUMENTED = {"__init__", "__main__", "cli", "commands"}
 
 REFERENCE = "reference"
 """The folder of the reference, which has a page for each folder of the package."""
+
+FIGURES = tables.TABLES | walking_tables.TABLES
+"""What makes each table and number that follows from records, by the name between its marks."""
+
+
+def written(page: str) -> str:
+    """Return the text of a page with all figures between its marks written anew from their records."""
+
+    def place(match: re.Match[str]) -> str:
+        text = FIGURES[match[2]]()
+        return match[1] + (f"\n\n{text}\n\n" if "\n" in text else text) + match[3]
+
+    return re.sub(r"(<!-- record: (\w+) -->).*?(<!-- end -->)", place, page, flags=re.DOTALL)
+
+
+def write_tables() -> None:
+    """Write the figures of README.md and of every page in `docs/`."""
+    for path in (ROOT / "README.md", *DOCS.glob("*.md")):
+        path.write_text(written(path.read_text(encoding="utf-8")), encoding="utf-8")
 
 
 def pages() -> dict[str, str]:
@@ -205,7 +228,10 @@ def loaded_from_elsewhere(folder: Path) -> list[str]:
 
 
 def main() -> None:
-    """Build the site, or with `serve` show it while it is written."""
+    """Write the figures; then build the site, or with `serve` show it while it is written."""
+    write_tables()
+    if sys.argv[1:] == ["tables"]:
+        return
     stage(ROOT / "build" / "docs")
     arguments = sys.argv[1:] or ["build", "--clean", "--strict"]
     done = subprocess.run([sys.executable, "-m", "zensical", *arguments], cwd=ROOT, check=False)

@@ -9,7 +9,7 @@ from typing import Any
 import yaml
 from fault_trying import Matrix, command, isolated
 
-from humanoid_mjx.data import folder as shipped_folder
+from humanoid_mjx.files import folder as shipped_folder
 
 VALUES: tuple[Any, ...] = (
     *(None, True, 0, -1, 1, 2**31, 2**63, 10**400, 0.5, -1e308, 1e-320, float("inf"), float("nan"), "", "x", "[/b]"),

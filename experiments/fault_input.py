@@ -15,7 +15,7 @@ from fault_configs import mutated
 from fault_running import killed
 from fault_trying import CONFIGS, SAME, Done, Matrix, bits, command, isolated
 
-from humanoid_mjx.data import folder as shipped_folder
+from humanoid_mjx.files import folder as shipped_folder
 from humanoid_mjx.runs.archive import read_archive
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.sweep import sweep

@@ -14,7 +14,7 @@ from typing import Any
 
 from fault_trying import CONFIGS, SAME, TINY, Matrix, bits, command, isolated, processes, whole, write_config
 
-from humanoid_mjx import runtime
+from humanoid_mjx import compute
 from humanoid_mjx.runs.folder import parts
 from humanoid_mjx.runs.listing import list_runs
 from humanoid_mjx.training import pool as pool_module
@@ -26,7 +26,7 @@ KILLS_OF_A_RUN = 5
 
 def train(config: dict[str, Any], run: Path, began: Any) -> None:
     """Train, or go on with what a kill has left, storing much more often than usual."""
-    runtime.start()
+    compute.start()
     session_module.CHECKPOINT_EVERY_S = 0.05
     pool_module.CHUNK_S, pool_module.HARVEST_AFTER_S, pool_module.HARVEST_SHARE = 0.02, 0.2, 0.05
     began.set()

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from humanoid_mjx import cli, runtime
+from humanoid_mjx import cli, compute
 from humanoid_mjx.config import dump_yaml
 from humanoid_mjx.runs.tables import finished_runs
 
@@ -137,7 +137,7 @@ def bits(run: Path) -> str:
 
 def _serve(pipe: Any, function: Callable[[Any], Any], cases: Sequence[Any], folder: Path) -> None:
     os.chdir(folder)
-    runtime.start()
+    compute.start()
     for case in cases:
         pipe.send(function(case))
     pipe.close()

@@ -4,7 +4,7 @@
     python experiments/faults.py kill-deep_q --tries 10   # some of them; the record keeps what it has of the others
 
 A real disk that is full, or read-only, needs the right to mount, and is left out without it. What should not have
-happened is printed, and the exit code is 1. The page docs/faults.md says what the record says.
+happened is printed, and the exit code is 1. `python docs/build.py tables` writes the record into docs/faults.md.
 """
 
 import argparse
@@ -23,8 +23,8 @@ import fault_numbers
 import fault_running
 from fault_trying import CONFIGS, Matrix
 
-from humanoid_mjx.data import write_text
-from humanoid_mjx.runtime import made_by
+from humanoid_mjx.compute import made_by
+from humanoid_mjx.files import write_text
 
 RECORD = Path(__file__).parent.parent / "docs" / "bench" / "faults.json"
 
@@ -70,15 +70,6 @@ def store(matrix: Matrix) -> None:
     write_text(RECORD, json.dumps(head | {"rows": rows}, indent=1) + "\n")
 
 
-def table() -> str:
-    """The record as the table of docs/faults.md."""
-    lines = ["| fault | tried on | tries | what happened |", "|---|---|---|---|"]
-    for row in json.loads(RECORD.read_text())["rows"]:
-        ends = ", ".join(f"{count:,} {words}" for words, count in row["outcomes"].items())
-        lines.append(f"| {row['fault']} | {row['subject']} | {row['tries']:,} | {ends} |")
-    return "\n".join(lines)
-
-
 def main() -> None:
     """Try what the command line names."""
     matrix = Matrix(partial(print, flush=True), store)
@@ -94,7 +85,6 @@ def main() -> None:
         chosen = experiments(matrix, Path(folder), args.tries, args.seed)
         for name in args.names or chosen:
             chosen[name]()
-    print(table())
     sys.exit(any(row.wrong for row in matrix.rows))
 
 

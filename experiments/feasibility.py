@@ -1,15 +1,16 @@
 """Search what the lower body can do before it learns anything: stand on one leg, shift its weight, step and turn, with
 the two columns of ranges of Table 3.2, and what torque that takes.
 
-    python experiments/feasibility.py              # writes runs/feasibility/, two figures and tables, in a minute
+    python experiments/feasibility.py    # writes docs/bench/feasibility.json, and two figures into runs/, in a minute
 
 The default column of the tasks on the ground follows from it; docs/robot.md says what it found. The thesis prints
 nothing of this, so nothing is judged.
 """
 
 import argparse
+import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,9 +20,11 @@ from feasible_postures import Body
 from feasible_ranges import LEANS, LEG_LENGTH, Column, explore
 from feasible_torques import Way, carried, gait, hiking, rocking, slowest
 
-from humanoid_mjx.robot.ranges import TORQUE_LIMIT
+from humanoid_mjx.compute import made_by
 from humanoid_mjx.tasks import make_task
 from humanoid_mjx.thesis import leg as thesis
+
+RECORD = Path(__file__).parent.parent / "docs" / "bench" / "feasibility.json"
 
 TASK = make_task("walk")
 
@@ -144,36 +147,30 @@ def lacking(columns: Mapping[str, Column], needs: Needs) -> dict[str, str]:
     return {name: ", ".join(needs.unmet(column)) for name, column in columns.items()}
 
 
-def study(out: Path) -> dict[str, Column]:
-    """Both columns, explored; figures and tables go into the folder."""
+def study(out: Path) -> tuple[dict[str, Column], dict[str, Any]]:
+    """Explore both columns. Return them and the record of the study; the figures go into the folder."""
     out.mkdir(parents=True, exist_ok=True)
     columns = {name: explore(name, HEIGHT, lambda words: print(words, flush=True)) for name in ("proposed", "human")}
     body = Body("human")
     torques = torque_rows(body, columns, WAY)
-    joints = [joint.replace("_", " ") for joint in thesis.JOINT_NAMES]
-    tables = [
-        _table(("with the soles flat", *columns), column_rows(columns, WAY)),
-        _table((f"from foot to foot in {WAY.period:g} s", "human"), sway_rows(body, WAY)),
-        _table((f"largest torque of a leg that, N m of {TORQUE_LIMIT:g}", *joints), torques.items()),
-        *(f"{name} lacks {words or 'nothing'}\n" for name, words in lacking(columns, needed(body, WAY)).items()),
-    ]
-    (out / "feasibility.md").write_text("\n".join(tables), encoding="utf-8")
     draw_stances(out / "feasibility-stances.png", columns)
     draw_feasibility(out / "feasibility.png", columns, torques, body, TASK.posture, WAY)
-    return columns
-
-
-def _table(heads: tuple[str, ...], rows: Iterable[tuple[str, Any]]) -> str:
-    lines = [f"| {words} | {' | '.join(f'{value + 0.0:.2f}' for value in values)} |\n" for words, values in rows]
-    return f"| {' | '.join(heads)} |\n{'|---' * len(heads)}|\n" + "".join(lines)
+    return columns, {
+        "ranges": {words: dict(zip(columns, values, strict=True)) for words, values in column_rows(columns, WAY)},
+        "sway": {"period, s": WAY.period} | {words: values[0] for words, values in sway_rows(body, WAY)},
+        "largest torques, N m": {
+            words: dict(zip(thesis.JOINT_NAMES, map(float, values), strict=True)) for words, values in torques.items()
+        },
+        "lacks": lacking(columns, needed(body, WAY)),
+    }
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=Path("runs/feasibility"), help="the folder")
-    out = parser.parse_args().out
-    study(out)
-    print((out / "feasibility.md").read_text(encoding="utf-8"), out, sep="\n")
+    parser.add_argument("--out", type=Path, default=Path("runs/feasibility"), help="the folder of the figures")
+    _, found = study(parser.parse_args().out)
+    RECORD.write_text(json.dumps(made_by() | found, indent=1) + "\n")
+    print(RECORD)
 
 
 if __name__ == "__main__":

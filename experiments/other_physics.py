@@ -14,9 +14,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, get_args
 
-from humanoid_mjx import runtime
+from humanoid_mjx import compute
 from humanoid_mjx.config import load
-from humanoid_mjx.data import names
+from humanoid_mjx.files import names
 from humanoid_mjx.training.evaluation import HELD_OUT_WORDS, evaluate_all
 from humanoid_mjx.training.policy import Trained, best_policy, find_policy, on_physics
 from humanoid_mjx.training.sweep import sweep
@@ -55,9 +55,9 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=128, help="of each agent on each physics")
     parser.add_argument("--out", type=Path, default=RECORD, help="the record")
     asked = parser.parse_args()
-    runtime.start("mjx-jax")
+    compute.start(mjx=True)
     command = " ".join(["python", "experiments/other_physics.py", *sys.argv[1:]])
-    made_by = runtime.made_by() | {"command": command, "episodes": asked.episodes, "held_out": HELD_OUT_WORDS}
+    made_by = compute.made_by() | {"command": command, "episodes": asked.episodes, "held_out": HELD_OUT_WORDS}
     results = [row for task in asked.tasks for row in on_each_physics(policy_for(task), asked.episodes)]
     asked.out.write_text(json.dumps(made_by | {"results": results}, indent=1) + "\n")
     print(asked.out)

@@ -15,14 +15,14 @@ import sys
 import tempfile
 from pathlib import Path
 
+from robots import draw_robots
+
 LEARNERS = ("leg_reach", "leg_reach_linear", "leg_reach_ppo")
 """The configs whose learning curves are drawn side by side."""
 
 
 def robots(target: Path, seeds: int) -> None:
     """Both robots at zero, with the axes of their joints."""
-    from humanoid_mjx.report.robots import draw_robots
-
     draw_robots(target)
 
 

@@ -19,7 +19,7 @@ from typing import Any
 
 import jax
 
-from humanoid_mjx import runtime
+from humanoid_mjx import compute
 from humanoid_mjx.bench.measure import Record, spread
 from humanoid_mjx.config import parse
 from humanoid_mjx.training.plan import make_plan
@@ -87,7 +87,7 @@ def measure(subject: str, size: int) -> list[Record]:
     """The rates of one device and of all, and the efficiency."""
     devices, pools, compile_s = jax.local_devices(), {}, {}
     for count in (1, len(devices)):
-        with runtime.counting_compiles() as compiles:
+        with compute.counting_compiles() as compiles:
             pools[count] = SUBJECTS[subject](devices[:count], size)
         compile_s[count] = round(compiles.seconds, 3)
     rounds = [{count: rate(pool) for count, pool in pools.items()} for _ in range(ROUNDS)]
@@ -116,11 +116,11 @@ def main() -> None:
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there, too")
     parser.add_argument("--size", type=int, nargs=3, metavar="N", help="seeds of tables, of networks, environments")
     given = parser.parse_args()
-    runtime.start()
+    compute.start()
     if len(jax.local_devices()) < 2:
         parser.error("this machine has one device.")
     sizes = given.size or SIZES.get(jax.default_backend(), SIZES["gpu"])
-    made_by = runtime.made_by()
+    made_by = compute.made_by()
     records = [found.as_json() for pair in zip(SUBJECTS, sizes, strict=True) for found in measure(*pair)]
     text = json.dumps(made_by | {"records": records}, indent=2)
     print(text)

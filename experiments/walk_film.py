@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from PIL import Image, ImageSequence
 
-from humanoid_mjx import runtime
+from humanoid_mjx import compute
 from humanoid_mjx.report.film import Film
 from humanoid_mjx.report.rendering import render_film
 from humanoid_mjx.tasks.continuous import State
@@ -111,7 +111,7 @@ def main() -> None:
     parser.add_argument("--policy", default="walk", help="a policy by name, or a run folder")
     parser.add_argument("--out", type=Path, default=Path(__file__).parent.parent / "docs", help="the folder")
     chosen = parser.parse_args()
-    runtime.start()
+    compute.start()
     film = filmed(chosen.policy)
     print(render_film(film, chosen.out / "walk_commands.webm"))
     small(film, chosen.out / "walk.gif")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from humanoid_mjx import control
+    from humanoid_mjx.compute import start
     from humanoid_mjx.learners import make_learner
     from humanoid_mjx.mechanics import dynamics, kinematics
     from humanoid_mjx.robot.leg import Leg
@@ -26,6 +27,7 @@ __all__ = [
     "kinematics",
     "make_learner",
     "make_task",
+    "start",
     "sweep",
 ]
 
@@ -37,6 +39,7 @@ _HOMES = {
     "kinematics": "humanoid_mjx.mechanics.kinematics:",
     "make_learner": "humanoid_mjx.learners:make_learner",
     "make_task": "humanoid_mjx.tasks:make_task",
+    "start": "humanoid_mjx.compute:start",
     "sweep": "humanoid_mjx.training.sweep:sweep",
 }
 

@@ -3,14 +3,12 @@
 import errno
 import os
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, NoReturn
 
 import typer
-
-from humanoid_mjx import completion
-from humanoid_mjx.report import ways
 
 app = typer.Typer(
     add_completion=True,
@@ -18,6 +16,20 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Batched simulation and Q-learning for the lower body of a humanoid, in JAX.",
 )
+
+
+def _shipped(kind: str, ending: str) -> Callable[[str], list[str]]:
+    """Return a function that completes the name of a shipped file; without a match, shells complete paths."""
+
+    def complete(incomplete: str) -> list[str]:
+        from humanoid_mjx.files import names
+
+        return [name for name in names(kind, ending) if name.startswith(incomplete)]
+
+    return complete
+
+
+CONFIGS, POLICIES = _shipped("configs", ".yaml"), _shipped("policies", ".npz")
 
 Override = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one value of the config.")
@@ -29,7 +41,8 @@ Physics = Annotated[str | None, typer.Option(metavar="NAME", help="Simulate by a
 @app.command()
 def sweep(
     config: Annotated[
-        str, typer.Argument(help="A path, or the name of a shipped config.", autocompletion=completion.configs)
+        str,
+        typer.Argument(help="A path, or the name of a shipped config.", autocompletion=CONFIGS),
     ],
     out: Annotated[Path | None, typer.Option(help="The run folder; by default the next free runs/NAME.")] = None,
     set_: Override = None,
@@ -74,8 +87,8 @@ def bench(
         list[str] | None,
         typer.Argument(
             metavar="[NAME]...",
-            help="tabular, physics, control, training, startup or all; guard: some ratios against their record, within "
-            "a minute; compare OLD.json NEW.json: two results. Both end with exit code 1 where something became slow.",
+            help="tabular, physics, control, training, startup or all; compare OLD.json NEW.json: two results, with "
+            "exit code 1 where something became slow.",
         ),
     ] = None,
     json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the figures as JSON.")] = None,
@@ -92,7 +105,7 @@ Policy = Annotated[
     typer.Argument(
         metavar="RUN|POLICY",
         help="A run folder, a policy file, or a shipped policy.",
-        autocompletion=completion.policies,
+        autocompletion=POLICIES,
     ),
 ]
 
@@ -114,7 +127,7 @@ def evaluate(
         typer.Argument(
             metavar="RUN|POLICY...",
             help="Run folders, policy files, or shipped policies.",
-            autocompletion=completion.policies,
+            autocompletion=POLICIES,
         ),
     ],
     gait: Annotated[
@@ -230,7 +243,7 @@ def info(
         typer.Argument(
             metavar="[CONFIG|TASK|LEARNER]",
             help="A config to resolve; a task or learner.",
-            autocompletion=completion.configs,
+            autocompletion=CONFIGS,
         ),
     ] = None,
     set_: Override = None,
@@ -280,7 +293,7 @@ def main() -> None:
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # closed, as some services start programs
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
-    ways.take_over()
+    os.environ.pop("MUJOCO_GL", None)  # OpenGL is not used, and an unusable value stops MuJoCo's import
     try:
         app()
     except (KeyboardInterrupt, SystemExit) as error:
@@ -295,7 +308,7 @@ def main() -> None:
         goes_on = "; what a sweep has stored is valid, --resume goes on" if error.errno in FULL else ""
         _end(f"{place}{what}{goes_on}.")
     except Exception as error:
-        from humanoid_mjx.runtime import out_of_memory
+        from humanoid_mjx.compute import out_of_memory
         from humanoid_mjx.spec import InputError
 
         if out_of_memory(error):

@@ -18,7 +18,7 @@ import humanoid_mjx.mechanics.scalars  # noqa: F401
 
 install_import_hook("humanoid_mjx", "typecheck.check")
 
-from humanoid_mjx import runtime  # noqa: E402
+from humanoid_mjx import compute  # noqa: E402
 
 PLAIN_KERNELS = (
     "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1"
@@ -28,17 +28,17 @@ is tested with them is what programs compute, not how XLA rounds it. In one piec
 cores are busy anyway."""
 
 AS_SHIPPED = (
+    "test_compute.py",
     "test_memory.py",
     "test_physics_worlds.py",
     "test_processes.py",
-    "test_runtime.py",
     "test_sweep.py",
     "test_tree_worlds.py",
 )
 """Files with tests of the kernels that users have: that worlds, runs and devices change no bit of each other, how near
 single precision comes, what XLA makes of a program. They need a process of their own: test_as_shipped.py starts it."""
 
-os.environ.setdefault("PJRT_NPROC", runtime.POOL_THREADS)
+os.environ.setdefault("PJRT_NPROC", compute.POOL_THREADS)
 
 collect_ignore: list[str] = []
 
@@ -47,7 +47,7 @@ def pytest_configure(config):
     """Choose the kernels, before a test module computes anything, and leave out what is not for them."""
     double = bool(os.environ.get("JAX_ENABLE_X64"))
     shipped = not double and any(Path(asked.partition("::")[0]).name in AS_SHIPPED for asked in config.args)
-    flags = runtime.XLA_FLAGS if shipped else f"{runtime.XLA_FLAGS} {PLAIN_KERNELS}"
+    flags = compute.XLA_FLAGS if shipped else f"{compute.XLA_FLAGS} {PLAIN_KERNELS}"
     os.environ.setdefault("XLA_FLAGS", flags)
     collect_ignore.extend([] if double else ["float64"])
     collect_ignore.extend([] if shipped else AS_SHIPPED)
@@ -74,4 +74,4 @@ def few_compiled_programs():
 def pytest_collection_modifyitems(items):
     """The longest first, so that they do not run alone at the end."""
     items.sort(key=lambda item: not item.nodeid.startswith(("tests/test_as_shipped.py", "tests/test_float64.py")))
-    runtime.look_for_garbage_seldom()
+    compute.look_for_garbage_seldom()

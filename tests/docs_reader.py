@@ -14,7 +14,7 @@ from typing import NamedTuple
 import typer
 
 from humanoid_mjx.cli import app
-from humanoid_mjx.data import names
+from humanoid_mjx.files import names
 
 ROOT = Path(__file__).parent.parent
 SHELL = {"bash", "sh"}
@@ -103,7 +103,7 @@ class Reader:
         if names and names[0] == "compare":
             assert set(names[1:]) <= self.files and len(names) == 3, names
         else:
-            assert set(names or []) <= {*BENCHES, "all", "guard"}
+            assert set(names or []) <= {*BENCHES, "all"}
         self.files.add(str(json))
 
     def evaluate(self, policies, gait, point, set_, physics, episodes, json, out):

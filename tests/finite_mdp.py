@@ -5,7 +5,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from humanoid_mjx import rng
+from humanoid_mjx.compute import rng
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.finite import FiniteTask, Rules
 

@@ -12,7 +12,8 @@ from probes import DISCOUNT, PROBES, make, probe
 from small_sweep import CONFIG, assert_same_tables
 
 import humanoid_mjx.training.session as session
-from humanoid_mjx import InputError, make_learner, make_task, rng, runtime, sweep
+from humanoid_mjx import InputError, compute, make_learner, make_task, sweep
+from humanoid_mjx.compute import rng
 from humanoid_mjx.learners import exploration
 from humanoid_mjx.learners.approximate import Batch
 from humanoid_mjx.learners.features import Scale, combined, fourier, radial, tile_coding
@@ -292,7 +293,7 @@ END_NEVER = 1
 def test_a_second_training_compiles_nothing():
     task, _, _ = probe("both")
     train(build("deep", task))
-    with runtime.counting_compiles() as compiles:
+    with compute.counting_compiles() as compiles:
         train(build("deep", task, epsilon=0.4, learning_rate=0.02, trace_decay=0.9), seed=3)
     assert compiles.programs == 0
 

@@ -14,8 +14,9 @@ from probes import probe
 from small_sweep import assert_same_tables
 from typer.testing import CliRunner
 
-from humanoid_mjx import InputError, make_learner, make_task, rng, sweep
+from humanoid_mjx import InputError, make_learner, make_task, sweep
 from humanoid_mjx.cli import app
+from humanoid_mjx.compute import rng
 from humanoid_mjx.learners import brax_ppo, brax_repair
 from humanoid_mjx.runs.tables import finished_runs
 from humanoid_mjx.spec import traced

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from humanoid_mjx import runtime
+from humanoid_mjx import compute
 from humanoid_mjx.cli import app
 
 HEAVY = ("jax", "brax", "mujoco", "matplotlib", "flax", "optax", "pyarrow")
@@ -45,7 +45,7 @@ def test_two_sweeps_that_differ_in_values_compile_once(tmp_path, monkeypatch):
     first, second = write_config(tmp_path / "a.yaml", [0.1, 0.2]), write_config(tmp_path / "b.yaml", [0.5, 0.9])
     counts = []
     for path in (first, second):
-        with runtime.counting_compiles() as compiles:
+        with compute.counting_compiles() as compiles:
             done = CliRunner().invoke(app, ["sweep", path, "--set", "seed=3"])
         assert done.exit_code == 0, done.output
         counts.append(compiles.programs)

@@ -6,7 +6,7 @@ import yaml
 
 from humanoid_mjx import InputError, make_learner, make_task, sweep
 from humanoid_mjx.config import dump_yaml, load, parse, parse_yaml
-from humanoid_mjx.data import names
+from humanoid_mjx.files import names
 from humanoid_mjx.tasks.continuous import Tabulated
 from humanoid_mjx.training.plan import make_plan, resolved
 

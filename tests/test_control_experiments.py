@@ -75,7 +75,7 @@ def test_other_gains_are_no_longer_the_printed_ones(tmp_path):
     settings = [f"kd.joint{joint}={2 * np.sqrt(kp)}" for joint, kp in enumerate(thesis.KP, start=1)]
     finding = reproduce(["figure-7.6"], tmp_path, settings)[0]
     assert finding.verdict == "recovered" and "kd of joint1 16.1" in finding.why
-    with pytest.raises(InputError, match="kp must be finite and at least 0"):
+    with pytest.raises(InputError, match="kp of joint2 must be finite and at least 0, got -1"):
         reproduce(["figure-7.6"], tmp_path, ["kp.joint2=-1"])
 
 

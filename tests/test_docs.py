@@ -16,7 +16,7 @@ import pytest
 import yaml
 from docs_reader import Reader, blocks, commands, type_commands
 
-from humanoid_mjx import runtime
+from humanoid_mjx import compute
 from humanoid_mjx.bench import BENCHES
 from humanoid_mjx.control.laws import LAWS
 from humanoid_mjx.keys import keys_of
@@ -38,6 +38,7 @@ COMMANDS_ONLY = {"docs/results.md"}
 
 
 def build_module():
+    sys.path.append(str(DOCS))  # where it finds its own modules
     spec = importlib.util.spec_from_file_location("docs_build", DOCS / "build.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -50,13 +51,39 @@ TEXTS = {name: path.read_text(encoding="utf-8") for name, path in PAGES.items()}
 TYPED = [name for name, text in TEXTS.items() if "```" in text or "`humanoid-mjx " in text]
 
 
+def test_figures_of_pages_are_those_of_the_records():
+    assert [name for name, text in TEXTS.items() if BUILD.written(text) != text] == []
+    assert not re.search(r"^<!-- record: \w+ -->.", "\n".join(TEXTS.values()), re.M), "it would end the paragraph"
+    assert set(re.findall(r"<!-- record: (\w+) -->", "".join(TEXTS.values()))) == set(BUILD.FIGURES)
+
+
+@pytest.mark.parametrize("name", BUILD.FIGURES)
+def test_a_record_that_changes_changes_the_page(name, monkeypatch):
+    def changed(of):
+        """The record with other numbers, but for sizes, by which rows are found."""
+        text, tripled = (DOCS / "bench" / f"{of}.json").read_text(), (lambda x: int(x) * (3 if len(x) < 4 else 1))
+        return json.loads(text, parse_float=lambda x: 2 * float(x) + 1, parse_int=tripled)
+
+    before = BUILD.FIGURES[name]()
+    for module in (BUILD.tables, BUILD.walking_tables):
+        monkeypatch.setattr(module, "record", changed)
+    assert BUILD.FIGURES[name]() != before
+
+
+def test_what_was_tried_went_well():
+    rows = BUILD.tables.record("faults")["rows"]
+    assert all(sum(row["outcomes"].values()) == row["tries"] > 0 and not row["wrong"] for row in rows)
+    killed = [row for row in rows if row["fault"].startswith("kill -9")]
+    assert {row["subject"] for row in killed if set(row["outcomes"]) == {"resumed to the same bits"}} == set(LEARNERS)
+
+
 @pytest.mark.parametrize("name", TYPED)
 def test_what_a_reader_types_works(name, tmp_path, monkeypatch):
     if "```python" in TEXTS[name] and name not in COMMANDS_ONLY:
         in_a_process_of_its_own(PAGES[name], tmp_path)
     else:
         monkeypatch.chdir(tmp_path)
-        monkeypatch.setattr(runtime, "start", lambda: None)
+        monkeypatch.setattr(compute, "start", lambda **_: None)
         type_commands(TEXTS[name])
 
 

@@ -2,12 +2,12 @@
 
 import jax
 import jax.numpy as jnp
+import lagrange_euler
 import numpy as np
 import pytest
 
 from humanoid_mjx import InputError, Leg, control, dynamics
 from humanoid_mjx.bench import physics
-from humanoid_mjx.mechanics import lagrange_euler
 from humanoid_mjx.robot.mjcf import make_mjspec
 
 STATE = jnp.array([[0.3, -0.2, 0.4, 1.1, -0.5], [1.0, 2.0, -1.0, 0.5, 3.0]])
@@ -25,10 +25,9 @@ def test_fast_version_equals_reference(make):
 
 def test_computed_torque_with_the_true_model_gives_the_second_order_response():
     leg = Leg.physical()
-    params = control.ComputedTorque(leg, kp=jnp.full(5, 70.0), kd=jnp.full(5, 32.0))
     goal = control.Reference(jnp.full(5, 0.5), jnp.full(5, 0.1), jnp.full(5, -0.2))
-    torque = control.computed_torque(params, goal, *STATE)
-    wanted = goal.qacc + params.kd * (goal.qvel - STATE[1]) + params.kp * (goal.qpos - STATE[0])
+    torque = dynamics.inverse_dynamics(leg, *STATE, control.servo(70.0, 32.0, goal, *STATE))
+    wanted = goal.qacc + 32.0 * (goal.qvel - STATE[1]) + 70.0 * (goal.qpos - STATE[0])
     np.testing.assert_allclose(dynamics.forward_dynamics(leg, *STATE, torque), wanted, rtol=2e-3)
 
 

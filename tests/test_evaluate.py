@@ -9,8 +9,9 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
-from humanoid_mjx import make_task, rng
+from humanoid_mjx import make_task
 from humanoid_mjx.cli import app
+from humanoid_mjx.compute import rng
 from humanoid_mjx.report.comparison import compare_curves, curve_of
 from humanoid_mjx.runs.evaluations import Estimate, Evaluation, estimated
 from humanoid_mjx.runs.ranking import ranked

@@ -19,10 +19,10 @@ import pyarrow.parquet as pq
 import pytest
 from small_sweep import assert_same_tables
 
-from humanoid_mjx import InputError, cli, runtime, sweep
+from humanoid_mjx import InputError, cli, compute, sweep
 from humanoid_mjx.commands.runs import run_runs
 from humanoid_mjx.config import config_digest, load, parse, parse_yaml
-from humanoid_mjx.data import whole_file
+from humanoid_mjx.files import whole_file
 from humanoid_mjx.report.style import figure
 from humanoid_mjx.runs.archive import DAMAGE, read_archive
 from humanoid_mjx.runs.folder import RunFolder, read_arrays, read_config, read_provenance
@@ -60,7 +60,7 @@ def said(monkeypatch, capfd):
     """Runs the command line in this process: its exit code and what it says of a failure."""
 
     def call(*arguments):
-        monkeypatch.setattr(runtime, "start", lambda *asked: None)
+        monkeypatch.setattr(compute, "start", lambda **_: None)
         monkeypatch.setattr(sys, "argv", ["humanoid-mjx", *map(str, arguments)])
         capfd.readouterr()
         try:

@@ -1,12 +1,15 @@
 """The study `experiments/feasibility.py`, against simulation and closed forms, with fewer starts than it has."""
 
 import math
-import sys
-from pathlib import Path
 
+import feasibility
+import feasibility_figures
+import feasible_postures
+import feasible_ranges
 import mujoco
 import numpy as np
 import pytest
+from feasible_torques import carried
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
@@ -16,23 +19,16 @@ from humanoid_mjx.physics.balance import foot_corners, link_motion
 from humanoid_mjx.robot import lower_body as robot
 from humanoid_mjx.thesis import leg as thesis
 
-sys.path.insert(0, str(Path(__file__).parent.parent / "experiments"))
-import feasibility
-import feasibility_figures
-import feasible_postures
-import feasible_ranges
-from feasible_torques import carried
-
 
 @pytest.fixture(scope="module")
 def explored(tmp_path_factory):
-    """Both columns, and the folder of the study."""
+    """Both columns, the record of the study, and the folder of its figures."""
     out = tmp_path_factory.mktemp("feasibility")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(feasible_postures, "STARTS", 20)
         for module in (feasible_ranges, feasibility, feasibility_figures):
             patch.setattr(module, "LEANS", (1.0, 45.0))
-        return feasibility.study(out), out
+        return *feasibility.study(out), out
 
 
 @pytest.mark.parametrize("name", ("proposed", "human"))
@@ -78,10 +74,10 @@ def test_headings_are_those_of_the_hips_three_angles(explored):
 
 
 def test_the_walking_default_is_the_column_that_serves(explored):
-    columns, out = explored
+    columns, record, out = explored
     needs = feasibility.needed(feasible_postures.Body("human"), feasibility.WAY)
     lacks = feasibility.lacking(columns, needs)
     assert [name for name, words in lacks.items() if not words] == [feasibility.TASK.ranges]
-    assert "a hip that rolls inwards" in lacks["proposed"] and lacks["proposed"] in (out / "feasibility.md").read_text()
+    assert "a hip that rolls inwards" in lacks["proposed"] and record["lacks"] == lacks
     assert "toes" in feasibility.lacking({"x": columns["human"]._replace(toes_in=0.1)}, needs)["x"]
     assert all((out / f"feasibility{which}.png").stat().st_size > 10_000 for which in ("", "-stances"))

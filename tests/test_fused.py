@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from finite_mdp import random_task
 
-from humanoid_mjx import make_learner, make_task, rng
+from humanoid_mjx import make_learner, make_task
+from humanoid_mjx.compute import rng
+from humanoid_mjx.compute.kernels.elementwise import Elementwise, NotElementwise, kept_in_common
 from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.training import fused
-from humanoid_mjx.training.elementwise import Elementwise, NotElementwise, kept_in_common
 from humanoid_mjx.training.program import advance, begin
 
 RUNS, BLOCK = 6, 4

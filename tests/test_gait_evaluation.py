@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from humanoid_mjx import rng
 from humanoid_mjx.cli import app
+from humanoid_mjx.compute import rng
 from humanoid_mjx.config import parse
 from humanoid_mjx.report.gaits import bad_end
 from humanoid_mjx.runs.gaits import summarised

@@ -1,4 +1,4 @@
-"""Controllers on the ground, in batches on MJX: they stand, and take a push."""
+"""Control laws on the ground, in batches on MJX: they stand, and take a push."""
 
 import jax
 import jax.numpy as jnp
@@ -6,12 +6,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from humanoid_mjx import InputError, runtime
-from humanoid_mjx.control import GroundControl, Reference, grounded_torque, pd
+from humanoid_mjx import compute
+from humanoid_mjx.control import at_rest, make_law
 from humanoid_mjx.physics import make_physics
 
 MJX = make_physics("mjx-jax", ranges="human")
-STANDING = Reference(*jnp.zeros((3, 10)))
+STANDING = at_rest(jnp.zeros(10))
 PUSHES = np.array([[0.0, 0.0], [0.2, 0.0], [-0.15, 0.0], [0.0, 0.3]])
 """N s at the hips: none, forwards, backwards, to the left."""
 
@@ -29,14 +29,11 @@ def pushed():
     matrix = np.zeros((16, 16))
     mujoco.mj_fullM(MJX.model, data, matrix)
     qvel = np.linalg.solve(matrix, np.pad(PUSHES, ((0, 0), (0, 14))).T).T
-    params = GroundControl.build(10)
+    held, exact = (make_law(name) for name in ("pd", "grounded"))
 
     def simulate(qvel, grounded):
         def controller(stages):
-            state = STANDING, stages.qpos, stages.qvel
-            held = pd(params.servo, *state)
-            exact = grounded_torque(params, *state, stages.mass_matrix, stages.bias, stages.contacts())
-            return jnp.where(grounded, exact, held)
+            return jnp.where(grounded, exact(STANDING, stages), held(STANDING, stages))
 
         def cycle(world, _):
             world, torque = MJX.step(world, controller)
@@ -45,7 +42,7 @@ def pushed():
         world = MJX.start(MJX.qpos0, qvel)
         return jax.lax.scan(cycle, world, length=MJX.substeps(SECONDS))[1]
 
-    copies = int(runtime.POOL_THREADS) // len(PUSHES) + 2
+    copies = int(compute.POOL_THREADS) // len(PUSHES) + 2
     velocities = np.tile(qvel, (2 * copies, 1)).astype(np.float32)
     grounded = np.repeat([False, True], copies * len(PUSHES))
     qpos, torque = jax.jit(jax.vmap(simulate))(velocities, grounded)
@@ -59,16 +56,3 @@ def test_both_stand_and_take_a_push(pushed):
     np.testing.assert_array_equal(qpos[:, 0], qpos[:, 1])
     assert np.abs(qpos[..., -1, 7:]).max() < 3e-3
     assert np.abs(torque[:, 0, 0, -1]).max() < 0.05
-
-
-@pytest.mark.parametrize(
-    ("options", "sentence"),
-    [
-        ({"kp": -1.0}, "kp must be finite and at least 0, got"),
-        ({"servo_kd": [1.0, 2.0]}, r"servo_kd must be a number or one for each of 10 joints, got shape \(2,\)."),
-        ({"share": 2.0}, "share must be from 0 to 1, got 2.0."),
-    ],
-)
-def test_bad_input_gets_a_sentence(options, sentence):
-    with pytest.raises(InputError, match=sentence):
-        GroundControl.build(10, **options)

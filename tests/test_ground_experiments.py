@@ -5,9 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from humanoid_mjx.control import ground as defaults
+from humanoid_mjx.control import make_law
 from humanoid_mjx.reproduction import ground_control, ground_gaits, load_experiments, reproduce
-from humanoid_mjx.reproduction.ground import Path, _until_fall, balance_of, physics
+from humanoid_mjx.reproduction.ground import Path, _until_fall, balance_of, laws_of, physics
+from humanoid_mjx.thesis import leg as thesis
 
 NAMES = ("gaits-4.8", "ground-control")
 
@@ -70,11 +71,12 @@ def test_the_reading_decides_how_far_the_soles_tilt():
     assert tilts[1, 1, 1] == (-27.5, 25.0) and tilts[1, -1, -1] == (-7.5, 15.0)
 
 
-def test_the_experiments_use_the_gains_of_the_controllers():
+def test_the_experiments_use_the_gains_of_the_laws():
     for name in NAMES:
-        config = load_experiments()[name].config
-        assert config["servo"] == {"kp": defaults.SERVO_KP, "kd": defaults.SERVO_KD}
-        assert config["computed_torque"] == {"kp": defaults.KP, "kd": defaults.KD, "share": defaults.SHARE}
+        laws = laws_of(load_experiments()[name].config)
+        assert laws["servo"] == make_law("pd") and laws["computed torque"] == make_law("grounded")
+        blind = laws["section 5.7"].gains
+        np.testing.assert_allclose(blind, [2 * thesis.KP, 2 * thesis.KD], rtol=1e-6)
 
 
 def carried(yaw, speed, steps=51):

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from tree_robots import HOPPER, converged, states
 
+from humanoid_mjx.compute.kernels.one_kernel import one_kernel
 from humanoid_mjx.mechanics.tree.folding import fold
-from humanoid_mjx.mechanics.tree.kernel import one_kernel
 from humanoid_mjx.mechanics.tree.reading import read_tree
 from humanoid_mjx.mechanics.tree.step import Values
 from humanoid_mjx.physics import tree

@@ -11,10 +11,10 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent / "data"))
 
-from humanoid_mjx import InputError, Leg, control, make_task
+from humanoid_mjx import InputError, Leg, control, dynamics, make_task
+from humanoid_mjx.compute import counting_compiles
 from humanoid_mjx.control import make_law
 from humanoid_mjx.physics import make_physics
-from humanoid_mjx.runtime import counting_compiles
 
 LEG = make_physics("chain", robot="leg", torque_limit=1e6)
 BODY = make_physics("mujoco", ranges="human", torque_limit=1e6)
@@ -37,14 +37,15 @@ def on_leg(law, mass=1.0):
 
 def test_each_law_is_its_formula():
     leg = Leg.physical()
+    error, rate = 0.5 - QPOS, 0.1 - QVEL
+    wanted, matrix = -0.2 + KP * error + KD * rate, dynamics.mass_matrix(leg, jnp.array(QPOS))
     gains = {"natural_frequency": 6.0, "damping_ratio": 1.5}
     springs = {"stiffness": 3.0, "damping": 0.1}
-    state = GOAL, jnp.array(QPOS), jnp.array(QVEL)
     expected = {
-        "servo": 3.0 * (0.5 - QPOS) - 0.1 * QVEL,
-        "pd": control.pd(control.PD.build(5, 3.0, 0.1), *state),
-        "partitioned_pd": control.partitioned_pd(control.PartitionedPD.build(leg, KP, KD), *state),
-        "computed_torque": control.computed_torque(control.ComputedTorque.build(leg, KP, KD), *state),
+        "servo": 3.0 * error - 0.1 * QVEL,
+        "pd": 3.0 * error + 0.1 * rate,
+        "partitioned_pd": jnp.diag(matrix) * wanted,
+        "computed_torque": matrix @ wanted + dynamics.bias(leg, jnp.array(QPOS), jnp.array(QVEL)),
     }
     for name, right in expected.items():
         law = make_law(name, **(springs if name in ("servo", "pd") else gains))
@@ -132,6 +133,7 @@ def test_every_law_can_be_traced_in_a_task(law):
         ({"name": "servo", "stifness": 3.0}, r"^task.control.stifness: unknown key; did you mean 'stiffness'\?"),
         ({"name": "servo", "stiffness": -1.0}, r"^task.control.stiffness must be greater than 0.0, got -1.0"),
         ({"name": "pd", "natural_frequency": 3.0}, r"^task.control.natural_frequency: unknown key"),
+        ({"name": "grounded", "share": 2.0}, r"^task.control.share must be at most 1.0, got 2.0"),
         ({"damping_ratio": 0.0}, r"^task.control.damping_ratio must be greater than 0"),
         (3.0, r"^task.control must be a Law, got a float"),
         ("spring:Sprung", r"^task.control.name: 'spring:Sprung' cannot be imported"),

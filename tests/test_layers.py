@@ -40,7 +40,7 @@ def back_arrows(arrows, layers):
 
 
 def drawn():
-    (line,) = re.findall(r"^ +(thesis -> .+)$", (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"), re.M)
+    (line,) = re.findall(r"^ +(config -> .+)$", (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"), re.M)
     return [group.split(", ") for group in line.split(" -> ")]
 
 

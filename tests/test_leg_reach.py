@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from humanoid_mjx import InputError, make_task, rng
+from humanoid_mjx import InputError, make_task
+from humanoid_mjx.compute import rng
 
 LEGS = 64
 

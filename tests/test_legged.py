@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(Path(__file__).parent / "data"))
 
-from humanoid_mjx import InputError, make_task, rng
-from humanoid_mjx.runtime import counting_compiles
+from humanoid_mjx import InputError, make_task
+from humanoid_mjx.compute import counting_compiles, rng
 from humanoid_mjx.tasks.check import check_task
 from humanoid_mjx.tasks.legged import LeggedTask, StandRewards, rewards
 from humanoid_mjx.tasks.legged.body import JOINTS

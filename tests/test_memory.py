@@ -10,8 +10,9 @@ import jax.numpy as jnp
 import pytest
 from typer.testing import CliRunner
 
-from humanoid_mjx import InputError, runtime
+from humanoid_mjx import InputError, compute
 from humanoid_mjx.cli import app
+from humanoid_mjx.compute import limits
 from humanoid_mjx.config import load
 from humanoid_mjx.training.arrangement import arranged
 from humanoid_mjx.training.memory import runs_that_fit, training_bytes
@@ -43,7 +44,7 @@ TOO_LARGE = ["learner.envs=65536", "learner.rollout=128", "learner.width=1024", 
 def test_what_is_too_large_for_memory_is_refused_with_what_the_system_says(monkeypatch):
     (group,) = make_plan(load("leg_reach", TOO_LARGE)).groups
     free = 7 << 30
-    monkeypatch.setattr(runtime, "available_memory", lambda: free)
+    monkeypatch.setattr(compute, "available_memory", lambda: free)
     said = r"one run needs about ([\d,]+) MiB, more than 80% of the 7,168 MiB that are free; make the task"
     with pytest.raises(InputError, match=said):
         runs_that_fit(group)
@@ -53,7 +54,7 @@ def test_what_is_too_large_for_memory_is_refused_with_what_the_system_says(monke
 
 
 def test_info_says_the_refusal_of_sweep(monkeypatch):
-    monkeypatch.setattr(runtime, "available_memory", lambda: 7 << 30)
+    monkeypatch.setattr(compute, "available_memory", lambda: 7 << 30)
     said = "80% of the 7,168 MiB that are free"
     shown = CliRunner().invoke(app, ["info", "leg_reach", *(word for each in TOO_LARGE for word in ("--set", each))])
     assert shown.exit_code == 0 and said in " ".join(shown.output.split())
@@ -61,21 +62,21 @@ def test_info_says_the_refusal_of_sweep(monkeypatch):
 
 MANY_CORES = """
 import jax
-from humanoid_mjx import runtime
+from humanoid_mjx import compute
 from humanoid_mjx.config import load
 from humanoid_mjx.training.arrangement import arranged
 from humanoid_mjx.training.memory import runs_that_fit, training_bytes
 from humanoid_mjx.training.plan import make_plan
 
-runtime.start()
+compute.start()
 assert jax.local_device_count() == 16
 for name in ("stand", "walk"):
     (group,) = make_plan(load(name)).groups
-    runtime.available_memory = lambda: 2 << 30
+    compute.available_memory = lambda: 2 << 30
     assert runs_that_fit(group) == int(0.8 * 2**31) // training_bytes(group) < 16
     size, devices, _ = arranged(group.learners, 100, runs_that_fit(group))
     assert size == 1 and len(devices) == runs_that_fit(group)
-    runtime.available_memory = lambda: 1 << 36
+    compute.available_memory = lambda: 1 << 36
     assert runs_that_fit(group) == 16
 """
 
@@ -90,21 +91,21 @@ def test_sixteen_cores_train_what_one_does():
 def test_available_memory_is_what_linux_says():
     meminfo = dict(line.split(":") for line in Path("/proc/meminfo").read_text().splitlines())
     said = int(meminfo["MemAvailable"].split()[0]) << 10
-    limited = any(runtime._control_groups("memory"))
-    assert runtime.available_memory() > 0 and (limited or abs(runtime.available_memory() / said - 1) < 0.2)
+    limited = any(limits._control_groups("memory"))
+    assert compute.available_memory() > 0 and (limited or abs(compute.available_memory() / said - 1) < 0.2)
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="no affinity here")
 def test_cores_are_those_that_the_process_may_use():
-    words = "import os; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))}); from humanoid_mjx import runtime; "
-    done = subprocess.run([sys.executable, "-c", words + "print(runtime.cores())"], capture_output=True, text=True)
+    words = "import os; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))}); from humanoid_mjx import compute; "
+    done = subprocess.run([sys.executable, "-c", words + "print(compute.cores())"], capture_output=True, text=True)
     assert done.stdout == "1\n", done.stderr
 
 
 @pytest.mark.parametrize("unified", [True, False])
 def test_limits_of_control_groups_hold(unified, tmp_path, monkeypatch):
-    groups = runtime._control_groups
-    monkeypatch.setattr(runtime, "_control_groups", lambda kind: groups(kind, tmp_path))
+    groups = limits._control_groups
+    monkeypatch.setattr(limits, "_control_groups", lambda kind: groups(kind, tmp_path))
     (tmp_path / "proc/self").mkdir(parents=True)
     line = "0::/job/step\n" if unified else "4:memory:/job/step\n2:cpu,cpuacct:/job/step\n"
     (tmp_path / "proc/self/cgroup").write_text(line)
@@ -116,10 +117,10 @@ def test_limits_of_control_groups_hold(unified, tmp_path, monkeypatch):
     (mounts["memory"] / f"job/memory.{usage}").write_text("700000\n")
     prefix = "" if unified else "total_"
     (mounts["memory"] / "job/memory.stat").write_text(f"anon 5\n{prefix}inactive_file 200000\n")
-    assert runtime.available_memory() == 500_000
+    assert compute.available_memory() == 500_000
     files = (
         {"cpu.max": "50000 100000\n"} if unified else {"cpu.cfs_quota_us": "50000\n", "cpu.cfs_period_us": "100000\n"}
     )
     for name, text in files.items():
         (mounts["cpu"] / f"job/{name}").write_text(text)
-    assert runtime.cores() == 1
+    assert compute.cores() == 1

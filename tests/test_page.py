@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from humanoid_mjx import runtime
+from humanoid_mjx import compute
 from humanoid_mjx.cli import app
 from humanoid_mjx.config import dump_yaml
 from humanoid_mjx.report.film import Film
@@ -94,7 +94,7 @@ def test_a_run_is_told_from_beginning_to_end(swept):
         assert words in html
     provenance = json.loads((swept / "provenance.json").read_text())
     assert f"jax=={provenance['versions']['jax']}" in html and "humanoid-mjx sweep tiny.yaml --out tiny-again" in html
-    assert provenance["commit"] == runtime.commit()
+    assert provenance["commit"] == compute.commit()
     assert dump_yaml(read_config(swept)).splitlines()[0] in html
     # Two swept parameters: a curve of each measure by each, and a heat map of what differs between points.
     alts = [attrs["alt"] for tag, attrs in Parts(html).tags if tag == "img"]
@@ -203,4 +203,4 @@ def test_a_film_as_data_is_the_motion():
     torso = next(i for i, shape in enumerate(data["shapes"]) if shape["color"] == [0.6, 0.6, 0.6])
     np.testing.assert_allclose([frame[torso][0] for frame in data["frames"]], qpos[:, 0], atol=1e-4)
     np.testing.assert_allclose([frame[torso][3:] for frame in data["frames"]], [[1, 0, 0, 0]] * 5, atol=1e-4)
-    assert data["ground"] and len(data["frames"]) == 5
+    assert data["grid"] and len(data["frames"]) == 5

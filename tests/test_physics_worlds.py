@@ -11,9 +11,9 @@ import pytest
 from mujoco.rollout import rollout
 from standing import MJX, NATIVE, VALUES, WORLDS, hold, standing, step
 
+from humanoid_mjx.compute import counting_compiles
 from humanoid_mjx.physics import make_physics, native
 from humanoid_mjx.physics.base import Stages
-from humanoid_mjx.runtime import counting_compiles
 
 
 def bits(tree):

@@ -13,8 +13,8 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
-from humanoid_mjx import rng
 from humanoid_mjx.cli import app
+from humanoid_mjx.compute import rng
 from humanoid_mjx.report.film import film_of
 from humanoid_mjx.report.player import make_server
 from humanoid_mjx.report.showing import show
@@ -45,9 +45,8 @@ def switched(tmp_path_factory):
 
 
 @pytest.fixture(autouse=True)
-def no_opengl(monkeypatch):
+def small(monkeypatch):
     """Frames of a few rays: what they look like is test_rendering.py's."""
-    monkeypatch.setattr("humanoid_mjx.report.opengl.ways", list)
     monkeypatch.setattr("humanoid_mjx.report.rendering.WIDTH", 64)
     monkeypatch.setattr("humanoid_mjx.report.rendering.HEIGHT", 48)
 

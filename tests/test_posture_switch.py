@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from humanoid_mjx import InputError, make_task, rng, sweep
+from humanoid_mjx import InputError, make_task, sweep
+from humanoid_mjx.compute import rng
 
 UP, DOWN = 26, 0
 """All three joints a place on, all a place back."""

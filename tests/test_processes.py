@@ -12,7 +12,8 @@ import time
 import pytest
 from small_sweep import CONFIG, LONG, assert_same_tables, run_cli, write_config
 
-from humanoid_mjx import InputError, processes, sweep
+from humanoid_mjx import InputError, sweep
+from humanoid_mjx.compute import processes
 from humanoid_mjx.runs.folder import parts as parts_of
 from humanoid_mjx.runs.folder import read_arrays
 
@@ -33,7 +34,7 @@ def test_number_of_devices_changes_no_bit(reference, tmp_path, devices):
 KILLABLE = """
 import signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a suite in the background of a shell ignores it
-from humanoid_mjx import processes
+from humanoid_mjx.compute import processes
 from humanoid_mjx.training import pool, session
 session.CHECKPOINT_EVERY_S, pool.HARVEST_SHARE, pool.HARVEST_AFTER_S = 0.2, 0.1, 0.5
 processes.HEARTBEAT_S = 10

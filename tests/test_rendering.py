@@ -1,4 +1,4 @@
-"""Pictures of motions: a file of the kind asked for, with OpenGL or without."""
+"""Pictures of motions: a file of the kind asked for."""
 
 import os
 import subprocess
@@ -8,25 +8,21 @@ import mujoco
 import numpy as np
 import pytest
 from PIL import Image
+from robots import draw_robots
+from scipy.spatial import ConvexHull
 
-from humanoid_mjx.report import opengl, rendering, ways
+from humanoid_mjx.report import rendering
 from humanoid_mjx.report.film import Film, Push, in_words, merged
 from humanoid_mjx.report.overlay import ALARM, annotate
-from humanoid_mjx.report.raycast import Painter, meet
+from humanoid_mjx.report.raycast import GROUND, SHADOW, Painter
 from humanoid_mjx.report.rendering import HEIGHT, STRIP, WIDTH, draw, render_film
-from humanoid_mjx.report.robots import draw_robots
-from humanoid_mjx.report.scene import Shape, make_camera, make_scene
+from humanoid_mjx.report.scene import LIGHT, make_camera, make_scene
 from humanoid_mjx.report.video import ffmpeg
 from humanoid_mjx.robot import robot_spec
 from humanoid_mjx.robot.lower_body import LOOKS, lower_body_model
 from humanoid_mjx.spec import InputError
 
 MODEL = lower_body_model()
-
-
-@pytest.fixture
-def no_opengl(monkeypatch):
-    monkeypatch.setattr(opengl, "ways", list)
 
 
 @pytest.fixture
@@ -37,105 +33,59 @@ def motion():
     return qpos
 
 
-def test_rays_meet_shapes_where_those_of_mujoco_do():
-    """Balls, capsules and boxes of the robot, a cylinder and an ellipsoid, from all sides."""
-    rng = np.random.default_rng(0)
-    spec = robot_spec("lower_body")
-    for kind, size in (
-        (mujoco.mjtGeom.mjGEOM_CYLINDER, (0.02, 0.05, 0)),
-        (mujoco.mjtGeom.mjGEOM_ELLIPSOID, (0.02, 0.03, 0.06)),
-    ):
-        spec.worldbody.add_geom(type=kind, size=size, pos=rng.uniform(0.05, 0.15, 3), quat=rng.normal(size=4))
-    model = spec.compile()
-    qpos = model.qpos0.copy()
-    qpos[7:] = rng.uniform(-0.8, 0.8, 10)
-    data, scene = mujoco.MjData(model), make_scene(model, qpos[None])
-    data.qpos = qpos
-    mujoco.mj_kinematics(model, data)
-    model.geom_group[model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE] = 3
-    group, geom, hits = np.array([1, 1, 1, 0, 0, 0], np.uint8), np.zeros(1, np.int32), 0
-    for _ in range(400):
-        origin = rng.normal(size=3)
-        ray = rng.normal((0.0, 0.0, 0.15), 0.08) - origin
-        # MuJoCo looks at what is inside of a geom, too, but no ray starts there.
-        wanted = mujoco.mj_ray(model, data, origin, ray, group, 1, -1, geom)
-        found, outwards = np.inf, None
-        for shape, place, turn in zip(scene.shapes, scene.position[0], scene.rotation[0], strict=True):
-            local = ((origin - place) @ turn).astype(np.float32)[None], (ray @ turn).astype(np.float32)[None]
-            depth, normal = meet(shape, *local)
-            if depth[0] < found:
-                found, outwards = float(depth[0]), turn @ normal[0]
-        assert (wanted < 0) == np.isinf(found)
-        if wanted > 0:
-            hits += 1
-            # Single precision of coordinates about 2 m; grazing rays magnify it.
-            assert found == pytest.approx(wanted, abs=1e-3)
-            assert np.linalg.norm(outwards) == pytest.approx(1.0, abs=1e-3) and outwards @ ray < 1e-2
-    assert hits > 100
+@pytest.fixture(scope="module")
+def shapes():
+    """Paint a red ball of 5 cm radius 15 cm above the ground, a blue tetrahedron, and a geom that is not shown."""
+    corners = np.array([[0.0, 0.0, 0.0], [0.0, 0.1, 0.0], [0.05, 0.05, 0.0], [0.02, 0.05, 0.12]])
+    model = mujoco.MjModel.from_xml_string(f"""<mujoco>
+      <asset><mesh name="tetrahedron" vertex="{" ".join(map(str, corners.ravel()))}"/></asset>
+      <worldbody>
+        <geom type="plane" size="0 0 1"/>
+        <body pos="0 0 0.15">
+          <geom size="0.05" rgba="1 0 0 1"/>
+          <geom type="box" size="0.2 0.2 0.2" group="3"/>
+        </body>
+        <body><geom type="mesh" mesh="tetrahedron" pos="0.1 0.1 0.05" rgba="0 0 1 1"/></body>
+      </worldbody></mujoco>""")
+    scene = make_scene(model, np.zeros((1, 0)))
+    return scene, Painter(scene, WIDTH, HEIGHT).paint(0).astype(int), corners + np.array([0.1, 0.1, 0.05])
 
 
-def test_a_ball_covers_the_disc_that_the_camera_sees():
-    scene = make_scene(MODEL, MODEL.qpos0[None])
-    ball = Shape("sphere", np.repeat(0.05, 3), np.array([1.0, 0.0, 0.0]))
-    scene = scene._replace(shapes=[ball], position=scene.middle[:, None], rotation=np.eye(3)[None, None], ground=False)
-    picture = Painter(scene, WIDTH, HEIGHT).paint(0)
+def pixels(scene, points):
+    """Where the camera sees points, to the right and downwards."""
+    camera = make_camera(HEIGHT)
+    return camera.seen(np.atleast_2d(points), camera.place(scene.middle[0], scene.distance), (WIDTH, HEIGHT))
+
+
+def test_a_ball_covers_the_disc_that_the_camera_sees(shapes):
+    scene, picture, _ = shapes
     red = (picture[..., 0] > 100) & (picture[..., 1] < 60)
-    focus = make_camera(HEIGHT).focus
-    radius = focus * 0.05 / np.sqrt(scene.distance**2 - 0.05**2)
+    radius = make_camera(HEIGHT).focus * 0.05 / np.sqrt(scene.distance**2 - 0.05**2)
     # Its edge is as long as 6 radii, and a pixel there counts or not.
     assert red.sum() == pytest.approx(np.pi * radius**2, abs=4 * radius)
     rows, columns = np.nonzero(red)
-    np.testing.assert_allclose((rows.mean(), columns.mean()), (HEIGHT / 2 - 0.5, WIDTH / 2 - 0.5), atol=0.3)
+    np.testing.assert_allclose((columns.mean() + 0.5, rows.mean() + 0.5), pixels(scene, [0, 0, 0.15])[0], atol=0.3)
 
 
-def test_both_renderers_show_the_same_body(motion):
-    scene = make_scene(MODEL, motion[-1:])
-    painted = opengl.paint(MODEL, motion[-1:], scene, WIDTH, HEIGHT)
-    if painted is None:
-        pytest.skip("there is no OpenGL here")
-    pictures = [next(painted), Painter(scene, WIDTH, HEIGHT).paint(0)]
-    painted.close()
-    colored = [np.ptp(picture.astype(int), axis=-1) > 40 for picture in pictures]
-    both, either = colored[0] & colored[1], colored[0] | colored[1]
-    # The legs' pixels, but for their edges.
-    assert either.sum() > 5000 and both.sum() > 0.95 * either.sum()
+def test_a_mesh_covers_the_hull_of_its_corners(shapes):
+    scene, picture, corners = shapes
+    hull = ConvexHull(pixels(scene, corners))
+    blue = (picture[..., 2] > 100) & (picture[..., 0] < 60)
+    assert blue.sum() == pytest.approx(hull.volume, abs=hull.area / 2)
 
 
-@pytest.mark.parametrize("way", ["none-such", "osmesa"])
-def test_a_way_to_opengl_that_does_not_work_is_no_noise(way, motion, monkeypatch, capfd):
-    monkeypatch.setattr(opengl, "ways", lambda: [way])
-    painted = opengl.paint(MODEL, motion[:1], make_scene(MODEL, motion[:1]), 32, 24)
-    if painted is not None:
-        assert next(painted).shape == (24, 32, 3)
-        painted.close()
-    assert way == "osmesa" or painted is None
-    assert capfd.readouterr() == ("", "")
-
-
-@pytest.mark.parametrize(
-    ("told", "display", "tried"),
-    [
-        (None, None, ["egl", "osmesa"]),
-        (None, ":0", ["egl", "glfw", "osmesa"]),
-        ("osmesa", None, ["osmesa", "egl"]),
-        (" GLX", None, ["glfw", "egl", "osmesa"]),
-        ("none-such", ":0", ["none-such", "egl", "glfw", "osmesa"]),
-        ("off", ":0", []),
-    ],
-)
-@pytest.mark.parametrize("taken", [False, True], ids=["in the environment", "taken out of it"])
-def test_what_the_environment_says_is_tried_first(told, display, tried, taken, monkeypatch):
-    monkeypatch.setattr("sys.platform", "linux")
-    monkeypatch.setattr(ways, "_told", [])
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    for name, value in (("MUJOCO_GL", told), ("DISPLAY", display)):
-        monkeypatch.delenv(name, raising=False)
-        if value is not None:
-            monkeypatch.setenv(name, value)
-    if taken:
-        ways.take_over()
-        assert "MUJOCO_GL" not in os.environ
-    assert ways.ways() == tried
+def test_shadows_lie_where_the_light_falls(shapes):
+    """The ball's shadow on the ground, which is 10 cm wide, and its side that faces the light."""
+    scene, picture, _ = shapes
+    ball, across = np.array([0.0, 0.0, 0.15]), np.cross(LIGHT, [0.0, 0.0, 1.0])
+    middle, across = ball - ball[2] / LIGHT[2] * LIGHT, across / np.linalg.norm(across)
+    for away, share in ((-0.06, 1.0), (-0.04, SHADOW), (0.0, SHADOW), (0.04, SHADOW), (0.06, 1.0)):
+        column, row = pixels(scene, middle + away * across)[0].astype(int)
+        # The brightest of pixels that a line of the grid may cross.
+        brightest = picture[row - 1 : row + 2, column - 1 : column + 2].max(axis=(0, 1))
+        np.testing.assert_allclose(brightest, 255 * share * GROUND, atol=2)
+    (right, high), (left, low) = pixels(scene, ball + [[-0.04], [0.04]] * LIGHT).astype(int)
+    assert picture[high, right, 0] > picture[low, left, 0] + 50 and not picture[[high, low], [right, left], 1:].any()
 
 
 @pytest.mark.parametrize("told", ["none-such", "osmesa"])
@@ -147,12 +97,12 @@ def test_commands_run_where_mujoco_refuses_what_the_environment_says(told, tmp_p
     assert mujoco.MjModel.from_xml_path(str(tmp_path / "leg.xml")).nq == 5
 
 
-def test_a_strip_of_frames(tmp_path, motion, no_opengl):
+def test_a_strip_of_frames(tmp_path, motion):
     with Image.open(render_film(Film(MODEL, motion, 0.04), tmp_path / "knee.png")) as image:
         assert image.size == (STRIP * WIDTH, HEIGHT)
 
 
-def test_an_animation_runs_at_the_speed_of_the_motion(tmp_path, motion, no_opengl):
+def test_an_animation_runs_at_the_speed_of_the_motion(tmp_path, motion):
     told = []
     path = render_film(Film(MODEL, motion[:3], 0.1), tmp_path / "knee.gif", fps=10, tell=lambda *so: told.append(so))
     with Image.open(path) as image:
@@ -161,14 +111,14 @@ def test_an_animation_runs_at_the_speed_of_the_motion(tmp_path, motion, no_openg
 
 
 @pytest.mark.parametrize(("ending", "mark"), [(".mp4", b"ftyp"), (".webm", b"\x1a\x45\xdf\xa3")])
-def test_videos(tmp_path, motion, ending, mark, no_opengl):
+def test_videos(tmp_path, motion, ending, mark):
     if ffmpeg() is None:
         pytest.skip("there is no ffmpeg here; the extra `video` brings one")
     path = render_film(Film(MODEL, motion, 0.04), tmp_path / f"knee{ending}")
     assert mark in path.read_bytes()[:12] and len(list(tmp_path.iterdir())) == 1
 
 
-def test_pictures_show_the_motion(motion, no_opengl):
+def test_pictures_show_the_motion(motion):
     first, last = draw(MODEL, motion[[0, -1]])
     assert (first != last).any()
 

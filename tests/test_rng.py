@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from humanoid_mjx import rng
+from humanoid_mjx.compute import rng
 from humanoid_mjx.training.program import run_key
 
 AGENTS, STEPS = 512, 2048

@@ -10,7 +10,8 @@ from jax.sharding import PartitionSpec
 from probes import probe
 from test_approximate import build
 
-from humanoid_mjx import rng, sweep
+from humanoid_mjx import sweep
+from humanoid_mjx.compute import rng
 from humanoid_mjx.config import parse
 from humanoid_mjx.learners.approximate import Batch
 from humanoid_mjx.learners.base import ENVS

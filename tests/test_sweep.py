@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from small_sweep import CONFIG, assert_same_tables, run_cli, write_config
 
-from humanoid_mjx import InputError, runtime, sweep
+from humanoid_mjx import InputError, compute, sweep
 from humanoid_mjx.cli import main
 from humanoid_mjx.config import parse
 from humanoid_mjx.learners.tabular import TabularQ
@@ -83,7 +83,7 @@ def test_static_values_are_swept_in_groups(tmp_path):
 
 
 def test_a_sweep_of_other_values_compiles_nothing(reference, tmp_path):
-    with runtime.counting_compiles() as compiles:
+    with compute.counting_compiles() as compiles:
         sweep(
             with_axes(learner__epsilon=[0.25, 0.5, 0.75], task__bonus=[50.0, 70.0]) | {"episodes": 50}, tmp_path / "run"
         )
@@ -114,7 +114,7 @@ class TestRefusals:
         def call(words, *arguments, cwd):
             before = {p: p.read_bytes() for p in Path(cwd).rglob("*") if p.is_file() and p.name != ".lock"}
             monkeypatch.chdir(cwd)
-            monkeypatch.setattr(runtime, "start", lambda: None)
+            monkeypatch.setattr(compute, "start", lambda **_: None)
             monkeypatch.setattr(sys, "argv", ["humanoid-mjx", *arguments])
             capfd.readouterr()
             with pytest.raises(SystemExit) as ended:
@@ -250,7 +250,7 @@ def test_a_run_that_begins_in_the_place_of_another_has_made_no_progress(monkeypa
 
 
 def test_a_second_sweep_of_a_process_compiles_nothing(reference, tmp_path):
-    with runtime.counting_compiles() as compiles:
+    with compute.counting_compiles() as compiles:
         again = sweep(CONFIG, tmp_path / "run")
     assert compiles.programs == 0
     same_bits(again.summary, reference.summary)

@@ -8,8 +8,9 @@ from finite_mdp import q_learning, random_task, value_iteration
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from humanoid_mjx import make_learner, make_task, rng
-from humanoid_mjx.indexing import add_at
+from humanoid_mjx import make_learner, make_task
+from humanoid_mjx.compute import compiler_options, rng
+from humanoid_mjx.compute.indexing import add_at
 from humanoid_mjx.tasks.finite import Rules
 from humanoid_mjx.tasks.joint_reach import PRINTED
 from humanoid_mjx.tasks.navigate import shortest_path
@@ -140,7 +141,7 @@ def test_vectors_of_any_width_give_the_same_bits():
     learner = make_learner("tabular_q", make_task("joint_reach", success_rate=0.8), epsilon_decay=0.9, episodes=50)
     learners = jax.tree.map(lambda x: jnp.full(40, x), learner).replace(epsilon=jnp.linspace(0.1, 0.9, 40))
     training = jax.jit(jax.vmap(begin))(learners, jax.random.split(rng.key(1), 40))
-    options, width = dict(learner.compiler_options), "xla_cpu_prefer_vector_width"
+    options, width = compiler_options(learner.task.arithmetic, learner.program), "xla_cpu_prefer_vector_width"
     assert options[width] == "512"
     train = jax.vmap(advance, in_axes=(0, 0, None))
     wide, narrow = (jax.jit(train, compiler_options=options | {width: bits}) for bits in ("512", "128"))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tree_robots import converged, native, qacc_of, states
 
-from humanoid_mjx import runtime
+from humanoid_mjx import compute
 from humanoid_mjx.mechanics.tree.folding import fold
 from humanoid_mjx.mechanics.tree.reading import read_tree
 from humanoid_mjx.mechanics.tree.solver import BLOCK
@@ -54,7 +54,7 @@ def motion(physics, steps):
         world = one.start(qpos, qvel)
         return jax.lax.scan(cycle, world, jnp.arange(steps))[0]
 
-    options = runtime.SHARED_KERNELS if physics is TREE else None
+    options = compute.compiler_options("tree") if physics is TREE else None
     return jax.jit(jax.vmap(run, in_axes=(None, None, 0, 0)), compiler_options=options)
 
 
@@ -74,7 +74,7 @@ def test_a_second_of_motion_agrees_with_native(name):
 def step():
     hold = lambda stages: -6.0 * stages.qpos - 0.2 * stages.qvel  # noqa: E731
     each = jax.vmap(lambda world: TREE.step(world, hold))
-    return jax.jit(each, compiler_options=runtime.SHARED_KERNELS)
+    return jax.jit(each, compiler_options=compute.compiler_options("tree"))
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from humanoid_mjx import runtime
+from humanoid_mjx import compute
 from humanoid_mjx.mechanics.scalars import unstack
 from humanoid_mjx.mechanics.tree.step import accelerate, folded, integrate, make_state, motor_forces, unfolded
 from humanoid_mjx.mechanics.tree.structure import Tree
@@ -185,5 +185,5 @@ def qacc_of(tree: Tree, steps: int = 0) -> Callable[..., Any]:
     def batch(values: Any, *at: Any) -> Any:
         return moved(values, *(jnp.moveaxis(jnp.asarray(x, float), 0, -1) for x in at))
 
-    jitted = jax.jit(batch, compiler_options=runtime.SHARED_KERNELS)
+    jitted = jax.jit(batch, compiler_options=compute.compiler_options("tree"))
     return lambda *args: jax.tree.map(lambda x: np.moveaxis(np.asarray(x), -1, 0), jitted(*args))

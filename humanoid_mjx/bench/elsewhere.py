@@ -12,24 +12,24 @@ from typing import Any
 
 import jax
 
-from humanoid_mjx import runtime
-from humanoid_mjx.bench.cost import Cost, Programs
+from humanoid_mjx import compute
+from humanoid_mjx.bench.programs import Programs
 
 
 class Elsewhere:
     """A call made and kept in the other process: its result is what the call returns there, as numpy's arrays."""
 
     def __init__(self, make: Callable[..., Callable[[], Any]], *arguments: Any, plain: bool = False) -> None:
-        """`make(*arguments)` makes the call. `plain`: with XLA as it comes, without `runtime.XLA_FLAGS`."""
+        """`make(*arguments)` makes the call. `plain`: with XLA's default flags, without `XLA_FLAGS`."""
         self.process, self.place = _process(plain), (make, *arguments)
 
     def __call__(self) -> Any:
         return self.process.submit(_call, *self.place).result()
 
     @property
-    def cost(self) -> Cost:
+    def memory(self) -> float | None:
         """As that of `Programs`."""
-        return self.process.submit(_cost, *self.place).result()
+        return self.process.submit(_memory, *self.place).result()
 
 
 def with_room(make: Callable[..., Callable[[], Any]], *arguments: Any) -> Callable[[], Any]:
@@ -45,9 +45,9 @@ def _process(plain: bool) -> ProcessPoolExecutor:
 
 
 def _start(plain: bool) -> None:
-    runtime.start("mjx-jax")
+    compute.start(mjx=True)
     if plain:
-        os.environ["XLA_FLAGS"] = os.environ["XLA_FLAGS"].replace(runtime.XLA_FLAGS, "")
+        os.environ["XLA_FLAGS"] = os.environ["XLA_FLAGS"].replace(compute.XLA_FLAGS, "")
 
 
 @cache
@@ -59,6 +59,6 @@ def _call(make: Callable[..., Callable[[], Any]], *arguments: Any) -> Any:
     return jax.device_get(_made(make, *arguments)())
 
 
-def _cost(make: Callable[..., Callable[[], Any]], *arguments: Any) -> Cost:
+def _memory(make: Callable[..., Callable[[], Any]], *arguments: Any) -> float | None:
     call = _made(make, *arguments)
-    return call.cost if isinstance(call, Programs) else Cost(None, None, None)
+    return call.memory if isinstance(call, Programs) else None

@@ -22,7 +22,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from humanoid_mjx import runtime
+from humanoid_mjx import compute
 from humanoid_mjx.bench.elsewhere import with_room
 from humanoid_mjx.bench.legs import check_finite, on_all_devices
 from humanoid_mjx.bench.measure import Record, Subject, record, time_in_turn
@@ -112,8 +112,7 @@ def _program(subject: str, steps: int, worlds: int) -> Callable[..., Any]:
         world = simulator.run(simulator.start(qpos, qvel), controller, steps)
         return jnp.where(world.diverged, jnp.nan, world.qpos)
 
-    options = runtime.SHARED_KERNELS if physics == "tree" else runtime.no_library()
-    return jax.jit(jax.vmap(simulate), compiler_options=dict(options))
+    return jax.jit(jax.vmap(simulate), compiler_options=compute.compiler_options(simulator.arithmetic))
 
 
 def mujoco(batch: int, steps: int) -> Callable[[], Any]:

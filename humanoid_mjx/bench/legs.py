@@ -8,17 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from humanoid_mjx import runtime
-from humanoid_mjx.bench.cost import Programs
-from humanoid_mjx.control import (
-    PD,
-    ComputedTorque,
-    PartitionedPD,
-    Reference,
-    computed_torque,
-    partitioned_pd,
-    pd,
-)
+from humanoid_mjx import compute
+from humanoid_mjx.bench.programs import Programs
+from humanoid_mjx.control import Reference, at_rest, pd, servo
 from humanoid_mjx.mechanics import dynamics
 from humanoid_mjx.robot.chain import Chain
 from humanoid_mjx.robot.leg import Leg
@@ -39,13 +31,20 @@ UNROLL = {"cpu": 1, "gpu": 4}
 
 
 def _controller(name: str, model: Chain) -> Callable[..., Any]:
-    """From the reference and the state to torques."""
+    """Return the controller of this name: from the reference and the state to torques, N m."""
     kp, kd = jnp.full(5, KP), jnp.full(5, KD)
+
+    def partitioned_pd(reference: Reference, qpos: jax.Array, qvel: jax.Array) -> jax.Array:
+        return dynamics.joint_inertias(model, qpos) * servo(kp, kd, reference, qpos, qvel)
+
+    def computed_torque(reference: Reference, qpos: jax.Array, qvel: jax.Array) -> jax.Array:
+        return dynamics.inverse_dynamics(model, qpos, qvel, servo(kp, kd, reference, qpos, qvel))
+
     return {
         "none": lambda reference, qpos, qvel: jnp.zeros(5),
-        "PD": partial(pd, PD(SERVO_INERTIA * kp, SERVO_INERTIA * kd)),
-        "partitioned PD": partial(partitioned_pd, PartitionedPD(model, kp, kd)),
-        "computed torque": partial(computed_torque, ComputedTorque(model, kp, kd)),
+        "PD": partial(pd, SERVO_INERTIA * kp, SERVO_INERTIA * kd),
+        "partitioned PD": partitioned_pd,
+        "computed torque": computed_torque,
     }[name]
 
 
@@ -65,7 +64,7 @@ def chain(batch: int, steps: int, controller: str, timestep: float = TIMESTEP) -
 def _chain_program(steps: int, name: str, timestep: float) -> Callable[..., Any]:
     leg = Leg.physical()
     act = _controller(name, leg.scaled(np.array(MASS_ERRORS)))
-    goal = Reference(jnp.full(5, GOAL), jnp.zeros(5), jnp.zeros(5))
+    goal = at_rest(jnp.full(5, GOAL))
 
     def controller(_: Any, qpos: jax.Array, qvel: jax.Array) -> jax.Array:
         return act(goal, qpos, qvel)
@@ -74,7 +73,7 @@ def _chain_program(steps: int, name: str, timestep: float) -> Callable[..., Any]
         unroll = UNROLL.get(jax.default_backend(), 1)
         return dynamics.rollout(leg, qpos, qvel, controller, timestep, steps, unroll=unroll)[0]
 
-    return jax.jit(jax.vmap(simulate), compiler_options=runtime.on_every_device(runtime.SHARED_KERNELS))
+    return jax.jit(jax.vmap(simulate), compiler_options=compute.compiler_options("scalars", every_device=True))
 
 
 def on_all_devices(simulate: Callable[..., Any], state: Sequence[np.ndarray], block: int | None = None) -> Programs:

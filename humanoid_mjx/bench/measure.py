@@ -8,9 +8,8 @@ from typing import Any, NamedTuple
 
 import jax
 
-from humanoid_mjx.bench.cost import Cost, Programs
 from humanoid_mjx.bench.elsewhere import Elsewhere
-from humanoid_mjx.bench.limit import machine_limit
+from humanoid_mjx.bench.programs import Programs
 
 REPEATS = 7
 
@@ -38,35 +37,16 @@ class Record:
     """The value of each training seed, None where it has none; only of figures that differ from seed to seed."""
     interval: tuple[float, float] | None = None
     """The 95 % interval of the mean over training seeds."""
-    operations: float | None = None
-    """Arithmetic for one of what is counted, a step say, where the subject is a program of XLA that XLA can count."""
-    bytes: float | None = None
-    """What the program's kernels read and write for one, in caches or in memory."""
-    at_least: bool | None = None
-    """True: it takes more than that, for a loop turns until it is done, or a library computes."""
     memory_mib: float | None = None
     """What the programs hold that run at once: arguments, results and temporary arrays."""
-    limit: float | None = None
-    """The share of what the machine can do at best: of operations or of bytes, the larger."""
-    limit_of: str | None = None
-    """Of which: "arithmetic" or "memory"."""
 
     def as_json(self) -> dict[str, Any]:
         """The figure as plain values, without what it does not have."""
         return {name: value for name, value in asdict(self).items() if value is not None or name == "spread"}
 
     def in_words(self, *more: str) -> str:
-        """What one costs, the share of the machine's limit, the memory, and more: a line below the rate, or nothing."""
-        one, least = self.unit.split()[-1].removesuffix("s/s"), "at least " if self.at_least else ""
-        words: list[str] = []
-        if self.operations is not None and self.bytes is not None:
-            words.append(f"{least}{self.operations:.2g} op, {self.bytes:.2g} B a {one}")
-        if self.limit is not None:
-            share = f"{self.limit:.0%}" if self.limit >= 0.01 else "under 1%"
-            words.append(f"{least}{share} of the limit of {self.limit_of}")
-        if self.memory_mib is not None:
-            words.append(f"{self.memory_mib:.3g} MiB")
-        words += more
+        """Return the memory, and more, as a line below the rate, or nothing."""
+        words = [*([] if self.memory_mib is None else [f"{self.memory_mib:.3g} MiB"]), *more]
         return "\n      " + ", ".join(words) if words else ""
 
 
@@ -124,6 +104,7 @@ def spread(seconds: Sequence[float]) -> float | None:
 def record(bench: str, name: str, subject: Subject, timing: Timing, unit: str, work: float | None = None) -> Record:
     """A rate as a record; `work` is what a call does in `unit`s, where that is not the subject's own."""
     work = subject.work if work is None else work
+    memory = subject.call.memory if isinstance(subject.call, Programs | Elsewhere) else None
     return Record(
         bench=bench,
         subject=name,
@@ -134,25 +115,8 @@ def record(bench: str, name: str, subject: Subject, timing: Timing, unit: str, w
         compile_s=round(timing.compile_s, 3),
         repeats=subject.repeats,
         spread=timing.spread,
-        **(limits(subject.call.cost, timing.seconds, work) if isinstance(subject.call, Programs | Elsewhere) else {}),
+        memory_mib=memory and memory / 2**20,
     )
-
-
-def limits(spent: Cost, seconds: float, work: float) -> dict[str, Any]:
-    """What a call of so many units of work costs in so many seconds, as fields of `Record`."""
-    found: dict[str, Any] = {}
-    if spent.memory is not None:
-        found["memory_mib"] = spent.memory / 2**20
-    if work and spent.operations is not None and spent.bytes is not None and spent.memory is not None:
-        best = machine_limit()
-        shares = {
-            "arithmetic": spent.operations / seconds / best.operations,
-            "memory": spent.bytes / seconds / best.bandwidth(spent.memory),
-        }
-        nearest = max(shares, key=lambda name: shares[name])
-        found |= {"operations": spent.operations / work, "bytes": spent.bytes / work}
-        found |= {"limit": shares[nearest], "limit_of": nearest} | ({"at_least": True} if spent.at_least else {})
-    return found
 
 
 def _timed(call: Callable[[], Any]) -> tuple[float, Any]:

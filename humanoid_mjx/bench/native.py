@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from humanoid_mjx.runtime import cores
+from humanoid_mjx.compute import cores
 
 
 def native_rollout(

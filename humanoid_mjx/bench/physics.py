@@ -5,7 +5,7 @@
     mjx-jax        MJX on the same leg, float32, batched the same way. With the controller, the position and velocity
                    stages run once a step, and their mass matrix and bias make the torque, so its model can be off only
                    by one factor (0.8) for all links: less work than the chain does.
-    mjx-jax plain  the same with XLA as it comes, without `runtime.XLA_FLAGS`: CPU only
+    mjx-jax plain  the same with XLA's default flags, without `compute.XLA_FLAGS`: CPU only
     mujoco         native MuJoCo, float64: `mujoco.rollout`, one thread a core, without a controller only
 
 On a CPU, MJX runs in a process of its own (`bench.elsewhere`).
@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 
 import jax
 
-from humanoid_mjx import runtime
+from humanoid_mjx import compute
 from humanoid_mjx.bench import ground, postures
 from humanoid_mjx.bench.elsewhere import Elsewhere, with_room
 from humanoid_mjx.bench.legs import GOAL, KD, KP, TIMESTEP, chain, check_finite, on_all_devices, start
@@ -126,8 +126,8 @@ def _mjx_program(steps: int, controlled: bool) -> Callable[..., Any]:
         return data.qpos, data.qvel
 
     # XLA as it comes is what this process has where `Elsewhere` began it so.
-    ours = runtime.XLA_FLAGS in os.environ.get("XLA_FLAGS", "")
-    return jax.jit(jax.vmap(simulate), compiler_options=runtime.no_library() if ours else None)
+    ours = compute.XLA_FLAGS in os.environ.get("XLA_FLAGS", "")
+    return jax.jit(jax.vmap(simulate), compiler_options=compute.compiler_options("arrays") if ours else None)
 
 
 def mujoco(batch: int, steps: int) -> Callable[[], Any]:

@@ -10,24 +10,23 @@ outcome of every episode added to one of 100 points of a learning curve.
     naive_scan   the same as one would first write it: jax.random's own keys split in every step, plain indexing
     python       one agent at a time in plain Python
     numba        one agent a thread, compiled, fastmath, all cores (where numba is installed)
-    cuda         one agent a thread of a GPU, its table in shared memory: CUDA by hand (where CuPy is installed)
 
-`fused` and `cuda` train tables of other sizes, too.
+`fused` trains tables of other sizes, too.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from humanoid_mjx import make_learner, make_task, rng, runtime
-from humanoid_mjx.bench.cost import Programs
+from humanoid_mjx import compute, make_learner, make_task
 from humanoid_mjx.bench.measure import Record, Subject, record, time_in_turn
+from humanoid_mjx.bench.programs import Programs
+from humanoid_mjx.compute import rng
 from humanoid_mjx.learners.tabular import TabularQ
 from humanoid_mjx.training import fused as kernel
 from humanoid_mjx.training.program import advance, begin
@@ -37,7 +36,7 @@ DECAY, RATE, DISCOUNT, BONUS = 0.999, 0.5, 0.9, 100.0
 BATCHES = {"cpu": (1, 1024, 4096, 65_536), "gpu": (1, 256, 4096, 65_536, 1_048_576)}
 
 OTHER_MOVES = (4, 63)
-"""Of the other tables that kernels train. A table has a row more."""
+"""Of the other tables that `fused` trains. A table has a row more."""
 
 AT_ONCE = 2**24
 """Agents times steps in a call, as far as `STEPS` allows: starting a call of 5 ms takes two more."""
@@ -45,12 +44,6 @@ AT_ONCE = 2**24
 STEPS = 1024, 8192
 """The fewest and the most steps in a call; a kernel makes the most. A sweep makes as many as fit into a fifth of a
 second."""
-
-KERNELS = ("fused", "cuda")
-"""Subjects that make all steps in one kernel of a GPU."""
-
-CUDA_BLOCK = 128
-"""Threads of `cuda` that share a block's memory."""
 
 CPU_BLOCK = 1024
 """Agents whose state the cache of a core holds."""
@@ -62,34 +55,41 @@ Made = tuple[Callable[[], Any], Callable[[Any], float]]
 
 def run(say: Callable[[str], None]) -> list[Record]:
     """Time all subjects over several numbers of agents."""
+    return [record for batch, makers in _cases(_absent(say)) for record in time_trainings(say, batch, makers)]
+
+
+def time_trainings(
+    say: Callable[[str], None],
+    batch: int,
+    makers: Mapping[str, Callable[[np.ndarray, int], Made]],
+    kernels: tuple[str, ...] = ("fused",),
+) -> list[Record]:
+    """Time trainings of `batch` agents in turn. Names that begin with one of `kernels` make the most steps a call."""
     records: list[Record] = []
-    for batch, makers in _cases(_absent(say)):
-        epsilon = np.linspace(0.1, 0.9, batch, dtype=np.float32)
-        least, most = STEPS
-        made: dict[str, Made] = {}
-        subjects: dict[str, Subject] = {}
-        for name, make in makers.items():
-            steps = most if name.startswith(KERNELS) else min(max(AT_ONCE // batch, least), most)
-            made[name] = make(epsilon, steps)
-            subjects[name] = Subject(made[name][0], batch * steps, batch, device="cpu" if name == "numba" else "")
-        if "python" in made:
-            subjects["python"] = Subject(made["python"][0], PYTHON_STEPS, 1, 3, "cpu")
-        for name, timing in time_in_turn(subjects).items():
-            episodes = made[name][1](timing.result)
-            records.append(record("tabular", name, subjects[name], timing, "steps/s"))
-            records.append(record("tabular", name, subjects[name], timing, "episodes/s", episodes))
-            say(f"{name:16} {subjects[name].batch:9,} agents  {records[-2].value:10.3e} steps/s"
-                f"  {records[-1].value:10.3e} episodes/s  compiled in {timing.compile_s:4.1f} s"
-                f"{records[-2].in_words()}")  # fmt: skip
+    epsilon = np.linspace(0.1, 0.9, batch, dtype=np.float32)
+    least, most = STEPS
+    made: dict[str, Made] = {}
+    subjects: dict[str, Subject] = {}
+    for name, make in makers.items():
+        steps = most if name.startswith(kernels) else min(max(AT_ONCE // batch, least), most)
+        made[name] = make(epsilon, steps)
+        subjects[name] = Subject(made[name][0], batch * steps, batch, device="cpu" if name == "numba" else "")
+    if "python" in made:
+        subjects["python"] = Subject(made["python"][0], PYTHON_STEPS, 1, 3, "cpu")
+    for name, timing in time_in_turn(subjects).items():
+        episodes = made[name][1](timing.result)
+        records.append(record("tabular", name, subjects[name], timing, "steps/s"))
+        records.append(record("tabular", name, subjects[name], timing, "episodes/s", episodes))
+        say(f"{name:16} {subjects[name].batch:9,} agents  {records[-2].value:10.3e} steps/s"
+            f"  {records[-1].value:10.3e} episodes/s  compiled in {timing.compile_s:4.1f} s"
+            f"{records[-2].in_words()}")  # fmt: skip
     return records
 
 
 def _absent(say: Callable[[str], None]) -> set[str]:
     """The subjects that cannot be measured here, once it is said why."""
     why = {"numba": None if find_spec("numba") else "it is not installed; pip install 'humanoid-mjx[bench]' brings it"}
-    why["fused"] = why["cuda"] = kernel.why_not(_learner())
-    if why["cuda"] is None and not find_spec("cupy"):
-        why["cuda"] = "CuPy is not installed; pip install cupy-cuda13x brings it"
+    why["fused"] = kernel.why_not(_learner())
     for name, reason in why.items():
         if reason:
             say(f"{name}: not measured, for {reason}")
@@ -103,9 +103,8 @@ def _cases(absent: set[str]) -> Iterator[tuple[int, dict[str, Callable[[np.ndarr
     for batch in batches:
         yield batch, dict(makers)
         makers.pop("python", None)
-    kernels = [name for name in KERNELS if name in makers]
-    for moves in OTHER_MOVES if kernels else ():
-        yield batches[-1], {f"{name}, {moves + 1} rows": partial(SUBJECTS[name], moves=moves) for name in kernels}
+    for moves in OTHER_MOVES if "fused" in makers else ():
+        yield batches[-1], {f"fused, {moves + 1} rows": partial(fused, moves=moves)}
 
 
 def _learner(moves: int = MOVES) -> TabularQ:
@@ -117,7 +116,7 @@ def _learner(moves: int = MOVES) -> TabularQ:
 def scan(epsilon: np.ndarray, steps: int) -> Made:
     """This package's learner in a scan: a thread for each device, blocks that fit the cache of a CPU."""
     learner = _learner()
-    options = runtime.on_every_device(learner.compiler_options)
+    options = compute.compiler_options(learner.task.arithmetic, learner.program, every_device=True)
     first, train = jax.jit(jax.vmap(begin)), jax.jit(jax.vmap(advance, in_axes=(0, 0, None)), compiler_options=options)
 
     def start(device: Any, share: np.ndarray) -> tuple[Any, Any, int]:
@@ -130,7 +129,7 @@ def scan(epsilon: np.ndarray, steps: int) -> Made:
     blocks = max(1, len(epsilon) // (CPU_BLOCK * len(devices))) if devices[0].platform == "cpu" else 1
     shares = np.array_split(epsilon, len(devices) * blocks)
     states = [[start(device, share) for share in shares[i :: len(devices)]] for i, device in enumerate(devices)]
-    call = Programs(train, states, turns=-(-steps // learner.lap))
+    call = Programs(train, states)
     return call, lambda result: sum(float(state.carry.agents.episode.sum()) for mine in result for state, _ in mine)
 
 
@@ -259,35 +258,10 @@ def numba(epsilon: np.ndarray, steps: int) -> Made:
     return lambda: train(epsilon, steps), lambda result: float(result.sum())
 
 
-def cuda(epsilon: np.ndarray, steps: int, moves: int = MOVES) -> Made:
-    """One agent a thread of a GPU, the kernel of `tabular.cu` with fast arithmetic."""
-    import cupy as cp  # pyright: ignore[reportMissingImports]
-
-    numbers = {"DECAY": DECAY, "RATE": RATE, "DISCOUNT": DISCOUNT, "BONUS": BONUS}
-    macros = {"MOVES": moves, "CAP": CAP, "POINTS": POINTS, "EPISODES": EPISODES}
-    macros |= {name: f"{number}f" for name, number in numbers.items()}
-    options = "-std=c++17", "--use_fast_math", *(f"-D{name}={value}" for name, value in macros.items())
-    train = cp.RawKernel(Path(__file__).with_suffix(".cu").read_text(), "train", options=options)
-    agents, block = len(epsilon), CUDA_BLOCK
-    shared = 4 * 2 * (moves + 1) * block
-    train.max_dynamic_shared_size_bytes = shared
-    epsilons, finished = cp.asarray(epsilon), cp.zeros(agents, cp.int32)
-    curves = cp.zeros((agents, POINTS, 4), cp.float32)
-
-    def call() -> Any:
-        arguments = epsilons, curves, finished, np.int32(steps), np.int32(agents)
-        train((-(-agents // block),), (block,), arguments, shared_mem=shared)
-        cp.cuda.runtime.deviceSynchronize()
-        return finished
-
-    return call, lambda result: float(result.sum())
-
-
 SUBJECTS: dict[str, Callable[..., Made]] = {
     "scan": scan,
     "fused": fused,
     "naive_scan": naive_scan,
     "python": python,
     "numba": numba,
-    "cuda": cuda,
 }

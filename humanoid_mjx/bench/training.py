@@ -30,10 +30,10 @@ import numpy as np
 from jax.experimental.compilation_cache import compilation_cache
 from jaxtyping import Float
 
-from humanoid_mjx.bench.cost import memory_of
 from humanoid_mjx.bench.measure import Record, spread
+from humanoid_mjx.bench.programs import memory_of
 from humanoid_mjx.config import Config, load
-from humanoid_mjx.data import names
+from humanoid_mjx.files import names
 from humanoid_mjx.learners.base import WholeRunLearner
 from humanoid_mjx.runs.statistics import mean_interval
 from humanoid_mjx.training.arrangement import arranged

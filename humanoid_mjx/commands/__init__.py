@@ -1,7 +1,14 @@
-"""What the commands of the command line do, and what they print: a module for each command or a few that are alike."""
+"""Commands of the command line: a module for each command, or for a few that are alike."""
 
 import sys
+from collections.abc import Sequence
 
+from humanoid_mjx import compute
 from humanoid_mjx.training.progress import PatientConsole
 
 console = PatientConsole(highlight=False, markup=False, emoji=False, width=None if sys.stdout.isatty() else 120)
+
+
+def start_for(physics: str | None, overrides: Sequence[str]) -> None:
+    """Prepare this process for computing, with room for MJX where `--physics` or `--set` names it."""
+    compute.start(mjx="mjx-jax" in (physics, *(override.partition("=")[2] for override in overrides)))

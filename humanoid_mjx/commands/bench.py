@@ -6,12 +6,11 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import jax
 import typer
 
-from humanoid_mjx import runtime
+from humanoid_mjx import compute
 from humanoid_mjx.commands import console
-from humanoid_mjx.data import write_text
+from humanoid_mjx.files import write_text
 from humanoid_mjx.spec import InputError, check_folder, known
 
 
@@ -24,16 +23,13 @@ def run_bench(chosen: Sequence[str], file: Path | None, seeds: int | None = None
     if chosen[0] == "compare":
         compare_benches(chosen[1:])
         return
-    if odd := [name for name in chosen if name not in (*BENCHES, "all") and chosen != ["guard"]]:
-        names = (*BENCHES, "all", "guard", "compare")
+    if odd := [name for name in chosen if name not in (*BENCHES, "all")]:
+        names = (*BENCHES, "all", "compare")
         raise InputError(f"bench: unknown benchmark {odd[0]!r}; {known(odd[0], names)}.")
     if file is not None:
         check_folder(file, "--json")
-    if chosen == ["guard"]:
-        guard_benches(file)
-        return
-    runtime.start()
-    made_by = runtime.made_by()  # before the first benchmark: the checkout may change meanwhile
+    compute.start()
+    made_by = compute.made_by()  # before the first benchmark: the checkout may change meanwhile
     records: list[dict[str, Any]] = []
     for name in BENCHES if "all" in chosen else chosen:
         module = import_module(f"humanoid_mjx.bench.{name}")
@@ -41,9 +37,7 @@ def run_bench(chosen: Sequence[str], file: Path | None, seeds: int | None = None
         options = {"seeds": seeds} if name == "training" and seeds is not None else {}
         records += [record.as_json() for record in module.run(lambda line: console.print("  " + line), **options)]
     if file is not None:
-        from humanoid_mjx.bench.limit import measured
-
-        write_text(file, json.dumps(made_by | measured() | {"records": records}, indent=2) + "\n")
+        write_text(file, json.dumps(made_by | {"records": records}, indent=2) + "\n")
         console.print(f"{file}")
 
 
@@ -61,20 +55,4 @@ def compare_benches(files: Sequence[str]) -> None:
     for line in (*warnings(before, after), verdict(found)):
         console.print(line, soft_wrap=True)
     if any(change.regressed for change in found):
-        raise typer.Exit(1)
-
-
-def guard_benches(file: Path | None) -> None:
-    """`humanoid-mjx bench guard`."""
-    runtime.start()
-    jax.config.update("jax_platforms", "cpu")
-    from humanoid_mjx.bench import guard
-
-    recorded = guard.read_record(guard.record_path()) if file is None or guard.record_path().is_file() else {}
-    found = guard.run(lambda line: console.print("  " + line, soft_wrap=True), recorded)
-    if file is not None:
-        write_text(file, json.dumps(guard.as_json(found), indent=2) + "\n")
-        console.print(f"{file}")
-    console.print(guard.verdict(found), soft_wrap=True)
-    if any(ratio.fell for ratio in found):
         raise typer.Exit(1)

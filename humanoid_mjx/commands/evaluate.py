@@ -7,9 +7,9 @@ from typing import Any
 
 from rich.table import Table
 
-from humanoid_mjx import runtime
-from humanoid_mjx.commands import console
-from humanoid_mjx.data import write_text
+from humanoid_mjx import compute
+from humanoid_mjx.commands import console, start_for
+from humanoid_mjx.files import write_text
 from humanoid_mjx.runs.evaluations import Evaluation
 from humanoid_mjx.spec import check_folder
 from humanoid_mjx.training.progress import Bar
@@ -27,7 +27,7 @@ def run_evaluate(
     """`humanoid-mjx evaluate`."""
     if file is not None:
         check_folder(file, "--json")
-    runtime.start(physics, *overrides)
+    start_for(physics, overrides)
     from humanoid_mjx.report.comparison import compare_curves, curve_of_run
     from humanoid_mjx.training.evaluation import HELD_OUT_WORDS, evaluate_all
     from humanoid_mjx.training.policy import find_policy, in_world
@@ -42,7 +42,7 @@ def run_evaluate(
     title = f"{episodes:,} episodes that no training has seen{_changes(physics, overrides)}"
     console.print(evaluation_table(title, evaluations))
     if file is not None:
-        result = runtime.made_by() | {
+        result = compute.made_by() | {
             "episodes": episodes,
             "held_out": HELD_OUT_WORDS,
             "set": list(overrides),
@@ -87,7 +87,7 @@ def run_gait(
     """`humanoid-mjx evaluate --gait`."""
     if file is not None:
         check_folder(file, "--json")
-    runtime.start(physics, *overrides)
+    start_for(physics, overrides)
     from humanoid_mjx.report.gaits import gait_table, remarks
     from humanoid_mjx.tasks.legged.measures.figures import FIGURES
     from humanoid_mjx.training.evaluation import HELD_OUT_WORDS
@@ -109,7 +109,7 @@ def run_gait(
         figures = {name: figure._asdict() for name, figure in FIGURES.items()}
         results = [each.as_json() for each in measured]
         settings_used = {"episodes": episodes, "held_out": HELD_OUT_WORDS, "set": settings, "physics": physics}
-        _write(file, runtime.made_by() | settings_used | {"figures": figures, "results": results}, indent=None)
+        _write(file, compute.made_by() | settings_used | {"figures": figures, "results": results}, indent=None)
 
 
 def _changes(physics: str | None, overrides: Sequence[str]) -> str:

@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
-from humanoid_mjx import runtime
+from humanoid_mjx import compute
 from humanoid_mjx.commands import console
 from humanoid_mjx.config import dump_yaml, load
-from humanoid_mjx.data import names
+from humanoid_mjx.files import names
 from humanoid_mjx.runs.disk import in_words
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.progress import Bar
@@ -46,7 +46,7 @@ def show_keys(name: str) -> None:
 
 def show_info(config: str | None, overrides: Sequence[str], timed: bool) -> None:
     """`humanoid-mjx info`."""
-    runtime.start()
+    compute.start()
     if config is not None:
         _show_plan(config, overrides, timed)
         return
@@ -55,7 +55,7 @@ def show_info(config: str | None, overrides: Sequence[str], timed: bool) -> None
     from humanoid_mjx.learners import LEARNERS
     from humanoid_mjx.tasks import TASKS
 
-    for name, value in (runtime.machine() | runtime.versions()).items():
+    for name, value in (compute.machine() | compute.versions()).items():
         console.print(f"{name:13} {value}")
     shipped = {"configs": names("configs", ".yaml"), "policies": names("policies", ".npz")}
     for kind, all_names in {"tasks": TASKS, "learners": LEARNERS, **shipped}.items():

@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from humanoid_mjx import runtime
-from humanoid_mjx.commands import console
-from humanoid_mjx.data import write_text
+from humanoid_mjx.commands import console, start_for
+from humanoid_mjx.files import write_text
 from humanoid_mjx.spec import InputError, check_folder
 from humanoid_mjx.training.progress import Bar
 
@@ -27,7 +26,7 @@ def run_play(
         raise InputError("play: --view shows the motion in the browser and --out writes a file; choose one.")
     if out is not None:
         check_file(out)
-    runtime.start(physics, *overrides)
+    start_for(physics, overrides)
     from humanoid_mjx.report.player import serve
     from humanoid_mjx.report.rendering import render_film
     from humanoid_mjx.report.showing import show

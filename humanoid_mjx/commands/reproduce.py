@@ -5,13 +5,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from humanoid_mjx import runtime
+from humanoid_mjx import compute
 from humanoid_mjx.commands import console
 
 
 def run_reproduce(names: Sequence[str], list_names: bool, overrides: Sequence[str], out: Path) -> None:
     """`humanoid-mjx reproduce`."""
-    runtime.start("mjx-jax")
+    compute.start(mjx=True)
     from humanoid_mjx.reproduction import Experiment, Finding, load_experiments, reproduce
 
     if list_names:

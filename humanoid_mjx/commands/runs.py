@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
-from humanoid_mjx import runtime
+from humanoid_mjx import compute
 from humanoid_mjx.commands import console
 from humanoid_mjx.runs.disk import in_words
 from humanoid_mjx.runs.folder import elsewhere
@@ -88,7 +88,7 @@ def run_report(path: Path, out: Path | None, motion: bool) -> None:
         raise InputError(f"{path}: there is no such folder{elsewhere(path)}.")
     target = out or path / "report.html"
     check_folder(target)
-    runtime.start()
+    compute.start()
     with Bar(console) as bar:
         if (path / "config.yaml").is_file():
             page = run_page(path, bar, motion)

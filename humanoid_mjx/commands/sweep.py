@@ -8,8 +8,10 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from humanoid_mjx import processes, runtime
+from humanoid_mjx import compute
 from humanoid_mjx.commands import console
+from humanoid_mjx.compute import processes
+from humanoid_mjx.config import load
 from humanoid_mjx.runs.folder import read_provenance
 from humanoid_mjx.training.progress import Bar
 
@@ -21,14 +23,15 @@ BEST_POINTS = 10
 
 def run_sweep(config: str, out: Path | None, overrides: Sequence[str], resume: bool, tensorboard: bool) -> None:
     """`humanoid-mjx sweep`."""
-    runtime.start()
+    loaded = load(config, overrides)
+    compute.start(mjx="mjx-jax" in loaded.physics)  # before `joined`, which may begin to compute
     from humanoid_mjx.training.sweep import sweep
 
     with Bar(console) as bar:
         try:
             with processes.joined() as process:
                 reporter = None if process else bar  # the first process speaks for all
-                run = sweep(config, out, resume=resume, overrides=overrides, reporter=reporter, tensorboard=tensorboard)
+                run = sweep(loaded, out, resume=resume, reporter=reporter, tensorboard=tensorboard)
         except KeyboardInterrupt:
             console.print("Stopped. What is finished is stored; the same command with --resume completes it.")
             raise typer.Exit(130) from None

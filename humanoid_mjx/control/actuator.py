@@ -13,9 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from humanoid_mjx.mechanics.dynamics import Controller, Joints
 from humanoid_mjx.spec import InputError
-from humanoid_mjx.types import FloatScalar
 
 
 class MotorState(NamedTuple):
@@ -130,15 +128,3 @@ class Motor:
         """The joint's speed at full voltage without a load, rad/s."""
         loss = self.friction * self.resistance / self.torque_constant
         return self.max_voltage / ((self.torque_constant + loss) * self.gear_ratio)
-
-
-def through_motors(motor: Motor, controller: Controller) -> Controller:
-    """A controller of a `rollout` whose torques are those that the motors produce.
-
-    The rotors' inertia is left out, and a torque that is held over a cycle stays that of the speed at its start.
-    """
-
-    def actuated(time: FloatScalar, qpos: Joints, qvel: Joints) -> Joints:
-        return motor.actuate(controller(time, qpos, qvel), qvel).torque
-
-    return actuated

@@ -47,23 +47,3 @@ def max_kp(structural_frequency: Any, inertia: Any, max_inertia: Any) -> Float[A
             raise InputError(f"{name} must be finite and greater than 0, got {array.tolist()}.")
     resonance = structural_frequency * jnp.sqrt(jnp.asarray(inertia) / max_inertia)
     return (RESONANCE_SHARE * resonance) ** 2
-
-
-def check_gains(joints: int, **gains: Any) -> dict[str, np.ndarray]:
-    """Gains as arrays over joints; a scalar serves every joint.
-
-    Raises:
-      InputError: a gain that is negative, not finite or of another shape.
-    """
-    arrays: dict[str, np.ndarray] = {}
-    for name, value in gains.items():
-        try:
-            array = np.asarray(value, np.float64)
-        except (TypeError, ValueError) as error:
-            raise InputError(f"{name} must be numbers, got {value!r}.") from error
-        if array.shape not in ((), (joints,)):
-            raise InputError(f"{name} must be a number or one for each of {joints} joints, got shape {array.shape}.")
-        if not (np.isfinite(array) & (array >= 0)).all():
-            raise InputError(f"{name} must be finite and at least 0, got {array.tolist()}.")
-        arrays[name] = np.broadcast_to(array, (joints,))
-    return arrays

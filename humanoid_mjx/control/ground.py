@@ -17,22 +17,18 @@ which covers every set of corners: flat feet, a foot on its edge or on one corne
 as well as push; the corners that touch are read anew at every step, so that an error of this lasts one step.
 """
 
-from typing import Any, NamedTuple
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from humanoid_mjx.control.gains import check_gains
-from humanoid_mjx.control.pd import PD, Gain, Joints, Reference, checked_gains, pd, servo
+from humanoid_mjx.control.pd import Joints
 from humanoid_mjx.mechanics.contacts import Contacts
-from humanoid_mjx.spec import InputError
 from humanoid_mjx.types import FloatScalar
 
-KP, KD = 400.0, 40.0
-"""1/s^2 and 1/s, critically damped: slower than MuJoCo's soft contacts, which answer within 0.02 s. At 225 and 30 a
-standing body gives way to a push further than under the servo; at 700 and 53 pushes topple it that it would
-otherwise survive."""
+NATURAL_FREQUENCY = 20.0
+"""rad/s, of errors that are critically damped: slower than MuJoCo's soft contacts, which answer within 0.02 s. At 15 a
+standing body gives way to a push further than under the servo; at 26 pushes topple it that it would otherwise
+survive."""
 
 SERVO_KP, SERVO_KD = 6.0, 0.2
 """Gains of a servo that keeps the body standing, N m/rad and N m s/rad. It is unstable over a cycle of 0.02 s: call it
@@ -47,65 +43,30 @@ SOFTNESS = 1e-4
 """1/kg, added to the contacts' inverse inertia: the corners of a foot are redundant. The body weighs 1.7 kg."""
 
 
-class GroundControl(NamedTuple):
-    """The parameters of `grounded_torque`. `GroundControl.build` checks them."""
-
-    kp: Gain
-    """1/s^2"""
-    kd: Gain
-    """1/s"""
-    servo: PD
-    share: FloatScalar
-    """Weight of the servo, 0 to 1; at 0 computed torque is as exact as the contacts allow."""
-
-    @classmethod
-    def build(
-        cls,
-        joints: int,
-        kp: Any = KP,
-        kd: Any = KD,
-        servo_kp: Any = SERVO_KP,
-        servo_kd: Any = SERVO_KD,
-        share: float = SHARE,
-    ) -> "GroundControl":
-        """Check the gains, each a number or one for each joint, and the share.
-
-        Raises:
-          InputError: a gain that is negative, not finite or of another shape; a share outside 0 to 1.
-        """
-        held = check_gains(joints, servo_kp=servo_kp, servo_kd=servo_kd)
-        if not 0 <= share <= 1:
-            raise InputError(f"share must be from 0 to 1, got {share}.")
-        return cls(*checked_gains(joints, kp, kd), PD.build(joints, *held.values()), jnp.asarray(share, float))
-
-
 def grounded_torque(
-    params: GroundControl,
-    reference: Reference,
-    qpos: Joints,
-    qvel: Joints,
+    wanted: Joints,
+    held: Joints,
+    share: FloatScalar,
     mass_matrix: Float[Array, "nv nv"],
     bias: Float[Array, " nv"],
     contacts: Contacts,
 ) -> Joints:
-    """Joint torques, N m, from the motion wanted and the state.
+    """Return the joint torques, N m, that bring the accelerations wanted as near as the contacts and the servo allow.
 
     Args:
-      reference: motion wanted of the joints.
-      qpos: joint angles, rad.
-      qvel: joint velocities, rad/s.
+      wanted: accelerations wanted of the joints, rad/s^2.
+      held: torques of the servo, N m.
+      share: weight of the servo, 0 to 1; at 0 the accelerations are as near as the contacts allow.
       mass_matrix: mass matrix of all degrees of freedom, the joints last.
       bias: what acceleration and velocity add to `mass_matrix @ qacc` in the absence of contacts.
       contacts: the points of the feet.
     """
-    joints = len(qpos)
-    wanted = servo(params.kp, params.kd, reference, qpos, qvel)
-    held = pd(params.servo, reference, qpos, qvel)
+    joints = len(wanted)
     mobility, drift = constrained_dynamics(mass_matrix, bias, contacts)
     inertia, mobility = mass_matrix[-joints:, -joints:], mobility[-joints:, -joints:]
     missing = wanted - drift[-joints:] - mobility @ held
     weighted = mobility @ inertia
-    cost = weighted @ mobility + params.share**2 * eliminate(inertia, jnp.eye(joints, dtype=inertia.dtype))
+    cost = weighted @ mobility + share**2 * eliminate(inertia, jnp.eye(joints, dtype=inertia.dtype))
     return held + eliminate(cost, (weighted @ missing)[:, None])[:, 0]
 
 

@@ -22,10 +22,9 @@ import jax.numpy as jnp
 import pydantic
 
 from humanoid_mjx.control.gains import critical_kd
-from humanoid_mjx.control.ground import SERVO_KD, SERVO_KP, SHARE, GroundControl, grounded_torque
-from humanoid_mjx.control.pd import PD, Joints, Reference, pd, servo
+from humanoid_mjx.control.ground import NATURAL_FREQUENCY, SERVO_KD, SERVO_KP, SHARE, grounded_torque
+from humanoid_mjx.control.pd import Gain, Joints, Reference, pd, servo
 from humanoid_mjx.spec import Named, make_named, traced, written
-from humanoid_mjx.types import FloatScalar
 
 RobotState: TypeAlias = Any
 """What a law may ask of a robot: `qpos` and `qvel` of its joints, `torque_for`, `model_for` and `contacts`, as
@@ -65,7 +64,7 @@ class ServoLaw(Law):
 
     def __call__(self, reference: Reference, state: RobotState) -> Joints:
         still = reference._replace(qvel=jnp.zeros_like(reference.qpos))
-        return pd(PD(self.stiffness, self.damping), still, state.qpos, state.qvel)
+        return pd(self.stiffness, self.damping, still, state.qpos, state.qvel)
 
 
 class PDLaw(Law):
@@ -76,7 +75,7 @@ class PDLaw(Law):
     damping: float = traced(SERVO_KD, ge=0, le=10, description="N m s/rad")
 
     def __call__(self, reference: Reference, state: RobotState) -> Joints:
-        return pd(PD(self.stiffness, self.damping), reference, state.qpos, state.qvel)
+        return pd(self.stiffness, self.damping, reference, state.qpos, state.qvel)
 
 
 class ModelLaw(Law):
@@ -87,7 +86,7 @@ class ModelLaw(Law):
     mass: float = traced(1.0, gt=0, le=10, description="of the model's links, as a multiple of the robot's own")
 
     @property
-    def gains(self) -> tuple[FloatScalar, FloatScalar]:
+    def gains(self) -> tuple[Gain, Gain]:
         """kp, 1/s^2, and kd, 1/s."""
         kp = self.natural_frequency**2
         return kp, self.damping_ratio * critical_kd(jnp.asarray(kp, float))
@@ -120,15 +119,15 @@ class GroundedLaw(ModelLaw):
     """Computed torque within what the feet's contacts allow, a servo for the rest (`control.ground`)."""
 
     name: Literal["grounded"] = "grounded"
-    natural_frequency: float = traced(20.0, gt=0, le=200, description="of the error, rad/s")
+    natural_frequency: float = traced(NATURAL_FREQUENCY, gt=0, le=200, description="of the error, rad/s")
     stiffness: float = traced(SERVO_KP, gt=0, le=200, description="of the servo, N m/rad")
     damping: float = traced(SERVO_KD, ge=0, le=10, description="of the servo, N m s/rad")
     share: float = traced(SHARE, ge=0, le=1, description="of mobility, below which the servo rules")
 
     def __call__(self, reference: Reference, state: RobotState) -> Joints:
-        params = GroundControl(*self.gains, PD(self.stiffness, self.damping), self.share)
+        held = pd(self.stiffness, self.damping, reference, state.qpos, state.qvel)
         matrix, bias = state.model_for(self.mass)
-        return grounded_torque(params, reference, state.qpos, state.qvel, matrix, bias, state.contacts())
+        return grounded_torque(self.acceleration(reference, state), held, self.share, matrix, bias, state.contacts())
 
 
 LAWS = {

@@ -6,19 +6,18 @@ weights towards them. Where a task has several joints Q is the mean of a value f
 "Solving Continuous Control via Q-Learning", 2023), so that the best action is the best choice of every joint.
 """
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 from pydantic import Field
 
+from humanoid_mjx.compute import Program
 from humanoid_mjx.learners import exploration
 from humanoid_mjx.learners.base import ENVS, Outcome, StepLearner
 from humanoid_mjx.learners.normalisation import Moments, moments, observe
 from humanoid_mjx.learners.targets import lambda_targets
-from humanoid_mjx.runtime import no_library, shares_kernels, short_kernels
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import ContinuousTask, State, auto_reset
 from humanoid_mjx.tasks.finite import FiniteTask
@@ -69,6 +68,7 @@ class Experience(NamedTuple):
 class ApproximateQ(StepLearner):
     """Base of learners that approximate Q. A derived class gives the approximation and how it learns."""
 
+    program: ClassVar[Program] = "approximate"
     task: FiniteTask | ContinuousTask = Field(exclude=True, repr=False)
     epsilon: float = traced(1.0, ge=0, le=1, description="probability of a random choice, at first, of each joint")
     epsilon_decay: float = traced(0.99, ge=0, le=1, description="factor on epsilon per episode of an environment")
@@ -87,11 +87,6 @@ class ApproximateQ(StepLearner):
     evaluation_envs: int = Field(64, ge=1, le=100_000, description="greedy episodes of an evaluation")
     devices: int = Field(1, ge=1, le=1, exclude=True, repr=False)
     """How many devices share the environments, of which `envs` are on each: set by `split_over`, in no config."""
-
-    @property
-    def compiler_options(self) -> Mapping[str, str | bool]:
-        options = self.task.compiler_options
-        return {**options, **no_library(), **(short_kernels() if shares_kernels(options) else {})}
 
     def init_value(self, key: Key[Array, ""]) -> tuple[Any, Any]:
         """The weights of the approximation and the optimizer's state before the first update."""

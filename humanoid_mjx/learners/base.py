@@ -4,13 +4,13 @@ Training (`humanoid_mjx.training`) does for all of them what is not algorithm: l
 against numbers that are not finite, evaluation, checkpoints and progress.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
 
 from jaxtyping import Array, Key
 from pydantic import Field
 
-from humanoid_mjx.runtime import SHARED_KERNELS
+from humanoid_mjx.compute import Program
 from humanoid_mjx.spec import Spec, traced
 from humanoid_mjx.tasks.base import Task
 from humanoid_mjx.tasks.continuous import ContinuousTask, State, as_continuous
@@ -46,6 +46,9 @@ class Learner(Spec):
     """Training steps between two looks at what was learned. After looks at each step, training stops before one that
     leads to numbers that are not finite."""
 
+    program: ClassVar[Program] = "other"
+    """Kind of the programs that train and evaluate, which chooses XLA's options (`compute.options`)."""
+
     task: Task = Field(exclude=True, repr=False)
     record: int = Field(100, ge=1, le=10_000, exclude=True, description="points of a learning curve")
     start_from: str | None = Field(None, description="a run folder whose policies to start from")
@@ -66,12 +69,6 @@ class Learner(Spec):
     def cumulative(self) -> bool:
         """Whether learning curves show totals so far in the place of means over the episodes of each point."""
         return False
-
-    @property
-    def compiler_options(self) -> Mapping[str, str | bool]:
-        """XLA's options for the programs that train and evaluate: the task's, but for `SHARED_KERNELS`, which makes XLA
-        abort on some of them."""
-        return {name: value for name, value in self.task.compiler_options.items() if name not in SHARED_KERNELS}
 
     def can_split(self, devices: int) -> bool:
         """Whether the environments of a run can be split over so many devices."""

@@ -83,7 +83,7 @@ def _largest(values: Float[Array, "*batch choices"]) -> Int[Array, "*batch"]:
     """Where the largest value stands, of equal ones the first: `jnp.argmax` of numbers that are all finite.
 
     That is one sum with two results, on which XLA aborts where it computes it in one kernel with others
-    (`runtime.SHARED_KERNELS`).
+    (`compute.options.XLA_FLAGS`).
     """
     count = values.shape[-1]
     place = jax.lax.broadcasted_iota(jnp.int32, values.shape, values.ndim - 1)

@@ -10,7 +10,6 @@ A step first learns from the move that each agent has under way, then makes the 
 at two places and written at one, and XLA's CPU compiler keeps the arithmetic between them in fast loops.
 """
 
-from collections.abc import Mapping
 from functools import reduce
 from typing import Any, ClassVar, NamedTuple
 
@@ -20,10 +19,10 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 from pydantic import Field
 
-from humanoid_mjx.indexing import add_at
+from humanoid_mjx.compute import Program
+from humanoid_mjx.compute.indexing import add_at
+from humanoid_mjx.compute.rng import uniform
 from humanoid_mjx.learners.base import Learner, Outcome
-from humanoid_mjx.rng import uniform
-from humanoid_mjx.runtime import no_library, shares_kernels, wide_vectors
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import State
 from humanoid_mjx.tasks.finite import FiniteTask
@@ -71,6 +70,7 @@ class TabularQ(Learner):
     """Epsilon-greedy Q-learning in a table. In episode k epsilon is `max(epsilon_min, epsilon * epsilon_decay**k)`."""
 
     unit: ClassVar[str] = "episodes"
+    program: ClassVar[Program] = "tabular"
     lap: ClassVar[int] = 32
     """A GPU runs a loop of known length without asking after each step."""
 
@@ -82,11 +82,6 @@ class TabularQ(Learner):
     learning_rate: float = traced(0.5, gt=0, le=1, description="share of the TD error that a value moves by")
     discount: float = traced(0.9, ge=0, lt=1, description="value of a reward one step later")
     agents: int = Field(1, ge=1, le=1_000_000, description="episodes at once that feed one table")
-
-    @property
-    def compiler_options(self) -> Mapping[str, str | bool]:
-        options = {**self.task.compiler_options, **no_library()}
-        return options | wide_vectors() if shares_kernels(options) else options
 
     @property
     def cumulative(self) -> bool:

@@ -2,7 +2,7 @@
 
 All functions take one chain at one state; `jax.vmap` batches both. They are written out on scalars, with what vanishes
 in the chain's structure left out, and compile to few kernels without loops or matrices. On a CPU they are fastest after
-`runtime.start()` in a `jax.jit` with `compiler_options=runtime.SHARED_KERNELS`, in batches of some 500 for each core.
+`humanoid_mjx.start()` in a `jax.jit` with `compute.compiler_options("scalars")`, in batches of some 500 for each core.
 """
 
 from collections.abc import Callable, Sequence

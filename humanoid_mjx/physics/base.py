@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +11,7 @@ import numpy as np
 from jax.extend.core import get_opaque_trace_state
 from jaxtyping import Bool, Float
 
+from humanoid_mjx.compute import Arithmetic
 from humanoid_mjx.mechanics.contacts import Contacts
 from humanoid_mjx.spec import InputError, Spec
 from humanoid_mjx.types import AnyArray
@@ -150,6 +151,9 @@ class Physics(Spec):
     `physics.replace(friction=...)` changes a traced value, which may be an array: under `jax.vmap` each world may have
     its own.
     """
+
+    arithmetic: ClassVar[Arithmetic] = "arrays"
+    """Kind of the arithmetic, which chooses XLA's options (`compute.options`)."""
 
     @property
     def step_s(self) -> float:

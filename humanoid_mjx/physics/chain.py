@@ -5,7 +5,7 @@ image, and gravity lies in the plane of symmetry.
 """
 
 from functools import lru_cache, partial
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from pydantic import Field
 
+from humanoid_mjx.compute import Arithmetic
 from humanoid_mjx.mechanics import dynamics
 from humanoid_mjx.mechanics.contacts import no_contacts
 from humanoid_mjx.mechanics.forward import frames
@@ -42,6 +43,8 @@ LEG = len(JOINT_NAMES)
 
 class ChainPhysics(Physics):
     """Both legs in the air, or the right one alone; joints in the order right leg, left leg."""
+
+    arithmetic: ClassVar[Arithmetic] = "scalars"
 
     robot: Literal["legs", "leg"] = "legs"
     parameters: Literal["physical", "thesis", "matlab_script"] = "physical"

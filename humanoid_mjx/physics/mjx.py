@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from pydantic import Field, model_validator
 
-from humanoid_mjx import runtime
+from humanoid_mjx import compute
 from humanoid_mjx.mechanics.contacts import Contacts, rigid_points
 from humanoid_mjx.physics.base import Controller, Once, Poses, Sensed, Stages, World
 from humanoid_mjx.physics.model import MujocoPhysics, below, freeze_if_diverged, ground_points
@@ -56,10 +56,10 @@ class MjxJax(MujocoPhysics):
 
     @model_validator(mode="after")
     def _room(self) -> "MjxJax":
-        if not runtime.make_room():
+        if not compute.make_room():
             raise ValueError(
                 "MJX could wait forever with as few threads as jax has begun to compute with; set "
-                f"PJRT_NPROC={runtime.POOL_THREADS} in the environment, or make MJX's physics before any other"
+                f"PJRT_NPROC={compute.POOL_THREADS} in the environment, or make MJX's physics before any other"
             )
         return self
 

@@ -19,11 +19,11 @@ import numpy as np
 from jaxtyping import Array, Float
 from mujoco.rollout import Rollout
 
+from humanoid_mjx.compute import cores
 from humanoid_mjx.mechanics.contacts import Contacts
 from humanoid_mjx.physics.base import Controller, Once, Poses, Sensed, Stages, Velocities, World
 from humanoid_mjx.physics.model import MujocoPhysics, below, freeze_if_diverged
 from humanoid_mjx.robot import robot_spec
-from humanoid_mjx.runtime import cores
 from humanoid_mjx.types import AnyArray, MassFactor
 
 MODELS_BYTES = 1 << 27

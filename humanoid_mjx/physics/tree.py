@@ -2,13 +2,13 @@
 """The tree written out: MuJoCo's models of hinges, balls and capsules at many times the speed of MJX.
 
 It computes what native MuJoCo does, contacts included (`mechanics.tree`), in plain jax operations on scalars. On a CPU
-it is fastest after `runtime.start()` in a `jax.jit` with `compiler_options=runtime.SHARED_KERNELS`, in batches of some
+it is fastest after `humanoid_mjx.start()` in a `jax.jit` with `compute.compiler_options("tree")`, in batches of some
 128 worlds for each core.
 """
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -16,13 +16,14 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
-from humanoid_mjx import runtime
+from humanoid_mjx import compute
+from humanoid_mjx.compute import Arithmetic
+from humanoid_mjx.compute.kernels.worlds import worlds_last
 from humanoid_mjx.mechanics.contacts import Contacts, no_contacts
 from humanoid_mjx.mechanics.scalars import Vector, unstack
 from humanoid_mjx.mechanics.tree import sensing
 from humanoid_mjx.mechanics.tree import step as mechanics
 from humanoid_mjx.mechanics.tree.algebra import stacked, vector
-from humanoid_mjx.mechanics.tree.batching import worlds_last
 from humanoid_mjx.mechanics.tree.folding import fold
 from humanoid_mjx.mechanics.tree.reading import read_tree
 from humanoid_mjx.mechanics.tree.structure import Tree
@@ -43,6 +44,8 @@ from humanoid_mjx.types import AnyArray, IntScalar, MassFactor
 
 class TreePhysics(MujocoPhysics):
     """A tree of hinges, fixed or free, on the ground."""
+
+    arithmetic: ClassVar[Arithmetic] = "tree"
 
     @property
     def tree(self) -> Tree:
@@ -144,7 +147,7 @@ class TreePhysics(MujocoPhysics):
         self, function: Any, values: mechanics.Values, state: mechanics.State | None, world: World, torque: Any
     ) -> Any:
         """`_advance` or `_advance_sensed`; of float32 on a GPU one kernel, that makes the state rather than read it."""
-        kernel = runtime.why_no_kernel() is None and not jax.config.read("jax_enable_x64")
+        kernel = compute.why_no_kernel() is None and not jax.config.read("jax_enable_x64")
         return worlds_last(function, self.tree, kernel=kernel)(values, None if kernel else state, tuple(world), torque)
 
     def _within(self, torque: Any) -> Float[Array, " joints"]:

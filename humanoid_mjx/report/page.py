@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 
 from humanoid_mjx.config import dump_yaml
-from humanoid_mjx.data import write_text
+from humanoid_mjx.files import write_text
 from humanoid_mjx.report.figures import CURVES, HEAT_MAPS, averaged, curved, draw_curves, draw_map, limits, mapped
 from humanoid_mjx.report.player import player
 from humanoid_mjx.report.rendering import strip

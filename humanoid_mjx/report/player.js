@@ -3,9 +3,7 @@
 // Each `figure.player` holds its film as JSON (report/player.py) and gets canvas, buttons and keys here.
 "use strict";
 (() => {
-  const AROUND = 24, FINE = 1.2e6, LIGHT = unit([-0.5, 0.25, -0.85]), AMBIENT = 0.5, DIFFUSE = 0.55;
-  const FIELD = Math.tan(Math.PI / 8), NEAR = 0.02, GRID = 0.1, TURN = 0.12, PUSH_SHOWN = 0.5, ARROW = 0.11;
-  const START = { yaw: (130 * Math.PI) / 180, pitch: (-12 * Math.PI) / 180, zoom: 1 };
+  const AROUND = 24, FINE = 1.2e6, NEAR = 0.02, TURN = 0.12;
 
   function dot(a, b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
   function unit(a) { const n = Math.hypot(...a) || 1; return a.map((x) => x / n); }
@@ -85,7 +83,7 @@
       this.solids = this.film.shapes.map(solid);
       this.last = this.film.frames.length - 1;
       this.time = 0; this.speed = 1; this.playing = false; this.drawn = "";
-      this.view = { ...START };
+      this.view = this.start();
       this.build();
       new ResizeObserver(() => this.draw()).observe(this.canvas);
       if (figure.hasAttribute("data-autoplay") && !matchMedia("(prefers-reduced-motion: reduce)").matches) this.toggle();
@@ -160,7 +158,8 @@
       this.draw();
     }
     zoom(factor) { this.view.zoom = Math.max(0.25, Math.min(6, this.view.zoom * factor)); this.draw(); }
-    home() { this.view = { ...START }; this.draw(); }
+    start() { return { yaw: this.film.yaw, pitch: this.film.pitch, zoom: 1 }; }
+    home() { this.view = this.start(); this.draw(); }
     seek(time) { this.time = Math.max(0, Math.min(this.length, time)); this.draw(); }
 
     toggle() {
@@ -202,8 +201,8 @@
       const { yaw, pitch, zoom } = this.view;
       const forward = [Math.cos(pitch) * Math.cos(yaw), Math.cos(pitch) * Math.sin(yaw), Math.sin(pitch)];
       const right = [Math.sin(yaw), -Math.cos(yaw), 0], up = cross(right, forward);
-      const target = [tx, ty, film.middle], distance = (zoom * 0.58 * film.view * Math.max(1, 0.8 * height / width)) / FIELD;
-      const eye = target.map((x, i) => x - distance * forward[i]), focus = height / 2 / FIELD;
+      const target = [tx, ty, film.middle], distance = zoom * film.distance * Math.max(1, 0.8 * height / width);
+      const eye = target.map((x, i) => x - distance * forward[i]), focus = height / 2 / film.field;
       const camera = {
         eye, forward, width, height,
         see: (p) => {
@@ -219,7 +218,7 @@
       context.fillStyle = sky;
       context.fillRect(0, 0, width, height);
       const matrices = this.between(film.frames).map(placed);
-      if (film.ground && eye[2] > 0) this.drawGround(context, camera, target, matrices);
+      if (film.grid && eye[2] > 0) this.drawGround(context, camera, target, matrices);
       this.drawSolids(context, camera, matrices);
       this.drawPush(context, camera, [tx, ty, tz], ratio);
       this.slider.value = this.time;
@@ -230,17 +229,18 @@
     }
 
     drawGround(context, camera, target, matrices) {
-      const reach = 1.6, [x0, y0] = target.slice(0, 2).map((x) => Math.round(x / GRID) * GRID);
+      const { grid, light } = this.film, reach = 1.6;
+      const [x0, y0] = target.slice(0, 2).map((x) => Math.round(x / grid) * grid);
       context.lineWidth = Math.max(1, camera.height / 500);
       for (let k = -16; k <= 16; k++) {
-        const half = Math.sqrt(Math.max(0, reach * reach - k * k * GRID * GRID)), pieces = 8;
+        const half = Math.sqrt(Math.max(0, reach * reach - k * k * grid * grid)), pieces = 8;
         for (const axis of [0, 1])
           for (let i = 0; i < pieces; i++) {
             const at = (j) => half * ((2 * j) / pieces - 1);
-            const point = (s) => (axis ? [x0 + k * GRID, y0 + s, 0] : [x0 + s, y0 + k * GRID, 0]);
+            const point = (s) => (axis ? [x0 + k * grid, y0 + s, 0] : [x0 + s, y0 + k * grid, 0]);
             const a = camera.see(point(at(i))), b = camera.see(point(at(i + 1)));
             if (!a || !b) continue;
-            const fade = 1 - Math.hypot(k * GRID, (at(i) + at(i + 1)) / 2) / reach;
+            const fade = 1 - Math.hypot(k * grid, (at(i) + at(i + 1)) / 2) / reach;
             context.strokeStyle = `rgba(120, 124, 130, ${(0.6 * Math.max(0, fade)).toFixed(3)})`;
             context.beginPath();
             context.moveTo(a[0], a[1]);
@@ -250,10 +250,10 @@
       }
       context.beginPath();
       matrices.forEach((matrix, s) => this.solids[s].forEach((f) => {
-        if (dot(turned(matrix, f.normal), LIGHT) >= 0) return;
+        if (dot(turned(matrix, f.normal), light) >= 0) return;
         const points = f.corners.map(({ point }) => {
-          const [x, y, z] = moved(matrix, point), t = Math.max(z, 0) / -LIGHT[2];
-          return camera.see([x + t * LIGHT[0], y + t * LIGHT[1], 0]);
+          const [x, y, z] = moved(matrix, point), t = Math.max(z, 0) / -light[2];
+          return camera.see([x + t * light[0], y + t * light[1], 0]);
         });
         if (points.some((p) => !p)) return;
         points.forEach((p, i) => (i ? context.lineTo(p[0], p[1]) : context.moveTo(p[0], p[1])));
@@ -266,13 +266,15 @@
     // Triangles with a depth buffer into a picture of their own, finer than the canvas, which smooths the edges.
     drawSolids(context, camera, matrices) {
       const fine = Math.min(2, Math.sqrt(FINE / (camera.width * camera.height))), triangles = [];
+      const [ambient, diffuse, headlight] = this.film.brightness;
       let left = Infinity, right = -Infinity, top = Infinity, bottom = -Infinity;
       matrices.forEach((matrix, s) => this.solids[s].forEach((f) => {
         const first = moved(matrix, f.corners[0].point);
         if (dot(first.map((x, i) => x - camera.eye[i]), turned(matrix, f.normal)) >= 0) return;
         const seen = f.corners.map(({ point, normal }) => {
-          const at = camera.see(moved(matrix, point));
-          const light = AMBIENT + DIFFUSE * Math.max(0, -dot(turned(matrix, normal), LIGHT));
+          const at = camera.see(moved(matrix, point)), out = turned(matrix, normal);
+          const facing = (way) => Math.max(0, -dot(out, way));
+          const light = ambient + diffuse * facing(this.film.light) + headlight * facing(camera.forward);
           return at && [at[0] * fine, at[1] * fine, 1 / at[2], light];
         });
         if (seen.some((p) => !p)) return;
@@ -319,8 +321,9 @@
     drawPush(context, camera, torso, ratio) {
       for (const push of this.film.pushes) {
         const since = this.time - push.start;
-        if (since < -1e-9 || since >= Math.max(push.seconds, PUSH_SHOWN)) continue;
-        const way = unit(push.force), tail = camera.see(torso.map((x, i) => x - ARROW * way[i])), head = camera.see(torso);
+        if (since < -1e-9 || since >= push.seconds) continue;
+        const way = unit(push.force), head = camera.see(torso);
+        const tail = camera.see(torso.map((x, i) => x - this.film.arrow * way[i]));
         if (!tail || !head) continue;
         const along = unit([head[0] - tail[0], head[1] - tail[1], 0]), size = 12 * ratio;
         const back = [head[0] - size * along[0], head[1] - size * along[1]];

@@ -12,8 +12,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from humanoid_mjx.report import overlay, scene
 from humanoid_mjx.report.film import Film
-from humanoid_mjx.report.scene import make_scene
 from humanoid_mjx.report.web import page
 
 FPS = 25.0
@@ -33,29 +33,36 @@ def player(film: Film, *, still: str = "", autoplay: bool = False) -> str:
 
 
 def film_data(film: Film) -> dict[str, Any]:
-    """What `player.js` reads: shapes, and for each frame a position, m, and a quaternion (w x y z) of each."""
+    """Return what `player.js` reads: light and camera, shapes, and for each frame a position, m, and a quaternion
+    (w x y z) of each."""
     qpos, _ = film.at(FPS)
-    scene = make_scene(film.model, qpos)
+    motion = scene.make_scene(film.model, qpos)
     poses = [
         [[*_rounded(place), *_rounded(_quaternion(turn))] for place, turn in zip(places, turns, strict=True)]
-        for places, turns in zip(scene.position, scene.rotation, strict=True)
+        for places, turns in zip(motion.position, motion.rotation, strict=True)
     ]
     shapes = [
-        {"kind": shape.kind, "size": _rounded(shape.size), "color": _rounded(shape.color)} for shape in scene.shapes
+        {"kind": shape.kind, "size": _rounded(shape.size), "color": _rounded(shape.color)} for shape in motion.shapes
     ]
     pushes = [
-        {"start": push.start, "seconds": push.seconds, "force": push.force.tolist(), "words": push.words}
-        for push in film.pushes
+        {"start": p.start, "seconds": max(p.seconds, overlay.SHOWN_S), "force": p.force.tolist(), "words": p.words}
+        for p in film.pushes
     ]
     return {
         "title": film.title,
         "fps": FPS,
-        "view": scene.view,
-        "middle": float(scene.middle[0, 2]),
-        "ground": scene.ground,
+        "yaw": np.radians(scene.AZIMUTH),
+        "pitch": np.radians(scene.ELEVATION),
+        "field": np.tan(np.radians(scene.FIELD_OF_VIEW / 2)),
+        "distance": motion.distance,
+        "light": scene.LIGHT.tolist(),
+        "brightness": [scene.AMBIENT, scene.DIFFUSE, scene.HEADLIGHT],
+        "middle": float(motion.middle[0, 2]),
+        "grid": scene.GRID_M if motion.ground else 0.0,
+        "arrow": overlay.ARROW_M,
         "shapes": shapes,
         "frames": poses,
-        "torso": [_rounded(place) for place in scene.torso],
+        "torso": [_rounded(place) for place in motion.torso],
         "told": [list(each) for each in film.told],
         "pushes": pushes,
     }

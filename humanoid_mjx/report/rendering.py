@@ -1,20 +1,17 @@
 # pyright: reportAttributeAccessIssue=false
-"""Motions as pictures and videos: by MuJoCo's renderer where it finds OpenGL, otherwise by our own ray caster."""
+"""Motions as pictures and videos."""
 
 from collections.abc import Callable, Iterator
-from itertools import combinations, product
 from pathlib import Path
 
 import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from humanoid_mjx.report import opengl
 from humanoid_mjx.report.film import Film
 from humanoid_mjx.report.overlay import annotate
 from humanoid_mjx.report.raycast import Frame, Painter
 from humanoid_mjx.report.scene import Scene, make_scene
-from humanoid_mjx.report.style import COLORS
 from humanoid_mjx.report.video import check_file, write_frames
 from humanoid_mjx.types import AnyArray
 
@@ -80,31 +77,6 @@ def _annotated(
 
 
 def _paint(model: mujoco.MjModel, qpos: Float[np.ndarray, "frames nq"], scene: Scene) -> Iterator[Frame]:
-    painted = opengl.paint(model, qpos, scene, WIDTH, HEIGHT)
-    if painted is not None:
-        yield from painted
-        return
     painter = Painter(scene, WIDTH, HEIGHT)
     for number in range(len(qpos)):
         yield painter.paint(number)
-
-
-def outline(model: mujoco.MjModel, data: mujoco.MjData) -> list[tuple[np.ndarray, str]]:
-    """Points and colour of each line: the right leg in one colour, the left in another."""
-
-    def color(body: int) -> str:
-        name = model.body(body).name
-        return COLORS[0] if name.startswith("right") else COLORS[1] if name.startswith("left") else COLORS[-1]
-
-    lines = []
-    for body in range(2, model.nbody):
-        parent = model.body_parentid[body]
-        lines.append((data.xpos[[parent, body]], color(body)))
-    for geom in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_BOX):
-        corners = np.array(list(product((-1, 1), repeat=3)))
-        rotation = data.geom_xmat[geom].reshape(3, 3)
-        places = data.geom_xpos[geom] + (corners * model.geom_size[geom]) @ rotation.T
-        for a, b in combinations(range(8), 2):
-            if np.abs(corners[a] - corners[b]).sum() == 2:
-                lines.append((places[[a, b]], color(int(model.geom_bodyid[geom]))))
-    return lines

@@ -22,6 +22,9 @@ FIELD_OF_VIEW = 45.0
 LIGHT = np.array([-0.5, 0.25, -0.85]) / np.linalg.norm([-0.5, 0.25, -0.85])
 """Direction in which the light falls."""
 
+AMBIENT, DIFFUSE, HEADLIGHT = 0.5, 0.45, 0.2
+"""Brightness of a surface: everywhere, where the light falls at right angles, and where it faces the camera."""
+
 GRID_M = 0.1
 """Distance between the lines on the ground, m, which show how far a robot goes."""
 
@@ -52,6 +55,10 @@ class Shape(NamedTuple):
 class Scene(NamedTuple):
     """A motion of shapes, and the camera that follows it."""
 
+    model: mujoco.MjModel
+    qpos: Float[np.ndarray, "frames nq"]
+    shown: list[int]
+    """The geoms that are drawn, but for planes: one for each shape."""
     shapes: list[Shape]
     position: Float[np.ndarray, "frames shapes 3"]
     """Positions of the shapes, m, world: x forward, y to the left, z up."""
@@ -89,6 +96,9 @@ def make_scene(model: mujoco.MjModel, qpos: Float[AnyArray, "frames nq"]) -> Sce
     middles[:, 2] = _middle(model, data)[2]
     shapes = [_shape(model, g) for g in shown]
     return Scene(
+        model,
+        rows,
+        shown,
         shapes,
         np.stack(places),
         np.stack(turns),

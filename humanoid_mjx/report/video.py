@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from humanoid_mjx.data import whole_file
+from humanoid_mjx.files import whole_file
 from humanoid_mjx.report.raycast import Frame
 from humanoid_mjx.spec import InputError, check_folder
 

@@ -1,7 +1,7 @@
 """Motions played on the free lower body on the ground, and what becomes of it."""
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -11,22 +11,13 @@ from jax.sharding import Mesh
 from jax.sharding import PartitionSpec as P
 from jaxtyping import Array, Bool, Float
 
-from humanoid_mjx import control, runtime
+from humanoid_mjx import compute, control
 from humanoid_mjx.mechanics import balance, gaits, pattern_generator
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.physics.balance import accelerations, foot_corners, link_motion
-from humanoid_mjx.physics.base import World
+from humanoid_mjx.physics.base import Stages, World
 from humanoid_mjx.thesis import leg as thesis
-from humanoid_mjx.types import AnyArray, FloatScalar, IntScalar
-
-CONTROLLERS = ("servo", "computed torque", "section 5.7")
-"""A plain servo; computed torque within the contacts (`control.ground`); computed torque with the gains of Table 5.1,
-which ignores contacts and treats the torso as fixed. Each acts anew at every time step."""
-
-ROLL_HELD = "servo, rolls held"
-"""The servo on a body as if without hip rolls: they are held where they are."""
-
-LAWS = (*CONTROLLERS, ROLL_HELD)
+from humanoid_mjx.types import AnyArray, IntScalar
 
 HELD_KP, HELD_KD = 100.0, 1.0
 """Gains of a joint that is held, N m/rad and N m s/rad: more than ten times as stiff as the servo."""
@@ -49,7 +40,7 @@ class Trial(NamedTuple):
     """What one body is to do, and under which controller."""
 
     controller: str
-    """One of `CONTROLLERS`, or `ROLL_HELD`."""
+    """One of `laws_of`."""
     motion: str = "stand"
     """`stand`, or the name of a gait."""
     frequency: float | None = None
@@ -147,30 +138,56 @@ def play(
     Args:
       trials: trials without repetition.
       seconds: duration, a multiple of the time step.
-      config: under `servo` the kp and kd of `control.PD`, under `computed_torque` the kp, kd and share of
-        `control.GroundControl`, whose servo is the first.
+      config: the gains of `laws_of`.
       tell: called with the progress in words.
 
     Raises:
       InputError: an unknown gait, or gains that no controller takes.
     """
-    program, gains, paths = _program(), _gains(config), {}
+    laws, paths = laws_of(config), {}
     for first in range(0, len(trials), AT_ONCE):
-        part = list(trials[first : first + AT_ONCE])
+        part = trials[first : first + AT_ONCE]
         tell(f"{first:,} of {len(trials):,} bodies simulated")
         plans = [_plan(trial, seconds) for trial in part]
-        start = [_start(np.asarray(plan.qpos[0], np.float64)) for plan in plans]
-        kinds, pushes = [LAWS.index(trial.controller) for trial in part], [trial.push for trial in part]
+        bodies = [
+            (list(laws).index(trial.controller), np.array(trial.push), plan, _start(plan.qpos[0]))
+            for trial, plan in zip(part, plans, strict=True)
+        ]
         # As many in every call, so that one program serves them all: the last trial fills the rest.
-        rows = np.minimum(np.arange(AT_ONCE), len(part) - 1)
-        wanted = control.Reference(*(jnp.stack(x)[rows] for x in zip(*plans, strict=True)))
-        kinds, pushes, start = (
-            jnp.asarray(np.asarray(x)[rows], t) for x, t in ((kinds, int), (pushes, float), (start, float))
-        )
-        states = (np.asarray(x, np.float64) for x in program(gains, kinds, pushes, wanted, start))
-        found = zip(part, *states, (np.asarray(plan.qpos) for plan in plans), strict=False)
-        paths |= {trial: _until_fall(*rest) for trial, *rest in found}
+        bodies += [bodies[-1]] * (AT_ONCE - len(part))
+        states = _program()(list(laws.values()), *jax.tree.map(lambda *x: jnp.stack(x), *bodies))
+        found = zip(part, *(np.asarray(x, np.float64) for x in states), plans, strict=False)
+        paths |= {trial: _until_fall(qpos, qvel, np.asarray(plan.qpos)) for trial, qpos, qvel, plan in found}
     return paths
+
+
+def laws_of(config: Mapping[str, Mapping[str, float]]) -> dict[str, control.Law]:
+    """Return the law of each controller, which acts anew at every time step.
+
+    `servo` is plain; `computed torque` keeps within the contacts (`control.ground`); that of `section 5.7` has the
+    gains of Table 5.1, ignores contacts and treats the torso as fixed. In `servo, rolls held` the servo acts on a body
+    as if without hip rolls: they are held where they are.
+
+    Args:
+      config: under `servo` the stiffness and damping of every servo, under `computed_torque` the other gains of the
+        law `grounded`.
+
+    Raises:
+      InputError: a gain that no law takes.
+    """
+    servo = control.make_law("pd", **config["servo"])
+    kp, kd = (np.tile(gains, 2) for gains in (thesis.KP, thesis.KD))
+    roll = np.tile(np.array(thesis.JOINT_NAMES) == "hip_roll", 2)
+    return {
+        "servo": servo,
+        "computed torque": control.make_law("grounded", **config["servo"], **config["computed_torque"]),
+        "section 5.7": control.make_law("computed_torque").replace(
+            natural_frequency=np.sqrt(kp), damping_ratio=kd / (2 * np.sqrt(kp))
+        ),
+        "servo, rolls held": servo.replace(
+            stiffness=np.where(roll, HELD_KP, servo.stiffness), damping=np.where(roll, HELD_KD, servo.damping)
+        ),
+    }
 
 
 def balance_of(path: Path) -> Balance:
@@ -220,63 +237,45 @@ def _generated(params: pattern_generator.Params, times: Float[Array, " times"]) 
     return jax.vmap(lambda time: pattern_generator.step(params, begin, time)[1])(times)
 
 
-def _start(joints: Float[np.ndarray, " joints"]) -> Float[np.ndarray, " nq"]:
+def _start(joints: Float[AnyArray, " joints"]) -> Float[np.ndarray, " nq"]:
     """Upright in a posture of the joints, the lowest corner of the feet on the ground."""
     qpos = np.concatenate([physics().qpos0[:7], joints])
     qpos[2] -= foot_corners(physics(), qpos[None])[0, :, 2].min()
     return qpos
 
 
-class _Gains(NamedTuple):
-    """Gains of the controllers."""
-
-    servo: control.PD
-    grounded: control.GroundControl
-    kp: Float[Array, " joints"]
-    kd: Float[Array, " joints"]
-    held: control.PD
-    """The servo's, but for the hips' rolls."""
-
-
-def _gains(config: Mapping[str, Mapping[str, float]]) -> _Gains:
-    servo = {f"servo_{name}": gain for name, gain in config["servo"].items()}
-    kp, kd = (jnp.tile(jnp.array(gains), 2) for gains in (thesis.KP, thesis.KD))
-    grounded = control.GroundControl.build(10, **config["computed_torque"], **servo)
-    roll = np.tile(np.array(thesis.JOINT_NAMES) == "hip_roll", 2)
-    held = {"kp": np.where(roll, HELD_KP, config["servo"]["kp"]), "kd": np.where(roll, HELD_KD, config["servo"]["kd"])}
-    return _Gains(control.PD.build(10, **config["servo"]), grounded, kp, kd, control.PD.build(10, **held))
+def _torque(
+    laws: Sequence[control.Law], number: IntScalar, reference: control.Reference, stages: Stages
+) -> Float[Array, " joints"]:
+    """Return the torques of the law of this number, N m."""
+    return jnp.select([number == index for index in range(len(laws))], [law(reference, stages) for law in laws])
 
 
 @cache
 def _program() -> Any:
-    """From gains and, by trial, controller, push, plan and start, to the states, (trials, steps + 1, ...) each."""
+    """From the laws and, by trial, the number of its law, push, plan and start, to the states, (trials, steps + 1, ...)
+    each."""
     simulator = physics()
 
-    def torque(gains: _Gains, kind: IntScalar, reference: control.Reference, stages: Any) -> Float[Array, " joints"]:
-        state = reference, stages.qpos, stages.qvel
-        torques = (
-            control.pd(gains.servo, *state),
-            control.grounded_torque(gains.grounded, *state, stages.mass_matrix, stages.bias, stages.contacts()),
-            stages.torque_for(control.servo(gains.kp, gains.kd, *state), 1.0),
-            control.pd(gains.held, *state),
-        )
-        return jnp.select([kind == index for index in range(len(LAWS))], torques)
-
     def simulate(
-        gains: _Gains, kind: IntScalar, push: Float[Array, "2"], plan: control.Reference, qpos: Float[Array, " nq"]
+        laws: Sequence[control.Law],
+        number: IntScalar,
+        push: Float[Array, "2"],
+        plan: control.Reference,
+        qpos: Float[Array, " nq"],
     ) -> Any:
-        def cycle(world: World, now: tuple[FloatScalar, control.Reference]) -> tuple[World, tuple[Array, Array]]:
-            time, reference = now
-            acts = (time >= PUSH_AT) & (time < PUSH_AT + PUSH_S)
-            force = jnp.pad(jnp.where(acts, push / PUSH_S, 0.0), (0, 1))
-            pushed = simulator.replace(push=force)
-            world, _ = pushed.step(world, lambda stages: torque(gains, kind, reference, stages))
+        def cycle(world: World, now: tuple[Array, control.Reference]) -> tuple[World, tuple[Array, Array]]:
+            force, reference = now
+            world, _ = simulator.replace(push=force).step(world, partial(_torque, laws, number, reference))
             return world, (world.qpos, world.qvel)
 
         world = simulator.start(qpos, jnp.concatenate([jnp.zeros(6), plan.qvel[0]]))
         # The torque of a step brings about the motion at its end.
         ends = control.Reference(*(x[1:] for x in plan))
-        moved = jax.lax.scan(cycle, world, (simulator.step_s * jnp.arange(len(ends.qpos)), ends))[1]
+        times = simulator.step_s * jnp.arange(len(ends.qpos))
+        acts = (times >= PUSH_AT) & (times < PUSH_AT + PUSH_S)
+        forces = jnp.where(acts[:, None], jnp.pad(push, (0, 1)) / PUSH_S, 0.0)
+        moved = jax.lax.scan(cycle, world, (forces, ends))[1]
         return tuple(jnp.concatenate([first[None], later]) for first, later in zip(world[:2], moved, strict=True))
 
     # Each device its share: XLA itself would gather what MJX solves.
@@ -285,7 +284,7 @@ def _program() -> Any:
     share = P("bodies")
     every = jax.vmap(simulate, in_axes=(None, 0, 0, 0, 0))
     spread = jax.shard_map(every, mesh=mesh, in_specs=(P(), *[share] * 4), out_specs=share, check_vma=False)
-    return jax.jit(spread, compiler_options=runtime.no_library())
+    return jax.jit(spread, compiler_options=compute.compiler_options("arrays"))
 
 
 def _until_fall(qpos: np.ndarray, qvel: np.ndarray, plan: np.ndarray) -> Path:

@@ -18,13 +18,18 @@ SHOWN = 0.2
 """Impulse of the pushes drawn, N s."""
 
 PAIR = ("servo", "computed torque")
+CONTROLLERS = (*PAIR, "section 5.7")
+ROLL_HELD = "servo, rolls held"
 NAME = "ground-control"
-CONFIG = {"servo": {"kp": 6.0, "kd": 0.2}, "computed_torque": {"kp": 400.0, "kd": 40.0, "share": 0.1}}
+CONFIG = {
+    "servo": {"stiffness": 6.0, "damping": 0.2},
+    "computed_torque": {"natural_frequency": 20.0, "damping_ratio": 1.0, "share": 0.1},
+}
 
 
 def standing(setting: Setting) -> list[Finding]:
     """Which controllers stand, which pushes they withstand, and how far the joints give way."""
-    from humanoid_mjx.reproduction.ground import CONTROLLERS, ROLL_HELD, Path, Trial, play
+    from humanoid_mjx.reproduction.ground import Path, Trial, play
 
     still = {name: Trial(name) for name in CONTROLLERS}
     pushed = {
@@ -51,8 +56,8 @@ def standing(setting: Setting) -> list[Finding]:
             f"seconds of {SECONDS:g} that computed torque of section 5.7 with Table 5.1's gains stands",
             blind.seconds,
             "the section's law treats the torso as fixed and ignores the ground; within the contacts computed "
-            f"torque {_stands(alone['computed torque'])}, and a servo of {setting.config['servo']['kp']:g} N m/rad "
-            f"{_stands(alone['servo'])}",
+            f"torque {_stands(alone['computed torque'])}, and a servo of {setting.config['servo']['stiffness']:g} "
+            f"N m/rad {_stands(alone['servo'])}",
         ),
         *(
             unprinted(

@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, judge, listed, unprinted
+from humanoid_mjx.reproduction.ground_control import CONFIG, CONTROLLERS, PAIR
 from humanoid_mjx.thesis import leg as thesis
 
 TABLES = {"straight_walk": "Table 4.5", "sudden_turn": "Table 4.6"}
-PAIR = ("servo", "computed torque")
-CONTROLLERS = (*PAIR, "section 5.7")
 NAME = "gaits-4.8"
 SECONDS = 3.0
 STEP_M, TURN_DEG, SLIP = 0.06, 5.0, 0.02
@@ -32,8 +31,6 @@ FORWARDS = tuple(signs for signs in SIGNS if signs[0] == 1)
 AMPLITUDES, FREQUENCIES = (0.1, 0.25, 0.5, 1.0), (0.625, 1.25, 2.5)
 """Amplitudes of the pattern generator as shares of the table's angles, and frequencies, Hz; the table's own are 1 and
 1.25."""
-
-CONFIG = {"servo": {"kp": 6.0, "kd": 0.2}, "computed_torque": {"kp": 400.0, "kd": 40.0, "share": 0.1}}
 
 
 def walking(setting: Setting) -> list[Finding]:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from humanoid_mjx import runtime
+from humanoid_mjx import compute
 from humanoid_mjx.report.web import MEDIA, facts, image, link, page, section, text
 from humanoid_mjx.reproduction.runner import load_experiments
 from humanoid_mjx.spec import InputError
@@ -42,7 +42,7 @@ def findings_page(path: Path) -> str:
         parts.append(section(heading, *map(_finding, mine), *map(_picture, own), anchor=_anchor(names, name)))
     if pictures:
         parts.append(section("More figures", *map(_picture, pictures)))
-    machine = facts((runtime.machine() | runtime.versions()).items())
+    machine = facts((compute.machine() | compute.versions()).items())
     words = "This page was written on the following machine; reproduce.json does not say on which it was made."
     again = f"humanoid-mjx reproduce {' '.join(names)} --out {path.name}-again"
     parts += [section("Run it again", text(again, "pre")), section("Where the page was written", text(words), machine)]

@@ -187,7 +187,7 @@ def _planned(task: Any, duration: float) -> Any:
     """The motion along a quintic that takes `duration`, s, and then holds the goal, by the task's controller."""
     import jax
 
-    from humanoid_mjx.control.computed_torque import Reference
+    from humanoid_mjx.control import Reference
     from humanoid_mjx.mechanics.trajectories import Quintic, rest_to_rest
     from humanoid_mjx.training.episode import HOLD_S, follow, joined
 

@@ -111,8 +111,8 @@ def _program(law: str) -> Callable[..., Any]:
     import jax
     import jax.numpy as jnp
 
-    from humanoid_mjx import dynamics, runtime
-    from humanoid_mjx.control import ComputedTorque, PartitionedPD, Reference, computed_torque, partitioned_pd
+    from humanoid_mjx import compute, dynamics
+    from humanoid_mjx.control import Reference, servo
     from humanoid_mjx.mechanics.trajectories import thesis_quintics
     from humanoid_mjx.robot.leg import Leg
 
@@ -124,10 +124,10 @@ def _program(law: str) -> Callable[..., Any]:
         model = leg.scaled(1.0 + error)
 
         def controller(time: Any, qpos: Any, qvel: Any) -> Any:
-            plan = Reference(*planned.at(time))
+            qacc = servo(kp, kd, Reference(*planned.at(time)), qpos, qvel)
             if law == "computed torque":
-                return computed_torque(ComputedTorque(model, kp, kd), plan, qpos, qvel)
-            torque = partitioned_pd(PartitionedPD(model, kp, kd), plan, qpos, qvel)
+                return dynamics.inverse_dynamics(model, qpos, qvel, qacc)
+            torque = dynamics.joint_inertias(model, qpos) * qacc
             return torque + dynamics.gravity(model, qpos) if law.endswith("weight") else torque
 
         # Euler's step would undo a hold of one step: it too takes the dynamics from the state at the start of the step.
@@ -138,7 +138,7 @@ def _program(law: str) -> Callable[..., Any]:
         wanted = jax.vmap(planned.at)(STEP_S * jnp.arange(1, steps + 1)).position
         return jnp.sqrt(jnp.mean((wanted - states.qpos) ** 2, axis=0))
 
-    return jax.jit(jax.vmap(simulate), compiler_options=runtime.SHARED_KERNELS)
+    return jax.jit(jax.vmap(simulate), compiler_options=compute.compiler_options("scalars"))
 
 
 def _draw(setting: Setting, errors: dict[str, np.ndarray]) -> None:

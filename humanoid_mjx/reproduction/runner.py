@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from humanoid_mjx.config import apply_override
-from humanoid_mjx.data import write_text
+from humanoid_mjx.files import write_text
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting
 from humanoid_mjx.spec import InputError, known
 

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from humanoid_mjx import rng
+from humanoid_mjx.compute import rng
 from humanoid_mjx.learners import make_learner
 from humanoid_mjx.tasks import make_task
 

@@ -12,6 +12,7 @@ import numpy as np
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, in_words, judge, three_digits
 from humanoid_mjx.reproduction.leg_figures import draw_tracking
 from humanoid_mjx.reproduction.printed import dynamics as printed_dynamics
+from humanoid_mjx.spec import InputError
 from humanoid_mjx.thesis import leg as thesis
 
 JOINTS = range(5)
@@ -80,7 +81,7 @@ def tracking(joint: int, setting: Setting) -> list[Finding]:
     """Figures 7.6 to 7.10, by joint: the error left after 5 s, the overshoot, and the printed place."""
     used, kp, kd = _gains(setting)
     setting.tell(f"the motion under {len(VARIANTS)} controllers")
-    motions = _motions(tuple(kp.tolist()), tuple(kd.tolist()))
+    motions = _motions(kp, kd)
     curves = {words: motions[variant][:, joint] for variant, words in DRAWN.items()}
     draw_tracking(setting.out / f"figure-7.{joint + 6}.png", joint, curves)
     printed, tolerance = thesis.TRACKING["error"][joint], TOLERANCES[joint]
@@ -133,7 +134,7 @@ def together(setting: Setting) -> list[Finding]:
     """Section 7 D: whether any one controller leaves all five errors; the table of those tried."""
     used, kp, kd = _gains(setting)
     setting.tell(f"the motion under {len(VARIANTS)} controllers")
-    motions = _motions(tuple(kp.tolist()), tuple(kd.tolist()))
+    motions = _motions(kp, kd)
     printed = np.array(thesis.TRACKING["error"])
     left = {v: np.abs(e[-1]) for v, e in motions.items()}
     with (setting.out / "control-7d.md").open("w", encoding="utf-8") as file:
@@ -157,37 +158,39 @@ def together(setting: Setting) -> list[Finding]:
     ]
 
 
-def _gains(setting: Setting) -> tuple[dict[str, float], Any, Any]:
-    """The gains in use by name, and kp and kd as arrays over joints."""
-    import jax.numpy as jnp
+def _gains(setting: Setting) -> tuple[dict[str, float], tuple[float, ...], tuple[float, ...]]:
+    """Return the gains in use by name, and kp and kd by joint.
 
-    from humanoid_mjx.control.gains import check_gains
-
-    gains = check_gains(5, **{name: list(setting.config[name].values()) for name in CONFIG})
+    Raises:
+      InputError: a gain that is no number, negative or not finite.
+    """
     used = {f"{name} of {joint}": gain for name in CONFIG for joint, gain in setting.config[name].items()}
-    return used, jnp.asarray(gains["kp"], float), jnp.asarray(gains["kd"], float)
+    for name, gain in used.items():
+        if not (isinstance(gain, (int, float)) and 0 <= gain < np.inf):
+            raise InputError(f"{name} must be finite and at least 0, got {gain!r}.")
+    kp, kd = (tuple(map(float, setting.config[name].values())) for name in CONFIG)
+    return used, kp, kd
 
 
 def _laws() -> dict[str, Callable[..., Any]]:
-    """Torques from a model, gains, the reference and the state."""
-    from humanoid_mjx import control, dynamics
+    """Return the laws by name: torques from a model, the joints' state and the accelerations that the gains ask for."""
+    from humanoid_mjx import dynamics
 
-    def computed_torque(model: Any, kp: Any, kd: Any, *state: Any) -> Any:
-        return control.computed_torque(control.ComputedTorque(model, kp, kd), *state)
+    def partitioned(model: Any, qpos: Any, qvel: Any, qacc: Any) -> Any:
+        return dynamics.joint_inertias(model, qpos) * qacc
 
-    def partitioned(model: Any, kp: Any, kd: Any, *state: Any) -> Any:
-        return control.partitioned_pd(control.PartitionedPD(model, kp, kd), *state)
-
-    def as_printed(model: Any, kp: Any, kd: Any, plan: Any, qpos: Any, qvel: Any) -> Any:
-        state = qpos[:, None], qvel[:, None], control.servo(kp, kd, plan, qpos, qvel)[:, None]
-        return printed_dynamics.inverse_dynamics(model[0], *state, model[1])[:, 0]
+    def as_printed(model: Any, qpos: Any, qvel: Any, qacc: Any) -> Any:
+        columns = qpos[:, None], qvel[:, None], qacc[:, None]
+        return printed_dynamics.inverse_dynamics(model[0], *columns, model[1])[:, 0]
 
     return {
-        "computed torque": computed_torque,
-        "servo": lambda model, *rest: control.servo(*rest),
+        "computed torque": dynamics.inverse_dynamics,
+        "servo": lambda model, qpos, qvel, qacc: qacc,
         "partitioned PD": partitioned,
-        "partitioned PD and weight": lambda model, *rest: partitioned(model, *rest) + dynamics.gravity(model, rest[3]),
-        "mass matrix": lambda model, *rest: dynamics.mass_matrix(model, rest[3]) @ control.servo(*rest),
+        "partitioned PD and weight": lambda model, *motion: (
+            partitioned(model, *motion) + dynamics.gravity(model, motion[0])
+        ),
+        "mass matrix": lambda model, qpos, qvel, qacc: dynamics.mass_matrix(model, qpos) @ qacc,
         "as printed": as_printed,
     }
 
@@ -229,8 +232,8 @@ def _program(law: str, leg: str, model: str) -> Callable[..., Any]:
     import jax
     import jax.numpy as jnp
 
-    from humanoid_mjx import dynamics, runtime
-    from humanoid_mjx.control import PD, Reference, implicit_euler
+    from humanoid_mjx import compute, dynamics
+    from humanoid_mjx.control import Reference, implicit_euler, servo
     from humanoid_mjx.mechanics.trajectories import thesis_quintics
     from humanoid_mjx.robot.leg import ALONG_THE_LEG, AS_PRINTED, Leg
 
@@ -248,18 +251,18 @@ def _program(law: str, leg: str, model: str) -> Callable[..., Any]:
         def controller(time: Any, qpos: Any, qvel: Any) -> Any:
             plan = planned.at(time)
             seen = Reference(plan.position, keep[0] * plan.velocity, keep[1] * plan.acceleration)
-            return act(models[model], kp, kd, seen, qpos, qvel)
+            return act(models[model], qpos, qvel, servo(kp, kd, seen, qpos, qvel))
 
         if law == "as printed":
             integrator, step_s, cycle = dynamics.runge_kutta, ANALOG_STEP_S, None
         else:
-            integrator = implicit_euler(PD(kp, kd)) if law == "servo" else dynamics.semi_implicit_euler
+            integrator = implicit_euler(kp, kd) if law == "servo" else dynamics.semi_implicit_euler
             step_s, cycle = STEP_S, 1
         still, steps, shown = jnp.zeros(5), round(thesis.QUINTIC_S / step_s), round(SHOWN_S / step_s)
         states = dynamics.rollout(legs[leg], still, still, controller, step_s, steps, integrator, cycle=cycle)[1]
         return wanted - jnp.concatenate([jnp.zeros((1, 5)), states.qpos[shown - 1 :: shown]])
 
-    return jax.jit(jax.vmap(simulate, in_axes=(0, None, None)), compiler_options=runtime.SHARED_KERNELS)
+    return jax.jit(jax.vmap(simulate, in_axes=(0, None, None)), compiler_options=compute.compiler_options("scalars"))
 
 
 EXPERIMENTS = [

@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 
 from humanoid_mjx.config import config_digest, dump_yaml, parse, parse_yaml
-from humanoid_mjx.data import whole_file
+from humanoid_mjx.files import whole_file
 from humanoid_mjx.runs.archive import DAMAGE, misplaced, read_archive
 from humanoid_mjx.spec import InputError
 

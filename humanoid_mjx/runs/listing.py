@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from humanoid_mjx.axes import sweep_points
 from humanoid_mjx.config import parse
+from humanoid_mjx.config.axes import sweep_points
 from humanoid_mjx.runs.disk import disk_used
 from humanoid_mjx.runs.folder import damaged, pools, read_arrays, read_config, read_provenance
 from humanoid_mjx.runs.ranking import ranked

@@ -1,13 +1,12 @@
 """What all tasks have in common."""
 
-from collections.abc import Mapping
 from typing import Any
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
+from humanoid_mjx.compute import Arithmetic
 from humanoid_mjx.physics.base import Controller, Physics
-from humanoid_mjx.runtime import no_library
 from humanoid_mjx.spec import Spec
 from humanoid_mjx.types import FloatScalar
 
@@ -24,10 +23,9 @@ class Task(Spec):
     """
 
     @property
-    def compiler_options(self) -> Mapping[str, str | bool]:
-        """XLA's options for the programs that train and evaluate on the task: `runtime.SHARED_KERNELS` where they pass,
-        and `runtime.no_library` unless no sum of theirs has as many axes as MJX's."""
-        return no_library()
+    def arithmetic(self) -> Arithmetic:
+        """Kind of the task's arithmetic, which chooses XLA's options: that of its `simulator`, if it has one."""
+        return getattr(self, "simulator", Physics).arithmetic
 
     def drive(self, data: Any, action: Array) -> tuple[Physics, Controller]:
         """What moves the robot through a decision: the physics, and the controller that acts at every time step.

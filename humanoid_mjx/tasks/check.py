@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from humanoid_mjx import rng
+from humanoid_mjx.compute import rng
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.tasks.base import Task
 from humanoid_mjx.tasks.continuous import ContinuousTask, State

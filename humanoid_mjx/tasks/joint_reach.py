@@ -1,14 +1,13 @@
 """Move one joint from a start angle to a goal angle in equal steps (thesis section 6.3, results 7 E to 7 G)."""
 
 import math
-from collections.abc import Mapping
 from typing import Literal
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 from pydantic import Field, model_validator
 
-from humanoid_mjx.runtime import SHARED_KERNELS
+from humanoid_mjx.compute import Arithmetic
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.finite import FiniteTask, Rules
 from humanoid_mjx.thesis import q_learning as thesis
@@ -65,8 +64,8 @@ class JointReach(FiniteTask):
         return self
 
     @property
-    def compiler_options(self) -> Mapping[str, str | bool]:
-        return SHARED_KERNELS
+    def arithmetic(self) -> Arithmetic:
+        return "scalars"
 
     @property
     def num_states(self) -> int:

@@ -6,7 +6,6 @@ joints' ranges, and each link of the leg weighs up to `model_error` more or less
 gravity keeps the leg away from a set-point that equals the goal.
 """
 
-from collections.abc import Mapping
 from functools import lru_cache
 from typing import Literal, NamedTuple
 
@@ -20,7 +19,6 @@ from humanoid_mjx.control import Control, Follow, at_rest
 from humanoid_mjx.control.laws import ComputedTorqueLaw
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.physics.base import Physics, World
-from humanoid_mjx.runtime import SHARED_KERNELS
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import ContinuousTask, State, begin
 from humanoid_mjx.thesis.leg import JOINT_NAMES
@@ -105,10 +103,6 @@ class LegReach(ContinuousTask):
     @property
     def action_choices(self) -> tuple[int, ...]:
         return (self.choices,) * JOINTS
-
-    @property
-    def compiler_options(self) -> Mapping[str, str | bool]:
-        return SHARED_KERNELS if self.physics == "chain" else super().compiler_options
 
     @property
     def simulator(self) -> Physics:

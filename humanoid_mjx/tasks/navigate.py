@@ -1,14 +1,13 @@
 """Find the shortest path on a grid among static obstacles (thesis section 6.2)."""
 
 from collections import deque
-from collections.abc import Mapping
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int, Key
 from pydantic import Field, model_validator
 
-from humanoid_mjx.runtime import SHARED_KERNELS
+from humanoid_mjx.compute import Arithmetic
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
@@ -58,8 +57,8 @@ class Navigate(FiniteTask):
         return self
 
     @property
-    def compiler_options(self) -> Mapping[str, str | bool]:
-        return SHARED_KERNELS
+    def arithmetic(self) -> Arithmetic:
+        return "scalars"
 
     @property
     def num_states(self) -> int:

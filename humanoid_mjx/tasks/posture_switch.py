@@ -6,7 +6,6 @@ step of the physics a control law, by default computed torque, drives both legs 
 opposite values (6.4). The learner knows the joints only by the encoders of the right leg.
 """
 
-from collections.abc import Mapping
 from functools import lru_cache
 from typing import Literal, NamedTuple
 
@@ -20,7 +19,6 @@ from humanoid_mjx.control import Control, Follow, Reference
 from humanoid_mjx.control.laws import ComputedTorqueLaw
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.physics.base import Physics, World
-from humanoid_mjx.runtime import SHARED_KERNELS
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.thesis import leg as leg_thesis
@@ -78,10 +76,6 @@ class PostureSwitch(FiniteTask):
     @property
     def num_actions(self) -> int:
         return 3 ** len(MOVED)
-
-    @property
-    def compiler_options(self) -> Mapping[str, str | bool]:
-        return SHARED_KERNELS if self.physics == "chain" else super().compiler_options
 
     @property
     def simulator(self) -> Physics:

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
-from humanoid_mjx.control.computed_torque import Reference
+from humanoid_mjx.control import Reference
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.physics.base import Controller, Physics, World
 from humanoid_mjx.robot import ROBOTS, robot_spec

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
-from humanoid_mjx import rng
+from humanoid_mjx.compute import Arithmetic, Program, compiler_options, rng
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.runs.evaluations import Evaluation, estimated
 from humanoid_mjx.training.plan import resolved
@@ -42,9 +42,10 @@ def play_out(trained: Trained, name: str, episodes: int) -> dict[str, np.ndarray
     """`success`, `return` and `steps` of held-out episodes, (episodes,) each, in which one of `AGENTS` decides."""
     block = min(episodes, BLOCK)
     keys = held_out_keys(-(-episodes // block) * block)
-    run, number = _program(tuple(sorted(trained.learner.compiler_options.items()))), jnp.int32(AGENTS.index(name))
+    learner = trained.learner
+    run, number = _program(learner.task.arithmetic, learner.program), jnp.int32(AGENTS.index(name))
     parts = [
-        jax.device_get(run(trained.learner, trained.policy, number, keys[first : first + block]))
+        jax.device_get(run(learner, trained.policy, number, keys[first : first + block]))
         for first in range(0, len(keys), block)
     ]
     columns = (np.concatenate(column)[:episodes] for column in zip(*parts, strict=True))
@@ -65,8 +66,10 @@ def evaluate_all(policies: Sequence[Trained], episodes: int) -> list[Evaluation]
 
 
 @lru_cache
-def _program(options: tuple[tuple[str, str | bool], ...]) -> Callable[..., Episode]:
+def _program(arithmetic: Arithmetic, program: Program) -> Callable[..., Episode]:
     def episode(learner: Learner, policy: Any, number: IntScalar, key: Key[Array, ""]) -> Episode:
         return rollout(learner.env, agent(learner, policy, number), key)
 
-    return jax.jit(jax.vmap(episode, in_axes=(None, None, None, 0)), compiler_options=dict(options))
+    return jax.jit(
+        jax.vmap(episode, in_axes=(None, None, None, 0)), compiler_options=compiler_options(arithmetic, program)
+    )

@@ -19,13 +19,14 @@ from jax.experimental import pallas as pl
 from jax.experimental.pallas import triton as gpu
 from jaxtyping import Array
 
-from humanoid_mjx import rng, runtime
-from humanoid_mjx.assembly import assembly
+from humanoid_mjx import compute
+from humanoid_mjx.compute import rng
+from humanoid_mjx.compute.kernels.assembly import assembly
+from humanoid_mjx.compute.kernels.elementwise import Elementwise, NotElementwise, kept_in_common
+from humanoid_mjx.compute.kernels.table_memory import DeviceMemory, Record, SharedMemory
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.tabular import TabularQ
-from humanoid_mjx.training.elementwise import Elementwise, NotElementwise, kept_in_common
 from humanoid_mjx.training.program import Training, record_entry
-from humanoid_mjx.training.table_memory import DeviceMemory, Record, SharedMemory
 from humanoid_mjx.types import IntScalar
 
 SHARED_BYTES = 48 * 1024
@@ -54,7 +55,7 @@ def why_not(learner: Learner) -> str | None:
         return "several agents feed one table"
     if learner.evaluations > 1:
         return "tables are kept along the way, for evaluation"
-    if reason := runtime.why_no_kernel():
+    if reason := compute.why_no_kernel():
         return reason
     try:
         functions(one_of(learner) if all(map(np.ndim, jax.tree.leaves(learner))) else learner)

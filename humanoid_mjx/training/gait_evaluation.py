@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
+from humanoid_mjx.compute import Arithmetic, compiler_options
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.physics.base import World
 from humanoid_mjx.runs.gaits import Gait, summarised
@@ -140,8 +141,7 @@ def play_gaits(
     side_by_side = len(chosen) * len(scenarios)
     block = min(episodes, max(_worlds(task) // side_by_side, 1))
     keys = held_out_keys(-(-episodes // block) * block)
-    options = tuple(sorted(task.compiler_options.items()))
-    run, decisions = _program(options), jnp.int32(round(seconds / task.period))
+    run, decisions = _program(task.arithmetic), jnp.int32(round(seconds / task.period))
     parts = []
     for first in range(0, len(keys), block):
         parts.append(jax.device_get(run(learner, policies, numbers, commands, keys[first : first + block], decisions)))
@@ -168,7 +168,7 @@ def _worlds(task: LeggedTask) -> int:
 
 
 @lru_cache
-def _program(options: tuple[tuple[str, str | bool], ...]) -> Callable[..., dict[str, Array]]:
+def _program(arithmetic: Arithmetic) -> Callable[..., dict[str, Array]]:
     """(learner, policies, agents' numbers, commands, keys, decisions) -> figures by name, (agents, commands, keys)."""
 
     def run(
@@ -200,7 +200,7 @@ def _program(options: tuple[tuple[str, str | bool], ...]) -> Callable[..., dict[
         _, loop = jax.lax.while_loop(running, step, (jnp.int32(0), loop))
         return over_all(end)(*args, loop)
 
-    return jax.jit(run, compiler_options=dict(options))
+    return jax.jit(run, compiler_options=compiler_options(arithmetic))
 
 
 def _begin(learner: Learner, key: Key[Array, ""]) -> _Loop:

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 from jax.extend import core
 
-from humanoid_mjx import runtime
+from humanoid_mjx import compute
 from humanoid_mjx.learners.base import WholeRunLearner
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.plan import Group
@@ -109,4 +109,4 @@ def _free_memory(device: Device) -> int:
     stats = device.memory_stats()
     if stats and "bytes_limit" in stats:
         return stats["bytes_limit"] - stats["bytes_in_use"]
-    return runtime.available_memory()
+    return compute.available_memory()

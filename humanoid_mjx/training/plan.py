@@ -11,9 +11,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from humanoid_mjx import rng
-from humanoid_mjx.axes import sweep_points
+from humanoid_mjx import compute
+from humanoid_mjx.compute import rng
 from humanoid_mjx.config import Config
+from humanoid_mjx.config.axes import sweep_points
 from humanoid_mjx.learners import Learner, learner_class, make_learner
 from humanoid_mjx.runs.tables import Labels
 from humanoid_mjx.spec import InputError, Spec, modules_in
@@ -125,6 +126,8 @@ def make_plan(config: Config) -> Plan:
     Raises:
       InputError: a task, learner or sweep that the config asks for cannot be.
     """
+    if "mjx-jax" in config.physics:
+        compute.make_room()
     try:
         build(config, {})
         points = sweep_points(config.sweep, config.seed) if config.sweep else [{}]

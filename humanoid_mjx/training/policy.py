@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx.config import Config, apply_override, parse
-from humanoid_mjx.data import folder, names, whole_file
+from humanoid_mjx.files import folder, names, whole_file
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.runs.archive import DAMAGE, read_archive
 from humanoid_mjx.runs.folder import elsewhere, read_config, read_provenance

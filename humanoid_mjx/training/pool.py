@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import PartitionSpec
 
-from humanoid_mjx import runtime
+from humanoid_mjx import compute
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.beside import beside
@@ -257,7 +257,7 @@ def _shape(leaf: jax.Array) -> jax.ShapeDtypeStruct:
 
 def _compile_after(other: "Future[Any]", trace: Callable[[], Any]) -> Callable[..., Any]:
     lowered = trace()
-    if runtime.cores() <= CORES_OF_A_COMPILER:
+    if compute.cores() <= CORES_OF_A_COMPILER:
         other.exception()  # waits
     return lowered.compile()
 

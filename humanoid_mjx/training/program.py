@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
-from humanoid_mjx import rng
-from humanoid_mjx.indexing import add_at
+from humanoid_mjx.compute import rng
+from humanoid_mjx.compute.indexing import add_at
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.base import Outcome, WholeRunLearner
 from humanoid_mjx.training.rollout import greedy, mean_scores
@@ -92,7 +92,7 @@ def _row(tree: Any) -> list[Array]:
     """A pytree as one vector, or one for each type of number in it.
 
     Rows of snapshots are written at once. One write for each leaf takes longer, and XLA would compute writes of equal
-    shapes in one kernel, on which it aborts (`runtime.SHARED_KERNELS`).
+    shapes in one kernel, on which it aborts (`compute.options.XLA_FLAGS`).
     """
     leaves = jax.tree.leaves(tree)
     return [jnp.concatenate([x.reshape(-1) for x in leaves if x.dtype == kind]) for kind in _kinds(leaves)]

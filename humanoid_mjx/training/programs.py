@@ -11,7 +11,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec, SingleDeviceSharding
 from jaxtyping import Array, Bool
 
-from humanoid_mjx import runtime
+from humanoid_mjx import compute
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.base import ENVS
 from humanoid_mjx.training.program import Progress, Training, advance, begin, finish, progress_of, run_key
@@ -92,7 +92,7 @@ def programs_of(learners: Learner, devices: Sequence[Device], share: int = 1) ->
     On a GPU tables that the kernel of `training.fused` can train are trained by it.
     """
     alone = len(devices) == 1
-    options = learners.compiler_options if alone else runtime.on_every_device(learners.compiler_options)
+    options = compute.compiler_options(learners.task.arithmetic, learners.program, every_device=not alone)
     fused = False
     if jax.default_backend() == "gpu":
         from humanoid_mjx.training.fused import why_not  # whose import takes time that all others save

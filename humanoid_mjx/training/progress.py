@@ -4,7 +4,6 @@ then."""
 import os
 import sys
 import time
-from collections import deque
 from datetime import timedelta
 from types import TracebackType
 
@@ -12,10 +11,9 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskProgressColumn, TextColumn
 from rich.text import Text
 
-LINE_EVERY_S = 10.0
+from humanoid_mjx.training.pace import Pace
 
-RECENT_LOOKS = 100
-"""Number of looks, ten a second, over which the rate shown is taken: the recent past."""
+LINE_EVERY_S = 10.0
 
 UNKNOWN = "-:--:--"
 """In the place of a time that is not known."""
@@ -71,8 +69,7 @@ class Bar(Reporter):
         self.console, self.total, self.unit = console, 1.0, ""
         self._text, self._done, self._length = "starting", 0.0, 0.0
         self._began = self._last_line = time.monotonic()
-        self._seen: deque[tuple[float, float]] = deque([(self._began, 0.0)], maxlen=RECENT_LOOKS)
-        self._speed = 0.0
+        self._pace = Pace()
         self._left: float | None = None
         self._programs = 0
         self._stood, self._looked = 0.0, self._began
@@ -128,18 +125,15 @@ class Bar(Reporter):
 
     def update(self, done: float, success: float | None = None, mean_return: float | None = None) -> None:
         now = time.monotonic()
-        if done > self._done:
-            if not self._done:
-                self._seen.clear()  # what comes before the first progress is compiling
-                self._standing = self._stood * self._programs
-                self._ready = now + self._stood  # it takes about as long
-            self._seen.append((now, done))
-        self._done = done
-        (first, at_first), (last, at_last) = self._seen[0], self._seen[-1]
-        self._speed = (at_last - at_first) / (last - first) if last - first > 0.5 else 0.0
-        rate = f"{self._speed:,.0f} {self.unit}/s" if self._speed else ""
-        if self._speed and self._length and self.unit == "steps":
-            rate += f"  {self._speed / self._length:,.0f} episodes/s"
+        if not self._done and self._text == "training":
+            self._pace.look(now, 0.0)  # what is done while nothing trains yet is an earlier session's
+        if self._pace.look(now, done):
+            self._standing = self._stood * self._programs
+            self._ready = now + self._stood  # it takes about as long
+        self._done, speed = done, self._pace.recent
+        rate = f"{speed:,.0f} {self.unit}/s" if speed else ""
+        if speed and self._length and self.unit == "steps":
+            rate += f"  {speed / self._length:,.0f} episodes/s"
         if success is not None:
             rate += f"  success {success:.0%}  return {mean_return:.3g}"
         self._bar.update(self._task, completed=done, rate=rate, left=self._time_left())
@@ -149,8 +143,8 @@ class Bar(Reporter):
     def _time_left(self) -> str:
         """The time until training is over, or dashes where it is not known."""
         training = self._left
-        if training is None and self._speed:
-            training = (self.total - self._done) / self._speed
+        if training is None and (speed := self._pace.recent):
+            training = (self.total - self._done) / speed
         if not self._done or training is None:
             return UNKNOWN
         seconds = max(training, self._ready - time.monotonic()) + max(self._standing - self._stood, 0.0)

@@ -13,20 +13,20 @@ from typing import Any
 import jax
 import numpy as np
 
-from humanoid_mjx import runtime
+from humanoid_mjx import compute
+from humanoid_mjx.compute.processes import Processes
 from humanoid_mjx.learners.base import WholeRunLearner
-from humanoid_mjx.processes import Processes
 from humanoid_mjx.runs.folder import RunFolder, damaged, diverged_name, pools, read_arrays, read_provenance
 from humanoid_mjx.runs.tables import finished_runs, write_tables
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.arrangement import arranged
 from humanoid_mjx.training.events import EventFiles
 from humanoid_mjx.training.memory import training_bytes
+from humanoid_mjx.training.pace import Pace
 from humanoid_mjx.training.plan import Group, Plan
 from humanoid_mjx.training.pool import Pool
 from humanoid_mjx.training.progress import COMPILING, Reporter
 from humanoid_mjx.training.remaining import Remaining
-from humanoid_mjx.training.speed import Speed
 from humanoid_mjx.training.whole_runs import WholeRuns
 from humanoid_mjx.types import Device
 
@@ -64,9 +64,9 @@ class Session:
         self.earlier = read_provenance(folder.path)
         self.began = self.tables_due = time.monotonic()
         self.started = datetime.now(UTC).isoformat(timespec="seconds")
-        self.made_by = runtime.made_by()
+        self.made_by = compute.made_by()
         self.compile_s = self.shown = 0.0
-        self.speed = Speed()
+        self.pace = Pace()
         self.tables_are_old = True
         self.lock, self.stop = threading.Lock(), threading.Event()
 
@@ -89,13 +89,13 @@ class Session:
             try:
                 self._train_side_by_side(index, waiting, size, devices, share, policies)
             except Exception as error:
-                if not runtime.out_of_memory(error):
+                if not compute.out_of_memory(error):
                     raise
                 self._too_large(group, size, slots)
                 self.interrupted = self._under_way()
             gc.collect()  # the arrays of a pool that failed; its error's frames held them
             size //= 2
-            self.speed.pause()
+            self.pace.pause()
 
     def _too_large(self, group: Group, size: int, slots: int) -> None:
         """Say that the memory does not suffice for so many runs side by side.
@@ -116,7 +116,7 @@ class Session:
         """Train the waiting runs of a group, `size` at once on each of the devices, or on each `share` of them."""
         group = self.plan.groups[index]
         self.stop.clear()
-        with runtime.counting_compiles() as compiles:
+        with compute.counting_compiles() as compiles:
             common = self.plan.config.seed, policies
             if isinstance(group.learners, WholeRunLearner):
                 pool = WholeRuns(group, waiting, devices[0], *common, self.stop)
@@ -154,9 +154,9 @@ class Session:
         if self.processes.count > 1:
             self.reporter.phase("waiting for the other processes")
             self.tables_are_old = True
-        words = self.processes.collect("trained", str(self.speed.mean))
+        words = self.processes.collect("trained", str(self.pace.mean))
         if self.processes.index == 0:
-            self.speed.elsewhere = sum(map(float, words[1:]))
+            self.pace.elsewhere = sum(map(float, words[1:]))
             for path in pools(self.folder.path):
                 path.unlink()
 
@@ -243,7 +243,7 @@ class Session:
             success, mean_return, length = map(float, known.mean(axis=0)) if len(known) else (None, None, None)
             # Runs that were harvested are for a moment neither under way nor stored.
             self.shown = max(self.shown, (len(self.finished) + under_way) * self.plan.budget)
-            self.speed.look(now, self.shown)
+            self.pace.look(now, self.shown)
             whole = isinstance(pool.group.learners, WholeRunLearner)  # each of its runs compiles anew
             if not whole and self.remaining.look(now - self.stood, pool.slots, pool.progress):
                 waiting = len(self.mine) - len(self.finished) - int(busy.sum())
@@ -266,7 +266,7 @@ class Session:
             "started": self.started,
             "wall_s": round(start - self.began, 3),
             "compile_s": round(self.compile_s, 3),
-        } | self.speed.rates(self.plan, self.folder.path)
+        } | self.pace.rates(self.plan, self.folder.path)
         sessions = [*self.earlier.get("sessions", []), session]
         provenance = {
             **self.made_by,
@@ -279,7 +279,7 @@ class Session:
             "started": sessions[0]["started"],
             "wall_s": round(sum(each["wall_s"] for each in sessions), 3),
             "compile_s": round(sum(each["compile_s"] for each in sessions), 3),
-            **self.speed.rates(self.plan, self.folder.path),
+            **self.pace.rates(self.plan, self.folder.path),
             "sessions": sessions,
         }
         self.folder.write_json("provenance.json", provenance)

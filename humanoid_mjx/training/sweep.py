@@ -8,9 +8,9 @@ from typing import Any
 import jax
 import numpy as np
 
-from humanoid_mjx import runtime
+from humanoid_mjx import compute
+from humanoid_mjx.compute.processes import Processes
 from humanoid_mjx.config import Config, load, parse
-from humanoid_mjx.processes import Processes
 from humanoid_mjx.runs.folder import RunFolder, fresh_path, latest_path, read_config
 from humanoid_mjx.runs.tables import read_table
 from humanoid_mjx.spec import InputError
@@ -83,7 +83,7 @@ def sweep(
     elif isinstance(config, Mapping):
         config = parse(dict(config))
     plan = make_plan(config)
-    runtime.reserve_memory()
+    compute.reserve_memory()
     room = pool_size and pool_size * jax.local_device_count()
     rooms = [room or runs_that_fit(group) for group in plan.groups]
     policies = [earlier_policies(group) for group in plan.groups]

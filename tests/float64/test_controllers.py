@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from humanoid_mjx import control, dynamics
-from humanoid_mjx.control.actuator import Motor, through_motors
+from humanoid_mjx.control.actuator import Motor
 from humanoid_mjx.control.gains import poles
 from humanoid_mjx.mechanics.trajectories import thesis_quintics
 from humanoid_mjx.robot.leg import Leg
@@ -17,15 +17,25 @@ from humanoid_mjx.thesis import leg as thesis
 KP, KD = np.array(thesis.KP), np.array(thesis.KD)
 POLES = np.asarray(poles(jnp.array(KP), jnp.array(KD)))
 START, GOAL = np.array([0.6, -0.3, 0.2, 0.9, -0.4]), np.array([-0.3, 0.4, 0.5, 0.2, 0.3])
+
+
+def partitioned_pd(model, kp, kd, goal, qpos, qvel):
+    return dynamics.joint_inertias(model, qpos) * control.servo(kp, kd, goal, qpos, qvel)
+
+
+def computed_torque(model, kp, kd, goal, qpos, qvel):
+    return dynamics.inverse_dynamics(model, qpos, qvel, control.servo(kp, kd, goal, qpos, qvel))
+
+
 LAWS = {
-    "pd": lambda leg, kp, kd: partial(control.pd, control.PD(0.002 * kp, 0.002 * kd)),
-    "partitioned pd": lambda leg, kp, kd: partial(control.partitioned_pd, control.PartitionedPD(leg, kp, kd)),
-    "computed torque": lambda leg, kp, kd: partial(control.computed_torque, control.ComputedTorque(leg, kp, kd)),
+    "pd": lambda model, kp, kd, *state: control.pd(0.002 * kp, 0.002 * kd, *state),
+    "partitioned pd": partitioned_pd,
+    "computed torque": computed_torque,
 }
 
 
 def resting(goal=GOAL):
-    return control.Reference(jnp.array(goal), jnp.zeros(5), jnp.zeros(5))
+    return control.at_rest(jnp.array(goal))
 
 
 def in_steps_of(lengths, seconds, simulate):
@@ -40,10 +50,9 @@ def in_steps_of(lengths, seconds, simulate):
 def regulate():
     """(steps, 5) Errors of exact computed torque on its way to rest, by steps of 0.4 and of 0.2 ms."""
     leg = Leg.physical()
-    params = control.ComputedTorque.build(leg, KP, KD)
 
     def controller(time, qpos, qvel):
-        return control.computed_torque(params, resting(), qpos, qvel)
+        return computed_torque(leg, KP, KD, resting(), qpos, qvel)
 
     def errors(dt, steps):
         return GOAL - dynamics.rollout(leg, jnp.array(START), jnp.zeros(5), controller, dt, steps)[1].qpos
@@ -56,10 +65,9 @@ def follow():
     """(steps, 5) Errors of exact computed torque along the thesis's trajectories, from q = 0, by steps of 0.4, 0.2 and
     0.1 ms."""
     leg, planned = Leg.thesis(), thesis_quintics()
-    params = control.ComputedTorque.build(leg, KP, KD)
 
     def controller(time, qpos, qvel):
-        return control.computed_torque(params, control.Reference(*planned.at(time)), qpos, qvel)
+        return computed_torque(leg, KP, KD, control.Reference(*planned.at(time)), qpos, qvel)
 
     def errors(dt, steps):
         states = dynamics.rollout(leg, jnp.zeros(5), jnp.zeros(5), controller, dt, steps)[1]
@@ -120,11 +128,10 @@ def fleet(number):
 
 def simulate_one(law, kp, kd, payload, error, cycle):
     leg = Leg.physical()
-    act = LAWS[law](leg.scaled(error), kp, kd)
     plant = leg.carrying(payload)
 
     def controller(time, qpos, qvel):
-        return act(resting(), qpos, qvel)
+        return LAWS[law](leg.scaled(error), kp, kd, resting(), qpos, qvel)
 
     return dynamics.rollout(plant, jnp.array(START), jnp.zeros(5), controller, 1e-3, 200, cycle=cycle)[0]
 
@@ -145,13 +152,11 @@ def test_a_lost_or_saturated_robot_changes_no_bit_of_another():
     leg = Leg.physical()
 
     def simulate(kp, kd, payload, error, cycle, volts):
-        params = control.ComputedTorque(leg.scaled(error), kp, kd)
         limited = Motor(motor.torque_constant, motor.resistance, motor.gear_ratio, 0.0, 0.0, volts)
 
-        def controller(time, qpos, qvel):
-            return control.computed_torque(params, resting(), qpos, qvel)
+        def actuated(time, qpos, qvel):
+            return limited.actuate(computed_torque(leg.scaled(error), kp, kd, resting(), qpos, qvel), qvel).torque
 
-        actuated = through_motors(limited, controller)
         return dynamics.rollout(
             leg.carrying(payload), jnp.array(START), jnp.zeros(5), actuated, 1e-3, 200, cycle=cycle
         )[0]
@@ -170,11 +175,10 @@ def test_a_lost_or_saturated_robot_changes_no_bit_of_another():
 @cache
 def by_hand():
     """A controller and a step, each a program of its own."""
-    params = control.ComputedTorque.build(Leg.physical(), KP, KD)
 
     def controller(time, qpos, qvel):
         goal = control.Reference(jnp.array(GOAL) * time, jnp.array(GOAL), jnp.zeros(5))
-        return control.computed_torque(params, goal, qpos, qvel)
+        return computed_torque(Leg.physical(), KP, KD, goal, qpos, qvel)
 
     return jax.jit(controller), jax.jit(dynamics.semi_implicit_euler)
 
@@ -200,18 +204,20 @@ def test_motors_in_a_rollout_conserve_power():
     """What they draw is heat, friction and the leg's energy, to the first order of the step."""
     leg, seconds = Leg.physical(), 0.1
     motor = Motor.build(0.02, 1.5, gear_ratio=30.0, friction=1e-7, max_voltage=6.0)
-    params = control.ComputedTorque.build(leg, 4.0 * KP, KD)
 
-    def ask(time, qpos, qvel):
-        return control.computed_torque(params, resting(10 * GOAL), qpos, qvel)
+    def drive(qpos, qvel):
+        return motor.actuate(computed_torque(leg, 4.0 * KP, KD, resting(10 * GOAL), qpos, qvel), qvel)
+
+    def actuated(time, qpos, qvel):
+        return drive(qpos, qvel).torque
 
     def simulate(dt, steps):
         """The states before each step and after it, with the energy, J, and the drives."""
         start = dynamics.State(jnp.array(START), jnp.zeros(5))
-        _, after = dynamics.rollout(leg, *start, through_motors(motor, ask), dt, steps)
+        _, after = dynamics.rollout(leg, *start, actuated, dt, steps)
         before = jax.tree.map(lambda first, later: jnp.concatenate([first[None], later[:-1]]), start, after)
         energy = jax.vmap(partial(dynamics.energy, leg))
-        return before, energy(*before), energy(*after), jax.vmap(lambda q, v: motor.actuate(ask(0.0, q, v), v))(*before)
+        return before, energy(*before), energy(*after), jax.vmap(drive)(*before)
 
     lost, lengths = [], (2e-4, 1e-4)
     for dt, (before, had, has, drives) in zip(lengths, in_steps_of(lengths, seconds, simulate), strict=True):
@@ -236,10 +242,10 @@ def test_a_payload_pulls_with_its_weight():
 
 def test_a_stiff_servo_acts_through_the_step():
     """It converges to the motion of fine steps, and goes on where a held torque is lost."""
-    leg, servo = Leg.matlab_script(), control.PD.build(5, 0.02 * KP, 0.02 * KD)
+    leg, gains = Leg.matlab_script(), (0.02 * KP, 0.02 * KD)
 
     def controller(time, qpos, qvel):
-        return control.pd(servo, resting(), qpos, qvel)
+        return control.pd(*gains, resting(), qpos, qvel)
 
     def final(integrator, *lengths):
         """(len(lengths), 5) Where it is after 0.1 s."""
@@ -250,7 +256,7 @@ def test_a_stiff_servo_acts_through_the_step():
         return np.array([qpos[-1] for qpos in in_steps_of(lengths, 0.1, simulate)])
 
     (fine,) = final(dynamics.runge_kutta, 2e-5)
-    coarse, half, rough = np.abs(final(control.implicit_euler(servo), 8e-4, 4e-4, 1e-2) - fine).max(axis=1)
+    coarse, half, rough = np.abs(final(control.implicit_euler(*gains), 8e-4, 4e-4, 1e-2) - fine).max(axis=1)
     assert np.log2(coarse / half) == pytest.approx(1.0, abs=0.2)
     assert rough < 0.1
     assert not (np.abs(final(dynamics.semi_implicit_euler, 1e-2)) < 10).all()
@@ -258,10 +264,10 @@ def test_a_stiff_servo_acts_through_the_step():
 
 def test_an_analog_controller_acts_in_every_stage():
     """Of the Runge-Kutta method, whose fourth order a torque held over the step would spoil."""
-    leg, servo = Leg.matlab_script(), control.PD.build(5, 0.02, 0.002)
+    leg = Leg.matlab_script()
 
     def controller(time, qpos, qvel):
-        return control.pd(servo, resting(), qpos, qvel) + 0.01 * jnp.sin(5.0 * time)
+        return control.pd(0.02, 0.002, resting(), qpos, qvel) + 0.01 * jnp.sin(5.0 * time)
 
     def final(*lengths, cycle=None):
         """(len(lengths), 5) Where it is after 0.2 s."""

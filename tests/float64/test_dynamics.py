@@ -6,13 +6,14 @@ from pathlib import Path
 
 import jax
 import jax.numpy as jnp
+import lagrange_euler
 import mujoco
 import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from humanoid_mjx import runtime
-from humanoid_mjx.mechanics import dynamics, lagrange_euler
+from humanoid_mjx import compute
+from humanoid_mjx.mechanics import dynamics
 from humanoid_mjx.robot.chain import Chain
 from humanoid_mjx.robot.leg import ALONG_THE_LEG, AS_PRINTED, Leg
 from humanoid_mjx.robot.mjcf import make_mjspec
@@ -179,7 +180,7 @@ def test_a_rollout_is_mujocos():
         return torques[jnp.round(time / 0.002).astype(int)]
 
     simulate = partial(dynamics.rollout, leg, controller=controller, dt=0.002, steps=100)
-    final, states = jax.jit(simulate, compiler_options=runtime.SHARED_KERNELS)(*start)
+    final, states = jax.jit(simulate, compiler_options=compute.compiler_options("scalars"))(*start)
     model = make_mjspec(leg, 0.002).compile()
     data = mujoco.MjData(model)
     data.qpos[:] = start[0]

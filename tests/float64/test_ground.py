@@ -1,6 +1,7 @@
 """Contacts of the feet against MuJoCo's own, and inverse dynamics within them against slow projections."""
 
 from functools import cache, partial
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from humanoid_mjx.control import GroundControl, Reference, grounded_torque
+from humanoid_mjx.control import at_rest, grounded_torque, make_law
 from humanoid_mjx.control.gains import poles
 from humanoid_mjx.control.ground import constrained_dynamics, eliminate
 from humanoid_mjx.physics import make_physics
@@ -121,11 +122,8 @@ def test_joints_accelerate_as_wanted_where_contacts_let_them(touching):
     torque brings about the one wanted."""
     seen = look(FREE, *random_state(0))
     contacts = seen["contacts"]._replace(touching=jnp.array([int(c) for c in touching], bool))
-    params = GroundControl.build(10, KP, KD, share=0.0)
-    rng = np.random.default_rng(2)
-    qpos, qvel, wanted = (jnp.array(rng.normal(size=10)) for _ in range(3))
-    reference = Reference(qpos, qvel, wanted)
-    torque = grounded_torque(params, reference, qpos, qvel, seen["matrix"], seen["bias"], contacts)
+    held, wanted = jnp.array(np.random.default_rng(2).normal(size=(2, 10)))
+    torque = grounded_torque(wanted, held, 0.0, seen["matrix"], seen["bias"], contacts)
     mobility, drift = constrained_dynamics(seen["matrix"], seen["bias"], contacts)
     np.testing.assert_allclose((mobility[:, 6:] @ torque + drift)[6:], wanted, atol=1e-6)
 
@@ -134,31 +132,28 @@ def test_gains_are_data():
     """A batch of gains and shares gives what each gives alone."""
     seen = look(FREE, *random_state(0))
     scale = jnp.array([0.5, 1.0, 2.0])
-    params = jax.vmap(lambda x: jax.tree.map(lambda leaf: x * leaf, GroundControl.build(10)))(scale)
-    still = Reference(*jnp.zeros((3, 10)))
-
-    def act(params):
-        state = still, 0.1 * jnp.ones(10), jnp.ones(10)
-        return grounded_torque(params, *state, seen["matrix"], seen["bias"], seen["contacts"])
-
-    together = jax.vmap(act)(params)
+    laws = jax.vmap(lambda x: jax.tree.map(lambda leaf: x * leaf, make_law("grounded")))(scale)
+    state = SimpleNamespace(
+        qpos=jnp.full(10, 0.1),
+        qvel=jnp.ones(10),
+        model_for=lambda mass: (seen["matrix"], seen["bias"]),
+        contacts=lambda: seen["contacts"],
+    )
+    still = at_rest(jnp.zeros(10))
+    together = jax.vmap(lambda law: law(still, state))(laws)
     for i in range(3):
-        np.testing.assert_allclose(together[i], act(jax.tree.map(lambda x, i=i: x[i], params)), rtol=1e-9)
+        np.testing.assert_allclose(together[i], jax.tree.map(lambda x, i=i: x[i], laws)(still, state), rtol=1e-9)
     assert np.abs(together[2] - together[0]).min() > 1e-3
 
 
 @cache
-def regulate(dt, law, seconds=1.0):
-    """(steps, 10) Errors of the fixed body on its way to rest."""
+def regulate(dt, name, seconds=1.0):
+    """(steps, 10) Errors of the fixed body on its way to rest, under the law of this name."""
     physics = make_physics("mjx-jax", torso="fixed", ranges="human", timestep=dt)
-    params, goal = GroundControl.build(10, KP, KD, share=0.0), jnp.tile(jnp.array([0.3, 0.1, 0.2, 0.6, 0.1]), 2)
-    reference = Reference(goal, jnp.zeros(10), jnp.zeros(10))
-
-    def controller(stages):
-        if law == "model":
-            return stages.torque_for(KP * (goal - stages.qpos) - KD * stages.qvel, 1.0)
-        dynamics = stages.mass_matrix, stages.bias, stages.contacts()
-        return grounded_torque(params, reference, stages.qpos, stages.qvel, *dynamics)
+    goal = jnp.tile(jnp.array([0.3, 0.1, 0.2, 0.6, 0.1]), 2)
+    gains = {"natural_frequency": np.sqrt(KP), "damping_ratio": KD / (2 * np.sqrt(KP))}
+    law = make_law(name).replace(**gains, **({"share": 0.0} if name == "grounded" else {}))
+    controller = law.follow(at_rest(goal))
 
     def cycle(world, _):
         world, torque = physics.step(world, controller)
@@ -183,11 +178,11 @@ def measured_poles(errors, dt):
 def test_the_error_has_the_poles_of_the_gains_to_first_order():
     """E'' + Kd E' + Kp E = 0 on MJX with an exact model: within 1% at 0.2 ms."""
     expected = np.asarray(poles(jnp.array(KP), jnp.array(KD)))
-    off = [np.abs(measured_poles(regulate(dt, "model"), dt) / expected - 1).max() for dt in (4e-4, 2e-4)]
+    off = [np.abs(measured_poles(regulate(dt, "computed_torque"), dt) / expected - 1).max() for dt in (4e-4, 2e-4)]
     assert off[1] < 0.01
     assert np.log2(off[0] / off[1]) == pytest.approx(1.0, abs=0.15)
 
 
 def test_without_contacts_it_is_computed_torque():
     grounded = regulate(4e-4, "grounded", 0.1)
-    np.testing.assert_allclose(grounded, regulate(4e-4, "model")[: len(grounded)], atol=1e-9)
+    np.testing.assert_allclose(grounded, regulate(4e-4, "computed_torque")[: len(grounded)], atol=1e-9)

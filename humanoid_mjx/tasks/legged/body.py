@@ -1,6 +1,5 @@
 """The body of a legged task: the lower body in a physics, its posture, its joints' law, the values of its world."""
 
-from collections.abc import Mapping
 from functools import lru_cache
 from typing import ClassVar, Literal, NamedTuple
 
@@ -17,7 +16,6 @@ from humanoid_mjx.physics import make_physics
 from humanoid_mjx.physics.base import Controller, Physics, Sensed, World
 from humanoid_mjx.robot import lower_body
 from humanoid_mjx.robot.ranges import TORQUE_LIMIT
-from humanoid_mjx.runtime import SHARED_KERNELS, no_library
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import ContinuousTask
 from humanoid_mjx.types import FloatScalar
@@ -72,10 +70,6 @@ class LeggedBody(ContinuousTask):
     @property
     def action_choices(self) -> tuple[int, ...]:
         return (self.choices,) * JOINTS
-
-    @property
-    def compiler_options(self) -> Mapping[str, str | bool]:
-        return SHARED_KERNELS | no_library() if self.physics == "tree" else super().compiler_options
 
     @property
     def simulator(self) -> Physics:

@@ -1,4 +1,4 @@
-// What a GPU can do at best with the rules of `tabular`: a thread for each agent, its table in the shared memory of the
+// Tabular Q-learning by the rules of `bench tabular`: a thread for each agent, its table in the shared memory of the
 // block, a column for each thread so that no two threads wait for one bank. MOVES, CAP, POINTS, EPISODES and the
 // numbers of learning are given as macros. Nothing of an agent is kept but its curve and how many episodes it ended.
 

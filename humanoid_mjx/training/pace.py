@@ -1,24 +1,19 @@
-"""How fast a session trains: episodes and steps a second, without compiling."""
+"""The pace of work without compiling, and that of a session in episodes and steps a second."""
 
+from collections import deque
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pyarrow.parquet as pq
 
 from humanoid_mjx.training.plan import Plan
 
-
-class Look(NamedTuple):
-    """What is trained of a sweep at a time."""
-
-    time_s: float
-    done: float
-    """In the plan's unit: episodes, or control steps."""
+RECENT = 100
+"""Looks that saw progress, ten a second at most, over which the recent pace is taken."""
 
 
-class Speed:
-    """The work and the seconds of a session, from looks at how much is trained.
+class Pace:
+    """The work and the seconds from looks at how much is done.
 
     What comes before the first progress is compiling; `pause` says that a new program will be compiled.
     """
@@ -26,33 +21,46 @@ class Speed:
     def __init__(self) -> None:
         self.seconds = self.work = 0.0
         self.elsewhere = 0.0
-        """What other processes make a second."""
-        self._first: Look | None = None
-        self._last: Look | None = None
+        """The mean pace of other processes."""
+        self._looks: deque[tuple[float, float]] = deque(maxlen=RECENT)
         self._idle: float | None = None
-        """How much is done while nothing progresses yet."""
+        """The work done while nothing progresses yet."""
 
-    def look(self, time_s: float, done: float) -> None:
-        """Take note of how much is done, which never falls."""
+    def look(self, time_s: float, done: float) -> bool:
+        """Take note of the work done, which never falls; return whether this look sees the first progress.
+
+        Args:
+          time_s: of any clock, s.
+          done: in the unit of the work, such as episodes or control steps.
+        """
         if self._idle is None:
             self._idle = done
-        if self._first is None:
-            if done > self._idle:
-                self._first = self._last = Look(time_s, done)
-        elif self._last is not None and done > self._last.done:
-            self._last = Look(time_s, done)
+        last_s, last = self._looks[-1] if self._looks else (time_s, self._idle)
+        if done <= last:
+            return False
+        if self._looks:
+            self.seconds += time_s - last_s
+            self.work += done - last
+        self._looks.append((time_s, done))
+        return len(self._looks) == 1
 
     def pause(self) -> None:
-        """Training stands still until the next progress."""
-        if self._first is not None and self._last is not None:
-            self.seconds += self._last.time_s - self._first.time_s
-            self.work += self._last.done - self._first.done
-        self._first = self._last = self._idle = None
+        """Work stands still until the next progress."""
+        self._looks.clear()
+        self._idle = None
 
     @property
     def mean(self) -> float:
-        """What this process makes a second, in the plan's unit; 0 where training was over at the first look."""
+        """Work a second of this process; 0 where it was over at the first look."""
         return self.work / self.seconds if self.seconds else 0.0
+
+    @property
+    def recent(self) -> float:
+        """Work a second over the last looks; 0 where these are of half a second or less."""
+        if not self._looks:
+            return 0.0
+        (first_s, first), (last_s, last) = self._looks[0], self._looks[-1]
+        return (last - first) / (last_s - first_s) if last_s - first_s > 0.5 else 0.0
 
     def rates(self, plan: Plan, folder: Path) -> dict[str, float]:
         """`steps_per_s` and `episodes_per_s`, by the length of all episodes of training in the tables of `folder`;

@@ -18,8 +18,8 @@ from jax.experimental.pallas import triton as gpu
 from jax.extend.core import ClosedJaxpr
 from jaxtyping import Array, Float
 
-from humanoid_mjx.assembly import assembly
-from humanoid_mjx.mechanics.tree.threads import WORLDS, arranged, evaluate, vector
+from humanoid_mjx.compute.kernels.assembly import assembly
+from humanoid_mjx.compute.kernels.threads import WORLDS, arranged, evaluate, vector
 
 Results = Callable[[Sequence[Array]], list[Float[Array, " worlds"]]]
 """From the elements of a function's arguments to those of what it gives, each of all worlds of a block."""

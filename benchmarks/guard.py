@@ -12,11 +12,12 @@ is better. Both are timed in turn, the fastest of each counts, and what seems to
 said to have. All of it computes on the CPU. To add a ratio: a function that returns a `Pair`, and a line in `RATIOS`.
 """
 
+import argparse
 import json
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -27,13 +28,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from humanoid_mjx import runtime
+from humanoid_mjx import compute
 from humanoid_mjx.bench import ground, legs, physics, tabular
 from humanoid_mjx.bench.training import nothing_compiled
-from humanoid_mjx.data import folder
 from humanoid_mjx.mechanics.tree.solver import BLOCK
-from humanoid_mjx.spec import InputError
 from humanoid_mjx.tasks import make_task
+
+RECORD = Path(__file__).with_suffix(".json")
+"""The committed ratios."""
 
 MAY_FALL = 0.25
 """The share of its recorded value that a ratio may lose: repeats on a busy machine differ by up to .15."""
@@ -68,36 +70,14 @@ class Found(NamedTuple):
         return self.recorded is not None and self.value < (1.0 - MAY_FALL) * self.recorded
 
 
-def record_path() -> Path:
-    """The committed record."""
-    return folder("docs") / "bench" / "guard.json"
-
-
-def read_record(path: Path) -> dict[str, float]:
-    """The ratios of a record by name.
-
-    Raises:
-      InputError: it cannot be read.
-    """
-    try:
-        ratios = json.loads(path.read_text())["ratios"]
-        return {str(name): float(value) for name, value in ratios.items()}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise InputError(f"{path}: not a record of ratios; `bench guard --json FILE` writes one.") from error
-
-
-def run(
-    say: Callable[[str], None],
-    recorded: Mapping[str, float],
-    ratios: "Mapping[str, Callable[[], Pair]] | None" = None,
-) -> list[Found]:
-    """Measure every ratio beside its recorded value."""
+def run(recorded: Mapping[str, float], ratios: Mapping[str, Callable[[], Pair]]) -> list[Found]:
+    """Measure every ratio, and print it beside its recorded value."""
     found: list[Found] = []
-    for name, make in (ratios or RATIOS).items():
+    for name, make in ratios.items():
         found.append(_measured(name, make(), recorded.get(name)))
         value, before = found[-1].value, found[-1].recorded
         beside = "not in the record" if before is None else f"{value / before:5.2f} of the recorded {before:.3g}"
-        say(f"{name:12} {value:10.3g}  {beside}{'  FELL' if found[-1].fell else ''}")
+        print(f"{name:12} {value:10.3g}  {beside}{'  FELL' if found[-1].fell else ''}", flush=True)
     return found
 
 
@@ -259,7 +239,7 @@ def _lowered(traced: Callable[[], Any]) -> Any:
 def _compiled(lowered: Any) -> Any:
     with nothing_compiled():
         # Without options it would keep what it compiled, and not do it again.
-        return lowered.compile(runtime.SHARED_KERNELS)
+        return lowered.compile(compute.compiler_options("scalars"))
 
 
 def _warm(pair: Pair) -> Pair:
@@ -278,7 +258,25 @@ RATIOS: dict[str, Callable[[], Pair]] = {
 }
 
 
-def as_json(found: list[Found]) -> dict[str, Any]:
-    """What a record holds."""
-    header = runtime.made_by()
-    return header | {"ratios": {ratio.name: round(ratio.value, 4) for ratio in found}}
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure all ratios on the CPU, write them if asked to, and exit with 1 where one fell."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument(
+        "--json", type=Path, metavar="FILE", help="write the ratios; the record is benchmarks/guard.json"
+    )
+    file = parser.parse_args(arguments).json
+    compute.start()
+    jax.config.update("jax_platforms", "cpu")
+    made_by = compute.made_by()  # before the first ratio: the checkout may change meanwhile
+    recorded = json.loads(RECORD.read_text())["ratios"] if RECORD.is_file() else {}
+    found = run(recorded, RATIOS)
+    if file is not None:
+        ratios = {ratio.name: round(ratio.value, 4) for ratio in found}
+        file.write_text(json.dumps(made_by | {"ratios": ratios}, indent=2) + "\n")
+        print(file)
+    print(verdict(found))
+    sys.exit(any(ratio.fell for ratio in found))
+
+
+if __name__ == "__main__":
+    main()

@@ -18,7 +18,7 @@ from jax import lax
 from jax.extend.core import ClosedJaxpr, Literal
 from jaxtyping import Array
 
-from humanoid_mjx.primitives import CALLS, ELEMENTWISE
+from humanoid_mjx.compute.kernels.primitives import CALLS, ELEMENTWISE
 
 ARITHMETIC = ELEMENTWISE | {"atan2", "cos", "pow", "rsqrt", "sin", "tan"}
 """Primitives that act on each element alone."""

@@ -1,6 +1,7 @@
 # pyright: reportAttributeAccessIssue=false
 """A drawing of the robots: their joints at zero, each with its axis and the sense in which it turns."""
 
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +9,6 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from humanoid_mjx.report.rendering import outline
 from humanoid_mjx.report.style import COLORS, figure
 from humanoid_mjx.robot import robot_spec
 
@@ -48,7 +48,7 @@ def _draw_robot(panel: Any, name: str) -> None:
     model = robot_spec(name).compile()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    for line, color in outline(model, data):
+    for line, color in _outline(model, data):
         panel.plot(*line.T, color=color if color == COLORS[-1] else "0.45", linewidth=1.4)
     for joint, words in SENSES.items():
         index = model.joint(f"right_{joint}").id
@@ -64,6 +64,27 @@ def _draw_robot(panel: Any, name: str) -> None:
     panel.set_box_aspect((1, 1, 1), zoom=1.25)
     panel.view_init(elev=14, azim=-50)
     panel.set_axis_off()
+
+
+def _outline(model: mujoco.MjModel, data: mujoco.MjData) -> list[tuple[np.ndarray, str]]:
+    """Points and colour of each line: the right leg in one colour, the left in another."""
+
+    def color(body: int) -> str:
+        name = model.body(body).name
+        return COLORS[0] if name.startswith("right") else COLORS[1] if name.startswith("left") else COLORS[-1]
+
+    lines = []
+    for body in range(2, model.nbody):
+        parent = model.body_parentid[body]
+        lines.append((data.xpos[[parent, body]], color(body)))
+    for geom in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_BOX):
+        corners = np.array(list(product((-1, 1), repeat=3)))
+        rotation = data.geom_xmat[geom].reshape(3, 3)
+        places = data.geom_xpos[geom] + (corners * model.geom_size[geom]) @ rotation.T
+        for a, b in combinations(range(8), 2):
+            if np.abs(corners[a] - corners[b]).sum() == 2:
+                lines.append((places[[a, b]], color(int(model.geom_bodyid[geom]))))
+    return lines
 
 
 def _draw_axis(panel: Any, place: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"], color: str, label: str) -> None:

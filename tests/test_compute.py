@@ -10,7 +10,8 @@ import jax
 import numpy as np
 import pytest
 
-from humanoid_mjx import make_task, runtime
+from humanoid_mjx import compute, make_task
+from humanoid_mjx.compute import options, settings
 from humanoid_mjx.config import load, parse
 from humanoid_mjx.tasks.base import Task
 from humanoid_mjx.training.plan import make_plan
@@ -18,8 +19,8 @@ from humanoid_mjx.training.pool import Pool
 
 SOLVES = """
 import faulthandler, sys, threading
-from humanoid_mjx import runtime
-runtime.start(*sys.argv[2:])
+from humanoid_mjx import compute
+compute.start(mjx=True)
 import jax, jax.numpy as jnp
 faulthandler.dump_traceback_later(60, exit=True)
 systems = int(sys.argv[1])
@@ -41,15 +42,15 @@ def test_programs_that_solve_many_systems_do_not_wait_for_each_other_forever(dev
     """They do with `PJRT_NPROC` of 2, which is the default on two cores."""
     environment = os.environ | {"JAX_NUM_CPU_DEVICES": str(devices)}
     environment.pop("PJRT_NPROC", None)
-    command = [sys.executable, "-c", SOLVES, str(systems), "task.physics=mjx-jax"]
+    command = [sys.executable, "-c", SOLVES, str(systems)]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
 
 
 LATE = """
-from humanoid_mjx import runtime
+from humanoid_mjx import compute
 from humanoid_mjx.physics import make_physics
-runtime.start()
+compute.start()
 import jax
 jax.devices()
 make_physics("mjx-jax", robot="legs", torso="fixed")
@@ -62,7 +63,7 @@ def test_mjx_that_comes_too_late_for_its_threads_is_refused_in_a_sentence():
     command = [sys.executable, "-c", LATE]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
     assert "InputError: physics: MJX could wait forever" in done.stderr, done
-    environment["PJRT_NPROC"] = runtime.POOL_THREADS
+    environment["PJRT_NPROC"] = compute.POOL_THREADS
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
 
@@ -71,23 +72,26 @@ def test_mjx_that_comes_too_late_for_its_threads_is_refused_in_a_sentence():
     ("overrides", "threads"),
     [
         ((), None),
-        (("task.physics=mjx-jax",), runtime.POOL_THREADS),
-        (("sweep.axes.task.physics=[chain, mjx-jax]",), runtime.POOL_THREADS),
+        (("name=mjx-jax",), None),
+        (("task.physics=mjx-jax",), compute.POOL_THREADS),
+        (("sweep.axes.task.physics=[chain, mjx-jax]",), compute.POOL_THREADS),
     ],
 )
-def test_a_config_with_mjx_anywhere_makes_room_for_it_and_no_other_does(monkeypatch, overrides, threads):
+def test_the_plan_of_a_config_with_mjx_makes_room_for_it_and_no_other_does(monkeypatch, overrides, threads):
     monkeypatch.delenv("PJRT_NPROC")
-    monkeypatch.setattr(runtime, "_computes", lambda: False)
-    load("leg_reach", overrides)
+    monkeypatch.setattr(settings, "_computes", lambda: False)
+    config = load("leg_reach", overrides)
+    assert "PJRT_NPROC" not in os.environ  # reading a config changes nothing in the process
+    make_plan(config)
     assert os.environ.get("PJRT_NPROC") == threads
 
 
 SUMS = """
-from humanoid_mjx import runtime
-runtime.start()
+from humanoid_mjx import compute
+compute.start()
 import jax, jax.numpy as jnp
 shape = 3, 1, 2, 2, 8, 8, 8
-multiplied = jax.jit(lambda a, b: jnp.sum(a * b, axis=3), compiler_options=runtime.no_library())
+multiplied = jax.jit(lambda a, b: jnp.sum(a * b, axis=3), compiler_options=compute.compiler_options("arrays"))
 print(multiplied(jnp.ones(shape), jnp.full(shape, 2.0)).max())
 """
 
@@ -95,18 +99,20 @@ print(multiplied(jnp.ones(shape), jnp.full(shape, 2.0)).max())
 def test_sums_over_arrays_of_seven_axes_do_not_crash():
     """They do where XLA hands them to YNNPACK, which it does in no program of a task on MJX or of a user's own."""
     on_mjx = [make_task("stand", physics="mjx-jax"), make_task("posture_switch", physics="mjx-jax"), Task()]
-    assert all(task.compiler_options == runtime.no_library() != {} for task in on_mjx)
+    assert {task.arithmetic for task in on_mjx} == {
+        "arrays"
+    } and "xla_cpu_experimental_ynn_fusion_type" in compute.compiler_options("arrays")
     environment = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
     done = subprocess.run([sys.executable, "-c", SUMS], env=environment, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0 and done.stdout.strip() == "4.0", done
 
 
 def test_flags_that_the_environment_sets_are_kept():
-    program = "import os; from humanoid_mjx import runtime; runtime.start(); print(os.environ['XLA_FLAGS'])"
+    program = "import os; from humanoid_mjx import start; start(); print(os.environ['XLA_FLAGS'])"
     for given, kept in (
-        ("", runtime.XLA_FLAGS),
+        ("", compute.XLA_FLAGS),
         ("--xla_disable_hlo_passes=dce", "--xla_disable_hlo_passes=dce"),
-        ("--xla_cpu_enable_fast_math=false", f"--xla_cpu_enable_fast_math=false {runtime.XLA_FLAGS}"),
+        ("--xla_cpu_enable_fast_math=false", f"--xla_cpu_enable_fast_math=false {compute.XLA_FLAGS}"),
     ):
         environment = os.environ | {"XLA_FLAGS": given, "JAX_PLATFORMS": "cpu"}
         done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
@@ -128,19 +134,19 @@ def test_a_gpu_is_told_by_its_plugin_its_device_and_what_is_asked_for(
 ):
     (tmp_path / device).touch()
     monkeypatch.setenv("JAX_PLATFORMS", platforms)
-    monkeypatch.setattr(runtime, "entry_points", lambda group: [SimpleNamespace(name=plugin)])
-    monkeypatch.setattr(runtime, "Path", lambda _: tmp_path)
-    assert runtime._nvidia() == found
+    monkeypatch.setattr(settings, "entry_points", lambda group: [SimpleNamespace(name=plugin)])
+    monkeypatch.setattr(settings, "Path", lambda _: tmp_path)
+    assert settings._nvidia() == found
 
 
 def test_where_there_is_a_gpu_xla_looks_for_no_vectors_and_takes_both_options():
     program = (
-        "import os; from humanoid_mjx import runtime; runtime._nvidia = lambda: True; runtime.start(); "
+        "import os; from humanoid_mjx.compute import settings; settings._nvidia = lambda: True; settings.start(); "
         "import jax; print(jax.jit(lambda x: x + 1)(1), os.environ['XLA_FLAGS'])"
     )
     environment = os.environ | {"XLA_FLAGS": "", "JAX_PLATFORMS": "cpu"}
     done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
-    assert done.stdout.strip() == f"2 {runtime.XLA_FLAGS} {runtime.NO_VECTORS}", done.stderr
+    assert done.stdout.strip() == f"2 {compute.XLA_FLAGS} {options.NO_VECTORS}", done.stderr
 
 
 def compiled(task: str) -> str:
@@ -155,26 +161,36 @@ def compiled(task: str) -> str:
 def test_short_kernels_are_graphs_on_a_gpu(monkeypatch, physics, short):
     task = {"name": "leg_reach", "physics": physics}
     (group,) = make_plan(parse({"name": "c", "task": task, "learner": {"name": "linear_q"}})).groups
-    assert "xla_gpu_graph_min_graph_size" not in group.learners.compiler_options
+    kind = group.learners.task.arithmetic, group.learners.program
+    assert "xla_gpu_graph_min_graph_size" not in compute.compiler_options(*kind)
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    options = group.learners.compiler_options
-    assert ("xla_gpu_graph_min_graph_size" in options) == short
-    jax.jit(lambda x: x + 1).lower(1).compile(dict(options))  # XLA refuses an option that it does not know
+    assert ("xla_gpu_graph_min_graph_size" in compute.compiler_options(*kind)) == short
 
 
 def test_tables_on_every_core_are_not_split_over_the_pool(monkeypatch):
     assert jax.local_device_count() > 1
     assert "outer_dimension_partitions" not in compiled("joint_reach")
-    monkeypatch.setattr(runtime, "on_every_device", dict)
+    monkeypatch.setattr(options, "SPLITTING", "dce")
     assert "outer_dimension_partitions" in compiled("navigate")
 
 
 def test_a_program_alone_may_use_every_thread(monkeypatch):
-    options = {"xla_disable_hlo_passes": "none"}
-    assert runtime.on_every_device(options) == {"xla_disable_hlo_passes": f"none,{runtime.SPLITTING}"}
-    assert runtime.on_every_device({}) == {}
+    passes = [compute.compiler_options("scalars", "tabular", every)[options.PASSES] for every in (False, True)]
+    assert passes == ["none", f"none,{options.SPLITTING}"]
+    assert options.PASSES not in compute.compiler_options("arrays", "tabular", every_device=True)
     monkeypatch.setattr(jax, "local_device_count", lambda: 1)
-    assert runtime.on_every_device(options) == options
+    assert compute.compiler_options("scalars", "tabular", every_device=True)[options.PASSES] == "none"
+
+
+def test_this_xla_knows_every_option_and_one_that_it_does_not_know_is_left_out_with_a_warning(monkeypatch, caplog):
+    assert all(options._accepted({row.name: row.value}) for row in options.TABLE)
+    new = options.Option("xla_of_the_future", "1", None, options.TABLE[0].programs)
+    monkeypatch.setattr(options, "TABLE", (*options.TABLE, new))
+    for _ in range(2):
+        assert compute.compiler_options("scalars") == {options.PASSES: "none"}
+    assert [record.getMessage() for record in caplog.records] == [
+        "This XLA does not know the option xla_of_the_future; programs may be slower."
+    ]
 
 
 @pytest.mark.parametrize(
@@ -192,5 +208,5 @@ def test_kernels_are_for_gpus_that_triton_compiles_for(monkeypatch, backend, cap
     device = SimpleNamespace() if capability is None else SimpleNamespace(compute_capability=capability)
     monkeypatch.setattr(jax, "default_backend", lambda: backend)
     monkeypatch.setattr(jax, "local_devices", lambda: [device])
-    reason = runtime.why_no_kernel()
+    reason = compute.why_no_kernel()
     assert reason is None if words is None else words in reason

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
 
-from humanoid_mjx.mechanics.tree.kernel import one_kernel
+from humanoid_mjx.compute.kernels.one_kernel import one_kernel
 
 
 @lru_cache

@@ -11,8 +11,8 @@ from typing import Any
 import pydantic
 import yaml
 
-from humanoid_mjx.axes import Sweep, shown
-from humanoid_mjx.data import folder, shipped
+from humanoid_mjx.config.axes import Sweep, shown
+from humanoid_mjx.files import folder, shipped
 from humanoid_mjx.spec import InputError, sentence
 
 TOP_LEVEL = ("episodes", "total_steps", "record", "task")
@@ -52,6 +52,12 @@ class Config(pydantic.BaseModel):
     def budget(self) -> int | None:
         """How long to train, in episodes or in control steps."""
         return self.episodes if self.episodes is not None else self.total_steps
+
+    @property
+    def physics(self) -> set[Any]:
+        """Physics that the task names at any point of the sweep; empty where it names none."""
+        swept = self.sweep.axes.get("task.physics") if self.sweep else None
+        return set(map(str, swept or filter(None, [self.task.get("physics")])))
 
     @pydantic.model_validator(mode="before")
     @classmethod
@@ -137,10 +143,6 @@ def parse(data: dict[str, Any], source: str = "config") -> Config:
     except pydantic.ValidationError as error:
         raise InputError(f"{source}: {sentence(error, '', Config)}") from error
     config._source = source
-    if "mjx-" in str(data):
-        from humanoid_mjx.runtime import make_room  # imports jax
-
-        make_room()
     return config
 
 

@@ -12,9 +12,9 @@ from rich.console import Console
 from humanoid_mjx import sweep
 from humanoid_mjx.config import parse
 from humanoid_mjx.training import progress
+from humanoid_mjx.training.pace import Pace
 from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.pool import Pool
-from humanoid_mjx.training.speed import Speed
 
 
 def plan(unit, agents=1, rules="standard"):
@@ -31,39 +31,52 @@ def folder(tmp_path):
 
 
 def looked(*looks):
-    speed = Speed()
+    pace = Pace()
     for look in looks:
-        speed.look(*look)
-    speed.pause()
-    return speed
+        pace.look(*look)
+    pace.pause()
+    return pace
 
 
 def test_the_rate_is_that_between_the_first_and_the_last_progress(folder):
-    speed = looked((0.0, 50.0), (60.0, 50.0), (61.0, 100.0), (62.0, 150.0), (63.0, 300.0), (90.0, 300.0))
-    assert speed.rates(plan("episode"), folder) == {"steps_per_s": 100.0 * 25, "episodes_per_s": 100.0}
+    pace = looked((0.0, 50.0), (60.0, 50.0), (61.0, 100.0), (62.0, 150.0), (63.0, 300.0), (90.0, 300.0))
+    assert pace.rates(plan("episode"), folder) == {"steps_per_s": 100.0 * 25, "episodes_per_s": 100.0}
     # The next program took 50 s to compile.
     for time_s, done in ((100.0, 300.0), (150.0, 400.0), (152.0, 1000.0)):
-        speed.look(time_s, done)
-    speed.pause()
-    assert speed.rates(plan("episode"), folder)["episodes_per_s"] == (200.0 + 600.0) / (2.0 + 2.0)
+        pace.look(time_s, done)
+    pace.pause()
+    assert pace.rates(plan("episode"), folder)["episodes_per_s"] == (200.0 + 600.0) / (2.0 + 2.0)
 
 
 def test_steps_are_episodes_by_the_length_of_each(folder):
-    speed = looked((0.0, 0.0), (1.0, 100.0), (2.0, 1100.0))
-    found = speed.rates(plan("step"), folder)
+    pace = looked((0.0, 0.0), (1.0, 100.0), (2.0, 1100.0))
+    found = pace.rates(plan("step"), folder)
     # As many steps make ten episodes of ten steps as 2.5 of forty.
     assert found == {"steps_per_s": 1000.0, "episodes_per_s": pytest.approx(500 / 10 + 500 / 40)}
 
 
 def test_episodes_that_feed_one_table_count_all(folder):
-    speed = looked((0.0, 0.0), (1.0, 100.0), (2.0, 110.0))
-    assert speed.rates(plan("episode", agents=16), folder)["episodes_per_s"] == 160.0
-    assert speed.rates(plan("episode", rules="printed"), folder) == {"episodes_per_s": 10.0}
+    pace = looked((0.0, 0.0), (1.0, 100.0), (2.0, 110.0))
+    assert pace.rates(plan("episode", agents=16), folder)["episodes_per_s"] == 160.0
+    assert pace.rates(plan("episode", rules="printed"), folder) == {"episodes_per_s": 10.0}
 
 
 def test_a_training_that_is_over_at_the_first_look_has_no_rate(folder):
     assert looked((0.0, 0.0), (1.0, 100.0)).rates(plan("episode"), folder) == {}
-    assert Speed().rates(plan("step"), folder) == {}
+    assert Pace().rates(plan("step"), folder) == {}
+
+
+def test_what_is_done_before_a_resumed_sweep_compiles_is_no_progress(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    bar = progress.Bar(Console(file=io.StringIO(), width=120))
+    bar.begin(100_000, "steps", programs=2)
+    for second in range(64):
+        now[0] = float(second)
+        bar.phase("compiling" if second < 60 else "training")
+        bar.update(1_000.0 + 100.0 * max(second - 60, 0))
+    # 98,700 steps are left, and a minute of compiling for the second program.
+    assert bar._time_left() == "0:17:27"
 
 
 @pytest.mark.parametrize("learner", ["tabular_q", "linear_q"])

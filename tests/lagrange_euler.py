@@ -1,4 +1,4 @@
-"""The Lagrange-Euler equations of section 4.6, corrected: readable rather than fast, to check `dynamics` against.
+"""The Lagrange-Euler equations of section 4.6, corrected: an independent and readable check of `mechanics.dynamics`.
 
 With A_i the transform from frame i to frame i-1, Q the derivative of a turn about z (Q A = dA/dq) and I_p the
 pseudo-inertia of link p, the formulas are Uicker's:

@@ -1,0 +1,198 @@
+"""Tables and numbers of README.md and docs/, each made from records in docs/bench.
+
+A page says `<!-- record: NAME -->` and `<!-- end -->`. Between the two `build.py` writes what the function of that name
+returns, of `TABLES` here or in `walking_tables.py`.
+"""
+
+import json
+import math
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+BENCH = Path(__file__).parent / "bench"
+
+
+def record(name: str) -> Any:
+    """Return a record of docs/bench."""
+    return json.loads((BENCH / f"{name}.json").read_text(encoding="utf-8"))
+
+
+def rounded(value: float, places: int | None = None) -> str:
+    """Return a number with so many decimal places, by default with two significant digits."""
+    if places is None and abs(value) >= 1e6:
+        return f"{value:.1e}".replace("e+0", "e").replace("e+", "e")
+    if places is None:
+        value = float(f"{value:.1e}")
+        places = max(0, 1 - math.floor(math.log10(abs(value)))) if value else 0
+    return f"{round(value, places) + 0.0:,.{places}f}"
+
+
+def spread(values: Sequence[float], places: int | None = None, scale: float = 1.0) -> str:
+    """Return the median, and in brackets the least and the greatest where they read otherwise."""
+    middle, *ends = (rounded(scale * of(values), places) for of in (median, min, max))
+    return middle if ends == [middle, middle] else f"{middle} ({' to '.join(ends)})"
+
+
+def table(head: str, rows: Iterable[Iterable[str]]) -> str:
+    """Return a table in Markdown. `head`: the headings, with bars between them."""
+    lines = [f"| {' | '.join(row)} |" for row in rows]
+    return "\n".join([f"| {head} |", "|---" * (head.count(" | ") + 1) + "|", *lines])
+
+
+BOTH = "control+physics steps/s"
+SPEED = (
+    ("**legs in the air, computed torque**", "1,024 legs", "262,144 legs"),
+    ("`chain`", "chain", BOTH),
+    ("`mjx-jax`", "mjx-jax", BOTH),
+    ("`mjx-jax`, without our XLA flags", "mjx-jax plain", BOTH),
+    ("native MuJoCo on all cores, no controller", "mujoco", "physics steps/s"),
+    ("**the lower body on the ground, a servo**", "1,024 bodies", "32,768 bodies"),
+    ("`tree`", "tree ground", BOTH),
+    ("`mjx-jax`", "mjx-jax ground", BOTH),
+    ("`mjx-jax`, computed torque within the contacts", "mjx-jax computed torque ground", BOTH),
+    ("`mjx-warp`", "mjx-warp ground", BOTH),
+    ("native MuJoCo on all cores", "mujoco ground", BOTH),
+    ("**tabular Q-learning of joint 1**", "65,536 agents", "1,048,576 agents"),
+    ("`scan`, what a sweep runs on a CPU", "scan", "steps/s"),
+    ("`fused`, what it runs on a GPU", "fused", "steps/s"),
+    ("`cuda`, a kernel written by hand with CuPy", "cuda", "steps/s"),
+    ("`naive_scan`, `jax.random` in every step", "naive_scan", "steps/s"),
+    ("`numba`, all cores", "numba", "steps/s"),
+    ("**training of `posture_switch`, episodes a second**", "", ""),
+    ("`chain`", "chain posture_switch", "episodes/s"),
+    ("`mjx-jax`", "mjx-jax posture_switch", "episodes/s"),
+)
+"""Groups of subjects. A row in bold begins a group and has its sizes on both machines. Each other row has a subject's
+name and unit in the record. The first subject of a group is the one that the others are compared with."""
+
+
+def speed() -> str:
+    """Return the rates of `bench tabular physics` on both machines."""
+    machines = [record(name)["records"] for name in ("cpu_2_cores", "h200")]
+    rows, sizes, first = [], ("", ""), None
+    for words, *cells in SPEED:
+        if words.startswith("**"):
+            sizes, first = cells, None
+        else:
+            first = first or cells
+            cells = [_rate(found, size, first, cells) for found, size in zip(machines, sizes, strict=True)]
+        rows.append((words, *cells))
+    return table("steps a second | 2 CPU cores | one H200", rows)
+
+
+def _rate(found: list[dict[str, Any]], size: str, first: list[str], subject: list[str]) -> str:
+    """Return a subject's rate, and how many times slower or faster it is than the first of its group.
+
+    Native MuJoCo has a size of its own; its row follows those of the size that it is compared with.
+    """
+    batch = int(size.split()[0].replace(",", "")) if size else None
+    fits = [row for row in found if batch in (None, row["batch"]) or "mujoco" in row["subject"]]
+    names = [[row["subject"], row["unit"]] for row in fits]
+    start = names.index(first)
+    if subject not in names[start:]:
+        return ""
+    value = fits[names.index(subject, start)]["value"]
+    times = value / fits[start]["value"]
+    apart, sense = rounded(max(times, 1 / times)), "faster" if times > 1 else "slower"
+    return rounded(value) + (f" ({apart} times {sense})" if apart != "1.0" else "")
+
+
+def in_turn() -> str:
+    """Return ratios of rates of programs that ran in turn on one machine."""
+    devices, kernel = record("cpu_2_cores_in_turn")["devices"], record("h200_in_turn")["table_kernel"]["now"]
+    one, many = (record("h200_one_kernel")[name] for name in ("one_kernel", "kernels of XLA"))
+    twice, steps = "twice the rate of one", "control steps/s of training"
+    cuda, ours = kernel["cuda"], kernel["cuda with this package's random numbers"]
+    rows = (
+        ("two CPU cores: a sweep of tables", twice, median(devices["tabular_q sweep"]["efficiency"])),
+        ("two CPU cores: a sweep of `deep_q`", twice, median(devices["deep_q sweep"]["efficiency"])),
+        ("two CPU cores: one run of `deep_q`", twice, median(devices["deep_q environments"]["efficiency"])),
+        ("H200: `fused`", "`cuda`, which draws cheaper random numbers", kernel["fused"] / cuda),
+        ("H200: `fused`", "`cuda` with the same random numbers", kernel["fused"] / ours),
+        ("H200: training of `walk`, a time step as one kernel", "XLA's kernels", one[steps] / many[steps]),
+    )
+    return table("what | compared with | ratio of rates", ((*words, rounded(ratio)) for *words, ratio in rows))
+
+
+def stand() -> str:
+    """Return how soon and how well bodies learn to stand."""
+    trainings = (
+        ("`stand`, one H200", "h200_stand_8_seeds", 0),
+        ("the same, a mean of the weights for the policy", "h200_stand_8_seeds", 1),
+        ("`stand_cpu`, two CPU cores", "cpu_2_cores_stand", 0),
+        ("the same, a mean of the weights for the policy", "cpu_2_cores_stand", 1),
+        ("the same, mirrored experience (`task.symmetric`)", "cpu_2_cores_stand", 2),
+        ("the same, a learning rate of 0.001 instead of 0.002", "cpu_2_cores_stand", 3),
+        ("`stand_mjx`, one H200, cut short", "h200_stand_mjx", 0),
+    )
+    rows = []
+    for words, name, place in trainings:
+        found = record(name)["records"][place]
+        seeds, steps = found["greedy_success_by_seed"], [n / 1e6 for n in found["total_steps"]]
+        there = median(min([n for n, x in zip(steps, seed, strict=True) if x >= 0.95] + [math.inf]) for seed in seeds)
+        soon = rounded(there) if there < math.inf else "not reached"
+        rows.append((words, str(len(seeds)), rounded(steps[-1]), soon, spread([seed[-1] for seed in seeds], 2)))
+    return table("training | seeds | steps, millions | steps to 95 % success, millions | success at the end", rows)
+
+
+def learners() -> str:
+    """Return what success on `leg_reach` takes each learner, and how fast it trains on two machines."""
+    machines = (record(name)["records"] for name in ("cpu_2_cores", "h200"))
+    cpu, gpu = ({(row["subject"], row["unit"]): row for row in rows} for rows in machines)
+    rows = []
+    for name in ("linear_q", "deep_q", "brax_ppo"):
+        of = f"{name} leg_reach"
+        steps, end = cpu[of, "steps to 95 %"], cpu[of, "success at the end"]
+        cells = spread(steps["by_seed"]), spread(end["by_seed"], 3), " to ".join(rounded(x, 3) for x in end["interval"])
+        rows.append((f"`{name}`", *cells, *(rounded(found[of, "episodes/s"]["value"]) for found in (cpu, gpu))))
+    head = "learner | steps to 95 % success | success at the end | 95 % interval of its mean"
+    return table(f"{head} | episodes a second, 2 CPU cores | one H200", rows)
+
+
+def other_physics() -> str:
+    """Return what policies reach on each physics of their task, with 95 % intervals."""
+    rows = []
+    for row in record("cpu_2_cores_other_physics")["results"]:
+        if agents := row.get("agents"):
+            cells = [f"`{row['policy']}`", f"`{row['physics']}`{', its own' * (row['physics'] == row['trained_on'])}"]
+            for agent, name, scale in (("greedy", "success", 100), ("greedy", "return", 1), ("random", "success", 100)):
+                values = agents[agent][name], *agents[agent][f"{name}_interval"]
+                cells.append("{} ({} to {})".format(*(rounded(scale * x, int(scale == 1)) for x in values)))
+            rows.append(cells)
+    return table("policy of | physics | success, % | return | success of random choices, %", rows)
+
+
+def faults() -> str:
+    """Return what was tried to break trainings, files and configs, and what came of it."""
+    rows = []
+    for row in record("faults")["rows"]:
+        ends = ", ".join(f"{count:,} {words}" for words, count in row["outcomes"].items())
+        rows.append((row["fault"], row["subject"], f"{row['tries']:,}", ends))
+    return table("fault | tried on | tries | what happened", rows)
+
+
+def ranges() -> str:
+    """Return what the body can do with each column of joint ranges."""
+    names = (
+        "margin in one sole, the other lifted, leaning up to 1 degrees, mm",
+        "margin in one sole, both flat, anywhere, leaning up to 45 degrees, mm",
+        "margin in one sole, both flat below the hips, mm",
+        "least lean on one foot, degrees",
+        "toes in, degrees",
+        "toes out, degrees",
+        "turn of a foot swept while it stands, rad/s",
+        "speed on flat feet, hips level, m/s",
+        "speed over the toes, m/s",
+    )
+    found = record("feasibility")["ranges"]
+    rows = ((name, *(rounded(x, 2 if name.endswith("m/s") else 1) for x in found[name].values())) for name in names)
+    return table("with the soles flat | `proposed` | `human`", rows)
+
+
+TABLES = {of.__name__: of for of in (speed, in_turn, stand, learners, other_physics, faults, ranges)} | {
+    "reproduce_minutes": lambda: rounded(record("cpu_2_cores_reproduce")["command_s"] / 60),
+    "stand_seconds": lambda: rounded(record("h200_stand_8_seeds")["records"][0]["command_s"]),
+    "stand_cpu_minutes": lambda: rounded(record("cpu_2_cores_stand")["records"][0]["one_seed_wall_s"] / 60),
+}

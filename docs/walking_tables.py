@@ -1,0 +1,112 @@
+"""Tables and numbers of how `walk` walks, each made from records in docs/bench."""
+
+from collections.abc import Callable, Mapping
+from statistics import median
+from typing import Any, NamedTuple
+
+from tables import record, rounded, spread, table
+
+COMMANDS: list[str] = record("h200_walk_learning")["commands"]
+"""Those that all records have: to stand, to go ahead at four speeds, to turn, a curve, a turn at once."""
+
+
+class Walk(NamedTuple):
+    """Trained policies, one a seed."""
+
+    steps: float
+    """Of the training of each."""
+    seeds: Callable[[str, str], list[float]]
+    """A figure under a command, of each seed."""
+
+    def median(self, figure: str, command: str) -> float:
+        return median(self.seeds(figure, command))
+
+
+def _evaluated(name: str, result: int = 0) -> Walk:
+    """Return the policies of a result of `evaluate --gait`."""
+    found = record(name)["results"][result]
+    gaits = {gait["scenario"]: gait["figures"] for gait in found["gaits"] if gait["agent"] == "greedy"}
+    steps = found["policies"][0]["config"]["total_steps"]
+    return Walk(steps, lambda figure, command: [seed[0] for seed in gaits[command][figure]["seeds"]])
+
+
+def walk() -> str:
+    """Return how the shipped setting walks, by command."""
+    of, rows = _evaluated("h200_walk_seeds"), []
+    for name in (*COMMANDS[:5], "turn +0.5", *COMMANDS[5:7], "sideways +0.15"):
+        ahead, upright = spread(of.seeds("forward", name), 2), spread(of.seeds("success", name), 0, 100)
+        moves = (rounded(of.median(figure, name), 2) for figure in ("left", "turn"))
+        feet = rounded(of.median("slip", name), 3), rounded(100 * of.median("flight", name), 1)
+        rows.append((name, upright, ahead, *moves, *feet, rounded(of.median("step_frequency", name), 1)))
+    speeds, feet = "forward, m/s | left, m/s | turn, rad/s", "slip, m/s | in flight, % | steps a second"
+    return table(f"command, m/s and rad/s | upright for 20 s, % | {speeds} | {feet}", rows)
+
+
+def walk_goals() -> str:
+    """Return what was aimed for, and what was reached under the hardest of the commands."""
+    goals = (
+        ("stays up for 20 s, standing and at up to 0.8 m/s, %", "success", COMMANDS[:5], 100, "at least", 98),
+        ("mean error of the speed at up to 0.5 m/s, m/s", "speed_error", COMMANDS[1:4], 1, "at most", 0.05),
+        ("the same at 0.8 m/s, m/s", "speed_error", COMMANDS[4:5], 1, "at most", 0.05),
+        ("heading off after 20 s straight ahead, degrees", "heading_error", COMMANDS[1:5], 1, "at most", 10),
+        ("slip at up to 0.5 m/s, m/s", "slip", COMMANDS[1:4], 1, "at most", 0.03),
+        ("time with both feet in the air at up to 0.5 m/s, %", "flight", COMMANDS[1:4], 100, "at most", 0),
+        ("difference of the sides at up to 0.5 m/s, %", "duty_asymmetry", COMMANDS[1:4], 100, "at most", 10),
+        ("error of the turn rate at 1 rad/s, rad/s", "turn_error", ("turn +1.0", "turn -1.0"), 1, "at most", 0.15),
+        ("drift while it stands for 20 s, cm", "drift", ("stand",), 100, "at most", 2),
+        ("turns by 45 degrees at once, within 1.5 s, %", "turn_success", ("sudden turn",), 100, "at least", 90),
+    )
+    here, there = _evaluated("h200_walk_seeds"), _evaluated("cpu_2_cores_walk_mujoco")
+    rows = []
+    for words, figure, commands, scale, sense, aim in goals:
+        worst = min if sense == "at least" else max
+        middle, last, native = (
+            rounded(scale * worst(of(policies.seeds(figure, command)) for command in commands))
+            for policies, of in ((here, median), (here, worst), (there, median))
+        )
+        met = float(middle) >= aim if sense == "at least" else float(middle) <= aim
+        rows.append((words, f"{sense} {aim}", middle, last, native, "yes" if met else "**no**"))
+    return table("what | aim | median of the seeds | worst seed | median in native MuJoCo | reached", rows)
+
+
+def _compared(policies: Mapping[str, Walk]) -> str:
+    """Return how well policies of several trainings walk: medians over seeds."""
+    rows = []
+    for words, of in policies.items():
+        size = str(len(of.seeds("success", "stand"))), rounded(of.steps / 1e6)
+        upright = rounded(100 * min(share for command in COMMANDS for share in of.seeds("success", command)), 0)
+        speeds = ", ".join(rounded(of.median("forward", command), 2) for command in COMMANDS[2:5])
+        slips = ", ".join(rounded(of.median("slip", command), 3) for command in COMMANDS[2:4])
+        rows.append((words, *size, upright, speeds, slips, spread(of.seeds("turn_success", "sudden turn"), 0, 100)))
+    told = "speed told 0.3, 0.5, 0.8 m/s | slip told 0.3, 0.5 m/s"
+    return table(f"training | seeds | steps, millions | least upright, % | {told} | turns at once, %", rows)
+
+
+def walk_learners() -> str:
+    """Return how well `walk` is learned by other learners and under another control law."""
+    return _compared(
+        {
+            "`deep_q`, as `walk` is": _evaluated("h200_walk_seeds"),
+            "the same, slip weighs -1.8, not -2.4": _evaluated("h200_walk_seeds", 1),
+            "the same, under computed torque": _evaluated("h200_walk_control"),
+            "`brax_ppo`, as `walk_ppo` is": _evaluated("h200_walk_ppo"),
+            "the same, clock and reward of `walk`": _evaluated("h200_walk_ppo", 1),
+        }
+    )
+
+
+def _series(name: str) -> str:
+    """Return how well the policies of all settings of a record walk."""
+
+    def of(one: dict[str, Any]) -> Walk:
+        return Walk(one["steps"], lambda figure, command: [x[COMMANDS.index(command)] for x in one["figures"][figure]])
+
+    return _compared({one["setting"]: of(one) for one in record(name)["settings"]})
+
+
+TABLES = {of.__name__: of for of in (walk, walk_goals, walk_learners)} | {
+    "walk_gaits": lambda: _series("h200_walk_gaits"),
+    "walk_yawing": lambda: _series("h200_walk_yawing"),
+    "walk_learning": lambda: _series("h200_walk_learning"),
+    "walk_minutes": lambda: rounded(record("h200_walk_seeds")["training"]["command_s"] / 60),
+}

@@ -1,0 +1,29 @@
+"""The machine and the process: XLA's options, start, memory and cores, provenance, random numbers, GPU kernels."""
+
+from humanoid_mjx.compute.compiles import counting_compiles
+from humanoid_mjx.compute.limits import available_memory, cores, out_of_memory, reserve_memory, why_no_kernel
+from humanoid_mjx.compute.options import XLA_FLAGS, Arithmetic, Options, Program, compiler_options
+from humanoid_mjx.compute.provenance import commit, machine, made_by, versions
+from humanoid_mjx.compute.settings import POOL_THREADS, look_for_garbage_seldom, make_room, start
+
+__all__ = [
+    "POOL_THREADS",
+    "XLA_FLAGS",
+    "Arithmetic",
+    "Options",
+    "Program",
+    "available_memory",
+    "commit",
+    "compiler_options",
+    "cores",
+    "counting_compiles",
+    "look_for_garbage_seldom",
+    "machine",
+    "made_by",
+    "make_room",
+    "out_of_memory",
+    "reserve_memory",
+    "start",
+    "versions",
+    "why_no_kernel",
+]

@@ -1,0 +1,1 @@
+"""GPU kernels of functions of many worlds or runs, through Pallas and Triton."""

@@ -1,0 +1,130 @@
+"""XLA's options: one table for compiled programs, and the flags of the process.
+
+Physics and tasks name the kind of their arithmetic, learners the kind of their program; `compiler_options` looks up the
+rest. An option that this version of XLA does not know is left out with a warning.
+"""
+
+import logging
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any, Literal, NamedTuple, TypeAlias
+
+import jax
+import numpy as np
+
+Arithmetic = Literal["scalars", "tree", "arrays"]
+"""Arithmetic of a task: scalars of many worlds (finite tasks, the chain), the tree's scalars, or arrays (MJX)."""
+
+Program = Literal["simulation", "tabular", "approximate", "other"]
+"""Kind of a compiled program: physics alone, tabular or approximate Q-learning, any other learner."""
+
+Options: TypeAlias = dict[str, str | bool]
+"""`compiler_options` of a `jax.jit`."""
+
+XLA_FLAGS = (
+    "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion --xla_disable_hlo_passes=cpu_multi_output_fusion"
+)
+"""Flags of the process for XLA on a CPU.
+
+By default XLA:CPU recomputes shared subexpressions for every output of a fusion. The first flag stops that, which makes
+MJX 15 times faster. The second disables the pass that then fuses several outputs into one kernel, since this pass
+aborts on some programs, among them MJX's. The table enables the pass again for programs that are known to compile.
+jaxlib 0.10.2 aborts where the pass joins two reductions with two results each, such as `jnp.argmax`, or two scatters;
+both arise from operations on arrays of one shape that share an operand.
+"""
+
+NO_VECTORS = "--xla_backend_extra_options=-vectorize-slp=false"
+"""Flag of the process where there is an NVIDIA GPU: LLVM does not combine scalars into vectors, which a GPU lacks.
+
+It saves 2 s of compiling the tree's kernel; of 526 kernels of other programs it changes 16. It slows a CPU down.
+"""
+
+SPLITTING = "cpu-parallel-task-assigner"
+"""XLA's pass that splits kernels into parts for the pool of CPU threads."""
+
+PASSES = "xla_disable_hlo_passes"
+
+
+class Option(NamedTuple):
+    """One row of the table: an option and the programs that get it."""
+
+    name: str
+    value: str | bool
+    backend: Literal["cpu", "gpu"] | None
+    """None for every backend."""
+    programs: frozenset[tuple[Arithmetic, Program]]
+
+
+def _for(arithmetics: str, programs: str) -> frozenset[tuple[Arithmetic, Program]]:
+    pairs: Any = ((arithmetic, program) for arithmetic in arithmetics.split() for program in programs.split())
+    return frozenset(pairs)
+
+
+TABLE = (
+    # Multi-output fusion, see `XLA_FLAGS`: chain dynamics are 5 times faster on a CPU, tabular learning 1.2 to 1.7
+    # times, tile coding on the chain 2 times. No effect on others, some of which abort.
+    Option(PASSES, "none", None, _for("scalars tree", "simulation tabular approximate")),
+    # No sums and products by the library YNNPACK. That of jaxlib 0.10.2 writes beyond its stack where a sum has seven
+    # axes, as evaluation on MJX has with runs, snapshots and episodes side by side, and the process crashes (jax issues
+    # 39257 and 40412). MJX, `deep_q` and tile coding are 1.3 to 1.7 times faster without it; Brax's PPO is 1.2 times
+    # faster with it.
+    Option(
+        "xla_cpu_experimental_ynn_fusion_type",
+        "",
+        "cpu",
+        _for("arrays tree", "simulation tabular approximate other") | _for("scalars", "tabular approximate"),
+    ),
+    # Vectors of the whole width of AVX-512; LLVM's default is half. With thousands of agents tables train up to 1.2
+    # times as fast, on an AMD EPYC and on an Intel Xeon, to the same bits. MJX is slower with it, and on the Xeon the
+    # tree.
+    Option("xla_cpu_prefer_vector_width", "512", "cpu", _for("scalars tree", "tabular")),
+    # CUDA graphs even of a single kernel. An update of approximate Q-learning launches thousands of short kernels; in
+    # graphs `leg_reach` trains 2 times, `leg_reach_linear` 1.9 times as fast on one H200. Graphs of whole loops
+    # (`xla_gpu_enable_command_buffer` with `WHILE`) are faster still, but one of ten runs of `stand` that had them fell
+    # in greedy episodes at the end of a training in which it stood, for an unknown reason.
+    Option("xla_gpu_graph_min_graph_size", "1", "gpu", _for("scalars tree", "approximate")),
+    # Matrix products by cuBLAS. Triton's are up to 1.1 times as fast where several runs train side by side, but
+    # choosing them took 10 s until `stand` began to train. Choosing other kernels of Triton gained nothing.
+    Option("xla_gpu_enable_triton_gemm", False, "gpu", _for("scalars tree", "approximate")),
+    Option("xla_gpu_experimental_enable_fusion_autotuner", False, "gpu", _for("scalars tree", "approximate")),
+)
+
+
+def compiler_options(arithmetic: Arithmetic, program: Program = "simulation", every_device: bool = False) -> Options:
+    """Return the `compiler_options` of a `jax.jit`, as far as this XLA knows them.
+
+    Args:
+      arithmetic: kind of the task's or the physics' arithmetic.
+      program: kind of the program.
+      every_device: whether the program runs on all devices at once. Several CPU devices keep all cores busy, so kernels
+        with multi-output fusion are not split over the pool of threads: with MJX's pool (`POOL_THREADS`) tables train 3
+        times as fast so, with others as fast or faster.
+    """
+    backend = jax.default_backend()
+    options = {
+        row.name: row.value for row in TABLE if row.backend in (None, backend) and (arithmetic, program) in row.programs
+    }
+    if every_device and backend == "cpu" and jax.local_device_count() > 1 and PASSES in options:
+        options[PASSES] = f"{options[PASSES]},{SPLITTING}"
+    return dict(_known(tuple(options.items()), backend))
+
+
+@lru_cache
+def _known(options: tuple[tuple[str, str | bool], ...], backend: str) -> Mapping[str, str | bool]:
+    """Return those of the options that XLA accepts, and warn once of each of the others."""
+    if _accepted(dict(options)):
+        return dict(options)
+    known = {name: value for name, value in options if _accepted({name: value})}
+    for name in dict(options).keys() - known:
+        logging.getLogger(__name__).warning("This XLA does not know the option %s; programs may be slower.", name)
+    return known
+
+
+def _accepted(options: Options) -> bool:
+    try:
+        jax.jit(lambda x: x).lower(np.float32(0)).compile(options)
+    except jax.errors.JaxRuntimeError as error:
+        if "compile option" in str(error) or "setting option" in str(error):
+            return False
+        raise
+    return True
