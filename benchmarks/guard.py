@@ -31,7 +31,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from humanoid_mjx import compute
 from humanoid_mjx.bench import ground, legs, physics, tabular
 from humanoid_mjx.bench.training import nothing_compiled
-from humanoid_mjx.mechanics.tree.solver import BLOCK
+from humanoid_mjx.mechanics.tree.blocks import BLOCK
 from humanoid_mjx.tasks import make_task
 
 RECORD = Path(__file__).with_suffix(".json")

@@ -90,6 +90,7 @@ QUADRUPED = f"""
   <contact>
     <exclude body1="fl_thigh" body2="rr_thigh"/>
     <pair geom1="fl_foot" geom2="ground" condim="3" friction="0.9 0.4 0 0 0" solimp="0.9 0.95 0.001 0.5 2"/>
+    <pair geom1="fl_thigh" geom2="rl_foot" condim="1"/>
   </contact>
   <actuator>{
     "".join(
@@ -100,7 +101,7 @@ QUADRUPED = f"""
 }</actuator>
 </mujoco>
 """
-"""Two hinges a body, balls on the ground and against capsules, contacts by `contype`, unequal friction."""
+"""Two hinges a body, balls on the ground and against capsules, contacts by `contype`, unequal friction and none."""
 
 
 def converged(model: mujoco.MjModel) -> mujoco.MjModel:

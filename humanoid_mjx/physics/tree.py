@@ -3,7 +3,7 @@
 
 It computes what native MuJoCo does, contacts included (`mechanics.tree`), in plain jax operations on scalars. On a CPU
 it is fastest after `humanoid_mjx.start()` in a `jax.jit` with `compute.compiler_options("tree")`, in batches of some
-128 worlds for each core.
+1,000 worlds for each core.
 """
 
 from collections.abc import Callable, Sequence
@@ -264,16 +264,15 @@ def _advance_sensed(
     """One time step, and what is true at its beginning: the sensors but the encoders, poses, velocities, forces."""
     state, problem, solution = _accelerate(tree, values, given, world, torque)
     like, gravity, acceleration = _worlds(state), vector(tree.gravity), solution.acceleration
-    pushes = sensing.pushes_of(tree, problem, solution)
     turning = [part for site in tree.gyroscopes for part in sensing.gyroscope(state, site)]
     felt = [
         part for site in tree.accelerometers for part in sensing.accelerometer(tree, state, acceleration, gravity, site)
     ]
     points = _ground_points(tree)
     # The last of the model's touch sensors are those of the points themselves, whose forces are at hand.
-    touch = [
-        sensing.touch_sensor(state, pushes, site) for site in tree.touch_sensors[: len(tree.touch_sensors) - points]
-    ]
+    sensors = tree.touch_sensors[: len(tree.touch_sensors) - points]
+    pushes = sensing.pushes_of(tree, problem, solution, sensors)
+    touch = [sensing.touch_sensor(state, pushes, site) for site in sensors]
     readings = (stacked(part, like) for part in (turning, felt, touch))
     normal = stacked([push.pressure for push in pushes[:points]], like)
     seen = *readings, *_poses(tree, state), *_velocities(tree, state), normal

@@ -147,19 +147,24 @@ def _ground_touch(points: GroundPoints, kinematics: Kinematics, motion: Spatial,
 
 def _pair_touch(pairs: Pairs, kinematics: Kinematics, motions: Sequence[Spatial], friction: Friction) -> Touch:
     one, two = nearest_points(pairs, kinematics)
-    apart = subtract(two, one)
-    square = dot(apart, apart)
+    between = subtract(two, one)
+    square = dot(between, between)
     # Centres that meet have no direction; MuJoCo takes one as well.
     meet = square.value <= 0.0
     length = root(Scalar(jnp.where(meet, 1.0, square.value)))
-    normal = scale(ONE / length, apart)
+    normal = scale(ONE / length, between)
     normal = normal._replace(x=Scalar(jnp.where(meet, 1.0, normal.x.value)))
     thickness = known([a.radius + b.radius for a, b in zip(pairs.ones, pairs.twos, strict=True)])
     distance = Scalar(jnp.where(meet, 0.0, length.value)) - thickness
     place = add(one, scale(known([shape.radius for shape in pairs.ones]) + HALF * distance, normal))
-    velocity = subtract(_velocity(pairs.twos, motions, place), _velocity(pairs.ones, motions, place))
+    velocity = apart(pairs.ones, pairs.twos, motions, place)
     # Without friction the tangents are never asked for, and cost nothing.
     return _touch(pairs.surface, place, _frame(normal, None), distance, velocity, friction)
+
+
+def apart(ones: Sequence[Capsule], twos: Sequence[Capsule], motions: Sequence[Spatial], place: Vector) -> Vector:
+    """Velocities, m/s, at which the second shapes' bodies leave the first's at `place`, pair by pair."""
+    return subtract(_velocity(twos, motions, place), _velocity(ones, motions, place))
 
 
 def _velocity(shapes: Sequence[Capsule], motions: Sequence[Spatial], place: Vector) -> Vector:

@@ -190,4 +190,4 @@ def _join_pairs(pairs: Sequence[Pairs]) -> Pairs:
     if any(s.softness != surfaces[0].softness or s.margin != surfaces[0].margin for s in surfaces):
         raise _Unlike
     surface: Surface = _merge(surfaces)
-    return Pairs(ones, twos, surface, tuple(place for p in pairs for place in p.order))
+    return Pairs(ones, twos, surface)

@@ -1,162 +1,190 @@
-"""What contacts between bodies add to the equations of a tree. They join its branches, so the equations lose their
-sparsity; as such contacts are rare, that is paid for only where some world of a batch has one."""
+"""What contacts between bodies add to the equations of a tree: updates of their factors, facet by facet.
+
+They join branches of the tree, so the factors are no longer sparse. But few bodies touch at a time, and each facet that
+pushes is an update of rank one (P. Gill et al., "Methods for Modifying Matrix Factorizations", 1974, method C1).
+"""
 
 from collections.abc import Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from humanoid_mjx.mechanics.scalars import ZERO, Scalar, Vector, add
-from humanoid_mjx.mechanics.tree.algebra import force_at, known, over_lanes, power, stacked
-from humanoid_mjx.mechanics.tree.contacts import Touch
-from humanoid_mjx.mechanics.tree.inertia import Matrix
-from humanoid_mjx.mechanics.tree.kinematics import Kinematics
-from humanoid_mjx.mechanics.tree.structure import Pairs, Tree
+from humanoid_mjx.mechanics.tree.algebra import force_at, known, lane, power, resolve, stacked
+from humanoid_mjx.mechanics.tree.contacts import Touch, apart
+from humanoid_mjx.mechanics.tree.inertia import Factors
+from humanoid_mjx.mechanics.tree.kinematics import Kinematics, motions_of
+from humanoid_mjx.mechanics.tree.structure import Capsule, Tree
 
-Rows = list[dict[int, Scalar]]
-"""For each direction of the contacts' frames that is felt: how the degrees of freedom move the second body against the
-first, with an axis of pairs, and behind it one of lanes for those that have lanes."""
+Flags = list[Bool[Array, "pairs worlds"]]
+"""Which facets push: of each facet of the contacts of all pairs."""
 
-
-def pair_rows(tree: Tree, kinematics: Kinematics, touches: Sequence[Touch]) -> list[Rows]:
-    """The rows of all groups of pairs."""
-    return [_rows(tree, kinematics, *each) for each in zip(tree.pairs, touches, strict=True)]
+Dense = tuple[list[Any], Any, Any]
+"""Of the equations of all lanes the rows of L to the left of its diagonal, 1 / D, and the right side."""
 
 
-def _rows(tree: Tree, kinematics: Kinematics, pairs: Pairs, touch: Touch) -> Rows:
-    signs = {dof: sign for dof in range(tree.nv) if not (sign := _sign(tree, pairs, dof)).is_known(0.0)}
-    found = []
-    for axis in touch.frame[: 1 if touch.friction is None else 3]:
-        force = force_at(axis, touch.place)
-        laned = jax.tree.map(lambda part: part[:, None], force)
-        found.append(
-            {
-                dof: sign * power(kinematics.motions[dof], laned if tree.laned(dof) else force)
-                for dof, sign in signs.items()
-            }
-        )
-    return found
+def joined(tree: Tree, touches: Sequence[Touch]) -> Touch:
+    """The contacts of all groups as one. Where only some have friction, the others have four facets that are the same,
+    each of a quarter of the weight."""
+    if len(touches) == 1:
+        return touches[0]
+    worlds = touches[0].close.shape[1:]
+    if any(touch.friction for touch in touches):
+        touches = [
+            touch if touch.friction else touch._replace(weight=Scalar(0.25) * touch.weight, friction=(ZERO, ZERO))
+            for touch in touches
+        ]
+
+    def join(*parts: Any) -> Any:
+        values = [part.value if isinstance(part, Scalar) else part for part in parts]
+        pairs = zip(values, tree.pairs, strict=True)
+        whole = jnp.concatenate([jnp.broadcast_to(jnp.asarray(v), (len(p.ones), *worlds)) for v, p in pairs])
+        return Scalar(whole) if isinstance(parts[0], Scalar) else whole
+
+    return jax.tree.map(join, *touches, is_leaf=lambda part: isinstance(part, Scalar))
 
 
-def _sign(tree: Tree, pairs: Pairs, dof: int) -> Scalar:
-    """1 where it moves a pair's second body alone, -1 where it moves the first alone."""
+def all_close(touches: Sequence[Touch]) -> Flags:
+    """The facets of all bodies that are close."""
+    close = jnp.concatenate([touch.close for touch in touches])
+    return [close] * (4 if any(touch.friction for touch in touches) else 1)
 
-    def moves(shape: Any, index: int) -> bool:
+
+def active_pairs(tree: Tree, kinematics: Kinematics, touch: Touch, x: Sequence[Scalar]) -> Flags:
+    """Which facets push at these accelerations; `touch`: the contacts of all pairs (`joined`)."""
+    ones, twos = zip(*_each(tree), strict=True)
+    moved = apart(ones, twos, motions_of(tree, kinematics, x), touch.place)
+    return touch.active(add(resolve(touch.frame, moved), touch.offset))
+
+
+def with_pairs(
+    tree: Tree,
+    kinematics: Kinematics,
+    touch: Touch,
+    active: Flags,
+    factors: Factors,
+    right: Sequence[Scalar],
+    without: Sequence[Scalar],
+    transposed: bool = False,
+) -> list[Scalar]:
+    """The solution of the equations with these facets in them, or that `without` in worlds where none pushes.
+
+    `transposed`: take as many turns as there are facets, as a loop until none is left has no transpose.
+    """
+    flags = jnp.concatenate(active)
+    pairs, worlds = active[0].shape[0], flags.shape[1:]
+    counts = [jnp.zeros(worlds, jnp.int32)]
+    for flag in flags:
+        counts.append(counts[-1] + flag.astype(jnp.int32))
+    rank, count = jnp.stack(counts[:-1]), counts[-1]
+    signs = [_sign(tree, dof) for dof in range(tree.nv)]
+    vectors = [*(Vector(*parts) for parts in zip(*touch.frame, strict=True)), touch.offset]
+    x, y, z, offset = (stacked(touch.facets(v), (pairs, *worlds)).reshape(-1, *worlds) for v in vectors)
+
+    def add_facet(index: Any, dense: Dense) -> Dense:
+        """In each world its next one."""
+        mine = flags & (rank == index)
+        pair = mine.reshape(len(active), pairs, *worlds).any(axis=0)
+        axis = Vector(*(Scalar(_picked(mine, part)) for part in (x, y, z)))
+        place, weight, sign = jax.tree.map(lambda v: _picked(pair, v), (touch.place, touch.weight, signs))
+        force = force_at(axis, place)
+        row = [s * power(motion, force) for s, motion in zip(sign, kinematics.motions, strict=True)]
+        on = jnp.where(index < count, weight.value, 0.0)
+        return _updated(dense, _unfolded(tree, row, worlds), on, _picked(mine, offset))
+
+    dense = _dense(tree, factors, worlds), _unfolded(tree, factors.inverse, worlds), _unfolded(tree, right, worlds)
+    if transposed:
+        dense = jax.lax.fori_loop(0, len(flags), add_facet, dense)
+    else:
+        dense = jax.lax.while_loop(
+            lambda carry: (carry[0] < count).any(),
+            lambda carry: (carry[0] + 1, add_facet(*carry)),
+            (jnp.int32(0), dense),
+        )[1]
+    # A world's bits must not depend on whether another made its batch come here.
+    found = zip(_folded(tree, _solved(dense)), without, strict=True)
+    return [Scalar(jnp.where(count > 0, new, old.value)) for new, old in found]
+
+
+def _picked(flags: Bool[Array, "pairs worlds"], value: Any) -> Any:
+    """In each world what is at its flag, along the first axis if there is one."""
+    if jnp.ndim(value) < 2:
+        return value
+    return jnp.where(flags[:, None] if jnp.ndim(value) > 2 else flags, value, 0.0).sum(axis=0)
+
+
+def _each(tree: Tree) -> list[tuple[Capsule, Capsule]]:
+    """All pairs."""
+    return [pair for pairs in tree.pairs for pair in zip(pairs.ones, pairs.twos, strict=True)]
+
+
+def _sign(tree: Tree, dof: int) -> Scalar:
+    """1 where it moves a pair's second body alone, -1 where it moves the first alone, by pair."""
+
+    def moves(shape: Capsule, index: int) -> bool:
         return dof in tree.moving(shape.body) and index in (shape.lane, None)
 
-    each = list(zip(pairs.ones, pairs.twos, strict=True))
+    each = _each(tree)
     if not tree.laned(dof):
         return known([float(moves(two, two.lane)) - float(moves(one, one.lane)) for one, two in each])
     lanes = range(tree.lanes)
     return known([[float(moves(two, index)) - float(moves(one, index)) for index in lanes] for one, two in each])
 
 
-def residual(tree: Tree, touch: Touch, rows: Rows, x: Sequence[Scalar]) -> Vector:
-    """By how much the bodies accelerate more than they should, in the contacts' frames."""
-    moved = []
-    for row in rows:
-        plain = laned = ZERO
-        for dof, part in row.items():
-            if tree.laned(dof):
-                laned = laned + part * x[dof]
-            else:
-                plain = plain + part * x[dof]
-        moved.append(plain + (laned if laned is ZERO else over_lanes([laned], tree.lanes)[0]))
-    return add(Vector(*moved, *[ZERO] * (3 - len(moved))), touch.offset)
+def _places(tree: Tree) -> list[tuple[int, int]]:
+    """The degrees of freedom of all lanes with their lanes, lane by lane."""
+    laned = [dof for dof in range(tree.nv) if tree.laned(dof)]
+    stem = [(dof, 0) for dof in range(tree.nv) if not tree.laned(dof)]
+    return stem + [(dof, index) for index in range(tree.lanes) for dof in laned]
 
 
-def with_pairs(
-    tree: Tree,
-    matrix: Matrix,
-    right: Sequence[Scalar],
-    touches: Sequence[Touch],
-    rows: Sequence[Rows],
-    active: Sequence[Sequence[Any]],
-    without: Sequence[Scalar],
-) -> list[Scalar]:
-    """The solution of the equations with the pairs' contacts in them, or that `without` in worlds where none pushes.
-
-    By elimination of whole matrices, one column after another, with an axis of worlds behind. Where loops are written
-    out, what is multiplied by a zero here is not.
-    """
-    stem = next((dof for dof in range(tree.nv) if tree.laned(dof)), tree.nv)
-    worlds = jnp.broadcast_shapes(*(jnp.shape(x.value)[-1:] for x in [*right, *(x for row in matrix for x in row)]))
-    equations = _whole(tree, stem, matrix, right, worlds)
-    size = len(equations)
-    for touch, group, flags in zip(touches, rows, active, strict=True):
-        equations = _add_facets(tree, stem, touch, group, flags, equations)
-
-    rows_at, columns_at = np.arange(size)[:, None], np.arange(size + 1)[:, None]
-
-    def eliminate(k: Any, table: Any) -> Any:
-        pivot = table[k] / table[k, k]
-        below, ahead = jnp.where(rows_at > k, table[:, k], 0.0), jnp.where(columns_at > k, pivot, 0.0)
-        return jax.lax.dynamic_update_index_in_dim(table - below[:, None] * ahead[None], pivot, k, axis=0)
-
-    triangle = jax.lax.fori_loop(0, size, eliminate, equations)
-
-    def substitute(step: Any, found: Any) -> Any:
-        k = size - 1 - step
-        return found - jnp.where(rows_at < k, triangle[:, k], 0.0) * found[k]
-
-    solution = jax.lax.fori_loop(0, size, substitute, triangle[:, -1])
-    laned = solution[stem:].reshape(tree.nv - stem, tree.lanes, *worlds)
-    pushing = jnp.concatenate([flag for group in active for flag in group]).any(axis=0)
-    # A world's bits must not depend on whether another made its batch come here.
-    found = zip([*solution[:stem], *laned], without, strict=True)
-    return [Scalar(jnp.where(pushing, new, old.value)) for new, old in found]
+def _unfolded(tree: Tree, scalars: Sequence[Scalar], worlds: tuple[int, ...]) -> Float[Array, "size worlds"]:
+    """Scalars of the degrees of freedom of all lanes."""
+    return stacked([lane(scalars[dof], index) for dof, index in _places(tree)], worlds)
 
 
-def _whole(
-    tree: Tree, stem: int, matrix: Matrix, right: Sequence[Scalar], worlds: tuple[int, ...]
-) -> Float[Array, "size columns worlds"]:
-    """The equations of all lanes: matrix and right side."""
-    limb, lanes = tree.nv - stem, tree.lanes
-    laned = (lanes, *worlds)
-    rows, columns = range(stem), range(stem, tree.nv)
-    base = stacked([matrix[max(i, j)][min(i, j)] for i in rows for j in rows], worlds)
-    base = base.reshape(stem, stem, *worlds)
-    base = jnp.concatenate([base, stacked(right[:stem], worlds)[:, None]], axis=1)
-    if not limb:
-        return base
-    cross = stacked([matrix[i][j] for i in columns for j in rows], laned)
-    cross = cross.reshape(limb, stem, lanes, *worlds).swapaxes(1, 2).reshape(limb * lanes, stem, *worlds)
-    own = stacked([matrix[max(i, j)][min(i, j)] for i in columns for j in columns], laned)
-    own = own.reshape(limb, 1, limb, lanes, *worlds) * jnp.eye(lanes)[None, :, None, :, None]
-    own = own.reshape(limb * lanes, limb * lanes, *worlds)
-    last = stacked(right[stem:], laned).reshape(limb * lanes, 1, *worlds)
-    above = jnp.concatenate([base[:, :stem], cross.swapaxes(0, 1), base[:, stem:]], axis=1)
-    return jnp.concatenate([above, jnp.concatenate([cross, own, last], axis=1)])
+def _folded(tree: Tree, x: Sequence[Any]) -> list[Any]:
+    """The inverse of `_unfolded`."""
+    found = dict(zip(_places(tree), x, strict=True))
+    lanes = [range(tree.lanes) if tree.laned(dof) else range(1) for dof in range(tree.nv)]
+    each = [[found[dof, index] for index in several] for dof, several in enumerate(lanes)]
+    return [jnp.stack(several) if tree.laned(dof) else several[0] for dof, several in enumerate(each)]
 
 
-def _add_facets(
-    tree: Tree, stem: int, touch: Touch, rows: Rows, flags: Sequence[Any], equations: Any
-) -> Float[Array, "size columns worlds"]:
-    """Each facet of each pair that pushes adds `weight J J^T`, and `- weight offset J` to the right."""
-    pairs, worlds = len(flags[0]), equations.shape[-1:]
+def _dense(tree: Tree, factors: Factors, worlds: tuple[int, ...]) -> list[Float[Array, "columns worlds"]]:
+    """The rows of L, of all lanes."""
+    places, rows = _places(tree), []
+    for row, (dof, index) in enumerate(places):
+        joint = [not tree.laned(other) or index == own for other, own in places[:row]]
+        lower = zip(joint, places[:row], strict=True)
+        rows.append(stacked([lane(factors.lower[dof][o], index) if same else ZERO for same, (o, _) in lower], worlds))
+    return rows
 
-    def whole(row: dict[int, Scalar]) -> Scalar:
-        plain = [jnp.broadcast_to(row[dof].value if dof in row else 0.0, (pairs, *worlds)) for dof in range(stem)]
-        shape = (pairs, tree.lanes, *worlds)
-        laned = [jnp.broadcast_to(row[dof].value if dof in row else 0.0, shape) for dof in range(stem, tree.nv)]
-        parts = [jnp.stack(plain, axis=1)] if plain else []
-        parts += [jnp.stack(laned, axis=1).reshape(pairs, -1, *worlds)] if laned else []
-        return Scalar(jnp.concatenate(parts, axis=1))
 
-    jacobians = Vector(*(whole(row) for row in rows), *[ZERO] * (3 - len(rows)))
-    friction = touch.friction and tuple(Scalar(jnp.atleast_2d(mu.value)[..., None, :]) for mu in touch.friction)
-    facets = touch._replace(friction=friction).facets(jacobians)
-    for jacobian, offset, flag in zip(facets, touch.facets(touch.offset), flags, strict=True):
-        pull = -jnp.broadcast_to(offset.value, (pairs, *worlds))[:, None]
-        felt = jnp.concatenate([jacobian.value, pull], axis=1)
-        weight = jnp.where(flag, touch.weight.value, 0.0)
+def _updated(dense: Dense, row: Any, weight: Any, offset: Any) -> Dense:
+    """With a facet of this row and weight. Without weight they stay the same."""
+    lower, inverse, right = dense
+    lower, scales, right = list(lower), [], right - weight * offset * row
+    for last in reversed(range(len(lower))):
+        one, row = row[last], row[:last]
+        slope = one * inverse[last]
+        scale = 1.0 / (1.0 + weight * one * slope)
+        row = row - one * lower[last]
+        lower[last] = lower[last] + weight * slope * scale * row
+        weight = weight * scale
+        scales.append(scale)
+    return lower, inverse * jnp.stack(scales[::-1]), right
 
-        def add_pair(pair: Any, table: Any, parts: tuple[Any, ...] = (jacobian.value, felt, weight)) -> Any:
-            left, felt, weight = (part[pair] for part in parts)
-            return table + (weight * left)[:, None] * felt[None]
 
-        equations = jax.lax.fori_loop(0, pairs, add_pair, equations)
-    return equations
+def _solved(dense: Dense) -> list[Any]:
+    """The solution of the equations."""
+    lower, inverse, right = dense
+    half, x = [], []
+    for row in reversed(lower):
+        half.append(right[-1])
+        right = right[:-1] - right[-1] * row
+    for row, scale, value in zip(lower, inverse, reversed(half), strict=True):
+        x.append(value * scale - sum(part * other for part, other in zip(row, x, strict=True)))
+    return x

@@ -138,7 +138,7 @@ def _contacts(m: mujoco.MjModel) -> tuple[list[st.GroundPoints], list[st.Pairs]]
                 raise InputError(f"physics: the tree cannot represent a plane that moves, as {m.geom(one).name!r}.")
             ground += _ground_points(m, one, two, surface, len(ground))
         elif kinds[0] in round_ones and kinds[1] in round_ones:
-            pairs.append(st.Pairs((_capsule(m, one),), (_capsule(m, two),), surface, (len(pairs),)))
+            pairs.append(st.Pairs((_capsule(m, one),), (_capsule(m, two),), surface))
         else:
             words = " and a ".join(GEOM(int(kind)).name.removeprefix("mjGEOM_").lower() for kind in kinds)
             raise InputError(f"physics: the tree cannot represent contacts of a {words}, as those of {name!r}.")

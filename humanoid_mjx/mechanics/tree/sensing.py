@@ -15,14 +15,16 @@ from humanoid_mjx.mechanics.tree.algebra import (
     number,
     resolve,
     subtract,
+    times,
+    total,
     vector,
     velocity_at,
 )
 from humanoid_mjx.mechanics.tree.bias import Drift
 from humanoid_mjx.mechanics.tree.kinematics import Pose, motions_of, to_local
-from humanoid_mjx.mechanics.tree.pairs import pair_rows, residual
 from humanoid_mjx.mechanics.tree.pushing import ground_residuals
-from humanoid_mjx.mechanics.tree.solver import Problem, Solution
+from humanoid_mjx.mechanics.tree.search import Problem
+from humanoid_mjx.mechanics.tree.solver import Solution
 from humanoid_mjx.mechanics.tree.step import State, unfolded
 from humanoid_mjx.mechanics.tree.structure import Site, Tree
 
@@ -44,8 +46,8 @@ class Push(NamedTuple):
     bodies: tuple[Place, Place]
 
 
-def pushes_of(tree: Tree, problem: Problem, solution: Solution) -> list[Push]:
-    """All contacts: those of the ground, then those of pairs, each in the model's order."""
+def pushes_of(tree: Tree, problem: Problem, solution: Solution, sensors: Sequence[Site]) -> list[Push]:
+    """All contacts of the ground in the model's order, then those of bodies with these sensors."""
     at, x = problem.kinematics, solution.acceleration
     ground: dict[int, Push] = {}
     for points, touch, v in zip(
@@ -57,14 +59,18 @@ def pushes_of(tree: Tree, problem: Problem, solution: Solution) -> list[Push]:
             point, one = divmod(index, lanes)
             picked = _picked((touch.place, touch.frame, touch.force(v)), [point] * several, [one] * (lanes > 1))
             ground[order] = _push(at.origin, picked, ((0, 0), (points.body, one)))
-    pairs: dict[int, Push] = {}
-    rows_of = pair_rows(tree, at, problem.pairs)
-    for group, touch, rows in zip(tree.pairs, problem.pairs, rows_of, strict=True):
-        force = touch.force(residual(tree, touch, rows, x))
-        for index, (order, one, two) in enumerate(zip(group.order, group.ones, group.twos, strict=True)):
-            picked = _picked((touch.place, touch.frame, force), [index], [])
-            pairs[order] = _push(at.origin, picked, ((one.body, one.lane), (two.body, two.lane)))
-    return [found[index] for found in (ground, pairs) for index in range(len(found))]
+    pairs: list[Push] = []
+    motions, sensed = motions_of(tree, at, x), {(site.body, site.lane) for site in sensors}
+    for group, touch in zip(tree.pairs, problem.pairs, strict=True):
+        for index, (one, two) in enumerate(zip(group.ones, group.twos, strict=True)):
+            bodies = (one.body, one.lane), (two.body, two.lane)
+            if not sensed.intersection(bodies):
+                continue
+            own = jax.tree.map(lambda v, index=index: v[min(index, len(v) - 1)] if jnp.ndim(v) > 1 else v, touch)
+            of_one, of_two = (_in_lane(motions[body], one) for body, one in bodies)
+            v = own.residual(total([of_two, times(Scalar(-1.0), of_one)]))
+            pairs.append(_push(at.origin, (own.place, own.frame, own.force(v)), bodies))
+    return [*(ground[index] for index in range(len(ground))), *pairs]
 
 
 def _picked(things: Any, point: Sequence[int], one: Sequence[int]) -> Any:
@@ -110,7 +116,7 @@ def velocities_of(tree: Tree, state: State) -> list[Spatial]:
 
 def gyroscope(state: State, site: Site) -> Vector:
     """The angular velocity, rad/s, in the site's frame."""
-    return resolve(_axes(state, site), _of(site, state.motions[site.body].angular))
+    return resolve(_axes(state, site), _in_lane(state.motions[site.body].angular, site.lane))
 
 
 def accelerometer(tree: Tree, state: State, acceleration: Sequence[Scalar], gravity: Vector, site: Site) -> Vector:
@@ -121,14 +127,14 @@ def accelerometer(tree: Tree, state: State, acceleration: Sequence[Scalar], grav
     """
     place = state.kinematics.place(site.body, site.position)
     moved = velocity_at(motions_of(tree, state.kinematics, acceleration)[site.body], place)
-    felt = _of(site, add(moved, drift_at(state, site.body, place)))
+    felt = _in_lane(add(moved, drift_at(state, site.body, place)), site.lane)
     return resolve(_axes(state, site), subtract(felt, gravity))
 
 
 def touch_sensor(state: State, pushes: Sequence[Push], site: Site) -> Scalar:
     """The sum of the normal forces, N, of the contacts of the site's body that point into the site's volume."""
     axes, own = _axes(state, site), (site.body, site.lane)
-    center = add(state.kinematics.origin, _of(site, state.kinematics.place(site.body, site.position)))
+    center = add(state.kinematics.origin, _in_lane(state.kinematics.place(site.body, site.position), site.lane))
     felt = ZERO
     for push in pushes:
         if own not in push.bodies:
@@ -227,9 +233,9 @@ def bias_of(tree: Tree, state: State) -> list[Scalar]:
     return unfolded(to_local(tree, state.kinematics, bias), tree.dofs)
 
 
-def _of(site: Site, thing: Any) -> Any:
-    """What is of the site's body in the site's lane."""
-    return jax.tree.map(lambda part: lane(part, site.lane), thing, is_leaf=lambda part: isinstance(part, Scalar))
+def _in_lane(thing: Any, index: int) -> Any:
+    """A pytree of scalars of a laned body in one lane."""
+    return jax.tree.map(lambda part: lane(part, index), thing, is_leaf=lambda part: isinstance(part, Scalar))
 
 
 def _axes(state: State, site: Site) -> Rotation:

@@ -18,7 +18,8 @@ from humanoid_mjx.mechanics.tree.contacts import (
 )
 from humanoid_mjx.mechanics.tree.inertia import Mass, Matrix, factor, mass_matrix, masses_of, product
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics, make_kinematics, motions_of, to_local, to_world, unit
-from humanoid_mjx.mechanics.tree.solver import Problem, Solution, solve
+from humanoid_mjx.mechanics.tree.search import Problem
+from humanoid_mjx.mechanics.tree.solver import Solution, solve
 from humanoid_mjx.mechanics.tree.structure import FRICTIONLESS, Number, Surface, Tree
 
 

@@ -139,7 +139,6 @@ class Pairs(NamedTuple):
     ones: tuple[Capsule, ...]
     twos: tuple[Capsule, ...]
     surface: Surface
-    order: tuple[int, ...]
 
 
 class Motor(NamedTuple):
