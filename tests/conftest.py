@@ -27,31 +27,8 @@ PLAIN_KERNELS = (
 is tested with them is what programs compute, not how XLA rounds it. In one piece, a program costs less in all, and both
 cores are busy anyway."""
 
-AS_SHIPPED = (
-    "test_compute.py",
-    "test_memory.py",
-    "test_physics_worlds.py",
-    "test_processes.py",
-    "test_sweep.py",
-    "test_tree_worlds.py",
-)
-"""Files with tests of the kernels that users have: that worlds, runs and devices change no bit of each other, how near
-single precision comes, what XLA makes of a program. They need a process of their own: test_as_shipped.py starts it."""
-
+os.environ.setdefault("XLA_FLAGS", f"{compute.XLA_FLAGS} {PLAIN_KERNELS}")
 os.environ.setdefault("PJRT_NPROC", compute.POOL_THREADS)
-
-collect_ignore: list[str] = []
-
-
-def pytest_configure(config):
-    """Choose the kernels, before a test module computes anything, and leave out what is not for them."""
-    double = bool(os.environ.get("JAX_ENABLE_X64"))
-    shipped = not double and any(Path(asked.partition("::")[0]).name in AS_SHIPPED for asked in config.args)
-    flags = compute.XLA_FLAGS if shipped else f"{compute.XLA_FLAGS} {PLAIN_KERNELS}"
-    os.environ.setdefault("XLA_FLAGS", flags)
-    collect_ignore.extend([] if double else ["float64"])
-    collect_ignore.extend([] if shipped else AS_SHIPPED)
-
 
 MAPPINGS = 15_000
 """Parts of memory after which compiled programs are let go. Each has a few; Linux allows a process 65,530, and XLA
@@ -71,7 +48,5 @@ def few_compiled_programs():
         gc.collect()
 
 
-def pytest_collection_modifyitems(items):
-    """The longest first, so that they do not run alone at the end."""
-    items.sort(key=lambda item: not item.nodeid.startswith(("tests/test_as_shipped.py", "tests/test_float64.py")))
+def pytest_collection_finish():
     compute.look_for_garbage_seldom()
