@@ -5,7 +5,7 @@ import pytest
 import yaml
 
 from humanoid_mjx import InputError, make_learner, make_task, sweep
-from humanoid_mjx.config import dump_yaml, load, parse, parse_yaml
+from humanoid_mjx.config import config_digest, dump_yaml, load, parse, parse_yaml
 from humanoid_mjx.files import names
 from humanoid_mjx.tasks.continuous import Tabulated
 from humanoid_mjx.training.plan import make_plan, resolved
@@ -36,7 +36,9 @@ def write(tmp_path):
 def test_every_shipped_config_makes_a_plan(name):
     plan = make_plan(load(name))
     assert plan.config.name == name
-    again = make_plan(parse(yaml.safe_load(dump_yaml(resolved(plan.config)))))
+    written = yaml.safe_load(dump_yaml(resolved(plan.config)))
+    assert config_digest(written) == config_digest(resolved(plan.config))
+    again = make_plan(parse(written))
     assert again.points == plan.points
     assert again.learners == plan.learners
 
@@ -224,7 +226,9 @@ def test_a_joint_that_is_swept_takes_its_own_start_and_goal():
     text = yaml.safe_load(BASE)
     text["sweep"] = {"axes": {"task.joint": [1, 4, 5]}}
     plan = make_plan(parse(text))
-    again = make_plan(parse(yaml.safe_load(dump_yaml(resolved(plan.config)))))
+    written = yaml.safe_load(dump_yaml(resolved(plan.config)))
+    assert config_digest(written) == config_digest(resolved(plan.config))
+    again = make_plan(parse(written))
     for learners in (plan.learners, again.learners):
         assert [(x.task.start, x.task.goal) for x in learners] == [(-15, 100), (0, 120), (-20, 40)]
 

@@ -252,4 +252,4 @@ def config_digest(data: Mapping[str, Any]) -> str:
     """The SHA-256 of a resolved config's values, but for its name and its modules' folder: two runs of one digest have
     the same results."""
     values = {key: value for key, value in data.items() if key not in ("name", "modules")}
-    return hashlib.sha256(json.dumps(values, sort_keys=True, default=str).encode()).hexdigest()
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
