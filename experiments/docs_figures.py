@@ -19,7 +19,7 @@ from PIL import Image
 
 from humanoid_mjx.report.rendering import FPS
 from humanoid_mjx.report.style import COLORS, figure
-from humanoid_mjx.robot import robot_spec
+from humanoid_mjx.robot import make_robot
 from humanoid_mjx.robot.lower_body import FOOT_LENGTH, HIP_HEIGHT, HIP_OFFSET, SHANK_LENGTH, THIGH_LENGTH
 from humanoid_mjx.robot.ranges import joint_ranges
 from humanoid_mjx.thesis.leg import JOINT_NAMES
@@ -217,7 +217,7 @@ def _span(panel: Any, start: Any, end: Any, words: str, upright: bool = False, b
 
 def _body(angles: dict[str, float]) -> tuple[Any, Any]:
     """The standing lower body with some joints at angles, rad."""
-    model = robot_spec("lower_body").compile()
+    model = make_robot("lower_body").spec().compile()
     data = mujoco.MjData(model)
     for name, angle in angles.items():
         data.joint(name).qpos[:] = angle

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from humanoid_mjx.report.style import COLORS, figure
-from humanoid_mjx.robot import robot_spec
+from humanoid_mjx.robot import make_robot
 
 ROBOTS = {"legs": "legs: the chain of Table 4.1, torso fixed", "lower_body": "lower_body: Table 3.1 at 1:4"}
 """Robots and their names in the drawing."""
@@ -45,7 +45,7 @@ def draw_robots(path: Path) -> Path:
 
 def _draw_robot(panel: Any, name: str) -> None:
     """Lines between the joints, boxes by their edges, the axes of the right leg's joints, the world's directions."""
-    model = robot_spec(name).compile()
+    model = make_robot(name).spec().compile()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     for line, color in _outline(model, data):

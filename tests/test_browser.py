@@ -11,7 +11,7 @@ from test_page import HOSTILE
 from humanoid_mjx.report.film import Film, Push
 from humanoid_mjx.report.player import player
 from humanoid_mjx.report.web import page, section, table, text
-from humanoid_mjx.robot import robot_spec
+from humanoid_mjx.robot import make_robot
 
 pytestmark = [
     pytest.mark.slow,
@@ -24,7 +24,7 @@ SIZES = ((360, 740), (1280, 900))
 @pytest.fixture(scope="module")
 def address(tmp_path_factory):
     """A page with all its kinds of parts, every text of which would do harm if it were not escaped."""
-    model = robot_spec("lower_body").compile()
+    model = make_robot("lower_body").spec().compile()
     qpos = np.tile(model.qpos0, (26, 1))
     qpos[:, 8] = np.linspace(0.0, 0.5, 26)
     push = Push(0.2, 0.02, np.array([0.0, 10.0, 0.0]))

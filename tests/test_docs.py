@@ -21,7 +21,7 @@ from humanoid_mjx.bench import BENCHES
 from humanoid_mjx.control.laws import LAWS
 from humanoid_mjx.keys import keys_of
 from humanoid_mjx.learners import LEARNERS, Learner
-from humanoid_mjx.robot import robot_spec
+from humanoid_mjx.robot import make_robot
 from humanoid_mjx.robot.lower_body import JOINTS
 from humanoid_mjx.spec import InputError, find
 from humanoid_mjx.tasks import TASKS
@@ -207,7 +207,7 @@ def test_records_hold_what_is_said_of_them():
 
 
 def test_axes_are_those_of_the_robot():
-    model = robot_spec("lower_body").compile()
+    model = make_robot("lower_body").spec().compile()
     rows = re.findall(r"^\| `(\w+)` \| [^|]+ \| ([+-][xyz]) \| ([+-][xyz]) \|$", TEXTS["docs/robot.md"], re.M)
     assert [f"{side}_{row[0]}" for side in ("right", "left") for row in rows] == list(JOINTS)
     for joint, *axes in rows:

@@ -6,7 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from humanoid_mjx.cli import app
-from humanoid_mjx.robot import ROBOTS, robot_spec
+from humanoid_mjx.robot import ROBOTS, make_robot
 from humanoid_mjx.spec import InputError
 
 
@@ -17,7 +17,7 @@ def test_the_file_has_the_robots_dynamics(robot, tmp_path):
     assert done.exit_code == 0, done.output
     assert str(file) in done.output.replace("\n", "")
     accelerations = []
-    for model in (robot_spec(robot).compile(), mujoco.MjModel.from_xml_path(str(file))):
+    for model in (make_robot(robot).spec().compile(), mujoco.MjModel.from_xml_path(str(file))):
         rng = np.random.default_rng(0)
         data = mujoco.MjData(model)
         mujoco.mj_integratePos(model, data.qpos, rng.normal(size=model.nv), 0.1)
@@ -31,7 +31,7 @@ def test_the_file_has_the_robots_dynamics(robot, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["arm", "arm.xml"], "unknown robot 'arm'; known are "),
+        (["arm", "arm.xml"], "robot.name: unknown robot 'arm'; known are "),
         (["lower_body", "nowhere/body.xml"], "nowhere/body.xml: there is no folder nowhere."),
     ],
 )

@@ -45,7 +45,7 @@ def test_a_balanced_body_stands_on_one_foot_in_mujoco_with_the_torques_that_are_
     for _ in range(7500):
         data.ctrl[:] = column.torque + 20.0 * (stands[7:] - data.qpos[7:]) - 0.4 * data.qvel[6:]
         mujoco.mj_step(model, data)
-    corners = foot_corners(make_physics("mujoco", ranges=name), data.qpos[None])[0]
+    corners = foot_corners(make_physics("mujoco", robot={"ranges": name}), data.qpos[None])[0]
     assert (corners[:4, 2] < 1e-4).all() and corners[4:, 2].min() > 0.8 * feasible_ranges.CLEAR
     np.testing.assert_allclose(data.qpos[7:], stands[7:], atol=1e-3)
     np.testing.assert_allclose(data.actuator_force, column.torque, atol=0.02)

@@ -10,7 +10,7 @@ from humanoid_mjx import compute
 from humanoid_mjx.control import at_rest, make_law
 from humanoid_mjx.physics import make_physics
 
-MJX = make_physics("mjx-jax", ranges="human")
+MJX = make_physics("mjx-jax", robot={"ranges": "human"})
 STANDING = at_rest(jnp.zeros(10))
 PUSHES = np.array([[0.0, 0.0], [0.2, 0.0], [-0.15, 0.0], [0.0, 0.3]])
 """N s at the hips: none, forwards, backwards, to the left."""

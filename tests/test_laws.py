@@ -17,7 +17,7 @@ from humanoid_mjx.control import make_law
 from humanoid_mjx.physics import make_physics
 
 LEG = make_physics("chain", robot="leg", torque_limit=1e6)
-BODY = make_physics("mujoco", ranges="human", torque_limit=1e6)
+BODY = make_physics("mujoco", robot={"ranges": "human"}, torque_limit=1e6)
 QPOS, QVEL = np.array([0.3, -0.2, 0.4, 1.1, -0.5]), np.array([1.0, 2.0, -1.0, 0.5, 3.0])
 GOAL = control.Reference(jnp.full(5, 0.5), jnp.full(5, 0.1), jnp.full(5, -0.2))
 KP, KD = 36.0, 18.0

@@ -17,7 +17,7 @@ from humanoid_mjx.config import dump_yaml
 from humanoid_mjx.report.film import Film
 from humanoid_mjx.report.player import film_data, player
 from humanoid_mjx.report.web import page, table
-from humanoid_mjx.robot import robot_spec
+from humanoid_mjx.robot import make_robot
 from humanoid_mjx.runs.folder import read_config
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.sweep import sweep
@@ -144,7 +144,7 @@ def test_hostile_text_of_a_run_is_text(swept, tmp_path, monkeypatch):
 
 
 def test_hostile_text_of_a_film_stays_in_its_json():
-    model = robot_spec("legs").compile()
+    model = make_robot("legs").spec().compile()
     film = Film(model, np.zeros((2, model.nq)), 0.1, HOSTILE, ((0.0, HOSTILE),))
     assert_nothing_gets_in(page(HOSTILE, player(film)))
 
@@ -196,7 +196,7 @@ def test_columns_of_numbers_are_set_to_the_right():
 
 
 def test_a_film_as_data_is_the_motion():
-    model = robot_spec("lower_body").compile()
+    model = make_robot("lower_body").spec().compile()
     qpos = np.tile(model.qpos0, (5, 1))
     qpos[:, 0] = np.linspace(0.0, 0.4, 5)
     data = film_data(Film(model, qpos, 0.04))

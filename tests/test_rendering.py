@@ -18,7 +18,7 @@ from humanoid_mjx.report.raycast import GROUND, SHADOW, Painter
 from humanoid_mjx.report.rendering import HEIGHT, STRIP, WIDTH, draw, render_film
 from humanoid_mjx.report.scene import LIGHT, make_camera, make_scene
 from humanoid_mjx.report.video import ffmpeg
-from humanoid_mjx.robot import robot_spec
+from humanoid_mjx.robot import make_robot
 from humanoid_mjx.robot.lower_body import LOOKS, lower_body_model
 from humanoid_mjx.spec import InputError
 
@@ -124,7 +124,7 @@ def test_pictures_show_the_motion(motion):
 
 
 def test_legs_without_colours_have_those_of_their_sides():
-    model = robot_spec("legs").compile()
+    model = make_robot("legs").spec().compile()
     colors = {tuple(shape.color) for shape in make_scene(model, model.qpos0[None]).shapes}
     assert colors == {LOOKS["right"][:3], LOOKS["left"][:3]}
 

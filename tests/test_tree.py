@@ -11,7 +11,7 @@ from humanoid_mjx.mechanics.tree.reading import read_tree
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.spec import InputError
 
-TREE, NATIVE = (make_physics(name, ranges="human") for name in ("tree", "mujoco"))
+TREE, NATIVE = (make_physics(name, robot={"ranges": "human"}) for name in ("tree", "mujoco"))
 
 
 @pytest.fixture(scope="module")

@@ -105,7 +105,7 @@ def _program(subject: str, steps: int, worlds: int) -> Callable[..., Any]:
     physics = subject.partition(" ")[0]
     task: Stand = make_task("stand", control="grounded") if subject == COMPUTED_TORQUE else make_task("stand")
     room = {"worlds": worlds} if physics == "mjx-warp" else {}
-    simulator = make_physics(physics, robot="lower_body", torso="free", ranges="human", timestep=task.timestep, **room)
+    simulator = make_physics(physics, robot=task.robot, timestep=task.timestep, **room)
     controller = task.control.follow(at_rest(jnp.asarray(POSTURE, float)))
 
     def simulate(qpos: jax.Array, qvel: jax.Array) -> jax.Array:

@@ -17,6 +17,8 @@ which covers every set of corners: flat feet, a foot on its edge or on one corne
 as well as push; the corners that touch are read anew at every step, so that an error of this lasts one step.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -50,6 +52,7 @@ def grounded_torque(
     mass_matrix: Float[Array, "nv nv"],
     bias: Float[Array, " nv"],
     contacts: Contacts,
+    joints: Any,
 ) -> Joints:
     """Return the joint torques, N m, that bring the accelerations wanted as near as the contacts and the servo allow.
 
@@ -57,16 +60,16 @@ def grounded_torque(
       wanted: accelerations wanted of the joints, rad/s^2.
       held: torques of the servo, N m.
       share: weight of the servo, 0 to 1; at 0 the accelerations are as near as the contacts allow.
-      mass_matrix: mass matrix of all degrees of freedom, the joints last.
+      mass_matrix: mass matrix of all degrees of freedom.
       bias: what acceleration and velocity add to `mass_matrix @ qacc` in the absence of contacts.
       contacts: the points of the feet.
+      joints: where the joints stand among the degrees of freedom.
     """
-    joints = len(wanted)
     mobility, drift = constrained_dynamics(mass_matrix, bias, contacts)
-    inertia, mobility = mass_matrix[-joints:, -joints:], mobility[-joints:, -joints:]
-    missing = wanted - drift[-joints:] - mobility @ held
+    inertia, mobility = mass_matrix[joints][:, joints], mobility[joints][:, joints]
+    missing = wanted - drift[joints] - mobility @ held
     weighted = mobility @ inertia
-    cost = weighted @ mobility + share**2 * eliminate(inertia, jnp.eye(joints, dtype=inertia.dtype))
+    cost = weighted @ mobility + share**2 * eliminate(inertia, jnp.eye(len(wanted), dtype=inertia.dtype))
     return held + eliminate(cost, (weighted @ missing)[:, None])[:, 0]
 
 

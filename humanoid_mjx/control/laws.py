@@ -27,8 +27,8 @@ from humanoid_mjx.control.pd import Gain, Joints, Reference, pd, servo
 from humanoid_mjx.spec import Named, make_named, traced, written
 
 RobotState: TypeAlias = Any
-"""What a law may ask of a robot: `qpos` and `qvel` of its joints, `torque_for`, `model_for` and `contacts`, as
-`physics.base.Stages` has them."""
+"""What a law may ask of a robot: `qpos` and `qvel` of its joints, `torque_for`, `model_for`, `contacts` and `joints`,
+as `physics.base.Stages` has them."""
 
 
 class Law(Named):
@@ -103,7 +103,7 @@ class PartitionedPDLaw(ModelLaw):
 
     def __call__(self, reference: Reference, state: RobotState) -> Joints:
         matrix, _ = state.model_for(self.mass)
-        return jnp.diagonal(matrix)[-len(state.qpos) :] * self.acceleration(reference, state)
+        return jnp.diagonal(matrix)[state.joints] * self.acceleration(reference, state)
 
 
 class ComputedTorqueLaw(ModelLaw):
@@ -127,7 +127,8 @@ class GroundedLaw(ModelLaw):
     def __call__(self, reference: Reference, state: RobotState) -> Joints:
         held = pd(self.stiffness, self.damping, reference, state.qpos, state.qvel)
         matrix, bias = state.model_for(self.mass)
-        return grounded_torque(self.acceleration(reference, state), held, self.share, matrix, bias, state.contacts())
+        wanted, contacts = self.acceleration(reference, state), state.contacts()
+        return grounded_torque(wanted, held, self.share, matrix, bias, contacts, state.joints)
 
 
 LAWS = {

@@ -76,6 +76,8 @@ class Stages:
     """The corners of the feet that can touch the ground; no points where there is none."""
     model_for: Callable[[Any], tuple[Any, Any]]
     """(a model's mass factor) -> the mass matrix and the bias of that model."""
+    joints: Any
+    """Where the actuated joints stand among the degrees of freedom."""
 
     @property
     def mass_matrix(self) -> Float[AnyArray, "*worlds nv nv"]:
@@ -97,8 +99,8 @@ class Readings(NamedTuple):
     """Angular velocity of the torso in its own frame, rad/s."""
     accelerometer: Float[AnyArray, "*worlds 3"]
     """Acceleration that the torso feels, in its own frame, m/s^2; +9.81 upwards at rest."""
-    foot_contact: Float[AnyArray, "*worlds 2"]
-    """Normal force on the right and the left foot, N."""
+    foot_contact: Float[AnyArray, "*worlds feet"]
+    """Normal force on each foot, N."""
 
 
 class Poses(NamedTuple):
@@ -120,7 +122,7 @@ class Velocities(NamedTuple):
 
 
 class GroundContacts(NamedTuple):
-    """The corners of the feet that can touch the ground, the right foot's first; none where there is no ground."""
+    """The corners of the feet that can touch the ground, foot by foot; none where there is no ground."""
 
     position: Float[AnyArray, "*worlds points 3"]
     """Positions of the corners' lowest points, m, world."""

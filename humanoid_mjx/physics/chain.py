@@ -5,11 +5,12 @@ image, and gravity lies in the plane of symmetry.
 """
 
 from functools import lru_cache, partial
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pydantic
 from jaxtyping import Array, Float
 from pydantic import Field
 
@@ -31,14 +32,17 @@ from humanoid_mjx.physics.base import (
     Velocities,
     World,
 )
+from humanoid_mjx.robot import ROBOTS
 from humanoid_mjx.robot.leg import FRAME_0, MIRROR, Leg
+from humanoid_mjx.robot.legs import Legs
 from humanoid_mjx.robot.ranges import TORQUE_LIMIT, joint_ranges
-from humanoid_mjx.spec import traced
+from humanoid_mjx.spec import traced, written
 from humanoid_mjx.thesis.leg import GRAVITY, JOINT_NAMES
 from humanoid_mjx.types import AnyArray, BoolScalar, MassFactor
 
-SIDES = ("right", "left")
 LEG = len(JOINT_NAMES)
+
+ChainRobot = Annotated[pydantic.SerializeAsAny[Legs], written("robot", ROBOTS, Legs)]
 
 
 class ChainPhysics(Physics):
@@ -46,12 +50,11 @@ class ChainPhysics(Physics):
 
     arithmetic: ClassVar[Arithmetic] = "scalars"
 
-    robot: Literal["legs", "leg"] = "legs"
+    robot: ChainRobot = Field(Legs(), description="both legs, or the right one")
     parameters: Literal["physical", "thesis", "matlab_script"] = "physical"
-    ranges: Literal["proposed", "human"] = "proposed"
     timestep: float = Field(0.002, gt=0, le=0.02, description="s")
     mass: float = traced(1.0, gt=0, description="factor on the mass and the inertia of every link")
-    torque_limit: float = traced(TORQUE_LIMIT, gt=0, description="of the motors, N m")
+    torque_limit: float = traced(1.0, gt=0, description="factor on that of each motor")
 
     @property
     def step_s(self) -> float:
@@ -67,7 +70,7 @@ class ChainPhysics(Physics):
 
     @property
     def joint_ranges(self) -> Float[np.ndarray, "joints 2"]:
-        return np.tile(joint_ranges(self.ranges), (len(self.sides), 1))
+        return np.tile(joint_ranges(self.robot.ranges), (len(self.sides), 1))
 
     @property
     def qpos0(self) -> Float[np.ndarray, " nq"]:
@@ -76,7 +79,7 @@ class ChainPhysics(Physics):
     @property
     def sides(self) -> tuple[str, ...]:
         """The sides that have a leg."""
-        return SIDES if self.robot == "legs" else SIDES[:1]
+        return self.robot.sides
 
     @property
     def leg(self) -> Leg:
@@ -125,7 +128,7 @@ class ChainPhysics(Physics):
         return Poses(jnp.stack(position), jnp.stack(rotation))
 
     def _cycle(self, world: World, controller: Controller, substeps: int) -> tuple[World, Float[Array, " joints"]]:
-        limit = self.torque_limit
+        limit = self.torque_limit * TORQUE_LIMIT
         # Joint by joint: a bound on the whole array would be a kernel of its own between those of its elements.
         torque = jnp.stack([jnp.clip(x, -limit, limit) for x in controller(self._stages(world))])
         dt = jnp.asarray(self.timestep, world.qpos.dtype)
@@ -156,7 +159,7 @@ class ChainPhysics(Physics):
 
         nothing = no_contacts(len(world.qvel))
         own = Once(partial(model_for, self.mass))
-        return Stages(world, world.qpos, world.qvel, own, torque_for, lambda: nothing, model_for)
+        return Stages(world, world.qpos, world.qvel, own, torque_for, lambda: nothing, model_for, slice(None))
 
     def _each_leg(self, mass: MassFactor, *joints: Float[Array, " joints"]) -> list[tuple[Any, ...]]:
         """For each leg: its chain, and its own part of the arrays."""

@@ -19,7 +19,8 @@ from pydantic import Field, model_validator
 from humanoid_mjx import compute
 from humanoid_mjx.mechanics.contacts import Contacts, rigid_points
 from humanoid_mjx.physics.base import Controller, Once, Poses, Sensed, Stages, World
-from humanoid_mjx.physics.model import MujocoPhysics, below, freeze_if_diverged, ground_points
+from humanoid_mjx.physics.model import MujocoPhysics, below, freeze_if_diverged
+from humanoid_mjx.robot.description import ground_points
 from humanoid_mjx.types import AnyArray, IntScalar, MassFactor
 
 SOLVER_ITERATIONS = {"jax": 4, "warp": 30}
@@ -129,16 +130,15 @@ class MjxJax(MujocoPhysics):
         """The mjx.Model with the traced values in it."""
         model, _ = _mjx_arrays(self.model, self.implementation, jax.config.jax_enable_x64)
         model = jax.tree.map(jnp.asarray, model)
-        limits = jnp.asarray([-self.torque_limit, self.torque_limit], float)
         factors = self.mass_factors(self.mass)
         body_mass = model.body_mass * factors
         return model.replace(
             body_mass=body_mass,
             body_inertia=model.body_inertia * factors[:, None],
             body_subtreemass=below(self.model) @ body_mass,
-            dof_damping=jnp.where(model.dof_damping > 0, jnp.asarray(self.damping, float), 0.0),
-            pair_friction=model.pair_friction.at[:, :2].set(self.friction),
-            actuator_ctrlrange=jnp.broadcast_to(limits, model.actuator_ctrlrange.shape),
+            dof_damping=model.dof_damping * jnp.asarray(self.damping, float),
+            pair_friction=model.pair_friction.at[:, :2].multiply(self.friction),
+            actuator_ctrlrange=model.actuator_ctrlrange * jnp.asarray(self.torque_limit, float),
         )
 
     def _blank_data(self) -> Any:
@@ -163,12 +163,12 @@ class MjxJax(MujocoPhysics):
         return freeze_if_diverged(world, new), data
 
     def _ask(self, model: Any, data: Any, world: World, controller: Controller) -> Float[Array, " joints"]:
-        limit = jnp.asarray(self.torque_limit, float)
+        limit = self.torque_limits
         torque = controller(self._stages(model, data, world))
         return jnp.clip(jnp.asarray(torque, float), -limit, limit)
 
     def _stages(self, model: Any, data: Any, world: World) -> Stages:
-        joints = self.model.nu
+        joints = self.joint_dofs
 
         def dynamics(data: Any) -> tuple[Float[Array, "nv nv"], Float[Array, " nv"]]:
             return mass_matrix(self.model, data), data.qfrc_bias - data.qfrc_passive
@@ -182,7 +182,7 @@ class MjxJax(MujocoPhysics):
 
         def torque_for(qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
             believed, bias_of = model_for(mass)
-            return believed[-joints:, -joints:] @ qacc + bias_of[-joints:]
+            return believed[joints][:, joints] @ qacc + bias_of[joints]
 
         def contacts() -> Contacts:
             corners, moved_by = self.ground_points
@@ -191,8 +191,8 @@ class MjxJax(MujocoPhysics):
             jacobian, drift = rigid_points(position, moved_by, data.cdof, data.cdof_dot, data.qvel, origin)
             return Contacts(position, jacobian, drift, position[:, 2] <= 0.0)
 
-        joint_state = world.qpos[-joints:], world.qvel[-joints:]
-        return Stages(world, *joint_state, own, torque_for, contacts, model_for)
+        joint_state = world.qpos[self.joint_qpos], world.qvel[joints]
+        return Stages(world, *joint_state, own, torque_for, contacts, model_for, joints)
 
 
 class MjxWarp(MjxJax):
@@ -241,8 +241,9 @@ def _mjx_arrays(model: mujoco.MjModel, implementation: str, x64: bool) -> tuple[
     if not model.npair:  # MJX fails at a touch sensor where nothing can touch; left out, it reads 0
         model.sensor_needstage[model.sensor_type == mujoco.mjtSensor.mjSENS_TOUCH] = mujoco.mjtStage.mjSTAGE_NONE
     elif implementation == "jax":  # forces on the corners of the feet are the solver's: see `_normal_forces`
-        corners = len(ground_points(model)[0])
-        model.sensor_needstage[model.nsensor - corners :] = mujoco.mjtStage.mjSTAGE_NONE
+        corners = {model.geom(ball).name for ball in ground_points(model)[0]}
+        own = [i for i in range(model.nsensor) if model.sensor(i).name.removesuffix("_contact") in corners]
+        model.sensor_needstage[own] = mujoco.mjtStage.mjSTAGE_NONE
     with jax.ensure_compile_time_eval():
         put = mjx.put_model(model, impl=implementation)
         if implementation == "warp":  # it would print a line for each world and step; see `LOST`

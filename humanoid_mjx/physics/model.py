@@ -1,8 +1,9 @@
 # pyright: reportAttributeAccessIssue=false
 """What the physics built on MuJoCo's models have in common: which robot, its model, its traced values."""
 
+from collections.abc import Sequence
 from functools import lru_cache
-from typing import Literal
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -12,9 +13,9 @@ from jaxtyping import Bool, Float, Int
 from pydantic import Field
 
 from humanoid_mjx.physics.base import MAX_SPEED, GroundContacts, Physics, Poses, Readings, Velocities, World
-from humanoid_mjx.robot import lower_body as body
-from humanoid_mjx.robot import robot_spec
-from humanoid_mjx.robot.ranges import TORQUE_LIMIT
+from humanoid_mjx.robot import RobotKey
+from humanoid_mjx.robot.description import Robot, compiled, ground_points
+from humanoid_mjx.robot.lower_body import LowerBody
 from humanoid_mjx.spec import traced
 from humanoid_mjx.types import AnyArray, BoolScalar, FloatScalar, MassFactor
 
@@ -22,20 +23,18 @@ from humanoid_mjx.types import AnyArray, BoolScalar, FloatScalar, MassFactor
 class MujocoPhysics(Physics):
     """A robot as a MuJoCo model."""
 
-    robot: Literal["lower_body", "legs", "leg"] = "lower_body"
-    torso: body.Torso = "free"
-    ranges: body.Ranges = "proposed"
+    robot: RobotKey = Field(LowerBody(), description="the robot that moves")
     timestep: float | None = Field(None, gt=0, le=0.02, description="s; by default the robot's own")
     mass: float = traced(1.0, gt=0, description="factor on the mass and the inertia of every link")
-    friction: float = traced(body.FRICTION, ge=0, description="of the feet on the ground")
-    damping: float = traced(body.DAMPING, ge=0, description="of the lower body's joints, N m s/rad")
-    torque_limit: float = traced(TORQUE_LIMIT, gt=0, description="of the motors, N m")
+    friction: float = traced(1.0, ge=0, description="factor on that of all contacts that have any")
+    damping: float = traced(1.0, ge=0, description="factor on that of the joints")
+    torque_limit: float = traced(1.0, gt=0, description="factor on that of each motor")
     push: tuple[float, float, float] = traced((0.0, 0.0, 0.0), description="steady force on a free torso, N, world")
 
     @property
     def model(self) -> mujoco.MjModel:
         """The compiled model with its own values in place of the traced ones. It is shared: change copies only."""
-        return _model(self.robot, self.torso, self.ranges, self.timestep)
+        return _model(self.robot, self.timestep)
 
     @property
     def step_s(self) -> float:
@@ -58,6 +57,26 @@ class MujocoPhysics(Physics):
         return self.model.qpos0.copy()
 
     @property
+    def free(self) -> bool:
+        """Whether the torso is free to move."""
+        return bool((self.model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any())
+
+    @property
+    def joint_qpos(self) -> Any:
+        """Where the joints that motors drive stand in `qpos`."""
+        return places(self.model.jnt_qposadr[self.model.actuator_trnid[:, 0]])
+
+    @property
+    def joint_dofs(self) -> Any:
+        """Where they stand in `qvel`."""
+        return places(self.model.jnt_dofadr[self.model.actuator_trnid[:, 0]])
+
+    @property
+    def torque_limits(self) -> Float[AnyArray, " joints"]:
+        """Largest torque of each motor now, N m."""
+        return jnp.asarray(self.torque_limit, float) * own_limits(self.model)
+
+    @property
     def ground_points(self) -> tuple[Int[np.ndarray, " points"], Bool[np.ndarray, "points nv"]]:
         """The balls of the feet that can touch the ground, z = 0: their geoms, and which velocities move them."""
         return ground_points(self.model)
@@ -78,29 +97,29 @@ class MujocoPhysics(Physics):
     ) -> tuple[Float[AnyArray, "nv nv"], Float[AnyArray, " nv"]]:
         """Mass matrix and bias with all links `factor` times as heavy; the motors' armature and the joints' damping
         stay as they are."""
-        armature, damped = self.model.dof_armature, self.model.dof_damping > 0
-        resistance = jnp.where(damped, self.damping, 0.0) * qvel
+        armature = self.model.dof_armature
+        resistance = self.damping * self.model.dof_damping * qvel
         others = 1 - factor
         return factor * mass_matrix + others * np.diag(armature), factor * bias + others * resistance
 
     def pushes(self) -> Float[AnyArray, " nv"]:
         """The forces on the degrees of freedom other than the motors'."""
         none = jnp.zeros(self.model.nv)
-        return none.at[:3].set(jnp.stack(list(self.push))) if self.torso == "free" else none
+        return none.at[:3].set(jnp.stack(list(self.push))) if self.free else none
 
     def _readings(self, sensordata: Float[AnyArray, "*worlds sensors"]) -> Readings:
-        """MuJoCo's sensor array, in the order in which the robot declares its sensors."""
-        joints, points = self.model.nu, len(self.ground_points[0])
-        return Readings(
-            encoders=sensordata[..., :joints],
-            gyroscope=sensordata[..., joints : joints + 3],
-            accelerometer=sensordata[..., joints + 3 : joints + 6],
-            foot_contact=sensordata[..., joints + 6 : sensordata.shape[-1] - points],
-        )
+        """MuJoCo's sensor array, by the names of the robot's sensors."""
+        names = self.robot.sensors
+        parts = names.encoders, (names.gyroscope,), (names.accelerometer,), names.foot_contact
+        return Readings(*(sensordata[..., self._sensor_places(part)] for part in parts))
 
     def _corner_forces(self, sensordata: Float[AnyArray, "*worlds sensors"]) -> Float[AnyArray, "*worlds points"]:
-        """Normal forces on the corners of the feet, N: the last of the sensors."""
-        return sensordata[..., sensordata.shape[-1] - len(self.ground_points[0]) :]
+        """Normal forces on the corners of the feet, N."""
+        return sensordata[..., self._sensor_places(self.robot.sensors.points)]
+
+    def _sensor_places(self, names: Sequence[str]) -> Any:
+        sensors = [self.model.sensor(name) for name in names]
+        return places(np.array([a for s in sensors for a in range(s.adr[0], s.adr[0] + s.dim[0])], int))
 
     def _velocities(
         self, cvel: Float[AnyArray, "bodies 6"], position: Float[AnyArray, "bodies 3"], com: Float[AnyArray, "bodies 3"]
@@ -153,19 +172,17 @@ def below(model: mujoco.MjModel) -> Float[np.ndarray, "bodies bodies"]:
 
 
 @lru_cache
-def _model(robot: str, torso: str, ranges: str, timestep: float | None) -> mujoco.MjModel:
+def _model(robot: Robot, timestep: float | None) -> mujoco.MjModel:
     with jax.ensure_compile_time_eval():
-        return robot_spec(robot, torso=torso, ranges=ranges, timestep=timestep).compile()
+        return compiled(robot, timestep)
 
 
-@lru_cache
-def ground_points(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
-    """As `MujocoPhysics.ground_points`, of a model."""
-    pairs = np.stack([model.pair_geom1, model.pair_geom2], axis=1)
-    balls = pairs[model.geom_type[pairs[:, 0]] == mujoco.mjtGeom.mjGEOM_PLANE, 1]
-    moved_by = np.zeros((len(balls), model.nv), bool)
-    for row, link in zip(moved_by, model.geom_bodyid[balls], strict=True):
-        while link:
-            row[model.dof_bodyid == link] = True
-            link = model.body_parentid[link]
-    return balls, moved_by
+def own_limits(model: mujoco.MjModel) -> Float[np.ndarray, " joints"]:
+    """Largest control of each motor of a model, N m."""
+    return np.where(model.actuator_ctrllimited, model.actuator_ctrlrange[:, 1], np.inf)
+
+
+def places(rows: Int[np.ndarray, " rows"]) -> Any:
+    """Rows as an index: a slice where they follow one another, which compiles to less."""
+    one_by_one = len(rows) and (np.diff(rows) == 1).all()
+    return slice(int(rows[0]), int(rows[-1]) + 1) if one_by_one else rows

@@ -23,7 +23,7 @@ from humanoid_mjx.compute import cores
 from humanoid_mjx.mechanics.contacts import Contacts
 from humanoid_mjx.physics.base import Controller, Once, Poses, Sensed, Stages, Velocities, World
 from humanoid_mjx.physics.model import MujocoPhysics, below, freeze_if_diverged
-from humanoid_mjx.robot import robot_spec
+from humanoid_mjx.robot import Robot
 from humanoid_mjx.types import AnyArray, MassFactor
 
 MODELS_BYTES = 1 << 27
@@ -72,7 +72,7 @@ class Native(MujocoPhysics):
 
     def _cycle(self, world: World, controller: Controller, substeps: int, sensed: bool) -> tuple[World, Array, Array]:
         """The world after a control cycle, the torque that acted, and what was sensed before it."""
-        limit = jnp.asarray(self.torque_limit, float)
+        limit = self.torque_limits
         torque = jnp.clip(jnp.asarray(controller(self._stages(world)), float), -limit, limit)
         qpos, qvel, warmstart, sensordata = self._held(world, torque, substeps, sensed)
         return freeze_if_diverged(world, World(qpos, qvel, warmstart, jnp.bool_(False))), torque, sensordata
@@ -95,16 +95,16 @@ class Native(MujocoPhysics):
 
     @property
     def _team(self) -> "_Team":
-        return _team(_watched(self.robot, self.torso, self.ranges, self.timestep))
+        return _team(_watched(self.robot, self.timestep))
 
     def _values(self) -> Float[Array, " values"]:
-        """The traced values of a model: the mass factors of the bodies, friction, damping, and the torque limit."""
+        """The traced values of a model: factors on the bodies' masses, friction, damping, torque limits."""
         factors = self.mass_factors(self.mass)
         others = self.friction, self.damping, self.torque_limit
         return jnp.concatenate([factors, jnp.stack([jnp.asarray(value, factors.dtype) for value in others])])
 
     def _stages(self, world: World) -> Stages:
-        joints, nv = self.model.nu, self.model.nv
+        joints, nv = self.joint_dofs, self.model.nv
 
         def dynamics(physics: Native) -> tuple[Array, Array]:
             shapes = (nv, nv), (nv,)
@@ -118,11 +118,12 @@ class Native(MujocoPhysics):
 
         def torque_for(qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
             believed, bias_of = model_for(mass)
-            return believed[-joints:, -joints:] @ qacc + bias_of[-joints:]
+            return believed[joints][:, joints] @ qacc + bias_of[joints]
 
         own = Once(partial(dynamics, self))
-        joint_state = world.qpos[-joints:], world.qvel[-joints:]
-        return Stages(world, *joint_state, own, torque_for, partial(self._contacts, world), model_for)
+        joint_state = world.qpos[self.joint_qpos], world.qvel[joints]
+        contacts = partial(self._contacts, world)
+        return Stages(world, *joint_state, own, torque_for, contacts, model_for, joints)
 
     def _contacts(self, world: World) -> Contacts:
         points, nv = len(self.ground_points[0]), self.model.nv
@@ -202,7 +203,6 @@ class _Team:
         self.rollout = Rollout(nthread=threads)
         self.data = [mujoco.MjData(base) for _ in range(threads)]
         self.room = max(1, MODELS_BYTES // base.nbuffer)
-        self._damped = base.dof_damping > 0
         self._tuned: dict[bytes, mujoco.MjModel] = {}
         self._bare = copy(base)
         self._bare.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
@@ -234,16 +234,16 @@ class _Team:
         model.body_mass[:] = mass
         model.body_inertia[:] = factors[:, None] * base.body_inertia
         model.body_subtreemass[:] = below(base) @ mass
-        model.dof_damping[self._damped] = damping
-        model.pair_friction[:, :2] = friction
-        model.actuator_ctrlrange[:] = -torque_limit, torque_limit
+        model.dof_damping[:] = damping * base.dof_damping
+        model.pair_friction[:, :2] = friction * base.pair_friction[:, :2]
+        model.actuator_ctrlrange[:] = torque_limit * base.actuator_ctrlrange
 
 
 @lru_cache
-def _watched(robot: str, torso: str, ranges: str, timestep: float | None) -> mujoco.MjModel:
+def _watched(robot: Robot, timestep: float | None) -> mujoco.MjModel:
     """The robot with `FRAMES` on every body, behind its own sensors."""
     with jax.ensure_compile_time_eval():
-        spec = robot_spec(robot, torso=torso, ranges=ranges, timestep=timestep)
+        spec = robot.spec(timestep)
         for kind in FRAMES:
             for body in spec.bodies:
                 spec.add_sensor(type=kind, objtype=mujoco.mjtObj.mjOBJ_XBODY, objname=body.name)

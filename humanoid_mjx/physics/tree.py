@@ -38,7 +38,8 @@ from humanoid_mjx.physics.base import (
     Velocities,
     World,
 )
-from humanoid_mjx.physics.model import MujocoPhysics
+from humanoid_mjx.physics.model import MujocoPhysics, own_limits
+from humanoid_mjx.robot.description import ground_points
 from humanoid_mjx.types import AnyArray, IntScalar, MassFactor
 
 
@@ -115,10 +116,7 @@ class TreePhysics(MujocoPhysics):
     def _nothing(self, zero: Float[Array, ""]) -> tuple[Any, ...]:
         """What is carried in the place of something sensed before anything is."""
         bodies, points, joints = self.model.nbody, len(self.ground_points[0]), len(self.tree.motors)
-        touch, shapes = (
-            len(self.tree.touch_sensors) - points,
-            ((bodies, 3), (bodies, 3, 3), (bodies, 3), (bodies, 3), (points,)),
-        )
+        touch, shapes = len(self.tree.touch_sensors), ((bodies, 3), (bodies, 3, 3), (bodies, 3), (bodies, 3), (points,))
         sensors = (3 * len(self.tree.gyroscopes),), (3 * len(self.tree.accelerometers),), (touch,)
         seen = tuple(jnp.zeros(shape, zero.dtype) + zero for shape in (*sensors, *shapes))
         return jnp.zeros(joints, zero.dtype) + zero, jnp.zeros(joints, zero.dtype) + zero, seen
@@ -128,7 +126,7 @@ class TreePhysics(MujocoPhysics):
         return np.array([motor.qpos for motor in self.tree.motors])
 
     def _values(self) -> mechanics.Values:
-        push = jnp.stack([jnp.asarray(part, float) for part in self.push]) if self.torso == "free" else None
+        push = jnp.stack([jnp.asarray(part, float) for part in self.push]) if self.free else None
         mass, friction, damping = self.mass, self.friction, self.damping
         return mechanics.Values(
             self.mass_factors(mass), *(jnp.asarray(x, float) for x in (friction, damping)), push=push
@@ -151,9 +149,11 @@ class TreePhysics(MujocoPhysics):
         return worlds_last(function, self.tree, kernel=kernel)(values, None if kernel else state, tuple(world), torque)
 
     def _within(self, torque: Any) -> Float[Array, " joints"]:
-        limit = jnp.asarray(self.torque_limit, float)
+        factor, torque = jnp.asarray(self.torque_limit, float), jnp.asarray(torque, float)
         # Joint by joint: a bound on the whole array would be a kernel of its own between those of its elements.
-        return jnp.stack([jnp.clip(part, -limit, limit) for part in jnp.asarray(torque, float)])
+        bounds = {own: factor * own for own in own_limits(self.model).tolist()}
+        limits = [bounds[own] for own in own_limits(self.model).tolist()]
+        return jnp.stack([jnp.clip(part, -limit, limit) for part, limit in zip(torque, limits, strict=True)])
 
     def _ask_first(
         self, values: mechanics.Values, world: World, controller: Controller
@@ -168,7 +168,7 @@ class TreePhysics(MujocoPhysics):
         return self._within(controller(self._stages(state, world)))
 
     def _stages(self, state: Callable[[], mechanics.State], world: World) -> Stages:
-        joints, dynamics = len(self.tree.motors), worlds_last(_dynamics, self.tree)
+        joints, dynamics = self.joint_dofs, worlds_last(_dynamics, self.tree)
 
         def model_for(mass: MassFactor) -> tuple[Float[Array, "nv nv"], Float[Array, " nv"]]:
             other = self._values()._replace(mass=self.mass_factors(mass))
@@ -176,7 +176,7 @@ class TreePhysics(MujocoPhysics):
 
         def torque_for(qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
             believed, held = model_for(mass)
-            return believed[-joints:, -joints:] @ qacc + held[-joints:]
+            return believed[joints][:, joints] @ qacc + held[joints]
 
         def contacts() -> Contacts:
             if not self.tree.ground:
@@ -185,7 +185,8 @@ class TreePhysics(MujocoPhysics):
             return Contacts(position, jacobian, drift, position[:, 2] <= 0.0)
 
         own = Once(lambda: dynamics(state()))
-        return Stages(world, world.qpos[-joints:], world.qvel[-joints:], own, torque_for, contacts, model_for)
+        joint_state = world.qpos[self.joint_qpos], world.qvel[joints]
+        return Stages(world, *joint_state, own, torque_for, contacts, model_for, joints)
 
 
 # What follows is of many worlds at once, their axis the last.
@@ -269,10 +270,8 @@ def _advance_sensed(
         part for site in tree.accelerometers for part in sensing.accelerometer(tree, state, acceleration, gravity, site)
     ]
     points = _ground_points(tree)
-    # The last of the model's touch sensors are those of the points themselves, whose forces are at hand.
-    sensors = tree.touch_sensors[: len(tree.touch_sensors) - points]
-    pushes = sensing.pushes_of(tree, problem, solution, sensors)
-    touch = [sensing.touch_sensor(state, pushes, site) for site in sensors]
+    pushes = sensing.pushes_of(tree, problem, solution, tree.touch_sensors)
+    touch = [sensing.touch_sensor(state, pushes, site) for site in tree.touch_sensors]
     readings = (stacked(part, like) for part in (turning, felt, touch))
     normal = stacked([push.pressure for push in pushes[:points]], like)
     seen = *readings, *_poses(tree, state), *_velocities(tree, state), normal
@@ -297,5 +296,9 @@ def _rows(vectors: Sequence[Vector], shape: tuple[int, ...]) -> Any:
 def _tree(model: mujoco.MjModel) -> Tree:
     with jax.ensure_compile_time_eval():
         tree = fold(read_tree(model))
-    # The torque limit is traced, in the place of the model's.
-    return tree._replace(motors=tuple(motor._replace(control=None) for motor in tree.motors))
+    # Forces on the points are at hand without their sensors. The torque limit is traced, in the place of the model's.
+    points = {f"{model.geom(ball).name}_contact" for ball in ground_points(model)[0]}
+    names = (model.sensor(row).name for row in np.flatnonzero(model.sensor_type == mujoco.mjtSensor.mjSENS_TOUCH))
+    touch = tuple(site for site, name in zip(tree.touch_sensors, names, strict=True) if name not in points)
+    motors = tuple(motor._replace(control=None) for motor in tree.motors)
+    return tree._replace(motors=motors, touch_sensors=touch)

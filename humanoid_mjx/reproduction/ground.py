@@ -124,7 +124,7 @@ class Balance(NamedTuple):
 @cache
 def physics() -> Any:
     """MJX with the lower body, the human ranges of Table 3.2: the gaits leave the proposed ones."""
-    return make_physics("mjx-jax", ranges="human")
+    return make_physics("mjx-jax", robot={"ranges": "human"})
 
 
 def play(

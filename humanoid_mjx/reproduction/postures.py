@@ -114,7 +114,7 @@ def _where(knee: float) -> str:
 def _switch(section: str, setting: Setting) -> list[Finding]:
     """Train on a posture, show the motion, and measure it against a plan that takes as long."""
     from humanoid_mjx.report.rendering import render_motion
-    from humanoid_mjx.robot import robot_spec
+    from humanoid_mjx.robot import make_robot
     from humanoid_mjx.training.episode import motion_of, play
 
     setting.tell(f"section {section}: training {SEEDS} tables of {EPISODES} episodes")
@@ -126,7 +126,7 @@ def _switch(section: str, setting: Setting) -> list[Finding]:
     episode = play(trained)
     motion = motion_of(trained, episode)
     path = setting.out / f"figure-7.18-{section}.gif"
-    render_motion(robot_spec("legs").compile(), motion.qpos, task.timestep, path)
+    render_motion(make_robot("legs").spec().compile(), motion.qpos, task.timestep, path)
     setting.tell(f"section {section}: the same along a plan, and with twice the mass")
     learned = _measure(motion, goal, task, tolerance)
     plan = _measure(_planned(task, learned.settling), goal, task, tolerance)

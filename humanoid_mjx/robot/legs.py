@@ -6,28 +6,48 @@ lower body, the right leg first, and equal values of both legs are a posture tha
 """
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
+from pydantic import Field
 
+from humanoid_mjx.robot.description import Robot
 from humanoid_mjx.robot.leg import FRAME_0, HIP_DIAMETER, MIRROR, SHANK_DIAMETER, Leg
-from humanoid_mjx.robot.lower_body import JOINTS, SIDES, add_motors_and_sensors
+from humanoid_mjx.robot.lower_body import JOINTS, SIDES, Ranges, add_motors_and_sensors
 from humanoid_mjx.robot.mjcf import add_chain
 from humanoid_mjx.robot.ranges import joint_ranges
-from humanoid_mjx.spec import InputError
 from humanoid_mjx.thesis.leg import GRAVITY, JOINT_NAMES
 
 TIMESTEP = 0.002
 
 
-def leg_spec(torso: str = "fixed", ranges: str = "proposed", timestep: float | None = None) -> mujoco.MjSpec:
-    """The right leg of `legs_spec`."""
-    return legs_spec(torso, ranges, timestep, SIDES[:1])
+class Legs(Robot):
+    """Both legs of Table 4.1 on a fixed torso."""
+
+    name: Literal["legs", "leg"] = "legs"
+    ranges: Ranges = Field(default="proposed", description="column of Table 3.2")
+    feet: tuple[str, ...] = ("right_foot", "left_foot")
+    mirror: tuple[tuple[str, str], ...] = (SIDES,)
+
+    @property
+    def sides(self) -> tuple[str, ...]:
+        """The sides that have a leg."""
+        return SIDES[: len(self.feet)]
+
+    def spec(self, timestep: float | None = None) -> mujoco.MjSpec:
+        return legs_spec(self.ranges, timestep, self.sides)
+
+
+class SingleLeg(Legs):
+    """The right leg alone."""
+
+    name: Literal["leg"] = "leg"
+    feet: tuple[str, ...] = ("right_foot",)
+    mirror: tuple[tuple[str, str], ...] = ()
 
 
 def legs_spec(
-    torso: str = "fixed",
     ranges: str = "proposed",
     timestep: float | None = None,
     sides: Sequence[str] = SIDES,
@@ -36,17 +56,14 @@ def legs_spec(
     """Both legs with their motors and sensors, as a MuJoCo model that can still be changed.
 
     Args:
-      torso: "fixed", the only choice for the chain.
       ranges: a column of Table 3.2. Nothing stops a joint there: postures of section 6.4 lie beyond it.
       timestep: s; by default `TIMESTEP`.
       sides: which legs to build.
       leg: the chain of the right leg; by default `Leg.physical()`.
 
     Raises:
-      InputError: another torso, unknown ranges, or a leg without mass.
+      InputError: unknown ranges, or a leg without mass.
     """
-    if torso != "fixed":
-        raise InputError(f"torso: that of the legs is fixed, got {torso!r}; a free one has the robot lower_body.")
     leg = leg or Leg.physical()
     spec = mujoco.MjSpec()
     spec.modelname = "legs" if len(sides) > 1 else "leg"

@@ -24,7 +24,9 @@ from typing import Literal, get_args
 
 import mujoco
 import numpy as np
+from pydantic import Field
 
+from humanoid_mjx.robot.description import Build, Robot
 from humanoid_mjx.robot.ranges import TORQUE_LIMIT
 from humanoid_mjx.spec import InputError, known
 from humanoid_mjx.thesis import leg as thesis
@@ -99,6 +101,29 @@ CORNERS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 
 _LEG_CONTACTS = (("thigh", "thigh"), ("shank", "shank"), ("sole", "sole"), ("shank", "sole"), ("sole", "shank"))
 """Parts of the right and the left leg that cannot pass through each other; all are capsules, one contact a pair."""
+
+
+HOME = (15.0, 0.0, 0.0, 30.0, -15.0) * 2
+"""Degrees. Knees bent a little, so that legs can give way and stretch; the feet are flat under the hips."""
+
+
+class LowerBody(Robot):
+    """The lower body at 1:4: a torso, two legs of five joints, feet with four corners."""
+
+    name: Literal["lower_body"] = "lower_body"
+    torso: Torso = Field(default="free", description="on the ground, or fixed in the air without any")
+    ranges: Ranges = Field(default="proposed", description="column of Table 3.2")
+    feet: tuple[str, ...] = ("right_foot", "left_foot")
+    home: tuple[float, ...] = HOME
+    mirror: tuple[tuple[str, str], ...] = (SIDES,)
+
+    def spec(self, timestep: float | None = None) -> mujoco.MjSpec:
+        return lower_body_spec(self.torso, self.ranges, timestep)
+
+    @property
+    def build(self) -> Build:
+        lean = self.posture[0]
+        return Build(HIP_OFFSET, (THIGH_LENGTH + SHANK_LENGTH) * np.cos(lean), lean)
 
 
 def lower_body_model(torso: str = "free", ranges: str = "proposed", timestep: float | None = None) -> mujoco.MjModel:

@@ -189,5 +189,4 @@ class LegReach(ContinuousTask):
 
 @lru_cache
 def _simulator(name: str, ranges: str, timestep: float) -> Physics:
-    torso = {} if name == "chain" else {"torso": "fixed"}
-    return make_physics(name, robot="leg", ranges=ranges, timestep=timestep, **torso)
+    return make_physics(name, robot={"name": "leg", "ranges": ranges}, timestep=timestep)

@@ -171,5 +171,4 @@ class PostureSwitch(FiniteTask):
 
 @lru_cache
 def _simulator(name: str, timestep: float) -> Physics:
-    torso = {} if name == "chain" else {"torso": "fixed"}
-    return make_physics(name, robot="legs", timestep=timestep, **torso)
+    return make_physics(name, robot="legs", timestep=timestep)

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from humanoid_mjx.control import Reference
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.physics.base import Controller, Physics, World
-from humanoid_mjx.robot import ROBOTS, robot_spec
+from humanoid_mjx.robot import Robot
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.tasks.base import Task
 from humanoid_mjx.tasks.continuous import State
@@ -70,8 +70,8 @@ def robot_of(trained: Trained) -> mujoco.MjModel:
         model = getattr(simulator, "model", None)
         if isinstance(model, mujoco.MjModel):
             return model
-        if getattr(simulator, "robot", None) in ROBOTS:
-            return robot_spec(simulator.robot).compile()
+        if isinstance(robot := getattr(simulator, "robot", None), Robot):
+            return robot.model
     raise InputError(
         f"{trained.name}: its task {trained.config.task['name']} moves no robot: it has no `simulator` and `period`, "
         "as posture_switch does."

@@ -53,7 +53,7 @@ from humanoid_mjx.physics import make_physics
 compute.start()
 import jax
 jax.devices()
-make_physics("mjx-jax", robot="legs", torso="fixed")
+make_physics("mjx-jax", robot="legs")
 """
 
 

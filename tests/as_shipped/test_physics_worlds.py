@@ -40,7 +40,7 @@ def test_native_worlds_may_differ_in_their_values(native_step, worlds, monkeypat
     """As in a batch of worlds that do not differ, also where the models are too many to be kept."""
     monkeypatch.setattr("humanoid_mjx.physics.native.MODELS_BYTES", 0)
     native._team.cache_clear()
-    heavy = same(NATIVE).replace(mass=1.0 + 0.2 * jnp.arange(WORLDS), damping=jnp.array([0.01, 0.01, 0.1, 0.01]))
+    heavy = same(NATIVE).replace(mass=1.0 + 0.2 * jnp.arange(WORLDS), damping=jnp.array([0.5, 0.5, 5.0, 0.5]))
     moved = worlds
     for _ in range(3):
         moved, _ = native_step(heavy, moved)

@@ -17,7 +17,7 @@ from humanoid_mjx.mechanics.tree.step import Values
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.robot.lower_body import lower_body_model
 
-TREE, NATIVE = (make_physics(name, ranges="human") for name in ("tree", "mujoco"))
+TREE, NATIVE = (make_physics(name, robot={"ranges": "human"}) for name in ("tree", "mujoco"))
 
 
 def test_accelerations_agree_with_native():

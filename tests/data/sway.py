@@ -21,7 +21,7 @@ class Sway(ContinuousTask):
 
     @property
     def simulator(self):
-        return make_physics("mujoco", robot="legs", torso="fixed", timestep=0.02)
+        return make_physics("mujoco", robot="legs", timestep=0.02)
 
     def reset(self, key):
         world = self.simulator.start(jnp.zeros(10), jnp.zeros(10))

@@ -81,6 +81,7 @@ def test_the_wrench_of_the_links_is_that_of_the_mass_matrix(motion):
             lambda *_: none,
             lambda: none,
             lambda _: (none, none),
+            slice(6, None),
         )
         force, moment = ground_wrench(stages, jnp.array(qacc[t]))
         np.testing.assert_allclose(force, expected[0][t], atol=1e-9)

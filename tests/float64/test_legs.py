@@ -7,7 +7,7 @@ import pytest
 
 from humanoid_mjx.physics import make_physics
 
-OPTIONS = {"robot": "legs", "torso": "fixed"}
+OPTIONS = {"robot": "legs"}
 CHAIN, MJX = make_physics("chain"), make_physics("mjx-jax", **OPTIONS)
 NATIVE = make_physics("mujoco", **OPTIONS)
 rng = np.random.default_rng(0)

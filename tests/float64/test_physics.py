@@ -9,7 +9,7 @@ from humanoid_mjx.physics import make_physics
 
 def pair(torso):
     """Two physics, each with a step of many worlds."""
-    both = [make_physics(name, torso=torso, ranges="human") for name in ("mjx-jax", "mujoco")]
+    both = [make_physics(name, robot={"torso": torso, "ranges": "human"}) for name in ("mjx-jax", "mujoco")]
     steps = [jax.jit(jax.vmap(lambda world, target, p=p: p.step(world, servo(target)))) for p in both]
     return both[0], *steps
 

@@ -94,7 +94,7 @@ def test_steps_agree_with_native(name):
 
 @pytest.fixture(scope="module")
 def physics():
-    return make_physics("tree", ranges="human")
+    return make_physics("tree", robot={"ranges": "human"})
 
 
 def start(physics, qpos, qvel):

@@ -29,11 +29,11 @@ class Values(NamedTuple):
     mass: Any = None
     """(bodies,) factors on each body's mass and inertia, the world's being of no use."""
     friction: Any = None
-    """Coefficient of friction, a number, along both tangents of all contacts that have any."""
+    """Factor on the coefficients of friction of all contacts that have any."""
     damping: Any = None
-    """N m s/rad, of the joints that are damped: a number."""
+    """Factor on the joints' damping."""
     armature: Any = None
-    """kg m^2, of the joints that have any: a number."""
+    """Factor on the joints' armature."""
     gravity: Any = None
     """(3,) m/s^2"""
     push: Any = None
@@ -202,18 +202,20 @@ def _factors(tree: Tree, mass: Any) -> list[Scalar]:
 
 
 def _joint_values(tree: Tree, own: Sequence[Number], given: Any) -> list[Scalar]:
-    """By degree of freedom: what is given, where the model has any, or else the model's."""
-    found = [ZERO] * tree.nv
+    """By degree of freedom: the model's, times the factor that is given."""
+    found, factor = [ZERO] * tree.nv, ONE if given is None else number(given)
+    products = {value: number(value) * factor for value in own}
     for hinge, value in zip(tree.hinges, own, strict=True):
-        found[hinge.dof] = number(value) if given is None or not value else number(given)
+        found[hinge.dof] = products[value]
     return found
 
 
 def _frictions(surfaces: Sequence[Surface], given: Any) -> list[Friction]:
     if given is None:
         return [friction_of(surface) for surface in surfaces]
-    value = Scalar(jnp.maximum(given, FRICTIONLESS))
-    return [None if surface.friction is None else (value, value) for surface in surfaces]
+    own = {value for surface in surfaces for value in surface.friction or ()}
+    values = {value: Scalar(jnp.maximum((number(value) * number(given)).value, FRICTIONLESS)) for value in own}
+    return [surface.friction and (values[surface.friction[0]], values[surface.friction[1]]) for surface in surfaces]
 
 
 def _within(bounds: tuple[float, float] | None, value: Scalar) -> Scalar:

@@ -14,8 +14,8 @@ from humanoid_mjx.control.laws import ServoLaw
 from humanoid_mjx.mechanics.rotations import leaning_quaternion
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.physics.base import Controller, Physics, Sensed, World
-from humanoid_mjx.robot import lower_body
-from humanoid_mjx.robot.ranges import TORQUE_LIMIT
+from humanoid_mjx.robot import Robot, RobotKey, lower_body
+from humanoid_mjx.robot.lower_body import LowerBody
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import ContinuousTask
 from humanoid_mjx.types import FloatScalar
@@ -44,9 +44,9 @@ class LeggedBody(ContinuousTask):
 
     posture: ClassVar[Float[np.ndarray, " joints"]] = POSTURE
 
+    robot: RobotKey = Field(LowerBody(ranges="human"), description="the robot that stands")
     physics: Literal["tree", "mjx-jax", "mjx-warp", "mujoco"] = "tree"
     control: Control = Field(ServoLaw(stiffness=3.0, damping=0.1), description="the law that drives the joints")
-    ranges: Literal["human", "proposed"] = Field("human", description="column of Table 3.2")
     choices: Literal[3, 5, 9] = Field(3, description="values of a joint's offset, evenly from -1 to 1 times it")
     offset: float = traced(20.0, gt=0, le=90, description="largest offset of a set-point from the posture, degrees")
     offset_shares: tuple[float, float, float, float, float] = traced(
@@ -58,9 +58,9 @@ class LeggedBody(ContinuousTask):
     period: float = Field(0.02, gt=0, le=1, description="s between decisions")
     timestep: float = Field(0.004, gt=0, le=0.02, description="s of physics and control law")
     mass: float = traced(1.0, gt=0, le=10, description="factor on the mass and the inertia of every link")
-    friction: float = traced(lower_body.FRICTION, ge=0, le=10, description="of the feet on the ground")
-    joint_damping: float = traced(lower_body.DAMPING, ge=0, le=1, description="of the robot's joints, N m s/rad")
-    torque_limit: float = traced(TORQUE_LIMIT, gt=0, le=1000, description="of the motors, N m")
+    friction: float = traced(1.0, ge=0, le=10, description="factor on that of the feet on the ground")
+    joint_damping: float = traced(1.0, ge=0, le=100, description="factor on that of the joints")
+    torque_limit: float = traced(1.0, gt=0, le=1000, description="factor on that of each motor")
 
     @model_validator(mode="after")
     def _period_must_fit(self) -> "LeggedBody":
@@ -74,7 +74,7 @@ class LeggedBody(ContinuousTask):
     @property
     def simulator(self) -> Physics:
         """The physics of the body, with the robot's own values."""
-        return _simulator(self.physics, self.ranges, self.timestep)
+        return _simulator(self.physics, self.robot, self.timestep)
 
     @property
     def plant(self) -> Plant:
@@ -125,5 +125,5 @@ class LeggedBody(ContinuousTask):
 
 
 @lru_cache
-def _simulator(name: str, ranges: str, timestep: float) -> Physics:
-    return make_physics(name, robot="lower_body", torso="free", ranges=ranges, timestep=timestep)
+def _simulator(name: str, robot: Robot, timestep: float) -> Physics:
+    return make_physics(name, robot=robot, timestep=timestep)

@@ -1,0 +1,275 @@
+# pyright: reportAttributeAccessIssue=false
+"""The description of a robot: all that physics, tasks, measures and pictures know of one.
+
+A robot is a MuJoCo model with a torque motor for each joint that is driven, and with what its model does not say: which
+bodies are feet, how it stands, which side is the image of which. The rest follows. Thresholds of tasks are shares of
+its weight and of the length of its legs, so that they fit any robot.
+"""
+
+from functools import lru_cache
+from typing import Annotated, Any, NamedTuple
+
+import mujoco
+import numpy as np
+import pydantic
+from jaxtyping import Bool, Float, Int
+from pydantic import Field
+
+from humanoid_mjx.spec import InputError, Named, make_named, written
+
+ROBOTS = {
+    "leg": "humanoid_mjx.robot.legs:SingleLeg",
+    "legs": "humanoid_mjx.robot.legs:Legs",
+    "lower_body": "humanoid_mjx.robot.lower_body:LowerBody",
+}
+"""The robots by name."""
+
+AXIAL = np.array([-1.0, 1.0, -1.0])
+"""Image of an axis of rotation in the plane of symmetry, x forward and z up."""
+
+
+class Sensors(NamedTuple):
+    """Names of the sensors in the model."""
+
+    encoders: tuple[str, ...]
+    gyroscope: str
+    accelerometer: str
+    foot_contact: tuple[str, ...]
+    points: tuple[str, ...]
+    """Of the force on each point of the feet."""
+
+
+class Build(NamedTuple):
+    """Measures of two legs as those of the lower body: hip pitch, yaw and roll about one point, knee, ankle."""
+
+    hip_offset: float
+    """From the middle of the body to a hip, sideways, m."""
+    reach: float
+    """From a hip to the ankle under it at home, m."""
+    lean: float
+    """Pitch of the hips at home, rad."""
+
+
+class Robot(Named):
+    """Base of robots: derive from it, give `spec`, and fields of your own for what can be chosen."""
+
+    feet: tuple[str, ...] = Field(default=(), strict=False, description="bodies that stand on the ground")
+    home: tuple[float, ...] = Field(
+        default=(), strict=False, description="angles of the joints as it stands, degrees; all 0"
+    )
+    turns: tuple[float, ...] = Field(
+        default=(), strict=False, description="when in a gait's period each foot swings; evenly"
+    )
+    mirror: tuple[tuple[str, str], ...] = Field(
+        default=(), strict=False, description="parts of names that change sides"
+    )
+
+    def __hash__(self) -> int:
+        return hash((type(self), *self.__dict__.values()))
+
+    def spec(self, timestep: float | None = None) -> mujoco.MjSpec:
+        """The robot as a MuJoCo model that can still be changed; `timestep`, s, is by default its own.
+
+        The ground is a plane that balls of the feet feel by explicit pairs, foot by foot. Sensors are called
+        JOINT_encoder, gyroscope, accelerometer, FOOT_contact and BALL_contact.
+        """
+        raise NotImplementedError
+
+    @pydantic.model_serializer(mode="wrap")
+    def _as_chosen(self, handler: Any) -> dict[str, Any]:
+        """The name, and what was not left as it is."""
+        fields = type(self).model_fields
+        return {key: value for key, value in handler(self).items() if getattr(self, key) != fields[key].default} | {
+            "name": self.name
+        }
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The compiled model. It is shared: change copies only."""
+        return compiled(self, None)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """The joints that motors drive, in the motors' order."""
+        return tuple(self.model.joint(joint).name for joint in self.model.actuator_trnid[:, 0])
+
+    @property
+    def ranges_rad(self) -> Float[np.ndarray, "joints 2"]:
+        return self.model.jnt_range[self.model.actuator_trnid[:, 0]]
+
+    @property
+    def torque_limits(self) -> Float[np.ndarray, " joints"]:
+        """Largest torque of each motor, N m."""
+        model = self.model
+        limits = np.where(model.actuator_ctrllimited, model.actuator_ctrlrange[:, 1], np.inf)
+        return limits * np.abs(model.actuator_gear[:, 0])
+
+    @property
+    def posture(self) -> Float[np.ndarray, " joints"]:
+        """Angles of the joints as it stands, rad."""
+        return np.radians(self.home) if self.home else np.zeros(len(self.joints))
+
+    @property
+    def phases(self) -> Float[np.ndarray, " feet"]:
+        """Where in a gait's period each foot's swing begins."""
+        return np.array(self.turns) if self.turns else np.arange(len(self.feet)) / max(len(self.feet), 1)
+
+    @property
+    def points(self) -> int:
+        """How many points of each foot touch the ground."""
+        return len(ground_points(self.model)[0]) // max(len(self.feet), 1)
+
+    @property
+    def sensors(self) -> Sensors:
+        """Names of the sensors."""
+        balls = [self.model.geom(ball).name for ball in ground_points(self.model)[0]]
+        names = ([f"{name}_{kind}" for name in of] for of, kind in ((self.joints, "encoder"), (self.feet, "contact")))
+        encoders, feet = map(tuple, names)
+        return Sensors(encoders, "gyroscope", "accelerometer", feet, tuple(f"{ball}_contact" for ball in balls))
+
+    @property
+    def build(self) -> Build | None:
+        """Measures of its legs where they are built as those of the lower body, else None."""
+        return None
+
+    @property
+    def mass(self) -> float:
+        """kg"""
+        return float(self.model.body_mass.sum())
+
+    @property
+    def leg_length(self) -> float:
+        """Height of the hips above the ground at home, m."""
+        return _stance(self).leg_length
+
+    @property
+    def start_height(self) -> float:
+        """Height of the torso at the start of an episode, m: less than a hundredth of the legs above the ground."""
+        return round(_stance(self).height + 0.007 * self.leg_length, 3)
+
+    @property
+    def pace(self) -> float:
+        """The speed of Froude number 1, the unit of speeds, m/s."""
+        return float(np.sqrt(np.linalg.norm(self.model.opt.gravity) * self.leg_length))
+
+    def force(self, share: float) -> float:
+        """A share of the weight, N, to two digits, as are lengths and speeds: a threshold has no more."""
+        return _two_digits(share * self.mass * float(np.linalg.norm(self.model.opt.gravity)))
+
+    def length(self, share: float) -> float:
+        """A share of the legs' length, m, to two digits."""
+        return _two_digits(share * self.leg_length)
+
+    def speed(self, share: float) -> float:
+        """A share of `pace`, m/s, to two digits."""
+        return _two_digits(share * self.pace)
+
+    @property
+    def joint_images(self) -> tuple[Int[np.ndarray, " joints"], Float[np.ndarray, " joints"]]:
+        """Of which joint each one is the mirror image, and the sign of its angle there."""
+        return _joint_images(self)
+
+    @property
+    def foot_images(self) -> Int[np.ndarray, " feet"]:
+        """Of which foot each one is the mirror image."""
+        return np.array([self.feet.index(self.image_of(foot)) for foot in self.feet], int)
+
+    @property
+    def foot_pairs(self) -> Int[np.ndarray, "pairs 2"]:
+        """The feet that are each other's images, the one that comes first before the other."""
+        return np.array([(one, other) for one, other in enumerate(self.foot_images) if one < other], int).reshape(-1, 2)
+
+    def image_of(self, name: str) -> str:
+        """The name of the joint or the foot on the other side; that of the middle is its own image."""
+        for one, other in (pair for both in self.mirror for pair in (both, both[::-1])):
+            if one in name:
+                return name.replace(one, other)
+        return name
+
+    @pydantic.model_validator(mode="after")
+    def _fits_its_model(self) -> "Robot":
+        counts = (("home", self.home, len(self.joints)), ("turns", self.turns, len(self.feet)))
+        for key, values, count in counts:
+            if values and len(values) != count:
+                raise ValueError(f"{key} must hold {count} numbers, got {len(values)}")
+        balls, _ = ground_points(self.model)
+        names = [self.model.body(self.model.geom_bodyid[ball]).name for ball in balls]
+        if self.feet and names != [foot for foot in self.feet for _ in range(self.points)]:
+            raise ValueError(f"feet must have equally many balls that feel the ground, foot by foot, got {names}")
+        assert len(_joint_images(self)[0]) == len(self.joints)
+        return self
+
+
+def make_robot(name: str, /, **values: Any) -> Any:
+    """Build the robot called `name`, or a user's own given as "package.module:Class".
+
+    Raises:
+      InputError: unknown name or key, or a value that does not fit the robot's model.
+    """
+    return make_named("robot", ROBOTS, Robot, name, **values)
+
+
+RobotKey = Annotated[pydantic.SerializeAsAny[Robot], written("robot", ROBOTS, Robot)]
+"""The type of a field `robot`: `robot: {name: lower_body, ranges: human}`, or the name alone."""
+
+
+@lru_cache
+def compiled(robot: Robot, timestep: float | None) -> mujoco.MjModel:
+    """The robot's model with this time step, s."""
+    return robot.spec(timestep).compile()
+
+
+@lru_cache
+def ground_points(model: mujoco.MjModel) -> tuple[Int[np.ndarray, " points"], Bool[np.ndarray, "points nv"]]:
+    """The balls that a plane feels by explicit pairs: their geoms, and which velocities move them."""
+    pairs = np.stack([model.pair_geom1, model.pair_geom2], axis=1)
+    balls = pairs[model.geom_type[pairs[:, 0]] == mujoco.mjtGeom.mjGEOM_PLANE, 1]
+    moved_by = np.zeros((len(balls), model.nv), bool)
+    for row, link in zip(moved_by, model.geom_bodyid[balls], strict=True):
+        while link:
+            row[model.dof_bodyid == link] = True
+            link = model.body_parentid[link]
+    return balls, moved_by
+
+
+class _Stance(NamedTuple):
+    height: float
+    leg_length: float
+
+
+@lru_cache
+def _stance(robot: Robot) -> _Stance:
+    """Heights of the torso and of the hips above the lowest point of the feet, at home."""
+    model = robot.model
+    balls, _ = ground_points(model)
+    data = mujoco.MjData(model)
+    data.qpos[model.jnt_qposadr[model.actuator_trnid[:, 0]]] = robot.posture
+    mujoco.mj_kinematics(model, data)
+    ground = (data.geom_xpos[balls, 2] - model.geom_size[balls, 0]).min() if len(balls) else 0.0
+    hips = []
+    for foot in robot.feet if len(balls) else ():
+        link = model.body(foot).id
+        while model.body_parentid[link] > 1:
+            link = model.body_parentid[link]
+        hips.append(data.xanchor[model.body_jntadr[link], 2])
+    height = float(data.xpos[1, 2] - ground)
+    return _Stance(height, float(np.mean(hips) - ground) if hips else height)
+
+
+@lru_cache
+def _joint_images(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
+    joints, model = robot.joints, robot.model
+    if missing := [name for name in joints if robot.image_of(name) not in joints]:
+        raise InputError(f"mirror: {missing[0]} has no image {robot.image_of(missing[0])}.")
+    order = np.array([joints.index(robot.image_of(name)) for name in joints], int)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    axes = data.xaxis[model.actuator_trnid[:, 0]]
+    signs = np.round(np.sum(axes * AXIAL * axes[order], axis=1), 6)
+    if robot.mirror and (wrong := [name for name, sign in zip(joints, signs, strict=True) if abs(sign) != 1]):
+        raise InputError(f"mirror: the axis of {wrong[0]} is no image of that of {robot.image_of(wrong[0])}.")
+    return order, signs if robot.mirror else np.ones(len(joints))
+
+
+def _two_digits(value: float) -> float:
+    return float(f"{value:.2g}")
