@@ -10,25 +10,28 @@ import pytest
 from humanoid_mjx import InputError, make_task
 from humanoid_mjx.mechanics import gaits
 from humanoid_mjx.mechanics.pattern_generator import mean_posture
-from humanoid_mjx.robot.lower_body import SIDES
-from humanoid_mjx.tasks.legged.body import POSTURE
-from humanoid_mjx.tasks.legged.gait import LEG_LENGTH, Clock, Gait, Steps
+from humanoid_mjx.robot.lower_body import SIDES, LowerBody
+from humanoid_mjx.tasks.legged.gait import Clock, Gait, Steps
 from humanoid_mjx.tasks.legged.thesis_gaits import FORTH, Oscillators, TableSteps
 
+BODY = LowerBody(ranges="human")
 STAND, ON_THE_SPOT = jnp.zeros(3), jnp.array([1e-6, 0.0, 0.0])
 
 
 def test_the_clock_turns_while_the_body_is_to_move():
     gait = Steps(period=0.4, cadence=0.5, stance=0.75, lift=10.0, sway=4.0)
     phases = jnp.linspace(0.0, 1.0, 401)[:-1]
-    swing = np.asarray(jax.vmap(gait.swing)(phases))
+    swing = np.asarray(jax.vmap(lambda phase: gait.swing(phase, BODY))(phases))
     np.testing.assert_allclose((swing > 1e-6).mean(axis=0), 0.25, atol=0.01)
     np.testing.assert_allclose(swing[:, 0], np.roll(swing[:, 1], 200), atol=1e-5)
     assert not (swing > 1e-6).all(axis=1).any() and swing.max() == pytest.approx(1.0, abs=1e-3)
-    assert gait.after(Clock(0.9), ON_THE_SPOT, 0.08).phase == pytest.approx(0.1, abs=1e-6)
-    assert gait.after(Clock(0.9), STAND, 0.08).phase == 0.0 and not np.any(gait.reference(Clock(0.3), STAND))
+    assert gait.after(Clock(0.9), ON_THE_SPOT, 0.08, BODY).phase == pytest.approx(0.1, abs=1e-6)
+    assert gait.after(Clock(0.9), STAND, 0.08, BODY).phase == 0.0 and not np.any(
+        gait.reference(Clock(0.3), STAND, BODY)
+    )
     assert gait.lasting(jnp.array([0.6, -0.8, 0.5])) == pytest.approx(0.4 / 1.5)
-    motion = np.degrees(jax.vmap(lambda phase: gait.reference(Clock(phase), ON_THE_SPOT))(phases)).reshape(-1, 2, 5)
+    motion = jax.vmap(lambda phase: gait.reference(Clock(phase), ON_THE_SPOT, BODY))(phases)
+    motion = np.degrees(motion).reshape(-1, 2, 5)
     pitch, yaw, roll, knee, ankle = motion.transpose(2, 0, 1)
     np.testing.assert_allclose(ankle, pitch - knee, atol=1e-5)
     np.testing.assert_allclose(knee.max(axis=0), 20.0, atol=0.01)
@@ -39,7 +42,16 @@ def test_the_clock_turns_while_the_body_is_to_move():
 def feet_by(gait, phase, command):
     """Positions and rotations of the feet by MuJoCo's forward kinematics, under a torso that does not move."""
     data = mujoco.MjData(make_task("walk").simulator.model)
-    data.qpos[:] = [0, 0, 0.5, 1, 0, 0, 0, *(POSTURE + np.asarray(gait.reference(Clock(phase), jnp.array(command))))]
+    data.qpos[:] = [
+        0,
+        0,
+        0.5,
+        1,
+        0,
+        0,
+        0,
+        *(BODY.posture + np.asarray(gait.reference(Clock(phase), jnp.array(command), BODY))),
+    ]
     mujoco.mj_kinematics(data.model, data)
     return [np.array([getattr(data.body(f"{side}_foot"), name) for side in SIDES]) for name in ("xpos", "xmat")]
 
@@ -76,11 +88,11 @@ def test_a_standing_foot_goes_back_as_the_ground_does(command):
 
 def motion_of(gait, command, seconds, start=0.0, dt=0.02):
     """(decisions, joints) The reference under a command that stays, and the phases."""
-    clock, angles, phases = gait.start(jnp.float32(start)), [], []
+    clock, angles, phases = gait.start(jnp.float32(start), BODY), [], []
     after, reference = jax.jit(gait.after), jax.jit(gait.reference)
     for _ in range(round(seconds / dt)):
-        clock = after(clock, jnp.array(command), dt)
-        angles.append(reference(clock, jnp.array(command)))
+        clock = after(clock, jnp.array(command), dt, BODY)
+        angles.append(reference(clock, jnp.array(command), BODY))
         phases.append(clock.phase)
     return np.array(angles), np.array(phases)
 
@@ -90,23 +102,27 @@ def test_a_table_is_played_about_its_mean_as_fast_as_the_body_is_to_go():
     gait, command = TableSteps(period=0.8, cadence=0.0), jnp.array([0.1, 0.0, 0.0])
     printed = gaits.gait("straight_walk")
     times = np.array([0.0, 0.1333, 0.2667, 0.4, 0.5333, 0.6667])
-    size = float(gait.amplitude(command))
+    size = float(gait.amplitude(command, BODY))
     for time in times:
         expected = size * (printed.at(time).position - mean_posture(printed))
-        angles = gait.reference(Clock(time / 0.8 - FORTH), command)
+        angles = gait.reference(Clock(time / 0.8 - FORTH), command, BODY)
         np.testing.assert_allclose(angles[:5], expected, atol=1e-5)  # float32
-        np.testing.assert_allclose(gait.reference(Clock(time / 0.8 - FORTH + 0.5), command)[5:], expected, atol=1e-5)
+        np.testing.assert_allclose(
+            gait.reference(Clock(time / 0.8 - FORTH + 0.5), command, BODY)[5:], expected, atol=1e-5
+        )
     pitch = size * np.radians(15.0 - -15.0)
     # From the table's foremost hip, at 0.5333 s, to its rearmost, at 0.2667 s of the next period.
-    assert LEG_LENGTH * pitch == pytest.approx(0.1 * (0.8 - 0.5333 + 0.2667), rel=1e-3)
-    assert not np.any(gait.reference(Clock(0.3), STAND)) and not np.any(gait.reference(Clock(0.3), command * 0))
+    assert BODY.build.reach * pitch == pytest.approx(0.1 * (0.8 - 0.5333 + 0.2667), rel=1e-3)
+    assert not np.any(gait.reference(Clock(0.3), STAND, BODY)) and not np.any(
+        gait.reference(Clock(0.3), command * 0, BODY)
+    )
 
 
 def test_oscillators_walk_as_their_table_once_they_have_settled():
     command = (0.2, 0.0, 0.0)
     angles, phases = motion_of(Oscillators(), command, 4.0)
     table = TableSteps()
-    settled = np.array([table.reference(Clock(phase), jnp.array(command)) for phase in phases[-24:]])
+    settled = np.array([table.reference(Clock(phase), jnp.array(command), BODY) for phase in phases[-24:]])
     np.testing.assert_allclose(angles[-24:], settled, atol=2e-3)  # e^(-8 * 3.5) is left of the start, float32 of phases
     assert np.abs(angles[0]).max() < 0.2 * np.abs(settled).max()  # it begins in the posture
     still, _ = motion_of(Oscillators(), (0.0, 0.0, 0.0), 0.2)
@@ -118,6 +134,6 @@ def test_a_gait_is_chosen_by_name():
     assert isinstance(make_task("walk", gait={"stride": 0.5}).gait, Steps)
     assert make_task("walk", gait={"name": "table", "table": "sudden_turn", "period": 0.6}).gait.table == "sudden_turn"
     clock = make_task("walk", gait="clock").gait
-    assert type(clock) is Gait and not np.any(clock.reference(Clock(0.3), ON_THE_SPOT))
+    assert type(clock) is Gait and not np.any(clock.reference(Clock(0.3), ON_THE_SPOT, BODY))
     with pytest.raises(InputError, match=r"gait.name: unknown gait 'tables'; did you mean 'table'\?"):
         make_task("walk", gait="tables")

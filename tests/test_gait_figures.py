@@ -10,7 +10,7 @@ import pytest
 from gait_reference import reference
 
 from humanoid_mjx.physics.base import Poses
-from humanoid_mjx.robot.lower_body import lower_body_model
+from humanoid_mjx.robot.lower_body import LowerBody, lower_body_model
 from humanoid_mjx.runs.gaits import summarised
 from humanoid_mjx.runs.statistics import mean_interval
 from humanoid_mjx.tasks.legged.measures.figures import FIGURES, figures
@@ -26,7 +26,7 @@ def figures_of(first, samples, asked, command, turns=False):
     """The figures of one episode without a fall."""
 
     def one(tally, step):
-        return add(tally, *step, jnp.int32(WINDOW), INTERVAL), None
+        return add(tally, *step, jnp.int32(WINDOW), INTERVAL, LowerBody()), None
 
     tally, _ = jax.lax.scan(one, begin(first), (samples, asked))
     return figures(tally, command, jnp.bool_(turns), jnp.bool_(False), jnp.float32(MASS), INTERVAL)
@@ -186,7 +186,7 @@ def test_the_distance_between_segments_is_the_least_there_is():
 def test_legs_are_as_near_as_mujoco_finds_them():
     model = lower_body_model("free", "human")
     data, rng, touching = mujoco.MjData(model), np.random.default_rng(0), 0
-    near = jax.jit(legs_apart)
+    near = jax.jit(lambda poses: legs_apart(poses, LowerBody()))
     for _ in range(60):
         data.qpos[:7] = 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0
         low, high = model.jnt_range[1:].T.copy()

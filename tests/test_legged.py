@@ -16,9 +16,9 @@ sys.path.insert(0, str(Path(__file__).parent / "data"))
 
 from humanoid_mjx import InputError, make_task
 from humanoid_mjx.compute import counting_compiles, rng
+from humanoid_mjx.robot.lower_body import LowerBody
 from humanoid_mjx.tasks.check import check_task
 from humanoid_mjx.tasks.legged import LeggedTask, StandRewards, rewards
-from humanoid_mjx.tasks.legged.body import JOINTS
 from humanoid_mjx.tasks.legged.commands import LARGEST, Velocity
 from humanoid_mjx.tasks.legged.events import Randomise
 from humanoid_mjx.tasks.legged.gait import Clock
@@ -26,6 +26,7 @@ from humanoid_mjx.tasks.legged.observations import OBSERVATIONS, Observed, swapp
 from humanoid_mjx.tasks.legged.view import unknown_feet
 from humanoid_mjx.thesis.leg import GRAVITY
 
+BODY, JOINTS = LowerBody(ranges="human"), 10
 KEYS = jax.random.split(rng.key(2), 8)
 NO_ERRORS: dict[str, Any] = dict.fromkeys(("encoder_noise", "encoder_bias", "gyroscope_noise", "gyroscope_bias"), 0.0)
 NO_ERRORS |= {"accelerometer_noise": 0.0, "accelerometer_bias": 0.0, "foot_contact_noise": 0.0, "delay": 0}
@@ -91,8 +92,8 @@ def mirror_image(world):
     """The world in the mirror that stands along x and z."""
     qpos = world.qpos.at[:, 1].multiply(-1).at[:, 4].multiply(-1).at[:, 6].multiply(-1)
     qvel = world.qvel.at[:, 1].multiply(-1).at[:, 3].multiply(-1).at[:, 5].multiply(-1)
-    qpos = qpos.at[:, 7:].set(jax.vmap(swapped)(world.qpos[:, 7:]))
-    qvel = qvel.at[:, 6:].set(jax.vmap(swapped)(world.qvel[:, 6:]))
+    qpos = qpos.at[:, 7:].set(jax.vmap(lambda joints: swapped(joints, BODY))(world.qpos[:, 7:]))
+    qvel = qvel.at[:, 6:].set(jax.vmap(lambda joints: swapped(joints, BODY))(world.qvel[:, 6:]))
     return world._replace(qpos=qpos, qvel=qvel, warmstart=jnp.zeros_like(world.warmstart))
 
 
@@ -100,7 +101,7 @@ def test_the_mirror_image_of_a_body_sees_the_mirror_image():
     """Every declared observation, after a decision of a body that moves and of its image under the image's offsets."""
     task = walk(observe="privileged", push={"impulse": 0.0}, **EXACT)
     observed, values = task.observed, arrays(task)
-    assert observed.size == task.observation_size == sum(part.size for part in observed.parts)
+    assert observed.size == task.observation_size == 58
     assert {id(part) for part in observed.parts} == {id(part) for part in OBSERVATIONS.values()}
     state = reset(values, KEYS)
     command, phase = jnp.tile(jnp.array([0.3, 0.1, 0.5]), (8, 1)), jnp.linspace(0.0, 0.4, 8)
@@ -112,14 +113,16 @@ def test_the_mirror_image_of_a_body_sees_the_mirror_image():
         world=mirror_image(world),
         command=command * jnp.array([1.0, -1.0, -1.0]),
         clock=Clock(jnp.mod(phase + 0.5, 1.0)),
-        readings=state.data.readings._replace(encoders=jax.vmap(swapped)(state.data.readings.encoders)),
+        readings=state.data.readings._replace(
+            encoders=jax.vmap(lambda joints: swapped(joints, BODY))(state.data.readings.encoders)
+        ),
         down=state.data.down * jnp.array([1.0, -1.0, 1.0]),
     )
     # No key may lead to another command.
     values = values.replace(command=values.command.replace(every=jnp.float32(1e9)))
     seen, seen_by_image = (
         step(values, state._replace(data=data), action, KEYS)
-        for data, action in ((straight, offsets), (image, jax.vmap(swapped)(offsets)))
+        for data, action in ((straight, offsets), (image, jax.vmap(lambda offset: swapped(offset, BODY))(offsets)))
     )
     mirrored = jax.vmap(observed.mirrored)(seen_by_image.obs)
     # Float32 through five steps of a body whose feet strike the ground; accelerations are the most sensitive.
@@ -138,16 +141,16 @@ def test_a_symmetric_task_shows_one_half_of_the_gait_alone():
     np.testing.assert_array_equal(state.obs, np.where(late[:, None], image, same.obs))
     offsets = jax.random.uniform(KEYS[0], (8, JOINTS), minval=-1.0)
     after = step(arrays(task), state, offsets, KEYS)
-    as_meant = jnp.where(late[:, None], jax.vmap(swapped)(offsets), offsets)
+    as_meant = jnp.where(late[:, None], jax.vmap(lambda offset: swapped(offset, BODY))(offsets), offsets)
     np.testing.assert_array_equal(after.data.world.qpos, step(arrays(plain), same, as_meant, KEYS).data.world.qpos)
 
 
 def test_what_is_observed_is_a_tuple_of_names():
-    one = Observed(("height", "encoders", OBSERVATIONS["clock"]))
+    one = Observed(("height", "encoders", OBSERVATIONS["clock"]), BODY)
     assert one.size == 13 and one.bounds[0].shape == (13,)
     np.testing.assert_array_equal(one.mirrored(jnp.arange(13.0)), [0, 6, 7, 8, 9, 10, 1, 2, 3, 4, 5, -11, -12])
     with pytest.raises(InputError, match="observations: unknown name 'encoder'; did you mean 'encoders'"):
-        Observed(("encoder",))
+        Observed(("encoder",), BODY)
 
 
 def test_commands_keep_to_their_ranges_and_shares():
@@ -224,7 +227,7 @@ def test_each_episode_has_a_world_of_its_own_under_randomisation():
 def test_rewards_of_feet_are_of_those_that_touch():
     task = walk(**EXACT)
     state = jax.tree.map(lambda x: x[0], reset(arrays(task), KEYS))
-    feet = unknown_feet()._replace(
+    feet = unknown_feet(BODY)._replace(
         position=jnp.array([[0.0, -0.04, 0.025], [0.0, 0.04, 0.025]]), rotation=jnp.tile(jnp.eye(3), (2, 1, 1))
     )
     upright = jnp.array([0.0, 0.0, 0.21, 1.0, 0.0, 0.0, 0.0, *np.zeros(10)])
@@ -241,7 +244,7 @@ def test_rewards_of_feet_are_of_those_that_touch():
     assert rewards.crossing(view) == 0.0
     crossed = feet._replace(position=feet.position[::-1])
     assert rewards.crossing(view._replace(feet=crossed)) == 2.0
-    lifted = on_left._replace(corners=feet.corners.at[0, :, 2].set(rewards.CLEARANCE))
+    lifted = on_left._replace(corners=feet.corners.at[0, :, 2].set(0.03))
     assert rewards.clearance(view._replace(feet=lifted)) == pytest.approx(1.0, abs=0.01)
     now = view._replace(command=jnp.array([0.1, 0.0, 0.0]))
     late = now._replace(strayed=jnp.array([-0.1, 0.0, 0.0]))

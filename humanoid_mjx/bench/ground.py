@@ -31,7 +31,7 @@ from humanoid_mjx.control import at_rest
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.tasks import make_task
 from humanoid_mjx.tasks.legged import Stand
-from humanoid_mjx.tasks.legged.body import POSTURE, START_HEIGHT, START_SPREAD
+from humanoid_mjx.tasks.legged.body import START_SPREAD
 
 REPEATS = 3
 
@@ -86,9 +86,10 @@ def run(say: Callable[[str], None], setting: Setting | None = None) -> list[Reco
 
 def start(batch: int) -> tuple[np.ndarray, np.ndarray]:
     """Positions and velocities of bodies that stand in nearly the posture, by body and degree of freedom."""
-    spread = START_SPREAD * np.random.default_rng(0).uniform(-1.0, 1.0, (batch, len(POSTURE)))
-    torso = np.tile([0.0, 0.0, START_HEIGHT, 1.0, 0.0, 0.0, 0.0], (batch, 1))
-    qpos = np.concatenate([torso, POSTURE + spread], axis=1).astype(np.float32)
+    robot = make_task("stand").robot
+    spread = START_SPREAD * np.random.default_rng(0).uniform(-1.0, 1.0, (batch, len(robot.posture)))
+    torso = np.tile([0.0, 0.0, robot.start_height, 1.0, 0.0, 0.0, 0.0], (batch, 1))
+    qpos = np.concatenate([torso, robot.posture + spread], axis=1).astype(np.float32)
     return qpos, np.zeros((batch, qpos.shape[1] - 1), np.float32)
 
 
@@ -106,7 +107,7 @@ def _program(subject: str, steps: int, worlds: int) -> Callable[..., Any]:
     task: Stand = make_task("stand", control="grounded") if subject == COMPUTED_TORQUE else make_task("stand")
     room = {"worlds": worlds} if physics == "mjx-warp" else {}
     simulator = make_physics(physics, robot=task.robot, timestep=task.timestep, **room)
-    controller = task.control.follow(at_rest(jnp.asarray(POSTURE, float)))
+    controller = task.control.follow(at_rest(jnp.asarray(task.posture, float)))
 
     def simulate(qpos: jax.Array, qvel: jax.Array) -> jax.Array:
         world = simulator.run(simulator.start(qpos, qvel), controller, steps)
@@ -118,7 +119,7 @@ def _program(subject: str, steps: int, worlds: int) -> Callable[..., Any]:
 def mujoco(batch: int, steps: int) -> Callable[[], Any]:
     """Native MuJoCo, one thread a core: the positions after so many steps."""
     model = _model_with_servo(importlib.import_module("mujoco"))
-    call = native_rollout(model, *start(batch), steps, np.tile(POSTURE, (batch, steps, 1)))
+    call = native_rollout(model, *start(batch), steps, np.tile(make_task("stand").posture, (batch, steps, 1)))
     return lambda: call()[:, 1 : 1 + model.nq]
 
 

@@ -60,6 +60,9 @@ class Robot(Named):
     turns: tuple[float, ...] = Field(
         default=(), strict=False, description="when in a gait's period each foot swings; evenly"
     )
+    shares: tuple[float, ...] = Field(
+        default=(), strict=False, description="of a gait's offset, by kind of joint; all 1"
+    )
     mirror: tuple[tuple[str, str], ...] = Field(
         default=(), strict=False, description="parts of names that change sides"
     )
@@ -152,6 +155,17 @@ class Robot(Named):
         """The speed of Froude number 1, the unit of speeds, m/s."""
         return float(np.sqrt(np.linalg.norm(self.model.opt.gravity) * self.leg_length))
 
+    @property
+    def kinds(self) -> Int[np.ndarray, " joints"]:
+        """Which kind each joint is of: a joint and its mirror image are of one."""
+        order = self.joint_images[0]
+        return np.unique(np.minimum(order, np.arange(len(order))), return_inverse=True)[1]
+
+    @property
+    def momentum(self) -> float:
+        """That of the robot at its `pace`, N s: the unit of pushes."""
+        return self.mass * self.pace
+
     def force(self, share: float) -> float:
         """A share of the weight, N, to two digits, as are lengths and speeds: a threshold has no more."""
         return _two_digits(share * self.mass * float(np.linalg.norm(self.model.opt.gravity)))
@@ -163,6 +177,10 @@ class Robot(Named):
     def speed(self, share: float) -> float:
         """A share of `pace`, m/s, to two digits."""
         return _two_digits(share * self.pace)
+
+    def square(self, share: float) -> float:
+        """A share of the square of `pace`, m^2/s^2."""
+        return _two_digits(share * self.pace**2)
 
     @property
     def joint_images(self) -> tuple[Int[np.ndarray, " joints"], Float[np.ndarray, " joints"]]:
@@ -176,8 +194,12 @@ class Robot(Named):
 
     @property
     def foot_pairs(self) -> Int[np.ndarray, "pairs 2"]:
-        """The feet that are each other's images, the one that comes first before the other."""
-        return np.array([(one, other) for one, other in enumerate(self.foot_images) if one < other], int).reshape(-1, 2)
+        """The feet that are each other's images, the right one before the left one."""
+        data = mujoco.MjData(self.model)
+        mujoco.mj_kinematics(self.model, data)
+        left = [data.body(foot).xpos[1] for foot in self.feet]
+        pairs = [(one, other) for one, other in enumerate(self.foot_images) if left[one] < left[other]]
+        return np.array(pairs, int).reshape(-1, 2)
 
     def image_of(self, name: str) -> str:
         """The name of the joint or the foot on the other side; that of the middle is its own image."""
@@ -188,7 +210,12 @@ class Robot(Named):
 
     @pydantic.model_validator(mode="after")
     def _fits_its_model(self) -> "Robot":
-        counts = (("home", self.home, len(self.joints)), ("turns", self.turns, len(self.feet)))
+        kinds = int(self.kinds.max(initial=-1)) + 1
+        counts = (
+            ("home", self.home, len(self.joints)),
+            ("turns", self.turns, len(self.feet)),
+            ("shares", self.shares, kinds),
+        )
         for key, values, count in counts:
             if values and len(values) != count:
                 raise ValueError(f"{key} must hold {count} numbers, got {len(values)}")
@@ -196,7 +223,6 @@ class Robot(Named):
         names = [self.model.body(self.model.geom_bodyid[ball]).name for ball in balls]
         if self.feet and names != [foot for foot in self.feet for _ in range(self.points)]:
             raise ValueError(f"feet must have equally many balls that feel the ground, foot by foot, got {names}")
-        assert len(_joint_images(self)[0]) == len(self.joints)
         return self
 
 

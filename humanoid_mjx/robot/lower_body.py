@@ -115,6 +115,7 @@ class LowerBody(Robot):
     ranges: Ranges = Field(default="proposed", description="column of Table 3.2")
     feet: tuple[str, ...] = ("right_foot", "left_foot")
     home: tuple[float, ...] = HOME
+    shares: tuple[float, ...] = (1.5, 0.8, 0.6, 1.6, 1.4)
     mirror: tuple[tuple[str, str], ...] = (SIDES,)
 
     def spec(self, timestep: float | None = None) -> mujoco.MjSpec:

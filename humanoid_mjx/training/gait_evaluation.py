@@ -22,7 +22,7 @@ from humanoid_mjx.tasks.base import Task
 from humanoid_mjx.tasks.continuous import State
 from humanoid_mjx.tasks.legged.measures import tally as sums
 from humanoid_mjx.tasks.legged.measures.figures import FIGURES, figures
-from humanoid_mjx.tasks.legged.measures.samples import heading_of, sample_of, total_mass, wrapped
+from humanoid_mjx.tasks.legged.measures.samples import heading_of, sample_of, wrapped
 from humanoid_mjx.tasks.legged.measures.tally import Asked, Tally
 from humanoid_mjx.tasks.legged.task import LeggedTask
 from humanoid_mjx.tasks.legged.view import View
@@ -210,8 +210,8 @@ def _begin(learner: Learner, key: Key[Array, ""]) -> _Loop:
     sensed = jax.eval_shape(lambda: task.simulator.sense(state.data.world, jnp.zeros_like(state.data.offsets)))
     blank = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), sensed)
     world = state.data.world
-    first = sample_of(blank, task.simulator.body_names)._replace(
-        place=world.qpos[:2], heading=heading_of(view.rotation), angles=world.qpos[7:]
+    first = sample_of(blank, task.simulator.body_names, task.robot)._replace(
+        place=world.qpos[:2], heading=heading_of(view.rotation), angles=world.qpos[task.simulator.joint_qpos]
     )
     return _Loop(state, view, sums.begin(first), jnp.float32(jnp.nan), jnp.bool_(False), world)
 
@@ -244,8 +244,8 @@ def _decide(
 
     def add(tally: Tally, sensed: Any) -> tuple[Tally, None]:
         since = (tally.samples * interval - command.turn_at).astype(jnp.float32)
-        sample = sample_of(sensed, task.simulator.body_names)
-        return sums.add(tally, sample, Asked(asked, goal, since), window, interval), None
+        sample = sample_of(sensed, task.simulator.body_names, task.robot)
+        return sums.add(tally, sample, Asked(asked, goal, since), window, interval, task.robot), None
 
     tally, _ = jax.lax.scan(add, loop.tally, sensed)
     tally = _where(fallen, loop.tally, tally)
@@ -262,6 +262,6 @@ def _figures(learner: Learner, command: _Commands, loop: _Loop) -> dict[str, Flo
     task = walking_task(learner.task)
     plant = loop.state.data.plant or task.plant
     turns = jnp.isfinite(command.turn_at)
-    mass = total_mass() * plant.mass
+    mass = task.robot.mass * plant.mass
     found = figures(loop.tally, command.command, turns, loop.fallen, mass, task.simulator.step_s)
     return {name: jnp.asarray(value, jnp.float32) for name, value in found.items()}

@@ -134,6 +134,7 @@ def test_gains_are_data():
     scale = jnp.array([0.5, 1.0, 2.0])
     laws = jax.vmap(lambda x: jax.tree.map(lambda leaf: x * leaf, make_law("grounded")))(scale)
     state = SimpleNamespace(
+        joints=slice(6, 16),
         qpos=jnp.full(10, 0.1),
         qvel=jnp.ones(10),
         model_for=lambda mass: (seen["matrix"], seen["bias"]),

@@ -1,7 +1,7 @@
-"""The body of a legged task: the lower body in a physics, its posture, its joints' law, the values of its world."""
+"""The body of a legged task: a robot in a physics, its posture, its joints' law, the values of its world."""
 
 from functools import lru_cache
-from typing import ClassVar, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,20 +14,15 @@ from humanoid_mjx.control.laws import ServoLaw
 from humanoid_mjx.mechanics.rotations import leaning_quaternion
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.physics.base import Controller, Physics, Sensed, World
-from humanoid_mjx.robot import Robot, RobotKey, lower_body
+from humanoid_mjx.physics.model import MujocoPhysics
+from humanoid_mjx.robot import Robot, RobotKey
 from humanoid_mjx.robot.lower_body import LowerBody
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import ContinuousTask
 from humanoid_mjx.types import FloatScalar
 
-JOINTS = len(lower_body.JOINTS)
-
-POSTURE = np.radians([15.0, 0.0, 0.0, 30.0, -15.0] * 2)
-"""rad. Knees bent a little, so that legs can give way and stretch; the feet are flat under the hips."""
-
-START_HEIGHT, START_SPREAD = 0.210, 0.03
-"""Height of the hips above the ground at the start, m, a few millimetres above that of the posture; and the largest
-difference of every joint and of the torso's lean from the posture, rad."""
+START_SPREAD = 0.03
+"""Largest difference of every joint and of the torso's lean from the posture at the start, rad."""
 
 
 class Plant(NamedTuple):
@@ -42,16 +37,12 @@ class Plant(NamedTuple):
 class LeggedBody(ContinuousTask):
     """The part of legged tasks that concerns the robot; derive from `LeggedTask`."""
 
-    posture: ClassVar[Float[np.ndarray, " joints"]] = POSTURE
-
     robot: RobotKey = Field(LowerBody(ranges="human"), description="the robot that stands")
     physics: Literal["tree", "mjx-jax", "mjx-warp", "mujoco"] = "tree"
     control: Control = Field(ServoLaw(stiffness=3.0, damping=0.1), description="the law that drives the joints")
     choices: Literal[3, 5, 9] = Field(3, description="values of a joint's offset, evenly from -1 to 1 times it")
     offset: float = traced(20.0, gt=0, le=90, description="largest offset of a set-point from the posture, degrees")
-    offset_shares: tuple[float, float, float, float, float] = traced(
-        (1.0, 1.0, 1.0, 1.0, 1.0), strict=False, description="of it for hip pitch, yaw and roll, knee and ankle"
-    )
+    offset_shares: tuple[float, ...] = traced((), strict=False, description="of it, by kind of joint; none: all 1")
     smoothing: float = traced(
         0.0, ge=0, lt=1, description="share of its way to a new value that an offset stays behind"
     )
@@ -65,14 +56,26 @@ class LeggedBody(ContinuousTask):
     @model_validator(mode="after")
     def _period_must_fit(self) -> "LeggedBody":
         self.simulator.substeps(self.period)
+        if self.offset_shares and len(self.offset_shares) != len(set(self.robot.kinds.tolist())):
+            raise ValueError(f"offset_shares must hold one number for each kind of joint, got {self.offset_shares}")
         return self
 
     @property
-    def action_choices(self) -> tuple[int, ...]:
-        return (self.choices,) * JOINTS
+    def posture(self) -> Float[np.ndarray, " joints"]:
+        """Angles of the joints about which they move, rad."""
+        return self.robot.posture
 
     @property
-    def simulator(self) -> Physics:
+    def shares(self) -> tuple[FloatScalar, ...]:
+        """Shares of the offset by kind of joint; none: all 1."""
+        return self.offset_shares
+
+    @property
+    def action_choices(self) -> tuple[int, ...]:
+        return (self.choices,) * len(self.robot.joints)
+
+    @property
+    def simulator(self) -> MujocoPhysics:
         """The physics of the body, with the robot's own values."""
         return _simulator(self.physics, self.robot, self.timestep)
 
@@ -83,19 +86,22 @@ class LeggedBody(ContinuousTask):
 
     def start(self, keys: Key[Array, "3"]) -> World:
         """The body at rest near its posture, in any direction, about to touch the ground."""
-        spread = START_SPREAD * jax.random.uniform(keys[0], (JOINTS,), minval=-1.0)
+        spread = START_SPREAD * jax.random.uniform(keys[0], self.posture.shape, minval=-1.0)
         lean = START_SPREAD * jax.random.uniform(keys[1], (2,), minval=-1.0)
         heading = jax.random.uniform(keys[2], (), maxval=2 * np.pi)
-        place = jnp.zeros(3).at[2].set(START_HEIGHT)
-        qpos = jnp.concatenate([place, leaning_quaternion(heading, lean), self.posture + spread])
+        place = jnp.zeros(3).at[2].set(self.robot.start_height)
+        free = jnp.concatenate([place, leaning_quaternion(heading, lean)])
+        qpos = jnp.asarray(self.simulator.qpos0, float).at[:7].set(free)
+        qpos = qpos.at[self.simulator.joint_qpos].set(self.posture + spread)
         return self.simulator.start(qpos, jnp.zeros(len(qpos) - 1))
 
     def setpoint(
         self, offsets: Float[Array, " joints"], reference: Float[Array, " joints"] | float = 0.0
     ) -> Float[Array, " joints"]:
         """Where the law is to bring the joints, rad: the posture, a motion about it and the learner's offsets."""
-        shares = jnp.tile(jnp.stack([jnp.asarray(share, float) for share in self.offset_shares]), 2)
-        return jnp.radians(self.offset) * (shares * offsets) + (reference + self.posture)
+        if self.shares:
+            offsets = jnp.stack([jnp.asarray(share, float) for share in self.shares])[self.robot.kinds] * offsets
+        return jnp.radians(self.offset) * offsets + (reference + self.posture)
 
     def advance(
         self, world: World, setpoint: Float[Array, " joints"], plant: Plant, force: Float[Array, "3"]
@@ -125,5 +131,5 @@ class LeggedBody(ContinuousTask):
 
 
 @lru_cache
-def _simulator(name: str, robot: Robot, timestep: float) -> Physics:
+def _simulator(name: str, robot: Robot, timestep: float) -> MujocoPhysics:
     return make_physics(name, robot=robot, timestep=timestep)

@@ -13,7 +13,7 @@ from humanoid_mjx.types import FloatScalar
 class Push(Spec):
     """An impulse on the torso from a random side, over one period between decisions."""
 
-    impulse: float = traced(0.2, ge=0, description="N s; the body weighs 1.7 kg")
+    impulse: float = traced(0.08182, ge=0, description="by the momentum of the robot at Froude number 1")
     every: float = traced(2.0, gt=0, description="s from one to the next")
 
     def first(self, key: Key[Array, ""]) -> FloatScalar:
@@ -21,7 +21,8 @@ class Push(Spec):
         return self.every * jax.random.uniform(key)
 
     def force(self, since: FloatScalar, period: float, key: Key[Array, ""]) -> Float[Array, "3"]:
-        """The force on the torso during the period to come, N, where the first push was due `since` seconds ago."""
+        """The force on the torso during the period to come, in the unit of the impulse a second, where the first push
+        was due `since` seconds ago."""
         due = (since >= 0) & (jnp.mod(since, self.every) < period)
         side = jax.random.uniform(key, (), maxval=2 * np.pi)
         force = self.impulse / period * jnp.stack([jnp.cos(side), jnp.sin(side), 0.0 * side])

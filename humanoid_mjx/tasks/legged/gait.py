@@ -7,20 +7,14 @@ import numpy as np
 import pydantic
 from jaxtyping import Array, Float
 
-from humanoid_mjx.robot.lower_body import HIP_OFFSET, SHANK_LENGTH, THIGH_LENGTH
-from humanoid_mjx.spec import Named, traced, written
-from humanoid_mjx.tasks.legged.body import POSTURE
+from humanoid_mjx.robot import Robot
+from humanoid_mjx.robot.description import Build
+from humanoid_mjx.spec import InputError, Named, traced, written
 from humanoid_mjx.tasks.legged.commands import moves
 from humanoid_mjx.types import FloatScalar
 
-LEGS_APART = np.array([0.0, 0.5])
-"""Where in the period the right and the left foot's turns begin."""
-
 SHORTENED = np.array([1.0, 0.0, 0.0, 2.0, -1.0])
 """Hip pitch, yaw, roll, knee and ankle of a leg that becomes shorter under the hip while its foot stays level."""
-
-LEG_LENGTH = (THIGH_LENGTH + SHANK_LENGTH) * np.cos(POSTURE[0])
-"""From a hip to the ankle under it, m: thigh and shank are of equal length and lean by equal angles."""
 
 LEFTWARDS = np.array([-1.0, 1.0])
 """The sense in which the right and the left hip's yaw and roll turn a leg: positive is outwards on both sides."""
@@ -36,7 +30,7 @@ class Clock(NamedTuple):
 
 
 class Gait(Named):
-    """Both feet swing once in a period, the left half a period after the right one.
+    """All feet swing once in a period, each in the robot's time.
 
     Base of gaits, and a gait itself, `clock`: it says when each foot is to swing, and leaves the motion to the learner.
     Derive from it for a motion about the posture that the learner corrects: `reference`.
@@ -47,11 +41,18 @@ class Gait(Named):
     cadence: float = traced(0.2, ge=0, le=10, description="by how much the clock runs faster for each m/s commanded")
     stance: float = traced(0.62, ge=0.5, lt=1, description="share of the period in which a foot is to stand")
 
-    def start(self, phase: FloatScalar) -> Clock:
+    def check(self, robot: Robot) -> None:
+        """Refuse a robot that cannot move so.
+
+        Raises:
+          InputError: it cannot.
+        """
+
+    def start(self, phase: FloatScalar, robot: Robot) -> Clock:
         """The gait at the beginning of an episode."""
         return Clock(phase)
 
-    def after(self, clock: Clock, command: Float[Array, "3"], seconds: FloatScalar) -> Clock:
+    def after(self, clock: Clock, command: Float[Array, "3"], seconds: FloatScalar, robot: Robot) -> Clock:
         """The gait so much later; it waits at 0 while the body stands."""
         later = jnp.mod(clock.phase + seconds / self.lasting(command), 1.0)
         return Clock(jnp.where(moves(command), later, 0.0))
@@ -60,14 +61,14 @@ class Gait(Named):
         """The period under this command, s."""
         return self.period / (1.0 + self.cadence * jnp.sqrt(jnp.sum(command[:2] ** 2) + 1e-12))
 
-    def swing(self, phase: FloatScalar) -> Float[Array, "2"]:
+    def swing(self, phase: FloatScalar, robot: Robot) -> Float[Array, " feet"]:
         """How far up each foot should be: half a sine in its turn, otherwise 0."""
-        share = jnp.mod(phase - LEGS_APART, 1.0) / (1.0 - self.stance)
+        share = jnp.mod(phase - robot.phases, 1.0) / (1.0 - self.stance)
         return jnp.where(share < 1.0, jnp.sin(jnp.pi * jnp.minimum(share, 1.0)), 0.0)
 
-    def reference(self, clock: Clock, command: Float[Array, "3"]) -> Float[Array, " joints"]:
+    def reference(self, clock: Clock, command: Float[Array, "3"], robot: Robot) -> Float[Array, " joints"]:
         """The motion about the posture, rad; here none."""
-        return jnp.zeros(len(POSTURE))
+        return jnp.zeros(len(robot.joints))
 
 
 class Steps(Gait):
@@ -84,35 +85,52 @@ class Steps(Gait):
     stride: float = traced(1.0, ge=0, le=3, description="share of the commanded motion that the legs sweep through")
     landing: float = traced(0.0, ge=0, le=3, description="how softly a foot leaves the ground and lands; 1: at rest")
 
-    def sweep(self, phase: FloatScalar) -> Float[Array, "2"]:
+    def check(self, robot: Robot) -> None:
+        build_of(robot, self.name)
+
+    def sweep(self, phase: FloatScalar, robot: Robot) -> Float[Array, "2"]:
         """Where each foot should be along its way, 1 in front to -1 behind: steadily back while it stands, and forth
         while it swings, as a cubic that leaves the ground and comes back to it as fast as that goes."""
-        turn, swing = jnp.mod(phase - LEGS_APART, 1.0), 1.0 - self.stance
+        turn, swing = jnp.mod(phase - robot.phases, 1.0), 1.0 - self.stance
         u = jnp.minimum(turn / swing, 1.0)
         slope = 2.0 * swing / self.stance
         forth = -1.0 + u * (u * (6.0 - 4.0 * u) - slope * (1.0 - u) * (1.0 - 2.0 * u))
         return jnp.where(turn < swing, forth, 1.0 - 2.0 * (turn - swing) / self.stance)
 
-    def reference(self, clock: Clock, command: Float[Array, "3"]) -> Float[Array, " joints"]:
+    def reference(self, clock: Clock, command: Float[Array, "3"], robot: Robot) -> Float[Array, " joints"]:
         """The motion about the posture, rad; 0 while the command is to stand.
 
         A foot that stands goes back as the ground does under a body that moves as commanded (velocity forward and to
         the left, m/s, and turn rate to the left, rad/s), times `stride`.
         """
-        phase = clock.phase
-        way = self.sweep(phase) * self.lasting(command) * self.stance / 2
+        phase, build = clock.phase, build_of(robot, self.name)
+        way = self.sweep(phase, robot) * self.lasting(command) * self.stance / 2
         forward, left, turn = self.stride * command
-        pitch = jnp.arctan(way * (forward - turn * HIP_OFFSET * LEFTWARDS) / LEG_LENGTH)
-        aside, around = way * left / LEG_LENGTH, way * turn
+        pitch = jnp.arctan(way * (forward - turn * build.hip_offset * LEFTWARDS) / build.reach)
+        aside, around = way * left / build.reach, way * turn
         # The hip's yaw and roll turn about axes that lean with the thigh.
-        cos, sin = jnp.cos(POSTURE[0] + pitch), jnp.sin(POSTURE[0] + pitch)
+        cos, sin = jnp.cos(build.lean + pitch), jnp.sin(build.lean + pitch)
         yaw, roll = cos * around - sin * aside, cos * aside + sin * around
         roll = roll - jnp.radians(self.sway) * jnp.sin(2 * jnp.pi * phase)
         swept = jnp.stack([pitch, yaw * LEFTWARDS, roll * LEFTWARDS, jnp.zeros(2), pitch], axis=-1)
-        swing = self.swing(phase)
+        swing = self.swing(phase, robot)
         lift = swing * jnp.maximum(swing, 1e-6) ** self.landing
         lifted = jnp.radians(self.lift) * lift[:, None] * SHORTENED
         return jnp.where(moves(command), (swept + lifted).reshape(-1), 0.0)
+
+
+def build_of(robot: Robot, gait: str) -> Build:
+    """The measures of legs that are built as those of the lower body.
+
+    Raises:
+      InputError: they are not.
+    """
+    if robot.build is None:
+        raise InputError(
+            f"gait: {gait} needs two legs of hip pitch, yaw and roll, knee and ankle, as lower_body has; {robot.name} "
+            "has others: take clock."
+        )
+    return robot.build
 
 
 GAITS = {

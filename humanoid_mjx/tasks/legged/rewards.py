@@ -8,31 +8,35 @@ import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx.mechanics.rotations import heading_frame
-from humanoid_mjx.robot.ranges import TORQUE_LIMIT
 from humanoid_mjx.spec import InputError, Spec, traced
 from humanoid_mjx.tasks.legged.view import View
 from humanoid_mjx.types import FloatScalar
 
-UPRIGHT, STILL = np.radians(10.0), 0.2
-"""Lean, rad, and speed, m/s, at which a reward has dropped to 1 / e."""
+UPRIGHT, STILL = np.radians(10.0), 0.14
+"""Lean, rad, and speed, as a share of the robot's pace, at which a reward has dropped to 1 / e."""
 
-SPEED_SCALES = 0.005, 0.04, 0.3
-"""Squared errors at which the thirds of `speed` have dropped to 1 / e, (m/s)^2. With the narrow ones alone a body stays
-on the spot, where the term has no slope; with the wide one alone it follows the command loosely. The narrow ones are of
-the error of late: within a step the body sways by more."""
+SPEED_SCALES = 0.00245, 0.0195, 0.147
+"""Squared errors at which the thirds of `speed` have dropped to 1 / e, by the squared pace. With the narrow ones alone
+a body stays on the spot, where the term has no slope; with the wide one alone it follows the command loosely. The
+narrow ones are of the error of late: within a step the body sways by more."""
 
 TURN_SCALES = 0.03, 0.2, 1.0
 """Squared errors at which the thirds of `turn` have dropped to 1 / e, (rad/s)^2."""
 
-LOADED = 0.8
-"""Force on a foot that stands, N: a twentieth of the weight."""
+LOADED = 0.048
+"""Force on a foot that stands, as a share of the weight."""
 
-CLEARANCE, CLOSE = 0.03, 0.012
-"""Height of a foot in mid-swing, m, and the error at which `clearance` has dropped to 1 / e, m."""
+CLEARANCE, CLOSE = 0.144, 0.058
+"""Height of a foot in mid-swing, and the error at which `clearance` has dropped to 1 / e, as shares of the legs'
+length."""
 
-APART, TOO_NEAR = 0.05, 0.02
-"""Distance between the feet, sideways, below which they are too near, m, and the lack at which `crossing` is 1, m. The
-hips are 0.08 m apart and a foot 0.022 m wide."""
+APART, TOO_NEAR = 0.24, 0.096
+"""Distance between the feet, sideways, below which they are too near, and the lack at which `crossing` is 1, as shares
+of the legs' length."""
+
+
+SLIPS = 0.049
+"""Square of a speed at which a foot slips badly, by the squared pace."""
 
 
 class Rewards(Spec):
@@ -111,8 +115,8 @@ def upright(view: View) -> FloatScalar:
 
 
 def still(view: View) -> FloatScalar:
-    """1 for hips that do not move, 1 / e at 0.2 m/s."""
-    return jnp.exp(-jnp.sum(view.world.qvel[:3] ** 2) / STILL**2)
+    """1 for hips that do not move, 1 / e at `STILL`."""
+    return jnp.exp(-jnp.sum(view.world.qvel[:3] ** 2) / view.robot.speed(STILL) ** 2)
 
 
 def calm(view: View) -> FloatScalar:
@@ -123,7 +127,7 @@ def calm(view: View) -> FloatScalar:
 def speed(view: View) -> FloatScalar:
     """1 at the commanded velocity, forward and sideways, at three scales; the widest is of the last decision alone."""
     late, now = jnp.sum(view.strayed[:2] ** 2), jnp.sum((view.velocity[:2] - view.command[:2]) ** 2)
-    near, middle, far = SPEED_SCALES
+    near, middle, far = map(view.robot.square, SPEED_SCALES)
     return (jnp.exp(-late / near) + jnp.exp(-late / middle) + jnp.exp(-now / far)) / 3
 
 
@@ -136,39 +140,42 @@ def turn(view: View) -> FloatScalar:
 
 def schedule(view: View) -> FloatScalar:
     """The share of feet that are in the air where they should swing, and carry weight where they should stand."""
-    loaded = view.feet.load > LOADED
+    loaded = view.feet.load > view.robot.force(LOADED)
     return jnp.mean(jnp.where(view.swing > 0.2, ~loaded, loaded))
 
 
 def clearance(view: View) -> FloatScalar:
-    """1 where both feet are as high as the clock says."""
-    return jnp.exp(-jnp.sum(((view.feet.height - CLEARANCE * view.swing) / CLOSE) ** 2))
+    """1 where all feet are as high as the clock says."""
+    highest, close = view.robot.length(CLEARANCE), view.robot.length(CLOSE)
+    return jnp.exp(-jnp.sum(((view.feet.height - highest * view.swing) / close) ** 2))
 
 
 def flight(view: View) -> FloatScalar:
     """1 without a foot on the ground."""
-    return (view.feet.load <= LOADED).all() * 1.0
+    return (view.feet.load <= view.robot.force(LOADED)).all() * 1.0
 
 
 def slip(view: View) -> FloatScalar:
-    """The squared speeds along the ground of the corners that touch, m^2/s^2, summed, by four, times 10; at most 1.
+    """The squared speeds along the ground of the corners that touch, summed, by the corners of a foot; 1 at `SLIPS`.
 
     It takes the corners, as the middle of a foot that rolls over its edge moves without slipping.
     """
     squares = jnp.sum(view.feet.corner_velocity[..., :2] ** 2, axis=-1)
-    return jnp.minimum(10 * jnp.sum(squares * view.feet.touching) / 4, 1.0)
+    return jnp.minimum(jnp.sum(squares * view.feet.touching) / (view.robot.points * view.robot.square(SLIPS)), 1.0)
 
 
 def tilted_feet(view: View) -> FloatScalar:
     """Five times the squared sines of the tilts of loaded feet, summed; at most 1."""
-    loaded = view.feet.load > LOADED
+    loaded = view.feet.load > view.robot.force(LOADED)
     return jnp.minimum(5 * jnp.sum(loaded * (1 - view.feet.rotation[:, 2, 2] ** 2)), 1.0)
 
 
 def crossing(view: View) -> FloatScalar:
     """The squared lack of distance between the feet, sideways, by `TOO_NEAR`; at most 2."""
-    gap = (heading_frame(view.rotation) @ (view.feet.position[1] - view.feet.position[0]))[1]
-    return jnp.minimum((jnp.maximum(APART - gap, 0.0) / TOO_NEAR) ** 2, 2.0)
+    right, left = view.robot.foot_pairs.T
+    gap = ((view.feet.position[left] - view.feet.position[right]) @ heading_frame(view.rotation)[1]).min()
+    lack = jnp.maximum(view.robot.length(APART) - gap, 0.0)
+    return jnp.minimum((lack / view.robot.length(TOO_NEAR)) ** 2, 2.0)
 
 
 def yawing(view: View) -> FloatScalar:
@@ -186,4 +193,4 @@ def jumps(view: View) -> FloatScalar:
 
 def effort(view: View) -> FloatScalar:
     """The mean square of the torques as shares of the robot's own limit."""
-    return jnp.mean((view.torque / TORQUE_LIMIT) ** 2)
+    return jnp.mean((view.torque / view.robot.torque_limits) ** 2)

@@ -12,7 +12,7 @@ from humanoid_mjx.tasks.legged.task import LeggedTask
 
 SERVO = ServoLaw(stiffness=3.0, damping=0.1)
 """Gains of a servo as soft as gravity, so that posture alone does not keep the body up. With 6 N m/rad and 0.2 N m
-s/rad most bodies that do nothing withstand the pushes of 0.2 N s, and there is little to learn."""
+s/rad most bodies that do nothing withstand the pushes, and there is little to learn."""
 
 
 class Stand(LeggedTask):

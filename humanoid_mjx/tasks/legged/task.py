@@ -13,14 +13,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from humanoid_mjx.mechanics.rotations import rotation_matrix, unit
 from humanoid_mjx.physics.base import Readings, Sensed
 from humanoid_mjx.physics.sensors import Sensors
+from humanoid_mjx.robot import Robot
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import State, begin
-from humanoid_mjx.tasks.legged.body import JOINTS, LeggedBody
+from humanoid_mjx.tasks.legged.body import LeggedBody
 from humanoid_mjx.tasks.legged.commands import Velocity, moves
 from humanoid_mjx.tasks.legged.episode import Episode, MeanMotion
 from humanoid_mjx.tasks.legged.events import Push, Randomise
@@ -50,10 +51,20 @@ class LeggedTask(LeggedBody):
     symmetric: bool = Field(False, description="show the gait's second half as the mirror image of its first")
     duration: float = traced(10.0, gt=0, le=1000, description="s of an episode")
 
+    @model_validator(mode="after")
+    def _robot_must_fit(self) -> "LeggedTask":
+        if self.gait:
+            self.gait.check(self.robot)
+        later = np.mod(self.robot.phases[self.robot.foot_images] - self.robot.phases, 1.0)
+        if self.symmetric and not (self.robot.mirror and np.allclose(later, 0.5)):
+            raise ValueError("symmetric needs a robot whose feet swing half a period after their mirror images")
+        return self
+
     @property
     def observed(self) -> Observed:
         """What the learner sees."""
-        return _observed((*self.observations, *(self.privileged if self.observe == "privileged" else ())))
+        names = *self.observations, *(self.privileged if self.observe == "privileged" else ())
+        return _observed(names, self.robot)
 
     @property
     def observation_size(self) -> int:
@@ -68,10 +79,10 @@ class LeggedTask(LeggedBody):
         command_key, phase_key, plant_key = jax.random.split(jax.random.fold_in(key, 1), 3)
         world = self.start(jnp.stack(start_keys))
         down, still = -rotation_matrix(world.qpos[3:7])[2], jnp.zeros(3)
-        true = Readings(world.qpos[7:], still, -GRAVITY * down, jnp.zeros(2))
+        true = Readings(world.qpos[self.simulator.joint_qpos], still, -GRAVITY * down, jnp.zeros(len(self.robot.feet)))
         sensors = self.sensors.start(true, sensor_key)
         sensors, readings = self.sensors.read(sensors, true, jax.random.fold_in(sensor_key, 1))
-        none = jnp.zeros(JOINTS)
+        none = jnp.zeros(len(self.robot.joints))
         episode = Episode(
             world,
             MeanMotion(still, jnp.float32(0), still, true.accelerometer),
@@ -85,7 +96,7 @@ class LeggedTask(LeggedBody):
             command=self.command.draw(command_key) if self.command else still,
             heading_error=jnp.float32(0),
             strayed=still,
-            clock=self.gait.start(jax.random.uniform(phase_key)) if self.gait else Clock(jnp.float32(0)),
+            clock=self.gait.start(jax.random.uniform(phase_key), self.robot) if self.gait else Clock(jnp.float32(0)),
             plant=self.randomise.draw(self.plant, plant_key) if self.randomise else None,
         )
         view = self.view(episode, None, none)
@@ -121,7 +132,9 @@ class LeggedTask(LeggedBody):
         _, sensor_key = jax.random.split(key)
         before: Episode = state.data
         offsets = jnp.clip(command, -1.0, 1.0)
-        offsets = jnp.where(self.mirrored(before.phase), swapped(offsets), offsets) if self.symmetric else offsets
+        offsets = (
+            jnp.where(self.mirrored(before.phase), swapped(offsets, self.robot), offsets) if self.symmetric else offsets
+        )
         offsets = offsets + self.smoothing * (before.offsets - offsets)
         force = self.push_on(before, key)
         setpoint = self.setpoint(offsets, self.reference(before))
@@ -152,7 +165,7 @@ class LeggedTask(LeggedBody):
 
     def push_on(self, data: Episode, key: Key[Array, ""]) -> Float[Array, "3"]:
         since = data.decisions * self.period - data.first_push
-        return self.push.force(since, self.period, jax.random.split(key)[0])
+        return self.push.force(since, self.period, jax.random.split(key)[0]) * self.robot.momentum
 
     def told(self, data: Episode) -> dict[str, FloatScalar]:
         names = "forward, m/s", "left, m/s", "turn left, rad/s"
@@ -164,26 +177,28 @@ class LeggedTask(LeggedBody):
 
     def reference(self, episode: Episode) -> Float[Array, " joints"] | float:
         """The motion about the posture that the offsets correct, rad."""
-        return self.gait.reference(episode.clock, self.followed(episode)) if self.gait else 0.0
+        return self.gait.reference(episode.clock, self.followed(episode), self.robot) if self.gait else 0.0
 
     def view(self, episode: Episode, sensed: Sensed | None, last_offsets: Float[Array, " joints"]) -> View:
         """The view that the parts of the task take; `sensed` is None at the beginning of an episode."""
         return View(
+            robot=self.robot,
             world=episode.world,
             motion=episode.motion,
             strayed=episode.strayed,
             rotation=rotation_matrix(episode.world.qpos[3:7]),
-            feet=feet_of(sensed, self.simulator.body_names) if sensed else unknown_feet(),
-            torque=sensed.torque if sensed else jnp.zeros(JOINTS),
+            feet=feet_of(sensed, self.simulator.body_names, self.robot) if sensed else unknown_feet(self.robot),
+            torque=sensed.torque if sensed else jnp.zeros(len(self.robot.joints)),
             readings=episode.readings,
             rates=episode.rates,
             down=episode.down,
-            posture=self.posture,
             offsets=episode.offsets,
             last_offsets=last_offsets,
             command=self.followed(episode),
             phase=episode.phase,
-            swing=self.gait.swing(episode.phase) * moves(episode.command) if self.gait else jnp.zeros(2),
+            swing=self.gait.swing(episode.phase, self.robot) * moves(episode.command)
+            if self.gait
+            else jnp.zeros(len(self.robot.feet)),
         )
 
     def seen(self, view: View) -> Float[Array, " observation_size"]:
@@ -201,7 +216,7 @@ class LeggedTask(LeggedBody):
     def _go_on(self, episode: Episode, key: Key[Array, ""]) -> Episode:
         """The gait's clock and the command of the decision to come."""
         if self.gait:
-            episode = episode._replace(clock=self.gait.after(episode.clock, episode.command, self.period))
+            episode = episode._replace(clock=self.gait.after(episode.clock, episode.command, self.period, self.robot))
         if self.command:
             command, angle = self.command.following(episode.command, key, self.period)
             episode = episode.under(command, self.period, angle)
@@ -209,5 +224,5 @@ class LeggedTask(LeggedBody):
 
 
 @lru_cache
-def _observed(names: tuple[Any, ...]) -> Observed:
-    return Observed(names)
+def _observed(names: tuple[Any, ...], robot: Robot) -> Observed:
+    return Observed(names, robot)

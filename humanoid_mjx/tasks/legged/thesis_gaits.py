@@ -13,9 +13,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from humanoid_mjx.mechanics import gaits, pattern_generator
+from humanoid_mjx.robot import Robot
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.legged.commands import moves
-from humanoid_mjx.tasks.legged.gait import LEG_LENGTH, Clock, Gait
+from humanoid_mjx.tasks.legged.gait import Clock, Gait, build_of
 from humanoid_mjx.thesis import leg as thesis
 from humanoid_mjx.types import FloatScalar
 
@@ -35,17 +36,20 @@ class TableSteps(Gait):
         """The table as a periodic motion of a leg."""
         return _table(self.table)
 
-    def amplitude(self, command: Float[Array, "3"]) -> FloatScalar:
+    def check(self, robot: Robot) -> None:
+        build_of(robot, self.name)
+
+    def amplitude(self, command: Float[Array, "3"], robot: Robot) -> FloatScalar:
         """Size of the motion, 1 as in the table: the hips' way back is as long as the body is to go meanwhile."""
         degrees = np.array(gaits.TABLES[self.table]["hip_pitch"])
-        way = LEG_LENGTH * np.radians(degrees.max() - degrees.min())
+        way = build_of(robot, self.name).reach * np.radians(degrees.max() - degrees.min())
         back = 1.0 - (thesis.GAIT_TIMES_S[degrees.argmax()] / thesis.GAIT_TIMES_S[-1] - FORTH)
         return self.stride * command[0] * self.lasting(command) * back / way
 
-    def reference(self, clock: Clock, command: Float[Array, "3"]) -> Float[Array, " joints"]:
+    def reference(self, clock: Clock, command: Float[Array, "3"], robot: Robot) -> Float[Array, " joints"]:
         """The motion about the posture, rad; 0 while the command is to stand."""
         legs = self.motion.both_legs((clock.phase + FORTH) * self.motion.period).position
-        size = jnp.where(moves(command), self.amplitude(command), 0.0)
+        size = jnp.where(moves(command), self.amplitude(command, robot), 0.0)
         return size * (legs - pattern_generator.mean_posture(self.motion)).reshape(-1)
 
 
@@ -59,25 +63,25 @@ class Oscillators(TableSteps):
     coupling: float = traced(4.0, gt=0, le=100, description="of the two oscillators, 1/s")
     response: float = traced(8.0, gt=0, le=100, description="how fast they follow their commands, 1/s")
 
-    def start(self, phase: FloatScalar) -> Clock:
+    def start(self, phase: FloatScalar, robot: Robot) -> Clock:
         angle = 2 * jnp.pi * (phase + FORTH)
-        return Clock(phase, pattern_generator.init(self._params(jnp.zeros(3)), angle))
+        return Clock(phase, pattern_generator.init(self._params(jnp.zeros(3), robot), angle))
 
-    def after(self, clock: Clock, command: Float[Array, "3"], seconds: FloatScalar) -> Clock:
+    def after(self, clock: Clock, command: Float[Array, "3"], seconds: FloatScalar, robot: Robot) -> Clock:
         """The oscillators so much later; while the body stands they wait where they are."""
-        state, _ = pattern_generator.step(self._params(command), clock.generator, seconds)
+        state, _ = pattern_generator.step(self._params(command, robot), clock.generator, seconds)
         return Clock(jnp.mod(state.phase[0] / (2 * jnp.pi) - FORTH, 1.0), state)
 
-    def reference(self, clock: Clock, command: Float[Array, "3"]) -> Float[Array, " joints"]:
-        legs = pattern_generator.motion(self._params(command), clock.generator).position
+    def reference(self, clock: Clock, command: Float[Array, "3"], robot: Robot) -> Float[Array, " joints"]:
+        legs = pattern_generator.motion(self._params(command, robot), clock.generator).position
         return (legs - pattern_generator.mean_posture(self.motion)).reshape(-1)
 
-    def _params(self, command: Float[Array, "3"]) -> pattern_generator.Params:
+    def _params(self, command: Float[Array, "3"], robot: Robot) -> pattern_generator.Params:
         moving = moves(command)
         return pattern_generator.Params(
             self.motion,
             frequency=jnp.where(moving, 1.0 / self.lasting(command), 0.0),
-            amplitude=jnp.where(moving, self.amplitude(command), 0.0),
+            amplitude=jnp.where(moving, self.amplitude(command, robot), 0.0),
             coupling=self.coupling,
             response=self.response,
         )

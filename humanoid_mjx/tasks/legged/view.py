@@ -7,53 +7,55 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from humanoid_mjx.physics.base import Readings, Sensed, World
-from humanoid_mjx.robot.lower_body import CORNERS, SIDES
+from humanoid_mjx.robot import Robot
 from humanoid_mjx.tasks.legged.commands import moves
 from humanoid_mjx.tasks.legged.episode import MeanMotion
 from humanoid_mjx.types import BoolScalar, FloatScalar
 
-TOUCHING = 0.1
-"""Force on a corner from which it counts as touching, N: less than a hundredth of the body's weight."""
+TOUCHING = 0.006
+"""Force on a corner from which it counts as touching, as a share of the weight."""
 
 
 class Feet(NamedTuple):
-    """The right and the left foot, in the world. Before the first step of an episode everything is 0, including the
+    """The feet in the robot's order, in the world. Before the first step of an episode everything is 0, including the
     contacts."""
 
-    position: Float[Array, "2 3"]
+    robot: Robot
+    position: Float[Array, "feet 3"]
     """Positions of the ankles, m."""
-    velocity: Float[Array, "2 3"]
+    velocity: Float[Array, "feet 3"]
     """m/s"""
-    rotation: Float[Array, "2 3 3"]
-    corners: Float[Array, "2 4 3"]
+    rotation: Float[Array, "feet 3 3"]
+    corners: Float[Array, "feet corners 3"]
     """The lowest points of the soles' corners, m."""
-    corner_velocity: Float[Array, "2 4 3"]
+    corner_velocity: Float[Array, "feet corners 3"]
     """m/s"""
-    corner_force: Float[Array, "2 4"]
+    corner_force: Float[Array, "feet corners"]
     """Force with which the ground pushes each corner up, N."""
 
     @property
-    def height(self) -> Float[Array, "2"]:
+    def height(self) -> Float[Array, " feet"]:
         """Height of each foot's lowest corner above the ground, m."""
         return self.corners[..., 2].min(axis=-1)
 
     @property
-    def load(self) -> Float[Array, "2"]:
+    def load(self) -> Float[Array, " feet"]:
         """Force with which the ground pushes each foot up, N."""
         return self.corner_force.sum(axis=-1)
 
     @property
-    def touching(self) -> Bool[Array, "2 4"]:
+    def touching(self) -> Bool[Array, "feet corners"]:
         """Which corners touch the ground."""
-        return self.corner_force > TOUCHING
+        return self.corner_force > self.robot.force(TOUCHING)
 
 
-def feet_of(sensed: Sensed, body_names: tuple[str, ...]) -> Feet:
+def feet_of(sensed: Sensed, body_names: tuple[str, ...], robot: Robot) -> Feet:
     """Pick the feet out of all bodies."""
-    rows = np.array([body_names.index(f"{side}_foot") for side in SIDES])
+    rows = np.array([body_names.index(foot) for foot in robot.feet])
     poses, velocities, contacts = sensed.poses, sensed.velocities, sensed.contacts
-    shape = len(SIDES), len(CORNERS)
+    shape = len(robot.feet), robot.points
     return Feet(
+        robot,
         poses.position[rows],
         velocities.linear[rows],
         poses.rotation[rows],
@@ -63,15 +65,17 @@ def feet_of(sensed: Sensed, body_names: tuple[str, ...]) -> Feet:
     )
 
 
-def unknown_feet() -> Feet:
+def unknown_feet(robot: Robot) -> Feet:
     """The feet before the first step: all 0."""
-    pair, corners = jnp.zeros((2, 3)), jnp.zeros((2, len(CORNERS), 3))
-    return Feet(pair, pair, jnp.zeros((2, 3, 3)), corners, corners, corners[..., 0])
+    feet = len(robot.feet)
+    each, corners = jnp.zeros((feet, 3)), jnp.zeros((feet, robot.points, 3))
+    return Feet(robot, each, each, jnp.zeros((feet, 3, 3)), corners, corners, corners[..., 0])
 
 
 class View(NamedTuple):
     """One moment of an episode."""
 
+    robot: Robot
     world: World
     """The true state of the world."""
     motion: MeanMotion
@@ -90,8 +94,6 @@ class View(NamedTuple):
     """Change of the encoders since the readings before, rad/s."""
     down: Float[Array, "3"]
     """The direction of gravity in the torso's frame, as estimated from the sensors."""
-    posture: Float[np.ndarray, " joints"]
-    """rad"""
     offsets: Float[Array, " joints"]
     """Offsets of the set-points from the posture, -1 to 1."""
     last_offsets: Float[Array, " joints"]
@@ -100,7 +102,7 @@ class View(NamedTuple):
     """Commanded velocity forward and to the left, m/s, and turn rate to the left, rad/s."""
     phase: FloatScalar
     """Phase of the gait, 0 to 1."""
-    swing: Float[Array, "2"]
+    swing: Float[Array, " feet"]
     """How far along its way up each foot should be, 0 to 1, by the gait's clock; 0 where it should stand."""
 
     @property

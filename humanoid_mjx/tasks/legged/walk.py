@@ -19,6 +19,7 @@ from humanoid_mjx.tasks.legged.gait import Gaits, Steps
 from humanoid_mjx.tasks.legged.observations import PRIVILEGED, PROPRIOCEPTION, Observation
 from humanoid_mjx.tasks.legged.rewards import WalkRewards
 from humanoid_mjx.tasks.legged.task import LeggedTask
+from humanoid_mjx.types import FloatScalar
 
 SENSORS = Sensors(
     encoder_noise=0.0015,
@@ -54,8 +55,8 @@ class Walk(LeggedTask):
     control: Control = Field(SERVO, description="the law that drives the joints")
     choices: Literal[3, 5, 9] = Field(5, description="values of a joint's offset, evenly from -1 to 1 times it")
     offset: float = traced(16.0, gt=0, le=90, description="largest offset of a set-point from the motion, degrees")
-    offset_shares: tuple[float, float, float, float, float] = traced(
-        (1.5, 0.8, 0.6, 1.6, 1.4), strict=False, description="of it for hip pitch, yaw and roll, knee and ankle"
+    offset_shares: tuple[float, ...] = traced(
+        (), strict=False, description="of it, by kind of joint; none: the robot's own"
     )
     smoothing: float = traced(
         0.5, ge=0, lt=1, description="share of its way to a new value that an offset stays behind"
@@ -64,5 +65,9 @@ class Walk(LeggedTask):
     command: Velocity = Field(COMMAND, description="what the body is told to do")
     gait: Gaits = Field(Steps(), description="clock and open-loop steps")
     rewards: WalkRewards = Field(WalkRewards(), description="weights of the reward's terms")
-    push: Push = Field(Push(impulse=0.1, every=3.0), description="what disturbs the body")
+    push: Push = Field(Push(impulse=0.04091, every=3.0), description="what disturbs the body")
     duration: float = traced(20.0, gt=0, le=1000, description="s of an episode")
+
+    @property
+    def shares(self) -> tuple[FloatScalar, ...]:
+        return self.offset_shares or self.robot.shares

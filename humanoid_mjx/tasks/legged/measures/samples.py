@@ -14,7 +14,7 @@ from humanoid_mjx.mechanics.rotations import heading_frame
 from humanoid_mjx.mechanics.scalars import Scalar, Vector
 from humanoid_mjx.mechanics.tree.segments import nearest_shares
 from humanoid_mjx.physics.base import Poses, Sensed
-from humanoid_mjx.robot.lower_body import lower_body_model
+from humanoid_mjx.robot import Robot
 from humanoid_mjx.tasks.legged.view import feet_of
 from humanoid_mjx.types import FloatScalar
 
@@ -43,9 +43,9 @@ class Sample(NamedTuple):
     """Least distance between the surfaces of the right and the left leg, m; not above 0 where they touch."""
 
 
-def sample_of(sensed: Sensed, body_names: tuple[str, ...]) -> Sample:
+def sample_of(sensed: Sensed, body_names: tuple[str, ...], robot: Robot) -> Sample:
     """The moment that `sensed` is of."""
-    torso, feet = body_names.index("torso"), feet_of(sensed, body_names)
+    torso, feet = 1, feet_of(sensed, body_names, robot)
     rotation = sensed.poses.rotation[torso]
     return Sample(
         place=sensed.poses.position[torso, :2],
@@ -57,7 +57,7 @@ def sample_of(sensed: Sensed, body_names: tuple[str, ...]) -> Sample:
         load=feet.load,
         speed=jnp.linalg.norm(feet.corner_velocity[..., :2], axis=-1),
         touching=feet.touching,
-        legs_apart=legs_apart(sensed.poses),
+        legs_apart=legs_apart(sensed.poses, robot),
     )
 
 
@@ -71,20 +71,20 @@ def wrapped(angle: FloatScalar) -> FloatScalar:
     return jnp.mod(angle + jnp.pi, 2 * jnp.pi) - jnp.pi
 
 
-def legs_apart(poses: Poses) -> FloatScalar:
+def legs_apart(poses: Poses, robot: Robot) -> FloatScalar:
     """The least distance between the capsules of the right and the left leg that cannot pass through each other, m.
 
     MuJoCo sees a contact where it is below 0.
     """
     distances = []
-    for one, two in _pairs():
+    for one, two in _pairs(robot):
         (middle, half), (other_middle, other_half) = (
             (poses.position[c.body] + poses.rotation[c.body] @ c.middle, poses.rotation[c.body] @ c.half)
             for c in (one, two)
         )
         gap = between_segments(middle, half, other_middle, other_half)
         distances.append(gap - np.float32(one.radius + two.radius))
-    return jnp.stack(distances).min()
+    return jnp.stack(distances).min() if distances else jnp.asarray(jnp.inf)
 
 
 def between_segments(
@@ -104,10 +104,10 @@ class _Capsule(NamedTuple):
 
 
 @lru_cache
-def _pairs() -> list[tuple[_Capsule, _Capsule]]:
-    """The pairs of capsules of the lower body that feel each other."""
+def _pairs(robot: Robot) -> list[tuple[_Capsule, _Capsule]]:
+    """The pairs of capsules of the robot that feel each other."""
     with jax.ensure_compile_time_eval():
-        model = lower_body_model("free")
+        model = robot.model
 
     def capsule(geom: int) -> _Capsule:
         rotation = np.empty(9)
@@ -120,9 +120,3 @@ def _pairs() -> list[tuple[_Capsule, _Capsule]]:
     pairs = zip(model.pair_geom1, model.pair_geom2, strict=True)
     pairs = ((int(one), int(two)) for one, two in pairs)
     return [(capsule(one), capsule(two)) for one, two in pairs if model.geom_type[one] == model.geom_type[two] == kind]
-
-
-@lru_cache
-def total_mass() -> float:
-    """The mass of the lower body, kg."""
-    return float(lower_body_model("free").body_mass.sum())

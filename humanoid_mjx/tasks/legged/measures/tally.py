@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from humanoid_mjx.robot import Robot
 from humanoid_mjx.tasks.legged.measures.samples import Sample, wrapped
 from humanoid_mjx.tasks.legged.rewards import APART, LOADED
 from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
@@ -156,14 +157,14 @@ def window_samples(cycle: FloatScalar | None, interval: float) -> IntScalar:
     return jnp.round(jnp.asarray(seconds / interval)).astype(jnp.int32)
 
 
-def add(tally: Tally, sample: Sample, asked: Asked, window: IntScalar, interval: float) -> Tally:
+def add(tally: Tally, sample: Sample, asked: Asked, window: IntScalar, interval: float, robot: Robot) -> Tally:
     """The sums with one more sample, `interval` seconds after the last; `window` samples make a window."""
     last = tally.last
     counts = tally.samples * interval > SETTLING - interval / 2
     motion = jnp.where(counts, _motion(last, sample), 0.0)
     # The torque that acted from the last sample to this one was constant.
     work = jnp.where(counts, jnp.sum(jnp.abs(last.torque * (sample.angles - last.angles))), 0.0)
-    loaded = sample.load > LOADED
+    loaded = sample.load > robot.force(LOADED)
     turned = tally.turned + wrapped(sample.heading - last.heading)
     off = (asked.since >= 0) & (asked.since <= HOLD) & (jnp.abs(asked.goal - turned) > NEAR_GOAL)
     inner, windows = _windows(tally, motion, counts * asked.command * interval, work, counts, window, interval)
@@ -180,7 +181,7 @@ def add(tally: Tally, sample: Sample, asked: Asked, window: IntScalar, interval:
         feet=_feet(tally.feet, sample, loaded, counts, interval),
         flight=tally.flight + (counts & ~loaded.any()),
         double=tally.double + (counts & loaded.all()),
-        crossing=tally.crossing + (counts & (sample.gap[1] < APART)),
+        crossing=tally.crossing + (counts & (sample.gap[1] < robot.length(APART))),
         contact=tally.contact + (counts & (sample.legs_apart <= 0)),
         late=jnp.where(off, asked.since, tally.late),
         since=asked.since,
