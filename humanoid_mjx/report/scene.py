@@ -7,7 +7,6 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from humanoid_mjx.robot.lower_body import LOOKS
 from humanoid_mjx.types import AnyArray
 
 VIEW_M = 0.36
@@ -38,8 +37,6 @@ _KINDS = {
     mujoco.mjtGeom.mjGEOM_CYLINDER: "cylinder",
     mujoco.mjtGeom.mjGEOM_BOX: "box",
 }
-
-_MUJOCO_GREY = (0.5, 0.5, 0.5, 1.0)
 
 
 class Shape(NamedTuple):
@@ -110,10 +107,9 @@ def make_scene(model: mujoco.MjModel, qpos: Float[AnyArray, "frames nq"]) -> Sce
 
 
 def colored(model: mujoco.MjModel, geom: int) -> tuple[float, ...]:
-    """The colour of a geom; where the model leaves it MuJoCo's grey, the colour of the side in its body's name."""
+    """The colour of a geom."""
     rgba = model.geom_rgba[geom] if model.geom_matid[geom] < 0 else model.mat_rgba[model.geom_matid[geom]]
-    side = model.body(model.geom_bodyid[geom]).name.partition("_")[0]
-    return LOOKS[side] if np.allclose(rgba, _MUJOCO_GREY) and side in LOOKS else tuple(rgba.tolist())
+    return tuple(rgba.tolist())
 
 
 def _middle(model: mujoco.MjModel, data: mujoco.MjData) -> Float[np.ndarray, "3"]:

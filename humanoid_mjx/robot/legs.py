@@ -14,7 +14,7 @@ from pydantic import Field
 
 from humanoid_mjx.robot.description import Robot
 from humanoid_mjx.robot.leg import FRAME_0, HIP_DIAMETER, MIRROR, SHANK_DIAMETER, Leg
-from humanoid_mjx.robot.lower_body import JOINTS, SIDES, Ranges, add_motors_and_sensors
+from humanoid_mjx.robot.lower_body import JOINTS, LOOKS, SIDES, Ranges, add_motors_and_sensors
 from humanoid_mjx.robot.mjcf import add_chain
 from humanoid_mjx.robot.ranges import joint_ranges
 from humanoid_mjx.thesis.leg import GRAVITY, JOINT_NAMES
@@ -86,12 +86,12 @@ def legs_spec(
         for name, span in zip(names, limits, strict=True):
             spec.joint(name).range, spec.joint(name).limited = span, mujoco.mjtLimited.mjLIMITED_FALSE
         for i in range(leg.num_joints):
-            _draw(spec.body(f"{side}_link{i + 1}"), HIP_DIAMETER if i < 3 else SHANK_DIAMETER)
+            _draw(spec.body(f"{side}_link{i + 1}"), HIP_DIAMETER if i < 3 else SHANK_DIAMETER, LOOKS[side])
     add_motors_and_sensors(spec, [name for name in JOINTS if name.startswith(tuple(sides))], sides)
     return spec
 
 
-def _draw(body: Any, diameter: float) -> None:
+def _draw(body: Any, diameter: float, color: tuple[float, ...]) -> None:
     """A capsule from the frame before a link's to its own."""
     before = body.first_joint().pos
     body.add_geom(
@@ -101,4 +101,5 @@ def _draw(body: Any, diameter: float) -> None:
         contype=0,
         conaffinity=0,
         mass=0.0,
+        rgba=color,
     )
