@@ -3,7 +3,8 @@
 What keeps it stable is a LayerNorm after every layer; the optimizer is RAdam with the gradient's norm clipped.
 """
 
-from typing import Any
+import math
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +18,11 @@ from humanoid_mjx.learners.normalisation import normalise
 from humanoid_mjx.spec import traced
 from humanoid_mjx.types import FloatScalar
 
+PARTS = 8
+"""Parts of a minibatch whose gradients are summed apart on a GPU, where XLA sums over many rows slowly."""
+
+Precision = Literal["float32", "tensorfloat32"]
+
 
 class QNetwork(nn.Module):
     """Layers with LayerNorm and ReLU, and a value for each choice of each joint."""
@@ -25,13 +31,14 @@ class QNetwork(nn.Module):
     layers: int
     joints: int
     choices: int
+    precision: Precision = "float32"
 
     @nn.compact
     def __call__(self, obs: Float[Array, "*batch size"]) -> Float[Array, "*batch joints choices"]:
         x = obs
         for _ in range(self.layers):
-            x = nn.relu(nn.LayerNorm()(nn.Dense(self.width)(x)))
-        q = nn.Dense(self.joints * self.choices)(x)
+            x = nn.relu(nn.LayerNorm()(nn.Dense(self.width, precision=self.precision)(x)))
+        q = nn.Dense(self.joints * self.choices, precision=self.precision)(x)
         return q.reshape(*q.shape[:-1], self.joints, self.choices)
 
 
@@ -43,6 +50,7 @@ class DeepQ(ApproximateQ):
     epochs: int = Field(2, ge=1, le=1000, description="passes over the experience of an update")
     minibatches: int = Field(4, ge=1, le=10_000)
     max_gradient: float = Field(10.0, gt=0, description="norm at which a gradient is clipped")
+    precision: Precision = Field("float32", description="of the network's matrix products on a GPU")
     learning_rate: float = traced(5e-4, gt=0, le=1)
 
     @model_validator(mode="after")
@@ -55,7 +63,7 @@ class DeepQ(ApproximateQ):
         return self.envs % devices == 0 and self.envs // devices * self.rollout % self.minibatches == 0
 
     def network(self) -> QNetwork:
-        return QNetwork(self.width, self.layers, len(self.env.action_choices), self.choices)
+        return QNetwork(self.width, self.layers, len(self.env.action_choices), self.choices, self.precision)
 
     def init_value(self, key: Key[Array, ""]) -> tuple[Any, Any]:
         value = self.network().init(key, jnp.zeros(self.env.observation_size))
@@ -76,9 +84,16 @@ class DeepQ(ApproximateQ):
         def loss(value: Any, part: Batch) -> FloatScalar:
             return jnp.mean((chosen(self.q_values(value, part.obs), part.action) - part.target) ** 2)
 
+        def loss_by_parts(value: Any, batch: Batch) -> FloatScalar:
+            count = math.gcd(PARTS, len(batch.target))
+            parts = jax.tree.map(lambda x: x.reshape(count, -1, *x.shape[1:]), batch)
+            # Without the barrier XLA joins the sums again.
+            copies = jax.tree.map(lambda x: jnp.broadcast_to(x, (count, *x.shape)), value)
+            return jax.vmap(loss)(jax.lax.optimization_barrier(copies), parts).mean()
+
         def step(carry: tuple[Any, Any], part: Batch) -> tuple[tuple[Any, Any], FloatScalar]:
             value, optimizer = carry
-            error, gradient = jax.value_and_grad(loss)(value, part)
+            error, gradient = jax.value_and_grad(loss if jax.default_backend() == "cpu" else loss_by_parts)(value, part)
             gradient = self.mean(gradient)
             change, optimizer = transform.update(gradient, optimizer, value)
             return (optax.apply_updates(value, change), optimizer), error
