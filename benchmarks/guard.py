@@ -157,7 +157,7 @@ class Stand:
     def start(self) -> tuple[Any, ...]:
         """Bodies at the beginning of an episode, an action and a key for each."""
         keys = jax.random.split(jax.random.key(0), self.bodies)
-        action = jnp.tile(jnp.array(self.task.action_choices) // 2, (self.bodies, 1))
+        action = jnp.tile(jnp.array(self.task.action_bins) // 2, (self.bodies, 1))
         return jax.vmap(lambda key: self.task.reset(key))(keys), action, keys
 
     def trace(self) -> None:

@@ -17,7 +17,7 @@ from humanoid_mjx import cli, compute
 from humanoid_mjx.config import dump_yaml
 from humanoid_mjx.runs.tables import finished_runs
 
-LEG = {"name": "leg_reach", "duration": 0.4, "choices": 3}
+LEG = {"name": "leg_reach", "duration": 0.4, "bins": 3}
 STEPS = {"envs": 4, "rollout": 8, "evaluation_envs": 4, "evaluations": 2}
 CONFIGS: dict[str, dict[str, Any]] = {
     "tabular_q": {

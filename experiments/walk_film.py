@@ -68,7 +68,7 @@ def filmed(name: str) -> Film:
     def decide(state: State, view: View, command: Any, number: Any) -> tuple[State, View]:
         act_key, step_key = decision_keys(key, number)
         state = task.commanded(state, view, command)
-        offsets = task.parts_of_offset(greedy(learner, trained.policy)(state, act_key))
+        offsets = task.scaled_action(greedy(learner, trained.policy)(state, act_key))
         return task.step_watched(state, offsets, step_key)[:2]
 
     state = start(learner.env, key)

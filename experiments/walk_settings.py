@@ -62,18 +62,19 @@ def words(setting: dict[str, Any]) -> str:
     """A setting by its servo's stiffness and largest offset, by its choices where all have the same servo, or by the
     weight of `yawing` where all begin from one setting; and what is unusual. By its name where that is all."""
     series, task = setting["series"], setting["task"]
-    if "averaging" in setting["learner"]:
+    if "weight_averaging" in setting["learner"]:
         return f"{series}   {setting['setting']}"
     usually = {name: usual for name, (_, usual) in USUAL.items()}
     if (yawing := task["rewards"].get("yawing")) is not None:
         usually |= {"slip": -1.5, "smooth": -0.12, "yawing": yawing}
-        text = f"{series}   yawing {yawing:g}" + (", little yaw" if task["offset_shares"][1] < 0.8 else "")
-    elif "choices" in task:
-        grow = " growing" if setting["learner"].get("grow") else ""
-        text = f"{series}   {task['choices']}{grow} choices, {task['offset']:g}°"
-        text += ", more along the legs" if task["offset_shares"][0] > 1.0 else ""
+        text = f"{series}   yawing {yawing:g}" + (", little yaw" if task["action_shares"][1] < 0.8 else "")
+    elif "bins" in task:
+        grow = " growing" if setting["learner"].get("coarse_to_fine") else ""
+        text = f"{series}   {task['bins']}{grow} choices, {task['action_scale']:g}°"
+        text += ", more along the legs" if task["action_shares"][0] > 1.0 else ""
     else:
-        text = f"{series}   {task['control']['stiffness']:g} N m/rad, {task['offset']:g}°, {task['gait']['period']:g} s"
+        stiffness, scale, period = task["control"]["stiffness"], task["action_scale"], task["gait"]["period"]
+        text = f"{series}   {stiffness:g} N m/rad, {scale:g}°, {period:g} s"
     for name, (place, _) in USUAL.items():
         value: Any = setting
         for part in place:

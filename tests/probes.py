@@ -29,7 +29,7 @@ class Probe(ContinuousTask):
         return 1
 
     @property
-    def action_choices(self):
+    def action_bins(self):
         return (2,) * self.joints
 
     def reset(self, key):

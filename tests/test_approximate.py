@@ -250,7 +250,7 @@ def test_exploration():
 
 
 def test_epsilon_decays_by_the_episode_and_climbs_the_ladder():
-    learner = build("tiles", probe("choice")[0], epsilon=0.5, epsilon_decay=0.9, epsilon_min=0.2, ladder=1.0)
+    learner = build("tiles", probe("choice")[0], epsilon=0.5, epsilon_decay=0.9, epsilon_min=0.2, epsilon_spread=1.0)
     found = exploration.epsilons(learner, jnp.array([0, 1, 100]))
     np.testing.assert_allclose(found, [0.5, (0.45) ** 1.5, 0.2**2], rtol=1e-5)
 
@@ -267,12 +267,12 @@ class Uneven(ContinuousTask):
         return np.zeros(1), np.ones(1)
 
     @property
-    def action_choices(self):
+    def action_bins(self):
         return 9, 3
 
 
 def test_choices_grow_by_stages():
-    learner = build("tiles", probe("choice")[0]).replace(grow=True, task=Uneven())
+    learner = build("tiles", probe("choice")[0]).replace(coarse_to_fine=True, task=Uneven())
     opened = [np.asarray(learner.allowed(p)).sum(axis=1).tolist() for p in (0.0, 0.34, 0.67, 1.0)]
     assert opened == [[3, 3], [5, 3], [9, 3], [9, 3]]
 
@@ -375,13 +375,13 @@ def test_learning_curves_hold_greedy_evaluations_and_the_time_they_took(swept):
 
 def test_the_policy_is_the_mean_of_the_weights_of_late():
     """Those after each update, that of update i of t counting as a beta distribution's density at i / t does."""
-    learner = build("tiles", probe("both")[0], averaging=0.25)
+    learner = build("tiles", probe("both")[0], weight_averaging=0.25)
     step, carry = jax.jit(learner.train_step), jax.jit(learner.init)(rng.key(0))
     seen = []
     for _ in range(20):
         carry = step(carry)[0]
         seen.append(np.asarray(carry.weights.value, float))
-    # (i + eta - 1)! / (i - 1)! with eta = 1 / averaging - 1 = 3
+    # (i + eta - 1)! / (i - 1)! with eta = 1 / weight_averaging - 1 = 3
     share = np.array([i * (i + 1) * (i + 2) for i in range(1, 21)], float)
     policy = learner.policy(carry)
     np.testing.assert_allclose(policy.value, np.tensordot(share / share.sum(), seen, 1), rtol=1e-5, atol=1e-7)

@@ -33,20 +33,20 @@ class Drift(ContinuousTask):
     """What is seen says which choices were made and when; starts and rewards are random. It ends above 2.5 by itself,
     and is cut off after `cap` steps."""
 
-    choices: tuple[int, ...] = (3, 2)
+    bins: tuple[int, ...] = (3, 2)
     cap: int = traced(4)
 
     @property
     def observation_size(self):
-        return 2 + len(self.choices)
+        return 2 + len(self.bins)
 
     @property
-    def action_choices(self):
-        return self.choices
+    def action_bins(self):
+        return self.bins
 
     def reset(self, key):
         start = jax.random.uniform(key)
-        obs = jnp.concatenate([jnp.stack([start, 0.0]), -jnp.ones(len(self.choices))])
+        obs = jnp.concatenate([jnp.stack([start, 0.0]), -jnp.ones(len(self.bins))])
         return begin((start, jnp.int32(0)), obs, ("noise",))
 
     def step(self, state, action, key):
@@ -93,7 +93,7 @@ def test_under_brax_wrappers_a_task_does_what_it_does_alone(which):
     finite = make_task("joint_reach", joint=5, states=13, max_episode_steps=20)
     task = finite if which == "finite" else probe("delayed reward", joints=2)[0]
     env = BraxEnv(task)
-    assert env.action_size == len(env.task.action_choices) == (1 if which == "finite" else 2)
+    assert env.action_size == len(env.task.action_bins) == (1 if which == "finite" else 2)
     commands = random_commands(50, 3, env.action_size)
     wrapped = wrappers.AutoResetWrapper(wrappers.EpisodeWrapper(wrappers.VmapWrapper(env), 1000, 1))
     states = roll(wrapped, commands)

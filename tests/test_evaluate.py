@@ -25,7 +25,7 @@ from humanoid_mjx.training.rollout import AGENTS, agent
 from humanoid_mjx.training.sweep import Run, sweep
 
 REACH = {"name": "joint_reach", "joint": 4, "states": 11, "max_episode_steps": 30}
-LEG = {"name": "leg_reach", "choices": 3, "duration": 0.4}
+LEG = {"name": "leg_reach", "bins": 3, "duration": 0.4}
 TABLE = {"name": "tabular_q", "epsilon": 0.5, "learning_rate": 0.5}
 LINEAR = {"name": "linear_q", "learning_rate": 0.1, "envs": 4, "rollout": 4, "evaluation_envs": 2}
 

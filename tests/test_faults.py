@@ -322,7 +322,7 @@ def test_a_state_of_another_training_is_named(run):
 def test_a_resumed_pool_goes_on_whatever_its_arrays_hold():
     """The chain's world has an array without entries; of these jax forgets over which devices they lie."""
     learner = {"name": "linear_q", "envs": 2, "rollout": 4, "resolution": 2, "tilings": 1, "order": 1}
-    task = {"name": "leg_reach", "physics": "chain", "duration": 0.4, "choices": 3}
+    task = {"name": "leg_reach", "physics": "chain", "duration": 0.4, "bins": 3}
     config = {"name": "leg", "task": task, "learner": learner | {"evaluation_envs": 2}, "seeds": 2, "total_steps": 640}
     (group,) = make_plan(parse(config)).groups
     assert any(0 in leaf.shape for leaf in jax.tree.leaves(group.one_run)) and len(jax.local_devices()) > 1

@@ -195,7 +195,7 @@ def test_all_seeds_of_the_best_point(runs):
         (["RUN", "--set", "task.name=stand"], "a policy stays as it is"),
         (["RUN", "--set", "task.observe=privileged"], "this would change what the policy observes"),
         (["RUN", "--gait", "--set", "task.symmetric=true"], "this would change what the policy observes"),
-        (["RUN", "--gait", "--set", "task.choices=3"], "this would change what the policy observes or chooses from"),
+        (["RUN", "--gait", "--set", "task.bins=3"], "this would change what the policy observes or chooses from"),
         (["posture_switch", "--set", "task.places=7"], "this would change what the policy observes or chooses from"),
     ],
 )

@@ -57,7 +57,7 @@ def test_starts_goals_and_masses_are_drawn_from_their_ranges():
 
 
 def test_choices_are_parts_of_the_increment():
-    task = make_task("leg_reach", choices=5, increment=10.0)
+    task = make_task("leg_reach", bins=5, increment=10.0)
     state, step, _ = begin(task)
     action = jnp.tile(jnp.array([0, 1, 2, 3, 4]), (LEGS, 1))
     moved = step(state, action, rng.key(0)).data.setpoint - state.data.setpoint
@@ -94,7 +94,7 @@ def test_another_physics_does_the_same(other):
     ("values", "words"),
     [
         ({"period": 0.012}, "must be a multiple of the time step of 0.005 s"),
-        ({"choices": 4}, "task.choices must be one of 3, 5 or 9, got 4"),
+        ({"bins": 4}, "task.bins must be one of 3, 5 or 9, got 4"),
         ({"model_error": 1.0}, "task.model_error must be less than 1"),
         ({"ranges": "wide"}, "task.ranges must be one of 'proposed' or 'human'"),
     ],

@@ -28,7 +28,7 @@ def begin(task):
     """States of all bodies, and what carries out one still decision of each."""
     reset, step = programs(jax.tree.structure(task))
     task = jax.tree.map(jnp.asarray, task)
-    middle = jnp.full((BODIES, 10), (task.choices - 1) // 2)
+    middle = jnp.full((BODIES, 10), (task.bins - 1) // 2)
     step_all = lambda state, key: step(task, state, middle, jax.random.split(key, BODIES))  # noqa: E731
     return reset(task, jax.random.split(rng.key(1), BODIES)), step_all
 

@@ -47,7 +47,7 @@ class Carry(NamedTuple):
 
     weights: Weights
     average: Any
-    """Of the approximation's weights after each update, the latest counting most: see `averaging`."""
+    """Of the approximation's weights after each update, the latest counting most: see `weight_averaging`."""
     optimizer: Any
     envs: Envs
     key: Key[Array, ""]
@@ -73,16 +73,20 @@ class ApproximateQ(StepLearner):
     epsilon: float = traced(1.0, ge=0, le=1, description="probability of a random choice, at first, of each joint")
     epsilon_decay: float = traced(0.99, ge=0, le=1, description="factor on epsilon per episode of an environment")
     epsilon_min: float = traced(0.02, ge=0, le=1, description="epsilon falls no lower")
-    ladder: float = traced(0.0, ge=0, le=100, description="epsilon is raised to 1 ... 1 + ladder over the environments")
-    hold: int = Field(1, ge=1, le=1000, description="longest time in steps that a random action is held")
+    epsilon_spread: float = traced(
+        0.0, ge=0, le=100, description="epsilon is raised to 1 ... 1 + epsilon_spread over the environments"
+    )
+    action_repeat: int = Field(1, ge=1, le=1000, description="longest time in steps that a random action is held")
     learning_rate: float = traced(gt=0, le=1)
     learning_rate_end: float = traced(1.0, ge=0, le=1, description="its share at the end, reached linearly")
-    averaging: float = traced(0.0, ge=0, le=1, description="the policy is a mean over this last share of training")
+    weight_averaging: float = traced(
+        0.0, ge=0, le=1, description="the policy is a mean over this last share of training"
+    )
     discount: float = traced(0.97, ge=0, lt=1, description="value of a reward one step later")
     trace_decay: float = traced(0.65, ge=0, le=1, description="lambda")
     envs: int = Field(128, ge=1, le=1_000_000, description="environments side by side")
     rollout: int = Field(16, ge=1, le=10_000, description="steps of each environment in an update")
-    grow: bool = Field(False, description="open the choices in stages: 3, 5, 9 ... of them")
+    coarse_to_fine: bool = Field(False, description="open the choices in stages: 3, 5, 9 ... of them")
     evaluations: int = Field(10, ge=1, le=1000, description="greedy evaluations along the learning curve")
     evaluation_envs: int = Field(64, ge=1, le=100_000, description="greedy episodes of an evaluation")
     devices: int = Field(1, ge=1, le=1, exclude=True, repr=False)
@@ -92,9 +96,7 @@ class ApproximateQ(StepLearner):
         """The weights of the approximation and the optimizer's state before the first update."""
         raise NotImplementedError
 
-    def q_values(
-        self, value: Any, obs: Float[Array, "*batch observation_size"]
-    ) -> Float[Array, "*batch joints choices"]:
+    def q_values(self, value: Any, obs: Float[Array, "*batch observation_size"]) -> Float[Array, "*batch joints bins"]:
         """The value of every choice of every joint; `obs` as `preprocess` gives it."""
         raise NotImplementedError
 
@@ -113,13 +115,13 @@ class ApproximateQ(StepLearner):
         return obs
 
     @property
-    def choices(self) -> int:
+    def bins(self) -> int:
         """The largest number of choices of any joint."""
-        return max(self.env.action_choices)
+        return max(self.env.action_bins)
 
-    def allowed(self, progress: FloatScalar = 1.0) -> Bool[Array, "joints choices"]:
+    def allowed(self, progress: FloatScalar = 1.0) -> Bool[Array, "joints bins"]:
         """The choices that exist and, where their number grows, are open already."""
-        return exploration.opened(self.env.action_choices, progress if self.grow else None)
+        return exploration.opened(self.env.action_bins, progress if self.coarse_to_fine else None)
 
     def split_over(self, devices: int) -> Any:
         return self.replace(envs=self.envs // devices, devices=devices)
@@ -136,7 +138,7 @@ class ApproximateQ(StepLearner):
         value, optimizer = self.init_value(value_key)
         state = jax.vmap(self.env.reset)(jax.random.split(self._own(reset_key), self.envs))
         none = jnp.zeros(self.envs, jnp.int32)
-        holding = exploration.no_holding(self.envs, len(self.env.action_choices))
+        holding = exploration.no_holding(self.envs, len(self.env.action_bins))
         weights = Weights(value, moments(self.env.observation_size)) if policy is None else policy
         envs = Envs(state, holding, none, none, jnp.zeros(self.envs))
         return Carry(weights, weights.value, optimizer, envs, key, jnp.int32(0))
@@ -175,8 +177,8 @@ class ApproximateQ(StepLearner):
 
     def _averaged(self, carry: Carry, value: Any) -> Any:
         """The mean with new weights in it (O. Shamir and T. Zhang, "Stochastic Gradient Descent for Non-smooth
-        Optimization", 2013, section 4, with eta + 1 = 1 / averaging)."""
-        part = 1.0 / (1.0 + self.averaging * carry.update)
+        Optimization", 2013, section 4, with eta + 1 = 1 / weight_averaging)."""
+        part = 1.0 / (1.0 + self.weight_averaging * carry.update)
         return jax.tree.map(lambda mean, new: (1.0 - part) * mean + part * new, carry.average, value)
 
     def _steps(self, carry: Carry) -> FloatScalar:
@@ -188,7 +190,7 @@ class ApproximateQ(StepLearner):
         return key if self.devices == 1 else jax.random.fold_in(key, jax.lax.axis_index(ENVS))
 
     def _collect(
-        self, carry: Carry, allowed: Bool[Array, "joints choices"], key: Key[Array, ""]
+        self, carry: Carry, allowed: Bool[Array, "joints bins"], key: Key[Array, ""]
     ) -> tuple[Envs, Experience, dict[str, FloatScalar]]:
         """Let the environments act for `rollout` steps: where they are then, what they saw, sums over ended ones."""
         env = self.env
@@ -199,7 +201,7 @@ class ApproximateQ(StepLearner):
             q = self.q_values(carry.weights.value, self.preprocess(carry.weights, obs))
             best = exploration.greedy(q, allowed, greedy_key)
             epsilon = exploration.epsilons(self, envs.episode)
-            action, holding = exploration.explore(best, allowed, epsilon, self.hold, envs.holding, explore_key)
+            action, holding = exploration.explore(best, allowed, epsilon, self.action_repeat, envs.holding, explore_key)
             step_keys, reset_keys = (jax.random.split(key, self.envs) for key in (step_key, reset_key))
             state = jax.vmap(env.step)(envs.state, action, step_keys)
             executed = action if state.executed is None else state.executed
@@ -217,7 +219,7 @@ class ApproximateQ(StepLearner):
         return envs, experience, {name: x.sum() for name, x in sums.items()}
 
     def _td_targets(
-        self, weights: Weights, experience: Experience, allowed: Bool[Array, "joints choices"]
+        self, weights: Weights, experience: Experience, allowed: Bool[Array, "joints bins"]
     ) -> Float[Array, "steps envs"]:
         q = self.q_values(weights.value, self.preprocess(weights, experience.final_obs))
         next_value = jnp.where(allowed, q, -jnp.inf).max(axis=-1).mean(axis=-1)
@@ -239,6 +241,6 @@ class Batch(NamedTuple):
     target: Float[Array, " batch"]
 
 
-def chosen(q: Float[Array, "*batch joints choices"], action: Int[Array, "*batch joints"]) -> Float[Array, "*batch"]:
+def chosen(q: Float[Array, "*batch joints bins"], action: Int[Array, "*batch joints"]) -> Float[Array, "*batch"]:
     """Q of an action: the mean over the joints of their choices' values."""
     return jnp.take_along_axis(q, action[..., None], axis=-1)[..., 0].mean(axis=-1)

@@ -132,7 +132,7 @@ class BraxPPO(WholeRunLearner):
 
     def _networks(self) -> Any:
         normalise = running_statistics.normalize if self.normalize_observations else lambda obs, _: obs
-        size = (self.env.observation_size,), len(self.env.action_choices)
+        size = (self.env.observation_size,), len(self.env.action_bins)
         return self._network_factory()(*size, preprocess_observations_fn=normalise)
 
     def _network_factory(self) -> Any:

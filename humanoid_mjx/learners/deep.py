@@ -30,16 +30,16 @@ class QNetwork(nn.Module):
     width: int
     layers: int
     joints: int
-    choices: int
+    bins: int
     precision: Precision = "float32"
 
     @nn.compact
-    def __call__(self, obs: Float[Array, "*batch size"]) -> Float[Array, "*batch joints choices"]:
+    def __call__(self, obs: Float[Array, "*batch size"]) -> Float[Array, "*batch joints bins"]:
         x = obs
         for _ in range(self.layers):
             x = nn.relu(nn.LayerNorm()(nn.Dense(self.width, precision=self.precision)(x)))
-        q = nn.Dense(self.joints * self.choices, precision=self.precision)(x)
-        return q.reshape(*q.shape[:-1], self.joints, self.choices)
+        q = nn.Dense(self.joints * self.bins, precision=self.precision)(x)
+        return q.reshape(*q.shape[:-1], self.joints, self.bins)
 
 
 class DeepQ(ApproximateQ):
@@ -63,7 +63,7 @@ class DeepQ(ApproximateQ):
         return self.envs % devices == 0 and self.envs // devices * self.rollout % self.minibatches == 0
 
     def network(self) -> QNetwork:
-        return QNetwork(self.width, self.layers, len(self.env.action_choices), self.choices, self.precision)
+        return QNetwork(self.width, self.layers, len(self.env.action_bins), self.bins, self.precision)
 
     def init_value(self, key: Key[Array, ""]) -> tuple[Any, Any]:
         value = self.network().init(key, jnp.zeros(self.env.observation_size))
@@ -72,7 +72,7 @@ class DeepQ(ApproximateQ):
     def preprocess(self, weights: Weights, obs: Float[Array, "*batch size"]) -> Float[Array, "*batch size"]:
         return normalise(weights.moments, obs)
 
-    def q_values(self, value: Any, obs: Float[Array, "*batch size"]) -> Float[Array, "*batch joints choices"]:
+    def q_values(self, value: Any, obs: Float[Array, "*batch size"]) -> Float[Array, "*batch joints bins"]:
         q: Any = self.network().apply(value, obs)
         return q
 

@@ -40,7 +40,7 @@ class LinearQ(ApproximateQ):
     @model_validator(mode="after")
     def _basis_must_fit(self) -> "LinearQ":
         self.features()
-        if self.shared and len(set(self.env.action_choices)) > 1:
+        if self.shared and len(set(self.env.action_bins)) > 1:
             raise ValueError("shared needs joints that have the same number of choices")
         return self
 
@@ -49,7 +49,7 @@ class LinearQ(ApproximateQ):
 
     @property
     def joints(self) -> int:
-        return len(self.env.action_choices)
+        return len(self.env.action_bins)
 
     def features(self) -> Basis:
         """The basis over the task's observations."""
@@ -63,8 +63,8 @@ class LinearQ(ApproximateQ):
         return jnp.zeros(self._shape), ()
 
     def q_values(
-        self, value: Float[Array, "sets features choices"], obs: Float[Array, "*batch observation_size"]
-    ) -> Float[Array, "*batch joints choices"]:
+        self, value: Float[Array, "sets features bins"], obs: Float[Array, "*batch observation_size"]
+    ) -> Float[Array, "*batch joints bins"]:
         basis = self.features()
         encoded = basis.encode(obs)
         if basis.dense:
@@ -92,12 +92,12 @@ class LinearQ(ApproximateQ):
         encoded: Encoded,
         action: Int[Array, "batch joints"],
         parts: Float[Array, "batch joints active 2"],
-    ) -> Float[Array, "sets features choices 2"]:
+    ) -> Float[Array, "sets features bins 2"]:
         """The sums of what belongs to each weight: to each active feature with the choice that was taken."""
         if not self.features().dense:
             at = self._set[:, None], encoded.place, action[:, :, None]
             return jnp.zeros((*self._shape, 2), parts.dtype).at[at].add(parts)
-        taken = jax.nn.one_hot(action, self.choices, dtype=parts.dtype)
+        taken = jax.nn.one_hot(action, self.bins, dtype=parts.dtype)
         if self.shared:
             return jnp.einsum("bjfp,bjc->fcp", parts, taken)[None]
         return jnp.einsum("bjfp,bjc->jfcp", parts, taken)
@@ -105,7 +105,7 @@ class LinearQ(ApproximateQ):
     @property
     def _shape(self) -> tuple[int, int, int]:
         """Shape of the weights: sets of them, features, choices."""
-        return 1 if self.shared else self.joints, self.features().size, self.choices
+        return 1 if self.shared else self.joints, self.features().size, self.bins
 
     @property
     def _set(self) -> Int[np.ndarray, " joints"]:

@@ -56,7 +56,7 @@ class BraxEnv(Env):
     @property
     def action_size(self) -> int:
         """Joints."""
-        return len(self.task.action_choices)
+        return len(self.task.action_bins)
 
     @property
     def backend(self) -> str:

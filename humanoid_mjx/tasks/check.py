@@ -61,9 +61,9 @@ def _raised_in(error: BaseException) -> traceback.FrameSummary:
 
 
 def _check_continuous(traced: Any) -> None:
-    name, size, choices = type(traced).__name__, traced.observation_size, traced.action_choices
+    name, size, choices = type(traced).__name__, traced.observation_size, traced.action_bins
     if not choices or min(choices) < 2:
-        raise InputError(f"task: {name}.action_choices must hold a number of at least 2 for each joint, got {choices}.")
+        raise InputError(f"task: {name}.action_bins must hold a number of at least 2 for each joint, got {choices}.")
     key, action = _key(), jax.ShapeDtypeStruct((len(choices),), jnp.int32)
     state = jax.eval_shape(lambda task, *args: task.reset(*args), traced, key)
     if not isinstance(state, State):

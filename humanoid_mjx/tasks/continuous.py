@@ -57,10 +57,10 @@ class ContinuousTask(Task):
 
         Bases are built from them. Here all observations are one family, the same for every joint.
         """
-        return ((tuple(range(self.observation_size)),),) * len(self.action_choices)
+        return ((tuple(range(self.observation_size)),),) * len(self.action_bins)
 
     @property
-    def action_choices(self) -> tuple[int, ...]:
+    def action_bins(self) -> tuple[int, ...]:
         """How many values there are to choose from, for each joint."""
         raise NotImplementedError
 
@@ -70,11 +70,11 @@ class ContinuousTask(Task):
 
     def joint_action(self, flat: IntScalar) -> Int[Array, " joints"]:
         """The joint action with this flat index."""
-        return flat // self._strides % np.array(self.action_choices)
+        return flat // self._strides % np.array(self.action_bins)
 
     @property
     def _strides(self) -> Int[np.ndarray, " joints"]:
-        return np.cumprod((1, *self.action_choices[:-1]))
+        return np.cumprod((1, *self.action_bins[:-1]))
 
     def reset(self, key: Key[Array, ""]) -> State:
         """The start of an episode, another for each key."""
@@ -89,7 +89,7 @@ class ContinuousTask(Task):
 
         A task whose choices stand for such numbers carries out the numbers themselves.
         """
-        last = np.array(self.action_choices) - 1
+        last = np.array(self.action_bins) - 1
         action = jnp.round((jnp.clip(command, -1.0, 1.0) + 1.0) * 0.5 * last).astype(jnp.int32)
         return self.step(state, action, key)
 
@@ -126,13 +126,13 @@ class Tabulated(ContinuousTask):
         return np.zeros(self.observation_size), np.ones(self.observation_size)
 
     @property
-    def action_choices(self) -> tuple[int, ...]:
-        return self.finite.action_choices
+    def action_bins(self) -> tuple[int, ...]:
+        return self.finite.action_bins
 
     def reset(self, key: Key[Array, ""]) -> State:
         state = self.finite.reset(key)
         first = begin((state, jnp.int32(0)), self.finite.observe(state), ())
-        return first._replace(executed=jnp.zeros(len(self.action_choices), jnp.int32))
+        return first._replace(executed=jnp.zeros(len(self.action_bins), jnp.int32))
 
     def step(self, state: State, action: Int[Array, " joints"], key: Key[Array, ""]) -> State:
         inner, length = state.data

@@ -64,7 +64,7 @@ class FiniteTask(Task):
         return jnp.asarray(self.state_index(state), jnp.float32)[None] / (self.num_states - 1)
 
     @property
-    def action_choices(self) -> tuple[int, ...]:
+    def action_bins(self) -> tuple[int, ...]:
         """Choices per joint, fastest first; their product is `num_actions`."""
         return (self.num_actions,)
 

@@ -71,7 +71,7 @@ class LegReach(ContinuousTask):
     physics: Literal["chain", "mjx-jax", "mujoco"] = "chain"
     control: Control = Field(ComputedTorqueLaw(), description="the law that drives the joints to their set-points")
     ranges: Literal["proposed", "human"] = Field("proposed", description="column of Table 3.2")
-    choices: Literal[3, 5, 9] = Field(9, description="values of a joint's increment, evenly from -1 to 1 times it")
+    bins: Literal[3, 5, 9] = Field(9, description="values of a joint's increment, evenly from -1 to 1 times it")
     increment: float = traced(8.0, gt=0, le=90, description="largest move of a set-point in a decision, degrees")
     period: float = Field(0.1, gt=0, le=10, description="s between decisions")
     timestep: float = Field(0.005, gt=0, le=0.02, description="s of physics and controller")
@@ -101,8 +101,8 @@ class LegReach(ContinuousTask):
         )
 
     @property
-    def action_choices(self) -> tuple[int, ...]:
-        return (self.choices,) * JOINTS
+    def action_bins(self) -> tuple[int, ...]:
+        return (self.bins,) * JOINTS
 
     @property
     def simulator(self) -> Physics:
@@ -119,7 +119,7 @@ class LegReach(ContinuousTask):
         return begin(body, self.observe(body), TERMS)
 
     def step(self, state: State, action: Int[Array, " joints"], key: Key[Array, ""]) -> State:
-        return self.step_continuous(state, 2.0 * action / (self.choices - 1) - 1.0, key)
+        return self.step_continuous(state, 2.0 * action / (self.bins - 1) - 1.0, key)
 
     def step_continuous(self, state: State, command: Float[Array, " joints"], key: Key[Array, ""]) -> State:
         """A step whose moves are any parts of `increment`, from -1 to 1."""
@@ -145,7 +145,7 @@ class LegReach(ContinuousTask):
 
     def drive(self, data: Body, action: Array) -> tuple[Physics, Follow]:
         chosen = not jnp.issubdtype(action.dtype, jnp.floating)
-        command = 2.0 * action / (self.choices - 1) - 1.0 if chosen else action
+        command = 2.0 * action / (self.bins - 1) - 1.0 if chosen else action
         return self._plant(data.mass), self.controller(self.setpoint_after(data, command))
 
     def setpoint_after(self, body: Body, command: Float[Array, " joints"]) -> Float[Array, " joints"]:

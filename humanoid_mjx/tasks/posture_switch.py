@@ -122,7 +122,7 @@ class PostureSwitch(FiniteTask):
         return jnp.clip((state.encoders - first) / (last - first), 0.0, 1.0).astype(jnp.float32)
 
     @property
-    def action_choices(self) -> tuple[int, ...]:
+    def action_bins(self) -> tuple[int, ...]:
         return (3,) * len(MOVED)
 
     def drive(self, data: Body, action: Int[Array, "3"]) -> tuple[Physics, Follow]:

@@ -238,7 +238,7 @@ def _decide(
     state = task.commanded(loop.state, loop.view, asked)
     act_key, step_key = decision_keys(key, index)
     action = agent(learner, policy, number)(state, act_key)
-    offsets = action if jnp.issubdtype(action.dtype, jnp.floating) else task.parts_of_offset(action)
+    offsets = action if jnp.issubdtype(action.dtype, jnp.floating) else task.scaled_action(action)
     state, view, sensed = task.step_watched(state, offsets, step_key)
     fallen = loop.fallen | state.terminated
     interval = task.simulator.step_s

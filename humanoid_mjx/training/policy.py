@@ -212,7 +212,7 @@ def in_changed_world(trained: Trained, overrides: Sequence[str]) -> Trained:
     learner = group.learner()
     like = jax.eval_shape(lambda learner, carry: learner.policy(carry), learner, group.one_run.carry)
     fits = _shapes(like) == _shapes(trained.policy)
-    if not fits or learner.env.action_choices != trained.learner.env.action_choices:
+    if not fits or learner.env.action_bins != trained.learner.env.action_bins:
         raise InputError(f"--set {' '.join(overrides)}: this would change what the policy observes or chooses from.")
     return trained._replace(config=config, learner=learner)
 

@@ -78,7 +78,7 @@ def greedy(learner: Learner, policy: Any) -> Choose:
 
 def agent(learner: Learner, policy: Any, number: IntScalar) -> Choose:
     """One of `AGENTS`, by its number, which may be traced."""
-    counts = np.array(learner.env.action_choices)
+    counts = np.array(learner.env.action_bins)
 
     def choose(state: State, key: Key[Array, ""]) -> Array:
         best = learner.act(policy, learner.observation(state), key)

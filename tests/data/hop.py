@@ -16,7 +16,7 @@ class Hop(ContinuousTask):
         return 1
 
     @property
-    def action_choices(self):
+    def action_bins(self):
         return (2,)
 
     def reset(self, key):

@@ -16,7 +16,7 @@ class Sway(ContinuousTask):
         return 1
 
     @property
-    def action_choices(self):
+    def action_bins(self):
         return (3,)
 
     @property

@@ -40,9 +40,11 @@ class LeggedBody(ContinuousTask):
     robot: RobotKey = Field(LowerBody(ranges="human"), description="the robot that stands")
     physics: Literal["tree", "mjx-jax", "mjx-warp", "mujoco"] = "tree"
     control: Control = Field(ServoLaw(stiffness=3.0, damping=0.1), description="the law that drives the joints")
-    choices: Literal[3, 5, 9] = Field(3, description="values of a joint's offset, evenly from -1 to 1 times it")
-    offset: float = traced(20.0, gt=0, le=90, description="largest offset of a set-point from the posture, degrees")
-    offset_shares: tuple[float, ...] = traced((), strict=False, description="of it, by kind of joint; none: all 1")
+    bins: Literal[3, 5, 9] = Field(3, description="values of a joint's offset, evenly from -1 to 1 times it")
+    action_scale: float = traced(
+        20.0, gt=0, le=90, description="largest offset of a set-point from the posture, degrees"
+    )
+    action_shares: tuple[float, ...] = traced((), strict=False, description="of it, by kind of joint; none: all 1")
     smoothing: float = traced(
         0.0, ge=0, lt=1, description="share of its way to a new value that an offset stays behind"
     )
@@ -56,8 +58,8 @@ class LeggedBody(ContinuousTask):
     @model_validator(mode="after")
     def _period_must_fit(self) -> "LeggedBody":
         self.simulator.substeps(self.period)
-        if self.offset_shares and len(self.offset_shares) != len(set(self.robot.kinds.tolist())):
-            raise ValueError(f"offset_shares must hold one number for each kind of joint, got {self.offset_shares}")
+        if self.action_shares and len(self.action_shares) != len(set(self.robot.kinds.tolist())):
+            raise ValueError(f"action_shares must hold one number for each kind of joint, got {self.action_shares}")
         return self
 
     @property
@@ -68,11 +70,11 @@ class LeggedBody(ContinuousTask):
     @property
     def shares(self) -> tuple[FloatScalar, ...]:
         """Shares of the offset by kind of joint; none: all 1."""
-        return self.offset_shares
+        return self.action_shares
 
     @property
-    def action_choices(self) -> tuple[int, ...]:
-        return (self.choices,) * len(self.robot.joints)
+    def action_bins(self) -> tuple[int, ...]:
+        return (self.bins,) * len(self.robot.joints)
 
     @property
     def simulator(self) -> MujocoPhysics:
@@ -101,7 +103,7 @@ class LeggedBody(ContinuousTask):
         """Where the law is to bring the joints, rad: the posture, a motion about it and the learner's offsets."""
         if self.shares:
             offsets = jnp.stack([jnp.asarray(share, float) for share in self.shares])[self.robot.kinds] * offsets
-        return jnp.radians(self.offset) * offsets + (reference + self.posture)
+        return jnp.radians(self.action_scale) * offsets + (reference + self.posture)
 
     def advance(
         self, world: World, setpoint: Float[Array, " joints"], plant: Plant, force: Float[Array, "3"]

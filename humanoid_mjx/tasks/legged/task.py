@@ -103,14 +103,14 @@ class LeggedTask(LeggedBody):
         return begin(episode, self.seen(view), tuple(self.rewards.terms(view)))
 
     def step(self, state: State, action: Int[Array, " joints"], key: Key[Array, ""]) -> State:
-        return self.step_continuous(state, self.parts_of_offset(action), key)
+        return self.step_continuous(state, self.scaled_action(action), key)
 
-    def parts_of_offset(self, action: Int[Array, " joints"]) -> Float[Array, " joints"]:
+    def scaled_action(self, action: Int[Array, " joints"]) -> Float[Array, " joints"]:
         """What the choices stand for, from -1 to 1."""
-        return 2.0 * action / (self.choices - 1) - 1.0
+        return 2.0 * action / (self.bins - 1) - 1.0
 
     def step_continuous(self, state: State, command: Float[Array, " joints"], key: Key[Array, ""]) -> State:
-        """A step whose offsets are any parts of `offset`, from -1 to 1."""
+        """A step whose offsets are any parts of `action_scale`, from -1 to 1."""
         return self._carry_out(state, command, key, watched=False)[0]
 
     def step_watched(

@@ -53,9 +53,11 @@ class Walk(LeggedTask):
     privileged: ClassVar[tuple[str | Observation, ...]] = (*PRIVILEGED, "turn_rate", "foot_heights", "foot_loads")
 
     control: Control = Field(SERVO, description="the law that drives the joints")
-    choices: Literal[3, 5, 9] = Field(5, description="values of a joint's offset, evenly from -1 to 1 times it")
-    offset: float = traced(16.0, gt=0, le=90, description="largest offset of a set-point from the motion, degrees")
-    offset_shares: tuple[float, ...] = traced(
+    bins: Literal[3, 5, 9] = Field(5, description="values of a joint's offset, evenly from -1 to 1 times it")
+    action_scale: float = traced(
+        16.0, gt=0, le=90, description="largest offset of a set-point from the motion, degrees"
+    )
+    action_shares: tuple[float, ...] = traced(
         (), strict=False, description="of it, by kind of joint; none: the robot's own"
     )
     smoothing: float = traced(
@@ -70,4 +72,4 @@ class Walk(LeggedTask):
 
     @property
     def shares(self) -> tuple[FloatScalar, ...]:
-        return self.offset_shares or self.robot.shares
+        return self.action_shares or self.robot.shares
