@@ -77,7 +77,7 @@ def test_the_walking_default_is_the_column_that_serves(explored):
     columns, record, out = explored
     needs = feasibility.needed(feasible_postures.Body("human"), feasibility.WAY)
     lacks = feasibility.lacking(columns, needs)
-    assert [name for name, words in lacks.items() if not words] == [feasibility.TASK.ranges]
+    assert [name for name, words in lacks.items() if not words] == [feasibility.TASK.robot.ranges]
     assert "a hip that rolls inwards" in lacks["proposed"] and record["lacks"] == lacks
     assert "toes" in feasibility.lacking({"x": columns["human"]._replace(toes_in=0.1)}, needs)["x"]
     assert all((out / f"feasibility{which}.png").stat().st_size > 10_000 for which in ("", "-stances"))

@@ -23,4 +23,4 @@ def test_defaults_are_those_of_the_task_not_of_its_parts():
     assert keys["task.sensors.encoder_noise"].default == str(walk.sensors.encoder_noise) != "0.0"
     assert keys["task.control.stiffness"].default == str(walk.control.stiffness)
     assert keys["task.rewards.slip"].traced and not keys["task.bins"].traced
-    assert keys["task.offset"].allowed == "number, above 0, at most 90"
+    assert keys["task.action_scale"].allowed == "number, above 0, at most 90"

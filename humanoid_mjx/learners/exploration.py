@@ -37,12 +37,10 @@ def opened(choices: Sequence[int], progress: FloatScalar | None) -> Bool[Array, 
 
 
 def epsilons(schedule: Any, episode: Int[Array, " envs"]) -> Float[Array, " envs"]:
-    """Epsilon of each environment: `max(epsilon_min, epsilon * epsilon_decay**k)` in its own episode k.
+    """Epsilon of each environment: `max(epsilon_min, epsilon * epsilon_decay**k)` in its own episode k, to a power.
 
-    Over the environments it is raised to the power 1 to 1 + epsilon_spread.
-
-    `schedule` is what holds these four numbers. The power rises over the environments, so that some explore while
-    others follow the greedy policy closely (D. Horgan et al., "Distributed Prioritized Experience Replay", 2018,
+    The power rises from 1 to 1 + epsilon_spread over the environments, so that some explore while others follow the
+    greedy policy closely (D. Horgan et al., "Distributed Prioritized Experience Replay", 2018,
     section 4).
     """
     epsilon = jnp.maximum(schedule.epsilon_min, schedule.epsilon * schedule.epsilon_decay**episode)
@@ -69,8 +67,7 @@ def explore(
     """Epsilon-greedy actions: each joint by itself takes a random choice with probability epsilon.
 
     It is held for 1 to `action_repeat` steps, drawn evenly (W. Dabney et al., "Temporally-Extended epsilon-Greedy
-    Exploration",
-    2021, with another distribution of lengths).
+    Exploration", 2021, with another distribution of lengths).
     """
     start_key, action_key, length_key = jax.random.split(key, 3)
     starts = (holding.steps_left == 0) & (jax.random.uniform(start_key, best.shape) < epsilon[:, None])

@@ -50,13 +50,14 @@ def test_traced_values_are_those_of_a_model_with_them():
     rng = np.random.default_rng(1)
     at = states(model, 500, seed=1)
     mass, push, gravity = rng.uniform(0.5, 2.0, model.nbody), np.array([2.0, -1.0, 3.0]), np.array([0.5, -0.3, -8.0])
-    values = Values(mass, 0.4, 0.05, 0.002, gravity, push)
+    values = Values(mass, 0.4, 1.7, 0.6, gravity, push)
     qacc, settled = solver("free")(values, *at)
     # MuJoCo computes what contacts and limits feel of the inertia once, when it compiles a model.
     model.body_mass *= mass
     model.body_inertia *= mass[:, None]
-    model.dof_damping[6:], model.dof_armature[6:] = 0.05, 0.002
-    model.pair_friction[:, :2] = 0.4
+    model.dof_damping *= 1.7
+    model.dof_armature *= 0.6
+    model.pair_friction[:, :2] *= 0.4
     model.opt.gravity = gravity
     expected = native(model, *at, force=np.concatenate([push, np.zeros(13)]))
     assert settled.all()
