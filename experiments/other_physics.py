@@ -16,9 +16,9 @@ from typing import Any, get_args
 
 from humanoid_mjx import compute
 from humanoid_mjx.config import load
+from humanoid_mjx.evaluation.evaluate import HELD_OUT_WORDS, evaluate_all
+from humanoid_mjx.evaluation.policy import Trained, best_policy, find_policy, on_physics
 from humanoid_mjx.files import names
-from humanoid_mjx.training.evaluation import HELD_OUT_WORDS, evaluate_all
-from humanoid_mjx.training.policy import Trained, best_policy, find_policy, on_physics
 from humanoid_mjx.training.sweep import sweep
 
 RECORD = Path(__file__).parent.parent / "docs" / "bench" / "cpu_2_cores_other_physics.json"

@@ -16,16 +16,16 @@ import numpy as np
 from PIL import Image, ImageSequence
 
 from humanoid_mjx import compute
-from humanoid_mjx.report.film import Film
+from humanoid_mjx.evaluation.episode import robot_of
+from humanoid_mjx.evaluation.evaluate import held_out_keys
+from humanoid_mjx.evaluation.film import Film
+from humanoid_mjx.evaluation.gait.samples import heading_of, wrapped
+from humanoid_mjx.evaluation.gait.scenarios import TURN_GAIN, TURN_RATE, calm, under_one_command
+from humanoid_mjx.evaluation.policy import find_policy
+from humanoid_mjx.learners.rollout import decision_keys, greedy, start
 from humanoid_mjx.report.rendering import render_film
 from humanoid_mjx.tasks.continuous import State
-from humanoid_mjx.tasks.legged.measures.samples import heading_of, wrapped
 from humanoid_mjx.tasks.legged.view import View
-from humanoid_mjx.training.episode import robot_of
-from humanoid_mjx.training.evaluation import held_out_keys
-from humanoid_mjx.training.gait_evaluation import TURN_GAIN, TURN_RATE, calm, under_one_command
-from humanoid_mjx.training.policy import find_policy
-from humanoid_mjx.training.rollout import decision_keys, greedy, start
 
 FRAME_S, SMALL = 0.04, (360, 270)
 """Time between frames of the film, s, and size of the README's, pixels."""

@@ -107,7 +107,7 @@ class Reader:
         self.files.add(str(json))
 
     def evaluate(self, policies, gait, point, set_, physics, episodes, json, out):
-        from humanoid_mjx.training.gait_evaluation import walking_task
+        from humanoid_mjx.evaluation.gait.scenarios import walking_task
 
         for policy in policies:
             self.has(policy)
@@ -117,7 +117,7 @@ class Reader:
 
     def changes(self, policy, set_):
         """The shipped policy, if it is one, in its changed world."""
-        from humanoid_mjx.training.policy import find_policy, in_changed_world
+        from humanoid_mjx.evaluation.policy import find_policy, in_changed_world
 
         return in_changed_world(find_policy(policy), set_ or []) if policy in names("policies", ".npz") else None
 

@@ -14,18 +14,18 @@ from small_sweep import CONFIG, assert_same_tables
 import humanoid_mjx.training.session as session
 from humanoid_mjx import InputError, compute, make_learner, make_task, sweep
 from humanoid_mjx.compute import rng
+from humanoid_mjx.evaluation.replay import replay
 from humanoid_mjx.learners import exploration
 from humanoid_mjx.learners.approximate import Batch
 from humanoid_mjx.learners.features import Scale, combined, fourier, radial, tile_coding
 from humanoid_mjx.learners.normalisation import moments, normalise, observe
+from humanoid_mjx.learners.rollout import greedy, mean_scores
 from humanoid_mjx.learners.targets import lambda_targets
 from humanoid_mjx.tasks.continuous import ContinuousTask
 from humanoid_mjx.training import pool
 from humanoid_mjx.training.pool import Pool
 from humanoid_mjx.training.program import advance, begin, finish
 from humanoid_mjx.training.progress import Reporter
-from humanoid_mjx.training.replay import replay
-from humanoid_mjx.training.rollout import greedy, mean_scores
 
 LEARNERS = {
     "tiles": ("linear_q", {"resolution": 3, "tilings": 2, "order": 1, "learning_rate": 0.3}),

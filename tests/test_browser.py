@@ -8,7 +8,7 @@ import pytest
 from browser import CHROMIUM, browser
 from test_page import HOSTILE
 
-from humanoid_mjx.report.film import Film, Push
+from humanoid_mjx.evaluation.film import Film, Push
 from humanoid_mjx.report.player import player
 from humanoid_mjx.report.web import page, section, table, text
 from humanoid_mjx.robot import make_robot

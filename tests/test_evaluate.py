@@ -12,16 +12,16 @@ from typer.testing import CliRunner
 from humanoid_mjx import make_task
 from humanoid_mjx.cli import app
 from humanoid_mjx.compute import rng
+from humanoid_mjx.evaluation import evaluate
+from humanoid_mjx.evaluation.episode import play
+from humanoid_mjx.evaluation.evaluate import evaluate_all, held_out_keys, play_out
+from humanoid_mjx.evaluation.policy import best_policy, find_policy, load_policy, policies_of_best, save_policy
+from humanoid_mjx.learners.rollout import AGENTS, agent
 from humanoid_mjx.report.comparison import compare_curves, curve_of
 from humanoid_mjx.runs.evaluations import Estimate, Evaluation, estimated
 from humanoid_mjx.runs.ranking import ranked
 from humanoid_mjx.spec import InputError
-from humanoid_mjx.training import evaluation
-from humanoid_mjx.training.episode import play
-from humanoid_mjx.training.evaluation import evaluate_all, held_out_keys, play_out
-from humanoid_mjx.training.policy import best_policy, find_policy, load_policy, policies_of_best, save_policy
 from humanoid_mjx.training.program import run_key
-from humanoid_mjx.training.rollout import AGENTS, agent
 from humanoid_mjx.training.sweep import Run, sweep
 
 REACH = {"name": "joint_reach", "joint": 4, "states": 11, "max_episode_steps": 30}
@@ -92,7 +92,7 @@ def test_agents_that_do_not_learn(leg):
 def test_episodes_are_the_same_for_all_and_however_they_are_cut(leg, monkeypatch):
     best = best_policy(leg)
     whole = play_out(best, "random", 7)
-    monkeypatch.setattr(evaluation, "BLOCK", 4)
+    monkeypatch.setattr(evaluate, "BLOCK", 4)
     parts = play_out(best, "random", 7)
     np.testing.assert_array_equal(whole["success"], parts["success"])
     np.testing.assert_allclose(whole["return"], parts["return"], rtol=1e-5)

@@ -22,6 +22,7 @@ from small_sweep import assert_same_tables
 from humanoid_mjx import InputError, cli, compute, sweep
 from humanoid_mjx.commands.runs import run_runs
 from humanoid_mjx.config import config_digest, load, parse, parse_yaml
+from humanoid_mjx.evaluation.policy import best_policy
 from humanoid_mjx.files import whole_file
 from humanoid_mjx.report.style import figure
 from humanoid_mjx.runs.archive import DAMAGE, read_archive
@@ -30,7 +31,6 @@ from humanoid_mjx.runs.listing import list_runs
 from humanoid_mjx.runs.tables import column_names, read_table
 from humanoid_mjx.training import pool as pool_module
 from humanoid_mjx.training.plan import make_plan, resolved
-from humanoid_mjx.training.policy import best_policy
 from humanoid_mjx.training.pool import Pool
 from humanoid_mjx.training.progress import Reporter
 

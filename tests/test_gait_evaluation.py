@@ -12,15 +12,15 @@ from typer.testing import CliRunner
 from humanoid_mjx.cli import app
 from humanoid_mjx.compute import rng
 from humanoid_mjx.config import parse
+from humanoid_mjx.evaluation.gait import scenarios
+from humanoid_mjx.evaluation.gait.figures import FIGURES
+from humanoid_mjx.evaluation.gait.measure import settings_of
+from humanoid_mjx.evaluation.gait.scenarios import SCENARIOS, Scenario, calm, gaits_of, play_gaits
+from humanoid_mjx.evaluation.gait.summary import summarised
+from humanoid_mjx.evaluation.policy import best_policy, in_changed_world, policies_of_best, save_policy
 from humanoid_mjx.report.gaits import bad_end
-from humanoid_mjx.runs.gaits import summarised
 from humanoid_mjx.spec import InputError
-from humanoid_mjx.tasks.legged.measures.figures import FIGURES
-from humanoid_mjx.training import gait_evaluation
-from humanoid_mjx.training.gait_evaluation import SCENARIOS, Scenario, calm, gaits_of, play_gaits
-from humanoid_mjx.training.gait_policies import settings_of
 from humanoid_mjx.training.plan import make_plan
-from humanoid_mjx.training.policy import best_policy, in_changed_world, policies_of_best, save_policy
 from humanoid_mjx.training.sweep import sweep
 
 TINY = {"name": "deep_q", "width": 8, "layers": 1, "envs": 4, "rollout": 4, "minibatches": 2, "evaluation_envs": 2}
@@ -94,7 +94,7 @@ def test_commands_stay_whatever_the_task_draws():
 
 def test_episodes_are_the_same_however_they_are_cut(monkeypatch):
     whole = played(calm(learner_of()))
-    monkeypatch.setattr(gait_evaluation, "WORLDS_IN_MUJOCO", 3 * len(ASKED))
+    monkeypatch.setattr(scenarios, "WORLDS_IN_MUJOCO", 3 * len(ASKED))
     parts = played(calm(learner_of()))
     np.testing.assert_array_equal(whole["success"], parts["success"])
     np.testing.assert_allclose(whole["seconds"], parts["seconds"], atol=0.021)  # a decision more or less

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from gait_reference import reference
 
+from humanoid_mjx.evaluation.gait.figures import FIGURES, figures
+from humanoid_mjx.evaluation.gait.samples import Sample, between_segments, legs_apart
+from humanoid_mjx.evaluation.gait.summary import summarised
+from humanoid_mjx.evaluation.gait.tally import EDGES, Asked, add, begin, window_samples
 from humanoid_mjx.physics.base import Poses
 from humanoid_mjx.robot.lower_body import LowerBody, lower_body_model
-from humanoid_mjx.runs.gaits import summarised
 from humanoid_mjx.runs.statistics import mean_interval
-from humanoid_mjx.tasks.legged.measures.figures import FIGURES, figures
-from humanoid_mjx.tasks.legged.measures.samples import Sample, between_segments, legs_apart
-from humanoid_mjx.tasks.legged.measures.tally import EDGES, Asked, add, begin, window_samples
 
 INTERVAL, MASS = 0.004, 1.7
 WINDOW = int(window_samples(0.36, INTERVAL))

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from humanoid_mjx import compute
 from humanoid_mjx.cli import app
 from humanoid_mjx.config import dump_yaml
-from humanoid_mjx.report.film import Film
+from humanoid_mjx.evaluation.film import Film
 from humanoid_mjx.report.player import film_data, player
 from humanoid_mjx.report.web import page, table
 from humanoid_mjx.robot import make_robot

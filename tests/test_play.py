@@ -15,14 +15,14 @@ from typer.testing import CliRunner
 
 from humanoid_mjx.cli import app
 from humanoid_mjx.compute import rng
-from humanoid_mjx.report.film import film_of
+from humanoid_mjx.evaluation.episode import HOLD_S, motion_of, play, robot_of, rows_of
+from humanoid_mjx.evaluation.film import film_of
+from humanoid_mjx.evaluation.policy import best_policy
 from humanoid_mjx.report.player import make_server
 from humanoid_mjx.report.showing import show
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.tasks import make_task
 from humanoid_mjx.tasks.posture_switch import LEFT_SIGN
-from humanoid_mjx.training.episode import HOLD_S, motion_of, play, robot_of, rows_of
-from humanoid_mjx.training.policy import best_policy
 from humanoid_mjx.training.progress import Reporter
 from humanoid_mjx.training.sweep import sweep
 
@@ -87,7 +87,7 @@ def test_play_shows_a_changed_world(switched, tmp_path):
 
 
 def test_the_file_is_looked_at_before_any_work(switched, tmp_path, monkeypatch):
-    monkeypatch.setattr("humanoid_mjx.training.policy.find_policy", lambda name: pytest.fail("it was loaded"))
+    monkeypatch.setattr("humanoid_mjx.evaluation.policy.find_policy", lambda name: pytest.fail("it was loaded"))
     for arguments, sentence in (
         (["--out", str(tmp_path / "x.avi")], "must end in .gif, .mp4, .webm or .png"),
         (["--out", str(tmp_path / "none" / "x.gif")], "there is no folder"),

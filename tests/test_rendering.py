@@ -11,8 +11,8 @@ from PIL import Image
 from robots import draw_robots
 from scipy.spatial import ConvexHull
 
+from humanoid_mjx.evaluation.film import Film, Push, in_words, merged
 from humanoid_mjx.report import rendering
-from humanoid_mjx.report.film import Film, Push, in_words, merged
 from humanoid_mjx.report.overlay import ALARM, annotate
 from humanoid_mjx.report.raycast import GROUND, SHADOW, Painter
 from humanoid_mjx.report.rendering import HEIGHT, STRIP, WIDTH, draw, render_film

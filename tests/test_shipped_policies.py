@@ -2,8 +2,8 @@
 
 import pytest
 
-from humanoid_mjx.training.evaluation import play_out
-from humanoid_mjx.training.policy import find_policy, in_changed_world
+from humanoid_mjx.evaluation.evaluate import play_out
+from humanoid_mjx.evaluation.policy import find_policy, in_changed_world
 
 EPISODES = 8
 SECONDS = 3.0

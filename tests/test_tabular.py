@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from humanoid_mjx import make_learner, make_task
 from humanoid_mjx.compute import compiler_options, rng
 from humanoid_mjx.compute.indexing import add_at
+from humanoid_mjx.learners.rollout import greedy, rollout
 from humanoid_mjx.tasks.finite import Rules
 from humanoid_mjx.tasks.joint_reach import PRINTED
 from humanoid_mjx.tasks.navigate import shortest_path
 from humanoid_mjx.training.program import advance, begin, curve, measures
-from humanoid_mjx.training.rollout import greedy, rollout
 
 STEPS = 120
 

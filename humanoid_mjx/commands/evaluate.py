@@ -28,9 +28,9 @@ def run_evaluate(
     if file is not None:
         check_folder(file, "--json")
     start_for(physics, overrides)
+    from humanoid_mjx.evaluation.evaluate import HELD_OUT_WORDS, evaluate_all
+    from humanoid_mjx.evaluation.policy import find_policy, in_world
     from humanoid_mjx.report.comparison import compare_curves, curve_of_run
-    from humanoid_mjx.training.evaluation import HELD_OUT_WORDS, evaluate_all
-    from humanoid_mjx.training.policy import find_policy, in_world
 
     policies = [find_policy(name, point) for name in names]
     if len({policy.name for policy in policies}) < len(policies):
@@ -88,11 +88,11 @@ def run_gait(
     if file is not None:
         check_folder(file, "--json")
     start_for(physics, overrides)
+    from humanoid_mjx.evaluation.evaluate import HELD_OUT_WORDS
+    from humanoid_mjx.evaluation.gait.figures import FIGURES
+    from humanoid_mjx.evaluation.gait.measure import measure, settings_of, trained_seeds
+    from humanoid_mjx.evaluation.policy import in_world
     from humanoid_mjx.report.gaits import gait_table, remarks
-    from humanoid_mjx.tasks.legged.measures.figures import FIGURES
-    from humanoid_mjx.training.evaluation import HELD_OUT_WORDS
-    from humanoid_mjx.training.gait_policies import measure, settings_of, trained_seeds
-    from humanoid_mjx.training.policy import in_world
 
     settings = settings_of(overrides)
     policies = [in_world(policy, physics, settings) for policy in trained_seeds(names, point)]

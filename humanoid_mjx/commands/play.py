@@ -27,10 +27,10 @@ def run_play(
     if out is not None:
         check_file(out)
     start_for(physics, overrides)
+    from humanoid_mjx.evaluation.policy import find_policy, in_world
     from humanoid_mjx.report.player import serve
     from humanoid_mjx.report.rendering import render_film
     from humanoid_mjx.report.showing import show
-    from humanoid_mjx.training.policy import find_policy, in_world
 
     with Bar(console) as bar:
         bar.phase("loading")
@@ -67,7 +67,7 @@ def run_export(what: str, file: Path, point: int | None) -> None:
         raise InputError(f"{file}: the file must end in .xml, for a robot, or in .npz, for the policy of a run.")
     check_folder(file)
     if file.suffix == ".npz":
-        from humanoid_mjx.training.policy import find_policy, save_policy
+        from humanoid_mjx.evaluation.policy import find_policy, save_policy
 
         save_policy(find_policy(what, point), file)
     else:

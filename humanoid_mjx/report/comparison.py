@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from humanoid_mjx.evaluation.policy import Trained
 from humanoid_mjx.report.style import COLORS, count_axis, figure, label_lines, log_axis, wrapped
 from humanoid_mjx.runs.evaluations import Evaluation
 from humanoid_mjx.runs.statistics import iqm, iqm_interval
 from humanoid_mjx.runs.tables import read_table
-from humanoid_mjx.training.policy import Trained
 
 MEASURES = {"success": "success", "return": "return per episode, undiscounted"}
 

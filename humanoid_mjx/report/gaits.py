@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from rich.table import Table
 
-from humanoid_mjx.runs.gaits import Gait, Summary
+from humanoid_mjx.evaluation.gait.summary import Gait, Summary
 
 COLUMNS = (
     ("upright", "success", "z.0%", True),

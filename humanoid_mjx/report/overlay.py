@@ -7,7 +7,7 @@ from jaxtyping import Float
 from matplotlib.font_manager import FontProperties, findfont
 from PIL import Image, ImageDraw, ImageFont
 
-from humanoid_mjx.report.film import Film, Push
+from humanoid_mjx.evaluation.film import Film, Push
 from humanoid_mjx.report.raycast import Frame
 from humanoid_mjx.report.scene import VIEW_M, Scene, make_camera
 

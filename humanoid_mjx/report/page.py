@@ -11,6 +11,7 @@ import numpy as np
 from PIL import Image
 
 from humanoid_mjx.config import dump_yaml
+from humanoid_mjx.evaluation.policy import find_policy
 from humanoid_mjx.files import write_text
 from humanoid_mjx.report.figures import CURVES, HEAT_MAPS, averaged, curved, draw_curves, draw_map, limits, mapped
 from humanoid_mjx.report.player import player
@@ -22,7 +23,6 @@ from humanoid_mjx.runs.folder import read_config, read_provenance
 from humanoid_mjx.runs.ranking import Ranked, ranked, ties, training_interval
 from humanoid_mjx.runs.tables import read_table
 from humanoid_mjx.spec import InputError
-from humanoid_mjx.training.policy import find_policy
 from humanoid_mjx.training.progress import Reporter
 
 BEST_POINTS = 10

@@ -12,8 +12,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from humanoid_mjx.evaluation.film import Film
 from humanoid_mjx.report import overlay, scene
-from humanoid_mjx.report.film import Film
 from humanoid_mjx.report.web import page
 
 FPS = 25.0

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from humanoid_mjx.report.film import Film
+from humanoid_mjx.evaluation.film import Film
 from humanoid_mjx.report.overlay import annotate
 from humanoid_mjx.report.raycast import Frame, Painter
 from humanoid_mjx.report.scene import Scene, make_scene

@@ -2,9 +2,9 @@
 
 from typing import NamedTuple
 
-from humanoid_mjx.report.film import Film, film_of
-from humanoid_mjx.training.episode import play, robot_of
-from humanoid_mjx.training.policy import Trained
+from humanoid_mjx.evaluation.episode import play, robot_of
+from humanoid_mjx.evaluation.film import Film, film_of
+from humanoid_mjx.evaluation.policy import Trained
 from humanoid_mjx.training.progress import Reporter
 
 

@@ -113,9 +113,9 @@ def _where(knee: float) -> str:
 
 def _switch(section: str, setting: Setting) -> list[Finding]:
     """Train on a posture, show the motion, and measure it against a plan that takes as long."""
+    from humanoid_mjx.evaluation.episode import motion_of, play
     from humanoid_mjx.report.rendering import render_motion
     from humanoid_mjx.robot import make_robot
-    from humanoid_mjx.training.episode import motion_of, play
 
     setting.tell(f"section {section}: training {SEEDS} tables of {EPISODES} episodes")
     trained = _train(section, setting.config)
@@ -168,7 +168,7 @@ def _involves_dynamics(section: str, learned: Switch, loaded: Switch) -> Finding
 
 def _train(section: str, config: dict[str, Any]) -> Any:
     """The best of a few short runs."""
-    from humanoid_mjx.training.policy import best_policy
+    from humanoid_mjx.evaluation.policy import best_policy
     from humanoid_mjx.training.sweep import sweep
 
     full = {
@@ -188,8 +188,8 @@ def _planned(task: Any, duration: float) -> Any:
     import jax
 
     from humanoid_mjx.control import Reference
+    from humanoid_mjx.evaluation.episode import HOLD_S, follow, joined
     from humanoid_mjx.mechanics.trajectories import Quintic, rest_to_rest
-    from humanoid_mjx.training.episode import HOLD_S, follow, joined
 
     chunk = task.simulator.substeps(task.period)
     chunks = int(np.ceil((duration + HOLD_S) / task.period))

@@ -14,7 +14,7 @@ from humanoid_mjx.compute import rng
 from humanoid_mjx.compute.indexing import add_at
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.base import Outcome, WholeRunLearner
-from humanoid_mjx.training.rollout import greedy, mean_scores
+from humanoid_mjx.learners.rollout import greedy, mean_scores
 from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
 
 

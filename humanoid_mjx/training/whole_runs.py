@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx.learners.base import WholeRunLearner
+from humanoid_mjx.learners.rollout import Choose, greedy, mean_scores
 from humanoid_mjx.training.plan import Group
 from humanoid_mjx.training.pool import Pool
 from humanoid_mjx.training.program import SHOWN, run_key
-from humanoid_mjx.training.rollout import Choose, greedy, mean_scores
 from humanoid_mjx.types import Device
 
 MEASURES = ("return", "steps", "success")

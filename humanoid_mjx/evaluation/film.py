@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from humanoid_mjx.training.episode import Played, robot_of, rows_of
-from humanoid_mjx.training.policy import Trained
+from humanoid_mjx.evaluation.episode import Played, robot_of, rows_of
+from humanoid_mjx.evaluation.policy import Trained
 from humanoid_mjx.types import AnyArray
 
 SHORT_S = 0.25

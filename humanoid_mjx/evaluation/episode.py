@@ -12,7 +12,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from humanoid_mjx.control import Reference
+from humanoid_mjx.evaluation.evaluate import held_out_keys
+from humanoid_mjx.evaluation.policy import Trained
 from humanoid_mjx.learners import Learner
+from humanoid_mjx.learners.rollout import MAX_EPISODE_STEPS, decide, decision_keys, greedy, start
 from humanoid_mjx.physics.base import Controller, Physics, World
 from humanoid_mjx.robot import Robot
 from humanoid_mjx.spec import InputError
@@ -20,9 +23,6 @@ from humanoid_mjx.tasks.base import Task
 from humanoid_mjx.tasks.continuous import State
 from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.tasks.posture_switch import PostureSwitch
-from humanoid_mjx.training.evaluation import held_out_keys
-from humanoid_mjx.training.policy import Trained
-from humanoid_mjx.training.rollout import MAX_EPISODE_STEPS, decide, decision_keys, greedy, start
 from humanoid_mjx.types import AnyArray
 
 HOLD_S = 1.0

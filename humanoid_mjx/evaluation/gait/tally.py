@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from humanoid_mjx.evaluation.gait.samples import Sample, wrapped
 from humanoid_mjx.robot import Robot
-from humanoid_mjx.tasks.legged.measures.samples import Sample, wrapped
 from humanoid_mjx.tasks.legged.rewards import APART, LOADED
 from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
 

@@ -16,11 +16,11 @@ import numpy as np
 from jaxtyping import Array, Key
 
 from humanoid_mjx.compute import Arithmetic, Program, compiler_options, rng
+from humanoid_mjx.evaluation.policy import Trained
 from humanoid_mjx.learners import Learner
+from humanoid_mjx.learners.rollout import AGENTS, Episode, agent, rollout
 from humanoid_mjx.runs.evaluations import Evaluation, estimated
 from humanoid_mjx.training.plan import resolved
-from humanoid_mjx.training.policy import Trained
-from humanoid_mjx.training.rollout import AGENTS, Episode, agent, rollout
 from humanoid_mjx.types import IntScalar
 
 HELD_OUT = 2**32 - 1

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Num
 
-from humanoid_mjx.tasks.legged.measures.tally import EDGES, HOLD, Tally, as_seen
+from humanoid_mjx.evaluation.gait.tally import EDGES, HOLD, Tally, as_seen
 from humanoid_mjx.thesis.leg import GRAVITY
 from humanoid_mjx.types import BoolScalar, FloatScalar
 

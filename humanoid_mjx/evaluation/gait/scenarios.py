@@ -1,7 +1,7 @@
 """Held-out episodes of a body under commands that stay: what `evaluate --gait` measures.
 
-Every episode is one of the held-out ones (`training.evaluation`), under one of `SCENARIOS` for its whole length. Only
-what is left of the motion are the sums of `tasks.legged.measures`.
+Every episode is one of the held-out ones (`evaluation.evaluate`), under one of `SCENARIOS` for its whole length. Only
+what is left of the motion are the sums of `gait.tally`.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,20 +14,20 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from humanoid_mjx.compute import Arithmetic, compiler_options
+from humanoid_mjx.evaluation.evaluate import held_out_keys
+from humanoid_mjx.evaluation.gait import tally as sums
+from humanoid_mjx.evaluation.gait.figures import FIGURES, figures
+from humanoid_mjx.evaluation.gait.samples import heading_of, sample_of, wrapped
+from humanoid_mjx.evaluation.gait.summary import Gait, summarised
+from humanoid_mjx.evaluation.gait.tally import Asked, Tally
 from humanoid_mjx.learners import Learner
+from humanoid_mjx.learners.rollout import AGENTS, agent, decision_keys, start
 from humanoid_mjx.physics.base import World
-from humanoid_mjx.runs.gaits import Gait, summarised
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.tasks.base import Task
 from humanoid_mjx.tasks.continuous import State
-from humanoid_mjx.tasks.legged.measures import tally as sums
-from humanoid_mjx.tasks.legged.measures.figures import FIGURES, figures
-from humanoid_mjx.tasks.legged.measures.samples import heading_of, sample_of, wrapped
-from humanoid_mjx.tasks.legged.measures.tally import Asked, Tally
 from humanoid_mjx.tasks.legged.task import LeggedTask
 from humanoid_mjx.tasks.legged.view import View
-from humanoid_mjx.training.evaluation import held_out_keys
-from humanoid_mjx.training.rollout import AGENTS, agent, decision_keys, start
 from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
 
 SECONDS = 20.0

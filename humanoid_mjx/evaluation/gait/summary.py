@@ -6,9 +6,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from humanoid_mjx.evaluation.gait.figures import FIGURES, RATES
 from humanoid_mjx.runs.evaluations import Estimate
 from humanoid_mjx.runs.statistics import mean_interval, rate_interval
-from humanoid_mjx.tasks.legged.measures.figures import FIGURES, RATES
 
 
 class Summary(NamedTuple):

@@ -8,12 +8,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from humanoid_mjx.runs.gaits import Gait
+from humanoid_mjx.evaluation.gait.scenarios import SCENARIOS, Scenario, gaits_of, play_gaits, walking_task
+from humanoid_mjx.evaluation.gait.summary import Gait
+from humanoid_mjx.evaluation.policy import Trained, find_policy, policies_of_best
+from humanoid_mjx.learners.rollout import AGENTS
 from humanoid_mjx.tasks.legged.commands import Velocity
-from humanoid_mjx.training.gait_evaluation import SCENARIOS, Scenario, gaits_of, play_gaits, walking_task
 from humanoid_mjx.training.plan import resolved
-from humanoid_mjx.training.policy import Trained, find_policy, policies_of_best
-from humanoid_mjx.training.rollout import AGENTS
 
 WORLD = {"task.duration": "20", "task.push.impulse": "0", "task.randomise": "null"}
 """Values of the task unless others are asked for: 20 s in which nothing pushes the body, all in the same world."""
