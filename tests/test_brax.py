@@ -77,13 +77,13 @@ def random_commands(steps, envs, joints, seed=0):
 
 
 @settings(max_examples=30, deadline=None)
-@given(choices=st.lists(st.integers(1, 9), min_size=1, max_size=4), data=st.data())
-def test_a_command_becomes_the_nearest_choice(choices, data):
-    command = np.array([data.draw(st.floats(-1.5, 1.5, width=32)) for _ in choices])
-    task = Drift(choices=tuple(choices))
+@given(bins=st.lists(st.integers(1, 9), min_size=1, max_size=4), data=st.data())
+def test_a_command_becomes_the_nearest_bin(bins, data):
+    command = np.array([data.draw(st.floats(-1.5, 1.5, width=32)) for _ in bins])
+    task = Drift(bins=tuple(bins))
     state = task.reset(rng.key(0))
     found = task.step_continuous(state, jnp.asarray(command, jnp.float32), rng.key(1)).obs[2:]
-    for value, n, choice in zip(command, choices, np.asarray(found), strict=True):
+    for value, n, choice in zip(command, bins, np.asarray(found), strict=True):
         distance = np.abs(np.linspace(-1, 1, n) - np.clip(value, -1, 1))
         assert distance[int(choice)] <= distance.min() + 1e-6
 

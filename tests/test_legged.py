@@ -308,11 +308,11 @@ def test_an_imu_that_integrates_reads_what_the_torso_did():
         qpos, qvel = (np.asarray(x) for x in (state.data.world.qpos, state.data.world.qvel))
 
 
-def test_an_offset_stays_behind_its_new_value():
-    slow, quick = (once(walk(smoothing=smoothing, offset=20.0), 1.0)[1].data for smoothing in (0.75, 0.0))
+def test_a_set_point_stays_behind_its_new_value():
+    slow, quick = (once(walk(smoothing=smoothing, action_scale=20.0), 1.0)[1].data for smoothing in (0.75, 0.0))
     np.testing.assert_allclose(slow.offsets, 0.25)
     np.testing.assert_allclose(quick.offsets, 1.0)
-    quarter = once(walk(smoothing=0.0, offset=20.0), 0.25)[1].data
+    quarter = once(walk(smoothing=0.0, action_scale=20.0), 0.25)[1].data
     np.testing.assert_array_equal(slow.world.qpos, quarter.world.qpos)
 
 
