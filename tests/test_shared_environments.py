@@ -16,7 +16,7 @@ from humanoid_mjx.config import parse
 from humanoid_mjx.learners.approximate import Batch
 from humanoid_mjx.learners.base import ENVS
 from humanoid_mjx.learners.normalisation import moments, observe
-from humanoid_mjx.training import arrangement
+from humanoid_mjx.training import programs
 from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.pool import Pool
 from humanoid_mjx.training.programs import mesh_of
@@ -105,14 +105,14 @@ def test_a_run_on_two_devices_learns_and_can_go_on_with_one(devices):
 
 
 def test_a_sweep_shares_environments_where_there_are_more_gpus_than_runs(tmp_path, monkeypatch):
-    assert arrangement.devices_of_a_run(make_plan(parse(CONFIG)).groups[0].learners, 1) == 1  # on a CPU
+    assert programs.devices_of_a_run(make_plan(parse(CONFIG)).groups[0].learners, 1) == 1  # on a CPU
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     learners = make_plan(parse(CONFIG)).groups[0].learners
-    assert arrangement.devices_of_a_run(learners, 1) == 2 and arrangement.devices_of_a_run(learners, 2) == 1
-    assert arrangement.devices_of_a_run(learners.replace(envs=15), 1) == 1
+    assert programs.devices_of_a_run(learners, 1) == 2 and programs.devices_of_a_run(learners, 2) == 1
+    assert programs.devices_of_a_run(learners.replace(envs=15), 1) == 1
     tables = {"task": {"name": "joint_reach"}, "learner": {"name": "tabular_q"}, "episodes": 5}
-    assert arrangement.devices_of_a_run(make_plan(parse({"name": "tables"} | tables)).groups[0].learners, 1) == 1
+    assert programs.devices_of_a_run(make_plan(parse({"name": "tables"} | tables)).groups[0].learners, 1) == 1
     monkeypatch.undo()
-    monkeypatch.setattr(arrangement, "devices_of_a_run", lambda learners, runs: 2)
+    monkeypatch.setattr(programs, "devices_of_a_run", lambda learners, runs: 2)
     run = sweep(CONFIG, tmp_path / "run")
     assert run.summary["greedy_success"].tolist() == [1.0]

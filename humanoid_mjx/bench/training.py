@@ -36,9 +36,8 @@ from humanoid_mjx.config import Config, load
 from humanoid_mjx.files import names
 from humanoid_mjx.learners.base import WholeRunLearner
 from humanoid_mjx.runs.statistics import mean_interval
-from humanoid_mjx.training.arrangement import arranged
 from humanoid_mjx.training.plan import make_plan
-from humanoid_mjx.training.programs import programs, programs_of
+from humanoid_mjx.training.programs import arranged, programs, programs_of
 from humanoid_mjx.training.sweep import Run, sweep
 
 SUCCESS = 0.95

@@ -64,9 +64,8 @@ def show_info(config: str | None, overrides: Sequence[str], timed: bool) -> None
 
 def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
     """A config in full, and what its sweep will take; where `timed` also how long."""
-    from humanoid_mjx.training.disk import disk_bytes
+    from humanoid_mjx.training.cost import disk_bytes, run_bytes, runs_that_fit, slots, training_bytes
     from humanoid_mjx.training.fused import why_not
-    from humanoid_mjx.training.memory import run_bytes, runs_that_fit, slots, training_bytes
     from humanoid_mjx.training.plan import make_plan, resolved
 
     plan = make_plan(load(config, overrides))
@@ -98,8 +97,8 @@ def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
 
 def _show_time(plan: "Plan") -> None:
     """How long a sweep will take."""
+    from humanoid_mjx.training.cost import runs_that_fit
     from humanoid_mjx.training.duration import MEASURED_S, estimate, time_in_words
-    from humanoid_mjx.training.memory import runs_that_fit
 
     with Bar(console) as bar:
         bar.phase("compiling and training a piece of it")

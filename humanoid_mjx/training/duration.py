@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from humanoid_mjx.learners.base import WholeRunLearner
-from humanoid_mjx.training.arrangement import arranged
 from humanoid_mjx.training.plan import Group, Plan
 from humanoid_mjx.training.pool import IDLE, Pool
+from humanoid_mjx.training.programs import arranged
 from humanoid_mjx.training.warm_start import earlier_policies
 from humanoid_mjx.training.whole_runs import WholeRuns
 

@@ -4,6 +4,7 @@ Runs differ widely in length: where the reward pays for waiting, an episode last
 ones would wait for the slowest.
 """
 
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -19,7 +20,6 @@ from jax.sharding import PartitionSpec
 from humanoid_mjx import compute
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.spec import InputError
-from humanoid_mjx.training.beside import beside
 from humanoid_mjx.training.plan import Group
 from humanoid_mjx.training.program import Training, curve
 from humanoid_mjx.training.programs import RUNS, layout_of, mesh_of, placed, programs_of
@@ -234,9 +234,9 @@ class Pool:
         trace = partial(getattr(self.programs, name).lower, *jax.tree.map(_shape, args))
         if after is None:
             self.phase = "tracing"
-            program = beside(trace().compile)
+            program = _beside(trace().compile)
         else:
-            program = beside(partial(_compile_after, after, trace))
+            program = _beside(partial(_compile_after, after, trace))
         self.programs.compiled[kind] = program
         return program
 
@@ -253,6 +253,21 @@ class Pool:
 
 def _shape(leaf: jax.Array) -> jax.ShapeDtypeStruct:
     return jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=leaf.sharding, weak_type=leaf.aval.weak_type)
+
+
+def _beside(work: Callable[[], Callable[..., Any]]) -> "Future[Callable[..., Any]]":
+    """What `work()` will return or raise. It runs in a thread of its own, which does not keep the process from ending:
+    a compiler cannot be interrupted, leaves Python free and most cores of a machine idle."""
+    future: Future[Callable[..., Any]] = Future()
+
+    def run() -> None:
+        try:
+            future.set_result(work())
+        except BaseException as error:
+            future.set_exception(error)
+
+    threading.Thread(target=run, daemon=True).start()
+    return future
 
 
 def _compile_after(other: "Future[Any]", trace: Callable[[], Any]) -> Callable[..., Any]:

@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool
 
 from humanoid_mjx import compute
 from humanoid_mjx.learners import Learner
-from humanoid_mjx.learners.base import ENVS
+from humanoid_mjx.learners.base import ENVS, WholeRunLearner
 from humanoid_mjx.training.program import Progress, Training, advance, begin, finish, progress_of, run_key
 from humanoid_mjx.types import Device, IntScalar
 
@@ -99,6 +99,29 @@ def programs_of(learners: Learner, devices: Sequence[Device], share: int = 1) ->
 
         fused = why_not(learners) is None
     return programs(tuple(sorted(options.items())), mesh_of(devices, share), layout_of(learners), fused)
+
+
+def arranged(learners: Learner, runs: int, room: int) -> tuple[int, Sequence[Device], int]:
+    """How so many runs train side by side, where the devices of this process have `room` for as many at once.
+
+    Returns:
+      how many runs each device, or each group of devices that share a run, trains at once; the devices; how many of
+      these share a run.
+    """
+    if isinstance(learners, WholeRunLearner):
+        return 1, jax.local_devices()[:1], 1
+    share = devices_of_a_run(learners, runs)
+    devices = jax.local_devices()[: min(runs, room) * share]
+    return min(room * share // len(devices), -(-runs * share // len(devices))), devices, share
+
+
+def devices_of_a_run(learners: Learner, runs: int) -> int:
+    """How many devices share the environments of each run: several where there are fewer runs than GPUs.
+
+    Cores of a CPU share a run's arrays as they are.
+    """
+    most = 1 if jax.default_backend() == "cpu" else jax.local_device_count() // runs
+    return next((share for share in range(most, 1, -1) if learners.can_split(share)), 1)
 
 
 def mesh_of(devices: Sequence[Device], share: int = 1) -> Mesh:

@@ -19,12 +19,12 @@ from humanoid_mjx.learners.base import WholeRunLearner
 from humanoid_mjx.runs.folder import RunFolder, damaged, diverged_name, pools, read_arrays, read_provenance
 from humanoid_mjx.runs.tables import finished_runs, write_tables
 from humanoid_mjx.spec import InputError
-from humanoid_mjx.training.arrangement import arranged
+from humanoid_mjx.training.cost import training_bytes
 from humanoid_mjx.training.events import EventFiles
-from humanoid_mjx.training.memory import training_bytes
 from humanoid_mjx.training.pace import Pace
 from humanoid_mjx.training.plan import Group, Plan
 from humanoid_mjx.training.pool import Pool
+from humanoid_mjx.training.programs import arranged
 from humanoid_mjx.training.progress import COMPILING, Reporter
 from humanoid_mjx.training.remaining import Remaining
 from humanoid_mjx.training.whole_runs import WholeRuns

@@ -14,9 +14,8 @@ from humanoid_mjx.config import Config, load, parse
 from humanoid_mjx.runs.folder import RunFolder, fresh_path, latest_path, read_config
 from humanoid_mjx.runs.tables import read_table
 from humanoid_mjx.spec import InputError
-from humanoid_mjx.training.disk import check_disk
+from humanoid_mjx.training.cost import check_disk, runs_that_fit, slots
 from humanoid_mjx.training.events import EventFiles, event_writer
-from humanoid_mjx.training.memory import runs_that_fit, slots
 from humanoid_mjx.training.plan import make_plan, resolved
 from humanoid_mjx.training.progress import Reporter
 from humanoid_mjx.training.session import Session

@@ -14,10 +14,9 @@ from humanoid_mjx import InputError, compute
 from humanoid_mjx.cli import app
 from humanoid_mjx.compute import limits
 from humanoid_mjx.config import load
-from humanoid_mjx.training.arrangement import arranged
-from humanoid_mjx.training.memory import runs_that_fit, training_bytes
+from humanoid_mjx.training.cost import runs_that_fit, training_bytes
 from humanoid_mjx.training.plan import make_plan
-from humanoid_mjx.training.programs import programs_of
+from humanoid_mjx.training.programs import arranged, programs_of
 
 SMALL = ["learner.evaluation_envs=32"]
 
@@ -64,9 +63,9 @@ MANY_CORES = """
 import jax
 from humanoid_mjx import compute
 from humanoid_mjx.config import load
-from humanoid_mjx.training.arrangement import arranged
-from humanoid_mjx.training.memory import runs_that_fit, training_bytes
+from humanoid_mjx.training.cost import runs_that_fit, training_bytes
 from humanoid_mjx.training.plan import make_plan
+from humanoid_mjx.training.programs import arranged
 
 compute.start()
 assert jax.local_device_count() == 16

@@ -15,7 +15,7 @@ from humanoid_mjx import InputError, sweep
 from humanoid_mjx.cli import app
 from humanoid_mjx.config import parse
 from humanoid_mjx.runs.disk import disk_used
-from humanoid_mjx.training.disk import disk_bytes
+from humanoid_mjx.training.cost import disk_bytes
 from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.pool import Pool
 
