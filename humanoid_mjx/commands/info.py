@@ -98,7 +98,7 @@ def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
 def _show_time(plan: "Plan") -> None:
     """How long a sweep will take."""
     from humanoid_mjx.training.cost import runs_that_fit
-    from humanoid_mjx.training.duration import MEASURED_S, estimate, time_in_words
+    from humanoid_mjx.training.pace import MEASURED_S, estimate, time_in_words
 
     with Bar(console) as bar:
         bar.phase("compiling and training a piece of it")

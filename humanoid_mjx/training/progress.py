@@ -7,11 +7,12 @@ import time
 from datetime import timedelta
 from types import TracebackType
 
+import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskProgressColumn, TextColumn
 from rich.text import Text
 
-from humanoid_mjx.training.pace import Pace
+from humanoid_mjx.training.pace import Pace, Remaining
 
 LINE_EVERY_S = 10.0
 
@@ -25,8 +26,8 @@ COMPILING = ("tracing", "compiling")
 class Reporter:
     """Base of reporters, which are called while a sweep runs. This one shows nothing."""
 
-    def begin(self, total: float, unit: str, programs: int = 1) -> None:
-        """A sweep begins that will take `total` of `unit`, such as episodes, in so many compiled programs."""
+    def begin(self, total: float, unit: str, programs: int = 1, runs: int = 0) -> None:
+        """A sweep begins that will take `total` of `unit`, such as episodes, in so many compiled programs and runs."""
 
     def note(self, text: str) -> None:
         """A remark, shown once."""
@@ -37,8 +38,9 @@ class Reporter:
     def update(self, done: float, success: float | None = None, mean_return: float | None = None) -> None:
         """How much is done of the total; the success and return of recent episodes, where they are known."""
 
-    def left(self, seconds: float | None) -> None:
-        """How long training will still take without compiling, s, where it is known better than by its rate."""
+    def slots(self, slots: np.ndarray, progress: np.ndarray, waiting: int) -> None:
+        """The run that each slot holds, below 0 for none, how much of it is done, and how many more runs wait; where
+        the time left is known better by these than by the rate of all."""
 
     def length(self, steps: float) -> None:
         """The mean number of steps of recent episodes."""
@@ -69,8 +71,9 @@ class Bar(Reporter):
         self.console, self.total, self.unit = console, 1.0, ""
         self._text, self._done, self._length = "starting", 0.0, 0.0
         self._began = self._last_line = time.monotonic()
-        self._pace = Pace()
+        self._pace, self._remaining = Pace(), Remaining(0)
         self._left: float | None = None
+        """Seconds that training will still take without compiling, where the runs in the slots tell."""
         self._programs = 0
         self._stood, self._looked = 0.0, self._began
         """The seconds of compiling so far, and when they were last counted."""
@@ -99,8 +102,8 @@ class Bar(Reporter):
         if self.console.is_terminal:
             self._bar.stop()
 
-    def begin(self, total: float, unit: str, programs: int = 1) -> None:
-        self.total, self.unit, self._programs = total, unit, programs
+    def begin(self, total: float, unit: str, programs: int = 1, runs: int = 0) -> None:
+        self.total, self.unit, self._programs, self._remaining = total, unit, programs, Remaining(runs)
         self._bar.update(self._task, total=total)
 
     def note(self, text: str) -> None:
@@ -117,8 +120,9 @@ class Bar(Reporter):
         if changed and not self.console.is_terminal:
             self._line()
 
-    def left(self, seconds: float | None) -> None:
-        self._left = seconds
+    def slots(self, slots: np.ndarray, progress: np.ndarray, waiting: int) -> None:
+        if self._remaining.look(time.monotonic() - self._stood, slots, progress):
+            self._left = self._remaining.seconds(waiting)
 
     def length(self, steps: float) -> None:
         self._length = steps

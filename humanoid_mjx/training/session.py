@@ -26,7 +26,6 @@ from humanoid_mjx.training.plan import Group, Plan
 from humanoid_mjx.training.pool import Pool
 from humanoid_mjx.training.programs import arranged
 from humanoid_mjx.training.progress import COMPILING, Reporter
-from humanoid_mjx.training.remaining import Remaining
 from humanoid_mjx.training.whole_runs import WholeRuns
 from humanoid_mjx.types import Device
 
@@ -58,8 +57,7 @@ class Session:
             raise InputError(f"{folder.path / 'checkpoint'}: what it holds does not fit this training.")
         self.finished = finished & self.mine
         self.interrupted = self._under_way()
-        self.reporter.begin(len(self.mine) * plan.budget, f"{plan.unit}s", len(plan.groups))
-        self.remaining, self.stood, self.reported = Remaining(plan.num_runs), 0.0, time.monotonic()
+        self.reporter.begin(len(self.mine) * plan.budget, f"{plan.unit}s", len(plan.groups), plan.num_runs)
         processes.meet()  # before anyone writes
         self.earlier = read_provenance(folder.path)
         self.began = self.tables_due = time.monotonic()
@@ -234,20 +232,18 @@ class Session:
             self.events.store(runs, arrays)
 
     def _report(self, pool: Pool) -> None:
-        busy, now = pool.busy, time.monotonic()
+        busy = pool.busy
         self.reporter.phase(pool.phase)
-        self.stood += now - self.reported if pool.phase in COMPILING else 0.0
-        self.reported = now
         if under_way := float(np.minimum(pool.progress[busy], 1.0).sum()):
             known = pool.recent[busy][np.isfinite(pool.recent[busy]).all(axis=1)]
             success, mean_return, length = map(float, known.mean(axis=0)) if len(known) else (None, None, None)
             # Runs that were harvested are for a moment neither under way nor stored.
             self.shown = max(self.shown, (len(self.finished) + under_way) * self.plan.budget)
-            self.pace.look(now, self.shown)
+            self.pace.look(time.monotonic(), self.shown)
             whole = isinstance(pool.group.learners, WholeRunLearner)  # each of its runs compiles anew
-            if not whole and self.remaining.look(now - self.stood, pool.slots, pool.progress):
+            if not whole:
                 waiting = len(self.mine) - len(self.finished) - int(busy.sum())
-                self.reporter.left(self.remaining.seconds(max(waiting, 0)))
+                self.reporter.slots(pool.slots, pool.progress, max(waiting, 0))
             if length is not None:
                 self.reporter.length(length)
             self.reporter.update(self.shown, success, mean_return)
