@@ -34,7 +34,6 @@ from humanoid_mjx.bench.measure import Record, spread
 from humanoid_mjx.bench.programs import memory_of
 from humanoid_mjx.config import Config, load
 from humanoid_mjx.files import names
-from humanoid_mjx.learners.base import WholeRunLearner
 from humanoid_mjx.runs.statistics import mean_interval
 from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.programs import arranged, programs, programs_of
@@ -99,7 +98,7 @@ def run(
 def memory(config: Config) -> float | None:
     """Bytes of the largest program of the training that was just done, on all devices; None where no program says."""
     (group,) = make_plan(config).groups
-    if isinstance(group.learners, WholeRunLearner):
+    if not group.learners.side_by_side:
         return None
     _, devices, share = arranged(group.learners, len(group.runs), len(group.runs))
     compiled = programs_of(group.learners, devices, share).compiled.values()

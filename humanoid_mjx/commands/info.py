@@ -64,7 +64,7 @@ def show_info(config: str | None, overrides: Sequence[str], timed: bool) -> None
 
 def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
     """A config in full, and what its sweep will take; where `timed` also how long."""
-    from humanoid_mjx.training.cost import disk_bytes, run_bytes, runs_that_fit, slots, training_bytes
+    from humanoid_mjx.training.cost import disk_bytes, run_bytes, runs_at_once, slots, training_bytes
     from humanoid_mjx.training.fused import why_not
     from humanoid_mjx.training.plan import make_plan, resolved
 
@@ -75,7 +75,7 @@ def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
     together = [1] * len(plan.groups)
     refusal = None
     try:
-        together = [slots(group, runs_that_fit(group)) for group in plan.groups]
+        together = [slots(group, runs_at_once(group)) for group in plan.groups]
     except InputError as error:
         refusal = error
     console.print(
@@ -97,12 +97,12 @@ def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
 
 def _show_time(plan: "Plan") -> None:
     """How long a sweep will take."""
-    from humanoid_mjx.training.cost import runs_that_fit
+    from humanoid_mjx.training.cost import runs_at_once
     from humanoid_mjx.training.pace import MEASURED_S, estimate, time_in_words
 
     with Bar(console) as bar:
         bar.phase("compiling and training a piece of it")
-        found = estimate(plan, [runs_that_fit(group) for group in plan.groups])
+        found = estimate(plan, [runs_at_once(group) for group in plan.groups])
     parts = {"compiling (less once it is cached)": found.compile_s, "training": found.train_s}
     parts |= {"evaluating": found.evaluate_s} if found.evaluate_s > 0 else {}
     words = ", ".join(f"{time_in_words(seconds)} of {part}" for part, seconds in parts.items())

@@ -46,6 +46,9 @@ class Learner(Spec):
     """Training steps between two looks at what was learned. After looks at each step, training stops before one that
     leads to numbers that are not finite."""
 
+    side_by_side: ClassVar[bool] = True
+    """Whether training is made of steps, which runs take side by side; else each run trains as a whole, by itself."""
+
     program: ClassVar[Program] = "other"
     """Kind of the programs that train and evaluate, which chooses XLA's options (`compute.options`)."""
 
@@ -122,6 +125,8 @@ class WholeRunLearner(StepLearner):
     `train_run` takes the place of `train_step`. Runs train one after another on one device; a kill loses the one under
     way, which then trains anew.
     """
+
+    side_by_side: ClassVar[bool] = False
 
     def train_run(self, carry: Any, report: Callable[[float, Any], None]) -> Any:
         """Train from a state that `init` made to the end; the last training state.

@@ -12,7 +12,6 @@ import numpy as np
 from jax.extend import core
 
 from humanoid_mjx import compute
-from humanoid_mjx.learners.base import WholeRunLearner
 from humanoid_mjx.runs.disk import disk_used, in_words
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.plan import Group, Plan
@@ -33,12 +32,18 @@ KEPT_TWICE = 2
 """A checkpoint is written beside the one that it replaces."""
 
 
-def runs_that_fit(group: Group) -> int:
-    """How many runs of a group the devices of this process can train at once; CPUs no more than caches serve well.
+def runs_at_once(group: Group, pool_size: int | None = None) -> int:
+    """How many runs of a group the devices of this process train at once: `pool_size` on each, or as many as fit.
 
     Raises:
-      InputError: not even one.
+      InputError: not even one fits.
     """
+    room = pool_size * jax.local_device_count() if pool_size else _runs_that_fit(group)
+    return room if group.learners.side_by_side else 1
+
+
+def _runs_that_fit(group: Group) -> int:
+    """How many runs the memory holds; of CPUs no more than caches serve well."""
     device, devices = jax.local_devices()[0], jax.local_device_count()
     per_run, free = training_bytes(group), _free_memory(device)
     fit = int(MEMORY_SHARE * free) // per_run
@@ -54,8 +59,7 @@ def runs_that_fit(group: Group) -> int:
 
 def slots(group: Group, room: int) -> int:
     """How many runs of a group train side by side on all devices of all processes, where each process has `room`."""
-    at_once = jax.process_count() * (1 if isinstance(group.learners, WholeRunLearner) else room)
-    return min(at_once, len(group.runs))
+    return min(jax.process_count() * room, len(group.runs))
 
 
 def run_bytes(group: Group) -> int:
@@ -66,7 +70,7 @@ def run_bytes(group: Group) -> int:
 @lru_cache(maxsize=16)
 def training_bytes(group: Group) -> int:
     """About what one run takes at the peak of its training: its state before and after, and what works on it."""
-    if isinstance(group.learners, WholeRunLearner):
+    if not group.learners.side_by_side:
         return 4 * run_bytes(group)
     learner = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), group.learners)
     program = jax.make_jaxpr(advance)(learner, group.one_run, jax.ShapeDtypeStruct((), np.int32))
@@ -159,7 +163,7 @@ def finished_bytes(group: Group) -> int:
     carry = group.one_run.carry
     policy = jax.eval_shape(lambda learner, carry: learner.policy(carry), learner, carry)
     names = len(measures(learner, carry))
-    if isinstance(group.learners, WholeRunLearner):
+    if not group.learners.side_by_side:
         names = 2 * len(MEASURES)
     elif group.learners.evaluations > 1:
         names += len(MEASURES)

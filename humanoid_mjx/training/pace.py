@@ -6,19 +6,17 @@ import time
 from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
-from threading import Event
 from typing import NamedTuple
 
 import numpy as np
 import pyarrow.parquet as pq
 from jaxtyping import Float, Int
 
-from humanoid_mjx.learners.base import WholeRunLearner
 from humanoid_mjx.training.plan import Group, Plan
 from humanoid_mjx.training.pool import IDLE, Pool
 from humanoid_mjx.training.programs import arranged
 from humanoid_mjx.training.warm_start import earlier_policies
-from humanoid_mjx.training.whole_runs import WholeRuns
+from humanoid_mjx.training.whole_runs import pool_of
 
 RECENT = 100
 """Looks that saw progress, ten a second at most, over which the recent pace is taken."""
@@ -211,10 +209,9 @@ def _measure(plan: Plan, group: Group, room: int, measured_s: float) -> tuple[fl
     """The seconds of compiling, training and evaluating of a group."""
     runs = np.random.default_rng(0).permutation(group.runs).tolist()
     size, devices, share = arranged(group.learners, len(runs), room)
-    common = plan.config.seed, earlier_policies(group)
-    if isinstance(group.learners, WholeRunLearner):
-        return _measure_whole_runs(WholeRuns(group, deque(runs), devices[0], *common, Event()), measured_s)
-    pool = Pool(group, deque(runs), size, devices, *common, share)
+    pool = pool_of(group, deque(runs), size, devices, plan.config.seed, earlier_policies(group), share)
+    if not group.learners.side_by_side:
+        return _measure_whole_runs(pool, measured_s)
     began = time.monotonic()
     pool.fill()
     pool.train()
@@ -246,7 +243,7 @@ def _seconds_of_training(pool: Pool, runs: int, measured_s: float) -> float:
     return trained_s + (runs - done[-1]) * (times[-1] - times[half]) / max(done[-1] - done[half], 1e-9)
 
 
-def _measure_whole_runs(pool: WholeRuns, measured_s: float) -> tuple[float, float, float]:
+def _measure_whole_runs(pool: Pool, measured_s: float) -> tuple[float, float, float]:
     """The same where runs train one after another and each compiles: two runs begin, and the first goes on for a while.
     What a second one compiles is what all others will, too."""
     runs, compile_s, rates = pool.busy.sum() + len(pool.waiting), [], []

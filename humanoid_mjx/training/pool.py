@@ -78,6 +78,8 @@ class Pool:
         self.wall_s = np.full((size, group.learners.record), np.nan, np.float32)
         """Seconds from the beginning of training to each record point of each slot's run, pauses left out."""
         self.steps = 1
+        self.stop = threading.Event()
+        """Set from another thread: training shall end as soon as what is under way can be stored."""
         self.looked: Callable[[], None] = lambda: None
         """Called in the thread that trains when the progress of the slots is known anew."""
         self.diverged: dict[int, dict[str, np.ndarray]] = {}

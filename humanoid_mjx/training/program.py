@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Key
 from humanoid_mjx.compute import rng
 from humanoid_mjx.compute.indexing import add_at
 from humanoid_mjx.learners import Learner
-from humanoid_mjx.learners.base import Outcome, WholeRunLearner
+from humanoid_mjx.learners.base import Outcome
 from humanoid_mjx.learners.rollout import greedy, mean_scores
 from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
 
@@ -148,7 +148,7 @@ def _train_step(learner: Learner, carry: Any) -> tuple[Any, Outcome]:
 
 def measures(learner: Learner, carry: Any) -> tuple[str, ...]:
     """What a learning curve records: the columns of `Training.record`."""
-    if isinstance(learner, WholeRunLearner):
+    if not learner.side_by_side:
         return ()
     _, outcome = jax.eval_shape(_train_step, learner, carry)
     return ("episodes", *sorted(outcome.totals), *(("updates", *sorted(outcome.squares)) if outcome.squares else ()))

@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool
 
 from humanoid_mjx import compute
 from humanoid_mjx.learners import Learner
-from humanoid_mjx.learners.base import ENVS, WholeRunLearner
+from humanoid_mjx.learners.base import ENVS
 from humanoid_mjx.training.program import Progress, Training, advance, begin, finish, progress_of, run_key
 from humanoid_mjx.types import Device, IntScalar
 
@@ -108,8 +108,6 @@ def arranged(learners: Learner, runs: int, room: int) -> tuple[int, Sequence[Dev
       how many runs each device, or each group of devices that share a run, trains at once; the devices; how many of
       these share a run.
     """
-    if isinstance(learners, WholeRunLearner):
-        return 1, jax.local_devices()[:1], 1
     share = devices_of_a_run(learners, runs)
     devices = jax.local_devices()[: min(runs, room) * share]
     return min(room * share // len(devices), -(-runs * share // len(devices))), devices, share

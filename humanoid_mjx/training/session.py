@@ -15,7 +15,6 @@ import numpy as np
 
 from humanoid_mjx import compute
 from humanoid_mjx.compute.processes import Processes
-from humanoid_mjx.learners.base import WholeRunLearner
 from humanoid_mjx.runs.folder import RunFolder, damaged, diverged_name, pools, read_arrays, read_provenance
 from humanoid_mjx.runs.tables import finished_runs, write_tables
 from humanoid_mjx.spec import InputError
@@ -26,7 +25,7 @@ from humanoid_mjx.training.plan import Group, Plan
 from humanoid_mjx.training.pool import Pool
 from humanoid_mjx.training.programs import arranged
 from humanoid_mjx.training.progress import COMPILING, Reporter
-from humanoid_mjx.training.whole_runs import WholeRuns
+from humanoid_mjx.training.whole_runs import pool_of
 from humanoid_mjx.types import Device
 
 CHECKPOINT_EVERY_S = 30.0
@@ -115,11 +114,8 @@ class Session:
         group = self.plan.groups[index]
         self.stop.clear()
         with compute.counting_compiles() as compiles:
-            common = self.plan.config.seed, policies
-            if isinstance(group.learners, WholeRunLearner):
-                pool = WholeRuns(group, waiting, devices[0], *common, self.stop)
-            else:
-                pool = Pool(group, waiting, size, devices, *common, share)
+            pool = pool_of(group, waiting, size, devices, self.plan.config.seed, policies, share)
+            pool.stop = self.stop
             if self.events:
                 pool.looked = partial(self.events.look, pool)
             self._restore(index, pool)
@@ -240,8 +236,7 @@ class Session:
             # Runs that were harvested are for a moment neither under way nor stored.
             self.shown = max(self.shown, (len(self.finished) + under_way) * self.plan.budget)
             self.pace.look(time.monotonic(), self.shown)
-            whole = isinstance(pool.group.learners, WholeRunLearner)  # each of its runs compiles anew
-            if not whole:
+            if pool.group.learners.side_by_side:  # else each run compiles anew
                 waiting = len(self.mine) - len(self.finished) - int(busy.sum())
                 self.reporter.slots(pool.slots, pool.progress, max(waiting, 0))
             if length is not None:

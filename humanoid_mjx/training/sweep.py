@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 
 from humanoid_mjx import compute
@@ -14,7 +13,7 @@ from humanoid_mjx.config import Config, load, parse
 from humanoid_mjx.runs.folder import RunFolder, fresh_path, latest_path, read_config
 from humanoid_mjx.runs.tables import read_table
 from humanoid_mjx.spec import InputError
-from humanoid_mjx.training.cost import check_disk, runs_that_fit, slots
+from humanoid_mjx.training.cost import check_disk, runs_at_once, slots
 from humanoid_mjx.training.events import EventFiles, event_writer
 from humanoid_mjx.training.plan import make_plan, resolved
 from humanoid_mjx.training.progress import Reporter
@@ -83,8 +82,7 @@ def sweep(
         config = parse(dict(config))
     plan = make_plan(config)
     compute.reserve_memory()
-    room = pool_size and pool_size * jax.local_device_count()
-    rooms = [room or runs_that_fit(group) for group in plan.groups]
+    rooms = [runs_at_once(group, pool_size) for group in plan.groups]
     policies = [earlier_policies(group) for group in plan.groups]
     processes = Processes()
     if tensorboard:

@@ -1,8 +1,6 @@
 """Runs of a learner that trains each as a whole, one after another."""
 
-from collections import deque
 from functools import partial
-from threading import Event
 from typing import Any
 
 import jax
@@ -14,7 +12,6 @@ from humanoid_mjx.learners.rollout import Choose, greedy, mean_scores
 from humanoid_mjx.training.plan import Group
 from humanoid_mjx.training.pool import Pool
 from humanoid_mjx.training.program import SHOWN, run_key
-from humanoid_mjx.types import Device
 
 MEASURES = ("return", "steps", "success")
 
@@ -34,9 +31,8 @@ class WholeRuns(Pool):
     and, called `greedy_`, of the greedy policy. NaN where the learner reported nothing in a point.
     """
 
-    def __init__(self, group: Group, waiting: deque[int], device: Device, seed: int, policies: Any, stop: Event):
-        super().__init__(group, waiting, 1, [device], seed, policies)
-        self.stop = stop
+    def __init__(self, *given: Any):
+        super().__init__(*given)
         names = (*MEASURES, *(f"greedy_{name}" for name in MEASURES))
         self.curve = {name: np.full(self.wall_s.shape[1], np.nan, np.float32) for name in names}
         self.failed, self.policy = False, None
@@ -88,6 +84,11 @@ class WholeRuns(Pool):
         self.looked()
         if self.stop.is_set():
             raise Stopped
+
+
+def pool_of(group: Group, *given: Any) -> Pool:
+    """The pool that trains runs of a group; it is `given` what else a `Pool` takes."""
+    return (Pool if group.learners.side_by_side else WholeRuns)(group, *given)
 
 
 @jax.jit

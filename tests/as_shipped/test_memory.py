@@ -14,7 +14,7 @@ from humanoid_mjx import InputError, compute
 from humanoid_mjx.cli import app
 from humanoid_mjx.compute import limits
 from humanoid_mjx.config import load
-from humanoid_mjx.training.cost import runs_that_fit, training_bytes
+from humanoid_mjx.training.cost import runs_at_once, training_bytes
 from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.programs import arranged, programs_of
 
@@ -46,9 +46,9 @@ def test_what_is_too_large_for_memory_is_refused_with_what_the_system_says(monke
     monkeypatch.setattr(compute, "available_memory", lambda: free)
     said = r"one run needs about ([\d,]+) MiB, more than 80% of the 7,168 MiB that are free; make the task"
     with pytest.raises(InputError, match=said):
-        runs_that_fit(group)
+        runs_at_once(group)
     free = int(training_bytes(group) / 0.8) + 2
-    assert runs_that_fit(group) == 1
+    assert runs_at_once(group) == 1
     assert arranged(group.learners, 5, 1)[:2] == (1, jax.local_devices()[:1])
 
 
@@ -63,7 +63,7 @@ MANY_CORES = """
 import jax
 from humanoid_mjx import compute
 from humanoid_mjx.config import load
-from humanoid_mjx.training.cost import runs_that_fit, training_bytes
+from humanoid_mjx.training.cost import runs_at_once, training_bytes
 from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.programs import arranged
 
@@ -72,11 +72,11 @@ assert jax.local_device_count() == 16
 for name in ("stand", "walk"):
     (group,) = make_plan(load(name)).groups
     compute.available_memory = lambda: 2 << 30
-    assert runs_that_fit(group) == int(0.8 * 2**31) // training_bytes(group) < 16
-    size, devices, _ = arranged(group.learners, 100, runs_that_fit(group))
-    assert size == 1 and len(devices) == runs_that_fit(group)
+    assert runs_at_once(group) == int(0.8 * 2**31) // training_bytes(group) < 16
+    size, devices, _ = arranged(group.learners, 100, runs_at_once(group))
+    assert size == 1 and len(devices) == runs_at_once(group)
     compute.available_memory = lambda: 1 << 36
-    assert runs_that_fit(group) == 16
+    assert runs_at_once(group) == 16
 """
 
 
