@@ -22,7 +22,7 @@ from humanoid_mjx.runs.folder import elsewhere, read_config, read_provenance
 from humanoid_mjx.runs.ranking import ranked
 from humanoid_mjx.runs.tables import finished_runs, scores
 from humanoid_mjx.spec import InputError, check_folder, known
-from humanoid_mjx.training.plan import Plan, make_plan, resolved, set_dotted
+from humanoid_mjx.training.plan import Group, make_plan, points_of, resolved, set_dotted
 from humanoid_mjx.training.state import from_arrays, to_arrays
 
 FORMAT = "humanoid_mjx policy, version 1"
@@ -93,43 +93,46 @@ def policies_of_best(path: Path, point: int | None = None) -> list[Trained]:
 
 def _ranked(path: Path, point: int | None, all_seeds: bool) -> list[Trained]:
     data = read_config(path)
-    plan = make_plan(parse(data, str(path / "config.yaml")))
+    config = parse(data, str(path / "config.yaml"))
+    points = points_of(config)
     arrays = finished_runs(path, ("point", "seed", "policy", "curve.steps", "final."))
     if not arrays:
         raise InputError(f"{path}: holds no finished run; --resume it first.")
     if point is not None and point not in arrays["point"]:
-        raise InputError(f"--point {point}: {path} holds no finished run of it; it has {len(plan.points)}, from 0 on.")
+        raise InputError(f"--point {point}: {path} holds no finished run of it; it has {len(points)}, from 0 on.")
     try:
-        return _best_runs(path, data, plan, arrays, point, all_seeds)
+        return _best_runs(path, config, data, points, arrays, point, all_seeds)
     except LookupError as error:
         raise InputError(f"{path / 'checkpoint'}: what it holds does not fit the config beside it.") from error
 
 
 def _best_runs(
     path: Path,
+    config: Config,
     data: dict[str, Any],
-    plan: Plan,
+    points: list[dict[str, Any]],
     arrays: dict[str, np.ndarray],
     point: int | None,
     all_seeds: bool,
 ) -> list[Trained]:
     """The runs of a point of finished `arrays`, or of the best one: the best of them, or all."""
-    quickest = plan.config.episodes is not None
+    quickest = config.episodes is not None
     if point is None:
         point = ranked((), {"point": arrays["point"]} | scores(arrays), quickest)[0].point
     cost = arrays["final.greedy_steps"] if quickest else -arrays["final.greedy_return"]
     rows = np.flatnonzero(arrays["point"] == point)
     rows = rows[np.lexsort((cost[rows], -arrays["final.greedy_success"][rows]))][: None if all_seeds else 1]
     own: dict[str, Any] = {key: value for key, value in data.items() if key != "sweep"} | {"seeds": 1}
-    for key, value in plan.points[point].items():
+    for key, value in points[point].items():
         set_dotted(own, key, value)
-    provenance = read_provenance(path)
+    alone = parse(own, config.source)
+    provenance, (group,) = read_provenance(path), make_plan(alone).groups
 
     def trained(row: int) -> Trained:
         final = {name: float(array[row]) for name, array in arrays.items() if name.startswith("final.greedy_")}
         learned = {name: array[row] for name, array in arrays.items() if name.startswith("policy")}
         place, origin = (point, int(arrays["seed"][row])), {"scores": final, "provenance": provenance}
-        return _assemble(own, learned, place, origin, path.resolve().name, str(path))
+        return Trained(group.learner(), _policy(group, learned, path), *place, path.resolve().name, alone, origin)
 
     return [trained(row) for row in rows.tolist()]
 
@@ -170,7 +173,11 @@ def load_policy(path: Path) -> Trained:
         raise InputError(f"{path}: this is no policy file, or a truncated or damaged one.") from error
     if version != FORMAT:
         raise InputError(f"{path}: this is a {version!r}, but {FORMAT!r} is wanted; export it again from its run.")
-    return _assemble(config, arrays, place, origin, name, str(path))
+    parsed = parse(config, str(path))
+    if parsed.sweep:
+        raise InputError(f"{path}: its config has a sweep, and a policy has one point.")
+    (group,) = make_plan(parsed).groups
+    return Trained(group.learner(), _policy(group, arrays, path), *place, name, parsed, origin)
 
 
 def in_world(trained: Trained, physics: str | None, overrides: Sequence[str]) -> Trained:
@@ -210,8 +217,7 @@ def in_changed_world(trained: Trained, overrides: Sequence[str]) -> Trained:
     config = trained.config.model_copy(update=data)
     (group,) = make_plan(config).groups
     learner = group.learner()
-    like = jax.eval_shape(lambda learner, carry: learner.policy(carry), learner, group.one_run.carry)
-    fits = _shapes(like) == _shapes(trained.policy)
+    fits = _shapes(group.policy) == _shapes(trained.policy)
     if not fits or learner.env.action_bins != trained.learner.env.action_bins:
         raise InputError(f"--set {' '.join(overrides)}: this would change what the policy observes or chooses from.")
     return trained._replace(config=config, learner=learner)
@@ -221,19 +227,6 @@ def _shapes(policy: Any) -> Any:
     return jax.tree.map(lambda leaf: (leaf.shape, str(leaf.dtype)), policy)
 
 
-def _assemble(
-    config: dict[str, Any],
-    arrays: dict[str, np.ndarray],
-    place: tuple[int, int],
-    origin: dict[str, Any],
-    name: str,
-    where: str,
-) -> Trained:
-    parsed = parse(config, where)
-    if parsed.sweep:
-        raise InputError(f"{where}: its config has a sweep, and a policy has one point.")
-    (group,) = make_plan(parsed).groups
-    learner = group.learner()
-    like = jax.eval_shape(lambda learner, carry: learner.policy(carry), learner, group.one_run.carry)
-    policy = jax.tree.map(jnp.asarray, from_arrays(like, arrays, "policy", where))
-    return Trained(learner, policy, *place, name, parsed, origin)
+def _policy(group: Group, arrays: dict[str, np.ndarray], where: Path) -> Any:
+    """The policy that a file holds, of a group of one point."""
+    return jax.tree.map(jnp.asarray, from_arrays(group.policy, arrays, "policy", str(where)))

@@ -160,12 +160,10 @@ def disk_bytes(plan: Plan, slots: Sequence[int]) -> int:
 def finished_bytes(group: Group) -> int:
     """About what one finished run takes: its policy, and its curves both by themselves and in the tables."""
     learner = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), group.learners)
-    carry = group.one_run.carry
-    policy = jax.eval_shape(lambda learner, carry: learner.policy(carry), learner, carry)
-    names = len(measures(learner, carry))
+    names = len(measures(learner, group.one_run.carry))
     if not group.learners.side_by_side:
         names = 2 * len(MEASURES)
     elif group.learners.evaluations > 1:
         names += len(MEASURES)
     curves = (names + 1) * group.learners.record * np.dtype(np.float32).itemsize  # and the time of each point
-    return sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(policy)) + 2 * curves
+    return sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(group.policy)) + 2 * curves

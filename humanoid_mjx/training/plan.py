@@ -48,6 +48,11 @@ class Group:
         learner = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), self.learners)
         return jax.eval_shape(begin, learner, jax.eval_shape(lambda: rng.key(0)))
 
+    @property
+    def policy(self) -> Any:
+        """The shapes of what one run learns."""
+        return jax.eval_shape(lambda learner, carry: learner.policy(carry), self.learner(), self.one_run.carry)
+
     def learner(self, row: int = 0) -> Learner:
         """The learner of one of the points, its traced values as arrays."""
         return jax.tree.map(lambda leaf: jnp.asarray(leaf[row]), self.learners)
@@ -120,6 +125,18 @@ def _scalars(spec: Spec, prefix: str) -> Iterator[tuple[str, Any]]:
             yield f"{prefix}.{name}", value
 
 
+def points_of(config: Config) -> list[dict[str, Any]]:
+    """The swept values of each point, by dotted name.
+
+    Raises:
+      InputError: a sweep that cannot be.
+    """
+    try:
+        return sweep_points(config.sweep, config.seed) if config.sweep else [{}]
+    except InputError as error:
+        raise InputError(f"{config.source}: {error}") from error
+
+
 def make_plan(config: Config) -> Plan:
     """Give a config its meaning.
 
@@ -128,9 +145,9 @@ def make_plan(config: Config) -> Plan:
     """
     if "mjx-jax" in config.physics:
         compute.make_room()
+    points = points_of(config)
     try:
         build(config, {})
-        points = sweep_points(config.sweep, config.seed) if config.sweep else [{}]
         if len(points) * config.seeds > MAX_RUNS:
             raise InputError(f"{len(points):,} points x {config.seeds:,} seeds are more than {MAX_RUNS:,} runs.")
         plan = Plan(config, points, [build(config, point) for point in points])

@@ -43,7 +43,6 @@ def earlier_policies(group: Group) -> Any:
     if missing := [pair for pair in wanted if pair not in place]:
         raise InputError(f"{where}: holds no run of point {missing[0][0]} with seed {missing[0][1]}.")
     rows = np.array([place[pair] for pair in wanted])
-    like = jax.eval_shape(lambda learner, carry: learner.policy(carry), group.learners, group.one_run.carry)
-    like = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((len(rows), *leaf.shape), leaf.dtype), like)
+    like = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((len(rows), *leaf.shape), leaf.dtype), group.policy)
     chosen = {key: array[rows] for key, array in arrays.items() if key.startswith("policy")}
     return from_arrays(like, chosen, "policy", where)
