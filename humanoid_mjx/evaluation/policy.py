@@ -166,7 +166,7 @@ def load_policy(path: Path) -> Trained:
         version = header["format"]
         if version == FORMAT:
             config, origin = dict(header["config"]), dict(header["origin"])
-            name, place = str(header["name"]), (int(header["point"]), int(header["seed"]))
+            name, point, seed = str(header["name"]), int(header["point"]), int(header["seed"])
     except PermissionError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}.") from error
     except DAMAGE as error:
@@ -177,7 +177,7 @@ def load_policy(path: Path) -> Trained:
     if parsed.sweep:
         raise InputError(f"{path}: its config has a sweep, and a policy has one point.")
     (group,) = make_plan(parsed).groups
-    return Trained(group.learner(), _policy(group, arrays, path), *place, name, parsed, origin)
+    return Trained(group.learner(), _policy(group, arrays, path), point, seed, name, parsed, origin)
 
 
 def in_world(trained: Trained, physics: str | None, overrides: Sequence[str]) -> Trained:
