@@ -15,10 +15,11 @@ from humanoid_mjx.config import parse
 from humanoid_mjx.evaluation.gait import scenarios
 from humanoid_mjx.evaluation.gait.figures import FIGURES
 from humanoid_mjx.evaluation.gait.measure import settings_of
-from humanoid_mjx.evaluation.gait.scenarios import SCENARIOS, Scenario, calm, gaits_of, play_gaits
+from humanoid_mjx.evaluation.gait.scenarios import Scenario, calm, gaits_of, play_gaits, scenarios_of
 from humanoid_mjx.evaluation.gait.summary import summarised
 from humanoid_mjx.evaluation.policy import best_policy, in_changed_world, policies_of_best, save_policy
 from humanoid_mjx.report.gaits import bad_end
+from humanoid_mjx.robot.lower_body import LowerBody
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.sweep import sweep
@@ -50,7 +51,7 @@ def learner_of(**task):
 def played(learner, agent="greedy", seconds=0.5, seed=5):
     """The figures of four episodes under each of `ASKED`, (4, 4): one program for all; weights are untrained."""
     policy = learner.policy(learner.init(rng.key(seed)))
-    found = play_gaits(learner, jax.tree.map(lambda x: x[None], policy), 4, seconds, (agent,), ASKED)[agent]
+    found = play_gaits(learner, jax.tree.map(lambda x: x[None], policy), ASKED, 4, seconds, (agent,))[agent]
     assert list(found) == list(FIGURES)
     return {name: figure[0] for name, figure in found.items()}
 
@@ -155,9 +156,11 @@ def test_the_command(runs, tmp_path, physics):
     (group,) = result["results"]
     assert group["beyond_training"] == ["sideways +0.15", "sideways -0.15"]
     assert [policy["config"]["task"]["physics"] for policy in group["policies"]] == [physics] * 2
-    assert len(group["gaits"]) == 3 * len(SCENARIOS)
-    assert [len(gait["figures"]["success"]["seeds"]) for gait in group["gaits"][:: len(SCENARIOS)]] == [2, 1, 1]
-    zero = group["gaits"][len(SCENARIOS)]
+    scenarios = scenarios_of(LowerBody())
+    assert [gait["scenario"] for gait in group["gaits"]] == 3 * [each.name for each in scenarios]
+    assert [each.command[0] for each in scenarios[1:5]] == [0.15, 0.3, 0.5, 0.8]
+    assert [len(gait["figures"]["success"]["seeds"]) for gait in group["gaits"][:: len(scenarios)]] == [2, 1, 1]
+    zero = group["gaits"][len(scenarios)]
     assert zero["agent"] == "zero" and zero["figures"]["success"]["median"] == 1.0
     assert zero["figures"]["duty"]["median"] == 1.0 and zero["figures"]["turn_success"]["median"] is None
 
@@ -178,7 +181,7 @@ def test_all_seeds_of_the_best_point(runs):
     assert float(changed.learner.task.friction) == 0.5 and float(changed.learner.task.randomise.mass) == np.float32(0.3)
     assert best.config.task["randomise"] is None and best.learner.task.randomise is None
     one = jax.tree.map(lambda x: x[None], best.policy)
-    gaits = gaits_of(play_gaits(calm(best.learner), one, 2, 0.3, scenarios=ASKED[:1]), ASKED[:1])
+    gaits = gaits_of(play_gaits(calm(best.learner), one, ASKED[:1], 2, 0.3), ASKED[:1])
     assert [gait.scenario for gait in gaits] == ["stand"] and len(gaits[0].figures["drift"].seeds) == 1
 
 

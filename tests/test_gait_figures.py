@@ -17,7 +17,7 @@ from humanoid_mjx.physics.base import Poses
 from humanoid_mjx.robot.lower_body import LowerBody, lower_body_model
 from humanoid_mjx.runs.statistics import mean_interval
 
-INTERVAL, MASS = 0.004, 1.7
+INTERVAL, MASS = 0.004, LowerBody().mass
 WINDOW = int(window_samples(0.36, INTERVAL))
 
 
@@ -29,7 +29,7 @@ def figures_of(first, samples, asked, command, turns=False):
         return add(tally, *step, jnp.int32(WINDOW), INTERVAL, LowerBody()), None
 
     tally, _ = jax.lax.scan(one, begin(first), (samples, asked))
-    return figures(tally, command, jnp.bool_(turns), jnp.bool_(False), jnp.float32(MASS), INTERVAL)
+    return figures(tally, command, jnp.bool_(turns), jnp.bool_(False), LowerBody(), jnp.float32(1.0), INTERVAL)
 
 
 def measured(motion, commands, turn=None):

@@ -38,6 +38,7 @@ def shapes():
     """Paint a red ball of 5 cm radius 15 cm above the ground, a blue tetrahedron, and a geom that is not shown."""
     corners = np.array([[0.0, 0.0, 0.0], [0.0, 0.1, 0.0], [0.05, 0.05, 0.0], [0.02, 0.05, 0.12]])
     model = mujoco.MjModel.from_xml_string(f"""<mujoco>
+      <statistic extent="0.32"/>
       <asset><mesh name="tetrahedron" vertex="{" ".join(map(str, corners.ravel()))}"/></asset>
       <worldbody>
         <geom type="plane" size="0 0 1"/>

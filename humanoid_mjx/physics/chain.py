@@ -35,7 +35,6 @@ from humanoid_mjx.physics.base import (
 from humanoid_mjx.robot import ROBOTS
 from humanoid_mjx.robot.leg import FRAME_0, MIRROR, Leg
 from humanoid_mjx.robot.legs import Legs
-from humanoid_mjx.robot.ranges import TORQUE_LIMIT, joint_ranges
 from humanoid_mjx.spec import traced, written
 from humanoid_mjx.thesis.leg import GRAVITY, JOINT_NAMES
 from humanoid_mjx.types import AnyArray, BoolScalar, MassFactor
@@ -70,7 +69,7 @@ class ChainPhysics(Physics):
 
     @property
     def joint_ranges(self) -> Float[np.ndarray, "joints 2"]:
-        return np.tile(joint_ranges(self.robot.ranges), (len(self.sides), 1))
+        return self.robot.ranges_rad
 
     @property
     def qpos0(self) -> Float[np.ndarray, " nq"]:
@@ -128,9 +127,11 @@ class ChainPhysics(Physics):
         return Poses(jnp.stack(position), jnp.stack(rotation))
 
     def _cycle(self, world: World, controller: Controller, substeps: int) -> tuple[World, Float[Array, " joints"]]:
-        limit = self.torque_limit * TORQUE_LIMIT
+        limits = [self.torque_limit * limit for limit in self.robot.torque_limits.tolist()]
         # Joint by joint: a bound on the whole array would be a kernel of its own between those of its elements.
-        torque = jnp.stack([jnp.clip(x, -limit, limit) for x in controller(self._stages(world))])
+        torque = jnp.stack(
+            [jnp.clip(x, -limit, limit) for x, limit in zip(controller(self._stages(world)), limits, strict=True)]
+        )
         dt = jnp.asarray(self.timestep, world.qpos.dtype)
 
         def move(world: World) -> World:

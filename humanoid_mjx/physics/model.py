@@ -13,9 +13,8 @@ from jaxtyping import Bool, Float, Int
 from pydantic import Field
 
 from humanoid_mjx.physics.base import MAX_SPEED, GroundContacts, Physics, Poses, Readings, Velocities, World
-from humanoid_mjx.robot import RobotKey
+from humanoid_mjx.robot import RobotKey, make_robot
 from humanoid_mjx.robot.description import Robot, compiled, ground_points
-from humanoid_mjx.robot.lower_body import LowerBody
 from humanoid_mjx.spec import traced
 from humanoid_mjx.types import AnyArray, BoolScalar, FloatScalar, MassFactor
 
@@ -23,7 +22,7 @@ from humanoid_mjx.types import AnyArray, BoolScalar, FloatScalar, MassFactor
 class MujocoPhysics(Physics):
     """A robot as a MuJoCo model."""
 
-    robot: RobotKey = Field(LowerBody(), description="the robot that moves")
+    robot: RobotKey = Field(make_robot("lower_body"), description="the robot that moves")
     timestep: float | None = Field(None, gt=0, le=0.02, description="s; by default the robot's own")
     mass: float = traced(1.0, gt=0, description="factor on the mass and the inertia of every link")
     friction: float = traced(1.0, ge=0, description="factor on that of all contacts that have any")

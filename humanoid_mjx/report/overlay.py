@@ -9,10 +9,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from humanoid_mjx.evaluation.film import Film, Push
 from humanoid_mjx.report.raycast import Frame
-from humanoid_mjx.report.scene import VIEW_M, Scene, make_camera
-
-ARROW_M = 0.3 * VIEW_M
-"""Length of a push's arrow, m. Its words say how hard it is, as a reader could only guess a length."""
+from humanoid_mjx.report.scene import Scene, make_camera
 
 SHOWN_S = 0.5
 """A push is shown for at least so long: most last shorter than the eye takes to see them."""
@@ -45,7 +42,7 @@ def _draw_push(draw: ImageDraw.ImageDraw, push: Push, scene: Scene, number: int,
     camera = make_camera(size[1])
     torso = scene.torso[number]
     direction = push.force / np.linalg.norm(push.force)
-    ends = np.stack([torso - ARROW_M * direction, torso])
+    ends = np.stack([torso - scene.arrow * direction, torso])
     tail, head = camera.seen(ends, camera.place(scene.middle[number], scene.distance), size)
     along = (head - tail) / max(float(np.linalg.norm(head - tail)), 1e-6)
     across = np.array([-along[1], along[0]])

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Bool, Float, Int32, UInt8
 
-from humanoid_mjx.report.scene import AMBIENT, DIFFUSE, GRID_M, HEADLIGHT, LIGHT, Camera, Scene, colored, make_camera
+from humanoid_mjx.report.scene import AMBIENT, DIFFUSE, HEADLIGHT, LIGHT, Camera, Scene, colored, make_camera
 
 OVERSAMPLED = 2
 """Rays across and down each pixel, whose mean smooths the edges."""
@@ -122,6 +122,7 @@ class _Ground:
     """
 
     def __init__(self, rays: Rays, scene: Scene, camera: Camera):
+        self.grid = scene.grid
         self.eye = camera.place(scene.middle[0] * [0, 0, 1], scene.distance)
         downwards = rays[:, 0, 0, 2] < -1e-4
         self.first = int(np.argmax(downwards)) if self.eye[2] > 0 and downwards.any() else len(rays)
@@ -134,7 +135,7 @@ class _Ground:
     def painted(self, middle: Vector, corners: Points, shaded: Shaded) -> Picture:
         """The rows of the picture from the first below the horizon."""
         points = self.points + middle[:2]
-        off = np.abs(points / GRID_M - np.rint(points / GRID_M)).min(axis=-1) * GRID_M
+        off = np.abs(points / self.grid - np.rint(points / self.grid)).min(axis=-1) * self.grid
         lines = np.clip(1.3 - off / self.width, 0.0, 1.0) * np.sqrt(LINE_M / self.width)
         color = GROUND + lines[..., None] * (LINE - GROUND)
         thrown = (corners - corners[:, 2:] / LIGHT[2] * LIGHT)[:, :2]

@@ -9,8 +9,8 @@ from jaxtyping import Float
 
 from humanoid_mjx.types import AnyArray
 
-VIEW_M = 0.36
-"""What the pictures show from top to bottom, at least: the standing body and some room."""
+VIEW = 1.12
+"""What the pictures show from top to bottom, at least, as a share of the robot's extent: all of it and some room."""
 
 AZIMUTH, ELEVATION = 130.0, -12.0
 """Direction in which the camera looks, degrees: from the right and the front of the robot, a little downwards."""
@@ -24,8 +24,9 @@ LIGHT = np.array([-0.5, 0.25, -0.85]) / np.linalg.norm([-0.5, 0.25, -0.85])
 AMBIENT, DIFFUSE, HEADLIGHT = 0.5, 0.45, 0.2
 """Brightness of a surface: everywhere, where the light falls at right angles, and where it faces the camera."""
 
-GRID_M = 0.1
-"""Distance between the lines on the ground, m, which show how far a robot goes."""
+GRID, ARROW = 0.31, 0.336
+"""Distance between the lines on the ground, which show how far a robot goes, and length of a push's arrow, as shares of
+the robot's extent. The arrow's words say how hard a push is, as a reader could only guess a length."""
 
 VISIBLE_GROUPS = 3
 """Geoms of groups below this are drawn, as in MuJoCo's own viewer; the others serve contacts."""
@@ -70,6 +71,16 @@ class Scene(NamedTuple):
     ground: bool
 
     @property
+    def grid(self) -> float:
+        """Distance between the lines on the ground, m; 0 without a ground."""
+        return _share(self.model, GRID) if self.ground else 0.0
+
+    @property
+    def arrow(self) -> float:
+        """Length of a push's arrow, m."""
+        return _share(self.model, ARROW)
+
+    @property
     def distance(self) -> float:
         """From the camera to where it looks, m."""
         return 0.58 * self.view / np.tan(np.radians(FIELD_OF_VIEW / 2))
@@ -101,7 +112,7 @@ def make_scene(model: mujoco.MjModel, qpos: Float[AnyArray, "frames nq"]) -> Sce
         np.stack(turns),
         middles,
         np.array(torso),
-        max(VIEW_M, 2.1 * reach),
+        max(_share(model, VIEW), 2.1 * reach),
         any(_is_plane(model, g) for g in range(model.ngeom)),
     )
 
@@ -115,8 +126,14 @@ def colored(model: mujoco.MjModel, geom: int) -> tuple[float, ...]:
 def _middle(model: mujoco.MjModel, data: mujoco.MjData) -> Float[np.ndarray, "3"]:
     """The middle of the picture: it follows the robot over the ground, not up and down, or hangs below it."""
     grounded = any(_is_plane(model, g) for g in range(model.ngeom))
-    height = 0.42 * VIEW_M if grounded else model.body_pos[1][2] - 0.33 * VIEW_M
+    view = _share(model, VIEW)
+    height = 0.42 * view if grounded else model.body_pos[1][2] - 0.33 * view
     return np.array([*data.xpos[1][:2], height])
+
+
+def _share(model: mujoco.MjModel, share: float) -> float:
+    """A share of the extent of a robot, m, to two digits."""
+    return float(f"{share * model.stat.extent:.2g}")
 
 
 def _is_plane(model: mujoco.MjModel, geom: int) -> bool:

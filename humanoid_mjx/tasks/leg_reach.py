@@ -21,10 +21,7 @@ from humanoid_mjx.physics import make_physics
 from humanoid_mjx.physics.base import Physics, World
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import ContinuousTask, State, begin
-from humanoid_mjx.thesis.leg import JOINT_NAMES
 from humanoid_mjx.types import FloatScalar, IntScalar
-
-JOINTS = len(JOINT_NAMES)
 
 REST = 0.1
 """Largest joint speed of a leg at rest, rad/s."""
@@ -40,7 +37,7 @@ NEAR, FAR = np.radians(5.0), np.radians(40.0)
 
 
 OBSERVATIONS = ("error", "near_error", "lead", "velocity", "place")
-"""Each of the five joints: the way to the goal as a share of the joint's range, and again with `LEAD` as the unit; the
+"""Each joint: the way to the goal as a share of the joint's range, and again with `LEAD` as the unit; the
 set-point's lead over the joint; velocity; place in the range."""
 
 TERMS = ("near", "settled")
@@ -85,8 +82,13 @@ class LegReach(ContinuousTask):
         return self
 
     @property
+    def joints(self) -> int:
+        """How many joints move."""
+        return len(self.simulator.joint_names)
+
+    @property
     def observation_size(self) -> int:
-        return len(OBSERVATIONS) * JOINTS
+        return len(OBSERVATIONS) * self.joints
 
     @property
     def observation_families(self) -> tuple[tuple[tuple[int, ...], ...], ...]:
@@ -94,7 +96,7 @@ class LegReach(ContinuousTask):
 
         Computed torque removes most coupling between joints.
         """
-        own = np.arange(self.observation_size).reshape(-1, JOINTS).T.tolist()
+        own = np.arange(self.observation_size).reshape(-1, self.joints).T.tolist()
         return tuple(
             ((error, lead, velocity), (near_error, lead, velocity), (lead, velocity, place))
             for error, near_error, lead, velocity, place in own
@@ -102,7 +104,7 @@ class LegReach(ContinuousTask):
 
     @property
     def action_bins(self) -> tuple[int, ...]:
-        return (self.bins,) * JOINTS
+        return (self.bins,) * self.joints
 
     @property
     def simulator(self) -> Physics:
@@ -112,9 +114,9 @@ class LegReach(ContinuousTask):
     def reset(self, key: Key[Array, ""]) -> State:
         low, high = self.simulator.joint_ranges.T
         start_key, goal_key, mass_key = jax.random.split(key, 3)
-        start, goal = (jax.random.uniform(key, (JOINTS,), minval=low, maxval=high) for key in (start_key, goal_key))
-        mass = 1.0 + self.model_error * jax.random.uniform(mass_key, (JOINTS,), minval=-1.0)
-        world = self._plant(mass).start(start, jnp.zeros(JOINTS))
+        start, goal = (jax.random.uniform(key, low.shape, minval=low, maxval=high) for key in (start_key, goal_key))
+        mass = 1.0 + self.model_error * jax.random.uniform(mass_key, low.shape, minval=-1.0)
+        world = self._plant(mass).start(start, jnp.zeros(low.shape))
         body = Body(world, start, goal, mass, jnp.int32(0))
         return begin(body, self.observe(body), TERMS)
 
@@ -156,7 +158,7 @@ class LegReach(ContinuousTask):
         return jnp.clip(jnp.clip(moved, qpos - LEAD, qpos + LEAD), low - LEAD, high + LEAD)
 
     def observe(self, body: Body) -> Float[Array, " observation_size"]:
-        """`OBSERVATIONS`, each of the five joints, within -1 to 1."""
+        """`OBSERVATIONS`, of each joint, within -1 to 1."""
         low, high = self.simulator.joint_ranges.T
         qpos, qvel = body.world.qpos, body.world.qvel
         error = body.goal - qpos

@@ -7,11 +7,12 @@ import numpy as np
 from jaxtyping import Array, Float, Num
 
 from humanoid_mjx.evaluation.gait.tally import EDGES, HOLD, Tally, as_seen
+from humanoid_mjx.robot import Robot
 from humanoid_mjx.thesis.leg import GRAVITY
 from humanoid_mjx.types import BoolScalar, FloatScalar
 
-SLOW = 0.05
-"""Mean speed below which there is no cost of transport and no asymmetry of steps, m/s."""
+SLOW = 0.035
+"""Mean speed, as a share of the robot's pace, below which there is no cost of transport and no asymmetry of steps."""
 
 PERCENTILE = 0.95
 
@@ -68,14 +69,20 @@ RATES = "success", "turn_success"
 
 
 def figures(
-    tally: Tally, asked: Float[Array, "3"], turns: BoolScalar, fallen: BoolScalar, mass: FloatScalar, interval: float
+    tally: Tally,
+    asked: Float[Array, "3"],
+    turns: BoolScalar,
+    fallen: BoolScalar,
+    robot: Robot,
+    mass: FloatScalar,
+    interval: float,
 ) -> dict[str, FloatScalar]:
     """The figures of an episode, NaN where one has no meaning.
 
     Args:
       asked: the command of the episode.
       turns: whether there is a sudden turn, too.
-      mass: of the body, kg.
+      mass: factor on the robot's own.
       interval: s between samples.
     """
     seconds = tally.counted * interval
@@ -84,8 +91,9 @@ def figures(
     straight = (asked[2] == 0) & ~turns
     shares = tally.feet.loaded / _positive(tally.counted)
     lengths = tally.feet.lengths / _positive(tally.feet.steps)
-    way = jnp.where(tally.windows.way > SLOW * seconds, tally.windows.way, jnp.nan)
-    walks = jnp.abs(forward) > SLOW
+    slow = robot.speed(SLOW)
+    way = jnp.where(tally.windows.way > slow * seconds, tally.windows.way, jnp.nan)
+    walks = jnp.abs(forward) > slow
     return {
         "success": 1.0 - fallen,
         "seconds": tally.samples * interval,
@@ -115,7 +123,7 @@ def figures(
         "crossing": tally.crossing / _positive(tally.counted),
         "leg_contact": tally.contact / _positive(tally.counted),
         "peak_torque": tally.peak_torque,
-        "cost_of_transport": tally.windows.work / (mass * GRAVITY * way),
+        "cost_of_transport": tally.windows.work / (robot.mass * mass * GRAVITY * way),
     } | _sudden_turn(tally, turns, fallen)
 
 

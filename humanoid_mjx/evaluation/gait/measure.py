@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from humanoid_mjx.evaluation.gait.scenarios import SCENARIOS, Scenario, gaits_of, play_gaits, walking_task
+from humanoid_mjx.evaluation.gait.scenarios import Scenario, gaits_of, play_gaits, scenarios_of, walking_task
 from humanoid_mjx.evaluation.gait.summary import Gait
 from humanoid_mjx.evaluation.policy import Trained, find_policy, policies_of_best
 from humanoid_mjx.learners.rollout import AGENTS
@@ -74,9 +74,11 @@ def measure(policies: Sequence[Trained], episodes: int, tell: Callable[[int, int
 def _measure(policies: list[Trained], episodes: int, tell: Callable[[int, int], None]) -> Measured:
     learner = policies[0].learner
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(policy.policy for policy in policies))
-    seconds = float(walking_task(learner.task).duration)
-    gaits = gaits_of(play_gaits(learner, stacked, episodes, seconds, AGENTS, tell=tell))
-    return Measured(policies, gaits, [each.name for each in SCENARIOS if _beyond(learner.task, each)])
+    task = walking_task(learner.task)
+    scenarios = scenarios_of(task.robot)
+    found = play_gaits(learner, stacked, scenarios, episodes, float(task.duration), AGENTS, tell)
+    beyond = [each.name for each in scenarios if _beyond(task, each)]
+    return Measured(policies, gaits_of(found, scenarios), beyond)
 
 
 def _beyond(task: Any, scenario: Scenario) -> bool:

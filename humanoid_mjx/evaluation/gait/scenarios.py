@@ -1,7 +1,7 @@
 """Held-out episodes of a body under commands that stay: what `evaluate --gait` measures.
 
-Every episode is one of the held-out ones (`evaluation.evaluate`), under one of `SCENARIOS` for its whole length. Only
-what is left of the motion are the sums of `gait.tally`.
+Every episode is one of the held-out ones (`evaluation.evaluate`), under one of the robot's scenarios for its whole
+length. Only what is left of the motion are the sums of `gait.tally`.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,6 +23,7 @@ from humanoid_mjx.evaluation.gait.tally import Asked, Tally
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.rollout import AGENTS, agent, decision_keys, start
 from humanoid_mjx.physics.base import World
+from humanoid_mjx.robot import Robot
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.tasks.base import Task
 from humanoid_mjx.tasks.continuous import State
@@ -53,17 +54,23 @@ class Scenario(NamedTuple):
     """The change of heading that a sudden turn is to make, rad, to the left."""
 
 
-SCENARIOS = (
-    Scenario("stand", (0.0, 0.0, 0.0)),
-    *(Scenario(f"forward {speed}", (speed, 0.0, 0.0)) for speed in (0.15, 0.3, 0.5, 0.8)),
-    *(Scenario(f"turn {rate:+}", (0.0, 0.0, rate)) for rate in (0.5, -0.5, 1.0, -1.0)),
-    *(Scenario(f"curve 0.3 {rate:+}", (0.3, 0.0, rate)) for rate in (0.5, -0.5)),
-    *(Scenario(f"sideways {speed:+}", (0.0, speed, 0.0)) for speed in (0.15, -0.15)),
-    Scenario("sudden turn", (0.3, 0.0, 0.0), turn_at=5.0, turn_by=float(np.radians(45.0))),
-)
-"""Standing; a stroll, two walks, and the speed at which running begins to pay (Froude numbers v^2 / (g l) of 0.01,
-0.05, 0.13 and 0.33 on legs of 0.2 m); both ways round on the spot, slowly and fast; curves; sidesteps; a turn of 45
-degrees at once, in mid-walk. Both sides are asked for the same, to show one that is worse."""
+STROLL, WALK, FAST, FASTEST = 0.105, 0.21, 0.35, 0.56
+"""Speeds as shares of a robot's pace: a stroll, two walks, and the speed at which running begins to pay (Froude numbers
+v^2 / (g l) of 0.01, 0.05, 0.13 and 0.33)."""
+
+
+def scenarios_of(robot: Robot) -> tuple[Scenario, ...]:
+    """Standing; four speeds ahead; both ways round on the spot, slowly and fast; curves; sidesteps; a turn of 45
+    degrees at once, in mid-walk. Both sides are asked for the same, to show one that is worse."""
+    stroll, walk, fast, fastest = map(robot.speed, (STROLL, WALK, FAST, FASTEST))
+    return (
+        Scenario("stand", (0.0, 0.0, 0.0)),
+        *(Scenario(f"forward {speed}", (speed, 0.0, 0.0)) for speed in (stroll, walk, fast, fastest)),
+        *(Scenario(f"turn {rate:+}", (0.0, 0.0, rate)) for rate in (0.5, -0.5, 1.0, -1.0)),
+        *(Scenario(f"curve {walk} {rate:+}", (walk, 0.0, rate)) for rate in (0.5, -0.5)),
+        *(Scenario(f"sideways {speed:+}", (0.0, speed, 0.0)) for speed in (stroll, -stroll)),
+        Scenario("sudden turn", (walk, 0.0, 0.0), turn_at=5.0, turn_by=float(np.radians(45.0))),
+    )
 
 
 class _Commands(NamedTuple):
@@ -112,10 +119,10 @@ def under_one_command(learner: Learner) -> Learner:
 def play_gaits(
     learner: Learner,
     policies: Any,
+    scenarios: Sequence[Scenario],
     episodes: int,
     seconds: float = SECONDS,
     agents: Sequence[str] = ("greedy",),
-    scenarios: Sequence[Scenario] = SCENARIOS,
     tell: Callable[[int, int], None] = lambda done, total: None,
 ) -> dict[str, dict[str, np.ndarray]]:
     """The figures of every held-out episode under every scenario, by agent and name of the figure.
@@ -123,6 +130,7 @@ def play_gaits(
     Args:
       learner: whose task is played, as it is: `calm(learner)` takes the pushes out of it.
       policies: what was learned, a pytree whose leaves lead with an axis of training seeds.
+      scenarios: such as `scenarios_of` the robot.
       agents: some of `AGENTS`.
       tell: called with how many of all episodes have been played, once some have.
 
@@ -153,7 +161,7 @@ def play_gaits(
     return {name: {key: found[key][of[name]] for key in FIGURES} for name in agents}
 
 
-def gaits_of(found: dict[str, dict[str, np.ndarray]], scenarios: Sequence[Scenario] = SCENARIOS) -> list[Gait]:
+def gaits_of(found: dict[str, dict[str, np.ndarray]], scenarios: Sequence[Scenario]) -> list[Gait]:
     """What `play_gaits` found, with intervals: of each agent under each scenario."""
     return [
         Gait(name, scenario.name, scenario.command, summarised({key: x[:, row] for key, x in of_agent.items()}))
@@ -264,6 +272,5 @@ def _figures(learner: Learner, command: _Commands, loop: _Loop) -> dict[str, Flo
     task = walking_task(learner.task)
     plant = loop.state.data.plant or task.plant
     turns = jnp.isfinite(command.turn_at)
-    mass = task.robot.mass * plant.mass
-    found = figures(loop.tally, command.command, turns, loop.fallen, mass, task.simulator.step_s)
+    found = figures(loop.tally, command.command, turns, loop.fallen, task.robot, plant.mass, task.simulator.step_s)
     return {name: jnp.asarray(value, jnp.float32) for name, value in found.items()}

@@ -15,8 +15,7 @@ from humanoid_mjx.mechanics.rotations import leaning_quaternion
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.physics.base import Controller, Physics, Sensed, World
 from humanoid_mjx.physics.model import MujocoPhysics
-from humanoid_mjx.robot import Robot, RobotKey
-from humanoid_mjx.robot.lower_body import LowerBody
+from humanoid_mjx.robot import Robot, RobotKey, make_robot
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import ContinuousTask
 from humanoid_mjx.types import FloatScalar
@@ -37,7 +36,7 @@ class Plant(NamedTuple):
 class LeggedBody(ContinuousTask):
     """The part of legged tasks that concerns the robot; derive from `LeggedTask`."""
 
-    robot: RobotKey = Field(LowerBody(ranges="human"), description="the robot that stands")
+    robot: RobotKey = Field(make_robot("lower_body", ranges="human"), description="the robot that stands")
     physics: Literal["tree", "mjx-jax", "mjx-warp", "mujoco"] = "tree"
     control: Control = Field(ServoLaw(stiffness=3.0, damping=0.1), description="the law that drives the joints")
     bins: Literal[3, 5, 9] = Field(3, description="values of a joint's offset, evenly from -1 to 1 times it")
