@@ -113,7 +113,7 @@ def test_a_watched_step_is_the_step():
     np.testing.assert_allclose(plain.data.world.qpos, watched.data.world.qpos, atol=1e-6)
     assert sensed.torque.shape == (5, 10)
     np.testing.assert_array_equal(sensed.torque[-1], view.torque)
-    np.testing.assert_array_equal(view.world.qpos, watched.data.world.qpos)
+    np.testing.assert_array_equal(view.episode.world.qpos, watched.data.world.qpos)
     again = task.commanded(watched, view, watched.data.command)
     np.testing.assert_allclose(again.obs, watched.obs, atol=1e-6)
     other = task.commanded(watched, view, jnp.array([0.5, 0.25, 1.0]))

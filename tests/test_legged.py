@@ -195,7 +195,7 @@ def test_a_sudden_turn_is_a_new_command_straight_ahead_and_an_error_of_the_headi
     for decision in range(60):  # a body that turns by 1 rad/s until it is there
         turning = readings if episode.heading_error > 0 else readings._replace(gyroscope=jnp.zeros(3))
         episode = episode._replace(readings=turning).under(ahead, 0.02, np.radians(45.0) if decision == 0 else 0.0)
-        rates.append(float(task.followed(episode)[2]))
+        rates.append(float(episode.followed(task.command)[2]))
     # It is told to turn as quickly as an error may make it, and in the last quarter of a radian less and less.
     assert rates[0] == rates[20] == 1.0 and 0.0 < rates[35] < 1.0
     assert abs(episode.heading_error) <= 0.02 + 1e-6 and abs(rates[-1]) <= 0.08 + 1e-6
@@ -246,9 +246,12 @@ def test_rewards_of_feet_are_of_those_that_touch():
     assert rewards.crossing(view._replace(feet=crossed)) == 2.0
     lifted = on_left._replace(corners=feet.corners.at[0, :, 2].set(0.03))
     assert rewards.clearance(view._replace(feet=lifted)) == pytest.approx(1.0, abs=0.01)
-    now = view._replace(command=jnp.array([0.1, 0.0, 0.0]))
-    late = now._replace(strayed=jnp.array([-0.1, 0.0, 0.0]))
-    assert rewards.speed(late) < rewards.speed(now) < rewards.speed(now._replace(command=STAND)) == 1.0
+    slow = view.episode._replace(command=jnp.array([0.1, 0.0, 0.0]))
+    late, now, still = (
+        rewards.speed(view._replace(episode=episode))
+        for episode in (slow._replace(strayed=jnp.array([-0.1, 0.0, 0.0])), slow, slow._replace(command=STAND))
+    )
+    assert late < now < still == 1.0
 
 
 def test_yawing_is_what_the_turn_rate_strays_by_beyond_that_of_late():
@@ -257,9 +260,10 @@ def test_yawing_is_what_the_turn_rate_strays_by_beyond_that_of_late():
     view = task.view(state.data, None, jnp.zeros(JOINTS))
 
     def yawing(turn_rate, command, late):
-        motion = view.motion._replace(turn_rate=jnp.float32(turn_rate))
+        motion = state.data.motion._replace(turn_rate=jnp.float32(turn_rate))
         told, strayed = (jnp.array([0.3, 0.0, x]) for x in (command, late))
-        return float(rewards.yawing(view._replace(motion=motion, command=told, strayed=strayed)))
+        episode = state.data._replace(motion=motion, command=told, strayed=strayed)
+        return float(rewards.yawing(view._replace(episode=episode)))
 
     assert yawing(0.9, 0.5, 0.0) == pytest.approx(0.16, rel=1e-5) == yawing(0.1, 0.5, 0.0)
     assert yawing(0.9, 0.5, 0.4) == pytest.approx(0.0, abs=1e-6)  # it has turned so fast for a while
@@ -276,12 +280,12 @@ def test_the_heading_is_kept_while_the_turn_rate_stays_the_same():
     for decision in range(1, 4):
         episode = episode.under(told, 0.02)
         assert episode.heading_error == pytest.approx(decision * 0.02 * (0.5 - 0.1), rel=1e-4)
-    np.testing.assert_allclose(task.followed(episode), [0.3, 0.0, 0.5 + 4.0 * 0.024], rtol=1e-4)
+    np.testing.assert_allclose(episode.followed(task.command), [0.3, 0.0, 0.5 + 4.0 * 0.024], rtol=1e-4)
     faster = episode.under(told.at[0].set(0.5), 0.02)
     assert faster.heading_error > episode.heading_error
     for other in (told.at[2].set(0.2), STAND):
         assert episode.under(other, 0.02).heading_error == 0.0
-    assert not np.any(task.followed(episode.under(STAND, 0.02)._replace(heading_error=jnp.float32(0.3))))
+    assert not np.any(episode.under(STAND, 0.02)._replace(heading_error=jnp.float32(0.3)).followed(task.command))
     for _ in range(200):
         episode = episode.under(told, 0.5)
     assert episode.heading_error == pytest.approx(LARGEST)

@@ -13,7 +13,7 @@ from humanoid_mjx.mechanics.rotations import heading_frame, rotation_matrix, tur
 from humanoid_mjx.physics.base import Readings, World
 from humanoid_mjx.physics.sensors import Sensors, SensorState
 from humanoid_mjx.tasks.legged.body import Plant
-from humanoid_mjx.tasks.legged.commands import LARGEST, moves
+from humanoid_mjx.tasks.legged.commands import LARGEST, Velocity, moves
 from humanoid_mjx.tasks.legged.gait import Clock
 from humanoid_mjx.thesis.leg import GRAVITY
 from humanoid_mjx.types import FloatScalar, IntScalar
@@ -83,6 +83,10 @@ class Episode(NamedTuple):
     def phase(self) -> Float[Array, "*batch"]:
         """Phase of the gait, 0 to 1."""
         return jnp.asarray(self.clock.phase)
+
+    def followed(self, commands: Velocity | None) -> Float[Array, "3"]:
+        """The command that the body is to follow now: the one that it was told, its heading held."""
+        return commands.held(self.command, self.heading_error) if commands else self.command
 
     def sense(self, sensors: Sensors, world: World, true: Readings, period: float, key: Key[Array, ""]) -> "Episode":
         """The episode in its new world, `period` seconds later, with the sensors' readings of it."""

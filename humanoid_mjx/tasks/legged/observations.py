@@ -38,18 +38,18 @@ class Observation(NamedTuple):
 
 
 OBSERVATIONS = {
-    "encoders": Observation("joints", lambda view: view.readings.encoders - view.robot.posture),
-    "rates": Observation("joints", lambda view: view.rates, SPEED),
-    "gyroscope": Observation(3, lambda view: view.readings.gyroscope, TURN, AXIAL),
-    "accelerometer": Observation(3, lambda view: view.readings.accelerometer, GRAVITY, POLAR),
-    "down": Observation(3, lambda view: view.down, mirror=POLAR),
-    "contact": Observation("feet", lambda view: view.readings.foot_contact, lambda robot: robot.force(FORCE)),
-    "offsets": Observation("joints", lambda view: view.offsets),
+    "encoders": Observation("joints", lambda view: view.episode.readings.encoders - view.robot.posture),
+    "rates": Observation("joints", lambda view: view.episode.rates, SPEED),
+    "gyroscope": Observation(3, lambda view: view.episode.readings.gyroscope, TURN, AXIAL),
+    "accelerometer": Observation(3, lambda view: view.episode.readings.accelerometer, GRAVITY, POLAR),
+    "down": Observation(3, lambda view: view.episode.down, mirror=POLAR),
+    "contact": Observation("feet", lambda view: view.episode.readings.foot_contact, lambda robot: robot.force(FORCE)),
+    "offsets": Observation("joints", lambda view: view.episode.offsets),
     "command": Observation(3, lambda view: view.command, (0.5, 0.25, 1.0), (1.0, -1.0, -1.0)),
     "clock": Observation(2, lambda view: clock(view), mirror=(-1.0, -1.0)),
     "true_down": Observation(3, lambda view: view.true_down, mirror=POLAR),
-    "velocity": Observation(3, lambda view: view.rotation.T @ view.world.qvel[:3], mirror=POLAR),
-    "height": Observation(1, lambda view: view.world.qpos[2:3], lambda robot: robot.start_height, (1.0,)),
+    "velocity": Observation(3, lambda view: view.rotation.T @ view.episode.world.qvel[:3], mirror=POLAR),
+    "height": Observation(1, lambda view: view.episode.world.qpos[2:3], lambda robot: robot.start_height, (1.0,)),
     "turn_rate": Observation(1, lambda view: view.turn_rate[None], TURN, (-1.0,)),
     "foot_heights": Observation("feet", lambda view: view.feet.height, lambda robot: robot.length(HEIGHT)),
     "foot_loads": Observation("feet", lambda view: view.feet.load, lambda robot: robot.force(FORCE)),
@@ -66,7 +66,7 @@ PRIVILEGED = ("true_down", "velocity", "height")
 
 def clock(view: View) -> Float[Array, "2"]:
     """Sine and cosine of the gait's phase; both 0 while the command is to stand."""
-    angle = 2 * jnp.pi * view.phase
+    angle = 2 * jnp.pi * view.episode.phase
     return jnp.where(view.moving, jnp.stack([jnp.sin(angle), jnp.cos(angle)]), 0.0)
 
 

@@ -116,24 +116,24 @@ def upright(view: View) -> FloatScalar:
 
 def still(view: View) -> FloatScalar:
     """1 for hips that do not move, 1 / e at `STILL`."""
-    return jnp.exp(-jnp.sum(view.world.qvel[:3] ** 2) / view.robot.speed(STILL) ** 2)
+    return jnp.exp(-jnp.sum(view.episode.world.qvel[:3] ** 2) / view.robot.speed(STILL) ** 2)
 
 
 def calm(view: View) -> FloatScalar:
     """1 less the mean square of the offsets."""
-    return 1.0 - jnp.mean(view.offsets**2)
+    return 1.0 - jnp.mean(view.episode.offsets**2)
 
 
 def speed(view: View) -> FloatScalar:
     """1 at the commanded velocity, forward and sideways, at three scales; the widest is of the last decision alone."""
-    late, now = jnp.sum(view.strayed[:2] ** 2), jnp.sum((view.velocity[:2] - view.command[:2]) ** 2)
+    late, now = jnp.sum(view.episode.strayed[:2] ** 2), jnp.sum((view.velocity[:2] - view.command[:2]) ** 2)
     near, middle, far = map(view.robot.square, SPEED_SCALES)
     return (jnp.exp(-late / near) + jnp.exp(-late / middle) + jnp.exp(-now / far)) / 3
 
 
 def turn(view: View) -> FloatScalar:
     """1 at the commanded turn rate, at three scales; the widest is of the last decision alone."""
-    late, now = view.strayed[2] ** 2, (view.turn_rate - view.command[2]) ** 2
+    late, now = view.episode.strayed[2] ** 2, (view.turn_rate - view.command[2]) ** 2
     near, middle, far = TURN_SCALES
     return (jnp.exp(-late / near) + jnp.exp(-late / middle) + jnp.exp(-now / far)) / 3
 
@@ -183,12 +183,12 @@ def yawing(view: View) -> FloatScalar:
 
     A torso that turns to and fro with its steps has none of late, and misses the heading that it is to keep.
     """
-    return jnp.minimum((view.turn_rate - view.command[2] - view.strayed[2]) ** 2, 1.0)
+    return jnp.minimum((view.turn_rate - view.command[2] - view.episode.strayed[2]) ** 2, 1.0)
 
 
 def jumps(view: View) -> FloatScalar:
     """The mean square of the offsets' changes."""
-    return jnp.mean((view.offsets - view.last_offsets) ** 2)
+    return jnp.mean((view.episode.offsets - view.last_offsets) ** 2)
 
 
 def effort(view: View) -> FloatScalar:

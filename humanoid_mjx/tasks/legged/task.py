@@ -22,7 +22,7 @@ from humanoid_mjx.robot import Robot
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import State, begin
 from humanoid_mjx.tasks.legged.body import LeggedBody
-from humanoid_mjx.tasks.legged.commands import Velocity, moves
+from humanoid_mjx.tasks.legged.commands import Velocity
 from humanoid_mjx.tasks.legged.episode import Episode, MeanMotion
 from humanoid_mjx.tasks.legged.events import Push, Randomise
 from humanoid_mjx.tasks.legged.gait import Clock, Gaits
@@ -124,7 +124,7 @@ class LeggedTask(LeggedBody):
         """A state under this command in the place of its own, as its data and what the learner sees have it; `view` is
         that of the state."""
         data = state.data.under(command, 0.0)
-        return state._replace(data=data, obs=self.seen(view._replace(command=self.followed(data), phase=data.phase)))
+        return state._replace(data=data, obs=self.seen(view._replace(episode=data)))
 
     def _carry_out(
         self, state: State, command: Float[Array, " joints"], key: Key[Array, ""], watched: bool
@@ -143,14 +143,14 @@ class LeggedTask(LeggedBody):
         sensed = jax.tree.map(lambda part: part[-1], seen) if watched else seen
         after = before.sense(self.sensors, world, sensed.readings, self.period, sensor_key)
         if self.command:
-            after = after.compared(self.followed(before), self.period)
+            after = after.compared(before.followed(self.command), self.period)
         after = after._replace(offsets=offsets, decisions=before.decisions + 1)
         view = self.view(after, sensed, before.offsets)
         fallen = self.fall.fallen(view) | world.diverged
         terms = {name: jnp.where(fallen, 0.0, term) for name, term in self.rewards.weighted(view).items()}
         after = self._go_on(after, jax.random.fold_in(key, 1))
         over = after.decisions * self.period >= self.duration - self.period / 2
-        obs = self.seen(view._replace(command=self.followed(after), phase=after.phase))
+        obs = self.seen(view._replace(episode=after))
         state = State(
             data=after,
             obs=obs,
@@ -171,40 +171,20 @@ class LeggedTask(LeggedBody):
         names = "forward, m/s", "left, m/s", "turn left, rad/s"
         return dict(zip(names, data.command, strict=True)) if self.command else {}
 
-    def followed(self, episode: Episode) -> Float[Array, "3"]:
-        """The command that the body is to follow now: the one that it was told, its heading held."""
-        return self.command.held(episode.command, episode.heading_error) if self.command else episode.command
-
     def reference(self, episode: Episode) -> Float[Array, " joints"] | float:
         """The motion about the posture that the offsets correct, rad."""
-        return self.gait.reference(episode.clock, self.followed(episode), self.robot) if self.gait else 0.0
+        return self.gait.reference(episode.clock, episode.followed(self.command), self.robot) if self.gait else 0.0
 
     def view(self, episode: Episode, sensed: Sensed | None, last_offsets: Float[Array, " joints"]) -> View:
         """The view that the parts of the task take; `sensed` is None at the beginning of an episode."""
-        return View(
-            robot=self.robot,
-            world=episode.world,
-            motion=episode.motion,
-            strayed=episode.strayed,
-            rotation=rotation_matrix(episode.world.qpos[3:7]),
-            feet=feet_of(sensed, self.simulator.body_names, self.robot) if sensed else unknown_feet(self.robot),
-            torque=sensed.torque if sensed else jnp.zeros(len(self.robot.joints)),
-            readings=episode.readings,
-            rates=episode.rates,
-            down=episode.down,
-            offsets=episode.offsets,
-            last_offsets=last_offsets,
-            command=self.followed(episode),
-            phase=episode.phase,
-            swing=self.gait.swing(episode.phase, self.robot) * moves(episode.command)
-            if self.gait
-            else jnp.zeros(len(self.robot.feet)),
-        )
+        feet = feet_of(sensed, self.simulator.body_names, self.robot) if sensed else unknown_feet(self.robot)
+        torque = sensed.torque if sensed else jnp.zeros(len(self.robot.joints))
+        return View(self.robot, self.command, self.gait, episode, feet, torque, last_offsets)
 
     def seen(self, view: View) -> Float[Array, " observation_size"]:
         """What the learner sees."""
         obs = self.observed(view)
-        return jnp.where(self.mirrored(view.phase), self.observed.mirrored(obs), obs) if self.symmetric else obs
+        return jnp.where(self.mirrored(view.episode.phase), self.observed.mirrored(obs), obs) if self.symmetric else obs
 
     def mirrored(self, phase: FloatScalar) -> Bool[Array, ""]:
         """Whether a `symmetric` task shows the body's mirror image, and takes the offsets for its joints.

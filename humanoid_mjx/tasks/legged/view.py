@@ -6,10 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from humanoid_mjx.physics.base import Readings, Sensed, World
+from humanoid_mjx.mechanics.rotations import rotation_matrix
+from humanoid_mjx.physics.base import Sensed
 from humanoid_mjx.robot import Robot
-from humanoid_mjx.tasks.legged.commands import moves
-from humanoid_mjx.tasks.legged.episode import MeanMotion
+from humanoid_mjx.tasks.legged.commands import Velocity, moves
+from humanoid_mjx.tasks.legged.episode import Episode
+from humanoid_mjx.tasks.legged.gait import Gait
 from humanoid_mjx.types import BoolScalar, FloatScalar
 
 TOUCHING = 0.006
@@ -76,34 +78,38 @@ class View(NamedTuple):
     """One moment of an episode."""
 
     robot: Robot
-    world: World
-    """The true state of the world."""
-    motion: MeanMotion
-    """What the torso did in the last decision."""
-    strayed: Float[Array, "3"]
-    """Velocity forward and to the left, m/s, and turn rate to the left, rad/s, less the command, of late."""
-    rotation: Float[Array, "3 3"]
-    """From the torso's frame to the world."""
+    commands: Velocity | None
+    gait: Gait | None
+    episode: Episode
+    """The true state of the world, the readings of the sensors, and what the task remembers."""
     feet: Feet
     """The true state of the feet at the beginning of the last time step."""
     torque: Float[Array, " joints"]
     """Torques that acted in the last time step, N m."""
-    readings: Readings
-    """The last readings of the sensors."""
-    rates: Float[Array, " joints"]
-    """Change of the encoders since the readings before, rad/s."""
-    down: Float[Array, "3"]
-    """The direction of gravity in the torso's frame, as estimated from the sensors."""
-    offsets: Float[Array, " joints"]
-    """Offsets of the set-points from the posture, -1 to 1."""
     last_offsets: Float[Array, " joints"]
     """Offsets of the decision before."""
-    command: Float[Array, "3"]
-    """Commanded velocity forward and to the left, m/s, and turn rate to the left, rad/s."""
-    phase: FloatScalar
-    """Phase of the gait, 0 to 1."""
-    swing: Float[Array, " feet"]
-    """How far along its way up each foot should be, 0 to 1, by the gait's clock; 0 where it should stand."""
+
+    @property
+    def command(self) -> Float[Array, "3"]:
+        """Velocity forward and to the left, m/s, and turn rate to the left, rad/s, that the body is to follow."""
+        return self.episode.followed(self.commands)
+
+    @property
+    def moving(self) -> BoolScalar:
+        """Whether the command is to move."""
+        return moves(self.episode.command)
+
+    @property
+    def swing(self) -> Float[Array, " feet"]:
+        """How far along its way up each foot should be, 0 to 1, by the gait's clock; 0 where it should stand."""
+        if self.gait is None:
+            return jnp.zeros(len(self.robot.feet))
+        return self.gait.swing(self.episode.phase, self.robot) * self.moving
+
+    @property
+    def rotation(self) -> Float[Array, "3 3"]:
+        """From the torso's frame to the world."""
+        return rotation_matrix(self.episode.world.qpos[3:7])
 
     @property
     def true_down(self) -> Float[Array, "3"]:
@@ -118,19 +124,14 @@ class View(NamedTuple):
     @property
     def height(self) -> FloatScalar:
         """Height of the hips, m."""
-        return self.world.qpos[2]
+        return self.episode.world.qpos[2]
 
     @property
     def velocity(self) -> Float[Array, "3"]:
         """Mean velocity of the hips in the last decision: forward, to the left and up, m/s."""
-        return self.motion.velocity
+        return self.episode.motion.velocity
 
     @property
     def turn_rate(self) -> FloatScalar:
         """Mean turn rate of the torso about the vertical in the last decision, to the left, rad/s."""
-        return self.motion.turn_rate
-
-    @property
-    def moving(self) -> BoolScalar:
-        """Whether the command is to move."""
-        return moves(self.command)
+        return self.episode.motion.turn_rate
