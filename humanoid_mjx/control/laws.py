@@ -13,22 +13,58 @@ plant's mass is a value of the physics, and the two may differ.
 with kp = natural_frequency^2 and kd = damping_ratio 2 natural_frequency (5.33, 5.34).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pydantic
+from jaxtyping import Array, Float, Int
 
 from humanoid_mjx.control.gains import critical_kd
 from humanoid_mjx.control.ground import NATURAL_FREQUENCY, SERVO_KD, SERVO_KP, SHARE, grounded_torque
 from humanoid_mjx.control.pd import Gain, Joints, Reference, pd, servo
+from humanoid_mjx.mechanics.contacts import Contacts
 from humanoid_mjx.spec import Named, make_named, traced, written
+from humanoid_mjx.types import AnyArray, MassFactor
 
-RobotState: TypeAlias = Any
-"""What a law may ask of a robot: `qpos` and `qvel` of its joints, `torque_for`, `model_for`, `contacts` and `joints`,
-as `physics.base.Stages` has them."""
+
+@runtime_checkable
+class RobotState(Protocol):
+    """The state of a robot as a law may ask for it; `physics.base.Stages` is one."""
+
+    @property
+    def qpos(self) -> Float[AnyArray, " joints"]:
+        """Angles of the actuated joints, rad."""
+        ...
+
+    @property
+    def qvel(self) -> Float[AnyArray, " joints"]:
+        """rad/s"""
+        ...
+
+    @property
+    def torque_for(self) -> Callable[[Joints, MassFactor], Joints]:
+        """(accelerations of the joints, rad/s^2, a model's mass factor) -> the torques that the model asks for, N m."""
+        ...
+
+    @property
+    def model_for(self) -> Callable[[MassFactor], tuple[Float[Array, "nv nv"], Float[Array, " nv"]]]:
+        """(a model's mass factor) -> the mass matrix and the bias of that model."""
+        ...
+
+    @property
+    def contacts(self) -> Callable[[], Contacts]:
+        """() -> the corners of the feet that can touch the ground."""
+        ...
+
+    @property
+    def joints(self) -> slice | Int[np.ndarray, " joints"]:
+        """Where the actuated joints stand among the degrees of freedom."""
+        ...
 
 
 class Law(Named):

@@ -9,12 +9,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import get_opaque_trace_state
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from humanoid_mjx.compute import Arithmetic
 from humanoid_mjx.mechanics.contacts import Contacts
 from humanoid_mjx.spec import InputError, Spec
-from humanoid_mjx.types import AnyArray
+from humanoid_mjx.types import AnyArray, MassFactor
 
 MAX_SPEED = 300.0
 """rad/s and m/s. Beyond it a world counts as diverged: the torque limit against the damping of the lower body spins a
@@ -69,14 +69,14 @@ class Stages:
     qvel: Float[AnyArray, "*worlds joints"]
     dynamics: Callable[[], tuple[Any, Any]]
     """() -> `mass_matrix` and `bias`."""
-    torque_for: Callable[[Any, Any], Any]
+    torque_for: Callable[[Float[Array, " joints"], MassFactor], Float[Array, " joints"]]
     """(accelerations of the joints, rad/s^2, a model's mass factor) -> the torques that the model asks for, N m. The
     factor is a number, or one for each joint's link. Treats a free torso as fixed and ignores contacts."""
     contacts: Callable[[], Contacts]
     """The corners of the feet that can touch the ground; no points where there is none."""
-    model_for: Callable[[Any], tuple[Any, Any]]
+    model_for: Callable[[MassFactor], tuple[Float[Array, "nv nv"], Float[Array, " nv"]]]
     """(a model's mass factor) -> the mass matrix and the bias of that model."""
-    joints: Any
+    joints: slice | Int[np.ndarray, " joints"]
     """Where the actuated joints stand among the degrees of freedom."""
 
     @property
