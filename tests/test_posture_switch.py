@@ -107,7 +107,7 @@ def test_a_sweep_learns_to_switch(tmp_path):
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        ({"physics": "chains"}, "task.physics must be one of"),
+        ({"physics": "chains"}, "physics.name: unknown physics 'chains'; did you mean"),
         ({"posture": "6.5"}, "task.posture must be one of"),
         ({"period": 0.0123}, "a control cycle of 0.0123 s must be a multiple of the time step of 0.005 s"),
         ({"control": {"natural_frequency": -1.0}}, "task.control.natural_frequency must be greater than 0"),

@@ -14,10 +14,10 @@ PHYSICS = {
 }
 
 
-def make_physics(name: str, /, **params: Any) -> Any:
-    """Build the physics called `name`, or a user's own given as "package.module:Class".
+def make_physics(name: str, base: type[Physics] = Physics, /, **params: Any) -> Any:
+    """Build the physics called `name`, or a user's own given as "package.module:Class", which derives from `base`.
 
     Raises:
       InputError: unknown name or parameter, a value out of range, or a package that is not installed.
     """
-    return make("physics", PHYSICS, Physics, name, **params)
+    return make("physics", PHYSICS, base, name, **params)

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from copy import copy
 from functools import lru_cache, partial
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +21,7 @@ from mujoco.rollout import Rollout
 
 from humanoid_mjx.compute import cores
 from humanoid_mjx.mechanics.contacts import Contacts
-from humanoid_mjx.physics.base import Controller, Once, Poses, Sensed, Stages, Velocities, World
+from humanoid_mjx.physics.base import Batches, Controller, Once, Poses, Sensed, Stages, Velocities, World
 from humanoid_mjx.physics.model import MujocoPhysics, below, freeze_if_diverged
 from humanoid_mjx.robot import Robot
 from humanoid_mjx.types import AnyArray, MassFactor
@@ -51,6 +51,8 @@ _LOCK = threading.Lock()
 
 class Native(MujocoPhysics):
     """Native MuJoCo. Worlds may differ in their traced values: each distinct set of them has a model of its own."""
+
+    batches: ClassVar[Batches] = Batches(cpu=256, gpu=256)
 
     def step(self, world: World, controller: Controller, substeps: int = 1) -> tuple[World, Float[Array, " joints"]]:
         return self._cycle(world, controller, substeps, sensed=False)[:2]

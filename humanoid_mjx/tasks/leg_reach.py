@@ -65,7 +65,7 @@ class LegReach(ContinuousTask):
     joints are so at its end; one whose simulation breaks down terminates with the reward -1.
     """
 
-    physics: Literal["chain", "mjx-jax", "mujoco"] = "chain"
+    physics: str = Field("chain", description="chain, mjx-jax, mujoco, or your own as package.module:Class")
     control: Control = Field(ComputedTorqueLaw(), description="the law that drives the joints to their set-points")
     ranges: Literal["proposed", "human"] = Field("proposed", description="column of Table 3.2")
     bins: Literal[3, 5, 9] = Field(9, description="values of a joint's increment, evenly from -1 to 1 times it")

@@ -51,7 +51,7 @@ class PostureSwitch(FiniteTask):
     A decision costs `step_reward`, the goal earns `bonus`.
     """
 
-    physics: Literal["chain", "mjx-jax", "mjx-warp", "mujoco"] = "chain"
+    physics: str = Field("chain", description="chain, mjx-jax, mjx-warp, mujoco, or your own as package.module:Class")
     control: Control = Field(ComputedTorqueLaw(), description="the law that drives the joints to their set-points")
     posture: Literal["6.4", "7H"] = Field("6.4", description="the section that gives start and goal")
     places: int = Field(5, ge=2, le=50, description="points of the grid from start to goal, for each joint")

@@ -34,9 +34,6 @@ from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
 SECONDS = 20.0
 """Length of an episode, s."""
 
-WORLDS, WORLDS_ON_CPU, WORLDS_IN_MUJOCO = 32_768, 1024, 256
-"""How many bodies move side by side at most: more gain nothing, and fewer are heard of sooner."""
-
 TURN_GAIN, TURN_RATE = 4.0, 1.0
 """A sudden turn is commanded as a turn rate: so much of the heading's error, 1/s, at most so much, rad/s. It begins to
 slow down 14 degrees before its goal, a fourth of a second that a gait has to stop turning in."""
@@ -149,7 +146,7 @@ def play_gaits(
     numbers = jnp.array([AGENTS.index(name) for name, _ in chosen], jnp.int32)
     commands = _Commands(*(jnp.array(column, float) for column in list(zip(*scenarios, strict=True))[1:]))
     side_by_side = len(chosen) * len(scenarios)
-    block = min(episodes, max(_worlds(task) // side_by_side, 1))
+    block = min(episodes, max(task.simulator.batches.here // side_by_side, 1))
     keys = held_out_keys(-(-episodes // block) * block)
     run, decisions = _program(task.arithmetic), jnp.int32(round(seconds / task.period))
     parts = []
@@ -168,13 +165,6 @@ def gaits_of(found: dict[str, dict[str, np.ndarray]], scenarios: Sequence[Scenar
         for name, of_agent in found.items()
         for row, scenario in enumerate(scenarios)
     ]
-
-
-def _worlds(task: LeggedTask) -> int:
-    """How many bodies to simulate side by side."""
-    if task.physics == "mujoco":
-        return WORLDS_IN_MUJOCO
-    return WORLDS_ON_CPU if jax.default_backend() == "cpu" else WORLDS
 
 
 @lru_cache

@@ -37,7 +37,7 @@ class LeggedBody(ContinuousTask):
     """The part of legged tasks that concerns the robot; derive from `LeggedTask`."""
 
     robot: RobotKey = Field(make_robot("lower_body", ranges="human"), description="the robot that stands")
-    physics: Literal["tree", "mjx-jax", "mjx-warp", "mujoco"] = "tree"
+    physics: str = Field("tree", description="tree, mjx-jax, mjx-warp, mujoco, or your own as package.module:Class")
     control: Control = Field(ServoLaw(stiffness=3.0, damping=0.1), description="the law that drives the joints")
     bins: Literal[3, 5, 9] = Field(3, description="values of a joint's offset, evenly from -1 to 1 times it")
     action_scale: float = traced(
@@ -133,4 +133,4 @@ class LeggedBody(ContinuousTask):
 
 @lru_cache
 def _simulator(name: str, robot: Robot, timestep: float) -> MujocoPhysics:
-    return make_physics(name, robot=robot, timestep=timestep)
+    return make_physics(name, MujocoPhysics, robot=robot, timestep=timestep)
