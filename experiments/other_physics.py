@@ -22,13 +22,10 @@ from humanoid_mjx.files import names
 from humanoid_mjx.training.sweep import sweep
 
 RECORD = Path(__file__).parent.parent / "docs" / "bench" / "cpu_2_cores_other_physics.json"
-TASKS = ("posture_switch", "leg_reach", "stand")
-
-
 OFFERED = {
     "posture_switch": ("chain", "mjx-jax", "mjx-warp", "mujoco"),
+    "leg_reach": ("chain", "mjx-jax", "mujoco"),
     "stand": ("tree", "mjx-jax", "mjx-warp", "mujoco"),
-    "walk": ("tree", "mjx-jax", "mjx-warp", "mujoco"),
 }
 """The physics of each task whose policy is tried."""
 
@@ -43,7 +40,6 @@ def policy_for(task: str) -> Trained:
 
 def on_each_physics(trained: Trained, episodes: int) -> list[dict[str, Any]]:
     """What the policy, the zero and the random agent reach on each physics, that of the training first."""
-    task = trained.learner.task
     own, offered = trained.config.task["physics"], OFFERED[trained.config.task["name"]]
     found = []
     for physics in (own, *(name for name in offered if name != own)):
@@ -59,7 +55,7 @@ def on_each_physics(trained: Trained, episodes: int) -> list[dict[str, Any]]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("tasks", nargs="*", default=TASKS, help=f"some of {', '.join(TASKS)}")
+    parser.add_argument("tasks", nargs="*", default=list(OFFERED), help=f"some of {', '.join(OFFERED)}")
     parser.add_argument("--episodes", type=int, default=128, help="of each agent on each physics")
     parser.add_argument("--out", type=Path, default=RECORD, help="the record")
     asked = parser.parse_args()

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import trim_mean
 
-from humanoid_mjx.report.figures import find_levels, sweep_figures
+from humanoid_mjx.report.figures import CURVES, TERMS, Figure, curved, find_levels, learning_curves, sweep_figures
 from humanoid_mjx.report.style import count_axis, figure, label_lines
 from humanoid_mjx.runs.ranking import ranked, ties, training_interval
 from humanoid_mjx.runs.statistics import iqm, iqm_interval, rate_interval
@@ -123,6 +123,15 @@ def test_figures_of_every_number_of_axes(tmp_path, axes, seeds):
     summary = {name: values[first] for name, values in results.items()}
     summary |= {"greedy_success": np.ones(first.sum()), "greedy_steps": rng.uniform(5, 9, first.sum())}
     paths = sweep_figures(tmp_path, "title", axes, results, summary)
+    assert [each.title for each in curved(results)] == [CURVES["steps"]]
+    terms = results | {"alive": results["steps"] / 2, "calm": -results["steps"], "td_error": 1.0 / results["episode"]}
+    asked = []
+    own = Figure("of one's own", ("calm",), lambda panel, rows, axis: asked.append(axis) or {})
+    absent = own._replace(needed=("nothing",))
+    drawn = [each.title for each in curved(terms, [own, absent])]
+    assert drawn == [CURVES["steps"], CURVES["td_error"], TERMS, "of one's own"]
+    learning_curves(tmp_path / "terms.png", "title", axes, terms, [own])
+    assert asked == (axes or [None])
     # The greedy success is 1 everywhere: no map is drawn of what is the same everywhere.
     assert [path.name for path in paths[1:]] == (["greedy_steps.png"] if len(axes) > 1 else [])
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in paths)

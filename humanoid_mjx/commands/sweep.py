@@ -38,11 +38,11 @@ def run_sweep(config: str, out: Path | None, overrides: Sequence[str], resume: b
         if process:
             return
         bar.phase("drawing figures")
-        from humanoid_mjx.report.figures import sweep_figures  # matplotlib takes a while
+        from humanoid_mjx.report.figures import figures_of, sweep_figures  # matplotlib takes a while
 
         axes = list(run.config.sweep.axes) if run.config.sweep else []
-        summary = run.summary
-        paths = sweep_figures(run.path / "figures", run.config.name, axes, run.results, summary)
+        summary, own = run.summary, figures_of(run.config.task["name"], run.config.modules)
+        paths = sweep_figures(run.path / "figures", run.config.name, axes, run.results, summary, own)
     print_summary(axes, summary, read_provenance(run.path), quickest=run.config.episodes is not None)
     for path in (run.path / "results.parquet", run.path / "summary.parquet", *paths):
         console.print(f"{path}", soft_wrap=True)

@@ -31,7 +31,6 @@ NAMES = {
     TIME: "seconds of training",
     "greedy_return": "return of a greedy episode (undiscounted)",
     "diverged": "share of runs that diverged",
-    "td_error": "TD error, root mean square",
 }
 """What columns are called on an axis."""
 

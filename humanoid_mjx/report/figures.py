@@ -1,6 +1,7 @@
 """The figures of a sweep: learning curves by swept value, heat maps over any two swept parameters."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from itertools import combinations, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -8,8 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from humanoid_mjx.report.style import count_axis, figure, label_lines, shades, short, wrapped
+from humanoid_mjx.report.style import COLORS, count_axis, figure, label_lines, shades, short, wrapped
 from humanoid_mjx.runs.statistics import iqm, iqm_interval
+from humanoid_mjx.spec import InputError, find, modules_in
+from humanoid_mjx.tasks import TASKS
+from humanoid_mjx.tasks.base import Task
 
 MAX_LEVELS = 12
 """More values than this on one axis are put into bins."""
@@ -26,11 +30,26 @@ CURVES = {
     "success": "share of episodes that succeed",
     "greedy_success": "share of greedy episodes that succeed",
     "return": "return per episode (undiscounted)",
+    "td_error": "TD error, root mean square",
 }
+
+TERMS = "terms of the reward, sums of an episode"
 
 
 COUNTED = {"episode": "episodes", "step": "control steps"}
 """The columns that a learning curve is drawn over, and what they are called."""
+
+
+class Figure(NamedTuple):
+    """A figure of a learning curve, drawn panel by panel."""
+
+    title: str
+    needed: tuple[str, ...]
+    """Columns without which it is not drawn."""
+    draw: Callable[[Any, Mapping[str, np.ndarray], str | None], dict[str, float]]
+    """(panel, rows, swept parameter) -> the last value of each line by its label."""
+    by_axis: bool = True
+    """Whether it tells the values of a swept parameter apart."""
 
 
 class Levels(NamedTuple):
@@ -46,10 +65,11 @@ def sweep_figures(
     axes: list[str],
     results: Mapping[str, np.ndarray],
     summary: Mapping[str, np.ndarray],
+    own: Sequence[Figure] = (),
 ) -> list[Path]:
-    """Draw all figures of a run folder from its tables; the paths of what was drawn."""
+    """Draw all figures of a run folder, and the task's own, from its tables; the paths of what was drawn."""
     paths = [folder / "learning_curves.png"]
-    learning_curves(paths[0], title, axes, results)
+    learning_curves(paths[0], title, axes, results, own)
     for name in mapped(axes, summary):
         paths.append(folder / f"{name}.png")
         heat_maps(paths[-1], f"{title}: {HEAT_MAPS[name]}", axes, summary, name)
@@ -61,10 +81,27 @@ def mapped(axes: list[str], summary: Mapping[str, np.ndarray]) -> list[str]:
     return [name for name in HEAT_MAPS if len(axes) >= 2 and name in summary and _tells(summary[name])]
 
 
-def curved(results: Mapping[str, np.ndarray]) -> list[str]:
-    """The measures worth a learning curve: those that change, or if none does all."""
-    recorded = [name for name in CURVES if name in results]
-    return [name for name in recorded if _tells(results[name])] or recorded
+def curved(results: Mapping[str, np.ndarray], own: Sequence[Figure] = ()) -> list[Figure]:
+    """The figures worth drawing: of what was recorded those that change, or if none does all."""
+    measures = [Figure(title, (name,), partial(draw_curves, name=name)) for name, title in CURVES.items()]
+    terms = tuple(name for name, values in results.items() if values.dtype.kind == "f" and _is_term(name))
+    every = *measures, *([Figure(TERMS, terms, partial(draw_terms, names=terms), by_axis=False)] if terms else []), *own
+    recorded = [each for each in every if set(each.needed) <= results.keys()]
+    return [each for each in recorded if any(_tells(results[name]) for name in each.needed)] or recorded
+
+
+def figures_of(task: str, modules: str | None) -> list[Figure]:
+    """The figures that a task adds, by its name; none where its module is no longer there."""
+    try:
+        with modules_in(modules):
+            return [Figure(*each) for each in find("task", TASKS, Task, task).figures]
+    except InputError:
+        return []
+
+
+def _is_term(column: str) -> bool:
+    """Whether a column of learning curves is a term of the reward: it is nothing else that is recorded."""
+    return "." not in column and column not in CURVES and not column.startswith("greedy_")
 
 
 def averaged(axes: Sequence[str], results: Mapping[str, np.ndarray], interval: str = "band") -> str:
@@ -78,25 +115,31 @@ def averaged(axes: Sequence[str], results: Mapping[str, np.ndarray], interval: s
     return f"interquartile mean over {seeds} seeds{others}; {interval}: 95 % bootstrap over seeds"
 
 
-def learning_curves(path: Path, title: str, axes: list[str], results: Mapping[str, np.ndarray]) -> None:
-    """A row of panels for each measure, a panel for each swept parameter, a line for each of its values.
+def learning_curves(
+    path: Path, title: str, axes: list[str], results: Mapping[str, np.ndarray], own: Sequence[Figure] = ()
+) -> None:
+    """A row of panels for each figure, a panel for each swept parameter, a line for each of its values.
 
     A line is the interquartile mean over seeds of the mean over all points with that value; its band is the 95 %
     bootstrap interval over seeds.
     """
-    names = curved(results)
+    rows = curved(results, own)
     columns: list[str | None] = list(axes) or [None]
-    with figure(path, len(names), len(columns), sharex=True, sharey="row") as (fig, panels):
+    with figure(path, len(rows), len(columns), sharex=True, sharey="row") as (fig, panels):
         fig.suptitle(wrapped(f"{title}: {averaged(axes, results)}", fig), x=0.01, ha="left")
         for column, axis_name in enumerate(columns):
-            for row, name in enumerate(names):
-                draw_curves(panels[row, column], results, axis_name, name)
+            for row, each in enumerate(rows):
+                panel = panels[row, column]
+                if column > 0 and not each.by_axis:
+                    panel.set_axis_off()
+                    continue
+                each.draw(panel, results, axis_name)
                 if row == 0:
-                    panels[row, column].set_title(axis_name or "")
-                if row < len(names) - 1:
-                    panels[row, column].set_xlabel("")
+                    panel.set_title(axis_name or "")
+                if row < len(rows) - 1:
+                    panel.set_xlabel("")
                 if column > 0:
-                    panels[row, column].set_ylabel("")
+                    panel.set_ylabel("")
 
 
 def draw_curves(panel: Any, results: Mapping[str, np.ndarray], axis_name: str | None, name: str) -> dict[str, float]:
@@ -108,7 +151,8 @@ def draw_curves(panel: Any, results: Mapping[str, np.ndarray], axis_name: str | 
     everything = Levels(["all"], np.zeros(len(results["seed"]), int))
     levels = find_levels(results[axis_name]) if axis_name else everything
     colors = shades(len(levels.labels))
-    count, seed, values = results["step" if "step" in results else "episode"], results["seed"], results[name]
+    counter = _counter(results)
+    count, seed, values = results[counter], results["seed"], results[name]
     rows = [levels.index == level for level in range(len(colors))]
     ends = [
         draw_line(panel, count[chosen], seed[chosen], values[chosen], color).end
@@ -117,9 +161,29 @@ def draw_curves(panel: Any, results: Mapping[str, np.ndarray], axis_name: str | 
     if axis_name:
         label_lines(panel, ends, levels.labels, colors)
     count_axis(panel)
-    panel.set_xlabel(COUNTED["step" if "step" in results else "episode"])
+    panel.set_xlabel(COUNTED[counter])
     panel.set_ylabel(CURVES[name])
     return dict(zip(levels.labels, ends, strict=True))
+
+
+def draw_terms(
+    panel: Any, results: Mapping[str, np.ndarray], axis_name: str | None, names: Sequence[str]
+) -> dict[str, float]:
+    """One panel of columns, a line for each, over all values of whatever was swept; returns as `draw_curves`."""
+    counter, colors = _counter(results), [COLORS[i % len(COLORS)] for i in range(len(names))]
+    ends = [
+        draw_line(panel, results[counter], results["seed"], results[name], color).end
+        for name, color in zip(names, colors, strict=True)
+    ]
+    label_lines(panel, ends, names, colors)
+    count_axis(panel)
+    panel.set_xlabel(COUNTED[counter])
+    panel.set_ylabel(TERMS)
+    return dict(zip(names, ends, strict=True))
+
+
+def _counter(results: Mapping[str, np.ndarray]) -> str:
+    return "step" if "step" in results else "episode"
 
 
 class Line(NamedTuple):

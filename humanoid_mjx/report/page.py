@@ -13,7 +13,7 @@ from PIL import Image
 from humanoid_mjx.config import dump_yaml
 from humanoid_mjx.evaluation.policy import find_policy
 from humanoid_mjx.files import write_text
-from humanoid_mjx.report.figures import CURVES, HEAT_MAPS, averaged, curved, draw_curves, draw_map, limits, mapped
+from humanoid_mjx.report.figures import HEAT_MAPS, Figure, averaged, curved, draw_map, figures_of, limits, mapped
 from humanoid_mjx.report.player import player
 from humanoid_mjx.report.rendering import strip
 from humanoid_mjx.report.showing import show
@@ -59,10 +59,11 @@ def run_page(path: Path, reporter: Reporter, motion: bool) -> str:
         raise InputError(f"{path}: its tables do not fit its config; they have no column {missing[0]}.")
     reporter.phase("drawing figures")
     points = ranked(axes, summary, quickest=bool(config.get("episodes")))
+    own = figures_of(str(config["task"]["name"]), config.get("modules"))
     parts = [
         _lead(config, summary, points),
         section("Result", *_result(axes, summary, points)),
-        section("Learning", text(f"Lines: {averaged(axes, results)}."), *_curves(axes, results)),
+        section("Learning", text(f"Lines: {averaged(axes, results)}."), *_curves(axes, results, own)),
     ]
     if maps := mapped(axes, summary):
         parts.append(section("Two parameters at a time", *_maps(axes, summary, maps)))
@@ -125,25 +126,25 @@ def _result(axes: Sequence[str], summary: Mapping[str, np.ndarray], points: Sequ
     return [*parts, f'<p class="note">{text(words, "span")}</p>']
 
 
-def _curves(axes: Sequence[str], results: Mapping[str, np.ndarray]) -> list[str]:
-    """A row of panels for each measure; where nothing is swept, all measures in one."""
-    names = curved(results)
+def _curves(axes: Sequence[str], results: Mapping[str, np.ndarray], own: Sequence[Figure]) -> list[str]:
+    """A row of panels for each figure; where nothing is swept, all figures in one."""
+    rows = curved(results, own)
     if not axes:
-        return [f'<div class="grid">{"".join(_curve(results, None, name) for name in names)}</div>']
+        return [f'<div class="grid">{"".join(_curve(results, None, each) for each in rows)}</div>']
     return [
-        f'{text(_capital(CURVES[name]), "h3")}<div class="grid">'
-        + "".join(_curve(results, axis, name) for axis in axes)
+        f'{text(_capital(each.title), "h3")}<div class="grid">'
+        + "".join(_curve(results, axis, each) for axis in (axes if each.by_axis else (None,)))
         + "</div>"
-        for name in names
+        for each in rows
     ]
 
 
-def _curve(results: Mapping[str, np.ndarray], axis: str | None, name: str) -> str:
+def _curve(results: Mapping[str, np.ndarray], axis: str | None, each: Figure) -> str:
     ends: dict[str, float] = {}
-    svg = _svg(lambda panel: ends.update(draw_curves(panel, results, axis, name)))
+    svg = _svg(lambda panel: ends.update(each.draw(panel, results, axis)))
     last = ", ".join(f"{label}: {value:.4g}" for label, value in ends.items())
     by = f" by {axis}" if axis else ""
-    return _figure(svg, f"{CURVES[name]}{by}; at the end {last}", axis or _capital(CURVES[name]))
+    return _figure(svg, f"{each.title}{by}; at the end {last}", axis or _capital(each.title))
 
 
 def _maps(axes: Sequence[str], summary: Mapping[str, np.ndarray], names: Sequence[str]) -> list[str]:

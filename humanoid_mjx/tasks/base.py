@@ -1,6 +1,7 @@
 """What all tasks have in common."""
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
@@ -21,6 +22,11 @@ class Task(Spec):
     `period`, s between decisions, and if the data of its states hold a `World` anywhere. It may show more by `drive`,
     `push_on` and `told`.
     """
+
+    figures: ClassVar[tuple[tuple[str, tuple[str, ...], Callable[..., dict[str, float]]], ...]] = ()
+    """Figures that reports of the task have besides those of all tasks: the title, the columns of `results.parquet`
+    that it needs, and `draw(panel, rows, axis)`, which draws on matplotlib's axes and returns each line's last value by its
+    label; `axis` is a swept parameter or None."""
 
     @property
     def arithmetic(self) -> Arithmetic:
