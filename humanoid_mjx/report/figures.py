@@ -128,15 +128,17 @@ def learning_curves(
     with figure(path, len(rows), len(columns), sharex=True, sharey="row") as (fig, panels):
         fig.suptitle(wrapped(f"{title}: {averaged(axes, results)}", fig), x=0.01, ha="left")
         for column, axis_name in enumerate(columns):
+            lowest = max((row for row, each in enumerate(rows) if each.by_axis), default=0) if column else len(rows) - 1
             for row, each in enumerate(rows):
                 panel = panels[row, column]
+                panel.tick_params(labelbottom=row == lowest)
                 if column > 0 and not each.by_axis:
                     panel.set_axis_off()
                     continue
                 each.draw(panel, results, axis_name)
                 if row == 0:
                     panel.set_title(axis_name or "")
-                if row < len(rows) - 1:
+                if row < lowest:
                     panel.set_xlabel("")
                 if column > 0:
                     panel.set_ylabel("")

@@ -25,8 +25,8 @@ class Task(Spec):
 
     figures: ClassVar[tuple[tuple[str, tuple[str, ...], Callable[..., dict[str, float]]], ...]] = ()
     """Figures that reports of the task have besides those of all tasks: the title, the columns of `results.parquet`
-    that it needs, and `draw(panel, rows, axis)`, which draws on matplotlib's axes and returns each line's last value by its
-    label; `axis` is a swept parameter or None."""
+    that it needs, and `draw(panel, rows, axis)`, which draws on matplotlib's axes and returns each line's last value by
+    its label; `axis` is a swept parameter or None."""
 
     @property
     def arithmetic(self) -> Arithmetic:
