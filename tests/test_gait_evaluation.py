@@ -12,12 +12,13 @@ from typer.testing import CliRunner
 from humanoid_mjx.cli import app
 from humanoid_mjx.compute import rng
 from humanoid_mjx.config import parse
-from humanoid_mjx.evaluation.gait import scenarios
 from humanoid_mjx.evaluation.gait.figures import FIGURES
 from humanoid_mjx.evaluation.gait.measure import settings_of
 from humanoid_mjx.evaluation.gait.scenarios import Scenario, calm, gaits_of, play_gaits, scenarios_of
 from humanoid_mjx.evaluation.gait.summary import summarised
 from humanoid_mjx.evaluation.policy import best_policy, in_changed_world, policies_of_best, save_policy
+from humanoid_mjx.physics.base import Batches
+from humanoid_mjx.physics.native import Native
 from humanoid_mjx.report.gaits import bad_end
 from humanoid_mjx.robot.lower_body import LowerBody
 from humanoid_mjx.spec import InputError
@@ -95,7 +96,7 @@ def test_commands_stay_whatever_the_task_draws():
 
 def test_episodes_are_the_same_however_they_are_cut(monkeypatch):
     whole = played(calm(learner_of()))
-    monkeypatch.setattr(scenarios, "WORLDS_IN_MUJOCO", 3 * len(ASKED))
+    monkeypatch.setattr(Native, "batches", Batches(cpu=3 * len(ASKED), gpu=3 * len(ASKED)))
     parts = played(calm(learner_of()))
     np.testing.assert_array_equal(whole["success"], parts["success"])
     np.testing.assert_allclose(whole["seconds"], parts["seconds"], atol=0.021)  # a decision more or less
