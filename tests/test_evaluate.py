@@ -199,7 +199,7 @@ def test_commands(reach, leg, tmp_path):
     ("arguments", "sentence"),
     [
         (["evaluate", "RUN", "--physics", "mujoco"], "the task joint_reach has no choice of physics"),
-        (["evaluate", "posture_switch", "--physics", "bullet"], "task.physics must be one of"),
+        (["evaluate", "posture_switch", "--physics", "bullet"], "physics.name: unknown physics"),
         (["evaluate", "nothing"], "neither a run folder nor a policy"),
         (["evaluate", "RUN", "--json", "none/x.json"], "there is no folder none"),
         (["evaluate", "RUN", "--json", "."], "--json .: this is a folder; name a file"),
