@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from humanoid_mjx.tasks import make_task
     from humanoid_mjx.training.sweep import sweep
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "InputError",
