@@ -96,7 +96,7 @@ def store_and_wait(self, index, pool):
         self.stop.wait()
 session.Session._store_under_way = store_and_wait
 {KILLABLE}"""
-"""A process that stays where some of its runs are finished and others are stored half done, however busy the machine."""
+"""A process that stays where some of its runs are finished and others stored half done, however busy the machine is."""
 
 
 @pytest.mark.parametrize("kill", [signal.SIGKILL, signal.SIGINT])
