@@ -104,8 +104,8 @@ def test_a_hemisphere_would_be_seen():
     ball = points * [1, -np.sign(points[:, 1:2]).ravel()[0], 1]
     half = np.where(np.arange(3) == 1, -np.abs(ball), ball)
     lengths = space.LENGTHS["lengths"]
-    assert space._hemisphere(2, "all joints", half, lengths).verdict == "recovered"
-    assert space._hemisphere(2, "all joints", points, lengths).verdict == "differs"
+    assert space._hemisphere("all joints", half, lengths).verdict == "recovered"
+    assert space._hemisphere("all joints", points, lengths).verdict == "differs"
 
 
 def test_the_pooled_marks_tell_epsilon(tmp_path):
@@ -200,11 +200,11 @@ def test_the_sign_of_the_knee(monkeypatch):
 
 
 def test_nothing_printed_is_no_verdict():
-    assert unprinted("x", "y", 1.0, "why").verdict == "finding"
+    assert unprinted("y", 1.0, "why").verdict == "finding"
     with pytest.raises(ValueError, match="'differs', but printed is None"):
-        Finding("x", "y", None, 1.0, None, "differs", "why")
+        Finding("y", None, 1.0, None, "differs", "why")
     with pytest.raises(ValueError, match="'finding', but printed is 1"):
-        Finding("x", "y", 1.0, 1.0, None, "finding", "why")
+        Finding("y", 1.0, 1.0, None, "finding", "why")
 
 
 def test_every_experiment_is_tried_with_another_value():

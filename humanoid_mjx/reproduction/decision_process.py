@@ -98,7 +98,6 @@ def aliasing(setting: Setting) -> list[Finding]:
     own = largest[POSITIONS[1]]
     return [
         unprinted(
-            "finding-aliasing",
             f"joint 1 with {states} states for 24 places: largest discount tried at which it goes to the goal",
             value,
             f"with a row for every place it is {own:g}; {24 / states:.2g} places share a row here, and the reward of "

@@ -1,11 +1,15 @@
 """Sections 5.3, 5.4 and 4.9: what a gear makes of the leg's dynamics, and which gears a motor needs."""
 
-from typing import Any
-
+import jax.numpy as jnp
 import numpy as np
 
-from humanoid_mjx.report.style import COLORS, figure, log_axis
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, judge, listed, three_digits, unprinted
+from humanoid_mjx.control.actuator import Motor
+from humanoid_mjx.mechanics.dynamics import inverse_dynamics, joint_inertias
+from humanoid_mjx.report.style import COLORS, log_axis
+from humanoid_mjx.reproduction import motor_sizing
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, listed, three_digits, unprinted
+from humanoid_mjx.reproduction.leg_values import NAMES, over, planned
+from humanoid_mjx.robot.leg import Leg
 from humanoid_mjx.thesis import leg as thesis
 
 GEARS = np.array([1.0, 3.0, 10.0, 30.0, 100.0, 300.0])
@@ -26,8 +30,6 @@ MOTOR = {
 """N m/A, ohm, kg m^2, N m s/rad and V: a DC motor of about 25 mm. Nothing is printed of the motors but their maker
 (8.1)."""
 
-NAMES = [name.replace("_", " ") for name in thesis.JOINT_NAMES]
-
 
 def motors(setting: Setting) -> list[Finding]:
     """Sections 5.3, 5.4 and 4.9: what a gear makes of the leg's dynamics, and which gears a motor needs."""
@@ -39,32 +41,31 @@ def motors(setting: Setting) -> list[Finding]:
 
 
 def judge_gears(motion: dict[str, np.ndarray], rotor_inertia: float, friction: float) -> list[Finding]:
-    """Whether a high gear hides the interaction terms and the changes of the inertia, as section 5.3 says."""
+    """Findings on section 5.3: a high gear hides the interaction terms and the changes of the inertia."""
     shares = interaction_shares(motion, rotor_inertia, friction)
     varies = inertia_variation(motion["inertia"], rotor_inertia)
+    least, bare = [_first_below(shares[:, joint], joint) for joint in range(5)], 1 + varies[0].max()
     hundred = int(np.argmin(np.abs(GEARS - 100.0)))
+    shares, varies = shares[hundred], varies[hundred]
+    means = "root mean squares over the planned motion, gravity along the leg; the least gear of "
+    means += f"{listed(GEARS)} at which the share is below {SMALL:g}: {', '.join(least)}"
+    means += f"; with a rotor of {rotor_inertia:g} kg m^2: slow motions leave little to inertia, and d has the weight"
     return [
-        Finding(
-            name="motors-5.3",
-            quantity="share of the interaction terms d of (5.17) in the motor's torque at a gear of 100, by joint",
-            printed="reasonable to ignore for gears far above 1",
-            reproduced=[three_digits(x) for x in shares[hundred]],
-            tolerance=SMALL,
-            verdict=judge(bool((shares[hundred] <= SMALL).all()), {}, {}),
-            why="root mean squares over the planned motion, gravity along the leg; the least gear of "
-            f"{listed(GEARS)} at which the share is below {SMALL:g}: "
-            + ", ".join(_first_below(shares[:, joint], joint) for joint in range(5))
-            + f"; with a rotor of {rotor_inertia:g} kg m^2: slow motions leave little to inertia, and d has the weight",
+        check(
+            "share of the interaction terms d of (5.17) in the motor's torque at a gear of 100, by joint",
+            "reasonable to ignore for gears far above 1",
+            three_digits(shares),
+            (shares <= SMALL).all(),
+            means,
+            SMALL,
         ),
-        Finding(
-            name="motors-5.3",
-            quantity="share by which I_eff of (5.20) varies over the planned motion, by joint, at a gear of 100",
-            printed="almost constant for highly geared manipulators",
-            reproduced=[three_digits(x) for x in varies[hundred]],
-            tolerance=STEADY,
-            verdict=judge(bool((varies[hundred] <= STEADY).all()), {}, {}),
-            why="from the least to the largest inertia; without a gear it varies by a factor of up to "
-            f"{1 + varies[0].max():.1f}",
+        check(
+            "share by which I_eff of (5.20) varies over the planned motion, by joint, at a gear of 100",
+            "almost constant for highly geared manipulators",
+            three_digits(varies),
+            (varies <= STEADY).all(),
+            f"from the least to the largest inertia; without a gear it varies by a factor of up to {bare:.1f}",
+            STEADY,
         ),
     ]
 
@@ -93,68 +94,45 @@ def _first_below(shares: np.ndarray, joint: int) -> str:
 
 def _selection(motion: dict[str, np.ndarray], config: dict[str, float]) -> Finding:
     """The gears with which the motor of the config can do the planned motion and hold the squat."""
-    from humanoid_mjx.reproduction.motor_sizing import CONFIG, LEGS, _squat
-
-    squat = _squat(CONFIG["load"]["torso"], next(iter(LEGS)), CONFIG["squat"]["knee"])
+    load, deepest = (motor_sizing.CONFIG[key][of] for key, of in (("load", "torso"), ("squat", "knee")))
+    squat = motor_sizing.squat(load, 2, deepest)
     gears = np.geomspace(1.0, 10_000.0, 401)
     swings = _able(config, gears, motion["torque"], motion["qvel"])
     holds = _able(config, gears, squat.torque, np.zeros_like(squat.torque))
     knee = _span(gears, swings[:, 3] & holds[:, 3])
     return unprinted(
-        "motors-5.3",
         "gears with which one small motor does the planned motion, by joint: from and to",
         [_span(gears, able) for able in swings.T],
         "nothing is printed of the motors but Table 4.7 and that they were too weak (8.1); this one has "
         f"{config['max_voltage']:g} V, {config['torque_constant']:g} N m/A and {config['resistance']:g} ohm. To hold a "
-        f"squat of {CONFIG['squat']['knee']:g} degrees on two legs as well its gear at the knee must be "
+        f"squat of {deepest:g} degrees on two legs as well its gear at the knee must be "
         f"{' to '.join(f'{x:g}' for x in knee) or 'none'}",
     )
 
 
 def _able(config: dict[str, float], gears: np.ndarray, torque: np.ndarray, qvel: np.ndarray) -> np.ndarray:
-    """(gears, 5) Whether the driver's voltage suffices for torques at speeds, (times, 5) (5.21 to 5.24)."""
-    import jax.numpy as jnp
-
-    from humanoid_mjx.control.actuator import Motor
-
+    """(gears, 5) True where the driver's voltage suffices for torques at speeds, (times, 5) (5.21 to 5.24)."""
     motor = Motor.build(**config, gear_ratio=gears[:, None, None])
-    return (
-        np.abs(np.asarray(motor.voltage_for(jnp.asarray(torque), jnp.asarray(qvel)))).max(axis=1)
-        <= config["max_voltage"]
-    )
+    voltage = np.asarray(motor.voltage_for(jnp.asarray(torque), jnp.asarray(qvel)))
+    return np.abs(voltage).max(axis=1) <= config["max_voltage"]
 
 
-def _span(gears: np.ndarray, able: Any) -> list[float]:
-    chosen = gears[np.asarray(able)]
+def _span(gears: np.ndarray, able: np.ndarray) -> list[float]:
+    chosen = gears[able]
     return [three_digits(chosen[0]), three_digits(chosen[-1])] if len(chosen) else []
 
 
 def _planned_motion() -> dict[str, np.ndarray]:
     """(times, 5) each: speeds, accelerations, torques and joint inertias of the planned motion."""
-    import jax
-    import jax.numpy as jnp
-
-    from humanoid_mjx import dynamics
-    from humanoid_mjx.mechanics.trajectories import Quintic, thesis_quintics
-    from humanoid_mjx.robot.leg import Leg
-
-    times = jnp.linspace(0.0, thesis.QUINTIC_S, 501)
-    motion = jax.vmap(Quintic.at, in_axes=(None, 0))(thesis_quintics(), times)
-    over = jax.jit(jax.vmap(dynamics.inverse_dynamics, in_axes=(None, 0, 0, 0)))
-    inertia = jax.jit(jax.vmap(dynamics.joint_inertias, in_axes=(None, 0)))
-    found = {
-        "qvel": motion.velocity,
-        "qacc": motion.acceleration,
-        "torque": over(Leg.physical(), *motion),
-        "inertia": inertia(Leg.physical(), motion.position),
-    }
-    return {name: np.asarray(value, float) for name, value in found.items()}
+    motion, leg = planned(np.linspace(0.0, thesis.QUINTIC_S, 501)), Leg.physical()
+    torque, inertia = over(inverse_dynamics, leg, *motion), over(joint_inertias, leg, motion.position)
+    return {"qvel": motion.velocity, "qacc": motion.acceleration, "torque": torque, "inertia": inertia}
 
 
 def _draw_gears(setting: Setting, motion: dict[str, np.ndarray], config: dict[str, float]) -> None:
     shares = interaction_shares(motion, config["rotor_inertia"], config["friction"])
     varies = inertia_variation(motion["inertia"], config["rotor_inertia"])
-    with figure(setting.out / "motors-5.3.png", 1, 2, size=(4.8, 3.4)) as (_, axes):
+    with setting.figure(1, 2, size=(4.8, 3.4)) as (_, axes):
         titles = ("Interaction terms in the motor's torque", "Change of I_eff over the planned motion")
         for panel, values, title, limit in zip(axes[0], (shares, varies), titles, (SMALL, STEADY), strict=True):
             for joint in range(5):
@@ -164,9 +142,7 @@ def _draw_gears(setting: Setting, motion: dict[str, np.ndarray], config: dict[st
             log_axis(panel)
             log_axis(panel, upright=True)
             panel.set_ylim(bottom=1e-3)
-            panel.set_title(title)
-            panel.set_xlabel("gear ratio (logarithmic)")
-            panel.set_ylabel("share")
+            panel.set(title=title, xlabel="gear ratio (logarithmic)", ylabel="share")
         axes[0, 0].legend(frameon=False)
 
 

@@ -1,10 +1,15 @@
 """What an experiment is, what it finds, and how a verdict is computed."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
+
+import numpy as np
+
+from humanoid_mjx.files import write_text
+from humanoid_mjx.report.style import figure
 
 Verdict = Literal["reproduced", "recovered", "differs", "not_reproducible", "finding"]
 """`reproduced`: what is printed comes out. `recovered`: it does with values that are not the printed ones. `differs`:
@@ -16,8 +21,8 @@ nothing to agree with."""
 class Finding:
     """One quantity: what is printed, what comes out, and whether they agree."""
 
-    name: str
-    """The experiment."""
+    name: str = field(default="", kw_only=True)
+    """The experiment; the runner fills it in."""
     quantity: str
     printed: Any
     """A number, numbers, or a statement in words; None where the source says nothing."""
@@ -28,7 +33,7 @@ class Finding:
 
     def __post_init__(self) -> None:
         if (self.printed is None) != (self.verdict == "finding"):
-            raise ValueError(f"{self.name}, {self.quantity}: {self.verdict!r}, but printed is {self.printed!r}.")
+            raise ValueError(f"{self.quantity}: {self.verdict!r}, but printed is {self.printed!r}.")
 
 
 def _ignore(words: str) -> None:
@@ -37,12 +42,26 @@ def _ignore(words: str) -> None:
 
 @dataclass(frozen=True)
 class Setting:
-    """What an experiment may use: its config with the user's changes, and a folder for its figures."""
+    """Surroundings of an experiment: its config with the user's changes, and the folder and name of its files."""
 
     config: dict[str, Any]
     out: Path
     tell: Callable[[str], None] = _ignore
     """Say in a few words what is being computed."""
+    name: str = ""
+
+    def path(self, ending: str) -> Path:
+        """The file in `out` called after the experiment, with an ending such as `.md`."""
+        return self.out / f"{self.name}{ending}"
+
+    def figure(self, rows: int, columns: int, size: tuple[float, float], **kwargs: Any) -> Any:
+        """The experiment's figure, as `report.style.figure` opens it."""
+        return figure(self.path(".png"), rows, columns, size, **kwargs)
+
+    def table(self, heads: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+        """Write the experiment's table in Markdown."""
+        lines = (" | ".join(map(str, row)) for row in (heads, ["---"] * len(heads), *rows))
+        write_text(self.path(".md"), "".join(f"| {line} |\n" for line in lines))
 
 
 @dataclass(frozen=True)
@@ -55,9 +74,24 @@ class Experiment:
     config: Mapping[str, Any] = field(default_factory=dict)
 
 
-def unprinted(name: str, quantity: str, reproduced: Any, why: str, tolerance: float | None = None) -> Finding:
-    """What comes out where the source prints nothing."""
-    return Finding(name, quantity, None, reproduced, tolerance, "finding", why)
+def unprinted(quantity: str, found: Any, why: str) -> Finding:
+    """A finding where the source prints nothing."""
+    return Finding(quantity, None, found, None, "finding", why)
+
+
+def check(
+    quantity: str,
+    printed: Any,
+    found: Any,
+    agrees: Any,
+    why: str,
+    tolerance: float | None = None,
+    values: tuple[Mapping[str, Any], Mapping[str, Any]] = ({}, {}),
+    possible: Any = True,
+) -> Finding:
+    """A finding with the verdict of `judge`, whose `used` and `printed` are `values`."""
+    verdict = judge(bool(agrees), *values, possible=bool(possible))
+    return Finding(quantity, printed, found, tolerance, verdict, why)
 
 
 def judge(agrees: bool, used: Mapping[str, Any], printed: Mapping[str, Any], *, possible: bool = True) -> Verdict:
@@ -89,9 +123,9 @@ def in_words(used: Mapping[str, Any], printed: Mapping[str, Any]) -> str:
     return "with " + ", ".join(changes) if changes else "with the printed values"
 
 
-def three_digits(value: Any) -> float:
-    """A number rounded to three significant digits."""
-    return float(f"{value:.3g}")
+def three_digits(value: Any) -> Any:
+    """A number rounded to three significant digits, or a list of such numbers."""
+    return [three_digits(x) for x in value] if np.ndim(value) else float(f"{value:.3g}")
 
 
 def listed(values: Iterable[Any]) -> str:

@@ -1,17 +1,21 @@
 """Table 5.1: the gains of the joint controllers, the damping that they give, and what the links allow (5.6)."""
 
-from typing import Any
-
+import jax.numpy as jnp
 import numpy as np
 
-from humanoid_mjx.report.style import COLORS, figure, label_lines
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, judge, three_digits
+from humanoid_mjx import dynamics
+from humanoid_mjx.control.gains import critical_kd, damping_ratio, max_kp, poles
+from humanoid_mjx.control.response import step_response
+from humanoid_mjx.report.style import COLORS, label_lines
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, three_digits
+from humanoid_mjx.reproduction.leg_values import over
+from humanoid_mjx.robot.leg import Leg
 from humanoid_mjx.thesis import leg as thesis
 
 JOINTS = range(5)
 
 CRITICAL = 0.05
-"""A damping ratio this near to 1 would be called critical."""
+"""Distance of a damping ratio from 1 within which it would be called critical."""
 
 ALUMINIUM = {"modulus": 69e9, "density": 2710.0}
 """Elastic modulus, Pa, and density, kg/m^3, of aluminium 1060, the material of section 3.1."""
@@ -22,49 +26,31 @@ NEAR = 0.5
 
 def table(setting: Setting) -> list[Finding]:
     """Table 5.1: the damping that its gains give, which section 5.6 wants critical."""
-    import jax.numpy as jnp
-
-    from humanoid_mjx.control.gains import critical_kd, damping_ratio, poles
-
     kp, kd = jnp.array(thesis.KP), jnp.array(thesis.KD)
     ratios, critical = np.asarray(damping_ratio(kp, kd)), np.asarray(critical_kd(kp))
     slow = np.asarray(poles(kp, kd))[0]
     _draw_responses(setting, np.sqrt(kp), ratios)
-    return [
-        Finding(
-            name="table-5.1",
-            quantity=f"damping ratio of joint {joint + 1} (critical by 5.35)",
-            printed=1.0,
-            reproduced=round(float(ratios[joint]), 3),
-            tolerance=CRITICAL,
-            verdict=judge(abs(float(ratios[joint]) - 1) < CRITICAL, {}, {}),
-            why=f"Kd is {kd[joint]:g}, {kd[joint] / critical[joint]:.2f} times the critical {critical[joint]:.2f}: the "
-            f"slow pole is {slow[joint]:.2f} /s, not {-np.sqrt(kp[joint]):.2f} /s",
-        )
-        for joint in JOINTS
-    ]
+    findings = []
+    for joint in JOINTS:
+        quantity, ratio = f"damping ratio of joint {joint + 1} (critical by 5.35)", float(ratios[joint])
+        why = f"Kd is {kd[joint]:g}, {kd[joint] / critical[joint]:.2f} times the critical {critical[joint]:.2f}: the "
+        why += f"slow pole is {slow[joint]:.2f} /s, not {-np.sqrt(kp[joint]):.2f} /s"
+        findings.append(check(quantity, 1.0, round(ratio, 3), abs(ratio - 1) < CRITICAL, why, CRITICAL))
+    return findings
 
 
-def _draw_responses(setting: Setting, frequencies: Any, ratios: np.ndarray) -> None:
-    import jax.numpy as jnp
-
-    from humanoid_mjx.control.response import step_response
-
-    times = jnp.linspace(0.0, 1.0, 201)
-    with figure(setting.out / "table-5.1.png", 1, 1, size=(6.0, 3.4)) as (_, axes):
+def _draw_responses(setting: Setting, frequencies: np.ndarray, ratios: np.ndarray) -> None:
+    times, ends = jnp.linspace(0.0, 1.0, 201), []
+    with setting.figure(1, 1, size=(6.0, 3.4)) as (_, axes):
         panel = axes[0, 0]
-        ends = []
         for joint in JOINTS:
             omega, ratio = float(frequencies[joint]), float(ratios[joint])
             ends.append(float(step_response(times, omega, ratio)[-1]))
             panel.plot(times, step_response(times, omega, ratio), color=COLORS[joint])
             panel.plot(times, step_response(times, omega, 1.0), color=COLORS[joint], linestyle=":")
-        panel.set_xlim(0, 1)
-        panel.set_ylim(0, 1.01)
+        panel.set(xlim=(0, 1), ylim=(0, 1.01), xlabel="time, s", ylabel="share of the step")
         label_lines(panel, ends, [f"joint {i + 1}" for i in JOINTS], COLORS[:5])
         panel.set_title("Steps with the gains of Table 5.1 (lines) and critically damped (dots)")
-        panel.set_xlabel("time, s")
-        panel.set_ylabel("share of the step")
 
 
 def resonance(setting: Setting) -> list[Finding]:
@@ -73,44 +59,24 @@ def resonance(setting: Setting) -> list[Finding]:
 
 
 def judge_gains(gains: np.ndarray, allowed: np.ndarray) -> list[Finding]:
-    """What the gains, by joint, say against the largest that the resonance of each link allows, 1/s^2."""
-    bounds = [three_digits(x) for x in allowed]
-    why = (
-        "the links are tubes of aluminium 1060, as thick as Table 3.1 at 1:4 and as heavy as Table 4.3; each bends at "
-        "its base under the inertia beyond it, the largest in the ranges of Table 3.2"
-    )
+    """Findings on the gains, by joint, against the largest that the resonance of each link allows, 1/s^2."""
+    bound = "the largest Kp that (5.37) allows, by joint, 1/s^2: Table 5.1's are not above it"
+    tubes = "the links are tubes of aluminium 1060, as thick as Table 3.1 at 1:4 and as heavy as Table 4.3; each bends "
+    tubes += "at its base under the inertia beyond it, the largest in the ranges of Table 3.2"
+    tubes += f"; the lowest resonance is {2 * np.sqrt(allowed.min()) / (2 * np.pi):.0f} Hz"
+    share = "Table 5.1's Kp as shares of what (5.37) allows, by joint"
+    selected = "the gains were selected on the material's stiffness and the natural frequency (chapter 8)"
+    near = "a gain that the stiffness selected would be near its bound; these could be larger by a factor of "
+    near += f"{(allowed / gains).min():.1g} and more, so it is something else that keeps them low"
+    shares = gains / allowed
     return [
-        Finding(
-            name="resonance-5.6",
-            quantity="the largest Kp that (5.37) allows, by joint, 1/s^2: Table 5.1's are not above it",
-            printed=gains.tolist(),
-            reproduced=bounds,
-            tolerance=None,
-            verdict=judge(bool((gains <= allowed).all()), {}, {}),
-            why=f"{why}; the lowest resonance is {2 * np.sqrt(allowed.min()) / (2 * np.pi):.0f} Hz",
-        ),
-        Finding(
-            name="resonance-5.6",
-            quantity="Table 5.1's Kp as shares of what (5.37) allows, by joint",
-            printed="the gains were selected on the material's stiffness and the natural frequency (chapter 8)",
-            reproduced=[three_digits(x) for x in gains / allowed],
-            tolerance=NEAR,
-            verdict=judge(bool((gains / allowed >= NEAR).all()), {}, {}),
-            why="a gain that the stiffness selected would be near its bound; these could be larger by a factor of "
-            f"{(allowed / gains).min():.1g} and more, so it is something else that keeps them low",
-        ),
+        check(bound, gains.tolist(), three_digits(allowed), (gains <= allowed).all(), tubes),
+        check(share, selected, three_digits(shares), (shares >= NEAR).all(), near, NEAR),
     ]
 
 
 def _allowed_gains() -> np.ndarray:
     """(5,) The bounds of (5.37), 1/s^2."""
-    import jax
-    import jax.numpy as jnp
-
-    from humanoid_mjx import dynamics
-    from humanoid_mjx.control.gains import max_kp
-    from humanoid_mjx.robot.leg import Leg
-
     around = {4: thesis.BODY_MM["upper_leg_circumference"], 5: thesis.BODY_MM["lower_leg_circumference"]}
     stiffness = {}
     for link, circumference in around.items():
@@ -120,8 +86,7 @@ def _allowed_gains() -> np.ndarray:
         stiffness[link] = 3 * ALUMINIUM["modulus"] * area * radius**2 / 2 / length  # 3 E I / L of a thin tube, N m/rad
     low, high = np.radians(thesis.JOINT_RANGES["proposed"]).T
     postures = np.random.default_rng(0).uniform(low, high, (2000, 5))
-    inertias = jax.jit(jax.vmap(dynamics.joint_inertias, in_axes=(None, 0)))
-    still, anywhere = (np.asarray(inertias(Leg.physical(), jnp.asarray(q))) for q in (np.zeros((1, 5)), postures))
+    still, anywhere = (over(dynamics.joint_inertias, Leg.physical(), q) for q in (np.zeros((1, 5)), postures))
     bends = np.array([stiffness[4]] * 4 + [stiffness[5]])
     frequency = np.sqrt(bends / still[0])
     return np.asarray(max_kp(frequency, still[0], np.maximum(anywhere.max(axis=0), still[0])), float)

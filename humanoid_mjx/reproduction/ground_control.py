@@ -52,7 +52,6 @@ def standing(setting: Setting) -> list[Finding]:
     blind: Path = alone["section 5.7"]
     return [
         unprinted(
-            NAME,
             f"seconds of {SECONDS:g} that computed torque of section 5.7 with Table 5.1's gains stands",
             blind.seconds,
             "the section's law treats the torso as fixed and ignores the ground; within the contacts computed "
@@ -61,7 +60,6 @@ def standing(setting: Setting) -> list[Finding]:
         ),
         *(
             unprinted(
-                NAME,
                 f"the largest push {side} that it stands, N s: servo, computed torque within the contacts",
                 [taken[name, side] for name in PAIR],
                 f"of {listed(IMPULSES)} N s on the hips over 0.1 s; {_better(taken, side)}",
@@ -69,7 +67,6 @@ def standing(setting: Setting) -> list[Finding]:
             for side in SIDES
         ),
         unprinted(
-            NAME,
             f"the furthest that a joint gives way to {SHOWN:g} N s ({', '.join(SIDES)}), rad: computed torque",
             [round(x, 4) for x in gives["computed torque"]],
             f"the servo gives way by {', '.join(f'{x:.4f}' for x in gives['servo'])}",

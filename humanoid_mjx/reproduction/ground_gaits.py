@@ -135,7 +135,6 @@ def _zero_moment(gait: str, mine: Mapping[Any, Any], balances: Mapping[Any, Any]
 def _slip(gait: str, mine: Mapping[Any, Any]) -> Finding:
     read = {t.controller: p for t, p in mine.items() if _as_read(t)}
     return unprinted(
-        NAME,
         f"{TABLES[gait]}: speed of stance feet over the ground, m/s: {', '.join(read)}",
         [round(path.slip, 3) for path in read.values()],
         f"until the fall; feet under {SLIP:g} would count as standing",
@@ -178,7 +177,6 @@ def on_generator(others: Mapping[Any, Any]) -> list[Finding]:
         turning = max(up or mine, key=lambda t: abs(mine[t].turn))
         findings.append(
             unprinted(
-                NAME,
                 f"pattern generator on {TABLES[gait]}: settings of {len(mine)} with which it walks",
                 len(walking),
                 f"amplitudes {listed(AMPLITUDES)}, {listed(FREQUENCIES)} Hz, {' and '.join(PAIR)}, "

@@ -8,13 +8,17 @@ Section 4.9 selects the motors by Table 4.7; chapter 8.1 tells that their stall 
 upright.
 """
 
-from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
-from humanoid_mjx.report.style import COLORS, figure, label_lines, shades
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, judge
+from humanoid_mjx import dynamics, kinematics
+from humanoid_mjx.report.style import COLORS, label_lines, shades
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check
+from humanoid_mjx.reproduction.leg_values import NAMES, over, planned
+from humanoid_mjx.robot.leg import Leg
 from humanoid_mjx.thesis import leg as thesis
 
 CONFIG = {"load": {"torso": -thesis.SCRIPT_FORCE[2]}, "squat": {"knee": 90.0}}
@@ -22,8 +26,6 @@ CONFIG = {"load": {"torso": -thesis.SCRIPT_FORCE[2]}, "squat": {"knee": 90.0}}
 
 STEP = 0.5
 """Between the postures, degrees of the knee."""
-
-NAMES = [name.replace("_", " ") for name in thesis.JOINT_NAMES]
 
 LEGS = {2: "two legs", 1: "one leg"}
 
@@ -43,9 +45,9 @@ class Squat(NamedTuple):
     torque: np.ndarray
     """(n, 5) N m"""
     joints: np.ndarray
-    """(n, 6, 3) Where the frames are, m."""
+    """(n, 6, 3) Positions of the frames, m."""
     inside: np.ndarray
-    """(n, 5) Whether each joint is in the proposed range of Table 3.2."""
+    """(n, 5) True where a joint is in the proposed range of Table 3.2."""
 
     def largest(self, knee: float) -> np.ndarray:
         """(5,) The largest torques by size up to an angle of the knee in degrees, N m."""
@@ -54,13 +56,14 @@ class Squat(NamedTuple):
 
 def motor_sizing(setting: Setting) -> list[Finding]:
     weight, deepest = setting.config["load"]["torso"], setting.config["squat"]["knee"]
-    squats = {legs: _squat(weight, legs, deepest) for legs in LEGS}
-    _draw(setting.out / "motor-sizing.png", squats)
+    squats = {legs: squat(weight, legs, deepest) for legs in LEGS}
+    _draw(setting, squats)
     both, one = squats[2], squats[1]
     allowed = float(both.knee[both.inside.all(axis=1)].max())
     held = float(both.knee[(np.abs(both.torque) <= MOTORS + UPRIGHT).all(axis=1)].max())
     carried = f"{_weight(weight):.1f} N, of which the torso {weight:g} N"
-    swing = _swinging()
+    motion = planned(np.linspace(0.0, thesis.QUINTIC_S, 501))
+    swing = np.abs(over(dynamics.inverse_dynamics, Leg.physical(), *motion)).max(axis=0)
     outside = ", ".join(NAMES[joint] for joint in np.flatnonzero(~one.inside[0]))
     lowered = 1e3 * np.ptp(both.joints[both.knee <= allowed, 5, 1])
     return [
@@ -97,19 +100,11 @@ def motor_sizing(setting: Setting) -> list[Finding]:
 
 
 def _finding(what: str, needed: np.ndarray, why: str) -> Finding:
-    worst = int((needed / MOTORS).argmax())
-    enough = bool((needed <= MOTORS + UPRIGHT).all())
-    return Finding(
-        name="motor-sizing",
-        quantity=f"{what}: the torques of Table 4.7 suffice, N m",
-        printed=MOTORS.tolist(),
-        reproduced=(np.round(needed, 4) + 0.0).tolist(),
-        tolerance=None,
-        verdict=judge(enough, {}, {}),
-        why=why
-        if enough
-        else f"{why}; joint {worst + 1} ({NAMES[worst]}) needs {needed[worst] / MOTORS[worst]:.1f} times the torque",
-    )
+    worst, enough = int((needed / MOTORS).argmax()), (needed <= MOTORS + UPRIGHT).all()
+    if not enough:
+        why += f"; joint {worst + 1} ({NAMES[worst]}) needs {needed[worst] / MOTORS[worst]:.1f} times the torque"
+    quantity, found = f"{what}: the torques of Table 4.7 suffice, N m", (np.round(needed, 4) + 0.0).tolist()
+    return check(quantity, MOTORS.tolist(), found, enough, why)
 
 
 def _weight(torso: float) -> float:
@@ -122,10 +117,6 @@ def _lean(torso: float) -> float:
 
     The torso counts as if it sat at the hips, which is the best case.
     """
-    import jax.numpy as jnp
-
-    from humanoid_mjx.robot.leg import Leg
-
     places, first = (np.asarray(x) for x in _masses(Leg.physical(), jnp.zeros(5)))
     ankle = places[4, 1]
     links = 2 * thesis.GRAVITY * (first[:4, 1] - first[:4, 3] * ankle).sum()
@@ -134,27 +125,17 @@ def _lean(torso: float) -> float:
 
 
 def _masses(leg: Any, q: Any) -> tuple[Any, Any]:
-    """(6, 3) Where the frames are, m, and (5, 4) the links' first moments and masses, kg m and kg, in frame 0."""
-    import jax.numpy as jnp
-
-    from humanoid_mjx import kinematics
-
+    """(6, 3) Positions of the frames, m, and (5, 4) the links' first moments and masses, kg m and kg, in frame 0."""
     poses = kinematics.frames(leg, q)
     return poses[:, :3, 3], jnp.einsum("lab,lb->la", poses[1:], leg.pseudo_inertia[:, :, 3])
 
 
-def _squat(torso: float, legs: int, deepest: float) -> Squat:
+def squat(torso: float, legs: int, deepest: float) -> Squat:
     """The postures on one or two legs and the torques that hold them.
 
     On one leg the roll leans the leg, so that the centre of mass comes above the toe also from the side; the other leg
     hangs straight from its hip.
     """
-    import jax
-    import jax.numpy as jnp
-
-    from humanoid_mjx import dynamics, kinematics
-    from humanoid_mjx.robot.leg import Leg
-
     leg = Leg.physical()
     weight = _weight(torso)
     hanging = _masses(leg, jnp.zeros(5))[1].sum(axis=0)[:3:2] * jnp.array([1.0, -1.0])
@@ -190,38 +171,20 @@ def _squat(torso: float, legs: int, deepest: float) -> Squat:
     return Squat(knee, q, torque, places, (low - 1e-6 <= q) & (q <= high + 1e-6))
 
 
-def _swinging() -> np.ndarray:
-    """(5,) The largest torques by size of the planned motion with the torso fixed, N m."""
-    import jax
-    import jax.numpy as jnp
-
-    from humanoid_mjx import dynamics
-    from humanoid_mjx.mechanics.trajectories import Quintic, thesis_quintics
-    from humanoid_mjx.robot.leg import Leg
-
-    motion = jax.vmap(Quintic.at, in_axes=(None, 0))(thesis_quintics(), jnp.linspace(0.0, thesis.QUINTIC_S, 501))
-    compute = jax.jit(jax.vmap(dynamics.inverse_dynamics, in_axes=(None, 0, 0, 0)))
-    return np.abs(np.asarray(compute(Leg.physical(), *motion), float)).max(axis=0)
-
-
-def _draw(path: Path, squats: dict[int, Squat]) -> None:
-    with figure(path, 1, 3, size=(4.2, 3.8)) as (fig, axes):
+def _draw(setting: Setting, squats: dict[int, Squat]) -> None:
+    with setting.figure(1, 3, size=(4.2, 3.8)) as (fig, axes):
         _draw_postures(axes[0, 0], squats[2])
         for panel, (legs, squat) in zip(axes[0, 1:], squats.items(), strict=True):
             times = np.abs(squat.torque) / MOTORS
             shown = [joint for joint in range(5) if times[:, joint].max() > 0.01]
             panel.axhline(1.0, color="0.3", linewidth=1.0)
-            panel.annotate(
-                "Table 4.7", (0.99, 1.0), xycoords=("axes fraction", "data"), ha="right", va="top", color="0.3"
-            )
+            where = {"xycoords": ("axes fraction", "data"), "ha": "right", "va": "top"}
+            panel.annotate("Table 4.7", (0.99, 1.0), color="0.3", **where)
             for joint in shown:
                 panel.plot(squat.knee, times[:, joint], color=COLORS[joint])
-            panel.set_title(f"On {LEGS[legs]}")
-            panel.set_xlabel("knee, degrees")
-            panel.set_xlim(0, squat.knee[-1])
-            label_lines(
-                panel, times[-1, shown].tolist(), [f"{j + 1} {NAMES[j]}" for j in shown], [COLORS[j] for j in shown]
-            )
+            panel.set(title=f"On {LEGS[legs]}", xlabel="knee, degrees", xlim=(0, squat.knee[-1]))
+            words, colors = zip(*((f"{j + 1} {NAMES[j]}", COLORS[j]) for j in shown), strict=True)
+            label_lines(panel, times[-1, shown].tolist(), words, colors)
         axes[0, 1].set_ylabel("torque / greatest torque of Table 4.7")
         fig.suptitle("What the joints must hold when the leg carries the body", x=0.02, ha="left")
 
@@ -236,9 +199,7 @@ def _draw_postures(panel: Any, squat: Squat) -> None:
     panel.axhline(0.0, color="0.3", linewidth=1.0)
     panel.set_aspect("equal", adjustable="datalim")
     panel.margins(y=0.2)
-    panel.set_xticks([])
-    panel.set_title("Squatting on two legs, by the knee's angle")
-    panel.set_ylabel("m above the ground")
+    panel.set(xticks=[], title="Squatting on two legs, by the knee's angle", ylabel="m above the ground")
 
 
 EXPERIMENTS = [Experiment("motor-sizing", "The torques to stand and to squat", motor_sizing, CONFIG)]

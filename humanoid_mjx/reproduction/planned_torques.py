@@ -200,7 +200,7 @@ def _largest(trial: Trial) -> Finding:
 
 def _table(quantity: str, mark: Any, trial: Trial, verdict: Any, why: str, joint: int | slice = slice(None)) -> Finding:
     value = np.round(trial.maxima[joint], 5).tolist()
-    return Finding("table-4.7", quantity, mark, value, TOLERANCE, verdict, why)
+    return Finding(quantity, mark, value, TOLERANCE, verdict, why)
 
 
 def _trials() -> list[Trial]:

@@ -139,7 +139,6 @@ def _switch(section: str, setting: Setting) -> list[Finding]:
     quantities = {"settling": "settling time, s", "overshoot": "overshoot, degrees", "energy": "energy, J"}
     findings = [
         unprinted(
-            "figure-7.18",
             f"section {section}: {words}: of the learned switch, and of a planned quintic",
             [_short(getattr(learned, quantity)), _short(getattr(plan, quantity))],
             f"{decided} under the same computed torque has {plan.peak:.2g} N m",

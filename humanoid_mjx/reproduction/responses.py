@@ -1,9 +1,11 @@
 """Section 5.2: responses of second order, and what their damping does."""
 
+import jax
 import numpy as np
 
-from humanoid_mjx.report.style import COLORS, figure, shades
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, judge, listed, three_digits
+from humanoid_mjx.control.response import step_response
+from humanoid_mjx.report.style import COLORS, shades
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, listed, three_digits
 
 RATIOS = np.round(np.arange(0.05, 3.001, 0.01), 2)
 """Damping ratios."""
@@ -24,43 +26,38 @@ def responses(setting: Setting) -> list[Finding]:
 
 
 def judge_responses(times: np.ndarray, curves: np.ndarray) -> list[Finding]:
-    """What the responses (ratios, times) to a step at a natural frequency of 1 rad/s say of section 5.2."""
+    """Findings on section 5.2 from responses, (ratios, times), to a step at a natural frequency of 1 rad/s."""
     over = curves.max(axis=1) - 1
     settling = np.array([_settling(times, curve) for curve in curves])
     clean = over <= OVERSHOOT
     best = float(RATIOS[clean][np.argmin(settling[clean])]) if clean.any() else float("nan")
     quickest = int(np.argmin(settling))
     slow = float(settling[np.argmin(np.abs(RATIOS - 2.0))])
+    decay = _slowest_decay(np.linspace(-1.0, 3.0, 401))
+    close = (RATIOS >= 0.9) & (RATIOS < 1.0)
+    fastest = f"of {listed((RATIOS[0], RATIOS[-1]))} in steps of 0.01, settled to {SETTLED:.0%}; with overshoot "
+    fastest += f"{RATIOS[quickest]:g} is quicker still ({settling[quickest]:.2f} in place of "
+    fastest += f"{settling[np.argmin(np.abs(RATIOS - 1.0))]:.2f} over the natural frequency); at 2, about what Table "
+    fastest += f"5.1's gains give, it is {slow:.1f}"
+    quantity = "damping ratio of the fastest response that does not overshoot"
+    asked = "a response without oscillation asks for a ratio of 1, or close to one but less"
+    beyond = [three_digits(100 * over[np.argmin(np.abs(RATIOS - ratio))]) for ratio in (0.9, 0.95)]
     return [
-        Finding(
-            name="responses-5.2",
-            quantity="damping ratio of the fastest response that does not overshoot",
-            printed=1.0,
-            reproduced=best,
-            tolerance=0.01,
-            verdict=judge(abs(best - 1.0) <= 0.011, {}, {}),
-            why=f"of {listed((RATIOS[0], RATIOS[-1]))} in steps of 0.01, settled to {SETTLED:.0%}; with overshoot "
-            f"{RATIOS[quickest]:g} is quicker still ({settling[quickest]:.2f} in place of "
-            f"{settling[np.argmin(np.abs(RATIOS - 1.0))]:.2f} over the natural frequency); at 2, about what Table "
-            f"5.1's gains give, it is {slow:.1f}",
+        check(quantity, 1.0, best, abs(best - 1.0) <= 0.011, fastest, 0.01),
+        check(
+            "overshoot of a step at damping ratios of 0.9 and 0.95, per cent",
+            asked,
+            beyond,
+            (over[close] <= OVERSHOOT).all(),
+            "every ratio below 1 overshoots; without oscillation it must be 1 or more",
+            100 * OVERSHOOT,
         ),
-        Finding(
-            name="responses-5.2",
-            quantity="overshoot of a step at damping ratios of 0.9 and 0.95, per cent",
-            printed="a response without oscillation asks for a ratio of 1, or close to one but less",
-            reproduced=[three_digits(100 * over[np.argmin(np.abs(RATIOS - ratio))]) for ratio in (0.9, 0.95)],
-            tolerance=100 * OVERSHOOT,
-            verdict=judge(bool((over[(RATIOS >= 0.9) & (RATIOS < 1.0)] <= OVERSHOOT).all()), {}, {}),
-            why="every ratio below 1 overshoots; without oscillation it must be 1 or more",
-        ),
-        Finding(
-            name="responses-5.2",
-            quantity="the slowest decay over damping ratios of -1 to 3, 1/s at 1 rad/s",
-            printed="stable for all values of the damping ratio",
-            reproduced=three_digits(_slowest_decay(np.linspace(-1.0, 3.0, 401))),
-            tolerance=None,
-            verdict=judge(_slowest_decay(np.linspace(-1.0, 3.0, 401)) > 0, {}, {}),
-            why="minus the larger real part of the roots (5.3): at 0 a step oscillates for ever, below 0 it grows",
+        check(
+            "the slowest decay over damping ratios of -1 to 3, 1/s at 1 rad/s",
+            "stable for all values of the damping ratio",
+            three_digits(decay),
+            decay > 0,
+            "minus the larger real part of the roots (5.3): at 0 a step oscillates for ever, below 0 it grows",
         ),
     ]
 
@@ -79,26 +76,20 @@ def _settling(times: np.ndarray, curve: np.ndarray) -> float:
 
 def _step_responses(times: np.ndarray, ratios: np.ndarray) -> np.ndarray:
     """(ratios, times) Responses at a natural frequency of 1 rad/s."""
-    import jax
-    import jax.numpy as jnp
-
-    from humanoid_mjx.control.response import step_response
-
     with jax.enable_x64(True):
         respond = jax.jit(jax.vmap(step_response, in_axes=(None, None, 0)))
-        return np.asarray(respond(jnp.asarray(times), 1.0, jnp.asarray(ratios)))
+        return np.asarray(respond(times, 1.0, ratios))
 
 
 def _draw_responses(setting: Setting) -> None:
     times, ratios = np.linspace(0.0, 12.0, 601), np.array([0.2, 0.5, 0.8, 1.0, 1.5, 2.0])
     decay = np.exp(-times)
-    with figure(setting.out / "responses-5.2.png", 1, 2, size=(4.6, 3.4), sharey=True) as (_, axes):
+    with setting.figure(1, 2, size=(4.6, 3.4), sharey=True) as (_, axes):
         left, right = axes[0]
         for ratio, curve, hue in zip(ratios, _step_responses(times, ratios), shades(len(ratios)), strict=True):
             left.plot(times, curve, color=hue, label=f"{ratio:g}")
         left.legend(title="damping ratio", frameon=False, loc="lower right", ncols=2)
-        left.set_title("Responses to a step")
-        left.set_ylabel("share of the step")
+        left.set(title="Responses to a step", ylabel="share of the step")
         root = np.sqrt(1 - 0.5**2)
         swing = np.exp(-0.5 * times) * np.sin(root * times + np.arctan2(root, 0.5))
         pairs = {
@@ -111,9 +102,7 @@ def _draw_responses(setting: Setting) -> None:
         right.legend(frameon=False, loc="lower right")
         right.set_title("What is printed of them ((5.6): the root's modulus)")
         for panel in axes[0]:
-            panel.set_xlim(0, times[-1])
-            panel.set_ylim(0, 1.6)
-            panel.set_xlabel("time x natural frequency")
+            panel.set(xlim=(0, times[-1]), ylim=(0, 1.6), xlabel="time x natural frequency")
 
 
 EXPERIMENTS = [Experiment("responses-5.2", "Responses of second order", responses)]

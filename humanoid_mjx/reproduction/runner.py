@@ -74,6 +74,7 @@ def reproduce(
     for experiment, setting in zip(chosen, settings, strict=True):
         start, cpu_start = time.perf_counter(), time.process_time()
         found = experiment.run(replace(setting, tell=partial(tell, experiment)))
+        found = [replace(finding, name=experiment.name) for finding in found]
         wall_s, cpu_s = time.perf_counter() - start, time.process_time() - cpu_start
         times[experiment.name] = {"wall_s": round(wall_s, 2), "cpu_s": round(cpu_s, 2)}
         say(experiment, found, wall_s)
@@ -101,7 +102,7 @@ def _setting(experiment: Experiment, out: Path, overrides: Sequence[str], named:
                 raise InputError(f"--set {override}: {experiment.name} has no {key}; {known(key, keys or ['none'])}.")
             continue
         apply_override(config, override)
-    return Setting(config, out)
+    return Setting(config, out, name=experiment.name)
 
 
 def _natural(name: str) -> list[Any]:

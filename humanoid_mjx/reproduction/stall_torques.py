@@ -2,9 +2,13 @@
 
 from itertools import combinations
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, in_words, judge
+from humanoid_mjx import kinematics
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, in_words
+from humanoid_mjx.robot.leg import Leg, cylinder_inertias
 from humanoid_mjx.thesis import leg as thesis
 
 TOLERANCE = 5e-6
@@ -31,40 +35,27 @@ def stall_torque(setting: Setting) -> list[Finding]:
     torque = _torque(lengths, np.zeros(5), list(setting.config["force"].values()))
     tried = _search()
     nearest = tried[0]
-    with (setting.out / "table-4.2.md").open("w", encoding="utf-8") as file:
-        file.write(
-            "| lengths | force along z, N | posture | torque of the roll, N m | off by |\n|---|---|---|---|---|\n"
-        )
-        for off, link_lengths, force, posture, roll in tried[:20]:
-            file.write(f"| {link_lengths} | {force} | {posture} | {roll:.5f} | {off:.2g} |\n")
+    heads = ("lengths", "force along z, N", "posture", "torque of the roll, N m", "off by")
+    setting.table(heads, ((*words, f"{roll:.5f}", f"{off:.2g}") for off, *words, roll in tried[:20]))
     findings, arms = [], _torque(lengths, np.zeros(5), [0.0, 0.0, 1.0])
     for joint, (mark, value) in enumerate(zip(thesis.STALL_TORQUES, torque, strict=True)):
-        agrees = bool(abs(value - mark) < TOLERANCE)
-        why = f"{in_words(used, printed)} of the script, at the zero posture"
-        arm = float(arms[joint])
+        why, arm = f"{in_words(used, printed)} of the script, at the zero posture", float(arms[joint])
         if arm:
-            why += (
-                f"; it would take {mark / arm:.5f} N; of {len(tried)} sets of printed lengths, postures and "
-                f"weights the nearest ({nearest[1]}, {nearest[2]}, {nearest[3]}) is off by {nearest[0]:.2g} N m"
-            )
+            why += f"; it would take {mark / arm:.5f} N; of {len(tried)} sets of printed lengths, postures and weights "
+            why += f"the nearest ({nearest[1]}, {nearest[2]}, {nearest[3]}) is off by {nearest[0]:.2g} N m"
         else:
             why += ": a force along z turns only the roll, whatever its size and the lengths"
-        findings.append(
-            Finding(
-                name="table-4.2",
-                quantity=f"stall torque of joint {joint + 1} ({thesis.JOINT_NAMES[joint]}), N m",
-                printed=mark,
-                reproduced=round(float(value), 5),
-                tolerance=TOLERANCE,
-                verdict=judge(agrees, used, printed, possible=arm != 0 and nearest[0] < TOLERANCE),
-                why=why,
-            )
+        quantity, found = (
+            f"stall torque of joint {joint + 1} ({thesis.JOINT_NAMES[joint]}), N m",
+            round(float(value), 5),
         )
+        possible, agrees = arm != 0 and nearest[0] < TOLERANCE, abs(value - mark) < TOLERANCE
+        findings.append(check(quantity, mark, found, agrees, why, TOLERANCE, (used, printed), possible))
     return findings
 
 
 def _search() -> list[tuple[float, str, str, str, float]]:
-    """What printed numbers give for the roll's torque, the nearest to Table 4.2 first.
+    """Torques of the roll from printed numbers, the nearest to Table 4.2 first, each after its distance and its words.
 
     The force is the script's, or the weight of any of the links.
     """
@@ -87,12 +78,6 @@ def _search() -> list[tuple[float, str, str, str, float]]:
 
 def _torque(lengths: object, posture: np.ndarray, force: list[float]) -> np.ndarray:
     """(5,) Joint torques, N m, of a force at the toe, N (equation 4.25)."""
-    import jax
-    import jax.numpy as jnp
-
-    from humanoid_mjx import kinematics
-    from humanoid_mjx.robot.leg import Leg, cylinder_inertias
-
     leg = Leg.from_links(list(lengths), cylinder_inertias())  # pyright: ignore[reportArgumentType, reportCallIssue]
     wrench = jnp.array([*force, 0.0, 0.0, 0.0], leg.d.dtype)
     return np.asarray(jax.jit(kinematics.static_torque)(leg, jnp.asarray(posture, leg.d.dtype), wrench))

@@ -4,11 +4,16 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
-from humanoid_mjx.report.style import COLORS, figure, label_lines
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, departures, in_words, judge, listed
+from humanoid_mjx import kinematics
+from humanoid_mjx.report.style import COLORS, label_lines
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, departures, in_words, listed
+from humanoid_mjx.reproduction.leg_values import NAMES, over, planned
+from humanoid_mjx.robot.leg import Leg, cylinder_inertias
 from humanoid_mjx.thesis import leg as thesis
 
 TOLERANCE_M = 6e-5
@@ -35,32 +40,22 @@ def planned_trajectories(setting: Setting) -> list[Finding]:
     """Figure 7.1: the five quintics."""
     degree = setting.config["units"]["degree"]
     t = np.linspace(0, thesis.QUINTIC_S, 201)
-    angles = np.degrees(_planned(t)) * degree
-    with figure(setting.out / "figure-7.1.png", 1, 1, size=(6.0, 3.6)) as (_, axes):
+    angles = np.degrees(planned(t).position) * degree
+    with setting.figure(1, 1, size=(6.0, 3.6)) as (_, axes):
         panel = axes[0, 0]
         for joint in range(5):
             panel.plot(t, angles[:, joint], color=COLORS[joint])
         for joint, marks in enumerate(thesis.FIGURE_7_1):
             panel.plot((0, thesis.QUINTIC_S), marks, "o", color=COLORS[joint], markersize=4, clip_on=False)
-        names = [f"{i} {name.replace('_', ' ')}" for i, name in enumerate(thesis.JOINT_NAMES, start=1)]
-        label_lines(panel, angles[-1].tolist(), names, COLORS[:5])
+        label_lines(panel, angles[-1].tolist(), [f"{i} {name}" for i, name in enumerate(NAMES, 1)], COLORS[:5])
+        panel.set(xlim=(0, thesis.QUINTIC_S), xlabel="time, s", ylabel="angle, rad")
         panel.set_title("Planned joint positions; dots: the values section 7 A prints")
-        panel.set_xlabel("time, s")
-        panel.set_ylabel("angle, rad")
-        panel.set_xlim(0, thesis.QUINTIC_S)
-    used, printed = {"degree": degree}, {"degree": np.pi / 180}
-    return [
-        Finding(
-            name="figure-7.1",
-            quantity=f"joint {joint + 1} starts and ends at, rad",
-            printed=list(marks),
-            reproduced=np.round(angles[[0, -1], joint].astype(float), 5).tolist(),
-            tolerance=TOLERANCE_RAD,
-            verdict=judge(bool(np.abs(angles[[0, -1], joint] - marks).max() < TOLERANCE_RAD), used, printed),
-            why=f"{in_words(used, printed)} rad: 3.15/180, pi rounded",
-        )
-        for joint, marks in enumerate(thesis.FIGURE_7_1)
-    ]
+    values, findings = ({"degree": degree}, {"degree": np.pi / 180}), []
+    for joint, marks in enumerate(thesis.FIGURE_7_1):
+        ends, quantity = angles[[0, -1], joint], f"joint {joint + 1} starts and ends at, rad"
+        agrees, why = np.abs(ends - marks).max() < TOLERANCE_RAD, f"{in_words(*values)} rad: 3.15/180, pi rounded"
+        findings.append(check(quantity, list(marks), np.round(ends, 5).tolist(), agrees, why, TOLERANCE_RAD, values))
+    return findings
 
 
 def reach(setting: Setting) -> list[Finding]:
@@ -91,23 +86,15 @@ def _place(
     departs = departures({k: v for k, v in used.items() if k not in lengths}, printed)
     place, script = (_toe(x, np.radians(degrees)[None])[0] for x in (lengths.values(), thesis.SCRIPT_LENGTHS))
     error, as_printed = (np.abs(x - mark).max() for x in (place, script))
-    return Finding(
-        name="workspace-7b",
-        quantity=quantity,
-        printed=list(mark),
-        reproduced=np.round(place.astype(float), 5).tolist(),
-        tolerance=TOLERANCE_M,
-        verdict=judge(bool(error < TOLERANCE_M), used, printed),
-        why=f"links of {listed(1e3 * x for x in lengths.values())} mm (printed are only the script's, with "
-        f"which it is off by {1e3 * as_printed:.0f} mm), joints at {listed(degrees + 0.0)} degrees"
-        + "".join(f", {change}" for change in departs)
-        + f": off by {1e3 * error:.2g} mm",
-    )
+    why = f"links of {listed(1e3 * x for x in lengths.values())} mm (printed are only the script's, with "
+    why += f"which it is off by {1e3 * as_printed:.0f} mm), joints at {listed(degrees + 0.0)} degrees"
+    why += "".join(f", {change}" for change in departs) + f": off by {1e3 * error:.2g} mm"
+    found, agrees = np.round(place, 5).tolist(), error < TOLERANCE_M
+    return check(quantity, list(mark), found, agrees, why, TOLERANCE_M, (used, printed))
 
 
-def workspace(number: int, setting: Setting) -> list[Finding]:
+def workspace(name: str, setting: Setting) -> list[Finding]:
     """Figures 7.2 to 7.4: the toe's path, and all places that the moving joints reach in the ranges of Table 3.2."""
-    name = MOTIONS[number]
     lengths = setting.config["lengths"]
     t = np.linspace(0, thesis.QUINTIC_S, 401)
     path = _toe(lengths.values(), _motion(name, t))
@@ -115,49 +102,39 @@ def workspace(number: int, setting: Setting) -> list[Finding]:
     paths = {"planned": path}
     if name == "straight walking":
         paths["knee to 45°, ankle to 120°"] = _toe(lengths.values(), _miswired(t))
-    _draw(setting.out / f"figure-7.{number}.png", name, paths, cloud)
-    findings = [_extents(number, name, path, lengths)]
-    return [*findings, _hemisphere(number, name, cloud, lengths)] if number == 2 else findings
+    _draw(setting, name, paths, cloud)
+    findings = [_extents(name, path, lengths)]
+    return [*findings, _hemisphere(name, cloud, lengths)] if name == "straight walking" else findings
 
 
-def _extents(number: int, name: str, path: np.ndarray, lengths: dict[str, float]) -> Finding:
+def _extents(name: str, path: np.ndarray, lengths: dict[str, float]) -> Finding:
     marks = np.sort(np.array(thesis.WORKSPACE[name]), axis=0)
     extent = np.stack([path.min(axis=0), path.max(axis=0)])
     error = float(np.abs(extent - marks).max())
-    return Finding(
-        name=f"figure-7.{number}",
-        quantity=f"{name}: from where to where the toe's path reaches along x, y and z, m",
-        printed=marks.tolist(),
-        reproduced=np.round(extent.astype(float), 4).tolist(),
-        tolerance=TOLERANCE_M,
-        verdict=judge(error < TOLERANCE_M, lengths, PRINTED_LENGTHS),
-        why="the text says that the reach varies from one triple to the other; they are the path's two ends "
-        f"(workspace-7b), not its extents, which differ by up to {1e3 * error:.0f} mm",
-    )
+    quantity = f"{name}: from where to where the toe's path reaches along x, y and z, m"
+    why = "the text says that the reach varies from one triple to the other; they are the path's two ends "
+    why += f"(workspace-7b), not its extents, which differ by up to {1e3 * error:.0f} mm"
+    found, values = np.round(extent, 4).tolist(), (lengths, PRINTED_LENGTHS)
+    return check(quantity, marks.tolist(), found, error < TOLERANCE_M, why, TOLERANCE_M, values)
 
 
-def _hemisphere(number: int, name: str, cloud: np.ndarray, lengths: dict[str, float]) -> Finding:
+def _hemisphere(name: str, cloud: np.ndarray, lengths: dict[str, float]) -> Finding:
     """A hemisphere is half as thick as it is wide, in one direction or another."""
     widths = np.sort(np.ptp(cloud - cloud.mean(axis=0), axis=0))
     thick, wide = float(widths[0]), float(widths[-1])
-    return Finding(
-        name=f"figure-7.{number}",
-        quantity=f"{name}: how thick and how wide the workspace is, m",
-        printed="hemispherical in shape",
-        reproduced=[round(thick, 6), round(wide, 4)],
-        tolerance=HEMISPHERE,
-        verdict=judge(abs(thick / wide - 0.5) < HEMISPHERE, lengths, PRINTED_LENGTHS),
-        why="joints 1, 4 and 5 have parallel axes, so the workspace is a flat piece of the plane z = l1; a hemisphere "
-        "would be half as thick as wide",
-    )
+    quantity, agrees = f"{name}: how thick and how wide the workspace is, m", abs(thick / wide - 0.5) < HEMISPHERE
+    why = "joints 1, 4 and 5 have parallel axes, so the workspace is a flat piece of the plane z = l1; a hemisphere "
+    why += "would be half as thick as wide"
+    found, values = [round(thick, 6), round(wide, 4)], (lengths, PRINTED_LENGTHS)
+    return check(quantity, "hemispherical in shape", found, agrees, why, HEMISPHERE, values)
 
 
-def _draw(path: Any, name: str, paths: Mapping[str, np.ndarray], cloud: np.ndarray) -> None:
+def _draw(setting: Setting, name: str, paths: Mapping[str, np.ndarray], cloud: np.ndarray) -> None:
     """Places in reach, paths and the printed ends: in space, from the right and from behind."""
     hip = np.array([0.0, 0.0, thesis.LINK_LENGTHS[0]])
     marks = np.array(thesis.WORKSPACE[name])
     styles = dict(zip(paths, ((COLORS[0], "-"), (COLORS[2], "--")), strict=False))
-    with figure(path, 1, 3, size=(4.2, 4.4)) as (fig, axes):
+    with setting.figure(1, 3, size=(4.2, 4.4)) as (fig, axes):
         flat = axes[0, 1:]
         axes[0, 0].remove()
         space = fig.add_subplot(1, 3, 1, projection="3d")
@@ -167,24 +144,16 @@ def _draw(path: Any, name: str, paths: Mapping[str, np.ndarray], cloud: np.ndarr
             space.plot(*toe[:, order].T, color=styles[words][0], linestyle=styles[words][1])
         space.scatter(*marks[:, order].T, marker="x", s=45, color=COLORS[1], depthshade=False)
         space.scatter(*hip[order], marker="s", s=25, color=COLORS[6], depthshade=False)
-        for label, set_label in zip("zxy", (space.set_xlabel, space.set_ylabel, space.set_zlabel), strict=True):
-            set_label(f"{label}, m")
+        space.set(xlabel="z, m", ylabel="x, m", zlabel="y, m", title="In space")
         everything = np.concatenate([cloud, marks, *paths.values(), hip[None]])[:, order]
         middle, spans = (everything.max(axis=0) + everything.min(axis=0)) / 2, np.ptp(everything, axis=0)
         spans = np.maximum(1.05 * spans, 0.12)
-        for axis, set_limits, at, span in zip(
-            (space.xaxis, space.yaxis, space.zaxis),
-            (space.set_xlim, space.set_ylim, space.set_zlim),
-            middle,
-            spans,
-            strict=True,
-        ):
-            set_limits(at - span / 2, at + span / 2)
-            axis.set_major_locator(MaxNLocator(max(1, round(span / 0.12))))
+        for axis, at, span in zip("xyz", middle, spans, strict=True):
+            space.set(**{f"{axis}lim": (at - span / 2, at + span / 2)})
+            getattr(space, f"{axis}axis").set_major_locator(MaxNLocator(max(1, round(span / 0.12))))
         space.tick_params(labelsize=7)
         space.set_box_aspect(spans, zoom=0.85)
         space.view_init(elev=18, azim=-50)
-        space.set_title("In space")
         views = ((0, "x (forwards), m", "From the right"), (2, "z (sideways), m", "From behind"))
         for panel, (across, label, title) in zip(flat, views, strict=True):
             panel.plot(cloud[:, across], cloud[:, 1], ",", color="0.75", zorder=1)
@@ -196,8 +165,7 @@ def _draw(path: Any, name: str, paths: Mapping[str, np.ndarray], cloud: np.ndarr
             start = next(iter(paths.values()))[0]
             panel.plot(start[across], start[1], "o", color=COLORS[6], fillstyle="none", markersize=11, label="start")
             panel.plot(hip[across], hip[1], "s", color=COLORS[6], markersize=5, label="hip")
-            panel.set_xlabel(label)
-            panel.set_title(title)
+            panel.set(xlabel=label, title=title)
             panel.set_aspect("equal", adjustable="datalim")
         flat[0].set_ylabel("y (upwards), m")
         handles, words = flat[0].get_legend_handles_labels()
@@ -207,11 +175,6 @@ def _draw(path: Any, name: str, paths: Mapping[str, np.ndarray], cloud: np.ndarr
 
 def _cloud(lengths: Any, moving: Sequence[int]) -> np.ndarray:
     """(n, 3) The toe's places, m, with these joints anywhere in the proposed ranges and the others at 0."""
-    import jax
-    import jax.numpy as jnp
-
-    from humanoid_mjx import kinematics
-
     ranges = np.radians(thesis.JOINT_RANGES["proposed"]) * np.isin(np.arange(1, 6), moving)[:, None]
     sample = jax.jit(kinematics.workspace, static_argnames="n")
     return np.asarray(sample(_leg(lengths), jnp.array(ranges), jax.random.key(0), n=SAMPLES))
@@ -224,34 +187,17 @@ def _miswired(t: np.ndarray) -> np.ndarray:
     return q[0] + share * (np.radians(thesis.STRAIGHT_WALK_END) - q[0])
 
 
-def _planned(t: np.ndarray) -> np.ndarray:
-    """(n, 5) The five quintics, rad."""
-    import jax
-
-    from humanoid_mjx.mechanics.trajectories import Quintic, thesis_quintics
-
-    return np.asarray(jax.jit(jax.vmap(Quintic.at, in_axes=(None, 0)))(thesis_quintics(), t).position)
-
-
 def _motion(name: str, t: np.ndarray) -> np.ndarray:
     """(n, 5) The planned angles, rad, of the joints that move; the others stay at 0."""
-    return _planned(t) * np.isin(np.arange(1, 6), thesis.WORKSPACE_JOINTS[name])
+    return planned(t).position * np.isin(np.arange(1, 6), thesis.WORKSPACE_JOINTS[name])
 
 
 def _toe(lengths: Any, q: np.ndarray) -> np.ndarray:
     """(n, 3) The toe's places, m."""
-    import jax
-    import jax.numpy as jnp
-
-    from humanoid_mjx import kinematics
-
-    poses = jax.jit(jax.vmap(kinematics.forward, in_axes=(None, 0)))(_leg(lengths), jnp.array(q))
-    return np.asarray(poses)[:, :3, 3]
+    return over(kinematics.forward, _leg(lengths), q)[:, :3, 3]
 
 
 def _leg(lengths: Any) -> Any:
-    from humanoid_mjx.robot.leg import Leg, cylinder_inertias
-
     return Leg.from_links(list(lengths), cylinder_inertias())
 
 
@@ -265,7 +211,7 @@ EXPERIMENTS = [
     ),
     *(
         Experiment(
-            f"figure-7.{number}", f"Workspace of {name}", partial(workspace, number), {"lengths": LENGTHS["lengths"]}
+            f"figure-7.{number}", f"Workspace of {name}", partial(workspace, name), {"lengths": LENGTHS["lengths"]}
         )
         for number, name in MOTIONS.items()
     ),

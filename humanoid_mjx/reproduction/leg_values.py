@@ -1,0 +1,23 @@
+"""The thesis's leg at many states at once, as arrays of numpy."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+
+from humanoid_mjx.mechanics.trajectories import Motion, Quintic, thesis_quintics
+from humanoid_mjx.thesis import leg as thesis
+
+NAMES = [name.replace("_", " ") for name in thesis.JOINT_NAMES]
+
+
+def over(function: Callable[..., Any], model: Any, *states: Any) -> Any:
+    """The values of `function(model, *state)`, states first; an array, or a tree of them, as the function returns."""
+    found = jax.jit(jax.vmap(function, in_axes=(None, *[0] * len(states))))(model, *states)
+    return jax.tree.map(lambda x: np.asarray(x, float), found)
+
+
+def planned(times: np.ndarray, path: Quintic | None = None) -> Motion:
+    """The planned motion, (times, 5) each: rad, rad/s and rad/s^2; or that along another path."""
+    return over(Quintic.at, thesis_quintics() if path is None else path, times)
