@@ -4,15 +4,7 @@
 experiments on one subject. The formulas as printed, faults included, live in `printed`.
 """
 
-from humanoid_mjx.reproduction.findings import (
-    Experiment,
-    Finding,
-    Setting,
-    Verdict,
-    departures,
-    in_words,
-    judge,
-)
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, Verdict, departures, in_words, judge
 from humanoid_mjx.reproduction.runner import load_experiments, reproduce
 
 __all__ = [

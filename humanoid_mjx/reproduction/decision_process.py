@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from humanoid_mjx.report.style import COLORS, figure
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, judge, listed, unprinted
+from humanoid_mjx.report.style import COLORS
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, listed, unprinted
 from humanoid_mjx.reproduction.stepping_back import largest_cost
 from humanoid_mjx.thesis import q_learning as thesis
 
@@ -34,16 +34,16 @@ def decay(setting: Setting) -> list[Finding]:
         run = printed_run(joint, setting.config, runs=RUNS, steps=STEPS)
         reached = int(run.terminated.any(axis=1).sum())
         findings.append(
-            Finding(
-                name="finding-decay",
-                quantity=f"joint {joint} reaches its goal, of {RUNS} runs with the declared decay of epsilon",
-                printed="reaches the target (7 E to 7 G)",
-                reproduced=reached,
-                tolerance=0,
-                verdict=judge(reached == RUNS, {}, {}, possible=reached > 0),
-                why=f"epsilonDecay = {setting.config['learner']['epsilon_decay']:g} is declared, not used; applied in "
+            check(
+                f"joint {joint} reaches its goal, of {RUNS} runs with the declared decay of epsilon",
+                "reaches the target (7 E to 7 G)",
+                reached,
+                reached == RUNS,
+                f"epsilonDecay = {setting.config['learner']['epsilon_decay']:g} is declared, not used; applied in "
                 "every step, exploration dies before the joint arrives, and greedy ties mean to stay "
                 f"({STEPS:,} steps)",
+                0,
+                possible=reached > 0,
             )
         )
     return findings
@@ -61,19 +61,18 @@ def waiting(setting: Setting) -> list[Finding]:
     for joint, (_, goal) in thesis.JOINT_RANGES.items():
         last, end = thesis.REWARD_SCALE * (goal - thesis.FIGURES_ACTION), thesis.REWARD_SCALE * goal
         findings.append(
-            Finding(
-                name="finding-waiting",
-                quantity=f"joint {joint}: share of greedy episodes that reach the goal at the printed discount",
-                printed="in the next time of running it switches to the next state with the old values (6.4)",
-                reproduced=round(float(share[joint][at_printed]), 3),
-                tolerance=0.01,
-                verdict=judge(bool(share[joint][at_printed] > 0.99), {}, {}),
-                why=f"waiting a step before the goal for ever ({last:g} a step) is worth more than the goal ({end:g} + "
+            check(
+                f"joint {joint}: share of greedy episodes that reach the goal at the printed discount",
+                "in the next time of running it switches to the next state with the old values (6.4)",
+                round(float(share[joint][at_printed]), 3),
+                share[joint][at_printed] > 0.99,
+                f"waiting a step before the goal for ever ({last:g} a step) is worth more than the goal ({end:g} + "
                 f"{PRINTED['bonus']:g}, once) from {1 - last / (end + PRINTED['bonus']):.4f} on; in training the "
                 f"largest discount tried at which most runs go to the goal is {_largest(discounts, share[joint]):g}",
+                0.01,
             )
         )
-    with figure(setting.out / "finding-waiting.png", 1, 1, size=(5.5, 3.4)) as (_, axes):
+    with setting.figure(1, 1, size=(5.5, 3.4)) as (_, axes):
         panel = axes[0, 0]
         for row, joint in enumerate(POSITIONS):
             panel.plot(discounts, share[joint], color=COLORS[row], marker="o", markersize=3)
@@ -81,9 +80,11 @@ def waiting(setting: Setting) -> list[Finding]:
             panel.annotate(f"joint {joint}", place, (4, 0), textcoords="offset points", color=COLORS[row])
         panel.axvline(PRINTED["discount"], color="0.5", linewidth=1, linestyle="--")
         panel.annotate("printed", (PRINTED["discount"], 0.05), (-40, 0), textcoords="offset points", color="0.3")
-        panel.set_title(f"The reward pays for waiting (standard rules, {SEEDS} seeds each)")
-        panel.set_xlabel("discount")
-        panel.set_ylabel("greedy episodes that reach the goal")
+        panel.set(
+            title=f"The reward pays for waiting (standard rules, {SEEDS} seeds each)",
+            xlabel="discount",
+            ylabel="greedy episodes that reach the goal",
+        )
     return findings
 
 
@@ -121,14 +122,12 @@ def _stepping_back(share: np.ndarray) -> Finding:
     costs = -np.array(BACK_REWARDS)
     keeps = share[costs > 0] < 0.5
     limit = largest_cost(STEPPING_BACK["steps"], PRINTED["bonus"], PRINTED["discount"])
-    return Finding(
-        name="finding-negative-reward",
-        quantity=f"share of joints that step back to their goal when a step back is rewarded with {listed(-costs)}",
-        printed="if a negative reward is awarded, the feet will not bring themselves back (chapter 6)",
-        reproduced=[round(float(s), 3) for s in share],
-        tolerance=None,
-        verdict=judge(bool(keeps.all()), {}, {}),
-        why=f"{STEPPING_BACK['steps']} steps back lead to the goal and its bonus of {PRINTED['bonus']:g}; "
+    return check(
+        f"share of joints that step back to their goal when a step back is rewarded with {listed(-costs)}",
+        "if a negative reward is awarded, the feet will not bring themselves back (chapter 6)",
+        [round(float(s), 3) for s in share],
+        keeps.all(),
+        f"{STEPPING_BACK['steps']} steps back lead to the goal and its bonus of {PRINTED['bonus']:g}; "
         f"staying earns nothing. At a discount of {PRINTED['discount']:g} the way back pays up to a cost of "
         f"{limit:.2f} a step: only beyond it is the fear right",
     )

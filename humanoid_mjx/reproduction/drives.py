@@ -20,13 +20,7 @@ SMALL = 0.1
 STEADY = 0.1
 """Share by which an inertia may vary and count as almost constant."""
 
-MOTOR = {
-    "torque_constant": 0.0136,
-    "resistance": 7.0,
-    "rotor_inertia": 4e-7,
-    "friction": 1e-6,
-    "max_voltage": 12.0,
-}
+MOTOR = {"torque_constant": 0.0136, "resistance": 7.0, "rotor_inertia": 4e-7, "friction": 1e-6, "max_voltage": 12.0}
 """N m/A, ohm, kg m^2, N m s/rad and V: a DC motor of about 25 mm. Nothing is printed of the motors but their maker
 (8.1)."""
 

@@ -5,19 +5,14 @@ from pathlib import Path
 
 import numpy as np
 
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, judge, three_digits
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, three_digits
 from humanoid_mjx.reproduction.printed import control, derivatives, dynamics_errata, inverse, jacobian, kinematics
 from humanoid_mjx.reproduction.printed.erratum import Erratum, States
 from humanoid_mjx.thesis import leg as thesis
 
 ENTRIES = tuple(
     chain(
-        kinematics.ERRATA,
-        jacobian.ERRATA,
-        derivatives.ERRATA,
-        inverse.ERRATA,
-        dynamics_errata.ERRATA,
-        control.ERRATA,
+        kinematics.ERRATA, jacobian.ERRATA, derivatives.ERRATA, inverse.ERRATA, dynamics_errata.ERRATA, control.ERRATA
     )
 )
 
@@ -43,15 +38,14 @@ def _compare(entry: Erratum, states: States) -> Finding:
     size = float(np.abs(entry.right(states)).max())
     agrees = bool(errors.max() <= TOLERANCE * (size or 1.0))
     where = "Table 3.2's ranges" if entry.in_range else "the full circle"
-    return Finding(
-        name="errata",
-        quantity=entry.place,
-        printed=entry.fault,
-        reproduced=dict(zip(NUMBERS, map(three_digits, (errors.max(), np.median(errors), size)), strict=True))
+    return check(
+        entry.place,
+        entry.fault,
+        dict(zip(NUMBERS, map(three_digits, (errors.max(), np.median(errors), size)), strict=True))
         | {"unit": entry.unit},
-        tolerance=TOLERANCE,
-        verdict=judge(agrees, {}, {}),
-        why=(f"should be: {entry.fix}; " if entry.fix else "") + f"over {STATES} random postures in {where}",
+        agrees,
+        (f"should be: {entry.fix}; " if entry.fix else "") + f"over {STATES} random postures in {where}",
+        TOLERANCE,
     )
 
 

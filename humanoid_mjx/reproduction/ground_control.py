@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from humanoid_mjx.report.style import COLORS, figure, label_lines
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, judge, listed, unprinted
+from humanoid_mjx.report.style import COLORS, label_lines
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, listed, unprinted
 from humanoid_mjx.thesis import leg as thesis
 
 SECONDS = 3.0
@@ -84,16 +84,15 @@ def judge_roll(free: Mapping[float, Any], held: Mapping[float, Any]) -> Finding:
     """
     largest = [max((i for i, path in paths.items() if not path.fell), default=0.0) for paths in (free, held)]
     off = [_aside(paths[SHOWN]) for paths in (free, held)]
-    return Finding(
-        name=NAME,
-        quantity="the largest push sideways that it stands, N s: with hip rolls, and with hip rolls that are held",
-        printed="the third joints help to stay in place when a sudden impact comes from the side (8)",
-        reproduced=largest,
-        tolerance=0.0,
-        verdict=judge(largest[0] > largest[1], {}, {}),
-        why=f"under a servo that holds the posture and takes no step; {SHOWN:g} N s move the hips aside by "
+    return check(
+        "the largest push sideways that it stands, N s: with hip rolls, and with hip rolls that are held",
+        "the third joints help to stay in place when a sudden impact comes from the side (8)",
+        largest,
+        largest[0] > largest[1],
+        f"under a servo that holds the posture and takes no step; {SHOWN:g} N s move the hips aside by "
         f"{1e3 * off[0]:.1f} mm, and by {1e3 * off[1]:.1f} mm where the rolls are held: as the ankles do not roll, two "
         "feet that are flat leave the hips no way aside",
+        0.0,
     )
 
 
@@ -118,21 +117,18 @@ def _better(taken: Any, side: str) -> str:
 
 
 def _draw(setting: Setting, pushes: Any, alone: Any, taken: Any) -> None:
-    with figure(setting.out / f"{NAME}.png", 1, 3, size=(4.4, 3.2)) as (fig, axes):
+    with setting.figure(1, 3, size=(4.4, 3.2)) as (fig, axes):
         heights, gives, bars = axes[0]
         for color, path in zip(COLORS, alone.values(), strict=False):
             heights.plot(path.times, 1e3 * path.qpos[:, 2], color=color)
-        heights.set_ylabel("hips above the ground, mm")
-        heights.set_xlim(0, SECONDS)
-        heights.set_title("standing")
+        heights.set(ylabel="hips above the ground, mm", xlim=(0, SECONDS), title="standing")
         ends = [1e3 * path.qpos[-1, 2] for path in alone.values()]
         label_lines(heights, ends, list(alone), COLORS[: len(alone)])
         for side, style in zip(SIDES, ("-", "--", ":"), strict=True):
             for color, name in zip(COLORS, PAIR, strict=False):
                 path = pushes[name, side, SHOWN]
                 gives.plot(path.times, 1e3 * np.abs(path.error).max(axis=1), style, color=color)
-        gives.set_xlim(0.4, 1.4)
-        gives.set_ylabel("furthest joint from its place, mrad")
+        gives.set(xlim=(0.4, 1.4), ylabel="furthest joint from its place, mrad")
         gives.set_title(f"pushed by {SHOWN:g} N s: {', '.join(SIDES)} (-, - -, ...)", fontsize=8)
         for panel in (heights, gives):
             panel.set_xlabel("time, s")
@@ -140,8 +136,7 @@ def _draw(setting: Setting, pushes: Any, alone: Any, taken: Any) -> None:
         for shift, color, name in zip((-0.2, 0.2), COLORS, PAIR, strict=False):
             bars.bar(places + shift, [taken[name, side] for side in SIDES], 0.36, color=color, label=name)
         bars.set_xticks(places, list(SIDES))
-        bars.set_ylabel("largest push that it stands, N s")
-        bars.set_title("steps of 0.1")
+        bars.set(ylabel="largest push that it stands, N s", title="steps of 0.1")
         bars.legend(frameon=False)
         gains = f"Table 5.1: {thesis.KP[0]:g} and {thesis.KD[0]:g} for joint 1"
         fig.suptitle(f"The free lower body under three controllers ({gains})", x=0.02, ha="left", fontsize="medium")

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, judge, listed, unprinted
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, listed, unprinted
 from humanoid_mjx.reproduction.ground_control import CONFIG, CONTROLLERS, PAIR
 from humanoid_mjx.thesis import leg as thesis
 
@@ -91,14 +91,12 @@ def _walk(gait: str, mine: Mapping[Any, Any]) -> Finding:
     best = max(mine, key=lambda trial: (walks(mine[trial]), mine[trial].seconds))
     up = {signs: max(p.seconds for t, p in mine.items() if t.signs == signs) for signs in SIGNS}
     read = {t.controller: p for t, p in mine.items() if _as_read(t)}
-    return Finding(
-        name=NAME,
-        quantity=f"{TABLES[gait]}: seconds of {SECONDS:g} on its feet and m forwards, in the best of all readings",
-        printed="a successful walk is obtained (5.8)" if gait == "straight_walk" else "a stable sudden turn (5.8)",
-        reproduced=[mine[best].seconds, round(mine[best].distance, 3)],
-        tolerance=STEP_M,
-        verdict=judge(any(walks(path) for path in mine.values()), {}, {}),
-        why=f"{len(SIGNS)} readings of the signs of hip, knee and ankle, under {', '.join(CONTROLLERS)}; this is "
+    return check(
+        f"{TABLES[gait]}: seconds of {SECONDS:g} on its feet and m forwards, in the best of all readings",
+        "a successful walk is obtained (5.8)" if gait == "straight_walk" else "a stable sudden turn (5.8)",
+        [mine[best].seconds, round(mine[best].distance, 3)],
+        any(walks(path) for path in mine.values()),
+        f"{len(SIGNS)} readings of the signs of hip, knee and ankle, under {', '.join(CONTROLLERS)}; this is "
         f"{reading(best)} under {best.controller}; the longest of each reading is {min(up.values()):g} to "
         f"{max(up.values()):g} s. As read here, knee and ankle as in `lower_body`: "
         + "; ".join(
@@ -106,6 +104,7 @@ def _walk(gait: str, mine: Mapping[Any, Any]) -> Finding:
             for name, path in read.items()
         )
         + ". Played as printed, without feedback of balance",
+        STEP_M,
     )
 
 
@@ -116,19 +115,18 @@ def _zero_moment(gait: str, mine: Mapping[Any, Any], balances: Mapping[Any, Any]
     edges = [float(np.mean([_touches_with_an_edge(*row) for row in _rows(mine[t])])) for t in read]
     beside = [1e3 * max(-float(_finite(balances[t].center_margin).min()), 0.0) for t in read]
     tilts = {signs: sole_tilts(signs) for signs in FORWARDS}
-    return Finding(
-        name=NAME,
-        quantity=f"{TABLES[gait]}: share of the time that the zero-moment point is inside the support polygon",
-        printed="lies inside for a successful walk (4.8.1)",
-        reproduced=round(inside[best], 3),
-        tolerance=0.01,
-        verdict=judge(inside[best] > 0.99, {}, {}),
-        why=f"the most of all readings, {reading(best)} under {best.controller}, up to its fall; as read here under "
+    return check(
+        f"{TABLES[gait]}: share of the time that the zero-moment point is inside the support polygon",
+        "lies inside for a successful walk (4.8.1)",
+        round(inside[best], 3),
+        inside[best] > 0.99,
+        f"the most of all readings, {reading(best)} under {best.controller}, up to its fall; as read here under "
         f"{' and '.join(PAIR)} the feet touch for {edges[0]:.2f} and {edges[1]:.2f} of the time with an edge or a "
         f"corner, which has no inside, and the mass centre goes {beside[0]:.0f} and {beside[1]:.0f} mm beyond what "
         "touches; to the torso the table tilts the sole by "
         + ", ".join(f"{low:g} to {high:g} ({_signs(s)})" for s, (low, high) in tilts.items())
         + " degrees",
+        0.01,
     )
 
 
@@ -151,17 +149,16 @@ def _turns(played: Mapping[Any, Any]) -> Finding:
     standing = {t: turn for t, turn in turned.items() if not played[t].fell}
     counted = standing or turned
     best = max(counted, key=lambda t: abs(counted[t]))
-    return Finding(
-        name=NAME,
-        quantity="turn of Table 4.6 beyond that of Table 4.5, degrees to the left, the largest of all readings",
-        printed="turns",
-        reproduced=round(counted[best], 1),
-        tolerance=TURN_DEG,
-        verdict=judge(any(abs(turn) > TURN_DEG for turn in standing.values()), {}, {}),
-        why=f"{len(turned)} bodies: {len(SIGNS)} readings of the signs, the yaw mirrored or in the same sense, "
+    return check(
+        "turn of Table 4.6 beyond that of Table 4.5, degrees to the left, the largest of all readings",
+        "turns",
+        round(counted[best], 1),
+        any(abs(turn) > TURN_DEG for turn in standing.values()),
+        f"{len(turned)} bodies: {len(SIGNS)} readings of the signs, the yaw mirrored or in the same sense, "
         f"{', '.join(CONTROLLERS)}; {len(standing)} stay up, and a twist that ends in a fall is no turn. This is "
         f"{reading(best)} under {best.controller}, which {_fate(played[best])}. A mirrored yaw that comes back within "
         "the period cannot turn a body over a period",
+        TURN_DEG,
     )
 
 

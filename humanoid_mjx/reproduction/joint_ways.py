@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from humanoid_mjx.report.style import COLORS, figure
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, in_words, judge
+from humanoid_mjx.report.style import COLORS
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, in_words
 from humanoid_mjx.thesis import q_learning as thesis
 
 RUNS, STEPS = 2000, 400
@@ -27,7 +27,7 @@ CONFIG = {
 CONFIDENCE = 0.95
 
 
-def way(number: int, joint: int, setting: Setting) -> list[Finding]:
+def way(joint: int, setting: Setting) -> list[Finding]:
     """Figures 7.11, 7.13, 7.15: the printed marks against the middle 95 % of many runs."""
     from humanoid_mjx.reproduction.traces import printed_run
 
@@ -40,19 +40,18 @@ def way(number: int, joint: int, setting: Setting) -> list[Finding]:
     for (first, last), mark in thesis.FIGURE_MARKS[joint]:
         middle = (first + last) // 2
         findings.append(
-            Finding(
-                name=f"figure-7.{number}",
-                quantity=f"angle in episode {middle}, degrees",
-                printed=mark,
-                reproduced=[round(float(low[middle]), 3), round(float(high[middle]), 3)],
-                tolerance=None,
-                verdict=judge(bool(low[middle] <= mark <= high[middle]), used, PRINTED),
-                why=f"{in_words(used, PRINTED)}; the middle 95 % of {RUNS} runs, which take "
+            check(
+                f"angle in episode {middle}, degrees",
+                mark,
+                [round(float(low[middle]), 3), round(float(high[middle]), 3)],
+                low[middle] <= mark <= high[middle],
+                f"{in_words(used, PRINTED)}; the middle 95 % of {RUNS} runs, which take "
                 f"{np.quantile(lengths, 0.05):.0f} to {np.quantile(lengths, 0.95):.0f} episodes to the goal; a single "
                 "mark tells no epsilon from another: epsilon-7e asks all",
+                values=(used, PRINTED),
             )
         )
-    with figure(setting.out / f"figure-7.{number}.png", 1, 1, size=(6.0, 3.6)) as (_, axes):
+    with setting.figure(1, 1, size=(6.0, 3.6)) as (_, axes):
         panel = axes[0, 0]
         shown = int(np.quantile(lengths, 0.95)) + 5
         panel.fill_between(range(shown), low[:shown], high[:shown], color=COLORS[0], alpha=0.15, step="mid")
@@ -62,13 +61,15 @@ def way(number: int, joint: int, setting: Setting) -> list[Finding]:
             panel.plot([first, last], [mark, mark], color=COLORS[1], linewidth=4, solid_capstyle="butt")
             panel.annotate("printed", (first, mark), (-6, 4), textcoords="offset points", color=COLORS[1], ha="right")
         epsilon = setting.config["learner"]["epsilon"]
-        panel.set_title(f"Joint {joint} by the printed rules, epsilon {epsilon:g}: 5 of {RUNS} runs, their middle 95 %")
-        panel.set_xlabel("episode (one step of the pseudo-code)")
-        panel.set_ylabel("angle, degrees")
+        panel.set(
+            title=f"Joint {joint} by the printed rules, epsilon {epsilon:g}: 5 of {RUNS} runs, their middle 95 %",
+            xlabel="episode (one step of the pseudo-code)",
+            ylabel="angle, degrees",
+        )
     return findings
 
 
-def random_numbers(number: int, joint: int, setting: Setting) -> list[Finding]:
+def random_numbers(joint: int, setting: Setting) -> list[Finding]:
     """Figures 7.12, 7.14, 7.16: the printed average against the distribution of averages of single runs."""
     from humanoid_mjx.reproduction.traces import printed_run
 
@@ -80,43 +81,40 @@ def random_numbers(number: int, joint: int, setting: Setting) -> list[Finding]:
     low, high = np.quantile(means, (0.025, 0.975))
     printed = thesis.AVERAGE_RANDOM_NUMBER[joint]
     used = setting.config["task"] | setting.config["learner"]
-    _draw_numbers(setting, number, joint, drawn, means)
+    _draw_numbers(setting, joint, drawn, means)
     return [
-        Finding(
-            name=f"figure-7.{number}",
-            quantity="average random number",
-            printed=printed,
-            reproduced=[round(float(low), 4), round(float(high), 4)],
-            tolerance=None,
-            verdict=judge(bool(low <= printed <= high), used, PRINTED),
-            why=f"{in_words(used, PRINTED)}; the middle 95 % of {over.sum()} runs: the average of one run's draws is "
+        check(
+            "average random number",
+            printed,
+            [round(float(low), 4), round(float(high), 4)],
+            low <= printed <= high,
+            f"{in_words(used, PRINTED)}; the middle 95 % of {over.sum()} runs: the average of one run's draws is "
             "chance and says nothing of the learning",
+            values=(used, PRINTED),
         )
     ]
 
 
-def _draw_numbers(setting: Setting, number: int, joint: int, drawn: list[np.ndarray], means: np.ndarray) -> None:
+def _draw_numbers(setting: Setting, joint: int, drawn: list[np.ndarray], means: np.ndarray) -> None:
     """The numbers of one run against the episode, as the figure has them, and the averages of all runs."""
     printed = thesis.AVERAGE_RANDOM_NUMBER[joint]
     nearest = drawn[int(np.abs(means - printed).argmin())]
     episodes = np.arange(1, len(nearest) + 1)
-    with figure(setting.out / f"figure-7.{number}.png", 1, 2, size=(4.6, 3.4), width_ratios=(2, 1), sharey=True) as (
-        fig,
-        axes,
-    ):
+    with setting.figure(1, 2, size=(4.6, 3.4), width_ratios=(2, 1), sharey=True) as (fig, axes):
         left, right = axes[0]
         left.plot(episodes, nearest, "o-", color=COLORS[0], markersize=3, linewidth=0.6, label="drawn")
         left.plot(episodes, np.cumsum(nearest) / episodes, color=COLORS[2], linewidth=1.6, label="average so far")
         left.axhline(printed, color=COLORS[1], linewidth=1.6, linestyle="--", label=f"printed average, {printed:g}")
-        left.set_xlabel("episode (one step of the pseudo-code)")
-        left.set_ylabel("random number")
-        left.set_ylim(0, 1)
-        left.set_title("The run whose average is nearest to the printed one")
+        left.set(
+            xlabel="episode (one step of the pseudo-code)",
+            ylabel="random number",
+            ylim=(0, 1),
+            title="The run whose average is nearest to the printed one",
+        )
         left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=3, frameon=False)
         right.hist(means, bins=40, orientation="horizontal", color=COLORS[0], alpha=0.6)
         right.axhline(printed, color=COLORS[1], linewidth=1.6, linestyle="--")
-        right.set_title(f"Averages of {len(means)} runs")
-        right.set_xlabel("runs")
+        right.set(title=f"Averages of {len(means)} runs", xlabel="runs")
         fig.suptitle(f"Random numbers on the way of joint {joint} to its goal", x=0.02, ha="left", fontsize="medium")
 
 
@@ -142,16 +140,15 @@ def _epsilon(moves: dict[int, int], steps: dict[int, int], config: dict[str, Any
     used, printed = config["task"] | config["learner"], PRINTED
     counts = ", ".join(f"{moves[joint]} of {steps[joint]} (joint {joint})" for joint in moves)
     off = (made - of * epsilon / 2) / math.sqrt(of * epsilon / 2 * (1 - epsilon / 2)) if 0 < epsilon < 2 else math.inf
-    return Finding(
-        name="epsilon-7e",
-        quantity="epsilon behind the late marks of Figures 7.11, 7.13 and 7.15, pooled: between",
-        printed=PRINTED["epsilon"],
-        reproduced=[round(low, 3), round(min(high, 1.0), 3)],
-        tolerance=None,
-        verdict=judge(low <= epsilon <= high, used, printed),
-        why=f"{in_words(used, printed)}: {made} moves in {of} steps, {counts}, estimate {2 * made / of:.2f} and its "
+    return check(
+        "epsilon behind the late marks of Figures 7.11, 7.13 and 7.15, pooled: between",
+        PRINTED["epsilon"],
+        [round(low, 3), round(min(high, 1.0), 3)],
+        low <= epsilon <= high,
+        f"{in_words(used, printed)}: {made} moves in {of} steps, {counts}, estimate {2 * made / of:.2f} and its "
         f"{CONFIDENCE:.0%} interval (Clopper and Pearson); epsilon {epsilon:g} is {abs(off):.1f} standard deviations "
         "away",
+        values=(used, printed),
     )
 
 
@@ -160,14 +157,12 @@ def _averages(averages: dict[int, float], steps: dict[int, int]) -> Finding:
     weights = np.array([steps[joint] for joint in averages], float)
     pooled = float(np.average(list(averages.values()), weights=weights))
     half = 1.96 * math.sqrt(1 / 12 / weights.sum())
-    return Finding(
-        name="epsilon-7e",
-        quantity="average random number of Figures 7.12, 7.14 and 7.16 together: of uniform numbers between",
-        printed=round(pooled, 4),
-        reproduced=[round(0.5 - half, 4), round(0.5 + half, 4)],
-        tolerance=None,
-        verdict=judge(abs(pooled - 0.5) <= half, {}, {}),
-        why=f"the middle {CONFIDENCE:.0%} of averages of {weights.sum():.0f} uniform numbers, as many as the late "
+    return check(
+        "average random number of Figures 7.12, 7.14 and 7.16 together: of uniform numbers between",
+        round(pooled, 4),
+        [round(0.5 - half, 4), round(0.5 + half, 4)],
+        abs(pooled - 0.5) <= half,
+        f"the middle {CONFIDENCE:.0%} of averages of {weights.sum():.0f} uniform numbers, as many as the late "
         "marks say were drawn at least",
     )
 
@@ -217,14 +212,9 @@ EXPERIMENTS = [
         experiment
         for i, joint in enumerate((1, 4, 5))
         for experiment in (
+            Experiment(f"figure-7.{11 + 2 * i}", f"Way of joint {joint} to its goal", partial(way, joint), CONFIG),
             Experiment(
-                f"figure-7.{11 + 2 * i}", f"Way of joint {joint} to its goal", partial(way, 11 + 2 * i, joint), CONFIG
-            ),
-            Experiment(
-                f"figure-7.{12 + 2 * i}",
-                f"Random numbers of joint {joint}",
-                partial(random_numbers, 12 + 2 * i, joint),
-                CONFIG,
+                f"figure-7.{12 + 2 * i}", f"Random numbers of joint {joint}", partial(random_numbers, joint), CONFIG
             ),
         )
     ),

@@ -20,9 +20,7 @@ def draw_torques(path: Path, t: np.ndarray, curves: Mapping[str, np.ndarray]) ->
         for panel, (title, tau) in zip(axes[0], curves.items(), strict=True):
             for joint in range(5):
                 panel.plot(t, tau[joint], color=COLORS[joint])
-            panel.set_title(title)
-            panel.set_xlabel("time, s")
-            panel.set_xlim(0, thesis.QUINTIC_S)
+            panel.set(title=title, xlabel="time, s", xlim=(0, thesis.QUINTIC_S))
         for time, when in ((0.0, "start"), (thesis.QUINTIC_S, "end")):
             for joint, mark in enumerate(thesis.FIGURE_7_5[when]):
                 axes[0, 0].plot(time, mark, "o", color=COLORS[joint], markersize=5, clip_on=False)
@@ -55,13 +53,10 @@ def draw_tracking(path: Path, joint: int, errors: Mapping[str, np.ndarray]) -> N
         distances.plot(last, [max(printed[1], LEAST)] * 2, **bar)
         if printed[1] < LEAST:
             distances.annotate("0 as printed", (last[0], LEAST), (-4, 3), textcoords="offset points", ha="right")
-        places.set_title("Where the joint is")
-        places.set_ylabel("angle, rad")
-        distances.set_title("How far it is from the plan")
-        distances.set_ylabel("distance, rad (logarithmic)")
+        places.set(title="Where the joint is", ylabel="angle, rad")
+        distances.set(title="How far it is from the plan", ylabel="distance, rad (logarithmic)")
         for panel in axes[0]:
-            panel.set_xlabel("time, s")
-            panel.set_xlim(0, thesis.QUINTIC_S)
+            panel.set(xlabel="time, s", xlim=(0, thesis.QUINTIC_S))
         handles, words = places.get_legend_handles_labels()
         fig.legend(handles, words, loc="outside lower center", ncols=2, frameon=False)
         name = thesis.JOINT_NAMES[joint].replace("_", " ")

@@ -6,7 +6,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from humanoid_mjx.mechanics.trajectories import Motion, Quintic, thesis_quintics
+from humanoid_mjx.mechanics.trajectories import Quintic, thesis_quintics
 from humanoid_mjx.thesis import leg as thesis
 
 NAMES = [name.replace("_", " ") for name in thesis.JOINT_NAMES]
@@ -18,6 +18,6 @@ def over(function: Callable[..., Any], model: Any, *states: Any) -> Any:
     return jax.tree.map(lambda x: np.asarray(x, float), found)
 
 
-def planned(times: np.ndarray, path: Quintic | None = None) -> Motion:
-    """The planned motion, (times, 5) each: rad, rad/s and rad/s^2; or that along another path."""
+def planned(times: np.ndarray, path: Quintic | None = None) -> Any:
+    """The planned `Motion`, (times, 5) each: rad, rad/s and rad/s^2; or that along another path."""
     return over(Quintic.at, thesis_quintics() if path is None else path, times)

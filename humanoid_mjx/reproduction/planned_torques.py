@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, in_words, judge
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, in_words, judge
 from humanoid_mjx.reproduction.leg_figures import draw_torques
 from humanoid_mjx.reproduction.printed import dynamics as printed
 from humanoid_mjx.thesis import leg as thesis
@@ -142,14 +142,14 @@ def _end(t: np.ndarray, tau: np.ndarray, config: Mapping[str, Any]) -> list[Find
 
 def _finding(quantity: str, mark: Any, value: Any, tolerance: Any, why: str, config: Mapping[str, Any]) -> Finding:
     agrees = bool((np.abs(value - np.asarray(mark)) <= tolerance).all())
-    return Finding(
-        name="figure-7.5",
-        quantity=quantity,
-        printed=mark,
-        reproduced=(np.round(value, 9) + 0.0).tolist(),
-        tolerance=float(np.min(tolerance)),
-        verdict=judge(agrees, _flat(config), _flat(AS_PLANNED)),
-        why=why,
+    return check(
+        quantity,
+        mark,
+        (np.round(value, 9) + 0.0).tolist(),
+        agrees,
+        why,
+        float(np.min(tolerance)),
+        (_flat(config), _flat(AS_PLANNED)),
     )
 
 
@@ -186,15 +186,15 @@ def _largest(trial: Trial) -> Finding:
     used, as_printed = _flat(RECOVERED), _flat(AS_PLANNED)
     joint = int((trial.peaks / trial.maxima).argmax())
     agrees = bool((np.abs(trial.peaks / np.array(thesis.MAX_TORQUES) - 1)[1:] <= TOLERANCE).all())
-    return Finding(
-        name="table-4.7",
-        quantity="the largest torques of joints 2 to 5, which select the motors, N m",
-        printed=list(thesis.MAX_TORQUES[1:]),
-        reproduced=np.round(trial.peaks[1:], 4).tolist(),
-        tolerance=TOLERANCE,
-        verdict=judge(agrees, used, as_printed),
-        why=f"the table has the greatest values with their signs; joint {joint + 1} needs {trial.peaks[joint]:.4f} N m "
+    return check(
+        "the largest torques of joints 2 to 5, which select the motors, N m",
+        list(thesis.MAX_TORQUES[1:]),
+        np.round(trial.peaks[1:], 4).tolist(),
+        agrees,
+        f"the table has the greatest values with their signs; joint {joint + 1} needs {trial.peaks[joint]:.4f} N m "
         f"the other way: section 7 C's own start value is {thesis.FIGURE_7_5['start'][joint]:.4f}",
+        TOLERANCE,
+        (used, as_printed),
     )
 
 
@@ -214,8 +214,7 @@ def _trials() -> list[Trial]:
             inertial += printed.coriolis(model, q, qd, names)
             half = model._replace(centroids=printed.script_centroids(model.lengths))
             for (centroids, leg), (way, g) in product(
-                {"r of appendix H": half, "its centroids": model}.items(),
-                GRAVITY.items(),
+                {"r of appendix H": half, "its centroids": model}.items(), GRAVITY.items()
             ):
                 tau = inertial + printed.gravity(leg._replace(gravity=g), q)
                 words = f"{parameters}, {centroids}"
@@ -230,10 +229,7 @@ def _models() -> dict[str, printed.Model]:
     inertias = {
         "the script's links": (thesis.SCRIPT_LENGTHS, script_inertias()),
         "section 4.6 as printed": (thesis.LINK_LENGTHS, np.array(thesis.PSEUDO_INERTIAS)),
-        "section 4.6 with the recovered masses": (
-            thesis.LINK_LENGTHS,
-            corrected_inertias() * recovered[:, None, None],
-        ),
+        "section 4.6 with the recovered masses": (thesis.LINK_LENGTHS, corrected_inertias() * recovered[:, None, None]),
     }
     models = {}
     for name, (lengths, inertia) in inertias.items():

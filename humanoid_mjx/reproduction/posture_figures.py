@@ -58,9 +58,7 @@ def _draw(panel: Any, angles: Float[np.ndarray, " angles"]) -> None:
     colors += [_shaded(face, color) for color, face in solid]
     panel.add_collection3d(Poly3DCollection(faces, facecolors=colors, edgecolors="none", zsort="average"))
     side = TILES * TILE_M
-    panel.set_xlim(-side, side)
-    panel.set_ylim(-side, side)
-    panel.set_zlim(-0.01, 2 * side - 0.01)
+    panel.set(xlim=(-side, side), ylim=(-side, side), zlim=(-0.01, 2 * side - 0.01))
     panel.set_box_aspect((1, 1, 1), zoom=1.3)
     panel.view_init(elev=10, azim=-52)
     panel.set_axis_off()

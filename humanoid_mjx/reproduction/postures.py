@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, judge, three_digits, unprinted
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, three_digits, unprinted
 from humanoid_mjx.thesis import leg
 from humanoid_mjx.thesis import q_learning as thesis
 
@@ -51,7 +51,7 @@ def initial(setting: Setting) -> list[Finding]:
     others = [(_words(section, ends[0]), _posture(ends[0])) for section, ends in thesis.POSTURES.items()]
     title = "Initial postures: degrees of the right leg, the left takes the opposite"
     draw_postures(setting.out / "figure-7.17.png", title, [upright, *others])
-    return [_in_range("figure-7.17", section, "start", ends[0]) for section, ends in thesis.POSTURES.items()]
+    return [_in_range(section, "start", ends[0]) for section, ends in thesis.POSTURES.items()]
 
 
 def following(setting: Setting) -> list[Finding]:
@@ -64,14 +64,14 @@ def following(setting: Setting) -> list[Finding]:
     postures.append((f"{_words('7H', as_printed)}, the knee as printed", _posture(as_printed)))
     title = "Next postures: degrees of the right leg, the left takes the opposite"
     draw_postures(setting.out / "figure-7.18.png", title, postures)
-    findings = [_in_range("figure-7.18", section, "goal", ends[1]) for section, ends in thesis.POSTURES.items()]
+    findings = [_in_range(section, "goal", ends[1]) for section, ends in thesis.POSTURES.items()]
     findings.append(_sign())
     for section in thesis.POSTURES:
         findings += _switch(section, setting)
     return findings
 
 
-def _in_range(name: str, section: str, when: str, degrees: tuple[float, ...]) -> Finding:
+def _in_range(section: str, when: str, degrees: tuple[float, ...]) -> Finding:
     """Whether both legs can take a posture."""
     outside = [
         f"{side} {joint} {sign * angle + 0.0:g} of {low:g} to {high:g}"
@@ -79,14 +79,13 @@ def _in_range(name: str, section: str, when: str, degrees: tuple[float, ...]) ->
         for joint, angle, (low, high) in zip(JOINTS, degrees, RANGES, strict=True)
         if not low <= sign * angle <= high
     ]
-    return Finding(
-        name=name,
-        quantity=f"section {section}: joints of both legs outside Table 3.2's proposed ranges at the {when}",
-        printed="the ranges of Table 3.2",
-        reproduced=len(outside),
-        tolerance=0,
-        verdict=judge(not outside, {}, {}),
-        why=", ".join(outside) + " degrees" if outside else "all are inside",
+    return check(
+        f"section {section}: joints of both legs outside Table 3.2's proposed ranges at the {when}",
+        "the ranges of Table 3.2",
+        len(outside),
+        not outside,
+        ", ".join(outside) + " degrees" if outside else "all are inside",
+        0,
     )
 
 
@@ -95,15 +94,15 @@ def _sign() -> Finding:
     low, high = RANGES[1]
     used = {"knee": thesis.POSTURES["7H"][1][1]}
     as_printed = PRINTED_GOAL["knee"]
-    return Finding(
-        name="figure-7.18",
-        quantity="section 7H: goal of the right knee inside its range of Table 3.2, degrees",
-        printed=as_printed,
-        reproduced=used["knee"],
-        tolerance=0.0,
-        verdict=judge(_where(used["knee"]) == "inside", used, PRINTED_GOAL),
-        why=f"the range is {low:g} to {high:g}: {as_printed:g} is {_where(as_printed)}; {used['knee']:g}, "
+    return check(
+        "section 7H: goal of the right knee inside its range of Table 3.2, degrees",
+        as_printed,
+        used["knee"],
+        _where(used["knee"]) == "inside",
+        f"the range is {low:g} to {high:g}: {as_printed:g} is {_where(as_printed)}; {used['knee']:g}, "
         f"which the table's sign makes of it, is {_where(used['knee'])}",
+        0.0,
+        (used, PRINTED_GOAL),
     )
 
 
@@ -152,16 +151,14 @@ def _involves_dynamics(section: str, learned: Switch, loaded: Switch) -> Finding
     """Section 7 H's claim, by the same table on a robot of another mass."""
     settles = "never settles" if np.isnan(loaded.settling) else f"settles in {loaded.settling:g} s"
     alike = _same(learned.settling, loaded.settling) and _same(learned.energy, loaded.energy)
-    return Finding(
-        name="figure-7.18",
-        quantity=f"section {section}: settling time, s, and energy, J, of the same table on a robot {HEAVY:g} times "
-        "as heavy",
-        printed="there is no kinematics and dynamics involved (7 H)",
-        reproduced=[_short(loaded.settling), _short(loaded.energy)],
-        tolerance=SAME,
-        verdict=judge(alike, {}, {}),
-        why=f"the heavy robot {settles}; at the mass that the controller believes they are {learned.settling:g} s and "
+    return check(
+        f"section {section}: settling time, s, and energy, J, of the same table on a robot {HEAVY:g} times as heavy",
+        "there is no kinematics and dynamics involved (7 H)",
+        [_short(loaded.settling), _short(loaded.energy)],
+        alike,
+        f"the heavy robot {settles}; at the mass that the controller believes they are {learned.settling:g} s and "
         f"{learned.energy:.3g} J: the table only names set-points, and the torque comes from the leg's model",
+        SAME,
     )
 
 

@@ -4,7 +4,7 @@ from functools import partial
 
 import numpy as np
 
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, in_words, judge
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, in_words
 from humanoid_mjx.thesis import q_learning as thesis
 
 TOLERANCE = 5e-4
@@ -22,7 +22,7 @@ CONFIG = {
 }
 
 
-def q_table(number: int, joint: int, setting: Setting) -> list[Finding]:
+def q_table(joint: int, setting: Setting) -> list[Finding]:
     from humanoid_mjx.reproduction.traces import printed_run
 
     run = printed_run(joint, setting.config, runs=16, steps=2000)
@@ -32,20 +32,20 @@ def q_table(number: int, joint: int, setting: Setting) -> list[Finding]:
     error = float(np.abs(reached - printed).max()) if comparable else float("inf")
     used = setting.config["task"] | setting.config["learner"]
     return [
-        Finding(
-            name=f"table-7.{number}",
-            quantity="Q after the goal: for each row, staying and moving",
-            printed=printed.tolist(),
-            reproduced=np.round(reached[0].astype(float), 4).tolist() if len(reached) else None,
-            tolerance=TOLERANCE,
-            verdict=judge(error <= TOLERANCE, used, PRINTED),
-            why=f"{in_words(used, PRINTED)}; {len(reached)} of {len(run.terminated)} runs reached the goal, "
+        check(
+            "Q after the goal: for each row, staying and moving",
+            printed.tolist(),
+            np.round(reached[0].astype(float), 4).tolist() if len(reached) else None,
+            error <= TOLERANCE,
+            f"{in_words(used, PRINTED)}; {len(reached)} of {len(run.terminated)} runs reached the goal, "
             + (f"the largest difference of any run is {error:.2g}" if comparable else "the table has another shape"),
+            TOLERANCE,
+            (used, PRINTED),
         )
     ]
 
 
 EXPERIMENTS = [
-    Experiment(f"table-7.{number}", f"Q after learning of joint {joint}", partial(q_table, number, joint), CONFIG)
+    Experiment(f"table-7.{number}", f"Q after learning of joint {joint}", partial(q_table, joint), CONFIG)
     for number, joint in enumerate((1, 4, 5), start=1)
 ]

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from humanoid_mjx.report.style import SEQUENTIAL, figure
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, judge, three_digits
+from humanoid_mjx.report.style import SEQUENTIAL
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, three_digits
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.thesis import leg as thesis
 
@@ -49,27 +49,23 @@ def robustness(setting: Setting) -> list[Finding]:
     linear = np.minimum(partitioned, holding)
     wins, follows = bool((torque <= linear)[:, exact, load].all()), np.isfinite(np.minimum(torque, linear))
     return [
-        Finding(
-            name="robustness-map",
-            quantity="computed torque with the right model follows better than the linear controllers",
-            printed="better trajectory performance than linear controllers (5.7)",
-            reproduced=wins,
-            tolerance=None,
-            verdict=judge(wins, {}, {}),
-            why=f"at cycles of {', '.join(f'{c * STEP_S * 1e3:g}' for c in CYCLES)} ms it leaves "
+        check(
+            "computed torque with the right model follows better than the linear controllers",
+            "better trajectory performance than linear controllers (5.7)",
+            wins,
+            wins,
+            f"at cycles of {', '.join(f'{c * STEP_S * 1e3:g}' for c in CYCLES)} ms it leaves "
             f"{_list(torque[:, exact, load])} rad, partitioned PD {_list(partitioned[:, exact, load])}, holding the "
             f"weight {_list(holding[:, exact, load])}; of all legs that one of them can control, computed torque "
             f"is the best for {(torque < linear)[follows].mean():.0%}",
         ),
-        Finding(
-            name="robustness-map",
-            quantity="the error is not 0 because of the cycle time: computed torque at "
+        check(
+            "the error is not 0 because of the cycle time: computed torque at "
             f"{CYCLES[0] * STEP_S * 1e3:g} and {CYCLES[1] * STEP_S * 1e3:g} ms, rad",
-            printed="close to 0, and more with the cycle time",
-            reproduced=[three_digits(torque[i, exact, load]) for i in (0, 1)],
-            tolerance=None,
-            verdict=judge(bool(torque[0, exact, load] < torque[1, exact, load] < 0.01), {}, {}),
-            why=f"but for the cycle nothing is wrong there; a model {MODEL_ERROR:.0%} too heavy at "
+            "close to 0, and more with the cycle time",
+            [three_digits(torque[i, exact, load]) for i in (0, 1)],
+            torque[0, exact, load] < torque[1, exact, load] < 0.01,
+            f"but for the cycle nothing is wrong there; a model {MODEL_ERROR:.0%} too heavy at "
             f"{CYCLES[0] * STEP_S * 1e3:g} ms leaves {three_digits(torque[0, -1, load])} rad, {PAYLOAD:g} kg at the "
             f"toe {three_digits(torque[0, exact, -1])} rad; at {CYCLES[-1] * STEP_S * 1e3:g} ms "
             f"{np.isinf(torque[-1]).mean():.0%} of the legs are unstable",
@@ -145,10 +141,7 @@ def _draw(setting: Setting, errors: dict[str, np.ndarray]) -> None:
     from matplotlib.colors import LogNorm
 
     extent = (0.0, 1e3 * PAYLOAD, -100 * MODEL_ERROR, 100 * MODEL_ERROR)
-    with figure(setting.out / "robustness-map.png", len(LAWS), len(CYCLES), (2.7, 2.4), sharex=True, sharey=True) as (
-        fig,
-        axes,
-    ):
+    with setting.figure(len(LAWS), len(CYCLES), (2.7, 2.4), sharex=True, sharey=True) as (fig, axes):
         for row, (law, words) in enumerate(LAWS.items()):
             for column, cycle in enumerate(CYCLES):
                 panel = axes[row, column]

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, in_words, judge, three_digits
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, in_words, three_digits
 from humanoid_mjx.reproduction.leg_figures import draw_tracking
 from humanoid_mjx.reproduction.printed import dynamics as printed_dynamics
 from humanoid_mjx.spec import InputError
@@ -87,45 +87,40 @@ def tracking(joint: int, setting: Setting) -> list[Finding]:
     printed, tolerance = thesis.TRACKING["error"][joint], TOLERANCES[joint]
     left = {v: abs(float(e[-1, joint])) for v, e in motions.items()}
     nearest = min(left, key=lambda v: abs(left[v] - printed))
-    name, own = f"figure-7.{joint + 6}", partial(in_words, used, PRINTED)
+    own = partial(in_words, used, PRINTED)
     errors, ratio = motions[EXACT][:, joint], float(kd[joint] / (2 * np.sqrt(kp[joint])))
     overshoot = float(np.max(-np.sign(errors[0]) * errors)) if errors[0] else float(np.abs(errors).max())
     place = thesis.FIGURE_7_1[joint][1] - printed
     return [
-        Finding(
-            name=name,
-            quantity=f"joint {joint + 1}: error left after {thesis.QUINTIC_S:g} s, rad",
-            printed=printed,
-            reproduced=three_digits(left[EXACT]),
-            tolerance=tolerance,
-            verdict=judge(
-                abs(left[EXACT] - printed) < tolerance,
-                used,
-                PRINTED,
-                possible=abs(left[nearest] - printed) < tolerance,
-            ),
-            why=f"{own()}: exact computed torque, whatever the leg; partitioned PD leaves "
+        check(
+            f"joint {joint + 1}: error left after {thesis.QUINTIC_S:g} s, rad",
+            printed,
+            three_digits(left[EXACT]),
+            abs(left[EXACT] - printed) < tolerance,
+            f"{own()}: exact computed torque, whatever the leg; partitioned PD leaves "
             f"{three_digits(left[PARTITIONED])}; of {len(VARIANTS)} controllers the nearest ({nearest.words}) leaves "
             f"{three_digits(left[nearest])}",
+            tolerance,
+            (used, PRINTED),
+            possible=abs(left[nearest] - printed) < tolerance,
         ),
-        Finding(
-            name=name,
-            quantity=f"joint {joint + 1}: overshoot of the actual position, rad (the text sees one)",
-            printed="> 0",
-            reproduced=three_digits(max(overshoot, 0.0)),
-            tolerance=OVERSHOOT_RAD,
-            verdict=judge(overshoot > OVERSHOOT_RAD, used, PRINTED),
-            why=f"{own()}, damping ratio {ratio:.2f}: over 1, an error that starts at rest never changes its sign; "
+        check(
+            f"joint {joint + 1}: overshoot of the actual position, rad (the text sees one)",
+            "> 0",
+            three_digits(max(overshoot, 0.0)),
+            overshoot > OVERSHOOT_RAD,
+            f"{own()}, damping ratio {ratio:.2f}: over 1, an error that starts at rest never changes its sign; "
             "what the text sees is the way from q = 0 to the start of the plan",
+            OVERSHOOT_RAD,
+            (used, PRINTED),
         ),
-        Finding(
-            name=name,
-            quantity=f"joint {joint + 1}: place after {thesis.QUINTIC_S:g} s, rad: the target less the printed error",
-            printed=thesis.TRACKING["end"][joint],
-            reproduced=round(place, 4),
-            tolerance=tolerance + 5e-4,
-            verdict=judge(abs(place - thesis.TRACKING["end"][joint]) < tolerance + 5e-4, {}, {}),
-            why=f"the text's own numbers: target {thesis.FIGURE_7_1[joint][1]:g}, error {printed:g}",
+        check(
+            f"joint {joint + 1}: place after {thesis.QUINTIC_S:g} s, rad: the target less the printed error",
+            thesis.TRACKING["end"][joint],
+            round(place, 4),
+            abs(place - thesis.TRACKING["end"][joint]) < tolerance + 5e-4,
+            f"the text's own numbers: target {thesis.FIGURE_7_1[joint][1]:g}, error {printed:g}",
+            tolerance + 5e-4,
         ),
     ]
 
@@ -145,15 +140,15 @@ def together(setting: Setting) -> list[Finding]:
     nearest = min(left, key=lambda v: float(np.abs(left[v] - printed).max()))
     agrees = bool((np.abs(left[nearest] - printed) < TOLERANCES).all())
     return [
-        Finding(
-            name="control-7d",
-            quantity="errors of the five joints after 5 s under one controller, rad",
-            printed=printed.tolist(),
-            reproduced=[three_digits(x) for x in left[nearest]],
-            tolerance=None,
-            verdict=judge(agrees, used, PRINTED, possible=agrees),
-            why=f"{in_words(used, PRINTED)}: of {len(VARIANTS)} controllers the nearest ({nearest.words}) is off by up "
+        check(
+            "errors of the five joints after 5 s under one controller, rad",
+            printed.tolist(),
+            [three_digits(x) for x in left[nearest]],
+            agrees,
+            f"{in_words(used, PRINTED)}: of {len(VARIANTS)} controllers the nearest ({nearest.words}) is off by up "
             f"to {np.abs(left[nearest] - printed).max():.2g}; control-7d.md has them all",
+            values=(used, PRINTED),
+            possible=agrees,
         )
     ]
 
