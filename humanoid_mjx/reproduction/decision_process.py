@@ -111,7 +111,7 @@ def aliasing(setting: Setting) -> list[Finding]:
 
 
 def negative_reward(setting: Setting) -> list[Finding]:
-    """Whether a cost for stepping back keeps a joint from stepping back, as chapter 6 fears."""
+    """The finding that a cost for stepping back keeps a joint from it, as chapter 6 fears."""
     setting.tell(f"training with {len(BACK_REWARDS)} rewards of a step back")
     axes = {"task.back_reward": list(BACK_REWARDS)}
     return [_stepping_back(_greedy_success(STEPPING_BACK, axes))]

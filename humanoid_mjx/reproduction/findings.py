@@ -1,4 +1,4 @@
-"""What an experiment is, what it finds, and how a verdict is computed."""
+"""Experiments, their findings, and the verdict on a finding."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -118,7 +118,7 @@ def departures(used: Mapping[str, Any], printed: Mapping[str, Any]) -> list[str]
 
 
 def in_words(used: Mapping[str, Any], printed: Mapping[str, Any]) -> str:
-    """How the values used differ from the printed ones, as the start of a sentence."""
+    """Differences of the values used from the printed ones, as the start of a sentence."""
     changes = departures(used, printed)
     return "with " + ", ".join(changes) if changes else "with the printed values"
 

@@ -37,7 +37,7 @@ PUSH_S, PUSH_AT = 0.1, 0.5
 
 
 class Trial(NamedTuple):
-    """What one body is to do, and under which controller."""
+    """A motion for one body, and its controller."""
 
     controller: str
     """One of `laws_of`."""
@@ -54,7 +54,7 @@ class Trial(NamedTuple):
     """Signs of hip pitch, knee and ankle: 1 takes the gait's angles as printed, in the senses of `lower_body`, where a
     positive knee swings the shank back and a positive ankle turns the toes down; -1 takes the other sense."""
     same_yaw: bool = False
-    """Whether both legs yaw in the same sense, to the right, instead of both toes outwards."""
+    """True if both legs yaw in the same sense, to the right, instead of both toes outwards."""
 
 
 class Path(NamedTuple):

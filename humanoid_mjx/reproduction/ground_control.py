@@ -28,7 +28,7 @@ CONFIG = {
 
 
 def standing(setting: Setting) -> list[Finding]:
-    """Which controllers stand, which pushes they withstand, and how far the joints give way."""
+    """Findings on the controllers that stand, the pushes that they withstand, and how far the joints give way."""
     from humanoid_mjx.reproduction.ground import Path, Trial, play
 
     still = {name: Trial(name) for name in CONTROLLERS}
@@ -76,7 +76,7 @@ def standing(setting: Setting) -> list[Finding]:
 
 
 def judge_roll(free: Mapping[float, Any], held: Mapping[float, Any]) -> Finding:
-    """Whether the hips' rolls help against pushes from the side (chapter 8), from the paths of a servo by impulse.
+    """The finding that the hips' rolls help against pushes from the side (chapter 8), from the paths of a servo by impulse.
 
     Args:
       free: of the body as it is.
@@ -97,7 +97,7 @@ def judge_roll(free: Mapping[float, Any], held: Mapping[float, Any]) -> Finding:
 
 
 def _aside(path: Any) -> float:
-    """How far the hips go sideways, m."""
+    """Largest distance of the hips sideways from their start, m."""
     return float(np.abs(path.qpos[:, 1] - path.qpos[0, 1]).max())
 
 

@@ -13,7 +13,7 @@ from humanoid_mjx.reproduction.ground import Trial
 TABLES = {"straight_walk": "Table 4.5", "sudden_turn": "Table 4.6"}
 
 VIEW_M = 0.15
-"""What the figures show."""
+"""Distance from the origin that the figures show, m."""
 
 
 def draw_balance(path: Path, played: Mapping[Trial, Any], balances: Mapping[Trial, Any]) -> None:

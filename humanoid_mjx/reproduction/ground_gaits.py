@@ -34,7 +34,7 @@ AMPLITUDES, FREQUENCIES = (0.1, 0.25, 0.5, 1.0), (0.625, 1.25, 2.5)
 
 
 def walking(setting: Setting) -> list[Finding]:
-    """Whether it walks and turns, with the balance on the way."""
+    """Findings on walking and turning, with the balance on the way."""
     from humanoid_mjx.reproduction.ground import balance_of, play
     from humanoid_mjx.reproduction.ground_figures import draw_balance, draw_prints
 
@@ -194,7 +194,7 @@ def sole_tilts(signs: tuple[int, int, int]) -> tuple[float, float]:
 
 
 def walks(path: Any) -> bool:
-    """Whether a body stays on its feet and gets further than a step."""
+    """True if a body stays on its feet and gets further than a step."""
     return not path.fell and abs(path.distance) > STEP_M
 
 
@@ -210,7 +210,7 @@ def _signs(signs: tuple[int, int, int]) -> str:
 
 
 def _yaws(gait: str) -> tuple[bool, ...]:
-    """Whether both legs yaw in the same sense: the readings of a gait, of which a gait without yaw has one."""
+    """Values of `same_yaw`: the readings of a gait, of which a gait without yaw has one."""
     return (False, True) if gait == "sudden_turn" else (False,)
 
 

@@ -153,7 +153,7 @@ def _epsilon(moves: dict[int, int], steps: dict[int, int], config: dict[str, Any
 
 
 def _averages(averages: dict[int, float], steps: dict[int, int]) -> Finding:
-    """Whether the three averages are those of uniform numbers, weighted with how many were drawn at least."""
+    """The finding that the three averages are those of uniform numbers, weighted with how many were drawn at least."""
     weights = np.array([steps[joint] for joint in averages], float)
     pooled = float(np.average(list(averages.values()), weights=weights))
     half = 1.96 * math.sqrt(1 / 12 / weights.sum())

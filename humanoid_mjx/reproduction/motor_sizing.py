@@ -1,4 +1,4 @@
-"""What the joints must hold when the leg carries the body, against Table 4.7, whose leg hangs in the air.
+"""Torques that the joints must hold when the leg carries the body, against Table 4.7, whose leg hangs in the air.
 
 The torso is a load at the middle between the hips that stays upright; the feet touch the ground with the toe, the end
 of the chain; everything is slow enough for statics. The last link stays upright, as a foot flat on the ground would

@@ -64,7 +64,7 @@ def _pictures(path: Path) -> list[Path]:
 
 
 def _belongs(stem: str, name: str, names: Sequence[str]) -> bool:
-    """Whether a file is an experiment's: it begins with its name, and with no longer name of another."""
+    """True if a file is an experiment's: it begins with its name, and with no longer name of another."""
     fits = [other for other in names if stem == other or stem.startswith(f"{other}-")]
     return bool(fits) and max(fits, key=len) == name
 

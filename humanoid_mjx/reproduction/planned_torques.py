@@ -39,7 +39,7 @@ EVIDENCE = (
     "m4 was solved from this number, which is therefore no evidence; that it comes out round is (0.067000 kg)",
     "evidence for the model: no value was fitted to it, and all nine digits agree",
 )
-"""What the start torques say about the recovered values, by joint."""
+"""Evidence of the start torques for the recovered values, by joint."""
 
 GRAVITY = {"sideways": (0.0, 0.0, -thesis.GRAVITY), "along the leg": (0.0, -thesis.GRAVITY, 0.0)}
 

@@ -31,7 +31,7 @@ HEAVY = 2.0
 
 
 class Switch(NamedTuple):
-    """How a switch of posture went."""
+    """Measures of a switch of posture."""
 
     settling: float
     """Time until all joints are within the task's tolerance of the goal for good, s; NaN if they never are."""
@@ -72,7 +72,7 @@ def following(setting: Setting) -> list[Finding]:
 
 
 def _in_range(section: str, when: str, degrees: tuple[float, ...]) -> Finding:
-    """Whether both legs can take a posture."""
+    """The finding on the joints of both legs that a posture takes out of their ranges."""
     outside = [
         f"{side} {joint} {sign * angle + 0.0:g} of {low:g} to {high:g}"
         for side, sign in LEGS.items()

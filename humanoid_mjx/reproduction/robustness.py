@@ -1,4 +1,4 @@
-"""How far controllers stray from the plan when the model, the load or the cycle time differs from their design.
+"""Tracking errors of controllers when the model, the load or the cycle time differs from their design.
 
 Section 5.6 says that a cycle time keeps the error from being 0, section 5.7 that computed torque follows better than
 linear controllers do; neither is shown there.

@@ -29,7 +29,7 @@ class SteppingBack(FiniteTask):
         return 3
 
     def reset(self, key: Key[Array, ""]) -> IntScalar:
-        """How many steps the joint is beyond the goal."""
+        """Number of steps that the joint is beyond the goal."""
         return jnp.int32(self.steps)
 
     def step(

@@ -18,7 +18,7 @@ class Trace(NamedTuple):
     action: np.ndarray
     """(runs, steps)"""
     terminated: np.ndarray
-    """(runs, steps) Whether the step ended the trajectory."""
+    """(runs, steps) True where the step ended the trajectory."""
     explore: np.ndarray
     """(runs, steps) The random number that decided between exploring and the greedy action."""
     q_table: np.ndarray

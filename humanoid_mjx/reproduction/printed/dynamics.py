@@ -53,7 +53,7 @@ SLIPS = {
 
 
 class Model(NamedTuple):
-    """What the formulas are evaluated with."""
+    """Parameters of the formulas."""
 
     lengths: tuple[float, ...]
     """l1 to l5, m"""

@@ -1,4 +1,4 @@
-"""What an entry of the errata is."""
+"""An entry of the errata: a printed formula beside the right one."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -34,21 +34,21 @@ class Erratum:
     """A printed formula beside the right one."""
 
     place: str
-    """Where it is printed."""
+    """Place where it is printed."""
     fault: str
-    """What is wrong with it, or "none"."""
+    """The fault, or "none"."""
     fix: str
-    """What it should be."""
+    """The correction."""
     printed: Formula
     right: Formula
     unit: str = ""
     angle: bool = False
-    """Whether whole turns do not count."""
+    """True if whole turns do not count."""
     in_range: bool = False
-    """Whether to compare only where the joints are in the ranges of Table 3.2."""
+    """True if it is compared only where the joints are in the ranges of Table 3.2."""
 
     def errors(self, states: States) -> np.ndarray:
-        """(n,) How far the printed formula is off at each state."""
+        """(n,) Error of the printed formula at each state."""
         with np.errstate(all="ignore"):
             difference = np.asarray(self.printed(states)) - np.asarray(self.right(states))
         if self.angle:
