@@ -28,7 +28,7 @@ CONFIG = {
 
 
 def standing(setting: Setting) -> list[Finding]:
-    """Findings on the controllers that stand, the pushes that they withstand, and how far the joints give way."""
+    """Findings on the controllers that stand, the pushes that they withstand, and the joints that give way."""
     from humanoid_mjx.reproduction.ground import Path, Trial, play
 
     still = {name: Trial(name) for name in CONTROLLERS}
@@ -76,7 +76,7 @@ def standing(setting: Setting) -> list[Finding]:
 
 
 def judge_roll(free: Mapping[float, Any], held: Mapping[float, Any]) -> Finding:
-    """The finding that the hips' rolls help against pushes from the side (chapter 8), from the paths of a servo by impulse.
+    """The finding that hip rolls help against pushes from the side (chapter 8), from the paths of a servo by impulse.
 
     Args:
       free: of the body as it is.

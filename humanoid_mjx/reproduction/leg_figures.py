@@ -31,7 +31,7 @@ def draw_torques(path: Path, t: np.ndarray, curves: Mapping[str, np.ndarray]) ->
 
 
 def draw_tracking(path: Path, joint: int, errors: Mapping[str, np.ndarray]) -> None:
-    """Where a joint is under each controller, and how far from the plan, beside what is printed of it.
+    """Angle of a joint under each controller and its distance from the plan, beside the printed values.
 
     Args:
       errors: by what a controller is called, the plan less the joint's angle at even times, rad.

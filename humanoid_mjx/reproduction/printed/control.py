@@ -65,7 +65,7 @@ def _underdamped(factor: float) -> Formula:
 
 
 def _gain(states: States) -> np.ndarray:
-    """What (5.1) makes of a set-point of 1 in the end."""
+    """The end value of (5.1) for a set-point of 1."""
     b0 = _between(1.0, 10.0, states.q[3])
     return b0 / (1 + b0)
 

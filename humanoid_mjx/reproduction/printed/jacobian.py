@@ -112,7 +112,7 @@ _TORQUES = {
 
 
 def first_torque(states: States) -> np.ndarray:
-    """What torque 1 of appendix D multiplies f_x with, its brackets paired as far as they are printed, m."""
+    """The factor of f_x in torque 1 of appendix D, its brackets paired as far as they are printed, m."""
     c1, s1, c2, s2, c3, s3, c4, s4, c5, s5 = sines(states)
     _, l2, l3, l4, l5 = states.lengths
     y = c1 * c3 + s1 * s2 * s3
