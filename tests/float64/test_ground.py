@@ -137,6 +137,7 @@ def test_gains_are_data():
         joints=slice(6, 16),
         qpos=jnp.full(10, 0.1),
         qvel=jnp.ones(10),
+        torque_for=lambda wanted, mass: wanted,
         model_for=lambda mass: (seen["matrix"], seen["bias"]),
         contacts=lambda: seen["contacts"],
     )
