@@ -1,4 +1,4 @@
-"""Make the README's figures again, by the commands that it names.
+"""Make the figures of README and docs again, by the commands that they name.
 
     python experiments/readme_figures.py                      # all of them
     python experiments/readme_figures.py robots               # one of them, in seconds
