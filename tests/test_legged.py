@@ -20,7 +20,7 @@ from humanoid_mjx.robot.lower_body import LowerBody
 from humanoid_mjx.tasks.check import check_task
 from humanoid_mjx.tasks.legged import LeggedTask, StandRewards, rewards
 from humanoid_mjx.tasks.legged.commands import LARGEST, Velocity
-from humanoid_mjx.tasks.legged.events import Randomise
+from humanoid_mjx.tasks.legged.events import Push, Randomise
 from humanoid_mjx.tasks.legged.gait import Clock
 from humanoid_mjx.tasks.legged.observations import OBSERVATIONS, Observed, swapped
 from humanoid_mjx.tasks.legged.view import unknown_feet
@@ -143,6 +143,37 @@ def test_a_symmetric_task_shows_one_half_of_the_gait_alone():
     after = step(arrays(task), state, offsets, KEYS)
     as_meant = jnp.where(late[:, None], jax.vmap(lambda offset: swapped(offset, BODY))(offsets), offsets)
     np.testing.assert_array_equal(after.data.world.qpos, step(arrays(plain), same, as_meant, KEYS).data.world.qpos)
+
+
+def test_history_shows_the_last_decisions_from_todays_side():
+    """Of a symmetric task, so that the earlier rows are mirrored where the latest is."""
+    given = {"push": {"impulse": 0.0}, "symmetric": True, **EXACT}
+    task, short = walk(history=3, **given), walk(**given)
+    size = short.observation_size
+    assert task.observation_size == 3 * size == len(task.observation_bounds[0])
+    state, single, flips = reset(arrays(task), KEYS), reset(arrays(short), KEYS), 0
+    np.testing.assert_array_equal(state.obs, np.tile(single.obs, 3))
+    seen, late = [single.obs] * 2, [np.asarray(single.data.phase) >= 0.5] * 2
+    for k in range(12):
+        offsets = jax.random.uniform(rng.key(k), (8, JOINTS), minval=-1.0)
+        state, single = step(arrays(task), state, offsets, KEYS), step(arrays(short), single, offsets, KEYS)
+        seen, late = [single.obs, *seen[:2]], [np.asarray(single.data.phase) >= 0.5, *late[:2]]
+        flipped = [side != late[0] for side in late]
+        flips += np.sum(flipped)
+        rows = [
+            np.where(f[:, None], jax.vmap(short.observed.mirrored)(o), o) for f, o in zip(flipped, seen, strict=True)
+        ]
+        np.testing.assert_array_equal(state.obs, np.concatenate(rows, axis=1))
+    assert flips
+    np.testing.assert_array_equal(state.data.world.qpos, single.data.world.qpos)
+
+
+def test_impulses_are_drawn_between_the_smallest_and_the_largest():
+    push, keys = Push(impulse=2.0, least=0.25, every=1.0), jax.random.split(rng.key(0), 4000)
+    force = np.asarray(jax.vmap(lambda key: push.force(jnp.float32(0.0), 0.5, key))(keys))
+    impulse = 0.5 * np.linalg.norm(force, axis=1)
+    # Uniform between 0.5 and 2: the least and the largest of 4000 are within 0.01 of the ends but by a chance of 1e-12.
+    np.testing.assert_allclose([impulse.min(), impulse.mean(), impulse.max()], [0.5, 1.25, 2.0], atol=0.03)
 
 
 def test_what_is_observed_is_a_tuple_of_names():

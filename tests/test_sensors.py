@@ -9,6 +9,8 @@ from humanoid_mjx.physics.base import Readings
 from humanoid_mjx.physics.sensors import Sensors
 
 KEY = jax.random.key(0)
+KEYS = jax.random.split(KEY, 16)
+"""All three delays of a jitter of 2 are among them, by a chance of all but 0.005 for any seed."""
 
 
 def readings(value):
@@ -33,6 +35,13 @@ def test_perfect_sensors_tell_the_truth():
 def test_delay_in_control_cycles():
     for part in run(Sensors(delay=2), [1.0, 2.0, 3.0, 4.0]):
         np.testing.assert_array_equal(part[:, 1], [1.0, 1.0, 1.0, 2.0])
+
+
+def test_jitter_draws_a_longer_delay_for_each_episode():
+    late = np.array([run(Sensors(delay=1, jitter=2), np.arange(9.0), key=key)[0][-1, 0] for key in KEYS])
+    assert set(8.0 - late) == {1.0, 2.0, 3.0}
+    one = run(Sensors(delay=1, jitter=2), np.arange(9.0))[0][:, 0]
+    np.testing.assert_array_equal(np.diff(one[4:]), 1.0)  # of one episode it stays the same
 
 
 def test_noise_and_bias_have_the_size_asked_for():

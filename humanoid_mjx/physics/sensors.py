@@ -9,7 +9,7 @@ from pydantic import Field
 
 from humanoid_mjx.physics.base import Readings
 from humanoid_mjx.spec import Spec, traced
-from humanoid_mjx.types import FloatScalar
+from humanoid_mjx.types import FloatScalar, IntScalar
 
 
 class SensorState(NamedTuple):
@@ -18,11 +18,13 @@ class SensorState(NamedTuple):
     bias: Readings
     """Biases, drawn at the start of an episode."""
     past: Readings
-    """The last `delay` readings, the oldest first: a leading axis on each array."""
+    """The last `delay + jitter` readings, the oldest first: a leading axis on each array."""
+    late: IntScalar | None
+    """Control cycles by which the delay of this episode is longer; None without `jitter`."""
 
 
 class Sensors(Spec):
-    """Errors of the sensors: white noise at each reading, a bias for each episode, and a delay.
+    """Errors of the sensors: white noise at each reading, and a bias and a delay for each episode.
 
     Noise and bias are standard deviations of normal distributions, for each component alone.
     """
@@ -35,21 +37,24 @@ class Sensors(Spec):
     accelerometer_bias: float = traced(0.0, ge=0, description="m/s^2")
     foot_contact_noise: float = traced(0.0, ge=0, description="N")
     delay: int = Field(0, ge=0, le=100, description="control cycles")
+    jitter: int = Field(0, ge=0, le=100, description="the delay of an episode is longer by 0 to as many cycles")
     averages: bool = Field(False, description="gyroscope and accelerometer read means of a control cycle")
 
     def start(self, readings: Readings, key: Key[Array, ""]) -> SensorState:
-        """Draw the biases. The readings before the first are set to `readings`."""
+        """Draw the biases and the delay. The readings before the first are set to `readings`."""
         spread = self.encoder_bias, self.gyroscope_bias, self.accelerometer_bias, 0.0
-        past = jax.tree.map(lambda x: jnp.broadcast_to(x, (self.delay, *x.shape)), readings)
-        return SensorState(_normal(spread, readings, key), past)
+        past = jax.tree.map(lambda x: jnp.broadcast_to(x, (self.delay + self.jitter, *x.shape)), readings)
+        late = jax.random.randint(jax.random.fold_in(key, 1), (), 0, self.jitter + 1) if self.jitter else None
+        return SensorState(_normal(spread, readings, key), past, late)
 
     def read(self, state: SensorState, readings: Readings, key: Key[Array, ""]) -> tuple[SensorState, Readings]:
         """Once each control cycle: from the true readings to those of the sensors."""
         queue = jax.tree.map(lambda past, now: jnp.concatenate([past, now[None]]), state.past, readings)
         spread = self.encoder_noise, self.gyroscope_noise, self.accelerometer_noise, self.foot_contact_noise
         noise = _normal(spread, readings, key)
-        seen = jax.tree.map(lambda queue, bias, noise: queue[0] + bias + noise, queue, state.bias, noise)
-        return SensorState(state.bias, jax.tree.map(lambda x: x[1:], queue)), seen
+        row = 0 if state.late is None else self.jitter - state.late
+        seen = jax.tree.map(lambda queue, bias, noise: queue[row] + bias + noise, queue, state.bias, noise)
+        return state._replace(past=jax.tree.map(lambda x: x[1:], queue)), seen
 
 
 def _normal(spread: tuple[FloatScalar, ...], like: Readings, key: Key[Array, ""]) -> Readings:

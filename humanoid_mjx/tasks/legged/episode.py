@@ -78,6 +78,8 @@ class Episode(NamedTuple):
     """Where the gait is; at 0 in a task without one."""
     plant: Plant | None
     """Values of this episode's world under randomisation."""
+    past: Float[Array, "history size"] | None
+    """Observations of the last decisions, the latest first, as on the robot's own sides; None if `history` is 1."""
 
     @property
     def phase(self) -> Float[Array, "*batch"]:

@@ -14,6 +14,7 @@ class Push(Spec):
     """An impulse on the torso from a random side, over one period between decisions."""
 
     impulse: float = traced(0.08182, ge=0, description="by the momentum of the robot at Froude number 1")
+    least: float = traced(1.0, ge=0, le=1, description="the smallest impulse, as a share of `impulse`, the largest")
     every: float = traced(2.0, gt=0, description="s from one to the next")
 
     def first(self, key: Key[Array, ""]) -> FloatScalar:
@@ -25,7 +26,8 @@ class Push(Spec):
         was due `since` seconds ago."""
         due = (since >= 0) & (jnp.mod(since, self.every) < period)
         side = jax.random.uniform(key, (), maxval=2 * np.pi)
-        force = self.impulse / period * jnp.stack([jnp.cos(side), jnp.sin(side), 0.0 * side])
+        share = 1.0 - (1.0 - self.least) * jax.random.uniform(jax.random.fold_in(key, 1))
+        force = share * self.impulse / period * jnp.stack([jnp.cos(side), jnp.sin(side), 0.0 * side])
         return jnp.where(due, force, 0.0)
 
 

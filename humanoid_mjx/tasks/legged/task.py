@@ -41,6 +41,7 @@ class LeggedTask(LeggedBody):
     privileged: ClassVar[tuple[str | Observation, ...]] = PRIVILEGED
 
     observe: Literal["sensors", "privileged"] = "sensors"
+    history: int = Field(1, ge=1, le=50, description="decisions whose observations the learner sees")
     sensors: Sensors = Field(Sensors.model_validate({}), description="errors of the sensors")
     rewards: Rewards = Field(description="weights of the reward's terms")
     fall: Fall = Field(Fall(), description="what ends an episode")
@@ -68,11 +69,12 @@ class LeggedTask(LeggedBody):
 
     @property
     def observation_size(self) -> int:
-        return self.observed.size
+        return self.history * self.observed.size
 
     @property
     def observation_bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        return self.observed.bounds
+        low, high = self.observed.bounds
+        return np.tile(low, self.history), np.tile(high, self.history)
 
     def reset(self, key: Key[Array, ""]) -> State:
         *start_keys, push_key, sensor_key = jax.random.split(key, 5)
@@ -98,9 +100,13 @@ class LeggedTask(LeggedBody):
             strayed=still,
             clock=self.gait.start(jax.random.uniform(phase_key), self.robot) if self.gait else Clock(jnp.float32(0)),
             plant=self.randomise.draw(self.plant, plant_key) if self.randomise else None,
+            past=None,
         )
         view = self.view(episode, None, none)
-        return begin(episode, self.seen(view), tuple(self.rewards.terms(view)))
+        if self.history > 1:
+            first = self.observed(view)
+            view = view._replace(episode=episode._replace(past=jnp.tile(first, (self.history, 1))))
+        return begin(view.episode, self.seen(view), tuple(self.rewards.terms(view)))
 
     def step(self, state: State, action: Int[Array, " joints"], key: Key[Array, ""]) -> State:
         return self.step_continuous(state, self.scaled_action(action), key)
@@ -123,8 +129,8 @@ class LeggedTask(LeggedBody):
     def commanded(self, state: State, view: View, command: Float[Array, "3"]) -> State:
         """A state under this command in the place of its own, as its data and what the learner sees have it; `view` is
         that of the state."""
-        data = state.data.under(command, 0.0)
-        return state._replace(data=data, obs=self.seen(view._replace(episode=data)))
+        view = view._replace(episode=state.data.under(command, 0.0))
+        return state._replace(data=self._remembered(view), obs=self.seen(view))
 
     def _carry_out(
         self, state: State, command: Float[Array, " joints"], key: Key[Array, ""], watched: bool
@@ -144,15 +150,17 @@ class LeggedTask(LeggedBody):
         after = before.sense(self.sensors, world, sensed.readings, self.period, sensor_key)
         if self.command:
             after = after.compared(before.followed(self.command), self.period)
-        after = after._replace(offsets=offsets, decisions=before.decisions + 1)
+        past = None if before.past is None else jnp.concatenate([before.past[:1], before.past[:-1]])
+        after = after._replace(offsets=offsets, decisions=before.decisions + 1, past=past)
         view = self.view(after, sensed, before.offsets)
         fallen = self.fall.fallen(view) | world.diverged
         terms = {name: jnp.where(fallen, 0.0, term) for name, term in self.rewards.weighted(view).items()}
         after = self._go_on(after, jax.random.fold_in(key, 1))
         over = after.decisions * self.period >= self.duration - self.period / 2
-        obs = self.seen(view._replace(episode=after))
+        next_view = view._replace(episode=after)
+        obs = self.seen(next_view)
         state = State(
-            data=after,
+            data=self._remembered(next_view),
             obs=obs,
             reward=jnp.asarray(sum(terms.values())),
             terminated=fallen,
@@ -182,9 +190,19 @@ class LeggedTask(LeggedBody):
         return View(self.robot, self.command, self.gait, episode, feet, torque, last_offsets)
 
     def seen(self, view: View) -> Float[Array, " observation_size"]:
-        """What the learner sees."""
-        obs = self.observed(view)
-        return jnp.where(self.mirrored(view.episode.phase), self.observed.mirrored(obs), obs) if self.symmetric else obs
+        """What the learner sees: the observations of the last `history` decisions, the latest first."""
+        rows = self._rows(view)
+        if self.symmetric:
+            rows = jnp.where(self.mirrored(view.episode.phase), jax.vmap(self.observed.mirrored)(rows), rows)
+        return rows.reshape(-1)
+
+    def _rows(self, view: View) -> Float[Array, "history size"]:
+        now = self.observed(view)[None]
+        return now if view.episode.past is None else jnp.concatenate([now, view.episode.past[1:]])
+
+    def _remembered(self, view: View) -> Episode:
+        """The view's episode with what is observed now."""
+        return view.episode._replace(past=self._rows(view)) if self.history > 1 else view.episode
 
     def mirrored(self, phase: FloatScalar) -> Bool[Array, ""]:
         """Whether a `symmetric` task shows the body's mirror image, and takes the offsets for its joints.
