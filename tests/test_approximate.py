@@ -17,6 +17,7 @@ from humanoid_mjx.compute import rng
 from humanoid_mjx.evaluation.replay import replay
 from humanoid_mjx.learners import exploration
 from humanoid_mjx.learners.approximate import Batch
+from humanoid_mjx.learners.deep import QNetwork
 from humanoid_mjx.learners.features import Scale, combined, fourier, radial, tile_coding
 from humanoid_mjx.learners.normalisation import moments, normalise, observe
 from humanoid_mjx.learners.rollout import greedy, mean_scores
@@ -470,3 +471,21 @@ def test_a_point_of_a_curve_in_which_no_episode_ended_is_not_known(tmp_path):
     assert unknown.any() and not unknown.all()
     for name in ("return", "steps", "near", "settled"):
         np.testing.assert_array_equal(np.isfinite(results[name]), ~unknown)
+
+
+def test_precision_is_of_a_gpu(monkeypatch):
+    """On a CPU no precision changes a bit; elsewhere bfloat16, of 8 binary digits, rounds three layers' numbers."""
+
+    def q(precision):
+        network = QNetwork(64, 3, 2, 5, precision)
+        value = network.init(rng.key(0), jnp.zeros(10))
+        return np.asarray(network.apply(value, jax.random.normal(rng.key(1), (50, 10))))
+
+    exact = q("float32")
+    np.testing.assert_array_equal(q("tensorfloat32"), exact)
+    np.testing.assert_array_equal(q("bfloat16"), exact)
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    rounded = q("bfloat16")
+    assert rounded.dtype == np.float32
+    error = np.sqrt(np.mean((rounded - exact) ** 2)) / exact.std()
+    assert 2.0**-11 < error < 2.0**-5

@@ -21,7 +21,7 @@ from humanoid_mjx.types import FloatScalar
 PARTS = 8
 """Parts of a minibatch whose gradients are summed apart on a GPU, where XLA sums over many rows slowly."""
 
-Precision = Literal["float32", "tensorfloat32"]
+Precision = Literal["float32", "tensorfloat32", "bfloat16"]
 
 
 class QNetwork(nn.Module):
@@ -35,10 +35,13 @@ class QNetwork(nn.Module):
 
     @nn.compact
     def __call__(self, obs: Float[Array, "*batch size"]) -> Float[Array, "*batch joints bins"]:
+        half = self.precision == "bfloat16" and jax.default_backend() != "cpu"
+        dtype, precision = (jnp.bfloat16, None) if half else (None, self.precision)
         x = obs
         for _ in range(self.layers):
-            x = nn.relu(nn.LayerNorm()(nn.Dense(self.width, precision=self.precision)(x)))
-        q = nn.Dense(self.joints * self.bins, precision=self.precision)(x)
+            x = nn.relu(nn.LayerNorm(dtype=dtype)(nn.Dense(self.width, dtype=dtype, precision=precision)(x)))
+        last = "tensorfloat32" if half else self.precision
+        q = nn.Dense(self.joints * self.bins, dtype=jnp.float32, precision=last)(x)
         return q.reshape(*q.shape[:-1], self.joints, self.bins)
 
 
@@ -50,7 +53,9 @@ class DeepQ(ApproximateQ):
     epochs: int = Field(2, ge=1, le=1000, description="passes over the experience of an update")
     minibatches: int = Field(4, ge=1, le=10_000)
     max_gradient: float = Field(10.0, gt=0, description="norm at which a gradient is clipped")
-    precision: Precision = Field("float32", description="of the network's matrix products on a GPU")
+    precision: Precision = Field(
+        "float32", description="of matrix products on a GPU; bfloat16: of all but the last layer's numbers"
+    )
     learning_rate: float = traced(5e-4, gt=0, le=1)
 
     @model_validator(mode="after")
