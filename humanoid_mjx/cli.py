@@ -227,7 +227,7 @@ def plot(
 @app.command()
 def export(
     what: Annotated[str, typer.Argument(metavar="ROBOT|RUN", help="leg, legs, lower_body; or a run folder.")],
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="An .xml for a robot, an .npz for a run.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="An .xml for a robot, an .npz or .c for a run.")],
     point: Point = None,
 ) -> None:
     """Write a robot as MJCF, for MuJoCo; or the best policy of a run as a file of its own."""
