@@ -58,28 +58,30 @@ def print_summary(
     from humanoid_mjx.runs.ranking import ranked, ties, training_interval
 
     points, seeds = ranked(axes, summary, quickest), len(np.unique(summary["seed"]))
-    best = points[:BEST_POINTS]
+    best, equals = points[:BEST_POINTS], ties(points)
     title = f"{len(points)} points; the best {len(best)}" if len(points) > 1 else "1 point"
-    if (equals := ties(points)) > len(best):
+    if equals > len(best):
         title += f" of {equals} that act equally well"
     rates = [f"{provenance[f'{unit}_per_s']:,.0f} {unit}/s" for unit in RATES if f"{unit}_per_s" in provenance]
     caption = f"training made {' and '.join(rates)}, without compiling" if rates else None
     table = Table(title=title, title_justify="left", caption=caption, caption_justify="left")
-    for axis in axes:
-        table.add_column(axis.partition(".")[2], justify="right")
+    measure = "steps" if quickest else "return"
     greedy = ("greedy steps",) if quickest else ("greedy return", "greedy steps")
-    for heading in ("greedy success", *greedy, "steps at the end of training (95 %)"):
+    whole = [f"{measure} over all of training"] if equals > 1 else []
+    axis_names = [axis.partition(".")[2] for axis in axes]
+    for heading in (*axis_names, "greedy success", *greedy, f"{measure} at the end of training (95 %)", *whole):
         table.add_column(heading, justify="right")
     diverged = {point.point: int(np.sum(summary["diverged"][summary["point"] == point.point])) for point in points}
     if any(diverged.values()):
         table.add_column("diverged", justify="right")
     for point in best:
-        low, high = training_interval(summary, point.point)
-        steps = f"{point.steps:.2f} ({low:.2f} to {high:.2f})"
-        broken = [f"{diverged[point.point]} of {seeds}"] if any(diverged.values()) else []
+        low, high = training_interval(summary, point.point, measure)
+        end = f"{point.steps if quickest else point.training_return:.2f} ({low:.2f} to {high:.2f})"
         greedy = [] if quickest else [f"{point.greedy_return:.4g}"]
-        greedy = [f"{point.success:.1%}", *greedy, f"{point.greedy_steps:.1f}"]
-        table.add_row(*map(short, point.values), *greedy, steps, *broken)
+        cells = [*map(short, point.values), f"{point.success:.1%}", *greedy, f"{point.greedy_steps:.1f}", end]
+        cells += [f"{point.whole:.2f}"] * len(whole)
+        table.add_row(*cells, *([f"{diverged[point.point]} of {seeds}"] if any(diverged.values()) else []))
     console.print(table)
     if stopped := sum(diverged.values()):
-        console.print(f"{stopped} runs stopped at numbers that were not finite; the summary marks them.")
+        words = "1 run stopped" if stopped == 1 else f"{stopped:,} runs stopped"
+        console.print(f"{words} at numbers that were not finite; the summary marks them.")
