@@ -446,8 +446,8 @@ def test_what_is_reported_never_goes_beyond_the_end(tmp_path):
         done: ClassVar[list[float]] = []
         phases: ClassVar[list[str]] = []
 
-        def update(self, done, success=None, mean_return=None):
-            self.done.append(done)
+        def update(self, state):
+            self.done.append(state.done)
 
         def phase(self, text):
             self.phases.append(text)

@@ -209,8 +209,8 @@ def others(tmp_path_factory):
     """Run folders that differ in the discount alone: one finished, one that was stopped with a run under way."""
 
     class Stops(Reporter):
-        def update(self, done, success=None, mean_return=None):
-            if done > 0:
+        def update(self, state):
+            if state.done > 0:
                 raise KeyboardInterrupt
 
     place = tmp_path_factory.mktemp("others")

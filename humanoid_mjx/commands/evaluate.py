@@ -97,7 +97,6 @@ def run_gait(
     settings = settings_of(overrides)
     policies = [in_world(policy, physics, settings) for policy in trained_seeds(names, point)]
     with Bar(console) as bar:
-        bar.begin(1, "episodes")
         bar.phase("compiling and walking")
         measured = measure(policies, episodes, bar.count)
     for each in measured:

@@ -17,6 +17,9 @@ from humanoid_mjx.training.progress import Bar
 
 RATES = ("episodes", "steps")
 
+DRAWING_S = 5.0
+"""Seconds that the figures of a sweep take, by estimate."""
+
 BEST_POINTS = 10
 """Rows of the summary that is printed."""
 
@@ -27,7 +30,7 @@ def run_sweep(config: str, out: Path | None, overrides: Sequence[str], resume: b
     compute.start(mjx="mjx-jax" in loaded.physics)  # before `joined`, which may begin to compute
     from humanoid_mjx.training.sweep import sweep
 
-    with Bar(console) as bar:
+    with Bar(console, DRAWING_S) as bar:
         try:
             with processes.joined() as process:
                 reporter = None if process else bar  # the first process speaks for all
@@ -76,7 +79,8 @@ def print_summary(
         table.add_column("diverged", justify="right")
     for point in best:
         low, high = training_interval(summary, point.point, measure)
-        end = f"{point.steps if quickest else point.training_return:.2f} ({low:.2f} to {high:.2f})"
+        end = f"{point.steps if quickest else point.training_return:.2f}"
+        end += f" ({low:.2f} to {high:.2f})" if low < high else ""
         greedy = [] if quickest else [f"{point.greedy_return:.4g}"]
         cells = [*map(short, point.values), f"{point.success:.1%}", *greedy, f"{point.greedy_steps:.1f}", end]
         cells += [f"{point.whole:.2f}"] * len(whole)
