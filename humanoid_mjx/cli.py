@@ -309,6 +309,14 @@ def common(
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 """Errors of a disk that can hold no more."""
 
+WRONG_KIND = {
+    errno.EEXIST: "a file stands where a folder is wanted",
+    errno.ENOTDIR: "a file stands where a folder is wanted",
+    errno.EISDIR: "a folder stands where a file is wanted",
+    errno.ELOOP: "this is a link that leads to itself",
+}
+"""Words for errors whose own name the wrong thing."""
+
 LETTERS = 2000
 """The longest sentence that is said of unusable input."""
 
@@ -332,10 +340,11 @@ def main() -> None:
             sys.stdout.flush()
         os._exit(INTERRUPTED)  # a thread that compiles cannot be interrupted, and Python would wait for it
     except OSError as error:
-        place = f"{error.filename}: " if error.filename else ""
-        what = os.strerror(error.errno) if error.errno else str(error)
-        goes_on = "; what a sweep has stored is valid, --resume goes on" if error.errno in FULL else ""
-        _end(f"{place}{what}{goes_on}.")
+        place = error.filename
+        what = WRONG_KIND.get(error.errno or 0) or (os.strerror(error.errno) if error.errno else str(error))
+        sweeps = error.errno in FULL and "sweep" in sys.argv[1:2]
+        goes_on = "; what is stored is valid, and the same command with --resume goes on" if sweeps else ""
+        _end(f"{f'{place}: ' if place else ''}{what}{goes_on}.")
     except Exception as error:
         from humanoid_mjx.compute import out_of_memory
         from humanoid_mjx.spec import InputError

@@ -390,7 +390,9 @@ def test_a_module_that_cannot_be_read_is_named(tmp_path):
     ("error", "words"),
     [
         (OSError(errno.ENOENT, "x", "runs/a"), "error: runs/a: No such file or directory.\n"),
-        (OSError(errno.EFBIG, "x", "runs/a"), "error: runs/a: File too large; what a sweep has stored is valid"),
+        (OSError(errno.EFBIG, "x", "runs/a"), "error: runs/a: File too large.\n"),
+        (OSError(errno.ENOSPC, "x"), "error: No space left on device.\n"),
+        (OSError(errno.EEXIST, "x", "figures"), "error: figures: a file stands where a folder is wanted.\n"),
         (MemoryError(), "error: the memory does not suffice"),
         (jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory"), "error: the memory does not suffice"),
         (InputError("task.a\nb\x1b[31m: unknown."), "error: task.a\\nb\\x1b[31m: unknown.\n"),

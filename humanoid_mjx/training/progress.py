@@ -5,7 +5,7 @@ import sys
 import time
 from datetime import timedelta
 from types import TracebackType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from rich.console import Console, RenderableType
 from rich.live import Live
@@ -59,6 +59,14 @@ class Reporter:
 
 class PatientConsole(Console):
     """A console that goes on in silence where its reader has gone, as after `| head`: training is worth more."""
+
+    def print(self, *given: Any, **options: Any) -> None:
+        """Print; an error says that it is of standard output."""
+        try:
+            super().print(*given, **options)
+        except OSError as error:
+            error.filename = error.filename or "standard output"
+            raise
 
     def on_broken_pipe(self) -> None:
         self.quiet = True
