@@ -274,7 +274,9 @@ def info(
         ),
     ] = None,
     set_: Override = None,
-    keys: Annotated[bool, typer.Option("--keys", help="Every key with its meaning, range and default.")] = False,
+    keys: Annotated[
+        bool, typer.Option("--keys", help="Every key with its meaning, range and default; without a name of all.")
+    ] = False,
     time: Annotated[
         bool, typer.Option("--time", help="Train a piece of CONFIG to estimate how long it takes.")
     ] = False,
@@ -285,7 +287,7 @@ def info(
     from humanoid_mjx.commands.info import show_info, show_keys
 
     with _trusting(trust or ":" in (name or "")):
-        show_keys(name) if keys and name else show_info(name, set_ or [], time)
+        show_keys(name) if keys else show_info(name, set_ or [], time)
 
 
 def _version(wanted: bool) -> bool:

@@ -1,6 +1,7 @@
 """What `humanoid-mjx info` prints."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
@@ -10,38 +11,59 @@ from humanoid_mjx.commands import console
 from humanoid_mjx.config import dump_yaml, load
 from humanoid_mjx.files import names
 from humanoid_mjx.runs.disk import in_words
-from humanoid_mjx.spec import InputError
+from humanoid_mjx.spec import InputError, known
 from humanoid_mjx.training.progress import Bar
 
 if TYPE_CHECKING:
     from humanoid_mjx.training.plan import Plan
 
 
-def show_keys(name: str) -> None:
-    """`humanoid-mjx info NAME --keys`: of a task, a learner, or both of a config."""
+def show_keys(name: str | None) -> None:
+    """`humanoid-mjx info [NAME] --keys`: of a task, a learner, or both of a config; of all tasks and learners."""
     from humanoid_mjx.keys import keys_of
     from humanoid_mjx.learners import LEARNERS, Learner
     from humanoid_mjx.spec import find, modules_in
     from humanoid_mjx.tasks import TASKS
     from humanoid_mjx.tasks.base import Task
 
-    chosen: list[tuple[str, Any]] = []
-    if name in TASKS or name in LEARNERS or ":" in name:
-        kind, registry, base = ("learner", LEARNERS, Learner) if name in LEARNERS else ("task", TASKS, Task)
-        chosen.append((kind, find(kind, registry, base, name)))
+    kinds: dict[str, tuple[Mapping[str, str], type[Any]]] = {"task": (TASKS, Task), "learner": (LEARNERS, Learner)}
+    config = None
+    if name is None:
+        chosen = [(kind, of) for kind, (registry, _) in kinds.items() for of in registry]
+    elif name in TASKS or name in LEARNERS or ":" in name:
+        chosen = [("learner" if name in LEARNERS else "task", name)]
     else:
+        _check_known(name, [*TASKS, *LEARNERS])
         config = load(name)
-        with modules_in(config.modules):
-            chosen.append(("task", find("task", TASKS, Task, config.task["name"])))
-            chosen.append(("learner", find("learner", LEARNERS, Learner, config.learner["name"])))
-    table = Table(title=f"{name}: keys of its config", title_justify="left")
-    for heading in ("key", "default", "values", "", "meaning"):
-        table.add_column(heading, overflow="fold")
-    for kind, cls in chosen:
+        chosen = [("task", config.task["name"]), ("learner", config.learner["name"])]
+    for kind, of in chosen:
+        with modules_in(config.modules if config else None):
+            cls = find(kind, *kinds[kind], of)
+        rows = [("key", "default", "values", "in a sweep", "meaning")]
         for key in keys_of(cls, kind):
-            table.add_row(key.name, key.default, key.allowed, "traced" if key.traced else "static", key.meaning)
-    console.print(table)
+            rows.append((key.name, key.default, key.allowed, "traced" if key.traced else "static", key.meaning))
+        _print_rows(f"{kind} {of}", rows)
     console.print("Sweeping a traced value compiles nothing; points that differ in static ones compile apart.")
+
+
+def _print_rows(title: str, rows: Sequence[tuple[str, ...]]) -> None:
+    """A table with a heading; where no person reads it, one row a line however long that is."""
+    if console.is_terminal:
+        table = Table(*rows[0], title=title, title_justify="left", box=None, pad_edge=False, padding=(0, 2, 0, 0))
+        for row in rows[1:]:
+            table.add_row(*row)
+        console.print(table)
+        return
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in [(title,), *rows]:
+        console.print("  ".join(map(str.ljust, row, widths)).rstrip(), soft_wrap=True)
+
+
+def _check_known(name: str, others: Sequence[str]) -> None:
+    """Refuse a name that is neither a file, a shipped config nor one of `others`, all of which the sentence lists."""
+    configs = names("configs", ".yaml")
+    if name not in configs and not Path(name).exists() and Path(name).suffix != ".yaml":
+        raise InputError(f"{name}: neither a task, a learner nor a config; {known(name, [*others, *configs])}.")
 
 
 def show_info(config: str | None, overrides: Sequence[str], timed: bool) -> None:

@@ -40,7 +40,9 @@ class LeggedTask(LeggedBody):
     observations: ClassVar[tuple[str | Observation, ...]] = PROPRIOCEPTION
     privileged: ClassVar[tuple[str | Observation, ...]] = PRIVILEGED
 
-    observe: Literal["sensors", "privileged"] = "sensors"
+    observe: Literal["sensors", "privileged"] = Field(
+        "sensors", description="readings alone, or also the torso's true attitude and motion"
+    )
     sensors: Sensors = Field(Sensors.model_validate({}), description="errors of the sensors")
     rewards: Rewards = Field(description="weights of the reward's terms")
     fall: Fall = Field(Fall(), description="what ends an episode")
