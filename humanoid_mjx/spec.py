@@ -273,10 +273,36 @@ def find(kind: str, registry: Mapping[str, str], base: type[SomeSpec], name: str
     return cls
 
 
+ELSEWHERE = {
+    "alpha": ("learning_rate",),
+    "batch_size": ("minibatches",),
+    "eps": ("epsilon",),
+    "gae_lambda": ("trace_decay",),
+    "gamma": ("discount", "discounting"),
+    "hidden_size": ("width",),
+    "lam": ("trace_decay", "gae_lambda"),
+    "lambda": ("trace_decay", "gae_lambda"),
+    "lr": ("learning_rate",),
+    "n_envs": ("envs", "num_envs"),
+    "n_steps": ("rollout", "unroll_length"),
+    "num_envs": ("envs",),
+    "num_episodes": ("episodes",),
+    "num_layers": ("layers",),
+    "num_seeds": ("seeds",),
+    "num_steps": ("rollout", "unroll_length"),
+    "timesteps": ("total_steps",),
+    "total_timesteps": ("total_steps",),
+    **dict.fromkeys(("agent", "algo", "algorithm", "model"), ("learner",)),
+    **dict.fromkeys(("env", "env_id", "environment"), ("task",)),
+    **dict.fromkeys(("grid", "hyperparameters", "parameters"), ("sweep",)),
+}
+"""Names of keys in other libraries, and what they are here."""
+
+
 def known(name: str, names: Iterable[str]) -> str:
     """Say which names are known, the likely one first."""
     names = sorted(names)
-    close = difflib.get_close_matches(name, names, n=1)
+    close = [here for here in ELSEWHERE.get(name, ()) if here in names] or difflib.get_close_matches(name, names, n=1)
     return (f"did you mean {close[0]!r}? " if close else "") + "known are " + ", ".join(names)
 
 

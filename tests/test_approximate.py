@@ -318,7 +318,7 @@ def test_evaluation_counts_successes_of_greedy_episodes():
         ("linear_q", {"focus": 0.5}, "learner.focus must be at least 1"),
         ("linear_q", {"basis": "wavelets"}, "learner.basis must be one of"),
         ("linear_q", {"resolution": 2000, "order": 2, "basis": "fourier"}, "make it coarser"),
-        ("tabular_q", {}, "learner.task must be a FiniteTask"),
+        ("tabular_q", {}, "learner.name: tabular_q learns a FiniteTask"),
     ],
 )
 def test_bad_values_get_a_sentence(name, values, words):

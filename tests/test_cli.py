@@ -60,6 +60,10 @@ def test_info_shows_what_a_config_will_take():
     assert done.exit_code == 0, done.output
     assert "1,000 points x 8 seeds = 8,000 runs in 1 compiled program;" in done.output
     assert "goal: 100" in done.output or "joint: 1" in done.output
+    alone = CliRunner().invoke(app, ["info", "joint1", "--set", "sweep=null", "--set", "seeds=1"]).output
+    assert "1 point x 1 seed = 1 run in 1 compiled program;" in alone
+    nowhere = CliRunner().invoke(app, ["info", "joint1", "--set", "learner.start_from=runs/nope"]).output
+    assert "sweep refuses it here: learner.start_from: runs/nope" in nowhere
     assert "joint1_fine" in CliRunner().invoke(app, ["info"]).output
 
 

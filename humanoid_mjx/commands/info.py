@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from rich.table import Table
 
 from humanoid_mjx import compute
-from humanoid_mjx.commands import console
+from humanoid_mjx.commands import console, counted
 from humanoid_mjx.config import dump_yaml, load
 from humanoid_mjx.files import names
 from humanoid_mjx.runs.disk import in_words
@@ -89,6 +89,7 @@ def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
     from humanoid_mjx.training.cost import disk_bytes, run_bytes, runs_at_once, slots, training_bytes
     from humanoid_mjx.training.fused import why_not
     from humanoid_mjx.training.plan import make_plan, resolved
+    from humanoid_mjx.training.warm_start import earlier_policies
 
     plan = make_plan(load(config, overrides))
     console.print(dump_yaml(resolved(plan.config)).rstrip())
@@ -97,20 +98,23 @@ def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
     together = [1] * len(plan.groups)
     refusal = None
     try:
+        for group in plan.groups:
+            earlier_policies(group)
         together = [slots(group, runs_at_once(group)) for group in plan.groups]
     except InputError as error:
         refusal = error
     console.print(
-        f"\n{len(plan.points):,} points x {plan.config.seeds} seeds = {plan.num_runs:,} runs "
-        f"in {len(plan.groups)} compiled program{'s' * (len(plan.groups) > 1)}; "
+        f"\n{counted(len(plan.points), 'point')} x {counted(plan.config.seeds, 'seed')} = "
+        f"{counted(plan.num_runs, 'run')} in {counted(len(plan.groups), 'compiled program')}; "
         f"training state {in_words(size)} if all were held at once, "
         f"a run that trains an estimated {in_words(most)}"
     )
     console.print(f"on disk an estimated {in_words(disk_bytes(plan, together))}, without figures")
     if refusal:
         console.print(f"sweep refuses it here: {refusal}")
-    for reason in dict.fromkeys(why_not(group.learner()) for group in plan.groups):
-        console.print("trained by one fused kernel" if reason is None else f"no fused kernel: {reason}")
+    for reason in dict.fromkeys(why_not(group.learner()) for group in plan.groups if plan.unit == "episode"):
+        words = "trained by one kernel of a GPU" if reason is None else f"not trained by one kernel of a GPU: {reason}"
+        console.print(words)
     if timed:
         _show_time(plan)
     else:

@@ -9,7 +9,7 @@ import typer
 from rich.table import Table
 
 from humanoid_mjx import compute
-from humanoid_mjx.commands import console
+from humanoid_mjx.commands import console, counted
 from humanoid_mjx.compute import processes
 from humanoid_mjx.config import load
 from humanoid_mjx.runs.folder import read_provenance
@@ -87,5 +87,4 @@ def print_summary(
         table.add_row(*cells, *([f"{diverged[point.point]} of {seeds}"] if any(diverged.values()) else []))
     console.print(table)
     if stopped := sum(diverged.values()):
-        words = "1 run stopped" if stopped == 1 else f"{stopped:,} runs stopped"
-        console.print(f"{words} at numbers that were not finite; the summary marks them.")
+        console.print(f"{counted(stopped, 'run')} stopped at numbers that were not finite; the summary marks them.")
