@@ -33,8 +33,7 @@ def run_sweep(config: str, out: Path | None, overrides: Sequence[str], resume: b
     with Bar(console, DRAWING_S) as bar:
         try:
             with processes.joined() as process:
-                reporter = None if process else bar  # the first process speaks for all
-                run = sweep(loaded, out, resume=resume, reporter=reporter, tensorboard=tensorboard)
+                run = sweep(loaded, out, resume=resume, reporter=None if process else bar, tensorboard=tensorboard)
         except KeyboardInterrupt:
             console.print("Stopped. What is finished is stored; the same command with --resume completes it.")
             raise typer.Exit(130) from None

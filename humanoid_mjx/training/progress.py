@@ -3,6 +3,8 @@
 import os
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import timedelta
 from types import TracebackType
 from typing import Any, NamedTuple
@@ -71,6 +73,17 @@ class PatientConsole(Console):
     def on_broken_pipe(self) -> None:
         self.quiet = True
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+@contextmanager
+def reporting() -> Iterator[Reporter]:
+    """The reporter of a program: a bar in a terminal, lines in a notebook, otherwise nothing."""
+    console = PatientConsole(highlight=False)
+    if not (console.is_terminal or console.is_jupyter):
+        yield Reporter()
+        return
+    with Bar(console) as bar:
+        yield bar
 
 
 class Bar(Reporter):
