@@ -207,17 +207,37 @@ def source_links(markdown: str) -> str:
     return re.sub(r"\]\((?:\.\./)+humanoid_mjx/(?P<path>[^)#]+?)/?\)", place, markdown)
 
 
+NAMES = "tasks.md"
+"""The page whose tables name tasks, learners, control laws and gaits."""
+
+
+def generated_links(markdown: str, page: str) -> str:
+    """Markdown that leads to the pages that follow from the code, which a checkout does not have: from their titles,
+    which stand emphasised, and on the page of names from the first column of its tables."""
+    made = pages()
+    for path, text in made.items():
+        title = text.partition("\n")[0].removeprefix("# ")
+        markdown = markdown.replace(f"*{title}*", f"[{title}]({path})")
+    if page == NAMES:
+        anchors = {name: kind for kind, name in re.findall(r"\{ #(\w+)-(\w+) \}", made["keys.md"])}
+        for name, kind in anchors.items():
+            markdown = markdown.replace(f"\n| `{name}` |", f"\n| [`{name}`](keys.md#{kind}-{name}) |")
+    return markdown
+
+
 def stage(folder: Path) -> None:
     """Put all that the site is made of into `folder`: the pages of `docs/`, those that follow from the code, pictures.
 
-    Links to files of the package lead into the reference there. What `folder` held before is gone.
+    Links to files of the package lead into the reference there, and pages to those that follow from the code. What
+    `folder` held before is gone.
     """
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(DOCS, folder, ignore=shutil.ignore_patterns("*.py", "__pycache__"))
     for path, text in pages().items():
         (folder / path).write_text(text, encoding="utf-8")
     for page in folder.rglob("*.md"):
-        page.write_text(source_links(page.read_text(encoding="utf-8")), encoding="utf-8")
+        text = generated_links(page.read_text(encoding="utf-8"), str(page.relative_to(folder)))
+        page.write_text(source_links(text), encoding="utf-8")
 
 
 def loaded_from_elsewhere(folder: Path) -> list[str]:

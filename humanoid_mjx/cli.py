@@ -4,17 +4,22 @@ import errno
 import os
 import sys
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
 from typing import Annotated, NoReturn
 
 import typer
 
+ABOUT = """Batched simulation and Q-learning for the lower body of a humanoid, in JAX.
+
+Configs and policies may name code, which runs with your rights. What looks at them runs your own: modules below the
+working directory. --trust runs others."""
+
 app = typer.Typer(
     add_completion=True,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    help="Batched simulation and Q-learning for the lower body of a humanoid, in JAX.",
+    help=ABOUT,
 )
 
 
@@ -34,6 +39,18 @@ CONFIGS, POLICIES = _shipped("configs", ".yaml"), _shipped("policies", ".npz")
 Override = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one value of the config.")
 ]
+
+Trust = Annotated[
+    bool, typer.Option("--trust", help="Also run code that it names and that is not below the working directory.")
+]
+
+
+def _trusting(trust: bool, *names: str | Path | None) -> AbstractContextManager[None]:
+    """Run the code of a config or policy only where it is the user's, or all of it."""
+    from humanoid_mjx.spec import own_modules_only
+
+    return nullcontext() if trust else own_modules_only(*(Path(name) for name in names if name and Path(name).is_dir()))
+
 
 Physics = Annotated[str | None, typer.Option(metavar="NAME", help="Simulate by another physics, such as mujoco.")]
 
@@ -145,14 +162,16 @@ def evaluate(
     out: Annotated[
         Path | None, typer.Option(metavar="FILE.png", help="The figure of several runs; by default with the first.")
     ] = None,
+    trust: Trust = False,
 ) -> None:
     """Measure what was learned on episodes that no training has seen, beside a zero and a random agent."""
     from humanoid_mjx.commands.evaluate import run_evaluate, run_gait
 
-    if gait:
-        run_gait(policies, point, physics, set_ or [], episodes or 64, json)
-    else:
-        run_evaluate(policies, point, physics, set_ or [], episodes or 1024, json, out)
+    with _trusting(trust, *policies):
+        if gait:
+            run_gait(policies, point, physics, set_ or [], episodes or 64, json)
+        else:
+            run_evaluate(policies, point, physics, set_ or [], episodes or 1024, json, out)
 
 
 @app.command()
@@ -170,11 +189,13 @@ def play(
     view: Annotated[
         bool, typer.Option("--view", help="Show it in the browser instead, from any side; no other machine sees it.")
     ] = False,
+    trust: Trust = False,
 ) -> None:
     """Show what was learned as a video or picture of the robot, or in the browser."""
     from humanoid_mjx.commands.play import run_play
 
-    run_play(policy, point, set_ or [], physics, episode, out, view)
+    with _trusting(trust, policy):
+        run_play(policy, point, set_ or [], physics, episode, out, view)
 
 
 @app.command()
@@ -184,11 +205,13 @@ def report(
     motion: Annotated[
         bool, typer.Option(help="Simulate the best policy and show how the robot moves, where its task has one.")
     ] = True,
+    trust: Trust = False,
 ) -> None:
     """Write one self-contained web page: what was run, curves, tables, the robot's motion, how to run it again."""
     from humanoid_mjx.commands.runs import run_report
 
-    run_report(run, out, motion)
+    with _trusting(trust, run):
+        run_report(run, out, motion)
 
 
 @app.command()
@@ -217,11 +240,13 @@ def plot(
     out: Annotated[
         Path | None, typer.Option(metavar="FILE.png", help="By default in the figures of the first run.")
     ] = None,
+    trust: Trust = False,
 ) -> None:
     """Draw any column of the tables of runs over any other: lines with their 95 % interval over seeds."""
     from humanoid_mjx.commands.runs import run_plot
 
-    run_plot(run, x, y, by, out)
+    with _trusting(trust, *run):
+        run_plot(run, x, y, by, out)
 
 
 @app.command()
@@ -229,11 +254,13 @@ def export(
     what: Annotated[str, typer.Argument(metavar="ROBOT|RUN", help="leg, legs, lower_body; or a run folder.")],
     file: Annotated[Path, typer.Argument(metavar="FILE", help="An .xml for a robot, an .npz or .c for a run.")],
     point: Point = None,
+    trust: Trust = False,
 ) -> None:
     """Write a robot as MJCF, for MuJoCo; or the best policy of a run as a file of its own."""
     from humanoid_mjx.commands.play import run_export
 
-    run_export(what, file, point)
+    with _trusting(trust, what):
+        run_export(what, file, point)
 
 
 @app.command()
@@ -247,16 +274,20 @@ def info(
         ),
     ] = None,
     set_: Override = None,
-    keys: Annotated[bool, typer.Option("--keys", help="Every key with its meaning, range and default.")] = False,
+    keys: Annotated[
+        bool, typer.Option("--keys", help="Every key with its meaning, range and default; without a name of all.")
+    ] = False,
     time: Annotated[
         bool, typer.Option("--time", help="Train a piece of CONFIG to estimate how long it takes.")
     ] = False,
+    trust: Trust = False,
 ) -> None:
     """Show devices, versions and what ships; with CONFIG, the resolved config, its points, and what memory, disk and
     time they take."""
     from humanoid_mjx.commands.info import show_info, show_keys
 
-    show_keys(name) if keys and name else show_info(name, set_ or [], time)
+    with _trusting(trust or ":" in (name or "")):
+        show_keys(name) if keys else show_info(name, set_ or [], time)
 
 
 def _version(wanted: bool) -> bool:
@@ -274,11 +305,19 @@ def common(
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
     ] = False,
 ) -> None:
-    """Batched simulation and Q-learning for the lower body of a humanoid, in JAX."""
+    """The options beside all commands."""
 
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 """Errors of a disk that can hold no more."""
+
+WRONG_KIND = {
+    errno.EEXIST: "a file stands where a folder is wanted",
+    errno.ENOTDIR: "a file stands where a folder is wanted",
+    errno.EISDIR: "a folder stands where a file is wanted",
+    errno.ELOOP: "this is a link that leads to itself",
+}
+"""Words for errors whose own name the wrong thing."""
 
 LETTERS = 2000
 """The longest sentence that is said of unusable input."""
@@ -303,10 +342,11 @@ def main() -> None:
             sys.stdout.flush()
         os._exit(INTERRUPTED)  # a thread that compiles cannot be interrupted, and Python would wait for it
     except OSError as error:
-        place = f"{error.filename}: " if error.filename else ""
-        what = os.strerror(error.errno) if error.errno else str(error)
-        goes_on = "; what a sweep has stored is valid, --resume goes on" if error.errno in FULL else ""
-        _end(f"{place}{what}{goes_on}.")
+        place = error.filename
+        what = WRONG_KIND.get(error.errno or 0) or (os.strerror(error.errno) if error.errno else str(error))
+        sweeps = error.errno in FULL and "sweep" in sys.argv[1:2]
+        goes_on = "; what is stored is valid, and the same command with --resume goes on" if sweeps else ""
+        _end(f"{f'{place}: ' if place else ''}{what}{goes_on}.")
     except Exception as error:
         from humanoid_mjx.compute import out_of_memory
         from humanoid_mjx.spec import InputError

@@ -1,6 +1,7 @@
 """Files: those that ship with the package, configs and policies, found by name; and those that are written whole."""
 
 import contextlib
+import errno
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -28,6 +29,10 @@ def whole_file(path: Path) -> Iterator[Path]:
         with temporary.open("rb") as file:
             os.fsync(file.fileno())
         temporary.replace(path)
+    except OSError as error:
+        if error.filename is None or (Path(error.filename) == temporary and error.errno != errno.EISDIR):
+            error.filename = str(path)  # writing to an open file names none
+        raise
     finally:
         with contextlib.suppress(OSError):  # what went wrong before is what there is to say
             temporary.unlink(missing_ok=True)

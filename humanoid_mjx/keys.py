@@ -18,7 +18,7 @@ class Key(NamedTuple):
     allowed: str
     """The kind of value and its range."""
     traced: bool
-    """Whether sweeping it compiles nothing."""
+    """True for data of a compiled program: sweeping it compiles nothing."""
     meaning: str
 
 
@@ -30,11 +30,18 @@ def keys_of(cls: type[Spec], prefix: str, branch: Spec | None = None) -> Iterato
         dotted, default = f"{prefix}.{name}", getattr(branch, name) if branch else field.default
         if isinstance(default, Spec):
             named = getattr(default, "name", "")
-            yield Key(dotted, str(named), "keys below", False, field.description or "")
+            yield Key(dotted, str(named), "keys below", False, _meaning(cls, name))
             yield from keys_of(type(default), dotted, default)
             continue
         shown = "" if field.is_required() and not branch else _plain(default)
-        yield Key(dotted, shown, _allowed(field), is_traced(field), field.description or "")
+        meaning = _meaning(cls, name) or (f"kind of {prefix.rpartition('.')[2]}" if name == "name" else "")
+        yield Key(dotted, shown, _allowed(field), is_traced(field), meaning)
+
+
+def _meaning(cls: type[Spec], name: str) -> str:
+    """The description of a field, as the class or the nearest of its bases has it."""
+    fields = (getattr(base, "model_fields", {}).get(name) for base in cls.__mro__)
+    return next((field.description for field in fields if field and field.description), "")
 
 
 def _plain(value: Any) -> str:
@@ -46,7 +53,7 @@ def _plain(value: Any) -> str:
 def _allowed(field: Any) -> str:
     kinds = [kind for kind in _kinds(field.annotation) if kind]
     bounds = [
-        f"{word} {bound:g}"
+        f"{word} {bound:,}" if isinstance(bound, int) else f"{word} {bound:g}"
         for item in field.metadata
         for sign, word in BOUNDS.items()
         if isinstance(bound := getattr(item, sign, None), (int, float))

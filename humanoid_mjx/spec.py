@@ -8,6 +8,7 @@ is *static*: it shapes the program. Specs of one `jax.tree.structure` share one 
 
 import difflib
 import importlib
+import importlib.util
 import os
 import re
 import sys
@@ -15,6 +16,7 @@ import traceback
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
+from importlib.machinery import PathFinder
 from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar, get_args
@@ -185,6 +187,43 @@ def modules_in(folder: str | None) -> Iterator[None]:
         _folder.reset(before)
 
 
+_strangers: ContextVar[tuple[Path, ...] | None] = ContextVar("_strangers", default=None)
+"""Folders whose modules are not run although they lie below the working directory; None where all modules are run."""
+
+
+@contextmanager
+def own_modules_only(*strangers: Path) -> Iterator[None]:
+    """Within the block, a module that a config or policy names is run only where it is this package's or lies below the
+    working directory, and neither among installed packages nor below a folder of `strangers`."""
+    before = _strangers.set(tuple(path.resolve() for path in strangers))
+    try:
+        yield
+    finally:
+        _strangers.reset(before)
+
+
+def _is_run(module: str) -> bool:
+    """Whether `own_modules_only` lets a module run; a module that is nowhere is left to `_import`."""
+    strangers, top = _strangers.get(), module.partition(".")[0]
+    if strangers is None or top == __package__:
+        return True
+    try:
+        found = importlib.util.find_spec(top) or PathFinder.find_spec(top, _folders())
+    except ValueError:  # of a program that is no file
+        return False
+    if found is None:
+        return True
+    places = [found.origin, *(found.submodule_search_locations or ())]
+    path = Path(next((place for place in places if place and os.path.exists(place)), os.sep)).resolve()
+    installed = "site-packages" in path.parts
+    return path.is_relative_to(Path.cwd()) and not installed and not any(map(path.is_relative_to, strangers))
+
+
+def _folders() -> list[str]:
+    """Folders in which a module is searched that is not on Python's path."""
+    return list(dict.fromkeys(filter(None, (_folder.get(), os.getcwd()))))
+
+
 def _import(name: str) -> ModuleType:
     """The module of this name: on Python's path, in the folder of `modules_in`, or in the working directory."""
     try:
@@ -192,7 +231,7 @@ def _import(name: str) -> ModuleType:
     except ModuleNotFoundError as error:
         if error.name != name.partition(".")[0]:
             raise
-        folders = list(dict.fromkeys(filter(None, (_folder.get(), os.getcwd()))))
+        folders = _folders()
         sys.path += (added := [folder for folder in folders if folder not in sys.path])
         try:
             return importlib.import_module(name)
@@ -217,6 +256,11 @@ def find(kind: str, registry: Mapping[str, str], base: type[SomeSpec], name: str
     if ":" not in path:
         raise InputError(f"{kind}.name: unknown {kind} {name!r}; {known(name, registry)}.")
     module_name, _, attribute = path.partition(":")
+    if not _is_run(module_name):
+        raise InputError(
+            f"{kind}.name: {name!r} is code that is neither this package's nor below the working directory; "
+            "add --trust to run it."
+        )
     try:
         cls = getattr(_import(module_name), attribute)
     except (ImportError, AttributeError, ValueError) as error:
@@ -229,10 +273,36 @@ def find(kind: str, registry: Mapping[str, str], base: type[SomeSpec], name: str
     return cls
 
 
+ELSEWHERE = {
+    "alpha": ("learning_rate",),
+    "batch_size": ("minibatches",),
+    "eps": ("epsilon",),
+    "gae_lambda": ("trace_decay",),
+    "gamma": ("discount", "discounting"),
+    "hidden_size": ("width",),
+    "lam": ("trace_decay", "gae_lambda"),
+    "lambda": ("trace_decay", "gae_lambda"),
+    "lr": ("learning_rate",),
+    "n_envs": ("envs", "num_envs"),
+    "n_steps": ("rollout", "unroll_length"),
+    "num_envs": ("envs",),
+    "num_episodes": ("episodes",),
+    "num_layers": ("layers",),
+    "num_seeds": ("seeds",),
+    "num_steps": ("rollout", "unroll_length"),
+    "timesteps": ("total_steps",),
+    "total_timesteps": ("total_steps",),
+    **dict.fromkeys(("agent", "algo", "algorithm", "model"), ("learner",)),
+    **dict.fromkeys(("env", "env_id", "environment"), ("task",)),
+    **dict.fromkeys(("grid", "hyperparameters", "parameters"), ("sweep",)),
+}
+"""Names of keys in other libraries, and what they are here."""
+
+
 def known(name: str, names: Iterable[str]) -> str:
     """Say which names are known, the likely one first."""
     names = sorted(names)
-    close = difflib.get_close_matches(name, names, n=1)
+    close = [here for here in ELSEWHERE.get(name, ()) if here in names] or difflib.get_close_matches(name, names, n=1)
     return (f"did you mean {close[0]!r}? " if close else "") + "known are " + ", ".join(names)
 
 

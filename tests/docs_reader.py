@@ -84,7 +84,7 @@ class Reader:
         assert not resume or folder in self.folders, f"{folder}: nothing to be resumed"
         self.folders.add(folder)
 
-    def info(self, name, set_, keys, time):
+    def info(self, name, set_, keys, time, trust):
         from humanoid_mjx.commands.info import show_info, show_keys
 
         if keys:
@@ -106,7 +106,7 @@ class Reader:
             assert set(names or []) <= {*BENCHES, "all"}
         self.files.add(str(json))
 
-    def evaluate(self, policies, gait, point, set_, physics, episodes, json, out):
+    def evaluate(self, policies, gait, point, set_, physics, episodes, json, out, trust):
         from humanoid_mjx.evaluation.gait.scenarios import walking_task
 
         for policy in policies:
@@ -124,19 +124,19 @@ class Reader:
     def runs(self, folder):
         assert str(folder) == "runs", folder
 
-    def plot(self, run, x, y, by, out):
+    def plot(self, run, x, y, by, out, trust):
         for folder in run:
             assert str(folder) in self.folders | self.earlier, folder
 
-    def play(self, policy, point, set_, physics, episode, out, view):
+    def play(self, policy, point, set_, physics, episode, out, view, trust):
         self.has(policy)
         self.changes(policy, set_)
         self.simulates(physics)
 
-    def report(self, run, out, motion):
+    def report(self, run, out, motion, trust):
         assert str(run) in self.folders | self.earlier, run
 
-    def export(self, what, file, point):
+    def export(self, what, file, point, trust):
         from humanoid_mjx.robot import ROBOTS
 
         assert (

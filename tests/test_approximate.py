@@ -319,7 +319,7 @@ def test_evaluation_counts_successes_of_greedy_episodes():
         ("linear_q", {"focus": 0.5}, "learner.focus must be at least 1"),
         ("linear_q", {"basis": "wavelets"}, "learner.basis must be one of"),
         ("linear_q", {"resolution": 2000, "order": 2, "basis": "fourier"}, "make it coarser"),
-        ("tabular_q", {}, "learner.task must be a FiniteTask"),
+        ("tabular_q", {}, "learner.name: tabular_q learns a FiniteTask"),
     ],
 )
 def test_bad_values_get_a_sentence(name, values, words):
@@ -447,8 +447,8 @@ def test_what_is_reported_never_goes_beyond_the_end(tmp_path):
         done: ClassVar[list[float]] = []
         phases: ClassVar[list[str]] = []
 
-        def update(self, done, success=None, mean_return=None):
-            self.done.append(done)
+        def update(self, state):
+            self.done.append(state.done)
 
         def phase(self, text):
             self.phases.append(text)

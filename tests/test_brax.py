@@ -235,8 +235,8 @@ def test_ppo_solves_probes_through_the_sweep_command(swept):
 
 def test_a_stopped_ppo_loses_the_run_under_way_and_ends_in_the_same_bits(swept, tmp_path, monkeypatch):
     class Interrupting(Reporter):
-        def update(self, done, success=None, mean_return=None):
-            if done > CONFIG["total_steps"]:
+        def update(self, state):
+            if state.done > CONFIG["total_steps"]:
                 raise KeyboardInterrupt
 
     told = []

@@ -60,6 +60,10 @@ def test_info_shows_what_a_config_will_take():
     assert done.exit_code == 0, done.output
     assert "1,000 points x 8 seeds = 8,000 runs in 1 compiled program;" in done.output
     assert "goal: 100" in done.output or "joint: 1" in done.output
+    alone = CliRunner().invoke(app, ["info", "joint1", "--set", "sweep=null", "--set", "seeds=1"]).output
+    assert "1 point x 1 seed = 1 run in 1 compiled program;" in alone
+    nowhere = CliRunner().invoke(app, ["info", "joint1", "--set", "learner.start_from=runs/nope"]).output
+    assert "sweep refuses it here: learner.start_from: runs/nope" in nowhere
     assert "joint1_fine" in CliRunner().invoke(app, ["info"]).output
 
 
@@ -89,19 +93,19 @@ def test_output_that_cannot_be_written_gets_one_sentence():
             [sys.executable, "-m", "humanoid_mjx", "info"], stdout=full, stderr=subprocess.PIPE, text=True
         )
     assert done.returncode == 2
-    assert done.stderr.startswith("error: No space left on device;") and done.stderr.count("\n") == 1
+    assert done.stderr == "error: standard output: No space left on device.\n"
 
 
 def test_a_disk_that_fills_up_gets_one_sentence_and_what_is_stored_stays(tmp_path):
     code = """
 import errno, itertools, sys
-from humanoid_mjx.runs.folder import RunFolder
-writes, count = RunFolder.write_arrays, itertools.count()
-def fails(self, name, arrays):
+import numpy
+writes, count = numpy.savez, itertools.count()
+def fails(*given, **arrays):
     if next(count) == 0:
         raise OSError(errno.ENOSPC, "No space left on device")
-    writes(self, name, arrays)
-RunFolder.write_arrays = fails
+    writes(*given, **arrays)
+numpy.savez = fails
 from humanoid_mjx.cli import main
 main()
 """
@@ -109,7 +113,7 @@ main()
     sweep = ["sweep", config, "--out", "run"]
     done = subprocess.run([sys.executable, "-c", code, *sweep], cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 2, done.stderr
-    assert done.stderr.startswith("error: No space left on device; what a sweep has stored is valid")
+    assert done.stderr.startswith("error: run/checkpoint/part-00000.npz: No space left on device; what is stored is")
     assert done.stderr.count("\n") == 1
     again = subprocess.run(
         [sys.executable, "-m", "humanoid_mjx", *sweep, "--resume"], cwd=tmp_path, capture_output=True

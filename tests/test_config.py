@@ -74,6 +74,12 @@ def test_every_shipped_config_trains(name, tmp_path):
 
 BAD = {
     "unknown key": ("episodes: 20", "episodez: 20", ["episodez", "unknown key", "episodes"]),
+    "another library's name": ("epsilon: 0.5", "gamma: 0.5", ["learner.gamma", "did you mean 'discount'?"]),
+    "another library's learning rate": ("epsilon: 0.5", "lr: 0.5", ["learner.lr", "did you mean 'learning_rate'?"]),
+    "epsilon at the top level": ("episodes: 20", "epsilon: 0.1\nepisodes: 20", ["write learner.epsilon"]),
+    "axes at the top level": ("sweep:\n  axes:", "axes:", ["axes: this key", "write sweep.axes"]),
+    "gamma at the top level": ("episodes: 20", "gamma: 0.1\nepisodes: 20", ["write learner.discount"]),
+    "environment steps": ("episodes: 20", "total_timesteps: 20", ["did you mean 'total_steps'?"]),
     "unknown task key": ("states: 13", "statez: 13", ["task.statez", "unknown key", "states"]),
     "unknown task": ("name: joint_reach", "name: joint_rich", ["task.name", "joint_rich", "joint_reach"]),
     "unknown learner": ("name: tabular_q", "name: tabular", ["learner.name", "tabular_q"]),
@@ -91,7 +97,7 @@ BAD = {
     "an axis of too many values": ("[0.1, 0.2]", "{linspace: [0, 1, 2000000000]}", ["from 1 to 100,000"]),
     "a task that the learner cannot learn": (
         "{name: joint_reach, joint: 5, states: 13}", "{name: leg_reach}",
-        ["learner.task must be a FiniteTask, got a LegReach; learners for it are brax_ppo, deep_q, linear_q"],
+        ["learner.name: tabular_q learns a FiniteTask, not a LegReach; learners for it are brax_ppo, deep_q, linear_q"],
     ),
     "a task that is no mapping": (
         "{name: joint_reach, joint: 5, states: 13}", "joint_reach", ["task must be a mapping of keys, got"]
@@ -238,7 +244,7 @@ def test_factories_refuse_by_name():
         make_task("walk_the_dog")
     with pytest.raises(InputError, match=r"task: map has no way from S to G"):
         make_task("navigate", map=["S#G"])
-    with pytest.raises(InputError, match=r"learner.task must be a FiniteTask"):
+    with pytest.raises(InputError, match=r"learner.name: tabular_q learns a FiniteTask"):
         make_learner("tabular_q", Tabulated(finite=make_task("navigate")))
 
 

@@ -209,8 +209,8 @@ def others(tmp_path_factory):
     """Run folders that differ in the discount alone: one finished, one that was stopped with a run under way."""
 
     class Stops(Reporter):
-        def update(self, done, success=None, mean_return=None):
-            if done > 0:
+        def update(self, state):
+            if state.done > 0:
                 raise KeyboardInterrupt
 
     place = tmp_path_factory.mktemp("others")
@@ -390,7 +390,9 @@ def test_a_module_that_cannot_be_read_is_named(tmp_path):
     ("error", "words"),
     [
         (OSError(errno.ENOENT, "x", "runs/a"), "error: runs/a: No such file or directory.\n"),
-        (OSError(errno.EFBIG, "x", "runs/a"), "error: runs/a: File too large; what a sweep has stored is valid"),
+        (OSError(errno.EFBIG, "x", "runs/a"), "error: runs/a: File too large.\n"),
+        (OSError(errno.ENOSPC, "x"), "error: No space left on device.\n"),
+        (OSError(errno.EEXIST, "x", "figures"), "error: figures: a file stands where a folder is wanted.\n"),
         (MemoryError(), "error: the memory does not suffice"),
         (jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory"), "error: the memory does not suffice"),
         (InputError("task.a\nb\x1b[31m: unknown."), "error: task.a\\nb\\x1b[31m: unknown.\n"),

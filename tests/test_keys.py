@@ -1,13 +1,17 @@
 """The reference of keys: what it lists is what a config may hold, with the defaults that a config gets."""
 
 import pytest
+from typer.testing import CliRunner
 
-from humanoid_mjx import make_task
+from humanoid_mjx import InputError, make_task
+from humanoid_mjx.cli import app
+from humanoid_mjx.control.laws import LAWS, Law
 from humanoid_mjx.keys import keys_of
 from humanoid_mjx.learners import LEARNERS, Learner
 from humanoid_mjx.spec import find
 from humanoid_mjx.tasks import TASKS
 from humanoid_mjx.tasks.base import Task
+from humanoid_mjx.tasks.legged.gait import GAITS, Gait
 
 
 @pytest.mark.parametrize("name", [*TASKS, *LEARNERS])
@@ -16,6 +20,36 @@ def test_every_key_has_a_kind_and_is_listed_once(name):
     keys = list(keys_of(find(kind, registry, base, name), kind))
     assert len({key.name for key in keys}) == len(keys) > 3
     assert all(key.allowed and key.name.startswith(f"{kind}.") for key in keys)
+
+
+@pytest.mark.parametrize(
+    ("kind", "registry", "base"),
+    [("task", TASKS, Task), ("learner", LEARNERS, Learner), ("control", LAWS, Law), ("gait", GAITS, Gait)],
+)
+def test_every_key_has_a_meaning(kind, registry, base):
+    keys = [key for name in registry for key in keys_of(find(kind, registry, base, name), kind)]
+    assert [key.name for key in keys if not key.meaning] == []
+
+
+def shown(*words):
+    return CliRunner().invoke(app, ["info", *words], catch_exceptions=False).output.splitlines()
+
+
+def test_a_program_reads_one_key_a_line():
+    lines = shown("walk", "--keys")
+    (noise,) = [line for line in lines if line.startswith("task.sensors.encoder_noise ")]
+    (heading,) = [line for line in lines if line.startswith("key ")]
+    at = heading.index("in a sweep")
+    assert noise[at:].split()[0] == "traced" and noise[at:].split()[1:]
+    assert [line for line in lines if line.startswith(" ")] == []
+
+
+def test_all_keys_are_shown_without_a_name_and_unknown_names_lead_to_tasks_and_learners():
+    lines = shown("--keys")
+    for kind, registry in (("task", TASKS), ("learner", LEARNERS)):
+        assert [name for name in registry if f"{kind} {name}" not in [line.strip() for line in lines]] == []
+    with pytest.raises(InputError, match=r"did you mean 'deep_q'.* joint1, .*stand.* tabular_q"):
+        shown("deep_qq", "--keys")
 
 
 def test_defaults_are_those_of_the_task_not_of_its_parts():

@@ -105,6 +105,9 @@ def test_the_best_points_say_which_of_them_diverged(folder, capsys):
     out = capsys.readouterr().out
     assert "training made 1,234 episodes/s and 56,789 steps/s" in out
     assert "2 of 3" in out and out.count("0 of 3") == 3 and "2 runs stopped" in out
+    print_summary([], summary | {"diverged": np.array([True] + [False] * 11)}, {}, quickest=False)
+    out = " ".join(capsys.readouterr().out.split())
+    assert "1 run stopped" in out and "return at the end of training" in out
 
 
 def test_foreign_and_damaged_folders_get_a_sentence_each(folder, monkeypatch):

@@ -9,13 +9,16 @@ from pathlib import Path
 
 import jax.numpy as jnp
 import pytest
+from typer.testing import CliRunner
 
 sys.path.insert(0, str(Path(__file__).parent / "data"))
 from hop import Hop
 
-from humanoid_mjx import InputError, make_task
+from humanoid_mjx import InputError, make_task, spec
+from humanoid_mjx.cli import app
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.check import check_task
+from humanoid_mjx.tasks.continuous import ContinuousTask
 
 CONFIG = {
     "name": "hop",
@@ -59,14 +62,64 @@ def own(tmp_path_factory):
 
 
 def test_what_they_learned_is_found_again_from_any_folder(own, tmp_path):
-    for folder, run, policy in ((own, "run", "hop.npz"), (tmp_path, str(own / "run"), str(own / "hop.npz"))):
-        for words in (("evaluate", run, "--episodes", "2"), ("export", run, str(tmp_path / "again.npz"))):
-            done = command(folder, *words)
+    """In one's own folder by itself, elsewhere where one says so."""
+    few, again = ("--episodes", "2"), str(tmp_path / "again.npz")
+    for folder, place, trust in ((own, Path(), ()), (tmp_path, own, ("--trust",))):
+        run, policy = str(place / "run"), str(place / "hop.npz")
+        for words in (("evaluate", run, *few), ("export", run, again), ("evaluate", policy, *few)):
+            done = command(folder, *words, *trust)
             assert done.returncode == 0, done.stderr
-        done = command(folder, "evaluate", policy, "--episodes", "2")
-        assert done.returncode == 0, done.stderr
+            if trust:
+                refused = command(folder, *words)
+                assert refused.returncode == 2 and "'hop:Hop' is code that is neither" in refused.stderr
     done = command(tmp_path, "sweep", str(own / "my.yaml"), "--resume", "--out", str(own / "run"))
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "inside", "runs"),
+    [
+        ("humanoid_mjx.tasks.joint_reach:JointReach", "", True),
+        ("mine:Task", "", True),
+        ("pack.deep.mine:Task", "", True),
+        ("mine:Task", "run", False),  # comes with the run folder
+        ("antigravity:Task", "", False),
+        ("numpy.testing:Task", "", False),
+        ("os:Task", "", False),
+        ("__main__:Task", "", False),
+        ("nowhere:Task", "", True),  # and then cannot be imported
+    ],
+)
+def test_only_ones_own_modules_are_run(name, inside, runs, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    place = tmp_path / inside / name.partition(":")[0].replace(".", "/")
+    if name.startswith(("mine", "pack")):
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.with_suffix(".py").write_text("raise SystemExit('it ran')")
+    (tmp_path / "run").mkdir(exist_ok=True)
+    refused = "neither this package's nor below the working directory; add --trust"
+    with spec.own_modules_only(tmp_path / "run"), spec.modules_in(str(tmp_path / inside)):
+        with pytest.raises((InputError, SystemExit)) as caught:
+            spec.find("task", {}, ContinuousTask, name)
+        assert (refused in str(caught.value)) == (not runs)
+        assert "antigravity" not in sys.modules
+    sys.modules.pop("pack", None), sys.modules.pop("pack.deep", None)
+
+
+def test_a_config_that_one_looks_at_runs_nothing_from_elsewhere(tmp_path, monkeypatch):
+    (tmp_path / "there").mkdir()
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    (tmp_path / "there/nasty.py").write_text("open('ran', 'w')")
+    task = {"name": "nasty:Task"}
+    (tmp_path / "there/x.yaml").write_text(json.dumps(CONFIG | FEW | {"task": task, "sweep": None}))
+    for words in (["info", "../there/x.yaml"], ["info", "../there/x.yaml", "--keys"]):
+        with pytest.raises(InputError, match="add --trust"):
+            CliRunner().invoke(app, words, catch_exceptions=False)
+    assert not Path("ran").exists()
+    help_text = CliRunner().invoke(app, ["--help"]).output
+    assert "--trust" in help_text and "may name code" in help_text
 
 
 def test_import_paths_are_searched_in_the_working_directory_and_the_error_says_where(own, tmp_path):

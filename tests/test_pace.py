@@ -4,6 +4,7 @@ long a sweep takes."""
 import json
 import time
 from collections import deque
+from itertools import pairwise
 
 import numpy as np
 import pyarrow as pa
@@ -15,7 +16,7 @@ from humanoid_mjx import sweep
 from humanoid_mjx.cli import app
 from humanoid_mjx.config import parse
 from humanoid_mjx.training import pace
-from humanoid_mjx.training.pace import EVERY_S, Pace, Remaining, estimate, time_in_words
+from humanoid_mjx.training.pace import EVERY_S, Look, Pace, estimate, time_in_words
 from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.pool import IDLE, Pool
 
@@ -33,40 +34,40 @@ def folder(tmp_path):
     return tmp_path
 
 
-def looked(*looks):
-    pace = Pace()
-    for look in looks:
-        pace.look(*look)
+def looked(plan, *looks):
+    """A pace that has seen so much of the budget of one run done at each time."""
+    pace = Pace(1)
+    for time_s, done in looks:
+        pace.look(time_s, Look("training", np.array([0]), np.array([done / plan.budget]), 0, 0))
     pace.pause()
     return pace
 
 
 def test_the_rate_is_that_between_the_first_and_the_last_progress(folder):
-    pace = looked((0.0, 50.0), (60.0, 50.0), (61.0, 100.0), (62.0, 150.0), (63.0, 300.0), (90.0, 300.0))
-    assert pace.rates(plan("episode"), folder) == {"steps_per_s": 100.0 * 25, "episodes_per_s": 100.0}
+    of = plan("episode")
+    pace = looked(of, (0.0, 50.0), (60.0, 50.0), (61.0, 100.0), (62.0, 150.0), (63.0, 300.0), (90.0, 300.0))
+    assert pace.rates(of, folder) == {"steps_per_s": 100.0 * 25, "episodes_per_s": 100.0}
     # The next program took 50 s to compile.
-    for time_s, done in ((100.0, 300.0), (150.0, 400.0), (152.0, 1000.0)):
-        pace.look(time_s, done)
-    pace.pause()
-    assert pace.rates(plan("episode"), folder)["episodes_per_s"] == (200.0 + 600.0) / (2.0 + 2.0)
+    for time_s, done in ((100.0, 300.0), (150.0, 400.0), (152.0, 460.0)):
+        pace.look(time_s, Look("training", np.array([0]), np.array([done / 500]), 0, 0))
+    assert pace.rates(of, folder)["episodes_per_s"] == pytest.approx((200.0 + 60.0) / (2.0 + 2.0))
 
 
 def test_steps_are_episodes_by_the_length_of_each(folder):
-    pace = looked((0.0, 0.0), (1.0, 100.0), (2.0, 1100.0))
-    found = pace.rates(plan("step"), folder)
+    found = looked(plan("step"), (0.0, 0.0), (1.0, 50.0), (2.0, 450.0)).rates(plan("step"), folder)
     # As many steps make ten episodes of ten steps as 2.5 of forty.
-    assert found == {"steps_per_s": 1000.0, "episodes_per_s": pytest.approx(500 / 10 + 500 / 40)}
+    assert found == {"steps_per_s": 400.0, "episodes_per_s": pytest.approx(200 / 10 + 200 / 40)}
 
 
 def test_episodes_that_feed_one_table_count_all(folder):
-    pace = looked((0.0, 0.0), (1.0, 100.0), (2.0, 110.0))
+    pace = looked(plan("episode"), (0.0, 0.0), (1.0, 100.0), (2.0, 110.0))
     assert pace.rates(plan("episode", agents=16), folder)["episodes_per_s"] == 160.0
     assert pace.rates(plan("episode", rules="printed"), folder) == {"episodes_per_s": 10.0}
 
 
 def test_a_training_that_is_over_at_the_first_look_has_no_rate(folder):
-    assert looked((0.0, 0.0), (1.0, 100.0)).rates(plan("episode"), folder) == {}
-    assert Pace().rates(plan("step"), folder) == {}
+    assert looked(plan("episode"), (0.0, 0.0), (1.0, 100.0)).rates(plan("episode"), folder) == {}
+    assert Pace(1).rates(plan("step"), folder) == {}
 
 
 @pytest.mark.parametrize("learner", ["tabular_q", "linear_q"])
@@ -84,19 +85,48 @@ def test_provenance_has_both_rates(learner, tmp_path, monkeypatch):
     assert 1.0 <= made["steps_per_s"] / made["episodes_per_s"] <= 60.0
 
 
-def played_out(lengths_s, size):
-    """Yields (time, slots, progress, runs that wait) every half second of a sweep of runs of such lengths, in so many
-    slots; the last time is its end."""
-    slots, began, waiting, now = np.full(size, -1), np.zeros(size), list(range(len(lengths_s))), 0.0
+def played_out(lengths_s, size, compile_s=0.0, evaluate_s=0.0, share=lambda passed: passed):
+    """Yields (time, look) of a sweep of runs of such lengths, in so many slots; the last time is its end.
+
+    Nothing trains for `compile_s` in the beginning and while an evaluation lasts, whenever a quarter of the runs in the
+    slots is over. `share`: progress by the passed share of a run's time.
+    """
+    slots, trained_s = np.full(size, -1), np.zeros(size)
+    waiting, now, finished = list(range(len(lengths_s))), 0.0, 0
+    estimate = evaluate_s / lengths_s.mean()
+
+    def seen(phase):
+        done = np.where(slots >= 0, share(np.minimum(trained_s / lengths_s[slots], 1.0)), 0.0)
+        return now, Look(phase, slots.copy(), done, len(waiting), finished, estimate)
+
     while True:
-        over = (slots < 0) | (now - began >= lengths_s[slots])
-        for slot in np.flatnonzero(over):
-            slots[slot], began[slot] = (waiting.pop(0) if waiting else -1), now
-        done = np.where(slots >= 0, (now - began) / lengths_s[slots], 0.0)
-        yield now, slots, done, len(waiting)
+        for slot in np.flatnonzero(slots < 0)[: len(waiting)]:
+            slots[slot], trained_s[slot] = waiting.pop(0), 0.0
         if (slots < 0).all():
+            yield seen("evaluating")
             return
-        now += EVERY_S
+        while now < compile_s:
+            yield seen("compiling")
+            now += EVERY_S / 2
+        over = (slots >= 0) & (trained_s >= lengths_s[slots])
+        if 4 * over.sum() >= size or (over.any() and (over == (slots >= 0)).all()):
+            ends = now + evaluate_s
+            while now < ends:
+                yield seen("evaluating")
+                now += EVERY_S / 2
+            slots[over], finished = -1, finished + int(over.sum())
+            continue
+        yield seen("training")
+        now, trained_s = now + EVERY_S / 2, trained_s + EVERY_S / 2
+
+
+def told(looks, runs, programs=1):
+    """The time left that is told at each moment of a sweep, and its end."""
+    pace, found, now = Pace(runs, programs), {}, 0.0
+    for now, look in looks:
+        pace.look(now, look)
+        found[now] = pace.left_s
+    return found, now
 
 
 @pytest.mark.parametrize("slow", [0.0, 0.1, 0.3])
@@ -104,25 +134,65 @@ def test_the_time_left_is_right_within_a_fifth_from_the_middle_on(slow):
     """Runs of 8 to 12 s, and a share of them that take ten times as long, as where the reward pays for waiting."""
     draw = np.random.default_rng(3)
     lengths_s = draw.uniform(8.0, 12.0, 600) * np.where(draw.random(600) < slow, 10.0, 1.0)
-    remaining, said = Remaining(600), {}
-    for now, slots, done, waiting in played_out(lengths_s, 50):
-        remaining.look(now, slots, done)
-        said[now] = remaining.seconds(waiting)
-    end = max(said)
-    # Of what is left, or three seconds where little is: looks are half a second apart, and a run that waits is like the
-    # mean one.
-    for now, seconds in said.items():
-        if now > end / 2:
+    found, end = told(played_out(lengths_s, 50), 600)
+    for now, seconds in found.items():
+        if end / 2 < now < end:
             assert seconds == pytest.approx(end - now, rel=0.2, abs=3.0), now
 
 
+@pytest.mark.parametrize("evaluate_s", [0.0, 5.0, 60.0])
+@pytest.mark.parametrize("size", [4, 12])
+def test_compiling_and_evaluating_have_their_share(evaluate_s, size):
+    """Three times four runs, or twelve at once, of 30 s; compiling takes 20 s, a tenth to two thirds of all."""
+    found, end = told(played_out(np.full(12, 30.0), size, 20.0, evaluate_s), 12)
+    assert all(found[now] is None for now in found if now <= 20.0)
+    assert all(found[now] == pytest.approx(end - now, rel=0.1, abs=2.0) for now in found if 22.0 < now < end)
+
+
+def test_the_time_left_grows_for_no_long_time_where_runs_become_slow():
+    """The first half of a run passes five times as quickly as the second: its share is found out meanwhile."""
+    slows = lambda passed: np.where(passed < 1 / 6, 3 * passed, 0.5 + (passed - 1 / 6) * 0.6)  # noqa: E731
+    found, end = told(played_out(np.full(400, 60.0), 100, 5.0, 5.0, share=slows), 400)
+    known = [(now, left) for now, left in found.items() if left is not None]
+    assert sum(b - a for (a, before), (b, left) in pairwise(known) if left > before + 0.01) < 0.15 * end
+    # Once a run is over, those that wait are known to take as long.
+    assert found[66.0] == pytest.approx(end - 66.0, rel=0.01)
+
+
+def test_an_estimate_that_is_overrun_never_says_nothing_is_left():
+    """An evaluation that was taken to be nothing and lasts 100 s."""
+    looks = ((now, look._replace(evaluation=0.0)) for now, look in played_out(np.full(4, 10.0), 4, 0.0, 100.0))
+    found, _ = told(looks, 4)
+    assert 5.0 < found[105.0] < 15.0 and found[50.0] < found[105.0]
+
+
 def test_nothing_is_said_before_a_pace_is_known():
-    remaining = Remaining(4)
-    assert remaining.look(0.0, np.array([0, 1]), np.zeros(2)) and remaining.seconds(2) is None
-    assert not remaining.look(EVERY_S / 2, np.array([0, 1]), np.array([0.1, 0.1]))
+    pace = Pace(4)
+
+    def left(time_s, progress, waiting):
+        pace.look(time_s, Look("training", np.array([0, 1]), np.array(progress), waiting, 0))
+        return pace.left_s
+
+    assert left(0.0, [0.0, 0.0], 2) is None
+    assert left(EVERY_S / 2, [0.1, 0.1], 2) is None
     # Run 0 needs 9 s more and its successor 10; run 1, which has not moved, is taken to be like it.
-    assert remaining.look(1.0, np.array([0, 1]), np.array([0.1, 0.0])) and remaining.seconds(0) == pytest.approx(10.0)
-    assert remaining.seconds(1) == pytest.approx(19.0)
+    assert left(1.0, [0.1, 0.0], 0) == pytest.approx(10.0)
+    assert left(1.0, [0.1, 0.0], 0) == pytest.approx(10.0)
+
+
+def test_what_is_done_before_a_resumed_sweep_compiles_is_no_progress():
+    pace = Pace(100)
+    for second in range(64):
+        phase = "compiling" if second < 60 else "training"
+        pace.look(float(second), Look(phase, np.array([50]), np.array([0.5 + 0.1 * max(second - 60, 0)]), 49, 50))
+    assert [pace.recent, pace.mean, pace.done, pace.left_s] == pytest.approx([0.1, 0.1, 50.8, 2.0 + 490.0])
+
+
+def test_what_is_done_never_falls_while_runs_are_stored():
+    pace = Pace(4)
+    for finished, slots in ((0, [0, 1]), (0, [-1, -1]), (2, [-1, -1]), (2, [2, 3])):
+        pace.look(1.0, Look("training", np.array(slots), np.array([1.0, 1.0]) * (slots == [0, 1]), 0, finished))
+        assert pace.done == 2.0
 
 
 TABLES = {

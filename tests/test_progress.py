@@ -1,91 +1,67 @@
-"""The progress that the user sees: its rates, and its time left, which counts compiling and evaluating."""
+"""The progress that the user sees: its words, its share of the time, and what a narrow screen shows of it."""
 
 import io
 import re
 
-import numpy as np
 import pytest
 from rich.console import Console
-from rich.progress import Progress
 
 from humanoid_mjx.training import progress
+from humanoid_mjx.training.progress import Bar, State
 
 
-def test_what_is_done_before_a_resumed_sweep_compiles_is_no_progress(monkeypatch):
-    now = [0.0]
-    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
-    bar = progress.Bar(Console(file=io.StringIO(), width=120))
-    bar.begin(100_000, "steps", programs=2)
-    for second in range(64):
-        now[0] = float(second)
-        bar.phase("compiling" if second < 60 else "training")
-        bar.update(1_000.0 + 100.0 * max(second - 60, 0))
-    # 98,700 steps are left, and a minute of compiling for the second program.
-    assert bar._time_left() == "0:17:27"
+@pytest.fixture
+def now(monkeypatch):
+    clock = [0.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: clock[0])
+    return clock
 
 
-@pytest.mark.parametrize(
-    ("unit", "shown"), [("steps", "1,000 steps/s  40 episodes/s"), ("episodes", "1,000 episodes/s")]
-)
-def test_the_progress_says_episodes_a_second_whatever_is_counted(unit, shown, monkeypatch):
-    now = [0.0]
-    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+def test_without_a_terminal_there_is_a_line_for_each_phase_and_now_and_then(now):
     out = io.StringIO()
-    with progress.Bar(Console(file=out, width=120)) as bar:
-        bar.begin(50_000, unit)
-        bar.length(25.0)
-        for at, done in ((100.0, 0.0), (101.0, 5_000.0), (106.0, 10_000.0), (121.0, 25_000.0)):
-            now[0] = at
-            bar.update(done, 0.5, 1.0)
-    last = out.getvalue().splitlines()[-1]
-    assert f"{shown}  success 50%" in last, last
+    with Bar(Console(file=out, width=40)) as bar:
+        for second in range(40):
+            now[0] = float(second)
+            bar.phase("compiling" if second < 5 else "training")
+            if second >= 5:
+                bar.update(State(100.0 * second, 4000.0, "steps", 100.0, 40.0 - second, 0.5, 1.0, 25.0))
+    lines = out.getvalue().splitlines()
+    assert [line.split()[2] for line in lines] == ["compiling", *["training"] * 4], lines
+    assert lines[-1] == "  38.0 s  training 95%  left 0:00:02  100 steps/s  4 episodes/s  success 50%  return 1"
+    assert "%" not in lines[0] and "left" not in lines[0]
 
 
-@pytest.mark.parametrize("training_s", [20, 3])
-def test_what_the_bar_says_counts_compiling_and_evaluating(monkeypatch, training_s):
-    """One program: 6 s of compiling before it trains, and 6 s beside training, which a short training waits for."""
-    now = [0.0]
-    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
-    bar = progress.Bar(Console(file=io.StringIO(), width=80))
-    bar.begin(10 * training_s, "steps")
-    trained = 6 + training_s
-    end, shown = max(trained, 12), {}
-    for second in range(end + 3):
-        now[0] = float(second)
-        bar.phase("training" if 6 <= second < trained else "evaluating" if second >= end else "compiling")
-        if second >= 6:
-            bar.update(10.0 * min(second - 6, training_s))
-        shown[second] = bar._time_left()
-    assert shown[5] == progress.UNKNOWN
-    # Training and evaluation up to the end, after which nobody knows how long the rest takes.
-    for second in range(8, end):
-        hours, minutes, seconds = map(int, re.fullmatch(r"(\d+):(\d\d):(\d\d)", shown[second]).groups())
-        assert (hours, minutes) == (0, 0) and seconds == pytest.approx(end - second, abs=1.0), second
-    assert shown[end + 1] == progress.UNKNOWN
+def test_the_share_is_of_the_time_and_never_falls_nor_is_whole_before_the_end(now):
+    """The time left grows where runs become slow; what comes after the sweep has its share."""
+    bar, shares = Bar(Console(file=io.StringIO()), after_s=10.0), []
+    for second, left in ((10.0, 80.0), (50.0, 140.0), (60.0, 30.0), (89.0, 0.1), (95.0, 0.1)):
+        now[0] = second
+        bar.update(State(1.0, 2.0, "episodes", left_s=left))
+        shares.append(bar._words()[0])
+    assert shares == ["10%", "25%", "60%", "90%", "90%"]
+    bar.phase("drawing figures")
+    now[0] = 98.0
+    assert bar._words() == ("93%", "left 0:00:07")
+    now[0] = 500.0
+    assert bar._words() == ("99%", "left 0:00:01")
 
 
-def test_the_time_that_has_passed_goes_on_after_training():
-    now = [100.0]
-    bars = Progress(progress.Elapsed(), console=Console(file=io.StringIO()), get_time=lambda: now[0])
-    bars.add_task("", total=10)
-    (task,) = bars.tasks
-    now[0] = 130.0
-    bars.update(task.id, completed=10)
-    now[0] = 175.0
-    assert progress.Elapsed().render(task).plain == "0:01:15"
+def test_a_count_has_the_time_that_it_takes(now):
+    bar = Bar(Console(file=io.StringIO()))
+    assert bar._words() == ("", "")
+    now[0] = 20.0
+    bar.count(50, 250)
+    assert bar._words() == ("20%", "left 0:01:20")
 
 
-def test_the_time_left_is_that_of_the_slowest_run_and_not_of_the_rate(monkeypatch):
-    """Two runs of ten seconds and one of a hundred, in three slots; compiling that comes between counts for nothing."""
-    now = [0.0]
-    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
-    bar = progress.Bar(Console(file=io.StringIO(), width=80))
-    bar.begin(300.0, "steps", 1, 3)
-    share = np.zeros(3)
-    for second in (0, 1, 2, 3, 63, 64):
-        now[0] = float(second)
-        bar.phase("compiling" if second == 3 else "training")
-        share += 0.0 if second in (0, 63) else [0.1, 0.1, 0.01]
-        bar.slots(np.arange(3), share, 0)
-        bar.update(100.0 * float(share.sum()))
-    assert bar._left == pytest.approx(96.0, abs=0.1)
+@pytest.mark.parametrize("width", [30, 59, 60, 200])
+def test_every_screen_shows_the_share_and_the_time_left(now, width):
+    out = io.StringIO()
+    bar = Bar(Console(file=out, width=width, force_terminal=True, legacy_windows=False))
+    bar.phase("drawing figures")
+    now[0] = 60.0
+    bar.update(State(1.0, 2.0, "episodes", 123_456.0, 60.0, 0.5, 1.0, 25.0))
+    bar.console.print(bar._render(), end="")
+    shown = re.sub(r"\x1b\[[\d;?]*\w", "", out.getvalue()).rstrip("\n")
+    assert "50%" in shown and "left 0:01:00" in shown and len(shown) <= width and "\n" not in shown
+    assert ("\u2501" in shown) == (width >= 60) and ("123,456 episodes/s" in shown) == (width == 200)

@@ -13,6 +13,7 @@ from humanoid_mjx.report.figures import CURVES, TERMS, Figure, curved, find_leve
 from humanoid_mjx.report.style import count_axis, figure, label_lines
 from humanoid_mjx.runs.ranking import ranked, ties, training_interval
 from humanoid_mjx.runs.statistics import iqm, iqm_interval, rate_interval
+from humanoid_mjx.runs.tables import scores
 
 
 @given(st.integers(1, 12), st.integers(0, 1000))
@@ -103,6 +104,33 @@ def test_points_are_ranked_by_success_then_speed_then_learning():
     assert [point.point for point in ranked([], by_return, quickest=False)] == [3, 0, 2, 1]
     low, high = training_interval(summary, 2)
     assert 20.0 <= low < high <= 30.0
+
+
+@pytest.mark.parametrize(
+    ("quickest", "columns", "order"),
+    [
+        (True, {"whole_steps": [3.0, 1.0, 2.0]}, [1, 2, 0]),
+        (True, {"steps": [1.0, 2.0, 2.0], "whole_steps": [9.0, 2.0, 1.0]}, [0, 2, 1]),
+        # A cart-pole that lasts longer is better: the steps at the end of training say nothing.
+        (False, {"steps": [196.0, 200.0, 200.0], "return": [196.0, 199.0, 200.0]}, [2, 1, 0]),
+        (False, {"success": [0.9, 1.0, 0.8], "return": [3.0, 2.0, 1.0]}, [1, 0, 2]),
+        (False, {"whole_return": [1.0, 3.0, np.nan]}, [1, 0, 2]),
+    ],
+)
+def test_training_tells_points_apart_that_act_equally_well(quickest, columns, order):
+    equal = {"greedy_success": np.ones(3), "greedy_steps": np.full(3, 200.0), "greedy_return": np.full(3, 200.0)}
+    same = {name: np.full(3, 5.0) for name in ("steps", "return", "success")}
+    columns = {name: np.array(values) for name, values in columns.items()}
+    points = ranked([], {"point": np.arange(3)} | equal | same | columns, quickest)
+    assert [point.point for point in points] == order and ties(points) == 3
+
+
+def test_the_summary_has_the_end_of_a_curve_and_the_whole_of_it():
+    curves = {"steps": [[10.0] * 18 + [1.0, 3.0], [np.nan] * 20], "slip": [[1.0] * 20] * 2}
+    found = scores({f"curve.{name}": np.array(curve) for name, curve in curves.items()})
+    np.testing.assert_allclose(found["steps"], [2.0, np.nan])
+    np.testing.assert_allclose(found["whole_steps"], [9.2, np.nan], rtol=1e-6)
+    assert set(found) == {"steps", "whole_steps", "slip"}
 
 
 @pytest.mark.parametrize("axes", [[], ["learner.epsilon"], ["learner.epsilon", "task.rules", "learner.discount"]])

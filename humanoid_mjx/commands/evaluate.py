@@ -3,7 +3,7 @@
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
@@ -13,6 +13,9 @@ from humanoid_mjx.files import write_text
 from humanoid_mjx.runs.evaluations import Evaluation
 from humanoid_mjx.spec import check_folder
 from humanoid_mjx.training.progress import Bar
+
+if TYPE_CHECKING:
+    from humanoid_mjx.evaluation.policy import Trained
 
 
 def run_evaluate(
@@ -41,6 +44,8 @@ def run_evaluate(
         evaluations = evaluate_all(policies, episodes)
     title = f"{episodes:,} episodes that no training has seen{_changes(physics, overrides)}"
     console.print(evaluation_table(title, evaluations))
+    for words in words_on_returns(policies, evaluations):
+        console.print(words)
     if file is not None:
         result = compute.made_by() | {
             "episodes": episodes,
@@ -76,6 +81,25 @@ def evaluation_table(title: str, evaluations: Sequence[Evaluation]) -> Table:
     return table
 
 
+def words_on_returns(policies: Sequence["Trained"], evaluations: Sequence[Evaluation]) -> list[str]:
+    """A sentence for each policy that succeeds more often than another agent and yet has the lower return."""
+    found = []
+    for policy in policies:
+        own = {each.agent: each for each in evaluations if each.policy == policy.name}
+        greedy = own.get("greedy")
+        if greedy and any(
+            each.success.value < greedy.success.value and each.episode_return.value > greedy.episode_return.value
+            for each in own.values()
+        ):
+            discount = getattr(policy.learner, "discount", getattr(policy.learner, "discounting", 1.0))
+            found.append(
+                f"{policy.name} succeeds more often with a lower return: the task pays for every step, so that waiting "
+                f"adds up. Training discounts a reward by {float(discount):g} for each step that it comes later; the "
+                "returns here are plain sums."
+            )
+    return found
+
+
 def run_gait(
     names: Sequence[str],
     point: int | None,
@@ -97,7 +121,6 @@ def run_gait(
     settings = settings_of(overrides)
     policies = [in_world(policy, physics, settings) for policy in trained_seeds(names, point)]
     with Bar(console) as bar:
-        bar.begin(1, "episodes")
         bar.phase("compiling and walking")
         measured = measure(policies, episodes, bar.count)
     for each in measured:

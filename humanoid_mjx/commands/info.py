@@ -1,47 +1,69 @@
 """What `humanoid-mjx info` prints."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
 from humanoid_mjx import compute
-from humanoid_mjx.commands import console
+from humanoid_mjx.commands import console, counted
 from humanoid_mjx.config import dump_yaml, load
 from humanoid_mjx.files import names
 from humanoid_mjx.runs.disk import in_words
-from humanoid_mjx.spec import InputError
+from humanoid_mjx.spec import InputError, known
 from humanoid_mjx.training.progress import Bar
 
 if TYPE_CHECKING:
     from humanoid_mjx.training.plan import Plan
 
 
-def show_keys(name: str) -> None:
-    """`humanoid-mjx info NAME --keys`: of a task, a learner, or both of a config."""
+def show_keys(name: str | None) -> None:
+    """`humanoid-mjx info [NAME] --keys`: of a task, a learner, or both of a config; of all tasks and learners."""
     from humanoid_mjx.keys import keys_of
     from humanoid_mjx.learners import LEARNERS, Learner
     from humanoid_mjx.spec import find, modules_in
     from humanoid_mjx.tasks import TASKS
     from humanoid_mjx.tasks.base import Task
 
-    chosen: list[tuple[str, Any]] = []
-    if name in TASKS or name in LEARNERS or ":" in name:
-        kind, registry, base = ("learner", LEARNERS, Learner) if name in LEARNERS else ("task", TASKS, Task)
-        chosen.append((kind, find(kind, registry, base, name)))
+    kinds: dict[str, tuple[Mapping[str, str], type[Any]]] = {"task": (TASKS, Task), "learner": (LEARNERS, Learner)}
+    config = None
+    if name is None:
+        chosen = [(kind, of) for kind, (registry, _) in kinds.items() for of in registry]
+    elif name in TASKS or name in LEARNERS or ":" in name:
+        chosen = [("learner" if name in LEARNERS else "task", name)]
     else:
+        _check_known(name, [*TASKS, *LEARNERS])
         config = load(name)
-        with modules_in(config.modules):
-            chosen.append(("task", find("task", TASKS, Task, config.task["name"])))
-            chosen.append(("learner", find("learner", LEARNERS, Learner, config.learner["name"])))
-    table = Table(title=f"{name}: keys of its config", title_justify="left")
-    for heading in ("key", "default", "values", "", "meaning"):
-        table.add_column(heading, overflow="fold")
-    for kind, cls in chosen:
+        chosen = [("task", config.task["name"]), ("learner", config.learner["name"])]
+    for kind, of in chosen:
+        with modules_in(config.modules if config else None):
+            cls = find(kind, *kinds[kind], of)
+        rows = [("key", "default", "values", "in a sweep", "meaning")]
         for key in keys_of(cls, kind):
-            table.add_row(key.name, key.default, key.allowed, "traced" if key.traced else "static", key.meaning)
-    console.print(table)
+            rows.append((key.name, key.default, key.allowed, "traced" if key.traced else "static", key.meaning))
+        _print_rows(f"{kind} {of}", rows)
     console.print("Sweeping a traced value compiles nothing; points that differ in static ones compile apart.")
+
+
+def _print_rows(title: str, rows: Sequence[tuple[str, ...]]) -> None:
+    """A table with a heading; where no person reads it, one row a line however long that is."""
+    if console.is_terminal:
+        table = Table(*rows[0], title=title, title_justify="left", box=None, pad_edge=False, padding=(0, 2, 0, 0))
+        for row in rows[1:]:
+            table.add_row(*row)
+        console.print(table)
+        return
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in [(title,), *rows]:
+        console.print("  ".join(map(str.ljust, row, widths)).rstrip(), soft_wrap=True)
+
+
+def _check_known(name: str, others: Sequence[str]) -> None:
+    """Refuse a name that is neither a file, a shipped config nor one of `others`, all of which the sentence lists."""
+    configs = names("configs", ".yaml")
+    if name not in configs and not Path(name).exists() and Path(name).suffix != ".yaml":
+        raise InputError(f"{name}: neither a task, a learner nor a config; {known(name, [*others, *configs])}.")
 
 
 def show_info(config: str | None, overrides: Sequence[str], timed: bool) -> None:
@@ -67,6 +89,7 @@ def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
     from humanoid_mjx.training.cost import disk_bytes, run_bytes, runs_at_once, slots, training_bytes
     from humanoid_mjx.training.fused import why_not
     from humanoid_mjx.training.plan import make_plan, resolved
+    from humanoid_mjx.training.warm_start import earlier_policies
 
     plan = make_plan(load(config, overrides))
     console.print(dump_yaml(resolved(plan.config)).rstrip())
@@ -75,20 +98,23 @@ def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
     together = [1] * len(plan.groups)
     refusal = None
     try:
+        for group in plan.groups:
+            earlier_policies(group)
         together = [slots(group, runs_at_once(group)) for group in plan.groups]
     except InputError as error:
         refusal = error
     console.print(
-        f"\n{len(plan.points):,} points x {plan.config.seeds} seeds = {plan.num_runs:,} runs "
-        f"in {len(plan.groups)} compiled program{'s' * (len(plan.groups) > 1)}; "
+        f"\n{counted(len(plan.points), 'point')} x {counted(plan.config.seeds, 'seed')} = "
+        f"{counted(plan.num_runs, 'run')} in {counted(len(plan.groups), 'compiled program')}; "
         f"training state {in_words(size)} if all were held at once, "
         f"a run that trains an estimated {in_words(most)}"
     )
     console.print(f"on disk an estimated {in_words(disk_bytes(plan, together))}, without figures")
     if refusal:
         console.print(f"sweep refuses it here: {refusal}")
-    for reason in dict.fromkeys(why_not(group.learner()) for group in plan.groups):
-        console.print("trained by one fused kernel" if reason is None else f"no fused kernel: {reason}")
+    for reason in dict.fromkeys(why_not(group.learner()) for group in plan.groups if plan.unit == "episode"):
+        words = "trained by one kernel of a GPU" if reason is None else f"not trained by one kernel of a GPU: {reason}"
+        console.print(words)
     if timed:
         _show_time(plan)
     else:

@@ -28,6 +28,7 @@ def run_play(
         check_file(out)
     start_for(physics, overrides)
     from humanoid_mjx.evaluation.policy import find_policy, in_world
+    from humanoid_mjx.notebook import film_file
     from humanoid_mjx.report.player import serve
     from humanoid_mjx.report.rendering import render_film
     from humanoid_mjx.report.showing import show
@@ -37,7 +38,7 @@ def run_play(
         trained = in_world(find_policy(name, point), physics, overrides)
         shown = show(trained, bar, episode)
         if not view:
-            target = out or _play_file(name, trained.name)
+            target = out or film_file(Path(name), trained.name)
             bar.phase("rendering")
             render_film(shown.film, target, tell=bar.count)
     console.print(shown.outcome)
@@ -50,15 +51,6 @@ def run_play(
 
     with suppress(KeyboardInterrupt):
         serve(shown.film, told)
-
-
-def _play_file(name: str, policy: str) -> Path:
-    """Default place of a motion: in the run folder, or for a policy in the working directory."""
-    if not Path(name).is_dir():
-        return Path(f"{policy}.gif")
-    folder = Path(name) / "figures"
-    folder.mkdir(exist_ok=True)
-    return folder / "play.gif"
 
 
 def run_export(what: str, file: Path, point: int | None) -> None:

@@ -22,7 +22,7 @@ def run_runs(folder: Path) -> None:
     if found:
         console.print(runs_table(found))
         console.print("Success and return are those of greedy episodes of the best point, over its seeds.")
-    elif not problems:
+    else:
         console.print(f"{folder}: there is no run folder in it.")
     for problem in problems:
         console.print(problem, soft_wrap=True)
@@ -33,7 +33,8 @@ def run_runs(folder: Path) -> None:
 def runs_table(found: Sequence[Listed]) -> Table:
     """A row for each run folder, the newest last."""
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for heading in ("run", "task", "learner"):
+    table.add_column("run", overflow="fold", min_width=12)
+    for heading in ("task", "learner"):
         table.add_column(heading, overflow="fold")
     table.add_column("points x seeds", justify="right", no_wrap=True)
     table.add_column("state", overflow="fold")

@@ -9,13 +9,16 @@ import typer
 from rich.table import Table
 
 from humanoid_mjx import compute
-from humanoid_mjx.commands import console
+from humanoid_mjx.commands import console, counted
 from humanoid_mjx.compute import processes
 from humanoid_mjx.config import load
 from humanoid_mjx.runs.folder import read_provenance
 from humanoid_mjx.training.progress import Bar
 
 RATES = ("episodes", "steps")
+
+DRAWING_S = 5.0
+"""Seconds that the figures of a sweep take, by estimate."""
 
 BEST_POINTS = 10
 """Rows of the summary that is printed."""
@@ -27,11 +30,10 @@ def run_sweep(config: str, out: Path | None, overrides: Sequence[str], resume: b
     compute.start(mjx="mjx-jax" in loaded.physics)  # before `joined`, which may begin to compute
     from humanoid_mjx.training.sweep import sweep
 
-    with Bar(console) as bar:
+    with Bar(console, DRAWING_S) as bar:
         try:
             with processes.joined() as process:
-                reporter = None if process else bar  # the first process speaks for all
-                run = sweep(loaded, out, resume=resume, reporter=reporter, tensorboard=tensorboard)
+                run = sweep(loaded, out, resume=resume, reporter=None if process else bar, tensorboard=tensorboard)
         except KeyboardInterrupt:
             console.print("Stopped. What is finished is stored; the same command with --resume completes it.")
             raise typer.Exit(130) from None
@@ -58,28 +60,30 @@ def print_summary(
     from humanoid_mjx.runs.ranking import ranked, ties, training_interval
 
     points, seeds = ranked(axes, summary, quickest), len(np.unique(summary["seed"]))
-    best = points[:BEST_POINTS]
+    best, equals = points[:BEST_POINTS], ties(points)
     title = f"{len(points)} points; the best {len(best)}" if len(points) > 1 else "1 point"
-    if (equals := ties(points)) > len(best):
+    if equals > len(best):
         title += f" of {equals} that act equally well"
     rates = [f"{provenance[f'{unit}_per_s']:,.0f} {unit}/s" for unit in RATES if f"{unit}_per_s" in provenance]
     caption = f"training made {' and '.join(rates)}, without compiling" if rates else None
     table = Table(title=title, title_justify="left", caption=caption, caption_justify="left")
-    for axis in axes:
-        table.add_column(axis.partition(".")[2], justify="right")
+    measure = "steps" if quickest else "return"
     greedy = ("greedy steps",) if quickest else ("greedy return", "greedy steps")
-    for heading in ("greedy success", *greedy, "steps at the end of training (95 %)"):
+    whole = [f"{measure} over all of training"] if equals > 1 else []
+    axis_names = [axis.partition(".")[2] for axis in axes]
+    for heading in (*axis_names, "greedy success", *greedy, f"{measure} at the end of training (95 %)", *whole):
         table.add_column(heading, justify="right")
     diverged = {point.point: int(np.sum(summary["diverged"][summary["point"] == point.point])) for point in points}
     if any(diverged.values()):
         table.add_column("diverged", justify="right")
     for point in best:
-        low, high = training_interval(summary, point.point)
-        steps = f"{point.steps:.2f} ({low:.2f} to {high:.2f})"
-        broken = [f"{diverged[point.point]} of {seeds}"] if any(diverged.values()) else []
+        low, high = training_interval(summary, point.point, measure)
+        end = f"{point.steps if quickest else point.training_return:.2f}"
+        end += f" ({low:.2f} to {high:.2f})" if low < high else ""
         greedy = [] if quickest else [f"{point.greedy_return:.4g}"]
-        greedy = [f"{point.success:.1%}", *greedy, f"{point.greedy_steps:.1f}"]
-        table.add_row(*map(short, point.values), *greedy, steps, *broken)
+        cells = [*map(short, point.values), f"{point.success:.1%}", *greedy, f"{point.greedy_steps:.1f}", end]
+        cells += [f"{point.whole:.2f}"] * len(whole)
+        table.add_row(*cells, *([f"{diverged[point.point]} of {seeds}"] if any(diverged.values()) else []))
     console.print(table)
     if stopped := sum(diverged.values()):
-        console.print(f"{stopped} runs stopped at numbers that were not finite; the summary marks them.")
+        console.print(f"{counted(stopped, 'run')} stopped at numbers that were not finite; the summary marks them.")

@@ -15,6 +15,15 @@ from humanoid_mjx.config.axes import Sweep, shown
 from humanoid_mjx.files import folder, shipped
 from humanoid_mjx.spec import InputError, sentence
 
+BELOW = {
+    **{key: f"sweep.{key}" for key in ("axes", "mode", "points")},
+    **dict.fromkeys(("alpha", "learning_rate", "lr"), "learner.learning_rate"),
+    **dict.fromkeys(("discount", "gamma"), "learner.discount"),
+    **{key: f"learner.{key}" for key in ("epsilon", "epsilon_decay", "epsilon_min", "envs", "rollout", "start_from")},
+    **{key: f"task.{key}" for key in ("control", "max_episode_steps", "physics", "rewards", "robot", "states")},
+}
+"""Keys that do not stand at the top level, and where they do."""
+
 TOP_LEVEL = ("episodes", "total_steps", "record", "task")
 """Keys that a learner has, but not from its own part of a config."""
 
@@ -138,6 +147,8 @@ def parse(data: dict[str, Any], source: str = "config") -> Config:
     Raises:
       InputError: a key or value that cannot be used.
     """
+    if odd := [key for key in data if key in BELOW]:
+        raise InputError(f"{source}: {odd[0]}: this key does not stand at the top level; write {BELOW[odd[0]]}.")
     try:
         config = Config(**data)
     except pydantic.ValidationError as error:

@@ -20,7 +20,7 @@ from humanoid_mjx.learners import Learner
 from humanoid_mjx.runs.archive import DAMAGE, read_archive
 from humanoid_mjx.runs.folder import elsewhere, read_config, read_provenance
 from humanoid_mjx.runs.ranking import ranked
-from humanoid_mjx.runs.tables import finished_runs, scores
+from humanoid_mjx.runs.tables import WHOLE, finished_runs, scores
 from humanoid_mjx.spec import InputError, check_folder, known
 from humanoid_mjx.training.plan import Group, make_plan, points_of, resolved, set_dotted
 from humanoid_mjx.training.state import from_arrays, to_arrays
@@ -95,7 +95,7 @@ def _ranked(path: Path, point: int | None, all_seeds: bool) -> list[Trained]:
     data = read_config(path)
     config = parse(data, str(path / "config.yaml"))
     points = points_of(config)
-    arrays = finished_runs(path, ("point", "seed", "policy", "curve.steps", "final."))
+    arrays = finished_runs(path, ("point", "seed", "policy", *(f"curve.{name}" for name in WHOLE), "final."))
     if not arrays:
         raise InputError(f"{path}: holds no finished run; --resume it first.")
     if point is not None and point not in arrays["point"]:

@@ -24,7 +24,8 @@ def make_learner(name: str, /, task: Task, **params: Any) -> Any:
     if isinstance(task, Task) and not isinstance(task, wanted):
         fit = ", ".join(other for other in LEARNERS if isinstance(task, _kinds(learner_class(other))))
         kinds = " or a ".join(kind.__name__ for kind in wanted)
-        raise InputError(f"learner.task must be a {kinds}, got a {type(task).__name__}; learners for it are {fit}.")
+        given = type(task).__name__
+        raise InputError(f"learner.name: {name} learns a {kinds}, not a {given}; learners for it are {fit}.")
     return make("learner", LEARNERS, Learner, name, task=task, **params)
 
 

@@ -77,7 +77,7 @@ class ApproximateQ(StepLearner):
         0.0, ge=0, le=100, description="epsilon is raised to 1 ... 1 + epsilon_spread over the environments"
     )
     action_repeat: int = Field(1, ge=1, le=1000, description="longest time in steps that a random action is held")
-    learning_rate: float = traced(gt=0, le=1)
+    learning_rate: float = traced(gt=0, le=1, description="size of a step down the gradient")
     learning_rate_end: float = traced(1.0, ge=0, le=1, description="its share at the end, reached linearly")
     weight_averaging: float = traced(
         0.0, ge=0, le=1, description="the policy is a mean over this last share of training"

@@ -63,18 +63,22 @@ class BraxPPO(WholeRunLearner):
     num_envs: int = Field(128, ge=1, le=1_000_000, description="environments side by side")
     unroll_length: int = Field(16, ge=1, le=10_000, description="steps of each environment in one piece of experience")
     batch_size: int = Field(32, ge=1, le=1_000_000, description="pieces of experience in a minibatch")
-    num_minibatches: int = Field(4, ge=1, le=10_000)
+    num_minibatches: int = Field(4, ge=1, le=10_000, description="gradient steps of a pass")
     num_updates_per_batch: int = Field(4, ge=1, le=1000, description="passes over the experience of an update")
-    learning_rate: float = Field(3e-4, gt=0, le=1)
-    entropy_cost: float = Field(1e-2, ge=0)
-    discounting: float = Field(0.97, ge=0, le=1)
-    gae_lambda: float = Field(0.95, ge=0, le=1)
-    clipping_epsilon: float = Field(0.3, gt=0)
+    learning_rate: float = Field(3e-4, gt=0, le=1, description="step size of Adam")
+    entropy_cost: float = Field(1e-2, ge=0, description="weight of the entropy bonus")
+    discounting: float = Field(0.97, ge=0, le=1, description="value of a reward one step later")
+    gae_lambda: float = Field(0.95, ge=0, le=1, description="decay of the advantage's traces")
+    clipping_epsilon: float = Field(0.3, gt=0, description="the most that an update changes a probability's ratio")
     max_grad_norm: float | None = Field(1.0, gt=0, description="norm at which a gradient is clipped; null for none")
-    reward_scaling: float = Field(1.0, gt=0)
-    normalize_observations: bool = True
-    policy_hidden_layer_sizes: tuple[int, ...] = Field((32, 32, 32, 32), strict=False)
-    value_hidden_layer_sizes: tuple[int, ...] = Field((256, 256, 256, 256, 256), strict=False)
+    reward_scaling: float = Field(1.0, gt=0, description="factor on rewards")
+    normalize_observations: bool = Field(True, description="scale observations by their running statistics")
+    policy_hidden_layer_sizes: tuple[int, ...] = Field(
+        (32, 32, 32, 32), strict=False, description="units of the policy's hidden layers"
+    )
+    value_hidden_layer_sizes: tuple[int, ...] = Field(
+        (256, 256, 256, 256, 256), strict=False, description="units of the value's hidden layers"
+    )
     evaluation_envs: int = Field(64, ge=1, le=100_000, description="episodes of an evaluation")
 
     @model_validator(mode="after")

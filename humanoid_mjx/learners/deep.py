@@ -48,10 +48,10 @@ class QNetwork(nn.Module):
 class DeepQ(ApproximateQ):
     """Parallel Q-learning with a network."""
 
-    width: int = Field(128, ge=1, le=65_536)
-    layers: int = Field(2, ge=1, le=100)
+    width: int = Field(128, ge=1, le=65_536, description="units of a hidden layer")
+    layers: int = Field(2, ge=1, le=100, description="hidden layers")
     epochs: int = Field(2, ge=1, le=1000, description="passes over the experience of an update")
-    minibatches: int = Field(4, ge=1, le=10_000)
+    minibatches: int = Field(4, ge=1, le=10_000, description="parts of a rollout, a gradient step for each")
     max_gradient: float = Field(10.0, gt=0, description="norm at which a gradient is clipped")
     precision: Precision = Field(
         "float32", description="of matrix products on a GPU; bfloat16: of all but the last layer's numbers"

@@ -29,7 +29,7 @@ class LinearQ(ApproximateQ):
     Reinforcement Learning", 2017, section 4.1): each learns from what all have seen.
     """
 
-    basis: Literal["tiles", "fourier", "radial"] = "tiles"
+    basis: Literal["tiles", "fourier", "radial"] = Field("tiles", description="features of the observation")
     resolution: int = Field(8, ge=1, le=10_000, description="tiles, half periods, or centres along an observation")
     focus: float = Field(1.0, ge=1, le=10, description="1 resolves a range evenly; more, its middle more finely")
     tilings: int = Field(8, ge=1, le=256, description="grids of tiles over one another")

@@ -17,6 +17,9 @@ from humanoid_mjx.runs.ranking import ranked
 from humanoid_mjx.runs.tables import finished_runs, read_table
 from humanoid_mjx.spec import InputError
 
+FOREIGN = 3
+"""Folders that are no run folders of which the names are said."""
+
 
 class Listed(NamedTuple):
     """A run folder in a few words and numbers."""
@@ -47,7 +50,7 @@ def list_runs(folder: Path) -> tuple[list[Listed], list[str]]:
     """The run folders directly in `folder`, or `folder` itself where it is one; the oldest first.
 
     Returns:
-      the run folders; and a sentence for each other folder, which is foreign or broken.
+      the run folders; and a sentence for each that is broken, and one for all folders that are none.
 
     Raises:
       InputError: there is no such folder, or it cannot be read.
@@ -59,7 +62,14 @@ def list_runs(folder: Path) -> tuple[list[Listed], list[str]]:
     except OSError as error:
         raise InputError(f"{folder}: cannot be read: {error.strerror}.") from error
     found, problems = [], []
-    for path in [folder] if (folder / "config.yaml").is_file() else inside:
+    if (folder / "config.yaml").is_file():
+        inside = [folder]
+    foreign = [path for path in inside if not any((path / name).exists() for name in ("config.yaml", "checkpoint"))]
+    if foreign:
+        more = f" and {len(foreign) - FOREIGN} more" if len(foreign) > FOREIGN else ""
+        kind = "no run folders (they hold" if len(foreign) > 1 else "this is no run folder (it holds"
+        problems.append(f"{', '.join(map(str, foreign[:FOREIGN]))}{more}: {kind} no config.yaml).")
+    for path in [path for path in inside if path not in foreign]:
         try:
             found.append(look_at(path))
         except InputError as error:

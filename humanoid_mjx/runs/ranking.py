@@ -21,13 +21,24 @@ class Ranked(NamedTuple):
     greedy_steps: float
     steps: float
     """Steps of an episode at the end of training."""
-    cost: float
-    """What ranks points that succeed equally often: `greedy_steps` or minus `greedy_return`; infinite if unknown."""
+    training_return: float
+    """Return of an episode at the end of training."""
+    whole: float
+    """Mean over all of training, the area under the learning curve: of the steps where `quickest`, else of the
+    return."""
+    rank: tuple[float, ...]
+    """Sorts points from best to worst."""
+
+
+GREEDY = 2
+"""Numbers of a rank that say how a point acts greedily."""
 
 
 def ranked(axes: Sequence[str], summary: Mapping[str, np.ndarray], quickest: bool) -> list[Ranked]:
-    """All points from best to worst: those that succeed most often, among them the quickest or those of the highest
-    return, among them those whose episodes of training were the shortest at its end.
+    """All points from best to worst.
+
+    First come those that succeed most often, among them the quickest or those of the highest return. Training breaks
+    ties: the steps of an episode at its end, or its success and return there, and then the area under the curve.
 
     `quickest`: as the thesis judges its tables. A body that falls is quick too, so what is trained by control steps is
     judged by its return.
@@ -36,30 +47,29 @@ def ranked(axes: Sequence[str], summary: Mapping[str, np.ndarray], quickest: boo
     points, starts = np.unique(summary["point"][order], return_index=True)
     found = []
     for point, rows in zip(points, np.split(order, starts[1:]), strict=True):
-        values = tuple(summary[axis][rows][0] for axis in axes)
+
+        def mean(name: str, rows: np.ndarray = rows) -> float:
+            return float(iqm(summary[name][rows])) if name in summary else np.nan
+
         success = float(summary["greedy_success"][rows].mean())
-        total, greedy_steps, steps = (
-            float(iqm(summary[name][rows])) for name in ("greedy_return", "greedy_steps", "steps")
-        )
-        cost = _last_if_unknown(greedy_steps if quickest else -total)
-        found.append(Ranked(int(point), values, success, total, greedy_steps, steps, cost))
-    return sorted(found, key=lambda each: (_greedy(each), _last_if_unknown(each.steps)))
+        whole = mean("whole_steps" if quickest else "whole_return")
+        if quickest:
+            costs = mean("greedy_steps"), mean("steps"), whole
+        else:
+            costs = -mean("greedy_return"), -mean("success"), -mean("return"), -whole
+        rank = (-round(success, 3), *(cost if np.isfinite(cost) else np.inf for cost in costs))
+        values = tuple(summary[axis][rows][0] for axis in axes)
+        greedy = mean("greedy_return"), mean("greedy_steps")
+        found.append(Ranked(int(point), values, success, *greedy, mean("steps"), mean("return"), whole, rank))
+    return sorted(found, key=lambda each: each.rank)
 
 
 def ties(points: Sequence[Ranked]) -> int:
-    """How many points do as well as the first when they act greedily."""
-    return sum(_greedy(point) == _greedy(points[0]) for point in points)
+    """The number of points that do as well as the first when they act greedily."""
+    return sum(point.rank[:GREEDY] == points[0].rank[:GREEDY] for point in points)
 
 
-def training_interval(summary: Mapping[str, np.ndarray], point: int) -> tuple[float, float]:
-    """The 95 % interval of a point's `steps`."""
-    low, high = iqm_interval(summary["steps"][summary["point"] == point].astype(float))
+def training_interval(summary: Mapping[str, np.ndarray], point: int, name: str = "steps") -> tuple[float, float]:
+    """The 95 % interval of a point's mean of a column, such as the `steps` at the end of training."""
+    low, high = iqm_interval(summary[name][summary["point"] == point].astype(float))
     return float(low), float(high)
-
-
-def _greedy(point: Ranked) -> tuple[float, float]:
-    return -round(point.success, 3), point.cost
-
-
-def _last_if_unknown(value: float) -> float:
-    return value if np.isfinite(value) else np.inf

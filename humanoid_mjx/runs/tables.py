@@ -162,15 +162,24 @@ def named(arrays: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
     return {name.removeprefix(prefix + "."): a for name, a in arrays.items() if name.startswith(prefix + ".")}
 
 
+WHOLE = ("return", "steps", "success")
+"""Curves of which the summary has the mean over all of training, too: the area under the curve."""
+
+
 def scores(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The scores of finished runs, (runs,) each: means over the last part of their curves, and scores at their end."""
-    found = {}
-    for name, curve in named(arrays, "curve").items():
-        last = curve[:, -max(1, round(curve.shape[1] * LAST_SHARE)) :]
-        count = np.maximum(np.isfinite(last).sum(axis=1), 1)
-        mean = np.nansum(last, axis=1) / count
-        found[name] = np.where(np.isfinite(last).any(axis=1), mean, np.nan).astype(np.float32)
-    return found | named(arrays, "final")
+    """The scores of finished runs, (runs,) each: means over the last part of their curves, over the whole of some as
+    `whole_...`, and scores at their end."""
+    curves = named(arrays, "curve")
+    last = {name: _mean(curve[:, -max(1, round(curve.shape[1] * LAST_SHARE)) :]) for name, curve in curves.items()}
+    whole = {f"whole_{name}": _mean(curves[name]) for name in WHOLE if name in curves}
+    return last | whole | named(arrays, "final")
+
+
+def _mean(curve: np.ndarray) -> np.ndarray:
+    """Mean over a curve's known points; NaN where none is known."""
+    known = np.isfinite(curve)
+    total, count = np.where(known, curve, 0.0).sum(axis=1), known.sum(axis=1)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan).astype(np.float32)
 
 
 def _results(labels: Labels, columns: dict[str, pa.DictionaryArray], arrays: dict[str, np.ndarray]) -> pa.Table:

@@ -31,10 +31,12 @@ class JointReach(FiniteTask):
     goal: float = traced(description="degrees")
     action: float = traced(5.0, description="degrees a move takes towards the goal")
     states: int = Field(24, ge=2, le=1_000_000, description="rows of the table")
-    rules: Literal["standard", "printed"] = "standard"
-    bonus: float = traced(100.0)
+    rules: Literal["standard", "printed"] = Field(
+        "standard", description="learning as section 6.2 describes it, or as the pseudo-code of 6.3 prints it"
+    )
+    bonus: float = traced(100.0, description="reward for reaching the goal")
     step_reward: float = traced(0.0, description="added to the reward of every step")
-    success_rate: float = traced(1.0, ge=0, le=1)
+    success_rate: float = traced(1.0, ge=0, le=1, description="probability that the chosen action is carried out")
 
     @model_validator(mode="before")
     @classmethod

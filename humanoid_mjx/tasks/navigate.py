@@ -38,10 +38,10 @@ class Navigate(FiniteTask):
     place of the chosen one.
     """
 
-    map: tuple[str, ...] = Field(ROOM, strict=False)
-    bonus: float = traced(100.0)
-    step_reward: float = traced(0.0)
-    success_rate: float = traced(1.0, ge=0, le=1)
+    map: tuple[str, ...] = Field(ROOM, strict=False, description="rows of S start, G goal, # obstacle and . free")
+    bonus: float = traced(100.0, description="reward for reaching the goal")
+    step_reward: float = traced(0.0, description="reward of every step")
+    success_rate: float = traced(1.0, ge=0, le=1, description="probability that the chosen action is carried out")
 
     @model_validator(mode="after")
     def _map_must_be_walkable(self) -> "Navigate":

@@ -18,14 +18,19 @@ from humanoid_mjx.training.programs import arranged
 from humanoid_mjx.training.warm_start import earlier_policies
 from humanoid_mjx.training.whole_runs import pool_of
 
-RECENT = 100
-"""Looks that saw progress, ten a second at most, over which the recent pace is taken."""
-
-WINDOW_S = 10.0
-"""Seconds over which the pace of a run is taken."""
+WINDOW_S, WINDOW_SHARE = 10.0, 0.3
+"""Seconds over which a pace is taken, and the share of the session where that is longer."""
 
 EVERY_S = 0.5
-"""Seconds between two looks that are kept."""
+"""Seconds between two looks that are kept; twice as many whenever `LOOKS` are there."""
+
+LOOKS = 40
+
+OVERRUN = 0.1
+"""The share of the time beyond an estimate that is said to be left of it."""
+
+COMPILING = ("tracing", "compiling")
+"""Phases in which training stands still."""
 
 PLAYED_OUT = 2000
 """Waiting runs whose start and end are played out; those beyond them take the mean."""
@@ -40,60 +45,180 @@ LEAST_LOOKS = 4
 """Chunks of training that are measured even where they take longer."""
 
 
-class Pace:
-    """The work and the seconds from looks at how much is done.
+class Look(NamedTuple):
+    """What trains at one moment."""
 
-    What comes before the first progress is compiling; `pause` says that a new program will be compiled.
+    phase: str
+    slots: Int[np.ndarray, " slots"]
+    """The run that each slot holds, below 0 for none."""
+    progress: Float[np.ndarray, " slots"]
+    """How much of it is done, from 0 to 1."""
+    waiting: int
+    """Runs that no slot has held yet."""
+    finished: int
+    """Runs that are over, those of earlier sessions among them."""
+    evaluation: float = 0.0
+    """An estimate of the time that the evaluation of a run takes, as a share of its training."""
+
+
+class Pace:
+    """Pace of a sweep and the time that is left, from looks at what trains.
+
+    Runs of one sweep can differ by a factor of twenty in length: where the reward pays for waiting, episodes last to
+    their cap. What all of them together make a second says little then: at the end the slow ones train alone. So the
+    slots are played out, each at its own pace. Compiling and evaluating have clocks of their own, in which training
+    stands still.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, runs: int, programs: int = 1):
+        """For runs numbered from 0 to `runs` - 1, in so many compiled programs."""
+        self.programs = programs
+        self.done = 0.0
+        """Runs that are done, parts of runs counted; it never falls."""
         self.seconds = self.work = 0.0
+        """Seconds of training, and the runs done in them, compiling left out."""
         self.elsewhere = 0.0
-        """The mean pace of other processes."""
-        self._looks: deque[tuple[float, float]] = deque(maxlen=RECENT)
-        self._idle: float | None = None
-        """The work done while nothing progresses yet."""
+        """The mean pace of other processes, runs a second."""
+        self.trained_s = self.compiled_s = self.evaluated_s = 0.0
+        """Seconds of each kind of phase so far."""
+        self._now = 0.0
+        self._look: Look | None = None
+        self._progressed: tuple[float, float] | None = None
+        """The time and `done` of the last look that saw progress."""
+        self._whole, self._slope, self._began = (np.full(runs, np.nan) for _ in range(3))
+        """Seconds that each run seen so far trains from its beginning to its end; those that it would take at its
+        present pace; the training time when it began, minus infinity where that is not known or no longer of use."""
+        self._looks: deque[tuple[float, float, Look]] = deque()
+        """Training time, `done` and what was seen."""
+        self._every_s = EVERY_S
+        self._first_compiled_s = self._ready = 0.0
+        """Seconds of compiling before the first training, and when what evaluates will be compiled."""
+        self._evaluated, self._per_run_s = (0.0, 0), None
+        """Seconds of evaluating and runs finished at the last end of an evaluation; seconds that a run took by then."""
+        self._before: int | None = None
 
-    def look(self, time_s: float, done: float) -> bool:
-        """Take note of the work done, which never falls; return whether this look sees the first progress.
-
-        Args:
-          time_s: of any clock, s.
-          done: in the unit of the work, such as episodes or control steps.
-        """
-        if self._idle is None:
-            self._idle = done
-        last_s, last = self._looks[-1] if self._looks else (time_s, self._idle)
-        if done <= last:
-            return False
-        if self._looks:
-            self.seconds += time_s - last_s
-            self.work += done - last
-        self._looks.append((time_s, done))
-        return len(self._looks) == 1
+    def look(self, time_s: float, look: Look) -> None:
+        """Take note of what trains at `time_s`, s, of any clock."""
+        passed, self._now = (time_s - self._now if self._look else 0.0), time_s
+        phase = self._look.phase if self._look else look.phase
+        if phase in COMPILING:
+            self.compiled_s += passed
+        elif phase == "evaluating":
+            self.evaluated_s += passed
+        else:
+            self.trained_s += passed
+        if look.phase == "evaluating" and self._ready:
+            self._ready, self._first_compiled_s = 0.0, self.compiled_s
+        self._look, under_way = look, look.progress[look.slots >= 0]
+        # Runs that were harvested are for a moment neither under way nor stored.
+        done = max(self.done, look.finished + float(np.minimum(under_way, 1.0).sum()))
+        if self._before is None:
+            self._before, self.done = look.finished, done
+        if done > self.done:
+            self._progress(time_s, done)
+        self._evaluations(look)
+        self._runs(look)
 
     def pause(self) -> None:
-        """Work stands still until the next progress."""
-        self._looks.clear()
-        self._idle = None
+        """Work stands still until the next progress: a new program will be compiled."""
+        self._progressed = None
+
+    def _progress(self, time_s: float, done: float) -> None:
+        if self._progressed:
+            self.seconds += time_s - self._progressed[0]
+            self.work += done - self._progressed[1]
+        if not self._first_compiled_s:
+            self._first_compiled_s = self.compiled_s
+            self._ready = time_s + self.compiled_s  # what evaluates takes about as long, beside training
+        self._progressed, self.done = (time_s, done), done
+
+    def _evaluations(self, look: Look) -> None:
+        """Note what an evaluation took that is over."""
+        before = self._before or 0
+        if look.finished > max(self._evaluated[1], before):
+            self._evaluated, self._ready = (self.evaluated_s, look.finished), 0.0
+            self._per_run_s = self.evaluated_s / (look.finished - before)
+
+    def _runs(self, look: Look) -> None:
+        """Note how long the runs in the slots take."""
+        if self._looks and len(self._looks[-1][2].slots) != len(look.slots):
+            self._looks.clear()
+        new = (look.slots >= 0) & np.isnan(self._began[look.slots])
+        earlier_session = (look.progress[new] > 0.0) & (not self._looks)
+        self._began[look.slots[new]] = np.where(earlier_session, -np.inf, self.trained_s)
+        if self._looks and self.trained_s - self._looks[-1][0] < self._every_s:
+            return
+        self._looks.append((self.trained_s, self.done, look))
+        window = max(WINDOW_S, WINDOW_SHARE * self.trained_s)
+        while self._looks[0][0] < self.trained_s - window:
+            self._looks.popleft()
+        if len(self._looks) > LOOKS:
+            self._looks = deque(list(self._looks)[::-2][::-1])
+            self._every_s *= 2
+        slots, progress = look.slots, look.progress
+        seconds, share = np.zeros(len(slots)), np.zeros(len(slots))
+        for earlier_s, _, earlier in self._looks:
+            fits = (seconds == 0) & (slots == earlier.slots) & (slots >= 0)
+            fits &= (earlier.progress < progress) & (progress < 1.0)
+            seconds[fits], share[fits] = self.trained_s - earlier_s, (progress - earlier.progress)[fits]
+        known = seconds > 0
+        self._slope[slots[known]] = seconds[known] / share[known]
+        begun = (slots >= 0) & ((progress < 1.0) | np.isfinite(self._began[slots]))
+        runs, progress = slots[begun], progress[begun]
+        passed = self.trained_s - self._began[runs]
+        passed = np.where(np.isfinite(passed), passed, self._slope[runs] * progress)
+        to_come = np.where(progress < 1.0, self._slope[runs] * (1.0 - progress), 0.0)
+        self._whole[runs] = passed + to_come
+        self._began[runs[progress >= 1.0]] = -np.inf
 
     @property
     def mean(self) -> float:
-        """Work a second of this process; 0 where it was over at the first look."""
+        """Runs a second of this process; 0 where training was over at the first look."""
         return self.work / self.seconds if self.seconds else 0.0
 
     @property
     def recent(self) -> float:
-        """Work a second over the last looks; 0 where these are of half a second or less."""
-        if not self._looks:
+        """Runs a second of late, evaluations left out; 0 where that is not known yet."""
+        if len(self._looks) < 2:
             return 0.0
-        (first_s, first), (last_s, last) = self._looks[0], self._looks[-1]
-        return (last - first) / (last_s - first_s) if last_s - first_s > 0.5 else 0.0
+        (first_s, first, _), (last_s, last, _) = self._looks[0], self._looks[-1]
+        return (last - first) / (last_s - first_s)
+
+    @property
+    def left_s(self) -> float | None:
+        """Seconds until the runs in the slots and those that wait are trained and evaluated; None where no pace is
+        known yet."""
+        seen = self._whole[np.isfinite(self._whole)]
+        if not len(seen) or self._look is None:
+            return None
+        look = self._look
+        training = max(self._training_s(seen, look), _left(self._ready - self._now) if self._ready else 0.0)
+        more = self.programs > 1 and look.waiting > 0
+        compiling = _left(self.programs * self._first_compiled_s - self.compiled_s) if more else 0.0
+        left = look.waiting + int((look.slots >= 0).sum())
+        if self._per_run_s is None:
+            expected = float(seen.mean()) * look.evaluation * -(-left // len(look.slots))
+        else:
+            expected = self._per_run_s * left
+        spent = self.evaluated_s - self._evaluated[0]
+        return training + compiling + (_left(expected - spent) if left else 0.0)
+
+    def _training_s(self, seen: Float[np.ndarray, " seen"], look: Look) -> float:
+        """Seconds of training left, by runs seen so far: the waiting ones are like them, and begin in the order in
+        which slots become free."""
+        slope = np.where(look.slots >= 0, self._slope[look.slots], 0.0)
+        slope = np.where(np.isnan(slope), seen.mean(), slope)
+        free = (slope * np.clip(1.0 - look.progress, 0.0, 1.0)).tolist()
+        heapq.heapify(free)
+        now = min(look.waiting, PLAYED_OUT)
+        for seconds in np.random.default_rng(0).choice(seen, now).tolist():
+            heapq.heapreplace(free, free[0] + seconds)
+        return max(free) + float(seen.mean()) * (look.waiting - now) / len(free)
 
     def rates(self, plan: Plan, folder: Path) -> dict[str, float]:
         """`steps_per_s` and `episodes_per_s`, by the length of all episodes of training in the tables of `folder`;
         neither where training was over at the first look, and no steps where lengths are not recorded."""
-        speed = self.mean + self.elsewhere
+        speed = (self.mean + self.elsewhere) * plan.budget
         if not speed:
             return {}
         # Where several episodes feed one table its episodes are counted once for all of them.
@@ -119,54 +244,9 @@ def _lengths(results: Path) -> np.ndarray:
     return lengths[np.isfinite(lengths) & (lengths > 0)]
 
 
-class Remaining:
-    """The time until a sweep is trained, by looks at the slots in which runs train.
-
-    Runs of one sweep can differ by a factor of twenty in length: where the reward pays for waiting, episodes last to
-    their cap. What all of them together make a second says little then: at the end the slow ones train alone.
-    """
-
-    def __init__(self, runs: int):
-        """For runs numbered from 0 to `runs` - 1."""
-        self._whole = np.full(runs, np.nan, np.float32)
-        """Seconds that each run seen so far takes from its beginning to its end."""
-        self._looks: deque[tuple[float, np.ndarray, np.ndarray]] = deque(maxlen=int(WINDOW_S / EVERY_S) + 1)
-
-    def look(self, time_s: float, slots: Int[np.ndarray, " slots"], progress: Float[np.ndarray, " slots"]) -> bool:
-        """Take note of which run each slot holds, below 0 for none, and how much of it is done.
-
-        `time_s`: of a clock that stands still while nothing can train, s. Whether the last look was long enough ago.
-        """
-        if self._looks and len(self._looks[-1][1]) != len(slots):
-            self._looks.clear()
-        if self._looks and time_s - self._looks[-1][0] < EVERY_S:
-            return False
-        self._looks.append((time_s, slots.copy(), progress.copy()))
-        seconds, done = np.zeros(len(slots)), np.zeros(len(slots))
-        for earlier_s, earlier_slots, earlier in self._looks:
-            fits = (seconds == 0) & (slots == earlier_slots) & (slots >= 0) & (earlier < progress) & (progress < 1.0)
-            seconds[fits], done[fits] = time_s - earlier_s, (progress - earlier)[fits]
-        known = seconds > 0
-        self._whole[slots[known]] = seconds[known] / done[known]
-        return True
-
-    def seconds(self, waiting: int) -> float | None:
-        """Seconds until the runs in the slots and so many waiting ones are over; None where no pace is known yet.
-
-        Waiting runs are taken to be like those seen so far, and to begin in the order in which slots become free.
-        """
-        seen = self._whole[np.isfinite(self._whole)]
-        if not len(seen):
-            return None
-        _, slots, progress = self._looks[-1]
-        whole = np.where(slots >= 0, self._whole[slots], 0.0)
-        whole = np.where(np.isnan(whole), seen.mean(), whole)
-        free = (whole * np.clip(1.0 - progress, 0.0, 1.0)).tolist()
-        heapq.heapify(free)
-        now = min(waiting, PLAYED_OUT)
-        for seconds in np.random.default_rng(0).choice(seen, now).tolist():
-            heapq.heapreplace(free, free[0] + seconds)
-        return max(free) + float(seen.mean()) * (waiting - now) / len(free)
+def _left(seconds: float) -> float:
+    """Seconds left by an estimate; beyond its end, in which `seconds` are negative, a share of the time since."""
+    return seconds if seconds > 0 else -OVERRUN * seconds
 
 
 class Duration(NamedTuple):

@@ -20,11 +20,11 @@ from humanoid_mjx.runs.tables import finished_runs, write_tables
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.cost import training_bytes
 from humanoid_mjx.training.events import EventFiles
-from humanoid_mjx.training.pace import Pace
+from humanoid_mjx.training.pace import COMPILING, Look, Pace
 from humanoid_mjx.training.plan import Group, Plan
-from humanoid_mjx.training.pool import Pool
+from humanoid_mjx.training.pool import IDLE, Pool
 from humanoid_mjx.training.programs import arranged
-from humanoid_mjx.training.progress import COMPILING, Reporter
+from humanoid_mjx.training.progress import Reporter, State
 from humanoid_mjx.training.whole_runs import pool_of
 from humanoid_mjx.types import Device
 
@@ -56,14 +56,13 @@ class Session:
             raise InputError(f"{folder.path / 'checkpoint'}: what it holds does not fit this training.")
         self.finished = finished & self.mine
         self.interrupted = self._under_way()
-        self.reporter.begin(len(self.mine) * plan.budget, f"{plan.unit}s", len(plan.groups), plan.num_runs)
         processes.meet()  # before anyone writes
         self.earlier = read_provenance(folder.path)
         self.began = self.tables_due = time.monotonic()
         self.started = datetime.now(UTC).isoformat(timespec="seconds")
         self.made_by = compute.made_by()
-        self.compile_s = self.shown = 0.0
-        self.pace = Pace()
+        self.compile_s = 0.0
+        self.pace = Pace(plan.num_runs, len(plan.groups))
         self.tables_are_old = True
         self.lock, self.stop = threading.Lock(), threading.Event()
 
@@ -228,20 +227,28 @@ class Session:
             self.events.store(runs, arrays)
 
     def _report(self, pool: Pool) -> None:
-        busy = pool.busy
+        slots, progress = pool.slots.copy(), pool.progress.copy()
+        busy, finished = slots != IDLE, len(self.finished)
+        known = pool.recent[busy][np.isfinite(pool.recent[busy]).all(axis=1)]
+        success, mean_return, steps = map(float, known.mean(axis=0)) if len(known) else (None, None, None)
+        waiting = max(len(self.mine) - finished - int(busy.sum()), 0)
+        evaluation = self._evaluation_share(pool.group, steps)
+        self.pace.look(time.monotonic(), Look(pool.phase, slots, progress, waiting, finished, evaluation))
         self.reporter.phase(pool.phase)
-        if under_way := float(np.minimum(pool.progress[busy], 1.0).sum()):
-            known = pool.recent[busy][np.isfinite(pool.recent[busy]).all(axis=1)]
-            success, mean_return, length = map(float, known.mean(axis=0)) if len(known) else (None, None, None)
-            # Runs that were harvested are for a moment neither under way nor stored.
-            self.shown = max(self.shown, (len(self.finished) + under_way) * self.plan.budget)
-            self.pace.look(time.monotonic(), self.shown)
-            if pool.group.learners.side_by_side:  # else each run compiles anew
-                waiting = len(self.mine) - len(self.finished) - int(busy.sum())
-                self.reporter.slots(pool.slots, pool.progress, max(waiting, 0))
-            if length is not None:
-                self.reporter.length(length)
-            self.reporter.update(self.shown, success, mean_return)
+        if progress[busy].any():
+            budget, pace = self.plan.budget, self.pace
+            total, unit = len(self.mine) * budget, f"{self.plan.unit}s"
+            rate = pace.recent * budget
+            self.reporter.update(State(pace.done * budget, total, unit, rate, pace.left_s, success, mean_return, steps))
+
+    def _evaluation_share(self, group: Group, steps: float | None) -> float:
+        """An estimate of the time that the evaluation of a run takes, as a share of its training, by the episodes or
+        control steps of both; `steps`: of an episode, as far as they are known."""
+        learner = group.learners
+        if not learner.side_by_side:  # it is evaluated along the way
+            return 0.0
+        length = 1.0 if self.plan.unit == "episode" else steps or 0.0
+        return learner.evaluations * learner.evaluation_envs * length / self.plan.budget
 
     def write_results(self) -> None:
         """Bring tables and provenance up to date with the finished runs."""

@@ -1,7 +1,9 @@
 """Run a sweep: train every point into a run folder that can be resumed."""
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +13,13 @@ from humanoid_mjx import compute
 from humanoid_mjx.compute.processes import Processes
 from humanoid_mjx.config import Config, load, parse
 from humanoid_mjx.runs.folder import RunFolder, fresh_path, latest_path, read_config
+from humanoid_mjx.runs.ranking import ranked
 from humanoid_mjx.runs.tables import read_table
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.cost import check_disk, runs_at_once, slots
 from humanoid_mjx.training.events import EventFiles, event_writer
 from humanoid_mjx.training.plan import make_plan, resolved
-from humanoid_mjx.training.progress import Reporter
+from humanoid_mjx.training.progress import Reporter, reporting
 from humanoid_mjx.training.session import Session
 from humanoid_mjx.training.warm_start import earlier_policies
 
@@ -47,6 +50,54 @@ class Run:
         """One entry per sweep point and seed, by column."""
         return read_table(self.path / "summary.parquet")
 
+    @property
+    def best(self) -> dict[str, Any]:
+        """The best point: the values of the swept keys, `point`, and how it acts greedily."""
+        return self.points()[0]
+
+    def points(self) -> list[dict[str, Any]]:
+        """All points whose runs are finished, as `best` has them, the best first (`runs.ranking`)."""
+        config, summary = self.config, self.summary
+        axes = list(config.sweep.axes) if config.sweep else []
+        found = []
+        for each in ranked(axes, summary, quickest=config.episodes is not None):
+            values = (value.item() if isinstance(value, np.generic) else value for value in each.values)
+            scores = {f"greedy_{name}": getattr(each, f"greedy_{name}") for name in ("return", "steps")}
+            found.append(
+                dict(zip(axes, values, strict=True)) | {"point": each.point, "greedy_success": each.success} | scores
+            )
+        return found
+
+    def __str__(self) -> str:
+        config, shown = self.config, [f"{self.path}: {_words(self.config)}"]
+        if (self.path / "summary.parquet").is_file():
+            shown.append(f"best: {', '.join(f'{key} {_number(value)}' for key, value in self.best.items())}")
+        else:
+            shown.append(f"no run of {config.name} is finished yet")
+        return "; ".join(shown)
+
+    def _repr_html_(self) -> str:
+        head = f"<p><b>{escape(str(self.path))}</b>: {escape(_words(self.config))}</p>"
+        if not (self.path / "summary.parquet").is_file():
+            return head + "<p>No run is finished yet.</p>"
+        best = self.points()[:SHOWN]
+        rows = ["".join(f"<th>{escape(key)}</th>" for key in best[0])]
+        rows += ["".join(f"<td>{escape(_number(value))}</td>" for value in each.values()) for each in best]
+        return f"{head}<table>{''.join(f'<tr>{row}</tr>' for row in rows)}</table>"
+
+
+SHOWN = 10
+"""Points that a notebook shows of a run."""
+
+
+def _words(config: Config) -> str:
+    axes = f", swept over {', '.join(config.sweep.axes)}" if config.sweep else ""
+    return f"{config.learner['name']} on {config.task['name']}{axes}, {config.seeds:,} seeds"
+
+
+def _number(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
 
 def sweep(
     config: Config | Mapping[str, Any] | str | Path,
@@ -56,6 +107,7 @@ def sweep(
     overrides: Sequence[str] = (),
     pool_size: int | None = None,
     reporter: Reporter | None = None,
+    quiet: bool = False,
     tensorboard: bool = False,
 ) -> Run:
     """Train every point of a sweep with every seed.
@@ -70,7 +122,8 @@ def sweep(
       overrides: such as "learner.epsilon=0.1"; only where `config` is a path or a name.
       pool_size: how many runs each device trains at once; by default what memory and cache hold. Tables learn the same
         bit by bit whatever it is; sums in networks round differently.
-      reporter: called with the progress; by default nothing is shown.
+      reporter: called with the progress; by default it is shown in a terminal or a notebook.
+      quiet: show nothing.
       tensorboard: write learning curves as event files of TensorBoard into the run folder while it trains.
 
     Raises:
@@ -98,15 +151,17 @@ def sweep(
     folder = _shared(processes, open_folder)
     try:
         events = EventFiles(folder, plan) if tensorboard else None
-        session = Session(folder, plan, processes, reporter or Reporter(), events)
-        try:
-            for index in range(len(plan.groups)):
-                session.train(index, rooms[index], policies[index])
-            session.wait()
-        finally:
-            session.write_results()
-            if session.events:
-                session.events.close()
+        silent = quiet or processes.index > 0  # the first process speaks for all
+        with nullcontext(reporter or Reporter()) if reporter or silent else reporting() as speaker:
+            session = Session(folder, plan, processes, speaker, events)
+            try:
+                for index in range(len(plan.groups)):
+                    session.train(index, rooms[index], policies[index])
+                session.wait()
+            finally:
+                session.write_results()
+                if session.events:
+                    session.events.close()
         processes.meet()  # the tables are written
     finally:
         folder.close()

@@ -336,8 +336,8 @@ def test_what_is_reported_never_goes_back_while_runs_are_stored(tmp_path, monkey
     done = []
 
     class Kept(Reporter):
-        def update(self, share, success=None, mean_return=None):
-            done.append(share)
+        def update(self, state):
+            done.append(state.done)
 
     store = RunFolder.add_part
 

@@ -40,7 +40,9 @@ class LeggedTask(LeggedBody):
     observations: ClassVar[tuple[str | Observation, ...]] = PROPRIOCEPTION
     privileged: ClassVar[tuple[str | Observation, ...]] = PRIVILEGED
 
-    observe: Literal["sensors", "privileged"] = "sensors"
+    observe: Literal["sensors", "privileged"] = Field(
+        "sensors", description="readings alone, or also the torso's true attitude and motion"
+    )
     history: int = Field(1, ge=1, le=50, description="decisions whose observations the learner sees")
     sensors: Sensors = Field(Sensors.model_validate({}), description="errors of the sensors")
     rewards: Rewards = Field(description="weights of the reward's terms")

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from pydantic import Field
 
 from humanoid_mjx.mechanics import gaits, pattern_generator
 from humanoid_mjx.robot import Robot
@@ -28,7 +29,7 @@ class TableSteps(Gait):
     """Table 4.5 or 4.6 in the clock's time, about its mean. Its angles count in the senses of the lower body."""
 
     name: Literal["table"] = "table"
-    table: Literal["straight_walk", "sudden_turn"] = "straight_walk"
+    table: Literal["straight_walk", "sudden_turn"] = Field("straight_walk", description="Table 4.5 or Table 4.6")
     stride: float = traced(1.0, ge=0, le=3, description="share of the commanded speed that the hips sweep through")
 
     @property

@@ -1,0 +1,143 @@
+"""What the commands do, for programs and notebooks: read a run, evaluate, plot and play it.
+
+The results show themselves in a notebook. `humanoid_mjx.start()` sets up the process as the commands do.
+"""
+
+import base64
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from humanoid_mjx.evaluation.policy import Trained, find_policy, in_world
+from humanoid_mjx.runs.evaluations import Evaluation
+from humanoid_mjx.runs.folder import read_config
+from humanoid_mjx.spec import check_folder
+from humanoid_mjx.training.sweep import Run
+
+MEDIA = {".gif": "image/gif", ".png": "image/png", ".mp4": "video/mp4", ".webm": "video/webm"}
+
+
+class Picture(NamedTuple):
+    """A figure or film that was written, which a notebook shows."""
+
+    path: Path
+    words: str
+    """Sentences about what it shows."""
+
+    def _repr_html_(self) -> str:
+        data = f"data:{MEDIA[self.path.suffix]};base64,{base64.b64encode(self.path.read_bytes()).decode()}"
+        if MEDIA[self.path.suffix].startswith("video"):
+            return f'<video src="{data}" autoplay loop muted></video><p>{self.words}</p>'
+        return f'<img src="{data}" style="max-width: 100%"><p>{self.words}</p>'
+
+
+def load_run(path: Path | str) -> Run:
+    """Return the run in a folder that a sweep has written.
+
+    Raises:
+      InputError: this is no run folder.
+    """
+    read_config(Path(path))
+    return Run(Path(path))
+
+
+def evaluate(
+    what: Run | Trained | Path | str,
+    *,
+    point: int | None = None,
+    episodes: int = 1024,
+    physics: str | None = None,
+    overrides: Sequence[str] = (),
+) -> dict[str, Evaluation]:
+    """Measure a policy on episodes that no training has seen.
+
+    Args:
+      what: a run or its folder, a policy file, or the name of a shipped policy.
+      point: the point of a run's sweep; by default the best.
+      episodes: how many each agent plays.
+      physics: another physics than that of training, such as `mujoco`.
+      overrides: changes of the task, such as "task.friction=0.5".
+
+    Returns:
+      the evaluations of the `greedy` policy and of the `zero` and the `random` agent.
+
+    Raises:
+      InputError: there is no such policy, or it cannot be used so.
+    """
+    from humanoid_mjx.evaluation.evaluate import evaluate_all
+
+    return {each.agent: each for each in evaluate_all([_policy(what, point, physics, overrides)], episodes)}
+
+
+def plot(
+    *runs: Run | Path | str, x: str | None = None, y: str = "success", by: str | None = None, out: Path | None = None
+) -> Picture:
+    """Draw any column of the tables of runs over any other: lines with their 95 % interval over seeds.
+
+    Args:
+      runs: runs or their folders.
+      x: the column across; by default the episodes or steps trained.
+      y: the column upwards.
+      by: the column that has a line for each value; `run` for each run. By default what is swept, if that is one.
+      out: a .png; by default in the figures of the first run.
+
+    Raises:
+      InputError: no run, or a column that is not there or cannot be drawn.
+    """
+    from humanoid_mjx.report import plotting
+
+    path, notes = plotting.plot([_folder(run) for run in runs], x, y, by, out)
+    return Picture(path, " ".join(notes))
+
+
+def play(
+    what: Run | Trained | Path | str,
+    *,
+    point: int | None = None,
+    episode: int = 0,
+    physics: str | None = None,
+    overrides: Sequence[str] = (),
+    out: Path | str | None = None,
+) -> Picture:
+    """Write a film of an episode that no training has seen.
+
+    Args:
+      what, point, physics, overrides: as `evaluate` takes them.
+      episode: its number.
+      out: a .gif, .mp4, .webm or .png; by default `figures/play.gif` of the run, or `NAME.gif`.
+
+    Raises:
+      InputError: there is no such policy, or its task moves no robot.
+    """
+    from humanoid_mjx.report.rendering import render_film
+    from humanoid_mjx.report.showing import show
+    from humanoid_mjx.training.progress import reporting
+
+    trained = _policy(what, point, physics, overrides)
+    with reporting() as reporter:
+        shown = show(trained, reporter, episode)
+        reporter.phase("rendering")
+        target = Path(out) if out else film_file(None if isinstance(what, Trained) else _folder(what), trained.name)
+        render_film(shown.film, target, tell=reporter.count)
+    return Picture(target, shown.outcome)
+
+
+def film_file(run: Path | None, policy: str) -> Path:
+    """The default place of a film: in the run folder, or for a policy in the working directory."""
+    if run is None or not run.is_dir():
+        return Path(f"{policy}.gif")
+    target = run / "figures" / "play.gif"
+    target.parent.mkdir(exist_ok=True)
+    check_folder(target)
+    return target
+
+
+def _policy(
+    what: Run | Trained | Path | str, point: int | None, physics: str | None, overrides: Sequence[str]
+) -> Trained:
+    trained = what if isinstance(what, Trained) else find_policy(str(_folder(what)), point)
+    return in_world(trained, physics, overrides)
+
+
+def _folder(what: object) -> Path:
+    return what.path if isinstance(what, Run) else Path(str(what))

@@ -1,0 +1,114 @@
+"""Tasks as environments of Gymnasium: its own checker, and what the task itself does."""
+
+import sys
+import warnings
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers.vector import RecordEpisodeStatistics
+
+sys.path.insert(0, str(Path(__file__).parent / "data"))
+from hop import Hop
+
+from humanoid_mjx import InputError, make_task
+from humanoid_mjx.tasks.base import Task
+from humanoid_mjx.tasks.gym_env import TaskEnv, TaskVectorEnv
+
+
+@pytest.fixture(params=["joint_reach", "hop, choices", "hop, numbers"])
+def made(request):
+    """A task and the kind of its actions."""
+    if request.param == "joint_reach":
+        return make_task("joint_reach", joint=1, max_episode_steps=30), None
+    return Hop(), request.param.split()[1]
+
+
+def test_gymnasiums_own_checker_is_content(made):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.filterwarnings("ignore", message=".*Box observation space m.*imum value is.*infinity")
+        warnings.filterwarnings("ignore", message=".*not registered.*|.*env.spec.*|.*render.*")
+        check_env(TaskEnv(*made), skip_render_check=True)
+
+
+def test_arrays_are_of_the_spaces_and_episodes_begin_anew_in_the_same_step(made):
+    env = TaskVectorEnv(made[0], 16, made[1])
+    assert env.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
+    observations, infos = env.reset(seed=3)
+    env.action_space.seed(3)
+    assert env.observation_space.contains(observations) and infos == {}
+    ended = 0
+    for _ in range(40):
+        before = observations.copy()
+        observations, rewards, terminated, truncated, infos = env.step(env.action_space.sample())
+        assert env.observation_space.contains(observations)
+        assert rewards.shape == terminated.shape == truncated.shape == infos["success"].shape == (16,)
+        done = terminated | truncated
+        assert not (terminated & truncated).any() and ("final_obs" in infos) == done.any()
+        assert (infos["success"] <= terminated).all()
+        if done.any():
+            assert (infos["_final_obs"] == done).all() and infos["final_obs"].shape == observations.shape
+            # Where an episode goes on it is what was observed.
+            np.testing.assert_array_equal(infos["final_obs"][~done], observations[~done])
+            assert (infos["final_obs"][done] != observations[done]).any()
+        ended += int(done.sum())
+        assert not np.shares_memory(before, observations)
+    assert ended >= 16
+
+
+def test_the_last_observation_of_an_episode_is_kept():
+    """A hop of 1 ends every episode: the place that it led to lies at 1 or beyond, the new one below 0.5."""
+    env = TaskVectorEnv(Hop(stride=1.0), 8, "choices")
+    env.reset(seed=0)
+    observations, rewards, terminated, _, infos = env.step(np.ones((8,), int))
+    assert terminated.all() and infos["success"].all() and (infos["final_obs"] >= 1.0).all()
+    assert (observations < 0.5).all() and (rewards == infos["ahead"]).all()
+
+
+def test_a_seed_gives_the_same_episodes_and_another_gives_others(made):
+    def played(seed):
+        env = TaskVectorEnv(made[0], 4, made[1])
+        first, _ = env.reset(seed=seed)
+        env.action_space.seed(0)
+        return np.stack([first, *(env.step(env.action_space.sample())[0] for _ in range(8))])
+
+    np.testing.assert_array_equal(played(1), played(1))
+    assert isinstance(made[0], Hop) is bool((played(1) != played(2)).any())  # joint_reach begins and moves the same
+
+
+def test_wrappers_of_gymnasium_count_what_the_task_does():
+    env = RecordEpisodeStatistics(TaskVectorEnv(Hop(stride=0.25), 4, "numbers"))
+    env.reset(seed=1)
+    for _ in range(6):
+        _, _, terminated, _, infos = env.step(np.ones((4, 1), np.float32))
+        if terminated.any():
+            assert set(infos["episode"]["l"][terminated].tolist()) <= {3, 4}
+            return
+    raise AssertionError("hopping ahead ends within six hops")
+
+
+class Neither(Task):
+    pass
+
+
+def test_what_is_no_environment_gets_a_sentence():
+    with pytest.raises(InputError, match="takes a FiniteTask or a ContinuousTask, got a Neither"):
+        TaskVectorEnv(Neither(), 2)
+
+
+def test_a_step_is_that_of_the_task():
+    task = Hop(stride=0.3)
+    env = TaskEnv(task, "choices")
+    place, _ = env.reset(seed=5)
+    key = jax.random.key(0)
+    state = task.reset(key)._replace(data=(place, np.int32(0)), obs=place)
+    for action in (1, 0, 1, 1):
+        state = task.step(state, np.int32(action), key)
+        observation, reward, terminated, truncated, info = env.step(action)
+        np.testing.assert_allclose(observation, state.obs, rtol=1e-6)
+        assert (reward, terminated, truncated) == (float(state.reward), bool(state.terminated), bool(state.truncated))
+        assert info["ahead"] == pytest.approx(float(state.metrics["ahead"]))

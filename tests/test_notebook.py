@@ -1,0 +1,95 @@
+"""Runs in programs and notebooks: what they read, evaluate, plot and play, and what a notebook shows of it."""
+
+import io
+import re
+import subprocess
+import sys
+import textwrap
+
+import pytest
+from rich.console import Console
+from small_sweep import CONFIG
+
+import humanoid_mjx
+from humanoid_mjx import InputError
+from humanoid_mjx.evaluation.policy import find_policy
+from humanoid_mjx.notebook import Picture
+from humanoid_mjx.training import progress
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    return humanoid_mjx.sweep(CONFIG, tmp_path_factory.mktemp("notebook") / "small")
+
+
+def test_a_run_is_read_and_shows_its_best_points(run):
+    loaded = humanoid_mjx.load_run(str(run.path))
+    points = loaded.points()
+    assert len(points) == 6 and points[0] == loaded.best
+    rows = loaded.summary["point"] == loaded.best["point"]
+    for key in ("learner.epsilon", "learner.learning_rate"):
+        assert set(loaded.summary[key][rows]) == {loaded.best[key]}
+    assert loaded.best["greedy_success"] == pytest.approx(loaded.summary["greedy_success"][rows].mean())
+    assert "tabular_q on joint_reach, swept over learner.epsilon, learner.learning_rate, 3 seeds" in str(loaded)
+    shown = loaded._repr_html_()
+    assert shown.count("<tr>") == 1 + 6 and "<th>learner.epsilon</th>" in shown
+    with pytest.raises(InputError, match="this is no run folder"):
+        humanoid_mjx.load_run(run.path.parent)
+
+
+def test_a_run_of_which_nothing_is_finished_shows_itself(run, tmp_path):
+    (tmp_path / "begun").mkdir()
+    (tmp_path / "begun/config.yaml").write_text((run.path / "config.yaml").read_text())
+    begun = humanoid_mjx.load_run(tmp_path / "begun")
+    assert "no run of small is finished yet" in str(begun) and "No run is finished" in begun._repr_html_()
+
+
+def test_runs_and_policies_are_evaluated(run):
+    by_run, by_path, by_policy = (
+        humanoid_mjx.evaluate(what, episodes=8) for what in (run, str(run.path), find_policy(str(run.path)))
+    )
+    assert set(by_run) == {"greedy", "zero", "random"} and by_run == by_path == by_policy
+    assert by_run["greedy"].success.value == 1.0
+    with pytest.raises(InputError, match="neither a run folder nor a policy"):
+        humanoid_mjx.evaluate("nowhere")
+
+
+def test_a_figure_is_drawn_and_shown(run):
+    drawn = humanoid_mjx.plot(run, x="learner.epsilon", y="greedy_steps", by="learner.learning_rate")
+    assert drawn.path.read_bytes().startswith(b"\x89PNG") and drawn.path.is_relative_to(run.path / "figures")
+    assert "data:image/png;base64," in drawn._repr_html_()
+
+
+@pytest.mark.parametrize(("ending", "element"), [(".gif", "<img "), (".webm", "<video "), (".mp4", "<video ")])
+def test_a_film_is_shown_by_its_kind(tmp_path, ending, element):
+    path = tmp_path / f"film{ending}"
+    path.write_bytes(b"film")
+    assert Picture(path, "words")._repr_html_().startswith(f'{element}src="data:')
+
+
+def test_a_task_without_a_robot_is_not_played(run):
+    with pytest.raises(InputError, match="joint_reach"):
+        humanoid_mjx.play(run)
+
+
+@pytest.mark.parametrize(("place", "shown"), [("terminal", True), ("notebook", True), ("pipe", False)])
+def test_a_sweep_shows_its_progress_where_somebody_looks(place, shown, tmp_path, monkeypatch):
+    out = io.StringIO()
+    kind = {"terminal": {"force_terminal": True}, "notebook": {"force_jupyter": True}, "pipe": {}}[place]
+    monkeypatch.setattr(progress, "PatientConsole", lambda **given: Console(file=out, **kind, **given))
+    # In a notebook rich displays what it prints.
+    displayed = []
+    monkeypatch.setattr("rich.jupyter.display", lambda segments, text: displayed.append(text))
+    for quiet in (True, False):
+        humanoid_mjx.sweep(CONFIG | {"seeds": 1, "sweep": None}, tmp_path / f"run{quiet}", quiet=quiet)
+        said = out.getvalue() + "".join(displayed)
+        assert bool(re.search("train side by side", said)) == (shown and not quiet)
+
+
+def test_importing_the_package_loads_no_jax():
+    code = """
+    import sys, humanoid_mjx
+    assert not {"jax", "numpy", "matplotlib", "mujoco"} & set(sys.modules), sorted(sys.modules)
+    assert set(humanoid_mjx.__all__) <= set(dir(humanoid_mjx))
+    """
+    subprocess.run([sys.executable, "-c", textwrap.dedent(code)], check=True)
