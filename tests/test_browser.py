@@ -111,10 +111,19 @@ def test_tab_leads_to_every_control_and_keys_work_it(address):
                     opened.value("document.querySelector('figure.player canvas').focus()")
                     opened.press("ArrowLeft")
                     assert state(opened)["yaw"] != first["yaw"]
-                    opened.value("document.querySelectorAll('.controls button')[1].focus()")
+                    opened.value("document.querySelectorAll('.controls button')[2].focus()")
                     opened.press(" ")
                     assert state(opened)["yaw"] == first["yaw"]
-        assert [tag for tag, _, _ in found] == ["DIV", "CANVAS", "BUTTON", "INPUT", "SELECT", "BUTTON", "BODY"]
+        assert [tag for tag, _, _ in found] == [
+            "DIV",
+            "CANVAS",
+            "BUTTON",
+            "INPUT",
+            "SELECT",
+            "BUTTON",
+            "BUTTON",
+            "BODY",
+        ]
         assert all(name and shown for _, name, shown in found[:-1])
 
 

@@ -11,12 +11,12 @@ import numpy as np
 from PIL import Image
 
 from humanoid_mjx.config import dump_yaml
-from humanoid_mjx.evaluation.policy import find_policy
+from humanoid_mjx.evaluation.film import show
+from humanoid_mjx.evaluation.policy import find_policy, on_native
 from humanoid_mjx.files import write_text
 from humanoid_mjx.report.figures import HEAT_MAPS, Figure, averaged, curved, draw_map, figures_of, limits, mapped
 from humanoid_mjx.report.player import player
 from humanoid_mjx.report.rendering import strip
-from humanoid_mjx.report.showing import show
 from humanoid_mjx.report.style import figure, short
 from humanoid_mjx.report.web import data_address, facts, image, link, page, section, table, text
 from humanoid_mjx.runs.folder import read_config, read_provenance
@@ -168,7 +168,7 @@ def _maps(axes: Sequence[str], summary: Mapping[str, np.ndarray], names: Sequenc
 def _motion(path: Path, reporter: Reporter) -> list[str]:
     """The robot under the best policy, in its first held-out episode; nothing where the task has none."""
     try:
-        trained = find_policy(str(path))
+        trained = on_native(find_policy(str(path)))
         if getattr(trained.learner.task, "simulator", None) is None:
             return []
         shown = show(trained, reporter)

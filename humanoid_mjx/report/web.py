@@ -24,12 +24,12 @@ _NUMBER = re.compile(r"(-?[\d,.]*\d(e[+-]?\d+)?%?|nan|inf|-inf)( \(.*\))?|")
 """The text of a number, perhaps with an interval, or no text."""
 
 
-def page(title: str, body: str) -> str:
-    """A whole page around a body of HTML; `title` is text."""
+def page(title: str, body: str, *, live: bool = False) -> str:
+    """A whole page around a body of HTML; `title` is text. A `live` page may ask its own server."""
     style, script = (_file(name) for name in ("page.css", "player.js"))
     policy = (
         f"default-src 'none'; img-src data:; style-src {_hash(style)}; script-src {_hash(script)}; "
-        "base-uri 'none'; form-action 'none'"
+        "base-uri 'none'; form-action 'none'" + live * "; connect-src 'self'"
     )
     return Template(_file("page.html")).substitute(
         title=escape(title), policy=escape(policy), style=style, script=script, body=body
