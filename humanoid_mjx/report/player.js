@@ -395,6 +395,7 @@
         "wheel, or + −: zoom. Space: play. , . : a frame back or on.");
       figure.querySelector(".stage").replaceChildren(this.canvas, bar, this.words, hint);
       new ResizeObserver(() => this.draw()).observe(this.canvas);
+      this.draw();
     }
 
     get length() { return this.last / this.data.fps; }
