@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from humanoid_mjx import control
+    from humanoid_mjx.commands.notebook import evaluate, load_run, play, plot
     from humanoid_mjx.compute import start
     from humanoid_mjx.learners import make_learner
     from humanoid_mjx.mechanics import dynamics, kinematics
-    from humanoid_mjx.notebook import evaluate, load_run, play, plot
     from humanoid_mjx.robot.leg import Leg
     from humanoid_mjx.spec import InputError
     from humanoid_mjx.tasks import make_task
@@ -41,13 +41,13 @@ _HOMES = {
     "Leg": "humanoid_mjx.robot.leg:Leg",
     "control": "humanoid_mjx.control:",
     "dynamics": "humanoid_mjx.mechanics.dynamics:",
-    "evaluate": "humanoid_mjx.notebook:evaluate",
+    "evaluate": "humanoid_mjx.commands.notebook:evaluate",
     "kinematics": "humanoid_mjx.mechanics.kinematics:",
-    "load_run": "humanoid_mjx.notebook:load_run",
+    "load_run": "humanoid_mjx.commands.notebook:load_run",
     "make_learner": "humanoid_mjx.learners:make_learner",
     "make_task": "humanoid_mjx.tasks:make_task",
-    "play": "humanoid_mjx.notebook:play",
-    "plot": "humanoid_mjx.notebook:plot",
+    "play": "humanoid_mjx.commands.notebook:play",
+    "plot": "humanoid_mjx.commands.notebook:plot",
     "start": "humanoid_mjx.compute:start",
     "sweep": "humanoid_mjx.training.sweep:sweep",
 }

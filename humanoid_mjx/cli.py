@@ -187,15 +187,18 @@ def play(
         Path | None, typer.Option(metavar="FILE", help="A .gif, .mp4, .webm or .png; by default RUN/figures/play.gif.")
     ] = None,
     view: Annotated[
-        bool, typer.Option("--view", help="Show it in the browser instead, from any side; no other machine sees it.")
+        bool, typer.Option("--view", help="Drive the robot in the browser instead; no other machine sees it.")
     ] = False,
+    port: Annotated[
+        int | None, typer.Option(min=1, max=65535, help="Where --view serves its page; by default any free port.")
+    ] = None,
     trust: Trust = False,
 ) -> None:
-    """Show what was learned as a video or picture of the robot, or in the browser."""
+    """Show what was learned as a video or picture of the robot, or drive it in the browser."""
     from humanoid_mjx.commands.play import run_play
 
     with _trusting(trust, policy):
-        run_play(policy, point, set_ or [], physics, episode, out, view)
+        run_play(policy, point, set_ or [], physics, episode, out, view, port)
 
 
 @app.command()

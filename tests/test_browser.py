@@ -9,8 +9,10 @@ from browser import CHROMIUM, browser
 from test_page import HOSTILE
 
 from humanoid_mjx.evaluation.film import Film, Push
+from humanoid_mjx.report.figures import curved
+from humanoid_mjx.report.page import _row
 from humanoid_mjx.report.player import player
-from humanoid_mjx.report.web import page, section, table, text
+from humanoid_mjx.report.web import contents, page, section, table, text
 from humanoid_mjx.robot import make_robot
 
 pytestmark = [
@@ -111,10 +113,11 @@ def test_tab_leads_to_every_control_and_keys_work_it(address):
                     opened.value("document.querySelector('figure.player canvas').focus()")
                     opened.press("ArrowLeft")
                     assert state(opened)["yaw"] != first["yaw"]
-                    opened.value("document.querySelectorAll('.controls button')[1].focus()")
+                    opened.value("document.querySelectorAll('.controls button')[2].focus()")
                     opened.press(" ")
                     assert state(opened)["yaw"] == first["yaw"]
-        assert [tag for tag, _, _ in found] == ["DIV", "CANVAS", "BUTTON", "INPUT", "SELECT", "BUTTON", "BODY"]
+        bar = "BUTTON", "INPUT", "SELECT", "BUTTON", "BUTTON"
+        assert [tag for tag, _, _ in found] == ["DIV", *["BUTTON"] * 12, "CANVAS", *bar, "BODY"]
         assert all(name and shown for _, name, shown in found[:-1])
 
 
@@ -130,3 +133,40 @@ def test_everything_but_the_motion_is_there_without_javascript_and_on_paper(addr
         assert opened.value("getComputedStyle(document.querySelector('.player')).display") == "none"
         opened.pdf(tmp_path / "page.pdf")
         assert (tmp_path / "page.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_tables_sort_and_curves_say_their_values(tmp_path):
+    """By the numbers in a column, up and down; below the pointer the values of all lines at the nearest place."""
+    results = {
+        "episode": np.tile([0, 10, 20], 4),
+        "seed": np.repeat([0, 1, 0, 1], 3),
+        "learner.epsilon": np.repeat([0.1, 0.1, 0.5, 0.5], 3),
+        "steps": np.array([9.0, 4, 3, 9, 4, 3, 8, 7, 6, 8, 7, 6]),
+    }
+    (figure,) = [each for each in curved(results) if each.needed == ("steps",)]
+    rows = [("x", "10"), ("y", "9.5 (1 to 20)"), ("z", "1e2")]
+    body = contents(["A table"]) + section(
+        "A table", table(("name", "n"), rows), *_row(results, ["learner.epsilon"], figure)
+    )
+    file = tmp_path / "page.html"
+    file.write_text(page("t", body))
+    column = "[...document.querySelectorAll('tbody tr')].map(row => row.cells[0].textContent).join('')"
+    with browser() as opened:
+        opened.open(file.as_uri())
+        assert opened.value("document.querySelector(document.querySelector('nav a').hash).tagName") == "SECTION"
+        for order in ("yxz", "zxy"):
+            opened.value("document.querySelectorAll('th button')[1].click()")
+            assert opened.value(column) == order
+        left, top, width, height = opened.value(
+            "(() => { const b = document.querySelector('figure img').getBoundingClientRect();"
+            "return [b.left, b.top, b.width, b.height]; })()"
+        )
+        opened.ask("Input.dispatchMouseEvent", type="mouseMoved", x=left + 0.48 * width, y=top + 0.4 * height)
+        assert opened.value("document.querySelector('.tip').textContent") == "at 10\n0.1: 4\n0.5: 7"
+        opened.ask("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": "dark"}])
+        paper, ink = (
+            sum(map(int, opened.value(f"getComputedStyle(document.body).{name}")[4:-1].split(",")))
+            for name in ("backgroundColor", "color")
+        )
+        assert paper < 100 and ink > 600
+        assert opened.faults == []

@@ -12,8 +12,8 @@ from small_sweep import CONFIG
 
 import humanoid_mjx
 from humanoid_mjx import InputError
+from humanoid_mjx.commands.notebook import Picture
 from humanoid_mjx.evaluation.policy import find_policy
-from humanoid_mjx.notebook import Picture
 from humanoid_mjx.training import progress
 
 

@@ -1,10 +1,7 @@
 """A stored run as a video, and what cannot be shown."""
 
 import sys
-import threading
 from pathlib import Path
-from urllib.error import HTTPError
-from urllib.request import urlopen
 
 import jax
 import jax.numpy as jnp
@@ -16,10 +13,8 @@ from typer.testing import CliRunner
 from humanoid_mjx.cli import app
 from humanoid_mjx.compute import rng
 from humanoid_mjx.evaluation.episode import HOLD_S, motion_of, play, robot_of, rows_of
-from humanoid_mjx.evaluation.film import film_of
+from humanoid_mjx.evaluation.film import film_of, show
 from humanoid_mjx.evaluation.policy import best_policy
-from humanoid_mjx.report.player import make_server
-from humanoid_mjx.report.showing import show
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.tasks import make_task
 from humanoid_mjx.tasks.posture_switch import LEFT_SIGN
@@ -169,16 +164,3 @@ def test_a_walk_shows_its_command():
     assert told["forward, m/s"] == pytest.approx(0.3)
     stand = make_task("stand", physics="mujoco")
     assert stand.told(reset(stand, rng.key(0)).data) == {}
-
-
-def test_the_viewer_serves_one_page_to_this_machine(switched):
-    film = film_of(best_policy(switched), play(best_policy(switched)))
-    with make_server(film) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        host, port = server.server_address[:2]
-        assert host == "127.0.0.1"
-        with urlopen(f"http://{host}:{port}/") as answer:
-            assert 'class="player" data-autoplay' in answer.read().decode()
-        with pytest.raises(HTTPError, match="404"):
-            urlopen(f"http://{host}:{port}/config.yaml")
-        server.shutdown()

@@ -69,7 +69,7 @@ def test_labels_at_lines_are_apart_within_the_panel_and_in_the_order_of_the_line
         panel = panels[0, 0]
         panel.set_ylim(0.0, 1.0)
         label_lines(panel, [0.99, 0.01, 1.0, np.nan, 0.98], list("abcde"), ["k"] * 5)
-        places = {text.get_text(): text.xyann[1] for text in panel.texts}
+    places = {text.get_text(): text.xyann[1] for text in panel.texts}
     assert sorted(places, key=places.get) == ["b", "e", "a", "c"]
     gaps = np.diff(sorted(places.values()))
     assert gaps.min() > 0.04 and max(places.values()) <= 1.0 and min(places.values()) >= 0.0

@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
+import jax
+
 from humanoid_mjx.commands import console, start_for
 from humanoid_mjx.files import write_text
 from humanoid_mjx.spec import InputError, check_folder
@@ -18,39 +20,47 @@ def run_play(
     episode: int,
     out: Path | None,
     view: bool,
+    port: int | None,
 ) -> None:
     """`humanoid-mjx play`."""
     from humanoid_mjx.report.video import check_file
 
     if view and out is not None:
-        raise InputError("play: --view shows the motion in the browser and --out writes a file; choose one.")
+        raise InputError("play: --view shows the robot in the browser and --out writes a file; choose one.")
+    if view and physics not in (None, "mujoco"):
+        raise InputError(f"--physics {physics}: --view moves the robot in native MuJoCo; leave this out.")
+    if port is not None and not view:
+        raise InputError("--port: only --view has a server.")
     if out is not None:
         check_file(out)
     start_for(physics, overrides)
-    from humanoid_mjx.evaluation.policy import find_policy, in_world
-    from humanoid_mjx.notebook import film_file
-    from humanoid_mjx.report.player import serve
-    from humanoid_mjx.report.rendering import render_film
-    from humanoid_mjx.report.showing import show
+    if physics in (None, "mujoco"):
+        jax.config.update("jax_platforms", "cpu")  # one robot in native MuJoCo gains nothing by a GPU
+    from humanoid_mjx.evaluation.policy import find_policy, in_world, on_native
 
     with Bar(console) as bar:
         bar.phase("loading")
         trained = in_world(find_policy(name, point), physics, overrides)
-        shown = show(trained, bar, episode)
         if not view:
+            from humanoid_mjx.commands.notebook import film_file
+            from humanoid_mjx.evaluation.film import show
+            from humanoid_mjx.report.rendering import render_film
+
+            shown = show(trained if physics else on_native(trained), bar, episode)
             target = out or film_file(Path(name), trained.name)
             bar.phase("rendering")
             render_film(shown.film, target, tell=bar.count)
-    console.print(shown.outcome)
-    if not view:
-        console.print(f"{target}", soft_wrap=True)
-        return
+            console.print(shown.outcome)
+            console.print(f"{target}", soft_wrap=True)
+            return
+    from humanoid_mjx.evaluation.live import Live
+    from humanoid_mjx.report.live import serve
 
     def told(address: str) -> None:
         console.print(f"{address}  (Ctrl-C ends it)", soft_wrap=True)
 
     with suppress(KeyboardInterrupt):
-        serve(shown.film, told)
+        serve(Live(trained, episode), told, port=port or 0)
 
 
 def run_export(what: str, file: Path, point: int | None) -> None:

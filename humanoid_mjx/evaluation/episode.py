@@ -3,6 +3,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import jax
@@ -11,8 +12,9 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
+from humanoid_mjx.compute import compiler_options
 from humanoid_mjx.control import Reference
-from humanoid_mjx.evaluation.evaluate import held_out_keys
+from humanoid_mjx.evaluation.evaluate import held_out_key
 from humanoid_mjx.evaluation.policy import Trained
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.rollout import MAX_EPISODE_STEPS, decide, decision_keys, greedy, start
@@ -23,7 +25,7 @@ from humanoid_mjx.tasks.base import Task
 from humanoid_mjx.tasks.continuous import State
 from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.tasks.posture_switch import PostureSwitch
-from humanoid_mjx.types import AnyArray
+from humanoid_mjx.types import AnyArray, IntScalar
 
 HOLD_S = 1.0
 """How long the last set-point is held after an episode, s: whether a posture is kept shows only then."""
@@ -99,36 +101,49 @@ def play(trained: Trained, episode: int = 0, tell: Callable[[int], None] = lambd
       episode: the number of the episode.
       tell: called after each decision with how many there were.
     """
-    learner, policy, key = trained.learner, trained.policy, held_out_keys(episode + 1)[episode]
-    state, total = jax.jit(lambda learner: start(learner.env, key))(learner), 0.0
+    learner, policy, number = trained.learner, trained.policy, jnp.int32(episode)
+    state, total = single(begun)(learner, number), 0.0
     states, actions, pushes, told = [state], [], [], []
     while not state.done and len(actions) < MAX_EPISODE_STEPS:
-        state, action, push, words = _decide(learner, policy, key, state, jnp.int32(len(actions)))
+        state, action, push, words = single(decided)(learner, policy, number, state, jnp.int32(len(actions)))
         states.append(state)
         actions.append(action if state.executed is None else state.executed)
         pushes.append(np.asarray(push))
         told.append({name: float(value) for name, value in words.items()})
         total += float(state.reward)
         tell(len(actions))
-    data = [_own_data(learner.task, state) for state in states]
+    data = [own_data(learner.task, state) for state in states]
     forces = np.array(pushes, np.float64).reshape(-1, 3)
     return Played(data, actions, bool(state.success), total, forces, told)
 
 
-def _own_data(task: Task, state: State) -> Any:
-    """The data of a task's state without what makes a finite task a continuous one."""
-    return state.data[0] if isinstance(task, FiniteTask) else state.data
+@lru_cache
+def single(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function of one world, compiled soon rather than to be fast."""
+    return jax.jit(function, compiler_options=compiler_options("arrays", "single"))
 
 
-@jax.jit
-def _decide(learner: Learner, policy: Any, key: Any, state: State, steps: Any) -> tuple[State, Array, Any, Any]:
-    """A decision; and the push during it and what the task tells of the state before it."""
-    task, (_, step_key) = learner.task, decision_keys(key, steps)
-    data = _own_data(task, state)
+def begun(learner: Learner, episode: IntScalar) -> State:
+    """The first state of a held-out episode."""
+    return start(learner.env, held_out_key(episode))
+
+
+def decided(
+    learner: Learner, policy: Any, episode: IntScalar, state: State, steps: IntScalar
+) -> tuple[State, Array, Any, Any]:
+    """Decision number `steps` of a held-out episode: the state that it leads to, the action, the push during it, and
+    the command that the task tells before it."""
+    key, task = held_out_key(episode), learner.task
+    data, (_, step_key) = own_data(task, state), decision_keys(key, steps)
     if isinstance(task, FiniteTask):
         step_key = jax.random.split(step_key, 3)[2]
     after, action = decide(learner.env, greedy(learner, policy), key, state, steps)
     return after, action, task.push_on(data, step_key), task.told(data)
+
+
+def own_data(task: Task, state: State) -> Any:
+    """The data of a task's state without what makes a finite task a continuous one."""
+    return state.data[0] if isinstance(task, FiniteTask) else state.data
 
 
 def rows_of(trained: Trained, played: Played) -> tuple[Float[np.ndarray, "rows nq"], float]:
@@ -145,15 +160,14 @@ def motion_of(trained: Trained, played: Played) -> Motion:
     task: Any = trained.learner.task
     world, data, action, motions = world_of(played.states[-1]), played.states[0], None, []
     for data, action in zip(played.states[:-1], played.actions, strict=True):
-        motions.append(_driven(task, world_of(data), data, action)[1])
+        motions.append(single(driven)(task, world_of(data), data, action)[1])
     for _ in range(math.ceil(HOLD_S / task.period) if motions else 0):
-        world, motion = _driven(task, world, data, action)
+        world, motion = single(driven)(task, world, data, action)
         motions.append(motion)
     return joined(motions)
 
 
-@jax.jit
-def _driven(task: Any, world: World, data: Any, action: Array) -> tuple[World, Motion]:
+def driven(task: Any, world: World, data: Any, action: Array) -> tuple[World, Motion]:
     """Let a task drive the robot, wherever it is, as in the decision with this data and action."""
     plant, controller = task.drive(data, action)
     step = lambda world, _: _step(plant, world, controller)  # noqa: E731

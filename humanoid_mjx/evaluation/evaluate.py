@@ -32,10 +32,14 @@ BLOCK = 1024
 """Episodes side by side."""
 
 
+def held_out_key(episode: IntScalar) -> Key[Array, ""]:
+    """The key of one episode, by its number."""
+    return jax.random.fold_in(jax.random.fold_in(rng.key(0), np.uint32(HELD_OUT)), episode)
+
+
 def held_out_keys(episodes: int) -> Key[Array, " episodes"]:
     """A key for each episode."""
-    key = jax.random.fold_in(rng.key(0), np.uint32(HELD_OUT))
-    return jax.vmap(jax.random.fold_in, in_axes=(None, 0))(key, jnp.arange(episodes))
+    return jax.vmap(held_out_key)(jnp.arange(episodes))
 
 
 def play_out(trained: Trained, name: str, episodes: int) -> dict[str, np.ndarray]:

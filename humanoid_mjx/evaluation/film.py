@@ -8,8 +8,9 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from humanoid_mjx.evaluation.episode import Played, robot_of, rows_of
+from humanoid_mjx.evaluation.episode import Played, play, robot_of, rows_of
 from humanoid_mjx.evaluation.policy import Trained
+from humanoid_mjx.training.progress import Reporter
 from humanoid_mjx.types import AnyArray
 
 SHORT_S = 0.25
@@ -71,6 +72,35 @@ def film_of(trained: Trained, played: Played, title: str | None = None) -> Film:
             told.append((number * period, words))
     title = trained.name if title is None else title
     return Film(model, qpos, step_s, title, tuple(told), tuple(merged(played.pushes, period)))
+
+
+class Shown(NamedTuple):
+    """A played episode as a film, and how it ended."""
+
+    film: Film
+    outcome: str
+    """A sentence."""
+
+
+def show(trained: Trained, reporter: Reporter, episode: int = 0) -> Shown:
+    """Play a policy's held-out episode of this number; 0 is the first.
+
+    Raises:
+      InputError: the policy's task moves no robot.
+    """
+    robot_of(trained)
+    period: float = trained.learner.task.period
+    reporter.phase("compiling")
+    played = play(trained, episode, lambda decisions: reporter.phase("simulating"))
+    which = f", episode {episode}" * (episode > 0)
+    film = film_of(trained, played, f"{trained.title}, point {trained.point}, seed {trained.seed}{which}")
+    decisions = len(played.actions)
+    outcome = "succeeds" if played.success else "does not succeed"
+    return Shown(
+        film,
+        f"point {trained.point}, seed {trained.seed}: {outcome} in {decisions} decisions, {decisions * period:g} s; "
+        f"return {played.episode_return:.4g}",
+    )
 
 
 def in_words(values: Mapping[str, float]) -> str:

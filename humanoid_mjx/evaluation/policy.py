@@ -6,6 +6,7 @@ where it comes from; and the policy's arrays by their paths. It holds no Python 
 
 import json
 from collections.abc import Sequence
+from contextlib import suppress
 from copy import deepcopy
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -45,6 +46,12 @@ class Trained(NamedTuple):
     """Config of the policy's sweep point alone."""
     origin: dict[str, Any]
     """`scores` of the run at its end and its `provenance`."""
+
+    @property
+    def title(self) -> str:
+        """The name, and the task where the name does not say it."""
+        task = self.config.task["name"]
+        return task if self.name == task else f"{self.name}: {task}"
 
     def as_json(self) -> dict[str, Any]:
         """Everything but the arrays, as plain values."""
@@ -197,6 +204,13 @@ def on_physics(trained: Trained, physics: str) -> Trained:
     if "physics" not in type(trained.learner.task).model_fields:
         raise InputError(f"--physics {physics}: the task {task['name']} has no choice of physics.")
     return in_changed_world(trained, [f"task.physics={physics}"])
+
+
+def on_native(trained: Trained) -> Trained:
+    """The same policy on native MuJoCo, which moves one robot without compiling; as it is where its task cannot."""
+    with suppress(InputError):
+        return on_physics(trained, "mujoco")
+    return trained
 
 
 def in_changed_world(trained: Trained, overrides: Sequence[str]) -> Trained:

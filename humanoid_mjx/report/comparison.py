@@ -72,7 +72,9 @@ def curve_of_run(path: Path, trained: Trained) -> Curve:
     results, timing, learner = read_table(path / "results.parquet"), path / "timing.parquet", trained.learner
     if timing.is_file():
         results["wall_s"] = read_table(timing)["wall_s"]
-    return curve_of(trained.name, results, trained.point, getattr(learner, "agents", 1))
+    several = len(np.unique(results["point"])) > 1
+    name = f"{trained.name}, point {trained.point}" if several else trained.name
+    return curve_of(name, results, trained.point, getattr(learner, "agents", 1))
 
 
 def compare_curves(path: Path, curves: Sequence[Curve], agents: Sequence[Evaluation]) -> None:

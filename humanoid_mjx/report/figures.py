@@ -157,8 +157,8 @@ def draw_curves(panel: Any, results: Mapping[str, np.ndarray], axis_name: str | 
     count, seed, values = results[counter], results["seed"], results[name]
     rows = [levels.index == level for level in range(len(colors))]
     ends = [
-        draw_line(panel, count[chosen], seed[chosen], values[chosen], color).end
-        for chosen, color in zip(rows, colors, strict=True)
+        draw_line(panel, count[chosen], seed[chosen], values[chosen], color, label=label).end
+        for chosen, color, label in zip(rows, colors, levels.labels, strict=True)
     ]
     if axis_name:
         label_lines(panel, ends, levels.labels, colors)
@@ -174,7 +174,7 @@ def draw_terms(
     """One panel of columns, a line for each, over all values of whatever was swept; returns as `draw_curves`."""
     counter, colors = _counter(results), [COLORS[i % len(COLORS)] for i in range(len(names))]
     ends = [
-        draw_line(panel, results[counter], results["seed"], results[name], color).end
+        draw_line(panel, results[counter], results["seed"], results[name], color, label=name).end
         for name, color in zip(names, colors, strict=True)
     ]
     label_lines(panel, ends, names, colors)
@@ -264,7 +264,7 @@ def heat_maps(path: Path, title: str, axes: list[str], summary: Mapping[str, np.
         span = limits(axes, summary, name)
         images = [draw_map(panel, summary, pair, name, span) for panel, pair in zip(panels[0], pairs, strict=True)]
         if span[0] < span[1]:
-            fig.colorbar(images[0], ax=list(panels[0]), fraction=0.03, pad=0.01)
+            fig.colorbar(images[0], ax=list(panels[0]), fraction=0.03, pad=0.01, label="yellow is best")
 
 
 def draw_map(
@@ -273,7 +273,9 @@ def draw_map(
     """One heat map, its colours from the first to the second value of `span`; the image."""
     x, y = (find_levels(summary[axis]) for axis in pair)
     mean = cell_means(summary, pair, name)
-    image = panel.imshow(mean, origin="lower", aspect="auto", cmap="cividis", vmin=span[0], vmax=span[1])
+    upwards = best_is_most(summary, name)
+    colors = "cividis" if upwards else "cividis_r"
+    image = panel.imshow(mean, origin="lower", aspect="auto", cmap=colors, vmin=span[0], vmax=span[1])
     panel.grid(False)
     crowded = len(x.labels) > 5
     panel.set_xticks(range(len(x.labels)), x.labels, rotation=45 if crowded else 0, ha="right" if crowded else "center")
@@ -281,8 +283,15 @@ def draw_map(
     panel.set_xlabel(pair[0])
     panel.set_ylabel(pair[1])
     if mean.size <= 150:
-        _write_cells(panel, mean, *span)
+        _write_cells(panel, mean, *(span if upwards else span[::-1]))
     return image
+
+
+def best_is_most(summary: Mapping[str, np.ndarray], name: str) -> bool:
+    """Whether more of a measure is better: success, and what goes along with success rather than against it."""
+    success, values = (np.asarray(summary[each], float) for each in ("greedy_success", name))
+    known = np.isfinite(success) & np.isfinite(values)
+    return name == "greedy_success" or float(np.sum((success - success[known].mean()) * values, where=known)) > 0
 
 
 def limits(axes: Sequence[str], summary: Mapping[str, np.ndarray], name: str) -> tuple[float, float]:
@@ -313,10 +322,10 @@ def _tells(values: np.ndarray) -> bool:
     return len(known) > 0 and bool(known.min() < known.max())
 
 
-def _write_cells(panel, mean: np.ndarray, low: float, high: float) -> None:
+def _write_cells(panel: Any, mean: np.ndarray, worst: float, best: float) -> None:
     for (row, column), value in np.ndenumerate(mean):
         if np.isfinite(value):
-            dark = low < high and (value - low) < 0.55 * (high - low)
+            dark = worst != best and (value - worst) / (best - worst) < 0.55
             panel.text(
                 column, row, f"{value:.2g}" if abs(value) < 10 else f"{value:.0f}",
                 ha="center", va="center", fontsize=6 if mean.size > 30 else 8, color="white" if dark else "black",

@@ -1,8 +1,11 @@
 """The report of a run folder as one web page that needs nothing else: no network, no other file."""
 
 import io
+import json
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import ExitStack
+from html import escape
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -11,14 +14,14 @@ import numpy as np
 from PIL import Image
 
 from humanoid_mjx.config import dump_yaml
-from humanoid_mjx.evaluation.policy import find_policy
+from humanoid_mjx.evaluation.film import show
+from humanoid_mjx.evaluation.policy import find_policy, on_native
 from humanoid_mjx.files import write_text
 from humanoid_mjx.report.figures import HEAT_MAPS, Figure, averaged, curved, draw_map, figures_of, limits, mapped
 from humanoid_mjx.report.player import player
 from humanoid_mjx.report.rendering import strip
-from humanoid_mjx.report.showing import show
-from humanoid_mjx.report.style import figure, short
-from humanoid_mjx.report.web import data_address, facts, image, link, page, section, table, text
+from humanoid_mjx.report.style import figure, place_labels, short
+from humanoid_mjx.report.web import contents, data_address, facts, image, link, page, section, table, text
 from humanoid_mjx.runs.folder import read_config, read_provenance
 from humanoid_mjx.runs.ranking import Ranked, ranked, ties, training_interval
 from humanoid_mjx.runs.tables import read_table
@@ -30,6 +33,9 @@ BEST_POINTS = 10
 
 FEW_VALUES = 12
 """More values of a swept parameter are not listed one by one."""
+
+PANEL = 4.4, 3.0
+"""Size of a panel, inches."""
 
 NO_SCRIPT = "<noscript><p>The motion needs JavaScript; the pictures below it show the same.</p></noscript>"
 
@@ -60,21 +66,21 @@ def run_page(path: Path, reporter: Reporter, motion: bool) -> str:
     reporter.phase("drawing figures")
     points = ranked(axes, summary, quickest=bool(config.get("episodes")))
     own = figures_of(str(config["task"]["name"]), config.get("modules"))
-    parts = [
-        _lead(config, summary, points),
-        section("Result", *_result(axes, summary, points)),
-        section("Learning", text(f"Lines: {averaged(axes, results)}."), *_curves(axes, results, own)),
-    ]
+    parts = {
+        "Result": _result(axes, summary, points),
+        "Learning": [text(f"Lines: {averaged(axes, results)}."), *_curves(axes, results, own)],
+    }
     if maps := mapped(axes, summary):
-        parts.append(section("Two parameters at a time", *_maps(axes, summary, maps)))
+        parts["Two parameters at a time"] = _maps(axes, summary, maps)
     if motion and (shown := _motion(path, reporter)):
-        parts.append(section("The robot", *shown))
-    parts += [
-        section("What was run", *_config(config, axes, summary)),
-        section("Where and when", facts(_provenance(provenance))),
-        section("Run it again", *_again(config, provenance)),
-    ]
-    return page(str(config.get("name", path.name)), "".join(parts))
+        parts["The robot"] = shown
+    parts |= {
+        "What was run": _config(config, axes, summary),
+        "Where and when": _provenance(provenance),
+        "Run it again": _again(config, provenance),
+    }
+    body = "".join(section(title, *words) for title, words in parts.items())
+    return page(str(config.get("name", path.name)), _lead(config, summary, points) + contents(parts) + body)
 
 
 def _lead(config: Mapping[str, Any], summary: Mapping[str, np.ndarray], points: Sequence[Ranked]) -> str:
@@ -127,48 +133,78 @@ def _result(axes: Sequence[str], summary: Mapping[str, np.ndarray], points: Sequ
 
 
 def _curves(axes: Sequence[str], results: Mapping[str, np.ndarray], own: Sequence[Figure]) -> list[str]:
-    """A row of panels for each figure; where nothing is swept, all figures in one."""
+    """A row of panels for each figure, on one scale; where nothing is swept, all figures in one."""
     rows = curved(results, own)
     if not axes:
-        return [f'<div class="grid">{"".join(_curve(results, None, each) for each in rows)}</div>']
+        return [_grid(curve for each in rows for curve in _row(results, (None,), each))]
     return [
-        f'{text(_capital(each.title), "h3")}<div class="grid">'
-        + "".join(_curve(results, axis, each) for axis in (axes if each.by_axis else (None,)))
-        + "</div>"
+        text(_capital(each.title), "h3") + _grid(_row(results, axes if each.by_axis else (None,), each))
         for each in rows
     ]
 
 
-def _curve(results: Mapping[str, np.ndarray], axis: str | None, each: Figure) -> str:
-    ends: dict[str, float] = {}
-    svg = _svg(lambda panel: ends.update(each.draw(panel, results, axis)))
-    last = ", ".join(f"{label}: {value:.4g}" for label, value in ends.items())
-    by = f" by {axis}" if axis else ""
-    return _figure(svg, f"{each.title}{by}; at the end {last}", axis or _capital(each.title))
+def _row(results: Mapping[str, np.ndarray], axes: Sequence[str | None], each: Figure) -> list[str]:
+    """The panels of one figure, a swept parameter each."""
+    with ExitStack() as stack:
+        files = [io.BytesIO() for _ in axes]
+        figures = [stack.enter_context(figure(file, 1, 1, size=PANEL)) for file in files]
+        panels = [grid[0, 0] for _, grid in figures]
+        ends = [each.draw(panel, results, axis) for panel, axis in zip(panels, axes, strict=True)]
+        low, high = zip(*(panel.get_ylim() for panel in panels), strict=True)
+        for (fig, _), panel in zip(figures, panels, strict=True):
+            panel.set_ylim(min(low), max(high))
+            place_labels(fig)
+            fig.draw_without_rendering()
+        lines = [_lines(panel) for panel in panels]
+    found = []
+    for axis, file, end, data in zip(axes, files, ends, lines, strict=True):
+        last = ", ".join(f"{label}: {value:.4g}" for label, value in end.items())
+        by = f" by {axis}" if axis else ""
+        words = f"{each.title}{by}; at the end {last}"
+        found.append(_figure(file.getvalue(), words, axis or _capital(each.title), lines=data))
+    return found
+
+
+def _lines(panel: Any) -> dict[str, Any]:
+    """What the page shows of a panel's lines below the pointer: the panel's place on the picture, as shares from left
+    and top, the limits of its x axis, and the places of each labelled line."""
+    box, scale = panel.get_position(), panel.get_xscale()
+    lines = {
+        str(line.get_label()): [[float(f"{value:.4g}") for value in values] for values in line.get_data()]
+        for line in panel.get_lines()
+        if not str(line.get_label()).startswith("_")
+    }
+    return {"box": [box.x0, 1 - box.y1, box.x1, 1 - box.y0], "x": panel.get_xlim(), "scale": scale, "lines": lines}
 
 
 def _maps(axes: Sequence[str], summary: Mapping[str, np.ndarray], names: Sequence[str]) -> list[str]:
     parts = [
-        text("Means over seeds and over all values of the other parameters; maps of a measure share their colours.")
+        text(
+            "Means over seeds and over all values of the other parameters. Maps of a measure share their colours: "
+            "yellow is best."
+        )
     ]
     for name in names:
         span = limits(axes, summary, name)
         pictures = []
         for pair in combinations(axes, 2):
-            svg = _svg(
-                lambda panel, pair=pair, name=name, span=span: panel.figure.colorbar(
-                    draw_map(panel, summary, pair, name, span), ax=panel
-                )
-            )
-            pictures.append(_figure(svg, f"{HEAT_MAPS[name]} by {pair[0]} and {pair[1]}", f"{pair[0]} and {pair[1]}"))
-        parts.append(text(_capital(HEAT_MAPS[name]), "h3") + f'<div class="grid">{"".join(pictures)}</div>')
+            file = io.BytesIO()
+            with figure(file, 1, 1, size=PANEL) as (fig, panels):
+                fig.colorbar(draw_map(panels[0, 0], summary, pair, name, span), ax=panels[0, 0])
+            words = f"{HEAT_MAPS[name]} by {pair[0]} and {pair[1]}"
+            pictures.append(_figure(file.getvalue(), words, f"{pair[0]} and {pair[1]}"))
+        parts.append(text(_capital(HEAT_MAPS[name]), "h3") + _grid(pictures))
     return parts
+
+
+def _grid(pictures: Iterable[str], kind: str = "") -> str:
+    return f'<div class="grid{kind}">{"".join(pictures)}</div>'
 
 
 def _motion(path: Path, reporter: Reporter) -> list[str]:
     """The robot under the best policy, in its first held-out episode; nothing where the task has none."""
     try:
-        trained = find_policy(str(path))
+        trained = on_native(find_policy(str(path)))
         if getattr(trained.learner.task, "simulator", None) is None:
             return []
         shown = show(trained, reporter)
@@ -181,7 +217,7 @@ def _motion(path: Path, reporter: Reporter) -> list[str]:
         Image.fromarray(frame).save(file, "JPEG", quality=88)
         pictures.append(_figure(file.getvalue(), f"The robot after {seconds:.2f} s", f"{seconds:.2f} s", ".jpg"))
     words = f"The best policy in the first held-out episode: {shown.outcome}."
-    return [text(words), player(shown.film, still=NO_SCRIPT), f'<div class="grid strip">{"".join(pictures)}</div>']
+    return [text(words), player(shown.film, still=NO_SCRIPT), _grid(pictures, " strip")]
 
 
 def _config(config: Mapping[str, Any], axes: Sequence[str], summary: Mapping[str, np.ndarray]) -> list[str]:
@@ -196,22 +232,39 @@ def _config(config: Mapping[str, Any], axes: Sequence[str], summary: Mapping[str
     return [*parts, text("The config, with all defaults:"), text(yaml.rstrip(), "pre"), f"<p>{save}</p>"]
 
 
-def _provenance(provenance: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Plain values, those within others by dotted names."""
-    found = []
-    for name, value in provenance.items():
-        if isinstance(value, dict):
-            found += [(str(key), str(inner)) for key, inner in value.items()]
-        elif name == "sessions":
-            found.append(("sessions", str(len(value)) if isinstance(value, list) else str(value)))
-        elif value is not None:
-            found.append((name.replace("_", " "), _plain(value)))
-    return found or [("provenance", "this folder holds no provenance.json")]
+def _provenance(provenance: Mapping[str, Any]) -> list[str]:
+    """The machine, the versions and the times, in words; a damaged or missing record says so."""
+
+    def part(name: str) -> dict[str, Any]:
+        return value if isinstance(value := provenance.get(name), dict) else {}
+
+    machine, found, sessions = part("machine"), [], provenance.get("sessions")
+    devices, cores = machine.get("device_count"), machine.get("cpu_count")
+    found.append(("started", provenance.get("started")))
+    found.append(("training took", _seconds(provenance.get("wall_s"))))
+    found.append(("of which compiling", _seconds(provenance.get("compile_s"))))
+    if isinstance(sessions, list) and len(sessions) > 1:
+        found.append(("in", f"{len(sessions)} sessions, the later ones with --resume"))
+    for name, words in (("episodes_per_s", "episodes a second"), ("steps_per_s", "control steps a second")):
+        if isinstance(rate := provenance.get(name), int | float):
+            found.append((words, f"{rate:,.10g}"))
+    if machine:
+        of = f", {devices} of them" if devices and devices != 1 else ""
+        found.append(("computed by", f"{machine.get('device')}{of}" + f" (backend {machine.get('backend')})"))
+        found.append(("machine", f"{machine.get('cpu')}, {cores} CPU cores, {machine.get('system')}"))
+    found.append(("numbers", provenance.get("precision")))
+    found.append(("seed of the sweep", provenance.get("seed")))
+    found.append(("commit", provenance.get("commit")))
+    found.append(("versions", ", ".join(f"{name} {value}" for name, value in part("versions").items())))
+    shown = [(name, str(value)) for name, value in found if value not in (None, "")]
+    return [facts(shown) if shown else text("This folder holds no provenance.json.")]
 
 
-def _plain(value: Any) -> str:
-    """Numbers with all their digits, a comma at each thousand; texts as they are."""
-    return f"{value:,.10g}" if isinstance(value, int | float) else str(value)
+def _seconds(value: Any) -> str | None:
+    """A length of time in words."""
+    if not isinstance(value, int | float):
+        return None
+    return f"{value:.3g} s" if value < 120 else f"{value / 60:.3g} min"
 
 
 def _again(config: Mapping[str, Any], provenance: Mapping[str, Any]) -> list[str]:
@@ -239,17 +292,12 @@ def _file_name(config: Mapping[str, Any]) -> str:
     return name.lstrip("-") or "run"
 
 
-def _svg(draw: Callable[[Any], object]) -> bytes:
-    """One panel as SVG."""
-    file = io.BytesIO()
-    with figure(file, 1, 1, size=(4.4, 3.0)) as (_, panels):
-        draw(panels[0, 0])
-    return file.getvalue()
-
-
-def _figure(data: bytes, alt: str, caption: str, kind: str = ".svg") -> str:
+def _figure(data: bytes, alt: str, caption: str, kind: str = ".svg", lines: Mapping[str, Any] | None = None) -> str:
+    """A picture with a caption; `lines` is what the page shows below the pointer (`_lines`)."""
     below = text(caption, "figcaption") if caption else ""
-    return f"<figure>{image(data, kind, alt)}{below}</figure>"
+    hover = f' data-lines="{escape(json.dumps(lines))}"' if lines and lines["lines"] else ""
+    look = {".svg": ' class="map"' if lines is None else ' class="curves"'}.get(kind, "")
+    return f"<figure{look}{hover}>{image(data, kind, alt)}{below}</figure>"
 
 
 def _capital(words: str) -> str:

@@ -1,9 +1,23 @@
-// Plays the motion of a robot on a canvas: shaded solids with a depth buffer, seen from any side. No WebGL: it is drawn
-// the same where there is no GPU.
-// Each `figure.player` holds its film as JSON (report/player.py) and gets canvas, buttons and keys here.
+// Shows a robot on a canvas: shaded solids with a depth buffer, seen from any side. No WebGL: it is drawn the same where
+// there is no GPU.
+// Each `figure.player` holds as JSON a film (report/player.py) or the beginning of a live robot (report/live.py), and
+// gets canvas, buttons and keys here.
 "use strict";
 (() => {
   const AROUND = 24, FINE = 1.2e6, NEAR = 0.02, TURN = 0.12;
+
+  const INK = "#1c2126", ALARM = "#c1121f", LOAD = "#009E73";
+  const COLORS = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00"];
+  const SHOWN_S = 8;
+
+  const clamp = (x, low, high) => Math.max(low, Math.min(high, x));
+  const make = (tag, properties = {}, ...children) => {
+    const element = Object.assign(document.createElement(tag), properties);
+    element.append(...children);
+    return element;
+  };
+  const named = (element, label) => { element.setAttribute("aria-label", label); return element; };
+  const button = (words, onclick) => make("button", { type: "button", onclick }, words);
 
   function dot(a, b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
   function unit(a) { const n = Math.hypot(...a) || 1; return a.map((x) => x / n); }
@@ -76,135 +90,142 @@
   function turned(m, v) { return m.map((row) => dot(row, v)); }
   function moved(m, v) { return m.map((row) => dot(row, v) + row[3]); }
 
-  class Player {
-    constructor(figure) {
+  // A canvas, the camera and the mouse; `pose()` says what there is to see.
+  class View {
+    constructor(figure, data) {
       this.figure = figure;
-      this.film = JSON.parse(figure.querySelector("script").textContent);
-      this.solids = this.film.shapes.map(solid);
-      this.last = this.film.frames.length - 1;
-      this.time = 0; this.speed = 1; this.playing = false; this.drawn = "";
+      this.data = data;
+      this.solids = data.shapes.map(solid);
+      this.pointers = new Map();
       this.view = this.start();
-      this.build();
-      new ResizeObserver(() => this.draw()).observe(this.canvas);
-      if (figure.hasAttribute("data-autoplay") && !matchMedia("(prefers-reduced-motion: reduce)").matches) this.toggle();
+      this.canvas = make("canvas", { tabIndex: 0 });
+      this.canvas.setAttribute("role", "application");
+      const on = (name, act, options) => this.canvas.addEventListener(name, act, options);
+      on("keydown", (event) => this.key(event, this.viewKeys()));
+      on("wheel", (event) => {
+        if (!this.scrolls(event)) return;
+        event.preventDefault();
+        this.zoom(Math.exp(event.deltaY / 600), event);
+      }, { passive: false });
+      on("contextmenu", (event) => event.preventDefault());
+      on("pointerdown", (event) => {
+        this.canvas.focus({ preventScroll: true });
+        this.canvas.setPointerCapture(event.pointerId);
+        this.pointers.set(event.pointerId, event);
+        const pans = event.button > 0 || event.shiftKey || this.pointers.size > 1;
+        if (this.act === "hold") this.let();
+        this.act = pans ? "pan" : this.hold(event) ? "hold" : "turn";
+      });
+      on("pointermove", (event) => this.move(event));
+      for (const name of ["pointerup", "pointercancel"])
+        on(name, (event) => {
+          this.pointers.delete(event.pointerId);
+          if (this.act === "hold") this.let();
+          this.act = null;
+        });
+    }
+
+    hold() { return false; }
+    let() {}
+    scrolls() { return document.activeElement === this.canvas; }
+    start() { return { yaw: this.data.yaw, pitch: this.data.pitch, zoom: 1, pan: [0, 0, 0], place: null }; }
+    home() { this.view = this.start(); this.draw(); }
+
+    // The camera follows the robot, or stays where it is.
+    follow() {
+      this.view.place = this.view.place ? null : this.anchor(this.pose());
+      this.followed.textContent = this.view.place ? "Camera: stays" : "Camera: follows";
       this.draw();
     }
 
-    get length() { return this.last / this.film.fps; }
-
-    build() {
-      const make = (tag, properties, ...children) => {
-        const element = Object.assign(document.createElement(tag), properties);
-        element.append(...children);
-        return element;
-      };
-      this.canvas = make("canvas", { tabIndex: 0 });
-      this.canvas.setAttribute("role", "application");
-      this.canvas.setAttribute("aria-label", `${this.film.title}: the moving robot. Arrow keys turn the view, plus and ` +
-        "minus zoom, space plays and pauses, comma and full stop go a frame back and on, Home resets the view.");
-      this.button = make("button", { type: "button", onclick: () => this.toggle() }, "Play");
-      this.slider = make("input", { type: "range", min: 0, max: this.length, step: 1 / this.film.fps, value: 0,
-        oninput: () => this.seek(Number(this.slider.value)) });
-      this.slider.setAttribute("aria-label", "Time in seconds");
-      this.clock = make("output", {});
-      const speeds = make("select", { onchange: () => { this.speed = Number(speeds.value); } },
-        ...[[0.1, "1/10"], [0.25, "1/4"], [0.5, "1/2"], [1, "1"], [2, "2"]].map(([value, text]) =>
-          make("option", { value, selected: value === 1 }, text + " ×")));
-      speeds.setAttribute("aria-label", "Speed");
-      const home = make("button", { type: "button", onclick: () => this.home() }, "Reset view");
-      this.words = make("p", { className: "told", hidden: !this.film.told.length });
-      const hint = make("p", { className: "hint" },
-        "Drag or arrow keys: turn. Wheel or + −: zoom. Space: play. , . : a frame back or on.");
-      const bar = make("div", { className: "controls" }, this.button, this.slider, this.clock, speeds, home);
-      this.figure.querySelector(".stage").replaceChildren(this.canvas, bar, this.words, hint);
-      this.canvas.addEventListener("keydown", (event) => this.key(event));
-      this.canvas.addEventListener("wheel", (event) => {
-        if (document.activeElement !== this.canvas) return;
-        event.preventDefault();
-        this.zoom(Math.exp(event.deltaY / 600));
-      }, { passive: false });
-      this.canvas.addEventListener("pointerdown", (event) => {
-        this.canvas.focus();
-        this.canvas.setPointerCapture(event.pointerId);
-        this.drag = [event.clientX, event.clientY];
-      });
-      this.canvas.addEventListener("pointermove", (event) => {
-        if (!this.drag) return;
-        const [x, y] = this.drag;
-        this.drag = [event.clientX, event.clientY];
-        this.turn((x - event.clientX) / 150, (y - event.clientY) / 150);
-      });
-      for (const name of ["pointerup", "pointercancel"])
-        this.canvas.addEventListener(name, () => { this.drag = null; });
+    move(event) {
+      const before = this.pointers.get(event.pointerId);
+      if (!before) return;
+      const [dx, dy] = [event.clientX - before.clientX, event.clientY - before.clientY];
+      if (this.pointers.size > 1) {
+        const other = [...this.pointers.values()].find((each) => each.pointerId !== event.pointerId);
+        const apart = (each) => Math.hypot(each.clientX - other.clientX, each.clientY - other.clientY) || 1;
+        this.zoom(apart(before) / apart(event), event);
+        this.pan(-dx / 2, -dy / 2);
+      } else if (this.act === "turn") this.turn(-dx / 150, -dy / 150);
+      else if (this.act === "pan") this.pan(-dx, -dy);
+      else if (this.act === "hold") this.pull(event);
+      this.pointers.set(event.pointerId, event);
     }
 
-    key(event) {
-      const frame = 1 / this.film.fps;
-      const actions = {
+    key(event, actions) {
+      const act = actions[event.key.length > 1 ? event.key : event.key.toLowerCase()];
+      if (event.ctrlKey || event.metaKey || event.altKey || !act) return;
+      event.preventDefault();
+      act();
+    }
+    viewKeys() {
+      return {
         ArrowLeft: () => this.turn(-TURN, 0), ArrowRight: () => this.turn(TURN, 0),
         ArrowUp: () => this.turn(0, -TURN), ArrowDown: () => this.turn(0, TURN),
         "+": () => this.zoom(0.87), "=": () => this.zoom(0.87), "-": () => this.zoom(1.15),
-        " ": () => this.toggle(), Home: () => this.home(),
-        ",": () => this.seek(this.time - frame), ".": () => this.seek(this.time + frame),
+        Home: () => this.home(), f: () => this.follow(),
       };
-      if (event.ctrlKey || event.metaKey || event.altKey || !actions[event.key]) return;
-      event.preventDefault();
-      actions[event.key]();
     }
 
     turn(yaw, pitch) {
       this.view.yaw += yaw;
-      this.view.pitch = Math.max(-1.5, Math.min(1.5, this.view.pitch + pitch));
+      this.view.pitch = clamp(this.view.pitch + pitch, -1.5, 1.5);
       this.draw();
     }
-    zoom(factor) { this.view.zoom = Math.max(0.25, Math.min(6, this.view.zoom * factor)); this.draw(); }
-    start() { return { yaw: this.film.yaw, pitch: this.film.pitch, zoom: 1 }; }
-    home() { this.view = this.start(); this.draw(); }
-    seek(time) { this.time = Math.max(0, Math.min(this.length, time)); this.draw(); }
-
-    toggle() {
-      this.playing = !this.playing;
-      this.button.textContent = this.playing ? "Pause" : "Play";
-      if (!this.playing) return;
-      if (this.time >= this.length) this.time = 0;
-      let before = null;
-      const step = (now) => {
-        if (!this.playing) return;
-        if (before !== null) this.time += (this.speed * Math.min(now - before, 100)) / 1000;
-        before = now;
-        if (this.time >= this.length) {
-          if (this.figure.hasAttribute("data-autoplay")) this.time = 0;
-          else { this.time = this.length; this.toggle(); }
-        }
-        this.draw();
-        if (this.playing) requestAnimationFrame(step);
-      };
-      requestAnimationFrame(step);
+    // Move what the camera looks at by so many pixels to the right and down.
+    pan(x, y) {
+      const { right, up, metres } = this.camera;
+      this.view.pan = this.view.pan.map((at, i) => at + metres * (x * right[i] - y * up[i]));
+      this.draw();
+    }
+    // What is under the pointer stays there.
+    zoom(factor, event) {
+      const zoom = clamp(this.view.zoom * factor, 0.1, 6), share = 1 - zoom / this.view.zoom;
+      if (event) {
+        const box = this.canvas.getBoundingClientRect();
+        const aside = [event.clientX - box.left - box.width / 2, event.clientY - box.top - box.height / 2];
+        this.pan(share * aside[0], share * aside[1]);
+      }
+      this.view.zoom = zoom;
+      this.draw();
     }
 
-    // Numbers at the present time, between two frames of a list of them.
-    between(list) {
-      const x = Math.min(this.time * this.film.fps, this.last), i = Math.min(Math.floor(x), Math.max(this.last - 1, 0));
-      const share = x - i, a = list[i], b = list[Math.min(i + 1, this.last)];
-      return a.map((p, s) => {
-        const flip = p.length > 3 && p[3] * b[s][3] + p[4] * b[s][4] + p[5] * b[s][5] + p[6] * b[s][6] < 0 ? -1 : 1;
-        return p.map((value, k) => value + share * ((k > 2 ? flip : 1) * b[s][k] - value));
-      });
+    // The number of the shape under the pointer and how far away it is.
+    hit(event) {
+      const box = this.canvas.getBoundingClientRect(), seen = this.seen, ratio = this.canvas.width / box.width;
+      if (!seen) return null;
+      const x = Math.floor((event.clientX - box.left) * ratio * seen.fine) - seen.left;
+      const y = Math.floor((event.clientY - box.top) * ratio * seen.fine) - seen.top;
+      const i = y * seen.width + x;
+      if (x < 0 || y < 0 || x >= seen.width || y >= seen.height || !seen.depth[i]) return null;
+      return { shape: seen.owner[i], depth: 1 / seen.depth[i] };
     }
+    // The place under the pointer at this depth.
+    place(event, depth) {
+      const box = this.canvas.getBoundingClientRect(), { eye, forward, right, up, focus, width, height } = this.camera;
+      const ratio = width / box.width;
+      const x = ((event.clientX - box.left) * ratio - width / 2) / focus;
+      const y = (height / 2 - (event.clientY - box.top) * ratio) / focus;
+      return eye.map((at, i) => at + depth * (forward[i] + x * right[i] + y * up[i]));
+    }
+
+    height(ground, x, y) { return ground[0] + ground[1] * x + ground[2] * y; }
+    anchor({ torso: [x, y], ground }) { return [x, y, this.data.middle + this.height(ground, x, y)]; }
 
     draw() {
       const ratio = Math.min(window.devicePixelRatio || 1, 2), box = this.canvas.getBoundingClientRect();
-      const width = Math.round(box.width * ratio), height = Math.round(box.height * ratio);
+      const width = Math.round(box.width * ratio), height = Math.round(box.height * ratio), pose = this.pose();
       if (!width || !height) return;
       if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
-      const film = this.film, [[tx, ty, tz]] = this.between(film.torso.map((p) => [p]));
-      const { yaw, pitch, zoom } = this.view;
+      const data = this.data, { yaw, pitch, zoom, pan, place } = this.view;
       const forward = [Math.cos(pitch) * Math.cos(yaw), Math.cos(pitch) * Math.sin(yaw), Math.sin(pitch)];
       const right = [Math.sin(yaw), -Math.cos(yaw), 0], up = cross(right, forward);
-      const target = [tx, ty, film.middle], distance = zoom * film.distance * Math.max(1, 0.8 * height / width);
-      const eye = target.map((x, i) => x - distance * forward[i]), focus = height / 2 / film.field;
-      const camera = {
-        eye, forward, width, height,
+      const target = (place || this.anchor(pose)).map((x, i) => x + pan[i]);
+      const distance = zoom * data.distance * Math.max(1, (0.8 * height) / width);
+      const eye = target.map((x, i) => x - distance * forward[i]), focus = height / 2 / data.field;
+      this.camera = {
+        eye, forward, right, up, focus, width, height, ratio, metres: (distance / focus) * ratio,
         see: (p) => {
           const away = [p[0] - eye[0], p[1] - eye[1], p[2] - eye[2]], depth = dot(away, forward);
           if (depth < NEAR) return null;
@@ -212,24 +233,20 @@
         },
       };
       const context = this.canvas.getContext("2d");
-      const horizon = Math.max(1, height / 2 + focus * Math.tan(Math.max(-1.4, Math.min(1.4, pitch))));
+      const horizon = Math.max(1, height / 2 + focus * Math.tan(clamp(pitch, -1.4, 1.4)));
       const sky = context.createLinearGradient(0, horizon - height / 2, 0, horizon);
       sky.addColorStop(0, "#d5dfea"); sky.addColorStop(1, "#ffffff");
       context.fillStyle = sky;
       context.fillRect(0, 0, width, height);
-      const matrices = this.between(film.frames).map(placed);
-      if (film.grid && eye[2] > 0) this.drawGround(context, camera, target, matrices);
-      this.drawSolids(context, camera, matrices);
-      this.drawPush(context, camera, [tx, ty, tz], ratio);
-      this.slider.value = this.time;
-      this.clock.textContent = `${this.time.toFixed(2)} s`;
-      this.words.textContent = (film.told.filter(([start]) => start <= this.time + 1e-9).pop() || [0, ""])[1];
-      this.canvas.dataset.time = this.time.toFixed(3);
+      const matrices = pose.shapes.map(placed), over = eye[2] > this.height(pose.ground, eye[0], eye[1]);
+      if (data.grid && over) this.drawGround(context, this.camera, target, matrices, pose.ground);
+      this.drawSolids(context, this.camera, matrices);
+      for (const arrow of pose.arrows) this.drawArrow(context, this.camera, arrow);
       this.canvas.dataset.yaw = yaw.toFixed(3);
     }
 
-    drawGround(context, camera, target, matrices) {
-      const { grid, light } = this.film, reach = 1.6;
+    drawGround(context, camera, target, matrices, ground) {
+      const { grid, light } = this.data, reach = 1.6;
       const [x0, y0] = target.slice(0, 2).map((x) => Math.round(x / grid) * grid);
       context.lineWidth = Math.max(1, camera.height / 500);
       for (let k = -16; k <= 16; k++) {
@@ -237,7 +254,10 @@
         for (const axis of [0, 1])
           for (let i = 0; i < pieces; i++) {
             const at = (j) => half * ((2 * j) / pieces - 1);
-            const point = (s) => (axis ? [x0 + k * grid, y0 + s, 0] : [x0 + s, y0 + k * grid, 0]);
+            const point = (s) => {
+              const [x, y] = axis ? [x0 + k * grid, y0 + s] : [x0 + s, y0 + k * grid];
+              return [x, y, this.height(ground, x, y)];
+            };
             const a = camera.see(point(at(i))), b = camera.see(point(at(i + 1)));
             if (!a || !b) continue;
             const fade = 1 - Math.hypot(k * grid, (at(i) + at(i + 1)) / 2) / reach;
@@ -248,12 +268,13 @@
             context.stroke();
           }
       }
+      const falls = ground[1] * light[0] + ground[2] * light[1] - light[2];
       context.beginPath();
       matrices.forEach((matrix, s) => this.solids[s].forEach((f) => {
         if (dot(turned(matrix, f.normal), light) >= 0) return;
         const points = f.corners.map(({ point }) => {
-          const [x, y, z] = moved(matrix, point), t = Math.max(z, 0) / -light[2];
-          return camera.see([x + t * light[0], y + t * light[1], 0]);
+          const p = moved(matrix, point), t = Math.max(p[2] - this.height(ground, p[0], p[1]), 0) / falls;
+          return camera.see(p.map((x, i) => x + t * light[i]));
         });
         if (points.some((p) => !p)) return;
         points.forEach((p, i) => (i ? context.lineTo(p[0], p[1]) : context.moveTo(p[0], p[1])));
@@ -266,7 +287,7 @@
     // Triangles with a depth buffer into a picture of their own, finer than the canvas, which smooths the edges.
     drawSolids(context, camera, matrices) {
       const fine = Math.min(2, Math.sqrt(FINE / (camera.width * camera.height))), triangles = [];
-      const [ambient, diffuse, headlight] = this.film.brightness;
+      const [ambient, diffuse, headlight] = this.data.brightness;
       let left = Infinity, right = -Infinity, top = Infinity, bottom = -Infinity;
       matrices.forEach((matrix, s) => this.solids[s].forEach((f) => {
         const first = moved(matrix, f.corners[0].point);
@@ -274,7 +295,7 @@
         const seen = f.corners.map(({ point, normal }) => {
           const at = camera.see(moved(matrix, point)), out = turned(matrix, normal);
           const facing = (way) => Math.max(0, -dot(out, way));
-          const light = ambient + diffuse * facing(this.film.light) + headlight * facing(camera.forward);
+          const light = ambient * (1 + 0.2 * out[2]) + diffuse * facing(this.data.light) + headlight * facing(camera.forward);
           return at && [at[0] * fine, at[1] * fine, 1 / at[2], light];
         });
         if (seen.some((p) => !p)) return;
@@ -286,13 +307,16 @@
       }));
       left = Math.max(0, Math.floor(left)); right = Math.min(Math.ceil(camera.width * fine), Math.ceil(right) + 1);
       top = Math.max(0, Math.floor(top)); bottom = Math.min(Math.ceil(camera.height * fine), Math.ceil(bottom) + 1);
+      this.seen = null;
       if (right <= left || bottom <= top) return;
       const width = right - left, height = bottom - top, picture = new ImageData(width, height);
       const pixels = new Uint32Array(picture.data.buffer), depth = new Float32Array(width * height);
+      const owner = new Uint8Array(width * height);
+      this.seen = { fine, left, top, width, height, depth, owner };
       for (const [a, b, c, s] of triangles) {
         const area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
         if (Math.abs(area) < 1e-6) continue;
-        const color = this.film.shapes[s].color.map((x) => 255 * x);
+        const color = this.data.shapes[s].color.map((x) => 255 * x);
         const x0 = Math.max(left, Math.ceil(Math.min(a[0], b[0], c[0]) - 0.5));
         const x1 = Math.min(right - 1, Math.floor(Math.max(a[0], b[0], c[0]) - 0.5));
         const y0 = Math.max(top, Math.ceil(Math.min(a[1], b[1], c[1]) - 0.5));
@@ -306,6 +330,7 @@
             const near = a[2] + v * (b[2] - a[2]) + w * (c[2] - a[2]), i = (y - top) * width + x - left;
             if (near <= depth[i]) continue;
             depth[i] = near;
+            owner[i] = s;
             const light = a[3] + v * (b[3] - a[3]) + w * (c[3] - a[3]);
             const red = Math.min(255, color[0] * light), green = Math.min(255, color[1] * light);
             pixels[i] = (255 << 24) | (Math.min(255, color[2] * light) << 16) | (green << 8) | red;
@@ -318,36 +343,361 @@
       context.drawImage(this.buffer, left / fine, top / fine, width / fine, height / fine);
     }
 
-    drawPush(context, camera, torso, ratio) {
-      for (const push of this.film.pushes) {
-        const since = this.time - push.start;
-        if (since < -1e-9 || since >= push.seconds) continue;
-        const way = unit(push.force), head = camera.see(torso);
-        const tail = camera.see(torso.map((x, i) => x - this.film.arrow * way[i]));
-        if (!tail || !head) continue;
-        const along = unit([head[0] - tail[0], head[1] - tail[1], 0]), size = 12 * ratio;
-        const back = [head[0] - size * along[0], head[1] - size * along[1]];
-        context.strokeStyle = context.fillStyle = "#c1121f";
-        context.lineWidth = 3 * ratio;
+    // An arrow from one place to another, m, with words at its tail.
+    drawArrow(context, camera, { from, to, color, words }) {
+      const tail = camera.see(from), head = camera.see(to), ratio = camera.ratio;
+      if (!tail || !head) return;
+      const length = Math.hypot(head[0] - tail[0], head[1] - tail[1]), size = Math.min(12 * ratio, length);
+      const along = unit([head[0] - tail[0], head[1] - tail[1], 0]);
+      const back = [head[0] - size * along[0], head[1] - size * along[1]];
+      context.strokeStyle = context.fillStyle = color;
+      context.lineWidth = 3 * ratio;
+      context.beginPath();
+      context.moveTo(tail[0], tail[1]);
+      context.lineTo(back[0], back[1]);
+      context.stroke();
+      context.beginPath();
+      context.moveTo(head[0], head[1]);
+      context.lineTo(back[0] - (size / 2) * along[1], back[1] + (size / 2) * along[0]);
+      context.lineTo(back[0] + (size / 2) * along[1], back[1] - (size / 2) * along[0]);
+      context.fill();
+      if (!words) return;
+      context.font = `${13 * ratio}px sans-serif`;
+      context.textAlign = "center";
+      context.lineWidth = 4 * ratio;
+      context.strokeStyle = "#ffffff";
+      const place = [tail[0], tail[1] + (along[1] < -0.3 ? 20 : -10) * ratio];
+      context.strokeText(words, ...place);
+      context.fillText(words, ...place);
+    }
+  }
+
+  // A film: postures at even times, seen at any.
+  class Film extends View {
+    constructor(figure, data) {
+      super(figure, data);
+      this.last = data.frames.length - 1;
+      this.time = 0; this.speed = 1; this.playing = false;
+      named(this.canvas, `${data.title}: the moving robot. Arrow keys turn the view, plus and minus zoom, F lets the ` +
+        "camera stay or follow, space plays and pauses, comma and full stop go a frame back and on, Home resets the view.");
+      this.played = button("Play", () => this.toggle());
+      this.slider = named(make("input", { type: "range", min: 0, max: this.length, step: 1 / data.fps, value: 0,
+        oninput: () => this.seek(Number(this.slider.value)) }), "Time in seconds");
+      this.clock = make("output");
+      const speeds = named(make("select", { onchange: () => { this.speed = Number(speeds.value); } },
+        ...[[0.1, "1/10"], [0.25, "1/4"], [0.5, "1/2"], [1, "1"], [2, "2"]].map(([value, text]) =>
+          make("option", { value, selected: value === 1 }, text + " ×"))), "Speed");
+      this.followed = button("Camera: follows", () => this.follow());
+      this.words = make("p", { className: "told", hidden: !data.told.length });
+      const bar = make("div", { className: "controls" }, this.played, this.slider, this.clock, speeds, this.followed,
+        button("Reset view", () => this.home()));
+      const hint = make("p", { className: "hint" }, "Drag or arrow keys: turn. Right button or Shift: move. Click, then " +
+        "wheel, or + −: zoom. Space: play. , . : a frame back or on.");
+      figure.querySelector(".stage").replaceChildren(this.canvas, bar, this.words, hint);
+      new ResizeObserver(() => this.draw()).observe(this.canvas);
+      this.draw();
+    }
+
+    get length() { return this.last / this.data.fps; }
+    seek(time) { this.time = clamp(time, 0, this.length); this.draw(); }
+    viewKeys() {
+      const frame = 1 / this.data.fps;
+      return { ...super.viewKeys(), " ": () => this.toggle(),
+        ",": () => this.seek(this.time - frame), ".": () => this.seek(this.time + frame) };
+    }
+
+    toggle() {
+      this.playing = !this.playing;
+      this.played.textContent = this.playing ? "Pause" : "Play";
+      if (!this.playing) return;
+      if (this.time >= this.length) this.time = 0;
+      let before = null;
+      const step = (now) => {
+        if (!this.playing) return;
+        if (before !== null) this.time += (this.speed * Math.min(now - before, 100)) / 1000;
+        before = now;
+        if (this.time >= this.length) { this.time = this.length; this.toggle(); }
+        this.draw();
+        if (this.playing) requestAnimationFrame(step);
+      };
+      requestAnimationFrame(step);
+    }
+
+    // Numbers at the present time, between two frames of a list of them.
+    between(list) {
+      const x = Math.min(this.time * this.data.fps, this.last), i = Math.min(Math.floor(x), Math.max(this.last - 1, 0));
+      const share = x - i, a = list[i], b = list[Math.min(i + 1, this.last)];
+      return a.map((p, s) => {
+        const flip = p.length > 3 && p[3] * b[s][3] + p[4] * b[s][4] + p[5] * b[s][5] + p[6] * b[s][6] < 0 ? -1 : 1;
+        return p.map((value, k) => value + share * ((k > 2 ? flip : 1) * b[s][k] - value));
+      });
+    }
+
+    pose() {
+      const [torso] = this.between(this.data.torso.map((p) => [p]));
+      const now = this.data.pushes.filter((push) => this.time >= push.start - 1e-9 && this.time < push.start + push.seconds);
+      const arrows = now.map(({ force, words }) => {
+        const way = unit(force);
+        return { from: torso.map((x, i) => x - this.data.arrow * way[i]), to: torso, color: ALARM, words };
+      });
+      return { shapes: this.between(this.data.frames), torso, ground: [0, 0, 0], arrows };
+    }
+
+    draw() {
+      super.draw();
+      this.slider.value = this.time;
+      this.clock.textContent = `${this.time.toFixed(2)} s`;
+      this.words.textContent = (this.data.told.filter(([start]) => start <= this.time + 1e-9).pop() || [0, ""])[1];
+      this.canvas.dataset.time = this.time.toFixed(3);
+    }
+  }
+
+  const STEERED = { forward: ["w", "ArrowUp", "s", "ArrowDown"], left: ["a", "ArrowLeft", "d", "ArrowRight"], turn: ["q", "", "e", ""] };
+
+  // A robot that moves in another program: what that sends is drawn, and what a person does is sent back.
+  class Live extends View {
+    constructor(figure, data) {
+      super(figure, data);
+      Object.assign(this, { latest: data.first, told: { ...data.live.told }, held: new Set(), history: [], charts: new Map() });
+      figure.classList.add("live");
+      named(this.canvas, `${data.title}: the live robot. Drag the robot to pull it, drag beside it to turn the view.`);
+      this.canvas.dataset.pictures = 0;
+      this.paused = button("Pause", () => this.pause());
+      this.followed = button("Camera: follows", () => this.follow());
+      this.recorded = button("Record", () => this.record());
+      const pace = named(make("select", { onchange: () => this.send({ pace: Number(pace.value) }) },
+        ...[[0.1, "1/10"], [0.25, "1/4"], [0.5, "1/2"], [1, "1"]].map(([value, text]) =>
+          make("option", { value, selected: value === 1 }, text + " ×"))), "Speed");
+      const bar = make("div", { className: "controls" }, this.paused, button("Again", () => this.send({ episode: 0 })),
+        button("Next", () => this.send({ episode: 1 })), pace, this.followed, button("Reset view", () => this.home()),
+        this.recorded);
+      this.words = make("p", { className: "told" });
+      const drives = Object.keys(data.live.ranges).length > 0, touch = data.live.touchable;
+      const hints = [drives && "W S A D or arrows: go. Q E: turn. Shift: faster. Space: stand.", touch && "Drag the robot: pull it.",
+        data.live.scales.push && "X: push.", "Drag beside it: look around. Right button: move. Wheel: zoom. P: pause. R: again. N: next."];
+      this.panel = make("div", { className: "panel" });
+      this.sliders = {};
+      for (const [name, [low, high]] of Object.entries(data.live.ranges))
+        this.slider(name, low, high, this.told[name], (value) => this.tell({ [name]: value }));
+      if (drives) this.panel.append(make("p", {}, button("Stand", () => this.stand())));
+      for (const [name, [low, high, now, words]] of Object.entries(data.live.scales))
+        this.slider(words, low, high, now, (value) => { if (name !== "push") this.send({ [name]: value }); }, name);
+      figure.querySelector(".stage").replaceChildren(
+        make("div", { className: "scene" }, this.canvas, bar, this.words,
+          make("p", { className: "hint" }, hints.filter(Boolean).join(" "))), this.panel);
+      new ResizeObserver(() => this.draw()).observe(this.canvas);
+      document.addEventListener("keydown", (event) => this.drive(event, true));
+      document.addEventListener("keyup", (event) => this.drive(event, false));
+      window.addEventListener("blur", () => { this.held.clear(); this.steer(); });
+      setInterval(() => this.gamepad(), 50);
+      this.listen();
+    }
+
+    listen() {
+      const stream = new EventSource("/frames");
+      stream.onmessage = (event) => {
+        this.latest = JSON.parse(event.data);
+        this.history.push(this.latest);
+        while (this.latest.time - this.history[0].time > SHOWN_S) this.history.shift();
+        if (this.asked) return;
+        this.asked = requestAnimationFrame(() => { this.asked = 0; this.draw(); });
+      };
+      stream.onerror = () => { this.words.textContent = "The program that moves the robot has ended, or does not answer."; };
+    }
+
+    // Messages that a slow server has not taken yet are joined into one.
+    async send(message) {
+      const told = { ...(this.waiting || {}).told, ...message.told };
+      this.waiting = { ...this.waiting, ...message, ...(Object.keys(told).length ? { told } : {}) };
+      if (this.sending) return;
+      this.sending = true;
+      while (this.waiting) {
+        const body = JSON.stringify(this.waiting);
+        this.waiting = null;
+        try {
+          await fetch("/hands", { method: "POST", headers: { "Content-Type": "application/json" }, body });
+        } catch { break; }
+      }
+      this.sending = false;
+    }
+
+    slider(words, low, high, now, act, name = words) {
+      const step = Number(((high - low) / 100).toPrecision(1)), output = make("output", {}, now.toFixed(2));
+      const input = make("input", { type: "range", min: low, max: high, step, value: now, oninput: () => {
+        output.textContent = Number(input.value).toFixed(2);
+        act(Number(input.value));
+      } });
+      this.sliders[name] = { input, output };
+      this.panel.append(make("label", {}, make("span", {}, words), input, output));
+    }
+
+    tell(told) {
+      Object.assign(this.told, told);
+      for (const [name, value] of Object.entries(told)) {
+        this.sliders[name].input.value = value;
+        this.sliders[name].output.textContent = value.toFixed(2);
+      }
+      this.send({ told });
+    }
+    stand() { this.tell(Object.fromEntries(Object.keys(this.told).map((name) => [name, 0]))); }
+
+    // Shares of the largest command for the parts that `STEERED` names.
+    share(shares) {
+      const told = {};
+      for (const [name, [low, high]] of Object.entries(this.data.live.ranges)) {
+        const part = name.match(/^\w*/)[0];
+        if (part in shares) told[name] = shares[part] > 0 ? shares[part] * high : -shares[part] * low;
+      }
+      if (Object.keys(told).length) this.tell(told);
+    }
+
+    drive(event, down) {
+      const own = /^(INPUT|SELECT|BUTTON|SUMMARY)$/.test(event.target.tagName);
+      if (own && (event.key.length > 1 || event.key === " ")) return;
+      if (event.ctrlKey || event.metaKey || event.altKey) return;
+      const key = event.key.length > 1 ? event.key : event.key.toLowerCase();
+      this.fast = event.shiftKey;
+      if (Object.values(STEERED).some((keys) => keys.includes(key)) && Object.keys(this.told).length) {
+        event.preventDefault();
+        if (this.held.has(key) === down) return;
+        this.held[down ? "add" : "delete"](key);
+        this.steer();
+      } else if (down)
+        this.key(event, { " ": () => this.stand(), p: () => this.pause(), r: () => this.send({ episode: 0 }),
+          n: () => this.send({ episode: 1 }), x: () => this.push() });
+    }
+    steer() {
+      const shares = {}, size = this.fast ? 1 : 0.6;
+      for (const [part, [forth, other, back, another]] of Object.entries(STEERED)) {
+        const ways = Number(this.held.has(forth) || this.held.has(other)) - Number(this.held.has(back) || this.held.has(another));
+        if (ways || (this.pressed || {})[part]) shares[part] = size * ways;
+      }
+      this.pressed = shares;
+      this.share(shares);
+    }
+    gamepad() {
+      const pad = [...(navigator.getGamepads ? navigator.getGamepads() : [])].find(Boolean);
+      if (!pad) return;
+      const axis = (i) => (Math.abs(pad.axes[i] || 0) < 0.15 ? 0 : -pad.axes[i]);
+      const shares = { forward: axis(1), left: axis(0), turn: axis(2) }, text = JSON.stringify(shares);
+      if (text !== this.stick && (this.stick || text.match(/[1-9]/))) this.share(shares);
+      this.stick = text;
+      const buttons = pad.buttons.map((each) => each.pressed);
+      if (buttons[0] && !this.buttons[0]) this.push();
+      if (buttons[9] && !this.buttons[9]) this.pause();
+      this.buttons = buttons;
+    }
+
+    viewKeys() {
+      const keys = super.viewKeys();
+      if (Object.keys(this.told).length) for (const name of Object.keys(keys)) if (name.startsWith("Arrow")) delete keys[name];
+      return keys;
+    }
+    scrolls() { return true; }
+    push() { if (this.sliders.push) this.send({ push: Number(this.sliders.push.input.value) }); }
+    pause() { this.send({ paused: !this.latest.paused }); this.latest.paused = !this.latest.paused; this.draw(); }
+
+    hold(event) {
+      const found = this.data.live.touchable && this.hit(event);
+      if (!found) return false;
+      this.held_at = { depth: found.depth, shape: found.shape };
+      const point = this.place(event, found.depth);
+      this.pulled = point;
+      this.send({ grab: { shape: found.shape, point, to: point } });
+      return true;
+    }
+    pull(event) {
+      this.pulled = this.place(event, this.held_at.depth);
+      this.send({ grab: { to: this.pulled } });
+    }
+    let() { this.pulled = null; this.send({ grab: null }); }
+
+    // A film of what is seen, as the browser's own recorder makes it.
+    record() {
+      if (this.recorder) return this.recorder.stop();
+      const parts = [], recorder = new MediaRecorder(this.canvas.captureStream(30));
+      recorder.ondataavailable = (event) => parts.push(event.data);
+      recorder.onstop = () => {
+        const type = recorder.mimeType.split(";")[0];
+        const link = make("a", { href: URL.createObjectURL(new Blob(parts, { type })), download: `robot.${type.split("/")[1]}` });
+        link.click();
+        this.recorder = null;
+        this.recorded.textContent = "Record";
+      };
+      recorder.start();
+      this.recorder = recorder;
+      this.recorded.textContent = "Save film";
+    }
+
+    pose() {
+      const { shapes, torso, ground, forces } = this.latest;
+      const most = Math.max(...forces.map((f) => Math.hypot(f[3], f[4], f[5])), this.most || 1);
+      this.most = most;
+      const arrows = forces.map((f) => ({ from: f.slice(0, 3), color: LOAD,
+        to: [0, 1, 2].map((i) => f[i] + (this.data.arrow / most) * f[i + 3]) }));
+      if (this.pulled && this.held_at) {
+        const [x, y, z] = shapes[this.held_at.shape];
+        arrows.push({ from: [x, y, z], to: this.pulled, color: ALARM });
+      }
+      return { shapes, torso, ground, arrows };
+    }
+
+    draw() {
+      super.draw();
+      const { time, words, episode, paused } = this.latest;
+      this.paused.textContent = paused ? "Go on" : "Pause";
+      this.words.textContent = words || `episode ${episode}, ${time.toFixed(1)} s`;
+      this.canvas.dataset.time = time.toFixed(3);
+      const pictures = ++this.canvas.dataset.pictures;
+      if (pictures % 4 === 1) this.drawCharts();
+    }
+
+    drawCharts() {
+      const dark = getComputedStyle(this.figure).color;
+      for (const [title, lines] of Object.entries(this.latest.charts)) {
+        if (!this.charts.has(title)) {
+          const canvas = make("canvas", { height: 80, width: 300 }), legend = make("p", { className: "legend" });
+          const few = title in this.told || title.startsWith("load");
+          const details = make("details", { open: few }, make("summary", {}, title), canvas, legend);
+          this.panel.append(details);
+          this.charts.set(title, { details, canvas, legend });
+        }
+        const { details, canvas, legend } = this.charts.get(title), names = Object.keys(lines);
+        if (!details.open) continue;
+        const color = (i) => (names[i] === "told" ? dark : COLORS[(i - names.includes("told") + COLORS.length) % COLORS.length]);
+        legend.replaceChildren(...names.map((name, i) => {
+          const words = make("span", {}, `${name} ${lines[name].toFixed(2)}`);
+          words.style.color = color(i);
+          return words;
+        }));
+        const context = canvas.getContext("2d"), { width, height } = canvas, now = this.latest.time;
+        const shown = this.history.filter((each) => title in each.charts);
+        const values = shown.flatMap((each) => Object.values(each.charts[title]));
+        let [low, high] = [Math.min(0, ...values), Math.max(0, ...values)];
+        if (title in this.told) [low, high] = [Math.min(low, this.data.live.ranges[title][0]), Math.max(high, this.data.live.ranges[title][1])];
+        const y = (value) => height - 4 - ((height - 8) * (value - low)) / (high - low || 1);
+        context.clearRect(0, 0, width, height);
+        context.strokeStyle = "#8886";
+        context.lineWidth = 1;
         context.beginPath();
-        context.moveTo(tail[0], tail[1]);
-        context.lineTo(back[0], back[1]);
+        context.moveTo(0, y(0));
+        context.lineTo(width, y(0));
         context.stroke();
-        context.beginPath();
-        context.moveTo(head[0], head[1]);
-        context.lineTo(back[0] - (size / 2) * along[1], back[1] + (size / 2) * along[0]);
-        context.lineTo(back[0] + (size / 2) * along[1], back[1] - (size / 2) * along[0]);
-        context.fill();
-        context.font = `${13 * ratio}px sans-serif`;
-        context.textAlign = "center";
-        context.lineWidth = 4 * ratio;
-        context.strokeStyle = "#ffffff";
-        const place = [tail[0], tail[1] + (along[1] < -0.3 ? 20 : -10) * ratio];
-        context.strokeText(push.words, ...place);
-        context.fillText(push.words, ...place);
+        names.forEach((name, i) => {
+          context.strokeStyle = color(i);
+          context.lineWidth = 1.5;
+          context.setLineDash(name === "told" ? [5, 4] : []);
+          context.beginPath();
+          shown.forEach((each) => context.lineTo(width * (1 - (now - each.time) / SHOWN_S), y(each.charts[title][name])));
+          context.stroke();
+        });
+        context.setLineDash([]);
       }
     }
   }
 
-  document.querySelectorAll("figure.player").forEach((figure) => new Player(figure));
+  document.querySelectorAll("figure.player").forEach((figure) => {
+    const data = JSON.parse(figure.querySelector("script").textContent);
+    figure.player = data.live ? new Live(figure, data) : new Film(figure, data);
+  });
 })();

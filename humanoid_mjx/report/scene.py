@@ -1,6 +1,7 @@
 # pyright: reportAttributeAccessIssue=false
 """What pictures of a robot show: its shapes and where they are in each frame, the camera, the light."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import mujoco
@@ -94,9 +95,9 @@ def make_scene(model: mujoco.MjModel, qpos: Float[AnyArray, "frames nq"]) -> Sce
     for row in rows:
         data.qpos = row
         mujoco.mj_kinematics(model, data)
-        matrices = data.geom_xmat[shown].reshape(-1, 3, 3).copy()
-        places.append(data.geom_xpos[shown] + np.einsum("sij,sj->si", matrices, _offsets(model)[shown]))
-        turns.append(matrices)
+        place, turn = posed(model, data, shown)
+        places.append(place)
+        turns.append(turn)
         torso.append(data.xpos[1].copy())
         ends = np.concatenate([data.xpos[1:], data.geom_xpos[shown]])
         reach = max(reach, float(np.abs(ends - _middle(model, data)).max()))
@@ -115,6 +116,14 @@ def make_scene(model: mujoco.MjModel, qpos: Float[AnyArray, "frames nq"]) -> Sce
         max(_share(model, VIEW), 2.1 * reach),
         any(_is_plane(model, g) for g in range(model.ngeom)),
     )
+
+
+def posed(
+    model: mujoco.MjModel, data: mujoco.MjData, shown: Sequence[int]
+) -> tuple[Float[np.ndarray, "shapes 3"], Float[np.ndarray, "shapes 3 3"]]:
+    """Positions and rotations of the shapes of some geoms, as the data has them."""
+    turns = data.geom_xmat[shown].reshape(-1, 3, 3).copy()
+    return data.geom_xpos[shown] + np.einsum("sij,sj->si", turns, _offsets(model)[shown]), turns
 
 
 def colored(model: mujoco.MjModel, geom: int) -> tuple[float, ...]:

@@ -2,10 +2,12 @@
 
 import io
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import matplotlib
 import numpy as np
@@ -48,7 +50,7 @@ def figure(
 ) -> Iterator[Any]:
     """A grid of axes, (rows, columns), saved to `path` at the end; `size` is of one of them, in inches.
 
-    A figure saved in memory is SVG with its letters drawn as paths, and its bytes are the same each time.
+    A figure saved in memory is SVG without a background, its letters drawn as paths; its bytes are the same each time.
     """
     with plt.rc_context(_RC):  # pyright: ignore[reportArgumentType]
         fig, axes = plt.subplots(
@@ -59,16 +61,22 @@ def figure(
             layout="constrained",
             **kwargs,
         )
+        _LABELS[fig] = []
         try:
             yield fig, axes
+            place_labels(fig)
             if isinstance(path, Path):
                 path.parent.mkdir(exist_ok=True)  # not those above: a run folder that is gone stays so
                 with whole_file(path) as temporary:
                     fig.savefig(temporary)
             else:
-                fig.savefig(path, format="svg", metadata={"Date": None})
+                fig.savefig(path, format="svg", metadata={"Date": None}, transparent=True)
         finally:
             plt.close(fig)
+
+
+_LABELS: WeakKeyDictionary[Any, list[Callable[[], None]]] = WeakKeyDictionary()
+"""Labels of lines, by figure, that wait until all is drawn: panels that share an axis change one another's limits."""
 
 
 def shades(count: int) -> list[Any]:
@@ -101,21 +109,33 @@ def label_lines(axis: Any, ends: Sequence[float], labels: Sequence[str], colors:
 
     A label that had to move is tied to its line by a thin one.
     """
+    _LABELS.get(axis.figure, []).append(partial(_place_labels, axis, ends, labels, colors))
+
+
+def place_labels(fig: Any) -> None:
+    """Write the labels that wait, as is done before a figure is saved: its axes keep their limits from now on."""
+    waiting = _LABELS[fig]
+    while waiting:
+        waiting.pop(0)()
+
+
+def _place_labels(axis: Any, ends: Sequence[float], labels: Sequence[str], colors: Sequence[Any]) -> None:
     low, high = axis.get_ylim()
     shown = [i for i, end in enumerate(ends) if np.isfinite(end)]
     gap = LABEL_POINTS / (72.0 * axis.figure.get_size_inches()[1] * axis.get_position().height) * (high - low)
     places = spread([ends[i] for i in shown], gap, low, high)
     for place, i in zip(places, shown, strict=True):
+        look = {"arrowstyle": "-", "color": colors[i], "linewidth": 0.5, "shrinkA": 0, "shrinkB": 0}
         axis.annotate(
             labels[i],
             (1.0, ends[i]),
             xycoords=("axes fraction", "data"),
-            xytext=(1.045, place),
+            xytext=(1.06, place),
             textcoords=("axes fraction", "data"),
             color=colors[i],
             va="center",
             fontsize=7.5,
-            arrowprops={"arrowstyle": "-", "color": colors[i], "linewidth": 0.5, "shrinkA": 0, "shrinkB": 0},
+            arrowprops=look | {"relpos": (0.0, 0.5)},  # from the label's left end, not across it
             annotation_clip=False,
         )
 

@@ -24,12 +24,12 @@ _NUMBER = re.compile(r"(-?[\d,.]*\d(e[+-]?\d+)?%?|nan|inf|-inf)( \(.*\))?|")
 """The text of a number, perhaps with an interval, or no text."""
 
 
-def page(title: str, body: str) -> str:
-    """A whole page around a body of HTML; `title` is text."""
-    style, script = (_file(name) for name in ("page.css", "player.js"))
+def page(title: str, body: str, *, live: bool = False) -> str:
+    """A whole page around a body of HTML; `title` is text. A `live` page may ask its own server."""
+    style, script = _file("page.css"), _file("player.js") + _file("page.js")
     policy = (
         f"default-src 'none'; img-src data:; style-src {_hash(style)}; script-src {_hash(script)}; "
-        "base-uri 'none'; form-action 'none'"
+        "base-uri 'none'; form-action 'none'" + live * "; connect-src 'self'"
     )
     return Template(_file("page.html")).substitute(
         title=escape(title), policy=escape(policy), style=style, script=script, body=body
@@ -47,7 +47,7 @@ def data_address(data: bytes, media: str) -> str:
 
 
 def table(headings: Sequence[str], rows: Iterable[Sequence[object]], *, caption: str = "") -> str:
-    """A table of texts and numbers. Columns of numbers alone are set to the right."""
+    """A table of texts and numbers, which the reader can sort. Columns of numbers alone are set to the right."""
     cells = [[str(cell) for cell in row] for row in rows]
     right = [all(_is_number(row[i]) for row in cells) and bool(cells) for i in range(len(headings))]
     head = "".join(f"<th{_side(r)} scope=col>{_heading(text)}</th>" for text, r in zip(headings, right, strict=True))
@@ -69,9 +69,19 @@ def facts(pairs: Iterable[tuple[str, object]]) -> str:
 
 
 def section(title: str, *parts: str, anchor: str = "") -> str:
-    """A part of the page with a heading, and a name that links can lead to."""
-    name = f' id="{escape(anchor)}"' if anchor else ""
-    return f"<section{name}><h2>{escape(title)}</h2>{''.join(parts)}</section>"
+    """A part of the page with a heading, and a name that links can lead to: by default that of `anchor_of`."""
+    return f'<section id="{escape(anchor or anchor_of(title))}"><h2>{escape(title)}</h2>{"".join(parts)}</section>'
+
+
+def contents(titles: Iterable[str]) -> str:
+    """Links to the sections with these titles."""
+    links = "".join(f"<li>{link(title, f'#{anchor_of(title)}')}</li>" for title in titles)
+    return f'<nav class="contents" aria-label="Contents"><ul>{links}</ul></nav>'
+
+
+def anchor_of(title: str) -> str:
+    """The name of a section that links lead to."""
+    return re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")
 
 
 def link(words: str, address: str, file: str = "") -> str:

@@ -51,3 +51,16 @@ class Task(Spec):
     def told(self, data: Any) -> dict[str, FloatScalar]:
         """The present command to the robot, by a name with its unit, such as `forward, m/s`."""
         return {}
+
+    @property
+    def told_ranges(self) -> dict[str, tuple[float, float]]:
+        """Lowest and highest of each part of the command that a person may give, by the names of `told`."""
+        return {}
+
+    def steered(self, data: Any, told: dict[str, FloatScalar]) -> Any:
+        """The data of a state under this command in the place of its own; for tasks with `told_ranges`."""
+        raise NotImplementedError
+
+    def for_driving(self) -> Any:
+        """The task as a person drives it: nothing but the person commands or pushes the robot, and time is long."""
+        return self

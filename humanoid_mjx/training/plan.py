@@ -51,7 +51,7 @@ class Group:
     @property
     def policy(self) -> Any:
         """The shapes of what one run learns."""
-        return jax.eval_shape(lambda learner, carry: learner.policy(carry), self.learner(), self.one_run.carry)
+        return jax.eval_shape(lambda learner: learner.policy(learner.init(rng.key(0))), self.learner())
 
     def learner(self, row: int = 0) -> Learner:
         """The learner of one of the points, its traced values as arrays."""

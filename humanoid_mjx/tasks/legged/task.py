@@ -33,6 +33,9 @@ from humanoid_mjx.tasks.legged.view import View, feet_of, unknown_feet
 from humanoid_mjx.thesis.leg import GRAVITY
 from humanoid_mjx.types import FloatScalar
 
+COMMANDED = "forward, m/s", "left, m/s", "turn left, rad/s"
+"""The parts of a command."""
+
 
 class LeggedTask(LeggedBody):
     """Base of legged tasks: declare `rewards` and whatever else differs. A fall ends an episode with the reward 0."""
@@ -178,8 +181,21 @@ class LeggedTask(LeggedBody):
         return self.push.force(since, self.period, jax.random.split(key)[0]) * self.robot.momentum
 
     def told(self, data: Episode) -> dict[str, FloatScalar]:
-        names = "forward, m/s", "left, m/s", "turn left, rad/s"
-        return dict(zip(names, data.command, strict=True)) if self.command else {}
+        return dict(zip(COMMANDED, data.command, strict=True)) if self.command else {}
+
+    @property
+    def told_ranges(self) -> dict[str, tuple[float, float]]:
+        if not self.command:
+            return {}
+        parts = self.command.forward, self.command.sideways, self.command.turn
+        return {name: (float(low), float(high)) for name, (low, high) in zip(COMMANDED, parts, strict=True)}
+
+    def steered(self, data: Episode, told: dict[str, FloatScalar]) -> Episode:
+        return data.under(jnp.stack([told[name] for name in COMMANDED]), 0.0)
+
+    def for_driving(self) -> "LeggedTask":
+        calm = self.replace(push=self.push.replace(impulse=0.0), duration=1e9)
+        return calm.replace(command=self.command.replace(every=1e9)) if self.command else calm
 
     def reference(self, episode: Episode) -> Float[Array, " joints"] | float:
         """The motion about the posture that the offsets correct, rad."""

@@ -109,8 +109,8 @@ def play(
     Raises:
       InputError: there is no such policy, or its task moves no robot.
     """
+    from humanoid_mjx.evaluation.film import show
     from humanoid_mjx.report.rendering import render_film
-    from humanoid_mjx.report.showing import show
     from humanoid_mjx.training.progress import reporting
 
     trained = _policy(what, point, physics, overrides)

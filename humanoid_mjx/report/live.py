@@ -1,0 +1,276 @@
+"""A live robot in the browser of this machine: one page, the frames that it draws, and what it sends back."""
+
+import json
+import math
+import random
+import threading
+import webbrowser
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from functools import partial
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from humanoid_mjx.evaluation.live import SPEEDS, Grab, Live
+from humanoid_mjx.report import player
+from humanoid_mjx.report.scene import make_scene, posed
+from humanoid_mjx.report.web import page
+from humanoid_mjx.spec import InputError
+
+LOOPBACK = "127.0.0.1"
+
+SLOPE, FRICTION, PAYLOAD, PUSH = 10.0, 2.0, 0.5, 0.2
+"""Largest slope, degrees; friction, as a factor; payload, as a share of the robot's mass; and impulse of a key's push,
+as a share of the robot's momentum at the speed sqrt(gravity * extent)."""
+
+LONGEST = 10_000
+"""Bytes of a message."""
+
+
+def serve(live: Live, told: Callable[[str], None], *, port: int = 0, browse: bool = True) -> None:
+    """Show a live robot in the browser until Ctrl-C, from a server that only this machine can reach.
+
+    Args:
+      live: the robot.
+      told: called with the address, once it answers.
+      port: of the server; 0: any that is free.
+      browse: open the browser there.
+
+    Raises:
+      InputError: the port is taken.
+    """
+    with make_server(live, port) as server:
+        address = f"http://{LOOPBACK}:{server.server_address[1]}/"
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        told(address)
+        if browse:
+            threading.Thread(target=partial(webbrowser.open, address), daemon=True).start()
+        live.run()
+
+
+def make_server(live: Live, port: int = 0) -> ThreadingHTTPServer:
+    """The server of a live robot on the loopback interface, which answers once it is let run.
+
+    Raises:
+      InputError: the port is taken.
+    """
+    window = Window(live)
+    try:
+        return ThreadingHTTPServer((LOOPBACK, port), partial(_Handler, window))
+    except OSError as error:
+        raise InputError(f"--port {port}: {error.strerror}; without --port a free one is taken.") from error
+
+
+class Scale(NamedTuple):
+    """A slider for what a person may change."""
+
+    low: float
+    high: float
+    now: float
+    words: str
+
+
+class Window:
+    """What the browser sees of a live robot, and does to it."""
+
+    def __init__(self, live: Live):
+        self.live, self.model = live, live.model
+        self.scene = make_scene(self.model, self.model.qpos0[None])
+        self.scales = _scales(live)
+        self.frame, self.number, self.changed = self._frame(), 0, threading.Condition()
+        live.stage.shown = self._publish
+
+    def page(self) -> bytes:
+        """The page."""
+        live, title = self.live, self.live.trained.title
+        data = player.scene_data(self.scene, title) | {
+            "live": {"ranges": live.ranges, "told": live.told, "scales": self.scales, "touchable": live.touchable},
+            "first": json.loads(self.frame),
+        }
+        return page(title, player.figure(data, title, "<p>This needs JavaScript.</p>"), live=True).encode()
+
+    def frames(self) -> Iterator[str]:
+        """The frames as they come, the newest only where its reader is slow."""
+        seen = -1
+        while True:
+            with self.changed:
+                self.changed.wait_for(lambda: self.number != seen, timeout=5.0)  # noqa: B023
+                seen, frame = self.number, self.frame
+            yield frame
+
+    def take(self, message: Any) -> None:
+        """Do what the browser asks for.
+
+        Raises:
+          ValueError, TypeError, LookupError, AttributeError: this is no such message.
+        """
+        live, hands = self.live, self.live.stage.hands
+        for name, value in message.get("told", {}).items():
+            live.told[name] = _within(value, *live.ranges[name])
+        for name in self.scales.keys() & message.keys() - {"push"}:
+            setattr(hands, name, _within(message[name], *self.scales[name][:2]))
+        if "push" in message:
+            size, side = _within(message["push"], *self.scales["push"][:2]), random.uniform(0.0, math.tau)
+            hands.shoves[:] = [size * np.array([math.cos(side), math.sin(side), 0.0])]
+        if "grab" in message and live.touchable:
+            hands.grab = self._grab(message["grab"])
+        if "paused" in message:
+            (live.going.clear if message["paused"] else live.going.set)()
+        if "episode" in message:
+            live.episode = max(0, live.episode + int(message["episode"]))
+            live.again.set()
+            live.going.set()
+
+    def _grab(self, what: Any) -> Grab | None:
+        """The point in hand: a place on a shape, where one is named, else the one that is held."""
+        if what is None:
+            return None
+        held, data, to = self.live.stage.hands.grab, self.live.stage.data, _place(what["to"])
+        if "shape" not in what:
+            return held and held._replace(to=to)
+        body = int(self.model.geom_bodyid[self.scene.shown[int(what["shape"])]])
+        return Grab(body, data.xmat[body].reshape(3, 3).T @ (_place(what["point"]) - data.xpos[body]), to)
+
+    def _publish(self) -> None:
+        frame = self._frame()
+        with self.changed:
+            self.frame, self.number = frame, self.number + 1
+            self.changed.notify_all()
+
+    def _frame(self) -> str:
+        live, stage = self.live, self.live.stage
+        pressing = stage.pressing() if live.touchable else {}
+        frame = {
+            "time": round(stage.time, 3),
+            "shapes": player.poses(*posed(self.model, stage.data, self.scene.shown)),
+            "torso": player.rounded(stage.data.xpos[1]),
+            "ground": player.rounded(stage.ground),
+            "forces": [[*player.rounded(place), *player.rounded(force)] for place, force in pressing.values()],
+            "words": live.words,
+            "episode": live.episode,
+            "paused": not live.going.is_set(),
+            "charts": {
+                title: {name: round(float(value), 4) for name, value in lines.items()}
+                for title, lines in self._charts(pressing).items()
+            },
+        }
+        return json.dumps(frame, separators=(",", ":"))
+
+    def _charts(self, pressing: Mapping[int, Any]) -> dict[str, dict[str, Any]]:
+        """The present numbers of each curve, by the curves' titles and the lines' names."""
+        live, stage = self.live, self.live.stage
+        charts: dict[str, dict[str, Any]] = {name: {"told": value} for name, value in live.told.items()}
+        for name, speed in zip(SPEEDS, stage.speeds, strict=True) if stage.free else ():
+            charts.setdefault(name, {})["measured"] = speed
+        if loads := {foot: pressing.get(self.model.body(foot).id) for foot in live.feet}:
+            charts["load on a foot, N"] = {
+                foot: np.linalg.norm(found[1]) if found else 0.0 for foot, found in loads.items()
+            }
+        joints = self.model.actuator_trnid[:, 0]
+        names = [self.model.joint(joint).name for joint in joints]
+        angles = np.degrees(stage.data.qpos[self.model.jnt_qposadr[joints]])
+        charts["joint angle, degrees"] = dict(zip(names, angles, strict=True))
+        if live.touchable:
+            charts["torque, N m"] = dict(zip(names, stage.data.actuator_force, strict=True))
+        return charts | {"reward of a decision": live.rewards}
+
+
+def _scales(live: Live) -> dict[str, Scale]:
+    """The sliders of a robot's world; none where nobody can touch it."""
+    model, stage = live.model, live.stage
+    if not (live.touchable and stage.free):
+        return {}
+    mass = float(model.body_mass.sum())
+    hardest = PUSH * mass * math.sqrt(9.81 * model.stat.extent)
+    scales = {
+        "push": Scale(0.0, _short(hardest), _short(hardest / 3), "push of key X, N s"),
+        "payload": Scale(0.0, _short(PAYLOAD * mass), 0.0, "payload on the torso, kg"),
+    }
+    if len(stage.planes):
+        scales["slope"] = Scale(-SLOPE, SLOPE, 0.0, "slope, up ahead, degrees")
+        scales["friction"] = Scale(0.0, FRICTION, 1.0, "friction, times its own")
+    return scales
+
+
+def _within(value: Any, low: float, high: float) -> float:
+    if not math.isfinite(value):
+        raise ValueError
+    return min(max(float(value), low), high)
+
+
+def _place(values: Any) -> Float[np.ndarray, "3"]:
+    return np.array([_within(values[i], -1e6, 1e6) for i in range(3)])
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.2g}")
+
+
+class _Handler(BaseHTTPRequestHandler):
+    """Answers this machine's browser, and no page that another site has put into it."""
+
+    protocol_version = "HTTP/1.1"
+
+    def __init__(self, window: Window, *args: Any):
+        self.window = window
+        super().__init__(*args)
+
+    def do_GET(self) -> None:
+        path = self.path.partition("?")[0]
+        if not self._is_for_us():
+            self._answer(403)
+        elif path == "/":
+            self._answer(200, self.window.page(), "text/html; charset=utf-8")
+        elif path == "/frames" and self.command == "GET":
+            self._stream()
+        else:
+            self._answer(404)
+
+    do_HEAD = do_GET
+
+    def do_POST(self) -> None:
+        length = self.headers.get("Content-Length", "")
+        if not self._is_for_us() or self.headers.get("Content-Type") != "application/json":
+            self._answer(403)
+        elif self.path != "/hands" or not length.isdecimal() or int(length) > LONGEST:
+            self._answer(404)
+        else:
+            try:
+                self.window.take(json.loads(self.rfile.read(int(length))))
+            except (ValueError, TypeError, LookupError, AttributeError):
+                self._answer(400)
+            else:
+                self._answer(204)
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Nothing of the requests is printed."""
+
+    def _is_for_us(self) -> bool:
+        """Whether the browser means this server by its own name, and no site behind another name sends it."""
+        port = self.server.server_address[1]  # pyright: ignore[reportIndexIssue]
+        names = {f"{host}:{port}" for host in (LOOPBACK, "localhost")}
+        origin = self.headers.get("Origin")
+        return self.headers.get("Host") in names and origin in (None, *(f"http://{name}" for name in names))
+
+    def _stream(self) -> None:
+        """Frames as server-sent events, until the browser has gone."""
+        self.close_connection = True
+        self.send_response(200)
+        self.send_header("Content-Type", "text/event-stream")
+        self.send_header("Cache-Control", "no-store")
+        self.end_headers()
+        with suppress(OSError):
+            for frame in self.window.frames():
+                self.wfile.write(f"data: {frame}\n\n".encode())
+
+    def _answer(self, status: int, content: bytes = b"", kind: str = "text/plain") -> None:
+        self.close_connection = self.close_connection or status >= 400
+        self.send_response(status)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(len(content)))
+        self.end_headers()
+        if self.command != "HEAD":
+            self.wfile.write(content)

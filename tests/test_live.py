@@ -1,0 +1,306 @@
+"""A robot that a person drives: what hands do to it, what is seen of it, and who may reach the server."""
+
+import http.client
+import json
+import sys
+import threading
+import time
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from browser import CHROMIUM, browser
+
+from humanoid_mjx.config import parse
+from humanoid_mjx.control import at_rest
+from humanoid_mjx.control.laws import ServoLaw
+from humanoid_mjx.evaluation.live import SPEEDS, Grab, Live, LiveMujoco, Stage
+from humanoid_mjx.evaluation.policy import Trained, find_policy
+from humanoid_mjx.physics import make_physics
+from humanoid_mjx.report.live import Window, make_server
+from humanoid_mjx.robot import make_robot
+from humanoid_mjx.spec import InputError
+from humanoid_mjx.training.plan import make_plan
+
+ROBOT = make_robot("lower_body", ranges="human")
+MODEL = ROBOT.model
+MASS = float(MODEL.body_mass.sum())
+FAST = 1000.0
+"""Seconds of the robot a second: nobody waits."""
+
+
+def test_without_hands_it_is_native_mujoco():
+    """The same bits after thirty steps of a body that falls from a bent posture."""
+    law = ServoLaw(stiffness=20.0, damping=0.4).follow(at_rest(jnp.asarray(ROBOT.posture)))
+    ends = []
+    for physics in (make_physics("mujoco", robot=ROBOT, timestep=0.004), LiveMujoco(robot=ROBOT, timestep=0.004)):
+        if isinstance(physics, LiveMujoco):
+            physics.stage.hands.pace = FAST
+        world = physics.start(jnp.asarray(MODEL.qpos0).at[8].add(0.4), jnp.zeros(MODEL.nv))
+        ends.append(jax.jit(lambda world, physics=physics: physics.run(world, law, 30))(world))
+    assert float(jnp.abs(ends[0].qvel).max()) > 0.1
+    for one, other in zip(*(jax.tree.leaves(end) for end in ends), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def stand(stage, seconds, qpos=None):
+    """Let stiff servos hold the posture."""
+    qpos = standing() if qpos is None else qpos
+    qvel, warmstart, bent = np.zeros(MODEL.nv), np.zeros(MODEL.nv), ROBOT.posture
+    for _ in range(round(seconds / MODEL.opt.timestep)):
+        torque = 20.0 * (bent - qpos[7:]) - 0.45 * qvel[6:]
+        qpos, qvel, warmstart, _ = stage.advance(1, qpos, qvel, warmstart, np.concatenate([torque, np.zeros(MODEL.nv)]))
+        stage.model.pair_friction[:] = MODEL.pair_friction
+        stage.model.body_mass[:], stage.model.body_subtreemass[:] = MODEL.body_mass, MODEL.body_subtreemass
+    return qpos
+
+
+def standing():
+    qpos = MODEL.qpos0.copy()
+    qpos[2], qpos[7:] = ROBOT.start_height, ROBOT.posture
+    return qpos
+
+
+@pytest.fixture
+def stage():
+    stage = Stage(MODEL)
+    stage.hands.pace = FAST
+    return stage
+
+
+def test_the_ground_carries_robot_and_payload_on_a_slope(stage):
+    """What presses the feet is the weight: straight up, whatever the ground's slope; heights count from the ground."""
+    level = stand(stage, 0.5)
+    stage.hands.slope, stage.hands.payload = 2.0, 0.2
+    means = []
+    stage.shown = lambda: means.append(sum(force for _, force in stage.pressing().values()))
+    qpos = stand(stage, 1.5, level)
+    np.testing.assert_allclose(stage.ground[1:], [np.tan(np.radians(2.0)), 0.0], atol=0.01)  # it looks along x
+    np.testing.assert_allclose(np.mean(means[-20:], axis=0), [0.0, 0.0, 9.81 * (MASS + 0.2)], atol=0.2)
+    assert qpos[2] == pytest.approx(level[2], abs=0.01)
+    stage.forget()
+    assert not stage.ground.any() and not stage.model.geom_pos[stage.planes].any()
+
+
+def test_a_shove_is_an_impulse_and_a_pull_draws_its_point(stage):
+    """In the air: momentum per mass; and the torso goes to where it is drawn."""
+    stage.model.opt.gravity[:] = 0.0
+    high = standing()
+    high[2] += 1.0
+    stage.hands.shoves.append(np.array([0.0, 0.3, 0.0]))
+    stand(stage, 0.2, high)
+    mujoco.mj_subtreeVel(stage.model, stage.data)  # pyright: ignore[reportAttributeAccessIssue]
+    np.testing.assert_allclose(stage.data.subtree_linvel[0] * MASS, [0.0, 0.3, 0.0], atol=0.01)
+    stage.model.opt.gravity[:] = MODEL.opt.gravity
+    stage.hands.grab = Grab(1, np.zeros(3), np.array([0.0, 0.0, standing()[2] + 0.1]))
+    hangs = standing()[2] + 0.1 - 0.2 * MODEL.stat.extent  # a spring that its weight draws out by a fifth of the extent
+    assert stand(stage, 1.0)[2] == pytest.approx(hangs, abs=0.01)
+
+
+def test_a_slow_machine_shows_slow_motion_and_a_fast_one_waits(stage):
+    stage.hands.pace = 1.0
+    began = time.monotonic()
+    stand(stage, 0.2)
+    assert time.monotonic() - began > 0.15
+    time.sleep(0.5)
+    stand(stage, 0.004)
+    assert stage.time - (time.monotonic() - stage._zero) > -0.3  # it does not hurry to make up for the pause
+
+
+class Running:
+    """A live robot and its server, each in a thread."""
+
+    def __init__(self, live):
+        self.live, self.server = live, make_server(live)
+        self.port = self.server.server_address[1]
+        for run in (live.run, self.server.serve_forever):
+            threading.Thread(target=run, daemon=True).start()
+
+    def ask(self, method, path, body=None, **headers):
+        """Status and content of one answer."""
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=20)
+        given = {name.replace("_", "-"): value for name, value in headers.items()}
+        connection.request(method, path, None if body is None else json.dumps(body), given)
+        answer = connection.getresponse()
+        content = answer.readline() if path == "/frames" and answer.status == 200 else answer.read()
+        connection.close()
+        return answer.status, content
+
+    def tell(self, message):
+        return self.ask("POST", "/hands", message, Content_Type="application/json")[0]
+
+    def until(self, true):
+        end = time.monotonic() + 60
+        while not true():
+            assert time.monotonic() < end, "it did not come"
+            time.sleep(0.02)
+
+
+@pytest.fixture(scope="module")
+def walking():
+    running = Running(Live(find_policy("walk")))
+    running.until(lambda: not running.live.words)
+    yield running
+    running.live.stop()
+    running.server.shutdown()
+    running.server.server_close()
+
+
+def test_it_walks_as_the_browser_says(walking):
+    live = walking.live
+    live.stage.hands.pace = 10.0
+    assert walking.tell({"told": {"forward, m/s": 0.4}, "friction": 9.0, "payload": 0.1}) == 204
+    assert (live.stage.hands.friction, live.stage.hands.payload) == (2.0, 0.1)  # within the slider's range
+    walking.until(lambda: live.stage.speeds[0] > 0.25)
+    assert walking.tell({"told": dict.fromkeys(SPEEDS, 0.0), "friction": 1.0, "payload": 0.0}) == 204
+    walking.until(lambda: abs(live.stage.speeds[0]) < 0.1)
+    assert walking.tell({"told": {"forward, m/s": 99.0}}) == 204 and live.told["forward, m/s"] == pytest.approx(0.8)
+    assert walking.tell({"told": {"forward, m/s": 0.0}, "episode": 3}) == 204
+    walking.until(lambda: live.episode == 3 and not live.again.is_set())
+    assert walking.tell({"paused": True}) == 204
+    time.sleep(0.2)
+    before = live.stage.time
+    time.sleep(0.2)
+    assert live.stage.time == before
+    assert walking.tell({"paused": False}) == 204
+    walking.until(lambda: live.stage.time > before)
+    live.stage.hands.pace = 1.0
+
+
+def test_frames_say_what_there_is_to_see(walking):
+    status, line = walking.ask("GET", "/frames")
+    frame = json.loads(line.removeprefix(b"data: "))
+    assert status == 200 and set(frame["charts"]) >= {*SPEEDS, "load on a foot, N", "torque, N m"}
+    assert set(frame["charts"]["forward, m/s"]) == {"told", "measured"}
+    assert len(frame["charts"]["reward of a decision"]) > 1 and "reward" in frame["charts"]["reward of a decision"]
+    np.testing.assert_allclose([np.linalg.norm(pose[3:]) for pose in frame["shapes"]], 1.0, atol=1e-3)
+
+
+def test_only_pages_of_its_own_reach_the_server(walking):
+    own = f"127.0.0.1:{walking.port}"
+    assert walking.ask("GET", "/")[0] == walking.ask("GET", "/?a=1", Host=f"localhost:{walking.port}")[0] == 200
+    assert walking.ask("HEAD", "/") == (200, b"")
+    for path in ("/", "/frames", "/hands"):
+        assert walking.ask("GET", path, Host="evil.example")[0] == 403
+    assert walking.ask("GET", "/config.yaml")[0] == walking.ask("GET", "/../setup.py")[0] == 404
+    json_type = {"Content_Type": "application/json"}
+    assert walking.ask("POST", "/hands", {}, **json_type, Origin=f"http://{own}")[0] == 204
+    assert walking.ask("POST", "/hands", {}, **json_type, Origin="http://evil.example")[0] == 403
+    assert walking.ask("POST", "/hands", {}, **json_type, Host="evil.example")[0] == 403
+    assert (
+        walking.ask("POST", "/hands", {}, Content_Type="text/plain")[0] == 403
+    )  # what a form of another site can send
+    assert walking.ask("POST", "/hands", "x" * 20_000, **json_type)[0] == 404
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        *(1, [], {"told": {"up, m/s": 1.0}}, {"told": 3}, {"slope": "steep"}, {"payload": float("nan")}, {"grab": {}}),
+        *({"grab": {"shape": 999, "point": [0, 0, 0], "to": [0, 0, 0]}}, {"push": None}, {"episode": []}),
+    ],
+)
+def test_messages_that_mean_nothing_change_nothing(walking, message):
+    before = dict(walking.live.told), walking.live.stage.hands.grab
+    assert walking.tell(message) == 400
+    assert (dict(walking.live.told), walking.live.stage.hands.grab) == before
+
+
+def test_a_port_that_is_taken(walking):
+    with pytest.raises(InputError, match=f"--port {walking.port}: "):
+        make_server(walking.live, walking.port)
+
+
+def test_a_robot_with_a_physics_of_its_own_is_seen_but_not_touched():
+    """`sway` brings its physics, and its robot hangs: no sliders, no hands; its episodes follow one another."""
+    make_physics("mujoco", robot="legs", timestep=0.02).model  # noqa: B018
+    sys.path.insert(0, str(Path(__file__).parent / "data"))
+    try:
+        config = parse(
+            {"name": "own", "task": {"name": "sway:Sway"}, "learner": {"name": "deep_q", "width": 8}}, "here"
+        )
+        learner = make_plan(config).groups[0].learner()
+    finally:
+        sys.path.pop(0)
+    key = jax.random.key(0)
+    policy = jax.jit(lambda learner: learner.policy(learner.init(key)))(learner)
+    live = Live(Trained(learner, policy, 0, 0, "own", config, {}))
+    live.stage.hands.pace = FAST
+    window = Window(live)
+    assert not (live.touchable or live.ranges or window.scales)
+    thread = threading.Thread(target=live.run, daemon=True)
+    thread.start()
+    end = time.monotonic() + 60
+    while live.episode < 1 and time.monotonic() < end:
+        time.sleep(0.02)
+    live.stop()
+    thread.join(20)
+    frame = json.loads(window.frame)
+    assert live.episode >= 1 and window.number > 5 and "torque, N m" not in frame["charts"]
+    assert len(frame["shapes"]) == len(window.scene.shown)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium here")
+def test_keys_and_mouse_drive_it(walking):
+    """In a browser: keys steer while they are down, the mouse pulls the robot, turns, moves and zooms the view."""
+    live = walking.live
+
+    def key(opened, kind, name):
+        opened.ask("Input.dispatchKeyEvent", type=kind, key=name, text=name if kind == "keyDown" else "")
+
+    def mouse(opened, kind, x, y, button="left", **more):
+        opened.ask("Input.dispatchMouseEvent", type=kind, x=x, y=y, button=button, clickCount=1, **more)
+
+    with browser() as opened:
+        opened.open(f"http://127.0.0.1:{walking.port}/", 1280, 800)
+        walking.until(lambda: int(opened.value("document.querySelector('canvas').dataset.pictures")) > 3)
+        opened.value("document.body.focus()")
+        for name, part, share in (("w", 0, 0.8), ("a", 1, 0.15), ("q", 2, 1.0), ("e", 2, -1.0)):
+            key(opened, "keyDown", name)
+            walking.until(lambda part=part, share=share: live.told[SPEEDS[part]] == pytest.approx(0.6 * share))
+            key(opened, "keyUp", name)
+            walking.until(lambda part=part: live.told[SPEEDS[part]] == 0.0)
+        opened.value("document.querySelector('.panel input').value = 0.3;"
+                     "document.querySelector('.panel input').dispatchEvent(new Event('input'))")  # fmt: skip
+        walking.until(lambda: live.told[SPEEDS[0]] == pytest.approx(0.3, abs=0.011))
+        key(opened, "keyDown", " ")
+        walking.until(lambda: live.told[SPEEDS[0]] == 0.0)
+        left, top, width, height = opened.value(
+            "(() => { const b = document.querySelector('canvas').getBoundingClientRect();"
+            "return [b.left, b.top, b.width, b.height]; })()"
+        )
+        view = "JSON.stringify(document.querySelector('figure').player.view)"
+        first = json.loads(opened.value(view))
+        x, y = left + width / 2, top + height / 2
+        # The torso: of the robot's shapes the first.
+        x, y = opened.value(
+            "(() => { const p = document.querySelector('figure').player, c = p.canvas.getBoundingClientRect();"
+            "const [x, y] = p.camera.see(p.latest.shapes[0].slice(0, 3)), r = p.canvas.width / c.width;"
+            "return [c.left + x / r, c.top + y / r]; })()"
+        )
+        mouse(opened, "mousePressed", x, y)
+        mouse(opened, "mouseMoved", x + 20, y - 10, buttons=1)
+        walking.until(lambda: live.stage.hands.grab is not None)
+        mouse(opened, "mouseReleased", x + 20, y - 10)
+        walking.until(lambda: live.stage.hands.grab is None)
+        assert json.loads(opened.value(view)) == first
+        corner = left + 20, top + 20
+        mouse(opened, "mousePressed", *corner)
+        mouse(opened, "mouseMoved", corner[0] + 30, corner[1], buttons=1)
+        mouse(opened, "mouseReleased", corner[0] + 30, corner[1])
+        turned = json.loads(opened.value(view))
+        assert turned["yaw"] == pytest.approx(first["yaw"] - 0.2) and turned["pan"] == first["pan"]
+        mouse(opened, "mousePressed", *corner, button="right")
+        mouse(opened, "mouseMoved", corner[0] + 30, corner[1], button="right", buttons=2)
+        mouse(opened, "mouseReleased", corner[0] + 30, corner[1], button="right")
+        moved = json.loads(opened.value(view))
+        assert moved["yaw"] == turned["yaw"] and np.linalg.norm(moved["pan"]) > 0.01
+        mouse(opened, "mouseWheel", *corner, button="none", deltaX=0, deltaY=-120)
+        assert json.loads(opened.value(view))["zoom"] == pytest.approx(np.exp(-0.2))
+        opened.size(390, 844)
+        assert opened.value("document.documentElement.scrollWidth") <= 390
+        assert opened.faults == []
