@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
-from humanoid_mjx.mechanics.scalars import NULL, ZERO, Scalar, Vector, add, cross, dot, scale
+from humanoid_mjx.mechanics.scalars import NULL, TWO, ZERO, Scalar, Vector, add, cross, dot, scale
 from humanoid_mjx.mechanics.tree.algebra import NOWHERE, Spatial, over_lanes, power, subtract, summed, total
 from humanoid_mjx.mechanics.tree.inertia import Mass
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics
@@ -39,14 +39,20 @@ def drifts_of(tree: Tree, kinematics: Kinematics, velocity: Sequence[Scalar]) ->
             continue
         now, place = found[body.parent], kinematics.poses[body.parent].position
         moved = body.position != (0.0, 0.0, 0.0)
-        for hinge in body.hinges:
-            anchor = kinematics.anchors[hinge.dof]
-            if moved or any(hinge.anchor):
+        for joint in body.joints:
+            if joint.slides:
+                speed = scale(TWO * velocity[joint.dof], kinematics.motions[joint.dof].linear)
+                linear = now.at(subtract(kinematics.anchors[joint.dof], place))
+                now = now._replace(linear=add(linear, cross(now.angular, speed)))
+                place, moved = kinematics.anchors[joint.dof], False
+                continue
+            anchor = kinematics.anchors[joint.dof]
+            if moved or any(joint.anchor):
                 now = now._replace(linear=now.at(subtract(anchor, place)))
             place, moved = anchor, False
-            turning = scale(velocity[hinge.dof], kinematics.motions[hinge.dof].angular)
+            turning = scale(velocity[joint.dof], kinematics.motions[joint.dof].angular)
             now = Drift(add(now.angular, turning), add(now.rate, cross(now.angular, turning)), now.linear)
-        offset = any(hinge.anchor != (0.0, 0.0, 0.0) for hinge in body.hinges) or moved
+        offset = any(joint.anchor != (0.0, 0.0, 0.0) for joint in body.joints) or moved
         found.append(now._replace(linear=now.at(subtract(kinematics.poses[index].position, place))) if offset else now)
     return found
 
@@ -61,8 +67,8 @@ def bias_forces(
         body = tree.bodies[index]
         if index == tree.free:
             forces[:6] = [*wrenches[index].linear, *wrenches[index].angular]
-        for hinge in body.hinges:
-            forces[hinge.dof] = power(kinematics.motions[hinge.dof], wrenches[index])
+        for joint in body.joints:
+            forces[joint.dof] = power(kinematics.motions[joint.dof], wrenches[index])
         merge = body.laned and not tree.bodies[body.parent].laned
         wrench = summed(wrenches[index], partial(over_lanes, lanes=tree.lanes)) if merge else wrenches[index]
         wrenches[body.parent] = total([wrenches[body.parent], wrench])

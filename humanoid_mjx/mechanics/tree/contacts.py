@@ -25,7 +25,7 @@ from humanoid_mjx.mechanics.tree.algebra import (
 )
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics
 from humanoid_mjx.mechanics.tree.segments import nearest_points
-from humanoid_mjx.mechanics.tree.structure import Capsule, GroundPoints, Limit, Pairs, Softness, Surface, Tree
+from humanoid_mjx.mechanics.tree.structure import Capsule, Dry, GroundPoints, Limit, Pairs, Softness, Surface, Tree
 
 Friction = tuple[Scalar, Scalar] | None
 
@@ -102,6 +102,24 @@ class Stop(NamedTuple):
         return self.sign * rate + self.offset
 
 
+class Slip(NamedTuple):
+    """Dry friction of a joint: a stiff damper up to its largest force, and that force beyond."""
+
+    weight: Scalar
+    offset: Scalar
+    most: Scalar
+    """N m"""
+
+    def residual(self, rate: Scalar) -> Scalar:
+        """The joint's acceleration less its reference."""
+        return rate + self.offset
+
+    def active(self, residual: Scalar) -> tuple[Any, Any]:
+        """Where the friction is at its largest against a positive residual, and where against a negative one."""
+        force = (self.weight * residual).value
+        return force >= self.most.value, force <= -self.most.value
+
+
 def ground_touches(
     tree: Tree, kinematics: Kinematics, motions: Sequence[Spatial], frictions: Sequence[Friction]
 ) -> list[Touch]:
@@ -129,6 +147,13 @@ def stop_of(limit: Limit, angle: Scalar, speed: Scalar) -> Stop:
     distance = Scalar(jnp.minimum(above.value, below.value))
     close, weight, push = _soft(limit.softness, distance, number(limit.margin), number(limit.inverse_weight))
     return Stop(sign, close, weight, Scalar(limit.softness.damping) * sign * speed + push)
+
+
+def slip_of(dry: Dry, speed: Scalar) -> Slip:
+    """A joint's dry friction at a speed."""
+    impedance = _impedance(dry.softness, ZERO)
+    weight = impedance / ((ONE - impedance) * number(dry.inverse_weight))
+    return Slip(weight, Scalar(dry.softness.damping) * speed, number(dry.most))
 
 
 def friction_of(surface: Surface) -> Friction:
@@ -202,6 +227,8 @@ def _impedance(softness: Softness, violation: Scalar) -> Scalar:
     low, high, middle, power = softness.dmin, softness.dmax, softness.midpoint, softness.power
     if low == high or softness.width <= 1e-15:
         return Scalar(0.5 * (low + high))
+    if violation.is_known(0.0):
+        return Scalar(low)
     x = jnp.minimum(jnp.abs(violation.value) * (1.0 / softness.width), 1.0)
     if power == 1.0:
         y = x
@@ -213,8 +240,7 @@ def _impedance(softness: Softness, violation: Scalar) -> Scalar:
 
 def _frame(normal: Vector, along: Vector | None) -> Rotation:
     """MuJoCo's tangents: the first follows `along` where that is not too near the normal, else an axis of the world."""
-    upright = all(isinstance(part.value, float) for part in normal)
-    if along is None and upright:
+    if along is None and isinstance(normal.y.value, float):
         sideways = abs(normal.y.value) < 0.5
         along = Vector(ZERO, ONE if sideways else ZERO, ZERO if sideways else ONE)
     elif along is None:

@@ -22,8 +22,8 @@ from humanoid_mjx.mechanics.tree.algebra import (
 )
 from humanoid_mjx.mechanics.tree.bias import Drift
 from humanoid_mjx.mechanics.tree.kinematics import Pose, motions_of, to_local
+from humanoid_mjx.mechanics.tree.problem import Problem
 from humanoid_mjx.mechanics.tree.pushing import ground_residuals
-from humanoid_mjx.mechanics.tree.search import Problem
 from humanoid_mjx.mechanics.tree.solver import Solution
 from humanoid_mjx.mechanics.tree.step import State, unfolded
 from humanoid_mjx.mechanics.tree.structure import Site, Tree

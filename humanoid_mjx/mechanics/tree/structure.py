@@ -7,7 +7,7 @@ Limbs of one build, as the legs of a body, are *lanes*: `folding.fold` makes the
 of the lanes' where they differ. What is computed of a branch then has an axis of lanes before that of the worlds.
 """
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 
 class Table(NamedTuple):
@@ -45,7 +45,7 @@ class Softness(NamedTuple):
 
 
 class Limit(NamedTuple):
-    """The range of a hinge."""
+    """The range of a joint."""
 
     lower: Number
     upper: Number
@@ -55,12 +55,24 @@ class Limit(NamedTuple):
     softness: Softness
 
 
-class Hinge(NamedTuple):
+class Dry(NamedTuple):
+    """Dry friction of a joint."""
+
+    most: Number
+    """N m"""
+    inverse_weight: Number
+    """1/(kg m^2)"""
+    softness: Softness
+
+
+class Joint(NamedTuple):
     """A joint with one axis."""
 
     coordinate: int
-    """Which of the tree's coordinates is its angle; the bodies' poses in the model are those at `reference`."""
+    """Which of the tree's coordinates is its angle or way; the bodies' poses in the model are those at `reference`."""
     dof: int
+    slides: bool
+    """True if it moves along its axis, so m and N stand where a hinge has rad and N m."""
     axis: Triple
     anchor: Triple
     """Axis and a point on it in the frame of the body that the joint moves."""
@@ -71,6 +83,7 @@ class Hinge(NamedTuple):
     spring: Number
     """N m/rad, and the angle at which the spring is slack."""
     limit: Limit | None
+    dry: Dry | None
 
 
 class Body(NamedTuple):
@@ -88,7 +101,7 @@ class Body(NamedTuple):
     extra: tuple[tuple[Number, Triple], ...]
     """The moment of inertia about the centre of mass across all of these principal axes, in its frame, and by how much
     more it is about each, kg m^2. Bodies of revolution have one, balls none."""
-    hinges: tuple[Hinge, ...]
+    joints: tuple[Joint, ...]
     """Those between its parent and it, the parent's end first."""
     laned: bool = False
 
@@ -142,14 +155,14 @@ class Pairs(NamedTuple):
 
 
 class Motor(NamedTuple):
-    """What acts on a hinge: `clip(gain * clip(control) + bias[0] + bias[1] * length + bias[2] * speed)`, times gear."""
+    """What acts on a joint: `clip(gain * clip(control) + bias[0] + bias[1] * length + bias[2] * speed)`, times gear."""
 
     qpos: int
     dof: int
     """In `qpos` and `qvel`."""
     gear: float
     gain: float
-    bias: Triple
+    bias: tuple[float, float, float]
     control: tuple[float, float] | None
     force: tuple[float, float] | None
 
@@ -168,8 +181,13 @@ class Site(NamedTuple):
     lane: int = 0
 
 
+Integrator = Literal["explicit", "damped", "fast", "RK4"]
+"""Semi-implicit Euler with the joints' damping taken at the beginning of a step or at its end, as MuJoCo's Euler does
+unless told otherwise; at its end together with that of motors (`implicitfast`); Runge and Kutta's of order 4."""
+
+
 class Tree(NamedTuple):
-    """Rigid bodies joined by hinges; the first that moves may be free."""
+    """Rigid bodies joined by hinges and slides; the first that moves may be free."""
 
     bodies: tuple[Body, ...]
     """The world is the first; parents come before their children."""
@@ -184,18 +202,19 @@ class Tree(NamedTuple):
     ground: tuple[GroundPoints, ...]
     pairs: tuple[Pairs, ...]
     motors: tuple[Motor, ...]
+    bounds: tuple[tuple[int, tuple[float, float]], ...]
+    """Places in `qvel` where the motors together are bounded, and between what, N m."""
     gyroscopes: tuple[Site, ...]
     accelerometers: tuple[Site, ...]
     touch_sensors: tuple[Site, ...]
     gravity: tuple[float, float, float]
     timestep: float
-    implicit_damping: bool
-    """Whether the joints' damping is taken at the end of a step, as MuJoCo's Euler does unless told otherwise."""
+    integrator: Integrator
 
     @property
-    def hinges(self) -> tuple[Hinge, ...]:
+    def joints(self) -> tuple[Joint, ...]:
         """All of them, by degree of freedom."""
-        return tuple(hinge for body in self.bodies for hinge in body.hinges)
+        return tuple(joint for body in self.bodies for joint in body.joints)
 
     @property
     def nv(self) -> int:
@@ -204,7 +223,7 @@ class Tree(NamedTuple):
 
     def own(self, body: int) -> tuple[int, ...]:
         """The degrees of freedom between a body and its parent."""
-        return tuple(range(6)) if body == self.free else tuple(hinge.dof for hinge in self.bodies[body].hinges)
+        return tuple(range(6)) if body == self.free else tuple(joint.dof for joint in self.bodies[body].joints)
 
     def moving(self, body: int) -> tuple[int, ...]:
         """The degrees of freedom that move a body, in their order."""
