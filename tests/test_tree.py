@@ -63,7 +63,6 @@ CYLINDER = 'type="cylinder" size="0.1 0.1" pos'
     ("words", "old", "new"),
     [
         (
-            "contacts of a plane and a box, as those of 'ground-shank'; "
             "contacts of a capsule and a box, as those of 'trunk-shank'.",
             'fromto="0 0 0 0 0 -0.2" size="0.015"',
             BOX,

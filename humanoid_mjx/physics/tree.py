@@ -39,6 +39,7 @@ from humanoid_mjx.physics.base import (
     World,
 )
 from humanoid_mjx.physics.model import MujocoPhysics, own_limits
+from humanoid_mjx.robot.description import ground_points
 from humanoid_mjx.types import AnyArray, IntScalar, MassFactor
 
 
@@ -181,7 +182,7 @@ class TreePhysics(MujocoPhysics):
             return believed[joints][:, joints] @ qacc + held[joints]
 
         def contacts() -> Contacts:
-            if not self.tree.ground:
+            if not self.tree.feet:
                 return no_contacts(len(world.qvel))
             position, jacobian, drift = worlds_last(_points, self.tree)(state())
             return Contacts(position, jacobian, drift, position[:, 2] <= 0.0)
@@ -251,8 +252,9 @@ def _dynamics(tree: Tree, state: mechanics.State) -> tuple[Any, Any]:
 
 
 def _points(tree: Tree, state: mechanics.State) -> tuple[Any, Any, Any]:
-    """Positions, Jacobians and drifts of what the ground can push."""
+    """Positions, Jacobians and drifts of the points of the feet."""
     points, like = sensing.lowest_points(tree, state), _worlds(state)
+    points = [points[index] for foot in tree.feet for index in foot]
     jacobians = [jnp.stack([stacked([c[i] for c in point.columns], like) for i in range(3)]) for point in points]
     return _rows([p.place for p in points], like), jnp.stack(jacobians), _rows([p.drift for p in points], like)
 
@@ -279,18 +281,13 @@ def _advance_sensed(
     felt = [
         part for site in tree.accelerometers for part in sensing.accelerometer(tree, state, acceleration, gravity, site)
     ]
-    points = _ground_points(tree)
     pushes = sensing.pushes_of(tree, problem, solution, tree.touch_sensors)
     touch = [sensing.touch_sensor(state, pushes, site) for site in tree.touch_sensors]
     readings = (stacked(part, like) for part in (turning, felt, touch))
-    normal = stacked([push.pressure for push in pushes[:points]], like)
+    forces = [sum((pushes[index].pressure for index in rest), pushes[first].pressure) for first, *rest in tree.feet]
+    normal = stacked(forces, like)
     seen = *readings, *_poses(tree, state), *_velocities(tree, state), normal
     return _moved(tree, values, step, world), seen
-
-
-def _ground_points(tree: Tree) -> int:
-    """How many points the ground can push."""
-    return sum(len(points.order) for points in tree.ground)
 
 
 def _worlds(state: mechanics.State) -> tuple[int, ...]:
@@ -305,6 +302,6 @@ def _rows(vectors: Sequence[Vector], shape: tuple[int, ...]) -> Any:
 @lru_cache
 def _tree(model: mujoco.MjModel, sensors: tuple[str, ...]) -> Tree:
     with jax.ensure_compile_time_eval():
-        tree = fold(read_tree(model, sensors))
+        tree = fold(read_tree(model, sensors, ground_points(model)[0].tolist()))
     # The torque limit is traced, in the place of the model's.
     return tree._replace(motors=tuple(motor._replace(control=None) for motor in tree.motors))

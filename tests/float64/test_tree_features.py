@@ -65,3 +65,29 @@ def agrees(xml, count=300, seed=0):
         atol = 1e-9 * size[i] * model.opt.timestep + 1e-12
         np.testing.assert_allclose(qvel[i], data.qvel, rtol=0.0, atol=atol)
         np.testing.assert_allclose(qpos[i], data.qpos, rtol=0.0, atol=atol)
+
+
+SHAPES = """
+<mujoco>
+  <worldbody>
+    <geom type="plane" size="0 0 1" euler="5 -3 0" friction="0.6"/>
+    <body pos="0 0 0.3">
+      <freejoint/>
+      <geom type="box" size="0.1 0.06 0.03" mass="1" euler="10 20 30" margin="0.002"/>
+      <body pos="0.15 0 0">
+        <joint axis="0 1 0" range="-60 60" limited="true" damping="0.05"/>
+        <geom type="cylinder" size="0.05 0.03" mass="0.4" pos="0.05 0 0" euler="80 0 0" contype="2" conaffinity="1"/>
+      </body>
+      <body pos="-0.15 0 0">
+        <joint axis="1 0 0" range="-60 60" limited="true" damping="0.05"/>
+        <geom type="ellipsoid" size="0.07 0.04 0.05" mass="0.4" contype="2" conaffinity="1"/>
+      </body>
+      <geom type="cylinder" size="0.03 0.04" pos="0 0 0.1" mass="0.2" contype="0"/>
+    </body>
+  </worldbody>
+</mujoco>"""
+
+
+def test_shapes_on_a_plane_are_mujocos():
+    """A box, cylinders that stand, lie and lean, an ellipsoid, on a slope."""
+    agrees(SHAPES, count=500)

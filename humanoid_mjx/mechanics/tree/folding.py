@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from humanoid_mjx.mechanics.tree.structure import Body, Capsule, GroundPoints, Pairs, Site, Surface, Table, Tree
+from humanoid_mjx.mechanics.tree.structure import Body, Capsule, Corner, GroundPoints, Pairs, Site, Surface, Table, Tree
 
 
 class _Unlike(Exception):
@@ -160,7 +160,11 @@ def _grouped(things: Sequence[Any], join: Any) -> tuple[Any, ...]:
 def _join_points(tree: Tree, points: Sequence[GroundPoints]) -> GroundPoints:
     """Points of one body that a plane pushes in one way: tables by point, then by lane where there are lanes."""
     first = points[0]
-    if any(p._replace(center=first.center, radius=first.radius, order=()) != first._replace(order=()) for p in points):
+    corners = isinstance(first.shape, Corner)
+    same = [p._replace(center=first.center, radius=first.radius, order=()) for p in points]
+    if corners:
+        same = [p._replace(shape=first.shape) if isinstance(p.shape, Corner) else p for p in same]
+    if any(p != first._replace(order=()) for p in same):
         raise _Unlike
     if len(points) == 1:
         return first
@@ -176,7 +180,10 @@ def _join_points(tree: Tree, points: Sequence[GroundPoints]) -> GroundPoints:
 
     center = tuple(table(axis) for axis in zip(*(p.center for p in points), strict=True))
     order = tuple(place for p in points for place in p.order)
-    return first._replace(center=center, radius=table([p.radius for p in points]), order=order)
+    shape = first.shape
+    if corners:
+        shape = Corner(tuple(table(axis) for axis in zip(*(p.shape.half for p in points), strict=True)))
+    return first._replace(center=center, radius=table([p.radius for p in points]), order=order, shape=shape)
 
 
 def _join_pairs(pairs: Sequence[Pairs]) -> Pairs:

@@ -21,12 +21,13 @@ IMPEDANCES = 1e-4, 1.0 - 1e-4
 JOINT, GEOM = mujoco.mjtJoint, mujoco.mjtGeom
 
 
-def read_tree(model: mujoco.MjModel, sensors: Sequence[str] = ()) -> st.Tree:
+def read_tree(model: mujoco.MjModel, sensors: Sequence[str] = (), feet: Sequence[int] | None = None) -> st.Tree:
     """The structure and constants of a compiled model.
 
     Args:
       model: compiled model; its own solver's settings are of no use here.
       sensors: names of the gyroscopes, accelerometers and touch sensors to read, in this order.
+      feet: geoms whose contacts with the ground are reported; by default all that have any.
 
     Raises:
       InputError: the model has something that a tree cannot represent; the sentence names all of it.
@@ -34,7 +35,8 @@ def read_tree(model: mujoco.MjModel, sensors: Sequence[str] = ()) -> st.Tree:
     if found := faults(model, sensors):
         raise InputError(f"physics: the tree cannot represent {'; '.join(fault.what for fault in found)}.")
     free = np.flatnonzero(model.jnt_type == JOINT.mjJNT_FREE)
-    ground, pairs = _contacts(model)
+    ground, geoms, pairs = _contacts(model)
+    feet = tuple(dict.fromkeys(geoms)) if feet is None else feet
     x, y, z = (0.0,) * 3 if _off(model, FLAGS.mjDSBL_GRAVITY) else (float(part) for part in model.opt.gravity)
     bodies = tuple(_body(model, index) for index in range(model.nbody))
     return st.Tree(
@@ -45,6 +47,7 @@ def read_tree(model: mujoco.MjModel, sensors: Sequence[str] = ()) -> st.Tree:
         lanes=1,
         body_places=tuple((index,) for index in range(model.nbody)),
         ground=tuple(ground),
+        feet=tuple(tuple(i for i, geom in enumerate(geoms) if geom == foot) for foot in feet),
         pairs=tuple(pairs),
         motors=tuple(_motor(model, index) for index in range(model.nu)),
         bounds=tuple(
@@ -149,16 +152,19 @@ def _sites(m: mujoco.MjModel, sensors: Sequence[str], kind: Any) -> tuple[st.Sit
     return tuple(found)
 
 
-def _contacts(m: mujoco.MjModel) -> tuple[list[st.GroundPoints], list[st.Pairs]]:
+def _contacts(m: mujoco.MjModel) -> tuple[list[st.GroundPoints], list[int], list[st.Pairs]]:
+    """The points that planes push, the shape that each is of, and the pairs."""
     ground: list[st.GroundPoints] = []
+    geoms: list[int] = []
     pairs: list[st.Pairs] = []
     for pair in touching(m):
         surface = _surface(m, pair)
         if kinds_of(m, pair)[0] == "plane":
             ground += _ground_points(m, pair.one, pair.two, surface, len(ground))
+            geoms += [pair.two] * (len(ground) - len(geoms))
         else:
             pairs.append(st.Pairs((_capsule(m, pair.one),), (_capsule(m, pair.two),), surface))
-    return ground, pairs
+    return ground, geoms, pairs
 
 
 def _surface(m: mujoco.MjModel, pair: Touching) -> st.Surface:
@@ -194,19 +200,38 @@ def _ground_points(
     data = mujoco.MjData(m)
     mujoco.mj_kinematics(m, data)
     normal = data.geom_xmat[plane].reshape(3, 3)[:, 2]
-    shape = _capsule(m, geom)
-    ends = (1.0, -1.0) if m.geom_type[geom] == GEOM.mjGEOM_CAPSULE else (0.0,)
-    for number, end in enumerate(ends):
+    for number, (offset, radius, along, shape) in enumerate(_lowest(m, geom)):
         yield st.GroundPoints(
-            body=shape.body,
-            center=_triple(m.geom_pos[geom] + end * shape.half_length * np.array(shape.axis)),
-            radius=shape.radius,
+            body=int(m.geom_bodyid[geom]),
+            center=_triple(m.geom_pos[geom] + offset),
+            radius=radius,
             normal=_triple(normal),
             height=float(normal @ data.geom_xpos[plane]),
-            along=shape.axis if end else None,
+            along=along,
             surface=surface,
             order=(first + number,),
+            shape=shape,
         )
+
+
+def _lowest(m: mujoco.MjModel, geom: int) -> Iterator[tuple[np.ndarray, float, st.Triple | None, Any]]:
+    """The points of a shape that a plane pushes: where they are from its middle, their radius, and how they move."""
+    kind, axes, still = m.geom_type[geom], _axes(m.geom_quat[geom]), np.zeros(3)
+    x, y, z = (float(part) for part in m.geom_size[geom])
+    if kind == GEOM.mjGEOM_SPHERE:
+        yield still, x, None, None
+    elif kind == GEOM.mjGEOM_CAPSULE:
+        for end in (1.0, -1.0):
+            yield end * y * np.array(axes[2]), x, axes[2], None
+    elif kind == GEOM.mjGEOM_BOX:
+        for signs in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+            half = np.array([x * signs[0], y * signs[1], z]) @ np.array(axes)
+            yield still, 0.0, None, st.Corner(_triple(half))
+    elif kind == GEOM.mjGEOM_CYLINDER:
+        for which in ("lowest", "opposite", "left", "right"):
+            yield still, 0.0, None, st.Rim(which, axes[2], axes[0], y, x)
+    else:
+        yield still, 0.0, None, st.Lowest(axes, (x, y, z))
 
 
 def _off(m: mujoco.MjModel, flags: Any) -> bool:

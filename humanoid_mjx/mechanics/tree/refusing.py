@@ -11,7 +11,7 @@ from humanoid_mjx.mechanics.tree.touching import FLAGS, Touching, kinds_of, touc
 
 JOINT = mujoco.mjtJoint
 
-GROUND_SHAPES = ("sphere", "capsule")
+GROUND_SHAPES = ("sphere", "capsule", "box", "cylinder", "ellipsoid")
 """Shapes that a plane of the world can push."""
 
 PAIRS = (("sphere", "sphere"), ("sphere", "capsule"), ("capsule", "capsule"))

@@ -130,8 +130,34 @@ class Capsule(NamedTuple):
     lane: int = 0
 
 
+class Corner(NamedTuple):
+    """The lower end of a diagonal of a box; the plane pushes the lower ends of all four."""
+
+    half: Triple
+    """From the middle of the box to one end."""
+
+
+class Rim(NamedTuple):
+    """A point on a rim of a cylinder: the lowest of all, its like on the other end, or one of two on the sides of the
+    lower rim."""
+
+    which: Literal["lowest", "opposite", "left", "right"]
+    axis: Triple
+    side: Triple
+    """An axis of the disk, that stands for the lowest direction where the disk is level."""
+    half_length: Number
+    radius: Number
+
+
+class Lowest(NamedTuple):
+    """The lowest point of an ellipsoid."""
+
+    axes: Axes
+    radii: Triple
+
+
 class GroundPoints(NamedTuple):
-    """Balls, or ends of capsules, of one body that a fixed plane pushes."""
+    """Balls, ends of capsules, or points of other shapes of one body that a fixed plane pushes."""
 
     body: int
     center: Triple
@@ -144,6 +170,8 @@ class GroundPoints(NamedTuple):
     surface: Surface
     order: tuple[int, ...]
     """Which of the model's points they are; point by point, lane by lane."""
+    shape: Corner | Rim | Lowest | None = None
+    """How the posture moves the point away from `center`, if it does."""
 
 
 class Pairs(NamedTuple):
@@ -200,6 +228,8 @@ class Tree(NamedTuple):
     body_places: tuple[tuple[int, ...], ...]
     """Which of the model's bodies each body is: one, or one for each lane."""
     ground: tuple[GroundPoints, ...]
+    feet: tuple[tuple[int, ...], ...]
+    """Which of the model's points are of each shape that sensors report."""
     pairs: tuple[Pairs, ...]
     motors: tuple[Motor, ...]
     bounds: tuple[tuple[int, tuple[float, float]], ...]
