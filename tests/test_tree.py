@@ -70,7 +70,7 @@ CYLINDER = 'type="cylinder" size="0.1 0.1" pos'
         ("contacts that resist twisting or rolling, as those of 'ground-shank' (2).", 'condim="1"', 'condim="6"'),
         ("elliptic friction cones.", 'impratio="2"', 'cone="elliptic"'),
         ("the implicit integrator.", 'impratio="2"', 'integrator="implicit"'),
-        ("a fluid.", 'impratio="2"', 'density="1.2"'),
+        ("a fluid under implicitfast.", 'impratio="2"', 'density="1.2" integrator="implicitfast"'),
         ("equality constraints.", "<actuator>", '<equality><joint joint1="hip" joint2="knee"/></equality><actuator>'),
         (
             "tendons.",
@@ -96,8 +96,9 @@ def test_all_that_is_refused_is_said_at_once():
     """And what nothing reads or uses is not refused: the hopper's sensor, a tendon that does nothing."""
     changed = HOPPER.replace('type="sphere" size="0.1" pos', CYLINDER).replace('condim="1"', 'condim="6"')
     tendon = '<tendon><fixed name="t"><joint joint="hip" coef="1"/></fixed></tendon><actuator>'
-    changed = changed.replace("<actuator>", tendon).replace('impratio="2"', 'noslip_iterations="2" wind="1 0 0"')
-    words = "a fluid; noslip iterations; contacts that resist twisting or rolling, as those of 'ground-shank' (2)"
+    changed = changed.replace("<actuator>", tendon).replace('impratio="2"', 'noslip_iterations="2" cone="elliptic"')
+    words = "elliptic friction cones; noslip iterations; "
+    words += "contacts that resist twisting or rolling, as those of 'ground-shank' (2)"
     with pytest.raises(InputError) as error:
         read_tree(mujoco.MjModel.from_xml_string(changed))
     assert str(error.value) == f"physics: the tree cannot represent {words}."

@@ -91,3 +91,9 @@ SHAPES = """
 def test_shapes_on_a_plane_are_mujocos():
     """A box, cylinders that stand, lie and lean, an ellipsoid, on a slope."""
     agrees(SHAPES, count=500)
+
+
+def test_a_fluid_is_mujocos():
+    """By the boxes of the bodies' inertias, in a wind."""
+    fluid = SHAPES.replace("<worldbody>", '<option density="300" viscosity="2" wind="1 -0.5 0.2"/><worldbody>', 1)
+    agrees(fluid, count=50, seed=1)

@@ -160,11 +160,12 @@ def _grouped(things: Sequence[Any], join: Any) -> tuple[Any, ...]:
 def _join_points(tree: Tree, points: Sequence[GroundPoints]) -> GroundPoints:
     """Points of one body that a plane pushes in one way: tables by point, then by lane where there are lanes."""
     first = points[0]
-    corners = isinstance(first.shape, Corner)
-    same = [p._replace(center=first.center, radius=first.radius, order=()) for p in points]
-    if corners:
-        same = [p._replace(shape=first.shape) if isinstance(p.shape, Corner) else p for p in same]
-    if any(p != first._replace(order=()) for p in same):
+    corners = [p.shape.half for p in points if isinstance(p.shape, Corner)]
+    like = first._replace(order=(), shape=None if corners else first.shape)
+    if len(corners) not in (0, len(points)) or any(
+        p._replace(center=first.center, radius=first.radius, order=(), shape=None if corners else p.shape) != like
+        for p in points
+    ):
         raise _Unlike
     if len(points) == 1:
         return first
@@ -182,7 +183,8 @@ def _join_points(tree: Tree, points: Sequence[GroundPoints]) -> GroundPoints:
     order = tuple(place for p in points for place in p.order)
     shape = first.shape
     if corners:
-        shape = Corner(tuple(table(axis) for axis in zip(*(p.shape.half for p in points), strict=True)))
+        x, y, z = (table(axis) for axis in zip(*corners, strict=True))
+        shape = Corner((x, y, z))
     return first._replace(center=center, radius=table([p.radius for p in points]), order=order, shape=shape)
 
 

@@ -18,6 +18,9 @@ SMALLEST = 1e-14
 IMPEDANCES = 1e-4, 1.0 - 1e-4
 """MuJoCo's bounds on `dmin`, `dmax` and the midpoint (mjMINIMP, mjMAXIMP)."""
 
+SMALLEST_MASS = 1e-15
+"""MuJoCo's smallest mass and moment of inertia (mjMINVAL)."""
+
 JOINT, GEOM = mujoco.mjtJoint, mujoco.mjtGeom
 
 
@@ -35,6 +38,7 @@ def read_tree(model: mujoco.MjModel, sensors: Sequence[str] = (), feet: Sequence
     if found := faults(model, sensors):
         raise InputError(f"physics: the tree cannot represent {'; '.join(fault.what for fault in found)}.")
     free = np.flatnonzero(model.jnt_type == JOINT.mjJNT_FREE)
+    wind_x, wind_y, wind_z = (float(part) for part in model.opt.wind)
     ground, geoms, pairs = _contacts(model)
     feet = tuple(dict.fromkeys(geoms)) if feet is None else feet
     x, y, z = (0.0,) * 3 if _off(model, FLAGS.mjDSBL_GRAVITY) else (float(part) for part in model.opt.gravity)
@@ -58,6 +62,7 @@ def read_tree(model: mujoco.MjModel, sensors: Sequence[str] = (), feet: Sequence
         accelerometers=_sites(model, sensors, mujoco.mjtSensor.mjSENS_ACCELEROMETER),
         touch_sensors=_sites(model, sensors, mujoco.mjtSensor.mjSENS_TOUCH),
         gravity=(x, y, z),
+        fluid=st.Fluid(float(model.opt.density), float(model.opt.viscosity), (wind_x, wind_y, wind_z)),
         timestep=float(model.opt.timestep),
         integrator=_integrator(model, any(joint.damping for body in bodies for joint in body.joints)),
     )
@@ -84,7 +89,16 @@ def _body(m: mujoco.MjModel, index: int) -> st.Body:
         moment=moment,
         extra=extra,
         joints=tuple(_joint(m, joint) for joint in joints),
+        drag=_drag(m, index),
     )
+
+
+def _drag(m: mujoco.MjModel, index: int) -> st.Drag | None:
+    mass, inertia = m.body_mass[index], m.body_inertia[index]
+    if not (m.opt.density or m.opt.viscosity) or mass < SMALLEST_MASS:
+        return None
+    edges = np.sqrt(np.maximum(inertia.sum() - 2.0 * inertia, SMALLEST_MASS) / mass * 6.0)
+    return st.Drag(_axes(m.body_iquat[index]), _triple(edges))
 
 
 def _moments(moments: np.ndarray, axes: st.Axes) -> tuple[float, tuple[tuple[float, st.Triple], ...]]:

@@ -49,7 +49,10 @@ def _of_options(m: mujoco.MjModel) -> Iterator[Check]:
     yield off, "disabled motors", "no actuation flag, no actuatorgroupdisable"
     allowed = int(mujoco.mjtEnableBit.mjENBL_ENERGY | mujoco.mjtEnableBit.mjENBL_FWDINV)
     yield option.enableflags & ~allowed, "optional physics that a flag enables", "no flag enabled but energy and fwdinv"
-    yield option.density or option.viscosity or np.any(option.wind), "a fluid", "density, viscosity and wind 0"
+    fluid = option.density or option.viscosity
+    yield fluid and np.any(m.geom_fluid[:, 0]), "fluid forces by shape", 'fluidshape="none"'
+    fast = option.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    yield fluid and fast, "a fluid under implicitfast", 'integrator="Euler" or density and viscosity 0'
     yield option.noslip_iterations, "noslip iterations", 'noslip_iterations="0"'
     unheld = m.neq and not option.disableflags & int(FLAGS.mjDSBL_CONSTRAINT | FLAGS.mjDSBL_EQUALITY)
     yield unheld, "equality constraints", "no <equality>"

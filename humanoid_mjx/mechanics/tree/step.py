@@ -76,16 +76,17 @@ def make_state(tree: Tree, values: Values, qpos: Sequence[Scalar], qvel: Sequenc
     for joint in tree.joints:
         stretch = qpos[joint.coordinate] - number(joint.spring)
         passive[joint.dof] = passive[joint.dof] - number(joint.stiffness) * stretch
+    motions = motions_of(tree, kinematics, velocity)
     return State(
         list(qpos),
         list(qvel),
         kinematics,
         velocity,
-        motions_of(tree, kinematics, velocity),
+        motions,
         masses,
         drifts,
         mass_matrix(tree, kinematics, masses, armature),
-        bias_forces(tree, kinematics, masses, drifts, gravity),
+        bias_forces(tree, kinematics, masses, drifts, motions, gravity),
         damping,
         passive,
     )

@@ -86,6 +86,15 @@ class Joint(NamedTuple):
     dry: Dry | None
 
 
+class Drag(NamedTuple):
+    """The box by which a fluid feels a body: the one of its mass and inertia."""
+
+    axes: Axes
+    """In the body's frame."""
+    edges: Triple
+    """m"""
+
+
 class Body(NamedTuple):
     """A rigid body, or one of each lane."""
 
@@ -103,6 +112,8 @@ class Body(NamedTuple):
     more it is about each, kg m^2. Bodies of revolution have one, balls none."""
     joints: tuple[Joint, ...]
     """Those between its parent and it, the parent's end first."""
+    drag: Drag | None
+    """None where no fluid is or the body has no mass."""
     laned: bool = False
 
 
@@ -214,6 +225,17 @@ Integrator = Literal["explicit", "damped", "fast", "RK4"]
 unless told otherwise; at its end together with that of motors (`implicitfast`); Runge and Kutta's of order 4."""
 
 
+class Fluid(NamedTuple):
+    """What the bodies move through."""
+
+    density: float
+    """kg/m^3"""
+    viscosity: float
+    """Pa s"""
+    wind: tuple[float, float, float]
+    """m/s, world"""
+
+
 class Tree(NamedTuple):
     """Rigid bodies joined by hinges and slides; the first that moves may be free."""
 
@@ -238,6 +260,7 @@ class Tree(NamedTuple):
     accelerometers: tuple[Site, ...]
     touch_sensors: tuple[Site, ...]
     gravity: tuple[float, float, float]
+    fluid: Fluid
     timestep: float
     integrator: Integrator
 
