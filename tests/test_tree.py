@@ -40,9 +40,8 @@ def test_an_unsettled_world_is_flagged_and_stays(monkeypatch, worlds):
 
 
 REFUSED = {
-    "slide joints, as 'j'": '<joint name="j" type="slide"/>',
     "ball joints, as 'j'": '<joint name="j" type="ball"/>',
-    "dry friction of joints": '<joint name="j" frictionloss="1"/>',
+    "damping, armature or friction of a free joint": '<joint type="free" damping="1"/>',
 }
 
 
@@ -63,15 +62,23 @@ CYLINDER = 'type="cylinder" size="0.1 0.1" pos'
 @pytest.mark.parametrize(
     ("words", "old", "new"),
     [
-        ("contacts of a plane and a box, as those of 'ground-shank'.", 'fromto="0 0 0 0 0 -0.2" size="0.015"', BOX),
-        ("contacts that resist twisting or rolling, as 'ground-shank'.", 'condim="1"', 'condim="6"'),
+        (
+            "contacts of a capsule and a box, as those of 'trunk-shank'.",
+            'fromto="0 0 0 0 0 -0.2" size="0.015"',
+            BOX,
+        ),
+        ("contacts that resist twisting or rolling, as those of 'ground-shank' (2).", 'condim="1"', 'condim="6"'),
         ("elliptic friction cones.", 'impratio="2"', 'cone="elliptic"'),
-        ("an integrator other than Euler.", 'impratio="2"', 'integrator="implicit"'),
-        ("a fluid.", 'impratio="2"', 'density="1.2"'),
+        ("the implicit integrator.", 'impratio="2"', 'integrator="implicit"'),
+        ("a fluid under implicitfast.", 'impratio="2"', 'density="1.2" integrator="implicitfast"'),
         ("equality constraints.", "<actuator>", '<equality><joint joint1="hip" joint2="knee"/></equality><actuator>'),
-        ("tendons.", "<actuator>", '<tendon><fixed name="t"><joint joint="hip" coef="1"/></fixed></tendon><actuator>'),
+        (
+            "tendons.",
+            "<actuator>",
+            '<tendon><fixed name="t" stiffness="1"><joint joint="hip" coef="1"/></fixed></tendon><actuator>',
+        ),
         ("actuators whose gain is not fixed.", '<motor joint="ankle"/>', DAMPER),
-        ("a touch sensor that is no box or ball, as 'sole'.", 'type="sphere" size="0.1" pos', CYLINDER),
+        ("a touch sensor that is no box or ball, as 'foot_contact'.", 'type="sphere" size="0.1" pos', CYLINDER),
     ],
 )  # fmt: skip
 def test_models_that_are_refused(words, old, new):
@@ -81,8 +88,20 @@ def test_models_that_are_refused(words, old, new):
     if new == BOX:
         changed = changed.replace('type="capsule" ' + BOX, 'type="box" ' + BOX)
     with pytest.raises(InputError) as error:
-        read_tree(mujoco.MjModel.from_xml_string(changed))
+        read_tree(mujoco.MjModel.from_xml_string(changed), ["foot_contact"])
     assert str(error.value) == f"physics: the tree cannot represent {words}"
+
+
+def test_all_that_is_refused_is_said_at_once():
+    """And what nothing reads or uses is not refused: the hopper's sensor, a tendon that does nothing."""
+    changed = HOPPER.replace('type="sphere" size="0.1" pos', CYLINDER).replace('condim="1"', 'condim="6"')
+    tendon = '<tendon><fixed name="t"><joint joint="hip" coef="1"/></fixed></tendon><actuator>'
+    changed = changed.replace("<actuator>", tendon).replace('impratio="2"', 'noslip_iterations="2" cone="elliptic"')
+    words = "elliptic friction cones; noslip iterations; "
+    words += "contacts that resist twisting or rolling, as those of 'ground-shank' (2)"
+    with pytest.raises(InputError) as error:
+        read_tree(mujoco.MjModel.from_xml_string(changed))
+    assert str(error.value) == f"physics: the tree cannot represent {words}."
 
 
 def test_a_cycle_of_several_steps_holds_its_torque(worlds):

@@ -10,7 +10,7 @@ import numpy as np
 
 from humanoid_mjx import compute
 from humanoid_mjx.mechanics.scalars import unstack
-from humanoid_mjx.mechanics.tree.step import accelerate, folded, integrate, make_state, motor_forces, unfolded
+from humanoid_mjx.mechanics.tree.step import accelerate, advance, folded, make_state, motor_forces
 from humanoid_mjx.mechanics.tree.structure import Tree
 
 HOPPER = """
@@ -47,9 +47,9 @@ HOPPER = """
     <motor joint="ankle"/>
   </actuator>
   <sensor>
-    <gyro site="imu"/>
-    <accelerometer site="imu"/>
-    <touch site="sole"/>
+    <gyro name="gyroscope" site="imu"/>
+    <accelerometer name="accelerometer" site="imu"/>
+    <touch name="foot_contact" site="sole"/>
   </sensor>
 </mujoco>
 """
@@ -151,6 +151,33 @@ def _place(model: mujoco.MjModel, qpos: np.ndarray, rng: np.random.Generator) ->
         row[2] = (rng.choice([0.01, -1e-4, -5e-4, -2e-3, -5e-3]) * rng.uniform(0.1, 1.0) - lowest) / normal[2]
 
 
+def dropped(model: mujoco.MjModel, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Positions, velocities and controls of any model: what native MuJoCo makes of random postures within a second."""
+    rng, data, rows = np.random.default_rng(seed), mujoco.MjData(model), []
+    steps = max(2, round(1.0 / model.opt.timestep))
+    limited = model.actuator_ctrllimited[:, None].astype(bool)
+    low, high = np.where(limited, model.actuator_ctrlrange, [[-0.5, 0.5]]).T
+    while len(rows) < count:
+        mujoco.mj_resetData(model, data)
+        for joint, kind in enumerate(model.jnt_type):
+            at = model.jnt_qposadr[joint]
+            if kind == mujoco.mjtJoint.mjJNT_FREE:
+                turned = data.qpos[at + 3 : at + 7] + rng.choice([0.02, 0.2, 1.0]) * rng.normal(size=4)
+                data.qpos[at + 3 : at + 7] = turned / np.linalg.norm(turned)
+                continue
+            way = 0.1 if kind == mujoco.mjtJoint.mjJNT_SLIDE else 0.5
+            lower, upper = model.jnt_range[joint] if model.jnt_limited[joint] else (-np.inf, np.inf)
+            data.qpos[at] = np.clip(data.qpos[at] + way * rng.uniform(-1, 1), lower - 0.02, upper + 0.02)
+        data.qvel[:] = 0.5 * rng.normal(size=model.nv)
+        data.ctrl[:] = (low + high) / 2 + 0.6 * (high - low) * rng.uniform(-1, 1, model.nu)
+        mujoco.mj_step(model, data, rng.integers(1, steps))
+        wrong = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
+        if not any(data.warning[kind].number for kind in wrong) and np.abs(data.qvel).max() < 100.0:
+            rows.append((data.qpos.copy(), data.qvel.copy(), data.ctrl.copy()))
+    qpos, qvel, ctrl = map(np.array, zip(*rows, strict=True))
+    return qpos, qvel, ctrl
+
+
 def native(model: mujoco.MjModel, qpos: np.ndarray, qvel: np.ndarray, ctrl: np.ndarray, force: Any = 0.0) -> np.ndarray:
     """Accelerations in native MuJoCo, while `force` acts on the degrees of freedom."""
     data, found = mujoco.MjData(model), np.empty_like(qvel)
@@ -164,23 +191,25 @@ def native(model: mujoco.MjModel, qpos: np.ndarray, qvel: np.ndarray, ctrl: np.n
 
 def qacc_of(tree: Tree, steps: int = 0) -> Callable[..., Any]:
     """From values, positions, velocities and controls, by world, to accelerations and whether the solver settled, or
-    after so many steps to positions and velocities; in jax, by the mechanics alone."""
+    after so many steps to positions and velocities; in jax, by the mechanics alone. With `steps=1` to positions,
+    velocities, accelerations and whether it settled."""
 
     def moved(values: Any, qpos: Any, qvel: Any, ctrl: Any) -> Any:
         def step(qpos: Any, qvel: Any, warmstart: Any) -> Any:
-            q, v = unstack(qpos), unstack(qvel)
-            state = make_state(tree, values, folded(q, tree.coordinates), folded(v, tree.dofs))
-            motor = folded(motor_forces(tree, q, v, unstack(ctrl)), tree.dofs)
+            at, control = (unstack(qpos), unstack(qvel)), unstack(ctrl)
+            state = make_state(tree, values, folded(at[0], tree.coordinates), folded(at[1], tree.dofs))
+            motor = folded(motor_forces(tree, *at, control), tree.dofs)
             _, solution = accelerate(tree, values, state, motor, folded(unstack(warmstart), tree.dofs))
-            parts = integrate(tree, state, solution.acceleration)
-            places = tree.coordinates, tree.dofs, tree.dofs
-            parts = [unfolded(part, where) for part, where in zip(parts, places, strict=True)]
-            return [jnp.stack([x.value for x in part]) for part in parts], solution.settled
+            parts, settled = advance(tree, values, state, solution, at, control)
+            return [jnp.stack([x.value for x in part]) for part in parts], settled
 
         cold = jnp.zeros_like(qvel)
         if not steps:
             (_, _, qacc), settled = step(qpos, qvel, cold)
             return qacc, settled
+        if steps == 1:
+            parts, settled = step(qpos, qvel, cold)
+            return *parts, settled
         return jax.lax.fori_loop(0, steps, lambda _, at: tuple(step(*at)[0]), (qpos, qvel, cold))
 
     def batch(values: Any, *at: Any) -> Any:

@@ -8,7 +8,7 @@ it is fastest after `humanoid_mjx.start()` in a `jax.jit` with `compute.compiler
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -51,7 +51,10 @@ class TreePhysics(MujocoPhysics):
     @property
     def tree(self) -> Tree:
         """What is fixed while a program is compiled."""
-        return _tree(self.model)
+        names, model = self.robot.sensors, self.model
+        read = names.gyroscope, names.accelerometer, *names.foot_contact
+        kind = mujoco.mjtObj.mjOBJ_SENSOR
+        return _tree(model, tuple(name for name in read if mujoco.mj_name2id(model, kind, name) >= 0))
 
     def step(self, world: World, controller: Controller, substeps: int = 1) -> tuple[World, Float[Array, " joints"]]:
         values = self._values()
@@ -179,7 +182,7 @@ class TreePhysics(MujocoPhysics):
             return believed[joints][:, joints] @ qacc + held[joints]
 
         def contacts() -> Contacts:
-            if not self.tree.ground:
+            if not self.tree.feet:
                 return no_contacts(len(world.qvel))
             position, jacobian, drift = worlds_last(_points, self.tree)(state())
             return Contacts(position, jacobian, drift, position[:, 2] <= 0.0)
@@ -200,29 +203,36 @@ def _state(tree: Tree, values: mechanics.Values, qpos: Any, qvel: Any) -> mechan
     return mechanics.make_state(tree, values, positions, mechanics.folded(unstack(qvel), tree.dofs))
 
 
-def _accelerate(
-    tree: Tree, values: mechanics.Values, state: mechanics.State | None, world: Parts, torque: Any
-) -> tuple[mechanics.State, mechanics.Problem, mechanics.Solution]:
+class _Step(NamedTuple):
+    """A time step before the world moves."""
+
+    state: mechanics.State
+    problem: mechanics.Problem
+    solution: mechanics.Solution
+    at: tuple[Any, Any]
+    control: Any
+
+
+def _solved(tree: Tree, values: mechanics.Values, state: mechanics.State | None, world: Parts, torque: Any) -> _Step:
     qpos, qvel, warmstart, _ = world
     state = state or _state(tree, values, qpos, qvel)
-    forces = mechanics.motor_forces(tree, unstack(qpos), unstack(qvel), unstack(torque))
+    at, control = (unstack(qpos), unstack(qvel)), unstack(torque)
+    forces = mechanics.motor_forces(tree, *at, control)
     near = mechanics.folded(unstack(warmstart), tree.dofs)
-    return state, *mechanics.accelerate(tree, values, state, mechanics.folded(forces, tree.dofs), near)
+    found = mechanics.accelerate(tree, values, state, mechanics.folded(forces, tree.dofs), near)
+    return _Step(state, *found, at, control)
 
 
 def _advance(tree: Tree, values: mechanics.Values, given: mechanics.State | None, world: Parts, torque: Any) -> Parts:
     """One time step."""
-    state, _, solution = _accelerate(tree, values, given, world, torque)
-    return _moved(tree, state, solution, world)
+    return _moved(tree, values, _solved(tree, values, given, world, torque), world)
 
 
-def _moved(tree: Tree, state: mechanics.State, solution: mechanics.Solution, world: Parts) -> Parts:
+def _moved(tree: Tree, values: mechanics.Values, step: _Step, world: Parts) -> Parts:
     """The parts of the world after a time step; where it diverges or its contacts were not found they stay."""
     *old, diverged = world
-    places = tree.coordinates, tree.dofs, tree.dofs
-    parts = mechanics.integrate(tree, state, solution.acceleration)
-    after = [mechanics.unfolded(part, where) for part, where in zip(parts, places, strict=True)]
-    stays = diverged | ~solution.settled
+    after, settled = mechanics.advance(tree, values, step.state, step.solution, step.at, step.control)
+    stays = diverged | ~settled
     for value in after[0]:
         stays = stays | ~jnp.isfinite(value.value)
     for value in after[1]:
@@ -242,8 +252,9 @@ def _dynamics(tree: Tree, state: mechanics.State) -> tuple[Any, Any]:
 
 
 def _points(tree: Tree, state: mechanics.State) -> tuple[Any, Any, Any]:
-    """Positions, Jacobians and drifts of what the ground can push."""
+    """Positions, Jacobians and drifts of the points of the feet."""
     points, like = sensing.lowest_points(tree, state), _worlds(state)
+    points = [points[index] for foot in tree.feet for index in foot]
     jacobians = [jnp.stack([stacked([c[i] for c in point.columns], like) for i in range(3)]) for point in points]
     return _rows([p.place for p in points], like), jnp.stack(jacobians), _rows([p.drift for p in points], like)
 
@@ -263,24 +274,20 @@ def _advance_sensed(
     tree: Tree, values: mechanics.Values, given: mechanics.State | None, world: Parts, torque: Any
 ) -> tuple[Parts, tuple[Any, ...]]:
     """One time step, and what is true at its beginning: the sensors but the encoders, poses, velocities, forces."""
-    state, problem, solution = _accelerate(tree, values, given, world, torque)
+    step = _solved(tree, values, given, world, torque)
+    state, problem, solution, *_ = step
     like, gravity, acceleration = _worlds(state), vector(tree.gravity), solution.acceleration
     turning = [part for site in tree.gyroscopes for part in sensing.gyroscope(state, site)]
     felt = [
         part for site in tree.accelerometers for part in sensing.accelerometer(tree, state, acceleration, gravity, site)
     ]
-    points = _ground_points(tree)
     pushes = sensing.pushes_of(tree, problem, solution, tree.touch_sensors)
     touch = [sensing.touch_sensor(state, pushes, site) for site in tree.touch_sensors]
     readings = (stacked(part, like) for part in (turning, felt, touch))
-    normal = stacked([push.pressure for push in pushes[:points]], like)
+    forces = [sum((pushes[index].pressure for index in rest), pushes[first].pressure) for first, *rest in tree.feet]
+    normal = stacked(forces, like)
     seen = *readings, *_poses(tree, state), *_velocities(tree, state), normal
-    return _moved(tree, state, solution, world), seen
-
-
-def _ground_points(tree: Tree) -> int:
-    """How many points the ground can push."""
-    return sum(len(points.order) for points in tree.ground)
+    return _moved(tree, values, step, world), seen
 
 
 def _worlds(state: mechanics.State) -> tuple[int, ...]:
@@ -293,12 +300,8 @@ def _rows(vectors: Sequence[Vector], shape: tuple[int, ...]) -> Any:
 
 
 @lru_cache
-def _tree(model: mujoco.MjModel) -> Tree:
+def _tree(model: mujoco.MjModel, sensors: tuple[str, ...]) -> Tree:
     with jax.ensure_compile_time_eval():
-        tree = fold(read_tree(model))
-    # Forces on the points are at hand without their sensors. The torque limit is traced, in the place of the model's.
-    points = {f"{model.geom(ball).name}_contact" for ball in ground_points(model)[0]}
-    names = (model.sensor(row).name for row in np.flatnonzero(model.sensor_type == mujoco.mjtSensor.mjSENS_TOUCH))
-    touch = tuple(site for site, name in zip(tree.touch_sensors, names, strict=True) if name not in points)
-    motors = tuple(motor._replace(control=None) for motor in tree.motors)
-    return tree._replace(motors=motors, touch_sensors=touch)
+        tree = fold(read_tree(model, sensors, ground_points(model)[0].tolist()))
+    # The torque limit is traced, in the place of the model's.
+    return tree._replace(motors=tuple(motor._replace(control=None) for motor in tree.motors))

@@ -1,14 +1,28 @@
 """What a tree's motion asks of its degrees of freedom: velocity terms and gravity, by Newton and Euler's recursion."""
 
+import math
 from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
-from humanoid_mjx.mechanics.scalars import NULL, ZERO, Scalar, Vector, add, cross, dot, scale
-from humanoid_mjx.mechanics.tree.algebra import NOWHERE, Spatial, over_lanes, power, subtract, summed, total
+from humanoid_mjx.mechanics.scalars import NULL, TWO, ZERO, Scalar, Vector, add, cross, dot, scale
+from humanoid_mjx.mechanics.tree.algebra import (
+    NOWHERE,
+    Spatial,
+    combine,
+    number,
+    over_lanes,
+    power,
+    resolve,
+    subtract,
+    summed,
+    total,
+    vector,
+    velocity_at,
+)
 from humanoid_mjx.mechanics.tree.inertia import Mass
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics
-from humanoid_mjx.mechanics.tree.structure import Tree
+from humanoid_mjx.mechanics.tree.structure import Drag, Fluid, Tree
 
 
 class Drift(NamedTuple):
@@ -39,34 +53,74 @@ def drifts_of(tree: Tree, kinematics: Kinematics, velocity: Sequence[Scalar]) ->
             continue
         now, place = found[body.parent], kinematics.poses[body.parent].position
         moved = body.position != (0.0, 0.0, 0.0)
-        for hinge in body.hinges:
-            anchor = kinematics.anchors[hinge.dof]
-            if moved or any(hinge.anchor):
+        for joint in body.joints:
+            if joint.slides:
+                speed = scale(TWO * velocity[joint.dof], kinematics.motions[joint.dof].linear)
+                linear = now.at(subtract(kinematics.anchors[joint.dof], place))
+                now = now._replace(linear=add(linear, cross(now.angular, speed)))
+                place, moved = kinematics.anchors[joint.dof], False
+                continue
+            anchor = kinematics.anchors[joint.dof]
+            if moved or any(joint.anchor):
                 now = now._replace(linear=now.at(subtract(anchor, place)))
             place, moved = anchor, False
-            turning = scale(velocity[hinge.dof], kinematics.motions[hinge.dof].angular)
+            turning = scale(velocity[joint.dof], kinematics.motions[joint.dof].angular)
             now = Drift(add(now.angular, turning), add(now.rate, cross(now.angular, turning)), now.linear)
-        offset = any(hinge.anchor != (0.0, 0.0, 0.0) for hinge in body.hinges) or moved
+        offset = any(joint.anchor != (0.0, 0.0, 0.0) for joint in body.joints) or moved
         found.append(now._replace(linear=now.at(subtract(kinematics.poses[index].position, place))) if offset else now)
     return found
 
 
 def bias_forces(
-    tree: Tree, kinematics: Kinematics, masses: Sequence[Mass], drifts: Sequence[Drift], gravity: Vector
+    tree: Tree,
+    kinematics: Kinematics,
+    masses: Sequence[Mass],
+    drifts: Sequence[Drift],
+    motions: Sequence[Spatial],
+    gravity: Vector,
 ) -> list[Scalar]:
-    """What the degrees of freedom must give so that none of them accelerates, N and N m."""
+    """What the degrees of freedom must give so that none of them accelerates, N and N m, in a fluid if there is one."""
     wrenches = [NOWHERE] + [_wrench(mass, drift, gravity) for mass, drift in zip(masses[1:], drifts[1:], strict=True)]
+    for index, body in enumerate(tree.bodies):
+        if body.drag is not None:
+            slowed = _drag(tree.fluid, kinematics, index, body.drag, masses[index].center, motions[index])
+            wrenches[index] = total([wrenches[index], slowed])
     forces = [ZERO] * tree.nv
     for index in reversed(range(1, len(tree.bodies))):
         body = tree.bodies[index]
         if index == tree.free:
             forces[:6] = [*wrenches[index].linear, *wrenches[index].angular]
-        for hinge in body.hinges:
-            forces[hinge.dof] = power(kinematics.motions[hinge.dof], wrenches[index])
+        for joint in body.joints:
+            forces[joint.dof] = power(kinematics.motions[joint.dof], wrenches[index])
         merge = body.laned and not tree.bodies[body.parent].laned
         wrench = summed(wrenches[index], partial(over_lanes, lanes=tree.lanes)) if merge else wrenches[index]
         wrenches[body.parent] = total([wrenches[body.parent], wrench])
     return forces
+
+
+def _drag(fluid: Fluid, kinematics: Kinematics, index: int, drag: Drag, center: Vector, motion: Spatial) -> Spatial:
+    """What must push a body through a fluid, about the origin (MuJoCo's documentation, "Inertia model")."""
+    x, y, z = (kinematics.direction(index, axis) for axis in drag.axes)
+    axes, edges = (x, y, z), [number(edge) for edge in drag.edges]
+    speed = resolve(axes, subtract(velocity_at(motion, center), vector(fluid.wind)))
+    spin = resolve(axes, motion.angular)
+    mean = Scalar(math.pi / 3.0 * fluid.viscosity) * (edges[0] + edges[1] + edges[2])
+    slow, turn = [Scalar(3.0) * mean] * 3, [mean * _square(Scalar(1.0 / 3.0) * (edges[0] + edges[1] + edges[2]))] * 3
+    for i, (one, two) in enumerate(((1, 2), (2, 0), (0, 1))):
+        across, fourth = edges[one] * edges[two], _square(_square(edges[one])) + _square(_square(edges[two]))
+        slow[i] = slow[i] + Scalar(0.5 * fluid.density) * across * _size(speed[i])
+        turn[i] = turn[i] + Scalar(fluid.density / 64.0) * edges[i] * fourth * _size(spin[i])
+    force = combine(axes, Vector(*(a * b for a, b in zip(slow, speed, strict=True))))
+    moment = combine(axes, Vector(*(a * b for a, b in zip(turn, spin, strict=True))))
+    return Spatial(force, add(moment, cross(center, force)))
+
+
+def _square(value: Scalar) -> Scalar:
+    return value * value
+
+
+def _size(value: Scalar) -> Scalar:
+    return Scalar(abs(value.value))
 
 
 def _wrench(mass: Mass, drift: Drift, gravity: Vector) -> Spatial:

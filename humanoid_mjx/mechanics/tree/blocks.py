@@ -7,7 +7,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from humanoid_mjx.mechanics.tree.search import Problem, search, worlds_of
+from humanoid_mjx.mechanics.tree.problem import Problem, worlds_of
+from humanoid_mjx.mechanics.tree.search import search
 from humanoid_mjx.mechanics.tree.structure import Tree
 
 MOST_STEPS = 20

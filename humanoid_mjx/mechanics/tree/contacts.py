@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from humanoid_mjx.mechanics.scalars import HALF, ONE, TWO, ZERO, Scalar, Symmetric, Vector, add, cross, dot, scale
+from humanoid_mjx.mechanics.scalars import HALF, NULL, ONE, TWO, ZERO, Scalar, Symmetric, Vector, add, cross, dot, scale
 from humanoid_mjx.mechanics.tree.algebra import (
     Rotation,
     Spatial,
@@ -25,9 +25,23 @@ from humanoid_mjx.mechanics.tree.algebra import (
 )
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics
 from humanoid_mjx.mechanics.tree.segments import nearest_points
-from humanoid_mjx.mechanics.tree.structure import Capsule, GroundPoints, Limit, Pairs, Softness, Surface, Tree
+from humanoid_mjx.mechanics.tree.structure import (
+    Capsule,
+    Corner,
+    Dry,
+    GroundPoints,
+    Limit,
+    Lowest,
+    Pairs,
+    Softness,
+    Surface,
+    Tree,
+)
 
 Friction = tuple[Scalar, Scalar] | None
+
+SMALLEST_SQUARE = 1e-30
+"""The square of MuJoCo's smallest length (mjMINVAL)."""
 
 
 class Touch(NamedTuple):
@@ -102,6 +116,24 @@ class Stop(NamedTuple):
         return self.sign * rate + self.offset
 
 
+class Slip(NamedTuple):
+    """Dry friction of a joint: a stiff damper up to its largest force, and that force beyond."""
+
+    weight: Scalar
+    offset: Scalar
+    most: Scalar
+    """N m"""
+
+    def residual(self, rate: Scalar) -> Scalar:
+        """The joint's acceleration less its reference."""
+        return rate + self.offset
+
+    def active(self, residual: Scalar) -> tuple[Any, Any]:
+        """Where the friction is at its largest against a positive residual, and where against a negative one."""
+        force = (self.weight * residual).value
+        return force >= self.most.value, force <= -self.most.value
+
+
 def ground_touches(
     tree: Tree, kinematics: Kinematics, motions: Sequence[Spatial], frictions: Sequence[Friction]
 ) -> list[Touch]:
@@ -131,18 +163,61 @@ def stop_of(limit: Limit, angle: Scalar, speed: Scalar) -> Stop:
     return Stop(sign, close, weight, Scalar(limit.softness.damping) * sign * speed + push)
 
 
+def slip_of(dry: Dry, speed: Scalar) -> Slip:
+    """A joint's dry friction at a speed."""
+    impedance = _impedance(dry.softness, ZERO)
+    weight = impedance / ((ONE - impedance) * number(dry.inverse_weight))
+    return Slip(weight, Scalar(dry.softness.damping) * speed, number(dry.most))
+
+
 def friction_of(surface: Surface) -> Friction:
     """The model's own."""
     return None if surface.friction is None else (number(surface.friction[0]), number(surface.friction[1]))
 
 
 def _ground_touch(points: GroundPoints, kinematics: Kinematics, motion: Spatial, friction: Friction) -> Touch:
-    center, normal, radius = kinematics.place(points.body, points.center), vector(points.normal), number(points.radius)
+    center, normal, radius = ground_center(points, kinematics), vector(points.normal), number(points.radius)
     height = dot(normal, center) + (dot(normal, kinematics.origin) - number(points.height))
     distance = height - radius
     place = subtract(center, scale(radius + HALF * distance, normal))
     along = None if points.along is None else kinematics.direction(points.body, points.along)
     return _touch(points.surface, place, _frame(normal, along), distance, velocity_at(motion, place), friction)
+
+
+def ground_center(points: GroundPoints, kinematics: Kinematics) -> Vector:
+    """The middles of the balls that the plane pushes, against the origin; points of other shapes have no radius."""
+    middle, shape, normal = kinematics.place(points.body, points.center), points.shape, vector(points.normal)
+    if shape is None:
+        return middle
+    if isinstance(shape, Corner):
+        return add(middle, _downwards(kinematics.direction(points.body, shape.half), normal))
+    if isinstance(shape, Lowest):
+        arm = NULL
+        axes = [kinematics.direction(points.body, axis) for axis in shape.axes]
+        reach = [number(radius) * dot(axis, normal) for radius, axis in zip(shape.radii, axes, strict=True)]
+        length = root(dot(reach, reach))
+        for radius, axis, part in zip(shape.radii, axes, reach, strict=True):
+            arm = add(arm, scale(number(radius) * part / length, axis))
+        return subtract(middle, arm)
+    axis = _downwards(kinematics.direction(points.body, shape.axis), normal)
+    down = subtract(scale(dot(axis, normal), axis), normal)
+    square = dot(down, down).value
+    level = square < SMALLEST_SQUARE
+    down = scale(number(shape.radius) / root(Scalar(jnp.where(level, 1.0, square))), down)
+    side = scale(number(shape.radius), kinematics.direction(points.body, shape.side))
+    down = Vector(*(Scalar(jnp.where(level, b.value, a.value)) for a, b in zip(down, side, strict=True)))
+    end = add(middle, scale(number(shape.half_length), axis))
+    if shape.which == "lowest":
+        return add(end, down)
+    if shape.which == "opposite":
+        return add(subtract(middle, scale(number(shape.half_length), axis)), down)
+    across = scale(Scalar(0.75**0.5 * (1.0 if shape.which == "left" else -1.0)), cross(down, axis))
+    return add(end, subtract(across, scale(HALF, down)))
+
+
+def _downwards(way: Vector, normal: Vector) -> Vector:
+    """The direction or its opposite, whichever leads down."""
+    return scale(Scalar(jnp.where(dot(way, normal).value > 0.0, -1.0, 1.0)), way)
 
 
 def _pair_touch(pairs: Pairs, kinematics: Kinematics, motions: Sequence[Spatial], friction: Friction) -> Touch:
@@ -202,6 +277,8 @@ def _impedance(softness: Softness, violation: Scalar) -> Scalar:
     low, high, middle, power = softness.dmin, softness.dmax, softness.midpoint, softness.power
     if low == high or softness.width <= 1e-15:
         return Scalar(0.5 * (low + high))
+    if violation.is_known(0.0):
+        return Scalar(low)
     x = jnp.minimum(jnp.abs(violation.value) * (1.0 / softness.width), 1.0)
     if power == 1.0:
         y = x
@@ -213,8 +290,7 @@ def _impedance(softness: Softness, violation: Scalar) -> Scalar:
 
 def _frame(normal: Vector, along: Vector | None) -> Rotation:
     """MuJoCo's tangents: the first follows `along` where that is not too near the normal, else an axis of the world."""
-    upright = all(isinstance(part.value, float) for part in normal)
-    if along is None and upright:
+    if along is None and isinstance(normal.y.value, float):
         sideways = abs(normal.y.value) < 0.5
         along = Vector(ZERO, ONE if sideways else ZERO, ZERO if sideways else ONE)
     elif along is None:

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from humanoid_mjx.mechanics.tree.structure import Body, Capsule, GroundPoints, Pairs, Site, Surface, Table, Tree
+from humanoid_mjx.mechanics.tree.structure import Body, Capsule, Corner, GroundPoints, Pairs, Site, Surface, Table, Tree
 
 
 class _Unlike(Exception):
@@ -25,7 +25,7 @@ def _alike(tree: Tree, roots: Sequence[int]) -> list[list[tuple[int, ...]]]:
     """The limbs at these bodies, those of one build together; a limb is the numbers of its bodies."""
     groups: list[list[tuple[int, ...]]] = []
     for limb in (_limb(tree, root) for root in roots):
-        if tree.free in limb or not tree.bodies[limb[0]].hinges:
+        if tree.free in limb or not tree.bodies[limb[0]].joints:
             continue
         for group in groups:
             try:
@@ -49,14 +49,14 @@ def _limb(tree: Tree, root: int) -> tuple[int, ...]:
 
 def _described(tree: Tree, limb: tuple[int, ...]) -> Any:
     """Its bodies and points, with numbers of bodies, coordinates and degrees of freedom that count from its root."""
-    dof = tree.bodies[limb[0]].hinges[0].dof
-    coordinate = tree.bodies[limb[0]].hinges[0].coordinate
+    dof = tree.bodies[limb[0]].joints[0].dof
+    coordinate = tree.bodies[limb[0]].joints[0].coordinate
     bodies = []
     for index in limb:
         body = tree.bodies[index]
-        hinges = tuple(h._replace(dof=h.dof - dof, coordinate=h.coordinate - coordinate) for h in body.hinges)
+        joints = tuple(h._replace(dof=h.dof - dof, coordinate=h.coordinate - coordinate) for h in body.joints)
         parent = limb.index(body.parent) if body.parent in limb else -1
-        bodies.append(body._replace(parent=parent, hinges=hinges))
+        bodies.append(body._replace(parent=parent, joints=joints))
     points = [p._replace(body=limb.index(p.body), order=()) for p in tree.ground if p.body in limb]
     return tuple(bodies), tuple(points)
 
@@ -83,9 +83,9 @@ def _with_lanes(tree: Tree, limbs: Sequence[tuple[int, ...]]) -> Tree:
     new = {old: index for index, old in enumerate(kept)}
     lane = {body: number for number, limb in enumerate(limbs) for body in limb}
     new |= {body: len(kept) + place for limb in limbs for place, body in enumerate(limb)}
-    taken = {h.dof for body in inside for h in tree.bodies[body].hinges}
+    taken = {h.dof for body in inside for h in tree.bodies[body].joints}
     old_dofs = [dof for dof in range(tree.nv) if dof not in taken]
-    taken = {h.coordinate for body in inside for h in tree.bodies[body].hinges}
+    taken = {h.coordinate for body in inside for h in tree.bodies[body].joints}
     old_coordinates = [place for place in range(len(tree.coordinates)) if place not in taken]
 
     bodies = [
@@ -97,11 +97,11 @@ def _with_lanes(tree: Tree, limbs: Sequence[tuple[int, ...]]) -> Tree:
     merged, points = _merge([_described(tree, limb) for limb in limbs])
     stem, first = new[tree.bodies[limbs[0][0]].parent], len(kept)
     for body in merged:
-        hinges = tuple(
-            h._replace(dof=h.dof + len(old_dofs), coordinate=h.coordinate + len(old_coordinates)) for h in body.hinges
+        joints = tuple(
+            h._replace(dof=h.dof + len(old_dofs), coordinate=h.coordinate + len(old_coordinates)) for h in body.joints
         )
         parent = stem if body.parent < 0 else first + body.parent
-        bodies.append(body._replace(parent=parent, hinges=hinges, laned=True))
+        bodies.append(body._replace(parent=parent, joints=joints, laned=True))
     orders = zip(*([p.order[0] for p in tree.ground if p.body in limb] for limb in limbs), strict=True)
     ground = [p._replace(body=new[p.body]) for p in tree.ground if p.body not in inside]
     ground += [p._replace(body=first + p.body, order=order) for p, order in zip(points, orders, strict=True)]
@@ -115,8 +115,8 @@ def _with_lanes(tree: Tree, limbs: Sequence[tuple[int, ...]]) -> Tree:
     def shapes(some: Iterable[Capsule]) -> tuple[Capsule, ...]:
         return tuple(moved(shape) for shape in some)
 
-    angles = zip(*(_hinges(tree, limb, "coordinate") for limb in limbs), strict=True)
-    speeds = zip(*(_hinges(tree, limb, "dof") for limb in limbs), strict=True)
+    angles = zip(*(_joints(tree, limb, "coordinate") for limb in limbs), strict=True)
+    speeds = zip(*(_joints(tree, limb, "dof") for limb in limbs), strict=True)
     return tree._replace(
         bodies=tuple(bodies),
         free=None if tree.free is None else new[tree.free],
@@ -133,12 +133,12 @@ def _with_lanes(tree: Tree, limbs: Sequence[tuple[int, ...]]) -> Tree:
 
 
 def _renumbered(body: Body, parent: int, dofs: list[int], coordinates: list[int]) -> Body:
-    hinges = tuple(h._replace(dof=dofs.index(h.dof), coordinate=coordinates.index(h.coordinate)) for h in body.hinges)
-    return body._replace(parent=parent, hinges=hinges)
+    joints = tuple(h._replace(dof=dofs.index(h.dof), coordinate=coordinates.index(h.coordinate)) for h in body.joints)
+    return body._replace(parent=parent, joints=joints)
 
 
-def _hinges(tree: Tree, limb: tuple[int, ...], field: str) -> list[int]:
-    return [getattr(hinge, field) for body in limb for hinge in tree.bodies[body].hinges]
+def _joints(tree: Tree, limb: tuple[int, ...], field: str) -> list[int]:
+    return [getattr(joint, field) for body in limb for joint in tree.bodies[body].joints]
 
 
 def _grouped(things: Sequence[Any], join: Any) -> tuple[Any, ...]:
@@ -160,7 +160,12 @@ def _grouped(things: Sequence[Any], join: Any) -> tuple[Any, ...]:
 def _join_points(tree: Tree, points: Sequence[GroundPoints]) -> GroundPoints:
     """Points of one body that a plane pushes in one way: tables by point, then by lane where there are lanes."""
     first = points[0]
-    if any(p._replace(center=first.center, radius=first.radius, order=()) != first._replace(order=()) for p in points):
+    corners = [p.shape.half for p in points if isinstance(p.shape, Corner)]
+    like = first._replace(order=(), shape=None if corners else first.shape)
+    if len(corners) not in (0, len(points)) or any(
+        p._replace(center=first.center, radius=first.radius, order=(), shape=None if corners else p.shape) != like
+        for p in points
+    ):
         raise _Unlike
     if len(points) == 1:
         return first
@@ -176,7 +181,11 @@ def _join_points(tree: Tree, points: Sequence[GroundPoints]) -> GroundPoints:
 
     center = tuple(table(axis) for axis in zip(*(p.center for p in points), strict=True))
     order = tuple(place for p in points for place in p.order)
-    return first._replace(center=center, radius=table([p.radius for p in points]), order=order)
+    shape = first.shape
+    if corners:
+        x, y, z = (table(axis) for axis in zip(*corners, strict=True))
+        shape = Corner((x, y, z))
+    return first._replace(center=center, radius=table([p.radius for p in points]), order=order, shape=shape)
 
 
 def _join_pairs(pairs: Sequence[Pairs]) -> Pairs:

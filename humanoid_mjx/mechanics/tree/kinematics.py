@@ -10,7 +10,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from humanoid_mjx.mechanics.scalars import NULL, ONE, TWO, Scalar, Vector, add, cross
+from humanoid_mjx.mechanics.scalars import NULL, ONE, TWO, Scalar, Vector, add, cross, scale
 from humanoid_mjx.mechanics.tree.algebra import (
     UNTURNED,
     Rotation,
@@ -26,7 +26,7 @@ from humanoid_mjx.mechanics.tree.algebra import (
     total,
     vector,
 )
-from humanoid_mjx.mechanics.tree.structure import Axes, Hinge, Table, Tree, Triple
+from humanoid_mjx.mechanics.tree.structure import Axes, Joint, Table, Tree, Triple
 
 
 class Pose(NamedTuple):
@@ -43,7 +43,7 @@ class Kinematics(NamedTuple):
     """In the world, m."""
     poses: tuple[Pose, ...]
     anchors: dict[int, Vector]
-    """A point on the axis of each hinge, by degree of freedom."""
+    """A point on the axis of each hinge, and the moved origin of a slide's body, by degree of freedom."""
     motions: tuple[Spatial, ...]
     """What a unit velocity of each degree of freedom does to the bodies that it moves."""
 
@@ -78,12 +78,17 @@ def make_kinematics(tree: Tree, qpos: Sequence[Scalar]) -> Kinematics:
         parent = poses[body.parent]
         position = add(parent.position, combine(parent.axes, vector(body.position)))
         axes = compose(parent.axes, _known(body.axes))
-        for hinge in body.hinges:
-            anchor = add(position, combine(axes, vector(hinge.anchor)))
-            axis = combine(axes, vector(hinge.axis))
-            axes = compose(axes, _turned(hinge, qpos[hinge.coordinate]))
-            position = subtract(anchor, combine(axes, vector(hinge.anchor))) if any(hinge.anchor) else position
-            anchors[hinge.dof] = anchor
+        for joint in body.joints:
+            anchor = add(position, combine(axes, vector(joint.anchor)))
+            axis = combine(axes, vector(joint.axis))
+            if joint.slides:
+                position = add(position, scale(qpos[joint.coordinate] - number(joint.reference), axis))
+                anchors[joint.dof] = position
+                motions.append(Spatial(axis, NULL))
+                continue
+            axes = compose(axes, _turned(joint, qpos[joint.coordinate]))
+            position = subtract(anchor, combine(axes, vector(joint.anchor))) if any(joint.anchor) else position
+            anchors[joint.dof] = anchor
             motions.append(Spatial(cross(anchor, axis), axis))
         poses.append(Pose(position, axes))
     return Kinematics(origin, tuple(poses), anchors, tuple(motions))
@@ -97,7 +102,7 @@ def motions_of(tree: Tree, kinematics: Kinematics, speeds: Sequence[Scalar]) -> 
         if index == tree.free and base is not None:
             found.append(base)
             continue
-        turning = [times(speeds[hinge.dof], kinematics.motions[hinge.dof]) for hinge in body.hinges]
+        turning = [times(speeds[joint.dof], kinematics.motions[joint.dof]) for joint in body.joints]
         found.append(total([found[body.parent], *turning]))
     return found
 
@@ -139,12 +144,12 @@ def rotation(quaternion: Sequence[Scalar]) -> Rotation:
     )
 
 
-def _turned(hinge: Hinge, angle: Scalar) -> Rotation:
+def _turned(joint: Joint, angle: Scalar) -> Rotation:
     """Rodrigues' formula about an axis of fixed components: an axis of the frame gives a rotation of two."""
-    turn = angle - number(hinge.reference)
+    turn = angle - number(joint.reference)
     cosine, sine = Scalar(jnp.cos(turn.value)), Scalar(jnp.sin(turn.value))
     axis = np.stack(
-        np.broadcast_arrays(*(np.asarray(part.values if isinstance(part, Table) else part) for part in hinge.axis))
+        np.broadcast_arrays(*(np.asarray(part.values if isinstance(part, Table) else part) for part in joint.axis))
     )
     columns = []
     for unmoved in np.eye(3).reshape(3, 3, *[1] * (axis.ndim - 1)):

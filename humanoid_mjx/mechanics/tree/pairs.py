@@ -52,11 +52,16 @@ def all_close(touches: Sequence[Touch]) -> Flags:
     return [close] * (4 if any(touch.friction for touch in touches) else 1)
 
 
-def active_pairs(tree: Tree, kinematics: Kinematics, touch: Touch, x: Sequence[Scalar]) -> Flags:
-    """Which facets push at these accelerations; `touch`: the contacts of all pairs (`joined`)."""
+def pair_residuals(tree: Tree, kinematics: Kinematics, touch: Touch, x: Sequence[Scalar]) -> Vector:
+    """By how much the bodies of pairs part faster than they should; `touch`: the contacts of all pairs (`joined`)."""
     ones, twos = zip(*_each(tree), strict=True)
     moved = apart(ones, twos, motions_of(tree, kinematics, x), touch.place)
-    return touch.active(add(resolve(touch.frame, moved), touch.offset))
+    return add(resolve(touch.frame, moved), touch.offset)
+
+
+def active_pairs(tree: Tree, kinematics: Kinematics, touch: Touch, x: Sequence[Scalar]) -> Flags:
+    """Which facets push at these accelerations; `touch`: the contacts of all pairs (`joined`)."""
+    return touch.active(pair_residuals(tree, kinematics, touch, x))
 
 
 def with_pairs(

@@ -1,78 +1,146 @@
 # pyright: reportAttributeAccessIssue=false
-"""What of a MuJoCo model a tree of hinges cannot represent, less what its contacts may be (see `reading`)."""
+"""Everything of a MuJoCo model that a tree cannot represent, and what would have to change."""
 
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 
+from humanoid_mjx.mechanics.tree.touching import FLAGS, Touching, kinds_of, touching
+
 JOINT = mujoco.mjtJoint
 
+GROUND_SHAPES = ("sphere", "capsule", "box", "cylinder", "ellipsoid")
+"""Shapes that a plane of the world can push."""
 
-def first_fault(model: mujoco.MjModel) -> str | None:
-    """What makes a model impossible here, in words that end a sentence; None where nothing does."""
-    return next((words for wrong, words in _faults(model) if wrong), None)
-
-
-def _faults(m: mujoco.MjModel) -> Iterator[tuple[Any, str]]:
-    """Whether something is there, and what to call it."""
-    option, flags = m.opt, mujoco.mjtDisableBit
-    harmless = flags.mjDSBL_EULERDAMP | flags.mjDSBL_AUTORESET | flags.mjDSBL_WARMSTART | flags.mjDSBL_REFSAFE
-    harmless |= flags.mjDSBL_FILTERPARENT | flags.mjDSBL_CLAMPCTRL
-    yield option.integrator != mujoco.mjtIntegrator.mjINT_EULER, "an integrator other than Euler"
-    yield option.cone != mujoco.mjtCone.mjCONE_PYRAMIDAL and (_condims(m) > 1).any(), "elliptic friction cones"
-    yield option.disableflags & ~int(harmless), "a model with parts of its physics disabled"
-    yield option.enableflags & ~int(mujoco.mjtEnableBit.mjENBL_ENERGY), "a model with optional physics enabled"
-    yield option.density or option.viscosity or np.any(option.wind), "a fluid"
-    yield option.noslip_iterations, "noslip iterations"
-    yield m.neq, "equality constraints"
-    yield m.ntendon, "tendons"
-    yield m.nflex, "flexible bodies"
-    yield m.nplugin, "plugins"
-    yield m.nmocap, "mocap bodies"
-    yield m.na, "actuators with activation"
-    yield np.any(m.body_gravcomp), "gravity compensation"
-    yield np.any(m.dof_frictionloss), "dry friction of joints"
-    yield from _faulty_joints(m)
-    yield from _faulty_actuators(m)
+PAIRS = (("sphere", "sphere"), ("sphere", "capsule"), ("capsule", "capsule"))
+"""Shapes that can push each other."""
 
 
-def _faulty_joints(m: mujoco.MjModel) -> Iterator[tuple[Any, str]]:
-    for kind in ("SLIDE", "BALL"):
-        found = np.flatnonzero(m.jnt_type == getattr(JOINT, f"mjJNT_{kind}"))
-        yield len(found), f"{kind.lower()} joints, as {m.joint(found[0]).name!r}" if len(found) else ""
+class Fault(NamedTuple):
+    """One thing that a tree cannot represent."""
+
+    what: str
+    """Words that end the sentence "the tree cannot represent"."""
+    change: str
+    """What would have to change in the MJCF."""
+
+
+def faults(model: mujoco.MjModel, sensors: Sequence[str] = ()) -> list[Fault]:
+    """All that keeps a compiled model from being a tree, of whose sensors these are read; empty if nothing does."""
+    found = [*_of_options(model), *_of_joints(model), *_of_actuators(model), *_of_contacts(model)]
+    found += _of_sensors(model, sensors)
+    return [Fault(what, change) for wrong, what, change in found if wrong]
+
+
+Check = tuple[Any, str, str]
+"""True if the model has it; what it is; what would have to change."""
+
+
+def _of_options(m: mujoco.MjModel) -> Iterator[Check]:
+    option = m.opt
+    implicit = option.integrator == mujoco.mjtIntegrator.mjINT_IMPLICIT
+    yield implicit, "the implicit integrator", 'integrator="implicitfast"'
+    rough = any(pair.condim > 1 for pair in touching(m))
+    elliptic = option.cone != mujoco.mjtCone.mjCONE_PYRAMIDAL and rough
+    yield elliptic, "elliptic friction cones", 'cone="pyramidal"'
+    off = option.disableflags & FLAGS.mjDSBL_ACTUATION or option.disableactuator
+    yield off, "disabled motors", "no actuation flag, no actuatorgroupdisable"
+    allowed = int(mujoco.mjtEnableBit.mjENBL_ENERGY | mujoco.mjtEnableBit.mjENBL_FWDINV)
+    yield option.enableflags & ~allowed, "optional physics that a flag enables", "no flag enabled but energy and fwdinv"
+    fluid = option.density or option.viscosity
+    yield fluid and np.any(m.geom_fluid[:, 0]), "fluid forces by shape", 'fluidshape="none"'
+    fast = option.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    yield fluid and fast, "a fluid under implicitfast", 'integrator="Euler" or density and viscosity 0'
+    yield option.noslip_iterations, "noslip iterations", 'noslip_iterations="0"'
+    unheld = m.neq and not option.disableflags & int(FLAGS.mjDSBL_CONSTRAINT | FLAGS.mjDSBL_EQUALITY)
+    yield unheld, "equality constraints", "no <equality>"
+    yield _busy_tendons(m), "tendons", "no <tendon> that is limited, springs, damps, rubs or is driven"
+    yield m.nflex, "flexible bodies", "no <flex>"
+    yield m.nplugin, "plugins", "no <plugin>"
+    yield m.nmocap, "mocap bodies", 'no mocap="true"'
+    yield np.any(m.body_gravcomp), "gravity compensation", 'gravcomp="0"'
+
+
+def _busy_tendons(m: mujoco.MjModel) -> bool:
+    """True if a tendon does anything; motors of tendons are refused by themselves."""
+    names = ("limited", "actfrclimited", "stiffness", "stiffnesspoly", "damping", "dampingpoly", "frictionloss")
+    fields = (getattr(m, f"tendon_{name}", 0) for name in (*names, "armature"))
+    return any(np.any(field) for field in fields) or bool(np.any(getattr(m, "tendon_plasticadr", np.full(1, -1)) >= 0))
+
+
+def _of_joints(m: mujoco.MjModel) -> Iterator[Check]:
+    balls = np.flatnonzero(m.jnt_type == JOINT.mjJNT_BALL)
+    name = m.joint(balls[0]).name if len(balls) else ""
+    yield len(balls), f"ball joints, as {name!r}", "three hinges in their place"
     free = np.flatnonzero(m.jnt_type == JOINT.mjJNT_FREE)
-    yield len(free) > 1, "more than one free body"
+    yield len(free) > 1, "more than one free body", "one <freejoint>"
     if len(free):
-        yield m.jnt_dofadr[free[0]] != 0, "a free body that is not the first that moves"
-        base = m.jnt_bodyid[free[0]]
-        moving = m.body_weldid[1:] != 0
-        yield np.any(m.body_rootid[1:][moving] != base), "moving bodies beside a free one"
-        dofs = slice(0, 6)
-        yield m.dof_damping[dofs].any() or m.dof_armature[dofs].any(), "damping or armature of a free joint"
-    for name in ("jnt_stiffnesspoly", "dof_dampingpoly", "jnt_springyield", "jnt_actgravcomp", "jnt_actfrclimited"):
-        yield np.any(getattr(m, name, 0)), f"what {name} sets"
-    width = m.jnt_range[:, 1] - m.jnt_range[:, 0]
-    narrow = np.flatnonzero((m.jnt_limited != 0) & (width <= 2.0 * m.jnt_margin))
-    yield len(narrow), "joint ranges that are no wider than twice their margin"
+        first = "the free body before all others"
+        yield m.jnt_dofadr[free[0]] != 0, "a free body that is not the first that moves", first
+        base, moving = m.jnt_bodyid[free[0]], m.body_weldid[1:] != 0
+        beside = np.any(m.body_rootid[1:][moving] != base)
+        yield beside, "moving bodies beside a free one", "all joints on the free body"
+        resisting = m.dof_damping[:6].any() or m.dof_armature[:6].any() or m.dof_frictionloss[:6].any()
+        yield resisting, "damping, armature or friction of a free joint", "a <freejoint/> without a class"
+    for name in ("jnt_stiffnesspoly", "dof_dampingpoly", "jnt_springyield", "jnt_actgravcomp"):
+        yield np.any(getattr(m, name, 0)), f"what {name} sets", f"no {name.split('_')[1]} of joints"
+    plastic = getattr(m, "jnt_plasticadr", np.full(1, -1))
+    yield np.any(plastic >= 0), "plastic springs of joints", "elastic springs"
+    narrow = (m.jnt_limited != 0) & (m.jnt_range[:, 1] - m.jnt_range[:, 0] <= 2.0 * m.jnt_margin)
+    yield narrow.any(), "joint ranges that are no wider than twice their margin", "a wider range or a smaller margin"
 
 
-def _faulty_actuators(m: mujoco.MjModel) -> Iterator[tuple[Any, str]]:
+def _of_actuators(m: mujoco.MjModel) -> Iterator[Check]:
     if not m.nu:
         return
     transmission, gain, bias = mujoco.mjtTrn, mujoco.mjtGain, mujoco.mjtBias
-    yield np.any(m.actuator_trntype != transmission.mjTRN_JOINT), "actuators of anything but joints"
-    if (m.actuator_trntype == transmission.mjTRN_JOINT).all():
-        yield np.any(m.jnt_type[m.actuator_trnid[:, 0]] != JOINT.mjJNT_HINGE), "actuators of anything but hinges"
-    yield np.any(m.actuator_dyntype != mujoco.mjtDyn.mjDYN_NONE), "actuators with dynamics of their own"
-    yield np.any(m.actuator_gaintype != gain.mjGAIN_FIXED), "actuators whose gain is not fixed"
+    of_joints = m.actuator_trntype == transmission.mjTRN_JOINT
+    yield not of_joints.all(), "actuators of anything but joints", "motors of joints"
+    kinds = m.jnt_type[m.actuator_trnid[of_joints, 0]]
+    driven = np.isin(kinds, (int(JOINT.mjJNT_HINGE), int(JOINT.mjJNT_SLIDE)))
+    yield not driven.all(), "actuators of anything but hinges and slides", "motors of hinges and slides"
+    active = m.na or np.any(m.actuator_dyntype != mujoco.mjtDyn.mjDYN_NONE)
+    yield active, "actuators with dynamics of their own", 'dyntype="none"'
+    yield np.any(m.actuator_gaintype != gain.mjGAIN_FIXED), "actuators whose gain is not fixed", 'gaintype="fixed"'
     known = np.isin(m.actuator_biastype, (int(bias.mjBIAS_NONE), int(bias.mjBIAS_AFFINE)))
-    yield not known.all(), "actuators whose bias is not affine"
-    for name in ("actuator_damping", "actuator_armature", "actuator_delay", "actuator_dampingpoly"):
-        yield np.any(getattr(m, name, 0)), f"what {name} sets"
+    yield not known.all(), "actuators whose bias is not affine", 'biastype="none" or "affine"'
+    for name in ("damping", "armature", "delay", "dampingpoly"):
+        yield np.any(getattr(m, f"actuator_{name}", 0)), f"{name} of actuators", f"no {name} of actuators"
 
 
-def _condims(m: mujoco.MjModel) -> np.ndarray:
-    """Dimensions of the contacts of everything that may touch."""
-    return np.concatenate([m.pair_dim, m.geom_condim[(m.geom_contype | m.geom_conaffinity) != 0]])
+def _of_contacts(m: mujoco.MjModel) -> Iterator[Check]:
+    said: dict[str, tuple[str, list[str]]] = {}
+    for pair in touching(m):
+        name = "-".join(m.geom(geom).name or m.body(m.geom_bodyid[geom]).name for geom in (pair.one, pair.two))
+        for what, change in _of_pair(m, pair):
+            said.setdefault(what, (change, []))[1].append(name)
+    for what, (change, names) in said.items():
+        count = f" ({len(names)})" if len(names) > 1 else ""
+        yield True, f"{what}, as those of {names[0]!r}{count}", change
+
+
+def _of_pair(m: mujoco.MjModel, pair: Touching) -> Iterator[tuple[str, str]]:
+    one, two = kinds_of(m, pair)
+    if one == "plane" and m.body_weldid[m.geom_bodyid[pair.one]] != 0:
+        yield "contacts of a plane that moves", "planes in the world alone"
+    if (two not in GROUND_SHAPES) if one == "plane" else ((one, two) not in PAIRS):
+        shapes = ", ".join(GROUND_SHAPES) if one == "plane" else "sphere, capsule"
+        masks = "contype and conaffinity that keep them apart"
+        yield f"contacts of a {one} and a {two}", f"{shapes} in their place, or {masks}"
+    if pair.condim not in (1, 3):
+        yield "contacts that resist twisting or rolling", 'condim="3"'
+    if pair.surplus:
+        yield "a gap, adhesion or surface velocity of contacts", "gap, adhesion and surfacevel 0"
+    if (pair.solref[0] > 0) != (pair.solref[1] > 0):
+        yield "a solref of which one value is positive", "two positive values of solref, or none"
+
+
+def _of_sensors(m: mujoco.MjModel, names: Sequence[str]) -> Iterator[Check]:
+    shapes = int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_BOX)
+    for sensor in (m.sensor(name) for name in names):
+        touch = sensor.type[0] == mujoco.mjtSensor.mjSENS_TOUCH
+        odd = touch and int(m.site_type[sensor.objid[0]]) not in shapes
+        yield odd, f"a touch sensor that is no box or ball, as {sensor.name!r}", "a site that is a box or a sphere"
+        yield sensor.cutoff[0], f"the cutoff of a sensor, as {sensor.name!r}", 'cutoff="0"'

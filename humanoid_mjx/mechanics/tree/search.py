@@ -2,48 +2,25 @@
 
 import functools
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from humanoid_mjx.mechanics.scalars import Scalar
-from humanoid_mjx.mechanics.tree.contacts import Stop, Touch
-from humanoid_mjx.mechanics.tree.inertia import Matrix, factor
-from humanoid_mjx.mechanics.tree.kinematics import Kinematics
+from humanoid_mjx.mechanics.tree.inertia import factor
+from humanoid_mjx.mechanics.tree.line import lowest_share
 from humanoid_mjx.mechanics.tree.pairs import active_pairs, all_close, joined, with_pairs
-from humanoid_mjx.mechanics.tree.pushing import add_ground, ground_residuals
+from humanoid_mjx.mechanics.tree.problem import Active, Problem, active_at, normal_equations, worlds_of
 from humanoid_mjx.mechanics.tree.structure import Tree
+
+FEW_PAIRS = 8
+"""The lower body has 5."""
 
 SAME = 200.0
 """Rounding errors by which two accelerations may differ, as shares of the largest, and count as the same. A facet whose
 force is zero but for rounding may go on and off for ever, and moves nothing."""
-
-
-class Problem(NamedTuple):
-    """What the accelerations minimise."""
-
-    matrix: Matrix
-    force: list[Scalar]
-    """On the degrees of freedom, all but contacts and limits."""
-    kinematics: Kinematics
-    ground: list[Touch]
-    pairs: list[Touch]
-    stops: dict[int, Stop]
-    """By degree of freedom."""
-
-
-class Active(NamedTuple):
-    """Which facets of the contacts push, and which stops."""
-
-    ground: list[list[Any]]
-    pairs: list[Any]
-    stops: dict[int, Any]
-
-
-def worlds_of(problem: Problem, start: list[Any]) -> tuple[int, ...]:
-    """The shape of a scalar of all worlds."""
-    return jnp.broadcast_shapes(*(jnp.shape(leaf)[-1:] for leaf in jax.tree.leaves((problem, start))))
 
 
 def search(tree: Tree, problem: Problem, start: list[Any], most: int) -> tuple[list[Any], Any]:
@@ -55,7 +32,12 @@ def search(tree: Tree, problem: Problem, start: list[Any], most: int) -> tuple[l
         x, pairs = _minimum(tree, problem, active, near)
         now = active_at(tree, problem, x)._replace(pairs=pairs)
         values = [jnp.where(settled, old, v.value) for old, v in zip(before, x, strict=True)]
-        return values, now, settled | ~_differ(active, now) | _same(before, values), count + 1
+        settled = settled | ~_differ(active, now) | _same(before, values)
+        if circling(tree):
+            shorter = (count > 0) & ~settled.all()
+            shorten = partial(_shortened, tree, problem, before, values, now, settled)
+            values, now = jax.lax.cond(shorter, shorten, lambda: (values, now))
+        return values, now, settled, count + 1
 
     def going(carry: tuple[Any, ...]) -> Any:
         return ~carry[2].all() & (carry[3] < most)
@@ -68,6 +50,23 @@ def search(tree: Tree, problem: Problem, start: list[Any], most: int) -> tuple[l
     unsettled = jnp.zeros(worlds, bool)
     x, _, settled, _ = jax.lax.while_loop(going, step, (start, active, unsettled, jnp.int32(0)))
     return x, settled
+
+
+def circling(tree: Tree) -> bool:
+    """True for trees whose whole Newton steps may go round in circles, so that each after the first ends at the lowest
+    point of its line. Trees of few pairs without dry friction were never seen to."""
+    return any(joint.dry for joint in tree.joints) or sum(len(group.ones) for group in tree.pairs) > FEW_PAIRS
+
+
+def _shortened(tree: Tree, problem: Problem, before: Any, values: Any, now: Active, settled: Any) -> Any:
+    """The accelerations at the lowest point between these two, and what is active there; settled worlds stay."""
+    touch = joined(tree, problem.pairs) if problem.pairs else None
+    one, two = ([Scalar(value) for value in x] for x in (before, values))
+    share = lowest_share(tree, problem, touch, one, two)
+    values = [jnp.where(settled, new, old + share * (new - old)) for old, new in zip(before, values, strict=True)]
+    found = [Scalar(value) for value in values]
+    pairs = active_pairs(tree, problem.kinematics, touch, found) if touch else []
+    return values, active_at(tree, problem, found)._replace(pairs=pairs)
 
 
 def _differ(one: Active, two: Active) -> Any:
@@ -98,16 +97,6 @@ def _any(flags: Any) -> Any:
     return found
 
 
-def active_at(tree: Tree, problem: Problem, x: Sequence[Scalar]) -> Active:
-    """At these accelerations, but for the pairs."""
-    ground = ground_residuals(tree, problem.kinematics, problem.ground, x)
-    return Active(
-        [touch.active(v) for touch, v in zip(problem.ground, ground, strict=True)],
-        [],
-        {dof: stop.close & (stop.residual(x[dof]).value < 0.0) for dof, stop in problem.stops.items()},
-    )
-
-
 def _minimum(tree: Tree, problem: Problem, active: Active, near: Any) -> tuple[list[Scalar], list[Any]]:
     """If these facets and stops push and no others, and which facets of pairs push there.
 
@@ -130,14 +119,3 @@ def _minimum(tree: Tree, problem: Problem, active: Active, near: Any) -> tuple[l
 
     values, pairs = jax.lax.cond(near, together, alone)
     return [Scalar(value) for value in values], pairs
-
-
-def normal_equations(tree: Tree, problem: Problem, active: Active) -> tuple[Matrix, list[Scalar]]:
-    """All but the pairs: the second derivative, and what it times the minimum is."""
-    matrix, right = [list(row) for row in problem.matrix], list(problem.force)
-    add_ground(tree, problem.kinematics, problem.ground, active.ground, matrix, right)
-    for dof, stop in problem.stops.items():
-        on = Scalar(jnp.where(active.stops[dof], stop.weight.value, 0.0))
-        matrix[dof][dof] = matrix[dof][dof] + on
-        right[dof] = right[dof] - on * stop.sign * stop.offset
-    return matrix, right

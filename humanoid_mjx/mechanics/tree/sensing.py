@@ -21,9 +21,10 @@ from humanoid_mjx.mechanics.tree.algebra import (
     velocity_at,
 )
 from humanoid_mjx.mechanics.tree.bias import Drift
+from humanoid_mjx.mechanics.tree.contacts import ground_center
 from humanoid_mjx.mechanics.tree.kinematics import Pose, motions_of, to_local
+from humanoid_mjx.mechanics.tree.problem import Problem
 from humanoid_mjx.mechanics.tree.pushing import ground_residuals
-from humanoid_mjx.mechanics.tree.search import Problem
 from humanoid_mjx.mechanics.tree.solver import Solution
 from humanoid_mjx.mechanics.tree.step import State, unfolded
 from humanoid_mjx.mechanics.tree.structure import Site, Tree
@@ -187,7 +188,7 @@ def lowest_points(tree: Tree, state: State) -> list[PointMotion]:
         lanes = tree.lanes if tree.bodies[points.body].laned else 1
         several = len(points.order) > lanes
         below = scale(number(points.radius), vector(points.normal))
-        place = subtract(at.place(points.body, points.center), below)
+        place = subtract(ground_center(points, at), below)
         moving = tree.moving(points.body)
         motions = [velocity_at(at.motions[dof], place) for dof in moving]
         drift = drift_at(state, points.body, place)

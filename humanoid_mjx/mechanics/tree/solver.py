@@ -18,7 +18,7 @@ from humanoid_mjx.mechanics.scalars import Scalar
 from humanoid_mjx.mechanics.tree.blocks import search_blocks
 from humanoid_mjx.mechanics.tree.inertia import factor
 from humanoid_mjx.mechanics.tree.pairs import active_pairs, joined, with_pairs
-from humanoid_mjx.mechanics.tree.search import Problem, active_at, normal_equations
+from humanoid_mjx.mechanics.tree.problem import Problem, active_at, normal_equations
 from humanoid_mjx.mechanics.tree.structure import Tree
 
 

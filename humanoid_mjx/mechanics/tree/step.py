@@ -4,7 +4,9 @@ import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 
 from humanoid_mjx.mechanics.scalars import HALF, ONE, ZERO, Scalar, Vector, dot
 from humanoid_mjx.mechanics.tree.algebra import Spatial, in_lanes, lane, number, vector
@@ -14,13 +16,14 @@ from humanoid_mjx.mechanics.tree.contacts import (
     friction_of,
     ground_touches,
     pair_touches,
+    slip_of,
     stop_of,
 )
 from humanoid_mjx.mechanics.tree.inertia import Mass, Matrix, factor, mass_matrix, masses_of, product
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics, make_kinematics, motions_of, to_local, to_world, unit
-from humanoid_mjx.mechanics.tree.search import Problem
+from humanoid_mjx.mechanics.tree.problem import Problem
 from humanoid_mjx.mechanics.tree.solver import Solution, solve
-from humanoid_mjx.mechanics.tree.structure import FRICTIONLESS, Number, Surface, Tree
+from humanoid_mjx.mechanics.tree.structure import FRICTIONLESS, Motor, Number, Surface, Tree
 
 
 class Values(NamedTuple):
@@ -67,22 +70,23 @@ def make_state(tree: Tree, values: Values, qpos: Sequence[Scalar], qvel: Sequenc
     masses = masses_of(tree, kinematics, _factors(tree, values.mass))
     drifts = drifts_of(tree, kinematics, velocity)
     gravity = vector(tree.gravity if values.gravity is None else values.gravity)
-    damping = _joint_values(tree, [hinge.damping for hinge in tree.hinges], values.damping)
-    armature = _joint_values(tree, [hinge.armature for hinge in tree.hinges], values.armature)
+    damping = _joint_values(tree, [joint.damping for joint in tree.joints], values.damping)
+    armature = _joint_values(tree, [joint.armature for joint in tree.joints], values.armature)
     passive = [-(damping[dof] * qvel[dof]) for dof in range(tree.nv)]
-    for hinge in tree.hinges:
-        stretch = qpos[hinge.coordinate] - number(hinge.spring)
-        passive[hinge.dof] = passive[hinge.dof] - number(hinge.stiffness) * stretch
+    for joint in tree.joints:
+        stretch = qpos[joint.coordinate] - number(joint.spring)
+        passive[joint.dof] = passive[joint.dof] - number(joint.stiffness) * stretch
+    motions = motions_of(tree, kinematics, velocity)
     return State(
         list(qpos),
         list(qvel),
         kinematics,
         velocity,
-        motions_of(tree, kinematics, velocity),
+        motions,
         masses,
         drifts,
         mass_matrix(tree, kinematics, masses, armature),
-        bias_forces(tree, kinematics, masses, drifts, gravity),
+        bias_forces(tree, kinematics, masses, drifts, motions, gravity),
         damping,
         passive,
     )
@@ -103,12 +107,89 @@ def motor_forces(tree: Tree, qpos: Sequence[Scalar], qvel: Sequence[Scalar], con
     """Forces of all motors on the degrees of freedom of `qvel`, N m; `control` is what each motor is told."""
     forces = [ZERO] * len(qvel)
     for motor, told in zip(tree.motors, control, strict=True):
-        gear = Scalar(motor.gear)
-        force = Scalar(motor.gain) * _within(motor.control, told) + Scalar(motor.bias[0])
-        force = force + Scalar(motor.bias[1]) * gear * qpos[motor.qpos]
-        force = force + Scalar(motor.bias[2]) * gear * qvel[motor.dof]
-        forces[motor.dof] = forces[motor.dof] + gear * _within(motor.force, force)
+        force = _within(motor.force, _motor_force(motor, qpos, qvel, told))
+        forces[motor.dof] = forces[motor.dof] + Scalar(motor.gear) * force
+    for dof, bounds in tree.bounds:
+        forces[dof] = _within(bounds, forces[dof])
     return forces
+
+
+def _motor_force(motor: Motor, qpos: Sequence[Scalar], qvel: Sequence[Scalar], told: Scalar) -> Scalar:
+    """Before its bounds and its gear."""
+    gear = Scalar(motor.gear)
+    force = Scalar(motor.gain) * _within(motor.control, told) + Scalar(motor.bias[0])
+    force = force + Scalar(motor.bias[1]) * gear * qpos[motor.qpos]
+    return force + Scalar(motor.bias[2]) * gear * qvel[motor.dof]
+
+
+def motor_damping(
+    tree: Tree, qpos: Sequence[Scalar], qvel: Sequence[Scalar], control: Sequence[Scalar]
+) -> list[Scalar]:
+    """Minus the derivatives of the motors' forces by the velocities of `qvel`; 0 where they are at a bound."""
+    found, forces = [ZERO] * len(qvel), motor_forces(tree, qpos, qvel, control)
+    for motor, told in zip(tree.motors, control, strict=True):
+        rate = Scalar(-motor.bias[2] * motor.gear**2)
+        if motor.force is not None:
+            rate = _if_within(motor.force, _motor_force(motor, qpos, qvel, told), rate)
+        found[motor.dof] = found[motor.dof] + rate
+    for dof, bounds in tree.bounds:
+        found[dof] = _if_within(bounds, forces[dof], found[dof])
+    return found
+
+
+def advance(
+    tree: Tree,
+    values: Values,
+    state: State,
+    solution: Solution,
+    at: tuple[Sequence[Scalar], Sequence[Scalar]],
+    control: Sequence[Scalar],
+) -> tuple[list[list[Scalar]], Any]:
+    """One time step by the model's integrator: `qpos`, `qvel` and the accelerations of its beginning in the axes of
+    `qvel`, and whether the solver settled."""
+    settled = solution.settled
+    if tree.integrator == "RK4":
+        parts, settled = _runge_kutta(tree, values, state, solution, control)
+    else:
+        damping = None if tree.integrator == "explicit" else state.damping
+        if tree.integrator == "fast":
+            motors = folded(motor_damping(tree, *at, control), tree.dofs)
+            damping = [one + two for one, two in zip(state.damping, motors, strict=True)]
+        parts = integrate(tree, state, solution.acceleration, damping)
+    places = tree.coordinates, tree.dofs, tree.dofs
+    return [unfolded(part, where) for part, where in zip(parts, places, strict=True)], settled
+
+
+def _runge_kutta(
+    tree: Tree, values: Values, state: State, solution: Solution, control: Sequence[Scalar]
+) -> tuple[tuple[list[Scalar], list[Scalar], list[Scalar]], Any]:
+    """Runge and Kutta's step of order 4; three more states are solved in a loop."""
+    step, local = Scalar(tree.timestep), to_local(tree, state.kinematics, solution.acceleration)
+    worlds = jnp.broadcast_shapes(*(jnp.shape(v.value)[-1:] for v in (*state.qpos, *state.qvel, *local)))
+
+    def full(scalars: Sequence[Scalar]) -> list[Any]:
+        whole = ((tree.lanes,) if tree.laned(dof) else () for dof in range(tree.nv))
+        return [jnp.broadcast_to(v.value, (*lanes, *worlds)) for v, lanes in zip(scalars, whole, strict=True)]
+
+    def stage(carry: tuple[Any, ...], at: tuple[Any, Any]) -> tuple[tuple[Any, ...], None]:
+        rate, change, *sums, settled = carry
+        time, weight = Scalar(at[0]), at[1]
+        qpos = moved_by(tree, state.qpos, [Scalar(value) for value in rate], time)
+        qvel = [v + time * Scalar(value) for v, value in zip(state.qvel, change, strict=True)]
+        now, real = make_state(tree, values, qpos, qvel), (unfolded(qpos, tree.coordinates), unfolded(qvel, tree.dofs))
+        motor = folded(motor_forces(tree, *real, control), tree.dofs)
+        found = accelerate(tree, values, now, motor, [Scalar(value) for value in change])[1]
+        rate, change = full(qvel), full(to_local(tree, now.kinematics, found.acceleration))
+        sums = [[a + weight * b for a, b in zip(*both, strict=True)] for both in zip(sums, (rate, change), strict=True)]
+        return (rate, change, *sums, settled & found.settled), None
+
+    first = full(state.qvel), full(local)
+    carry = *first, *([value / 6.0 for value in part] for part in first), jnp.broadcast_to(solution.settled, worlds)
+    dtype = first[0][0].dtype
+    times, weights = tree.timestep * np.array([0.5, 0.5, 1.0]), np.array([2.0, 2.0, 1.0]) / 6.0
+    (_, _, rate, change, settled), _ = jax.lax.scan(stage, carry, (times.astype(dtype), weights.astype(dtype)))
+    qvel = [v + step * Scalar(value) for v, value in zip(state.qvel, change, strict=True)]
+    return (moved_by(tree, state.qpos, [Scalar(value) for value in rate], step), qvel, local), settled
 
 
 def accelerate(
@@ -125,7 +206,7 @@ def accelerate(
         force[:3] = [f + p for f, p in zip(force[:3], vector(values.push), strict=True)]
     start = to_world(tree, state.kinematics, warmstart)
     problem = make_problem(tree, values, state, force)
-    if not (problem.ground or problem.pairs or problem.stops):
+    if not (problem.ground or problem.pairs or problem.stops or problem.slips):
         return problem, Solution(factor(tree, state.matrix).solve(force), jnp.bool_(True))
     return problem, solve(tree, problem, start)
 
@@ -136,36 +217,48 @@ def make_problem(tree: Tree, values: Values, state: State, force: list[Scalar]) 
     ground = ground_touches(tree, at, state.motions, _frictions([p.surface for p in tree.ground], values.friction))
     pairs = pair_touches(tree, at, state.motions, _frictions([p.surface for p in tree.pairs], values.friction))
     stops = {
-        hinge.dof: stop_of(hinge.limit, state.qpos[hinge.coordinate], state.qvel[hinge.dof])
-        for hinge in tree.hinges
-        if hinge.limit is not None
+        joint.dof: stop_of(joint.limit, state.qpos[joint.coordinate], state.qvel[joint.dof])
+        for joint in tree.joints
+        if joint.limit is not None
     }
-    return Problem(state.matrix, force, at, ground, pairs, stops)
+    slips = {joint.dof: slip_of(joint.dry, state.qvel[joint.dof]) for joint in tree.joints if joint.dry is not None}
+    return Problem(state.matrix, force, at, ground, pairs, stops, slips)
 
 
 def integrate(
-    tree: Tree, state: State, acceleration: Sequence[Scalar]
+    tree: Tree, state: State, acceleration: Sequence[Scalar], damping: Sequence[Scalar] | None
 ) -> tuple[list[Scalar], list[Scalar], list[Scalar]]:
     """One step of semi-implicit Euler: the new `qpos` and `qvel`, and the accelerations in the axes of `qvel`.
 
-    Where the model takes its joints' damping at the end of the step, `(M + timestep B) change = timestep M qacc`.
+    Where the damping is taken at the end of the step, `(M + timestep B) change = timestep M qacc`.
+
+    Args:
+      tree: and
+      state: where the step begins.
+      acceleration: of the degrees of freedom, as the solver has it.
+      damping: of the degrees of freedom, that is taken at the end; None: at the beginning.
     """
     local = moved = to_local(tree, state.kinematics, acceleration)
     dt = Scalar(tree.timestep)
-    if tree.implicit_damping:
+    if damping is not None:
         matrix = [list(row) for row in state.matrix]
         for dof in range(tree.nv):
-            matrix[dof][dof] = matrix[dof][dof] + dt * state.damping[dof]
+            matrix[dof][dof] = matrix[dof][dof] + dt * damping[dof]
         slowed = factor(tree, matrix).solve(product(tree, state.matrix, acceleration))
         moved = to_local(tree, state.kinematics, slowed)
     qvel = [v + dt * a for v, a in zip(state.qvel, moved, strict=True)]
-    qpos = list(state.qpos)
+    return moved_by(tree, state.qpos, qvel, dt), qvel, local
+
+
+def moved_by(tree: Tree, qpos: Sequence[Scalar], qvel: Sequence[Scalar], time: Scalar) -> list[Scalar]:
+    """The coordinates after moving at these velocities for so long, s."""
+    found = list(qpos)
     if tree.free is not None:
-        qpos[:3] = [x + dt * v for x, v in zip(qpos[:3], qvel[:3], strict=True)]
-        qpos[3:7] = turned(unit(qpos[3:7]), Vector(*qvel[3:6]), dt)
-    for hinge in tree.hinges:
-        qpos[hinge.coordinate] = qpos[hinge.coordinate] + dt * qvel[hinge.dof]
-    return qpos, qvel, local
+        found[:3] = [x + time * v for x, v in zip(qpos[:3], qvel[:3], strict=True)]
+        found[3:7] = turned(unit(qpos[3:7]), Vector(*qvel[3:6]), time)
+    for joint in tree.joints:
+        found[joint.coordinate] = qpos[joint.coordinate] + time * qvel[joint.dof]
+    return found
 
 
 def turned(quaternion: Sequence[Scalar], velocity: Vector, time: Scalar) -> list[Scalar]:
@@ -205,8 +298,8 @@ def _joint_values(tree: Tree, own: Sequence[Number], given: Any) -> list[Scalar]
     """By degree of freedom: the model's, times the factor that is given."""
     found, factor = [ZERO] * tree.nv, ONE if given is None else number(given)
     products = {value: number(value) * factor for value in own}
-    for hinge, value in zip(tree.hinges, own, strict=True):
-        found[hinge.dof] = products[value]
+    for joint, value in zip(tree.joints, own, strict=True):
+        found[joint.dof] = products[value]
     return found
 
 
@@ -216,6 +309,12 @@ def _frictions(surfaces: Sequence[Surface], given: Any) -> list[Friction]:
     own = {value for surface in surfaces for value in surface.friction or ()}
     values = {value: Scalar(jnp.maximum((number(value) * number(given)).value, FRICTIONLESS)) for value in own}
     return [surface.friction and (values[surface.friction[0]], values[surface.friction[1]]) for surface in surfaces]
+
+
+def _if_within(bounds: tuple[float, float], force: Scalar, rate: Scalar) -> Scalar:
+    """The rate where the force is within its bounds, else 0."""
+    inside = (force.value > bounds[0]) & (force.value < bounds[1])
+    return rate if rate.is_known(0.0) else Scalar(jnp.where(inside, rate.value, 0.0))
 
 
 def _within(bounds: tuple[float, float] | None, value: Scalar) -> Scalar:

@@ -7,7 +7,7 @@ Limbs of one build, as the legs of a body, are *lanes*: `folding.fold` makes the
 of the lanes' where they differ. What is computed of a branch then has an axis of lanes before that of the worlds.
 """
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 
 class Table(NamedTuple):
@@ -45,7 +45,7 @@ class Softness(NamedTuple):
 
 
 class Limit(NamedTuple):
-    """The range of a hinge."""
+    """The range of a joint."""
 
     lower: Number
     upper: Number
@@ -55,12 +55,24 @@ class Limit(NamedTuple):
     softness: Softness
 
 
-class Hinge(NamedTuple):
+class Dry(NamedTuple):
+    """Dry friction of a joint."""
+
+    most: Number
+    """N m"""
+    inverse_weight: Number
+    """1/(kg m^2)"""
+    softness: Softness
+
+
+class Joint(NamedTuple):
     """A joint with one axis."""
 
     coordinate: int
-    """Which of the tree's coordinates is its angle; the bodies' poses in the model are those at `reference`."""
+    """Which of the tree's coordinates is its angle or way; the bodies' poses in the model are those at `reference`."""
     dof: int
+    slides: bool
+    """True if it moves along its axis, so m and N stand where a hinge has rad and N m."""
     axis: Triple
     anchor: Triple
     """Axis and a point on it in the frame of the body that the joint moves."""
@@ -71,6 +83,16 @@ class Hinge(NamedTuple):
     spring: Number
     """N m/rad, and the angle at which the spring is slack."""
     limit: Limit | None
+    dry: Dry | None
+
+
+class Drag(NamedTuple):
+    """The box by which a fluid feels a body: the one of its mass and inertia."""
+
+    axes: Axes
+    """In the body's frame."""
+    edges: Triple
+    """m"""
 
 
 class Body(NamedTuple):
@@ -88,8 +110,10 @@ class Body(NamedTuple):
     extra: tuple[tuple[Number, Triple], ...]
     """The moment of inertia about the centre of mass across all of these principal axes, in its frame, and by how much
     more it is about each, kg m^2. Bodies of revolution have one, balls none."""
-    hinges: tuple[Hinge, ...]
+    joints: tuple[Joint, ...]
     """Those between its parent and it, the parent's end first."""
+    drag: Drag | None
+    """None where no fluid is or the body has no mass."""
     laned: bool = False
 
 
@@ -117,8 +141,34 @@ class Capsule(NamedTuple):
     lane: int = 0
 
 
+class Corner(NamedTuple):
+    """The lower end of a diagonal of a box; the plane pushes the lower ends of all four."""
+
+    half: Triple
+    """From the middle of the box to one end."""
+
+
+class Rim(NamedTuple):
+    """A point on a rim of a cylinder: the lowest of all, its like on the other end, or one of two on the sides of the
+    lower rim."""
+
+    which: Literal["lowest", "opposite", "left", "right"]
+    axis: Triple
+    side: Triple
+    """An axis of the disk, that stands for the lowest direction where the disk is level."""
+    half_length: Number
+    radius: Number
+
+
+class Lowest(NamedTuple):
+    """The lowest point of an ellipsoid."""
+
+    axes: Axes
+    radii: Triple
+
+
 class GroundPoints(NamedTuple):
-    """Balls, or ends of capsules, of one body that a fixed plane pushes."""
+    """Balls, ends of capsules, or points of other shapes of one body that a fixed plane pushes."""
 
     body: int
     center: Triple
@@ -131,6 +181,8 @@ class GroundPoints(NamedTuple):
     surface: Surface
     order: tuple[int, ...]
     """Which of the model's points they are; point by point, lane by lane."""
+    shape: Corner | Rim | Lowest | None = None
+    """How the posture moves the point away from `center`, if it does."""
 
 
 class Pairs(NamedTuple):
@@ -142,14 +194,14 @@ class Pairs(NamedTuple):
 
 
 class Motor(NamedTuple):
-    """What acts on a hinge: `clip(gain * clip(control) + bias[0] + bias[1] * length + bias[2] * speed)`, times gear."""
+    """What acts on a joint: `clip(gain * clip(control) + bias[0] + bias[1] * length + bias[2] * speed)`, times gear."""
 
     qpos: int
     dof: int
     """In `qpos` and `qvel`."""
     gear: float
     gain: float
-    bias: Triple
+    bias: tuple[float, float, float]
     control: tuple[float, float] | None
     force: tuple[float, float] | None
 
@@ -168,8 +220,24 @@ class Site(NamedTuple):
     lane: int = 0
 
 
+Integrator = Literal["explicit", "damped", "fast", "RK4"]
+"""Semi-implicit Euler with the joints' damping taken at the beginning of a step or at its end, as MuJoCo's Euler does
+unless told otherwise; at its end together with that of motors (`implicitfast`); Runge and Kutta's of order 4."""
+
+
+class Fluid(NamedTuple):
+    """What the bodies move through."""
+
+    density: float
+    """kg/m^3"""
+    viscosity: float
+    """Pa s"""
+    wind: tuple[float, float, float]
+    """m/s, world"""
+
+
 class Tree(NamedTuple):
-    """Rigid bodies joined by hinges; the first that moves may be free."""
+    """Rigid bodies joined by hinges and slides; the first that moves may be free."""
 
     bodies: tuple[Body, ...]
     """The world is the first; parents come before their children."""
@@ -182,20 +250,24 @@ class Tree(NamedTuple):
     body_places: tuple[tuple[int, ...], ...]
     """Which of the model's bodies each body is: one, or one for each lane."""
     ground: tuple[GroundPoints, ...]
+    feet: tuple[tuple[int, ...], ...]
+    """Which of the model's points are of each shape that sensors report."""
     pairs: tuple[Pairs, ...]
     motors: tuple[Motor, ...]
+    bounds: tuple[tuple[int, tuple[float, float]], ...]
+    """Places in `qvel` where the motors together are bounded, and between what, N m."""
     gyroscopes: tuple[Site, ...]
     accelerometers: tuple[Site, ...]
     touch_sensors: tuple[Site, ...]
     gravity: tuple[float, float, float]
+    fluid: Fluid
     timestep: float
-    implicit_damping: bool
-    """Whether the joints' damping is taken at the end of a step, as MuJoCo's Euler does unless told otherwise."""
+    integrator: Integrator
 
     @property
-    def hinges(self) -> tuple[Hinge, ...]:
+    def joints(self) -> tuple[Joint, ...]:
         """All of them, by degree of freedom."""
-        return tuple(hinge for body in self.bodies for hinge in body.hinges)
+        return tuple(joint for body in self.bodies for joint in body.joints)
 
     @property
     def nv(self) -> int:
@@ -204,7 +276,7 @@ class Tree(NamedTuple):
 
     def own(self, body: int) -> tuple[int, ...]:
         """The degrees of freedom between a body and its parent."""
-        return tuple(range(6)) if body == self.free else tuple(hinge.dof for hinge in self.bodies[body].hinges)
+        return tuple(range(6)) if body == self.free else tuple(joint.dof for joint in self.bodies[body].joints)
 
     def moving(self, body: int) -> tuple[int, ...]:
         """The degrees of freedom that move a body, in their order."""
