@@ -30,6 +30,7 @@ SENSORS = Sensors(
     accelerometer_bias=0.2,
     foot_contact_noise=0.5,
     delay=1,
+    jitter=0,
     averages=True,
 )
 """Cheap parts, well mounted: encoders of 12 bits, whose steps are 0.0015 rad, set to zero within half a degree; a MEMS
