@@ -12,7 +12,7 @@ import os
 import re
 import sys
 import traceback
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
@@ -156,8 +156,9 @@ def make_named(kind: str, registry: Mapping[str, str], base: type[Any], name: st
     return make(kind, registry, base, name, **values | ({} if name in registry else {"name": name}))
 
 
-def written(kind: str, registry: Mapping[str, str], base: type[Any]) -> pydantic.BeforeValidator:
-    """What makes a field take a `Named` of this kind as a config writes it: a name, or a name with values."""
+def written(kind: str, make: Callable[..., Any]) -> pydantic.BeforeValidator:
+    """What makes a field take a `Named` of this kind as a config writes it: a name, or a name with values, of which
+    `make(name, **values)` builds it."""
 
     def build(given: Any) -> Any:
         if isinstance(given, str):
@@ -167,7 +168,7 @@ def written(kind: str, registry: Mapping[str, str], base: type[Any]) -> pydantic
         values = dict(given)
         if "name" not in values:
             raise InputError(f"{kind}.name: this key is required")
-        return make_named(kind, registry, base, values.pop("name"), **values)
+        return make(values.pop("name"), **values)
 
     return pydantic.BeforeValidator(build)
 
@@ -185,6 +186,11 @@ def modules_in(folder: str | None) -> Iterator[None]:
         _folder.reset(before)
 
 
+def search_folders() -> list[str]:
+    """The folder of `modules_in`, if any is given, and the working directory."""
+    return list(dict.fromkeys(filter(None, (_folder.get(), os.getcwd()))))
+
+
 def _import(name: str) -> ModuleType:
     """The module of this name: on Python's path, in the folder of `modules_in`, or in the working directory."""
     try:
@@ -192,7 +198,7 @@ def _import(name: str) -> ModuleType:
     except ModuleNotFoundError as error:
         if error.name != name.partition(".")[0]:
             raise
-        folders = list(dict.fromkeys(filter(None, (_folder.get(), os.getcwd()))))
+        folders = search_folders()
         sys.path += (added := [folder for folder in folders if folder not in sys.path])
         try:
             return importlib.import_module(name)
