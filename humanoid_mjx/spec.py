@@ -13,7 +13,7 @@ import os
 import re
 import sys
 import traceback
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from importlib.machinery import PathFinder
@@ -158,8 +158,9 @@ def make_named(kind: str, registry: Mapping[str, str], base: type[Any], name: st
     return make(kind, registry, base, name, **values | ({} if name in registry else {"name": name}))
 
 
-def written(kind: str, registry: Mapping[str, str], base: type[Any]) -> pydantic.BeforeValidator:
-    """What makes a field take a `Named` of this kind as a config writes it: a name, or a name with values."""
+def written(kind: str, make: Callable[..., Any]) -> pydantic.BeforeValidator:
+    """What makes a field take a `Named` of this kind as a config writes it: a name, or a name with values, of which
+    `make(name, **values)` builds it."""
 
     def build(given: Any) -> Any:
         if isinstance(given, str):
@@ -169,7 +170,7 @@ def written(kind: str, registry: Mapping[str, str], base: type[Any]) -> pydantic
         values = dict(given)
         if "name" not in values:
             raise InputError(f"{kind}.name: this key is required")
-        return make_named(kind, registry, base, values.pop("name"), **values)
+        return make(values.pop("name"), **values)
 
     return pydantic.BeforeValidator(build)
 
@@ -208,7 +209,7 @@ def _is_run(module: str) -> bool:
     if strangers is None or top == __package__:
         return True
     try:
-        found = importlib.util.find_spec(top) or PathFinder.find_spec(top, _folders())
+        found = importlib.util.find_spec(top) or PathFinder.find_spec(top, search_folders())
     except ValueError:  # of a program that is no file
         return False
     if found is None:
@@ -219,8 +220,8 @@ def _is_run(module: str) -> bool:
     return path.is_relative_to(Path.cwd()) and not installed and not any(map(path.is_relative_to, strangers))
 
 
-def _folders() -> list[str]:
-    """Folders in which a module is searched that is not on Python's path."""
+def search_folders() -> list[str]:
+    """The folder of `modules_in`, if any is given, and the working directory."""
     return list(dict.fromkeys(filter(None, (_folder.get(), os.getcwd()))))
 
 
@@ -231,7 +232,7 @@ def _import(name: str) -> ModuleType:
     except ModuleNotFoundError as error:
         if error.name != name.partition(".")[0]:
             raise
-        folders = _folders()
+        folders = search_folders()
         sys.path += (added := [folder for folder in folders if folder not in sys.path])
         try:
             return importlib.import_module(name)

@@ -8,7 +8,6 @@ import mujoco
 import numpy as np
 import pytest
 from PIL import Image
-from robots import draw_robots
 from scipy.spatial import ConvexHull
 
 from humanoid_mjx.evaluation.film import Film, Push, in_words, merged
@@ -21,6 +20,7 @@ from humanoid_mjx.report.video import ffmpeg
 from humanoid_mjx.robot import make_robot
 from humanoid_mjx.robot.lower_body import LOOKS, lower_body_model
 from humanoid_mjx.spec import InputError
+from robots import draw_robots
 
 MODEL = lower_body_model()
 

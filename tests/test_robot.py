@@ -94,8 +94,8 @@ def test_it_stands_in_the_tasks_on_legs(physics):
     data, weight = state.data, 12 * 9.81
     np.testing.assert_allclose(data.readings.encoders, data.world.qpos[jnp.array([10, 9, 8, 7])], atol=0.1)
     assert data.readings.foot_contact.sum() == pytest.approx(weight, rel=0.2)
-    with pytest.raises(InputError, match="gait: steps needs two legs of hip pitch"):
-        make_task("walk", robot=Dog())
+    with pytest.raises(InputError, match="gait: table needs two legs of hip pitch"):
+        make_task("walk", robot=Dog(), gait="table")
 
 
 @pytest.mark.parametrize(
@@ -117,5 +117,5 @@ def test_what_does_not_fit_the_model_is_refused(values, words):
 
 
 def test_an_unknown_robot_is_refused():
-    with pytest.raises(InputError, match="unknown robot 'arm'; known are leg, legs, lower_body"):
+    with pytest.raises(InputError, match="unknown robot 'arm'; known are dog, leg, legs, lower_body"):
         make_robot("arm")

@@ -127,7 +127,7 @@ def load(config: str | Path, overrides: Sequence[str] = ()) -> Config:
     for override in overrides:
         apply_override(data, override)
         _sweep_no_more(data, override.partition("=")[0])
-    if re.search(r"\w:\w", str(data)):  # an import path: the run remembers where its module is
+    if re.search(r"\w:\w|\.ya?ml\b", str(data)):  # an import path or a robot: the run remembers where they are
         beside = Path() if path.parent == folder("configs") else path.parent
         data["modules"] = str((beside / str(data.get("modules", ""))).resolve())
     return parse(data, str(config))

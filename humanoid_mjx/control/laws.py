@@ -5,6 +5,7 @@ computes with a model of the robot, `mass` is the mass of that model's links as 
 plant's mass is a value of the physics, and the two may differ.
 
     servo            stiffness (q_d - q) - damping qd
+    robot_servo      the same, with gains for each joint that are the robot's own
     pd               stiffness (q_d - q) + damping (qd_d - qd)
     partitioned_pd   diag(M) a,            a = qdd_d + kp (q_d - q) + kd (qd_d - qd)     (5.26 to 5.30)
     computed_torque  M a + bias            of the joints; treats a free torso as fixed and ignores the ground (5.40)
@@ -28,7 +29,8 @@ from humanoid_mjx.control.gains import critical_kd
 from humanoid_mjx.control.ground import NATURAL_FREQUENCY, SERVO_KD, SERVO_KP, SHARE, grounded_torque
 from humanoid_mjx.control.pd import Gain, Joints, Reference, pd, servo
 from humanoid_mjx.mechanics.contacts import Contacts
-from humanoid_mjx.spec import Named, make_named, traced, written
+from humanoid_mjx.robot.description import Robot
+from humanoid_mjx.spec import InputError, Named, make_named, traced, written
 from humanoid_mjx.types import AnyArray, MassFactor
 
 
@@ -74,6 +76,10 @@ class Law(Named):
         """The torque of each joint, N m, before the motors' limit."""
         raise NotImplementedError
 
+    def of(self, robot: Robot) -> "Law":
+        """The law with gains that are the robot's own; this one, where it has none of them."""
+        return self
+
     def follow(self, reference: Reference) -> "Follow":
         """The controller that follows one reference."""
         return Follow(self, reference)
@@ -101,6 +107,20 @@ class ServoLaw(Law):
     def __call__(self, reference: Reference, state: RobotState) -> Joints:
         still = reference._replace(qvel=jnp.zeros_like(reference.qpos))
         return pd(self.stiffness, self.damping, still, state.qpos, state.qvel)
+
+
+class RobotServoLaw(Law):
+    """The servo that a robot's own description gives, joint by joint."""
+
+    name: Literal["robot_servo"] = "robot_servo"
+    stiffness: float = traced(1.0, gt=0, le=100, description="factor on that of the robot's servo")
+    damping: float = traced(1.0, ge=0, le=100, description="factor on that of the robot's servo")
+
+    def of(self, robot: Robot) -> ServoLaw:
+        if robot.servo is None:
+            raise InputError(f"control: the robot {robot.name} has no servo of its own; take servo, and its gains.")
+        stiffness, damping = (np.asarray(gain, np.float32) for gain in robot.servo)
+        return ServoLaw().replace(stiffness=self.stiffness * stiffness, damping=self.damping * damping)
 
 
 class PDLaw(Law):
@@ -169,6 +189,7 @@ class GroundedLaw(ModelLaw):
 
 LAWS = {
     "servo": "humanoid_mjx.control.laws:ServoLaw",
+    "robot_servo": "humanoid_mjx.control.laws:RobotServoLaw",
     "pd": "humanoid_mjx.control.laws:PDLaw",
     "partitioned_pd": "humanoid_mjx.control.laws:PartitionedPDLaw",
     "computed_torque": "humanoid_mjx.control.laws:ComputedTorqueLaw",
@@ -185,5 +206,5 @@ def make_law(name: str, /, **params: Any) -> Any:
     return make_named("control", LAWS, Law, name, **params)
 
 
-Control = Annotated[pydantic.SerializeAsAny[Law], written("control", LAWS, Law)]
+Control = Annotated[pydantic.SerializeAsAny[Law], written("control", make_law)]
 """The type of a task's field `control`."""

@@ -35,13 +35,13 @@ from humanoid_mjx.physics.base import (
 from humanoid_mjx.robot import ROBOTS
 from humanoid_mjx.robot.leg import FRAME_0, MIRROR, Leg
 from humanoid_mjx.robot.legs import Legs
-from humanoid_mjx.spec import traced, written
+from humanoid_mjx.spec import make_named, traced, written
 from humanoid_mjx.thesis.leg import GRAVITY, JOINT_NAMES
 from humanoid_mjx.types import AnyArray, BoolScalar, MassFactor
 
 LEG = len(JOINT_NAMES)
 
-ChainRobot = Annotated[pydantic.SerializeAsAny[Legs], written("robot", ROBOTS, Legs)]
+ChainRobot = Annotated[pydantic.SerializeAsAny[Legs], written("robot", partial(make_named, "robot", ROBOTS, Legs))]
 
 
 class ChainPhysics(Physics):

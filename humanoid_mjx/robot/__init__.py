@@ -1,5 +1,34 @@
 """The robots: what a description holds, the leg as a serial chain, the legs and the lower body as MuJoCo models."""
 
-from humanoid_mjx.robot.description import ROBOTS, Robot, RobotKey, make_robot
+from typing import Annotated, Any
+
+import pydantic
+
+from humanoid_mjx.files import names
+from humanoid_mjx.robot.declared import is_shipped, make_declared
+from humanoid_mjx.robot.description import Robot
+from humanoid_mjx.spec import make_named, written
 
 __all__ = ["ROBOTS", "Robot", "RobotKey", "make_robot"]
+
+ROBOTS = {
+    "leg": "humanoid_mjx.robot.legs:SingleLeg",
+    "legs": "humanoid_mjx.robot.legs:Legs",
+    "lower_body": "humanoid_mjx.robot.lower_body:LowerBody",
+}
+"""The robots made in Python, by name. Those of the folder `robots/` ship as well."""
+
+
+def make_robot(name: str, /, **values: Any) -> Any:
+    """Build the robot called `name`, that of a YAML, or a user's own given as "package.module:Class".
+
+    Raises:
+      InputError: unknown name or key, or a value that does not fit the robot's model.
+    """
+    if isinstance(name, str) and (is_shipped(name) or name.endswith((".yaml", ".yml"))):
+        return make_declared(name, **values)
+    return make_named("robot", ROBOTS | dict.fromkeys(names("robots", ".yaml"), ""), Robot, name, **values)
+
+
+RobotKey = Annotated[pydantic.SerializeAsAny[Robot], written("robot", make_robot)]
+"""The type of a field `robot`: `robot: {name: lower_body, ranges: human}`, a name, or a path of a YAML."""

@@ -6,8 +6,9 @@ bodies are feet, how it stands, which side is the image of which. The rest follo
 its weight and of the length of its legs, so that they fit any robot.
 """
 
+from collections.abc import Mapping
 from functools import lru_cache
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -15,14 +16,7 @@ import pydantic
 from jaxtyping import Bool, Float, Int
 from pydantic import Field
 
-from humanoid_mjx.spec import InputError, Named, make_named, written
-
-ROBOTS = {
-    "leg": "humanoid_mjx.robot.legs:SingleLeg",
-    "legs": "humanoid_mjx.robot.legs:Legs",
-    "lower_body": "humanoid_mjx.robot.lower_body:LowerBody",
-}
-"""The robots by name."""
+from humanoid_mjx.spec import InputError, Named
 
 AXIAL = np.array([-1.0, 1.0, -1.0])
 """Image of an axis of rotation in the plane of symmetry, x forward and z up."""
@@ -48,6 +42,15 @@ class Build(NamedTuple):
     """From a hip to the ankle under it at home, m."""
     lean: float
     """Pitch of the hips at home, rad."""
+
+
+class Servo(NamedTuple):
+    """Gains of a servo of the joints' positions."""
+
+    stiffness: Float[np.ndarray, " joints"]
+    """N m/rad"""
+    damping: Float[np.ndarray, " joints"]
+    """N m s/rad"""
 
 
 class Robot(Named):
@@ -81,10 +84,19 @@ class Robot(Named):
     @pydantic.model_serializer(mode="wrap")
     def _as_chosen(self, handler: Any) -> dict[str, Any]:
         """The name, and what was not left as it is."""
-        fields = type(self).model_fields
-        return {key: value for key, value in handler(self).items() if getattr(self, key) != fields[key].default} | {
+        own = self._unchanged()
+        return {key: value for key, value in handler(self).items() if getattr(self, key) != own.get(key)} | {
             "name": self.name
         }
+
+    def _unchanged(self) -> Mapping[str, Any]:
+        """Values of the fields where a config chooses none."""
+        return {key: field.default for key, field in type(self).model_fields.items()}
+
+    @property
+    def servo(self) -> Servo | None:
+        """Gains of its own servo, where it has one."""
+        return None
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -224,19 +236,6 @@ class Robot(Named):
         if self.feet and names != [foot for foot in self.feet for _ in range(self.points)]:
             raise ValueError(f"feet must have equally many balls that feel the ground, foot by foot, got {names}")
         return self
-
-
-def make_robot(name: str, /, **values: Any) -> Any:
-    """Build the robot called `name`, or a user's own given as "package.module:Class".
-
-    Raises:
-      InputError: unknown name or key, or a value that does not fit the robot's model.
-    """
-    return make_named("robot", ROBOTS, Robot, name, **values)
-
-
-RobotKey = Annotated[pydantic.SerializeAsAny[Robot], written("robot", ROBOTS, Robot)]
-"""The type of a field `robot`: `robot: {name: lower_body, ranges: human}`, or the name alone."""
 
 
 @lru_cache

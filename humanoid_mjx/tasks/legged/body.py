@@ -1,16 +1,17 @@
 """The body of a legged task: a robot in a physics, its posture, its joints' law, the values of its world."""
 
 from functools import lru_cache
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pydantic
 from jaxtyping import Array, Float, Key
 from pydantic import Field, model_validator
 
 from humanoid_mjx.control import Control, at_rest
-from humanoid_mjx.control.laws import ServoLaw
+from humanoid_mjx.control.laws import RobotServoLaw, ServoLaw
 from humanoid_mjx.mechanics.rotations import leaning_quaternion
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.physics.base import Controller, Physics, Sensed, World
@@ -54,9 +55,19 @@ class LeggedBody(ContinuousTask):
     joint_damping: float = traced(1.0, ge=0, le=100, description="factor on that of the joints")
     torque_limit: float = traced(1.0, gt=0, le=1000, description="factor on that of each motor")
 
+    @model_validator(mode="before")
+    @classmethod
+    def _a_robot_brings_its_servo(cls, data: Any) -> Any:
+        """A robot that has a servo of its own is driven by it, unless another law is asked for."""
+        if isinstance(data, dict) and "robot" in data and "control" not in data:
+            robot = pydantic.TypeAdapter(RobotKey).validate_python(data["robot"])
+            data = data | {"robot": robot} | ({"control": RobotServoLaw()} if robot.servo else {})
+        return data
+
     @model_validator(mode="after")
     def _period_must_fit(self) -> "LeggedBody":
         self.simulator.substeps(self.period)
+        self.control.of(self.robot)
         if self.action_shares and len(self.action_shares) != len(set(self.robot.kinds.tolist())):
             raise ValueError(f"action_shares must hold one number for each kind of joint, got {self.action_shares}")
         return self
@@ -128,7 +139,7 @@ class LeggedBody(ContinuousTask):
         """What moves the body during a decision."""
         values = {"mass": plant.mass, "friction": plant.friction, "torque_limit": plant.torque_limit}
         physics = self.simulator.replace(**values, damping=plant.joint_damping, push=force)
-        return physics, self.control.follow(at_rest(setpoint))
+        return physics, self.control.of(self.robot).follow(at_rest(setpoint))
 
 
 @lru_cache

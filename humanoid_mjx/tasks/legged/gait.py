@@ -1,5 +1,7 @@
 """The clock of a gait, and open-loop steps as a motion for a learner to correct."""
 
+import math
+from functools import partial
 from typing import Annotated, Any, Literal, NamedTuple
 
 import jax.numpy as jnp
@@ -9,12 +11,17 @@ from jaxtyping import Array, Float
 
 from humanoid_mjx.robot import Robot
 from humanoid_mjx.robot.description import Build
-from humanoid_mjx.spec import InputError, Named, traced, written
+from humanoid_mjx.robot.reaching import monomials, reach_of
+from humanoid_mjx.spec import InputError, Named, make_named, traced, written
 from humanoid_mjx.tasks.legged.commands import moves
 from humanoid_mjx.types import FloatScalar
 
 SHORTENED = np.array([1.0, 0.0, 0.0, 2.0, -1.0])
 """Hip pitch, yaw, roll, knee and ankle of a leg that becomes shorter under the hip while its foot stays level."""
+
+BEND = math.radians(15.0)
+"""From where the pitch of a hip lifts a foot, rad: two equal links between hip and ankle, as the lower body's at home,
+become shorter by the difference of cosines."""
 
 LEFTWARDS = np.array([-1.0, 1.0])
 """The sense in which the right and the left hip's yaw and roll turn a leg: positive is outwards on both sides."""
@@ -85,10 +92,7 @@ class Steps(Gait):
     stride: float = traced(1.0, ge=0, le=3, description="share of the commanded motion that the legs sweep through")
     landing: float = traced(0.0, ge=0, le=3, description="how softly a foot leaves the ground and lands; 1: at rest")
 
-    def check(self, robot: Robot) -> None:
-        build_of(robot, self.name)
-
-    def sweep(self, phase: FloatScalar, robot: Robot) -> Float[Array, "2"]:
+    def sweep(self, phase: FloatScalar, robot: Robot) -> Float[Array, " feet"]:
         """Where each foot should be along its way, 1 in front to -1 behind: steadily back while it stands, and forth
         while it swings, as a cubic that leaves the ground and comes back to it as fast as that goes."""
         turn, swing = jnp.mod(phase - robot.phases, 1.0), 1.0 - self.stance
@@ -103,8 +107,10 @@ class Steps(Gait):
         A foot that stands goes back as the ground does under a body that moves as commanded (velocity forward and to
         the left, m/s, and turn rate to the left, rad/s), times `stride`.
         """
-        phase, build = clock.phase, build_of(robot, self.name)
+        phase, build = clock.phase, robot.build
         way = self.sweep(phase, robot) * self.lasting(command) * self.stance / 2
+        if build is None:
+            return jnp.where(moves(command), self._reached(way, phase, command, robot), 0.0)
         forward, left, turn = self.stride * command
         pitch = jnp.arctan(way * (forward - turn * build.hip_offset * LEFTWARDS) / build.reach)
         aside, around = way * left / build.reach, way * turn
@@ -117,6 +123,22 @@ class Steps(Gait):
         lift = swing * jnp.maximum(swing, 1e-6) ** self.landing
         lifted = jnp.radians(self.lift) * lift[:, None] * SHORTENED
         return jnp.where(moves(command), (swept + lifted).reshape(-1), 0.0)
+
+    def _reached(
+        self, way: Float[Array, " feet"], phase: FloatScalar, command: Float[Array, "3"], robot: Robot
+    ) -> Float[Array, " joints"]:
+        """The motion of legs of any build, by their inverse kinematics."""
+        reach, length = reach_of(robot), robot.leg_length
+        ahead, aside = reach.place.astype(np.float32).T
+        forward, left, turn = self.stride * command
+        over = np.sign(aside[0]) * jnp.radians(self.sway) * jnp.sin(2 * jnp.pi * phase)
+        swing = self.swing(phase, robot)
+        height = math.cos(BEND) - jnp.cos(BEND + jnp.radians(self.lift))
+        lifted = height * swing * jnp.maximum(swing, 1e-6) ** self.landing
+        parts = [way * (forward - turn * aside) / length, way * (left + turn * ahead) / length + over, lifted]
+        parts += [way * turn] if robot.points > 2 else []
+        terms = jnp.stack(monomials(parts), axis=-1).reshape(-1)
+        return jnp.dot(terms, reach.matrix.astype(np.float32), precision="highest")
 
 
 def build_of(robot: Robot, gait: str) -> Build:
@@ -140,5 +162,5 @@ GAITS = {
     "oscillators": "humanoid_mjx.tasks.legged.thesis_gaits:Oscillators",
 }
 
-Gaits = Annotated[pydantic.SerializeAsAny[Gait], written("gait", GAITS, Gait)]
+Gaits = Annotated[pydantic.SerializeAsAny[Gait], written("gait", partial(make_named, "gait", GAITS, Gait))]
 """The type of a task's field `gait`: `gait: {name: table}`, or the name alone."""

@@ -165,7 +165,9 @@ def slip(view: View) -> FloatScalar:
 
 
 def tilted_feet(view: View) -> FloatScalar:
-    """Five times the squared sines of the tilts of loaded feet, summed; at most 1."""
+    """Five times the squared sines of the tilts of loaded feet, summed; at most 1; 0 for feet of one or two points."""
+    if view.robot.points < 3:
+        return jnp.float32(0.0)
     loaded = view.feet.load > view.robot.force(LOADED)
     return jnp.minimum(5 * jnp.sum(loaded * (1 - view.feet.rotation[:, 2, 2] ** 2)), 1.0)
 
@@ -173,6 +175,8 @@ def tilted_feet(view: View) -> FloatScalar:
 def crossing(view: View) -> FloatScalar:
     """The squared lack of distance between the feet, sideways, by `TOO_NEAR`; at most 2."""
     right, left = view.robot.foot_pairs.T
+    if not len(right):
+        return jnp.float32(0.0)
     gap = ((view.feet.position[left] - view.feet.position[right]) @ heading_frame(view.rotation)[1]).min()
     lack = jnp.maximum(view.robot.length(APART) - gap, 0.0)
     return jnp.minimum((lack / view.robot.length(TOO_NEAR)) ** 2, 2.0)

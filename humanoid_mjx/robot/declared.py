@@ -1,0 +1,438 @@
+# pyright: reportAttributeAccessIssue=false
+"""Robots that a user declares: a YAML beside an MJCF says what the model does not; the rest follows from the model.
+
+The model's joints, masses, limits and looks stay. Torque motors take the place of its actuators, and sensors of the
+package that of its own. The ground is the plane z = 0, which the feet feel through balls: a ball as it is, one in each
+end of a capsule, one in each lower corner of a box.
+"""
+
+import hashlib
+import json
+import re
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+import pydantic
+from jaxtyping import Float
+from pydantic import Field
+
+from humanoid_mjx.config import parse_yaml
+from humanoid_mjx.files import folder
+from humanoid_mjx.robot.description import Robot, Servo
+from humanoid_mjx.spec import InputError, Spec, known, search_folders, sentence
+
+DAMPING = 0.03
+"""Servo damping by stiffness where a description gives none, s."""
+
+CORNER = 0.25
+"""Largest radius of the balls in a box's corners, as a share of half its shorter side."""
+
+JOINT, GEOM, SENSOR = mujoco.mjtJoint, mujoco.mjtGeom, mujoco.mjtSensor
+
+
+def _numbers(given: Any) -> Any:
+    """Numbers by patterns, from a number for all joints or from such a mapping."""
+    numbers = given if isinstance(given, dict) else {".*": given}
+    if any(isinstance(x, bool) or not isinstance(x, (int, float)) for x in numbers.values()):
+        raise ValueError(f"a number, or numbers by patterns of joints' names, are needed, got {given!r}")
+    for pattern in numbers:
+        try:
+            re.compile(pattern)
+        except re.error as error:
+            raise ValueError(f"{pattern!r} is no regular expression: {error}") from error
+    return {pattern: float(number) for pattern, number in numbers.items()}
+
+
+ByJoint = Annotated[dict[str, float], pydantic.BeforeValidator(_numbers)]
+"""A number for all joints, or numbers by regular expressions of whole names, of which the first that fits counts."""
+
+Posture = Annotated[Any, pydantic.BeforeValidator(lambda given: given if isinstance(given, str) else _numbers(given))]
+
+
+class DeclaredServo(Spec):
+    """Gains of the servo that drives the joints."""
+
+    stiffness: ByJoint | None = Field(
+        None, description="N m/rad, by joint; by default that of the model's position actuators, else the torque limit"
+    )
+    damping: ByJoint | None = Field(
+        None, description="N m s/rad, by joint; by default as the stiffness, else 0.03 s times it"
+    )
+
+
+class Declaration(Spec):
+    """Keys of a robot's YAML. `by joint` is one number, or numbers by regular expressions of joints' names."""
+
+    model: str = Field(description="the MJCF, a path from the YAML")
+    feet: list[str] = Field(min_length=1, description="geoms or bodies that stand on the ground")
+    home: Posture = Field("", description="how it stands: a keyframe, or degrees by joint; by default all joints at 0")
+    servo: DeclaredServo = Field(DeclaredServo.model_validate({}), description="gains of its joints' servo")
+    torque: ByJoint | None = Field(None, description="largest torque by joint, N m; by default the model's")
+    shares: ByJoint | None = Field(None, description="of the action scale, by joint; by default all 1")
+    turns: list[float] = Field([], description="when in a gait's period each foot swings, 0 to 1; by default evenly")
+    mirror: dict[str, str] = Field({}, description="parts of names on the right, and what stands for them on the left")
+    contacts: Literal["feet", "model"] = Field(
+        "feet", description="what touches: the feet the ground and nothing else, or also all bodies as the model says"
+    )
+
+
+class Declared(Robot):
+    """A robot as its YAML and its MJCF describe it."""
+
+    name: str = Field(description="path of the YAML, or the name of a robot that ships")
+    content: str = Field("", description="digest of both files: a run takes no other robot of the same name")
+    ground_geoms: tuple[str, ...] = Field(default=(), strict=False, description="geoms of the feet; all that touch")
+    torque: tuple[float, ...] = Field(default=(), strict=False, description="largest torques, N m")
+    stiffness: tuple[float, ...] = Field(default=(), strict=False, description="of the servo, N m/rad")
+    damping: tuple[float, ...] = Field(default=(), strict=False, description="of the servo, N m s/rad")
+    contacts: Literal["feet", "model"] = Field("feet", description="what touches")
+
+    @property
+    def servo(self) -> Servo:
+        return Servo(np.array(self.stiffness), np.array(self.damping))
+
+    def _unchanged(self) -> dict[str, Any]:
+        own = _read(find(self.name)).values
+        return {key: value for key, value in own.items() if key not in ("name", "content")}
+
+    def spec(self, timestep: float | None = None) -> mujoco.MjSpec:
+        source = _read(find(self.name))
+        spec = _load(source.model)
+        model = spec.compile()
+        points = self._points(spec, model, source.joints)
+        _strip(spec, feet_only=self.contacts == "feet")
+        spec.option.timestep = timestep or model.opt.timestep
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+        spec.option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
+        ground = spec.worldbody.add_geom(
+            name="ground", type=GEOM.mjGEOM_PLANE, size=(0.0, 0.0, 0.05), contype=0, conaffinity=0, rgba=(0.9,) * 4
+        )
+        for index, (foot, point) in enumerate(points):
+            ball = foot.add_geom(
+                name=f"{foot.name}_point{index}",
+                type=GEOM.mjGEOM_SPHERE,
+                size=(point.radius, 0.0, 0.0),
+                pos=point.place,
+                mass=0.0,
+                contype=0,
+                conaffinity=0,
+                group=3,
+            )
+            foot.add_site(name=ball.name, size=(1.5 * point.radius,) * 3, pos=point.place, group=3)
+            pair = spec.add_pair(name=ball.name, geomname1=ground.name, geomname2=ball.name, condim=3)
+            pair.friction[:2], pair.solref, pair.solimp = point.friction, point.solref, point.solimp
+        self._add_motors_and_sensors(spec, source.joints, points)
+        return spec
+
+    def _add_motors_and_sensors(self, spec: mujoco.MjSpec, joints: Sequence[str], points: list[Any]) -> None:
+        for joint, limit in zip(joints, self.torque, strict=True):
+            motor = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+            motor.set_to_motor()
+            motor.ctrllimited, motor.ctrlrange = mujoco.mjtLimited.mjLIMITED_TRUE, (-limit, limit)
+            kind = {"type": SENSOR.mjSENS_JOINTPOS, "objtype": mujoco.mjtObj.mjOBJ_JOINT}
+            spec.add_sensor(name=f"{joint}_encoder", objname=joint, **kind)
+        spec.worldbody.first_body().add_site(name="package_imu", group=3)
+        sensors = [("gyroscope", SENSOR.mjSENS_GYRO, "package_imu")]
+        sensors += [("accelerometer", SENSOR.mjSENS_ACCELEROMETER, "package_imu")]
+        for foot in self.feet:
+            places = np.array([point.place for body, point in points if body.name == foot])
+            radius = max(point.radius for body, point in points if body.name == foot)
+            reach = np.linalg.norm(places - places.mean(axis=0), axis=1).max() + 1.5 * radius
+            spec.body(foot).add_site(name=f"{foot}_contact", size=(reach,) * 3, pos=places.mean(axis=0), group=3)
+            sensors.append((f"{foot}_contact", SENSOR.mjSENS_TOUCH, f"{foot}_contact"))
+        for index, (foot, _) in enumerate(points):
+            ball = f"{foot.name}_point{index}"
+            sensors.append((f"{ball}_contact", SENSOR.mjSENS_TOUCH, ball))
+        for name, kind, site in sensors:
+            spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=site)
+
+    def _points(self, spec: mujoco.MjSpec, model: mujoco.MjModel, joints: Sequence[str]) -> list[Any]:
+        """The feet with their points, foot by foot."""
+        data = mujoco.MjData(model)
+        for joint, angle in zip(joints, self.posture if self.home else np.zeros(len(joints)), strict=True):
+            data.qpos[model.joint(joint).qposadr[0]] = angle
+        mujoco.mj_kinematics(model, data)
+        planes = model.geom_type == GEOM.mjGEOM_PLANE
+        rough = float(model.geom_friction[planes, 0].max(initial=0.0))
+        return [
+            (spec.body(foot), point)
+            for foot in self.feet
+            for geom in spec.body(foot).geoms
+            if (geom.name in self.ground_geoms if self.ground_geoms else geom.contype or geom.conaffinity)
+            for point in _points_of(model, data, geom.id, rough, foot)
+        ]
+
+
+class Point(NamedTuple):
+    """A ball that the ground can push."""
+
+    place: Float[np.ndarray, "3"]
+    """In the foot's frame, m."""
+    radius: float
+    friction: float
+    solref: np.ndarray
+    solimp: np.ndarray
+
+
+def _points_of(model: mujoco.MjModel, data: mujoco.MjData, geom: int, rough: float, foot: str) -> list[Point]:
+    """The balls of one geom of a foot."""
+    size, kind = model.geom_size[geom], model.geom_type[geom]
+    radius, centers = float(size[0]), np.zeros((1, 3))
+    if kind == GEOM.mjGEOM_CAPSULE:
+        centers = np.array([[0.0, 0.0, size[1]], [0.0, 0.0, -size[1]]])
+    elif kind == GEOM.mjGEOM_BOX:
+        upright = data.geom_xmat[geom].reshape(3, 3)[2]
+        down = int(np.abs(upright).argmax())
+        others = [axis for axis in range(3) if axis != down]
+        radius = float(min(CORNER * size[others].min(), size[down]))
+        corners = np.full((4, 3), -np.sign(upright[down]))
+        corners[:, others] = [(1, 1), (1, -1), (-1, 1), (-1, -1)]
+        centers = corners * (size - radius)
+    elif kind != GEOM.mjGEOM_SPHERE:
+        word = GEOM(int(kind)).name.removeprefix("mjGEOM_").lower()
+        raise InputError(
+            f"feet: {foot} has a {word}, {model.geom(geom).name!r}; name geoms that are balls, capsules or boxes"
+        )
+    rotation = np.empty(9)
+    mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
+    friction = max(rough, float(model.geom_friction[geom, 0]))
+    surface = friction, model.geom_solref[geom].copy(), model.geom_solimp[geom].copy()
+    places = model.geom_pos[geom] + centers @ rotation.reshape(3, 3).T
+    return [Point(place, radius, *surface) for place in places]
+
+
+def _strip(spec: mujoco.MjSpec, feet_only: bool) -> None:
+    """Take out what the package has in its own way: actuators, sensors, keyframes, ground, contacts of other bodies."""
+    doomed = [*spec.actuators, *spec.sensors, *spec.keys, *(spec.pairs if feet_only else ())]
+    doomed += [geom for geom in spec.worldbody.geoms if geom.type == GEOM.mjGEOM_PLANE]
+    for element in doomed:
+        spec.delete(element)
+    for geom in spec.worldbody.geoms if not feet_only else spec.geoms:
+        geom.contype = geom.conaffinity = 0
+
+
+class Source(NamedTuple):
+    """What the two files of a robot say."""
+
+    model: str
+    joints: tuple[str, ...]
+    values: dict[str, Any]
+    """Fields of `Declared`."""
+
+
+def make_declared(name: str, **values: Any) -> Declared:
+    """Build the robot of a YAML, or one that ships, by name.
+
+    Raises:
+      InputError: no such file, an unknown key, a value that does not fit the model, or another content than that asked
+        for, in one sentence that names the file.
+    """
+    path = find(name)
+    source = _read(path)
+    asked = values.get("content") or source.values["content"]
+    if asked != source.values["content"]:
+        raise InputError(f"robot: {name} has changed since this run; --set task.robot={name} takes it as it is now.")
+    try:
+        return Declared.model_validate(source.values | values | {"name": name if is_shipped(name) else str(path)})
+    except pydantic.ValidationError as error:
+        raise InputError(f"{path.name}: {sentence(error, '', Declared)}") from error
+
+
+def is_shipped(name: str) -> bool:
+    """Whether a robot of this name ships."""
+    return (folder("robots") / f"{name}.yaml").is_file()
+
+
+def find(name: str) -> Path:
+    """The YAML of a robot: one that ships, or a path from the config's folder or the working one; one that is not where
+    it was may lie there.
+
+    Raises:
+      InputError: it is nowhere.
+    """
+    if is_shipped(name):
+        return folder("robots") / f"{name}.yaml"
+    for place in (name, Path(name).name):
+        for beside in search_folders():
+            if (path := Path(beside) / place).is_file():
+                return path.resolve()
+    raise InputError(f"robot: there is no file {name} in {' or '.join(search_folders())}.")
+
+
+def _read(path: Path) -> Source:
+    """The files of a robot, read anew where they have changed."""
+    try:
+        text = path.read_text(encoding="utf-8")
+        data = parse_yaml(text, path.name)
+        if not isinstance(data, dict):
+            raise InputError(f"{path.name}: a robot is a mapping of keys such as model and feet.")
+        declared = Declaration(**data)
+        model = path.parent / declared.model
+        return _understood(path, text, str(model), model.read_text(encoding="utf-8"))
+    except pydantic.ValidationError as error:
+        raise InputError(f"{path.name}: {sentence(error, '', Declaration)}") from error
+    except OSError as error:
+        raise InputError(f"{path.name}: {error.filename} cannot be read: {error.strerror}.") from error
+
+
+@lru_cache
+def _understood(path: Path, text: str, file: str, model_text: str) -> Source:
+    """What the texts of both files say."""
+    data = parse_yaml(text, path.name)
+    declared = Declaration(**data)
+    try:
+        spec = _load(file)
+        model = spec.compile()
+        joints = _driven(model)
+        home = _home(declared.home, model, joints)
+        torque = _by_joint("torque", declared.torque, joints, _own_torques(model, joints))
+        if not np.isfinite(torque).all():
+            raise InputError(f"torque: the model has no limit for {joints[int(np.argmin(np.isfinite(torque)))]}")
+        stiffness, damping = _own_servo(model, joints, torque)
+        stiffness = _by_joint("servo.stiffness", declared.servo.stiffness, joints, stiffness)
+        if declared.servo.stiffness is not None:
+            damping = DAMPING * stiffness
+        damping = _by_joint("servo.damping", declared.servo.damping, joints, damping)
+        feet, geoms = _feet(declared.feet, spec)
+        mirror = tuple(declared.mirror.items())
+        values = {"feet": feet, "home": tuple(home), "turns": tuple(declared.turns), "mirror": mirror}
+        shares = _by_joint("shares", declared.shares, joints, np.ones(len(joints)))
+        values |= {"torque": tuple(torque), "stiffness": tuple(stiffness), "damping": tuple(damping)}
+        values |= {"ground_geoms": geoms, "contacts": declared.contacts, "content": _digest(data, model_text)}
+        if declared.shares is not None:
+            values["shares"] = _by_kind(path, values, joints, shares)
+    except InputError as error:
+        message = str(error).rstrip(".")
+        raise InputError(f"{path.name}: {message}.") from error
+    return Source(file, joints, values)
+
+
+def _by_kind(path: Path, values: dict[str, Any], joints: Sequence[str], shares: np.ndarray) -> tuple[float, ...]:
+    """Shares by kind of joint, of those by joint."""
+    images = [_image(joint, values["mirror"]) for joint in joints]
+    first = [min(k, joints.index(image) if image in joints else k) for k, image in enumerate(images)]
+    if uneven := [joint for k, joint in enumerate(joints) if shares[k] != shares[first[k]]]:
+        raise InputError(f"shares: {uneven[0]} and its mirror image must have the same")
+    return tuple(shares[sorted(set(first))].tolist())
+
+
+def _image(name: str, mirror: Sequence[tuple[str, str]]) -> str:
+    for one, other in (pair for both in mirror for pair in (both, both[::-1])):
+        if one in name:
+            return name.replace(one, other)
+    return name
+
+
+def _load(file: str) -> mujoco.MjSpec:
+    try:
+        spec = mujoco.MjSpec.from_file(file)
+        spec.compile()
+    except ValueError as error:
+        raise InputError(
+            f"model: {Path(file).name} is no MJCF that MuJoCo takes: {' '.join(str(error).split())}"
+        ) from error
+    bodies = [body.name for body in spec.worldbody.bodies]
+    free = [joint for joint in spec.joints if joint.type == JOINT.mjJNT_FREE]
+    if len(bodies) != 1 or len(free) != 1 or free[0].parent.name != bodies[0]:
+        raise InputError(f"model: a robot is one body with a free joint, and what hangs on it; the world has {bodies}")
+    return spec
+
+
+def _driven(model: mujoco.MjModel) -> tuple[str, ...]:
+    """The hinges that motors drive, in the motors' order; all hinges of a model without motors."""
+    of_joint = np.isin(model.actuator_trntype, (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+    driven = model.actuator_trnid[of_joint, 0] if model.nu else np.flatnonzero(model.jnt_type == JOINT.mjJNT_HINGE)
+    names = tuple(dict.fromkeys(model.joint(int(joint)).name for joint in driven))
+    if not names or "" in names:
+        raise InputError("model: it has no motors on hinges that have names")
+    if wrong := [name for name in names if model.joint(name).type[0] != JOINT.mjJNT_HINGE]:
+        raise InputError(f"model: the motor of {wrong[0]} drives no hinge")
+    return names
+
+
+def _home(home: Any, model: mujoco.MjModel, joints: Sequence[str]) -> Float[np.ndarray, " joints"]:
+    """Angles of the joints, degrees."""
+    if isinstance(home, dict):
+        return _by_joint("home", home, joints, np.zeros(len(joints)))
+    if not home:
+        return np.zeros(len(joints))
+    keys = [model.key(index).name for index in range(model.nkey)]
+    if home not in keys:
+        raise InputError(f"home: the model has no keyframe {home!r}; {known(home, keys) if keys else 'it has none'}")
+    return np.degrees([model.key(home).qpos[model.joint(joint).qposadr[0]] for joint in joints])
+
+
+def _feet(names: Sequence[str], spec: mujoco.MjSpec) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Bodies of the feet, and the geoms that stand for them where such are named."""
+    bodies, geoms = [], []
+    for name in names:
+        geom, body = spec.geom(name), spec.body(name)
+        if geom is None and body is None:
+            all_names = [part.name for part in (*spec.bodies, *spec.geoms) if part.name]
+            raise InputError(f"feet: the model has no geom or body {name!r}; {known(name, all_names)}")
+        bodies.append(geom.parent.name if geom is not None else body.name)
+        chosen = [geom] if geom is not None else [g for g in body.geoms if g.contype or g.conaffinity]
+        if not chosen or "" in (bodies[-1], *(g.name for g in chosen if geom is not None)):
+            raise InputError(f"feet: {name} has no geom that touches, or a body without a name")
+        geoms += [geom.name] if geom is not None else []
+    if geoms and len(geoms) != len(names):
+        raise InputError("feet: name geoms or bodies, not some of each")
+    return tuple(dict.fromkeys(bodies)), tuple(geoms)
+
+
+def _own_torques(model: mujoco.MjModel, joints: Sequence[str]) -> Float[np.ndarray, " joints"]:
+    """The model's limits of the torques, N m; infinite where it has none."""
+    limits = np.full(len(joints), np.inf)
+    for index, joint in enumerate(joints):
+        row = model.joint(joint).id
+        if model.jnt_actfrclimited[row]:
+            limits[index] = np.abs(model.jnt_actfrcrange[row]).max()
+        for motor in np.flatnonzero(model.actuator_trnid[:, 0] == row):
+            gear = abs(model.actuator_gear[motor, 0])
+            if model.actuator_forcelimited[motor]:
+                limits[index] = min(limits[index], gear * np.abs(model.actuator_forcerange[motor]).max())
+            elif model.actuator_ctrllimited[motor] and model.actuator_biastype[motor] == mujoco.mjtBias.mjBIAS_NONE:
+                force = abs(model.actuator_gainprm[motor, 0]) * np.abs(model.actuator_ctrlrange[motor]).max()
+                limits[index] = min(limits[index], gear * force)
+    return limits
+
+
+def _own_servo(
+    model: mujoco.MjModel, joints: Sequence[str], torque: np.ndarray
+) -> tuple[Float[np.ndarray, " joints"], Float[np.ndarray, " joints"]]:
+    """Stiffness and damping of the model's position actuators; else the torque limit a radian, and `DAMPING` of it."""
+    stiffness, damping = torque.copy(), DAMPING * torque
+    for index, joint in enumerate(joints):
+        for motor in np.flatnonzero(model.actuator_trnid[:, 0] == model.joint(joint).id):
+            if model.actuator_biastype[motor] == mujoco.mjtBias.mjBIAS_AFFINE and model.actuator_biasprm[motor, 1] < 0:
+                _, position, speed = -model.actuator_biasprm[motor, :3] * model.actuator_gear[motor, 0] ** 2
+                stiffness[index], damping[index] = position, speed
+    return stiffness, damping
+
+
+def _by_joint(
+    key: str, given: dict[str, float] | None, joints: Sequence[str], otherwise: np.ndarray
+) -> Float[np.ndarray, " joints"]:
+    """Numbers of the joints from those by patterns, `otherwise` where none fits.
+
+    Raises:
+      InputError: a pattern fits no joint.
+    """
+    values = otherwise.astype(float)
+    for pattern, number in reversed((given or {}).items()):
+        fits = [bool(re.fullmatch(pattern, joint)) for joint in joints]
+        if not any(fits):
+            raise InputError(f"{key}: {pattern!r} fits no joint; {known(pattern, joints)}")
+        values[fits] = number
+    return values
+
+
+def _digest(data: dict[str, Any], model_text: str) -> str:
+    """Of what both files say, whatever their layout and comments."""
+    plain = json.dumps(dict(sorted(data.items()))) + ElementTree.canonicalize(model_text, strip_text=True)
+    return hashlib.sha256(plain.encode()).hexdigest()[:16]

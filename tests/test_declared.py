@@ -1,0 +1,193 @@
+# pyright: reportAttributeAccessIssue=false
+"""Robots of a YAML beside an MJCF: what follows from the model, what is refused, where the files are found."""
+
+import shutil
+
+import mujoco
+import numpy as np
+import pytest
+import yaml
+
+from humanoid_mjx import InputError, make_task
+from humanoid_mjx.config import load
+from humanoid_mjx.files import folder, names
+from humanoid_mjx.robot import make_robot
+from humanoid_mjx.robot.reaching import REGION, _leg, _miss, _solve, monomials, reach_of
+from humanoid_mjx.spec import modules_in
+from humanoid_mjx.training.plan import make_plan, resolved
+
+SHIPPED = names("robots", ".yaml")
+
+
+def files(path, edit=None, **keys):
+    """The dog's files in a folder, its model edited, with other keys; None takes one out."""
+    shutil.copy(folder("robots") / "dog.xml", path / "dog.xml")
+    text = (path / "dog.xml").read_text()
+    (path / "dog.xml").write_text(edit(text) if edit else text)
+    data = yaml.safe_load((folder("robots") / "dog.yaml").read_text()) | keys
+    data = {key: value for key, value in data.items() if value is not None}
+    (path / "pet.yaml").write_text(yaml.safe_dump(data, sort_keys=False))
+    return str(path / "pet.yaml")
+
+
+def settled(robot, seconds=2.0):
+    """MuJoCo's data after the robot has stood under its servo."""
+    model = robot.model
+    data = mujoco.MjData(model)
+    rows = model.actuator_trnid[:, 0]
+    qpos, qvel = model.jnt_qposadr[rows], model.jnt_dofadr[rows]
+    data.qpos[2], data.qpos[qpos] = robot.start_height, robot.posture
+    for _ in range(round(seconds / model.opt.timestep)):
+        data.ctrl = robot.servo.stiffness * (robot.posture - data.qpos[qpos]) - robot.servo.damping * data.qvel[qvel]
+        mujoco.mj_step(model, data)
+    return data
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_robots_that_ship_stand_under_their_servo(name):
+    robot = make_robot(name)
+    data = settled(robot)
+    assert data.qpos[2] > 0.9 * robot.start_height and data.body(1).xmat[8] > np.cos(np.radians(5))
+    touch = [data.sensor(sensor).data[0] for sensor in robot.sensors.foot_contact]
+    # All of its weight is on its feet, of which none hangs in the air.
+    assert sum(touch) == pytest.approx(robot.mass * 9.81, rel=0.02) and min(touch) > 0.0
+    points = [data.sensor(sensor).data[0] for sensor in robot.sensors.points]
+    np.testing.assert_allclose(np.reshape(points, (len(touch), -1)).sum(axis=1), touch, rtol=1e-6)
+    order, signs = robot.joint_images
+    np.testing.assert_allclose(robot.posture[order] * signs, robot.posture, atol=1e-12)
+    for values in (robot.servo.stiffness, robot.servo.damping, robot.torque_limits):
+        np.testing.assert_array_equal(values[order], values)
+
+
+def test_the_dog_is_as_it_is_written():
+    dog = make_robot("dog")
+    assert dog.mass == pytest.approx(12.72) and dog.points == 1 and dog.foot_pairs.tolist() == [[0, 1], [2, 3]]
+    assert dog.joints[:3] == ("FR_hip", "FR_thigh", "FR_calf") and dog.torque_limits[:3].tolist() == [23.7, 23.7, 35.5]
+    np.testing.assert_allclose(np.degrees(dog.posture[:3]), [0, 48, -90])
+    assert dog.shares == (0.5, 1.0, 1.0) * 2 and dog.model_dump(mode="json") == {"name": "dog", "content": dog.content}
+    task = make_task("stand", robot="dog", physics="mujoco")
+    assert task.control.name == "robot_servo" and task.control.of(dog).stiffness.tolist() == [80.0] * 12
+    with pytest.raises(InputError, match="robot lower_body has no servo of its own"):
+        make_task("stand", control="robot_servo")
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_feet_go_where_the_polynomials_of_the_legs_bring_them(name):
+    """Against the leg's kinematics, at places of every size; the solved joints are the limit of what a fit can do."""
+    robot = make_robot(name)
+    leg, rows = _leg(robot, 0), slice(0, None)
+    region = 0.6 * (REGION if leg.flat else REGION[:3])
+    wanted = np.random.default_rng(1).uniform(region[:, 0], region[:, 1], (100, len(region)))
+    terms = np.stack(monomials(wanted.T), axis=1)
+    rows = slice(0, terms.shape[1])
+    miss = _miss(robot, leg, terms @ reach_of(robot).matrix[rows][:, leg.joints], wanted)
+    best = _miss(robot, leg, _solve(robot, leg, wanted), wanted)
+    assert np.quantile(np.abs(best[:, :3]), 0.9) < 0.01 and np.quantile(np.abs(miss[:, :3]), 0.9) < 0.02
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({"feets": ["FR_foot"]}, r"pet.yaml: feets: unknown key; did you mean 'feet'"),
+        ({"feet": None}, r"pet.yaml: feet: this key is required"),
+        ({"feet": ["FR_fot"]}, r"pet.yaml: feet: the model has no geom or body 'FR_fot'; did you mean 'FR_foot'"),
+        ({"feet": ["trunk"]}, r"pet.yaml: feet: trunk has no geom that touches"),
+        ({"model": "cat.xml"}, r"pet.yaml: .*cat.xml cannot be read: No such file"),
+        ({"home": "sit"}, r"pet.yaml: home: the model has no keyframe 'sit'; it has none"),
+        ({"home": {".*_knee": 3}}, r"pet.yaml: home: '.\*_knee' fits no joint"),
+        ({"home": {"(": 3}}, r"pet.yaml: home: '\(' is no regular expression"),
+        ({"servo": {"stiffness": "stiff"}}, r"pet.yaml: servo.stiffness: a number, or numbers by patterns"),
+        ({"servo": {"stifness": 3}}, r"pet.yaml: servo.stifness: unknown key; did you mean 'stiffness'"),
+        ({"shares": {"FR_hip": 2}}, r"pet.yaml: shares: FL_hip and its mirror image must have the same"),
+        ({"mirror": {"FR": "XX"}}, r"pet.yaml: mirror: FR_hip has no image XX_hip"),
+        ({"turns": [0.0, 0.5]}, r"pet.yaml: turns must hold 4 numbers, got 2"),
+    ],
+)
+def test_what_does_not_fit_is_said_with_file_and_key(keys, words, tmp_path):
+    with pytest.raises(InputError, match=words):
+        make_robot(files(tmp_path, **keys))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("<freejoint/>", "", "a robot is one body with a free joint"),
+        ("</worldbody>", '<body name="box"/></worldbody>', r"the world has \['trunk', 'box'\]"),
+        ("<motor ctrlrange=", "<motor user=", "torque: the model has no limit for FR_hip"),
+        ('type="sphere"', 'type="cylinder"', "feet: FR_calf has a cylinder"),
+        ("</mujoco>", "", "no MJCF that MuJoCo takes: XML"),
+    ],
+)
+def test_models_that_are_no_robots_are_refused(old, new, words, tmp_path):
+    def changed(text):
+        text = text.replace(old, new)
+        return text.replace('size="0.022"', 'size="0.022 0.022"') if "cylinder" in new else text
+
+    with pytest.raises(InputError, match=f"pet.yaml: .*{words}"):
+        make_robot(files(tmp_path, edit=changed))
+
+
+def test_patterns_the_models_own_values_and_defaults(tmp_path):
+    robot = make_robot(files(tmp_path, servo={"stiffness": {".*calf": 7, ".*": 5}}, torque={".*_hip": 3}, shares=None))
+    np.testing.assert_array_equal(robot.servo.stiffness[:3], [5, 5, 7])
+    np.testing.assert_allclose(robot.servo.damping, 0.03 * robot.servo.stiffness)
+    np.testing.assert_array_equal(robot.torque_limits[:3], [3, 23.7, 35.5])
+    assert robot.shares == ()
+    plain = make_robot(files(tmp_path, servo=None))
+    np.testing.assert_array_equal(plain.servo.stiffness, plain.torque_limits)
+
+    def position_actuators(text):
+        return text.replace("<motor joint", '<position kp="9" kv="0.4" joint').replace("<motor ctrl", "<position force")
+
+    own = make_robot(files(tmp_path, edit=position_actuators, servo=None))
+    np.testing.assert_array_equal(own.servo.stiffness, [9.0] * 12)
+    np.testing.assert_array_equal(own.servo.damping, [0.4] * 12)
+    np.testing.assert_array_equal(own.torque_limits[:3], [23.7, 23.7, 35.5])
+
+
+@pytest.mark.parametrize(
+    ("shape", "points"),
+    [('type="capsule" size="0.02 0.05" euler="0 2.3038 0"', 2), ('type="box" size=".06 .03 .02" euler="0 0.733 0"', 4)],
+)
+def test_capsules_and_boxes_stand_on_balls(shape, points, tmp_path):
+    """Of the feet of a body that stands on them, the lowest points are those of the shape itself."""
+    ball = 'type="sphere" pos="0 0 -0.213" size="0.022"'
+    robot = make_robot(files(tmp_path, edit=lambda text: text.replace(ball, f'pos="0 0 -0.213" {shape}')))
+    assert robot.points == points
+    data = mujoco.MjData(robot.model)
+    data.qpos[robot.model.jnt_qposadr[robot.model.actuator_trnid[:, 0]]] = robot.posture
+    mujoco.mj_forward(robot.model, data)
+    balls = [robot.model.geom(f"FR_calf_point{k}") for k in range(points)]
+    heights = [data.geom_xpos[ball.id, 2] - ball.size[0] for ball in balls]
+    hip, length = data.body("FR_thigh").xpos[2], 0.213 * (np.cos(np.radians(48)) + np.cos(np.radians(42)))
+    # The box lies level at home, and so does the capsule; a ball's radius or the box's half height is below the centre.
+    np.testing.assert_allclose(heights, hip - length - 0.02, atol=2e-4)
+
+
+def test_a_run_finds_its_robot_again_and_takes_no_other(tmp_path, monkeypatch):
+    """From the config's folder, from elsewhere, and after both files were moved to where the config is now."""
+    home = tmp_path / "home"
+    home.mkdir()
+    files(home)
+    task = {"name": "stand", "robot": "pet.yaml", "physics": "mujoco"}
+    learner = {"name": "deep_q", "envs": 16}
+    (home / "c.yaml").write_text(yaml.safe_dump({"name": "c", "task": task, "learner": learner, "total_steps": 1000}))
+    config = load(home / "c.yaml")
+    written = resolved(config)
+    robot = written["task"]["robot"]
+    assert robot.keys() == {"name", "content"} and robot["name"] == str(home / "pet.yaml")
+    monkeypatch.chdir(tmp_path)
+    with modules_in(config.modules):
+        assert make_robot("pet.yaml").content == robot["content"]
+    with pytest.raises(InputError, match=r"there is no file pet\.yaml in"):
+        make_robot("pet.yaml")
+    assert make_plan(config).learners[0].task.robot.content == robot["content"]
+    moved = home.rename(tmp_path / "moved")
+    with modules_in(str(moved)):
+        assert make_robot(robot["name"], content=robot["content"]).feet[0] == "FR_calf"
+        (moved / "dog.xml").write_text("<!-- a comment -->" + (moved / "dog.xml").read_text())
+        assert make_robot(robot["name"]).content == robot["content"]
+        (moved / "dog.xml").write_text((moved / "dog.xml").read_text().replace('mass="5.2"', 'mass="5.3"'))
+        with pytest.raises(InputError, match="has changed since this run"):
+            make_robot(robot["name"], content=robot["content"])
+        assert make_robot(robot["name"]).mass == pytest.approx(12.82)
