@@ -87,6 +87,10 @@ TABLE = (
     # Matrix products by cuBLAS. Triton's are up to 1.1 times as fast where several runs train side by side, but
     # choosing them took 10 s until `stand` began to train. Choosing other kernels of Triton gained nothing.
     Option("xla_gpu_enable_triton_gemm", False, "gpu", _for("scalars tree", "approximate")),
+    # cuBLAS by its own rules, without a trial of its algorithms. Trials run on the GPU while another thread trains, and
+    # jaxlib 0.11.2 then sometimes corrupts its allocator of GPU memory: 5 of some 35 processes on one H200 ended in
+    # `BFCAllocator::InsertFreeChunk` or a segmentation fault.
+    Option("xla_gpu_autotune_level", "0", "gpu", _for("scalars tree arrays", "simulation tabular approximate")),
     Option("xla_gpu_experimental_enable_fusion_autotuner", False, "gpu", _for("scalars tree", "approximate")),
     # Plain kernels. A decision of one robot that walks compiles in a fifth of the time and takes 2 ms longer.
     Option("xla_backend_optimization_level", "0", "cpu", _for("scalars tree arrays", "single")),
