@@ -3,6 +3,8 @@
 
 import shutil
 
+import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
@@ -59,11 +61,25 @@ def test_robots_that_ship_stand_under_their_servo(name):
         np.testing.assert_array_equal(values[order], values)
 
 
+@pytest.mark.parametrize("name", SHIPPED)
+def test_who_does_nothing_stands_in_the_task(name):
+    """As long as nothing pushes: with the task's spread at the start, errors of sensors, and the servo at each step."""
+    task = make_task("stand", robot=name, physics="mujoco", push={"impulse": 0.0})
+    state = jax.jit(jax.vmap(task.reset))(jax.random.split(jax.random.key(0), 4))
+    step, still = jax.jit(jax.vmap(task.step_continuous)), jnp.zeros((4, len(task.robot.joints)))
+    for second in range(50):
+        state = step(state, still, jax.random.split(jax.random.key(second), 4))
+        assert not state.terminated.any()
+    assert (state.reward > 0.9).all()
+
+
 def test_the_dog_is_as_it_is_written():
     dog = make_robot("dog")
     assert dog.mass == pytest.approx(12.72) and dog.points == 1 and dog.foot_pairs.tolist() == [[0, 1], [2, 3]]
     assert dog.joints[:3] == ("FR_hip", "FR_thigh", "FR_calf") and dog.torque_limits[:3].tolist() == [23.7, 23.7, 35.5]
     np.testing.assert_allclose(np.degrees(dog.posture[:3]), [0, 48, -90])
+    humanoid = make_robot("humanoid")
+    assert 34 < humanoid.mass < 36 and len(humanoid.joints) == 23 and humanoid.points == 4
     assert dog.shares == (0.5, 1.0, 1.0) * 2 and dog.model_dump(mode="json") == {"name": "dog", "content": dog.content}
     task = make_task("stand", robot="dog", physics="mujoco")
     assert task.control.name == "robot_servo" and task.control.of(dog).stiffness.tolist() == [80.0] * 12
