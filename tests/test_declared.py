@@ -11,12 +11,17 @@ import pytest
 import yaml
 
 from humanoid_mjx import InputError, make_task
+from humanoid_mjx.commands import console
+from humanoid_mjx.commands.info import show_info, show_keys
 from humanoid_mjx.config import load
 from humanoid_mjx.files import folder, names
 from humanoid_mjx.robot import make_robot
+from humanoid_mjx.robot.declared import Declaration
 from humanoid_mjx.robot.reaching import REGION, _leg, _miss, _solve, monomials, reach_of
 from humanoid_mjx.spec import modules_in
 from humanoid_mjx.training.plan import make_plan, resolved
+
+CHANGED = """<freejoint/><body name="ball"><joint name="ball" type="ball"/><geom size="0.1"/></body>"""
 
 SHIPPED = names("robots", ".yaml")
 
@@ -207,3 +212,24 @@ def test_a_run_finds_its_robot_again_and_takes_no_other(tmp_path, monkeypatch):
         with pytest.raises(InputError, match="has changed since this run"):
             make_robot(robot["name"], content=robot["content"])
         assert make_robot(robot["name"]).mass == pytest.approx(12.82)
+
+
+def test_info_shows_a_robot_and_its_keys(tmp_path):
+    with console.capture() as shown:
+        show_info(files(tmp_path), (), False)
+    for words in (
+        "12 joints",
+        "FR_hip     -49 to 49       0     23.7",
+        "-FL_hip",
+        "4 with the ground",
+        "tree takes it",
+    ):
+        assert " ".join(words.split()) in " ".join(shown.get().split()), words
+    with console.capture() as shown:
+        show_keys("robot")
+    for name in Declaration.model_fields:
+        assert f"\n{name} " in shown.get(), name
+    (tmp_path / "dog.xml").write_text((tmp_path / "dog.xml").read_text().replace("<freejoint/>", CHANGED))
+    with console.capture() as shown:
+        show_info(str(tmp_path / "pet.yaml"), (), False)
+    assert "tree refuses" in shown.get() and "take mujoco or mjx-jax" in " ".join(shown.get().split())
