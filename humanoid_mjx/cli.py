@@ -271,8 +271,8 @@ def info(
     name: Annotated[
         str | None,
         typer.Argument(
-            metavar="[CONFIG|TASK|LEARNER]",
-            help="A config to resolve; a task or learner.",
+            metavar="[CONFIG|TASK|LEARNER|ROBOT.yaml]",
+            help="A config to resolve; a task or learner; a robot.",
             autocompletion=CONFIGS,
         ),
     ] = None,

@@ -67,7 +67,9 @@ def _kinds(annotation: Any) -> list[str]:
         return _kinds(get_args(annotation)[0])
     if get_origin(annotation) is Literal:
         return [str(choice) for choice in get_args(annotation)]
-    if get_origin(annotation) is tuple:
+    if get_origin(annotation) is dict:
+        return [f"{_kinds(get_args(annotation)[1])[0]} by name"]
+    if get_origin(annotation) in (tuple, list):
         inner = [kind for kind in get_args(annotation) if kind is not Ellipsis]
         return [f"list of {_kinds(inner[0])[0]}"]
     if get_args(annotation):

@@ -25,7 +25,7 @@ def reference(motion, asked, interval, window, mass):
         "duty_left": loaded[first:, 1].mean(),
         "flight": (~loaded[first:]).all(axis=1).mean(),
         "double_support": loaded[first:].all(axis=1).mean(),
-        "crossing": (motion["gap"][first:, 1] < 0.05).mean(),
+        "crossing": (motion["gap"][first:, 0, 1] < 0.05).mean(),
         "leg_contact": (motion["legs_apart"][first:] <= 0).mean(),
         "peak_torque": np.abs(motion["torque"]).max(),
     }
@@ -72,7 +72,7 @@ def steps(motion, loaded, first, interval):
                 since = k if since is None else since
                 continue
             if since is not None and k - since >= round(0.04 / interval) and k >= first:
-                lengths[foot].append(motion["gap"][k, 0] * (1 if foot else -1))
+                lengths[foot].append(motion["gap"][k, 0, 0] * (1 if foot else -1))
                 lifts.append(motion["height"][since:k, foot].max())
             since = None
     found = {f"step_length_{side}": np.mean(lengths[foot]) for foot, side in enumerate(("right", "left"))}

@@ -3,18 +3,25 @@
 
 import shutil
 
+import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
 import yaml
 
 from humanoid_mjx import InputError, make_task
+from humanoid_mjx.commands import console
+from humanoid_mjx.commands.info import show_info, show_keys
 from humanoid_mjx.config import load
 from humanoid_mjx.files import folder, names
 from humanoid_mjx.robot import make_robot
+from humanoid_mjx.robot.declared import Declaration
 from humanoid_mjx.robot.reaching import REGION, _leg, _miss, _solve, monomials, reach_of
 from humanoid_mjx.spec import modules_in
 from humanoid_mjx.training.plan import make_plan, resolved
+
+CHANGED = """<freejoint/><body name="ball"><joint name="ball" type="ball"/><geom size="0.1"/></body>"""
 
 SHIPPED = names("robots", ".yaml")
 
@@ -59,11 +66,25 @@ def test_robots_that_ship_stand_under_their_servo(name):
         np.testing.assert_array_equal(values[order], values)
 
 
+@pytest.mark.parametrize("name", SHIPPED)
+def test_who_does_nothing_stands_in_the_task(name):
+    """As long as nothing pushes: with the task's spread at the start, errors of sensors, and the servo at each step."""
+    task = make_task("stand", robot=name, physics="mujoco", push={"impulse": 0.0})
+    state = jax.jit(jax.vmap(task.reset))(jax.random.split(jax.random.key(0), 4))
+    step, still = jax.jit(jax.vmap(task.step_continuous)), jnp.zeros((4, len(task.robot.joints)))
+    for second in range(50):
+        state = step(state, still, jax.random.split(jax.random.key(second), 4))
+        assert not state.terminated.any()
+    assert (state.reward > 0.9).all()
+
+
 def test_the_dog_is_as_it_is_written():
     dog = make_robot("dog")
     assert dog.mass == pytest.approx(12.72) and dog.points == 1 and dog.foot_pairs.tolist() == [[0, 1], [2, 3]]
     assert dog.joints[:3] == ("FR_hip", "FR_thigh", "FR_calf") and dog.torque_limits[:3].tolist() == [23.7, 23.7, 35.5]
     np.testing.assert_allclose(np.degrees(dog.posture[:3]), [0, 48, -90])
+    humanoid = make_robot("humanoid")
+    assert 34 < humanoid.mass < 36 and len(humanoid.joints) == 23 and humanoid.points == 4
     assert dog.shares == (0.5, 1.0, 1.0) * 2 and dog.model_dump(mode="json") == {"name": "dog", "content": dog.content}
     task = make_task("stand", robot="dog", physics="mujoco")
     assert task.control.name == "robot_servo" and task.control.of(dog).stiffness.tolist() == [80.0] * 12
@@ -191,3 +212,24 @@ def test_a_run_finds_its_robot_again_and_takes_no_other(tmp_path, monkeypatch):
         with pytest.raises(InputError, match="has changed since this run"):
             make_robot(robot["name"], content=robot["content"])
         assert make_robot(robot["name"]).mass == pytest.approx(12.82)
+
+
+def test_info_shows_a_robot_and_its_keys(tmp_path):
+    with console.capture() as shown:
+        show_info(files(tmp_path), (), False)
+    for words in (
+        "12 joints",
+        "FR_hip     -49 to 49       0     23.7",
+        "-FL_hip",
+        "4 with the ground",
+        "tree takes it",
+    ):
+        assert " ".join(words.split()) in " ".join(shown.get().split()), words
+    with console.capture() as shown:
+        show_keys("robot")
+    for name in Declaration.model_fields:
+        assert f"\n{name} " in shown.get(), name
+    (tmp_path / "dog.xml").write_text((tmp_path / "dog.xml").read_text().replace("<freejoint/>", CHANGED))
+    with console.capture() as shown:
+        show_info(str(tmp_path / "pet.yaml"), (), False)
+    assert "tree refuses" in shown.get() and "take mujoco or mjx-jax" in " ".join(shown.get().split())

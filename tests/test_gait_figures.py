@@ -14,25 +14,27 @@ from humanoid_mjx.evaluation.gait.samples import Sample, between_segments, legs_
 from humanoid_mjx.evaluation.gait.summary import summarised
 from humanoid_mjx.evaluation.gait.tally import EDGES, Asked, add, begin, window_samples
 from humanoid_mjx.physics.base import Poses
+from humanoid_mjx.robot import make_robot
 from humanoid_mjx.robot.lower_body import LowerBody, lower_body_model
 from humanoid_mjx.runs.statistics import mean_interval
 
-INTERVAL, MASS = 0.004, LowerBody().mass
+INTERVAL, BODY = 0.004, LowerBody()
+MASS = BODY.mass
 WINDOW = int(window_samples(0.36, INTERVAL))
 
 
-@partial(jax.jit, static_argnames="turns")
-def figures_of(first, samples, asked, command, turns=False):
+@partial(jax.jit, static_argnames=("turns", "robot"))
+def figures_of(first, samples, asked, command, turns=False, robot=BODY):
     """The figures of one episode without a fall."""
 
     def one(tally, step):
-        return add(tally, *step, jnp.int32(WINDOW), INTERVAL, LowerBody()), None
+        return add(tally, *step, jnp.int32(WINDOW), INTERVAL, robot), None
 
     tally, _ = jax.lax.scan(one, begin(first), (samples, asked))
-    return figures(tally, command, jnp.bool_(turns), jnp.bool_(False), LowerBody(), jnp.float32(1.0), INTERVAL)
+    return figures(tally, command, jnp.bool_(turns), jnp.bool_(False), robot, jnp.float32(1.0), INTERVAL)
 
 
-def measured(motion, commands, turn=None):
+def measured(motion, commands, turn=None, robot=BODY):
     """The figures of a motion: arrays over the samples, with `place_0` and the like for what was before."""
     cast = lambda x: jnp.asarray(x, bool if np.asarray(x).dtype == bool else jnp.float32)  # noqa: E731
     samples = Sample(**{name: cast(motion[name]) for name in Sample._fields})
@@ -41,7 +43,7 @@ def measured(motion, commands, turn=None):
     count = len(commands)
     goal, since = turn if turn else (np.zeros(count), np.full(count, -1.0))
     asked = Asked(cast(commands), cast(goal), cast(since))
-    found = figures_of(first, samples, asked, cast(commands[0]), turns=turn is not None)
+    found = figures_of(first, samples, asked, cast(commands[0]), turn is not None, robot)
     assert found.keys() == FIGURES.keys()
     return {name: float(value) for name, value in found.items()}
 
@@ -58,7 +60,7 @@ def wandering(seconds=8.0, seed=0):
         "heading": np.mod(heading + np.pi, 2 * np.pi) - np.pi,
         "angles": 0.01 * smooth(10),
         "torque": rng.normal(size=(count, 10)),
-        "gap": np.array([0.0, 0.06]) + 0.002 * smooth(2),
+        "gap": (np.array([0.0, 0.06]) + 0.002 * smooth(2))[:, None],
         "height": np.abs(0.001 * smooth(2)),
         "load": np.maximum(force, 0.0),
         "speed": rng.lognormal(-3.0, 1.0, (count, 2, 4)),
@@ -101,7 +103,7 @@ def known_walk(count, period=0.4, duty=0.7, length=0.06, speed=0.3, slip=0.03, h
         "heading": np.full(count, heading),
         "angles": angles,
         "torque": torque,
-        "gap": np.stack([ahead, np.full(count, 0.07)], axis=1),
+        "gap": np.stack([ahead, np.full(count, 0.07)], axis=1)[:, None],
         "height": 0.02 * np.sin(np.pi * swing),
         "load": 8.0 * loaded,
         "speed": np.where(loaded, slip, 0.8)[..., None] + np.zeros(4),
@@ -134,7 +136,7 @@ def test_a_walk_whose_figures_are_known():
 def test_one_side_that_differs_is_seen():
     count = round(8.0 / INTERVAL)
     motion, commands = known_walk(count), np.tile([0.3, 0.0, 0.0], (count, 1))
-    motion["gap"][:, 0] = np.where(motion["gap"][:, 0] > 0, 0.08, -0.04)
+    motion["gap"][..., 0] = np.where(motion["gap"][..., 0] > 0, 0.08, -0.04)
     found = measured(motion, commands)
     assert found["step_length_right"] == pytest.approx(0.04, abs=1e-4)
     assert found["step_asymmetry"] == pytest.approx(0.04 / 0.06, rel=1e-3)
@@ -143,6 +145,26 @@ def test_one_side_that_differs_is_seen():
     aside = measured(turned, commands)
     assert aside["drift"] == pytest.approx(2.4 * np.sin(0.1), rel=1e-3)
     assert aside["heading_error"] == pytest.approx(np.degrees(0.1), rel=1e-3)
+
+
+def test_feet_of_a_dog_are_measured_by_pairs():
+    """A trot: its fore and its hind legs do what a biped's do, the hind ones half a period later."""
+    count, dog = round(8.0 / INTERVAL), make_robot("dog")
+    commands = np.tile([0.3, 0.0, 0.0], (count, 1))
+    fore, hind = known_walk(count), known_walk(count)
+    for name in ("height", "load", "speed", "touching"):
+        joined = np.concatenate([fore[name], hind[name][:, ::-1]], axis=1)
+        fore[name] = joined[..., :1] if joined.ndim == 3 else joined
+    fore["load"] *= 10.0
+    fore["gap"] = np.concatenate([fore["gap"], np.array([-1.0, 1.0]) * hind["gap"]], axis=1)
+    found = measured(fore, commands, robot=dog)
+    known = {"duty": 0.7, "duty_right": 0.7, "double_support": 0.4, "flight": 0.0, "step_length": 0.06, "crossing": 1.0}
+    known |= {"step_length_left": 0.06, "step_frequency": 10.0, "clearance": 0.02, "step_asymmetry": 0.0, "slip": 0.03}
+    for name, value in known.items():
+        assert found[name] == pytest.approx(value, rel=0.01, abs=2e-3), name
+    limping = fore | {"load": np.where(np.arange(4) == 2, 0.0, fore["load"])}
+    found = measured(limping, commands, robot=dog)
+    assert found["duty_right"] == pytest.approx(0.35, abs=1e-3) and found["double_support"] == 0.0
 
 
 def test_a_body_that_stands_takes_no_steps():

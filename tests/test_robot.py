@@ -117,5 +117,5 @@ def test_what_does_not_fit_the_model_is_refused(values, words):
 
 
 def test_an_unknown_robot_is_refused():
-    with pytest.raises(InputError, match="unknown robot 'arm'; known are dog, leg, legs, lower_body"):
+    with pytest.raises(InputError, match="unknown robot 'arm'; known are dog, humanoid, leg, legs, lower_body"):
         make_robot("arm")

@@ -22,10 +22,16 @@ def show_keys(name: str | None) -> None:
     """`humanoid-mjx info [NAME] --keys`: of a task, a learner, or both of a config; of all tasks and learners."""
     from humanoid_mjx.keys import keys_of
     from humanoid_mjx.learners import LEARNERS, Learner
+    from humanoid_mjx.robot.declared import Declaration, describes_robot
     from humanoid_mjx.spec import find, modules_in
     from humanoid_mjx.tasks import TASKS
     from humanoid_mjx.tasks.base import Task
 
+    if name == "robot" or (name and describes_robot(name)):
+        rows = [("key", "default", "values", "meaning")]
+        keys = list(keys_of(Declaration, ""))
+        _print_rows("robot", rows + [(key.name[1:], key.default, key.allowed, key.meaning) for key in keys])
+        return
     kinds: dict[str, tuple[Mapping[str, str], type[Any]]] = {"task": (TASKS, Task), "learner": (LEARNERS, Learner)}
     config = None
     if name is None:
@@ -44,6 +50,38 @@ def show_keys(name: str | None) -> None:
             rows.append((key.name, key.default, key.allowed, "traced" if key.traced else "static", key.meaning))
         _print_rows(f"{kind} {of}", rows)
     console.print("Sweeping a traced value compiles nothing; points that differ in static ones compile apart.")
+
+
+def _show_robot(name: str) -> None:
+    """`humanoid-mjx info ROBOT.yaml`: what follows from both of its files, and which physics take it."""
+    import numpy as np
+
+    from humanoid_mjx.mechanics.tree.refusing import faults
+    from humanoid_mjx.robot import make_robot
+
+    robot = make_robot(name)
+    order, signs = robot.joint_images
+    limited = robot.model.jnt_limited[robot.model.actuator_trnid[:, 0]]
+    rows = [("joint", "range, degrees", "home", "torque, N m", "N m/rad", "N m s/rad", "mirror image")]
+    for k, joint in enumerate(robot.joints):
+        low, high = np.degrees(robot.ranges_rad[k])
+        image = f"{'' if signs[k] > 0 else '-'}{robot.joints[order[k]]}" if robot.mirror else ""
+        stiffness, damping = (f"{gain[k]:g}" for gain in robot.servo)
+        home, torque = f"{np.degrees(robot.posture[k]):g}", f"{robot.torque_limits[k]:g}"
+        rows.append((joint, f"{low:.0f} to {high:.0f}" if limited[k] else "", home, torque, stiffness, damping, image))
+    _print_rows(f"{name}: {len(robot.joints)} joints", rows)
+    points = f"{robot.points} point{'s' * (robot.points > 1)} each"
+    lines = {
+        "feet": f"{', '.join(robot.feet)}; {points}",
+        "gait": ", ".join(f"{foot} swings at {turn:g}" for foot, turn in zip(robot.feet, robot.phases, strict=True)),
+        "mass": f"{robot.mass:.3g} kg",
+        "legs": f"{robot.leg_length:.3g} m; a pace of {robot.pace:.3g} m/s is the unit of speeds",
+        "contacts": f"{robot.model.npair} with the ground" + ", others as the model says" * (robot.contacts == "model"),
+    }
+    refused = [f"{fault.what} (take {fault.change})" for fault in faults(robot.model, robot.sensors.all)]
+    lines["physics"] = f"tree refuses {'; '.join(refused)}: take mujoco or mjx-jax" if refused else "tree takes it"
+    for key, value in lines.items():
+        console.print(f"{key:9} {value}", highlight=False, markup=False)
 
 
 def _print_rows(title: str, rows: Sequence[tuple[str, ...]]) -> None:
@@ -69,6 +107,11 @@ def _check_known(name: str, others: Sequence[str]) -> None:
 def show_info(config: str | None, overrides: Sequence[str], timed: bool) -> None:
     """`humanoid-mjx info`."""
     compute.start()
+    from humanoid_mjx.robot.declared import describes_robot
+
+    if config is not None and describes_robot(config):
+        _show_robot(config)
+        return
     if config is not None:
         _show_plan(config, overrides, timed)
         return
@@ -79,7 +122,11 @@ def show_info(config: str | None, overrides: Sequence[str], timed: bool) -> None
 
     for name, value in (compute.machine() | compute.versions()).items():
         console.print(f"{name:13} {value}")
-    shipped = {"configs": names("configs", ".yaml"), "policies": names("policies", ".npz")}
+    shipped = {
+        "configs": names("configs", ".yaml"),
+        "policies": names("policies", ".npz"),
+        "robots": names("robots", ".yaml"),
+    }
     for kind, all_names in {"tasks": TASKS, "learners": LEARNERS, **shipped}.items():
         console.print(f"{kind:13} {', '.join(all_names)}")
 

@@ -51,7 +51,9 @@ def _numbers(given: Any) -> Any:
 ByJoint = Annotated[dict[str, float], pydantic.BeforeValidator(_numbers)]
 """A number for all joints, or numbers by regular expressions of whole names, of which the first that fits counts."""
 
-Posture = Annotated[Any, pydantic.BeforeValidator(lambda given: given if isinstance(given, str) else _numbers(given))]
+Posture = Annotated[
+    str | dict[str, float], pydantic.BeforeValidator(lambda given: given if isinstance(given, str) else _numbers(given))
+]
 
 
 class DeclaredServo(Spec):
@@ -246,6 +248,15 @@ def make_declared(name: str, **values: Any) -> Declared:
 def is_shipped(name: str) -> bool:
     """Whether a robot of this name ships."""
     return (folder("robots") / f"{name}.yaml").is_file()
+
+
+def describes_robot(name: str) -> bool:
+    """Whether this is a robot that ships, or the YAML of one and not a config."""
+    path = Path(name)
+    if is_shipped(name) or path.suffix not in (".yaml", ".yml") or not path.is_file():
+        return is_shipped(name)
+    data = parse_yaml(path.read_text(encoding="utf-8"), name)
+    return isinstance(data, dict) and "task" not in data and bool({"model", "feet"} & data.keys())
 
 
 def find(name: str) -> Path:

@@ -32,6 +32,11 @@ class Sensors(NamedTuple):
     points: tuple[str, ...]
     """Of the force on each point of the feet."""
 
+    @property
+    def all(self) -> tuple[str, ...]:
+        """All of them."""
+        return *self.encoders, self.gyroscope, self.accelerometer, *self.foot_contact, *self.points
+
 
 class Build(NamedTuple):
     """Measures of two legs as those of the lower body: hip pitch, yaw and roll about one point, knee, ankle."""

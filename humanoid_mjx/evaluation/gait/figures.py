@@ -43,15 +43,15 @@ FIGURES = {
     "heading_error": Figure("degrees", -1, "change of the heading where none is commanded"),
     "slip": Figure("m/s", -1, "mean speed along the ground of the corners of the feet that touch it"),
     "slip_95": Figure("m/s", -1, "95th percentile of the same, within a tenth of itself"),
-    "duty": Figure("", 0, "share of time that a foot carries weight, mean of both"),
-    "duty_right": Figure("", 0, "of the right foot"),
-    "duty_left": Figure("", 0, "of the left foot"),
+    "duty": Figure("", 0, "share of time that a foot carries weight, mean of all feet"),
+    "duty_right": Figure("", 0, "of the right feet"),
+    "duty_left": Figure("", 0, "of the left feet"),
     "flight": Figure("", -1, "share of time that no foot carries weight"),
-    "double_support": Figure("", 0, "share of time that both feet carry weight"),
-    "step_length": Figure("m", 0, "by how much a foot is ahead of the other one at touchdown, mean of both"),
-    "step_length_right": Figure("m", 0, "of the right foot"),
-    "step_length_left": Figure("m", 0, "of the left foot"),
-    "step_frequency": Figure("1/s", 0, "touchdowns of both feet"),
+    "double_support": Figure("", 0, "share of time that all feet carry weight"),
+    "step_length": Figure("m", 0, "by how much a foot is ahead of that on the other side at touchdown, mean of all"),
+    "step_length_right": Figure("m", 0, "of the right feet"),
+    "step_length_left": Figure("m", 0, "of the left feet"),
+    "step_frequency": Figure("1/s", 0, "touchdowns of all feet"),
     "clearance": Figure("m", 1, "largest height of a foot's lowest corner in a step"),
     "duty_asymmetry": Figure("", -1, "difference of left and right by their mean"),
     "step_asymmetry": Figure("", -1, "difference of left and right step lengths by the mean of their sizes"),
@@ -90,7 +90,9 @@ def figures(
     forward_error, left_error, speed_error, turn_error = tally.windows.errors / _positive(tally.windows.number)
     straight = (asked[2] == 0) & ~turns
     shares = tally.feet.loaded / _positive(tally.counted)
-    lengths = tally.feet.lengths / _positive(tally.feet.steps)
+    sides = robot.foot_pairs.T
+    duties = jnp.stack([shares[side].mean() for side in sides])
+    lengths = jnp.stack([tally.feet.lengths[side].sum() / _positive(tally.feet.steps[side].sum()) for side in sides])
     slow = robot.speed(SLOW)
     way = jnp.where(tally.windows.way > slow * seconds, tally.windows.way, jnp.nan)
     walks = jnp.abs(forward) > slow
@@ -109,8 +111,8 @@ def figures(
         "slip": tally.slip.total / _positive(tally.slip.bins.sum()),
         "slip_95": _percentile(tally),
         "duty": shares.mean(),
-        "duty_right": shares[0],
-        "duty_left": shares[1],
+        "duty_right": duties[0],
+        "duty_left": duties[1],
         "flight": tally.flight / _positive(tally.counted),
         "double_support": tally.double / _positive(tally.counted),
         "step_length": tally.feet.lengths.sum() / _positive(tally.feet.steps.sum()),
@@ -118,7 +120,7 @@ def figures(
         "step_length_left": lengths[1],
         "step_frequency": tally.feet.steps.sum() / _positive(seconds),
         "clearance": tally.feet.lifts.sum() / _positive(tally.feet.steps.sum()),
-        "duty_asymmetry": _asymmetry(shares),
+        "duty_asymmetry": _asymmetry(duties),
         "step_asymmetry": jnp.where(walks, _asymmetry(lengths), jnp.nan),
         "crossing": tally.crossing / _positive(tally.counted),
         "leg_contact": tally.contact / _positive(tally.counted),

@@ -30,15 +30,15 @@ class Sample(NamedTuple):
     """rad"""
     torque: Float[Array, " joints"]
     """Torques that act until the next time step, N m."""
-    gap: Float[Array, "2"]
-    """From the right ankle to the left one, forward and to the left as the torso looks, m."""
-    height: Float[Array, "2"]
-    """Height of the lowest corner of the right and the left foot, m."""
-    load: Float[Array, "2"]
+    gap: Float[Array, "pairs 2"]
+    """From the ankle of each right foot to that of its image, forward and to the left as the torso looks, m."""
+    height: Float[Array, " feet"]
+    """Height of the lowest corner of each foot, m."""
+    load: Float[Array, " feet"]
     """Force with which the ground pushes each foot up, N."""
-    speed: Float[Array, "2 4"]
+    speed: Float[Array, "feet corners"]
     """Speed of each foot's corners along the ground, m/s."""
-    touching: Bool[Array, "2 4"]
+    touching: Bool[Array, "feet corners"]
     legs_apart: FloatScalar
     """Least distance between the surfaces of the right and the left leg, m; not above 0 where they touch."""
 
@@ -47,12 +47,13 @@ def sample_of(sensed: Sensed, body_names: tuple[str, ...], robot: Robot) -> Samp
     """The moment that `sensed` is of."""
     torso, feet = 1, feet_of(sensed, body_names, robot)
     rotation = sensed.poses.rotation[torso]
+    right, left = robot.foot_pairs.T
     return Sample(
         place=sensed.poses.position[torso, :2],
         heading=heading_of(rotation),
         angles=sensed.readings.encoders,
         torque=sensed.torque,
-        gap=(heading_frame(rotation) @ (feet.position[1] - feet.position[0]))[:2],
+        gap=((feet.position[left] - feet.position[right]) @ heading_frame(rotation).T)[:, :2],
         height=feet.height,
         load=feet.load,
         speed=jnp.linalg.norm(feet.corner_velocity[..., :2], axis=-1),

@@ -96,8 +96,8 @@ def walking_task(task: Task, what: str = "evaluate --gait") -> LeggedTask:
     """
     if not isinstance(task, LeggedTask) or task.command is None:
         raise InputError(f"{what}: the task {type(task).__name__} gives no commands to a body on legs, as walk does.")
-    if task.robot.foot_pairs.tolist() != [[0, 1]] or len(task.robot.feet) > 2:
-        raise InputError(f"{what}: gaits are measured of a right and a left foot, which {task.robot.name} has not.")
+    if not task.robot.feet or 2 * len(task.robot.foot_pairs) != len(task.robot.feet):
+        raise InputError(f"{what}: gaits are measured of right and left feet; {task.robot.name} must name its mirror.")
     return task
 
 

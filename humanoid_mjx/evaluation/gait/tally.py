@@ -79,19 +79,19 @@ class Slip(NamedTuple):
 
 
 class Feet(NamedTuple):
-    """What the right and the left foot do."""
+    """What the feet do."""
 
-    loaded: Int[Array, "2"]
+    loaded: Int[Array, " feet"]
     """Samples in which they carry weight."""
-    air: Int[Array, "2"]
+    air: Int[Array, " feet"]
     """Samples since they did."""
-    lift: Float[Array, "2"]
+    lift: Float[Array, " feet"]
     """Largest height of the lowest corner since they did, m."""
-    steps: Int[Array, "2"]
+    steps: Int[Array, " feet"]
     """Touchdowns after a time in the air."""
-    lengths: Float[Array, "2"]
-    """By how much they were ahead of the other foot then, m, summed."""
-    lifts: Float[Array, "2"]
+    lengths: Float[Array, " feet"]
+    """By how much they were ahead of the foot on the other side then, m, summed."""
+    lifts: Float[Array, " feet"]
     """The largest heights, m, summed over the steps."""
 
 
@@ -116,7 +116,7 @@ class Tally(NamedTuple):
     flight: IntScalar
     """Samples in which no foot carries weight."""
     double: IntScalar
-    """Samples in which both do."""
+    """Samples in which all do."""
     crossing: IntScalar
     """Samples in which the feet are nearer each other, sideways, than `rewards.APART`."""
     contact: IntScalar
@@ -129,7 +129,8 @@ class Tally(NamedTuple):
 
 def begin(first: Sample) -> Tally:
     """The sums before the first sample; of `first` place, heading and angles matter."""
-    none, number, pair, pairs = jnp.float32(0), jnp.int32(0), jnp.zeros(2), jnp.zeros(2, jnp.int32)
+    none, number = jnp.float32(0), jnp.int32(0)
+    some, counts = jnp.zeros(first.load.shape), jnp.zeros(first.load.shape, jnp.int32)
     return Tally(
         last=first._replace(torque=jnp.zeros_like(first.torque)),
         start=first.place,
@@ -141,7 +142,7 @@ def begin(first: Sample) -> Tally:
         window=Window(number, jnp.zeros(3), jnp.zeros(3), none),
         windows=Windows(number, jnp.zeros(4), none, none),
         slip=Slip(none, jnp.zeros(len(EDGES) + 1, jnp.int32)),
-        feet=Feet(pairs, pairs, pair, pairs, pair, pair),
+        feet=Feet(counts, counts, some, counts, some, some),
         flight=number,
         double=number,
         crossing=number,
@@ -178,10 +179,10 @@ def add(tally: Tally, sample: Sample, asked: Asked, window: IntScalar, interval:
         window=inner,
         windows=windows,
         slip=_slip(tally.slip, sample, counts),
-        feet=_feet(tally.feet, sample, loaded, counts, interval),
+        feet=_feet(tally.feet, sample, loaded, counts, interval, robot),
         flight=tally.flight + (counts & ~loaded.any()),
         double=tally.double + (counts & loaded.all()),
-        crossing=tally.crossing + (counts & (sample.gap[1] < robot.length(APART))),
+        crossing=tally.crossing + (counts & (sample.gap[:, 1] < robot.length(APART)).any()),
         contact=tally.contact + (counts & (sample.legs_apart <= 0)),
         late=jnp.where(off, asked.since, tally.late),
         since=asked.since,
@@ -230,9 +231,12 @@ def _slip(slip: Slip, sample: Sample, counts: BoolScalar) -> Slip:
     return Slip(slip.total + jnp.sum(sample.speed * touching), slip.bins + inside.sum(axis=(0, 1), dtype=jnp.int32))
 
 
-def _feet(feet: Feet, sample: Sample, loaded: Bool[Array, "2"], counts: BoolScalar, interval: float) -> Feet:
+def _feet(
+    feet: Feet, sample: Sample, loaded: Bool[Array, " feet"], counts: BoolScalar, interval: float, robot: Robot
+) -> Feet:
     landed = loaded & (feet.air >= math.ceil(AIRBORNE / interval - 1e-6)) & counts
-    ahead = sample.gap[0] * np.array([-1.0, 1.0], np.float32)
+    right, left = robot.foot_pairs.T
+    ahead = jnp.zeros(loaded.shape).at[right].set(-sample.gap[:, 0]).at[left].set(sample.gap[:, 0])
     return Feet(
         loaded=feet.loaded + (loaded & counts),
         air=jnp.where(loaded, 0, feet.air + 1),

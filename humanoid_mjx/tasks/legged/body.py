@@ -11,6 +11,7 @@ from jaxtyping import Array, Float, Key
 from pydantic import Field, model_validator
 
 from humanoid_mjx.control import Control, at_rest
+from humanoid_mjx.control.drives import Driven, Drives, Ideal
 from humanoid_mjx.control.laws import RobotServoLaw, ServoLaw
 from humanoid_mjx.mechanics.rotations import leaning_quaternion
 from humanoid_mjx.physics import make_physics
@@ -40,6 +41,7 @@ class LeggedBody(ContinuousTask):
     robot: RobotKey = Field(make_robot("lower_body", ranges="human"), description="the robot that stands")
     physics: str = Field("tree", description="tree, mjx-jax, mjx-warp, mujoco, or your own as package.module:Class")
     control: Control = Field(ServoLaw(stiffness=3.0, damping=0.1), description="the law that drives the joints")
+    actuator: Drives = Field(Ideal(), description="ideal, or dc_motor: what of a torque asked for acts on a joint")
     bins: Literal[3, 5, 9] = Field(3, description="values of a joint's offset, evenly from -1 to 1 times it")
     action_scale: float = traced(
         20.0, gt=0, le=90, description="largest offset of a set-point from the posture, degrees"
@@ -68,6 +70,7 @@ class LeggedBody(ContinuousTask):
     def _period_must_fit(self) -> "LeggedBody":
         self.simulator.substeps(self.period)
         self.control.of(self.robot)
+        self.actuator.check(self.robot, self.timestep)
         if self.action_shares and len(self.action_shares) != len(set(self.robot.kinds.tolist())):
             raise ValueError(f"action_shares must hold one number for each kind of joint, got {self.action_shares}")
         return self
@@ -139,7 +142,7 @@ class LeggedBody(ContinuousTask):
         """What moves the body during a decision."""
         values = {"mass": plant.mass, "friction": plant.friction, "torque_limit": plant.torque_limit}
         physics = self.simulator.replace(**values, damping=plant.joint_damping, push=force)
-        return physics, self.control.of(self.robot).follow(at_rest(setpoint))
+        return physics, Driven(self.control.of(self.robot).follow(at_rest(setpoint)), self.actuator)
 
 
 @lru_cache

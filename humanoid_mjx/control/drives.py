@@ -1,0 +1,114 @@
+"""Drives as robot tasks choose them: what becomes of the torque that a law asks for before it acts on a joint.
+
+    ideal      all of it, up to the limit of the robot's own motor
+    dc_motor   what a geared DC motor can give at the speed of the joint (`control.actuator`)
+
+Both are functions of torque and speed alone, so every physics takes them. Friction that does not grow with speed is the
+joint's: `frictionloss` in the robot's model.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Annotated, Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pydantic
+
+from humanoid_mjx.control.actuator import Motor
+from humanoid_mjx.control.laws import RobotState
+from humanoid_mjx.control.pd import Joints
+from humanoid_mjx.robot.description import Robot
+from humanoid_mjx.spec import InputError, Named, make_named, traced, written
+from humanoid_mjx.types import FloatScalar
+
+
+class Drive(Named):
+    """Base of drives: derive from it, declare values with `traced`, implement `__call__`."""
+
+    def __call__(self, torque: Joints, qvel: Joints) -> Joints:
+        """The torques at the joints, N m, of those asked for, while the joints turn at `qvel`, rad/s."""
+        raise NotImplementedError
+
+    def check(self, robot: Robot, timestep: float) -> None:
+        """Refuse a robot that it cannot drive in steps of `timestep` seconds.
+
+        Raises:
+          InputError: it cannot.
+        """
+
+
+class Ideal(Drive):
+    """All of the torque, at any speed."""
+
+    name: Literal["ideal"] = "ideal"
+
+    def __call__(self, torque: Joints, qvel: Joints) -> Joints:
+        return torque
+
+
+Gear = Annotated[
+    float | tuple[float, ...],
+    pydantic.BeforeValidator(lambda given: tuple(given) if isinstance(given, list) else given),
+]
+
+
+class DcMotor(Drive):
+    """A DC motor behind a gear at each joint: its torque falls with speed, and ends where voltage or current do.
+
+    By default a motor of 25 mm that stalls at 2.3 N m and turns at 8.8 rad/s without a load.
+    """
+
+    name: Literal["dc_motor"] = "dc_motor"
+    gear: Gear = traced(100.0, description="turns of the motor for one of the joint; one number, or one for each joint")
+    voltage: float = traced(12.0, gt=0, description="largest of the driver, V")
+    current: float = traced(1e3, gt=0, description="largest of the driver, A")
+    torque_constant: float = traced(0.0136, gt=0, description="N m/A, and as much V s/rad")
+    resistance: float = traced(7.0, gt=0, description="ohm")
+    friction: float = traced(1e-6, ge=0, description="at the rotor, by its speed, N m s/rad")
+
+    @property
+    def motor(self) -> Motor:
+        """The motors with their gears."""
+        gear: Any = self.gear
+        gear = jnp.stack([jnp.asarray(each, float) for each in gear]) if isinstance(gear, tuple) else gear
+        values = self.torque_constant, self.resistance, gear, 0.0, self.friction, self.voltage
+        return Motor(*(jnp.asarray(value, float) for value in values))
+
+    def __call__(self, torque: Joints, qvel: Joints) -> Joints:
+        motor = self.motor
+        limit: FloatScalar = motor.gear_ratio * self.torque_constant * self.current
+        return motor.actuate(jnp.clip(torque, -limit, limit), qvel).torque
+
+    def check(self, robot: Robot, timestep: float) -> None:
+        gear, joints = np.asarray(self.gear, float), len(robot.joints)
+        if gear.shape not in ((), (joints,)) or not (np.isfinite(gear) & (gear > 0)).all():
+            raise InputError(f"actuator.gear must be positive, one number or {joints}, got {self.gear}.")
+        model = robot.model
+        inertia = model.dof_armature[model.jnt_dofadr[model.actuator_trnid[:, 0]]]
+        slope = gear**2 * (self.torque_constant**2 / self.resistance + self.friction)
+        if (slope * timestep > 2.0 * inertia).any():
+            raise InputError(
+                f"actuator: where the voltage ends, the torque falls by {slope.max():.3g} N m for each rad/s, too fast "
+                f"for an armature of {inertia.min():.3g} kg m^2 in steps of {timestep:g} s; lower the gear."
+            )
+
+
+DRIVES = {"ideal": "humanoid_mjx.control.drives:Ideal", "dc_motor": "humanoid_mjx.control.drives:DcMotor"}
+
+Drives = Annotated[pydantic.SerializeAsAny[Drive], written("actuator", partial(make_named, "actuator", DRIVES, Drive))]
+"""The type of a task's field `actuator`."""
+
+
+@partial(jax.tree_util.register_dataclass, data_fields=("controller", "drive"), meta_fields=())
+@dataclass(frozen=True)
+class Driven:
+    """A controller whose torques a drive brings about: a controller, and a pytree."""
+
+    controller: Callable[[RobotState], Joints]
+    drive: Drive
+
+    def __call__(self, state: RobotState) -> Joints:
+        return self.drive(self.controller(state), state.qvel)

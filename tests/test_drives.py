@@ -1,0 +1,88 @@
+"""Drives of robot tasks: what a geared motor leaves of a torque, at rest, at speed, where voltage or current end."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from humanoid_mjx import InputError, make_task
+from humanoid_mjx.compute import counting_compiles
+from humanoid_mjx.control.drives import DcMotor, Ideal
+
+SPEEDS = jnp.linspace(-12.0, 12.0, 41)
+GEAR, VOLTAGE = 120.0, 9.0
+MOTOR = DcMotor(gear=GEAR, voltage=VOLTAGE)
+
+
+def test_stall_and_no_load():
+    motor = MOTOR.motor
+    stall, fastest = float(motor.stall_torque()), float(motor.no_load_speed())
+    assert stall == pytest.approx(GEAR * 0.0136 * VOLTAGE / 7.0, rel=1e-6)
+    # Without friction of the rotor the back-emf of the no-load speed is the voltage.
+    assert DcMotor(gear=GEAR, voltage=VOLTAGE, friction=0.0).motor.no_load_speed() == pytest.approx(9 / (120 * 0.0136))
+    most = MOTOR(jnp.full(41, 1e3), SPEEDS)
+    np.testing.assert_allclose(most, stall * (1.0 - SPEEDS / fastest), rtol=1e-4, atol=1e-5)
+    assert MOTOR(jnp.array([1e3]), jnp.zeros(1)) == pytest.approx(stall, rel=1e-6)
+    np.testing.assert_allclose(MOTOR(jnp.array([1e3, -1e3]), jnp.array([fastest, -fastest])), 0.0, atol=1e-5)
+    weak = MOTOR.replace(current=0.5)(jnp.array([1e3, -1e3]), jnp.zeros(2))
+    np.testing.assert_allclose(weak, np.array([1, -1]) * GEAR * 0.0136 * 0.5, rtol=1e-5)
+
+
+def test_power_is_conserved():
+    """What goes in, voltage times current, is what the joint gets and what heats the wires and the rotor's bearings."""
+    asked = jnp.asarray(np.random.default_rng(0).uniform(-3.0, 3.0, 41), float)
+    motor = MOTOR.motor
+    state = motor.actuate(asked, SPEEDS)
+    np.testing.assert_array_equal(state.torque, MOTOR(asked, SPEEDS))
+    heat = 7.0 * state.current**2 + 1e-6 * (GEAR * SPEEDS) ** 2
+    # Products of float32 of size 100.
+    np.testing.assert_allclose(state.voltage * state.current, state.torque * SPEEDS + heat, atol=1e-4, rtol=1e-5)
+    assert (np.abs(state.voltage) <= VOLTAGE * (1 + 1e-6)).all()
+
+
+def test_a_motor_without_limits_is_ideal():
+    asked = jnp.linspace(-3.0, 3.0, 41)
+    free = DcMotor(voltage=1e6, current=1e6, friction=0.0)
+    np.testing.assert_allclose(free(asked, SPEEDS), asked, rtol=1e-4, atol=1e-4)
+    assert Ideal()(asked, SPEEDS) is asked
+    slow = jnp.full(41, 0.1)
+    np.testing.assert_allclose(DcMotor()(asked / 2, slow), asked / 2, rtol=1e-4, atol=1e-6)
+
+
+def test_it_drives_the_joints_of_a_task_and_is_data_of_its_program():
+    keys = jax.random.split(jax.random.key(0), 2)
+    tasks = [make_task("stand", physics="mujoco", push={"impulse": 0.0}, actuator=a) for a in ("ideal", "dc_motor")]
+    weak = make_task("stand", physics="mujoco", push={"impulse": 0.0}, actuator={"name": "dc_motor", "voltage": 1.5})
+    assert jax.tree.structure(tasks[1]) == jax.tree.structure(weak)
+    step = jax.jit(lambda task, state: jax.vmap(task.step_continuous)(state, jnp.ones((2, 10)), keys))
+    state = jax.vmap(tasks[0].reset)(keys)
+    ideal, driven = (step(jax.tree.map(jnp.asarray, task), state).data.world.qvel for task in tasks)
+    with counting_compiles() as count:
+        feeble = step(jax.tree.map(jnp.asarray, weak), state).data.world.qvel
+    assert count.programs == 0
+    still = step(jax.tree.map(jnp.asarray, weak.replace(actuator=weak.actuator.replace(voltage=1e-6))), state)
+    # A start from rest: all of them agree while slow, and less voltage moves the joints less.
+    sizes = [float(jnp.abs(x[:, 6:]).mean()) for x in (ideal, driven, feeble, still.data.world.qvel)]
+    assert sizes[0] >= sizes[1] > sizes[2] > sizes[3]
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"name": "servo"}, "actuator.name: unknown actuator 'servo'; known are dc_motor, ideal"),
+        ({"name": "dc_motor", "gear": 0.0}, "actuator.gear must be positive, one number or 10, got 0.0"),
+        ({"name": "dc_motor", "gear": [1.0, 2.0]}, "actuator.gear must be positive, one number or 10"),
+        ({"name": "dc_motor", "gear": 300}, "too fast for an armature of 0.001"),
+        ({"name": "dc_motor", "voltage": -1.0}, "actuator.voltage must be greater than 0"),
+    ],
+)
+def test_what_is_no_motor_is_refused(values, words):
+    with pytest.raises(InputError, match=words):
+        make_task("stand", actuator=values)
+
+
+def test_gears_may_differ():
+    gears = [50.0] * 5 + [100.0] * 5
+    task = make_task("stand", actuator={"name": "dc_motor", "gear": gears})
+    stall = task.actuator(jnp.full(10, 1e3), jnp.zeros(10))
+    np.testing.assert_allclose(stall, np.array(gears) * 0.0136 * 12 / 7, rtol=1e-5)
