@@ -241,8 +241,8 @@ def info(
     name: Annotated[
         str | None,
         typer.Argument(
-            metavar="[CONFIG|TASK|LEARNER]",
-            help="A config to resolve; a task or learner.",
+            metavar="[CONFIG|TASK|LEARNER|ROBOT.xml]",
+            help="A config to resolve; a task or learner; a robot's MJCF.",
             autocompletion=CONFIGS,
         ),
     ] = None,
@@ -253,9 +253,12 @@ def info(
     ] = False,
 ) -> None:
     """Show devices, versions and what ships; with CONFIG, the resolved config, its points, and what memory, disk and
-    time they take."""
-    from humanoid_mjx.commands.info import show_info, show_keys
+    time they take; with ROBOT.xml, its joints, motors, feet and contacts, and all that `physics: tree` cannot represent
+    (exit 2 if anything)."""
+    from humanoid_mjx.commands.info import show_info, show_keys, show_robot
 
+    if name and name.endswith(".xml"):
+        raise typer.Exit(0 if show_robot(name) else 2)
     show_keys(name) if keys and name else show_info(name, set_ or [], time)
 
 

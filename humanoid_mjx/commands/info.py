@@ -44,6 +44,16 @@ def show_keys(name: str) -> None:
     console.print("Sweeping a traced value compiles nothing; points that differ in static ones compile apart.")
 
 
+def show_robot(path: str) -> bool:
+    """`humanoid-mjx info ROBOT.xml`; whether `physics: tree` takes it."""
+    from humanoid_mjx.physics.survey import read_model, survey
+
+    lines, taken = survey(read_model(path))
+    for line in lines:
+        console.print(line, markup=False, highlight=False)
+    return taken
+
+
 def show_info(config: str | None, overrides: Sequence[str], timed: bool) -> None:
     """`humanoid-mjx info`."""
     compute.start()
