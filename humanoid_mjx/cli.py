@@ -271,8 +271,8 @@ def info(
     name: Annotated[
         str | None,
         typer.Argument(
-            metavar="[CONFIG|TASK|LEARNER|ROBOT.yaml]",
-            help="A config to resolve; a task or learner; a robot.",
+            metavar="[CONFIG|TASK|LEARNER|ROBOT.yaml|ROBOT.xml]",
+            help="A config to resolve; a task or learner; a robot, or its MJCF alone.",
             autocompletion=CONFIGS,
         ),
     ] = None,
@@ -286,9 +286,12 @@ def info(
     trust: Trust = False,
 ) -> None:
     """Show devices, versions and what ships; with CONFIG, the resolved config, its points, and what memory, disk and
-    time they take."""
-    from humanoid_mjx.commands.info import show_info, show_keys
+    time they take; with ROBOT.xml, its joints, motors, feet and contacts, and all that `physics: tree` cannot represent
+    (exit 2 if anything)."""
+    from humanoid_mjx.commands.info import show_info, show_keys, show_model
 
+    if name and name.endswith(".xml"):
+        raise typer.Exit(0 if show_model(name) else 2)
     with _trusting(trust or ":" in (name or "")):
         show_keys(name) if keys else show_info(name, set_ or [], time)
 

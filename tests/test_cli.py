@@ -67,6 +67,31 @@ def test_info_shows_what_a_config_will_take():
     assert "joint1_fine" in CliRunner().invoke(app, ["info"]).output
 
 
+ROBOT = """<mujoco><option integrator="{integrator}"/><worldbody><geom type="plane" size="0 0 1"/>
+<body name="trunk"><freejoint/><geom size=".1" mass="3" contype="0" conaffinity="0"/>
+<body name="foot"><joint name="knee" range="-90 10" limited="true" axis="0 1 0"/>
+<geom type="box" size=".1 .1 .1" mass="1"/>
+</body></body></worldbody><actuator><motor name="drive" joint="knee"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(("integrator", "code"), [("RK4", 0), ("implicit", 2)])
+def test_info_shows_a_robot_and_what_a_tree_cannot_take(integrator, code, tmp_path):
+    path = tmp_path / "robot.xml"
+    path.write_text(ROBOT.format(integrator=integrator))
+    done = CliRunner().invoke(app, ["info", str(path)])
+    assert done.exit_code == code, done.output
+    for words in ("4 kg in 2 bodies, a free base", "knee: hinge, -90 to 10 degrees, drive", "feet          foot:"):
+        assert words in done.output
+    assert "contacts      1 of plane and box" in done.output
+    refusal = 'the implicit integrator; to change: integrator="implicitfast"'
+    assert (refusal in done.output) == bool(code) and ("tree takes it as it is" in done.output) != bool(code)
+
+
+def test_info_of_no_robot_is_a_sentence():
+    done = CliRunner().invoke(app, ["info", "nowhere.xml"])
+    assert str(done.exception) == "info: there is no file nowhere.xml."
+
+
 def test_a_sweep_whose_reader_has_gone_trains_on(tmp_path):
     command = [sys.executable, "-m", "humanoid_mjx", "sweep", write_config(tmp_path / "a.yaml", [0.1]), "--out", "run"]
     process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE)

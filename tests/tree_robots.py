@@ -201,7 +201,7 @@ def qacc_of(tree: Tree, steps: int = 0) -> Callable[..., Any]:
             motor = folded(motor_forces(tree, *at, control), tree.dofs)
             _, solution = accelerate(tree, values, state, motor, folded(unstack(warmstart), tree.dofs))
             parts, settled = advance(tree, values, state, solution, at, control)
-            return [jnp.stack([x.value for x in part]) for part in parts], settled
+            return [jnp.stack([x.value for x in part]) for part in parts], settled & (qvel[0] == qvel[0])
 
         cold = jnp.zeros_like(qvel)
         if not steps:

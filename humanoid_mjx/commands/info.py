@@ -104,6 +104,16 @@ def _check_known(name: str, others: Sequence[str]) -> None:
         raise InputError(f"{name}: neither a task, a learner nor a config; {known(name, [*others, *configs])}.")
 
 
+def show_model(path: str) -> bool:
+    """`humanoid-mjx info ROBOT.xml`; whether `physics: tree` takes it."""
+    from humanoid_mjx.physics.survey import read_model, survey
+
+    lines, taken = survey(read_model(path))
+    for line in lines:
+        console.print(line, markup=False, highlight=False)
+    return taken
+
+
 def show_info(config: str | None, overrides: Sequence[str], timed: bool) -> None:
     """`humanoid-mjx info`."""
     compute.start()

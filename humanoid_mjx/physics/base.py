@@ -69,15 +69,22 @@ class Stages:
     qvel: Float[AnyArray, "*worlds joints"]
     dynamics: Callable[[], tuple[Any, Any]]
     """() -> `mass_matrix` and `bias`."""
-    torque_for: Callable[[Float[Array, " joints"], MassFactor], Float[Array, " joints"]]
-    """(accelerations of the joints, rad/s^2, a model's mass factor) -> the torques that the model asks for, N m. The
-    factor is a number, or one for each joint's link. Treats a free torso as fixed and ignores contacts."""
     contacts: Callable[[], Contacts]
     """The corners of the feet that can touch the ground; no points where there is none."""
     model_for: Callable[[MassFactor], tuple[Float[Array, "nv nv"], Float[Array, " nv"]]]
     """(a model's mass factor) -> the mass matrix and the bias of that model."""
     joints: slice | Int[np.ndarray, " joints"]
     """Where the actuated joints stand among the degrees of freedom."""
+
+    def torque_for(self, qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
+        """The torques that a model asks for, N m, a free torso taken as fixed and contacts ignored.
+
+        Args:
+          qacc: accelerations of the joints, rad/s^2.
+          mass: the model's mass factor: a number, or one for each joint's link.
+        """
+        matrix, bias = self.model_for(mass)
+        return matrix[self.joints][:, self.joints] @ qacc + bias[self.joints]
 
     @property
     def mass_matrix(self) -> Float[AnyArray, "*worlds nv nv"]:

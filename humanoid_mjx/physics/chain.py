@@ -4,6 +4,8 @@ Both legs have the same equations: the left leg's joints turn so that equal valu
 image, and gravity lies in the plane of symmetry.
 """
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -160,13 +162,23 @@ class ChainPhysics(Physics):
 
         nothing = no_contacts(len(world.qvel))
         own = Once(partial(model_for, self.mass))
-        return Stages(world, world.qpos, world.qvel, own, torque_for, lambda: nothing, model_for, slice(None))
+        return _LegStages(world, world.qpos, world.qvel, own, lambda: nothing, model_for, slice(None), torque_for)
 
     def _each_leg(self, mass: MassFactor, *joints: Float[Array, " joints"]) -> list[tuple[Any, ...]]:
         """For each leg: its chain, and its own part of the arrays."""
         factors = _by_leg(mass) if jnp.ndim(mass) else [mass] * len(self.sides)
         chains = [self.leg.scaled(factor) for factor in factors]
         return list(zip(chains, *map(_by_leg, joints), strict=True))
+
+
+@dataclass(frozen=True)
+class _LegStages(Stages):
+    """Torques by Newton and Euler's recursion, without a matrix."""
+
+    inverse_dynamics: Callable[[Float[Array, " joints"], MassFactor], Float[Array, " joints"]]
+
+    def torque_for(self, qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
+        return self.inverse_dynamics(qacc, mass)
 
 
 def _freeze_if_diverged(old: World, new: World) -> World:

@@ -68,7 +68,7 @@ class MjxJax(MujocoPhysics):
         model, blank = self._put(), self._blank_data()
         if substeps == 1:
             new, data = self._cycle(model, blank, world, controller)
-            return new, data.ctrl
+            return new, self._torque(data)
 
         def substep(
             carry: tuple[World, Float[Array, " joints"]], index: IntScalar
@@ -77,7 +77,7 @@ class MjxJax(MujocoPhysics):
             data = self._at(model, blank, world)
             ask = partial(self._ask, model, data, world, controller)
             torque = jax.lax.cond(index == 0, ask, lambda: torque)
-            after = _advance(model, data.replace(ctrl=torque, qfrc_applied=self.pushes()))[0]
+            after = _advance(model, data.replace(ctrl=self.told(torque), qfrc_applied=self.pushes()))[0]
             return (after._replace(diverged=world.diverged | after.diverged), torque), None
 
         held = jnp.zeros(self.model.nu)
@@ -100,7 +100,7 @@ class MjxJax(MujocoPhysics):
     def sense(self, world: World, torque: Float[AnyArray, " joints"]) -> Sensed:
         model = self._put()
         data = self._at(model, self._blank_data(), world)
-        data = data.replace(ctrl=jnp.asarray(torque, float), qfrc_applied=self.pushes())
+        data = data.replace(ctrl=self.told(jnp.asarray(torque, float)), qfrc_applied=self.pushes())
         return self._sensed(_advance(model, data, sensed=True)[1])
 
     def _sensed(self, data: Any) -> Sensed:
@@ -108,7 +108,11 @@ class MjxJax(MujocoPhysics):
         poses = Poses(data.xpos, data.xmat.reshape(-1, 3, 3))
         velocities = self._velocities(data.cvel, data.xpos, data.subtree_com)
         contacts = self._ground_contacts(poses, velocities, self._normal_forces(data))
-        return Sensed(self._readings(data.sensordata), poses, velocities, contacts, data.ctrl)
+        return Sensed(self._readings(data.sensordata), poses, velocities, contacts, self._torque(data))
+
+    def _torque(self, data: Any) -> Float[Array, " joints"]:
+        scale = self._motor_scale
+        return data.ctrl if (scale == 1.0).all() else data.ctrl * scale
 
     def _normal_forces(self, data: Any) -> Float[Array, " points"]:
         """Normal forces on the corners of the feet, N. In jax they come from the solver, which costs less than MuJoCo's
@@ -137,8 +141,10 @@ class MjxJax(MujocoPhysics):
             body_inertia=model.body_inertia * factors[:, None],
             body_subtreemass=below(self.model) @ body_mass,
             dof_damping=model.dof_damping * jnp.asarray(self.damping, float),
+            geom_friction=model.geom_friction.at[:, 0].multiply(self.friction),
             pair_friction=model.pair_friction.at[:, :2].multiply(self.friction),
             actuator_ctrlrange=model.actuator_ctrlrange * jnp.asarray(self.torque_limit, float),
+            actuator_forcerange=model.actuator_forcerange * jnp.asarray(self.torque_limit, float),
         )
 
     def _blank_data(self) -> Any:
@@ -159,7 +165,7 @@ class MjxJax(MujocoPhysics):
         """One time step, and the mjx.Data of its beginning."""
         data = self._at(model, blank, world)
         torque = self._ask(model, data, world, controller)
-        new, data = _advance(model, data.replace(ctrl=torque, qfrc_applied=self.pushes()), sensed)
+        new, data = _advance(model, data.replace(ctrl=self.told(torque), qfrc_applied=self.pushes()), sensed)
         return freeze_if_diverged(world, new), data
 
     def _ask(self, model: Any, data: Any, world: World, controller: Controller) -> Float[Array, " joints"]:
@@ -180,10 +186,6 @@ class MjxJax(MujocoPhysics):
                 return self.rescaled(mass / self.mass, *own(), world.qvel)
             return dynamics(self._at(self.replace(mass=mass)._put(), data, world))
 
-        def torque_for(qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
-            believed, bias_of = model_for(mass)
-            return believed[joints][:, joints] @ qacc + bias_of[joints]
-
         def contacts() -> Contacts:
             corners, moved_by = self.ground_points
             position = data.geom_xpos[corners] - model.geom_size[corners, :1] * jnp.array([0.0, 0.0, 1.0])
@@ -192,7 +194,7 @@ class MjxJax(MujocoPhysics):
             return Contacts(position, jacobian, drift, position[:, 2] <= 0.0)
 
         joint_state = world.qpos[self.joint_qpos], world.qvel[joints]
-        return Stages(world, *joint_state, own, torque_for, contacts, model_for, joints)
+        return Stages(world, *joint_state, own, contacts, model_for, joints)
 
 
 class MjxWarp(MjxJax):

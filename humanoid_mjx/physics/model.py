@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from humanoid_mjx.physics.base import MAX_SPEED, GroundContacts, Physics, Poses, Readings, Velocities, World
 from humanoid_mjx.robot import RobotKey, make_robot
@@ -29,6 +29,12 @@ class MujocoPhysics(Physics):
     damping: float = traced(1.0, ge=0, description="factor on that of the joints")
     torque_limit: float = traced(1.0, gt=0, description="factor on that of each motor")
     push: tuple[float, float, float] = traced((0.0, 0.0, 0.0), description="steady force on a free torso, N, world")
+
+    @model_validator(mode="after")
+    def _driven_by_torques(self) -> "MujocoPhysics":
+        if (name := _odd_motor(self.model)) is not None:
+            raise ValueError(f"robot: motor {name!r} must be a torque motor of a joint, its bounds the same both ways")
+        return self
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -74,6 +80,15 @@ class MujocoPhysics(Physics):
     def torque_limits(self) -> Float[AnyArray, " joints"]:
         """Largest torque of each motor now, N m."""
         return jnp.asarray(self.torque_limit, float) * own_limits(self.model)
+
+    def told(self, torque: Float[AnyArray, "*worlds joints"]) -> Float[AnyArray, "*worlds joints"]:
+        """What to tell the motors for these torques of their joints, N m."""
+        scale = self._motor_scale
+        return torque if (scale == 1.0).all() else torque / scale
+
+    @property
+    def _motor_scale(self) -> Float[np.ndarray, " joints"]:
+        return self.model.actuator_gainprm[:, 0] * self.model.actuator_gear[:, 0]
 
     @property
     def ground_points(self) -> tuple[Int[np.ndarray, " points"], Bool[np.ndarray, "points nv"]]:
@@ -177,8 +192,21 @@ def _model(robot: Robot, timestep: float | None) -> mujoco.MjModel:
 
 
 def own_limits(model: mujoco.MjModel) -> Float[np.ndarray, " joints"]:
-    """Largest control of each motor of a model, N m."""
-    return np.where(model.actuator_ctrllimited, model.actuator_ctrlrange[:, 1], np.inf)
+    """Largest torque of each motor of a model, N m."""
+    told = np.where(model.actuator_ctrllimited, model.actuator_ctrlrange[:, 1], np.inf)
+    force = np.where(model.actuator_forcelimited, model.actuator_forcerange[:, 1], np.inf)
+    gain, gear = model.actuator_gainprm[:, 0], model.actuator_gear[:, 0]
+    return np.minimum(np.abs(gain) * told, force) * np.abs(gear)
+
+
+def _odd_motor(model: mujoco.MjModel) -> str | None:
+    """The name of a motor whose joint does not feel a share of what it is told, or whose bounds differ by direction."""
+    fixed = (model.actuator_gaintype == mujoco.mjtGain.mjGAIN_FIXED) & (model.actuator_gainprm[:, 0] != 0)
+    odd = ~fixed | (model.actuator_biastype != mujoco.mjtBias.mjBIAS_NONE) | (model.actuator_gear[:, 0] == 0)
+    odd |= (model.actuator_trntype != mujoco.mjtTrn.mjTRN_JOINT) | (model.actuator_dyntype != mujoco.mjtDyn.mjDYN_NONE)
+    odd |= (model.actuator_ctrllimited != 0) & (model.actuator_ctrlrange.sum(axis=1) != 0)
+    odd |= (model.actuator_forcelimited != 0) & (model.actuator_forcerange.sum(axis=1) != 0)
+    return model.actuator(int(np.argmax(odd))).name if odd.any() else None
 
 
 def places(rows: Int[np.ndarray, " rows"]) -> Any:

@@ -83,7 +83,7 @@ class Native(MujocoPhysics):
         """Position, velocity and acceleration after so many steps under the same torque, and what was sensed before
         them: nothing unless `sensed`."""
         state = world.qpos, world.qvel, world.warmstart
-        control = jnp.concatenate([torque, self.pushes()])
+        control = jnp.concatenate([self.told(torque), self.pushes()])
         shapes = *(x.shape for x in state), (self._team.base.nsensordata * sensed,)
         return _on_host(partial(self._advance, steps, sensed), shapes, self._values(), *state, control)
 
@@ -118,14 +118,10 @@ class Native(MujocoPhysics):
                 return self.rescaled(mass / self.mass, *own(), world.qvel)
             return dynamics(self.replace(mass=mass))
 
-        def torque_for(qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
-            believed, bias_of = model_for(mass)
-            return believed[joints][:, joints] @ qacc + bias_of[joints]
-
         own = Once(partial(dynamics, self))
         joint_state = world.qpos[self.joint_qpos], world.qvel[joints]
         contacts = partial(self._contacts, world)
-        return Stages(world, *joint_state, own, torque_for, contacts, model_for, joints)
+        return Stages(world, *joint_state, own, contacts, model_for, joints)
 
     def _contacts(self, world: World) -> Contacts:
         points, nv = len(self.ground_points[0]), self.model.nv
@@ -238,7 +234,9 @@ class _Team:
         model.body_subtreemass[:] = below(base) @ mass
         model.dof_damping[:] = damping * base.dof_damping
         model.pair_friction[:, :2] = friction * base.pair_friction[:, :2]
+        model.geom_friction[:, 0] = friction * base.geom_friction[:, 0]
         model.actuator_ctrlrange[:] = torque_limit * base.actuator_ctrlrange
+        model.actuator_forcerange[:] = torque_limit * base.actuator_forcerange
 
 
 @lru_cache

@@ -177,10 +177,6 @@ class TreePhysics(MujocoPhysics):
             other = self._values()._replace(mass=self.mass_factors(mass))
             return dynamics(self._state(other, world))
 
-        def torque_for(qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
-            believed, held = model_for(mass)
-            return believed[joints][:, joints] @ qacc + held[joints]
-
         def contacts() -> Contacts:
             if not self.tree.feet:
                 return no_contacts(len(world.qvel))
@@ -189,7 +185,7 @@ class TreePhysics(MujocoPhysics):
 
         own = Once(lambda: dynamics(state()))
         joint_state = world.qpos[self.joint_qpos], world.qvel[joints]
-        return Stages(world, *joint_state, own, torque_for, contacts, model_for, joints)
+        return Stages(world, *joint_state, own, contacts, model_for, joints)
 
 
 # What follows is of many worlds at once, their axis the last.
@@ -303,5 +299,6 @@ def _rows(vectors: Sequence[Vector], shape: tuple[int, ...]) -> Any:
 def _tree(model: mujoco.MjModel, sensors: tuple[str, ...]) -> Tree:
     with jax.ensure_compile_time_eval():
         tree = fold(read_tree(model, sensors, ground_points(model)[0].tolist()))
-    # The torque limit is traced, in the place of the model's.
-    return tree._replace(motors=tuple(motor._replace(control=None) for motor in tree.motors))
+    # Torques are those of the joints, and their limit is traced, in the place of the model's.
+    plain = {"gear": 1.0, "gain": 1.0, "control": None, "force": None}
+    return tree._replace(motors=tuple(motor._replace(**plain) for motor in tree.motors))

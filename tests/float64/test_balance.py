@@ -78,7 +78,6 @@ def test_the_wrench_of_the_links_is_that_of_the_mass_matrix(motion):
             none,
             none,
             lambda data=data: (jnp.array(matrix), jnp.array(data.qfrc_bias)),
-            lambda *_: none,
             lambda: none,
             lambda _: (none, none),
             slice(6, None),

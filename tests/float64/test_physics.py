@@ -1,10 +1,14 @@
-"""MJX against native MuJoCo in double precision: what is left is the solver's and rounding's."""
+"""MJX and the tree against native MuJoCo in double precision: what is left is the solver's and rounding's."""
 
 import jax
+import mujoco
 import numpy as np
 import pytest
+from tree_robots import converged
 
 from humanoid_mjx.physics import make_physics
+from humanoid_mjx.robot import Robot
+from humanoid_mjx.spec import InputError
 
 
 def pair(torso):
@@ -69,3 +73,89 @@ def test_a_squat_on_the_ground_agrees(free):
         other, _ = native_step(other, target)
     assert other.qpos[3, 2] < 0.214
     np.testing.assert_allclose(world.qpos, other.qpos, atol=1e-9)
+
+
+UNEQUAL = """
+<mujoco>
+  <option timestep="0.002"><flag eulerdamp="disable"/></option>
+  <worldbody>
+    <geom type="plane" size="0 0 1" friction="0.1"/>
+    <body name="trunk" pos="0 0 0.38">
+      <freejoint/>
+      <geom type="box" size="0.1 0.1 0.05" mass="2" contype="0" conaffinity="0"/>
+      <site name="imu"/>
+      <body name="front" pos="0.1 0 0">
+        <joint name="front" axis="0 1 0" damping="0.4" armature="0.01"/>
+        <geom type="capsule" fromto="0 0 0 0 0 -0.4" size="0.02" mass="0.3" friction="0.3" conaffinity="0"/>
+        <body name="toe" pos="0 0 -0.3">
+          <joint name="toe" axis="0 1 0" damping="0.02" stiffness="3" armature="0.01"/>
+          <geom type="sphere" size="0.03" mass="0.1" contype="0" conaffinity="0"/>
+        </body>
+      </body>
+      <body name="back" pos="-0.1 0 0">
+        <joint name="back" axis="0 1 0" damping="0.1" armature="0.01"/>
+        <geom type="capsule" fromto="0 0 0 0 0 -0.4" size="0.02" mass="0.3" friction="0.8" conaffinity="0"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor name="back" joint="back" gear="4" ctrlrange="-0.2 0.2" ctrllimited="true"/>
+    <motor name="front" joint="front" gear="-2" forcerange="-1 1" forcelimited="true"/>
+  </actuator>
+  <sensor>
+    <jointpos name="back_encoder" joint="back"/>
+    <jointpos name="front_encoder" joint="front"/>
+    <gyro name="gyroscope" site="imu"/>
+    <accelerometer name="accelerometer" site="imu"/>
+  </sensor>
+</mujoco>
+"""
+"""Motors in another order than the joints, of which one has none; gears; unequal friction, damping and bounds; contacts
+by `contype`."""
+
+
+class Unequal(Robot):
+    motors: str = ""
+
+    def spec(self, timestep=None):
+        spec = mujoco.MjSpec.from_string(UNEQUAL.replace("</actuator>", self.motors + "</actuator>"))
+        spec.option.timestep = timestep or spec.option.timestep
+        return spec
+
+
+@pytest.mark.parametrize("name", ["tree", "mjx-jax", "mujoco"])
+def test_nothing_of_a_model_is_left_out_without_a_word(name):
+    """A servo of two joints, all traced values in it, against native MuJoCo with a changed model."""
+    factors = {"friction": 1.5, "damping": 0.5, "torque_limit": 0.3}
+    physics = make_physics(name, robot=Unequal(), **factors)
+    assert physics.joint_names == ("back", "front")
+    goal, qvel = np.array([-0.3, 0.3]), np.array([0.3, 0.2, 0, 0, 0, 0, 1.0, -2.0, 1.0])
+    run = jax.jit(lambda world: physics.run_sensed(world, lambda s: 5.0 * (goal - s.qpos) - 0.2 * s.qvel, 60))
+    start = physics.qpos0 + np.array([0, 0, 0, 0, 0, 0, 0, 0.1, 0.1, -0.1])
+    world, sensed = run(physics.start(start, qvel))
+    model = converged(mujoco.MjModel.from_xml_string(UNEQUAL))
+    model.geom_friction[:, 0] *= 1.5
+    model.dof_damping *= 0.5
+    model.actuator_ctrlrange *= 0.3
+    model.actuator_forcerange *= 0.3
+    data, at, largest, torques = mujoco.MjData(model), np.array([9, 7]), np.array([0.24, 0.6]), []
+    data.qpos, data.qvel = start, qvel
+    for _ in range(60):
+        torque = np.clip(5.0 * (goal - data.qpos[at]) - 0.2 * data.qvel[at - 1], -largest, largest)
+        data.ctrl = torque / [4.0, -2.0]
+        mujoco.mj_step(model, data)
+        torques.append(torque)
+    assert not world.diverged and np.abs(np.abs(torques).max(axis=0) - largest).max() < 1e-12
+    if name == "mjx-jax":  # whose solver has four iterations for legs 4 cm in the ground
+        np.testing.assert_allclose(world.qpos, data.qpos, atol=5e-3)
+        return
+    np.testing.assert_allclose(world.qpos, data.qpos, atol=1e-8)
+    np.testing.assert_allclose(sensed.torque, torques[-1], atol=1e-7)
+    np.testing.assert_allclose(sensed.readings.gyroscope, data.sensor("gyroscope").data, atol=1e-6)
+    np.testing.assert_allclose(sensed.readings.accelerometer, data.sensor("accelerometer").data, atol=1e-5)
+
+
+def test_a_servo_in_the_place_of_a_motor_is_refused():
+    servo = Unequal(motors='<position name="servo" joint="toe" kp="5"/>')
+    with pytest.raises(InputError, match="motor 'servo' must be a torque motor of a joint, its bounds the same both"):
+        make_physics("tree", robot=servo)

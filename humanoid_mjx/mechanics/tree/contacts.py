@@ -290,6 +290,7 @@ def _impedance(softness: Softness, violation: Scalar) -> Scalar:
 
 def _frame(normal: Vector, along: Vector | None) -> Rotation:
     """MuJoCo's tangents: the first follows `along` where that is not too near the normal, else an axis of the world."""
+    given = along is not None
     if along is None and isinstance(normal.y.value, float):
         sideways = abs(normal.y.value) < 0.5
         along = Vector(ZERO, ONE if sideways else ZERO, ZERO if sideways else ONE)
@@ -302,5 +303,11 @@ def _frame(normal: Vector, along: Vector | None) -> Rotation:
     if isinstance(square.value, float):
         tangent = scale(Scalar(square.value**-0.5), tangent)
     else:
-        tangent = scale(ONE / root(Scalar(jnp.maximum(square.value, 1e-30))), tangent)
+        tangent = scale(ONE / root(Scalar(jnp.maximum(square.value, SMALLEST_SQUARE))), tangent)
+    if given:
+        # Along the normal itself there is no tangent; MuJoCo takes an axis of the world.
+        upright = square.value < SMALLEST_SQUARE
+        tangent = Vector(
+            *(Scalar(jnp.where(upright, x, t.value)) for x, t in zip((1.0, 0.0, 0.0), tangent, strict=True))
+        )
     return normal, tangent, cross(normal, tangent)

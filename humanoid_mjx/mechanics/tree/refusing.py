@@ -128,7 +128,7 @@ def _of_pair(m: mujoco.MjModel, pair: Touching) -> Iterator[tuple[str, str]]:
     if (two not in GROUND_SHAPES) if one == "plane" else ((one, two) not in PAIRS):
         shapes = ", ".join(GROUND_SHAPES) if one == "plane" else "sphere, capsule"
         masks = "contype and conaffinity that keep them apart"
-        yield f"contacts of a {one} and a {two}", f"{shapes} in their place, or {masks}"
+        yield f"contacts of {_a(one)} and {_a(two)}", f"{shapes} in their place, or {masks}"
     if pair.condim not in (1, 3):
         yield "contacts that resist twisting or rolling", 'condim="3"'
     if pair.surplus:
@@ -144,3 +144,7 @@ def _of_sensors(m: mujoco.MjModel, names: Sequence[str]) -> Iterator[Check]:
         odd = touch and int(m.site_type[sensor.objid[0]]) not in shapes
         yield odd, f"a touch sensor that is no box or ball, as {sensor.name!r}", "a site that is a box or a sphere"
         yield sensor.cutoff[0], f"the cutoff of a sensor, as {sensor.name!r}", 'cutoff="0"'
+
+
+def _a(shape: str) -> str:
+    return f"an {shape}" if shape == "ellipsoid" else f"a {shape}"

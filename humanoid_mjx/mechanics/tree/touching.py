@@ -53,7 +53,7 @@ def kinds_of(m: mujoco.MjModel, pair: Touching) -> tuple[str, str]:
     one, two = (
         mujoco.mjtGeom(int(m.geom_type[geom])).name.removeprefix("mjGEOM_").lower() for geom in (pair.one, pair.two)
     )
-    return one, two
+    return one.replace("hfield", "height field"), two
 
 
 def _ordered(m: mujoco.MjModel, one: int, two: int) -> tuple[int, int]:

@@ -1,0 +1,70 @@
+# pyright: reportAttributeAccessIssue=false
+"""A robot's MJCF in words: what it has, and everything of it that `physics: tree` cannot represent."""
+
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from humanoid_mjx.mechanics.tree.refusing import faults
+from humanoid_mjx.mechanics.tree.touching import kinds_of, touching
+from humanoid_mjx.spec import InputError
+
+JOINT = mujoco.mjtJoint
+
+
+def read_model(path: str) -> mujoco.MjModel:
+    """The compiled model of an MJCF file.
+
+    Raises:
+      InputError: there is no such file, or MuJoCo cannot compile it.
+    """
+    if not Path(path).is_file():
+        raise InputError(f"info: there is no file {path}.")
+    try:
+        return mujoco.MjModel.from_xml_path(path)
+    except ValueError as error:
+        raise InputError(f"info: MuJoCo cannot read {path}: {' '.join(str(error).split())}.") from error
+
+
+def survey(model: mujoco.MjModel) -> tuple[list[str], bool]:
+    """Lines that say what a compiled model has, and whether the tree takes it as it is."""
+    free = bool((model.jnt_type == JOINT.mjJNT_FREE).any())
+    pushed, contacts = set(), Counter()
+    for pair in touching(model):
+        kinds = kinds_of(model, pair)
+        contacts[kinds] += 1
+        pushed |= {int(model.geom_bodyid[pair.two])} if kinds[0] == "plane" else set()
+    ends = pushed - {int(parent) for parent in model.body_parentid[1:]} - {0}
+    feet = [model.body(body).name or f"body {body}" for body in sorted(ends)]
+    joints = list(_joints(model))
+    found = {
+        "mass": f"{model.body_mass.sum():.4g} kg in {model.nbody - 1} bodies, {'a free' if free else 'no free'} base",
+        "joints": f"{len(joints)}, {model.nu} motors, {model.nv} degrees of freedom",
+        "feet": f"{', '.join(feet) or 'none'}: ends of limbs that the ground can push",
+        "contacts": ", ".join(f"{count} of {one} and {two}" for (one, two), count in contacts.items()) or "none",
+    }
+    lines = [f"{name:13} {words}" for name, words in found.items()]
+    lines[2:2] = joints
+    wrong = faults(model)
+    if not wrong:
+        return [*lines, f"{'physics':13} tree takes it as it is"], True
+    lines.append(f"{'physics':13} tree cannot represent {len(wrong)} things; mjx-jax, mjx-warp and mujoco may:")
+    return lines + [f"  {fault.what}; to change: {fault.change}" for fault in wrong], False
+
+
+def _joints(m: mujoco.MjModel) -> Iterator[str]:
+    """A line for each joint but the free one."""
+    of_joints = m.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
+    for index, kind in enumerate(m.jnt_type):
+        if kind == JOINT.mjJNT_FREE:
+            continue
+        name, slides = JOINT(int(kind)).name.removeprefix("mjJNT_").lower(), kind == JOINT.mjJNT_SLIDE
+        low, high = m.jnt_range[index] * 1e3 if slides else np.degrees(m.jnt_range[index])
+        limits = f"{low:.4g} to {high:.4g} {'mm' if slides else 'degrees'}" if m.jnt_limited[index] else "no limits"
+        motors = [
+            m.actuator(i).name or "a motor" for i in np.flatnonzero(of_joints & (m.actuator_trnid[:, 0] == index))
+        ]
+        yield f"  {m.joint(index).name or f'joint {index}'}: {name}, {limits}, {', '.join(motors) or 'no motor'}"
