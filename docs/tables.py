@@ -11,6 +11,8 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from humanoid_mjx.reproduction.findings import MEANINGS
+
 BENCH = Path(__file__).parent / "bench"
 
 
@@ -191,7 +193,15 @@ def ranges() -> str:
     return table("with the soles flat | `proposed` | `human`", rows)
 
 
-TABLES = {of.__name__: of for of in (speed, in_turn, stand, learners, other_physics, faults, ranges)} | {
+def verdicts() -> str:
+    """Return how many quantities of the thesis have each verdict."""
+    counts = record("cpu_2_cores_reproduce")["verdicts"]
+    names = [name for name in MEANINGS if name in counts]
+    rows = ((f"`{name}`", str(counts[name]), MEANINGS[name]) for name in names)
+    return table("verdict | quantities | what it says", rows)
+
+
+TABLES = {of.__name__: of for of in (speed, in_turn, stand, learners, other_physics, faults, ranges, verdicts)} | {
     "reproduce_minutes": lambda: rounded(record("cpu_2_cores_reproduce")["command_s"] / 60),
     "stand_seconds": lambda: rounded(record("h200_stand_8_seeds")["records"][0]["command_s"]),
     "stand_cpu_minutes": lambda: rounded(record("cpu_2_cores_stand")["records"][0]["one_seed_wall_s"] / 60),

@@ -1,7 +1,8 @@
 """The formulas as printed against the verified mechanics: what is wrong, what it should be, and what it does."""
 
+from collections.abc import Mapping
 from itertools import chain
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +30,10 @@ CIRCLE = ((-180.0, 180.0),) * 5
 def errata(setting: Setting) -> list[Finding]:
     anywhere, in_range = _states(CIRCLE), _states(thesis.JOINT_RANGES["proposed"])
     findings = [_compare(entry, in_range if entry.in_range else anywhere) for entry in ENTRIES]
-    _write(setting.out / "errata.md", findings)
+    setting.table(
+        ("place", "fault", *NUMBERS, "verdict", "what it should be, and where tried"),
+        ((f.quantity, f.printed, *_numbers(f.reproduced), f.verdict, f.why) for f in findings),
+    )
     return findings
 
 
@@ -93,15 +97,8 @@ def _dynamics(q: np.ndarray) -> dict[str, np.ndarray]:
     return {name: np.asarray(value, float) for name, value in found.items()}
 
 
-def _write(path: Path, findings: list[Finding]) -> None:
-    """The errata as a table."""
-    heads = ("place", "fault", *NUMBERS, "verdict", "what it should be, and where tried")
-    rows = [heads, ("---",) * len(heads)]
-    for finding in findings:
-        found = finding.reproduced
-        numbers = [f"{found[key]:.3g} {found['unit']}".strip() for key in NUMBERS]
-        rows.append((finding.quantity, finding.printed, *numbers, finding.verdict, finding.why))
-    path.write_text("".join(f"| {' | '.join(row)} |\n" for row in rows), encoding="utf-8")
+def _numbers(found: Mapping[str, Any]) -> list[str]:
+    return [f"{found[key]:.3g} {found['unit']}".strip() for key in NUMBERS]
 
 
 EXPERIMENTS = [Experiment("errata", "The formulas as printed, and what is wrong with them", errata)]

@@ -104,7 +104,7 @@ def _finding(what: str, needed: np.ndarray, why: str) -> Finding:
     if not enough:
         why += f"; joint {worst + 1} ({NAMES[worst]}) needs {needed[worst] / MOTORS[worst]:.1f} times the torque"
     quantity, found = f"{what}: the torques of Table 4.7 suffice, N m", (np.round(needed, 4) + 0.0).tolist()
-    return check(quantity, MOTORS.tolist(), found, enough, why)
+    return check(quantity, MOTORS.tolist(), found, enough, why, could_differ=needed.max() > UPRIGHT)
 
 
 def _weight(torso: float) -> float:
