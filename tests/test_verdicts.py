@@ -154,7 +154,7 @@ def test_a_printed_formula_that_is_right_is_reproduced():
 
 def test_computed_torque_can_lose(monkeypatch, tmp_path):
     shape = (len(robustness.CYCLES), 3, 2)
-    even = dict.fromkeys(robustness.LAWS, np.full(shape, 0.1))
+    even = dict.fromkeys(robustness.TRIED, np.full(shape, 0.1))
     monkeypatch.setattr(robustness, "_errors", lambda *given: even | {"computed torque": np.full(shape, 0.2)})
     assert verdicts("robustness-map", tmp_path) == ["differs"] * 2
 

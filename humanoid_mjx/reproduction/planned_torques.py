@@ -4,12 +4,16 @@ from collections.abc import Mapping
 from itertools import product
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
+from humanoid_mjx import dynamics
+from humanoid_mjx.mechanics.trajectories import rest_to_rest
 from humanoid_mjx.report.style import COLORS, label_lines
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, compare, in_words
-from humanoid_mjx.reproduction.leg_values import NAMES
+from humanoid_mjx.reproduction.leg_values import NAMES, over, planned
 from humanoid_mjx.reproduction.printed import dynamics as printed
+from humanoid_mjx.robot.leg import Leg, corrected_inertias, script_inertias
 from humanoid_mjx.thesis import leg as thesis
 
 FIGURE_TOLERANCE, TABLE_TOLERANCE = 1e-8, 5e-5
@@ -86,10 +90,6 @@ MODELS: dict[tuple[Any, ...], str] = {
 
 def torques(setting: Setting) -> list[Finding]:
     """Figure 7.5: the torques at the start, at the end and at most, by the recovered model."""
-    import jax
-
-    from humanoid_mjx.robot.leg import Leg
-
     config = setting.config
     t = np.linspace(0, thesis.QUINTIC_S, SAMPLES)
     motion = _motion(t, config["knee"]["end"], config["units"]["degree"])
@@ -213,8 +213,6 @@ def _trials() -> list[Trial]:
 
 
 def _models() -> dict[str, printed.Model]:
-    from humanoid_mjx.robot.leg import corrected_inertias, script_inertias
-
     recovered = np.array(thesis.FIGURE_7_5_MASSES) / np.array(thesis.LINK_MASSES)
     inertias = {
         "the script's links": (thesis.SCRIPT_LENGTHS, script_inertias()),
@@ -228,29 +226,18 @@ def _models() -> dict[str, printed.Model]:
     return models
 
 
-def _motion(t: np.ndarray, knee: float, degree: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _motion(t: np.ndarray, knee: float, degree: float) -> tuple[np.ndarray, ...]:
     """(5, n) each: the planned motion in double precision, with the knee's end in degrees and radians per degree."""
-    import jax
-
-    from humanoid_mjx.mechanics.trajectories import Quintic, rest_to_rest
-
     ends = np.array(thesis.QUINTIC_RANGES)
     ends[3, 1] = knee
     with jax.enable_x64(True):
-        planned = rest_to_rest(ends[:, 0] * degree, ends[:, 1] * degree, thesis.QUINTIC_S)
-        motion = jax.jit(jax.vmap(Quintic.at, in_axes=(None, 0)))(planned, t)
-        position, velocity, acceleration = (np.asarray(x).T for x in motion)
-    return position, velocity, acceleration
+        motion = planned(t, rest_to_rest(ends[:, 0] * degree, ends[:, 1] * degree, thesis.QUINTIC_S))
+    return tuple(x.T for x in motion)
 
 
 def _torque(leg: Any, motion: tuple[np.ndarray, ...]) -> np.ndarray:
     """(5, n) The verified torques of a motion, N m."""
-    import jax
-
-    from humanoid_mjx import dynamics
-
-    compute = jax.jit(jax.vmap(dynamics.inverse_dynamics, in_axes=(None, 0, 0, 0)))
-    return np.asarray(compute(leg, *(x.T for x in motion))).T
+    return over(dynamics.inverse_dynamics, leg, *(x.T for x in motion)).T
 
 
 def _flat(config: Mapping[str, Mapping[str, float]]) -> dict[str, float]:

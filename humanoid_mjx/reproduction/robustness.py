@@ -15,6 +15,7 @@ from humanoid_mjx import compute, dynamics
 from humanoid_mjx.control import Reference, servo
 from humanoid_mjx.mechanics.trajectories import thesis_quintics
 from humanoid_mjx.report.style import SEQUENTIAL
+from humanoid_mjx.reproduction import tracking
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, three_digits
 from humanoid_mjx.robot.leg import Leg
 from humanoid_mjx.spec import InputError
@@ -33,7 +34,7 @@ PAYLOAD = 0.03
 CONFIG = {"grid": {"model_errors": 13, "payloads": 21}}
 """Number of model errors, from too light to too heavy, and of payloads, from none upwards."""
 
-LAWS = {
+TRIED = {
     "partitioned PD": "partitioned PD",
     "partitioned PD and weight": "partitioned PD holding the weight",
     "computed torque": "computed torque",
@@ -103,7 +104,7 @@ def _errors(model_errors: np.ndarray, payloads: np.ndarray, tell: Callable[[str]
     arrays.append(jnp.tile(thesis_quintics().at(0.0).position, (len(robots[0]), 1)))
     shape = (len(CYCLES), len(model_errors), len(payloads))
     errors = {}
-    for law, words in LAWS.items():
+    for law, words in TRIED.items():
         tell(f"{len(robots[0]):,} legs under {words}")
         worst = np.asarray(_program(law)(*arrays)).max(axis=1).reshape(shape)
         errors[law] = np.where(worst < LOST, worst, np.inf)
@@ -122,10 +123,7 @@ def _program(law: str) -> Callable[..., Any]:
 
         def controller(time: Any, qpos: Any, qvel: Any) -> Any:
             qacc = servo(kp, kd, Reference(*planned.at(time)), qpos, qvel)
-            if law == "computed torque":
-                return dynamics.inverse_dynamics(model, qpos, qvel, qacc)
-            torque = dynamics.joint_inertias(model, qpos) * qacc
-            return torque + dynamics.gravity(model, qpos) if law.endswith("weight") else torque
+            return tracking.LAWS[law](model, qpos, qvel, qacc)
 
         # Euler's step would undo a hold of one step: it too takes the dynamics from the state at the start of the step.
         # The method of fourth order loops over its stages, which makes it 25 times slower and no digit better here.
@@ -142,8 +140,8 @@ def _draw(setting: Setting, errors: dict[str, np.ndarray]) -> None:
     from matplotlib.colors import LogNorm
 
     extent = (0.0, 1e3 * PAYLOAD, -100 * MODEL_ERROR, 100 * MODEL_ERROR)
-    with setting.figure(len(LAWS), len(CYCLES), (2.7, 2.4), sharex=True, sharey=True) as (fig, axes):
-        for row, (law, words) in enumerate(LAWS.items()):
+    with setting.figure(len(TRIED), len(CYCLES), (2.7, 2.4), sharex=True, sharey=True) as (fig, axes):
+        for row, (law, words) in enumerate(TRIED.items()):
             for column, cycle in enumerate(CYCLES):
                 panel = axes[row, column]
                 panel.set_facecolor("0.8")
@@ -160,7 +158,7 @@ def _draw(setting: Setting, errors: dict[str, np.ndarray]) -> None:
                     panel.set_ylabel(f"{words}\nmodel error, %", fontsize=8)
                 if row == 0:
                     panel.set_title(f"cycle of {cycle * STEP_S * 1e3:g} ms")
-                if row == len(LAWS) - 1:
+                if row == len(TRIED) - 1:
                     panel.set_xlabel("payload, g")
         words = "root mean square error of the worst joint, rad"
         fig.colorbar(image, ax=axes, label=words, extend="both", format="{x:g}")

@@ -7,11 +7,17 @@ from collections.abc import Callable, Mapping
 from functools import cache, partial
 from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
+from humanoid_mjx import compute, dynamics
+from humanoid_mjx.control import Reference, implicit_euler, servo
+from humanoid_mjx.mechanics.trajectories import thesis_quintics
 from humanoid_mjx.report.style import COLORS, log_axis
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, compare, in_words, three_digits
 from humanoid_mjx.reproduction.printed import dynamics as printed_dynamics
+from humanoid_mjx.robot.leg import ALONG_THE_LEG, AS_PRINTED, Leg, corrected_inertias, script_inertias
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.thesis import leg as thesis
 
@@ -36,6 +42,28 @@ CONFIG = {
     for name, gains in (("kp", thesis.KP), ("kd", thesis.KD))
 }
 PRINTED = {f"{name} of {joint}": gain for name, gains in CONFIG.items() for joint, gain in gains.items()}
+
+
+def _partitioned(model: Any, qpos: Any, qvel: Any, qacc: Any) -> Any:
+    return dynamics.joint_inertias(model, qpos) * qacc
+
+
+def _as_printed(model: Any, qpos: Any, qvel: Any, qacc: Any) -> Any:
+    columns = qpos[:, None], qvel[:, None], qacc[:, None]
+    return printed_dynamics.inverse_dynamics(model[0], *columns, model[1])[:, 0]
+
+
+LAWS: dict[str, Callable[..., Any]] = {
+    "computed torque": dynamics.inverse_dynamics,
+    "servo": lambda model, qpos, qvel, qacc: qacc,
+    "partitioned PD": _partitioned,
+    "partitioned PD and weight": lambda model, qpos, qvel, qacc: (
+        _partitioned(model, qpos, qvel, qacc) + dynamics.gravity(model, qpos)
+    ),
+    "mass matrix": lambda model, qpos, qvel, qacc: dynamics.mass_matrix(model, qpos) @ qacc,
+    "as printed": _as_printed,
+}
+"""Torques from a model, the joints' state and the accelerations that the gains ask for."""
 
 
 class Variant(NamedTuple):
@@ -212,32 +240,8 @@ def _gains(setting: Setting) -> tuple[dict[str, float], tuple[float, ...], tuple
     return used, kp, kd
 
 
-def _laws() -> dict[str, Callable[..., Any]]:
-    """Return the laws by name: torques from a model, the joints' state and the accelerations that the gains ask for."""
-    from humanoid_mjx import dynamics
-
-    def partitioned(model: Any, qpos: Any, qvel: Any, qacc: Any) -> Any:
-        return dynamics.joint_inertias(model, qpos) * qacc
-
-    def as_printed(model: Any, qpos: Any, qvel: Any, qacc: Any) -> Any:
-        columns = qpos[:, None], qvel[:, None], qacc[:, None]
-        return printed_dynamics.inverse_dynamics(model[0], *columns, model[1])[:, 0]
-
-    return {
-        "computed torque": dynamics.inverse_dynamics,
-        "servo": lambda model, qpos, qvel, qacc: qacc,
-        "partitioned PD": partitioned,
-        "partitioned PD and weight": lambda model, *motion: (
-            partitioned(model, *motion) + dynamics.gravity(model, motion[0])
-        ),
-        "mass matrix": lambda model, qpos, qvel, qacc: dynamics.mass_matrix(model, qpos) @ qacc,
-        "as printed": as_printed,
-    }
-
-
 def _printed_models() -> dict[str, tuple[printed_dynamics.Model, tuple[str, ...]]]:
     """Models of the thesis's equations with their faults, by name."""
-    from humanoid_mjx.robot.leg import corrected_inertias, script_inertias
 
     def model(lengths: tuple[float, ...], inertia: Any) -> printed_dynamics.Model:
         return printed_dynamics.Model(lengths, inertia, printed_dynamics.script_centroids(lengths))
@@ -270,21 +274,13 @@ def _motions(kp: tuple[float, ...], kd: tuple[float, ...]) -> dict[Variant, np.n
 def _program(law: str, leg: str, model: str) -> Callable[..., Any]:
     """From the shares of the planned rate and acceleration that the law sees, (variants, 2), the start, (variants, 5),
     kp and kd to the errors, (variants, points, 5), rad."""
-    import jax
-    import jax.numpy as jnp
-
-    from humanoid_mjx import compute, dynamics
-    from humanoid_mjx.control import Reference, implicit_euler, servo
-    from humanoid_mjx.mechanics.trajectories import thesis_quintics
-    from humanoid_mjx.robot.leg import ALONG_THE_LEG, AS_PRINTED, Leg
-
     legs = {
         "thesis": Leg.thesis(AS_PRINTED),
         "script": Leg.matlab_script(AS_PRINTED),
         "along": Leg.thesis(ALONG_THE_LEG),
     }
     models = legs | _printed_models()
-    planned, act = thesis_quintics(), _laws()[law]
+    planned, act = thesis_quintics(), LAWS[law]
     times = jnp.linspace(0.0, thesis.QUINTIC_S, round(thesis.QUINTIC_S / SHOWN_S) + 1)
     wanted = jax.vmap(planned.at)(times).position
 
