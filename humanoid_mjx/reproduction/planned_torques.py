@@ -9,9 +9,9 @@ import numpy as np
 
 from humanoid_mjx import dynamics
 from humanoid_mjx.mechanics.trajectories import rest_to_rest
-from humanoid_mjx.report.style import COLORS, label_lines
+from humanoid_mjx.report.style import COLORS
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, compare, in_words
-from humanoid_mjx.reproduction.leg_values import NAMES, over, planned
+from humanoid_mjx.reproduction.leg_values import NAMES, over, planned, plot_joints
 from humanoid_mjx.reproduction.printed import dynamics as printed
 from humanoid_mjx.robot.leg import Leg, corrected_inertias, script_inertias
 from humanoid_mjx.thesis import leg as thesis
@@ -142,14 +142,11 @@ def _draw(setting: Setting, t: np.ndarray, curves: Mapping[str, np.ndarray]) -> 
     """Torques of the planned motion by model, (5, times) N m each, with what is printed of their start and end."""
     with setting.figure(1, len(curves), size=(4.3, 3.8), sharey=True) as (fig, axes):
         for panel, (title, tau) in zip(axes[0], curves.items(), strict=True):
-            for joint in range(5):
-                panel.plot(t, tau[joint], color=COLORS[joint])
+            plot_joints(panel, t, tau.T)
             panel.set(title=title, xlabel="time, s", xlim=(0, thesis.QUINTIC_S))
         for time, when in ((0.0, "start"), (thesis.QUINTIC_S, "end")):
             for joint, mark in enumerate(thesis.FIGURE_7_5[when]):
                 axes[0, 0].plot(time, mark, "o", color=COLORS[joint], markersize=5, clip_on=False)
-        for panel, tau in zip(axes[0], curves.values(), strict=True):
-            label_lines(panel, tau[:, -1].tolist(), [f"{i} {name}" for i, name in enumerate(NAMES, 1)], COLORS[:5])
         axes[0, 0].set_ylabel("joint torque, N m")
         fig.suptitle("Torques of the planned motion; dots: start and end as section 7 C prints them", x=0.02, ha="left")
 

@@ -162,12 +162,10 @@ def _draw(setting: Setting, errors: dict[str, np.ndarray]) -> None:
                     panel.set_xlabel("payload, g")
         words = "root mean square error of the worst joint, rad"
         fig.colorbar(image, ax=axes, label=words, extend="both", format="{x:g}")
-        fig.suptitle(
-            f"{sum(e.size for e in errors.values()):,} legs on the planned motion, gains of Table 5.1; grey: unstable",
-            x=0.02,
-            ha="left",
-            fontsize="medium",
+        words = (
+            f"{sum(e.size for e in errors.values()):,} legs on the planned motion, gains of Table 5.1; grey: unstable"
         )
+        fig.suptitle(words, x=0.02, ha="left", fontsize="medium")
 
 
 def _list(values: np.ndarray) -> str:
