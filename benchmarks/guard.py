@@ -6,6 +6,7 @@
     trace              tracing and lowering a step of `stand`, against a program that stays the same
     compile            XLA's share of the same, against compiling such a program
     tree               running it, the lower body on the ground, against native MuJoCo on all cores
+    moving             the same of bodies that random choices have thrown about for up to a second
 
 A ratio says how many times as fast its subject is as its reference, the work of both counted in the same unit; larger
 is better. Both are timed in turn, the fastest of each counts, and what seems to have fallen is timed again before it is
@@ -138,6 +139,9 @@ def start_up() -> Pair:
 class Stand:
     """A step of `stand` for many bodies on every device: traced, compiled and run once for three of the ratios."""
 
+    THROWN_STEPS = 50
+    """A second of the task."""
+
     BODIES = 2 * BLOCK
     """On a device: enough that their contacts are searched block by block, as in training."""
 
@@ -180,11 +184,11 @@ class Stand:
         """Compile what has been traced; no cache helps."""
         self.compiled = _compiled(self.traced())
 
-    def steps(self, number: int) -> Callable[[], Any]:
-        """So many steps from the beginning of an episode."""
+    def steps(self, number: int, first: tuple[Any, ...] | None = None) -> Callable[[], Any]:
+        """So many steps from `first`, by default from the beginning of an episode."""
         if self.compiled is None:
             self.compile()
-        state, action, keys = jax.jit(self.start, out_shardings=self.over_devices)()
+        state, action, keys = first or jax.jit(self.start, out_shardings=self.over_devices)()
 
         def run() -> Any:
             now = state
@@ -193,6 +197,24 @@ class Stand:
             return now
 
         return run
+
+    def thrown(self) -> tuple[Any, ...]:
+        """Bodies that random choices have moved for up to `THROWN_STEPS` steps, another random choice, and keys."""
+        random = np.random.default_rng(0)
+        state, action, keys = jax.jit(self.start, out_shardings=self.over_devices)()
+        ages = random.integers(0, self.THROWN_STEPS, self.bodies, endpoint=True)
+        keep = jax.jit(
+            lambda step, ages, after, before: jax.tree.map(partial(_older, step < ages), after, before),
+            out_shardings=self.over_devices,
+        )
+        for step in range(self.THROWN_STEPS):
+            action = jax.device_put(random.integers(0, self.task.action_bins, action.shape), self.over_devices)
+            state = keep(step, ages, self.steps(1, (state, action.astype(int), keys))(), state)
+        return jax.device_put((state, action, keys), self.over_devices)
+
+
+def _older(mask: jax.Array, after: jax.Array, before: jax.Array) -> jax.Array:
+    return jnp.where(mask.reshape(-1, *[1] * (after.ndim - 1)), after, before)
 
 
 @cache
@@ -217,6 +239,17 @@ def tree() -> Pair:
     steps, worlds, time_steps = 20, 1024, 20
     native = ground.mujoco(worlds, time_steps)
     return _warm(Pair(stand().steps(steps), native, steps * stand().time_steps / (worlds * time_steps)))
+
+
+def moving() -> Pair:
+    """As `tree`, both from the same states; MuJoCo's set-points are random, too."""
+    steps, time_steps = 10, 50
+    first = stand().thrown()
+    world = first[0].data.world
+    qpos, qvel = (np.asarray(part, np.float64) for part in (world.qpos, world.qvel))
+    setpoint = stand().task.posture + np.random.default_rng(1).uniform(-0.2, 0.2, (len(qpos), qvel.shape[1] - 6))
+    work = steps * stand().time_steps / (len(qpos) * time_steps)
+    return _warm(Pair(stand().steps(steps, first), ground.native(qpos, qvel, setpoint, time_steps), work))
 
 
 def long_program(parts: int) -> Callable[[], Any]:
@@ -255,6 +288,7 @@ RATIOS: dict[str, Callable[[], Pair]] = {
     "trace": trace,
     "compile": compiling,
     "tree": tree,
+    "moving": moving,
 }
 
 

@@ -159,7 +159,8 @@ def study(out: Path) -> tuple[dict[str, Column], dict[str, Any]]:
         "ranges": {words: dict(zip(columns, values, strict=True)) for words, values in column_rows(columns, WAY)},
         "sway": {"period, s": WAY.period} | {words: values[0] for words, values in sway_rows(body, WAY)},
         "largest torques, N m": {
-            words: dict(zip(thesis.JOINT_NAMES, map(float, values), strict=True)) for words, values in torques.items()
+            words: dict(zip(thesis.JOINT_NAMES, map(float, values), strict=True))
+            for words, values in (torques | {"Table 4.7": np.array(thesis.MAX_TORQUES)}).items()
         },
         "lacks": lacking(columns, needed(body, WAY)),
     }

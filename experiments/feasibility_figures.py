@@ -118,7 +118,9 @@ def _torques(panel: Any, rows: Mapping[str, np.ndarray]) -> None:
     for i, ((words, torque), color) in enumerate(zip(rows.items(), shades, strict=True)):
         panel.bar(np.arange(5) + (i - (len(rows) - 1) / 2) * wide, torque, wide, color=color, label=words)
     panel.axhline(TORQUE_LIMIT, color="black", linewidth=0.8)
-    panel.text(-0.45, TORQUE_LIMIT + 0.03, "limit of the motors", fontsize=8)
+    panel.text(-0.45, TORQUE_LIMIT + 0.03, "limit of the motors, chosen to suffice", fontsize=8)
+    panel.hlines(thesis.MAX_TORQUES, np.arange(5) - 0.45, np.arange(5) + 0.45, color="black", linewidth=2)
+    panel.text(-0.45, 0.05, "thick: Table 4.7", fontsize=8)
     panel.set_xticks(range(5), [joint.replace("_", " ") for joint in thesis.JOINT_NAMES])
     panel.set_ylim(0, 2.3)
     panel.grid(False, axis="x")

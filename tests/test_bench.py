@@ -17,7 +17,8 @@ from typer.testing import CliRunner
 
 from humanoid_mjx import InputError, compute
 from humanoid_mjx.bench import compare, control, ground, postures, startup, tabular, training
-from humanoid_mjx.bench.measure import Record, Subject, spread, time_in_turn
+from humanoid_mjx.bench.measure import Record, Subject, spread, time_in_turn, time_rates
+from humanoid_mjx.bench.native import native_subject
 from humanoid_mjx.bench.programs import Programs
 from humanoid_mjx.cli import app
 from humanoid_mjx.compute import provenance
@@ -40,7 +41,7 @@ def test_tabular_writes_its_records(tmp_path):
     result = json.loads(file.read_text())
     assert set(result) == {"machine", "versions", "commit", "records"}
     assert {record["subject"] for record in result["records"]} >= {"scan", "naive_scan", "python"}
-    keys = {"bench", "subject", "device", "batch", "value", "unit", "compile_s", "repeats", "spread"}
+    keys = {"bench", "subject", "device", "batch", "value", "unit", "compile_s", "repeats", "spread", "commit"}
     for record in result["records"]:
         assert set(record) == (keys | {"memory_mib"} if "scan" in record["subject"] else keys)
     assert " MiB\n" in done.stdout and max(map(len, done.stdout.splitlines())) <= 100
@@ -74,28 +75,54 @@ def test_unknown_benchmarks_are_refused():
 
 def test_the_ground_is_the_same_body_in_every_physics():
     batch, steps = 1, 25  # one body is on one device, and compiled once
-    by_mjx = np.concatenate([np.asarray(x) for device in ground.compiled("mjx-jax", batch, steps)() for x in device])
+    by_mjx = positions(ground.compiled("mjx-jax", *ground.states_of(batch), steps)())
     by_mujoco = ground.mujoco(batch, steps)()
     # 0.1 s: float32 and four iterations of the solver against float64 and convergence.
     np.testing.assert_allclose(by_mjx, by_mujoco, atol=1e-4)
-    assert np.abs(by_mjx - ground.start(batch)[0]).max() > 1e-3
+    assert np.abs(by_mjx - ground.states_of(batch)[0]).max() > 1e-3
+
+
+def positions(found):
+    """The positions in what `ground.compiled` returns, body by body."""
+    return np.concatenate([np.asarray(share[0]) for share in ground._in_order(found)])
+
+
+def test_bodies_that_are_thrown_about_are_the_same_in_every_physics(monkeypatch):
+    monkeypatch.setattr(ground, "MOVE_STEPS", 25)  # the programs of the other tests
+    simulate, moves = ground.compiled, []
+
+    def compiled(subject, *given):
+        assert subject == "tree"  # which compiles longer than MJX
+        moves.append(given[2])
+        return simulate("mjx-jax", *given)
+
+    monkeypatch.setattr(ground, "compiled", compiled)
+    ground.visited.cache_clear()
+    qpos, qvel, setpoint = ground.states_of(1, moving=True)
+    assert len(moves) == ground.MOVES and all(np.abs(move - setpoint).max() > 0.1 for move in moves)
+    assert np.abs(qvel[:, :6]).max() > 0.1 and np.isfinite(qpos).all()
+    assert all(
+        again is part for again, part in zip(ground.states_of(1, moving=True), (qpos, qvel, setpoint), strict=True)
+    )
+    ground.visited.cache_clear()
 
 
 def test_computed_torque_holds_the_body_where_the_servo_does():
     servo, torque = (
-        np.concatenate([np.asarray(x) for device in ground.compiled(name, 1, 25)() for x in device])
-        for name in ("mjx-jax", ground.COMPUTED_TORQUE)
+        positions(ground.compiled(name, *ground.states_of(1), 25)()) for name in ("mjx-jax", ground.COMPUTED_TORQUE)
     )
     # 0.1 s, in which the body gives way by millimetres and milliradians: other torques, but the same posture.
     assert 1e-5 < np.abs(servo - torque).max() < 0.1
 
 
-def test_the_ground_writes_a_record_for_every_physics_and_batch():
+def test_the_ground_writes_a_record_for_every_physics_and_batch(monkeypatch):
     lines = []
     steps = {"mjx-jax": 25, ground.COMPUTED_TORQUE: 25, "mjx-warp": 25, "mujoco": 2}  # the programs of the tests above
+    monkeypatch.setattr(ground, "visited", ground.states_of)
     records = ground.run(lines.append, ground.Setting((1,), steps))
     subjects = ["mjx-jax ground", "mjx-jax computed torque ground", "mujoco ground"]
-    assert [(r.subject, r.batch) for r in records] == [(name, 1) for name in subjects] and len(lines) == 3
+    subjects += ["mjx-jax ground moving", "mujoco ground moving"]
+    assert [(r.subject, r.batch) for r in records] == [(name, 1) for name in subjects] and len(lines) == 5
     assert all(r.bench == "physics" and r.value > 0 for r in records)
 
 
@@ -218,10 +245,45 @@ def test_what_is_not_known_is_left_out():
     assert dataclasses.replace(bare, memory_mib=2.5).in_words("more") == "\n      2.5 MiB, more"
 
 
-def test_a_record_with_keys_that_are_no_longer_measured_is_compared():
-    before = compare.read_result(Path(__file__).parent.parent / "docs" / "bench" / "cpu_2_cores.json")
-    assert "limit" in before and any("limit_of" in record for record in before["records"])
-    assert len(compare.changes(before, before)) == len(before["records"])
+@pytest.mark.parametrize("name", ["cpu_2_cores", "h200"])
+def test_a_result_compared_with_itself_has_not_changed(name):
+    """Also one with keys that are no longer measured, and with figures that several records may mean."""
+    before = compare.read_result(Path(__file__).parent.parent / "docs" / "bench" / f"{name}.json")
+    found, unclear = compare.changes(before, before), compare.ambiguous(before)
+    assert not any(change.regressed for change in found) and {change.factor for change in found} <= {1.0, np.inf}
+    assert len(found) == sum(compare._key(record) not in unclear for record in before["records"]) > 90
+    assert len(compare.warnings(before, before)) == 2 * len(unclear)
+
+
+def test_figures_that_cannot_be_told_apart_are_left_out_with_a_sentence():
+    twice = result(one=(100.0, 0.0), two=(5.0, 0.0))
+    twice["records"].append(twice["records"][0] | {"value": 50.0})
+    assert [change.key[1] for change in compare.changes(twice, twice)] == ["two"]
+    (line, _) = compare.warnings(twice, twice)
+    assert line == (
+        "the first result has several figures of b, one, cpu, 8, steps/s: they cannot be told apart and are left out."
+    )
+    twice["records"][-1]["beside"] = 64
+    assert len(compare.changes(twice, twice)) == 3 and not compare.warnings(twice, twice)
+
+
+def test_a_subject_of_fewer_worlds_says_what_it_was_measured_beside():
+    made = []
+
+    def make(worlds, steps):
+        return lambda: made.append((worlds, steps)) or np.zeros(worlds)
+
+    for batch, worlds, beside in ((8, 8, None), (64, 16, 64)):
+        subject = native_subject(make, batch, 16, 5, repeats=1)
+        assert (subject.batch, subject.work, subject.beside, subject.device) == (worlds, 5 * worlds, beside, "cpu")
+        (one,) = time_rates("b", {"native with control": subject}, lambda line: None, "legs")
+        assert (one.subject, one.beside, one.batch) == ("native", beside, worlds) and made[-1] == (worlds, 5)
+
+
+def test_a_simulation_that_ran_away_is_refused():
+    subject = Subject(lambda: np.array([0.0, np.nan]), 1, 2, repeats=1)
+    with pytest.raises(FloatingPointError, match="tree: the simulation diverged"):
+        time_rates("b", {"tree": subject}, lambda line: None, "bodies")
 
 
 def result(**values):

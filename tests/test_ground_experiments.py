@@ -7,7 +7,17 @@ import pytest
 
 from humanoid_mjx.control import make_law
 from humanoid_mjx.reproduction import ground_control, ground_gaits, load_experiments, reproduce
-from humanoid_mjx.reproduction.ground import Path, _until_fall, balance_of, laws_of, physics
+from humanoid_mjx.reproduction.ground import (
+    LASTS_S,
+    PHASES,
+    Path,
+    Trial,
+    _plan,
+    _until_fall,
+    balance_of,
+    laws_of,
+    physics,
+)
 from humanoid_mjx.thesis import leg as thesis
 
 NAMES = ("gaits-4.8", "ground-control")
@@ -54,9 +64,10 @@ def test_the_gaits_of_the_tables_fall_in_every_reading(found):
     assert all(f.verdict == "differs" and 0.6 < f.reproduced[0] < 2.0 for f in (walk, turn))
     rows = [[x.strip("| ") for x in row.split(" | ")] for row in (out / "gaits-4.8.md").read_text().splitlines()[2:]]
     printed = [row for row in rows if row[3] == "as printed"]
-    assert len(printed) == 8 * 3 + 8 * 2 * 3, "readings, senses of the yaw, controllers"
+    assert len(printed) == 8 * 3 * 3 + 8 * 3 * 2 * 3, "signs, phases of the left leg, senses of the yaw, controllers"
     assert not [row for row in printed if "(all)" in row[5]]
-    off = {(row[0], row[2]): float(row[9]) for row in printed if row[1].startswith("no sign reversed")}
+    as_read = [row for row in printed if row[1].startswith("no sign reversed") and "left leg" not in row[1]]
+    off = {(row[0], row[2]): float(row[10]) for row in as_read}
     for table in ("Table 4.5", "Table 4.6"):
         assert off[table, "computed torque"] < 0.7 * off[table, "servo"]
     smallest = [row for row in rows if row[3] == "0.1"]
@@ -98,6 +109,25 @@ def test_measures_of_a_path():
     turns = carried(-0.5, 0.0)
     assert turns.turn == pytest.approx(np.degrees(-0.5)) and turns.slip > 0.05
     assert turns.distance == pytest.approx(0.0, abs=2e-3)
+
+
+def test_a_turn_that_goes_back_within_a_period_does_not_last():
+    steps = 551
+    path = carried(-0.5, 0.0, steps)
+    assert path.lasting_turn == pytest.approx(np.degrees(-0.5) * (1 - LASTS_S / 2.2), rel=0.01)
+    yaw = 0.5 * np.sin(2 * np.pi * np.arange(steps) / 200)  # a period of 0.8 s
+    path.qpos[:, 3], path.qpos[:, 6] = np.cos(yaw / 2), np.sin(yaw / 2)
+    assert abs(path.turn) > 5.0 and path.lasting_turn == 0.0
+
+
+def test_the_left_leg_does_what_its_phase_says():
+    plans = {phase: np.asarray(_plan(Trial("servo", "straight_walk", phase=phase), 1.6).qpos) for phase in PHASES}
+    right = {phase: plan[:, :5] for phase, plan in plans.items()}
+    assert all((right[phase] == right["equal"]).all() for phase in PHASES)
+    np.testing.assert_array_equal(plans["equal"][:, 5:], right["equal"])
+    np.testing.assert_array_equal(plans["opposite"][:, 5:], -right["equal"])
+    late = plans["half a period later"][:, 5:]
+    np.testing.assert_allclose(late[100:], right["equal"][:-100], atol=1e-5)
 
 
 def test_a_body_that_moves_evenly_has_its_zero_moment_point_below_its_mass():

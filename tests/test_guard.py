@@ -95,3 +95,12 @@ def test_the_guard_runs_bodies_that_stand():
     state = guard.stand().steps(3)()
     assert state.data.world.qpos.shape[0] == guard.Stand.BODIES * jax.local_device_count()
     assert not state.terminated.any() and not state.data.world.diverged.any()
+
+
+def test_the_guard_moves_bodies_that_are_thrown_about(monkeypatch):
+    """Of half a second: some have begun to fall, those of age 0 stand."""
+    monkeypatch.setattr(guard.Stand, "THROWN_STEPS", 25)
+    state, action, _ = guard.stand().thrown()
+    speed = np.abs(state.data.world.qvel).max(axis=1)
+    assert not state.data.world.diverged.any() and (speed == 0.0).any() and np.median(speed) > 1.0
+    assert len(np.unique(np.asarray(action), axis=0)) > 100

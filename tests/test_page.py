@@ -17,6 +17,7 @@ from humanoid_mjx.config import dump_yaml
 from humanoid_mjx.evaluation.film import Film
 from humanoid_mjx.report.player import film_data, player
 from humanoid_mjx.report.web import page, table
+from humanoid_mjx.reproduction.findings import Setting
 from humanoid_mjx.robot import make_robot
 from humanoid_mjx.runs.folder import read_config
 from humanoid_mjx.spec import InputError
@@ -154,6 +155,10 @@ def test_findings_are_compared_and_their_figures_shown(tmp_path):
     (tmp_path / "reproduce.json").write_text(json.dumps([FINDING, *others]))
     for name in ("table-7.1-way.png", "other.png"):
         (tmp_path / name).write_bytes(b"\x89PNG")
+    Setting({}, tmp_path, name="table-7.1").table(("state", ""), [("a & b", 1.5), ("", 2.5)])
+    runs = [{"machine": {"cpu": HOSTILE}, "versions": {"jax": "9.9"}, "commit": "f" * 40}]
+    runs[0]["times"] = {"table-7.1": {"wall_s": 1.25, "cpu_s": 2.0}}
+    (tmp_path / "reproduce_runs.json").write_text(json.dumps(runs))
     html = report(tmp_path)
     assert_nothing_gets_in(html)
     for words in (
@@ -163,6 +168,11 @@ def test_findings_are_compared_and_their_figures_shown(tmp_path):
         "table-7.1-way.png",
         "More figures",
         "humanoid-mjx reproduce table-7.1",
+        "<caption>table-7.1.md</caption>",
+        "<td>a &amp; b</td><td",
+        "<dd>1.2</dd>",
+        f"<dd>{'f' * 40}</dd>",
+        "<dd>9.9</dd>",
     ):
         assert words in html
     assert html.index("table-7.1-way.png") < html.index("More figures") < html.index("other.png")

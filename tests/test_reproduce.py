@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import humanoid_mjx
-from humanoid_mjx import InputError
+from humanoid_mjx import InputError, compute
 from humanoid_mjx.reproduction import judge, load_experiments, reproduce
 from humanoid_mjx.reproduction.runner import MODULES
 
@@ -27,6 +27,28 @@ def test_the_tables_come_out_with_the_recovered_rate(tmp_path):
     stored = json.loads((tmp_path / "reproduce.json").read_text())
     assert [entry["verdict"] for entry in stored] == ["recovered"] * 3
     assert set(stored[0]) == {"name", "quantity", "printed", "reproduced", "tolerance", "verdict", "why"}
+
+
+def test_a_second_call_adds_to_the_first(tmp_path):
+    reproduce(["table-7.2", "table-7.1"], tmp_path)
+    first = json.loads((tmp_path / "reproduce.json").read_text())
+    (tmp_path / "reproduce_runs.json").write_text("[]")  # that of an earlier version, say
+    told = []
+    reproduce(["table-7.3", "table-7.1"], tmp_path, ["learner.learning_rate=0.9"], tell=told.append)
+    second = json.loads((tmp_path / "reproduce.json").read_text())
+    assert [each["name"] for each in second] == TABLES, "in the order of the thesis, each once"
+    assert [each["verdict"] for each in second] == ["differs", "recovered", "differs"]
+    assert second[1] == next(each for each in first if each["name"] == "table-7.2")
+    assert told == ["1 of 2, table-7.3", "2 of 2, table-7.1"]
+    (run,) = json.loads((tmp_path / "reproduce_runs.json").read_text())
+    assert run["commit"] == compute.commit() and set(run["times"]) == {"table-7.3", "table-7.1"}
+    reproduce(["table-7.3"], tmp_path)
+    older, newer = json.loads((tmp_path / "reproduce_runs.json").read_text())
+    assert list(older["times"]) == ["table-7.1"] and list(newer["times"]) == ["table-7.3"]
+    assert newer["machine"] == compute.machine() and newer["times"]["table-7.3"]["cpu_s"] > 0
+    (tmp_path / "reproduce.json").write_text("half of a fi")
+    with pytest.raises(InputError, match="truncated or damaged"):
+        reproduce(["table-7.1"], tmp_path)
 
 
 def test_the_tables_do_not_come_out_with_the_printed_rate(tmp_path):
@@ -51,6 +73,8 @@ def test_judgement():
     assert judge(True, {"a": 2.0}, {"a": 1.0}) == "recovered"
     assert judge(False, {"a": 1.0}, {"a": 1.0}) == "differs"
     assert judge(False, {}, {}, possible=False) == "not_reproducible"
+    assert judge(True, {}, {}, could_differ=False) == "consistent"
+    assert judge(False, {}, {}, could_differ=False) == "differs"
 
 
 def test_what_cannot_be_reproduced_is_refused(tmp_path):

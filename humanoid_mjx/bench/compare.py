@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections import Counter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -9,8 +10,8 @@ from rich.table import Table
 
 from humanoid_mjx.spec import InputError
 
-SAME = ("bench", "subject", "device", "batch", "unit")
-"""What two records that are compared have in common."""
+SAME = ("bench", "subject", "device", "batch", "beside", "unit")
+"""Keys by which a record is found in both results; `beside` only where a record has it."""
 
 COSTS = ("s", "steps")
 """Units of which less is better, by their first word."""
@@ -60,10 +61,16 @@ def read_result(path: Path) -> dict[str, Any]:
 
 
 def changes(before: dict[str, Any], after: dict[str, Any]) -> list[Change]:
-    """What both results measured, in the order of the second."""
+    """What both results measured, in the order of the second, but for what `ambiguous` finds."""
+    unclear = {*ambiguous(before), *ambiguous(after)}
     old = {_key(record): record for record in before["records"]}
-    pairs = [(old[_key(new)], new) for new in after["records"] if _key(new) in old]
+    pairs = [(old[key], new) for new in after["records"] if (key := _key(new)) in old and key not in unclear]
     return [Change(_key(new), a["value"], new["value"], noise(a, new)) for a, new in pairs]
+
+
+def ambiguous(result: dict[str, Any]) -> list[tuple[Any, ...]]:
+    """The keys that several records of a result have: a result of before `beside` was written, or a merged one."""
+    return [key for key, count in Counter(map(_key, result["records"])).items() if count > 1]
 
 
 def noise(before: dict[str, Any], after: dict[str, Any]) -> float:
@@ -75,10 +82,11 @@ def noise(before: dict[str, Any], after: dict[str, Any]) -> float:
 def table(found: list[Change]) -> Table:
     """A row for each figure, regressions marked."""
     shown = Table()
-    for heading in (*SAME[:3], "batch", "unit", "before", "after", "times", "noise", ""):
+    for heading in (*SAME[:4], "unit", "before", "after", "times", "noise", ""):
         shown.add_column(heading, justify="left" if heading in (*SAME[:3], "unit", "") else "right")
     for change in found:
-        bench, subject, device, batch, unit = change.key
+        bench, subject, device, batch, beside, unit = change.key
+        subject += f" beside {beside:,}" if beside else ""
         figures = f"{change.before:.3e}", f"{change.after:.3e}", f"{change.factor:.2f}", f"{change.noise:.0%}"
         shown.add_row(bench, subject, device, f"{batch:,}", unit, *figures, "SLOWER" if change.regressed else "")
     return shown
@@ -91,12 +99,20 @@ def verdict(found: list[Change]) -> str:
 
 
 def warnings(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
-    """Why the two results may not be comparable: other machines, other versions, and figures that only one has."""
+    """Why the two results may not be comparable: other machines or versions, and figures that are left out."""
     lines: list[str] = []
+    if before.get("commit") != after.get("commit"):
+        lines.append(f"commit was {before.get('commit')}, is {after.get('commit')}")
     for part in ("machine", "versions"):
         old, new = before.get(part, {}), after.get(part, {})
         differing = [name for name in sorted({*old, *new}) if old.get(name) != new.get(name)]
         lines += [f"{part}: {name} was {old.get(name)}, is {new.get(name)}" for name in differing]
+    for name, result in (("first", before), ("second", after)):
+        for key in ambiguous(result):
+            words = ", ".join(str(value) for value in key if value is not None)
+            lines.append(
+                f"the {name} result has several figures of {words}: they cannot be told apart and are left out."
+            )
     keys = [{_key(record) for record in result["records"]} for result in (before, after)]
     if missing := len(keys[0] - keys[1]):
         lines.append(f"{missing} of the first result's figures are not in the second.")
@@ -104,4 +120,4 @@ def warnings(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
 
 
 def _key(record: dict[str, Any]) -> tuple[Any, ...]:
-    return tuple(record[name] for name in SAME)
+    return tuple(record.get(name) if name == "beside" else record[name] for name in SAME)

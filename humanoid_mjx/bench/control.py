@@ -16,8 +16,8 @@ from typing import NamedTuple
 import jax
 
 from humanoid_mjx.bench.elsewhere import with_room
-from humanoid_mjx.bench.legs import chain, check_finite
-from humanoid_mjx.bench.measure import Record, Subject, record, time_in_turn
+from humanoid_mjx.bench.legs import chain
+from humanoid_mjx.bench.measure import CONTROLLED, PLAIN, Record, Subject, time_rates
 from humanoid_mjx.bench.physics import MJX_REPEATS, mjx_jax
 
 TIMESTEP = 0.0005
@@ -44,19 +44,21 @@ def run(say: Callable[[str], None], setting: Setting | None = None) -> list[Reco
     records: list[Record] = []
     for batch in setting.batches:
         work, mjx_work = batch * setting.steps, batch * setting.mjx_steps
-        subjects = {name: Subject(chain(batch, setting.steps, name, TIMESTEP), work, batch) for name in CONTROLLERS}
+        subjects = {
+            name: Subject(chain(batch, setting.steps, name, TIMESTEP), work, batch, unit=_unit(name))
+            for name in CONTROLLERS
+        }
         for name in ON_MJX:
             call = with_room(mjx_jax, batch, setting.mjx_steps, not name.startswith("none"))
-            subjects[name] = Subject(call, mjx_work, batch, MJX_REPEATS)
-        timings = time_in_turn(subjects)
-        step_s = {name: timing.seconds / subjects[name].work for name, timing in timings.items()}
-        for name, timing in timings.items():
-            check_finite(name, timing.result)
-            bare = ON_MJX[0] if name in ON_MJX else CONTROLLERS[0]
-            unit = "physics steps/s" if name == bare else "control+physics steps/s"
-            records.append(record("control", name, subjects[name], timing, unit))
-            more = () if name == bare else (f"{1e9 * (step_s[name] - step_s[bare]):.3g} ns a step for control",)
-            say(f"{name:23} {batch:9,} legs  {records[-1].value:10.3e} {unit:23}"
-                f"  compiled in {timing.compile_s:4.1f} s"
-                f"{records[-1].in_words(*more)}")  # fmt: skip
+            subjects[name] = Subject(call, mjx_work, batch, MJX_REPEATS, unit=_unit(name))
+        found = {one.subject: one for one in time_rates("control", subjects, say, "legs")}
+        for name, one in found.items():
+            bare = found[ON_MJX[0] if name in ON_MJX else CONTROLLERS[0]]
+            if one is not bare:
+                say(f"{name}: {1e9 * (1 / one.value - 1 / bare.value):.3g} ns a step for control")
+        records += found.values()
     return records
+
+
+def _unit(name: str) -> str:
+    return PLAIN if name.startswith("none") else CONTROLLED

@@ -3,6 +3,7 @@
 That process is this program's child, begun when it is first asked, and waits while others are timed.
 """
 
+import itertools
 import multiprocessing
 import os
 from collections.abc import Callable
@@ -15,21 +16,27 @@ import jax
 from humanoid_mjx import compute
 from humanoid_mjx.bench.programs import Programs
 
+_numbers = itertools.count()
+_calls: dict[int, Callable[[], Any]] = {}
+"""The calls that the other process keeps, by number."""
+
 
 class Elsewhere:
     """A call made and kept in the other process: its result is what the call returns there, as numpy's arrays."""
 
     def __init__(self, make: Callable[..., Callable[[], Any]], *arguments: Any, plain: bool = False) -> None:
         """`make(*arguments)` makes the call. `plain`: with XLA's default flags, without `XLA_FLAGS`."""
-        self.process, self.place = _process(plain), (make, *arguments)
+        self.process, self.number = _process(plain), next(_numbers)
+        self.made = self.process.submit(_make, self.number, make, *arguments)
 
     def __call__(self) -> Any:
-        return self.process.submit(_call, *self.place).result()
+        self.made.result()
+        return self.process.submit(_call, self.number).result()
 
     @property
     def memory(self) -> float | None:
         """As that of `Programs`."""
-        return self.process.submit(_memory, *self.place).result()
+        return self.process.submit(_memory, self.number).result()
 
 
 def with_room(make: Callable[..., Callable[[], Any]], *arguments: Any) -> Callable[[], Any]:
@@ -50,15 +57,14 @@ def _start(plain: bool) -> None:
         os.environ["XLA_FLAGS"] = os.environ["XLA_FLAGS"].replace(compute.XLA_FLAGS, "")
 
 
-@cache
-def _made(make: Callable[..., Callable[[], Any]], *arguments: Any) -> Callable[[], Any]:
-    return make(*arguments)
+def _make(number: int, make: Callable[..., Callable[[], Any]], *arguments: Any) -> None:
+    _calls[number] = make(*arguments)
 
 
-def _call(make: Callable[..., Callable[[], Any]], *arguments: Any) -> Any:
-    return jax.device_get(_made(make, *arguments)())
+def _call(number: int) -> Any:
+    return jax.device_get(_calls[number]())
 
 
-def _memory(make: Callable[..., Callable[[], Any]], *arguments: Any) -> float | None:
-    call = _made(make, *arguments)
+def _memory(number: int) -> float | None:
+    call = _calls[number]
     return call.memory if isinstance(call, Programs) else None

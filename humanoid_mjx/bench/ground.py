@@ -1,7 +1,8 @@
 """Steps a second of the lower body on the ground, a servo asked at every step, in every physics that is installed.
 
-The torso is free, the feet touch the ground, the joints are held in the posture of the task `stand` by its servo at its
-time step of 4 ms: the contacts of all four corners of both feet are solved in every step.
+The torso is free, the feet touch the ground, and the servo of the task `stand` drives the joints at its time step of
+4 ms. Calm bodies stand in the task's posture: the contacts of all four corners of both feet are solved in every step.
+Those that end in `moving` are thrown about as in a training, and are the same ones for every subject (`visited`).
 
     tree ground      this package's `Physics` written out as a tree, float32, its solver run to the exact minimum
     mjx-jax ground   this package's `Physics` on MJX in jax, float32, a few iterations of the solver
@@ -16,6 +17,7 @@ import importlib.util
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from functools import cache, partial
+from itertools import product
 from typing import Any, NamedTuple
 
 import jax
@@ -24,9 +26,9 @@ import numpy as np
 
 from humanoid_mjx import compute
 from humanoid_mjx.bench.elsewhere import with_room
-from humanoid_mjx.bench.legs import check_finite, on_all_devices
-from humanoid_mjx.bench.measure import Record, Subject, record, time_in_turn
-from humanoid_mjx.bench.native import native_rollout
+from humanoid_mjx.bench.legs import on_all_devices
+from humanoid_mjx.bench.measure import Record, Subject, time_rates
+from humanoid_mjx.bench.native import native_rollout, native_subject
 from humanoid_mjx.control import at_rest
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.tasks import make_task
@@ -43,7 +45,20 @@ MUJOCO_BATCH = 1024
 
 COMPUTED_TORQUE = "mjx-jax computed torque"
 
-UNIT = "control+physics steps/s"
+MOVING = ("tree", "mjx-jax", "mujoco")
+"""Subjects that also move bodies which are thrown about."""
+
+MOVES, MOVE_STEPS = 10, 50
+"""Set-points that a body that is thrown about has had at most, and time steps of each, 0.2 s."""
+
+DISTINCT = 1024
+"""The most bodies that are thrown about one by one; more start where these do, to set-points of their own."""
+
+OFFSET = 0.35
+"""Largest distance of a random set-point from the posture, rad: that of a choice of `walk`, 20 degrees."""
+
+THROWN = (0.3, 1.5)
+"""Standard deviations of the torso's velocity, m/s and rad/s, before a body's first set-point: a push."""
 
 
 class Setting(NamedTuple):
@@ -62,43 +77,78 @@ SETTINGS = {
 
 
 def run(say: Callable[[str], None], setting: Setting | None = None) -> list[Record]:
-    """Time every physics that is installed over several numbers of bodies."""
+    """Time every physics that is installed over several numbers of bodies, calm and moving."""
     setting = setting or SETTINGS.get(jax.default_backend(), SETTINGS["gpu"])
     warp = importlib.util.find_spec("warp") is not None and jax.default_backend() == "gpu"
     records: list[Record] = []
-    for batch in setting.batches:
+    for batch, moving in product(setting.batches, (False, True)):
         subjects: dict[str, Subject] = {}
-        for name in setting.steps:
-            if name != "mjx-warp" or warp:
-                steps, bodies = setting.steps[name], min(batch, MUJOCO_BATCH) if name == "mujoco" else batch
-                elsewhere = partial(with_room, compiled, name)
-                call = {"tree": partial(compiled, name), "mujoco": mujoco}.get(name, elsewhere)
-                device = "cpu" if name == "mujoco" else ""
-                subjects[name] = Subject(call(bodies, steps), bodies * steps, bodies, REPEATS, device)
-        for name, timing in time_in_turn(subjects).items():
-            check_finite(f"{name} ground", timing.result)
-            records.append(record("physics", f"{name} ground", subjects[name], timing, UNIT))
-            say(f"{name + ' ground':30} {subjects[name].batch:9,} bodies  {records[-1].value:10.3e} {UNIT}"
-                f"  compiled in {timing.compile_s:4.1f} s"
-                f"{records[-1].in_words()}")  # fmt: skip
+        for name, steps in setting.steps.items():
+            subject = f"{name} ground" + " moving" * moving
+            if name == "mujoco":
+                subjects[subject] = native_subject(
+                    partial(mujoco, moving=moving), batch, MUJOCO_BATCH, steps, repeats=REPEATS
+                )
+            elif (name in MOVING or not moving) and (name != "mjx-warp" or warp):
+                # What is visited is found here, where the tree is compiled: another process would compile it, too.
+                states = states_of(batch, moving)
+                call = compiled(name, *states, steps) if name == "tree" else with_room(compiled, name, *states, steps)
+                subjects[subject] = Subject(call, batch * steps, batch, REPEATS)
+        records += time_rates("physics", subjects, say, "bodies")
     return records
 
 
-def start(batch: int) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and velocities of bodies that stand in nearly the posture, by body and degree of freedom."""
+States = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Positions, velocities and set-points, by body."""
+
+
+def states_of(batch: int, moving: bool = False) -> States:
+    """Bodies that stand in nearly the posture and are to hold it, or those of `visited`."""
+    if moving:
+        return visited(batch)
     robot = make_task("stand").robot
     spread = START_SPREAD * np.random.default_rng(0).uniform(-1.0, 1.0, (batch, len(robot.posture)))
     torso = np.tile([0.0, 0.0, robot.start_height, 1.0, 0.0, 0.0, 0.0], (batch, 1))
     qpos = np.concatenate([torso, robot.posture + spread], axis=1).astype(np.float32)
-    return qpos, np.zeros((batch, qpos.shape[1] - 1), np.float32)
+    setpoint = np.tile(robot.posture, (batch, 1)).astype(np.float32)
+    return qpos, np.zeros((batch, qpos.shape[1] - 1), np.float32), setpoint
 
 
-def compiled(subject: str, batch: int, steps: int) -> Callable[[], Any]:
-    """Physics in a jax program, by the name of its subject: the positions after so many steps."""
-    devices = jax.local_devices()
+@cache
+def visited(batch: int) -> States:
+    """Bodies as a training throws them about: from the start of an episode, standing, to 2 s later, mostly fallen.
+
+    Each has been pushed and has followed random set-points, from none to `MOVES` of them, and gets another one.
+    """
+    random = np.random.default_rng(1)
+    qpos, qvel, posture = states_of(min(batch, DISTINCT))
+    qvel[:, :6] = random.normal(0.0, np.repeat(THROWN, 3), (len(qvel), 6))
+    ages = random.integers(0, MOVES, len(qpos), endpoint=True)[:, None]
+
+    def setpoints(bodies: int) -> np.ndarray:
+        return (posture[:1] + random.uniform(-OFFSET, OFFSET, (bodies, posture.shape[1]))).astype(np.float32)
+
+    for move in range(MOVES):
+        shares = compiled("tree", qpos, qvel, setpoints(len(qpos)), MOVE_STEPS)()
+        after = (np.concatenate([np.asarray(share[i]) for share in _in_order(shares)]) for i in range(2))
+        # A body that the physics gives up stays where it was.
+        qpos, qvel = (
+            np.where((move < ages) & np.isfinite(new), new, old) for new, old in zip(after, (qpos, qvel), strict=True)
+        )
+    return np.resize(qpos, (batch, qpos.shape[1])), np.resize(qvel, (batch, qvel.shape[1])), setpoints(batch)
+
+
+def _in_order(shares: list[list[Any]]) -> list[Any]:
+    """The results of `on_all_devices` in the order of what it was given."""
+    return [share for row in zip(*shares, strict=True) for share in row]
+
+
+def compiled(subject: str, qpos: np.ndarray, qvel: np.ndarray, setpoint: np.ndarray, steps: int) -> Callable[[], Any]:
+    """Physics in a jax program, by the name of its subject: positions and velocities after so many steps."""
+    devices, batch = jax.local_devices(), len(qpos)
     block = BLOCK.get(devices[0].platform, batch)
     at_once = -(-batch // (max(1, batch // (block * len(devices))) * len(devices)))
-    return on_all_devices(_program(subject, steps, at_once), start(batch), block)
+    return on_all_devices(_program(subject, steps, at_once), (qpos, qvel, setpoint), block)
 
 
 @cache
@@ -107,19 +157,24 @@ def _program(subject: str, steps: int, worlds: int) -> Callable[..., Any]:
     task: Stand = make_task("stand", control="grounded") if subject == COMPUTED_TORQUE else make_task("stand")
     room = {"worlds": worlds} if physics == "mjx-warp" else {}
     simulator = make_physics(physics, robot=task.robot, timestep=task.timestep, **room)
-    controller = task.control.follow(at_rest(jnp.asarray(task.posture, float)))
 
-    def simulate(qpos: jax.Array, qvel: jax.Array) -> jax.Array:
+    def simulate(qpos: jax.Array, qvel: jax.Array, setpoint: jax.Array) -> tuple[jax.Array, ...]:
+        controller = task.control.follow(at_rest(setpoint))
         world = simulator.run(simulator.start(qpos, qvel), controller, steps)
-        return jnp.where(world.diverged, jnp.nan, world.qpos)
+        return tuple(jnp.where(world.diverged, jnp.nan, part) for part in (world.qpos, world.qvel))
 
     return jax.jit(jax.vmap(simulate), compiler_options=compute.compiler_options(simulator.arithmetic))
 
 
-def mujoco(batch: int, steps: int) -> Callable[[], Any]:
+def mujoco(batch: int, steps: int, moving: bool = False) -> Callable[[], Any]:
+    """`native` from `states_of`."""
+    return native(*states_of(batch, moving), steps)
+
+
+def native(qpos: np.ndarray, qvel: np.ndarray, setpoint: np.ndarray, steps: int) -> Callable[[], Any]:
     """Native MuJoCo, one thread a core: the positions after so many steps."""
     model = _model_with_servo(importlib.import_module("mujoco"))
-    call = native_rollout(model, *start(batch), steps, np.tile(make_task("stand").posture, (batch, steps, 1)))
+    call = native_rollout(model, qpos, qvel, steps, np.tile(setpoint[:, None], (1, steps, 1)))
     return lambda: call()[:, 1 : 1 + model.nq]
 
 

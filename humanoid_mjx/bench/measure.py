@@ -7,11 +7,18 @@ from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
 
 import jax
+import numpy as np
 
 from humanoid_mjx.bench.elsewhere import Elsewhere
 from humanoid_mjx.bench.programs import Programs
 
 REPEATS = 7
+
+CONTROLLED, PLAIN = "control+physics steps/s", "physics steps/s"
+"""Units of simulations with a controller in the loop and without."""
+
+SOUND = 0.99
+"""Share of a simulation's numbers that must be finite: a body that is thrown about may be beyond a physics."""
 
 REST = 0.02
 """Seconds in which threads of the subject before come to rest: those of OpenMP, as numba has, go on to ask for work and
@@ -37,6 +44,8 @@ class Record:
     """The value of each training seed, None where it has none; only of figures that differ from seed to seed."""
     interval: tuple[float, float] | None = None
     """The 95 % interval of the mean over training seeds."""
+    beside: int | None = None
+    """The batch of those that it was timed in turn with, where its own is another."""
     memory_mib: float | None = None
     """What the programs hold that run at once: arguments, results and temporary arrays."""
 
@@ -59,6 +68,9 @@ class Subject:
     batch: int
     repeats: int = REPEATS
     device: str = ""
+    unit: str = CONTROLLED
+    beside: int | None = None
+    """As in `Record`."""
 
 
 class Timing(NamedTuple):
@@ -93,6 +105,25 @@ def time_in_turn(subjects: Mapping[str, Subject]) -> dict[str, Timing]:
     }
 
 
+def time_rates(bench: str, subjects: Mapping[str, Subject], say: Callable[[str], None], of: str) -> list[Record]:
+    """Time subjects in turn, and say the rate of each; `of` names what a batch is made of.
+
+    A subject's name ends where " with " begins.
+
+    Raises:
+      FloatingPointError: a simulation ran away, whose numbers may be fast.
+    """
+    records = []
+    for key, timing in time_in_turn(subjects).items():
+        subject, name = subjects[key], key.partition(" with ")[0]
+        if any(np.isfinite(leaf).mean() < SOUND for leaf in jax.tree.leaves(timing.result)):
+            raise FloatingPointError(f"{key}: the simulation diverged.")
+        records.append(record(bench, name, subject, timing, subject.unit))
+        say(f"{name:30} {subject.batch:9,} {of}  {records[-1].value:10.3e} {subject.unit:23}"
+            f"  compiled in {timing.compile_s:4.1f} s{records[-1].in_words()}")  # fmt: skip
+    return records
+
+
 def spread(seconds: Sequence[float]) -> float | None:
     """How far repeats lie apart: the range of their middle half over their median. None: there is only one."""
     if len(seconds) < 2:
@@ -115,6 +146,7 @@ def record(bench: str, name: str, subject: Subject, timing: Timing, unit: str, w
         compile_s=round(timing.compile_s, 3),
         repeats=subject.repeats,
         spread=timing.spread,
+        beside=subject.beside,
         memory_mib=memory and memory / 2**20,
     )
 

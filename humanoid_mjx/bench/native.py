@@ -6,7 +6,17 @@ from typing import Any
 
 import numpy as np
 
+from humanoid_mjx.bench.measure import Subject
 from humanoid_mjx.compute import cores
+
+
+def native_subject(
+    make: Callable[..., Callable[[], Any]], batch: int, most: int, steps: int, **options: Any
+) -> Subject:
+    """The subject `make(worlds, steps)` beside a batch of others, of at most so many worlds."""
+    worlds = min(batch, most)
+    beside = batch if worlds < batch else None
+    return Subject(make(worlds, steps), worlds * steps, worlds, device="cpu", beside=beside, **options)
 
 
 def native_rollout(

@@ -26,9 +26,9 @@ import jax
 from humanoid_mjx import compute
 from humanoid_mjx.bench import ground, postures
 from humanoid_mjx.bench.elsewhere import Elsewhere, with_room
-from humanoid_mjx.bench.legs import GOAL, KD, KP, TIMESTEP, chain, check_finite, on_all_devices, start
-from humanoid_mjx.bench.measure import Record, Subject, record, time_in_turn
-from humanoid_mjx.bench.native import native_rollout
+from humanoid_mjx.bench.legs import GOAL, KD, KP, TIMESTEP, chain, on_all_devices, start
+from humanoid_mjx.bench.measure import PLAIN, Record, Subject, time_rates
+from humanoid_mjx.bench.native import native_rollout, native_subject
 from humanoid_mjx.robot.leg import Leg
 from humanoid_mjx.robot.mjcf import make_mjspec
 
@@ -65,33 +65,23 @@ def legs(say: Callable[[str], None], setting: Setting | None = None) -> list[Rec
     records: list[Record] = []
     for batch in setting.batches:
         subjects = make_subjects(batch, setting)
-        rates = {}
-        for name, timing in time_in_turn(subjects).items():
-            subject, (what, _, controlled) = subjects[name], name.partition(" with ")
-            check_finite(name, timing.result)
-            unit = "control+physics steps/s" if controlled else "physics steps/s"
-            records.append(record("physics", what, subject, timing, unit))
-            rates[name] = records[-1].value
-            say(f"{what:14} {subject.batch:9,} legs  {rates[name]:10.3e} {unit:23}"
-                f"  compiled in {timing.compile_s:4.1f} s"
-                f"{records[-1].in_words()}")  # fmt: skip
-        ours = rates.pop("chain with control")
-        say("chain with control: " + ", ".join(f"{ours / rate:.1f} x {name}" for name, rate in rates.items()))
+        found = time_rates("physics", subjects, say, "legs")
+        ours, *others = zip(subjects, found, strict=True)
+        words = (f"{ours[1].value / other.value:.1f} x {name}" for name, other in others)
+        say(f"{ours[0]}: {', '.join(words)}")
+        records += found
     return records
 
 
 def make_subjects(batch: int, setting: Setting) -> dict[str, Subject]:
     """The subjects for a number of legs; those that are controlled end in "with control"."""
-    native = min(batch, MUJOCO_BATCH)
-    slow = batch * setting.mjx_steps
+    quick, slow = batch * setting.chain_steps, batch * setting.mjx_steps
     subjects = {
-        "chain with control": Subject(
-            chain(batch, setting.chain_steps, "computed torque"), batch * setting.chain_steps, batch
-        ),
+        "chain with control": Subject(chain(batch, setting.chain_steps, "computed torque"), quick, batch),
         "mjx-jax with control": Subject(with_room(mjx_jax, batch, setting.mjx_steps, True), slow, batch, MJX_REPEATS),
-        "chain": Subject(chain(batch, setting.chain_steps, "none"), batch * setting.chain_steps, batch),
-        "mjx-jax": Subject(with_room(mjx_jax, batch, setting.mjx_steps, False), slow, batch, MJX_REPEATS),
-        "mujoco": Subject(mujoco(native, setting.mujoco_steps), native * setting.mujoco_steps, native, device="cpu"),
+        "chain": Subject(chain(batch, setting.chain_steps, "none"), quick, batch, unit=PLAIN),
+        "mjx-jax": Subject(with_room(mjx_jax, batch, setting.mjx_steps, False), slow, batch, MJX_REPEATS, unit=PLAIN),
+        "mujoco": native_subject(mujoco, batch, MUJOCO_BATCH, setting.mujoco_steps, unit=PLAIN),
     }
     if jax.default_backend() == "cpu":
         plain = Elsewhere(mjx_jax, batch, setting.mjx_steps, True, plain=True)

@@ -35,7 +35,8 @@ def run_bench(chosen: Sequence[str], file: Path | None, seeds: int | None = None
         module = import_module(f"humanoid_mjx.bench.{name}")
         console.print(f"{name}:")
         options = {"seeds": seeds} if name == "training" and seeds is not None else {}
-        records += [record.as_json() for record in module.run(lambda line: console.print("  " + line), **options)]
+        found = module.run(lambda line: console.print("  " + line), **options)
+        records += [record.as_json() | {"commit": made_by["commit"]} for record in found]
     if file is not None:
         write_text(file, json.dumps(made_by | {"records": records}, indent=2) + "\n")
         console.print(f"{file}")

@@ -26,11 +26,8 @@ def run_reproduce(names: Sequence[str], list_names: bool, overrides: Sequence[st
             console.print(f"  {'':16} printed {_shown(finding.printed)}, reproduced {_shown(finding.reproduced)}")
             console.print(f"  {'':16} {finding.why}")
 
-    def tell(experiment: Experiment, words: str) -> None:
-        status.update(f"{experiment.name}: {words}")
-
     with console.status("reproducing") as status:
-        findings = reproduce(names, out, overrides, say, tell)
+        findings = reproduce(names, out, overrides, say, status.update)
     counts = Counter(finding.verdict for finding in findings)
     console.print(f"\n{', '.join(f'{count} {verdict}' for verdict, count in counts.items())}\n{out / 'reproduce.json'}")
 

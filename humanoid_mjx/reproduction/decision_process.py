@@ -4,30 +4,38 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Key
+from pydantic import Field
 
 from humanoid_mjx.report.style import COLORS
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, listed, unprinted
-from humanoid_mjx.reproduction.stepping_back import largest_cost
+from humanoid_mjx.reproduction.traces import printed_run
+from humanoid_mjx.spec import traced
+from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.thesis import q_learning as thesis
+from humanoid_mjx.training.sweep import sweep
+from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
 
 PRINTED = thesis.PSEUDO_CODE
 SEEDS = 32
+SIDE_BY_SIDE = 1024
+"""The most runs that a device trains at once: all that there are. Told, nothing must be traced to estimate it."""
+
 RUNS, STEPS = 100, 20_000
 """Runs of the pseudo-code with its decay, and the steps of each."""
 
 BACK_REWARDS = (0.0, -1.0, -2.0, -4.0, -8.0, -16.0)
 """Rewards of a step back that are compared."""
 
-STEPPING_BACK = {"name": "humanoid_mjx.reproduction.stepping_back:SteppingBack", "steps": 6}
+STEPPING_BACK = {"name": "humanoid_mjx.reproduction.decision_process:SteppingBack", "steps": 6}
 POSITIONS = {1: 24, 4: 25, 5: 13}
 """Places of each joint in steps of 5 degrees: with this number of states each place has a row of its own."""
 
 
 def decay(setting: Setting) -> list[Finding]:
     """The pseudo-code with its declared epsilonDecay applied."""
-    from humanoid_mjx.reproduction.traces import printed_run
-
     findings = []
     for joint in thesis.JOINT_RANGES:
         setting.tell(f"joint {joint}: {RUNS} runs of {STEPS:,} steps")
@@ -133,6 +141,46 @@ def _stepping_back(share: np.ndarray) -> Finding:
     )
 
 
+class SteppingBack(FiniteTask):
+    """A joint that has gone `steps` steps beyond its goal and can come to it on no other way than back.
+
+    The actions are to stay, to step forwards, and to step back. A step back earns `back_reward`, reaching the goal
+    `bonus` and ends the episode. Forwards there is room for as many steps again.
+    """
+
+    steps: int = Field(12, ge=1, le=1000, description="from the start back to the goal")
+    bonus: float = traced(100.0)
+    back_reward: float = traced(0.0, le=0, description="of every step back")
+
+    @property
+    def num_states(self) -> int:
+        return 2 * self.steps + 1
+
+    @property
+    def num_actions(self) -> int:
+        return 3
+
+    def reset(self, key: Key[Array, ""]) -> IntScalar:
+        """Number of steps that the joint is beyond the goal."""
+        return jnp.int32(self.steps)
+
+    def step(
+        self, state: IntScalar, action: IntScalar, key: Key[Array, ""]
+    ) -> tuple[IntScalar, FloatScalar, BoolScalar]:
+        back = action == 2
+        state = jnp.clip(state + jnp.where(back, -1, action), 0, 2 * self.steps).astype(jnp.int32)
+        there = state == 0
+        return state, jnp.where(back, self.back_reward, 0.0) + jnp.where(there, self.bonus, 0.0), there
+
+
+def largest_cost(steps: int, bonus: float, discount: float) -> float:
+    """The largest cost of a step back at which going to the goal is worth more than staying forever.
+
+    The way is worth `discount**(steps - 1) * bonus - cost * (1 - discount**steps) / (1 - discount)`, staying 0.
+    """
+    return discount ** (steps - 1) * bonus * (1 - discount) / (1 - discount**steps)
+
+
 def _largest(discounts: np.ndarray, share: np.ndarray) -> float:
     """The largest discount at which more than half of the runs reach the goal."""
     return float(discounts[share > 0.5].max()) if (share > 0.5).any() else float("nan")
@@ -145,8 +193,6 @@ def _reach(joint: int, **task: Any) -> dict[str, Any]:
 
 def _greedy_success(task: dict[str, Any], axes: dict[str, list[float]]) -> np.ndarray:
     """The share of seeds whose greedy policy reaches the goal after standard training, along a sweep."""
-    from humanoid_mjx.training.sweep import sweep
-
     config = {
         "name": "finding",
         "task": task | {"max_episode_steps": 100},
@@ -156,18 +202,13 @@ def _greedy_success(task: dict[str, Any], axes: dict[str, list[float]]) -> np.nd
         "episodes": 3000,
     }
     with tempfile.TemporaryDirectory() as folder:
-        summary = sweep(config, Path(folder) / "run").summary
+        summary = sweep(config, Path(folder) / "run", pool_size=SIDE_BY_SIDE).summary
     return np.array([summary["greedy_success"][summary["point"] == p].mean() for p in np.unique(summary["point"])])
 
 
 LITERAL = {
     "task": {"action": thesis.FIGURES_ACTION, "states": PRINTED["states"]},
-    "learner": {
-        "epsilon": PRINTED["epsilon"],
-        "epsilon_decay": PRINTED["epsilon_decay"],
-        "learning_rate": PRINTED["learning_rate"],
-        "discount": PRINTED["discount"],
-    },
+    "learner": {name: PRINTED[name] for name in ("epsilon", "epsilon_decay", "learning_rate", "discount")},
 }
 
 EXPERIMENTS = [

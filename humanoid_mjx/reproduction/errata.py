@@ -1,20 +1,23 @@
 """The formulas as printed against the verified mechanics: what is wrong, what it should be, and what it does."""
 
-from itertools import chain
-from pathlib import Path
+from collections.abc import Mapping
+from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
+from humanoid_mjx import dynamics, kinematics
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, three_digits
-from humanoid_mjx.reproduction.printed import control, derivatives, dynamics_errata, inverse, jacobian, kinematics
+from humanoid_mjx.reproduction.leg_values import over
+from humanoid_mjx.reproduction.printed import control, derivatives, dynamics_errata, inverse, jacobian
+from humanoid_mjx.reproduction.printed import kinematics as printed_kinematics
 from humanoid_mjx.reproduction.printed.erratum import Erratum, States
+from humanoid_mjx.robot.leg import AS_PRINTED, Leg, corrected_inertias
 from humanoid_mjx.thesis import leg as thesis
 
-ENTRIES = tuple(
-    chain(
-        kinematics.ERRATA, jacobian.ERRATA, derivatives.ERRATA, inverse.ERRATA, dynamics_errata.ERRATA, control.ERRATA
-    )
-)
+PRINTED = (printed_kinematics, jacobian, derivatives, inverse, dynamics_errata, control)
+ENTRIES = tuple(entry for module in PRINTED for entry in module.ERRATA)
 
 STATES = 2000
 
@@ -29,7 +32,10 @@ CIRCLE = ((-180.0, 180.0),) * 5
 def errata(setting: Setting) -> list[Finding]:
     anywhere, in_range = _states(CIRCLE), _states(thesis.JOINT_RANGES["proposed"])
     findings = [_compare(entry, in_range if entry.in_range else anywhere) for entry in ENTRIES]
-    _write(setting.out / "errata.md", findings)
+    setting.table(
+        ("place", "fault", *NUMBERS, "verdict", "what it should be, and where tried"),
+        ((f.quantity, f.printed, *_numbers(f.reproduced), f.verdict, f.why) for f in findings),
+    )
     return findings
 
 
@@ -51,57 +57,35 @@ def _compare(entry: Erratum, states: States) -> Finding:
 
 def _states(ranges: tuple[tuple[float, float], ...]) -> States:
     """Random postures in these ranges, degrees, with what is true there."""
-    import jax
-    import jax.numpy as jnp
-
-    from humanoid_mjx import kinematics as true
-    from humanoid_mjx.robot.leg import Leg, corrected_inertias
-
     low, high = np.radians(ranges).T
     random = np.random.default_rng(0)
     q = random.uniform(low, high, (STATES, 5))
     leg = Leg.physical()
-    frames = np.asarray(jax.jit(jax.vmap(true.frames, in_axes=(None, 0)))(leg, jnp.array(q)), float)
-    jac = np.asarray(jax.jit(jax.vmap(true.jacobian, in_axes=(None, 0)))(leg, jnp.array(q)), float)
+    frames, jac = over(kinematics.frames, leg, q), over(kinematics.jacobian, leg, q)
     links = np.linalg.solve(frames[:, :-1], frames[:, 1:])
-    true_values = {"pose": frames[:, -1], "links": links, "jacobian": jac} | _dynamics(q)
+    true = {"pose": frames[:, -1], "links": links, "jacobian": jac}
+    true |= over(_dynamics, (Leg.thesis(), Leg.thesis(AS_PRINTED)), q)
     qd, qdd = random.uniform(-2, 2, (2, 5, STATES))
-    return States(q.T, thesis.LINK_LENGTHS, true_values, qd, qdd, corrected_inertias())
+    return States(q.T, thesis.LINK_LENGTHS, true, qd, qdd, corrected_inertias())
 
 
-def _dynamics(q: np.ndarray) -> dict[str, np.ndarray]:
-    """The terms of the equation of motion of the leg of section 4.6 at postures, (n, 5)."""
-    import jax
-    import jax.numpy as jnp
-
-    from humanoid_mjx import dynamics as true
-    from humanoid_mjx.robot.leg import AS_PRINTED, Leg
-
-    def terms(leg: Leg, sideways: Leg, q: jax.Array) -> dict[str, jax.Array]:
-        # The velocity term is a quadratic form; its coefficients follow from its values at sums of unit vectors.
-        unit = jnp.eye(5)
-        plus, minus = unit[:, None] + unit, unit[:, None] - unit
-        at = jax.vmap(jax.vmap(lambda qd: true.coriolis(leg, q, qd)))
-        return {
-            "mass_matrix": true.mass_matrix(leg, q),
-            "velocity_coefficients": jnp.moveaxis(at(plus) - at(minus), -1, 0) / 4,
-            "gravity": true.gravity(leg, q),
-            "sideways_gravity": true.gravity(sideways, q),
-        }
-
-    found = jax.jit(jax.vmap(terms, in_axes=(None, None, 0)))(Leg.thesis(), Leg.thesis(AS_PRINTED), jnp.array(q))
-    return {name: np.asarray(value, float) for name, value in found.items()}
+def _dynamics(legs: tuple[Leg, Leg], q: jax.Array) -> dict[str, jax.Array]:
+    """The terms of the equation of motion of the leg of section 4.6, with gravity along it and sideways."""
+    leg, sideways = legs
+    # The velocity term is a quadratic form; its coefficients follow from its values at sums of unit vectors.
+    unit = jnp.eye(5)
+    plus, minus = unit[:, None] + unit, unit[:, None] - unit
+    at = jax.vmap(jax.vmap(lambda qd: dynamics.coriolis(leg, q, qd)))
+    return {
+        "mass_matrix": dynamics.mass_matrix(leg, q),
+        "velocity_coefficients": jnp.moveaxis(at(plus) - at(minus), -1, 0) / 4,
+        "gravity": dynamics.gravity(leg, q),
+        "sideways_gravity": dynamics.gravity(sideways, q),
+    }
 
 
-def _write(path: Path, findings: list[Finding]) -> None:
-    """The errata as a table."""
-    heads = ("place", "fault", *NUMBERS, "verdict", "what it should be, and where tried")
-    rows = [heads, ("---",) * len(heads)]
-    for finding in findings:
-        found = finding.reproduced
-        numbers = [f"{found[key]:.3g} {found['unit']}".strip() for key in NUMBERS]
-        rows.append((finding.quantity, finding.printed, *numbers, finding.verdict, finding.why))
-    path.write_text("".join(f"| {' | '.join(row)} |\n" for row in rows), encoding="utf-8")
+def _numbers(found: Mapping[str, Any]) -> list[str]:
+    return [f"{found[key]:.3g} {found['unit']}".strip() for key in NUMBERS]
 
 
 EXPERIMENTS = [Experiment("errata", "The formulas as printed, and what is wrong with them", errata)]

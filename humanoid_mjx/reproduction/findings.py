@@ -11,10 +11,17 @@ import numpy as np
 from humanoid_mjx.files import write_text
 from humanoid_mjx.report.style import figure
 
-Verdict = Literal["reproduced", "recovered", "differs", "not_reproducible", "finding"]
-"""`reproduced`: what is printed comes out. `recovered`: it does with values that are not the printed ones. `differs`:
-it does not. `not_reproducible`: no values that are possible could make it. `finding`: nothing is printed, so there is
-nothing to agree with."""
+Verdict = Literal["reproduced", "recovered", "consistent", "differs", "not_reproducible", "finding"]
+
+MEANINGS: dict[Verdict, str] = {
+    "reproduced": "what is printed comes out",
+    "recovered": "it comes out with values that are not the printed ones",
+    "consistent": "it agrees, but it could not have differed",
+    "differs": "it does not come out",
+    "not_reproducible": "no values that are possible could make it come out",
+    "finding": "nothing is printed that it could agree with",
+}
+"""Meaning of each verdict, in the order in which verdicts are counted."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +86,30 @@ def unprinted(quantity: str, found: Any, why: str) -> Finding:
     return Finding(quantity, None, found, None, "finding", why)
 
 
+def compare(
+    quantity: str,
+    printed: Any,
+    value: Any,
+    tolerance: Any,
+    why: str,
+    digits: int | None = None,
+    **judged: Any,
+) -> Finding:
+    """A finding on numbers: they agree where none is further from its printed one than the tolerance.
+
+    Args:
+      printed: a number, or an array or list of them.
+      value: numbers shaped as `printed`; a value that is not finite agrees with nothing.
+      tolerance: one, or one for each number; the least of them is reported.
+      digits: decimal places of the reported value; None reports three significant digits.
+      judged: as in `check`.
+    """
+    agrees = np.all(np.abs(np.asarray(value) - np.asarray(printed)) <= np.asarray(tolerance))
+    shown = three_digits(value) if digits is None else (np.round(value, digits) + 0.0).tolist()
+    mark = np.asarray(printed).tolist()
+    return check(quantity, mark, shown, agrees, why, float(np.min(tolerance)), **judged)
+
+
 def check(
     quantity: str,
     printed: Any,
@@ -88,13 +119,21 @@ def check(
     tolerance: float | None = None,
     values: tuple[Mapping[str, Any], Mapping[str, Any]] = ({}, {}),
     possible: Any = True,
+    could_differ: Any = True,
 ) -> Finding:
     """A finding with the verdict of `judge`, whose `used` and `printed` are `values`."""
-    verdict = judge(bool(agrees), *values, possible=bool(possible))
+    verdict = judge(bool(agrees), *values, possible=bool(possible), could_differ=bool(could_differ))
     return Finding(quantity, printed, found, tolerance, verdict, why)
 
 
-def judge(agrees: bool, used: Mapping[str, Any], printed: Mapping[str, Any], *, possible: bool = True) -> Verdict:
+def judge(
+    agrees: bool,
+    used: Mapping[str, Any],
+    printed: Mapping[str, Any],
+    *,
+    possible: bool = True,
+    could_differ: bool = True,
+) -> Verdict:
     """The verdict on a quantity.
 
     Args:
@@ -102,10 +141,13 @@ def judge(agrees: bool, used: Mapping[str, Any], printed: Mapping[str, Any], *, 
       used: the values it was computed with, by name.
       printed: the values that the thesis prints for the same names.
       possible: whether any values could have made it come out.
+      could_differ: whether it could have come out otherwise; False where agreement follows from the construction.
     """
-    if agrees:
-        return "reproduced" if not departures(used, printed) else "recovered"
-    return "differs" if possible else "not_reproducible"
+    if not agrees:
+        return "differs" if possible else "not_reproducible"
+    if not could_differ:
+        return "consistent"
+    return "recovered" if departures(used, printed) else "reproduced"
 
 
 def departures(used: Mapping[str, Any], printed: Mapping[str, Any]) -> list[str]:

@@ -32,8 +32,17 @@ AT_ONCE = 64
 ROUND = 256
 """The balance of a path is computed for a multiple of so many steps."""
 
+LASTS_S = 0.8
+"""Length of the end of a motion in which a turn must last, s: a period of the gaits, in which a body twists and
+returns."""
+
 PUSH_S, PUSH_AT = 0.1, 0.5
 """Length of a push and the time at which it begins, s."""
+
+
+PHASES = ("half a period later", "equal", "opposite")
+"""Readings of the left leg's motion: chapter 4 says that both legs have equal positions, section 6.4 that the left has
+opposite ones; walking takes turns."""
 
 
 class Trial(NamedTuple):
@@ -55,6 +64,8 @@ class Trial(NamedTuple):
     positive knee swings the shank back and a positive ankle turns the toes down; -1 takes the other sense."""
     same_yaw: bool = False
     """True if both legs yaw in the same sense, to the right, instead of both toes outwards."""
+    phase: str = "half a period later"
+    """One of `PHASES`: what the left leg does beside the right one."""
 
 
 class Path(NamedTuple):
@@ -93,6 +104,13 @@ class Path(NamedTuple):
         """Turn of the torso about the vertical, to the left, degrees: the twist of its rotation, however it leans."""
         yaw = np.unwrap(2 * np.arctan2(self.qpos[:, 6], self.qpos[:, 3]))
         return float(np.degrees(yaw[-1] - yaw[0]))
+
+    @property
+    def lasting_turn(self) -> float:
+        """The turn of the torso that lasts, degrees: the least of the last `LASTS_S`, 0 where it turns back."""
+        yaw = np.unwrap(2 * np.arctan2(self.qpos[:, 6], self.qpos[:, 3]))
+        late = np.degrees(yaw - yaw[0])[-round(LASTS_S / physics().step_s) :]
+        return float(late[np.abs(late).argmin()]) if (np.sign(late) == np.sign(late[0])).all() else 0.0
 
     @property
     def slip(self) -> float:
@@ -219,7 +237,7 @@ def _plan(trial: Trial, seconds: float) -> control.Reference:
         return control.Reference(*jnp.zeros((3, len(times), 10)))
     gait = gaits.gait(trial.motion)
     if trial.frequency is None:
-        motion = _played(gait, times)
+        motion = _played(gait, times, trial.phase)
     else:
         motion = _generated(pattern_generator.pattern_generator(gait, trial.frequency, trial.amplitude), times)
     hip, knee, ankle = trial.signs
@@ -228,7 +246,13 @@ def _plan(trial: Trial, seconds: float) -> control.Reference:
     return control.Reference(*((signs * x).reshape(len(times), 10) for x in motion))
 
 
-_played = jax.jit(jax.vmap(gaits.Gait.both_legs, in_axes=(None, 0)))
+@partial(jax.jit, static_argnames="phase")
+def _played(gait: gaits.Gait, times: Float[Array, " times"], phase: str) -> Any:
+    """The motion of both legs, (times, 2, 5) each."""
+    if phase == "half a period later":
+        return jax.vmap(gait.both_legs)(times)
+    left = 1.0 if phase == "equal" else -1.0
+    return jax.tree.map(lambda x: jnp.stack([x, left * x], axis=1), jax.vmap(gait.at)(times))
 
 
 @jax.jit

@@ -7,6 +7,7 @@ import numpy as np
 
 from humanoid_mjx.report.style import COLORS, label_lines
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, listed, unprinted
+from humanoid_mjx.reproduction.ground import Path, Trial, play
 from humanoid_mjx.thesis import leg as thesis
 
 SECONDS = 3.0
@@ -29,8 +30,6 @@ CONFIG = {
 
 def standing(setting: Setting) -> list[Finding]:
     """Findings on the controllers that stand, the pushes that they withstand, and the joints that give way."""
-    from humanoid_mjx.reproduction.ground import Path, Trial, play
-
     still = {name: Trial(name) for name in CONTROLLERS}
     pushed = {
         (name, side, impulse): Trial(name, push=(impulse * x, impulse * y))

@@ -1,8 +1,8 @@
 """Section 4.8 on the ground: Tables 4.5 and 4.6 and the pattern generator on the free lower body.
 
-The thesis plays its gaits on a leg whose torso is fixed. Here both legs carry the torso, the left one half a period
-after the right; the body starts upright with its lowest corner on the ground. The tables say nothing of the senses in
-which hip, knee and ankle count, nor whether both legs yaw in the same sense: all readings are tried.
+The thesis plays its gaits on a leg whose torso is fixed. Here both legs carry the torso; the body starts upright with
+its lowest corner on the ground. The tables say nothing of the senses in which hip, knee and ankle count, of what the
+left leg does meanwhile, nor whether both legs yaw in the same sense: all readings are tried.
 """
 
 from collections.abc import Mapping
@@ -11,11 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from humanoid_mjx.mechanics.balance import support_polygon
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, listed, unprinted
+from humanoid_mjx.reproduction.ground import PHASES, Balance, Path, Trial, balance_of, play
 from humanoid_mjx.reproduction.ground_control import CONFIG, CONTROLLERS, PAIR
+from humanoid_mjx.reproduction.ground_figures import TABLES, draw_balance, draw_prints
 from humanoid_mjx.thesis import leg as thesis
 
-TABLES = {"straight_walk": "Table 4.5", "sudden_turn": "Table 4.6"}
 NAME = "gaits-4.8"
 SECONDS = 3.0
 STEP_M, TURN_DEG, SLIP = 0.06, 5.0, 0.02
@@ -28,6 +30,9 @@ SIGNS = tuple((hip, knee, ankle) for hip, knee, ankle in product((1, -1), repeat
 FORWARDS = tuple(signs for signs in SIGNS if signs[0] == 1)
 """Readings for the pattern generator: with the hip the other way round a body walks backwards."""
 
+HEADS = ("gait", "reading", "controller", "amplitude", "Hz", "up, s", "forwards, m", "twist at the end, degrees")
+HEADS += ("turn that lasts, degrees", "slip, m/s", "off, rad")
+
 AMPLITUDES, FREQUENCIES = (0.1, 0.25, 0.5, 1.0), (0.625, 1.25, 2.5)
 """Amplitudes of the pattern generator as shares of the table's angles, and frequencies, Hz; the table's own are 1 and
 1.25."""
@@ -35,38 +40,32 @@ AMPLITUDES, FREQUENCIES = (0.1, 0.25, 0.5, 1.0), (0.625, 1.25, 2.5)
 
 def walking(setting: Setting) -> list[Finding]:
     """Findings on walking and turning, with the balance on the way."""
-    from humanoid_mjx.reproduction.ground import balance_of, play
-    from humanoid_mjx.reproduction.ground_figures import draw_balance, draw_prints
-
     tables, generated = printed_trials(), generator_trials()
     paths = play([*tables, *generated], SECONDS, setting.config, setting.tell)
     played, others = ({trial: paths[trial] for trial in trials} for trials in (tables, generated))
     setting.tell("balance")
     balances = {trial: balance_of(path) for trial, path in played.items()}
-    _write(setting, played, others)
+    setting.table(HEADS, (_row(trial, path) for trial, path in paths.items()))
     shown = {trial: played[trial] for trial in tables if trial.controller in PAIR and _as_read(trial)}
     draw_balance(setting.out / f"{NAME}-balance.png", shown, balances)
     draw_prints(setting.out / f"{NAME}-prints.png", shown, balances)
     return [*on_tables(played, balances), *on_generator(others)]
 
 
-def printed_trials() -> list[Any]:
+def printed_trials() -> list[Trial]:
     """The tables as they are printed, in every reading, under every controller."""
-    from humanoid_mjx.reproduction.ground import Trial
-
     return [
-        Trial(controller, gait, signs=signs, same_yaw=same)
+        Trial(controller, gait, signs=signs, same_yaw=same, phase=phase)
         for gait in TABLES
         for same in _yaws(gait)
+        for phase in PHASES
         for signs in SIGNS
         for controller in CONTROLLERS
     ]
 
 
-def generator_trials() -> list[Any]:
+def generator_trials() -> list[Trial]:
     """The trials in which the pattern generator makes the gait."""
-    from humanoid_mjx.reproduction.ground import Trial
-
     return [
         Trial(controller, gait, frequency, amplitude, signs=signs, same_yaw=same)
         for gait in TABLES
@@ -78,7 +77,7 @@ def generator_trials() -> list[Any]:
     ]
 
 
-def on_tables(played: Mapping[Any, Any], balances: Mapping[Any, Any]) -> list[Finding]:
+def on_tables(played: Mapping[Trial, Path], balances: Mapping[Trial, Balance]) -> list[Finding]:
     """The findings on the tables as printed."""
     findings = []
     for gait in TABLES:
@@ -87,7 +86,7 @@ def on_tables(played: Mapping[Any, Any], balances: Mapping[Any, Any]) -> list[Fi
     return [*findings, _turns(played)]
 
 
-def _walk(gait: str, mine: Mapping[Any, Any]) -> Finding:
+def _walk(gait: str, mine: Mapping[Trial, Path]) -> Finding:
     best = max(mine, key=lambda trial: (walks(mine[trial]), mine[trial].seconds))
     up = {signs: max(p.seconds for t, p in mine.items() if t.signs == signs) for signs in SIGNS}
     read = {t.controller: p for t, p in mine.items() if _as_read(t)}
@@ -96,7 +95,8 @@ def _walk(gait: str, mine: Mapping[Any, Any]) -> Finding:
         "a successful walk is obtained (5.8)" if gait == "straight_walk" else "a stable sudden turn (5.8)",
         [mine[best].seconds, round(mine[best].distance, 3)],
         any(walks(path) for path in mine.values()),
-        f"{len(SIGNS)} readings of the signs of hip, knee and ankle, under {', '.join(CONTROLLERS)}; this is "
+        f"{len(SIGNS)} readings of the signs of hip, knee and ankle, the left leg {', '.join(PHASES)}, under "
+        f"{', '.join(CONTROLLERS)}; this is "
         f"{reading(best)} under {best.controller}; the longest of each reading is {min(up.values()):g} to "
         f"{max(up.values()):g} s. As read here, knee and ankle as in `lower_body`: "
         + "; ".join(
@@ -108,7 +108,7 @@ def _walk(gait: str, mine: Mapping[Any, Any]) -> Finding:
     )
 
 
-def _zero_moment(gait: str, mine: Mapping[Any, Any], balances: Mapping[Any, Any]) -> Finding:
+def _zero_moment(gait: str, mine: Mapping[Trial, Path], balances: Mapping[Trial, Balance]) -> Finding:
     inside = {trial: float(np.mean(balances[trial].margin > 0)) for trial in mine}
     best = max(inside, key=lambda trial: inside[trial])
     read = [t for t in mine if _as_read(t) and t.controller in PAIR]
@@ -130,7 +130,7 @@ def _zero_moment(gait: str, mine: Mapping[Any, Any], balances: Mapping[Any, Any]
     )
 
 
-def _slip(gait: str, mine: Mapping[Any, Any]) -> Finding:
+def _slip(gait: str, mine: Mapping[Trial, Path]) -> Finding:
     read = {t.controller: p for t, p in mine.items() if _as_read(t)}
     return unprinted(
         f"{TABLES[gait]}: speed of stance feet over the ground, m/s: {', '.join(read)}",
@@ -139,10 +139,10 @@ def _slip(gait: str, mine: Mapping[Any, Any]) -> Finding:
     )
 
 
-def _turns(played: Mapping[Any, Any]) -> Finding:
+def _turns(played: Mapping[Trial, Path]) -> Finding:
     """By how much the sudden turn turns further than the straight walk, in the same reading and controller."""
     turned = {
-        t: path.turn - played[t._replace(motion="straight_walk", same_yaw=False)].turn
+        t: path.lasting_turn - played[t._replace(motion="straight_walk", same_yaw=False)].lasting_turn
         for t, path in played.items()
         if t.motion == "sudden_turn"
     }
@@ -154,24 +154,25 @@ def _turns(played: Mapping[Any, Any]) -> Finding:
         "turns",
         round(counted[best], 1),
         any(abs(turn) > TURN_DEG for turn in standing.values()),
-        f"{len(turned)} bodies: {len(SIGNS)} readings of the signs, the yaw mirrored or in the same sense, "
-        f"{', '.join(CONTROLLERS)}; {len(standing)} stay up, and a twist that ends in a fall is no turn. This is "
+        f"{len(turned)} bodies: {len(SIGNS)} readings of the signs, the yaw mirrored or in the same sense, the left "
+        f"leg {', '.join(PHASES)}, {', '.join(CONTROLLERS)}; {len(standing)} stay up, and a twist that ends in a fall "
+        "or returns within a period is no turn. This is "
         f"{reading(best)} under {best.controller}, which {_fate(played[best])}. A mirrored yaw that comes back within "
         "the period cannot turn a body over a period",
         TURN_DEG,
     )
 
 
-def on_generator(others: Mapping[Any, Any]) -> list[Finding]:
+def on_generator(others: Mapping[Trial, Path]) -> list[Finding]:
     """The findings on the generator's settings, of which nothing is printed."""
     findings = []
     for gait in TABLES:
         mine = {trial: path for trial, path in others.items() if trial.motion == gait}
         up = {t: p for t, p in mine.items() if not p.fell}
         walking = [t for t, p in up.items() if walks(p)]
-        furthest = max(up or mine, key=lambda t: abs(mine[t].distance))
+        furthest = max(up or mine, key=lambda t: mine[t].distance)
         by_reading = {s: max((t.amplitude for t in up if t.signs == s), default=0.0) for s in FORWARDS}
-        turning = max(up or mine, key=lambda t: abs(mine[t].turn))
+        turning = max(up or mine, key=lambda t: abs(mine[t].lasting_turn))
         findings.append(
             unprinted(
                 f"pattern generator on {TABLES[gait]}: settings of {len(mine)} with which it walks",
@@ -179,8 +180,8 @@ def on_generator(others: Mapping[Any, Any]) -> list[Finding]:
                 f"amplitudes {listed(AMPLITUDES)}, {listed(FREQUENCIES)} Hz, {' and '.join(PAIR)}, "
                 f"{len(FORWARDS)} readings of knee and ankle: {len(up)} stay up for {SECONDS:g} s, up to an amplitude "
                 f"of {', '.join(f'{a:g} ({_signs(s)})' for s, a in by_reading.items())}; the furthest of them goes "
-                f"{mine[furthest].distance:.3f} m ({_setting_of(furthest)}), and the largest turn is "
-                f"{mine[turning].turn:.1f} degrees ({_setting_of(turning)})",
+                f"{mine[furthest].distance:.3f} m forwards ({_setting_of(furthest)}), and the largest turn that lasts "
+                f"is {mine[turning].lasting_turn:.1f} degrees ({_setting_of(turning)})",
             )
         )
     return findings
@@ -193,15 +194,15 @@ def sole_tilts(signs: tuple[int, int, int]) -> tuple[float, float]:
     return float(tilts.min()), float(tilts.max())
 
 
-def walks(path: Any) -> bool:
-    """True if a body stays on its feet and gets further than a step."""
-    return not path.fell and abs(path.distance) > STEP_M
+def walks(path: Path) -> bool:
+    """True if a body stays on its feet and gets forwards by more than a step."""
+    return not path.fell and path.distance > STEP_M
 
 
-def reading(trial: Any) -> str:
+def reading(trial: Trial) -> str:
     """A trial's reading of its table, in words."""
     yaw = ", yaw in the same sense" if trial.same_yaw else ", yaw mirrored" if trial.motion == "sudden_turn" else ""
-    return _signs(trial.signs) + yaw
+    return _signs(trial.signs) + yaw + ("" if trial.phase == PHASES[0] else f", left leg {trial.phase}")
 
 
 def _signs(signs: tuple[int, int, int]) -> str:
@@ -214,25 +215,23 @@ def _yaws(gait: str) -> tuple[bool, ...]:
     return (False, True) if gait == "sudden_turn" else (False,)
 
 
-def _as_read(trial: Any) -> bool:
-    return trial.signs == SIGNS[0] and not trial.same_yaw
+def _as_read(trial: Trial) -> bool:
+    return trial.signs == SIGNS[0] and not trial.same_yaw and trial.phase == PHASES[0]
 
 
-def _fate(path: Any) -> str:
+def _fate(path: Path) -> str:
     return f"falls after {path.seconds:g} s" if path.fell else "stays up"
 
 
-def _setting_of(trial: Any) -> str:
+def _setting_of(trial: Trial) -> str:
     return f"{reading(trial)}, {trial.controller}, {trial.amplitude:g} at {trial.frequency:g} Hz"
 
 
-def _rows(path: Any) -> Any:
+def _rows(path: Path) -> Any:
     return zip(path.corners, path.touching, strict=True)
 
 
 def _touches_with_an_edge(corners: np.ndarray, touching: np.ndarray) -> bool:
-    from humanoid_mjx.mechanics.balance import support_polygon
-
     return len(support_polygon(corners[touching, :2])) < 3
 
 
@@ -240,17 +239,13 @@ def _finite(values: np.ndarray) -> np.ndarray:
     return values[np.isfinite(values)]
 
 
-def _write(setting: Setting, played: Mapping[Any, Any], others: Mapping[Any, Any]) -> None:
-    """Every trial's numbers as a table."""
-    heads = "gait | reading | controller | amplitude | Hz | up, s | forwards, m | twist, degrees | slip, m/s | off, rad"
-    with (setting.out / f"{NAME}.md").open("w", encoding="utf-8") as file:
-        file.write(f"| {heads} |\n{'|---' * 10}|\n")
-        for trial, path in {**played, **others}.items():
-            up = f"{path.seconds:g}" + ("" if path.fell else " (all)")
-            told = ("as printed", "") if trial.frequency is None else (f"{trial.amplitude:g}", f"{trial.frequency:g}")
-            numbers = f"{up} | {path.distance:.3f} | {path.turn:.0f} | {path.slip:.3f} | {path.tracking:.3f}"
-            words = f"{TABLES[trial.motion]} | {reading(trial)} | {trial.controller} | {told[0]} | {told[1]}"
-            file.write(f"| {words} | {numbers} |\n")
+def _row(trial: Trial, path: Path) -> list[str]:
+    """A trial and its numbers as a row of the table."""
+    told = ("as printed", "") if trial.frequency is None else (f"{trial.amplitude:g}", f"{trial.frequency:g}")
+    up = f"{path.seconds:g}" + ("" if path.fell else " (all)")
+    turns = f"{path.turn:.0f}", f"{path.lasting_turn:.0f}"
+    numbers = f"{path.distance:.3f}", *turns, f"{path.slip:.3f}", f"{path.tracking:.3f}"
+    return [TABLES[trial.motion], reading(trial), trial.controller, *told, up, *numbers]
 
 
 EXPERIMENTS = [Experiment(NAME, "The gaits of Tables 4.5 and 4.6 on the ground", walking, CONFIG)]

@@ -1,36 +1,63 @@
-"""Figures 7.11 to 7.16: the way of a joint to its goal, and the random numbers drawn on it. Only the text is at hand,
-which names two places and an average for each joint; one run is not reproducible, its distribution is."""
+"""Tables 7.1 to 7.3 and Figures 7.11 to 7.16: what a joint learns by the pseudo-code of section 6.3, its way to the
+goal, and the random numbers drawn on it.
+
+Of the figures only the text is at hand, which names two places and an average for each joint; one run is not
+reproducible, its distribution is.
+"""
 
 import math
 from functools import partial
 from typing import Any
 
 import numpy as np
+from scipy.stats import binomtest
 
 from humanoid_mjx.report.style import COLORS
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, in_words
+from humanoid_mjx.reproduction.traces import printed_run
 from humanoid_mjx.thesis import q_learning as thesis
 
 RUNS, STEPS = 2000, 400
 
 PRINTED = thesis.PSEUDO_CODE
 
-CONFIG = {
-    "task": {"action": thesis.FIGURES_ACTION, "states": PRINTED["states"]},
-    "learner": {
-        "epsilon": PRINTED["epsilon"],
-        "learning_rate": PRINTED["learning_rate"],
-        "discount": PRINTED["discount"],
-    },
+LEARNER = {name: PRINTED[name] for name in ("epsilon", "learning_rate", "discount")}
+CONFIG = {"task": {"action": thesis.FIGURES_ACTION, "states": PRINTED["states"]}, "learner": LEARNER}
+TABLES_CONFIG = {
+    "task": {"action": PRINTED["action"], "states": thesis.TABLES_STATES, "bonus": PRINTED["bonus"]},
+    "learner": LEARNER | {"learning_rate": thesis.TABLES_LEARNING_RATE},
 }
+
+TABLES_TOLERANCE = 5e-4
+"""Half of the last digit of the tables' longest numbers."""
 
 CONFIDENCE = 0.95
 
 
+def q_table(joint: int, setting: Setting) -> list[Finding]:
+    """Tables 7.1 to 7.3: what the table of Q holds when a joint has reached its goal."""
+    run = printed_run(joint, setting.config, runs=16, steps=2000)
+    reached = run.q_table[run.terminated.any(axis=1)]
+    printed = np.array(thesis.TABLES[joint]).T
+    comparable = len(reached) > 0 and reached.shape[1:] == printed.shape
+    error = float(np.abs(reached - printed).max()) if comparable else float("inf")
+    used = setting.config["task"] | setting.config["learner"]
+    return [
+        check(
+            "Q after the goal: for each row, staying and moving",
+            printed.tolist(),
+            np.round(reached[0].astype(float), 4).tolist() if len(reached) else None,
+            error <= TABLES_TOLERANCE,
+            f"{in_words(used, PRINTED)}; {len(reached)} of {len(run.terminated)} runs reached the goal, "
+            + (f"the largest difference of any run is {error:.2g}" if comparable else "the table has another shape"),
+            TABLES_TOLERANCE,
+            (used, PRINTED),
+        )
+    ]
+
+
 def way(joint: int, setting: Setting) -> list[Finding]:
     """Figures 7.11, 7.13, 7.15: the printed marks against the middle 95 % of many runs."""
-    from humanoid_mjx.reproduction.traces import printed_run
-
     run = printed_run(joint, setting.config, RUNS, STEPS)
     angle = _angles(run, joint, setting.config["task"]["action"])
     low, high = np.quantile(angle, (0.025, 0.975), axis=0)
@@ -47,7 +74,7 @@ def way(joint: int, setting: Setting) -> list[Finding]:
                 low[middle] <= mark <= high[middle],
                 f"{in_words(used, PRINTED)}; the middle 95 % of {RUNS} runs, which take "
                 f"{np.quantile(lengths, 0.05):.0f} to {np.quantile(lengths, 0.95):.0f} episodes to the goal; a single "
-                "mark tells no epsilon from another: epsilon-7e asks all",
+                "mark tells no epsilon from another, and is no evidence for this one: epsilon-7e asks all together",
                 values=(used, PRINTED),
             )
         )
@@ -71,8 +98,6 @@ def way(joint: int, setting: Setting) -> list[Finding]:
 
 def random_numbers(joint: int, setting: Setting) -> list[Finding]:
     """Figures 7.12, 7.14, 7.16: the printed average against the distribution of averages of single runs."""
-    from humanoid_mjx.reproduction.traces import printed_run
-
     run = printed_run(joint, setting.config, RUNS, STEPS)
     over = run.terminated.any(axis=1)
     lengths = run.terminated.argmax(axis=1) + 1
@@ -89,10 +114,19 @@ def random_numbers(joint: int, setting: Setting) -> list[Finding]:
             [round(float(low), 4), round(float(high), 4)],
             low <= printed <= high,
             f"{in_words(used, PRINTED)}; the middle 95 % of {over.sum()} runs: the average of one run's draws is "
-            "chance and says nothing of the learning",
+            f"chance and says nothing of the learning, but something of the step: {_at_printed_step(joint)}",
             values=(used, PRINTED),
         )
     ]
+
+
+def _at_printed_step(joint: int) -> str:
+    """How far the printed average is from that of as many uniform numbers as the printed step makes a joint draw."""
+    start, goal = thesis.JOINT_RANGES[joint]
+    draws = (goal - start) / PRINTED["action"] * 2 / PRINTED["epsilon"]
+    off = abs(thesis.AVERAGE_RANDOM_NUMBER[joint] - 0.5) * math.sqrt(12 * draws)
+    words = f"the printed one of {PRINTED['action']:g} degree takes about {draws:.0f} draws, and the average of so many"
+    return f"{words} would be {off:.1f} standard deviations off"
 
 
 def _draw_numbers(setting: Setting, joint: int, drawn: list[np.ndarray], means: np.ndarray) -> None:
@@ -135,7 +169,7 @@ def pooled_epsilon(setting: Setting) -> list[Finding]:
 
 def _epsilon(moves: dict[int, int], steps: dict[int, int], config: dict[str, Any]) -> Finding:
     made, of = sum(moves.values()), sum(steps.values())
-    low, high = (2 * share for share in binomial_interval(made, of, CONFIDENCE))
+    low, high = (2 * share for share in binomtest(made, of).proportion_ci(CONFIDENCE, method="exact"))
     epsilon = config["learner"]["epsilon"]
     used, printed = config["task"] | config["learner"], PRINTED
     counts = ", ".join(f"{moves[joint]} of {steps[joint]} (joint {joint})" for joint in moves)
@@ -167,37 +201,6 @@ def _averages(averages: dict[int, float], steps: dict[int, int]) -> Finding:
     )
 
 
-def binomial_interval(successes: int, trials: int, confidence: float) -> tuple[float, float]:
-    """The interval of Clopper and Pearson for a share: what no one-sided test at half the error refuses."""
-    tail = (1 - confidence) / 2
-
-    def at_most(count: int, share: float) -> float:
-        """The probability of at most `count` successes."""
-        if share in (0.0, 1.0):
-            return 1.0 if share == 0.0 or count >= trials else 0.0
-        logs = (
-            math.lgamma(trials + 1)
-            - math.lgamma(k + 1)
-            - math.lgamma(trials - k + 1)
-            + k * math.log(share)
-            + (trials - k) * math.log1p(-share)
-            for k in range(count + 1)
-        )
-        return min(1.0, sum(map(math.exp, logs)))
-
-    def bisect(count: int, target: float) -> float:
-        """The share at which at most `count` successes have the probability `target`; it falls as the share grows."""
-        low, high = 0.0, 1.0
-        for _ in range(60):
-            middle = (low + high) / 2
-            low, high = (middle, high) if at_most(count, middle) > target else (low, middle)
-        return (low + high) / 2
-
-    lowest = 0.0 if successes == 0 else bisect(successes - 1, 1 - tail)
-    highest = 1.0 if successes == trials else bisect(successes, tail)
-    return lowest, highest
-
-
 def _angles(run: Any, joint: int, action: float) -> np.ndarray:
     """(runs, steps) The joint's angle before each step, degrees; the goal once it is reached."""
     start, goal = thesis.JOINT_RANGES[joint]
@@ -208,6 +211,10 @@ def _angles(run: Any, joint: int, action: float) -> np.ndarray:
 
 
 EXPERIMENTS = [
+    *(
+        Experiment(f"table-7.{i}", f"Q after learning of joint {joint}", partial(q_table, joint), TABLES_CONFIG)
+        for i, joint in enumerate((1, 4, 5), start=1)
+    ),
     *(
         experiment
         for i, joint in enumerate((1, 4, 5))

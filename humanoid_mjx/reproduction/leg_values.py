@@ -1,12 +1,13 @@
 """The thesis's leg at many states at once, as arrays of numpy."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
 import numpy as np
 
 from humanoid_mjx.mechanics.trajectories import Quintic, thesis_quintics
+from humanoid_mjx.report.style import COLORS, label_lines
 from humanoid_mjx.thesis import leg as thesis
 
 NAMES = [name.replace("_", " ") for name in thesis.JOINT_NAMES]
@@ -21,3 +22,11 @@ def over(function: Callable[..., Any], model: Any, *states: Any) -> Any:
 def planned(times: np.ndarray, path: Quintic | None = None) -> Any:
     """The planned `Motion`, (times, 5) each: rad, rad/s and rad/s^2; or that along another path."""
     return over(Quintic.at, thesis_quintics() if path is None else path, times)
+
+
+def plot_joints(panel: Any, across: np.ndarray, values: np.ndarray, joints: Sequence[int] = range(5)) -> None:
+    """Draw a line for each of these joints, values (n, 5), in its colour, labelled with number and name at its end."""
+    for joint in joints:
+        panel.plot(across, values[:, joint], color=COLORS[joint])
+    words, colors = zip(*((f"{joint + 1} {NAMES[joint]}", COLORS[joint]) for joint in joints), strict=True)
+    label_lines(panel, values[-1, list(joints)].tolist(), words, colors)

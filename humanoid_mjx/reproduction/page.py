@@ -1,26 +1,13 @@
-"""The report of a folder that `reproduce` has written: what is printed, what comes out, and the figures."""
+"""The report of a folder that `reproduce` has written: what is printed, what comes out, tables and figures."""
 
-import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from humanoid_mjx import compute
-from humanoid_mjx.report.web import MEDIA, facts, image, link, page, section, text
-from humanoid_mjx.reproduction.runner import load_experiments
-from humanoid_mjx.spec import InputError
-
-VERDICTS = {
-    "reproduced": "what is printed comes out",
-    "recovered": "it comes out with values that are not the printed ones",
-    "differs": "it does not come out",
-    "not_reproducible": "no values that are possible could make it come out",
-    "finding": "nothing is printed that it could agree with",
-}
-"""In the order in which they are counted."""
-
-KEYS = ("name", "quantity", "printed", "reproduced", "tolerance", "verdict", "why")
+from humanoid_mjx.report.web import MEDIA, facts, image, link, page, section, table, text
+from humanoid_mjx.reproduction.findings import MEANINGS
+from humanoid_mjx.reproduction.runner import FINDINGS, load_experiments, read_findings, read_runs
 
 
 def findings_page(path: Path) -> str:
@@ -29,38 +16,33 @@ def findings_page(path: Path) -> str:
     Raises:
       InputError: its reproduce.json is damaged.
     """
-    findings = _read(path / "reproduce.json")
-    pictures = _pictures(path)
+    findings = read_findings(path / FINDINGS)
+    shown = sorted(file for file in path.iterdir() if file.suffix in (*MEDIA, ".md") and file.is_file())
     titles = {name: experiment.title for name, experiment in load_experiments().items()}
     names = list(dict.fromkeys(str(finding["name"]) for finding in findings))
     parts = [_lead(findings), _contents(findings, names, titles)]
     for name in names:
         mine = [finding for finding in findings if finding["name"] == name]
-        own = [file for file in pictures if _belongs(file.stem, name, names)]
-        pictures = [file for file in pictures if file not in own]
-        heading = f"{name}: {titles[name]}" if name in titles else name
-        parts.append(section(heading, *map(_finding, mine), *map(_picture, own), anchor=_anchor(names, name)))
-    if pictures:
-        parts.append(section("More figures", *map(_picture, pictures)))
-    machine = facts((compute.machine() | compute.versions()).items())
-    words = "This page was written on the following machine; reproduce.json does not say on which it was made."
+        own = [file for file in shown if _belongs(file.stem, name, names)]
+        shown = [file for file in shown if file not in own]
+        parts.append(
+            section(_heading(name, titles), *map(_finding, mine), *map(_shown, own), anchor=_anchor(names, name))
+        )
+    if shown:
+        parts.append(section("More figures", *map(_shown, shown)))
     again = f"humanoid-mjx reproduce {' '.join(names)} --out {path.name}-again"
-    parts += [section("Run it again", text(again, "pre")), section("Where the page was written", text(words), machine)]
+    parts += [section("Run it again", text(again, "pre")), *_origins(path)]
     return page("The thesis, reproduced", "".join(parts))
 
 
-def _read(file: Path) -> list[dict[str, Any]]:
-    try:
-        found = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{file}: this file is truncated or damaged; run reproduce again.") from error
-    if not isinstance(found, list) or not all(isinstance(each, dict) and set(KEYS) <= set(each) for each in found):
-        raise InputError(f"{file}: this is not what reproduce writes.")
-    return found
-
-
-def _pictures(path: Path) -> list[Path]:
-    return sorted(file for file in path.iterdir() if file.suffix in MEDIA and file.is_file())
+def _origins(path: Path) -> Iterable[str]:
+    """A section for each machine and commit that findings come from."""
+    for run in read_runs(path):
+        seconds = sum(times["wall_s"] for times in run["times"].values())
+        made = {"experiments": ", ".join(run["times"]), "seconds": f"{seconds:.1f}", "commit": run.get("commit")}
+        yield section(
+            "Where it was computed", facts({**made, **run.get("machine", {}), **run.get("versions", {})}.items())
+        )
 
 
 def _belongs(stem: str, name: str, names: Sequence[str]) -> bool:
@@ -71,10 +53,10 @@ def _belongs(stem: str, name: str, names: Sequence[str]) -> bool:
 
 def _lead(findings: Sequence[Mapping[str, Any]]) -> str:
     counts = Counter(str(finding["verdict"]) for finding in findings)
-    known = [*VERDICTS, *(verdict for verdict in counts if verdict not in VERDICTS)]
+    known = [*MEANINGS, *(verdict for verdict in counts if verdict not in MEANINGS)]
     items = "".join(text(f"{counts[verdict]} {_words(verdict)}", "li") for verdict in known if counts[verdict])
     words = f"{len(findings)} quantities: what is printed in the source, and what comes out."
-    meanings = facts((_words(verdict), VERDICTS[verdict]) for verdict in VERDICTS if counts[verdict])
+    meanings = facts((_words(verdict), words) for verdict, words in MEANINGS.items() if counts[verdict])
     return f'<p class="lead">{text(words, "span")}</p><ul class="counts">{items}</ul>{meanings}'
 
 
@@ -84,9 +66,13 @@ def _contents(findings: Sequence[Mapping[str, Any]], names: Sequence[str], title
     for name in names:
         counts = Counter(_words(str(finding["verdict"])) for finding in findings if finding["name"] == name)
         found = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
-        title = f"{name}: {titles[name]}" if name in titles else name
-        items.append(f"<li>{link(title, f'#{_anchor(names, name)}')} {text(f'({found})', 'span')}</li>")
+        heading = link(_heading(name, titles), f"#{_anchor(names, name)}")
+        items.append(f"<li>{heading} {text(f'({found})', 'span')}</li>")
     return f"<nav><ul>{''.join(items)}</ul></nav>"
+
+
+def _heading(name: str, titles: Mapping[str, str]) -> str:
+    return f"{name}: {titles[name]}" if name in titles else name
 
 
 def _anchor(names: Sequence[str], name: str) -> str:
@@ -95,7 +81,7 @@ def _anchor(names: Sequence[str], name: str) -> str:
 
 def _finding(finding: Mapping[str, Any]) -> str:
     verdict = str(finding["verdict"])
-    kind = verdict if verdict in VERDICTS else "other"
+    kind = verdict if verdict in MEANINGS else "other"
     compared = [("printed", _value(finding["printed"])), ("comes out", _value(finding["reproduced"]))]
     if finding["tolerance"] is not None:
         compared.append(("tolerance", _value(finding["tolerance"])))
@@ -122,5 +108,11 @@ def _words(verdict: str) -> str:
     return verdict.replace("_", " ")
 
 
-def _picture(file: Path) -> str:
-    return f"<figure>{image(file.read_bytes(), file.suffix, file.stem)}{text(file.name, 'figcaption')}</figure>"
+def _shown(file: Path) -> str:
+    """A picture, or the table of a Markdown file as `Setting.table` writes it."""
+    if file.suffix in MEDIA:
+        return f"<figure>{image(file.read_bytes(), file.suffix, file.stem)}{text(file.name, 'figcaption')}</figure>"
+    lines = file.read_text(encoding="utf-8").splitlines()
+    rows = [line.strip()[2:-2].split(" | ") for line in lines if line.startswith("| ")]
+    even = [row for row in rows if len(row) == len(rows[0]) and set(row) != {"---"}]
+    return table(even[0], even[1:], caption=file.name) if even else ""

@@ -2,21 +2,26 @@
 
 from collections.abc import Mapping
 from itertools import product
-from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, in_words, judge
-from humanoid_mjx.reproduction.leg_figures import draw_torques
+from humanoid_mjx import dynamics
+from humanoid_mjx.mechanics.trajectories import rest_to_rest
+from humanoid_mjx.report.style import COLORS
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, compare, in_words
+from humanoid_mjx.reproduction.leg_values import NAMES, over, planned, plot_joints
 from humanoid_mjx.reproduction.printed import dynamics as printed
+from humanoid_mjx.robot.leg import Leg, corrected_inertias, script_inertias
 from humanoid_mjx.thesis import leg as thesis
 
-START_TOLERANCE = 1e-8
-"""N m. Nine digits are printed; the recovered masses are round."""
+FIGURE_TOLERANCE, TABLE_TOLERANCE = 1e-8, 5e-5
+"""N m. Figure 7.5 has nine decimal places, all of which the recovered round masses give at the start; Table 4.7 has
+four."""
 
-TOLERANCE = 0.02
-"""Tolerance as a share of a printed maximum or end value."""
+NEAR = 0.02
+"""Share of a printed torque within which a model is near it."""
 
 SAMPLES = 501
 
@@ -42,9 +47,6 @@ EVIDENCE = (
 """Evidence of the start torques for the recovered values, by joint."""
 
 GRAVITY = {"sideways": (0.0, 0.0, -thesis.GRAVITY), "along the leg": (0.0, -thesis.GRAVITY, 0.0)}
-
-NAMES = [name.replace("_", " ") for name in thesis.JOINT_NAMES]
-
 
 DEGREES = {"pi/180": np.pi / 180, "3.15/180": thesis.FIGURE_7_5_DEGREE}
 FAULTS = {
@@ -88,10 +90,6 @@ MODELS: dict[tuple[Any, ...], str] = {
 
 def torques(setting: Setting) -> list[Finding]:
     """Figure 7.5: the torques at the start, at the end and at most, by the recovered model."""
-    import jax
-
-    from humanoid_mjx.robot.leg import Leg
-
     config = setting.config
     t = np.linspace(0, thesis.QUINTIC_S, SAMPLES)
     motion = _motion(t, config["knee"]["end"], config["units"]["degree"])
@@ -107,19 +105,17 @@ def torques(setting: Setting) -> list[Finding]:
         "The right equations, same values": tau,
         "Solid links, gravity along the leg, knee to 120°": upright,
     }
-    draw_torques(setting.out / "figure-7.5.png", t, curves)
+    _draw(setting, t, curves)
     words = in_words(_flat(config), _flat(AS_PLANNED))
     findings = []
     for j, (mark, why) in enumerate(zip(thesis.FIGURE_7_5["start"], EVIDENCE, strict=True)):
-        quantity = f"joint {j + 1} ({NAMES[j]}) at the start, N m"
-        findings.append(
-            _finding(quantity, mark, tau[j, 0], START_TOLERANCE, f"{words}; {why}" if j == 0 else why, config)
-        )
+        quantity, why = f"joint {j + 1} ({NAMES[j]}) at the start, N m", f"{words}; {why}" if j == 0 else why
+        findings.append(_finding(quantity, mark, tau[j, 0], why, config))
     findings += _end(t, tau, config)
     for j, mark in enumerate(thesis.FIGURE_7_5["maximum"]):
-        why = f"the script's erroneous velocity terms with the same values give {erroneous[j].max():.5f}"
-        quantity = f"joint {j + 1} ({NAMES[j]}), greatest, N m"
-        findings.append(_finding(quantity, mark, tau[j].max(), TOLERANCE * mark, why, config))
+        why = f"off by {100 * abs(tau[j].max() / mark - 1):.2g} %; the script's erroneous velocity terms with the same "
+        why += f"values give {erroneous[j].max():.5f}"
+        findings.append(_finding(f"joint {j + 1} ({NAMES[j]}), greatest, N m", mark, tau[j].max(), why, config))
     return findings
 
 
@@ -128,29 +124,31 @@ def _end(t: np.ndarray, tau: np.ndarray, config: Mapping[str, Any]) -> list[Find
     marks = np.array(thesis.FIGURE_7_5["end"])
     off = np.abs(tau / marks[:, None] - 1)
     best = int(off[1:].max(axis=0).argmin())
-    early = f"at {t[best]:.2f} s of {thesis.QUINTIC_S:g}, which fits joints 2 to 5 best"
+    early = f"at {t[best]:.2f} s of {thesis.QUINTIC_S:g}, chosen because it fits joints 2 to 5 best: off by up to "
+    early += f"{100 * off[1:, best].max():.2g} %"
     parts = [
         ("all joints at the end, N m", slice(0, 5), -1, "at rest joint 1 has no torque, whatever the masses"),
         ("joints 2 to 5 shortly before the end, N m", slice(1, 5), best, early),
-        ("joint 1 shortly before the end, N m", slice(0, 1), best, early),
+        ("joint 1 shortly before the end, N m", slice(0, 1), best, f"{early}, and joint 1 by {off[0, best]:.0%}"),
     ]
-    return [
-        _finding(quantity, marks[joints].tolist(), tau[joints, at], TOLERANCE * np.abs(marks[joints]), why, config)
-        for quantity, joints, at, why in parts
-    ]
+    return [_finding(words, marks[joints], tau[joints, at], why, config) for words, joints, at, why in parts]
 
 
-def _finding(quantity: str, mark: Any, value: Any, tolerance: Any, why: str, config: Mapping[str, Any]) -> Finding:
-    agrees = bool((np.abs(value - np.asarray(mark)) <= tolerance).all())
-    return check(
-        quantity,
-        mark,
-        (np.round(value, 9) + 0.0).tolist(),
-        agrees,
-        why,
-        float(np.min(tolerance)),
-        (_flat(config), _flat(AS_PLANNED)),
-    )
+def _finding(quantity: str, mark: Any, value: Any, why: str, config: Mapping[str, Any]) -> Finding:
+    return compare(quantity, mark, value, FIGURE_TOLERANCE, why, 9, values=(_flat(config), _flat(AS_PLANNED)))
+
+
+def _draw(setting: Setting, t: np.ndarray, curves: Mapping[str, np.ndarray]) -> None:
+    """Torques of the planned motion by model, (5, times) N m each, with what is printed of their start and end."""
+    with setting.figure(1, len(curves), size=(4.3, 3.8), sharey=True) as (fig, axes):
+        for panel, (title, tau) in zip(axes[0], curves.items(), strict=True):
+            plot_joints(panel, t, tau.T)
+            panel.set(title=title, xlabel="time, s", xlim=(0, thesis.QUINTIC_S))
+        for time, when in ((0.0, "start"), (thesis.QUINTIC_S, "end")):
+            for joint, mark in enumerate(thesis.FIGURE_7_5[when]):
+                axes[0, 0].plot(time, mark, "o", color=COLORS[joint], markersize=5, clip_on=False)
+        axes[0, 0].set_ylabel("joint torque, N m")
+        fig.suptitle("Torques of the planned motion; dots: start and end as section 7 C prints them", x=0.02, ha="left")
 
 
 def maxima(setting: Setting) -> list[Finding]:
@@ -158,49 +156,38 @@ def maxima(setting: Setting) -> list[Finding]:
     marks = np.array(thesis.MAX_TORQUES)
     trials = _trials()
     off = np.array([np.abs(trial.maxima / marks - 1) for trial in trials])
-    agree = off <= TOLERANCE
-    order = np.lexsort((off.max(axis=1), -agree.sum(axis=1)))
-    _write(setting.out / "table-4.7.md", [trials[i] for i in order], off[order])
+    near = off <= NEAR
+    order = np.lexsort((off.max(axis=1), -near.sum(axis=1)))
+    setting.table(
+        ("model", "greatest torque of joints 1 to 5, N m", "off by"),
+        (
+            (trials[i], ", ".join(f"{x:.4f}" for x in trials[i].maxima), ", ".join(f"{100 * x:.2g} %" for x in off[i]))
+            for i in order[:20]
+        ),
+    )
     findings = []
     for trial, errors in zip(trials, off, strict=True):
         if (title := MODELS.get(trial[:5])) is not None:
             why = f"{trial}: off by {', '.join(f'{100 * error:.3g}' for error in errors)} %"
-            findings.append(_table(title, marks.tolist(), trial, judge(bool((errors <= TOLERANCE).all()), {}, {}), why))
-    best = order[0]
-    fitting = np.flatnonzero(agree.sum(axis=1) >= 4)
+            findings.append(compare(title, marks, trial.maxima, TABLE_TOLERANCE, why, 5))
+    best, fitting = trials[order[0]], np.flatnonzero(near.sum(axis=1) >= 4)
+    values = _flat(RECOVERED), _flat(AS_PLANNED)
     for joint, mark in enumerate(marks):
-        possible = bool(agree[fitting, joint].any())
-        verdict = judge(bool(agree[best, joint]), _flat(RECOVERED), _flat(AS_PLANNED), possible=possible)
-        why = f"of {len(trials)} models {len(fitting)} agree in four joints; nearest: {trials[best]}, "
-        why += f"off by {100 * off[best, joint]:.2g} %"
+        possible = bool(near[fitting, joint].any())
+        why = f"of {len(trials)} models {len(fitting)} are within {NEAR:.0%} in four joints; nearest: {best}, "
+        why += f"off by {100 * off[order[0], joint]:.2g} %"
         if not possible and len(fitting):
             why += f"; none of the {len(fitting)} comes nearer than {100 * off[fitting, joint].min():.2g} %"
-        findings.append(
-            _table(f"joint {joint + 1} ({NAMES[joint]}), N m", float(mark), trials[best], verdict, why, joint)
-        )
-    return [*findings, _largest(trials[best])]
-
-
-def _largest(trial: Trial) -> Finding:
-    """The finding that a signed maximum is not what a motor needs."""
-    used, as_printed = _flat(RECOVERED), _flat(AS_PLANNED)
-    joint = int((trial.peaks / trial.maxima).argmax())
-    agrees = bool((np.abs(trial.peaks / np.array(thesis.MAX_TORQUES) - 1)[1:] <= TOLERANCE).all())
-    return check(
-        "the largest torques of joints 2 to 5, which select the motors, N m",
-        list(thesis.MAX_TORQUES[1:]),
-        np.round(trial.peaks[1:], 4).tolist(),
-        agrees,
-        f"the table has the greatest values with their signs; joint {joint + 1} needs {trial.peaks[joint]:.4f} N m "
-        f"the other way: section 7 C's own start value is {thesis.FIGURE_7_5['start'][joint]:.4f}",
-        TOLERANCE,
-        (used, as_printed),
-    )
-
-
-def _table(quantity: str, mark: Any, trial: Trial, verdict: Any, why: str, joint: int | slice = slice(None)) -> Finding:
-    value = np.round(trial.maxima[joint], 5).tolist()
-    return Finding(quantity, mark, value, TOLERANCE, verdict, why)
+        quantity = f"joint {joint + 1} ({NAMES[joint]}), N m"
+        value = best.maxima[joint]
+        findings.append(compare(quantity, mark, value, TABLE_TOLERANCE, why, 5, values=values, possible=possible))
+    # A signed maximum is not what a motor needs.
+    joint = int((best.peaks / best.maxima).argmax())
+    why = f"the table has the greatest values with their signs; joint {joint + 1} needs {best.peaks[joint]:.4f} N m "
+    why += f"the other way: section 7 C's own start value is {thesis.FIGURE_7_5['start'][joint]:.4f}"
+    quantity = "the largest torques of joints 2 to 5, which select the motors, N m"
+    findings.append(compare(quantity, marks[1:], best.peaks[1:], TABLE_TOLERANCE, why, 4, values=values))
+    return findings
 
 
 def _trials() -> list[Trial]:
@@ -223,8 +210,6 @@ def _trials() -> list[Trial]:
 
 
 def _models() -> dict[str, printed.Model]:
-    from humanoid_mjx.robot.leg import corrected_inertias, script_inertias
-
     recovered = np.array(thesis.FIGURE_7_5_MASSES) / np.array(thesis.LINK_MASSES)
     inertias = {
         "the script's links": (thesis.SCRIPT_LENGTHS, script_inertias()),
@@ -238,38 +223,18 @@ def _models() -> dict[str, printed.Model]:
     return models
 
 
-def _motion(t: np.ndarray, knee: float, degree: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _motion(t: np.ndarray, knee: float, degree: float) -> tuple[np.ndarray, ...]:
     """(5, n) each: the planned motion in double precision, with the knee's end in degrees and radians per degree."""
-    import jax
-
-    from humanoid_mjx.mechanics.trajectories import Quintic, rest_to_rest
-
     ends = np.array(thesis.QUINTIC_RANGES)
     ends[3, 1] = knee
     with jax.enable_x64(True):
-        planned = rest_to_rest(ends[:, 0] * degree, ends[:, 1] * degree, thesis.QUINTIC_S)
-        motion = jax.jit(jax.vmap(Quintic.at, in_axes=(None, 0)))(planned, t)
-        position, velocity, acceleration = (np.asarray(x).T for x in motion)
-    return position, velocity, acceleration
+        motion = planned(t, rest_to_rest(ends[:, 0] * degree, ends[:, 1] * degree, thesis.QUINTIC_S))
+    return tuple(x.T for x in motion)
 
 
 def _torque(leg: Any, motion: tuple[np.ndarray, ...]) -> np.ndarray:
     """(5, n) The verified torques of a motion, N m."""
-    import jax
-
-    from humanoid_mjx import dynamics
-
-    compute = jax.jit(jax.vmap(dynamics.inverse_dynamics, in_axes=(None, 0, 0, 0)))
-    return np.asarray(compute(leg, *(x.T for x in motion))).T
-
-
-def _write(path: Path, trials: list[Trial], off: np.ndarray) -> None:
-    """The twenty models nearest to Table 4.7."""
-    rows = ["| model | greatest torque of joints 1 to 5, N m | off by |", "|---|---|---|"]
-    for trial, errors in zip(trials[:20], off, strict=False):
-        values = ", ".join(f"{x:.4f}" for x in trial.maxima)
-        rows.append(f"| {trial} | {values} | {', '.join(f'{100 * x:.2g} %' for x in errors)} |")
-    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    return over(dynamics.inverse_dynamics, leg, *(x.T for x in motion)).T
 
 
 def _flat(config: Mapping[str, Mapping[str, float]]) -> dict[str, float]:

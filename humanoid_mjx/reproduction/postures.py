@@ -4,11 +4,21 @@ import tempfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
+from humanoid_mjx.control import Reference
+from humanoid_mjx.evaluation.episode import HOLD_S, follow, joined, motion_of, play
+from humanoid_mjx.evaluation.policy import best_policy
+from humanoid_mjx.mechanics.trajectories import rest_to_rest
+from humanoid_mjx.report.rendering import render_motion
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, three_digits, unprinted
+from humanoid_mjx.reproduction.leg_values import planned
+from humanoid_mjx.reproduction.posture_figures import draw_postures
+from humanoid_mjx.robot import make_robot
 from humanoid_mjx.thesis import leg
 from humanoid_mjx.thesis import q_learning as thesis
+from humanoid_mjx.training.sweep import sweep
 
 JOINTS = ("hip", "knee", "ankle")
 RANGES = [leg.JOINT_RANGES["proposed"][joint] for joint in (0, 3, 4)]
@@ -45,8 +55,6 @@ class Switch(NamedTuple):
 
 def initial(setting: Setting) -> list[Finding]:
     """Figure 7.17: where the switch starts."""
-    from humanoid_mjx.reproduction.posture_figures import draw_postures
-
     upright = ('As the figure has it, "0° for all the joint"', np.zeros(10))
     others = [(_words(section, ends[0]), _posture(ends[0])) for section, ends in thesis.POSTURES.items()]
     title = "Initial postures: degrees of the right leg, the left takes the opposite"
@@ -56,8 +64,6 @@ def initial(setting: Setting) -> list[Finding]:
 
 def following(setting: Setting) -> list[Finding]:
     """Figure 7.18: where the switch ends, and how it gets there."""
-    from humanoid_mjx.reproduction.posture_figures import draw_postures
-
     postures = [(_words(section, ends[1]), _posture(ends[1])) for section, ends in thesis.POSTURES.items()]
     hip, _, ankle = thesis.POSTURES["7H"][1]
     as_printed = (hip, PRINTED_GOAL["knee"], ankle)
@@ -112,10 +118,6 @@ def _where(knee: float) -> str:
 
 def _switch(section: str, setting: Setting) -> list[Finding]:
     """Train on a posture, show the motion, and measure it against a plan that takes as long."""
-    from humanoid_mjx.evaluation.episode import motion_of, play
-    from humanoid_mjx.report.rendering import render_motion
-    from humanoid_mjx.robot import make_robot
-
     setting.tell(f"section {section}: training {SEEDS} tables of {EPISODES} episodes")
     trained = _train(section, setting.config)
     setting.tell(f"section {section}: playing and drawing the motion")
@@ -164,9 +166,6 @@ def _involves_dynamics(section: str, learned: Switch, loaded: Switch) -> Finding
 
 def _train(section: str, config: dict[str, Any]) -> Any:
     """The best of a few short runs."""
-    from humanoid_mjx.evaluation.policy import best_policy
-    from humanoid_mjx.training.sweep import sweep
-
     full = {
         "name": "posture",
         "task": {"name": "posture_switch", "posture": section} | config["task"],
@@ -176,24 +175,18 @@ def _train(section: str, config: dict[str, Any]) -> Any:
         "record": 1,
     }
     with tempfile.TemporaryDirectory() as folder:
-        return best_policy(sweep(full, Path(folder) / "run").path)
+        return best_policy(sweep(full, Path(folder) / "run", pool_size=SEEDS).path)
 
 
 def _planned(task: Any, duration: float) -> Any:
     """The motion along a quintic that takes `duration`, s, and then holds the goal, by the task's controller."""
-    import jax
-
-    from humanoid_mjx.control import Reference
-    from humanoid_mjx.evaluation.episode import HOLD_S, follow, joined
-    from humanoid_mjx.mechanics.trajectories import Quintic, rest_to_rest
-
     chunk = task.simulator.substeps(task.period)
     chunks = int(np.ceil((duration + HOLD_S) / task.period))
     start, goal = (task.whole_body(task.grid[:, end]) for end in (0, -1))
     path = rest_to_rest(start, goal, duration)
     # The torque of a step brings about the motion at its end.
     times = task.timestep * np.arange(1, chunk * chunks + 1, dtype=np.float32)
-    wanted = Reference(*jax.jit(jax.vmap(Quintic.at, in_axes=(None, 0)))(path, times))
+    wanted = Reference(*planned(times, path))
     world, motions = task.reset(jax.random.key(0)).world, []
     for first in range(0, len(times), chunk):
         part = Reference(*(x[first : first + chunk] for x in wanted))

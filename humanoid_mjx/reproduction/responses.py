@@ -5,7 +5,7 @@ import numpy as np
 
 from humanoid_mjx.control.response import step_response
 from humanoid_mjx.report.style import COLORS, shades
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, listed, three_digits
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, compare, listed, three_digits
 
 RATIOS = np.round(np.arange(0.05, 3.001, 0.01), 2)
 """Damping ratios."""
@@ -43,7 +43,7 @@ def judge_responses(times: np.ndarray, curves: np.ndarray) -> list[Finding]:
     asked = "a response without oscillation asks for a ratio of 1, or close to one but less"
     beyond = [three_digits(100 * over[np.argmin(np.abs(RATIOS - ratio))]) for ratio in (0.9, 0.95)]
     return [
-        check(quantity, 1.0, best, abs(best - 1.0) <= 0.011, fastest, 0.01),
+        compare(quantity, 1.0, best, 0.01, fastest, 2),
         check(
             "overshoot of a step at damping ratios of 0.9 and 0.95, per cent",
             asked,

@@ -2,13 +2,13 @@
 
 import json
 import time
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, replace
-from functools import partial
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, fields, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from humanoid_mjx import compute
 from humanoid_mjx.config import apply_override
 from humanoid_mjx.files import write_text
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting
@@ -25,7 +25,6 @@ MODULES = (
     "motor_sizing",
     "planned_torques",
     "postures",
-    "q_tables",
     "responses",
     "robustness",
     "singularity",
@@ -34,6 +33,9 @@ MODULES = (
     "workspace",
 )
 """The modules of this package that hold experiments, in their `EXPERIMENTS`."""
+
+FINDINGS, RUNS = "reproduce.json", "reproduce_runs.json"
+"""Files of a folder of results."""
 
 
 def load_experiments() -> dict[str, Experiment]:
@@ -48,44 +50,78 @@ def reproduce(
     out: Path,
     overrides: Sequence[str] = (),
     say: Callable[[Experiment, list[Finding], float], None] = lambda experiment, findings, seconds: None,
-    tell: Callable[[Experiment, str], None] = lambda experiment, words: None,
+    tell: Callable[[str], None] = lambda words: None,
 ) -> list[Finding]:
-    """Run experiments (all, if none is named) and write their figures, `reproduce.json` and what time each took,
-    `reproduce_times.json`, into `out`: `wall_s` on the clock, and `cpu_s` of all cores together, which other work on
-    the machine hardly changes.
+    """Run experiments (all, if none is named) and write their figures, tables and findings into `out`.
+
+    `reproduce.json` gets the findings and `reproduce_runs.json` their origin (`read_runs`). Both keep what earlier
+    calls found in the experiments that do not run now.
 
     Args:
       say: called after each experiment with what it found and the seconds it took.
-      tell: called while one runs, with what it computes at the moment.
+      tell: called while one runs, with the progress in words.
 
     Raises:
-      InputError: an unknown name, or an override of what a named experiment does not use.
+      InputError: an unknown name, an override of what a named experiment does not use, or a damaged file in `out`.
     """
     experiments = load_experiments()
     if odd := [name for name in names if name not in experiments]:
         raise InputError(f"reproduce: unknown name {odd[0]!r}; {known(odd[0], experiments)}.")
-    chosen = [experiments[name] for name in names] or list(experiments.values())
+    chosen = [experiments[name] for name in dict.fromkeys(names)] or list(experiments.values())
     settings = [_setting(experiment, out, overrides, named=bool(names)) for experiment in chosen]
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"--out {out}: cannot be written: {error.strerror}.") from error
-    findings, times = [], {}
-    for experiment, setting in zip(chosen, settings, strict=True):
+    findings = read_findings(out / FINDINGS) if (out / FINDINGS).exists() else []
+    runs, found_now = [*read_runs(out), compute.made_by() | {"times": {}}], []
+    for number, (experiment, setting) in enumerate(zip(chosen, settings, strict=True), start=1):
+        place = f"{number} of {len(chosen)}, {experiment.name}"
+        tell(place)
         start, cpu_start = time.perf_counter(), time.process_time()
-        found = experiment.run(replace(setting, tell=partial(tell, experiment)))
+        found = experiment.run(replace(setting, tell=lambda words, place=place: tell(f"{place}: {words}")))
         found = [replace(finding, name=experiment.name) for finding in found]
         wall_s, cpu_s = time.perf_counter() - start, time.process_time() - cpu_start
-        times[experiment.name] = {"wall_s": round(wall_s, 2), "cpu_s": round(cpu_s, 2)}
         say(experiment, found, wall_s)
-        findings += found
-        write_findings(out / "reproduce.json", findings)
-        write_text(out / "reproduce_times.json", json.dumps(times, indent=2) + "\n")
-    return findings
+        found_now += found
+        findings = [finding for finding in findings if finding["name"] != experiment.name] + list(map(asdict, found))
+        findings.sort(key=lambda finding: _natural(finding["name"]))
+        for run in runs:
+            run["times"].pop(experiment.name, None)
+        runs[-1]["times"][experiment.name] = {"wall_s": round(wall_s, 2), "cpu_s": round(cpu_s, 2)}
+        runs = [run for run in runs if run["times"]]
+        for name, content in ((FINDINGS, findings), (RUNS, runs)):
+            write_text(out / name, json.dumps(content, indent=2) + "\n")
+    return found_now
 
 
-def write_findings(path: Path, findings: Iterable[Finding]) -> None:
-    write_text(path, json.dumps([asdict(finding) for finding in findings], indent=2) + "\n")
+def read_findings(file: Path) -> list[dict[str, Any]]:
+    """The findings that `reproduce` has written, as plain values.
+
+    Raises:
+      InputError: the file is damaged.
+    """
+    try:
+        found = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{file}: this file is truncated or damaged; run reproduce again.") from error
+    keys = {field.name for field in fields(Finding)}
+    if not isinstance(found, list) or not all(isinstance(each, dict) and keys <= set(each) for each in found):
+        raise InputError(f"{file}: this is not what reproduce writes.")
+    return found
+
+
+def read_runs(out: Path) -> list[dict[str, Any]]:
+    """The origin of the findings in `out`: of each call machine, versions, commit and the times of its experiments.
+
+    `times` has the `wall_s` and `cpu_s` of each experiment by name, the latter of all cores together. An experiment
+    stands in the last call that ran it. Empty where there is no such file, or one that is damaged.
+    """
+    try:
+        runs = json.loads((out / RUNS).read_text(encoding="utf-8"))
+        return [run for run in runs if isinstance(run["times"], dict)]
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):
+        return []
 
 
 def _setting(experiment: Experiment, out: Path, overrides: Sequence[str], named: bool) -> Setting:

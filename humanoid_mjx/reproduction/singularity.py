@@ -12,6 +12,9 @@ from humanoid_mjx.thesis import leg as thesis
 SINGULAR = 1e-5
 """m and rad. Below it the least singular value of the Jacobian counts as 0 in single precision."""
 
+NEAR = 0.25
+"""Share of the least singular value at the start, below which a posture is nearly singular."""
+
 GAITS = {"straight_walk": "walking straight, Table 4.5", "sudden_turn": "the sudden turn, Table 4.6"}
 
 SAMPLES = 2001
@@ -31,10 +34,13 @@ def _walk(name: str, title: str) -> Finding:
     times = t[crossing] + share * (t[crossing + 1] - t[crossing])
     at_crossing = _least(_angles(motion, times))
     singular = times[at_crossing < SINGULAR]
-    least = float(min(at_crossing.min(), _least(q).min()))
+    values = _least(q)
+    least, near = float(min(at_crossing.min(), values.min())), values < NEAR * values[0]
+    passes = int(near[0]) + int((np.diff(near.astype(int)) > 0).sum())
     yaw = f"the yaw is 0 at {_seconds(singular)} s" if len(singular) else "where the yaw is not"
     why = f"the leg is singular where yaw and knee are both 0; the knee passes 0 at {_seconds(times)} s, {yaw}; "
-    why += f"the least singular value of the Jacobian is {least:.2g} (at the start {_least(q[:1])[0]:.2g})"
+    why += f"the least singular value of the Jacobian is {least:.2g} (at the start {values[0]:.2g}), "
+    why += f"and below {NEAR:g} of that at the start {passes} times a step: nearly singular"
     return check(f"{title}: singular postures in a step", 0, len(singular), len(singular) == 0, why)
 
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx import kinematics
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, in_words
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, compare, in_words
 from humanoid_mjx.robot.leg import Leg, cylinder_inertias
 from humanoid_mjx.thesis import leg as thesis
 
@@ -45,12 +45,20 @@ def stall_torque(setting: Setting) -> list[Finding]:
             why += f"the nearest ({nearest[1]}, {nearest[2]}, {nearest[3]}) is off by {nearest[0]:.2g} N m"
         else:
             why += ": a force along z turns only the roll, whatever its size and the lengths"
-        quantity, found = (
-            f"stall torque of joint {joint + 1} ({thesis.JOINT_NAMES[joint]}), N m",
-            round(float(value), 5),
+        quantity = f"stall torque of joint {joint + 1} ({thesis.JOINT_NAMES[joint]}), N m"
+        findings.append(
+            compare(
+                quantity,
+                mark,
+                value,
+                TOLERANCE,
+                why,
+                5,
+                values=(used, printed),
+                possible=arm and nearest[0] < TOLERANCE,
+                could_differ=arm,
+            )
         )
-        possible, agrees = arm != 0 and nearest[0] < TOLERANCE, abs(value - mark) < TOLERANCE
-        findings.append(check(quantity, mark, found, agrees, why, TOLERANCE, (used, printed), possible))
     return findings
 
 

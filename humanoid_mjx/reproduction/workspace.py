@@ -10,9 +10,9 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 
 from humanoid_mjx import kinematics
-from humanoid_mjx.report.style import COLORS, label_lines
+from humanoid_mjx.report.style import COLORS
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, departures, in_words, listed
-from humanoid_mjx.reproduction.leg_values import NAMES, over, planned
+from humanoid_mjx.reproduction.leg_values import over, planned, plot_joints
 from humanoid_mjx.robot.leg import Leg, cylinder_inertias
 from humanoid_mjx.thesis import leg as thesis
 
@@ -43,11 +43,9 @@ def planned_trajectories(setting: Setting) -> list[Finding]:
     angles = np.degrees(planned(t).position) * degree
     with setting.figure(1, 1, size=(6.0, 3.6)) as (_, axes):
         panel = axes[0, 0]
-        for joint in range(5):
-            panel.plot(t, angles[:, joint], color=COLORS[joint])
+        plot_joints(panel, t, angles)
         for joint, marks in enumerate(thesis.FIGURE_7_1):
             panel.plot((0, thesis.QUINTIC_S), marks, "o", color=COLORS[joint], markersize=4, clip_on=False)
-        label_lines(panel, angles[-1].tolist(), [f"{i} {name}" for i, name in enumerate(NAMES, 1)], COLORS[:5])
         panel.set(xlim=(0, thesis.QUINTIC_S), xlabel="time, s", ylabel="angle, rad")
         panel.set_title("Planned joint positions; dots: the values section 7 A prints")
     values, findings = ({"degree": degree}, {"degree": np.pi / 180}), []

@@ -122,14 +122,14 @@ def _row_3_of_4_9(states: States) -> np.ndarray:
 _DROPPED = "path 1 leaves out A2 A3, as if frames 1 and 3 were the same"
 _CLOSED_FORM = "the closed form of kinematics.inverse"
 
+
+def _angle(place: str, fault: str, fix: str, printed: Formula, right: Formula) -> Erratum:
+    """An erratum of an angle, compared within the joints' ranges."""
+    return Erratum(place, fault, fix, printed, right, "rad", angle=True, in_range=True)
+
+
 ERRATA = (
-    Erratum(
-        "(4.8)",
-        _DROPPED,
-        "A1 A2 A3 A4 A5",
-        path_1,
-        lambda states: np.moveaxis(states.true["pose"], 0, -1),
-    ),
+    Erratum("(4.8)", _DROPPED, "A1 A2 A3 A4 A5", path_1, lambda states: np.moveaxis(states.true["pose"], 0, -1)),
     Erratum(
         "(4.9), left side, row 3",
         "S4 and C4",
@@ -144,36 +144,21 @@ ERRATA = (
         lambda states: np.cos(states.q[3]) * np.sin(states.q[3]),
         lambda states: np.sin(states.q[0]) * np.cos(states.q[3]),
     ),
-    Erratum("(4.9), theta 1", _DROPPED, _CLOSED_FORM, theta1, _true(1), "rad", angle=True, in_range=True),
-    Erratum(
-        "(4.9), theta 4, the better sign",
-        _DROPPED,
-        _CLOSED_FORM,
-        _nearest(theta4, 4),
-        _true(4),
-        "rad",
-        angle=True,
-        in_range=True,
-    ),
-    Erratum(
+    _angle("(4.9), theta 1", _DROPPED, _CLOSED_FORM, theta1, _true(1)),
+    _angle("(4.9), theta 4, the better sign", _DROPPED, _CLOSED_FORM, _nearest(theta4, 4), _true(4)),
+    _angle(
         "(4.12), theta 2, given the true theta 4 + theta 5",
         "none",
         "",
         _nearest(lambda states, sign: theta2(states, _theta45(states), sign), 2),
         _true(2),
-        "rad",
-        angle=True,
-        in_range=True,
     ),
-    Erratum(
+    _angle(
         "(4.12), theta 3, given the true theta 4 + theta 5",
         "none",
         "",
         lambda states: theta3(states, _theta45(states)),
         _true(3),
-        "rad",
-        angle=True,
-        in_range=True,
     ),
     Erratum(
         "(4.8) to (4.12), the toe of the solution, given the true theta 5",
@@ -184,34 +169,25 @@ ERRATA = (
         "m",
         in_range=True,
     ),
-    Erratum(
+    _angle(
         "MATLAB script, theta41",
         "the root ends before the second square",
         "sqrt((px - l5 nx)^2 + (py - l5 ny)^2)",
         script_theta41,
         lambda states: theta4(states, 1.0),
-        "rad",
-        angle=True,
-        in_range=True,
     ),
-    Erratum(
+    _angle(
         "MATLAB script, theta31, given the true theta 4 + theta 5",
         "n_z cos + n_z sin",
         "n_z cos - o_z sin",
         script_theta31,
         _true(3),
-        "rad",
-        angle=True,
-        in_range=True,
     ),
-    Erratum(
+    _angle(
         "MATLAB script, theta5",
         "from path 1, with p + l5 n for p - l5 n; the text has no such formula",
         _CLOSED_FORM,
         script_theta5,
         _true(5),
-        "rad",
-        angle=True,
-        in_range=True,
     ),
 )
