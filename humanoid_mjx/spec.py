@@ -317,7 +317,10 @@ def known(name: str, names: Iterable[str]) -> str:
 
 def sentence(error: pydantic.ValidationError, where: str, model: type[pydantic.BaseModel] | None = None) -> str:
     """The first fault of a pydantic error as one sentence that names the key and what would be right."""
-    fault: dict[str, Any] = {"ctx": {}} | dict(error.errors()[0])
+    faults = error.errors()
+    # A key that is nearly right is also missing: its near name says more.
+    first = next((fault for fault in faults if fault["type"] == "extra_forbidden"), faults[0])
+    fault: dict[str, Any] = {"ctx": {}} | dict(first)
     parts = [str(part) for part in (where, *fault["loc"])]
     key = ".".join(part for part in parts if part != "" and "[" not in part)  # in brackets stand kinds, not keys
     got = f", got {shown(fault['input'])}"

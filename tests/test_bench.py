@@ -221,7 +221,10 @@ def test_what_is_not_known_is_left_out():
 def test_a_record_with_keys_that_are_no_longer_measured_is_compared():
     before = compare.read_result(Path(__file__).parent.parent / "docs" / "bench" / "cpu_2_cores.json")
     assert "limit" in before and any("limit_of" in record for record in before["records"])
-    assert len(compare.changes(before, before)) == len(before["records"])
+    found = compare.changes(before, before)
+    # Some are of one key, as `mujoco` at 4,096 in several benchmarks: each is compared with itself.
+    assert len({change.key for change in found}) < len(found) == len(before["records"])
+    assert all(change.before == change.after for change in found)
 
 
 def result(**values):

@@ -29,6 +29,20 @@ def test_the_tables_come_out_with_the_recovered_rate(tmp_path):
     assert set(stored[0]) == {"name", "quantity", "printed", "reproduced", "tolerance", "verdict", "why"}
 
 
+def test_verdicts_of_earlier_calls_stay(tmp_path):
+    reproduce(["table-7.2"], tmp_path)
+    reproduce(["table-7.1"], tmp_path, ["learner.learning_rate=0.9"])
+    reproduce(["table-7.1"], tmp_path)
+    stored = json.loads((tmp_path / "reproduce.json").read_text())
+    assert [(entry["name"], entry["verdict"]) for entry in stored] == [
+        ("table-7.1", "recovered"), ("table-7.2", "recovered")
+    ]  # fmt: skip
+    assert set(json.loads((tmp_path / "reproduce_times.json").read_text())) == {"table-7.1", "table-7.2"}
+    (tmp_path / "reproduce.json").write_text('{"half')
+    reproduce(["table-7.1"], tmp_path)
+    assert len(json.loads((tmp_path / "reproduce.json").read_text())) == 1
+
+
 def test_the_tables_do_not_come_out_with_the_printed_rate(tmp_path):
     assert verdicts(reproduce(TABLES, tmp_path, ["learner.learning_rate=0.9"])) == ["differs"] * 3
 

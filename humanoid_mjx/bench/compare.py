@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections import Counter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -60,10 +61,10 @@ def read_result(path: Path) -> dict[str, Any]:
 
 
 def changes(before: dict[str, Any], after: dict[str, Any]) -> list[Change]:
-    """What both results measured, in the order of the second."""
-    old = {_key(record): record for record in before["records"]}
-    pairs = [(old[_key(new)], new) for new in after["records"] if _key(new) in old]
-    return [Change(_key(new), a["value"], new["value"], noise(a, new)) for a, new in pairs]
+    """The figures that both results have, in the order of the second."""
+    old, new = (_numbered(result["records"]) for result in (before, after))
+    pairs = [(key, old[key, number], record) for (key, number), record in new.items() if (key, number) in old]
+    return [Change(key, a["value"], b["value"], noise(a, b)) for key, a, b in pairs]
 
 
 def noise(before: dict[str, Any], after: dict[str, Any]) -> float:
@@ -97,10 +98,21 @@ def warnings(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
         old, new = before.get(part, {}), after.get(part, {})
         differing = [name for name in sorted({*old, *new}) if old.get(name) != new.get(name)]
         lines += [f"{part}: {name} was {old.get(name)}, is {new.get(name)}" for name in differing]
-    keys = [{_key(record) for record in result["records"]} for result in (before, after)]
+    keys = [_numbered(result["records"]).keys() for result in (before, after)]
     if missing := len(keys[0] - keys[1]):
         lines.append(f"{missing} of the first result's figures are not in the second.")
     return lines
+
+
+def _numbered(records: list[dict[str, Any]]) -> dict[tuple[Any, int], dict[str, Any]]:
+    """Records by their key and, as several benchmarks measure the same thing, the number of records before it that have
+    this key, too."""
+    counts: Counter[Any] = Counter()
+    found = {}
+    for record in records:
+        found[_key(record), counts[_key(record)]] = record
+        counts[_key(record)] += 1
+    return found
 
 
 def _key(record: dict[str, Any]) -> tuple[Any, ...]:

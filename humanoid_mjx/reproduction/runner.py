@@ -2,7 +2,7 @@
 
 import json
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from importlib import import_module
@@ -52,7 +52,7 @@ def reproduce(
 ) -> list[Finding]:
     """Run experiments (all, if none is named) and write their figures, `reproduce.json` and what time each took,
     `reproduce_times.json`, into `out`: `wall_s` on the clock, and `cpu_s` of all cores together, which other work on
-    the machine hardly changes.
+    the machine hardly changes. Verdicts and times of other experiments that stand there already stay.
 
     Args:
       say: called after each experiment with what it found and the seconds it took.
@@ -70,7 +70,10 @@ def reproduce(
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"--out {out}: cannot be written: {error.strerror}.") from error
-    findings, times = [], {}
+    names = [experiment.name for experiment in chosen]
+    findings, earlier = [], [each for each in _stored(out / "reproduce.json", list) if each.get("name") not in names]
+    times = _stored(out / "reproduce_times.json", dict)
+    place = {name: number for number, name in enumerate(experiments)}
     for experiment, setting in zip(chosen, settings, strict=True):
         start, cpu_start = time.perf_counter(), time.process_time()
         found = experiment.run(replace(setting, tell=partial(tell, experiment)))
@@ -79,13 +82,22 @@ def reproduce(
         times[experiment.name] = {"wall_s": round(wall_s, 2), "cpu_s": round(cpu_s, 2)}
         say(experiment, found, wall_s)
         findings += found
-        write_findings(out / "reproduce.json", findings)
+        everything = [*earlier, *map(asdict, findings)]
+        everything.sort(key=lambda finding: place.get(finding.get("name"), len(place)))
+        write_text(out / "reproduce.json", json.dumps(everything, indent=2) + "\n")
         write_text(out / "reproduce_times.json", json.dumps(times, indent=2) + "\n")
     return findings
 
 
-def write_findings(path: Path, findings: Iterable[Finding]) -> None:
-    write_text(path, json.dumps([asdict(finding) for finding in findings], indent=2) + "\n")
+def _stored(path: Path, kind: type) -> Any:
+    """What an earlier call wrote; an empty `kind` where that is nothing or damaged."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return kind()
+    if isinstance(found, list):
+        found = [each for each in found if isinstance(each, dict)]
+    return found if isinstance(found, kind) else kind()
 
 
 def _setting(experiment: Experiment, out: Path, overrides: Sequence[str], named: bool) -> Setting:
