@@ -300,6 +300,15 @@ ELSEWHERE = {
 """Names of keys in other libraries, and what they are here."""
 
 
+SHOWN_LETTERS = 200
+
+
+def shown(value: Any) -> str:
+    """A value that a user wrote, cut to what a sentence can bear."""
+    text = repr(value)
+    return text if len(text) <= SHOWN_LETTERS else f"{text[:SHOWN_LETTERS]}..."
+
+
 def known(name: str, names: Iterable[str]) -> str:
     """Say which names are known, the likely one first."""
     names = sorted(names)
@@ -309,10 +318,13 @@ def known(name: str, names: Iterable[str]) -> str:
 
 def sentence(error: pydantic.ValidationError, where: str, model: type[pydantic.BaseModel] | None = None) -> str:
     """The first fault of a pydantic error as one sentence that names the key and what would be right."""
-    fault: dict[str, Any] = {"ctx": {}} | dict(error.errors()[0])
+    faults = error.errors()
+    # A key that is nearly right is also missing: its near name says more.
+    first = next((fault for fault in faults if fault["type"] == "extra_forbidden"), faults[0])
+    fault: dict[str, Any] = {"ctx": {}} | dict(first)
     parts = [str(part) for part in (where, *fault["loc"])]
     key = ".".join(part for part in parts if part != "" and "[" not in part)  # in brackets stand kinds, not keys
-    got = f", got {fault['input']!r}"
+    got = f", got {shown(fault['input'])}"
     match fault["type"]:
         case "extra_forbidden":
             fields = [n for n, f in _fields(model, fault["loc"][:-1]).items() if not f.exclude]

@@ -11,9 +11,9 @@ from typing import Any
 import pydantic
 import yaml
 
-from humanoid_mjx.config.axes import Sweep, shown
+from humanoid_mjx.config.axes import Sweep
 from humanoid_mjx.files import folder, shipped
-from humanoid_mjx.spec import InputError, sentence
+from humanoid_mjx.spec import InputError, sentence, shown
 
 BELOW = {
     **{key: f"sweep.{key}" for key in ("axes", "mode", "points")},

@@ -8,15 +8,13 @@ from typing import Any, Literal
 import numpy as np
 import pydantic
 
-from humanoid_mjx.spec import InputError
+from humanoid_mjx.spec import InputError, shown
 
 MAX_POINTS = 100_000
 """The most points of a sweep. Each is checked by itself, which takes time and kilobytes of memory."""
 
 LARGEST = float(np.finfo(np.float32).max)
 """The largest number that training can have."""
-
-SHOWN_LETTERS = 200
 
 Axis = list | dict[str, list]
 
@@ -84,12 +82,6 @@ def axis_values(name: str, axis: Axis) -> list:
         raise InputError(f"sweep.axes.{name}: logspace needs ends above 0, got {shown(low)} and {shown(high)}.")
     space = np.linspace if kind == "linspace" else np.geomspace
     return [float(v) for v in space(low, high, count)]
-
-
-def shown(value: Any) -> str:
-    """A value that a user wrote, cut to what a sentence can bear."""
-    text = repr(value)
-    return text if len(text) <= SHOWN_LETTERS else f"{text[:SHOWN_LETTERS]}..."
 
 
 def _draw(rng: np.random.Generator, name: str, axis: Axis, count: int) -> list:
