@@ -38,7 +38,7 @@ def scene_data(motion: scene.Scene, title: str) -> dict[str, Any]:
         "field": np.tan(np.radians(scene.FIELD_OF_VIEW / 2)),
         "distance": motion.distance,
         "light": scene.LIGHT.tolist(),
-        "brightness": [scene.AMBIENT, scene.DIFFUSE, scene.HEADLIGHT],
+        "brightness": [scene.AMBIENT, scene.DIFFUSE, scene.HEADLIGHT, scene.SKYLIGHT],
         "middle": float(motion.middle[0, 2]),
         "grid": motion.grid,
         "arrow": motion.arrow,
