@@ -657,7 +657,7 @@
       for (const [title, lines] of Object.entries(this.latest.charts)) {
         if (!this.charts.has(title)) {
           const canvas = make("canvas", { height: 80, width: 300 }), legend = make("p", { className: "legend" });
-          const few = title in this.told || title.startsWith("load");
+          const few = title in this.told || title.startsWith("load") || (!Object.keys(this.told).length && title.startsWith("joint"));
           const details = make("details", { open: few }, make("summary", {}, title), canvas, legend);
           this.panel.append(details);
           this.charts.set(title, { details, canvas, legend });
