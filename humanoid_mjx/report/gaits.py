@@ -72,7 +72,7 @@ def remarks(gaits: Sequence[Gait], beyond: Sequence[str]) -> list[str]:
     seeds = max(len(gait.figures["success"].seeds) for gait in gaits)
     many = "medians over the training seeds, with the worst seed in brackets"
     one = (
-        "means over the episodes, with the worse end of the 95 % interval in brackets: 100% (68%) says that all of them "
+        "means over the episodes, with the worse end of the 95 % interval in brackets: 100% (68%) says that all "
         "succeeded, and that in the long run 68% would or more"
     )
     meanings = "; ".join(f"{_column(heading)}: {FIGURES[name].meaning}" for heading, name, *_ in COLUMNS)
