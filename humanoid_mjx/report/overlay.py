@@ -11,9 +11,6 @@ from humanoid_mjx.evaluation.film import Film, Push
 from humanoid_mjx.report.raycast import Frame
 from humanoid_mjx.report.scene import Scene, make_camera
 
-SHOWN_S = 0.5
-"""A push is shown for at least so long: most last shorter than the eye takes to see them."""
-
 INK, ALARM = (32, 32, 32), (193, 18, 31)
 
 MARGIN = 10
@@ -32,7 +29,7 @@ def annotate(frame: Frame, film: Film, scene: Scene, number: int, seconds: float
     width, height = image.size
     letter = letter_of(height)
     for push in film.pushes:
-        if push.start <= seconds + 1e-9 < push.start + max(push.seconds, SHOWN_S):
+        if push.start <= seconds + 1e-9 < push.start + push.shown:
             _draw_push(draw, push, scene, number, (width, height))
     if film.title:
         title = _fitting(film.title, width - 2 * MARGIN - 5 * letter, letter, bold=True)
