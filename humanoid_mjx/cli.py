@@ -186,6 +186,12 @@ def play(
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="A .gif, .mp4, .webm or .png; by default RUN/figures/play.gif.")
     ] = None,
+    size: Annotated[
+        str | None, typer.Option(metavar="WxH", help="Pixels of the video or of each picture, 480x360.")
+    ] = None,
+    fps: Annotated[
+        float | None, typer.Option(metavar="N", min=1, max=100, help="Pictures a second of the video, 25.")
+    ] = None,
     view: Annotated[
         bool, typer.Option("--view", help="Drive the robot in the browser instead; no other machine sees it.")
     ] = False,
@@ -198,7 +204,7 @@ def play(
     from humanoid_mjx.commands.play import run_play
 
     with _trusting(trust, policy):
-        run_play(policy, point, set_ or [], physics, episode, out, view, port)
+        run_play(policy, point, set_ or [], physics, episode, out, size, fps, view, port)
 
 
 @app.command()

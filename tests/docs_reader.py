@@ -128,7 +128,7 @@ class Reader:
         for folder in run:
             assert str(folder) in self.folders | self.earlier, folder
 
-    def play(self, policy, point, set_, physics, episode, out, view, trust):
+    def play(self, policy, point, set_, physics, episode, out, size, fps, view, port, trust):
         self.has(policy)
         self.changes(policy, set_)
         self.simulates(physics)

@@ -2,6 +2,8 @@
 
 import http.client
 import json
+import os
+import signal
 import sys
 import threading
 import time
@@ -20,7 +22,7 @@ from humanoid_mjx.control.laws import ServoLaw
 from humanoid_mjx.evaluation.live import SPEEDS, Grab, Live, LiveMujoco, Stage
 from humanoid_mjx.evaluation.policy import Trained, find_policy
 from humanoid_mjx.physics import make_physics
-from humanoid_mjx.report.live import Window, make_server
+from humanoid_mjx.report.live import Window, make_server, serve
 from humanoid_mjx.robot import make_robot
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.plan import make_plan
@@ -212,6 +214,19 @@ def test_messages_that_mean_nothing_change_nothing(walking, message):
 def test_a_port_that_is_taken(walking):
     with pytest.raises(InputError, match=f"--port {walking.port}: "):
         make_server(walking.live, walking.port)
+
+
+def test_ctrl_c_ends_it_in_silence():
+    live, told = Live(find_policy("posture_switch")), []
+
+    def interrupt():
+        while not live.ready or live.stage.time < 0.1:
+            time.sleep(0.02)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    threading.Thread(target=interrupt, daemon=True).start()
+    serve(live, told.append, browse=False)  # returns
+    assert told[0].startswith("http://127.0.0.1:") and live.stage.time >= 0.1
 
 
 def test_a_robot_with_a_physics_of_its_own_is_seen_but_not_touched():

@@ -62,13 +62,13 @@ def test_a_motion_is_that_of_the_task(switched):
 
 
 def test_play_writes_an_animation(switched):
-    done = CliRunner().invoke(app, ["play", str(switched)])
+    done = CliRunner().invoke(app, ["play", str(switched), "--fps", "50", "--size", "64x80"])
     assert done.exit_code == 0, done.output
     assert "succeeds in" in done.output
     for phase in ("loading", "simulating", "rendering"):
         assert phase in done.output
     with Image.open(switched / "figures" / "play.gif") as image:
-        assert image.n_frames > 25 * HOLD_S
+        assert image.n_frames > 50 * HOLD_S and image.size == (64, 80)
 
 
 def test_play_shows_a_changed_world(switched, tmp_path):
@@ -87,6 +87,11 @@ def test_the_file_is_looked_at_before_any_work(switched, tmp_path, monkeypatch):
         (["--out", str(tmp_path / "x.avi")], "must end in .gif, .mp4, .webm or .png"),
         (["--out", str(tmp_path / "none" / "x.gif")], "there is no folder"),
         (["--out", str(tmp_path / "x.gif"), "--view"], "choose one"),
+        (["--size", "640x480", "--view"], "choose one"),
+        (["--size", "640"], "write WIDTHxHEIGHT, such as 640x480: even numbers from 64 to 4096"),
+        (["--size", "641x480"], "even numbers"),
+        (["--port", "8000"], "only --view has a server"),
+        (["--physics", "tree", "--view"], "native MuJoCo; leave this out"),
     ):
         done = CliRunner().invoke(app, ["play", str(switched), *arguments])
         assert isinstance(done.exception, InputError) and sentence in str(done.exception)

@@ -12,7 +12,7 @@ from scipy.spatial import ConvexHull
 
 from humanoid_mjx.evaluation.film import Film, Push, in_words, merged
 from humanoid_mjx.report import rendering
-from humanoid_mjx.report.overlay import ALARM, annotate
+from humanoid_mjx.report.overlay import ALARM, MARGIN, annotate, letter_of
 from humanoid_mjx.report.raycast import GROUND, SHADOW, Painter
 from humanoid_mjx.report.rendering import HEIGHT, STRIP, WIDTH, draw, render_film
 from humanoid_mjx.report.scene import LIGHT, make_camera, make_scene
@@ -105,9 +105,10 @@ def test_a_strip_of_frames(tmp_path, motion):
 
 def test_an_animation_runs_at_the_speed_of_the_motion(tmp_path, motion):
     told = []
-    path = render_film(Film(MODEL, motion[:3], 0.1), tmp_path / "knee.gif", fps=10, tell=lambda *so: told.append(so))
+    film, tell = Film(MODEL, motion[:3], 0.1), lambda *so: told.append(so)
+    path = render_film(film, tmp_path / "knee.gif", fps=10, size=(96, 64), tell=tell)
     with Image.open(path) as image:
-        assert (image.size, image.n_frames, image.info["duration"]) == ((WIDTH, HEIGHT), 3, 100)
+        assert (image.size, image.n_frames, image.info["duration"]) == ((96, 64), 3, 100)
     assert told == [(1, 3), (2, 3), (3, 3)]
 
 
@@ -117,6 +118,20 @@ def test_videos(tmp_path, motion, ending, mark):
         pytest.skip("there is no ffmpeg here; the extra `video` brings one")
     path = render_film(Film(MODEL, motion, 0.04), tmp_path / f"knee{ending}")
     assert mark in path.read_bytes()[:12] and len(list(tmp_path.iterdir())) == 1
+
+
+def test_words_are_above_and_below_the_robot():
+    """Also of a robot whose head is high: the rows in which title and command stand show sky and ground alone."""
+    tall = mujoco.MjModel.from_xml_string("""<mujoco><statistic extent="0.5"/><worldbody>
+      <geom type="plane" size="0 0 1"/>
+      <body pos="0 0 1"><freejoint/><geom type="capsule" fromto="0 0 -.9 0 0 .4" size=".1"/>
+        <geom pos="0 0 .6" size=".15"/></body></worldbody></mujoco>""")
+    for model in (tall, MODEL):
+        painter, rows = Painter(make_scene(model, model.qpos0[None]), WIDTH, HEIGHT), MARGIN + letter_of(HEIGHT) + 2
+        painter.colors[:] = [1.0, 0.0, 0.0]
+        picture = painter.paint(0).astype(int)
+        red = np.flatnonzero((picture[..., 0] > picture[..., 1] + 60).any(axis=1))
+        assert rows <= red[0] < HEIGHT / 2 < red[-1] <= HEIGHT - rows
 
 
 def test_pictures_show_the_motion(motion):

@@ -1,5 +1,6 @@
 """What `humanoid-mjx play` and `humanoid-mjx export` do: trained results and robots for other programs to show."""
 
+import re
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -19,20 +20,25 @@ def run_play(
     physics: str | None,
     episode: int,
     out: Path | None,
+    size: str | None,
+    fps: float | None,
     view: bool,
     port: int | None,
 ) -> None:
     """`humanoid-mjx play`."""
     from humanoid_mjx.report.video import check_file
 
-    if view and out is not None:
-        raise InputError("play: --view shows the robot in the browser and --out writes a file; choose one.")
+    if view and (out or size or fps):
+        raise InputError(
+            "play: --view shows the robot in the browser; --out, --size and --fps are of a file: choose one."
+        )
     if view and physics not in (None, "mujoco"):
         raise InputError(f"--physics {physics}: --view moves the robot in native MuJoCo; leave this out.")
     if port is not None and not view:
         raise InputError("--port: only --view has a server.")
     if out is not None:
         check_file(out)
+    pixels = _pixels(size) if size else None
     start_for(physics, overrides)
     if physics in (None, "mujoco"):
         jax.config.update("jax_platforms", "cpu")  # one robot in native MuJoCo gains nothing by a GPU
@@ -44,12 +50,12 @@ def run_play(
         if not view:
             from humanoid_mjx.commands.notebook import film_file
             from humanoid_mjx.evaluation.film import show
-            from humanoid_mjx.report.rendering import render_film
+            from humanoid_mjx.report.rendering import FPS, render_film
 
             shown = show(trained if physics else on_native(trained), bar, episode)
             target = out or film_file(Path(name), trained.name)
             bar.phase("rendering")
-            render_film(shown.film, target, tell=bar.count)
+            render_film(shown.film, target, fps or FPS, pixels, bar.count)
             console.print(shown.outcome)
             console.print(f"{target}", soft_wrap=True)
             return
@@ -61,6 +67,15 @@ def run_play(
 
     with suppress(KeyboardInterrupt):
         serve(Live(trained, episode), told, port=port or 0)
+
+
+def _pixels(size: str) -> tuple[int, int]:
+    """Width and height of `--size`."""
+    found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", size)
+    width, height = (int(number) for number in found.groups()) if found else (0, 0)
+    if not all(64 <= number <= 4096 and number % 2 == 0 for number in (width, height)):
+        raise InputError(f"--size {size}: write WIDTHxHEIGHT, such as 640x480: even numbers from 64 to 4096.")
+    return width, height
 
 
 def run_export(what: str, file: Path, point: int | None) -> None:

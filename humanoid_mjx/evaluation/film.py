@@ -16,6 +16,9 @@ from humanoid_mjx.types import AnyArray
 SHORT_S = 0.25
 """Length, s, below which a push is described by its impulse, and from which by its force."""
 
+SHOWN_S = 0.5
+"""A push is shown for at least so long, s."""
+
 
 class Push(NamedTuple):
     """A force on the torso."""
@@ -25,6 +28,11 @@ class Push(NamedTuple):
     seconds: float
     force: Float[np.ndarray, "3"]
     """N, world."""
+
+    @property
+    def shown(self) -> float:
+        """How long it is shown, s: most pushes last shorter than the eye takes to see them."""
+        return max(self.seconds, SHOWN_S)
 
     @property
     def words(self) -> str:

@@ -269,7 +269,7 @@ class Live:
         """Bodies whose load is shown."""
         self.rewards: dict[str, float] = {}
         """Of the last decision, by the names of the reward's terms."""
-        self.words = "compiling"
+        self.words, self.ready = "compiling", False
         self.episode = episode
         self.again = threading.Event()
         """Set: begin `episode` anew."""
@@ -288,7 +288,8 @@ class Live:
         """Move the robot until `stop`, or until the thread is interrupted."""
         number = jnp.int32(self.episode)
         state, steps = single(begun)(self.learner, number), 0
-        state = self._decide(number, state, steps)  # compiles, and is not shown
+        state = self._decide(number, state, steps)  # compiles
+        self.ready = True
         while not self.over:
             self.again.clear()
             self.stage.forget()

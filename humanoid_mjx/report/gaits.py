@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from rich.table import Table
 
+from humanoid_mjx.evaluation.gait.figures import FIGURES
 from humanoid_mjx.evaluation.gait.summary import Gait, Summary
 
 COLUMNS = (
@@ -41,6 +42,12 @@ def gait_table(title: str, gaits: Sequence[Gait], beyond: Sequence[str] = ()) ->
     return table
 
 
+def _column(heading: str) -> str:
+    """A column's heading in one line."""
+    name, _, unit = heading.partition("\n")
+    return f"{name} ({unit})" if unit else name
+
+
 def _cell(summary: Summary, form: str, ends: bool) -> str:
     if not np.isfinite(summary.median):
         return ""
@@ -63,13 +70,13 @@ def bad_end(summary: Summary) -> float:
 def remarks(gaits: Sequence[Gait], beyond: Sequence[str]) -> list[str]:
     """Lines that belong below the table."""
     seeds = max(len(gait.figures["success"].seeds) for gait in gaits)
-    many = "medians over the training seeds; in brackets the worst of them"
-    one = "means over the episodes; in brackets the worse end of the 95 % interval"
-    lines = [
-        f"Figures are {many if seeds > 1 else one}. Errors are of means over whole gait cycles near 1 s; drift: from a "
-        "straight way; off: how far the heading has changed; duty: share of the time that a foot carries weight; lift: "
-        "of a foot in a step; cost: of transport."
-    ]
+    many = "medians over the training seeds, with the worst seed in brackets"
+    one = (
+        "means over the episodes, with the worse end of the 95 % interval in brackets: 100% (68%) says that all "
+        "succeeded, and that in the long run 68% would or more"
+    )
+    meanings = "; ".join(f"{_column(heading)}: {FIGURES[name].meaning}" for heading, name, *_ in COLUMNS)
+    lines = [f"Figures are {many if seeds > 1 else one}.", f"{meanings}. A window is whole gait cycles, near 1 s."]
     if beyond:
         lines.append("* a command beyond those of training")
     for gait in gaits:

@@ -3,6 +3,7 @@
 import json
 import math
 import random
+import signal
 import threading
 import webbrowser
 from collections.abc import Callable, Iterator, Mapping
@@ -42,13 +43,23 @@ def serve(live: Live, told: Callable[[str], None], *, port: int = 0, browse: boo
     Raises:
       InputError: the port is taken.
     """
+
+    def end(*_: Any) -> None:
+        if not live.ready:
+            raise KeyboardInterrupt
+        live.stop()  # an exception would arise within a step of the physics, of which jax makes a failure
+
     with make_server(live, port) as server:
         address = f"http://{LOOPBACK}:{server.server_address[1]}/"
         threading.Thread(target=server.serve_forever, daemon=True).start()
         told(address)
         if browse:
             threading.Thread(target=partial(webbrowser.open, address), daemon=True).start()
-        live.run()
+        before = signal.signal(signal.SIGINT, end)
+        try:
+            live.run()
+        finally:
+            signal.signal(signal.SIGINT, before)
 
 
 def make_server(live: Live, port: int = 0) -> ThreadingHTTPServer:

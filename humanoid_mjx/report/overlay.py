@@ -11,13 +11,15 @@ from humanoid_mjx.evaluation.film import Film, Push
 from humanoid_mjx.report.raycast import Frame
 from humanoid_mjx.report.scene import Scene, make_camera
 
-SHOWN_S = 0.5
-"""A push is shown for at least so long: most last shorter than the eye takes to see them."""
-
 INK, ALARM = (32, 32, 32), (193, 18, 31)
 
-MARGIN, LETTER = 10, 14
-"""Margin and height of a letter, pixels."""
+MARGIN = 10
+"""pixels"""
+
+
+def letter_of(height: int) -> int:
+    """Height of a letter on a picture of so many pixels from top to bottom."""
+    return max(9, height // 26)
 
 
 def annotate(frame: Frame, film: Film, scene: Scene, number: int, seconds: float, clock: bool = True) -> Frame:
@@ -25,15 +27,18 @@ def annotate(frame: Frame, film: Film, scene: Scene, number: int, seconds: float
     image = Image.fromarray(frame)
     draw = ImageDraw.Draw(image)
     width, height = image.size
+    letter = letter_of(height)
     for push in film.pushes:
-        if push.start <= seconds + 1e-9 < push.start + max(push.seconds, SHOWN_S):
+        if push.start <= seconds + 1e-9 < push.start + push.shown:
             _draw_push(draw, push, scene, number, (width, height))
     if film.title:
-        _write(draw, (MARGIN, MARGIN), _fitting(film.title, width - 2 * MARGIN - 70), "la", bold=True)
+        title = _fitting(film.title, width - 2 * MARGIN - 5 * letter, letter, bold=True)
+        _write(draw, (MARGIN, MARGIN), title, "la", letter, bold=True)
     if clock:
-        _write(draw, (width - MARGIN, MARGIN), f"{seconds:.2f} s", "ra")
+        _write(draw, (width - MARGIN, MARGIN), f"{seconds:.2f} s", "ra", letter)
     if words := film.asked(seconds):
-        _write(draw, (MARGIN, height - MARGIN), _fitting(words, width - 2 * MARGIN), "ld")
+        words = _fitting(words, width - 2 * MARGIN, letter, bold=False)
+        _write(draw, (MARGIN, height - MARGIN), words, "ld", letter)
     return np.asarray(image)
 
 
@@ -49,9 +54,10 @@ def _draw_push(draw: ImageDraw.ImageDraw, push: Push, scene: Scene, number: int,
     barbs = [head, head - 14 * along + 7 * across, head - 14 * along - 7 * across]
     draw.line([_pixel(tail), _pixel(head - 10 * along)], fill=ALARM, width=4)
     draw.polygon([_pixel(point) for point in barbs], fill=ALARM)
-    beside = tail[0], tail[1] + (LETTER if along[1] < -0.3 else -LETTER)
+    letter = letter_of(size[1])
+    beside = tail[0], tail[1] + (letter if along[1] < -0.3 else -letter)
     place = np.clip(beside, [60, 40], [size[0] - 60, size[1] - 40])
-    _write(draw, _pixel(place), push.words, "mm", ALARM)
+    _write(draw, _pixel(place), push.words, "mm", letter, ALARM)
 
 
 def _pixel(point: Float[np.ndarray, "2"]) -> tuple[float, float]:
@@ -63,26 +69,27 @@ def _write(
     place: tuple[float, float],
     text: str,
     anchor: str,
+    letter: int,
     color: tuple[int, int, int] = INK,
     bold: bool = False,
 ) -> None:
     """Text with a white rim, readable on everything."""
-    draw.text(place, text, color, _font(bold), anchor, stroke_width=2, stroke_fill=(255, 255, 255))
+    draw.text(place, text, color, _font(letter, bold), anchor, stroke_width=2, stroke_fill=(255, 255, 255))
 
 
-def _fitting(text: str, width: int) -> str:
+def _fitting(text: str, width: float, letter: int, bold: bool) -> str:
     """A text, its end cut off where it is wider than so many pixels."""
-    line = " ".join(text.split())
-    if _font(False).getlength(line) <= width:
+    line, font = " ".join(text.split()), _font(letter, bold)
+    if font.getlength(line) <= width:
         return line
-    while line and _font(False).getlength(line + "…") > width:
+    while line and font.getlength(line + "…") > width:
         line = line[:-1]
     return line + "…"
 
 
 @lru_cache
-def _font(bold: bool) -> ImageFont.FreeTypeFont:
+def _font(letter: int, bold: bool) -> ImageFont.FreeTypeFont:
     """The font that matplotlib brings."""
     return ImageFont.truetype(
-        findfont(FontProperties(family="DejaVu Sans", weight="bold" if bold else "normal")), LETTER
+        findfont(FontProperties(family="DejaVu Sans", weight="bold" if bold else "normal")), letter
     )

@@ -246,7 +246,7 @@
     }
 
     drawGround(context, camera, target, matrices, ground) {
-      const { grid, light } = this.data, reach = 1.6;
+      const { grid, light } = this.data, reach = 16 * grid;
       const [x0, y0] = target.slice(0, 2).map((x) => Math.round(x / grid) * grid);
       context.lineWidth = Math.max(1, camera.height / 500);
       for (let k = -16; k <= 16; k++) {
@@ -287,7 +287,7 @@
     // Triangles with a depth buffer into a picture of their own, finer than the canvas, which smooths the edges.
     drawSolids(context, camera, matrices) {
       const fine = Math.min(2, Math.sqrt(FINE / (camera.width * camera.height))), triangles = [];
-      const [ambient, diffuse, headlight] = this.data.brightness;
+      const [ambient, diffuse, headlight, skylight] = this.data.brightness;
       let left = Infinity, right = -Infinity, top = Infinity, bottom = -Infinity;
       matrices.forEach((matrix, s) => this.solids[s].forEach((f) => {
         const first = moved(matrix, f.corners[0].point);
@@ -295,7 +295,7 @@
         const seen = f.corners.map(({ point, normal }) => {
           const at = camera.see(moved(matrix, point)), out = turned(matrix, normal);
           const facing = (way) => Math.max(0, -dot(out, way));
-          const light = ambient * (1 + 0.2 * out[2]) + diffuse * facing(this.data.light) + headlight * facing(camera.forward);
+          const light = ambient * (1 + skylight * out[2]) + diffuse * facing(this.data.light) + headlight * facing(camera.forward);
           return at && [at[0] * fine, at[1] * fine, 1 / at[2], light];
         });
         if (seen.some((p) => !p)) return;
@@ -657,7 +657,7 @@
       for (const [title, lines] of Object.entries(this.latest.charts)) {
         if (!this.charts.has(title)) {
           const canvas = make("canvas", { height: 80, width: 300 }), legend = make("p", { className: "legend" });
-          const few = title in this.told || title.startsWith("load");
+          const few = title in this.told || title.startsWith("load") || (!Object.keys(this.told).length && title.startsWith("joint"));
           const details = make("details", { open: few }, make("summary", {}, title), canvas, legend);
           this.panel.append(details);
           this.charts.set(title, { details, canvas, legend });

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from humanoid_mjx.evaluation.film import Film
-from humanoid_mjx.report import overlay, scene
+from humanoid_mjx.report import scene
 
 FPS = 25.0
 """Postures per second that a page holds; the player draws what lies between."""
@@ -38,7 +38,7 @@ def scene_data(motion: scene.Scene, title: str) -> dict[str, Any]:
         "field": np.tan(np.radians(scene.FIELD_OF_VIEW / 2)),
         "distance": motion.distance,
         "light": scene.LIGHT.tolist(),
-        "brightness": [scene.AMBIENT, scene.DIFFUSE, scene.HEADLIGHT],
+        "brightness": [scene.AMBIENT, scene.DIFFUSE, scene.HEADLIGHT, scene.SKYLIGHT],
         "middle": float(motion.middle[0, 2]),
         "grid": motion.grid,
         "arrow": motion.arrow,
@@ -52,10 +52,7 @@ def film_data(film: Film) -> dict[str, Any]:
     """Return what `player.js` reads of a film: the scene, and for each frame a position, m, and a quaternion (w x y z)
     of each shape."""
     motion = scene.make_scene(film.model, film.at(FPS)[0])
-    pushes = [
-        {"start": p.start, "seconds": max(p.seconds, overlay.SHOWN_S), "force": p.force.tolist(), "words": p.words}
-        for p in film.pushes
-    ]
+    pushes = [{"start": p.start, "seconds": p.shown, "force": p.force.tolist(), "words": p.words} for p in film.pushes]
     return scene_data(motion, film.title) | {
         "fps": FPS,
         "frames": [poses(*frame) for frame in zip(motion.position, motion.rotation, strict=True)],

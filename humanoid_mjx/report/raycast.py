@@ -7,25 +7,28 @@ is almost parallel, to find shadows.
 
 import copy
 from collections.abc import Callable
+from functools import partial
 from itertools import product
 
 import mujoco
 import numpy as np
 from jaxtyping import Bool, Float, Int32, UInt8
 
-from humanoid_mjx.report.scene import AMBIENT, DIFFUSE, HEADLIGHT, LIGHT, Camera, Scene, colored, make_camera
+from humanoid_mjx.report.scene import AMBIENT, DIFFUSE, HEADLIGHT, LIGHT, SKYLIGHT, Camera, Scene, colored, make_camera
 
 OVERSAMPLED = 2
-"""Rays across and down each pixel, whose mean smooths the edges."""
+"""Rays across and down each pixel at an edge, whose mean smooths it."""
 
 SKY, HORIZON = np.array([0.80, 0.86, 0.92]), np.ones(3)
 GROUND, LINE = np.array([0.93, 0.93, 0.92]), np.array([0.74, 0.75, 0.76])
-LINE_M = 0.002
+LINE = 0.02
+"""Width of a line on the ground, as a share of the distance between two."""
+
 SHADOW = 0.72
 """Share of the light that is left in the shadow."""
 
-FAR_M = 3.0
-"""The ground fades into the horizon from half as far to there."""
+FAR = 30.0
+"""The ground fades into the horizon from half as far to there, in distances between two lines."""
 
 LAMP_M = 1000.0
 """Distance of the lamp from the torso, m."""
@@ -39,50 +42,58 @@ Rays = Float[np.ndarray, "height width rays 3"]
 Vector = Float[np.ndarray, "3"]
 Depths = Float[np.ndarray, " points"]
 Points = Float[np.ndarray, "points 3"]
+Values = Float[np.ndarray, "points values"]
+Kinds = Int32[np.ndarray, " points"]
 Shaded = Callable[[Points], Bool[np.ndarray, " points"]]
 
 
 class Painter:
-    """Paints frames of one scene."""
+    """Paints frames of one scene; several threads may paint at once."""
 
     def __init__(self, scene: Scene, width: int, height: int):
         self.scene, self.size, self.camera = scene, (width, height), make_camera(height)
         self.rays = _rays(self.camera, width, height)
-        self.sky = _sky(self.rays.mean(axis=2))
+        self.middles = self.rays.mean(axis=2)
+        self.sky = _sky(self.middles)
         self.ground = _Ground(self.rays, scene, self.camera) if scene.ground else None
-        self.model, self.data = copy.copy(scene.model), mujoco.MjData(scene.model)
+        self.model = copy.copy(scene.model)
         self.model.geom_group[:] = 1
         self.model.geom_group[scene.shown] = 0
         self.colors = np.array([colored(scene.model, geom)[:3] for geom in range(scene.model.ngeom)])
 
     def paint(self, frame: int) -> Frame:
         """The picture of one frame."""
-        middle = self.scene.middle[frame]
+        middle, data = self.scene.middle[frame], mujoco.MjData(self.model)
         eye = self.camera.place(middle, self.scene.distance)
-        self.data.qpos = self.scene.qpos[frame]
-        mujoco.mj_kinematics(self.model, self.data)
-        corners = self._corners()
+        data.qpos = self.scene.qpos[frame]
+        mujoco.mj_kinematics(self.model, data)
+        corners = self._corners(data)
         picture = self.sky.copy()
         if self.ground:
-            picture[self.ground.first :] = self.ground.painted(middle, corners, self._shaded)
-        self._paint_robot(picture, eye, self._window(eye, corners))
+            picture[self.ground.first :] = self.ground.painted(middle, corners, partial(self._shaded, data))
+        window = self._window(eye, corners)
+        seen = _smooth(self.rays[window], self.middles[window], partial(self._look, data, eye))
+        picture[window] += seen[..., :3] - seen[..., 3:] * picture[window]
         return (255 * np.clip(picture, 0, 1) + 0.5).astype(np.uint8)
 
-    def _paint_robot(self, picture: Picture, eye: Vector, window: tuple[slice, slice]) -> None:
-        fine, rays = picture[window][:, :, None].repeat(OVERSAMPLED**2, axis=2), self.rays[window].reshape(-1, 3)
-        depth, geom, normal = self._cast(eye, rays)
+    def _look(self, data: mujoco.MjData, eye: Vector, rays: Points) -> tuple[Values, Kinds]:
+        """Red, green, blue and 1 where rays from the eye meet the robot, 0 elsewhere; and which surface, lit or not."""
+        depth, geom, normal = self._cast(data, eye, rays)
         met = geom >= 0
         lamp, eyewards = -normal[met] @ LIGHT, -normal[met] @ self.camera.forward
         lit = lamp > 0
-        lit[lit] = ~self._shaded((eye + depth[met, None] * rays[met])[lit])
-        light = AMBIENT + DIFFUSE * lamp * lit + HEADLIGHT * np.maximum(0.0, eyewards)
-        fine.reshape(-1, 3)[met] = light[:, None] * self.colors[geom[met]]
-        picture[window] = fine.mean(axis=2)
+        lit[lit] = ~self._shaded(data, (eye + depth[met, None] * rays[met])[lit])
+        ambient = AMBIENT * (1.0 + SKYLIGHT * normal[met, 2])
+        light = ambient + DIFFUSE * lamp * lit + HEADLIGHT * np.maximum(0.0, eyewards)
+        seen, kind = np.zeros((len(rays), 4)), 2 * geom
+        seen[met, :3], seen[met, 3] = light[:, None] * self.colors[geom[met]], 1.0
+        kind[met] += lit
+        return seen, kind
 
-    def _corners(self) -> Points:
+    def _corners(self, data: mujoco.MjData) -> Points:
         """The corners of cubes along the camera's axes that hold the torso's origin and the geoms."""
         axes = np.stack([self.camera.right, self.camera.up, self.camera.forward])
-        centers = np.vstack([self.data.xpos[1], self.data.geom_xpos[self.scene.shown]])
+        centers = np.vstack([data.xpos[1], data.geom_xpos[self.scene.shown]])
         radii = np.append(0.0, self.model.geom_rbound[self.scene.shown])
         unit = np.array(list(product((-1, 1), repeat=3))) @ axes
         return (centers[:, None] + radii[:, None, None] * unit).reshape(-1, 3)
@@ -93,13 +104,13 @@ class Painter:
         low, high = (np.clip(end, 0, self.size).astype(int) for end in (pixels.min(axis=0), pixels.max(axis=0) + 1))
         return slice(low[1], high[1]), slice(low[0], high[0])
 
-    def _shaded(self, points: Points) -> Bool[np.ndarray, " points"]:
+    def _shaded(self, data: mujoco.MjData, points: Points) -> Bool[np.ndarray, " points"]:
         """Whether the robot stands between points and the lamp."""
-        lamp = self.data.xpos[1] - LAMP_M * LIGHT
-        depth, geom, _ = self._cast(lamp, points - lamp)
+        lamp = data.xpos[1] - LAMP_M * LIGHT
+        depth, geom, _ = self._cast(data, lamp, points - lamp)
         return (geom >= 0) & (depth < 1.0 - GRAZE_M / LAMP_M)
 
-    def _cast(self, origin: Vector, rays: Points) -> tuple[Depths, Int32[np.ndarray, " points"], Points]:
+    def _cast(self, data: mujoco.MjData, origin: Vector, rays: Points) -> tuple[Depths, Kinds, Points]:
         """Cast rays from one point.
 
         Returns:
@@ -109,10 +120,26 @@ class Painter:
         count = len(rays)
         depth, geom, normal = np.empty(count), np.empty(count, np.int32), np.empty(3 * count)
         groups, far = np.array([1, 0, 0, 0, 0, 0], np.uint8), mujoco.mjMAXVAL
-        mujoco.mj_multiRay(
-            self.model, self.data, origin, rays.reshape(-1), groups, True, -1, geom, depth, normal, count, far
-        )
+        flat = np.ascontiguousarray(rays).reshape(-1)
+        mujoco.mj_multiRay(self.model, data, origin, flat, groups, True, -1, geom, depth, normal, count, far)
         return depth, geom, normal.reshape(-1, 3)
+
+
+def _smooth(
+    rays: Rays, middles: Picture, look: Callable[[Points], tuple[Values, Kinds]]
+) -> Float[np.ndarray, "height width values"]:
+    """What is seen in each pixel: through its middle, or where its neighbour shows another kind of thing the mean over
+    all its rays."""
+    shape = rays.shape[:2]
+    values, kinds = look(middles.reshape(-1, 3))
+    values, kinds, edges = values.reshape(*shape, -1), kinds.reshape(shape), np.zeros(shape, bool)
+    for axis in (0, 1):
+        differ = np.diff(kinds, axis=axis) != 0
+        for place in (slice(1, None), slice(-1)):
+            edges[(slice(None),) * axis + (place,)] |= differ
+    fine, _ = look(rays[edges].reshape(-1, 3))
+    values[edges] = fine.reshape(-1, rays.shape[2], values.shape[-1]).mean(axis=1)
+    return values
 
 
 class _Ground:
@@ -126,23 +153,31 @@ class _Ground:
         self.eye = camera.place(scene.middle[0] * [0, 0, 1], scene.distance)
         downwards = rays[:, 0, 0, 2] < -1e-4
         self.first = int(np.argmax(downwards)) if self.eye[2] > 0 and downwards.any() else len(rays)
-        self.rays, center = rays[self.first :], rays[self.first :].mean(axis=2)
-        depth = self.eye[2] / -center[..., 2]
-        self.points = (self.eye + depth[..., None] * center)[..., :2]
-        self.width = LINE_M + depth / camera.focus
-        self.haze = np.clip(2.0 * np.linalg.norm(self.points, axis=-1) / FAR_M - 1.0, 0.0, 1.0)[..., None]
+        self.rays = rays[self.first :]
+        self.middles = self.rays.mean(axis=2)
+        depth = self.eye[2] / -self.middles[..., 2]
+        self.points = (self.eye + depth[..., None] * self.middles)[..., :2]
+        self.line = LINE * self.grid
+        self.width = self.line + depth / camera.focus
+        self.haze = np.clip(2.0 * np.linalg.norm(self.points, axis=-1) / (FAR * self.grid) - 1.0, 0.0, 1.0)[..., None]
 
     def painted(self, middle: Vector, corners: Points, shaded: Shaded) -> Picture:
         """The rows of the picture from the first below the horizon."""
         points = self.points + middle[:2]
-        off = np.abs(points / self.grid - np.rint(points / self.grid)).min(axis=-1) * self.grid
-        lines = np.clip(1.3 - off / self.width, 0.0, 1.0) * np.sqrt(LINE_M / self.width)
+        off = self.grid * np.minimum(*np.moveaxis(np.abs(points / self.grid - np.rint(points / self.grid)), -1, 0))
+        lines = np.clip(1.3 - off / self.width, 0.0, 1.0) * np.sqrt(self.line / self.width)
         color = GROUND + lines[..., None] * (LINE - GROUND)
         thrown = (corners - corners[:, 2:] / LIGHT[2] * LIGHT)[:, :2]
-        near = ((points > thrown.min(axis=0)) & (points < thrown.max(axis=0))).all(axis=-1)
-        fine = self.eye + middle * [1, 1, 0] - self.eye[2] * self.rays[near] / self.rays[near][..., 2:]
-        dark = shaded(fine.reshape(-1, 3)).reshape(-1, OVERSAMPLED**2).mean(axis=1)
-        color[near] *= 1.0 - (1.0 - SHADOW) * dark[:, None]
+        near = np.logical_and(*np.moveaxis((points > thrown.min(axis=0)) & (points < thrown.max(axis=0)), -1, 0))
+
+        def look(rays: Points) -> tuple[Values, Kinds]:
+            dark = shaded(self.eye + middle * [1, 1, 0] - self.eye[2] * rays / rays[:, 2:]).astype(np.int32)
+            return dark[:, None].astype(float), dark
+
+        if near.any():
+            rows, columns = np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0))
+            window = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+            color[window] *= 1.0 - (1.0 - SHADOW) * _smooth(self.rays[window], self.middles[window], look)
         return color + self.haze * (HORIZON - color)
 
 

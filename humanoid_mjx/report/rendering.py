@@ -2,12 +2,14 @@
 """Motions as pictures and videos."""
 
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from humanoid_mjx.compute import cores
 from humanoid_mjx.evaluation.film import Film
 from humanoid_mjx.report.overlay import annotate
 from humanoid_mjx.report.raycast import Frame, Painter
@@ -23,7 +25,11 @@ FPS = 25.0
 
 
 def render_film(
-    film: Film, path: Path, fps: float = FPS, tell: Callable[[int, int], None] = lambda done, total: None
+    film: Film,
+    path: Path,
+    fps: float = FPS,
+    size: tuple[int, int] | None = None,
+    tell: Callable[[int, int], None] = lambda done, total: None,
 ) -> Path:
     """Write a film to a file: .gif, .mp4 or .webm as a video, .png as up to six of its frames side by side.
 
@@ -31,6 +37,7 @@ def render_film(
       film: what is shown.
       path: the file.
       fps: frames a second.
+      size: width and height, pixels; by default 480 x 360.
       tell: called for each frame with the number painted and the number of all frames.
 
     Raises:
@@ -41,7 +48,7 @@ def render_film(
     if path.suffix == ".png":
         chosen = np.unique(np.linspace(0, len(qpos) - 1, STRIP).astype(int))
         qpos, times = qpos[chosen], times[chosen]
-    write_frames(_annotated(film, qpos, times, tell), path, fps)
+    write_frames(_annotated(film, qpos, times, tell, size=size), path, fps)
     return path
 
 
@@ -60,7 +67,7 @@ def strip(film: Film, count: int = STRIP) -> list[tuple[Frame, float]]:
 
 def draw(model: mujoco.MjModel, qpos: Float[AnyArray, "frames nq"]) -> list[Frame]:
     """A picture of each posture."""
-    return list(_paint(model, np.asarray(qpos, np.float64), make_scene(model, qpos)))
+    return list(_paint(make_scene(model, qpos)))
 
 
 def _annotated(
@@ -69,14 +76,17 @@ def _annotated(
     times: Float[np.ndarray, " frames"],
     tell: Callable[[int, int], None],
     clock: bool = True,
+    size: tuple[int, int] | None = None,
 ) -> Iterator[Frame]:
     scene = make_scene(film.model, qpos)
-    for number, (frame, seconds) in enumerate(zip(_paint(film.model, qpos, scene), times, strict=True)):
+    for number, (frame, seconds) in enumerate(zip(_paint(scene, size), times, strict=True)):
         yield annotate(frame, film, scene, number, float(seconds), clock)
         tell(number + 1, len(qpos))
 
 
-def _paint(model: mujoco.MjModel, qpos: Float[np.ndarray, "frames nq"], scene: Scene) -> Iterator[Frame]:
-    painter = Painter(scene, WIDTH, HEIGHT)
-    for number in range(len(qpos)):
-        yield painter.paint(number)
+def _paint(scene: Scene, size: tuple[int, int] | None = None) -> Iterator[Frame]:
+    """The frames of a scene, painted by a thread a core a few at a time."""
+    painter = Painter(scene, *(size or (WIDTH, HEIGHT)))
+    with ThreadPoolExecutor(cores()) as threads:
+        for first in range(0, len(scene.qpos), 8 * cores()):
+            yield from threads.map(painter.paint, range(first, min(first + 8 * cores(), len(scene.qpos))))

@@ -22,8 +22,9 @@ FIELD_OF_VIEW = 45.0
 LIGHT = np.array([-0.5, 0.25, -0.85]) / np.linalg.norm([-0.5, 0.25, -0.85])
 """Direction in which the light falls."""
 
-AMBIENT, DIFFUSE, HEADLIGHT = 0.5, 0.45, 0.2
-"""Brightness of a surface: everywhere, where the light falls at right angles, and where it faces the camera."""
+AMBIENT, DIFFUSE, HEADLIGHT, SKYLIGHT = 0.5, 0.45, 0.2, 0.2
+"""Brightness of a surface: everywhere, where the light falls at right angles, and where it faces the camera; and by
+what share the first is more where it faces up, and less where down."""
 
 GRID, ARROW = 0.31, 0.336
 """Distance between the lines on the ground, which show how far a robot goes, and length of a push's arrow, as shares of
@@ -91,7 +92,7 @@ def make_scene(model: mujoco.MjModel, qpos: Float[AnyArray, "frames nq"]) -> Sce
     """The shapes of a robot in each posture. Meshes appear as the boxes around them."""
     rows, data = np.asarray(qpos, np.float64), mujoco.MjData(model)
     shown = [g for g in range(model.ngeom) if model.geom_group[g] < VISIBLE_GROUPS and not _is_plane(model, g)]
-    places, turns, torso, reach = [], [], [], 0.0
+    places, turns, torso = [], [], []
     for row in rows:
         data.qpos = row
         mujoco.mj_kinematics(model, data)
@@ -99,23 +100,28 @@ def make_scene(model: mujoco.MjModel, qpos: Float[AnyArray, "frames nq"]) -> Sce
         places.append(place)
         turns.append(turn)
         torso.append(data.xpos[1].copy())
-        ends = np.concatenate([data.xpos[1:], data.geom_xpos[shown]])
-        reach = max(reach, float(np.abs(ends - _middle(model, data)).max()))
-    middles = np.array(torso)
-    middles[:, 2] = _middle(model, data)[2]
+    position, middle = np.stack(places), np.array(torso)
+    grounded = any(_is_plane(model, g) for g in range(model.ngeom))
+    view, middle[:, 2] = _framing(model, position, middle, model.geom_rbound[shown], grounded)
     shapes = [_shape(model, g) for g in shown]
-    return Scene(
-        model,
-        rows,
-        shown,
-        shapes,
-        np.stack(places),
-        np.stack(turns),
-        middles,
-        np.array(torso),
-        max(_share(model, VIEW), 2.1 * reach),
-        any(_is_plane(model, g) for g in range(model.ngeom)),
-    )
+    return Scene(model, rows, shown, shapes, position, np.stack(turns), middle, np.array(torso), view, grounded)
+
+
+def _framing(
+    model: mujoco.MjModel,
+    position: Float[np.ndarray, "frames shapes 3"],
+    torso: Float[np.ndarray, "frames 3"],
+    radius: Float[np.ndarray, " shapes"],
+    grounded: bool,
+) -> tuple[float, float]:
+    """Metres from top to bottom in which every posture has room between the words above and below, and the height of
+    the middle: it follows the robot over the ground, not up and down, or hangs below it."""
+    high, low = (position[..., 2] + radius).max(), (position[..., 2] - radius).min()
+    wide = (np.abs(position[..., :2] - torso[:, None, :2]) + radius[:, None]).max()
+    hangs = float(model.body_pos[1][2])
+    needed = high / 0.88 if grounded else max((hangs - low) / 0.9, (high - hangs) / 0.17)
+    view = max(_share(model, VIEW), float(needed), float(wide) / 0.7)
+    return view, 0.42 * view if grounded else hangs - 0.33 * view
 
 
 def posed(
@@ -130,14 +136,6 @@ def colored(model: mujoco.MjModel, geom: int) -> tuple[float, ...]:
     """The colour of a geom."""
     rgba = model.geom_rgba[geom] if model.geom_matid[geom] < 0 else model.mat_rgba[model.geom_matid[geom]]
     return tuple(rgba.tolist())
-
-
-def _middle(model: mujoco.MjModel, data: mujoco.MjData) -> Float[np.ndarray, "3"]:
-    """The middle of the picture: it follows the robot over the ground, not up and down, or hangs below it."""
-    grounded = any(_is_plane(model, g) for g in range(model.ngeom))
-    view = _share(model, VIEW)
-    height = 0.42 * view if grounded else model.body_pos[1][2] - 0.33 * view
-    return np.array([*data.xpos[1][:2], height])
 
 
 def _share(model: mujoco.MjModel, share: float) -> float:

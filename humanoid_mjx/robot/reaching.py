@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial.transform import Rotation
 
 from humanoid_mjx.robot.description import Robot, ground_points
 
@@ -106,6 +105,8 @@ def _solve(robot: Robot, leg: _Leg, wanted: Float[np.ndarray, "samples parts"]) 
 
 def _miss(robot: Robot, leg: _Leg, q: np.ndarray, wanted: np.ndarray) -> Float[np.ndarray, "samples parts"]:
     """By how far the foot misses: of the legs' length, and where it is flat its rotation times `LEVEL`."""
+    from scipy.spatial.transform import Rotation  # takes longer to import than all of this module
+
     place, rotation = np.broadcast_to(leg.foot, (len(q), 3)), Rotation.identity(len(q))
     for axis, anchor, angle in zip(leg.axes[::-1], leg.anchors[::-1], q.T[::-1], strict=True):
         turn = Rotation.from_rotvec(angle[:, None] * axis)
