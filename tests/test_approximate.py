@@ -250,6 +250,27 @@ def test_exploration():
     assert (again[held] == action[held]).all() and (again[~held] == 0).all()
 
 
+def test_a_random_choice_is_held_for_one_to_action_repeat_steps_evenly():
+    greedy, allowed = jnp.full((4000, 1), -1), jnp.ones((1, 2), bool)
+    explore = jax.jit(lambda *args: exploration.explore(greedy, allowed, args[0], 4, *args[1:]))
+    holding, steps = exploration.no_holding(4000, 1), np.zeros(4000, int)
+    for step in range(6):
+        action, holding = explore(jnp.full(4000, float(step == 0)), holding, rng.key(step))
+        steps += np.asarray(action[:, 0] >= 0)
+    # Three in ten thousand such samples fall outside 3.6 sigma = 0.025.
+    np.testing.assert_allclose(np.bincount(steps, minlength=7) / 4000, [0, 0.25, 0.25, 0.25, 0.25, 0, 0], atol=0.025)
+
+
+def test_no_random_choice_is_held_beyond_the_end_of_an_episode():
+    """Episodes of one step: the first explores, all others are greedy."""
+    learner = build("tiles", probe("choice")[0], epsilon_decay=0.0, epsilon_min=0.0, action_repeat=100)
+    carry = learner.init(rng.key(0))
+    best = carry.weights._replace(value=carry.weights.value.at[..., 1].set(1.0))
+    _, seen, _ = learner._collect(carry._replace(weights=best), learner.allowed(), rng.key(1))
+    first, *others = np.asarray(seen.action)[..., 0]
+    assert 0 < first.mean() < 1 and np.all(np.array(others) == 1)
+
+
 def test_epsilon_decays_by_the_episode_and_climbs_the_ladder():
     learner = build("tiles", probe("choice")[0], epsilon=0.5, epsilon_decay=0.9, epsilon_min=0.2, epsilon_spread=1.0)
     found = exploration.epsilons(learner, jnp.array([0, 1, 100]))

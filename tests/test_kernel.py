@@ -68,12 +68,13 @@ def test_a_time_step_is_that_of_xla():
     robot = fold(read_tree(model, ["gyroscope", "accelerometer", "foot_contact"]))
     qpos, qvel, control = (np.float32(x.T) for x in states(model, 100))
     world = qpos, qvel, np.zeros_like(qvel), np.zeros(100, bool)
+    last = np.ones(100, bool)
 
-    def step(world, control):
-        return tree._advance_sensed(robot, Values(), None, world, control)
+    def step(world, control, last):
+        return tree._advance_sensed(robot, Values(), None, world, control, last)
 
-    expected = jax.jit(step)(world, control)
-    found = jax.jit(lambda *args: one_kernel(step, *args, interpret=True))(world, control)
+    expected = jax.jit(step)(world, control, last)
+    found = jax.jit(lambda *args: one_kernel(step, *args, interpret=True))(world, control, last)
     for wanted, got in zip(jax.tree.leaves(expected), jax.tree.leaves(found), strict=True):
         size = np.abs(np.float64(wanted)).max() if wanted.size else 0.0
         # Rounding in another order, made larger by the stiffness of the contacts.

@@ -250,6 +250,9 @@ def test_each_episode_has_a_world_of_its_own_under_randomisation():
     assert len(np.unique(mass)) == len(KEYS) and 0.8 <= mass.min() < mass.max() <= 1.2
     assert 0.4 <= friction.min() < friction.max() <= 1.2 and np.allclose(limit, task.torque_limit)
     np.testing.assert_array_equal(state.data.plant.mass, mass)
+    draws = jax.vmap(lambda key: task.randomise.draw(task.plant, key))(jax.random.split(rng.key(0), 1000))
+    # Three in ten thousand means of 1,000 such samples are off by more than 3.6 sigma = 0.013.
+    assert draws.mass.mean() == pytest.approx(1.0, abs=0.013) and draws.mass.min() < 0.81 < 1.19 < draws.mass.max()
     none = once(task.replace(randomise=Randomise(mass=0.0, friction=0.0, joint_damping=0.0, torque_limit=0.0)))[1]
     np.testing.assert_allclose(none.data.plant.mass, 1.0)
     assert np.abs(none.data.world.qvel - after.data.world.qvel).max() > 1e-4

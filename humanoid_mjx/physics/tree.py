@@ -40,7 +40,7 @@ from humanoid_mjx.physics.base import (
 )
 from humanoid_mjx.physics.model import MujocoPhysics, own_limits
 from humanoid_mjx.robot.description import ground_points
-from humanoid_mjx.types import AnyArray, IntScalar, MassFactor
+from humanoid_mjx.types import AnyArray, BoolScalar, IntScalar, MassFactor
 
 
 class TreePhysics(MujocoPhysics):
@@ -89,22 +89,21 @@ class TreePhysics(MujocoPhysics):
     def run_sensed(self, world: World, controller: Controller, cycles: int) -> tuple[World, Sensed]:
         values = self._values()
 
-        def cycle(carry: tuple[World, Any], _: None) -> tuple[tuple[World, Any], None]:
-            now, before = carry
+        def cycle(carry: tuple[World, Any], last: BoolScalar) -> tuple[tuple[World, Any], None]:
+            now = carry[0]
             torque, state = self._ask_first(values, now, controller)
-            parts, seen = self._move(_advance_sensed, values, state, now, torque)
-            after, sensed = World(*parts), (now.qpos[self._joints], torque, seen)
-            kept = jax.tree.map(lambda new, old: jnp.where(after.diverged, old, new), sensed, before)
-            return (after, kept), None
+            parts, seen = self._move(_advance_sensed, values, state, now, torque, last)
+            return (World(*parts), (now.qpos[self._joints], torque, seen)), None
 
         mine = jnp.where(world.qpos[-1] == world.qpos[-1], 0.0, 0.0)
         start = jax.tree.map(lambda part: jnp.where(mine == 0.0, part, part), world)
-        (world, sensed), _ = jax.lax.scan(cycle, (start, self._nothing(mine)), length=cycles)
-        return world, self._sensed(*sensed)
+        last = jnp.arange(cycles) == cycles - 1
+        (world, sensed), _ = jax.lax.scan(cycle, (start, self._nothing(mine)), last)
+        return world, self._sensed(*jax.tree.map(lambda part: jnp.where(world.diverged, 0.0, part), sensed))
 
     def sense(self, world: World, torque: Float[AnyArray, " joints"]) -> Sensed:
         values, torque = self._values(), self._within(torque)
-        seen = self._move(_advance_sensed, values, None, world, torque)[1]
+        seen = self._move(_advance_sensed, values, None, world, torque, jnp.bool_(True))[1]
         return self._sensed(world.qpos[self._joints], torque, seen)
 
     def poses(self, world: World) -> Poses:
@@ -145,11 +144,11 @@ class TreePhysics(MujocoPhysics):
         return World(*self._move(_advance, values, state, world, torque))
 
     def _move(
-        self, function: Any, values: mechanics.Values, state: mechanics.State | None, world: World, torque: Any
+        self, function: Any, values: mechanics.Values, state: mechanics.State | None, world: World, *given: Any
     ) -> Any:
         """`_advance` or `_advance_sensed`; of float32 on a GPU one kernel, that makes the state rather than read it."""
         kernel = compute.why_no_kernel() is None and not jax.config.read("jax_enable_x64")
-        return worlds_last(function, self.tree, kernel=kernel)(values, None if kernel else state, tuple(world), torque)
+        return worlds_last(function, self.tree, kernel=kernel)(values, None if kernel else state, tuple(world), *given)
 
     def _within(self, torque: Any) -> Float[Array, " joints"]:
         factor, torque = jnp.asarray(self.torque_limit, float), jnp.asarray(torque, float)
@@ -267,11 +266,24 @@ def _velocities(tree: Tree, state: mechanics.State) -> tuple[Any, Any]:
 
 
 def _advance_sensed(
-    tree: Tree, values: mechanics.Values, given: mechanics.State | None, world: Parts, torque: Any
+    tree: Tree, values: mechanics.Values, given: mechanics.State | None, world: Parts, torque: Any, last: Any
 ) -> tuple[Parts, tuple[Any, ...]]:
-    """One time step, and what is true at its beginning: the sensors but the encoders, poses, velocities, forces."""
+    """One time step, and what is true at its beginning; where it is the `last` one of no world, zeros, which cost
+    little."""
     step = _solved(tree, values, given, world, torque)
-    state, problem, solution, *_ = step
+
+    def seen() -> tuple[Any, ...]:
+        found = _seen(tree, *step[:3])
+        return tuple(jnp.broadcast_to(x, (*jnp.shape(x)[:-1], *last.shape)) for x in found)
+
+    nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(seen))
+    return _moved(tree, values, step, world), jax.lax.cond(last.any(), seen, lambda: nothing)
+
+
+def _seen(
+    tree: Tree, state: mechanics.State, problem: mechanics.Problem, solution: mechanics.Solution
+) -> tuple[Any, ...]:
+    """The sensors but the encoders, poses, velocities, forces."""
     like, gravity, acceleration = _worlds(state), vector(tree.gravity), solution.acceleration
     turning = [part for site in tree.gyroscopes for part in sensing.gyroscope(state, site)]
     felt = [
@@ -281,9 +293,7 @@ def _advance_sensed(
     touch = [sensing.touch_sensor(state, pushes, site) for site in tree.touch_sensors]
     readings = (stacked(part, like) for part in (turning, felt, touch))
     forces = [sum((pushes[index].pressure for index in rest), pushes[first].pressure) for first, *rest in tree.feet]
-    normal = stacked(forces, like)
-    seen = *readings, *_poses(tree, state), *_velocities(tree, state), normal
-    return _moved(tree, values, step, world), seen
+    return *readings, *_poses(tree, state), *_velocities(tree, state), stacked(forces, like)
 
 
 def _worlds(state: mechanics.State) -> tuple[int, ...]:
