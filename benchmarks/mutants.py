@@ -5,7 +5,7 @@ python benchmarks/mutants.py humanoid_mjx/learners/targets.py      # all mutants
 
 A mutant exchanges an operator (+ and -, * and /, < and <=, `and` and `or`), negates a comparison, adds 1 to a number,
 or takes back a `not`, `~` or sign. It is written into a copy of the package. The tests are those that import the
-those whose name holds it; a mutant whose tests pass has survived. Files that no test names are not sampled.
+file's module, and those whose name holds it; a mutant whose tests pass has survived. Files that no test names are not sampled.
 """
 
 import argparse
