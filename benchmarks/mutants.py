@@ -4,8 +4,8 @@ python benchmarks/mutants.py --count 40 --seed 0                   # samples all
 python benchmarks/mutants.py humanoid_mjx/learners/targets.py      # all mutants of a file
 
 A mutant exchanges an operator (+ and -, * and /, < and <=, `and` and `or`), negates a comparison, adds 1 to a number,
-or takes back a `not`, `~` or sign. It is written into a copy of the package. The tests are those that import the
-file's module, and those whose name holds it; a mutant whose tests pass has survived. Files that no test names are not sampled.
+or takes back a `not`, `~` or sign. It is written into a copy of the package. The tests are those that import the file's
+module, and those whose name holds it; a mutant whose tests pass has survived. Files that no test names are left out.
 """
 
 import argparse
