@@ -89,7 +89,7 @@ def test_what_trees_may_have_is_what_threads_can_do(xml):
     qpos, qvel, control = (jnp.zeros((count, 40)) for count in (model.nq, model.nv, model.nu))
 
     def step(world, control):
-        return tree._advance_sensed(robot, Values(), None, world, control)
+        return tree._advance_sensed(robot, Values(), None, world, control, jnp.ones(40, bool))
 
     world = qpos, qvel, qvel, jnp.zeros(40, bool)
     expected = jax.eval_shape(step, world, control)
