@@ -240,7 +240,7 @@ def _scan(eqn: Any, *args: np.ndarray) -> list[np.ndarray]:
     seen: list[list[np.ndarray]] = []
     order = range(eqn.params["length"])
     for index in reversed(order) if eqn.params["reverse"] else order:
-        found = evaluate(body, [*fixed, *carry, *(row[index] for row in args[last:])])
+        found = evaluate(body, [*fixed, *carry, *(row[index, ...] for row in args[last:])])
         carry = found[:kept]
         seen.append(found[kept:])
     seen = seen[::-1] if eqn.params["reverse"] else seen
