@@ -54,9 +54,11 @@ def pages() -> dict[str, str]:
 def keys_page() -> str:
     """Every key of a config, as `humanoid-mjx info NAME --keys` shows them task by task."""
     from humanoid_mjx.config import Config
+    from humanoid_mjx.control.drives import DRIVES, Drive
     from humanoid_mjx.control.laws import LAWS, Law
     from humanoid_mjx.keys import keys_of
     from humanoid_mjx.learners import LEARNERS, Learner
+    from humanoid_mjx.robot.declared import Declaration
     from humanoid_mjx.spec import find
     from humanoid_mjx.tasks import TASKS
     from humanoid_mjx.tasks.base import Task
@@ -71,11 +73,15 @@ def keys_page() -> str:
             parts.append(f"### {name} {{ #{kind}-{name} }}\n\n{_first_sentence(cls)}\n\n{_table(keys)}")
     laws = "## Control laws\n\nA task of a robot takes each of them by its name: `control: {name: pd}`.\n"
     gaits = "## Gaits\n\n`walk` takes each of them by its name: `gait: {name: clock}`.\n"
-    for kind, heading, registry, base in (("control", laws, LAWS, Law), ("gait", gaits, GAITS, Gait)):
+    drives = "## Actuators\n\n`stand` and `walk` take each of them by its name: `actuator: {name: dc_motor}`.\n"
+    kinds = ("control", laws, LAWS, Law), ("gait", gaits, GAITS, Gait), ("actuator", drives, DRIVES, Drive)
+    for kind, heading, registry, base in kinds:
         parts.append(heading)
         for name in registry:
             cls = find(kind, registry, base, name)
             parts.append(f"### {name} {{ #{kind}-{name} }}\n\n{_first_sentence(cls)}\n\n{_table(keys_of(cls, kind))}")
+    keys = [key._replace(name=key.name.removeprefix("robot.")) for key in keys_of(Declaration, "robot")]
+    parts.append(f"## Robots\n\nThe keys of a robot's YAML; see [Your robot](your_robot.md).\n\n{_table(keys)}")
     return "\n".join(parts)
 
 

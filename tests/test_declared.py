@@ -200,7 +200,7 @@ def test_a_run_finds_its_robot_again_and_takes_no_other(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with modules_in(config.modules):
         assert make_robot("pet.yaml").content == robot["content"]
-    with pytest.raises(InputError, match=r"there is no file pet\.yaml in"):
+    with pytest.raises(InputError, match=r"there is no file pet\.yaml, and none"):
         make_robot("pet.yaml")
     assert make_plan(config).learners[0].task.robot.content == robot["content"]
     moved = home.rename(tmp_path / "moved")

@@ -79,7 +79,7 @@ def test_what_was_tried_went_well():
 
 @pytest.mark.parametrize("name", TYPED)
 def test_what_a_reader_types_works(name, tmp_path, monkeypatch):
-    if "```python" in TEXTS[name] and name not in COMMANDS_ONLY:
+    if re.search(r"```python|title=", TEXTS[name]) and name not in COMMANDS_ONLY:
         in_a_process_of_its_own(PAGES[name], tmp_path)
     else:
         monkeypatch.chdir(tmp_path)

@@ -5,6 +5,7 @@ from typer.testing import CliRunner
 
 from humanoid_mjx import InputError, make_task
 from humanoid_mjx.cli import app
+from humanoid_mjx.control.drives import DRIVES, Drive
 from humanoid_mjx.control.laws import LAWS, Law
 from humanoid_mjx.keys import keys_of
 from humanoid_mjx.learners import LEARNERS, Learner
@@ -24,7 +25,13 @@ def test_every_key_has_a_kind_and_is_listed_once(name):
 
 @pytest.mark.parametrize(
     ("kind", "registry", "base"),
-    [("task", TASKS, Task), ("learner", LEARNERS, Learner), ("control", LAWS, Law), ("gait", GAITS, Gait)],
+    [
+        ("task", TASKS, Task),
+        ("learner", LEARNERS, Learner),
+        ("control", LAWS, Law),
+        ("gait", GAITS, Gait),
+        ("actuator", DRIVES, Drive),
+    ],
 )
 def test_every_key_has_a_meaning(kind, registry, base):
     keys = [key for name in registry for key in keys_of(find(kind, registry, base, name), kind)]

@@ -23,7 +23,7 @@ from pydantic import Field
 
 from humanoid_mjx.config import parse_yaml
 from humanoid_mjx.files import folder
-from humanoid_mjx.robot.description import Robot, Servo
+from humanoid_mjx.robot.description import Robot, Servo, image
 from humanoid_mjx.spec import InputError, Spec, known, search_folders, sentence
 
 DAMPING = 0.03
@@ -272,7 +272,7 @@ def find(name: str) -> Path:
         for beside in search_folders():
             if (path := Path(beside) / place).is_file():
                 return path.resolve()
-    raise InputError(f"robot: there is no file {name} in {' or '.join(search_folders())}.")
+    raise InputError(f"robot: there is no file {name}, and none of this name in {' or '.join(search_folders())}.")
 
 
 def _read(path: Path) -> Source:
@@ -316,27 +316,20 @@ def _understood(path: Path, text: str, file: str, model_text: str) -> Source:
         values |= {"torque": tuple(torque), "stiffness": tuple(stiffness), "damping": tuple(damping)}
         values |= {"ground_geoms": geoms, "contacts": declared.contacts, "content": _digest(data, model_text)}
         if declared.shares is not None:
-            values["shares"] = _by_kind(path, values, joints, shares)
+            values["shares"] = _by_kind(values, joints, shares)
     except InputError as error:
         message = str(error).rstrip(".")
         raise InputError(f"{path.name}: {message}.") from error
     return Source(file, joints, values)
 
 
-def _by_kind(path: Path, values: dict[str, Any], joints: Sequence[str], shares: np.ndarray) -> tuple[float, ...]:
+def _by_kind(values: dict[str, Any], joints: Sequence[str], shares: np.ndarray) -> tuple[float, ...]:
     """Shares by kind of joint, of those by joint."""
-    images = [_image(joint, values["mirror"]) for joint in joints]
+    images = [image(joint, values["mirror"]) for joint in joints]
     first = [min(k, joints.index(image) if image in joints else k) for k, image in enumerate(images)]
     if uneven := [joint for k, joint in enumerate(joints) if shares[k] != shares[first[k]]]:
         raise InputError(f"shares: {uneven[0]} and its mirror image must have the same")
     return tuple(shares[sorted(set(first))].tolist())
-
-
-def _image(name: str, mirror: Sequence[tuple[str, str]]) -> str:
-    for one, other in (pair for both in mirror for pair in (both, both[::-1])):
-        if one in name:
-            return name.replace(one, other)
-    return name
 
 
 def _load(file: str) -> mujoco.MjSpec:

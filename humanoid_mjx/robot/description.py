@@ -6,7 +6,7 @@ bodies are feet, how it stands, which side is the image of which. The rest follo
 its weight and of the length of its legs, so that they fit any robot.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -220,10 +220,7 @@ class Robot(Named):
 
     def image_of(self, name: str) -> str:
         """The name of the joint or the foot on the other side; that of the middle is its own image."""
-        for one, other in (pair for both in self.mirror for pair in (both, both[::-1])):
-            if one in name:
-                return name.replace(one, other)
-        return name
+        return image(name, self.mirror)
 
     @pydantic.model_validator(mode="after")
     def _fits_its_model(self) -> "Robot":
@@ -241,6 +238,14 @@ class Robot(Named):
         if self.feet and names != [foot for foot in self.feet for _ in range(self.points)]:
             raise ValueError(f"feet must have equally many balls that feel the ground, foot by foot, got {names}")
         return self
+
+
+def image(name: str, mirror: Iterable[tuple[str, str]]) -> str:
+    """The name on the other side, where these parts of names stand for each other."""
+    for one, other in (pair for both in mirror for pair in (both, both[::-1])):
+        if one in name:
+            return name.replace(one, other)
+    return name
 
 
 @lru_cache
