@@ -90,7 +90,7 @@ def run(say: Callable[[str], None], setting: Setting | None = None) -> list[Reco
                     partial(mujoco, moving=moving), batch, MUJOCO_BATCH, steps, repeats=REPEATS
                 )
             elif (name in MOVING or not moving) and (name != "mjx-warp" or warp):
-                # What is visited is found here, where the tree is compiled: another process would compile it, too.
+                # States are made in this process, which has the compiled tree, and sent to that of MJX.
                 states = states_of(batch, moving)
                 call = compiled(name, *states, steps) if name == "tree" else with_room(compiled, name, *states, steps)
                 subjects[subject] = Subject(call, batch * steps, batch, REPEATS)

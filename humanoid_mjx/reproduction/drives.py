@@ -131,7 +131,7 @@ def interaction_shares(motion: dict[str, np.ndarray], rotor_inertia: float, fric
 
 
 def inertia_variation(inertia: np.ndarray, rotor_inertia: float) -> np.ndarray:
-    """(gears, 5) By which share the largest I_eff is larger than the least."""
+    """(gears, 5) Share by which the largest I_eff is larger than the least."""
     effective = rotor_inertia + inertia / GEARS[:, None, None] ** 2
     return effective.max(axis=1) / effective.min(axis=1) - 1
 

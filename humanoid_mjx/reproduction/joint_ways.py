@@ -121,7 +121,7 @@ def random_numbers(joint: int, setting: Setting) -> list[Finding]:
 
 
 def _at_printed_step(joint: int) -> str:
-    """How far the printed average is from that of as many uniform numbers as the printed step makes a joint draw."""
+    """Distance of the printed average from that of as many uniform numbers as the printed step makes a joint draw."""
     start, goal = thesis.JOINT_RANGES[joint]
     draws = (goal - start) / PRINTED["action"] * 2 / PRINTED["epsilon"]
     off = abs(thesis.AVERAGE_RANDOM_NUMBER[joint] - 0.5) * math.sqrt(12 * draws)
