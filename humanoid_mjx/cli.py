@@ -67,12 +67,19 @@ def sweep(
     tensorboard: Annotated[
         bool, typer.Option("--tensorboard", help="Write event files of TensorBoard into RUN/tensorboard meanwhile.")
     ] = False,
+    view: Annotated[
+        bool, typer.Option("--view", help="Show a page that grows meanwhile in the browser; no other machine sees it.")
+    ] = False,
     slurm: Annotated[
         list[str] | None,
         typer.Option(metavar="KEY=VALUE", help="Hand it to Slurm: partition=gpu, nodes=2, timeout_min=60, ..."),
     ] = None,
 ) -> None:
     """Train every point of a sweep; write a run folder with tables and figures."""
+    if slurm and view:
+        from humanoid_mjx.spec import InputError
+
+        raise InputError("--view: this machine does not train what --slurm hands over; leave one of them out.")
     if slurm:
         from humanoid_mjx.commands.slurm import submit_sweep
 
@@ -80,7 +87,7 @@ def sweep(
     else:
         from humanoid_mjx.commands.sweep import run_sweep
 
-        run_sweep(config, out, set_ or [], resume, tensorboard)
+        run_sweep(config, out, set_ or [], resume, tensorboard, view)
 
 
 @app.command()

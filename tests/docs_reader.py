@@ -75,7 +75,7 @@ class Reader:
                 raise AssertionError(f"{shlex.join(words)}: {error}") from error
             getattr(self, name)(**context.params)
 
-    def sweep(self, config, out, set_, resume, tensorboard, slurm):
+    def sweep(self, config, out, set_, resume, tensorboard, view, slurm):
         from humanoid_mjx.config import load
         from humanoid_mjx.training.plan import make_plan
 
