@@ -1,5 +1,6 @@
 """The page of a sweep that grows while it trains: what it shows, and to whom."""
 
+import json
 import re
 import urllib.error
 import urllib.request
@@ -7,8 +8,10 @@ import urllib.request
 import numpy as np
 import pytest
 from small_sweep import CONFIG
+from typer.testing import CliRunner
 
-from humanoid_mjx import sweep
+from humanoid_mjx import InputError, sweep
+from humanoid_mjx.cli import app
 from humanoid_mjx.report.growing import Growing, best_so_far, results_so_far, served
 from humanoid_mjx.training import events, pool
 from humanoid_mjx.training.events import Curves
@@ -71,3 +74,24 @@ def test_nothing_but_the_page_is_served_and_to_this_machine_alone(path, headers,
         with pytest.raises(urllib.error.HTTPError) as caught:
             get(address + path, **headers)
     assert caught.value.code == status
+
+
+def test_what_another_machine_trains_has_no_page_here():
+    with pytest.raises(InputError, match="--view: this machine does not train what --slurm hands over"):
+        CliRunner().invoke(app, ["sweep", "joint1", "--view", "--slurm", "nodes=2"], catch_exceptions=False)
+
+
+def test_the_command_shows_the_page_and_at_the_end_the_report(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    pages, opened = [], []
+
+    def interrupted():
+        pages.append(get(opened[0]))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    monkeypatch.setattr("signal.pause", interrupted)
+    (tmp_path / "small.yaml").write_text(json.dumps(SMALL))
+    done = CliRunner().invoke(app, ["sweep", "small.yaml", "--view"], catch_exceptions=False)
+    assert done.exit_code == 0 and opened[0] in done.output and "Ctrl-C ends it" in done.output
+    assert "Run it again" in pages[0]

@@ -1,6 +1,6 @@
 """What `humanoid-mjx sweep` does, and what it prints."""
 
-import threading
+import signal
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -72,7 +72,8 @@ def run_sweep(
             growing.finish(run.path)
             console.print("The page shows the report of the run now (Ctrl-C ends it).")
             with suppress(KeyboardInterrupt):
-                threading.Event().wait()
+                while True:
+                    signal.pause()
 
 
 def _page(shown: ExitStack, bar: Bar) -> "Growing":
