@@ -55,7 +55,7 @@ class Reader:
     def __init__(self):
         self.group = typer.main.get_command(app)
         self.folders, self.files = set(), set()
-        self.earlier = {f"runs/{name}" for name in names("configs", ".yaml")}
+        self.earlier = {"reproduced", *(f"runs/{name}" for name in names("configs", ".yaml"))}
 
     def type(self, words):
         """Check a command, and note what it would leave behind."""
