@@ -10,10 +10,11 @@ from typing import Annotated, NoReturn
 
 import typer
 
-ABOUT = """Batched simulation and Q-learning for the lower body of a humanoid, in JAX.
-
-Configs and policies may name code, which runs with your rights. What looks at them runs your own: modules below the
-working directory. --trust runs others."""
+ABOUT = (
+    "Batched simulation and Q-learning for the lower body of a humanoid, in JAX.\n\n"
+    "Configs and policies may name code, which runs with your rights. Commands that only read them run modules below "
+    "the working directory and no others, unless you add --trust."
+)
 
 app = typer.Typer(
     add_completion=True,
