@@ -10,10 +10,11 @@ from typing import Annotated, NoReturn
 
 import typer
 
-ABOUT = """Batched simulation and Q-learning for the lower body of a humanoid, in JAX.
-
-Configs and policies may name code, which runs with your rights. What looks at them runs your own: modules below the
-working directory. --trust runs others."""
+ABOUT = (
+    "Batched simulation and Q-learning for the lower body of a humanoid, in JAX.\n\n"
+    "Configs and policies may name code, which runs with your rights. Commands that only read them run modules below "
+    "the working directory and no others, unless you add --trust."
+)
 
 app = typer.Typer(
     add_completion=True,
@@ -67,12 +68,19 @@ def sweep(
     tensorboard: Annotated[
         bool, typer.Option("--tensorboard", help="Write event files of TensorBoard into RUN/tensorboard meanwhile.")
     ] = False,
+    view: Annotated[
+        bool, typer.Option("--view", help="Show a page that grows meanwhile in the browser; no other machine sees it.")
+    ] = False,
     slurm: Annotated[
         list[str] | None,
         typer.Option(metavar="KEY=VALUE", help="Hand it to Slurm: partition=gpu, nodes=2, timeout_min=60, ..."),
     ] = None,
 ) -> None:
     """Train every point of a sweep; write a run folder with tables and figures."""
+    if slurm and view:
+        from humanoid_mjx.spec import InputError
+
+        raise InputError("--view: this machine does not train what --slurm hands over; leave one of them out.")
     if slurm:
         from humanoid_mjx.commands.slurm import submit_sweep
 
@@ -80,7 +88,7 @@ def sweep(
     else:
         from humanoid_mjx.commands.sweep import run_sweep
 
-        run_sweep(config, out, set_ or [], resume, tensorboard)
+        run_sweep(config, out, set_ or [], resume, tensorboard, view)
 
 
 @app.command()

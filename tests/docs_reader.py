@@ -55,7 +55,7 @@ class Reader:
     def __init__(self):
         self.group = typer.main.get_command(app)
         self.folders, self.files = set(), set()
-        self.earlier = {f"runs/{name}" for name in names("configs", ".yaml")}
+        self.earlier = {"reproduced", *(f"runs/{name}" for name in names("configs", ".yaml"))}
 
     def type(self, words):
         """Check a command, and note what it would leave behind."""
@@ -75,7 +75,7 @@ class Reader:
                 raise AssertionError(f"{shlex.join(words)}: {error}") from error
             getattr(self, name)(**context.params)
 
-    def sweep(self, config, out, set_, resume, tensorboard, slurm):
+    def sweep(self, config, out, set_, resume, tensorboard, view, slurm):
         from humanoid_mjx.config import load
         from humanoid_mjx.training.plan import make_plan
 

@@ -70,7 +70,7 @@ def make_server(live: Live, port: int = 0) -> ThreadingHTTPServer:
     """
     window = Window(live)
     try:
-        return ThreadingHTTPServer((LOOPBACK, port), partial(_Handler, window))
+        return ThreadingHTTPServer((LOOPBACK, port), partial(Handler, window))
     except OSError as error:
         raise InputError(f"--port {port}: {error.strerror}; without --port a free one is taken.") from error
 
@@ -220,12 +220,12 @@ def _short(value: float) -> float:
     return float(f"{value:.2g}")
 
 
-class _Handler(BaseHTTPRequestHandler):
+class Handler(BaseHTTPRequestHandler):
     """Answers this machine's browser, and no page that another site has put into it."""
 
     protocol_version = "HTTP/1.1"
 
-    def __init__(self, window: Window, *args: Any):
+    def __init__(self, window: Any, *args: Any):
         self.window = window
         super().__init__(*args)
 

@@ -68,7 +68,7 @@ def run_page(path: Path, reporter: Reporter, motion: bool) -> str:
     own = figures_of(str(config["task"]["name"]), config.get("modules"))
     parts = {
         "Result": _result(axes, summary, points),
-        "Learning": [text(f"Lines: {averaged(axes, results)}."), *_curves(axes, results, own)],
+        "Learning": [text(f"Lines: {averaged(axes, results)}."), *curve_panels(axes, results, own)],
     }
     if maps := mapped(axes, summary):
         parts["Two parameters at a time"] = _maps(axes, summary, maps)
@@ -132,7 +132,7 @@ def _result(axes: Sequence[str], summary: Mapping[str, np.ndarray], points: Sequ
     return [*parts, f'<p class="note">{text(words, "span")}</p>']
 
 
-def _curves(axes: Sequence[str], results: Mapping[str, np.ndarray], own: Sequence[Figure]) -> list[str]:
+def curve_panels(axes: Sequence[str], results: Mapping[str, np.ndarray], own: Sequence[Figure]) -> list[str]:
     """A row of panels for each figure, on one scale; where nothing is swept, all figures in one."""
     rows = curved(results, own)
     if not axes:

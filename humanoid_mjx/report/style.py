@@ -2,6 +2,7 @@
 
 import io
 import textwrap
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -44,15 +45,20 @@ _RC = {
 }
 
 
+DRAWING = threading.RLock()
+"""Held by the thread that draws, since matplotlib is for one at a time."""
+
+
 @contextmanager
 def figure(
     path: Path | io.BytesIO, rows: int, columns: int, size: tuple[float, float] = (4.2, 3.0), **kwargs: Any
 ) -> Iterator[Any]:
     """A grid of axes, (rows, columns), saved to `path` at the end; `size` is of one of them, in inches.
 
-    A figure saved in memory is SVG without a background, its letters drawn as paths; its bytes are the same each time.
+    One thread draws at a time. A figure saved in memory is SVG without a background, its letters drawn as paths; its
+    bytes are the same each time.
     """
-    with plt.rc_context(_RC):  # pyright: ignore[reportArgumentType]
+    with DRAWING, plt.rc_context(_RC):  # pyright: ignore[reportArgumentType]
         fig, axes = plt.subplots(
             rows,
             columns,

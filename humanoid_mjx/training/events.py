@@ -1,8 +1,9 @@
-"""Learning curves as event files of TensorBoard, written while a sweep trains."""
+"""Learning curves while a sweep trains, and as event files of TensorBoard."""
 
 import importlib
 import re
 import shutil
+import threading
 import time
 from functools import partial
 from typing import Any, NamedTuple
@@ -20,8 +21,7 @@ FOLDER = "tensorboard"
 """Where the event files are in a run folder."""
 
 MAX_POINTS = 30
-"""The most sweep points that are written. Of more they are drawn by chance: even steps through a grid would confound
-its axes."""
+"""The most sweep points that are written."""
 
 LOOK_EVERY_S = 2.0
 """Seconds between two looks at the curves of the runs under way."""
@@ -57,7 +57,66 @@ class _Measure(NamedTuple):
         return cls(np.full((points, seeds, record), np.nan), np.zeros((points, seeds), int), np.zeros(points, int))
 
 
-class EventFiles:
+class Curves:
+    """The learning curves of the points of a sweep, as far as they are known while it trains.
+
+    Of more than `most` points so many are drawn by chance: even steps through a grid would confound its axes.
+    """
+
+    def __init__(self, folder: RunFolder, plan: Plan, most: int):
+        """Begin with the runs that are finished already."""
+        self.plan, self.seeds, self.places = plan, plan.config.seeds, plan.labels().places
+        self.points = np.sort(np.random.default_rng(0).permutation(len(plan.points))[:most])
+        self.measures: dict[str, _Measure] = {}
+        self.looked = time.monotonic()
+        self.lock = threading.Lock()
+        """Held while the measures change."""
+        done = finished_runs(folder.path, ("point", "seed", "curve.", "final."), folder.digest)
+        if done:
+            self.store(done["point"] * self.seeds + done["seed"], done)
+
+    def look(self, pool: Pool) -> None:
+        """Take note of what the runs under way have newly learned, now and then."""
+        if time.monotonic() - self.looked < LOOK_EVERY_S:
+            return
+        self.looked = time.monotonic()
+        rows, (points, seeds) = self._chosen(pool.slots)
+        if not len(rows):
+            return
+        known = np.floor(np.minimum(pool.progress[rows], 1.0) * len(self.places) - 1e-6).astype(int)
+        self._take(points, seeds, known, pool.curves(rows, len(self.points) * self.seeds))
+
+    def store(self, runs: np.ndarray, arrays: dict[str, np.ndarray]) -> None:
+        """Take note of the whole curves of runs that are over, and the scores of their greedy policies at the end."""
+        rows, (points, seeds) = self._chosen(runs)
+        curves = {name: curve[rows] for name, curve in named(arrays, "curve").items()}
+        for name, score in named(arrays, "final").items():
+            if name not in curves and name != "diverged":
+                curves[name] = np.full((len(rows), len(self.places)), np.nan)
+                curves[name][:, -1] = score[rows]
+        self._take(points, seeds, np.full(len(rows), len(self.places)), curves)
+
+    def close(self) -> None:
+        """The sweep is over."""
+
+    def _chosen(self, runs: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+        """Which of some runs are of the points: their rows, and the index in `points` and the seed of each."""
+        points, seeds = np.divmod(runs, self.seeds)
+        rows = np.flatnonzero(np.isin(points, self.points) & (runs >= 0))
+        return rows, (np.searchsorted(self.points, points[rows]), seeds[rows])
+
+    def _take(self, points: np.ndarray, seeds: np.ndarray, known: np.ndarray, curves: dict[str, np.ndarray]) -> None:
+        """Keep curves of some runs, of which so many record points are known."""
+        with self.lock:
+            for name, curve in curves.items():
+                if name not in self.measures:
+                    self.measures[name] = _Measure.blank(len(self.points), self.seeds, len(self.places))
+                measure = self.measures[name]
+                measure.curves[points, seeds] = curve
+                measure.known[points, seeds] = np.maximum(measure.known[points, seeds], known)
+
+
+class EventFiles(Curves):
     """The event files of a run folder: a sub-folder for each point, a scalar for each measure of a learning curve.
 
     A value is the mean over all seeds of a point, as results.parquet has them, and is written as soon as the last of
@@ -71,68 +130,30 @@ class EventFiles:
           InputError: the package that writes event files is not installed.
         """
         shutil.rmtree(folder.path / FOLDER, ignore_errors=True)
-        self.seeds, self.places = plan.config.seeds, plan.labels().places
-        draw = np.random.default_rng(0).permutation(len(plan.points))
-        self.points = np.sort(draw[:MAX_POINTS])
-        place = partial(_name, len(str(len(plan.points) - 1)))
-        writer = event_writer()
-        self.writers = [
-            writer(str(folder.path / FOLDER / place(number, plan.points[number]))) for number in self.points.tolist()
-        ]
-        self.measures: dict[str, _Measure] = {}
-        self.looked = time.monotonic()
-        done = finished_runs(folder.path, ("point", "seed", "curve.", "final."), folder.digest)
-        if done:
-            self.store(done["point"] * self.seeds + done["seed"], done)
-
-    def look(self, pool: Pool) -> None:
-        """Write what the runs under way have newly learned, now and then."""
-        if time.monotonic() - self.looked < LOOK_EVERY_S:
-            return
-        self.looked = time.monotonic()
-        rows, (points, seeds) = self._chosen(pool.slots)
-        if not len(rows):
-            return
-        known = np.floor(np.minimum(pool.progress[rows], 1.0) * len(self.places) - 1e-6).astype(int)
-        self._take(points, seeds, known, pool.curves(rows, len(self.points) * self.seeds))
-
-    def store(self, runs: np.ndarray, arrays: dict[str, np.ndarray]) -> None:
-        """Write the whole curves of runs that are over, and the scores of their greedy policies at the end."""
-        rows, (points, seeds) = self._chosen(runs)
-        curves = {name: curve[rows] for name, curve in named(arrays, "curve").items()}
-        for name, score in named(arrays, "final").items():
-            if name not in curves and name != "diverged":
-                curves[name] = np.full((len(rows), len(self.places)), np.nan)
-                curves[name][:, -1] = score[rows]
-        self._take(points, seeds, np.full(len(rows), len(self.places)), curves)
+        place, writer = partial(_name, len(str(len(plan.points) - 1))), event_writer()
+        self.writers: dict[int, Any] = {}
+        self._new = lambda number: writer(str(folder.path / FOLDER / place(number, plan.points[number])))
+        super().__init__(folder, plan, MAX_POINTS)
 
     def close(self) -> None:
         """Write out what is still held back."""
-        for writer in self.writers:
+        for writer in self.writers.values():
             writer.close()
 
-    def _chosen(self, runs: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
-        """Which of some runs are written: their rows, and the index in `points` and the seed of each."""
-        points, seeds = np.divmod(runs, self.seeds)
-        rows = np.flatnonzero(np.isin(points, self.points) & (runs >= 0))
-        return rows, (np.searchsorted(self.points, points[rows]), seeds[rows])
-
     def _take(self, points: np.ndarray, seeds: np.ndarray, known: np.ndarray, curves: dict[str, np.ndarray]) -> None:
-        """Keep curves of some runs, of which so many record points are known, and write what all seeds have."""
-        for name, curve in curves.items():
-            if name not in self.measures:
-                self.measures[name] = _Measure.blank(len(self.points), self.seeds, len(self.places))
-            measure = self.measures[name]
-            measure.curves[points, seeds] = curve
-            measure.known[points, seeds] = np.maximum(measure.known[points, seeds], known)
-            for point in np.unique(points).tolist():
+        """Keep curves, and write what all seeds of a point have."""
+        super()._take(points, seeds, known, curves)
+        for point in np.unique(points).tolist():
+            number = int(self.points[point])
+            writer = self.writers.get(number) or self.writers.setdefault(number, self._new(number))
+            for name in curves:
+                measure = self.measures[name]
                 upto = int(measure.known[point].min())
                 for place in range(measure.written[point], upto):
                     if np.isfinite(mean := measure.curves[point, :, place].mean()):
-                        self.writers[point].add_scalar(name, float(mean), int(self.places[place]))
+                        writer.add_scalar(name, float(mean), int(self.places[place]))
                 measure.written[point] = max(upto, measure.written[point])
-        for point in np.unique(points).tolist():
-            self.writers[point].flush()
+            writer.flush()
 
 
 def _name(digits: int, number: int, values: dict[str, Any]) -> str:

@@ -19,7 +19,7 @@ from humanoid_mjx.runs.folder import RunFolder, damaged, diverged_name, pools, r
 from humanoid_mjx.runs.tables import finished_runs, write_tables
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.cost import training_bytes
-from humanoid_mjx.training.events import EventFiles
+from humanoid_mjx.training.events import Curves
 from humanoid_mjx.training.pace import COMPILING, Look, Pace
 from humanoid_mjx.training.plan import Group, Plan
 from humanoid_mjx.training.pool import IDLE, Pool
@@ -43,9 +43,10 @@ class Session:
     """The work of one process on a run folder."""
 
     def __init__(
-        self, folder: RunFolder, plan: Plan, processes: Processes, reporter: Reporter, events: EventFiles | None
+        self, folder: RunFolder, plan: Plan, processes: Processes, reporter: Reporter, watchers: Sequence[Curves]
     ):
-        self.folder, self.plan, self.processes, self.reporter, self.events = folder, plan, processes, reporter, events
+        self.folder, self.plan, self.processes, self.reporter = folder, plan, processes, reporter
+        self.watchers = watchers
         for part in folder.parts():
             # A damaged policy would else be found after the sweep that could have trained it again.
             read_arrays(part, digest=folder.digest)
@@ -115,8 +116,7 @@ class Session:
         with compute.counting_compiles() as compiles:
             pool = pool_of(group, waiting, size, devices, self.plan.config.seed, policies, share)
             pool.stop = self.stop
-            if self.events:
-                pool.looked = partial(self.events.look, pool)
+            pool.looked = partial(self._looked, pool)
             self._restore(index, pool)
             self._work_in_a_thread(index, pool)
         self.compile_s += compiles.seconds
@@ -223,8 +223,12 @@ class Session:
             self.folder.add_part({"point": points.astype(np.int32), "seed": seeds.astype(np.int32)} | arrays)
             self.finished.update(runs.tolist())
             self.tables_are_old = True
-        if self.events:
-            self.events.store(runs, arrays)
+        for watcher in self.watchers:
+            watcher.store(runs, arrays)
+
+    def _looked(self, pool: Pool) -> None:
+        for watcher in self.watchers:
+            watcher.look(pool)
 
     def _report(self, pool: Pool) -> None:
         slots, progress = pool.slots.copy(), pool.progress.copy()

@@ -17,8 +17,8 @@ from humanoid_mjx.runs.ranking import ranked
 from humanoid_mjx.runs.tables import read_table
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.cost import check_disk, runs_at_once, slots
-from humanoid_mjx.training.events import EventFiles, event_writer
-from humanoid_mjx.training.plan import make_plan, resolved
+from humanoid_mjx.training.events import Curves, EventFiles, event_writer
+from humanoid_mjx.training.plan import Plan, make_plan, resolved
 from humanoid_mjx.training.progress import Reporter, reporting
 from humanoid_mjx.training.session import Session
 from humanoid_mjx.training.warm_start import earlier_policies
@@ -109,6 +109,7 @@ def sweep(
     reporter: Reporter | None = None,
     quiet: bool = False,
     tensorboard: bool = False,
+    watch: Callable[[RunFolder, Plan], Curves] | None = None,
 ) -> Run:
     """Train every point of a sweep with every seed.
 
@@ -125,6 +126,7 @@ def sweep(
       reporter: called with the progress; by default it is shown in a terminal or a notebook.
       quiet: show nothing.
       tensorboard: write learning curves as event files of TensorBoard into the run folder while it trains.
+      watch: makes an object that is given the learning curves while they grow.
 
     Raises:
       InputError: the config or the place cannot be used, in one sentence. Nothing stored is lost.
@@ -150,18 +152,18 @@ def sweep(
 
     folder = _shared(processes, open_folder)
     try:
-        events = EventFiles(folder, plan) if tensorboard else None
+        watchers = [make(folder, plan) for make in (EventFiles if tensorboard else None, watch) if make]
         silent = quiet or processes.index > 0  # the first process speaks for all
         with nullcontext(reporter or Reporter()) if reporter or silent else reporting() as speaker:
-            session = Session(folder, plan, processes, speaker, events)
+            session = Session(folder, plan, processes, speaker, watchers)
             try:
                 for index in range(len(plan.groups)):
                     session.train(index, rooms[index], policies[index])
                 session.wait()
             finally:
                 session.write_results()
-                if session.events:
-                    session.events.close()
+                for watcher in watchers:
+                    watcher.close()
         processes.meet()  # the tables are written
     finally:
         folder.close()
