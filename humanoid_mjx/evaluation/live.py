@@ -307,21 +307,13 @@ class Live:
 
     def _decide(self, number: IntScalar, state: State, steps: int) -> State:
         told = {name: jnp.float32(self.told[name]) for name in self.ranges}
-        policy = self.trained.policy
-        state = single(_steered)(self.learner, policy, number, state, jnp.int32(steps), told)
+        state = single(decided)(self.learner, self.trained.policy, number, state, jnp.int32(steps), told)[0]
         found = jax.device_get({"reward": state.reward} | state.metrics)
         self.rewards = {name: float(value) for name, value in found.items()}
         if not self.touchable:
             world = jax.device_get(world_of(own_data(self.task, state)))
             self.stage.show(world.qpos, world.qvel, self.task.period)
         return state
-
-
-def _steered(learner: Learner, policy: Any, episode: Any, state: State, steps: Any, told: dict[str, Any]) -> State:
-    """A decision under the command told."""
-    if told:
-        state = state._replace(data=learner.task.steered(state.data, told))
-    return decided(learner, policy, episode, state, steps)[0]
 
 
 def _speeds(data: mujoco.MjData) -> Float[np.ndarray, "3"]:
