@@ -94,7 +94,9 @@ def test_a_shove_is_an_impulse_and_a_pull_draws_its_point(stage):
     high = standing()
     high[2] += 1.0
     stage.hands.shoves.append(np.array([0.0, 0.3, 0.0]))
+    assert stage.shoved is None
     stand(stage, 0.2, high)
+    np.testing.assert_allclose(stage.shoved, [0.0, 0.3, 0.0])  # it is seen for longer than it lasts
     mujoco.mj_subtreeVel(stage.model, stage.data)  # pyright: ignore[reportAttributeAccessIssue]
     np.testing.assert_allclose(stage.data.subtree_linvel[0] * MASS, [0.0, 0.3, 0.0], atol=0.01)
     stage.model.opt.gravity[:] = MODEL.opt.gravity

@@ -160,6 +160,7 @@ class Window:
             "torso": player.rounded(stage.data.xpos[1]),
             "ground": player.rounded(stage.ground),
             "forces": [[*player.rounded(place), *player.rounded(force)] for place, force in pressing.values()],
+            "push": None if stage.shoved is None else player.rounded(stage.shoved),
             "words": live.words,
             "episode": live.episode,
             "paused": not live.going.is_set(),
