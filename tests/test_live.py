@@ -19,8 +19,9 @@ from browser import CHROMIUM, browser
 from humanoid_mjx.config import parse
 from humanoid_mjx.control import at_rest
 from humanoid_mjx.control.laws import ServoLaw
+from humanoid_mjx.evaluation.film import driven_films
 from humanoid_mjx.evaluation.live import SPEEDS, Grab, Live, LiveMujoco, Stage
-from humanoid_mjx.evaluation.policy import Trained, find_policy
+from humanoid_mjx.evaluation.policy import Trained, find_policy, on_native
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.report.live import Window, make_server, serve
 from humanoid_mjx.robot import make_robot
@@ -93,7 +94,9 @@ def test_a_shove_is_an_impulse_and_a_pull_draws_its_point(stage):
     high = standing()
     high[2] += 1.0
     stage.hands.shoves.append(np.array([0.0, 0.3, 0.0]))
+    assert stage.shoved is None
     stand(stage, 0.2, high)
+    np.testing.assert_allclose(stage.shoved, [0.0, 0.3, 0.0])  # it is seen for longer than it lasts
     mujoco.mj_subtreeVel(stage.model, stage.data)  # pyright: ignore[reportAttributeAccessIssue]
     np.testing.assert_allclose(stage.data.subtree_linvel[0] * MASS, [0.0, 0.3, 0.0], atol=0.01)
     stage.model.opt.gravity[:] = MODEL.opt.gravity
@@ -216,6 +219,22 @@ def test_a_port_that_is_taken(walking):
         make_server(walking.live, walking.port)
 
 
+def test_films_of_each_command():
+    """Forward, to both sides, turns to both: the body goes its way for a second or longer."""
+    films = driven_films(on_native(find_policy("walk")), 1.5)
+    titles = [film.title for film in films]
+    assert titles == [
+        "forward 0.48 m/s",
+        "left 0.09 m/s",
+        "right 0.09 m/s",
+        "turn left 0.60 rad/s",
+        "turn right 0.60 rad/s",
+    ]
+    assert films[0].told == ((0.0, "forward 0.48 m/s; left 0.00 m/s; turn left 0.00 rad/s"),)
+    qpos = np.asarray(films[0].qpos)
+    assert len(qpos) == 76 and np.linalg.norm(qpos[-1, :2] - qpos[0, :2]) > 0.2 and not films[0].pushes
+
+
 def test_ctrl_c_ends_it_in_silence():
     live, told = Live(find_policy("posture_switch")), []
 
@@ -284,13 +303,14 @@ def test_keys_and_mouse_drive_it(walking):
         walking.until(lambda: live.told[SPEEDS[0]] == pytest.approx(0.3, abs=0.011))
         key(opened, "keyDown", " ")
         walking.until(lambda: live.told[SPEEDS[0]] == 0.0)
-        left, top, width, height = opened.value(
-            "(() => { const b = document.querySelector('canvas').getBoundingClientRect();"
-            "return [b.left, b.top, b.width, b.height]; })()"
+        key(opened, "keyDown", "p")  # so that nothing moves below the mouse
+        walking.until(lambda: not live.going.is_set())
+        time.sleep(0.5)
+        left, top = opened.value(
+            "(() => { const b = document.querySelector('canvas').getBoundingClientRect(); return [b.left, b.top]; })()"
         )
         view = "JSON.stringify(document.querySelector('figure').player.view)"
         first = json.loads(opened.value(view))
-        x, y = left + width / 2, top + height / 2
         # The torso: of the robot's shapes the first.
         x, y = opened.value(
             "(() => { const p = document.querySelector('figure').player, c = p.canvas.getBoundingClientRect();"
@@ -316,6 +336,8 @@ def test_keys_and_mouse_drive_it(walking):
         assert moved["yaw"] == turned["yaw"] and np.linalg.norm(moved["pan"]) > 0.01
         mouse(opened, "mouseWheel", *corner, button="none", deltaX=0, deltaY=-120)
         assert json.loads(opened.value(view))["zoom"] == pytest.approx(np.exp(-0.2))
+        key(opened, "keyDown", "p")
+        walking.until(live.going.is_set)
         opened.size(390, 844)
         assert opened.value("document.documentElement.scrollWidth") <= 390
         assert opened.faults == []

@@ -173,6 +173,7 @@ def test_words_of_a_film(motion):
     film = Film(MODEL, motion, 0.2, told=((0.0, "a"), (0.6, "b")))
     assert [film.asked(0.2 * i) for i in range(5)] == ["a", "a", "a", "b", "b"]
     assert in_words({"forward, m/s": 0.3, "turn, rad/s": -1.0}) == "forward 0.30 m/s; turn -1.00 rad/s"
+    assert in_words({"left, m/s": -0.06, "turn left, rad/s": 0.5}) == "right 0.06 m/s; turn left 0.50 rad/s"
     forces = np.zeros((6, 3))
     forces[1:3, 0], forces[4, 2] = 2.0, 5.0
     assert [(p.start, p.seconds, p.words) for p in merged(forces, 0.02)] == [

@@ -2,7 +2,7 @@
 """Look at what was learned: the motion of the robot in a greedy episode."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -25,7 +25,7 @@ from humanoid_mjx.tasks.base import Task
 from humanoid_mjx.tasks.continuous import State
 from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.tasks.posture_switch import PostureSwitch
-from humanoid_mjx.types import AnyArray, IntScalar
+from humanoid_mjx.types import AnyArray, FloatScalar, IntScalar
 
 HOLD_S = 1.0
 """How long the last set-point is held after an episode, s: whether a posture is kept shows only then."""
@@ -93,28 +93,38 @@ def world_of(data: Any) -> World:
     return worlds[0]
 
 
-def play(trained: Trained, episode: int = 0, tell: Callable[[int], None] = lambda decisions: None) -> Played:
+def play(
+    trained: Trained,
+    episode: int = 0,
+    tell: Callable[[int], None] = lambda decisions: None,
+    told: Mapping[str, float] | None = None,
+    most: int = MAX_EPISODE_STEPS,
+) -> Played:
     """One of the episodes that an evaluation counts; 0 is the first.
 
     Args:
       trained: what plays.
       episode: the number of the episode.
       tell: called after each decision with how many there were.
+      told: a command that holds throughout in place of the task's own, by the names of its `told_ranges`.
+      most: decisions after which the episode is left.
     """
     learner, policy, number = trained.learner, trained.policy, jnp.int32(episode)
+    command = {name: jnp.float32(value) for name, value in (told or {}).items()}
     state, total = single(begun)(learner, number), 0.0
-    states, actions, pushes, told = [state], [], [], []
-    while not state.done and len(actions) < MAX_EPISODE_STEPS:
-        state, action, push, words = single(decided)(learner, policy, number, state, jnp.int32(len(actions)))
+    states, actions, pushes, commands = [state], [], [], []
+    while not state.done and len(actions) < most:
+        steps = jnp.int32(len(actions))
+        state, action, push, words = single(decided)(learner, policy, number, state, steps, command)
         states.append(state)
         actions.append(action if state.executed is None else state.executed)
         pushes.append(np.asarray(push))
-        told.append({name: float(value) for name, value in words.items()})
+        commands.append({name: float(value) for name, value in words.items()})
         total += float(state.reward)
         tell(len(actions))
     data = [own_data(learner.task, state) for state in states]
     forces = np.array(pushes, np.float64).reshape(-1, 3)
-    return Played(data, actions, bool(state.success), total, forces, told)
+    return Played(data, actions, bool(state.success), total, forces, commands)
 
 
 @lru_cache
@@ -129,11 +139,13 @@ def begun(learner: Learner, episode: IntScalar) -> State:
 
 
 def decided(
-    learner: Learner, policy: Any, episode: IntScalar, state: State, steps: IntScalar
+    learner: Learner, policy: Any, episode: IntScalar, state: State, steps: IntScalar, told: dict[str, FloatScalar]
 ) -> tuple[State, Array, Any, Any]:
-    """Decision number `steps` of a held-out episode: the state that it leads to, the action, the push during it, and
-    the command that the task tells before it."""
+    """Decision number `steps` of a held-out episode, under the command `told` if any: the state that it leads to, the
+    action, the push during it, and the command that the task tells before it."""
     key, task = held_out_key(episode), learner.task
+    if told:
+        state = state._replace(data=task.steered(state.data, told))
     data, (_, step_key) = own_data(task, state), decision_keys(key, steps)
     if isinstance(task, FiniteTask):
         step_key = jax.random.split(step_key, 3)[2]

@@ -2,7 +2,7 @@
 """A motion with its words and its pushes: what is shown of a played episode."""
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -111,10 +111,30 @@ def show(trained: Trained, reporter: Reporter, episode: int = 0) -> Shown:
     )
 
 
+def driven_films(trained: Trained, seconds: float, share: float = 0.6) -> list[Film]:
+    """Films of a policy that gets a steady command, one for each end of each part of it that is not 0: this share of
+    what a person may command."""
+    task: Any = trained.learner.task
+    driven = trained._replace(learner=trained.learner.replace(task=task.for_driving()))
+    films = []
+    for name, ends in task.told_ranges.items():
+        for end in sorted({end for end in ends if end}, reverse=True):
+            told = dict.fromkeys(task.told_ranges, 0.0) | {name: share * end}
+            played = play(driven, told=told, most=round(seconds / task.period))
+            films.append(film_of(driven, played, in_words({name: share * end})))
+    return films
+
+
 def in_words(values: Mapping[str, float]) -> str:
-    """`{"forward, m/s": 0.3}` as `forward 0.30 m/s`; several with semicolons between them."""
-    parts = [(*name.partition(", "), value) for name, value in values.items()]
-    return "; ".join(f"{name} {value:.2f} {unit}".rstrip() for name, _, unit, value in parts)
+    """`{"forward, m/s": 0.3}` as `forward 0.30 m/s`, less than 0 to the left as to the right; several with semicolons
+    between them."""
+    parts = []
+    for key, value in values.items():
+        name, _, unit = key.partition(", ")
+        if "left" in name.split() and value < 0:
+            name, value = name.replace("left", "right"), -value
+        parts.append(f"{name} {value:.2f} {unit}".rstrip())
+    return "; ".join(parts)
 
 
 def merged(forces: Float[np.ndarray, "decisions 3"], period: float) -> list[Push]:

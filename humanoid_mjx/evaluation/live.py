@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from humanoid_mjx.evaluation.episode import begun, decided, own_data, robot_of, single, world_of
+from humanoid_mjx.evaluation.film import SHOWN_S
 from humanoid_mjx.evaluation.policy import Trained, on_physics
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.physics.native import Native
@@ -54,7 +55,7 @@ class Grab(NamedTuple):
 
 @dataclass
 class Hands:
-    """What a person does to the robot. Any thread may set it."""
+    """Changes that a person makes to the robot and its world. Any thread may set them."""
 
     friction: float = 1.0
     """Factor on that of the feet on the ground."""
@@ -85,7 +86,7 @@ class Stage:
         self.planes = np.flatnonzero(base.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
         self.model.geom_sameframe[self.planes] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE  # else their turns count nothing
         self._wanted, self._rise = 0.0, np.zeros(2)
-        self._shove, self._until = np.zeros(3), 0.0
+        self._shove, self._until = np.zeros(3), -np.inf
         self._zero, self._next = time.monotonic(), 0.0
         mujoco.mj_forward(self.model, self.data)
 
@@ -147,9 +148,14 @@ class Stage:
         if ahead > 1e-3:
             time.sleep(ahead)
 
+    @property
+    def shoved(self) -> Float[np.ndarray, "3"] | None:
+        """The impulse of a push by a key, N s, so long as it is to be seen."""
+        return SHOVE_S * self._shove if self.time < self._until - SHOVE_S + SHOWN_S else None
+
     def forget(self) -> None:
         """Begin an episode on ground that is level still, with nothing in hand."""
-        self.hands.grab, self._until = None, 0.0
+        self.hands.grab, self._until = None, -np.inf
         self.hands.shoves.clear()
         for each in (self.speeds, self.ground, self._rise):
             each[:] = 0.0
@@ -307,21 +313,13 @@ class Live:
 
     def _decide(self, number: IntScalar, state: State, steps: int) -> State:
         told = {name: jnp.float32(self.told[name]) for name in self.ranges}
-        policy = self.trained.policy
-        state = single(_steered)(self.learner, policy, number, state, jnp.int32(steps), told)
+        state = single(decided)(self.learner, self.trained.policy, number, state, jnp.int32(steps), told)[0]
         found = jax.device_get({"reward": state.reward} | state.metrics)
         self.rewards = {name: float(value) for name, value in found.items()}
         if not self.touchable:
             world = jax.device_get(world_of(own_data(self.task, state)))
             self.stage.show(world.qpos, world.qvel, self.task.period)
         return state
-
-
-def _steered(learner: Learner, policy: Any, episode: Any, state: State, steps: Any, told: dict[str, Any]) -> State:
-    """A decision under the command told."""
-    if told:
-        state = state._replace(data=learner.task.steered(state.data, told))
-    return decided(learner, policy, episode, state, steps)[0]
 
 
 def _speeds(data: mujoco.MjData) -> Float[np.ndarray, "3"]:

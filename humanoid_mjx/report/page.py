@@ -14,7 +14,7 @@ import numpy as np
 from PIL import Image
 
 from humanoid_mjx.config import dump_yaml
-from humanoid_mjx.evaluation.film import show
+from humanoid_mjx.evaluation.film import driven_films, show
 from humanoid_mjx.evaluation.policy import find_policy, on_native
 from humanoid_mjx.files import write_text
 from humanoid_mjx.report.figures import HEAT_MAPS, Figure, averaged, curved, draw_map, figures_of, limits, mapped
@@ -33,6 +33,9 @@ BEST_POINTS = 10
 
 FEW_VALUES = 12
 """More values of a swept parameter are not listed one by one."""
+
+DRIVEN_S = 6.0
+"""Length of a film under one command, s."""
 
 PANEL = 4.4, 3.0
 """Size of a panel, inches."""
@@ -216,8 +219,11 @@ def _motion(path: Path, reporter: Reporter) -> list[str]:
         file = io.BytesIO()
         Image.fromarray(frame).save(file, "JPEG", quality=88)
         pictures.append(_figure(file.getvalue(), f"The robot after {seconds:.2f} s", f"{seconds:.2f} s", ".jpg"))
+    reporter.phase("simulating commands")
+    films = driven_films(trained, DRIVEN_S)
+    driven = [text("Under commands that stay", "h3"), _grid(player(film) for film in films)] if films else []
     words = f"The best policy in the first held-out episode: {shown.outcome}."
-    return [text(words), player(shown.film, still=NO_SCRIPT), _grid(pictures, " strip")]
+    return [text(words), player(shown.film, still=NO_SCRIPT), _grid(pictures, " strip"), *driven]
 
 
 def _config(config: Mapping[str, Any], axes: Sequence[str], summary: Mapping[str, np.ndarray]) -> list[str]:

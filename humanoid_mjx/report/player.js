@@ -343,6 +343,11 @@
       context.drawImage(this.buffer, left / fine, top / fine, width / fine, height / fine);
     }
 
+    pushed(torso, force, words) {
+      const way = unit(force);
+      return { from: torso.map((x, i) => x - this.data.arrow * way[i]), to: torso, color: ALARM, words };
+    }
+
     // An arrow from one place to another, m, with words at its tail.
     drawArrow(context, camera, { from, to, color, words }) {
       const tail = camera.see(from), head = camera.see(to), ratio = camera.ratio;
@@ -436,10 +441,7 @@
     pose() {
       const [torso] = this.between(this.data.torso.map((p) => [p]));
       const now = this.data.pushes.filter((push) => this.time >= push.start - 1e-9 && this.time < push.start + push.seconds);
-      const arrows = now.map(({ force, words }) => {
-        const way = unit(force);
-        return { from: torso.map((x, i) => x - this.data.arrow * way[i]), to: torso, color: ALARM, words };
-      });
+      const arrows = now.map(({ force, words }) => this.pushed(torso, force, words));
       return { shapes: this.between(this.data.frames), torso, ground: [0, 0, 0], arrows };
     }
 
@@ -630,11 +632,12 @@
     }
 
     pose() {
-      const { shapes, torso, ground, forces } = this.latest;
+      const { shapes, torso, ground, forces, push } = this.latest;
       const most = Math.max(...forces.map((f) => Math.hypot(f[3], f[4], f[5])), this.most || 1);
       this.most = most;
       const arrows = forces.map((f) => ({ from: f.slice(0, 3), color: LOAD,
         to: [0, 1, 2].map((i) => f[i] + (this.data.arrow / most) * f[i + 3]) }));
+      if (push) arrows.push(this.pushed(torso, push, `push ${Math.hypot(...push).toFixed(2)} N s`));
       if (this.pulled && this.held_at) {
         const [x, y, z] = shapes[this.held_at.shape];
         arrows.push({ from: [x, y, z], to: this.pulled, color: ALARM });
