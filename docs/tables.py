@@ -215,7 +215,27 @@ def verdicts() -> str:
     return table("verdict | quantities | what it says", rows)
 
 
-TABLES = {of.__name__: of for of in (speed, in_turn, stand, learners, other_physics, faults, ranges, verdicts)} | {
+def walk_cpu() -> str:
+    """Return how `walk` is learned in some minutes on two CPU cores, by the setting."""
+    found, rows = record("cpu_2_cores_walk_cpu"), []
+    for trial in found["trials"]:
+        own = found["learner"] | trial["learner"]
+        envs, batch = f"{own['envs']} x {own['rollout']}", own["envs"] * own["rollout"] // own["minibatches"]
+        others = [f"{key} {own[key]}" for key in ("epochs", "learning_rate") if own[key] != found["learner"][key]]
+        others += [f"bins {trial['task']['bins']}"] if "bins" in trial["task"] else []
+        others += ["commands of `walk`"] if "command" not in trial["task"] else []
+        ways = trial["upright, forward, left, turn"]
+        upright = 100 * min(up for up, *_ in ways.values())
+        speeds = ", ".join(rounded(ways[name][1], 2) for name in (".15", ".3"))
+        size = rounded(trial["steps"] / 1e6), rounded(trial["steps_per_s"] / 1e3, 0)
+        rows.append((envs, str(batch), ", ".join(others), *size, rounded(upright, 0), speeds))
+    head = "environments x steps | batch | else | steps, millions | thousand steps/s"
+    return table(f"{head} | upright under the worst command, % | m/s at 0.15, 0.3", rows)
+
+
+TABLES = {
+    of.__name__: of for of in (speed, in_turn, stand, learners, other_physics, faults, ranges, verdicts, walk_cpu)
+} | {
     "reproduce_minutes": lambda: rounded(record("cpu_2_cores_reproduce")["command_s"] / 60),
     "stand_seconds": lambda: rounded(record("h200_stand_8_seeds")["records"][0]["command_s"]),
     "stand_cpu_minutes": lambda: rounded(record("cpu_2_cores_stand")["records"][0]["one_seed_wall_s"] / 60),

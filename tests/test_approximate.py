@@ -250,6 +250,11 @@ def test_exploration():
     assert (again[held] == action[held]).all() and (again[~held] == 0).all()
 
 
+def test_of_equal_values_the_first_is_the_largest():
+    values = np.random.default_rng(0).integers(0, 4, (50, 1, 9)).astype(np.float32)
+    np.testing.assert_array_equal(exploration._largest(jnp.asarray(values)), values.argmax(axis=-1))
+
+
 def test_a_random_choice_is_held_for_one_to_action_repeat_steps_evenly():
     greedy, allowed = jnp.full((4000, 1), -1), jnp.ones((1, 2), bool)
     explore = jax.jit(lambda *args: exploration.explore(greedy, allowed, args[0], 4, *args[1:]))
