@@ -2,6 +2,7 @@
 """Robots of a YAML beside an MJCF: what follows from the model, what is refused, where the files are found."""
 
 import shutil
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -212,6 +213,28 @@ def test_a_run_finds_its_robot_again_and_takes_no_other(tmp_path, monkeypatch):
         with pytest.raises(InputError, match="has changed since this run"):
             make_robot(robot["name"], content=robot["content"])
         assert make_robot(robot["name"]).mass == pytest.approx(12.82)
+
+
+@pytest.mark.parametrize(
+    ("model", "keys", "facts"),
+    [
+        ("humanoid.xml", {"feet": ["right_foot", "left_foot"], "mirror": {"right": "left"}}, (17, 1, [40, 40, 40])),
+        ("ant.xml", {"feet": ["left_ankle_geom", "right_ankle_geom"]}, (8, 2, [150, 150, 150])),
+    ],
+)
+def test_models_of_gymnasium_are_taken_as_they_are(model, keys, facts, tmp_path):
+    """Bodies without names, gears, motors in another order than joints, a foot that is a ball or a capsule."""
+    gymnasium = pytest.importorskip("gymnasium")
+    file = Path(gymnasium.__file__).parent / "envs" / "mujoco" / "assets" / model
+    (tmp_path / "other.yaml").write_text(yaml.safe_dump({"model": str(file)} | keys))
+    robot = make_robot(str(tmp_path / "other.yaml"))
+    assert (len(robot.joints), robot.points, robot.torque_limits[:3].tolist()) == facts
+    assert robot.model.npair == len(robot.feet) * robot.points
+    if robot.mirror:
+        order, signs = robot.joint_images
+        shoulder = robot.joints.index("right_shoulder1")
+        assert robot.joints[order[shoulder]] == "left_shoulder1" and signs[shoulder] == -1
+        np.testing.assert_allclose(robot.ranges_rad[order][shoulder], -robot.ranges_rad[shoulder][::-1])
 
 
 def test_info_shows_a_robot_and_its_keys(tmp_path):

@@ -156,7 +156,7 @@ class Declared(Robot):
     def _points(self, spec: mujoco.MjSpec, model: mujoco.MjModel, joints: Sequence[str]) -> list[Any]:
         """The feet with their points, foot by foot."""
         data = mujoco.MjData(model)
-        for joint, angle in zip(joints, self.posture if self.home else np.zeros(len(joints)), strict=True):
+        for joint, angle in zip(joints, np.radians(self.home or [0.0] * len(joints)), strict=True):
             data.qpos[model.joint(joint).qposadr[0]] = angle
         mujoco.mj_kinematics(model, data)
         planes = model.geom_type == GEOM.mjGEOM_PLANE
@@ -335,6 +335,8 @@ def _by_kind(values: dict[str, Any], joints: Sequence[str], shares: np.ndarray) 
 def _load(file: str) -> mujoco.MjSpec:
     try:
         spec = mujoco.MjSpec.from_file(file)
+        for index, body in enumerate(spec.bodies):
+            body.name = body.name or f"body{index}"
         spec.compile()
     except ValueError as error:
         raise InputError(
@@ -381,8 +383,8 @@ def _feet(names: Sequence[str], spec: mujoco.MjSpec) -> tuple[tuple[str, ...], t
             raise InputError(f"feet: the model has no geom or body {name!r}; {known(name, all_names)}")
         bodies.append(geom.parent.name if geom is not None else body.name)
         chosen = [geom] if geom is not None else [g for g in body.geoms if g.contype or g.conaffinity]
-        if not chosen or "" in (bodies[-1], *(g.name for g in chosen if geom is not None)):
-            raise InputError(f"feet: {name} has no geom that touches, or a body without a name")
+        if not chosen:
+            raise InputError(f"feet: {name} has no geom that touches")
         geoms += [geom.name] if geom is not None else []
     if geoms and len(geoms) != len(names):
         raise InputError("feet: name geoms or bodies, not some of each")
