@@ -15,7 +15,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from robots import draw_robots
+from robot_pictures import draw_robots
 
 LEARNERS = ("leg_reach", "leg_reach_linear", "leg_reach_ppo")
 """The configs whose learning curves are drawn side by side."""

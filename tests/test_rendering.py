@@ -20,7 +20,7 @@ from humanoid_mjx.report.video import ffmpeg
 from humanoid_mjx.robot import make_robot
 from humanoid_mjx.robot.lower_body import LOOKS, lower_body_model
 from humanoid_mjx.spec import InputError
-from robots import draw_robots
+from robot_pictures import draw_robots
 
 MODEL = lower_body_model()
 

@@ -128,7 +128,7 @@ class Painter:
 def _smooth(
     rays: Rays, middles: Picture, look: Callable[[Points], tuple[Values, Kinds]]
 ) -> Float[np.ndarray, "height width values"]:
-    """Values of each pixel: of the ray through its middle, or, where a neighbour shows another kind of thing, their mean
+    """Values of each pixel: of the ray through its middle, or, where a neighbour shows another kind of thing, the mean
     over all rays of the pixel."""
     shape = rays.shape[:2]
     values, kinds = look(middles.reshape(-1, 3))
