@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 from PIL import Image
+from robot_pictures import draw_robots
 from scipy.spatial import ConvexHull
 
 from humanoid_mjx.evaluation.film import Film, Push, in_words, merged
@@ -20,7 +21,6 @@ from humanoid_mjx.report.video import ffmpeg
 from humanoid_mjx.robot import make_robot
 from humanoid_mjx.robot.lower_body import LOOKS, lower_body_model
 from humanoid_mjx.spec import InputError
-from robot_pictures import draw_robots
 
 MODEL = lower_body_model()
 
