@@ -62,6 +62,12 @@ def test_models_that_are_refused_with_all_reasons(package, name):
         assert any(what.startswith(words) for what in said), (words, said)
 
 
+def test_legs_on_fixed_bodies_are_lanes():
+    """The ant's hips turn against bodies that are fixed to its torso."""
+    model = mujoco.MjModel.from_xml_path(path("gymnasium", "ant"))
+    assert fold(read_tree(model)).lanes == 4
+
+
 def errors(model: mujoco.MjModel, count: int = 32) -> float:
     """The largest error of 32 worlds: of accelerations, relative to 1 and more, and of velocities after a step."""
     model = converged(model)

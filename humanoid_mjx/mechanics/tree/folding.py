@@ -25,7 +25,7 @@ def _alike(tree: Tree, roots: Sequence[int]) -> list[list[tuple[int, ...]]]:
     """The limbs at these bodies, those of one build together; a limb is the numbers of its bodies."""
     groups: list[list[tuple[int, ...]]] = []
     for limb in (_limb(tree, root) for root in roots):
-        if tree.free in limb or not tree.bodies[limb[0]].joints:
+        if tree.free in limb or not any(tree.bodies[index].joints for index in limb):
             continue
         for group in groups:
             try:
@@ -49,8 +49,8 @@ def _limb(tree: Tree, root: int) -> tuple[int, ...]:
 
 def _described(tree: Tree, limb: tuple[int, ...]) -> Any:
     """Its bodies and points, with numbers of bodies, coordinates and degrees of freedom that count from its root."""
-    dof = tree.bodies[limb[0]].joints[0].dof
-    coordinate = tree.bodies[limb[0]].joints[0].coordinate
+    first = next(joint for index in limb for joint in tree.bodies[index].joints)
+    dof, coordinate = first.dof, first.coordinate
     bodies = []
     for index in limb:
         body = tree.bodies[index]
