@@ -55,7 +55,7 @@ class Grab(NamedTuple):
 
 @dataclass
 class Hands:
-    """What a person does to the robot. Any thread may set it."""
+    """Changes that a person makes to the robot and its world. Any thread may set them."""
 
     friction: float = 1.0
     """Factor on that of the feet on the ground."""

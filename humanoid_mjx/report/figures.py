@@ -288,7 +288,7 @@ def draw_map(
 
 
 def best_is_most(summary: Mapping[str, np.ndarray], name: str) -> bool:
-    """Whether more of a measure is better: success, and what goes along with success rather than against it."""
+    """Return whether more of a measure is better, as of success and of measures that grow with it."""
     success, values = (np.asarray(summary[each], float) for each in ("greedy_success", name))
     known = np.isfinite(success) & np.isfinite(values)
     return name == "greedy_success" or float(np.sum((success - success[known].mean()) * values, where=known)) > 0

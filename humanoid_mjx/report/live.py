@@ -85,7 +85,7 @@ class Scale(NamedTuple):
 
 
 class Window:
-    """What the browser sees of a live robot, and does to it."""
+    """A live robot as the browser gets it, and the messages that come back."""
 
     def __init__(self, live: Live):
         self.live, self.model = live, live.model
@@ -222,7 +222,7 @@ def _short(value: float) -> float:
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Answers this machine's browser, and no page that another site has put into it."""
+    """Answers to the browser of this machine, and to no page of another site in it."""
 
     protocol_version = "HTTP/1.1"
 
@@ -261,7 +261,7 @@ class _Handler(BaseHTTPRequestHandler):
         """Nothing of the requests is printed."""
 
     def _is_for_us(self) -> bool:
-        """Whether the browser means this server by its own name, and no site behind another name sends it."""
+        """Return whether a request names this server as its host, and comes from no page of another site."""
         port = self.server.server_address[1]  # pyright: ignore[reportIndexIssue]
         names = {f"{host}:{port}" for host in (LOOPBACK, "localhost")}
         origin = self.headers.get("Origin")
