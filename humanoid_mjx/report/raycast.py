@@ -129,7 +129,7 @@ def _smooth(
     rays: Rays, middles: Picture, look: Callable[[Points], tuple[Values, Kinds]]
 ) -> Float[np.ndarray, "height width values"]:
     """Values of each pixel: of the ray through its middle, or, where a neighbour shows another kind of thing, the mean
-    over all rays of the pixel."""
+    over all its rays."""
     shape = rays.shape[:2]
     values, kinds = look(middles.reshape(-1, 3))
     values, kinds, edges = values.reshape(*shape, -1), kinds.reshape(shape), np.zeros(shape, bool)
