@@ -233,10 +233,24 @@ def walk_cpu() -> str:
     return table(f"{head} | upright under the worst command, % | m/s at 0.15, 0.3", rows)
 
 
+def parity() -> str:
+    """Return what learners reach on tasks of the literature, with intervals."""
+    found, rows = record("parity")["found"], []
+    words = {"cliff walking": "`tabular_q`", "mountain car": "`linear_q`", "cart pole": "`deep_q`"}
+    for name, figures in found.items():
+        task, _, other = name.partition(", ")
+        means = ("return while learning, last fifth", "return of the greedy policy")
+        cells = ("{} ({} to {})".format(*(rounded(x, 0) for x in figures[key])) for key in means)
+        rows.append((task, other or words[task], *cells, rounded(figures["wall_s, compiling in it"], 0)))
+    return table("task | learner | return while learning | return of the greedy policy | s for ten seeds", rows)
+
+
 TABLES = {
-    of.__name__: of for of in (speed, in_turn, stand, learners, other_physics, faults, ranges, verdicts, walk_cpu)
+    of.__name__: of
+    for of in (speed, in_turn, stand, learners, other_physics, faults, ranges, verdicts, walk_cpu, parity)
 } | {
     "reproduce_minutes": lambda: rounded(record("cpu_2_cores_reproduce")["command_s"] / 60),
+    "parity_cliff": lambda: rounded(record("parity")["expected while learning on the cliff"], 1),
     "stand_seconds": lambda: rounded(record("h200_stand_8_seeds")["records"][0]["command_s"]),
     "stand_cpu_minutes": lambda: rounded(record("cpu_2_cores_stand")["records"][0]["one_seed_wall_s"] / 60),
 }
