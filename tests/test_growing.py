@@ -35,7 +35,8 @@ def test_the_page_grows_and_ends_as_the_report(tmp_path, monkeypatch):
         look(self, pool)
         if results := results_so_far(self):
             known.append(np.isfinite(results["steps"]).mean())
-            if len(known) == 2:  # as a browser would, while it trains
+            if len(known) == 2:  # as a browser would, while it trains, once the first page is old
+                growing._drawn = None
                 pages.append(get(address))
 
     monkeypatch.setattr(Curves, "look", looked)
