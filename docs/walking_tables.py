@@ -104,9 +104,28 @@ def _series(name: str) -> str:
     return _compared({one["setting"]: of(one) for one in record(name)["settings"]})
 
 
-TABLES = {of.__name__: of for of in (walk, walk_goals, walk_learners)} | {
+def walk_worlds() -> str:
+    """Return how policies walk in harder worlds: medians over seeds, with the worst seed in brackets."""
+    rows = []
+    for row in record("walk_worlds")["rows"]:
+        seeds = range(len(row["success"][0]))
+        least = sorted(100 * min(by_seed[seed] for by_seed in row["success"]) for seed in seeds)
+        mean = sorted(100 * sum(by_seed[seed] for by_seed in row["success"]) / len(row["success"]) for seed in seeds)
+        at = dict(zip(row["commands"], range(len(row["commands"])), strict=True))
+        speeds = ", ".join(rounded(median(row["forward"][at[f"forward {told}"]]), 2) for told in ("0.3", "0.5", "0.8"))
+        slips = ", ".join(rounded(median(row["slip"][at[f"forward {told}"]]), 3) for told in ("0.3", "0.5"))
+        turned = spread([100 * share for share in row["turn_success"][at["sudden turn"]]], 0)
+        upright = (f"{rounded(median(of), 0)} ({rounded(of[0], 0)})" for of in (mean, least))
+        rows.append((row["world"], f"`{row['policy']}`", str(len(seeds)), *upright, speeds, slips, turned))
+    told = "speed told 0.3, 0.5, 0.8 m/s | slip told 0.3, 0.5 m/s"
+    upright = "upright for 20 s, mean of all commands, % | under the worst command, %"
+    return table(f"world | policy | seeds | {upright} | {told} | turns at once, %", rows)
+
+
+TABLES = {of.__name__: of for of in (walk, walk_goals, walk_learners, walk_worlds)} | {
     "walk_gaits": lambda: _series("h200_walk_gaits"),
     "walk_yawing": lambda: _series("h200_walk_yawing"),
     "walk_learning": lambda: _series("h200_walk_learning"),
+    "walk_sturdy_minutes": lambda: rounded(record("walk_worlds")["trained"]["walk_sturdy"]["command_s"] / 60),
     "walk_minutes": lambda: rounded(record("h200_walk_seeds")["training"]["command_s"] / 60),
 }

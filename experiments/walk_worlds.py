@@ -1,0 +1,91 @@
+"""Measure how policies of the lower body walk in worlds that are harder than a plane of friction 1.
+
+    python experiments/walk_worlds.py runs/walk_sturdy walk --episodes 32 --json docs/bench/walk_worlds.json
+
+A run folder stands for all training seeds of its best point. Each policy is played for 20 s under every command of
+`evaluate --gait` in each of `WORLDS`. The record has a figure of each seed under each command; `docs/walking_tables.py`
+makes the table of it.
+"""
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+import humanoid_mjx
+from humanoid_mjx import compute
+from humanoid_mjx.evaluation.gait.measure import settings_of, trained_seeds
+from humanoid_mjx.evaluation.gait.scenarios import gaits_of, play_gaits, scenarios_of, walking_task
+from humanoid_mjx.evaluation.policy import Trained, in_world
+from humanoid_mjx.robot import make_robot
+
+PLAIN = {"friction": "1", "torque_limit": "1", "push.least": "1", "push.every": "3", "sensors.jitter": "0"}
+"""Values of the task in all worlds that do not change them; the sensors are one control cycle late."""
+
+
+def pushed(impulse: float) -> dict[str, str]:
+    """Values of a world in which impulses of this size, N s, push the torso from a random side every 3 s."""
+    return {"push.impulse": f"{impulse / make_robot('lower_body').momentum:.5f}"}
+
+
+WORLDS: dict[str, dict[str, str]] = {
+    "flat ground": {},
+    "pushed by 0.5 N s every 3 s": pushed(0.5),
+    "pushed by 0.8 N s every 3 s": pushed(0.8),
+    "friction 0.3": {"friction": "0.3"},
+    "friction 1.2": {"friction": "1.2"},
+    "motors of 0.6 N m": {"torque_limit": "0.3"},
+    "sensors three cycles late": {"sensors.delay": "3"},
+}
+
+FIGURES = "success", "forward", "speed_error", "slip", "turn_success"
+"""The figures of a gait that the record keeps."""
+
+
+def walked(policies: list[Trained], episodes: int) -> dict[str, Any]:
+    """Return the figures of policies that differ by their training seed, as lists of commands of lists of seeds."""
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(policy.policy for policy in policies))
+    task = walking_task(policies[0].learner.task)
+    scenarios = scenarios_of(task.robot)
+    duration = float(task.duration)
+    found = play_gaits(policies[0].learner, stacked, scenarios, episodes, duration, ("greedy",), lambda done, of: None)
+    gaits = [gait.as_json() for gait in gaits_of(found, scenarios)]
+
+    def of_seeds(gait: dict[str, Any], name: str) -> list[float] | None:
+        return [seed[0] for seed in gait["figures"][name]["seeds"]] if name in gait["figures"] else None
+
+    figures = {name: [of_seeds(gait, name) for gait in gaits] for name in FIGURES}
+    return {"commands": [gait["scenario"] for gait in gaits], **figures}
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Play all policies in all worlds, and write the record."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="+", metavar="RUN|POLICY")
+    parser.add_argument("--episodes", type=int, default=32, help="of each seed under each command")
+    parser.add_argument("--physics", help="another physics, such as mujoco")
+    parser.add_argument("--worlds", nargs="+", choices=WORLDS, default=list(WORLDS))
+    parser.add_argument("--json", type=Path, required=True, metavar="FILE")
+    given = parser.parse_args(arguments)
+    humanoid_mjx.start()
+    made_by, rows = compute.made_by(), []
+    for name in given.names:
+        policies = trained_seeds([name])
+        for world in given.worlds:
+            overrides = [f"task.{key}={value}" for key, value in (PLAIN | WORLDS[world]).items()]
+            there = [in_world(policy, given.physics, settings_of(overrides)) for policy in policies]
+            found = walked(there, given.episodes)
+            rows.append({"policy": policies[0].name, "world": world, "set": overrides, **found})
+            least = min(min(seeds) for seeds in found["success"])
+            print(f"{policies[0].name}, {world}: least upright {least:.0%}", flush=True)
+    origins = {policy.name: policy.origin["provenance"] for name in given.names for policy in trained_seeds([name])}
+    record = made_by | {"episodes": given.episodes, "physics": given.physics, "trained": origins, "rows": rows}
+    given.json.write_text(json.dumps(record) + "\n")
+
+
+if __name__ == "__main__":
+    main()
