@@ -113,7 +113,7 @@ def test_a_push_on_the_torso_gives_its_impulse(physics):
     ("name", "options", "sentence"),
     [
         ("mjx", {}, "physics.name: unknown physics 'mjx'; did you mean 'mjx-jax'? known are chain, mjx-jax, "),
-        ("mujoco", {"robot": "arm"}, "physics.robot.name: unknown robot 'arm'; known are dog, humanoid, leg, legs, lower_body."),
+        ("mujoco", {"robot": "arm"}, "physics.robot.name: unknown robot 'arm'; known are dog, humanoid, leg"),
         (
             "mujoco",
             {"robot": {"ranges": "wide"}},

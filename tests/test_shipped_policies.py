@@ -10,11 +10,11 @@ SECONDS = 3.0
 """Long enough for a body without a policy to fall: most of those that hold their posture do within a second."""
 
 
-@pytest.mark.parametrize("name", ["stand", "walk"])
+@pytest.mark.parametrize("name", ["stand", "walk", "walk_sturdy", "walk_dog"])
 def test_a_shipped_policy_stays_upright_in_native_mujoco(name):
     world = ["task.physics=mujoco", f"task.duration={SECONDS}"]
     trained = in_changed_world(find_policy(name), world)
     greedy, zero = (play_out(trained, agent, EPISODES) for agent in ("greedy", "zero"))
     assert greedy["success"].all()
-    assert zero["success"].mean() <= 0.5
+    assert zero["success"].mean() <= 0.5 or name == "walk_dog"  # four legs stand by themselves
     assert greedy["return"].min() > 1.5 * zero["return"].mean()
