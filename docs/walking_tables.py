@@ -122,7 +122,18 @@ def walk_worlds() -> str:
     return table(f"world | policy | seeds | {upright} | {told} | turns at once, %", rows)
 
 
-TABLES = {of.__name__: of for of in (walk, walk_goals, walk_learners, walk_worlds)} | {
+def walk_dog() -> str:
+    """Return how the shipped dog walks in native MuJoCo, by command."""
+    gaits = [gait for gait in record("cpu_2_cores_walk_dog")["results"][0]["gaits"] if gait["agent"] == "greedy"]
+    rows = []
+    for gait in gaits:
+        of = {name: figure["seeds"][0][0] for name, figure in gait["figures"].items()}
+        moves = (rounded(of[name], 2) for name in ("forward", "left", "turn"))
+        rows.append((gait["scenario"], rounded(100 * of["success"], 0), *moves, rounded(of["slip"], 3)))
+    return table("command, m/s and rad/s | upright for 20 s, % | forward, m/s | left, m/s | turn, rad/s | slip, m/s", rows)
+
+
+TABLES = {of.__name__: of for of in (walk, walk_goals, walk_learners, walk_worlds, walk_dog)} | {
     "walk_gaits": lambda: _series("h200_walk_gaits"),
     "walk_yawing": lambda: _series("h200_walk_yawing"),
     "walk_learning": lambda: _series("h200_walk_learning"),
