@@ -112,9 +112,14 @@ def walk_worlds() -> str:
         least = sorted(100 * min(by_seed[seed] for by_seed in row["success"]) for seed in seeds)
         mean = sorted(100 * sum(by_seed[seed] for by_seed in row["success"]) / len(row["success"]) for seed in seeds)
         at = dict(zip(row["commands"], range(len(row["commands"])), strict=True))
-        speeds = ", ".join(rounded(median(row["forward"][at[f"forward {told}"]]), 2) for told in ("0.3", "0.5", "0.8"))
-        slips = ", ".join(rounded(median(row["slip"][at[f"forward {told}"]]), 3) for told in ("0.3", "0.5"))
-        turned = spread([100 * share for share in row["turn_success"][at["sudden turn"]]], 0)
+
+        def at_speeds(figure: str, places: int, speeds: str, row: Any = row, at: dict[str, int] = at) -> str:
+            """Medians of the seeds that walked long enough to have the figure."""
+            values = [[x for x in row[figure][at[f"forward {told}"]] if x is not None] for told in speeds.split()]
+            return ", ".join(rounded(median(known), places) if known else "none" for known in values)
+
+        speeds, slips = at_speeds("forward", 2, "0.3 0.5 0.8"), at_speeds("slip", 3, "0.3 0.5")
+        turned = spread([100 * (share or 0.0) for share in row["turn_success"][at["sudden turn"]]], 0)
         upright = (f"{rounded(median(of), 0)} ({rounded(of[0], 0)})" for of in (mean, least))
         rows.append((row["world"], f"`{row['policy']}`", str(len(seeds)), *upright, speeds, slips, turned))
     told = "speed told 0.3, 0.5, 0.8 m/s | slip told 0.3, 0.5 m/s"
@@ -130,7 +135,9 @@ def walk_dog() -> str:
         of = {name: figure["seeds"][0][0] for name, figure in gait["figures"].items()}
         moves = (rounded(of[name], 2) for name in ("forward", "left", "turn"))
         rows.append((gait["scenario"], rounded(100 * of["success"], 0), *moves, rounded(of["slip"], 3)))
-    return table("command, m/s and rad/s | upright for 20 s, % | forward, m/s | left, m/s | turn, rad/s | slip, m/s", rows)
+    return table(
+        "command, m/s and rad/s | upright for 20 s, % | forward, m/s | left, m/s | turn, rad/s | slip, m/s", rows
+    )
 
 
 TABLES = {of.__name__: of for of in (walk, walk_goals, walk_learners, walk_worlds, walk_dog)} | {
