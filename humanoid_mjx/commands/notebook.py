@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from humanoid_mjx.evaluation.policy import Trained, find_policy, in_world
+from humanoid_mjx.evaluation.policy import Trained, find_policy, in_world, on_native
 from humanoid_mjx.runs.evaluations import Evaluation
 from humanoid_mjx.runs.folder import read_config
 from humanoid_mjx.spec import check_folder
@@ -102,8 +102,9 @@ def play(
     """Write a film of an episode that no training has seen.
 
     Args:
-      what, point, physics, overrides: as `evaluate` takes them.
+      what, point, overrides: as `evaluate` takes them.
       episode: its number.
+      physics: by default native MuJoCo where the task can, as the command's.
       out: a .gif, .mp4, .webm or .png; by default `figures/play.gif` of the run, or `NAME.gif`.
 
     Raises:
@@ -115,7 +116,7 @@ def play(
 
     trained = _policy(what, point, physics, overrides)
     with reporting() as reporter:
-        shown = show(trained, reporter, episode)
+        shown = show(trained if physics else on_native(trained), reporter, episode)
         reporter.phase("rendering")
         target = Path(out) if out else film_file(None if isinstance(what, Trained) else _folder(what), trained.name)
         render_film(shown.film, target, tell=reporter.count)

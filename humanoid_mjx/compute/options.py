@@ -16,8 +16,8 @@ Arithmetic = Literal["scalars", "tree", "arrays"]
 """Arithmetic of a task: scalars of many worlds (finite tasks, the chain), the tree's scalars, or arrays (MJX)."""
 
 Program = Literal["simulation", "tabular", "approximate", "other", "single"]
-"""Kind of a compiled program: physics alone, tabular or approximate Q-learning, any other learner; or a single world,
-whose program is to be compiled soon rather than to run fast."""
+"""Kind of a compiled program: physics alone, tabular or approximate Q-learning, any other learner, or a single world:
+that program should compile quickly, and need not run fast."""
 
 Options: TypeAlias = dict[str, str | bool]
 """`compiler_options` of a `jax.jit`."""
@@ -89,7 +89,7 @@ TABLE = (
     Option("xla_gpu_enable_triton_gemm", False, "gpu", _for("scalars tree", "approximate")),
     # cuBLAS by its own rules, without a trial of its algorithms. Trials run on the GPU while another thread trains, and
     # jaxlib 0.11.2 then sometimes corrupts its allocator of GPU memory: 5 of some 35 processes on one H200 ended in
-    # `BFCAllocator::InsertFreeChunk` or a segmentation fault.
+    # `BFCAllocator::InsertFreeChunk` or a segmentation fault. What it does to the speed of MJX was not measured.
     Option("xla_gpu_autotune_level", "0", "gpu", _for("scalars tree arrays", "simulation tabular approximate")),
     Option("xla_gpu_experimental_enable_fusion_autotuner", False, "gpu", _for("scalars tree", "approximate")),
     # Plain kernels. A decision of one robot that walks compiles in a fifth of the time and takes 2 ms longer.

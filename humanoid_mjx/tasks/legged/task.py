@@ -215,6 +215,7 @@ class LeggedTask(LeggedBody):
         return rows.reshape(-1)
 
     def _rows(self, view: View) -> Float[Array, "history size"]:
+        """The observations of the last `history` decisions, the latest first, as on the robot's own sides."""
         now = self.observed(view)[None]
         return now if view.episode.past is None else jnp.concatenate([now, view.episode.past[1:]])
 
