@@ -33,12 +33,11 @@ def found(tmp_path_factory):
 
 
 def test_gains_are_not_critical(found):
-    out, findings = found
+    findings = found[1]
     assert {f.verdict for f in findings["table-5.1"]} == {"differs"}
     np.testing.assert_allclose(
         [f.reproduced for f in findings["table-5.1"]], [1.985, 1.819, 2.003, 2.357, 2.032], atol=1e-3
     )
-    assert (out / "table-5.1.png").stat().st_size > 10_000
 
 
 def test_controllers_leave_what_an_independent_computation_says(found):

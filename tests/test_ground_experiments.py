@@ -14,8 +14,8 @@ from humanoid_mjx.reproduction.ground import (
     Trial,
     _plan,
     _until_fall,
-    balance_of,
     laws_of,
+    margins,
     physics,
 )
 from humanoid_mjx.thesis import leg as thesis
@@ -36,8 +36,7 @@ def found(tmp_path_factory):
 
 
 def test_computed_torque_stands_only_if_it_knows_the_contacts(found):
-    out, findings = found
-    blind, *pushes, gives, roll = findings["ground-control"]
+    blind, *pushes, gives, roll = found[1]["ground-control"]
     assert {f.verdict for f in (blind, *pushes, gives)} == {"finding"} and blind.reproduced < 1.5
     # A push that a body with ankles that do not roll stands, it stands as well with hips that do not.
     assert roll.verdict == "differs" and roll.reproduced[1] >= roll.reproduced[0] >= 0.3
@@ -45,7 +44,6 @@ def test_computed_torque_stands_only_if_it_knows_the_contacts(found):
     # Both are thrown over by a push that a rigid body on these feet would not stand either.
     assert all(0.1 <= taken <= 0.6 for push in pushes for taken in push.reproduced)
     assert max(gives.reproduced) < 0.03
-    assert (out / "ground-control.png").stat().st_size > 10_000
 
 
 def test_rolls_that_help_against_pushes_from_the_side_would_be_found():
@@ -72,14 +70,6 @@ def test_the_gaits_of_the_tables_fall_in_every_reading(found):
         assert off[table, "computed torque"] < 0.7 * off[table, "servo"]
     smallest = [row for row in rows if row[3] == "0.1"]
     assert len(smallest) == 4 * 3 * 2 and all("(all)" in row[5] for row in smallest)
-    for figure in ("balance", "prints"):
-        assert (out / f"gaits-4.8-{figure}.png").stat().st_size > 10_000
-
-
-def test_the_reading_decides_how_far_the_soles_tilt():
-    """Of Table 4.5: with knee and ankle reversed they stay nearly flat."""
-    tilts = {signs: ground_gaits.sole_tilts(signs) for signs in ground_gaits.FORWARDS}
-    assert tilts[1, 1, 1] == (-27.5, 25.0) and tilts[1, -1, -1] == (-7.5, 15.0)
 
 
 def test_the_experiments_use_the_gains_of_the_laws():
@@ -131,12 +121,9 @@ def test_the_left_leg_does_what_its_phase_says():
 
 
 def test_a_body_that_moves_evenly_has_its_zero_moment_point_below_its_mass():
-    balance = balance_of(carried(0.0, 0.3))
-    np.testing.assert_allclose(balance.point, balance.center[:, :2], atol=1e-5)
-    assert np.ptp(balance.center[:, 0]) > 0.05
-    # The feet reach 20 mm behind the ankles; the mass is a little before them.
-    assert (balance.margin > 0.015).all() and (balance.margin < 0.03).all()
-    np.testing.assert_allclose(balance.margin, balance.center_margin, atol=1e-5)
+    """The feet reach 20 mm behind the ankles; the mass is a little before them."""
+    margin = margins(carried(0.0, 0.3))
+    assert len(margin) == 50 and (margin > 0.015).all() and (margin < 0.03).all()
 
 
 def test_a_path_ends_with_the_fall():

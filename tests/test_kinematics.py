@@ -51,13 +51,6 @@ def test_static_torque_does_the_virtual_work():
     np.testing.assert_allclose(torque, wrench @ numeric_jacobian(LENGTHS, q), atol=1e-6)
 
 
-def test_manipulability_is_the_root_of_the_determinant():
-    for q in uniform(RANGES, 5, seed=3):
-        jac = numeric_jacobian(LENGTHS, q)
-        expected = np.sqrt(np.linalg.det(jac.T @ jac))
-        np.testing.assert_allclose(kinematics.manipulability(LEG, single(q)), expected, rtol=1e-3)
-
-
 def test_inverse_finds_the_joints():
     q = uniform(RANGES, 2000, seed=4)
     pose = forward(LEG, single(q))
@@ -82,15 +75,6 @@ def test_workspace_holds_what_the_ranges_allow():
     still = jnp.tile(jnp.array([[0.3]]), (5, 2))
     expected = np.tile(toe(LENGTHS, np.full(5, 0.3))[:3, 3], (3, 1))
     np.testing.assert_allclose(kinematics.workspace(LEG, still, jax.random.key(1), 3), expected, atol=1e-6)
-
-
-def test_within_is_a_test_of_every_joint():
-    ranges = joint_ranges("proposed")
-    inside = jnp.mean(ranges, axis=1)
-    assert kinematics.within(ranges, inside)
-    assert kinematics.within(ranges, ranges[:, 0]) and kinematics.within(ranges, ranges[:, 1])
-    outside = inside + jnp.diag(ranges[:, 1] - ranges[:, 0])
-    assert kinematics.within(ranges, jnp.concatenate([outside, inside[None]])).tolist() == [False] * 5 + [True]
 
 
 def test_joint_ranges_by_name():

@@ -74,8 +74,7 @@ def test_no_model_gives_the_table_s_torque_of_joint_1(found):
 
 
 def test_table_4_7_does_not_carry_the_body(found):
-    out, findings = found
-    sizing = findings["motor-sizing"]
+    sizing = found[1]["motor-sizing"]
     assert [f.verdict for f in sizing] == ["differs", "consistent"] + ["differs"] * 4
     two_legs, one_leg = np.array([f.reproduced for f in sizing[2:4]]), np.array([f.reproduced for f in sizing[4:]])
     assert two_legs[:, [0, 1, 2, 4]] == pytest.approx(0.0, abs=1e-4), "the force passes through these axes"
@@ -85,7 +84,6 @@ def test_table_4_7_does_not_carry_the_body(found):
     other = masses[0] * 1.5 + masses[1:].sum() * 2
     roll = arm * (10.0 + thesis.GRAVITY * (other + masses[0] / 2))
     assert one_leg[0, 2] == pytest.approx(roll, abs=1e-3)
-    assert (out / "motor-sizing.png").stat().st_size > 10_000
 
 
 def test_walking_passes_singular_postures(found):

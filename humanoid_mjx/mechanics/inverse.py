@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float
 
 from humanoid_mjx.mechanics.forward import forward, frames, jacobian
 from humanoid_mjx.robot.leg import Leg
-from humanoid_mjx.types import AnyArray, FloatScalar
+from humanoid_mjx.types import FloatScalar
 
 SOLUTIONS = 4
 """Rows of solutions that `inverse` returns: the elbow pair of a planar pose, for both signs of cos(q3)."""
@@ -42,38 +42,6 @@ def inverse(leg: Leg, pose: Float[Array, "4 4"]) -> tuple[Float[Array, "solution
     valid &= jnp.all(off < TOLERANCE[str(pose.dtype)], axis=(1, 2))  # and not max(off): on the CPU it may lose a NaN
     first = jnp.argsort(~valid, stable=True)
     return solutions[first], valid[first]
-
-
-def within(
-    ranges: Float[AnyArray, "5 2"], q: Float[AnyArray, "*batch 5"], slack: float = 1e-6
-) -> Bool[Array, "*batch"]:
-    """Whether all joints are in their ranges, rad, give or take `slack`."""
-    return jnp.all((q >= ranges[:, 0] - slack) & (q <= ranges[:, 1] + slack), axis=-1)
-
-
-def follow(
-    leg: Leg, poses: Float[Array, "samples 4 4"], q_start: Float[Array, "5"]
-) -> tuple[Float[Array, "samples 5"], Bool[Array, " samples"]]:
-    """The continuous joint path of a path of the toe, and at which samples there is a solution.
-
-    Of the solutions of each pose, the one nearest to where the last two samples lead is taken (for the first, the one
-    nearest to `q_start`), so that the knee bends on through a straight leg. Angles are unwrapped. Where there is no
-    solution the joints rest.
-    """
-    solutions, solves = jax.vmap(inverse, in_axes=(None, 0))(leg, poses)
-
-    def choose(last, found):
-        q, change, moves = last
-        candidates, valid = found
-        away = wrap(candidates - (q + change))
-        best = jnp.argmin(jnp.where(valid, jnp.sum(away**2, axis=1), jnp.inf))
-        reached = jnp.any(valid)
-        new = jnp.where(reached, q + change + away[best], q)
-        return (new, jnp.where(moves & reached, new - q, 0), reached), (new, reached)
-
-    start = q_start, jnp.zeros_like(q_start), jnp.array(False)
-    _, (path, valid) = jax.lax.scan(choose, start, (solutions, solves))
-    return path, valid
 
 
 def wrap(angle: Float[Array, "*shape"]) -> Float[Array, "*shape"]:

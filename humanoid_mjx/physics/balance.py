@@ -1,72 +1,85 @@
 # pyright: reportAttributeAccessIssue=false
-"""From a robot's state and accelerations to what `mechanics.balance` needs."""
+"""Balance on level ground: zero-moment point and support polygon (sections 4.5 and 4.8) of recorded motions.
+
+The thesis asks that the zero-moment point stay in the polygon of the feet and prints no formula. These are the standard
+ones (Vukobratovic and Borovac, International Journal of Humanoid Robotics 1, 2004): the ground must give the wrench
+that the bodies' weights and accelerations require, and the zero-moment point is where this wrench has no moment about a
+level axis. As long as the feet can give it, the point is the centre of pressure of the contact forces and lies in their
+convex hull.
+"""
 
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
-from humanoid_mjx.mechanics.balance import LinkMotion
-from humanoid_mjx.mechanics.rotations import rotate
-from humanoid_mjx.physics.base import Stages
 from humanoid_mjx.physics.model import MujocoPhysics
-from humanoid_mjx.types import AnyArray
+from humanoid_mjx.types import AnyArray, FloatScalar
 
 
-def link_motion(
+def ground_wrench(
     model: mujoco.MjModel,
     qpos: Float[AnyArray, "times nq"],
     qvel: Float[AnyArray, "times nv"],
     qacc: Float[AnyArray, "times nv"],
-) -> LinkMotion:
-    """The bodies of a recorded motion, outside jax, in float64.
+) -> tuple[Float[np.ndarray, "times 3"], Float[np.ndarray, "times 3"]]:
+    """What the ground must give a body with a free torso for its motion: force, N, and moment about the world's origin,
+    N m.
 
-    Args:
-      model: model of the robot.
-      qpos: and
-      qvel: the states.
-      qacc: the accelerations in them. Over a step of semi-implicit Euler they are the change of `qvel` over the step.
+    It is what inverse dynamics leaves to the six degrees of freedom that no motor drives. Where only the ground pushes,
+    it is the ground's wrench.
     """
-    data, bodies = mujoco.MjData(model), range(1, model.nbody)
-    times, links = len(qpos), len(bodies)
-    inertia, (position, acceleration, omega, alpha) = np.empty((times, links, 3, 3)), np.empty((4, times, links, 3))
-    rates, kind = np.empty((2, 6)), mujoco.mjtObj.mjOBJ_BODY
-    for t in range(times):
+    data, needed = mujoco.MjData(model), np.empty(model.nv)
+    force, moment = np.empty((2, len(qpos), 3))
+    for t in range(len(qpos)):
         data.qpos, data.qvel, data.qacc = qpos[t], qvel[t], qacc[t]
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_fwdVelocity(model, data)
-        data.qacc = qacc[t]
-        mujoco.mj_rnePostConstraint(model, data)
-        for i, body in enumerate(bodies):
-            mujoco.mj_objectVelocity(model, data, kind, body, rates[0], 0)
-            mujoco.mj_objectAcceleration(model, data, kind, body, rates[1], 0)
-            frame = data.ximat[body].reshape(3, 3)
-            inertia[t, i] = (frame * model.body_inertia[body]) @ frame.T
-            position[t, i], omega[t, i], alpha[t, i] = data.xipos[body], rates[0, :3], rates[1, :3]
-            acceleration[t, i] = rates[1, 3:]
-    # MuJoCo's accelerations are those that an accelerometer feels.
-    acceleration += model.opt.gravity
-    return LinkMotion(np.tile(model.body_mass[1:], (times, 1)), inertia, position, acceleration, omega, alpha)
+        mujoco.mj_rne(model, data, 1, needed)
+        force[t] = needed[:3]
+        mujoco.mju_rotVecQuat(moment[t], needed[3:6], data.qpos[3:7])
+        moment[t] += np.cross(data.qpos[:3], force[t])
+    return force, moment
 
 
-def ground_wrench(stages: Stages, qacc: Float[Array, " nv"]) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
-    """What pushes a free body from outside, inside jax: force, N, and moment about the world's origin, N m.
-
-    It is what the first six rows of `mass_matrix @ qacc + bias` leave unexplained: the force at the torso, world, and
-    the moment about its frame's origin, in its frame. Where only the ground pushes, it is the ground's wrench.
+def zero_moment_point(force: Float[np.ndarray, "times 3"], moment: Float[np.ndarray, "times 3"]) -> np.ndarray:
+    """Where on the plane z = 0 a wrench has no moment about x and y, (times, 2), m.
 
     Args:
-      stages: stages of a robot with a free torso.
-      qacc: accelerations of all degrees of freedom.
+      force: force, N, in the world's frame, z up.
+      moment: moment about the world's origin, N m.
+
+    Returns:
+      x and y; NaN where the force does not push the ground, as in flight.
     """
-    force, moment = jnp.split((stages.mass_matrix @ qacc + stages.bias)[:6], 2)
-    turned = rotate(stages.world.qpos[3:7], moment)
-    return force, turned + jnp.cross(stages.world.qpos[:3], force)
+    up = np.where(force[:, 2:] > 0, force[:, 2:], np.nan)
+    return np.stack([-moment[:, 1], moment[:, 0]], axis=1) / up
 
 
-def accelerations(qvel: Float[AnyArray, "*batch times nv"], timestep: float) -> Float[AnyArray, "*batch steps nv"]:
-    """From the velocities at each time step those that semi-implicit Euler took between them."""
-    return (qvel[..., 1:, :] - qvel[..., :-1, :]) / timestep
+def support_margin(
+    point: Float[AnyArray, "2"], corners: Float[AnyArray, "corners 2"], touching: Bool[AnyArray, " corners"]
+) -> FloatScalar:
+    """How far a point is inside the support polygon, the convex hull of the corners that touch, m.
+
+    Negative outside it: the distance to the polygon. With less than three corners it is an edge or a point, which has
+    no inside; with none the margin is minus infinity.
+    """
+    corners = jnp.asarray(corners)
+    pair = touching[:, None] & touching
+    along = corners - corners[:, None]
+    length = jnp.linalg.norm(along, axis=-1)
+    proper = pair & (length > 0)
+    unit = along / jnp.where(proper, length, 1.0)[..., None]
+    # Seen from corner i towards corner j: how far along the line, and how far to its left.
+    place = jnp.clip(_dot(point - corners[:, None], unit), 0.0, length)
+    to_point = _left(unit, point - corners[:, None])
+    to_corners = _left(unit[:, :, None], corners - corners[:, None, None])
+    edge = proper & ((to_corners > -1e-7) | ~touching).all(axis=-1)
+    has_area = (proper[..., None] & touching & (jnp.abs(to_corners) > 1e-7)).any()
+    inside = jnp.min(jnp.where(edge, to_point, jnp.inf))
+    nearest = corners[:, None] + place[..., None] * unit
+    outside = jnp.min(jnp.where(pair, jnp.linalg.norm(point - nearest, axis=-1), jnp.inf))
+    return jnp.where(has_area & (inside >= 0), inside, -outside)
 
 
 def foot_corners(physics: MujocoPhysics, qpos: Float[AnyArray, "times nq"]) -> Float[np.ndarray, "times corners 3"]:
@@ -78,3 +91,11 @@ def foot_corners(physics: MujocoPhysics, qpos: Float[AnyArray, "times nq"]) -> F
         mujoco.mj_kinematics(model, data)
         row[:] = data.geom_xpos[balls] - model.geom_size[balls, :1] * (0.0, 0.0, 1.0)
     return found
+
+
+def _dot(a: Array, b: Array) -> Array:
+    return jnp.sum(a * b, axis=-1)
+
+
+def _left(unit: Array, arm: Array) -> Array:
+    return unit[..., 0] * arm[..., 1] - unit[..., 1] * arm[..., 0]

@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Array, Key
 from pydantic import Field
 
-from humanoid_mjx.report.style import COLORS
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, listed, unprinted
 from humanoid_mjx.reproduction.traces import printed_run
 from humanoid_mjx.spec import traced
@@ -79,19 +78,6 @@ def waiting(setting: Setting) -> list[Finding]:
                 f"largest discount tried at which most runs go to the goal is {_largest(discounts, share[joint]):g}",
                 0.01,
             )
-        )
-    with setting.figure(1, 1, size=(5.5, 3.4)) as (_, axes):
-        panel = axes[0, 0]
-        for row, joint in enumerate(POSITIONS):
-            panel.plot(discounts, share[joint], color=COLORS[row], marker="o", markersize=3)
-            place = _largest(discounts, share[joint]) + 0.005, 0.25 + 0.2 * row
-            panel.annotate(f"joint {joint}", place, (4, 0), textcoords="offset points", color=COLORS[row])
-        panel.axvline(PRINTED["discount"], color="0.5", linewidth=1, linestyle="--")
-        panel.annotate("printed", (PRINTED["discount"], 0.05), (-40, 0), textcoords="offset points", color="0.3")
-        panel.set(
-            title=f"The reward pays for waiting (standard rules, {SEEDS} seeds each)",
-            xlabel="discount",
-            ylabel="greedy episodes that reach the goal",
         )
     return findings
 

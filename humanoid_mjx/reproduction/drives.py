@@ -11,10 +11,9 @@ from humanoid_mjx.control import Reference, servo
 from humanoid_mjx.control.actuator import Motor
 from humanoid_mjx.mechanics.dynamics import inverse_dynamics, joint_inertias, mass_matrix_and_bias
 from humanoid_mjx.mechanics.trajectories import thesis_quintics
-from humanoid_mjx.report.style import COLORS, log_axis
 from humanoid_mjx.reproduction import motor_sizing
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, listed, three_digits, unprinted
-from humanoid_mjx.reproduction.leg_values import NAMES, over, planned
+from humanoid_mjx.reproduction.leg_values import over, planned
 from humanoid_mjx.robot.leg import Leg
 from humanoid_mjx.thesis import leg as thesis
 
@@ -28,12 +27,6 @@ SHOWN = 100.0
 
 ROTORS = np.array([1e-8, 1e-7, 1e-6, 1e-5])
 """Rotor inertias that are tried, kg m^2: from motors of a few grams to one that weighs more than the leg."""
-
-REFLECTED = np.geomspace(1e-5, 10.0, 25)
-"""Inertias that a rotor adds to its joint, kg m^2: gear ratio^2 times that of the rotor."""
-
-SMALL = 0.1
-"""Share of the motor's torque that may be ignored; an inertia that varies by no larger one is almost constant."""
 
 TRACKS = np.radians(1.0)
 """Largest error of a good trajectory tracking, rad."""
@@ -53,7 +46,6 @@ def motors(setting: Setting) -> list[Finding]:
     mean, reflected = motion["inertia"].mean(axis=0), HIGH**2 * ROTORS[:, None]
     errors = tracking_errors(reflected.ravel(), mean).max(axis=1).reshape(reflected.shape)
     shown, tried = list(GEARS).index(SHOWN), "nothing is printed of the rotor; the motion is the planned one"
-    _draw(setting, motion, config, tracking_errors(REFLECTED, mean))
     return [
         unprinted(
             f"share of d of (5.17), the interaction, in the motor's torque at a gear of {SHOWN:g}, by rotor and joint",
@@ -175,43 +167,6 @@ def _planned_motion() -> dict[str, np.ndarray]:
     motion, leg = planned(np.linspace(0.0, thesis.QUINTIC_S, 501)), Leg.physical()
     torque, inertia = over(inverse_dynamics, leg, *motion), over(joint_inertias, leg, motion.position)
     return {"qvel": motion.velocity, "qacc": motion.acceleration, "torque": torque, "inertia": inertia}
-
-
-def _draw(setting: Setting, motion: dict[str, np.ndarray], config: dict[str, float], errors: np.ndarray) -> None:
-    rotor = f"rotor of {config['rotor_inertia']:g} kg m²"
-    panels = {
-        f"Interaction terms in the motor's torque, {rotor}": (
-            GEARS,
-            interaction_shares(motion, config["rotor_inertia"], config["friction"]),
-            (SMALL, f"small: up to {SMALL:g}"),
-            ("gear ratio (logarithmic)", "share"),
-        ),
-        f"Change of I_eff over the motion, {rotor}": (
-            GEARS,
-            inertia_variation(motion["inertia"], config["rotor_inertia"]),
-            (SMALL, f"almost constant: up to {SMALL:g}"),
-            ("gear ratio (logarithmic)", "share"),
-        ),
-        "Tracking without the interaction terms": (
-            REFLECTED,
-            errors,
-            (float(TRACKS), "good: up to a degree"),
-            ("gear ratio² x rotor's inertia, kg m² (logarithmic)", "largest error, rad"),
-        ),
-    }
-    with setting.figure(1, len(panels), size=(4.8, 3.4)) as (_, axes):
-        for panel, (title, (across, values, (limit, words), (below, beside))) in zip(
-            axes[0], panels.items(), strict=True
-        ):
-            for joint in range(5):
-                panel.plot(across, values[:, joint], "-o", markersize=3, color=COLORS[joint], label=NAMES[joint])
-            panel.axhline(limit, color="0.4", linestyle="--", linewidth=1.0)
-            panel.text(across[0], limit, words, color="0.4", va="bottom", fontsize=8)
-            log_axis(panel)
-            log_axis(panel, upright=True)
-            panel.set_ylim(bottom=1e-3)
-            panel.set(title=title, xlabel=below, ylabel=beside)
-        axes[0, 0].legend(frameon=False)
 
 
 EXPERIMENTS = [Experiment("motors-5.3", "Gear and motor", motors, {"motor": MOTOR})]

@@ -5,8 +5,6 @@ import numpy as np
 
 from humanoid_mjx import dynamics
 from humanoid_mjx.control.gains import critical_kd, damping_ratio, max_kp, poles
-from humanoid_mjx.control.response import step_response
-from humanoid_mjx.report.style import COLORS, label_lines
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, compare, three_digits
 from humanoid_mjx.reproduction.leg_values import over
 from humanoid_mjx.robot.leg import Leg
@@ -32,7 +30,6 @@ def table(setting: Setting) -> list[Finding]:
     kp, kd = jnp.array(thesis.KP), jnp.array(thesis.KD)
     ratios, critical = np.asarray(damping_ratio(kp, kd)), np.asarray(critical_kd(kp))
     slow = np.asarray(poles(kp, kd))[0]
-    _draw_responses(setting, np.sqrt(kp), ratios)
     findings = []
     for joint in JOINTS:
         quantity, ratio = f"damping ratio of joint {joint + 1} (critical by 5.35)", float(ratios[joint])
@@ -40,20 +37,6 @@ def table(setting: Setting) -> list[Finding]:
         why += f"slow pole is {slow[joint]:.2f} /s, not {-np.sqrt(kp[joint]):.2f} /s"
         findings.append(compare(quantity, 1.0, ratio, CRITICAL, why, 3))
     return findings
-
-
-def _draw_responses(setting: Setting, frequencies: np.ndarray, ratios: np.ndarray) -> None:
-    times, ends = jnp.linspace(0.0, 1.0, 201), []
-    with setting.figure(1, 1, size=(6.0, 3.4)) as (_, axes):
-        panel = axes[0, 0]
-        for joint in JOINTS:
-            omega, ratio = float(frequencies[joint]), float(ratios[joint])
-            ends.append(float(step_response(times, omega, ratio)[-1]))
-            panel.plot(times, step_response(times, omega, ratio), color=COLORS[joint])
-            panel.plot(times, step_response(times, omega, 1.0), color=COLORS[joint], linestyle=":")
-        panel.set(xlim=(0, 1), ylim=(0, 1.01), xlabel="time, s", ylabel="share of the step")
-        label_lines(panel, ends, [f"joint {i + 1}" for i in JOINTS], COLORS[:5])
-        panel.set_title("Steps with the gains of Table 5.1 (lines) and critically damped (dots)")
 
 
 def resonance(setting: Setting) -> list[Finding]:

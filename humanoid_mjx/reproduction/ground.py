@@ -12,9 +12,9 @@ from jax.sharding import PartitionSpec as P
 from jaxtyping import Array, Bool, Float
 
 from humanoid_mjx import compute, control
-from humanoid_mjx.mechanics import balance, gaits, pattern_generator
-from humanoid_mjx.physics import make_physics
-from humanoid_mjx.physics.balance import accelerations, foot_corners, link_motion
+from humanoid_mjx.mechanics import gaits, pattern_generator
+from humanoid_mjx.physics import balance, make_physics
+from humanoid_mjx.physics.balance import foot_corners
 from humanoid_mjx.physics.base import Stages, World
 from humanoid_mjx.thesis import leg as thesis
 from humanoid_mjx.types import AnyArray, IntScalar
@@ -125,20 +125,6 @@ class Path(NamedTuple):
         return float(np.sqrt(np.mean(self.error**2)))
 
 
-class Balance(NamedTuple):
-    """Balance along a path, at each time step but the last."""
-
-    center: Float[AnyArray, "steps 3"]
-    """Position of the centre of mass, m."""
-    point: Float[AnyArray, "steps 2"]
-    """The zero-moment point, m; NaN in flight."""
-    margin: Float[AnyArray, " steps"]
-    """Margin of the zero-moment point in the support polygon, m; infinite in flight. An edge has no inside: 0 at
-    most."""
-    center_margin: Float[AnyArray, " steps"]
-    """Margin of the point below the centre of mass, m."""
-
-
 @cache
 def physics() -> Any:
     """MJX with the lower body, the human ranges of Table 3.2: the gaits leave the proposed ones."""
@@ -208,26 +194,21 @@ def laws_of(config: Mapping[str, Mapping[str, float]]) -> dict[str, control.Law]
     }
 
 
-def balance_of(path: Path) -> Balance:
-    """Centre of mass, zero-moment point and its margin."""
-    qacc = accelerations(path.qvel, physics().step_s)
-    links = link_motion(physics().model, path.qpos[:-1], path.qvel[:-1], qacc)
+def margins(path: Path) -> Float[np.ndarray, " steps"]:
+    """The margin of the zero-moment point in the support polygon at each time step but the last, m.
+
+    It is infinite in flight. An edge has no inside: 0 at most.
+    """
+    qacc = np.diff(path.qvel, axis=0) / physics().step_s
+    point = balance.zero_moment_point(*balance.ground_wrench(physics().model, path.qpos[:-1], path.qvel[:-1], qacc))
     # The last row fills up to a round number, so that paths that end anywhere share few programs.
     steps = len(qacc)
     rows = np.minimum(np.arange(-(-steps // ROUND) * ROUND), steps - 1)
-    given = (*links, path.corners[:-1, :, :2], path.touching[:-1])
-    found = _balance(*(np.asarray(x)[rows] for x in given))
-    return Balance(*(np.asarray(x, np.float64)[:steps] for x in found))
+    found = _margins(*(x[rows] for x in (point, path.corners[:-1, :, :2], path.touching[:-1])))
+    return np.asarray(found, np.float64)[:steps]
 
 
-@jax.jit
-def _balance(*given: Array) -> Balance:
-    """From the fields of `balance.LinkMotion`, the corners and whether they touch, (steps, ...) each."""
-    links, corners, touching = balance.LinkMotion(*given[:-2]), *given[-2:]
-    point = balance.zero_moment_point(*balance.ground_wrench(links))
-    center = balance.center_of_mass(links.mass, links.position)
-    margin = jax.vmap(balance.support_margin)
-    return Balance(center, point, margin(point, corners, touching), margin(center[:, :2], corners, touching))
+_margins = jax.jit(jax.vmap(balance.support_margin))
 
 
 def _plan(trial: Trial, seconds: float) -> control.Reference:

@@ -5,10 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from humanoid_mjx.report.style import COLORS, label_lines
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, listed, unprinted
 from humanoid_mjx.reproduction.ground import Path, Trial, play
-from humanoid_mjx.thesis import leg as thesis
 
 SECONDS = 3.0
 SIDES = {"forwards": (1.0, 0.0), "backwards": (-1.0, 0.0), "sideways": (0.0, 1.0)}
@@ -16,7 +14,7 @@ IMPULSES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
 """Impulses on the hips over 0.1 s, N s. The body weighs 1.7 kg."""
 
 SHOWN = 0.2
-"""Impulse of the pushes drawn, N s."""
+"""Impulse of the pushes whose motion is measured, N s."""
 
 PAIR = ("servo", "computed torque")
 CONTROLLERS = (*PAIR, "section 5.7")
@@ -47,7 +45,6 @@ def standing(setting: Setting) -> list[Finding]:
         for name, side in dict.fromkeys((name, side) for name, side, _ in pushes)
     }
     gives = {name: [_largest(pushes[name, side, SHOWN]) for side in SIDES] for name in PAIR}
-    _draw(setting, pushes, alone, taken)
     blind: Path = alone["section 5.7"]
     return [
         unprinted(
@@ -113,32 +110,6 @@ def _better(taken: Any, side: str) -> str:
     if servo == torque:
         return "both stand the same"
     return f"{'computed torque' if torque > servo else 'the servo'} stands the larger one"
-
-
-def _draw(setting: Setting, pushes: Any, alone: Any, taken: Any) -> None:
-    with setting.figure(1, 3, size=(4.4, 3.2)) as (fig, axes):
-        heights, gives, bars = axes[0]
-        for color, path in zip(COLORS, alone.values(), strict=False):
-            heights.plot(path.times, 1e3 * path.qpos[:, 2], color=color)
-        heights.set(ylabel="hips above the ground, mm", xlim=(0, SECONDS), title="standing")
-        ends = [1e3 * path.qpos[-1, 2] for path in alone.values()]
-        label_lines(heights, ends, list(alone), COLORS[: len(alone)])
-        for side, style in zip(SIDES, ("-", "--", ":"), strict=True):
-            for color, name in zip(COLORS, PAIR, strict=False):
-                path = pushes[name, side, SHOWN]
-                gives.plot(path.times, 1e3 * np.abs(path.error).max(axis=1), style, color=color)
-        gives.set(xlim=(0.4, 1.4), ylabel="furthest joint from its place, mrad")
-        gives.set_title(f"pushed by {SHOWN:g} N s: {', '.join(SIDES)} (-, - -, ...)", fontsize=8)
-        for panel in (heights, gives):
-            panel.set_xlabel("time, s")
-        places = np.arange(len(SIDES))
-        for shift, color, name in zip((-0.2, 0.2), COLORS, PAIR, strict=False):
-            bars.bar(places + shift, [taken[name, side] for side in SIDES], 0.36, color=color, label=name)
-        bars.set_xticks(places, list(SIDES))
-        bars.set(ylabel="largest push that it stands, N s", title="steps of 0.1")
-        bars.legend(frameon=False)
-        gains = f"Table 5.1: {thesis.KP[0]:g} and {thesis.KD[0]:g} for joint 1"
-        fig.suptitle(f"The free lower body under three controllers ({gains})", x=0.02, ha="left", fontsize="medium")
 
 
 EXPERIMENTS = [Experiment(NAME, "A servo and computed torque on the ground, still and pushed", standing, CONFIG)]

@@ -15,9 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx import dynamics, kinematics
-from humanoid_mjx.report.style import shades
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check
-from humanoid_mjx.reproduction.leg_values import NAMES, over, planned, plot_joints
+from humanoid_mjx.reproduction.leg_values import NAMES, over, planned
 from humanoid_mjx.robot.leg import Leg
 from humanoid_mjx.thesis import leg as thesis
 
@@ -26,8 +25,6 @@ CONFIG = {"load": {"torso": -thesis.SCRIPT_FORCE[2]}, "squat": {"knee": 90.0}}
 
 STEP = 0.5
 """Between the postures, degrees of the knee."""
-
-LEGS = {2: "two legs", 1: "one leg"}
 
 MOTORS = np.array(thesis.MAX_TORQUES)
 
@@ -44,8 +41,6 @@ class Squat(NamedTuple):
     """(n, 5) rad"""
     torque: np.ndarray
     """(n, 5) N m"""
-    joints: np.ndarray
-    """(n, 6, 3) Positions of the frames, m."""
     inside: np.ndarray
     """(n, 5) True where a joint is in the proposed range of Table 3.2."""
 
@@ -56,16 +51,13 @@ class Squat(NamedTuple):
 
 def motor_sizing(setting: Setting) -> list[Finding]:
     weight, deepest = setting.config["load"]["torso"], setting.config["squat"]["knee"]
-    squats = {legs: squat(weight, legs, deepest) for legs in LEGS}
-    _draw(setting, squats)
-    both, one = squats[2], squats[1]
+    both, one = (squat(weight, legs, deepest) for legs in (2, 1))
     allowed = float(both.knee[both.inside.all(axis=1)].max())
     held = float(both.knee[(np.abs(both.torque) <= MOTORS + UPRIGHT).all(axis=1)].max())
     carried = f"{_weight(weight):.1f} N, of which the torso {weight:g} N"
     motion = planned(np.linspace(0.0, thesis.QUINTIC_S, 501))
     swing = np.abs(over(dynamics.inverse_dynamics, Leg.physical(), *motion)).max(axis=0)
     outside = ", ".join(NAMES[joint] for joint in np.flatnonzero(~one.inside[0]))
-    lowered = 1e3 * np.ptp(both.joints[both.knee <= allowed, 5, 1])
     return [
         _finding(
             "the planned motion, the torso fixed",
@@ -75,14 +67,13 @@ def motor_sizing(setting: Setting) -> list[Finding]:
         _finding(
             "standing on two straight legs",
             both.largest(0.0),
-            f"each leg carries half of {carried}; the force goes through all axes, but nothing keeps it there: "
-            f"the two ankles' {2 * MOTORS[4]:.4f} N m stop a lean of at most {_lean(weight):.1f} degrees",
+            f"each leg carries half of {carried}; the force goes through all axes, but nothing keeps it there",
         ),
         _finding(
             f"squatting on two legs until a joint reaches its range, the knee {allowed:g} degrees",
             both.largest(allowed),
-            f"each leg carries half of {carried}; the knees hold it only to {held:g} degrees, and the hips come down "
-            f"by {lowered:.0f} mm: so small motors would not keep the body up, which is what chapter 8.1 tells",
+            f"each leg carries half of {carried}; the knees hold it only to {held:g} degrees: so small motors would "
+            "not keep the body up, which is what chapter 8.1 tells",
         ),
         _finding(
             f"squatting on two legs, the knee {deepest:g} degrees",
@@ -112,24 +103,6 @@ def _weight(torso: float) -> float:
     return torso + 2 * thesis.GRAVITY * sum(thesis.LINK_MASSES)
 
 
-def _lean(torso: float) -> float:
-    """The lean of the straight body, degrees, at which both ankles' torques of Table 4.7 just hold it.
-
-    The torso counts as if it sat at the hips, which is the best case.
-    """
-    places, first = (np.asarray(x) for x in _masses(Leg.physical(), jnp.zeros(5)))
-    ankle = places[4, 1]
-    links = 2 * thesis.GRAVITY * (first[:4, 1] - first[:4, 3] * ankle).sum()
-    share = 2 * MOTORS[4] / (links + torso * (places[0, 1] - ankle))
-    return float(np.degrees(np.arcsin(min(share, 1.0))))
-
-
-def _masses(leg: Any, q: Any) -> tuple[Any, Any]:
-    """(6, 3) Positions of the frames, m, and (5, 4) the links' first moments and masses, kg m and kg, in frame 0."""
-    poses = kinematics.frames(leg, q)
-    return poses[:, :3, 3], jnp.einsum("lab,lb->la", poses[1:], leg.pseudo_inertia[:, :, 3])
-
-
 def squat(torso: float, legs: int, deepest: float) -> Squat:
     """The postures on one or two legs and the torques that hold them.
 
@@ -138,7 +111,13 @@ def squat(torso: float, legs: int, deepest: float) -> Squat:
     """
     leg = Leg.physical()
     weight = _weight(torso)
-    hanging = _masses(leg, jnp.zeros(5))[1].sum(axis=0)[:3:2] * jnp.array([1.0, -1.0])
+
+    def moments(q: Any) -> Any:
+        """First moments of the leg along the axes of frame 0, kg m."""
+        poses = kinematics.frames(leg, q)[1:]
+        return jnp.einsum("lab,lb->a", poses[:, :3], leg.pseudo_inertia[:, :, 3])
+
+    hanging = moments(jnp.zeros(5))[::2] * jnp.array([1.0, -1.0])
 
     def posture(free: Any, knee: Any) -> Any:
         pitch, roll, ankle = free
@@ -147,8 +126,8 @@ def squat(torso: float, legs: int, deepest: float) -> Squat:
     def unbalanced(free: Any, knee: Any) -> Any:
         q = posture(free, knee)
         toe = kinematics.forward(leg, q)
-        first = _masses(leg, q)[1].sum(axis=0)
-        both = jnp.array([2 * first[0], 0.0]) if legs == 2 else first[:3:2] + hanging
+        first = moments(q)
+        both = jnp.array([2 * first[0], 0.0]) if legs == 2 else first[::2] + hanging
         centre = both * thesis.GRAVITY / weight
         sideways = free[1] if legs == 2 else centre[1] - toe[2, 3]
         return jnp.array([centre[0] - toe[0, 3], sideways, toe[0, 0]])
@@ -163,40 +142,12 @@ def squat(torso: float, legs: int, deepest: float) -> Squat:
         q = posture(free, knee)
         ground = jnp.array([0.0, weight / legs, 0.0, 0.0, 0.0, 0.0])
         torque = dynamics.gravity(leg, q) - kinematics.static_torque(leg, q, ground)
-        return q, torque, _masses(leg, q)[0]
+        return q, torque
 
     knee = np.arange(0.0, deepest + STEP / 2, STEP)
-    q, torque, places = (np.asarray(x, float) for x in jax.jit(jax.vmap(hold))(jnp.radians(knee)))
+    q, torque = (np.asarray(x, float) for x in jax.jit(jax.vmap(hold))(jnp.radians(knee)))
     low, high = np.radians(thesis.JOINT_RANGES["proposed"]).T
-    return Squat(knee, q, torque, places, (low - 1e-6 <= q) & (q <= high + 1e-6))
-
-
-def _draw(setting: Setting, squats: dict[int, Squat]) -> None:
-    with setting.figure(1, 3, size=(4.2, 3.8)) as (fig, axes):
-        _draw_postures(axes[0, 0], squats[2])
-        for panel, (legs, squat) in zip(axes[0, 1:], squats.items(), strict=True):
-            times = np.abs(squat.torque) / MOTORS
-            shown = [joint for joint in range(5) if times[:, joint].max() > 0.01]
-            panel.axhline(1.0, color="0.3", linewidth=1.0)
-            where = {"xycoords": ("axes fraction", "data"), "ha": "right", "va": "top"}
-            panel.annotate("Table 4.7", (0.99, 1.0), color="0.3", **where)
-            plot_joints(panel, squat.knee, times, shown)
-            panel.set(title=f"On {LEGS[legs]}", xlabel="knee, degrees", xlim=(0, squat.knee[-1]))
-        axes[0, 1].set_ylabel("torque / greatest torque of Table 4.7")
-        fig.suptitle("What the joints must hold when the leg carries the body", x=0.02, ha="left")
-
-
-def _draw_postures(panel: Any, squat: Squat) -> None:
-    """The leg from the side at four depths, side by side, the toe at the ground."""
-    depths = np.linspace(0, len(squat.knee) - 1, 4).astype(int)
-    for place, (at, hue) in enumerate(zip(depths, shades(len(depths)), strict=True)):
-        x, y = (squat.joints[at, 1:, :2] - squat.joints[at, 5, :2]).T
-        panel.plot(x + 0.1 * place, y, "-o", color=hue, markersize=4)
-        panel.annotate(f"{squat.knee[at]:.0f}°", (0.1 * place, -0.02), ha="center", va="top", color=hue)
-    panel.axhline(0.0, color="0.3", linewidth=1.0)
-    panel.set_aspect("equal", adjustable="datalim")
-    panel.margins(y=0.2)
-    panel.set(xticks=[], title="Squatting on two legs, by the knee's angle", ylabel="m above the ground")
+    return Squat(knee, q, torque, (low - 1e-6 <= q) & (q <= high + 1e-6))
 
 
 EXPERIMENTS = [Experiment("motor-sizing", "The torques to stand and to squat", motor_sizing, CONFIG)]

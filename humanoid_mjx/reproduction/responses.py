@@ -4,7 +4,6 @@ import jax
 import numpy as np
 
 from humanoid_mjx.control.response import step_response
-from humanoid_mjx.report.style import COLORS, shades
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, compare, listed, three_digits
 
 RATIOS = np.round(np.arange(0.05, 3.001, 0.01), 2)
@@ -21,7 +20,6 @@ def responses(setting: Setting) -> list[Finding]:
     """Section 5.2: which damping is fastest without overshoot, and for which the system is stable."""
     times = np.linspace(0.0, 30.0, 6001)
     curves = _step_responses(times, RATIOS)
-    _draw_responses(setting)
     return judge_responses(times, curves)
 
 
@@ -79,30 +77,6 @@ def _step_responses(times: np.ndarray, ratios: np.ndarray) -> np.ndarray:
     with jax.enable_x64(True):
         respond = jax.jit(jax.vmap(step_response, in_axes=(None, None, 0)))
         return np.asarray(respond(times, 1.0, ratios))
-
-
-def _draw_responses(setting: Setting) -> None:
-    times, ratios = np.linspace(0.0, 12.0, 601), np.array([0.2, 0.5, 0.8, 1.0, 1.5, 2.0])
-    decay = np.exp(-times)
-    with setting.figure(1, 2, size=(4.6, 3.4), sharey=True) as (_, axes):
-        left, right = axes[0]
-        for ratio, curve, hue in zip(ratios, _step_responses(times, ratios), shades(len(ratios)), strict=True):
-            left.plot(times, curve, color=hue, label=f"{ratio:g}")
-        left.legend(title="damping ratio", frameon=False, loc="lower right", ncols=2)
-        left.set(title="Responses to a step", ylabel="share of the step")
-        root = np.sqrt(1 - 0.5**2)
-        swing = np.exp(-0.5 * times) * np.sin(root * times + np.arctan2(root, 0.5))
-        pairs = {
-            "(5.5), ratio 1": (1 - (1 - decay - times * decay), 1 - decay - times * decay),
-            "(5.6), ratio 0.5": (1 - swing / (2 * root), 1 - swing / root),
-        }
-        for color, (name, (printed, corrected)) in zip(COLORS, pairs.items(), strict=False):
-            right.plot(times, corrected, color=color, label=f"{name}, corrected")
-            right.plot(times, printed, color=color, linestyle="--", label=f"{name}, as printed")
-        right.legend(frameon=False, loc="lower right")
-        right.set_title("What is printed of them ((5.6): the root's modulus)")
-        for panel in axes[0]:
-            panel.set(xlim=(0, times[-1]), ylim=(0, 1.6), xlabel="time x natural frequency")
 
 
 EXPERIMENTS = [Experiment("responses-5.2", "Responses of second order", responses)]

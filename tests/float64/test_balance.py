@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from humanoid_mjx.mechanics import balance
-from humanoid_mjx.physics.balance import accelerations, ground_wrench, link_motion
-from humanoid_mjx.physics.base import Stages, World
+from humanoid_mjx.physics import balance
 from humanoid_mjx.robot.lower_body import lower_body_model
 
 
@@ -44,51 +42,20 @@ def test_the_zero_moment_point_is_the_center_of_pressure(motion):
     model, (qpos, qvel, qacc, forces, places, touching) = motion
     flat = touching == 8
     assert flat.sum() > 400
-    links = link_motion(model, qpos, qvel, qacc)
-    force, moment = balance.ground_wrench(links)
+    force, moment = balance.ground_wrench(model, qpos, qvel, qacc)
     np.testing.assert_allclose(force[flat], forces[flat].sum(axis=1), rtol=1e-6, atol=1e-6)
     zmp = balance.zero_moment_point(force, moment)
     pressure = forces[..., 2:] * places[..., :2]
     pressure = pressure[flat].sum(axis=1) / forces[flat, :, 2:].sum(axis=1)
     np.testing.assert_allclose(zmp[flat], pressure, atol=1e-3)
-    still = balance.center_of_mass(links.mass, links.position)[..., :2]
+    still = balance.zero_moment_point(*balance.ground_wrench(model, qpos, qvel, 0 * qacc))
     # The accelerations are real: without them, the point would be elsewhere.
     assert np.abs(still - zmp)[flat].max() > 5e-3
-    assert np.ptp(np.asarray(force)[flat, 2]) > 3.0
-
-
-def test_accelerations_are_those_of_the_steps(motion):
-    model, (_, qvel, qacc, *_) = motion
-    np.testing.assert_allclose(accelerations(qvel, model.opt.timestep), qacc[:-1], atol=1e-9)
-
-
-def test_the_wrench_of_the_links_is_that_of_the_mass_matrix(motion):
-    model, (qpos, qvel, qacc, *_) = motion
-    data, matrix = mujoco.MjData(model), np.zeros((16, 16))
-    links = link_motion(model, qpos, qvel, qacc)
-    expected = [np.asarray(x) for x in balance.ground_wrench(links)]
-    none = jnp.zeros(0)
-    for t in range(0, len(qpos), 50):
-        data.qpos, data.qvel = qpos[t], qvel[t]
-        mujoco.mj_forward(model, data)
-        mujoco.mj_fullM(model, data, matrix)
-        world = World(jnp.array(qpos[t]), jnp.array(qvel[t]), none, jnp.bool_(False))
-        stages = Stages(
-            world,
-            none,
-            none,
-            lambda data=data: (jnp.array(matrix), jnp.array(data.qfrc_bias)),
-            lambda: none,
-            lambda _: (none, none),
-            slice(6, None),
-        )
-        force, moment = ground_wrench(stages, jnp.array(qacc[t]))
-        np.testing.assert_allclose(force, expected[0][t], atol=1e-9)
-        np.testing.assert_allclose(moment, expected[1][t], atol=1e-9)
+    assert np.ptp(force[flat, 2]) > 3.0
 
 
 def test_there_is_no_point_in_flight():
-    assert np.isnan(balance.zero_moment_point(jnp.array([1.0, 0.0, 0.0]), jnp.ones(3))).all()
+    assert np.isnan(balance.zero_moment_point(np.array([[1.0, 0.0, 0.0]]), np.ones((1, 3)))).all()
 
 
 def slow_margin(point, corners):
@@ -113,12 +80,6 @@ def test_the_margin_is_that_of_the_convex_hull():
         point = rng.uniform(-1.2, 1.2, 2)
         expected = slow_margin(point, corners[touching])
         assert float(margin(point, corners, touching)) == pytest.approx(expected, abs=1e-9)
-        polygon = balance.support_polygon(corners[touching])
-        hull = ConvexHull(corners[touching])
-        np.testing.assert_array_equal(np.sort(polygon, axis=0), np.sort(corners[touching][hull.vertices], axis=0))
-        x, y = polygon.T
-        area = (x * np.roll(y, -1) - y * np.roll(x, -1)).sum() / 2
-        assert area == pytest.approx(hull.volume)
         signs.append(expected > 0)
     assert 0.2 < np.mean(signs) < 0.8
 
@@ -132,4 +93,3 @@ def test_margins_of_a_square(touching, margin):
     corners = jnp.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
     found = balance.support_margin(jnp.array([0.5, 0.5]), corners, jnp.array([c == "1" for c in touching]))
     assert float(found) == pytest.approx(margin, abs=1e-12)
-    assert len(balance.support_polygon(np.asarray(corners)[[c == "1" for c in touching]])) == touching.count("1")

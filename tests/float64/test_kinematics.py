@@ -5,7 +5,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from leg_reference import GOLDEN, numeric_jacobian, toe, turned, uniform
-from scipy.optimize import minimize
 
 from humanoid_mjx import kinematics
 from humanoid_mjx.robot.leg import Leg
@@ -21,8 +20,6 @@ forward = jax.jit(jax.vmap(kinematics.forward, in_axes=(None, 0)))
 jacobian = jax.jit(jax.vmap(kinematics.jacobian, in_axes=(None, 0)))
 inverse_of_500 = jax.jit(jax.vmap(kinematics.inverse, in_axes=(None, 0)))
 singular_values = jax.jit(jax.vmap(kinematics.singular_values, in_axes=(None, 0)))
-singularity_distance = jax.jit(jax.vmap(kinematics.singularity_distance, in_axes=(None, 0)))
-follow = jax.jit(kinematics.follow)
 
 
 def inverse(leg, poses):
@@ -97,8 +94,9 @@ def test_both_elbows_of_the_straight_walk():
     other[:, 0], other[:, 3] = q[:, 0] - 2 * bend, -q[:, 3]
     other[:, 4] = q[:, 4] + 2 * q[:, 3] - 2 * bend
     assert joint_error(solutions, valid, other).max() < 1e-9, "the elbow mirrored at the line from hip to ankle"
-    ranges = 3.0 * joint_ranges("proposed")
-    assert ((valid & np.array(kinematics.within(ranges, jnp.array(solutions)))).sum(axis=1) == 1).all()
+    low, high = 3.0 * joint_ranges("proposed").T
+    inside = ((solutions >= low - 1e-6) & (solutions <= high + 1e-6)).all(axis=-1)
+    assert ((valid & inside).sum(axis=1) == 1).all()
 
 
 def test_double_root_at_the_straight_knee():
@@ -149,77 +147,3 @@ def singular_postures(name, n, seed):
 def test_the_jacobian_loses_rank_on_the_singular_set(name):
     for part in singular_postures(name, 50, seed=10):
         assert singular_values(LEGS[name], jnp.array(part))[:, -1].max() < 1e-8
-        assert singularity_distance(LEGS[name], jnp.array(part)).max() < 1e-7
-
-
-@pytest.mark.parametrize("name", LEGS)
-def test_the_jacobian_loses_rank_nowhere_else(name):
-    leg = LEGS[name]
-    smallest = jax.jit(jax.value_and_grad(lambda q: kinematics.singular_values(leg, q)[-1] ** 2))
-    found = []
-    for start in uniform(CIRCLE, 30, seed=11):
-        ended = minimize(lambda q: [np.asarray(x, float) for x in smallest(q)], start, jac=True, tol=1e-14)
-        if ended.fun < 1e-14:
-            found.append(ended.x)
-    assert len(found) > 10
-    assert singularity_distance(leg, jnp.array(found)).max() < 1e-3
-
-
-def test_singularity_distance_is_the_way_to_the_nearest_singular_posture():
-    leg = LEGS["script"]
-    singular = np.concatenate(singular_postures("script", 1, seed=12))
-    q = uniform(CIRCLE, 300, seed=12)
-    distance = np.array(singularity_distance(leg, jnp.array(q)))
-    conditions = [((1, 0.0), (3, 0.0)), ((1, 0.0), (2, None)), ((2, 1.0), (3, 0.0)), ((2, 1.0), (1, 1.0))]
-    folded = [sign * np.arccos(-1 / 3) for sign in (-1, 1)]
-    brute = np.full(len(q), np.inf)
-    for pair in conditions:
-        places = [folded if kind is None else [kind * np.pi / 2, kind * np.pi / 2 + np.pi] for _, kind in pair]
-        for x in places[0]:
-            for y in places[1]:
-                away = np.hypot(turned(q[:, pair[0][0]], x), turned(q[:, pair[1][0]], y))
-                brute = np.minimum(brute, away)
-    np.testing.assert_allclose(distance, brute, atol=1e-12)
-    assert np.array(singularity_distance(leg, jnp.array(singular))).max() < 1e-7
-    assert np.isfinite(distance).all() and distance.max() < np.pi
-
-
-def test_follow_keeps_to_the_branch_of_the_planned_motion():
-    t = np.linspace(0, 1, 100)
-    rise = 10 * t**3 - 15 * t**4 + 6 * t**5
-    start, end = np.radians(thesis.QUINTIC_RANGES).T
-    q = start + rise[:, None] * (end - start)
-    path, valid = follow(LEGS["recovered"], forward(LEGS["recovered"], jnp.array(q)), jnp.array(q[0]))
-    assert valid.all()
-    np.testing.assert_allclose(path, q, atol=1e-9)
-
-
-def test_follow_bends_the_knee_through_the_straight_leg():
-    t = np.linspace(-1, 1, 100)
-    q = np.stack([0.2 * t, 0 * t, 0 * t, 0.6 * t, 0.1 - 0.3 * t], axis=1)
-    path, valid = follow(LEGS["recovered"], forward(LEGS["recovered"], jnp.array(q)), jnp.array(q[0]))
-    assert valid.all()
-    np.testing.assert_allclose(path, q, atol=1e-7)
-
-
-def test_follow_starts_on_the_elbow_it_is_given_and_unwraps():
-    t = np.linspace(0, 1, 100)
-    q = np.stack([3.0 + 0.5 * t, 0 * t, 0 * t, 0.8 + 0.1 * t, -0.2 * t], axis=1)
-    poses = forward(LEGS["recovered"], jnp.array(q))
-    solutions, _ = inverse(LEGS["recovered"], poses[:1])
-    for elbow in np.array(solutions[0, :2]):
-        path, valid = map(np.array, follow(LEGS["recovered"], poses, jnp.array(elbow)))
-        assert valid.all()
-        assert (np.sign(path[:, 3]) == np.sign(elbow[3])).all()
-        assert np.abs(np.diff(path, axis=0)).max() < 0.05
-    assert path[:, 0].max() > np.pi or path[:, 0].min() < -np.pi or elbow[3] < 0
-
-
-def test_follow_rests_where_there_is_no_solution():
-    q = np.tile([0.1, 0.0, 0.2, 0.8, 0.1], (100, 1)) + 0.01 * np.arange(100)[:, None] * np.array([1, 0, 0, 1, 0])
-    poses = np.array(forward(LEGS["recovered"], jnp.array(q)))
-    poses[4:6, :3, 3] *= 3
-    path, valid = map(np.array, follow(LEGS["recovered"], jnp.array(poses), jnp.array(q[0])))
-    assert valid.tolist() == [i not in (4, 5) for i in range(100)]
-    np.testing.assert_allclose(path[[4, 5]], [q[3], q[3]], atol=1e-9)
-    np.testing.assert_allclose(path[6:], q[6:], atol=1e-9)
