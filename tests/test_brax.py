@@ -11,22 +11,17 @@ from brax.envs.wrappers import training as wrappers
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from probes import probe
-from small_sweep import assert_same_tables
 from typer.testing import CliRunner
 
 from humanoid_mjx import InputError, make_learner, make_task, sweep
 from humanoid_mjx.cli import app
 from humanoid_mjx.compute import rng
-from humanoid_mjx.learners import brax_ppo, brax_repair
-from humanoid_mjx.runs.tables import finished_runs
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks import TASKS
 from humanoid_mjx.tasks.base import Task
 from humanoid_mjx.tasks.brax_env import BraxEnv, wrap
 from humanoid_mjx.tasks.continuous import ContinuousTask, State, begin
-from humanoid_mjx.training.progress import Reporter
 from humanoid_mjx.training.sweep import Run
-from humanoid_mjx.training.whole_runs import WholeRuns
 
 
 class Drift(ContinuousTask):
@@ -197,6 +192,7 @@ TINY = {
     "value_hidden_layer_sizes": [16],
     "learning_rate": 0.01,
     "discounting": 0.5,
+    "evaluations": 6,
 }
 CONFIG = {
     "name": "ppo",
@@ -233,113 +229,38 @@ def test_ppo_solves_probes_through_the_sweep_command(swept):
     assert "brax" in json.loads((swept.path / "provenance.json").read_text())["versions"]
 
 
-def test_a_stopped_ppo_loses_the_run_under_way_and_ends_in_the_same_bits(swept, tmp_path, monkeypatch):
-    class Interrupting(Reporter):
-        def update(self, state):
-            if state.done > CONFIG["total_steps"]:
-                raise KeyboardInterrupt
-
-    told = []
-
-    def look(self, learner, carry, share, policy):
-        told.append((int(self.slots[0]), share))
-        if self.slots[0] == 1:
-            self.progress[0] = share
-            assert self.stop.wait(60)
-        original(self, learner, carry, share, policy)
-
-    original = WholeRuns._look
-    monkeypatch.setattr(WholeRuns, "_look", look)
-    with pytest.raises(KeyboardInterrupt):
-        sweep(CONFIG, tmp_path / "run", reporter=Interrupting())
-    assert told == [(0, (i + 1) / 6) for i in range(6)] + [(1, 1 / 6)]
-    assert Run(tmp_path / "run").summary["point"].tolist() == [0]
-    monkeypatch.setattr(WholeRuns, "_look", original)
-    again = sweep(CONFIG, tmp_path / "run", resume=True)
-    assert_same_tables(again.path, swept.path)
-
-
-def fake_training(monkeypatch, change):
-    """Put a function in the place of Brax's trainer that only changes the policy, once for each part."""
-    given = []
-
-    def train(**values):
-        given.append(values)
-        policy = values["restore_params"]
-        values["policy_params_fn"](0, None, policy)
-        for part in range(values["num_evals"] - 1):
-            policy = change(part, policy)
-            values["policy_params_fn"](part + 1, None, policy)
-
-    monkeypatch.setattr(brax_ppo.ppo, "train", train)
-    return given
-
-
-def short(updates, record):
-    axes = {"task.which": ["both"]}
-    return CONFIG | {"sweep": {"axes": axes}, "total_steps": 128 * updates, "record": record}
-
-
-def test_training_stops_at_weights_that_are_not_finite_and_keeps_the_last_good_ones(tmp_path, monkeypatch):
-    def change(part, policy):
-        return jax.tree.map(lambda leaf: leaf + (1 if part < 2 else np.nan), policy) if part < 3 else policy
-
-    fake_training(monkeypatch, change)
-    run = sweep(short(100, 5), tmp_path / "run")
-    assert run.summary["diverged"].all()
-    stored = finished_runs(run.path, ("policy", "point", "seed"))
-    assert all(np.isfinite(array).all() for array in stored.values())
-    np.testing.assert_array_equal(np.isfinite(run.results["return"]), [True, True, False, False, False])
-
-
-@pytest.mark.parametrize(
-    ("updates", "record", "points"),
-    [(100, 5, range(5)), (3, 5, [1, 3, 4]), (7, 5, [1, 2, 3, 4]), (1, 5, [4])],
-)
-def test_the_parts_of_a_training_fall_on_the_points_of_its_curve(tmp_path, monkeypatch, updates, record, points):
-    given = fake_training(monkeypatch, lambda part, policy: policy)
-    run = sweep(short(updates, record), tmp_path / "run")
-    np.testing.assert_array_equal(np.flatnonzero(np.isfinite(run.results["steps"])), list(points))
-    parts = given[0]["num_evals"] - 1
-    assert parts * -(-updates // parts) < updates + -(-updates // record)
-
-
-def test_a_run_can_start_from_what_an_earlier_one_learned(swept, tmp_path, monkeypatch):
-    given = fake_training(monkeypatch, lambda part, policy: policy)
-    learner = CONFIG["learner"] | {"start_from": str(swept.path)}
-    run = sweep(CONFIG | {"learner": learner}, tmp_path / "run")
+def test_a_run_can_start_from_what_an_earlier_one_learned(swept, tmp_path):
+    learner = CONFIG["learner"] | {"start_from": str(swept.path), "learning_rate": 1e-9}
+    run = sweep(CONFIG | {"learner": learner, "total_steps": 32 * 4, "record": 1}, tmp_path / "run")
     np.testing.assert_array_equal(run.summary["greedy_success"], [1, 1])
-    stored = finished_runs(swept.path, ("point", "seed", "policy"))
-    names = [name for name in stored if "kernel" in name]
-    assert len(names) == 4
-    for point, values in enumerate(given):
-        kept = [np.asarray(leaf) for leaf in jax.tree.leaves(values["restore_params"]) if leaf.ndim == 2]
-        for name, weights in zip(names, kept, strict=True):
-            np.testing.assert_array_equal(weights, stored[name][point])
 
 
-def test_the_repair_reaches_one_module_only_and_ends_with_its_block():
-    had = hasattr(jax, "device_put_replicated")
-    with pytest.raises(KeyError), brax_repair.repaired(brax_ppo.ppo):
-        assert brax_ppo.ppo.jax is not jax and brax_ppo.ppo.jax.numpy is jnp
-        assert hasattr(brax_ppo.ppo.jax, "device_put_replicated")
-        assert hasattr(jax, "device_put_replicated") == had
-        assert not hasattr(brax_ppo.ppo.jax, "no_such_thing")
-        raise KeyError
-    assert brax_ppo.ppo.jax is jax
+def test_an_update_learns_from_pieces_of_what_every_environment_saw():
+    learner = make_learner("brax_ppo", Drift(cap=3), **(TINY | {"num_envs": 8}))
+    carry = jax.jit(learner.init)(rng.key(0))
+    envs, seen, totals = jax.jit(learner._collect)(carry, rng.key(1))
+    assert seen.observation.shape == (32, 4, 4) and seen.reward.shape == (32, 4)
+    going_on = np.asarray(seen.discount)[:, :-1] == 1
+    after, before = np.asarray(seen.next_observation)[:, :-1], np.asarray(seen.observation)[:, 1:]
+    assert 0.5 < going_on.mean() < 0.9
+    np.testing.assert_array_equal(after[going_on], before[going_on])  # the next step begins where this one led to
+    assert (before[~going_on][:, 1] == 0).all()  # or anew
+    truncated = np.asarray(seen.extras["state_extras"]["truncation"])
+    np.testing.assert_array_equal(truncated == 1, (seen.discount == 0) & (seen.next_observation[..., 0] <= 2.5))
+    assert float(totals["episodes"]) == (np.asarray(seen.discount) == 0).sum() == int(envs.episode.sum())
+    # An update from one minibatch moves the weights by at most a step of Adam each, and all of them together.
+    (after, outcome) = jax.jit(learner.replace(num_minibatches=32 // 16, num_updates_per_batch=1).train_step)(carry)
+    moved = [
+        float(jnp.abs(x - y).max())
+        for x, y in zip(*map(jax.tree.leaves, (after.policy.networks, carry.policy.networks)), strict=True)
+    ]
+    assert 0.0 < max(moved) <= 2.1 * TINY["learning_rate"]
+    assert float(after.policy.moments.count) == float(outcome.done) + 128 == 128
 
 
-def test_replicated_arrays_have_a_copy_on_every_device():
-    devices = jax.local_devices()
-    tree = brax_repair.device_put_replicated({"a": np.arange(6.0).reshape(2, 3), "b": 7}, devices)
-    assert tree["a"].shape == (len(devices), 2, 3) and tree["b"].shape == (len(devices),)
-    for leaf, value in ((tree["a"], np.arange(6.0).reshape(2, 3)), (tree["b"], 7)):
-        assert {shard.device for shard in leaf.addressable_shards} == set(devices)
-        for shard in leaf.addressable_shards:
-            np.testing.assert_array_equal(shard.data.squeeze(0), value)
-    # What the next step of training is given: the same sharding spares a second compilation.
-    after = jax.pmap(lambda x: x + 1, axis_name=brax_ppo.ppo._PMAP_AXIS_NAME)(tree["a"])
-    assert after.sharding == tree["a"].sharding
+def test_hyper_parameters_are_data_of_one_program():
+    learners = [make_learner("brax_ppo", probe("both")[0], **(TINY | {"entropy_cost": cost})) for cost in (0.0, 0.1)]
+    assert len({jax.tree.structure(learner) for learner in learners}) == 1
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,8 @@
 """Training end to end by each learner, as the shipped configs say: steps and episodes a second, what success takes.
 
 Each config is swept with several seeds into a folder of its own, with nothing compiled before it, not on disk either.
-Seeds train side by side, those of `brax_ppo` one after another: the first compiles, the others find that on disk. Rates
-are of all seeds together and leave compiling out: they are taken between the first and the last look at the training.
+Seeds train side by side. Rates are of all seeds together and leave compiling out: they are taken between the first and
+the last look at the training.
 
     steps/s             decisions of the task, all environments together, with the learning between them
     episodes/s          the same by the mean length of an episode in training
@@ -12,9 +12,8 @@ are of all seeds together and leave compiling out: they are taken between the fi
     s to 95 %           wall time, compiling included, until every seed has come to such a point
 
 `by_seed` has the value of each seed, None where it never came to such a point; `interval` is the 95 % interval of the
-mean over seeds. The greedy episodes that `deep_q` and `linear_q` are judged by run after training and take none of this
-time; those of `brax_ppo` run on the way, and are in its time. A config that does not ship, or needs brax where that is
-not installed, is left out.
+mean over seeds. The greedy episodes that learners are judged by run after training and take none of this time. A config
+that does not ship, or needs brax where that is not installed, is left out.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -98,8 +97,6 @@ def run(
 def memory(config: Config) -> float | None:
     """Bytes of the largest program of the training that was just done, on all devices; None where no program says."""
     (group,) = make_plan(config).groups
-    if not group.learners.side_by_side:
-        return None
     _, devices, share = arranged(group.learners, len(group.runs), len(group.runs))
     compiled = programs_of(group.learners, devices, share).compiled.values()
     found = [memory_of(program.result()) for program in compiled]  # pyright: ignore[reportArgumentType]
@@ -153,11 +150,8 @@ def measure(trained: Run) -> Measured:
     budget = float(config.budget or np.nan)
     wall_s = trained.timing["wall_s"].astype(float).reshape(config.seeds, -1)
     greedy = results["greedy_success"].reshape(config.seeds, -1)
-    # Runs that train one after another have windows of their own, between which the next one compiles.
-    windows = wall_s if np.all(wall_s[1:, 0] >= wall_s[:-1, -1]) else wall_s.reshape(1, -1)
-    first = windows.min(axis=1, keepdims=True)
-    steps = float(np.mean(windows > first)) * budget * config.seeds
-    rate = steps / float(np.sum(windows.max(axis=1, keepdims=True) - first)) if steps else np.nan
+    steps = float(np.mean(wall_s > wall_s.min())) * budget * config.seeds
+    rate = steps / float(np.ptp(wall_s)) if steps else np.nan
     lengths = results["steps"][np.isfinite(results["steps"])]
     reached = greedy >= SUCCESS
     never, place = ~reached.any(axis=1), reached.argmax(axis=1)
