@@ -30,12 +30,10 @@ from jax.experimental.compilation_cache import compilation_cache
 from jaxtyping import Float
 
 from humanoid_mjx.bench.measure import Record, spread
-from humanoid_mjx.bench.programs import memory_of
-from humanoid_mjx.config import Config, load
+from humanoid_mjx.config import load
 from humanoid_mjx.files import names
 from humanoid_mjx.runs.statistics import mean_interval
-from humanoid_mjx.training.plan import make_plan
-from humanoid_mjx.training.programs import arranged, programs, programs_of
+from humanoid_mjx.training.programs import programs
 from humanoid_mjx.training.sweep import Run, sweep
 
 SUCCESS = 0.95
@@ -80,27 +78,17 @@ def run(
         with TemporaryDirectory() as folder, nothing_compiled(Path(folder) / "programs"):
             trained = sweep(config, Path(folder) / "run")
             compile_s = loads((trained.path / "provenance.json").read_text())["compile_s"]
-            found, envs, held = measure(trained), environments(trained.config.learner), memory(config)
+            found, envs = measure(trained), environments(trained.config.learner)
         subject = f"{learner} {config.task['name']}"
         common = {"device": jax.devices()[0].device_kind, "batch": envs, "compile_s": compile_s, "repeats": seeds}
-        common["memory_mib"] = held and held / 2**20
         records += [
             Record(bench="training", subject=subject, **common, **figure)
             for figure in figures(found)
             if np.isfinite(figure["value"])
         ]
         say(f"{subject:20} {envs:7,} envs  {found.steps_per_s:10.3e} steps/s  {found.episodes_per_s:10.3e} episodes/s"
-            f"  {in_words(found)}  compiled in {compile_s:4.1f} s{records[-1].in_words()}")  # fmt: skip
+            f"  {in_words(found)}  compiled in {compile_s:4.1f} s")  # fmt: skip
     return records
-
-
-def memory(config: Config) -> float | None:
-    """Bytes of the largest program of the training that was just done, on all devices; None where no program says."""
-    (group,) = make_plan(config).groups
-    _, devices, share = arranged(group.learners, len(group.runs), len(group.runs))
-    compiled = programs_of(group.learners, devices, share).compiled.values()
-    found = [memory_of(program.result()) for program in compiled]  # pyright: ignore[reportArgumentType]
-    return max((len(devices) * held for held in found if held is not None), default=None)
 
 
 def figures(found: Measured) -> list[dict[str, Any]]:

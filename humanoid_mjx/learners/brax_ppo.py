@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false, reportCallIssue=false
 """Proximal policy optimization (J. Schulman et al., 2017) with Brax's networks, distribution and loss.
 
 Hyper-parameters have the names and meanings of `brax.training.agents.ppo.train`, and an update is that function's.
@@ -122,13 +123,13 @@ class BraxPPO(StepLearner):
         """Control steps so far."""
         return carry.update.astype(jnp.float32) * (self._pieces * self.unroll_length)
 
-    def _collect(self, carry: Carry, key: Key[Array, ""]) -> tuple[Envs, Transition, dict[str, FloatScalar]]:
+    def _collect(self, carry: Carry, key: Key[Array, ""]) -> tuple[Envs, Any, dict[str, FloatScalar]]:
         """Act as the policy's distribution says: where the environments are then, pieces of experience, (pieces,
         unroll_length, ...), and sums over ended episodes."""
         networks = self._networks()
         distribution = networks.parametric_action_distribution
 
-        def step(envs: Envs, key: Key[Array, ""]) -> tuple[Envs, tuple[Transition, dict[str, FloatScalar]]]:
+        def step(envs: Envs, key: Key[Array, ""]) -> tuple[Envs, tuple[Any, dict[str, FloatScalar]]]:
             sample_key, step_key, reset_key = jax.random.split(key, 3)
             obs = envs.state.obs
             values = networks.policy_network.apply(carry.policy.moments, carry.policy.networks.policy, obs)
@@ -150,11 +151,11 @@ class BraxPPO(StepLearner):
         envs, (seen, sums) = jax.lax.scan(step, carry.envs, keys)
         return envs, jax.tree.map(pieces, seen), {name: x.sum() for name, x in sums.items()}
 
-    def _learn(self, carry: Carry, known: Moments, seen: Transition, key: Key[Array, ""]) -> tuple[Any, Any]:
+    def _learn(self, carry: Carry, known: Moments, seen: Any, key: Key[Array, ""]) -> tuple[Any, Any]:
         """The weights and the state of the optimizer after the passes over this experience."""
         transform, networks = self._optimizer(), self._networks()
 
-        def loss(weights: Any, batch: Transition, key: Key[Array, ""]) -> FloatScalar:
+        def loss(weights: Any, batch: Any, key: Key[Array, ""]) -> FloatScalar:
             return compute_ppo_loss(
                 weights,
                 known,
@@ -182,10 +183,13 @@ class BraxPPO(StepLearner):
         return jax.lax.scan(step, start, (orders, jax.random.split(loss_key, len(orders))))[0]
 
     def _networks(self) -> Any:
+        def scaled(obs: Any, known: Any) -> Any:
+            return normalise(known, obs) if self.normalize_observations else obs
+
         return make_ppo_networks(
             self.env.observation_size,
             len(self.env.action_bins),
-            preprocess_observations_fn=lambda obs, known: normalise(known, obs) if self.normalize_observations else obs,
+            preprocess_observations_fn=scaled,
             policy_hidden_layer_sizes=self.policy_hidden_layer_sizes,
             value_hidden_layer_sizes=self.value_hidden_layer_sizes,
         )
