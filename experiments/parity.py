@@ -131,7 +131,7 @@ cliff walking:
 mountain car:
   task: {name: "parity:MountainCar"}
   learner:
-    {name: linear_q, basis: tiles, tilings: 8, resolution: 8, learning_rate: 0.5, epsilon: 0.0, epsilon_min: 0.0,
+    {name: linear_q, tilings: 8, resolution: 8, learning_rate: 0.5, epsilon: 0.0, epsilon_min: 0.0,
      discount: 0.99999, trace_decay: 0.0, envs: 1, rollout: 1, evaluations: 1}
   total_steps: 75_000
 cart pole:

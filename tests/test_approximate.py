@@ -18,7 +18,7 @@ from humanoid_mjx.evaluation.replay import replay
 from humanoid_mjx.learners import exploration
 from humanoid_mjx.learners.approximate import Batch
 from humanoid_mjx.learners.deep import QNetwork
-from humanoid_mjx.learners.features import Scale, combined, fourier, radial, tile_coding
+from humanoid_mjx.learners.features import Scale, combined, tile_coding
 from humanoid_mjx.learners.normalisation import moments, normalise, observe
 from humanoid_mjx.learners.rollout import greedy, mean_scores
 from humanoid_mjx.learners.targets import lambda_targets
@@ -31,8 +31,6 @@ from humanoid_mjx.training.progress import Reporter
 LEARNERS = {
     "tiles": ("linear_q", {"resolution": 3, "tilings": 2, "order": 1, "learning_rate": 0.3}),
     "shared tiles": ("linear_q", {"resolution": 3, "tilings": 2, "order": 1, "learning_rate": 0.3, "shared": True}),
-    "fourier": ("linear_q", {"basis": "fourier", "resolution": 2, "order": 1, "learning_rate": 0.5}),
-    "radial": ("linear_q", {"basis": "radial", "resolution": 3, "order": 1, "learning_rate": 0.5}),
     "deep": ("deep_q", {"width": 32, "layers": 1, "learning_rate": 0.01, "learning_rate_end": 0.1}),
 }
 
@@ -147,7 +145,7 @@ def test_the_action_that_is_credited_is_the_one_carried_out():
     """As a table does: where most moves are replaced by any, what is learned of a move is where that move leads."""
     task = make_task("joint_reach", joint=5, states=13, success_rate=0.3)
     learner = make_learner("linear_q", task, total_steps=100, record=1, envs=64, rollout=8, epsilon=0.0)
-    _, seen, _ = learner._collect(learner.init(rng.key(0)), learner.allowed(), rng.key(1))
+    _, seen, _ = learner._collect(learner.init(rng.key(0)), rng.key(1))
     rows, after = (np.round(12 * np.asarray(obs)[..., 0]) for obs in (seen.obs, seen.final_obs))
     credited = np.asarray(seen.action)[..., 0]
     assert 0.2 < credited.mean() < 0.8, "both are carried out"
@@ -155,18 +153,15 @@ def test_the_action_that_is_credited_is_the_one_carried_out():
     np.testing.assert_array_equal(after - rows, credited)
 
 
-@pytest.mark.parametrize("make_basis", [tile_coding, fourier, radial])
-def test_one_sample_moves_its_value_by_the_rate_whatever_the_basis(make_basis):
+def test_one_sample_moves_its_value_by_the_rate():
     scale = Scale(np.full(3, -2.0), np.full(3, 2.0), 1.5)
-    extra = (4, 3) if make_basis is tile_coding else (3,)
-    basis = make_basis(scale, combined([[range(3)], [[0, 1], [1, 2], [0, 2]]], 2), *extra)
+    basis = tile_coding(scale, combined([[range(3)], [[0, 1], [1, 2], [0, 2]]], 2), 4, 3)
     obs = jnp.array(np.random.default_rng(0).uniform(-2, 2, (50, 3)), jnp.float32)
-    place, _ = jax.jit(basis.encode)(obs)
+    place = jax.jit(basis.encode)(obs)
     assert place.shape == (50, 2, basis.active) and int(place.min()) >= 0 and int(place.max()) < basis.size
     assert all(len(set(row.tolist())) == basis.active for row in place.reshape(100, -1))
     np.testing.assert_array_equal(place[:, 0], place[:, 1])
-    task, _, _ = probe("constant reward")
-    learner = build({"tile_coding": "tiles", "fourier": "fourier", "radial": "radial"}[make_basis.__name__], task)
+    learner = build("tiles", probe("constant reward")[0])
     weights, _ = learner.init_value(rng.key(0))
     batch = Batch(jnp.float32([[0.3]]), jnp.int32([[1]]), jnp.float32([2.0]))
     after = learned(learner, 0.25, weights, batch)
@@ -205,13 +200,13 @@ def test_focus_makes_tiles_narrow_in_the_middle_of_a_range():
     scale = Scale(np.full(1, -4.0), np.full(1, 4.0), 2.0)
     np.testing.assert_allclose(scale(jnp.float32([[-9], [-4], [-1], [0], [1], [4]]))[:, 0], [0, 0, 0.25, 0.5, 0.75, 1])
     basis = tile_coding(scale, np.array([[[0]]]), 4, 1)
-    tiles = basis.encode(jnp.float32([[-1.1], [-0.9], [-0.1], [0.1], [0.9], [1.1], [3.9]])).place[:, 0, 0]
+    tiles = basis.encode(jnp.float32([[-1.1], [-0.9], [-0.1], [0.1], [0.9], [1.1], [3.9]]))[:, 0, 0]
     assert tiles.tolist() == [0, 1, 1, 2, 2, 3, 3]
 
 
 def test_tiles_generalise_to_neighbours_only():
     basis = tile_coding(Scale(np.zeros(1), np.ones(1)), np.array([[[0]]]), 4, 8)
-    near, also, far = (set(basis.encode(jnp.float32([x])).place[0].tolist()) for x in (0.5, 0.53, 0.9))
+    near, also, far = (set(basis.encode(jnp.float32([x]))[0].tolist()) for x in (0.5, 0.53, 0.9))
     assert len(near & also) >= 6 and not near & far
 
 
@@ -237,43 +232,21 @@ def test_training_feeds_the_statistics_raw_observations_once():
 
 
 def test_exploration():
-    allowed = jnp.array([[True, True, True, False], [True, True, False, False]])
-    best = jnp.zeros((2000, 2), jnp.int32)
-    holding = exploration.no_holding(2000, 2)
-    action, holding = exploration.explore(best, allowed, jnp.full(2000, 0.6), 4, holding, rng.key(0))
-    counts = np.bincount(np.asarray(action[:, 0]), minlength=4) / 2000
+    allowed = np.array([[True, True, True, False], [True, True, False, False]])
+    best = jnp.zeros((4000, 2), jnp.int32)
+    epsilon = jnp.repeat(jnp.float32([0.6, 0.0]), 2000)
+    action = exploration.explore(best, allowed, epsilon, rng.key(0))
+    counts = np.bincount(np.asarray(action[:2000, 0]), minlength=4) / 2000
     # Three in ten thousand such samples fall outside 3.6 sigma = 0.04.
     np.testing.assert_allclose(counts, [0.6, 0.2, 0.2, 0.0], atol=0.04)
-    assert int(action[:, 1].max()) == 1
-    held = holding.steps_left > 0
-    again, _ = exploration.explore(best, allowed, jnp.zeros(2000), 4, holding, rng.key(1))
-    assert (again[held] == action[held]).all() and (again[~held] == 0).all()
+    assert int(action[:, 1].max()) == 1 and not action[2000:].any()
+    both = np.asarray(action[:2000] > 0).mean(axis=0)
+    np.testing.assert_allclose(np.asarray((action[:2000] > 0).all(axis=1)).mean(), both.prod(), atol=0.03)
 
 
 def test_of_equal_values_the_first_is_the_largest():
     values = np.random.default_rng(0).integers(0, 4, (50, 1, 9)).astype(np.float32)
     np.testing.assert_array_equal(exploration._largest(jnp.asarray(values)), values.argmax(axis=-1))
-
-
-def test_a_random_choice_is_held_for_one_to_action_repeat_steps_evenly():
-    greedy, allowed = jnp.full((4000, 1), -1), jnp.ones((1, 2), bool)
-    explore = jax.jit(lambda *args: exploration.explore(greedy, allowed, args[0], 4, *args[1:]))
-    holding, steps = exploration.no_holding(4000, 1), np.zeros(4000, int)
-    for step in range(6):
-        action, holding = explore(jnp.full(4000, float(step == 0)), holding, rng.key(step))
-        steps += np.asarray(action[:, 0] >= 0)
-    # Three in ten thousand such samples fall outside 3.6 sigma = 0.025.
-    np.testing.assert_allclose(np.bincount(steps, minlength=7) / 4000, [0, 0.25, 0.25, 0.25, 0.25, 0, 0], atol=0.025)
-
-
-def test_no_random_choice_is_held_beyond_the_end_of_an_episode():
-    """Episodes of one step: the first explores, all others are greedy."""
-    learner = build("tiles", probe("choice")[0], epsilon_decay=0.0, epsilon_min=0.0, action_repeat=100)
-    carry = learner.init(rng.key(0))
-    best = carry.weights._replace(value=carry.weights.value.at[..., 1].set(1.0))
-    _, seen, _ = learner._collect(carry._replace(weights=best), learner.allowed(), rng.key(1))
-    first, *others = np.asarray(seen.action)[..., 0]
-    assert 0 < first.mean() < 1 and np.all(np.array(others) == 1)
 
 
 def test_epsilon_decays_by_the_episode_and_climbs_the_ladder():
@@ -298,10 +271,15 @@ class Uneven(ContinuousTask):
         return 9, 3
 
 
-def test_choices_grow_by_stages():
-    learner = build("tiles", probe("choice")[0]).replace(coarse_to_fine=True, task=Uneven())
-    opened = [np.asarray(learner.allowed(p)).sum(axis=1).tolist() for p in (0.0, 0.34, 0.67, 1.0)]
-    assert opened == [[3, 3], [5, 3], [9, 3], [9, 3]]
+def test_joints_of_fewer_choices_have_no_more():
+    assert build("tiles", probe("choice")[0]).replace(task=Uneven()).allowed.sum(axis=1).tolist() == [9, 3]
+
+
+def test_stored_configs_may_hold_retired_keys_at_their_only_value():
+    task = probe("choice")[0]
+    assert build("tiles", task, action_repeat=1, coarse_to_fine=False, basis="tiles") == build("tiles", task)
+    with pytest.raises(InputError, match=r"learner\.action_repeat: unknown key"):
+        build("tiles", task, action_repeat=2)
 
 
 def test_numbers_that_are_not_finite_stop_a_run_before_the_update_that_makes_them():
@@ -343,8 +321,8 @@ def test_evaluation_counts_successes_of_greedy_episodes():
         ("deep_q", {"minibatches": 3}, r"minibatches must divide envs \* rollout"),
         ("deep_q", {"trace_decay": 1.5}, "learner.trace_decay must be at most 1"),
         ("linear_q", {"focus": 0.5}, "learner.focus must be at least 1"),
-        ("linear_q", {"basis": "wavelets"}, "learner.basis must be one of"),
-        ("linear_q", {"resolution": 2000, "order": 2, "basis": "fourier"}, "make it coarser"),
+        ("linear_q", {"basis": "fourier"}, "learner.basis: unknown key"),
+        ("linear_q", {"resolution": 2000, "order": 2}, "make it coarser"),
         ("tabular_q", {}, "learner.name: tabular_q learns a FiniteTask"),
     ],
 )
@@ -352,7 +330,7 @@ def test_bad_values_get_a_sentence(name, values, words):
     task = probe("both")[0]
     if "order" in values:
         task = make_task("joint_reach", joint=1)
-        values = values | {"resolution": 10_000, "tilings": 200, "basis": "tiles"}
+        values = values | {"resolution": 10_000, "tilings": 200}
     with pytest.raises(InputError, match=words):
         make_learner(name, task, **values)
 
@@ -416,14 +394,25 @@ def test_the_policy_is_the_mean_of_the_weights_of_late():
     jax.tree.map(np.testing.assert_array_equal, policy.moments, carry.weights.moments)
 
 
+def test_parts_in_which_no_update_begins_have_no_evaluation():
+    """Of two updates the second ends the training; the parts between have none, and the last policy counts."""
+    learner = build("tiles", probe("choice")[0], evaluations=4, evaluation_envs=4).replace(total_steps=2 * 32 * 4)
+    training, _ = train(learner, updates=2)
+    found = jax.jit(finish)(learner, training, rng.key(0))
+    assert np.isfinite(found["curve"]["greedy_return"]).tolist() == [True, False, True, False]
+    assert found["final"]["greedy_return"] == found["curve"]["greedy_return"][2]
+    last = jax.tree.map(lambda x: x[2], training.snapshots[0])
+    jax.tree.map(np.testing.assert_array_equal, last, training.carry.weights)
+
+
 def test_snapshots_are_of_the_end_of_each_part():
     """Training to the middle gives the weights that stand in the middle of a longer training."""
     learner = build("tiles", probe("both")[0], evaluations=4)
     whole, _ = train(learner)
     half, _ = train(learner, updates=200)
-    middle = jax.tree.map(lambda x: x[1], whole.snapshots)
+    middle = jax.tree.map(lambda x: x[1], whole.snapshots[0])
     jax.tree.map(np.testing.assert_array_equal, middle, half.carry.weights)
-    jax.tree.map(np.testing.assert_array_equal, jax.tree.map(lambda x: x[3], whole.snapshots), whole.carry.weights)
+    jax.tree.map(np.testing.assert_array_equal, jax.tree.map(lambda x: x[3], whole.snapshots[0]), whole.carry.weights)
     results = finish(learner, half, rng.key(1))
     curve, final = results["curve"], results["final"]
     np.testing.assert_array_equal(np.isfinite(curve["greedy_success"]), [True, True, False, False])

@@ -96,14 +96,9 @@ def test_many_points_and_a_resumed_sweep(tmp_path, monkeypatch):
         assert len(agree(resumed, MEASURES)) == 4
 
 
-@pytest.mark.parametrize("name", ["linear_q", "brax_ppo"])
-def test_learners_that_are_evaluated_along_the_way(tmp_path, monkeypatch, name):
+def test_learners_that_are_evaluated_along_the_way(tmp_path, monkeypatch):
     monkeypatch.setattr(events, "LOOK_EVERY_S", 0.0)
-    learner = {"name": name, "evaluation_envs": 4}
-    if name == "linear_q":
-        learner |= {"envs": 8, "rollout": 4, "evaluations": 2}
-    else:
-        learner |= {"num_envs": 4, "batch_size": 1, "num_minibatches": 4, "unroll_length": 8}
+    learner = {"name": "linear_q", "envs": 8, "rollout": 4, "evaluations": 2, "evaluation_envs": 4}
     task = {"name": "leg_reach", "physics": "chain", "duration": 0.4}
     config = {"name": "along", "task": task, "learner": learner, "seeds": 2, "total_steps": 640, "record": 4}
     run = sweep(config, tmp_path / "run", tensorboard=True)

@@ -2,7 +2,6 @@
 
 import json
 import math
-from collections import Counter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -61,16 +60,10 @@ def read_result(path: Path) -> dict[str, Any]:
 
 
 def changes(before: dict[str, Any], after: dict[str, Any]) -> list[Change]:
-    """What both results measured, in the order of the second, but for what `ambiguous` finds."""
-    unclear = {*ambiguous(before), *ambiguous(after)}
-    old = {_key(record): record for record in before["records"]}
-    pairs = [(old[key], new) for new in after["records"] if (key := _key(new)) in old and key not in unclear]
-    return [Change(_key(new), a["value"], new["value"], noise(a, new)) for a, new in pairs]
-
-
-def ambiguous(result: dict[str, Any]) -> list[tuple[Any, ...]]:
-    """The keys that several records of a result have: a result of before `beside` was written, or a merged one."""
-    return [key for key, count in Counter(map(_key, result["records"])).items() if count > 1]
+    """What both results measured, in the order of the second; of figures of one key the last."""
+    old, new = ({_key(record): record for record in result["records"]} for result in (before, after))
+    pairs = [(key, old[key], new[key]) for key in new if key in old]
+    return [Change(key, a["value"], b["value"], noise(a, b)) for key, a, b in pairs]
 
 
 def noise(before: dict[str, Any], after: dict[str, Any]) -> float:
@@ -99,7 +92,7 @@ def verdict(found: list[Change]) -> str:
 
 
 def warnings(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
-    """Why the two results may not be comparable: other machines or versions, and figures that are left out."""
+    """Why the two results may not be comparable: other machines or versions, and figures that are missing."""
     lines: list[str] = []
     if before.get("commit") != after.get("commit"):
         lines.append(f"commit was {before.get('commit')}, is {after.get('commit')}")
@@ -107,12 +100,6 @@ def warnings(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
         old, new = before.get(part, {}), after.get(part, {})
         differing = [name for name in sorted({*old, *new}) if old.get(name) != new.get(name)]
         lines += [f"{part}: {name} was {old.get(name)}, is {new.get(name)}" for name in differing]
-    for name, result in (("first", before), ("second", after)):
-        for key in ambiguous(result):
-            words = ", ".join(str(value) for value in key if value is not None)
-            lines.append(
-                f"the {name} result has several figures of {words}: they cannot be told apart and are left out."
-            )
     keys = [{_key(record) for record in result["records"]} for result in (before, after)]
     if missing := len(keys[0] - keys[1]):
         lines.append(f"{missing} of the first result's figures are not in the second.")

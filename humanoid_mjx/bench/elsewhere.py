@@ -14,7 +14,6 @@ from typing import Any
 import jax
 
 from humanoid_mjx import compute
-from humanoid_mjx.bench.programs import Programs
 
 _numbers = itertools.count()
 _calls: dict[int, Callable[[], Any]] = {}
@@ -32,11 +31,6 @@ class Elsewhere:
     def __call__(self) -> Any:
         self.made.result()
         return self.process.submit(_call, self.number).result()
-
-    @property
-    def memory(self) -> float | None:
-        """As that of `Programs`."""
-        return self.process.submit(_memory, self.number).result()
 
 
 def with_room(make: Callable[..., Callable[[], Any]], *arguments: Any) -> Callable[[], Any]:
@@ -63,8 +57,3 @@ def _make(number: int, make: Callable[..., Callable[[], Any]], *arguments: Any) 
 
 def _call(number: int) -> Any:
     return jax.device_get(_calls[number]())
-
-
-def _memory(number: int) -> float | None:
-    call = _calls[number]
-    return call.memory if isinstance(call, Programs) else None

@@ -9,9 +9,6 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from humanoid_mjx.bench.elsewhere import Elsewhere
-from humanoid_mjx.bench.programs import Programs
-
 REPEATS = 7
 
 CONTROLLED, PLAIN = "control+physics steps/s", "physics steps/s"
@@ -46,17 +43,10 @@ class Record:
     """The 95 % interval of the mean over training seeds."""
     beside: int | None = None
     """The batch of those that it was timed in turn with, where its own is another."""
-    memory_mib: float | None = None
-    """What the programs hold that run at once: arguments, results and temporary arrays."""
 
     def as_json(self) -> dict[str, Any]:
         """The figure as plain values, without what it does not have."""
         return {name: value for name, value in asdict(self).items() if value is not None or name == "spread"}
-
-    def in_words(self, *more: str) -> str:
-        """Return the memory, and more, as a line below the rate, or nothing."""
-        words = [*([] if self.memory_mib is None else [f"{self.memory_mib:.3g} MiB"]), *more]
-        return "\n      " + ", ".join(words) if words else ""
 
 
 @dataclass(frozen=True)
@@ -120,7 +110,7 @@ def time_rates(bench: str, subjects: Mapping[str, Subject], say: Callable[[str],
             raise FloatingPointError(f"{key}: the simulation diverged.")
         records.append(record(bench, name, subject, timing, subject.unit))
         say(f"{name:30} {subject.batch:9,} {of}  {records[-1].value:10.3e} {subject.unit:23}"
-            f"  compiled in {timing.compile_s:4.1f} s{records[-1].in_words()}")  # fmt: skip
+            f"  compiled in {timing.compile_s:4.1f} s")  # fmt: skip
     return records
 
 
@@ -135,7 +125,6 @@ def spread(seconds: Sequence[float]) -> float | None:
 def record(bench: str, name: str, subject: Subject, timing: Timing, unit: str, work: float | None = None) -> Record:
     """A rate as a record; `work` is what a call does in `unit`s, where that is not the subject's own."""
     work = subject.work if work is None else work
-    memory = subject.call.memory if isinstance(subject.call, Programs | Elsewhere) else None
     return Record(
         bench=bench,
         subject=name,
@@ -147,7 +136,6 @@ def record(bench: str, name: str, subject: Subject, timing: Timing, unit: str, w
         repeats=subject.repeats,
         spread=timing.spread,
         beside=subject.beside,
-        memory_mib=memory and memory / 2**20,
     )
 
 

@@ -10,12 +10,9 @@ outcome of every episode added to one of 100 points of a learning curve.
     naive_scan   the same as one would first write it: jax.random's own keys split in every step, plain indexing
     python       one agent at a time in plain Python
     numba        one agent a thread, compiled, fastmath, all cores (where numba is installed)
-
-`fused` trains tables of other sizes, too.
 """
 
-from collections.abc import Callable, Iterator, Mapping
-from functools import partial
+from collections.abc import Callable, Mapping
 from importlib.util import find_spec
 from typing import Any
 
@@ -35,9 +32,6 @@ MOVES, CAP, POINTS, EPISODES = 23, 500, 100, 100_000
 DECAY, RATE, DISCOUNT, BONUS = 0.999, 0.5, 0.9, 100.0
 BATCHES = {"cpu": (1, 1024, 4096, 65_536), "gpu": (1, 256, 4096, 65_536, 1_048_576)}
 
-OTHER_MOVES = (4, 63)
-"""Of the other tables that `fused` trains. A table has a row more."""
-
 AT_ONCE = 2**24
 """Agents times steps in a call, as far as `STEPS` allows: starting a call of 5 ms takes two more."""
 
@@ -55,7 +49,12 @@ Made = tuple[Callable[[], Any], Callable[[Any], float]]
 
 def run(say: Callable[[str], None]) -> list[Record]:
     """Time all subjects over several numbers of agents."""
-    return [record for batch, makers in _cases(_absent(say)) for record in time_trainings(say, batch, makers)]
+    absent, records = _absent(say), []
+    for batch in BATCHES.get(jax.default_backend(), BATCHES["gpu"]):
+        makers = {name: make for name, make in SUBJECTS.items() if name not in absent}
+        records += time_trainings(say, batch, makers)
+        absent.add("python")
+    return records
 
 
 def time_trainings(
@@ -81,8 +80,7 @@ def time_trainings(
         records.append(record("tabular", name, subjects[name], timing, "steps/s"))
         records.append(record("tabular", name, subjects[name], timing, "episodes/s", episodes))
         say(f"{name:16} {subjects[name].batch:9,} agents  {records[-2].value:10.3e} steps/s"
-            f"  {records[-1].value:10.3e} episodes/s  compiled in {timing.compile_s:4.1f} s"
-            f"{records[-2].in_words()}")  # fmt: skip
+            f"  {records[-1].value:10.3e} episodes/s  compiled in {timing.compile_s:4.1f} s")  # fmt: skip
     return records
 
 
@@ -94,17 +92,6 @@ def _absent(say: Callable[[str], None]) -> set[str]:
         if reason:
             say(f"{name}: not measured, for {reason}")
     return {name for name, reason in why.items() if reason}
-
-
-def _cases(absent: set[str]) -> Iterator[tuple[int, dict[str, Callable[[np.ndarray, int], Made]]]]:
-    """How many agents, and what trains them."""
-    makers = {name: make for name, make in SUBJECTS.items() if name not in absent}
-    batches = BATCHES.get(jax.default_backend(), BATCHES["gpu"])
-    for batch in batches:
-        yield batch, dict(makers)
-        makers.pop("python", None)
-    for moves in OTHER_MOVES if "fused" in makers else ():
-        yield batches[-1], {f"fused, {moves + 1} rows": partial(fused, moves=moves)}
 
 
 def _learner(moves: int = MOVES) -> TabularQ:

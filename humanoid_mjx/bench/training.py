@@ -1,8 +1,8 @@
 """Training end to end by each learner, as the shipped configs say: steps and episodes a second, what success takes.
 
 Each config is swept with several seeds into a folder of its own, with nothing compiled before it, not on disk either.
-Seeds train side by side, those of `brax_ppo` one after another: the first compiles, the others find that on disk. Rates
-are of all seeds together and leave compiling out: they are taken between the first and the last look at the training.
+Seeds train side by side. Rates are of all seeds together and leave compiling out: they are taken between the first and
+the last look at the training.
 
     steps/s             decisions of the task, all environments together, with the learning between them
     episodes/s          the same by the mean length of an episode in training
@@ -12,9 +12,8 @@ are of all seeds together and leave compiling out: they are taken between the fi
     s to 95 %           wall time, compiling included, until every seed has come to such a point
 
 `by_seed` has the value of each seed, None where it never came to such a point; `interval` is the 95 % interval of the
-mean over seeds. The greedy episodes that `deep_q` and `linear_q` are judged by run after training and take none of this
-time; those of `brax_ppo` run on the way, and are in its time. A config that does not ship, or needs brax where that is
-not installed, is left out.
+mean over seeds. The greedy episodes that learners are judged by run after training and take none of this time. A config
+that does not ship, or needs brax where that is not installed, is left out.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -31,12 +30,10 @@ from jax.experimental.compilation_cache import compilation_cache
 from jaxtyping import Float
 
 from humanoid_mjx.bench.measure import Record, spread
-from humanoid_mjx.bench.programs import memory_of
-from humanoid_mjx.config import Config, load
+from humanoid_mjx.config import load
 from humanoid_mjx.files import names
 from humanoid_mjx.runs.statistics import mean_interval
-from humanoid_mjx.training.plan import make_plan
-from humanoid_mjx.training.programs import arranged, programs, programs_of
+from humanoid_mjx.training.programs import programs
 from humanoid_mjx.training.sweep import Run, sweep
 
 SUCCESS = 0.95
@@ -81,29 +78,17 @@ def run(
         with TemporaryDirectory() as folder, nothing_compiled(Path(folder) / "programs"):
             trained = sweep(config, Path(folder) / "run")
             compile_s = loads((trained.path / "provenance.json").read_text())["compile_s"]
-            found, envs, held = measure(trained), environments(trained.config.learner), memory(config)
+            found, envs = measure(trained), environments(trained.config.learner)
         subject = f"{learner} {config.task['name']}"
         common = {"device": jax.devices()[0].device_kind, "batch": envs, "compile_s": compile_s, "repeats": seeds}
-        common["memory_mib"] = held and held / 2**20
         records += [
             Record(bench="training", subject=subject, **common, **figure)
             for figure in figures(found)
             if np.isfinite(figure["value"])
         ]
         say(f"{subject:20} {envs:7,} envs  {found.steps_per_s:10.3e} steps/s  {found.episodes_per_s:10.3e} episodes/s"
-            f"  {in_words(found)}  compiled in {compile_s:4.1f} s{records[-1].in_words()}")  # fmt: skip
+            f"  {in_words(found)}  compiled in {compile_s:4.1f} s")  # fmt: skip
     return records
-
-
-def memory(config: Config) -> float | None:
-    """Bytes of the largest program of the training that was just done, on all devices; None where no program says."""
-    (group,) = make_plan(config).groups
-    if not group.learners.side_by_side:
-        return None
-    _, devices, share = arranged(group.learners, len(group.runs), len(group.runs))
-    compiled = programs_of(group.learners, devices, share).compiled.values()
-    found = [memory_of(program.result()) for program in compiled]  # pyright: ignore[reportArgumentType]
-    return max((len(devices) * held for held in found if held is not None), default=None)
 
 
 def figures(found: Measured) -> list[dict[str, Any]]:
@@ -153,11 +138,8 @@ def measure(trained: Run) -> Measured:
     budget = float(config.budget or np.nan)
     wall_s = trained.timing["wall_s"].astype(float).reshape(config.seeds, -1)
     greedy = results["greedy_success"].reshape(config.seeds, -1)
-    # Runs that train one after another have windows of their own, between which the next one compiles.
-    windows = wall_s if np.all(wall_s[1:, 0] >= wall_s[:-1, -1]) else wall_s.reshape(1, -1)
-    first = windows.min(axis=1, keepdims=True)
-    steps = float(np.mean(windows > first)) * budget * config.seeds
-    rate = steps / float(np.sum(windows.max(axis=1, keepdims=True) - first)) if steps else np.nan
+    steps = float(np.mean(wall_s > wall_s.min())) * budget * config.seeds
+    rate = steps / float(np.ptp(wall_s)) if steps else np.nan
     lengths = results["steps"][np.isfinite(results["steps"])]
     reached = greedy >= SUCCESS
     never, place = ~reached.any(axis=1), reached.argmax(axis=1)

@@ -10,16 +10,18 @@ from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from humanoid_mjx.compute import Program
 from humanoid_mjx.learners import exploration
+from humanoid_mjx.learners.acting import Envs, start_all, step_all
 from humanoid_mjx.learners.base import ENVS, Outcome, StepLearner
 from humanoid_mjx.learners.normalisation import Moments, moments, observe
 from humanoid_mjx.learners.targets import lambda_targets
 from humanoid_mjx.spec import traced
-from humanoid_mjx.tasks.continuous import ContinuousTask, State, auto_reset
+from humanoid_mjx.tasks.continuous import ContinuousTask
 from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.types import FloatScalar, IntScalar
 
@@ -30,16 +32,6 @@ class Weights(NamedTuple):
     value: Any
     moments: Moments
     """Running mean and variance of the raw observations seen so far."""
-
-
-class Envs(NamedTuple):
-    """The environments, side by side; every array has a leading axis of them."""
-
-    state: State
-    holding: exploration.Holding
-    episode: Int[Array, " envs"]
-    length: Int[Array, " envs"]
-    episode_return: Float[Array, " envs"]
 
 
 class Carry(NamedTuple):
@@ -65,6 +57,10 @@ class Experience(NamedTuple):
     final_obs: Float[Array, "steps envs observation_size"]
 
 
+RETIRED = {"action_repeat": 1, "basis": "tiles", "coarse_to_fine": False}
+"""Keys of earlier versions, with the only value that they may still have: stored configs hold them."""
+
+
 class ApproximateQ(StepLearner):
     """Base of learners that approximate Q. A derived class gives the approximation and how it learns."""
 
@@ -76,7 +72,6 @@ class ApproximateQ(StepLearner):
     epsilon_spread: float = traced(
         0.0, ge=0, le=100, description="epsilon is raised to 1 ... 1 + epsilon_spread over the environments"
     )
-    action_repeat: int = Field(1, ge=1, le=1000, description="longest time in steps that a random action is held")
     learning_rate: float = traced(gt=0, le=1, description="size of a step down the gradient")
     learning_rate_end: float = traced(1.0, ge=0, le=1, description="its share at the end, reached linearly")
     weight_averaging: float = traced(
@@ -86,11 +81,15 @@ class ApproximateQ(StepLearner):
     trace_decay: float = traced(0.65, ge=0, le=1, description="lambda")
     envs: int = Field(128, ge=1, le=1_000_000, description="environments side by side")
     rollout: int = Field(16, ge=1, le=10_000, description="steps of each environment in an update")
-    coarse_to_fine: bool = Field(False, description="open the choices in stages: 3, 5, 9 ... of them")
     evaluations: int = Field(10, ge=1, le=1000, description="greedy evaluations along the learning curve")
     evaluation_envs: int = Field(64, ge=1, le=100_000, description="greedy episodes of an evaluation")
     devices: int = Field(1, ge=1, le=1, exclude=True, repr=False)
     """How many devices share the environments, of which `envs` are on each: set by `split_over`, in no config."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_retired_keys(cls, data: Any) -> Any:
+        return {key: x for key, x in data.items() if RETIRED.get(key, ...) != x} if isinstance(data, dict) else data
 
     def init_value(self, key: Key[Array, ""]) -> tuple[Any, Any]:
         """The weights of the approximation and the optimizer's state before the first update."""
@@ -119,9 +118,10 @@ class ApproximateQ(StepLearner):
         """The largest number of choices of any joint."""
         return max(self.env.action_bins)
 
-    def allowed(self, progress: FloatScalar = 1.0) -> Bool[Array, "joints bins"]:
-        """The choices that exist and, where their number grows, are open already."""
-        return exploration.opened(self.env.action_bins, progress if self.coarse_to_fine else None)
+    @property
+    def allowed(self) -> Bool[np.ndarray, "joints bins"]:
+        """The choices that exist."""
+        return np.arange(self.bins) < np.array(self.env.action_bins)[:, None]
 
     def split_over(self, devices: int) -> Any:
         return self.replace(envs=self.envs // devices, devices=devices)
@@ -136,11 +136,8 @@ class ApproximateQ(StepLearner):
     def init(self, key: Key[Array, ""], policy: Any = None) -> Carry:
         value_key, reset_key, key = jax.random.split(key, 3)
         value, optimizer = self.init_value(value_key)
-        state = jax.vmap(self.env.reset)(jax.random.split(self._own(reset_key), self.envs))
-        none = jnp.zeros(self.envs, jnp.int32)
-        holding = exploration.no_holding(self.envs, len(self.env.action_bins))
         weights = Weights(value, moments(self.env.observation_size)) if policy is None else policy
-        envs = Envs(state, holding, none, none, jnp.zeros(self.envs))
+        envs = start_all(self.env, self.envs, self._own(reset_key))
         return Carry(weights, weights.value, optimizer, envs, key, jnp.int32(0))
 
     def progress(self, carry: Carry) -> FloatScalar:
@@ -151,9 +148,8 @@ class ApproximateQ(StepLearner):
         key, act_key, learn_key = jax.random.split(carry.key, 3)
         act_key, learn_key = self._own(act_key), self._own(learn_key)
         progress = self.progress(carry)
-        allowed = self.allowed(progress)
-        envs, experience, totals = self._collect(carry, allowed, act_key)
-        td_target = self._td_targets(carry.weights, experience, allowed)
+        envs, experience, totals = self._collect(carry, act_key)
+        td_target = self._td_targets(carry.weights, experience)
         batch = Batch(self.preprocess(carry.weights, experience.obs), experience.action, td_target)
         batch = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), batch)
         rate = self.learning_rate * (1.0 + (self.learning_rate_end - 1.0) * jnp.minimum(progress, 1.0))
@@ -173,7 +169,7 @@ class ApproximateQ(StepLearner):
     ) -> Int[Array, "*batch joints"]:
         """The greedy action for a raw observation."""
         q = self.q_values(policy.value, self.preprocess(policy, observation))
-        return exploration.greedy(q, self.allowed(), key)
+        return exploration.greedy(q, self.allowed, key)
 
     def _averaged(self, carry: Carry, value: Any) -> Any:
         """The mean with new weights in it (O. Shamir and T. Zhang, "Stochastic Gradient Descent for Non-smooth
@@ -189,40 +185,27 @@ class ApproximateQ(StepLearner):
         """The key of this device, where several share the environments."""
         return key if self.devices == 1 else jax.random.fold_in(key, jax.lax.axis_index(ENVS))
 
-    def _collect(
-        self, carry: Carry, allowed: Bool[Array, "joints bins"], key: Key[Array, ""]
-    ) -> tuple[Envs, Experience, dict[str, FloatScalar]]:
+    def _collect(self, carry: Carry, key: Key[Array, ""]) -> tuple[Envs, Experience, dict[str, FloatScalar]]:
         """Let the environments act for `rollout` steps: where they are then, what they saw, sums over ended ones."""
-        env = self.env
 
         def step(envs: Envs, key: Key[Array, ""]) -> tuple[Envs, tuple[Experience, dict[str, FloatScalar]]]:
             greedy_key, explore_key, step_key, reset_key = jax.random.split(key, 4)
             obs = envs.state.obs
             q = self.q_values(carry.weights.value, self.preprocess(carry.weights, obs))
-            best = exploration.greedy(q, allowed, greedy_key)
+            best = exploration.greedy(q, self.allowed, greedy_key)
             epsilon = exploration.epsilons(self, envs.episode)
-            action, holding = exploration.explore(best, allowed, epsilon, self.action_repeat, envs.holding, explore_key)
-            step_keys, reset_keys = (jax.random.split(key, self.envs) for key in (step_key, reset_key))
-            state = jax.vmap(env.step)(envs.state, action, step_keys)
+            action = exploration.explore(best, self.allowed, epsilon, explore_key)
+            envs, state, sums = step_all(self.env, envs, action, step_key, reset_key)
             executed = action if state.executed is None else state.executed
-            done = state.done
             seen = Experience(obs, executed, state.reward, state.terminated, state.truncated, state.final_obs)
-            length, total = envs.length + 1, envs.episode_return + state.reward
-            sums = {"episodes": done, "steps": done * length, "success": done & state.success, "return": done * total}
-            sums = {name: jnp.sum(x, dtype=jnp.float32) for name, x in (sums | state.metrics).items()}
-            state = jax.vmap(auto_reset, in_axes=(None, 0, 0))(env, state, reset_keys)
-            holding = holding._replace(steps_left=jnp.where(done[:, None], 0, holding.steps_left))
-            envs = Envs(state, holding, envs.episode + done, length * ~done, total * ~done)
             return envs, (seen, sums)
 
         envs, (experience, sums) = jax.lax.scan(step, carry.envs, jax.random.split(key, self.rollout))
         return envs, experience, {name: x.sum() for name, x in sums.items()}
 
-    def _td_targets(
-        self, weights: Weights, experience: Experience, allowed: Bool[Array, "joints bins"]
-    ) -> Float[Array, "steps envs"]:
+    def _td_targets(self, weights: Weights, experience: Experience) -> Float[Array, "steps envs"]:
         q = self.q_values(weights.value, self.preprocess(weights, experience.final_obs))
-        next_value = jnp.where(allowed, q, -jnp.inf).max(axis=-1).mean(axis=-1)
+        next_value = jnp.where(self.allowed, q, -jnp.inf).max(axis=-1).mean(axis=-1)
         return lambda_targets(
             experience.reward,
             experience.terminated,

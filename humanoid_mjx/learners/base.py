@@ -4,7 +4,6 @@ Training (`humanoid_mjx.training`) does for all of them what is not algorithm: l
 against numbers that are not finite, evaluation, checkpoints and progress.
 """
 
-from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
 
 from jaxtyping import Array, Key
@@ -45,9 +44,6 @@ class Learner(Spec):
     lap: ClassVar[int] = 1
     """Training steps between two looks at what was learned. After looks at each step, training stops before one that
     leads to numbers that are not finite."""
-
-    side_by_side: ClassVar[bool] = True
-    """Whether training is made of steps, which runs take side by side; else each run trains as a whole, by itself."""
 
     program: ClassVar[Program] = "other"
     """Kind of the programs that train and evaluate, which chooses XLA's options (`compute.options`)."""
@@ -117,25 +113,3 @@ class StepLearner(Learner):
     total_steps: int = traced(
         1_000_000, ge=1, le=2_000_000_000, exclude=True, description="control steps to train for, of all environments"
     )
-
-
-class WholeRunLearner(StepLearner):
-    """Base of learners whose training is a loop of its own, which cannot be cut into steps or vmapped.
-
-    `train_run` takes the place of `train_step`. Runs train one after another on one device; a kill loses the one under
-    way, which then trains anew.
-    """
-
-    side_by_side: ClassVar[bool] = False
-
-    def train_run(self, carry: Any, report: Callable[[float, Any], None]) -> Any:
-        """Train from a state that `init` made to the end; the last training state.
-
-        Call `report(share_done, policy)` often, at least once for each point to be recorded; it may raise to stop
-        training.
-        """
-        raise NotImplementedError
-
-    def sample(self, policy: Any, observation: Any, key: Key[Array, ""]) -> Any:
-        """The action that training itself would take: greedy, or with its exploration."""
-        raise NotImplementedError

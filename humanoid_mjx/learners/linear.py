@@ -1,7 +1,7 @@
-"""Semi-gradient Q(lambda) with linear function approximation (Sutton and Barto 2018, chapters 9 to 12)."""
+"""Semi-gradient Q(lambda) with linear function approximation on tiles (Sutton and Barto 2018, chapters 9 to 12)."""
 
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 from pydantic import Field, model_validator
 
-from humanoid_mjx.learners.approximate import ApproximateQ, Batch, chosen
-from humanoid_mjx.learners.features import Basis, Encoded, Scale, combined, fourier, radial, tile_coding
+from humanoid_mjx.learners.approximate import ApproximateQ, Batch
+from humanoid_mjx.learners.features import Scale, Tiles, combined, tile_coding
 from humanoid_mjx.spec import traced
 from humanoid_mjx.types import FloatScalar
 
@@ -23,14 +23,13 @@ class LinearQ(ApproximateQ):
 
     The update is preconditioned: each weight moves by `learning_rate` times the mean TD error of the samples that it
     had a part in, divided by the number of features that share a sample. One sample then moves its Q by
-    `learning_rate` times its error whatever the basis, and a basis with a feature for each state is a table.
+    `learning_rate` times its error, and a single tiling with a tile for each state is a table.
 
     Joints that are alike may share their weights (J. Gupta et al., "Cooperative Multi-Agent Control Using Deep
     Reinforcement Learning", 2017, section 4.1): each learns from what all have seen.
     """
 
-    basis: Literal["tiles", "fourier", "radial"] = Field("tiles", description="features of the observation")
-    resolution: int = Field(8, ge=1, le=10_000, description="tiles, half periods, or centres along an observation")
+    resolution: int = Field(8, ge=1, le=10_000, description="tiles along an observation")
     focus: float = Field(1.0, ge=1, le=10, description="1 resolves a range evenly; more, its middle more finely")
     tilings: int = Field(8, ge=1, le=256, description="grids of tiles over one another")
     order: int = Field(2, ge=1, le=4, description="observations of a family that a feature depends on")
@@ -38,7 +37,7 @@ class LinearQ(ApproximateQ):
     learning_rate: float = traced(0.1, gt=0, le=1)
 
     @model_validator(mode="after")
-    def _basis_must_fit(self) -> "LinearQ":
+    def _tiles_must_fit(self) -> "LinearQ":
         self.features()
         if self.shared and len(set(self.env.action_bins)) > 1:
             raise ValueError("shared needs joints that have the same number of choices")
@@ -51,13 +50,11 @@ class LinearQ(ApproximateQ):
     def joints(self) -> int:
         return len(self.env.action_bins)
 
-    def features(self) -> Basis:
-        """The basis over the task's observations."""
+    def features(self) -> Tiles:
+        """The tiles over the task's observations."""
         scale = Scale(*self.env.observation_bounds, self.focus)
         groups = combined(self.env.observation_families, self.order)
-        if self.basis == "tiles":
-            return tile_coding(scale, groups, self.resolution, self.tilings)
-        return (fourier if self.basis == "fourier" else radial)(scale, groups, self.resolution)
+        return tile_coding(scale, groups, self.resolution, self.tilings)
 
     def init_value(self, key: Key[Array, ""]) -> tuple[Any, Any]:
         return jnp.zeros(self._shape), ()
@@ -65,42 +62,23 @@ class LinearQ(ApproximateQ):
     def q_values(
         self, value: Float[Array, "sets features bins"], obs: Float[Array, "*batch observation_size"]
     ) -> Float[Array, "*batch joints bins"]:
-        basis = self.features()
-        encoded = basis.encode(obs)
-        if basis.dense:
-            return jnp.einsum("...jf,jfc->...jc", encoded.value, value[self._set])
-        return _sum(lambda place, strength: value[self._set, place] * strength[..., None], encoded)
+        return _sum(lambda place: value[self._set, place], self.features().encode(obs))
 
     def learn(
         self, rate: FloatScalar, value: Any, optimizer: Any, batch: Batch, key: Key[Array, ""]
     ) -> tuple[Any, Any, FloatScalar]:
-        basis = self.features()
-        encoded = basis.encode(batch.obs)
-        if basis.dense:
-            q = chosen(self.q_values(value, batch.obs), batch.action)
-        else:
-            q = _sum(lambda place, part: value[self._set, place, batch.action] * part, encoded).mean(axis=-1)
+        tiles = self.features()
+        places = tiles.encode(batch.obs)
+        q = _sum(lambda place: value[self._set, place, batch.action], places).mean(axis=-1)
         td_error = batch.target - q
-        parts = jnp.stack([encoded.value * td_error[:, None, None], encoded.value**2], axis=-1)
-        change, weight = jnp.moveaxis(self.mean(self._by_weight(encoded, batch.action, parts)), -1, 0)
+        # Sums over each weight's samples: of their errors, and of their number.
+        parts = jnp.stack([td_error, jnp.ones_like(td_error)], axis=-1)[:, None, None]
+        at = self._set[:, None], places, batch.action[:, :, None]
+        sums = jnp.zeros((*self._shape, 2), parts.dtype).at[at].add(jnp.broadcast_to(parts, (*places.shape, 2)))
+        change, number = jnp.moveaxis(self.mean(sums), -1, 0)
         # The mean over joints divides a weight's part in Q by their number, and this gives it back.
-        step = change / jnp.maximum(weight, 1e-12) / basis.active
+        step = change / jnp.maximum(number, 1e-12) / tiles.active
         return value + rate * step, optimizer, jnp.mean(td_error**2)
-
-    def _by_weight(
-        self,
-        encoded: Encoded,
-        action: Int[Array, "batch joints"],
-        parts: Float[Array, "batch joints active 2"],
-    ) -> Float[Array, "sets features bins 2"]:
-        """The sums of what belongs to each weight: to each active feature with the choice that was taken."""
-        if not self.features().dense:
-            at = self._set[:, None], encoded.place, action[:, :, None]
-            return jnp.zeros((*self._shape, 2), parts.dtype).at[at].add(parts)
-        taken = jax.nn.one_hot(action, self.bins, dtype=parts.dtype)
-        if self.shared:
-            return jnp.einsum("bjfp,bjc->fcp", parts, taken)[None]
-        return jnp.einsum("bjfp,bjc->jfcp", parts, taken)
 
     @property
     def _shape(self) -> tuple[int, int, int]:
@@ -113,12 +91,10 @@ class LinearQ(ApproximateQ):
         return np.zeros(self.joints, int) if self.shared else np.arange(self.joints)
 
 
-def _sum(
-    part: Callable[[Int[Array, "*batch joints"], Float[Array, "*batch joints"]], Array], encoded: Encoded
-) -> Array:
+def _sum(part: Callable[[Int[Array, "*batch joints"]], Array], places: Int[Array, "*batch joints active"]) -> Array:
     """The sum of the parts of all active features, one after another: so XLA computes it in one kernel on a CPU, twice
     as fast as it fetches all parts and then sums along their axis."""
-    first, *_ = features = [jnp.moveaxis(x, -1, 0) for x in encoded]
-    start = part(*(x[0] for x in features))
-    rest = tuple(x[1:] for x in features)
-    return jax.lax.scan(lambda total, each: (total + part(*each), None), start, rest, unroll=min(len(first), UNROLL))[0]
+    by_feature = jnp.moveaxis(places, -1, 0)
+    first, rest = by_feature[0], by_feature[1:]
+    unroll = min(len(by_feature), UNROLL)
+    return jax.lax.scan(lambda total, place: (total + part(place), None), part(first), rest, unroll=unroll)[0]

@@ -15,8 +15,7 @@ from humanoid_mjx import compute
 from humanoid_mjx.runs.disk import disk_used, in_words
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.plan import Group, Plan
-from humanoid_mjx.training.program import advance, measures
-from humanoid_mjx.training.whole_runs import MEASURES
+from humanoid_mjx.training.program import SHOWN, advance, measures
 from humanoid_mjx.types import Device
 
 CPU_CACHE_BYTES = 1 << 21
@@ -38,8 +37,7 @@ def runs_at_once(group: Group, pool_size: int | None = None) -> int:
     Raises:
       InputError: not even one fits.
     """
-    room = pool_size * jax.local_device_count() if pool_size else _runs_that_fit(group)
-    return room if group.learners.side_by_side else 1
+    return pool_size * jax.local_device_count() if pool_size else _runs_that_fit(group)
 
 
 def _runs_that_fit(group: Group) -> int:
@@ -70,8 +68,6 @@ def run_bytes(group: Group) -> int:
 @lru_cache(maxsize=16)
 def training_bytes(group: Group) -> int:
     """About what one run takes at the peak of its training: its state before and after, and what works on it."""
-    if not group.learners.side_by_side:
-        return 4 * run_bytes(group)
     learner = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), group.learners)
     program = jax.make_jaxpr(advance)(learner, group.one_run, jax.ShapeDtypeStruct((), np.int32))
     return 2 * run_bytes(group) + working_bytes(program.jaxpr)
@@ -161,9 +157,7 @@ def finished_bytes(group: Group) -> int:
     """About what one finished run takes: its policy, and its curves both by themselves and in the tables."""
     learner = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), group.learners)
     names = len(measures(learner, group.one_run.carry))
-    if not group.learners.side_by_side:
-        names = 2 * len(MEASURES)
-    elif group.learners.evaluations > 1:
-        names += len(MEASURES)
+    if group.learners.evaluations > 1:
+        names += len(SHOWN)  # of greedy episodes
     curves = (names + 1) * group.learners.record * np.dtype(np.float32).itemsize  # and the time of each point
     return sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(group.policy)) + 2 * curves

@@ -13,10 +13,9 @@ import pyarrow.parquet as pq
 from jaxtyping import Float, Int
 
 from humanoid_mjx.training.plan import Group, Plan
-from humanoid_mjx.training.pool import IDLE, Pool
+from humanoid_mjx.training.pool import Pool
 from humanoid_mjx.training.programs import arranged
 from humanoid_mjx.training.warm_start import earlier_policies
-from humanoid_mjx.training.whole_runs import pool_of
 
 WINDOW_S, WINDOW_SHARE = 10.0, 0.3
 """Seconds over which a pace is taken, and the share of the session where that is longer."""
@@ -289,9 +288,7 @@ def _measure(plan: Plan, group: Group, room: int, measured_s: float) -> tuple[fl
     """The seconds of compiling, training and evaluating of a group."""
     runs = np.random.default_rng(0).permutation(group.runs).tolist()
     size, devices, share = arranged(group.learners, len(runs), room)
-    pool = pool_of(group, deque(runs), size, devices, plan.config.seed, earlier_policies(group), share)
-    if not group.learners.side_by_side:
-        return _measure_whole_runs(pool, measured_s)
+    pool = Pool(group, deque(runs), size, devices, plan.config.seed, earlier_policies(group), share)
     began = time.monotonic()
     pool.fill()
     pool.train()
@@ -321,31 +318,6 @@ def _seconds_of_training(pool: Pool, runs: int, measured_s: float) -> float:
     half = int(np.searchsorted(times, trained_s / 2))
     # Runs of one program learn at one pace, so the last of them wait for nobody.
     return trained_s + (runs - done[-1]) * (times[-1] - times[half]) / max(done[-1] - done[half], 1e-9)
-
-
-def _measure_whole_runs(pool: Pool, measured_s: float) -> tuple[float, float, float]:
-    """The same where runs train one after another and each compiles: two runs begin, and the first goes on for a while.
-    What a second one compiles is what all others will, too."""
-    runs, compile_s, rates = pool.busy.sum() + len(pool.waiting), [], []
-    for least_s in (measured_s, 0.0)[: int(runs)]:
-        looks: list[tuple[float, float]] = []
-
-        def look(looks: list[tuple[float, float]] = looks, least_s: float = least_s) -> None:
-            looks.append((time.monotonic(), float(pool.progress[0])))
-            if len(looks) > 1 and looks[-1][0] - looks[0][0] > least_s:
-                pool.stop.set()
-
-        pool.looked = look
-        pool.stop.clear()
-        began = time.monotonic()
-        pool.fill()
-        pool.train()
-        times, shares = np.array(looks).T
-        # Where a run has one part only, its training cannot be told from compiling.
-        rates.append((shares[-1] - shares[0]) / (times[-1] - times[0]) if len(looks) > 1 else np.inf)
-        compile_s.append(max(times[0] - began - shares[0] / rates[-1], 0.0))
-        pool.slots[:], pool.progress[:] = IDLE, 0.0
-    return compile_s[0] + (runs - 1) * compile_s[-1], float(runs) / rates[0], 0.0
 
 
 def time_in_words(seconds: float) -> str:

@@ -26,7 +26,8 @@ class Training(NamedTuple):
     record: Float[Array, "record measures"]
     """Sums for each point of the learning curve, in the order of `measures`."""
     snapshots: Any
-    """The policies at the end of each part of training, for evaluation: a leading axis of `evaluations`, or None."""
+    """The policies at the end of each part of training, for evaluation, and whether there is one: a leading axis of
+    `evaluations`, or None."""
     failed: BoolScalar
     """Whether the next step leads to numbers that are not finite; training has stopped before it."""
 
@@ -53,7 +54,7 @@ def begin(learner: Learner, key: Key[Array, ""], policy: Any = None) -> Training
     snapshots = None
     if learner.evaluations > 1:
         many = (learner.evaluations,)
-        snapshots = jax.tree.map(lambda x: jnp.zeros(many + x.shape, x.dtype), learner.policy(carry))
+        snapshots = jax.tree.map(lambda x: jnp.zeros(many + x.shape, x.dtype), _snapshot(learner, carry))
     return Training(carry, record, snapshots, jnp.bool_(False))
 
 
@@ -77,7 +78,7 @@ def advance(learner: Learner, training: Training, steps: IntScalar) -> tuple[Tra
         if snapshots is not None:
             part = _part(learner.progress(old.carry), learner.evaluations)
             snapshots = [
-                old.at[part].set(new) for old, new in zip(snapshots, _row(learner.policy(new[0])), strict=True)
+                old.at[part].set(new) for old, new in zip(snapshots, _row(_snapshot(learner, new[0])), strict=True)
             ]
         return Training(new[0], new[1], snapshots, failed)
 
@@ -86,6 +87,10 @@ def advance(learner: Learner, training: Training, steps: IntScalar) -> tuple[Tra
     last = jax.lax.fori_loop(0, (steps + learner.lap - 1) // learner.lap, lap, rows)
     last = last if kept is None else last._replace(snapshots=_unrow(last.snapshots, kept))
     return last, progress_of(learner, last)
+
+
+def _snapshot(learner: Learner, carry: Any) -> tuple[Any, BoolScalar]:
+    return learner.policy(carry), jnp.bool_(True)
 
 
 def _row(tree: Any) -> list[Array]:
@@ -118,7 +123,7 @@ def finish(learner: Learner, training: Training, key: Key[Array, ""]) -> dict[st
     """What is kept of a run that is over: its `curve`, its `final` scores and its `policy`.
 
     Where the learner is evaluated more than once the curve has scores called `greedy_`, measured at the end of each of
-    `evaluations` parts of training: NaN at all other points, and in parts that training did not reach.
+    `evaluations` parts of training: NaN at all other points, and in parts in which no step began.
     """
     policy, found = learner.policy(training.carry), curve(learner, training)
     diverged = training.failed | ~_finite(policy)
@@ -130,13 +135,12 @@ def finish(learner: Learner, training: Training, key: Key[Array, ""]) -> dict[st
     if training.snapshots is None:
         final = scores(policy)
     else:
-        along = jax.vmap(scores)(training.snapshots)
-        part = np.arange(learner.evaluations)
-        reached = part < learner.progress(training.carry) * learner.evaluations
+        policies, there = training.snapshots
+        along, part = jax.vmap(scores)(policies), np.arange(learner.evaluations)
         at = np.full(learner.record, learner.evaluations)
         at[-(-(part + 1) * learner.record // learner.evaluations) - 1] = part
-        found |= {name: jnp.append(jnp.where(reached, x, jnp.nan), jnp.nan)[at] for name, x in along.items()}
-        final = {name: score[jnp.maximum(reached.sum() - 1, 0)] for name, score in along.items()}
+        found |= {name: jnp.append(jnp.where(there, x, jnp.nan), jnp.nan)[at] for name, x in along.items()}
+        final = {name: score[jnp.max(part * there)] for name, score in along.items()}
     return {"curve": found, "final": final | {"diverged": diverged}, "policy": policy}
 
 
@@ -148,8 +152,6 @@ def _train_step(learner: Learner, carry: Any) -> tuple[Any, Outcome]:
 
 def measures(learner: Learner, carry: Any) -> tuple[str, ...]:
     """What a learning curve records: the columns of `Training.record`."""
-    if not learner.side_by_side:
-        return ()
     _, outcome = jax.eval_shape(_train_step, learner, carry)
     return ("episodes", *sorted(outcome.totals), *(("updates", *sorted(outcome.squares)) if outcome.squares else ()))
 

@@ -25,7 +25,6 @@ from humanoid_mjx.training.plan import Group, Plan
 from humanoid_mjx.training.pool import IDLE, Pool
 from humanoid_mjx.training.programs import arranged
 from humanoid_mjx.training.progress import Reporter, State
-from humanoid_mjx.training.whole_runs import pool_of
 from humanoid_mjx.types import Device
 
 CHECKPOINT_EVERY_S = 30.0
@@ -114,7 +113,7 @@ class Session:
         group = self.plan.groups[index]
         self.stop.clear()
         with compute.counting_compiles() as compiles:
-            pool = pool_of(group, waiting, size, devices, self.plan.config.seed, policies, share)
+            pool = Pool(group, waiting, size, devices, self.plan.config.seed, policies, share)
             pool.stop = self.stop
             pool.looked = partial(self._looked, pool)
             self._restore(index, pool)
@@ -249,8 +248,6 @@ class Session:
         """An estimate of the time that the evaluation of a run takes, as a share of its training, by the episodes or
         control steps of both; `steps`: of an episode, as far as they are known."""
         learner = group.learners
-        if not learner.side_by_side:  # it is evaluated along the way
-            return 0.0
         length = 1.0 if self.plan.unit == "episode" else steps or 0.0
         return learner.evaluations * learner.evaluation_envs * length / self.plan.budget
 

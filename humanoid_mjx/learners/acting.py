@@ -1,0 +1,47 @@
+"""Environments side by side, in which a learner acts."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, Key
+
+from humanoid_mjx.tasks.continuous import ContinuousTask, State, auto_reset
+from humanoid_mjx.types import FloatScalar
+
+
+class Envs(NamedTuple):
+    """The environments; every array has a leading axis of them."""
+
+    state: State
+    episode: Int[Array, " envs"]
+    """Number of the episode under way."""
+    length: Int[Array, " envs"]
+    """Its steps so far."""
+    episode_return: Float[Array, " envs"]
+
+
+def start_all(env: ContinuousTask, count: int, key: Key[Array, ""]) -> Envs:
+    """Begin an episode in each of `count` environments."""
+    none = jnp.zeros(count, jnp.int32)
+    return Envs(jax.vmap(env.reset)(jax.random.split(key, count)), none, none, jnp.zeros(count))
+
+
+def step_all(
+    env: ContinuousTask, envs: Envs, action: Array, step_key: Key[Array, ""], reset_key: Key[Array, ""]
+) -> tuple[Envs, State, dict[str, FloatScalar]]:
+    """Carry out one decision in every environment: choices of the joints, or commands in [-1, 1].
+
+    Returns:
+      the environments, new episodes begun; the states that the step led to; sums over the ended episodes, and of the
+      reward's terms.
+    """
+    step = env.step_continuous if jnp.issubdtype(action.dtype, jnp.floating) else env.step
+    step_keys, reset_keys = (jax.random.split(key, len(action)) for key in (step_key, reset_key))
+    state = jax.vmap(step)(envs.state, action, step_keys)
+    done = state.done
+    length, total = envs.length + 1, envs.episode_return + state.reward
+    sums = {"episodes": done, "steps": done * length, "success": done & state.success, "return": done * total}
+    sums = {name: jnp.sum(x, dtype=jnp.float32) for name, x in (sums | state.metrics).items()}
+    fresh = jax.vmap(auto_reset, in_axes=(None, 0, 0))(env, state, reset_keys)
+    return Envs(fresh, envs.episode + done, length * ~done, total * ~done), state, sums
