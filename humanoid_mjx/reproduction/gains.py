@@ -43,16 +43,15 @@ def table(setting: Setting) -> list[Finding]:
 
 
 def _draw_responses(setting: Setting, frequencies: np.ndarray, ratios: np.ndarray) -> None:
-    times, ends = jnp.linspace(0.0, 1.0, 201), []
+    times = jnp.linspace(0.0, 1.0, 201)
     with setting.figure(1, 1, size=(6.0, 3.4)) as (_, axes):
         panel = axes[0, 0]
         for joint in JOINTS:
             omega, ratio = float(frequencies[joint]), float(ratios[joint])
-            ends.append(float(step_response(times, omega, ratio)[-1]))
-            panel.plot(times, step_response(times, omega, ratio), color=COLORS[joint])
+            panel.plot(times, step_response(times, omega, ratio), color=COLORS[joint], label=f"joint {joint + 1}")
             panel.plot(times, step_response(times, omega, 1.0), color=COLORS[joint], linestyle=":")
         panel.set(xlim=(0, 1), ylim=(0, 1.01), xlabel="time, s", ylabel="share of the step")
-        label_lines(panel, ends, [f"joint {i + 1}" for i in JOINTS], COLORS[:5])
+        label_lines(panel)
         panel.set_title("Steps with the gains of Table 5.1 (lines) and critically damped (dots)")
 
 

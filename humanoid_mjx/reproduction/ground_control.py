@@ -118,11 +118,10 @@ def _better(taken: Any, side: str) -> str:
 def _draw(setting: Setting, pushes: Any, alone: Any, taken: Any) -> None:
     with setting.figure(1, 3, size=(4.4, 3.2)) as (fig, axes):
         heights, gives, bars = axes[0]
-        for color, path in zip(COLORS, alone.values(), strict=False):
-            heights.plot(path.times, 1e3 * path.qpos[:, 2], color=color)
+        for color, (name, path) in zip(COLORS, alone.items(), strict=False):
+            heights.plot(path.times, 1e3 * path.qpos[:, 2], color=color, label=name)
         heights.set(ylabel="hips above the ground, mm", xlim=(0, SECONDS), title="standing")
-        ends = [1e3 * path.qpos[-1, 2] for path in alone.values()]
-        label_lines(heights, ends, list(alone), COLORS[: len(alone)])
+        label_lines(heights)
         for side, style in zip(SIDES, ("-", "--", ":"), strict=True):
             for color, name in zip(COLORS, PAIR, strict=False):
                 path = pushes[name, side, SHOWN]
