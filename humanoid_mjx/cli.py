@@ -69,7 +69,7 @@ def sweep(
         bool, typer.Option("--tensorboard", help="Write event files of TensorBoard into RUN/tensorboard meanwhile.")
     ] = False,
     view: Annotated[
-        bool, typer.Option("--view", help="Show a page that grows meanwhile in the browser; no other machine sees it.")
+        bool, typer.Option("--view", help="Show a page that grows meanwhile in the browser: RUN/report.html.")
     ] = False,
     slurm: Annotated[
         list[str] | None,
