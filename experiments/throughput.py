@@ -90,7 +90,7 @@ def measured(record: Mapping[str, Any], line: Line) -> tuple[list[int], list[flo
 
 def draw(target: Path, records: Mapping[str, Mapping[str, Any]]) -> None:
     """A row for each machine, named in `records`, a column for each kind of subject."""
-    with figure(target, len(records), len(PANELS), size=(3.5, 2.6), sharey="col") as (fig, axes):
+    with figure(target, len(records), len(PANELS), size=(3.5, 2.6), sharey="col") as (_, axes):
         drawn = [
             (axis, [(line, *measured(record, line)) for line in panel.lines])
             for row, record in zip(axes, records.values(), strict=True)
@@ -98,7 +98,8 @@ def draw(target: Path, records: Mapping[str, Mapping[str, Any]]) -> None:
         ]
         for axis, found in drawn:
             for line, batches, rates in found:
-                axis.plot(batches, np.log10(rates), "o-", color=line.color, markersize=4)
+                axis.plot(batches, np.log10(rates), "o-", color=line.color, markersize=4, label=line.label)
+            label_lines(axis)
             decades = np.log10([batch for _, batches, _ in found for batch in batches])
             axis.set_xlim(0.7 * 10.0 ** np.floor(decades.min()), 1.4 * 10.0 ** np.ceil(decades.max()))
         for row, machine in zip(axes, records, strict=True):
@@ -109,11 +110,6 @@ def draw(target: Path, records: Mapping[str, Mapping[str, Any]]) -> None:
                 axis.yaxis.set_major_locator(ticks.MultipleLocator(1.0))
                 axis.yaxis.set_major_formatter("1e{x:.0f}")
                 log_axis(axis, counted=True)
-        fig.draw_without_rendering()  # the height of the panels, by which labels stand apart
-        for axis, found in drawn:
-            shown = [(line, np.log10(rates[-1])) for line, _, rates in found if rates]
-            ends = [end for _, end in shown]
-            label_lines(axis, ends, [line.label for line, _ in shown], [line.color for line, _ in shown])
 
 
 def main() -> None:

@@ -69,7 +69,7 @@ def sweep(
         bool, typer.Option("--tensorboard", help="Write event files of TensorBoard into RUN/tensorboard meanwhile.")
     ] = False,
     view: Annotated[
-        bool, typer.Option("--view", help="Show a page that grows meanwhile in the browser; no other machine sees it.")
+        bool, typer.Option("--view", help="Show a page that grows meanwhile in the browser: RUN/report.html.")
     ] = False,
     slurm: Annotated[
         list[str] | None,
@@ -167,9 +167,6 @@ def evaluate(
         typer.Option(min=1, max=1_000_000, help="Episodes of each agent, 1024; with --gait of each command, 64."),
     ] = None,
     json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write what was found as JSON.")] = None,
-    out: Annotated[
-        Path | None, typer.Option(metavar="FILE.png", help="The figure of several runs; by default with the first.")
-    ] = None,
     trust: Trust = False,
 ) -> None:
     """Measure what was learned on episodes that no training has seen, beside a zero and a random agent."""
@@ -179,7 +176,7 @@ def evaluate(
         if gait:
             run_gait(policies, point, physics, set_ or [], episodes or 64, json)
         else:
-            run_evaluate(policies, point, physics, set_ or [], episodes or 1024, json, out)
+            run_evaluate(policies, point, physics, set_ or [], episodes or 1024, json)
 
 
 @app.command()

@@ -106,7 +106,7 @@ class Reader:
             assert set(names or []) <= {*BENCHES, "all"}
         self.files.add(str(json))
 
-    def evaluate(self, policies, gait, point, set_, physics, episodes, json, out, trust):
+    def evaluate(self, policies, gait, point, set_, physics, episodes, json, trust):
         from humanoid_mjx.evaluation.gait.scenarios import walking_task
 
         for policy in policies:

@@ -17,7 +17,6 @@ from humanoid_mjx.report.overlay import ALARM, MARGIN, annotate, letter_of
 from humanoid_mjx.report.raycast import GROUND, SHADOW, Painter
 from humanoid_mjx.report.rendering import HEIGHT, STRIP, WIDTH, draw, render_film
 from humanoid_mjx.report.scene import LIGHT, make_camera, make_scene
-from humanoid_mjx.report.video import ffmpeg
 from humanoid_mjx.robot import make_robot
 from humanoid_mjx.robot.lower_body import LOOKS, lower_body_model
 from humanoid_mjx.spec import InputError
@@ -114,8 +113,6 @@ def test_an_animation_runs_at_the_speed_of_the_motion(tmp_path, motion):
 
 @pytest.mark.parametrize(("ending", "mark"), [(".mp4", b"ftyp"), (".webm", b"\x1a\x45\xdf\xa3")])
 def test_videos(tmp_path, motion, ending, mark):
-    if ffmpeg() is None:
-        pytest.skip("there is no ffmpeg here; the extra `video` brings one")
     path = render_film(Film(MODEL, motion, 0.04), tmp_path / f"knee{ending}")
     assert mark in path.read_bytes()[:12] and len(list(tmp_path.iterdir())) == 1
 
@@ -149,12 +146,11 @@ def test_legs_have_the_colours_of_their_sides():
     ("name", "sentence"),
     [
         ("knee.jpeg", "must end in .gif, .mp4, .webm or .png"),
-        ("knee.mp4", r"needs ffmpeg, which is not installed: pip install 'humanoid-mjx\[video\]' brings one"),
+        ("knee.mp4", r"needs the package imageio-ffmpeg: pip install 'humanoid-mjx\[video\]' brings it"),
         ("none/knee.gif", "there is no folder"),
     ],
 )
 def test_files_that_cannot_be_made(tmp_path, motion, name, sentence, monkeypatch):
-    monkeypatch.setenv("PATH", "")
     monkeypatch.setattr("humanoid_mjx.report.video.find_spec", lambda name: None)
     monkeypatch.setattr(rendering, "_paint", lambda *arguments: pytest.fail("it was painted"))
     with pytest.raises(InputError, match=sentence):

@@ -25,7 +25,6 @@ def run_evaluate(
     overrides: Sequence[str],
     episodes: int,
     file: Path | None,
-    out: Path | None,
 ) -> None:
     """`humanoid-mjx evaluate`."""
     if file is not None:
@@ -33,7 +32,6 @@ def run_evaluate(
     start_for(physics, overrides)
     from humanoid_mjx.evaluation.evaluate import HELD_OUT_WORDS, evaluate_all
     from humanoid_mjx.evaluation.policy import find_policy, in_world
-    from humanoid_mjx.report.comparison import compare_curves, curve_of_run
 
     policies = [find_policy(name, point) for name in names]
     if len({policy.name for policy in policies}) < len(policies):
@@ -55,12 +53,6 @@ def run_evaluate(
             "policies": [policy.as_json() for policy in policies],
         }
         _write(file, result)
-    runs = [(Path(name), policy) for name, policy in zip(names, policies, strict=True) if Path(name).is_dir()]
-    if len(runs) > 1:
-        curves = [curve_of_run(path, policy) for path, policy in runs]
-        target = out or runs[0][0] / "figures" / "comparison.png"
-        compare_curves(target, curves, [e for e in evaluations if e.agent != "greedy"])
-        console.print(f"{target}", soft_wrap=True)
 
 
 def evaluation_table(title: str, evaluations: Sequence[Evaluation]) -> Table:

@@ -1,8 +1,7 @@
 """What `humanoid-mjx sweep` does, and what it prints."""
 
-import signal
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,53 +36,43 @@ def run_sweep(
     compute.start(mjx="mjx-jax" in loaded.physics)  # before `joined`, which may begin to compute
     from humanoid_mjx.training.sweep import sweep
 
-    with ExitStack() as shown:
-        with Bar(console, DRAWING_S) as bar:
-            growing = _page(shown, bar) if view else None
-            try:
-                with processes.joined() as process:
-                    quiet = process > 0  # the first process speaks for all
-                    run = sweep(
-                        loaded,
-                        out,
-                        resume=resume,
-                        reporter=None if quiet else growing or bar,
-                        quiet=quiet,
-                        tensorboard=tensorboard,
-                        watch=growing and growing.watch,
-                    )
-            except KeyboardInterrupt:
-                console.print("Stopped. What is finished is stored; the same command with --resume completes it.")
-                raise typer.Exit(130) from None
-            if process:
-                return
-            bar.phase("drawing figures")
-            from humanoid_mjx.report.figures import figures_of, sweep_figures  # matplotlib takes a while
+    with Bar(console, DRAWING_S) as bar, _growing(bar) if view else nullcontext() as growing:
+        try:
+            with processes.joined() as process:
+                first = process == 0  # the first process speaks for all
+                run = sweep(
+                    loaded,
+                    out,
+                    resume=resume,
+                    reporter=(growing or bar) if first else None,
+                    quiet=not first,
+                    tensorboard=tensorboard,
+                    watch=growing.watch if growing and first else None,
+                )
+        except KeyboardInterrupt:
+            console.print("Stopped. What is finished is stored; the same command with --resume completes it.")
+            raise typer.Exit(130) from None
+        if not first:
+            return
+        bar.phase("drawing figures")
+        from humanoid_mjx.report.figures import figures_of, sweep_figures  # matplotlib takes a while
 
-            axes = list(run.config.sweep.axes) if run.config.sweep else []
-            summary, own = run.summary, figures_of(run.config.task["name"], run.config.modules)
-            paths = sweep_figures(run.path / "figures", run.config.name, axes, run.results, summary, own)
-        print_summary(axes, summary, read_provenance(run.path), quickest=run.config.episodes is not None)
-        for path in (run.path / "results.parquet", run.path / "summary.parquet", *paths):
-            console.print(f"{path}", soft_wrap=True)
-        if tensorboard:
-            console.print(f"tensorboard --logdir {run.path / 'tensorboard'}", soft_wrap=True)
-        if growing:
-            growing.finish(run.path)
-            console.print("The page shows the report of the run now (Ctrl-C ends it).")
-            with suppress(KeyboardInterrupt):
-                while True:
-                    signal.pause()
+        axes = list(run.config.sweep.axes) if run.config.sweep else []
+        summary, own = run.summary, figures_of(run.config.task["name"], run.config.modules)
+        paths = sweep_figures(run.path / "figures", run.config.name, axes, run.results, summary, own)
+    print_summary(axes, summary, read_provenance(run.path), quickest=run.config.episodes is not None)
+    for path in (run.path / "results.parquet", run.path / "summary.parquet", *paths):
+        console.print(f"{path}", soft_wrap=True)
+    if growing:
+        console.print(f"{growing.file}", soft_wrap=True)
+    if tensorboard:
+        console.print(f"tensorboard --logdir {run.path / 'tensorboard'}", soft_wrap=True)
 
 
-def _page(shown: ExitStack, bar: Bar) -> "Growing":
-    """A page that grows, which is served as long as `shown` is open, and which tells the bar what it is told."""
-    from humanoid_mjx.report.growing import Growing, served
+def _growing(bar: Bar) -> "Growing":
+    from humanoid_mjx.report.growing import Growing
 
-    growing = Growing()
-    growing.reporter = bar
-    console.print(f"{shown.enter_context(served(growing))}", soft_wrap=True)
-    return growing
+    return Growing(bar)
 
 
 def print_summary(

@@ -1,1 +1,1 @@
-"""Figures, comparisons and renderings of what was trained."""
+"""Figures, pages and renderings of what was trained."""

@@ -161,7 +161,7 @@ def draw_curves(panel: Any, results: Mapping[str, np.ndarray], axis_name: str | 
         for chosen, color, label in zip(rows, colors, levels.labels, strict=True)
     ]
     if axis_name:
-        label_lines(panel, ends, levels.labels, colors)
+        label_lines(panel)
     count_axis(panel)
     panel.set_xlabel(COUNTED[counter])
     panel.set_ylabel(CURVES[name])
@@ -177,7 +177,7 @@ def draw_terms(
         draw_line(panel, results[counter], results["seed"], results[name], color, label=name).end
         for name, color in zip(names, colors, strict=True)
     ]
-    label_lines(panel, ends, names, colors)
+    label_lines(panel)
     count_axis(panel)
     panel.set_xlabel(COUNTED[counter])
     panel.set_ylabel(TERMS)

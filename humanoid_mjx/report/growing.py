@@ -1,22 +1,21 @@
-"""A page of a sweep that grows while it trains, for the browser of this machine."""
+"""The report of a run folder while its sweep trains: a page that grows, and that the browser loads again and again."""
 
 import threading
 import time
 import webbrowser
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import suppress
+from datetime import datetime
 from functools import partial
-from http.server import ThreadingHTTPServer
 from pathlib import Path
 
 import numpy as np
 
 from humanoid_mjx.report.figures import averaged, figures_of
-from humanoid_mjx.report.live import LOOPBACK, Handler
-from humanoid_mjx.report.page import curve_panels, run_page
+from humanoid_mjx.report.page import curve_panels, run_page, write_page
 from humanoid_mjx.report.style import short
 from humanoid_mjx.report.web import page, section, table, text
 from humanoid_mjx.runs.folder import RunFolder
+from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.events import Curves
 from humanoid_mjx.training.pace import time_in_words
 from humanoid_mjx.training.plan import Plan
@@ -25,37 +24,50 @@ from humanoid_mjx.training.progress import Reporter, State
 MAX_POINTS = 60
 """The most sweep points whose curves are drawn while they grow."""
 
-EVERY_S = 5
-"""Seconds after which a browser asks for the page again."""
+EVERY_S = 5.0
+"""The least time between two drawings, and that after which a browser loads the page again, s."""
 
 DRAWING_SHARE = 0.1
-"""The most of the time that drawing may take while a browser looks on."""
+"""The most of the time that drawing may take."""
 
 BEST = 10
 
 
 class Growing(Reporter):
-    """The page of a sweep under way, and a reporter that passes on to another what it is told."""
+    """The page of a sweep under way, drawn anew by a thread within `with`; and a reporter that passes on to another
+    what it is told."""
 
-    def __init__(self) -> None:
-        self.reporter = Reporter()
-        self.curves: Curves | None = None
+    curves: Curves
+    file: Path
+
+    def __init__(self, reporter: Reporter, browse: bool = True):
+        """`browse`: open the browser as soon as there is a page."""
+        self.reporter, self.browse = reporter, browse
         self.state: State | None = None
         self.words = "starting"
-        self.report: bytes | None = None
-        """The report of the run, once it is over."""
-        self._drawn: tuple[float, bytes] | None = None
-        """When the page may be drawn anew, and what it is until then."""
-        self._lock = threading.Lock()
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._run)
 
     def watch(self, folder: RunFolder, plan: Plan) -> Curves:
-        """The curves that the page shows (`training.sweep.sweep`)."""
-        self.curves = Curves(folder, plan, MAX_POINTS)
+        """Begin to draw; the curves that the page shows (`training.sweep.sweep`)."""
+        self.curves, self.file = Curves(folder, plan, MAX_POINTS), folder.path / "report.html"
+        self.write()
+        self.reporter.note(f"{self.file}: grows while the sweep trains")
+        if self.browse:
+            threading.Thread(target=partial(webbrowser.open, self.file.resolve().as_uri()), daemon=True).start()
+        self._thread.start()
         return self.curves
 
-    def finish(self, run: Path) -> None:
-        """Show the report of the run from now on."""
-        self.report = run_page(run, Reporter(), motion=False).encode()
+    def __enter__(self) -> "Growing":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
+        """Leave the report of the run, or where the sweep was stopped the page as it is."""
+        self._over.set()
+        if self._thread.is_alive():
+            self._thread.join()
+            self.words = "stopped"
+            write_page(self.file, self.html() if kind else run_page(self.file.parent, Reporter(), motion=False))
 
     def note(self, text: str) -> None:
         self.reporter.note(text)
@@ -68,21 +80,21 @@ class Growing(Reporter):
         self.state = state
         self.reporter.update(state)
 
-    def page(self) -> bytes:
-        """The page as it is now, drawn anew where the last one is old."""
-        if self.report:
-            return self.report
-        with self._lock:
-            if self._drawn is None or time.monotonic() > self._drawn[0]:
+    def _run(self) -> None:
+        took = 0.0
+        with suppress(InputError):  # the folder is gone or full: the sweep itself says so
+            while not self._over.wait(max(EVERY_S, took / DRAWING_SHARE)):
                 began = time.monotonic()
-                html = self._html().replace("<title>", f'<meta http-equiv="refresh" content="{EVERY_S}"><title>', 1)
-                now = time.monotonic()
-                self._drawn = now + max(EVERY_S / 2, (now - began) / DRAWING_SHARE), html.encode()
-            return self._drawn[1]
+                self.write()
+                took = time.monotonic() - began
 
-    def _html(self) -> str:
-        if self.curves is None:
-            return page("sweep", text(f"{self.words} ..."))
+    def write(self) -> None:
+        """Write the page as it is now."""
+        again = f'<meta http-equiv="refresh" content="{EVERY_S:g}"><title>'
+        write_page(self.file, self.html().replace("<title>", again, 1))
+
+    def html(self) -> str:
+        """The page as it is now."""
         config, results = self.curves.plan.config, results_so_far(self.curves)
         lead = f'<p class="lead">{text(self._status(), "span")}</p>'
         if not results:
@@ -96,12 +108,12 @@ class Growing(Reporter):
         return page(config.name, lead + best + section("Learning", words, *curve_panels(axes, results, own)))
 
     def _status(self) -> str:
-        if self.state is None:
-            return f"{self.words} ..."
-        state = self.state
+        now, state = f"{datetime.now():%H:%M:%S}", self.state
+        if state is None:
+            return f"{now}: {self.words}"
         left = "" if state.left_s is None else f"; about {time_in_words(state.left_s)} left"
         rate = f" at {state.rate:,.0f} {state.unit} a second" if state.rate else ""
-        return f"{self.words}: {state.done / state.total:.0%} trained{rate}{left}"
+        return f"{now}: {self.words}, {state.done / state.total:.0%} trained{rate}{left}"
 
 
 def results_so_far(curves: Curves) -> dict[str, np.ndarray]:
@@ -153,35 +165,3 @@ def _shown(known: np.ndarray, record: int) -> np.ndarray:
     those under way that know half as much as the one ahead. So lines are of the same runs from end to end."""
     most = known.max(initial=0)
     return (known > 0) & (known == record if most == record else 2 * known >= most)
-
-
-class _Handler(Handler):
-    """Answers with the page alone."""
-
-    def do_GET(self) -> None:
-        if not self._is_for_us():
-            self._answer(403)
-        elif self.path.partition("?")[0] == "/":
-            self._answer(200, self.window.page(), "text/html; charset=utf-8")
-        else:
-            self._answer(404)
-
-    do_HEAD = do_GET
-
-    def do_POST(self) -> None:
-        self._answer(404 if self._is_for_us() else 403)
-
-
-@contextmanager
-def served(growing: Growing, browse: bool = True) -> Iterator[str]:
-    """Serve the page to this machine within the block, which gets the address; `browse`: open the browser there."""
-    with ThreadingHTTPServer((LOOPBACK, 0), partial(_Handler, growing)) as server:
-        server.daemon_threads = True
-        address = f"http://{LOOPBACK}:{server.server_address[1]}/"
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        if browse:
-            threading.Thread(target=partial(webbrowser.open, address), daemon=True).start()
-        try:
-            yield address
-        finally:
-            server.shutdown()

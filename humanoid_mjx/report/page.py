@@ -20,7 +20,7 @@ from humanoid_mjx.files import write_text
 from humanoid_mjx.report.figures import HEAT_MAPS, Figure, averaged, curved, draw_map, figures_of, limits, mapped
 from humanoid_mjx.report.player import player
 from humanoid_mjx.report.rendering import strip
-from humanoid_mjx.report.style import figure, place_labels, short
+from humanoid_mjx.report.style import figure, short
 from humanoid_mjx.report.web import contents, data_address, facts, image, link, page, section, table, text
 from humanoid_mjx.runs.folder import read_config, read_provenance
 from humanoid_mjx.runs.ranking import Ranked, ranked, ties, training_interval
@@ -156,7 +156,6 @@ def _row(results: Mapping[str, np.ndarray], axes: Sequence[str | None], each: Fi
         low, high = zip(*(panel.get_ylim() for panel in panels), strict=True)
         for (fig, _), panel in zip(figures, panels, strict=True):
             panel.set_ylim(min(low), max(high))
-            place_labels(fig)
             fig.draw_without_rendering()
         lines = [_lines(panel) for panel in panels]
     found = []

@@ -105,13 +105,12 @@ def _draw(panel: Any, rows: Rows, across: Across, x: str, y: str, by: str | None
         look: dict[str, Any] = {"linestyle": line.style} | ({"marker": "o", "markersize": 3} if few else {})
         place = None if across.place is None else across.place[line.chosen]
         at, seeds, values = (each[line.chosen] for each in (across.x, seed, columns[y]))
-        look = look if across.joined else {"label": line.label}
+        look = (look if across.joined else {}) | {"label": line.label or "_"}
         drawn.append(draw_line(panel, at, seeds, values, line.color, place=place, joined=across.joined, **look))
     _ticks(panel, across, x in (rows.counter, TIME))
     heading = by or (RUN if len(rows.runs) > 1 else "")
-    labels, colors = [line.label for line in lines], [line.color for line in lines]
     if across.joined and heading:
-        label_lines(panel, [line.end for line in drawn], labels, colors)
+        label_lines(panel)
         panel.set_title(rows.name(heading))
     elif heading:
         panel.legend(title=heading, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
@@ -119,7 +118,7 @@ def _draw(panel: Any, rows: Rows, across: Across, x: str, y: str, by: str | None
         raise InputError(f"plot: {y} has nowhere a number for every seed over {x}.")
     partly = sum(line.left_out for line in drawn)
     notes = [f"Left out for want of a number of every seed: {partly:,} place{'s' * (partly > 1)}."] if partly else []
-    if empty := [label for label, line in zip(labels, drawn, strict=True) if np.isnan(line.end)]:
+    if empty := [line.label for line, done in zip(lines, drawn, strict=True) if np.isnan(done.end)]:
         notes.append(f"Not drawn for want of a number of every seed: {', '.join(empty)}.")
     return notes
 

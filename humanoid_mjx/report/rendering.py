@@ -41,7 +41,7 @@ def render_film(
       tell: called for each frame with the number painted and the number of all frames.
 
     Raises:
-      InputError: another kind of file, one that cannot be written, or .mp4 and .webm where there is no ffmpeg.
+      InputError: another kind of file, one that cannot be written, or .mp4 and .webm without the extra `video`.
     """
     check_file(path)
     qpos, times = film.at(fps)

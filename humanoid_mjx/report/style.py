@@ -3,12 +3,10 @@
 import io
 import textwrap
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import matplotlib
 import numpy as np
@@ -26,9 +24,6 @@ SEQUENTIAL = "viridis"
 
 LETTERS_PER_INCH = 12.5
 """Letters of a heading that fit in an inch."""
-
-LABEL_POINTS = 9.0
-"""The height of a label's line."""
 
 _RC = {
     "axes.grid": True,
@@ -67,10 +62,8 @@ def figure(
             layout="constrained",
             **kwargs,
         )
-        _LABELS[fig] = []
         try:
             yield fig, axes
-            place_labels(fig)
             if isinstance(path, Path):
                 path.parent.mkdir(exist_ok=True)  # not those above: a run folder that is gone stays so
                 with whole_file(path) as temporary:
@@ -79,10 +72,6 @@ def figure(
                 fig.savefig(path, format="svg", metadata={"Date": None}, transparent=True)
         finally:
             plt.close(fig)
-
-
-_LABELS: WeakKeyDictionary[Any, list[Callable[[], None]]] = WeakKeyDictionary()
-"""Labels of lines, by figure, that wait until all is drawn: panels that share an axis change one another's limits."""
 
 
 def shades(count: int) -> list[Any]:
@@ -110,59 +99,12 @@ def wrapped(text: str, fig: Any) -> str:
     return textwrap.fill(text, max(20, int(LETTERS_PER_INCH * fig.get_size_inches()[0])))
 
 
-def label_lines(axis: Any, ends: Sequence[float], labels: Sequence[str], colors: Sequence[Any]) -> None:
-    """Write each line's label beside its right end, moved apart where they would overlap; none where the end is NaN.
-
-    A label that had to move is tied to its line by a thin one.
-    """
-    _LABELS.get(axis.figure, []).append(partial(_place_labels, axis, ends, labels, colors))
-
-
-def place_labels(fig: Any) -> None:
-    """Write the labels that wait, as is done before a figure is saved: its axes keep their limits from now on."""
-    waiting = _LABELS[fig]
-    while waiting:
-        waiting.pop(0)()
-
-
-def _place_labels(axis: Any, ends: Sequence[float], labels: Sequence[str], colors: Sequence[Any]) -> None:
-    low, high = axis.get_ylim()
-    shown = [i for i, end in enumerate(ends) if np.isfinite(end)]
-    gap = LABEL_POINTS / (72.0 * axis.figure.get_size_inches()[1] * axis.get_position().height) * (high - low)
-    places = spread([ends[i] for i in shown], gap, low, high)
-    for place, i in zip(places, shown, strict=True):
-        look = {"arrowstyle": "-", "color": colors[i], "linewidth": 0.5, "shrinkA": 0, "shrinkB": 0}
-        axis.annotate(
-            labels[i],
-            (1.0, ends[i]),
-            xycoords=("axes fraction", "data"),
-            xytext=(1.06, place),
-            textcoords=("axes fraction", "data"),
-            color=colors[i],
-            va="center",
-            fontsize=7.5,
-            arrowprops=look | {"relpos": (0.0, 0.5)},  # from the label's left end, not across it
-            annotation_clip=False,
-        )
-
-
-def spread(places: Sequence[float], gap: float, low: float = -np.inf, high: float = np.inf) -> np.ndarray:
-    """Places at least `gap` apart from `low` to `high`, in the same order, moved as little as can be (least squares).
-
-    Where there is no room for all, they begin at `low`.
-    """
-    wanted = np.nan_to_num(np.asarray(places, float))
-    order = np.argsort(wanted, kind="stable")
-    pools: list[list[float]] = []
-    for rank, place in enumerate(wanted[order]):
-        pools.append([place - rank * gap])
-        while len(pools) > 1 and np.mean(pools[-2]) > np.mean(pools[-1]):
-            pools[-2:] = [pools[-2] + pools[-1]]
-    moved = np.empty(len(wanted))
-    level = np.repeat([np.mean(p) for p in pools], [len(p) for p in pools])
-    room = max(low, high - (len(wanted) - 1) * gap)
-    moved[order] = np.clip(level, low, room) + np.arange(len(wanted)) * gap
-    return moved
+def label_lines(axis: Any) -> None:
+    """Write the labels of an axes' lines beside it, in their colours and in the order in which the lines end."""
+    lines = [line for line in axis.get_lines() if not str(line.get_label()).startswith("_") and len(line.get_ydata())]
+    lines.sort(key=lambda line: -line.get_ydata()[-1])
+    look = {"frameon": False, "labelcolor": "linecolor", "handlelength": 1.2, "borderpad": 0.0}
+    axis.legend(handles=lines, loc="center left", bbox_to_anchor=(1.01, 0.5), fontsize=7.5, **look)
 
 
 def short(value: Any) -> str:

@@ -1,9 +1,9 @@
 """Frames as files: animations, videos, strips."""
 
-import shutil
 import subprocess
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
+from contextlib import suppress
 from importlib.util import find_spec
 from itertools import chain
 from pathlib import Path
@@ -28,30 +28,16 @@ def check_file(path: Path) -> None:
     """Whether a file of this name can be made, before any work.
 
     Raises:
-      InputError: its ending is none of `ENDINGS`, there is no such folder, or its kind needs ffmpeg and there is none.
+      InputError: its ending is none of `ENDINGS`, there is no such folder, or its kind needs a package that is missing.
     """
     if path.suffix not in ENDINGS:
         raise InputError(f"{path}: the file must end in .gif, .mp4, .webm or .png.")
     check_folder(path)
-    if path.suffix in CODECS and ffmpeg() is None:
+    if path.suffix in CODECS and find_spec("imageio_ffmpeg") is None:
         raise InputError(
-            f"{path}: {path.suffix} needs ffmpeg, which is not installed: pip install 'humanoid-mjx[video]' brings "
-            "one; .gif needs nothing."
+            f"{path}: {path.suffix} needs the package imageio-ffmpeg: pip install 'humanoid-mjx[video]' brings it; "
+            ".gif needs nothing."
         )
-
-
-def ffmpeg() -> str | None:
-    """The program ffmpeg: the system's, or the one of the package imageio-ffmpeg."""
-    if found := shutil.which("ffmpeg"):
-        return found
-    if find_spec("imageio_ffmpeg") is None:
-        return None
-    import imageio_ffmpeg  # pyright: ignore[reportMissingImports]
-
-    try:
-        return imageio_ffmpeg.get_ffmpeg_exe()
-    except RuntimeError:
-        return None
 
 
 def write_frames(frames: Iterable[Frame], path: Path, fps: float) -> None:
@@ -75,26 +61,19 @@ def write_frames(frames: Iterable[Frame], path: Path, fps: float) -> None:
 
 def _encode(frames: Iterable[Frame], path: Path, fps: float) -> None:
     """Let ffmpeg make a video."""
-    program, rest = ffmpeg(), iter(frames)
-    assert program is not None
+    import imageio_ffmpeg  # pyright: ignore[reportMissingImports]
+
+    rest = iter(frames)
     first = next(rest)
     size = f"{first.shape[1]}x{first.shape[0]}"
-    raw: Sequence[str] = ("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", str(fps), "-i", "-")
-    command = [program, "-y", "-loglevel", "error", *raw, *CODECS[path.suffix], str(path)]
+    raw = "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", str(fps), "-i", "-"
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-loglevel", "error", *raw, *CODECS[path.suffix], str(path)]
     with tempfile.TemporaryFile() as errors:
         process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=errors)
         assert process.stdin is not None
-        try:
+        with suppress(BrokenPipeError), process:
             for frame in chain([first], rest):
                 process.stdin.write(frame.tobytes())
-            process.stdin.close()
-        except BrokenPipeError:
-            pass
-        except BaseException:
-            process.kill()
-            raise
-        finally:
-            process.wait()
         if process.returncode:
             errors.seek(0)
             words = " ".join(errors.read().decode(errors="replace").split())

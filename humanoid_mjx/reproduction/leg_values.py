@@ -25,8 +25,7 @@ def planned(times: np.ndarray, path: Quintic | None = None) -> Any:
 
 
 def plot_joints(panel: Any, across: np.ndarray, values: np.ndarray, joints: Sequence[int] = range(5)) -> None:
-    """Draw a line for each of these joints, values (n, 5), in its colour, labelled with number and name at its end."""
+    """Draw a line for each of these joints, values (n, 5), in its colour, labelled with number and name."""
     for joint in joints:
-        panel.plot(across, values[:, joint], color=COLORS[joint])
-    words, colors = zip(*((f"{joint + 1} {NAMES[joint]}", COLORS[joint]) for joint in joints), strict=True)
-    label_lines(panel, values[-1, list(joints)].tolist(), words, colors)
+        panel.plot(across, values[:, joint], color=COLORS[joint], label=f"{joint + 1} {NAMES[joint]}")
+    label_lines(panel)

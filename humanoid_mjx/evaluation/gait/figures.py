@@ -64,6 +64,9 @@ FIGURES = {
 }
 """The figures of an episode by name."""
 
+ERRORS = "forward_error", "left_error", "speed_error", "turn_error"
+"""Figures of `tally.windows`, in its order."""
+
 RATES = "success", "turn_success"
 """Figures that are 0 or 1 in an episode."""
 
@@ -85,47 +88,37 @@ def figures(
       mass: factor on the robot's own.
       interval: s between samples.
     """
-    seconds = tally.counted * interval
-    forward, left, turn = tally.motion / _positive(seconds)
-    forward_error, left_error, speed_error, turn_error = tally.windows.errors / _positive(tally.windows.number)
+    sums, windows = tally.sums, tally.windows
+    seconds, steps = sums["samples"] * interval, sums["steps"]
+    means = {name: total / _positive(sums["samples"]) for name, total in sums.items()}
     straight = (asked[2] == 0) & ~turns
-    shares = tally.feet.loaded / _positive(tally.counted)
     sides = robot.foot_pairs.T
-    duties = jnp.stack([shares[side].mean() for side in sides])
-    lengths = jnp.stack([tally.feet.lengths[side].sum() / _positive(tally.feet.steps[side].sum()) for side in sides])
-    slow = robot.speed(SLOW)
-    way = jnp.where(tally.windows.way > slow * seconds, tally.windows.way, jnp.nan)
-    walks = jnp.abs(forward) > slow
+    duties = jnp.stack([means["loaded"][side].mean() for side in sides])
+    lengths = jnp.stack([sums["lengths"][side].sum() / _positive(steps[side].sum()) for side in sides])
+    forward, slow = sums["motion"][0] / _positive(seconds), robot.speed(SLOW)
+    way = jnp.where(windows["way"] > slow * seconds, windows["way"], jnp.nan)
     return {
         "success": 1.0 - fallen,
         "seconds": tally.samples * interval,
-        "forward": forward,
-        "left": left,
-        "turn": turn,
-        "speed_error": speed_error,
-        "forward_error": forward_error,
-        "left_error": left_error,
-        "turn_error": turn_error,
+        **dict(zip(("forward", "left", "turn"), sums["motion"] / _positive(seconds), strict=True)),
+        **dict(zip(ERRORS, windows["errors"] / _positive(windows["number"]), strict=True)),
         "drift": jnp.where(turns, jnp.nan, _drift(tally, asked)),
         "heading_error": jnp.where(straight, jnp.degrees(jnp.abs(tally.turned)), jnp.nan),
-        "slip": tally.slip.total / _positive(tally.slip.bins.sum()),
-        "slip_95": _percentile(tally),
-        "duty": shares.mean(),
+        "slip": sums["slip"] / _positive(sums["slip_bins"].sum()),
+        "slip_95": _percentile(sums["slip_bins"]),
+        "duty": means["loaded"].mean(),
         "duty_right": duties[0],
         "duty_left": duties[1],
-        "flight": tally.flight / _positive(tally.counted),
-        "double_support": tally.double / _positive(tally.counted),
-        "step_length": tally.feet.lengths.sum() / _positive(tally.feet.steps.sum()),
+        **{name: means[name] for name in ("flight", "double_support", "crossing", "leg_contact")},
+        "step_length": sums["lengths"].sum() / _positive(steps.sum()),
         "step_length_right": lengths[0],
         "step_length_left": lengths[1],
-        "step_frequency": tally.feet.steps.sum() / _positive(seconds),
-        "clearance": tally.feet.lifts.sum() / _positive(tally.feet.steps.sum()),
+        "step_frequency": steps.sum() / _positive(seconds),
+        "clearance": sums["lifts"].sum() / _positive(steps.sum()),
         "duty_asymmetry": _asymmetry(duties),
-        "step_asymmetry": jnp.where(walks, _asymmetry(lengths), jnp.nan),
-        "crossing": tally.crossing / _positive(tally.counted),
-        "leg_contact": tally.contact / _positive(tally.counted),
+        "step_asymmetry": jnp.where(jnp.abs(forward) > slow, _asymmetry(lengths), jnp.nan),
         "peak_torque": tally.peak_torque,
-        "cost_of_transport": tally.windows.work / (robot.mass * mass * GRAVITY * way),
+        "cost_of_transport": windows["work"] / (robot.mass * mass * GRAVITY * way),
     } | _sudden_turn(tally, turns, fallen)
 
 
@@ -142,13 +135,12 @@ def _drift(tally: Tally, asked: Float[Array, "3"]) -> FloatScalar:
     return jnp.where(speed == 0, jnp.hypot(forward, left), jnp.where(asked[2] == 0, aside, jnp.nan))
 
 
-def _percentile(tally: Tally) -> FloatScalar:
+def _percentile(bins: Float[Array, " bins"]) -> FloatScalar:
     """The percentile of slip, linearly inside its bin, m/s; above the last edge that edge."""
-    below, wanted = jnp.cumsum(tally.slip.bins), PERCENTILE * _positive(tally.slip.bins.sum())
+    below, wanted = jnp.cumsum(bins), PERCENTILE * _positive(bins.sum())
     place = jnp.argmax(below >= wanted)
     low, high = jnp.asarray(np.append(0.0, EDGES)), jnp.asarray(np.append(EDGES, EDGES[-1]))
-    inside = tally.slip.bins[place]
-    share = (wanted - (below[place] - inside)) / _positive(inside)
+    share = (wanted - (below[place] - bins[place])) / _positive(bins[place])
     return low[place] + share * (high[place] - low[place])
 
 

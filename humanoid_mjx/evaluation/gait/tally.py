@@ -7,11 +7,12 @@ means over a window, so that the sway within a step is no error: over whole gait
 """
 
 import math
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from humanoid_mjx.evaluation.gait.samples import Sample, wrapped
 from humanoid_mjx.robot import Robot
@@ -45,58 +46,11 @@ class Asked(NamedTuple):
     """How long ago the sudden turn was commanded, s; negative before it."""
 
 
-class Window(NamedTuple):
-    """Sums over the window under way."""
-
-    samples: IntScalar
-    motion: Float[Array, "3"]
-    """Way forward and to the left, m, and turn to the left, rad."""
-    asked: Float[Array, "3"]
-    """The same as commanded."""
-    work: FloatScalar
-    """J"""
-
-
-class Windows(NamedTuple):
-    """Sums over the windows that are complete."""
-
-    number: IntScalar
-    errors: Float[Array, "4"]
-    """Absolute errors of the windows' means: velocity forward, to the left and as a vector, m/s; turn rate, rad/s."""
-    way: FloatScalar
-    """Length of the windows' mean motions, m."""
-    work: FloatScalar
-    """J"""
-
-
-class Slip(NamedTuple):
-    """Speeds along the ground of the corners that touch."""
-
-    total: FloatScalar
-    """m/s"""
-    bins: Int[Array, " bins"]
-    """How many were between `EDGES`."""
-
-
-class Feet(NamedTuple):
-    """What the feet do."""
-
-    loaded: Int[Array, " feet"]
-    """Samples in which they carry weight."""
-    air: Int[Array, " feet"]
-    """Samples since they did."""
-    lift: Float[Array, " feet"]
-    """Largest height of the lowest corner since they did, m."""
-    steps: Int[Array, " feet"]
-    """Touchdowns after a time in the air."""
-    lengths: Float[Array, " feet"]
-    """By how much they were ahead of the foot on the other side then, m, summed."""
-    lifts: Float[Array, " feet"]
-    """The largest heights, m, summed over the steps."""
+Sums = dict[str, Float[Array, "..."]]
 
 
 class Tally(NamedTuple):
-    """The sums of one episode."""
+    """The sums of one episode, and what the next sample is compared with."""
 
     last: Sample
     start: Float[Array, "2"]
@@ -105,50 +59,52 @@ class Tally(NamedTuple):
     """Heading against that of the start, rad, beyond full turns."""
     samples: IntScalar
     """All of them."""
-    counted: IntScalar
-    """Those after `SETTLING`."""
     peak_torque: FloatScalar
-    motion: Float[Array, "3"]
-    window: Window
-    windows: Windows
-    slip: Slip
-    feet: Feet
-    flight: IntScalar
-    """Samples in which no foot carries weight."""
-    double: IntScalar
-    """Samples in which all do."""
-    crossing: IntScalar
-    """Samples in which the feet are nearer each other, sideways, than `rewards.APART`."""
-    contact: IntScalar
-    """Samples in which the legs touch."""
     late: FloatScalar
     """When the heading was last off the goal of a sudden turn, s since it was commanded."""
     since: FloatScalar
     """The last of `Asked.since`."""
+    air: Int[Array, " feet"]
+    """Samples since each foot carried weight."""
+    lift: Float[Array, " feet"]
+    """Largest height of the lowest corner since then, m."""
+    sums: Sums
+    """Over the samples after `SETTLING`."""
+    window: Sums
+    """Over the samples of the window under way."""
+    windows: Sums
+    """Over the windows that are complete."""
 
 
 def begin(first: Sample) -> Tally:
     """The sums before the first sample; of `first` place, heading and angles matter."""
-    none, number = jnp.float32(0), jnp.int32(0)
-    some, counts = jnp.zeros(first.load.shape), jnp.zeros(first.load.shape, jnp.int32)
+    zero, three, feet = jnp.float32(0), jnp.zeros(3), jnp.zeros(first.load.shape)
     return Tally(
         last=first._replace(torque=jnp.zeros_like(first.torque)),
         start=first.place,
-        turned=none,
-        samples=number,
-        counted=number,
-        peak_torque=none,
-        motion=jnp.zeros(3),
-        window=Window(number, jnp.zeros(3), jnp.zeros(3), none),
-        windows=Windows(number, jnp.zeros(4), none, none),
-        slip=Slip(none, jnp.zeros(len(EDGES) + 1, jnp.int32)),
-        feet=Feet(counts, counts, some, counts, some, some),
-        flight=number,
-        double=number,
-        crossing=number,
-        contact=number,
-        late=none,
+        turned=zero,
+        samples=jnp.int32(0),
+        peak_torque=zero,
+        late=zero,
         since=jnp.float32(-jnp.inf),
+        air=feet.astype(jnp.int32),
+        lift=feet,
+        sums={
+            "samples": zero,
+            "motion": three,  # way forward and to the left, m, and turn to the left, rad
+            "loaded": feet,  # samples in which each foot carries weight
+            "flight": zero,  # samples in which no foot does
+            "double_support": zero,  # samples in which all do
+            "crossing": zero,  # samples in which feet are nearer each other, sideways, than `rewards.APART`
+            "leg_contact": zero,  # samples in which the legs touch
+            "slip": zero,  # speeds along the ground of the corners that touch, m/s
+            "slip_bins": jnp.zeros(len(EDGES) + 1),  # how many of them were between `EDGES`
+            "steps": feet,  # touchdowns after a time in the air
+            "lengths": feet,  # by how much each foot was ahead of that on the other side then, m
+            "lifts": feet,  # largest heights of the steps, m
+        },
+        window={"samples": zero, "motion": three, "asked": three, "work": zero},  # the motion commanded; J
+        windows={"number": zero, "errors": jnp.zeros(4), "way": zero, "work": zero},  # as `_compared` has them
     )
 
 
@@ -162,31 +118,60 @@ def add(tally: Tally, sample: Sample, asked: Asked, window: IntScalar, interval:
     """The sums with one more sample, `interval` seconds after the last; `window` samples make a window."""
     last = tally.last
     counts = tally.samples * interval > SETTLING - interval / 2
-    motion = jnp.where(counts, _motion(last, sample), 0.0)
+    motion = _motion(last, sample)
     # The torque that acted from the last sample to this one was constant.
-    work = jnp.where(counts, jnp.sum(jnp.abs(last.torque * (sample.angles - last.angles))), 0.0)
+    work = jnp.sum(jnp.abs(last.torque * (sample.angles - last.angles)))
     loaded = sample.load > robot.force(LOADED)
-    turned = tally.turned + wrapped(sample.heading - last.heading)
+    landed = loaded & (tally.air >= math.ceil(AIRBORNE / interval - 1e-6))
+    right, left = robot.foot_pairs.T
+    ahead = jnp.zeros(loaded.shape).at[right].set(-sample.gap[:, 0]).at[left].set(sample.gap[:, 0])
+    bins = jnp.sum(sample.speed[..., None] > EDGES, axis=-1)[..., None] == np.arange(len(EDGES) + 1)
+    now = {
+        "samples": 1.0,
+        "motion": motion,
+        "loaded": loaded,
+        "flight": ~loaded.any(),
+        "double_support": loaded.all(),
+        "crossing": (sample.gap[:, 1] < robot.length(APART)).any(),
+        "leg_contact": sample.legs_apart <= 0,
+        "slip": jnp.sum(sample.speed * sample.touching),
+        "slip_bins": (bins & sample.touching[..., None]).sum(axis=(0, 1)),
+        "steps": landed,
+        "lengths": landed * ahead,
+        "lifts": landed * tally.lift,
+    }
+    way = {"samples": 1.0, "motion": motion, "asked": asked.command * interval, "work": work}
+    inner = _added(tally.window, counts, way)
+    full = inner["samples"] >= window
+    turned = tally.turned + motion[2]
     off = (asked.since >= 0) & (asked.since <= HOLD) & (jnp.abs(asked.goal - turned) > NEAR_GOAL)
-    inner, windows = _windows(tally, motion, counts * asked.command * interval, work, counts, window, interval)
-    return tally._replace(
+    return Tally(
         last=sample,
+        start=tally.start,
         turned=turned,
         samples=tally.samples + 1,
-        counted=tally.counted + counts,
         peak_torque=jnp.maximum(tally.peak_torque, jnp.abs(sample.torque).max()),
-        motion=tally.motion + motion,
-        window=inner,
-        windows=windows,
-        slip=_slip(tally.slip, sample, counts),
-        feet=_feet(tally.feet, sample, loaded, counts, interval, robot),
-        flight=tally.flight + (counts & ~loaded.any()),
-        double=tally.double + (counts & loaded.all()),
-        crossing=tally.crossing + (counts & (sample.gap[:, 1] < robot.length(APART)).any()),
-        contact=tally.contact + (counts & (sample.legs_apart <= 0)),
         late=jnp.where(off, asked.since, tally.late),
         since=asked.since,
+        air=jnp.where(loaded, 0, tally.air + 1),
+        lift=jnp.where(tally.air > 0, jnp.maximum(tally.lift, sample.height), sample.height),
+        sums=_added(tally.sums, counts, now),
+        window={name: jnp.where(full, 0.0, total) for name, total in inner.items()},
+        windows=_added(tally.windows, full, _compared(inner, window * interval)),
     )
+
+
+def _added(sums: Sums, flag: BoolScalar, now: Mapping[str, Any]) -> Sums:
+    """Sums with what is now, where the flag is set."""
+    return {name: total + jnp.where(flag, now[name], 0.0) for name, total in sums.items()}
+
+
+def _compared(window: Sums, seconds: FloatScalar) -> Mapping[str, Any]:
+    """A window beside its command: absolute errors of the mean velocity forward, to the left and as a vector, m/s, and
+    of the mean turn rate, rad/s; length of its mean motion, m; work, J."""
+    forward, left, turn = (window["motion"] - window["asked"]) / seconds
+    errors = jnp.stack([jnp.abs(forward), jnp.abs(left), jnp.hypot(forward, left), jnp.abs(turn)])
+    return {"number": 1.0, "errors": errors, "way": jnp.hypot(*window["motion"][:2]), "work": window["work"]}
 
 
 def _motion(last: Sample, now: Sample) -> Float[Array, "3"]:
@@ -199,49 +184,3 @@ def as_seen(way: Float[Array, "2"], heading: FloatScalar) -> Float[Array, "2"]:
     """A way on the ground, forward and to the left of who looks along `heading`."""
     cosine, sine = jnp.cos(heading), jnp.sin(heading)
     return jnp.stack([cosine * way[0] + sine * way[1], cosine * way[1] - sine * way[0]])
-
-
-def _windows(
-    tally: Tally,
-    motion: Float[Array, "3"],
-    asked: Float[Array, "3"],
-    work: FloatScalar,
-    counts: BoolScalar,
-    size: IntScalar,
-    interval: float,
-) -> tuple[Window, Windows]:
-    """The window under way, a new one where it is complete, and the sums over those that are."""
-    old, all_ = tally.window, tally.windows
-    now = Window(old.samples + counts, old.motion + motion, old.asked + asked, old.work + work)
-    full, seconds = now.samples >= size, size * interval
-    forward, left, turn = (now.motion - now.asked) / seconds
-    errors = jnp.stack([jnp.abs(forward), jnp.abs(left), jnp.hypot(forward, left), jnp.abs(turn)])
-    return Window(*(jnp.where(full, 0, part) for part in now)), Windows(
-        all_.number + full,
-        all_.errors + full * errors,
-        all_.way + full * jnp.hypot(now.motion[0], now.motion[1]),
-        all_.work + full * now.work,
-    )
-
-
-def _slip(slip: Slip, sample: Sample, counts: BoolScalar) -> Slip:
-    touching = sample.touching & counts
-    above = jnp.sum(sample.speed[..., None] > EDGES, axis=-1)
-    inside = (above[..., None] == np.arange(len(EDGES) + 1)) & touching[..., None]
-    return Slip(slip.total + jnp.sum(sample.speed * touching), slip.bins + inside.sum(axis=(0, 1), dtype=jnp.int32))
-
-
-def _feet(
-    feet: Feet, sample: Sample, loaded: Bool[Array, " feet"], counts: BoolScalar, interval: float, robot: Robot
-) -> Feet:
-    landed = loaded & (feet.air >= math.ceil(AIRBORNE / interval - 1e-6)) & counts
-    right, left = robot.foot_pairs.T
-    ahead = jnp.zeros(loaded.shape).at[right].set(-sample.gap[:, 0]).at[left].set(sample.gap[:, 0])
-    return Feet(
-        loaded=feet.loaded + (loaded & counts),
-        air=jnp.where(loaded, 0, feet.air + 1),
-        lift=jnp.where(feet.air > 0, jnp.maximum(feet.lift, sample.height), sample.height),
-        steps=feet.steps + landed,
-        lengths=feet.lengths + landed * ahead,
-        lifts=feet.lifts + landed * feet.lift,
-    )
