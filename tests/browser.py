@@ -1,13 +1,11 @@
 """A headless Chromium, asked through its own pipe (the DevTools protocol), without any package."""
 
-import base64
 import contextlib
 import json
 import os
 import shutil
 import subprocess
 import tempfile
-from pathlib import Path
 
 FLAGS = (
     "--headless",
@@ -20,19 +18,13 @@ FLAGS = (
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 
-NAMED_KEYS = {
-    "Tab": ("Tab", 9),
-    " ": ("Space", 32),
-    "ArrowLeft": ("ArrowLeft", 37),
-    "ArrowUp": ("ArrowUp", 38),
-    "ArrowRight": ("ArrowRight", 39),
-}
+NAMED_KEYS = {" ": ("Space", 32), "ArrowLeft": ("ArrowLeft", 37), "ArrowRight": ("ArrowRight", 39)}
 
 
 class Browser:
     """One page of a Chromium, and what went wrong in it."""
 
-    def __init__(self, folder, javascript=True):
+    def __init__(self, folder):
         self.number, self.faults, self.requests = 0, [], []
         command_read, self.commands = os.pipe()
         self.answers, answer_write = os.pipe()
@@ -52,7 +44,6 @@ class Browser:
         self.session = self.ask("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
         for domain in ("Page", "Runtime", "Network", "Log"):
             self.ask(f"{domain}.enable")
-        self.ask("Emulation.setScriptExecutionDisabled", value=not javascript)
 
     def close(self):
         with contextlib.suppress(OSError):
@@ -104,13 +95,6 @@ class Browser:
         self.ask("Input.dispatchKeyEvent", type="keyDown", text=key if len(key) == 1 else "", **common)
         self.ask("Input.dispatchKeyEvent", type="keyUp", **common)
 
-    def screenshot(self, path, whole=False):
-        shot = self.ask("Page.captureScreenshot", format="png", captureBeyondViewport=whole)
-        Path(path).write_bytes(base64.b64decode(shot["data"]))
-
-    def pdf(self, path):
-        Path(path).write_bytes(base64.b64decode(self.ask("Page.printToPDF", printBackground=True)["data"]))
-
     def _loaded(self, address):
         try:
             tree = self.ask("Page.getFrameTree")["frameTree"]["frame"]
@@ -138,10 +122,10 @@ class Browser:
 
 
 @contextlib.contextmanager
-def browser(**options):
+def browser():
     """A browser for the time of a block."""
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-        opened = Browser(folder, **options)
+        opened = Browser(folder)
         try:
             yield opened
         finally:

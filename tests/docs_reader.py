@@ -54,8 +54,8 @@ class Reader:
 
     def __init__(self):
         self.group = typer.main.get_command(app)
-        self.folders, self.files = set(), set()
-        self.earlier = {"reproduced", *(f"runs/{name}" for name in names("configs", ".yaml"))}
+        self.there = {"reproduced", *names("policies", ".npz"), *(f"runs/{name}" for name in names("configs", ".yaml"))}
+        """Run folders, policies and files."""
 
     def type(self, words):
         """Check a command, and note what it would leave behind."""
@@ -75,16 +75,16 @@ class Reader:
                 raise AssertionError(f"{shlex.join(words)}: {error}") from error
             getattr(self, name)(**context.params)
 
-    def sweep(self, config, out, set_, resume, tensorboard, view, slurm):
+    def sweep(self, config, out, set_, resume, **options):
         from humanoid_mjx.config import load
         from humanoid_mjx.training.plan import make_plan
 
         name = make_plan(load(config, set_ or [])).config.name
         folder = str(out or f"runs/{name}")
-        assert not resume or folder in self.folders, f"{folder}: nothing to be resumed"
-        self.folders.add(folder)
+        assert not resume or folder in self.there, f"{folder}: nothing to be resumed"
+        self.there.add(folder)
 
-    def info(self, name, set_, keys, time, trust):
+    def info(self, name, set_, keys, **options):
         from humanoid_mjx.commands.info import show_info, show_keys
 
         if keys:
@@ -92,66 +92,49 @@ class Reader:
         elif name:
             show_info(name, set_ or [], timed=False)  # which only trains a piece of what `sweep` trains
 
-    def reproduce(self, names, list_, set_, out):
+    def reproduce(self, names, **options):
         from humanoid_mjx.reproduction import load_experiments
 
         assert set(names or []) <= set(load_experiments())
 
-    def bench(self, names, json, seeds):
+    def bench(self, names, json, **options):
         from humanoid_mjx.bench import BENCHES
 
-        if names and names[0] == "compare":
-            assert set(names[1:]) <= self.files and len(names) == 3, names
-        else:
-            assert set(names or []) <= {*BENCHES, "all"}
-        self.files.add(str(json))
+        known = self.there if names and names[0] == "compare" else {*BENCHES, "all"}
+        assert {*(names or [])} - {"compare"} <= known, names
+        self.there.add(str(json))
 
-    def evaluate(self, policies, gait, point, set_, physics, episodes, json, trust):
-        from humanoid_mjx.evaluation.gait.scenarios import walking_task
-
+    def evaluate(self, policies, set_, physics, **options):
         for policy in policies:
-            self.has(policy)
-            trained = self.changes(policy, set_)
-            assert not gait or not trained or walking_task(trained.learner.task)
-        self.simulates(physics)
+            self.play(policy, set_, physics)
 
-    def changes(self, policy, set_):
-        """The shipped policy, if it is one, in its changed world."""
+    def play(self, policy, set_, physics, **options):
         from humanoid_mjx.evaluation.policy import find_policy, in_changed_world
 
-        return in_changed_world(find_policy(policy), set_ or []) if policy in names("policies", ".npz") else None
+        self.has(policy)
+        if policy in names("policies", ".npz"):
+            in_changed_world(find_policy(policy), [*(set_ or []), *([f"task.physics={physics}"] if physics else [])])
+
+    def plot(self, run, **options):
+        for folder in run:
+            self.has(folder)
+
+    def report(self, run, **options):
+        self.has(run)
+
+    def export(self, what, file, **options):
+        from humanoid_mjx.robot import ROBOTS
+
+        assert what in ROBOTS if file.suffix == ".xml" else file.suffix == ".npz"
+        if file.suffix == ".npz":
+            self.has(what)
+        self.there.add(str(file))
 
     def runs(self, folder):
         assert str(folder) == "runs", folder
 
-    def plot(self, run, x, y, by, out, trust):
-        for folder in run:
-            assert str(folder) in self.folders | self.earlier, folder
-
-    def play(self, policy, point, set_, physics, episode, out, size, fps, view, port, trust):
-        self.has(policy)
-        self.changes(policy, set_)
-        self.simulates(physics)
-
-    def report(self, run, out, motion, trust):
-        assert str(run) in self.folders | self.earlier, run
-
-    def export(self, what, file, point, trust):
-        from humanoid_mjx.robot import ROBOTS
-
-        assert (
-            what in ROBOTS if file.suffix == ".xml" else what in self.folders | self.earlier and file.suffix == ".npz"
-        )
-        self.files.add(str(file))
-
-    def has(self, policy):
-        there = {*self.folders, *self.files, *names("policies", ".npz"), *self.earlier}
-        assert policy in there, f"{policy}: not there yet"
-
-    def simulates(self, physics):
-        from humanoid_mjx.physics import PHYSICS
-
-        assert physics is None or physics in PHYSICS, physics
+    def has(self, name):
+        assert str(name) in self.there, f"{name}: not there yet"
 
 
 def type_commands(markdown):

@@ -7,18 +7,13 @@ from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
-import tabular_cuda
 from typer.testing import CliRunner
 
 from humanoid_mjx import InputError, compute
 from humanoid_mjx.bench import compare, control, ground, postures, startup, tabular, training
 from humanoid_mjx.bench.measure import Subject, spread, time_in_turn, time_rates
-from humanoid_mjx.bench.native import native_subject
-from humanoid_mjx.bench.programs import Programs
 from humanoid_mjx.cli import app
 from humanoid_mjx.compute import provenance
 from humanoid_mjx.training.sweep import Run
@@ -67,11 +62,6 @@ def test_control_times_every_controller():
     assert "ns a step for control" in lines[-1] and "ns a step" not in lines[0]
 
 
-def test_unknown_benchmarks_are_refused():
-    done = CliRunner().invoke(app, ["bench", "tabula"])
-    assert "did you mean 'tabular'" in str(done.exception)
-
-
 def test_the_ground_is_the_same_body_in_every_physics():
     batch, steps = 1, 25  # one body is on one device, and compiled once
     by_mjx = positions(ground.compiled("mjx-jax", *ground.states_of(batch), steps)())
@@ -84,34 +74,6 @@ def test_the_ground_is_the_same_body_in_every_physics():
 def positions(found):
     """The positions in what `ground.compiled` returns, body by body."""
     return np.concatenate([np.asarray(share[0]) for share in ground._in_order(found)])
-
-
-def test_bodies_that_are_thrown_about_are_the_same_in_every_physics(monkeypatch):
-    monkeypatch.setattr(ground, "MOVE_STEPS", 25)  # the programs of the other tests
-    simulate, moves = ground.compiled, []
-
-    def compiled(subject, *given):
-        assert subject == "tree"  # which compiles longer than MJX
-        moves.append(given[2])
-        return simulate("mjx-jax", *given)
-
-    monkeypatch.setattr(ground, "compiled", compiled)
-    ground.visited.cache_clear()
-    qpos, qvel, setpoint = ground.states_of(1, moving=True)
-    assert len(moves) == ground.MOVES and all(np.abs(move - setpoint).max() > 0.1 for move in moves)
-    assert np.abs(qvel[:, :6]).max() > 0.1 and np.isfinite(qpos).all()
-    assert all(
-        again is part for again, part in zip(ground.states_of(1, moving=True), (qpos, qvel, setpoint), strict=True)
-    )
-    ground.visited.cache_clear()
-
-
-def test_computed_torque_holds_the_body_where_the_servo_does():
-    servo, torque = (
-        positions(ground.compiled(name, *ground.states_of(1), 25)()) for name in ("mjx-jax", ground.COMPUTED_TORQUE)
-    )
-    # 0.1 s, in which the body gives way by millimetres and milliradians: other torques, but the same posture.
-    assert 1e-5 < np.abs(servo - torque).max() < 0.1
 
 
 def test_the_ground_writes_a_record_for_every_physics_and_batch(monkeypatch):
@@ -185,11 +147,6 @@ def test_training_writes_records_and_skips_what_is_not_there():
     assert "by_seed" not in records[0].as_json()
 
 
-def test_only_training_has_seeds():
-    done = CliRunner().invoke(app, ["bench", "tabular", "--seeds", "3"])
-    assert "only training has seeds" in str(done.exception)
-
-
 def test_the_commit_is_that_of_the_checkout_and_none_outside_one(tmp_path, monkeypatch):
     def git(*arguments: str) -> str:
         who = ("-c", "user.name=a", "-c", "user.email=a@b.c")
@@ -216,15 +173,6 @@ def test_the_spread_is_the_range_of_the_middle_half():
     assert timings["once"].spread is None and timings["often"].spread >= 0.0
 
 
-def test_programs_run_every_share():
-    devices = jax.local_devices()
-    program = jax.jit(lambda x: jnp.cumsum(x) + 1.0)
-    shares = [[(jax.device_put(np.full(512, i, np.float32), device),) for i in range(3)] for device in devices]
-    call = Programs(program, shares)
-    found = call()
-    assert [float(x[0]) for x in found[-1]] == [1.0, 2.0, 3.0] and len(found) == len(devices)
-
-
 @pytest.mark.parametrize("name", ["cpu_2_cores", "h200"])
 def test_a_result_compared_with_itself_has_not_changed(name):
     """Also one with keys that are no longer measured, and with several figures of one key."""
@@ -232,19 +180,6 @@ def test_a_result_compared_with_itself_has_not_changed(name):
     found = compare.changes(before, before)
     assert {change.factor for change in found} <= {1.0, np.inf} and not any(change.regressed for change in found)
     assert len(found) > 90 and not compare.warnings(before, before)
-
-
-def test_a_subject_of_fewer_worlds_says_what_it_was_measured_beside():
-    made = []
-
-    def make(worlds, steps):
-        return lambda: made.append((worlds, steps)) or np.zeros(worlds)
-
-    for batch, worlds, beside in ((8, 8, None), (64, 16, 64)):
-        subject = native_subject(make, batch, 16, 5, repeats=1)
-        assert (subject.batch, subject.work, subject.beside, subject.device) == (worlds, 5 * worlds, beside, "cpu")
-        (one,) = time_rates("b", {"native with control": subject}, lambda line: None, "legs")
-        assert (one.subject, one.beside, one.batch) == ("native", beside, worlds) and made[-1] == (worlds, 5)
 
 
 def test_a_simulation_that_ran_away_is_refused():
@@ -268,17 +203,12 @@ def result(**values):
     [
         ((100.0, 0.0), (96.0, 0.0), False),  # the least noise is 5 %
         ((100.0, 0.0), (94.0, 0.0), True),
-        ((100.0, 0.0), (300.0, 0.0), False),
-        ((100.0, 0.3), (71.0, 0.0), False),
-        ((100.0, 0.3), (69.0, 0.0), True),
         ((100.0, 0.3), (61.0, 0.4), False),  # both spreads: half
         ((100.0, 0.3), (49.0, 0.4), True),
         ((100.0, None), (81.0, 0.0), False),
         ((100.0, None), (79.0, 0.0), True),
         ((10.0, 0.0, "s to 95 %"), (11.0, 0.0, "s to 95 %"), True),  # seconds are better the fewer they are
-        ((10.0, 0.0, "s to 95 %"), (9.0, 0.0, "s to 95 %"), False),
         ((1e6, 0.0, "steps to 95 %"), (2e6, 0.0, "steps to 95 %"), True),  # and so are steps
-        ((0.0, None, "success at the end"), (0.5, 0.0, "success at the end"), False),
         ((0.5, 0.0, "success at the end"), (0.0, None, "success at the end"), True),
     ],
 )
@@ -307,31 +237,6 @@ def test_results_that_differ_are_compared_where_they_agree(tmp_path, monkeypatch
         (["odd.json", "a.json"], "odd.json: not a result"),
     ):
         assert why in str(bench(["bench", "compare", *files]).exception)
-
-
-def test_what_is_not_installed_is_said(monkeypatch):
-    from humanoid_mjx.bench import tabular
-
-    said = []
-    monkeypatch.setattr(tabular, "BATCHES", {"cpu": (), "gpu": ()})
-    monkeypatch.setattr(tabular, "find_spec", lambda name: None)
-    tabular.run(said.append)
-    assert any(line.startswith("numba: not measured") for line in said)
-    assert "fused: not measured, for there is no GPU" in said
-    said.clear()
-    monkeypatch.setattr(tabular.kernel, "why_not", lambda learner: None)
-    tabular.run(said.append)
-    assert not any(line.startswith("fused") for line in said)
-    said.clear()
-    monkeypatch.setattr(tabular, "find_spec", lambda name: object())
-    tabular.run(said.append)
-    assert not any("numba" in line for line in said)
-
-
-def test_cuda_by_hand_asks_for_a_gpu(monkeypatch):
-    monkeypatch.setattr(compute, "start", lambda **_: None)
-    with pytest.raises(SystemExit, match="no GPU"):
-        tabular_cuda.main([])
 
 
 def test_startup_is_measured_with_nothing_compiled_and_again():

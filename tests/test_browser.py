@@ -86,55 +86,6 @@ def test_keys_turn_the_view_and_move_the_time(address):
         assert opened.faults == []
 
 
-FOCUSED = """(() => {
-    const element = document.activeElement, style = getComputedStyle(element), box = element.getBoundingClientRect();
-    const shown = style.outlineStyle === "solid" && box.bottom > 0 && box.top < innerHeight;
-    return [element.tagName, element.getAttribute("aria-label") || element.textContent, shown];
-})()"""
-"""What has the focus, its name, and whether a reader sees that."""
-
-
-def test_tab_leads_to_every_control_and_keys_work_it(address):
-    with browser() as opened:
-        opened.open(address)
-        first = state(opened)
-        found = []
-        while not found or found[-1][0] != "BODY":
-            opened.press("Tab")
-            found.append(opened.value(FOCUSED))
-            match found[-1][1]:
-                case "Time in seconds":
-                    opened.press("ArrowRight")
-                    assert float(state(opened)["time"]) == pytest.approx(0.04)
-                case "Speed":
-                    opened.press("ArrowUp")
-                    assert opened.value("document.activeElement.value") == "0.5"
-                case "Reset view":
-                    opened.value("document.querySelector('figure.player canvas').focus()")
-                    opened.press("ArrowLeft")
-                    assert state(opened)["yaw"] != first["yaw"]
-                    opened.value("document.querySelectorAll('.controls button')[2].focus()")
-                    opened.press(" ")
-                    assert state(opened)["yaw"] == first["yaw"]
-        bar = "BUTTON", "INPUT", "SELECT", "BUTTON", "BUTTON"
-        assert [tag for tag, _, _ in found] == ["DIV", *["BUTTON"] * 12, "CANVAS", *bar, "BODY"]
-        assert all(name and shown for _, name, shown in found[:-1])
-
-
-def test_everything_but_the_motion_is_there_without_javascript_and_on_paper(address, tmp_path):
-    with browser(javascript=False) as opened:
-        opened.open(address)
-        shown = opened.ask("DOM.getDocument", depth=-1)
-        words = json.dumps(shown)
-        assert "No script here." in words and '"CANVAS"' not in words
-        opened.ask("Emulation.setEmulatedMedia", media="print")
-        opened.size(690, 980)  # what the margins leave of a sheet, at 96 pixels an inch
-        assert opened.value("document.documentElement.scrollWidth") <= 690  # what is wider would be cut off
-        assert opened.value("getComputedStyle(document.querySelector('.player')).display") == "none"
-        opened.pdf(tmp_path / "page.pdf")
-        assert (tmp_path / "page.pdf").read_bytes().startswith(b"%PDF")
-
-
 def test_tables_sort_and_curves_say_their_values(tmp_path):
     """By the numbers in a column, up and down; below the pointer the values of all lines at the nearest place."""
     results = {

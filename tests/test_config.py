@@ -43,24 +43,27 @@ def test_every_shipped_config_makes_a_plan(name):
     assert again.learners == plan.learners
 
 
+SMALL = ["total_steps=64", "learner.envs=4", "learner.rollout=8", "learner.evaluation_envs=2", "learner.evaluations=1"]
+NETWORK = [
+    "learner.width=16",
+    "learner.layers=1",
+    "learner.minibatches=2",
+    "learner.epochs=1",
+    "learner.precision=float32",
+]
+PPO = {"num_envs": 4, "batch_size": 1, "num_minibatches": 4, "unroll_length": 8, "evaluation_envs": 2}
+PPO |= {"policy_hidden_layer_sizes": [16], "value_hidden_layer_sizes": [16]}
 QUICK = {
     "tabular_q": ["episodes=2"],
-    "linear_q": ["total_steps=64", "learner.envs=4", "learner.rollout=8", "learner.evaluation_envs=2"],
-    "deep_q": ["total_steps=64", "learner.envs=4", "learner.rollout=8", "learner.evaluation_envs=2"],
-    "brax_ppo": [
-        "total_steps=64",
-        "record=2",
-        "learner.num_envs=4",
-        "learner.batch_size=1",
-        "learner.num_minibatches=4",
-        "learner.unroll_length=8",
-        "learner.evaluation_envs=2",
-    ],
+    "linear_q": SMALL,
+    "deep_q": [*SMALL, *(f"learner.{key}={value}" for key, value in NETWORK.items())],
+    "brax_ppo": ["total_steps=64", *(f"learner.{key}={value}" for key, value in PPO.items())],
     "posture_switch": ["task.physics=chain", "sweep=null"],
     "stand": ["task.physics=mujoco", "task.duration=0.2"],
     "walk": ["task.physics=mujoco", "task.duration=0.2"],
 }
-"""Two updates of each learner; legs and bodies on the ground in the physics that is ready first."""
+"""Two updates of each learner, of one size, so that configs of one task share programs; legs and bodies on the ground
+in the physics that is ready first."""
 
 
 @pytest.mark.slow

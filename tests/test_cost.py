@@ -88,10 +88,3 @@ def test_the_command_refuses_in_one_sentence_and_info_says_the_estimate(tmp_path
     refused = CliRunner().invoke(app, ["sweep", "tables.yaml"])
     assert isinstance(refused.exception, InputError) and "and 1.0 KiB are free" in str(refused.exception)
     assert not Path("runs").exists()
-
-
-def test_info_shows_what_no_memory_can_hold():
-    overrides = ["learner.envs=65536", "learner.rollout=128", "learner.width=1024", "learner.minibatches=1"]
-    sets = [word for override in overrides for word in ("--set", override)]
-    done = CliRunner().invoke(app, ["info", "leg_reach", *sets])
-    assert done.exit_code == 0 and "on disk an estimated" in done.output

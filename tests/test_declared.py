@@ -1,6 +1,7 @@
 # pyright: reportAttributeAccessIssue=false
 """Robots of a YAML beside an MJCF: what follows from the model, what is refused, where the files are found."""
 
+import re
 import shutil
 from pathlib import Path
 
@@ -67,16 +68,27 @@ def test_robots_that_ship_stand_under_their_servo(name):
         np.testing.assert_array_equal(values[order], values)
 
 
-@pytest.mark.parametrize("name", SHIPPED)
-def test_who_does_nothing_stands_in_the_task(name):
+def motors_reversed(text):
+    """A model whose motors come in another order than its joints."""
+    head, motors, tail = re.split(r"</?actuator>", text)
+    return f"{head}<actuator>{''.join(reversed(motors.splitlines()))}</actuator>{tail}"
+
+
+@pytest.mark.parametrize("name", [*SHIPPED, "motors reversed"])
+def test_who_does_nothing_stands_in_the_task(name, tmp_path):
     """As long as nothing pushes: with the task's spread at the start, errors of sensors, and the servo at each step."""
-    task = make_task("stand", robot=name, physics="mujoco", push={"impulse": 0.0})
+    robot = files(tmp_path, edit=motors_reversed) if name == "motors reversed" else name
+    task = make_task("stand", robot=robot, physics="mujoco", push={"impulse": 0.0})
     state = jax.jit(jax.vmap(task.reset))(jax.random.split(jax.random.key(0), 4))
     step, still = jax.jit(jax.vmap(task.step_continuous)), jnp.zeros((4, len(task.robot.joints)))
     for second in range(50):
         state = step(state, still, jax.random.split(jax.random.key(second), 4))
         assert not state.terminated.any()
     assert (state.reward > 0.9).all()
+    model = task.robot.model
+    by_motor = state.data.world.qpos[:, model.jnt_qposadr[model.actuator_trnid[:, 0]]]
+    np.testing.assert_allclose(state.data.readings.encoders, by_motor, atol=0.1)
+    assert name != "motors reversed" or task.robot.joints[0] == "RL_calf"
 
 
 def test_the_dog_is_as_it_is_written():

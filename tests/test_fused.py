@@ -8,7 +8,7 @@ from finite_mdp import random_task
 
 from humanoid_mjx import make_learner, make_task
 from humanoid_mjx.compute import rng
-from humanoid_mjx.compute.kernels.elementwise import Elementwise, NotElementwise, kept_in_common
+from humanoid_mjx.compute.kernels.elementwise import NotElementwise
 from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.training import fused
 from humanoid_mjx.training.program import advance, begin
@@ -96,29 +96,3 @@ def test_tasks_of_more_than_arithmetic_are_refused(task, words):
     learner = make_learner("tabular_q", task)
     with pytest.raises(NotElementwise, match=words):
         fused.functions(learner)
-
-
-def test_what_is_fixed_is_computed_once():
-    part = Elementwise(lambda fixed, x: jnp.round(fixed / 3) * x + jnp.round(fixed / 3), 10.0, 2.0)
-    assert [equation.primitive.name for equation in part.each] == ["mul", "add"]
-    assert [equation.primitive.name for equation in part.before] == ["div", "round"]
-    kept = part.once(10.0)
-    unused = {"lookup": lambda table, index: index, "truncate": lambda x: x}
-    assert part.step([x[None] for x in kept], jnp.float32([2.0]), **unused) == 9.0
-
-
-def test_parts_know_what_they_keep_in_common_and_keep_no_constants():
-    ten, two = jnp.float32(10.0), jnp.float32(2.0)
-    one = Elementwise(lambda fixed, x: jnp.where(x > jnp.round(fixed / 3), x, 0.0), ten, two)
-    other = Elementwise(lambda fixed, x: x * fixed + jnp.round(fixed / 3), ten, two)
-    another = Elementwise(lambda fixed, x: x + jnp.round(fixed / 4), ten, two)
-    assert [len(part.kept) for part in (one, other, another)] == [1, 2, 1]
-    (mine,), theirs, (third,) = kept_in_common((one, other, another))
-    assert mine in theirs and third not in (mine, *theirs)
-    assert one.once(ten) == [other.once(ten)[theirs.index(mine)]] == [3.0]
-
-
-def test_tables_that_no_block_can_hold_lie_in_device_memory():
-    assert fused.block_size(48) == 128
-    assert fused.block_size(128) == 64
-    assert fused.block_size(400) is None

@@ -10,13 +10,12 @@ import pytest
 from gait_reference import reference
 
 from humanoid_mjx.evaluation.gait.figures import FIGURES, figures
-from humanoid_mjx.evaluation.gait.samples import Sample, between_segments, legs_apart
+from humanoid_mjx.evaluation.gait.samples import Sample, legs_apart
 from humanoid_mjx.evaluation.gait.summary import summarised
 from humanoid_mjx.evaluation.gait.tally import EDGES, Asked, add, begin, window_samples
 from humanoid_mjx.physics.base import Poses
 from humanoid_mjx.robot import make_robot
 from humanoid_mjx.robot.lower_body import LowerBody, lower_body_model
-from humanoid_mjx.runs.statistics import mean_interval
 
 INTERVAL, BODY = 0.004, LowerBody()
 MASS = BODY.mass
@@ -133,20 +132,6 @@ def test_a_walk_whose_figures_are_known():
     assert run["flight"] == pytest.approx(0.4, abs=0.01) and run["double_support"] == 0.0
 
 
-def test_one_side_that_differs_is_seen():
-    count = round(8.0 / INTERVAL)
-    motion, commands = known_walk(count), np.tile([0.3, 0.0, 0.0], (count, 1))
-    motion["gap"][..., 0] = np.where(motion["gap"][..., 0] > 0, 0.08, -0.04)
-    found = measured(motion, commands)
-    assert found["step_length_right"] == pytest.approx(0.04, abs=1e-4)
-    assert found["step_asymmetry"] == pytest.approx(0.04 / 0.06, rel=1e-3)
-    # It limps to the left by 0.1 rad, and so leaves its way by 0.3 m/s * 8 s * sin(0.1).
-    turned = known_walk(count, heading=2.6) | {"heading": np.full(count, 2.6), "heading_0": 2.5}
-    aside = measured(turned, commands)
-    assert aside["drift"] == pytest.approx(2.4 * np.sin(0.1), rel=1e-3)
-    assert aside["heading_error"] == pytest.approx(np.degrees(0.1), rel=1e-3)
-
-
 def test_feet_of_a_dog_are_measured_by_pairs():
     """A trot: its fore and its hind legs do what a biped's do, the hind ones half a period later."""
     count, dog = round(8.0 / INTERVAL), make_robot("dog")
@@ -192,19 +177,6 @@ def test_a_sudden_turn_is_timed(rate, seconds, success):
     assert late["turn_success"] == 0.0
 
 
-def test_the_distance_between_segments_is_the_least_there_is():
-    rng = np.random.default_rng(0)
-    shares, sizes = np.linspace(-1.0, 1.0, 201), np.array([[1.0], [0.5], [1.0], [0.5]])
-    for k in range(40):
-        middle, half, other, across = (sizes * rng.normal(size=(4, 3))).astype(np.float32)
-        across = half * np.float32(-0.7) if k % 4 == 0 else across
-        points = [centre + shares[:, None] * way for centre, way in ((middle, half), (other, across))]
-        least = np.linalg.norm(points[0][:, None] - points[1], axis=-1).min()
-        found = between_segments(*map(jnp.asarray, (middle, half, other, across)))
-        # A grid of 200 parts of segments of some 2 m misses the nearest points by at most half a part of each.
-        assert least - 0.02 <= found <= least + 1e-5
-
-
 def test_legs_are_as_near_as_mujoco_finds_them():
     model = lower_body_model("free", "human")
     data, rng, touching = mujoco.MjData(model), np.random.default_rng(0), 0
@@ -226,18 +198,6 @@ def test_legs_are_as_near_as_mujoco_finds_them():
             # MuJoCo searches for the depth of capsules that overlap in another way; the sign is what counts.
             assert near(poses) <= 1e-6
     assert 3 < touching < 57
-
-
-def test_intervals_of_means():
-    rng = np.random.default_rng(0)
-    values = rng.normal(2.0, 1.0, (400, 2))
-    values[::2, 1] = np.nan
-    low, high = mean_interval(values)
-    # 1.96 standard deviations of a mean of 400 and of 200 values; 500 resamples place the ends to a tenth.
-    np.testing.assert_allclose((high - low) / 2, [1.96 / 20, 1.96 / np.sqrt(200)], rtol=0.2)
-    assert (low < 2.0).all() and (high > 2.0).all()
-    low, high = mean_interval(np.array([[1.0, np.nan, 3.0], [2.0, 1.0, 3.0], [4.0, np.nan, 3.0]]))
-    assert np.isnan(low[1]) and np.isnan(high[1]) and low[2] == high[2] == 3.0 and low[0] < high[0]
 
 
 def test_seeds_have_a_median_and_a_worst():

@@ -21,12 +21,17 @@ from humanoid_mjx.reproduction.ground import (
 from humanoid_mjx.thesis import leg as thesis
 
 NAMES = ("gaits-4.8", "ground-control")
+SIGNS = ((1, 1, 1), (1, -1, -1))
+"""As printed, and with knee and ankle reversed, where the soles stay nearly flat."""
 
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory):
     out = tmp_path_factory.mktemp("ground")
-    with pytest.MonkeyPatch.context() as patch:
+    with pytest.MonkeyPatch.context() as patch:  # 60 bodies, and 52: two calls of one program
+        patch.setattr(ground_gaits, "SIGNS", SIGNS)
+        patch.setattr(ground_gaits, "FORWARDS", SIGNS)
+        patch.setattr(ground_gaits, "PHASES", PHASES[:2])
         patch.setattr(ground_gaits, "AMPLITUDES", (0.1, 1.0))
         patch.setattr(ground_gaits, "FREQUENCIES", (1.25,))
         for experiment in (ground_gaits, ground_control):
@@ -62,14 +67,14 @@ def test_the_gaits_of_the_tables_fall_in_every_reading(found):
     assert all(f.verdict == "differs" and 0.6 < f.reproduced[0] < 2.0 for f in (walk, turn))
     rows = [[x.strip("| ") for x in row.split(" | ")] for row in (out / "gaits-4.8.md").read_text().splitlines()[2:]]
     printed = [row for row in rows if row[3] == "as printed"]
-    assert len(printed) == 8 * 3 * 3 + 8 * 3 * 2 * 3, "signs, phases of the left leg, senses of the yaw, controllers"
+    assert len(printed) == 2 * 2 * 3 + 2 * 2 * 2 * 3, "signs, phases of the left leg, senses of the yaw, controllers"
     assert not [row for row in printed if "(all)" in row[5]]
     as_read = [row for row in printed if row[1].startswith("no sign reversed") and "left leg" not in row[1]]
     off = {(row[0], row[2]): float(row[10]) for row in as_read}
     for table in ("Table 4.5", "Table 4.6"):
         assert off[table, "computed torque"] < 0.7 * off[table, "servo"]
     smallest = [row for row in rows if row[3] == "0.1"]
-    assert len(smallest) == 4 * 3 * 2 and all("(all)" in row[5] for row in smallest)
+    assert len(smallest) == 2 * 3 * 2 and all("(all)" in row[5] for row in smallest)
 
 
 def test_the_experiments_use_the_gains_of_the_laws():

@@ -11,9 +11,7 @@ from typer.testing import CliRunner
 
 from humanoid_mjx import InputError, sweep
 from humanoid_mjx.cli import app
-from humanoid_mjx.commands.sweep import print_summary
 from humanoid_mjx.config import parse
-from humanoid_mjx.runs.disk import disk_used, in_words
 from humanoid_mjx.runs.folder import RunFolder
 from humanoid_mjx.runs.listing import list_runs
 from humanoid_mjx.training.plan import resolved
@@ -95,21 +93,6 @@ def test_diverged_runs_are_marked(folder):
     assert "finished, 2 diverged" in done.output
 
 
-def test_the_best_points_say_which_of_them_diverged(folder, capsys):
-    summary = sweep(CONFIG, folder / "small", resume=True).summary
-    print_summary(["learner.epsilon"], summary, {}, quickest=True)
-    out = capsys.readouterr().out
-    assert "diverged" not in out and "training made" not in out
-    broken = summary | {"diverged": np.array([True, True] + [False] * 10)}
-    print_summary(["learner.epsilon"], broken, {"episodes_per_s": 1234.5, "steps_per_s": 56789.0}, quickest=True)
-    out = capsys.readouterr().out
-    assert "training made 1,234 episodes/s and 56,789 steps/s" in out
-    assert "2 of 3" in out and out.count("0 of 3") == 3 and "2 runs stopped" in out
-    print_summary([], summary | {"diverged": np.array([True] + [False] * 11)}, {}, quickest=False)
-    out = " ".join(capsys.readouterr().out.split())
-    assert "1 run stopped" in out and "return at the end of training" in out
-
-
 def test_foreign_and_damaged_folders_get_a_sentence_each(folder, monkeypatch):
     def copy(name):
         return shutil.copytree(folder / "small", folder / name)
@@ -137,15 +120,3 @@ def test_an_empty_folder_and_none(tmp_path):
     assert done.exit_code == 0 and "no run folder" in done.output
     with pytest.raises(InputError, match="there is no such folder"):
         list_runs(tmp_path / "nowhere")
-
-
-def test_sizes_in_words(tmp_path):
-    (tmp_path / "below").mkdir()
-    (tmp_path / "below/file").write_bytes(b"x" * 831)
-    assert in_words(disk_used(tmp_path)) == "831 B"
-    assert [in_words(size) for size in (0, 4.2 * 2**20, 763 * 2**30, 3 * 2**50)] == [
-        "0 B",
-        "4.2 MiB",
-        "763 GiB",
-        "3,072.0 TiB",
-    ]

@@ -105,16 +105,6 @@ def test_a_shove_is_an_impulse_and_a_pull_draws_its_point(stage):
     assert stand(stage, 1.0)[2] == pytest.approx(hangs, abs=0.01)
 
 
-def test_a_slow_machine_shows_slow_motion_and_a_fast_one_waits(stage):
-    stage.hands.pace = 1.0
-    began = time.monotonic()
-    stand(stage, 0.2)
-    assert time.monotonic() - began > 0.15
-    time.sleep(0.5)
-    stand(stage, 0.004)
-    assert stage.time - (time.monotonic() - stage._zero) > -0.3  # it does not hurry to make up for the pause
-
-
 class Running:
     """A live robot and its server, each in a thread."""
 

@@ -16,7 +16,7 @@ from humanoid_mjx.cli import app
 from humanoid_mjx.config import dump_yaml
 from humanoid_mjx.evaluation.film import Film
 from humanoid_mjx.report.player import film_data, player
-from humanoid_mjx.report.web import page, table
+from humanoid_mjx.report.web import page
 from humanoid_mjx.reproduction.findings import Setting
 from humanoid_mjx.robot import make_robot
 from humanoid_mjx.runs.folder import read_config
@@ -198,11 +198,6 @@ def test_what_cannot_be_reported(tmp_path, swept, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match=f"there is no such folder, but runs/{swept.name} is one"):
         report(Path(swept.name))
-
-
-def test_columns_of_numbers_are_set_to_the_right():
-    html = table(("a", "b", "c"), [("1.5 (1 to 2)", "x", "1e-05"), ("100.0%", "2", "")])
-    assert re.findall(r"<th( class=\"number\")? scope", html) == [' class="number"', "", ' class="number"']
 
 
 def test_a_film_as_data_is_the_motion():

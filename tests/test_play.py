@@ -160,12 +160,3 @@ def test_pushes_of_legged_tasks_are_those_that_their_steps_carry_out():
     pushed, still = (step(t, due, jnp.ones(10, int), key).data.world.qvel[:3] for t in (task, calm))
     # 0.2 N s on 1.7 kg are 0.12 m/s, of which the feet take some.
     assert 0.03 < (pushed - still) @ force / np.linalg.norm(force) < 0.15
-
-
-def test_a_walk_shows_its_command():
-    task = make_task("walk", physics="mujoco", command={"forward": [0.3, 0.3], "standing": 0.0, "zero": 0.0})
-    told = task.told(reset(task, rng.key(0)).data)
-    assert list(told) == ["forward, m/s", "left, m/s", "turn left, rad/s"]
-    assert told["forward, m/s"] == pytest.approx(0.3)
-    stand = make_task("stand", physics="mujoco")
-    assert stand.told(reset(stand, rng.key(0)).data) == {}

@@ -94,17 +94,6 @@ def test_final_values_over_a_parameter_that_is_spread_by_ratios(small, panels, t
     assert panel.lines[2].get_ydata()[-1] == pytest.approx(iqm(summary["greedy_success"][mine].astype(float)))
 
 
-def test_logarithmic_ticks_are_plain_numbers_at_both_sides(tmp_path):
-    with style.figure(tmp_path / "x.png", 1, 1) as (fig, axes):
-        axes[0, 0].plot([1, 1000], [1e-3, 10.0])
-        style.log_axis(axes[0, 0], counted=True)
-        style.log_axis(axes[0, 0], upright=True)
-        fig.canvas.draw()
-        ticks = axes[0, 0].get_xticklabels(), axes[0, 0].get_yticklabels()
-        below, left = ({tick.get_text() for tick in side} for side in ticks)
-    assert {"1", "10", "100", "1k"} <= below and {"0.001", "0.01", "0.1", "1", "10"} <= left
-
-
 def test_several_runs_are_told_apart(small, other, panels, tmp_path):
     plot([small.path, other.path], None, "return", None, tmp_path / "a.png")
     plot([small.path, other.path], None, "return", "learner.epsilon", tmp_path / "b.png")
@@ -118,20 +107,6 @@ def test_several_runs_are_told_apart(small, other, panels, tmp_path):
     assert "over 3 to 5 seeds" in alone.figure.get_suptitle()
     assert sorted(labels(both)) == ["0.1, small", "0.5, small", "0.6, other", "0.9, small"]
     assert both.lines[2].get_linestyle() != both.lines[0].get_linestyle()
-
-
-def test_time_and_measured_columns_across(small, panels, tmp_path):
-    plot([small.path], "wall_s", "success", None, tmp_path / "a.png")
-    plot([small.path], "steps", "return", "learner.epsilon", tmp_path / "b.png")
-    timed, measured = panels
-    assert (np.diff(timed.lines[0].get_xdata()) >= 0).all() and len(timed.lines[0].get_xdata()) == 8
-    assert len(measured.containers) == 3
-    marks = [container.lines[0] for container in measured.containers]
-    assert [len(mark.get_xdata()) for mark in marks] == [3, 3, 3]
-    summary = small.summary
-    assert marks[0].get_xdata()[0] == pytest.approx(summary["steps"][summary["point"] == 0].mean())
-    legend = [text.get_text() for text in measured.get_legend().get_texts()]
-    assert legend == ["0.1", "0.5", "0.9"]
 
 
 def test_words_seeds_and_many_values_across(small, panels, tmp_path):

@@ -8,15 +8,14 @@ import mujoco
 import numpy as np
 import pytest
 from PIL import Image
-from robot_pictures import draw_robots
 from scipy.spatial import ConvexHull
 
 from humanoid_mjx.evaluation.film import Film, Push, in_words, merged
 from humanoid_mjx.report import rendering
-from humanoid_mjx.report.overlay import ALARM, MARGIN, annotate, letter_of
 from humanoid_mjx.report.raycast import GROUND, SHADOW, Painter
-from humanoid_mjx.report.rendering import HEIGHT, STRIP, WIDTH, draw, render_film
+from humanoid_mjx.report.rendering import HEIGHT, STRIP, WIDTH, render_film
 from humanoid_mjx.report.scene import LIGHT, make_camera, make_scene
+from humanoid_mjx.report.video import ffmpeg
 from humanoid_mjx.robot import make_robot
 from humanoid_mjx.robot.lower_body import LOOKS, lower_body_model
 from humanoid_mjx.spec import InputError
@@ -117,31 +116,6 @@ def test_videos(tmp_path, motion, ending, mark):
     assert mark in path.read_bytes()[:12] and len(list(tmp_path.iterdir())) == 1
 
 
-def test_words_are_above_and_below_the_robot():
-    """Also of a robot whose head is high: the rows in which title and command stand show sky and ground alone."""
-    tall = mujoco.MjModel.from_xml_string("""<mujoco><statistic extent="0.5"/><worldbody>
-      <geom type="plane" size="0 0 1"/>
-      <body pos="0 0 1"><freejoint/><geom type="capsule" fromto="0 0 -.9 0 0 .4" size=".1"/>
-        <geom pos="0 0 .6" size=".15"/></body></worldbody></mujoco>""")
-    for model in (tall, MODEL):
-        painter, rows = Painter(make_scene(model, model.qpos0[None]), WIDTH, HEIGHT), MARGIN + letter_of(HEIGHT) + 2
-        painter.colors[:] = [1.0, 0.0, 0.0]
-        picture = painter.paint(0).astype(int)
-        red = np.flatnonzero((picture[..., 0] > picture[..., 1] + 60).any(axis=1))
-        assert rows <= red[0] < HEIGHT / 2 < red[-1] <= HEIGHT - rows
-
-
-def test_pictures_show_the_motion(motion):
-    first, last = draw(MODEL, motion[[0, -1]])
-    assert (first != last).any()
-
-
-def test_legs_have_the_colours_of_their_sides():
-    model = make_robot("legs").spec().compile()
-    colors = {tuple(shape.color) for shape in make_scene(model, model.qpos0[None]).shapes}
-    assert {tuple(np.round(color, 6)) for color in colors} == {LOOKS["right"][:3], LOOKS["left"][:3]}
-
-
 @pytest.mark.parametrize(
     ("name", "sentence"),
     [
@@ -157,14 +131,6 @@ def test_files_that_cannot_be_made(tmp_path, motion, name, sentence, monkeypatch
         render_film(Film(MODEL, motion, 0.04), tmp_path / name)
 
 
-def test_a_push_is_drawn_while_it_can_be_seen(motion):
-    scene = make_scene(MODEL, motion)
-    film = Film(MODEL, motion, 0.2, "title", (), (Push(0.4, 0.02, np.array([0.0, 10.0, 0.0])),))
-    white = np.full((HEIGHT, WIDTH, 3), 255, np.uint8)
-    red = [(annotate(white, film, scene, i, 0.2 * i) == ALARM).all(axis=-1).sum() for i in range(8)]
-    assert [count > 100 for count in red] == [False, False, True, True, True, False, False, False]
-
-
 def test_words_of_a_film(motion):
     film = Film(MODEL, motion, 0.2, told=((0.0, "a"), (0.6, "b")))
     assert [film.asked(0.2 * i) for i in range(5)] == ["a", "a", "a", "b", "b"]
@@ -177,10 +143,3 @@ def test_words_of_a_film(motion):
         (0.08, 0.02, "push 0.1 N s"),
     ]
     assert Push(0.0, 1.0, np.array([3.0, 4.0, 0.0])).words == "push 5 N"
-
-
-def test_the_robots_are_drawn(tmp_path):
-    with Image.open(draw_robots(tmp_path / "robots.png")) as image:
-        colors = {color for _, color in image.convert("RGB").getcolors(1 << 20)}
-    for joint in ((0, 0x72, 0xB2), (0xD5, 0x5E, 0), (0, 0x9E, 0x73), (0xCC, 0x79, 0xA7), (0xE6, 0x9F, 0)):
-        assert joint in colors

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from humanoid_mjx import make_learner, make_task
-from humanoid_mjx.compute import compiler_options, rng
+from humanoid_mjx.compute import rng
 from humanoid_mjx.compute.indexing import add_at
 from humanoid_mjx.learners.rollout import greedy, rollout
 from humanoid_mjx.tasks.finite import Rules
@@ -135,20 +135,6 @@ def test_printed_rules_give_the_printed_tables(joint, value):
     carry = train_to_end(learner).carry
     assert np.allclose(carry.q_table[:, 4, 1], value, rtol=1e-6)
     assert np.array_equal(carry.q_table[:, :4, 0], carry.q_table[:, :4, 1])
-
-
-def test_vectors_of_any_width_give_the_same_bits():
-    learner = make_learner("tabular_q", make_task("joint_reach", success_rate=0.8), epsilon_decay=0.9, episodes=50)
-    learners = jax.tree.map(lambda x: jnp.full(40, x), learner).replace(epsilon=jnp.linspace(0.1, 0.9, 40))
-    training = jax.jit(jax.vmap(begin))(learners, jax.random.split(rng.key(1), 40))
-    options, width = compiler_options(learner.task.arithmetic, learner.program), "xla_cpu_prefer_vector_width"
-    assert options[width] == "512"
-    train = jax.vmap(advance, in_axes=(0, 0, None))
-    wide, narrow = (jax.jit(train, compiler_options=options | {width: bits}) for bits in ("512", "128"))
-    found, expected = wide(learners, training, 640)[0], narrow(learners, training, 640)[0]
-    assert expected.record[..., 0].sum() > 40
-    np.testing.assert_array_equal(found.carry.q_table, expected.carry.q_table)
-    np.testing.assert_array_equal(found.record, expected.record)
 
 
 def test_collective_update_is_the_mean_over_agents():

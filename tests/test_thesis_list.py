@@ -1,10 +1,9 @@
-"""docs/thesis.md: every figure, table and numbered equation once, every experiment named, every link alive."""
+"""docs/thesis.md: every figure, table and numbered equation once, and every experiment named."""
 
 import re
 from pathlib import Path
 
 from humanoid_mjx.reproduction import load_experiments
-from humanoid_mjx.reproduction.errata import ENTRIES
 
 DOCS = Path(__file__).parent.parent / "docs"
 TEXT = (DOCS / "thesis.md").read_text(encoding="utf-8")
@@ -41,31 +40,6 @@ def test_nothing_is_missing_or_named_twice():
     assert list(numbers("Equations")) == everything(EQUATIONS)
 
 
-def test_every_row_says_what_became_of_it():
-    for heading in ("Figures", "Tables", "Equations", "What is said without a number"):
-        for row in rows(heading):
-            assert len(row) == 3 and all(row), row
-
-
 def test_every_experiment_is_named_and_every_name_is_one():
     named = set(re.findall(r"`([a-z]+(?:-[a-z0-9.]+)+|errata)`", TEXT))
     assert named == set(load_experiments())
-
-
-def test_links_lead_somewhere():
-    links = re.findall(r"\]\(([^)]+)\)", TEXT)
-    assert len(links) > 20
-    assert not [link for link in links if not (DOCS / link).resolve().exists()]
-
-
-def test_equations_with_an_erratum_say_so():
-    for entry in ENTRIES:
-        for chapter, number in re.findall(r"\((\d)\.(\d+)\)", entry.place):
-            wanted = (int(chapter), int(number))
-            row = next(row for row in rows("Equations") if wanted in set(_covered(row[0])))
-            assert "`errata`" in row[2], (entry.place, row)
-
-
-def _covered(first):
-    ends = re.findall(r"(\d+)\.(\d+)", first)
-    return ((int(ends[0][0]), number) for number in range(int(ends[0][1]), int(ends[-1][1]) + 1))

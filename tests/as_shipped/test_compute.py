@@ -109,21 +109,15 @@ def test_sums_over_arrays_of_seven_axes_do_not_crash():
 
 def test_flags_that_the_environment_sets_are_kept():
     program = "import os; from humanoid_mjx import start; start(); print(os.environ['XLA_FLAGS'])"
-    for given, kept in (
-        ("", compute.XLA_FLAGS),
-        ("--xla_disable_hlo_passes=dce", "--xla_disable_hlo_passes=dce"),
-        ("--xla_cpu_enable_fast_math=false", f"--xla_cpu_enable_fast_math=false {compute.XLA_FLAGS}"),
-    ):
-        environment = os.environ | {"XLA_FLAGS": given, "JAX_PLATFORMS": "cpu"}
-        done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
-        assert done.stdout.strip() == kept
+    environment = os.environ | {"XLA_FLAGS": "--xla_cpu_enable_fast_math=false", "JAX_PLATFORMS": "cpu"}
+    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
+    assert done.stdout.strip() == f"--xla_cpu_enable_fast_math=false {compute.XLA_FLAGS}"
 
 
 @pytest.mark.parametrize(
     ("platforms", "plugin", "device", "found"),
     [
         ("", "xla_cuda13", "nvidia0", True),
-        ("cuda,cpu", "xla_cuda12", "nvidia3", True),
         ("cpu", "xla_cuda13", "nvidia0", False),
         ("", "xla_rocm", "nvidia0", False),
         ("", "xla_cuda13", "nvidiactl", False),
@@ -157,29 +151,11 @@ def compiled(task: str) -> str:
     return pool.programs.advance.lower(pool.learners, pool.training, np.int32(1)).compile().as_text()
 
 
-@pytest.mark.parametrize(("physics", "short"), [("chain", True), ("mjx-jax", False)])
-def test_short_kernels_are_graphs_on_a_gpu(monkeypatch, physics, short):
-    task = {"name": "leg_reach", "physics": physics}
-    (group,) = make_plan(parse({"name": "c", "task": task, "learner": {"name": "linear_q"}})).groups
-    kind = group.learners.task.arithmetic, group.learners.program
-    assert "xla_gpu_graph_min_graph_size" not in compute.compiler_options(*kind)
-    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    assert ("xla_gpu_graph_min_graph_size" in compute.compiler_options(*kind)) == short
-
-
 def test_tables_on_every_core_are_not_split_over_the_pool(monkeypatch):
     assert jax.local_device_count() > 1
     assert "outer_dimension_partitions" not in compiled("joint_reach")
     monkeypatch.setattr(options, "SPLITTING", "dce")
     assert "outer_dimension_partitions" in compiled("navigate")
-
-
-def test_a_program_alone_may_use_every_thread(monkeypatch):
-    passes = [compute.compiler_options("scalars", "tabular", every)[options.PASSES] for every in (False, True)]
-    assert passes == ["none", f"none,{options.SPLITTING}"]
-    assert options.PASSES not in compute.compiler_options("arrays", "tabular", every_device=True)
-    monkeypatch.setattr(jax, "local_device_count", lambda: 1)
-    assert compute.compiler_options("scalars", "tabular", every_device=True)[options.PASSES] == "none"
 
 
 def test_this_xla_knows_every_option_and_one_that_it_does_not_know_is_left_out_with_a_warning(monkeypatch, caplog):
@@ -198,9 +174,7 @@ def test_this_xla_knows_every_option_and_one_that_it_does_not_know_is_left_out_w
     [
         ("cpu", None, "no GPU"),
         ("gpu", "9.0", None),
-        ("gpu", "8.0", None),
         ("gpu", "7.5", "Ampere"),
-        ("gpu", "gfx90a", "Ampere"),
         ("gpu", None, "Ampere"),
     ],
 )

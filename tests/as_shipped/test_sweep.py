@@ -1,9 +1,7 @@
 """Sweeps: the same bits alone or together and in any pool; what is refused, reported and compiled."""
 
 import json
-import os
 import sys
-import time
 from collections import deque
 from pathlib import Path
 
@@ -15,7 +13,6 @@ from small_sweep import CONFIG, assert_same_tables, run_cli, write_config
 from humanoid_mjx import InputError, compute, sweep
 from humanoid_mjx.cli import main
 from humanoid_mjx.config import parse
-from humanoid_mjx.learners.tabular import TabularQ
 from humanoid_mjx.runs.folder import RunFolder, read_arrays
 from humanoid_mjx.training import pool
 from humanoid_mjx.training.plan import make_plan
@@ -193,12 +190,6 @@ class TestRefusals:
         sweep(CONFIG, copy / "run", resume=True)
         assert results.read_bytes() == (reference.path / "results.parquet").read_bytes()
 
-    @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
-    def test_a_place_that_cannot_be_written(self, refused, tmp_path):
-        (tmp_path / "shut").mkdir(mode=0o500)
-        config = write_config(tmp_path)
-        refused(["cannot be written"], "sweep", config, "--out", "shut/run", cwd=tmp_path)
-
     def test_a_place_below_a_file(self, refused, tmp_path):
         (tmp_path / "file").write_text("data")
         config = write_config(tmp_path)
@@ -229,33 +220,6 @@ def test_where_memory_does_not_suffice_fewer_runs_train_side_by_side(reference, 
     assert_same_tables(tmp_path / "run", reference.path)
 
 
-def test_a_run_that_begins_in_the_place_of_another_has_made_no_progress(monkeypatch):
-    """Who looks on while it is made ready would else count the last one twice."""
-    group = make_plan(parse(CONFIG | {"sweep": None})).groups[0]
-    runs = pool.Pool(group, deque(group.runs.tolist()), 1, jax.local_devices()[:1], seed=0)
-    seen, call = [], pool.Pool._call
-
-    def watched(self, name, *args):
-        if name == "begin":
-            seen.append((self.progress.tolist(), np.isnan(self.recent).all()))
-        return call(self, name, *args)
-
-    monkeypatch.setattr(pool.Pool, "_call", watched)
-    runs.fill()
-    while runs.busy.any():
-        runs.train()
-        if runs.harvest():
-            runs.fill()
-    assert seen == [([0.0], True)] * CONFIG["seeds"]
-
-
-def test_a_second_sweep_of_a_process_compiles_nothing(reference, tmp_path):
-    with compute.counting_compiles() as compiles:
-        again = sweep(CONFIG, tmp_path / "run")
-    assert compiles.programs == 0
-    same_bits(again.summary, reference.summary)
-
-
 def new_pool(**changes):
     """A pool of one run, on one device."""
     (group,) = make_plan(parse(with_axes(learner__epsilon=[0.3]) | {"seeds": 1} | changes)).groups
@@ -279,31 +243,6 @@ def test_training_steps_compile_beside_the_beginning_and_what_ends_runs_beside_t
         runs.train()
     assert harvest[0].tolist() == [0] and runs.phase == "evaluating"
     assert len(being_compiled(runs)) == before + 3
-
-
-def test_on_one_device_nothing_is_traced_twice_for_training(monkeypatch):
-    """Tracing the physics of a legged task takes seconds."""
-    runs = new_pool(record=5, task=CONFIG["task"] | {"states": 9})
-    traced, step = [], TabularQ.train_step
-    monkeypatch.setattr(TabularQ, "train_step", lambda *args: traced.append(args) or step(*args))
-    runs.prepare()
-    assert not traced  # but when the pool was planned
-
-
-def test_what_cannot_be_compiled_beside_training_is_tried_again_when_it_is_needed():
-    class Broken:
-        def lower(self, *args):
-            raise MemoryError("no room for the compiler")
-
-    runs = new_pool(record=4, task=CONFIG["task"] | {"states": 10})
-    whole = runs.programs
-    runs.programs = whole._replace(finish=Broken())
-    runs.fill()
-    runs.train()  # which needs nothing of it
-    with pytest.raises(MemoryError, match="no room"):
-        runs.finish()
-    runs.programs = whole
-    assert set(runs.finish()) == {"curve", "final", "policy"}
 
 
 def test_runs_that_approximate_train_side_by_side_with_shared_kernels(tmp_path):
@@ -330,24 +269,3 @@ def test_a_flipped_bit_of_a_checkpoint_is_named_or_harmless(tmp_path):
             assert "truncated or damaged" in str(error)
             refused += 1
     assert refused > 4 * len(whole)
-
-
-def test_what_is_reported_never_goes_back_while_runs_are_stored(tmp_path, monkeypatch):
-    done = []
-
-    class Kept(Reporter):
-        def update(self, state):
-            done.append(state.done)
-
-    store = RunFolder.add_part
-
-    def slow(self, arrays):
-        time.sleep(0.3)  # three looks
-        store(self, arrays)
-
-    monkeypatch.setattr(RunFolder, "add_part", slow)
-    monkeypatch.setattr(pool, "MAX_STEPS", 32)
-    monkeypatch.setattr(pool, "HARVEST_SHARE", 0.1)
-    learner = CONFIG["learner"] | {"epsilon_decay": 1.0}
-    sweep(CONFIG | {"learner": learner, "episodes": 400}, tmp_path / "run", pool_size=4, reporter=Kept())
-    assert len(set(done)) > 3 and done == sorted(done)

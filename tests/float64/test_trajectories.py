@@ -1,7 +1,6 @@
 """Trajectories, gaits and the pattern generator in double precision, against scipy and finite differences."""
 
 from functools import partial
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +16,6 @@ from humanoid_mjx import InputError
 from humanoid_mjx.mechanics import gaits, trajectories
 from humanoid_mjx.mechanics import pattern_generator as cpg
 from humanoid_mjx.mechanics.trajectories import Motion
-from humanoid_mjx.robot.ranges import joint_ranges
 from humanoid_mjx.thesis import leg as thesis
 
 TIMES = np.array(thesis.GAIT_TIMES_S)
@@ -28,7 +26,6 @@ quintic_at = jax.jit(jax.vmap(trajectories.Quintic.at, in_axes=(None, 0)))
 make_quintic = jax.jit(trajectories.quintic)
 gait_at = jax.jit(jax.vmap(gaits.Gait.at, in_axes=(None, 0)))
 legs_at = jax.jit(jax.vmap(gaits.Gait.both_legs, in_axes=(None, 0)))
-step = jax.jit(cpg.step)
 unequal_steps = jax.jit(lambda params, state, dt: jax.lax.scan(partial(cpg.step, params), state, dt))
 
 boundary = st.lists(st.floats(-5, 5), min_size=3, max_size=3)
@@ -95,68 +92,6 @@ def test_the_left_leg_is_half_a_period_later():
     both, right = legs_at(TURN, t), gait_at(TURN, t)
     np.testing.assert_allclose(both.position[:, 0], right.position, atol=1e-14)
     np.testing.assert_allclose(legs_at(TURN, t + 0.4).position[:, 1], right.position, atol=1e-12)
-
-
-class Excursion(NamedTuple):
-    """How far and how fast a gait moves a joint: rad, rad/s and rad/s^2."""
-
-    joint: str
-    lowest: float
-    highest: float
-    peak_velocity: float
-    peak_acceleration: float
-    within: bool
-    """Whether it stays in the joint's range."""
-
-
-def excursions(motion, ranges):
-    """How far and how fast a gait moves each joint, exactly, and whether it leaves the ranges ((5, 2), rad)."""
-    spans = np.diff(np.asarray(motion.knots, float))
-    coefficients = np.asarray(motion.coefficients, float)
-    found = []
-    for joint, (low, high) in enumerate(np.asarray(ranges, float)):
-        positions, velocities, accelerations = [], [], []
-        for span, (c0, c1, c2, c3) in zip(spans, coefficients[:, :, joint], strict=True):
-            position = np.polynomial.Polynomial([c0, c1, c2, c3])
-            velocity, acceleration = position.deriv(), position.deriv(2)
-            positions += extremes(position, span)
-            velocities += extremes(velocity, span)
-            accelerations += extremes(acceleration, span)
-        lowest, highest = min(positions), max(positions)
-        within = bool(low - 1e-6 <= lowest and highest <= high + 1e-6)
-        peaks = max(map(abs, velocities)), max(map(abs, accelerations))
-        found.append(Excursion(thesis.JOINT_NAMES[joint], lowest, highest, *peaks, within))
-    return found
-
-
-def extremes(polynomial, span):
-    """The values at both ends and at the turning points between them."""
-    turning = [float(x.real) for x in polynomial.deriv().roots() if abs(x.imag) < 1e-12 and 0 < x.real < span]
-    return [float(polynomial(x)) for x in (0.0, span, *turning)]
-
-
-def test_what_the_tables_do_to_the_ranges():
-    ranges = joint_ranges("proposed")
-    spline = {e.joint: e for e in excursions(TURN, ranges)}
-    linear = {e.joint: e for e in excursions(SLOW, ranges)}
-    expected = {  # degrees and degrees per second, from dense samples of scipy's spline
-        "ankle_pitch": (-11.5, 12.1, 151, 131, 1857),
-        "knee_pitch": (-14.1, 17.3, 219, 187, 2980),
-        "hip_pitch": (-15.6, 15.4, 230, 188, 4106),
-        "hip_yaw": (0.0, 5.67, 50.4, 37.5, 1238),
-    }
-    for joint, (low, high, fast, fast_linear, hard) in expected.items():
-        found = np.degrees(spline[joint][1:5])
-        np.testing.assert_allclose(found, [low, high, fast, hard], rtol=4e-3, atol=0.06)
-        np.testing.assert_allclose(np.degrees(linear[joint].peak_velocity), fast_linear, rtol=3e-3)
-        column = CubicSpline(TIMES, thesis.SUDDEN_TURN[joint], bc_type="periodic")
-        dense = np.linspace(0, 0.8, 20_001)
-        sampled = [column(dense).min(), column(dense).max(), np.abs(column(dense, 1)).max()]
-        np.testing.assert_allclose(found[:3], sampled, rtol=1e-5, atol=1e-5)
-    assert {joint for joint, e in spline.items() if not e.within} == {"knee_pitch", "hip_pitch"}
-    assert {joint for joint, e in linear.items() if not e.within} == {"knee_pitch"}
-    human = {e.joint for e in excursions(TURN, joint_ranges("human")) if not e.within}
-    assert human == {"knee_pitch", "hip_pitch"}
 
 
 def test_gait_refuses_unknown_names():
