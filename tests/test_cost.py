@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from humanoid_mjx import InputError, sweep
 from humanoid_mjx.cli import app
 from humanoid_mjx.config import parse
-from humanoid_mjx.runs.disk import disk_used
+from humanoid_mjx.runs.folder import disk_used
 from humanoid_mjx.training.cost import disk_bytes
 from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.pool import Pool
@@ -67,7 +67,7 @@ def test_what_the_disk_cannot_hold_is_refused_before_training(tmp_path, free):
     needed = disk_bytes(make_plan(parse(TABLES)), [200])
     free(needed // 2)
     place = tmp_path / "some/where/run"
-    with pytest.raises(InputError, match=r"run: the run takes an estimated .*iB on disk and .*iB are free; "):
+    with pytest.raises(InputError, match=r"run: the run takes an estimated .*B on disk and .*B are free; "):
         sweep(TABLES, place)
     assert not (tmp_path / "some").exists()
     free(needed)
@@ -83,8 +83,8 @@ def test_the_command_refuses_in_one_sentence_and_info_says_the_estimate(tmp_path
     monkeypatch.chdir(tmp_path)
     Path("tables.yaml").write_text(json.dumps(TABLES))
     shown = CliRunner().invoke(app, ["info", "tables.yaml"])
-    assert "on disk an estimated" in shown.output and "iB, without figures" in shown.output
+    assert "on disk an estimated" in shown.output and "B, without figures" in shown.output
     free(1000)
     refused = CliRunner().invoke(app, ["sweep", "tables.yaml"])
-    assert isinstance(refused.exception, InputError) and "and 1.0 KiB are free" in str(refused.exception)
+    assert isinstance(refused.exception, InputError) and "and 1.0 kB are free" in str(refused.exception)
     assert not Path("runs").exists()

@@ -4,13 +4,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rich.filesize import decimal
 from rich.table import Table
 
 from humanoid_mjx import compute
 from humanoid_mjx.commands import console, counted
 from humanoid_mjx.config import dump_yaml, load
 from humanoid_mjx.files import names
-from humanoid_mjx.runs.disk import in_words
 from humanoid_mjx.spec import InputError, known
 from humanoid_mjx.training.progress import Bar
 
@@ -163,10 +163,10 @@ def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
     console.print(
         f"\n{counted(len(plan.points), 'point')} x {counted(plan.config.seeds, 'seed')} = "
         f"{counted(plan.num_runs, 'run')} in {counted(len(plan.groups), 'compiled program')}; "
-        f"training state {in_words(size)} if all were held at once, "
-        f"a run that trains an estimated {in_words(most)}"
+        f"training state {decimal(size)} if all were held at once, "
+        f"a run that trains an estimated {decimal(most)}"
     )
-    console.print(f"on disk an estimated {in_words(disk_bytes(plan, together))}, without figures")
+    console.print(f"on disk an estimated {decimal(disk_bytes(plan, together))}, without figures")
     if refusal:
         console.print(f"sweep refuses it here: {refusal}")
     for reason in dict.fromkeys(why_not(group.learner()) for group in plan.groups if plan.unit == "episode"):

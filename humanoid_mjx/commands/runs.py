@@ -5,11 +5,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from rich.filesize import decimal
 from rich.table import Table
 
 from humanoid_mjx import compute
 from humanoid_mjx.commands import console
-from humanoid_mjx.runs.disk import in_words
 from humanoid_mjx.runs.folder import elsewhere
 from humanoid_mjx.runs.listing import Listed, list_runs
 from humanoid_mjx.spec import InputError, check_folder
@@ -50,7 +50,7 @@ def runs_table(found: Sequence[Listed]) -> Table:
             f"{run.success:.1%}" if np.isfinite(run.success) else "",
             f"{run.greedy_return:.4g}" if np.isfinite(run.greedy_return) else "",
             f"{run.started.astimezone():%Y-%m-%d %H:%M}",
-            in_words(run.size),
+            decimal(run.size),
         )
     return table
 

@@ -85,7 +85,7 @@ def best_policy(path: Path, point: int | None = None) -> Trained:
     Raises:
       InputError: this is no run folder, nothing in it or of the point is finished, or its files are damaged.
     """
-    return _ranked(path, point, all_seeds=False)[0]
+    return policies_of_best(path, point)[0]
 
 
 def policies_of_best(path: Path, point: int | None = None) -> list[Trained]:
@@ -95,53 +95,34 @@ def policies_of_best(path: Path, point: int | None = None) -> list[Trained]:
     Raises:
       InputError: as `best_policy`.
     """
-    return _ranked(path, point, all_seeds=True)
-
-
-def _ranked(path: Path, point: int | None, all_seeds: bool) -> list[Trained]:
     data = read_config(path)
     config = parse(data, str(path / "config.yaml"))
-    points = points_of(config)
+    points, quickest = points_of(config), config.episodes is not None
     arrays = finished_runs(path, ("point", "seed", "policy", *(f"curve.{name}" for name in WHOLE), "final."))
     if not arrays:
         raise InputError(f"{path}: holds no finished run; --resume it first.")
     if point is not None and point not in arrays["point"]:
         raise InputError(f"--point {point}: {path} holds no finished run of it; it has {len(points)}, from 0 on.")
     try:
-        return _best_runs(path, config, data, points, arrays, point, all_seeds)
+        if point is None:
+            point = ranked((), {"point": arrays["point"]} | scores(arrays), quickest)[0].point
+        cost = arrays["final.greedy_steps"] if quickest else -arrays["final.greedy_return"]
+        order, values = np.lexsort((cost, -arrays["final.greedy_success"])), points[point]
     except LookupError as error:
         raise InputError(f"{path / 'checkpoint'}: what it holds does not fit the config beside it.") from error
-
-
-def _best_runs(
-    path: Path,
-    config: Config,
-    data: dict[str, Any],
-    points: list[dict[str, Any]],
-    arrays: dict[str, np.ndarray],
-    point: int | None,
-    all_seeds: bool,
-) -> list[Trained]:
-    """The runs of a point of finished `arrays`, or of the best one: the best of them, or all."""
-    quickest = config.episodes is not None
-    if point is None:
-        point = ranked((), {"point": arrays["point"]} | scores(arrays), quickest)[0].point
-    cost = arrays["final.greedy_steps"] if quickest else -arrays["final.greedy_return"]
-    rows = np.flatnonzero(arrays["point"] == point)
-    rows = rows[np.lexsort((cost[rows], -arrays["final.greedy_success"][rows]))][: None if all_seeds else 1]
     own: dict[str, Any] = {key: value for key, value in data.items() if key != "sweep"} | {"seeds": 1}
-    for key, value in points[point].items():
+    for key, value in values.items():
         set_dotted(own, key, value)
     alone = parse(own, config.source)
     provenance, (group,) = read_provenance(path), make_plan(alone).groups
-
-    def trained(row: int) -> Trained:
+    found = []
+    for row in order[arrays["point"][order] == point].tolist():
         final = {name: float(array[row]) for name, array in arrays.items() if name.startswith("final.greedy_")}
         learned = {name: array[row] for name, array in arrays.items() if name.startswith("policy")}
         place, origin = (point, int(arrays["seed"][row])), {"scores": final, "provenance": provenance}
-        return Trained(group.learner(), _policy(group, learned, path), *place, path.resolve().name, alone, origin)
-
-    return [trained(row) for row in rows.tolist()]
+        policy = _policy(group, learned, path)
+        found.append(Trained(group.learner(), policy, *place, path.resolve().name, alone, origin))
+    return found
 
 
 def save_policy(trained: Trained, path: Path) -> None:

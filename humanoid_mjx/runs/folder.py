@@ -273,6 +273,15 @@ def latest_path(name: str, root: Path = Path("runs")) -> Path:
     return path
 
 
+def disk_used(path: Path) -> int:
+    """The bytes of all files below a folder."""
+    size = 0
+    for file in path.rglob("*"):
+        with contextlib.suppress(FileNotFoundError):  # renamed meanwhile by a sweep that writes
+            size += file.lstat().st_size * (not file.is_dir())
+    return size
+
+
 def _only_begun(path: Path) -> bool:
     """Whether a folder holds nothing, or what a kill leaves of a run folder before it has a config."""
     checkpoint = path / "checkpoint"

@@ -11,8 +11,7 @@ import numpy as np
 
 from humanoid_mjx.config import parse
 from humanoid_mjx.config.axes import sweep_points
-from humanoid_mjx.runs.disk import disk_used
-from humanoid_mjx.runs.folder import damaged, pools, read_arrays, read_config, read_provenance
+from humanoid_mjx.runs.folder import damaged, disk_used, pools, read_arrays, read_config, read_provenance
 from humanoid_mjx.runs.ranking import ranked
 from humanoid_mjx.runs.tables import finished_runs, read_table
 from humanoid_mjx.spec import InputError

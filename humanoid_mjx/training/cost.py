@@ -10,9 +10,10 @@ from pathlib import Path
 import jax
 import numpy as np
 from jax.extend import core
+from rich.filesize import decimal
 
 from humanoid_mjx import compute
-from humanoid_mjx.runs.disk import disk_used, in_words
+from humanoid_mjx.runs.folder import disk_used
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.plan import Group, Plan
 from humanoid_mjx.training.program import SHOWN, advance, measures
@@ -140,7 +141,7 @@ def check_disk(place: Path, plan: Plan, slots: Sequence[int]) -> None:
     free = shutil.disk_usage(there).free + (disk_used(place) if place.is_dir() else 0)
     if needed > free:
         raise InputError(
-            f"{place}: the run takes an estimated {in_words(needed)} on disk and {in_words(free)} are free; train "
+            f"{place}: the run takes an estimated {decimal(needed)} on disk and {decimal(free)} are free; train "
             "fewer points or seeds, record fewer points of the curves, or choose another disk with --out."
         )
 

@@ -171,36 +171,15 @@ def gaits_of(found: dict[str, dict[str, np.ndarray]], scenarios: Sequence[Scenar
 def _program(arithmetic: Arithmetic) -> Callable[..., dict[str, Array]]:
     """(learner, policies, agents' numbers, commands, keys, decisions) -> figures by name, (agents, commands, keys)."""
 
-    def run(
-        learner: Learner, policies: Any, numbers: Array, commands: _Commands, keys: Array, decisions: IntScalar
-    ) -> dict[str, Array]:
-        def over_all(function: Callable[..., Any]) -> Callable[..., Any]:
-            """A function of (index, policy, number, command, key, loop) as one of all of them."""
-            for axes in ((None, None, None, 0, 0), (None, None, 0, None, 0), (0, 0, None, None, 0)):
-                function = jax.vmap(function, in_axes=axes)
-            return function
+    def episode(
+        learner: Learner, policy: Any, number: IntScalar, command: _Commands, key: Key[Array, ""], decisions: IntScalar
+    ) -> dict[str, FloatScalar]:
+        decide = lambda index, loop: _decide(learner, index, policy, number, command, key, loop)  # noqa: E731
+        return _figures(learner, command, jax.lax.fori_loop(0, decisions, decide, _begin(learner, key)))
 
-        def begin(policy: Any, number: IntScalar, command: _Commands, key: Key[Array, ""], _: Array) -> _Loop:
-            return _begin(learner, key)
-
-        def running(carry: tuple[IntScalar, _Loop]) -> BoolScalar:
-            return (carry[0] < decisions) & ~carry[1].fallen.all()
-
-        def step(carry: tuple[IntScalar, _Loop]) -> tuple[IntScalar, _Loop]:
-            index, loop = carry
-            one = lambda *args: _decide(learner, index, *args)  # noqa: E731
-            return index + 1, over_all(one)(policies, numbers, commands, keys, loop)
-
-        def end(policy: Any, number: IntScalar, command: _Commands, key: Key[Array, ""], loop: _Loop) -> Any:
-            return _figures(learner, command, loop)
-
-        shape = len(numbers), len(commands.turn_at), len(keys)
-        args = policies, numbers, commands, keys
-        loop = over_all(begin)(*args, jnp.zeros(shape))
-        _, loop = jax.lax.while_loop(running, step, (jnp.int32(0), loop))
-        return over_all(end)(*args, loop)
-
-    return jax.jit(run, compiler_options=compiler_options(arithmetic))
+    for axes in ((None, None, None, None, 0, None), (None, None, None, 0, None, None), (None, 0, 0, None, None, None)):
+        episode = jax.vmap(episode, in_axes=axes)
+    return jax.jit(episode, compiler_options=compiler_options(arithmetic))
 
 
 def _begin(learner: Learner, key: Key[Array, ""]) -> _Loop:
