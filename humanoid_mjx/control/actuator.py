@@ -13,8 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from humanoid_mjx.spec import InputError
-
 
 class MotorState(NamedTuple):
     """What a motor does at one moment."""
@@ -34,7 +32,7 @@ class MotorState(NamedTuple):
 )
 @dataclass(frozen=True)
 class Motor:
-    """A geared DC motor for each joint, every value a scalar or an array over joints. `Motor.build` checks them.
+    """A geared DC motor for each joint, every value a scalar or an array over joints.
 
     In SI units the back-emf constant equals the torque constant (otherwise the motor would not conserve power), so
     there is one. The armature's inductance is left out, as in (5.23).
@@ -44,50 +42,14 @@ class Motor:
     """K_T = K_b, N m/A or V s/rad (5.21, 5.22)."""
     resistance: Any
     """R_a, ohm."""
-    gear_ratio: Any
+    gear_ratio: Any = 1.0
     """eta, turns of the motor for one of the joint (5.7)."""
-    rotor_inertia: Any
+    rotor_inertia: Any = 0.0
     """I_a, kg m^2."""
-    friction: Any
+    friction: Any = 0.0
     """B_a, viscous friction at the rotor, N m s/rad."""
-    max_voltage: Any
+    max_voltage: Any = np.inf
     """Largest voltage of the driver, V."""
-
-    @classmethod
-    def build(
-        cls,
-        torque_constant: Any,
-        resistance: Any,
-        *,
-        gear_ratio: Any = 1.0,
-        rotor_inertia: Any = 0.0,
-        friction: Any = 0.0,
-        max_voltage: Any = jnp.inf,
-    ) -> "Motor":
-        """Check the values and build the motor.
-
-        Raises:
-          InputError: no resistance, a value that no motor has, shapes that do not fit each other.
-        """
-        positive = {
-            "torque_constant": torque_constant,
-            "resistance": resistance,
-            "gear_ratio": gear_ratio,
-            "max_voltage": max_voltage,
-        }
-        values = positive | {"rotor_inertia": rotor_inertia, "friction": friction}
-        arrays = {name: np.asarray(value, np.float64) for name, value in values.items()}
-        for name, array in arrays.items():
-            right = array > 0 if name in positive else array >= 0
-            finite = np.isfinite(array) | (name == "max_voltage")
-            if not (right & finite).all():
-                bound = "greater than 0" if name in positive else "at least 0"
-                raise InputError(f"{name} must be finite and {bound}, got {array.tolist()}.")
-        try:
-            np.broadcast_shapes(*(array.shape for array in arrays.values()))
-        except ValueError as error:
-            raise InputError(f"the motor's values must be scalars or of one shape: {error}.") from error
-        return cls(**{name: jnp.asarray(array) for name, array in arrays.items()})
 
     @property
     def reflected_inertia(self) -> Any:
@@ -120,11 +82,11 @@ class Motor:
         """What a command of `torque` brings about: the motor's torque-speed line cuts it off where the voltage ends."""
         return self.drive(self.voltage_for(torque, qvel), qvel)
 
-    def stall_torque(self) -> Float[Array, "*joints"]:
+    def stall_torque(self) -> Any:
         """The largest torque at the joint, standing still, N m."""
         return self.gear_ratio * self.torque_constant * self.max_voltage / self.resistance
 
-    def no_load_speed(self) -> Float[Array, "*joints"]:
+    def no_load_speed(self) -> Any:
         """The joint's speed at full voltage without a load, rad/s."""
         loss = self.friction * self.resistance / self.torque_constant
         return self.max_voltage / ((self.torque_constant + loss) * self.gear_ratio)

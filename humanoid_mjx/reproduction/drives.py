@@ -152,7 +152,7 @@ def _selection(motion: dict[str, np.ndarray], config: dict[str, float]) -> Findi
 
 def _able(config: dict[str, float], gears: np.ndarray, torque: np.ndarray, qvel: np.ndarray) -> np.ndarray:
     """(gears, 5) True where the driver's voltage suffices for torques at speeds, (times, 5) (5.21 to 5.24)."""
-    motor = Motor.build(**config, gear_ratio=gears[:, None, None])
+    motor = Motor(**config, gear_ratio=gears[:, None, None])
     voltage = np.asarray(motor.voltage_for(jnp.asarray(torque), jnp.asarray(qvel)))
     return np.abs(voltage).max(axis=1) <= config["max_voltage"]
 

@@ -148,7 +148,7 @@ def test_a_batch_of_robots_equals_single_robots(law):
 
 
 def test_a_lost_or_saturated_robot_changes_no_bit_of_another():
-    motor = Motor.build(0.02, 1.5, gear_ratio=30.0, max_voltage=12.0)
+    motor = Motor(0.02, 1.5, gear_ratio=30.0, max_voltage=12.0)
     leg = Leg.physical()
 
     def simulate(kp, kd, payload, error, cycle, volts):
@@ -203,7 +203,7 @@ def test_a_torque_is_held_over_its_cycle(cycle):
 def test_motors_in_a_rollout_conserve_power():
     """What they draw is heat, friction and the leg's energy, to the first order of the step."""
     leg, seconds = Leg.physical(), 0.1
-    motor = Motor.build(0.02, 1.5, gear_ratio=30.0, friction=1e-7, max_voltage=6.0)
+    motor = Motor(0.02, 1.5, gear_ratio=30.0, friction=1e-7, max_voltage=6.0)
 
     def drive(qpos, qvel):
         return motor.actuate(computed_torque(leg, 4.0 * KP, KD, resting(10 * GOAL), qpos, qvel), qvel)
