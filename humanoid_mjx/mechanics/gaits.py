@@ -1,11 +1,11 @@
 """The gaits of Tables 4.5 and 4.6 as periodic motions of both legs."""
 
-from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from scipy.interpolate import CubicSpline
 
 from humanoid_mjx.mechanics.trajectories import Motion
 from humanoid_mjx.spec import InputError, known
@@ -55,57 +55,14 @@ def gait(name: str, kind: str = "spline") -> Gait:
     """
     if name not in TABLES:
         raise InputError(f"gait: unknown name {name!r}; {known(name, TABLES)}.")
-    return from_table(thesis.GAIT_TIMES_S, TABLES[name], kind)
-
-
-def from_table(times: Sequence[float], degrees: Mapping[str, Sequence[float]], kind: str = "spline") -> Gait:
-    """A gait through the points of a table.
-
-    Args:
-      times: s, from 0 to the period.
-      degrees: the angles at these times by joint name; the last equals the first. Joints not named stay at 0.
-      kind: as for `gait`.
-
-    Raises:
-      InputError: an unknown joint or kind, times that do not rise from 0, angles that are no period.
-    """
-    if odd := [joint for joint in degrees if joint not in thesis.JOINT_NAMES]:
-        raise InputError(f"gait: unknown joint {odd[0]!r}; {known(odd[0], thesis.JOINT_NAMES)}.")
     if kind not in ("spline", "linear"):
         raise InputError(f"gait: kind must be 'spline' or 'linear', got {kind!r}.")
-    knots = np.asarray(times, float)
-    if len(knots) < 4 or knots[0] != 0 or not (np.diff(knots) > 0).all():
-        raise InputError(f"gait: times must rise from 0 and be at least four, got {list(times)}.")
-    angles = np.zeros((len(knots), 5))
-    for joint, column in degrees.items():
-        if len(column) != len(knots) or column[0] != column[-1]:
-            raise InputError(f"gait: {joint} must have {len(knots)} angles, the last equal to the first.")
-        angles[:, thesis.JOINT_NAMES.index(joint)] = np.radians(column)
-    slopes = _spline_slopes(knots, angles) if kind == "spline" else None
-    return Gait(jnp.array(knots), jnp.array(_cubics(knots, angles, slopes)))
-
-
-def _spline_slopes(knots: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """(knots, joints) The slopes at the knots that make a periodic cubic spline's second derivative continuous."""
-    h = np.diff(knots)
-    n = len(h)
-    secants = np.diff(values, axis=0) / h[:, None]
-    matrix, right = np.zeros((n, n)), np.zeros_like(secants)
-    for i in range(n):
-        matrix[i, i - 1] += h[i]
-        matrix[i, i] += 2 * (h[i - 1] + h[i])
-        matrix[i, (i + 1) % n] += h[i - 1]
-        right[i] = 3 * (h[i] * secants[i - 1] + h[i - 1] * secants[i])
-    slopes = np.linalg.solve(matrix, right)
-    return np.concatenate([slopes, slopes[:1]])
-
-
-def _cubics(knots: np.ndarray, values: np.ndarray, slopes: np.ndarray | None) -> np.ndarray:
-    """(spans, 4, joints) The cubics with these slopes at the knots, or straight lines."""
-    h = np.diff(knots)[:, None]
-    secant = np.diff(values, axis=0) / h
-    if slopes is None:
-        return np.stack([values[:-1], secant, 0 * secant, 0 * secant], axis=1)
-    first, second = slopes[:-1], slopes[1:]
-    quadratic = (3 * secant - 2 * first - second) / h
-    return np.stack([values[:-1], first, quadratic, (first + second - 2 * secant) / h**2], axis=1)
+    knots, angles = np.array(thesis.GAIT_TIMES_S), np.zeros((len(thesis.GAIT_TIMES_S), 5))
+    for joint, degrees in TABLES[name].items():
+        angles[:, thesis.JOINT_NAMES.index(joint)] = np.radians(degrees)
+    coefficients = np.zeros((4, len(knots) - 1, 5))
+    if kind == "spline":
+        coefficients[:] = CubicSpline(knots, angles, bc_type="periodic").c[::-1]
+    else:
+        coefficients[:2] = angles[:-1], np.diff(angles, axis=0) / np.diff(knots)[:, None]
+    return Gait(jnp.array(knots), jnp.array(coefficients.swapaxes(0, 1)))

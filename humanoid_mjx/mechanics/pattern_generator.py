@@ -17,7 +17,6 @@ from jaxtyping import Array, Float
 
 from humanoid_mjx.mechanics.gaits import Gait
 from humanoid_mjx.mechanics.trajectories import Motion
-from humanoid_mjx.spec import InputError
 from humanoid_mjx.types import FloatScalar
 
 IN_STEP = jnp.pi
@@ -52,27 +51,6 @@ class State(NamedTuple):
     """Phases of the right and the left leg, rad in [0, 2 pi)."""
     frequency: Follower
     amplitude: Follower
-
-
-def pattern_generator(
-    gait: Gait,
-    frequency: float | None = None,
-    amplitude: float = 1.0,
-    coupling: float = 4.0,
-    response: float = 8.0,
-) -> Params:
-    """Checked parameters; without a frequency, that of the gait's table.
-
-    Raises:
-      InputError: a number that is not positive (or, for the frequency and the amplitude, negative), or not finite.
-    """
-    frequency = float(1 / gait.period) if frequency is None else frequency
-    given = {"frequency": frequency, "amplitude": amplitude, "coupling": coupling, "response": response}
-    for name, value in given.items():
-        if not (0 <= value < float("inf")) or (value == 0 and name in ("coupling", "response")):
-            least = "positive" if name in ("coupling", "response") else "at least 0"
-            raise InputError(f"pattern generator: {name} must be {least} and finite, got {value}.")
-    return Params(gait, *(jnp.asarray(value, float) for value in given.values()))
 
 
 def init(params: Params, phase: FloatScalar = 0.0, lead: FloatScalar = IN_STEP, amplitude: FloatScalar = 0.0) -> State:

@@ -220,7 +220,7 @@ def _plan(trial: Trial, seconds: float) -> control.Reference:
     if trial.frequency is None:
         motion = _played(gait, times, trial.phase)
     else:
-        motion = _generated(pattern_generator.pattern_generator(gait, trial.frequency, trial.amplitude), times)
+        motion = _generated(pattern_generator.Params(gait, trial.frequency, trial.amplitude), times)
     hip, knee, ankle = trial.signs
     leg = np.array([hip, 1, 1, knee, ankle])
     signs = np.stack([leg, leg * ([1, -1, 1, 1, 1] if trial.same_yaw else 1)])

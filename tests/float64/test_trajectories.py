@@ -101,27 +101,13 @@ def test_gait_refuses_unknown_names():
         gaits.gait("straight_walk", "cubic")
 
 
-@pytest.mark.parametrize(
-    ("times", "table", "message"),
-    [
-        ([0, 1, 2, 3], {"hip": [0, 1, 2, 0]}, "unknown joint 'hip'"),
-        ([0, 2, 1, 3], {"hip_yaw": [0, 1, 2, 0]}, "times must rise"),
-        ([0, 1, 2, 3], {"hip_yaw": [0, 1, 2, 3]}, "the last equal to the first"),
-        ([0, 1, 2, 3], {"hip_yaw": [0, 1, 0]}, "must have 4 angles"),
-    ],
-)
-def test_gait_tables_are_checked(times, table, message):
-    with pytest.raises(InputError, match=message):
-        gaits.from_table(times, table)
-
-
 def run(params, state, dt, n):
     state, motions = unequal_steps(params, state, jnp.full(n, dt))
     return state, jax.tree.map(np.array, motions)
 
 
 def test_pattern_generator_settles_into_the_gait():
-    params = cpg.pattern_generator(TURN)
+    params = cpg.Params(TURN, 1.25)
     for seed, lead in enumerate((0.3, -2.0, 3.0, 5.5)):
         start = cpg.init(params, phase=float(seed), lead=lead)
         state, _ = run(params, start, 0.01, 600)
@@ -132,7 +118,7 @@ def test_pattern_generator_settles_into_the_gait():
 
 
 def test_antiphase_is_stable_and_in_phase_is_not():
-    params = cpg.pattern_generator(WALK, coupling=3.0)
+    params = cpg.Params(WALK, 1.25, coupling=3.0)
     for lead, shrinks in ((np.pi + 1e-3, True), (1e-3, False)):
         fixed = np.pi if shrinks else 0.0
         state, _ = run(params, cpg.init(params, lead=lead), 0.01, 50)
@@ -141,7 +127,7 @@ def test_antiphase_is_stable_and_in_phase_is_not():
 
 
 def test_pattern_generator_solves_its_equations():
-    params = cpg.pattern_generator(TURN, frequency=1.0)._replace(frequency=1.7, amplitude=0.6)
+    params = cpg.Params(TURN, 1.7, 0.6)
     start = cpg.init(params, phase=0.4, lead=1.0)._replace(frequency=cpg.Follower(jnp.array(1.0), jnp.array(0.5)))
     k, w = float(params.coupling), float(params.response)
 
@@ -161,8 +147,8 @@ def test_pattern_generator_solves_its_equations():
 
 @pytest.mark.parametrize(("frequency", "amplitude", "smooth"), [(2.5, 1.0, 3), (1.25, 0.4, 2), (2.5, 0.4, 2)])
 def test_outputs_stay_smooth_when_the_commands_jump(frequency, amplitude, smooth):
-    before = cpg.pattern_generator(TURN)
-    after = cpg.pattern_generator(TURN, frequency, amplitude)
+    before = cpg.Params(TURN, 1.25)
+    after = cpg.Params(TURN, frequency, amplitude)
     state, earlier = run(before, cpg.init(before, lead=2.0, amplitude=1.0), 0.01, 37)
     h = 1e-5
     later, motions = run(after, state, h, 37)
@@ -173,10 +159,3 @@ def test_outputs_stay_smooth_when_the_commands_jump(frequency, amplitude, smooth
     for value, rate in ((joined.position, joined.velocity), (joined.velocity, joined.acceleration)):
         middle = (rate[1:-1] + rate[2:]) / 2
         np.testing.assert_allclose(np.diff(value, axis=0)[1:] / h, middle, atol=1e-4)
-
-
-def test_pattern_generator_refuses():
-    with pytest.raises(InputError, match="coupling must be positive"):
-        cpg.pattern_generator(WALK, coupling=0.0)
-    with pytest.raises(InputError, match="frequency must be at least 0"):
-        cpg.pattern_generator(WALK, frequency=-1.0)

@@ -1,103 +1,34 @@
 """Equations 4.1 to 4.8 and 4.22, 4.23 as printed: the pose of the toe and the singularity polynomials."""
 
-from functools import partial
-
 import numpy as np
 
-from humanoid_mjx.reproduction.printed.erratum import Erratum, Formula, States
+from humanoid_mjx.reproduction.printed.erratum import Erratum, States, formula
 
+POSE = {
+    "r11": "c5*(c4*X - c1*c2*s4) - s5*(s4*X + c1*c2*s4)",
+    "r12": "-c5*(s4*X + c1*c2*s4) - s5*(c4*X - c1*c2*s4)",
+    "r13": "s1*s3 + c1*c3*s2",
+    "r14": "l2*s1 + l4*c4*X + l3*c3*s1 + l5*c5*(c4*(c1*s1 - c1*s2*s3) - c1*c2*s4)"
+    " - l5*s5*(s4*X + c1*c2*c4) - l4*c1*c2*s4 - l3*c1*s2*s3",
+    "r21": "s5*(s4*Y - c2*c4*s1) - c5*(c4*Y + c2*s1*s4)",
+    "r22": "c5*(s4*Y - c2*c4*s1) + s5*(c4*Y + c2*s1*s4)",
+    "r23": "c1*s1*s2 - c1*s3",
+    "r24": "l5*s5*(s4*Y - c2*c4*s1) - l4*c4*Y - l3*c1*c3 - l5*c5*(c4*Y + c2*s1*s4) - l2*c1 - l4*c2*s1*s4 - l3*s1*s2*s3",
+    "r31": "-c5*(s2*s4 - c2*c4*s3) - s5*(c4*s2 + c2*s3*s4)",
+    "r32": "s5*(s2*s4 - c2*c4*s3) - c5*(c4*s2 + c2*s3*s4)",
+    "r33": "-c2*c3",
+    "r34": "l1 - l5*c5*(s2*s4 - c2*c4*s3) - l5*s5*(c4*s2 + c2*s3*s4) + l3*c2*s3 - l4*s2*s4 + l4*c2*c4*s3",
+}
+"""The twelve entries of equation 4.6."""
 
-def sines(states: States) -> tuple[np.ndarray, ...]:
-    """Cosine and sine of each joint: c1, s1, c2, s2, ... in this order."""
-    return tuple(f(angle) for angle in states.q for f in (np.cos, np.sin))
+POLYNOMIAL = (
+    "0.000353*s2*s5 - 0.000839*s2*s4 + 0.000353*c3*s5{third} + 0.000821*c4*s2*s5 + 0.000839*c5*c5*s2*s4"
+    " + 0.000839*c2*c4*s3 - 0.000839*c2*c4*c5*c5*s3 + 0.000839*c4*c5*s2*s5"
+    " + 0.000821*c2*s3*s4*s5 + 0.000833*c2*c5*s3*s4*s5"
+)
+"""Equation 4.22, which 4.23 repeats but for one factor of the third term."""
 
-
-def pose_entries(states: States) -> dict[str, np.ndarray]:
-    """The twelve entries of equation 4.6, letter by letter."""
-    c1, s1, c2, s2, c3, s3, c4, s4, c5, s5 = sines(states)
-    l1, l2, l3, l4, l5 = states.lengths
-    x, y = c3 * s1 - c1 * s2 * s3, c1 * c3 + s1 * s2 * s3
-    return {
-        "r11": c5 * (c4 * x - c1 * c2 * s4) - s5 * (s4 * x + c1 * c2 * s4),
-        "r12": -c5 * (s4 * x + c1 * c2 * s4) - s5 * (c4 * x - c1 * c2 * s4),
-        "r13": s1 * s3 + c1 * c3 * s2,
-        "r14": l2 * s1
-        + l4 * c4 * x
-        + l3 * c3 * s1
-        + l5 * c5 * (c4 * (c1 * s1 - c1 * s2 * s3) - c1 * c2 * s4)
-        - l5 * s5 * (s4 * x + c1 * c2 * c4)
-        - l4 * c1 * c2 * s4
-        - l3 * c1 * s2 * s3,
-        "r21": s5 * (s4 * y - c2 * c4 * s1) - c5 * (c4 * y + c2 * s1 * s4),
-        "r22": c5 * (s4 * y - c2 * c4 * s1) + s5 * (c4 * y + c2 * s1 * s4),
-        "r23": c1 * s1 * s2 - c1 * s3,
-        "r24": l5 * s5 * (s4 * y - c2 * c4 * s1)
-        - l4 * c4 * y
-        - l3 * c1 * c3
-        - l5 * c5 * (c4 * y + c2 * s1 * s4)
-        - l2 * c1
-        - l4 * c2 * s1 * s4
-        - l3 * s1 * s2 * s3,
-        "r31": -c5 * (s2 * s4 - c2 * c4 * s3) - s5 * (c4 * s2 + c2 * s3 * s4),
-        "r32": s5 * (s2 * s4 - c2 * c4 * s3) - c5 * (c4 * s2 + c2 * s3 * s4),
-        "r33": -c2 * c3,
-        "r34": l1
-        - l5 * c5 * (s2 * s4 - c2 * c4 * s3)
-        - l5 * s5 * (c4 * s2 + c2 * s3 * s4)
-        + l3 * c2 * s3
-        - l4 * s2 * s4
-        + l4 * c2 * c4 * s3,
-    }
-
-
-def singularity_polynomial(states: States) -> np.ndarray:
-    """Equation 4.22, which 4.23 repeats but for one factor."""
-    return _polynomial(states, third=1.0)
-
-
-def torso_polynomial(states: States) -> np.ndarray:
-    """Equation 4.23."""
-    return _polynomial(states, third=np.sin(states.q[1]))
-
-
-def _polynomial(states: States, third: float | np.ndarray) -> np.ndarray:
-    _, _, c2, s2, c3, s3, c4, s4, c5, s5 = sines(states)
-    return (
-        0.000353 * s2 * s5
-        - 0.000839 * s2 * s4
-        + 0.000353 * c3 * s5 * third
-        + 0.000821 * c4 * s2 * s5
-        + 0.000839 * c5 * c5 * s2 * s4
-        + 0.000839 * c2 * c4 * s3
-        - 0.000839 * c2 * c4 * c5 * c5 * s3
-        + 0.000839 * c4 * c5 * s2 * s5
-        + 0.000821 * c2 * s3 * s4 * s5
-        + 0.000833 * c2 * c5 * s3 * s4 * s5
-    )
-
-
-def pose_entry(name: str) -> Formula:
-    """The true entry `r11` to `r34`."""
-    row, column = int(name[1]) - 1, int(name[2]) - 1
-    return lambda states: states.true["pose"][:, row, column]
-
-
-def link(joint: int) -> Formula:
-    """The true transformation from frame joint - 1 to frame joint, (4, 4, n)."""
-    return lambda states: np.moveaxis(states.true["links"][:, joint - 1], 0, -1)
-
-
-def _a1_row_3(states: States) -> np.ndarray:
-    return np.broadcast_to(np.array([0, 0, 0, states.lengths[0]])[:, None], (4, states.q.shape[1]))
-
-
-def _a4_printed(states: States) -> np.ndarray:
-    return states.lengths[3] * states.q[3]
-
-
-def _translation(states: States, joint: int) -> np.ndarray:
-    """The position that Trans(0, 0, l) gives in equations 4.3 to 4.5."""
-    return np.broadcast_to(np.array([0, 0, states.lengths[joint - 1]])[:, None], (3, states.q.shape[1]))
+LEG, TORSO = POLYNOMIAL.format(third=""), POLYNOMIAL.format(third="*s2")
 
 
 def _leg_determinant(states: States) -> np.ndarray:
@@ -121,30 +52,32 @@ ERRATA = (
             f"(4.{joint})",
             f"the length l{joint} is a translation along z, Trans(0, 0, l{joint})",
             f"along x, Trans(l{joint}, 0, 0)",
-            partial(_translation, joint=joint),
-            lambda states, joint=joint: link(joint)(states)[:3, 3],
+            formula("0", "0", f"l{joint}"),
+            formula(f"A[{joint - 1}, :3, 3]"),
             "m",
         )
         for joint in (3, 4, 5)
     ),
-    Erratum("A1, row 3", "0 0 0 l1", "0 1 0 l1", _a1_row_3, lambda states: link(1)(states)[2]),
-    Erratum("A4, row 2", "l4 theta4", "l4 S4", _a4_printed, lambda states: link(4)(states)[1, 3], "m"),
+    Erratum("A1, row 3", "0 0 0 l1", "0 1 0 l1", formula("0", "0", "0", "l1"), formula("A[0, 2]")),
+    Erratum("A4, row 2", "l4 theta4", "l4 S4", formula("l4*theta4"), formula("A[3, 1, 3]"), "m"),
     *(
         Erratum(
             f"(4.6) {name}",
             *_FAULTS.get(name, ("none", "")),
-            lambda states, name=name: pose_entries(states)[name],
-            pose_entry(name),
+            formula(text),
+            formula(f"T[{name[1]} - 1, {name[2]} - 1]"),
             "m" if name.endswith("4") else "",
         )
-        for name in (f"r{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3, 4))
+        for name, text in POSE.items()
     ),
-    Erratum("(4.7), (4.8), (4.11), row 3", "n_z twice", "the second is o_z", pose_entry("r31"), pose_entry("r32")),
+    Erratum(
+        "(4.7), (4.8), (4.11), row 3", "n_z twice", "the second is o_z", formula(POSE["r31"]), formula(POSE["r32"])
+    ),
     Erratum(
         "(4.22)",
         "the third term lacks S2, and .000833 stands for .000839",
         ".000353 C3 S2 S5 and .000839: the determinant of the velocities of joints 1, 4 and 5",
-        singularity_polynomial,
+        formula(LEG),
         _leg_determinant,
         "m^3",
     ),
@@ -152,7 +85,7 @@ ERRATA = (
         "(4.23)",
         "repeats the leg's polynomial",
         "-B S3 (B C2 S3 - K S2), B = l3 + l4 C4 + l5 C45, K = l4 S4 + l5 S45",
-        torso_polynomial,
+        formula(TORSO),
         _torso_determinant,
         "m^2",
     ),
@@ -160,7 +93,7 @@ ERRATA = (
         "(4.23) read as the leg's determinant",
         ".000833 stands for .000839",
         ".000839",
-        torso_polynomial,
+        formula(TORSO),
         _leg_determinant,
         "m^3",
     ),
