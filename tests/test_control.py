@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from humanoid_mjx import InputError, Leg
-from humanoid_mjx.control.actuator import Motor
 from humanoid_mjx.control.gains import critical_kd, damping_ratio, max_kp, poles
 from humanoid_mjx.control.response import step_response
 from humanoid_mjx.thesis import leg as thesis
