@@ -40,6 +40,9 @@ WORLDS: dict[str, dict[str, str]] = {
     "friction 1.2": {"friction": "1.2"},
     "motors of 0.6 N m": {"torque_limit": "0.3"},
     "sensors three cycles late": {"sensors.delay": "3"},
+    "a slope of 8 degrees": {"terrain": "{slope: 8}"},
+    "waves of 10 mm": {"terrain": "{rough: 0.01}"},
+    "stairs of 10 mm": {"terrain": "{stairs: 0.01}"},
 }
 
 FIGURES = "success", "forward", "speed_error", "slip", "turn_success"

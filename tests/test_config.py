@@ -56,7 +56,7 @@ PPO |= {"policy_hidden_layer_sizes": [16], "value_hidden_layer_sizes": [16]}
 QUICK = {
     "tabular_q": ["episodes=2"],
     "linear_q": SMALL,
-    "deep_q": [*SMALL, *(f"learner.{key}={value}" for key, value in NETWORK.items())],
+    "deep_q": [*SMALL, *NETWORK],
     "brax_ppo": ["total_steps=64", *(f"learner.{key}={value}" for key, value in PPO.items())],
     "posture_switch": ["task.physics=chain", "sweep=null"],
     "stand": ["task.physics=mujoco", "task.duration=0.2"],

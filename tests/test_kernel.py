@@ -6,9 +6,10 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from tree_robots import HOPPER, converged, states
+from tree_robots import HOPPER, PLANAR, SHAPES, converged, states
 
 from humanoid_mjx.compute.kernels.one_kernel import one_kernel
+from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.mechanics.tree.folding import fold
 from humanoid_mjx.mechanics.tree.reading import read_tree
 from humanoid_mjx.mechanics.tree.step import Values
@@ -79,3 +80,20 @@ def test_a_time_step_is_that_of_xla():
         size = np.abs(np.float64(wanted)).max() if wanted.size else 0.0
         # Rounding in another order, made larger by the stiffness of the contacts.
         np.testing.assert_allclose(got, np.broadcast_to(wanted, got.shape), atol=1e-4 * size + 1e-6)
+
+
+@pytest.mark.parametrize("xml", [PLANAR.format(option='integrator="RK4"'), SHAPES])
+def test_what_trees_may_have_is_what_threads_can_do(xml):
+    """Dry friction, its line search, four stages of a step, corners and rims, waves and stairs; traced alone."""
+    model = mujoco.MjModel.from_xml_string(xml)
+    robot = tree.on_stairs(fold(read_tree(model)))
+    terrain = jax.tree.map(lambda value: jnp.full(40, value), Terrain(rough=0.01, stairs=0.01))
+    qpos, qvel, control = (jnp.zeros((count, 40)) for count in (model.nq, model.nv, model.nu))
+
+    def step(terrain, world, control):
+        return tree._advance_sensed(robot, Values(terrain=terrain), None, world, control, jnp.ones(40, bool))
+
+    world = qpos, qvel, qvel, jnp.zeros(40, bool)
+    expected = jax.eval_shape(step, terrain, world, control)
+    found = jax.eval_shape(lambda *args: one_kernel(step, *args, interpret=True), terrain, world, control)
+    assert [x.dtype for x in jax.tree.leaves(found)] == [x.dtype for x in jax.tree.leaves(expected)]

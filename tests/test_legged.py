@@ -246,7 +246,7 @@ def test_a_changed_world_is_asked_for_by_name():
 def test_each_episode_has_a_world_of_its_own_under_randomisation():
     task = walk(randomise={"mass": 0.2, "friction": 0.5, "torque_limit": 0.0}, friction=0.8)
     state, after = once(task)
-    mass, friction, _, limit = (np.asarray(x) for x in after.data.plant)
+    mass, friction, _, limit = (np.asarray(x) for x in after.data.plant[:4])
     assert len(np.unique(mass)) == len(KEYS) and 0.8 <= mass.min() < mass.max() <= 1.2
     assert 0.4 <= friction.min() < friction.max() <= 1.2 and np.allclose(limit, task.torque_limit)
     np.testing.assert_array_equal(state.data.plant.mass, mass)
@@ -256,6 +256,25 @@ def test_each_episode_has_a_world_of_its_own_under_randomisation():
     none = once(task.replace(randomise=Randomise(mass=0.0, friction=0.0, joint_damping=0.0, torque_limit=0.0)))[1]
     np.testing.assert_allclose(none.data.plant.mass, 1.0)
     assert np.abs(none.data.world.qvel - after.data.world.qvel).max() > 1e-4
+
+
+@pytest.mark.parametrize("terrain", [{"slope": 10.0, "rough": 0.02}, {"stairs": 0.03, "direction": 50.0}])
+def test_episodes_begin_upright_on_a_terrain_of_their_own(terrain):
+    state, after = once(walk(terrain=terrain | {"least": 0.5}, **EXACT))
+    episode = state.data
+    for name, largest in terrain.items():
+        drawn = np.asarray(getattr(episode.terrain, name))
+        if name != "direction":
+            assert len(np.unique(drawn)) == len(KEYS) and 0.5 * largest <= drawn.min() <= drawn.max() <= largest
+    rotation = Rotation.from_quat(episode.world.qpos[:, [4, 5, 6, 3]])
+    up = jax.vmap(lambda terrain: terrain.up())(episode.terrain)
+    felt = rotation.inv().apply(up)
+    assert np.degrees(np.arccos(felt[:, 2])).max() < 3.0
+    np.testing.assert_allclose(episode.readings.accelerometer, GRAVITY * felt, atol=1e-4)
+    soles = np.stack([one.apply(BODY.soles) for one in rotation]) + episode.world.qpos[:, None, :3]
+    lowest = jax.vmap(lambda terrain, soles: terrain.above(soles).min())(episode.terrain, jnp.asarray(soles))
+    np.testing.assert_allclose(lowest, BODY.start_height + BODY.soles[:, 2].min(), atol=1e-5)
+    assert not after.terminated.any()
 
 
 def test_rewards_of_feet_are_of_those_that_touch():

@@ -25,6 +25,12 @@ def rotate(quaternion: Float[Array, "4"], vector: Float[Array, "3"]) -> Float[Ar
     return vector + scalar * across + jnp.cross(axis, across)
 
 
+def product(one: Float[Array, "4"], other: Float[Array, "4"]) -> Float[Array, "4"]:
+    """The unit quaternion of the rotation `other`, followed by `one`."""
+    axis = one[0] * other[1:] + other[0] * one[1:] + jnp.cross(one[1:], other[1:])
+    return jnp.concatenate([(one[0] * other[0] - one[1:] @ other[1:])[None], axis])
+
+
 def turned_by(before: Float[Array, "4"], after: Float[Array, "4"]) -> Float[Array, "3"]:
     """The rotation between two unit quaternions as a vector along its axis, in the body, as long as its angle, rad."""
     scalar = before @ after

@@ -54,6 +54,7 @@ class MjxJax(MujocoPhysics):
     """MJX in jax: CPU and GPU, float32 or float64."""
 
     implementation: ClassVar[Literal["jax", "warp"]] = "jax"
+    terrains: ClassVar[tuple[tuple[str, ...], ...]] = ((),)
 
     @model_validator(mode="after")
     def _room(self) -> "MjxJax":
@@ -134,6 +135,8 @@ class MjxJax(MujocoPhysics):
         """The mjx.Model with the traced values in it."""
         model, _ = _mjx_arrays(self.model, self.implementation, jax.config.jax_enable_x64)
         model = jax.tree.map(jnp.asarray, model)
+        if self.terrain:
+            model = model.replace(opt=model.opt.replace(gravity=self.gravity))
         factors = self.mass_factors(self.mass)
         body_mass = model.body_mass * factors
         return model.replace(
@@ -206,6 +209,7 @@ class MjxWarp(MjxJax):
     """
 
     implementation: ClassVar[Literal["jax", "warp"]] = "warp"
+    terrains: ClassVar[tuple[tuple[str, ...], ...]] = ()
 
     worlds: int = Field(8192, ge=1, description="how many worlds the contact buffer has room for")
 

@@ -3,7 +3,7 @@
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from pydantic import Field, model_validator
 
+from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.physics.base import MAX_SPEED, GroundContacts, Physics, Poses, Readings, Velocities, World
 from humanoid_mjx.robot import RobotKey, make_robot
 from humanoid_mjx.robot.description import Robot, compiled, ground_points
@@ -22,6 +23,9 @@ from humanoid_mjx.types import AnyArray, BoolScalar, FloatScalar, MassFactor
 class MujocoPhysics(Physics):
     """A robot as a MuJoCo model."""
 
+    terrains: ClassVar[tuple[tuple[str, ...], ...]] = ()
+    """Shapes of the ground beside a slope that can be together; none: there is no slope either."""
+
     robot: RobotKey = Field(make_robot("lower_body"), description="the robot that moves")
     timestep: float | None = Field(None, gt=0, le=0.02, description="s; by default the robot's own")
     mass: float = traced(1.0, gt=0, description="factor on the mass and the inertia of every link")
@@ -29,12 +33,28 @@ class MujocoPhysics(Physics):
     damping: float = traced(1.0, ge=0, description="factor on that of the joints")
     torque_limit: float = traced(1.0, gt=0, description="factor on that of each motor")
     push: tuple[float, float, float] = traced((0.0, 0.0, 0.0), description="steady force on a free torso, N, world")
+    terrain: Terrain | None = Field(None, description="shape of the ground; none: a level plane")
 
     @model_validator(mode="after")
     def _driven_by_torques(self) -> "MujocoPhysics":
         if (name := _odd_motor(self.model)) is not None:
             raise ValueError(f"robot: motor {name!r} must be a torque motor of a joint, its bounds the same both ways")
         return self
+
+    @model_validator(mode="after")
+    def _terrain_must_be_known(self) -> "MujocoPhysics":
+        shapes = {name for name in ("rough", "stairs") if getattr(self.terrain, name, None) is not None}
+        if self.terrain and not any(shapes <= set(known) for known in self.terrains):
+            known = " or ".join(" with ".join(("slope", *names)) for names in self.terrains) or "none"
+            got = " with ".join(sorted(shapes or {"slope"}))
+            raise ValueError(f"terrain: {type(self).__name__} takes {known}, got {got}")
+        return self
+
+    @property
+    def gravity(self) -> Float[AnyArray, "3"]:
+        """m/s^2, in the world, whose z axis is normal to a slope."""
+        gravity = self.model.opt.gravity
+        return -np.linalg.norm(gravity) * self.terrain.up() if self.terrain else gravity
 
     @property
     def model(self) -> mujoco.MjModel:

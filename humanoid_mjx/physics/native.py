@@ -21,8 +21,10 @@ from mujoco.rollout import Rollout
 
 from humanoid_mjx.compute import cores
 from humanoid_mjx.mechanics.contacts import Contacts
+from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.physics.base import Batches, Controller, Once, Poses, Sensed, Stages, Velocities, World
 from humanoid_mjx.physics.model import MujocoPhysics, below, freeze_if_diverged
+from humanoid_mjx.physics.terrain import add_terrain
 from humanoid_mjx.robot import Robot
 from humanoid_mjx.types import AnyArray, MassFactor
 
@@ -53,6 +55,7 @@ class Native(MujocoPhysics):
     """Native MuJoCo. Worlds may differ in their traced values: each distinct set of them has a model of its own."""
 
     batches: ClassVar[Batches] = Batches(cpu=256, gpu=256)
+    terrains: ClassVar[tuple[tuple[str, ...], ...]] = (("rough",), ("stairs",))
 
     def step(self, world: World, controller: Controller, substeps: int = 1) -> tuple[World, Float[Array, " joints"]]:
         return self._cycle(world, controller, substeps, sensed=False)[:2]
@@ -97,12 +100,12 @@ class Native(MujocoPhysics):
 
     @property
     def _team(self) -> "_Team":
-        return _team(_watched(self.robot, self.timestep))
+        return _team(self.robot, self.timestep, jax.tree.structure(self.terrain))
 
     def _values(self) -> Float[Array, " values"]:
-        """The traced values of a model: factors on the bodies' masses, friction, damping, torque limits."""
+        """The traced values of a model: factors on the bodies' masses, friction, damping, torque limits, terrain."""
         factors = self.mass_factors(self.mass)
-        others = self.friction, self.damping, self.torque_limit
+        others = self.friction, self.damping, self.torque_limit, *jax.tree.leaves(self.terrain)
         return jnp.concatenate([factors, jnp.stack([jnp.asarray(value, factors.dtype) for value in others])])
 
     def _stages(self, world: World) -> Stages:
@@ -195,9 +198,10 @@ class Native(MujocoPhysics):
 class _Team:
     """The threads that compute with one robot, and the models and data that they compute in."""
 
-    def __init__(self, base: mujoco.MjModel):
+    def __init__(self, robot: Robot, timestep: float | None, terrain: Any):
         threads = cores()
-        self.base = base
+        self._robot, self._timestep, self._terrain = robot, timestep, terrain
+        self.base = base = self._shaped(terrain.unflatten([1.0] * terrain.num_leaves))
         self.rollout = Rollout(nthread=threads)
         self.data = [mujoco.MjData(base) for _ in range(threads)]
         self.room = max(1, MODELS_BYTES // base.nbuffer)
@@ -210,8 +214,9 @@ class _Team:
         key = values.tobytes()
         model = self._tuned.pop(key, None)
         if model is None:
-            full = len(self._tuned) >= self.room
-            model = self._tuned.pop(next(iter(self._tuned))) if full else copy(self.base)
+            if len(self._tuned) >= self.room:
+                self._tuned.pop(next(iter(self._tuned)))
+            model = self._shaped(self._terrain_of(values))
             self._tune(model, values)
         model.opt.disableflags = self.base.opt.disableflags | OFF[sensed]
         self._tuned[key] = model
@@ -227,7 +232,8 @@ class _Team:
             yield self._bare, self.data[0]
 
     def _tune(self, model: mujoco.MjModel, values: Float[np.ndarray, " values"]) -> None:
-        base, factors, (friction, damping, torque_limit) = self.base, values[:-3], values[-3:]
+        base = self.base
+        factors, (friction, damping, torque_limit) = values[: base.nbody], values[base.nbody : base.nbody + 3]
         mass = factors * base.body_mass
         model.body_mass[:] = mass
         model.body_inertia[:] = factors[:, None] * base.body_inertia
@@ -237,22 +243,41 @@ class _Team:
         model.geom_friction[:, 0] = friction * base.geom_friction[:, 0]
         model.actuator_ctrlrange[:] = torque_limit * base.actuator_ctrlrange
         model.actuator_forcerange[:] = torque_limit * base.actuator_forcerange
+        if terrain := self._terrain_of(values):
+            model.opt.gravity[:] = np.linalg.norm(base.opt.gravity) * -terrain.up(np)
+
+    def _terrain_of(self, values: Float[np.ndarray, " values"]) -> Terrain | None:
+        """The terrain among the values of a model."""
+        return self._terrain.unflatten(values[self.base.nbody + 3 :].tolist())
+
+    def _shaped(self, terrain: Terrain | None) -> mujoco.MjModel:
+        """A model whose ground has this shape."""
+        if terrain is None or not terrain.shaped:
+            return copy(_watched(self._robot, self._timestep))
+        with jax.ensure_compile_time_eval():
+            spec = _watched_spec(self._robot, self._timestep)
+            add_terrain(spec, terrain)
+            return spec.compile()
 
 
 @lru_cache
 def _watched(robot: Robot, timestep: float | None) -> mujoco.MjModel:
-    """The robot with `FRAMES` on every body, behind its own sensors."""
     with jax.ensure_compile_time_eval():
-        spec = robot.spec(timestep)
-        for kind in FRAMES:
-            for body in spec.bodies:
-                spec.add_sensor(type=kind, objtype=mujoco.mjtObj.mjOBJ_XBODY, objname=body.name)
-        return spec.compile()
+        return _watched_spec(robot, timestep).compile()
+
+
+def _watched_spec(robot: Robot, timestep: float | None) -> mujoco.MjSpec:
+    """The robot with `FRAMES` on every body, behind its own sensors."""
+    spec = robot.spec(timestep)
+    for kind in FRAMES:
+        for body in spec.bodies:
+            spec.add_sensor(type=kind, objtype=mujoco.mjtObj.mjOBJ_XBODY, objname=body.name)
+    return spec
 
 
 @lru_cache
-def _team(base: mujoco.MjModel) -> _Team:
-    return _Team(base)
+def _team(robot: Robot, timestep: float | None, terrain: Any) -> _Team:
+    return _Team(robot, timestep, terrain)
 
 
 def _on_host(

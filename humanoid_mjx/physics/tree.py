@@ -47,6 +47,7 @@ class TreePhysics(MujocoPhysics):
     """A tree of hinges, fixed or free, on the ground."""
 
     arithmetic: ClassVar[Arithmetic] = "tree"
+    terrains: ClassVar[tuple[tuple[str, ...], ...]] = (("rough", "stairs"),)
 
     @property
     def tree(self) -> Tree:
@@ -54,7 +55,8 @@ class TreePhysics(MujocoPhysics):
         names, model = self.robot.sensors, self.model
         read = names.gyroscope, names.accelerometer, *names.foot_contact
         kind = mujoco.mjtObj.mjOBJ_SENSOR
-        return _tree(model, tuple(name for name in read if mujoco.mj_name2id(model, kind, name) >= 0))
+        tree = _tree(model, tuple(name for name in read if mujoco.mj_name2id(model, kind, name) >= 0))
+        return on_stairs(tree) if self.terrain and self.terrain.stairs is not None else tree
 
     def step(self, world: World, controller: Controller, substeps: int = 1) -> tuple[World, Float[Array, " joints"]]:
         values = self._values()
@@ -129,10 +131,13 @@ class TreePhysics(MujocoPhysics):
 
     def _values(self) -> mechanics.Values:
         push = jnp.stack([jnp.asarray(part, float) for part in self.push]) if self.free else None
-        mass, friction, damping = self.mass, self.friction, self.damping
-        return mechanics.Values(
-            self.mass_factors(mass), *(jnp.asarray(x, float) for x in (friction, damping)), push=push
-        )
+        mass, terrain, gravity = self.mass_factors(self.mass), None, None
+        friction, damping = (jnp.asarray(x, float) for x in (self.friction, self.damping))
+        if self.terrain:
+            gravity = self.gravity
+        if self.terrain and self.terrain.shaped:
+            terrain = jax.tree.map(lambda x: jnp.asarray(x, float), self.terrain)
+        return mechanics.Values(mass, friction, damping, gravity=gravity, push=push, terrain=terrain)
 
     def _state(self, values: mechanics.Values, world: World) -> mechanics.State:
         return worlds_last(_state, self.tree)(values, world.qpos, world.qvel)
@@ -273,7 +278,7 @@ def _advance_sensed(
     step = _solved(tree, values, given, world, torque)
 
     def seen() -> tuple[Any, ...]:
-        found = _seen(tree, *step[:3])
+        found = _seen(tree, tree.gravity if values.gravity is None else values.gravity, *step[:3])
         return tuple(jnp.broadcast_to(x, (*jnp.shape(x)[:-1], *last.shape)) for x in found)
 
     nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(seen))
@@ -281,10 +286,10 @@ def _advance_sensed(
 
 
 def _seen(
-    tree: Tree, state: mechanics.State, problem: mechanics.Problem, solution: mechanics.Solution
+    tree: Tree, gravity: Any, state: mechanics.State, problem: mechanics.Problem, solution: mechanics.Solution
 ) -> tuple[Any, ...]:
     """The sensors but the encoders, poses, velocities, forces."""
-    like, gravity, acceleration = _worlds(state), vector(tree.gravity), solution.acceleration
+    like, gravity, acceleration = _worlds(state), vector(gravity), solution.acceleration
     turning = [part for site in tree.gyroscopes for part in sensing.gyroscope(state, site)]
     felt = [
         part for site in tree.accelerometers for part in sensing.accelerometer(tree, state, acceleration, gravity, site)
@@ -303,6 +308,15 @@ def _worlds(state: mechanics.State) -> tuple[int, ...]:
 
 def _rows(vectors: Sequence[Vector], shape: tuple[int, ...]) -> Any:
     return jnp.stack([stacked(v, shape) for v in vectors]) if vectors else jnp.zeros((0, 3, *shape))
+
+
+@lru_cache
+def on_stairs(tree: Tree) -> Tree:
+    """The tree with each ground point twice: once for each of the two steps that it may touch at a time."""
+    count = sum(len(points.order) for points in tree.ground)
+    upper = (p._replace(upper=True, order=tuple(count + index for index in p.order)) for p in tree.ground)
+    feet = tuple((*foot, *(count + index for index in foot)) for foot in tree.feet)
+    return tree._replace(ground=(*tree.ground, *upper), feet=feet)
 
 
 @lru_cache

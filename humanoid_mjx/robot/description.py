@@ -168,6 +168,11 @@ class Robot(Named):
         return round(_stance(self).height + 0.007 * self.leg_length, 3)
 
     @property
+    def soles(self) -> Float[np.ndarray, "points 3"]:
+        """The lowest points of the feet at home, against the torso, m."""
+        return _stance(self).soles
+
+    @property
     def pace(self) -> float:
         """The speed of Froude number 1, the unit of speeds, m/s."""
         return float(np.sqrt(np.linalg.norm(self.model.opt.gravity) * self.leg_length))
@@ -270,6 +275,7 @@ def ground_points(model: mujoco.MjModel) -> tuple[Int[np.ndarray, " points"], Bo
 class _Stance(NamedTuple):
     height: float
     leg_length: float
+    soles: Float[np.ndarray, "points 3"]
 
 
 @lru_cache
@@ -288,7 +294,8 @@ def _stance(robot: Robot) -> _Stance:
             link = model.body_parentid[link]
         hips.append(data.xanchor[model.body_jntadr[link], 2])
     height = float(data.xpos[1, 2] - ground)
-    return _Stance(height, float(np.mean(hips) - ground) if hips else height)
+    soles = data.geom_xpos[balls] - data.xpos[1] - model.geom_size[balls, :1] * (0.0, 0.0, 1.0)
+    return _Stance(height, float(np.mean(hips) - ground) if hips else height, soles)
 
 
 @lru_cache

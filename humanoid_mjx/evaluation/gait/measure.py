@@ -15,8 +15,8 @@ from humanoid_mjx.learners.rollout import AGENTS
 from humanoid_mjx.tasks.legged.commands import Velocity
 from humanoid_mjx.training.plan import resolved
 
-WORLD = {"task.duration": "20", "task.push.impulse": "0", "task.randomise": "null"}
-"""Values of the task unless others are asked for: 20 s in which nothing pushes the body, all in the same world."""
+WORLD = {"task.duration": "20", "task.push.impulse": "0", "task.randomise": "null", "task.terrain": "null"}
+"""Values of the task unless others are asked for: 20 s in which nothing pushes the body, all on the same plane."""
 
 
 class Measured(NamedTuple):

@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float
 
 from humanoid_mjx.mechanics.rotations import heading_frame
 from humanoid_mjx.mechanics.scalars import Scalar, Vector
+from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.mechanics.tree.segments import nearest_shares
 from humanoid_mjx.physics.base import Poses, Sensed
 from humanoid_mjx.robot import Robot
@@ -33,7 +34,7 @@ class Sample(NamedTuple):
     gap: Float[Array, "pairs 2"]
     """From the ankle of each right foot to that of its image, forward and to the left as the torso looks, m."""
     height: Float[Array, " feet"]
-    """Height of the lowest corner of each foot, m."""
+    """Height of the lowest corner of each foot above the ground, m."""
     load: Float[Array, " feet"]
     """Force with which the ground pushes each foot up, N."""
     speed: Float[Array, "feet corners"]
@@ -43,9 +44,9 @@ class Sample(NamedTuple):
     """Least distance between the surfaces of the right and the left leg, m; not above 0 where they touch."""
 
 
-def sample_of(sensed: Sensed, body_names: tuple[str, ...], robot: Robot) -> Sample:
+def sample_of(sensed: Sensed, body_names: tuple[str, ...], robot: Robot, terrain: Terrain | None = None) -> Sample:
     """The moment that `sensed` is of."""
-    torso, feet = 1, feet_of(sensed, body_names, robot)
+    torso, feet = 1, feet_of(sensed, body_names, robot, terrain)
     rotation = sensed.poses.rotation[torso]
     right, left = robot.foot_pairs.T
     return Sample(

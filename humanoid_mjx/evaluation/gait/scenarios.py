@@ -102,9 +102,11 @@ def walking_task(task: Task, what: str = "evaluate --gait") -> LeggedTask:
 
 
 def calm(learner: Learner) -> Learner:
-    """The learner with a task in which nothing pushes the body and all worlds are as declared."""
+    """The learner with a task in which nothing pushes the body, on a plane; all worlds are as declared."""
     task = walking_task(learner.task)
-    return learner.replace(task=task.replace(push=task.push.replace(impulse=jnp.float32(0.0)), randomise=None))
+    return learner.replace(
+        task=task.replace(push=task.push.replace(impulse=jnp.float32(0.0)), randomise=None, terrain=None)
+    )
 
 
 def under_one_command(learner: Learner) -> Learner:
@@ -223,7 +225,7 @@ def _decide(
 
     def add(tally: Tally, sensed: Any) -> tuple[Tally, None]:
         since = (tally.samples * interval - command.turn_at).astype(jnp.float32)
-        sample = sample_of(sensed, task.simulator.body_names, task.robot)
+        sample = sample_of(sensed, task.simulator.body_names, task.robot, loop.state.data.terrain)
         return sums.add(tally, sample, Asked(asked, goal, since), window, interval, task.robot), None
 
     tally, _ = jax.lax.scan(add, loop.tally, sensed)

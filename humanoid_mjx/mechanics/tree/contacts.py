@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from humanoid_mjx.mechanics.scalars import HALF, NULL, ONE, TWO, ZERO, Scalar, Symmetric, Vector, add, cross, dot, scale
+from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.mechanics.tree.algebra import (
     Rotation,
     Spatial,
@@ -135,11 +136,15 @@ class Slip(NamedTuple):
 
 
 def ground_touches(
-    tree: Tree, kinematics: Kinematics, motions: Sequence[Spatial], frictions: Sequence[Friction]
+    tree: Tree,
+    kinematics: Kinematics,
+    motions: Sequence[Spatial],
+    frictions: Sequence[Friction],
+    terrain: Terrain | None = None,
 ) -> list[Touch]:
     """The contacts of the points in `tree.ground`, where the bodies move by `motions`."""
     return [
-        _ground_touch(points, kinematics, motions[points.body], friction)
+        _ground_touch(points, kinematics, motions[points.body], friction, terrain)
         for points, friction in zip(tree.ground, frictions, strict=True)
     ]
 
@@ -175,9 +180,13 @@ def friction_of(surface: Surface) -> Friction:
     return None if surface.friction is None else (number(surface.friction[0]), number(surface.friction[1]))
 
 
-def _ground_touch(points: GroundPoints, kinematics: Kinematics, motion: Spatial, friction: Friction) -> Touch:
+def _ground_touch(
+    points: GroundPoints, kinematics: Kinematics, motion: Spatial, friction: Friction, terrain: Terrain | None
+) -> Touch:
     center, normal, radius = ground_center(points, kinematics), vector(points.normal), number(points.radius)
     height = dot(normal, center) + (dot(normal, kinematics.origin) - number(points.height))
+    if terrain is not None and terrain.shaped:
+        height, normal = terrain.nearest(add(kinematics.origin, center)._replace(z=height), points.upper)
     distance = height - radius
     place = subtract(center, scale(radius + HALF * distance, normal))
     along = None if points.along is None else kinematics.direction(points.body, points.along)

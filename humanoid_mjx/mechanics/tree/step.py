@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx.mechanics.scalars import HALF, ONE, ZERO, Scalar, Vector, add, cross, dot, scale
+from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.mechanics.tree.algebra import Spatial, in_lanes, lane, number, vector
 from humanoid_mjx.mechanics.tree.bias import Drift, bias_forces, drifts_of
 from humanoid_mjx.mechanics.tree.contacts import (
@@ -41,6 +42,8 @@ class Values(NamedTuple):
     """(3,) m/s^2"""
     push: Any = None
     """(3,) N, at the origin of the free body, in the world."""
+    terrain: Terrain | None = None
+    """Waves and steps of the ground, which is level plane without; a slope is for `gravity`."""
 
 
 class State(NamedTuple):
@@ -230,7 +233,8 @@ def accelerate(
 def make_problem(tree: Tree, values: Values, state: State, force: list[Scalar]) -> Problem:
     """The contacts and limits of a state, and the forces that meet them."""
     at = state.kinematics
-    ground = ground_touches(tree, at, state.motions, _frictions([p.surface for p in tree.ground], values.friction))
+    frictions = _frictions([p.surface for p in tree.ground], values.friction)
+    ground = ground_touches(tree, at, state.motions, frictions, values.terrain)
     pairs = pair_touches(tree, at, state.motions, _frictions([p.surface for p in tree.pairs], values.friction))
     stops = {
         joint.dof: stop_of(joint.limit, state.qpos[joint.coordinate], state.qvel[joint.dof])

@@ -183,6 +183,8 @@ class GroundPoints(NamedTuple):
     """Which of the model's points they are; point by point, lane by lane."""
     shape: Corner | Rim | Lowest | None = None
     """How the posture moves the point away from `center`, if it does."""
+    upper: bool = False
+    """Whether the upper of the two steps that meet nearest to the point pushes it, on a ground with stairs."""
 
 
 class Pairs(NamedTuple):

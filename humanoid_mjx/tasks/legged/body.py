@@ -13,7 +13,8 @@ from pydantic import Field, model_validator
 from humanoid_mjx.control import Control, at_rest
 from humanoid_mjx.control.drives import Driven, Drives, Ideal
 from humanoid_mjx.control.laws import RobotServoLaw, ServoLaw
-from humanoid_mjx.mechanics.rotations import leaning_quaternion
+from humanoid_mjx.mechanics.rotations import leaning_quaternion, product, rotate, unit
+from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.physics.base import Controller, Physics, Sensed, World
 from humanoid_mjx.physics.model import MujocoPhysics
@@ -25,6 +26,9 @@ from humanoid_mjx.types import FloatScalar
 START_SPREAD = 0.03
 """Largest difference of every joint and of the torso's lean from the posture at the start, rad."""
 
+START_AREA = 2.0
+"""Where on a terrain an episode begins: so far from the origin of the world, m, at most, along x and along y."""
+
 
 class Plant(NamedTuple):
     """Values of the world that a body lives in; under randomisation each episode has its own."""
@@ -33,6 +37,7 @@ class Plant(NamedTuple):
     friction: FloatScalar
     joint_damping: FloatScalar
     torque_limit: FloatScalar
+    terrain: Terrain | None = None
 
 
 class LeggedBody(ContinuousTask):
@@ -110,6 +115,15 @@ class LeggedBody(ContinuousTask):
         qpos = qpos.at[self.simulator.joint_qpos].set(self.posture + spread)
         return self.simulator.start(qpos, jnp.zeros(len(qpos) - 1))
 
+    def on_terrain(self, world: World, terrain: Terrain, key: Key[Array, ""]) -> World:
+        """A world of `start` somewhere on this terrain: upright, a foot about to touch the ground."""
+        up, margin = terrain.up(), self.robot.start_height + self.robot.soles[:, 2].min()
+        turned = product(unit(jnp.stack([1.0 + up[2], -up[1], up[0], 0.0 * up[0]])), world.qpos[3:7])
+        place = jax.random.uniform(key, (3,), minval=-START_AREA, maxval=START_AREA).at[2].set(0.0)
+        soles = place + jax.vmap(lambda sole: rotate(turned, sole))(jnp.asarray(self.robot.soles, float))
+        place = place.at[2].set(margin - terrain.above(soles).min())
+        return world._replace(qpos=world.qpos.at[:7].set(jnp.concatenate([place, turned])))
+
     def setpoint(
         self, offsets: Float[Array, " joints"], reference: Float[Array, " joints"] | float = 0.0
     ) -> Float[Array, " joints"]:
@@ -142,6 +156,7 @@ class LeggedBody(ContinuousTask):
         """What moves the body during a decision."""
         values = {"mass": plant.mass, "friction": plant.friction, "torque_limit": plant.torque_limit}
         physics = self.simulator.replace(**values, damping=plant.joint_damping, push=force)
+        physics = physics.replace(terrain=plant.terrain) if plant.terrain else physics
         return physics, Driven(self.control.of(self.robot).follow(at_rest(setpoint)), self.actuator)
 
 

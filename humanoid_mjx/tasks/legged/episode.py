@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
 from humanoid_mjx.mechanics.rotations import heading_frame, rotation_matrix, turned_by, unit
+from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.physics.base import Readings, World
 from humanoid_mjx.physics.sensors import Sensors, SensorState
 from humanoid_mjx.tasks.legged.body import Plant
@@ -38,13 +39,14 @@ class MeanMotion(NamedTuple):
     """Acceleration less that of gravity, in the torso's frame, m/s^2."""
 
 
-def mean_motion(before: World, after: World, period: float) -> MeanMotion:
+def mean_motion(before: World, after: World, period: float, terrain: Terrain | None = None) -> MeanMotion:
     """From where the body was and is; `period` seconds lie between."""
     first, last = before.qpos[3:7], after.qpos[3:7]
     rotation = rotation_matrix(unit(first + jnp.where(first @ last < 0, -last, last)))
     spin = turned_by(first, last) / period
     velocity = heading_frame(rotation) @ (after.qpos[:3] - before.qpos[:3]) / period
-    force = (after.qvel[:3] - before.qvel[:3]) / period + jnp.array([0.0, 0.0, GRAVITY])
+    up = terrain.up() if terrain else jnp.array([0.0, 0.0, 1.0])
+    force = (after.qvel[:3] - before.qvel[:3]) / period + GRAVITY * up
     return MeanMotion(velocity, rotation[2] @ spin, spin, rotation.T @ force)
 
 
@@ -77,7 +79,7 @@ class Episode(NamedTuple):
     clock: Clock
     """Where the gait is; at 0 in a task without one."""
     plant: Plant | None
-    """Values of this episode's world under randomisation."""
+    """Values of this episode's world under randomisation or on a terrain."""
     past: Float[Array, "history size"] | None
     """Observations of the last decisions, the latest first, as on the robot's own sides; None if `history` is 1."""
 
@@ -86,13 +88,18 @@ class Episode(NamedTuple):
         """Phase of the gait, 0 to 1."""
         return jnp.asarray(self.clock.phase)
 
+    @property
+    def terrain(self) -> Terrain | None:
+        """The ground of this episode; None: a level plane."""
+        return self.plant.terrain if self.plant else None
+
     def followed(self, commands: Velocity | None) -> Float[Array, "3"]:
         """The command that the body is to follow now: the one that it was told, its heading held."""
         return commands.held(self.command, self.heading_error) if commands else self.command
 
     def sense(self, sensors: Sensors, world: World, true: Readings, period: float, key: Key[Array, ""]) -> "Episode":
         """The episode in its new world, `period` seconds later, with the sensors' readings of it."""
-        motion = mean_motion(self.world, world, period)
+        motion = mean_motion(self.world, world, period, self.terrain)
         if sensors.averages:
             true = true._replace(gyroscope=motion.spin, accelerometer=motion.force)
         state, readings = sensors.read(self.sensors, true, key)

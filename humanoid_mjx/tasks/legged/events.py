@@ -41,6 +41,7 @@ class Randomise(Spec):
 
     def draw(self, plant: Plant, key: Key[Array, ""]) -> Plant:
         """The values of one episode about those of `plant`."""
-        spread = jnp.stack([jnp.asarray(getattr(self, name), float) for name in Plant._fields])
-        factors = 1.0 + spread * jax.random.uniform(key, (len(Plant._fields),), minval=-1.0)
-        return Plant(*(value * factor for value, factor in zip(plant, factors, strict=True)))
+        names = tuple(type(self).model_fields)
+        spread = jnp.stack([jnp.asarray(getattr(self, name), float) for name in names])
+        factors = 1.0 + spread * jax.random.uniform(key, (len(names),), minval=-1.0)
+        return plant._replace(**{name: getattr(plant, name) * f for name, f in zip(names, factors, strict=True)})

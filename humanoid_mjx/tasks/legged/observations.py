@@ -49,7 +49,7 @@ OBSERVATIONS = {
     "clock": Observation(2, lambda view: clock(view), mirror=(-1.0, -1.0)),
     "true_down": Observation(3, lambda view: view.true_down, mirror=POLAR),
     "velocity": Observation(3, lambda view: view.rotation.T @ view.episode.world.qvel[:3], mirror=POLAR),
-    "height": Observation(1, lambda view: view.episode.world.qpos[2:3], lambda robot: robot.start_height, (1.0,)),
+    "height": Observation(1, lambda view: view.height[None], lambda robot: robot.start_height, (1.0,)),
     "turn_rate": Observation(1, lambda view: view.turn_rate[None], TURN, (-1.0,)),
     "foot_heights": Observation("feet", lambda view: view.feet.height, lambda robot: robot.length(HEIGHT)),
     "foot_loads": Observation("feet", lambda view: view.feet.load, lambda robot: robot.force(FORCE)),

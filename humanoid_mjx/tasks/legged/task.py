@@ -16,7 +16,10 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from pydantic import Field, model_validator
 
 from humanoid_mjx.mechanics.rotations import rotation_matrix, unit
+from humanoid_mjx.mechanics.terrain import Terrain
+from humanoid_mjx.physics import make_physics
 from humanoid_mjx.physics.base import Readings, Sensed
+from humanoid_mjx.physics.model import MujocoPhysics
 from humanoid_mjx.physics.sensors import Sensors
 from humanoid_mjx.robot import Robot
 from humanoid_mjx.spec import traced
@@ -52,6 +55,7 @@ class LeggedTask(LeggedBody):
     fall: Fall = Field(Fall(), description="what ends an episode")
     push: Push = Field(Push(), description="what disturbs the body")
     randomise: Randomise | None = Field(None, description="by how much worlds differ; none: all are as declared")
+    terrain: Terrain | None = Field(None, description="shape of the ground; none: a level plane")
     command: Velocity | None = Field(None, description="what the body is told to do")
     gait: Gaits | None = Field(None, description="clock and open-loop steps")
     symmetric: bool = Field(False, description="show the gait's second half as the mirror image of its first")
@@ -61,6 +65,10 @@ class LeggedTask(LeggedBody):
     def _robot_must_fit(self) -> "LeggedTask":
         if self.gait:
             self.gait.check(self.robot)
+        if self.terrain:
+            make_physics(self.physics, MujocoPhysics, robot=self.robot, terrain=self.terrain)
+            if self.terrain.shaped and self.control.name == "grounded":
+                raise ValueError("terrain: control grounded takes the ground for a plane, so it takes a slope alone")
         later = np.mod(self.robot.phases[self.robot.foot_images] - self.robot.phases, 1.0)
         if self.symmetric and not (self.robot.mirror and np.allclose(later, 0.5)):
             raise ValueError("symmetric needs a robot whose feet swing half a period after their mirror images")
@@ -84,8 +92,15 @@ class LeggedTask(LeggedBody):
     def reset(self, key: Key[Array, ""]) -> State:
         *start_keys, push_key, sensor_key = jax.random.split(key, 5)
         command_key, phase_key, plant_key = jax.random.split(jax.random.fold_in(key, 1), 3)
-        world = self.start(jnp.stack(start_keys))
-        down, still = -rotation_matrix(world.qpos[3:7])[2], jnp.zeros(3)
+        world, plant = self.start(jnp.stack(start_keys)), self.plant
+        if self.randomise:
+            plant = self.randomise.draw(plant, plant_key)
+        if self.terrain:
+            draw_key, place_key = jax.random.split(jax.random.fold_in(key, 2))
+            plant = jax.tree.map(lambda x: jnp.asarray(x, float), plant)._replace(terrain=self.terrain.draw(draw_key))
+            world = self.on_terrain(world, plant.terrain, place_key)
+        rotation, still = rotation_matrix(world.qpos[3:7]), jnp.zeros(3)
+        down = -(plant.terrain.up() @ rotation if plant.terrain else rotation[2])
         true = Readings(world.qpos[self.simulator.joint_qpos], still, -GRAVITY * down, jnp.zeros(len(self.robot.feet)))
         sensors = self.sensors.start(true, sensor_key)
         sensors, readings = self.sensors.read(sensors, true, jax.random.fold_in(sensor_key, 1))
@@ -104,7 +119,7 @@ class LeggedTask(LeggedBody):
             heading_error=jnp.float32(0),
             strayed=still,
             clock=self.gait.start(jax.random.uniform(phase_key), self.robot) if self.gait else Clock(jnp.float32(0)),
-            plant=self.randomise.draw(self.plant, plant_key) if self.randomise else None,
+            plant=plant if self.randomise or self.terrain else None,
             past=None,
         )
         view = self.view(episode, None, none)
@@ -203,7 +218,11 @@ class LeggedTask(LeggedBody):
 
     def view(self, episode: Episode, sensed: Sensed | None, last_offsets: Float[Array, " joints"]) -> View:
         """The view that the parts of the task take; `sensed` is None at the beginning of an episode."""
-        feet = feet_of(sensed, self.simulator.body_names, self.robot) if sensed else unknown_feet(self.robot)
+        feet = (
+            feet_of(sensed, self.simulator.body_names, self.robot, episode.terrain)
+            if sensed
+            else unknown_feet(self.robot)
+        )
         torque = sensed.torque if sensed else jnp.zeros(len(self.robot.joints))
         return View(self.robot, self.command, self.gait, episode, feet, torque, last_offsets)
 

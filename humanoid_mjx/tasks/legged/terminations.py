@@ -15,6 +15,4 @@ class Fall(Spec):
 
     def fallen(self, view: View) -> BoolScalar:
         """Whether the torso leans farther or the hips are lower than these."""
-        return (view.rotation[2, 2] < jnp.cos(jnp.radians(self.tilt))) | (
-            view.height < self.height * view.robot.leg_length
-        )
+        return (view.up[2] < jnp.cos(jnp.radians(self.tilt))) | (view.height < self.height * view.robot.leg_length)

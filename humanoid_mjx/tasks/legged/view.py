@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from humanoid_mjx.mechanics.rotations import rotation_matrix
+from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.physics.base import Sensed
 from humanoid_mjx.robot import Robot
 from humanoid_mjx.tasks.legged.commands import Velocity, moves
@@ -34,11 +35,12 @@ class Feet(NamedTuple):
     """m/s"""
     corner_force: Float[Array, "feet corners"]
     """Force with which the ground pushes each corner up, N."""
+    terrain: Terrain | None = None
 
     @property
     def height(self) -> Float[Array, " feet"]:
         """Height of each foot's lowest corner above the ground, m."""
-        return self.corners[..., 2].min(axis=-1)
+        return (self.terrain.above(self.corners) if self.terrain else self.corners[..., 2]).min(axis=-1)
 
     @property
     def load(self) -> Float[Array, " feet"]:
@@ -51,7 +53,7 @@ class Feet(NamedTuple):
         return self.corner_force > self.robot.force(TOUCHING)
 
 
-def feet_of(sensed: Sensed, body_names: tuple[str, ...], robot: Robot) -> Feet:
+def feet_of(sensed: Sensed, body_names: tuple[str, ...], robot: Robot, terrain: Terrain | None = None) -> Feet:
     """Pick the feet out of all bodies."""
     rows = np.array([body_names.index(foot) for foot in robot.feet])
     poses, velocities, contacts = sensed.poses, sensed.velocities, sensed.contacts
@@ -64,6 +66,7 @@ def feet_of(sensed: Sensed, body_names: tuple[str, ...], robot: Robot) -> Feet:
         contacts.position.reshape(*shape, 3),
         contacts.velocity.reshape(*shape, 3),
         contacts.normal_force.reshape(shape),
+        terrain,
     )
 
 
@@ -112,19 +115,25 @@ class View(NamedTuple):
         return rotation_matrix(self.episode.world.qpos[3:7])
 
     @property
+    def up(self) -> Float[Array, "3"]:
+        """The direction against gravity in the torso's frame."""
+        return self.episode.terrain.up() @ self.rotation if self.episode.terrain else self.rotation[2]
+
+    @property
     def true_down(self) -> Float[Array, "3"]:
         """The direction of gravity in the torso's frame."""
-        return -self.rotation[2]
+        return -self.up
 
     @property
     def lean(self) -> FloatScalar:
         """Lean of the torso from upright, rad."""
-        return jnp.arccos(jnp.clip(self.rotation[2, 2], -1.0, 1.0))
+        return jnp.arccos(jnp.clip(self.up[2], -1.0, 1.0))
 
     @property
     def height(self) -> FloatScalar:
-        """Height of the hips, m."""
-        return self.episode.world.qpos[2]
+        """Height of the hips above the ground, m."""
+        hips, terrain = self.episode.world.qpos[:3], self.episode.terrain
+        return terrain.above(hips) if terrain else hips[2]
 
     @property
     def velocity(self) -> Float[Array, "3"]:

@@ -1,0 +1,112 @@
+"""Ground that is not a level plane: a slope, waves, stairs. Heights are arithmetic, without a table.
+
+The z axis of the world is normal to the slope, and gravity leans instead: the same mechanics, at no cost. Waves and
+stairs are heights above the plane z = 0.
+"""
+
+import math
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Key
+
+from humanoid_mjx.mechanics.scalars import Scalar, Vector
+from humanoid_mjx.spec import Spec, traced
+from humanoid_mjx.types import AnyArray
+
+WAVES = (0.0, 1.0), (2.0, 0.8), (4.1, 1.3)
+"""Direction, rad, and length, as a share of `wavelength`, of the waves that add up to rough ground. No two are
+parallel and no lengths have a common multiple, so the ground repeats nowhere."""
+
+
+class Terrain(Spec):
+    """The shape of the ground. It is the same in all episodes, but for the amplitudes; each begins elsewhere on it."""
+
+    slope: float = traced(0.0, ge=0, le=45, description="degrees")
+    direction: float = traced(0.0, description="of the slope and the stairs upwards, degrees from the x axis")
+    rough: float | None = traced(None, ge=0, description="largest height and depth of waves, m; none: no waves")
+    wavelength: float = traced(0.3, gt=0, description="of the waves, m")
+    stairs: float | None = traced(None, ge=0, description="height of a step, m; none: no steps")
+    width: float = traced(0.25, gt=0, description="of a step, m")
+    least: float = traced(
+        1.0, ge=0, le=1, description="the least slope, waves and step of an episode, as shares of these, the largest"
+    )
+
+    @property
+    def shaped(self) -> bool:
+        """True if the ground has waves or steps."""
+        return self.rough is not None or self.stairs is not None
+
+    def up(self, lib: Any = jnp) -> Float[AnyArray, "3"]:
+        """The direction against gravity; `lib` is jnp or np."""
+        (x, y), slope = self._rising(lib), lib.radians(self.slope)
+        return lib.stack([lib.sin(slope) * x, lib.sin(slope) * y, lib.cos(slope)])
+
+    def draw(self, key: Key[Array, ""]) -> "Terrain":
+        """The ground of one episode."""
+        shares = 1.0 - (1.0 - self.least) * jax.random.uniform(key, (3,))
+        drawn = {
+            name: share * value
+            for name, share in zip(("slope", "rough", "stairs"), shares, strict=True)
+            if (value := getattr(self, name)) is not None
+        }
+        return jax.tree.map(lambda value: jnp.asarray(value, float), self.replace(**drawn))
+
+    def height(self, x: Any, y: Any, lib: Any = jnp) -> Any:
+        """Height of the ground, m; `lib` is jnp or np."""
+        steps = 0.0 if self.stairs is None else lib.floor(self._along(x, y, lib) / self.width) * self.stairs
+        return steps + self._waves(x, y, lib)[0]
+
+    def above(self, place: Float[Array, "*places 3"]) -> Float[Array, "*places"]:
+        """Height of a place above the ground below it, m."""
+        return place[..., 2] - self.height(place[..., 0], place[..., 1])
+
+    def nearest(self, place: Vector, upper: bool) -> tuple[Scalar, Vector]:
+        """The distance of a place from the ground, m, and the normal there.
+
+        Stairs are exact: `upper` chooses which of the two boxes counts that meet at the riser nearest to the place.
+        Waves are exact to first order: the ground's tangent plane below the place counts.
+        """
+        x, y, z = (axis.value for axis in place)
+        height, along_x, along_y = self._waves(x, y, jnp)
+        z, (toward_x, toward_y) = z - height, self._rising(jnp)
+        distance, level, steep = z, 0.0, 1.0
+        if self.stairs is not None:
+            along = self._along(x, y, jnp)
+            riser = jnp.floor(along / self.width + 0.5)
+            over = z - (riser if upper else riser - 1.0) * self.stairs
+            beside = (riser * self.width - along) if upper else (along - riser * self.width)
+            inside = (over <= 0.0) & (beside <= 0.0)
+            p, q = jnp.maximum(beside, 0.0), jnp.maximum(over, 0.0)
+            away = jnp.sqrt(jnp.where(inside, 1.0, p * p + q * q))
+            # Inside of a box its nearest face counts.
+            distance = jnp.where(inside, jnp.maximum(over, beside), away)
+            level = jnp.where(inside, jnp.where(over >= beside, 0.0, 1.0), p / away)
+            steep = jnp.where(inside, jnp.where(over >= beside, 1.0, 0.0), q / away)
+            level = -level if upper else level
+        normal = toward_x * level - steep * along_x, toward_y * level - steep * along_y, steep
+        if self.rough is not None:
+            length = jnp.sqrt(sum(part * part for part in normal))
+            distance, normal = distance / length, tuple(part / length for part in normal)
+        return Scalar(distance), Vector(*map(Scalar, normal))
+
+    def _rising(self, lib: Any) -> tuple[Any, Any]:
+        return lib.cos(lib.radians(self.direction)), lib.sin(lib.radians(self.direction))
+
+    def _along(self, x: Any, y: Any, lib: Any) -> Any:
+        toward_x, toward_y = self._rising(lib)
+        return toward_x * x + toward_y * y
+
+    def _waves(self, x: Any, y: Any, lib: Any) -> tuple[Any, Any, Any]:
+        """Height of the waves, and its derivatives by x and y."""
+        if self.rough is None:
+            return 0.0, 0.0, 0.0
+        height = along_x = along_y = 0.0
+        for direction, length in WAVES:
+            number = 2.0 * math.pi / (length * self.wavelength)
+            phase = number * (math.cos(direction) * x + math.sin(direction) * y)
+            height = height + self.rough / len(WAVES) * lib.sin(phase)
+            rate = self.rough / len(WAVES) * number * lib.cos(phase)
+            along_x, along_y = along_x + math.cos(direction) * rate, along_y + math.sin(direction) * rate
+        return height, along_x, along_y

@@ -1,0 +1,131 @@
+# pyright: reportAttributeAccessIssue=false
+"""Terrain against native MuJoCo, against its own derivative, and against the laws of friction."""
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from tree_robots import converged, native, qacc_of
+
+from humanoid_mjx.mechanics.scalars import Scalar, Vector
+from humanoid_mjx.mechanics.terrain import Terrain
+from humanoid_mjx.mechanics.tree.reading import read_tree
+from humanoid_mjx.mechanics.tree.step import Values
+from humanoid_mjx.physics import make_physics
+from humanoid_mjx.physics.terrain import add_terrain
+from humanoid_mjx.physics.tree import on_stairs
+from humanoid_mjx.spec import InputError
+
+BALLS = """
+<mujoco>
+  <worldbody>
+    <geom name="ground" type="plane" size="0 0 1" friction="0.7" {turn}/>
+    <body pos="0 0 0.03">
+      <freejoint/>
+      <geom type="sphere" size="0.03" mass="1"/>
+      <geom type="sphere" size="0.02" pos="0.1 0.02 -0.01" mass="0.5"/>
+    </body>
+  </worldbody>
+</mujoco>"""
+
+BLOCK = """
+<mujoco>
+  <option timestep="0.001"/>
+  <worldbody>
+    <geom name="ground" type="plane" size="0 0 1" friction="0.5"/>
+    <body pos="0 0 0.019"><freejoint/><geom type="box" size="0.05 0.04 0.02" mass="1" friction="0.5"/></body>
+  </worldbody>
+</mujoco>"""
+
+
+def balls(**turn):
+    return mujoco.MjSpec.from_string(BALLS.format(turn=" ".join(f'{key}="{value}"' for key, value in turn.items())))
+
+
+def somewhere(terrain, count, seed=0):
+    """States whose first ball is near the ground: in it, on it, above it."""
+    rng = np.random.default_rng(seed)
+    qpos = np.concatenate([rng.uniform(-1, 1, (count, 3)), rng.normal(size=(count, 4))], axis=1)
+    qpos[:, 3:] = [1, 0, 0, 0] + 0.3 * qpos[:, 3:]
+    qpos[:, 3:] /= np.linalg.norm(qpos[:, 3:], axis=1, keepdims=True)
+    qpos[:, 2] = terrain.height(qpos[:, 0], qpos[:, 1], np) + 0.03 + rng.uniform(-0.04, 0.003, count)
+    return qpos, rng.normal(size=(count, 6)), np.zeros((count, 0))
+
+
+def test_stairs_are_boxes_of_native_mujoco():
+    """Treads, risers, edges, both boxes at once, middles of balls inside of boxes."""
+    terrain = Terrain(stairs=0.05, width=0.12, direction=25.0)
+    spec = balls()
+    add_terrain(spec, terrain)
+    at = somewhere(terrain, 2000)
+    expected = native(converged(spec.compile()), *at)
+    found, settled = qacc_of(on_stairs(read_tree(balls().compile())))(Values(terrain=terrain), *at)
+    assert settled.all() and (np.abs(expected[:, :2]) > 1.0).any(axis=1).sum() > 500
+    assert (np.linalg.norm(found - expected, axis=1) / np.linalg.norm(expected, axis=1)).max() < 1e-9
+
+
+def test_a_slope_is_a_turned_plane_of_native_mujoco():
+    """The world turned by the slope, and everything in it, moves in the same way."""
+    physics = make_physics("tree", terrain={"slope": 12.0})
+    half = np.radians(12.0) / 2
+    turn = np.array([np.cos(half), 0.0, -np.sin(half), 0.0])
+    model = converged(balls(quat="{} {} {} {}".format(*turn)).compile())
+    qpos, qvel, ctrl = somewhere(Terrain(), 500)
+    turned, moved, rotation = qpos.copy(), qvel.copy(), np.empty(9)
+    mujoco.mju_quat2Mat(rotation, turn)
+    rotation = rotation.reshape(3, 3)
+    turned[:, :3], moved[:, :3] = qpos[:, :3] @ rotation.T, qvel[:, :3] @ rotation.T
+    for row, old in zip(turned, qpos, strict=True):
+        mujoco.mju_mulQuat(row[3:], turn, old[3:])
+    expected = native(model, turned, moved, ctrl)
+    expected[:, :3] = expected[:, :3] @ rotation
+    found, settled = qacc_of(read_tree(balls().compile()))(Values(gravity=physics.gravity), qpos, qvel, ctrl)
+    assert settled.all()
+    assert (np.linalg.norm(found - expected, axis=1) / np.linalg.norm(expected, axis=1)).max() < 1e-9
+
+
+def test_rough_ground_is_its_tangent_plane():
+    """The nearest point of the ground, by descent, is as far away to first order in the distance."""
+    terrain = Terrain(rough=0.05, wavelength=0.4)
+    x, y = np.random.default_rng(0).uniform(-3, 3, (2, 200))
+    height, slopes = terrain.height(x, y, np), jax.vmap(jax.grad(terrain.height, argnums=(0, 1)))(x, y)
+    normal = np.array([-slopes[0], -slopes[1], np.ones(200)])
+    normal /= np.linalg.norm(normal, axis=0)
+    assert np.abs(height).max() <= 0.05 and np.degrees(np.arccos(normal[2])).max() > 20
+    wrong = []
+    for far in (0.002, 0.001):
+        place = np.array([x, y, height]) + far * normal
+        distance, found = terrain.nearest(Vector(*(Scalar(jnp.asarray(part)) for part in place)), upper=False)
+        wrong.append((np.abs(distance.value - far).max(), np.abs(np.array([n.value for n in found]) - normal).max()))
+    # Halving the distance leaves a fourth of the error of a distance, and half of that of a normal.
+    (first, turned), (second, less) = wrong
+    assert 3.5 < first / second < 4.5 and second < 0.001 * 0.05
+    assert 1.7 < turned / less < 2.3
+
+
+@pytest.mark.parametrize(("degrees", "slides"), [(24.0, False), (26.0, False), (27.2, True), (35.0, True)])
+def test_a_block_slides_on_a_slope_steeper_than_friction_bears(degrees, slides):
+    """Coulomb's law with one coefficient: held below arctan(0.5) = 26.6 degrees, beyond it g (sin - mu cos).
+
+    MuJoCo's contacts are soft: a block that is held creeps by millimetres a second, and one that slides shakes, whereby
+    it feels up to 4% less friction.
+    """
+    gravity = make_physics("tree", terrain={"slope": degrees}).gravity
+    at = np.array([[0.0, 0.0, 0.0199, 1.0, 0.0, 0.0, 0.0]]), np.zeros((1, 6)), np.zeros((1, 0))
+    moved = qacc_of(read_tree(mujoco.MjModel.from_xml_string(BLOCK)), 400)
+    half = moved(Values(gravity=gravity), *at)
+    whole = moved(Values(gravity=gravity), *half[:2], at[2])
+    acceleration, slope = (half[1][0, 0] - whole[1][0, 0]) / 0.4, np.radians(degrees)
+    friction = (9.81 * np.sin(slope) - acceleration) / (9.81 * np.cos(slope))
+    if slides:
+        assert 0.96 < friction / 0.5 <= 1.0
+    else:
+        assert friction == pytest.approx(np.tan(slope), abs=0.002) and np.abs(whole[1][0, :2]).max() < 0.006
+
+
+def test_shapes_that_a_physics_lacks_are_refused():
+    with pytest.raises(InputError, match="terrain: Native takes slope with rough or slope with stairs, got rough with"):
+        make_physics("mujoco", terrain={"rough": 0.01, "stairs": 0.01})
+    with pytest.raises(InputError, match="terrain: MjxJax takes slope, got rough"):
+        make_physics("mjx-jax", terrain={"rough": 0.01})
