@@ -354,15 +354,15 @@ def test_a_set_point_stays_behind_its_new_value():
     np.testing.assert_array_equal(slow.world.qpos, quarter.world.qpos)
 
 
-@pytest.fixture(scope="module", params=["mujoco", pytest.param("mjx-jax", marks=pytest.mark.slow)])
-def stepped(request):
+@pytest.fixture(scope="module")
+def stepped():
     """Five seconds of `walk` by an open-loop reference alone (offsets are 0), 8 on the spot and 8 turning: flags,
     phases, readings and headings."""
     control = {"name": "servo", "stiffness": 20.0, "damping": 0.45}
     gait = {"period": 0.32, "stance": 0.62, "lift": 9.0, "sway": -2.0}
     command = {"heading_gain": 4.0, "every": 1e9}
     changed = {"control": control, "gait": gait, "command": command, "push": {"impulse": 0.0}}
-    task = make_task("walk", physics=request.param, **changed, sensors=NO_ERRORS | {"averages": True})
+    task = walk(**changed, sensors=NO_ERRORS | {"averages": True})
 
     def decide(task, carry, key):
         state, down = carry
