@@ -1,7 +1,5 @@
 """Function approximation: targets against plain Python, features, and learners on tasks whose values are known."""
 
-from typing import ClassVar
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from probes import DISCOUNT, PROBES, make, probe
-from small_sweep import CONFIG, assert_same_tables
+from small_sweep import assert_same_tables
 
 import humanoid_mjx.training.session as session
-from humanoid_mjx import InputError, compute, make_learner, make_task, sweep
+from humanoid_mjx import InputError, make_learner, make_task, sweep
 from humanoid_mjx.compute import rng
 from humanoid_mjx.evaluation.replay import replay
 from humanoid_mjx.learners import exploration
@@ -26,7 +24,6 @@ from humanoid_mjx.tasks.continuous import ContinuousTask
 from humanoid_mjx.training import pool
 from humanoid_mjx.training.pool import Pool
 from humanoid_mjx.training.program import advance, begin, finish
-from humanoid_mjx.training.progress import Reporter
 
 LEARNERS = {
     "tiles": ("linear_q", {"resolution": 3, "tilings": 2, "order": 1, "learning_rate": 0.3}),
@@ -101,19 +98,6 @@ def test_targets_agree_with_plain_python(seed, discount, decay):
     expected = numpy_targets(reward, terminated, truncated, value, discount, decay)
     # Seven steps of float32 arithmetic on numbers of order 1 to 10.
     np.testing.assert_allclose(found, expected, rtol=2e-5, atol=2e-5)
-
-
-def test_lambda_zero_is_one_step_and_one_is_monte_carlo():
-    reward, value = np.float32([[1.0], [2.0], [3.0]]), np.float32([[10.0], [20.0], [30.0]])
-    never = np.zeros((3, 1), bool)
-    end = np.array([[False], [False], [True]])
-    discount = np.float32(0.5)
-    one_step = targets(reward, never, never, value, discount, np.float32(0.0))
-    np.testing.assert_allclose(one_step, [[6.0], [12.0], [18.0]])
-    monte_carlo = targets(reward, end, never, value, discount, np.float32(1.0))
-    np.testing.assert_allclose(monte_carlo, [[1 + 0.5 * 2 + 0.25 * 3], [2 + 0.5 * 3], [3.0]])
-    truncated = targets(reward, never, end, value, discount, np.float32(1.0))
-    np.testing.assert_allclose(truncated[2], [3.0 + 0.5 * 30.0])
 
 
 def test_truncation_bootstraps_and_termination_does_not():
@@ -204,12 +188,6 @@ def test_focus_makes_tiles_narrow_in_the_middle_of_a_range():
     assert tiles.tolist() == [0, 1, 1, 2, 2, 3, 3]
 
 
-def test_tiles_generalise_to_neighbours_only():
-    basis = tile_coding(Scale(np.zeros(1), np.ones(1)), np.array([[[0]]]), 4, 8)
-    near, also, far = (set(basis.encode(jnp.float32([x]))[0].tolist()) for x in (0.5, 0.53, 0.9))
-    assert len(near & also) >= 6 and not near & far
-
-
 def test_moments_are_those_of_all_that_was_seen():
     draw = np.random.default_rng(0)
     batches = [draw.normal(3, 2, (n, 4)).astype(np.float32) for n in (7, 100, 31)]
@@ -242,11 +220,6 @@ def test_exploration():
     assert int(action[:, 1].max()) == 1 and not action[2000:].any()
     both = np.asarray(action[:2000] > 0).mean(axis=0)
     np.testing.assert_allclose(np.asarray((action[:2000] > 0).all(axis=1)).mean(), both.prod(), atol=0.03)
-
-
-def test_of_equal_values_the_first_is_the_largest():
-    values = np.random.default_rng(0).integers(0, 4, (50, 1, 9)).astype(np.float32)
-    np.testing.assert_array_equal(exploration._largest(jnp.asarray(values)), values.argmax(axis=-1))
 
 
 def test_epsilon_decays_by_the_episode_and_climbs_the_ladder():
@@ -293,14 +266,6 @@ def test_numbers_that_are_not_finite_stop_a_run_before_the_update_that_makes_the
 
 
 END_NEVER = 1
-
-
-def test_a_second_training_compiles_nothing():
-    task, _, _ = probe("both")
-    train(build("deep", task))
-    with compute.counting_compiles() as compiles:
-        train(build("deep", task, epsilon=0.4, learning_rate=0.02, trace_decay=0.9), seed=3)
-    assert compiles.programs == 0
 
 
 def test_evaluation_counts_successes_of_greedy_episodes():
@@ -453,27 +418,6 @@ def test_a_run_that_breaks_is_marked_and_can_be_replayed_while_the_others_finish
     assert not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(broken.weights))
     with pytest.raises(InputError, match="point 0 with seed 0 did not diverge"):
         replay(run.path, 0, 0)
-
-
-def test_what_is_reported_never_goes_beyond_the_end(tmp_path):
-    """One update of the learner makes 1,024 steps where the config asks for 10."""
-
-    class Kept(Reporter):
-        done: ClassVar[list[float]] = []
-        phases: ClassVar[list[str]] = []
-
-        def update(self, state):
-            self.done.append(state.done)
-
-        def phase(self, text):
-            self.phases.append(text)
-
-    learner = {"name": "linear_q", "envs": 64, "rollout": 16, "evaluation_envs": 4, "evaluations": 1}
-    budget = {"episodes": None, "total_steps": 10}
-    sweep(CONFIG | budget | {"learner": learner, "sweep": None}, tmp_path / "run", reporter=Kept())
-    assert Kept.done and max(Kept.done) == 10 * 3
-    assert Kept.phases[-1] == "evaluating"
-    assert set(Kept.phases) <= {"starting", "tracing", "compiling", "training", "evaluating"}
 
 
 def test_a_point_of_a_curve_in_which_no_episode_ended_is_not_known(tmp_path):

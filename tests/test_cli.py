@@ -101,16 +101,6 @@ def test_a_sweep_whose_reader_has_gone_trains_on(tmp_path):
     assert (tmp_path / "run/figures/learning_curves.png").exists()
 
 
-def test_a_sweep_trains_with_closed_output(tmp_path):
-    write_config(tmp_path / "a.yaml", [0.1])
-    command = f"exec {sys.executable} -m humanoid_mjx sweep a.yaml --out"
-    done = subprocess.run(f"{command} run >&-", shell=True, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
-    assert done.returncode == 0 and done.stderr == ""
-    assert (tmp_path / "run/figures/learning_curves.png").exists()
-    refused = subprocess.run(f"{command} run >&- 2>&-", shell=True, cwd=tmp_path, stdout=subprocess.PIPE)
-    assert refused.returncode == 2 and refused.stdout == b""
-
-
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no full device")
 def test_output_that_cannot_be_written_gets_one_sentence():
     with open("/dev/full", "w") as full:

@@ -33,10 +33,6 @@ def test_gains_of_table_5_1_are_twice_overdamped():
     np.testing.assert_allclose(slow + fast, -kd, rtol=1e-5)
 
 
-def test_resonance_limits_the_gain():
-    np.testing.assert_allclose(max_kp(40.0, 2.0, 8.0), (0.5 * 20.0) ** 2)
-
-
 def test_a_chain_without_a_last_mass_carries_nothing():
     rods = np.array(Leg.physical().pseudo_inertia)
     rods[-1] = 0.0

@@ -29,7 +29,7 @@ TABLES = {
 }
 NETWORK = {
     "name": "network",
-    "task": {"name": "leg_reach", "physics": "chain", "duration": 0.4},
+    "task": {"name": "joint_reach", "joint": 4, "states": 11, "max_episode_steps": 41},
     "learner": {"name": "deep_q", "envs": 8, "rollout": 4, "evaluations": 2, "evaluation_envs": 4},
     "seeds": 2,
     "total_steps": 640,

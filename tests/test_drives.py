@@ -79,10 +79,3 @@ def test_it_drives_the_joints_of_a_task_and_is_data_of_its_program():
 def test_what_is_no_motor_is_refused(values, words):
     with pytest.raises(InputError, match=words):
         make_task("stand", actuator=values)
-
-
-def test_gears_may_differ():
-    gears = [50.0] * 5 + [100.0] * 5
-    task = make_task("stand", actuator={"name": "dc_motor", "gear": gears})
-    stall = task.actuator(jnp.full(10, 1e3), jnp.zeros(10))
-    np.testing.assert_allclose(stall, np.array(gears) * 0.0136 * 12 / 7, rtol=1e-5)

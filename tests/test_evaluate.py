@@ -1,7 +1,6 @@
 """Policies on held-out episodes and as files: what is measured, what is refused."""
 
 import json
-from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +10,6 @@ from typer.testing import CliRunner
 
 from humanoid_mjx import make_task
 from humanoid_mjx.cli import app
-from humanoid_mjx.commands.evaluate import words_on_returns
 from humanoid_mjx.compute import rng
 from humanoid_mjx.evaluation import evaluate
 from humanoid_mjx.evaluation.episode import play
@@ -210,19 +208,6 @@ def test_commands(leg, tmp_path):
 def test_what_cannot_be_done_gets_a_sentence(reach, arguments, sentence):
     done = CliRunner().invoke(app, [str(reach) if argument == "RUN" else argument for argument in arguments])
     assert isinstance(done.exception, InputError) and sentence in str(done.exception)
-
-
-@pytest.mark.parametrize(("greedy", "random", "said"), [((1.0, 203.5), (0.3, 291.5), 1), ((1.0, 97.0), (0.3, 4.0), 0)])
-def test_a_return_that_falls_while_success_grows_is_explained(greedy, random, said):
-    agents = {"greedy": greedy, "random": random}
-    found = [
-        estimated("mine", name, {"success": np.full(9, share), "return": np.full(9, total), "steps": np.ones(9)})
-        for name, (share, total) in agents.items()
-    ]
-    found = [each._replace(success=each.success._replace(value=agents[each.agent][0])) for each in found]
-    policy = SimpleNamespace(name="mine", learner=SimpleNamespace(discount=np.float32(0.9)))
-    words = words_on_returns([policy], found)
-    assert len(words) == said and all("a reward by 0.9 for each step" in each for each in words)
 
 
 def test_estimates_are_of_the_episodes():

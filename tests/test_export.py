@@ -7,7 +7,6 @@ from typer.testing import CliRunner
 
 from humanoid_mjx.cli import app
 from humanoid_mjx.robot import ROBOTS, make_robot
-from humanoid_mjx.spec import InputError
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
@@ -26,16 +25,3 @@ def test_the_file_has_the_robots_dynamics(robot, tmp_path):
         accelerations.append(data.qacc)
     six_digits = 1e-6 * np.abs(accelerations[0]).max()
     np.testing.assert_allclose(*accelerations, rtol=0, atol=six_digits)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        (["arm", "arm.xml"], "robot.name: unknown robot 'arm'; known are "),
-        (["lower_body", "nowhere/body.xml"], "nowhere/body.xml: there is no folder nowhere."),
-    ],
-)
-def test_bad_input_gets_a_sentence(arguments, sentence):
-    done = CliRunner().invoke(app, ["export", *arguments])
-    assert isinstance(done.exception, InputError)
-    assert str(done.exception).startswith(sentence)

@@ -11,7 +11,6 @@ from gait_reference import reference
 
 from humanoid_mjx.evaluation.gait.figures import FIGURES, figures
 from humanoid_mjx.evaluation.gait.samples import Sample, legs_apart
-from humanoid_mjx.evaluation.gait.summary import summarised
 from humanoid_mjx.evaluation.gait.tally import EDGES, Asked, add, begin, window_samples
 from humanoid_mjx.physics.base import Poses
 from humanoid_mjx.robot import make_robot
@@ -198,15 +197,3 @@ def test_legs_are_as_near_as_mujoco_finds_them():
             # MuJoCo searches for the depth of capsules that overlap in another way; the sign is what counts.
             assert near(poses) <= 1e-6
     assert 3 < touching < 57
-
-
-def test_seeds_have_a_median_and_a_worst():
-    slip = np.array([[0.1, 0.2], [0.4, np.nan], [0.3, 0.3]])
-    blank = np.full((3, 2), np.nan)
-    found = summarised({"slip": slip, "success": np.array([[1, 1], [1, 0], [1.0, 1]]), "duty": slip, "drift": blank})
-    assert list(found) == [name for name in FIGURES if name in found]
-    np.testing.assert_allclose([one.value for one in found["slip"].seeds], [0.15, 0.4, 0.3])
-    assert found["slip"].median == pytest.approx(0.3) and found["slip"].worst == pytest.approx(0.4)
-    assert found["success"].worst == 0.5 and found["success"].seeds[0].low < 0.5 < found["success"].seeds[0].high == 1.0
-    assert np.isnan(found["duty"].worst) and np.isnan(found["drift"].median)
-    assert found["drift"].as_json()["median"] is None

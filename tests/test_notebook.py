@@ -33,13 +33,6 @@ def test_a_run_is_read_and_shows_its_best_points(run):
         humanoid_mjx.load_run(run.path.parent)
 
 
-def test_a_run_of_which_nothing_is_finished_shows_itself(run, tmp_path):
-    (tmp_path / "begun").mkdir()
-    (tmp_path / "begun/config.yaml").write_text((run.path / "config.yaml").read_text())
-    begun = humanoid_mjx.load_run(tmp_path / "begun")
-    assert "no run of small is finished yet" in str(begun) and "No run is finished" in begun._repr_html_()
-
-
 def test_runs_and_policies_are_evaluated(run):
     by_run, by_path, by_policy = (
         humanoid_mjx.evaluate(what, episodes=8) for what in (run, str(run.path), find_policy(str(run.path)))

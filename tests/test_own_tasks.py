@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 sys.path.insert(0, str(Path(__file__).parent / "data"))
 from hop import Hop
 
-from humanoid_mjx import InputError, make_task, spec
+from humanoid_mjx import InputError, spec
 from humanoid_mjx.cli import app
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.check import check_task
@@ -200,16 +200,3 @@ def test_a_task_that_breaks_the_protocol_gets_one_sentence(fault):
     with pytest.raises(InputError, match=FAULTS[fault]) as caught:
         check_task(fault())
     assert "\n" not in str(caught.value) and str(caught.value).endswith(".")
-
-
-class Unfinished(Hop):
-    def __init__(self, **values):
-        super().__init__(**values)
-        raise RuntimeError("not written yet")
-
-
-def test_a_class_that_raises_when_it_is_built_gets_one_sentence_with_the_key_and_the_place():
-    words = r"^task.name: 'test_own_tasks:Unfinished' cannot be built: RuntimeError: not written yet \("
-    sys.modules.setdefault("test_own_tasks", sys.modules[__name__])
-    with pytest.raises(InputError, match=words + r"test_own_tasks.py, line \d+\)\.$"):
-        make_task("test_own_tasks:Unfinished")

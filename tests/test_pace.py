@@ -3,8 +3,6 @@ long a sweep takes."""
 
 import json
 import time
-from collections import deque
-from itertools import pairwise
 
 import numpy as np
 import pyarrow as pa
@@ -16,9 +14,9 @@ from humanoid_mjx import sweep
 from humanoid_mjx.cli import app
 from humanoid_mjx.config import parse
 from humanoid_mjx.training import pace
-from humanoid_mjx.training.pace import EVERY_S, Look, Pace, estimate, time_in_words
+from humanoid_mjx.training.pace import EVERY_S, Look, Pace, estimate
 from humanoid_mjx.training.plan import make_plan
-from humanoid_mjx.training.pool import IDLE, Pool
+from humanoid_mjx.training.pool import Pool
 
 
 def plan(unit, agents=1, rules="standard"):
@@ -149,23 +147,6 @@ def test_compiling_and_evaluating_have_their_share(evaluate_s, size):
     assert all(found[now] == pytest.approx(end - now, rel=0.1, abs=2.0) for now in found if 22.0 < now < end)
 
 
-def test_the_time_left_grows_for_no_long_time_where_runs_become_slow():
-    """The first half of a run passes five times as quickly as the second: its share is found out meanwhile."""
-    slows = lambda passed: np.where(passed < 1 / 6, 3 * passed, 0.5 + (passed - 1 / 6) * 0.6)  # noqa: E731
-    found, end = told(played_out(np.full(400, 60.0), 100, 5.0, 5.0, share=slows), 400)
-    known = [(now, left) for now, left in found.items() if left is not None]
-    assert sum(b - a for (a, before), (b, left) in pairwise(known) if left > before + 0.01) < 0.15 * end
-    # Once a run is over, those that wait are known to take as long.
-    assert found[66.0] == pytest.approx(end - 66.0, rel=0.01)
-
-
-def test_an_estimate_that_is_overrun_never_says_nothing_is_left():
-    """An evaluation that was taken to be nothing and lasts 100 s."""
-    looks = ((now, look._replace(evaluation=0.0)) for now, look in played_out(np.full(4, 10.0), 4, 0.0, 100.0))
-    found, _ = told(looks, 4)
-    assert 5.0 < found[105.0] < 15.0 and found[50.0] < found[105.0]
-
-
 def test_nothing_is_said_before_a_pace_is_known():
     pace = Pace(4)
 
@@ -180,21 +161,6 @@ def test_nothing_is_said_before_a_pace_is_known():
     assert left(1.0, [0.1, 0.0], 0) == pytest.approx(10.0)
 
 
-def test_what_is_done_before_a_resumed_sweep_compiles_is_no_progress():
-    pace = Pace(100)
-    for second in range(64):
-        phase = "compiling" if second < 60 else "training"
-        pace.look(float(second), Look(phase, np.array([50]), np.array([0.5 + 0.1 * max(second - 60, 0)]), 49, 50))
-    assert [pace.recent, pace.mean, pace.done, pace.left_s] == pytest.approx([0.1, 0.1, 50.8, 2.0 + 490.0])
-
-
-def test_what_is_done_never_falls_while_runs_are_stored():
-    pace = Pace(4)
-    for finished, slots in ((0, [0, 1]), (0, [-1, -1]), (2, [-1, -1]), (2, [2, 3])):
-        pace.look(1.0, Look("training", np.array(slots), np.array([1.0, 1.0]) * (slots == [0, 1]), 0, finished))
-        assert pace.done == 2.0
-
-
 TABLES = {
     "name": "tables",
     "task": {"name": "joint_reach", "joint": 1, "states": 24, "max_episode_steps": 60},
@@ -204,46 +170,6 @@ TABLES = {
     "episodes": 20,
     "record": 10,
 }
-
-
-class Slots(Pool):
-    """Ten slots in which a run takes 20 s; in the first two seconds all are three times as slow."""
-
-    def __init__(self, runs: int):
-        self.now, self.waiting = 0.0, deque(range(runs))
-        self.slots, self.progress = np.full(10, IDLE), np.zeros(10)
-        self.fill()
-
-    def fill(self):
-        for slot in np.flatnonzero(~self.busy)[: len(self.waiting)]:
-            self.slots[slot], self.progress[slot] = self.waiting.popleft(), 0.0
-
-    def train(self):
-        self.progress += 0.05 / (3.0 if self.now < 2.0 else 1.0)
-        self.now += 1.0
-
-    def harvest(self):
-        over = self.busy & (self.progress >= 1.0 - 1e-9)
-        self.now += 7.0 * over.any()  # evaluations are counted apart
-        runs = self.slots[over]
-        self.slots[over] = IDLE
-        return (runs, {}) if len(runs) else None
-
-
-@pytest.mark.parametrize("measured_s", [6.0, 45.0])
-def test_the_time_left_is_by_the_rate_of_the_second_half(measured_s, monkeypatch):
-    pool = Slots(runs=105)
-    monkeypatch.setattr(pace.time, "monotonic", lambda: pool.now)
-    # Ten runs at once take 20 s; the two slow seconds make up for a third each.
-    wanted = 105 / 10 * 20.0 + 2.0 * (1 - 1 / 3)
-    assert pace._seconds_of_training(pool, 105, measured_s) == pytest.approx(wanted, abs=1.0)  # a chunk
-
-
-def test_a_training_that_ends_meanwhile_takes_what_it_took(monkeypatch):
-    pool = Slots(runs=15)
-    monkeypatch.setattr(pace.time, "monotonic", lambda: pool.now)
-    # The first ten take 22 chunks of a second, two of them slow; the last five 20 more.
-    assert pace._seconds_of_training(pool, 15, 1000.0) == pytest.approx(42.0)
 
 
 def test_a_sweep_of_several_programs(tmp_path, monkeypatch):
@@ -259,11 +185,3 @@ def test_a_sweep_of_several_programs(tmp_path, monkeypatch):
     shown = CliRunner().invoke(app, ["info", str(path), "--time"])
     assert "about 52 s on this machine, without figures" in shown.output
     assert "--time measures" in CliRunner().invoke(app, ["info", str(path)]).output
-
-
-@pytest.mark.parametrize(
-    ("seconds", "words"),
-    [(0.2, "1 s"), (47.0, "47 s"), (200.0, "3 min"), (7000.0, "1.9 h"), (90_000.0, "25.0 h"), (1e6, "12 days")],
-)
-def test_times_in_words(seconds, words):
-    assert time_in_words(seconds) == words

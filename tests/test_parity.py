@@ -28,13 +28,3 @@ def test_the_cart_pole_moves_by_its_equations_of_motion():
         expected = obs + 0.02 * np.array([speed, driven, spin, turning])
         found = task.step(state, jnp.array([choice]), KEY)
         np.testing.assert_allclose(found.obs, expected, atol=1e-5)
-
-
-def test_the_car_needs_to_swing():
-    """Always ahead it never arrives; pushed the way it rolls it does, in about a hundred steps."""
-    task = parity.MountainCar()
-    for swings in (False, True):
-        state = task.reset(KEY)
-        while not state.done and state.data[1] < 200:
-            state = task.step(state, jnp.array([2 if not swings or state.obs[1] >= 0 else 0]), KEY)
-        assert bool(state.terminated) == swings and (not swings or 80 < state.data[1] < 140)

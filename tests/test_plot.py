@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
 
-from humanoid_mjx import InputError, sweep
+from humanoid_mjx import sweep
 from humanoid_mjx.cli import app, main
 from humanoid_mjx.report import plotting, style
 from humanoid_mjx.report.plotting import plot
@@ -109,22 +109,6 @@ def test_several_runs_are_told_apart(small, other, panels, tmp_path):
     assert both.lines[2].get_linestyle() != both.lines[0].get_linestyle()
 
 
-def test_words_seeds_and_many_values_across(small, panels, tmp_path):
-    draws = {"learner.epsilon": {"uniform": [0, 1]}, "task.rules": ["printed", "standard"]}
-    drawn = {"sweep": {"mode": "random", "points": 60, "axes": draws}, "episodes": 4, "record": 2, "seeds": 2}
-    run = sweep(CONFIG | drawn, tmp_path / "drawn")
-    plot([run.path], "task.rules", "steps", None, tmp_path / "a.png")
-    plot([run.path], "learner.epsilon", "steps", None, tmp_path / "b.png")
-    plot([small.path], "seed", "steps", None, tmp_path / "c.png")
-    words, many, seeds = panels
-    assert [tick.get_text() for tick in words.get_xticklabels()] == ["printed", "standard"]
-    assert len(many.lines[0].get_xdata()) == plotting.BINS
-    assert seeds.lines[0].get_xdata().tolist() == [0, 1, 2, 3, 4]
-    one = small.summary["steps"][small.summary["seed"] == 2].mean()
-    assert seeds.lines[0].get_ydata()[2] == pytest.approx(one)
-    assert "1 seed" in seeds.figure.get_suptitle()
-
-
 def test_places_where_some_seeds_have_no_number_are_left_out_and_said(small, panels, tmp_path):
     table = pq.read_table(small.path / "summary.parquet")
     values = table["steps"].to_numpy().copy()
@@ -166,10 +150,3 @@ def test_the_command_draws_into_the_run_folder(small):
     assert done.exit_code == 0, done.output
     file = small.path / "figures/success_over_episode_by_learner_learning_rate.png"
     assert str(file) in done.output.replace("\n", "") and file.read_bytes().startswith(b"\x89PNG")
-
-
-def test_more_lines_than_can_be_told_apart(small, monkeypatch, tmp_path):
-    monkeypatch.setattr(plotting, "MAX_LINES", 2)
-    with pytest.raises(InputError, match="3 lines cannot be told apart"):
-        plot([small.path], None, "return", "learner.epsilon", tmp_path / "x.png")
-    assert not (tmp_path / "x.png").exists()

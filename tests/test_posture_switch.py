@@ -60,27 +60,9 @@ def test_a_robot_that_breaks_is_started_anew_and_changes_no_bit_of_the_others():
         np.testing.assert_array_equal(broken.world.qpos[other], sound.world.qpos[other])
 
 
-def test_many_robots_are_each_as_one_alone():
-    # Of one width of batch: XLA rounds otherwise in another.
-    state, step = start(make_task("posture_switch"), 4)
-    together, _, _ = step(state, jnp.array([UP, 5, 13, 20]))
-    for robot, action in enumerate((UP, 5, 13, 20)):
-        alone, _, _ = step(state, jnp.full(4, action))
-        np.testing.assert_array_equal(alone.world.qpos[0], together.world.qpos[robot])
-
-
-def test_a_heavier_robot_lags_behind_its_model():
-    exact, step = start(make_task("posture_switch"), 4)
-    exact, _, _ = step(exact, jnp.full(4, UP))
-    heavy, step = start(make_task("posture_switch", mass=1.5), 4)
-    heavy, _, _ = step(heavy, jnp.full(4, UP))
-    assert float(jnp.abs(exact.world.qpos - heavy.world.qpos).max()) > 1e-3
-
-
-@pytest.mark.parametrize("other", ["mujoco", pytest.param("mjx-jax", marks=pytest.mark.slow)])
-def test_another_physics_carries_out_the_same_decisions(other):
+def test_another_physics_carries_out_the_same_decisions():
     states = []
-    for physics in ("chain", other):
+    for physics in ("chain", "mujoco"):
         state, step = start(make_task("posture_switch", physics=physics), 4)
         for _ in range(3):
             state, _, _ = step(state, jnp.array([UP, 5, 13, 20]))

@@ -1,8 +1,5 @@
 """Statistics against plain definitions; figures drawn from tables of every shape."""
 
-import io
-from itertools import pairwise
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,7 +7,6 @@ from hypothesis import strategies as st
 from scipy.stats import trim_mean
 
 from humanoid_mjx.report.figures import CURVES, TERMS, Figure, curved, find_levels, learning_curves, sweep_figures
-from humanoid_mjx.report.style import count_axis, figure, label_lines
 from humanoid_mjx.runs.ranking import ranked, ties, training_interval
 from humanoid_mjx.runs.statistics import iqm, iqm_interval, rate_interval
 from humanoid_mjx.runs.tables import scores
@@ -48,41 +44,12 @@ def test_interval_of_a_probability_covers_the_truth_as_often_as_it_says():
         assert 0.0 <= low < high <= 1.0
 
 
-def test_resampling_in_parts_changes_little(monkeypatch):
-    values = np.random.default_rng(0).normal(size=(50, 2))
-    whole = iqm_interval(values)
-    monkeypatch.setattr("humanoid_mjx.runs.statistics.RESAMPLED_NUMBERS", 1000)
-    # 500 resamples, other ones: an end of the interval has an error of about a tenth of its width.
-    np.testing.assert_allclose(iqm_interval(values), whole, atol=0.2 * np.ptp(whole, axis=0).max())
-
-
 def test_many_values_of_an_axis_are_put_into_bins():
     values = np.random.default_rng(1).uniform(size=500)
     levels = find_levels(values)
     assert len(levels.labels) == 5
     assert np.bincount(levels.index).tolist() == [100] * 5
     assert find_levels(np.array(["b", "a", "b"])).index.tolist() == [1, 0, 1]
-
-
-def test_labels_stand_in_the_order_in_which_the_lines_end():
-    with figure(io.BytesIO(), 1, 1) as (_, panels):
-        panel = panels[0, 0]
-        for label, end in zip("abc_", [0.99, 0.01, 1.0, 0.5], strict=True):
-            panel.plot([0, 1], [0.5, end], label=label)
-        label_lines(panel)
-    assert [text.get_text() for text in panel.get_legend().get_texts()] == ["c", "a", "b"]
-
-
-def test_large_counts_have_short_ticks_that_do_not_overlap():
-    with figure(io.BytesIO(), 1, 1) as (fig, panels):
-        panel = panels[0, 0]
-        panel.plot([0, 200_000, 1_500_000], [0, 1, 2])
-        count_axis(panel)
-        fig.canvas.draw()
-        labels = [label for label in panel.get_xticklabels() if label.get_text()]
-        boxes = [label.get_window_extent() for label in labels]
-        assert "500k" in [label.get_text() for label in labels]
-        assert all(a.x1 < b.x0 for a, b in pairwise(boxes))
 
 
 def test_points_are_ranked_by_success_then_speed_then_learning():

@@ -15,7 +15,6 @@ from humanoid_mjx.compute import rng
 from humanoid_mjx.config import parse
 from humanoid_mjx.learners.approximate import Batch
 from humanoid_mjx.learners.base import ENVS
-from humanoid_mjx.learners.normalisation import moments, observe
 from humanoid_mjx.training import programs
 from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.pool import Pool
@@ -66,15 +65,6 @@ def test_one_step_of_learning_is_that_of_the_whole_batch(kind, devices):
         np.testing.assert_array_equal(both[0], both[1])
         np.testing.assert_allclose(both[0], one, rtol=1e-4, atol=1e-6)  # sums of 64 numbers in another order
     np.testing.assert_allclose(errors.mean(), error, rtol=1e-5)
-
-
-def test_moments_are_those_of_all_observations(devices):
-    obs = jnp.asarray(np.random.default_rng(0).normal([1.0, -3.0], [2.0, 0.1], (50, 2)), jnp.float32)
-    old = observe(moments(2), obs[:10] * 2.0)
-    found = on_both(lambda old, obs: observe(old, obs, ENVS), devices)(old, obs)
-    for both, one in zip(found, observe(old, obs), strict=True):
-        np.testing.assert_array_equal(both[0], both[1])
-        np.testing.assert_allclose(both[0], one, rtol=1e-5)
 
 
 def trained(pool):

@@ -2,11 +2,9 @@
 
 from dataclasses import replace
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from humanoid_mjx.mechanics.dynamics import joint_inertias
 from humanoid_mjx.reproduction import (
     Finding,
     drives,
@@ -24,8 +22,7 @@ from humanoid_mjx.reproduction import (
 from humanoid_mjx.reproduction import decision_process as process
 from humanoid_mjx.reproduction import joint_ways as ways
 from humanoid_mjx.reproduction import workspace as space
-from humanoid_mjx.reproduction.findings import Setting, unprinted
-from humanoid_mjx.robot.leg import Leg
+from humanoid_mjx.reproduction.findings import unprinted
 from humanoid_mjx.thesis import leg
 from humanoid_mjx.thesis import q_learning as thesis
 
@@ -234,13 +231,6 @@ def test_every_experiment_is_tried_with_another_value():
     assert set(load_experiments()) == set(WRONG) | elsewhere | prints_nothing
 
 
-def test_progress_is_told(tmp_path):
-    told = []
-    reproduce(["finding-negative-reward"], tmp_path, tell=told.append)
-    assert told[0] == "1 of 1, finding-negative-reward" and told[1].startswith(f"{told[0]}: training with 6 rewards")
-    assert Setting({}, tmp_path).tell("nobody hears") is None
-
-
 def test_critical_damping_is_the_fastest_without_overshoot(monkeypatch):
     from humanoid_mjx.reproduction import responses
 
@@ -255,34 +245,12 @@ def test_critical_damping_is_the_fastest_without_overshoot(monkeypatch):
     assert responses.judge_responses(times, right)[2].verdict == "reproduced"
 
 
-def test_gears_hide_what_is_small():
-    random = np.random.default_rng(0)
-    qacc, inertia = random.normal(size=(50, 5)), 1e-3 * np.ones((50, 5))
-    motion = {"qvel": 0 * qacc, "qacc": qacc, "inertia": inertia, "torque": inertia * qacc}
-    heavy = motion | {"torque": inertia * qacc + 1.0, "inertia": inertia * random.uniform(1, 1e3, (50, 1))}
-    assert (
-        drives.interaction_shares(motion, 1e-6, 0.0).max()
-        < 1e-9
-        < 0.1
-        < drives.interaction_shares(heavy, 1e-6, 0.0).min()
-    )
-    assert drives.inertia_variation(motion["inertia"], 1e-6).max() == 0.0
-    assert (drives.inertia_variation(heavy["inertia"], 1e-6) > 0.1).all(axis=1)[:5].all()
-
-
 def test_tracking_without_the_interaction_has_a_verdict_where_no_rotor_decides_it():
     good = np.zeros((len(drives.ROTORS), len(drives.HIGH)))
     assert drives.judge_tracking(good).verdict == "reproduced"
     assert drives.judge_tracking(good + 1.0).verdict == "differs"
     some = good + np.arange(len(drives.HIGH))
     assert drives.judge_tracking(some).verdict == "finding" and "4 track" in drives.judge_tracking(some).why
-
-
-def test_joints_that_ignore_the_interaction_track_with_heavy_rotors():
-    """Gravity's torque over the stiffness kp (I + added) is what is left of the error."""
-    inertia = np.asarray(joint_inertias(Leg.physical(), jnp.zeros(5)), float)
-    light, heavy, heaviest = drives.tracking_errors(np.array([1e-4, 1.0, 10.0]), inertia).max(axis=1)
-    assert light > 10 * drives.TRACKS and drives.TRACKS > heavy > 5 * heaviest
 
 
 def test_gains_against_their_bound():

@@ -66,17 +66,6 @@ def test_native_on_two_devices_at_once(native_step, worlds):
     assert one == other
 
 
-def test_many_worlds_are_as_one_at_a_time(worlds):
-    one_step = jax.jit(lambda physics, world: physics.step(world, hold))
-    together, alone = worlds, [jax.tree.map(lambda x, i=i: x[i], worlds) for i in range(WORLDS)]
-    for _ in range(25):
-        together, _ = step(VALUES, together)
-        alone = [one_step(VALUES, world)[0] for world in alone]
-    for i, world in enumerate(alone):
-        np.testing.assert_allclose(together.qpos[i], world.qpos, atol=1e-5)
-        np.testing.assert_allclose(together.qvel[i], world.qvel, atol=1e-2)
-
-
 @pytest.mark.parametrize("fault", [np.nan, np.inf, 1e6])
 def test_a_diverging_world_is_flagged_and_changes_no_bit_of_another(worlds, fault):
     broken = worlds._replace(qvel=worlds.qvel.at[1, 8].set(fault))
@@ -130,18 +119,6 @@ def test_warp_agrees_with_native(worlds):
         for physics in (warp, NATIVE)
     )
     np.testing.assert_allclose(world.qvel, native.qvel, atol=1e-3)
-
-
-def test_warp_counts_worlds_that_lose_contacts_as_diverged(worlds):
-    """Room for one standing body is too little for four; nobody can tell which of them lose."""
-    pytest.importorskip("warp")
-    for room, expected in ((1, True), (WORLDS, False)):
-        warp = make_physics("mjx-warp", worlds=room)
-        step = jax.jit(jax.vmap(lambda world, p=warp: p.step(world, hold)[0]))
-        moved = worlds
-        for _ in range(50):
-            moved = step(moved)
-        np.testing.assert_array_equal(moved.diverged, expected)
 
 
 def test_native_worlds_diverge_alone_and_silently(native_step, worlds, tmp_path, monkeypatch, capfd):

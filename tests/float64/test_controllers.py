@@ -19,19 +19,8 @@ POLES = np.asarray(poles(jnp.array(KP), jnp.array(KD)))
 START, GOAL = np.array([0.6, -0.3, 0.2, 0.9, -0.4]), np.array([-0.3, 0.4, 0.5, 0.2, 0.3])
 
 
-def partitioned_pd(model, kp, kd, goal, qpos, qvel):
-    return dynamics.joint_inertias(model, qpos) * control.servo(kp, kd, goal, qpos, qvel)
-
-
 def computed_torque(model, kp, kd, goal, qpos, qvel):
     return dynamics.inverse_dynamics(model, qpos, qvel, control.servo(kp, kd, goal, qpos, qvel))
-
-
-LAWS = {
-    "pd": lambda model, kp, kd, *state: control.pd(0.002 * kp, 0.002 * kd, *state),
-    "partitioned pd": partitioned_pd,
-    "computed torque": computed_torque,
-}
 
 
 def resting(goal=GOAL):
@@ -124,27 +113,6 @@ def fleet(number):
     payload = jnp.array(generator.uniform(0.0, 0.1, number))
     error = jnp.array(generator.uniform(0.8, 1.2, number))
     return scale[:, None] * KP, scale[:, None] * KD, payload, error, jnp.array(generator.integers(1, 6, number))
-
-
-def simulate_one(law, kp, kd, payload, error, cycle):
-    leg = Leg.physical()
-    plant = leg.carrying(payload)
-
-    def controller(time, qpos, qvel):
-        return LAWS[law](leg.scaled(error), kp, kd, resting(), qpos, qvel)
-
-    return dynamics.rollout(plant, jnp.array(START), jnp.zeros(5), controller, 1e-3, 200, cycle=cycle)[0]
-
-
-@pytest.mark.parametrize("law", LAWS)
-def test_a_batch_of_robots_equals_single_robots(law):
-    robots = fleet(6)
-    simulate = partial(simulate_one, law)
-    together, alone = jax.jit(jax.vmap(simulate))(*robots), jax.jit(simulate)
-    for i in range(6):
-        one = alone(*(x[i] for x in robots))
-        np.testing.assert_allclose(together.qpos[i], one.qpos, rtol=1e-9, atol=1e-12)
-        np.testing.assert_allclose(together.qvel[i], one.qvel, rtol=1e-9, atol=1e-10)
 
 
 def test_a_lost_or_saturated_robot_changes_no_bit_of_another():

@@ -128,16 +128,6 @@ def test_forward_undoes_inverse(make):
     np.testing.assert_allclose(forward(leg, qpos, qvel, torque), qacc, rtol=1e-9, atol=1e-9)
 
 
-def test_a_batch_of_legs_equals_single_legs():
-    scales = jnp.linspace(0.8, 1.2, 3)
-    legs = jax.vmap(Leg.physical().scaled)(scales)
-    states = tuple(x[:3] for x in random_states(5, seed=3))
-    together = jax.jit(jax.vmap(dynamics.forward_dynamics))(legs, *states)
-    for i, scale in enumerate(scales):
-        alone = dynamics.forward_dynamics(Leg.physical().scaled(scale), *(x[i] for x in states))
-        np.testing.assert_allclose(together[i], alone, rtol=1e-10)
-
-
 def test_gradients_match_finite_differences():
     leg = Leg.thesis()
     qpos, qvel, qacc = (x[0] for x in random_states(5, seed=4))

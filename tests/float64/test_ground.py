@@ -1,6 +1,6 @@
 """Contacts of the feet against MuJoCo's own, and inverse dynamics within them against slow projections."""
 
-from functools import cache, partial
+from functools import partial
 from types import SimpleNamespace
 
 import jax
@@ -10,14 +10,11 @@ import numpy as np
 import pytest
 
 from humanoid_mjx.control import at_rest, grounded_torque, make_law
-from humanoid_mjx.control.gains import poles
 from humanoid_mjx.control.ground import constrained_dynamics, eliminate
 from humanoid_mjx.physics import make_physics
 
 FREE = make_physics("mjx-jax", robot={"ranges": "human"})
 NATIVE = make_physics("mujoco", robot={"ranges": "human"})
-KP, KD = np.linspace(60.0, 80.0, 10), np.linspace(30.0, 38.0, 10)
-"""Like those of Table 5.1: two real poles each."""
 
 
 @partial(jax.jit, static_argnums=0)
@@ -146,45 +143,3 @@ def test_gains_are_data():
     for i in range(3):
         np.testing.assert_allclose(together[i], jax.tree.map(lambda x, i=i: x[i], laws)(still, state), rtol=1e-9)
     assert np.abs(together[2] - together[0]).min() > 1e-3
-
-
-@cache
-def regulate(dt, name, seconds=1.0):
-    """(steps, 10) Errors of the fixed body on its way to rest, under the law of this name."""
-    physics = make_physics("mjx-jax", robot={"torso": "fixed", "ranges": "human"}, timestep=dt)
-    goal = jnp.tile(jnp.array([0.3, 0.1, 0.2, 0.6, 0.1]), 2)
-    gains = {"natural_frequency": np.sqrt(KP), "damping_ratio": KD / (2 * np.sqrt(KP))}
-    law = make_law(name).replace(**gains, **({"share": 0.0} if name == "grounded" else {}))
-    controller = law.follow(at_rest(goal))
-
-    def cycle(world, _):
-        world, torque = physics.step(world, controller)
-        return world, (goal - world.qpos, torque)
-
-    world = physics.start(np.zeros(10), np.zeros(10))
-    _, (errors, torque) = jax.jit(partial(jax.lax.scan, cycle, length=round(seconds / dt)))(world)
-    assert np.abs(torque).max() < physics.torque_limits.max()
-    return np.asarray(errors)
-
-
-def measured_poles(errors, dt):
-    """(2, 10) The slow and the fast pole of the recursion that fits the errors every 20 ms, 1/s."""
-    stride = round(0.02 / dt)
-    found = []
-    for e in errors[::stride].T:
-        a, b = np.linalg.lstsq(np.stack([e[1:-1], e[:-2]], axis=1), e[2:])[0]
-        found.append(np.sort(np.log(np.roots([1.0, -a, -b]).real) / (stride * dt))[::-1])
-    return np.array(found).T
-
-
-def test_the_error_has_the_poles_of_the_gains_to_first_order():
-    """E'' + Kd E' + Kp E = 0 on MJX with an exact model: within 1% at 0.2 ms."""
-    expected = np.asarray(poles(jnp.array(KP), jnp.array(KD)))
-    off = [np.abs(measured_poles(regulate(dt, "computed_torque"), dt) / expected - 1).max() for dt in (4e-4, 2e-4)]
-    assert off[1] < 0.01
-    assert np.log2(off[0] / off[1]) == pytest.approx(1.0, abs=0.15)
-
-
-def test_without_contacts_it_is_computed_torque():
-    grounded = regulate(4e-4, "grounded", 0.1)
-    np.testing.assert_allclose(grounded, regulate(4e-4, "computed_torque")[: len(grounded)], atol=1e-9)

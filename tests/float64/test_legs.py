@@ -57,7 +57,7 @@ def test_places_of_the_links():
     np.testing.assert_allclose(ours.rotation[:, 1:], native.rotation[:, rows[1:]], atol=1e-12)
 
 
-@pytest.mark.parametrize("physics", [CHAIN, MJX, NATIVE], ids=lambda physics: type(physics).__name__)
+@pytest.mark.parametrize("physics", [CHAIN, NATIVE], ids=lambda physics: type(physics).__name__)
 def test_what_a_model_asks_for_is_what_moves_it(physics):
     """One mass factor for the robot, or one for each link."""
 
