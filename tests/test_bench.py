@@ -139,11 +139,12 @@ def test_training_writes_records_and_skips_what_is_not_there():
     lines = []
     tiny = ["total_steps=4096", "record=4", "learner.evaluation_envs=2", "learner.envs=16", "learner.evaluations=2"]
     records = training.run(lines.append, ["leg_reach", "nowhere"], tiny, seeds=2)
-    assert lines[1] == "nowhere: does not ship"
+    assert lines[2] == "nowhere: does not ship" and "of an update" in lines[1]
     assert {r.subject for r in records} == {"deep_q leg_reach"} and {r.batch for r in records} == {16}
-    assert {r.unit for r in records} == {"steps/s", "episodes/s", "success at the end"}
+    units = {"steps/s", "episodes/s", "success at the end", "share of physics", "share of the task"}
+    assert {r.unit for r in records} == units and {r.unit.partition(" of ")[0] for r in records[-2:]} == {"share"}
     assert all(r.compile_s > 0 and r.repeats == 2 for r in records)
-    assert len(records[-1].as_json()["by_seed"]) == 2
+    assert len(records[-3].as_json()["by_seed"]) == 2 and 0.0 < records[-2].value < 1.5
     assert "by_seed" not in records[0].as_json()
 
 

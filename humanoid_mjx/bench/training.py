@@ -10,6 +10,8 @@ the last look at the training.
                         seeds: of all figures the one that another machine, or a busy one, does not change
     success at the end  share of greedy episodes that succeed after training, the mean over seeds
     s to 95 %           wall time, compiling included, until every seed has come to such a point
+    share of physics    of the time of an update of one seed on one device; acting and learning take what the two leave
+    share of the task   what its decisions take beyond the physics: sensors, rewards, resets
 
 `by_seed` has the value of each seed, None where it never came to such a point; `interval` is the 95 % interval of the
 mean over seeds. The greedy episodes that learners are judged by run after training and take none of this time. A config
@@ -18,6 +20,7 @@ that does not ship, or needs brax where that is not installed, is left out.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from importlib.util import find_spec
 from json import loads
 from pathlib import Path
@@ -25,14 +28,22 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.experimental.compilation_cache import compilation_cache
 from jaxtyping import Float
 
-from humanoid_mjx.bench.measure import Record, spread
+from humanoid_mjx import compute
+from humanoid_mjx.bench.measure import Record, Subject, spread, time_in_turn
+from humanoid_mjx.compute import rng
 from humanoid_mjx.config import load
+from humanoid_mjx.control import at_rest
 from humanoid_mjx.files import names
+from humanoid_mjx.learners import Learner
+from humanoid_mjx.physics.base import World
 from humanoid_mjx.runs.statistics import mean_interval
+from humanoid_mjx.tasks.continuous import State, auto_reset
+from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.programs import programs
 from humanoid_mjx.training.sweep import Run, sweep
 
@@ -79,6 +90,7 @@ def run(
             trained = sweep(config, Path(folder) / "run")
             compile_s = loads((trained.path / "provenance.json").read_text())["compile_s"]
             found, envs = measure(trained), environments(trained.config.learner)
+            parts = shares(make_plan(config).groups[0].learner())
         subject = f"{learner} {config.task['name']}"
         common = {"device": jax.devices()[0].device_kind, "batch": envs, "compile_s": compile_s, "repeats": seeds}
         records += [
@@ -86,9 +98,44 @@ def run(
             for figure in figures(found)
             if np.isfinite(figure["value"])
         ]
+        records += [
+            Record("training", subject, unit=f"share of {name}", value=x, **common) for name, x in parts.items()
+        ]
         say(f"{subject:20} {envs:7,} envs  {found.steps_per_s:10.3e} steps/s  {found.episodes_per_s:10.3e} episodes/s"
             f"  {in_words(found)}  compiled in {compile_s:4.1f} s")  # fmt: skip
+        say(f"{subject:20} of an update {' and '.join(f'{share:.0%} is {part}' for part, share in parts.items())}")
     return records
+
+
+def shares(learner: Learner) -> dict[str, float]:
+    """Shares of an update's time that the physics and the rest of the task take, all timed in turn on one device."""
+    env: Any = learner.env
+    options = compute.compiler_options(env.arithmetic, learner.program)
+    update = jax.jit(learner.train_step, compiler_options=options)
+    carry, _ = update(jax.jit(learner.init)(rng.key(0)))
+    state, count = carry.envs.state, len(carry.envs.episode)
+    length = round(float(learner.progress(carry)) * float(learner.budget)) // count
+    law = env.control.of(env.robot) if hasattr(env, "robot") else env.control
+    hold = law.follow(at_rest(jnp.asarray(env.simulator.joint_ranges.mean(axis=1), float)))
+
+    def decide(state: State, key: jax.Array) -> State:
+        command = jax.random.uniform(key, (len(env.action_bins),), minval=-1.0)
+        return auto_reset(env, env.step_continuous(state, command, key), key)
+
+    def simulate(world: World, _: jax.Array) -> World:
+        return env.simulator.run(world, hold, env.simulator.substeps(env.period))
+
+    def repeated(step: Callable[[Any, jax.Array], Any], first: Any) -> Subject:
+        def all_of_them(now: Any, key: jax.Array) -> tuple[Any, None]:
+            return jax.vmap(step)(now, jax.random.split(key, count)), None
+
+        call = jax.jit(partial(jax.lax.scan, all_of_them), compiler_options=options)
+        return Subject(partial(call, first, jax.random.split(rng.key(1), length)), 1.0, count)
+
+    subjects = {"physics": repeated(simulate, state.data.world), "task": repeated(decide, state)}
+    subjects["update"] = Subject(partial(update, carry), 1.0, count)
+    physics, task, whole = (timing.seconds for timing in time_in_turn(subjects).values())
+    return {"physics": physics / whole, "the task": (task - physics) / whole}
 
 
 def figures(found: Measured) -> list[dict[str, Any]]:
