@@ -209,7 +209,7 @@ class LeggedTask(LeggedBody):
         return data.under(jnp.stack([told[name] for name in COMMANDED]), 0.0)
 
     def for_driving(self) -> "LeggedTask":
-        calm = self.replace(push=self.push.replace(impulse=0.0), duration=1e9)
+        calm = self.replace(push=self.push.replace(impulse=0.0), duration=1e9, terrain=None)
         return calm.replace(command=self.command.replace(every=1e9)) if self.command else calm
 
     def reference(self, episode: Episode) -> Float[Array, " joints"] | float:
