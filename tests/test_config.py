@@ -61,6 +61,7 @@ QUICK = {
     "posture_switch": ["task.physics=chain", "sweep=null"],
     "stand": ["task.physics=mujoco", "task.duration=0.2"],
     "walk": ["task.physics=mujoco", "task.duration=0.2"],
+    "walk_terrain": ["task.terrain={stairs: 0.01, least: 0.0}"],
 }
 """Two updates of each learner, of one size, so that configs of one task share programs; legs and bodies on the ground
 in the physics that is ready first."""
@@ -70,7 +71,7 @@ in the physics that is ready first."""
 @pytest.mark.parametrize("name", names("configs", ".yaml"))
 def test_every_shipped_config_trains(name, tmp_path):
     config = load(name)
-    changes = QUICK[config.learner["name"]] + QUICK.get(config.task["name"], [])
+    changes = QUICK[config.learner["name"]] + QUICK.get(config.task["name"], []) + QUICK.get(name, [])
     run = sweep(load(name, [*changes, "seeds=1", "record=2"]), tmp_path / name)
     assert np.isfinite(run.summary["greedy_success"]).all() and not run.summary["diverged"].any()
 

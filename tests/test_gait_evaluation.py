@@ -124,9 +124,9 @@ def test_a_watched_step_is_the_step():
 
 
 def test_what_pushes_the_body_is_asked_for():
-    assert settings_of([]) == ["task.duration=20", "task.push.impulse=0", "task.randomise=null"]
+    assert settings_of([]) == ["task.duration=20", "task.push.impulse=0", "task.randomise=null", "task.terrain=null"]
     pushed = ["task.push.impulse=0.2", "task.randomise.mass=0.1"]
-    assert settings_of(pushed) == ["task.duration=20", *pushed]
+    assert settings_of(pushed) == ["task.duration=20", "task.terrain=null", *pushed]
     learner = learner_of(push={"impulse": 3.0, "every": 0.1})
     still, shaken = played(calm(learner), "zero", 0.6), played(learner, "zero", 0.6)
     assert (still["success"][0] == 1).all() and (shaken["success"] == 0).all()
@@ -151,7 +151,7 @@ def test_the_command(runs, tmp_path):
     for words in ("2 training seeds", "physics tree", "task.push.impulse=0", "sudden turn", "The random agent"):
         assert words in output.replace("\n", " ")
     result = json.loads(file.read_text())
-    assert result["set"] == ["task.push.impulse=0", "task.randomise=null", "task.duration=2.2"]
+    assert result["set"] == ["task.push.impulse=0", "task.randomise=null", "task.terrain=null", "task.duration=2.2"]
     assert result["commit"] and result["figures"]["slip"]["unit"] == "m/s"
     (group,) = result["results"]
     assert group["beyond_training"] == ["sideways +0.15", "sideways -0.15"]

@@ -34,6 +34,8 @@ def run_play(
         )
     if view and physics not in (None, "mujoco"):
         raise InputError(f"--physics {physics}: --view moves the robot in native MuJoCo; leave this out.")
+    if any(override.startswith("task.terrain") for override in overrides):
+        raise InputError("--set task.terrain: play shows a plane; evaluate plays on a terrain.")
     if port is not None and not view:
         raise InputError("--port: only --view has a server.")
     if out is not None:
@@ -42,11 +44,11 @@ def run_play(
     start_for(physics, overrides)
     if physics in (None, "mujoco"):
         jax.config.update("jax_platforms", "cpu")  # one robot in native MuJoCo gains nothing by a GPU
-    from humanoid_mjx.evaluation.policy import find_policy, in_world, on_native
+    from humanoid_mjx.evaluation.policy import find_policy, in_world, on_native, on_plane
 
     with Bar(console) as bar:
         bar.phase("loading")
-        trained = in_world(find_policy(name, point), physics, overrides)
+        trained = on_plane(in_world(find_policy(name, point), physics, overrides))
         if not view:
             from humanoid_mjx.commands.notebook import film_file
             from humanoid_mjx.evaluation.film import show

@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from humanoid_mjx.evaluation.episode import begun, decided, own_data, robot_of, single, world_of
 from humanoid_mjx.evaluation.film import SHOWN_S
-from humanoid_mjx.evaluation.policy import Trained, on_physics
+from humanoid_mjx.evaluation.policy import Trained, on_physics, on_plane
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.physics.native import Native
 from humanoid_mjx.spec import InputError
@@ -260,7 +260,7 @@ class Live:
         robot_of(trained)
         self.touchable = True
         try:
-            trained = on_physics(trained, f"{__name__}:{LiveMujoco.__name__}")
+            trained = on_physics(on_plane(trained), f"{__name__}:{LiveMujoco.__name__}")
         except InputError:  # a task with a physics of its own is shown and steered, but nobody can touch it
             self.touchable = False
         task: Any = trained.learner.task.for_driving()

@@ -188,10 +188,17 @@ def on_physics(trained: Trained, physics: str) -> Trained:
 
 
 def on_native(trained: Trained) -> Trained:
-    """The same policy on native MuJoCo, which moves one robot without compiling; as it is where its task cannot."""
+    """The same policy on native MuJoCo, which moves one robot without compiling, as far as its task can, on a plane."""
+    trained = on_plane(trained)
     with suppress(InputError):
         return on_physics(trained, "mujoco")
     return trained
+
+
+def on_plane(trained: Trained) -> Trained:
+    """The same policy on a level plane: pictures show no other ground."""
+    shaped = getattr(trained.learner.task, "terrain", None)
+    return in_changed_world(trained, ["task.terrain=null"]) if shaped else trained
 
 
 def in_changed_world(trained: Trained, overrides: Sequence[str]) -> Trained:

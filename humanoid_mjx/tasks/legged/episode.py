@@ -45,8 +45,8 @@ def mean_motion(before: World, after: World, period: float, terrain: Terrain | N
     rotation = rotation_matrix(unit(first + jnp.where(first @ last < 0, -last, last)))
     spin = turned_by(first, last) / period
     velocity = heading_frame(rotation) @ (after.qpos[:3] - before.qpos[:3]) / period
-    up = terrain.up() if terrain else jnp.array([0.0, 0.0, 1.0])
-    force = (after.qvel[:3] - before.qvel[:3]) / period + GRAVITY * up
+    weight = GRAVITY * terrain.up() if terrain else jnp.array([0.0, 0.0, GRAVITY])
+    force = (after.qvel[:3] - before.qvel[:3]) / period + weight
     return MeanMotion(velocity, rotation[2] @ spin, spin, rotation.T @ force)
 
 

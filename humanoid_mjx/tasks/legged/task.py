@@ -209,7 +209,7 @@ class LeggedTask(LeggedBody):
         return data.under(jnp.stack([told[name] for name in COMMANDED]), 0.0)
 
     def for_driving(self) -> "LeggedTask":
-        calm = self.replace(push=self.push.replace(impulse=0.0), duration=1e9)
+        calm = self.replace(push=self.push.replace(impulse=0.0), duration=1e9, terrain=None)
         return calm.replace(command=self.command.replace(every=1e9)) if self.command else calm
 
     def reference(self, episode: Episode) -> Float[Array, " joints"] | float:
@@ -218,11 +218,8 @@ class LeggedTask(LeggedBody):
 
     def view(self, episode: Episode, sensed: Sensed | None, last_offsets: Float[Array, " joints"]) -> View:
         """The view that the parts of the task take; `sensed` is None at the beginning of an episode."""
-        feet = (
-            feet_of(sensed, self.simulator.body_names, self.robot, episode.terrain)
-            if sensed
-            else unknown_feet(self.robot)
-        )
+        robot, terrain, names = self.robot, episode.terrain, self.simulator.body_names
+        feet = feet_of(sensed, names, robot, terrain) if sensed else unknown_feet(robot, terrain)
         torque = sensed.torque if sensed else jnp.zeros(len(self.robot.joints))
         return View(self.robot, self.command, self.gait, episode, feet, torque, last_offsets)
 

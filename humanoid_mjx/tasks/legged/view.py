@@ -70,11 +70,11 @@ def feet_of(sensed: Sensed, body_names: tuple[str, ...], robot: Robot, terrain: 
     )
 
 
-def unknown_feet(robot: Robot) -> Feet:
+def unknown_feet(robot: Robot, terrain: Terrain | None = None) -> Feet:
     """The feet before the first step: all 0."""
     feet = len(robot.feet)
     each, corners = jnp.zeros((feet, 3)), jnp.zeros((feet, robot.points, 3))
-    return Feet(robot, each, each, jnp.zeros((feet, 3, 3)), corners, corners, corners[..., 0])
+    return Feet(robot, each, each, jnp.zeros((feet, 3, 3)), corners, corners, corners[..., 0], terrain)
 
 
 class View(NamedTuple):
