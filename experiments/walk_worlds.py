@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import humanoid_mjx
 from humanoid_mjx import compute
 from humanoid_mjx.evaluation.gait.measure import settings_of, trained_seeds
-from humanoid_mjx.evaluation.gait.scenarios import gaits_of, play_gaits, scenarios_of, walking_task
+from humanoid_mjx.evaluation.gait.scenarios import Scenario, gaits_of, play_gaits, scenarios_of, walking_task
 from humanoid_mjx.evaluation.policy import Trained, in_world
 from humanoid_mjx.robot import make_robot
 
@@ -46,11 +46,13 @@ FIGURES = "success", "forward", "speed_error", "slip", "turn_success"
 """The figures of a gait that the record keeps."""
 
 
-def walked(policies: list[Trained], episodes: int) -> dict[str, Any]:
+def walked(
+    policies: list[Trained], episodes: int, names: Sequence[str] = FIGURES, scenarios: Sequence[Scenario] | None = None
+) -> dict[str, Any]:
     """Return the figures of policies that differ by their training seed, as lists of commands of lists of seeds."""
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(policy.policy for policy in policies))
     task = walking_task(policies[0].learner.task)
-    scenarios = scenarios_of(task.robot)
+    scenarios = scenarios or scenarios_of(task.robot)
     duration = float(task.duration)
     found = play_gaits(policies[0].learner, stacked, scenarios, episodes, duration, ("greedy",), lambda done, of: None)
     gaits = [gait.as_json() for gait in gaits_of(found, scenarios)]
@@ -58,7 +60,7 @@ def walked(policies: list[Trained], episodes: int) -> dict[str, Any]:
     def of_seeds(gait: dict[str, Any], name: str) -> list[float] | None:
         return [seed[0] for seed in gait["figures"][name]["seeds"]] if name in gait["figures"] else None
 
-    figures = {name: [of_seeds(gait, name) for gait in gaits] for name in FIGURES}
+    figures = {name: [of_seeds(gait, name) for gait in gaits] for name in names}
     return {"commands": [gait["scenario"] for gait in gaits], **figures}
 
 
