@@ -9,19 +9,26 @@ makes the table of it.
 
 import argparse
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Key
 
 import humanoid_mjx
 from humanoid_mjx import compute
+from humanoid_mjx.control.drives import Drive
+from humanoid_mjx.control.pd import Joints
 from humanoid_mjx.evaluation.gait.measure import settings_of, trained_seeds
-from humanoid_mjx.evaluation.gait.scenarios import gaits_of, play_gaits, scenarios_of, walking_task
+from humanoid_mjx.evaluation.gait.scenarios import Scenario, gaits_of, play_gaits, scenarios_of, walking_task
 from humanoid_mjx.evaluation.policy import Trained, in_world
+from humanoid_mjx.physics.base import Readings
+from humanoid_mjx.physics.sensors import Sensors, SensorState
 from humanoid_mjx.robot import make_robot
+from humanoid_mjx.tasks.legged import Walk
 
 PLAIN = {"friction": "1", "torque_limit": "1", "push.least": "1", "push.every": "3", "sensors.jitter": "0"}
 """Values of the task in all worlds that do not change them; the sensors are one control cycle late."""
@@ -45,15 +52,70 @@ WORLDS: dict[str, dict[str, str]] = {
     "stairs of 10 mm": {"terrain": "{stairs: 0.01}"},
 }
 
+JOINT = "right_knee_pitch"
+
+
+class Stuck(Walk):
+    """`walk` in which the motor of `JOINT` holds its place."""
+
+    def setpoint(
+        self, offsets: Float[Array, " joints"], reference: Float[Array, " joints"] | float = 0.0
+    ) -> Float[Array, " joints"]:
+        held = np.array([joint == JOINT for joint in self.robot.joints])
+        return jnp.where(held, self.posture, super().setpoint(offsets, reference))
+
+
+class Weak(Drive):
+    """The motor of one joint gives little torque, N m."""
+
+    limits: tuple[float, ...] = ()
+
+    def __call__(self, torque: Joints, qvel: Joints) -> Joints:
+        return jnp.clip(torque, -np.array(self.limits), np.array(self.limits))
+
+
+class Gone(Sensors):
+    """Sensors of which one reads 0."""
+
+    gone: str = ""
+
+    def read(self, state: SensorState, readings: Readings, key: Key[Array, ""]) -> tuple[SensorState, Readings]:
+        state, seen = super().read(state, readings, key)
+        return state, seen._replace(**{self.gone: jnp.zeros_like(getattr(seen, self.gone))})
+
+
+def weak(task: Walk, limit: float) -> Walk:
+    """The task in which the motor of `JOINT` gives so much at most, N m."""
+    limits = tuple(limit if joint == JOINT else np.inf for joint in task.robot.joints)
+    return task.replace(actuator=Weak.model_construct(limits=limits))
+
+
+def without(task: Walk, sensor: str) -> Walk:
+    """The task in which a sensor reads 0."""
+    return task.replace(sensors=Gone.model_construct(**dict(task.sensors), gone=sensor))
+
+
+FAULTS: dict[str, Callable[[Walk], Walk]] = {
+    "right knee stuck": lambda task: Stuck.model_construct(**dict(task)),
+    "right knee of 0.5 N m": lambda task: weak(task, 0.5),
+    "right knee without torque": lambda task: weak(task, 0.0),
+    "no gyroscope": lambda task: without(task, "gyroscope"),
+    "no accelerometer": lambda task: without(task, "accelerometer"),
+    "no sensors of the feet": lambda task: without(task, "foot_contact"),
+}
+"""Worlds that no value of the task makes: they differ from flat ground by one fault."""
+
 FIGURES = "success", "forward", "speed_error", "slip", "turn_success"
 """The figures of a gait that the record keeps."""
 
 
-def walked(policies: list[Trained], episodes: int) -> dict[str, Any]:
+def walked(
+    policies: list[Trained], episodes: int, names: Sequence[str] = FIGURES, scenarios: Sequence[Scenario] | None = None
+) -> dict[str, Any]:
     """Return the figures of policies that differ by their training seed, as lists of commands of lists of seeds."""
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(policy.policy for policy in policies))
     task = walking_task(policies[0].learner.task)
-    scenarios = scenarios_of(task.robot)
+    scenarios = scenarios or scenarios_of(task.robot)
     duration = float(task.duration)
     found = play_gaits(policies[0].learner, stacked, scenarios, episodes, duration, ("greedy",), lambda done, of: None)
     gaits = [gait.as_json() for gait in gaits_of(found, scenarios)]
@@ -61,8 +123,12 @@ def walked(policies: list[Trained], episodes: int) -> dict[str, Any]:
     def of_seeds(gait: dict[str, Any], name: str) -> list[float] | None:
         return [seed[0] for seed in gait["figures"][name]["seeds"]] if name in gait["figures"] else None
 
-    figures = {name: [of_seeds(gait, name) for gait in gaits] for name in FIGURES}
+    figures = {name: [of_seeds(gait, name) for gait in gaits] for name in names}
     return {"commands": [gait["scenario"] for gait in gaits], **figures}
+
+
+def _faulty(learner: Any, fault: str) -> Any:
+    return learner.replace(task=FAULTS[fault](learner.task))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -71,7 +137,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("names", nargs="+", metavar="RUN|POLICY")
     parser.add_argument("--episodes", type=int, default=32, help="of each seed under each command")
     parser.add_argument("--physics", help="another physics, such as mujoco")
-    parser.add_argument("--worlds", nargs="+", choices=WORLDS, default=list(WORLDS))
+    parser.add_argument("--worlds", nargs="+", choices=[*WORLDS, *FAULTS], default=[*WORLDS, *FAULTS])
     parser.add_argument("--json", type=Path, required=True, metavar="FILE")
     given = parser.parse_args(arguments)
     humanoid_mjx.start()
@@ -79,8 +145,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for name in given.names:
         policies = trained_seeds([name])
         for world in given.worlds:
-            overrides = [f"task.{key}={value}" for key, value in (PLAIN | WORLDS[world]).items()]
+            overrides = [f"task.{key}={value}" for key, value in (PLAIN | WORLDS.get(world, {})).items()]
             there = [in_world(policy, given.physics, settings_of(overrides)) for policy in policies]
+            if world in FAULTS:
+                there = [policy._replace(learner=_faulty(policy.learner, world)) for policy in there]
             found = walked(there, given.episodes)
             rows.append({"policy": policies[0].name, "world": world, "set": overrides, **found})
             least = min(min(seeds) for seeds in found["success"])

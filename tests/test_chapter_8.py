@@ -1,0 +1,90 @@
+"""The bodies of `experiments/chapter_8.py`, and the verdicts on records of them."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from chapter_8 import BODIES, FIGURES, PUSHES, PushedFrom
+from chapter_8_verdicts import Record, difference, findings
+
+from humanoid_mjx.tasks import make_task
+
+COMMANDS = [
+    "stand",
+    "forward 0.15",
+    "forward 0.3",
+    "forward 0.5",
+    "forward 0.8",
+    "turn +1.0",
+    "turn -1.0",
+    "sudden turn",
+]
+
+
+def record_of(good: dict[str, float]) -> Record:
+    """A record of five seeds in which bodies have these successes, turns and speeds, and one less as error."""
+    spread = np.linspace(-0.01, 0.01, 5)
+
+    def row(body: str, push: float) -> dict:
+        figures = {name: [(good[body] + spread).tolist()] * len(COMMANDS) for name in FIGURES}
+        figures["turn_error"] = [(1.0 - good[body] + spread).tolist()] * len(COMMANDS)
+        return {"body": body, "push": push, "commands": COMMANDS, **figures}
+
+    return Record({"rows": [row(body, push) for body in good for push in PUSHES]})
+
+
+def test_verdicts_turn_with_the_record():
+    def verdicts(whole: float, others: float) -> list[str]:
+        found = findings(record_of(dict.fromkeys(BODIES, others) | {"all joints": whole}))
+        return [finding.verdict for finding in found]
+
+    helps, keeps, ranges = slice(0, 9), slice(9, 11), slice(11, None)
+    better, worse, equal = verdicts(0.9, 0.5), verdicts(0.5, 0.9), verdicts(0.7, 0.7)
+    assert set(better[helps]) == {"reproduced"} and better[keeps] == ["reproduced", "differs"]
+    assert set(worse[helps]) == {"differs"} and worse[keeps] == ["reproduced", "reproduced"]
+    assert set(equal[helps]) == {"differs"} and equal[keeps] == ["reproduced", "reproduced"]
+    assert set(better[ranges]) == {"finding"}
+
+
+def test_fast_movement_that_falls_is_a_deviation():
+    data = {"all joints": 0.9} | dict.fromkeys(BODIES, 0.9)
+    record = record_of(data)
+    for push in PUSHES:
+        record._rows["all joints", push]["success"][COMMANDS.index("forward 0.8")] = [0.7, 0.8, 0.75, 0.8, 0.7]
+    (fast,) = [finding for finding in findings(record) if "told 0.15" in finding.quantity]
+    assert fast.verdict == "differs"
+
+
+def test_difference_against_a_value_by_hand():
+    middle, half = difference(np.array([1.0, 2.0, 3.0]), np.array([1.0, 1.0, 1.0]))
+    assert middle == pytest.approx(1.0) and half == pytest.approx(4.3027 / np.sqrt(3.0), rel=1e-4)
+
+
+def test_a_body_without_joints_moves_as_in_mujoco():
+    robot = {"name": "chapter_8:Welded", "ranges": "human", "locked": ["hip_yaw", "hip_roll"]}
+    moved = {}
+    for physics in ("tree", "mujoco"):
+        task = make_task("walk", robot=robot, gait={"name": "chapter_8:OwnSteps"}, symmetric=True, physics=physics)
+        step, state = jax.jit(task.step_continuous), task.reset(jax.random.key(0))
+        for index in range(10):
+            state = step(state, jnp.sin(jnp.arange(6) + 0.3 * index), jax.random.key(index))
+        moved[physics] = np.asarray(state.data.world.qpos)
+    whole = make_task("walk").robot
+    assert [joint for joint in whole.joints if "yaw" not in joint and "roll" not in joint] == list(task.robot.joints)
+    assert task.robot.mass == pytest.approx(whole.mass) and task.robot.leg_length == pytest.approx(whole.leg_length)
+    assert moved["tree"].shape == (13,)
+    np.testing.assert_allclose(moved["tree"], moved["mujoco"], atol=1e-5)  # float32 rounding over 0.2 s
+
+
+@pytest.mark.parametrize("bearing", (0.0, 90.0))
+def test_pushes_come_from_where_the_body_is_told(bearing):
+    task = PushedFrom(bearing=bearing, push={"impulse": 0.2, "every": 0.02})
+    for seed in range(4):
+        data = task.reset(jax.random.key(seed)).data._replace(first_push=jnp.float32(0.0))
+        force = task.push_on(data, jax.random.key(seed))
+        w, x, y, z = data.world.qpos[3:7]
+        ahead = np.array([1 - 2 * (y * y + z * z), 2 * (x * y + w * z)])
+        along = force[:2] @ ahead / np.linalg.norm(ahead)
+        size = 0.2 / task.period * task.robot.momentum
+        assert np.linalg.norm(force) == pytest.approx(size, rel=1e-5)
+        assert along == pytest.approx(size * np.cos(np.radians(bearing)), abs=1e-4 * size)
