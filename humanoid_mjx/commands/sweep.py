@@ -10,11 +10,11 @@ import typer
 from rich.table import Table
 
 from humanoid_mjx import compute
-from humanoid_mjx.commands import console, counted
+from humanoid_mjx.commands import console
 from humanoid_mjx.compute import processes
 from humanoid_mjx.config import load
 from humanoid_mjx.runs.folder import read_provenance
-from humanoid_mjx.training.progress import Bar
+from humanoid_mjx.training.progress import Bar, counted
 
 if TYPE_CHECKING:
     from humanoid_mjx.report.growing import Growing
@@ -23,9 +23,6 @@ RATES = ("episodes", "steps")
 
 DRAWING_S = 5.0
 """Seconds that the figures of a sweep take, by estimate."""
-
-BEST_POINTS = 10
-"""Rows of the summary that is printed."""
 
 
 def run_sweep(
@@ -82,7 +79,7 @@ def print_summary(
     from humanoid_mjx.runs.ranking import best_table, ranked, ties
 
     points = ranked(axes, summary, quickest)
-    headings, rows = best_table(axes, summary, points, quickest, BEST_POINTS)
+    headings, rows = best_table(axes, summary, points, quickest)
     title = f"{len(points)} points; the best {len(rows)}" if len(points) > 1 else "1 point"
     if (equals := ties(points)) > len(rows):
         title += f" of {equals} that act equally well"

@@ -15,7 +15,7 @@ from humanoid_mjx.report.figures import averaged, figures_of
 from humanoid_mjx.report.page import curve_panels, run_page
 from humanoid_mjx.report.web import page, section, table, text
 from humanoid_mjx.runs.folder import RunFolder
-from humanoid_mjx.runs.ranking import short
+from humanoid_mjx.runs.ranking import BEST_POINTS, short
 from humanoid_mjx.training.events import Curves
 from humanoid_mjx.training.pace import time_in_words
 from humanoid_mjx.training.plan import Plan
@@ -29,8 +29,6 @@ EVERY_S = 5.0
 
 DRAWING_SHARE = 0.1
 """The most of the time that drawing may take."""
-
-BEST = 10
 
 
 class Growing(Reporter):
@@ -147,7 +145,7 @@ def best_so_far(curves: Curves) -> tuple[list[str], list[list[str]]]:
     rows.sort(key=lambda row: tuple(-np.nan_to_num(mean, nan=-np.inf) for mean in row[0][:2]))
     cells = [
         [str(point), *map(short, plan.points[point].values()), str(seeds), f"{count:,}", *map(short, means)]
-        for means, point, seeds, count in rows[:BEST]
+        for means, point, seeds, count in rows[:BEST_POINTS]
     ]
     return ["point", *plan.points[0], "seeds", f"{plan.unit}s trained", *names], cells
 

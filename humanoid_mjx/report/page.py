@@ -28,10 +28,8 @@ from humanoid_mjx.runs.folder import read_config, read_provenance
 from humanoid_mjx.runs.ranking import Ranked, best_table, ranked, short, ties
 from humanoid_mjx.runs.tables import read_table
 from humanoid_mjx.spec import InputError
-from humanoid_mjx.training.progress import Reporter
-
-BEST_POINTS = 10
-"""Rows of the table of points."""
+from humanoid_mjx.training.pace import time_in_words
+from humanoid_mjx.training.progress import Reporter, counted
 
 FEW_VALUES = 12
 """More values of a swept parameter are not listed one by one."""
@@ -88,7 +86,7 @@ def _lead(
     unit = "episodes" if config.get("episodes") else "total_steps"
     budget = f"{config[unit]:,} {'episodes' if unit == 'episodes' else 'control steps'}" if config.get(unit) else ""
     best = points[0]
-    size = f"{_many(len(points), 'point')}, {_many(seeds, 'seed')}{' each' * (len(points) > 1)}"
+    size = f"{counted(len(points), 'point')}, {counted(seeds, 'seed')}{' each' * (len(points) > 1)}"
     judged = f"in {best.greedy_steps:.1f} steps" if quickest else f"with a return of {best.greedy_return:.4g}"
     words = (
         f"{learner} on {task}: {size}{f', {budget} a run' if budget else ''}. "
@@ -97,14 +95,10 @@ def _lead(
     return f'<p class="lead">{text(words, "span")}</p>'
 
 
-def _many(count: int, name: str) -> str:
-    return f"{count:,} {name}{'s' * (count != 1)}"
-
-
 def _result(
     axes: Sequence[str], summary: Mapping[str, np.ndarray], points: Sequence[Ranked], quickest: bool
 ) -> list[str]:
-    headings, rows = best_table(axes, summary, points, quickest, BEST_POINTS)
+    headings, rows = best_table(axes, summary, points, quickest)
     shown = len(rows)
     some = f"The best {shown} of {len(points):,} points" if shown < len(points) else f"All {shown} points, best first"
     caption = some if len(points) > 1 else "The only point"
@@ -247,8 +241,9 @@ def _provenance(provenance: Mapping[str, Any]) -> list[str]:
     machine, found, sessions = part("machine"), [], provenance.get("sessions")
     devices, cores = machine.get("device_count"), machine.get("cpu_count")
     found.append(("started", provenance.get("started")))
-    found.append(("training took", _seconds(provenance.get("wall_s"))))
-    found.append(("of which compiling", _seconds(provenance.get("compile_s"))))
+    for name, words in (("wall_s", "training took"), ("compile_s", "of which compiling")):
+        if isinstance(seconds := provenance.get(name), int | float):
+            found.append((words, time_in_words(seconds)))
     if isinstance(sessions, list) and len(sessions) > 1:
         found.append(("in", f"{len(sessions)} sessions, the later ones with --resume"))
     for name, words in (("episodes_per_s", "episodes a second"), ("steps_per_s", "control steps a second")):
@@ -264,13 +259,6 @@ def _provenance(provenance: Mapping[str, Any]) -> list[str]:
     found.append(("versions", ", ".join(f"{name} {value}" for name, value in part("versions").items())))
     shown = [(name, str(value)) for name, value in found if value not in (None, "")]
     return [facts(shown) if shown else text("This folder holds no provenance.json.")]
-
-
-def _seconds(value: Any) -> str | None:
-    """A length of time in words."""
-    if not isinstance(value, int | float):
-        return None
-    return f"{value:.3g} s" if value < 120 else f"{value / 60:.3g} min"
 
 
 def _again(config: Mapping[str, Any], provenance: Mapping[str, Any]) -> list[str]:

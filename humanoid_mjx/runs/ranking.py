@@ -30,6 +30,9 @@ class Ranked(NamedTuple):
     """Sorts points from best to worst."""
 
 
+BEST_POINTS = 10
+"""Rows of a table of points."""
+
 GREEDY = 2
 """Numbers of a rank that say how a point acts greedily."""
 
@@ -76,15 +79,15 @@ def training_interval(summary: Mapping[str, np.ndarray], point: int, name: str =
 
 
 def best_table(
-    axes: Sequence[str], summary: Mapping[str, np.ndarray], points: Sequence[Ranked], quickest: bool, most: int
+    axes: Sequence[str], summary: Mapping[str, np.ndarray], points: Sequence[Ranked], quickest: bool
 ) -> tuple[list[str], list[list[str]]]:
-    """Headings and rows of a table of the first of `points`, by what `quickest` judges them by (`ranked`)."""
+    """Headings and rows of a table of the first `BEST_POINTS`, by what `quickest` judges them by (`ranked`)."""
     measure, tied, seeds = "steps" if quickest else "return", ties(points) > 1, len(np.unique(summary["seed"]))
     greedy = ["greedy steps"] if quickest else ["greedy return", "greedy steps"]
     headings = ["point", *axes, "greedy success", *greedy, f"{measure} at the end of training (95\u00a0%)"]
     headings += [f"{measure} over all of training"] * tied + ["diverged"] * bool(np.any(summary["diverged"]))
     rows = []
-    for point in points[:most]:
+    for point in points[:BEST_POINTS]:
         low, high = training_interval(summary, point.point, measure)
         end = f"{point.steps if quickest else point.training_return:.2f}"
         end += f" ({low:.2f} to {high:.2f})" if low < high else ""
