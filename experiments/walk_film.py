@@ -19,9 +19,10 @@ from humanoid_mjx import compute
 from humanoid_mjx.evaluation.episode import robot_of
 from humanoid_mjx.evaluation.evaluate import held_out_keys
 from humanoid_mjx.evaluation.film import Film
+from humanoid_mjx.evaluation.gait.measure import settings_of
 from humanoid_mjx.evaluation.gait.samples import heading_of, wrapped
-from humanoid_mjx.evaluation.gait.scenarios import TURN_GAIN, TURN_RATE, calm, under_one_command
-from humanoid_mjx.evaluation.policy import find_policy
+from humanoid_mjx.evaluation.gait.scenarios import TURN_GAIN, TURN_RATE, under_one_command
+from humanoid_mjx.evaluation.policy import find_policy, in_world
 from humanoid_mjx.learners.rollout import decision_keys, greedy, start
 from humanoid_mjx.report.rendering import render_film
 from humanoid_mjx.tasks.continuous import State
@@ -59,8 +60,8 @@ README = slice(9, 13)
 
 def filmed(name: str) -> Film:
     """The policy of this name through all scenes."""
-    trained = find_policy(name)
-    learner: Any = under_one_command(calm(trained.learner))
+    trained = in_world(find_policy(name), None, settings_of([]))
+    learner: Any = under_one_command(trained.learner)
     task = learner.task
     (key,) = held_out_keys(1)
 

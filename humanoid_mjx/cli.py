@@ -170,13 +170,10 @@ def evaluate(
     trust: Trust = False,
 ) -> None:
     """Measure what was learned on episodes that no training has seen, beside a zero and a random agent."""
-    from humanoid_mjx.commands.evaluate import run_evaluate, run_gait
+    from humanoid_mjx.commands.evaluate import run_evaluate
 
     with _trusting(trust, *policies):
-        if gait:
-            run_gait(policies, point, physics, set_ or [], episodes or 64, json)
-        else:
-            run_evaluate(policies, point, physics, set_ or [], episodes or 1024, json)
+        run_evaluate(policies, gait, point, physics, set_ or [], episodes, json)
 
 
 @app.command()

@@ -38,6 +38,19 @@ def whole_file(path: Path) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
 
 
+@contextlib.contextmanager
+def refusing(path: Path) -> Iterator[None]:
+    """Turn errors of the system within the block into what to say of a path that cannot be written.
+
+    Raises:
+      InputError: there was one.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}.") from error
+
+
 def write_text(path: Path, text: str) -> None:
     """Write a text file, as a whole or not at all."""
     with whole_file(path) as temporary:

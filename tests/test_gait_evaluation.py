@@ -14,7 +14,7 @@ from humanoid_mjx.compute import rng
 from humanoid_mjx.config import parse
 from humanoid_mjx.evaluation.gait.figures import FIGURES
 from humanoid_mjx.evaluation.gait.measure import settings_of
-from humanoid_mjx.evaluation.gait.scenarios import Scenario, calm, gaits_of, play_gaits, scenarios_of
+from humanoid_mjx.evaluation.gait.scenarios import Scenario, gaits_of, play_gaits, scenarios_of
 from humanoid_mjx.evaluation.gait.summary import summarised
 from humanoid_mjx.evaluation.policy import best_policy, in_changed_world, policies_of_best, save_policy
 from humanoid_mjx.physics.base import Batches
@@ -47,6 +47,12 @@ def config(**task):
 def learner_of(**task):
     (group,) = make_plan(parse(config(**task))).groups
     return group.learner()
+
+
+def calm(learner):
+    """The learner with a task in which nothing pushes the body and all worlds are as declared."""
+    task = learner.task
+    return learner.replace(task=task.replace(push=task.push.replace(impulse=jnp.float32(0.0)), randomise=None))
 
 
 def played(learner, agent="greedy", seconds=0.5, seed=5):

@@ -145,6 +145,7 @@ def walking():
 
 def test_it_walks_as_the_browser_says(walking):
     live = walking.live
+    assert walking.tell({"pace": 0.5}) == 204 and live.stage.hands.pace == 0.5
     live.stage.hands.pace = 10.0
     assert walking.tell({"told": {"forward, m/s": 0.4}, "friction": 9.0, "payload": 0.1}) == 204
     assert (live.stage.hands.friction, live.stage.hands.payload) == (2.0, 0.1)  # within the slider's range
@@ -250,7 +251,7 @@ def test_a_robot_with_a_physics_of_its_own_is_seen_but_not_touched():
         time.sleep(0.02)
     live.stop()
     thread.join(20)
-    frame = json.loads(window.frame)
+    frame = window.now()
     assert live.episode >= 1 and window.number > 5 and "torque, N m" not in frame["charts"]
     assert len(frame["shapes"]) == len(window.scene.shown)
 
@@ -281,6 +282,18 @@ def test_keys_and_mouse_drive_it(walking):
         walking.until(lambda: live.told[SPEEDS[0]] == pytest.approx(0.3, abs=0.011))
         key(opened, "keyDown", " ")
         walking.until(lambda: live.told[SPEEDS[0]] == 0.0)
+        opened.value(
+            "window.pad = {axes: [0.5, -1, -0.5], buttons: Array.from({length: 10}, (_, i) => ({pressed: i === 9}))};"
+            "navigator.getGamepads = () => [null, pad]"
+        )
+        # A browser shows a gamepad as soon as one of its buttons is pressed: here that which pauses.
+        walking.until(lambda: [live.told[name] for name in SPEEDS] == pytest.approx([0.8, -0.075, 0.5]))
+        walking.until(lambda: not live.going.is_set())
+        opened.value("pad.axes = [0.1, 0, 0]; pad.buttons[9].pressed = false")  # sticks do not quite return
+        walking.until(lambda: not any(live.told.values()))
+        opened.value("navigator.getGamepads = () => []")
+        key(opened, "keyDown", "p")
+        walking.until(live.going.is_set)
         key(opened, "keyDown", "p")  # so that nothing moves below the mouse
         walking.until(lambda: not live.going.is_set())
         time.sleep(0.5)

@@ -9,11 +9,6 @@ from humanoid_mjx.training.progress import PatientConsole
 console = PatientConsole(highlight=False, markup=False, emoji=False, width=None if sys.stdout.isatty() else 120)
 
 
-def counted(count: int, name: str) -> str:
-    """A count of things: `1 point`, `4,800 runs`."""
-    return f"{count:,} {name}{'s' * (count != 1)}"
-
-
 def start_for(physics: str | None, overrides: Sequence[str]) -> None:
     """Prepare this process for computing, with room for MJX where `--physics` or `--set` names it."""
     compute.start(mjx="mjx-jax" in (physics, *(override.partition("=")[2] for override in overrides)))

@@ -20,17 +20,32 @@ if TYPE_CHECKING:
 
 def run_evaluate(
     names: Sequence[str],
+    gait: bool,
     point: int | None,
     physics: str | None,
     overrides: Sequence[str],
-    episodes: int,
+    episodes: int | None,
     file: Path | None,
 ) -> None:
     """`humanoid-mjx evaluate`."""
     if file is not None:
         check_folder(file, "--json")
     start_for(physics, overrides)
-    from humanoid_mjx.evaluation.evaluate import HELD_OUT_WORDS, evaluate_all
+    from humanoid_mjx.evaluation.evaluate import HELD_OUT_WORDS
+
+    number = episodes or (64 if gait else 1024)
+    found = (_gaits if gait else _successes)(names, point, physics, overrides, number)
+    if file is not None:
+        result = compute.made_by() | {"episodes": number, "held_out": HELD_OUT_WORDS, "physics": physics} | found
+        write_text(file, json.dumps(result, indent=None if gait else 2) + "\n")
+        console.print(f"{file}", soft_wrap=True)
+
+
+def _successes(
+    names: Sequence[str], point: int | None, physics: str | None, overrides: Sequence[str], episodes: int
+) -> dict[str, Any]:
+    """Print how often policies and other agents succeed; the same as plain values."""
+    from humanoid_mjx.evaluation.evaluate import evaluate_all
     from humanoid_mjx.evaluation.policy import find_policy, in_world
 
     policies = [find_policy(name, point) for name in names]
@@ -41,18 +56,32 @@ def run_evaluate(
         bar.phase("compiling and playing")
         evaluations = evaluate_all(policies, episodes)
     title = f"{episodes:,} episodes that no training has seen{_changes(physics, overrides)}"
-    console.print(evaluation_table(title, evaluations))
-    for words in words_on_returns(policies, evaluations):
-        console.print(words)
-    if file is not None:
-        result = compute.made_by() | {
-            "episodes": episodes,
-            "held_out": HELD_OUT_WORDS,
-            "set": list(overrides),
-            "evaluations": [evaluation.as_json() for evaluation in evaluations],
-            "policies": [policy.as_json() for policy in policies],
-        }
-        _write(file, result)
+    console.print(evaluation_table(title, evaluations), *words_on_returns(policies, evaluations), sep="\n")
+    parts = {"evaluations": evaluations, "policies": policies}
+    return {"set": list(overrides)} | {name: [each.as_json() for each in part] for name, part in parts.items()}
+
+
+def _gaits(
+    names: Sequence[str], point: int | None, physics: str | None, overrides: Sequence[str], episodes: int
+) -> dict[str, Any]:
+    """Print how policies walk under commands; the same as plain values."""
+    from humanoid_mjx.evaluation.gait.figures import FIGURES
+    from humanoid_mjx.evaluation.gait.measure import measure, settings_of, trained_seeds
+    from humanoid_mjx.evaluation.policy import in_world
+    from humanoid_mjx.report.gaits import gait_table, remarks
+
+    settings = settings_of(overrides)
+    policies = [in_world(policy, physics, settings) for policy in trained_seeds(names, point)]
+    with Bar(console) as bar:
+        bar.phase("compiling and walking")
+        measured = measure(policies, episodes, bar.count)
+    for each in measured:
+        seeds = len(each.policies)
+        whose = each.policies[0].name + (f", {seeds} training seeds" if seeds > 1 else "")
+        title = f"{whose}: {episodes:,} episodes a command that no training has seen{_changes(physics, settings)}"
+        console.print(gait_table(title, each.gaits, each.beyond), *remarks(each.gaits, each.beyond), sep="\n")
+    figures = {name: figure._asdict() for name, figure in FIGURES.items()}
+    return {"set": settings, "figures": figures, "results": [each.as_json() for each in measured]}
 
 
 def evaluation_table(title: str, evaluations: Sequence[Evaluation]) -> Table:
@@ -92,47 +121,7 @@ def words_on_returns(policies: Sequence["Trained"], evaluations: Sequence[Evalua
     return found
 
 
-def run_gait(
-    names: Sequence[str],
-    point: int | None,
-    physics: str | None,
-    overrides: Sequence[str],
-    episodes: int,
-    file: Path | None,
-) -> None:
-    """`humanoid-mjx evaluate --gait`."""
-    if file is not None:
-        check_folder(file, "--json")
-    start_for(physics, overrides)
-    from humanoid_mjx.evaluation.evaluate import HELD_OUT_WORDS
-    from humanoid_mjx.evaluation.gait.figures import FIGURES
-    from humanoid_mjx.evaluation.gait.measure import measure, settings_of, trained_seeds
-    from humanoid_mjx.evaluation.policy import in_world
-    from humanoid_mjx.report.gaits import gait_table, remarks
-
-    settings = settings_of(overrides)
-    policies = [in_world(policy, physics, settings) for policy in trained_seeds(names, point)]
-    with Bar(console) as bar:
-        bar.phase("compiling and walking")
-        measured = measure(policies, episodes, bar.count)
-    for each in measured:
-        seeds = len(each.policies)
-        whose = each.policies[0].name + (f", {seeds} training seeds" if seeds > 1 else "")
-        title = f"{whose}: {episodes:,} episodes a command that no training has seen{_changes(physics, settings)}"
-        console.print(gait_table(title, each.gaits, each.beyond), *remarks(each.gaits, each.beyond), sep="\n")
-    if file is not None:
-        figures = {name: figure._asdict() for name, figure in FIGURES.items()}
-        results = [each.as_json() for each in measured]
-        settings_used = {"episodes": episodes, "held_out": HELD_OUT_WORDS, "set": settings, "physics": physics}
-        _write(file, compute.made_by() | settings_used | {"figures": figures, "results": results}, indent=None)
-
-
 def _changes(physics: str | None, overrides: Sequence[str]) -> str:
     """What is not as in training, for a title."""
     changes = [f"physics {physics}"] * (physics is not None) + list(overrides)
     return "".join(f", {change}" for change in changes)
-
-
-def _write(file: Path, result: dict[str, Any], indent: int | None = 2) -> None:
-    write_text(file, json.dumps(result, indent=indent) + "\n")
-    console.print(f"{file}", soft_wrap=True)

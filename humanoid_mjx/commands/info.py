@@ -8,11 +8,11 @@ from rich.filesize import decimal
 from rich.table import Table
 
 from humanoid_mjx import compute
-from humanoid_mjx.commands import console, counted
+from humanoid_mjx.commands import console
 from humanoid_mjx.config import dump_yaml, load
 from humanoid_mjx.files import names
 from humanoid_mjx.spec import InputError, known
-from humanoid_mjx.training.progress import Bar
+from humanoid_mjx.training.progress import Bar, counted
 
 if TYPE_CHECKING:
     from humanoid_mjx.training.plan import Plan

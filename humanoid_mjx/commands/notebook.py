@@ -3,18 +3,16 @@
 The results show themselves in a notebook. `humanoid_mjx.start()` sets up the process as the commands do.
 """
 
-import base64
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from humanoid_mjx.evaluation.policy import Trained, find_policy, in_world, on_native
+from humanoid_mjx.report.web import MEDIA, data_address
 from humanoid_mjx.runs.evaluations import Evaluation
 from humanoid_mjx.runs.folder import read_config
 from humanoid_mjx.spec import check_folder
 from humanoid_mjx.training.sweep import Run
-
-MEDIA = {".gif": "image/gif", ".png": "image/png", ".mp4": "video/mp4", ".webm": "video/webm"}
 
 
 class Picture(NamedTuple):
@@ -25,7 +23,7 @@ class Picture(NamedTuple):
     """Sentences about what it shows."""
 
     def _repr_html_(self) -> str:
-        data = f"data:{MEDIA[self.path.suffix]};base64,{base64.b64encode(self.path.read_bytes()).decode()}"
+        data = data_address(self.path.read_bytes(), MEDIA[self.path.suffix])
         if MEDIA[self.path.suffix].startswith("video"):
             return f'<video src="{data}" autoplay loop muted></video><p>{self.words}</p>'
         return f'<img src="{data}" style="max-width: 100%"><p>{self.words}</p>'

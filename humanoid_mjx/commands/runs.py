@@ -10,6 +10,7 @@ from rich.table import Table
 
 from humanoid_mjx import compute
 from humanoid_mjx.commands import console
+from humanoid_mjx.files import refusing, write_text
 from humanoid_mjx.runs.folder import elsewhere
 from humanoid_mjx.runs.listing import Listed, list_runs
 from humanoid_mjx.spec import InputError, check_folder
@@ -82,7 +83,7 @@ def run_plot(paths: Sequence[Path], x: str | None, y: str, by: str | None, out: 
 
 def run_report(path: Path, out: Path | None, motion: bool) -> None:
     """`humanoid-mjx report`, of a run folder or of what `reproduce` has written."""
-    from humanoid_mjx.report.page import run_page, write_page
+    from humanoid_mjx.report.page import run_page
     from humanoid_mjx.reproduction.page import findings_page
 
     if not path.is_dir():
@@ -99,5 +100,6 @@ def run_report(path: Path, out: Path | None, motion: bool) -> None:
             raise InputError(
                 f"{path}: neither a run folder (no config.yaml) nor what reproduce has written (no reproduce.json)."
             )
-        write_page(target, page)
+        with refusing(target):
+            write_text(target, page)
     console.print(f"{target}", soft_wrap=True)

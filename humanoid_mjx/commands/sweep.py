@@ -10,11 +10,11 @@ import typer
 from rich.table import Table
 
 from humanoid_mjx import compute
-from humanoid_mjx.commands import console, counted
+from humanoid_mjx.commands import console
 from humanoid_mjx.compute import processes
 from humanoid_mjx.config import load
 from humanoid_mjx.runs.folder import read_provenance
-from humanoid_mjx.training.progress import Bar
+from humanoid_mjx.training.progress import Bar, counted
 
 if TYPE_CHECKING:
     from humanoid_mjx.report.growing import Growing
@@ -23,9 +23,6 @@ RATES = ("episodes", "steps")
 
 DRAWING_S = 5.0
 """Seconds that the figures of a sweep take, by estimate."""
-
-BEST_POINTS = 10
-"""Rows of the summary that is printed."""
 
 
 def run_sweep(
@@ -79,34 +76,20 @@ def print_summary(
     axes: Sequence[str], summary: Mapping[str, np.ndarray], provenance: Mapping[str, Any], quickest: bool
 ) -> None:
     """The best points of a sweep, as `ranked` has them, and how fast it trained."""
-    from humanoid_mjx.report.style import short
-    from humanoid_mjx.runs.ranking import ranked, ties, training_interval
+    from humanoid_mjx.runs.ranking import best_table, ranked, ties
 
-    points, seeds = ranked(axes, summary, quickest), len(np.unique(summary["seed"]))
-    best, equals = points[:BEST_POINTS], ties(points)
-    title = f"{len(points)} points; the best {len(best)}" if len(points) > 1 else "1 point"
-    if equals > len(best):
+    points = ranked(axes, summary, quickest)
+    headings, rows = best_table(axes, summary, points, quickest)
+    title = f"{len(points)} points; the best {len(rows)}" if len(points) > 1 else "1 point"
+    if (equals := ties(points)) > len(rows):
         title += f" of {equals} that act equally well"
     rates = [f"{provenance[f'{unit}_per_s']:,.0f} {unit}/s" for unit in RATES if f"{unit}_per_s" in provenance]
     caption = f"training made {' and '.join(rates)}, without compiling" if rates else None
     table = Table(title=title, title_justify="left", caption=caption, caption_justify="left")
-    measure = "steps" if quickest else "return"
-    greedy = ("greedy steps",) if quickest else ("greedy return", "greedy steps")
-    whole = [f"{measure} over all of training"] if equals > 1 else []
-    axis_names = [axis.partition(".")[2] for axis in axes]
-    for heading in (*axis_names, "greedy success", *greedy, f"{measure} at the end of training (95 %)", *whole):
-        table.add_column(heading, justify="right")
-    diverged = {point.point: int(np.sum(summary["diverged"][summary["point"] == point.point])) for point in points}
-    if any(diverged.values()):
-        table.add_column("diverged", justify="right")
-    for point in best:
-        low, high = training_interval(summary, point.point, measure)
-        end = f"{point.steps if quickest else point.training_return:.2f}"
-        end += f" ({low:.2f} to {high:.2f})" if low < high else ""
-        greedy = [] if quickest else [f"{point.greedy_return:.4g}"]
-        cells = [*map(short, point.values), f"{point.success:.1%}", *greedy, f"{point.greedy_steps:.1f}", end]
-        cells += [f"{point.whole:.2f}"] * len(whole)
-        table.add_row(*cells, *([f"{diverged[point.point]} of {seeds}"] if any(diverged.values()) else []))
+    for heading in headings:
+        table.add_column(heading.partition(".")[2] or heading, justify="right")
+    for row in rows:
+        table.add_row(*row)
     console.print(table)
-    if stopped := sum(diverged.values()):
+    if stopped := int(np.sum(summary["diverged"])):
         console.print(f"{counted(stopped, 'run')} stopped at numbers that were not finite; the summary marks them.")

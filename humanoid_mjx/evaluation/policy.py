@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx.config import Config, apply_override, parse
-from humanoid_mjx.files import folder, names, whole_file
+from humanoid_mjx.files import folder, names, refusing, whole_file
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.runs.archive import DAMAGE, read_archive
 from humanoid_mjx.runs.folder import elsewhere, read_config, read_provenance
@@ -133,11 +133,8 @@ def save_policy(trained: Trained, path: Path) -> None:
     """
     check_folder(path)
     text = np.array(json.dumps({"format": FORMAT} | trained.as_json()))
-    try:
-        with whole_file(path) as temporary, temporary.open("wb") as file:
-            np.savez_compressed(file, allow_pickle=False, header=text, **to_arrays(trained.policy, "policy"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}.") from error
+    with refusing(path), whole_file(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, header=text, **to_arrays(trained.policy, "policy"))
 
 
 def load_policy(path: Path) -> Trained:

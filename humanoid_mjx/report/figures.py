@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from humanoid_mjx.report.style import COLORS, count_axis, figure, label_lines, shades, short, wrapped
+from humanoid_mjx.report.style import COLORS, count_axis, figure, label_lines, shades, wrapped
+from humanoid_mjx.runs.ranking import short
 from humanoid_mjx.runs.statistics import iqm, iqm_interval
 from humanoid_mjx.spec import InputError, find, modules_in
 from humanoid_mjx.tasks import TASKS

@@ -34,15 +34,23 @@ def gait_table(title: str, gaits: Sequence[Gait], beyond: Sequence[str] = ()) ->
     table.add_column("command")
     for heading, *_ in COLUMNS:
         table.add_column(heading, justify="right")
+    for row in gait_rows(gaits, beyond):
+        table.add_row(*row)
+    return table
+
+
+def gait_rows(gaits: Sequence[Gait], beyond: Sequence[str] = ()) -> list[list[str]]:
+    """The policy's rows of a gait table: command, and a cell for each of `COLUMNS`."""
+    rows = []
     for gait in gaits:
         if gait.agent == "greedy":
             ways = {"forward": "left" if gait.command[1] else "forward"}
             cells = (_cell(gait.figures[ways.get(name, name)], form, ends) for _, name, form, ends in COLUMNS)
-            table.add_row(gait.scenario + " *" * (gait.scenario in beyond), *cells)
-    return table
+            rows.append([gait.scenario + " *" * (gait.scenario in beyond), *cells])
+    return rows
 
 
-def _column(heading: str) -> str:
+def column_name(heading: str) -> str:
     """A column's heading in one line."""
     name, _, unit = heading.partition("\n")
     return f"{name} ({unit})" if unit else name
@@ -75,7 +83,7 @@ def remarks(gaits: Sequence[Gait], beyond: Sequence[str]) -> list[str]:
         "means over the episodes, with the worse end of the 95 % interval in brackets: 100% (68%) says that all "
         "succeeded, and that in the long run 68% would or more"
     )
-    meanings = "; ".join(f"{_column(heading)}: {FIGURES[name].meaning}" for heading, name, *_ in COLUMNS)
+    meanings = "; ".join(f"{column_name(heading)}: {FIGURES[name].meaning}" for heading, name, *_ in COLUMNS)
     lines = [f"Figures are {many if seeds > 1 else one}.", f"{meanings}. A window is whole gait cycles, near 1 s."]
     if beyond:
         lines.append("* a command beyond those of training")

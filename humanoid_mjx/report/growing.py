@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
+from humanoid_mjx.files import write_text
 from humanoid_mjx.report.figures import averaged, figures_of
-from humanoid_mjx.report.page import curve_panels, run_page, write_page
-from humanoid_mjx.report.style import short
+from humanoid_mjx.report.page import curve_panels, run_page
 from humanoid_mjx.report.web import page, section, table, text
 from humanoid_mjx.runs.folder import RunFolder
-from humanoid_mjx.spec import InputError
+from humanoid_mjx.runs.ranking import BEST_POINTS, short
 from humanoid_mjx.training.events import Curves
 from humanoid_mjx.training.pace import time_in_words
 from humanoid_mjx.training.plan import Plan
@@ -29,8 +29,6 @@ EVERY_S = 5.0
 
 DRAWING_SHARE = 0.1
 """The most of the time that drawing may take."""
-
-BEST = 10
 
 
 class Growing(Reporter):
@@ -67,7 +65,7 @@ class Growing(Reporter):
         if self._thread.is_alive():
             self._thread.join()
             self.words = "stopped"
-            write_page(self.file, self.html() if kind else run_page(self.file.parent, Reporter(), motion=False))
+            write_text(self.file, self.html() if kind else run_page(self.file.parent, Reporter(), motion=False))
 
     def note(self, text: str) -> None:
         self.reporter.note(text)
@@ -82,7 +80,7 @@ class Growing(Reporter):
 
     def _run(self) -> None:
         took = 0.0
-        with suppress(InputError):  # the folder is gone or full: the sweep itself says so
+        with suppress(OSError):  # the folder is gone or full: the sweep itself says so
             while not self._over.wait(max(EVERY_S, took / DRAWING_SHARE)):
                 began = time.monotonic()
                 self.write()
@@ -91,7 +89,7 @@ class Growing(Reporter):
     def write(self) -> None:
         """Write the page as it is now."""
         again = f'<meta http-equiv="refresh" content="{EVERY_S:g}"><title>'
-        write_page(self.file, self.html().replace("<title>", again, 1))
+        write_text(self.file, self.html().replace("<title>", again, 1))
 
     def html(self) -> str:
         """The page as it is now."""
@@ -147,7 +145,7 @@ def best_so_far(curves: Curves) -> tuple[list[str], list[list[str]]]:
     rows.sort(key=lambda row: tuple(-np.nan_to_num(mean, nan=-np.inf) for mean in row[0][:2]))
     cells = [
         [str(point), *map(short, plan.points[point].values()), str(seeds), f"{count:,}", *map(short, means)]
-        for means, point, seeds, count in rows[:BEST]
+        for means, point, seeds, count in rows[:BEST_POINTS]
     ]
     return ["point", *plan.points[0], "seeds", f"{plan.unit}s trained", *names], cells
 

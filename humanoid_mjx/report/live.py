@@ -27,6 +27,9 @@ SLOPE, FRICTION, PAYLOAD, PUSH = 10.0, 2.0, 0.5, 0.2
 """Largest slope, degrees; friction, as a factor; payload, as a share of the robot's mass; and impulse of a key's push,
 as a share of the robot's momentum at the speed sqrt(gravity * extent)."""
 
+SLOWEST = 0.05
+"""Least seconds of the robot a second."""
+
 LONGEST = 10_000
 """Bytes of a message."""
 
@@ -99,7 +102,7 @@ class Window:
         live, title = self.live, self.live.trained.title
         data = player.scene_data(self.scene, title) | {
             "live": {"ranges": live.ranges, "told": live.told, "scales": self.scales, "touchable": live.touchable},
-            "first": json.loads(self.frame),
+            "first": self.now(),
         }
         return page(title, player.figure(data, title, "<p>This needs JavaScript.</p>"), live=True).encode()
 
@@ -109,8 +112,12 @@ class Window:
         while True:
             with self.changed:
                 self.changed.wait_for(lambda: self.number != seen, timeout=5.0)  # noqa: B023
-                seen, frame = self.number, self.frame
-            yield frame
+                seen = self.number
+            yield json.dumps(self.now(), separators=(",", ":"))
+
+    def now(self) -> dict[str, Any]:
+        """The newest frame, and whether the robot waits now."""
+        return self.frame | {"paused": not self.live.going.is_set()}
 
     def take(self, message: Any) -> None:
         """Do what the browser asks for.
@@ -123,6 +130,8 @@ class Window:
             live.told[name] = _within(value, *live.ranges[name])
         for name in self.scales.keys() & message.keys() - {"push"}:
             setattr(hands, name, _within(message[name], *self.scales[name][:2]))
+        if "pace" in message:
+            hands.pace = _within(message["pace"], SLOWEST, 1.0)
         if "push" in message:
             size, side = _within(message["push"], *self.scales["push"][:2]), random.uniform(0.0, math.tau)
             hands.shoves[:] = [size * np.array([math.cos(side), math.sin(side), 0.0])]
@@ -130,6 +139,7 @@ class Window:
             hands.grab = self._grab(message["grab"])
         if "paused" in message:
             (live.going.clear if message["paused"] else live.going.set)()
+            self._show(self.frame)  # a robot that waits shows no other
         if "episode" in message:
             live.episode = max(0, live.episode + int(message["episode"]))
             live.again.set()
@@ -146,15 +156,17 @@ class Window:
         return Grab(body, data.xmat[body].reshape(3, 3).T @ (_place(what["point"]) - data.xpos[body]), to)
 
     def _publish(self) -> None:
-        frame = self._frame()
+        self._show(self._frame())
+
+    def _show(self, frame: dict[str, Any]) -> None:
         with self.changed:
             self.frame, self.number = frame, self.number + 1
             self.changed.notify_all()
 
-    def _frame(self) -> str:
+    def _frame(self) -> dict[str, Any]:
         live, stage = self.live, self.live.stage
         pressing = stage.pressing() if live.touchable else {}
-        frame = {
+        return {
             "time": round(stage.time, 3),
             "shapes": player.poses(*posed(self.model, stage.data, self.scene.shown)),
             "torso": player.rounded(stage.data.xpos[1]),
@@ -163,13 +175,11 @@ class Window:
             "push": None if stage.shoved is None else player.rounded(stage.shoved),
             "words": live.words,
             "episode": live.episode,
-            "paused": not live.going.is_set(),
             "charts": {
                 title: {name: round(float(value), 4) for name, value in lines.items()}
                 for title, lines in self._charts(pressing).items()
             },
         }
-        return json.dumps(frame, separators=(",", ":"))
 
     def _charts(self, pressing: Mapping[int, Any]) -> dict[str, dict[str, Any]]:
         """The present numbers of each curve, by the curves' titles and the lines' names."""

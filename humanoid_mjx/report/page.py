@@ -4,7 +4,7 @@ import io
 import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from html import escape
 from itertools import combinations
 from pathlib import Path
@@ -15,27 +15,30 @@ from PIL import Image
 
 from humanoid_mjx.config import dump_yaml
 from humanoid_mjx.evaluation.film import driven_films, show
-from humanoid_mjx.evaluation.policy import find_policy, on_native
-from humanoid_mjx.files import write_text
+from humanoid_mjx.evaluation.gait.measure import measure, settings_of
+from humanoid_mjx.evaluation.gait.scenarios import walking_task
+from humanoid_mjx.evaluation.policy import Trained, find_policy, in_world, on_native
 from humanoid_mjx.report.figures import HEAT_MAPS, Figure, averaged, curved, draw_map, figures_of, limits, mapped
+from humanoid_mjx.report.gaits import COLUMNS, column_name, gait_rows, remarks
 from humanoid_mjx.report.player import player
 from humanoid_mjx.report.rendering import strip
-from humanoid_mjx.report.style import figure, short
+from humanoid_mjx.report.style import figure
 from humanoid_mjx.report.web import contents, data_address, facts, image, link, page, section, table, text
 from humanoid_mjx.runs.folder import read_config, read_provenance
-from humanoid_mjx.runs.ranking import Ranked, ranked, ties, training_interval
+from humanoid_mjx.runs.ranking import Ranked, best_table, ranked, short, ties
 from humanoid_mjx.runs.tables import read_table
 from humanoid_mjx.spec import InputError
-from humanoid_mjx.training.progress import Reporter
-
-BEST_POINTS = 10
-"""Rows of the table of points."""
+from humanoid_mjx.training.pace import time_in_words
+from humanoid_mjx.training.progress import Reporter, counted
 
 FEW_VALUES = 12
 """More values of a swept parameter are not listed one by one."""
 
 DRIVEN_S = 6.0
 """Length of a film under one command, s."""
+
+GAIT_EPISODES, GAIT_S = 8, 10.0
+"""Episodes of each command in the table of the gait, and their length, s."""
 
 PANEL = 4.4, 3.0
 """Size of a panel, inches."""
@@ -44,18 +47,6 @@ NO_SCRIPT = "<noscript><p>The motion needs JavaScript; the pictures below it sho
 
 PACKAGES = ("humanoid-mjx", "jax", "jaxlib", "mujoco", "mujoco-mjx", "warp-lang", "brax", "numpy")
 """Whose versions a result depends on, by their names in a package index, this package's first."""
-
-
-def write_page(target: Path, html: str) -> None:
-    """Write a page, as a whole or not at all.
-
-    Raises:
-      InputError: it cannot be written.
-    """
-    try:
-        write_text(target, html)
-    except OSError as error:
-        raise InputError(f"{target}: cannot be written: {error.strerror}.") from error
 
 
 def run_page(path: Path, reporter: Reporter, motion: bool) -> str:
@@ -67,10 +58,11 @@ def run_page(path: Path, reporter: Reporter, motion: bool) -> str:
     if missing := [axis for axis in axes if axis not in summary or axis not in results]:
         raise InputError(f"{path}: its tables do not fit its config; they have no column {missing[0]}.")
     reporter.phase("drawing figures")
-    points = ranked(axes, summary, quickest=bool(config.get("episodes")))
+    quickest = bool(config.get("episodes"))
+    points = ranked(axes, summary, quickest)
     own = figures_of(str(config["task"]["name"]), config.get("modules"))
     parts = {
-        "Result": _result(axes, summary, points),
+        "Result": _result(axes, summary, points, quickest),
         "Learning": [text(f"Lines: {averaged(axes, results)}."), *curve_panels(axes, results, own)],
     }
     if maps := mapped(axes, summary):
@@ -83,42 +75,30 @@ def run_page(path: Path, reporter: Reporter, motion: bool) -> str:
         "Run it again": _again(config, provenance),
     }
     body = "".join(section(title, *words) for title, words in parts.items())
-    return page(str(config.get("name", path.name)), _lead(config, summary, points) + contents(parts) + body)
+    return page(str(config.get("name", path.name)), _lead(config, summary, points, quickest) + contents(parts) + body)
 
 
-def _lead(config: Mapping[str, Any], summary: Mapping[str, np.ndarray], points: Sequence[Ranked]) -> str:
+def _lead(
+    config: Mapping[str, Any], summary: Mapping[str, np.ndarray], points: Sequence[Ranked], quickest: bool
+) -> str:
     task, learner = (str(config.get(part, {}).get("name")) for part in ("task", "learner"))
     seeds = len(np.unique(summary["seed"]))
     unit = "episodes" if config.get("episodes") else "total_steps"
     budget = f"{config[unit]:,} {'episodes' if unit == 'episodes' else 'control steps'}" if config.get(unit) else ""
     best = points[0]
-    size = f"{_many(len(points), 'point')}, {_many(seeds, 'seed')}{' each' * (len(points) > 1)}"
+    size = f"{counted(len(points), 'point')}, {counted(seeds, 'seed')}{' each' * (len(points) > 1)}"
+    judged = f"in {best.greedy_steps:.1f} steps" if quickest else f"with a return of {best.greedy_return:.4g}"
     words = (
         f"{learner} on {task}: {size}{f', {budget} a run' if budget else ''}. "
-        f"The best point succeeds in {best.success:.1%} of its greedy episodes, in {best.greedy_steps:.1f} steps."
+        f"The best point succeeds in {best.success:.1%} of its greedy episodes, {judged}."
     )
     return f'<p class="lead">{text(words, "span")}</p>'
 
 
-def _many(count: int, name: str) -> str:
-    return f"{count:,} {name}{'s' * (count != 1)}"
-
-
-def _result(axes: Sequence[str], summary: Mapping[str, np.ndarray], points: Sequence[Ranked]) -> list[str]:
-    rows = []
-    for point in points[:BEST_POINTS]:
-        low, high = training_interval(summary, point.point)
-        steps = f"{point.steps:.2f} ({low:.2f} to {high:.2f})" if low < high else f"{point.steps:.2f}"
-        greedy = f"{point.success:.1%}", f"{point.greedy_steps:.1f}", f"{point.greedy_return:.4g}"
-        rows.append((point.point, *map(short, point.values), *greedy, steps))
-    headings = (
-        "point",
-        *axes,
-        "greedy success",
-        "greedy steps",
-        "greedy return",
-        "steps at the end of training (95\u00a0%)",
-    )
+def _result(
+    axes: Sequence[str], summary: Mapping[str, np.ndarray], points: Sequence[Ranked], quickest: bool
+) -> list[str]:
+    headings, rows = best_table(axes, summary, points, quickest)
     shown = len(rows)
     some = f"The best {shown} of {len(points):,} points" if shown < len(points) else f"All {shown} points, best first"
     caption = some if len(points) > 1 else "The only point"
@@ -220,9 +200,24 @@ def _motion(path: Path, reporter: Reporter) -> list[str]:
         pictures.append(_figure(file.getvalue(), f"The robot after {seconds:.2f} s", f"{seconds:.2f} s", ".jpg"))
     reporter.phase("simulating commands")
     films = driven_films(trained, DRIVEN_S)
-    driven = [text("Under commands that stay", "h3"), _grid(player(film) for film in films)] if films else []
+    together = text("Under commands that stay; the films play together", "h3")
+    driven = [together, _grid(map(player, films)), *_gaits(trained, reporter)] if films else []
     words = f"The best policy in the first held-out episode: {shown.outcome}."
     return [text(words), player(shown.film, still=NO_SCRIPT), _grid(pictures, " strip"), *driven]
+
+
+def _gaits(trained: Trained, reporter: Reporter) -> list[str]:
+    """The table of `evaluate --gait` of a few episodes; nothing where the task's commands are not of a gait."""
+    with suppress(InputError):
+        walking_task(trained.learner.task)
+        reporter.phase("measuring its gait")
+        world = in_world(trained, None, settings_of([f"task.duration={GAIT_S:g}"]))
+        ((_, gaits, beyond),) = measure([world], GAIT_EPISODES, reporter.count, ("greedy",))
+        headings = ["command", *(column_name(heading) for heading, *_ in COLUMNS)]
+        caption = f"{GAIT_EPISODES} episodes of {GAIT_S:g} s a command, as evaluate --gait has them"
+        rows = table(headings, gait_rows(gaits, beyond), caption=caption)
+        return [text("Its gait", "h3"), rows, *map(text, remarks(gaits, beyond))]
+    return []
 
 
 def _config(config: Mapping[str, Any], axes: Sequence[str], summary: Mapping[str, np.ndarray]) -> list[str]:
@@ -246,8 +241,9 @@ def _provenance(provenance: Mapping[str, Any]) -> list[str]:
     machine, found, sessions = part("machine"), [], provenance.get("sessions")
     devices, cores = machine.get("device_count"), machine.get("cpu_count")
     found.append(("started", provenance.get("started")))
-    found.append(("training took", _seconds(provenance.get("wall_s"))))
-    found.append(("of which compiling", _seconds(provenance.get("compile_s"))))
+    for name, words in (("wall_s", "training took"), ("compile_s", "of which compiling")):
+        if isinstance(seconds := provenance.get(name), int | float):
+            found.append((words, time_in_words(seconds)))
     if isinstance(sessions, list) and len(sessions) > 1:
         found.append(("in", f"{len(sessions)} sessions, the later ones with --resume"))
     for name, words in (("episodes_per_s", "episodes a second"), ("steps_per_s", "control steps a second")):
@@ -263,13 +259,6 @@ def _provenance(provenance: Mapping[str, Any]) -> list[str]:
     found.append(("versions", ", ".join(f"{name} {value}" for name, value in part("versions").items())))
     shown = [(name, str(value)) for name, value in found if value not in (None, "")]
     return [facts(shown) if shown else text("This folder holds no provenance.json.")]
-
-
-def _seconds(value: Any) -> str | None:
-    """A length of time in words."""
-    if not isinstance(value, int | float):
-        return None
-    return f"{value:.3g} s" if value < 120 else f"{value / 60:.3g} min"
 
 
 def _again(config: Mapping[str, Any], provenance: Mapping[str, Any]) -> list[str]:

@@ -125,6 +125,18 @@
         });
     }
 
+    // What stands in the figure: the canvas, a bar with the buttons of this player, speeds and those of every camera, words.
+    build(buttons, speeds, act, hint, ...more) {
+      const speed = named(make("select", { onchange: () => act(Number(speed.value)) }, ...speeds.map((value) =>
+        make("option", { value, selected: value === 1 }, (value < 1 ? `1/${1 / value}` : value) + " ×"))), "Speed");
+      this.followed = button("Camera: follows", () => this.follow());
+      this.words = make("p", { className: "told" });
+      const bar = make("div", { className: "controls" }, ...buttons, speed, this.followed, button("Reset view", () => this.home()));
+      const parts = [this.canvas, bar, this.words, make("p", { className: "hint" }, hint)];
+      this.figure.querySelector(".stage").replaceChildren(...(more.length ? [make("div", { className: "scene" }, ...parts)] : parts), ...more);
+      new ResizeObserver(() => this.draw()).observe(this.canvas);
+    }
+
     hold() { return false; }
     let() {}
     scrolls() { return document.activeElement === this.canvas; }
@@ -389,17 +401,10 @@
       this.slider = named(make("input", { type: "range", min: 0, max: this.length, step: 1 / data.fps, value: 0,
         oninput: () => this.seek(Number(this.slider.value)) }), "Time in seconds");
       this.clock = make("output");
-      const speeds = named(make("select", { onchange: () => { this.speed = Number(speeds.value); } },
-        ...[[0.1, "1/10"], [0.25, "1/4"], [0.5, "1/2"], [1, "1"], [2, "2"]].map(([value, text]) =>
-          make("option", { value, selected: value === 1 }, text + " ×"))), "Speed");
-      this.followed = button("Camera: follows", () => this.follow());
-      this.words = make("p", { className: "told", hidden: !data.told.length });
-      const bar = make("div", { className: "controls" }, this.played, this.slider, this.clock, speeds, this.followed,
-        button("Reset view", () => this.home()));
-      const hint = make("p", { className: "hint" }, "Drag or arrow keys: turn. Right button or Shift: move. Click, then " +
-        "wheel, or + −: zoom. Space: play. , . : a frame back or on.");
-      figure.querySelector(".stage").replaceChildren(this.canvas, bar, this.words, hint);
-      new ResizeObserver(() => this.draw()).observe(this.canvas);
+      this.build([this.played, this.slider, this.clock], [0.1, 0.25, 0.5, 1, 2], (speed) => { this.speed = speed; },
+        "Drag or arrow keys: turn. Right button or Shift: move. Click, then wheel, or + −: zoom. Space: play. , . : a frame " +
+        "back or on.");
+      this.words.hidden = !data.told.length;
       this.draw();
     }
 
@@ -411,17 +416,23 @@
         ",": () => this.seek(this.time - frame), ".": () => this.seek(this.time + frame) };
     }
 
+    // Films side by side play and pause together.
     toggle() {
-      this.playing = !this.playing;
-      this.played.textContent = this.playing ? "Pause" : "Play";
-      if (!this.playing) return;
+      const on = !this.playing, grid = this.figure.closest(".grid");
+      for (const each of grid ? grid.querySelectorAll("figure.player") : [this.figure]) each.player.play(on);
+    }
+    play(on) {
+      if (on === this.playing) return;
+      this.playing = on;
+      this.played.textContent = on ? "Pause" : "Play";
+      if (!on) return;
       if (this.time >= this.length) this.time = 0;
       let before = null;
       const step = (now) => {
         if (!this.playing) return;
         if (before !== null) this.time += (this.speed * Math.min(now - before, 100)) / 1000;
         before = now;
-        if (this.time >= this.length) { this.time = this.length; this.toggle(); }
+        if (this.time >= this.length) { this.time = this.length; this.play(false); }
         this.draw();
         if (this.playing) requestAnimationFrame(step);
       };
@@ -465,15 +476,7 @@
       named(this.canvas, `${data.title}: the live robot. Drag the robot to pull it, drag beside it to turn the view.`);
       this.canvas.dataset.pictures = 0;
       this.paused = button("Pause", () => this.pause());
-      this.followed = button("Camera: follows", () => this.follow());
       this.recorded = button("Record", () => this.record());
-      const pace = named(make("select", { onchange: () => this.send({ pace: Number(pace.value) }) },
-        ...[[0.1, "1/10"], [0.25, "1/4"], [0.5, "1/2"], [1, "1"]].map(([value, text]) =>
-          make("option", { value, selected: value === 1 }, text + " ×"))), "Speed");
-      const bar = make("div", { className: "controls" }, this.paused, button("Again", () => this.send({ episode: 0 })),
-        button("Next", () => this.send({ episode: 1 })), pace, this.followed, button("Reset view", () => this.home()),
-        this.recorded);
-      this.words = make("p", { className: "told" });
       const drives = Object.keys(data.live.ranges).length > 0, touch = data.live.touchable;
       const hints = [drives && "W S A D or arrows: go. Q E: turn. Shift: faster. Space: stand.", touch && "Drag the robot: pull it.",
         data.live.scales.push && "X: push.", "Drag beside it: look around. Right button: move. Wheel: zoom. P: pause. R: again. N: next."];
@@ -484,10 +487,9 @@
       if (drives) this.panel.append(make("p", {}, button("Stand", () => this.stand())));
       for (const [name, [low, high, now, words]] of Object.entries(data.live.scales))
         this.slider(words, low, high, now, (value) => { if (name !== "push") this.send({ [name]: value }); }, name);
-      figure.querySelector(".stage").replaceChildren(
-        make("div", { className: "scene" }, this.canvas, bar, this.words,
-          make("p", { className: "hint" }, hints.filter(Boolean).join(" "))), this.panel);
-      new ResizeObserver(() => this.draw()).observe(this.canvas);
+      const buttons = [this.paused, button("Again", () => this.send({ episode: 0 })), button("Next", () => this.send({ episode: 1 })),
+        this.recorded];
+      this.build(buttons, [0.1, 0.25, 0.5, 1], (pace) => this.send({ pace }), hints.filter(Boolean).join(" "), this.panel);
       document.addEventListener("keydown", (event) => this.drive(event, true));
       document.addEventListener("keyup", (event) => this.drive(event, false));
       window.addEventListener("blur", () => { this.held.clear(); this.steer(); });
@@ -584,9 +586,9 @@
       const shares = { forward: axis(1), left: axis(0), turn: axis(2) }, text = JSON.stringify(shares);
       if (text !== this.stick && (this.stick || text.match(/[1-9]/))) this.share(shares);
       this.stick = text;
-      const buttons = pad.buttons.map((each) => each.pressed);
-      if (buttons[0] && !this.buttons[0]) this.push();
-      if (buttons[9] && !this.buttons[9]) this.pause();
+      const buttons = pad.buttons.map((each) => each.pressed), before = this.buttons || [];
+      if (buttons[0] && !before[0]) this.push();
+      if (buttons[9] && !before[9]) this.pause();
       this.buttons = buttons;
     }
 

@@ -10,7 +10,8 @@ from matplotlib.ticker import NullLocator
 
 from humanoid_mjx.report.columns import RECORD, RUN, TIME, Rows, read_rows
 from humanoid_mjx.report.figures import MAX_LEVELS, Levels, averaged, draw_line, find_levels
-from humanoid_mjx.report.style import COLORS, count_axis, figure, label_lines, log_axis, shades, short, wrapped
+from humanoid_mjx.report.style import COLORS, count_axis, figure, label_lines, log_axis, shades, wrapped
+from humanoid_mjx.runs.ranking import short
 from humanoid_mjx.spec import InputError
 
 MAX_LINES = 24
@@ -145,11 +146,9 @@ def _across(rows: Rows, x: str) -> Across:
 
 def _lines(rows: Rows, by: str | None) -> list[LineOf]:
     """The lines of a figure: for each value of `by`, and where there are several runs for each of them."""
-    columns, one = rows.columns, np.zeros(len(rows.columns["point"]), int)
-    by_run = Levels(rows.runs, np.searchsorted(np.sort(rows.runs), columns[RUN].astype(str)))
-    by_run = by_run._replace(labels=sorted(rows.runs))
-    apart = by_run if len(rows.runs) > 1 and by != RUN else Levels([""], one)
-    levels = by_run if by == RUN else find_levels(columns[by]) if by else Levels([""], one)
+    columns, whole = rows.columns, Levels([""], np.zeros(len(rows.columns["point"]), int))
+    apart = find_levels(columns[RUN]) if len(rows.runs) > 1 and by != RUN else whole
+    levels = find_levels(columns[by]) if by else whole
     ordered = by is not None and by != RUN and columns[by].dtype.kind in "biuf"
     lines = []
     for (i, level), (j, run) in product(enumerate(levels.labels), enumerate(apart.labels)):

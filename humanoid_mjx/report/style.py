@@ -105,8 +105,3 @@ def label_lines(axis: Any) -> None:
     lines.sort(key=lambda line: -line.get_ydata()[-1])
     look = {"frameon": False, "labelcolor": "linecolor", "handlelength": 1.2, "borderpad": 0.0}
     axis.legend(handles=lines, loc="center left", bbox_to_anchor=(1.01, 0.5), fontsize=7.5, **look)
-
-
-def short(value: Any) -> str:
-    """A value as a label."""
-    return f"{value:.3g}" if isinstance(value, (float, np.floating)) else str(value)

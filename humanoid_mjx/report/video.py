@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from humanoid_mjx.files import whole_file
+from humanoid_mjx.files import refusing, whole_file
 from humanoid_mjx.report.raycast import Frame
 from humanoid_mjx.spec import InputError, check_folder
 
@@ -46,17 +46,14 @@ def write_frames(frames: Iterable[Frame], path: Path, fps: float) -> None:
     Raises:
       InputError: the file cannot be written.
     """
-    try:
-        with whole_file(path) as temporary:
-            if path.suffix == ".png":
-                Image.fromarray(np.concatenate(list(frames), axis=1)).save(temporary)
-            elif path.suffix == ".gif":
-                first, *rest = map(Image.fromarray, frames)
-                first.save(temporary, save_all=True, append_images=rest, duration=1000 / fps, loop=0)
-            else:
-                _encode(frames, temporary, fps)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror or error}.") from error
+    with refusing(path), whole_file(path) as temporary:
+        if path.suffix == ".png":
+            Image.fromarray(np.concatenate(list(frames), axis=1)).save(temporary)
+        elif path.suffix == ".gif":
+            first, *rest = map(Image.fromarray, frames)
+            first.save(temporary, save_all=True, append_images=rest, duration=1000 / fps, loop=0)
+        else:
+            _encode(frames, temporary, fps)
 
 
 def _encode(frames: Iterable[Frame], path: Path, fps: float) -> None:

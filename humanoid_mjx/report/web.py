@@ -18,6 +18,8 @@ MEDIA = {
     ".svg": "image/svg+xml",
     ".webp": "image/webp",
     ".jpg": "image/jpeg",
+    ".mp4": "video/mp4",
+    ".webm": "video/webm",
 }
 
 _NUMBER = re.compile(r"(-?[\d,.]*\d(e[+-]?\d+)?%?|nan|inf|-inf)( \(.*\))?|")

@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 
 from humanoid_mjx.config import config_digest, dump_yaml, parse, parse_yaml
-from humanoid_mjx.files import whole_file
+from humanoid_mjx.files import refusing, whole_file
 from humanoid_mjx.runs.archive import DAMAGE, misplaced, read_archive
 from humanoid_mjx.spec import InputError
 
@@ -51,23 +51,20 @@ class RunFolder:
         Raises:
           InputError: the place is taken or cannot be written; nothing is left behind.
         """
-        try:
+        with refusing(path):
             if path.exists() and not _only_begun(path):
                 there = (path / "config.yaml").exists()
                 words = "exists; resume it with --resume, or" if there else "exists and is no run folder;"
                 raise InputError(f"{path}: already {words} choose another place with --out.")
             (path / "checkpoint").mkdir(parents=True, exist_ok=True)
             run = cls(path, _lock(path), config)
-        except OSError as error:
-            raise InputError(f"{path}: cannot be written: {error.strerror}.") from error
         try:
             if not _only_begun(path):  # another process was quicker
                 raise InputError(f"{path}: is in use by another process; choose another place with --out.")
-            run.write_text("config.yaml", dump_yaml(dict(config)))
-        except BaseException as error:
+            with refusing(path):
+                run.write_text("config.yaml", dump_yaml(dict(config)))
+        except BaseException:
             run.close()
-            if isinstance(error, OSError):
-                raise InputError(f"{path}: cannot be written: {error.strerror}.") from error
             raise
         return run
 
@@ -81,10 +78,8 @@ class RunFolder:
         if (path / "checkpoint").is_dir() and _only_begun(path):
             return cls.create(path, config)
         stored = read_config(path)
-        try:
+        with refusing(path):
             run = cls(path, _lock(path), stored)
-        except OSError as error:
-            raise InputError(f"{path}: cannot be written: {error.strerror}.") from error
         if changed := [key for key in _differences(stored, dict(config)) if key != "modules"]:
             run.close()
             raise InputError(

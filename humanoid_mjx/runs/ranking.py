@@ -30,6 +30,9 @@ class Ranked(NamedTuple):
     """Sorts points from best to worst."""
 
 
+BEST_POINTS = 10
+"""Rows of a table of points."""
+
 GREEDY = 2
 """Numbers of a rank that say how a point acts greedily."""
 
@@ -73,3 +76,28 @@ def training_interval(summary: Mapping[str, np.ndarray], point: int, name: str =
     """The 95 % interval of a point's mean of a column, such as the `steps` at the end of training."""
     low, high = iqm_interval(summary[name][summary["point"] == point].astype(float))
     return float(low), float(high)
+
+
+def best_table(
+    axes: Sequence[str], summary: Mapping[str, np.ndarray], points: Sequence[Ranked], quickest: bool
+) -> tuple[list[str], list[list[str]]]:
+    """Headings and rows of a table of the first `BEST_POINTS`, by what `quickest` judges them by (`ranked`)."""
+    measure, tied, seeds = "steps" if quickest else "return", ties(points) > 1, len(np.unique(summary["seed"]))
+    greedy = ["greedy steps"] if quickest else ["greedy return", "greedy steps"]
+    headings = ["point", *axes, "greedy success", *greedy, f"{measure} at the end of training (95\u00a0%)"]
+    headings += [f"{measure} over all of training"] * tied + ["diverged"] * bool(np.any(summary["diverged"]))
+    rows = []
+    for point in points[:BEST_POINTS]:
+        low, high = training_interval(summary, point.point, measure)
+        end = f"{point.steps if quickest else point.training_return:.2f}"
+        end += f" ({low:.2f} to {high:.2f})" if low < high else ""
+        means = ([] if quickest else [f"{point.greedy_return:.4g}"]) + [f"{point.greedy_steps:.1f}", end]
+        diverged = f"{int(np.sum(summary['diverged'][summary['point'] == point.point]))} of {seeds}"
+        cells = [str(point.point), *map(short, point.values), f"{point.success:.1%}", *means]
+        rows.append([*cells, *[f"{point.whole:.2f}"] * tied, diverged][: len(headings)])
+    return headings, rows
+
+
+def short(value: Any) -> str:
+    """A value as a label."""
+    return f"{value:.3g}" if isinstance(value, (float, np.floating)) else str(value)

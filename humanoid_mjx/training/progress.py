@@ -24,6 +24,11 @@ ALMOST = 0.99
 """The greatest share that is shown of what is not over."""
 
 
+def counted(count: int, name: str) -> str:
+    """A count of things: `1 point`, `4,800 runs`."""
+    return f"{count:,} {name}{'s' * (count != 1)}"
+
+
 class State(NamedTuple):
     """A sweep under way, as a reporter gets it."""
 

@@ -101,14 +101,6 @@ def walking_task(task: Task, what: str = "evaluate --gait") -> LeggedTask:
     return task
 
 
-def calm(learner: Learner) -> Learner:
-    """The learner with a task in which nothing pushes the body, on a plane; all worlds are as declared."""
-    task = walking_task(learner.task)
-    return learner.replace(
-        task=task.replace(push=task.push.replace(impulse=jnp.float32(0.0)), randomise=None, terrain=None)
-    )
-
-
 def under_one_command(learner: Learner) -> Learner:
     """The learner with a task that gives no other command before an episode ends."""
     task = walking_task(learner.task)
@@ -127,7 +119,7 @@ def play_gaits(
     """The figures of every held-out episode under every scenario, by agent and name of the figure.
 
     Args:
-      learner: whose task is played, as it is: `calm(learner)` takes the pushes out of it.
+      learner: whose task is played, with its pushes.
       policies: what was learned, a pytree whose leaves lead with an axis of training seeds.
       scenarios: such as `scenarios_of` the robot.
       agents: some of `AGENTS`.
