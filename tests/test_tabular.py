@@ -177,6 +177,10 @@ def test_truncated_episodes_bootstrap_and_terminal_ones_do_not():
     ending = task.replace(next_state=jnp.array([[1], [1]], jnp.int32))
     carry = train_to_end(learner.replace(task=ending), 1).carry
     assert carry.q_table[0, 0, 0] == 1.0
+    # Every step earns 1: the return of an episode is its length.
+    training = train_to_end(learner.replace(task=task.replace(max_episode_steps=jnp.int32(3))), 1)
+    found = jax.vmap(curve, in_axes=(None, 0))(learner, training)
+    assert (found["return"] == 3).all() and (found["steps"] == 3).all() and (found["success"] == 0).all()
 
 
 @pytest.mark.parametrize("agents", [(), (9,)], ids=["one place", "several places"])
