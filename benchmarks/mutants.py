@@ -71,9 +71,10 @@ def mutants(file: Path) -> Iterator[Mutant]:
 
 
 def _declared(node: ast.AST) -> Iterator[ast.AST]:
-    """Annotations, and the bounds and descriptions of fields: no arithmetic."""
+    """Annotations, bounds and descriptions of fields: no arithmetic; numbers folded into keys: other random numbers."""
     declared = [getattr(node, name, None) for name in ("annotation", "returns")]
-    if isinstance(node, ast.Call) and getattr(node.func, "id", "") in ("Field", "traced"):
+    called = (getattr(node.func, "id", ""), getattr(node.func, "attr", "")) if isinstance(node, ast.Call) else ()
+    if isinstance(node, ast.Call) and {"Field", "traced", "fold_in"} & set(called):
         declared += [*node.args, *(keyword.value for keyword in node.keywords)]
     for part in filter(None, declared):
         yield from ast.walk(part)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from probes import DISCOUNT, PROBES, make, probe
+from probes import DISCOUNT, END, PROBES, make, probe
 from small_sweep import assert_same_tables
 
 import humanoid_mjx.training.session as session
@@ -14,9 +14,11 @@ from humanoid_mjx import InputError, make_learner, make_task, sweep
 from humanoid_mjx.compute import rng
 from humanoid_mjx.evaluation.replay import replay
 from humanoid_mjx.learners import exploration
+from humanoid_mjx.learners.acting import start_all, step_all
 from humanoid_mjx.learners.approximate import Batch
 from humanoid_mjx.learners.deep import QNetwork
 from humanoid_mjx.learners.features import Scale, combined, tile_coding
+from humanoid_mjx.learners.linear import LinearQ
 from humanoid_mjx.learners.normalisation import moments, normalise, observe
 from humanoid_mjx.learners.rollout import greedy, mean_scores
 from humanoid_mjx.learners.targets import lambda_targets
@@ -226,6 +228,39 @@ def test_epsilon_decays_by_the_episode_and_climbs_the_ladder():
     learner = build("tiles", probe("choice")[0], epsilon=0.5, epsilon_decay=0.9, epsilon_min=0.2, epsilon_spread=1.0)
     found = exploration.epsilons(learner, jnp.array([0, 1, 100]))
     np.testing.assert_allclose(found, [0.5, (0.45) ** 1.5, 0.2**2], rtol=1e-5)
+
+
+def test_sums_are_over_the_episodes_that_ended():
+    """Against plain Python: episodes of one or two steps, that end by themselves or are cut off."""
+    task = make(1, (-1.0, 1.0), 0.5, (1, END), ((0.25, 0.5), (-1.0, 2.0)), cap=2)
+    envs, draw = start_all(task, 16, rng.key(0)), np.random.default_rng(0)
+    step = jax.jit(lambda *given: step_all(task, *given))
+    length, total, episodes = np.zeros(16), np.zeros(16), np.zeros(16)
+    for t in range(6):
+        action = jnp.asarray(draw.integers(0, 2, (16, 1)), jnp.int32)
+        envs, state, sums = step(envs, action, rng.key(t), rng.key(100 + t))
+        length, total, done = length + 1, total + np.asarray(state.reward), np.asarray(state.done)
+        success = done & np.asarray(state.success)
+        assert done.sum() > 0 and success.sum() == sums["success"] and done.sum() == sums["episodes"]
+        assert (done * length).sum() == sums["steps"] and (done * total).sum() == sums["return"]
+        assert action.sum() == sums["right"]
+        length, total, episodes = length * ~done, total * ~done, episodes + done
+        np.testing.assert_array_equal(envs.episode, episodes)
+        assert (np.asarray(envs.state.obs) != np.asarray(state.final_obs))[done].any()
+
+
+class TellsItsRate(LinearQ):
+    def learn(self, rate, value, optimizer, batch, key):
+        return value, optimizer, rate
+
+
+def test_the_learning_rate_falls_linearly_to_its_end():
+    values = {"envs": 4, "rollout": 2, "learning_rate": 0.5, "learning_rate_end": 0.2}
+    learner = TellsItsRate(task=probe("choice")[0], total_steps=80, **values)
+    carry, step = jax.jit(learner.init)(rng.key(0)), jax.jit(learner.train_step)
+    outcomes = [step(carry._replace(update=jnp.int32(update)))[1] for update in (0, 5, 10, 15)]
+    np.testing.assert_allclose([x.squares["td_error"] for x in outcomes], [0.5, 0.3, 0.1, 0.1], rtol=1e-6)
+    assert [float(x.done) for x in outcomes] == [0.0, 40.0, 80.0, 120.0]
 
 
 class Uneven(ContinuousTask):

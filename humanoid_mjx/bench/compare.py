@@ -60,9 +60,9 @@ def read_result(path: Path) -> dict[str, Any]:
 
 
 def changes(before: dict[str, Any], after: dict[str, Any]) -> list[Change]:
-    """What both results measured, in the order of the second; of figures of one key the last."""
+    """What both results measured but for shares, in the order of the second; of figures of one key the last."""
     old, new = ({_key(record): record for record in result["records"]} for result in (before, after))
-    pairs = [(key, old[key], new[key]) for key in new if key in old]
+    pairs = [(key, old[key], new[key]) for key in new if key in old and not key[-1].startswith("share of")]
     return [Change(key, a["value"], b["value"], noise(a, b)) for key, a, b in pairs]
 
 
