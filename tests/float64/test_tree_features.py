@@ -42,15 +42,8 @@ def test_shapes_on_a_plane_are_mujocos():
 
 def test_free_bodies_in_a_fluid_are_mujocos():
     """By the boxes of their inertias, in a wind; turns by Runge and Kutta's method."""
-    agrees(
-        """<mujoco><option density="300" viscosity="2" wind="1 -0.5 0.2" integrator="RK4" timestep="0.01"/>
-    <worldbody><geom type="plane" size="0 0 1" friction="0.6"/>
-    <body pos="0 0 0.3"><freejoint/><geom type="capsule" size="0.03 0.1" mass="1"/>
-    <body pos="0.15 0 0"><joint axis="0 1 0" range="-60 60" limited="true" damping="0.05"/>
-    <geom type="box" size="0.07 0.02 0.05" mass="0.4" contype="0"/></body></body></worldbody></mujoco>""",
-        count=50,
-        seed=1,
-    )
+    option = '<option density="300" viscosity="2" wind="1 -0.5 0.2" integrator="RK4" timestep="0.01"/>'
+    agrees(SHAPES.replace("<worldbody>", f"{option}<worldbody>", 1), count=50, seed=1)
 
 
 def test_upright_capsules_rub():
