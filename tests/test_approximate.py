@@ -371,13 +371,6 @@ def test_a_sweep_of_networks_has_a_row_for_every_point(swept):
     assert np.isfinite(swept.summary["greedy_return"]).all() and not swept.summary["diverged"].any()
 
 
-def test_learning_curves_hold_greedy_evaluations_and_the_time_they_took(swept):
-    score = swept.results["greedy_success"].reshape(8, 10)
-    np.testing.assert_array_equal(np.isfinite(score), np.tile(np.arange(1, 11) % 2 == 0, (8, 1)))
-    wall_s = swept.timing["wall_s"].reshape(8, 10)
-    assert (np.diff(wall_s) >= 0).all() and (wall_s > 0).all()
-
-
 def test_the_policy_is_the_mean_of_the_weights_of_late():
     """Those after each update, that of update i of t counting as a beta distribution's density at i / t does."""
     learner = build("tiles", probe("both")[0], weight_averaging=0.25)

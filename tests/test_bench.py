@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from humanoid_mjx import InputError, compute
-from humanoid_mjx.bench import compare, control, ground, postures, startup, tabular, training
+from humanoid_mjx.bench import compare, control, ground, startup, tabular, training
 from humanoid_mjx.bench.measure import Subject, spread, time_in_turn, time_rates
 from humanoid_mjx.cli import app
 from humanoid_mjx.compute import provenance
@@ -87,17 +87,6 @@ def test_the_ground_writes_a_record_for_every_physics_and_batch(monkeypatch):
     assert all(r.bench == "physics" and r.value > 0 for r in records)
 
 
-def test_postures_count_the_episodes_that_they_train(monkeypatch):
-    monkeypatch.setattr(postures, "REPEATS", 1)
-    records = postures.run(lambda line: None, {"chain": postures.Size(1, 2)})
-    assert [(r.subject, r.batch, r.unit) for r in records] == [
-        ("chain posture_switch", 16, "episodes/s"),
-        ("chain posture_switch", 16, "steps/s"),
-    ]
-    # An episode takes at least the two decisions from start to goal, and at most the cap of 40.
-    assert 2 <= records[1].value / records[0].value <= 40
-
-
 class Stored(Run):
     """A run folder of two seeds side by side, four record points each, the first two passed at the first look."""
 
@@ -118,13 +107,6 @@ def test_rates_leave_compiling_out_and_time_to_success_does_not():
     found = training.measure(Stored(Path()))
     assert found[:2] == pytest.approx((2 * 2000 / 4.0, 1000 / 30.0)) and found.seconds == 9.0
     assert found.steps.tolist() == [3000.0, 4000.0] and found.final.tolist() == [0.9, 0.97]
-
-
-def test_what_a_training_records_names_every_seed():
-    by_unit = {figure["unit"]: figure for figure in training.figures(training.measure(Stored(Path())))}
-    assert by_unit["steps to 95 %"]["value"] == 3500.0 and by_unit["steps to 95 %"]["by_seed"] == [3000.0, 4000.0]
-    low, high = by_unit["success at the end"]["interval"]
-    assert 0.9 <= low < by_unit["success at the end"]["value"] < high <= 0.97
 
 
 def test_a_seed_that_never_succeeds_is_not_left_out():

@@ -78,7 +78,7 @@ def test_keys_turn_the_view_and_move_the_time(address):
             opened.press(".")
         assert float(state(opened)["time"]) == pytest.approx(0.12) and picture(opened) != first
         opened.press(" ")
-        until = time.monotonic() + 30.0
+        until = time.monotonic() + 300.0
         while float(state(opened)["time"]) < 1.0 and time.monotonic() < until:
             time.sleep(0.05)
         assert float(state(opened)["time"]) == pytest.approx(1.0)

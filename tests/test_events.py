@@ -99,8 +99,7 @@ def test_many_points_and_a_resumed_sweep(tmp_path, monkeypatch):
 def test_learners_that_are_evaluated_along_the_way(tmp_path, monkeypatch):
     monkeypatch.setattr(events, "LOOK_EVERY_S", 0.0)
     learner = {"name": "linear_q", "envs": 8, "rollout": 4, "evaluations": 2, "evaluation_envs": 4}
-    task = {"name": "leg_reach", "physics": "chain", "duration": 0.4}
-    config = {"name": "along", "task": task, "learner": learner, "seeds": 2, "total_steps": 640, "record": 4}
+    config = {"name": "along", "task": CONFIG["task"], "learner": learner, "seeds": 2, "total_steps": 640, "record": 4}
     run = sweep(config, tmp_path / "run", tensorboard=True)
     names = [name for name in run.results if name not in ("point", "seed", "step") and "." not in name]
     assert "greedy_success" in names and agree(run, names) == ["0"]

@@ -17,7 +17,6 @@ from humanoid_mjx.control import make_law
 from humanoid_mjx.physics import make_physics
 
 LEG = make_physics("chain", robot="leg", torque_limit=1e6)
-BODY = make_physics("mujoco", robot={"ranges": "human"}, torque_limit=1e6)
 QPOS, QVEL = np.array([0.3, -0.2, 0.4, 1.1, -0.5]), np.array([1.0, 2.0, -1.0, 0.5, 3.0])
 GOAL = control.Reference(jnp.full(5, 0.5), jnp.full(5, 0.1), jnp.full(5, -0.2))
 KP, KD = 36.0, 18.0
@@ -66,31 +65,6 @@ def test_the_model_may_weigh_other_than_the_plant(name):
     whole = on_leg(make_law(name, **({"share": 0.0} if name == "grounded" else {})))
     # Torques of up to 0.1 N m, of which the grounded law's elimination in float32 keeps three to four places.
     np.testing.assert_allclose(light, 0.5 * whole, rtol=1e-3, atol=5e-5)
-
-
-def test_on_the_ground_the_model_is_a_body_of_its_mass():
-    """Armature and damping, which do not grow with the links, are in both."""
-    qpos = BODY.qpos0 + np.concatenate([np.zeros(7), np.tile(0.1 * QPOS, 2)])
-    qvel = np.concatenate([np.zeros(6), np.tile(0.1 * QVEL, 2)])
-
-    def believed(mass, factor):
-        found = []
-
-        def controller(stages):
-            found.append(stages.model_for(factor))
-            return jnp.zeros(10)
-
-        physics = BODY.replace(mass=mass)
-        physics.step(physics.start(qpos, qvel), controller)
-        return found[0]
-
-    for other, own in zip(believed(1.0, 1.4), believed(1.4, 1.4), strict=True):
-        np.testing.assert_allclose(other, own, rtol=1e-5, atol=1e-6)
-    goal = control.at_rest(jnp.zeros(10))
-    world = BODY.start(qpos, qvel)
-    grounded = torque(BODY, world, make_law("grounded").follow(goal))
-    assert np.isfinite(grounded).all() and np.abs(grounded).max() < 5.0
-    assert (grounded != torque(BODY, world, make_law("grounded", mass=1.4).follow(goal))).all()
 
 
 def test_gains_are_data_of_one_program():

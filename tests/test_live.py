@@ -115,7 +115,7 @@ class Running:
 
     def ask(self, method, path, body=None, **headers):
         """Status and content of one answer."""
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=20)
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=300)
         given = {name.replace("_", "-"): value for name, value in headers.items()}
         connection.request(method, path, None if body is None else json.dumps(body), given)
         answer = connection.getresponse()
@@ -127,7 +127,7 @@ class Running:
         return self.ask("POST", "/hands", message, Content_Type="application/json")[0]
 
     def until(self, true):
-        end = time.monotonic() + 60
+        end = time.monotonic() + 600
         while not true():
             assert time.monotonic() < end, "it did not come"
             time.sleep(0.02)
@@ -246,7 +246,7 @@ def test_a_robot_with_a_physics_of_its_own_is_seen_but_not_touched():
     assert not (live.touchable or live.ranges or window.scales)
     thread = threading.Thread(target=live.run, daemon=True)
     thread.start()
-    end = time.monotonic() + 60
+    end = time.monotonic() + 600
     while live.episode < 1 and time.monotonic() < end:
         time.sleep(0.02)
     live.stop()

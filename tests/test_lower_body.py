@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from humanoid_mjx.robot import lower_body as body
-from humanoid_mjx.spec import InputError
 from humanoid_mjx.thesis import leg as thesis
 
 
@@ -112,17 +111,3 @@ def test_mirrored_states_and_torques_give_mirrored_accelerations(model, seed):
         mujoco.mj_forward(model, data)
         accelerations.append(data.qacc.copy())
     np.testing.assert_allclose(accelerations[1], mirrored(accelerations[0]), rtol=1e-6, atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("options", "sentence"),
-    [
-        ({"torso": "loose"}, "torso: unknown name 'loose'; known are fixed, free."),
-        ({"ranges": "humans"}, "ranges: unknown name 'humans'; did you mean 'human'? known are human, proposed."),
-        ({"timestep": -1.0}, "timestep must be a positive number of seconds, got -1.0."),
-    ],
-)
-def test_bad_options_get_a_sentence(options, sentence):
-    with pytest.raises(InputError) as error:
-        body.lower_body_spec(**options)
-    assert str(error.value) == sentence

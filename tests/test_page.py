@@ -15,8 +15,7 @@ from humanoid_mjx import compute
 from humanoid_mjx.cli import app
 from humanoid_mjx.config import dump_yaml
 from humanoid_mjx.evaluation.film import Film
-from humanoid_mjx.report.player import film_data, player
-from humanoid_mjx.report.web import page
+from humanoid_mjx.report.player import film_data
 from humanoid_mjx.reproduction.findings import Setting
 from humanoid_mjx.robot import make_robot
 from humanoid_mjx.runs.folder import read_config
@@ -142,12 +141,6 @@ def test_hostile_text_of_a_run_is_text(swept, tmp_path, monkeypatch):
     html = report(folder)
     assert_nothing_gets_in(html)
     assert "&lt;script&gt;window.hacked=1" in html
-
-
-def test_hostile_text_of_a_film_stays_in_its_json():
-    model = make_robot("legs").spec().compile()
-    film = Film(model, np.zeros((2, model.nq)), 0.1, HOSTILE, ((0.0, HOSTILE),))
-    assert_nothing_gets_in(page(HOSTILE, player(film)))
 
 
 def test_findings_are_compared_and_their_figures_shown(tmp_path):

@@ -40,7 +40,7 @@ def test_a_job_that_slurm_interrupts_begins_anew_and_completes_its_run_folder(tm
     run, said = Path("runs/small"), capfd.readouterr().out
     assert ended.value.code == 0 and f"completes {run} and prints into {run / 'slurm'}" in said
     job = int(said.split()[1])
-    until = time.monotonic() + 120
+    until = time.monotonic() + 1200
     while not parts(run):
         assert time.monotonic() < until, [path.read_text() for path in run.glob("slurm/*log*")]
         time.sleep(0.02)

@@ -2,7 +2,6 @@
 
 import json
 import sys
-from collections import deque
 from pathlib import Path
 
 import jax
@@ -12,10 +11,8 @@ from small_sweep import CONFIG, assert_same_tables, run_cli, write_config
 
 from humanoid_mjx import InputError, compute, sweep
 from humanoid_mjx.cli import main
-from humanoid_mjx.config import parse
 from humanoid_mjx.runs.folder import RunFolder, read_arrays
 from humanoid_mjx.training import pool
-from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.progress import Reporter
 
 
@@ -218,31 +215,6 @@ def test_where_memory_does_not_suffice_fewer_runs_train_side_by_side(reference, 
     sweep(CONFIG, tmp_path / "run", pool_size=4, reporter=Kept())
     assert sum("the memory does not suffice for" in note for note in notes) == 2
     assert_same_tables(tmp_path / "run", reference.path)
-
-
-def new_pool(**changes):
-    """A pool of one run, on one device."""
-    (group,) = make_plan(parse(with_axes(learner__epsilon=[0.3]) | {"seeds": 1} | changes)).groups
-    return pool.Pool(group, deque(group.runs.tolist()), 1, jax.local_devices()[:1], CONFIG["seed"])
-
-
-def being_compiled(runs):
-    return [kind[0] for kind in runs.programs.compiled]
-
-
-def test_training_steps_compile_beside_the_beginning_and_what_ends_runs_beside_training():
-    runs = new_pool(record=6, task=CONFIG["task"] | {"states": 11})
-    before = len(being_compiled(runs))
-    runs.prepare()
-    assert being_compiled(runs)[before:] == ["advance"]
-    runs.fill()
-    assert being_compiled(runs)[before:] == ["advance", "begin"]
-    runs.train()
-    assert being_compiled(runs)[before:] == ["advance", "begin", "finish"]
-    while not (harvest := runs.harvest()):
-        runs.train()
-    assert harvest[0].tolist() == [0] and runs.phase == "evaluating"
-    assert len(being_compiled(runs)) == before + 3
 
 
 def test_runs_that_approximate_train_side_by_side_with_shared_kernels(tmp_path):

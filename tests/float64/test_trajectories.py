@@ -143,19 +143,3 @@ def test_pattern_generator_solves_its_equations():
         state, _ = run(params, start, 1.3 / steps, steps)
         got = np.concatenate([state.phase, *state.frequency[None:], *state.amplitude[None:]], axis=None)
         np.testing.assert_allclose(got, [*(end[:2] % (2 * np.pi)), *end[2:]], atol=1e-8)
-
-
-@pytest.mark.parametrize(("frequency", "amplitude", "smooth"), [(2.5, 1.0, 3), (1.25, 0.4, 2), (2.5, 0.4, 2)])
-def test_outputs_stay_smooth_when_the_commands_jump(frequency, amplitude, smooth):
-    before = cpg.Params(TURN, 1.25)
-    after = cpg.Params(TURN, frequency, amplitude)
-    state, earlier = run(before, cpg.init(before, lead=2.0, amplitude=1.0), 0.01, 37)
-    h = 1e-5
-    later, motions = run(after, state, h, 37)
-    joined = Motion(*(np.concatenate([a[-1:], b]) for a, b in zip(earlier, motions, strict=True)))
-    assert float(later.frequency.rate) > 0 or frequency == 1.25
-    for values, largest in zip(joined[:smooth], (1e2, 1e3, 1e5), strict=False):
-        assert np.abs(np.diff(values, axis=0)).max() < largest * h, "no jump"
-    for value, rate in ((joined.position, joined.velocity), (joined.velocity, joined.acceleration)):
-        middle = (rate[1:-1] + rate[2:]) / 2
-        np.testing.assert_allclose(np.diff(value, axis=0)[1:] / h, middle, atol=1e-4)

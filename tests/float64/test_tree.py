@@ -34,7 +34,7 @@ def solver(name):
     return qacc_of(fold(read_tree(ROBOTS[name]())))
 
 
-@pytest.mark.parametrize(("name", "count"), [("free", 10_000), ("fixed", 2000), ("hopper", 2000), ("quadruped", 2000)])
+@pytest.mark.parametrize(("name", "count"), [("free", 10_000), ("hopper", 2000), ("quadruped", 2000)])
 def test_accelerations_agree_with_native(name, count):
     """What is left is rounding, and what stiff contacts of light feet make of it: 1e-13 as a rule."""
     model = converged(ROBOTS[name]())
@@ -64,23 +64,15 @@ def test_traced_values_are_those_of_a_model_with_them():
     assert errors(qacc, expected).max() < 1e-9
 
 
-def test_lanes_compute_what_limbs_alone_do():
-    tree = read_tree(ROBOTS["free"]())
-    at = states(ROBOTS["free"](), 200)
-    alone, together = (solve(Values(), *at)[0] for solve in (qacc_of(tree), solver("free")))
-    assert errors(together, alone).max() < 1e-9
-
-
 def test_limbs_of_one_build_are_lanes():
     """The quadruped's fourth leg stands on other ground than the three."""
     lanes = {name: fold(read_tree(make())).lanes for name, make in ROBOTS.items()}
     assert lanes == {"free": 2, "fixed": 2, "hopper": 1, "quadruped": 3}
 
 
-@pytest.mark.parametrize("name", ["hopper", "quadruped"])
-def test_steps_agree_with_native(name):
+def test_steps_agree_with_native():
     """Half a second from 16 states, springs, servos and damping in it; rounding grows as errors of the state do."""
-    model = converged(ROBOTS[name]())
+    model = converged(ROBOTS["hopper"]())
     qpos, qvel, ctrl = states(model, 16, seed=2)
     steps = 100
     moved = qacc_of(fold(read_tree(model)), steps)(Values(), qpos, 0.2 * qvel, ctrl)
