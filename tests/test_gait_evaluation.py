@@ -14,12 +14,7 @@ from humanoid_mjx.compute import rng
 from humanoid_mjx.config import parse
 from humanoid_mjx.evaluation.gait.figures import FIGURES
 from humanoid_mjx.evaluation.gait.measure import settings_of
-<<<<<<< HEAD
 from humanoid_mjx.evaluation.gait.scenarios import Scenario, gaits_of, play_gaits, scenarios_of
-from humanoid_mjx.evaluation.gait.summary import summarised
-=======
-from humanoid_mjx.evaluation.gait.scenarios import Scenario, calm, gaits_of, play_gaits, scenarios_of
->>>>>>> tests
 from humanoid_mjx.evaluation.policy import best_policy, in_changed_world, policies_of_best, save_policy
 from humanoid_mjx.physics.base import Batches
 from humanoid_mjx.physics.native import Native
