@@ -1,16 +1,12 @@
 """Tasks as environments of Gymnasium: its own checker, and what the task itself does."""
 
-import sys
 import warnings
-from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
-
-sys.path.insert(0, str(Path(__file__).parent / "data"))
 from hop import Hop
 
 from humanoid_mjx import InputError, make_task

@@ -1,15 +1,11 @@
 """Control laws that tasks choose: their formulas, plant and model apart, what a config may write."""
 
-import sys
 from functools import partial
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent / "data"))
 
 from humanoid_mjx import InputError, Leg, control, dynamics, make_task
 from humanoid_mjx.compute import counting_compiles

@@ -1,16 +1,12 @@
 """The leg's numbers: against each other, against the golden file, and what no leg can have is refused."""
 
-import json
-from pathlib import Path
-
 import numpy as np
 import pytest
+from leg_reference import GOLDEN
 
 from humanoid_mjx import InputError, Leg
 from humanoid_mjx.robot.leg import corrected_inertias, cylinder_inertias, script_inertias
 from humanoid_mjx.thesis import leg as thesis
-
-GOLDEN = json.loads((Path(__file__).parent / "data" / "golden.json").read_text())
 
 
 def test_lengths_are_those_of_table_3_1_at_one_to_four():

@@ -1,9 +1,7 @@
 # pyright: reportAttributeAccessIssue=false
 """Legged tasks and their parts: what a user adds from outside, mirror images, commands, worlds, and steps of `walk`."""
 
-import sys
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -11,8 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-
-sys.path.insert(0, str(Path(__file__).parent / "data"))
 
 from humanoid_mjx import InputError, make_task
 from humanoid_mjx.compute import counting_compiles, rng

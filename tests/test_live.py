@@ -4,10 +4,8 @@ import http.client
 import json
 import os
 import signal
-import sys
 import threading
 import time
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -230,14 +228,8 @@ def test_ctrl_c_ends_it_in_silence():
 def test_a_robot_with_a_physics_of_its_own_is_seen_but_not_touched():
     """`sway` brings its physics, and its robot hangs: no sliders, no hands; its episodes follow one another."""
     make_physics("mujoco", robot="legs", timestep=0.02).model  # noqa: B018
-    sys.path.insert(0, str(Path(__file__).parent / "data"))
-    try:
-        config = parse(
-            {"name": "own", "task": {"name": "sway:Sway"}, "learner": {"name": "deep_q", "width": 8}}, "here"
-        )
-        learner = make_plan(config).groups[0].learner()
-    finally:
-        sys.path.pop(0)
+    config = parse({"name": "own", "task": {"name": "sway:Sway"}, "learner": {"name": "deep_q", "width": 8}}, "here")
+    learner = make_plan(config).groups[0].learner()
     key = jax.random.key(0)
     policy = jax.jit(lambda learner: learner.policy(learner.init(key)))(learner)
     live = Live(Trained(learner, policy, 0, 0, "own", config, {}))

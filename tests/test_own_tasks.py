@@ -9,10 +9,8 @@ from pathlib import Path
 
 import jax.numpy as jnp
 import pytest
-from typer.testing import CliRunner
-
-sys.path.insert(0, str(Path(__file__).parent / "data"))
 from hop import Hop
+from typer.testing import CliRunner
 
 from humanoid_mjx import InputError, spec
 from humanoid_mjx.cli import app
@@ -20,6 +18,7 @@ from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.check import check_task
 from humanoid_mjx.tasks.continuous import ContinuousTask
 
+DATA = Path(__file__).parent / "data"
 CONFIG = {
     "name": "hop",
     "task": {"name": "hop:Hop"},
@@ -53,7 +52,7 @@ SCRIPT = Path(sys.executable).parent / "humanoid-mjx"
 def own(tmp_path_factory):
     """A folder with a user's own module and config, and the run folder and policy that were made there."""
     folder = tmp_path_factory.mktemp("own")
-    shutil.copy(Path(__file__).parent / "data/hop.py", folder / "hop.py")
+    shutil.copy(DATA / "hop.py", folder / "hop.py")
     (folder / "my.yaml").write_text(json.dumps(CONFIG | FEW))
     for words in (("sweep", "my.yaml", "--out", "run"), ("export", "run", "hop.npz")):
         done = command(folder, *words)
@@ -132,7 +131,7 @@ def test_import_paths_are_searched_in_the_working_directory_and_the_error_says_w
 
 def test_they_train_from_the_command_line(tmp_path):
     (tmp_path / "my.yaml").write_text(json.dumps(CONFIG))
-    paths = os.pathsep.join([str(Path(__file__).parent / "data"), os.environ.get("PYTHONPATH", "")])
+    paths = os.pathsep.join([str(DATA), os.environ.get("PYTHONPATH", "")])
     command = [sys.executable, "-m", "humanoid_mjx", "sweep", "my.yaml", "--out", "run"]
     environment = os.environ | {"PYTHONPATH": paths}
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)

@@ -1,8 +1,5 @@
 """A stored run as a video, and what cannot be shown."""
 
-import sys
-from pathlib import Path
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -130,12 +127,8 @@ def test_what_cannot_be_played(tmp_path):
 
 def test_a_task_of_ones_own_is_played(tmp_path):
     """Its state is a dict with a world in it; it says what pushes the body and what the body is told."""
-    sys.path.insert(0, str(Path(__file__).parent / "data"))
-    try:
-        learner = {"name": "deep_q", "width": 8, "envs": 4, "rollout": 4, "evaluation_envs": 2}
-        trained = best_policy(run(tmp_path / "own", {"name": "sway:Sway"}, learner=learner, total_steps=32))
-    finally:
-        sys.path.pop(0)
+    learner = {"name": "deep_q", "width": 8, "envs": 4, "rollout": 4, "evaluation_envs": 2}
+    trained = best_policy(run(tmp_path / "own", {"name": "sway:Sway"}, learner=learner, total_steps=32))
     played = play(trained)
     film = film_of(trained, played)
     assert film.step_s == 0.04 and len(film.qpos) == 11

@@ -87,8 +87,8 @@ def test_a_run_on_two_devices_learns_and_can_go_on_with_one(devices):
     assert float(weights.moments.count[0]) == STEPS
     assert float(shared.training.record[0, :, 0].sum()) == STEPS  # episodes of both devices
     assert {shard.data.shape for shard in envs.episode.addressable_shards} == {(1, SIZE // 2)}
-    a, b = (np.asarray(shard.data) for shard in envs.holding.action.addressable_shards)
-    assert (a != b).any()  # they do not act alike
+    a, b = (np.asarray(shard.data) for shard in envs.state.obs.addressable_shards)
+    assert (a != b).any()  # they draw starts of their own
     alone = Pool(group, deque([0]), 1, devices[:1], 0)
     alone.restore(shared.state(), "memory")
     np.testing.assert_array_equal(trained(alone)["greedy_success"], curve["greedy_success"])

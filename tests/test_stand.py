@@ -1,8 +1,6 @@
 """stand: what falls, what is seen, what is pushed. In native MuJoCo, which compiles quickest."""
 
-import sys
 from functools import cache, partial
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -11,8 +9,6 @@ import pytest
 
 from humanoid_mjx import InputError, make_task
 from humanoid_mjx.compute import rng
-
-sys.path.insert(0, str(Path(__file__).parent / "data"))
 
 BODIES = 16
 STIFF = {"stiffness": 6.0, "damping": 0.2}
