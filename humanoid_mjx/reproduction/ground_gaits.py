@@ -82,22 +82,14 @@ def on_tables(played: Mapping[Trial, Path], margins: Mapping[Trial, np.ndarray])
 
 def _walk(gait: str, mine: Mapping[Trial, Path]) -> Finding:
     best = max(mine, key=lambda trial: (walks(mine[trial]), mine[trial].seconds))
-    up = {signs: max(p.seconds for t, p in mine.items() if t.signs == signs) for signs in SIGNS}
-    read = {t.controller: p for t, p in mine.items() if _as_read(t)}
     return check(
         f"{TABLES[gait]}: seconds of {SECONDS:g} on its feet and m forwards, in the best of all readings",
         "a successful walk is obtained (5.8)" if gait == "straight_walk" else "a stable sudden turn (5.8)",
         [mine[best].seconds, round(mine[best].distance, 3)],
         any(walks(path) for path in mine.values()),
         f"{len(SIGNS)} readings of the signs of hip, knee and ankle, the left leg {', '.join(PHASES)}, under "
-        f"{', '.join(CONTROLLERS)}; this is "
-        f"{reading(best)} under {best.controller}; the longest of each reading is {min(up.values()):g} to "
-        f"{max(up.values()):g} s. As read here, knee and ankle as in `lower_body`: "
-        + "; ".join(
-            f"{name} {_fate(path)}, stance feet slip at {path.slip:.2f} m/s, joints are {path.tracking:.3f} rad off"
-            for name, path in read.items()
-        )
-        + ". Played as printed, without feedback of balance",
+        f"{', '.join(CONTROLLERS)}; this is {reading(best)} under {best.controller}. Played as printed, without "
+        "feedback of balance",
         STEP_M,
     )
 
@@ -157,15 +149,13 @@ def on_generator(others: Mapping[Trial, Path]) -> list[Finding]:
         up = {t: p for t, p in mine.items() if not p.fell}
         walking = [t for t, p in up.items() if walks(p)]
         furthest = max(up or mine, key=lambda t: mine[t].distance)
-        by_reading = {s: max((t.amplitude for t in up if t.signs == s), default=0.0) for s in FORWARDS}
         turning = max(up or mine, key=lambda t: abs(mine[t].lasting_turn))
         findings.append(
             unprinted(
                 f"pattern generator on {TABLES[gait]}: settings of {len(mine)} with which it walks",
                 len(walking),
                 f"amplitudes {listed(AMPLITUDES)}, {listed(FREQUENCIES)} Hz, {' and '.join(PAIR)}, "
-                f"{len(FORWARDS)} readings of knee and ankle: {len(up)} stay up for {SECONDS:g} s, up to an amplitude "
-                f"of {', '.join(f'{a:g} ({_signs(s)})' for s, a in by_reading.items())}; the furthest of them goes "
+                f"{len(FORWARDS)} readings of knee and ankle: {len(up)} stay up for {SECONDS:g} s; the furthest goes "
                 f"{mine[furthest].distance:.3f} m forwards ({_setting_of(furthest)}), and the largest turn that lasts "
                 f"is {mine[turning].lasting_turn:.1f} degrees ({_setting_of(turning)})",
             )

@@ -114,42 +114,25 @@ def random_numbers(joint: int, setting: Setting) -> list[Finding]:
             [round(float(low), 4), round(float(high), 4)],
             low <= printed <= high,
             f"{in_words(used, PRINTED)}; the middle 95 % of {over.sum()} runs: the average of one run's draws is "
-            f"chance and says nothing of the learning, but something of the step: {_at_printed_step(joint)}",
+            f"chance and says nothing of the learning",
             values=(used, PRINTED),
         )
     ]
 
 
-def _at_printed_step(joint: int) -> str:
-    """Distance of the printed average from that of as many uniform numbers as the printed step makes a joint draw."""
-    start, goal = thesis.JOINT_RANGES[joint]
-    draws = (goal - start) / PRINTED["action"] * 2 / PRINTED["epsilon"]
-    off = abs(thesis.AVERAGE_RANDOM_NUMBER[joint] - 0.5) * math.sqrt(12 * draws)
-    words = f"the printed one of {PRINTED['action']:g} degree takes about {draws:.0f} draws, and the average of so many"
-    return f"{words} would be {off:.1f} standard deviations off"
-
-
 def _draw_numbers(setting: Setting, joint: int, drawn: list[np.ndarray], means: np.ndarray) -> None:
-    """The numbers of one run against the episode, as the figure has them, and the averages of all runs."""
+    """The numbers of one run against the episode, as the figure has them."""
     printed = thesis.AVERAGE_RANDOM_NUMBER[joint]
     nearest = drawn[int(np.abs(means - printed).argmin())]
     episodes = np.arange(1, len(nearest) + 1)
-    with setting.figure(1, 2, size=(4.6, 3.4), width_ratios=(2, 1), sharey=True) as (fig, axes):
-        left, right = axes[0]
-        left.plot(episodes, nearest, "o-", color=COLORS[0], markersize=3, linewidth=0.6, label="drawn")
-        left.plot(episodes, np.cumsum(nearest) / episodes, color=COLORS[2], linewidth=1.6, label="average so far")
-        left.axhline(printed, color=COLORS[1], linewidth=1.6, linestyle="--", label=f"printed average, {printed:g}")
-        left.set(
-            xlabel="episode (one step of the pseudo-code)",
-            ylabel="random number",
-            ylim=(0, 1),
-            title="The run whose average is nearest to the printed one",
-        )
-        left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=3, frameon=False)
-        right.hist(means, bins=40, orientation="horizontal", color=COLORS[0], alpha=0.6)
-        right.axhline(printed, color=COLORS[1], linewidth=1.6, linestyle="--")
-        right.set(title=f"Averages of {len(means)} runs", xlabel="runs")
-        fig.suptitle(f"Random numbers on the way of joint {joint} to its goal", x=0.02, ha="left", fontsize="medium")
+    with setting.figure(1, 1, size=(6.4, 3.4)) as (_, axes):
+        panel = axes[0, 0]
+        panel.plot(episodes, nearest, "o-", color=COLORS[0], markersize=3, linewidth=0.6, label="drawn")
+        panel.plot(episodes, np.cumsum(nearest) / episodes, color=COLORS[2], linewidth=1.6, label="average so far")
+        panel.axhline(printed, color=COLORS[1], linewidth=1.6, linestyle="--", label=f"printed average, {printed:g}")
+        panel.set(xlabel="episode (one step of the pseudo-code)", ylabel="random number", ylim=(0, 1))
+        panel.set_title(f"Joint {joint}: the run whose average is nearest to the printed one")
+        panel.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=3, frameon=False)
 
 
 def pooled_epsilon(setting: Setting) -> list[Finding]:

@@ -122,16 +122,15 @@ def tracking(joint: int, setting: Setting) -> list[Finding]:
     errors, ratio = motions[EXACT][:, joint], float(kd[joint] / (2 * np.sqrt(kp[joint])))
     overshoot = float(np.max(-np.sign(errors[0]) * errors)) if errors[0] else float(np.abs(errors).max())
     target, values = thesis.FIGURE_7_1[joint][1], (used, PRINTED)
-    exact = abs(float(_closed_form(errors[0], kp[joint], kd[joint])))
     return [
         compare(
             f"joint {joint + 1}: error left after {thesis.QUINTIC_S:g} s, rad",
             printed,
             left[EXACT],
             tolerance,
-            f"{own()}: exact computed torque, whatever the leg, whose error in closed form is {exact:.2g}, the rest "
-            f"being the integrator's; partitioned PD leaves {three_digits(left[PARTITIONED])}; of {len(VARIANTS)} "
-            f"controllers the nearest ({nearest.words}) leaves {three_digits(left[nearest])}",
+            f"{own()}: exact computed torque, whatever the leg; partitioned PD leaves "
+            f"{three_digits(left[PARTITIONED])}; of {len(VARIANTS)} controllers the nearest ({nearest.words}) leaves "
+            f"{three_digits(left[nearest])}",
             values=values,
             possible=abs(left[nearest] - printed) < tolerance,
         ),
@@ -156,14 +155,6 @@ def tracking(joint: int, setting: Setting) -> list[Finding]:
             could_differ=False,
         ),
     ]
-
-
-def _closed_form(start: float, kp: float, kd: float) -> float:
-    """The error after the motion, rad, of error'' + kd error' + kp error = 0 from rest."""
-    roots = np.roots([1.0, kd, kp]).astype(complex)
-    first, second = roots if roots[0] != roots[1] else roots + np.array([0.0, 1e-9])
-    decays = np.exp(np.array([first, second]) * thesis.QUINTIC_S)
-    return float(np.real(start * (first * decays[1] - second * decays[0]) / (first - second)))
 
 
 def together(setting: Setting) -> list[Finding]:

@@ -1,13 +1,12 @@
 """Section 7 B and Figures 7.1 to 7.4: the planned motion of the joints and where it takes the toe."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from matplotlib.ticker import MaxNLocator
 
 from humanoid_mjx import kinematics
 from humanoid_mjx.report.style import COLORS
@@ -97,10 +96,7 @@ def workspace(name: str, setting: Setting) -> list[Finding]:
     t = np.linspace(0, thesis.QUINTIC_S, 401)
     path = _toe(lengths.values(), _motion(name, t))
     cloud = _cloud(lengths.values(), thesis.WORKSPACE_JOINTS[name])
-    paths = {"planned": path}
-    if name == "straight walking":
-        paths["knee to 45°, ankle to 120°"] = _toe(lengths.values(), _miswired(t))
-    _draw(setting, name, paths, cloud)
+    _draw(setting, name, path, cloud)
     findings = [_extents(name, path, lengths)]
     return [*findings, _hemisphere(name, cloud, lengths)] if name == "straight walking" else findings
 
@@ -127,46 +123,22 @@ def _hemisphere(name: str, cloud: np.ndarray, lengths: dict[str, float]) -> Find
     return check(quantity, "hemispherical in shape", found, agrees, why, HEMISPHERE, values)
 
 
-def _draw(setting: Setting, name: str, paths: Mapping[str, np.ndarray], cloud: np.ndarray) -> None:
-    """Places in reach, paths and the printed ends: in space, from the right and from behind."""
-    hip = np.array([0.0, 0.0, thesis.LINK_LENGTHS[0]])
+def _draw(setting: Setting, name: str, path: np.ndarray, cloud: np.ndarray) -> None:
+    """Places in reach, the path and the printed ends, from the right and from behind."""
     marks = np.array(thesis.WORKSPACE[name])
-    styles = dict(zip(paths, ((COLORS[0], "-"), (COLORS[2], "--")), strict=False))
-    with setting.figure(1, 3, size=(4.2, 4.4)) as (fig, axes):
-        flat = axes[0, 1:]
-        axes[0, 0].remove()
-        space = fig.add_subplot(1, 3, 1, projection="3d")
-        order = [2, 0, 1]  # z sideways and x forwards span the ground, y points up
-        space.scatter(*cloud[::8, order].T, s=0.3, color="0.75", rasterized=True)
-        for words, toe in paths.items():
-            space.plot(*toe[:, order].T, color=styles[words][0], linestyle=styles[words][1])
-        space.scatter(*marks[:, order].T, marker="x", s=45, color=COLORS[1], depthshade=False)
-        space.scatter(*hip[order], marker="s", s=25, color=COLORS[6], depthshade=False)
-        space.set(xlabel="z, m", ylabel="x, m", zlabel="y, m", title="In space")
-        everything = np.concatenate([cloud, marks, *paths.values(), hip[None]])[:, order]
-        middle, spans = (everything.max(axis=0) + everything.min(axis=0)) / 2, np.ptp(everything, axis=0)
-        spans = np.maximum(1.05 * spans, 0.12)
-        for axis, at, span in zip("xyz", middle, spans, strict=True):
-            space.set(**{f"{axis}lim": (at - span / 2, at + span / 2)})
-            getattr(space, f"{axis}axis").set_major_locator(MaxNLocator(max(1, round(span / 0.12))))
-        space.tick_params(labelsize=7)
-        space.set_box_aspect(spans, zoom=0.85)
-        space.view_init(elev=18, azim=-50)
+    with setting.figure(1, 2, size=(4.2, 4.4)) as (fig, axes):
         views = ((0, "x (forwards), m", "From the right"), (2, "z (sideways), m", "From behind"))
-        for panel, (across, label, title) in zip(flat, views, strict=True):
-            panel.plot(cloud[:, across], cloud[:, 1], ",", color="0.75", zorder=1)
+        for panel, (across, label, title) in zip(axes[0], views, strict=True):
+            panel.plot(cloud[:, across], cloud[:, 1], ",", color="0.75")
             panel.plot([], [], "s", color="0.75", label="in reach in the ranges of Table 3.2")
-            for words, toe in paths.items():
-                line = {"color": styles[words][0], "linestyle": styles[words][1]}
-                panel.plot(toe[:, across], toe[:, 1], **line, label=f"path of the toe, {words}", zorder=2)
+            panel.plot(path[:, across], path[:, 1], color=COLORS[0], label="planned path of the toe")
             panel.plot(marks[:, across], marks[:, 1], "x", color=COLORS[1], markersize=8, label="both ends as printed")
-            start = next(iter(paths.values()))[0]
-            panel.plot(start[across], start[1], "o", color=COLORS[6], fillstyle="none", markersize=11, label="start")
-            panel.plot(hip[across], hip[1], "s", color=COLORS[6], markersize=5, label="hip")
+            panel.plot(path[0, across], path[0, 1], "o", color=COLORS[6], fillstyle="none", label="start")
+            panel.plot(thesis.LINK_LENGTHS[0] * (across == 2), 0.0, "s", color=COLORS[6], markersize=5, label="hip")
             panel.set(xlabel=label, title=title)
             panel.set_aspect("equal", adjustable="datalim")
-        flat[0].set_ylabel("y (upwards), m")
-        handles, words = flat[0].get_legend_handles_labels()
+        axes[0, 0].set_ylabel("y (upwards), m")
+        handles, words = axes[0, 0].get_legend_handles_labels()
         fig.legend(handles, words, loc="outside lower center", ncols=3, frameon=False)
         fig.suptitle(f"{name.capitalize()}: where the toe goes and could go", x=0.02, ha="left")
 
@@ -176,13 +148,6 @@ def _cloud(lengths: Any, moving: Sequence[int]) -> np.ndarray:
     ranges = np.radians(thesis.JOINT_RANGES["proposed"]) * np.isin(np.arange(1, 6), moving)[:, None]
     sample = jax.jit(kinematics.workspace, static_argnames="n")
     return np.asarray(sample(_leg(lengths), jnp.array(ranges), jax.random.key(0), n=SAMPLES))
-
-
-def _miswired(t: np.ndarray) -> np.ndarray:
-    """(n, 5) Straight walking from its start to the posture that gives the end as printed, rad, in the same time."""
-    q = _motion("straight walking", t)
-    share = (q[:, :1] - q[0, 0]) / (np.radians(thesis.STRAIGHT_WALK_END[0]) - q[0, 0])
-    return q[0] + share * (np.radians(thesis.STRAIGHT_WALK_END) - q[0])
 
 
 def _motion(name: str, t: np.ndarray) -> np.ndarray:
