@@ -20,9 +20,11 @@ from PIL import Image
 from humanoid_mjx.report.rendering import FPS
 from humanoid_mjx.report.style import COLORS, figure
 from humanoid_mjx.robot import make_robot
-from humanoid_mjx.robot.lower_body import FOOT_LENGTH, HIP_HEIGHT, HIP_OFFSET, SHANK_LENGTH, THIGH_LENGTH
+from humanoid_mjx.robot.lower_body import FOOT_HEIGHT, FOOT_LENGTH, HIP_OFFSET, SHANK_LENGTH, THIGH_LENGTH
 from humanoid_mjx.robot.ranges import joint_ranges
 from humanoid_mjx.thesis.leg import JOINT_NAMES
+
+HIP_HEIGHT = THIGH_LENGTH + SHANK_LENGTH + FOOT_HEIGHT
 
 DOCS = Path(__file__).parent.parent / "docs"
 

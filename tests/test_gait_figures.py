@@ -14,7 +14,7 @@ from humanoid_mjx.evaluation.gait.samples import Sample, legs_apart
 from humanoid_mjx.evaluation.gait.tally import EDGES, Asked, add, begin, window_samples
 from humanoid_mjx.physics.base import Poses
 from humanoid_mjx.robot import make_robot
-from humanoid_mjx.robot.lower_body import LowerBody, lower_body_model
+from humanoid_mjx.robot.lower_body import LowerBody
 
 INTERVAL, BODY = 0.004, LowerBody()
 MASS = BODY.mass
@@ -177,7 +177,7 @@ def test_a_sudden_turn_is_timed(rate, seconds, success):
 
 
 def test_legs_are_as_near_as_mujoco_finds_them():
-    model = lower_body_model("free", "human")
+    model = LowerBody(ranges="human").model
     data, rng, touching = mujoco.MjData(model), np.random.default_rng(0), 0
     near = jax.jit(lambda poses: legs_apart(poses, LowerBody()))
     for _ in range(60):

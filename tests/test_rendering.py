@@ -15,10 +15,10 @@ from humanoid_mjx.report import rendering
 from humanoid_mjx.report.raycast import GROUND, SHADOW, Painter
 from humanoid_mjx.report.rendering import HEIGHT, STRIP, WIDTH, render_film
 from humanoid_mjx.report.scene import LIGHT, make_camera, make_scene
-from humanoid_mjx.robot.lower_body import lower_body_model
+from humanoid_mjx.robot.lower_body import LowerBody
 from humanoid_mjx.spec import InputError
 
-MODEL = lower_body_model()
+MODEL = LowerBody().model
 
 
 @pytest.fixture

@@ -1,10 +1,9 @@
 """Descriptions of robots: what follows from a model, and what is no robot is refused."""
 
-import mujoco
 import numpy as np
 import pytest
 
-from humanoid_mjx.robot import ROBOTS, make_robot
+from humanoid_mjx.robot import make_robot
 from humanoid_mjx.robot.lower_body import JOINTS, LowerBody
 from humanoid_mjx.spec import InputError
 
@@ -20,15 +19,6 @@ def test_the_lower_body_is_one():
     assert order.tolist() == [5, 6, 7, 8, 9, 0, 1, 2, 3, 4] and (signs == 1).all()
     assert BODY.start_height == 0.21
     assert BODY.leg_length == pytest.approx(0.19 * np.cos(np.radians(15)) + 0.025, abs=1e-9)
-
-
-@pytest.mark.parametrize("name", ROBOTS)
-def test_sensors_are_those_of_the_model(name):
-    robot = make_robot(name)
-    encoders, gyroscope, accelerometer, feet, points = robot.sensors
-    kinds = [mujoco.mjtSensor(robot.model.sensor(sensor).type[0]).name for sensor in (gyroscope, accelerometer)]
-    assert kinds == ["mjSENS_GYRO", "mjSENS_ACCELEROMETER"]
-    assert len({robot.model.sensor(sensor).id for sensor in (*encoders, *feet, *points)}) == robot.model.nsensor - 2
 
 
 def test_it_is_written_as_it_was_chosen():

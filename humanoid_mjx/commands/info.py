@@ -58,6 +58,7 @@ def _show_robot(name: str) -> None:
 
     from humanoid_mjx.mechanics.tree.refusing import faults
     from humanoid_mjx.robot import make_robot
+    from humanoid_mjx.robot.description import IMU
 
     robot = make_robot(name)
     order, signs = robot.joint_images
@@ -78,7 +79,7 @@ def _show_robot(name: str) -> None:
         "legs": f"{robot.leg_length:.3g} m; a pace of {robot.pace:.3g} m/s is the unit of speeds",
         "contacts": f"{robot.model.npair} with the ground" + ", others as the model says" * (robot.contacts == "model"),
     }
-    refused = [f"{fault.what} (take {fault.change})" for fault in faults(robot.model, robot.sensors.all)]
+    refused = [f"{fault.what} (take {fault.change})" for fault in faults(robot.model, IMU)]
     lines["physics"] = f"tree refuses {'; '.join(refused)}: take mujoco or mjx-jax" if refused else "tree takes it"
     for key, value in lines.items():
         console.print(f"{key:9} {value}", highlight=False, markup=False)

@@ -31,29 +31,35 @@ def no_contacts(nv: int) -> Contacts:
     return Contacts(none, jnp.zeros((0, 3, nv)), none, jnp.zeros(0, bool))
 
 
-def rigid_points(
+def jacobian_of(
     position: Float[Array, "points 3"],
     moved_by: Bool[AnyArray, "points nv"],
     motion: Float[Array, "nv 6"],
-    motion_rate: Float[Array, "nv 6"],
-    qvel: Float[Array, " nv"],
-    origin: Float[Array, "3"],
-) -> tuple[Float[Array, "points 3 nv"], Float[Array, "points 3"]]:
-    """Jacobian and drift of points of the bodies, from the spatial motions of the degrees of freedom.
+    origin: Float[AnyArray, "3"],
+) -> Float[Array, "points 3 nv"]:
+    """Jacobian of points of the bodies, from the spatial motions of the degrees of freedom.
 
     Args:
       position: positions of the points, m, world.
       moved_by: which degrees of freedom move a point's body.
       motion: motion by degree of freedom, angular then linear, of a body's point at the origin (MuJoCo's `cdof`).
-      motion_rate: rate of `motion` where the robot moves at qvel (`cdof_dot`).
-      origin: origin of the motions, m, world (`subtree_com`).
+      origin: origin of the motions, m, world.
     """
-    arm = (position - origin)[:, None]
-    angular, linear = motion[:, :3], motion[:, 3:]
-    columns = jnp.where(moved_by[..., None], linear + jnp.cross(angular, arm), 0.0)
+    columns = motion[:, 3:] + jnp.cross(motion[:, :3], (position - origin)[:, None])
+    return jnp.swapaxes(jnp.where(moved_by[..., None], columns, 0.0), -1, -2)
+
+
+def drift_of(
+    position: Float[Array, "points 3"],
+    velocity: Float[Array, "points 3"],
+    moved_by: Bool[AnyArray, "points nv"],
+    motion: Float[Array, "nv 6"],
+    motion_rate: Float[Array, "nv 6"],
+    qvel: Float[Array, " nv"],
+    origin: Float[Array, "3"],
+) -> Float[Array, "points 3"]:
+    """Drift of the same points, which move at `velocity`; `motion_rate` is MuJoCo's `cdof_dot`."""
     speeds = jnp.where(moved_by, qvel, 0.0)
-    spin = speeds @ angular
-    velocity = jnp.einsum("pvx,v->px", columns, qvel)
     rate = speeds @ motion_rate
-    drift = rate[:, 3:] + jnp.cross(rate[:, :3], arm[:, 0]) + jnp.cross(spin, velocity)
-    return jnp.swapaxes(columns, -1, -2), drift
+    turning = jnp.cross(speeds @ motion[:, :3], velocity)
+    return rate[:, 3:] + jnp.cross(rate[:, :3], position - origin) + turning

@@ -107,7 +107,7 @@ class Readings(NamedTuple):
     accelerometer: Float[AnyArray, "*worlds 3"]
     """Acceleration that the torso feels, in its own frame, m/s^2; +9.81 upwards at rest."""
     foot_contact: Float[AnyArray, "*worlds feet"]
-    """Normal force on each foot, N."""
+    """Normal force of the ground on each foot, N."""
 
 
 class Poses(NamedTuple):

@@ -17,11 +17,11 @@ from jaxtyping import Array, Float
 from pydantic import Field, model_validator
 
 from humanoid_mjx import compute
-from humanoid_mjx.mechanics.contacts import Contacts, rigid_points
-from humanoid_mjx.physics.base import Controller, Once, Poses, Sensed, Stages, World
+from humanoid_mjx.mechanics.contacts import Contacts
+from humanoid_mjx.physics.base import Controller, Poses, Sensed, World
 from humanoid_mjx.physics.model import MujocoPhysics, below, freeze_if_diverged
-from humanoid_mjx.robot.description import ground_points
-from humanoid_mjx.types import AnyArray, IntScalar, MassFactor
+from humanoid_mjx.robot.description import IMU
+from humanoid_mjx.types import AnyArray, IntScalar
 
 SOLVER_ITERATIONS = {"jax": 4, "warp": 30}
 LINE_SEARCH_ITERATIONS = 8
@@ -91,10 +91,10 @@ class MjxJax(MujocoPhysics):
         def cycle(carry: tuple[World, Sensed], _: None) -> tuple[tuple[World, Sensed], None]:
             world, before = carry
             new, data = self._cycle(model, blank, world, controller, sensed=True)
-            now = self._sensed(data)
+            now = self._seen(data)
             return (new, jax.tree.map(lambda old, new_: jnp.where(new.diverged, old, new_), before, now)), None
 
-        shapes = jax.eval_shape(lambda: self._sensed(blank))
+        shapes = jax.eval_shape(lambda: self._seen(blank))
         nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
         return jax.lax.scan(cycle, (world, nothing), length=cycles)[0]
 
@@ -102,14 +102,15 @@ class MjxJax(MujocoPhysics):
         model = self._put()
         data = self._at(model, self._blank_data(), world)
         data = data.replace(ctrl=self.told(jnp.asarray(torque, float)), qfrc_applied=self.pushes())
-        return self._sensed(_advance(model, data, sensed=True)[1])
+        return self._seen(_advance(model, data, sensed=True)[1])
 
-    def _sensed(self, data: Any) -> Sensed:
+    def _seen(self, data: Any) -> Sensed:
         """Everything that a time step computes about its beginning."""
         poses = Poses(data.xpos, data.xmat.reshape(-1, 3, 3))
         velocities = self._velocities(data.cvel, data.xpos, data.subtree_com)
-        contacts = self._ground_contacts(poses, velocities, self._normal_forces(data))
-        return Sensed(self._readings(data.sensordata), poses, velocities, contacts, self._torque(data))
+        turning, felt = (self._read(data.sensordata, (name,)) for name in IMU)
+        seen = data.qpos[self.joint_qpos], turning, felt, poses, velocities
+        return self._sensed(*seen, self._normal_forces(data), self._torque(data))
 
     def _torque(self, data: Any) -> Float[Array, " joints"]:
         scale = self._motor_scale
@@ -120,7 +121,7 @@ class MjxJax(MujocoPhysics):
         touch sensors."""
         balls, _ = self.ground_points
         if self.implementation == "warp" or not len(balls):
-            return self._corner_forces(data.sensordata)
+            return self._read(data.sensordata, self.robot.point_sensors)
         contact = data._impl.contact
         rows = np.flatnonzero((contact.dim == FOOT_CONDIM) & (contact.efc_address >= 0))
         edges = contact.efc_address[rows, None] + np.arange(2 * (FOOT_CONDIM - 1))
@@ -172,32 +173,19 @@ class MjxJax(MujocoPhysics):
         return freeze_if_diverged(world, new), data
 
     def _ask(self, model: Any, data: Any, world: World, controller: Controller) -> Float[Array, " joints"]:
-        limit = self.torque_limits
-        torque = controller(self._stages(model, data, world))
-        return jnp.clip(jnp.asarray(torque, float), -limit, limit)
-
-    def _stages(self, model: Any, data: Any, world: World) -> Stages:
-        joints = self.joint_dofs
-
         def dynamics(data: Any) -> tuple[Float[Array, "nv nv"], Float[Array, " nv"]]:
             return mass_matrix(self.model, data), data.qfrc_bias - data.qfrc_passive
 
-        own = Once(partial(dynamics, data))
-
-        def model_for(mass: MassFactor) -> tuple[Float[Array, "nv nv"], Float[Array, " nv"]]:
-            if jnp.ndim(mass) == jnp.ndim(self.mass) == 0:
-                return self.rescaled(mass / self.mass, *own(), world.qvel)
-            return dynamics(self._at(self.replace(mass=mass)._put(), data, world))
+        def of_other(physics: MjxJax) -> tuple[Float[Array, "nv nv"], Float[Array, " nv"]]:
+            return dynamics(physics._at(physics._put(), data, world))
 
         def contacts() -> Contacts:
-            corners, moved_by = self.ground_points
-            position = data.geom_xpos[corners] - model.geom_size[corners, :1] * jnp.array([0.0, 0.0, 1.0])
-            origin = data.subtree_com[1]
-            jacobian, drift = rigid_points(position, moved_by, data.cdof, data.cdof_dot, data.qvel, origin)
-            return Contacts(position, jacobian, drift, position[:, 2] <= 0.0)
+            centers = data.geom_xpos[self.ground_points[0]]
+            return self._contacts(centers, data.cdof, data.cdof_dot, data.qvel, data.subtree_com[1])
 
-        joint_state = world.qpos[self.joint_qpos], world.qvel[joints]
-        return Stages(world, *joint_state, own, contacts, model_for, joints)
+        torque = controller(self._stages(world, partial(dynamics, data), of_other, contacts))
+        limit = self.torque_limits
+        return jnp.clip(jnp.asarray(torque, float), -limit, limit)
 
 
 class MjxWarp(MjxJax):
@@ -244,12 +232,8 @@ def _mjx_arrays(model: mujoco.MjModel, implementation: str, x64: bool) -> tuple[
     """MJX's model and data with numpy leaves, outside any device and any trace."""
     model = copy(model)
     model.opt.iterations, model.opt.ls_iterations = SOLVER_ITERATIONS[implementation], LINE_SEARCH_ITERATIONS
-    if not model.npair:  # MJX fails at a touch sensor where nothing can touch; left out, it reads 0
+    if implementation == "jax":  # forces on the corners of the feet are the solver's: see `_normal_forces`
         model.sensor_needstage[model.sensor_type == mujoco.mjtSensor.mjSENS_TOUCH] = mujoco.mjtStage.mjSTAGE_NONE
-    elif implementation == "jax":  # forces on the corners of the feet are the solver's: see `_normal_forces`
-        corners = {model.geom(ball).name for ball in ground_points(model)[0]}
-        own = [i for i in range(model.nsensor) if model.sensor(i).name.removesuffix("_contact") in corners]
-        model.sensor_needstage[own] = mujoco.mjtStage.mjSTAGE_NONE
     with jax.ensure_compile_time_eval():
         put = mjx.put_model(model, impl=implementation)
         if implementation == "warp":  # it would print a line for each world and step; see `LOST`

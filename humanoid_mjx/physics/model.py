@@ -1,7 +1,8 @@
 # pyright: reportAttributeAccessIssue=false
 """What the physics built on MuJoCo's models have in common: which robot, its model, its traced values."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Any, ClassVar
 
@@ -12,12 +13,24 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from pydantic import Field, model_validator
 
+from humanoid_mjx.mechanics.contacts import Contacts, drift_of, jacobian_of
 from humanoid_mjx.mechanics.terrain import Terrain
-from humanoid_mjx.physics.base import MAX_SPEED, GroundContacts, Physics, Poses, Readings, Velocities, World
+from humanoid_mjx.physics.base import (
+    MAX_SPEED,
+    GroundContacts,
+    Once,
+    Physics,
+    Poses,
+    Readings,
+    Sensed,
+    Stages,
+    Velocities,
+    World,
+)
 from humanoid_mjx.robot import RobotKey, make_robot
-from humanoid_mjx.robot.description import Robot, compiled, ground_points
+from humanoid_mjx.robot.description import Robot, compiled, ground_points, motor_limits
 from humanoid_mjx.spec import traced
-from humanoid_mjx.types import AnyArray, BoolScalar, FloatScalar, MassFactor
+from humanoid_mjx.types import AnyArray, BoolScalar, MassFactor
 
 
 class MujocoPhysics(Physics):
@@ -67,7 +80,7 @@ class MujocoPhysics(Physics):
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        return tuple(self.model.joint(joint).name for joint in self.model.actuator_trnid[:, 0])
+        return self.robot.joints
 
     @property
     def body_names(self) -> tuple[str, ...]:
@@ -75,7 +88,7 @@ class MujocoPhysics(Physics):
 
     @property
     def joint_ranges(self) -> Float[np.ndarray, "joints 2"]:
-        return self.model.jnt_range[self.model.actuator_trnid[:, 0]]
+        return self.robot.ranges_rad
 
     @property
     def qpos0(self) -> Float[np.ndarray, " nq"]:
@@ -99,7 +112,7 @@ class MujocoPhysics(Physics):
     @property
     def torque_limits(self) -> Float[AnyArray, " joints"]:
         """Largest torque of each motor now, N m."""
-        return jnp.asarray(self.torque_limit, float) * own_limits(self.model)
+        return jnp.asarray(self.torque_limit, float) * motor_limits(self.model)
 
     def told(self, torque: Float[AnyArray, "*worlds joints"]) -> Float[AnyArray, "*worlds joints"]:
         """What to tell the motors for these torques of their joints, N m."""
@@ -122,38 +135,33 @@ class MujocoPhysics(Physics):
         links = self.model.jnt_bodyid[self.model.actuator_trnid[:, 0]]
         return jnp.ones(self.model.nbody).at[links].set(mass)
 
-    def rescaled(
+    def _stages(
         self,
-        factor: FloatScalar,
-        mass_matrix: Float[AnyArray, "nv nv"],
-        bias: Float[AnyArray, " nv"],
-        qvel: Float[AnyArray, " nv"],
-    ) -> tuple[Float[AnyArray, "nv nv"], Float[AnyArray, " nv"]]:
-        """Mass matrix and bias with all links `factor` times as heavy; the motors' armature and the joints' damping
-        stay as they are."""
-        armature = self.model.dof_armature
-        resistance = self.damping * self.model.dof_damping * qvel
-        others = 1 - factor
-        return factor * mass_matrix + others * np.diag(armature), factor * bias + others * resistance
+        world: World,
+        dynamics: Callable[[], tuple[Any, Any]],
+        dynamics_of: Callable[[Any], tuple[Any, Any]],
+        contacts: Callable[[], Contacts],
+    ) -> Stages:
+        """The stages of a state from its mass matrix and bias, those of another physics in the same state, and its
+        contacts."""
+        own = Once(dynamics)
+
+        def model_for(mass: MassFactor) -> tuple[Any, Any]:
+            if jnp.ndim(mass) or jnp.ndim(self.mass):
+                return dynamics_of(self.replace(mass=mass))
+            # The motors' armature and the joints' damping do not grow with the links.
+            factor = mass / self.mass
+            others, resistance = 1 - factor, self.damping * self.model.dof_damping * world.qvel
+            matrix, bias = own()
+            return factor * matrix + others * np.diag(self.model.dof_armature), factor * bias + others * resistance
+
+        joints = self.joint_dofs
+        return Stages(world, world.qpos[self.joint_qpos], world.qvel[joints], own, contacts, model_for, joints)
 
     def pushes(self) -> Float[AnyArray, " nv"]:
         """The forces on the degrees of freedom other than the motors'."""
         none = jnp.zeros(self.model.nv)
         return none.at[:3].set(jnp.stack(list(self.push))) if self.free else none
-
-    def _readings(self, sensordata: Float[AnyArray, "*worlds sensors"]) -> Readings:
-        """MuJoCo's sensor array, by the names of the robot's sensors."""
-        names = self.robot.sensors
-        parts = names.encoders, (names.gyroscope,), (names.accelerometer,), names.foot_contact
-        return Readings(*(sensordata[..., self._sensor_places(part)] for part in parts))
-
-    def _corner_forces(self, sensordata: Float[AnyArray, "*worlds sensors"]) -> Float[AnyArray, "*worlds points"]:
-        """Normal forces on the corners of the feet, N."""
-        return sensordata[..., self._sensor_places(self.robot.sensors.points)]
-
-    def _sensor_places(self, names: Sequence[str]) -> Any:
-        sensors = [self.model.sensor(name) for name in names]
-        return places(np.array([a for s in sensors for a in range(s.adr[0], s.adr[0] + s.dim[0])], int))
 
     def _velocities(
         self, cvel: Float[AnyArray, "bodies 6"], position: Float[AnyArray, "bodies 3"], com: Float[AnyArray, "bodies 3"]
@@ -164,16 +172,49 @@ class MujocoPhysics(Physics):
         arm = position - com[self.model.body_rootid]
         return Velocities(cvel[:, 3:] + jnp.cross(angular, arm), angular)
 
-    def _ground_contacts(
-        self, poses: Poses, velocities: Velocities, forces: Float[AnyArray, " points"]
-    ) -> GroundContacts:
-        """Where the corners of the feet are, and how they move with their bodies."""
+    def _sensed(
+        self,
+        encoders: Float[AnyArray, " joints"],
+        gyroscope: Float[AnyArray, "3"],
+        accelerometer: Float[AnyArray, "3"],
+        poses: Poses,
+        velocities: Velocities,
+        forces: Float[AnyArray, " points"],
+        torque: Float[AnyArray, " joints"],
+    ) -> Sensed:
+        """Everything about a state in which the ground pushes the corners of the feet by `forces`."""
+        (link, arm), feet = self._corners(poses), (len(self.robot.feet), self.robot.points)
+        velocity = velocities.linear[link] + jnp.cross(velocities.angular[link], arm)
+        contacts = GroundContacts(poses.position[link] + arm, velocity, forces)
+        on_feet = forces[: math.prod(feet)].reshape(feet).sum(axis=1)
+        return Sensed(Readings(encoders, gyroscope, accelerometer, on_feet), poses, velocities, contacts, torque)
+
+    def _corners(self, poses: Poses) -> tuple[Any, Any]:
+        """The bodies of the feet's corners, and the way from there to the corners' lowest points, m, world."""
         balls, _ = self.ground_points
         link = self.model.geom_bodyid[balls]
         arm = jnp.einsum("pij,pj->pi", poses.rotation[link], jnp.asarray(self.model.geom_pos[balls], float))
-        arm = arm - self.model.geom_size[balls, :1] * np.array([0.0, 0.0, 1.0])
-        velocity = velocities.linear[link] + jnp.cross(velocities.angular[link], arm)
-        return GroundContacts(poses.position[link] + arm, velocity, forces)
+        return link, arm - self.model.geom_size[balls, :1] * np.array([0.0, 0.0, 1.0])
+
+    def _contacts(
+        self,
+        centers: Float[AnyArray, "points 3"],
+        cdof: Float[AnyArray, "nv 6"],
+        cdof_dot: Float[AnyArray, "nv 6"],
+        qvel: Float[AnyArray, " nv"],
+        origin: Float[AnyArray, "3"],
+    ) -> Contacts:
+        """The corners of the feet from the middles of their balls and MuJoCo's spatial motions about `origin`."""
+        balls, moved_by = self.ground_points
+        position = centers - self.model.geom_size[balls, :1] * np.array([0.0, 0.0, 1.0])
+        jacobian = jacobian_of(position, moved_by, cdof, origin)
+        drift = drift_of(position, jacobian @ qvel, moved_by, cdof, cdof_dot, qvel, origin)
+        return Contacts(position, jacobian, drift, position[:, 2] <= 0.0)
+
+    def _read(self, sensordata: Float[AnyArray, " sensors"], names: Sequence[str]) -> Float[AnyArray, " values"]:
+        """Readings of these sensors in MuJoCo's array of all."""
+        sensors = [self.model.sensor(name) for name in names]
+        return sensordata[places(np.array([a for s in sensors for a in range(s.adr[0], s.adr[0] + s.dim[0])], int))]
 
     def start(self, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]) -> World:
         qvel = jnp.array(qvel, float)
@@ -209,14 +250,6 @@ def below(model: mujoco.MjModel) -> Float[np.ndarray, "bodies bodies"]:
 def _model(robot: Robot, timestep: float | None) -> mujoco.MjModel:
     with jax.ensure_compile_time_eval():
         return compiled(robot, timestep)
-
-
-def own_limits(model: mujoco.MjModel) -> Float[np.ndarray, " joints"]:
-    """Largest torque of each motor of a model, N m."""
-    told = np.where(model.actuator_ctrllimited, model.actuator_ctrlrange[:, 1], np.inf)
-    force = np.where(model.actuator_forcelimited, model.actuator_forcerange[:, 1], np.inf)
-    gain, gear = model.actuator_gainprm[:, 0], model.actuator_gear[:, 0]
-    return np.minimum(np.abs(gain) * told, force) * np.abs(gear)
 
 
 def _odd_motor(model: mujoco.MjModel) -> str | None:

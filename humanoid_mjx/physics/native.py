@@ -22,11 +22,12 @@ from mujoco.rollout import Rollout
 from humanoid_mjx.compute import cores
 from humanoid_mjx.mechanics.contacts import Contacts
 from humanoid_mjx.mechanics.terrain import Terrain
-from humanoid_mjx.physics.base import Batches, Controller, Once, Poses, Sensed, Stages, Velocities, World
+from humanoid_mjx.physics.base import Batches, Controller, Once, Poses, Sensed, Velocities, World
 from humanoid_mjx.physics.model import MujocoPhysics, below, freeze_if_diverged
 from humanoid_mjx.physics.terrain import add_terrain
 from humanoid_mjx.robot import Robot
-from humanoid_mjx.types import AnyArray, MassFactor
+from humanoid_mjx.robot.description import IMU, sensing_spec
+from humanoid_mjx.types import AnyArray
 
 MODELS_BYTES = 1 << 27
 """Bytes that the models kept of one robot may take, at about 0.1 MB each. Worlds of more distinct traced values take
@@ -61,16 +62,17 @@ class Native(MujocoPhysics):
         return self._cycle(world, controller, substeps, sensed=False)[:2]
 
     def run_sensed(self, world: World, controller: Controller, cycles: int) -> tuple[World, Sensed]:
-        def cycle(carry: tuple[World, Array, Array], _: None) -> tuple[tuple[World, Array, Array], None]:
-            return self._cycle(carry[0], controller, 1, sensed=True), None
+        def cycle(carry: tuple[World, Any], _: None) -> tuple[tuple[World, Any], None]:
+            world, *seen = self._cycle(carry[0], controller, 1, sensed=True)
+            return (world, (carry[0].qpos, *seen)), None
 
-        nothing = jnp.zeros(self.model.nu), jnp.zeros(self._team.base.nsensordata)
-        (world, torque, sensordata), _ = jax.lax.scan(cycle, (world, *nothing), length=cycles)
-        return world, self._sensed(torque, sensordata)
+        nothing = world.qpos, jnp.zeros(self.model.nu), jnp.zeros(self._team.base.nsensordata)
+        (world, seen), _ = jax.lax.scan(cycle, (world, nothing), length=cycles)
+        return world, self._seen(*seen)
 
     def sense(self, world: World, torque: Float[AnyArray, " joints"]) -> Sensed:
         torque = jnp.asarray(torque, float)
-        return self._sensed(torque, self._held(world, torque, 1, sensed=True)[-1])
+        return self._seen(world.qpos, torque, self._held(world, torque, 1, sensed=True)[-1])
 
     def poses(self, world: World) -> Poses:
         return self.sense(world, jnp.zeros(self.model.nu)).poses
@@ -78,7 +80,14 @@ class Native(MujocoPhysics):
     def _cycle(self, world: World, controller: Controller, substeps: int, sensed: bool) -> tuple[World, Array, Array]:
         """The world after a control cycle, the torque that acted, and what was sensed before it."""
         limit = self.torque_limits
-        torque = jnp.clip(jnp.asarray(controller(self._stages(world)), float), -limit, limit)
+        motion = Once(partial(self._motion, world))
+
+        def contacts() -> Contacts:
+            _, _, centers, cdof, cdof_dot, origin = motion()
+            return self._contacts(centers, cdof, cdof_dot, world.qvel, origin)
+
+        stages = self._stages(world, lambda: motion()[:2], lambda other: other._motion(world)[:2], contacts)
+        torque = jnp.clip(jnp.asarray(controller(stages), float), -limit, limit)
         qpos, qvel, warmstart, sensordata = self._held(world, torque, substeps, sensed)
         return freeze_if_diverged(world, World(qpos, qvel, warmstart, jnp.bool_(False))), torque, sensordata
 
@@ -90,13 +99,14 @@ class Native(MujocoPhysics):
         shapes = *(x.shape for x in state), (self._team.base.nsensordata * sensed,)
         return _on_host(partial(self._advance, steps, sensed), shapes, self._values(), *state, control)
 
-    def _sensed(self, torque: Float[Array, " joints"], sensordata: Float[Array, " sensors"]) -> Sensed:
+    def _seen(self, qpos: Float[Array, " nq"], torque: Float[Array, " joints"], sensordata: Array) -> Sensed:
         """What the sensors of a model of `_watched` say."""
         own, frames = sensordata[: self.model.nsensordata], sensordata[self.model.nsensordata :]
         position, *axes, linear, angular = frames.reshape(len(FRAMES), self.model.nbody, 3)
         poses, velocities = Poses(position, jnp.stack(axes, axis=-1)), Velocities(linear, angular)
-        contacts = self._ground_contacts(poses, velocities, self._corner_forces(own))
-        return Sensed(self._readings(own), poses, velocities, contacts, torque)
+        turning, felt = (self._read(own, (name,)) for name in IMU)
+        forces = self._read(own, self.robot.point_sensors)
+        return self._sensed(qpos[self.joint_qpos], turning, felt, poses, velocities, forces, torque)
 
     @property
     def _team(self) -> "_Team":
@@ -108,29 +118,11 @@ class Native(MujocoPhysics):
         others = self.friction, self.damping, self.torque_limit, *jax.tree.leaves(self.terrain)
         return jnp.concatenate([factors, jnp.stack([jnp.asarray(value, factors.dtype) for value in others])])
 
-    def _stages(self, world: World) -> Stages:
-        joints, nv = self.joint_dofs, self.model.nv
-
-        def dynamics(physics: Native) -> tuple[Array, Array]:
-            shapes = (nv, nv), (nv,)
-            matrix, bias = _on_host(self._dynamics, shapes, physics._values(), world.qpos, world.qvel)
-            return matrix, bias
-
-        def model_for(mass: MassFactor) -> tuple[Array, Array]:
-            if jnp.ndim(mass) == jnp.ndim(self.mass) == 0:
-                return self.rescaled(mass / self.mass, *own(), world.qvel)
-            return dynamics(self.replace(mass=mass))
-
-        own = Once(partial(dynamics, self))
-        joint_state = world.qpos[self.joint_qpos], world.qvel[joints]
-        contacts = partial(self._contacts, world)
-        return Stages(world, *joint_state, own, contacts, model_for, joints)
-
-    def _contacts(self, world: World) -> Contacts:
-        points, nv = len(self.ground_points[0]), self.model.nv
-        shapes = (points, 3), (points, 3, nv), (points, 3)
-        position, jacobian, drift = _on_host(self._touch, shapes, world.qpos, world.qvel)
-        return Contacts(position, jacobian, drift, position[:, 2] <= 0.0)
+    def _motion(self, world: World) -> tuple[Any, ...]:
+        """Mass matrix and bias, and what the contacts follow from (`_contacts`)."""
+        nv, points = self.model.nv, len(self.ground_points[0])
+        shapes = (nv, nv), (nv,), (points, 3), (nv, 6), (nv, 6), (3,)
+        return tuple(_on_host(self._look, shapes, self._values(), world.qpos, world.qvel))
 
     def _advance(
         self,
@@ -149,7 +141,7 @@ class Native(MujocoPhysics):
         sensordata = np.empty((len(qpos), steps, team.base.nsensordata))
         distinct, kind = np.unique(values, axis=0, return_inverse=True)
         for first in range(0, len(distinct), team.room):
-            models = [team.tuned(row, sensed) for row in distinct[first : first + team.room]]
+            models = [team.tuned(row.tobytes(), sensed) for row in distinct[first : first + team.room]]
             rows = np.flatnonzero((kind >= first) & (kind < first + team.room))
             states[rows], sensordata[rows] = team.rollout.rollout(
                 [models[i - first] for i in kind[rows]],
@@ -165,34 +157,18 @@ class Native(MujocoPhysics):
         moved, speed = states[:, -1, :nq], states[:, -1, nq:]
         return moved, speed, (speed - before) / self.step_s, sensordata[:, 0, : sensordata.shape[-1] * sensed]
 
-    def _dynamics(self, values: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Mass matrix and bias of each world."""
-        matrix, bias = np.empty((*qvel.shape, qvel.shape[-1])), np.empty(qvel.shape)
+    def _look(self, values: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, ...]:
+        """What `_motion` gives, of each world."""
+        rows, corners = [], self.ground_points[0]
         for i, (model, data) in enumerate(self._team.bare(values)):
             data.qpos, data.qvel = qpos[i], qvel[i]
             mujoco.mj_fwdPosition(model, data)
             mujoco.mj_fwdVelocity(model, data)
-            mujoco.mj_fullM(model, data, matrix[i])
-            bias[i] = data.qfrc_bias - data.qfrc_passive
-        return matrix, bias
-
-    def _touch(self, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Places, Jacobians and drifts of the feet's corners in each world."""
-        model, (corners, _) = self.model, self.ground_points
-        data, rate, points = mujoco.MjData(model), np.empty((3, model.nv)), len(corners)
-        position, jacobian = np.empty((len(qpos), points, 3)), np.empty((len(qpos), points, 3, model.nv))
-        drift = np.empty_like(position)
-        for i in range(len(qpos)):
-            data.qpos, data.qvel = qpos[i], qvel[i]
-            mujoco.mj_fwdPosition(model, data)
-            mujoco.mj_fwdVelocity(model, data)
-            for k, corner in enumerate(corners):
-                position[i, k] = data.geom_xpos[corner] - (0.0, 0.0, model.geom_size[corner, 0])
-                body = model.geom_bodyid[corner]
-                mujoco.mj_jac(model, data, jacobian[i, k], None, position[i, k], body)
-                mujoco.mj_jacDot(model, data, rate, None, position[i, k], body)
-                drift[i, k] = rate @ qvel[i]
-        return position, jacobian, drift
+            matrix = np.empty((model.nv, model.nv))
+            mujoco.mj_fullM(model, data, matrix)
+            places = data.geom_xpos[corners], data.cdof.copy(), data.cdof_dot.copy(), data.subtree_com[1].copy()
+            rows.append((matrix, data.qfrc_bias - data.qfrc_passive, *places))
+        return tuple(np.array(part) for part in zip(*rows, strict=True))
 
 
 class _Team:
@@ -205,21 +181,16 @@ class _Team:
         self.rollout = Rollout(nthread=threads)
         self.data = [mujoco.MjData(base) for _ in range(threads)]
         self.room = max(1, MODELS_BYTES // base.nbuffer)
-        self._tuned: dict[bytes, mujoco.MjModel] = {}
+        self.tuned = lru_cache(self.room)(self._tuned)
         self._bare = copy(base)
         self._bare.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
 
-    def tuned(self, values: Float[np.ndarray, " values"], sensed: bool) -> mujoco.MjModel:
-        """The model with these values in it, its sensors on or off; the least recently used makes room for it."""
-        key = values.tobytes()
-        model = self._tuned.pop(key, None)
-        if model is None:
-            if len(self._tuned) >= self.room:
-                self._tuned.pop(next(iter(self._tuned)))
-            model = self._shaped(self._terrain_of(values))
-            self._tune(model, values)
-        model.opt.disableflags = self.base.opt.disableflags | OFF[sensed]
-        self._tuned[key] = model
+    def _tuned(self, values: bytes, sensed: bool) -> mujoco.MjModel:
+        """The model with these values in it, its sensors on or off."""
+        numbers = np.frombuffer(values)
+        model = self._shaped(self._terrain_of(numbers))
+        self._tune(model, numbers)
+        model.opt.disableflags |= OFF[sensed]
         return model
 
     def bare(self, values: Float[np.ndarray, "worlds values"]) -> Iterator[tuple[mujoco.MjModel, mujoco.MjData]]:
@@ -268,7 +239,7 @@ def _watched(robot: Robot, timestep: float | None) -> mujoco.MjModel:
 
 def _watched_spec(robot: Robot, timestep: float | None) -> mujoco.MjSpec:
     """The robot with `FRAMES` on every body, behind its own sensors."""
-    spec = robot.spec(timestep)
+    spec = sensing_spec(robot, timestep)
     for kind in FRAMES:
         for body in spec.bodies:
             spec.add_sensor(type=kind, objtype=mujoco.mjtObj.mjOBJ_XBODY, objname=body.name)

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 from humanoid_mjx import compute
 from humanoid_mjx.compute import Arithmetic
 from humanoid_mjx.compute.kernels.worlds import worlds_last
-from humanoid_mjx.mechanics.contacts import Contacts, no_contacts
+from humanoid_mjx.mechanics.contacts import Contacts, jacobian_of, no_contacts
 from humanoid_mjx.mechanics.scalars import Vector, unstack
 from humanoid_mjx.mechanics.tree import sensing
 from humanoid_mjx.mechanics.tree import step as mechanics
@@ -32,15 +32,13 @@ from humanoid_mjx.physics.base import (
     Controller,
     Once,
     Poses,
-    Readings,
     Sensed,
-    Stages,
     Velocities,
     World,
 )
-from humanoid_mjx.physics.model import MujocoPhysics, own_limits
-from humanoid_mjx.robot.description import ground_points
-from humanoid_mjx.types import AnyArray, BoolScalar, IntScalar, MassFactor
+from humanoid_mjx.physics.model import MujocoPhysics
+from humanoid_mjx.robot.description import IMU, ground_points, motor_limits
+from humanoid_mjx.types import AnyArray, BoolScalar, IntScalar
 
 
 class TreePhysics(MujocoPhysics):
@@ -52,10 +50,8 @@ class TreePhysics(MujocoPhysics):
     @property
     def tree(self) -> Tree:
         """What is fixed while a program is compiled."""
-        names, model = self.robot.sensors, self.model
-        read = names.gyroscope, names.accelerometer, *names.foot_contact
-        kind = mujoco.mjtObj.mjOBJ_SENSOR
-        tree = _tree(model, tuple(name for name in read if mujoco.mj_name2id(model, kind, name) >= 0))
+        model, kind = self.model, mujoco.mjtObj.mjOBJ_SENSOR
+        tree = _tree(model, tuple(name for name in IMU if mujoco.mj_name2id(model, kind, name) >= 0))
         return on_stairs(tree) if self.terrain and self.terrain.stairs is not None else tree
 
     def step(self, world: World, controller: Controller, substeps: int = 1) -> tuple[World, Float[Array, " joints"]]:
@@ -95,39 +91,34 @@ class TreePhysics(MujocoPhysics):
             now = carry[0]
             torque, state = self._ask_first(values, now, controller)
             parts, seen = self._move(_advance_sensed, values, state, now, torque, last)
-            return (World(*parts), (now.qpos[self._joints], torque, seen)), None
+            return (World(*parts), (now.qpos[self.joint_qpos], torque, seen)), None
 
         mine = jnp.where(world.qpos[-1] == world.qpos[-1], 0.0, 0.0)
         start = jax.tree.map(lambda part: jnp.where(mine == 0.0, part, part), world)
         last = jnp.arange(cycles) == cycles - 1
         (world, sensed), _ = jax.lax.scan(cycle, (start, self._nothing(mine)), last)
-        return world, self._sensed(*jax.tree.map(lambda part: jnp.where(world.diverged, 0.0, part), sensed))
+        return world, self._seen(*jax.tree.map(lambda part: jnp.where(world.diverged, 0.0, part), sensed))
 
     def sense(self, world: World, torque: Float[AnyArray, " joints"]) -> Sensed:
         values, torque = self._values(), self._within(torque)
         seen = self._move(_advance_sensed, values, None, world, torque, jnp.bool_(True))[1]
-        return self._sensed(world.qpos[self._joints], torque, seen)
+        return self._seen(world.qpos[self.joint_qpos], torque, seen)
 
     def poses(self, world: World) -> Poses:
         return Poses(*worlds_last(_poses, self.tree)(self._state(self._values(), world)))
 
-    def _sensed(self, encoders: Any, torque: Any, seen: tuple[Any, ...]) -> Sensed:
-        gyroscope, accelerometer, touch, position, rotation, linear, angular, normal = seen
+    def _seen(self, encoders: Any, torque: Any, seen: tuple[Any, ...]) -> Sensed:
+        turning, felt, position, rotation, linear, angular, forces = seen
         poses, velocities = Poses(position, rotation), Velocities(linear, angular)
-        readings = Readings(encoders, gyroscope, accelerometer, touch)
-        return Sensed(readings, poses, velocities, self._ground_contacts(poses, velocities, normal), torque)
+        return self._sensed(encoders, turning, felt, poses, velocities, forces, torque)
 
     def _nothing(self, zero: Float[Array, ""]) -> tuple[Any, ...]:
         """What is carried in the place of something sensed before anything is."""
         bodies, points, joints = self.model.nbody, len(self.ground_points[0]), len(self.tree.motors)
-        touch, shapes = len(self.tree.touch_sensors), ((bodies, 3), (bodies, 3, 3), (bodies, 3), (bodies, 3), (points,))
-        sensors = (3 * len(self.tree.gyroscopes),), (3 * len(self.tree.accelerometers),), (touch,)
+        shapes = (bodies, 3), (bodies, 3, 3), (bodies, 3), (bodies, 3), (points,)
+        sensors = (3 * len(self.tree.gyroscopes),), (3 * len(self.tree.accelerometers),)
         seen = tuple(jnp.zeros(shape, zero.dtype) + zero for shape in (*sensors, *shapes))
         return jnp.zeros(joints, zero.dtype) + zero, jnp.zeros(joints, zero.dtype) + zero, seen
-
-    @property
-    def _joints(self) -> np.ndarray:
-        return np.array([motor.qpos for motor in self.tree.motors])
 
     def _values(self) -> mechanics.Values:
         push = jnp.stack([jnp.asarray(part, float) for part in self.push]) if self.free else None
@@ -158,8 +149,8 @@ class TreePhysics(MujocoPhysics):
     def _within(self, torque: Any) -> Float[Array, " joints"]:
         factor, torque = jnp.asarray(self.torque_limit, float), jnp.asarray(torque, float)
         # Joint by joint: a bound on the whole array would be a kernel of its own between those of its elements.
-        bounds = {own: factor * own for own in own_limits(self.model).tolist()}
-        limits = [bounds[own] for own in own_limits(self.model).tolist()]
+        bounds = {own: factor * own for own in motor_limits(self.model).tolist()}
+        limits = [bounds[own] for own in motor_limits(self.model).tolist()]
         return jnp.stack([jnp.clip(part, -limit, limit) for part, limit in zip(torque, limits, strict=True)])
 
     def _ask_first(
@@ -172,24 +163,23 @@ class TreePhysics(MujocoPhysics):
     def _ask(
         self, state: Callable[[], mechanics.State], world: World, controller: Controller
     ) -> Float[Array, " joints"]:
-        return self._within(controller(self._stages(state, world)))
+        dynamics = worlds_last(_dynamics, self.tree)
 
-    def _stages(self, state: Callable[[], mechanics.State], world: World) -> Stages:
-        joints, dynamics = self.joint_dofs, worlds_last(_dynamics, self.tree)
-
-        def model_for(mass: MassFactor) -> tuple[Float[Array, "nv nv"], Float[Array, " nv"]]:
-            other = self._values()._replace(mass=self.mass_factors(mass))
-            return dynamics(self._state(other, world))
+        def of_other(physics: TreePhysics) -> tuple[Float[Array, "nv nv"], Float[Array, " nv"]]:
+            return dynamics(self._state(physics._values(), world))
 
         def contacts() -> Contacts:
             if not self.tree.feet:
                 return no_contacts(len(world.qvel))
-            position, jacobian, drift = worlds_last(_points, self.tree)(state())
+            motion, drifts, *poses = worlds_last(_moving, self.tree)(state())
+            link, arm = self._corners(Poses(*poses))
+            position, (spin, rate, linear) = poses[0][link] + arm, jnp.unstack(drifts[link], axis=1)
+            drift = linear + jnp.cross(rate, arm) + jnp.cross(spin, jnp.cross(spin, arm))
+            origin = world.qpos[:3] if self.free else np.zeros(3)
+            jacobian = jacobian_of(position, self.ground_points[1], motion, origin)
             return Contacts(position, jacobian, drift, position[:, 2] <= 0.0)
 
-        own = Once(lambda: dynamics(state()))
-        joint_state = world.qpos[self.joint_qpos], world.qvel[joints]
-        return Stages(world, *joint_state, own, contacts, model_for, joints)
+        return self._within(controller(self._stages(world, lambda: dynamics(state()), of_other, contacts)))
 
 
 # What follows is of many worlds at once, their axis the last.
@@ -209,18 +199,14 @@ class _Step(NamedTuple):
     state: mechanics.State
     problem: mechanics.Problem
     solution: mechanics.Solution
-    at: tuple[Any, Any]
-    control: Any
+    motor: Any
 
 
 def _solved(tree: Tree, values: mechanics.Values, state: mechanics.State | None, world: Parts, torque: Any) -> _Step:
     qpos, qvel, warmstart, _ = world
     state = state or _state(tree, values, qpos, qvel)
-    at, control = (unstack(qpos), unstack(qvel)), unstack(torque)
-    forces = mechanics.motor_forces(tree, *at, control)
-    near = mechanics.folded(unstack(warmstart), tree.dofs)
-    found = mechanics.accelerate(tree, values, state, mechanics.folded(forces, tree.dofs), near)
-    return _Step(state, *found, at, control)
+    motor, near = mechanics.motor_forces(tree, unstack(torque)), mechanics.folded(unstack(warmstart), tree.dofs)
+    return _Step(state, *mechanics.accelerate(tree, values, state, motor, near), motor)
 
 
 def _advance(tree: Tree, values: mechanics.Values, given: mechanics.State | None, world: Parts, torque: Any) -> Parts:
@@ -231,7 +217,7 @@ def _advance(tree: Tree, values: mechanics.Values, given: mechanics.State | None
 def _moved(tree: Tree, values: mechanics.Values, step: _Step, world: Parts) -> Parts:
     """The parts of the world after a time step; where it diverges or its contacts were not found they stay."""
     *old, diverged = world
-    after, settled = mechanics.advance(tree, values, step.state, step.solution, step.at, step.control)
+    after, settled = mechanics.advance(tree, values, step.state, step.solution, step.motor)
     stays = diverged | ~settled
     for value in after[0]:
         stays = stays | ~jnp.isfinite(value.value)
@@ -251,12 +237,12 @@ def _dynamics(tree: Tree, state: mechanics.State) -> tuple[Any, Any]:
     return jnp.stack([stacked(row, like) for row in rows]), stacked(sensing.bias_of(tree, state), like)
 
 
-def _points(tree: Tree, state: mechanics.State) -> tuple[Any, Any, Any]:
-    """Positions, Jacobians and drifts of the points of the feet."""
-    points, like = sensing.lowest_points(tree, state), _worlds(state)
-    points = [points[index] for foot in tree.feet for index in foot]
-    jacobians = [jnp.stack([stacked([c[i] for c in point.columns], like) for i in range(3)]) for point in points]
-    return _rows([p.place for p in points], like), jnp.stack(jacobians), _rows([p.drift for p in points], like)
+def _moving(tree: Tree, state: mechanics.State) -> tuple[Any, ...]:
+    """Motions of the degrees of freedom, drifts and poses of the bodies."""
+    like = _worlds(state)
+    motion = jnp.stack([stacked(row, like) for row in sensing.motions_by_dof(tree, state)], axis=1)
+    drifts = jnp.stack([_rows(list(drift), like) for drift in sensing.drifts_of(tree, state)])
+    return motion, drifts, *_poses(tree, state)
 
 
 def _poses(tree: Tree, state: mechanics.State) -> tuple[Any, Any]:
@@ -294,10 +280,9 @@ def _seen(
     felt = [
         part for site in tree.accelerometers for part in sensing.accelerometer(tree, state, acceleration, gravity, site)
     ]
-    pushes = sensing.pushes_of(tree, problem, solution, tree.touch_sensors)
-    touch = [sensing.touch_sensor(state, pushes, site) for site in tree.touch_sensors]
-    readings = (stacked(part, like) for part in (turning, felt, touch))
-    forces = [sum((pushes[index].pressure for index in rest), pushes[first].pressure) for first, *rest in tree.feet]
+    pushes = sensing.ground_forces(tree, problem, solution)
+    readings = (stacked(part, like) for part in (turning, felt))
+    forces = [sum((pushes[index] for index in rest), pushes[first]) for first, *rest in tree.feet]
     return *readings, *_poses(tree, state), *_velocities(tree, state), stacked(forces, like)
 
 
@@ -322,7 +307,4 @@ def on_stairs(tree: Tree) -> Tree:
 @lru_cache
 def _tree(model: mujoco.MjModel, sensors: tuple[str, ...]) -> Tree:
     with jax.ensure_compile_time_eval():
-        tree = fold(read_tree(model, sensors, ground_points(model)[0].tolist()))
-    # Torques are those of the joints, and their limit is traced, in the place of the model's.
-    plain = {"gear": 1.0, "gain": 1.0, "control": None, "force": None}
-    return tree._replace(motors=tuple(motor._replace(**plain) for motor in tree.motors))
+        return fold(read_tree(model, sensors, ground_points(model)[0].tolist()))

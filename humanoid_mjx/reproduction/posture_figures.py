@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from humanoid_mjx.report.rendering import draw
 from humanoid_mjx.report.style import figure
-from humanoid_mjx.robot.lower_body import lower_body_model
+from humanoid_mjx.robot.lower_body import LowerBody
 
 
 def draw_postures(path: Path, title: str, postures: Sequence[tuple[str, Float[np.ndarray, " angles"]]]) -> None:
@@ -21,7 +21,7 @@ def draw_postures(path: Path, title: str, postures: Sequence[tuple[str, Float[np
       title: its heading.
       postures: words, and the ten joints, the right leg's first, rad, of an upright body, or `qpos` of any.
     """
-    model = lower_body_model()
+    model = LowerBody().model
     pictures = draw(model, np.array([_on_the_ground(model, angles) for _, angles in postures]))
     with figure(path, 1, len(postures), size=(3.5, 3.4)) as (fig, axes):
         for panel, (words, _), picture in zip(axes[0], postures, pictures, strict=True):

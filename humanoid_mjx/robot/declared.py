@@ -23,7 +23,7 @@ from pydantic import Field
 
 from humanoid_mjx.config import parse_yaml
 from humanoid_mjx.files import folder
-from humanoid_mjx.robot.description import Robot, Servo, image
+from humanoid_mjx.robot.description import Robot, Servo, add_motors_and_imu, image
 from humanoid_mjx.spec import InputError, Spec, known, search_folders, sentence
 
 DAMPING = 0.03
@@ -32,7 +32,7 @@ DAMPING = 0.03
 CORNER = 0.25
 """Largest radius of the balls in a box's corners, as a share of half its shorter side."""
 
-JOINT, GEOM, SENSOR = mujoco.mjtJoint, mujoco.mjtGeom, mujoco.mjtSensor
+JOINT, GEOM = mujoco.mjtJoint, mujoco.mjtGeom
 
 
 def _numbers(given: Any) -> Any:
@@ -125,33 +125,11 @@ class Declared(Robot):
                 conaffinity=0,
                 group=3,
             )
-            foot.add_site(name=ball.name, size=(1.5 * point.radius,) * 3, pos=point.place, group=3)
             pair = spec.add_pair(name=ball.name, geomname1=ground.name, geomname2=ball.name, condim=3)
             pair.friction[:2], pair.solref, pair.solimp = point.friction, point.solref, point.solimp
-        self._add_motors_and_sensors(spec, source.joints, points)
-        return spec
-
-    def _add_motors_and_sensors(self, spec: mujoco.MjSpec, joints: Sequence[str], points: list[Any]) -> None:
-        for joint, limit in zip(joints, self.torque, strict=True):
-            motor = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-            motor.set_to_motor()
-            motor.ctrllimited, motor.ctrlrange = mujoco.mjtLimited.mjLIMITED_TRUE, (-limit, limit)
-            kind = {"type": SENSOR.mjSENS_JOINTPOS, "objtype": mujoco.mjtObj.mjOBJ_JOINT}
-            spec.add_sensor(name=f"{joint}_encoder", objname=joint, **kind)
         spec.worldbody.first_body().add_site(name="package_imu", group=3)
-        sensors = [("gyroscope", SENSOR.mjSENS_GYRO, "package_imu")]
-        sensors += [("accelerometer", SENSOR.mjSENS_ACCELEROMETER, "package_imu")]
-        for foot in self.feet:
-            places = np.array([point.place for body, point in points if body.name == foot])
-            radius = max(point.radius for body, point in points if body.name == foot)
-            reach = np.linalg.norm(places - places.mean(axis=0), axis=1).max() + 1.5 * radius
-            spec.body(foot).add_site(name=f"{foot}_contact", size=(reach,) * 3, pos=places.mean(axis=0), group=3)
-            sensors.append((f"{foot}_contact", SENSOR.mjSENS_TOUCH, f"{foot}_contact"))
-        for index, (foot, _) in enumerate(points):
-            ball = f"{foot.name}_point{index}"
-            sensors.append((f"{ball}_contact", SENSOR.mjSENS_TOUCH, ball))
-        for name, kind, site in sensors:
-            spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=site)
+        add_motors_and_imu(spec, dict(zip(source.joints, self.torque, strict=True)), "package_imu")
+        return spec
 
     def _points(self, spec: mujoco.MjSpec, model: mujoco.MjModel, joints: Sequence[str]) -> list[Any]:
         """The feet with their points, foot by foot."""

@@ -22,22 +22,6 @@ AXIAL = np.array([-1.0, 1.0, -1.0])
 """Image of an axis of rotation in the plane of symmetry, x forward and z up."""
 
 
-class Sensors(NamedTuple):
-    """Names of the sensors in the model."""
-
-    encoders: tuple[str, ...]
-    gyroscope: str
-    accelerometer: str
-    foot_contact: tuple[str, ...]
-    points: tuple[str, ...]
-    """Of the force on each point of the feet."""
-
-    @property
-    def all(self) -> tuple[str, ...]:
-        """All of them."""
-        return *self.encoders, self.gyroscope, self.accelerometer, *self.foot_contact, *self.points
-
-
 class Build(NamedTuple):
     """Measures of two legs as those of the lower body: hip pitch, yaw and roll about one point, knee, ankle."""
 
@@ -81,8 +65,8 @@ class Robot(Named):
     def spec(self, timestep: float | None = None) -> mujoco.MjSpec:
         """The robot as a MuJoCo model that can still be changed; `timestep`, s, is by default its own.
 
-        The ground is a plane that balls of the feet feel by explicit pairs, foot by foot. Sensors are called
-        JOINT_encoder, gyroscope, accelerometer, FOOT_contact and BALL_contact.
+        The ground is a plane that balls of the feet feel by explicit pairs, foot by foot. A gyroscope and an
+        accelerometer have those names.
         """
         raise NotImplementedError
 
@@ -120,9 +104,7 @@ class Robot(Named):
     @property
     def torque_limits(self) -> Float[np.ndarray, " joints"]:
         """Largest torque of each motor, N m."""
-        model = self.model
-        limits = np.where(model.actuator_ctrllimited, model.actuator_ctrlrange[:, 1], np.inf)
-        return limits * np.abs(model.actuator_gear[:, 0])
+        return motor_limits(self.model)
 
     @property
     def posture(self) -> Float[np.ndarray, " joints"]:
@@ -140,12 +122,9 @@ class Robot(Named):
         return len(ground_points(self.model)[0]) // max(len(self.feet), 1)
 
     @property
-    def sensors(self) -> Sensors:
-        """Names of the sensors."""
-        balls = [self.model.geom(ball).name for ball in ground_points(self.model)[0]]
-        names = ([f"{name}_{kind}" for name in of] for of, kind in ((self.joints, "encoder"), (self.feet, "contact")))
-        encoders, feet = map(tuple, names)
-        return Sensors(encoders, "gyroscope", "accelerometer", feet, tuple(f"{ball}_contact" for ball in balls))
+    def point_sensors(self) -> tuple[str, ...]:
+        """Names of the sensors of the ground's force on each point of the feet."""
+        return tuple(f"{self.model.geom(ball).name}_contact" for ball in ground_points(self.model)[0])
 
     @property
     def build(self) -> Build | None:
@@ -253,10 +232,37 @@ def image(name: str, mirror: Iterable[tuple[str, str]]) -> str:
     return name
 
 
+IMU = "gyroscope", "accelerometer"
+"""Names of the sensors of the torso."""
+
+
 @lru_cache
 def compiled(robot: Robot, timestep: float | None) -> mujoco.MjModel:
     """The robot's model with this time step, s."""
-    return robot.spec(timestep).compile()
+    return sensing_spec(robot, timestep).compile()
+
+
+def sensing_spec(robot: Robot, timestep: float | None) -> mujoco.MjSpec:
+    """The robot's model with a sensor of the force on each ball that a plane feels by an explicit pair."""
+    spec = robot.spec(timestep)
+    for pair in spec.pairs:
+        one, two = sorted((spec.geom(pair.geomname1), spec.geom(pair.geomname2)), key=lambda geom: int(geom.type))
+        if one.type == mujoco.mjtGeom.mjGEOM_PLANE:
+            name, zone = f"{two.name}_contact", (1.5 * two.size[0], 0.0, 0.0)
+            two.parent.add_site(name=name, pos=two.pos, size=zone, group=3)
+            site = {"objtype": mujoco.mjtObj.mjOBJ_SITE, "objname": name}
+            spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_TOUCH, **site)
+    return spec
+
+
+def add_motors_and_imu(spec: mujoco.MjSpec, limits: Mapping[str, float], site: str) -> None:
+    """Add a torque motor for each of these joints, with its largest torque, N m, and at a site the sensors of `IMU`."""
+    for joint, limit in limits.items():
+        motor = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        motor.set_to_motor()
+        motor.ctrllimited, motor.ctrlrange = mujoco.mjtLimited.mjLIMITED_TRUE, (-limit, limit)
+    for name, kind in zip(IMU, (mujoco.mjtSensor.mjSENS_GYRO, mujoco.mjtSensor.mjSENS_ACCELEROMETER), strict=True):
+        spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=site)
 
 
 @lru_cache
@@ -311,6 +317,14 @@ def _joint_images(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     if robot.mirror and (wrong := [name for name, sign in zip(joints, signs, strict=True) if abs(sign) != 1]):
         raise InputError(f"mirror: the axis of {wrong[0]} is no image of that of {robot.image_of(wrong[0])}.")
     return order, signs if robot.mirror else np.ones(len(joints))
+
+
+def motor_limits(model: mujoco.MjModel) -> Float[np.ndarray, " joints"]:
+    """Largest torque of each motor of a model, N m."""
+    told = np.where(model.actuator_ctrllimited, model.actuator_ctrlrange[:, 1], np.inf)
+    force = np.where(model.actuator_forcelimited, model.actuator_forcerange[:, 1], np.inf)
+    gain, gear = model.actuator_gainprm[:, 0], model.actuator_gear[:, 0]
+    return np.minimum(np.abs(gain) * told, force) * np.abs(gear)
 
 
 def _two_digits(value: float) -> float:

@@ -12,14 +12,17 @@ import mujoco
 import numpy as np
 from pydantic import Field
 
-from humanoid_mjx.robot.description import Robot
+from humanoid_mjx.robot.description import Robot, add_motors_and_imu
 from humanoid_mjx.robot.leg import FRAME_0, HIP_DIAMETER, MIRROR, SHANK_DIAMETER, Leg
-from humanoid_mjx.robot.lower_body import JOINTS, LOOKS, SIDES, Ranges, add_motors_and_sensors
+from humanoid_mjx.robot.lower_body import JOINTS, SIDES, Ranges
 from humanoid_mjx.robot.mjcf import add_chain
-from humanoid_mjx.robot.ranges import joint_ranges
+from humanoid_mjx.robot.ranges import TORQUE_LIMIT, joint_ranges
 from humanoid_mjx.thesis.leg import GRAVITY, JOINT_NAMES
 
 TIMESTEP = 0.002
+
+LOOKS = {"right": (0.35, 0.6, 0.85, 1.0), "left": (0.9, 0.55, 0.3, 1.0)}
+"""Colours in MuJoCo's renderer, those of the lower body."""
 
 
 class Legs(Robot):
@@ -81,13 +84,12 @@ def legs_spec(
         mujoco.mju_mat2Quat(quat, frame.reshape(-1))
         root = body.add_body(name=f"{side}_hip", quat=quat)
         names = [f"{side}_{name}" for name in JOINT_NAMES]
-        foot = add_chain(root, leg, names, f"{side}_", mirrored)
-        foot.add_site(name=f"{side}_foot", size=(0.003, 0.003, 0.003))
+        add_chain(root, leg, names, f"{side}_", mirrored)
         for name, span in zip(names, limits, strict=True):
             spec.joint(name).range, spec.joint(name).limited = span, mujoco.mjtLimited.mjLIMITED_FALSE
         for i in range(leg.num_joints):
             _draw(spec.body(f"{side}_link{i + 1}"), HIP_DIAMETER if i < 3 else SHANK_DIAMETER, LOOKS[side])
-    add_motors_and_sensors(spec, [name for name in JOINTS if name.startswith(tuple(sides))], sides)
+    add_motors_and_imu(spec, {name: TORQUE_LIMIT for name in JOINTS if name.startswith(tuple(sides))}, "imu")
     return spec
 
 

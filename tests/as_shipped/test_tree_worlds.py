@@ -15,14 +15,14 @@ from humanoid_mjx.mechanics.tree.folding import fold
 from humanoid_mjx.mechanics.tree.reading import read_tree
 from humanoid_mjx.mechanics.tree.step import Values
 from humanoid_mjx.physics import make_physics
-from humanoid_mjx.robot.lower_body import lower_body_model
+from humanoid_mjx.robot.lower_body import LowerBody
 
 TREE, NATIVE = (make_physics(name, robot={"ranges": "human"}) for name in ("tree", "mujoco"))
 
 
 def test_accelerations_agree_with_native():
     """Rounding to 6e-8, times what stiff contacts of light feet make of it."""
-    model = converged(lower_body_model("free", "human"))
+    model = converged(LowerBody(ranges="human").spec().compile())
     at = states(model, 4000, seed=7)
     qacc, settled = qacc_of(fold(read_tree(model)))(Values(), *at)
     # MuJoCo starts from the same states, rounded.

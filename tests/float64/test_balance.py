@@ -8,12 +8,12 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from humanoid_mjx.physics import balance
-from humanoid_mjx.robot.lower_body import lower_body_model
+from humanoid_mjx.robot.lower_body import LowerBody
 
 
 def swaying(seconds=2.0):
     """A body that squats and sways on its feet, by MuJoCo: states, accelerations, contact forces (8, 3), places."""
-    model = lower_body_model(ranges="human")
+    model = LowerBody(ranges="human").spec().compile()
     data = mujoco.MjData(model)
     rows = []
     for step in range(round(seconds / model.opt.timestep)):

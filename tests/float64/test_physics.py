@@ -103,8 +103,6 @@ UNEQUAL = """
     <motor name="front" joint="front" gear="-2" forcerange="-1 1" forcelimited="true"/>
   </actuator>
   <sensor>
-    <jointpos name="back_encoder" joint="back"/>
-    <jointpos name="front_encoder" joint="front"/>
     <gyro name="gyroscope" site="imu"/>
     <accelerometer name="accelerometer" site="imu"/>
   </sensor>

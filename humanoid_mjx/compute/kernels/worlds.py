@@ -20,8 +20,8 @@ def worlds_last(function: Callable[..., Any], *static: Any, kernel: bool = False
     """`function`, with `static` for its first arguments, as one of a single world.
 
     Under `jax.vmap`, once or nested, it gets all worlds at once, in the last axis of every array. It takes and gives
-    pytrees of arrays, and must not mix worlds. What it gives may lack the axis where all agree. Derivatives are those
-    of one world after another. It is traced once for each number of worlds, whatever programs use it.
+    pytrees of arrays, and must not mix worlds. What it gives may lack the axis where all agree. It is
+    traced once for each number of worlds, whatever programs use it.
 
     `kernel`: compute many worlds in one GPU kernel rather than in those that XLA makes.
     """
@@ -63,12 +63,4 @@ def worlds_last(function: Callable[..., Any], *static: Any, kernel: bool = False
         found = jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), found)
         return found, jax.tree.map(lambda _: True, found)
 
-    @jax.custom_jvp
-    def call(*args: Any) -> Any:
-        return batched(*args)
-
-    @call.defjvp
-    def _(primals: Any, tangents: Any) -> tuple[Any, Any]:
-        return jax.jvp(single, primals, tangents)
-
-    return call
+    return batched

@@ -1,6 +1,5 @@
 """What a tree's motion asks of its degrees of freedom: velocity terms and gravity, by Newton and Euler's recursion."""
 
-import math
 from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
@@ -9,20 +8,15 @@ from humanoid_mjx.mechanics.scalars import NULL, TWO, ZERO, Scalar, Vector, add,
 from humanoid_mjx.mechanics.tree.algebra import (
     NOWHERE,
     Spatial,
-    combine,
-    number,
     over_lanes,
     power,
-    resolve,
     subtract,
     summed,
     total,
-    vector,
-    velocity_at,
 )
 from humanoid_mjx.mechanics.tree.inertia import Mass
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics
-from humanoid_mjx.mechanics.tree.structure import Drag, Fluid, Tree
+from humanoid_mjx.mechanics.tree.structure import Tree
 
 
 class Drift(NamedTuple):
@@ -76,15 +70,10 @@ def bias_forces(
     kinematics: Kinematics,
     masses: Sequence[Mass],
     drifts: Sequence[Drift],
-    motions: Sequence[Spatial],
     gravity: Vector,
 ) -> list[Scalar]:
-    """What the degrees of freedom must give so that none of them accelerates, N and N m, in a fluid if there is one."""
+    """What the degrees of freedom must give so that none of them accelerates, N and N m."""
     wrenches = [NOWHERE] + [_wrench(mass, drift, gravity) for mass, drift in zip(masses[1:], drifts[1:], strict=True)]
-    for index, body in enumerate(tree.bodies):
-        if body.drag is not None:
-            slowed = _drag(tree.fluid, kinematics, index, body.drag, masses[index].center, motions[index])
-            wrenches[index] = total([wrenches[index], slowed])
     forces = [ZERO] * tree.nv
     for index in reversed(range(1, len(tree.bodies))):
         body = tree.bodies[index]
@@ -96,31 +85,6 @@ def bias_forces(
         wrench = summed(wrenches[index], partial(over_lanes, lanes=tree.lanes)) if merge else wrenches[index]
         wrenches[body.parent] = total([wrenches[body.parent], wrench])
     return forces
-
-
-def _drag(fluid: Fluid, kinematics: Kinematics, index: int, drag: Drag, center: Vector, motion: Spatial) -> Spatial:
-    """What must push a body through a fluid, about the origin (MuJoCo's documentation, "Inertia model")."""
-    x, y, z = (kinematics.direction(index, axis) for axis in drag.axes)
-    axes, edges = (x, y, z), [number(edge) for edge in drag.edges]
-    speed = resolve(axes, subtract(velocity_at(motion, center), vector(fluid.wind)))
-    spin = resolve(axes, motion.angular)
-    mean = Scalar(math.pi / 3.0 * fluid.viscosity) * (edges[0] + edges[1] + edges[2])
-    slow, turn = [Scalar(3.0) * mean] * 3, [mean * _square(Scalar(1.0 / 3.0) * (edges[0] + edges[1] + edges[2]))] * 3
-    for i, (one, two) in enumerate(((1, 2), (2, 0), (0, 1))):
-        across, fourth = edges[one] * edges[two], _square(_square(edges[one])) + _square(_square(edges[two]))
-        slow[i] = slow[i] + Scalar(0.5 * fluid.density) * across * _size(speed[i])
-        turn[i] = turn[i] + Scalar(fluid.density / 64.0) * edges[i] * fourth * _size(spin[i])
-    force = combine(axes, Vector(*(a * b for a, b in zip(slow, speed, strict=True))))
-    moment = combine(axes, Vector(*(a * b for a, b in zip(turn, spin, strict=True))))
-    return Spatial(force, add(moment, cross(center, force)))
-
-
-def _square(value: Scalar) -> Scalar:
-    return value * value
-
-
-def _size(value: Scalar) -> Scalar:
-    return Scalar(abs(value.value))
 
 
 def _wrench(mass: Mass, drift: Drift, gravity: Vector) -> Spatial:

@@ -61,18 +61,20 @@ def _described(tree: Tree, limb: tuple[int, ...]) -> Any:
     return tuple(bodies), tuple(points)
 
 
-def _merge(things: Sequence[Any], shape: tuple[int, ...] = ()) -> Any:
-    """Nested tuples of numbers as one: a table, of the given shape, where they differ."""
+def _merge(things: Sequence[Any], laned: bool = False) -> Any:
+    """Nested tuples of numbers as one: a table where they differ; if `laned`, with an axis of lanes behind."""
     first = things[0]
     if all(thing == first for thing in things):
         return first
-    if all(isinstance(thing, float) for thing in things):
-        return Table(shape or (len(things),), tuple(things))
+    if all(isinstance(thing, float | Table) for thing in things):
+        lanes = max(len(thing.values) if isinstance(thing, Table) else 1 for thing in things)
+        rows = [thing.values if isinstance(thing, Table) else (thing,) * lanes for thing in things]
+        return Table((len(things), lanes) if laned else (len(things),), sum(rows, ()))
     if any(type(thing) is not type(first) for thing in things) or not isinstance(first, tuple):
         raise _Unlike
     if any(len(thing) != len(first) for thing in things):
         raise _Unlike
-    parts = [_merge(part, shape) for part in zip(*things, strict=True)]
+    parts = [_merge(part, laned) for part in zip(*things, strict=True)]
     return type(first)(*parts) if hasattr(first, "_fields") else tuple(parts)
 
 
@@ -128,7 +130,6 @@ def _with_lanes(tree: Tree, limbs: Sequence[tuple[int, ...]]) -> Tree:
         pairs=tuple(pair._replace(ones=shapes(pair.ones), twos=shapes(pair.twos)) for pair in tree.pairs),
         gyroscopes=sites(tree.gyroscopes),
         accelerometers=sites(tree.accelerometers),
-        touch_sensors=sites(tree.touch_sensors),
     )
 
 
@@ -159,33 +160,16 @@ def _grouped(things: Sequence[Any], join: Any) -> tuple[Any, ...]:
 
 def _join_points(tree: Tree, points: Sequence[GroundPoints]) -> GroundPoints:
     """Points of one body that a plane pushes in one way: tables by point, then by lane where there are lanes."""
-    first = points[0]
-    corners = [p.shape.half for p in points if isinstance(p.shape, Corner)]
-    like = first._replace(order=(), shape=None if corners else first.shape)
-    if len(corners) not in (0, len(points)) or any(
-        p._replace(center=first.center, radius=first.radius, order=(), shape=None if corners else p.shape) != like
-        for p in points
-    ):
+    first, corners = points[0], all(isinstance(p.shape, Corner) for p in points)
+    rest = [p._replace(center=None, radius=None, order=(), shape=None if corners else p.shape) for p in points]
+    if any(one != rest[0] for one in rest):
         raise _Unlike
     if len(points) == 1:
         return first
-    lanes = tree.lanes if tree.bodies[first.body].laned else 0
-
-    def table(values: Sequence[Any]) -> Any:
-        if all(value == values[0] for value in values) and isinstance(values[0], float):
-            return values[0]
-        by_lane = any(isinstance(value, Table) for value in values)
-        count = (lanes if by_lane else 1) if lanes else 0
-        flat = [number for v in values for number in (v.values if isinstance(v, Table) else (v,) * max(count, 1))]
-        return Table((len(values), count) if lanes else (len(values),), tuple(flat))
-
-    center = tuple(table(axis) for axis in zip(*(p.center for p in points), strict=True))
+    parts = [(p.center, p.radius, p.shape) for p in points]
+    center, radius, shape = _merge(parts, tree.bodies[first.body].laned)
     order = tuple(place for p in points for place in p.order)
-    shape = first.shape
-    if corners:
-        x, y, z = (table(axis) for axis in zip(*corners, strict=True))
-        shape = Corner((x, y, z))
-    return first._replace(center=center, radius=table([p.radius for p in points]), order=order, shape=shape)
+    return first._replace(center=center, radius=radius, order=order, shape=shape)
 
 
 def _join_pairs(pairs: Sequence[Pairs]) -> Pairs:

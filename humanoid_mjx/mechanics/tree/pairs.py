@@ -72,12 +72,8 @@ def with_pairs(
     factors: Factors,
     right: Sequence[Scalar],
     without: Sequence[Scalar],
-    transposed: bool = False,
 ) -> list[Scalar]:
-    """The solution of the equations with these facets in them, or that `without` in worlds where none pushes.
-
-    `transposed`: take as many turns as there are facets, as a loop until none is left has no transpose.
-    """
+    """The solution of the equations with these facets in them, or that `without` in worlds where none pushes."""
     flags = jnp.concatenate(active)
     pairs, worlds = active[0].shape[0], flags.shape[1:]
     counts = [jnp.zeros(worlds, jnp.int32)]
@@ -100,14 +96,11 @@ def with_pairs(
         return _updated(dense, _unfolded(tree, row, worlds), on, _picked(mine, offset))
 
     dense = _dense(tree, factors, worlds), _unfolded(tree, factors.inverse, worlds), _unfolded(tree, right, worlds)
-    if transposed:
-        dense = jax.lax.fori_loop(0, len(flags), add_facet, dense)
-    else:
-        dense = jax.lax.while_loop(
-            lambda carry: (carry[0] < count).any(),
-            lambda carry: (carry[0] + 1, add_facet(*carry)),
-            (jnp.int32(0), dense),
-        )[1]
+    dense = jax.lax.while_loop(
+        lambda carry: (carry[0] < count).any(),
+        lambda carry: (carry[0] + 1, add_facet(*carry)),
+        (jnp.int32(0), dense),
+    )[1]
     # A world's bits must not depend on whether another made its batch come here.
     found = zip(_folded(tree, _solved(dense)), without, strict=True)
     return [Scalar(jnp.where(count > 0, new, old.value)) for new, old in found]

@@ -1,4 +1,9 @@
-"""MuJoCo's contact problem: what the accelerations minimise, and its equations while the same constraints push."""
+"""MuJoCo's contact problem, and its equations while the same constraints push.
+
+The accelerations x minimise the convex function (see "Computation" in MuJoCo's documentation)
+
+    1/2 x^T M x - f^T x + sum over facets and limits 1/2 weight min(0, residual(x))^2.
+"""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -26,6 +31,14 @@ class Problem(NamedTuple):
     stops: dict[int, Stop]
     slips: dict[int, Slip]
     """By degree of freedom."""
+
+
+class Solution(NamedTuple):
+    """The minimum."""
+
+    acceleration: list[Scalar]
+    settled: Any
+    """Whether it was found."""
 
 
 class Active(NamedTuple):

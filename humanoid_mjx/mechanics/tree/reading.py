@@ -18,9 +18,6 @@ SMALLEST = 1e-14
 IMPEDANCES = 1e-4, 1.0 - 1e-4
 """MuJoCo's bounds on `dmin`, `dmax` and the midpoint (mjMINIMP, mjMAXIMP)."""
 
-SMALLEST_MASS = 1e-15
-"""MuJoCo's smallest mass and moment of inertia (mjMINVAL)."""
-
 JOINT, GEOM = mujoco.mjtJoint, mujoco.mjtGeom
 
 
@@ -29,7 +26,7 @@ def read_tree(model: mujoco.MjModel, sensors: Sequence[str] = (), feet: Sequence
 
     Args:
       model: compiled model; its own solver's settings are of no use here.
-      sensors: names of the gyroscopes, accelerometers and touch sensors to read, in this order.
+      sensors: names of the gyroscopes and accelerometers to read, in this order.
       feet: geoms whose contacts with the ground are reported; by default all that have any.
 
     Raises:
@@ -38,11 +35,11 @@ def read_tree(model: mujoco.MjModel, sensors: Sequence[str] = (), feet: Sequence
     if found := faults(model, sensors):
         raise InputError(f"physics: the tree cannot represent {'; '.join(fault.what for fault in found)}.")
     free = np.flatnonzero(model.jnt_type == JOINT.mjJNT_FREE)
-    wind_x, wind_y, wind_z = (float(part) for part in model.opt.wind)
     ground, geoms, pairs = _contacts(model)
     feet = tuple(dict.fromkeys(geoms)) if feet is None else feet
     x, y, z = (0.0,) * 3 if _off(model, FLAGS.mjDSBL_GRAVITY) else (float(part) for part in model.opt.gravity)
     bodies = tuple(_body(model, index) for index in range(model.nbody))
+    of_joints = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
     return st.Tree(
         bodies=bodies,
         free=int(model.jnt_bodyid[free[0]]) if len(free) else None,
@@ -53,16 +50,14 @@ def read_tree(model: mujoco.MjModel, sensors: Sequence[str] = (), feet: Sequence
         ground=tuple(ground),
         feet=tuple(tuple(i for i, geom in enumerate(geoms) if geom == foot) for foot in feet),
         pairs=tuple(pairs),
-        motors=tuple(_motor(model, index) for index in range(model.nu)),
+        motors=tuple(model.jnt_dofadr[model.actuator_trnid[of_joints, 0]].tolist()),
         bounds=tuple(
-            (int(model.jnt_dofadr[joint]), _bounds(model.jnt_actfrcrange[joint]))
+            (int(model.jnt_dofadr[joint]), tuple(model.jnt_actfrcrange[joint].tolist()))
             for joint in np.flatnonzero(model.jnt_actfrclimited)
         ),
         gyroscopes=_sites(model, sensors, mujoco.mjtSensor.mjSENS_GYRO),
         accelerometers=_sites(model, sensors, mujoco.mjtSensor.mjSENS_ACCELEROMETER),
-        touch_sensors=_sites(model, sensors, mujoco.mjtSensor.mjSENS_TOUCH),
         gravity=(x, y, z),
-        fluid=st.Fluid(float(model.opt.density), float(model.opt.viscosity), (wind_x, wind_y, wind_z)),
         timestep=float(model.opt.timestep),
         integrator=_integrator(model, any(joint.damping for body in bodies for joint in body.joints)),
     )
@@ -71,9 +66,8 @@ def read_tree(model: mujoco.MjModel, sensors: Sequence[str] = (), feet: Sequence
 def _integrator(m: mujoco.MjModel, damped: bool) -> st.Integrator:
     if m.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
         return "RK4"
-    if m.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST:
-        return "fast" if damped or np.any(m.actuator_biasprm[:, 2]) else "explicit"
-    return "damped" if damped and not _off(m, FLAGS.mjDSBL_EULERDAMP) else "explicit"
+    fast = m.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    return "damped" if damped and (fast or not _off(m, FLAGS.mjDSBL_EULERDAMP)) else "explicit"
 
 
 def _body(m: mujoco.MjModel, index: int) -> st.Body:
@@ -89,16 +83,7 @@ def _body(m: mujoco.MjModel, index: int) -> st.Body:
         moment=moment,
         extra=extra,
         joints=tuple(_joint(m, joint) for joint in joints),
-        drag=_drag(m, index),
     )
-
-
-def _drag(m: mujoco.MjModel, index: int) -> st.Drag | None:
-    mass, inertia = m.body_mass[index], m.body_inertia[index]
-    if not (m.opt.density or m.opt.viscosity) or mass < SMALLEST_MASS:
-        return None
-    edges = np.sqrt(np.maximum(inertia.sum() - 2.0 * inertia, SMALLEST_MASS) / mass * 6.0)
-    return st.Drag(_axes(m.body_iquat[index]), _triple(edges))
 
 
 def _moments(moments: np.ndarray, axes: st.Axes) -> tuple[float, tuple[tuple[float, st.Triple], ...]]:
@@ -136,22 +121,6 @@ def _joint(m: mujoco.MjModel, joint: int) -> st.Joint:
     )
 
 
-def _motor(m: mujoco.MjModel, index: int) -> st.Motor:
-    joint = m.actuator_trnid[index, 0]
-    affine = m.actuator_biastype[index] == mujoco.mjtBias.mjBIAS_AFFINE
-    clamped = m.actuator_ctrllimited[index] and not _off(m, FLAGS.mjDSBL_CLAMPCTRL)
-    constant, stiffness, damping = (float(x) if affine else 0.0 for x in m.actuator_biasprm[index, :3])
-    return st.Motor(
-        qpos=int(m.jnt_qposadr[joint]),
-        dof=int(m.jnt_dofadr[joint]),
-        gear=float(m.actuator_gear[index, 0]),
-        gain=float(m.actuator_gainprm[index, 0]),
-        bias=(constant, stiffness, damping),
-        control=_bounds(m.actuator_ctrlrange[index]) if clamped else None,
-        force=_bounds(m.actuator_forcerange[index]) if m.actuator_forcelimited[index] else None,
-    )
-
-
 def _sites(m: mujoco.MjModel, sensors: Sequence[str], kind: Any) -> tuple[st.Site, ...]:
     """The places of those sensors that are of a kind, in their order."""
     found = []
@@ -160,9 +129,7 @@ def _sites(m: mujoco.MjModel, sensors: Sequence[str], kind: Any) -> tuple[st.Sit
             continue
         index = int(sensor.objid[0])
         place, axes = _triple(m.site_pos[index]), _axes(m.site_quat[index])
-        x, y, z = (float(half) for half in m.site_size[index])
-        box = bool(m.site_type[index] == GEOM.mjGEOM_BOX)
-        found.append(st.Site(int(m.site_bodyid[index]), place, axes, box, (x, y, z)))
+        found.append(st.Site(int(m.site_bodyid[index]), place, axes))
     return tuple(found)
 
 
@@ -251,10 +218,6 @@ def _lowest(m: mujoco.MjModel, geom: int) -> Iterator[tuple[np.ndarray, float, s
 def _off(m: mujoco.MjModel, flags: Any) -> bool:
     """True if the model disables any of these parts of its physics."""
     return bool(m.opt.disableflags & int(flags))
-
-
-def _bounds(pair: np.ndarray) -> tuple[float, float]:
-    return float(pair[0]), float(pair[1])
 
 
 def _triple(values: np.ndarray) -> st.Triple:

@@ -29,7 +29,7 @@ class Fault(NamedTuple):
 
 def faults(model: mujoco.MjModel, sensors: Sequence[str] = ()) -> list[Fault]:
     """All that keeps a compiled model from being a tree, of whose sensors these are read; empty if nothing does."""
-    found = [*_of_options(model), *_of_joints(model), *_of_actuators(model), *_of_contacts(model)]
+    found = [*_of_options(model), *_of_joints(model), *_of_contacts(model)]
     found += _of_sensors(model, sensors)
     return [Fault(what, change) for wrong, what, change in found if wrong]
 
@@ -49,10 +49,7 @@ def _of_options(m: mujoco.MjModel) -> Iterator[Check]:
     yield off, "disabled motors", "no actuation flag, no actuatorgroupdisable"
     allowed = int(mujoco.mjtEnableBit.mjENBL_ENERGY | mujoco.mjtEnableBit.mjENBL_FWDINV)
     yield option.enableflags & ~allowed, "optional physics that a flag enables", "no flag enabled but energy and fwdinv"
-    fluid = option.density or option.viscosity
-    yield fluid and np.any(m.geom_fluid[:, 0]), "fluid forces by shape", 'fluidshape="none"'
-    fast = option.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    yield fluid and fast, "a fluid under implicitfast", 'integrator="Euler" or density and viscosity 0'
+    yield option.density or option.viscosity, "a fluid", "density and viscosity 0"
     yield option.noslip_iterations, "noslip iterations", 'noslip_iterations="0"'
     unheld = m.neq and not option.disableflags & int(FLAGS.mjDSBL_CONSTRAINT | FLAGS.mjDSBL_EQUALITY)
     yield unheld, "equality constraints", "no <equality>"
@@ -64,7 +61,7 @@ def _of_options(m: mujoco.MjModel) -> Iterator[Check]:
 
 
 def _busy_tendons(m: mujoco.MjModel) -> bool:
-    """True if a tendon does anything; motors of tendons are refused by themselves."""
+    """True if a tendon does anything but carry a motor."""
     names = ("limited", "actfrclimited", "stiffness", "stiffnesspoly", "damping", "dampingpoly", "frictionloss")
     fields = (getattr(m, f"tendon_{name}", 0) for name in (*names, "armature"))
     return any(np.any(field) for field in fields) or bool(np.any(getattr(m, "tendon_plasticadr", np.full(1, -1)) >= 0))
@@ -92,24 +89,6 @@ def _of_joints(m: mujoco.MjModel) -> Iterator[Check]:
     yield narrow.any(), "joint ranges that are no wider than twice their margin", "a wider range or a smaller margin"
 
 
-def _of_actuators(m: mujoco.MjModel) -> Iterator[Check]:
-    if not m.nu:
-        return
-    transmission, gain, bias = mujoco.mjtTrn, mujoco.mjtGain, mujoco.mjtBias
-    of_joints = m.actuator_trntype == transmission.mjTRN_JOINT
-    yield not of_joints.all(), "actuators of anything but joints", "motors of joints"
-    kinds = m.jnt_type[m.actuator_trnid[of_joints, 0]]
-    driven = np.isin(kinds, (int(JOINT.mjJNT_HINGE), int(JOINT.mjJNT_SLIDE)))
-    yield not driven.all(), "actuators of anything but hinges and slides", "motors of hinges and slides"
-    active = m.na or np.any(m.actuator_dyntype != mujoco.mjtDyn.mjDYN_NONE)
-    yield active, "actuators with dynamics of their own", 'dyntype="none"'
-    yield np.any(m.actuator_gaintype != gain.mjGAIN_FIXED), "actuators whose gain is not fixed", 'gaintype="fixed"'
-    known = np.isin(m.actuator_biastype, (int(bias.mjBIAS_NONE), int(bias.mjBIAS_AFFINE)))
-    yield not known.all(), "actuators whose bias is not affine", 'biastype="none" or "affine"'
-    for name in ("damping", "armature", "delay", "dampingpoly"):
-        yield np.any(getattr(m, f"actuator_{name}", 0)), f"{name} of actuators", f"no {name} of actuators"
-
-
 def _of_contacts(m: mujoco.MjModel) -> Iterator[Check]:
     said: dict[str, tuple[str, list[str]]] = {}
     for pair in touching(m):
@@ -127,7 +106,7 @@ def _of_pair(m: mujoco.MjModel, pair: Touching) -> Iterator[tuple[str, str]]:
         yield "contacts of a plane that moves", "planes in the world alone"
     if (two not in GROUND_SHAPES) if one == "plane" else ((one, two) not in PAIRS):
         shapes = ", ".join(GROUND_SHAPES) if one == "plane" else "sphere, capsule"
-        masks = "contype and conaffinity that keep them apart"
+        masks = "contype and conaffinity that keep them apart, as `contacts: feet` of a robot's YAML does"
         yield f"contacts of {_a(one)} and {_a(two)}", f"{shapes} in their place, or {masks}"
     if pair.condim not in (1, 3):
         yield "contacts that resist twisting or rolling", 'condim="3"'
@@ -138,11 +117,7 @@ def _of_pair(m: mujoco.MjModel, pair: Touching) -> Iterator[tuple[str, str]]:
 
 
 def _of_sensors(m: mujoco.MjModel, names: Sequence[str]) -> Iterator[Check]:
-    shapes = int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_BOX)
     for sensor in (m.sensor(name) for name in names):
-        touch = sensor.type[0] == mujoco.mjtSensor.mjSENS_TOUCH
-        odd = touch and int(m.site_type[sensor.objid[0]]) not in shapes
-        yield odd, f"a touch sensor that is no box or ball, as {sensor.name!r}", "a site that is a box or a sphere"
         yield sensor.cutoff[0], f"the cutoff of a sensor, as {sensor.name!r}", 'cutoff="0"'
 
 

@@ -1,4 +1,8 @@
-"""Newton's search for the minimum of MuJoCo's contact problem, over the facets that push."""
+"""Newton's search for the minimum of MuJoCo's contact problem, over the facets that push.
+
+The problem is quadratic as long as the same facets push. So a Newton step to the minimum for those that push now is
+exact once they stay the same, and the search stops there: that minimum is the solution.
+"""
 
 import functools
 from collections.abc import Sequence

@@ -1,118 +1,77 @@
-"""What a tree's state shows: poses and velocities of bodies, forces of contacts, readings of sensors."""
+"""What a tree's state shows: poses and velocities of bodies, forces of the ground, readings of sensors."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from humanoid_mjx.mechanics.scalars import NULL, ZERO, Scalar, Vector, add, dot, scale
+from humanoid_mjx.mechanics.scalars import ZERO, Scalar, Vector, add
 from humanoid_mjx.mechanics.tree.algebra import (
     Rotation,
     Spatial,
     compose,
     lane,
-    number,
     resolve,
     subtract,
-    times,
-    total,
     vector,
     velocity_at,
 )
 from humanoid_mjx.mechanics.tree.bias import Drift
-from humanoid_mjx.mechanics.tree.contacts import ground_center
 from humanoid_mjx.mechanics.tree.kinematics import Pose, motions_of, to_local
-from humanoid_mjx.mechanics.tree.problem import Problem
+from humanoid_mjx.mechanics.tree.problem import Problem, Solution
 from humanoid_mjx.mechanics.tree.pushing import ground_residuals
-from humanoid_mjx.mechanics.tree.solver import Solution
 from humanoid_mjx.mechanics.tree.step import State, unfolded
 from humanoid_mjx.mechanics.tree.structure import Site, Tree
 
-Place = tuple[int, int]
-"""A body of a tree, and its lane."""
 
-
-class Push(NamedTuple):
-    """A contact and what it does."""
-
-    place: Vector
-    """In the world, m."""
-    normal: Vector
-    """From the first body, or the ground, to the second."""
-    pressure: Scalar
-    """Along the normal, N; 0 where the contact does not push."""
-    friction: Vector
-    """On the second body, in the world, N."""
-    bodies: tuple[Place, Place]
-
-
-def pushes_of(tree: Tree, problem: Problem, solution: Solution, sensors: Sequence[Site]) -> list[Push]:
-    """All contacts of the ground in the model's order, then those of bodies with these sensors."""
-    at, x = problem.kinematics, solution.acceleration
-    ground: dict[int, Push] = {}
-    for points, touch, v in zip(
-        tree.ground, problem.ground, ground_residuals(tree, at, problem.ground, x), strict=True
-    ):
-        lanes = tree.lanes if tree.bodies[points.body].laned else 1
-        several = len(points.order) > lanes
-        for index, order in enumerate(points.order):
-            point, one = divmod(index, lanes)
-            picked = _picked((touch.place, touch.frame, touch.force(v)), [point] * several, [one] * (lanes > 1))
-            ground[order] = _push(at.origin, picked, ((0, 0), (points.body, one)))
-    pairs: list[Push] = []
-    motions, sensed = motions_of(tree, at, x), {(site.body, site.lane) for site in sensors}
-    for group, touch in zip(tree.pairs, problem.pairs, strict=True):
-        for index, (one, two) in enumerate(zip(group.ones, group.twos, strict=True)):
-            bodies = (one.body, one.lane), (two.body, two.lane)
-            if not sensed.intersection(bodies):
-                continue
-            own = jax.tree.map(lambda v, index=index: v[min(index, len(v) - 1)] if jnp.ndim(v) > 1 else v, touch)
-            of_one, of_two = (_in_lane(motions[body], one) for body, one in bodies)
-            v = own.residual(total([of_two, times(Scalar(-1.0), of_one)]))
-            pairs.append(_push(at.origin, (own.place, own.frame, own.force(v)), bodies))
-    return [*(ground[index] for index in range(len(ground))), *pairs]
-
-
-def _picked(things: Any, point: Sequence[int], one: Sequence[int]) -> Any:
-    """One contact's of a pytree of scalars with axes of points and of lanes, if any."""
-    rank = len(point) + len(one) + 1
-
-    def pick(scalar: Scalar) -> Scalar:
-        value = scalar.value
-        if jnp.ndim(value) == rank and point:
-            value = value[point[0] if value.shape[0] > 1 else 0]
-        return lane(Scalar(value), one[0]) if one and jnp.ndim(value) > 1 else Scalar(value)
-
-    return jax.tree.map(pick, things, is_leaf=lambda part: isinstance(part, Scalar))
-
-
-def _push(origin: Vector, contact: tuple[Vector, Rotation, Vector], bodies: tuple[Place, Place]) -> Push:
-    place, (normal, one, two), force = contact
-    slip = add(scale(force.y, one), scale(force.z, two))
-    return Push(add(origin, place), normal, force.x, slip, bodies)
+def ground_forces(tree: Tree, problem: Problem, solution: Solution) -> list[Scalar]:
+    """Normal forces of the ground on the points that it can push, N, in the model's order."""
+    at, found = problem.kinematics, {}
+    residuals = ground_residuals(tree, at, problem.ground, solution.acceleration)
+    for points, touch, v in zip(tree.ground, problem.ground, residuals, strict=True):
+        lanes, force = (tree.lanes,) * tree.bodies[points.body].laned, touch.force(v).x.value
+        shape = len(points.order) // max([1, *lanes]), *lanes
+        whole = jnp.broadcast_to(force, (*shape, force.shape[-1]))
+        found |= {order: Scalar(whole[at]) for order, at in zip(points.order, np.ndindex(shape), strict=True)}
+    return [found[index] for index in range(len(found))]
 
 
 def poses_of(tree: Tree, state: State) -> list[Pose]:
     """Poses of the model's bodies in the world, in the model's order."""
-    found: dict[int, Pose] = {}
-    for index, places in enumerate(tree.body_places):
-        for one, place in enumerate(places):
-            position, axes = state.kinematics.of_lane(index, one)
-            found[place] = Pose(add(state.kinematics.origin, position), axes)
-    return [found[index] for index in range(len(found))]
+    at = state.kinematics
+    return _by_body(tree, [Pose(add(at.origin, pose.position), pose.axes) for pose in at.poses])
 
 
 def velocities_of(tree: Tree, state: State) -> list[Spatial]:
     """Velocities of the origins of the model's bodies, m/s, and angular velocities, rad/s, in the world, in the model's
     order."""
-    found: dict[int, Spatial] = {}
-    for index, places in enumerate(tree.body_places):
-        motion = state.motions[index]
-        own = Spatial(velocity_at(motion, state.kinematics.poses[index].position), motion.angular)
-        for one, place in enumerate(places):
-            found[place] = _picked(own, [], [one] * (len(places) > 1))
+    each = zip(state.motions, state.kinematics.poses, strict=True)
+    return _by_body(tree, [Spatial(velocity_at(motion, pose.position), motion.angular) for motion, pose in each])
+
+
+def drifts_of(tree: Tree, state: State) -> list[Drift]:
+    """The drifts of the model's bodies in the world, in the model's order."""
+    return _by_body(tree, state.drifts)
+
+
+def _by_body(tree: Tree, things: Sequence[Any]) -> list[Any]:
+    """What the tree's bodies have, body by body of the model."""
+    found = {
+        place: _in_lane(thing, one)
+        for thing, places in zip(things, tree.body_places, strict=True)
+        for one, place in enumerate(places)
+    }
     return [found[index] for index in range(len(found))]
+
+
+def motions_by_dof(tree: Tree, state: State) -> list[list[Scalar]]:
+    """What a unit of each degree of freedom of `qvel` does to the bodies that it moves: the six rows of their angular
+    motions and of the velocities of their points at the origin, which is the free body's or the world's."""
+    motions, at = state.kinematics.motions, state.kinematics
+    parts = [(m.angular[i] for m in motions) for i in range(3)] + [(m.linear[i] for m in motions) for i in range(3)]
+    return [unfolded(to_local(tree, at, list(part)), tree.dofs) for part in parts]
 
 
 def gyroscope(state: State, site: Site) -> Vector:
@@ -128,89 +87,9 @@ def accelerometer(tree: Tree, state: State, acceleration: Sequence[Scalar], grav
     """
     place = state.kinematics.place(site.body, site.position)
     moved = velocity_at(motions_of(tree, state.kinematics, acceleration)[site.body], place)
-    felt = _in_lane(add(moved, drift_at(state, site.body, place)), site.lane)
+    drift = state.drifts[site.body].at(subtract(place, state.kinematics.poses[site.body].position))
+    felt = _in_lane(add(moved, drift), site.lane)
     return resolve(_axes(state, site), subtract(felt, gravity))
-
-
-def touch_sensor(state: State, pushes: Sequence[Push], site: Site) -> Scalar:
-    """The sum of the normal forces, N, of the contacts of the site's body that point into the site's volume."""
-    axes, own = _axes(state, site), (site.body, site.lane)
-    center = add(state.kinematics.origin, _in_lane(state.kinematics.place(site.body, site.position), site.lane))
-    felt = ZERO
-    for push in pushes:
-        if own not in push.bodies:
-            continue
-        sign = Scalar(-1.0 if push.bodies[1] == own else 1.0)
-        ray, start = resolve(axes, scale(sign, push.normal)), resolve(axes, subtract(push.place, center))
-        hit = _hits_box(start, ray, site) if site.box else _hits_ball(start, ray, site)
-        felt = felt + Scalar(jnp.where(hit, push.pressure.value, 0.0))
-    return felt
-
-
-def _hits_box(start: Vector, ray: Vector, site: Site) -> Any:
-    """Whether a ray meets a box about the origin: whether it is between all its faces at one time from 0 on."""
-    enter, leave = jnp.zeros(()), jnp.full((), jnp.inf)
-    for s, r, half in zip(start, ray, site.size, strict=True):
-        # A ray along a face is between it and the opposite one always or never.
-        place, rate = jnp.asarray(s.value), jnp.asarray(r.value)
-        along = jnp.abs(rate) < 1e-12
-        safe = jnp.where(along, 1.0, rate)
-        one, two = (-half - place) / safe, (half - place) / safe
-        inside = jnp.abs(place) <= half
-        enter = jnp.maximum(enter, jnp.where(along, jnp.where(inside, 0.0, jnp.inf), jnp.minimum(one, two)))
-        leave = jnp.minimum(leave, jnp.where(along, jnp.where(inside, jnp.inf, -1.0), jnp.maximum(one, two)))
-    return enter <= leave
-
-
-def _hits_ball(start: Vector, ray: Vector, site: Site) -> Any:
-    """Whether a ray meets a ball about the origin: whether its nearest point from the start on lies within."""
-    nearest = Scalar(jnp.maximum(-dot(start, ray).value, 0.0))
-    point = add(start, scale(nearest, ray))
-    return dot(point, point).value <= site.size[0] ** 2
-
-
-class PointMotion(NamedTuple):
-    """How a point of a body moves."""
-
-    place: Vector
-    """In the world, m."""
-    columns: list[Vector]
-    """Its velocity for a unit of each degree of freedom of `qvel`."""
-    drift: Vector
-    """Its acceleration where none of them accelerates, m/s^2."""
-
-
-def lowest_points(tree: Tree, state: State) -> list[PointMotion]:
-    """The lowest points of the shapes that the ground can push, and how they move, in the model's order."""
-    at = state.kinematics
-    found: dict[int, PointMotion] = {}
-    for points in tree.ground:
-        lanes = tree.lanes if tree.bodies[points.body].laned else 1
-        several = len(points.order) > lanes
-        below = scale(number(points.radius), vector(points.normal))
-        place = subtract(ground_center(points, at), below)
-        moving = tree.moving(points.body)
-        motions = [velocity_at(at.motions[dof], place) for dof in moving]
-        drift = drift_at(state, points.body, place)
-        for index, order in enumerate(points.order):
-            point, one = divmod(index, lanes)
-            where = [point] * several, [one] * (lanes > 1)
-            own = dict(zip(moving, _picked(motions, *where), strict=True))
-            columns = {
-                real: own[dof] if dof in own and lanes_of in (one, 0 if not tree.laned(dof) else one) else NULL
-                for dof, reals in enumerate(tree.dofs)
-                for lanes_of, real in enumerate(reals)
-            }
-            rows = [to_local(tree, at, [columns[real][i] for real in range(len(columns))]) for i in range(3)]
-            turned = [Vector(*(row[real] for row in rows)) for real in range(len(columns))]
-            found[order] = PointMotion(add(at.origin, _picked(place, *where)), turned, _picked(drift, *where))
-    return [found[index] for index in range(len(found))]
-
-
-def drift_at(state: State, body: int, place: Vector) -> Vector:
-    """The acceleration of a body's point, against the origin, where no degree of freedom accelerates."""
-    drift: Drift = state.drifts[body]
-    return drift.at(subtract(place, state.kinematics.poses[body].position))
 
 
 def full_matrix(tree: Tree, state: State) -> list[list[Scalar]]:

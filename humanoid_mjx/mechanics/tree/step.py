@@ -12,6 +12,7 @@ from humanoid_mjx.mechanics.scalars import HALF, ONE, ZERO, Scalar, Vector, add,
 from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.mechanics.tree.algebra import Spatial, in_lanes, lane, number, vector
 from humanoid_mjx.mechanics.tree.bias import Drift, bias_forces, drifts_of
+from humanoid_mjx.mechanics.tree.blocks import search_blocks
 from humanoid_mjx.mechanics.tree.contacts import (
     Friction,
     friction_of,
@@ -22,9 +23,8 @@ from humanoid_mjx.mechanics.tree.contacts import (
 )
 from humanoid_mjx.mechanics.tree.inertia import Mass, Matrix, factor, mass_matrix, masses_of, product
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics, make_kinematics, motions_of, to_local, to_world, unit
-from humanoid_mjx.mechanics.tree.problem import Problem
-from humanoid_mjx.mechanics.tree.solver import Solution, solve
-from humanoid_mjx.mechanics.tree.structure import FRICTIONLESS, Motor, Number, Surface, Tree
+from humanoid_mjx.mechanics.tree.problem import Problem, Solution
+from humanoid_mjx.mechanics.tree.structure import FRICTIONLESS, Surface, Tree
 
 
 class Values(NamedTuple):
@@ -36,8 +36,6 @@ class Values(NamedTuple):
     """Factor on the coefficients of friction of all contacts that have any."""
     damping: Any = None
     """Factor on the joints' damping."""
-    armature: Any = None
-    """Factor on the joints' armature."""
     gravity: Any = None
     """(3,) m/s^2"""
     push: Any = None
@@ -73,8 +71,10 @@ def make_state(tree: Tree, values: Values, qpos: Sequence[Scalar], qvel: Sequenc
     masses = masses_of(tree, kinematics, _factors(tree, values.mass))
     drifts = drifts_of(tree, kinematics, velocity)
     gravity = vector(tree.gravity if values.gravity is None else values.gravity)
-    damping = _joint_values(tree, [joint.damping for joint in tree.joints], values.damping)
-    armature = _joint_values(tree, [joint.armature for joint in tree.joints], values.armature)
+    damping, armature = [ZERO] * tree.nv, [ZERO] * tree.nv
+    for joint in tree.joints:
+        armature[joint.dof] = number(joint.armature)
+        damping[joint.dof] = number(joint.damping) * (ONE if values.damping is None else number(values.damping))
     passive = [-(damping[dof] * qvel[dof]) for dof in range(tree.nv)]
     for joint in tree.joints:
         stretch = qpos[joint.coordinate] - number(joint.spring)
@@ -89,7 +89,7 @@ def make_state(tree: Tree, values: Values, qpos: Sequence[Scalar], qvel: Sequenc
         masses,
         drifts,
         mass_matrix(tree, kinematics, masses, armature),
-        bias_forces(tree, kinematics, masses, drifts, motions, gravity),
+        bias_forces(tree, kinematics, masses, drifts, gravity),
         damping,
         passive,
     )
@@ -106,65 +106,32 @@ def unfolded(scalars: Sequence[Scalar], places: Sequence[tuple[int, ...]]) -> li
     return [found[index] for index in range(len(found))]
 
 
-def motor_forces(tree: Tree, qpos: Sequence[Scalar], qvel: Sequence[Scalar], control: Sequence[Scalar]) -> list[Scalar]:
-    """Forces of all motors on the degrees of freedom of `qvel`, N m; `control` is what each motor is told."""
-    forces = [ZERO] * len(qvel)
-    for motor, told in zip(tree.motors, control, strict=True):
-        force = _within(motor.force, _motor_force(motor, qpos, qvel, told))
-        forces[motor.dof] = forces[motor.dof] + Scalar(motor.gear) * force
+def motor_forces(tree: Tree, torque: Sequence[Scalar]) -> list[Scalar]:
+    """Forces of all motors on the degrees of freedom, N m, from the torque of each motor's joint."""
+    forces = [ZERO] * sum(map(len, tree.dofs))
+    for dof, one in zip(tree.motors, torque, strict=True):
+        forces[dof] = forces[dof] + one
     for dof, bounds in tree.bounds:
-        forces[dof] = _within(bounds, forces[dof])
-    return forces
-
-
-def _motor_force(motor: Motor, qpos: Sequence[Scalar], qvel: Sequence[Scalar], told: Scalar) -> Scalar:
-    """Before its bounds and its gear."""
-    gear = Scalar(motor.gear)
-    force = Scalar(motor.gain) * _within(motor.control, told) + Scalar(motor.bias[0])
-    force = force + Scalar(motor.bias[1]) * gear * qpos[motor.qpos]
-    return force + Scalar(motor.bias[2]) * gear * qvel[motor.dof]
-
-
-def motor_damping(
-    tree: Tree, qpos: Sequence[Scalar], qvel: Sequence[Scalar], control: Sequence[Scalar]
-) -> list[Scalar]:
-    """Minus the derivatives of the motors' forces by the velocities of `qvel`; 0 where they are at a bound."""
-    found, forces = [ZERO] * len(qvel), motor_forces(tree, qpos, qvel, control)
-    for motor, told in zip(tree.motors, control, strict=True):
-        rate = Scalar(-motor.bias[2] * motor.gear**2)
-        if motor.force is not None:
-            rate = _if_within(motor.force, _motor_force(motor, qpos, qvel, told), rate)
-        found[motor.dof] = found[motor.dof] + rate
-    for dof, bounds in tree.bounds:
-        found[dof] = _if_within(bounds, forces[dof], found[dof])
-    return found
+        forces[dof] = Scalar(jnp.clip(forces[dof].value, *bounds))
+    return folded(forces, tree.dofs)
 
 
 def advance(
-    tree: Tree,
-    values: Values,
-    state: State,
-    solution: Solution,
-    at: tuple[Sequence[Scalar], Sequence[Scalar]],
-    control: Sequence[Scalar],
+    tree: Tree, values: Values, state: State, solution: Solution, motor: Sequence[Scalar]
 ) -> tuple[list[list[Scalar]], Any]:
     """One time step by the model's integrator: `qpos`, `qvel` and the accelerations of its beginning in the axes of
     `qvel`, and whether the solver settled."""
     settled = solution.settled
     if tree.integrator == "RK4":
-        parts, settled = _runge_kutta(tree, values, state, solution, control)
+        parts, settled = _runge_kutta(tree, values, state, solution, motor)
     else:
-        damping = None if tree.integrator == "explicit" else state.damping
-        if tree.integrator == "fast":
-            motors = folded(motor_damping(tree, *at, control), tree.dofs)
-            damping = [one + two for one, two in zip(state.damping, motors, strict=True)]
-        parts = integrate(tree, state, solution.acceleration, damping)
+        parts = integrate(tree, state, solution.acceleration)
     places = tree.coordinates, tree.dofs, tree.dofs
     return [unfolded(part, where) for part, where in zip(parts, places, strict=True)], settled
 
 
 def _runge_kutta(
-    tree: Tree, values: Values, state: State, solution: Solution, control: Sequence[Scalar]
+    tree: Tree, values: Values, state: State, solution: Solution, motor: Sequence[Scalar]
 ) -> tuple[tuple[list[Scalar], list[Scalar], list[Scalar]], Any]:
     """Runge and Kutta's step of order 4, as MuJoCo 4 takes it; three more states are solved in a loop."""
     step, local = Scalar(tree.timestep), to_local(tree, state.kinematics, solution.acceleration)
@@ -179,8 +146,7 @@ def _runge_kutta(
         time, weight = Scalar(at[0]), at[1]
         qpos = moved_by(tree, state.qpos, [Scalar(value) for value in rate], time)
         qvel = [v + time * Scalar(value) for v, value in zip(state.qvel, change, strict=True)]
-        now, real = make_state(tree, values, qpos, qvel), (unfolded(qpos, tree.coordinates), unfolded(qvel, tree.dofs))
-        motor = folded(motor_forces(tree, *real, control), tree.dofs)
+        now = make_state(tree, values, qpos, qvel)
         found = accelerate(tree, values, now, motor, [Scalar(value) for value in change])[1]
         rate = full(_at_start(tree, qvel, [time * Scalar(value) for value in rate]))
         change = full(to_local(tree, now.kinematics, found.acceleration))
@@ -227,7 +193,8 @@ def accelerate(
     problem = make_problem(tree, values, state, force)
     if not (problem.ground or problem.pairs or problem.stops or problem.slips):
         return problem, Solution(factor(tree, state.matrix).solve(force), jnp.bool_(True))
-    return problem, solve(tree, problem, start)
+    found, settled = search_blocks(tree, problem, [value.value for value in start])
+    return problem, Solution([Scalar(value) for value in found], settled)
 
 
 def make_problem(tree: Tree, values: Values, state: State, force: list[Scalar]) -> Problem:
@@ -246,7 +213,7 @@ def make_problem(tree: Tree, values: Values, state: State, force: list[Scalar]) 
 
 
 def integrate(
-    tree: Tree, state: State, acceleration: Sequence[Scalar], damping: Sequence[Scalar] | None
+    tree: Tree, state: State, acceleration: Sequence[Scalar]
 ) -> tuple[list[Scalar], list[Scalar], list[Scalar]]:
     """One step of semi-implicit Euler: the new `qpos` and `qvel`, and the accelerations in the axes of `qvel`.
 
@@ -256,14 +223,13 @@ def integrate(
       tree: and
       state: where the step begins.
       acceleration: of the degrees of freedom, as the solver has it.
-      damping: of the degrees of freedom, that is taken at the end; None: at the beginning.
     """
     local = moved = to_local(tree, state.kinematics, acceleration)
     dt = Scalar(tree.timestep)
-    if damping is not None:
+    if tree.integrator == "damped":
         matrix = [list(row) for row in state.matrix]
         for dof in range(tree.nv):
-            matrix[dof][dof] = matrix[dof][dof] + dt * damping[dof]
+            matrix[dof][dof] = matrix[dof][dof] + dt * state.damping[dof]
         slowed = factor(tree, matrix).solve(product(tree, state.matrix, acceleration))
         moved = to_local(tree, state.kinematics, slowed)
     qvel = [v + dt * a for v, a in zip(state.qvel, moved, strict=True)]
@@ -314,28 +280,9 @@ def _factors(tree: Tree, mass: Any) -> list[Scalar]:
     return [in_lanes([number(mass[i]) for i in places]) for places in tree.body_places]
 
 
-def _joint_values(tree: Tree, own: Sequence[Number], given: Any) -> list[Scalar]:
-    """By degree of freedom: the model's, times the factor that is given."""
-    found, factor = [ZERO] * tree.nv, ONE if given is None else number(given)
-    products = {value: number(value) * factor for value in own}
-    for joint, value in zip(tree.joints, own, strict=True):
-        found[joint.dof] = products[value]
-    return found
-
-
 def _frictions(surfaces: Sequence[Surface], given: Any) -> list[Friction]:
     if given is None:
         return [friction_of(surface) for surface in surfaces]
     own = {value for surface in surfaces for value in surface.friction or ()}
     values = {value: Scalar(jnp.maximum((number(value) * number(given)).value, FRICTIONLESS)) for value in own}
     return [surface.friction and (values[surface.friction[0]], values[surface.friction[1]]) for surface in surfaces]
-
-
-def _if_within(bounds: tuple[float, float], force: Scalar, rate: Scalar) -> Scalar:
-    """The rate where the force is within its bounds, else 0."""
-    inside = (force.value > bounds[0]) & (force.value < bounds[1])
-    return rate if rate.is_known(0.0) else Scalar(jnp.where(inside, rate.value, 0.0))
-
-
-def _within(bounds: tuple[float, float] | None, value: Scalar) -> Scalar:
-    return value if bounds is None else Scalar(jnp.clip(value.value, *bounds))

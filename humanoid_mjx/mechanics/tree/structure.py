@@ -86,15 +86,6 @@ class Joint(NamedTuple):
     dry: Dry | None
 
 
-class Drag(NamedTuple):
-    """The box by which a fluid feels a body: the one of its mass and inertia."""
-
-    axes: Axes
-    """In the body's frame."""
-    edges: Triple
-    """m"""
-
-
 class Body(NamedTuple):
     """A rigid body, or one of each lane."""
 
@@ -112,8 +103,6 @@ class Body(NamedTuple):
     more it is about each, kg m^2. Bodies of revolution have one, balls none."""
     joints: tuple[Joint, ...]
     """Those between its parent and it, the parent's end first."""
-    drag: Drag | None
-    """None where no fluid is or the body has no mass."""
     laned: bool = False
 
 
@@ -195,19 +184,6 @@ class Pairs(NamedTuple):
     surface: Surface
 
 
-class Motor(NamedTuple):
-    """What acts on a joint: `clip(gain * clip(control) + bias[0] + bias[1] * length + bias[2] * speed)`, times gear."""
-
-    qpos: int
-    dof: int
-    """In `qpos` and `qvel`."""
-    gear: float
-    gain: float
-    bias: tuple[float, float, float]
-    control: tuple[float, float] | None
-    force: tuple[float, float] | None
-
-
 class Site(NamedTuple):
     """A place on a body that senses."""
 
@@ -215,27 +191,12 @@ class Site(NamedTuple):
     position: Triple
     axes: Axes
     """In the frame of the body."""
-    box: bool
-    """Whether its volume is a box rather than a ball."""
-    size: tuple[float, float, float]
-    """Half the edges of the box; of a ball the first is the radius."""
     lane: int = 0
 
 
-Integrator = Literal["explicit", "damped", "fast", "RK4"]
+Integrator = Literal["explicit", "damped", "RK4"]
 """Semi-implicit Euler with the joints' damping taken at the beginning of a step or at its end, as MuJoCo's Euler does
-unless told otherwise; at its end together with that of motors (`implicitfast`); Runge and Kutta's of order 4."""
-
-
-class Fluid(NamedTuple):
-    """What the bodies move through."""
-
-    density: float
-    """kg/m^3"""
-    viscosity: float
-    """Pa s"""
-    wind: tuple[float, float, float]
-    """m/s, world"""
+unless told otherwise, and `implicitfast`; Runge and Kutta's of order 4."""
 
 
 class Tree(NamedTuple):
@@ -255,14 +216,13 @@ class Tree(NamedTuple):
     feet: tuple[tuple[int, ...], ...]
     """Which of the model's points are of each shape that sensors report."""
     pairs: tuple[Pairs, ...]
-    motors: tuple[Motor, ...]
+    motors: tuple[int, ...]
+    """Places in `qvel` of the joints that motors drive."""
     bounds: tuple[tuple[int, tuple[float, float]], ...]
     """Places in `qvel` where the motors together are bounded, and between what, N m."""
     gyroscopes: tuple[Site, ...]
     accelerometers: tuple[Site, ...]
-    touch_sensors: tuple[Site, ...]
     gravity: tuple[float, float, float]
-    fluid: Fluid
     timestep: float
     integrator: Integrator
 
