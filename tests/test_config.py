@@ -59,6 +59,7 @@ QUICK = {
     "deep_q": [*SMALL, *NETWORK],
     "brax_ppo": ["total_steps=64", *(f"learner.{key}={value}" for key, value in PPO.items())],
     "posture_switch": ["task.physics=chain", "sweep=null"],
+    "squat": ["task.physics=mujoco", "task.max_episode_steps=4"],
     "stand": ["task.physics=mujoco", "task.duration=0.2"],
     "walk": ["task.physics=mujoco", "task.duration=0.2"],
     "walk_terrain": ["task.terrain={stairs: 0.01, least: 0.0}"],

@@ -10,6 +10,7 @@ TASKS = {
     "leg_reach": "humanoid_mjx.tasks.leg_reach:LegReach",
     "navigate": "humanoid_mjx.tasks.navigate:Navigate",
     "posture_switch": "humanoid_mjx.tasks.posture_switch:PostureSwitch",
+    "squat": "humanoid_mjx.tasks.squat:Squat",
     "stand": "humanoid_mjx.tasks.legged.stand:Stand",
     "walk": "humanoid_mjx.tasks.legged.walk:Walk",
 }

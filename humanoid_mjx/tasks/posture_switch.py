@@ -7,7 +7,7 @@ opposite values (6.4). The learner knows the joints only by the encoders of the 
 """
 
 from functools import lru_cache
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -42,7 +42,9 @@ class Body(NamedTuple):
     encoders: Float[Array, "3"]
     """Readings of the right hip pitch, knee and ankle, rad."""
     diverged: IntScalar
-    """How often the simulation broke down in this episode and was started anew."""
+    """How often the simulation broke down in this episode, or the body fell, and was started anew."""
+    rising: Any = None
+    """Boolean scalar: true on the way back, in tasks that have one."""
 
 
 class PostureSwitch(FiniteTask):
@@ -91,7 +93,7 @@ class PostureSwitch(FiniteTask):
     def reset(self, key: Key[Array, ""]) -> Body:
         qpos = self.whole_body(self.grid[:, 0])
         world = self.plant.start(qpos, jnp.zeros(len(qpos)))
-        return self._read(world, jnp.int32(0), key)
+        return Body(world, self._encoders(world, key), jnp.int32(0))
 
     def step(self, state: Body, action: IntScalar, key: Key[Array, ""]) -> tuple[Body, FloatScalar, BoolScalar]:
         controller = self.controller(self.setpoint(state, action))
@@ -104,8 +106,8 @@ class PostureSwitch(FiniteTask):
         broken = world.diverged
         qpos = self.whole_body(self.grid[:, 0])
         world = self.plant.reset(world, broken, qpos, jnp.zeros(len(qpos)))
-        after = self._read(world, state.diverged + broken, key)
-        arrived = ~broken & self.arrived(world)
+        after = Body(world, self._encoders(world, key), state.diverged + broken)
+        arrived = ~broken & self.near(world, self.grid[:, -1])
         return after, self.step_reward + jnp.where(arrived, self.bonus, 0.0), arrived
 
     def state_index(self, state: Body) -> IntScalar:
@@ -129,10 +131,9 @@ class PostureSwitch(FiniteTask):
         number = jnp.sum(action * 3 ** np.arange(len(MOVED)), dtype=jnp.int32)
         return self.plant, self.controller(self.setpoint(data, number))
 
-    def arrived(self, world: World) -> BoolScalar:
-        """Whether both legs are in the goal's posture and at rest."""
-        goal = self.whole_body(self.grid[:, -1])
-        near = jnp.abs(world.qpos - goal) <= self.tolerance * (np.pi / 180)
+    def near(self, world: World, place: Float[np.ndarray, "3"]) -> BoolScalar:
+        """Whether both legs are in a posture, rad, and at rest."""
+        near = jnp.abs(world.qpos - self.whole_body(place)) <= self.tolerance * (np.pi / 180)
         return near.all() & (jnp.abs(world.qvel) <= REST).all()
 
     def whole_body(self, moved: Float[Array, "3"] | Float[np.ndarray, "3"]) -> Float[Array, "10"]:
@@ -158,9 +159,9 @@ class PostureSwitch(FiniteTask):
         """The physics with the robot's own mass."""
         return self.simulator.replace(mass=self.mass)
 
-    def _read(self, world: World, diverged: IntScalar, key: Key[Array, ""]) -> Body:
+    def _encoders(self, world: World, key: Key[Array, ""]) -> Float[Array, "3"]:
         noise = self.encoder_noise * (np.pi / 180) * jax.random.normal(key, (len(MOVED),))
-        return Body(world, world.qpos[jnp.array(MOVED)] + noise, diverged)
+        return world.qpos[jnp.array(MOVED)] + noise
 
     def _places(self, encoders: Float[Array, "3"]) -> Int[Array, "3"]:
         """The nearest place of each moved joint."""
