@@ -94,7 +94,7 @@ class Welded(LowerBody):
     def spec(self, timestep: float | None = None) -> mujoco.MjSpec:
         spec = super().spec(timestep)
         for joint in (name for name in JOINTS if name.partition("_")[2] in self.locked):
-            for part in (spec.actuator(joint), spec.sensor(f"{joint}_encoder"), spec.joint(joint)):
+            for part in filter(None, (spec.actuator(joint), spec.sensor(f"{joint}_encoder"), spec.joint(joint))):
                 spec.delete(part)
         return spec
 

@@ -57,8 +57,8 @@ class LowerBody(Robot):
     torso: Torso = Field(default="free", description="on the ground, or fixed in the air without any")
     ranges: Ranges = Field(default="proposed", description="column of Table 3.2")
     feet: tuple[str, ...] = ("right_foot", "left_foot")
-    home: tuple[float, ...] = Field(HOME, strict=False)
-    shares: tuple[float, ...] = Field((1.5, 0.8, 0.6, 1.6, 1.4), strict=False)
+    home: tuple[float, ...] = Field(default=HOME, strict=False)
+    shares: tuple[float, ...] = Field(default=(1.5, 0.8, 0.6, 1.6, 1.4), strict=False)
     mirror: tuple[tuple[str, str], ...] = (SIDES,)
 
     def spec(self, timestep: float | None = None) -> mujoco.MjSpec:
