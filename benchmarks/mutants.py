@@ -2,7 +2,7 @@
 
 python benchmarks/mutants.py --count 40 --seed 0                   # samples all folders; prints what survives
 python benchmarks/mutants.py humanoid_mjx/learners/targets.py      # all mutants of a file
-python benchmarks/mutants.py humanoid_mjx/learners/*.py --count 40 --tests "tests/test_tabular.py -k terminal"
+python benchmarks/mutants.py humanoid_mjx/learners/*.py --count 40 --tests "tests/learners/test_tabular.py -k terminal"
 
 A mutant exchanges an operator (+ and -, * and /, < and <=, `and` and `or`), negates a comparison, adds 1 to a number,
 or takes back a `not`, `~` or sign. It is written into a copy of the package. The tests are those that import the file's

@@ -1,8 +1,8 @@
 """A list of all findings of `reproduce`, `data/findings.json`, and what turns the verdict of each.
 
 Where numbers are compared within a tolerance, another number does, and is tried here on every finding. The verdict on
-each other claim is turned by a test that is named here. `python tests/test_turns.py FOLDER` writes the list anew from
-what `reproduce --out FOLDER` found.
+each other claim is turned by a test that is named here. `python tests/reproduction/test_turns.py FOLDER` writes the
+list anew from what `reproduce --out FOLDER` found.
 """
 
 import json
@@ -15,7 +15,7 @@ import pytest
 from humanoid_mjx.reproduction import errata, load_experiments, reproduce
 from humanoid_mjx.reproduction.findings import compare
 
-TESTS = Path(__file__).parent
+TESTS = Path(__file__).parents[1]
 LIST = TESTS / "data" / "findings.json"
 FINDINGS = json.loads(LIST.read_text())
 

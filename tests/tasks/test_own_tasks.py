@@ -18,7 +18,7 @@ from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.check import check_task
 from humanoid_mjx.tasks.continuous import ContinuousTask
 
-DATA = Path(__file__).parent / "data"
+DATA = Path(__file__).parents[1] / "data"
 CONFIG = {
     "name": "hop",
     "task": {"name": "hop:Hop"},

@@ -159,7 +159,7 @@ def test_the_spread_is_the_range_of_the_middle_half():
 @pytest.mark.parametrize("name", ["cpu_2_cores", "h200"])
 def test_a_result_compared_with_itself_has_not_changed(name):
     """Also one with keys that are no longer measured, and with several figures of one key."""
-    before = compare.read_result(Path(__file__).parent.parent / "docs" / "bench" / f"{name}.json")
+    before = compare.read_result(Path(__file__).parents[2] / "docs" / "bench" / f"{name}.json")
     found = compare.changes(before, before)
     assert {change.factor for change in found} <= {1.0, np.inf} and not any(change.regressed for change in found)
     assert len(found) > 90 and not compare.warnings(before, before)

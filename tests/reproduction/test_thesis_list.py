@@ -5,7 +5,7 @@ from pathlib import Path
 
 from humanoid_mjx.reproduction import load_experiments
 
-DOCS = Path(__file__).parent.parent / "docs"
+DOCS = Path(__file__).parents[2] / "docs"
 TEXT = (DOCS / "thesis.md").read_text(encoding="utf-8")
 
 FIGURES = {3: 9, 4: 2, 5: 11, 6: 3, 7: 18}
