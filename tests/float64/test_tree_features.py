@@ -41,8 +41,12 @@ def test_shapes_on_a_plane_are_mujocos():
 
 
 def test_free_bodies_turn_by_runge_and_kuttas_method():
-    option = '<option integrator="RK4" timestep="0.01"/>'
-    agrees(SHAPES.replace("<worldbody>", f"{option}<worldbody>", 1), count=50, seed=1)
+    xml = """<mujoco><option integrator="RK4" timestep="0.01"/><worldbody>
+    <geom type="plane" size="0 0 1" friction="0.6"/>
+    <body pos="0 0 0.3"><freejoint/><geom type="capsule" size="0.03 0.1" mass="1"/>
+    <body pos="0.15 0 0"><joint axis="0 1 0" range="-60 60" limited="true" damping="0.05"/>
+    <geom size="0.05" mass="0.4"/></body></body></worldbody></mujoco>"""
+    agrees(xml, count=50, seed=1)
 
 
 def test_upright_capsules_rub():
