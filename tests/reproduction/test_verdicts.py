@@ -12,7 +12,6 @@ from humanoid_mjx.reproduction import (
     gains,
     ground,
     ground_gaits,
-    load_experiments,
     motor_sizing,
     postures,
     reproduce,
@@ -219,16 +218,6 @@ def test_nothing_printed_is_no_verdict():
         Finding("y", None, 1.0, None, "differs", "why")
     with pytest.raises(ValueError, match="'finding', but printed is 1"):
         Finding("y", 1.0, 1.0, None, "finding", "why")
-
-
-def test_every_experiment_is_tried_with_another_value():
-    """Those that other tests or this file's own tests turn, by name, and those that print nothing."""
-    elsewhere = {"table-4.7", "figure-7.2", "figure-7.4", "figure-7.18", "epsilon-7e", "errata", "robustness-map"}
-    elsewhere |= {"finding-waiting", "finding-decay", "finding-negative-reward", "gaits-4.8", "control-7d"}
-    elsewhere |= {f"figure-7.{number}" for number in range(6, 11)}
-    elsewhere |= {"responses-5.2", "motors-5.3", "resonance-5.6"}
-    prints_nothing = {"finding-aliasing", "ground-control"}
-    assert set(load_experiments()) == set(WRONG) | elsewhere | prints_nothing
 
 
 def test_critical_damping_is_the_fastest_without_overshoot(monkeypatch):

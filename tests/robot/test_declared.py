@@ -90,20 +90,6 @@ def test_who_does_nothing_stands_in_the_task(name, tmp_path):
     assert name != "motors reversed" or task.robot.joints[0] == "RL_calf"
 
 
-def test_the_dog_is_as_it_is_written():
-    dog = make_robot("dog")
-    assert dog.mass == pytest.approx(12.72) and dog.points == 1 and dog.foot_pairs.tolist() == [[0, 1], [2, 3]]
-    assert dog.joints[:3] == ("FR_hip", "FR_thigh", "FR_calf") and dog.torque_limits[:3].tolist() == [23.7, 23.7, 35.5]
-    np.testing.assert_allclose(np.degrees(dog.posture[:3]), [0, 48, -90])
-    humanoid = make_robot("humanoid")
-    assert 34 < humanoid.mass < 36 and len(humanoid.joints) == 23 and humanoid.points == 4
-    assert dog.shares == (0.5, 1.0, 1.0) * 2 and dog.model_dump(mode="json") == {"name": "dog", "content": dog.content}
-    task = make_task("stand", robot="dog", physics="mujoco")
-    assert task.control.name == "robot_servo" and task.control.of(dog).stiffness.tolist() == [80.0] * 12
-    with pytest.raises(InputError, match="robot lower_body has no servo of its own"):
-        make_task("stand", control="robot_servo")
-
-
 @pytest.mark.parametrize("name", SHIPPED)
 def test_feet_go_where_the_polynomials_of_the_legs_bring_them(name):
     """Against the leg's kinematics, at places of every size; the solved joints are the limit of what a fit can do."""
