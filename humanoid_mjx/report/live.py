@@ -71,11 +71,12 @@ def make_server(live: Live, port: int = 0) -> ThreadingHTTPServer:
     Raises:
       InputError: the port is taken.
     """
-    window = Window(live)
     try:
-        return ThreadingHTTPServer((LOOPBACK, port), partial(Handler, window))
+        server = ThreadingHTTPServer((LOOPBACK, port), Handler)
     except OSError as error:
         raise InputError(f"--port {port}: {error.strerror}; without --port a free one is taken.") from error
+    server.RequestHandlerClass = partial(Handler, Window(live))
+    return server
 
 
 class Scale(NamedTuple):

@@ -209,7 +209,7 @@ def test_messages_that_mean_nothing_change_nothing(walking, message):
 
 def test_a_port_that_is_taken(walking):
     with pytest.raises(InputError, match=f"--port {walking.port}: "):
-        make_server(Live(find_policy("walk")), walking.port)
+        make_server(walking.live, walking.port)
 
 
 def test_ctrl_c_ends_it_in_silence():
