@@ -1,7 +1,6 @@
 """Tasks and learners of a user's own, named by their import path."""
 
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -127,19 +126,6 @@ def test_import_paths_are_searched_in_the_working_directory_and_the_error_says_w
     refused = command(tmp_path, "info", "hop:Hop", "--keys")
     assert refused.returncode == 2
     assert f"No module named 'hop' on Python's path or in {tmp_path}." in refused.stderr
-
-
-def test_they_train_from_the_command_line(tmp_path):
-    (tmp_path / "my.yaml").write_text(json.dumps(CONFIG))
-    paths = os.pathsep.join([str(DATA), os.environ.get("PYTHONPATH", "")])
-    command = [sys.executable, "-m", "humanoid_mjx", "sweep", "my.yaml", "--out", "run"]
-    environment = os.environ | {"PYTHONPATH": paths}
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert "2 of 2 runs train side by side, in an estimated" in done.stdout
-    from humanoid_mjx.training.sweep import Run
-
-    assert (Run(tmp_path / "run").summary["greedy_success"] > 0.9).all()
 
 
 class WrongSize(Hop):
