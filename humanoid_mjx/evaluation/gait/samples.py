@@ -78,47 +78,26 @@ def legs_apart(poses: Poses, robot: Robot) -> FloatScalar:
 
     MuJoCo sees a contact where it is below 0.
     """
-    distances = []
-    for one, two in _pairs(robot):
-        (middle, half), (other_middle, other_half) = (
-            (poses.position[c.body] + poses.rotation[c.body] @ c.middle, poses.rotation[c.body] @ c.half)
-            for c in (one, two)
-        )
-        gap = between_segments(middle, half, other_middle, other_half)
-        distances.append(gap - np.float32(one.radius + two.radius))
-    return jnp.stack(distances).min() if distances else jnp.asarray(jnp.inf)
-
-
-def between_segments(
-    middle: Float[Array, "3"], half: Float[Array, "3"], other_middle: Float[Array, "3"], other_half: Float[Array, "3"]
-) -> FloatScalar:
-    """The distance between two segments, each from its middle along half of it, which is not 0, both ways."""
-    apart = middle - other_middle
-    x, y = nearest_shares(*(Vector(*map(Scalar, vector)) for vector in (half, other_half, apart)))
-    return jnp.linalg.norm(apart + x.value * half - y.value * other_half + 1e-12)
-
-
-class _Capsule(NamedTuple):
-    body: int
-    middle: np.ndarray
-    half: np.ndarray
-    radius: float
+    bodies, middles, halves, radii = _pairs(robot)
+    if not len(bodies):
+        return jnp.asarray(jnp.inf)
+    place = poses.position[bodies] + jnp.einsum("psij,psj->psi", poses.rotation[bodies], middles)
+    half = jnp.einsum("psij,psj->psi", poses.rotation[bodies], halves)
+    apart, (one, other) = place[:, 0] - place[:, 1], half.swapaxes(0, 1)
+    x, y = nearest_shares(*(Vector(*map(Scalar, rows.T)) for rows in (one, other, apart)))
+    way = apart + x.value[:, None] * one - y.value[:, None] * other
+    return (jnp.linalg.norm(way + 1e-12, axis=1) - radii).min()
 
 
 @lru_cache
-def _pairs(robot: Robot) -> list[tuple[_Capsule, _Capsule]]:
-    """The pairs of capsules of the robot that feel each other."""
+def _pairs(robot: Robot) -> tuple[np.ndarray, ...]:
+    """The pairs of capsules that feel each other: bodies, middles, ways from there to an end, sums of the radii."""
     with jax.ensure_compile_time_eval():
         model = robot.model
-
-    def capsule(geom: int) -> _Capsule:
-        rotation = np.empty(9)
-        mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
-        half = rotation.reshape(3, 3)[:, 2] * model.geom_size[geom, 1]
-        middle, half = (x.astype(np.float32) for x in (model.geom_pos[geom], half))
-        return _Capsule(int(model.geom_bodyid[geom]), middle, half, float(model.geom_size[geom, 0]))
-
-    kind = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
-    pairs = zip(model.pair_geom1, model.pair_geom2, strict=True)
-    pairs = ((int(one), int(two)) for one, two in pairs)
-    return [(capsule(one), capsule(two)) for one, two in pairs if model.geom_type[one] == model.geom_type[two] == kind]
+    pairs, axes = np.stack([model.pair_geom1, model.pair_geom2], axis=1), np.empty((model.ngeom, 3))
+    pairs = pairs[(model.geom_type[pairs] == mujoco.mjtGeom.mjGEOM_CAPSULE).all(axis=1)]
+    for axis, quaternion in zip(axes, model.geom_quat, strict=True):
+        mujoco.mju_rotVecQuat(axis, np.array([0.0, 0.0, 1.0]), quaternion)
+    shapes = model.geom_pos, axes * model.geom_size[:, 1:2], model.geom_size[:, 0]
+    middles, halves, radii = (shape.astype(np.float32)[pairs] for shape in shapes)
+    return model.geom_bodyid[pairs], middles, halves, radii.sum(axis=1)

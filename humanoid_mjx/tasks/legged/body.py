@@ -26,6 +26,10 @@ from humanoid_mjx.types import FloatScalar
 START_SPREAD = 0.03
 """Largest difference of every joint and of the torso's lean from the posture at the start, rad."""
 
+SERVO = ServoLaw(stiffness=3.0, damping=0.1)
+"""Gains of a servo as soft as gravity, so that posture alone does not keep the body up. With 6 N m/rad and 0.2 N m
+s/rad most bodies that do nothing withstand the pushes, and there is little to learn."""
+
 START_AREA = 2.0
 """Where on a terrain an episode begins: so far from the origin of the world, m, at most, along x and along y."""
 
@@ -45,7 +49,7 @@ class LeggedBody(ContinuousTask):
 
     robot: RobotKey = Field(make_robot("lower_body", ranges="human"), description="the robot that stands")
     physics: str = Field("tree", description="tree, mjx-jax, mjx-warp, mujoco, or your own as package.module:Class")
-    control: Control = Field(ServoLaw(stiffness=3.0, damping=0.1), description="the law that drives the joints")
+    control: Control = Field(SERVO, description="the law that drives the joints")
     actuator: Drives = Field(Ideal(), description="ideal, or dc_motor: what of a torque asked for acts on a joint")
     bins: Literal[3, 5, 9] = Field(3, description="values of a joint's offset, evenly from -1 to 1 times it")
     action_scale: float = traced(

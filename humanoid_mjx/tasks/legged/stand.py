@@ -5,14 +5,8 @@ The advantage of a learner that sees `privileged` is the price of partial observ
 
 from pydantic import Field
 
-from humanoid_mjx.control import Control
-from humanoid_mjx.control.laws import ServoLaw
 from humanoid_mjx.tasks.legged.rewards import StandRewards
 from humanoid_mjx.tasks.legged.task import LeggedTask
-
-SERVO = ServoLaw(stiffness=3.0, damping=0.1)
-"""Gains of a servo as soft as gravity, so that posture alone does not keep the body up. With 6 N m/rad and 0.2 N m
-s/rad most bodies that do nothing withstand the pushes, and there is little to learn."""
 
 
 class Stand(LeggedTask):
@@ -23,5 +17,4 @@ class Stand(LeggedTask):
     episode succeeds if it lasts to its end.
     """
 
-    control: Control = Field(SERVO, description="the law that drives the joints")
     rewards: StandRewards = Field(StandRewards(), description="weights of the reward's terms")
