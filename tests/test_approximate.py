@@ -224,6 +224,15 @@ def test_exploration():
     np.testing.assert_allclose(np.asarray((action[:2000] > 0).all(axis=1)).mean(), both.prod(), atol=0.03)
 
 
+def test_the_greedy_choice_is_the_best_there_is_and_any_of_equal_ones():
+    allowed = np.array([[True, True, True, False], [True, True, False, False]])
+    q = jnp.tile(jnp.float32([[0.0, 1.0, 1.0, 5.0], [2.0, 1.0, 9.0, 9.0]]), (2000, 1, 1))
+    best = exploration.greedy(q, allowed, rng.key(0))
+    # Three in ten thousand such samples fall outside 3.6 sigma = 0.04.
+    np.testing.assert_allclose(np.bincount(best[:, 0], minlength=4) / 2000, [0, 0.5, 0.5, 0], atol=0.04)
+    assert (best[:, 1] == 0).all()
+
+
 def test_epsilon_decays_by_the_episode_and_climbs_the_ladder():
     learner = build("tiles", probe("choice")[0], epsilon=0.5, epsilon_decay=0.9, epsilon_min=0.2, epsilon_spread=1.0)
     found = exploration.epsilons(learner, jnp.array([0, 1, 100]))
