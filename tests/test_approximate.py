@@ -144,7 +144,10 @@ def test_the_action_that_is_credited_is_the_one_carried_out():
 
 def test_one_sample_moves_its_value_by_the_rate():
     scale = Scale(np.full(3, -2.0), np.full(3, 2.0), 1.5)
-    basis = tile_coding(scale, combined([[range(3)], [[0, 1], [1, 2], [0, 2]]], 2), 4, 3)
+    groups = combined([[range(3)], [[0, 1], [1, 2], [0, 2]]], 2)
+    # Three groups of two observations; shifted tilings stand over, by a tile along each.
+    assert [tile_coding(scale, groups, 4, tilings).size for tilings in (1, 2, 3)] == [3 * 16, 6 * 25, 9 * 25]
+    basis = tile_coding(scale, groups, 4, 3)
     obs = jnp.array(np.random.default_rng(0).uniform(-2, 2, (50, 3)), jnp.float32)
     place = jax.jit(basis.encode)(obs)
     assert place.shape == (50, 2, basis.active) and int(place.min()) >= 0 and int(place.max()) < basis.size
