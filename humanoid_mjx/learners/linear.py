@@ -77,7 +77,7 @@ class LinearQ(ApproximateQ):
         sums = jnp.zeros((*self._shape, 2), parts.dtype).at[at].add(jnp.broadcast_to(parts, (*places.shape, 2)))
         change, number = jnp.moveaxis(self.mean(sums), -1, 0)
         # The mean over joints divides a weight's part in Q by their number, and this gives it back.
-        step = change / jnp.maximum(number, 1e-12) / tiles.active
+        step = change / jnp.maximum(number, 1.0) / tiles.active
         return value + rate * step, optimizer, jnp.mean(td_error**2)
 
     @property

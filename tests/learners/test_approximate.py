@@ -48,8 +48,9 @@ def trained(learner, updates, key):
 
 @jax.jit
 def learned(learner, rate, value, batch):
-    """The value after one batch."""
-    return learner.learn(rate, value, (), batch, rng.key(0))[0]
+    """The value after one batch, and the mean squared error before it."""
+    value, _, error = learner.learn(rate, value, (), batch, rng.key(0))
+    return value, error
 
 
 def train(learner, updates=400, seed=0):
@@ -122,7 +123,9 @@ def test_linear_with_a_feature_for_each_state_is_a_table():
     for _ in range(200):
         row, action, target = draw.integers(13), draw.integers(2), draw.normal()
         obs = np.float32([[row / 12]])
-        value = learned(learner, learner.learning_rate, value, Batch(obs, np.int32([[action]]), np.float32([target])))
+        value, _ = learned(
+            learner, learner.learning_rate, value, Batch(obs, np.int32([[action]]), np.float32([target]))
+        )
         table[row, action] += 0.3 * (target - table[row, action])
     np.testing.assert_allclose(value[0], table, atol=1e-5)
 
@@ -141,7 +144,10 @@ def test_the_action_that_is_credited_is_the_one_carried_out():
 
 def test_one_sample_moves_its_value_by_the_rate():
     scale = Scale(np.full(3, -2.0), np.full(3, 2.0), 1.5)
-    basis = tile_coding(scale, combined([[range(3)], [[0, 1], [1, 2], [0, 2]]], 2), 4, 3)
+    groups = combined([[range(3)], [[0, 1], [1, 2], [0, 2]]], 2)
+    # Three groups of two observations; shifted tilings stand over, by a tile along each.
+    assert [tile_coding(scale, groups, 4, tilings).size for tilings in (1, 2, 3)] == [3 * 16, 6 * 25, 9 * 25]
+    basis = tile_coding(scale, groups, 4, 3)
     obs = jnp.array(np.random.default_rng(0).uniform(-2, 2, (50, 3)), jnp.float32)
     place = jax.jit(basis.encode)(obs)
     assert place.shape == (50, 2, basis.active) and int(place.min()) >= 0 and int(place.max()) < basis.size
@@ -149,10 +155,11 @@ def test_one_sample_moves_its_value_by_the_rate():
     np.testing.assert_array_equal(place[:, 0], place[:, 1])
     learner = build("tiles", probe("constant reward")[0])
     weights, _ = learner.init_value(rng.key(0))
-    batch = Batch(jnp.float32([[0.3]]), jnp.int32([[1]]), jnp.float32([2.0]))
-    after = learned(learner, 0.25, weights, batch)
+    batch = Batch(jnp.float32([[0.3]]), jnp.int32([[1]]), jnp.float32([3.0]))
+    after, error = learned(learner, 0.25, weights, batch)
+    assert error == 9.0
     moved = learner.q_values(after, batch.obs)[0, 0]
-    np.testing.assert_allclose(moved, [0.0, 0.5], atol=1e-5)
+    np.testing.assert_allclose(moved, [0.0, 0.75], atol=1e-5)
 
 
 def test_features_combine_observations_of_a_family():
@@ -171,7 +178,7 @@ def test_joints_that_share_weights_learn_what_all_have_seen():
     table = np.random.default_rng(0).normal(size=value.shape).astype(np.float32)
     obs = np.float32([[-0.5], [-0.5], [0.5], [-0.5]])
     action, target = np.array([[0, 1], [1, 1], [0, 0], [0, 0]]), np.float32([1.0, 2.0, 3.0, 4.0])
-    moved = learned(learner, 0.5, jnp.asarray(table), Batch(*map(jnp.asarray, (obs, action, target))))
+    moved, _ = learned(learner, 0.5, jnp.asarray(table), Batch(*map(jnp.asarray, (obs, action, target))))
     cell = (obs[:, 0] > 0).astype(int)
     error = target - table[0, cell[:, None], action].mean(axis=1)
     expected = table.copy()
@@ -222,6 +229,15 @@ def test_exploration():
     assert int(action[:, 1].max()) == 1 and not action[2000:].any()
     both = np.asarray(action[:2000] > 0).mean(axis=0)
     np.testing.assert_allclose(np.asarray((action[:2000] > 0).all(axis=1)).mean(), both.prod(), atol=0.03)
+
+
+def test_the_greedy_choice_is_the_best_there_is_and_any_of_equal_ones():
+    allowed = np.array([[True, True, True, False], [True, True, False, False]])
+    q = jnp.tile(jnp.float32([[0.0, 1.0, 1.0, 5.0], [2.0, 1.0, 9.0, 9.0]]), (2000, 1, 1))
+    best = exploration.greedy(q, allowed, rng.key(0))
+    # Three in ten thousand such samples fall outside 3.6 sigma = 0.04.
+    np.testing.assert_allclose(np.bincount(best[:, 0], minlength=4) / 2000, [0, 0.5, 0.5, 0], atol=0.04)
+    assert (best[:, 1] == 0).all()
 
 
 def test_epsilon_decays_by_the_episode_and_climbs_the_ladder():
@@ -476,3 +492,9 @@ def test_precision_is_of_a_gpu(monkeypatch):
     assert rounded.dtype == np.float32
     error = np.sqrt(np.mean((rounded - exact) ** 2)) / exact.std()
     assert 2.0**-11 < error < 2.0**-5
+
+
+def test_environments_are_split_where_every_device_can_fill_its_minibatches():
+    learner = build("deep", probe("choice")[0], envs=24, rollout=1, minibatches=8)
+    assert [learner.can_split(devices) for devices in (1, 2, 3, 5)] == [True, False, True, False]
+    assert [build("tiles", probe("choice")[0], envs=24).can_split(devices) for devices in (2, 5)] == [True, False]
