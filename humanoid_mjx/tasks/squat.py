@@ -46,7 +46,7 @@ class Squat(PostureSwitch):
     posture: Literal["squat"] = Field("squat", description="upright, down and up again")
     places: int = Field(3, ge=2, le=50, description="points of the grid from upright to down, for each joint")
     timestep: float = Field(0.004, gt=0, le=0.02, description="s of physics and controller")
-    fall_reward: float = traced(-20.0, le=0, description="reward of a fall")
+    fall_reward: float = traced(-2.0, le=0, description="reward of a fall; where it is large, networks learn to stay")
 
     @property
     def num_states(self) -> int:

@@ -27,7 +27,7 @@ def test_down_and_up_again_is_done_in_six_decisions_and_a_body_that_falls_stands
         state, reward, done = step(state, DOWN if decision < 3 else UP, KNEE_ALONE)
         assert done.tolist() == [decision == 5, False]
         assert state.rising.tolist() == [decision >= 2, False]
-        assert reward.tolist() == [99.0 if decision == 5 else -1.0, -21.0 if state.diverged[1] > fallen else -1.0]
+        assert reward.tolist() == [99.0 if decision == 5 else -1.0, -3.0 if state.diverged[1] > fallen else -1.0]
         if state.diverged[1] > fallen:
             np.testing.assert_array_equal(state.world.qpos[1], start.world.qpos[1])
         fallen = int(state.diverged[1])
