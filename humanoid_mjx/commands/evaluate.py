@@ -68,7 +68,7 @@ def _gaits(
     from humanoid_mjx.evaluation.gait.figures import FIGURES
     from humanoid_mjx.evaluation.gait.measure import measure, settings_of, trained_seeds
     from humanoid_mjx.evaluation.policy import in_world
-    from humanoid_mjx.report.gaits import gait_table, remarks
+    from humanoid_mjx.report.gaits import gait_table, meanings, remarks
 
     settings = settings_of(overrides)
     policies = [in_world(policy, physics, settings) for policy in trained_seeds(names, point)]
@@ -80,6 +80,7 @@ def _gaits(
         whose = each.policies[0].name + (f", {seeds} training seeds" if seeds > 1 else "")
         title = f"{whose}: {episodes:,} episodes a command that no training has seen{_changes(physics, settings)}"
         console.print(gait_table(title, each.gaits, each.beyond), *remarks(each.gaits, each.beyond), sep="\n")
+    console.print("; ".join(f"{name}: {meaning}" for name, meaning in meanings().items()) + ".")
     figures = {name: figure._asdict() for name, figure in FIGURES.items()}
     return {"set": settings, "figures": figures, "results": [each.as_json() for each in measured]}
 

@@ -46,8 +46,6 @@ class Rows(NamedTuple):
     """The parameters that any of the runs swept."""
     counter: str
     """The column that counts the training: `episode` or `step`."""
-    curves: bool
-    """Whether they are rows of learning curves."""
     meanings: Mapping[str, str]
     """What hyper-parameters are, as far as they are described."""
 
@@ -85,7 +83,7 @@ def read_rows(paths: Sequence[Path], x: str | None, y: str, by: str | None) -> R
     columns[RUN] = np.repeat(np.array(names, object), [len(table["point"]) for table in tables])
     axes = dict.fromkeys(axis for config in configs for axis in (config.get("sweep") or {}).get("axes", {}))
     meanings = {name: words for config in configs for name, words in _meanings(config, wanted)}
-    return Rows(columns, names, list(axes), counters[0], curves, meanings)
+    return Rows(columns, names, list(axes), counters[0], meanings)
 
 
 def _read(path: Path, wanted: Sequence[str], curves: bool) -> dict[str, np.ndarray]:

@@ -50,10 +50,15 @@ def gait_rows(gaits: Sequence[Gait], beyond: Sequence[str] = ()) -> list[list[st
     return rows
 
 
-def column_name(heading: str) -> str:
+def _column(heading: str) -> str:
     """A column's heading in one line."""
     name, _, unit = heading.partition("\n")
     return f"{name} ({unit})" if unit else name
+
+
+def meanings() -> dict[str, str]:
+    """The meaning of each of `COLUMNS`, by its name."""
+    return {_column(heading): FIGURES[name].meaning for heading, name, *_ in COLUMNS}
 
 
 def _cell(summary: Summary, form: str, ends: bool) -> str:
@@ -83,8 +88,7 @@ def remarks(gaits: Sequence[Gait], beyond: Sequence[str]) -> list[str]:
         "means over the episodes, with the worse end of the 95 % interval in brackets: 100% (68%) says that all "
         "succeeded, and that in the long run 68% would or more"
     )
-    meanings = "; ".join(f"{column_name(heading)}: {FIGURES[name].meaning}" for heading, name, *_ in COLUMNS)
-    lines = [f"Figures are {many if seeds > 1 else one}.", f"{meanings}. A window is whole gait cycles, near 1 s."]
+    lines = [f"Figures are {many if seeds > 1 else one}. A window is whole gait cycles, near 1 s."]
     if beyond:
         lines.append("* a command beyond those of training")
     for gait in gaits:

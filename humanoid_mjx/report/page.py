@@ -19,7 +19,7 @@ from humanoid_mjx.evaluation.gait.measure import measure, settings_of
 from humanoid_mjx.evaluation.gait.scenarios import walking_task
 from humanoid_mjx.evaluation.policy import Trained, find_policy, in_world, on_native
 from humanoid_mjx.report.figures import HEAT_MAPS, Figure, averaged, curved, draw_map, figures_of, limits, mapped
-from humanoid_mjx.report.gaits import COLUMNS, column_name, gait_rows, remarks
+from humanoid_mjx.report.gaits import gait_rows, meanings, remarks
 from humanoid_mjx.report.player import player
 from humanoid_mjx.report.rendering import strip
 from humanoid_mjx.report.style import figure
@@ -213,10 +213,9 @@ def _gaits(trained: Trained, reporter: Reporter) -> list[str]:
         reporter.phase("measuring its gait")
         world = in_world(trained, None, settings_of([f"task.duration={GAIT_S:g}"]))
         ((_, gaits, beyond),) = measure([world], GAIT_EPISODES, reporter.count, ("greedy",))
-        headings = ["command", *(column_name(heading) for heading, *_ in COLUMNS)]
         caption = f"{GAIT_EPISODES} episodes of {GAIT_S:g} s a command, as evaluate --gait has them"
-        rows = table(headings, gait_rows(gaits, beyond), caption=caption)
-        return [text("Its gait", "h3"), rows, *map(text, remarks(gaits, beyond))]
+        rows = table(["command", *meanings()], gait_rows(gaits, beyond), caption=caption)
+        return [text("Its gait", "h3"), rows, *map(text, remarks(gaits, beyond)), facts(meanings().items())]
     return []
 
 

@@ -89,13 +89,18 @@ def best_table(
     rows = []
     for point in points[:BEST_POINTS]:
         low, high = training_interval(summary, point.point, measure)
-        end = f"{point.steps if quickest else point.training_return:.2f}"
+        end = _number(point.steps if quickest else point.training_return)
         end += f" ({low:.2f} to {high:.2f})" if low < high else ""
         means = ([] if quickest else [f"{point.greedy_return:.4g}"]) + [f"{point.greedy_steps:.1f}", end]
         diverged = f"{int(np.sum(summary['diverged'][summary['point'] == point.point]))} of {seeds}"
         cells = [str(point.point), *map(short, point.values), f"{point.success:.1%}", *means]
-        rows.append([*cells, *[f"{point.whole:.2f}"] * tied, diverged][: len(headings)])
+        rows.append([*cells, *[_number(point.whole)] * tied, diverged][: len(headings)])
     return headings, rows
+
+
+def _number(value: float) -> str:
+    """A mean for a reader; nothing where none is known."""
+    return f"{value:.2f}" if np.isfinite(value) else ""
 
 
 def short(value: Any) -> str:
