@@ -70,8 +70,8 @@ def motions_by_dof(tree: Tree, state: State) -> list[list[Scalar]]:
     """What a unit of each degree of freedom of `qvel` does to the bodies that it moves: the six rows of their angular
     motions and of the velocities of their points at the origin, which is the free body's or the world's."""
     motions, at = state.kinematics.motions, state.kinematics
-    parts = [(m.angular[i] for m in motions) for i in range(3)] + [(m.linear[i] for m in motions) for i in range(3)]
-    return [unfolded(to_local(tree, at, list(part)), tree.dofs) for part in parts]
+    parts = [[m.angular[i] for m in motions] for i in range(3)] + [[m.linear[i] for m in motions] for i in range(3)]
+    return [unfolded(to_local(tree, at, part), tree.dofs) for part in parts]
 
 
 def gyroscope(state: State, site: Site) -> Vector:
