@@ -56,7 +56,7 @@ class Terrain(Spec):
     def height(self, x: Any, y: Any, lib: Any = jnp) -> Any:
         """Height of the ground, m; `lib` is jnp or np."""
         steps = 0.0 if self.stairs is None else lib.floor(self._along(x, y, lib) / self.width) * self.stairs
-        return steps + self._waves(x, y, lib)[0]
+        return steps + self.waves(x, y, lib)[0]
 
     def above(self, place: Float[Array, "*places 3"]) -> Float[Array, "*places"]:
         """Height of a place above the ground below it, m."""
@@ -69,7 +69,7 @@ class Terrain(Spec):
         Waves are exact to first order: the ground's tangent plane below the place counts.
         """
         x, y, z = (axis.value for axis in place)
-        height, along_x, along_y = self._waves(x, y, jnp)
+        height, along_x, along_y = self.waves(x, y, jnp)
         z, (toward_x, toward_y) = z - height, self._rising(jnp)
         distance, level, steep = z, 0.0, 1.0
         if self.stairs is not None:
@@ -98,7 +98,7 @@ class Terrain(Spec):
         toward_x, toward_y = self._rising(lib)
         return toward_x * x + toward_y * y
 
-    def _waves(self, x: Any, y: Any, lib: Any) -> tuple[Any, Any, Any]:
+    def waves(self, x: Any, y: Any, lib: Any) -> tuple[Any, Any, Any]:
         """Height of the waves, and its derivatives by x and y."""
         if self.rough is None:
             return 0.0, 0.0, 0.0

@@ -24,7 +24,7 @@ from humanoid_mjx.mechanics.contacts import Contacts
 from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.physics.base import Batches, Controller, Once, Poses, Sensed, Velocities, World
 from humanoid_mjx.physics.model import MujocoPhysics, below, freeze_if_diverged
-from humanoid_mjx.physics.terrain import add_terrain
+from humanoid_mjx.physics.terrain import add_terrain, follow
 from humanoid_mjx.robot import Robot
 from humanoid_mjx.robot.description import IMU, sensing_spec
 from humanoid_mjx.types import AnyArray
@@ -135,7 +135,15 @@ class Native(MujocoPhysics):
         control: Float[np.ndarray, "worlds controls"],
     ) -> tuple[np.ndarray, ...]:
         """What `_held` gives, of worlds in groups of few models."""
-        team, nq = self._team, qpos.shape[-1]
+        team, nq, waves = self._team, qpos.shape[-1], self.terrain is not None and self.terrain.rough is not None
+        if waves:  # what a model's ground is depends on where the world is
+            values = np.concatenate([values, np.arange(len(values))[:, None]], axis=-1)
+        if waves and steps > 1:
+            first = moved = self._advance(1, sensed, values[:, :-1], qpos, qvel, warmstart, control)
+            for _ in range(steps - 1):
+                at, speed, change, _ = moved
+                moved = self._advance(1, False, values[:, :-1], at, speed, change, control)
+            return *moved[:3], first[3]
         initial = np.concatenate([np.zeros((len(qpos), 1)), qpos, qvel], axis=-1)
         states = np.empty((len(qpos), steps, initial.shape[-1]))
         sensordata = np.empty((len(qpos), steps, team.base.nsensordata))
@@ -143,6 +151,9 @@ class Native(MujocoPhysics):
         for first in range(0, len(distinct), team.room):
             models = [team.tuned(row.tobytes(), sensed) for row in distinct[first : first + team.room]]
             rows = np.flatnonzero((kind >= first) & (kind < first + team.room))
+            if waves:
+                for model, row in zip(models, distinct[first : first + team.room], strict=True):
+                    follow(model, team.data[0], qpos[int(row[-1])], team.terrain_of(row))
             states[rows], sensordata[rows] = team.rollout.rollout(
                 [models[i - first] for i in kind[rows]],
                 team.data,
@@ -188,7 +199,8 @@ class _Team:
     def _tuned(self, values: bytes, sensed: bool) -> mujoco.MjModel:
         """The model with these values in it, its sensors on or off."""
         numbers = np.frombuffer(values)
-        model = self._shaped(self._terrain_of(numbers))
+        terrain = self.terrain_of(numbers)
+        model = self._shaped(terrain) if terrain and terrain.stairs is not None else copy(self.base)
         self._tune(model, numbers)
         model.opt.disableflags |= OFF[sensed]
         return model
@@ -214,12 +226,12 @@ class _Team:
         model.geom_friction[:, 0] = friction * base.geom_friction[:, 0]
         model.actuator_ctrlrange[:] = torque_limit * base.actuator_ctrlrange
         model.actuator_forcerange[:] = torque_limit * base.actuator_forcerange
-        if terrain := self._terrain_of(values):
+        if terrain := self.terrain_of(values):
             model.opt.gravity[:] = np.linalg.norm(base.opt.gravity) * -terrain.up(np)
 
-    def _terrain_of(self, values: Float[np.ndarray, " values"]) -> Terrain | None:
+    def terrain_of(self, values: Float[np.ndarray, " values"]) -> Any:
         """The terrain among the values of a model."""
-        return self._terrain.unflatten(values[self.base.nbody + 3 :].tolist())
+        return self._terrain.unflatten(values[self.base.nbody + 3 :][: self._terrain.num_leaves].tolist())
 
     def _shaped(self, terrain: Terrain | None) -> mujoco.MjModel:
         """A model whose ground has this shape."""

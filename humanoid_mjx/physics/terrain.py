@@ -1,21 +1,19 @@
 # pyright: reportAttributeAccessIssue=false
-"""A terrain as shapes of native MuJoCo: stairs as boxes, waves as a height field.
+"""A terrain as shapes of native MuJoCo: stairs as boxes, waves as planes that follow the feet.
 
-MuJoCo collides a ball with every prism of a height field that the ball overlaps, and prisms are flat. So a field is not
-the same ground as the heights that it samples: with its cells of 25 mm, normals differ by a degree or two, heights by
-up to 0.03 of `rough` where `wavelength` is 0.3 m, and a ball near the edge of a prism has several contacts.
+Each ball of a foot has a plane of its own, which touches the waves below it. A height field is no such ground: a ball
+collides with the prisms under it, whose sides are walls. On cells of 25 mm a corner of the lower body's feet, a ball of
+0.5 mm that is 1 mm deep, is pushed off the true normal by more than 15 degrees in 15% of all places.
 """
 
 import mujoco
 import numpy as np
+from jaxtyping import Float
 
 from humanoid_mjx.mechanics.terrain import Terrain
 
 HALF = 20.0
-"""Half the edge of the height field, m: farther than any gait walks in an episode of 20 s."""
-
-CELLS = 1600
-"""Along an edge of the height field."""
+"""Half the width of the stairs, m: farther than any gait walks in an episode of 20 s."""
 
 STEPS = 80
 """Boxes on each side of the origin."""
@@ -27,26 +25,41 @@ BENEATH = 1000.0
 def add_terrain(spec: mujoco.MjSpec, terrain: Terrain) -> None:
     """Replace the planes of a model by a terrain of plain numbers; what felt a plane feels the terrain as it did.
 
-    A slope is left to `option.gravity`.
+    A slope is left to `option.gravity`, and the places of the planes that follow balls to `follow`.
     """
-    if terrain.stairs is not None:
-        shapes = [_step(terrain, index) for index in range(-STEPS, STEPS)]
-    else:
-        places = np.linspace(-HALF, HALF, CELLS + 1)
-        heights = terrain.height(places, places[:, None], np)
-        low, size = heights.min(), (HALF, HALF, max(np.ptp(heights), 1e-9), 1.0)
-        spec.add_hfield(name="terrain", nrow=CELLS + 1, ncol=CELLS + 1, size=size, userdata=heights.ravel())
-        shapes = [{"type": mujoco.mjtGeom.mjGEOM_HFIELD, "hfieldname": "terrain", "pos": (0.0, 0.0, low)}]
     pairs = list(spec.pairs)
     for plane in [geom for geom in spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_PLANE]:
-        for index, shape in enumerate(shapes):
+        felt = [
+            (pair, both[both[0] == plane.name])
+            for pair in pairs
+            if plane.name in (both := (pair.geomname1, pair.geomname2))
+        ]
+        if terrain.stairs is None:
+            for pair, ball in felt:
+                name = f"below_{ball}"
+                spec.worldbody.add_geom(name=name, type=plane.type, size=plane.size, contype=0, conaffinity=0)
+                _copied(pair, spec.add_pair(geomname1=name, geomname2=ball), PAIR)
+        for index in range(-STEPS, STEPS) if terrain.stairs is not None else ():
             name = f"{plane.name}_{index}"
-            _copied(plane, spec.worldbody.add_geom(name=name, **shape), GEOM)
-            for pair in pairs:
-                names = [name if own == plane.name else own for own in (pair.geomname1, pair.geomname2)]
-                if name in names:
-                    _copied(pair, spec.add_pair(geomname1=names[0], geomname2=names[1]), PAIR)
+            _copied(plane, spec.worldbody.add_geom(name=name, **_step(terrain, index)), GEOM)
+            for pair, ball in felt:
+                _copied(pair, spec.add_pair(geomname1=name, geomname2=ball), PAIR)
         plane.pos = np.subtract(plane.pos, (0.0, 0.0, BENEATH))
+
+
+def follow(model: mujoco.MjModel, data: mujoco.MjData, qpos: Float[np.ndarray, " nq"], terrain: Terrain) -> None:
+    """Put the planes of a model under the balls of a world, where they touch the waves."""
+    names = [model.geom(index).name for index in range(model.ngeom)]
+    planes = [index for index, name in enumerate(names) if name.startswith("below_")]
+    balls = [names.index(names[plane].removeprefix("below_")) for plane in planes]
+    data.qpos = qpos
+    mujoco.mj_kinematics(model, data)
+    x, y = data.geom_xpos[balls, :2].T
+    height, along_x, along_y = terrain.waves(x, y, np)
+    model.geom_sameframe[planes] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+    model.geom_pos[planes] = np.stack([x, y, height], axis=1)
+    for plane, normal in zip(planes, np.stack([-along_x, -along_y, np.ones(len(x))], axis=1), strict=True):
+        mujoco.mju_quatZ2Vec(model.geom_quat[plane], normal)
 
 
 GEOM = "contype", "conaffinity", "condim", "priority", "friction", "solmix", "solref", "solimp", "margin", "gap", "rgba"

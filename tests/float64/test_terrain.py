@@ -124,14 +124,15 @@ def test_a_block_slides_on_a_slope_steeper_than_friction_bears(degrees, slides):
         assert friction == pytest.approx(np.tan(slope), abs=0.002) and np.abs(whole[1][0, :2]).max() < 0.006
 
 
-def test_a_body_on_sloping_stairs_feels_what_it_does_in_native_mujoco():
-    """Each foot partly over a riser; forces on its corners, and gravity that leans."""
+@pytest.mark.parametrize("shape", [{"stairs": 0.004, "width": 0.1}, {"rough": 0.004}])
+def test_a_body_on_a_slope_with_stairs_or_waves_feels_what_it_does_in_native_mujoco(shape):
+    """Each foot partly over a riser or a wave; forces on its corners, and gravity that leans."""
     rng, angle = np.random.default_rng(1), np.linspace(0.0, 2 * np.pi, 32)
     qpos = np.zeros((32, 17))
     qpos[:, :2], qpos[:, 3], qpos[:, 6] = rng.uniform(-0.3, 0.3, (32, 2)), np.cos(angle / 2), np.sin(angle / 2)
     sensed = []
     for name in ("tree", "mujoco"):
-        physics = make_physics(name, terrain={"slope": 8.0, "direction": 40.0, "stairs": 0.004, "width": 0.1})
+        physics = make_physics(name, terrain={"slope": 8.0, "direction": 40.0} | shape)
         qpos[:, 2] = physics.qpos0[2] + physics.terrain.height(*qpos[:, :2].T, np) - 0.001
         worlds = jax.vmap(lambda q, physics=physics: physics.start(q, jnp.zeros(16)))(jnp.asarray(qpos))
         sensed.append(jax.jit(jax.vmap(lambda world, physics=physics: physics.sense(world, jnp.zeros(10))))(worlds))
