@@ -54,8 +54,8 @@ MAPS = {
     ),
     "sensors": Map(("late, control cycles", (0, 1, 2, 3, 4)), ("factor on the noise", (0, 1, 2, 4, 8)), _noisy),
     "motors": Map(
-        ("V", (6, 9, 12, 18, 24)),
-        ("gear", (30, 50, 70, 90, 110, 130)),
+        ("V", (3, 4.5, 6, 9, 12)),
+        ("gear", (20, 30, 50, 70, 100, 130)),
         lambda volts, gear: [f"actuator={{name: dc_motor, voltage: {volts}, gear: {gear}}}"],
     ),
 }
