@@ -250,6 +250,7 @@ TABLES = {
     for of in (speed, in_turn, stand, learners, other_physics, faults, ranges, verdicts, walk_cpu, parity)
 } | {
     "reproduce_minutes": lambda: rounded(record("cpu_2_cores_reproduce")["command_s"] / 60),
+    "c_decision": lambda: rounded(1e6 * record("c_policy")["rows"][0]["seconds"]),
     "parity_cliff": lambda: rounded(record("parity")["expected while learning on the cliff"], 1),
     "stand_seconds": lambda: rounded(record("h200_stand_8_seeds")["records"][0]["command_s"]),
     "stand_cpu_minutes": lambda: rounded(record("cpu_2_cores_stand")["records"][0]["one_seed_wall_s"] / 60),

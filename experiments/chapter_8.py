@@ -94,8 +94,8 @@ class Welded(LowerBody):
     def spec(self, timestep: float | None = None) -> mujoco.MjSpec:
         spec = super().spec(timestep)
         for joint in (name for name in JOINTS if name.partition("_")[2] in self.locked):
-            for part in filter(None, (spec.actuator(joint), spec.sensor(f"{joint}_encoder"), spec.joint(joint))):
-                spec.delete(part)
+            spec.delete(spec.actuator(joint))
+            spec.delete(spec.joint(joint))
         return spec
 
 

@@ -1,0 +1,140 @@
+"""Map in which worlds policies of the lower body walk: shares upright after 20 s at 0.3 m/s, by two values at a time.
+
+    python experiments/walk_maps.py walk runs/walk_sturdy --json docs/bench/walk_maps.json --out docs/walk_maps.png
+
+A run folder stands for all training seeds of its best point; the figure has a row for each policy or run folder.
+"""
+
+import argparse
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from chapter_8 import pushed_from
+from jaxtyping import Float
+from walk_worlds import PLAIN
+
+import humanoid_mjx
+from humanoid_mjx import compute
+from humanoid_mjx.evaluation.evaluate import held_out_keys
+from humanoid_mjx.evaluation.gait.measure import settings_of, trained_seeds
+from humanoid_mjx.evaluation.policy import Trained, in_changed_world
+from humanoid_mjx.learners import Learner
+from humanoid_mjx.learners.rollout import greedy, rollout
+from humanoid_mjx.report.style import SEQUENTIAL, figure
+from humanoid_mjx.tasks.legged.walk import SENSORS
+
+AHEAD = "{forward: [0.3, 0.3], sideways: [0.0, 0.0], turn: [0.0, 0.0], standing: 0.0, zero: 0.0, sudden: 0.0}"
+
+
+def _noisy(cycles: float, factor: float) -> list[str]:
+    noises = {name: value for name, value in SENSORS if name.endswith(("noise", "bias"))}
+    return [f"sensors.delay={cycles}", *(f"sensors.{name}={factor * value}" for name, value in noises.items())]
+
+
+class Map(NamedTuple):
+    """Two values that worlds differ in."""
+
+    down: tuple[str, tuple[float, ...]]
+    across: tuple[str, tuple[float, ...]]
+    changes: Callable[[float, float], list[str]] | None
+    """Values of the task for one of each; None where the two are a push's."""
+
+
+MAPS = {
+    "pushes": Map(("from ahead, degrees", (0, 45, 90, 135, 180)), ("N s", (0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0)), None),
+    "ground and payload": Map(
+        ("factor on the mass", (0.7, 0.85, 1.0, 1.15, 1.3, 1.6)),
+        ("factor on the friction", (0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.2)),
+        lambda mass, friction: [f"mass={mass}", f"friction={friction}"],
+    ),
+    "sensors": Map(("late, control cycles", (0, 1, 2, 3, 4)), ("factor on the noise", (0, 1, 2, 4, 8)), _noisy),
+    "motors": Map(
+        ("V", (3, 4.5, 6, 9, 12)),
+        ("gear", (20, 30, 50, 70, 100, 130)),
+        lambda volts, gear: [f"actuator={{name: dc_motor, voltage: {volts}, gear: {gear}}}"],
+    ),
+}
+"""The maps by name: rows and columns. Friction 1 is rubber on a dry floor; noise 1 is that of `walk`."""
+
+
+@jax.jit
+def _upright(learners: Learner, policies: Any, keys: jax.Array) -> jax.Array:
+    """(worlds, seeds, episodes) Whether the bodies stay up."""
+
+    def one(learner: Learner, policy: Any, key: jax.Array) -> jax.Array:
+        return rollout(learner.env, greedy(learner, policy), key).success
+
+    for axes in ((None, None, 0), (None, 0, None), (0, None, None)):
+        one = jax.vmap(one, in_axes=axes)
+    return one(learners, policies, keys)
+
+
+def mapped(policies: list[Trained], of: Map, episodes: int) -> Float[np.ndarray, "down across seeds"]:
+    """Shares of upright bodies."""
+
+    def stacked(trees: Sequence[Any]) -> Any:
+        return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves]), *trees)
+
+    def learner(down: float, across: float) -> Learner:
+        if of.changes is None:
+            return pushed_from(there(policies[0], []), down, across).learner
+        return there(policies[0], of.changes(down, across)).learner
+
+    learned, keys = stacked([policy.policy for policy in policies]), held_out_keys(episodes)
+    rows = (stacked([learner(down, across) for across in of.across[1]]) for down in of.down[1])
+    return np.stack([np.asarray(_upright(row, learned, keys)).mean(axis=-1) for row in rows])
+
+
+def there(policy: Trained, changes: Sequence[str]) -> Trained:
+    """The policy told to go ahead, in a plain world but for these values of the task."""
+    plain = PLAIN | {"command": AHEAD} | dict(change.split("=", 1) for change in changes)
+    return in_changed_world(policy, settings_of([f"task.{key}={value}" for key, value in plain.items()]))
+
+
+def draw(rows: list[dict[str, Any]], target: Path) -> None:
+    """A row of maps for each policy, with shares in %."""
+    names = list(dict.fromkeys(row["policy"] for row in rows))
+    with figure(target, len(names), len(MAPS), size=(3.0, 2.4)) as (_, axes):
+        for row in rows:
+            of, panel = MAPS[row["map"]], axes[names.index(row["policy"]), list(MAPS).index(row["map"])]
+            shares = np.mean(row["upright"], axis=-1)
+            panel.imshow(shares, cmap=SEQUENTIAL, vmin=0.0, vmax=1.0, aspect="auto", origin="lower")
+            for (y, x), share in np.ndenumerate(shares):
+                panel.text(
+                    x, y, f"{share:.0%}"[:-1], ha="center", va="center", color="wk"[int(share > 0.6)], fontsize=6
+                )
+            panel.set(xlabel=of.across[0], ylabel=of.down[0], title=f"{row['policy']}: {row['map']}")
+            panel.set_xticks(range(len(of.across[1])), [f"{value:g}" for value in of.across[1]])
+            panel.set_yticks(range(len(of.down[1])), [f"{value:g}" for value in of.down[1]])
+            panel.grid(visible=False)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Play all policies on all maps, write the record and draw it."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="+", metavar="RUN|POLICY")
+    parser.add_argument("--episodes", type=int, default=128, help="of each seed in each world")
+    parser.add_argument("--maps", nargs="+", choices=MAPS, default=list(MAPS))
+    parser.add_argument("--json", type=Path, required=True, metavar="FILE")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE.png")
+    given = parser.parse_args(arguments)
+    humanoid_mjx.start()
+    rows = []
+    for policies in map(trained_seeds, ([name] for name in given.names)):
+        for name in given.maps:
+            found = mapped(policies, MAPS[name], given.episodes)
+            rows.append({"policy": policies[0].name, "map": name, "upright": found.tolist()})
+            print(f"{policies[0].name}, {name}: upright {found.mean():.0%}", flush=True)
+    axes = {name: {"down": MAPS[name].down, "across": MAPS[name].across} for name in given.maps}
+    record = compute.made_by() | {"episodes": given.episodes, "axes": axes, "rows": rows}
+    given.json.write_text(json.dumps(record) + "\n")
+    draw(rows, given.out)
+
+
+if __name__ == "__main__":
+    main()
