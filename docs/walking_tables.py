@@ -86,9 +86,11 @@ def walk_learners() -> str:
     """Return how well `walk` is learned by other learners and under another control law."""
     return _compared(
         {
-            "`deep_q`, as `walk` is": _evaluated("h200_walk_seeds"),
-            "the same, slip weighs -1.8, not -2.4": _evaluated("h200_walk_seeds", 1),
-            "the same, under computed torque": _evaluated("h200_walk_control"),
+            "`deep_q`, as `walk` is, in bfloat16": _evaluated("h200_walk_40m"),
+            "the same, `walk_quick`": _evaluated("h100_walk_quick"),
+            "the same in float32, twice the steps": _evaluated("h200_walk_seeds"),
+            "that, slip weighs -1.8, not -2.4": _evaluated("h200_walk_seeds", 1),
+            "that, under computed torque": _evaluated("h200_walk_control"),
             "`brax_ppo`, as `walk_ppo` is": _evaluated("h200_walk_ppo"),
             "the same, clock and reward of `walk`": _evaluated("h200_walk_ppo", 1),
         }
@@ -145,5 +147,6 @@ TABLES = {of.__name__: of for of in (walk, walk_goals, walk_learners, walk_world
     "walk_yawing": lambda: _series("h200_walk_yawing"),
     "walk_learning": lambda: _series("h200_walk_learning"),
     "walk_sturdy_minutes": lambda: rounded(record("walk_worlds")["trained"]["walk_sturdy"]["command_s"] / 60),
+    "walk_seconds": lambda: rounded(record("h200_walk_40m")["training"]["command_s"]),
     "walk_minutes": lambda: rounded(record("h200_walk_seeds")["training"]["command_s"] / 60),
 }
