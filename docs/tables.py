@@ -284,5 +284,6 @@ TABLES = {
     "c_decision": lambda: rounded(1e6 * record("c_policy")["rows"][0]["seconds"]),
     "parity_cliff": lambda: rounded(record("parity")["expected while learning on the cliff"], 1),
     "stand_seconds": lambda: rounded(record("h200_stand_8_seeds")["records"][2]["command_s"]),
+    "stand_minutes": lambda: rounded(record("h200_stand_8_seeds")["records"][2]["command_s"] / 60),
     "stand_cpu_minutes": lambda: rounded(record("cpu_2_cores_stand")["records"][0]["one_seed_wall_s"] / 60),
 }

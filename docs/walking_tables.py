@@ -148,5 +148,6 @@ TABLES = {of.__name__: of for of in (walk, walk_goals, walk_learners, walk_world
     "walk_learning": lambda: _series("h200_walk_learning"),
     "walk_sturdy_minutes": lambda: rounded(record("walk_worlds")["trained"]["walk_sturdy"]["command_s"] / 60),
     "walk_seconds": lambda: rounded(record("h200_walk_40m")["training"]["command_s"]),
-    "walk_minutes": lambda: rounded(record("h200_walk_seeds")["training"]["command_s"] / 60),
+    "walk_minutes": lambda: rounded(record("h200_walk_40m")["training"]["command_s"] / 60),
+    "two_settings_minutes": lambda: rounded(record("h200_walk_seeds")["training"]["command_s"] / 60),
 }
