@@ -129,6 +129,27 @@ def walk_worlds() -> str:
     return table(f"world | policy | seeds | {upright} | {told} | turns at once, %", rows)
 
 
+def walk_fast() -> str:
+    """Return how fast bodies go: of each setting the fastest command under which 90 % stay up."""
+    rows = []
+    for row in record("walk_fast")["rows"]:
+        means = [sum(seeds) / len(seeds) for seeds in row["success"]]
+        kept = [at for at, mean in enumerate(means) if mean >= 0.9]
+        at = max(kept, key=lambda at, row=row: median(row["forward"][at]), default=None)
+        changed = ", ".join(f"{key.rpartition('.')[2]} {value:g}" for key, value in row["changed"].items())
+        if at is None:
+            rows.append((changed, *["none"] * 7))
+            continue
+        numbers = (spread(row[name][at], places) for name, places in (("forward", 2), ("froude", 2)))
+        feet = (rounded(100 * median(row["flight"][at]), 1), rounded(median(row["slip"][at]), 3))
+        cost = rounded(median(row["cost_of_transport"][at]), 2)
+        rows.append((changed, row["commands"][at].split()[1], rounded(100 * means[at], 0), *numbers, *feet, cost))
+    head = (
+        "setting | told, m/s | upright, % | forward, m/s | Froude number | in flight, % | slip, m/s | cost of transport"
+    )
+    return table(head, rows)
+
+
 def walk_dog() -> str:
     """Return how the shipped dog walks in native MuJoCo, by command."""
     gaits = [gait for gait in record("cpu_2_cores_walk_dog")["results"][0]["gaits"] if gait["agent"] == "greedy"]
@@ -142,7 +163,7 @@ def walk_dog() -> str:
     )
 
 
-TABLES = {of.__name__: of for of in (walk, walk_goals, walk_learners, walk_worlds, walk_dog)} | {
+TABLES = {of.__name__: of for of in (walk, walk_goals, walk_learners, walk_worlds, walk_dog, walk_fast)} | {
     "walk_gaits": lambda: _series("h200_walk_gaits"),
     "walk_yawing": lambda: _series("h200_walk_yawing"),
     "walk_learning": lambda: _series("h200_walk_learning"),
