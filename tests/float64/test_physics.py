@@ -131,7 +131,9 @@ def test_nothing_of_a_model_is_left_out_without_a_word(name):
     run = jax.jit(lambda world: physics.run_sensed(world, lambda s: 5.0 * (goal - s.qpos) - 0.2 * s.qvel, 60))
     start = physics.qpos0 + np.array([0, 0, 0, 0, 0, 0, 0, 0.1, 0.1, -0.1])
     world, sensed = run(physics.start(start, qvel))
-    model = converged(mujoco.MjModel.from_xml_string(UNEQUAL))
+    own, model = mujoco.MjModel.from_xml_string(UNEQUAL), converged(mujoco.MjModel.from_xml_string(UNEQUAL))
+    for name_of_array in ("actuator_gear", "actuator_ctrllimited", "actuator_forcelimited"):
+        getattr(model, name_of_array)[:] = getattr(own, name_of_array)
     model.geom_friction[:, 0] *= 1.5
     model.dof_damping *= 0.5
     model.actuator_ctrlrange *= 0.3
