@@ -246,11 +246,11 @@ def parity() -> str:
     return table("task | learner | return while learning | return of the greedy policy | s for ten seeds", rows)
 
 
-def network_sweeps() -> str:
-    """Return what each value of epsilon, its decay and the learning rate does to networks."""
+def sweeps() -> str:
+    """Return what each value of epsilon, its decay and the learning rate does to tiles and networks."""
     rows = []
-    for name in ("leg_reach_deep_sweep", "stand_sweep", "walk_sweep"):
-        found, words = record(f"h100_{name}")["points"], f"`{name}`"
+    for name in ("cpu_2_cores_leg_reach_sweep", "h100_leg_reach_deep_sweep", "h100_stand_sweep", "h100_walk_sweep"):
+        found, words = record(name)["points"], f"`{name.removeprefix('cpu_2_cores_').removeprefix('h100_')}`"
         for axis in ("epsilon", "epsilon_decay", "learning_rate"):
             key = f"learner.{axis}"
             for value in sorted({point[key] for point in found}):
@@ -267,7 +267,7 @@ def network_sweeps() -> str:
 TABLES = {
     of.__name__: of
     for of in (
-        network_sweeps,
+        sweeps,
         speed,
         in_turn,
         stand,

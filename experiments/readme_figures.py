@@ -4,7 +4,7 @@
     python experiments/readme_figures.py robots               # one of them, in seconds
     python experiments/readme_figures.py leg_reach_learners --seeds 1 --out /tmp/figures
 
-On two CPU cores `joint1_learning_curves` takes a quarter of a minute, `leg_reach_sweep_curves` and `leg_reach_learners`
+On two CPU cores `joint1_learning_curves` takes a quarter of a minute, `leg_reach_learners`
 minutes for every seed. The film is made by `walk_film.py`.
 """
 
@@ -34,14 +34,6 @@ def joint1_learning_curves(target: Path, seeds: int) -> None:
         shutil.copy(run / "figures" / "learning_curves.png", target)
 
 
-def leg_reach_sweep_curves(target: Path, seeds: int) -> None:
-    """The learning curves of tile coding by epsilon, its decay and the learning rate."""
-    with tempfile.TemporaryDirectory() as folder:
-        run = Path(folder) / "leg_reach_sweep"
-        command("sweep", "leg_reach_sweep", "--out", run, "--set", f"seeds={seeds}")
-        shutil.copy(run / "figures" / "learning_curves.png", target)
-
-
 def leg_reach_learners(target: Path, seeds: int) -> None:
     """All learners on `leg_reach`, in samples and in wall time."""
     with tempfile.TemporaryDirectory() as folder:
@@ -56,7 +48,7 @@ def command(*arguments: object) -> None:
     subprocess.run([sys.executable, "-m", "humanoid_mjx", *map(str, arguments)], check=True)
 
 
-FIGURES = {make.__name__: make for make in (robots, joint1_learning_curves, leg_reach_sweep_curves, leg_reach_learners)}
+FIGURES = {make.__name__: make for make in (robots, joint1_learning_curves, leg_reach_learners)}
 
 
 def main() -> None:

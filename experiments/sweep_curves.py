@@ -1,6 +1,6 @@
 """Draw the learning curves of several sweeps over the same three axes, a row for each run folder.
 
-python experiments/network_sweeps.py docs/network_sweeps.png runs/leg_reach_deep_sweep runs/stand_sweep runs/walk_sweep
+python experiments/sweep_curves.py docs/sweep_curves.png runs/*_sweep
 """
 
 import sys
