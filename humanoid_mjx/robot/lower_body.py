@@ -40,7 +40,7 @@ HIP_OFFSET = _METRES["torso_length"] / 2
 """From the middle of the torso to a hip, m: the torso's length is its extent from hip to hip."""
 
 THIGH_LENGTH, SHANK_LENGTH = _METRES["upper_leg_height"], _METRES["lower_leg_height"]
-FOOT_LENGTH, FOOT_WIDTH, FOOT_HEIGHT = _METRES["foot_length"], _METRES["foot_width"], _METRES["foot_height"]
+FOOT_LENGTH, FOOT_HEIGHT = _METRES["foot_length"], _METRES["foot_height"]
 
 TIMESTEPS = {"free": 0.004, "fixed": 0.002}
 """s. In the air 2 ms keeps the first-order error of computed torque at 1.6e-4 rad. On the ground 4 ms is stable, twice
