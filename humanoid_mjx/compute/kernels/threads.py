@@ -200,7 +200,12 @@ REDUCTIONS = {"reduce_and": lax.bitwise_and, "reduce_or": lax.bitwise_or, "reduc
 
 
 def _while(eqn: Any, *args: np.ndarray) -> list[np.ndarray]:
-    """Until no world of the block goes on; those that would not have are moved with the others."""
+    """Until no world of the block goes on; those that would not have are moved with the others.
+
+    The condition is the last value carried. No one reads it after the loop, so that Triton's loop has one result less
+    than arguments, and its pass `LayoutPropagation` looks up the result at each argument's index: with the condition
+    first, the last index is beyond the results, and jaxlib 0.11.2 crashes now and then.
+    """
     first, last = eqn.params["cond_nconsts"], eqn.params["cond_nconsts"] + eqn.params["body_nconsts"]
     cond_fixed, body_fixed, start = args[:first], args[first:last], args[last:]
 
@@ -208,12 +213,12 @@ def _while(eqn: Any, *args: np.ndarray) -> list[np.ndarray]:
         (more,) = evaluate(eqn.params["cond_jaxpr"], [*cond_fixed, *state])
         return _any(more.item())
 
-    def step(carry: tuple[Array, list[Array]]) -> tuple[Array, list[Array]]:
-        state = evaluate(eqn.params["body_jaxpr"], [*body_fixed, *_unpacked(carry[1], start)])
-        return going(state), _packed(state)
+    def step(carry: tuple[list[Array], Array]) -> tuple[list[Array], Array]:
+        state = evaluate(eqn.params["body_jaxpr"], [*body_fixed, *_unpacked(carry[0], start)])
+        return _packed(state), going(state)
 
-    carry = lax.while_loop(lambda carry: carry[0], step, (going(start), _packed(start)))
-    return _unpacked(carry[1], start)
+    state, _ = lax.while_loop(lambda carry: carry[1], step, (_packed(start), going(start)))
+    return _unpacked(state, start)
 
 
 def _cond(eqn: Any, index: np.ndarray, *args: np.ndarray) -> list[np.ndarray]:
