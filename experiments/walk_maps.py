@@ -36,6 +36,10 @@ def _noisy(cycles: float, factor: float) -> list[str]:
     return [f"sensors.delay={cycles}", *(f"sensors.{name}={factor * value}" for name, value in noises.items())]
 
 
+def _uphill(degrees: float, speed: float) -> list[str]:
+    return [f"terrain={{slope: {degrees}}}", f"command={AHEAD.replace('0.3', str(speed))}"]
+
+
 class Map(NamedTuple):
     """Two values that worlds differ in."""
 
@@ -58,6 +62,7 @@ MAPS = {
         ("gear", (20, 30, 50, 70, 100, 130)),
         lambda volts, gear: [f"actuator={{name: dc_motor, voltage: {volts}, gear: {gear}}}"],
     ),
+    "slope and speed": Map(("slope, degrees", (0, 2, 4, 6, 8)), ("told, m/s", (0.0, 0.15, 0.3, 0.5)), _uphill),
 }
 """The maps by name: rows and columns. Friction 1 is rubber on a dry floor; noise 1 is that of `walk`."""
 
