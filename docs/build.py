@@ -13,11 +13,13 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin
 
-import tables
-import walking_tables
-
 DOCS = Path(__file__).parent
 ROOT = DOCS.parent
+sys.path.append(str(ROOT / "experiments"))  # tables of verdicts are made by what computes these
+
+import tables  # noqa: E402
+import walking_tables  # noqa: E402
+
 PACKAGE = ROOT / "humanoid_mjx"
 
 NOT_DOCUMENTED = {"__init__", "__main__", "cli", "commands"}

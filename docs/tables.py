@@ -142,7 +142,7 @@ def stand() -> str:
         ("the same, a mean of the weights for the policy", "cpu_2_cores_stand", 1),
         ("the same, mirrored experience (`task.symmetric`)", "cpu_2_cores_stand", 2),
         ("the same, a learning rate of 0.001 instead of 0.002", "cpu_2_cores_stand", 3),
-        ("`stand_mjx`, one H200, cut short", "h200_stand_mjx", 0),
+        ("`stand_mjx`, one H200", "h200_stand_mjx", 0),
     )
     rows = []
     for words, name, place in trainings:

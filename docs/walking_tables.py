@@ -1,9 +1,11 @@
 """Tables and numbers of how `walk` walks, each made from records in docs/bench."""
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from statistics import median
 from typing import Any, NamedTuple
 
+from chapter_8_verdicts import Record, findings
 from tables import record, rounded, spread, table
 
 COMMANDS: list[str] = record("h200_walk_learning")["commands"]
@@ -106,10 +108,10 @@ def _series(name: str) -> str:
     return _compared({one["setting"]: of(one) for one in record(name)["settings"]})
 
 
-def walk_worlds() -> str:
-    """Return how policies walk in harder worlds: medians over seeds, with the worst seed in brackets."""
+def _in_worlds(name: str) -> str:
+    """Return how policies of a record walk in its worlds: medians over seeds, with the worst seed in brackets."""
     rows = []
-    for row in record("walk_worlds")["rows"]:
+    for row in record(name)["rows"]:
         seeds = range(len(row["success"][0]))
         least = sorted(100 * min(by_seed[seed] for by_seed in row["success"]) for seed in seeds)
         mean = sorted(100 * sum(by_seed[seed] for by_seed in row["success"]) / len(row["success"]) for seed in seeds)
@@ -127,6 +129,14 @@ def walk_worlds() -> str:
     told = "speed told 0.3, 0.5, 0.8 m/s | slip told 0.3, 0.5 m/s"
     upright = "upright for 20 s, mean of all commands, % | under the worst command, %"
     return table(f"world | policy | seeds | {upright} | {told} | turns at once, %", rows)
+
+
+def chapter_8() -> str:
+    """Return the verdicts on what chapter 8 says of the design."""
+    found = findings(Record(record("chapter_8")))
+    return table(
+        "verdict | quantity: of the two bodies | found", ((one.verdict, one.quantity, one.why) for one in found)
+    )
 
 
 def walk_fast() -> str:
@@ -163,12 +173,16 @@ def walk_dog() -> str:
     )
 
 
-TABLES = {of.__name__: of for of in (walk, walk_goals, walk_learners, walk_worlds, walk_dog, walk_fast)} | {
-    "walk_gaits": lambda: _series("h200_walk_gaits"),
-    "walk_yawing": lambda: _series("h200_walk_yawing"),
-    "walk_learning": lambda: _series("h200_walk_learning"),
-    "walk_sturdy_minutes": lambda: rounded(record("walk_worlds")["trained"]["walk_sturdy"]["command_s"] / 60),
-    "walk_seconds": lambda: rounded(record("h200_walk_40m")["training"]["command_s"]),
-    "walk_minutes": lambda: rounded(record("h200_walk_40m")["training"]["command_s"] / 60),
-    "two_settings_minutes": lambda: rounded(record("h200_walk_seeds")["training"]["command_s"] / 60),
-}
+TABLES = (
+    {of.__name__: of for of in (walk, walk_goals, walk_learners, chapter_8, walk_dog, walk_fast)}
+    | {name: partial(_in_worlds, name) for name in ("walk_worlds", "walk_faults", "walk_observe", "walk_terrain")}
+    | {
+        "walk_gaits": lambda: _series("h200_walk_gaits"),
+        "walk_yawing": lambda: _series("h200_walk_yawing"),
+        "walk_learning": lambda: _series("h200_walk_learning"),
+        "walk_sturdy_minutes": lambda: rounded(record("walk_worlds")["trained"]["walk_sturdy"]["command_s"] / 60),
+        "walk_seconds": lambda: rounded(record("h200_walk_40m")["training"]["command_s"]),
+        "walk_minutes": lambda: rounded(record("h200_walk_40m")["training"]["command_s"] / 60),
+        "two_settings_minutes": lambda: rounded(record("h200_walk_seeds")["training"]["command_s"] / 60),
+    }
+)

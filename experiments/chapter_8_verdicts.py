@@ -156,6 +156,8 @@ def draw(record: Record, target: Path) -> None:
             if of[0][0]:
                 below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.08), "ncols": 3, "columnspacing": 0.8}
                 panel.legend(frameon=False, fontsize=7, **below)
+            if of[0][1].figure in ("success", "turn_success"):
+                panel.set_xlim(-0.05, 1.05)  # shares; intervals may reach beyond
             panel.set_title(heading)
         axes[0, 0].set_yticks(places, record.bodies)
 

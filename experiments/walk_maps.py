@@ -2,7 +2,7 @@
 
     python experiments/walk_maps.py walk runs/walk_sturdy --json docs/bench/walk_maps.json --out docs/walk_maps.png
 
-A run folder stands for all training seeds of its best point; the figure has a row for each policy or run folder.
+A run folder stands for all training seeds of its best point; the figure has a column for each policy or run folder.
 """
 
 import argparse
@@ -50,7 +50,11 @@ class Map(NamedTuple):
 
 
 MAPS = {
-    "pushes": Map(("from ahead, degrees", (0, 45, 90, 135, 180)), ("N s", (0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0)), None),
+    "pushes": Map(
+        ("direction, degrees", (0, 45, 90, 135, 180)),
+        ("impulse, N s", (0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0)),
+        None,
+    ),
     "ground and payload": Map(
         ("factor on the mass", (0.7, 0.85, 1.0, 1.15, 1.3, 1.6)),
         ("factor on the friction", (0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.2)),
@@ -58,8 +62,8 @@ MAPS = {
     ),
     "sensors": Map(("late, control cycles", (0, 1, 2, 3, 4)), ("factor on the noise", (0, 1, 2, 4, 8)), _noisy),
     "motors": Map(
-        ("V", (3, 4.5, 6, 9, 12)),
-        ("gear", (20, 30, 50, 70, 100, 130)),
+        ("voltage, V", (3, 4.5, 6, 9, 12)),
+        ("gear ratio", (20, 30, 50, 70, 100, 130)),
         lambda volts, gear: [f"actuator={{name: dc_motor, voltage: {volts}, gear: {gear}}}"],
     ),
     "slope and speed": Map(("slope, degrees", (0, 2, 4, 6, 8)), ("told, m/s", (0.0, 0.15, 0.3, 0.5)), _uphill),
@@ -102,11 +106,11 @@ def there(policy: Trained, changes: Sequence[str]) -> Trained:
 
 
 def draw(rows: list[dict[str, Any]], target: Path) -> None:
-    """A row of maps for each policy, with shares in %."""
+    """A column of maps for each policy, with shares in %."""
     names = list(dict.fromkeys(row["policy"] for row in rows))
-    with figure(target, len(names), len(MAPS), size=(3.0, 2.4)) as (_, axes):
+    with figure(target, len(MAPS), len(names), size=(3.6, 2.2)) as (_, axes):
         for row in rows:
-            of, panel = MAPS[row["map"]], axes[names.index(row["policy"]), list(MAPS).index(row["map"])]
+            of, panel = MAPS[row["map"]], axes[list(MAPS).index(row["map"]), names.index(row["policy"])]
             shares = np.mean(row["upright"], axis=-1)
             panel.imshow(shares, cmap=SEQUENTIAL, vmin=0.0, vmax=1.0, aspect="auto", origin="lower")
             for (y, x), share in np.ndenumerate(shares):
