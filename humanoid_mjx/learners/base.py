@@ -15,9 +15,6 @@ from humanoid_mjx.tasks.base import Task
 from humanoid_mjx.tasks.continuous import ContinuousTask, State, as_continuous
 from humanoid_mjx.types import FloatScalar
 
-ENVS = "envs"
-"""The axis of a mesh of devices that share the environments of each run."""
-
 
 class Outcome(NamedTuple):
     """What a training step saw, for the learning curve; every entry is a scalar, or has an axis of agents."""
@@ -68,19 +65,6 @@ class Learner(Spec):
     def cumulative(self) -> bool:
         """Whether learning curves show totals so far in the place of means over the episodes of each point."""
         return False
-
-    def can_split(self, devices: int) -> bool:
-        """Whether the environments of a run can be split over so many devices."""
-        return devices == 1
-
-    def split_over(self, devices: int) -> Any:
-        """The learner as each of so many devices runs it, in step with the others on the axis `ENVS`."""
-        return self
-
-    def layout(self, same: Any, split: Any) -> Any:
-        """A training state, or the beginnings of its branches: `split` for what the devices have each a part of, along
-        its first axis, and `same` for what is the same on all."""
-        return same
 
     def init(self, key: Key[Array, ""], policy: Any = None) -> Any:
         """The training state before the first step: a pytree of arrays. `policy` is one learned before."""

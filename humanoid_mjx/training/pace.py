@@ -287,8 +287,8 @@ def estimate(plan: Plan, rooms: Sequence[int], measured_s: float = MEASURED_S) -
 def _measure(plan: Plan, group: Group, room: int, measured_s: float) -> tuple[float, float, float]:
     """The seconds of compiling, training and evaluating of a group."""
     runs = np.random.default_rng(0).permutation(group.runs).tolist()
-    size, devices, share = arranged(group.learners, len(runs), room)
-    pool = Pool(group, deque(runs), size, devices, plan.config.seed, earlier_policies(group), share)
+    size, devices = arranged(len(runs), room)
+    pool = Pool(group, deque(runs), size, devices, plan.config.seed, earlier_policies(group))
     began = time.monotonic()
     pool.fill()
     pool.train()

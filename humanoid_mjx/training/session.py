@@ -78,12 +78,12 @@ class Session:
         if not runs:
             return
         # Not the number still waiting: networks' sums depend on how many runs are side by side, also after a resume.
-        size, devices, share = arranged(group.learners, len(runs), room)
+        size, devices = arranged(len(runs), room)
         while waiting := deque(run for run in runs if run not in self.finished):
-            slots = size * len(devices) // share
+            slots = size * len(devices)
             self.reporter.note(self._side_by_side(group, len(runs), slots))
             try:
-                self._train_side_by_side(index, waiting, size, devices, share, policies)
+                self._train_side_by_side(index, waiting, size, devices, policies)
             except Exception as error:
                 if not compute.out_of_memory(error):
                     raise
@@ -107,13 +107,13 @@ class Session:
         self.reporter.note(f"the memory does not suffice for {slots:,} runs side by side; half as many go on")
 
     def _train_side_by_side(
-        self, index: int, waiting: deque[int], size: int, devices: Sequence[Device], share: int, policies: Any
+        self, index: int, waiting: deque[int], size: int, devices: Sequence[Device], policies: Any
     ) -> None:
-        """Train the waiting runs of a group, `size` at once on each of the devices, or on each `share` of them."""
+        """Train the waiting runs of a group, `size` at once on each of the devices."""
         group = self.plan.groups[index]
         self.stop.clear()
         with compute.counting_compiles() as compiles:
-            pool = Pool(group, waiting, size, devices, self.plan.config.seed, policies, share)
+            pool = Pool(group, waiting, size, devices, self.plan.config.seed, policies)
             pool.stop = self.stop
             pool.looked = partial(self._looked, pool)
             self._restore(index, pool)
