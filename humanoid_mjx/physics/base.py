@@ -2,19 +2,18 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import get_opaque_trace_state
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from humanoid_mjx.compute import Arithmetic
-from humanoid_mjx.mechanics.contacts import Contacts
+from humanoid_mjx.control.stages import Stages
 from humanoid_mjx.spec import InputError, Spec
-from humanoid_mjx.types import AnyArray, MassFactor
+from humanoid_mjx.types import AnyArray
 
 MAX_SPEED = 300.0
 """rad/s and m/s. Beyond it a world counts as diverged: the torque limit against the damping of the lower body spins a
@@ -54,47 +53,6 @@ class Once(Generic[T]):
         if get_opaque_trace_state() == self._trace:
             self.made = found
         return found
-
-
-@dataclass(frozen=True)
-class Stages:
-    """What a controller may use of the current state. What it does not ask for is not even traced.
-
-    In the absence of contacts `mass_matrix @ acceleration + bias = torque`, with zeros for the torque of the torso.
-    """
-
-    world: World
-    qpos: Float[AnyArray, "*worlds joints"]
-    """Angles of the actuated joints, rad."""
-    qvel: Float[AnyArray, "*worlds joints"]
-    dynamics: Callable[[], tuple[Any, Any]]
-    """() -> `mass_matrix` and `bias`."""
-    contacts: Callable[[], Contacts]
-    """The corners of the feet that can touch the ground; no points where there is none."""
-    model_for: Callable[[MassFactor], tuple[Float[Array, "nv nv"], Float[Array, " nv"]]]
-    """(a model's mass factor) -> the mass matrix and the bias of that model."""
-    joints: slice | Int[np.ndarray, " joints"]
-    """Where the actuated joints stand among the degrees of freedom."""
-
-    def torque_for(self, qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
-        """The torques that a model asks for, N m, a free torso taken as fixed and contacts ignored.
-
-        Args:
-          qacc: accelerations of the joints, rad/s^2.
-          mass: the model's mass factor: a number, or one for each joint's link.
-        """
-        matrix, bias = self.model_for(mass)
-        return matrix[self.joints][:, self.joints] @ qacc + bias[self.joints]
-
-    @property
-    def mass_matrix(self) -> Float[AnyArray, "*worlds nv nv"]:
-        """Mass matrix of all degrees of freedom; its last rows and columns are the joints'."""
-        return self.dynamics()[0]
-
-    @property
-    def bias(self) -> Float[AnyArray, "*worlds nv"]:
-        """Velocity term, gravity and the joints' damping."""
-        return self.dynamics()[1]
 
 
 class Readings(NamedTuple):

@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from pydantic import Field
 
 from humanoid_mjx.compute import Arithmetic
+from humanoid_mjx.control.stages import Stages
 from humanoid_mjx.mechanics import dynamics
 from humanoid_mjx.mechanics.contacts import no_contacts
 from humanoid_mjx.mechanics.forward import frames
@@ -30,7 +31,6 @@ from humanoid_mjx.physics.base import (
     Poses,
     Readings,
     Sensed,
-    Stages,
     Velocities,
     World,
 )
@@ -162,7 +162,7 @@ class ChainPhysics(Physics):
 
         nothing = no_contacts(len(world.qvel))
         own = Once(partial(model_for, self.mass))
-        return _LegStages(world, world.qpos, world.qvel, own, lambda: nothing, model_for, slice(None), torque_for)
+        return _LegStages(world.qpos, world.qvel, own, lambda: nothing, model_for, slice(None), torque_for)
 
     def _each_leg(self, mass: MassFactor, *joints: Float[Array, " joints"]) -> list[tuple[Any, ...]]:
         """For each leg: its chain, and its own part of the arrays."""

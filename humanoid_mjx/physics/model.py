@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from pydantic import Field, model_validator
 
+from humanoid_mjx.control.stages import Stages
 from humanoid_mjx.mechanics.contacts import Contacts, drift_of, jacobian_of
 from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.physics.base import (
@@ -23,7 +24,6 @@ from humanoid_mjx.physics.base import (
     Poses,
     Readings,
     Sensed,
-    Stages,
     Velocities,
     World,
 )
@@ -156,7 +156,7 @@ class MujocoPhysics(Physics):
             return factor * matrix + others * np.diag(self.model.dof_armature), factor * bias + others * resistance
 
         joints = self.joint_dofs
-        return Stages(world, world.qpos[self.joint_qpos], world.qvel[joints], own, contacts, model_for, joints)
+        return Stages(world.qpos[self.joint_qpos], world.qvel[joints], own, contacts, model_for, joints)
 
     def pushes(self) -> Float[AnyArray, " nv"]:
         """The forces on the degrees of freedom other than the motors'."""
