@@ -91,7 +91,6 @@ class Session:
                 self.interrupted = self._under_way()
             gc.collect()  # the arrays of a pool that failed; its error's frames held them
             size //= 2
-            self.pace.pause()
 
     def _too_large(self, group: Group, size: int, slots: int) -> None:
         """Say that the memory does not suffice for so many runs side by side.
