@@ -39,8 +39,7 @@ T = TypeVar("T")
 
 
 class Once(Generic[T]):
-    """What is made when it is first asked for, and kept. If a branch or a loop asks first, which it must not leave, it
-    is made anew for whoever asks next."""
+    """Lazy value, cached per trace: one made inside a branch or a loop must not leave it, and is made anew outside."""
 
     def __init__(self, make: Callable[[], T]) -> None:
         self._make, self._trace = make, get_opaque_trace_state()
@@ -163,7 +162,7 @@ class Physics(Spec):
         raise NotImplementedError
 
     def substeps(self, period: float) -> int:
-        """How many time steps make a control cycle of `period` seconds.
+        """Return the number of time steps in a period of a task, s.
 
         Raises:
           InputError: the period is no multiple of the time step.
@@ -174,31 +173,31 @@ class Physics(Spec):
         return steps
 
     def start(self, qpos: Any, qvel: Any) -> World:
-        """A world in the given state."""
+        """Return a world in the given state."""
         raise NotImplementedError
 
     def reset(self, world: World, mask: Any, qpos: Any, qvel: Any) -> World:
-        """`world`, or where `mask` is true one started anew in the given state."""
+        """Return `world`, or where `mask` is true one started anew in the given state."""
         raise NotImplementedError
 
-    def step(self, world: World, controller: Controller, substeps: int = 1) -> tuple[World, Any]:
-        """One control cycle: ask the controller once, hold its torque for `substeps` time steps.
+    def step(self, world: World, controller: Controller) -> tuple[World, Any]:
+        """Ask the controller for a torque, and move by one time step.
 
         Returns:
           the new world, and the torque that acted, N m: the controller's within the torque limit.
         """
         raise NotImplementedError
 
-    def run(self, world: World, controller: Controller, cycles: int, substeps: int = 1) -> World:
-        """`cycles` control cycles one after another."""
+    def run(self, world: World, controller: Controller, cycles: int) -> World:
+        """Return the world after `cycles` time steps."""
 
         def cycle(world: World, _: None) -> tuple[World, None]:
-            return self.step(world, controller, substeps)[0], None
+            return self.step(world, controller)[0], None
 
         return jax.lax.scan(cycle, world, length=cycles)[0]
 
     def run_sensed(self, world: World, controller: Controller, cycles: int) -> tuple[World, Sensed]:
-        """`cycles` control cycles of one time step, and everything at the beginning of the last.
+        """Return the world after `cycles` time steps, and everything at the beginning of the last.
 
         A time step computes everything for its beginning only: its end has no forces yet.
         """
@@ -213,9 +212,9 @@ class Physics(Spec):
         return world, self.sense(before, torque)
 
     def sense(self, world: World, torque: Any) -> Sensed:
-        """Everything about this state while `torque` acts."""
+        """Return everything about this state while `torque` acts."""
         raise NotImplementedError
 
     def poses(self, world: World) -> Poses:
-        """Where the bodies are."""
+        """Return the poses of the bodies."""
         raise NotImplementedError

@@ -96,17 +96,17 @@ class ChainPhysics(Physics):
     ) -> World:
         return jax.tree.map(lambda new, old: jnp.where(mask, new, old), self.start(qpos, qvel), world)
 
-    def step(self, world: World, controller: Controller, substeps: int = 1) -> tuple[World, Float[Array, " joints"]]:
-        new, torque = self._cycle(world, controller, substeps)
+    def step(self, world: World, controller: Controller) -> tuple[World, Float[Array, " joints"]]:
+        new, torque = self._cycle(world, controller)
         return _freeze_if_diverged(world, new), torque
 
-    def run(self, world: World, controller: Controller, cycles: int, substeps: int = 1) -> World:
-        """`cycles` control cycles. A world that diverges in them stands still where it was before the first."""
+    def run(self, world: World, controller: Controller, cycles: int) -> World:
+        """`cycles` time steps. A world that diverges in them stands still where it was before the first."""
 
         # The state is carried as separate scalars: a batch of them is contiguous, and few kernels compute them all.
         def cycle(carry: tuple[list[Array], ...], _: None) -> tuple[tuple[list[Array], ...], None]:
             now = world._replace(qpos=jnp.stack(carry[0]), qvel=jnp.stack(carry[1]))
-            now = self._cycle(now, controller, substeps)[0]
+            now = self._cycle(now, controller)[0]
             return (list(now.qpos), list(now.qvel)), None
 
         qpos, qvel = jax.lax.scan(cycle, (list(world.qpos), list(world.qvel)), length=cycles)[0]
@@ -128,24 +128,19 @@ class ChainPhysics(Physics):
                 rotation.append(mirror @ FRAME_0 @ pose[:3, :3] @ mirror)
         return Poses(jnp.stack(position), jnp.stack(rotation))
 
-    def _cycle(self, world: World, controller: Controller, substeps: int) -> tuple[World, Float[Array, " joints"]]:
+    def _cycle(self, world: World, controller: Controller) -> tuple[World, Float[Array, " joints"]]:
         limits = [self.torque_limit * limit for limit in self.robot.torque_limits.tolist()]
         # Joint by joint: a bound on the whole array would be a kernel of its own between those of its elements.
         torque = jnp.stack(
             [jnp.clip(x, -limit, limit) for x, limit in zip(controller(self._stages(world)), limits, strict=True)]
         )
         dt = jnp.asarray(self.timestep, world.qpos.dtype)
-
-        def move(world: World) -> World:
-            legs = [
-                dynamics.semi_implicit_euler(leg, dynamics.State(qpos, qvel), held, dt)
-                for leg, qpos, qvel, held in self._each_leg(self.mass, world.qpos, world.qvel, torque)
-            ]
-            qpos, qvel = (jnp.concatenate(parts) for parts in zip(*legs, strict=True))
-            return world._replace(qpos=qpos, qvel=qvel)
-
-        new = move(world) if substeps == 1 else jax.lax.fori_loop(0, substeps, lambda _, world: move(world), world)
-        return new, torque
+        legs = [
+            dynamics.semi_implicit_euler(leg, dynamics.State(qpos, qvel), held, dt)
+            for leg, qpos, qvel, held in self._each_leg(self.mass, world.qpos, world.qvel, torque)
+        ]
+        qpos, qvel = (jnp.concatenate(parts) for parts in zip(*legs, strict=True))
+        return world._replace(qpos=qpos, qvel=qvel), torque
 
     def _stages(self, world: World) -> Stages:
         def torque_for(qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
