@@ -27,7 +27,7 @@ from humanoid_mjx.types import FloatScalar, IntScalar
 
 
 class Weights(NamedTuple):
-    """What is learned: all that acting needs."""
+    """Learned values: all that acting needs."""
 
     value: Any
     moments: Moments
@@ -47,7 +47,7 @@ class Carry(NamedTuple):
 
 
 class Experience(NamedTuple):
-    """What the environments saw in one update; every array leads with (steps, envs)."""
+    """Transitions of one update; every array leads with (steps, envs)."""
 
     obs: Float[Array, "steps envs observation_size"]
     action: Int[Array, "steps envs joints"]
@@ -195,7 +195,7 @@ class ApproximateQ(StepLearner):
 
 
 class Batch(NamedTuple):
-    """What to learn from; every array leads with a batch axis."""
+    """Samples to learn from; every array leads with a batch axis."""
 
     obs: Float[Array, "batch observation_size"]
     action: Int[Array, "batch joints"]

@@ -17,12 +17,12 @@ from humanoid_mjx.types import FloatScalar
 
 
 class Outcome(NamedTuple):
-    """What a training step saw, for the learning curve; every entry is a scalar, or has an axis of agents."""
+    """Entries of the learning curve from one training step; each is a scalar, or has an axis of agents."""
 
     done: FloatScalar
-    """How much of `budget` had been trained when it happened."""
+    """Share of the training done by then, in units of `budget`."""
     episodes: FloatScalar
-    """How many episodes ended."""
+    """Number of episodes that ended."""
     totals: dict[str, FloatScalar]
     """Sums over these episodes: `steps`, `success`, `return`, and the reward's terms by name."""
     squares: dict[str, FloatScalar]
@@ -53,7 +53,7 @@ class Learner(Spec):
 
     @property
     def budget(self) -> Any:
-        """How long to train, in `unit`."""
+        """Length of training, in `unit`."""
         return getattr(self, self.unit)
 
     @property
@@ -63,7 +63,7 @@ class Learner(Spec):
 
     @property
     def cumulative(self) -> bool:
-        """Whether learning curves show totals so far in the place of means over the episodes of each point."""
+        """True if learning curves show totals so far in the place of means over the episodes of each point."""
         return False
 
     def init(self, key: Key[Array, ""], policy: Any = None) -> Any:
@@ -79,7 +79,7 @@ class Learner(Spec):
         raise NotImplementedError
 
     def policy(self, carry: Any) -> Any:
-        """What was learned, as a pytree of arrays: all that acting greedily needs."""
+        """Return what was learned, as a pytree of arrays: all that acting greedily needs."""
         raise NotImplementedError
 
     def observation(self, state: State) -> Any:

@@ -68,7 +68,7 @@ class Readings(NamedTuple):
 
 
 class Poses(NamedTuple):
-    """Where the bodies are, in the world."""
+    """Poses of the bodies in the world."""
 
     position: Float[AnyArray, "*worlds bodies 3"]
     """Positions of the origins of the bodies' frames, m."""
@@ -77,7 +77,7 @@ class Poses(NamedTuple):
 
 
 class Velocities(NamedTuple):
-    """How the bodies move, in the world."""
+    """Velocities of the bodies in the world."""
 
     linear: Float[AnyArray, "*worlds bodies 3"]
     """Velocities of the origins of the bodies' frames, m/s."""
@@ -134,7 +134,7 @@ class Physics(Spec):
     """Kind of the arithmetic, which chooses XLA's options (`compute.options`)."""
 
     batches: ClassVar[Batches] = Batches(cpu=1024, gpu=32_768)
-    """How many worlds to move side by side at most: more gain nothing, and fewer are heard of sooner."""
+    """Largest number of worlds to move side by side: more gain nothing, and fewer report sooner."""
 
     @property
     def step_s(self) -> float:

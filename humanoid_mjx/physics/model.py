@@ -1,5 +1,5 @@
 # pyright: reportAttributeAccessIssue=false
-"""What the physics built on MuJoCo's models have in common: which robot, its model, its traced values."""
+"""Base of the physics built on MuJoCo's models: the robot, its model, its traced values."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -96,17 +96,17 @@ class MujocoPhysics(Physics):
 
     @property
     def free(self) -> bool:
-        """Whether the torso is free to move."""
+        """True if the torso is free to move."""
         return bool((self.model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any())
 
     @property
     def joint_qpos(self) -> Any:
-        """Where the joints that motors drive stand in `qpos`."""
+        """Index of the joints that motors drive in `qpos`."""
         return places(self.model.jnt_qposadr[self.model.actuator_trnid[:, 0]])
 
     @property
     def joint_dofs(self) -> Any:
-        """Where they stand in `qvel`."""
+        """Index of the same joints in `qvel`."""
         return places(self.model.jnt_dofadr[self.model.actuator_trnid[:, 0]])
 
     @property
@@ -115,7 +115,7 @@ class MujocoPhysics(Physics):
         return jnp.asarray(self.torque_limit, float) * motor_limits(self.model)
 
     def told(self, torque: Float[AnyArray, "*worlds joints"]) -> Float[AnyArray, "*worlds joints"]:
-        """What to tell the motors for these torques of their joints, N m."""
+        """Return the motors' controls for these torques of their joints, N m."""
         scale = self._motor_scale
         return torque if (scale == 1.0).all() else torque / scale
 

@@ -46,7 +46,7 @@ OFF = {
     True: int(mujoco.mjtDisableBit.mjDSBL_AUTORESET),
     False: int(mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_SENSOR),
 }
-"""What is switched off in MuJoCo where sensors are read, and where they are not."""
+"""Flags that MuJoCo disables where sensors are read, and where they are not."""
 
 _LOCK = threading.Lock()
 """MuJoCo's data and its handler of warnings belong to one callback at a time; each uses all processors."""
@@ -100,7 +100,7 @@ class Native(MujocoPhysics):
         return _on_host(partial(self._advance, sensed), shapes, self._values(), *state, control)
 
     def _seen(self, qpos: Float[Array, " nq"], torque: Float[Array, " joints"], sensordata: Array) -> Sensed:
-        """What the sensors of a model of `_watched` say."""
+        """Convert the sensors' array of a model of `_watched`."""
         own, frames = sensordata[: self.model.nsensordata], sensordata[self.model.nsensordata :]
         position, *axes, linear, angular = frames.reshape(len(FRAMES), self.model.nbody, 3)
         poses, velocities = Poses(position, jnp.stack(axes, axis=-1)), Velocities(linear, angular)

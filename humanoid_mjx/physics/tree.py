@@ -49,7 +49,7 @@ class TreePhysics(MujocoPhysics):
 
     @property
     def tree(self) -> Tree:
-        """What is fixed while a program is compiled."""
+        """Static part of the model, fixed while a program is compiled."""
         model, kind = self.model, mujoco.mjtObj.mjOBJ_SENSOR
         tree = _tree(model, tuple(name for name in IMU if mujoco.mj_name2id(model, kind, name) >= 0))
         return on_stairs(tree) if self.terrain and self.terrain.stairs is not None else tree
@@ -104,7 +104,7 @@ class TreePhysics(MujocoPhysics):
         return self._sensed(encoders, turning, felt, poses, velocities, forces, torque)
 
     def _nothing(self, zero: Float[Array, ""]) -> tuple[Any, ...]:
-        """What is carried in the place of something sensed before anything is."""
+        """Return zeros in the shapes of what is sensed, for the start of a loop."""
         bodies, points, joints = self.model.nbody, len(self.ground_points[0]), len(self.tree.motors)
         shapes = (bodies, 3), (bodies, 3, 3), (bodies, 3), (bodies, 3), (points,)
         sensors = (3 * len(self.tree.gyroscopes),), (3 * len(self.tree.accelerometers),)

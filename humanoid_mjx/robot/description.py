@@ -113,12 +113,12 @@ class Robot(Named):
 
     @property
     def phases(self) -> Float[np.ndarray, " feet"]:
-        """Where in a gait's period each foot's swing begins."""
+        """Phase of a gait's period at which each foot's swing begins."""
         return np.array(self.turns) if self.turns else np.arange(len(self.feet)) / max(len(self.feet), 1)
 
     @property
     def points(self) -> int:
-        """How many points of each foot touch the ground."""
+        """Number of points by which each foot touches the ground."""
         return len(ground_points(self.model)[0]) // max(len(self.feet), 1)
 
     @property

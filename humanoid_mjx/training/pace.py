@@ -217,7 +217,7 @@ class Duration(NamedTuple):
     train_s: float
     evaluate_s: float
     measured: int
-    """How many of the sweep's programs were measured."""
+    """Number of the sweep's programs that were measured."""
 
     @property
     def total_s(self) -> float:

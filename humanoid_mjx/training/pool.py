@@ -202,11 +202,11 @@ class Pool:
         self.training = jax.device_put(from_arrays(self.training, merged, "training", where), self.over_devices)
 
     def _steps_taken(self) -> tuple[Any, ...]:
-        """What `advance` is given."""
+        """Return the arguments of `advance`."""
         return self.learners, self.training, jax.device_put(np.int32(self.steps), self.everywhere)
 
     def _ended(self) -> tuple[Any, ...]:
-        """What `finish` is given."""
+        """Return the arguments of `finish`."""
         return self.learners, self.training, self.seeds
 
     def _call(self, name: str, *args: Any) -> Any:
@@ -256,8 +256,8 @@ def _shape(leaf: jax.Array) -> jax.ShapeDtypeStruct:
 
 
 def _beside(work: Callable[[], Callable[..., Any]]) -> "Future[Callable[..., Any]]":
-    """What `work()` will return or raise. It runs in a thread of its own, which does not keep the process from ending:
-    a compiler cannot be interrupted, leaves Python free and most cores of a machine idle."""
+    """Run `work` in a thread of its own, which does not keep the process from ending: a compiler cannot be interrupted,
+    leaves Python free and most cores of a machine idle."""
     future: Future[Callable[..., Any]] = Future()
 
     def run() -> None:

@@ -33,8 +33,8 @@ class Programs(NamedTuple):
     finish: Callable[[Any, Training, Any], dict[str, Any]]
     """(learners, training states, seeds) -> curves, final scores and policies."""
     compiled: "dict[Any, Future[Callable[..., Any]]]"
-    """What was or is being compiled of them, by name and kind of arguments: a second sweep in a process does not trace
-    them."""
+    """Compiled programs, also those under way, by name and kind of arguments: a second sweep in a process does not
+    trace them."""
 
 
 @lru_cache
@@ -108,6 +108,6 @@ def mesh_of(devices: Sequence[Device]) -> Mesh:
 
 
 def placed(mesh: Mesh, spec: PartitionSpec) -> NamedSharding | SingleDeviceSharding:
-    """How an array lies on a mesh. On one device it lies as any array does, so that functions which were traced of such
-    ones need not be traced again."""
+    """Return the sharding of an array on a mesh. On one device it is that of any array, so that functions which were
+    traced of such ones need not be traced again."""
     return NamedSharding(mesh, spec) if mesh.size > 1 else SingleDeviceSharding(mesh.devices.item())

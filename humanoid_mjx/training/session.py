@@ -122,7 +122,7 @@ class Session:
         (self.folder.path / self.folder.pool).unlink(missing_ok=True)
 
     def _under_way(self) -> list[tuple[Path, dict[str, np.ndarray]]]:
-        """What an interrupted session, perhaps on other devices or of other processes, had under way of our runs."""
+        """Return the runs of ours that an interrupted session, perhaps of other devices or processes, had under way."""
         waiting = self.mine - self.finished
         digest = self.folder.digest
         return [(path, _only(waiting, read_arrays(path, digest=digest))) for path in pools(self.folder.path)]
@@ -191,7 +191,7 @@ class Session:
         self.folder.write_arrays(self.folder.pool, {"group": np.array(index)} | pool.state())
 
     def _side_by_side(self, group: Group, runs: int, slots: int) -> str:
-        """How many runs train at once, and what memory that is estimated to take."""
+        """Say the number of runs that train at once, and the memory that they are estimated to take."""
         memory = slots * training_bytes(group) / 2**20
         where = f" in process 0 of {self.processes.count}" if self.processes.count > 1 else ""
         return f"{min(slots, runs):,} of {runs:,} runs train side by side{where}, in an estimated {memory:,.0f} MiB"
@@ -286,7 +286,7 @@ class Session:
 
 
 def _only(runs: set[int], arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """What a file of runs under way holds of some runs."""
+    """Return the rows of some runs in a file of runs under way."""
     if "slots" not in arrays:  # no such file: who restores it says so
         return arrays
     rows = np.isin(arrays["slots"], list(runs))
