@@ -139,6 +139,8 @@ def make(kind: str, registry: Mapping[str, str], base: type[Any], name: str, /, 
         user's own class raises.
     """
     cls = find(kind, registry, base, name)
+    if issubclass(base, Named) and name not in registry:
+        values |= {"name": name}
     try:
         return cls(**values)
     except pydantic.ValidationError as error:
@@ -151,11 +153,6 @@ def make(kind: str, registry: Mapping[str, str], base: type[Any], name: str, /, 
         raise InputError(
             f"{kind}.name: {name!r} cannot be built: {type(error).__name__}: {error} ({place})."
         ) from error
-
-
-def make_named(kind: str, registry: Mapping[str, str], base: type[Any], name: str, /, **values: Any) -> Any:
-    """`make` for a kind whose base is a `Named`."""
-    return make(kind, registry, base, name, **values | ({} if name in registry else {"name": name}))
 
 
 def written(kind: str, make: Callable[..., Any]) -> pydantic.BeforeValidator:

@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 from humanoid_mjx.control.pd import Joints
 from humanoid_mjx.control.stages import Stages
 from humanoid_mjx.robot.description import Robot
-from humanoid_mjx.spec import InputError, Named, make_named, traced, written
+from humanoid_mjx.spec import InputError, Named, make, traced, written
 
 
 class Drive(Named):
@@ -121,7 +121,7 @@ class DcMotor(Drive):
 
 DRIVES = {"ideal": "humanoid_mjx.control.drives:Ideal", "dc_motor": "humanoid_mjx.control.drives:DcMotor"}
 
-Drives = Annotated[pydantic.SerializeAsAny[Drive], written("actuator", partial(make_named, "actuator", DRIVES, Drive))]
+Drives = Annotated[pydantic.SerializeAsAny[Drive], written("actuator", partial(make, "actuator", DRIVES, Drive))]
 """The type of a task's field `actuator`."""
 
 

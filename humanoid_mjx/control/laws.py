@@ -28,7 +28,7 @@ from humanoid_mjx.control.ground import NATURAL_FREQUENCY, SERVO_KD, SERVO_KP, S
 from humanoid_mjx.control.pd import Gain, Joints, Reference, pd, servo
 from humanoid_mjx.control.stages import Stages
 from humanoid_mjx.robot.description import Robot
-from humanoid_mjx.spec import InputError, Named, make_named, traced, written
+from humanoid_mjx.spec import InputError, Named, make, traced, written
 
 
 class Law(Named):
@@ -165,7 +165,7 @@ def make_law(name: str, /, **params: Any) -> Any:
     Raises:
       InputError: unknown name or parameter, or a value out of range, in one sentence.
     """
-    return make_named("control", LAWS, Law, name, **params)
+    return make("control", LAWS, Law, name, **params)
 
 
 Control = Annotated[pydantic.SerializeAsAny[Law], written("control", make_law)]

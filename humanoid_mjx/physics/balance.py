@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from humanoid_mjx.physics.model import MujocoPhysics
+from humanoid_mjx.robot.description import lowest
 from humanoid_mjx.types import AnyArray, FloatScalar
 
 
@@ -90,7 +91,7 @@ def foot_corners(physics: MujocoPhysics, qpos: Float[AnyArray, "times nq"]) -> F
     for row, posture in zip(found, qpos, strict=True):
         data.qpos = posture
         mujoco.mj_kinematics(model, data)
-        row[:] = data.geom_xpos[balls] - model.geom_size[balls, :1] * (0.0, 0.0, 1.0)
+        row[:] = lowest(model, data.geom_xpos[balls])
     return found
 
 

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from humanoid_mjx.compute import Arithmetic
 from humanoid_mjx.control.stages import Stages
 from humanoid_mjx.spec import InputError, Spec
-from humanoid_mjx.types import AnyArray
+from humanoid_mjx.types import AnyArray, BoolScalar
 
 MAX_SPEED = 300.0
 """rad/s and m/s. Beyond it a world counts as diverged: the torque limit against the damping of the lower body spins a
@@ -119,6 +119,17 @@ class Batches(NamedTuple):
         return self.cpu if jax.default_backend() == "cpu" else self.gpu
 
 
+def freeze_if_diverged(old: World, new: World) -> World:
+    """Return `new`; where it has diverged, `old` with the flag set."""
+    sound = jnp.isfinite(new.qpos).all() & (jnp.abs(new.qvel) <= MAX_SPEED).all() & ~new.diverged
+    return where(old.diverged | ~sound, old._replace(diverged=jnp.bool_(True)), new)
+
+
+def where(mask: BoolScalar, chosen: World, other: World) -> World:
+    """Return the one world where `mask` is true, else the other."""
+    return jax.tree.map(lambda a, b: jnp.where(mask, a, b), chosen, other)
+
+
 Controller = Callable[[Stages], Any]
 """From the stages to the torque of each actuated joint, N m."""
 
@@ -178,7 +189,7 @@ class Physics(Spec):
 
     def reset(self, world: World, mask: Any, qpos: Any, qvel: Any) -> World:
         """Return `world`, or where `mask` is true one started anew in the given state."""
-        raise NotImplementedError
+        return where(mask, self.start(qpos, qvel), world)
 
     def step(self, world: World, controller: Controller) -> tuple[World, Any]:
         """Ask the controller for a torque, and move by one time step.

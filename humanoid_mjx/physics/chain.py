@@ -23,7 +23,6 @@ from humanoid_mjx.mechanics.contacts import no_contacts
 from humanoid_mjx.mechanics.forward import frames
 from humanoid_mjx.mechanics.rotations import angular_velocity
 from humanoid_mjx.physics.base import (
-    MAX_SPEED,
     Controller,
     GroundContacts,
     Once,
@@ -33,17 +32,18 @@ from humanoid_mjx.physics.base import (
     Sensed,
     Velocities,
     World,
+    freeze_if_diverged,
 )
 from humanoid_mjx.robot import ROBOTS
 from humanoid_mjx.robot.leg import FRAME_0, MIRROR, Leg
 from humanoid_mjx.robot.legs import Legs
-from humanoid_mjx.spec import make_named, traced, written
+from humanoid_mjx.spec import make, traced, written
 from humanoid_mjx.thesis.leg import GRAVITY, JOINT_NAMES
-from humanoid_mjx.types import AnyArray, BoolScalar, MassFactor
+from humanoid_mjx.types import AnyArray, MassFactor
 
 LEG = len(JOINT_NAMES)
 
-ChainRobot = Annotated[pydantic.SerializeAsAny[Legs], written("robot", partial(make_named, "robot", ROBOTS, Legs))]
+ChainRobot = Annotated[pydantic.SerializeAsAny[Legs], written("robot", partial(make, "robot", ROBOTS, Legs))]
 
 
 class ChainPhysics(Physics):
@@ -91,14 +91,9 @@ class ChainPhysics(Physics):
     def start(self, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]) -> World:
         return World(jnp.array(qpos, float), jnp.array(qvel, float), jnp.zeros(0), jnp.bool_(False))
 
-    def reset(
-        self, world: World, mask: BoolScalar, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]
-    ) -> World:
-        return jax.tree.map(lambda new, old: jnp.where(mask, new, old), self.start(qpos, qvel), world)
-
     def step(self, world: World, controller: Controller) -> tuple[World, Float[Array, " joints"]]:
         new, torque = self._cycle(world, controller)
-        return _freeze_if_diverged(world, new), torque
+        return freeze_if_diverged(world, new), torque
 
     def run(self, world: World, controller: Controller, cycles: int) -> World:
         """`cycles` time steps. A world that diverges in them stands still where it was before the first."""
@@ -110,7 +105,7 @@ class ChainPhysics(Physics):
             return (list(now.qpos), list(now.qvel)), None
 
         qpos, qvel = jax.lax.scan(cycle, (list(world.qpos), list(world.qvel)), length=cycles)[0]
-        return _freeze_if_diverged(world, world._replace(qpos=jnp.stack(qpos), qvel=jnp.stack(qvel)))
+        return freeze_if_diverged(world, world._replace(qpos=jnp.stack(qpos), qvel=jnp.stack(qvel)))
 
     def sense(self, world: World, torque: Float[AnyArray, " joints"]) -> Sensed:
         still, nowhere = jnp.zeros(3, world.qpos.dtype), jnp.zeros((0, 3), world.qpos.dtype)
@@ -174,13 +169,6 @@ class _LegStages(Stages):
 
     def torque_for(self, qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
         return self.inverse_dynamics(qacc, mass)
-
-
-def _freeze_if_diverged(old: World, new: World) -> World:
-    sound = jnp.isfinite(new.qpos).all() & (jnp.abs(new.qvel) <= MAX_SPEED).all()
-    stays = old.diverged | ~sound
-    frozen = old._replace(diverged=jnp.bool_(True))
-    return jax.tree.map(lambda old, new: jnp.where(stays, old, new), frozen, new)
 
 
 def _by_leg(x: Float[Array, " joints"]) -> list[Float[Array, " leg"]]:

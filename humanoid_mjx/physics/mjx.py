@@ -18,8 +18,8 @@ from pydantic import Field, model_validator
 
 from humanoid_mjx import compute
 from humanoid_mjx.mechanics.contacts import Contacts
-from humanoid_mjx.physics.base import Controller, Poses, Sensed, World
-from humanoid_mjx.physics.model import MujocoPhysics, below, freeze_if_diverged
+from humanoid_mjx.physics.base import Controller, Poses, Sensed, World, freeze_if_diverged
+from humanoid_mjx.physics.model import MujocoPhysics, below
 from humanoid_mjx.robot.description import IMU
 from humanoid_mjx.types import AnyArray
 

@@ -17,7 +17,6 @@ from humanoid_mjx.control.stages import Stages
 from humanoid_mjx.mechanics.contacts import Contacts, drift_of, jacobian_of
 from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.physics.base import (
-    MAX_SPEED,
     GroundContacts,
     Once,
     Physics,
@@ -28,9 +27,9 @@ from humanoid_mjx.physics.base import (
     World,
 )
 from humanoid_mjx.robot import RobotKey, make_robot
-from humanoid_mjx.robot.description import Robot, compiled, ground_points, motor_limits
+from humanoid_mjx.robot.description import Robot, compiled, ground_points, lowest, motor_limits
 from humanoid_mjx.spec import traced
-from humanoid_mjx.types import AnyArray, BoolScalar, MassFactor
+from humanoid_mjx.types import AnyArray, MassFactor
 
 
 class MujocoPhysics(Physics):
@@ -193,8 +192,9 @@ class MujocoPhysics(Physics):
         """The bodies of the feet's corners, and the way from there to the corners' lowest points, m, world."""
         balls, _ = self.ground_points
         link = self.model.geom_bodyid[balls]
-        arm = jnp.einsum("pij,pj->pi", poses.rotation[link], jnp.asarray(self.model.geom_pos[balls], float))
-        return link, arm - self.model.geom_size[balls, :1] * np.array([0.0, 0.0, 1.0])
+        return link, lowest(
+            self.model, jnp.einsum("pij,pj->pi", poses.rotation[link], jnp.asarray(self.model.geom_pos[balls], float))
+        )
 
     def _contacts(
         self,
@@ -205,8 +205,8 @@ class MujocoPhysics(Physics):
         origin: Float[AnyArray, "3"],
     ) -> Contacts:
         """The corners of the feet from the middles of their balls and MuJoCo's spatial motions about `origin`."""
-        balls, moved_by = self.ground_points
-        position = centers - self.model.geom_size[balls, :1] * np.array([0.0, 0.0, 1.0])
+        _, moved_by = self.ground_points
+        position = lowest(self.model, centers)
         jacobian = jacobian_of(position, moved_by, cdof, origin)
         drift = drift_of(position, jacobian @ qvel, moved_by, cdof, cdof_dot, qvel, origin)
         return Contacts(position, jacobian, drift, position[:, 2] <= 0.0)
@@ -219,22 +219,6 @@ class MujocoPhysics(Physics):
     def start(self, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]) -> World:
         qvel = jnp.array(qvel, float)
         return World(jnp.array(qpos, float), qvel, jnp.zeros_like(qvel), jnp.bool_(False))
-
-    def reset(
-        self, world: World, mask: BoolScalar, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]
-    ) -> World:
-        return _where(mask, self.start(qpos, qvel), world)
-
-
-def freeze_if_diverged(old: World, new: World) -> World:
-    """`new`; where it has diverged, `old` with the flag set."""
-    sound = jnp.isfinite(new.qpos).all() & (jnp.abs(new.qvel) <= MAX_SPEED).all() & ~new.diverged
-    stays = old.diverged | ~sound
-    return _where(stays, old._replace(diverged=jnp.bool_(True)), new)
-
-
-def _where(mask: BoolScalar, chosen: World, other: World) -> World:
-    return jax.tree.map(lambda a, b: jnp.where(mask, a, b), chosen, other)
 
 
 @lru_cache

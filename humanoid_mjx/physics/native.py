@@ -22,8 +22,8 @@ from mujoco.rollout import Rollout
 from humanoid_mjx.compute import cores
 from humanoid_mjx.mechanics.contacts import Contacts
 from humanoid_mjx.mechanics.terrain import Terrain
-from humanoid_mjx.physics.base import Batches, Controller, Once, Poses, Sensed, Velocities, World
-from humanoid_mjx.physics.model import MujocoPhysics, below, freeze_if_diverged
+from humanoid_mjx.physics.base import Batches, Controller, Once, Poses, Sensed, Velocities, World, freeze_if_diverged
+from humanoid_mjx.physics.model import MujocoPhysics, below
 from humanoid_mjx.physics.terrain import add_terrain, follow
 from humanoid_mjx.robot import Robot
 from humanoid_mjx.robot.description import IMU, sensing_spec

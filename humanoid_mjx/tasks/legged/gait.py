@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from humanoid_mjx.robot import Robot
 from humanoid_mjx.robot.description import Build
 from humanoid_mjx.robot.reaching import monomials, reach_of
-from humanoid_mjx.spec import InputError, Named, make_named, traced, written
+from humanoid_mjx.spec import InputError, Named, make, traced, written
 from humanoid_mjx.tasks.legged.commands import moves
 from humanoid_mjx.types import FloatScalar
 
@@ -162,5 +162,5 @@ GAITS = {
     "oscillators": "humanoid_mjx.tasks.legged.thesis_gaits:Oscillators",
 }
 
-Gaits = Annotated[pydantic.SerializeAsAny[Gait], written("gait", partial(make_named, "gait", GAITS, Gait))]
+Gaits = Annotated[pydantic.SerializeAsAny[Gait], written("gait", partial(make, "gait", GAITS, Gait))]
 """The type of a task's field `gait`: `gait: {name: table}`, or the name alone."""
