@@ -124,7 +124,6 @@ def in_turn() -> str:
     rows = (
         ("two CPU cores: a sweep of tables", twice, median(devices["tabular_q sweep"]["efficiency"])),
         ("two CPU cores: a sweep of `deep_q`", twice, median(devices["deep_q sweep"]["efficiency"])),
-        ("two CPU cores: one run of `deep_q`", twice, median(devices["deep_q environments"]["efficiency"])),
         ("H200: `fused`", "`cuda`, which draws cheaper random numbers", kernel["fused"] / cuda),
         ("H200: `fused`", "`cuda` with the same random numbers", kernel["fused"] / ours),
         ("H200: training of `walk`, a time step as one kernel", "XLA's kernels", one[steps] / many[steps]),

@@ -2,10 +2,9 @@
 
 python experiments/scaling.py --json scaling.json     # about two minutes on two GPUs
 
-A sweep has n times the runs; a single run has n times the environments, which the devices share. Efficiency is the rate
-of all devices over the rate of one, by their number; 1 is ideal. The two train in turn, round after round, by the same
-loop as `humanoid-mjx sweep`, so that a machine whose speed drifts favours neither. On a CPU a device alone uses the
-other cores, too, and an efficiency below 1 is no loss.
+A sweep has n times the runs. Efficiency is the rate of all devices over the rate of one, by their number; 1 is ideal.
+The two train in turn, round after round, by the same loop as `humanoid-mjx sweep`, so that a machine whose speed drifts
+favours neither. On a CPU a device alone uses the other cores, too, and an efficiency below 1 is no loss.
 """
 
 import argparse
@@ -39,8 +38,8 @@ NETWORKS = {
 }
 """Trainings that last longer than the measurement, at every moment with the same work."""
 
-SIZES = {"cpu": (32, 2, 512), "gpu": (4096, 32, 16_384)}
-"""Work for each device, by backend, where one is well used: seeds of tables, seeds of networks, environments of one."""
+SIZES = {"cpu": (32, 2), "gpu": (4096, 32)}
+"""Work for each device, by backend, where one is well used: seeds of tables, seeds of networks."""
 
 ROUNDS, ROUND_S = 7, 1.5
 
@@ -55,19 +54,13 @@ def networks(devices: Sequence[Device], seeds: int) -> Pool:
     return pool_of(NETWORKS | {"seeds": seeds * len(devices)}, devices)
 
 
-def environments(devices: Sequence[Device], envs: int) -> Pool:
-    """One network, whose environments the devices share, so many on each."""
-    learner = NETWORKS["learner"] | {"envs": envs * len(devices)}
-    return pool_of(NETWORKS | {"learner": learner}, devices, share=len(devices))
+SUBJECTS = {"tabular_q sweep": tables, "deep_q sweep": networks}
 
 
-SUBJECTS = {"tabular_q sweep": tables, "deep_q sweep": networks, "deep_q environments": environments}
-
-
-def pool_of(config: dict[str, Any], devices: Sequence[Device], share: int = 1) -> Pool:
+def pool_of(config: dict[str, Any], devices: Sequence[Device]) -> Pool:
     """The runs of a config on some devices, compiled and under way."""
     (group,) = make_plan(parse({"name": "scaling"} | config)).groups
-    pool = Pool(group, deque(group.runs.tolist()), len(group.runs) * share // len(devices), devices, 0, share=share)
+    pool = Pool(group, deque(group.runs.tolist()), len(group.runs) // len(devices), devices, 0)
     pool.fill()
     pool.train()
     rate(pool)  # chunks find their length
@@ -114,7 +107,7 @@ def measure(subject: str, size: int) -> list[Record]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there, too")
-    parser.add_argument("--size", type=int, nargs=3, metavar="N", help="seeds of tables, of networks, environments")
+    parser.add_argument("--size", type=int, nargs=2, metavar="N", help="seeds of tables, of networks")
     given = parser.parse_args()
     compute.start()
     if len(jax.local_devices()) < 2:

@@ -62,7 +62,7 @@ def _allowed(field: Any) -> str:
 
 
 def _kinds(annotation: Any) -> list[str]:
-    """What values a field takes, in words."""
+    """Return the values that a field takes, in words."""
     if get_origin(annotation) is Annotated:
         return _kinds(get_args(annotation)[0])
     if get_origin(annotation) is Literal:

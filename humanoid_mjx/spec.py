@@ -49,7 +49,7 @@ def traced(default: Any = ..., **constraints: Any) -> Any:
 
 
 def is_traced(field: Any) -> bool:
-    """Whether a field, as `model_fields` has it, was declared with `traced`."""
+    """Return whether a field, as `model_fields` has it, was declared with `traced`."""
     return isinstance(field.json_schema_extra, dict) and bool(field.json_schema_extra.get("traced"))
 
 
@@ -139,6 +139,8 @@ def make(kind: str, registry: Mapping[str, str], base: type[Any], name: str, /, 
         user's own class raises.
     """
     cls = find(kind, registry, base, name)
+    if issubclass(base, Named) and name not in registry:
+        values |= {"name": name}
     try:
         return cls(**values)
     except pydantic.ValidationError as error:
@@ -153,14 +155,9 @@ def make(kind: str, registry: Mapping[str, str], base: type[Any], name: str, /, 
         ) from error
 
 
-def make_named(kind: str, registry: Mapping[str, str], base: type[Any], name: str, /, **values: Any) -> Any:
-    """`make` for a kind whose base is a `Named`."""
-    return make(kind, registry, base, name, **values | ({} if name in registry else {"name": name}))
-
-
 def written(kind: str, make: Callable[..., Any]) -> pydantic.BeforeValidator:
-    """What makes a field take a `Named` of this kind as a config writes it: a name, or a name with values, of which
-    `make(name, **values)` builds it."""
+    """Return the validator of a field that holds a `Named` of this kind: a config writes a name, or a name with values,
+    of which `make(name, **values)` builds it."""
 
     def build(given: Any) -> Any:
         if isinstance(given, str):
@@ -204,7 +201,7 @@ def own_modules_only(*strangers: Path) -> Iterator[None]:
 
 
 def _is_run(module: str) -> bool:
-    """Whether `own_modules_only` lets a module run; a module that is nowhere is left to `_import`."""
+    """Return whether `own_modules_only` lets a module run; a module that is nowhere is left to `_import`."""
     strangers, top = _strangers.get(), module.partition(".")[0]
     if strangers is None or top == __package__:
         return True

@@ -1,7 +1,7 @@
 """Drives as robot tasks choose them: what becomes of the torque that a law asks for before it acts on a joint.
 
     ideal      all of it, up to the limit of the robot's own motor
-    dc_motor   what a geared DC motor can give at the speed of the joint (`control.actuator`)
+    dc_motor   the part that a geared DC motor can give at the speed of the joint (thesis 5.3 and 5.4)
 
 Both are functions of torque and speed alone, so every physics takes them. Friction that does not grow with speed is the
 joint's: `frictionloss` in the robot's model.
@@ -10,19 +10,18 @@ joint's: `frictionloss` in the robot's model.
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pydantic
+from jaxtyping import Array, Float
 
-from humanoid_mjx.control.actuator import Motor
-from humanoid_mjx.control.laws import RobotState
 from humanoid_mjx.control.pd import Joints
+from humanoid_mjx.control.stages import Stages
 from humanoid_mjx.robot.description import Robot
-from humanoid_mjx.spec import InputError, Named, make_named, traced, written
-from humanoid_mjx.types import FloatScalar
+from humanoid_mjx.spec import InputError, Named, make, traced, written
 
 
 class Drive(Named):
@@ -55,10 +54,24 @@ Gear = Annotated[
 ]
 
 
+class MotorState(NamedTuple):
+    """Torque, current and voltage of motors at one moment."""
+
+    torque: Float[Array, "*joints"]
+    """Torque at the joint, less the rotor's friction, N m."""
+    current: Float[Array, "*joints"]
+    """A"""
+    voltage: Float[Array, "*joints"]
+    """Voltage at the terminals, V."""
+
+
 class DcMotor(Drive):
     """A DC motor behind a gear at each joint: its torque falls with speed, and ends where voltage or current do.
 
-    By default a motor of 25 mm that stalls at 2.3 N m and turns at 8.8 rad/s without a load.
+    By default a motor of 25 mm that stalls at 2.3 N m and turns at 8.8 rad/s without a load. The gear slows the joint
+    down by `gear` and strengthens it by as much (5.7 to 5.10). In SI units the back-emf constant equals the torque
+    constant: otherwise the motor would not conserve power. The armature's inductance is left out, as in (5.23); the
+    rotor's inertia is MuJoCo's `armature`.
     """
 
     name: Literal["dc_motor"] = "dc_motor"
@@ -70,17 +83,27 @@ class DcMotor(Drive):
     friction: float = traced(1e-6, ge=0, description="at the rotor, by its speed, N m s/rad")
 
     @property
-    def motor(self) -> Motor:
-        """The motors with their gears."""
+    def gears(self) -> Float[Array, "*joints"]:
+        """The gear of all joints, or that of each."""
         gear: Any = self.gear
-        gear = jnp.stack([jnp.asarray(each, float) for each in gear]) if isinstance(gear, tuple) else gear
-        values = self.torque_constant, self.resistance, gear, 0.0, self.friction, self.voltage
-        return Motor(*(jnp.asarray(value, float) for value in values))
+        return jnp.stack([jnp.asarray(x, float) for x in gear]) if isinstance(gear, tuple) else jnp.asarray(gear, float)
 
     def __call__(self, torque: Joints, qvel: Joints) -> Joints:
-        motor = self.motor
-        limit: FloatScalar = motor.gear_ratio * self.torque_constant * self.current
-        return motor.actuate(jnp.clip(torque, -limit, limit), qvel).torque
+        limit = self.gears * self.torque_constant * self.current
+        return self.actuate(jnp.clip(torque, -limit, limit), qvel).torque
+
+    def voltage_for(self, torque: Float[Array, "*joints"], qvel: Float[Array, "*joints"]) -> Float[Array, "*joints"]:
+        """Return the voltage that gives `torque` at the joint (5.24), before the driver's limit."""
+        speed = self.gears * qvel
+        current = (torque / self.gears + self.friction * speed) / self.torque_constant
+        return self.torque_constant * speed + current * self.resistance
+
+    def actuate(self, torque: Float[Array, "*joints"], qvel: Float[Array, "*joints"]) -> MotorState:
+        """Return the state of motors told to give `torque` (5.21 to 5.24): the driver's voltage limits it."""
+        voltage = jnp.clip(self.voltage_for(torque, qvel), -self.voltage, self.voltage)
+        speed = self.gears * qvel
+        current = (voltage - self.torque_constant * speed) / self.resistance
+        return MotorState(self.gears * (self.torque_constant * current - self.friction * speed), current, voltage)
 
     def check(self, robot: Robot, timestep: float) -> None:
         gear, joints = np.asarray(self.gear, float), len(robot.joints)
@@ -98,17 +121,17 @@ class DcMotor(Drive):
 
 DRIVES = {"ideal": "humanoid_mjx.control.drives:Ideal", "dc_motor": "humanoid_mjx.control.drives:DcMotor"}
 
-Drives = Annotated[pydantic.SerializeAsAny[Drive], written("actuator", partial(make_named, "actuator", DRIVES, Drive))]
+Drives = Annotated[pydantic.SerializeAsAny[Drive], written("actuator", partial(make, "actuator", DRIVES, Drive))]
 """The type of a task's field `actuator`."""
 
 
 @partial(jax.tree_util.register_dataclass, data_fields=("controller", "drive"), meta_fields=())
 @dataclass(frozen=True)
 class Driven:
-    """A controller whose torques a drive brings about: a controller, and a pytree."""
+    """A controller whose torques go through a drive: a controller itself, and a pytree."""
 
-    controller: Callable[[RobotState], Joints]
+    controller: Callable[[Stages], Joints]
     drive: Drive
 
-    def __call__(self, state: RobotState) -> Joints:
+    def __call__(self, state: Stages) -> Joints:
         return self.drive(self.controller(state), state.qvel)

@@ -37,9 +37,9 @@ SERVO_KP, SERVO_KD = 6.0, 0.2
 at every step."""
 
 SHARE = 0.1
-"""Where the contacts leave less than this share of what a torque would do to the joints of a held robot, the servo
-takes over. A push sideways needs it: without ankle roll, rigid flat feet let no sway pass, but a real foot's edges
-lift. For 0.01 and less such a push ends in torques at their limit and a fall."""
+"""Share of what a torque would do to the joints of a held robot: where the contacts leave less, the servo takes over. A
+push sideways needs it: without ankle roll, rigid flat feet let no sway pass, but a real foot's edges lift. For 0.01 and
+less such a push ends in torques at their limit and a fall."""
 
 SOFTNESS = 1e-4
 """1/kg, added to the contacts' inverse inertia: the corners of a foot are redundant. The body weighs 1.7 kg."""

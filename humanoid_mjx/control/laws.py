@@ -14,65 +14,27 @@ plant's mass is a value of the physics, and the two may differ.
 with kp = natural_frequency^2 and kd = damping_ratio 2 natural_frequency (5.33, 5.34).
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, Any, Literal, Protocol, runtime_checkable
+from typing import Annotated, Any, Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pydantic
-from jaxtyping import Array, Float, Int
 
 from humanoid_mjx.control.gains import critical_kd
 from humanoid_mjx.control.ground import NATURAL_FREQUENCY, SERVO_KD, SERVO_KP, SHARE, grounded_torque
 from humanoid_mjx.control.pd import Gain, Joints, Reference, pd, servo
-from humanoid_mjx.mechanics.contacts import Contacts
+from humanoid_mjx.control.stages import Stages
 from humanoid_mjx.robot.description import Robot
-from humanoid_mjx.spec import InputError, Named, make_named, traced, written
-from humanoid_mjx.types import AnyArray, MassFactor
-
-
-@runtime_checkable
-class RobotState(Protocol):
-    """The state of a robot as a law may ask for it; `physics.base.Stages` is one."""
-
-    @property
-    def qpos(self) -> Float[AnyArray, " joints"]:
-        """Angles of the actuated joints, rad."""
-        ...
-
-    @property
-    def qvel(self) -> Float[AnyArray, " joints"]:
-        """rad/s"""
-        ...
-
-    @property
-    def torque_for(self) -> Callable[[Joints, MassFactor], Joints]:
-        """(accelerations of the joints, rad/s^2, a model's mass factor) -> the torques that the model asks for, N m."""
-        ...
-
-    @property
-    def model_for(self) -> Callable[[MassFactor], tuple[Float[Array, "nv nv"], Float[Array, " nv"]]]:
-        """(a model's mass factor) -> the mass matrix and the bias of that model."""
-        ...
-
-    @property
-    def contacts(self) -> Callable[[], Contacts]:
-        """() -> the corners of the feet that can touch the ground."""
-        ...
-
-    @property
-    def joints(self) -> slice | Int[np.ndarray, " joints"]:
-        """Where the actuated joints stand among the degrees of freedom."""
-        ...
+from humanoid_mjx.spec import InputError, Named, make, traced, written
 
 
 class Law(Named):
     """Base of control laws: derive from it, declare gains with `traced`, implement `__call__`."""
 
-    def __call__(self, reference: Reference, state: RobotState) -> Joints:
+    def __call__(self, reference: Reference, state: Stages) -> Joints:
         """The torque of each joint, N m, before the motors' limit."""
         raise NotImplementedError
 
@@ -93,7 +55,7 @@ class Follow:
     law: Law
     reference: Reference
 
-    def __call__(self, state: RobotState) -> Joints:
+    def __call__(self, state: Stages) -> Joints:
         return self.law(self.reference, state)
 
 
@@ -104,7 +66,7 @@ class ServoLaw(Law):
     stiffness: float = traced(SERVO_KP, gt=0, le=200, description="N m/rad")
     damping: float = traced(SERVO_KD, ge=0, le=10, description="N m s/rad")
 
-    def __call__(self, reference: Reference, state: RobotState) -> Joints:
+    def __call__(self, reference: Reference, state: Stages) -> Joints:
         still = reference._replace(qvel=jnp.zeros_like(reference.qpos))
         return pd(self.stiffness, self.damping, still, state.qpos, state.qvel)
 
@@ -130,7 +92,7 @@ class PDLaw(Law):
     stiffness: float = traced(SERVO_KP, gt=0, le=200, description="N m/rad")
     damping: float = traced(SERVO_KD, ge=0, le=10, description="N m s/rad")
 
-    def __call__(self, reference: Reference, state: RobotState) -> Joints:
+    def __call__(self, reference: Reference, state: Stages) -> Joints:
         return pd(self.stiffness, self.damping, reference, state.qpos, state.qvel)
 
 
@@ -147,7 +109,7 @@ class ModelLaw(Law):
         kp = self.natural_frequency**2
         return kp, self.damping_ratio * critical_kd(jnp.asarray(kp, float))
 
-    def acceleration(self, reference: Reference, state: RobotState) -> Joints:
+    def acceleration(self, reference: Reference, state: Stages) -> Joints:
         """Joint accelerations to ask for, rad/s^2: the torques of a robot of unit inertias."""
         return servo(*self.gains, reference, state.qpos, state.qvel)
 
@@ -157,7 +119,7 @@ class PartitionedPDLaw(ModelLaw):
 
     name: Literal["partitioned_pd"] = "partitioned_pd"
 
-    def __call__(self, reference: Reference, state: RobotState) -> Joints:
+    def __call__(self, reference: Reference, state: Stages) -> Joints:
         matrix, _ = state.model_for(self.mass)
         return jnp.diagonal(matrix)[state.joints] * self.acceleration(reference, state)
 
@@ -167,7 +129,7 @@ class ComputedTorqueLaw(ModelLaw):
 
     name: Literal["computed_torque"] = "computed_torque"
 
-    def __call__(self, reference: Reference, state: RobotState) -> Joints:
+    def __call__(self, reference: Reference, state: Stages) -> Joints:
         return state.torque_for(self.acceleration(reference, state), self.mass)
 
 
@@ -180,7 +142,7 @@ class GroundedLaw(ModelLaw):
     damping: float = traced(SERVO_KD, ge=0, le=10, description="of the servo, N m s/rad")
     share: float = traced(SHARE, ge=0, le=1, description="of mobility, below which the servo rules")
 
-    def __call__(self, reference: Reference, state: RobotState) -> Joints:
+    def __call__(self, reference: Reference, state: Stages) -> Joints:
         held = pd(self.stiffness, self.damping, reference, state.qpos, state.qvel)
         matrix, bias = state.model_for(self.mass)
         wanted, contacts = self.acceleration(reference, state), state.contacts()
@@ -203,7 +165,7 @@ def make_law(name: str, /, **params: Any) -> Any:
     Raises:
       InputError: unknown name or parameter, or a value out of range, in one sentence.
     """
-    return make_named("control", LAWS, Law, name, **params)
+    return make("control", LAWS, Law, name, **params)
 
 
 Control = Annotated[pydantic.SerializeAsAny[Law], written("control", make_law)]

@@ -17,7 +17,7 @@ from pydantic import Field, model_validator
 from humanoid_mjx.compute import Program
 from humanoid_mjx.learners import exploration
 from humanoid_mjx.learners.acting import Envs, start_all, step_all
-from humanoid_mjx.learners.base import ENVS, Outcome, StepLearner
+from humanoid_mjx.learners.base import Outcome, StepLearner
 from humanoid_mjx.learners.normalisation import Moments, moments, observe
 from humanoid_mjx.learners.targets import lambda_targets
 from humanoid_mjx.spec import traced
@@ -27,7 +27,7 @@ from humanoid_mjx.types import FloatScalar, IntScalar
 
 
 class Weights(NamedTuple):
-    """What is learned: all that acting needs."""
+    """Learned values: all that acting needs."""
 
     value: Any
     moments: Moments
@@ -47,7 +47,7 @@ class Carry(NamedTuple):
 
 
 class Experience(NamedTuple):
-    """What the environments saw in one update; every array leads with (steps, envs)."""
+    """Transitions of one update; every array leads with (steps, envs)."""
 
     obs: Float[Array, "steps envs observation_size"]
     action: Int[Array, "steps envs joints"]
@@ -83,8 +83,6 @@ class ApproximateQ(StepLearner):
     rollout: int = Field(16, ge=1, le=10_000, description="steps of each environment in an update")
     evaluations: int = Field(10, ge=1, le=1000, description="greedy evaluations along the learning curve")
     evaluation_envs: int = Field(64, ge=1, le=100_000, description="greedy episodes of an evaluation")
-    devices: int = Field(1, ge=1, le=1, exclude=True, repr=False)
-    """How many devices share the environments, of which `envs` are on each: set by `split_over`, in no config."""
 
     @model_validator(mode="before")
     @classmethod
@@ -102,11 +100,7 @@ class ApproximateQ(StepLearner):
     def learn(
         self, rate: FloatScalar, value: Any, optimizer: Any, batch: "Batch", key: Key[Array, ""]
     ) -> tuple[Any, Any, FloatScalar]:
-        """Move the weights towards the targets: new weights, optimizer state, and the mean squared TD error.
-
-        Where devices share the environments, `batch` is this device's part of them; a class that then moves the weights
-        by the `mean` over the devices may say so in `can_split`.
-        """
+        """Move the weights towards the targets: new weights, optimizer state, and the mean squared TD error."""
         raise NotImplementedError
 
     def preprocess(self, weights: Weights, obs: Float[Array, "*batch size"]) -> Float[Array, "*batch size"]:
@@ -123,21 +117,11 @@ class ApproximateQ(StepLearner):
         """The choices that exist."""
         return np.arange(self.bins) < np.array(self.env.action_bins)[:, None]
 
-    def split_over(self, devices: int) -> Any:
-        return self.replace(envs=self.envs // devices, devices=devices)
-
-    def layout(self, same: Any, split: Any) -> Any:
-        return Carry(same, same, same, split, same, same)
-
-    def mean(self, tree: Any) -> Any:
-        """The mean over the devices that share the environments."""
-        return tree if self.devices == 1 else jax.lax.pmean(tree, ENVS)
-
     def init(self, key: Key[Array, ""], policy: Any = None) -> Carry:
         value_key, reset_key, key = jax.random.split(key, 3)
         value, optimizer = self.init_value(value_key)
         weights = Weights(value, moments(self.env.observation_size)) if policy is None else policy
-        envs = start_all(self.env, self.envs, self._own(reset_key))
+        envs = start_all(self.env, self.envs, reset_key)
         return Carry(weights, weights.value, optimizer, envs, key, jnp.int32(0))
 
     def progress(self, carry: Carry) -> FloatScalar:
@@ -146,7 +130,6 @@ class ApproximateQ(StepLearner):
     def train_step(self, carry: Carry) -> tuple[Carry, Outcome]:
         """One update: act, compute the targets of what was seen, move the weights towards them."""
         key, act_key, learn_key = jax.random.split(carry.key, 3)
-        act_key, learn_key = self._own(act_key), self._own(learn_key)
         progress = self.progress(carry)
         envs, experience, totals = self._collect(carry, act_key)
         td_target = self._td_targets(carry.weights, experience)
@@ -155,11 +138,10 @@ class ApproximateQ(StepLearner):
         rate = self.learning_rate * (1.0 + (self.learning_rate_end - 1.0) * jnp.minimum(progress, 1.0))
         value, optimizer, td_error = self.learn(rate, carry.weights.value, carry.optimizer, batch, learn_key)
         seen = experience.obs.reshape(-1, self.env.observation_size)
-        seen = observe(carry.weights.moments, seen, ENVS if self.devices > 1 else None)
+        seen = observe(carry.weights.moments, seen)
         average = self._averaged(carry, value)
         after = Carry(Weights(value, seen), average, optimizer, envs, key, carry.update + 1)
-        totals = jax.tree.map(lambda x: x * self.devices, self.mean(totals))
-        return after, Outcome(self._steps(carry), totals.pop("episodes"), totals, {"td_error": self.mean(td_error)})
+        return after, Outcome(self._steps(carry), totals.pop("episodes"), totals, {"td_error": td_error})
 
     def policy(self, carry: Carry) -> Weights:
         return carry.weights._replace(value=carry.average)
@@ -179,11 +161,7 @@ class ApproximateQ(StepLearner):
 
     def _steps(self, carry: Carry) -> FloatScalar:
         """Control steps so far."""
-        return carry.update.astype(jnp.float32) * (self.rollout * self.envs * self.devices)
-
-    def _own(self, key: Key[Array, ""]) -> Key[Array, ""]:
-        """The key of this device, where several share the environments."""
-        return key if self.devices == 1 else jax.random.fold_in(key, jax.lax.axis_index(ENVS))
+        return carry.update.astype(jnp.float32) * (self.rollout * self.envs)
 
     def _collect(self, carry: Carry, key: Key[Array, ""]) -> tuple[Envs, Experience, dict[str, FloatScalar]]:
         """Let the environments act for `rollout` steps: where they are then, what they saw, sums over ended ones."""
@@ -217,7 +195,7 @@ class ApproximateQ(StepLearner):
 
 
 class Batch(NamedTuple):
-    """What to learn from; every array leads with a batch axis."""
+    """Samples to learn from; every array leads with a batch axis."""
 
     obs: Float[Array, "batch observation_size"]
     action: Int[Array, "batch joints"]

@@ -15,17 +15,14 @@ from humanoid_mjx.tasks.base import Task
 from humanoid_mjx.tasks.continuous import ContinuousTask, State, as_continuous
 from humanoid_mjx.types import FloatScalar
 
-ENVS = "envs"
-"""The axis of a mesh of devices that share the environments of each run."""
-
 
 class Outcome(NamedTuple):
-    """What a training step saw, for the learning curve; every entry is a scalar, or has an axis of agents."""
+    """Entries of the learning curve from one training step; each is a scalar, or has an axis of agents."""
 
     done: FloatScalar
-    """How much of `budget` had been trained when it happened."""
+    """Share of the training done by then, in units of `budget`."""
     episodes: FloatScalar
-    """How many episodes ended."""
+    """Number of episodes that ended."""
     totals: dict[str, FloatScalar]
     """Sums over these episodes: `steps`, `success`, `return`, and the reward's terms by name."""
     squares: dict[str, FloatScalar]
@@ -56,7 +53,7 @@ class Learner(Spec):
 
     @property
     def budget(self) -> Any:
-        """How long to train, in `unit`."""
+        """Length of training, in `unit`."""
         return getattr(self, self.unit)
 
     @property
@@ -66,21 +63,8 @@ class Learner(Spec):
 
     @property
     def cumulative(self) -> bool:
-        """Whether learning curves show totals so far in the place of means over the episodes of each point."""
+        """True if learning curves show totals so far in the place of means over the episodes of each point."""
         return False
-
-    def can_split(self, devices: int) -> bool:
-        """Whether the environments of a run can be split over so many devices."""
-        return devices == 1
-
-    def split_over(self, devices: int) -> Any:
-        """The learner as each of so many devices runs it, in step with the others on the axis `ENVS`."""
-        return self
-
-    def layout(self, same: Any, split: Any) -> Any:
-        """A training state, or the beginnings of its branches: `split` for what the devices have each a part of, along
-        its first axis, and `same` for what is the same on all."""
-        return same
 
     def init(self, key: Key[Array, ""], policy: Any = None) -> Any:
         """The training state before the first step: a pytree of arrays. `policy` is one learned before."""
@@ -95,7 +79,7 @@ class Learner(Spec):
         raise NotImplementedError
 
     def policy(self, carry: Any) -> Any:
-        """What was learned, as a pytree of arrays: all that acting greedily needs."""
+        """Return what was learned, as a pytree of arrays: all that acting greedily needs."""
         raise NotImplementedError
 
     def observation(self, state: State) -> Any:

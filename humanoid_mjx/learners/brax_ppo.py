@@ -30,7 +30,7 @@ with redirect_stdout(io.StringIO()):  # mujoco.mjx prints two lines about warp
 
 
 class Policy(NamedTuple):
-    """What is learned."""
+    """Learned values."""
 
     moments: Moments
     """Running mean and variance of the raw observations seen so far."""

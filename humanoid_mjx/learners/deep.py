@@ -64,9 +64,6 @@ class DeepQ(ApproximateQ):
             raise ValueError(f"minibatches must divide envs * rollout ({self.envs * self.rollout})")
         return self
 
-    def can_split(self, devices: int) -> bool:
-        return self.envs % devices == 0 and self.envs // devices * self.rollout % self.minibatches == 0
-
     def network(self) -> QNetwork:
         return QNetwork(self.width, self.layers, len(self.env.action_bins), self.bins, self.precision)
 
@@ -99,7 +96,6 @@ class DeepQ(ApproximateQ):
         def step(carry: tuple[Any, Any], part: Batch) -> tuple[tuple[Any, Any], FloatScalar]:
             value, optimizer = carry
             error, gradient = jax.value_and_grad(loss if jax.default_backend() == "cpu" else loss_by_parts)(value, part)
-            gradient = self.mean(gradient)
             change, optimizer = transform.update(gradient, optimizer, value)
             return (optax.apply_updates(value, change), optimizer), error
 

@@ -43,7 +43,7 @@ def explore(
 
 
 def _largest(values: Float[Array, "*batch bins"]) -> Int[Array, "*batch"]:
-    """Where the largest value stands, of equal ones the first: `jnp.argmax` of numbers that are all finite.
+    """Return the place of the largest value, of equal ones the first: `jnp.argmax` of numbers that are all finite.
 
     That is one sum with two results, on which XLA aborts where it computes it in one kernel with others
     (`compute.options.XLA_FLAGS`).

@@ -43,9 +43,6 @@ class LinearQ(ApproximateQ):
             raise ValueError("shared needs joints that have the same number of choices")
         return self
 
-    def can_split(self, devices: int) -> bool:
-        return self.envs % devices == 0
-
     @property
     def joints(self) -> int:
         return len(self.env.action_bins)
@@ -75,7 +72,7 @@ class LinearQ(ApproximateQ):
         parts = jnp.stack([td_error, jnp.ones_like(td_error)], axis=-1)[:, None, None]
         at = self._set[:, None], places, batch.action[:, :, None]
         sums = jnp.zeros((*self._shape, 2), parts.dtype).at[at].add(jnp.broadcast_to(parts, (*places.shape, 2)))
-        change, number = jnp.moveaxis(self.mean(sums), -1, 0)
+        change, number = jnp.moveaxis(sums, -1, 0)
         # The mean over joints divides a weight's part in Q by their number, and this gives it back.
         step = change / jnp.maximum(number, 1.0) / tiles.active
         return value + rate * step, optimizer, jnp.mean(td_error**2)

@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -25,15 +24,9 @@ def moments(size: int) -> Moments:
     return Moments(jnp.float32(0), jnp.zeros(size), jnp.ones(size))
 
 
-def observe(old: Moments, obs: Float[Array, "batch size"], axis: str | None = None) -> Moments:
-    """Add a batch of raw observations (T. Chan et al., "Updating Formulae and a Pairwise Algorithm", 1979).
-
-    `axis`: of a mesh of devices, each of which has an equal part of the batch.
-    """
+def observe(old: Moments, obs: Float[Array, "batch size"]) -> Moments:
+    """Add a batch of raw observations (T. Chan et al., "Updating Formulae and a Pairwise Algorithm", 1979)."""
     mean, variance, number = obs.mean(axis=0), obs.var(axis=0), len(obs)
-    if axis is not None:
-        mean, own = jax.lax.pmean(mean, axis), mean
-        variance, number = jax.lax.pmean(variance + (own - mean) ** 2, axis), jax.lax.psum(number, axis)
     count = old.count + number
     share = number / count
     difference = mean - old.mean

@@ -59,7 +59,7 @@ class Carry(NamedTuple):
 
 
 class Update(NamedTuple):
-    """What a move teaches of Q(row, action)."""
+    """TD error of Q(row, action) from one move."""
 
     row: IntScalar
     action: IntScalar
@@ -85,7 +85,7 @@ class TabularQ(Learner):
 
     @property
     def cumulative(self) -> bool:
-        """Where an episode is a step of the only trajectory, curves are its totals so far."""
+        """True where an episode is a step of the only trajectory: curves are its totals so far."""
         return self.task.learning_rules.episode == "step"
 
     def init(self, key: Key[Array, ""], policy: QTable | None = None) -> Carry:
@@ -136,13 +136,13 @@ class TabularQ(Learner):
         return self.env.joint_action(greedy)
 
     def _ended(self, agent: Agent) -> tuple[BoolScalar, BoolScalar]:
-        """Whether the trajectory ended with the move, and whether an episode did."""
+        """Return whether the trajectory ended with the move, and whether an episode did."""
         over = agent.terminated | (agent.length >= self.task.max_episode_steps)
         training = agent.episode < self.episodes
         return over, training if self.task.learning_rules.episode == "step" else training & over
 
     def learn(self, agent: Agent, next_q_row: QRow) -> tuple[Update, Outcome]:
-        """What the move under way teaches, and what to record if it ended an episode. After training: nothing."""
+        """Return the update by the move under way, and the record if it ended an episode. After training: nothing."""
         rules = self.task.learning_rules
         value = reduce(jnp.maximum, next_q_row)
         if not rules.bootstrap_at_end:

@@ -22,7 +22,7 @@ class Contacts(NamedTuple):
     drift: Float[AnyArray, "*worlds points 3"]
     """Acceleration of the points where the robot's accelerations are 0, m/s^2."""
     touching: Bool[AnyArray, "*worlds points"]
-    """Whether each point is at the ground's height or below, where the ground pushes."""
+    """True for points at the ground's height or below, where the ground pushes."""
 
 
 def no_contacts(nv: int) -> Contacts:

@@ -80,7 +80,7 @@ def energy(leg: Chain, qpos: Joints, qvel: Joints) -> Float[Array, ""]:
 
 
 class State(NamedTuple):
-    """Where a chain is and how it moves: rad and rad/s, by joint."""
+    """Position and velocity of a chain: rad and rad/s, by joint."""
 
     qpos: Joints
     qvel: Joints

@@ -1,4 +1,4 @@
-"""Where the links of a chain are, and how they move with its joints."""
+"""Poses of the links of a chain, and their Jacobian."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float

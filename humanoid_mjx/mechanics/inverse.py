@@ -24,7 +24,7 @@ SOLUTIONS = 4
 """Rows of solutions that `inverse` returns: the elbow pair of a planar pose, for both signs of cos(q3)."""
 
 TOLERANCE = {"float32": 1e-5, "float64": 1e-10}
-"""How closely a solution must lead back to the pose: entries of the rotation, and metres."""
+"""Largest deviation of a solution's pose: entries of the rotation, and metres."""
 
 
 def inverse(leg: Leg, pose: Float[Array, "4 4"]) -> tuple[Float[Array, "solutions 5"], Bool[Array, " solutions"]]:

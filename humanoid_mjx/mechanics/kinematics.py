@@ -13,12 +13,7 @@ from humanoid_mjx.mechanics.inverse import inverse
 from humanoid_mjx.robot.chain import Chain
 from humanoid_mjx.types import AnyArray
 
-__all__ = ["forward", "frames", "inverse", "jacobian", "singular_values", "static_torque", "workspace"]
-
-
-def singular_values(chain: Chain, q: Float[Array, " joints"]) -> Float[Array, " joints"]:
-    """The singular values of the Jacobian in m and rad, largest first. The last is 0 where the leg is singular."""
-    return jnp.linalg.svd(jacobian(chain, q), compute_uv=False)
+__all__ = ["forward", "frames", "inverse", "jacobian", "static_torque", "workspace"]
 
 
 def static_torque(chain: Chain, q: Float[Array, " joints"], wrench: Float[Array, "6"]) -> Float[Array, " joints"]:

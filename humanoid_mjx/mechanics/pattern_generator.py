@@ -34,7 +34,7 @@ class Params(NamedTuple):
     coupling: FloatScalar = 4.0
     """k, 1/s."""
     response: FloatScalar = 8.0
-    """How fast frequency and amplitude follow their commands: the double pole's distance from 0, 1/s."""
+    """Rate at which frequency and amplitude follow their commands: the double pole's distance from 0, 1/s."""
 
 
 class Follower(NamedTuple):
@@ -45,7 +45,7 @@ class Follower(NamedTuple):
 
 
 class State(NamedTuple):
-    """What the generator remembers: the phases of its two oscillators, and how far they follow their commands."""
+    """State of the generator: the phases of its two oscillators, and the followers of its commands."""
 
     phase: Float[Array, "2"]
     """Phases of the right and the left leg, rad in [0, 2 pi)."""
@@ -111,7 +111,7 @@ def mean_posture(gait: Gait) -> Float[Array, "5"]:
 
 
 def _out_of_step(phase: Float[Array, "2"]) -> Float[Array, ""]:
-    """How far the left leg's phase is from antiphase, rad in [-pi, pi]."""
+    """Return the left leg's distance from antiphase, rad in [-pi, pi]."""
     off = phase[1] - phase[0] - IN_STEP
     return jnp.arctan2(jnp.sin(off), jnp.cos(off))
 

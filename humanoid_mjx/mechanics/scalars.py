@@ -22,7 +22,7 @@ class Scalar:
         self.value = value
 
     def is_known(self, number: float) -> bool:
-        """Whether the value is known to be this number."""
+        """Return whether the value is known to be this number."""
         return isinstance(self.value, float) and self.value == number
 
     def __neg__(self) -> "Scalar":

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from humanoid_mjx.physics.model import MujocoPhysics
+from humanoid_mjx.robot.description import lowest
 from humanoid_mjx.types import AnyArray, FloatScalar
 
 
@@ -23,8 +24,8 @@ def ground_wrench(
     qvel: Float[AnyArray, "times nv"],
     qacc: Float[AnyArray, "times nv"],
 ) -> tuple[Float[np.ndarray, "times 3"], Float[np.ndarray, "times 3"]]:
-    """What the ground must give a body with a free torso for its motion: force, N, and moment about the world's origin,
-    N m.
+    """Return the force, N, and the moment about the world's origin, N m, that the motion of a body with a free torso
+    needs from the ground.
 
     It is what inverse dynamics leaves to the six degrees of freedom that no motor drives. Where only the ground pushes,
     it is the ground's wrench.
@@ -43,7 +44,7 @@ def ground_wrench(
 
 
 def zero_moment_point(force: Float[np.ndarray, "times 3"], moment: Float[np.ndarray, "times 3"]) -> np.ndarray:
-    """Where on the plane z = 0 a wrench has no moment about x and y, (times, 2), m.
+    """Return the points on the plane z = 0 at which a wrench has no moment about x and y, (times, 2), m.
 
     Args:
       force: force, N, in the world's frame, z up.
@@ -59,7 +60,8 @@ def zero_moment_point(force: Float[np.ndarray, "times 3"], moment: Float[np.ndar
 def support_margin(
     point: Float[AnyArray, "2"], corners: Float[AnyArray, "corners 2"], touching: Bool[AnyArray, " corners"]
 ) -> FloatScalar:
-    """How far a point is inside the support polygon, the convex hull of the corners that touch, m.
+    """Return the distance of a point from the edge of the support polygon, the convex hull of the corners that touch,
+    m.
 
     Negative outside it: the distance to the polygon. With less than three corners it is an edge or a point, which has
     no inside; with none the margin is minus infinity.
@@ -89,7 +91,7 @@ def foot_corners(physics: MujocoPhysics, qpos: Float[AnyArray, "times nq"]) -> F
     for row, posture in zip(found, qpos, strict=True):
         data.qpos = posture
         mujoco.mj_kinematics(model, data)
-        row[:] = data.geom_xpos[balls] - model.geom_size[balls, :1] * (0.0, 0.0, 1.0)
+        row[:] = lowest(model, data.geom_xpos[balls])
     return found
 
 

@@ -2,19 +2,18 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import get_opaque_trace_state
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from humanoid_mjx.compute import Arithmetic
-from humanoid_mjx.mechanics.contacts import Contacts
+from humanoid_mjx.control.stages import Stages
 from humanoid_mjx.spec import InputError, Spec
-from humanoid_mjx.types import AnyArray, MassFactor
+from humanoid_mjx.types import AnyArray, BoolScalar
 
 MAX_SPEED = 300.0
 """rad/s and m/s. Beyond it a world counts as diverged: the torque limit against the damping of the lower body spins a
@@ -40,8 +39,7 @@ T = TypeVar("T")
 
 
 class Once(Generic[T]):
-    """What is made when it is first asked for, and kept. If a branch or a loop asks first, which it must not leave, it
-    is made anew for whoever asks next."""
+    """Lazy value, cached per trace: one made inside a branch or a loop must not leave it, and is made anew outside."""
 
     def __init__(self, make: Callable[[], T]) -> None:
         self._make, self._trace = make, get_opaque_trace_state()
@@ -54,47 +52,6 @@ class Once(Generic[T]):
         if get_opaque_trace_state() == self._trace:
             self.made = found
         return found
-
-
-@dataclass(frozen=True)
-class Stages:
-    """What a controller may use of the current state. What it does not ask for is not even traced.
-
-    In the absence of contacts `mass_matrix @ acceleration + bias = torque`, with zeros for the torque of the torso.
-    """
-
-    world: World
-    qpos: Float[AnyArray, "*worlds joints"]
-    """Angles of the actuated joints, rad."""
-    qvel: Float[AnyArray, "*worlds joints"]
-    dynamics: Callable[[], tuple[Any, Any]]
-    """() -> `mass_matrix` and `bias`."""
-    contacts: Callable[[], Contacts]
-    """The corners of the feet that can touch the ground; no points where there is none."""
-    model_for: Callable[[MassFactor], tuple[Float[Array, "nv nv"], Float[Array, " nv"]]]
-    """(a model's mass factor) -> the mass matrix and the bias of that model."""
-    joints: slice | Int[np.ndarray, " joints"]
-    """Where the actuated joints stand among the degrees of freedom."""
-
-    def torque_for(self, qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
-        """The torques that a model asks for, N m, a free torso taken as fixed and contacts ignored.
-
-        Args:
-          qacc: accelerations of the joints, rad/s^2.
-          mass: the model's mass factor: a number, or one for each joint's link.
-        """
-        matrix, bias = self.model_for(mass)
-        return matrix[self.joints][:, self.joints] @ qacc + bias[self.joints]
-
-    @property
-    def mass_matrix(self) -> Float[AnyArray, "*worlds nv nv"]:
-        """Mass matrix of all degrees of freedom; its last rows and columns are the joints'."""
-        return self.dynamics()[0]
-
-    @property
-    def bias(self) -> Float[AnyArray, "*worlds nv"]:
-        """Velocity term, gravity and the joints' damping."""
-        return self.dynamics()[1]
 
 
 class Readings(NamedTuple):
@@ -111,7 +68,7 @@ class Readings(NamedTuple):
 
 
 class Poses(NamedTuple):
-    """Where the bodies are, in the world."""
+    """Poses of the bodies in the world."""
 
     position: Float[AnyArray, "*worlds bodies 3"]
     """Positions of the origins of the bodies' frames, m."""
@@ -120,7 +77,7 @@ class Poses(NamedTuple):
 
 
 class Velocities(NamedTuple):
-    """How the bodies move, in the world."""
+    """Velocities of the bodies in the world."""
 
     linear: Float[AnyArray, "*worlds bodies 3"]
     """Velocities of the origins of the bodies' frames, m/s."""
@@ -162,6 +119,17 @@ class Batches(NamedTuple):
         return self.cpu if jax.default_backend() == "cpu" else self.gpu
 
 
+def freeze_if_diverged(old: World, new: World) -> World:
+    """Return `new`; where it has diverged, `old` with the flag set."""
+    sound = jnp.isfinite(new.qpos).all() & (jnp.abs(new.qvel) <= MAX_SPEED).all() & ~new.diverged
+    return where(old.diverged | ~sound, old._replace(diverged=jnp.bool_(True)), new)
+
+
+def where(mask: BoolScalar, chosen: World, other: World) -> World:
+    """Return the one world where `mask` is true, else the other."""
+    return jax.tree.map(lambda a, b: jnp.where(mask, a, b), chosen, other)
+
+
 Controller = Callable[[Stages], Any]
 """From the stages to the torque of each actuated joint, N m."""
 
@@ -177,7 +145,7 @@ class Physics(Spec):
     """Kind of the arithmetic, which chooses XLA's options (`compute.options`)."""
 
     batches: ClassVar[Batches] = Batches(cpu=1024, gpu=32_768)
-    """How many worlds to move side by side at most: more gain nothing, and fewer are heard of sooner."""
+    """Largest number of worlds to move side by side: more gain nothing, and fewer report sooner."""
 
     @property
     def step_s(self) -> float:
@@ -205,7 +173,7 @@ class Physics(Spec):
         raise NotImplementedError
 
     def substeps(self, period: float) -> int:
-        """How many time steps make a control cycle of `period` seconds.
+        """Return the number of time steps in a period of a task, s.
 
         Raises:
           InputError: the period is no multiple of the time step.
@@ -216,31 +184,31 @@ class Physics(Spec):
         return steps
 
     def start(self, qpos: Any, qvel: Any) -> World:
-        """A world in the given state."""
+        """Return a world in the given state."""
         raise NotImplementedError
 
     def reset(self, world: World, mask: Any, qpos: Any, qvel: Any) -> World:
-        """`world`, or where `mask` is true one started anew in the given state."""
-        raise NotImplementedError
+        """Return `world`, or where `mask` is true one started anew in the given state."""
+        return where(mask, self.start(qpos, qvel), world)
 
-    def step(self, world: World, controller: Controller, substeps: int = 1) -> tuple[World, Any]:
-        """One control cycle: ask the controller once, hold its torque for `substeps` time steps.
+    def step(self, world: World, controller: Controller) -> tuple[World, Any]:
+        """Ask the controller for a torque, and move by one time step.
 
         Returns:
           the new world, and the torque that acted, N m: the controller's within the torque limit.
         """
         raise NotImplementedError
 
-    def run(self, world: World, controller: Controller, cycles: int, substeps: int = 1) -> World:
-        """`cycles` control cycles one after another."""
+    def run(self, world: World, controller: Controller, cycles: int) -> World:
+        """Return the world after `cycles` time steps."""
 
         def cycle(world: World, _: None) -> tuple[World, None]:
-            return self.step(world, controller, substeps)[0], None
+            return self.step(world, controller)[0], None
 
         return jax.lax.scan(cycle, world, length=cycles)[0]
 
     def run_sensed(self, world: World, controller: Controller, cycles: int) -> tuple[World, Sensed]:
-        """`cycles` control cycles of one time step, and everything at the beginning of the last.
+        """Return the world after `cycles` time steps, and everything at the beginning of the last.
 
         A time step computes everything for its beginning only: its end has no forces yet.
         """
@@ -255,9 +223,9 @@ class Physics(Spec):
         return world, self.sense(before, torque)
 
     def sense(self, world: World, torque: Any) -> Sensed:
-        """Everything about this state while `torque` acts."""
+        """Return everything about this state while `torque` acts."""
         raise NotImplementedError
 
     def poses(self, world: World) -> Poses:
-        """Where the bodies are."""
+        """Return the poses of the bodies."""
         raise NotImplementedError

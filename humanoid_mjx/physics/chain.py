@@ -17,12 +17,12 @@ from jaxtyping import Array, Float
 from pydantic import Field
 
 from humanoid_mjx.compute import Arithmetic
+from humanoid_mjx.control.stages import Stages
 from humanoid_mjx.mechanics import dynamics
 from humanoid_mjx.mechanics.contacts import no_contacts
 from humanoid_mjx.mechanics.forward import frames
 from humanoid_mjx.mechanics.rotations import angular_velocity
 from humanoid_mjx.physics.base import (
-    MAX_SPEED,
     Controller,
     GroundContacts,
     Once,
@@ -30,20 +30,20 @@ from humanoid_mjx.physics.base import (
     Poses,
     Readings,
     Sensed,
-    Stages,
     Velocities,
     World,
+    freeze_if_diverged,
 )
 from humanoid_mjx.robot import ROBOTS
 from humanoid_mjx.robot.leg import FRAME_0, MIRROR, Leg
 from humanoid_mjx.robot.legs import Legs
-from humanoid_mjx.spec import make_named, traced, written
+from humanoid_mjx.spec import make, traced, written
 from humanoid_mjx.thesis.leg import GRAVITY, JOINT_NAMES
-from humanoid_mjx.types import AnyArray, BoolScalar, MassFactor
+from humanoid_mjx.types import AnyArray, MassFactor
 
 LEG = len(JOINT_NAMES)
 
-ChainRobot = Annotated[pydantic.SerializeAsAny[Legs], written("robot", partial(make_named, "robot", ROBOTS, Legs))]
+ChainRobot = Annotated[pydantic.SerializeAsAny[Legs], written("robot", partial(make, "robot", ROBOTS, Legs))]
 
 
 class ChainPhysics(Physics):
@@ -91,26 +91,21 @@ class ChainPhysics(Physics):
     def start(self, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]) -> World:
         return World(jnp.array(qpos, float), jnp.array(qvel, float), jnp.zeros(0), jnp.bool_(False))
 
-    def reset(
-        self, world: World, mask: BoolScalar, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]
-    ) -> World:
-        return jax.tree.map(lambda new, old: jnp.where(mask, new, old), self.start(qpos, qvel), world)
+    def step(self, world: World, controller: Controller) -> tuple[World, Float[Array, " joints"]]:
+        new, torque = self._cycle(world, controller)
+        return freeze_if_diverged(world, new), torque
 
-    def step(self, world: World, controller: Controller, substeps: int = 1) -> tuple[World, Float[Array, " joints"]]:
-        new, torque = self._cycle(world, controller, substeps)
-        return _freeze_if_diverged(world, new), torque
-
-    def run(self, world: World, controller: Controller, cycles: int, substeps: int = 1) -> World:
-        """`cycles` control cycles. A world that diverges in them stands still where it was before the first."""
+    def run(self, world: World, controller: Controller, cycles: int) -> World:
+        """`cycles` time steps. A world that diverges in them stands still where it was before the first."""
 
         # The state is carried as separate scalars: a batch of them is contiguous, and few kernels compute them all.
         def cycle(carry: tuple[list[Array], ...], _: None) -> tuple[tuple[list[Array], ...], None]:
             now = world._replace(qpos=jnp.stack(carry[0]), qvel=jnp.stack(carry[1]))
-            now = self._cycle(now, controller, substeps)[0]
+            now = self._cycle(now, controller)[0]
             return (list(now.qpos), list(now.qvel)), None
 
         qpos, qvel = jax.lax.scan(cycle, (list(world.qpos), list(world.qvel)), length=cycles)[0]
-        return _freeze_if_diverged(world, world._replace(qpos=jnp.stack(qpos), qvel=jnp.stack(qvel)))
+        return freeze_if_diverged(world, world._replace(qpos=jnp.stack(qpos), qvel=jnp.stack(qvel)))
 
     def sense(self, world: World, torque: Float[AnyArray, " joints"]) -> Sensed:
         still, nowhere = jnp.zeros(3, world.qpos.dtype), jnp.zeros((0, 3), world.qpos.dtype)
@@ -128,24 +123,19 @@ class ChainPhysics(Physics):
                 rotation.append(mirror @ FRAME_0 @ pose[:3, :3] @ mirror)
         return Poses(jnp.stack(position), jnp.stack(rotation))
 
-    def _cycle(self, world: World, controller: Controller, substeps: int) -> tuple[World, Float[Array, " joints"]]:
+    def _cycle(self, world: World, controller: Controller) -> tuple[World, Float[Array, " joints"]]:
         limits = [self.torque_limit * limit for limit in self.robot.torque_limits.tolist()]
         # Joint by joint: a bound on the whole array would be a kernel of its own between those of its elements.
         torque = jnp.stack(
             [jnp.clip(x, -limit, limit) for x, limit in zip(controller(self._stages(world)), limits, strict=True)]
         )
         dt = jnp.asarray(self.timestep, world.qpos.dtype)
-
-        def move(world: World) -> World:
-            legs = [
-                dynamics.semi_implicit_euler(leg, dynamics.State(qpos, qvel), held, dt)
-                for leg, qpos, qvel, held in self._each_leg(self.mass, world.qpos, world.qvel, torque)
-            ]
-            qpos, qvel = (jnp.concatenate(parts) for parts in zip(*legs, strict=True))
-            return world._replace(qpos=qpos, qvel=qvel)
-
-        new = move(world) if substeps == 1 else jax.lax.fori_loop(0, substeps, lambda _, world: move(world), world)
-        return new, torque
+        legs = [
+            dynamics.semi_implicit_euler(leg, dynamics.State(qpos, qvel), held, dt)
+            for leg, qpos, qvel, held in self._each_leg(self.mass, world.qpos, world.qvel, torque)
+        ]
+        qpos, qvel = (jnp.concatenate(parts) for parts in zip(*legs, strict=True))
+        return world._replace(qpos=qpos, qvel=qvel), torque
 
     def _stages(self, world: World) -> Stages:
         def torque_for(qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
@@ -162,7 +152,7 @@ class ChainPhysics(Physics):
 
         nothing = no_contacts(len(world.qvel))
         own = Once(partial(model_for, self.mass))
-        return _LegStages(world, world.qpos, world.qvel, own, lambda: nothing, model_for, slice(None), torque_for)
+        return _LegStages(world.qpos, world.qvel, own, lambda: nothing, model_for, slice(None), torque_for)
 
     def _each_leg(self, mass: MassFactor, *joints: Float[Array, " joints"]) -> list[tuple[Any, ...]]:
         """For each leg: its chain, and its own part of the arrays."""
@@ -179,13 +169,6 @@ class _LegStages(Stages):
 
     def torque_for(self, qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
         return self.inverse_dynamics(qacc, mass)
-
-
-def _freeze_if_diverged(old: World, new: World) -> World:
-    sound = jnp.isfinite(new.qpos).all() & (jnp.abs(new.qvel) <= MAX_SPEED).all()
-    stays = old.diverged | ~sound
-    frozen = old._replace(diverged=jnp.bool_(True))
-    return jax.tree.map(lambda old, new: jnp.where(stays, old, new), frozen, new)
 
 
 def _by_leg(x: Float[Array, " joints"]) -> list[Float[Array, " leg"]]:

@@ -18,10 +18,10 @@ from pydantic import Field, model_validator
 
 from humanoid_mjx import compute
 from humanoid_mjx.mechanics.contacts import Contacts
-from humanoid_mjx.physics.base import Controller, Poses, Sensed, World
-from humanoid_mjx.physics.model import MujocoPhysics, below, freeze_if_diverged
+from humanoid_mjx.physics.base import Controller, Poses, Sensed, World, freeze_if_diverged
+from humanoid_mjx.physics.model import MujocoPhysics, below
 from humanoid_mjx.robot.description import IMU
-from humanoid_mjx.types import AnyArray, IntScalar
+from humanoid_mjx.types import AnyArray
 
 SOLVER_ITERATIONS = {"jax": 4, "warp": 30}
 LINE_SEARCH_ITERATIONS = 8
@@ -65,25 +65,9 @@ class MjxJax(MujocoPhysics):
             )
         return self
 
-    def step(self, world: World, controller: Controller, substeps: int = 1) -> tuple[World, Float[Array, " joints"]]:
-        model, blank = self._put(), self._blank_data()
-        if substeps == 1:
-            new, data = self._cycle(model, blank, world, controller)
-            return new, self._torque(data)
-
-        def substep(
-            carry: tuple[World, Float[Array, " joints"]], index: IntScalar
-        ) -> tuple[tuple[World, Float[Array, " joints"]], None]:
-            world, torque = carry
-            data = self._at(model, blank, world)
-            ask = partial(self._ask, model, data, world, controller)
-            torque = jax.lax.cond(index == 0, ask, lambda: torque)
-            after = _advance(model, data.replace(ctrl=self.told(torque), qfrc_applied=self.pushes()))[0]
-            return (after._replace(diverged=world.diverged | after.diverged), torque), None
-
-        held = jnp.zeros(self.model.nu)
-        (new, torque), _ = jax.lax.scan(substep, (world, held), jnp.arange(substeps))
-        return freeze_if_diverged(world, new), torque
+    def step(self, world: World, controller: Controller) -> tuple[World, Float[Array, " joints"]]:
+        new, data = self._cycle(self._put(), self._blank_data(), world, controller)
+        return new, self._torque(data)
 
     def run_sensed(self, world: World, controller: Controller, cycles: int) -> tuple[World, Sensed]:
         model, blank = self._put(), self._blank_data()

@@ -1,5 +1,5 @@
 # pyright: reportAttributeAccessIssue=false
-"""What the physics built on MuJoCo's models have in common: which robot, its model, its traced values."""
+"""Base of the physics built on MuJoCo's models: the robot, its model, its traced values."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -13,24 +13,23 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from pydantic import Field, model_validator
 
+from humanoid_mjx.control.stages import Stages
 from humanoid_mjx.mechanics.contacts import Contacts, drift_of, jacobian_of
 from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.physics.base import (
-    MAX_SPEED,
     GroundContacts,
     Once,
     Physics,
     Poses,
     Readings,
     Sensed,
-    Stages,
     Velocities,
     World,
 )
 from humanoid_mjx.robot import RobotKey, make_robot
-from humanoid_mjx.robot.description import Robot, compiled, ground_points, motor_limits
+from humanoid_mjx.robot.description import Robot, compiled, ground_points, lowest, motor_limits
 from humanoid_mjx.spec import traced
-from humanoid_mjx.types import AnyArray, BoolScalar, MassFactor
+from humanoid_mjx.types import AnyArray, MassFactor
 
 
 class MujocoPhysics(Physics):
@@ -96,17 +95,17 @@ class MujocoPhysics(Physics):
 
     @property
     def free(self) -> bool:
-        """Whether the torso is free to move."""
+        """True if the torso is free to move."""
         return bool((self.model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any())
 
     @property
     def joint_qpos(self) -> Any:
-        """Where the joints that motors drive stand in `qpos`."""
+        """Index of the joints that motors drive in `qpos`."""
         return places(self.model.jnt_qposadr[self.model.actuator_trnid[:, 0]])
 
     @property
     def joint_dofs(self) -> Any:
-        """Where they stand in `qvel`."""
+        """Index of the same joints in `qvel`."""
         return places(self.model.jnt_dofadr[self.model.actuator_trnid[:, 0]])
 
     @property
@@ -115,7 +114,7 @@ class MujocoPhysics(Physics):
         return jnp.asarray(self.torque_limit, float) * motor_limits(self.model)
 
     def told(self, torque: Float[AnyArray, "*worlds joints"]) -> Float[AnyArray, "*worlds joints"]:
-        """What to tell the motors for these torques of their joints, N m."""
+        """Return the motors' controls for these torques of their joints, N m."""
         scale = self._motor_scale
         return torque if (scale == 1.0).all() else torque / scale
 
@@ -156,7 +155,7 @@ class MujocoPhysics(Physics):
             return factor * matrix + others * np.diag(self.model.dof_armature), factor * bias + others * resistance
 
         joints = self.joint_dofs
-        return Stages(world, world.qpos[self.joint_qpos], world.qvel[joints], own, contacts, model_for, joints)
+        return Stages(world.qpos[self.joint_qpos], world.qvel[joints], own, contacts, model_for, joints)
 
     def pushes(self) -> Float[AnyArray, " nv"]:
         """The forces on the degrees of freedom other than the motors'."""
@@ -193,8 +192,9 @@ class MujocoPhysics(Physics):
         """The bodies of the feet's corners, and the way from there to the corners' lowest points, m, world."""
         balls, _ = self.ground_points
         link = self.model.geom_bodyid[balls]
-        arm = jnp.einsum("pij,pj->pi", poses.rotation[link], jnp.asarray(self.model.geom_pos[balls], float))
-        return link, arm - self.model.geom_size[balls, :1] * np.array([0.0, 0.0, 1.0])
+        return link, lowest(
+            self.model, jnp.einsum("pij,pj->pi", poses.rotation[link], jnp.asarray(self.model.geom_pos[balls], float))
+        )
 
     def _contacts(
         self,
@@ -205,8 +205,8 @@ class MujocoPhysics(Physics):
         origin: Float[AnyArray, "3"],
     ) -> Contacts:
         """The corners of the feet from the middles of their balls and MuJoCo's spatial motions about `origin`."""
-        balls, moved_by = self.ground_points
-        position = centers - self.model.geom_size[balls, :1] * np.array([0.0, 0.0, 1.0])
+        _, moved_by = self.ground_points
+        position = lowest(self.model, centers)
         jacobian = jacobian_of(position, moved_by, cdof, origin)
         drift = drift_of(position, jacobian @ qvel, moved_by, cdof, cdof_dot, qvel, origin)
         return Contacts(position, jacobian, drift, position[:, 2] <= 0.0)
@@ -219,22 +219,6 @@ class MujocoPhysics(Physics):
     def start(self, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]) -> World:
         qvel = jnp.array(qvel, float)
         return World(jnp.array(qpos, float), qvel, jnp.zeros_like(qvel), jnp.bool_(False))
-
-    def reset(
-        self, world: World, mask: BoolScalar, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]
-    ) -> World:
-        return _where(mask, self.start(qpos, qvel), world)
-
-
-def freeze_if_diverged(old: World, new: World) -> World:
-    """`new`; where it has diverged, `old` with the flag set."""
-    sound = jnp.isfinite(new.qpos).all() & (jnp.abs(new.qvel) <= MAX_SPEED).all() & ~new.diverged
-    stays = old.diverged | ~sound
-    return _where(stays, old._replace(diverged=jnp.bool_(True)), new)
-
-
-def _where(mask: BoolScalar, chosen: World, other: World) -> World:
-    return jax.tree.map(lambda a, b: jnp.where(mask, a, b), chosen, other)
 
 
 @lru_cache

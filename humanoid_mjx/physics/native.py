@@ -22,8 +22,8 @@ from mujoco.rollout import Rollout
 from humanoid_mjx.compute import cores
 from humanoid_mjx.mechanics.contacts import Contacts
 from humanoid_mjx.mechanics.terrain import Terrain
-from humanoid_mjx.physics.base import Batches, Controller, Once, Poses, Sensed, Velocities, World
-from humanoid_mjx.physics.model import MujocoPhysics, below, freeze_if_diverged
+from humanoid_mjx.physics.base import Batches, Controller, Once, Poses, Sensed, Velocities, World, freeze_if_diverged
+from humanoid_mjx.physics.model import MujocoPhysics, below
 from humanoid_mjx.physics.terrain import add_terrain, follow
 from humanoid_mjx.robot import Robot
 from humanoid_mjx.robot.description import IMU, sensing_spec
@@ -46,7 +46,7 @@ OFF = {
     True: int(mujoco.mjtDisableBit.mjDSBL_AUTORESET),
     False: int(mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_SENSOR),
 }
-"""What is switched off in MuJoCo where sensors are read, and where they are not."""
+"""Flags that MuJoCo disables where sensors are read, and where they are not."""
 
 _LOCK = threading.Lock()
 """MuJoCo's data and its handler of warnings belong to one callback at a time; each uses all processors."""
@@ -58,12 +58,12 @@ class Native(MujocoPhysics):
     batches: ClassVar[Batches] = Batches(cpu=256, gpu=256)
     terrains: ClassVar[tuple[tuple[str, ...], ...]] = (("rough",), ("stairs",))
 
-    def step(self, world: World, controller: Controller, substeps: int = 1) -> tuple[World, Float[Array, " joints"]]:
-        return self._cycle(world, controller, substeps, sensed=False)[:2]
+    def step(self, world: World, controller: Controller) -> tuple[World, Float[Array, " joints"]]:
+        return self._cycle(world, controller, sensed=False)[:2]
 
     def run_sensed(self, world: World, controller: Controller, cycles: int) -> tuple[World, Sensed]:
         def cycle(carry: tuple[World, Any], _: None) -> tuple[tuple[World, Any], None]:
-            world, *seen = self._cycle(carry[0], controller, 1, sensed=True)
+            world, *seen = self._cycle(carry[0], controller, sensed=True)
             return (world, (carry[0].qpos, *seen)), None
 
         nothing = world.qpos, jnp.zeros(self.model.nu), jnp.zeros(self._team.base.nsensordata)
@@ -72,13 +72,13 @@ class Native(MujocoPhysics):
 
     def sense(self, world: World, torque: Float[AnyArray, " joints"]) -> Sensed:
         torque = jnp.asarray(torque, float)
-        return self._seen(world.qpos, torque, self._held(world, torque, 1, sensed=True)[-1])
+        return self._seen(world.qpos, torque, self._moved(world, torque, sensed=True)[-1])
 
     def poses(self, world: World) -> Poses:
         return self.sense(world, jnp.zeros(self.model.nu)).poses
 
-    def _cycle(self, world: World, controller: Controller, substeps: int, sensed: bool) -> tuple[World, Array, Array]:
-        """The world after a control cycle, the torque that acted, and what was sensed before it."""
+    def _cycle(self, world: World, controller: Controller, sensed: bool) -> tuple[World, Array, Array]:
+        """Return the world after a time step, the torque that acted, and the sensors' readings before it."""
         limit = self.torque_limits
         motion = Once(partial(self._motion, world))
 
@@ -88,19 +88,19 @@ class Native(MujocoPhysics):
 
         stages = self._stages(world, lambda: motion()[:2], lambda other: other._motion(world)[:2], contacts)
         torque = jnp.clip(jnp.asarray(controller(stages), float), -limit, limit)
-        qpos, qvel, warmstart, sensordata = self._held(world, torque, substeps, sensed)
+        qpos, qvel, warmstart, sensordata = self._moved(world, torque, sensed)
         return freeze_if_diverged(world, World(qpos, qvel, warmstart, jnp.bool_(False))), torque, sensordata
 
-    def _held(self, world: World, torque: Float[Array, " joints"], steps: int, sensed: bool) -> list[Array]:
-        """Position, velocity and acceleration after so many steps under the same torque, and what was sensed before
-        them: nothing unless `sensed`."""
+    def _moved(self, world: World, torque: Float[Array, " joints"], sensed: bool) -> list[Array]:
+        """Return position, velocity and acceleration after a time step, and the sensors' readings before it: none
+        unless `sensed`."""
         state = world.qpos, world.qvel, world.warmstart
         control = jnp.concatenate([self.told(torque), self.pushes()])
         shapes = *(x.shape for x in state), (self._team.base.nsensordata * sensed,)
-        return _on_host(partial(self._advance, steps, sensed), shapes, self._values(), *state, control)
+        return _on_host(partial(self._advance, sensed), shapes, self._values(), *state, control)
 
     def _seen(self, qpos: Float[Array, " nq"], torque: Float[Array, " joints"], sensordata: Array) -> Sensed:
-        """What the sensors of a model of `_watched` say."""
+        """Convert the sensors' array of a model of `_watched`."""
         own, frames = sensordata[: self.model.nsensordata], sensordata[self.model.nsensordata :]
         position, *axes, linear, angular = frames.reshape(len(FRAMES), self.model.nbody, 3)
         poses, velocities = Poses(position, jnp.stack(axes, axis=-1)), Velocities(linear, angular)
@@ -126,7 +126,6 @@ class Native(MujocoPhysics):
 
     def _advance(
         self,
-        steps: int,
         sensed: bool,
         values: Float[np.ndarray, "worlds values"],
         qpos: Float[np.ndarray, "worlds nq"],
@@ -134,19 +133,13 @@ class Native(MujocoPhysics):
         warmstart: Float[np.ndarray, "worlds nv"],
         control: Float[np.ndarray, "worlds controls"],
     ) -> tuple[np.ndarray, ...]:
-        """What `_held` gives, of worlds in groups of few models."""
+        """Return the results of `_moved` for worlds in groups of few models."""
         team, nq, waves = self._team, qpos.shape[-1], self.terrain is not None and self.terrain.rough is not None
         if waves:  # what a model's ground is depends on where the world is
             values = np.concatenate([values, np.arange(len(values))[:, None]], axis=-1)
-        if waves and steps > 1:
-            first = moved = self._advance(1, sensed, values[:, :-1], qpos, qvel, warmstart, control)
-            for _ in range(steps - 1):
-                at, speed, change, _ = moved
-                moved = self._advance(1, False, values[:, :-1], at, speed, change, control)
-            return *moved[:3], first[3]
         initial = np.concatenate([np.zeros((len(qpos), 1)), qpos, qvel], axis=-1)
-        states = np.empty((len(qpos), steps, initial.shape[-1]))
-        sensordata = np.empty((len(qpos), steps, team.base.nsensordata))
+        states = np.empty((len(qpos), 1, initial.shape[-1]))
+        sensordata = np.empty((len(qpos), 1, team.base.nsensordata))
         distinct, kind = np.unique(values, axis=0, return_inverse=True)
         for first in range(0, len(distinct), team.room):
             models = [team.tuned(row.tobytes(), sensed) for row in distinct[first : first + team.room]]
@@ -160,18 +153,18 @@ class Native(MujocoPhysics):
                 initial[rows],
                 control[rows, None],
                 control_spec=CONTROL,
-                nstep=steps,
+                nstep=1,
                 initial_warmstart=warmstart[rows],
             )
-        states = states[..., 1:]  # without the time
-        before = states[:, -2, nq:] if steps > 1 else qvel
-        moved, speed = states[:, -1, :nq], states[:, -1, nq:]
-        return moved, speed, (speed - before) / self.step_s, sensordata[:, 0, : sensordata.shape[-1] * sensed]
+        moved, speed = np.split(states[:, 0, 1:], [nq], axis=-1)  # without the time
+        return moved, speed, (speed - qvel) / self.step_s, sensordata[:, 0, : sensordata.shape[-1] * sensed]
 
     def _look(self, values: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, ...]:
-        """What `_motion` gives, of each world."""
+        """Return the results of `_motion` for each world."""
         rows, corners = [], self.ground_points[0]
-        for i, (model, data) in enumerate(self._team.bare(values)):
+        data = self._team.data[0]
+        for i, row in enumerate(values):
+            model = self._team.tuned(row.tobytes(), False)
             data.qpos, data.qvel = qpos[i], qvel[i]
             mujoco.mj_fwdPosition(model, data)
             mujoco.mj_fwdVelocity(model, data)
@@ -193,8 +186,6 @@ class _Team:
         self.data = [mujoco.MjData(base) for _ in range(threads)]
         self.room = max(1, MODELS_BYTES // base.nbuffer)
         self.tuned = lru_cache(self.room)(self._tuned)
-        self._bare = copy(base)
-        self._bare.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
 
     def _tuned(self, values: bytes, sensed: bool) -> mujoco.MjModel:
         """The model with these values in it, its sensors on or off."""
@@ -204,15 +195,6 @@ class _Team:
         self._tune(model, numbers)
         model.opt.disableflags |= OFF[sensed]
         return model
-
-    def bare(self, values: Float[np.ndarray, "worlds values"]) -> Iterator[tuple[mujoco.MjModel, mujoco.MjData]]:
-        """A model without contacts and limits, and data, for each row of values; valid until the next."""
-        before = None
-        for row in values:
-            if before is None or (row != before).any():
-                self._tune(self._bare, row)
-                before = row
-            yield self._bare, self.data[0]
 
     def _tune(self, model: mujoco.MjModel, values: Float[np.ndarray, " values"]) -> None:
         base = self.base

@@ -19,7 +19,7 @@ STEPS = 80
 """Boxes on each side of the origin."""
 
 BENEATH = 1000.0
-"""How far down the plane is that a terrain replaces, m."""
+"""Depth to which the plane is moved that a terrain replaces, m."""
 
 
 def add_terrain(spec: mujoco.MjSpec, terrain: Terrain) -> None:

@@ -6,7 +6,7 @@ it is fastest after `humanoid_mjx.start()` in a `jax.jit` with `compute.compiler
 1,000 worlds for each core.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import lru_cache, partial
 from typing import Any, ClassVar, NamedTuple
 
@@ -38,7 +38,7 @@ from humanoid_mjx.physics.base import (
 )
 from humanoid_mjx.physics.model import MujocoPhysics
 from humanoid_mjx.robot.description import IMU, ground_points, motor_limits
-from humanoid_mjx.types import AnyArray, BoolScalar, IntScalar
+from humanoid_mjx.types import AnyArray, BoolScalar
 
 
 class TreePhysics(MujocoPhysics):
@@ -49,32 +49,23 @@ class TreePhysics(MujocoPhysics):
 
     @property
     def tree(self) -> Tree:
-        """What is fixed while a program is compiled."""
+        """Static part of the model, fixed while a program is compiled."""
         model, kind = self.model, mujoco.mjtObj.mjOBJ_SENSOR
         tree = _tree(model, tuple(name for name in IMU if mujoco.mj_name2id(model, kind, name) >= 0))
         return on_stairs(tree) if self.terrain and self.terrain.stairs is not None else tree
 
-    def step(self, world: World, controller: Controller, substeps: int = 1) -> tuple[World, Float[Array, " joints"]]:
+    def step(self, world: World, controller: Controller) -> tuple[World, Float[Array, " joints"]]:
+        """A world that diverges in the step, or whose contacts were not found, stays where it was."""
         values = self._values()
-        if substeps == 1:
-            torque, state = self._ask_first(values, world, controller)
-            return self._advance(values, state, world, torque), torque
+        torque, state = self._ask(values, world, controller)
+        return World(*self._move(_advance, values, state, world, torque)), torque
 
-        def substep(carry: tuple[World, Any], index: IntScalar) -> tuple[tuple[World, Any], None]:
-            world, torque = carry
-            state = self._state(values, world)
-            torque = jax.lax.cond(index == 0, partial(self._ask, lambda: state, world, controller), lambda: torque)
-            return (self._advance(values, state, world, torque), torque), None
-
-        held = jnp.zeros(len(self.tree.motors))
-        return jax.lax.scan(substep, (world, held), jnp.arange(substeps))[0]
-
-    def run(self, world: World, controller: Controller, cycles: int, substeps: int = 1) -> World:
+    def run(self, world: World, controller: Controller, cycles: int) -> World:
         # The state is carried as separate scalars: a batch of them is contiguous, and few kernels compute them all.
         def cycle(carry: list[list[Array]], _: None) -> tuple[list[list[Array]], None]:
             *parts, (diverged,) = carry
             now = World(*(jnp.stack(part) for part in parts), diverged)
-            now = self.step(now, controller, substeps)[0]
+            now = self.step(now, controller)[0]
             return [list(now.qpos), list(now.qvel), list(now.warmstart), [now.diverged]], None
 
         start = [list(world.qpos), list(world.qvel), list(world.warmstart), [world.diverged]]
@@ -89,7 +80,7 @@ class TreePhysics(MujocoPhysics):
 
         def cycle(carry: tuple[World, Any], last: BoolScalar) -> tuple[tuple[World, Any], None]:
             now = carry[0]
-            torque, state = self._ask_first(values, now, controller)
+            torque, state = self._ask(values, now, controller)
             parts, seen = self._move(_advance_sensed, values, state, now, torque, last)
             return (World(*parts), (now.qpos[self.joint_qpos], torque, seen)), None
 
@@ -113,7 +104,7 @@ class TreePhysics(MujocoPhysics):
         return self._sensed(encoders, turning, felt, poses, velocities, forces, torque)
 
     def _nothing(self, zero: Float[Array, ""]) -> tuple[Any, ...]:
-        """What is carried in the place of something sensed before anything is."""
+        """Return zeros in the shapes of what is sensed, for the start of a loop."""
         bodies, points, joints = self.model.nbody, len(self.ground_points[0]), len(self.tree.motors)
         shapes = (bodies, 3), (bodies, 3, 3), (bodies, 3), (bodies, 3), (points,)
         sensors = (3 * len(self.tree.gyroscopes),), (3 * len(self.tree.accelerometers),)
@@ -133,12 +124,6 @@ class TreePhysics(MujocoPhysics):
     def _state(self, values: mechanics.Values, world: World) -> mechanics.State:
         return worlds_last(_state, self.tree)(values, world.qpos, world.qvel)
 
-    def _advance(
-        self, values: mechanics.Values, state: mechanics.State | None, world: World, torque: Float[Array, " joints"]
-    ) -> World:
-        """One time step; a world that diverges in it, or whose contacts were not found, stays where it was."""
-        return World(*self._move(_advance, values, state, world, torque))
-
     def _move(
         self, function: Any, values: mechanics.Values, state: mechanics.State | None, world: World, *given: Any
     ) -> Any:
@@ -153,16 +138,11 @@ class TreePhysics(MujocoPhysics):
         limits = [bounds[own] for own in motor_limits(self.model).tolist()]
         return jnp.stack([jnp.clip(part, -limit, limit) for part, limit in zip(torque, limits, strict=True)])
 
-    def _ask_first(
+    def _ask(
         self, values: mechanics.Values, world: World, controller: Controller
     ) -> tuple[Float[Array, " joints"], mechanics.State | None]:
-        """What the controller commands, and the state if it used any of it."""
+        """Return the torque that the controller commands, and the state if it used any of it."""
         state = Once(partial(self._state, values, world))
-        return self._ask(state, world, controller), state.made
-
-    def _ask(
-        self, state: Callable[[], mechanics.State], world: World, controller: Controller
-    ) -> Float[Array, " joints"]:
         dynamics = worlds_last(_dynamics, self.tree)
 
         def of_other(physics: TreePhysics) -> tuple[Float[Array, "nv nv"], Float[Array, " nv"]]:
@@ -179,7 +159,8 @@ class TreePhysics(MujocoPhysics):
             jacobian = jacobian_of(position, self.ground_points[1], motion, origin)
             return Contacts(position, jacobian, drift, position[:, 2] <= 0.0)
 
-        return self._within(controller(self._stages(world, lambda: dynamics(state()), of_other, contacts)))
+        torque = self._within(controller(self._stages(world, lambda: dynamics(state()), of_other, contacts)))
+        return torque, state.made
 
 
 # What follows is of many worlds at once, their axis the last.

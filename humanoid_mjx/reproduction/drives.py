@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx.control import Reference, servo
-from humanoid_mjx.control.actuator import Motor
+from humanoid_mjx.control.drives import DcMotor
 from humanoid_mjx.mechanics.dynamics import inverse_dynamics, joint_inertias, mass_matrix_and_bias
 from humanoid_mjx.mechanics.trajectories import thesis_quintics
 from humanoid_mjx.reproduction import motor_sizing
@@ -33,8 +33,8 @@ TRACKS = np.radians(1.0)
 
 STEP_S = 1e-3
 
-MOTOR = {"torque_constant": 0.0136, "resistance": 7.0, "rotor_inertia": 4e-7, "friction": 1e-6, "max_voltage": 12.0}
-"""N m/A, ohm, kg m^2, N m s/rad and V: a DC motor of about 25 mm. Nothing is printed of the motors but their maker
+MOTOR = {"torque_constant": 0.0136, "resistance": 7.0, "friction": 1e-6, "max_voltage": 12.0}
+"""N m/A, ohm, N m s/rad and V: a DC motor of about 25 mm. Nothing is printed of the motors but their maker
 (8.1)."""
 
 
@@ -152,7 +152,9 @@ def _selection(motion: dict[str, np.ndarray], config: dict[str, float]) -> Findi
 
 def _able(config: dict[str, float], gears: np.ndarray, torque: np.ndarray, qvel: np.ndarray) -> np.ndarray:
     """(gears, 5) True where the driver's voltage suffices for torques at speeds, (times, 5) (5.21 to 5.24)."""
-    motor = Motor(**config, gear_ratio=gears[:, None, None])
+    motor = DcMotor(
+        torque_constant=config["torque_constant"], resistance=config["resistance"], friction=config["friction"]
+    ).replace(gear=gears[:, None, None])
     voltage = np.asarray(motor.voltage_for(jnp.asarray(torque), jnp.asarray(qvel)))
     return np.abs(voltage).max(axis=1) <= config["max_voltage"]
 

@@ -7,7 +7,7 @@ import pydantic
 from humanoid_mjx.files import names
 from humanoid_mjx.robot.declared import is_shipped, make_declared
 from humanoid_mjx.robot.description import Robot
-from humanoid_mjx.spec import make_named, written
+from humanoid_mjx.spec import make, written
 
 __all__ = ["ROBOTS", "Robot", "RobotKey", "make_robot"]
 
@@ -27,7 +27,7 @@ def make_robot(name: str, /, **values: Any) -> Any:
     """
     if isinstance(name, str) and (is_shipped(name) or name.endswith((".yaml", ".yml"))):
         return make_declared(name, **values)
-    return make_named("robot", ROBOTS | dict.fromkeys(names("robots", ".yaml"), ""), Robot, name, **values)
+    return make("robot", ROBOTS | dict.fromkeys(names("robots", ".yaml"), ""), Robot, name, **values)
 
 
 RobotKey = Annotated[pydantic.SerializeAsAny[Robot], written("robot", make_robot)]

@@ -104,7 +104,7 @@ class Chain:
 
     @property
     def num_joints(self) -> int:
-        """How many joints, and as many links."""
+        """Number of joints, which is that of links."""
         return len(self.structure.alpha)
 
     @property

@@ -197,7 +197,7 @@ def _strip(spec: mujoco.MjSpec, feet_only: bool) -> None:
 
 
 class Source(NamedTuple):
-    """What the two files of a robot say."""
+    """Content of the two files of a robot."""
 
     model: str
     joints: tuple[str, ...]
@@ -224,12 +224,12 @@ def make_declared(name: str, **values: Any) -> Declared:
 
 
 def is_shipped(name: str) -> bool:
-    """Whether a robot of this name ships."""
+    """Return whether a robot of this name ships."""
     return (folder("robots") / f"{name}.yaml").is_file()
 
 
 def describes_robot(name: str) -> bool:
-    """Whether this is a robot that ships, or the YAML of one and not a config."""
+    """Return whether this is a robot that ships, or the YAML of one and not a config."""
     path = Path(name)
     if is_shipped(name) or path.suffix not in (".yaml", ".yml") or not path.is_file():
         return is_shipped(name)
@@ -271,7 +271,7 @@ def _read(path: Path) -> Source:
 
 @lru_cache
 def _understood(path: Path, text: str, file: str, model_text: str) -> Source:
-    """What the texts of both files say."""
+    """Parse the texts of both files."""
     data = parse_yaml(text, path.name)
     declared = Declaration(**data)
     try:

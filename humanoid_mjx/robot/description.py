@@ -113,12 +113,12 @@ class Robot(Named):
 
     @property
     def phases(self) -> Float[np.ndarray, " feet"]:
-        """Where in a gait's period each foot's swing begins."""
+        """Phase of a gait's period at which each foot's swing begins."""
         return np.array(self.turns) if self.turns else np.arange(len(self.feet)) / max(len(self.feet), 1)
 
     @property
     def points(self) -> int:
-        """How many points of each foot touch the ground."""
+        """Number of points by which each foot touches the ground."""
         return len(ground_points(self.model)[0]) // max(len(self.feet), 1)
 
     @property
@@ -278,6 +278,11 @@ def ground_points(model: mujoco.MjModel) -> tuple[Int[np.ndarray, " points"], Bo
     return balls, moved_by
 
 
+def lowest(model: mujoco.MjModel, centers: Any) -> Any:
+    """Return the lowest points of the balls of `ground_points`, m, from their centers: (points, 3) each."""
+    return centers - model.geom_size[ground_points(model)[0], :1] * np.array([0.0, 0.0, 1.0])
+
+
 class _Stance(NamedTuple):
     height: float
     leg_length: float
@@ -292,7 +297,8 @@ def _stance(robot: Robot) -> _Stance:
     data = mujoco.MjData(model)
     data.qpos[model.jnt_qposadr[model.actuator_trnid[:, 0]]] = robot.posture
     mujoco.mj_kinematics(model, data)
-    ground = (data.geom_xpos[balls, 2] - model.geom_size[balls, 0]).min() if len(balls) else 0.0
+    places = lowest(model, data.geom_xpos[balls])
+    ground = places[:, 2].min() if len(balls) else 0.0
     hips = []
     for foot in robot.feet if len(balls) else ():
         link = model.body(foot).id
@@ -300,8 +306,7 @@ def _stance(robot: Robot) -> _Stance:
             link = model.body_parentid[link]
         hips.append(data.xanchor[model.body_jntadr[link], 2])
     height = float(data.xpos[1, 2] - ground)
-    soles = data.geom_xpos[balls] - data.xpos[1] - model.geom_size[balls, :1] * (0.0, 0.0, 1.0)
-    return _Stance(height, float(np.mean(hips) - ground) if hips else height, soles)
+    return _Stance(height, float(np.mean(hips) - ground) if hips else height, places - data.xpos[1])
 
 
 @lru_cache

@@ -56,7 +56,7 @@ def add_chain(parent: Any, chain: Chain, joint_names: Sequence[str], prefix: str
     for i, (name, d, a, start, alpha) in enumerate(dh):
         body = body.add_body(name=f"{prefix}link{i + 1}")
         body.pos = side * [a * math.cos(start), a * math.sin(start), d]
-        body.quat = np.r_[1.0, turn] * _product(_turn(start, 3), _turn(alpha, 1))
+        body.quat = np.r_[1.0, turn] * _turned(start, alpha)
         axis = np.array([0.0, math.sin(alpha), math.cos(alpha)])
         body.add_joint(name=name, axis=turn * axis, pos=side * [-a, -d * axis[1], -d * axis[2]])
         _set_inertia(body, inertias[i] * np.outer(np.r_[side, 1.0], np.r_[side, 1.0]))
@@ -76,14 +76,7 @@ def _set_inertia(body: Any, pseudo_inertia: np.ndarray) -> None:
     body.fullinertia = inertia[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
 
 
-def _turn(angle: float, axis: int) -> np.ndarray:
-    """The quaternion of a turn about axis 1, 2 or 3."""
-    quaternion = np.zeros(4)
-    quaternion[0], quaternion[axis] = math.cos(angle / 2), math.sin(angle / 2)
-    return quaternion
-
-
-def _product(p: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """The quaternion of turning by q, then by p."""
-    scalar = p[0] * q[0] - p[1:] @ q[1:]
-    return np.array([scalar, *(p[0] * q[1:] + q[0] * p[1:] + np.cross(p[1:], q[1:]))])
+def _turned(start: float, alpha: float) -> np.ndarray:
+    """Return the quaternion of a turn by `start` about z, then by `alpha` about the new x, rad."""
+    about_z, about_x = (np.array([math.cos(angle / 2), math.sin(angle / 2)]) for angle in (start, alpha))
+    return np.outer(about_z, about_x).reshape(-1)[[0, 1, 3, 2]]

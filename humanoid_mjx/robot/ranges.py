@@ -1,4 +1,4 @@
-"""What the joints can do: their ranges by name, and the limit of their torque."""
+"""Limits of the joints: ranges by name, and the largest torque."""
 
 import numpy as np
 from jaxtyping import Float

@@ -26,7 +26,7 @@ DAMPING, LEVEL = 1e-3, 0.3
 
 
 class Reach(NamedTuple):
-    """Where the feet are at home, and the joints for other places."""
+    """Places of the feet at home, and the joints for other places."""
 
     place: Float[np.ndarray, "feet 2"]
     """Forward and to the left of the torso, m."""

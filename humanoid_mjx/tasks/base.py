@@ -1,4 +1,4 @@
-"""What all tasks have in common."""
+"""The base of all tasks."""
 
 from collections.abc import Callable
 from typing import Any, ClassVar
@@ -34,7 +34,7 @@ class Task(Spec):
         return getattr(self, "simulator", Physics).arithmetic
 
     def drive(self, data: Any, action: Array) -> tuple[Physics, Controller]:
-        """What moves the robot through a decision: the physics, and the controller that acts at every time step.
+        """Return what moves the robot through a decision: the physics, and the controller that acts at every time step.
 
         A task whose decisions are longer than a frame of a video implements it to be shown between them.
 

@@ -1,4 +1,4 @@
-"""Whether a user's own task keeps to its protocol: found by tracing it once, before anything is compiled."""
+"""Check that a user's own task keeps to its protocol, by tracing it once, before anything is compiled."""
 
 import traceback
 from collections.abc import Iterator

@@ -18,14 +18,14 @@ class State(NamedTuple):
     data: Any
     """The task's own data: any pytree."""
     obs: Float[Array, " observation_size"]
-    """What the learner sees; after an automatic reset, the first observation of the new episode."""
+    """Observation of the learner; after an automatic reset, the first one of the new episode."""
     reward: FloatScalar
     terminated: BoolScalar
     """The episode ended in a state beyond which there is no value."""
     truncated: BoolScalar
     """The episode was cut off; its last state has a value like any other."""
     success: BoolScalar
-    """Whether the episode, if it ended now, would count as one that reached its aim."""
+    """True if the episode, ended now, would count as one that reached its aim."""
     final_obs: Float[Array, " observation_size"]
     """The observation that the step led to; it differs from `obs` where an automatic reset followed."""
     metrics: dict[str, FloatScalar]
@@ -35,7 +35,7 @@ class State(NamedTuple):
 
     @property
     def done(self) -> Bool[Array, "*batch"]:
-        """Whether the episode ended with this step."""
+        """True if the episode ended with this step."""
         return jnp.logical_or(self.terminated, self.truncated)
 
 
@@ -61,7 +61,7 @@ class ContinuousTask(Task):
 
     @property
     def action_bins(self) -> tuple[int, ...]:
-        """How many values there are to choose from, for each joint."""
+        """Number of values to choose from, for each joint."""
         raise NotImplementedError
 
     def flat_action(self, action: Int[Array, " joints"]) -> IntScalar:

@@ -11,16 +11,16 @@ from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
 
 
 class Rules(NamedTuple):
-    """How a tabular learner treats a task. The defaults are the Q-learning of section 6.2 of the thesis."""
+    """Rules by which a tabular learner treats a task. The defaults are the Q-learning of section 6.2 of the thesis."""
 
     update: Literal["every", "terminal"] = "every"
     """The transitions that write to the table: every one, or only the one that reaches the end."""
     bootstrap_at_end: bool = False
-    """Whether the value of a terminal state's row enters the target."""
+    """True if the value of a terminal state's row enters the target."""
     ties: Literal["random", "first"] = "random"
     """Which of several equally good actions the greedy choice takes."""
     episode: Literal["restart", "step"] = "restart"
-    """What counts as an episode: a trajectory, after which the next starts anew; or one step of the only trajectory,
+    """Meaning of an episode: a trajectory, after which the next starts anew; or one step of the only trajectory,
     which stops at the end state and whose last step is greedy."""
 
 
@@ -56,11 +56,12 @@ class FiniteTask(Task):
 
     @property
     def observation_size(self) -> int:
-        """How many numbers `observe` gives."""
+        """Number of values that `observe` returns."""
         return 1
 
     def observe(self, state: Any) -> Float[Array, " observation_size"]:
-        """What a learner without a table sees of `state`, numbers from 0 to 1: here the row's place in the table."""
+        """Return the observation of a learner without a table, numbers from 0 to 1: here the row's place in the
+        table."""
         return jnp.asarray(self.state_index(state), jnp.float32)[None] / (self.num_states - 1)
 
     @property

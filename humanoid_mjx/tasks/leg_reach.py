@@ -83,7 +83,7 @@ class LegReach(ContinuousTask):
 
     @property
     def joints(self) -> int:
-        """How many joints move."""
+        """Number of joints."""
         return len(self.simulator.joint_names)
 
     @property
@@ -108,7 +108,7 @@ class LegReach(ContinuousTask):
 
     @property
     def simulator(self) -> Physics:
-        """What moves the leg."""
+        """Physics of the leg."""
         return _simulator(self.physics, self.ranges, self.timestep)
 
     def reset(self, key: Key[Array, ""]) -> State:
@@ -151,7 +151,7 @@ class LegReach(ContinuousTask):
         return self._plant(data.mass), self.controller(self.setpoint_after(data, command))
 
     def setpoint_after(self, body: Body, command: Float[Array, " joints"]) -> Float[Array, " joints"]:
-        """Where moves of `command` times `increment` take the set-point, rad."""
+        """Return the set-point after moves of `command` times `increment`, rad."""
         qpos = body.world.qpos
         moved = body.setpoint + jnp.radians(self.increment) * jnp.clip(command, -1.0, 1.0)
         low, high = self.simulator.joint_ranges.T

@@ -42,7 +42,7 @@ class Body(NamedTuple):
     encoders: Float[Array, "3"]
     """Readings of the right hip pitch, knee and ankle, rad."""
     diverged: IntScalar
-    """How often the simulation broke down in this episode, or the body fell, and was started anew."""
+    """Number of times that the simulation broke down in this episode, or the body fell, and was started anew."""
     rising: Any = None
     """Boolean scalar: true on the way back, in tasks that have one."""
 
@@ -119,7 +119,7 @@ class PostureSwitch(FiniteTask):
         return len(MOVED)
 
     def observe(self, state: Body) -> Float[Array, "3"]:
-        """Where the encoders are between start, 0, and goal, 1."""
+        """Return the encoders' places between start, 0, and goal, 1."""
         first, last = self.grid[:, 0], self.grid[:, -1]
         return jnp.clip((state.encoders - first) / (last - first), 0.0, 1.0).astype(jnp.float32)
 
@@ -132,7 +132,7 @@ class PostureSwitch(FiniteTask):
         return self.plant, self.controller(self.setpoint(data, number))
 
     def near(self, world: World, place: Float[np.ndarray, "3"]) -> BoolScalar:
-        """Whether both legs are in a posture, rad, and at rest."""
+        """Return whether both legs are in a posture, rad, and at rest."""
         near = jnp.abs(world.qpos - self.whole_body(place)) <= self.tolerance * (np.pi / 180)
         return near.all() & (jnp.abs(world.qvel) <= REST).all()
 
@@ -142,7 +142,7 @@ class PostureSwitch(FiniteTask):
         return jnp.concatenate([right, LEFT_SIGN * right])
 
     def setpoint(self, state: Body, action: IntScalar) -> Float[Array, "10"]:
-        """Where `action` sends the joints of both legs, rad."""
+        """Return the set-points of both legs' joints under `action`, rad."""
         choice = action // 3 ** np.arange(len(MOVED)) % 3 - 1
         target = jnp.clip(self._places(state.encoders) + choice, 0, self.places - 1)
         return self.whole_body(jnp.asarray(self.grid, float)[np.arange(len(MOVED)), target])

@@ -81,7 +81,7 @@ class Squat(PostureSwitch):
         return len(MOVED) + 1
 
     def observe(self, state: Body) -> Float[Array, "4"]:
-        """Where the encoders are between upright, 0, and down, 1; and whether the body rises."""
+        """Return the encoders' places between upright, 0, and down, 1, and 1 while the body rises."""
         return jnp.append(super().observe(state), state.rising)
 
     def fallen(self, world: World) -> BoolScalar:

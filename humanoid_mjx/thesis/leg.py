@@ -88,7 +88,7 @@ INERTIA_CORRECTIONS = (
     (2, (1, 3), -0.000078, "printed -0.00078, but (3, 1) and m x z say -0.000078"),
     (5, (1, 2), 0.0000544, "printed 0.000054 in one triangle and 0.0000548 in the other; their mean"),
 )
-"""What is changed in section 4.6 to make it physical: link, row and column (and its mirror), new value, reason. Beyond
+"""Changes to section 4.6 that make it physical: link, row and column (and its mirror), new value, reason. Beyond
 these the last rows and columns become mass x centroid of Tables 4.3 and 4.4, which they are to rounding: without it
 link 2 stays impossible."""
 

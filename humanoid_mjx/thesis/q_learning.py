@@ -49,7 +49,7 @@ FIGURE_MARKS = {
     4: (((7, 12), 25.0), ((54, 60), 110.0)),
     5: (((4, 9), -10.0), ((16, 18), 15.0)),
 }
-"""What the text says of Figures 7.11, 7.13, 7.15: ((first, last episode), angle in degrees), by joint."""
+"""Statements of the text on Figures 7.11, 7.13, 7.15: ((first, last episode), angle in degrees), by joint."""
 
 AVERAGE_RANDOM_NUMBER = {1: 0.456301, 4: 0.493718, 5: 0.526571}
 """The "average random number" of Figures 7.12, 7.14, 7.16, by joint."""

@@ -33,7 +33,7 @@ KEPT_TWICE = 2
 
 
 def runs_at_once(group: Group, pool_size: int | None = None) -> int:
-    """How many runs of a group the devices of this process train at once: `pool_size` on each, or as many as fit.
+    """Return the number of a group's runs that this process trains at once: `pool_size` a device, or as many as fit.
 
     Raises:
       InputError: not even one fits.
@@ -42,7 +42,7 @@ def runs_at_once(group: Group, pool_size: int | None = None) -> int:
 
 
 def _runs_that_fit(group: Group) -> int:
-    """How many runs the memory holds; of CPUs no more than caches serve well."""
+    """Return the number of runs that the memory holds; on CPUs no more than caches serve well."""
     device, devices = jax.local_devices()[0], jax.local_device_count()
     per_run, free = training_bytes(group), _free_memory(device)
     fit = int(MEMORY_SHARE * free) // per_run
@@ -57,7 +57,7 @@ def _runs_that_fit(group: Group) -> int:
 
 
 def slots(group: Group, room: int) -> int:
-    """How many runs of a group train side by side on all devices of all processes, where each process has `room`."""
+    """Return the number of a group's runs that all processes train at once, where each has `room`."""
     return min(jax.process_count() * room, len(group.runs))
 
 

@@ -18,7 +18,7 @@ from humanoid_mjx.training.plan import Plan
 from humanoid_mjx.training.pool import Pool
 
 FOLDER = "tensorboard"
-"""Where the event files are in a run folder."""
+"""Folder of the event files in a run folder."""
 
 MAX_POINTS = 30
 """The most sweep points that are written."""
@@ -48,9 +48,9 @@ class _Measure(NamedTuple):
 
     curves: Float[np.ndarray, "points seeds record"]
     known: Int[np.ndarray, "points seeds"]
-    """How many record points of each run are known."""
+    """Number of record points of each run that are known."""
     written: Int[np.ndarray, " points"]
-    """How many record points of each point are written."""
+    """Number of record points of each point that are written."""
 
     @classmethod
     def blank(cls, points: int, seeds: int, record: int) -> "_Measure":

@@ -37,7 +37,7 @@ BLOCKS = (128, 64, 32)
 
 
 class Functions(NamedTuple):
-    """What a training step does between its accesses to the table. What is fixed: the learner and the agent's key."""
+    """Parts of a training step between its accesses to the table. Fixed are the learner and the agent's key."""
 
     learn: Elementwise
     """(agent, next_q_row) -> row, action and change of the table; point of the record and values to add there."""
@@ -112,7 +112,7 @@ def block_size(cells: int) -> int | None:
 def advance(
     learners: TabularQ, training: Training, steps: IntScalar, block: int | None = None, interpret: bool = False
 ) -> Training:
-    """What `program.advance` makes of the training states of runs side by side, all with a leading axis.
+    """Advance the training states of runs side by side, all with a leading axis, as `program.advance` does.
 
     `block`: agents a block. `interpret`: run on a CPU, slowly, with the tables in device memory.
     """

@@ -17,13 +17,11 @@ from humanoid_mjx.training.pool import Pool
 from humanoid_mjx.training.programs import arranged
 from humanoid_mjx.training.warm_start import earlier_policies
 
-WINDOW_S, WINDOW_SHARE = 10.0, 0.3
-"""Seconds over which a pace is taken, and the share of the session where that is longer."""
+LATELY_S, LATELY_SHARE = 5.0, 0.15
+"""Mean age of what the present pace is taken from, s, and as a share of the training so far where that is longer."""
 
-EVERY_S = 0.5
-"""Seconds between two looks that are kept; twice as many whenever `LOOKS` are there."""
-
-LOOKS = 40
+KNOWN_S = 0.5
+"""Seconds of training after which the pace of a run is known, unless it is over before."""
 
 OVERRUN = 0.1
 """The share of the time beyond an estimate that is said to be left of it."""
@@ -45,13 +43,13 @@ LEAST_LOOKS = 4
 
 
 class Look(NamedTuple):
-    """What trains at one moment."""
+    """The slots of a pool at one moment."""
 
     phase: str
     slots: Int[np.ndarray, " slots"]
     """The run that each slot holds, below 0 for none."""
     progress: Float[np.ndarray, " slots"]
-    """How much of it is done, from 0 to 1."""
+    """The share of it that is done, from 0 to 1."""
     waiting: int
     """Runs that no slot has held yet."""
     finished: int
@@ -64,8 +62,8 @@ class Pace:
     """Pace of a sweep and the time that is left, from looks at what trains.
 
     Runs of one sweep can differ by a factor of twenty in length: where the reward pays for waiting, episodes last to
-    their cap. What all of them together make a second says little then: at the end the slow ones train alone. So the
-    slots are played out, each at its own pace. Compiling and evaluating have clocks of their own, in which training
+    their cap. The runs that all of them together end a second say little then: at the end the slow ones train alone. So
+    the slots are played out, each at its own pace. Compiling and evaluating have clocks of their own, in which training
     stands still.
     """
 
@@ -74,114 +72,77 @@ class Pace:
         self.programs = programs
         self.done = 0.0
         """Runs that are done, parts of runs counted; it never falls."""
-        self.seconds = self.work = 0.0
-        """Seconds of training, and the runs done in them, compiling left out."""
         self.elsewhere = 0.0
         """The mean pace of other processes, runs a second."""
         self.trained_s = self.compiled_s = self.evaluated_s = 0.0
         """Seconds of each kind of phase so far."""
         self._now = 0.0
         self._look: Look | None = None
-        self._progressed: tuple[float, float] | None = None
-        """The time and `done` of the last look that saw progress."""
-        self._whole, self._slope, self._began = (np.full(runs, np.nan) for _ in range(3))
-        """Seconds that each run seen so far trains from its beginning to its end; those that it would take at its
-        present pace; the training time when it began, minus infinity where that is not known or no longer of use."""
-        self._looks: deque[tuple[float, float, Look]] = deque()
-        """Training time, `done` and what was seen."""
-        self._every_s = EVERY_S
+        self._began = 0.0, 0
+        """`done` and the finished runs at the first look."""
+        self._whole = np.full(runs, np.nan)
+        """Seconds that each run seen so far trains from its beginning to its end."""
+        self._late = np.zeros((2, 0))
+        """Progress of each slot's run and the seconds that it took, the latest counting most."""
+        self._late_in_all = np.zeros(2)
+        """The same of all runs together."""
         self._first_compiled_s = self._ready = 0.0
         """Seconds of compiling before the first training, and when what evaluates will be compiled."""
         self._evaluated, self._per_run_s = (0.0, 0), None
         """Seconds of evaluating and runs finished at the last end of an evaluation; seconds that a run took by then."""
-        self._before: int | None = None
 
     def look(self, time_s: float, look: Look) -> None:
         """Take note of what trains at `time_s`, s, of any clock."""
-        passed, self._now = (time_s - self._now if self._look else 0.0), time_s
-        phase = self._look.phase if self._look else look.phase
-        if phase in COMPILING:
-            self.compiled_s += passed
-        elif phase == "evaluating":
+        before, passed = self._look, time_s - self._now
+        self._look, self._now = look, time_s
+        # Runs that were harvested are for a moment neither under way nor stored.
+        done = max(self.done, look.finished + float(np.minimum(look.progress[look.slots >= 0], 1.0).sum()))
+        if before is None or len(before.slots) != len(look.slots):
+            self._late = np.zeros((2, len(look.slots)))
+        if before is None:
+            self._began, self.done = (done, look.finished), done
+        elif before.phase == "training":
+            self._train(before, look, passed, done)
+        elif before.phase == "evaluating":
             self.evaluated_s += passed
         else:
-            self.trained_s += passed
-        if look.phase == "evaluating" and self._ready:
-            self._ready, self._first_compiled_s = 0.0, self.compiled_s
-        self._look, under_way = look, look.progress[look.slots >= 0]
-        # Runs that were harvested are for a moment neither under way nor stored.
-        done = max(self.done, look.finished + float(np.minimum(under_way, 1.0).sum()))
-        if self._before is None:
-            self._before, self.done = look.finished, done
-        if done > self.done:
-            self._progress(time_s, done)
-        self._evaluations(look)
-        self._runs(look)
-
-    def pause(self) -> None:
-        """Work stands still until the next progress: a new program will be compiled."""
-        self._progressed = None
-
-    def _progress(self, time_s: float, done: float) -> None:
-        if self._progressed:
-            self.seconds += time_s - self._progressed[0]
-            self.work += done - self._progressed[1]
-        if not self._first_compiled_s:
+            self.compiled_s += passed
+        self.done = done
+        if look.phase == "training" and not self._first_compiled_s:
             self._first_compiled_s = self.compiled_s
             self._ready = time_s + self.compiled_s  # what evaluates takes about as long, beside training
-        self._progressed, self.done = (time_s, done), done
-
-    def _evaluations(self, look: Look) -> None:
-        """Note what an evaluation took that is over."""
-        before = self._before or 0
-        if look.finished > max(self._evaluated[1], before):
+        elif look.phase == "evaluating" and self._ready:
+            self._ready, self._first_compiled_s = 0.0, self.compiled_s
+        if look.finished > max(self._evaluated[1], self._began[1]):
             self._evaluated, self._ready = (self.evaluated_s, look.finished), 0.0
-            self._per_run_s = self.evaluated_s / (look.finished - before)
+            self._per_run_s = self.evaluated_s / (look.finished - self._began[1])
 
-    def _runs(self, look: Look) -> None:
-        """Note how long the runs in the slots take."""
-        if self._looks and len(self._looks[-1][2].slots) != len(look.slots):
-            self._looks.clear()
-        new = (look.slots >= 0) & np.isnan(self._began[look.slots])
-        earlier_session = (look.progress[new] > 0.0) & (not self._looks)
-        self._began[look.slots[new]] = np.where(earlier_session, -np.inf, self.trained_s)
-        if self._looks and self.trained_s - self._looks[-1][0] < self._every_s:
+    def _train(self, before: Look, look: Look, passed: float, done: float) -> None:
+        """Note the progress of some seconds of training."""
+        self.trained_s += passed
+        kept = np.exp(-passed / max(LATELY_S, LATELY_SHARE * self.trained_s))
+        self._late_in_all = kept * self._late_in_all + (done - self.done, passed)
+        if len(before.slots) != len(look.slots):
             return
-        self._looks.append((self.trained_s, self.done, look))
-        window = max(WINDOW_S, WINDOW_SHARE * self.trained_s)
-        while self._looks[0][0] < self.trained_s - window:
-            self._looks.popleft()
-        if len(self._looks) > LOOKS:
-            self._looks = deque(list(self._looks)[::-2][::-1])
-            self._every_s *= 2
-        slots, progress = look.slots, look.progress
-        seconds, share = np.zeros(len(slots)), np.zeros(len(slots))
-        for earlier_s, _, earlier in self._looks:
-            fits = (seconds == 0) & (slots == earlier.slots) & (slots >= 0)
-            fits &= (earlier.progress < progress) & (progress < 1.0)
-            seconds[fits], share[fits] = self.trained_s - earlier_s, (progress - earlier.progress)[fits]
-        known = seconds > 0
-        self._slope[slots[known]] = seconds[known] / share[known]
-        begun = (slots >= 0) & ((progress < 1.0) | np.isfinite(self._began[slots]))
-        runs, progress = slots[begun], progress[begun]
-        passed = self.trained_s - self._began[runs]
-        passed = np.where(np.isfinite(passed), passed, self._slope[runs] * progress)
-        to_come = np.where(progress < 1.0, self._slope[runs] * (1.0 - progress), 0.0)
-        self._whole[runs] = passed + to_come
-        self._began[runs[progress >= 1.0]] = -np.inf
+        same = look.slots == before.slots
+        first = np.where(same, before.progress, 0.0)
+        seconds = np.where(same | (look.progress > 0), passed, 0.0)
+        late = np.where(same, kept * self._late, 0.0) + np.stack([look.progress - first, seconds])
+        self._late = np.where(first < 1.0, late, self._late)  # those that are over only wait for their harvest
+        moved, seconds = self._late
+        known = (look.slots >= 0) & (moved > 0) & ((seconds >= KNOWN_S) | (look.progress >= 1.0))
+        self._whole[look.slots[known]] = seconds[known] / moved[known]
 
     @property
     def mean(self) -> float:
-        """Runs a second of this process; 0 where training was over at the first look."""
-        return self.work / self.seconds if self.seconds else 0.0
+        """Runs a second of training in this process; 0 where training was over at the first look."""
+        return (self.done - self._began[0]) / self.trained_s if self.trained_s else 0.0
 
     @property
     def recent(self) -> float:
         """Runs a second of late, evaluations left out; 0 where that is not known yet."""
-        if len(self._looks) < 2:
-            return 0.0
-        (first_s, first, _), (last_s, last, _) = self._looks[0], self._looks[-1]
-        return (last - first) / (last_s - first_s)
+        done, seconds = self._late_in_all
+        return float(done / seconds) if seconds else 0.0
 
     @property
     def left_s(self) -> float | None:
@@ -205,9 +166,9 @@ class Pace:
     def _training_s(self, seen: Float[np.ndarray, " seen"], look: Look) -> float:
         """Seconds of training left, by runs seen so far: the waiting ones are like them, and begin in the order in
         which slots become free."""
-        slope = np.where(look.slots >= 0, self._slope[look.slots], 0.0)
-        slope = np.where(np.isnan(slope), seen.mean(), slope)
-        free = (slope * np.clip(1.0 - look.progress, 0.0, 1.0)).tolist()
+        whole = np.where(look.slots >= 0, self._whole[look.slots], 0.0)
+        whole = np.where(np.isnan(whole), seen.mean(), whole)
+        free = (whole * np.clip(1.0 - look.progress, 0.0, 1.0)).tolist()
         heapq.heapify(free)
         now = min(look.waiting, PLAYED_OUT)
         for seconds in np.random.default_rng(0).choice(seen, now).tolist():
@@ -256,7 +217,7 @@ class Duration(NamedTuple):
     train_s: float
     evaluate_s: float
     measured: int
-    """How many of the sweep's programs were measured."""
+    """Number of the sweep's programs that were measured."""
 
     @property
     def total_s(self) -> float:
@@ -267,9 +228,8 @@ class Duration(NamedTuple):
 def estimate(plan: Plan, rooms: Sequence[int], measured_s: float = MEASURED_S) -> Duration:
     """Train a piece of a sweep and say how long all of it would take.
 
-    A sample of the runs trains side by side, as many as the sweep would train at once. The rate is that of the second
-    half of `measured_s`, s: episodes of an early policy can be much longer or shorter than those of a later one, which
-    an estimate from the beginning cannot know.
+    A sample of the runs trains side by side, as many as the sweep would train at once. Episodes of an early policy can
+    be much longer or shorter than those of a later one, which an estimate from the beginning cannot know.
 
     Args:
       plan: what is to be trained.
@@ -286,9 +246,9 @@ def estimate(plan: Plan, rooms: Sequence[int], measured_s: float = MEASURED_S) -
 
 def _measure(plan: Plan, group: Group, room: int, measured_s: float) -> tuple[float, float, float]:
     """The seconds of compiling, training and evaluating of a group."""
-    runs = np.random.default_rng(0).permutation(group.runs).tolist()
-    size, devices, share = arranged(group.learners, len(runs), room)
-    pool = Pool(group, deque(runs), size, devices, plan.config.seed, earlier_policies(group), share)
+    waiting = deque(np.random.default_rng(0).permutation(group.runs).tolist())
+    size, devices = arranged(len(waiting), room)
+    pool = Pool(group, waiting, size, devices, plan.config.seed, earlier_policies(group))
     began = time.monotonic()
     pool.fill()
     pool.train()
@@ -296,28 +256,25 @@ def _measure(plan: Plan, group: Group, room: int, measured_s: float) -> tuple[fl
     compiled = time.monotonic()
     pool.finish()
     evaluate_s = time.monotonic() - compiled
-    train_s = _seconds_of_training(pool, len(runs), measured_s)
-    rounds = -(-len(runs) // len(pool.slots))
+    rounds = -(-len(group.runs) // len(pool.slots))
+    train_s = _seconds_of_training(pool, plan.num_runs, measured_s)
     return max(compiled - began - evaluate_s, 0.0), train_s, rounds * evaluate_s
 
 
 def _seconds_of_training(pool: Pool, runs: int, measured_s: float) -> float:
-    """How long so many runs train, by what the first of them do in `measured_s`, s; evaluations left out."""
-    looks, trained_s, over = [(0.0, float(pool.progress.sum()))], 0.0, 0
-    while pool.busy.any() and (trained_s < measured_s or len(looks) <= LEAST_LOOKS):
+    """Seconds that the runs of a pool train, of a sweep of so many, by their pace in `measured_s`, s."""
+    pace, trained_s, looks, over = Pace(runs), 0.0, 0, 0
+    while pool.busy.any():
+        pace.look(trained_s, Look("training", pool.slots.copy(), pool.progress, len(pool.waiting), over))
+        if trained_s >= measured_s and looks >= LEAST_LOOKS and pace.left_s is not None:
+            return trained_s + pace.left_s
         began = time.monotonic()
         pool.train()
-        trained_s += time.monotonic() - began
-        looks.append((trained_s, over + float(np.minimum(pool.progress[pool.busy], 1.0).sum())))
+        trained_s, looks = trained_s + time.monotonic() - began, looks + 1
         if harvest := pool.harvest():
             over += len(harvest[0])
             pool.fill()
-    if not pool.busy.any():
-        return trained_s
-    times, done = np.array(looks).T
-    half = int(np.searchsorted(times, trained_s / 2))
-    # Runs of one program learn at one pace, so the last of them wait for nobody.
-    return trained_s + (runs - done[-1]) * (times[-1] - times[half]) / max(done[-1] - done[half], 1e-9)
+    return trained_s
 
 
 def time_in_words(seconds: float) -> str:

@@ -75,7 +75,7 @@ class Plan:
 
     @property
     def num_runs(self) -> int:
-        """How many runs: one for each point and seed."""
+        """Number of runs: one for each point and seed."""
         return len(self.points) * self.config.seeds
 
     @cached_property
@@ -92,7 +92,7 @@ class Plan:
 
     @property
     def budget(self) -> int:
-        """How long each run trains, in `unit`s."""
+        """Length of each run's training, in `unit`s."""
         return self.learners[0].budget
 
     @property

@@ -22,7 +22,7 @@ from humanoid_mjx.learners import Learner
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.plan import Group
 from humanoid_mjx.training.program import Training, curve
-from humanoid_mjx.training.programs import RUNS, layout_of, mesh_of, placed, programs_of
+from humanoid_mjx.training.programs import RUNS, mesh_of, placed, programs_of
 from humanoid_mjx.training.state import blank, from_arrays, to_arrays
 from humanoid_mjx.types import Device
 
@@ -56,17 +56,15 @@ class Pool:
         devices: Sequence[Device],
         seed: int,
         policies: Any = None,
-        share: int = 1,
     ):
-        """Make `size` slots on each of the devices, or on each `share` of them that share the environments of a run.
+        """Make `size` slots on each of the devices.
 
         `policies`: policies that runs start from instead of anew, every leaf with a leading axis of the group's runs.
         """
         self.group, self.waiting, self.seed, self.policies = group, waiting, seed, policies
-        self.programs, size = programs_of(group.learners, devices, share), size * len(devices) // share
-        mesh = mesh_of(devices, share)
+        self.programs, size = programs_of(group.learners, devices), size * len(devices)
+        mesh = mesh_of(devices)
         self.over_devices, self.everywhere = placed(mesh, PartitionSpec(RUNS)), placed(mesh, PartitionSpec())
-        self.layout = jax.tree.map(partial(placed, mesh), layout_of(group.learners))
         self.compiled: dict[str, Callable[..., Any]] = {}
         self.phase = "starting"
         """The present phase, in a word for the user."""
@@ -85,7 +83,7 @@ class Pool:
         self.diverged: dict[int, dict[str, np.ndarray]] = {}
         """The last training states of harvested runs whose numbers were no longer finite, by run."""
         self._load()
-        self.training = jax.device_put(blank(group.one_run, size), self.layout)
+        self.training = jax.device_put(blank(group.one_run, size), self.over_devices)
 
     @property
     def busy(self) -> np.ndarray:
@@ -201,14 +199,14 @@ class Pool:
         for run in self.slots[idle].tolist():
             self.waiting.remove(run)
         self._load()
-        self.training = jax.device_put(from_arrays(self.training, merged, "training", where), self.layout)
+        self.training = jax.device_put(from_arrays(self.training, merged, "training", where), self.over_devices)
 
     def _steps_taken(self) -> tuple[Any, ...]:
-        """What `advance` is given."""
+        """Return the arguments of `advance`."""
         return self.learners, self.training, jax.device_put(np.int32(self.steps), self.everywhere)
 
     def _ended(self) -> tuple[Any, ...]:
-        """What `finish` is given."""
+        """Return the arguments of `finish`."""
         return self.learners, self.training, self.seeds
 
     def _call(self, name: str, *args: Any) -> Any:
@@ -258,8 +256,8 @@ def _shape(leaf: jax.Array) -> jax.ShapeDtypeStruct:
 
 
 def _beside(work: Callable[[], Callable[..., Any]]) -> "Future[Callable[..., Any]]":
-    """What `work()` will return or raise. It runs in a thread of its own, which does not keep the process from ending:
-    a compiler cannot be interrupted, leaves Python free and most cores of a machine idle."""
+    """Run `work` in a thread of its own, which does not keep the process from ending: a compiler cannot be interrupted,
+    leaves Python free and most cores of a machine idle."""
     future: Future[Callable[..., Any]] = Future()
 
     def run() -> None:

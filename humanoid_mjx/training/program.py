@@ -1,4 +1,4 @@
-"""What training adds to a learner, written once for all: learning curves, snapshots, the guard against NaN, evaluation.
+"""Training of any learner: learning curves, snapshots, the guard against NaN, evaluation.
 
 All functions are of one run; `training.programs` compiles them for runs side by side.
 """
@@ -29,7 +29,7 @@ class Training(NamedTuple):
     """The policies at the end of each part of training, for evaluation, and whether there is one: a leading axis of
     `evaluations`, or None."""
     failed: BoolScalar
-    """Whether the next step leads to numbers that are not finite; training has stopped before it."""
+    """True if the next step leads to numbers that are not finite; training has stopped before it."""
 
 
 SHOWN = ("success", "return", "steps")
@@ -37,7 +37,7 @@ SHOWN = ("success", "return", "steps")
 
 
 class Progress(NamedTuple):
-    """How far a run is, and how it does: means over the episodes of the last points of its curve, or NaN."""
+    """Progress of a run and its scores: means over the episodes of the last points of its curve, or NaN."""
 
     share: FloatScalar
     """1.0 once training has ended."""
@@ -120,7 +120,7 @@ def _kinds(leaves: list[Array]) -> list[np.dtype]:
 
 
 def finish(learner: Learner, training: Training, key: Key[Array, ""]) -> dict[str, Any]:
-    """What is kept of a run that is over: its `curve`, its `final` scores and its `policy`.
+    """Return what is kept of a run that is over: its `curve`, its `final` scores and its `policy`.
 
     Where the learner is evaluated more than once the curve has scores called `greedy_`, measured at the end of each of
     `evaluations` parts of training: NaN at all other points, and in parts in which no step began.
@@ -151,7 +151,7 @@ def _train_step(learner: Learner, carry: Any) -> tuple[Any, Outcome]:
 
 
 def measures(learner: Learner, carry: Any) -> tuple[str, ...]:
-    """What a learning curve records: the columns of `Training.record`."""
+    """Return the columns of `Training.record`."""
     _, outcome = jax.eval_shape(_train_step, learner, carry)
     return ("episodes", *sorted(outcome.totals), *(("updates", *sorted(outcome.squares)) if outcome.squares else ()))
 
@@ -190,7 +190,7 @@ def record_entry(learner: Learner, outcome: Outcome) -> tuple[Array, list[Array]
 
 
 def progress_of(learner: Learner, training: Training) -> Progress:
-    """How far a run is, and how it did over the last twentieth of its curve."""
+    """Return the progress of a run, and its scores over the last twentieth of its curve."""
     share = jnp.where(training.failed, 1.0, learner.progress(training.carry))
     columns = dict(zip(measures(learner, training.carry), training.record.T, strict=True))
     place = jnp.arange(learner.record)

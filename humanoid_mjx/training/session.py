@@ -78,12 +78,12 @@ class Session:
         if not runs:
             return
         # Not the number still waiting: networks' sums depend on how many runs are side by side, also after a resume.
-        size, devices, share = arranged(group.learners, len(runs), room)
+        size, devices = arranged(len(runs), room)
         while waiting := deque(run for run in runs if run not in self.finished):
-            slots = size * len(devices) // share
+            slots = size * len(devices)
             self.reporter.note(self._side_by_side(group, len(runs), slots))
             try:
-                self._train_side_by_side(index, waiting, size, devices, share, policies)
+                self._train_side_by_side(index, waiting, size, devices, policies)
             except Exception as error:
                 if not compute.out_of_memory(error):
                     raise
@@ -91,7 +91,6 @@ class Session:
                 self.interrupted = self._under_way()
             gc.collect()  # the arrays of a pool that failed; its error's frames held them
             size //= 2
-            self.pace.pause()
 
     def _too_large(self, group: Group, size: int, slots: int) -> None:
         """Say that the memory does not suffice for so many runs side by side.
@@ -107,13 +106,13 @@ class Session:
         self.reporter.note(f"the memory does not suffice for {slots:,} runs side by side; half as many go on")
 
     def _train_side_by_side(
-        self, index: int, waiting: deque[int], size: int, devices: Sequence[Device], share: int, policies: Any
+        self, index: int, waiting: deque[int], size: int, devices: Sequence[Device], policies: Any
     ) -> None:
-        """Train the waiting runs of a group, `size` at once on each of the devices, or on each `share` of them."""
+        """Train the waiting runs of a group, `size` at once on each of the devices."""
         group = self.plan.groups[index]
         self.stop.clear()
         with compute.counting_compiles() as compiles:
-            pool = Pool(group, waiting, size, devices, self.plan.config.seed, policies, share)
+            pool = Pool(group, waiting, size, devices, self.plan.config.seed, policies)
             pool.stop = self.stop
             pool.looked = partial(self._looked, pool)
             self._restore(index, pool)
@@ -123,7 +122,7 @@ class Session:
         (self.folder.path / self.folder.pool).unlink(missing_ok=True)
 
     def _under_way(self) -> list[tuple[Path, dict[str, np.ndarray]]]:
-        """What an interrupted session, perhaps on other devices or of other processes, had under way of our runs."""
+        """Return the runs of ours that an interrupted session, perhaps of other devices or processes, had under way."""
         waiting = self.mine - self.finished
         digest = self.folder.digest
         return [(path, _only(waiting, read_arrays(path, digest=digest))) for path in pools(self.folder.path)]
@@ -192,7 +191,7 @@ class Session:
         self.folder.write_arrays(self.folder.pool, {"group": np.array(index)} | pool.state())
 
     def _side_by_side(self, group: Group, runs: int, slots: int) -> str:
-        """How many runs train at once, and what memory that is estimated to take."""
+        """Say the number of runs that train at once, and the memory that they are estimated to take."""
         memory = slots * training_bytes(group) / 2**20
         where = f" in process 0 of {self.processes.count}" if self.processes.count > 1 else ""
         return f"{min(slots, runs):,} of {runs:,} runs train side by side{where}, in an estimated {memory:,.0f} MiB"
@@ -287,7 +286,7 @@ class Session:
 
 
 def _only(runs: set[int], arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """What a file of runs under way holds of some runs."""
+    """Return the rows of some runs in a file of runs under way."""
     if "slots" not in arrays:  # no such file: who restores it says so
         return arrays
     rows = np.isin(arrays["slots"], list(runs))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from humanoid_mjx import control, dynamics
-from humanoid_mjx.control.actuator import Motor
+from humanoid_mjx.control.drives import DcMotor
 from humanoid_mjx.control.gains import poles
 from humanoid_mjx.mechanics.trajectories import thesis_quintics
 from humanoid_mjx.robot.leg import Leg
@@ -116,11 +116,11 @@ def fleet(number):
 
 
 def test_a_lost_or_saturated_robot_changes_no_bit_of_another():
-    motor = Motor(0.02, 1.5, gear_ratio=30.0, max_voltage=12.0)
+    motor = DcMotor(torque_constant=0.02, resistance=1.5, gear=30.0, friction=0.0)
     leg = Leg.physical()
 
     def simulate(kp, kd, payload, error, cycle, volts):
-        limited = Motor(motor.torque_constant, motor.resistance, motor.gear_ratio, 0.0, 0.0, volts)
+        limited = motor.replace(voltage=volts)
 
         def actuated(time, qpos, qvel):
             return limited.actuate(computed_torque(leg.scaled(error), kp, kd, resting(), qpos, qvel), qvel).torque
@@ -171,7 +171,7 @@ def test_a_torque_is_held_over_its_cycle(cycle):
 def test_motors_in_a_rollout_conserve_power():
     """What they draw is heat, friction and the leg's energy, to the first order of the step."""
     leg, seconds = Leg.physical(), 0.1
-    motor = Motor(0.02, 1.5, gear_ratio=30.0, friction=1e-7, max_voltage=6.0)
+    motor = DcMotor(torque_constant=0.02, resistance=1.5, gear=30.0, friction=1e-7, voltage=6.0)
 
     def drive(qpos, qvel):
         return motor.actuate(computed_torque(leg, 4.0 * KP, KD, resting(10 * GOAL), qpos, qvel), qvel)
@@ -190,8 +190,8 @@ def test_motors_in_a_rollout_conserve_power():
     lost, lengths = [], (2e-4, 1e-4)
     for dt, (before, had, has, drives) in zip(lengths, in_steps_of(lengths, seconds, simulate), strict=True):
         drawn = (drives.voltage * drives.current).sum() * dt
-        heat = (np.asarray(motor.resistance) * drives.current**2).sum() * dt
-        heat += (np.asarray(motor.reflected_friction) * before.qvel**2).sum() * dt
+        heat = (1.5 * drives.current**2).sum() * dt
+        heat += (30.0**2 * 1e-7 * before.qvel**2).sum() * dt
         lost.append(abs((drawn - heat - (has[-1] - had[0])) / drawn))
         assert (np.abs(drives.voltage) >= 6.0).any()
     assert lost[1] < 0.02

@@ -1,7 +1,6 @@
 """Contacts of the feet against MuJoCo's own, and inverse dynamics within them against slow projections."""
 
 from functools import partial
-from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +10,7 @@ import pytest
 
 from humanoid_mjx.control import at_rest, grounded_torque, make_law
 from humanoid_mjx.control.ground import constrained_dynamics, eliminate
+from humanoid_mjx.control.stages import Stages
 from humanoid_mjx.physics import make_physics
 
 FREE = make_physics("mjx-jax", robot={"ranges": "human"})
@@ -130,13 +130,9 @@ def test_gains_are_data():
     seen = look(FREE, *random_state(0))
     scale = jnp.array([0.5, 1.0, 2.0])
     laws = jax.vmap(lambda x: jax.tree.map(lambda leaf: x * leaf, make_law("grounded")))(scale)
-    state = SimpleNamespace(
-        joints=slice(6, 16),
-        qpos=jnp.full(10, 0.1),
-        qvel=jnp.ones(10),
-        torque_for=lambda wanted, mass: wanted,
-        model_for=lambda mass: (seen["matrix"], seen["bias"]),
-        contacts=lambda: seen["contacts"],
+    dynamics = seen["matrix"], seen["bias"]
+    state = Stages(
+        jnp.full(10, 0.1), jnp.ones(10), lambda: dynamics, lambda: seen["contacts"], lambda mass: dynamics, slice(6, 16)
     )
     still = at_rest(jnp.zeros(10))
     together = jax.vmap(lambda law: law(still, state))(laws)

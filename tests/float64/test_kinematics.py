@@ -19,7 +19,6 @@ CIRCLE = ((-180, 180),) * 5
 forward = jax.jit(jax.vmap(kinematics.forward, in_axes=(None, 0)))
 jacobian = jax.jit(jax.vmap(kinematics.jacobian, in_axes=(None, 0)))
 inverse_of_500 = jax.jit(jax.vmap(kinematics.inverse, in_axes=(None, 0)))
-singular_values = jax.jit(jax.vmap(kinematics.singular_values, in_axes=(None, 0)))
 
 
 def inverse(leg, poses):
@@ -146,4 +145,5 @@ def singular_postures(name, n, seed):
 @pytest.mark.parametrize("name", LEGS)
 def test_the_jacobian_loses_rank_on_the_singular_set(name):
     for part in singular_postures(name, 50, seed=10):
-        assert singular_values(LEGS[name], jnp.array(part))[:, -1].max() < 1e-8
+        matrices = jax.vmap(kinematics.jacobian, in_axes=(None, 0))(LEGS[name], jnp.array(part))
+        assert np.linalg.svd(matrices, compute_uv=False)[:, -1].max() < 1e-8

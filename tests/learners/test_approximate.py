@@ -492,9 +492,3 @@ def test_precision_is_of_a_gpu(monkeypatch):
     assert rounded.dtype == np.float32
     error = np.sqrt(np.mean((rounded - exact) ** 2)) / exact.std()
     assert 2.0**-11 < error < 2.0**-5
-
-
-def test_environments_are_split_where_every_device_can_fill_its_minibatches():
-    learner = build("deep", probe("choice")[0], envs=24, rollout=1, minibatches=8)
-    assert [learner.can_split(devices) for devices in (1, 2, 3, 5)] == [True, False, True, False]
-    assert [build("tiles", probe("choice")[0], envs=24).can_split(devices) for devices in (2, 5)] == [True, False]

@@ -14,7 +14,7 @@ from humanoid_mjx import sweep
 from humanoid_mjx.cli import app
 from humanoid_mjx.config import parse
 from humanoid_mjx.training import pace
-from humanoid_mjx.training.pace import EVERY_S, Look, Pace, estimate
+from humanoid_mjx.training.pace import Look, Pace, estimate
 from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.pool import Pool
 
@@ -33,38 +33,33 @@ def folder(tmp_path):
 
 
 def looked(plan, *looks):
-    """A pace that has seen so much of the budget of one run done at each time."""
+    """A pace that has seen so much of the budget of one run done at each time, and what went on."""
     pace = Pace(1)
-    for time_s, done in looks:
-        pace.look(time_s, Look("training", np.array([0]), np.array([done / plan.budget]), 0, 0))
-    pace.pause()
+    for time_s, done, *phase in looks:
+        pace.look(time_s, Look(*phase or ["training"], np.array([0]), np.array([done / plan.budget]), 0, 0))
     return pace
 
 
-def test_the_rate_is_that_between_the_first_and_the_last_progress(folder):
+def test_the_rate_is_that_of_training_without_compiling_and_evaluating(folder):
     of = plan("episode")
-    pace = looked(of, (0.0, 50.0), (60.0, 50.0), (61.0, 100.0), (62.0, 150.0), (63.0, 300.0), (90.0, 300.0))
-    assert pace.rates(of, folder) == {"steps_per_s": 100.0 * 25, "episodes_per_s": 100.0}
-    # The next program took 50 s to compile.
-    for time_s, done in ((100.0, 300.0), (150.0, 400.0), (152.0, 460.0)):
-        pace.look(time_s, Look("training", np.array([0]), np.array([done / 500]), 0, 0))
-    assert pace.rates(of, folder)["episodes_per_s"] == pytest.approx((200.0 + 60.0) / (2.0 + 2.0))
+    looks = (0.0, 50.0, "compiling"), (60.0, 50.0), (61.0, 100.0), (63.0, 300.0, "evaluating"), (90.0, 300.0)
+    assert looked(of, *looks).rates(of, folder) == {"steps_per_s": 2083.0, "episodes_per_s": 83.33}
 
 
 def test_steps_are_episodes_by_the_length_of_each(folder):
-    found = looked(plan("step"), (0.0, 0.0), (1.0, 50.0), (2.0, 450.0)).rates(plan("step"), folder)
+    found = looked(plan("step"), (0.0, 50.0), (1.0, 450.0)).rates(plan("step"), folder)
     # As many steps make ten episodes of ten steps as 2.5 of forty.
     assert found == {"steps_per_s": 400.0, "episodes_per_s": pytest.approx(200 / 10 + 200 / 40)}
 
 
 def test_episodes_that_feed_one_table_count_all(folder):
-    pace = looked(plan("episode"), (0.0, 0.0), (1.0, 100.0), (2.0, 110.0))
+    pace = looked(plan("episode"), (0.0, 100.0), (1.0, 110.0))
     assert pace.rates(plan("episode", agents=16), folder)["episodes_per_s"] == 160.0
     assert pace.rates(plan("episode", rules="printed"), folder) == {"episodes_per_s": 10.0}
 
 
 def test_a_training_that_is_over_at_the_first_look_has_no_rate(folder):
-    assert looked(plan("episode"), (0.0, 0.0), (1.0, 100.0)).rates(plan("episode"), folder) == {}
+    assert looked(plan("episode"), (1.0, 100.0), (2.0, 100.0)).rates(plan("episode"), folder) == {}
     assert Pace(1).rates(plan("step"), folder) == {}
 
 
@@ -81,6 +76,10 @@ def test_provenance_has_both_rates(learner, tmp_path, monkeypatch):
     assert made["sessions"][0]["episodes_per_s"] == made["episodes_per_s"]
     # An episode takes from one step to the cap of 60.
     assert 1.0 <= made["steps_per_s"] / made["episodes_per_s"] <= 60.0
+
+
+EVERY_S = 0.25
+"""Seconds from one look to the next."""
 
 
 def played_out(lengths_s, size, compile_s=0.0, evaluate_s=0.0, share=lambda passed: passed):
@@ -105,17 +104,17 @@ def played_out(lengths_s, size, compile_s=0.0, evaluate_s=0.0, share=lambda pass
             return
         while now < compile_s:
             yield seen("compiling")
-            now += EVERY_S / 2
+            now += EVERY_S
         over = (slots >= 0) & (trained_s >= lengths_s[slots])
         if 4 * over.sum() >= size or (over.any() and (over == (slots >= 0)).all()):
             ends = now + evaluate_s
             while now < ends:
                 yield seen("evaluating")
-                now += EVERY_S / 2
+                now += EVERY_S
             slots[over], finished = -1, finished + int(over.sum())
             continue
         yield seen("training")
-        now, trained_s = now + EVERY_S / 2, trained_s + EVERY_S / 2
+        now, trained_s = now + EVERY_S, trained_s + EVERY_S
 
 
 def told(looks, runs, programs=1):
@@ -155,9 +154,10 @@ def test_nothing_is_said_before_a_pace_is_known():
         return pace.left_s
 
     assert left(0.0, [0.0, 0.0], 2) is None
-    assert left(EVERY_S / 2, [0.1, 0.1], 2) is None
-    # Run 0 needs 9 s more and its successor 10; run 1, which has not moved, is taken to be like it.
-    assert left(1.0, [0.1, 0.0], 0) == pytest.approx(10.0)
+    assert left(0.2, [0.1, 0.1], 2) is None
+    # Run 0 needs 9 s more; run 1, which has not moved, is taken to be like it.
+    pace = Pace(4)
+    assert left(0.0, [0.0, 0.0], 0) is None
     assert left(1.0, [0.1, 0.0], 0) == pytest.approx(10.0)
 
 

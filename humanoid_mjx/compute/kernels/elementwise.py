@@ -74,7 +74,7 @@ class Elementwise:
             known |= set(equation.outputs) if once else set()
         used = [x for equation in self.each for x in equation.inputs] + list(self.outputs)
         self.kept = list(dict.fromkeys(x for x in used if isinstance(x, Var) and x in known))
-        """What the part for each step needs of the part before."""
+        """Values that the part for each step takes from the part before."""
         for equation in self.each:
             _check(equation)
         tables = [e.inputs[0] for e in self.each if e.primitive.name in LOOKUPS]

@@ -85,7 +85,7 @@ def _kernel(numbers: Any, out: Any, *, results: Results, worlds: int, staged: bo
 
 
 def _results(traced: ClosedJaxpr, numbers: Sequence[Array]) -> list[Float[Array, " worlds"]]:
-    """What a function of one world gives, from the elements of its arguments."""
+    """Evaluate a function of one world from the elements of its arguments."""
     values, first = [], 0
     for var in traced.jaxpr.invars:
         shape, dtype = var.aval.shape, var.aval.dtype  # pyright: ignore[reportAttributeAccessIssue]

@@ -10,7 +10,7 @@ from humanoid_mjx.compute.kernels.assembly import assembly
 
 
 class Memory(Protocol):
-    """Where the tables of a block of agents lie."""
+    """Memory that holds the tables of a block of agents."""
 
     def row(self, token: Array, row: Array) -> tuple[Array, ...]:
         """The values of a row of each agent's table, after the write that gave this token."""

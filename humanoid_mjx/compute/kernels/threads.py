@@ -31,7 +31,7 @@ Element = Any
 
 
 def evaluate(closed: ClosedJaxpr, args: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """What a traced function gives; arguments and results are numpy arrays of elements.
+    """Evaluate a traced function; arguments and results are numpy arrays of elements.
 
     Raises:
       NotImplementedError: it does something else than arithmetic, or its indices are not known while tracing.

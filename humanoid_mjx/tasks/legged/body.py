@@ -31,7 +31,7 @@ SERVO = ServoLaw(stiffness=3.0, damping=0.1)
 s/rad most bodies that do nothing withstand the pushes, and there is little to learn."""
 
 START_AREA = 2.0
-"""Where on a terrain an episode begins: so far from the origin of the world, m, at most, along x and along y."""
+"""Largest distance from the origin of the world, along x and along y, at which an episode on a terrain begins, m."""
 
 
 class Plant(NamedTuple):
@@ -131,7 +131,7 @@ class LeggedBody(ContinuousTask):
     def setpoint(
         self, offsets: Float[Array, " joints"], reference: Float[Array, " joints"] | float = 0.0
     ) -> Float[Array, " joints"]:
-        """Where the law is to bring the joints, rad: the posture, a motion about it and the learner's offsets."""
+        """Return the set-points of the joints, rad: the posture, a motion about it and the learner's offsets."""
         if self.shares:
             offsets = jnp.stack([jnp.asarray(share, float) for share in self.shares])[self.robot.kinds] * offsets
         return jnp.radians(self.action_scale) * offsets + (reference + self.posture)
@@ -157,7 +157,7 @@ class LeggedBody(ContinuousTask):
     def _moving(
         self, setpoint: Float[Array, " joints"], plant: Plant, force: Float[Array, "3"]
     ) -> tuple[Physics, Controller]:
-        """What moves the body during a decision."""
+        """Return the physics and the controller of a decision."""
         values = {"mass": plant.mass, "friction": plant.friction, "torque_limit": plant.torque_limit}
         physics = self.simulator.replace(**values, damping=plant.joint_damping, push=force)
         physics = physics.replace(terrain=plant.terrain) if plant.terrain else physics

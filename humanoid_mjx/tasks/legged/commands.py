@@ -13,11 +13,11 @@ LARGEST = 0.5
 """Error of the heading that can add up, rad: a body that cannot follow has no turns to make up for later."""
 
 QUICKEST = 1.0
-"""What an error of the heading changes the turn rate by at most, rad/s."""
+"""Largest change of the turn rate by an error of the heading, rad/s."""
 
 
 def moves(command: Float[Array, "3"]) -> BoolScalar:
-    """Whether a command is to move, and not to stand."""
+    """Return whether a command is to move, and not to stand."""
     return (command != 0).any()
 
 

@@ -27,7 +27,7 @@ LATELY = 0.4
 
 
 class MeanMotion(NamedTuple):
-    """What the torso did in a decision, on average: a moment's rates shake with each set-point and each footfall."""
+    """Mean motion of the torso in a decision: a moment's rates shake with each set-point and each footfall."""
 
     velocity: Float[Array, "3"]
     """Of the hips: forward, to the left and up, m/s."""
@@ -71,13 +71,13 @@ class Episode(NamedTuple):
     """Commanded velocity forward and to the left, m/s, and turn rate to the left, rad/s; 0 in a task without
     commands."""
     heading_error: FloatScalar
-    """How far the heading, by the gyroscope, is behind the one that the turn rates told since the last change of them
-    lead to, to the left, rad."""
+    """Error of the heading, rad, to the left: the one that the turn rates commanded since their last change lead to,
+    less that by the gyroscope."""
     strayed: Float[Array, "3"]
     """Velocity forward and to the left, m/s, and turn rate to the left, rad/s, less what the command was, as a running
     mean over `LATELY`; 0 in a task without commands."""
     clock: Clock
-    """Where the gait is; at 0 in a task without one."""
+    """State of the gait; at 0 in a task without one."""
     plant: Plant | None
     """Values of this episode's world under randomisation or on a terrain."""
     past: Float[Array, "history size"] | None

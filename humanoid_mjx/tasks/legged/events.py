@@ -1,4 +1,4 @@
-"""What happens to a body: pushes, and worlds that differ from episode to episode."""
+"""Disturbances of a body: pushes, and worlds that differ from episode to episode."""
 
 import jax
 import jax.numpy as jnp

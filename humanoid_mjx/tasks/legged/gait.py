@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from humanoid_mjx.robot import Robot
 from humanoid_mjx.robot.description import Build
 from humanoid_mjx.robot.reaching import monomials, reach_of
-from humanoid_mjx.spec import InputError, Named, make_named, traced, written
+from humanoid_mjx.spec import InputError, Named, make, traced, written
 from humanoid_mjx.tasks.legged.commands import moves
 from humanoid_mjx.types import FloatScalar
 
@@ -28,12 +28,12 @@ LEFTWARDS = np.array([-1.0, 1.0])
 
 
 class Clock(NamedTuple):
-    """Where a gait is."""
+    """State of a gait."""
 
     phase: FloatScalar
     """0 to 1"""
     generator: Any = None
-    """What a gait of more than a clock remembers besides: any pytree."""
+    """Further state of a gait that is more than a clock: any pytree."""
 
 
 class Gait(Named):
@@ -69,7 +69,7 @@ class Gait(Named):
         return self.period / (1.0 + self.cadence * jnp.sqrt(jnp.sum(command[:2] ** 2) + 1e-12))
 
     def swing(self, phase: FloatScalar, robot: Robot) -> Float[Array, " feet"]:
-        """How far up each foot should be: half a sine in its turn, otherwise 0."""
+        """Return each foot's share of its way up: half a sine in its turn, otherwise 0."""
         share = jnp.mod(phase - robot.phases, 1.0) / (1.0 - self.stance)
         return jnp.where(share < 1.0, jnp.sin(jnp.pi * jnp.minimum(share, 1.0)), 0.0)
 
@@ -93,7 +93,7 @@ class Steps(Gait):
     landing: float = traced(0.0, ge=0, le=3, description="how softly a foot leaves the ground and lands; 1: at rest")
 
     def sweep(self, phase: FloatScalar, robot: Robot) -> Float[Array, " feet"]:
-        """Where each foot should be along its way, 1 in front to -1 behind: steadily back while it stands, and forth
+        """Return each foot's place along its way, 1 in front to -1 behind: steadily back while it stands, and forth
         while it swings, as a cubic that leaves the ground and comes back to it as fast as that goes."""
         turn, swing = jnp.mod(phase - robot.phases, 1.0), 1.0 - self.stance
         u = jnp.minimum(turn / swing, 1.0)
@@ -162,5 +162,5 @@ GAITS = {
     "oscillators": "humanoid_mjx.tasks.legged.thesis_gaits:Oscillators",
 }
 
-Gaits = Annotated[pydantic.SerializeAsAny[Gait], written("gait", partial(make_named, "gait", GAITS, Gait))]
+Gaits = Annotated[pydantic.SerializeAsAny[Gait], written("gait", partial(make, "gait", GAITS, Gait))]
 """The type of a task's field `gait`: `gait: {name: table}`, or the name alone."""

@@ -27,7 +27,7 @@ class Observation(NamedTuple):
     """Numbers that a learner sees."""
 
     size: int | Literal["joints", "feet"]
-    """How many numbers, or one for each joint or foot."""
+    """Number of values, or one for each joint or foot."""
     value: Callable[[View], Any]
     scale: Any = 1.0
     """The value that the learner sees as 1: one number, one for each, or a function of the robot."""
@@ -71,7 +71,7 @@ def clock(view: View) -> Float[Array, "2"]:
 
 
 class Observed:
-    """What the names of a task's observations stand for, one after the other."""
+    """The observations that a task names, one after the other."""
 
     def __init__(self, names: Sequence[str | Observation], robot: Robot):
         """Look the names up.
@@ -105,7 +105,7 @@ class Observed:
         return jnp.clip(jnp.concatenate(numbers), -FARTHEST, FARTHEST).astype(jnp.float32)
 
     def mirrored(self, obs: Float[Array, " observation_size"]) -> Float[Array, " observation_size"]:
-        """What the body's mirror image would see."""
+        """Return the observation of the body's mirror image."""
         return obs[self.mirror_order] * self.mirror_signs
 
 

@@ -76,7 +76,7 @@ class LeggedTask(LeggedBody):
 
     @property
     def observed(self) -> Observed:
-        """What the learner sees."""
+        """Observations of one decision."""
         names = *self.observations, *(self.privileged if self.observe == "privileged" else ())
         return _observed(names, self.robot)
 
@@ -132,7 +132,7 @@ class LeggedTask(LeggedBody):
         return self.step_continuous(state, self.scaled_action(action), key)
 
     def scaled_action(self, action: Int[Array, " joints"]) -> Float[Array, " joints"]:
-        """What the choices stand for, from -1 to 1."""
+        """Return the offsets that the choices stand for, from -1 to 1."""
         return 2.0 * action / (self.bins - 1) - 1.0
 
     def step_continuous(self, state: State, command: Float[Array, " joints"], key: Key[Array, ""]) -> State:
@@ -224,7 +224,7 @@ class LeggedTask(LeggedBody):
         return View(self.robot, self.command, self.gait, episode, feet, torque, last_offsets)
 
     def seen(self, view: View) -> Float[Array, " observation_size"]:
-        """What the learner sees: the observations of the last `history` decisions, the latest first."""
+        """Return the learner's observation: those of the last `history` decisions, the latest first."""
         rows = self._rows(view)
         if self.symmetric:
             rows = jnp.where(self.mirrored(view.episode.phase), jax.vmap(self.observed.mirrored)(rows), rows)
@@ -240,7 +240,7 @@ class LeggedTask(LeggedBody):
         return view.episode._replace(past=self._rows(view)) if self.history > 1 else view.episode
 
     def mirrored(self, phase: FloatScalar) -> Bool[Array, ""]:
-        """Whether a `symmetric` task shows the body's mirror image, and takes the offsets for its joints.
+        """Return whether a `symmetric` task shows the body's mirror image, and takes the offsets for its joints.
 
         A policy then treats both sides alike, whatever it learned from either.
         """

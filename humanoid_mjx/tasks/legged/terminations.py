@@ -8,11 +8,11 @@ from humanoid_mjx.types import BoolScalar
 
 
 class Fall(Spec):
-    """What counts as a fall: a body that lies, or is about to."""
+    """Limits beyond which a body has fallen: it lies, or is about to."""
 
     tilt: float = traced(45.0, gt=0, le=180, description="lean of the torso, degrees")
     height: float = traced(0.6234, ge=0, le=2, description="of the hips, as a share of that at home")
 
     def fallen(self, view: View) -> BoolScalar:
-        """Whether the torso leans farther or the hips are lower than these."""
+        """Return whether the torso leans farther or the hips are lower than these."""
         return (view.up[2] < jnp.cos(jnp.radians(self.tilt))) | (view.height < self.height * view.robot.leg_length)

@@ -22,7 +22,8 @@ from humanoid_mjx.thesis import leg as thesis
 from humanoid_mjx.types import FloatScalar
 
 FORTH = 4 / 12
-"""Where in a table's period its hip begins to come forward: at 0.2667 s of 0.8 s, where a foot of the clock swings."""
+"""Phase of a table's period at which its hip begins to come forward, 0.2667 s of 0.8 s: a foot of the clock swings
+then."""
 
 
 class TableSteps(Gait):

@@ -99,12 +99,12 @@ class View(NamedTuple):
 
     @property
     def moving(self) -> BoolScalar:
-        """Whether the command is to move."""
+        """True if the command is to move."""
         return moves(self.episode.command)
 
     @property
     def swing(self) -> Float[Array, " feet"]:
-        """How far along its way up each foot should be, 0 to 1, by the gait's clock; 0 where it should stand."""
+        """Share of its way up that each foot should have gone, 0 to 1, by the gait's clock; 0 where it should stand."""
         if self.gait is None:
             return jnp.zeros(len(self.robot.feet))
         return self.gait.swing(self.episode.phase, self.robot) * self.moving
