@@ -165,7 +165,6 @@ def walk_dog() -> str:
 
 TABLES = {of.__name__: of for of in (walk, walk_goals, walk_learners, walk_worlds, walk_dog, walk_fast)} | {
     "walk_gaits": lambda: _series("h200_walk_gaits"),
-    "walk_yawing": lambda: _series("h200_walk_yawing"),
     "walk_learning": lambda: _series("h200_walk_learning"),
     "walk_sturdy_minutes": lambda: rounded(record("walk_worlds")["trained"]["walk_sturdy"]["command_s"] / 60),
     "walk_seconds": lambda: rounded(record("h200_walk_40m")["training"]["command_s"]),
