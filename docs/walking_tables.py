@@ -178,7 +178,6 @@ TABLES = (
     | {name: partial(_in_worlds, name) for name in ("walk_worlds", "walk_faults", "walk_observe", "walk_terrain")}
     | {
         "walk_gaits": lambda: _series("h200_walk_gaits"),
-        "walk_yawing": lambda: _series("h200_walk_yawing"),
         "walk_learning": lambda: _series("h200_walk_learning"),
         "walk_sturdy_minutes": lambda: rounded(record("walk_worlds")["trained"]["walk_sturdy"]["command_s"] / 60),
         "walk_seconds": lambda: rounded(record("h200_walk_40m")["training"]["command_s"]),

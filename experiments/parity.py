@@ -5,15 +5,22 @@ python experiments/parity.py --published purejaxql  # also runs that checkout's 
 
 `tabular_q` walks along the cliff of R. Sutton and A. Barto, "Reinforcement Learning" (2018), Example 6.6. `linear_q`
 drives the mountain car of Example 10.1. `deep_q` balances CartPole with the settings of purejaxql
-(github.com/mttga/purejaxql at 47af6d7, purejaxql/config/alg/pqn_cartpole.yaml). `--published` needs gymnax and what
-else that script imports: hydra-core, omegaconf, safetensors, wandb.
+(github.com/mttga/purejaxql at 47af6d7, purejaxql/config/alg/pqn_cartpole.yaml). `--published` runs that project's
+purejaxql/pqn_gymnax.py, unchanged, with these settings. It needs gymnax 0.0.9 and what else the
+script imports: hydra-core, omegaconf, safetensors, wandb.
 """
 
 import argparse
 import json
+import multiprocessing
+import os
 import sys
 import tempfile
 import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +38,7 @@ from humanoid_mjx.tasks.finite import FiniteTask
 
 ROOT = Path(__file__).parent.parent
 SEEDS = 10
+Curves = dict[str, np.ndarray]
 
 ROWS, COLUMNS = 4, 12
 START, GOAL = (ROWS - 1) * COLUMNS, ROWS * COLUMNS - 1
@@ -142,21 +150,14 @@ cart pole:
      epsilon_decay: 0.98, epsilon_min: 0.2, evaluations: 20, evaluation_envs: 128}
   total_steps: 500_000
 """)
-"""The `cart pole` differs from purejaxql's script in four things: epsilon falls by the episode and not by the update,
-observations are normalised, an episode that is cut off after 500 steps has a value beyond them, and evaluations are of
-one whole episode in each of 128 environments."""
+BLOCK = 5
+"""Seeds that train side by side where both learners run: they take turns by this number."""
 
 
 def interval(values: np.ndarray) -> list[float]:
     """Return mean and bounds of its interval of 95% by Student's t."""
     half = stats.t.ppf(0.975, len(values) - 1) * stats.sem(values) if len(values) > 1 else 0.0
     return [round(float(x), 2) for x in (values.mean(), values.mean() - half, values.mean() + half)]
-
-
-def last(results: dict[str, np.ndarray], name: str, share: float) -> np.ndarray:
-    """Return the mean over the last part of each seed's curve."""
-    curve = results[name].reshape(SEEDS, -1)
-    return np.nanmean(curve[:, -round(share * curve.shape[1]) :], axis=1)
 
 
 def expected_on_the_cliff(epsilon: float) -> float:
@@ -177,36 +178,91 @@ def expected_on_the_cliff(epsilon: float) -> float:
     return float(np.linalg.solve(np.eye(len(cells)) - moves, (chance * reward).sum(axis=1))[START])
 
 
-def ours(name: str) -> dict[str, Any]:
-    """Train ten seeds by the config of this name; its figures."""
-    with tempfile.TemporaryDirectory() as folder:
-        began = time.monotonic()
-        run = humanoid_mjx.sweep({"name": "parity", "seeds": SEEDS, **CONFIGS[name]}, Path(folder) / "run")
-        results, summary, wall_s = run.results, run.summary, time.monotonic() - began
-    scale = CONFIGS[name]["task"].get("reward", 1.0)
-    return {
-        "return while learning, last fifth": interval(last(results, "return", 0.2) / scale),
-        "return of the greedy policy": interval(summary["greedy_return"].astype(float) / scale),
-        "wall_s, compiling in it": round(wall_s, 1),
+def timed(train: Callable[..., Curves], *given: Any) -> Curves:
+    """Return the curves of a training with its processor and wall time in s, compiling in both."""
+    began, used = time.monotonic(), time.process_time()
+    found = train(*given)
+    return found | {
+        "wall_s": np.array([time.monotonic() - began]),
+        "processor_s": np.array([time.process_time() - used]),
     }
 
 
-def published(checkout: Path) -> dict[str, Any]:
-    """Run purejaxql's script with its own settings for CartPole; the same figures."""
+def ours(name: str, seeds: int = SEEDS, seed: int = 0) -> Curves:
+    """Train by the config of this name: (seeds, points) of each curve, the final greedy return and the steps."""
+    compute.start()
+    with tempfile.TemporaryDirectory() as folder:
+        run = humanoid_mjx.sweep(
+            {"name": "parity", "seeds": seeds, "seed": seed, **CONFIGS[name]}, Path(folder) / "run"
+        )
+        curves = {key: values.reshape(seeds, -1) for key, values in run.results.items() if values.dtype != object}
+        final = run.summary["greedy_return"].astype(float)
+    scale = CONFIGS[name]["task"].get("reward", 1.0)
+    found = {"return": curves["return"].astype(float) / scale, "final": final / scale}
+    return found | {key: curves[key] for key in ("step", "episode") if key in curves}
+
+
+def published(checkout: Path, seed: int) -> Curves:
+    """Train a block of seeds by purejaxql's script: as `ours`, and the greedy return by whole episodes, as ours is."""
     sys.path.insert(0, str(checkout))
-    from purejaxql.pqn_gymnax import make_train  # pyright: ignore[reportMissingImports]
+    import gymnax  # pyright: ignore[reportMissingImports]
+    from purejaxql.pqn_gymnax import QNetwork, make_train  # pyright: ignore[reportMissingImports]
 
     config = yaml.safe_load((checkout / "purejaxql/config/alg/pqn_cartpole.yaml").read_text())
-    config |= {name: int(float(config[name])) for name in ("TOTAL_TIMESTEPS", "TOTAL_TIMESTEPS_DECAY")}
-    config |= {name: float(config[name]) for name in ("LR", "GAMMA", "LAMBDA")} | {"WANDB_MODE": "disabled"}
-    began = time.monotonic()
-    found = jax.jit(jax.vmap(make_train(config)))(jax.random.split(jax.random.PRNGKey(0), SEEDS))["metrics"]
-    found = {name: np.asarray(value) for name, value in found.items()}
-    fifth = found["returned_episode_returns"].shape[1] // 5
+    # YAML 1.1 reads 5e5 as a word.
+    config |= {key: int(float(config[key])) for key in ("TOTAL_TIMESTEPS", "TOTAL_TIMESTEPS_DECAY")}
+    config["WANDB_MODE"] = "disabled"
+    keys = jax.random.split(jax.random.PRNGKey(seed), BLOCK)
+    found = jax.jit(jax.vmap(make_train(config)))(keys)
+    env, limits = gymnax.make(config["ENV_NAME"])
+    network = QNetwork(env.num_actions, config["HIDDEN_SIZE"], config["NUM_LAYERS"])
+
+    def episode(state: Any, key: Any) -> Any:
+        """Return the return of one greedy episode."""
+
+        def step(carry: Any, key: Any) -> Any:
+            obs, data, over = carry
+            variables = {"params": state.params, "batch_stats": state.batch_stats}
+            action = jnp.argmax(network.apply(variables, obs.ravel()[None], train=False)[0])
+            obs, data, reward, done, _ = env.step_env(key, data, action, limits)
+            return (obs, data, over | done), jnp.where(over, 0.0, reward)
+
+        keys = jax.random.split(key, limits.max_steps_in_episode + 1)
+        return jax.lax.scan(step, (*env.reset_env(keys[0], limits), jnp.bool_(False)), keys[1:])[1].sum()
+
+    episodes = jax.vmap(jax.vmap(episode, in_axes=(None, 0)), in_axes=(0, None))
+    final = jax.jit(episodes)(found["runner_state"][0], jax.random.split(jax.random.key(seed), 128)).mean(axis=1)
+    metrics = {key: np.asarray(found["metrics"][key]) for key in ("returned_episode_returns", "env_step")}
+    return {"return": metrics["returned_episode_returns"], "final": np.asarray(final), "step": metrics["env_step"]}
+
+
+def figures(curves: Curves) -> dict[str, Any]:
+    """Return the intervals, the steps and the times of curves."""
+    learning = curves["return"]
     return {
-        "return while learning, last fifth": interval(found["returned_episode_returns"][:, -fifth:].mean(axis=1)),
-        "return of the greedy policy": interval(found["test/returned_episode_returns"][:, -1]),
-        "wall_s, compiling in it": round(time.monotonic() - began, 1),
+        "seeds": len(learning),
+        "return while learning, last fifth": interval(
+            np.nanmean(learning[:, -round(0.2 * learning.shape[1]) :], axis=1)
+        ),
+        "return of the greedy policy": interval(curves["final"]),
+        **{f"{key}s of a seed": int(curves[key].max()) for key in ("step", "episode") if key in curves},
+        "wall_s": round(float(np.sum(curves["wall_s"])), 1),
+        "processor_s": round(float(np.sum(curves["processor_s"])), 1),
+    }
+
+
+def beside(checkout: Path) -> dict[str, Any]:
+    """Train `deep_q` and purejaxql's script by turns, each block of seeds in a process that compiles all it runs."""
+    os.environ["JAX_ENABLE_COMPILATION_CACHE"] = "false"
+    trains = {"cart pole": partial(ours, "cart pole", BLOCK), "cart pole, purejaxql": partial(published, checkout)}
+    parts: dict[str, list[Curves]] = {name: [] for name in trains}
+    for block in range(SEEDS // BLOCK):
+        for name, train in trains.items():
+            with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+                parts[name].append(pool.submit(timed, train, block).result())
+    return {
+        name: figures({key: np.concatenate([block[key] for block in blocks]) for key in blocks[0]})
+        for name, blocks in parts.items()
     }
 
 
@@ -215,15 +271,17 @@ def main() -> None:
     parser.add_argument("--published", type=Path, help="a checkout of purejaxql")
     parser.add_argument("--out", type=Path, default=ROOT / "docs/bench/parity.json")
     given = parser.parse_args()
-    compute.start()
+    found = beside(given.published) if given.published else {"cart pole": figures(timed(ours, "cart pole"))}
+    found = {name: figures(timed(ours, name)) for name in ("cliff walking", "mountain car")} | found
     record: dict[str, Any] = compute.made_by()
-    record["expected while learning on the cliff"] = round(expected_on_the_cliff(0.1), 2)
-    record["found"] = {name: ours(name) for name in CONFIGS}
+    record["command"] = " ".join(("python experiments/parity.py", *["--published purejaxql"] * bool(given.published)))
     if given.published:
-        record["found"]["cart pole, purejaxql"] = published(given.published)
+        record["versions"] |= {name: version(name) for name in ("gymnax", "flax", "optax")}
+    record["expected while learning on the cliff"] = round(expected_on_the_cliff(0.1), 2)
+    record["found"] = found
     given.out.write_text(json.dumps(record, indent=1) + "\n")
-    for name, found in record["found"].items():
-        print(name, *(f"{key}: {value}" for key, value in found.items()), sep="\n  ")
+    for name, values in found.items():
+        print(name, *(f"{key}: {value}" for key, value in values.items()), sep="\n  ")
 
 
 if __name__ == "__main__":

@@ -67,7 +67,7 @@ PANELS = (
         ),
     ),
     Panel(
-        "the body on the ground under a servo",
+        "the body standing under a servo",
         "bodies",
         (
             Line("tree ground", CONTROLLED, "tree", BLUE),
@@ -76,40 +76,64 @@ PANELS = (
             Line("mujoco ground", CONTROLLED, "native MuJoCo", GREEN),
         ),
     ),
+    Panel(
+        "thrown about as in a training",
+        "bodies",
+        (
+            Line("tree ground moving", CONTROLLED, "tree", BLUE),
+            Line("mjx-jax ground moving", CONTROLLED, "MJX", RED),
+            Line("mujoco ground moving", CONTROLLED, "native MuJoCo", GREEN),
+        ),
+    ),
 )
 
 
+def rows_of(record: Mapping[str, Any], line: Line) -> list[Mapping[str, Any]]:
+    """Return the rows of a subject."""
+    rows = (row for row in record["records"] if row["bench"] in ("tabular", "physics"))
+    return [row for row in rows if (row["subject"], row["unit"]) == (line.subject, line.unit)]
+
+
 def measured(record: Mapping[str, Any], line: Line) -> tuple[list[int], list[float]]:
-    """How many ran side by side, and their steps a second; the middle one where several were measured."""
+    """Return how many ran side by side, and their steps a second; the median where several were measured."""
     values = defaultdict(list)
-    for found in record["records"]:
-        if (found["subject"], found["unit"]) == (line.subject, line.unit) and found["bench"] in ("tabular", "physics"):
-            values[found["batch"]].append(found["value"])
+    for row in rows_of(record, line):
+        values[row["batch"]].append(row["value"])
     return sorted(values), [statistics.median(values[batch]) for batch in sorted(values)]
 
 
+def commits(record: Mapping[str, Any], panel: Panel) -> str:
+    """Return the commits at which the rows of a panel were measured."""
+    rows = [row for line in panel.lines for row in rows_of(record, line)]
+    found = {row.get("commit", record.get("commit")) for row in rows}
+    return ", ".join(sorted({"not known" if commit is None else commit[:7] for commit in found}))
+
+
 def draw(target: Path, records: Mapping[str, Mapping[str, Any]]) -> None:
-    """A row for each machine, named in `records`, a column for each kind of subject."""
-    with figure(target, len(records), len(PANELS), size=(3.5, 2.6), sharey="col") as (_, axes):
-        drawn = [
-            (axis, [(line, *measured(record, line)) for line in panel.lines])
-            for row, record in zip(axes, records.values(), strict=True)
-            for axis, panel in zip(row, PANELS, strict=True)
-        ]
-        for axis, found in drawn:
-            for line, batches, rates in found:
-                axis.plot(batches, np.log10(rates), "o-", color=line.color, markersize=4, label=line.label)
-            label_lines(axis)
-            decades = np.log10([batch for _, batches, _ in found for batch in batches])
-            axis.set_xlim(0.7 * 10.0 ** np.floor(decades.min()), 1.4 * 10.0 ** np.ceil(decades.max()))
-        for row, machine in zip(axes, records, strict=True):
+    """A row for each machine, named in `records`, a column for each kind of subject that one of them has."""
+    panels = [panel for panel in PANELS if any(commits(record, panel) for record in records.values())]
+    with figure(target, len(records), len(panels), size=(3.5, 2.7), sharey="col") as (_, axes):
+        for row, (machine, record) in zip(axes, records.items(), strict=True):
             row[0].set_ylabel(f"steps/s on {machine}")
-            for axis, panel in zip(row, PANELS, strict=True):
-                axis.set_title(panel.heading)
+            for axis, panel in zip(row, panels, strict=True):
+                axis.set_title(f"{panel.heading}\n(commit {commits(record, panel) or 'none'})")
+                _panel(axis, [(line, *measured(record, line)) for line in panel.lines])
                 axis.set_xlabel(f"{panel.counted} side by side")
-                axis.yaxis.set_major_locator(ticks.MultipleLocator(1.0))
-                axis.yaxis.set_major_formatter("1e{x:.0f}")
-                log_axis(axis, counted=True)
+
+
+def _panel(axis: Any, found: Sequence[tuple[Line, list[int], list[float]]]) -> None:
+    """One kind of subject on one machine."""
+    axis.yaxis.set_major_locator(ticks.MultipleLocator(1.0))
+    axis.yaxis.set_major_formatter("1e{x:.0f}")
+    log_axis(axis, counted=True)
+    if not any(batches for _, batches, _ in found):
+        axis.text(0.5, 0.5, "not measured yet", transform=axis.transAxes, ha="center", color="0.4")
+        return
+    for line, batches, rates in found:
+        axis.plot(batches, np.log10(rates), "o-", color=line.color, markersize=4, label=line.label)
+    label_lines(axis)
+    decades = np.log10([batch for _, batches, _ in found for batch in batches])
+    axis.set_xlim(0.7 * 10.0 ** np.floor(decades.min()), 1.4 * 10.0 ** np.ceil(decades.max()))
 
 
 def main() -> None:
