@@ -182,8 +182,11 @@ def without_fault(base: Path, arguments: str) -> Call:
     """A call on the code as it is."""
     started, record = time.monotonic(), base.parent / (arguments.replace("/", ".") + ".json")
     code = _run(base, shlex.split(arguments), LIMIT_S, record)
-    failed, lines = json.loads(record.read_text()) if record.exists() else ([], {})
-    return Call(arguments, time.monotonic() - started, code, failed, lines)
+    if not record.exists():
+        raise RuntimeError(
+            f"{arguments}: the process ended with {code}, whatever the mutant; without a fault it must run"
+        )
+    return Call(arguments, time.monotonic() - started, code, *json.loads(record.read_text()))
 
 
 def outcome(base: Path, calls: list[Call], ends: float, mutant: Mutant) -> tuple[Mutant, str]:
