@@ -1,13 +1,14 @@
-"""Mutation testing: put a fault into a line, run the tests that concern its file, and see whether one fails.
+"""Mutation testing: put a fault into a line, run the tests that execute the line, and see whether one fails.
 
-python benchmarks/mutants.py --count 40 --seed 0                   # samples all folders; prints what survives
-python benchmarks/mutants.py humanoid_mjx/learners/targets.py      # all mutants of a file
-python benchmarks/mutants.py humanoid_mjx/learners/*.py --count 40 --tests "tests/learners/test_tabular.py -k terminal"
+python benchmarks/mutants.py --count 40 --seed 0                     # samples all folders; prints what survives
+python benchmarks/mutants.py humanoid_mjx/control --workers 12 --seconds 500 --json control.json
 
 A mutant exchanges an operator (+ and -, * and /, < and <=, `and` and `or`), negates a comparison, adds 1 to a number,
-or takes back a `not`, `~` or sign. It is written into a copy of the package. The tests are those that import the file's
-module, and those whose name holds it, or those of `--tests`; a mutant whose tests pass has survived. Files that no test
-names are left out.
+or takes back a `not`, `~` or sign. Every mutant is written into its own copy of the checkout.
+
+At first all calls of pytest in `TESTS` run without a fault. They tell which lines each call executes and how long it
+takes; tests that fail there are left out. A mutant meets the calls that execute its statement, the shortest first. A
+statement that no call was seen to execute meets all calls: Python does not trace threads that XLA starts.
 """
 
 import argparse
@@ -18,21 +19,41 @@ import random
 import shlex
 import shutil
 import signal
+import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterator
 from copy import deepcopy
+from functools import partial
 from importlib import import_module
+from multiprocessing import get_context
 from pathlib import Path
 from typing import NamedTuple
 
+import coverage
 import pytest
 
 ROOT = Path(__file__).parent.parent
-FOLDERS = ("learners", "control", "tasks", "physics", "runs")
-LIMIT_S = 900
-"""Seconds after which tests are stopped, which counts as a failure: a mutant may loop for ever."""
+COPIED = ("humanoid_mjx", "configs", "robots", "policies", "tests", "docs", "experiments", "benchmarks")
+TESTS = {
+    "learners": "learners/test_tabular learners/test_approximate learners/test_ppo",
+    "control": "control/test_laws control/test_control control/test_drives float64/test_control "
+    "float64/test_controllers float64/test_ground",
+    "tasks": "tasks/test_gait tasks/test_gym tasks/test_leg_reach tasks/test_squat tasks/test_stand tasks/test_legged "
+    "tasks/test_own_tasks tasks/test_posture_switch training/test_events learners/test_tabular",
+    "physics": "physics/test_sensors physics/test_physics mechanics/test_tree float64/test_tree float64/test_physics "
+    "float64/test_terrain float64/test_balance as_shipped/test_physics_worlds tasks/test_stand",
+    "runs": "runs/test_listing runs/test_results runs/test_faults report/test_plot report/test_growing "
+    "training/test_cost evaluation/test_evaluate",
+}
+"""The quick tests of each folder, a call of pytest for each string."""
+
+LIMIT_S = 300
+"""Seconds after which a call without a fault is given up."""
+
+SLOWER = 4
+"""How many times longer a call may take with a fault, which may loop for ever; then the mutant counts as killed."""
 
 EXCHANGED: dict[type, type] = {
     ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.Lt: ast.LtE, ast.LtE: ast.Lt,
@@ -40,18 +61,21 @@ EXCHANGED: dict[type, type] = {
     ast.BitAnd: ast.BitOr, ast.BitOr: ast.BitAnd,
 }  # fmt: skip
 
-
 IMPORTED = ("jax", "jaxtyping", "beartype", "hypothesis", "optax", "flax.linen", "mujoco", "typer.testing", "yaml")
 """Packages that are imported once, before the children of this process begin; none of them begins to compute."""
 
 
 class Mutant(NamedTuple):
-    """A file with one fault."""
+    """A file with one fault, and the lines of the statement around it."""
 
     file: Path
     line: int
     change: str
     text: str
+    statement: range
+
+    def __str__(self) -> str:
+        return f"{self.file}:{self.line}: {self.change}"
 
 
 def mutants(file: Path) -> Iterator[Mutant]:
@@ -67,11 +91,21 @@ def mutants(file: Path) -> Iterator[Mutant]:
             before = ast.unparse(node)
             change(fault)
             after = ast.unparse(fault)
-            yield Mutant(file, getattr(node, "lineno", 0), f"{before}  ->  {after}", ast.unparse(copy))
+            line = getattr(node, "lineno", 0)
+            yield Mutant(file, line, f"{before}  ->  {after}", ast.unparse(copy), _statement(tree, line))
+
+
+def _statement(tree: ast.AST, line: int) -> range:
+    """The lines of the innermost statement around a line."""
+    around = [s for s in ast.walk(tree) if isinstance(s, ast.stmt) and s.lineno <= line <= (s.end_lineno or line)]
+    inner = max(around, key=lambda s: s.lineno, default=None)
+    return range(inner.lineno, (inner.end_lineno or line) + 1) if inner else range(0)
 
 
 def _declared(node: ast.AST) -> Iterator[ast.AST]:
-    """Annotations, bounds and descriptions of fields: no arithmetic; numbers folded into keys: other random numbers."""
+    """Annotations, bounds and descriptions of fields, paths: no arithmetic; numbers folded into keys: other numbers."""
+    if isinstance(node, ast.BinOp) and isinstance(getattr(node.right, "value", None), str):
+        yield node
     declared = [getattr(node, name, None) for name in ("annotation", "returns")]
     called = (getattr(node.func, "id", ""), getattr(node.func, "attr", "")) if isinstance(node, ast.Call) else ()
     if isinstance(node, ast.Call) and {"Field", "traced", "fold_in"} & set(called):
@@ -91,79 +125,133 @@ def _changes(node: ast.AST) -> Iterator:
         yield lambda n: setattr(n, "value", n.value + 1)
 
 
-def tests_of(file: Path) -> list[str]:
-    """The test files that import a module, or are named after it, those of the fewest lines first."""
-    module, found = ".".join(file.with_suffix("").parts), []
-    package, _, name = module.rpartition(".")
-    for test in sorted((ROOT / "tests").rglob("test_*.py")):
-        text = test.read_text()
-        imported = module in text or any(
-            line.startswith(f"from {package} import") and name in line for line in text.splitlines()
-        )
-        if imported or name in test.stem:
-            found.append((len(text), str(test.relative_to(ROOT))))
-    return [test for _, test in sorted(found)]
+class Call(NamedTuple):
+    """A call of pytest on code without a fault, and the lines that it executes in each file of the package."""
+
+    arguments: str
+    seconds: float
+    code: int | None
+    failed: list[str]
+    lines: dict[str, list[int]]
+
+    def executes(self, mutant: Mutant) -> bool:
+        return not set(mutant.statement).isdisjoint(self.lines.get(str(mutant.file), ()))
 
 
-def survives(mutant: Mutant, tests: list[str]) -> bool:
-    """Whether all tests pass with the fault in a copy of the package."""
-    with tempfile.TemporaryDirectory() as folder:
-        copy = Path(folder)
-        for name in ("humanoid_mjx", "configs", "tests", "docs", "experiments", "benchmarks"):
-            shutil.copytree(ROOT / name, copy / name, symlinks=True)
-        for name in ("pyproject.toml", "README.md"):
-            shutil.copy(ROOT / name, copy / name)
-        (copy / mutant.file).write_text(mutant.text)
-        return all(_pass(copy, test) for test in tests)
+class _Failed(list):
+    """Plugin of pytest: the names of tests that fail."""
+
+    def pytest_runtest_logreport(self, report):
+        self += [report.nodeid] * report.failed
 
 
-def _pass(copy: Path, test: str) -> bool:
-    """Whether a test passes in a copy of the checkout, in a child of this process, which has jax imported already."""
+def _run(copy: Path, arguments: list[str], limit_s: float, record: Path | None = None) -> int | None:
+    """The exit status of pytest in a copy of the checkout, or None where it did not end in time.
+
+    The tests run in a child of this process, which has jax imported already. With `record`, the child writes there the
+    names of failed tests and the executed lines of each file.
+    """
     if not (child := os.fork()):
+        os.setsid()
         os.chdir(copy)
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-        os.dup2(1, 2)
+        os.dup2(os.dup2(os.open(os.devnull, os.O_WRONLY), 1), 2)
         sys.path[:0] = [str(copy)]
-        os._exit(pytest.main(["-q", "-x", "-n0", "-p", "no:cacheprovider", *shlex.split(test)]))
-    ends = time.monotonic() + LIMIT_S
+        os.environ["PYTHONPATH"] = os.pathsep.join([str(copy), os.environ.get("PYTHONPATH", "")])
+        failed, tracer = _Failed(), coverage.Coverage(data_file=None, include=[f"{copy}/humanoid_mjx/*"])
+        if record:
+            tracer.start()
+        code = pytest.main(["-q", "-n0", "-p", "no:cacheprovider", *arguments], plugins=[failed])
+        if record:
+            tracer.stop()
+            data = tracer.get_data()
+            lines = {str(Path(file).relative_to(copy)): data.lines(file) for file in data.measured_files()}
+            record.write_text(json.dumps([failed, lines]))
+        os._exit(code)
+    ends = time.monotonic() + limit_s
     while time.monotonic() < ends:
         done, status = os.waitpid(child, os.WNOHANG)
         if done:
-            return os.waitstatus_to_exitcode(status) == 0
+            return os.waitstatus_to_exitcode(status)
         time.sleep(0.05)
-    os.kill(child, signal.SIGKILL)
+    os.killpg(child, signal.SIGKILL)
     os.waitpid(child, 0)
-    return False
+    return None
+
+
+def without_fault(base: Path, arguments: str) -> Call:
+    """A call on the code as it is."""
+    started, record = time.monotonic(), base.parent / (arguments.replace("/", ".") + ".json")
+    code = _run(base, shlex.split(arguments), LIMIT_S, record)
+    if not record.exists():
+        raise RuntimeError(
+            f"{arguments}: the process ended with {code}, whatever the mutant; without a fault it must run"
+        )
+    return Call(arguments, time.monotonic() - started, code, *json.loads(record.read_text()))
+
+
+def outcome(base: Path, calls: list[Call], ends: float, mutant: Mutant) -> tuple[Mutant, str]:
+    """A mutant, and whether it was killed or survived; an empty word where time was over before."""
+    if time.monotonic() >= ends:
+        return mutant, ""
+    with tempfile.TemporaryDirectory() as folder:
+        copy = shutil.copytree(base, Path(folder) / "copy")
+        (copy / mutant.file).write_text(mutant.text)
+        for call in [call for call in calls if call.executes(mutant)] or calls:
+            arguments = ["-x", *shlex.split(call.arguments), *(f"--deselect={name}" for name in call.failed)]
+            code = _run(copy, arguments, min(60 + SLOWER * call.seconds, ends - time.monotonic()))
+            if code is None and time.monotonic() >= ends:
+                return mutant, ""
+            if code != 0:
+                return mutant, f"killed by {call.arguments}" + (", which did not end" if code is None else "")
+    return mutant, "survived"
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("files", nargs="*", type=Path, help="by default all of " + ", ".join(FOLDERS))
+    parser.add_argument("paths", nargs="*", type=Path, help="files or folders; by default all of " + ", ".join(TESTS))
     parser.add_argument("--count", type=int, help="mutants to sample; by default all")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--json", type=Path, help="where to write the result")
+    parser.add_argument("--json", type=Path, help="where to write the result, after every mutant")
     parser.add_argument("--tests", nargs="+", help="arguments of pytest, a string for each call of it")
+    parser.add_argument("--workers", type=int, default=1, help="mutants that are tried at a time")
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="when to stop; by default at the end")
     given = parser.parse_args()
-    folders = [ROOT / "humanoid_mjx" / folder for folder in FOLDERS]
-    files = given.files or [path.relative_to(ROOT) for folder in folders for path in sorted(folder.rglob("*.py"))]
-    every = [(mutant, tests) for file in files if (tests := given.tests or tests_of(file)) for mutant in mutants(file)]
+    ends = time.monotonic() + given.seconds
+    paths = [ROOT / path for path in given.paths or [Path("humanoid_mjx", folder) for folder in TESTS]]
+    files = [file.relative_to(ROOT) for path in paths for file in (sorted(path.rglob("*.py")) or [path])]
+    every = [mutant for file in files for mutant in mutants(file)]
     chosen = random.Random(given.seed).sample(every, min(given.count or len(every), len(every)))
-    os.environ |= {"JAX_NUM_CPU_DEVICES": "2", "JAX_PLATFORMS": "cpu"}
+    wanted = given.tests or dict.fromkeys(f"tests/{call}.py" for file in files for call in TESTS[file.parts[1]].split())
+    os.environ |= {
+        "JAX_NUM_CPU_DEVICES": "2",
+        "JAX_PLATFORMS": "cpu",
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.3",
+    }
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".pytest_cache" / "xla"))
-    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
     for name in IMPORTED:
         import_module(name)
-    alive = []
-    for number, (mutant, tests) in enumerate(chosen, 1):
-        survived = survives(mutant, tests)
-        alive += [mutant] * survived
-        word = "SURVIVED" if survived else "killed"
-        print(f"{number}/{len(chosen)} {word}: {mutant.file}:{mutant.line}: {mutant.change}", flush=True)
-    share = 1 - len(alive) / max(len(chosen), 1)
-    print(f"{share:.0%} of {len(chosen)} mutants killed, of {len(every)} in {len(files)} files")
-    if given.json:
-        lines = [f"{mutant.file}:{mutant.line}: {mutant.change}" for mutant in alive]
-        given.json.write_text(json.dumps({"killed": share, "sampled": len(chosen), "survived": lines}, indent=1) + "\n")
+    commit = subprocess.getoutput(f"git -C {shlex.quote(str(ROOT))} rev-parse HEAD")
+    found: list[dict[str, str]] = []
+    result: dict = {"commit": commit, "command": shlex.join(["python", *sys.argv])}
+    with tempfile.TemporaryDirectory() as folder, get_context("fork").Pool(given.workers) as pool:
+        base = Path(folder) / "base"
+        for name in COPIED:
+            shutil.copytree(ROOT / name, base / name, dirs_exist_ok=True)
+        for name in ("pyproject.toml", "README.md", "constraints.txt", "mkdocs.yml"):
+            shutil.copy(ROOT / name, base / name)
+        calls = sorted(pool.imap_unordered(partial(without_fault, base), wanted), key=lambda call: call.seconds)
+        result["calls"] = {call.arguments: {"seconds": call.seconds, "failed": call.failed} for call in calls}
+        calls = [call for call in calls if call.code in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED)]
+        for mutant, word in pool.imap_unordered(partial(outcome, base, calls, ends), chosen):
+            if not word:
+                break
+            found.append({"mutant": str(mutant), "found": word})
+            print(f"{len(found)}/{len(chosen)} {mutant}: {word}", flush=True)
+            killed = sum(entry["found"] != "survived" for entry in found) / len(found)
+            result |= {"of": len(every), "sampled": len(found), "killed": killed, "mutants": found}
+            if given.json:
+                given.json.write_text(json.dumps(result, indent=1) + "\n")
+    print(f"{len(found)} of {len(every)} mutants in {len(files)} files tried, {result.get('killed', 0):.0%} killed")
 
 
 if __name__ == "__main__":

@@ -69,10 +69,12 @@ def test_it_drives_the_joints_of_a_task_and_is_data_of_its_program():
         ({"name": "servo"}, "actuator.name: unknown actuator 'servo'; known are dc_motor, ideal"),
         ({"name": "dc_motor", "gear": 0.0}, "actuator.gear must be positive, one number or 10, got 0.0"),
         ({"name": "dc_motor", "gear": [1.0, 2.0]}, "actuator.gear must be positive, one number or 10"),
-        ({"name": "dc_motor", "gear": 300}, "too fast for an armature of 0.001"),
+        # At 135 the speed would fall by twice itself in a step: 135^2 (0.0136^2 / 7 + 1e-6) 0.004 s = 2 x 0.001 kg m^2.
+        ({"name": "dc_motor", "gear": 136.0}, "too fast for an armature of 0.001"),
         ({"name": "dc_motor", "voltage": -1.0}, "actuator.voltage must be greater than 0"),
     ],
 )
 def test_what_is_no_motor_is_refused(values, words):
     with pytest.raises(InputError, match=words):
         make_task("stand", actuator=values)
+    make_task("stand", actuator={"name": "dc_motor", "gear": 134.0})
