@@ -206,8 +206,11 @@ def _place(model: mujoco.MjModel, qpos: np.ndarray, rng: np.random.Generator) ->
         row[2] = (rng.choice([0.01, -1e-4, -5e-4, -2e-3, -5e-3]) * rng.uniform(0.1, 1.0) - lowest) / normal[2]
 
 
-def dropped(model: mujoco.MjModel, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Positions, velocities and controls of any model: what native MuJoCo makes of random postures within a second."""
+def dropped(
+    model: mujoco.MjModel, count: int, seed: int = 0, spread: float = 0.5
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Positions, velocities and controls of any model: what native MuJoCo makes of random postures within a second.
+    Hinges begin up to `spread`, rad, from the model's posture."""
     rng, data, rows = np.random.default_rng(seed), mujoco.MjData(model), []
     steps = max(2, round(1.0 / model.opt.timestep))
     given = (model.actuator_ctrlrange != 0.0).any(axis=1, keepdims=True)
@@ -220,7 +223,7 @@ def dropped(model: mujoco.MjModel, count: int, seed: int = 0) -> tuple[np.ndarra
                 turned = data.qpos[at + 3 : at + 7] + rng.choice([0.02, 0.2, 1.0]) * rng.normal(size=4)
                 data.qpos[at + 3 : at + 7] = turned / np.linalg.norm(turned)
                 continue
-            way = 0.1 if kind == mujoco.mjtJoint.mjJNT_SLIDE else 0.5
+            way = 0.1 if kind == mujoco.mjtJoint.mjJNT_SLIDE else spread
             lower, upper = model.jnt_range[joint] if model.jnt_limited[joint] else (-np.inf, np.inf)
             data.qpos[at] = np.clip(data.qpos[at] + way * rng.uniform(-1, 1), lower - 0.02, upper + 0.02)
         data.qvel[:] = 0.5 * rng.normal(size=model.nv)

@@ -40,6 +40,17 @@ def test_shapes_on_a_plane_are_mujocos():
     agrees(SHAPES, count=500)
 
 
+def test_boxes_that_touch_each_other_are_mujocos():
+    """Two boxes that fold onto each other and onto a fixed one: with friction, without."""
+    xml = """<mujoco><worldbody><geom name="wall" type="box" size="0.05 0.1 0.02" margin="0.001"/>
+    <body pos="0 0.07 0"><joint axis="1 0 0" range="-40 150" limited="true"/><joint axis="0 1 0"/>
+    <geom type="box" size="0.06 0.03 0.08" pos="0 0 0.11" mass="0.5"/></body>
+    <body pos="0 -0.07 0"><joint axis="1 0 0" range="-150 40" limited="true"/><joint axis="0 1 0.2"/>
+    <geom name="box" type="box" size="0.04 0.02 0.09" pos="0 0 0.12" mass="0.4" friction="0.7" margin="0.001"/></body>
+    </worldbody><contact><pair geom1="wall" geom2="box" condim="1"/></contact></mujoco>"""
+    agrees(xml, count=200)
+
+
 def test_free_bodies_turn_by_runge_and_kuttas_method():
     xml = """<mujoco><option integrator="RK4" timestep="0.01"/><worldbody>
     <geom type="plane" size="0 0 1" friction="0.6"/>

@@ -24,9 +24,11 @@ from humanoid_mjx.mechanics.tree.algebra import (
     vector,
     velocity_at,
 )
+from humanoid_mjx.mechanics.tree.boxes import between_boxes
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics
 from humanoid_mjx.mechanics.tree.segments import nearest_points
 from humanoid_mjx.mechanics.tree.structure import (
+    Box,
     Capsule,
     Corner,
     Dry,
@@ -230,6 +232,15 @@ def _downwards(way: Vector, normal: Vector) -> Vector:
 
 
 def _pair_touch(pairs: Pairs, kinematics: Kinematics, motions: Sequence[Spatial], friction: Friction) -> Touch:
+    boxes = isinstance(pairs.ones[0], Box)
+    place, normal, distance = between_boxes(pairs, kinematics) if boxes else _between_capsules(pairs, kinematics)
+    velocity = apart(pairs.ones, pairs.twos, motions, place)
+    # Without friction the tangents are never asked for, and cost nothing.
+    return _touch(pairs.surface, place, _frame(normal, None), distance, velocity, friction)
+
+
+def _between_capsules(pairs: Pairs, kinematics: Kinematics) -> tuple[Vector, Vector, Scalar]:
+    """The places, normals and distances of capsules, pair by pair."""
     one, two = nearest_points(pairs, kinematics)
     between = subtract(two, one)
     square = dot(between, between)
@@ -241,17 +252,17 @@ def _pair_touch(pairs: Pairs, kinematics: Kinematics, motions: Sequence[Spatial]
     thickness = known([a.radius + b.radius for a, b in zip(pairs.ones, pairs.twos, strict=True)])
     distance = Scalar(jnp.where(meet, 0.0, length.value)) - thickness
     place = add(one, scale(known([shape.radius for shape in pairs.ones]) + HALF * distance, normal))
-    velocity = apart(pairs.ones, pairs.twos, motions, place)
-    # Without friction the tangents are never asked for, and cost nothing.
-    return _touch(pairs.surface, place, _frame(normal, None), distance, velocity, friction)
+    return place, normal, distance
 
 
-def apart(ones: Sequence[Capsule], twos: Sequence[Capsule], motions: Sequence[Spatial], place: Vector) -> Vector:
+def apart(
+    ones: Sequence[Capsule | Box], twos: Sequence[Capsule | Box], motions: Sequence[Spatial], place: Vector
+) -> Vector:
     """Velocities, m/s, at which the second shapes' bodies leave the first's at `place`, pair by pair."""
     return subtract(_velocity(twos, motions, place), _velocity(ones, motions, place))
 
 
-def _velocity(shapes: Sequence[Capsule], motions: Sequence[Spatial], place: Vector) -> Vector:
+def _velocity(shapes: Sequence[Capsule | Box], motions: Sequence[Spatial], place: Vector) -> Vector:
     """Velocities, m/s, of the points of the shapes' bodies that are at `place`, shape by shape."""
     stacked = [
         Vector(*(in_order([lane(motions[s.body][part][axis], s.lane) for s in shapes]) for axis in range(3)))

@@ -3,7 +3,18 @@
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from humanoid_mjx.mechanics.tree.structure import Body, Capsule, Corner, GroundPoints, Pairs, Site, Surface, Table, Tree
+from humanoid_mjx.mechanics.tree.structure import (
+    Body,
+    Box,
+    Capsule,
+    Corner,
+    GroundPoints,
+    Pairs,
+    Site,
+    Surface,
+    Table,
+    Tree,
+)
 
 
 class _Unlike(Exception):
@@ -114,7 +125,7 @@ def _with_lanes(tree: Tree, limbs: Sequence[tuple[int, ...]]) -> Tree:
     def sites(some: Iterable[Site]) -> tuple[Site, ...]:
         return tuple(moved(site) for site in some)
 
-    def shapes(some: Iterable[Capsule]) -> tuple[Capsule, ...]:
+    def shapes(some: Iterable[Capsule | Box]) -> tuple[Capsule | Box, ...]:
         return tuple(moved(shape) for shape in some)
 
     angles = zip(*(_joints(tree, limb, "coordinate") for limb in limbs), strict=True)
@@ -177,10 +188,14 @@ def _join_pairs(pairs: Sequence[Pairs]) -> Pairs:
     first = pairs[0]
     ones = tuple(shape for p in pairs for shape in p.ones)
     twos = tuple(shape for p in pairs for shape in p.twos)
-    if len({(bool(one.half_length), bool(two.half_length)) for one, two in zip(ones, twos, strict=True)}) > 1:
+    if len({(_build(one), _build(two)) for one, two in zip(ones, twos, strict=True)}) > 1:
         raise _Unlike
     surfaces = [p.surface for p in pairs for _ in p.ones] if len(pairs) > 1 else [first.surface]
     if any(s.softness != surfaces[0].softness or s.margin != surfaces[0].margin for s in surfaces):
         raise _Unlike
     surface: Surface = _merge(surfaces)
     return Pairs(ones, twos, surface)
+
+
+def _build(shape: Capsule | Box) -> str:
+    return "box" if isinstance(shape, Box) else "capsule" if shape.half_length else "ball"

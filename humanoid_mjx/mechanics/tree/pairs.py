@@ -16,7 +16,7 @@ from humanoid_mjx.mechanics.tree.algebra import force_at, known, lane, power, re
 from humanoid_mjx.mechanics.tree.contacts import Touch, apart
 from humanoid_mjx.mechanics.tree.inertia import Factors
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics, motions_of
-from humanoid_mjx.mechanics.tree.structure import Capsule, Tree
+from humanoid_mjx.mechanics.tree.structure import Box, Capsule, Tree
 
 Flags = list[Bool[Array, "pairs worlds"]]
 """Which facets push: of each facet of the contacts of all pairs."""
@@ -113,7 +113,7 @@ def _picked(flags: Bool[Array, "pairs worlds"], value: Any) -> Any:
     return jnp.where(flags[:, None] if jnp.ndim(value) > 2 else flags, value, 0.0).sum(axis=0)
 
 
-def _each(tree: Tree) -> list[tuple[Capsule, Capsule]]:
+def _each(tree: Tree) -> list[tuple[Capsule | Box, Capsule | Box]]:
     """All pairs."""
     return [pair for pairs in tree.pairs for pair in zip(pairs.ones, pairs.twos, strict=True)]
 
@@ -121,7 +121,7 @@ def _each(tree: Tree) -> list[tuple[Capsule, Capsule]]:
 def _sign(tree: Tree, dof: int) -> Scalar:
     """1 where it moves a pair's second body alone, -1 where it moves the first alone, by pair."""
 
-    def moves(shape: Capsule, index: int) -> bool:
+    def moves(shape: Capsule | Box, index: int) -> bool:
         return dof in tree.moving(shape.body) and index in (shape.lane, None)
 
     each = _each(tree)

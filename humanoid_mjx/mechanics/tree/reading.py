@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from humanoid_mjx.mechanics.tree import structure as st
+from humanoid_mjx.mechanics.tree.boxes import CONTACTS
 from humanoid_mjx.mechanics.tree.refusing import faults
 from humanoid_mjx.mechanics.tree.touching import FLAGS, Touching, kinds_of, touching
 from humanoid_mjx.spec import InputError
@@ -144,7 +145,9 @@ def _contacts(m: mujoco.MjModel) -> tuple[list[st.GroundPoints], list[int], list
             ground += _ground_points(m, pair.one, pair.two, surface, len(ground))
             geoms += [pair.two] * (len(ground) - len(geoms))
         else:
-            pairs.append(st.Pairs((_capsule(m, pair.one),), (_capsule(m, pair.two),), surface))
+            one, two = _shape(m, pair.one), _shape(m, pair.two)
+            count = CONTACTS if isinstance(one, st.Box) else 1
+            pairs.append(st.Pairs((one,) * count, (two,) * count, surface))
     return ground, geoms, pairs
 
 
@@ -169,10 +172,12 @@ def _softness(m: mujoco.MjModel, solref: np.ndarray, solimp: np.ndarray) -> st.S
     return st.Softness(-time / dmax**2, -ratio / dmax, dmin, dmax, width, middle, power)
 
 
-def _capsule(m: mujoco.MjModel, geom: int) -> st.Capsule:
-    half = float(m.geom_size[geom, 1]) if m.geom_type[geom] == GEOM.mjGEOM_CAPSULE else 0.0
-    axis, radius = _axes(m.geom_quat[geom])[2], float(m.geom_size[geom, 0])
-    return st.Capsule(int(m.geom_bodyid[geom]), _triple(m.geom_pos[geom]), axis, radius, half)
+def _shape(m: mujoco.MjModel, geom: int) -> st.Capsule | st.Box:
+    axes, (x, y, z) = _axes(m.geom_quat[geom]), (float(part) for part in m.geom_size[geom])
+    at = int(m.geom_bodyid[geom]), _triple(m.geom_pos[geom])
+    if m.geom_type[geom] == GEOM.mjGEOM_BOX:
+        return st.Box(*at, axes, (x, y, z))
+    return st.Capsule(*at, axes[2], x, y if m.geom_type[geom] == GEOM.mjGEOM_CAPSULE else 0.0)
 
 
 def _ground_points(

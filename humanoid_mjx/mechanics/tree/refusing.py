@@ -14,7 +14,7 @@ JOINT = mujoco.mjtJoint
 GROUND_SHAPES = ("sphere", "capsule", "box", "cylinder", "ellipsoid")
 """Shapes that a plane of the world can push."""
 
-PAIRS = (("sphere", "sphere"), ("sphere", "capsule"), ("capsule", "capsule"))
+PAIRS = (("sphere", "sphere"), ("sphere", "capsule"), ("capsule", "capsule"), ("box", "box"))
 """Shapes that can push each other."""
 
 
@@ -105,7 +105,7 @@ def _of_pair(m: mujoco.MjModel, pair: Touching) -> Iterator[tuple[str, str]]:
     if one == "plane" and m.body_weldid[m.geom_bodyid[pair.one]] != 0:
         yield "contacts of a plane that moves", "planes in the world alone"
     if (two not in GROUND_SHAPES) if one == "plane" else ((one, two) not in PAIRS):
-        shapes = ", ".join(GROUND_SHAPES) if one == "plane" else "sphere, capsule"
+        shapes = ", ".join(GROUND_SHAPES) if one == "plane" else "spheres and capsules"
         masks = "contype and conaffinity that keep them apart, as `contacts: feet` of a robot's YAML does"
         yield f"contacts of {_a(one)} and {_a(two)}", f"{shapes} in their place, or {masks}"
     if pair.condim not in (1, 3):

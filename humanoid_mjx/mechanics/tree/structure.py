@@ -7,7 +7,7 @@ Limbs of one build, as the legs of a body, are *lanes*: `folding.fold` makes the
 of the lanes' where they differ. What is computed of a branch then has an axis of lanes before that of the worlds.
 """
 
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 
 class Table(NamedTuple):
@@ -130,6 +130,18 @@ class Capsule(NamedTuple):
     lane: int = 0
 
 
+class Box(NamedTuple):
+    """A box that other boxes push."""
+
+    body: int
+    center: Triple
+    axes: Axes
+    """In the frame of the body."""
+    half: Triple
+    """Half of its edges, m."""
+    lane: int = 0
+
+
 class Corner(NamedTuple):
     """The lower end of a diagonal of a box; the plane pushes the lower ends of all four."""
 
@@ -177,10 +189,10 @@ class GroundPoints(NamedTuple):
 
 
 class Pairs(NamedTuple):
-    """Capsules that push each other, pair by pair."""
+    """Capsules, or boxes, that push each other, contact by contact: two boxes stand here `boxes.CONTACTS` times."""
 
-    ones: tuple[Capsule, ...]
-    twos: tuple[Capsule, ...]
+    ones: tuple[Any, ...]
+    twos: tuple[Any, ...]
     surface: Surface
 
 
