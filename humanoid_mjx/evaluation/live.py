@@ -138,7 +138,9 @@ class Stage:
         self.time += seconds
         self._zero += seconds * (1.0 - 1.0 / self.hands.pace)
         if self.free:
-            self.speeds += min(seconds / MEAN_S, 1.0) * (_speeds(self.data) - self.speeds)
+            (x, y), turn = self.ahead, self.data.xmat[1].reshape(3, 3)[2] @ self.data.qvel[3:6]
+            present = np.array([*([[x, y], [-y, x]] @ self.data.qvel[:2]), turn])
+            self.speeds += min(seconds / MEAN_S, 1.0) * (present - self.speeds)
         ahead = self.time - (time.monotonic() - self._zero)
         if ahead < -LATEST_S:
             self._zero -= ahead
@@ -152,6 +154,12 @@ class Stage:
     def shoved(self) -> Float[np.ndarray, "3"] | None:
         """The impulse of a push by a key, N s, so long as it is to be seen."""
         return SHOVE_S * self._shove if self.time < self._until - SHOVE_S + SHOWN_S else None
+
+    @property
+    def ahead(self) -> Float[np.ndarray, "2"]:
+        """The horizontal direction in which the torso looks."""
+        ahead = self.data.xmat[1].reshape(3, 3)[:2, 0]
+        return ahead / max(float(np.linalg.norm(ahead)), 1e-9)
 
     def forget(self) -> None:
         """Begin an episode on ground that is level still, with nothing in hand."""
@@ -208,9 +216,7 @@ class Stage:
         """Turn the ground about the point below the torso, towards the slope that is wanted."""
         if self.hands.slope != self._wanted:
             self._wanted = self.hands.slope
-            ahead = self.data.xmat[1].reshape(3, 3)[:2, 0]
-            ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
-            self._rise = np.tan(np.radians(self._wanted)) * ahead
+            self._rise = np.tan(np.radians(self._wanted)) * self.ahead
         left = self._rise - self.ground[1:]
         if not left.any():
             return
@@ -320,11 +326,3 @@ class Live:
             world = jax.device_get(world_of(own_data(self.task, state)))
             self.stage.show(world.qpos, world.qvel, self.task.period)
         return state
-
-
-def _speeds(data: mujoco.MjData) -> Float[np.ndarray, "3"]:
-    """Of a free torso: forward and to the left of where it looks, m/s, and turn to the left, rad/s."""
-    rotation = data.xmat[1].reshape(3, 3)
-    ahead = rotation[:2, 0] / max(float(np.linalg.norm(rotation[:2, 0])), 1e-9)
-    x, y = data.qvel[:2]
-    return np.array([ahead @ (x, y), ahead @ (y, -x), rotation[2] @ data.qvel[3:6]])

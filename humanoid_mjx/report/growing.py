@@ -1,5 +1,8 @@
 """The report of a run folder while its sweep trains: a page that grows, and that the browser loads again and again."""
 
+import os
+import subprocess
+import sys
 import threading
 import time
 import webbrowser
@@ -13,7 +16,7 @@ import numpy as np
 from humanoid_mjx.files import write_text
 from humanoid_mjx.report.figures import averaged, figures_of
 from humanoid_mjx.report.page import curve_panels, run_page
-from humanoid_mjx.report.web import page, section, table, text
+from humanoid_mjx.report.web import image, page, section, table, text
 from humanoid_mjx.runs.folder import RunFolder
 from humanoid_mjx.runs.ranking import BEST_POINTS, short
 from humanoid_mjx.training.events import Curves
@@ -27,6 +30,9 @@ MAX_POINTS = 60
 EVERY_S = 5.0
 """The least time between two drawings, and that after which a browser loads the page again, s."""
 
+PLAY_S = 120.0
+"""The least time between two pictures of the robot, s."""
+
 DRAWING_SHARE = 0.1
 """The most of the time that drawing may take."""
 
@@ -36,6 +42,7 @@ class Growing(Reporter):
     what it is told."""
 
     curves: Curves
+    folder: RunFolder
     file: Path
 
     def __init__(self, reporter: Reporter, browse: bool = True):
@@ -45,10 +52,11 @@ class Growing(Reporter):
         self.words = "starting"
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run)
+        self._player: subprocess.Popen[bytes] | None = None
 
     def watch(self, folder: RunFolder, plan: Plan) -> Curves:
         """Begin to draw; the curves that the page shows (`training.sweep.sweep`)."""
-        self.curves, self.file = Curves(folder, plan, MAX_POINTS), folder.path / "report.html"
+        self.curves, self.folder, self.file = Curves(folder, plan, MAX_POINTS), folder, folder.path / "report.html"
         self.write()
         self.reporter.note(f"{self.file}: grows while the sweep trains")
         if self.browse:
@@ -64,6 +72,10 @@ class Growing(Reporter):
         self._over.set()
         if self._thread.is_alive():
             self._thread.join()
+            if self._player:
+                self._player.kill()
+                self._player.wait()
+            self._picture.unlink(missing_ok=True)
             self.words = "stopped"
             write_text(self.file, self.html() if kind else run_page(self.file.parent, Reporter(), motion=False))
 
@@ -78,13 +90,31 @@ class Growing(Reporter):
         self.state = state
         self.reporter.update(state)
 
+    @property
+    def _picture(self) -> Path:
+        return self.file.with_name(".robot.png")
+
+    def _play(self, name: str) -> None:
+        """Let another process draw the robot under the best policy of a run folder: one that compiles beside training
+        could stop it. Where the last one failed, the task moves no robot."""
+        command = [sys.executable, "-m", "humanoid_mjx", "play", name, "--trust", "--out", str(self._picture)]
+        alone = {name: value for name, value in os.environ.items() if not name.startswith(("JAX_", "SLURM_"))}
+        none = subprocess.DEVNULL
+        self._player = subprocess.Popen(
+            command, env=alone | {"JAX_PLATFORMS": "cpu"}, stdin=none, stdout=none, stderr=none
+        )
+
     def _run(self) -> None:
-        took = 0.0
+        took, played = 0.0, -PLAY_S
         with suppress(OSError):  # the folder is gone or full: the sweep itself says so
             while not self._over.wait(max(EVERY_S, took / DRAWING_SHARE)):
                 began = time.monotonic()
                 self.write()
                 took = time.monotonic() - began
+                code = self._player.poll() if self._player else 0
+                if code == 0 and began > played + PLAY_S and self.folder.parts():
+                    self._play(str(self.folder.path))
+                    played = began
 
     def write(self) -> None:
         """Write the page as it is now."""
@@ -102,6 +132,9 @@ class Growing(Reporter):
         drawn = f" {len(self.curves.points)} points drawn by chance." if shown else ""
         own = figures_of(config.task["name"], config.modules)
         best = section("Best so far", table(*best_so_far(self.curves)))
+        if self._picture.is_file():
+            words = text("An episode that no training has seen, under the best policy of the runs that are finished.")
+            best += section("The robot so far", words, image(self._picture.read_bytes(), ".png", "The robot so far"))
         words = text(f"Lines: {averaged(axes, results)}.{drawn}")
         return page(config.name, lead + best + section("Learning", words, *curve_panels(axes, results, own)))
 

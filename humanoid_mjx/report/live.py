@@ -174,6 +174,7 @@ class Window:
             "ground": player.rounded(stage.ground),
             "forces": [[*player.rounded(place), *player.rounded(force)] for place, force in pressing.values()],
             "push": None if stage.shoved is None else player.rounded(stage.shoved),
+            "ahead": player.rounded(stage.ahead),
             "words": live.words,
             "episode": live.episode,
             "charts": {
@@ -185,7 +186,7 @@ class Window:
     def _charts(self, pressing: Mapping[int, Any]) -> dict[str, dict[str, Any]]:
         """The present numbers of each curve, by the curves' titles and the lines' names."""
         live, stage = self.live, self.live.stage
-        charts: dict[str, dict[str, Any]] = {name: {"told": value} for name, value in live.told.items()}
+        charts: dict[str, dict[str, Any]] = {name: {"commanded": value} for name, value in live.told.items()}
         for name, speed in zip(SPEEDS, stage.speeds, strict=True) if stage.free else ():
             charts.setdefault(name, {})["measured"] = speed
         if loads := {foot: pressing.get(self.model.body(foot).id) for foot in live.feet}:
@@ -209,12 +210,12 @@ def _scales(live: Live) -> dict[str, Scale]:
     mass = float(model.body_mass.sum())
     hardest = PUSH * mass * math.sqrt(9.81 * model.stat.extent)
     scales = {
-        "push": Scale(0.0, _short(hardest), _short(hardest / 3), "push of key X, N s"),
-        "payload": Scale(0.0, _short(PAYLOAD * mass), 0.0, "payload on the torso, kg"),
+        "push": Scale(0.0, _short(hardest), _short(hardest / 3), "push, N s"),
+        "payload": Scale(0.0, _short(PAYLOAD * mass), 0.0, "payload, kg"),
     }
     if len(stage.planes):
-        scales["slope"] = Scale(-SLOPE, SLOPE, 0.0, "slope, up ahead, degrees")
-        scales["friction"] = Scale(0.0, FRICTION, 1.0, "friction, times its own")
+        scales["slope"] = Scale(-SLOPE, SLOPE, 0.0, "slope, degrees uphill")
+        scales["friction"] = Scale(0.0, FRICTION, 1.0, "friction, times the model's")
     return scales
 
 

@@ -110,7 +110,8 @@ def _result(
         parts.append(f'<p class="note">{text(words, "strong")}</p>')
     words = (
         "Greedy: episodes in which nothing is explored or learned, after training. Success is the mean over seeds, the "
-        "other columns are interquartile means over seeds; returns are undiscounted sums of rewards."
+        "other columns are interquartile means over seeds. Returns are undiscounted sums of rewards: where a task pays "
+        "at every step, a longer episode collects more."
     )
     return [*parts, f'<p class="note">{text(words, "span")}</p>']
 

@@ -7,7 +7,9 @@
   const AROUND = 24, FINE = 1.2e6, NEAR = 0.02, TURN = 0.12;
 
   const INK = "#1c2126", ALARM = "#c1121f", LOAD = "#009E73";
-  const COLORS = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00"];
+  const DARK = matchMedia("(prefers-color-scheme: dark)");
+  const LINES = { false: ["#0072B2", "#C04F00", "#007A59", "#A8447E"], true: ["#56B4E9", "#F2994A", "#2CC295", "#E29BC4"] };
+  const line = (i, count) => (count > 4 ? `hsl(${(360 * i) / count} 70% ${DARK.matches ? 65 : 38}%)` : LINES[DARK.matches][i]);
   const SHOWN_S = 8;
 
   const clamp = (x, low, high) => Math.max(low, Math.min(high, x));
@@ -247,7 +249,7 @@
       const context = this.canvas.getContext("2d");
       const horizon = Math.max(1, height / 2 + focus * Math.tan(clamp(pitch, -1.4, 1.4)));
       const sky = context.createLinearGradient(0, horizon - height / 2, 0, horizon);
-      sky.addColorStop(0, "#d5dfea"); sky.addColorStop(1, "#ffffff");
+      sky.addColorStop(0, DARK.matches ? "#2b3947" : "#d5dfea"); sky.addColorStop(1, DARK.matches ? "#1d2329" : "#ffffff");
       context.fillStyle = sky;
       context.fillRect(0, 0, width, height);
       const matrices = pose.shapes.map(placed), over = eye[2] > this.height(pose.ground, eye[0], eye[1]);
@@ -292,7 +294,7 @@
         points.forEach((p, i) => (i ? context.lineTo(p[0], p[1]) : context.moveTo(p[0], p[1])));
         context.closePath();
       }));
-      context.fillStyle = "rgba(40, 40, 50, 0.28)";
+      context.fillStyle = DARK.matches ? "rgba(0, 0, 0, 0.5)" : "rgba(40, 40, 50, 0.28)";
       context.fill("nonzero");
     }
 
@@ -477,18 +479,20 @@
       this.canvas.dataset.pictures = 0;
       this.paused = button("Pause", () => this.pause());
       this.recorded = button("Record", () => this.record());
+      this.fastest = Math.max(...Object.values(data.live.ranges["forward, m/s"] || [1]));
       const drives = Object.keys(data.live.ranges).length > 0, touch = data.live.touchable;
       const hints = [drives && "W S A D or arrows: go. Q E: turn. Shift: faster. Space: stand.", touch && "Drag the robot: pull it.",
-        data.live.scales.push && "X: push.", "Drag beside it: look around. Right button: move. Wheel: zoom. P: pause. R: again. N: next."];
+        data.live.scales.push && "X: push.", "Drag beside it: look around. Right button: move. Wheel: zoom. P: pause. R: restart. N: next episode."];
       this.panel = make("div", { className: "panel" });
       this.sliders = {};
       for (const [name, [low, high]] of Object.entries(data.live.ranges))
         this.slider(name, low, high, this.told[name], (value) => this.tell({ [name]: value }));
-      if (drives) this.panel.append(make("p", {}, button("Stand", () => this.stand())));
+      const acts = [drives && button("Stand", () => this.stand()), data.live.scales.push && button("Push", () => this.push())];
+      this.panel.append(make("p", { className: "controls" }, ...acts.filter(Boolean)));
       for (const [name, [low, high, now, words]] of Object.entries(data.live.scales))
         this.slider(words, low, high, now, (value) => { if (name !== "push") this.send({ [name]: value }); }, name);
-      const buttons = [this.paused, button("Again", () => this.send({ episode: 0 })), button("Next", () => this.send({ episode: 1 })),
-        this.recorded];
+      const buttons = [this.paused, button("Restart", () => this.send({ episode: 0 })),
+        button("Next episode", () => this.send({ episode: 1 })), this.recorded];
       this.build(buttons, [0.1, 0.25, 0.5, 1], (pace) => this.send({ pace }), hints.filter(Boolean).join(" "), this.panel);
       document.addEventListener("keydown", (event) => this.drive(event, true));
       document.addEventListener("keyup", (event) => this.drive(event, false));
@@ -634,15 +638,20 @@
     }
 
     pose() {
-      const { shapes, torso, ground, forces, push } = this.latest;
+      const { shapes, torso, ground, forces, push, ahead: [x, y] } = this.latest;
       const most = Math.max(...forces.map((f) => Math.hypot(f[3], f[4], f[5])), this.most || 1);
       this.most = most;
       const arrows = forces.map((f) => ({ from: f.slice(0, 3), color: LOAD,
         to: [0, 1, 2].map((i) => f[i] + (this.data.arrow / most) * f[i + 3]) }));
       if (push) arrows.push(this.pushed(torso, push, `push ${Math.hypot(...push).toFixed(2)} N s`));
       if (this.pulled && this.held_at) {
-        const [x, y, z] = shapes[this.held_at.shape];
-        arrows.push({ from: [x, y, z], to: this.pulled, color: ALARM });
+        arrows.push({ from: shapes[this.held_at.shape].slice(0, 3), to: this.pulled, color: ALARM });
+      }
+      const [forward, left] = ["forward, m/s", "left, m/s"].map((name) => (this.told[name] || 0) / this.fastest);
+      if (forward || left) {
+        const on = (a, b) => [a, b, this.height(ground, a, b)], size = 3 * this.data.arrow;
+        arrows.push({ from: on(torso[0], torso[1]), color: "#7a5195", words: "command",
+          to: on(torso[0] + size * (forward * x - left * y), torso[1] + size * (forward * y + left * x)) });
       }
       return { shapes, torso, ground, arrows };
     }
@@ -658,46 +667,52 @@
     }
 
     drawCharts() {
-      const dark = getComputedStyle(this.figure).color;
       for (const [title, lines] of Object.entries(this.latest.charts)) {
+        const commanded = title in this.told, names = Object.keys(lines);
         if (!this.charts.has(title)) {
-          const canvas = make("canvas", { height: 80, width: 300 }), legend = make("p", { className: "legend" });
-          const few = title in this.told || title.startsWith("load") || (!Object.keys(this.told).length && title.startsWith("joint"));
-          const details = make("details", { open: few }, make("summary", {}, title), canvas, legend);
+          const canvas = make("canvas"), legend = make("p", { className: "legend" });
+          const open = commanded || title.startsWith("load") || (!Object.keys(this.told).length && title.startsWith("joint"));
+          const details = make("details", { open }, make("summary", {}, title), canvas, legend);
           this.panel.append(details);
           this.charts.set(title, { details, canvas, legend });
         }
-        const { details, canvas, legend } = this.charts.get(title), names = Object.keys(lines);
-        if (!details.open) continue;
-        const color = (i) => (names[i] === "told" ? dark : COLORS[(i - names.includes("told") + COLORS.length) % COLORS.length]);
-        legend.replaceChildren(...names.map((name, i) => {
-          const words = make("span", {}, `${name} ${lines[name].toFixed(2)}`);
-          words.style.color = color(i);
-          return words;
-        }));
-        const context = canvas.getContext("2d"), { width, height } = canvas, now = this.latest.time;
-        const shown = this.history.filter((each) => title in each.charts);
-        const values = shown.flatMap((each) => Object.values(each.charts[title]));
-        let [low, high] = [Math.min(0, ...values), Math.max(0, ...values)];
-        if (title in this.told) [low, high] = [Math.min(low, this.data.live.ranges[title][0]), Math.max(high, this.data.live.ranges[title][1])];
-        const y = (value) => height - 4 - ((height - 8) * (value - low)) / (high - low || 1);
-        context.clearRect(0, 0, width, height);
-        context.strokeStyle = "#8886";
-        context.lineWidth = 1;
-        context.beginPath();
-        context.moveTo(0, y(0));
-        context.lineTo(width, y(0));
-        context.stroke();
-        names.forEach((name, i) => {
-          context.strokeStyle = color(i);
-          context.lineWidth = 1.5;
-          context.setLineDash(name === "told" ? [5, 4] : []);
-          context.beginPath();
-          shown.forEach((each) => context.lineTo(width * (1 - (now - each.time) / SHOWN_S), y(each.charts[title][name])));
-          context.stroke();
-        });
-        context.setLineDash([]);
+        const { details, canvas, legend } = this.charts.get(title);
+        if (details.open) this.drawChart(canvas, legend, title, names, commanded ? this.data.live.ranges[title] : [0, 0]);
       }
+    }
+
+    // The last seconds of some lines, at least over this range of values, and the present values below them.
+    drawChart(canvas, legend, title, names, range) {
+      const ratio = window.devicePixelRatio || 1, width = canvas.clientWidth, height = 80, now = this.latest;
+      Object.assign(canvas, { width: width * ratio, height: height * ratio }); // this also wipes it
+      const context = canvas.getContext("2d"), ink = getComputedStyle(this.figure).color;
+      const number = (x) => x.toFixed(2).replace(/^-(0\.?0*)$/, "$1");
+      const color = (i) => (names[i] === "commanded" ? ink : line(i - names.includes("commanded"), names.length));
+      const shown = this.history.filter((each) => title in each.charts);
+      const values = shown.flatMap((each) => Object.values(each.charts[title]));
+      const low = Math.min(...range, ...values), high = Math.max(...range, ...values);
+      const y = (value) => height - 4 - ((height - 8) * (value - low)) / (high - low || 1);
+      legend.replaceChildren(...names.map((name, i) => {
+        const words = make("span", {}, `${name} ${number(now.charts[title][name])}`);
+        words.style.color = color(i);
+        return words;
+      }));
+      context.scale(ratio, ratio);
+      const draw = (style, dash, points) => {
+        context.strokeStyle = style;
+        context.setLineDash(dash);
+        context.beginPath();
+        for (const point of points) context.lineTo(...point);
+        context.stroke();
+      };
+      draw("#8886", [], [[0, y(0)], [width, y(0)]]);
+      context.lineWidth = 1.5;
+      names.forEach((name, i) => draw(color(i), name === "commanded" ? [5, 4] : [],
+        shown.map((each) => [width * (1 - (now.time - each.time) / SHOWN_S), y(each.charts[title][name])])));
+      context.fillStyle = ink;
+      context.font = "11px sans-serif";
+      context.fillText(number(high), 3, 12);
+      context.fillText(number(low), 3, height - 4);
     }
   }
 

@@ -53,6 +53,11 @@ def test_the_page_grows_and_ends_as_the_report(tmp_path, monkeypatch):
     whole = results_so_far(growing.curves)
     for name in ("point", "seed", "episode", "learner.epsilon", "steps", "success", "return"):
         np.testing.assert_allclose(whole[name], run.results[name], rtol=1e-6, err_msg=name)
+    growing._play("posture_switch")  # as it does a run folder; the file of a sweep that is over is gone
+    assert growing._player is not None and growing._player.wait(300) == 0
+    assert "The robot so far" in growing.html() and "The robot so far" not in last
+    growing._play(str(growing.folder.path))
+    assert growing._player.wait(300) == 2, "this task moves no robot"
     growing.phase("training")
     growing.update(State(30.0, 120.0, "episodes", 1234.5, 100.0))
     assert "training, 25% trained at 1,234 episodes a second; about 2 min left" in growing.html()

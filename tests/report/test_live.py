@@ -172,7 +172,7 @@ def test_frames_say_what_there_is_to_see(walking):
     status, line = walking.ask("GET", "/frames")
     frame = json.loads(line.removeprefix(b"data: "))
     assert status == 200 and set(frame["charts"]) >= {*SPEEDS, "load on a foot, N", "torque, N m"}
-    assert set(frame["charts"]["forward, m/s"]) == {"told", "measured"}
+    assert set(frame["charts"]["forward, m/s"]) == {"commanded", "measured"}
     assert len(frame["charts"]["reward of a decision"]) > 1 and "reward" in frame["charts"]["reward of a decision"]
     np.testing.assert_allclose([np.linalg.norm(pose[3:]) for pose in frame["shapes"]], 1.0, atol=1e-3)
 
