@@ -4,7 +4,7 @@
 experiments on one subject. The formulas as printed, faults included, live in `printed`.
 """
 
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, Verdict, departures, in_words, judge
+from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, Verdict
 from humanoid_mjx.reproduction.runner import load_experiments, reproduce
 
 __all__ = [
@@ -12,9 +12,6 @@ __all__ = [
     "Finding",
     "Setting",
     "Verdict",
-    "departures",
-    "in_words",
-    "judge",
     "load_experiments",
     "reproduce",
 ]

@@ -1,6 +1,7 @@
 """Findings of our own on chapter 6: what its decision process does that its text does not say."""
 
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Key
 from pydantic import Field
 
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, listed, unprinted
+from humanoid_mjx.reproduction.findings import Finding, Setting, check, experiment, listed, unprinted
 from humanoid_mjx.reproduction.traces import printed_run
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.finite import FiniteTask
@@ -32,31 +33,33 @@ STEPPING_BACK = {"name": "humanoid_mjx.reproduction.decision_process:SteppingBac
 POSITIONS = {1: 24, 4: 25, 5: 13}
 """Places of each joint in steps of 5 degrees: with this number of states each place has a row of its own."""
 
+LITERAL = {
+    "task": {"action": thesis.FIGURES_ACTION, "states": PRINTED["states"]},
+    "learner": {name: PRINTED[name] for name in ("epsilon", "epsilon_decay", "learning_rate", "discount")},
+}
 
-def decay(setting: Setting) -> list[Finding]:
+
+@experiment("finding-decay", "The declared decay of epsilon, applied", LITERAL)
+def decay(setting: Setting) -> Iterator[Finding]:
     """The pseudo-code with its declared epsilonDecay applied."""
-    findings = []
     for joint in thesis.JOINT_RANGES:
         setting.tell(f"joint {joint}: {RUNS} runs of {STEPS:,} steps")
         run = printed_run(joint, setting.config, runs=RUNS, steps=STEPS)
         reached = int(run.terminated.any(axis=1).sum())
-        findings.append(
-            check(
-                f"joint {joint} reaches its goal, of {RUNS} runs with the declared decay of epsilon",
-                "reaches the target (7 E to 7 G)",
-                reached,
-                reached == RUNS,
-                f"epsilonDecay = {setting.config['learner']['epsilon_decay']:g} is declared, not used; applied in "
-                "every step, exploration dies before the joint arrives, and greedy ties mean to stay "
-                f"({STEPS:,} steps)",
-                0,
-                possible=reached > 0,
-            )
+        yield check(
+            f"joint {joint} reaches its goal, of {RUNS} runs with the declared decay of epsilon",
+            "reaches the target (7 E to 7 G)",
+            reached,
+            reached == RUNS,
+            f"epsilonDecay = {setting.config['learner']['epsilon_decay']:g} is declared, not used; applied in every "
+            f"step, exploration dies before the joint arrives, and greedy ties mean to stay ({STEPS:,} steps)",
+            0,
+            possible=reached > 0,
         )
-    return findings
 
 
-def waiting(setting: Setting) -> list[Finding]:
+@experiment("finding-waiting", "The reward pays for waiting")
+def waiting(setting: Setting) -> Iterator[Finding]:
     """The discount from which the reward pays for waiting just before the goal."""
     discounts = np.round(np.arange(0.80, 0.99, 0.01), 2)
     share = {}
@@ -64,25 +67,22 @@ def waiting(setting: Setting) -> list[Finding]:
         setting.tell(f"joint {joint}: training with {len(discounts)} discounts, {SEEDS} seeds each")
         share[joint] = _greedy_success(_reach(joint), {"learner.discount": discounts.tolist()})
     at_printed = int(np.argmin(np.abs(discounts - PRINTED["discount"])))
-    findings = []
     for joint, (_, goal) in thesis.JOINT_RANGES.items():
         last, end = thesis.REWARD_SCALE * (goal - thesis.FIGURES_ACTION), thesis.REWARD_SCALE * goal
-        findings.append(
-            check(
-                f"joint {joint}: share of greedy episodes that reach the goal at the printed discount",
-                "in the next time of running it switches to the next state with the old values (6.4)",
-                round(float(share[joint][at_printed]), 3),
-                share[joint][at_printed] > 0.99,
-                f"waiting a step before the goal for ever ({last:g} a step) is worth more than the goal ({end:g} + "
-                f"{PRINTED['bonus']:g}, once) from {1 - last / (end + PRINTED['bonus']):.4f} on; in training the "
-                f"largest discount tried at which most runs go to the goal is {_largest(discounts, share[joint]):g}",
-                0.01,
-            )
+        yield check(
+            f"joint {joint}: share of greedy episodes that reach the goal at the printed discount",
+            "in the next time of running it switches to the next state with the old values (6.4)",
+            round(float(share[joint][at_printed]), 3),
+            share[joint][at_printed] > 0.99,
+            f"waiting a step before the goal for ever ({last:g} a step) is worth more than the goal ({end:g} + "
+            f"{PRINTED['bonus']:g}, once) from {1 - last / (end + PRINTED['bonus']):.4f} on; in training the largest "
+            f"discount tried at which most runs go to the goal is {_largest(discounts, share[joint]):g}",
+            0.01,
         )
-    return findings
 
 
-def aliasing(setting: Setting) -> list[Finding]:
+@experiment("finding-aliasing", "Few states alias many places")
+def aliasing(setting: Setting) -> Iterator[Finding]:
     """The effect of few states: several places share a row of the table, whose optimum is not that of the places."""
     discounts = np.round(np.arange(0.88, 0.93, 0.005), 3)
     largest = {}
@@ -91,8 +91,8 @@ def aliasing(setting: Setting) -> list[Finding]:
         share = _greedy_success(_reach(1, states=states), {"learner.discount": discounts.tolist()})
         largest[states] = _largest(discounts, share)
     own = largest[POSITIONS[1]]
-    return [
-        unprinted(
+    for states, value in largest.items():
+        yield unprinted(
             f"joint 1 with {states} states for 24 places: largest discount tried at which it goes to the goal",
             value,
             f"with a row for every place it is {own:g}; {24 / states:.2g} places share a row here, and the reward of "
@@ -100,15 +100,13 @@ def aliasing(setting: Setting) -> list[Finding]:
             if states != POSITIONS[1]
             else "every place has a row of its own: this is the optimum of the places",
         )
-        for states, value in largest.items()
-    ]
 
 
-def negative_reward(setting: Setting) -> list[Finding]:
+@experiment("finding-negative-reward", "What a negative reward of stepping back would do")
+def negative_reward(setting: Setting) -> Iterator[Finding]:
     """The finding that a cost for stepping back keeps a joint from it, as chapter 6 fears."""
     setting.tell(f"training with {len(BACK_REWARDS)} rewards of a step back")
-    axes = {"task.back_reward": list(BACK_REWARDS)}
-    return [_stepping_back(_greedy_success(STEPPING_BACK, axes))]
+    yield _stepping_back(_greedy_success(STEPPING_BACK, {"task.back_reward": list(BACK_REWARDS)}))
 
 
 def _stepping_back(share: np.ndarray) -> Finding:
@@ -190,16 +188,3 @@ def _greedy_success(task: dict[str, Any], axes: dict[str, list[float]]) -> np.nd
     with tempfile.TemporaryDirectory() as folder:
         summary = sweep(config, Path(folder) / "run", pool_size=SIDE_BY_SIDE).summary
     return np.array([summary["greedy_success"][summary["point"] == p].mean() for p in np.unique(summary["point"])])
-
-
-LITERAL = {
-    "task": {"action": thesis.FIGURES_ACTION, "states": PRINTED["states"]},
-    "learner": {name: PRINTED[name] for name in ("epsilon", "epsilon_decay", "learning_rate", "discount")},
-}
-
-EXPERIMENTS = [
-    Experiment("finding-decay", "The declared decay of epsilon, applied", decay, LITERAL),
-    Experiment("finding-waiting", "The reward pays for waiting", waiting),
-    Experiment("finding-aliasing", "Few states alias many places", aliasing),
-    Experiment("finding-negative-reward", "What a negative reward of stepping back would do", negative_reward),
-]

@@ -12,7 +12,7 @@ from humanoid_mjx.control.drives import DcMotor
 from humanoid_mjx.mechanics.dynamics import inverse_dynamics, joint_inertias, mass_matrix_and_bias
 from humanoid_mjx.mechanics.trajectories import thesis_quintics
 from humanoid_mjx.reproduction import motor_sizing
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, listed, three_digits, unprinted
+from humanoid_mjx.reproduction.findings import Finding, Setting, check, experiment, listed, three_digits, unprinted
 from humanoid_mjx.reproduction.leg_values import over, planned
 from humanoid_mjx.robot.leg import Leg
 from humanoid_mjx.thesis import leg as thesis
@@ -38,6 +38,7 @@ MOTOR = {"torque_constant": 0.0136, "resistance": 7.0, "friction": 1e-6, "max_vo
 (8.1)."""
 
 
+@experiment("motors-5.3", "Gear and motor", {"motor": MOTOR})
 def motors(setting: Setting) -> list[Finding]:
     """Sections 5.3, 5.4 and 4.9: what a gear makes of the leg's dynamics, and which gears a motor needs."""
     motion, config = _planned_motion(), setting.config["motor"]
@@ -92,8 +93,8 @@ def tracking_errors(reflected: np.ndarray, inertia: np.ndarray) -> np.ndarray:
       reflected: (n,) inertias that the rotors add to each joint, kg m^2.
       inertia: (5,) the controllers' constant inertias of the links, kg m^2.
     """
-    leg, path, start = Leg.physical(), thesis_quintics(), thesis_quintics().at(0.0).position
-    kp, kd = jnp.array(thesis.KP), jnp.array(thesis.KD)
+    leg, path = Leg.physical(), thesis_quintics()
+    start, kp, kd = path.at(0.0).position, jnp.array(thesis.KP), jnp.array(thesis.KD)
 
     def simulate(added: Any) -> Any:
         def step(state: tuple[Any, Any], time: Any) -> tuple[tuple[Any, Any], Any]:
@@ -169,6 +170,3 @@ def _planned_motion() -> dict[str, np.ndarray]:
     motion, leg = planned(np.linspace(0.0, thesis.QUINTIC_S, 501)), Leg.physical()
     torque, inertia = over(inverse_dynamics, leg, *motion), over(joint_inertias, leg, motion.position)
     return {"qvel": motion.velocity, "qacc": motion.acceleration, "torque": torque, "inertia": inertia}
-
-
-EXPERIMENTS = [Experiment("motors-5.3", "Gear and motor", motors, {"motor": MOTOR})]

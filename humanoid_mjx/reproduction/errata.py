@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx import dynamics, kinematics
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, three_digits
+from humanoid_mjx.reproduction.findings import Finding, Setting, check, experiment, three_digits
 from humanoid_mjx.reproduction.leg_values import over
 from humanoid_mjx.reproduction.printed import control, derivatives, dynamics_errata, inverse, jacobian
 from humanoid_mjx.reproduction.printed import kinematics as printed_kinematics
@@ -29,6 +29,7 @@ NUMBERS = ("largest error", "median error", "largest value")
 CIRCLE = ((-180.0, 180.0),) * 5
 
 
+@experiment("errata", "The formulas as printed, and what is wrong with them")
 def errata(setting: Setting) -> list[Finding]:
     anywhere, in_range = _states(CIRCLE), _states(thesis.JOINT_RANGES["proposed"])
     findings = [_compare(entry, in_range if entry.in_range else anywhere) for entry in ENTRIES]
@@ -86,6 +87,3 @@ def _dynamics(legs: tuple[Leg, Leg], q: jax.Array) -> dict[str, jax.Array]:
 
 def _numbers(found: Mapping[str, Any]) -> list[str]:
     return [f"{found[key]:.3g} {found['unit']}".strip() for key in NUMBERS]
-
-
-EXPERIMENTS = [Experiment("errata", "The formulas as printed, and what is wrong with them", errata)]

@@ -71,14 +71,31 @@ class Setting:
         write_text(self.path(".md"), "".join(f"| {line} |\n" for line in lines))
 
 
+Run = Callable[[Setting], Iterable[Finding]]
+
+
 @dataclass(frozen=True)
 class Experiment:
     """A thing to reproduce. `config` holds the values that `--set` may change."""
 
     name: str
     title: str
-    run: Callable[[Setting], list[Finding]]
-    config: Mapping[str, Any] = field(default_factory=dict)
+    run: Run
+    config: Mapping[str, Any]
+
+
+EXPERIMENTS: dict[str, Experiment] = {}
+"""Experiments by name, as far as their modules are imported."""
+
+
+def experiment(name: str, title: str, config: Mapping[str, Any] | None = None) -> Callable[[Run], Run]:
+    """Register a function as the experiment of this name."""
+
+    def register(run: Run) -> Run:
+        EXPERIMENTS[name] = Experiment(name, title, run, config or {})
+        return run
+
+    return register
 
 
 def unprinted(quantity: str, found: Any, why: str) -> Finding:
@@ -121,33 +138,21 @@ def check(
     possible: Any = True,
     could_differ: Any = True,
 ) -> Finding:
-    """A finding with the verdict of `judge`, whose `used` and `printed` are `values`."""
-    verdict = judge(bool(agrees), *values, possible=bool(possible), could_differ=bool(could_differ))
-    return Finding(quantity, printed, found, tolerance, verdict, why)
-
-
-def judge(
-    agrees: bool,
-    used: Mapping[str, Any],
-    printed: Mapping[str, Any],
-    *,
-    possible: bool = True,
-    could_differ: bool = True,
-) -> Verdict:
-    """The verdict on a quantity.
+    """A finding with its verdict.
 
     Args:
-      agrees: whether what came out is what is printed, within the tolerance.
-      used: the values it was computed with, by name.
-      printed: the values that the thesis prints for the same names.
-      possible: whether any values could have made it come out.
-      could_differ: whether it could have come out otherwise; False where agreement follows from the construction.
+      agrees: True if the result is the printed one, within the tolerance.
+      values: the values it was computed with, by name, and those that the thesis prints for the same names.
+      possible: False if no values could have made it agree.
+      could_differ: False where agreement follows from the construction.
     """
     if not agrees:
-        return "differs" if possible else "not_reproducible"
-    if not could_differ:
-        return "consistent"
-    return "recovered" if departures(used, printed) else "reproduced"
+        verdict = "differs" if possible else "not_reproducible"
+    elif not could_differ:
+        verdict = "consistent"
+    else:
+        verdict = "recovered" if departures(*values) else "reproduced"
+    return Finding(quantity, printed, found, tolerance, verdict, why)
 
 
 def departures(used: Mapping[str, Any], printed: Mapping[str, Any]) -> list[str]:

@@ -1,16 +1,16 @@
 """Table 5.1: the gains of the joint controllers, the damping that they give, and what the links allow (5.6)."""
 
+from collections.abc import Iterator
+
 import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx import dynamics
 from humanoid_mjx.control.gains import critical_kd, damping_ratio, max_kp, poles
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, compare, three_digits
+from humanoid_mjx.reproduction.findings import Finding, Setting, check, compare, experiment, three_digits
 from humanoid_mjx.reproduction.leg_values import over
 from humanoid_mjx.robot.leg import Leg
 from humanoid_mjx.thesis import leg as thesis
-
-JOINTS = range(5)
 
 CRITICAL = 0.05
 """Distance of a damping ratio from 1 within which it would be called critical."""
@@ -25,20 +25,20 @@ FAR = 0.01
 """Below this share of its bound a gain is under it whatever the links' sections, of which nothing is printed."""
 
 
-def table(setting: Setting) -> list[Finding]:
+@experiment("table-5.1", "Gains of the joint controllers")
+def table(setting: Setting) -> Iterator[Finding]:
     """Table 5.1: the damping that its gains give, which section 5.6 wants critical."""
     kp, kd = jnp.array(thesis.KP), jnp.array(thesis.KD)
     ratios, critical = np.asarray(damping_ratio(kp, kd)), np.asarray(critical_kd(kp))
     slow = np.asarray(poles(kp, kd))[0]
-    findings = []
-    for joint in JOINTS:
+    for joint in range(5):
         quantity, ratio = f"damping ratio of joint {joint + 1} (critical by 5.35)", float(ratios[joint])
         why = f"Kd is {kd[joint]:g}, {kd[joint] / critical[joint]:.2f} times the critical {critical[joint]:.2f}: the "
         why += f"slow pole is {slow[joint]:.2f} /s, not {-np.sqrt(kp[joint]):.2f} /s"
-        findings.append(compare(quantity, 1.0, ratio, CRITICAL, why, 3))
-    return findings
+        yield compare(quantity, 1.0, ratio, CRITICAL, why, 3)
 
 
+@experiment("resonance-5.6", "What the links' stiffness allows of the gains")
 def resonance(setting: Setting) -> list[Finding]:
     """Section 5.6: what the links' stiffness allows of Kp, against Table 5.1."""
     return judge_gains(np.array(thesis.KP), _allowed_gains())
@@ -76,9 +76,3 @@ def _allowed_gains() -> np.ndarray:
     bends = np.array([stiffness[4]] * 4 + [stiffness[5]])
     frequency = np.sqrt(bends / still[0])
     return np.asarray(max_kp(frequency, still[0], np.maximum(anywhere.max(axis=0), still[0])), float)
-
-
-EXPERIMENTS = [
-    Experiment("table-5.1", "Gains of the joint controllers", table),
-    Experiment("resonance-5.6", "What the links' stiffness allows of the gains", resonance),
-]

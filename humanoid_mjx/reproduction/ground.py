@@ -80,13 +80,9 @@ class Path(NamedTuple):
     fell: bool
 
     @property
-    def times(self) -> Float[np.ndarray, " times"]:
-        return physics().step_s * np.arange(len(self.qpos))
-
-    @property
     def seconds(self) -> float:
         """Duration until the fall or the end, s."""
-        return round(float(self.times[-1]), 3)
+        return round(physics().step_s * (len(self.qpos) - 1), 3)
 
     @property
     def touching(self) -> Bool[np.ndarray, "times corners"]:
@@ -100,16 +96,15 @@ class Path(NamedTuple):
         return float(middle[-1] - middle[0])
 
     @property
-    def turn(self) -> float:
+    def turned(self) -> Float[np.ndarray, " times"]:
         """Turn of the torso about the vertical, to the left, degrees: the twist of its rotation, however it leans."""
         yaw = np.unwrap(2 * np.arctan2(self.qpos[:, 6], self.qpos[:, 3]))
-        return float(np.degrees(yaw[-1] - yaw[0]))
+        return np.degrees(yaw - yaw[0])
 
     @property
     def lasting_turn(self) -> float:
         """The turn of the torso that lasts, degrees: the least of the last `LASTS_S`, 0 where it turns back."""
-        yaw = np.unwrap(2 * np.arctan2(self.qpos[:, 6], self.qpos[:, 3]))
-        late = np.degrees(yaw - yaw[0])[-round(LASTS_S / physics().step_s) :]
+        late = self.turned[-round(LASTS_S / physics().step_s) :]
         return float(late[np.abs(late).argmin()]) if (np.sign(late) == np.sign(late[0])).all() else 0.0
 
     @property
@@ -249,13 +244,6 @@ def _start(joints: Float[AnyArray, " joints"]) -> Float[np.ndarray, " nq"]:
     return qpos
 
 
-def _torque(
-    laws: Sequence[control.Law], number: IntScalar, reference: control.Reference, stages: Stages
-) -> Float[Array, " joints"]:
-    """Return the torques of the law of this number, N m."""
-    return jnp.select([number == index for index in range(len(laws))], [law(reference, stages) for law in laws])
-
-
 @cache
 def _program() -> Any:
     """From the laws and, by trial, the number of its law, push, plan and start, to the states, (trials, steps + 1, ...)
@@ -271,7 +259,12 @@ def _program() -> Any:
     ) -> Any:
         def cycle(world: World, now: tuple[Array, control.Reference]) -> tuple[World, tuple[Array, Array]]:
             force, reference = now
-            world, _ = simulator.replace(push=force).step(world, partial(_torque, laws, number, reference))
+
+            def torque(stages: Stages) -> Float[Array, " joints"]:
+                chosen = [number == index for index in range(len(laws))]
+                return jnp.select(chosen, [law(reference, stages) for law in laws])
+
+            world, _ = simulator.replace(push=force).step(world, torque)
             return world, (world.qpos, world.qvel)
 
         world = simulator.start(qpos, jnp.concatenate([jnp.zeros(6), plan.qvel[0]]))

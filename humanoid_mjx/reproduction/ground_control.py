@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, listed, unprinted
+from humanoid_mjx.reproduction.findings import Finding, Setting, check, experiment, listed, unprinted
 from humanoid_mjx.reproduction.ground import Path, Trial, play
 
 SECONDS = 3.0
@@ -19,13 +19,13 @@ SHOWN = 0.2
 PAIR = ("servo", "computed torque")
 CONTROLLERS = (*PAIR, "section 5.7")
 ROLL_HELD = "servo, rolls held"
-NAME = "ground-control"
 CONFIG = {
     "servo": {"stiffness": 6.0, "damping": 0.2},
     "computed_torque": {"natural_frequency": 20.0, "damping_ratio": 1.0, "share": 0.1},
 }
 
 
+@experiment("ground-control", "A servo and computed torque on the ground, still and pushed", CONFIG)
 def standing(setting: Setting) -> list[Finding]:
     """Findings on the controllers that stand, the pushes that they withstand, and the joints that give way."""
     still = {name: Trial(name) for name in CONTROLLERS}
@@ -96,6 +96,3 @@ def _largest(path: Any) -> float:
 
 def _stands(path: Any) -> str:
     return f"falls after {path.seconds:g} s" if path.fell else "stands"
-
-
-EXPERIMENTS = [Experiment(NAME, "A servo and computed torque on the ground, still and pushed", standing, CONFIG)]

@@ -5,16 +5,15 @@ its lowest corner on the ground. The tables say nothing of the senses in which h
 left leg does meanwhile, nor whether both legs yaw in the same sense: all readings are tried.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from itertools import product
 
 import numpy as np
 
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, listed, unprinted
+from humanoid_mjx.reproduction.findings import Finding, Setting, check, experiment, listed, unprinted
 from humanoid_mjx.reproduction.ground import PHASES, Path, Trial, margins, play
 from humanoid_mjx.reproduction.ground_control import CONFIG, CONTROLLERS, PAIR
 
-NAME = "gaits-4.8"
 TABLES = {"straight_walk": "Table 4.5", "sudden_turn": "Table 4.6"}
 SECONDS = 3.0
 STEP_M, TURN_DEG, SLIP = 0.06, 5.0, 0.02
@@ -35,6 +34,7 @@ AMPLITUDES, FREQUENCIES = (0.1, 0.25, 0.5, 1.0), (0.625, 1.25, 2.5)
 1.25."""
 
 
+@experiment("gaits-4.8", "The gaits of Tables 4.5 and 4.6 on the ground", CONFIG)
 def walking(setting: Setting) -> list[Finding]:
     """Findings on walking, turning and balance."""
     tables, generated = printed_trials(), generator_trials()
@@ -71,13 +71,12 @@ def generator_trials() -> list[Trial]:
     ]
 
 
-def on_tables(played: Mapping[Trial, Path], margins: Mapping[Trial, np.ndarray]) -> list[Finding]:
+def on_tables(played: Mapping[Trial, Path], margins: Mapping[Trial, np.ndarray]) -> Iterator[Finding]:
     """The findings on the tables as printed."""
-    findings = []
     for gait in TABLES:
         mine = {trial: path for trial, path in played.items() if trial.motion == gait}
-        findings += [_walk(gait, mine), _zero_moment(gait, mine, margins), _slip(gait, mine)]
-    return [*findings, _turns(played)]
+        yield from (_walk(gait, mine), _zero_moment(gait, mine, margins), _slip(gait, mine))
+    yield _turns(played)
 
 
 def _walk(gait: str, mine: Mapping[Trial, Path]) -> Finding:
@@ -200,9 +199,6 @@ def _row(trial: Trial, path: Path) -> list[str]:
     """A trial and its numbers as a row of the table."""
     told = ("as printed", "") if trial.frequency is None else (f"{trial.amplitude:g}", f"{trial.frequency:g}")
     up = f"{path.seconds:g}" + ("" if path.fell else " (all)")
-    turns = f"{path.turn:.0f}", f"{path.lasting_turn:.0f}"
+    turns = f"{path.turned[-1]:.0f}", f"{path.lasting_turn:.0f}"
     numbers = f"{path.distance:.3f}", *turns, f"{path.slip:.3f}", f"{path.tracking:.3f}"
     return [TABLES[trial.motion], reading(trial), trial.controller, *told, up, *numbers]
-
-
-EXPERIMENTS = [Experiment(NAME, "The gaits of Tables 4.5 and 4.6 on the ground", walking, CONFIG)]

@@ -6,6 +6,7 @@ reproducible, its distribution is.
 """
 
 import math
+from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
@@ -13,7 +14,7 @@ import numpy as np
 from scipy.stats import binomtest
 
 from humanoid_mjx.report.style import COLORS
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, in_words
+from humanoid_mjx.reproduction.findings import Finding, Setting, check, experiment, in_words
 from humanoid_mjx.reproduction.traces import printed_run
 from humanoid_mjx.thesis import q_learning as thesis
 
@@ -34,49 +35,49 @@ TABLES_TOLERANCE = 5e-4
 CONFIDENCE = 0.95
 
 
-def q_table(joint: int, setting: Setting) -> list[Finding]:
+def q_table(joint: int, setting: Setting) -> Iterator[Finding]:
     """Tables 7.1 to 7.3: what the table of Q holds when a joint has reached its goal."""
     run = printed_run(joint, setting.config, runs=16, steps=2000)
     reached = run.q_table[run.terminated.any(axis=1)]
     printed = np.array(thesis.TABLES[joint]).T
     comparable = len(reached) > 0 and reached.shape[1:] == printed.shape
     error = float(np.abs(reached - printed).max()) if comparable else float("inf")
-    used = setting.config["task"] | setting.config["learner"]
-    return [
-        check(
-            "Q after the goal: for each row, staying and moving",
-            printed.tolist(),
-            np.round(reached[0].astype(float), 4).tolist() if len(reached) else None,
-            error <= TABLES_TOLERANCE,
-            f"{in_words(used, PRINTED)}; {len(reached)} of {len(run.terminated)} runs reached the goal, "
-            + (f"the largest difference of any run is {error:.2g}" if comparable else "the table has another shape"),
-            TABLES_TOLERANCE,
-            (used, PRINTED),
-        )
-    ]
+    values = _values(setting.config)
+    yield check(
+        "Q after the goal: for each row, staying and moving",
+        printed.tolist(),
+        np.round(reached[0].astype(float), 4).tolist() if len(reached) else None,
+        error <= TABLES_TOLERANCE,
+        f"{in_words(*values)}; {len(reached)} of {len(run.terminated)} runs reached the goal, "
+        + (f"the largest difference of any run is {error:.2g}" if comparable else "the table has another shape"),
+        TABLES_TOLERANCE,
+        values,
+    )
 
 
-def way(joint: int, setting: Setting) -> list[Finding]:
+def _values(config: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The values in use and the printed ones, by name."""
+    return config["task"] | config["learner"], PRINTED
+
+
+def way(joint: int, setting: Setting) -> Iterator[Finding]:
     """Figures 7.11, 7.13, 7.15: the printed marks against the middle 95 % of many runs."""
     run = printed_run(joint, setting.config, RUNS, STEPS)
     angle = _angles(run, joint, setting.config["task"]["action"])
     low, high = np.quantile(angle, (0.025, 0.975), axis=0)
-    used = setting.config["task"] | setting.config["learner"]
+    values = _values(setting.config)
     lengths = np.where(run.terminated.any(axis=1), run.terminated.argmax(axis=1) + 1, STEPS)
-    findings = []
     for (first, last), mark in thesis.FIGURE_MARKS[joint]:
         middle = (first + last) // 2
-        findings.append(
-            check(
-                f"angle in episode {middle}, degrees",
-                mark,
-                [round(float(low[middle]), 3), round(float(high[middle]), 3)],
-                low[middle] <= mark <= high[middle],
-                f"{in_words(used, PRINTED)}; the middle 95 % of {RUNS} runs, which take "
-                f"{np.quantile(lengths, 0.05):.0f} to {np.quantile(lengths, 0.95):.0f} episodes to the goal; a single "
-                "mark tells no epsilon from another, and is no evidence for this one: epsilon-7e asks all together",
-                values=(used, PRINTED),
-            )
+        yield check(
+            f"angle in episode {middle}, degrees",
+            mark,
+            [round(float(low[middle]), 3), round(float(high[middle]), 3)],
+            low[middle] <= mark <= high[middle],
+            f"{in_words(*values)}; the middle 95 % of {RUNS} runs, which take "
+            f"{np.quantile(lengths, 0.05):.0f} to {np.quantile(lengths, 0.95):.0f} episodes to the goal; a single "
+            "mark tells no epsilon from another, and is no evidence for this one: epsilon-7e asks all together",
+            values=values,
         )
     with setting.figure(1, 1, size=(6.0, 3.6)) as (_, axes):
         panel = axes[0, 0]
@@ -93,10 +94,9 @@ def way(joint: int, setting: Setting) -> list[Finding]:
             xlabel="episode (one step of the pseudo-code)",
             ylabel="angle, degrees",
         )
-    return findings
 
 
-def random_numbers(joint: int, setting: Setting) -> list[Finding]:
+def random_numbers(joint: int, setting: Setting) -> Iterator[Finding]:
     """Figures 7.12, 7.14, 7.16: the printed average against the distribution of averages of single runs."""
     run = printed_run(joint, setting.config, RUNS, STEPS)
     over = run.terminated.any(axis=1)
@@ -105,24 +105,16 @@ def random_numbers(joint: int, setting: Setting) -> list[Finding]:
     means = np.array([draws.mean() for draws in drawn])
     low, high = np.quantile(means, (0.025, 0.975))
     printed = thesis.AVERAGE_RANDOM_NUMBER[joint]
-    used = setting.config["task"] | setting.config["learner"]
-    _draw_numbers(setting, joint, drawn, means)
-    return [
-        check(
-            "average random number",
-            printed,
-            [round(float(low), 4), round(float(high), 4)],
-            low <= printed <= high,
-            f"{in_words(used, PRINTED)}; the middle 95 % of {over.sum()} runs: the average of one run's draws is "
-            f"chance and says nothing of the learning",
-            values=(used, PRINTED),
-        )
-    ]
-
-
-def _draw_numbers(setting: Setting, joint: int, drawn: list[np.ndarray], means: np.ndarray) -> None:
-    """The numbers of one run against the episode, as the figure has them."""
-    printed = thesis.AVERAGE_RANDOM_NUMBER[joint]
+    values = _values(setting.config)
+    yield check(
+        "average random number",
+        printed,
+        [round(float(low), 4), round(float(high), 4)],
+        low <= printed <= high,
+        f"{in_words(*values)}; the middle 95 % of {over.sum()} runs: the average of one run's draws is chance and says "
+        "nothing of the learning",
+        values=values,
+    )
     nearest = drawn[int(np.abs(means - printed).argmin())]
     episodes = np.arange(1, len(nearest) + 1)
     with setting.figure(1, 1, size=(6.4, 3.4)) as (_, axes):
@@ -135,6 +127,7 @@ def _draw_numbers(setting: Setting, joint: int, drawn: list[np.ndarray], means: 
         panel.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=3, frameon=False)
 
 
+@experiment("epsilon-7e", "The epsilon behind Figures 7.11 to 7.16 together", CONFIG)
 def pooled_epsilon(setting: Setting) -> list[Finding]:
     """The epsilon behind the late marks of Figures 7.11, 7.13 and 7.15 together, and the averages together.
 
@@ -154,7 +147,7 @@ def _epsilon(moves: dict[int, int], steps: dict[int, int], config: dict[str, Any
     made, of = sum(moves.values()), sum(steps.values())
     low, high = (2 * share for share in binomtest(made, of).proportion_ci(CONFIDENCE, method="exact"))
     epsilon = config["learner"]["epsilon"]
-    used, printed = config["task"] | config["learner"], PRINTED
+    values = _values(config)
     counts = ", ".join(f"{moves[joint]} of {steps[joint]} (joint {joint})" for joint in moves)
     off = (made - of * epsilon / 2) / math.sqrt(of * epsilon / 2 * (1 - epsilon / 2)) if 0 < epsilon < 2 else math.inf
     return check(
@@ -162,10 +155,10 @@ def _epsilon(moves: dict[int, int], steps: dict[int, int], config: dict[str, Any
         PRINTED["epsilon"],
         [round(low, 3), round(min(high, 1.0), 3)],
         low <= epsilon <= high,
-        f"{in_words(used, printed)}: {made} moves in {of} steps, {counts}, estimate {2 * made / of:.2f} and its "
+        f"{in_words(*values)}: {made} moves in {of} steps, {counts}, estimate {2 * made / of:.2f} and its "
         f"{CONFIDENCE:.0%} interval (Clopper and Pearson); epsilon {epsilon:g} is {abs(off):.1f} standard deviations "
         "away",
-        values=(used, printed),
+        values=values,
     )
 
 
@@ -193,20 +186,9 @@ def _angles(run: Any, joint: int, action: float) -> np.ndarray:
     return angle
 
 
-EXPERIMENTS = [
-    *(
-        Experiment(f"table-7.{i}", f"Q after learning of joint {joint}", partial(q_table, joint), TABLES_CONFIG)
-        for i, joint in enumerate((1, 4, 5), start=1)
-    ),
-    *(
-        experiment
-        for i, joint in enumerate((1, 4, 5))
-        for experiment in (
-            Experiment(f"figure-7.{11 + 2 * i}", f"Way of joint {joint} to its goal", partial(way, joint), CONFIG),
-            Experiment(
-                f"figure-7.{12 + 2 * i}", f"Random numbers of joint {joint}", partial(random_numbers, joint), CONFIG
-            ),
-        )
-    ),
-    Experiment("epsilon-7e", "The epsilon behind Figures 7.11 to 7.16 together", pooled_epsilon, CONFIG),
-]
+for _number, _joint in enumerate((1, 4, 5)):
+    experiment(f"table-7.{1 + _number}", f"Q after learning of joint {_joint}", TABLES_CONFIG)(partial(q_table, _joint))
+    experiment(f"figure-7.{11 + 2 * _number}", f"Way of joint {_joint} to its goal", CONFIG)(partial(way, _joint))
+    experiment(f"figure-7.{12 + 2 * _number}", f"Random numbers of joint {_joint}", CONFIG)(
+        partial(random_numbers, _joint)
+    )

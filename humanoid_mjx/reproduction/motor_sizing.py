@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx import dynamics, kinematics
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check
+from humanoid_mjx.reproduction.findings import Finding, Setting, check, experiment
 from humanoid_mjx.reproduction.leg_values import NAMES, over, planned
 from humanoid_mjx.robot.leg import Leg
 from humanoid_mjx.thesis import leg as thesis
@@ -49,6 +49,7 @@ class Squat(NamedTuple):
         return np.abs(self.torque[self.knee <= knee + 1e-9]).max(axis=0)
 
 
+@experiment("motor-sizing", "The torques to stand and to squat", CONFIG)
 def motor_sizing(setting: Setting) -> list[Finding]:
     weight, deepest = setting.config["load"]["torso"], setting.config["squat"]["knee"]
     both, one = (squat(weight, legs, deepest) for legs in (2, 1))
@@ -148,6 +149,3 @@ def squat(torso: float, legs: int, deepest: float) -> Squat:
     q, torque = (np.asarray(x, float) for x in jax.jit(jax.vmap(hold))(jnp.radians(knee)))
     low, high = np.radians(thesis.JOINT_RANGES["proposed"]).T
     return Squat(knee, q, torque, (low - 1e-6 <= q) & (q <= high + 1e-6))
-
-
-EXPERIMENTS = [Experiment("motor-sizing", "The torques to stand and to squat", motor_sizing, CONFIG)]

@@ -1,6 +1,6 @@
 """Figure 7.5 and Table 4.7: the torques of the planned motion, and which model they come from."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -10,7 +10,7 @@ import numpy as np
 from humanoid_mjx import dynamics
 from humanoid_mjx.mechanics.trajectories import rest_to_rest
 from humanoid_mjx.report.style import COLORS
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, compare, in_words
+from humanoid_mjx.reproduction.findings import Finding, Setting, compare, experiment, in_words
 from humanoid_mjx.reproduction.leg_values import NAMES, over, planned, plot_joints
 from humanoid_mjx.reproduction.printed import dynamics as printed
 from humanoid_mjx.robot.leg import Leg, corrected_inertias, script_inertias
@@ -88,7 +88,8 @@ MODELS: dict[tuple[Any, ...], str] = {
 }
 
 
-def torques(setting: Setting) -> list[Finding]:
+@experiment("figure-7.5", "The joint torques of the planned motion", RECOVERED)
+def torques(setting: Setting) -> Iterator[Finding]:
     """Figure 7.5: the torques at the start, at the end and at most, by the recovered model."""
     config = setting.config
     t = np.linspace(0, thesis.QUINTIC_S, SAMPLES)
@@ -107,16 +108,14 @@ def torques(setting: Setting) -> list[Finding]:
     }
     _draw(setting, t, curves)
     words = in_words(_flat(config), _flat(AS_PLANNED))
-    findings = []
     for j, (mark, why) in enumerate(zip(thesis.FIGURE_7_5["start"], EVIDENCE, strict=True)):
         quantity, why = f"joint {j + 1} ({NAMES[j]}) at the start, N m", f"{words}; {why}" if j == 0 else why
-        findings.append(_finding(quantity, mark, tau[j, 0], why, config))
-    findings += _end(t, tau, config)
+        yield _finding(quantity, mark, tau[j, 0], why, config)
+    yield from _end(t, tau, config)
     for j, mark in enumerate(thesis.FIGURE_7_5["maximum"]):
         why = f"off by {100 * abs(tau[j].max() / mark - 1):.2g} %; the script's erroneous velocity terms with the same "
         why += f"values give {erroneous[j].max():.5f}"
-        findings.append(_finding(f"joint {j + 1} ({NAMES[j]}), greatest, N m", mark, tau[j].max(), why, config))
-    return findings
+        yield _finding(f"joint {j + 1} ({NAMES[j]}), greatest, N m", mark, tau[j].max(), why, config)
 
 
 def _end(t: np.ndarray, tau: np.ndarray, config: Mapping[str, Any]) -> list[Finding]:
@@ -151,7 +150,8 @@ def _draw(setting: Setting, t: np.ndarray, curves: Mapping[str, np.ndarray]) -> 
         fig.suptitle("Torques of the planned motion; dots: start and end as section 7 C prints them", x=0.02, ha="left")
 
 
-def maxima(setting: Setting) -> list[Finding]:
+@experiment("table-4.7", "The greatest joint torques")
+def maxima(setting: Setting) -> Iterator[Finding]:
     """Table 4.7 against every combination of what is printed and what was recovered."""
     marks = np.array(thesis.MAX_TORQUES)
     trials = _trials()
@@ -165,11 +165,10 @@ def maxima(setting: Setting) -> list[Finding]:
             for i in order[:20]
         ),
     )
-    findings = []
     for trial, errors in zip(trials, off, strict=True):
         if (title := MODELS.get(trial[:5])) is not None:
             why = f"{trial}: off by {', '.join(f'{100 * error:.3g}' for error in errors)} %"
-            findings.append(compare(title, marks, trial.maxima, TABLE_TOLERANCE, why, 5))
+            yield compare(title, marks, trial.maxima, TABLE_TOLERANCE, why, 5)
     best, fitting = trials[order[0]], np.flatnonzero(near.sum(axis=1) >= 4)
     values = _flat(RECOVERED), _flat(AS_PLANNED)
     for joint, mark in enumerate(marks):
@@ -180,14 +179,13 @@ def maxima(setting: Setting) -> list[Finding]:
             why += f"; none of the {len(fitting)} comes nearer than {100 * off[fitting, joint].min():.2g} %"
         quantity = f"joint {joint + 1} ({NAMES[joint]}), N m"
         value = best.maxima[joint]
-        findings.append(compare(quantity, mark, value, TABLE_TOLERANCE, why, 5, values=values, possible=possible))
+        yield compare(quantity, mark, value, TABLE_TOLERANCE, why, 5, values=values, possible=possible)
     # A signed maximum is not what a motor needs.
     joint = int((best.peaks / best.maxima).argmax())
     why = f"the table has the greatest values with their signs; joint {joint + 1} needs {best.peaks[joint]:.4f} N m "
     why += f"the other way: section 7 C's own start value is {thesis.FIGURE_7_5['start'][joint]:.4f}"
     quantity = "the largest torques of joints 2 to 5, which select the motors, N m"
-    findings.append(compare(quantity, marks[1:], best.peaks[1:], TABLE_TOLERANCE, why, 4, values=values))
-    return findings
+    yield compare(quantity, marks[1:], best.peaks[1:], TABLE_TOLERANCE, why, 4, values=values)
 
 
 def _trials() -> list[Trial]:
@@ -244,9 +242,3 @@ def _flat(config: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
         "radians per degree": config["units"]["degree"],
         "end of the knee in degrees": config["knee"]["end"],
     }
-
-
-EXPERIMENTS = [
-    Experiment("table-4.7", "The greatest joint torques", maxima),
-    Experiment("figure-7.5", "The joint torques of the planned motion", torques, RECOVERED),
-]

@@ -1,20 +1,22 @@
+# pyright: reportAttributeAccessIssue=false
 """Figures 7.17 and 7.18: both legs go from one posture to another, by what a table learned and by a planned path."""
 
 import tempfile
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
+import mujoco
 import numpy as np
 
 from humanoid_mjx.control import Reference
 from humanoid_mjx.evaluation.episode import HOLD_S, follow, joined, motion_of, play
 from humanoid_mjx.evaluation.policy import best_policy
 from humanoid_mjx.mechanics.trajectories import rest_to_rest
-from humanoid_mjx.report.rendering import render_motion
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, three_digits, unprinted
+from humanoid_mjx.report.rendering import draw, render_motion
+from humanoid_mjx.reproduction.findings import Finding, Setting, check, experiment, three_digits, unprinted
 from humanoid_mjx.reproduction.leg_values import planned
-from humanoid_mjx.reproduction.posture_figures import draw_postures
 from humanoid_mjx.robot import make_robot
 from humanoid_mjx.thesis import leg
 from humanoid_mjx.thesis import q_learning as thesis
@@ -53,28 +55,51 @@ class Switch(NamedTuple):
     """The largest torque, N m."""
 
 
+@experiment("figure-7.17", "The initial posture of the legs")
 def initial(setting: Setting) -> list[Finding]:
     """Figure 7.17: where the switch starts."""
     upright = ('As the figure has it, "0° for all the joint"', np.zeros(10))
     others = [(_words(section, ends[0]), _posture(ends[0])) for section, ends in thesis.POSTURES.items()]
-    title = "Initial postures: degrees of the right leg, the left takes the opposite"
-    draw_postures(setting.out / "figure-7.17.png", title, [upright, *others])
+    _draw(setting, "Initial", [upright, *others])
     return [_in_range(section, "start", ends[0]) for section, ends in thesis.POSTURES.items()]
 
 
-def following(setting: Setting) -> list[Finding]:
+@experiment("figure-7.18", "The next posture of the legs, and the way there", TRAINING)
+def following(setting: Setting) -> Iterator[Finding]:
     """Figure 7.18: where the switch ends, and how it gets there."""
     postures = [(_words(section, ends[1]), _posture(ends[1])) for section, ends in thesis.POSTURES.items()]
     hip, _, ankle = thesis.POSTURES["7H"][1]
     as_printed = (hip, PRINTED_GOAL["knee"], ankle)
     postures.append((f"{_words('7H', as_printed)}, the knee as printed", _posture(as_printed)))
-    title = "Next postures: degrees of the right leg, the left takes the opposite"
-    draw_postures(setting.out / "figure-7.18.png", title, postures)
-    findings = [_in_range(section, "goal", ends[1]) for section, ends in thesis.POSTURES.items()]
-    findings.append(_sign())
+    _draw(setting, "Next", postures)
+    yield from (_in_range(section, "goal", ends[1]) for section, ends in thesis.POSTURES.items())
+    yield _sign()
     for section in thesis.POSTURES:
-        findings += _switch(section, setting)
-    return findings
+        yield from _switch(section, setting)
+
+
+def _draw(setting: Setting, when: str, postures: Sequence[tuple[str, np.ndarray]]) -> None:
+    """A panel for each posture of the joints, (10,) rad, with its lowest foot on the ground."""
+    body = make_robot("lower_body")
+    pictures = draw(body.model, np.array([_on_the_ground(body.model, joints) for _, joints in postures]))
+    with setting.figure(1, len(postures), size=(3.5, 3.4)) as (fig, axes):
+        for panel, (words, _), picture in zip(axes[0], postures, pictures, strict=True):
+            panel.imshow(picture)
+            panel.set_axis_off()
+            panel.set_title(words, loc="center", fontsize=8.5)
+        words = "postures: degrees of the right leg, the left takes the opposite\nRight leg blue, left leg orange"
+        fig.suptitle(f"{when} {words}", x=0.02, ha="left", fontsize="medium")
+
+
+def _on_the_ground(model: mujoco.MjModel, joints: np.ndarray) -> np.ndarray:
+    """The `qpos` of an upright body whose lowest part touches the ground."""
+    data = mujoco.MjData(model)
+    data.qpos[7:] = joints
+    mujoco.mj_kinematics(model, data)
+    ground = int(np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)[0])
+    others = (geom for geom in range(model.ngeom) if geom != ground)
+    data.qpos[2] -= min(mujoco.mj_geomDistance(model, data, ground, geom, 10.0, None) for geom in others)
+    return data.qpos.copy()
 
 
 def _in_range(section: str, when: str, degrees: tuple[float, ...]) -> Finding:
@@ -226,9 +251,3 @@ def _posture(degrees: tuple[float, ...]) -> np.ndarray:
 
 def _words(section: str, degrees: tuple[float, ...]) -> str:
     return f"Section {section}\n" + ", ".join(f"{joint} {a:g}°" for joint, a in zip(JOINTS, degrees, strict=True))
-
-
-EXPERIMENTS = [
-    Experiment("figure-7.17", "The initial posture of the legs", initial),
-    Experiment("figure-7.18", "The next posture of the legs, and the way there", following, TRAINING),
-]

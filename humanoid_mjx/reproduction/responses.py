@@ -4,7 +4,7 @@ import jax
 import numpy as np
 
 from humanoid_mjx.control.response import step_response
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, compare, listed, three_digits
+from humanoid_mjx.reproduction.findings import Finding, Setting, check, compare, experiment, listed, three_digits
 
 RATIOS = np.round(np.arange(0.05, 3.001, 0.01), 2)
 """Damping ratios."""
@@ -16,6 +16,7 @@ OVERSHOOT = 1e-13
 """Share of a step beyond it that rounding in double precision may make; at a ratio of 0.99 it is 3e-10."""
 
 
+@experiment("responses-5.2", "Responses of second order")
 def responses(setting: Setting) -> list[Finding]:
     """Section 5.2: which damping is fastest without overshoot, and for which the system is stable."""
     times = np.linspace(0.0, 30.0, 6001)
@@ -77,6 +78,3 @@ def _step_responses(times: np.ndarray, ratios: np.ndarray) -> np.ndarray:
     with jax.enable_x64(True):
         respond = jax.jit(jax.vmap(step_response, in_axes=(None, None, 0)))
         return np.asarray(respond(times, 1.0, ratios))
-
-
-EXPERIMENTS = [Experiment("responses-5.2", "Responses of second order", responses)]

@@ -16,7 +16,7 @@ from humanoid_mjx.control import Reference, servo
 from humanoid_mjx.mechanics.trajectories import thesis_quintics
 from humanoid_mjx.report.style import SEQUENTIAL
 from humanoid_mjx.reproduction import tracking
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, three_digits
+from humanoid_mjx.reproduction.findings import Finding, Setting, check, experiment, three_digits
 from humanoid_mjx.robot.leg import Leg
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.thesis import leg as thesis
@@ -47,6 +47,7 @@ LOST = 10.0
 """Error from which a controller has lost the plan, rad."""
 
 
+@experiment("robustness-map", "Tracking over model error, payload and cycle time", CONFIG)
 def robustness(setting: Setting) -> list[Finding]:
     """Root mean square errors over model error, payload and cycle time, as heat maps; what the text says of them."""
     errors = _errors(*_grid(setting), setting.tell)
@@ -170,6 +171,3 @@ def _draw(setting: Setting, errors: dict[str, np.ndarray]) -> None:
 
 def _list(values: np.ndarray) -> str:
     return ", ".join("no end" if np.isinf(x) else f"{x:.2g}" for x in values)
-
-
-EXPERIMENTS = [Experiment("robustness-map", "Tracking over model error, payload and cycle time", robustness, CONFIG)]

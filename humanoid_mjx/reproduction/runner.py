@@ -1,6 +1,7 @@
 """Run experiments by name and write down what they find."""
 
 import json
+import pkgutil
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, fields, replace
@@ -11,28 +12,8 @@ from typing import Any
 from humanoid_mjx import compute
 from humanoid_mjx.config import apply_override
 from humanoid_mjx.files import write_text
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting
+from humanoid_mjx.reproduction.findings import EXPERIMENTS, Experiment, Finding, Setting
 from humanoid_mjx.spec import InputError, known
-
-MODULES = (
-    "decision_process",
-    "drives",
-    "errata",
-    "gains",
-    "ground_control",
-    "ground_gaits",
-    "joint_ways",
-    "motor_sizing",
-    "planned_torques",
-    "postures",
-    "responses",
-    "robustness",
-    "singularity",
-    "stall_torques",
-    "tracking",
-    "workspace",
-)
-"""The modules of this package that hold experiments, in their `EXPERIMENTS`."""
 
 FINDINGS, RUNS = "reproduce.json", "reproduce_runs.json"
 """Files of a folder of results."""
@@ -40,9 +21,10 @@ FINDINGS, RUNS = "reproduce.json", "reproduce_runs.json"
 
 def load_experiments() -> dict[str, Experiment]:
     """All experiments by name, in the order of the thesis."""
-    modules = [import_module(f"humanoid_mjx.reproduction.{name}") for name in MODULES]
-    found = {experiment.name: experiment for module in modules for experiment in module.EXPERIMENTS}
-    return dict(sorted(found.items(), key=lambda item: _natural(item[0])))
+    package = import_module("humanoid_mjx.reproduction")
+    for module in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
+        import_module(module.name)
+    return dict(sorted(EXPERIMENTS.items(), key=lambda item: _natural(item[0])))
 
 
 def reproduce(
@@ -79,8 +61,8 @@ def reproduce(
         place = f"{number} of {len(chosen)}, {experiment.name}"
         tell(place)
         start, cpu_start = time.perf_counter(), time.process_time()
-        found = experiment.run(replace(setting, tell=lambda words, place=place: tell(f"{place}: {words}")))
-        found = [replace(finding, name=experiment.name) for finding in found]
+        setting = replace(setting, tell=lambda words, place=place: tell(f"{place}: {words}"))
+        found = [replace(finding, name=experiment.name) for finding in experiment.run(setting)]
         wall_s, cpu_s = time.perf_counter() - start, time.process_time() - cpu_start
         say(experiment, found, wall_s)
         found_now += found

@@ -4,7 +4,7 @@ import numpy as np
 
 from humanoid_mjx import kinematics
 from humanoid_mjx.mechanics.gaits import Gait, gait
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check
+from humanoid_mjx.reproduction.findings import Finding, Setting, check, experiment
 from humanoid_mjx.reproduction.leg_values import over
 from humanoid_mjx.robot.leg import Leg
 from humanoid_mjx.thesis import leg as thesis
@@ -20,14 +20,15 @@ GAITS = {"straight_walk": "walking straight, Table 4.5", "sudden_turn": "the sud
 SAMPLES = 2001
 
 
+@experiment("finding-singularity", "Singular postures during walking")
 def singularity(setting: Setting) -> list[Finding]:
-    return [*(_walk(name, title) for name, title in GAITS.items()), _rank_test()]
-
-
-def _walk(name: str, title: str) -> Finding:
-    """The singular postures of a gait."""
-    motion = gait(name, "linear")
+    """The singular postures of both gaits, and what the determinants of section 4.4 tell of them."""
     t = np.linspace(0.0, thesis.GAIT_TIMES_S[-1], SAMPLES)
+    return [*(_walk(gait(name, "linear"), title, t) for name, title in GAITS.items()), _rank_test(t)]
+
+
+def _walk(motion: Gait, title: str, t: np.ndarray) -> Finding:
+    """The singular postures of a gait."""
     q = _angles(motion, t)
     crossing = np.flatnonzero(np.diff(np.sign(q[:, 3])) != 0)
     share = q[crossing, 3] / (q[crossing, 3] - q[crossing + 1, 3])
@@ -48,9 +49,9 @@ def _seconds(times: np.ndarray) -> str:
     return ", ".join(f"{x:.3f}" for x in times)
 
 
-def _rank_test() -> Finding:
+def _rank_test(t: np.ndarray) -> Finding:
     """The share of a walk where the determinants (4.22) and (4.23) vanish and the Jacobian keeps its rank."""
-    q = _angles(gait("straight_walk", "linear"), np.linspace(0.0, thesis.GAIT_TIMES_S[-1], SAMPLES))
+    q = _angles(gait("straight_walk", "linear"), t)
     jac, least = over(kinematics.jacobian, Leg.physical(), q), _least(q)
     leg = np.abs(np.linalg.det(jac[:, :3][:, :, [0, 3, 4]]))
     torso = np.abs(np.linalg.det(jac[:, :2][:, :, [1, 2]]))
@@ -70,6 +71,3 @@ def _angles(motion: Gait, t: np.ndarray) -> np.ndarray:
 def _least(q: np.ndarray) -> np.ndarray:
     """(n,) The least singular value of the Jacobian, m and rad."""
     return np.linalg.svd(over(kinematics.jacobian, Leg.physical(), q), compute_uv=False)[:, -1]
-
-
-EXPERIMENTS = [Experiment("finding-singularity", "Singular postures during walking", singularity)]

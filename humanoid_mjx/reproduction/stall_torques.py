@@ -1,13 +1,15 @@
 """Table 4.2: the joint torques that hold a force at the toe in the initial posture."""
 
+from collections.abc import Iterator
 from itertools import combinations
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx import kinematics
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, compare, in_words
+from humanoid_mjx.reproduction.findings import Finding, Setting, compare, experiment, in_words
 from humanoid_mjx.robot.leg import Leg, cylinder_inertias
 from humanoid_mjx.thesis import leg as thesis
 
@@ -28,7 +30,9 @@ LENGTHS = {
 MASSES = {"Table 4.3": thesis.LINK_MASSES, "the script": thesis.SCRIPT_MASSES}
 
 
-def stall_torque(setting: Setting) -> list[Finding]:
+@experiment("table-4.2", "Stall torques", CONFIG)
+def stall_torque(setting: Setting) -> Iterator[Finding]:
+    """Table 4.2 against the torques of the script's force, and against those of all forces that are printed."""
     used = setting.config["lengths"] | setting.config["force"]
     printed = CONFIG["lengths"] | CONFIG["force"]
     lengths = setting.config["lengths"].values()
@@ -37,7 +41,7 @@ def stall_torque(setting: Setting) -> list[Finding]:
     nearest = tried[0]
     heads = ("lengths", "force along z, N", "posture", "torque of the roll, N m", "off by")
     setting.table(heads, ((*words, f"{roll:.5f}", f"{off:.2g}") for off, *words, roll in tried[:20]))
-    findings, arms = [], _torque(lengths, np.zeros(5), [0.0, 0.0, 1.0])
+    arms = _torque(lengths, np.zeros(5), [0.0, 0.0, 1.0])
     for joint, (mark, value) in enumerate(zip(thesis.STALL_TORQUES, torque, strict=True)):
         why, arm = f"{in_words(used, printed)} of the script, at the zero posture", float(arms[joint])
         if arm:
@@ -46,20 +50,9 @@ def stall_torque(setting: Setting) -> list[Finding]:
         else:
             why += ": a force along z turns only the roll, whatever its size and the lengths"
         quantity = f"stall torque of joint {joint + 1} ({thesis.JOINT_NAMES[joint]}), N m"
-        findings.append(
-            compare(
-                quantity,
-                mark,
-                value,
-                TOLERANCE,
-                why,
-                5,
-                values=(used, printed),
-                possible=arm and nearest[0] < TOLERANCE,
-                could_differ=arm,
-            )
-        )
-    return findings
+        possible = arm and nearest[0] < TOLERANCE
+        judged: Any = {"values": (used, printed), "possible": possible, "could_differ": arm}
+        yield compare(quantity, mark, value, TOLERANCE, why, 5, **judged)
 
 
 def _search() -> list[tuple[float, str, str, str, float]]:
@@ -89,6 +82,3 @@ def _torque(lengths: object, posture: np.ndarray, force: list[float]) -> np.ndar
     leg = Leg.from_links(list(lengths), cylinder_inertias())  # pyright: ignore[reportArgumentType, reportCallIssue]
     wrench = jnp.array([*force, 0.0, 0.0, 0.0], leg.d.dtype)
     return np.asarray(jax.jit(kinematics.static_torque)(leg, jnp.asarray(posture, leg.d.dtype), wrench))
-
-
-EXPERIMENTS = [Experiment("table-4.2", "Stall torques", stall_torque, CONFIG)]

@@ -15,7 +15,7 @@ from humanoid_mjx import compute, dynamics
 from humanoid_mjx.control import Reference, implicit_euler, servo
 from humanoid_mjx.mechanics.trajectories import thesis_quintics
 from humanoid_mjx.report.style import COLORS, log_axis
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, compare, in_words, three_digits
+from humanoid_mjx.reproduction.findings import Finding, Setting, check, compare, experiment, in_words, three_digits
 from humanoid_mjx.reproduction.printed import dynamics as printed_dynamics
 from humanoid_mjx.robot.leg import ALONG_THE_LEG, AS_PRINTED, Leg, corrected_inertias, script_inertias
 from humanoid_mjx.spec import InputError
@@ -157,6 +157,7 @@ def tracking(joint: int, setting: Setting) -> list[Finding]:
     ]
 
 
+@experiment("control-7d", "The five errors of section 7 D under one controller", CONFIG)
 def together(setting: Setting) -> list[Finding]:
     """Section 7 D: whether any one controller leaves all five errors; the table of those tried."""
     used, kp, kd = _gains(setting)
@@ -294,15 +295,7 @@ def _program(law: str, leg: str, model: str) -> Callable[..., Any]:
     return jax.jit(program, compiler_options=compute.compiler_options("scalars"))
 
 
-EXPERIMENTS = [
-    Experiment("control-7d", "The five errors of section 7 D under one controller", together, CONFIG),
-    *(
-        Experiment(
-            f"figure-7.{joint + 6}",
-            f"Planned and actual position of joint {joint + 1}",
-            partial(tracking, joint),
-            CONFIG,
-        )
-        for joint in JOINTS
-    ),
-]
+for _joint in JOINTS:
+    experiment(f"figure-7.{_joint + 6}", f"Planned and actual position of joint {_joint + 1}", CONFIG)(
+        partial(tracking, _joint)
+    )

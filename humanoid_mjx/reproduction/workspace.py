@@ -10,7 +10,7 @@ import numpy as np
 
 from humanoid_mjx import kinematics
 from humanoid_mjx.report.style import COLORS
-from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, check, departures, in_words, listed
+from humanoid_mjx.reproduction.findings import Finding, Setting, check, departures, experiment, in_words, listed
 from humanoid_mjx.reproduction.leg_values import over, planned, plot_joints
 from humanoid_mjx.robot.leg import Leg, cylinder_inertias
 from humanoid_mjx.thesis import leg as thesis
@@ -35,6 +35,7 @@ PRINTED_END = {"knee": thesis.QUINTIC_RANGES[3][1], "ankle": thesis.QUINTIC_RANG
 MOTIONS = {2: "straight walking", 3: "sudden turn", 4: "all joints"}
 
 
+@experiment("figure-7.1", "The planned motion of the joints", {"units": {"degree": thesis.FIGURE_7_5_DEGREE}})
 def planned_trajectories(setting: Setting) -> list[Finding]:
     """Figure 7.1: the five quintics."""
     degree = setting.config["units"]["degree"]
@@ -55,6 +56,7 @@ def planned_trajectories(setting: Setting) -> list[Finding]:
     return findings
 
 
+@experiment("workspace-7b", "The toe at the start and the end of the planned motions", LENGTHS)
 def reach(setting: Setting) -> list[Finding]:
     """The triples of section 7 B as the toe's place at the start and at the end."""
     lengths = setting.config["lengths"]
@@ -164,18 +166,7 @@ def _leg(lengths: Any) -> Any:
     return Leg.from_links(list(lengths), cylinder_inertias())
 
 
-EXPERIMENTS = [
-    Experiment("workspace-7b", "The toe at the start and the end of the planned motions", reach, LENGTHS),
-    Experiment(
-        "figure-7.1",
-        "The planned motion of the joints",
-        planned_trajectories,
-        {"units": {"degree": thesis.FIGURE_7_5_DEGREE}},
-    ),
-    *(
-        Experiment(
-            f"figure-7.{number}", f"Workspace of {name}", partial(workspace, name), {"lengths": LENGTHS["lengths"]}
-        )
-        for number, name in MOTIONS.items()
-    ),
-]
+for _number, _name in MOTIONS.items():
+    experiment(f"figure-7.{_number}", f"Workspace of {_name}", {"lengths": LENGTHS["lengths"]})(
+        partial(workspace, _name)
+    )

@@ -102,7 +102,7 @@ def test_measures_of_a_path():
     assert not slides.fell and slides.touching.all() and slides.seconds == 0.2
     assert slides.distance == pytest.approx(0.06) and slides.slip == pytest.approx(0.3) and slides.tracking == 0.0
     turns = carried(-0.5, 0.0)
-    assert turns.turn == pytest.approx(np.degrees(-0.5)) and turns.slip > 0.05
+    assert turns.turned[-1] == pytest.approx(np.degrees(-0.5)) and turns.slip > 0.05
     assert turns.distance == pytest.approx(0.0, abs=2e-3)
 
 
@@ -112,7 +112,7 @@ def test_a_turn_that_goes_back_within_a_period_does_not_last():
     assert path.lasting_turn == pytest.approx(np.degrees(-0.5) * (1 - LASTS_S / 2.2), rel=0.01)
     yaw = 0.5 * np.sin(2 * np.pi * np.arange(steps) / 200)  # a period of 0.8 s
     path.qpos[:, 3], path.qpos[:, 6] = np.cos(yaw / 2), np.sin(yaw / 2)
-    assert abs(path.turn) > 5.0 and path.lasting_turn == 0.0
+    assert abs(path.turned[-1]) > 5.0 and path.lasting_turn == 0.0
 
 
 def test_the_left_leg_does_what_its_phase_says():

@@ -5,7 +5,8 @@ import json
 import pytest
 
 from humanoid_mjx import InputError, compute
-from humanoid_mjx.reproduction import judge, reproduce
+from humanoid_mjx.reproduction import reproduce
+from humanoid_mjx.reproduction.findings import check
 
 TABLES = ["table-7.1", "table-7.2", "table-7.3"]
 
@@ -65,12 +66,13 @@ def test_the_declared_decay_never_arrives(tmp_path):
 
 
 def test_judgement():
-    assert judge(True, {"a": 1.0}, {"a": 1.0}) == "reproduced"
-    assert judge(True, {"a": 2.0}, {"a": 1.0}) == "recovered"
-    assert judge(False, {"a": 1.0}, {"a": 1.0}) == "differs"
-    assert judge(False, {}, {}, possible=False) == "not_reproducible"
-    assert judge(True, {}, {}, could_differ=False) == "consistent"
-    assert judge(False, {}, {}, could_differ=False) == "differs"
+    def verdict(agrees, used=None, **judged):
+        return check("", 1.0, 1.0, agrees, "", values=({"a": used or 1.0}, {"a": 1.0}), **judged).verdict
+
+    assert verdict(True) == "reproduced" and verdict(True, 2.0) == "recovered"
+    assert verdict(False) == "differs" and verdict(False, could_differ=False) == "differs"
+    assert verdict(False, possible=False) == "not_reproducible"
+    assert verdict(True, could_differ=False) == "consistent"
 
 
 def test_what_cannot_be_reproduced_is_refused(tmp_path):
