@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 
 from humanoid_mjx.training.plan import Group, Plan
 from humanoid_mjx.training.pool import Pool
-from humanoid_mjx.training.programs import arranged
+from humanoid_mjx.training.programs import placement
 from humanoid_mjx.training.warm_start import earlier_policies
 
 LATELY_S, LATELY_SHARE = 5.0, 0.15
@@ -247,7 +247,7 @@ def estimate(plan: Plan, rooms: Sequence[int], measured_s: float = MEASURED_S) -
 def _measure(plan: Plan, group: Group, room: int, measured_s: float) -> tuple[float, float, float]:
     """The seconds of compiling, training and evaluating of a group."""
     waiting = deque(np.random.default_rng(0).permutation(group.runs).tolist())
-    size, devices = arranged(len(waiting), room)
+    size, devices = placement(len(waiting), room)
     pool = Pool(group, waiting, size, devices, plan.config.seed, earlier_policies(group))
     began = time.monotonic()
     pool.fill()

@@ -15,14 +15,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import PartitionSpec
 
 from humanoid_mjx import compute
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.plan import Group
 from humanoid_mjx.training.program import Training, curve
-from humanoid_mjx.training.programs import RUNS, mesh_of, placed, programs_of
+from humanoid_mjx.training.programs import programs_of
 from humanoid_mjx.training.state import blank, from_arrays, to_arrays
 from humanoid_mjx.types import Device
 
@@ -63,8 +62,7 @@ class Pool:
         """
         self.group, self.waiting, self.seed, self.policies = group, waiting, seed, policies
         self.programs, size = programs_of(group.learners, devices), size * len(devices)
-        mesh = mesh_of(devices)
-        self.over_devices, self.everywhere = placed(mesh, PartitionSpec(RUNS)), placed(mesh, PartitionSpec())
+        self.over_devices = self.programs.by_run
         self.compiled: dict[str, Callable[..., Any]] = {}
         self.phase = "starting"
         """The present phase, in a word for the user."""
@@ -203,7 +201,7 @@ class Pool:
 
     def _steps_taken(self) -> tuple[Any, ...]:
         """Return the arguments of `advance`."""
-        return self.learners, self.training, jax.device_put(np.int32(self.steps), self.everywhere)
+        return self.learners, self.training, jax.device_put(np.int32(self.steps), self.programs.everywhere)
 
     def _ended(self) -> tuple[Any, ...]:
         """Return the arguments of `finish`."""
@@ -234,9 +232,9 @@ class Pool:
         trace = partial(getattr(self.programs, name).lower, *jax.tree.map(_shape, args))
         if after is None:
             self.phase = "tracing"
-            program = _beside(trace().compile)
+            program = _in_background(trace().compile)
         else:
-            program = _beside(partial(_compile_after, after, trace))
+            program = _in_background(partial(_compile_after, after, trace))
         self.programs.compiled[kind] = program
         return program
 
@@ -255,7 +253,7 @@ def _shape(leaf: jax.Array) -> jax.ShapeDtypeStruct:
     return jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=leaf.sharding, weak_type=leaf.aval.weak_type)
 
 
-def _beside(work: Callable[[], Callable[..., Any]]) -> "Future[Callable[..., Any]]":
+def _in_background(work: Callable[[], Callable[..., Any]]) -> "Future[Callable[..., Any]]":
     """Run `work` in a thread of its own, which does not keep the process from ending: a compiler cannot be interrupted,
     leaves Python free and most cores of a machine idle."""
     future: Future[Callable[..., Any]] = Future()

@@ -32,6 +32,10 @@ class Programs(NamedTuple):
     """(learners, training states, steps) -> states so many steps later, and progress. Gives up the old states."""
     finish: Callable[[Any, Training, Any], dict[str, Any]]
     """(learners, training states, seeds) -> curves, final scores and policies."""
+    by_run: NamedSharding | SingleDeviceSharding
+    """Sharding of arrays with a leading axis of runs."""
+    everywhere: NamedSharding | SingleDeviceSharding
+    """Sharding of arrays that every device has whole."""
     compiled: "dict[Any, Future[Callable[..., Any]]]"
     """Compiled programs, also those under way, by name and kind of arguments: a second sweep in a process does not
     trace them."""
@@ -44,6 +48,7 @@ def programs(options: tuple[tuple[str, str | bool], ...], mesh: Mesh, fused: boo
     `seeds` is (the config's seed, the seed number). Where `fused` the kernel of `training.fused` makes the steps.
     """
     by_run, same = PartitionSpec(RUNS), PartitionSpec()
+    shardings = _sharding(mesh, by_run), _sharding(mesh, same)
 
     def anew(fresh: Bool[Array, ""], learner: Learner, seeds: Any, old: Training, policy: Any) -> Training:
         new = begin(learner, run_key(*seeds), policy)
@@ -64,14 +69,15 @@ def programs(options: tuple[tuple[str, str | bool], ...], mesh: Mesh, fused: boo
             spread = jax.shard_map(function, mesh=mesh, in_specs=given, out_specs=by_run, check_vma=False)
         # By default jax replicates arrays without entries, and a compiled program then refuses the states that another
         # one has made.
-        lying = placed(mesh, by_run)
-        return jax.jit(spread, compiler_options=dict(options), out_shardings=lying, **options_of_jit)
+        return jax.jit(spread, compiler_options=dict(options), out_shardings=shardings[0], **options_of_jit)
 
     train = by_kernel if fused else jax.vmap(advance, in_axes=(0, 0, None))
     return Programs(
         begin=compiled(jax.vmap(anew), by_run, donate_argnums=3),
         advance=compiled(train, (by_run, by_run, same), donate_argnums=1),
         finish=compiled(jax.vmap(end), by_run),
+        by_run=shardings[0],
+        everywhere=shardings[1],
         compiled={},
     )
 
@@ -88,10 +94,10 @@ def programs_of(learners: Learner, devices: Sequence[Device]) -> Programs:
         from humanoid_mjx.training.fused import why_not  # whose import takes time that all others save
 
         fused = why_not(learners) is None
-    return programs(tuple(sorted(options.items())), mesh_of(devices), fused)
+    return programs(tuple(sorted(options.items())), Mesh(np.array(devices), (RUNS,)), fused)
 
 
-def arranged(runs: int, room: int) -> tuple[int, Sequence[Device]]:
+def placement(runs: int, room: int) -> tuple[int, Sequence[Device]]:
     """Return how many runs each device trains at once, and the devices.
 
     Args:
@@ -102,12 +108,7 @@ def arranged(runs: int, room: int) -> tuple[int, Sequence[Device]]:
     return min(room // len(devices), -(-runs // len(devices))), devices
 
 
-def mesh_of(devices: Sequence[Device]) -> Mesh:
-    """Return a mesh over which runs are shared out."""
-    return Mesh(np.array(devices), (RUNS,))
-
-
-def placed(mesh: Mesh, spec: PartitionSpec) -> NamedSharding | SingleDeviceSharding:
+def _sharding(mesh: Mesh, spec: PartitionSpec) -> NamedSharding | SingleDeviceSharding:
     """Return the sharding of an array on a mesh. On one device it is that of any array, so that functions which were
     traced of such ones need not be traced again."""
     return NamedSharding(mesh, spec) if mesh.size > 1 else SingleDeviceSharding(mesh.devices.item())

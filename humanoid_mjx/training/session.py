@@ -23,7 +23,7 @@ from humanoid_mjx.training.events import Curves
 from humanoid_mjx.training.pace import COMPILING, Look, Pace
 from humanoid_mjx.training.plan import Group, Plan
 from humanoid_mjx.training.pool import IDLE, Pool
-from humanoid_mjx.training.programs import arranged
+from humanoid_mjx.training.programs import placement
 from humanoid_mjx.training.progress import Reporter, State
 from humanoid_mjx.types import Device
 
@@ -78,7 +78,7 @@ class Session:
         if not runs:
             return
         # Not the number still waiting: networks' sums depend on how many runs are side by side, also after a resume.
-        size, devices = arranged(len(runs), room)
+        size, devices = placement(len(runs), room)
         while waiting := deque(run for run in runs if run not in self.finished):
             slots = size * len(devices)
             self.reporter.note(self._side_by_side(group, len(runs), slots))

@@ -16,7 +16,7 @@ from humanoid_mjx.compute import limits
 from humanoid_mjx.config import load
 from humanoid_mjx.training.cost import runs_at_once, training_bytes
 from humanoid_mjx.training.plan import make_plan
-from humanoid_mjx.training.programs import arranged, programs_of
+from humanoid_mjx.training.programs import placement, programs_of
 
 SMALL = ["learner.evaluation_envs=32"]
 
@@ -49,7 +49,7 @@ def test_what_is_too_large_for_memory_is_refused_with_what_the_system_says(monke
         runs_at_once(group)
     free = int(training_bytes(group) / 0.8) + 2
     assert runs_at_once(group) == 1
-    assert arranged(5, 1) == (1, jax.local_devices()[:1])
+    assert placement(5, 1) == (1, jax.local_devices()[:1])
 
 
 def test_info_says_the_refusal_of_sweep(monkeypatch):
@@ -65,7 +65,7 @@ from humanoid_mjx import compute
 from humanoid_mjx.config import load
 from humanoid_mjx.training.cost import runs_at_once, training_bytes
 from humanoid_mjx.training.plan import make_plan
-from humanoid_mjx.training.programs import arranged
+from humanoid_mjx.training.programs import placement
 
 compute.start()
 assert jax.local_device_count() == 16
@@ -73,7 +73,7 @@ for name in ("stand", "walk"):
     (group,) = make_plan(load(name)).groups
     compute.available_memory = lambda: 2 << 30
     assert runs_at_once(group) == int(0.8 * 2**31) // training_bytes(group) < 16
-    size, devices = arranged(100, runs_at_once(group))
+    size, devices = placement(100, runs_at_once(group))
     assert size == 1 and len(devices) == runs_at_once(group)
     compute.available_memory = lambda: 1 << 36
     assert runs_at_once(group) == 16
