@@ -7,9 +7,6 @@ from jaxtyping import Bool, Float, Num
 
 RESAMPLES = 500
 
-TAILS = 0.025, 0.975
-"""Quantiles between which 95 % intervals lie."""
-
 RESAMPLED_NUMBERS = 10_000_000
 """Approximate number of resampled values held at once."""
 
@@ -25,35 +22,39 @@ def iqm(values: Num[np.ndarray, "n ..."]) -> Float[np.ndarray, "..."]:
 
 
 def iqm_interval(
-    values: Num[np.ndarray, "n ..."], seed: int = 0
+    values: Num[np.ndarray, "n ..."], confidence: float = 0.95, seed: int = 0
 ) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]:
-    """95 % percentile bootstrap interval of the interquartile mean over the first axis, the entries resampled whole."""
+    """Percentile bootstrap interval of the interquartile mean over the first axis, the entries resampled whole."""
     n, rng = len(values), np.random.default_rng(seed)
     batches = np.array_split(np.arange(RESAMPLES), -(-RESAMPLES * values.size // RESAMPLED_NUMBERS))
     draws = (rng.integers(n, size=(len(batch), n)) for batch in batches)
     estimates = np.concatenate([iqm(np.swapaxes(values[rows], 0, 1)) for rows in draws])
-    low, high = np.quantile(estimates, TAILS, axis=0)
+    tail = (1 - confidence) / 2
+    low, high = np.quantile(estimates, (tail, 1 - tail), axis=0)
     return np.asarray(low), np.asarray(high)
 
 
-def rate_interval(successes: Bool[np.ndarray, " n"]) -> tuple[float, float]:
-    """95 % interval of a probability (E. Wilson, 1927), which keeps a width even where all trials or none succeeded."""
+def rate_interval(successes: Bool[np.ndarray, " n"], confidence: float = 0.95) -> tuple[float, float]:
+    """Interval of a probability (E. Wilson, 1927), which keeps a width even where all trials or none succeeded."""
     n, share = len(successes), float(np.mean(successes))
-    z2 = NormalDist().inv_cdf(TAILS[1]) ** 2
+    z2 = NormalDist().inv_cdf((1 + confidence) / 2) ** 2
     middle = (share + z2 / (2 * n)) / (1 + z2 / n)
     half = (z2 * (share * (1 - share) / n + z2 / (4 * n**2))) ** 0.5 / (1 + z2 / n)
     return max(0.0, middle - half), min(1.0, middle + half)
 
 
-def mean_interval(values: Float[np.ndarray, "n ..."]) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]:
-    """95 % percentile bootstrap interval of the mean over the first axis, whose NaN entries are left out; NaN where
-    fewer than two others remain."""
+def mean_interval(
+    values: Float[np.ndarray, "n ..."], confidence: float = 0.95, seed: int = 0
+) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]:
+    """Percentile bootstrap interval of the mean over the first axis, whose NaN entries are left out; NaN where fewer
+    than two others remain."""
     n, known = len(values), np.isfinite(values)
-    draws = np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), RESAMPLES).astype(float)
+    draws = np.random.default_rng(seed).multinomial(n, np.full(n, 1 / n), RESAMPLES).astype(float)
     totals, counts = (np.tensordot(draws, part, axes=1) for part in (np.where(known, values, 0.0), known.astype(float)))
     means = np.divide(totals, counts, out=np.full(totals.shape, np.nan), where=counts > 0)
+    tail = (1 - confidence) / 2
     enough = known.sum(axis=0) > 1
     # A resample that holds no known entry says nothing; the others always do.
-    ends = np.nanquantile(np.where(enough, means, 0.0), TAILS, axis=0)
+    ends = np.nanquantile(np.where(enough, means, 0.0), (tail, 1 - tail), axis=0)
     low, high = np.where(enough, ends, np.nan)
     return np.asarray(low), np.asarray(high)
