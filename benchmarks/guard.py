@@ -30,7 +30,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from humanoid_mjx import compute
-from humanoid_mjx.bench import ground, legs, physics, tabular
+from humanoid_mjx.bench import ground, physics, tabular
 from humanoid_mjx.bench.training import nothing_compiled
 from humanoid_mjx.mechanics.tree.blocks import BLOCK
 from humanoid_mjx.tasks import make_task
@@ -124,7 +124,7 @@ def scan() -> Pair:
 
 def chain() -> Pair:
     """The chain and native MuJoCo, as many legs each; the chain, being quicker, makes five times the steps."""
-    return _warm(Pair(legs.chain(1024, 500, "none"), physics.mujoco(1024, 100), work=5.0, repeats=15))
+    return _warm(Pair(physics.chain(1024, 500, "none"), physics.mujoco(1024, 100), work=5.0, repeats=15))
 
 
 def start_up() -> Pair:

@@ -251,13 +251,11 @@ def plot(
     out: Annotated[
         Path | None, typer.Option(metavar="FILE.png", help="By default in the figures of the first run.")
     ] = None,
-    trust: Trust = False,
 ) -> None:
     """Draw any column of the tables of runs over any other: lines with their 95 % interval over seeds."""
     from humanoid_mjx.commands.runs import run_plot
 
-    with _trusting(trust, *run):
-        run_plot(run, x, y, by, out)
+    run_plot(run, x, y, by, out)
 
 
 @app.command()

@@ -21,16 +21,14 @@ def reference(motion, asked, interval, window, mass):
         "forward": moves[first:, 0].sum() / (len(later) * interval),
         "left": moves[first:, 1].sum() / (len(later) * interval),
         "turn": moves[first:, 2].sum() / (len(later) * interval),
-        "duty_right": loaded[first:, 0].mean(),
-        "duty_left": loaded[first:, 1].mean(),
+        "duty": loaded[first:].mean(),
+        "duty_asymmetry": abs(np.diff(loaded[first:].mean(axis=0))[0]) / loaded[first:].mean(),
         "flight": (~loaded[first:]).all(axis=1).mean(),
-        "double_support": loaded[first:].all(axis=1).mean(),
         "crossing": (motion["gap"][first:, 0, 1] < 0.05).mean(),
         "leg_contact": (motion["legs_apart"][first:] <= 0).mean(),
         "peak_torque": np.abs(motion["torque"]).max(),
     }
-    speeds = motion["speed"][first:][motion["touching"][first:]]
-    found["slip"], found["slip_95"] = speeds.mean(), np.quantile(speeds, 0.95)
+    found["slip"] = motion["speed"][first:][motion["touching"][first:]].mean()
     found |= errors(moves[first:], asked[first:], works(motion)[first:], interval, window, mass)
     found |= steps(motion, loaded, first, interval)
     return found
@@ -54,8 +52,6 @@ def errors(moves, asked, work, interval, window, mass):
     off = means - np.array([asked[part].mean(axis=0) for part in parts])
     way = sum(np.linalg.norm(mean[:2]) * window * interval for mean in means)
     return {
-        "forward_error": np.abs(off[:, 0]).mean(),
-        "left_error": np.abs(off[:, 1]).mean(),
         "speed_error": np.linalg.norm(off[:, :2], axis=1).mean(),
         "turn_error": np.abs(off[:, 2]).mean(),
         "cost_of_transport": work[: len(parts) * window].sum() / (mass * 9.81 * way),
@@ -64,7 +60,7 @@ def errors(moves, asked, work, interval, window, mass):
 
 def steps(motion, loaded, first, interval):
     """Touchdowns after at least 40 ms without load."""
-    lengths, lifts = ([], []), []
+    lengths, lifts = [], []
     for foot in (0, 1):
         since = None
         for k in range(len(loaded)):
@@ -72,14 +68,9 @@ def steps(motion, loaded, first, interval):
                 since = k if since is None else since
                 continue
             if since is not None and k - since >= round(0.04 / interval) and k >= first:
-                lengths[foot].append(motion["gap"][k, 0, 0] * (1 if foot else -1))
+                lengths.append(motion["gap"][k, 0, 0] * (1 if foot else -1))
                 lifts.append(motion["height"][since:k, foot].max())
             since = None
-    found = {f"step_length_{side}": np.mean(lengths[foot]) for foot, side in enumerate(("right", "left"))}
-    number = sum(map(len, lengths))
     seconds = (len(loaded) - first) * interval
-    return found | {
-        "clearance": np.mean(lifts),
-        "step_frequency": number / seconds,
-        "step_length": np.mean([*lengths[0], *lengths[1]]),
-    }
+    steps = {"step_frequency": len(lengths) / seconds, "step_length": np.mean(lengths)}
+    return steps | {"clearance": np.mean(lifts)}

@@ -1,3 +1,10 @@
-"""Benchmarks: each a module with `run(say) -> list[Record]`, whose subjects are timed in one process, in turn."""
+"""Benchmarks: functions `(say) -> list[Record]`, whose subjects are timed in one process, in turn."""
 
-BENCHES = ("tabular", "physics", "control", "training", "startup")
+BENCHES = {
+    "tabular": "tabular:run",
+    "physics": "physics:run",
+    "control": "physics:control",
+    "training": "training:run",
+    "startup": "startup:run",
+}
+"""Module and function of each benchmark."""

@@ -34,7 +34,7 @@ class Change(NamedTuple):
 
     @property
     def factor(self) -> float:
-        """How many times as good it became: above 1 is better, also where a unit is seconds or steps to success."""
+        """Ratio of the figures: above 1 is better, also where a unit is seconds or steps to success."""
         cost = str(self.key[-1]).split()[0] in COSTS
         better, worse = (self.before, self.after) if cost else (self.after, self.before)
         return better / worse if worse else math.inf
@@ -60,7 +60,7 @@ def read_result(path: Path) -> dict[str, Any]:
 
 
 def changes(before: dict[str, Any], after: dict[str, Any]) -> list[Change]:
-    """What both results measured but for shares, in the order of the second; of figures of one key the last."""
+    """Figures that both results have but for shares, in the order of the second; of figures of one key the last."""
     old, new = ({_key(record): record for record in result["records"]} for result in (before, after))
     pairs = [(key, old[key], new[key]) for key in new if key in old and not key[-1].startswith("share of")]
     return [Change(key, a["value"], b["value"], noise(a, b)) for key, a, b in pairs]

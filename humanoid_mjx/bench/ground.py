@@ -25,10 +25,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx import compute
-from humanoid_mjx.bench.elsewhere import with_room
-from humanoid_mjx.bench.legs import on_all_devices
 from humanoid_mjx.bench.measure import Record, Subject, time_rates
-from humanoid_mjx.bench.native import native_rollout, native_subject
+from humanoid_mjx.bench.running import native_rollout, native_subject, on_all_devices, with_room
 from humanoid_mjx.control import at_rest
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.tasks import make_task
@@ -62,7 +60,7 @@ THROWN = (0.3, 1.5)
 
 
 class Setting(NamedTuple):
-    """How much is timed: the numbers of bodies, and steps in a call for each subject."""
+    """Size of a benchmark: the numbers of bodies, and steps in a call for each subject."""
 
     batches: Sequence[int]
     steps: Mapping[str, int]

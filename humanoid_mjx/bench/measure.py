@@ -1,4 +1,4 @@
-"""How things are timed: compile apart, everything waited for, subjects in turn, the median quoted."""
+"""Timing: compilation apart, everything waited for, subjects in turn, the median quoted."""
 
 import statistics
 import time
@@ -36,7 +36,7 @@ class Record:
     compile_s: float
     repeats: int
     spread: float | None = None
-    """How far the repeats lie apart: the range of their middle half over their median. None: there is one."""
+    """Interquartile range of the repeats over their median. None: there is one."""
     by_seed: Sequence[float | None] | None = None
     """The value of each training seed, None where it has none; only of figures that differ from seed to seed."""
     interval: tuple[float, float] | None = None
@@ -64,13 +64,13 @@ class Subject:
 
 
 class Timing(NamedTuple):
-    """What `time_in_turn` found of one subject."""
+    """Times of one subject."""
 
     seconds: float
     """The median over the calls, s."""
     compile_s: float
     result: Any
-    """What a call returns."""
+    """Result of a call."""
     spread: float | None
     """As in `Record`."""
 
@@ -115,7 +115,7 @@ def time_rates(bench: str, subjects: Mapping[str, Subject], say: Callable[[str],
 
 
 def spread(seconds: Sequence[float]) -> float | None:
-    """How far repeats lie apart: the range of their middle half over their median. None: there is only one."""
+    """Interquartile range of repeats over their median. None: there is only one."""
     if len(seconds) < 2:
         return None
     low, middle, high = statistics.quantiles(seconds, n=4, method="inclusive")

@@ -16,8 +16,8 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from humanoid_mjx.bench.elsewhere import with_room
 from humanoid_mjx.bench.measure import Record, Subject, record, time_in_turn
+from humanoid_mjx.bench.running import with_room
 from humanoid_mjx.config import load
 from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.sweep import sweep
@@ -26,7 +26,7 @@ REPEATS = 3
 
 
 class Size(NamedTuple):
-    """How much a call trains: seeds of every point of the config's sweep, and episodes of each run."""
+    """Size of a training: seeds of every point of the config's sweep, and episodes of each run."""
 
     seeds: int
     episodes: int

@@ -22,7 +22,7 @@ import numpy as np
 
 from humanoid_mjx import compute, make_learner, make_task
 from humanoid_mjx.bench.measure import Record, Subject, record, time_in_turn
-from humanoid_mjx.bench.programs import Programs
+from humanoid_mjx.bench.running import on_devices
 from humanoid_mjx.compute import rng
 from humanoid_mjx.learners.tabular import TabularQ
 from humanoid_mjx.training import fused as kernel
@@ -116,7 +116,7 @@ def scan(epsilon: np.ndarray, steps: int) -> Made:
     blocks = max(1, len(epsilon) // (CPU_BLOCK * len(devices))) if devices[0].platform == "cpu" else 1
     shares = np.array_split(epsilon, len(devices) * blocks)
     states = [[start(device, share) for share in shares[i :: len(devices)]] for i, device in enumerate(devices)]
-    call = Programs(train, states)
+    call = on_devices(train, states)
     return call, lambda result: sum(float(state.carry.agents.episode.sum()) for mine in result for state, _ in mine)
 
 
@@ -126,7 +126,7 @@ def fused(epsilon: np.ndarray, steps: int, moves: int = MOVES) -> Made:
     learners = jax.tree.map(lambda x: jnp.full(len(epsilon), x), learner).replace(epsilon=jnp.asarray(epsilon))
     training = jax.jit(jax.vmap(begin))(learners, jax.random.split(rng.key(0), len(epsilon)))
     train = jax.jit(kernel.advance)
-    call = Programs(train, [[(learners, training, steps)]])
+    call = on_devices(train, [[(learners, training, steps)]])
     return call, lambda result: float(result[0][0].carry.agents.episode.sum())
 
 
@@ -162,7 +162,7 @@ def naive_scan(epsilon: np.ndarray, steps: int) -> Made:
         return jax.lax.scan(step, start, length=steps)[0]
 
     keys = jax.random.split(jax.random.key(0), len(epsilon))
-    return Programs(train, [[(epsilon, keys)]]), lambda result: float(result[0][0][3].sum())
+    return on_devices(train, [[(epsilon, keys)]]), lambda result: float(result[0][0][3].sum())
 
 
 PYTHON_STEPS = 100_000

@@ -56,7 +56,7 @@ CONFIGS = {"cpu": LEG, "gpu": (*LEG, "stand", "stand_ppo")}
 
 
 class Measured(NamedTuple):
-    """What the only point of a sweep tells of its learner."""
+    """Measures of a learner, from the only point of a sweep."""
 
     steps_per_s: float
     """Of all seeds together; NaN where training was over at the first look."""
@@ -139,7 +139,7 @@ def shares(learner: Learner) -> dict[str, float]:
 
 
 def figures(found: Measured) -> list[dict[str, Any]]:
-    """What the records of a training say, as fields of `Record`."""
+    """Figures of a training, as fields of `Record`."""
     steps = [float(x) if np.isfinite(x) else None for x in found.steps]
     low, high = mean_interval(found.final)
     ends = (float(low), float(high)) if np.isfinite(low) else None
@@ -175,7 +175,7 @@ def _middle_and_worst(steps: Float[np.ndarray, " seeds"]) -> tuple[float, float]
 
 
 def environments(learner: Mapping[str, object]) -> int:
-    """How many environments a resolved learner has side by side."""
+    """Number of environments that a resolved learner has side by side."""
     return int(str(learner.get("envs", learner.get("num_envs", 1))))
 
 

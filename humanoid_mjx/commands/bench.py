@@ -1,4 +1,4 @@
-"""What `humanoid-mjx bench` does, and what it prints."""
+"""The command `bench`."""
 
 import json
 from collections.abc import Sequence
@@ -32,10 +32,11 @@ def run_bench(chosen: Sequence[str], file: Path | None, seeds: int | None = None
     made_by = compute.made_by()  # before the first benchmark: the checkout may change meanwhile
     records: list[dict[str, Any]] = []
     for name in BENCHES if "all" in chosen else chosen:
-        module = import_module(f"humanoid_mjx.bench.{name}")
+        module, _, function = BENCHES[name].partition(":")
+        measure = getattr(import_module(f"humanoid_mjx.bench.{module}"), function)
         console.print(f"{name}:")
         options = {"seeds": seeds} if name == "training" and seeds is not None else {}
-        found = module.run(lambda line: console.print("  " + line), **options)
+        found = measure(lambda line: console.print("  " + line), **options)
         records += [record.as_json() | {"commit": made_by["commit"]} for record in found]
     if file is not None:
         write_text(file, json.dumps(made_by | {"records": records}, indent=2) + "\n")

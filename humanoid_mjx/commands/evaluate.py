@@ -1,4 +1,4 @@
-"""What `humanoid-mjx evaluate` does, and what it prints."""
+"""The command `evaluate`."""
 
 import json
 from collections.abc import Sequence
@@ -123,6 +123,6 @@ def words_on_returns(policies: Sequence["Trained"], evaluations: Sequence[Evalua
 
 
 def _changes(physics: str | None, overrides: Sequence[str]) -> str:
-    """What is not as in training, for a title."""
+    """Differences from training, for a title."""
     changes = [f"physics {physics}"] * (physics is not None) + list(overrides)
     return "".join(f", {change}" for change in changes)

@@ -1,4 +1,4 @@
-"""What `humanoid-mjx info` prints."""
+"""The command `info`."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -180,7 +180,7 @@ def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
 
 
 def _show_time(plan: "Plan") -> None:
-    """How long a sweep will take."""
+    """Print an estimate of the time that a sweep takes."""
     from humanoid_mjx.training.cost import runs_at_once
     from humanoid_mjx.training.pace import MEASURED_S, estimate, time_in_words
 

@@ -1,17 +1,18 @@
-"""What the commands do, for programs and notebooks: read a run, evaluate, plot and play it.
+"""The commands for programs and notebooks: read a run, evaluate, plot and play it.
 
 The results show themselves in a notebook. `humanoid_mjx.start()` sets up the process as the commands do.
 """
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from humanoid_mjx.evaluation.policy import Trained, find_policy, in_world, on_native
 from humanoid_mjx.report.web import MEDIA, data_address
 from humanoid_mjx.runs.evaluations import Evaluation
 from humanoid_mjx.runs.folder import read_config
 from humanoid_mjx.spec import check_folder
+from humanoid_mjx.training.progress import Reporter
 from humanoid_mjx.training.sweep import Run
 
 
@@ -108,27 +109,31 @@ def play(
     Raises:
       InputError: there is no such policy, or its task moves no robot.
     """
-    from humanoid_mjx.evaluation.film import show
-    from humanoid_mjx.report.rendering import render_film
     from humanoid_mjx.training.progress import reporting
 
-    trained = _policy(what, point, physics, overrides)
+    trained, run = _policy(what, point, physics, overrides), None if isinstance(what, Trained) else _folder(what)
     with reporting() as reporter:
-        shown = show(trained if physics else on_native(trained), reporter, episode)
-        reporter.phase("rendering")
-        target = Path(out) if out else film_file(None if isinstance(what, Trained) else _folder(what), trained.name)
-        render_film(shown.film, target, tell=reporter.count)
-    return Picture(target, shown.outcome)
+        return film(trained if physics else on_native(trained), run, episode, out, reporter)
 
 
-def film_file(run: Path | None, policy: str) -> Path:
-    """The default place of a film: in the run folder, or for a policy in the working directory."""
-    if run is None or not run.is_dir():
-        return Path(f"{policy}.gif")
-    target = run / "figures" / "play.gif"
-    target.parent.mkdir(exist_ok=True)
-    check_folder(target)
-    return target
+def film(
+    trained: Trained, run: Path | None, episode: int, out: Path | str | None, reporter: Reporter, **look: Any
+) -> Picture:
+    """Write a film of a held-out episode to `out`, by default in the run folder `run`, or for a policy `NAME.gif`.
+
+    `look` is the rate and the size of its pictures, as `render_film` takes them.
+    """
+    from humanoid_mjx.evaluation.film import show
+    from humanoid_mjx.report.rendering import render_film
+
+    (shown, outcome), target = show(trained, reporter, episode), Path(out or f"{trained.name}.gif")
+    if out is None and run is not None and run.is_dir():
+        target = run / "figures" / "play.gif"
+        target.parent.mkdir(exist_ok=True)
+        check_folder(target)
+    reporter.phase("rendering")
+    render_film(shown, target, tell=reporter.count, **look)
+    return Picture(target, outcome)
 
 
 def _policy(

@@ -1,4 +1,4 @@
-"""What `humanoid-mjx play` and `humanoid-mjx export` do: trained results and robots for other programs to show."""
+"""The commands `play` and `export`."""
 
 import re
 from collections.abc import Sequence
@@ -50,16 +50,13 @@ def run_play(
         bar.phase("loading")
         trained = on_plane(in_world(find_policy(name, point), physics, overrides))
         if not view:
-            from humanoid_mjx.commands.notebook import film_file
-            from humanoid_mjx.evaluation.film import show
-            from humanoid_mjx.report.rendering import FPS, render_film
+            from humanoid_mjx.commands.notebook import film
+            from humanoid_mjx.report.rendering import FPS
 
-            shown = show(trained if physics else on_native(trained), bar, episode)
-            target = out or film_file(Path(name), trained.name)
-            bar.phase("rendering")
-            render_film(shown.film, target, fps or FPS, pixels, bar.count)
-            console.print(shown.outcome)
-            console.print(f"{target}", soft_wrap=True)
+            trained = trained if physics else on_native(trained)
+            found = film(trained, Path(name), episode, out, bar, fps=fps or FPS, size=pixels)
+            console.print(found.words)
+            console.print(f"{found.path}", soft_wrap=True)
             return
     from humanoid_mjx.evaluation.live import Live
     from humanoid_mjx.report.live import serve

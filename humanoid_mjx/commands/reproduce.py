@@ -1,4 +1,4 @@
-"""What `humanoid-mjx reproduce` does, and what it prints."""
+"""The command `reproduce`."""
 
 from collections import Counter
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""What the commands about runs that exist already do, and what they print."""
+"""The commands about runs that exist already: `runs`, `plot`, `report`."""
 
 import re
 from collections.abc import Sequence

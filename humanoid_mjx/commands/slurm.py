@@ -1,4 +1,4 @@
-"""What `humanoid-mjx sweep --slurm` does: it hands the sweep over to Slurm, through submitit."""
+"""The command `sweep --slurm`, which hands the sweep over to Slurm through submitit."""
 
 import importlib
 import os
@@ -38,7 +38,7 @@ class Job:
         run_sweep(str(self.run / "config.yaml"), self.run, [], resume=True, tensorboard=self.tensorboard)
 
     def checkpoint(self) -> Any:
-        """What the job does when Slurm begins it anew, after a time limit or preemption: the same, which goes on."""
+        """The job that Slurm begins anew after a time limit or preemption: the same, which goes on."""
         return _submitit().helpers.DelayedSubmission(self)
 
 

@@ -1,4 +1,4 @@
-"""What `humanoid-mjx sweep` does, and what it prints."""
+"""The command `sweep`."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext

@@ -54,12 +54,12 @@ class Config(pydantic.BaseModel):
 
     @property
     def source(self) -> str:
-        """Where the config came from, for messages."""
+        """Origin of the config, for messages."""
         return self._source
 
     @property
     def budget(self) -> int | None:
-        """How long to train, in episodes or in control steps."""
+        """Length of the training, in episodes or in control steps."""
         return self.episodes if self.episodes is not None else self.total_steps
 
     @property
@@ -100,7 +100,7 @@ class Config(pydantic.BaseModel):
 
 
 def _names(values: dict[str, Any], place: str) -> Iterator[tuple[str, Any]]:
-    """What a part of a config names, itself and the parts within it, by dotted key."""
+    """Names in a part of a config, its own and those of the parts within it, by dotted key."""
     for key, value in values.items():
         if key == "name":
             yield f"{place}.name", value
@@ -220,7 +220,7 @@ _Loader.add_implicit_resolver(
 
 
 def _size(node: yaml.Node, sizes: dict[yaml.Node, int]) -> int:
-    """How many values a node holds, aliases followed; `sizes` are those of the nodes that are known.
+    """Number of values that a node holds, aliases followed; `sizes` are those of the nodes that are known.
 
     Raises:
       ConstructorError: a node holds itself.

@@ -20,7 +20,7 @@ Axis = list | dict[str, list]
 
 
 class Sweep(pydantic.BaseModel):
-    """How the swept values make points: every combination, one after another, or random draws."""
+    """Swept values, and their way to points: every combination, one after another, or random draws."""
 
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 

@@ -28,7 +28,7 @@ from humanoid_mjx.tasks.posture_switch import PostureSwitch
 from humanoid_mjx.types import AnyArray, FloatScalar, IntScalar
 
 HOLD_S = 1.0
-"""How long the last set-point is held after an episode, s: whether a posture is kept shows only then."""
+"""Time for which the last set-point is held after an episode, s: only then it shows that a posture is kept."""
 
 SMOOTH_S = 0.05
 """Decisions that take longer are shown time step by time step, where their task has `drive`: between them a robot does
@@ -51,7 +51,7 @@ class Played(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """What the legs did, a row for each time step of the physics."""
+    """A motion of the legs, a row for each time step of the physics."""
 
     qpos: Float[AnyArray, "steps joints"]
     """Joint angles after the step, rad."""
@@ -200,12 +200,6 @@ def _step(plant: Physics, world: World, controller: Controller) -> tuple[World, 
     """A time step, and its row of the motion."""
     world, torque = plant.step(world, controller)
     return world, Motion(world.qpos, world.qvel, torque)
-
-
-def at_rest(setpoint: Float[Array, " joints"], steps: int) -> Reference:
-    """The reference that stays at a set-point for so many time steps."""
-    still = jnp.zeros((steps, len(setpoint)))
-    return Reference(still + setpoint, still, still)
 
 
 def joined(motions: Sequence[Motion]) -> Motion:

@@ -19,6 +19,9 @@ SHORT_S = 0.25
 SHOWN_S = 0.5
 """A push is shown for at least so long, s."""
 
+DRIVEN = 0.6
+"""Share of the largest command under which a robot is shown."""
+
 
 class Push(NamedTuple):
     """A force on the torso."""
@@ -31,12 +34,12 @@ class Push(NamedTuple):
 
     @property
     def shown(self) -> float:
-        """How long it is shown, s: most pushes last shorter than the eye takes to see them."""
+        """Time for which it is shown, s: most pushes last shorter than the eye takes to see them."""
         return max(self.seconds, SHOWN_S)
 
     @property
     def words(self) -> str:
-        """How hard the push is, in words."""
+        """Size of the push, in words."""
         size = float(np.linalg.norm(self.force))
         return f"push {size * self.seconds:.2g} N s" if self.seconds < SHORT_S else f"push {size:.2g} N"
 
@@ -49,7 +52,7 @@ class Film(NamedTuple):
     step_s: float
     title: str = ""
     told: tuple[tuple[float, str], ...] = ()
-    """What the robot is asked for, in words, and the time from which, s."""
+    """Commands to the robot: the time from which each holds, s, and its words."""
     pushes: tuple[Push, ...] = ()
 
     def at(self, fps: float) -> tuple[Float[np.ndarray, "frames nq"], Float[np.ndarray, " frames"]]:
@@ -61,12 +64,12 @@ class Film(NamedTuple):
         return np.stack([np.interp(rows, places, column) for column in columns], axis=1), rows * self.step_s
 
     def asked(self, seconds: float) -> str:
-        """What the robot is asked for at a time."""
+        """The command to the robot at a time, in words."""
         return next((words for start, words in reversed(self.told) if start <= seconds + 1e-9), "")
 
 
 def film_of(trained: Trained, played: Played, title: str | None = None) -> Film:
-    """What a played episode looks like. `title` is by default the policy's name.
+    """The film of a played episode. `title` is by default the policy's name.
 
     Raises:
       InputError: the policy's task moves no robot, or its states hold no World.
@@ -82,16 +85,8 @@ def film_of(trained: Trained, played: Played, title: str | None = None) -> Film:
     return Film(model, qpos, step_s, title, tuple(told), tuple(merged(played.pushes, period)))
 
 
-class Shown(NamedTuple):
-    """A played episode as a film, and how it ended."""
-
-    film: Film
-    outcome: str
-    """A sentence."""
-
-
-def show(trained: Trained, reporter: Reporter, episode: int = 0) -> Shown:
-    """Play a policy's held-out episode of this number; 0 is the first.
+def show(trained: Trained, reporter: Reporter, episode: int = 0) -> tuple[Film, str]:
+    """Play a policy's held-out episode of this number; 0 is the first. Return its film, and its end in a sentence.
 
     Raises:
       InputError: the policy's task moves no robot.
@@ -104,24 +99,23 @@ def show(trained: Trained, reporter: Reporter, episode: int = 0) -> Shown:
     film = film_of(trained, played, f"{trained.title}, point {trained.point}, seed {trained.seed}{which}")
     decisions = len(played.actions)
     outcome = "succeeds" if played.success else "does not succeed"
-    return Shown(
-        film,
+    return film, (
         f"point {trained.point}, seed {trained.seed}: {outcome} in {decisions} decisions, {decisions * period:g} s; "
-        f"return {played.episode_return:.4g}",
+        f"return {played.episode_return:.4g}"
     )
 
 
-def driven_films(trained: Trained, seconds: float, share: float = 0.6) -> list[Film]:
-    """Films of a policy that gets a steady command, one for each end of each part of it that is not 0: this share of
+def driven_films(trained: Trained, seconds: float) -> list[Film]:
+    """Films of a policy that gets a steady command, one for each end of each part of it that is not 0: `DRIVEN` of
     what a person may command."""
     task: Any = trained.learner.task
     driven = trained._replace(learner=trained.learner.replace(task=task.for_driving()))
     films = []
     for name, ends in task.told_ranges.items():
         for end in sorted({end for end in ends if end}, reverse=True):
-            told = dict.fromkeys(task.told_ranges, 0.0) | {name: share * end}
+            told = dict.fromkeys(task.told_ranges, 0.0) | {name: DRIVEN * end}
             played = play(driven, told=told, most=round(seconds / task.period))
-            films.append(film_of(driven, played, in_words({name: share * end})))
+            films.append(film_of(driven, played, in_words({name: DRIVEN * end})))
     return films
 
 

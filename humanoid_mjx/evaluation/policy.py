@@ -1,4 +1,4 @@
-"""What was learned, taken out of a run folder or a file of its own.
+"""Policies: the results of training, from a run folder or a file of their own.
 
 A policy file is a numpy archive: `header`, a JSON text with the config of the policy's sweep point, its scores and
 where it comes from; and the policy's arrays by their paths. It holds no Python objects.
@@ -34,7 +34,7 @@ OBSERVED = "task.observe", "task.symmetric"
 
 
 class Trained(NamedTuple):
-    """What one run of a sweep learned."""
+    """The policy of one run of a sweep."""
 
     learner: Learner
     """The learner, with the hyper-parameters of its sweep point as arrays."""

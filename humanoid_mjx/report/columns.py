@@ -1,20 +1,15 @@
 """Columns of the tables of several runs, side by side, and what they are called on a figure."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from humanoid_mjx.keys import keys_of
-from humanoid_mjx.learners import LEARNERS
-from humanoid_mjx.learners.base import Learner
 from humanoid_mjx.report.figures import COUNTED, CURVES, HEAT_MAPS
 from humanoid_mjx.runs.folder import read_config
 from humanoid_mjx.runs.tables import column_names, read_table
-from humanoid_mjx.spec import InputError, find, known, modules_in
-from humanoid_mjx.tasks import TASKS
-from humanoid_mjx.tasks.base import Task
+from humanoid_mjx.spec import InputError, known
 
 RUN = "run"
 """The column that several runs are told apart by."""
@@ -32,7 +27,7 @@ NAMES = {
     "greedy_return": "return of a greedy episode (undiscounted)",
     "diverged": "share of runs that diverged",
 }
-"""What columns are called on an axis."""
+"""Labels of columns on an axis."""
 
 
 class Rows(NamedTuple):
@@ -46,13 +41,6 @@ class Rows(NamedTuple):
     """The parameters that any of the runs swept."""
     counter: str
     """The column that counts the training: `episode` or `step`."""
-    meanings: Mapping[str, str]
-    """What hyper-parameters are, as far as they are described."""
-
-    def name(self, column: str) -> str:
-        """What a column is called on an axis."""
-        meaning = self.meanings.get(column)
-        return f"{column}: {meaning}" if meaning else NAMES.get(column, column)
 
 
 def read_rows(paths: Sequence[Path], x: str | None, y: str, by: str | None) -> Rows:
@@ -82,8 +70,7 @@ def read_rows(paths: Sequence[Path], x: str | None, y: str, by: str | None) -> R
     columns = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
     columns[RUN] = np.repeat(np.array(names, object), [len(table["point"]) for table in tables])
     axes = dict.fromkeys(axis for config in configs for axis in (config.get("sweep") or {}).get("axes", {}))
-    meanings = {name: words for config in configs for name, words in _meanings(config, wanted)}
-    return Rows(columns, names, list(axes), counters[0], meanings)
+    return Rows(columns, names, list(axes), counters[0])
 
 
 def _read(path: Path, wanted: Sequence[str], curves: bool) -> dict[str, np.ndarray]:
@@ -108,18 +95,3 @@ def _read(path: Path, wanted: Sequence[str], curves: bool) -> dict[str, np.ndarr
     lengths = np.diff(starts, append=len(run))
     table[RECORD] = np.arange(len(run)) - np.repeat(starts, lengths)
     return table
-
-
-def _meanings(config: Mapping[str, Any], wanted: Iterable[str]) -> list[tuple[str, str]]:
-    """What those of the wanted columns are that are keys of a config's task and learner."""
-    kinds: list[tuple[str, Mapping[str, str], type[Any]]] = [("task", TASKS, Task), ("learner", LEARNERS, Learner)]
-    found = []
-    for kind, registry, base in kinds:
-        if any(name.startswith(f"{kind}.") for name in wanted):
-            try:
-                with modules_in(config.get("modules")):
-                    cls = find(kind, registry, base, config[kind]["name"])
-            except (InputError, LookupError, TypeError):  # a task of one's own may be elsewhere by now
-                continue
-            found += [(key.name, key.meaning) for key in keys_of(cls, kind) if key.name in wanted and key.meaning]
-    return found

@@ -50,7 +50,7 @@ class Figure(NamedTuple):
     draw: Callable[[Any, Mapping[str, np.ndarray], str | None], dict[str, float]]
     """(panel, rows, swept parameter) -> the last value of each line by its label."""
     by_axis: bool = True
-    """Whether it tells the values of a swept parameter apart."""
+    """True if it tells the values of a swept parameter apart."""
 
 
 class Levels(NamedTuple):
@@ -101,12 +101,12 @@ def figures_of(task: str, modules: str | None) -> list[Figure]:
 
 
 def _is_term(column: str) -> bool:
-    """Whether a column of learning curves is a term of the reward: it is nothing else that is recorded."""
+    """True if a column of learning curves is a term of the reward: it is nothing else that is recorded."""
     return "." not in column and column not in CURVES and not column.startswith("greedy_")
 
 
 def averaged(axes: Sequence[str], results: Mapping[str, np.ndarray], interval: str = "band") -> str:
-    """What the lines and bands of learning curves are, in words; `interval` is how the interval is drawn."""
+    """Meaning of the lines and bands of learning curves, in words; `interval` names the drawing of the interval."""
     runs = results.get("run", np.zeros(len(results["seed"]), int))
     counts = sorted({len(np.unique(results["seed"][runs == run])) for run in np.unique(runs)})
     others = ", over all values of the other parameters" if len(axes) > 1 else ""
@@ -190,12 +190,12 @@ def _counter(results: Mapping[str, np.ndarray]) -> str:
 
 
 class Line(NamedTuple):
-    """What was drawn of a line."""
+    """A line as it was drawn."""
 
     end: float
     """Its last value; NaN where nothing is drawn."""
     left_out: int
-    """How many places it leaves out because only some of the seeds have a number there."""
+    """Number of places left out because only some of the seeds have a number there."""
 
 
 def draw_line(
@@ -318,7 +318,7 @@ def find_levels(values: np.ndarray) -> Levels:
 
 
 def _tells(values: np.ndarray) -> bool:
-    """Whether a measure changes at all: where no episode ends early, their length does not."""
+    """True if a measure changes at all: where no episode ends early, their length does not."""
     known = values[np.isfinite(values)]
     return len(known) > 0 and bool(known.min() < known.max())
 

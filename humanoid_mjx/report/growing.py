@@ -192,7 +192,7 @@ def _measured(curves: Curves) -> tuple[dict[str, np.ndarray], np.ndarray]:
 
 
 def _shown(known: np.ndarray, record: int) -> np.ndarray:
-    """Which runs are shown, by the record points that are known of each: those that are over, or while there are none
-    those under way that know half as much as the one ahead. So lines are of the same runs from end to end."""
+    """Flags of the runs that are shown, by the record points that are known of each: those that are over, or while
+    there are none those under way that know half as much as the one ahead. So lines are of the same runs throughout."""
     most = known.max(initial=0)
     return (known > 0) & (known == record if most == record else 2 * known >= most)

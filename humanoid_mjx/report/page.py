@@ -149,7 +149,7 @@ def _row(results: Mapping[str, np.ndarray], axes: Sequence[str | None], each: Fi
 
 
 def _lines(panel: Any) -> dict[str, Any]:
-    """What the page shows of a panel's lines below the pointer: the panel's place on the picture, as shares from left
+    """Data of a panel's lines for the tip below the pointer: the panel's place on the picture, as shares from left
     and top, the limits of its x axis, and the places of each labelled line."""
     box, scale = panel.get_position(), panel.get_xscale()
     lines = {
@@ -190,12 +190,12 @@ def _motion(path: Path, reporter: Reporter) -> list[str]:
         trained = on_native(find_policy(str(path)))
         if getattr(trained.learner.task, "simulator", None) is None:
             return []
-        shown = show(trained, reporter)
+        film, outcome = show(trained, reporter)
     except InputError as error:
         return [f'<p class="note">{text(str(error), "span")}</p>']
     reporter.phase("rendering")
     pictures = []
-    for frame, seconds in strip(shown.film):
+    for frame, seconds in strip(film):
         file = io.BytesIO()
         Image.fromarray(frame).save(file, "JPEG", quality=88)
         pictures.append(_figure(file.getvalue(), f"The robot after {seconds:.2f} s", f"{seconds:.2f} s", ".jpg"))
@@ -203,8 +203,8 @@ def _motion(path: Path, reporter: Reporter) -> list[str]:
     films = driven_films(trained, DRIVEN_S)
     together = text("Under commands that stay; the films play together", "h3")
     driven = [together, _grid(map(player, films)), *_gaits(trained, reporter)] if films else []
-    words = f"The best policy in the first held-out episode: {shown.outcome}."
-    return [text(words), player(shown.film, still=NO_SCRIPT), _grid(pictures, " strip"), *driven]
+    words = f"The best policy in the first held-out episode: {outcome}."
+    return [text(words), player(film, still=NO_SCRIPT), _grid(pictures, " strip"), *driven]
 
 
 def _gaits(trained: Trained, reporter: Reporter) -> list[str]:

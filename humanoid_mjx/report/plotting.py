@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.ticker import NullLocator
 
-from humanoid_mjx.report.columns import RECORD, RUN, TIME, Rows, read_rows
+from humanoid_mjx.report.columns import NAMES, RECORD, RUN, TIME, Rows, read_rows
 from humanoid_mjx.report.figures import MAX_LEVELS, Levels, averaged, draw_line, find_levels
 from humanoid_mjx.report.style import COLORS, count_axis, figure, label_lines, log_axis, shades, wrapped
 from humanoid_mjx.runs.ranking import short
@@ -23,17 +23,17 @@ BINS = 12
 MAX_VALUES = 36
 
 STYLES = ("-", "--", ":", "-.")
-"""How the lines of several runs look, where colours tell something else."""
+"""Styles of the lines of several runs, where colours tell something else."""
 
 
 class Across(NamedTuple):
-    """Where the rows stand on the x axis."""
+    """Places of the rows on the x axis."""
 
     x: np.ndarray
     place: np.ndarray | None
-    """Which rows belong together; None: those of equal `x`."""
+    """Number of the place that each row belongs to; None: rows of equal `x` belong together."""
     joined: bool
-    """Whether lines go through the places: they are in order."""
+    """True if lines go through the places, which are in order."""
     labels: list[str] | None
     """Words below 0, 1, 2 ... where x is no number."""
 
@@ -82,8 +82,8 @@ def plot(paths: Sequence[Path], x: str | None, y: str, by: str | None, out: Path
         each = "" if across.joined else "each point of the sweep, "
         fig.suptitle(wrapped(f"{', '.join(rows.runs)}: {each}{words}", fig), x=0.01, ha="left")
         left_out = _draw(panel, rows, across, x, y, by)
-        panel.set_xlabel(wrapped(rows.name(x), fig))
-        panel.set_ylabel(wrapped(rows.name(y), fig))
+        panel.set_xlabel(NAMES.get(x, x))
+        panel.set_ylabel(NAMES.get(y, y))
     return target, left_out
 
 
@@ -112,7 +112,7 @@ def _draw(panel: Any, rows: Rows, across: Across, x: str, y: str, by: str | None
     heading = by or (RUN if len(rows.runs) > 1 else "")
     if across.joined and heading:
         label_lines(panel)
-        panel.set_title(rows.name(heading))
+        panel.set_title(NAMES.get(heading, heading))
     elif heading:
         panel.legend(title=heading, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     if all(np.isnan(line.end) for line in drawn):
@@ -180,7 +180,7 @@ def _ticks(panel: Any, across: Across, counted: bool) -> None:
 
 
 def _geometric(values: np.ndarray) -> bool:
-    """Whether numbers in order are spread evenly by their ratios rather than by their differences."""
+    """True if the ratios of numbers in order are more even than their differences."""
     if len(values) < 3 or values[0] <= 0 or values[-1] < 10 * values[0]:
         return False
     ratios, gaps = np.diff(np.log(values)), np.diff(values)

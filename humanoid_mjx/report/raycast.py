@@ -74,7 +74,7 @@ class Painter:
         return (255 * np.clip(picture, 0, 1) + 0.5).astype(np.uint8)
 
     def _look(self, data: mujoco.MjData, eye: Vector, rays: Rays) -> tuple[Colors, Kinds]:
-        """What rays from the eye meet: colours, and a number of the surface that is another in the shadow."""
+        """Colours of the surfaces that rays from the eye meet, and numbers of these surfaces, others in the shadow."""
         depth, geom, normal = self._cast(data, eye, rays)
         met, color = geom >= 0, np.empty_like(rays)
         below = ~met & (rays[:, 2] < -1e-4) if self.scene.ground and eye[2] > 0 else np.zeros(len(rays), bool)
@@ -103,7 +103,7 @@ class Painter:
         return color + haze * (HORIZON - color)
 
     def _shaded(self, data: mujoco.MjData, points: Rays) -> Flags:
-        """Whether the robot stands between points and the lamp."""
+        """True for points that the robot shades from the lamp."""
         lamp = data.xpos[1] - LAMP_M * LIGHT
         depth, geom, _ = self._cast(data, lamp, points - lamp)
         return (geom >= 0) & (depth < 1.0 - GRAZE_M / LAMP_M)

@@ -52,15 +52,10 @@ def render_film(
     return path
 
 
-def render_motion(model: mujoco.MjModel, qpos: Float[AnyArray, "rows nq"], step_s: float, path: Path) -> Path:
-    """`render_film` of a motion without words, given a row every `step_s`, s."""
-    return render_film(Film(model, qpos, step_s), path)
-
-
-def strip(film: Film, count: int = STRIP) -> list[tuple[Frame, float]]:
-    """Evenly spaced frames of a film from its first to its last, without title and clock, and their times, s."""
+def strip(film: Film) -> list[tuple[Frame, float]]:
+    """`STRIP` frames of a film, evenly spaced from first to last, without title and clock, and their times, s."""
     qpos, times = film.at(FPS)
-    chosen = np.unique(np.linspace(0, len(qpos) - 1, count).astype(int))
+    chosen = np.unique(np.linspace(0, len(qpos) - 1, STRIP).astype(int))
     frames = _annotated(film._replace(title=""), qpos[chosen], times[chosen], lambda done, total: None, clock=False)
     return list(zip(frames, times[chosen].tolist(), strict=True))
 

@@ -1,5 +1,5 @@
 # pyright: reportAttributeAccessIssue=false
-"""What pictures of a robot show: its shapes and where they are in each frame, the camera, the light."""
+"""A robot to be drawn: its shapes and their places in each frame, the camera, the light."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -11,7 +11,7 @@ from jaxtyping import Float
 from humanoid_mjx.types import AnyArray
 
 VIEW = 1.12
-"""What the pictures show from top to bottom, at least, as a share of the robot's extent: all of it and some room."""
+"""Least height of a picture, as a share of the robot's extent: all of it and some room."""
 
 AZIMUTH, ELEVATION = 130.0, -12.0
 """Direction in which the camera looks, degrees: from the right and the front of the robot, a little downwards."""
@@ -65,9 +65,9 @@ class Scene(NamedTuple):
     rotation: Float[np.ndarray, "frames shapes 3 3"]
     """Rotations from each shape's axes to the world's."""
     middle: Float[np.ndarray, "frames 3"]
-    """Where the camera looks, m."""
+    """Point that the camera looks at, m."""
     torso: Float[np.ndarray, "frames 3"]
-    """Where a push acts, m."""
+    """Point at which a push acts, m."""
     view: float
     """Metres from top to bottom in which every posture has room."""
     ground: bool
@@ -171,7 +171,7 @@ class Camera(NamedTuple):
     """Pixels on the picture for a unit of the tangent."""
 
     def place(self, middle: Float[np.ndarray, "3"], distance: float) -> Float[np.ndarray, "3"]:
-        """Where the camera is, m, to look at `middle` from a distance."""
+        """Position of the camera, m, that looks at `middle` from a distance."""
         return middle - distance * self.forward
 
     def seen(

@@ -1,4 +1,4 @@
-"""How figures look: plain, labelled at the line, in colours that colour-blind readers can tell apart."""
+"""The look of figures: plain, labelled at the line, in colours that colour-blind readers can tell apart."""
 
 import io
 import textwrap

@@ -25,7 +25,7 @@ CODECS = {
 
 
 def check_file(path: Path) -> None:
-    """Whether a file of this name can be made, before any work.
+    """Check, before any work, that a file of this name can be made.
 
     Raises:
       InputError: its ending is none of `ENDINGS`, there is no such folder, or its kind needs a package that is missing.

@@ -35,7 +35,7 @@ AMPLITUDES, FREQUENCIES = (0.1, 0.25, 0.5, 1.0), (0.625, 1.25, 2.5)
 
 
 @experiment("gaits-4.8", "The gaits of Tables 4.5 and 4.6 on the ground", CONFIG)
-def walking(setting: Setting) -> list[Finding]:
+def walking(setting: Setting) -> Iterator[Finding]:
     """Findings on walking, turning and balance."""
     tables, generated = printed_trials(), generator_trials()
     paths = play([*tables, *generated], SECONDS, setting.config, setting.tell)
@@ -43,7 +43,8 @@ def walking(setting: Setting) -> list[Finding]:
     setting.tell("balance")
     inside = {trial: margins(path) for trial, path in played.items()}
     setting.table(HEADS, (_row(trial, path) for trial, path in paths.items()))
-    return [*on_tables(played, inside), *on_generator(others)]
+    yield from on_tables(played, inside)
+    yield from on_generator(others)
 
 
 def printed_trials() -> list[Trial]:
@@ -140,26 +141,22 @@ def _turns(played: Mapping[Trial, Path]) -> Finding:
     )
 
 
-def on_generator(others: Mapping[Trial, Path]) -> list[Finding]:
+def on_generator(others: Mapping[Trial, Path]) -> Iterator[Finding]:
     """The findings on the generator's settings, of which nothing is printed."""
-    findings = []
     for gait in TABLES:
         mine = {trial: path for trial, path in others.items() if trial.motion == gait}
         up = {t: p for t, p in mine.items() if not p.fell}
         walking = [t for t, p in up.items() if walks(p)]
         furthest = max(up or mine, key=lambda t: mine[t].distance)
         turning = max(up or mine, key=lambda t: abs(mine[t].lasting_turn))
-        findings.append(
-            unprinted(
-                f"pattern generator on {TABLES[gait]}: settings of {len(mine)} with which it walks",
-                len(walking),
-                f"amplitudes {listed(AMPLITUDES)}, {listed(FREQUENCIES)} Hz, {' and '.join(PAIR)}, "
-                f"{len(FORWARDS)} readings of knee and ankle: {len(up)} stay up for {SECONDS:g} s; the furthest goes "
-                f"{mine[furthest].distance:.3f} m forwards ({_setting_of(furthest)}), and the largest turn that lasts "
-                f"is {mine[turning].lasting_turn:.1f} degrees ({_setting_of(turning)})",
-            )
+        yield unprinted(
+            f"pattern generator on {TABLES[gait]}: settings of {len(mine)} with which it walks",
+            len(walking),
+            f"amplitudes {listed(AMPLITUDES)}, {listed(FREQUENCIES)} Hz, {' and '.join(PAIR)}, "
+            f"{len(FORWARDS)} readings of knee and ankle: {len(up)} stay up for {SECONDS:g} s; the furthest goes "
+            f"{mine[furthest].distance:.3f} m forwards ({_setting_of(furthest)}), and the largest turn that lasts is "
+            f"{mine[turning].lasting_turn:.1f} degrees ({_setting_of(turning)})",
         )
-    return findings
 
 
 def walks(path: Path) -> bool:

@@ -1,6 +1,6 @@
 """The thesis's leg at many states at once, as arrays of numpy."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -24,8 +24,8 @@ def planned(times: np.ndarray, path: Quintic | None = None) -> Any:
     return over(Quintic.at, thesis_quintics() if path is None else path, times)
 
 
-def plot_joints(panel: Any, across: np.ndarray, values: np.ndarray, joints: Sequence[int] = range(5)) -> None:
-    """Draw a line for each of these joints, values (n, 5), in its colour, labelled with number and name."""
-    for joint in joints:
+def plot_joints(panel: Any, across: np.ndarray, values: np.ndarray) -> None:
+    """Draw a line for each joint, values (n, 5), in its colour, labelled with number and name."""
+    for joint in range(5):
         panel.plot(across, values[:, joint], color=COLORS[joint], label=f"{joint + 1} {NAMES[joint]}")
     label_lines(panel)

@@ -12,9 +12,10 @@ import numpy as np
 
 from humanoid_mjx.control import Reference
 from humanoid_mjx.evaluation.episode import HOLD_S, follow, joined, motion_of, play
+from humanoid_mjx.evaluation.film import Film
 from humanoid_mjx.evaluation.policy import best_policy
 from humanoid_mjx.mechanics.trajectories import rest_to_rest
-from humanoid_mjx.report.rendering import draw, render_motion
+from humanoid_mjx.report.rendering import draw, render_film
 from humanoid_mjx.reproduction.findings import Finding, Setting, check, experiment, three_digits, unprinted
 from humanoid_mjx.reproduction.leg_values import planned
 from humanoid_mjx.robot import make_robot
@@ -152,7 +153,7 @@ def _switch(section: str, setting: Setting) -> list[Finding]:
     episode = play(trained)
     motion = motion_of(trained, episode)
     path = setting.out / f"figure-7.18-{section}.gif"
-    render_motion(make_robot("legs").spec().compile(), motion.qpos, task.timestep, path)
+    render_film(Film(make_robot("legs").spec().compile(), motion.qpos, task.timestep), path)
     setting.tell(f"section {section}: the same along a plan, and with twice the mass")
     learned = _measure(motion, goal, task, tolerance)
     plan = _measure(_planned(task, learned.settling), goal, task, tolerance)

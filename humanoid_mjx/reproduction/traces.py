@@ -25,27 +25,23 @@ class Trace(NamedTuple):
     """(runs, num_states, num_actions) The table at the end."""
 
 
-def printed_run(joint: int, config: dict[str, Any], runs: int, steps: int, seed: int = 0) -> Trace:
+def printed_run(joint: int, config: dict[str, Any], runs: int, steps: int) -> Trace:
     """Runs of `joint_reach` by the printed rules; `config` holds values of task and learner."""
     task = make_task("joint_reach", joint=joint, rules="printed", max_episode_steps=steps, **config["task"])
-    return trace(make_learner("tabular_q", task, episodes=steps, record=1, **config["learner"]), runs, steps, seed)
-
-
-def trace(learner: Any, runs: int, steps: int, seed: int = 0) -> Trace:
-    """Train `runs` runs for `steps` steps and keep every step."""
+    learner = make_learner("tabular_q", task, episodes=steps, record=1, **config["learner"])
 
     def one(learner: Any, key: Any) -> Any:
         def step(carry: Any, _: None) -> Any:
             explore = rng.uniforms(key, carry.step, 3)[0]
             agent = carry.agents
-            seen = agent.row, agent.action, agent.terminated, agent.state, explore
+            seen = agent.action, agent.terminated, agent.state, explore
             return learner.train_step(carry)[0], seen
 
         first = learner.init(key)
         start = learner.task.reset(jax.random.fold_in(key, 0))
         return start, *jax.lax.scan(step, first, length=steps)
 
-    keys = jax.vmap(jax.random.fold_in, in_axes=(None, 0))(rng.key(seed), np.arange(runs, dtype=np.uint32))
-    start, last, (_, action, terminated, after, explore) = jax.jit(jax.vmap(one, in_axes=(None, 0)))(learner, keys)
+    keys = jax.vmap(jax.random.fold_in, in_axes=(None, 0))(rng.key(0), np.arange(runs, dtype=np.uint32))
+    start, last, (action, terminated, after, explore) = jax.jit(jax.vmap(one, in_axes=(None, 0)))(learner, keys)
     state = np.concatenate([np.asarray(start)[:, None], np.asarray(after)], axis=1)
     return Trace(state, np.asarray(action), np.asarray(terminated), np.asarray(explore), np.asarray(last.q_table))

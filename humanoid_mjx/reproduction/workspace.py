@@ -1,6 +1,6 @@
 """Section 7 B and Figures 7.1 to 7.4: the planned motion of the joints and where it takes the toe."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Any
 
@@ -36,7 +36,7 @@ MOTIONS = {2: "straight walking", 3: "sudden turn", 4: "all joints"}
 
 
 @experiment("figure-7.1", "The planned motion of the joints", {"units": {"degree": thesis.FIGURE_7_5_DEGREE}})
-def planned_trajectories(setting: Setting) -> list[Finding]:
+def planned_trajectories(setting: Setting) -> Iterator[Finding]:
     """Figure 7.1: the five quintics."""
     degree = setting.config["units"]["degree"]
     t = np.linspace(0, thesis.QUINTIC_S, 201)
@@ -48,29 +48,27 @@ def planned_trajectories(setting: Setting) -> list[Finding]:
             panel.plot((0, thesis.QUINTIC_S), marks, "o", color=COLORS[joint], markersize=4, clip_on=False)
         panel.set(xlim=(0, thesis.QUINTIC_S), xlabel="time, s", ylabel="angle, rad")
         panel.set_title("Planned joint positions; dots: the values section 7 A prints")
-    values, findings = ({"degree": degree}, {"degree": np.pi / 180}), []
+    values = {"degree": degree}, {"degree": np.pi / 180}
     for joint, marks in enumerate(thesis.FIGURE_7_1):
         ends, quantity = angles[[0, -1], joint], f"joint {joint + 1} starts and ends at, rad"
         agrees, why = np.abs(ends - marks).max() < TOLERANCE_RAD, f"{in_words(*values)} rad: 3.15/180, pi rounded"
-        findings.append(check(quantity, list(marks), np.round(ends, 5).tolist(), agrees, why, TOLERANCE_RAD, values))
-    return findings
+        yield check(quantity, list(marks), np.round(ends, 5).tolist(), agrees, why, TOLERANCE_RAD, values)
 
 
 @experiment("workspace-7b", "The toe at the start and the end of the planned motions", LENGTHS)
-def reach(setting: Setting) -> list[Finding]:
+def reach(setting: Setting) -> Iterator[Finding]:
     """The triples of section 7 B as the toe's place at the start and at the end."""
     lengths = setting.config["lengths"]
-    findings = []
     for name in MOTIONS.values():
         ends = np.degrees(_motion(name, np.array([0.0, thesis.QUINTIC_S])))
         for when, posture, mark in zip(("start", "end"), ends, thesis.WORKSPACE[name], strict=True):
-            findings.append(_place(f"{name}, {when}: the toe, m", posture, mark, lengths, lengths, PRINTED_LENGTHS))
+            yield _place(f"{name}, {when}: the toe, m", posture, mark, lengths, lengths, PRINTED_LENGTHS)
     swapped = np.array(thesis.STRAIGHT_WALK_END)
     swapped[3:] = setting.config["straight_walk_end"]["knee"], setting.config["straight_walk_end"]["ankle"]
     mark = thesis.WORKSPACE["straight walking"][1]
     used, printed = lengths | setting.config["straight_walk_end"], PRINTED_LENGTHS | PRINTED_END
     quantity = "straight walking, end, with knee and ankle at other angles: the toe, m"
-    return [*findings, _place(quantity, swapped, mark, lengths, used, printed)]
+    yield _place(quantity, swapped, mark, lengths, used, printed)
 
 
 def _place(
@@ -92,15 +90,16 @@ def _place(
     return check(quantity, list(mark), found, agrees, why, TOLERANCE_M, (used, printed))
 
 
-def workspace(name: str, setting: Setting) -> list[Finding]:
+def workspace(name: str, setting: Setting) -> Iterator[Finding]:
     """Figures 7.2 to 7.4: the toe's path, and all places that the moving joints reach in the ranges of Table 3.2."""
     lengths = setting.config["lengths"]
     t = np.linspace(0, thesis.QUINTIC_S, 401)
     path = _toe(lengths.values(), _motion(name, t))
     cloud = _cloud(lengths.values(), thesis.WORKSPACE_JOINTS[name])
     _draw(setting, name, path, cloud)
-    findings = [_extents(name, path, lengths)]
-    return [*findings, _hemisphere(name, cloud, lengths)] if name == "straight walking" else findings
+    yield _extents(name, path, lengths)
+    if name == "straight walking":
+        yield _hemisphere(name, cloud, lengths)
 
 
 def _extents(name: str, path: np.ndarray, lengths: dict[str, float]) -> Finding:

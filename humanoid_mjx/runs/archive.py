@@ -13,7 +13,7 @@ DAMAGE = (
     *(OSError, ValueError, EOFError, LookupError, TypeError, AttributeError, zipfile.BadZipFile, zlib.error),
     *(struct.error, SyntaxError, tokenize.TokenError, NotImplementedError, RuntimeError, OverflowError, MemoryError),
 )
-"""What numpy and zipfile raise on damaged files: numpy parses the header of an array as Python, and a flipped bit can
+"""Errors of numpy and zipfile on damaged files: numpy parses the header of an array as Python, and a flipped bit can
 ask for a password, for another compression, or for more memory than there is."""
 
 HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}

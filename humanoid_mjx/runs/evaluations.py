@@ -17,7 +17,7 @@ class Estimate(NamedTuple):
 
 
 class Evaluation(NamedTuple):
-    """How an agent did on a task."""
+    """Success, return and steps of an agent on a task."""
 
     policy: str
     agent: str

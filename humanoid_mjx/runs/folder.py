@@ -193,7 +193,7 @@ def read_arrays(path: Path, prefixes: tuple[str, ...] = ("",), digest: str | Non
 
 
 def damaged(path: Path, how: str = "is truncated or damaged") -> InputError:
-    """What to say of a file of the checkpoint that cannot be used."""
+    """The error of a file of the checkpoint that cannot be used."""
     return InputError(f"{path}: this file {how}; remove it, and --resume trains its runs again.")
 
 
@@ -232,7 +232,7 @@ def read_provenance(path: Path) -> dict[str, Any]:
 
 
 def _is_session(data: Any) -> bool:
-    """Whether plain values are what provenance says of one process."""
+    """True if plain values are what provenance has of one process."""
     if not isinstance(data, dict) or not isinstance(data.get("started"), str):
         return False
     seconds = [data.get(name) for name in ("wall_s", "compile_s")]
@@ -278,7 +278,7 @@ def disk_used(path: Path) -> int:
 
 
 def _only_begun(path: Path) -> bool:
-    """Whether a folder holds nothing, or what a kill leaves of a run folder before it has a config."""
+    """True if a folder holds nothing, or what a kill leaves of a run folder before it has a config."""
     checkpoint = path / "checkpoint"
     if not path.is_dir() or (checkpoint.is_dir() and any(checkpoint.iterdir())):
         return False

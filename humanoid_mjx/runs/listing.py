@@ -33,7 +33,7 @@ class Listed(NamedTuple):
     state: str
     """`finished`, `training` or `interrupted`."""
     share: float
-    """How much of the training is done, from 0 to 1."""
+    """Share of the training that is done."""
     success: float
     """Share of greedy episodes of the best point that succeed: the mean over seeds. NaN where no run is finished."""
     greedy_return: float
@@ -114,7 +114,7 @@ def _started(path: Path, provenance: Mapping[str, Any]) -> datetime:
 
 
 def _share(path: Path, runs: int, seeds: int, provenance: Mapping[str, Any]) -> float:
-    """How much of all runs is trained: of finished ones all, of those under way what their checkpoint says."""
+    """Share of all runs that is trained: of finished ones all, of those under way as their checkpoint says."""
     if runs < 1:
         raise ValueError("no runs")
     if provenance.get("runs_finished") == runs:
@@ -145,7 +145,7 @@ def _outcome(path: Path, config: Mapping[str, Any]) -> tuple[float, float, int]:
 
 
 def _in_use(path: Path) -> bool:
-    """Whether a process, or several that share the folder, holds its lock."""
+    """True if a process, or several that share the folder, holds its lock."""
     try:
         handle = os.open(path / ".lock", os.O_RDONLY)
     except OSError:

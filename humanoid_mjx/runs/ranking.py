@@ -1,4 +1,4 @@
-"""Which points of a sweep are best."""
+"""The order of the points of a sweep, from best to worst."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple

@@ -24,7 +24,7 @@ class Labels(NamedTuple):
     hyper: Mapping[str, list[Any]]
     """The hyper-parameters as columns, an entry for each sweep point."""
     unit: str
-    """What a learning curve counts: `episode` or `step`."""
+    """Unit of a learning curve: `episode` or `step`."""
     places: Int[np.ndarray, " record"]
     """The count at each record point."""
 
@@ -84,7 +84,7 @@ def finished_runs(path: Path, prefixes: tuple[str, ...], digest: str | None = No
 
 
 def _form(arrays: dict[str, np.ndarray]) -> dict[str, Any] | None:
-    """What the arrays of all parts have in common; None where they are not those of runs."""
+    """Shapes and types that the arrays of all parts share; None where they are not those of runs."""
     runs = len(arrays["point"]) if "point" in arrays and arrays["point"].ndim == 1 else -1
     numbers = all(name in arrays and arrays[name].dtype.kind == "i" for name in ("point", "seed"))
     if not numbers or any(array.shape[:1] != (runs,) for array in arrays.values()) or arrays["seed"].ndim != 1:
@@ -135,7 +135,7 @@ def _useless(path: Path, how: str = "is truncated or damaged") -> InputError:
 
 
 def _fits(stem: str, columns: set[str]) -> bool:
-    """Whether a parquet file with such columns can be the one of that name."""
+    """True if a parquet file with such columns can be the one of that name."""
     without_times = stem != "results" or "wall_s" not in columns
     return NEEDED.get(stem, set()) <= columns and (stem not in UNITS or bool(UNITS[stem] & columns)) and without_times
 
@@ -189,7 +189,7 @@ def _results(labels: Labels, columns: dict[str, pa.DictionaryArray], arrays: dic
 
 
 def _rows(labels: Labels, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
-    """What names the rows of a table that has one for each record point of each run."""
+    """Columns that name the rows of a table with one for each record point of each run."""
     runs = np.repeat(np.arange(len(arrays["point"])), len(labels.places))
     places = np.tile(labels.places, len(arrays["point"])).astype(np.int32)
     return {"point": arrays["point"][runs], "seed": arrays["seed"][runs], labels.unit: places}

@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from humanoid_mjx import InputError, compute
-from humanoid_mjx.bench import compare, control, ground, startup, tabular, training
+from humanoid_mjx.bench import compare, ground, physics, startup, tabular, training
 from humanoid_mjx.bench.measure import Subject, spread, time_in_turn, time_rates
 from humanoid_mjx.cli import app
 from humanoid_mjx.compute import provenance
@@ -54,9 +54,9 @@ def test_subjects_finish_as_many_episodes(monkeypatch):
 
 def test_control_times_every_controller():
     lines = []
-    records = control.run(lines.append, control.Setting((1,), 2, 2))  # one leg is on one device, and compiled once
+    records = physics.control(lines.append, physics.Setting((1,), 2, 2))  # one leg is on one device, and compiled once
     assert [(r.bench, r.subject) for r in records] == [
-        ("control", name) for name in (*control.CONTROLLERS, *control.ON_MJX)
+        ("control", name) for name in (*physics.CONTROLLERS, *physics.ON_MJX)
     ]
     assert all(r.value > 0 for r in records)
     assert "ns a step for control" in lines[-1] and "ns a step" not in lines[0]

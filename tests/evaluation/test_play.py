@@ -109,7 +109,7 @@ def test_between_long_decisions_a_leg_is_shown_step_by_step(tmp_path):
         np.testing.assert_allclose(qpos[20 * (i + 1) - 1], played.states[i + 1].world.qpos, atol=1e-5)
     done = CliRunner().invoke(app, ["play", str(path), "--out", str(tmp_path / "leg.gif"), "--episode", "1"])
     assert done.exit_code == 0 and "4 decisions, 0.4 s" in done.output
-    second = show(trained, Reporter(), 1).film
+    second = show(trained, Reporter(), 1)[0]
     assert second.title.endswith(", episode 1") and not np.array_equal(second.qpos[0], qpos[0])
     with Image.open(tmp_path / "leg.gif") as image:
         assert image.n_frames == 25 * (0.4 + HOLD_S)

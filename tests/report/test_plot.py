@@ -78,7 +78,7 @@ def test_a_line_is_the_mean_over_seeds_of_what_the_table_holds(small, panels, tm
         np.testing.assert_allclose([inside.y0, inside.y1], [low.min(), high.max()], rtol=1e-6)
         ends[f"{epsilon:g}"] = line.get_ydata()[-1]
     assert labels(panel) == sorted(ends, key=ends.get, reverse=True)
-    assert "probability of a random action" in panel.get_title(loc="left")
+    assert panel.get_title(loc="left") == "learner.epsilon"
     assert (panel.get_xlabel(), panel.get_ylabel()) == ("episodes", "steps per episode")
 
 

@@ -1,20 +1,17 @@
-"""What the sums of an episode say of its gait."""
+"""Figures of a gait, from the sums of an episode."""
 
 from typing import NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Num
 
-from humanoid_mjx.evaluation.gait.tally import EDGES, HOLD, Tally, as_seen
+from humanoid_mjx.evaluation.gait.tally import HOLD, Tally, as_seen
 from humanoid_mjx.robot import Robot
 from humanoid_mjx.thesis.leg import GRAVITY
 from humanoid_mjx.types import BoolScalar, FloatScalar
 
 SLOW = 0.035
-"""Mean speed, as a share of the robot's pace, below which there is no cost of transport and no asymmetry of steps."""
-
-PERCENTILE = 0.95
+"""Mean speed, as a share of the robot's pace, below which there is no cost of transport."""
 
 IN_TIME = 1.5
 """When the heading must be near the goal of a sudden turn for good, s, for it to succeed."""
@@ -36,25 +33,16 @@ FIGURES = {
     "left": Figure("m/s", 0, "mean velocity to the left"),
     "turn": Figure("rad/s", 0, "mean turn rate, to the left"),
     "speed_error": Figure("m/s", -1, "mean absolute error of the velocity as a vector, of means over a window"),
-    "forward_error": Figure("m/s", -1, "the same of its forward part"),
-    "left_error": Figure("m/s", -1, "the same of its part to the left"),
     "turn_error": Figure("rad/s", -1, "mean absolute error of the turn rate, of means over a window"),
     "drift": Figure("m", -1, "distance from the start where no velocity is commanded, from a straight way elsewhere"),
     "heading_error": Figure("degrees", -1, "change of the heading where none is commanded"),
     "slip": Figure("m/s", -1, "mean speed along the ground of the corners of the feet that touch it"),
-    "slip_95": Figure("m/s", -1, "95th percentile of the same, within a tenth of itself"),
     "duty": Figure("", 0, "share of time that a foot carries weight, mean of all feet"),
-    "duty_right": Figure("", 0, "of the right feet"),
-    "duty_left": Figure("", 0, "of the left feet"),
     "flight": Figure("", -1, "share of time that no foot carries weight"),
-    "double_support": Figure("", 0, "share of time that all feet carry weight"),
     "step_length": Figure("m", 0, "by how much a foot is ahead of that on the other side at touchdown, mean of all"),
-    "step_length_right": Figure("m", 0, "of the right feet"),
-    "step_length_left": Figure("m", 0, "of the left feet"),
     "step_frequency": Figure("1/s", 0, "touchdowns of all feet"),
     "clearance": Figure("m", 1, "largest height of a foot's lowest corner in a step"),
     "duty_asymmetry": Figure("", -1, "difference of left and right by their mean"),
-    "step_asymmetry": Figure("", -1, "difference of left and right step lengths by the mean of their sizes"),
     "crossing": Figure("", -1, "share of time that the feet are too near each other, sideways"),
     "leg_contact": Figure("", -1, "share of time that the legs touch each other"),
     "peak_torque": Figure("N m", -1, "largest torque of a joint"),
@@ -63,9 +51,6 @@ FIGURES = {
     "turn_success": Figure("", 1, "share of sudden turns that take at most 1.5 s, without a fall"),
 }
 """The figures of an episode by name."""
-
-ERRORS = "forward_error", "left_error", "speed_error", "turn_error"
-"""Figures of `tally.windows`, in its order."""
 
 RATES = "success", "turn_success"
 """Figures that are 0 or 1 in an episode."""
@@ -94,29 +79,22 @@ def figures(
     straight = (asked[2] == 0) & ~turns
     sides = robot.foot_pairs.T
     duties = jnp.stack([means["loaded"][side].mean() for side in sides])
-    lengths = jnp.stack([sums["lengths"][side].sum() / _positive(steps[side].sum()) for side in sides])
-    forward, slow = sums["motion"][0] / _positive(seconds), robot.speed(SLOW)
-    way = jnp.where(windows["way"] > slow * seconds, windows["way"], jnp.nan)
+    asymmetry = jnp.abs(duties[1] - duties[0]) / _positive(jnp.abs(duties).mean())
+    way = jnp.where(windows["way"] > robot.speed(SLOW) * seconds, windows["way"], jnp.nan)
     return {
         "success": 1.0 - fallen,
         "seconds": tally.samples * interval,
         **dict(zip(("forward", "left", "turn"), sums["motion"] / _positive(seconds), strict=True)),
-        **dict(zip(ERRORS, windows["errors"] / _positive(windows["number"]), strict=True)),
+        **dict(zip(("speed_error", "turn_error"), windows["errors"] / _positive(windows["number"]), strict=True)),
         "drift": jnp.where(turns, jnp.nan, _drift(tally, asked)),
         "heading_error": jnp.where(straight, jnp.degrees(jnp.abs(tally.turned)), jnp.nan),
-        "slip": sums["slip"] / _positive(sums["slip_bins"].sum()),
-        "slip_95": _percentile(sums["slip_bins"]),
+        "slip": sums["slip"] / _positive(sums["touching"]),
         "duty": means["loaded"].mean(),
-        "duty_right": duties[0],
-        "duty_left": duties[1],
-        **{name: means[name] for name in ("flight", "double_support", "crossing", "leg_contact")},
+        **{name: means[name] for name in ("flight", "crossing", "leg_contact")},
         "step_length": sums["lengths"].sum() / _positive(steps.sum()),
-        "step_length_right": lengths[0],
-        "step_length_left": lengths[1],
         "step_frequency": steps.sum() / _positive(seconds),
         "clearance": sums["lifts"].sum() / _positive(steps.sum()),
-        "duty_asymmetry": _asymmetry(duties),
-        "step_asymmetry": jnp.where(jnp.abs(forward) > slow, _asymmetry(lengths), jnp.nan),
+        "duty_asymmetry": asymmetry,
         "peak_torque": tally.peak_torque,
         "cost_of_transport": windows["work"] / (robot.mass * mass * GRAVITY * way),
     } | _sudden_turn(tally, turns, fallen)
@@ -133,20 +111,6 @@ def _drift(tally: Tally, asked: Float[Array, "3"]) -> FloatScalar:
     speed = jnp.hypot(asked[0], asked[1])
     aside = jnp.abs(asked[0] * left - asked[1] * forward) / _positive(speed)
     return jnp.where(speed == 0, jnp.hypot(forward, left), jnp.where(asked[2] == 0, aside, jnp.nan))
-
-
-def _percentile(bins: Float[Array, " bins"]) -> FloatScalar:
-    """The percentile of slip, linearly inside its bin, m/s; above the last edge that edge."""
-    below, wanted = jnp.cumsum(bins), PERCENTILE * _positive(bins.sum())
-    place = jnp.argmax(below >= wanted)
-    low, high = jnp.asarray(np.append(0.0, EDGES)), jnp.asarray(np.append(EDGES, EDGES[-1]))
-    share = (wanted - (below[place] - bins[place])) / _positive(bins[place])
-    return low[place] + share * (high[place] - low[place])
-
-
-def _asymmetry(pair: Float[Array, "2"]) -> FloatScalar:
-    """0 for equal sides, 2 where one is 0."""
-    return jnp.abs(pair[1] - pair[0]) / _positive(jnp.abs(pair).mean())
 
 
 def _sudden_turn(tally: Tally, turns: BoolScalar, fallen: BoolScalar) -> dict[str, FloatScalar]:

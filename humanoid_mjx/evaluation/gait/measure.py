@@ -62,7 +62,7 @@ def settings_of(overrides: Sequence[str]) -> list[str]:
 def measure(
     policies: Sequence[Trained], episodes: int, tell: Callable[[int, int], None], agents: Sequence[str] = AGENTS
 ) -> list[Measured]:
-    """What agents do, for each group of policies of the same task and the same kind of learner.
+    """Measure the gaits of agents, for each group of policies of the same task and the same kind of learner.
 
     `tell` is called with how many of a group's episodes have been played.
     """
@@ -86,7 +86,7 @@ def _measure(
 
 
 def _beyond(task: Any, scenario: Scenario) -> bool:
-    """Whether the command lies outside the task's, as far as these have ranges."""
+    """True if the command lies outside the ranges of the task's commands."""
     if not isinstance(task.command, Velocity):
         return False
     low, high = task.command.ranges.T

@@ -1,5 +1,5 @@
 # pyright: reportAttributeAccessIssue=false
-"""What a gait is measured by: one moment of a body, and how near its legs are to each other."""
+"""Samples of a gait: one moment of a body, and how near its legs are to each other."""
 
 from functools import lru_cache
 from typing import NamedTuple
@@ -24,9 +24,9 @@ class Sample(NamedTuple):
     """The true state of a body at the beginning of a time step."""
 
     place: Float[Array, "2"]
-    """Where the hips are above the ground, x and y, m."""
+    """Place of the hips above the ground, x and y, m."""
     heading: FloatScalar
-    """Where the torso looks, rad, -pi to pi."""
+    """Direction in which the torso looks, rad, -pi to pi."""
     angles: Float[Array, " joints"]
     """rad"""
     torque: Float[Array, " joints"]
@@ -64,7 +64,7 @@ def sample_of(sensed: Sensed, body_names: tuple[str, ...], robot: Robot, terrain
 
 
 def heading_of(rotation: Float[Array, "3 3"]) -> FloatScalar:
-    """Where a body's x axis points, from above, rad, -pi to pi."""
+    """Direction of a body's x axis from above, rad, -pi to pi."""
     return jnp.arctan2(rotation[1, 0], rotation[0, 0])
 
 

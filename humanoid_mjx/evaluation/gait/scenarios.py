@@ -88,16 +88,20 @@ class _Loop(NamedTuple):
     first: World
 
 
-def walking_task(task: Task, what: str = "evaluate --gait") -> LeggedTask:
+def walking_task(task: Task) -> LeggedTask:
     """The task, of which it is certain now that it moves a body by commands.
 
     Raises:
       InputError: it does not.
     """
     if not isinstance(task, LeggedTask) or task.command is None:
-        raise InputError(f"{what}: the task {type(task).__name__} gives no commands to a body on legs, as walk does.")
+        raise InputError(
+            f"evaluate --gait: the task {type(task).__name__} gives no commands to a body on legs, as walk does."
+        )
     if not task.robot.feet or 2 * len(task.robot.foot_pairs) != len(task.robot.feet):
-        raise InputError(f"{what}: gaits are measured of right and left feet; {task.robot.name} must name its mirror.")
+        raise InputError(
+            f"evaluate --gait: gaits are measured of right and left feet; {task.robot.name} must name its mirror."
+        )
     return task
 
 
@@ -153,7 +157,7 @@ def play_gaits(
 
 
 def gaits_of(found: dict[str, dict[str, np.ndarray]], scenarios: Sequence[Scenario]) -> list[Gait]:
-    """What `play_gaits` found, with intervals: of each agent under each scenario."""
+    """The result of `play_gaits` with intervals, of each agent under each scenario."""
     return [
         Gait(name, scenario.name, scenario.command, summarised({key: x[:, row] for key, x in of_agent.items()}))
         for name, of_agent in found.items()

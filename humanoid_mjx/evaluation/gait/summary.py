@@ -30,7 +30,7 @@ class Summary(NamedTuple):
 
 
 class Gait(NamedTuple):
-    """What an agent did under one command."""
+    """The gait of an agent under one command."""
 
     agent: str
     scenario: str

@@ -23,27 +23,24 @@ SETTLING, WINDOW = 2.0, 1.0
 """s"""
 
 AIRBORNE = 0.04
-"""How long a foot carries nothing before a touchdown ends a step, s; shorter, it chatters."""
-
-EDGES = np.geomspace(1e-3, 1.0, 73).astype(np.float32)
-"""Edges between the bins of slip, m/s, each a tenth above the one below, which is the largest error of a percentile."""
+"""Least time without load before a touchdown that ends a step, s; within less a foot chatters."""
 
 NEAR_GOAL = float(np.radians(5.0))
 """Error of the heading within which a sudden turn has ended, rad."""
 
 HOLD = 5.0
-"""How long after a sudden turn is commanded the heading has to stay near its goal, s."""
+"""Time after the command of a sudden turn to the end of which the heading has to stay near its goal, s."""
 
 
 class Asked(NamedTuple):
-    """What is asked of a body at one moment."""
+    """The command to a body at one moment."""
 
     command: Float[Array, "3"]
     """Velocity forward and to the left, m/s, and turn rate to the left, rad/s."""
     goal: FloatScalar
     """Heading that a sudden turn is to reach, against that of the start, rad."""
     since: FloatScalar
-    """How long ago the sudden turn was commanded, s; negative before it."""
+    """Time since the sudden turn was commanded, s; negative before it."""
 
 
 Sums = dict[str, Float[Array, "..."]]
@@ -94,22 +91,21 @@ def begin(first: Sample) -> Tally:
             "motion": three,  # way forward and to the left, m, and turn to the left, rad
             "loaded": feet,  # samples in which each foot carries weight
             "flight": zero,  # samples in which no foot does
-            "double_support": zero,  # samples in which all do
             "crossing": zero,  # samples in which feet are nearer each other, sideways, than `rewards.APART`
             "leg_contact": zero,  # samples in which the legs touch
             "slip": zero,  # speeds along the ground of the corners that touch, m/s
-            "slip_bins": jnp.zeros(len(EDGES) + 1),  # how many of them were between `EDGES`
+            "touching": zero,  # how many of them there were
             "steps": feet,  # touchdowns after a time in the air
             "lengths": feet,  # by how much each foot was ahead of that on the other side then, m
             "lifts": feet,  # largest heights of the steps, m
         },
         window={"samples": zero, "motion": three, "asked": three, "work": zero},  # the motion commanded; J
-        windows={"number": zero, "errors": jnp.zeros(4), "way": zero, "work": zero},  # as `_compared` has them
+        windows={"number": zero, "errors": jnp.zeros(2), "way": zero, "work": zero},  # as `_compared` has them
     )
 
 
 def window_samples(cycle: FloatScalar | None, interval: float) -> IntScalar:
-    """How many samples, `interval` seconds apart, make a window where a gait cycle takes `cycle` seconds."""
+    """Number of samples of a window, `interval` seconds apart, where a gait cycle takes `cycle` seconds."""
     seconds = WINDOW if cycle is None else jnp.maximum(jnp.round(WINDOW / cycle), 1.0) * cycle
     return jnp.round(jnp.asarray(seconds / interval)).astype(jnp.int32)
 
@@ -125,17 +121,15 @@ def add(tally: Tally, sample: Sample, asked: Asked, window: IntScalar, interval:
     landed = loaded & (tally.air >= math.ceil(AIRBORNE / interval - 1e-6))
     right, left = robot.foot_pairs.T
     ahead = jnp.zeros(loaded.shape).at[right].set(-sample.gap[:, 0]).at[left].set(sample.gap[:, 0])
-    bins = jnp.sum(sample.speed[..., None] > EDGES, axis=-1)[..., None] == np.arange(len(EDGES) + 1)
     now = {
         "samples": 1.0,
         "motion": motion,
         "loaded": loaded,
         "flight": ~loaded.any(),
-        "double_support": loaded.all(),
         "crossing": (sample.gap[:, 1] < robot.length(APART)).any(),
         "leg_contact": sample.legs_apart <= 0,
         "slip": jnp.sum(sample.speed * sample.touching),
-        "slip_bins": (bins & sample.touching[..., None]).sum(axis=(0, 1)),
+        "touching": sample.touching.sum(),
         "steps": landed,
         "lengths": landed * ahead,
         "lifts": landed * tally.lift,
@@ -167,10 +161,10 @@ def _added(sums: Sums, flag: BoolScalar, now: Mapping[str, Any]) -> Sums:
 
 
 def _compared(window: Sums, seconds: FloatScalar) -> Mapping[str, Any]:
-    """A window beside its command: absolute errors of the mean velocity forward, to the left and as a vector, m/s, and
-    of the mean turn rate, rad/s; length of its mean motion, m; work, J."""
+    """A window beside its command: absolute errors of the mean velocity as a vector, m/s, and of the mean turn rate,
+    rad/s; length of its mean motion, m; work, J."""
     forward, left, turn = (window["motion"] - window["asked"]) / seconds
-    errors = jnp.stack([jnp.abs(forward), jnp.abs(left), jnp.hypot(forward, left), jnp.abs(turn)])
+    errors = jnp.stack([jnp.hypot(forward, left), jnp.abs(turn)])
     return {"number": 1.0, "errors": errors, "way": jnp.hypot(*window["motion"][:2]), "work": window["work"]}
 
 
