@@ -241,8 +241,12 @@ def parity() -> str:
         task, _, other = name.partition(", ")
         means = ("return while learning, last fifth", "return of the greedy policy")
         cells = ("{} ({} to {})".format(*(rounded(x, 0) for x in figures[key])) for key in means)
-        rows.append((task, other or words[task], *cells, rounded(figures["wall_s, compiling in it"], 0)))
-    return table("task | learner | return while learning | return of the greedy policy | s for ten seeds", rows)
+        unit = next(unit for unit in ("steps", "episodes") if f"{unit} of a seed" in figures)
+        samples = f"{figures[f'{unit} of a seed']:,} {unit}"
+        times = (rounded(figures[key], 0) for key in ("processor_s", "wall_s"))
+        rows.append((task, other or words[task], *cells, samples, *times))
+    head = "task | learner | return while learning | return of the greedy policy | samples of a seed"
+    return table(f"{head} | processor time of ten seeds, s | wall time, s", rows)
 
 
 def sweeps() -> str:

@@ -1,13 +1,17 @@
 # pyright: reportAttributeAccessIssue=false
-"""Make the figures of the documentation again, beside those of the README.
+"""Make the figures of the documentation again that no record holds.
 
-python experiments/docs_figures.py               # both, in half a minute
+python experiments/docs_figures.py               # all, in a minute
 python experiments/docs_figures.py conventions   # one of them
+
+The film is made by `walk_film.py`; `walk_compared.py`, `throughput.py` and `sweep_curves.py` draw records and runs.
 """
 
 import argparse
+import shutil
 import subprocess
 import sys
+import tempfile
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -16,6 +20,7 @@ import mujoco
 import numpy as np
 from matplotlib.patches import Circle, Polygon
 from PIL import Image
+from robot_pictures import draw_robots
 
 from humanoid_mjx.report.rendering import FPS
 from humanoid_mjx.report.style import COLORS, figure
@@ -305,7 +310,20 @@ def stand(path: Path) -> None:
     _save(rows, path)
 
 
-FIGURES = {make.__name__: make for make in (conventions, stand)}
+def joint1_learning_curves(path: Path) -> None:
+    """The learning curves of the README's first command."""
+    with tempfile.TemporaryDirectory() as folder:
+        run = Path(folder) / "joint1"
+        subprocess.run([sys.executable, "-m", "humanoid_mjx", "sweep", "joint1", "--out", str(run)], check=True)
+        shutil.copy(run / "figures" / "learning_curves.png", path)
+
+
+def robots(path: Path) -> None:
+    """Both robots at zero, with the axes of their joints."""
+    draw_robots(path)
+
+
+FIGURES = {make.__name__: make for make in (conventions, stand, joint1_learning_curves, robots)}
 
 
 def main() -> None:

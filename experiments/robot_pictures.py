@@ -98,7 +98,9 @@ def _draw_axis(panel: Any, place: Float[np.ndarray, "3"], axis: Float[np.ndarray
     panel.quiver(*arc[-1], *(3.0 * (arc[-1] - arc[-2])), color=color, linewidth=1.2, arrow_length_ratio=1.0)
     # To the left of the leg, where nothing else is drawn; only the yaw's axis lies along the leg.
     tip, away = (0.8, "left") if axis[2] < -0.5 else (0.0 if axis[1] > 0.5 else 1.4, "right")
-    panel.text(*(place + tip * AXIS_M * axis), f"    {label}  ", color=color, fontsize=7.5, ha=away, va="bottom")
+    words = f"       {label}" if away == "left" else f"{label}    "
+    above = np.array([0.0, 0.0, 0.006 if label.startswith("ankle") else 0.0])  # beyond the lines of the foot
+    panel.text(*(place + tip * AXIS_M * axis + above), words, color=color, fontsize=7.5, ha=away, va="bottom")
 
 
 def _color(joint: str) -> str:
