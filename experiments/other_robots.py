@@ -26,7 +26,7 @@ sys.path.append(str(Path(__file__).parent.parent / "tests"))
 import jax
 import mujoco
 import numpy as np
-from tree_robots import converged, dropped, qacc_of
+from tree_robots import converged, dropped, qacc_of  # pyright: ignore[reportMissingImports]
 
 from humanoid_mjx import compute
 from humanoid_mjx.mechanics.tree.folding import fold
@@ -108,7 +108,7 @@ def touches(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[int, int]:
 
 def states(model: mujoco.MjModel, count: int) -> list[np.ndarray]:
     """Positions, velocities and controls; in half of them bodies touch each other where some were found to."""
-    data, drawn = mujoco.MjData(model), [dropped(model, 4 * count, 0), dropped(model, 4 * count, 1, spread=2.0)]
+    data, drawn = mujoco.MjData(model), [dropped(model, 2 * count, 0), dropped(model, 2 * count, 1, spread=2.0)]
     at = [np.concatenate(parts) for parts in zip(*drawn, strict=True)]
     tangled = []
     for data.qpos in at[0]:
@@ -122,8 +122,8 @@ def states(model: mujoco.MjModel, count: int) -> list[np.ndarray]:
 
 def difference(model: mujoco.MjModel, count: int = 32) -> dict[str, Any]:
     """By how much the tree and MuJoCo differ."""
-    model = converged(model)
     qpos, qvel, ctrl = states(model, count)
+    model = converged(model)
     step = qacc_of(fold(read_tree(model)), 1)
     data = [mujoco.MjData(model) for _ in qpos]
     found: dict[str, Any] = {"worlds": len(qpos), "contacts": [0, 0], "unsettled": 0}
