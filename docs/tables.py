@@ -189,6 +189,29 @@ def faults() -> str:
     return table("fault | tried on | tries | what happened", rows)
 
 
+def other_robots() -> str:
+    """Return which robots of others the tree takes, and by how much it differs from native MuJoCo."""
+    rows = []
+    for row in record("other_robots")["rows"]:
+        name, refused = f"`{row['model'].removesuffix('.xml')}`", row.get("refused")
+        if refused:
+            reasons = [reason.split(",")[0].removeprefix("contacts of ") for reason in refused]
+            more = [f"{len(reasons) - 3} more"] * (len(reasons) > 4)
+            reasons = [*reasons[:3], *more] if more else reasons
+            rows.append((name, str(row["degrees of freedom"]), "refused: " + ", ".join(reasons), ""))
+        else:
+            ground, bodies = (f"{count:,}" for count in row["contacts"])
+            worst = max(row["acceleration"], row["velocity"])
+            rows.append((name, str(row["degrees of freedom"]), f"{ground}, {bodies}", f"{worst:.0e}"))
+    return table("model | degrees of freedom | contacts with the ground, between bodies | largest difference", rows)
+
+
+def other_robots_taken() -> str:
+    """Return how many robots of others the tree takes."""
+    rows = record("other_robots")["rows"]
+    return f"{sum('refused' not in row for row in rows)} of {len(rows)}"
+
+
 def ranges() -> str:
     """Return what the body can do with each column of joint ranges."""
     names = (
@@ -281,6 +304,8 @@ TABLES = {
         verdicts,
         walk_cpu,
         parity,
+        other_robots,
+        other_robots_taken,
     )
 } | {
     "reproduce_minutes": lambda: rounded(record("cpu_2_cores_reproduce")["command_s"] / 60),

@@ -1,13 +1,14 @@
+# pyright: reportAttributeAccessIssue=false
 """Compare robots that others publish on `physics: tree` with native MuJoCo.
 
     pip install -q --no-deps --target others dm_control mjlab playground mujoco-warp
-    PYTHONPATH=others python experiments/other_robots.py       # writes docs/bench/other_robots.json, in 10 minutes
+    PYTHONPATH=others python experiments/other_robots.py       # adds to docs/bench/other_robots.json, in 10 minutes
     python experiments/other_robots.py gymnasium/ant my_robot.xml --out /tmp/found.json
 
-For each model: all that keeps `physics: tree` from taking it, or else how much the two differ in double precision, after
-one time step and after several. States are what MuJoCo makes of random postures within a second; in half of them bodies
-touch each other, where states were found in which they do. MuJoCo's solver converges (Newton's, 100 iterations, no
-tolerance). Motors are torques of their joints. Meshes are left out where a package lacks their files.
+For each model: all that keeps `physics: tree` from taking it, or else how much the two differ in double precision,
+after one time step and after several. States are what MuJoCo makes of random postures within a second; in half of them
+bodies touch each other, where states were found in which they do. MuJoCo's solver converges (Newton's, 100 iterations,
+no tolerance). Motors are torques of their joints. Meshes are left out where a package lacks their files.
 """
 
 import argparse
@@ -25,7 +26,7 @@ sys.path.append(str(Path(__file__).parent.parent / "tests"))
 import jax
 import mujoco
 import numpy as np
-from tree_robots import converged, dropped, qacc_of
+from tree_robots import converged, dropped, qacc_of  # pyright: ignore[reportMissingImports]
 
 from humanoid_mjx import compute
 from humanoid_mjx.mechanics.tree.folding import fold
@@ -107,7 +108,7 @@ def touches(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[int, int]:
 
 def states(model: mujoco.MjModel, count: int) -> list[np.ndarray]:
     """Positions, velocities and controls; in half of them bodies touch each other where some were found to."""
-    data, drawn = mujoco.MjData(model), [dropped(model, 4 * count, 0), dropped(model, 4 * count, 1, spread=2.0)]
+    data, drawn = mujoco.MjData(model), [dropped(model, 2 * count, 0), dropped(model, 2 * count, 1, spread=2.0)]
     at = [np.concatenate(parts) for parts in zip(*drawn, strict=True)]
     tangled = []
     for data.qpos in at[0]:
@@ -121,8 +122,8 @@ def states(model: mujoco.MjModel, count: int) -> list[np.ndarray]:
 
 def difference(model: mujoco.MjModel, count: int = 32) -> dict[str, Any]:
     """By how much the tree and MuJoCo differ."""
-    model = converged(model)
     qpos, qvel, ctrl = states(model, count)
+    model = converged(model)
     step = qacc_of(fold(read_tree(model)), 1)
     data = [mujoco.MjData(model) for _ in qpos]
     found: dict[str, Any] = {"worlds": len(qpos), "contacts": [0, 0], "unsettled": 0}
@@ -173,8 +174,12 @@ def main() -> None:
     jax.config.update("jax_enable_x64", True)
     made_by = compute.made_by() | {"command": " ".join(["python", "experiments/other_robots.py", *sys.argv[1:]])}
     made_by["packages"] = {name: version for name in ZOO if (version := version_of(name))}
-    found = {"steps": STEPS, "rows": list(rows([*asked.models, *asked.also]))}
-    asked.out.write_text(json.dumps(made_by | found, indent=1) + "\n", encoding="utf-8")
+    before = json.loads(asked.out.read_text(encoding="utf-8"))["rows"] if asked.out.is_file() else []
+    found = {row["model"]: row for row in before}
+    for row in rows([*asked.models, *asked.also]):
+        found[row["model"]] = row
+        record = made_by | {"steps": STEPS, "rows": [found[name] for name in sorted(found, key=str.lower)]}
+        asked.out.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
 
 
 def version_of(package: str) -> str | None:

@@ -90,6 +90,11 @@ class Reader:
         if keys:
             show_keys(name)
         elif name:
+            if (name or "").endswith(".xml"):
+                from humanoid_mjx.commands.info import show_model
+
+                show_model(name)
+                return
             show_info(name, set_ or [], timed=False)  # which only trains a piece of what `sweep` trains
 
     def reproduce(self, names, **options):

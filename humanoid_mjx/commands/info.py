@@ -111,7 +111,7 @@ def show_model(path: str) -> bool:
 
     lines, taken = survey(read_model(path))
     for line in lines:
-        console.print(line, markup=False, highlight=False)
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
     return taken
 
 

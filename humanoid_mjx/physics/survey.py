@@ -51,7 +51,14 @@ def survey(model: mujoco.MjModel) -> tuple[list[str], bool]:
     wrong = faults(model)
     if not wrong:
         return [*lines, f"{'physics':13} tree takes it as it is"], True
-    lines.append(f"{'physics':13} tree cannot represent {len(wrong)} things; mjx-jax, mjx-warp and mujoco may:")
+    many = f"{len(wrong)} things" if len(wrong) > 1 else "one thing"
+    words = f"tree cannot represent {many}; mjx-jax, mjx-warp and mujoco may:"
+    if free and all(fault.of_contacts for fault in wrong):
+        words = (
+            "tree takes it through a robot's YAML with `contacts: feet`: only the contacts of the feet with the ground "
+        )
+        words += f"remain (docs/your_robot.md). As it is, the tree cannot represent {many}:"
+    lines.append(f"{'physics':13} {words}")
     return lines + [f"  {fault.what}; to change: {fault.change}" for fault in wrong], False
 
 

@@ -394,7 +394,7 @@ def _own_servo(
     for index, joint in enumerate(joints):
         for motor in np.flatnonzero(model.actuator_trnid[:, 0] == model.joint(joint).id):
             if model.actuator_biastype[motor] == mujoco.mjtBias.mjBIAS_AFFINE and model.actuator_biasprm[motor, 1] < 0:
-                _, position, speed = -model.actuator_biasprm[motor, :3] * model.actuator_gear[motor, 0] ** 2
+                _, position, speed = (0.0 - model.actuator_biasprm[motor, :3]) * model.actuator_gear[motor, 0] ** 2
                 stiffness[index], damping[index] = position, speed
     return stiffness, damping
 

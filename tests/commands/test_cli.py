@@ -67,24 +67,31 @@ def test_info_shows_what_a_config_will_take():
     assert "joint1_fine" in CliRunner().invoke(app, ["info"]).output
 
 
-ROBOT = """<mujoco><option integrator="{integrator}"/><worldbody><geom type="plane" size="0 0 1"/>
+ROBOT = """<mujoco><option {option}/><worldbody><geom type="plane" size="0 0 1"/>
 <body name="trunk"><freejoint/><geom size=".1" mass="3" contype="0" conaffinity="0"/>
 <body name="foot"><joint name="knee" range="-90 10" limited="true" axis="0 1 0"/>
 <geom type="box" size=".1 .1 .1" mass="1"/>
 </body></body></worldbody><actuator><motor name="drive" joint="knee"/></actuator></mujoco>"""
 
 
-@pytest.mark.parametrize(("integrator", "code"), [("RK4", 0), ("implicit", 2)])
-def test_info_shows_a_robot_and_what_a_tree_cannot_take(integrator, code, tmp_path):
+@pytest.mark.parametrize(
+    ("option", "refusal"),
+    [
+        ('integrator="RK4"', None),
+        ('integrator="implicit"', 'the implicit integrator; to change: integrator="implicitfast"'),
+        ('cone="elliptic"', 'elliptic friction cones; to change: cone="pyramidal"'),
+    ],
+)
+def test_info_shows_a_robot_and_what_a_tree_cannot_take(option, refusal, tmp_path):
     path = tmp_path / "robot.xml"
-    path.write_text(ROBOT.format(integrator=integrator))
+    path.write_text(ROBOT.format(option=option))
     done = CliRunner().invoke(app, ["info", str(path)])
-    assert done.exit_code == code, done.output
+    assert done.exit_code == (2 if refusal else 0), done.output
     for words in ("4 kg in 2 bodies, a free base", "knee: hinge, -90 to 10 degrees, drive", "feet          foot:"):
         assert words in done.output
     assert "contacts      1 of plane and box" in done.output
-    refusal = 'the implicit integrator; to change: integrator="implicitfast"'
-    assert (refusal in done.output) == bool(code) and ("tree takes it as it is" in done.output) != bool(code)
+    assert (refusal or "tree takes it as it is") in done.output
+    assert ("with `contacts: feet`" in done.output) == ("elliptic" in option)
 
 
 def test_info_of_no_robot_is_a_sentence():

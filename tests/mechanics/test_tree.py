@@ -95,7 +95,7 @@ def test_all_that_is_refused_is_said_at_once():
     changed = HOPPER.replace('type="sphere" size="0.1" pos', CYLINDER).replace('condim="1"', 'condim="6"')
     tendon = '<tendon><fixed name="t"><joint joint="hip" coef="1"/></fixed></tendon><actuator>'
     changed = changed.replace("<actuator>", tendon).replace('impratio="2"', 'noslip_iterations="2" cone="elliptic"')
-    words = "elliptic friction cones; noslip iterations; "
+    words = "noslip iterations; elliptic friction cones; "
     words += "contacts that resist twisting or rolling, as those of 'ground-shank' (2)"
     with pytest.raises(InputError) as error:
         read_tree(mujoco.MjModel.from_xml_string(changed))

@@ -25,13 +25,15 @@ class Fault(NamedTuple):
     """Words that end the sentence "the tree cannot represent"."""
     change: str
     """What would have to change in the MJCF."""
+    of_contacts: bool
+    """True if it is gone where only balls of feet touch the ground, as with `contacts: feet` of a robot's YAML."""
 
 
 def faults(model: mujoco.MjModel, sensors: Sequence[str] = ()) -> list[Fault]:
     """All that keeps a compiled model from being a tree, of whose sensors these are read; empty if nothing does."""
-    found = [*_of_options(model), *_of_joints(model), *_of_contacts(model)]
-    found += _of_sensors(model, sensors)
-    return [Fault(what, change) for wrong, what, change in found if wrong]
+    found = [(check, False) for check in (*_of_options(model), *_of_joints(model), *_of_sensors(model, sensors))]
+    found += [(check, True) for check in _of_contacts(model)]
+    return [Fault(what, change, of_contacts) for (wrong, what, change), of_contacts in found if wrong]
 
 
 Check = tuple[Any, str, str]
@@ -42,9 +44,6 @@ def _of_options(m: mujoco.MjModel) -> Iterator[Check]:
     option = m.opt
     implicit = option.integrator == mujoco.mjtIntegrator.mjINT_IMPLICIT
     yield implicit, "the implicit integrator", 'integrator="implicitfast"'
-    rough = any(pair.condim > 1 for pair in touching(m))
-    elliptic = option.cone != mujoco.mjtCone.mjCONE_PYRAMIDAL and rough
-    yield elliptic, "elliptic friction cones", 'cone="pyramidal"'
     off = option.disableflags & FLAGS.mjDSBL_ACTUATION or option.disableactuator
     yield off, "disabled motors", "no actuation flag, no actuatorgroupdisable"
     allowed = int(mujoco.mjtEnableBit.mjENBL_ENERGY | mujoco.mjtEnableBit.mjENBL_FWDINV)
@@ -90,6 +89,9 @@ def _of_joints(m: mujoco.MjModel) -> Iterator[Check]:
 
 
 def _of_contacts(m: mujoco.MjModel) -> Iterator[Check]:
+    rough = any(pair.condim > 1 for pair in touching(m))
+    elliptic = m.opt.cone != mujoco.mjtCone.mjCONE_PYRAMIDAL and rough
+    yield elliptic, "elliptic friction cones", 'cone="pyramidal"'
     said: dict[str, tuple[str, list[str]]] = {}
     for pair in touching(m):
         name = "-".join(m.geom(geom).name or m.body(m.geom_bodyid[geom]).name for geom in (pair.one, pair.two))
@@ -106,7 +108,7 @@ def _of_pair(m: mujoco.MjModel, pair: Touching) -> Iterator[tuple[str, str]]:
         yield "contacts of a plane that moves", "planes in the world alone"
     if (two not in GROUND_SHAPES) if one == "plane" else ((one, two) not in PAIRS):
         shapes = ", ".join(GROUND_SHAPES) if one == "plane" else "spheres and capsules"
-        masks = "contype and conaffinity that keep them apart, as `contacts: feet` of a robot's YAML does"
+        masks = "contype and conaffinity that keep them apart"
         yield f"contacts of {_a(one)} and {_a(two)}", f"{shapes} in their place, or {masks}"
     if pair.condim not in (1, 3):
         yield "contacts that resist twisting or rolling", 'condim="3"'
