@@ -101,8 +101,8 @@ class Growing(Reporter):
         return self.file.with_name(".robot.png")
 
     def _play(self, name: str) -> None:
-        """Let another process draw the robot under the best policy of a run folder: one that compiles beside training
-        could stop it. Where the last one failed, the task moves no robot."""
+        """Start a process that draws the robot under the best policy of a run folder. To compile in this process could
+        crash a training on a GPU. The process fails if the task moves no robot."""
         command = [sys.executable, "-m", "humanoid_mjx", "play", name, "--trust", "--out", str(self._picture)]
         alone = {name: value for name, value in os.environ.items() if name not in MANY_PROCESSES}
         none = subprocess.DEVNULL
