@@ -37,6 +37,10 @@ DRAWING_SHARE = 0.1
 """The most of the time that drawing may take."""
 
 
+MANY_PROCESSES = "JAX_NUM_PROCESSES", "SLURM_STEP_NODELIST"
+"""The environment variables that make a process one of several (`compute.processes`)."""
+
+
 class Growing(Reporter):
     """The page of a sweep under way, drawn anew by a thread within `with`; and a reporter that passes on to another
     what it is told."""
@@ -70,14 +74,16 @@ class Growing(Reporter):
     def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
         """Leave the report of the run, or where the sweep was stopped the page as it is."""
         self._over.set()
-        if self._thread.is_alive():
-            self._thread.join()
+        try:
+            if self._thread.is_alive():
+                self._thread.join()
+                self.words = "stopped"
+                write_text(self.file, self.html() if kind else run_page(self.file.parent, Reporter(), motion=False))
+        finally:
             if self._player:
                 self._player.kill()
                 self._player.wait()
-            self._picture.unlink(missing_ok=True)
-            self.words = "stopped"
-            write_text(self.file, self.html() if kind else run_page(self.file.parent, Reporter(), motion=False))
+                self._picture.unlink(missing_ok=True)
 
     def note(self, text: str) -> None:
         self.reporter.note(text)
@@ -95,10 +101,10 @@ class Growing(Reporter):
         return self.file.with_name(".robot.png")
 
     def _play(self, name: str) -> None:
-        """Let another process draw the robot under the best policy of a run folder: one that compiles beside training
-        could stop it. Where the last one failed, the task moves no robot."""
+        """Start a process that draws the robot under the best policy of a run folder. To compile in this process could
+        crash a training on a GPU. The process fails if the task moves no robot."""
         command = [sys.executable, "-m", "humanoid_mjx", "play", name, "--trust", "--out", str(self._picture)]
-        alone = {name: value for name, value in os.environ.items() if not name.startswith(("JAX_", "SLURM_"))}
+        alone = {name: value for name, value in os.environ.items() if name not in MANY_PROCESSES}
         none = subprocess.DEVNULL
         self._player = subprocess.Popen(
             command, env=alone | {"JAX_PLATFORMS": "cpu"}, stdin=none, stdout=none, stderr=none
@@ -112,7 +118,7 @@ class Growing(Reporter):
                 self.write()
                 took = time.monotonic() - began
                 code = self._player.poll() if self._player else 0
-                if code == 0 and began > played + PLAY_S and self.folder.parts():
+                if code == 0 and began > played + PLAY_S and self.folder.parts() and not self._over.is_set():
                     self._play(str(self.folder.path))
                     played = began
 

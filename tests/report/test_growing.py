@@ -88,6 +88,8 @@ def test_a_page_of_a_sweep_that_ends_early_says_so_and_is_loaded_no_more(tmp_pat
     folder = RunFolder.create(tmp_path / "run", resolved(plan.config))
     with pytest.raises(KeyboardInterrupt), Growing(Reporter(), browse=False) as growing:
         growing.watch(folder, plan)
+        growing._play("posture_switch")
         raise KeyboardInterrupt
+    assert growing._player is not None and growing._player.poll() is not None, "the other process ends with it"
     folder.close()
     assert re.search(r"\d\d:\d\d:\d\d: stopped", page := growing.file.read_text()) and "refresh" not in page
