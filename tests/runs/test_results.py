@@ -49,14 +49,15 @@ def test_points_are_ranked_by_success_then_speed_then_learning():
     summary = {
         "point": np.array([2, 2, 0, 0, 1, 1, 3, 3]),
         "learner.epsilon": np.array([0.2, 0.2, 0.0, 0.0, 0.1, 0.1, 0.3, 0.3]),
-        "greedy_success": np.array([1.0, 1.0, 1.0, 1.0, 0.5, 1.0, 1.0, 1.0]),
+        "greedy_success": np.array([0.9994, 1.0, 1.0, 1.0, 0.5, 1.0, 1.0, 1.0]),
         "greedy_steps": np.array([9.0, 9.0, 9.0, 9.0, 1.0, 1.0, np.nan, np.nan]),
         "greedy_return": np.zeros(8),
         "steps": np.array([20.0, 30.0, 30.0, 40.0, 1.0, 1.0, 1.0, 1.0]),
     }
     points = ranked(["learner.epsilon"], summary, quickest=True)
     assert [point.point for point in points] == [2, 0, 3, 1]
-    assert (points[0].values, points[0].success, points[0].greedy_steps, points[0].steps) == ((0.2,), 1.0, 9.0, 25.0)
+    # Success counts by thousandths.
+    assert (points[0].values, points[0].success, points[0].greedy_steps, points[0].steps) == ((0.2,), 0.9997, 9.0, 25.0)
     assert ties(points) == 2
     by_return = summary | {"greedy_return": np.array([1.0, 1.0, 1.0, 1.0, 9.0, 9.0, 3.0, 3.0])}
     points = ranked([], by_return, quickest=False)
