@@ -38,7 +38,7 @@ ROOT = Path(__file__).parent.parent
 TESTS = {
     "learners": "learners/test_tabular learners/test_approximate learners/test_ppo",
     "control": "control/test_laws control/test_control control/test_drives float64/test_control "
-    "float64/test_controllers float64/test_ground",
+    "float64/test_controllers float64/test_ground physics/test_physics",
     "tasks": "tasks/test_gait tasks/test_gym tasks/test_leg_reach tasks/test_squat tasks/test_stand tasks/test_legged "
     "tasks/test_own_tasks tasks/test_posture_switch learners/test_tabular",
     "physics": "physics/test_sensors physics/test_physics mechanics/test_tree float64/test_tree float64/test_physics "
@@ -147,7 +147,6 @@ def _run(copy: Path, arguments: list[str], limit_s: float, record: Path | None =
     names of failed tests and the executed lines of each file.
     """
     if not (child := os.fork()):
-        os.setsid()
         os.chdir(copy)
         os.dup2(os.dup2(os.open(os.devnull, os.O_WRONLY), 1), 2)
         sys.path[:0] = [str(copy)]
@@ -162,6 +161,7 @@ def _run(copy: Path, arguments: list[str], limit_s: float, record: Path | None =
             lines = {str(Path(file).relative_to(copy)): data.lines(file) for file in data.measured_files()}
             record.write_text(json.dumps([failed, lines]))
         os._exit(code)
+    os.setpgid(child, child)
     ends = time.monotonic() + limit_s
     while time.monotonic() < ends:
         done, status = os.waitpid(child, os.WNOHANG)
