@@ -1,14 +1,14 @@
 """Mutation testing: put a fault into a line, run the tests that execute the line, and see whether one fails.
 
-python benchmarks/mutants.py --count 40 --seed 0                     # samples all folders; prints what survives
+python benchmarks/mutants.py --count 40 --seed 0      # samples all folders; prints what survives
 python benchmarks/mutants.py humanoid_mjx/control --workers 12 --seconds 500 --json control.json
 
 A mutant exchanges an operator (+ and -, * and /, < and <=, `and` and `or`), negates a comparison, adds 1 to a number,
-or takes back a `not`, `~` or sign. Every mutant is written into its own copy of the checkout.
+or takes back a `not`, `~` or sign. Each is written into a copy of the checkout of its own.
 
-At first all calls of pytest in `TESTS` run without a fault. They tell which lines each call executes and how long it
-takes; tests that fail there are left out. A mutant meets the calls that execute its statement, the shortest first. A
-statement that no call was seen to execute meets all calls: Python does not trace threads that XLA starts.
+First the calls of pytest in `TESTS` run without a fault, which tells their time and the lines that they execute; tests
+that fail there are left out. A mutant meets the calls that execute its statement, the shortest first, or all calls if
+none was seen to execute it: Python does not trace threads that XLA starts.
 """
 
 import argparse
@@ -35,13 +35,12 @@ import coverage
 import pytest
 
 ROOT = Path(__file__).parent.parent
-COPIED = ("humanoid_mjx", "configs", "robots", "policies", "tests", "docs", "experiments", "benchmarks")
 TESTS = {
     "learners": "learners/test_tabular learners/test_approximate learners/test_ppo",
     "control": "control/test_laws control/test_control control/test_drives float64/test_control "
-    "float64/test_controllers float64/test_ground",
+    "float64/test_controllers float64/test_ground physics/test_physics",
     "tasks": "tasks/test_gait tasks/test_gym tasks/test_leg_reach tasks/test_squat tasks/test_stand tasks/test_legged "
-    "tasks/test_own_tasks tasks/test_posture_switch training/test_events learners/test_tabular",
+    "tasks/test_own_tasks tasks/test_posture_switch learners/test_tabular",
     "physics": "physics/test_sensors physics/test_physics mechanics/test_tree float64/test_tree float64/test_physics "
     "float64/test_terrain float64/test_balance as_shipped/test_physics_worlds tasks/test_stand",
     "runs": "runs/test_listing runs/test_results runs/test_faults report/test_plot report/test_growing "
@@ -49,18 +48,14 @@ TESTS = {
 }
 """The quick tests of each folder, a call of pytest for each string."""
 
-LIMIT_S = 300
-"""Seconds after which a call without a fault is given up."""
-
-SLOWER = 4
-"""How many times longer a call may take with a fault, which may loop for ever; then the mutant counts as killed."""
+LIMIT_S, SLOWER = 300, 4
+"""Seconds that a call may take, and how many times longer it may take with a fault, which may loop for ever."""
 
 EXCHANGED: dict[type, type] = {
     ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.Lt: ast.LtE, ast.LtE: ast.Lt,
     ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq, ast.And: ast.Or, ast.Or: ast.And,
     ast.BitAnd: ast.BitOr, ast.BitOr: ast.BitAnd,
 }  # fmt: skip
-
 IMPORTED = ("jax", "jaxtyping", "beartype", "hypothesis", "optax", "flax.linen", "mujoco", "typer.testing", "yaml")
 """Packages that are imported once, before the children of this process begin; none of them begins to compute."""
 
@@ -152,7 +147,6 @@ def _run(copy: Path, arguments: list[str], limit_s: float, record: Path | None =
     names of failed tests and the executed lines of each file.
     """
     if not (child := os.fork()):
-        os.setsid()
         os.chdir(copy)
         os.dup2(os.dup2(os.open(os.devnull, os.O_WRONLY), 1), 2)
         sys.path[:0] = [str(copy)]
@@ -167,6 +161,7 @@ def _run(copy: Path, arguments: list[str], limit_s: float, record: Path | None =
             lines = {str(Path(file).relative_to(copy)): data.lines(file) for file in data.measured_files()}
             record.write_text(json.dumps([failed, lines]))
         os._exit(code)
+    os.setpgid(child, child)
     ends = time.monotonic() + limit_s
     while time.monotonic() < ends:
         done, status = os.waitpid(child, os.WNOHANG)
@@ -234,11 +229,7 @@ def main() -> None:
     found: list[dict[str, str]] = []
     result: dict = {"commit": commit, "command": shlex.join(["python", *sys.argv])}
     with tempfile.TemporaryDirectory() as folder, get_context("fork").Pool(given.workers) as pool:
-        base = Path(folder) / "base"
-        for name in COPIED:
-            shutil.copytree(ROOT / name, base / name, dirs_exist_ok=True)
-        for name in ("pyproject.toml", "README.md", "constraints.txt", "mkdocs.yml"):
-            shutil.copy(ROOT / name, base / name)
+        base = shutil.copytree(ROOT, Path(folder) / "base", ignore=shutil.ignore_patterns(".*", "build"))
         calls = sorted(pool.imap_unordered(partial(without_fault, base), wanted), key=lambda call: call.seconds)
         result["calls"] = {call.arguments: {"seconds": call.seconds, "failed": call.failed} for call in calls}
         calls = [call for call in calls if call.code in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED)]

@@ -12,8 +12,9 @@ from humanoid_mjx.spec import InputError
 
 
 def pair(torso):
-    """Two physics, each with a step of many worlds."""
-    both = [make_physics(name, robot={"torso": torso, "ranges": "human"}) for name in ("mjx-jax", "mujoco")]
+    """Two physics, each with a step of many worlds; no factor is 1."""
+    values = {"mass": 1.2, "friction": 0.7, "damping": 0.8, "torque_limit": 0.9}
+    both = [make_physics(name, robot={"torso": torso, "ranges": "human"}, **values) for name in ("mjx-jax", "mujoco")]
     steps = [jax.jit(jax.vmap(lambda world, target, p=p: p.step(world, servo(target)))) for p in both]
     return both[0], *steps
 
@@ -155,7 +156,19 @@ def test_nothing_of_a_model_is_left_out_without_a_word(name):
     np.testing.assert_allclose(sensed.readings.accelerometer, data.sensor("accelerometer").data, atol=1e-5)
 
 
-def test_a_servo_in_the_place_of_a_motor_is_refused():
-    servo = Unequal(motors='<position name="servo" joint="toe" kp="5"/>')
-    with pytest.raises(InputError, match="motor 'servo' must be a torque motor of a joint, its bounds the same both"):
-        make_physics("tree", robot=servo)
+ODD = (
+    '<position name="odd" joint="toe" kp="5"/>',
+    '<motor name="odd" joint="toe" gear="0"/>',
+    '<motor name="odd" site="imu"/>',
+    '<general name="odd" joint="toe" gainprm="0"/>',
+    '<general name="odd" joint="toe" gaintype="affine"/>',
+    '<general name="odd" joint="toe" dyntype="filter" dynprm="0.1"/>',
+    '<motor name="odd" joint="toe" ctrlrange="-1 2" ctrllimited="true"/>',
+    '<motor name="odd" joint="toe" forcerange="-1 2" forcelimited="true"/>',
+)
+
+
+@pytest.mark.parametrize("odd", ODD)
+def test_a_motor_that_is_no_motor_of_a_joint_is_refused(odd):
+    with pytest.raises(InputError, match="motor 'odd' must be a torque motor of a joint, its bounds the same both"):
+        make_physics("mujoco", robot=Unequal(motors=odd))

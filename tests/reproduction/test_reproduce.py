@@ -48,10 +48,6 @@ def test_a_second_call_adds_to_the_first(tmp_path):
         reproduce(["table-7.1"], tmp_path)
 
 
-def test_the_tables_do_not_come_out_with_the_printed_rate(tmp_path):
-    assert verdicts(reproduce(TABLES, tmp_path, ["learner.learning_rate=0.9"])) == ["differs"] * 3
-
-
 def test_the_ways_to_the_goal_are_among_many_runs(tmp_path):
     findings = reproduce(["figure-7.11", "figure-7.14"], tmp_path)
     assert all(finding.verdict in ("reproduced", "recovered") for finding in findings), findings

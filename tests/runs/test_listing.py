@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from humanoid_mjx import InputError, sweep
 from humanoid_mjx.cli import app
 from humanoid_mjx.config import parse
-from humanoid_mjx.runs.folder import RunFolder
+from humanoid_mjx.runs.folder import RunFolder, fresh_path, latest_path
 from humanoid_mjx.runs.listing import list_runs
 from humanoid_mjx.training.plan import resolved
 
@@ -51,6 +51,15 @@ def test_a_finished_run_and_its_best_point(folder):
     assert run.success == pytest.approx(max(success))
     assert run.size == sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
     assert only(folder / "small") == run, "the folder itself may be named"
+    (folder / "small/provenance.json").unlink()
+    assert only(folder).share == 1.0, "the runs of its parts are counted"
+
+
+def test_names_of_run_folders_count_up(tmp_path):
+    for name in ("joint1", "joint1-2", "joint1-3"):
+        assert fresh_path("joint1", tmp_path) == tmp_path / name
+        (tmp_path / name).mkdir()
+        assert latest_path("joint1", tmp_path) == tmp_path / name
 
 
 def test_a_run_that_was_killed_says_how_far_it_is(folder):
@@ -65,7 +74,7 @@ def test_a_run_that_was_killed_says_how_far_it_is(folder):
     done = arrays["point"] * 3 + arrays["seed"]
     others = np.setdiff1d(np.arange(12), done)
     # Two runs half trained, one that the parts hold already, and an idle slot: 6 + 1 of 12.
-    slots = np.array([others[0], others[1], done[0], -1])
+    slots = np.array([others[0], others[1], done[-1], -1])
     progress = np.array([0.5, 0.5, 1.0, 1.0])
     np.savez(path / "checkpoint/pool-0.npz", slots=slots, progress=progress, config=arrays["config"])
     run = only(folder)

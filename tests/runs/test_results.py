@@ -8,7 +8,7 @@ from scipy.stats import binomtest, trim_mean
 
 from humanoid_mjx.report.figures import CURVES, TERMS, Figure, curved, find_levels, learning_curves, sweep_figures
 from humanoid_mjx.runs.ranking import ranked, ties, training_interval
-from humanoid_mjx.runs.statistics import iqm, iqm_interval, rate_interval
+from humanoid_mjx.runs.statistics import iqm, iqm_interval, mean_interval, rate_interval
 from humanoid_mjx.runs.tables import scores
 
 
@@ -37,6 +37,20 @@ def test_interval_of_a_probability_is_wilsons(n, successes, confidence):
     assert rate_interval(share) == rate_interval(share, 0.95)
 
 
+@pytest.mark.parametrize(("given", "sigmas"), [((), 1.96), ((0.5,), 0.674)])
+def test_interval_of_a_mean_leaves_out_what_is_not_known(given, sigmas):
+    values = np.random.default_rng(0).normal(size=(400, 3))
+    values[100:, 1] = values[1:, 2] = np.nan
+    low, high = mean_interval(values, *given)
+    for column, n in ((0, 400), (1, 100)):
+        known = values[:n, column]
+        error = known.std() / n**0.5
+        # By quantiles of 500 resamples: at most four standard errors of 0.06 and 0.12.
+        ends = known.mean() + np.array([-1, 1]) * sigmas * error
+        np.testing.assert_allclose([low[column], high[column]], ends, atol=0.24 * error * sigmas / 0.674)
+    assert np.isnan([low[2], high[2]]).all()
+
+
 def test_many_values_of_an_axis_are_put_into_bins():
     values = np.random.default_rng(1).uniform(size=500)
     levels = find_levels(values)
@@ -49,14 +63,15 @@ def test_points_are_ranked_by_success_then_speed_then_learning():
     summary = {
         "point": np.array([2, 2, 0, 0, 1, 1, 3, 3]),
         "learner.epsilon": np.array([0.2, 0.2, 0.0, 0.0, 0.1, 0.1, 0.3, 0.3]),
-        "greedy_success": np.array([1.0, 1.0, 1.0, 1.0, 0.5, 1.0, 1.0, 1.0]),
+        "greedy_success": np.array([0.9994, 1.0, 1.0, 1.0, 0.5, 1.0, 1.0, 1.0]),
         "greedy_steps": np.array([9.0, 9.0, 9.0, 9.0, 1.0, 1.0, np.nan, np.nan]),
         "greedy_return": np.zeros(8),
         "steps": np.array([20.0, 30.0, 30.0, 40.0, 1.0, 1.0, 1.0, 1.0]),
     }
     points = ranked(["learner.epsilon"], summary, quickest=True)
     assert [point.point for point in points] == [2, 0, 3, 1]
-    assert (points[0].values, points[0].success, points[0].greedy_steps, points[0].steps) == ((0.2,), 1.0, 9.0, 25.0)
+    # Success counts by thousandths.
+    assert (points[0].values, points[0].success, points[0].greedy_steps, points[0].steps) == ((0.2,), 0.9997, 9.0, 25.0)
     assert ties(points) == 2
     by_return = summary | {"greedy_return": np.array([1.0, 1.0, 1.0, 1.0, 9.0, 9.0, 3.0, 3.0])}
     points = ranked([], by_return, quickest=False)

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import pytest
 from hop import Hop
@@ -187,3 +188,18 @@ def test_a_task_that_breaks_the_protocol_gets_one_sentence(fault):
     with pytest.raises(InputError, match=FAULTS[fault]) as caught:
         check_task(fault())
     assert "\n" not in str(caught.value) and str(caught.value).endswith(".")
+
+
+def test_an_episode_begins_with_nothing_won():
+    state = Hop().reset(jax.random.key(0))
+    assert state.reward == state.metrics["ahead"] == 0.0 and not (state.terminated | state.truncated | state.success)
+
+
+class OfTheirOwn(Hop):
+    def step(self, state, action, key):
+        return state.data[0] + None
+
+
+def test_errors_of_other_kinds_are_left_as_they_are():
+    with pytest.raises(TypeError, match="NoneType"):
+        check_task(OfTheirOwn())
