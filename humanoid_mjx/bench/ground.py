@@ -38,6 +38,10 @@ REPEATS = 3
 BLOCK = {"cpu": 128, "gpu": 32_768}
 """Bodies at once on a device."""
 
+MOVING_BLOCK = {"cpu": 1024, "gpu": 32_768}
+"""The same for the tree where bodies are thrown about. Some need more Newton steps than others: the more bodies a call
+has, the fuller are the blocks into which the solver gathers those."""
+
 MUJOCO_BATCH = 1024
 """The most bodies that native MuJoCo simulates at once: its rate no longer changes, its stored states would."""
 
@@ -90,7 +94,10 @@ def run(say: Callable[[str], None], setting: Setting | None = None) -> list[Reco
             elif (name in MOVING or not moving) and (name != "mjx-warp" or warp):
                 # States are made in this process, which has the compiled tree, and sent to that of MJX.
                 states = states_of(batch, moving)
-                call = compiled(name, *states, steps) if name == "tree" else with_room(compiled, name, *states, steps)
+                if name == "tree":
+                    call = compiled(name, *states, steps, MOVING_BLOCK if moving else BLOCK)
+                else:
+                    call = with_room(compiled, name, *states, steps)
                 subjects[subject] = Subject(call, batch * steps, batch, REPEATS)
         records += time_rates("physics", subjects, say, "bodies")
     return records
@@ -141,10 +148,17 @@ def _in_order(shares: list[list[Any]]) -> list[Any]:
     return [share for row in zip(*shares, strict=True) for share in row]
 
 
-def compiled(subject: str, qpos: np.ndarray, qvel: np.ndarray, setpoint: np.ndarray, steps: int) -> Callable[[], Any]:
+def compiled(
+    subject: str,
+    qpos: np.ndarray,
+    qvel: np.ndarray,
+    setpoint: np.ndarray,
+    steps: int,
+    blocks: Mapping[str, int] = BLOCK,
+) -> Callable[[], Any]:
     """Physics in a jax program, by the name of its subject: positions and velocities after so many steps."""
     devices, batch = jax.local_devices(), len(qpos)
-    block = BLOCK.get(devices[0].platform, batch)
+    block = blocks.get(devices[0].platform, batch)
     at_once = -(-batch // (max(1, batch // (block * len(devices))) * len(devices)))
     return on_all_devices(_program(subject, steps, at_once), (qpos, qvel, setpoint), block)
 

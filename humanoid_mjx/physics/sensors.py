@@ -4,9 +4,10 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Key
+from jaxtyping import Array, Float, Key
 from pydantic import Field
 
+from humanoid_mjx.compute.kernels.worlds import worlds_last
 from humanoid_mjx.physics.base import Readings
 from humanoid_mjx.spec import Spec, traced
 from humanoid_mjx.types import FloatScalar, IntScalar
@@ -58,7 +59,15 @@ class Sensors(Spec):
 
 
 def _normal(spread: tuple[FloatScalar, ...], like: Readings, key: Key[Array, ""]) -> Readings:
-    # Drawn side by side, each as many as the most: the long arithmetic of a normal number is compiled once.
-    keys, most = jax.random.split(key, len(like)), max(map(len, like))
-    drawn = jax.vmap(lambda key: jax.random.normal(key, (most,)))(keys)
+    drawn = worlds_last(_drawn, len(like), max(map(len, like)))(key)
     return Readings(*(size * row[: len(part)] for size, row, part in zip(spread, drawn, like, strict=True)))
+
+
+def _drawn(parts: int, most: int, keys: Key[Array, " worlds"]) -> Float[Array, "parts most worlds"]:
+    """Normal numbers, side by side, so that their long arithmetic is compiled once. LLVM vectorises it over worlds in
+    the last axis, and not over a short one."""
+
+    def draw(key: Key[Array, ""]) -> Float[Array, "parts most"]:
+        return jax.vmap(lambda key: jax.random.normal(key, (most,)))(jax.random.split(key, parts))
+
+    return jax.vmap(draw, out_axes=-1)(keys)
