@@ -11,6 +11,7 @@ from humanoid_mjx import InputError, Leg, control, dynamics, make_task
 from humanoid_mjx.compute import counting_compiles
 from humanoid_mjx.control import make_law
 from humanoid_mjx.physics import make_physics
+from humanoid_mjx.robot import make_robot
 
 LEG = make_physics("chain", robot="leg", torque_limit=1e6)
 QPOS, QVEL = np.array([0.3, -0.2, 0.4, 1.1, -0.5]), np.array([1.0, 2.0, -1.0, 0.5, 3.0])
@@ -118,3 +119,10 @@ def test_what_cannot_be_gets_one_sentence(written, sentence):
     with pytest.raises(InputError, match=sentence) as caught:
         make_task("leg_reach", control=written)
     assert "\n" not in str(caught.value) and str(caught.value).endswith(".") and ".." not in str(caught.value)
+
+
+def test_the_servo_of_a_robot_is_a_multiple_of_its_own():
+    dog = make_robot("dog")
+    twice = make_law("robot_servo", stiffness=2.0, damping=3.0).of(dog)
+    np.testing.assert_allclose(twice.stiffness, 2.0 * np.asarray(dog.servo[0]), rtol=1e-6)
+    np.testing.assert_allclose(twice.damping, 3.0 * np.asarray(dog.servo[1]), rtol=1e-6)
