@@ -97,30 +97,25 @@ class Stage:
 
     def advance(
         self,
-        steps: int,
         qpos: Float[np.ndarray, " nq"],
         qvel: Float[np.ndarray, " nv"],
         warmstart: Float[np.ndarray, " nv"],
         control: Float[np.ndarray, " controls"],
     ) -> tuple[np.ndarray, ...]:
-        """Position above the ground, velocity and acceleration after so many time steps, and what was sensed before
-        them. `control` holds the torques of the motors, then forces on all degrees of freedom."""
+        """Return position above the ground, velocity and acceleration after a time step, and the sensors' readings
+        before it. `control` holds the torques of the motors, then forces on all degrees of freedom."""
         model, data = self.model, self.data
         data.qpos, data.qvel, data.qacc_warmstart = qpos, qvel, warmstart
-        data.ctrl = control[: model.nu]
+        data.ctrl, data.qfrc_applied = control[: model.nu], control[model.nu :]
         if self.free:
             data.qpos[2] += self._height(qpos)
         model.pair_friction[:, :2] *= self.hands.friction
         model.body_mass[1] += self.hands.payload
         model.body_subtreemass[:2] += self.hands.payload
-        sensed = data.sensordata
-        for number in range(steps):
-            data.qfrc_applied = control[model.nu :]
-            self._lay_hands_on()
-            mujoco.mj_step(model, data)
-            if number == 0:
-                sensed = data.sensordata.copy()
-            self.wait()
+        self._lay_hands_on()
+        mujoco.mj_step(model, data)
+        sensed = data.sensordata.copy()
+        self.wait()
         moved = data.qpos.copy()
         if self.free:
             moved[2] -= self._height(moved)
@@ -242,10 +237,10 @@ class LiveMujoco(Native):
         """Where this robot moves; there is one of each robot."""
         return _stage(self._team.base)
 
-    def _advance(self, steps: int, sensed: bool, values: Any, *state: Any) -> tuple[np.ndarray, ...]:
+    def _advance(self, sensed: bool, values: Any, *state: Any) -> tuple[np.ndarray, ...]:
         stage = self.stage
         self._team._tune(stage.model, values[0])  # pyright: ignore[reportPrivateUsage]
-        *moved, read = stage.advance(steps, *(rows[0] for rows in state))
+        *moved, read = stage.advance(*(rows[0] for rows in state))
         return *(each[None] for each in moved), read[None, : len(read) * sensed]
 
 

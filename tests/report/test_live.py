@@ -52,7 +52,7 @@ def stand(stage, seconds, qpos=None):
     qvel, warmstart, bent = np.zeros(MODEL.nv), np.zeros(MODEL.nv), ROBOT.posture
     for _ in range(round(seconds / MODEL.opt.timestep)):
         torque = 20.0 * (bent - qpos[7:]) - 0.45 * qvel[6:]
-        qpos, qvel, warmstart, _ = stage.advance(1, qpos, qvel, warmstart, np.concatenate([torque, np.zeros(MODEL.nv)]))
+        qpos, qvel, warmstart, _ = stage.advance(qpos, qvel, warmstart, np.concatenate([torque, np.zeros(MODEL.nv)]))
         stage.model.pair_friction[:] = MODEL.pair_friction
         stage.model.body_mass[:], stage.model.body_subtreemass[:] = MODEL.body_mass, MODEL.body_subtreemass
     return qpos
