@@ -66,7 +66,7 @@ def programs(options: tuple[tuple[str, str | bool], ...], mesh: Mesh, fused: boo
     def compiled(function: Callable[..., Any], given: Any, **options_of_jit: Any) -> Callable[..., Any]:
         spread = function
         if mesh.size > 1:  # shard_map traces anew what planning has traced
-            spread = jax.shard_map(function, mesh=mesh, in_specs=given, out_specs=by_run, check_vma=False)
+            spread = _shared_out(function, mesh, given)
         # By default jax replicates arrays without entries, and a compiled program then refuses the states that another
         # one has made.
         return jax.jit(spread, compiler_options=dict(options), out_shardings=shardings[0], **options_of_jit)
@@ -80,6 +80,27 @@ def programs(options: tuple[tuple[str, str | bool], ...], mesh: Mesh, fused: boo
         everywhere=shardings[1],
         compiled={},
     )
+
+
+def _shared_out(function: Callable[..., Any], mesh: Mesh, given: Any) -> Callable[..., Any]:
+    """`shard_map` of a function whose results are arrays with a leading axis of runs.
+
+    Arrays without entries, such as the chain's warm start, are made on each device and not passed: jaxlib 0.11.2
+    crashes when it compiles a `shard_map` that takes one.
+    """
+
+    def call(*args: Any) -> Any:
+        def on_device(*passed: Any) -> Any:
+            return function(*jax.tree.map(whole, args, passed))
+
+        def whole(leaf: Array, part: Array | None) -> Array:
+            return jnp.zeros((leaf.shape[0] // mesh.size, *leaf.shape[1:]), leaf.dtype) if part is None else part
+
+        some = jax.tree.map(lambda leaf: leaf if leaf.size else None, args)
+        runs = PartitionSpec(RUNS)
+        return jax.shard_map(on_device, mesh=mesh, in_specs=given, out_specs=runs, check_vma=False)(*some)
+
+    return call
 
 
 def programs_of(learners: Learner, devices: Sequence[Device]) -> Programs:

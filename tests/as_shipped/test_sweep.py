@@ -1,6 +1,7 @@
 """Sweeps: the same bits alone or together and in any pool; what is refused, reported and compiled."""
 
 import json
+import re
 import sys
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from humanoid_mjx import InputError, compute, sweep
 from humanoid_mjx.cli import main
 from humanoid_mjx.runs.folder import RunFolder, read_arrays
 from humanoid_mjx.training import pool
+from humanoid_mjx.training.programs import RUNS, _shared_out
 from humanoid_mjx.training.progress import Reporter
 
 
@@ -47,6 +49,20 @@ def test_tables_hold_a_row_for_every_point_seed_and_record_step(reference):
     provenance = json.loads((reference.path / "provenance.json").read_text())
     assert provenance["runs_finished"] == provenance["runs"] == 18
     assert {"versions", "machine", "precision", "seed", "wall_s", "compile_s"} <= set(provenance)
+
+
+def test_arrays_without_entries_are_made_on_each_device():
+    """jaxlib 0.11.2 crashes when it compiles a `shard_map` that takes one."""
+    mesh = jax.sharding.Mesh(np.array(jax.devices()), (RUNS,))
+    runs, same = (jax.sharding.PartitionSpec(*names) for names in ([RUNS], []))
+    program = jax.jit(_shared_out(lambda x, empty, n: (x + n, empty), mesh, (runs, runs, same)))
+    args = np.ones((2 * mesh.size, 3)), np.ones((2 * mesh.size, 0)), 1
+    (passed,) = re.findall(r"manual_computation\((.*?)\)", program.lower(*args).as_text())
+    assert mesh.size > 1 and passed.count("%") == 2
+    assert [(x.shape, float(x.sum())) for x in program(*args)] == [
+        ((2 * mesh.size, 3), 12 * mesh.size),
+        ((2 * mesh.size, 0), 0),
+    ]
 
 
 def test_seeds_differ_and_points_share_them(reference):
