@@ -14,8 +14,10 @@ none was seen to execute it: Python does not trace threads that XLA starts.
 import argparse
 import ast
 import json
+import math
 import os
 import random
+import resource
 import shlex
 import shutil
 import signal
@@ -49,7 +51,8 @@ TESTS = {
 """The quick tests of each folder, a call of pytest for each string."""
 
 LIMIT_S, SLOWER = 300, 4
-"""Seconds that a call may take, and how many times longer it may take with a fault, which may loop for ever."""
+"""Seconds of processor time that a call may take, and how many times longer it may take with a fault, which may loop
+for ever. Ten times as long by the clock: other work may run beside."""
 
 EXCHANGED: dict[type, type] = {
     ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.Lt: ast.LtE, ast.LtE: ast.Lt,
@@ -140,13 +143,16 @@ class _Failed(list):
         self += [report.nodeid] * report.failed
 
 
-def _run(copy: Path, arguments: list[str], limit_s: float, record: Path | None = None) -> int | None:
-    """The exit status of pytest in a copy of the checkout, or None where it did not end in time.
+def _run(
+    copy: Path, arguments: list[str], limit_s: float, ends: float = float("inf"), record: Path | None = None
+) -> tuple[int | None, float]:
+    """The exit status of pytest in a copy of the checkout, None where it did not end in time, and its processor time.
 
     The tests run in a child of this process, which has jax imported already. With `record`, the child writes there the
     names of failed tests and the executed lines of each file.
     """
     if not (child := os.fork()):
+        resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(limit_s), math.ceil(limit_s)))
         os.chdir(copy)
         os.dup2(os.dup2(os.open(os.devnull, os.O_WRONLY), 1), 2)
         sys.path[:0] = [str(copy)]
@@ -162,26 +168,27 @@ def _run(copy: Path, arguments: list[str], limit_s: float, record: Path | None =
             record.write_text(json.dumps([failed, lines]))
         os._exit(code)
     os.setpgid(child, child)
-    ends = time.monotonic() + limit_s
-    while time.monotonic() < ends:
-        done, status = os.waitpid(child, os.WNOHANG)
-        if done:
-            return os.waitstatus_to_exitcode(status)
+    ends = min(ends, time.monotonic() + 10 * limit_s)
+    done, status, used = 0, 0, None
+    while not done and time.monotonic() < ends:
+        done, status, used = os.wait4(child, os.WNOHANG)
         time.sleep(0.05)
-    os.killpg(child, signal.SIGKILL)
-    os.waitpid(child, 0)
-    return None
+    if not done:
+        os.killpg(child, signal.SIGKILL)
+        _, status, used = os.wait4(child, 0)
+    code = os.waitstatus_to_exitcode(status)
+    return None if code in (-signal.SIGKILL, -signal.SIGXCPU) else code, used.ru_utime + used.ru_stime
 
 
 def without_fault(base: Path, arguments: str) -> Call:
     """A call on the code as it is."""
-    started, record = time.monotonic(), base.parent / (arguments.replace("/", ".") + ".json")
-    code = _run(base, shlex.split(arguments), LIMIT_S, record)
+    record = base.parent / (arguments.replace("/", ".") + ".json")
+    code, seconds = _run(base, shlex.split(arguments), LIMIT_S, record=record)
     if not record.exists():
         raise RuntimeError(
             f"{arguments}: the process ended with {code}, whatever the mutant; without a fault it must run"
         )
-    return Call(arguments, time.monotonic() - started, code, *json.loads(record.read_text()))
+    return Call(arguments, seconds, code, *json.loads(record.read_text()))
 
 
 def outcome(base: Path, calls: list[Call], ends: float, mutant: Mutant) -> tuple[Mutant, str]:
@@ -193,7 +200,7 @@ def outcome(base: Path, calls: list[Call], ends: float, mutant: Mutant) -> tuple
         (copy / mutant.file).write_text(mutant.text)
         for call in [call for call in calls if call.executes(mutant)] or calls:
             arguments = ["-x", *shlex.split(call.arguments), *(f"--deselect={name}" for name in call.failed)]
-            code = _run(copy, arguments, min(60 + SLOWER * call.seconds, ends - time.monotonic()))
+            code, _ = _run(copy, arguments, 60 + SLOWER * call.seconds, ends)
             if code is None and time.monotonic() >= ends:
                 return mutant, ""
             if code != 0:
