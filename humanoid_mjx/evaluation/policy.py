@@ -85,12 +85,12 @@ def best_policy(path: Path, point: int | None = None) -> Trained:
     Raises:
       InputError: this is no run folder, nothing in it or of the point is finished, or its files are damaged.
     """
-    return policies_of_best(path, point)[0]
+    return policies_of_best(path, point, most=1)[0]
 
 
-def policies_of_best(path: Path, point: int | None = None) -> list[Trained]:
-    """All runs of a run folder's best point, or of the point of this number, one for each training seed that is
-    finished, the best first.
+def policies_of_best(path: Path, point: int | None = None, most: int | None = None) -> list[Trained]:
+    """The runs of a run folder's best point, or of the point of this number, one for each training seed that is
+    finished: all, or so many at most, the best first.
 
     Raises:
       InputError: as `best_policy`.
@@ -116,7 +116,7 @@ def policies_of_best(path: Path, point: int | None = None) -> list[Trained]:
     alone = parse(own, config.source)
     provenance, (group,) = read_provenance(path), make_plan(alone).groups
     found = []
-    for row in order[arrays["point"][order] == point].tolist():
+    for row in order[arrays["point"][order] == point][:most].tolist():
         final = {name: float(array[row]) for name, array in arrays.items() if name.startswith("final.greedy_")}
         learned = {name: array[row] for name, array in arrays.items() if name.startswith("policy")}
         place, origin = (point, int(arrays["seed"][row])), {"scores": final, "provenance": provenance}

@@ -1,6 +1,7 @@
 """The order of the points of a sweep, from best to worst."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from itertools import repeat
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -47,24 +48,26 @@ def ranked(axes: Sequence[str], summary: Mapping[str, np.ndarray], quickest: boo
     judged by its return.
     """
     order = np.argsort(summary["point"], kind="stable")
-    points, starts = np.unique(summary["point"][order], return_index=True)
-    found = []
-    for point, rows in zip(points, np.split(order, starts[1:]), strict=True):
+    points, starts, counts = np.unique(summary["point"][order], return_index=True, return_counts=True)
 
-        def mean(name: str, rows: np.ndarray = rows) -> float:
-            return float(iqm(summary[name][rows])) if name in summary else np.nan
+    def over_seeds(name: str, mean: Callable[[np.ndarray], np.ndarray] = iqm) -> np.ndarray:
+        """The mean of a column over the seeds of each point; NaN where there is no such column."""
+        found = np.full(len(points), np.nan)
+        for count in np.unique(counts) if name in summary else ():
+            rows = order[starts[counts == count][:, None] + np.arange(count)]
+            found[counts == count] = mean(summary[name][rows].T)
+        return found
 
-        success = float(summary["greedy_success"][rows].mean())
-        whole = mean("whole_steps" if quickest else "whole_return")
-        if quickest:
-            costs = mean("greedy_steps"), mean("steps"), whole
-        else:
-            costs = -mean("greedy_return"), -mean("success"), -mean("return"), -whole
-        rank = (-round(success, 3), *(cost if np.isfinite(cost) else np.inf for cost in costs))
-        values = tuple(summary[axis][rows][0] for axis in axes)
-        greedy = mean("greedy_return"), mean("greedy_steps")
-        found.append(Ranked(int(point), values, success, *greedy, mean("steps"), mean("return"), whole, rank))
-    return sorted(found, key=lambda each: each.rank)
+    success = over_seeds("greedy_success", lambda values: values.mean(axis=0))
+    greedy_return, greedy_steps = over_seeds("greedy_return"), over_seeds("greedy_steps")
+    steps, returns = over_seeds("steps"), over_seeds("return")
+    whole = over_seeds("whole_steps" if quickest else "whole_return")
+    costs = (greedy_steps, steps, whole) if quickest else (-greedy_return, -over_seeds("success"), -returns, -whole)
+    ranks = np.nan_to_num(np.stack([-np.round(success, 3), *costs], axis=1), nan=np.inf, posinf=np.inf, neginf=np.inf)
+    values = zip(*(summary[axis][order[starts]] for axis in axes), strict=True) if axes else repeat(())
+    means = (column.tolist() for column in (success, greedy_return, greedy_steps, steps, returns, whole))
+    found = map(Ranked, points.tolist(), values, *means, map(tuple, ranks.tolist()))
+    return sorted(found, key=lambda point: point.rank)
 
 
 def ties(points: Sequence[Ranked]) -> int:
