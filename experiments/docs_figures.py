@@ -25,10 +25,12 @@ from robot_pictures import draw_robots
 from humanoid_mjx.report.rendering import FPS
 from humanoid_mjx.report.style import COLORS, figure
 from humanoid_mjx.robot import make_robot
-from humanoid_mjx.robot.lower_body import FOOT_HEIGHT, FOOT_LENGTH, HIP_OFFSET, SHANK_LENGTH, THIGH_LENGTH
-from humanoid_mjx.robot.ranges import joint_ranges
-from humanoid_mjx.thesis.leg import JOINT_NAMES
+from humanoid_mjx.thesis.leg import BODY_MM, JOINT_NAMES, JOINT_RANGES, SCALE
 
+METRES = {name: mm * 1e-3 * SCALE for name, mm in BODY_MM.items()}
+HIP_OFFSET = METRES["torso_length"] / 2
+THIGH_LENGTH, SHANK_LENGTH = METRES["upper_leg_height"], METRES["lower_leg_height"]
+FOOT_LENGTH, FOOT_HEIGHT = METRES["foot_length"], METRES["foot_height"]
 HIP_HEIGHT = THIGH_LENGTH + SHANK_LENGTH + FOOT_HEIGHT
 
 DOCS = Path(__file__).parent.parent / "docs"
@@ -151,7 +153,7 @@ def _sense(panel: Any, joint: str) -> None:
     panel.set_title(
         f"{joint} = +{degrees:.0f}°\n{meaning}\n({words})", color=JOINT_COLORS[joint], loc="center", fontsize=9
     )
-    spans = [np.degrees(joint_ranges(name))[JOINT_NAMES.index(joint)] for name in ("proposed", "human")]
+    spans = [JOINT_RANGES[name][JOINT_NAMES.index(joint)] for name in ("proposed", "human")]
     (low, high), (lowest, highest) = spans
     ranges = f"{low:.0f}° to {high:.0f}°\n({lowest:.0f}° to {highest:.0f}°)"
     panel.text(0.5, -0.01, ranges, fontsize=8.5, ha="center", va="top", transform=panel.transAxes)

@@ -1,12 +1,11 @@
 """Controllers: pure functions of gains, the reference and the state, and the laws that tasks choose from."""
 
 from humanoid_mjx.control.ground import grounded_torque
-from humanoid_mjx.control.laws import Control, Follow, Law, make_law
+from humanoid_mjx.control.laws import Control, Law, make_law
 from humanoid_mjx.control.pd import Reference, at_rest, implicit_euler, pd, servo
 
 __all__ = [
     "Control",
-    "Follow",
     "Law",
     "Reference",
     "at_rest",

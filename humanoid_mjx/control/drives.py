@@ -7,19 +7,15 @@ Both are functions of torque and speed alone, so every physics takes them. Frict
 joint's: `frictionloss` in the robot's model.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pydantic
 from jaxtyping import Array, Float
 
 from humanoid_mjx.control.pd import Joints
-from humanoid_mjx.control.stages import Stages
 from humanoid_mjx.robot.description import Robot
 from humanoid_mjx.spec import InputError, Named, make, traced, written
 
@@ -54,17 +50,6 @@ Gear = Annotated[
 ]
 
 
-class MotorState(NamedTuple):
-    """Torque, current and voltage of motors at one moment."""
-
-    torque: Float[Array, "*joints"]
-    """Torque at the joint, less the rotor's friction, N m."""
-    current: Float[Array, "*joints"]
-    """A"""
-    voltage: Float[Array, "*joints"]
-    """Voltage at the terminals, V."""
-
-
 class DcMotor(Drive):
     """A DC motor behind a gear at each joint: its torque falls with speed, and ends where voltage or current do.
 
@@ -89,21 +74,18 @@ class DcMotor(Drive):
         return jnp.stack([jnp.asarray(x, float) for x in gear]) if isinstance(gear, tuple) else jnp.asarray(gear, float)
 
     def __call__(self, torque: Joints, qvel: Joints) -> Joints:
+        """The torques within the driver's current and voltage (5.21 to 5.24)."""
         limit = self.gears * self.torque_constant * self.current
-        return self.actuate(jnp.clip(torque, -limit, limit), qvel).torque
+        needed = self.voltage_for(jnp.clip(torque, -limit, limit), qvel)
+        speed = self.gears * qvel
+        current = (jnp.clip(needed, -self.voltage, self.voltage) - self.torque_constant * speed) / self.resistance
+        return self.gears * (self.torque_constant * current - self.friction * speed)
 
     def voltage_for(self, torque: Float[Array, "*joints"], qvel: Float[Array, "*joints"]) -> Float[Array, "*joints"]:
         """Return the voltage that gives `torque` at the joint (5.24), before the driver's limit."""
         speed = self.gears * qvel
         current = (torque / self.gears + self.friction * speed) / self.torque_constant
         return self.torque_constant * speed + current * self.resistance
-
-    def actuate(self, torque: Float[Array, "*joints"], qvel: Float[Array, "*joints"]) -> MotorState:
-        """Return the state of motors told to give `torque` (5.21 to 5.24): the driver's voltage limits it."""
-        voltage = jnp.clip(self.voltage_for(torque, qvel), -self.voltage, self.voltage)
-        speed = self.gears * qvel
-        current = (voltage - self.torque_constant * speed) / self.resistance
-        return MotorState(self.gears * (self.torque_constant * current - self.friction * speed), current, voltage)
 
     def check(self, robot: Robot, timestep: float) -> None:
         gear, joints = np.asarray(self.gear, float), len(robot.joints)
@@ -123,15 +105,3 @@ DRIVES = {"ideal": "humanoid_mjx.control.drives:Ideal", "dc_motor": "humanoid_mj
 
 Drives = Annotated[pydantic.SerializeAsAny[Drive], written("actuator", partial(make, "actuator", DRIVES, Drive))]
 """The type of a task's field `actuator`."""
-
-
-@partial(jax.tree_util.register_dataclass, data_fields=("controller", "drive"), meta_fields=())
-@dataclass(frozen=True)
-class Driven:
-    """A controller whose torques go through a drive: a controller itself, and a pytree."""
-
-    controller: Callable[[Stages], Joints]
-    drive: Drive
-
-    def __call__(self, state: Stages) -> Joints:
-        return self.drive(self.controller(state), state.qvel)

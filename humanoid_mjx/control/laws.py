@@ -14,14 +14,13 @@ plant's mass is a value of the physics, and the two may differ.
 with kp = natural_frequency^2 and kd = damping_ratio 2 natural_frequency (5.33, 5.34).
 """
 
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pydantic
+from jax.tree_util import Partial
 
 from humanoid_mjx.control.gains import critical_kd
 from humanoid_mjx.control.ground import NATURAL_FREQUENCY, SERVO_KD, SERVO_KP, SHARE, grounded_torque
@@ -42,21 +41,9 @@ class Law(Named):
         """The law with gains that are the robot's own; this one, where it has none of them."""
         return self
 
-    def follow(self, reference: Reference) -> "Follow":
-        """The controller that follows one reference."""
-        return Follow(self, reference)
-
-
-@partial(jax.tree_util.register_dataclass, data_fields=("law", "reference"), meta_fields=())
-@dataclass(frozen=True)
-class Follow:
-    """A law with its reference: a controller as `Physics.step` takes it, and a pytree."""
-
-    law: Law
-    reference: Reference
-
-    def __call__(self, state: Stages) -> Joints:
-        return self.law(self.reference, state)
+    def follow(self, reference: Reference) -> Callable[[Stages], Joints]:
+        """Return the controller that follows one reference, as `Physics.step` takes it: a pytree."""
+        return Partial(type(self).__call__, self, reference)
 
 
 class ServoLaw(Law):

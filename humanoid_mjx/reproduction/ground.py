@@ -13,9 +13,10 @@ from jaxtyping import Array, Bool, Float
 
 from humanoid_mjx import compute, control
 from humanoid_mjx.mechanics import gaits, pattern_generator
-from humanoid_mjx.physics import balance, make_physics
-from humanoid_mjx.physics.balance import foot_corners
+from humanoid_mjx.physics import make_physics
 from humanoid_mjx.physics.base import Stages, World
+from humanoid_mjx.reproduction import balance
+from humanoid_mjx.reproduction.balance import foot_corners
 from humanoid_mjx.thesis import leg as thesis
 from humanoid_mjx.types import AnyArray, IntScalar
 

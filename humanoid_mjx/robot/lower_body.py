@@ -35,13 +35,6 @@ SIDES = ("right", "left")
 JOINTS = tuple(f"{side}_{joint}" for side in SIDES for joint in thesis.JOINT_NAMES)
 """The order of joints and motors."""
 
-_METRES = {name: mm * 1e-3 * thesis.SCALE for name, mm in thesis.BODY_MM.items()}
-HIP_OFFSET = _METRES["torso_length"] / 2
-"""From the middle of the torso to a hip, m: the torso's length is its extent from hip to hip."""
-
-THIGH_LENGTH, SHANK_LENGTH = _METRES["upper_leg_height"], _METRES["lower_leg_height"]
-FOOT_LENGTH, FOOT_HEIGHT = _METRES["foot_length"], _METRES["foot_height"]
-
 TIMESTEPS = {"free": 0.004, "fixed": 0.002}
 """s. In the air 2 ms keeps the first-order error of computed torque at 1.6e-4 rad. On the ground 4 ms is stable, twice
 as fast, and within the differences that soft contacts make in any case."""
@@ -74,5 +67,6 @@ class LowerBody(Robot):
 
     @property
     def build(self) -> Build:
+        hip, shank, foot = (self.model.body(f"left_{name}").pos for name in ("pitch_link", "shank", "foot"))
         lean = self.posture[0]
-        return Build(HIP_OFFSET, (THIGH_LENGTH + SHANK_LENGTH) * np.cos(lean), lean)
+        return Build(float(hip[1]), -(shank[2] + foot[2]) * np.cos(lean), lean)

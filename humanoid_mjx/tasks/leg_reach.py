@@ -15,10 +15,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 from pydantic import Field, model_validator
 
-from humanoid_mjx.control import Control, Follow, at_rest
+from humanoid_mjx.control import Control, at_rest
 from humanoid_mjx.control.laws import ComputedTorqueLaw
 from humanoid_mjx.physics import make_physics
-from humanoid_mjx.physics.base import Physics, World
+from humanoid_mjx.physics.base import Controller, Physics, World
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import ContinuousTask, State, begin
 from humanoid_mjx.types import FloatScalar, IntScalar
@@ -145,7 +145,7 @@ class LegReach(ContinuousTask):
             metrics=terms,
         )
 
-    def drive(self, data: Body, action: Array) -> tuple[Physics, Follow]:
+    def drive(self, data: Body, action: Array) -> tuple[Physics, Controller]:
         chosen = not jnp.issubdtype(action.dtype, jnp.floating)
         command = 2.0 * action / (self.bins - 1) - 1.0 if chosen else action
         return self._plant(data.mass), self.controller(self.setpoint_after(data, command))
@@ -179,7 +179,7 @@ class LegReach(ContinuousTask):
         near = jnp.abs(body.goal - body.world.qpos) <= jnp.radians(self.tolerance)
         return near & (jnp.abs(body.world.qvel) <= REST)
 
-    def controller(self, setpoint: Float[Array, " joints"]) -> Follow:
+    def controller(self, setpoint: Float[Array, " joints"]) -> Controller:
         """The controller that drives the leg towards a posture at rest; its model does not have the leg's mass
         factors."""
         return self.control.follow(at_rest(setpoint))

@@ -15,10 +15,10 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 from pydantic import Field, model_validator
 
-from humanoid_mjx.control import Control, Follow, Reference
+from humanoid_mjx.control import Control, Reference
 from humanoid_mjx.control.laws import ComputedTorqueLaw
 from humanoid_mjx.physics import make_physics
-from humanoid_mjx.physics.base import Physics, World
+from humanoid_mjx.physics.base import Controller, Physics, World
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.thesis import leg as leg_thesis
@@ -127,7 +127,7 @@ class PostureSwitch(FiniteTask):
     def action_bins(self) -> tuple[int, ...]:
         return (3,) * len(MOVED)
 
-    def drive(self, data: Body, action: Int[Array, "3"]) -> tuple[Physics, Follow]:
+    def drive(self, data: Body, action: Int[Array, "3"]) -> tuple[Physics, Controller]:
         number = jnp.sum(action * 3 ** np.arange(len(MOVED)), dtype=jnp.int32)
         return self.plant, self.controller(self.setpoint(data, number))
 
@@ -149,7 +149,7 @@ class PostureSwitch(FiniteTask):
 
     def controller(
         self, qpos: Float[Array, "10"], qvel: AnyArray | float = 0.0, qacc: AnyArray | float = 0.0
-    ) -> Follow:
+    ) -> Controller:
         """The controller that drives both legs towards a state of motion."""
         still = jnp.zeros_like(qpos)
         return self.control.follow(Reference(qpos, still + qvel, still + qacc))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from humanoid_mjx.physics import balance
+from humanoid_mjx.reproduction import balance
 from humanoid_mjx.robot.lower_body import LowerBody
 
 

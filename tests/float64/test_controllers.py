@@ -123,7 +123,7 @@ def test_a_lost_or_saturated_robot_changes_no_bit_of_another():
         limited = motor.replace(voltage=volts)
 
         def actuated(time, qpos, qvel):
-            return limited.actuate(computed_torque(leg.scaled(error), kp, kd, resting(), qpos, qvel), qvel).torque
+            return limited(computed_torque(leg.scaled(error), kp, kd, resting(), qpos, qvel), qvel)
 
         return dynamics.rollout(
             leg.carrying(payload), jnp.array(START), jnp.zeros(5), actuated, 1e-3, 200, cycle=cycle

@@ -8,7 +8,6 @@ from leg_reference import GOLDEN, numeric_jacobian, toe, turned, uniform
 
 from humanoid_mjx import kinematics
 from humanoid_mjx.robot.leg import Leg
-from humanoid_mjx.robot.ranges import joint_ranges
 from humanoid_mjx.thesis import leg as thesis
 
 LEGS = {"recovered": Leg.physical(), "script": Leg.matlab_script()}
@@ -93,7 +92,7 @@ def test_both_elbows_of_the_straight_walk():
     other[:, 0], other[:, 3] = q[:, 0] - 2 * bend, -q[:, 3]
     other[:, 4] = q[:, 4] + 2 * q[:, 3] - 2 * bend
     assert joint_error(solutions, valid, other).max() < 1e-9, "the elbow mirrored at the line from hip to ankle"
-    low, high = 3.0 * joint_ranges("proposed").T
+    low, high = 3.0 * np.radians(thesis.JOINT_RANGES["proposed"]).T
     inside = ((solutions >= low - 1e-6) & (solutions <= high + 1e-6)).all(axis=-1)
     assert ((valid & inside).sum(axis=1) == 1).all()
 

@@ -3,12 +3,10 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 from leg_reference import numeric_jacobian, toe, turned, uniform
 
-from humanoid_mjx import InputError, kinematics
+from humanoid_mjx import kinematics
 from humanoid_mjx.robot.leg import Leg
-from humanoid_mjx.robot.ranges import joint_ranges
 from humanoid_mjx.thesis import leg as thesis
 
 LEG = Leg.physical()
@@ -55,7 +53,7 @@ def test_inverse_finds_the_joints():
 
 
 def test_workspace_holds_what_the_ranges_allow():
-    ranges = joint_ranges("proposed")
+    ranges = np.radians(RANGES)
     points = np.array(kinematics.workspace(LEG, ranges, jax.random.key(0), 4000)).astype(float)
     hip = np.array([0, 0, LENGTHS[0]])
     distance = np.linalg.norm(points - hip, axis=1)
@@ -68,9 +66,3 @@ def test_workspace_holds_what_the_ranges_allow():
     still = jnp.tile(jnp.array([[0.3]]), (5, 2))
     expected = np.tile(toe(LENGTHS, np.full(5, 0.3))[:3, 3], (3, 1))
     np.testing.assert_allclose(kinematics.workspace(LEG, still, jax.random.key(1), 3), expected, atol=1e-6)
-
-
-def test_joint_ranges_by_name():
-    np.testing.assert_allclose(joint_ranges("human")[3], np.radians([-10, 155]), rtol=1e-6)
-    with pytest.raises(InputError, match="did you mean 'human'"):
-        joint_ranges("humane")

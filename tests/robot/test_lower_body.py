@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from humanoid_mjx.robot import lower_body as body
-from humanoid_mjx.robot.ranges import TORQUE_LIMIT
+from humanoid_mjx.robot.legs import TORQUE_LIMIT
 from humanoid_mjx.thesis import leg as thesis
 
 

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Key
 from pydantic import Field, model_validator
 
 from humanoid_mjx.control import Control, at_rest
-from humanoid_mjx.control.drives import Driven, Drives, Ideal
+from humanoid_mjx.control.drives import Drives, Ideal
 from humanoid_mjx.control.laws import RobotServoLaw, ServoLaw
 from humanoid_mjx.mechanics.rotations import leaning_quaternion, product, rotate, unit
 from humanoid_mjx.mechanics.terrain import Terrain
@@ -161,7 +161,8 @@ class LeggedBody(ContinuousTask):
         values = {"mass": plant.mass, "friction": plant.friction, "torque_limit": plant.torque_limit}
         physics = self.simulator.replace(**values, damping=plant.joint_damping, push=force)
         physics = physics.replace(terrain=plant.terrain) if plant.terrain else physics
-        return physics, Driven(self.control.of(self.robot).follow(at_rest(setpoint)), self.actuator)
+        law = self.control.of(self.robot).follow(at_rest(setpoint))
+        return physics, lambda state: self.actuator(law(state), state.qvel)
 
 
 @lru_cache

@@ -73,7 +73,7 @@ def support_margin(
     proper = pair & (length > 0)
     unit = along / jnp.where(proper, length, 1.0)[..., None]
     # Seen from corner i towards corner j: how far along the line, and how far to its left.
-    place = jnp.clip(_dot(point - corners[:, None], unit), 0.0, length)
+    place = jnp.clip(jnp.sum((point - corners[:, None]) * unit, axis=-1), 0.0, length)
     to_point = _left(unit, point - corners[:, None])
     to_corners = _left(unit[:, :, None], corners - corners[:, None, None])
     edge = proper & ((to_corners > -1e-7) | ~touching).all(axis=-1)
@@ -93,10 +93,6 @@ def foot_corners(physics: MujocoPhysics, qpos: Float[AnyArray, "times nq"]) -> F
         mujoco.mj_kinematics(model, data)
         row[:] = lowest(model, data.geom_xpos[balls])
     return found
-
-
-def _dot(a: Array, b: Array) -> Array:
-    return jnp.sum(a * b, axis=-1)
 
 
 def _left(unit: Array, arm: Array) -> Array:
