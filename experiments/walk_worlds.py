@@ -23,7 +23,7 @@ from humanoid_mjx import compute
 from humanoid_mjx.control.drives import Drive
 from humanoid_mjx.control.pd import Joints
 from humanoid_mjx.evaluation.gait.measure import settings_of, trained_seeds
-from humanoid_mjx.evaluation.gait.scenarios import Scenario, gaits_of, play_gaits, scenarios_of, walking_task
+from humanoid_mjx.evaluation.gait.scenarios import Scenario, gaits_of, play_worlds, scenarios_of, walking_task
 from humanoid_mjx.evaluation.policy import Trained, in_world
 from humanoid_mjx.physics.base import Readings
 from humanoid_mjx.physics.sensors import Sensors, SensorState
@@ -113,22 +113,42 @@ def walked(
     policies: list[Trained], episodes: int, names: Sequence[str] = FIGURES, scenarios: Sequence[Scenario] | None = None
 ) -> dict[str, Any]:
     """Return the figures of policies that differ by their training seed, as lists of commands of lists of seeds."""
+    return walked_worlds(policies, [policies[0].learner], episodes, names, scenarios)[0]
+
+
+def walked_worlds(
+    policies: list[Trained],
+    learners: Sequence[Any],
+    episodes: int,
+    names: Sequence[str] = FIGURES,
+    scenarios: Sequence[Scenario] | None = None,
+) -> list[dict[str, Any]]:
+    """Return the figures of `walked` in each world, which are the tasks of these learners. Those of one structure are
+    played side by side."""
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(policy.policy for policy in policies))
-    task = walking_task(policies[0].learner.task)
-    scenarios = scenarios or scenarios_of(task.robot)
-    duration = float(task.duration)
-    found = play_gaits(policies[0].learner, stacked, scenarios, episodes, duration, ("greedy",), lambda done, of: None)
-    gaits = [gait.as_json() for gait in gaits_of(found, scenarios)]
+    scenarios = scenarios or scenarios_of(walking_task(learners[0].task).robot)
+    alike: dict[Any, list[int]] = {}
+    for index, learner in enumerate(learners):
+        alike.setdefault(jax.tree.structure(learner), []).append(index)
+    results: dict[int, dict[str, Any]] = {}
+    for indices in alike.values():
+        duration = float(walking_task(learners[indices[0]].task).duration)
+        found = play_worlds([learners[index] for index in indices], stacked, scenarios, episodes, duration)
+        for index, of_world in zip(indices, found, strict=True):
+            gaits = [gait.as_json() for gait in gaits_of(of_world, scenarios)]
+            figures = {name: [_of_seeds(gait, name) for gait in gaits] for name in names}
+            results[index] = {"commands": [gait["scenario"] for gait in gaits], **figures}
+    return [results[index] for index in range(len(learners))]
 
-    def of_seeds(gait: dict[str, Any], name: str) -> list[float] | None:
-        return [seed[0] for seed in gait["figures"][name]["seeds"]] if name in gait["figures"] else None
 
-    figures = {name: [of_seeds(gait, name) for gait in gaits] for name in names}
-    return {"commands": [gait["scenario"] for gait in gaits], **figures}
+def _of_seeds(gait: dict[str, Any], name: str) -> list[float] | None:
+    return [seed[0] for seed in gait["figures"][name]["seeds"]] if name in gait["figures"] else None
 
 
-def _faulty(learner: Any, fault: str) -> Any:
-    return learner.replace(task=FAULTS[fault](learner.task))
+def learner_in(policy: Trained, physics: str | None, world: str, overrides: list[str]) -> Any:
+    """Return the learner of a policy whose task is that of a world, or has a fault."""
+    learner = in_world(policy, physics, settings_of(overrides)).learner
+    return learner.replace(task=FAULTS[world](learner.task)) if world in FAULTS else learner
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -144,13 +164,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     made_by, rows = compute.made_by(), []
     for name in given.names:
         policies = trained_seeds([name])
-        for world in given.worlds:
-            overrides = [f"task.{key}={value}" for key, value in (PLAIN | WORLDS.get(world, {})).items()]
-            there = [in_world(policy, given.physics, settings_of(overrides)) for policy in policies]
-            if world in FAULTS:
-                there = [policy._replace(learner=_faulty(policy.learner, world)) for policy in there]
-            found = walked(there, given.episodes)
-            rows.append({"policy": policies[0].name, "world": world, "set": overrides, **found})
+        values = {
+            world: [f"task.{key}={value}" for key, value in (PLAIN | WORLDS.get(world, {})).items()]
+            for world in given.worlds
+        }
+        learners = [learner_in(policies[0], given.physics, *world) for world in values.items()]
+        for world, found in zip(values, walked_worlds(policies, learners, given.episodes), strict=True):
+            rows.append({"policy": policies[0].name, "world": world, "set": values[world], **found})
             least = min(min(seeds) for seeds in found["success"])
             print(f"{policies[0].name}, {world}: least upright {least:.0%}", flush=True)
     origins = {policy.name: policy.origin["provenance"] for name in given.names for policy in trained_seeds([name])}

@@ -135,25 +135,42 @@ def play_gaits(
     Raises:
       InputError: the task moves no body by commands.
     """
-    learner = under_one_command(learner)
-    task = walking_task(learner.task)
+    return play_worlds([learner], policies, scenarios, episodes, seconds, agents, tell)[0]
+
+
+def play_worlds(
+    learners: Sequence[Learner],
+    policies: Any,
+    scenarios: Sequence[Scenario],
+    episodes: int,
+    seconds: float = SECONDS,
+    agents: Sequence[str] = ("greedy",),
+    tell: Callable[[int, int], None] = lambda done, total: None,
+) -> list[dict[str, dict[str, np.ndarray]]]:
+    """The results of `play_gaits` in several worlds, which are the tasks of learners of one structure, side by side."""
+    learners = [under_one_command(learner) for learner in learners]
+    task = walking_task(learners[0].task)
+    worlds = jax.tree.map(lambda *values: jnp.stack([jnp.asarray(value) for value in values]), *learners)
     seeds = len(jax.tree.leaves(policies)[0])
     chosen = [(name, seed) for name in agents for seed in (range(seeds) if name == "greedy" else (0,))]
     rows = np.array([seed for _, seed in chosen])
     policies = jax.tree.map(lambda leaf: jnp.asarray(leaf)[rows], policies)
     numbers = jnp.array([AGENTS.index(name) for name, _ in chosen], jnp.int32)
     commands = _Commands(*(jnp.array(column, float) for column in list(zip(*scenarios, strict=True))[1:]))
-    side_by_side = len(chosen) * len(scenarios)
+    side_by_side = len(learners) * len(chosen) * len(scenarios)
     block = min(episodes, max(task.simulator.batches.here // side_by_side, 1))
     keys = held_out_keys(-(-episodes // block) * block)
     run, decisions = _program(task.arithmetic), jnp.int32(round(seconds / task.period))
     parts = []
     for first in range(0, len(keys), block):
-        parts.append(jax.device_get(run(learner, policies, numbers, commands, keys[first : first + block], decisions)))
+        parts.append(jax.device_get(run(worlds, policies, numbers, commands, keys[first : first + block], decisions)))
         tell(side_by_side * min(first + block, episodes), side_by_side * episodes)
     found = {name: np.concatenate([part[name] for part in parts], axis=-1)[..., :episodes] for name in parts[0]}
     of = {name: np.array([index for index, (one, _) in enumerate(chosen) if one == name]) for name in agents}
-    return {name: {key: found[key][of[name]] for key in FIGURES} for name in agents}
+    return [
+        {name: {key: found[key][world][of[name]] for key in FIGURES} for name in agents}
+        for world in range(len(learners))
+    ]
 
 
 def gaits_of(found: dict[str, dict[str, np.ndarray]], scenarios: Sequence[Scenario]) -> list[Gait]:
@@ -167,7 +184,8 @@ def gaits_of(found: dict[str, dict[str, np.ndarray]], scenarios: Sequence[Scenar
 
 @lru_cache
 def _program(arithmetic: Arithmetic) -> Callable[..., dict[str, Array]]:
-    """(learner, policies, agents' numbers, commands, keys, decisions) -> figures by name, (agents, commands, keys)."""
+    """(learners, policies, agents' numbers, commands, keys, decisions) -> figures by name, (learners, agents, commands,
+    keys)."""
 
     def episode(
         learner: Learner, policy: Any, number: IntScalar, command: _Commands, key: Key[Array, ""], decisions: IntScalar
@@ -175,8 +193,8 @@ def _program(arithmetic: Arithmetic) -> Callable[..., dict[str, Array]]:
         decide = lambda index, loop: _decide(learner, index, policy, number, command, key, loop)  # noqa: E731
         return _figures(learner, command, jax.lax.fori_loop(0, decisions, decide, _begin(learner, key)))
 
-    for axes in ((None, None, None, None, 0, None), (None, None, None, 0, None, None), (None, 0, 0, None, None, None)):
-        episode = jax.vmap(episode, in_axes=axes)
+    for mapped in ([4], [3], [1, 2], [0]):
+        episode = jax.vmap(episode, in_axes=tuple(0 if place in mapped else None for place in range(6)))
     return jax.jit(episode, compiler_options=compiler_options(arithmetic))
 
 
