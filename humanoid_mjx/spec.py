@@ -96,6 +96,14 @@ def _split(spec: Spec) -> tuple[list[tuple[str, Any]], tuple[tuple[str, Any], ..
     return nodes, tuple(static)
 
 
+def kinds(spec: Spec) -> Iterator[type[Spec]]:
+    """The classes of a Spec and of those that it holds."""
+    yield type(spec)
+    for _, value in _split(spec)[0]:
+        if isinstance(value, Spec):
+            yield from kinds(value)
+
+
 def _flatten(spec: Spec) -> tuple[list[Any], tuple[tuple[str, ...], tuple[tuple[str, Any], ...]]]:
     nodes, static = _split(spec)
     return [value for _, value in nodes], (tuple(name for name, _ in nodes), static)

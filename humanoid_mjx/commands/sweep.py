@@ -11,7 +11,7 @@ from rich.table import Table
 
 from humanoid_mjx import compute
 from humanoid_mjx.commands import console
-from humanoid_mjx.compute import processes
+from humanoid_mjx.compute import kept, processes
 from humanoid_mjx.config import load
 from humanoid_mjx.runs.folder import read_provenance
 from humanoid_mjx.training.progress import Bar, counted
@@ -33,7 +33,7 @@ def run_sweep(
     compute.start(mjx="mjx-jax" in loaded.physics)  # before `joined`, which may begin to compute
     from humanoid_mjx.training.sweep import sweep
 
-    with Bar(console, DRAWING_S) as bar, _growing(bar) if view else nullcontext() as growing:
+    with kept.keeping(), Bar(console, DRAWING_S) as bar, _growing(bar) if view else nullcontext() as growing:
         try:
             with processes.joined() as process:
                 first = process == 0  # the first process speaks for all

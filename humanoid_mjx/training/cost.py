@@ -13,10 +13,11 @@ from jax.extend import core
 from rich.filesize import decimal
 
 from humanoid_mjx import compute
+from humanoid_mjx.compute import kept
 from humanoid_mjx.runs.folder import disk_used
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.plan import Group, Plan
-from humanoid_mjx.training.program import SHOWN, advance, measures
+from humanoid_mjx.training.program import SHOWN, advance
 from humanoid_mjx.types import Device
 
 CPU_CACHE_BYTES = 1 << 21
@@ -69,9 +70,13 @@ def run_bytes(group: Group) -> int:
 @lru_cache(maxsize=16)
 def training_bytes(group: Group) -> int:
     """About what one run takes at the peak of its training: its state before and after, and what works on it."""
-    learner = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), group.learners)
-    program = jax.make_jaxpr(advance)(learner, group.one_run, jax.ShapeDtypeStruct((), np.int32))
-    return 2 * run_bytes(group) + working_bytes(program.jaxpr)
+    learner = group.one_learner
+
+    def working() -> int:
+        program = jax.make_jaxpr(advance)(learner, group.one_run, jax.ShapeDtypeStruct((), np.int32))
+        return working_bytes(program.jaxpr)
+
+    return 2 * run_bytes(group) + kept.remembered("bytes", kept.about(learner), working)
 
 
 FUSED = frozenset(
@@ -156,8 +161,7 @@ def disk_bytes(plan: Plan, slots: Sequence[int]) -> int:
 
 def finished_bytes(group: Group) -> int:
     """About what one finished run takes: its policy, and its curves both by themselves and in the tables."""
-    learner = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), group.learners)
-    names = len(measures(learner, group.one_run.carry))
+    names = group.one_run.record.shape[1]
     if group.learners.evaluations > 1:
         names += len(SHOWN)  # of greedy episodes
     curves = (names + 1) * group.learners.record * np.dtype(np.float32).itemsize  # and the time of each point

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx import compute
-from humanoid_mjx.compute import rng
+from humanoid_mjx.compute import kept, rng
 from humanoid_mjx.config import Config
 from humanoid_mjx.config.axes import sweep_points
 from humanoid_mjx.learners import Learner, learner_class, make_learner
@@ -45,13 +45,19 @@ class Group:
     @cached_property
     def one_run(self) -> Training:
         """The shapes of one run's training state."""
-        learner = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), self.learners)
-        return jax.eval_shape(begin, learner, jax.eval_shape(lambda: rng.key(0)))
+        learner = self.one_learner
+        key = jax.eval_shape(lambda: rng.key(0))
+        return kept.remembered("run", kept.about(learner), lambda: jax.eval_shape(begin, learner, key))
+
+    @property
+    def one_learner(self) -> Learner:
+        """The shapes of one of the learners."""
+        return jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), self.learners)
 
     @property
     def policy(self) -> Any:
         """The shapes of what one run learns."""
-        return jax.eval_shape(lambda learner: learner.policy(learner.init(rng.key(0))), self.learner())
+        return jax.eval_shape(type(self.learners).policy, self.one_learner, self.one_run.carry)
 
     def learner(self, row: int = 0) -> Learner:
         """The learner of one of the points, its traced values as arrays."""

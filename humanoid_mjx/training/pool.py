@@ -9,6 +9,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -17,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx import compute
+from humanoid_mjx.compute import kept
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.plan import Group
@@ -61,7 +63,8 @@ class Pool:
         `policies`: policies that runs start from instead of anew, every leaf with a leading axis of the group's runs.
         """
         self.group, self.waiting, self.seed, self.policies = group, waiting, seed, policies
-        self.programs, size = programs_of(group.learners, devices), size * len(devices)
+        self.programs, self.devices = programs_of(group.learners, devices), devices
+        size *= len(devices)
         self.over_devices = self.programs.by_run
         self.compiled: dict[str, Callable[..., Any]] = {}
         self.phase = "starting"
@@ -218,10 +221,11 @@ class Pool:
         return jax.block_until_ready(self.compiled[name](*args))
 
     def _program(self, name: str, *args: Any, after: "Future[Any] | None" = None) -> "Future[Callable[..., Any]]":
-        """A program of `programs` for such arguments, which is compiled in a thread of its own.
+        """A program of `programs` for such arguments, which a thread of its own compiles, or loads where an earlier
+        process did.
 
-        `after`: a program that is waited for. This one is then traced in that thread, too, and where cores are few
-        compiled once the other one is.
+        `after`: a program that is needed before. This one is then traced in that thread, too, and where cores are few
+        once the other one is there.
         """
         leaves, structure = jax.tree.flatten(args)
         kind = name, structure, tuple((leaf.aval, leaf.sharding) for leaf in leaves)
@@ -229,13 +233,24 @@ class Pool:
         if known is not None and not (known.done() and known.exception()):
             return known
         # Shapes in the place of arrays, which the training steps give up meanwhile.
-        trace = partial(getattr(self.programs, name).lower, *jax.tree.map(_shape, args))
-        if after is None:
+        args = jax.tree.map(_shape, args)
+        lower = partial(getattr(self.programs, name).lower, *args)
+        about = kept.about(self.learners, args, self.programs.options)
+        stored = kept.find(name, about)
+        lowered = None
+        if stored is None and after is None:
             self.phase = "tracing"
-            program = _in_background(trace().compile)
-        else:
-            program = _in_background(partial(_compile_after, after, trace))
-        self.programs.compiled[kind] = program
+            lowered = lower()
+
+        def make() -> tuple[Callable[..., Any], Callable[[], None]]:
+            if after is not None and compute.cores() <= CORES_OF_A_COMPILER:
+                after.exception()  # waits
+            if stored is not None:
+                with suppress(Exception):  # it is not worth more than the time that it saves
+                    return kept.load_program(stored, args, self.devices), lambda: None
+            return kept.compile_program(name, about, lowered or lower())
+
+        program = self.programs.compiled[kind] = _in_background(make)
         return program
 
     def _load(self) -> None:
@@ -253,26 +268,22 @@ def _shape(leaf: jax.Array) -> jax.ShapeDtypeStruct:
     return jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=leaf.sharding, weak_type=leaf.aval.weak_type)
 
 
-def _in_background(work: Callable[[], Callable[..., Any]]) -> "Future[Callable[..., Any]]":
-    """Run `work` in a thread of its own, which does not keep the process from ending: a compiler cannot be interrupted,
-    leaves Python free and most cores of a machine idle."""
+def _in_background(work: Callable[[], tuple[Callable[..., Any], Callable[[], None]]]) -> "Future[Callable[..., Any]]":
+    """Let a thread of its own make a program, and then do what is left to do. It does not keep the process from ending:
+    a compiler cannot be interrupted, leaves Python free and most cores of a machine idle."""
     future: Future[Callable[..., Any]] = Future()
 
     def run() -> None:
         try:
-            future.set_result(work())
+            program, then = work()
         except BaseException as error:
             future.set_exception(error)
+            return
+        future.set_result(program)
+        then()
 
     threading.Thread(target=run, daemon=True).start()
     return future
-
-
-def _compile_after(other: "Future[Any]", trace: Callable[[], Any]) -> Callable[..., Any]:
-    lowered = trace()
-    if compute.cores() <= CORES_OF_A_COMPILER:
-        other.exception()  # waits
-    return lowered.compile()
 
 
 @jax.jit

@@ -36,6 +36,8 @@ class Programs(NamedTuple):
     """Sharding of arrays with a leading axis of runs."""
     everywhere: NamedSharding | SingleDeviceSharding
     """Sharding of arrays that every device has whole."""
+    options: str
+    """What the programs follow from beside their arguments."""
     compiled: "dict[Any, Future[Callable[..., Any]]]"
     """Compiled programs, also those under way, by name and kind of arguments: a second sweep in a process does not
     trace them."""
@@ -78,6 +80,7 @@ def programs(options: tuple[tuple[str, str | bool], ...], mesh: Mesh, fused: boo
         finish=compiled(jax.vmap(end), by_run),
         by_run=shardings[0],
         everywhere=shardings[1],
+        options=f"{options} {mesh.device_ids.tolist()} {fused}",
         compiled={},
     )
 

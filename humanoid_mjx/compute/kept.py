@@ -1,0 +1,150 @@
+"""What one process traced and compiled, kept on disk beside jax's own programs, so that the next need not trace.
+
+jax keeps compiled programs, but finds them only by what it has traced: seconds of Python for a robot. Here a caller
+says what a program follows from. Everything else that could change it is in one digest, so that a file of another
+version of this package, of jax, of a setting or of a machine is never used. Only commands keep anything (`keeping`): in
+a notebook or a test, functions may have been replaced.
+"""
+
+import hashlib
+import os
+import pickle
+import sys
+import threading
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.monitoring
+
+from humanoid_mjx.compute.provenance import machine
+from humanoid_mjx.files import folder, whole_file
+from humanoid_mjx.spec import Spec, kinds
+
+SETTINGS = ("JAX_", "XLA_", "PJRT_", "TF_", "NVIDIA_", "CUDA_")
+"""How the names of variables of the environment begin that programs may depend on."""
+
+DIGEST = hashlib.sha256().digest_size
+
+_on = False
+
+
+@contextmanager
+def keeping() -> Iterator[None]:
+    """Keep and find within the block."""
+    global _on
+    _on = True
+    try:
+        yield
+    finally:
+        _on = False
+
+
+def about(spec: Spec, arrays: Any = None, also: str = "") -> str | None:
+    """Return what a program follows from: the structure of a Spec and of `arrays`, shapes, types and places of both,
+    and what there is `also`. None where the Spec has a class of a user's, whose code may change."""
+    if not all(kind.__module__.startswith("humanoid_mjx.") for kind in kinds(spec)):
+        return None
+    leaves, structure = jax.tree.flatten((spec, arrays))
+    kinds_of_leaves = (f"{jax.typeof(leaf)} {getattr(leaf, 'sharding', None)}" for leaf in leaves)
+    return "\n".join([also, str(structure), *kinds_of_leaves])
+
+
+def remembered(name: str, about: str | None, make: Callable[[], Any]) -> Any:
+    """Return what `make` returns, or what it returned to an earlier process for the same `name` and `about`.
+
+    Args:
+      name: letters for a file's name.
+      about: what the result follows from, in full. None: not known, and nothing is kept.
+    """
+    if (found := find(name, about)) is None:
+        put(name, about, found := make())
+    return found
+
+
+def find(name: str, about: str | None) -> Any:
+    """Return what `put` stored, or None."""
+    with suppress(Exception):  # what is damaged is made anew
+        if (path := _path(name, about)) is not None:
+            data = path.read_bytes()
+            if data[: 2 * DIGEST] == _surroundings() + hashlib.sha256(data[2 * DIGEST :]).digest():
+                return pickle.loads(zlib.decompress(data[2 * DIGEST :]))
+    return None
+
+
+def put(name: str, about: str | None, value: Any) -> None:
+    """Store a value, over that of another version; one that cannot be pickled or a full disk is passed over."""
+    if (path := _path(name, about)) is None:
+        return
+    with suppress(OSError, TypeError, AttributeError, pickle.PickleError):
+        data = zlib.compress(pickle.dumps(value), 1)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with whole_file(path) as temporary:
+            temporary.write_bytes(_surroundings() + hashlib.sha256(data).digest() + data)
+
+
+def compile_program(name: str, about: str | None, lowered: jax.stages.Lowered) -> tuple[jax.stages.Compiled, Callable]:
+    """Return a compiled program, and what stores it when there is time: nothing where jax had it on disk already, since
+    a CPU's program that was read lacks functions when it is stored again."""
+    read, thread = [], threading.get_ident()
+
+    def listen(event: str, **_: Any) -> None:
+        if event == "/jax/compilation_cache/cache_hits" and threading.get_ident() == thread:
+            read.append(event)
+
+    jax.monitoring.register_event_listener(listen)
+    try:
+        program = lowered.compile()
+    finally:
+        jax.monitoring.unregister_event_listener(listen)
+    return program, (lambda: None) if read else partial(_put_program, name, about, program)
+
+
+def _put_program(name: str, about: str | None, program: jax.stages.Compiled) -> None:
+    """Store a compiled program, unless it calls Python or holds arrays."""
+    if _path(name, about) is not None:
+        from jax.experimental.serialize_executable import serialize
+
+        with suppress(ValueError, TypeError, NotImplementedError, AttributeError, jax.errors.JaxRuntimeError):
+            data, _, out = serialize(program)
+            put(name, about, (data, jax.tree.unflatten(out, range(out.num_leaves))))
+
+
+def load_program(stored: Any, args: tuple[Any, ...], devices: Sequence[Any]) -> jax.stages.Compiled:
+    """Return the program that `find` found, for such arguments on these devices."""
+    from jax.experimental.serialize_executable import deserialize_and_load
+
+    data, out = stored
+    given, out = jax.tree.structure((args, {})), jax.tree.structure(out)
+    return deserialize_and_load(data, given, out, devices[0].client, devices)
+
+
+def _path(name: str, about: str | None) -> Path | None:
+    place = jax.config.values["jax_compilation_cache_dir"]
+    if not _on or about is None or not place or not jax.config.values["jax_enable_compilation_cache"]:
+        return None
+    if "://" in place or jax.process_count() > 1 or " at 0x" in about:
+        return None
+    return Path(place) / f"{name}-{hashlib.sha256(about.encode()).hexdigest()[:40]}-traced"
+
+
+@lru_cache
+def _surroundings() -> bytes:
+    """A digest of all that programs follow from and callers do not name: code, versions, machine, settings."""
+    found = hashlib.sha256()
+    robots = (path for path in folder("robots").rglob("*") if path.is_file())
+    for path in sorted([*Path(__file__).parents[1].rglob("*.py"), *robots]):
+        found.update(path.name.encode() + path.read_bytes())
+    installed = sorted(path.name for place in sys.path for path in Path(place).glob("*.dist-info"))
+    values = {name: x for name, x in jax.config.values.items() if "cache" not in name}
+    environment = {name: x for name, x in os.environ.items() if name.startswith(SETTINGS) and "CACHE" not in name}
+    with suppress(OSError), open("/proc/cpuinfo", "rb") as file:  # a processor of the same name may lack a feature
+        found.update(next((line for line in file.read(8192).splitlines() if line.startswith(b"flags")), b""))
+    client = jax.devices()[0].client
+    for part in (installed, sorted(values.items()), sorted(environment.items()), machine(), client.platform_version):
+        found.update(repr(part).encode())
+    return found.digest()

@@ -1,0 +1,83 @@
+"""What one process leaves on disk for the next."""
+
+import os
+
+import jax
+import numpy as np
+import pytest
+from small_sweep import assert_same_tables, run_cli, write_config
+
+from humanoid_mjx.compute import kept
+from humanoid_mjx.tasks import make_task
+from humanoid_mjx.tasks.legged.stand import Stand
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setattr(kept, "_on", True)
+    before = jax.config.values["jax_compilation_cache_dir"]
+    jax.config.update("jax_compilation_cache_dir", str(tmp_path / "xla"))
+    yield tmp_path / "xla"
+    jax.config.update("jax_compilation_cache_dir", before)
+
+
+def test_what_is_kept_is_found_as_long_as_nothing_differs(folder, monkeypatch):
+    kept.put("a", "this", {"x": 1})
+    assert kept.find("a", "this") == {"x": 1}
+    assert kept.find("a", "that") is None and kept.find("b", "this") is None
+    assert kept.remembered("a", "this", lambda: 2) == {"x": 1}
+    monkeypatch.setattr(kept, "_surroundings", lambda: b"other code".ljust(kept.DIGEST))
+    assert kept.find("a", "this") is None
+    kept.put("a", "this", 3)
+    assert kept.find("a", "this") == 3
+    assert len(list(folder.iterdir())) == 1  # another version's takes no room
+
+
+def test_what_is_damaged_or_not_to_be_kept_is_made_anew(folder, monkeypatch):
+    kept.put("a", "this", list(range(100)))
+    (file,) = folder.iterdir()
+    data = bytearray(file.read_bytes())
+    for place in (0, kept.DIGEST, len(data) - 1):
+        wrong = bytes(data[:place]) + bytes([data[place] ^ 1]) + bytes(data[place + 1 :])
+        file.write_bytes(wrong)
+        assert kept.find("a", "this") is None
+    file.write_bytes(data[:50])
+    assert kept.remembered("a", "this", lambda: 7) == 7
+    assert kept.find("a", "this") == 7
+    kept.put("a", None, 1)
+    kept.put("a", "a function at 0x7f", 1)
+    kept.put("b", "that", lambda: 1)  # cannot be pickled
+    monkeypatch.setattr(kept, "_on", False)
+    kept.put("c", "that", 1)
+    assert list(folder.iterdir()) == [file]
+
+
+def test_programs_follow_from_structure_and_shapes_and_not_from_values():
+    stand, arrays = make_task("stand"), np.zeros(3, np.float32)
+    told = kept.about(stand, arrays)
+    assert told == kept.about(make_task("stand", mass=1.2), arrays)
+    others = make_task("stand", period=0.04), make_task("stand", sensors={"delay": 2})
+    assert len({told, kept.about(stand, arrays[:2]), *(kept.about(other, arrays) for other in others)}) == 4
+
+    class Mine(Stand):
+        pass
+
+    assert kept.about(Mine(), arrays) is None
+
+
+@pytest.mark.parametrize("devices", ["1", "2"])
+def test_a_second_sweep_traces_nothing_and_finds_the_same(tmp_path, monkeypatch, devices):
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "xla"))
+    config = write_config(tmp_path)
+    first = run_cli("sweep", config, "--out", "first", cwd=tmp_path, devices=devices)
+    files = {path: path.stat().st_mtime_ns for path in (tmp_path / "xla").glob("*-traced")}
+    assert {path.name.split("-")[0] for path in files} == {"run", "bytes", "begin", "advance", "finish"}
+    second = run_cli("sweep", config, "--out", "second", cwd=tmp_path, devices=devices)
+    assert " tracing" in first.stdout and " tracing" not in second.stdout, second.stdout + second.stderr
+    assert_same_tables(tmp_path / "first", tmp_path / "second")
+    assert files == {path: path.stat().st_mtime_ns for path in (tmp_path / "xla").glob("*-traced")}
+    for path in files:
+        os.truncate(path, path.stat().st_size // 2)
+    third = run_cli("sweep", config, "--out", "third", cwd=tmp_path, devices=devices)
+    assert " tracing" in third.stdout, third.stdout + third.stderr
+    assert_same_tables(tmp_path / "first", tmp_path / "third")
