@@ -1,22 +1,31 @@
 """Seconds from a command to the beginning of its training, with nothing compiled before it and the second time.
 
 `humanoid-mjx sweep` runs in a process of its own, with a folder of its own for compiled programs, and is ended once it
-trains: what counts is importing, tracing, compiling and reading what was compiled. On a GPU it takes memory as it needs
+trains: what counts is importing, tracing, compiling and reading what was kept. On a GPU it takes memory as it needs
 it, because it shares the GPU with the process that measures.
 
     cold               the folder is empty
     warm               the same command again
+    s to training      by the clock
+    processor s ...    of all threads together; other programs change it little
+    share of importing until the progress begins: Python, jax, MuJoCo
+    share of starting  config and plan; tracing of a training step, to estimate the memory; the runs' first states
+    share of tracing   tracing and lowering of the training steps, the rest of which are compiled meanwhile
+    share of compiling waiting for XLA, or for what is read from the folder
 """
 
+import math
 import os
 import re
 import statistics
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import NamedTuple
 
 import jax
 
@@ -30,6 +39,17 @@ CONFIGS = ("joint1", "leg_reach", "stand")
 
 REPEATS = 3
 
+KEEPS_S = 20.0
+"""Seconds in which a process that trains has stored what it compiled."""
+
+
+class Start(NamedTuple):
+    """What a start took."""
+
+    phases: Counter[str]
+    """Seconds of each phase."""
+    processor_s: float
+
 
 def run(
     say: Callable[[str], None],
@@ -40,32 +60,40 @@ def run(
     """Start a sweep of every config so many times, cold and warm in turn."""
     records: list[Record] = []
     for name in configs:
-        times: dict[str, list[float]] = {"cold": [], "warm": []}
+        starts: dict[str, list[Start]] = {"cold": [], "warm": []}
         for _ in range(repeats):
             with TemporaryDirectory() as folder:
-                for kind, seconds in times.items():
-                    seconds.append(seconds_to_training(name, overrides, Path(folder), kind))
-        envs = environments(resolved(load(name, overrides))["learner"])
-        for kind, seconds in times.items():
-            records.append(
+                for kind, found in starts.items():
+                    found.append(start_up(name, overrides, Path(folder), kind))
+        common = {
+            "bench": "startup",
+            "device": jax.devices()[0].device_kind,
+            "batch": environments(resolved(load(name, overrides))["learner"]),
+            "compile_s": 0.0,
+            "repeats": repeats,
+        }
+        for kind, found in starts.items():
+            seconds, processor = [sum(each.phases.values()) for each in found], [each.processor_s for each in found]
+            shares = sum((each.phases for each in found), Counter())
+            figures = {"s to training": seconds, "processor s to training": processor}
+            records += [
                 Record(
-                    bench="startup",
-                    subject=f"{name} {kind}",
-                    device=jax.devices()[0].device_kind,
-                    batch=envs,
-                    value=round(statistics.median(seconds), 3),
-                    unit="s to training",
-                    compile_s=0.0,
-                    repeats=repeats,
-                    spread=spread(seconds),
+                    subject=f"{name} {kind}", value=round(statistics.median(x), 3), unit=u, spread=spread(x), **common
                 )
-            )
-        say(f"{name:12} training begins after {records[-2].value:5.1f} s, the second time {records[-1].value:5.1f} s")
+                for u, x in figures.items()
+            ]
+            records += [
+                Record(subject=f"{name} {kind}", value=round(x / sum(seconds), 4), unit=f"share of {phase}", **common)
+                for phase, x in shares.items()
+            ]
+            told = ", ".join(f"{phase} {x / repeats:.1f}" for phase, x in shares.items())
+            say(f"{name:12} {kind} training begins after {statistics.median(seconds):5.1f} s: {told}; "
+                f"{statistics.median(processor):.1f} s of processor time")  # fmt: skip
     return records
 
 
-def seconds_to_training(config: str, overrides: Sequence[str], folder: Path, out: str) -> float:
-    """Seconds until a sweep in a process of its own trains. `folder` keeps what it compiles, and its run folder `out`.
+def start_up(config: str, overrides: Sequence[str], folder: Path, out: str) -> Start:
+    """A sweep in a process of its own until it trains. `folder` keeps what it compiles, and its run folder `out`.
 
     Raises:
       InputError: it ended before it trained.
@@ -78,12 +106,31 @@ def seconds_to_training(config: str, overrides: Sequence[str], folder: Path, out
     command = [sys.executable, "-m", "humanoid_mjx", "sweep", config, "--out", str(folder / out), *words]
     start, told = time.perf_counter(), []
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    phases, phase, last = Counter(), "starting", 0.0
     with subprocess.Popen(command, env=environment, **pipes) as process:
         try:
             for line in process.stdout or ():
-                if re.match(r" *[\d.]+ s  training", line):
-                    return time.perf_counter() - start
                 told.append(line.strip())
+                if not (found := re.match(r" *([\d.]+) s  (\w+)", line)):
+                    continue
+                phases[phase] += float(found[1]) - last
+                last, phase = float(found[1]), found[2]
+                if phase == "training":
+                    phases["importing"] = time.perf_counter() - start - last
+                    used = _processor_s(process.pid)
+                    until = time.perf_counter() + KEEPS_S
+                    while not any((folder / "xla").glob("advance-*-traced")) and time.perf_counter() < until:
+                        time.sleep(0.1)
+                    return Start(phases, used)
         finally:
             process.kill()
     raise InputError(f"bench startup: {config} did not come to training: {told[-1] if told else 'it said nothing.'}")
+
+
+def _processor_s(process: int) -> float:
+    """Seconds that all threads of a process have computed; NaN where the system does not say."""
+    try:
+        fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return math.nan
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
