@@ -56,7 +56,7 @@ def _apply(eqn: Any, args: list[np.ndarray]) -> list[np.ndarray]:
     if name in ARRANGEMENTS:
         return ARRANGEMENTS[name](params, *args)
     if name in REDUCTIONS:
-        return [_reduced(REDUCTIONS[name], args[0], params["axes"])]
+        return [_reduced(eqn, args[0])]
     if name in CONTROL:
         return CONTROL[name](eqn, *args)
     shape = _shape(eqn.outvars[0])
@@ -132,11 +132,14 @@ def _shape(var: Any) -> tuple[int, ...]:
     return _aval(var).shape
 
 
-def _reduced(combine: Callable[[Any, Any], Any], array: np.ndarray, axes: Sequence[int]) -> np.ndarray:
+def _reduced(eqn: Any, array: np.ndarray) -> np.ndarray:
+    axes, (combine, of_nothing) = eqn.params["axes"], REDUCTIONS[eqn.primitive.name]
     kept = [axis for axis in range(array.ndim) if axis not in axes]
     moved = array.transpose(*axes, *kept)
     shape = [array.shape[axis] for axis in kept]
     rows = moved.reshape(-1, math.prod(shape))
+    if not len(rows):
+        return _constant(np.full(shape, of_nothing, _aval(eqn.outvars[0]).dtype))
     return arranged([reduce(combine, map(vector, column)) for column in rows.T], tuple(shape))
 
 
@@ -196,7 +199,12 @@ ARRANGEMENTS: dict[str, Callable[..., list[np.ndarray]]] = {
 }
 """Operations that move elements and make none."""
 
-REDUCTIONS = {"reduce_and": lax.bitwise_and, "reduce_or": lax.bitwise_or, "reduce_sum": lax.add}
+REDUCTIONS: dict[str, tuple[Callable[[Any, Any], Any], Any]] = {
+    "reduce_and": (lax.bitwise_and, True),
+    "reduce_or": (lax.bitwise_or, False),
+    "reduce_sum": (lax.add, 0),
+}
+"""How two elements are reduced, and what is left where there is none."""
 
 
 def _while(eqn: Any, *args: np.ndarray) -> list[np.ndarray]:
