@@ -8,6 +8,7 @@ A run folder stands for all training seeds of its best point; the figure has a c
 import argparse
 import json
 from collections.abc import Callable, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,7 +23,7 @@ import humanoid_mjx
 from humanoid_mjx import compute
 from humanoid_mjx.evaluation.evaluate import held_out_keys
 from humanoid_mjx.evaluation.gait.measure import settings_of, trained_seeds
-from humanoid_mjx.evaluation.policy import Trained, in_changed_world
+from humanoid_mjx.evaluation.policy import Trained, find_policy, in_changed_world
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.rollout import greedy, rollout
 from humanoid_mjx.report.style import SEQUENTIAL, figure
@@ -61,6 +62,11 @@ MAPS = {
         lambda mass, friction: [f"mass={mass}", f"friction={friction}"],
     ),
     "sensors": Map(("late, control cycles", (0, 1, 2, 3, 4)), ("factor on the noise", (0, 1, 2, 4, 8)), _noisy),
+    "control period": Map(
+        ("late, control cycles", (0, 1, 2, 3)),
+        ("control period, ms", (8, 12, 20, 28, 40)),
+        lambda cycles, period: [f"sensors.delay={cycles}", f"period={period / 1000}"],
+    ),
     "motors": Map(
         ("voltage, V", (3, 4.5, 6, 9, 12)),
         ("gear ratio", (20, 30, 50, 70, 100, 130)),
@@ -71,16 +77,16 @@ MAPS = {
 """The maps by name: rows and columns. Friction 1 is rubber on a dry floor; noise 1 is that of `walk`."""
 
 
-@jax.jit
-def _upright(learners: Learner, policies: Any, keys: jax.Array) -> jax.Array:
-    """(worlds, seeds, episodes) Whether the bodies stay up."""
+@cache
+def _upright(arithmetic: Any, program: Any) -> Callable[..., jax.Array]:
+    """(learners, policies, keys) -> (worlds, seeds, episodes) whether the bodies stay up."""
 
     def one(learner: Learner, policy: Any, key: jax.Array) -> jax.Array:
         return rollout(learner.env, greedy(learner, policy), key).success
 
     for axes in ((None, None, 0), (None, 0, None), (0, None, None)):
         one = jax.vmap(one, in_axes=axes)
-    return one(learners, policies, keys)
+    return jax.jit(one, compiler_options=compute.compiler_options(arithmetic, program))
 
 
 def mapped(policies: list[Trained], of: Map, episodes: int) -> Float[np.ndarray, "down across seeds"]:
@@ -95,13 +101,20 @@ def mapped(policies: list[Trained], of: Map, episodes: int) -> Float[np.ndarray,
         return there(policies[0], of.changes(down, across)).learner
 
     learned, keys = stacked([policy.policy for policy in policies]), held_out_keys(episodes)
-    rows = (stacked([learner(down, across) for across in of.across[1]]) for down in of.down[1])
-    return np.stack([np.asarray(_upright(row, learned, keys)).mean(axis=-1) for row in rows])
+    # The control period is not traced: its columns are programs of their own, longer to compile than to play.
+    apart = "control period, ms" in of.across
+    upright = _upright(policies[0].learner.env.arithmetic, "single" if apart else "simulation")
+    rows = ([learner(down, across) for across in of.across[1]] for down in of.down[1])
+    rows = ([stacked([one]) for one in row] if apart else [stacked(row)] for row in rows)
+    found = [np.concatenate([upright(part, learned, keys) for part in row]) for row in rows]
+    return np.stack(found).mean(axis=-1)
 
 
 def there(policy: Trained, changes: Sequence[str]) -> Trained:
-    """The policy told to go ahead, in a plain world but for these values of the task."""
-    plain = PLAIN | {"command": AHEAD} | dict(change.split("=", 1) for change in changes)
+    """The policy told to go ahead, if it takes commands, in a plain world but for these values of the task."""
+    task: Any = policy.learner.task
+    plain = PLAIN | ({"command": AHEAD} if task.command else {})
+    plain |= dict(change.split("=", 1) for change in changes)
     return in_changed_world(policy, settings_of([f"task.{key}={value}" for key, value in plain.items()]))
 
 
@@ -134,7 +147,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     given = parser.parse_args(arguments)
     humanoid_mjx.start()
     rows = []
-    for policies in map(trained_seeds, ([name] for name in given.names)):
+    for name in given.names:
+        policies = [find_policy("stand")] if name == "stand" else trained_seeds([name])
         for name in given.maps:
             found = mapped(policies, MAPS[name], given.episodes)
             rows.append({"policy": policies[0].name, "map": name, "upright": found.tolist()})
