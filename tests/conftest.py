@@ -9,6 +9,7 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parent.parent / ".pytest_cache" / "xla"))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
 
+import hypothesis
 import jax
 import pytest
 from jaxtyping import install_import_hook
@@ -29,6 +30,10 @@ cores are busy anyway."""
 
 os.environ.setdefault("XLA_FLAGS", f"{compute.XLA_FLAGS} {PLAIN_KERNELS}")
 os.environ.setdefault("PJRT_NPROC", compute.POOL_THREADS)
+
+# A machine with other work may take a second for what takes a millisecond.
+hypothesis.settings.register_profile("suite", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow])
+hypothesis.settings.load_profile("suite")
 
 MAPPINGS = 15_000
 """Parts of memory after which compiled programs are let go. Each has a few; Linux allows a process 65,530, and XLA

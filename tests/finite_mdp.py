@@ -119,11 +119,7 @@ def q_learning(learner, q_table, draws):
 def value_iteration(task, discount, sweeps=5000):
     """The optimal Q of a finite task whose states are 0 ... num_states - 1 and whose step draws nothing."""
     states, actions = task.num_states, task.num_actions
-    following, reward, terminal = (
-        np.zeros((states, actions), int),
-        np.zeros((states, actions)),
-        np.zeros((states, actions)),
-    )
+    following, reward, terminal = (np.zeros((states, actions), kind) for kind in (int, float, float))
     key = rng.key(0)
     for s, a in np.ndindex(states, actions):
         following[s, a], reward[s, a], terminal[s, a] = task.step(jnp.int32(s), jnp.int32(a), key)

@@ -47,10 +47,7 @@ def test_the_guard_finds_the_ratio_that_fell(capsys):
     assert [line.endswith("FELL") for line in capsys.readouterr().out.splitlines()] == [False, True, False]
     assert "fell slower to 0.71;" in guard.verdict(found)
     assert guard.verdict(found[:1]).startswith("None of 1")
-
-
-def test_the_guard_times_again_what_seems_to_have_fallen():
-    """A machine that is busy for two repeats of three times two."""
+    # A machine that is busy for two repeats of three times two: what seems to have fallen is timed again.
     (ratio,) = guard.run({"one": 4.0}, {"one": lambda: pair([9.0, 9.0, 1.0], [4.0])})
     assert ratio.value == 4.0 and not ratio.fell
 

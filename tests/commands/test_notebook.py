@@ -43,11 +43,6 @@ def test_runs_and_policies_are_evaluated(run):
         humanoid_mjx.evaluate("nowhere")
 
 
-def test_a_task_without_a_robot_is_not_played(run):
-    with pytest.raises(InputError, match="joint_reach"):
-        humanoid_mjx.play(run)
-
-
 @pytest.mark.parametrize(("place", "shown"), [("terminal", True), ("notebook", True), ("pipe", False)])
 def test_a_sweep_shows_its_progress_where_somebody_looks(place, shown, tmp_path, monkeypatch):
     out = io.StringIO()

@@ -109,10 +109,7 @@ def test_every_law_can_be_traced_in_a_task(law):
         (3.0, r"^task.control must be a Law, got a float"),
         ("spring:Sprung", r"^task.control.name: 'spring:Sprung' cannot be imported"),
         (":Sprung", r"^task.control.name: ':Sprung' cannot be imported: Empty module name"),
-        (
-            "spring:traced",
-            r"^task.control.name: .spring:traced. must be a class derived from humanoid_mjx.control.laws.Law",
-        ),
+        ("spring:traced", r"^task.control.name: .spring:traced. must be a class derived from .*control.laws.Law"),
     ],
 )
 def test_what_cannot_be_gets_one_sentence(written, sentence):

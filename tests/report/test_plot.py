@@ -7,6 +7,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+import small_sweep
 from typer.testing import CliRunner
 
 from humanoid_mjx import sweep
@@ -15,15 +16,8 @@ from humanoid_mjx.report import plotting, style
 from humanoid_mjx.report.plotting import plot
 from humanoid_mjx.runs.statistics import iqm, iqm_interval
 
-CONFIG = {
-    "name": "small",
-    "task": {"name": "joint_reach", "joint": 4, "states": 11, "max_episode_steps": 41},
-    "learner": {"name": "tabular_q"},
-    "sweep": {"axes": {"learner.epsilon": [0.1, 0.5, 0.9], "learner.learning_rate": {"logspace": [0.01, 1.0, 3]}}},
-    "seeds": 5,
-    "episodes": 40,
-    "record": 8,
-}
+AXES = {"learner.epsilon": [0.1, 0.5, 0.9], "learner.learning_rate": {"logspace": [0.01, 1.0, 3]}}
+CONFIG = small_sweep.CONFIG | {"sweep": {"axes": AXES}, "seeds": 5, "episodes": 40, "record": 8}
 
 
 @pytest.fixture(scope="module")
@@ -64,13 +58,8 @@ def test_a_line_is_the_mean_over_seeds_of_what_the_table_holds(small, panels, tm
     ends = {}
     for epsilon, line, band in zip([0.1, 0.5, 0.9], panel.lines, panel.collections, strict=True):
         mine = np.isclose(results["learner.epsilon"], epsilon)
-        by_seed = [
-            [
-                results["steps"][mine & (results["seed"] == s) & (results["episode"] == e)].mean()
-                for e in range(5, 41, 5)
-            ]
-            for s in range(5)
-        ]
+        value = lambda s, e: results["steps"][mine & (results["seed"] == s) & (results["episode"] == e)].mean()  # noqa: E731, B023
+        by_seed = [[value(s, e) for e in range(5, 41, 5)] for s in range(5)]
         low, high = iqm_interval(np.array(by_seed))
         np.testing.assert_array_equal(line.get_xdata(), np.arange(5, 41, 5))
         np.testing.assert_allclose(line.get_ydata(), iqm(np.array(by_seed)), rtol=1e-6)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from humanoid_mjx.robot import lower_body as body
+from humanoid_mjx.robot import make_robot
 from humanoid_mjx.robot.legs import TORQUE_LIMIT
 from humanoid_mjx.thesis import leg as thesis
 
@@ -77,16 +78,6 @@ def test_positive_angles(side, joint, axis, sign):
     assert np.sign(moves[1] - moves[0])[axis] == (sign or outwards)
 
 
-def test_equal_values_of_both_legs_are_a_mirror_image(model):
-    rng = np.random.default_rng(0)
-    data = mujoco.MjData(model)
-    data.qpos[-10:] = np.tile(rng.uniform(*model.jnt_range[-5:].T), 2)
-    mujoco.mj_kinematics(model, data)
-    for link in ("thigh", "shank", "foot"):
-        right, left = (data.body(f"{side}_{link}").xpos for side in body.SIDES)
-        np.testing.assert_allclose(left, right * [1, -1, 1], atol=1e-12)
-
-
 def mirrored(vector):
     """Swap the legs; of a free torso, mirror what comes before: velocities, or a position and a quaternion."""
     joints = np.concatenate([vector[-5:], vector[-10:-5]])
@@ -111,3 +102,16 @@ def test_mirrored_states_and_torques_give_mirrored_accelerations(model, seed):
         mujoco.mj_forward(model, data)
         accelerations.append(data.qacc.copy())
     np.testing.assert_allclose(accelerations[1], mirrored(accelerations[0]), rtol=1e-6, atol=1e-6)
+
+
+def test_it_is_a_robot_that_is_written_as_it_was_chosen():
+    robot = body.LowerBody(ranges="human")
+    assert robot.joints == body.JOINTS and robot.points == 4 and robot.foot_pairs.tolist() == [[0, 1]]
+    assert robot.model is robot.model and make_robot("lower_body", ranges="human") == robot
+    np.testing.assert_array_equal(robot.torque_limits, np.full(10, 2.0))
+    np.testing.assert_array_equal(robot.phases, [0.0, 0.5])
+    order, signs = robot.joint_images
+    assert order.tolist() == [5, 6, 7, 8, 9, 0, 1, 2, 3, 4] and (signs == 1).all()
+    assert robot.start_height == 0.21
+    assert robot.leg_length == pytest.approx(0.19 * np.cos(np.radians(15)) + 0.025, abs=1e-9)
+    assert robot.model_dump(mode="json") == {"name": "lower_body", "ranges": "human"}

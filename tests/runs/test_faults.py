@@ -17,6 +17,7 @@ import jax
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+import small_sweep
 from small_sweep import assert_same_tables
 
 from humanoid_mjx import InputError, cli, compute, sweep
@@ -34,15 +35,7 @@ from humanoid_mjx.training.plan import make_plan, resolved
 from humanoid_mjx.training.pool import Pool
 from humanoid_mjx.training.progress import Reporter
 
-CONFIG = {
-    "name": "small",
-    "task": {"name": "joint_reach", "joint": 5, "states": 13, "max_episode_steps": 40},
-    "learner": {"name": "tabular_q"},
-    "sweep": {"axes": {"learner.epsilon": [0.2, 0.6]}},
-    "seeds": 4,
-    "episodes": 40,
-    "record": 10,
-}
+CONFIG = small_sweep.CONFIG | {"sweep": {"axes": {"learner.epsilon": [0.2, 0.6]}}, "seeds": 4, "episodes": 40}
 
 
 @pytest.fixture(scope="module")
@@ -377,6 +370,20 @@ def test_errors_of_the_machine_get_one_line(said, monkeypatch, error, words):
     assert callable(run_runs)
     code, err = said("runs")
     assert code == 2 and err.startswith(words) and err.count("\n") == 1
+
+
+def test_a_disk_that_fills_up_gets_one_sentence_and_what_is_stored_stays(said, tmp_path, monkeypatch):
+    def full(*given, **arrays):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.chdir(tmp_path)
+    Path("small.yaml").write_text(json.dumps(CONFIG))
+    with monkeypatch.context() as patch:
+        patch.setattr(np, "savez", full)
+        code, err = said("sweep", "small.yaml", "--out", "run")
+    assert code == 2 and err.count("\n") == 1, err
+    assert err.startswith("error: run/checkpoint/part-00000.npz: No space left on device; what is stored is")
+    assert said("sweep", "small.yaml", "--out", "run", "--resume")[0] == 0
 
 
 def test_names_are_not_taken_for_markup(run, said):

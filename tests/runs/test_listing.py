@@ -7,6 +7,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+import small_sweep
 from typer.testing import CliRunner
 
 from humanoid_mjx import InputError, sweep
@@ -16,14 +17,8 @@ from humanoid_mjx.runs.folder import RunFolder, fresh_path, latest_path
 from humanoid_mjx.runs.listing import list_runs
 from humanoid_mjx.training.plan import resolved
 
-CONFIG = {
-    "name": "small",
-    "task": {"name": "joint_reach", "joint": 4, "states": 11, "max_episode_steps": 41},
-    "learner": {"name": "tabular_q"},
-    "sweep": {"axes": {"learner.epsilon": [0.1, 0.9], "learner.learning_rate": [0.2, 0.4]}},
-    "seeds": 3,
-    "episodes": 40,
-}
+AXES = {"learner.epsilon": [0.1, 0.9], "learner.learning_rate": [0.2, 0.4]}
+CONFIG = small_sweep.CONFIG | {"sweep": {"axes": AXES}, "episodes": 40}
 
 
 @pytest.fixture(scope="module")

@@ -1,10 +1,11 @@
 """leg_reach: set-points move a leg whose controller believes in other masses."""
 
-from functools import cache, partial
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from stepping import arrays, reset, step
 
 from humanoid_mjx import make_task
 from humanoid_mjx.compute import rng
@@ -12,25 +13,22 @@ from humanoid_mjx.compute import rng
 LEGS = 64
 
 
-@cache
-def programs(structure):
-    def go(task, state):
-        def decide(state, _):
-            to_goal = (state.data.goal - state.data.setpoint) / jnp.radians(task.increment)
-            return task.step_continuous(state, to_goal, rng.key(0)), None
+@jax.jit
+@partial(jax.vmap, in_axes=(None, 0))
+def go(task, state):
+    """A leg after 30 decisions that send its set-points to its goal."""
 
-        return jax.lax.scan(decide, state, length=30)[0]
+    def decide(state, _):
+        to_goal = (state.data.goal - state.data.setpoint) / jnp.radians(task.increment)
+        return task.step_continuous(state, to_goal, rng.key(0)), None
 
-    reset = jax.jit(jax.vmap(lambda task, key: task.reset(key), in_axes=(None, 0)))
-    step = jax.jit(jax.vmap(lambda task, *args: task.step(*args), in_axes=(None, 0, 0, None)))
-    return reset, step, jax.jit(jax.vmap(go, in_axes=(None, 0)))
+    return jax.lax.scan(decide, state, length=30)[0]
 
 
 def begin(task):
     """A state of each leg, what steps them, and what sends their set-points to their goals."""
-    reset, *others = programs(jax.tree.structure(task))
-    values = jax.tree.map(jnp.asarray, task)
-    return reset(values, jax.random.split(rng.key(1), LEGS)), *(partial(f, values) for f in others)
+    keys, values = jax.random.split(rng.key(1), LEGS), arrays(task)
+    return reset(values, keys), lambda state, action: step(values, state, action, keys), partial(go, values)
 
 
 def test_set_points_at_the_goal_reach_it_where_the_model_is_right_and_only_there():
@@ -59,22 +57,22 @@ def test_choices_are_parts_of_the_increment():
     task = make_task("leg_reach", bins=5, increment=10.0)
     state, step, _ = begin(task)
     action = jnp.tile(jnp.array([0, 1, 2, 3, 4]), (LEGS, 1))
-    moved = step(state, action, rng.key(0)).data.setpoint - state.data.setpoint
+    moved = step(state, action).data.setpoint - state.data.setpoint
     np.testing.assert_allclose(np.degrees(moved), np.tile([-10.0, -5.0, 0.0, 5.0, 10.0], (LEGS, 1)), atol=1e-3)
 
 
 def test_a_set_point_leads_its_joint_by_20_degrees_at_most():
     state, step, _ = begin(make_task("leg_reach", increment=90.0))
-    after = step(state, jnp.full((LEGS, 5), 8), rng.key(0))
+    after = step(state, jnp.full((LEGS, 5), 8))
     np.testing.assert_allclose(np.degrees(after.data.setpoint - state.data.world.qpos), 20.0, atol=1e-3)
 
 
 def test_a_leg_that_breaks_ends_its_episode_alone():
     state, step, _ = begin(make_task("leg_reach"))
     action = jnp.full((LEGS, 5), 4)
-    sound = step(state, action, rng.key(0))
+    sound = step(state, action)
     world = state.data.world._replace(qvel=state.data.world.qvel.at[3, 1].set(jnp.nan))
-    broken = step(state._replace(data=state.data._replace(world=world)), action, rng.key(0))
+    broken = step(state._replace(data=state.data._replace(world=world)), action)
     assert broken.terminated.tolist() == [leg == 3 for leg in range(LEGS)] and broken.reward[3] == -1.0
     np.testing.assert_array_equal(np.delete(broken.obs, 3, axis=0), np.delete(sound.obs, 3, axis=0))
 

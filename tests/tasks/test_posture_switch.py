@@ -1,11 +1,10 @@
 """Switching postures: Q-learning decides, computed torque carries it out."""
 
-from functools import cache
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from stepping import arrays, reset, step
 
 from humanoid_mjx import make_task, sweep
 from humanoid_mjx.compute import rng
@@ -14,17 +13,8 @@ UP, DOWN = 26, 0
 """All three joints a place on, all a place back."""
 
 
-@cache
-def compiled(structure):
-    return jax.jit(jax.vmap(lambda task, key: task.reset(key), in_axes=(None, 0))), jax.jit(
-        jax.vmap(lambda task, *args: task.step(*args), in_axes=(None, 0, 0, 0))
-    )
-
-
 def start(task, robots):
-    keys = jax.random.split(rng.key(0), robots)
-    values = jax.tree.map(jnp.asarray, task)
-    reset, step = compiled(jax.tree.structure(task))
+    keys, values = jax.random.split(rng.key(0), robots), arrays(task)
     return reset(values, keys), lambda state, action: step(values, state, jnp.asarray(action), keys)
 
 

@@ -1,11 +1,12 @@
 """stand: what falls, what is seen, what is pushed. In native MuJoCo, which compiles quickest."""
 
-from functools import cache, partial
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from stepping import arrays, reset, step
 
 from humanoid_mjx import InputError, make_task
 from humanoid_mjx.compute import rng
@@ -15,19 +16,11 @@ STIFF = {"stiffness": 6.0, "damping": 0.2}
 stand = partial(make_task, "stand", physics="mujoco")
 
 
-@cache
-def programs(structure):
-    reset = jax.jit(jax.vmap(lambda task, key: task.reset(key), in_axes=(None, 0)))
-    return reset, jax.jit(jax.vmap(lambda task, *args: task.step(*args), in_axes=(None, 0, 0, 0)))
-
-
 def begin(task):
     """States of all bodies, and what carries out one still decision of each."""
-    reset, step = programs(jax.tree.structure(task))
-    task = jax.tree.map(jnp.asarray, task)
-    middle = jnp.full((BODIES, 10), (task.bins - 1) // 2)
-    step_all = lambda state, key: step(task, state, middle, jax.random.split(key, BODIES))  # noqa: E731
-    return reset(task, jax.random.split(rng.key(1), BODIES)), step_all
+    middle, task = jnp.full((BODIES, 10), (task.bins - 1) // 2), arrays(task)
+    start = reset(task, jax.random.split(rng.key(1), BODIES))
+    return start, lambda state, key: step(task, state, middle, jax.random.split(key, BODIES))
 
 
 def test_a_body_that_does_nothing_falls_unless_its_servo_is_stiff():

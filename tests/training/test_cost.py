@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import jax
 import pytest
+from small_sweep import CONFIG
 from typer.testing import CliRunner
 
 from humanoid_mjx import InputError, sweep
@@ -19,17 +20,15 @@ from humanoid_mjx.training.cost import disk_bytes
 from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.pool import Pool
 
-TABLES = {
-    "name": "tables",
-    "task": {"name": "joint_reach", "joint": 1, "states": 24, "max_episode_steps": 60},
-    "learner": {"name": "tabular_q"},
+TABLES = CONFIG | {
     "sweep": {"axes": {"learner.epsilon": {"linspace": [0.05, 0.95, 10]}}},
     "seeds": 20,
     "episodes": 200,
+    "record": 100,
 }
 NETWORK = {
     "name": "network",
-    "task": {"name": "joint_reach", "joint": 4, "states": 11, "max_episode_steps": 41},
+    "task": CONFIG["task"],
     "learner": {"name": "deep_q", "envs": 8, "rollout": 4, "evaluations": 2, "evaluation_envs": 4},
     "seeds": 2,
     "total_steps": 640,

@@ -7,6 +7,7 @@ from collections import defaultdict
 
 import numpy as np
 import pytest
+import small_sweep
 from tensorboardX.proto.event_pb2 import Event
 from typer.testing import CliRunner
 
@@ -14,15 +15,8 @@ from humanoid_mjx import InputError, sweep
 from humanoid_mjx.cli import app
 from humanoid_mjx.training import events, pool
 
-CONFIG = {
-    "name": "small",
-    "task": {"name": "joint_reach", "joint": 4, "states": 11, "max_episode_steps": 41},
-    "learner": {"name": "tabular_q"},
-    "sweep": {"axes": {"learner.epsilon": [0.1, 0.5, 0.9], "learner.learning_rate": [0.2, 0.4]}},
-    "seeds": 3,
-    "episodes": 40,
-    "record": 8,
-}
+AXES = {"learner.epsilon": [0.1, 0.5, 0.9], "learner.learning_rate": [0.2, 0.4]}
+CONFIG = small_sweep.CONFIG | {"sweep": {"axes": AXES}, "episodes": 40, "record": 8}
 
 
 def read(folder):

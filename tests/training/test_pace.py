@@ -8,6 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from small_sweep import CONFIG
 from typer.testing import CliRunner
 
 from humanoid_mjx import sweep
@@ -44,23 +45,17 @@ def test_the_rate_is_that_of_training_without_compiling_and_evaluating(folder):
     of = plan("episode")
     looks = (0.0, 50.0, "compiling"), (60.0, 50.0), (61.0, 100.0), (63.0, 300.0, "evaluating"), (90.0, 300.0)
     assert looked(of, *looks).rates(of, folder) == {"steps_per_s": 2083.0, "episodes_per_s": 83.33}
+    # A training that is over at the first look has none.
+    assert looked(of, (1.0, 100.0), (2.0, 100.0)).rates(of, folder) == Pace(1).rates(plan("step"), folder) == {}
 
 
-def test_steps_are_episodes_by_the_length_of_each(folder):
+def test_steps_are_episodes_by_the_length_of_each_and_those_that_feed_one_table_count_all(folder):
     found = looked(plan("step"), (0.0, 50.0), (1.0, 450.0)).rates(plan("step"), folder)
     # As many steps make ten episodes of ten steps as 2.5 of forty.
     assert found == {"steps_per_s": 400.0, "episodes_per_s": pytest.approx(200 / 10 + 200 / 40)}
-
-
-def test_episodes_that_feed_one_table_count_all(folder):
     pace = looked(plan("episode"), (0.0, 100.0), (1.0, 110.0))
     assert pace.rates(plan("episode", agents=16), folder)["episodes_per_s"] == 160.0
     assert pace.rates(plan("episode", rules="printed"), folder) == {"episodes_per_s": 10.0}
-
-
-def test_a_training_that_is_over_at_the_first_look_has_no_rate(folder):
-    assert looked(plan("episode"), (1.0, 100.0), (2.0, 100.0)).rates(plan("episode"), folder) == {}
-    assert Pace(1).rates(plan("step"), folder) == {}
 
 
 @pytest.mark.parametrize("learner", ["tabular_q", "linear_q"])
@@ -161,15 +156,7 @@ def test_nothing_is_said_before_a_pace_is_known():
     assert left(1.0, [0.1, 0.0], 0) == pytest.approx(10.0)
 
 
-TABLES = {
-    "name": "tables",
-    "task": {"name": "joint_reach", "joint": 1, "states": 24, "max_episode_steps": 60},
-    "learner": {"name": "tabular_q"},
-    "sweep": {"axes": {"task.states": [11, 13, 17, 19]}},
-    "seeds": 3,
-    "episodes": 20,
-    "record": 10,
-}
+TABLES = CONFIG | {"name": "tables", "sweep": {"axes": {"task.states": [11, 13, 17, 19]}}, "episodes": 20}
 
 
 def test_a_sweep_of_several_programs(tmp_path, monkeypatch):
