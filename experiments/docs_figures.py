@@ -20,7 +20,7 @@ import mujoco
 import numpy as np
 from matplotlib.patches import Circle, Polygon
 from PIL import Image
-from robot_pictures import draw_robots
+from scipy.spatial import ConvexHull
 
 from humanoid_mjx.report.rendering import FPS
 from humanoid_mjx.report.style import COLORS, figure
@@ -91,19 +91,6 @@ human's."""
 def _save(picture: Image.Image, path: Path) -> None:
     """Save a picture in 256 colours, chosen to be near to all of its own, not to the frequent ones."""
     picture.convert("RGB").quantize(256, method=Image.Quantize.MAXCOVERAGE).save(path, optimize=True)
-
-
-NOTE = """Grey: every angle is 0.
-
-Colour: one joint of the
-right leg at a positive
-angle.
-
-The left leg mirrors the
-right: equal angles of
-both legs are a posture
-that looks the same in
-a mirror."""
 
 
 def _front(panel: Any) -> None:
@@ -179,7 +166,7 @@ def _arrows(panel: Any, data: Any, view: np.ndarray, labels: Any) -> None:
     towards = np.cross(view[0], view[1])
     for joint, label in zip(JOINT_NAMES, labels, strict=True):
         found = data.joint(f"right_{joint}")
-        place, axis, color = view @ found.xanchor, view @ found.xaxis, JOINT_COLORS[joint]
+        place, axis, color = view @ found.xanchor, np.round(view @ found.xaxis, 6), JOINT_COLORS[joint]
         if axis.any():
             arrow = {"arrowstyle": "-|>", "color": color, "linewidth": 2.0, "shrinkA": 0, "shrinkB": 0}
             panel.annotate("", place + AXIS_M * axis, place, arrowprops=arrow)
@@ -224,9 +211,9 @@ def _span(panel: Any, start: Any, end: Any, words: str, upright: bool = False, b
         panel.text(middle[0], middle[1] + shift, words, fontsize=8, color="0.3", ha="center", va=side)
 
 
-def _body(angles: dict[str, float]) -> tuple[Any, Any]:
-    """The standing lower body with some joints at angles, rad."""
-    model = make_robot("lower_body").spec().compile()
+def _body(angles: dict[str, float], robot: str = "lower_body") -> tuple[Any, Any]:
+    """The standing lower body, or another robot, with some joints at angles, rad."""
+    model = make_robot(robot).spec().compile()
     data = mujoco.MjData(model)
     for name, angle in angles.items():
         data.joint(name).qpos[:] = angle
@@ -255,14 +242,23 @@ def _paint(
 ) -> None:
     """The outlines of the bodies in a view, the nearest last, and the ground where it is seen from its side."""
     towards = np.cross(view[0], view[1])
-    if view is not ABOVE and bodies is None:
+    if view is not ABOVE and bodies is None and (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE).any():
         panel.axhline(0.0, color="0.6", linewidth=1.0, zorder=0)
     geoms = [g for g in range(model.ngeom) if model.geom_group[g] < 3 and model.geom_bodyid[g]]
     for geom in sorted(geoms, key=lambda g: data.geom_xpos[g] @ towards):
         if bodies is not None and model.geom_bodyid[geom] not in bodies:
             continue
-        points = _hull(_surface(model, data, geom, view) @ view.T)
-        panel.add_patch(Polygon(points, facecolor=color, edgecolor=edge, linewidth=0.9, alpha=alpha, zorder=1))
+        points = _surface(model, data, geom, view) @ view.T
+        panel.add_patch(
+            Polygon(
+                points[ConvexHull(points).vertices],
+                facecolor=color,
+                edgecolor=edge,
+                linewidth=0.9,
+                alpha=alpha,
+                zorder=1,
+            )
+        )
 
 
 def _surface(model: Any, data: Any, geom: int, view: np.ndarray) -> np.ndarray:
@@ -274,24 +270,6 @@ def _surface(model: Any, data: Any, geom: int, view: np.ndarray) -> np.ndarray:
     ring = size[0] * (np.cos(angles) * view[0] + np.sin(angles) * view[1])
     half = size[1] if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CAPSULE else 0.0
     return np.concatenate([place + ring + sign * half * frame[:, 2] for sign in (-1, 1)])
-
-
-def _hull(points: np.ndarray) -> np.ndarray:
-    """The convex hull of points in a plane, by its two chains (A. M. Andrew, 1979)."""
-    ordered = points[np.lexsort(points.T[::-1])]
-
-    def chain(points: Any) -> list[np.ndarray]:
-        kept: list[np.ndarray] = []
-        for point in points:
-            while len(kept) > 1:
-                (ax, ay), (bx, by) = kept[-1] - kept[-2], point - kept[-2]
-                if ax * by - ay * bx > 0:
-                    break
-                kept.pop()
-            kept.append(point)
-        return kept[:-1]
-
-    return np.array(chain(ordered) + chain(ordered[::-1]))
 
 
 MOMENTS_S = (0.0, 1.24, 3.24, 5.24, 7.24, 9.24)
@@ -320,12 +298,25 @@ def joint1_learning_curves(path: Path) -> None:
         shutil.copy(run / "figures" / "learning_curves.png", path)
 
 
-def robots(path: Path) -> None:
-    """Both robots at zero, with the axes of their joints."""
-    draw_robots(path)
+def legs(path: Path) -> None:
+    """The chain of Table 4.1 as two legs, with the axes of the right one's joints."""
+    model, data = _body({}, "legs")
+    with figure(path, 1, 2, size=(4.4, 4.9)) as (_, axes):
+        views = {"front": (FRONT, ("x", "y left", "z up")), "right": (SIDE, ("x forward", "y", "z up"))}
+        for panel, (words, (view, names)) in zip(axes[0], views.items(), strict=True):
+            _paint(panel, model, data, view, FILL)
+            heights = [data.joint(f"right_{joint}").xanchor[2] for joint in JOINT_NAMES]
+            left = -0.105 if view is FRONT else -0.055
+            raised = (0.0, -0.025, 0.0, 0.0, 0.0) if view is FRONT else (0.02, -0.015, -0.005, 0.0, 0.0)
+            _arrows(panel, data, view, [(left, height + up) for height, up in zip(heights, raised, strict=True)])
+            _directions(panel, view, (0.1, -0.02), names)
+            panel.set_title(f"seen from the {words}", loc="center")
+            panel.set_axis_off()
+            panel.set_aspect("equal")
+            panel.set(xlim=(-0.17, 0.17), ylim=(-0.3, 0.04))
 
 
-FIGURES = {make.__name__: make for make in (conventions, stand, joint1_learning_curves, robots)}
+FIGURES = {make.__name__: make for make in (conventions, stand, joint1_learning_curves, legs)}
 
 
 def main() -> None:

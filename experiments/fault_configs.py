@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from fault_trying import Matrix, command, isolated
+from fault_trying import FINE, Matrix, Try, command, isolated
 
 from humanoid_mjx.files import folder as shipped_folder
 
@@ -43,23 +43,18 @@ def mutated(data: Any, draw: random.Random) -> Any:
     return data
 
 
-def _info(text: str) -> tuple[str, str]:
+def _info(text: str) -> Try:
     """What `info` says of a config of this text."""
     path = Path.cwd() / "config.yaml"
     path.write_text(text, encoding="utf-8", errors="replace")
     done = command("info", path)
-    return done.how, f"{text[:1500]}\n--> {done.said}"
+    how = "accepted" if done.how == "worked" else done.how
+    return how, "" if done.how in FINE else f"{text[:1500]}\n--> {done.said}"
 
 
 def _read(matrix: Matrix, fault: str, texts: list[str], folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
-
-    def tried() -> tuple[list[str], list[str]]:
-        found = [x if isinstance(x, tuple) else (x, x) for x in isolated(_info, texts, folder, 60)]
-        named = ["accepted" if how == "worked" else how for how, _ in found]
-        return named, [said for how, said in found if how not in ("worked", "one sentence")]
-
-    matrix.row(fault, "config", tried)
+    matrix.row(fault, "config", lambda: isolated(_info, texts, folder, 60))
 
 
 def configs(matrix: Matrix, folder: Path, tries: int, seed: int) -> None:

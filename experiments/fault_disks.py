@@ -5,11 +5,13 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from fault_trying import SAME, TINY, Done, Matrix, bits, command, isolated, whole, write_config
+from fault_trying import FINE, TINY, Matrix, Try, begin, command, completed, isolated, whole, write_config
 
 from humanoid_mjx.training import sweep as sweep_module
 
@@ -56,8 +58,8 @@ def _watch() -> None:
         setattr(sys, "watched", True)  # noqa: B010
 
 
-def _sweep_at_fault(case: tuple[str, int]) -> tuple[str, Done, str]:
-    """A sweep at whose n-th file operation something happens: which, what the sweep says, and how it resumes."""
+def _sweep_at_fault(case: tuple[str, int]) -> Try:
+    """A sweep at whose n-th file operation something happens."""
     kind, number = case
     _watch()
     here = Path.cwd() / f"{kind}-{number}"
@@ -75,9 +77,7 @@ def _sweep_at_fault(case: tuple[str, int]) -> tuple[str, Done, str]:
     trap = Trap(run, number, fail)
     done = command("sweep", config, "--out", run)
     TRAPS.clear()
-    again = command("sweep", config, "--out", run, *(["--resume"] if (run / "checkpoint").is_dir() else []))
-    same = again.how == "worked" and bits(run) == bits(Path.cwd() / "whole")
-    return trap.sprung, done, SAME if same else f"not resumed: {again.said}"
+    return completed(done, config, run, f"{kind}, {number}, {trap.sprung}")
 
 
 def _operations(folder: Path) -> int:
@@ -95,56 +95,52 @@ NEVER = 10**9
 def at_every_write(matrix: Matrix, kind: str, words: str, folder: Path, most: int) -> None:
     """A fault at the first, second, ... file operation of a sweep, until there are no more."""
 
-    def tried() -> tuple[list[str], list[str]]:
-        shutil.rmtree(folder, ignore_errors=True)
-        folder.mkdir()
-        outcomes: list[str] = []
-        wrong: list[str] = []
-        isolated(whole, [folder / "whole"], folder)
+    def tried() -> list[Try]:
+        begin(folder)
         (count,) = isolated(_operations, [folder], folder)
-        cases = [(kind, number) for number in range(1, min(count, most) + 1)]
-        for number, found in enumerate(isolated(_sweep_at_fault, cases, folder), 1):
-            if isinstance(found, str):
-                outcomes.append(found)
-                wrong.append(f"{words} at write {number}: {found}")
-                continue
-            sprung, done, resumed = found
-            fine = done.how in ("one sentence", "worked") and resumed == SAME
-            outcomes.append(f"{done.how}, {SAME}" if fine else "wrong")
-            wrong += [] if fine else [f"{words}, {number}, {sprung}: {done.how}: {done.said} / {resumed}"]
-        return outcomes, wrong
+        return isolated(_sweep_at_fault, [(kind, number) for number in range(1, min(count, most) + 1)], folder)
 
     matrix.row(words, "sweep of tables", tried)
 
 
-def _on_small_disk(free_kib: int) -> tuple[Done, str, str]:
-    """A sweep on a disk with so much space left; then with more, resumed; and a look at the disk read-only."""
-    disk = Path.cwd() / f"disk-{free_kib}"
+@contextmanager
+def _disk(name: str, size: str) -> Iterator[Path]:
+    """A disk of its own."""
+    disk = Path.cwd() / name
     disk.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", f"size={free_kib}k", "tmpfs", str(disk)]
-    subprocess.run(mount, check=True)
+    subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(disk)], check=True)
     sweep_module.check_disk = lambda *_: None  # it would refuse
     try:
+        yield disk
+    finally:
+        subprocess.run(["umount", "-l", str(disk)], check=True)
+
+
+def _on_small_disk(free_kib: int) -> Try:
+    """A sweep on a disk with so much space left; then with more, resumed."""
+    with _disk(f"disk-{free_kib}", f"{free_kib}k") as disk:
         config, run = write_config(Path.cwd(), TINY), disk / "run"
         done = command("sweep", config, "--out", run)
         subprocess.run(["mount", "-o", "remount,size=64m", str(disk)], check=True)
-        resume = ["--resume"] if (run / "checkpoint").is_dir() else []
-        again = command("sweep", config, "--out", run, *resume)
-        same = again.how == "worked" and bits(run) == bits(Path.cwd() / "whole")
+        return completed(done, config, run, f"disk of {free_kib} KiB")
+
+
+def _on_read_only_disk(call: tuple[object, ...]) -> Try:
+    """A command on a read-only disk with a finished run in `run`; words are within the disk."""
+    with _disk(" ".join(map(str, call)), "64m") as disk:
+        whole(disk / "run")
         subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=True)
-        looks = [
-            *(("runs", disk), ("report", run), ("plot", run), ("evaluate", run, "--json", disk / "x.json")),
-            *(
-                ("sweep", config, "--out", run, "--resume"),
-                ("export", run, disk / "p.npz"),
-                ("sweep", config, "--out", disk / "b"),
-            ),
-        ]
-        ends = [command(*look) for look in looks]
-        odd = [end.said for end in ends if end.how not in ("worked", "one sentence")]
-        return done, SAME if same else f"not resumed: {again.said}", odd[0] if odd else ""
-    finally:
-        subprocess.run(["umount", "-l", str(disk)], check=True)
+        os.chdir(disk)
+        done = command(*call)
+        os.chdir(disk.parent)
+    return ("worked or one sentence", "") if done.how in FINE else ("traceback", f"read-only disk: {done.said}")
+
+
+LOOKS: tuple[tuple[object, ...], ...] = (
+    *(("runs", "."), ("report", "run"), ("plot", "run"), ("evaluate", "run", "--json", "x.json")),
+    *(("export", "run", "p.npz"), ("sweep", "tables.yaml", "--out", "run", "--resume"), ("sweep", "tables.yaml")),
+)
+"""Commands on a read-only disk."""
 
 
 def small_disks(matrix: Matrix, folder: Path, step_kib: int) -> None:
@@ -155,29 +151,15 @@ def small_disks(matrix: Matrix, folder: Path, step_kib: int) -> None:
     if mounted.returncode:
         matrix.say("disk full, read-only disk: not tried, since mounting is not allowed")
         return
-    read_only: list[str] = []
 
-    def tried() -> tuple[list[str], list[str]]:
+    def tried() -> list[Try]:
         isolated(whole, [folder / "whole"], folder)
         used = sum(path.stat().st_size for path in (folder / "whole").rglob("*") if path.is_file())
-        sizes = list(range(8, used // 1024 + 8 * step_kib, step_kib))
-        outcomes: list[str] = []
-        wrong: list[str] = []
-        for size, found in zip(sizes, isolated(_on_small_disk, sizes, folder), strict=True):
-            if isinstance(found, str):
-                outcomes.append(found)
-                wrong.append(f"disk of {size} KiB: {found}")
-                continue
-            done, resumed, odd = found
-            read_only.append("traceback" if odd else "worked or one sentence")
-            fine = done.how in ("worked", "one sentence") and resumed == SAME
-            outcomes.append(f"{done.how}, {SAME}" if fine else "wrong")
-            wrong += [] if fine else [f"disk of {size} KiB: {done.how}: {done.said} / {resumed}"]
-            wrong += [f"read-only disk: {odd}"] if odd else []
-        return outcomes, wrong
+        return isolated(_on_small_disk, range(8, used // 1024 + 8 * step_kib, step_kib), folder)
 
     try:
         matrix.row("a real disk that is full", "sweep of tables", tried)
-        matrix.row("a real read-only disk, seven commands", "run folder", lambda: (read_only, []))
+        read_only = partial(isolated, _on_read_only_disk, LOOKS, folder)
+        matrix.row("a real read-only disk, seven commands", "run folder", read_only)
     finally:
         subprocess.run(["umount", "-l", str(folder)], check=True)

@@ -7,13 +7,14 @@ import re
 import shutil
 import traceback
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from fault_configs import mutated
 from fault_running import killed
-from fault_trying import CONFIGS, SAME, Done, Matrix, bits, command, isolated
+from fault_trying import CONFIGS, FINE, SAME, Done, Matrix, Try, bits, command, isolated
 
 from humanoid_mjx.files import folder as shipped_folder
 from humanoid_mjx.runs.archive import read_archive
@@ -99,8 +100,8 @@ def _resume(run: Path) -> Done:
     return Done("worked", "")
 
 
-def _damage(case: tuple[str, bytes | None, str]) -> tuple[str, str]:
-    """Damage a copy of a run folder, read it by every command, resume it: an outcome, and what is wrong."""
+def _damage(case: tuple[str, bytes | None, str]) -> Try:
+    """Damage a copy of a run folder, read it by every command, and resume it."""
     file, data, source = case
     run = Path.cwd() / "work" / "run"
     shutil.rmtree(run, ignore_errors=True)
@@ -111,7 +112,7 @@ def _damage(case: tuple[str, bytes | None, str]) -> tuple[str, str]:
     else:
         (run / file).write_bytes(data)
     after = _look(run)
-    if odd := [said for how, said in after.values() if how not in ("worked", "one sentence")]:
+    if odd := [said for how, said in after.values() if how not in FINE]:
         return "wrong", f"{file}: {odd[0]}"
     resumed = _resume(run)
     if resumed.how == "one sentence" and "remove it" in resumed.said:
@@ -161,11 +162,7 @@ def damaged_runs(matrix: Matrix, folder: Path, tries: int, seed: int) -> None:
             cases.append((name, foreign(run, draw), source))
         if (other := folder / "other" / name).exists():
             cases.append((name, other.read_bytes(), source))
-
-        def tried(cases: list[tuple[str, bytes | None, str]] = cases) -> tuple[list[str], list[str]]:
-            found = [x if isinstance(x, tuple) else (x, x) for x in isolated(_damage, cases, folder)]
-            return [how for how, _ in found], [why for _, why in found if why]
-
+        tried = partial(isolated, _damage, cases, folder)
         matrix.row("truncated, flipped, changed, foreign or missing file", re.sub(r"-\d+", "", name), tried)
 
 
@@ -188,15 +185,16 @@ def policies(matrix: Matrix, folder: Path, tries: int, seed: int) -> None:
     with np.load(io.BytesIO(original)) as file:
         arrays = dict(file)
 
-    def judged(cases: list[tuple[str, bytes]], exact: bool) -> tuple[list[str], list[str]]:
-        outcomes, wrong = [], []
-        for found in isolated(_evaluate, cases, folder, 300):
-            how, said = found if isinstance(found, tuple) else (found, found)
-            other = exact and how == "worked" and said.partition(": ")[2] != expected.partition(": ")[2]
-            good = how in ("worked", "one sentence") and not other
-            outcomes.append(("no difference" if exact else "evaluated") if good and how == "worked" else how)
-            wrong += [] if good else [f"{'silently another policy: ' if other else ''}{said}"]
-        return outcomes, wrong
+    def judged(cases: list[tuple[str, bytes]], exact: bool) -> list[Try]:
+        found: list[Try] = []
+        for how, said in isolated(_evaluate, cases, folder, 300):
+            if exact and how == "worked" and said.partition(": ")[2] != expected.partition(": ")[2]:
+                found.append((how, f"silently another policy: {said}"))
+            elif how in FINE:
+                found.append((("no difference" if exact else "evaluated") if how == "worked" else how, ""))
+            else:
+                found.append((how, said))
+        return found
 
     def malformed(_: int) -> bytes:
         header, others = json.loads(str(arrays["header"])), dict(arrays)

@@ -1,18 +1,18 @@
 """Faults of numbers: memory that does not suffice, and rewards that are no numbers."""
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import jax
-from fault_trying import CONFIGS, TINY, Done, Matrix, bits, command, isolated, whole, write_config
+from fault_trying import CONFIGS, TINY, Matrix, Try, begin, bits, command, isolated, write_config
 
 from humanoid_mjx.training import pool as pool_module
 from humanoid_mjx.training import sweep as sweep_module
 
 
-def _limited(kind: str) -> tuple[Done, bool]:
-    """A sweep whose device refuses more than so many runs side by side, as XLA does; and whether its bits are right."""
-    most = {"a quarter fits": 2, "nothing fits": 0}[kind]
+def _limited(most: int) -> Try:
+    """A sweep whose device refuses more than so many runs side by side, as XLA does."""
     train_more = pool_module.Pool.train
 
     def limited(self: Any) -> None:
@@ -21,24 +21,18 @@ def _limited(kind: str) -> tuple[Done, bool]:
         train_more(self)
 
     pool_module.Pool.train = limited
-    run = Path.cwd() / kind.replace(" ", "-")
+    run = Path.cwd() / f"most-{most}"
     done = command("sweep", write_config(Path.cwd(), TINY), "--out", run)
-    return done, done.how == "worked" and bits(run) == bits(Path.cwd() / "whole")
+    if not most:
+        return ("one sentence", "") if done.how == "one sentence" else ("wrong", str(done))
+    fine = "half as many go on" in done.said and bits(run) == bits(Path.cwd() / "whole")
+    return ("fewer side by side, the same bits", "") if fine else ("wrong", str(done))
 
 
 def memory(matrix: Matrix, folder: Path) -> None:
     """Memory that does not suffice: for all runs side by side, for one run."""
-
-    def tried() -> tuple[list[str], list[str]]:
-        folder.mkdir()
-        isolated(whole, [folder / "whole"], folder)
-        some, none = (isolated(_limited, [kind], folder)[0] for kind in ("a quarter fits", "nothing fits"))
-        right = [some[1] and "half as many go on" in some[0].said, none[0].how == "one sentence"]
-        words = ["fewer side by side, the same bits", "one sentence"]
-        outcomes = [word if fine else "wrong" for word, fine in zip(words, right, strict=True)]
-        return outcomes, [str(found) for found, fine in zip((some, none), right, strict=True) if not fine]
-
-    matrix.row("memory does not suffice", "sweep of tables", tried)
+    begin(folder)
+    matrix.row("memory does not suffice", "sweep of tables", lambda: isolated(_limited, [2, 0], folder))
 
 
 OWN = """
@@ -62,8 +56,8 @@ class Leg(LegReach):
 """Tasks whose reward is no number where `poison` is above 0."""
 
 
-def _poisoned(learner: str) -> str:
-    """A sweep over runs of which some meet rewards that are no numbers: what is wrong with it, or nothing."""
+def _poisoned(learner: str) -> Try:
+    """A sweep over runs of which some meet rewards that are no numbers."""
     (Path.cwd() / "poisoned_tasks.py").write_text(OWN)
     config = CONFIGS[learner]
     kind = "Table" if learner == "tabular_q" else "Leg"
@@ -78,7 +72,7 @@ def _poisoned(learner: str) -> str:
         runs[name] = Path.cwd() / f"{learner}-{name}"
         done = command("sweep", path, "--out", runs[name])
         if done.how != "worked":
-            return f"{learner}: {done.said}"
+            return "wrong", f"{learner}: {done.said}"
     marks = ["diverged" in done.said, "2 runs stopped at numbers that were not finite" in done.said]
     good, bad = (sweep_module.Run(runs[name]).summary for name in ("healthy", "poisoned"))
     marks.append(bad["diverged"].tolist() == [False, False, True, True])
@@ -88,16 +82,14 @@ def _poisoned(learner: str) -> str:
     marks.append(command("report", runs["poisoned"], "--no-motion").how == "worked")
     marks.append("2 of 4 runs stopped at numbers that were not finite" in page.read_text())
     marks.append(command("evaluate", runs["poisoned"], "--episodes", 8).how == "worked")
-    return "" if all(marks) else f"{learner}: {marks} {done.said}"
+    if not all(marks):
+        return "wrong", f"{learner}: {marks} {done.said}"
+    return "marked wherever listed, the others keep their bits", ""
 
 
 def not_finite(matrix: Matrix, folder: Path) -> None:
     """Rewards that are no numbers in some runs of a sweep, with each learner."""
     folder.mkdir()
     for learner in CONFIGS:
-
-        def tried(learner: str = learner) -> tuple[list[str], list[str]]:
-            (wrong,) = isolated(_poisoned, [learner], folder, 400)
-            return ["wrong" if wrong else "marked wherever listed, the others keep their bits"], [wrong] * bool(wrong)
-
-        matrix.row("NaN in the rewards of one of two points", learner, tried)
+        poisoned = partial(isolated, _poisoned, [learner], folder, 400)
+        matrix.row("NaN in the rewards of one of two points", learner, poisoned)

@@ -3,7 +3,6 @@
 import json
 import os
 import random
-import shutil
 import signal
 import subprocess
 import sys
@@ -12,7 +11,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from fault_trying import CONFIGS, SAME, TINY, Matrix, bits, command, isolated, processes, whole, write_config
+from fault_trying import CONFIGS, SAME, TINY, Matrix, Try, begin, bits, command, isolated, processes, write_config
 
 from humanoid_mjx import compute
 from humanoid_mjx.runs.folder import parts
@@ -33,14 +32,18 @@ def train(config: dict[str, Any], run: Path, began: Any) -> None:
     sweep(config, run, resume=(run / "checkpoint").is_dir())
 
 
-def killed(config: dict[str, Any], run: Path, after_s: float | None) -> tuple[bool, float]:
-    """Train in a process and kill it after so many seconds; whether it was quicker, and how long it took."""
-    context = processes()
-    began = context.Event()
-    process = context.Process(target=train, args=(config, run, began))
+def started(config: dict[str, Any], run: Path) -> Any:
+    """A process that trains, as soon as it does."""
+    began = processes().Event()
+    process = processes().Process(target=train, args=(config, run, began))
     process.start()
     began.wait()
-    start = time.monotonic()
+    return process
+
+
+def killed(config: dict[str, Any], run: Path, after_s: float | None) -> tuple[bool, float]:
+    """Train in a process and kill it after so many seconds; whether it was quicker, and how long it took."""
+    process, start = started(config, run), time.monotonic()
     process.join(after_s)
     took, over = time.monotonic() - start, not process.is_alive()
     process.kill()
@@ -63,36 +66,30 @@ def kills(matrix: Matrix, learner: str, tries: int, seed: int) -> None:
     config, draw = CONFIGS[learner], random.Random(seed)
     found: list[str] = []
 
-    def tried() -> tuple[list[str], list[str]]:
-        outcomes: list[str] = []
-        wrong: list[str] = []
+    def tried() -> list[Try]:
+        outcomes: list[Try] = []
         with tempfile.TemporaryDirectory() as folder:
             place = Path(folder)
             killed(config, place / "warm", None)  # compiles what the cache lacks
             _, whole_s = killed(config, place / "whole", None)
-            expected, chain, number = bits(place / "whole"), 0, 0
-            while len(outcomes) + chain < tries or chain:
-                run = place / f"run-{number}"
-                ends = chain == KILLS_OF_A_RUN or len(outcomes) + chain >= tries
-                try:
-                    over, _ = killed(config, run, None if ends else draw.uniform(0.0, whole_s))
-                except RuntimeError as error:
-                    wrong.append(f"{run.name} after {chain} kills: {error}")
-                    outcomes += ["did not go on"] * max(chain, 1)
-                    chain, number = 0, number + 1
-                    continue
-                if not over:
-                    chain += 1
-                    found.append(_left(run))
-                    if run.exists() and (run / "config.yaml").exists() and (problems := list_runs(run)[1]):
-                        wrong.append(f"after a kill: {problems[0]}")
-                    continue
-                same = bits(run) == expected
-                if not same:
-                    wrong.append(f"{run.name} after {chain} kills: other bits")
-                outcomes += [SAME if same else "other bits"] * chain
-                chain, number = 0, number + 1
-        return outcomes, wrong
+            expected = bits(place / "whole")
+            while len(outcomes) < tries:
+                run = place / f"run-{len(outcomes)}"
+                outcomes += _chain(config, run, min(KILLS_OF_A_RUN, tries - len(outcomes)), whole_s, expected)
+        return outcomes
+
+    def _chain(config: dict[str, Any], run: Path, kills: int, whole_s: float, expected: str) -> list[Try]:
+        """Kill a run up to so many times, and let it end."""
+        ends: list[Try] = []
+        try:
+            while not killed(config, run, draw.uniform(0.0, whole_s) if len(ends) < kills else None)[0]:
+                found.append(_left(run))
+                problems = list_runs(run)[1] if (run / "config.yaml").exists() else []
+                ends.append((SAME, f"after a kill: {problems[0]}" if problems else ""))
+        except RuntimeError as error:
+            return [("did not go on", f"{run.name} after {len(ends)} kills: {error}")] * max(len(ends), 1)
+        same = bits(run) == expected
+        return ends if same else [("other bits", f"{run.name} after {len(ends)} kills: other bits")] * max(len(ends), 1)
 
     matrix.row("kill -9 at a random moment", learner, tried)
     matrix.say(f"  what was stored then: {json.dumps(dict(sorted({x: found.count(x) for x in found}.items())))}")
@@ -112,30 +109,25 @@ def crowds(matrix: Matrix, folder: Path, rounds: int, size: int = 4) -> None:
         said = [process.communicate()[1] for process in all_of_them]
         return [(process.returncode, words) for process, words in zip(all_of_them, said, strict=True)]
 
-    def tried() -> tuple[list[str], list[str]]:
-        shutil.rmtree(folder, ignore_errors=True)
-        folder.mkdir()
-        config, outcomes, wrong = write_config(folder, TINY), [], []
-        isolated(whole, [folder / "whole"], folder)
+    def tried() -> list[Try]:
+        begin(folder)
+        config, found = write_config(folder, TINY), []
         for number in range(rounds):
             ends = ended(start(config, "--out", folder / f"one-{number}"))
             refused = [
                 words for code, words in ends if code == 2 and words.startswith("error: ") and words.count("\n") == 1
             ]
             fine = len(refused) == size - 1 and bits(folder / f"one-{number}") == bits(folder / "whole")
-            outcomes.append("one trained, the others got a sentence" if fine else "wrong")
-            wrong += [] if fine else [str(ends)]
+            found.append(("one trained, the others got a sentence", "") if fine else ("wrong", str(ends)))
         ends = ended(start(config))
         runs = [path for path in sorted((folder / "runs").iterdir()) if bits(path) == bits(folder / "whole")]
         fine = not any(code for code, _ in ends) and len(runs) == size
-        outcomes.append("each trained in a folder of its own" if fine else "wrong")
-        wrong += [] if fine else [str(ends)]
-        return outcomes, wrong
+        return [*found, ("each trained in a folder of its own", "") if fine else ("wrong", str(ends))]
 
     matrix.row(f"{size} processes at once", "sweep of tables", tried)
 
 
-def _at_odd_time(kind: str) -> str:
+def _at_odd_time(kind: str) -> Try:
     """A sweep while the clock is wrong; and what the list of runs says."""
     real, jump = time.time, random.Random(0)
     shift = {"a day back at each look": lambda n: -86_400.0 * n, "ten years ahead": lambda n: 3.2e8,
@@ -148,7 +140,7 @@ def _at_odd_time(kind: str) -> str:
     os.utime(run / "config.yaml", (4e9, 4e9))
     listed = command("runs", Path.cwd())
     fine = done.how == listed.how == "worked" and bits(run) == bits(Path.cwd() / "whole")
-    return "the same bits" if fine else f"wrong: {done.said} {listed.said}"
+    return ("the same bits", "") if fine else ("wrong", f"{done.said} {listed.said}")
 
 
 class _Clock:
@@ -164,21 +156,15 @@ class _Clock:
 def clocks(matrix: Matrix, folder: Path) -> None:
     """Clocks that jump, and a process that stands still for two seconds."""
 
-    def tried() -> tuple[list[str], list[str]]:
-        shutil.rmtree(folder, ignore_errors=True)
-        folder.mkdir()
-        isolated(whole, [folder / "whole"], folder)
+    def tried() -> list[Try]:
+        begin(folder)
         found = isolated(_at_odd_time, ["a day back at each look", "ten years ahead", "at random by years"], folder)
-        context = processes()
-        began = context.Event()
-        process = context.Process(target=train, args=(TINY, folder / "stopped", began))
-        process.start()
-        began.wait()
+        process = started(TINY, folder / "stopped")
         for sign, seconds in ((signal.SIGSTOP, 2.0), (signal.SIGCONT, 0.0)):
             os.kill(process.pid, sign)
             time.sleep(seconds)
         process.join()
-        found.append("the same bits" if bits(folder / "stopped") == bits(folder / "whole") else "wrong: stopped")
-        return [word.partition(":")[0] for word in found], [word for word in found if word != "the same bits"]
+        same = bits(folder / "stopped") == bits(folder / "whole")
+        return [*found, ("the same bits", "") if same else ("wrong", "a process that was stopped: other bits")]
 
     matrix.row("clock that jumps, process that is stopped", "sweep of tables", tried)

@@ -5,6 +5,7 @@ import hashlib
 import io
 import multiprocessing
 import os
+import shutil
 import sys
 import time
 import traceback
@@ -73,6 +74,11 @@ TINY = CONFIGS["tabular_q"] | {"seeds": 2, "episodes": 100, "record": 10}
 
 
 SAME = "resumed to the same bits"
+FINE = "worked", "one sentence"
+"""Ends of a command that no fault may miss."""
+
+Try = tuple[str, str]
+"""The outcome of a try, and what should not have happened, in words; nothing where all is well."""
 
 
 class Done(NamedTuple):
@@ -153,7 +159,7 @@ def processes() -> Any:
 def isolated(function: Callable[[Any], Any], cases: Sequence[Any], folder: Path, limit_s: float = 120.0) -> list[Any]:
     """The results of a function for some cases, computed in a process of their own within `folder`.
 
-    Where that process dies, or is silent for longer than `limit_s`, the case gets `crashed` or `hung` in the place of a
+    Where that process dies, or is silent for longer than `limit_s`, the case gets the `Try` of it in the place of a
     result, and another process takes the others.
     """
     results: list[Any] = []
@@ -165,11 +171,11 @@ def isolated(function: Callable[[Any], Any], cases: Sequence[Any], folder: Path,
         try:
             while len(results) < len(cases):
                 if not ours.poll(limit_s):
-                    results.append("hung")
+                    results.append(("hung", f"hung: {cases[len(results)]!r}"))
                     break
                 results.append(ours.recv())
         except EOFError:
-            results.append("crashed")
+            results.append(("crashed", f"crashed: {cases[len(results)]!r}"))
         process.kill()
         process.join()
     return results
@@ -180,6 +186,22 @@ def whole(run: Path) -> Done:
     return command("sweep", write_config(run.parent, TINY), "--out", run)
 
 
+def begin(folder: Path) -> None:
+    """Empty a folder but for `whole`, the run folder of the sweep that nothing hits."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    isolated(whole, [folder / "whole"], folder)
+
+
+def completed(done: Done, config: Path, run: Path, words: str) -> Try:
+    """Complete a sweep of `TINY` that a fault, named in words, has ended so, and compare it with `whole`."""
+    resume = ["--resume"] if (run / "checkpoint").is_dir() else []
+    again = command("sweep", config, "--out", run, *resume)
+    if done.how in FINE and again.how == "worked" and bits(run) == bits(Path.cwd() / "whole"):
+        return f"{done.how}, {SAME}", ""
+    return "wrong", f"{words}: {done.how}: {done.said} / {again.how}: {again.said}"
+
+
 class Matrix:
     """The rows found so far; `row` times and adds one, and calls `found`."""
 
@@ -187,14 +209,14 @@ class Matrix:
         self.rows: list[Fault] = []
         self.say, self.found = say, found
 
-    def row(self, fault: str, subject: str, tried: Callable[[], tuple[list[str], list[str]]]) -> None:
-        """Add what `tried` returns: an outcome for each try, and what should not have happened."""
+    def row(self, fault: str, subject: str, tried: Callable[[], Sequence[Try]]) -> None:
+        """Add what `tried` returns."""
         began = time.monotonic()
-        outcomes, wrong = tried()
-        counts = dict(Counter(outcomes).most_common())
-        self.rows.append(Fault(fault, subject, len(outcomes), counts, round(time.monotonic() - began, 1), wrong))
+        found = tried()
+        counts, wrong = dict(Counter(outcome for outcome, _ in found).most_common()), [odd for _, odd in found if odd]
+        self.rows.append(Fault(fault, subject, len(found), counts, round(time.monotonic() - began, 1), wrong))
         words = ", ".join(f"{count} {name}" for name, count in counts.items())
-        self.say(f"{fault}, {subject}: {len(outcomes)} tries: {words}; {self.rows[-1].seconds:.0f} s")
+        self.say(f"{fault}, {subject}: {len(found)} tries: {words}; {self.rows[-1].seconds:.0f} s")
         for sentence in wrong[:10]:
             self.say(f"  WRONG {sentence[-1500:]}")
         self.found(self)

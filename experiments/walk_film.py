@@ -10,23 +10,19 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from PIL import Image, ImageSequence
 
 from humanoid_mjx import compute
-from humanoid_mjx.evaluation.episode import robot_of
-from humanoid_mjx.evaluation.evaluate import held_out_keys
+from humanoid_mjx.evaluation.episode import begun, decided, robot_of, single
 from humanoid_mjx.evaluation.film import Film
 from humanoid_mjx.evaluation.gait.measure import settings_of
 from humanoid_mjx.evaluation.gait.samples import heading_of, wrapped
-from humanoid_mjx.evaluation.gait.scenarios import TURN_GAIN, TURN_RATE, under_one_command
+from humanoid_mjx.evaluation.gait.scenarios import TURN_GAIN, TURN_RATE
 from humanoid_mjx.evaluation.policy import find_policy, in_world
-from humanoid_mjx.learners.rollout import decision_keys, greedy, start
+from humanoid_mjx.mechanics.rotations import rotation_matrix
 from humanoid_mjx.report.rendering import render_film
-from humanoid_mjx.tasks.continuous import State
-from humanoid_mjx.tasks.legged.view import View
 
 FRAME_S, SMALL = 0.04, (360, 270)
 """Time between frames of the film, s, and size of the README's, pixels."""
@@ -61,34 +57,29 @@ README = slice(9, 13)
 def filmed(name: str) -> Film:
     """The policy of this name through all scenes."""
     trained = in_world(find_policy(name), None, settings_of([]))
-    learner: Any = under_one_command(trained.learner)
-    task = learner.task
-    (key,) = held_out_keys(1)
-
-    @jax.jit
-    def decide(state: State, view: View, command: Any, number: Any) -> tuple[State, View]:
-        act_key, step_key = decision_keys(key, number)
-        state = task.commanded(state, view, command)
-        offsets = task.scaled_action(greedy(learner, trained.policy)(state, act_key))
-        return task.step_watched(state, offsets, step_key)[:2]
-
-    state = start(learner.env, key)
-    view = task.view(state.data, None, jnp.zeros_like(state.data.offsets))
-    rows, told, number = [np.asarray(state.data.world.qpos)], [], 0
+    task = trained.learner.task.for_driving()
+    learner, episode = trained.learner.replace(task=task), jnp.int32(0)
+    state = single(begun)(learner, episode)
+    rows, told = [np.asarray(state.data.world.qpos)], []
     for scene in SCENES:
-        told.append((number * task.period, scene.words))
-        goal = heading_of(view.rotation) + np.radians(scene.turn_by)
+        told.append(((len(rows) - 1) * task.period, scene.words))
+        goal = heading(rows[-1]) + np.radians(scene.turn_by)
         for _ in range(round(scene.seconds / task.period)):
             command = np.array(scene.command, np.float32)
             if scene.turn_by:
-                rate = TURN_GAIN * wrapped(goal - heading_of(view.rotation))
+                rate = TURN_GAIN * wrapped(goal - heading(rows[-1]))
                 command[2] = np.clip(rate, -TURN_RATE, TURN_RATE)
-            state, view = decide(state, view, command, jnp.int32(number))
+            asked = dict(zip(task.told_ranges, command, strict=True))
+            state = single(decided)(learner, trained.policy, episode, state, jnp.int32(len(rows) - 1), asked)[0]
             rows.append(np.asarray(state.data.world.qpos))
-            number += 1
         if state.terminated:
             raise SystemExit(f"{name} falls when told: {scene.words}")
     return Film(robot_of(trained), np.stack(rows), task.period, "Q-learning walks as told", tuple(told))
+
+
+def heading(qpos: np.ndarray) -> Any:
+    """Direction of the torso, rad."""
+    return heading_of(rotation_matrix(qpos[3:7]))
 
 
 def small(film: Film, target: Path) -> None:
