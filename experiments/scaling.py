@@ -25,41 +25,30 @@ from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.pool import Pool
 from humanoid_mjx.types import Device
 
-TABLES = {
-    "task": {"name": "joint_reach", "joint": 1, "max_episode_steps": 100},
-    "learner": {"name": "tabular_q", "epsilon_decay": 1.0},
-    "sweep": {"axes": {"learner.epsilon": {"linspace": [0.1, 0.9, 16]}}},
-    "episodes": 10_000_000,
-}
-NETWORKS = {
-    "task": {"name": "leg_reach", "physics": "chain"},
-    "learner": {"name": "deep_q", "learning_rate": 1e-4},
-    "total_steps": 2_000_000_000,
+SUBJECTS: dict[str, dict[str, Any]] = {
+    "tabular_q sweep": {
+        "task": {"name": "joint_reach", "joint": 1, "max_episode_steps": 100},
+        "learner": {"name": "tabular_q", "epsilon_decay": 1.0},
+        "sweep": {"axes": {"learner.epsilon": {"linspace": [0.1, 0.9, 16]}}},
+        "episodes": 10_000_000,
+    },
+    "deep_q sweep": {
+        "task": {"name": "leg_reach", "physics": "chain"},
+        "learner": {"name": "deep_q", "learning_rate": 1e-4},
+        "total_steps": 2_000_000_000,
+    },
 }
 """Trainings that last longer than the measurement, at every moment with the same work."""
 
 SIZES = {"cpu": (32, 2), "gpu": (4096, 32)}
-"""Work for each device, by backend, where one is well used: seeds of tables, seeds of networks."""
+"""Seeds of each point for each device, by backend and subject, where one is well used."""
 
 ROUNDS, ROUND_S = 7, 1.5
 
 
-def tables(devices: Sequence[Device], seeds: int) -> Pool:
-    """A sweep of tables, with so many seeds of 16 points for each device."""
-    return pool_of(TABLES | {"seeds": seeds * len(devices)}, devices)
-
-
-def networks(devices: Sequence[Device], seeds: int) -> Pool:
-    """A sweep of networks, with so many seeds of one point for each device."""
-    return pool_of(NETWORKS | {"seeds": seeds * len(devices)}, devices)
-
-
-SUBJECTS = {"tabular_q sweep": tables, "deep_q sweep": networks}
-
-
-def pool_of(config: dict[str, Any], devices: Sequence[Device]) -> Pool:
-    """The runs of a config on some devices, compiled and under way."""
-    (group,) = make_plan(parse({"name": "scaling"} | config)).groups
+def training(subject: str, devices: Sequence[Device], seeds: int) -> Pool:
+    """The runs of a subject on some devices, with so many seeds for each, compiled and under way."""
+    (group,) = make_plan(parse({"name": "scaling", "seeds": seeds * len(devices)} | SUBJECTS[subject])).groups
     pool = Pool(group, deque(group.runs.tolist()), len(group.runs) // len(devices), devices, 0)
     pool.fill()
     pool.train()
@@ -81,7 +70,7 @@ def measure(subject: str, size: int) -> list[Record]:
     devices, pools, compile_s = jax.local_devices(), {}, {}
     for count in (1, len(devices)):
         with compute.counting_compiles() as compiles:
-            pools[count] = SUBJECTS[subject](devices[:count], size)
+            pools[count] = training(subject, devices[:count], size)
         compile_s[count] = round(compiles.seconds, 3)
     rounds = [{count: rate(pool) for count, pool in pools.items()} for _ in range(ROUNDS)]
 

@@ -43,17 +43,13 @@ class Finding:
             raise ValueError(f"{self.quantity}: {self.verdict!r}, but printed is {self.printed!r}.")
 
 
-def _ignore(words: str) -> None:
-    """Discard progress: the default where nobody watches."""
-
-
 @dataclass(frozen=True)
 class Setting:
     """Surroundings of an experiment: its config with the user's changes, and the folder and name of its files."""
 
     config: dict[str, Any]
     out: Path
-    tell: Callable[[str], None] = _ignore
+    tell: Callable[[str], None] = lambda words: None
     """Say in a few words what is being computed."""
     name: str = ""
 

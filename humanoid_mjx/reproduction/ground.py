@@ -86,6 +86,11 @@ class Path(NamedTuple):
         return round(physics().step_s * (len(self.qpos) - 1), 3)
 
     @property
+    def end(self) -> str:
+        """The end of the motion, in words."""
+        return f"falls after {self.seconds:g} s" if self.fell else "stands"
+
+    @property
     def touching(self) -> Bool[np.ndarray, "times corners"]:
         return self.corners[..., 2] <= 0.0
 

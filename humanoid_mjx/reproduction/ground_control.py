@@ -51,8 +51,8 @@ def standing(setting: Setting) -> list[Finding]:
             f"seconds of {SECONDS:g} that computed torque of section 5.7 with Table 5.1's gains stands",
             blind.seconds,
             "the section's law treats the torso as fixed and ignores the ground; within the contacts computed "
-            f"torque {_stands(alone['computed torque'])}, and a servo of {setting.config['servo']['stiffness']:g} "
-            f"N m/rad {_stands(alone['servo'])}",
+            f"torque {alone['computed torque'].end}, and a servo of {setting.config['servo']['stiffness']:g} "
+            f"N m/rad {alone['servo'].end}",
         ),
         *(
             unprinted(
@@ -92,7 +92,3 @@ def judge_roll(free: Mapping[float, Any], held: Mapping[float, Any]) -> Finding:
 
 def _largest(path: Any) -> float:
     return float(np.abs(path.error).max())
-
-
-def _stands(path: Any) -> str:
-    return f"falls after {path.seconds:g} s" if path.fell else "stands"

@@ -23,6 +23,9 @@ stays, m/s."""
 SIGNS = tuple((hip, knee, ankle) for hip, knee, ankle in product((1, -1), repeat=3))
 """Signs of hip, knee and ankle in each reading of the tables, the one in the senses of `lower_body` first."""
 
+AS_READ = (SIGNS[0], False, PHASES[0])
+"""The first reading."""
+
 FORWARDS = tuple(signs for signs in SIGNS if signs[0] == 1)
 """Readings for the pattern generator: with the hip the other way round a body walks backwards."""
 
@@ -109,7 +112,7 @@ def _zero_moment(gait: str, mine: Mapping[Trial, Path], margins: Mapping[Trial, 
 
 
 def _slip(gait: str, mine: Mapping[Trial, Path]) -> Finding:
-    read = {t.controller: p for t, p in mine.items() if _as_read(t)}
+    read = {t.controller: path for t, path in mine.items() if (t.signs, t.same_yaw, t.phase) == AS_READ}
     return unprinted(
         f"{TABLES[gait]}: speed of stance feet over the ground, m/s: {', '.join(read)}",
         [round(path.slip, 3) for path in read.values()],
@@ -178,10 +181,6 @@ def _signs(signs: tuple[int, int, int]) -> str:
 def _yaws(gait: str) -> tuple[bool, ...]:
     """Values of `same_yaw`: the readings of a gait, of which a gait without yaw has one."""
     return (False, True) if gait == "sudden_turn" else (False,)
-
-
-def _as_read(trial: Trial) -> bool:
-    return trial.signs == SIGNS[0] and not trial.same_yaw and trial.phase == PHASES[0]
 
 
 def _fate(path: Path) -> str:

@@ -41,13 +41,17 @@ def write_tables(folder: RunFolder, labels: Labels) -> int:
     arrays = finished_runs(folder.path, ("point", "seed", "curve.", "final.", "time."), folder.digest)
     if not arrays:
         return 0
-    columns = {name: pa.array(values).dictionary_encode() for name, values in labels.hyper.items()}
+    runs = {"point": arrays["point"], "seed": arrays["seed"]}
     try:
-        tables = {
-            "results": _results(labels, columns, arrays),
-            "summary": _summary(columns, arrays),
-            "timing": pa.table(_rows(labels, arrays) | {"wall_s": arrays["time.wall_s"].reshape(-1)}),
+        rows = {name: np.repeat(numbers, len(labels.places)) for name, numbers in runs.items()}
+        rows[labels.unit] = np.tile(labels.places, len(arrays["point"])).astype(np.int32)
+        curves = {name: curve.reshape(-1) for name, curve in named(arrays, "curve").items()}
+        columns = {
+            "results": rows | _hyper(labels, rows["point"]) | curves,
+            "summary": runs | _hyper(labels, arrays["point"]) | scores(arrays),
+            "timing": rows | {"wall_s": arrays["time.wall_s"].reshape(-1)},
         }
+        tables = {name: pa.table(each) for name, each in columns.items()}
     except (LookupError, ValueError, pa.ArrowException) as error:
         raise InputError(f"{folder.path / 'checkpoint'}: what it holds does not fit this training.") from error
     for name, table in tables.items():
@@ -92,15 +96,12 @@ def _form(arrays: dict[str, np.ndarray]) -> dict[str, Any] | None:
     return {name: (array.shape[1:], array.dtype) for name, array in arrays.items()}
 
 
-NEEDED = {
-    "results": {"point", "seed"},
-    "summary": {"point", "seed", "greedy_success", "diverged"},
-    "timing": {"point", "seed", "wall_s"},
+NEEDED: dict[str, tuple[set[str], ...]] = {
+    "results": ({"point"}, {"seed"}, {"episode", "step"}),
+    "summary": ({"point"}, {"seed"}, {"greedy_success"}, {"diverged"}),
+    "timing": ({"point"}, {"seed"}, {"episode", "step"}, {"wall_s"}),
 }
-"""Columns without which a parquet file of a run folder is another one."""
-
-UNITS = {"results": {"episode", "step"}, "timing": {"episode", "step"}}
-"""Columns of which such a file needs one."""
+"""Columns without which a parquet file of a run folder is another one: one of each set."""
 
 
 def read_table(path: Path, columns: Sequence[str] | None = None) -> dict[str, np.ndarray]:
@@ -136,8 +137,7 @@ def _useless(path: Path, how: str = "is truncated or damaged") -> InputError:
 
 def _fits(stem: str, columns: set[str]) -> bool:
     """True if a parquet file with such columns can be the one of that name."""
-    without_times = stem != "results" or "wall_s" not in columns
-    return NEEDED.get(stem, set()) <= columns and (stem not in UNITS or bool(UNITS[stem] & columns)) and without_times
+    return all(one & columns for one in NEEDED.get(stem, ())) and not (stem == "results" and "wall_s" in columns)
 
 
 def column_names(path: Path) -> list[str]:
@@ -182,25 +182,9 @@ def _mean(curve: np.ndarray) -> np.ndarray:
     return np.where(count > 0, total / np.maximum(count, 1), np.nan).astype(np.float32)
 
 
-def _results(labels: Labels, columns: dict[str, pa.DictionaryArray], arrays: dict[str, np.ndarray]) -> pa.Table:
-    data = _rows(labels, arrays)
-    data |= _hyper(columns, data["point"])
-    return pa.table(data | {name: curve.reshape(-1) for name, curve in named(arrays, "curve").items()})
-
-
-def _rows(labels: Labels, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
-    """Columns that name the rows of a table with one for each record point of each run."""
-    runs = np.repeat(np.arange(len(arrays["point"])), len(labels.places))
-    places = np.tile(labels.places, len(arrays["point"])).astype(np.int32)
-    return {"point": arrays["point"][runs], "seed": arrays["seed"][runs], labels.unit: places}
-
-
-def _summary(columns: dict[str, pa.DictionaryArray], arrays: dict[str, np.ndarray]) -> pa.Table:
-    data: dict[str, Any] = {"point": arrays["point"], "seed": arrays["seed"]} | _hyper(columns, arrays["point"])
-    return pa.table(data | scores(arrays))
-
-
-def _hyper(columns: dict[str, pa.DictionaryArray], point: np.ndarray) -> dict[str, pa.DictionaryArray]:
+def _hyper(labels: Labels, point: np.ndarray) -> dict[str, pa.DictionaryArray]:
+    """The columns of hyper-parameters, by the sweep point of each row."""
+    columns = {name: pa.array(values).dictionary_encode() for name, values in labels.hyper.items()}
     return {
         name: pa.DictionaryArray.from_arrays(column.indices.take(pa.array(point)), column.dictionary)
         for name, column in columns.items()

@@ -28,7 +28,7 @@ def figures_of(first, samples, asked, command, turns=False, robot=BODY):
     def one(tally, step):
         return add(tally, *step, jnp.int32(WINDOW), INTERVAL, robot), None
 
-    tally, _ = jax.lax.scan(one, begin(first), (samples, asked))
+    tally, _ = jax.lax.scan(one, begin(first, robot), (samples, asked))
     return figures(tally, command, jnp.bool_(turns), jnp.bool_(False), robot, jnp.float32(1.0), INTERVAL)
 
 

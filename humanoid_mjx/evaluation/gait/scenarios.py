@@ -208,7 +208,7 @@ def _begin(learner: Learner, key: Key[Array, ""]) -> _Loop:
     first = sample_of(blank, task.simulator.body_names, task.robot)._replace(
         place=world.qpos[:2], heading=heading_of(view.rotation), angles=world.qpos[task.simulator.joint_qpos]
     )
-    return _Loop(state, view, sums.begin(first), jnp.float32(jnp.nan), jnp.bool_(False), world)
+    return _Loop(state, view, sums.begin(first, task.robot), jnp.float32(jnp.nan), jnp.bool_(False), world)
 
 
 def _decide(

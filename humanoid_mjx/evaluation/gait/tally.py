@@ -73,35 +73,19 @@ class Tally(NamedTuple):
     """Over the windows that are complete."""
 
 
-def begin(first: Sample) -> Tally:
+def begin(first: Sample, robot: Robot) -> Tally:
     """The sums before the first sample; of `first` place, heading and angles matter."""
-    zero, three, feet = jnp.float32(0), jnp.zeros(3), jnp.zeros(first.load.shape)
-    return Tally(
-        last=first._replace(torque=jnp.zeros_like(first.torque)),
-        start=first.place,
-        turned=zero,
-        samples=jnp.int32(0),
-        peak_torque=zero,
-        late=zero,
-        since=jnp.float32(-jnp.inf),
-        air=feet.astype(jnp.int32),
-        lift=feet,
-        sums={
-            "samples": zero,
-            "motion": three,  # way forward and to the left, m, and turn to the left, rad
-            "loaded": feet,  # samples in which each foot carries weight
-            "flight": zero,  # samples in which no foot does
-            "crossing": zero,  # samples in which feet are nearer each other, sideways, than `rewards.APART`
-            "leg_contact": zero,  # samples in which the legs touch
-            "slip": zero,  # speeds along the ground of the corners that touch, m/s
-            "touching": zero,  # how many of them there were
-            "steps": feet,  # touchdowns after a time in the air
-            "lengths": feet,  # by how much each foot was ahead of that on the other side then, m
-            "lifts": feet,  # largest heights of the steps, m
-        },
-        window={"samples": zero, "motion": three, "asked": three, "work": zero},  # the motion commanded; J
-        windows={"number": zero, "errors": jnp.zeros(2), "way": zero, "work": zero},  # as `_compared` has them
-    )
+    zero, feet = jnp.float32(0), jnp.zeros(first.load.shape)
+    first = first._replace(torque=jnp.zeros_like(first.torque))
+    samples, since, air = jnp.int32(0), jnp.float32(-jnp.inf), feet.astype(jnp.int32)
+    tally = Tally(first, first.place, zero, samples, zero, zero, since, air, feet, {}, {}, {})
+    now, way = _counted(tally, first, Asked(jnp.zeros(3), zero, zero), 1.0, robot)
+    window = _blank(way)
+    return tally._replace(sums=_blank(now), window=window, windows=_blank(_compared(window, jnp.float32(1.0))))
+
+
+def _blank(parts: Mapping[str, Any]) -> Sums:
+    return {name: jnp.zeros(jnp.shape(part)) for name, part in parts.items()}
 
 
 def window_samples(cycle: FloatScalar | None, interval: float) -> IntScalar:
@@ -112,32 +96,11 @@ def window_samples(cycle: FloatScalar | None, interval: float) -> IntScalar:
 
 def add(tally: Tally, sample: Sample, asked: Asked, window: IntScalar, interval: float, robot: Robot) -> Tally:
     """The sums with one more sample, `interval` seconds after the last; `window` samples make a window."""
-    last = tally.last
     counts = tally.samples * interval > SETTLING - interval / 2
-    motion = _motion(last, sample)
-    # The torque that acted from the last sample to this one was constant.
-    work = jnp.sum(jnp.abs(last.torque * (sample.angles - last.angles)))
-    loaded = sample.load > robot.force(LOADED)
-    landed = loaded & (tally.air >= math.ceil(AIRBORNE / interval - 1e-6))
-    right, left = robot.foot_pairs.T
-    ahead = jnp.zeros(loaded.shape).at[right].set(-sample.gap[:, 0]).at[left].set(sample.gap[:, 0])
-    now = {
-        "samples": 1.0,
-        "motion": motion,
-        "loaded": loaded,
-        "flight": ~loaded.any(),
-        "crossing": (sample.gap[:, 1] < robot.length(APART)).any(),
-        "leg_contact": sample.legs_apart <= 0,
-        "slip": jnp.sum(sample.speed * sample.touching),
-        "touching": sample.touching.sum(),
-        "steps": landed,
-        "lengths": landed * ahead,
-        "lifts": landed * tally.lift,
-    }
-    way = {"samples": 1.0, "motion": motion, "asked": asked.command * interval, "work": work}
+    now, way = _counted(tally, sample, asked, interval, robot)
     inner = _added(tally.window, counts, way)
     full = inner["samples"] >= window
-    turned = tally.turned + motion[2]
+    turned = tally.turned + way["motion"][2]
     off = (asked.since >= 0) & (asked.since <= HOLD) & (jnp.abs(asked.goal - turned) > NEAR_GOAL)
     return Tally(
         last=sample,
@@ -147,12 +110,39 @@ def add(tally: Tally, sample: Sample, asked: Asked, window: IntScalar, interval:
         peak_torque=jnp.maximum(tally.peak_torque, jnp.abs(sample.torque).max()),
         late=jnp.where(off, asked.since, tally.late),
         since=asked.since,
-        air=jnp.where(loaded, 0, tally.air + 1),
+        air=jnp.where(now["loaded"], 0, tally.air + 1),
         lift=jnp.where(tally.air > 0, jnp.maximum(tally.lift, sample.height), sample.height),
         sums=_added(tally.sums, counts, now),
         window={name: jnp.where(full, 0.0, total) for name, total in inner.items()},
         windows=_added(tally.windows, full, _compared(inner, window * interval)),
     )
+
+
+def _counted(
+    tally: Tally, sample: Sample, asked: Asked, interval: float, robot: Robot
+) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
+    """The parts of a sample in the sums, and in those of a window."""
+    last, motion = tally.last, _motion(tally.last, sample)
+    loaded = sample.load > robot.force(LOADED)
+    landed = loaded & (tally.air >= math.ceil(AIRBORNE / interval - 1e-6))
+    right, left = robot.foot_pairs.T
+    ahead = jnp.zeros(loaded.shape).at[right].set(-sample.gap[:, 0]).at[left].set(sample.gap[:, 0])
+    now = {
+        "samples": 1.0,
+        "motion": motion,  # way forward and to the left, m, and turn to the left, rad
+        "loaded": loaded,  # whether each foot carries weight
+        "flight": ~loaded.any(),
+        "crossing": (sample.gap[:, 1] < robot.length(APART)).any(),
+        "leg_contact": sample.legs_apart <= 0,
+        "slip": jnp.sum(sample.speed * sample.touching),  # of the corners that touch, m/s
+        "touching": sample.touching.sum(),
+        "steps": landed,  # touchdowns after a time in the air
+        "lengths": landed * ahead,  # by how much each foot is ahead of that on the other side then, m
+        "lifts": landed * tally.lift,  # m
+    }
+    # The torque that acted from the last sample to this one was constant.
+    work = jnp.sum(jnp.abs(last.torque * (sample.angles - last.angles)))
+    return now, {"samples": 1.0, "motion": motion, "asked": asked.command * interval, "work": work}
 
 
 def _added(sums: Sums, flag: BoolScalar, now: Mapping[str, Any]) -> Sums:

@@ -6,10 +6,8 @@ Its d42 and d52 to d54 are damaged there beyond what tells a slip of the thesis 
 
 import numpy as np
 
+from humanoid_mjx.reproduction.printed.dynamics import Q
 from humanoid_mjx.reproduction.printed.erratum import Erratum, Formula, States, formula
-
-TURN = np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 0]])
-"""Q: the derivative of a rotation about z, after which the rotation comes."""
 
 D51 = (
     *("c5*K - s5*M", "-c5*M - s5*K", "c1*s3 - c3*s1*s2"),
@@ -45,7 +43,7 @@ def _true(i: int, j: int) -> Formula:
         links = states.true["links"]
         pose = np.broadcast_to(np.eye(4), links[:, 0].shape)
         for link in range(1, i + 1):
-            pose = pose @ (TURN @ links[:, link - 1] if link == j else links[:, link - 1])
+            pose = pose @ (Q @ links[:, link - 1] if link == j else links[:, link - 1])
         return pose[:, :3].reshape(len(pose), 12).T
 
     return product

@@ -29,6 +29,7 @@ Array = Any
 """An array of numpy or jax."""
 
 Q = np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 0]])
+"""The derivative of a rotation about z, which comes after it."""
 
 
 class Slip(NamedTuple):

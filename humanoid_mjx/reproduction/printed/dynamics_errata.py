@@ -42,10 +42,6 @@ def _one_coefficient(of: Callable[[States], np.ndarray], i: int, j: int, k: int)
     return lambda states: of(states)[i - 1, j - 1, k - 1]
 
 
-def _true_velocity_term(states: States) -> np.ndarray:
-    return np.einsum("nijk,jn,kn->in", states.true["velocity_coefficients"], states.qd, states.qd)
-
-
 def _kinetic_energy(states: States) -> np.ndarray:
     """The first term of (4.27): j runs from i to i."""
     factors = Factors(_model(states), states.q)
@@ -54,17 +50,9 @@ def _kinetic_energy(states: States) -> np.ndarray:
     return np.sum(terms, axis=0) / 2
 
 
-def _true_kinetic_energy(states: States) -> np.ndarray:
-    return np.einsum("nij,in,jn->n", states.true["mass_matrix"], states.qd, states.qd) / 2
-
-
 def _inertial(motion: Callable[[States], np.ndarray]) -> Formula:
     """The mass matrix times a motion, N m."""
     return lambda states: np.einsum("nij,jn->in", states.true["mass_matrix"], motion(states))
-
-
-def _script_gravity(states: States) -> np.ndarray:
-    return gravity(_model(states)._replace(centroids=script_centroids(states.lengths)), states.q)
 
 
 def _acceleration(power: int) -> Formula:
@@ -99,7 +87,7 @@ ERRATA = (
         "the sum over j runs from i to i",
         "from 1 to i",
         _kinetic_energy,
-        _true_kinetic_energy,
+        lambda states: np.einsum("nij,in,jn->n", states.true["mass_matrix"], states.qd, states.qd) / 2,
         "J",
     ),
     Erratum(
@@ -160,7 +148,7 @@ ERRATA = (
         "the rule, the slips and the speeds",
         "as above",
         _velocity_term(*ALL),
-        _true_velocity_term,
+        lambda s: np.einsum("nijk,jn,kn->in", s.true["velocity_coefficients"], s.qd, s.qd),
         "N m",
     ),
     Erratum(
@@ -175,7 +163,7 @@ ERRATA = (
         "appendix H, r1 to r5",
         "half a link's length along y of frame 1 and z of the others",
         "the centroids that belong to the pseudo-inertias",
-        _script_gravity,
+        lambda s: gravity(_model(s)._replace(centroids=script_centroids(s.lengths)), s.q),
         _true("sideways_gravity"),
         "N m",
     ),

@@ -35,10 +35,6 @@ def _leg_determinant(states: States) -> np.ndarray:
     return np.linalg.det(states.true["jacobian"][:, :3][:, :, [0, 3, 4]])
 
 
-def _torso_determinant(states: States) -> np.ndarray:
-    return np.linalg.det(states.true["jacobian"][:, :2][:, :, [1, 2]])
-
-
 _FAULTS = {
     "r11": ("C1 C2 S4 in the bracket of S5", "C1 C2 C4"),
     "r12": ("C1 C2 S4 in the bracket of C5", "C1 C2 C4"),
@@ -86,7 +82,7 @@ ERRATA = (
         "repeats the leg's polynomial",
         "-B S3 (B C2 S3 - K S2), B = l3 + l4 C4 + l5 C45, K = l4 S4 + l5 S45",
         formula(TORSO),
-        _torso_determinant,
+        lambda states: np.linalg.det(states.true["jacobian"][:, :2][:, :, [1, 2]]),
         "m^2",
     ),
     Erratum(
