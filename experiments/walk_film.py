@@ -79,7 +79,7 @@ def filmed(name: str) -> Film:
 
 def heading(qpos: np.ndarray) -> Any:
     """Direction of the torso, rad."""
-    return heading_of(rotation_matrix(qpos[3:7]))
+    return heading_of(rotation_matrix(jnp.asarray(qpos[3:7])))
 
 
 def small(film: Film, target: Path) -> None:

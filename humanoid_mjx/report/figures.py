@@ -85,7 +85,9 @@ def mapped(axes: list[str], summary: Mapping[str, np.ndarray]) -> list[str]:
 def curved(results: Mapping[str, np.ndarray], own: Sequence[Figure] = ()) -> list[Figure]:
     """The figures worth drawing: of what was recorded those that change, or if none does all."""
     measures = [Figure(title, (name,), partial(draw_curves, name=name)) for name, title in CURVES.items()]
-    terms = tuple(name for name, values in results.items() if values.dtype.kind == "f" and _is_term(name))
+    floats = [name for name, values in results.items() if values.dtype.kind == "f"]
+    # A term of the reward is nothing else that is recorded.
+    terms = tuple(name for name in floats if "." not in name and name not in CURVES and not name.startswith("greedy_"))
     every = *measures, *([Figure(TERMS, terms, partial(draw_terms, names=terms), by_axis=False)] if terms else []), *own
     recorded = [each for each in every if set(each.needed) <= results.keys()]
     return [each for each in recorded if any(_tells(results[name]) for name in each.needed)] or recorded
@@ -98,11 +100,6 @@ def figures_of(task: str, modules: str | None) -> list[Figure]:
             return [Figure(*each) for each in find("task", TASKS, Task, task).figures]
     except InputError:
         return []
-
-
-def _is_term(column: str) -> bool:
-    """True if a column of learning curves is a term of the reward: it is nothing else that is recorded."""
-    return "." not in column and column not in CURVES and not column.startswith("greedy_")
 
 
 def averaged(axes: Sequence[str], results: Mapping[str, np.ndarray], interval: str = "band") -> str:

@@ -96,7 +96,7 @@ class Window:
         self.scene = make_scene(self.model, self.model.qpos0[None])
         self.scales = _scales(live)
         self.frame, self.number, self.changed = self._frame(), 0, threading.Condition()
-        live.stage.shown = self._publish
+        live.stage.shown = lambda: self._show(self._frame())
 
     def page(self) -> bytes:
         """The page."""
@@ -155,9 +155,6 @@ class Window:
             return held and held._replace(to=to)
         body = int(self.model.geom_bodyid[self.scene.shown[int(what["shape"])]])
         return Grab(body, data.xmat[body].reshape(3, 3).T @ (_place(what["point"]) - data.xpos[body]), to)
-
-    def _publish(self) -> None:
-        self._show(self._frame())
 
     def _show(self, frame: dict[str, Any]) -> None:
         with self.changed:

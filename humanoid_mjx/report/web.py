@@ -51,7 +51,7 @@ def data_address(data: bytes, media: str) -> str:
 def table(headings: Sequence[str], rows: Iterable[Sequence[object]], *, caption: str = "") -> str:
     """A table of texts and numbers, which the reader can sort. Columns of numbers alone are set to the right."""
     cells = [[str(cell) for cell in row] for row in rows]
-    right = [all(_is_number(row[i]) for row in cells) and bool(cells) for i in range(len(headings))]
+    right = [all(_NUMBER.fullmatch(row[i]) for row in cells) and bool(cells) for i in range(len(headings))]
     head = "".join(f"<th{_side(r)} scope=col>{_heading(text)}</th>" for text, r in zip(headings, right, strict=True))
     body = "".join(
         "<tr>" + "".join(f"<td{_side(r)}>{escape(text)}</td>" for text, r in zip(row, right, strict=True)) + "</tr>"
@@ -70,9 +70,9 @@ def facts(pairs: Iterable[tuple[str, object]]) -> str:
     return f"<dl>{rows}</dl>"
 
 
-def section(title: str, *parts: str, anchor: str = "") -> str:
-    """A part of the page with a heading, and a name that links can lead to: by default that of `anchor_of`."""
-    return f'<section id="{escape(anchor or anchor_of(title))}"><h2>{escape(title)}</h2>{"".join(parts)}</section>'
+def section(title: str, *parts: str) -> str:
+    """A part of the page with a heading, and a name that links can lead to (`anchor_of`)."""
+    return f'<section id="{anchor_of(title)}"><h2>{escape(title)}</h2>{"".join(parts)}</section>'
 
 
 def contents(titles: Iterable[str]) -> str:
@@ -104,10 +104,6 @@ def _heading(words: str) -> str:
 
 def _side(right: bool) -> str:
     return ' class="number"' if right else ""
-
-
-def _is_number(cell: str) -> bool:
-    return bool(_NUMBER.fullmatch(cell))
 
 
 def _hash(content: str) -> str:

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from humanoid_mjx.report.web import MEDIA, facts, image, link, page, section, table, text
+from humanoid_mjx.report.web import MEDIA, anchor_of, facts, image, link, page, section, table, text
 from humanoid_mjx.reproduction.findings import MEANINGS
 from humanoid_mjx.reproduction.runner import FINDINGS, load_experiments, read_findings, read_runs
 
@@ -25,9 +25,7 @@ def findings_page(path: Path) -> str:
         mine = [finding for finding in findings if finding["name"] == name]
         own = [file for file in shown if _belongs(file.stem, name, names)]
         shown = [file for file in shown if file not in own]
-        parts.append(
-            section(_heading(name, titles), *map(_finding, mine), *map(_shown, own), anchor=_anchor(names, name))
-        )
+        parts.append(section(_heading(name, titles), *map(_finding, mine), *map(_shown, own)))
     if shown:
         parts.append(section("More figures", *map(_shown, shown)))
     again = f"humanoid-mjx reproduce {' '.join(names)} --out {path.name}-again"
@@ -66,17 +64,13 @@ def _contents(findings: Sequence[Mapping[str, Any]], names: Sequence[str], title
     for name in names:
         counts = Counter(_words(str(finding["verdict"])) for finding in findings if finding["name"] == name)
         found = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
-        heading = link(_heading(name, titles), f"#{_anchor(names, name)}")
-        items.append(f"<li>{heading} {text(f'({found})', 'span')}</li>")
+        heading = _heading(name, titles)
+        items.append(f"<li>{link(heading, f'#{anchor_of(heading)}')} {text(f'({found})', 'span')}</li>")
     return f"<nav><ul>{''.join(items)}</ul></nav>"
 
 
 def _heading(name: str, titles: Mapping[str, str]) -> str:
     return f"{name}: {titles[name]}" if name in titles else name
-
-
-def _anchor(names: Sequence[str], name: str) -> str:
-    return f"experiment-{names.index(name) + 1}"
 
 
 def _finding(finding: Mapping[str, Any]) -> str:
