@@ -21,7 +21,7 @@ import statistics
 import subprocess
 import sys
 import time
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -46,7 +46,7 @@ KEEPS_S = 20.0
 class Start(NamedTuple):
     """What a start took."""
 
-    phases: Counter[str]
+    phases: dict[str, float]
     """Seconds of each phase."""
     processor_s: float
 
@@ -74,7 +74,7 @@ def run(
         }
         for kind, found in starts.items():
             seconds, processor = [sum(each.phases.values()) for each in found], [each.processor_s for each in found]
-            shares = sum((each.phases for each in found), Counter())
+            shares = {phase: sum(each.phases.get(phase, 0.0) for each in found) for phase in found[0].phases}
             figures = {"s to training": seconds, "processor s to training": processor}
             records += [
                 Record(
@@ -106,7 +106,8 @@ def start_up(config: str, overrides: Sequence[str], folder: Path, out: str) -> S
     command = [sys.executable, "-m", "humanoid_mjx", "sweep", config, "--out", str(folder / out), *words]
     start, told = time.perf_counter(), []
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
-    phases, phase, last = Counter(), "starting", 0.0
+    phases: defaultdict[str, float] = defaultdict(float)
+    phase, last = "starting", 0.0
     with subprocess.Popen(command, env=environment, **pipes) as process:
         try:
             for line in process.stdout or ():
