@@ -7,6 +7,7 @@
     compile            XLA's share of the same, against compiling such a program
     tree               running it, the lower body on the ground, against native MuJoCo on all cores
     moving             the same of bodies that random choices have thrown about for up to a second
+    training           updates of `walk_cpu`, learning and all, against native MuJoCo alone on all cores
 
 A ratio says how many times as fast its subject is as its reference, the work of both counted in the same unit; larger
 is better. Both are timed in turn, the fastest of each counts, and what seems to have fallen is timed again before it is
@@ -32,14 +33,20 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from humanoid_mjx import compute
 from humanoid_mjx.bench import ground, physics, tabular
 from humanoid_mjx.bench.training import nothing_compiled
+from humanoid_mjx.compute import rng
+from humanoid_mjx.config import load
 from humanoid_mjx.mechanics.tree.blocks import BLOCK
 from humanoid_mjx.tasks import make_task
+from humanoid_mjx.training.plan import make_plan
 
 RECORD = Path(__file__).with_suffix(".json")
 """The committed ratios."""
 
 MAY_FALL = 0.25
 """The share of its recorded value that a ratio may lose: repeats on a busy machine differ by up to .15."""
+
+UPDATES = 30
+"""Updates before a training is timed: half a minute of each body, most of which has fallen more than once."""
 
 TRIES = 3
 """How often a ratio that fell is timed before that is said."""
@@ -252,6 +259,21 @@ def moving() -> Pair:
     return _warm(Pair(stand().steps(steps, first), ground.native(qpos, qvel, setpoint, time_steps), work))
 
 
+def training() -> Pair:
+    """Updates of bodies that have learnt for some, and as many time steps of native MuJoCo from where they are then."""
+    learner: Any = make_plan(load("walk_cpu")).groups[0].learner()
+    task, time_steps = learner.env, 50
+    update = jax.jit(learner.train_step, compiler_options=compute.compiler_options(task.arithmetic, learner.program))
+    carry = jax.jit(learner.init)(rng.key(0))
+    for _ in range(UPDATES):
+        carry, _ = update(carry)
+    world = carry.envs.state.data.world
+    qpos, qvel = (np.asarray(part, np.float64) for part in (world.qpos, world.qvel))
+    setpoint = task.posture + np.random.default_rng(1).uniform(-0.2, 0.2, (len(qpos), qvel.shape[1] - 6))
+    steps = learner.rollout * task.simulator.substeps(task.period)
+    return _warm(Pair(partial(update, carry), ground.native(qpos, qvel, setpoint, time_steps), steps / time_steps))
+
+
 def long_program(parts: int) -> Callable[[], Any]:
     """Traces a program that no change of this package touches."""
 
@@ -289,6 +311,7 @@ RATIOS: dict[str, Callable[[], Pair]] = {
     "compile": compiling,
     "tree": tree,
     "moving": moving,
+    "training": training,
 }
 
 

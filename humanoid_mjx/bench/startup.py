@@ -120,12 +120,16 @@ def start_up(config: str, overrides: Sequence[str], folder: Path, out: str) -> S
                     phases["importing"] = time.perf_counter() - start - last
                     used = _processor_s(process.pid)
                     until = time.perf_counter() + KEEPS_S
-                    while not any((folder / "xla").glob("advance-*-traced")) and time.perf_counter() < until:
+                    while time.perf_counter() < until and not _kept(folder / "xla"):
                         time.sleep(0.1)
                     return Start(phases, used)
         finally:
             process.kill()
     raise InputError(f"bench startup: {config} did not come to training: {told[-1] if told else 'it said nothing.'}")
+
+
+def _kept(folder: Path) -> bool:
+    return all(any(folder.glob(f"{name}-*-traced")) for name in ("begin", "advance"))
 
 
 def _processor_s(process: int) -> float:
