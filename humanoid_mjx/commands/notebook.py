@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from humanoid_mjx.evaluation.policy import Trained, find_policy, in_world, on_native
+from humanoid_mjx.evaluation.policy import Trained, find_policy, in_world, on_native, on_plane
 from humanoid_mjx.report.web import MEDIA, data_address
 from humanoid_mjx.runs.evaluations import Evaluation
 from humanoid_mjx.runs.folder import read_config
@@ -111,21 +111,26 @@ def play(
     """
     from humanoid_mjx.training.progress import reporting
 
-    trained, run = _policy(what, point, physics, overrides), None if isinstance(what, Trained) else _folder(what)
     with reporting() as reporter:
-        return film(trained if physics else on_native(trained), run, episode, out, reporter)
+        return film(what, reporter, point, episode, physics, overrides, out)
 
 
 def film(
-    trained: Trained, run: Path | None, episode: int, out: Path | str | None, reporter: Reporter, **look: Any
+    what: Run | Trained | Path | str,
+    reporter: Reporter,
+    point: int | None,
+    episode: int,
+    physics: str | None,
+    overrides: Sequence[str],
+    out: Path | str | None,
+    **look: Any,
 ) -> Picture:
-    """Write a film of a held-out episode to `out`, by default in the run folder `run`, or for a policy `NAME.gif`.
-
-    `look` is the rate and the size of its pictures, as `render_film` takes them.
-    """
+    """Write a film as `play` does; `look` is the rate and the size of its pictures, as `render_film` takes them."""
     from humanoid_mjx.evaluation.film import show
     from humanoid_mjx.report.rendering import render_film
 
+    trained, run = _policy(what, point, physics, overrides), None if isinstance(what, Trained) else _folder(what)
+    trained = on_plane(trained) if physics else on_native(trained)
     (shown, outcome), target = show(trained, reporter, episode), Path(out or f"{trained.name}.gif")
     if out is None and run is not None and run.is_dir():
         target = run / "figures" / "play.gif"

@@ -154,8 +154,10 @@ class Growing(Reporter):
 
 
 def results_so_far(curves: Curves) -> dict[str, np.ndarray]:
-    """The columns of results.parquet of the runs that are over, or while there are none of those under way: NaN where
-    nothing is known yet. Empty where nothing is known at all."""
+    """Columns as results.parquet has them, of the finished runs, or of those under way while none is finished.
+
+    Record points that a run has not reached are NaN. Empty while no run has reached any.
+    """
     measures, known = _measured(curves)
     points, seeds = np.nonzero(_shown(known, len(curves.places)))
     if not len(points):
@@ -171,8 +173,10 @@ def results_so_far(curves: Curves) -> dict[str, np.ndarray]:
 
 
 def best_so_far(curves: Curves) -> tuple[list[str], list[list[str]]]:
-    """The headings and the rows of the points that succeed most often, and among these have the highest return, at the
-    last place that those of their runs know that `results_so_far` has."""
+    """Headings and rows of the best points so far, by success, then by return.
+
+    A point is judged at the last record point that all of its runs in `results_so_far` have reached.
+    """
     plan, (measures, known) = curves.plan, _measured(curves)
     names = [name for name in ("success", "return", "steps") if name in measures]
     shown, rows = _shown(known, len(curves.places)), []
@@ -190,7 +194,7 @@ def best_so_far(curves: Curves) -> tuple[list[str], list[list[str]]]:
 
 
 def _measured(curves: Curves) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """The curves by measure, (points, seeds, record) each; and how many record points of each run all of them know."""
+    """The curves by measure, (points, seeds, record) each, and how many record points each run has reached."""
     with curves.lock:
         known = [each.known for name, each in curves.measures.items() if not name.startswith("greedy_")]
         least = np.min(known, axis=0) if known else np.zeros((len(curves.points), curves.seeds), int)
@@ -198,7 +202,7 @@ def _measured(curves: Curves) -> tuple[dict[str, np.ndarray], np.ndarray]:
 
 
 def _shown(known: np.ndarray, record: int) -> np.ndarray:
-    """Flags of the runs that are shown, by the record points that are known of each: those that are over, or while
-    there are none those under way that know half as much as the one ahead. So lines are of the same runs throughout."""
+    """Flags of the runs that are drawn, from how many record points each has reached: the finished ones, or while none
+    is finished those at least half as far as the one ahead. A line is then of the same runs throughout."""
     most = known.max(initial=0)
     return (known > 0) & (known == record if most == record else 2 * known >= most)
