@@ -238,24 +238,6 @@ def verdicts() -> str:
     return table("verdict | quantities | what it says", rows)
 
 
-def walk_cpu() -> str:
-    """Return how `walk` is learned in some minutes on two CPU cores, by the setting."""
-    found, rows = record("cpu_2_cores_walk_cpu"), []
-    for trial in found["trials"]:
-        own = found["learner"] | trial["learner"]
-        envs, batch = f"{own['envs']} x {own['rollout']}", own["envs"] * own["rollout"] // own["minibatches"]
-        others = [f"{key} {own[key]}" for key in ("epochs", "learning_rate") if own[key] != found["learner"][key]]
-        others += [f"bins {trial['task']['bins']}"] if "bins" in trial["task"] else []
-        others += ["commands of `walk`"] if "command" not in trial["task"] else []
-        ways = trial["upright, forward, left, turn"]
-        upright = 100 * min(up for up, *_ in ways.values())
-        speeds = ", ".join(rounded(ways[name][1], 2) for name in (".15", ".3"))
-        size = rounded(trial["steps"] / 1e6), rounded(trial["steps_per_s"] / 1e3, 0)
-        rows.append((envs, str(batch), ", ".join(others), *size, rounded(upright, 0), speeds))
-    head = "environments x steps | batch | else | steps, millions | thousand steps/s"
-    return table(f"{head} | upright under the worst command, % | m/s at 0.15, 0.3", rows)
-
-
 def parity() -> str:
     """Return what learners reach on tasks of the literature, with intervals."""
     found, rows = record("parity")["found"], []
@@ -302,7 +284,6 @@ TABLES = {
         faults,
         ranges,
         verdicts,
-        walk_cpu,
         parity,
         other_robots,
         other_robots_taken,

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from statistics import median
+from statistics import mean, median
 from typing import Any, NamedTuple
 
 from chapter_8_verdicts import Record, findings
@@ -160,24 +160,43 @@ def walk_fast() -> str:
     return table(head, rows)
 
 
-def walk_dog() -> str:
-    """Return how the shipped dog walks in native MuJoCo, by command."""
-    gaits = [gait for gait in record("cpu_2_cores_walk_dog")["results"][0]["gaits"] if gait["agent"] == "greedy"]
+def _by_command(name: str) -> str:
+    """Return how the policies of a record walk, by command."""
+    gaits = [gait for gait in record(name)["results"][0]["gaits"] if gait["agent"] == "greedy"]
     rows = []
     for gait in gaits:
-        of = {name: figure["seeds"][0][0] for name, figure in gait["figures"].items()}
-        moves = (rounded(of[name], 2) for name in ("forward", "left", "turn"))
-        rows.append((gait["scenario"], rounded(100 * of["success"], 0), *moves, rounded(of["slip"], 3)))
+        of = {name: [x[0] for x in figure["seeds"] if x[0] is not None] for name, figure in gait["figures"].items()}
+        places = {"forward": 2, "left": 2, "turn": 2, "slip": 3}
+        moves = (rounded(median(of[name]), to) if of[name] else "none" for name, to in places.items())
+        rows.append((gait["scenario"], spread(of["success"], 0, 100), *moves))
     return table(
         "command, m/s and rad/s | upright for 20 s, % | forward, m/s | left, m/s | turn, rad/s | slip, m/s", rows
     )
 
 
+def _trials(part: str, *worlds: str) -> str:
+    """Return which shares of two seeds stay up in these worlds, setting by setting."""
+    rows = (
+        (one["setting"], *(rounded(100 * mean(one["upright"][world]), 0) for world in worlds))
+        for one in record("walk_trials")[part]
+    )
+    return table(f"setting | {' | '.join(worlds)}", rows)
+
+
+PUSHED = "pushed by 0.5 N s every 3 s", "pushed by 0.8 N s every 3 s", "friction 0.3", "motors of 0.6 N m"
+SLOPING = "a slope of 8 degrees", "waves of 10 mm", "stairs of 10 mm"
+"""Worlds of the trials' tables."""
+
 TABLES = (
-    {of.__name__: of for of in (walk, walk_goals, walk_learners, chapter_8, walk_dog, walk_fast)}
+    {of.__name__: of for of in (walk, walk_goals, walk_learners, chapter_8, walk_fast)}
     | {name: partial(_in_worlds, name) for name in ("walk_worlds", "walk_faults", "walk_observe", "walk_terrain")}
     | {
+        "walk_dog": lambda: _by_command("cpu_2_cores_walk_dog"),
+        "walk_humanoid": lambda: _by_command("h100_walk_humanoid"),
         "walk_gaits": lambda: _series("h200_walk_gaits"),
+        "walk_cpu_seeds": lambda: _by_command("cpu_2_cores_walk_cpu_seeds"),
+        "walk_trials": lambda: _trials("trials", *PUSHED),
+        "terrain_trials": lambda: _trials("terrain", *SLOPING),
         "walk_learning": lambda: _series("h200_walk_learning"),
         "walk_sturdy_minutes": lambda: rounded(record("walk_worlds")["trained"]["walk_sturdy"]["command_s"] / 60),
         "walk_seconds": lambda: rounded(record("h200_walk_40m")["training"]["command_s"]),
