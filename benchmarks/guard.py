@@ -35,7 +35,7 @@ from humanoid_mjx.bench import ground, physics, tabular
 from humanoid_mjx.bench.training import nothing_compiled
 from humanoid_mjx.compute import rng
 from humanoid_mjx.config import load
-from humanoid_mjx.mechanics.tree.blocks import BLOCK
+from humanoid_mjx.mechanics.tree.search import BLOCK
 from humanoid_mjx.tasks import make_task
 from humanoid_mjx.training.plan import make_plan
 

@@ -168,11 +168,9 @@ def written(kind: str, make: Callable[..., Any]) -> pydantic.BeforeValidator:
     of which `make(name, **values)` builds it."""
 
     def build(given: Any) -> Any:
-        if isinstance(given, str):
-            given = {"name": given}
-        if not isinstance(given, Mapping):
+        if not isinstance(given, (str, Mapping)):
             return given
-        values = dict(given)
+        values = {"name": given} if isinstance(given, str) else dict(given)
         if "name" not in values:
             raise InputError(f"{kind}.name: this key is required")
         return make(values.pop("name"), **values)
@@ -280,24 +278,18 @@ def find(kind: str, registry: Mapping[str, str], base: type[SomeSpec], name: str
 
 
 ELSEWHERE = {
-    "alpha": ("learning_rate",),
     "batch_size": ("minibatches",),
     "eps": ("epsilon",),
-    "gae_lambda": ("trace_decay",),
     "gamma": ("discount", "discounting"),
     "hidden_size": ("width",),
-    "lam": ("trace_decay", "gae_lambda"),
-    "lambda": ("trace_decay", "gae_lambda"),
-    "lr": ("learning_rate",),
-    "n_envs": ("envs", "num_envs"),
-    "n_steps": ("rollout", "unroll_length"),
-    "num_envs": ("envs",),
     "num_episodes": ("episodes",),
     "num_layers": ("layers",),
     "num_seeds": ("seeds",),
-    "num_steps": ("rollout", "unroll_length"),
-    "timesteps": ("total_steps",),
-    "total_timesteps": ("total_steps",),
+    **dict.fromkeys(("alpha", "lr"), ("learning_rate",)),
+    **dict.fromkeys(("gae_lambda", "lam", "lambda"), ("trace_decay", "gae_lambda")),
+    **dict.fromkeys(("n_envs", "num_envs"), ("envs", "num_envs")),
+    **dict.fromkeys(("n_steps", "num_steps"), ("rollout", "unroll_length")),
+    **dict.fromkeys(("timesteps", "total_timesteps"), ("total_steps",)),
     **dict.fromkeys(("agent", "algo", "algorithm", "model"), ("learner",)),
     **dict.fromkeys(("env", "env_id", "environment"), ("task",)),
     **dict.fromkeys(("grid", "hyperparameters", "parameters"), ("sweep",)),
@@ -321,6 +313,19 @@ def known(name: str, names: Iterable[str]) -> str:
     return (f"did you mean {close[0]!r}? " if close else "") + "known are " + ", ".join(names)
 
 
+SENTENCES = {
+    "dict_type": "must be a mapping of keys",
+    "finite_number": "must be a finite number",
+    "greater_than": "must be greater than {gt}",
+    "greater_than_equal": "must be at least {ge}",
+    "less_than": "must be less than {lt}",
+    "less_than_equal": "must be at most {le}",
+    "list_type": "must be a list",
+    "literal_error": "must be one of {expected}",
+}
+"""What would be right, by pydantic's kinds of faults."""
+
+
 def sentence(error: pydantic.ValidationError, where: str, model: type[pydantic.BaseModel] | None = None) -> str:
     """The first fault of a pydantic error as one sentence that names the key and what would be right."""
     faults = error.errors()
@@ -331,24 +336,19 @@ def sentence(error: pydantic.ValidationError, where: str, model: type[pydantic.B
     key = ".".join(part for part in parts if part != "" and "[" not in part)  # in brackets stand kinds, not keys
     got = f", got {shown(fault['input'])}"
     match fault["type"]:
+        case kind if kind in SENTENCES:
+            return f"{key} {SENTENCES[kind].format(**fault['ctx'])}{got}."
         case "extra_forbidden":
             fields = [n for n, f in _fields(model, fault["loc"][:-1]).items() if not f.exclude]
             return f"{key}: unknown key; {known(str(fault['loc'][-1]), fields)}."
         case "missing":
             return f"{key}: this key is required."
-        case "greater_than_equal" | "less_than_equal" | "greater_than" | "less_than":
-            sign = {"greater_than_equal": "at least", "less_than_equal": "at most"}.get(
-                fault["type"], fault["type"].replace("_", " ")
-            )
-            return f"{key} must be {sign} {next(iter(fault['ctx'].values()))}{got}."
         case "value_error":
             parents, _, last = key.rpartition(".")
             message = str(fault["ctx"]["error"]).rstrip(".") + "."
             if last and re.match(rf"{re.escape(last)}[. :]", message):  # it says the key itself, and what is in it
                 return f"{parents}.{message}".removeprefix(".")
             return f"{key}: {message}".removeprefix(": ")
-        case "literal_error":
-            return f"{key} must be one of {fault['ctx']['expected']}{got}."
         case "model_type":
             return f"{key} must be a {fault['ctx']['class_name']}, got a {type(fault['input']).__name__}."
         case "string_pattern_mismatch":
@@ -358,12 +358,6 @@ def sentence(error: pydantic.ValidationError, where: str, model: type[pydantic.B
         case "too_short":
             least = fault["ctx"]["min_length"]
             return f"{key} must hold at least {least} {'entry' if least == 1 else 'entries'}{got}."
-        case "dict_type":
-            return f"{key} must be a mapping of keys{got}."
-        case "list_type":
-            return f"{key} must be a list{got}."
-        case "finite_number":
-            return f"{key} must be a finite number{got}."
         case _:
             message = fault["msg"].removeprefix("Input should be ")
             return f"{key} must be {message}{got}."

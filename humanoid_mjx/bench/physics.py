@@ -40,7 +40,7 @@ from humanoid_mjx.control import Reference, at_rest, pd, servo
 from humanoid_mjx.mechanics import dynamics
 from humanoid_mjx.robot.chain import Chain
 from humanoid_mjx.robot.leg import Leg
-from humanoid_mjx.robot.mjcf import make_mjspec
+from humanoid_mjx.robot.legs import make_mjspec
 
 TIMESTEP, FINE_TIMESTEP = 0.002, 0.0005
 """s. At 2 ms a held torque of the partitioned servo is unstable."""

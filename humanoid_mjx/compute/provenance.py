@@ -22,12 +22,14 @@ def made_by() -> dict[str, Any]:
 
 def machine() -> dict[str, Any]:
     """Return the devices, the processor and the system that compute here."""
-    devices = jax.devices()
+    devices, cpuinfo = jax.devices(), Path("/proc/cpuinfo")
+    lines = cpuinfo.read_text().splitlines() if cpuinfo.is_file() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     return {
         "device": devices[0].device_kind,
         "backend": jax.default_backend(),
         "device_count": len(devices),
-        "cpu": _cpu_name(),
+        "cpu": names[0] if names else platform.processor(),
         "cpu_count": cores(),
         "system": f"{platform.system()} {platform.machine()}",
     }
@@ -52,10 +54,3 @@ def commit() -> str | None:
         return subprocess.run(described, capture_output=True, text=True, check=True).stdout.strip()
     except (OSError, subprocess.CalledProcessError):
         return None
-
-
-def _cpu_name() -> str:
-    cpuinfo = Path("/proc/cpuinfo")
-    lines = cpuinfo.read_text().splitlines() if cpuinfo.is_file() else []
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor()

@@ -29,8 +29,9 @@ def start(*, mjx: bool = False) -> None:
     Args:
       mjx: call `make_room` too, for a program that computes anything else before it first uses MJX.
     """
+    cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     defaults = {
-        "jax_compilation_cache_dir": str(_cache_folder()),
+        "jax_compilation_cache_dir": str(Path(cache) / "humanoid_mjx" / "xla"),
         "jax_persistent_cache_min_compile_time_secs": 0.1,
         "jax_num_cpu_devices": cores(),
         "jax_default_matmul_precision": "highest",
@@ -86,8 +87,3 @@ def _nvidia() -> bool:
     asked = os.environ.get("JAX_PLATFORMS") or "cuda"
     plugin = any("cuda" in plugin.name for plugin in entry_points(group="jax_plugins"))
     return plugin and ("cuda" in asked or "gpu" in asked) and any(Path("/dev").glob("nvidia[0-9]*"))
-
-
-def _cache_folder() -> Path:
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "humanoid_mjx" / "xla"

@@ -30,6 +30,8 @@ class Stages:
     """(a model's mass factor) -> the mass matrix and the bias of that model."""
     joints: slice | Int[np.ndarray, " joints"]
     """Places of the actuated joints among the degrees of freedom."""
+    inverse_dynamics: Callable[[Any, MassFactor], Any] | None = None
+    """The same as `torque_for`, of physics that need no matrix for it."""
 
     def torque_for(self, qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
         """Return the torques that a model asks for, N m, a free torso taken as fixed and contacts ignored.
@@ -38,6 +40,8 @@ class Stages:
           qacc: accelerations of the joints, rad/s^2.
           mass: the model's mass factor: a number, or one for each joint's link.
         """
+        if self.inverse_dynamics:
+            return self.inverse_dynamics(qacc, mass)
         matrix, bias = self.model_for(mass)
         return matrix[self.joints][:, self.joints] @ qacc + bias[self.joints]
 

@@ -139,7 +139,10 @@ class ApproximateQ(StepLearner):
         value, optimizer, td_error = self.learn(rate, carry.weights.value, carry.optimizer, batch, learn_key)
         seen = experience.obs.reshape(-1, self.env.observation_size)
         seen = observe(carry.weights.moments, seen)
-        average = self._averaged(carry, value)
+        # The mean with new weights in it (O. Shamir and T. Zhang, "Stochastic Gradient Descent for Non-smooth
+        # Optimization", 2013, section 4, with eta + 1 = 1 / weight_averaging).
+        part = 1.0 / (1.0 + self.weight_averaging * carry.update)
+        average = jax.tree.map(lambda mean, new: (1.0 - part) * mean + part * new, carry.average, value)
         after = Carry(Weights(value, seen), average, optimizer, envs, key, carry.update + 1)
         return after, Outcome(self._steps(carry), totals.pop("episodes"), totals, {"td_error": td_error})
 
@@ -152,12 +155,6 @@ class ApproximateQ(StepLearner):
         """The greedy action for a raw observation."""
         q = self.q_values(policy.value, self.preprocess(policy, observation))
         return exploration.greedy(q, self.allowed, key)
-
-    def _averaged(self, carry: Carry, value: Any) -> Any:
-        """The mean with new weights in it (O. Shamir and T. Zhang, "Stochastic Gradient Descent for Non-smooth
-        Optimization", 2013, section 4, with eta + 1 = 1 / weight_averaging)."""
-        part = 1.0 / (1.0 + self.weight_averaging * carry.update)
-        return jax.tree.map(lambda mean, new: (1.0 - part) * mean + part * new, carry.average, value)
 
     def _steps(self, carry: Carry) -> FloatScalar:
         """Control steps so far."""
@@ -184,14 +181,8 @@ class ApproximateQ(StepLearner):
     def _td_targets(self, weights: Weights, experience: Experience) -> Float[Array, "steps envs"]:
         q = self.q_values(weights.value, self.preprocess(weights, experience.final_obs))
         next_value = jnp.where(self.allowed, q, -jnp.inf).max(axis=-1).mean(axis=-1)
-        return lambda_targets(
-            experience.reward,
-            experience.terminated,
-            experience.truncated,
-            next_value,
-            self.discount,
-            self.trace_decay,
-        )
+        ends = experience.terminated, experience.truncated
+        return lambda_targets(experience.reward, *ends, next_value, self.discount, self.trace_decay)
 
 
 class Batch(NamedTuple):

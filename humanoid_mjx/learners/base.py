@@ -39,8 +39,8 @@ class Learner(Spec):
     unit: ClassVar[str] = "total_steps"
     """The field that says how long to train, and in what: `total_steps` or `episodes`."""
     lap: ClassVar[int] = 1
-    """Training steps between two looks at what was learned. After looks at each step, training stops before one that
-    leads to numbers that are not finite."""
+    """Training steps between two checks. With 1, training stops before a step that would make the policy non-finite;
+    with more, the steps of a lap run unchecked."""
 
     program: ClassVar[Program] = "other"
     """Kind of the programs that train and evaluate, which chooses XLA's options (`compute.options`)."""

@@ -12,8 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from humanoid_mjx.mechanics.links import Body, gravity_vector, make_links
-from humanoid_mjx.mechanics.recursions import composite_inertia, newton_euler
+from humanoid_mjx.mechanics.links import Body, composite_inertia, gravity_vector, make_links, newton_euler
 from humanoid_mjx.mechanics.scalars import HALF, NULL, ZERO, Scalar, dot, solve, stack, unstack
 from humanoid_mjx.robot.chain import Chain
 from humanoid_mjx.types import FloatScalar, IntScalar

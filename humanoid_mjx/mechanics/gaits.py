@@ -1,6 +1,6 @@
 """The gaits of Tables 4.5 and 4.6 as periodic motions of both legs."""
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -8,7 +8,6 @@ from jaxtyping import Array, Float
 from scipy.interpolate import CubicSpline
 
 from humanoid_mjx.mechanics.trajectories import Motion
-from humanoid_mjx.spec import InputError, known
 from humanoid_mjx.thesis import leg as thesis
 from humanoid_mjx.types import FloatScalar
 
@@ -43,20 +42,13 @@ class Gait(NamedTuple):
         return Motion(*(jnp.stack(pair) for pair in zip(*legs, strict=True)))
 
 
-def gait(name: str, kind: str = "spline") -> Gait:
+def gait(name: str, kind: Literal["spline", "linear"] = "spline") -> Gait:
     """The gait `straight_walk` (Table 4.5) or `sudden_turn` (Table 4.6).
 
     Args:
       name: which table.
       kind: `spline`, twice continuously differentiable through the table's points, or `linear` between them.
-
-    Raises:
-      InputError: an unknown name or kind.
     """
-    if name not in TABLES:
-        raise InputError(f"gait: unknown name {name!r}; {known(name, TABLES)}.")
-    if kind not in ("spline", "linear"):
-        raise InputError(f"gait: kind must be 'spline' or 'linear', got {kind!r}.")
     knots, angles = np.array(thesis.GAIT_TIMES_S), np.zeros((len(thesis.GAIT_TIMES_S), 5))
     for joint, degrees in TABLES[name].items():
         angles[:, thesis.JOINT_NAMES.index(joint)] = np.radians(degrees)

@@ -6,7 +6,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from humanoid_mjx.spec import InputError
 from humanoid_mjx.thesis import leg as thesis
 from humanoid_mjx.types import FloatScalar
 
@@ -38,13 +37,7 @@ class Quintic(NamedTuple):
 
 
 def quintic(start: Motion, end: Motion, duration: FloatScalar) -> Quintic:
-    """The polynomials that lead from one state of motion to another in `duration`, s.
-
-    Raises:
-      InputError: a duration that is not positive, if it is a number (a traced one is not checked).
-    """
-    if isinstance(duration, (int, float)) and not 0 < duration < float("inf"):
-        raise InputError(f"duration must be a positive number of seconds, got {duration}.")
+    """The polynomials that lead from one state of motion to another in `duration`, s, which is positive."""
     time = duration
     base = jnp.stack([start.position, start.velocity, start.acceleration / 2])
     left = jnp.stack(

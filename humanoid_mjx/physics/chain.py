@@ -4,8 +4,6 @@ Both legs have the same equations: the left leg's joints turn so that equal valu
 image, and gravity lies in the plane of symmetry.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -20,7 +18,7 @@ from humanoid_mjx.compute import Arithmetic
 from humanoid_mjx.control.stages import Stages
 from humanoid_mjx.mechanics import dynamics
 from humanoid_mjx.mechanics.contacts import no_contacts
-from humanoid_mjx.mechanics.forward import frames
+from humanoid_mjx.mechanics.kinematics import frames
 from humanoid_mjx.mechanics.rotations import angular_velocity
 from humanoid_mjx.physics.base import (
     Controller,
@@ -138,7 +136,7 @@ class ChainPhysics(Physics):
         return world._replace(qpos=qpos, qvel=qvel), torque
 
     def _stages(self, world: World) -> Stages:
-        def torque_for(qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
+        def inverse_dynamics(qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
             # One factor for all links: the torque grows with it, and the leg's own values stay constants.
             factor, each = (1.0, mass) if jnp.ndim(mass) else (mass, 1.0)
             legs = self._each_leg(each, world.qpos, world.qvel, qacc)
@@ -152,23 +150,13 @@ class ChainPhysics(Physics):
 
         nothing = no_contacts(len(world.qvel))
         own = Once(partial(model_for, self.mass))
-        return _LegStages(world.qpos, world.qvel, own, lambda: nothing, model_for, slice(None), torque_for)
+        return Stages(world.qpos, world.qvel, own, lambda: nothing, model_for, slice(None), inverse_dynamics)
 
     def _each_leg(self, mass: MassFactor, *joints: Float[Array, " joints"]) -> list[tuple[Any, ...]]:
         """For each leg: its chain, and its own part of the arrays."""
         factors = _by_leg(mass) if jnp.ndim(mass) else [mass] * len(self.sides)
         chains = [self.leg.scaled(factor) for factor in factors]
         return list(zip(chains, *map(_by_leg, joints), strict=True))
-
-
-@dataclass(frozen=True)
-class _LegStages(Stages):
-    """Torques by Newton and Euler's recursion, without a matrix."""
-
-    inverse_dynamics: Callable[[Float[Array, " joints"], MassFactor], Float[Array, " joints"]]
-
-    def torque_for(self, qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
-        return self.inverse_dynamics(qacc, mass)
 
 
 def _by_leg(x: Float[Array, " joints"]) -> list[Float[Array, " leg"]]:

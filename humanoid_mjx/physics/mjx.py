@@ -23,6 +23,9 @@ from humanoid_mjx.physics.model import MujocoPhysics, below
 from humanoid_mjx.robot.description import IMU
 from humanoid_mjx.types import AnyArray
 
+with redirect_stdout(io.StringIO()):  # it prints two lines about warp
+    from mujoco import mjx
+
 SOLVER_ITERATIONS = {"jax": 4, "warp": 30}
 LINE_SEARCH_ITERATIONS = 8
 """Largest numbers of iterations of Newton's method for the contact forces and of its line search. It starts from the
@@ -38,16 +41,6 @@ FOOT_CONDIM = 3
 LOST = 0b11111
 """Bits of warp's `OverflowType` that report contacts or constraints without room: NEFC, NJMAX_NNZ, BROADPHASE,
 NARROWPHASE, CCD."""
-
-
-def _import_mjx() -> Any:
-    """`mujoco.mjx`, without the lines that it prints about warp."""
-    with redirect_stdout(io.StringIO()):
-        from mujoco import mjx
-    return mjx
-
-
-mjx = _import_mjx()
 
 
 class MjxJax(MujocoPhysics):

@@ -16,16 +16,7 @@ from pydantic import Field, model_validator
 from humanoid_mjx.control.stages import Stages
 from humanoid_mjx.mechanics.contacts import Contacts, drift_of, jacobian_of
 from humanoid_mjx.mechanics.terrain import Terrain
-from humanoid_mjx.physics.base import (
-    GroundContacts,
-    Once,
-    Physics,
-    Poses,
-    Readings,
-    Sensed,
-    Velocities,
-    World,
-)
+from humanoid_mjx.physics.base import GroundContacts, Once, Physics, Poses, Readings, Sensed, Velocities, World
 from humanoid_mjx.robot import RobotKey, make_robot
 from humanoid_mjx.robot.description import Robot, compiled, ground_points, lowest, motor_limits
 from humanoid_mjx.spec import traced
@@ -49,7 +40,14 @@ class MujocoPhysics(Physics):
 
     @model_validator(mode="after")
     def _driven_by_torques(self) -> "MujocoPhysics":
-        if (name := _odd_motor(self.model)) is not None:
+        m = self.model
+        fixed = (m.actuator_gaintype == mujoco.mjtGain.mjGAIN_FIXED) & (m.actuator_gainprm[:, 0] != 0)
+        odd = ~fixed | (m.actuator_biastype != mujoco.mjtBias.mjBIAS_NONE) | (m.actuator_gear[:, 0] == 0)
+        odd |= (m.actuator_trntype != mujoco.mjtTrn.mjTRN_JOINT) | (m.actuator_dyntype != mujoco.mjtDyn.mjDYN_NONE)
+        odd |= (m.actuator_ctrllimited != 0) & (m.actuator_ctrlrange.sum(axis=1) != 0)
+        odd |= (m.actuator_forcelimited != 0) & (m.actuator_forcerange.sum(axis=1) != 0)
+        if odd.any():
+            name = m.actuator(int(np.argmax(odd))).name
             raise ValueError(f"robot: motor {name!r} must be a torque motor of a joint, its bounds the same both ways")
         return self
 
@@ -234,16 +232,6 @@ def below(model: mujoco.MjModel) -> Float[np.ndarray, "bodies bodies"]:
 def _model(robot: Robot, timestep: float | None) -> mujoco.MjModel:
     with jax.ensure_compile_time_eval():
         return compiled(robot, timestep)
-
-
-def _odd_motor(model: mujoco.MjModel) -> str | None:
-    """The name of a motor whose joint does not feel a share of what it is told, or whose bounds differ by direction."""
-    fixed = (model.actuator_gaintype == mujoco.mjtGain.mjGAIN_FIXED) & (model.actuator_gainprm[:, 0] != 0)
-    odd = ~fixed | (model.actuator_biastype != mujoco.mjtBias.mjBIAS_NONE) | (model.actuator_gear[:, 0] == 0)
-    odd |= (model.actuator_trntype != mujoco.mjtTrn.mjTRN_JOINT) | (model.actuator_dyntype != mujoco.mjtDyn.mjDYN_NONE)
-    odd |= (model.actuator_ctrllimited != 0) & (model.actuator_ctrlrange.sum(axis=1) != 0)
-    odd |= (model.actuator_forcelimited != 0) & (model.actuator_forcerange.sum(axis=1) != 0)
-    return model.actuator(int(np.argmax(odd))).name if odd.any() else None
 
 
 def places(rows: Int[np.ndarray, " rows"]) -> Any:

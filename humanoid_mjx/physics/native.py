@@ -100,7 +100,7 @@ class Native(MujocoPhysics):
         return _on_host(partial(self._advance, sensed), shapes, self._values(), *state, control)
 
     def _seen(self, qpos: Float[Array, " nq"], torque: Float[Array, " joints"], sensordata: Array) -> Sensed:
-        """Convert the sensors' array of a model of `_watched`."""
+        """Convert the sensors' array of a model of `_Team`."""
         own, frames = sensordata[: self.model.nsensordata], sensordata[self.model.nsensordata :]
         position, *axes, linear, angular = frames.reshape(len(FRAMES), self.model.nbody, 3)
         poses, velocities = Poses(position, jnp.stack(axes, axis=-1)), Velocities(linear, angular)
@@ -189,16 +189,11 @@ class _Team:
 
     def _tuned(self, values: bytes, sensed: bool) -> mujoco.MjModel:
         """The model with these values in it, its sensors on or off."""
-        numbers = np.frombuffer(values)
+        numbers, base = np.frombuffer(values), self.base
         terrain = self.terrain_of(numbers)
-        model = self._shaped(terrain) if terrain and terrain.stairs is not None else copy(self.base)
-        self._tune(model, numbers)
+        model = self._shaped(terrain) if terrain and terrain.stairs is not None else copy(base)
         model.opt.disableflags |= OFF[sensed]
-        return model
-
-    def _tune(self, model: mujoco.MjModel, values: Float[np.ndarray, " values"]) -> None:
-        base = self.base
-        factors, (friction, damping, torque_limit) = values[: base.nbody], values[base.nbody : base.nbody + 3]
+        factors, (friction, damping, torque_limit) = numbers[: base.nbody], numbers[base.nbody : base.nbody + 3]
         mass = factors * base.body_mass
         model.body_mass[:] = mass
         model.body_inertia[:] = factors[:, None] * base.body_inertia
@@ -208,36 +203,24 @@ class _Team:
         model.geom_friction[:, 0] = friction * base.geom_friction[:, 0]
         model.actuator_ctrlrange[:] = torque_limit * base.actuator_ctrlrange
         model.actuator_forcerange[:] = torque_limit * base.actuator_forcerange
-        if terrain := self.terrain_of(values):
+        if terrain:
             model.opt.gravity[:] = np.linalg.norm(base.opt.gravity) * -terrain.up(np)
+        return model
 
     def terrain_of(self, values: Float[np.ndarray, " values"]) -> Any:
         """The terrain among the values of a model."""
         return self._terrain.unflatten(values[self.base.nbody + 3 :][: self._terrain.num_leaves].tolist())
 
     def _shaped(self, terrain: Terrain | None) -> mujoco.MjModel:
-        """A model whose ground has this shape."""
-        if terrain is None or not terrain.shaped:
-            return copy(_watched(self._robot, self._timestep))
+        """The robot on ground of this shape, with `FRAMES` on every body, behind its own sensors."""
         with jax.ensure_compile_time_eval():
-            spec = _watched_spec(self._robot, self._timestep)
-            add_terrain(spec, terrain)
+            spec = sensing_spec(self._robot, self._timestep)
+            for kind in FRAMES:
+                for body in spec.bodies:
+                    spec.add_sensor(type=kind, objtype=mujoco.mjtObj.mjOBJ_XBODY, objname=body.name)
+            if terrain is not None and terrain.shaped:
+                add_terrain(spec, terrain)
             return spec.compile()
-
-
-@lru_cache
-def _watched(robot: Robot, timestep: float | None) -> mujoco.MjModel:
-    with jax.ensure_compile_time_eval():
-        return _watched_spec(robot, timestep).compile()
-
-
-def _watched_spec(robot: Robot, timestep: float | None) -> mujoco.MjSpec:
-    """The robot with `FRAMES` on every body, behind its own sensors."""
-    spec = sensing_spec(robot, timestep)
-    for kind in FRAMES:
-        for body in spec.bodies:
-            spec.add_sensor(type=kind, objtype=mujoco.mjtObj.mjOBJ_XBODY, objname=body.name)
-    return spec
 
 
 @lru_cache

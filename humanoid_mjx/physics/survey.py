@@ -8,8 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from humanoid_mjx.mechanics.tree.refusing import faults
-from humanoid_mjx.mechanics.tree.touching import kinds_of, touching
+from humanoid_mjx.mechanics.tree.refusing import faults, kinds_of, touching
 from humanoid_mjx.spec import InputError
 
 JOINT = mujoco.mjtJoint

@@ -23,7 +23,7 @@ BENEATH = 1000.0
 
 
 def add_terrain(spec: mujoco.MjSpec, terrain: Terrain) -> None:
-    """Replace the planes of a model by a terrain of plain numbers; what felt a plane feels the terrain as it did.
+    """Replace the planes of a model by a terrain of plain numbers; contacts with a plane become those with the terrain.
 
     A slope is left to `option.gravity`, and the places of the planes that follow balls to `follow`.
     """

@@ -6,7 +6,6 @@ it is fastest after `humanoid_mjx.start()` in a `jax.jit` with `compute.compiler
 1,000 worlds for each core.
 """
 
-from collections.abc import Sequence
 from functools import lru_cache, partial
 from typing import Any, ClassVar, NamedTuple
 
@@ -20,22 +19,13 @@ from humanoid_mjx import compute
 from humanoid_mjx.compute import Arithmetic
 from humanoid_mjx.compute.kernels.worlds import worlds_last
 from humanoid_mjx.mechanics.contacts import Contacts, jacobian_of, no_contacts
-from humanoid_mjx.mechanics.scalars import Vector, unstack
+from humanoid_mjx.mechanics.scalars import unstack
 from humanoid_mjx.mechanics.tree import sensing
 from humanoid_mjx.mechanics.tree import step as mechanics
-from humanoid_mjx.mechanics.tree.algebra import stacked, vector
 from humanoid_mjx.mechanics.tree.folding import fold
 from humanoid_mjx.mechanics.tree.reading import read_tree
 from humanoid_mjx.mechanics.tree.structure import Tree
-from humanoid_mjx.physics.base import (
-    MAX_SPEED,
-    Controller,
-    Once,
-    Poses,
-    Sensed,
-    Velocities,
-    World,
-)
+from humanoid_mjx.physics.base import MAX_SPEED, Controller, Once, Poses, Sensed, Velocities, World
 from humanoid_mjx.physics.model import MujocoPhysics
 from humanoid_mjx.robot.description import IMU, ground_points, motor_limits
 from humanoid_mjx.types import AnyArray, BoolScalar
@@ -96,7 +86,7 @@ class TreePhysics(MujocoPhysics):
         return self._seen(world.qpos[self.joint_qpos], torque, seen)
 
     def poses(self, world: World) -> Poses:
-        return Poses(*worlds_last(_poses, self.tree)(self._state(self._values(), world)))
+        return Poses(*worlds_last(sensing.poses, self.tree)(self._state(self._values(), world)))
 
     def _seen(self, encoders: Any, torque: Any, seen: tuple[Any, ...]) -> Sensed:
         turning, felt, position, rotation, linear, angular, forces = seen
@@ -143,7 +133,7 @@ class TreePhysics(MujocoPhysics):
     ) -> tuple[Float[Array, " joints"], mechanics.State | None]:
         """Return the torque that the controller commands, and the state if it used any of it."""
         state = Once(partial(self._state, values, world))
-        dynamics = worlds_last(_dynamics, self.tree)
+        dynamics = worlds_last(sensing.dynamics, self.tree)
 
         def of_other(physics: TreePhysics) -> tuple[Float[Array, "nv nv"], Float[Array, " nv"]]:
             return dynamics(self._state(physics._values(), world))
@@ -151,7 +141,7 @@ class TreePhysics(MujocoPhysics):
         def contacts() -> Contacts:
             if not self.tree.feet:
                 return no_contacts(len(world.qvel))
-            motion, drifts, *poses = worlds_last(_moving, self.tree)(state())
+            motion, drifts, *poses = worlds_last(sensing.moving, self.tree)(state())
             link, arm = self._corners(Poses(*poses))
             position, (spin, rate, linear) = poses[0][link] + arm, jnp.unstack(drifts[link], axis=1)
             drift = linear + jnp.cross(rate, arm) + jnp.cross(spin, jnp.cross(spin, arm))
@@ -211,32 +201,6 @@ def _moved(tree: Tree, values: mechanics.Values, step: _Step, world: Parts) -> P
     return (*kept, stays)
 
 
-def _dynamics(tree: Tree, state: mechanics.State) -> tuple[Any, Any]:
-    """Mass matrix and bias."""
-    rows = sensing.full_matrix(tree, state)
-    like = _worlds(state)
-    return jnp.stack([stacked(row, like) for row in rows]), stacked(sensing.bias_of(tree, state), like)
-
-
-def _moving(tree: Tree, state: mechanics.State) -> tuple[Any, ...]:
-    """Motions of the degrees of freedom, drifts and poses of the bodies."""
-    like = _worlds(state)
-    motion = jnp.stack([stacked(row, like) for row in sensing.motions_by_dof(tree, state)], axis=1)
-    drifts = jnp.stack([_rows(list(drift), like) for drift in sensing.drifts_of(tree, state)])
-    return motion, drifts, *_poses(tree, state)
-
-
-def _poses(tree: Tree, state: mechanics.State) -> tuple[Any, Any]:
-    poses, like = sensing.poses_of(tree, state), _worlds(state)
-    rotations = [jnp.stack([stacked([axis[i] for axis in pose.axes], like) for i in range(3)]) for pose in poses]
-    return _rows([pose.position for pose in poses], like), jnp.stack(rotations)
-
-
-def _velocities(tree: Tree, state: mechanics.State) -> tuple[Any, Any]:
-    motions, like = sensing.velocities_of(tree, state), _worlds(state)
-    return _rows([motion.linear for motion in motions], like), _rows([motion.angular for motion in motions], like)
-
-
 def _advance_sensed(
     tree: Tree, values: mechanics.Values, given: mechanics.State | None, world: Parts, torque: Any, last: Any
 ) -> tuple[Parts, tuple[Any, ...]]:
@@ -245,35 +209,11 @@ def _advance_sensed(
     step = _solved(tree, values, given, world, torque)
 
     def seen() -> tuple[Any, ...]:
-        found = _seen(tree, tree.gravity if values.gravity is None else values.gravity, *step[:3])
+        found = sensing.sensed(tree, tree.gravity if values.gravity is None else values.gravity, *step[:3])
         return tuple(jnp.broadcast_to(x, (*jnp.shape(x)[:-1], *last.shape)) for x in found)
 
     nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(seen))
     return _moved(tree, values, step, world), jax.lax.cond(last.any(), seen, lambda: nothing)
-
-
-def _seen(
-    tree: Tree, gravity: Any, state: mechanics.State, problem: mechanics.Problem, solution: mechanics.Solution
-) -> tuple[Any, ...]:
-    """The sensors but the encoders, poses, velocities, forces."""
-    like, gravity, acceleration = _worlds(state), vector(gravity), solution.acceleration
-    turning = [part for site in tree.gyroscopes for part in sensing.gyroscope(state, site)]
-    felt = [
-        part for site in tree.accelerometers for part in sensing.accelerometer(tree, state, acceleration, gravity, site)
-    ]
-    pushes = sensing.ground_forces(tree, problem, solution)
-    readings = (stacked(part, like) for part in (turning, felt))
-    forces = [sum((pushes[index] for index in rest), pushes[first]) for first, *rest in tree.feet]
-    return *readings, *_poses(tree, state), *_velocities(tree, state), stacked(forces, like)
-
-
-def _worlds(state: mechanics.State) -> tuple[int, ...]:
-    """The shape of a scalar."""
-    return jnp.shape(state.qpos[0].value)[-1:]
-
-
-def _rows(vectors: Sequence[Vector], shape: tuple[int, ...]) -> Any:
-    return jnp.stack([stacked(v, shape) for v in vectors]) if vectors else jnp.zeros((0, 3, *shape))
 
 
 @lru_cache

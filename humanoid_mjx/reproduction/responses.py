@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 
-from humanoid_mjx.control.response import step_response
+from humanoid_mjx.control.gains import step_response
 from humanoid_mjx.reproduction.findings import Finding, Setting, check, compare, experiment, listed, three_digits
 
 RATIOS = np.round(np.arange(0.05, 3.001, 0.01), 2)

@@ -106,61 +106,47 @@ class Declared(Robot):
         source = _read(find(self.name))
         spec = _load(source.model)
         model = spec.compile()
-        points = self._points(spec, model, source.joints)
-        _strip(spec, feet_only=self.contacts == "feet")
+        data = mujoco.MjData(model)
+        for joint, angle in zip(source.joints, np.radians(self.home or [0.0] * len(source.joints)), strict=True):
+            data.qpos[model.joint(joint).qposadr[0]] = angle
+        mujoco.mj_kinematics(model, data)
+        touching = [
+            (spec.body(foot), geom.id)
+            for foot in self.feet
+            for geom in spec.body(foot).geoms
+            if (geom.name in self.ground_geoms if self.ground_geoms else geom.contype or geom.conaffinity)
+        ]
+        balls = [(foot, geom, *_balls_of(model, data, geom, foot.name)) for foot, geom in touching]
+        rough = model.geom_friction[model.geom_type == GEOM.mjGEOM_PLANE, 0].max(initial=0.0)
+        # The package has actuators, sensors, keyframes, the ground and, where asked for, contacts in its own way.
+        feet_only = self.contacts == "feet"
+        doomed = [*spec.actuators, *spec.sensors, *spec.keys, *(spec.pairs if feet_only else ())]
+        for element in [*doomed, *(geom for geom in spec.worldbody.geoms if geom.type == GEOM.mjGEOM_PLANE)]:
+            spec.delete(element)
+        for geom in spec.geoms if feet_only else spec.worldbody.geoms:
+            geom.contype = geom.conaffinity = 0
         spec.option.timestep = timestep or model.opt.timestep
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
         spec.option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
         ground = spec.worldbody.add_geom(
             name="ground", type=GEOM.mjGEOM_PLANE, size=(0.0, 0.0, 0.05), contype=0, conaffinity=0, rgba=(0.9,) * 4
         )
-        for index, (foot, point) in enumerate(points):
-            ball = foot.add_geom(
-                name=f"{foot.name}_point{index}",
-                type=GEOM.mjGEOM_SPHERE,
-                size=(point.radius, 0.0, 0.0),
-                pos=point.place,
-                mass=0.0,
-                contype=0,
-                conaffinity=0,
-                group=3,
-            )
+        looks = {"mass": 0.0, "contype": 0, "conaffinity": 0, "group": 3, "type": GEOM.mjGEOM_SPHERE}
+        each = [(foot, geom, place, radius) for foot, geom, places, radius in balls for place in places]
+        for index, (foot, geom, place, radius) in enumerate(each):
+            ball = foot.add_geom(name=f"{foot.name}_point{index}", size=(radius, 0.0, 0.0), pos=place, **looks)
             pair = spec.add_pair(name=ball.name, geomname1=ground.name, geomname2=ball.name, condim=3)
-            pair.friction[:2], pair.solref, pair.solimp = point.friction, point.solref, point.solimp
+            pair.friction[:2] = max(rough, model.geom_friction[geom, 0])
+            pair.solref, pair.solimp = model.geom_solref[geom], model.geom_solimp[geom]
         spec.worldbody.first_body().add_site(name="package_imu", group=3)
         add_motors_and_imu(spec, dict(zip(source.joints, self.torque, strict=True)), "package_imu")
         return spec
 
-    def _points(self, spec: mujoco.MjSpec, model: mujoco.MjModel, joints: Sequence[str]) -> list[Any]:
-        """The feet with their points, foot by foot."""
-        data = mujoco.MjData(model)
-        for joint, angle in zip(joints, np.radians(self.home or [0.0] * len(joints)), strict=True):
-            data.qpos[model.joint(joint).qposadr[0]] = angle
-        mujoco.mj_kinematics(model, data)
-        planes = model.geom_type == GEOM.mjGEOM_PLANE
-        rough = float(model.geom_friction[planes, 0].max(initial=0.0))
-        return [
-            (spec.body(foot), point)
-            for foot in self.feet
-            for geom in spec.body(foot).geoms
-            if (geom.name in self.ground_geoms if self.ground_geoms else geom.contype or geom.conaffinity)
-            for point in _points_of(model, data, geom.id, rough, foot)
-        ]
 
-
-class Point(NamedTuple):
-    """A ball that the ground can push."""
-
-    place: Float[np.ndarray, "3"]
-    """In the foot's frame, m."""
-    radius: float
-    friction: float
-    solref: np.ndarray
-    solimp: np.ndarray
-
-
-def _points_of(model: mujoco.MjModel, data: mujoco.MjData, geom: int, rough: float, foot: str) -> list[Point]:
-    """The balls of one geom of a foot."""
+def _balls_of(
+    model: mujoco.MjModel, data: mujoco.MjData, geom: int, foot: str
+) -> tuple[Float[np.ndarray, "balls 3"], float]:
+    """The balls of a foot's geom that the ground can push: their places in the foot's frame and their radius, m."""
     size, kind = model.geom_size[geom], model.geom_type[geom]
     radius, centers = float(size[0]), np.zeros((1, 3))
     if kind == GEOM.mjGEOM_CAPSULE:
@@ -180,20 +166,7 @@ def _points_of(model: mujoco.MjModel, data: mujoco.MjData, geom: int, rough: flo
         )
     rotation = np.empty(9)
     mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
-    friction = max(rough, float(model.geom_friction[geom, 0]))
-    surface = friction, model.geom_solref[geom].copy(), model.geom_solimp[geom].copy()
-    places = model.geom_pos[geom] + centers @ rotation.reshape(3, 3).T
-    return [Point(place, radius, *surface) for place in places]
-
-
-def _strip(spec: mujoco.MjSpec, feet_only: bool) -> None:
-    """Take out what the package has in its own way: actuators, sensors, keyframes, ground, contacts of other bodies."""
-    doomed = [*spec.actuators, *spec.sensors, *spec.keys, *(spec.pairs if feet_only else ())]
-    doomed += [geom for geom in spec.worldbody.geoms if geom.type == GEOM.mjGEOM_PLANE]
-    for element in doomed:
-        spec.delete(element)
-    for geom in spec.worldbody.geoms if not feet_only else spec.geoms:
-        geom.contype = geom.conaffinity = 0
+    return model.geom_pos[geom] + centers @ rotation.reshape(3, 3).T, radius
 
 
 class Source(NamedTuple):
@@ -290,20 +263,23 @@ def _understood(path: Path, text: str, file: str, model_text: str) -> Source:
         feet, geoms = _feet(declared.feet, spec)
         mirror = tuple(declared.mirror.items())
         values = {"feet": feet, "home": tuple(home), "turns": tuple(declared.turns), "mirror": mirror}
-        shares = _by_joint("shares", declared.shares, joints, np.ones(len(joints)))
         values |= {"torque": tuple(torque), "stiffness": tuple(stiffness), "damping": tuple(damping)}
-        values |= {"ground_geoms": geoms, "contacts": declared.contacts, "content": _digest(data, model_text)}
+        # A digest of what both files say, whatever their layout and comments.
+        plain = json.dumps(dict(sorted(data.items()))) + ElementTree.canonicalize(model_text, strip_text=True)
+        content = hashlib.sha256(plain.encode()).hexdigest()[:16]
+        values |= {"ground_geoms": geoms, "contacts": declared.contacts, "content": content}
         if declared.shares is not None:
-            values["shares"] = _by_kind(values, joints, shares)
+            shares = _by_joint("shares", declared.shares, joints, np.ones(len(joints)))
+            values["shares"] = _by_kind(mirror, joints, shares)
     except InputError as error:
         message = str(error).rstrip(".")
         raise InputError(f"{path.name}: {message}.") from error
     return Source(file, joints, values)
 
 
-def _by_kind(values: dict[str, Any], joints: Sequence[str], shares: np.ndarray) -> tuple[float, ...]:
+def _by_kind(mirror: Any, joints: Sequence[str], shares: np.ndarray) -> tuple[float, ...]:
     """Shares by kind of joint, of those by joint."""
-    images = [image(joint, values["mirror"]) for joint in joints]
+    images = [image(joint, mirror) for joint in joints]
     first = [min(k, joints.index(image) if image in joints else k) for k, image in enumerate(images)]
     if uneven := [joint for k, joint in enumerate(joints) if shares[k] != shares[first[k]]]:
         raise InputError(f"shares: {uneven[0]} and its mirror image must have the same")
@@ -414,9 +390,3 @@ def _by_joint(
             raise InputError(f"{key}: {pattern!r} fits no joint; {known(pattern, joints)}")
         values[fits] = number
     return values
-
-
-def _digest(data: dict[str, Any], model_text: str) -> str:
-    """Of what both files say, whatever their layout and comments."""
-    plain = json.dumps(dict(sorted(data.items()))) + ElementTree.canonicalize(model_text, strip_text=True)
-    return hashlib.sha256(plain.encode()).hexdigest()[:16]

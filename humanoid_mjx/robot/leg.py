@@ -61,7 +61,9 @@ class Leg(Chain):
         Raises:
           InputError: a wrong shape, or values that no leg has.
         """
-        l1, l2, l3, l4, l5 = _five(lengths)
+        if len(lengths) != 5 or not all(isinstance(x, (int, float)) and 0 < x < math.inf for x in lengths):
+            raise InputError(f"lengths must be five positive numbers of metres, got {list(lengths)}.")
+        l1, l2, l3, l4, l5 = lengths
         return cls.build(
             theta_offset=np.radians(thesis.DH_THETA_OFFSETS).tolist(),
             d=(l1, l2, 0.0, 0.0, 0.0),
@@ -133,9 +135,3 @@ def cylinder_inertias() -> np.ndarray:
         inertia[link, axis, 3] = inertia[link, 3, axis] = mass * share * length
         inertia[link, 3, 3] = mass
     return inertia
-
-
-def _five(lengths: Sequence[float]) -> Sequence[float]:
-    if len(lengths) != 5 or not all(isinstance(x, (int, float)) and 0 < x < math.inf for x in lengths):
-        raise InputError(f"lengths must be five positive numbers of metres, got {list(lengths)}.")
-    return lengths

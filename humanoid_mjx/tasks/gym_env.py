@@ -40,10 +40,8 @@ class _Worlds:
         self.action_space: spaces.Space[Any] = spaces.Box(-1.0, 1.0, (len(bins),), np.float32)
         if self.choices:
             self.action_space = spaces.Discrete(bins[0]) if len(bins) == 1 else spaces.MultiDiscrete(list(bins))
-        self.begin, self.step = jax.jit(self._begin), jax.jit(self._step, static_argnums=3)
-
-    def _begin(self, key: Key[Array, ""]) -> State:
-        return jax.vmap(self.task.reset)(jax.random.split(key, self.count))
+        self.begin = jax.jit(lambda key: jax.vmap(self.task.reset)(jax.random.split(key, self.count)))
+        self.step = jax.jit(self._step, static_argnums=3)
 
     def _step(self, states: State, actions: Array, key: Key[Array, ""], goes_on: bool) -> State:
         """The states after one decision; where `goes_on` a new episode begins in the place of one that is done."""

@@ -1,11 +1,13 @@
 """The cost of training: the memory that runs take on a device, and so how many train at once; the disk that a run
 folder takes."""
 
+import math
 import shutil
 from collections import Counter
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -18,7 +20,6 @@ from humanoid_mjx.runs.folder import disk_used
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.plan import Group, Plan
 from humanoid_mjx.training.program import SHOWN, advance
-from humanoid_mjx.types import Device
 
 CPU_CACHE_BYTES = 1 << 21
 """Training state per core beyond which a step slows down (measured: about 1,000 agents of `joint_reach`)."""
@@ -27,25 +28,25 @@ MEMORY_SHARE = 0.8
 """The share of a device's free memory, or of a machine's for all its CPU devices together, that training may take."""
 
 OVERHEAD = 48 * 1024
-"""Bytes of a folder beside its numbers: names of columns and arrays, the config, the provenance."""
+"""Fixed size of a run folder, bytes: names of columns and arrays, the config, the provenance."""
 
 KEPT_TWICE = 2
 """A checkpoint is written beside the one that it replaces."""
 
 
 def runs_at_once(group: Group, pool_size: int | None = None) -> int:
-    """Return the number of a group's runs that this process trains at once: `pool_size` a device, or as many as fit.
+    """Return the number of a group's runs that this process trains at once: `pool_size` a device, or as many as its
+    memory holds, on CPUs no more than caches serve well.
 
     Raises:
       InputError: not even one fits.
     """
-    return pool_size * jax.local_device_count() if pool_size else _runs_that_fit(group)
-
-
-def _runs_that_fit(group: Group) -> int:
-    """Return the number of runs that the memory holds; on CPUs no more than caches serve well."""
     device, devices = jax.local_devices()[0], jax.local_device_count()
-    per_run, free = training_bytes(group), _free_memory(device)
+    if pool_size:
+        return pool_size * devices
+    stats = device.memory_stats() or {}  # CPU devices share the memory of the machine
+    free = stats["bytes_limit"] - stats["bytes_in_use"] if "bytes_limit" in stats else compute.available_memory()
+    per_run = training_bytes(group)
     fit = int(MEMORY_SHARE * free) // per_run
     if fit < 1:
         raise InputError(
@@ -86,13 +87,13 @@ FUSED = frozenset(
         *("or", "pow", "reshape", "rsqrt", "select_n", "sign", "sin", "sqrt", "square", "squeeze", "sub", "tanh"),
     )
 )
-"""Primitives that XLA computes in the pass of what uses them: used once, their results are never in memory."""
+"""Primitives that XLA fuses into their consumer: a result that is used once is never in memory."""
 
 
 def working_bytes(jaxpr: core.Jaxpr) -> int:
     """The most bytes that the values computed in a program hold at once, each until its last use.
 
-    Of loops and calls the inside counts, but for what XLA computes in one pass with what uses it (`FUSED`).
+    Loops and calls count with their insides; results that XLA fuses into their consumer (`FUSED`) count nothing.
     """
     uses = Counter(var for equation in jaxpr.eqns for var in equation.invars if _is_var(var))
     last_use = {var: len(jaxpr.eqns) for var in jaxpr.outvars if _is_var(var)}
@@ -113,21 +114,12 @@ def working_bytes(jaxpr: core.Jaxpr) -> int:
     return peak
 
 
+def _bytes(aval: Any) -> int:
+    return math.prod(aval.shape) * aval.dtype.itemsize
+
+
 def _is_var(atom: object) -> bool:
     return isinstance(atom, core.Var)
-
-
-def _bytes(aval: object) -> int:
-    shape, dtype = getattr(aval, "shape", ()), getattr(aval, "dtype", np.dtype(np.float32))
-    return int(np.prod(shape)) * dtype.itemsize
-
-
-def _free_memory(device: Device) -> int:
-    """Bytes that are free on a device; of CPU devices, which share it, those of the whole machine."""
-    stats = device.memory_stats()
-    if stats and "bytes_limit" in stats:
-        return stats["bytes_limit"] - stats["bytes_in_use"]
-    return compute.available_memory()
 
 
 def check_disk(place: Path, plan: Plan, slots: Sequence[int]) -> None:

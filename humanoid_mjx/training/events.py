@@ -52,10 +52,6 @@ class _Measure(NamedTuple):
     written: Int[np.ndarray, " points"]
     """Number of record points of each point that are written."""
 
-    @classmethod
-    def blank(cls, points: int, seeds: int, record: int) -> "_Measure":
-        return cls(np.full((points, seeds, record), np.nan), np.zeros((points, seeds), int), np.zeros(points, int))
-
 
 class Curves:
     """The learning curves of the points of a sweep, as far as they are known while it trains.
@@ -109,9 +105,9 @@ class Curves:
         """Keep curves of some runs, of which so many record points are known."""
         with self.lock:
             for name, curve in curves.items():
-                if name not in self.measures:
-                    self.measures[name] = _Measure.blank(len(self.points), self.seeds, len(self.places))
-                measure = self.measures[name]
+                shape = len(self.points), self.seeds
+                blank = np.full((*shape, len(self.places)), np.nan), np.zeros(shape, int), np.zeros(shape[0], int)
+                measure = self.measures.setdefault(name, _Measure(*blank))
                 measure.curves[points, seeds] = curve
                 measure.known[points, seeds] = np.maximum(measure.known[points, seeds], known)
 

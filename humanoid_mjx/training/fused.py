@@ -131,7 +131,7 @@ def advance(
     for part, mine in zip(parts, numbers, strict=True):
         kept |= zip(mine, jax.vmap(part.once)((learners, key)), strict=True)
     laps = (jnp.int32(steps) + learners.lap - 1) // learners.lap * learners.lap
-    tables = _tables(parts)
+    tables = [jnp.asarray(table) for table in {id(table): table for part in parts for table in part.tables}.values()]
     state = jax.tree.map(_storable, (agents, training.carry.step))
     memory = training.carry.q_table.reshape(runs, -1), training.record
     inputs = (laps[None], kept, tables, (state, *memory))
@@ -166,12 +166,6 @@ def _storable(x: Array) -> Array:
     return x.astype(jnp.int32) if x.dtype == bool else x
 
 
-def _tables(parts: Functions) -> list[Array]:
-    """The constant vectors that the parts look up, each once."""
-    found = {id(table): table for part in parts for table in part.tables}
-    return [jnp.asarray(table) for table in found.values()]
-
-
 def _kernel(
     *refs: Any,
     parts: Functions,
@@ -182,7 +176,7 @@ def _kernel(
     block: int,
     num_actions: int,
 ) -> None:
-    """All steps of a block of agents; `numbers`: of what each part keeps, as `kept_in_common` says."""
+    """All steps of a block of agents; `numbers`: for each part, the indices in `kept` of the values that it takes."""
     count = inputs.num_leaves
     steps, kept, constants, _ = jax.tree.unflatten(inputs, refs[:count])
     *state_refs, tables, record = refs[count:]

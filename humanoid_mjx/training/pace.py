@@ -5,6 +5,7 @@ import heapq
 import time
 from collections import deque
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -55,7 +56,8 @@ class Look(NamedTuple):
     finished: int
     """Runs that are over, those of earlier sessions among them."""
     evaluation: float = 0.0
-    """An estimate of the time that the evaluation of a run takes, as a share of its training."""
+    """An estimate of the time that the evaluation of a run takes, as a share of its training, by the episodes or
+    control steps of both."""
 
 
 class Pace:
@@ -184,7 +186,11 @@ class Pace:
         # Where several episodes feed one table its episodes are counted once for all of them.
         together = np.mean([getattr(learner, "agents", 1) for learner in plan.learners])
         speed *= float(together)
-        lengths = np.zeros(0) if plan.learners[0].cumulative else _lengths(folder / "results.parquet")
+        lengths = np.zeros(0)  # steps of an episode at each record point of each run in which one ended
+        if not plan.learners[0].cumulative:
+            with suppress(KeyError):
+                steps = pq.read_table(folder / "results.parquet", columns=["steps"])["steps"].to_numpy().astype(float)
+                lengths = steps[np.isfinite(steps) & (steps > 0)]
         if plan.unit == "episode":
             found = {"steps_per_s": speed * lengths.mean()} if len(lengths) else {}
             found["episodes_per_s"] = speed
@@ -193,15 +199,6 @@ class Pace:
             if len(lengths):
                 found["episodes_per_s"] = speed * float(np.mean(1.0 / lengths))
         return {name: float(f"{rate:.4g}") for name, rate in found.items()}
-
-
-def _lengths(results: Path) -> np.ndarray:
-    """Steps of an episode at each record point of each run in which one ended."""
-    try:
-        lengths = pq.read_table(results, columns=["steps"])["steps"].to_numpy().astype(float)
-    except KeyError:
-        return np.zeros(0)
-    return lengths[np.isfinite(lengths) & (lengths > 0)]
 
 
 def _left(seconds: float) -> float:

@@ -63,11 +63,6 @@ class Group:
         """The learner of one of the points, its traced values as arrays."""
         return jax.tree.map(lambda leaf: jnp.asarray(leaf[row]), self.learners)
 
-    def locate(self, runs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The row in `learners` and the seed number of each run."""
-        points, seeds = np.divmod(runs, self.seeds)
-        return np.searchsorted(self.points, points), seeds
-
 
 @dataclass(frozen=True)
 class Plan:

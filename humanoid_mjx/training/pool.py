@@ -60,7 +60,7 @@ class Pool:
     ):
         """Make `size` slots on each of the devices.
 
-        `policies`: policies that runs start from instead of anew, every leaf with a leading axis of the group's runs.
+        `policies`: policies from which the runs start, every leaf with a leading axis of the group's runs.
         """
         self.group, self.waiting, self.seed, self.policies = group, waiting, seed, policies
         self.programs, self.devices = programs_of(group.learners, devices), devices
@@ -79,7 +79,7 @@ class Pool:
         self.steps = 1
         self.stop = threading.Event()
         """Set from another thread: training shall end as soon as what is under way can be stored."""
-        self.looked: Callable[[], None] = lambda: None
+        self.looked: Callable[[], object] = lambda: None
         """Called in the thread that trains when the progress of the slots is known anew."""
         self.diverged: dict[int, dict[str, np.ndarray]] = {}
         """The last training states of harvested runs whose numbers were no longer finite, by run."""
@@ -101,12 +101,8 @@ class Pool:
         self.progress = np.where(self.busy, self.progress, 0.0)
         self.recent = np.where(self.busy[:, None], self.recent, np.nan)
         fresh = np.zeros(len(self.slots), bool)
-        for slot in np.flatnonzero(~self.busy):
-            try:
-                self.slots[slot] = self.waiting.popleft()
-            except IndexError:
-                break
-            fresh[slot] = True
+        for slot in np.flatnonzero(~self.busy)[: len(self.waiting)]:
+            self.slots[slot], fresh[slot] = self.waiting.popleft(), True
         if fresh.any():
             self._load()
             rows = np.searchsorted(self.group.runs, np.maximum(self.slots, self.group.runs[0]))
@@ -124,15 +120,11 @@ class Pool:
         self.training, progress = self._call("advance", *given)
         self.progress = np.asarray(progress.share)
         self.recent = np.stack([progress.success, progress.episode_return, progress.length], axis=1)
-        self.note_time()
+        passed = np.arange(self.wall_s.shape[1]) < np.floor(self.progress[:, None] * self.wall_s.shape[1] + 1e-6)
+        self.wall_s[passed & np.isnan(self.wall_s)] = time.monotonic() - self.began
         self.looked()
         factor = CHUNK_S / max(time.monotonic() - began, 1e-6)
         self.steps = int(np.clip(self.steps * np.clip(factor, 0.25, 4.0), 1, MAX_STEPS))
-
-    def note_time(self) -> None:
-        """Enter the time at the record points passed since the last check."""
-        passed = np.arange(self.wall_s.shape[1]) < np.floor(self.progress[:, None] * self.wall_s.shape[1] + 1e-6)
-        self.wall_s[passed & np.isnan(self.wall_s)] = time.monotonic() - self.began
 
     def harvest(self) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
         """Take out the runs that are over, if it is worthwhile.
@@ -255,7 +247,8 @@ class Pool:
 
     def _load(self) -> None:
         """Bring the learners and seeds of the slots' runs to the devices. An idle slot repeats the first run."""
-        rows, numbers = self.group.locate(np.maximum(self.slots, self.group.runs[0]))
+        points, numbers = np.divmod(np.maximum(self.slots, self.group.runs[0]), self.group.seeds)
+        rows = np.searchsorted(self.group.points, points)
         self.learners: Learner = self._put(self.group.learners, rows)
         seeds = np.full(len(rows), self.seed, np.uint32), numbers.astype(np.uint32)
         self.seeds = jax.device_put(seeds, self.over_devices)

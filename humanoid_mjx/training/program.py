@@ -63,7 +63,8 @@ def advance(learner: Learner, training: Training, steps: IntScalar) -> tuple[Tra
 
     def step(_: IntScalar, inner: tuple[Any, Array]) -> tuple[Any, Array]:
         carry, outcome = _train_step(learner, inner[0])
-        return carry, _recorded(learner, inner[1], outcome)
+        point, values = record_entry(learner, outcome)
+        return carry, add_at(inner[1], point, jnp.stack(values, axis=-1))
 
     def lap(_: IntScalar, old: Training) -> Training:
         """`snapshots` are rows here."""
@@ -76,7 +77,8 @@ def advance(learner: Learner, training: Training, steps: IntScalar) -> tuple[Tra
             new = jax.tree.map(lambda new, old: jnp.where(stop, old, new), new, inner)
         snapshots = old.snapshots
         if snapshots is not None:
-            part = _part(learner.progress(old.carry), learner.evaluations)
+            parts = learner.evaluations
+            part = jnp.minimum((learner.progress(old.carry) * parts).astype(jnp.int32), parts - 1)
             snapshots = [
                 old.at[part].set(new) for old, new in zip(snapshots, _row(_snapshot(learner, new[0])), strict=True)
             ]
@@ -173,12 +175,6 @@ def run_key(seed: jax.Array, number: jax.Array) -> jax.Array:
     return jax.random.fold_in(rng.key(seed), number)
 
 
-def _recorded(learner: Learner, record: Float[Array, "record measures"], outcome: Outcome) -> Array:
-    """The record with what a step saw, in the point that it belongs to."""
-    point, values = record_entry(learner, outcome)
-    return add_at(record, point, jnp.stack(values, axis=-1))
-
-
 def record_entry(learner: Learner, outcome: Outcome) -> tuple[Array, list[Array]]:
     """The point of the record that a step belongs to, and what it adds there in the order of `measures`."""
     place = jnp.asarray(outcome.done, jnp.float32) * (learner.record / learner.budget)
@@ -198,11 +194,6 @@ def progress_of(learner: Learner, training: Training) -> Progress:
     episodes = jnp.sum(columns["episodes"] * recent)
     mean = {name: jnp.sum(columns[name] * recent) / episodes for name in SHOWN if name in columns}
     return Progress(share, *(mean.get(name, jnp.nan) for name in SHOWN))
-
-
-def _part(progress: FloatScalar, parts: int) -> IntScalar:
-    """In which of so many equal parts of training."""
-    return jnp.minimum((progress * parts).astype(jnp.int32), parts - 1)
 
 
 def _finite(tree: Any) -> BoolScalar:

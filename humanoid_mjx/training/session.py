@@ -6,7 +6,6 @@ import time
 from collections import deque
 from collections.abc import Sequence
 from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,7 @@ from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.cost import training_bytes
 from humanoid_mjx.training.events import Curves
 from humanoid_mjx.training.pace import COMPILING, Look, Pace
-from humanoid_mjx.training.plan import Group, Plan
+from humanoid_mjx.training.plan import Plan
 from humanoid_mjx.training.pool import IDLE, Pool
 from humanoid_mjx.training.programs import placement
 from humanoid_mjx.training.progress import Reporter, State
@@ -81,29 +80,25 @@ class Session:
         size, devices = placement(len(runs), room)
         while waiting := deque(run for run in runs if run not in self.finished):
             slots = size * len(devices)
-            self.reporter.note(self._side_by_side(group, len(runs), slots))
+            where = f" in process 0 of {self.processes.count}" if self.processes.count > 1 else ""
+            self.reporter.note(
+                f"{min(slots, len(runs)):,} of {len(runs):,} runs train side by side{where}, in an estimated "
+                f"{slots * training_bytes(group) / 2**20:,.0f} MiB"
+            )
             try:
                 self._train_side_by_side(index, waiting, size, devices, policies)
             except Exception as error:
                 if not compute.out_of_memory(error):
                     raise
-                self._too_large(group, size, slots)
+                if size <= 1:
+                    raise InputError(
+                        f"{self.folder.path}: the memory does not suffice for one run, which is estimated to need "
+                        f"{training_bytes(group) / 2**20:,.0f} MiB; make the task or the learner smaller."
+                    ) from error
+                self.reporter.note(f"the memory does not suffice for {slots:,} runs side by side; half as many go on")
                 self.interrupted = self._under_way()
             gc.collect()  # the arrays of a pool that failed; its error's frames held them
             size //= 2
-
-    def _too_large(self, group: Group, size: int, slots: int) -> None:
-        """Say that the memory does not suffice for so many runs side by side.
-
-        Raises:
-          InputError: they are as few as can be.
-        """
-        if size <= 1:
-            raise InputError(
-                f"{self.folder.path}: the memory does not suffice for one run, which is estimated to need "
-                f"{training_bytes(group) / 2**20:,.0f} MiB; make the task or the learner smaller."
-            )
-        self.reporter.note(f"the memory does not suffice for {slots:,} runs side by side; half as many go on")
 
     def _train_side_by_side(
         self, index: int, waiting: deque[int], size: int, devices: Sequence[Device], policies: Any
@@ -114,7 +109,7 @@ class Session:
         with compute.counting_compiles() as compiles:
             pool = Pool(group, waiting, size, devices, self.plan.config.seed, policies)
             pool.stop = self.stop
-            pool.looked = partial(self._looked, pool)
+            pool.looked = lambda: [watcher.look(pool) for watcher in self.watchers]
             self._restore(index, pool)
             self._work_in_a_thread(index, pool)
         self.compile_s += compiles.seconds
@@ -190,12 +185,6 @@ class Session:
     def _store_under_way(self, index: int, pool: Pool) -> None:
         self.folder.write_arrays(self.folder.pool, {"group": np.array(index)} | pool.state())
 
-    def _side_by_side(self, group: Group, runs: int, slots: int) -> str:
-        """Say the number of runs that train at once, and the memory that they are estimated to take."""
-        memory = slots * training_bytes(group) / 2**20
-        where = f" in process 0 of {self.processes.count}" if self.processes.count > 1 else ""
-        return f"{min(slots, runs):,} of {runs:,} runs train side by side{where}, in an estimated {memory:,.0f} MiB"
-
     def _work(self, index: int, pool: Pool) -> None:
         """Train the waiting runs until none is left."""
         saved = time.monotonic()
@@ -224,17 +213,14 @@ class Session:
         for watcher in self.watchers:
             watcher.store(runs, arrays)
 
-    def _looked(self, pool: Pool) -> None:
-        for watcher in self.watchers:
-            watcher.look(pool)
-
     def _report(self, pool: Pool) -> None:
         slots, progress = pool.slots.copy(), pool.progress.copy()
         busy, finished = slots != IDLE, len(self.finished)
         known = pool.recent[busy][np.isfinite(pool.recent[busy]).all(axis=1)]
         success, mean_return, steps = map(float, known.mean(axis=0)) if len(known) else (None, None, None)
         waiting = max(len(self.mine) - finished - int(busy.sum()), 0)
-        evaluation = self._evaluation_share(pool.group, steps)
+        learner, length = pool.group.learners, 1.0 if self.plan.unit == "episode" else steps or 0.0
+        evaluation = learner.evaluations * learner.evaluation_envs * length / self.plan.budget
         self.pace.look(time.monotonic(), Look(pool.phase, slots, progress, waiting, finished, evaluation))
         self.reporter.phase(pool.phase)
         if progress[busy].any():
@@ -242,13 +228,6 @@ class Session:
             total, unit = len(self.mine) * budget, f"{self.plan.unit}s"
             rate = pace.recent * budget
             self.reporter.update(State(pace.done * budget, total, unit, rate, pace.left_s, success, mean_return, steps))
-
-    def _evaluation_share(self, group: Group, steps: float | None) -> float:
-        """An estimate of the time that the evaluation of a run takes, as a share of its training, by the episodes or
-        control steps of both; `steps`: of an episode, as far as they are known."""
-        learner = group.learners
-        length = 1.0 if self.plan.unit == "episode" else steps or 0.0
-        return learner.evaluations * learner.evaluation_envs * length / self.plan.budget
 
     def write_results(self) -> None:
         """Bring tables and provenance up to date with the finished runs."""

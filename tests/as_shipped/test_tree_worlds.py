@@ -10,9 +10,9 @@ import pytest
 from tree_robots import converged, native, qacc_of, states
 
 from humanoid_mjx import compute
-from humanoid_mjx.mechanics.tree.blocks import BLOCK
 from humanoid_mjx.mechanics.tree.folding import fold
 from humanoid_mjx.mechanics.tree.reading import read_tree
+from humanoid_mjx.mechanics.tree.search import BLOCK
 from humanoid_mjx.mechanics.tree.step import Values
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.robot.lower_body import LowerBody

@@ -9,8 +9,7 @@ import pytest
 from scipy.signal import lsim
 
 from humanoid_mjx import control, dynamics
-from humanoid_mjx.control.gains import poles
-from humanoid_mjx.control.response import step_response
+from humanoid_mjx.control.gains import poles, step_response
 from humanoid_mjx.mechanics.trajectories import thesis_quintics
 from humanoid_mjx.robot.leg import Leg
 from humanoid_mjx.thesis import leg as thesis

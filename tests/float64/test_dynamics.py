@@ -16,7 +16,7 @@ from humanoid_mjx import compute
 from humanoid_mjx.mechanics import dynamics
 from humanoid_mjx.robot.chain import Chain
 from humanoid_mjx.robot.leg import ALONG_THE_LEG, AS_PRINTED, Leg
-from humanoid_mjx.robot.mjcf import make_mjspec
+from humanoid_mjx.robot.legs import make_mjspec
 
 GOLDEN = json.loads((Path(__file__).parent.parent / "data" / "golden.json").read_text())["states"]
 GRAVITIES = {"along_the_leg": ALONG_THE_LEG, "as_printed": AS_PRINTED}

@@ -12,7 +12,6 @@ from leg_reference import GOLDEN
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
-from humanoid_mjx import InputError
 from humanoid_mjx.mechanics import gaits, trajectories
 from humanoid_mjx.mechanics import pattern_generator as cpg
 from humanoid_mjx.mechanics.trajectories import Motion
@@ -62,8 +61,6 @@ def test_quintic_rests_outside_its_time():
     path = trajectories.quintic(Motion(*jnp.array([1.0, 2.0, 3.0])), Motion(*jnp.array([4.0, 5.0, 6.0])), 2.0)
     for t, position in ((-1.0, 1.0), (3.0, 4.0)):
         np.testing.assert_allclose(path.at(t), [position, 0.0, 0.0], atol=1e-12)
-    with pytest.raises(InputError, match="duration must be a positive number"):
-        trajectories.rest_to_rest([0.0], [1.0], 0.0)
 
 
 @pytest.mark.parametrize("name", gaits.TABLES)
@@ -92,13 +89,6 @@ def test_the_left_leg_is_half_a_period_later():
     both, right = legs_at(TURN, t), gait_at(TURN, t)
     np.testing.assert_allclose(both.position[:, 0], right.position, atol=1e-14)
     np.testing.assert_allclose(legs_at(TURN, t + 0.4).position[:, 1], right.position, atol=1e-12)
-
-
-def test_gait_refuses_unknown_names():
-    with pytest.raises(InputError, match="did you mean 'straight_walk'"):
-        gaits.gait("straight")
-    with pytest.raises(InputError, match="kind must be 'spline' or 'linear'"):
-        gaits.gait("straight_walk", "cubic")
 
 
 def run(params, state, dt, n):

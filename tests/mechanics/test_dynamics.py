@@ -6,7 +6,7 @@ import pytest
 
 from humanoid_mjx import InputError, Leg, dynamics
 from humanoid_mjx.bench import physics
-from humanoid_mjx.robot.mjcf import make_mjspec
+from humanoid_mjx.robot.legs import make_mjspec
 
 
 def test_zeros_of_the_structure_stay_out_of_the_program():

@@ -24,9 +24,9 @@ def worlds():
 def test_an_unsettled_world_is_flagged_and_stays(monkeypatch, worlds):
     """A single step of the search does not get from standing in the air to falling on both feet and beyond."""
     from humanoid_mjx.compute.kernels.worlds import worlds_last
-    from humanoid_mjx.mechanics.tree import blocks
+    from humanoid_mjx.mechanics.tree import search
 
-    monkeypatch.setattr(blocks, "MOST_STEPS", 1)
+    monkeypatch.setattr(search, "MOST_STEPS", 1)
     worlds_last.cache_clear()
     qpos = worlds.qpos.at[1, 2].add(1.0)
     start = worlds._replace(qpos=qpos, warmstart=worlds.warmstart.at[:, 2].set(1e3))

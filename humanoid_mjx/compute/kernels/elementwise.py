@@ -144,9 +144,9 @@ def _inlined(traced: ClosedJaxpr) -> tuple[list[Var], list[Equation], tuple[Any,
 
 
 def kept_in_common(parts: Sequence[Elementwise]) -> list[list[int]]:
-    """A number for each value that each part keeps; with one `fixed` for all, equal numbers are equal values.
+    """Number the values that each part keeps; all parts have one `fixed`, and equal numbers are equal values.
 
-    What a kernel is given twice it does not know to be the same, and computes everything that follows from it twice.
+    A kernel that were given a value twice would compute everything that follows from it twice.
     """
     numbers: dict[Any, int] = {}
     found = []
@@ -161,13 +161,13 @@ def kept_in_common(parts: Sequence[Elementwise]) -> list[list[int]]:
 
 
 def _what(equation: Equation, inputs: Sequence[Any]) -> Any:
-    """The same for operations that do the same with the same inputs."""
+    """A key that is equal for operations that do the same with the same inputs."""
     same = [((x.dtype, x.item()) if x.size == 1 else id(x)) if isinstance(x, np.ndarray) else x for x in inputs]
     return equation.primitive, str(sorted(equation.params.items())), tuple(same)
 
 
 def _each_once(equations: list[Equation], outputs: tuple[Any, ...]) -> tuple[list[Equation], tuple[Any, ...]]:
-    """Without operations that repeat one before: a compiler does not see them all through inline assembly."""
+    """Common-subexpression elimination, which a compiler cannot do through inline assembly."""
     names: dict[Any, Any] = {}
     seen: dict[Any, tuple[Var, ...]] = {}
     kept = []
@@ -183,7 +183,7 @@ def _each_once(equations: list[Equation], outputs: tuple[Any, ...]) -> tuple[lis
 
 
 def _needed(equations: list[Equation], outputs: Sequence[Any]) -> list[Equation]:
-    """Without what no output depends on."""
+    """Dead-code elimination: the operations that an output needs."""
     needed, kept = {x for x in outputs if isinstance(x, Var)}, []
     for equation in reversed(equations):
         if needed & set(equation.outputs):

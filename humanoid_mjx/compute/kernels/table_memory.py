@@ -1,24 +1,12 @@
 """The memory of a GPU kernel that trains tables: the tables of a block of agents, and their learning curves."""
 
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax.experimental.pallas import triton as gpu
 from jaxtyping import Array
 
 from humanoid_mjx.compute.kernels.assembly import assembly
-
-
-class Memory(Protocol):
-    """Memory that holds the tables of a block of agents."""
-
-    def row(self, token: Array, row: Array) -> tuple[Array, ...]:
-        """The values of a row of each agent's table, after the write that gave this token."""
-        ...
-
-    def add(self, token: Array, row: Array, action: Array, change: Array, seen: tuple[Array, ...]) -> Array:
-        """Add to one value of each table, after these values were read; a token of the write."""
-        ...
 
 
 class DeviceMemory(NamedTuple):
@@ -30,10 +18,12 @@ class DeviceMemory(NamedTuple):
     num_actions: int
 
     def row(self, token: Array, row: Array) -> tuple[Array, ...]:
+        """The values of a row of each agent's table, after the write that gave this token."""
         cells = [row * self.num_actions + action for action in range(self.num_actions)]
         return tuple(gpu.load(self.tables.at[self.run, cell]) for cell in cells)
 
     def add(self, token: Array, row: Array, action: Array, change: Array, seen: tuple[Array, ...]) -> Array:
+        """Add to one value of each table, after these values were read; a token of the write."""
         place = self.tables.at[self.run, row * self.num_actions + action]
         gpu.store(place, gpu.load(place) + change)
         return token

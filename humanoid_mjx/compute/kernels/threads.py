@@ -158,7 +158,7 @@ def _slice(params: dict[str, Any], array: np.ndarray) -> list[np.ndarray]:
 
 
 def _place(array: np.ndarray, sizes: Sequence[int], starts: Sequence[np.ndarray]) -> tuple[slice, ...]:
-    """The place in an array of a part of these sizes; beginnings beyond the ends are moved inside, as jax does."""
+    """The place in an array of a part of these sizes; starts beyond the ends are clamped, as jax does."""
     if not all(isinstance(start.item(), np.generic) for start in starts):
         raise NotImplementedError("threads index only by what is known while tracing")
     limits = [full - size for full, size in zip(array.shape, sizes, strict=True)]
@@ -208,7 +208,7 @@ REDUCTIONS: dict[str, tuple[Callable[[Any, Any], Any], Any]] = {
 
 
 def _while(eqn: Any, *args: np.ndarray) -> list[np.ndarray]:
-    """Until no world of the block goes on; those that would not have are moved with the others.
+    """Run a loop until all worlds of the block have ended; those that have ended compute on with the others.
 
     The condition is the last value carried. No one reads it after the loop, so that Triton's loop has one result less
     than arguments, and its pass `LayoutPropagation` looks up the result at each argument's index: with the condition
@@ -230,7 +230,7 @@ def _while(eqn: Any, *args: np.ndarray) -> list[np.ndarray]:
 
 
 def _cond(eqn: Any, index: np.ndarray, *args: np.ndarray) -> list[np.ndarray]:
-    """The second branch is left out where no world of the block takes it; the first is gone in any case."""
+    """Compute the first branch always, and the second where a world of the block takes it."""
     one, two = eqn.params["branches"]
     chosen = vector(index.item()) != 0
     first = evaluate(one, args)

@@ -19,9 +19,9 @@ from humanoid_mjx.compute.kernels.one_kernel import one_kernel
 def worlds_last(function: Callable[..., Any], *static: Any, kernel: bool = False) -> Callable[..., Any]:
     """`function`, with `static` for its first arguments, as one of a single world.
 
-    Under `jax.vmap`, once or nested, it gets all worlds at once, in the last axis of every array. It takes and gives
-    pytrees of arrays, and must not mix worlds. What it gives may lack the axis where all agree. It is
-    traced once for each number of worlds, whatever programs use it.
+    Under `jax.vmap`, once or nested, the function gets all worlds at once, in the last axis of every array. It takes
+    and returns pytrees of arrays, and must not mix worlds. A result that all worlds share may lack the axis. The
+    function is traced once for each number of worlds, whatever programs use it.
 
     `kernel`: compute many worlds in one GPU kernel rather than in those that XLA makes.
     """

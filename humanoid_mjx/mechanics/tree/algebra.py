@@ -10,18 +10,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx.mechanics.scalars import NULL, ONE, ZERO, Scalar, Symmetric, Vector, add, cross, dot, scale
-from humanoid_mjx.mechanics.tree.structure import Table
+from humanoid_mjx.mechanics.tree.structure import Axes, Table
 
 
 def _flatten(scalar: Scalar) -> tuple[tuple[Any, ...], float | None]:
     return ((), scalar.value) if isinstance(scalar.value, float) else ((scalar.value,), None)
 
 
-def _unflatten(known: float | None, children: tuple[Any, ...]) -> Scalar:
-    return Scalar(children[0] if known is None else known)
-
-
-jax.tree_util.register_pytree_node(Scalar, _flatten, _unflatten)
+jax.tree_util.register_pytree_node(
+    Scalar, _flatten, lambda known, children: Scalar(*children if children else (known,))
+)
 """Numbers that are known while tracing are structure, those that are traced are leaves."""
 
 Tree = TypeVar("Tree")
@@ -111,7 +109,7 @@ def lane(scalar: Scalar, index: int) -> Scalar:
 
 
 def over_lanes(scalars: Sequence[Scalar], lanes: int) -> list[Scalar]:
-    """The sums over the lanes, by slices; less axes tell that all lanes agree."""
+    """The sums over the lanes, by slices; a scalar without the axis is the same in all lanes."""
     found = []
     for scalar in scalars:
         value = scalar.value
@@ -127,6 +125,12 @@ def summed(thing: Tree, sums: Callable[[Sequence[Scalar]], list[Scalar]]) -> Tre
     """A pytree of scalars, by a function of all of them."""
     scalars, structure = jax.tree.flatten(thing, is_leaf=lambda part: isinstance(part, Scalar))
     return structure.unflatten(sums(scalars))
+
+
+def known_axes(axes: Axes) -> Rotation:
+    """Axes of numbers that are known while tracing."""
+    x, y, z = (vector(axis) for axis in axes)
+    return x, y, z
 
 
 def combine(axes: Rotation, v: Vector) -> Vector:

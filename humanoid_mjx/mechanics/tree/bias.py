@@ -5,15 +5,7 @@ from functools import partial
 from typing import NamedTuple
 
 from humanoid_mjx.mechanics.scalars import NULL, TWO, ZERO, Scalar, Vector, add, cross, dot, scale
-from humanoid_mjx.mechanics.tree.algebra import (
-    NOWHERE,
-    Spatial,
-    over_lanes,
-    power,
-    subtract,
-    summed,
-    total,
-)
+from humanoid_mjx.mechanics.tree.algebra import NOWHERE, Spatial, over_lanes, power, subtract, summed, total
 from humanoid_mjx.mechanics.tree.inertia import Mass
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics
 from humanoid_mjx.mechanics.tree.structure import Tree

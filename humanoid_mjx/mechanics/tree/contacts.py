@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from humanoid_mjx.mechanics.scalars import HALF, NULL, ONE, TWO, ZERO, Scalar, Symmetric, Vector, add, cross, dot, scale
-from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.mechanics.tree.algebra import (
     Rotation,
     Spatial,
@@ -38,7 +37,6 @@ from humanoid_mjx.mechanics.tree.structure import (
     Pairs,
     Softness,
     Surface,
-    Tree,
 )
 
 Friction = tuple[Scalar, Scalar] | None
@@ -137,29 +135,6 @@ class Slip(NamedTuple):
         return force >= self.most.value, force <= -self.most.value
 
 
-def ground_touches(
-    tree: Tree,
-    kinematics: Kinematics,
-    motions: Sequence[Spatial],
-    frictions: Sequence[Friction],
-    terrain: Terrain | None = None,
-) -> list[Touch]:
-    """The contacts of the points in `tree.ground`, where the bodies move by `motions`."""
-    return [
-        _ground_touch(points, kinematics, motions[points.body], friction, terrain)
-        for points, friction in zip(tree.ground, frictions, strict=True)
-    ]
-
-
-def pair_touches(
-    tree: Tree, kinematics: Kinematics, motions: Sequence[Spatial], frictions: Sequence[Friction]
-) -> list[Touch]:
-    """The contacts of `tree.pairs`, with an axis of pairs."""
-    return [
-        _pair_touch(pairs, kinematics, motions, friction) for pairs, friction in zip(tree.pairs, frictions, strict=True)
-    ]
-
-
 def stop_of(limit: Limit, angle: Scalar, speed: Scalar) -> Stop:
     """The joint's range at an angle and speed."""
     above, below = angle - number(limit.lower), number(limit.upper) - angle
@@ -177,14 +152,10 @@ def slip_of(dry: Dry, speed: Scalar) -> Slip:
     return Slip(weight, Scalar(dry.softness.damping) * speed, number(dry.most))
 
 
-def friction_of(surface: Surface) -> Friction:
-    """The model's own."""
-    return None if surface.friction is None else (number(surface.friction[0]), number(surface.friction[1]))
-
-
-def _ground_touch(
-    points: GroundPoints, kinematics: Kinematics, motion: Spatial, friction: Friction, terrain: Terrain | None
+def ground_touch(
+    points: GroundPoints, kinematics: Kinematics, motions: Sequence[Spatial], friction: Friction, terrain: Any = None
 ) -> Touch:
+    """The contacts of points that a plane or a `Terrain` pushes, where the bodies move by `motions`."""
     center, normal, radius = ground_center(points, kinematics), vector(points.normal), number(points.radius)
     height = dot(normal, center) + (dot(normal, kinematics.origin) - number(points.height))
     if terrain is not None and terrain.shaped:
@@ -192,7 +163,8 @@ def _ground_touch(
     distance = height - radius
     place = subtract(center, scale(radius + HALF * distance, normal))
     along = None if points.along is None else kinematics.direction(points.body, points.along)
-    return _touch(points.surface, place, _frame(normal, along), distance, velocity_at(motion, place), friction)
+    frame, velocity = _frame(normal, along), velocity_at(motions[points.body], place)
+    return _touch(points.surface, place, frame, distance, velocity, friction)
 
 
 def ground_center(points: GroundPoints, kinematics: Kinematics) -> Vector:
@@ -231,7 +203,8 @@ def _downwards(way: Vector, normal: Vector) -> Vector:
     return scale(Scalar(jnp.where(dot(way, normal).value > 0.0, -1.0, 1.0)), way)
 
 
-def _pair_touch(pairs: Pairs, kinematics: Kinematics, motions: Sequence[Spatial], friction: Friction) -> Touch:
+def pair_touch(pairs: Pairs, kinematics: Kinematics, motions: Sequence[Spatial], friction: Friction) -> Touch:
+    """The contacts of pairs, with an axis that counts them."""
     boxes = isinstance(pairs.ones[0], Box)
     place, normal, distance = between_boxes(pairs, kinematics) if boxes else _between_capsules(pairs, kinematics)
     velocity = apart(pairs.ones, pairs.twos, motions, place)

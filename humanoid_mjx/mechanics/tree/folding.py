@@ -1,20 +1,9 @@
 """Limbs of one build computed as one: half the program for two legs, a quarter for four."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
-from humanoid_mjx.mechanics.tree.structure import (
-    Body,
-    Box,
-    Capsule,
-    Corner,
-    GroundPoints,
-    Pairs,
-    Site,
-    Surface,
-    Table,
-    Tree,
-)
+from humanoid_mjx.mechanics.tree.structure import Box, Capsule, Corner, GroundPoints, Pairs, Surface, Table, Tree
 
 
 class _Unlike(Exception):
@@ -101,12 +90,12 @@ def _with_lanes(tree: Tree, limbs: Sequence[tuple[int, ...]]) -> Tree:
     taken = {h.coordinate for body in inside for h in tree.bodies[body].joints}
     old_coordinates = [place for place in range(len(tree.coordinates)) if place not in taken]
 
-    bodies = [
-        _renumbered(
-            tree.bodies[old], tree.bodies[old].parent and new[tree.bodies[old].parent], old_dofs, old_coordinates
+    bodies = []
+    for body in (tree.bodies[old] for old in kept):
+        joints = tuple(
+            h._replace(dof=old_dofs.index(h.dof), coordinate=old_coordinates.index(h.coordinate)) for h in body.joints
         )
-        for old in kept
-    ]
+        bodies.append(body._replace(parent=body.parent and new[body.parent], joints=joints))
     merged, points = _merge([_described(tree, limb) for limb in limbs])
     stem, first = new[tree.bodies[limbs[0][0]].parent], len(kept)
     for body in merged:
@@ -119,17 +108,12 @@ def _with_lanes(tree: Tree, limbs: Sequence[tuple[int, ...]]) -> Tree:
     ground = [p._replace(body=new[p.body]) for p in tree.ground if p.body not in inside]
     ground += [p._replace(body=first + p.body, order=order) for p, order in zip(points, orders, strict=True)]
 
-    def moved(thing: Any) -> Any:
-        return thing._replace(body=new[thing.body], lane=lane.get(thing.body, 0))
+    def moved(things: Sequence[Any]) -> tuple[Any, ...]:
+        return tuple(thing._replace(body=new[thing.body], lane=lane.get(thing.body, 0)) for thing in things)
 
-    def sites(some: Iterable[Site]) -> tuple[Site, ...]:
-        return tuple(moved(site) for site in some)
-
-    def shapes(some: Iterable[Capsule | Box]) -> tuple[Capsule | Box, ...]:
-        return tuple(moved(shape) for shape in some)
-
-    angles = zip(*(_joints(tree, limb, "coordinate") for limb in limbs), strict=True)
-    speeds = zip(*(_joints(tree, limb, "dof") for limb in limbs), strict=True)
+    each = [[joint for body in limb for joint in tree.bodies[body].joints] for limb in limbs]
+    angles = zip(*([joint.coordinate for joint in joints] for joints in each), strict=True)
+    speeds = zip(*([joint.dof for joint in joints] for joints in each), strict=True)
     return tree._replace(
         bodies=tuple(bodies),
         free=None if tree.free is None else new[tree.free],
@@ -138,19 +122,10 @@ def _with_lanes(tree: Tree, limbs: Sequence[tuple[int, ...]]) -> Tree:
         lanes=len(limbs),
         body_places=(*((old,) for old in kept), *zip(*limbs, strict=True)),
         ground=tuple(ground),
-        pairs=tuple(pair._replace(ones=shapes(pair.ones), twos=shapes(pair.twos)) for pair in tree.pairs),
-        gyroscopes=sites(tree.gyroscopes),
-        accelerometers=sites(tree.accelerometers),
+        pairs=tuple(pair._replace(ones=moved(pair.ones), twos=moved(pair.twos)) for pair in tree.pairs),
+        gyroscopes=moved(tree.gyroscopes),
+        accelerometers=moved(tree.accelerometers),
     )
-
-
-def _renumbered(body: Body, parent: int, dofs: list[int], coordinates: list[int]) -> Body:
-    joints = tuple(h._replace(dof=dofs.index(h.dof), coordinate=coordinates.index(h.coordinate)) for h in body.joints)
-    return body._replace(parent=parent, joints=joints)
-
-
-def _joints(tree: Tree, limb: tuple[int, ...], field: str) -> list[int]:
-    return [getattr(joint, field) for body in limb for joint in tree.bodies[body].joints]
 
 
 def _grouped(things: Sequence[Any], join: Any) -> tuple[Any, ...]:

@@ -18,6 +18,7 @@ from humanoid_mjx.mechanics.tree.algebra import (
     combine,
     compose,
     known,
+    known_axes,
     lane,
     number,
     root_over,
@@ -26,7 +27,7 @@ from humanoid_mjx.mechanics.tree.algebra import (
     total,
     vector,
 )
-from humanoid_mjx.mechanics.tree.structure import Axes, Joint, Table, Tree, Triple
+from humanoid_mjx.mechanics.tree.structure import Joint, Table, Tree, Triple
 
 
 class Pose(NamedTuple):
@@ -77,7 +78,7 @@ def make_kinematics(tree: Tree, qpos: Sequence[Scalar]) -> Kinematics:
             continue
         parent = poses[body.parent]
         position = add(parent.position, combine(parent.axes, vector(body.position)))
-        axes = compose(parent.axes, _known(body.axes))
+        axes = compose(parent.axes, known_axes(body.axes))
         for joint in body.joints:
             anchor = add(position, combine(axes, vector(joint.anchor)))
             axis = combine(axes, vector(joint.axis))
@@ -159,8 +160,3 @@ def _turned(joint: Joint, angle: Scalar) -> Rotation:
         columns.append(Vector(*(known(a) + cosine * known(b) + sine * known(c) for a, b, c in parts)))
     one, two, three = columns
     return one, two, three
-
-
-def _known(axes: Axes) -> Rotation:
-    x, y, z = axes
-    return vector(x), vector(y), vector(z)

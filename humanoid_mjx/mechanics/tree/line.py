@@ -10,8 +10,7 @@ from jaxtyping import Array, Float
 from humanoid_mjx.mechanics.scalars import Scalar
 from humanoid_mjx.mechanics.tree.inertia import product
 from humanoid_mjx.mechanics.tree.pairs import pair_residuals
-from humanoid_mjx.mechanics.tree.problem import Problem
-from humanoid_mjx.mechanics.tree.pushing import ground_residuals
+from humanoid_mjx.mechanics.tree.problem import Problem, ground_residuals
 from humanoid_mjx.mechanics.tree.structure import Tree
 
 MOST_ROUNDS = 30

@@ -85,7 +85,7 @@ def with_pairs(
     x, y, z, offset = (stacked(touch.facets(v), (pairs, *worlds)).reshape(-1, *worlds) for v in vectors)
 
     def add_facet(index: Any, dense: Dense) -> Dense:
-        """In each world its next one."""
+        """Add to each world its next active facet."""
         mine = flags & (rank == index)
         pair = mine.reshape(len(active), pairs, *worlds).any(axis=0)
         axis = Vector(*(Scalar(_picked(mine, part)) for part in (x, y, z)))
@@ -107,7 +107,7 @@ def with_pairs(
 
 
 def _picked(flags: Bool[Array, "pairs worlds"], value: Any) -> Any:
-    """In each world what is at its flag, along the first axis if there is one."""
+    """Select in each world the entry whose flag is set, along the first axis if there is one."""
     if jnp.ndim(value) < 2:
         return value
     return jnp.where(flags[:, None] if jnp.ndim(value) > 2 else flags, value, 0.0).sum(axis=0)
@@ -162,7 +162,7 @@ def _dense(tree: Tree, factors: Factors, worlds: tuple[int, ...]) -> list[Float[
 
 
 def _updated(dense: Dense, row: Any, weight: Any, offset: Any) -> Dense:
-    """With a facet of this row and weight. Without weight they stay the same."""
+    """The equations with one more facet, of this row and weight; a weight of 0 changes nothing."""
     lower, inverse, right = dense
     lower, scales, right = list(lower), [], right - weight * offset * row
     for last in reversed(range(len(lower))):

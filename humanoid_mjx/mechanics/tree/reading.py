@@ -9,8 +9,7 @@ import numpy as np
 
 from humanoid_mjx.mechanics.tree import structure as st
 from humanoid_mjx.mechanics.tree.boxes import CONTACTS
-from humanoid_mjx.mechanics.tree.refusing import faults
-from humanoid_mjx.mechanics.tree.touching import FLAGS, Touching, kinds_of, touching
+from humanoid_mjx.mechanics.tree.refusing import FLAGS, Touching, faults, kinds_of, touching
 from humanoid_mjx.spec import InputError
 
 SMALLEST = 1e-14

@@ -1,4 +1,7 @@
-"""What a tree's state shows: poses and velocities of bodies, forces of the ground, readings of sensors."""
+"""What a tree's state shows, as arrays of many worlds: poses and velocities of bodies, forces, readings of sensors.
+
+Arrays have the axis of the worlds behind, and count the bodies and degrees of freedom in the model's order.
+"""
 
 from collections.abc import Sequence
 from typing import Any
@@ -12,21 +15,75 @@ from humanoid_mjx.mechanics.tree.algebra import (
     Rotation,
     Spatial,
     compose,
+    known_axes,
     lane,
     resolve,
+    stacked,
     subtract,
     vector,
     velocity_at,
 )
-from humanoid_mjx.mechanics.tree.bias import Drift
 from humanoid_mjx.mechanics.tree.kinematics import Pose, motions_of, to_local
-from humanoid_mjx.mechanics.tree.problem import Problem, Solution
-from humanoid_mjx.mechanics.tree.pushing import ground_residuals
+from humanoid_mjx.mechanics.tree.problem import Problem, Solution, ground_residuals
 from humanoid_mjx.mechanics.tree.step import State, unfolded
 from humanoid_mjx.mechanics.tree.structure import Site, Tree
 
 
-def ground_forces(tree: Tree, problem: Problem, solution: Solution) -> list[Scalar]:
+def sensed(tree: Tree, gravity: Any, state: State, problem: Problem, solution: Solution) -> tuple[Any, ...]:
+    """Gyroscopes and accelerometers, poses and velocities of the bodies, forces of the ground on the feet."""
+    shape, gravity, acceleration = _shape(state), vector(gravity), solution.acceleration
+    turning = [part for site in tree.gyroscopes for part in _gyroscope(state, site)]
+    felt = [part for site in tree.accelerometers for part in _accelerometer(tree, state, acceleration, gravity, site)]
+    pushes = _ground_forces(tree, problem, solution)
+    readings = (stacked(part, shape) for part in (turning, felt))
+    forces = [sum((pushes[index] for index in rest), pushes[first]) for first, *rest in tree.feet]
+    return *readings, *poses(tree, state), *_velocities(tree, state), stacked(forces, shape)
+
+
+def poses(tree: Tree, state: State) -> tuple[Any, Any]:
+    """Positions and rotations of the bodies in the world."""
+    at, shape = state.kinematics, _shape(state)
+    own = _by_body(tree, [Pose(add(at.origin, pose.position), pose.axes) for pose in at.poses])
+    rotations = [jnp.stack([stacked([axis[i] for axis in pose.axes], shape) for i in range(3)]) for pose in own]
+    return _rows([pose.position for pose in own], shape), jnp.stack(rotations)
+
+
+def dynamics(tree: Tree, state: State) -> tuple[Any, Any]:
+    """The whole mass matrix, and velocity terms and gravity less the joints' passive forces, for `qvel`."""
+    where = {real: (dof, one) for dof, reals in enumerate(tree.dofs) for one, real in enumerate(reals)}
+
+    def entry(i: int, j: int) -> Scalar:
+        (row, a), (column, b) = max(where[i], where[j]), min(where[i], where[j])
+        apart = a != b and tree.laned(row) and tree.laned(column)
+        return ZERO if apart else lane(state.matrix[row][column], a)
+
+    size, at, shape = len(where), state.kinematics, _shape(state)
+    rows = [to_local(tree, at, [entry(i, j) for j in range(size)]) for i in range(size)]
+    columns = [to_local(tree, at, [row[j] for row in rows]) for j in range(size)]
+    matrix = jnp.stack([stacked([column[i] for column in columns], shape) for i in range(size)])
+    bias = [b - p for b, p in zip(state.bias, state.passive, strict=True)]
+    return matrix, stacked(unfolded(to_local(tree, at, bias), tree.dofs), shape)
+
+
+def moving(tree: Tree, state: State) -> tuple[Any, ...]:
+    """What a unit of each degree of freedom of `qvel` does to the bodies that it moves, angular and linear, about the
+    origin of the free body or the world; the drifts and the poses of the bodies."""
+    motions, at, shape = state.kinematics.motions, state.kinematics, _shape(state)
+    parts = [[m.angular[i] for m in motions] for i in range(3)] + [[m.linear[i] for m in motions] for i in range(3)]
+    rows = [unfolded(to_local(tree, at, part), tree.dofs) for part in parts]
+    motion = jnp.stack([stacked(row, shape) for row in rows], axis=1)
+    drifts = jnp.stack([_rows(list(drift), shape) for drift in _by_body(tree, state.drifts)])
+    return motion, drifts, *poses(tree, state)
+
+
+def _velocities(tree: Tree, state: State) -> tuple[Any, Any]:
+    """Velocities of the origins of the bodies, m/s, and angular velocities, rad/s, in the world."""
+    each, shape = zip(state.motions, state.kinematics.poses, strict=True), _shape(state)
+    own = _by_body(tree, [Spatial(velocity_at(motion, pose.position), motion.angular) for motion, pose in each])
+    return _rows([motion.linear for motion in own], shape), _rows([motion.angular for motion in own], shape)
+
+
+def _ground_forces(tree: Tree, problem: Problem, solution: Solution) -> list[Scalar]:
     """Normal forces of the ground on the points that it can push, N, in the model's order."""
     at, found = problem.kinematics, {}
     residuals = ground_residuals(tree, at, problem.ground, solution.acceleration)
@@ -38,22 +95,18 @@ def ground_forces(tree: Tree, problem: Problem, solution: Solution) -> list[Scal
     return [found[index] for index in range(len(found))]
 
 
-def poses_of(tree: Tree, state: State) -> list[Pose]:
-    """Poses of the model's bodies in the world, in the model's order."""
-    at = state.kinematics
-    return _by_body(tree, [Pose(add(at.origin, pose.position), pose.axes) for pose in at.poses])
+def _gyroscope(state: State, site: Site) -> Vector:
+    """The angular velocity, rad/s, in the site's frame."""
+    return resolve(_axes(state, site), _in_lane(state.motions[site.body].angular, site.lane))
 
 
-def velocities_of(tree: Tree, state: State) -> list[Spatial]:
-    """Velocities of the origins of the model's bodies, m/s, and angular velocities, rad/s, in the world, in the model's
-    order."""
-    each = zip(state.motions, state.kinematics.poses, strict=True)
-    return _by_body(tree, [Spatial(velocity_at(motion, pose.position), motion.angular) for motion, pose in each])
-
-
-def drifts_of(tree: Tree, state: State) -> list[Drift]:
-    """The drifts of the model's bodies in the world, in the model's order."""
-    return _by_body(tree, state.drifts)
+def _accelerometer(tree: Tree, state: State, acceleration: Sequence[Scalar], gravity: Vector, site: Site) -> Vector:
+    """The acceleration less gravity's, m/s^2, in the site's frame: +9.81 upwards at rest."""
+    place = state.kinematics.place(site.body, site.position)
+    moved = velocity_at(motions_of(tree, state.kinematics, acceleration)[site.body], place)
+    drift = state.drifts[site.body].at(subtract(place, state.kinematics.poses[site.body].position))
+    felt = _in_lane(add(moved, drift), site.lane)
+    return resolve(_axes(state, site), subtract(felt, gravity))
 
 
 def _by_body(tree: Tree, things: Sequence[Any]) -> list[Any]:
@@ -66,59 +119,19 @@ def _by_body(tree: Tree, things: Sequence[Any]) -> list[Any]:
     return [found[index] for index in range(len(found))]
 
 
-def motions_by_dof(tree: Tree, state: State) -> list[list[Scalar]]:
-    """What a unit of each degree of freedom of `qvel` does to the bodies that it moves: the six rows of their angular
-    motions and of the velocities of their points at the origin, which is the free body's or the world's."""
-    motions, at = state.kinematics.motions, state.kinematics
-    parts = [[m.angular[i] for m in motions] for i in range(3)] + [[m.linear[i] for m in motions] for i in range(3)]
-    return [unfolded(to_local(tree, at, part), tree.dofs) for part in parts]
-
-
-def gyroscope(state: State, site: Site) -> Vector:
-    """The angular velocity, rad/s, in the site's frame."""
-    return resolve(_axes(state, site), _in_lane(state.motions[site.body].angular, site.lane))
-
-
-def accelerometer(tree: Tree, state: State, acceleration: Sequence[Scalar], gravity: Vector, site: Site) -> Vector:
-    """The acceleration less gravity's, m/s^2, in the site's frame: +9.81 upwards at rest.
-
-    Args:
-      acceleration: of the degrees of freedom, as the solver has it.
-    """
-    place = state.kinematics.place(site.body, site.position)
-    moved = velocity_at(motions_of(tree, state.kinematics, acceleration)[site.body], place)
-    drift = state.drifts[site.body].at(subtract(place, state.kinematics.poses[site.body].position))
-    felt = _in_lane(add(moved, drift), site.lane)
-    return resolve(_axes(state, site), subtract(felt, gravity))
-
-
-def full_matrix(tree: Tree, state: State) -> list[list[Scalar]]:
-    """The mass matrix, all of it, for velocities as `qvel` has them."""
-    where = {real: (dof, one) for dof, reals in enumerate(tree.dofs) for one, real in enumerate(reals)}
-
-    def entry(i: int, j: int) -> Scalar:
-        (row, a), (column, b) = max(where[i], where[j]), min(where[i], where[j])
-        apart = a != b and tree.laned(row) and tree.laned(column)
-        return ZERO if apart else lane(state.matrix[row][column], a)
-
-    size, at = len(where), state.kinematics
-    rows = [to_local(tree, at, [entry(i, j) for j in range(size)]) for i in range(size)]
-    columns = [to_local(tree, at, [row[j] for row in rows]) for j in range(size)]
-    return [[column[i] for column in columns] for i in range(size)]
-
-
-def bias_of(tree: Tree, state: State) -> list[Scalar]:
-    """Velocity terms and gravity less the joints' passive forces, for `qvel`."""
-    bias = [b - p for b, p in zip(state.bias, state.passive, strict=True)]
-    return unfolded(to_local(tree, state.kinematics, bias), tree.dofs)
-
-
 def _in_lane(thing: Any, index: int) -> Any:
     """A pytree of scalars of a laned body in one lane."""
     return jax.tree.map(lambda part: lane(part, index), thing, is_leaf=lambda part: isinstance(part, Scalar))
 
 
 def _axes(state: State, site: Site) -> Rotation:
-    axes = state.kinematics.of_lane(site.body, site.lane).axes
-    x, y, z = (vector(axis) for axis in site.axes)
-    return compose(axes, (x, y, z))
+    return compose(state.kinematics.of_lane(site.body, site.lane).axes, known_axes(site.axes))
+
+
+def _shape(state: State) -> tuple[int, ...]:
+    """The shape of a scalar."""
+    return jnp.shape(state.qpos[0].value)[-1:]
+
+
+def _rows(vectors: Sequence[Vector], shape: tuple[int, ...]) -> Any:
+    return jnp.stack([stacked(v, shape) for v in vectors]) if vectors else jnp.zeros((0, 3, *shape))

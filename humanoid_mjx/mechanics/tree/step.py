@@ -12,18 +12,11 @@ from humanoid_mjx.mechanics.scalars import HALF, ONE, ZERO, Scalar, Vector, add,
 from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.mechanics.tree.algebra import Spatial, in_lanes, lane, number, vector
 from humanoid_mjx.mechanics.tree.bias import Drift, bias_forces, drifts_of
-from humanoid_mjx.mechanics.tree.blocks import search_blocks
-from humanoid_mjx.mechanics.tree.contacts import (
-    Friction,
-    friction_of,
-    ground_touches,
-    pair_touches,
-    slip_of,
-    stop_of,
-)
+from humanoid_mjx.mechanics.tree.contacts import Friction, ground_touch, pair_touch, slip_of, stop_of
 from humanoid_mjx.mechanics.tree.inertia import Mass, Matrix, factor, mass_matrix, masses_of, product
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics, make_kinematics, motions_of, to_local, to_world, unit
 from humanoid_mjx.mechanics.tree.problem import Problem, Solution
+from humanoid_mjx.mechanics.tree.search import search_blocks
 from humanoid_mjx.mechanics.tree.structure import FRICTIONLESS, Surface, Tree
 
 
@@ -201,8 +194,10 @@ def make_problem(tree: Tree, values: Values, state: State, force: list[Scalar]) 
     """The contacts and limits of a state, and the forces that meet them."""
     at = state.kinematics
     frictions = _frictions([p.surface for p in tree.ground], values.friction)
-    ground = ground_touches(tree, at, state.motions, frictions, values.terrain)
-    pairs = pair_touches(tree, at, state.motions, _frictions([p.surface for p in tree.pairs], values.friction))
+    each = zip(tree.ground, frictions, strict=True)
+    ground = [ground_touch(points, at, state.motions, friction, values.terrain) for points, friction in each]
+    each = zip(tree.pairs, _frictions([p.surface for p in tree.pairs], values.friction), strict=True)
+    pairs = [pair_touch(some, at, state.motions, friction) for some, friction in each]
     stops = {
         joint.dof: stop_of(joint.limit, state.qpos[joint.coordinate], state.qvel[joint.dof])
         for joint in tree.joints
@@ -281,8 +276,9 @@ def _factors(tree: Tree, mass: Any) -> list[Scalar]:
 
 
 def _frictions(surfaces: Sequence[Surface], given: Any) -> list[Friction]:
-    if given is None:
-        return [friction_of(surface) for surface in surfaces]
     own = {value for surface in surfaces for value in surface.friction or ()}
-    values = {value: Scalar(jnp.maximum((number(value) * number(given)).value, FRICTIONLESS)) for value in own}
+    if given is None:
+        values = {value: number(value) for value in own}
+    else:
+        values = {value: Scalar(jnp.maximum((number(value) * number(given)).value, FRICTIONLESS)) for value in own}
     return [surface.friction and (values[surface.friction[0]], values[surface.friction[1]]) for surface in surfaces]

@@ -13,10 +13,11 @@ from pydantic import Field, model_validator
 from humanoid_mjx.control import Control, at_rest
 from humanoid_mjx.control.drives import Drives, Ideal
 from humanoid_mjx.control.laws import RobotServoLaw, ServoLaw
+from humanoid_mjx.control.stages import Stages
 from humanoid_mjx.mechanics.rotations import leaning_quaternion, product, rotate, unit
 from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.physics import make_physics
-from humanoid_mjx.physics.base import Controller, Physics, Sensed, World
+from humanoid_mjx.physics.base import Sensed, World
 from humanoid_mjx.physics.model import MujocoPhysics
 from humanoid_mjx.robot import Robot, RobotKey, make_robot
 from humanoid_mjx.spec import traced
@@ -137,32 +138,31 @@ class LeggedBody(ContinuousTask):
         return jnp.radians(self.action_scale) * offsets + (reference + self.posture)
 
     def advance(
-        self, world: World, setpoint: Float[Array, " joints"], plant: Plant, force: Float[Array, "3"]
+        self,
+        world: World,
+        setpoint: Float[Array, " joints"],
+        plant: Plant,
+        force: Float[Array, "3"],
+        watched: bool = False,
     ) -> tuple[World, Sensed]:
-        """One decision carried out while `force`, N, pushes the torso; the law acts anew at every time step."""
-        physics, controller = self._moving(setpoint, plant, force)
-        return physics.run_sensed(world, controller, self.simulator.substeps(self.period))
+        """One decision carried out while `force`, N, pushes the torso; the law acts anew at every time step.
 
-    def advance_watched(
-        self, world: World, setpoint: Float[Array, " joints"], plant: Plant, force: Float[Array, "3"]
-    ) -> tuple[World, Sensed]:
-        """`advance`, with everything at the beginning of each of its time steps: a leading axis of them."""
-        physics, controller = self._moving(setpoint, plant, force)
-
-        def step(world: World, _: None) -> tuple[World, Sensed]:
-            return physics.run_sensed(world, controller, 1)
-
-        return jax.lax.scan(step, world, length=self.simulator.substeps(self.period))
-
-    def _moving(
-        self, setpoint: Float[Array, " joints"], plant: Plant, force: Float[Array, "3"]
-    ) -> tuple[Physics, Controller]:
-        """Return the physics and the controller of a decision."""
+        Returns:
+          the world after it, and everything at the beginning of its last time step; if `watched`, of each of them, with
+          a leading axis.
+        """
         values = {"mass": plant.mass, "friction": plant.friction, "torque_limit": plant.torque_limit}
         physics = self.simulator.replace(**values, damping=plant.joint_damping, push=force)
         physics = physics.replace(terrain=plant.terrain) if plant.terrain else physics
         law = self.control.of(self.robot).follow(at_rest(setpoint))
-        return physics, lambda state: self.actuator(law(state), state.qvel)
+
+        def controller(state: Stages) -> Float[Array, " joints"]:
+            return self.actuator(law(state), state.qvel)
+
+        cycles = self.simulator.substeps(self.period)
+        if not watched:
+            return physics.run_sensed(world, controller, cycles)
+        return jax.lax.scan(lambda world, _: physics.run_sensed(world, controller, 1), world, length=cycles)
 
 
 @lru_cache

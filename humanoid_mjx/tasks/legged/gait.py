@@ -10,9 +10,8 @@ import pydantic
 from jaxtyping import Array, Float
 
 from humanoid_mjx.robot import Robot
-from humanoid_mjx.robot.description import Build
 from humanoid_mjx.robot.reaching import monomials, reach_of
-from humanoid_mjx.spec import InputError, Named, make, traced, written
+from humanoid_mjx.spec import Named, make, traced, written
 from humanoid_mjx.tasks.legged.commands import moves
 from humanoid_mjx.types import FloatScalar
 
@@ -139,20 +138,6 @@ class Steps(Gait):
         parts += [way * turn] if robot.points > 2 else []
         terms = jnp.stack(monomials(parts), axis=-1).reshape(-1)
         return jnp.dot(terms, reach.matrix.astype(np.float32), precision="highest")
-
-
-def build_of(robot: Robot, gait: str) -> Build:
-    """The measures of legs that are built as those of the lower body.
-
-    Raises:
-      InputError: they are not.
-    """
-    if robot.build is None:
-        raise InputError(
-            f"gait: {gait} needs two legs of hip pitch, yaw and roll, knee and ankle, as lower_body has; {robot.name} "
-            "has others: take clock."
-        )
-    return robot.build
 
 
 GAITS = {

@@ -137,14 +137,7 @@ class LeggedTask(LeggedBody):
 
     def step_continuous(self, state: State, command: Float[Array, " joints"], key: Key[Array, ""]) -> State:
         """A step whose offsets are any parts of `action_scale`, from -1 to 1."""
-        return self._carry_out(state, command, key, watched=False)[0]
-
-    def step_watched(
-        self, state: State, command: Float[Array, " joints"], key: Key[Array, ""]
-    ) -> tuple[State, View, Sensed]:
-        """`step_continuous`; the view of where it leads to; everything at the beginning of each of its time steps, with
-        a leading axis of them."""
-        return self._carry_out(state, command, key, watched=True)
+        return self.step_watched(state, command, key, watched=False)[0]
 
     def commanded(self, state: State, view: View, command: Float[Array, "3"]) -> State:
         """A state under this command in the place of its own, as its data and what the learner sees have it; `view` is
@@ -152,20 +145,20 @@ class LeggedTask(LeggedBody):
         view = view._replace(episode=state.data.under(command, 0.0))
         return state._replace(data=self._remembered(view), obs=self.seen(view))
 
-    def _carry_out(
-        self, state: State, command: Float[Array, " joints"], key: Key[Array, ""], watched: bool
+    def step_watched(
+        self, state: State, command: Float[Array, " joints"], key: Key[Array, ""], watched: bool = True
     ) -> tuple[State, View, Sensed]:
+        """`step_continuous`, the view of where it leads to, and everything at the beginning of its last time step; if
+        `watched`, of each of them, with a leading axis."""
         _, sensor_key = jax.random.split(key)
         before: Episode = state.data
         offsets = jnp.clip(command, -1.0, 1.0)
-        offsets = (
-            jnp.where(self.mirrored(before.phase), swapped(offsets, self.robot), offsets) if self.symmetric else offsets
-        )
+        if self.symmetric:
+            offsets = jnp.where(self.mirrored(before.phase), swapped(offsets, self.robot), offsets)
         offsets = offsets + self.smoothing * (before.offsets - offsets)
         force = self.push_on(before, key)
         setpoint = self.setpoint(offsets, self.reference(before))
-        advance = self.advance_watched if watched else self.advance
-        world, seen = advance(before.world, setpoint, before.plant or self.plant, force)
+        world, seen = self.advance(before.world, setpoint, before.plant or self.plant, force, watched)
         sensed = jax.tree.map(lambda part: part[-1], seen) if watched else seen
         after = before.sense(self.sensors, world, sensed.readings, self.period, sensor_key)
         if self.command:
@@ -175,7 +168,12 @@ class LeggedTask(LeggedBody):
         view = self.view(after, sensed, before.offsets)
         fallen = self.fall.fallen(view) | world.diverged
         terms = {name: jnp.where(fallen, 0.0, term) for name, term in self.rewards.weighted(view).items()}
-        after = self._go_on(after, jax.random.fold_in(key, 1))
+        command_key = jax.random.fold_in(key, 1)
+        if self.gait:
+            after = after._replace(clock=self.gait.after(after.clock, after.command, self.period, self.robot))
+        if self.command:
+            told, angle = self.command.following(after.command, command_key, self.period)
+            after = after.under(told, self.period, angle)
         over = after.decisions * self.period >= self.duration - self.period / 2
         next_view = view._replace(episode=after)
         obs = self.seen(next_view)
@@ -245,15 +243,6 @@ class LeggedTask(LeggedBody):
         A policy then treats both sides alike, whatever it learned from either.
         """
         return jnp.asarray(phase) >= 0.5
-
-    def _go_on(self, episode: Episode, key: Key[Array, ""]) -> Episode:
-        """The gait's clock and the command of the decision to come."""
-        if self.gait:
-            episode = episode._replace(clock=self.gait.after(episode.clock, episode.command, self.period, self.robot))
-        if self.command:
-            command, angle = self.command.following(episode.command, key, self.period)
-            episode = episode.under(command, self.period, angle)
-        return episode
 
 
 @lru_cache

@@ -15,9 +15,9 @@ from pydantic import Field
 
 from humanoid_mjx.mechanics import gaits, pattern_generator
 from humanoid_mjx.robot import Robot
-from humanoid_mjx.spec import traced
+from humanoid_mjx.spec import InputError, traced
 from humanoid_mjx.tasks.legged.commands import moves
-from humanoid_mjx.tasks.legged.gait import Clock, Gait, build_of
+from humanoid_mjx.tasks.legged.gait import Clock, Gait
 from humanoid_mjx.thesis import leg as thesis
 from humanoid_mjx.types import FloatScalar
 
@@ -39,12 +39,17 @@ class TableSteps(Gait):
         return _table(self.table)
 
     def check(self, robot: Robot) -> None:
-        build_of(robot, self.name)
+        if robot.build is None:
+            raise InputError(
+                f"gait: {self.name} needs two legs of hip pitch, yaw and roll, knee and ankle, as lower_body has; "
+                f"{robot.name} has others: take clock."
+            )
 
     def amplitude(self, command: Float[Array, "3"], robot: Robot) -> FloatScalar:
         """Size of the motion, 1 as in the table: the hips' way back is as long as the body is to go meanwhile."""
         degrees = np.array(gaits.TABLES[self.table]["hip_pitch"])
-        way = build_of(robot, self.name).reach * np.radians(degrees.max() - degrees.min())
+        assert robot.build
+        way = robot.build.reach * np.radians(degrees.max() - degrees.min())
         back = 1.0 - (thesis.GAIT_TIMES_S[degrees.argmax()] / thesis.GAIT_TIMES_S[-1] - FORTH)
         return self.stride * command[0] * self.lasting(command) * back / way
 
