@@ -200,13 +200,17 @@ def play(
     port: Annotated[
         int | None, typer.Option(min=1, max=65535, help="Where --view serves its page; by default any free port.")
     ] = None,
+    robots: Annotated[
+        int,
+        typer.Option(metavar="N", min=1, max=16, help="Robots side by side in --view, each in an episode of its own."),
+    ] = 1,
     trust: Trust = False,
 ) -> None:
     """Show what was learned as a video or picture of the robot, or drive it in the browser."""
     from humanoid_mjx.commands.play import run_play
 
     with _trusting(trust, policy):
-        run_play(policy, point, set_ or [], physics, episode, out, size, fps, view, port)
+        run_play(policy, point, set_ or [], physics, episode, out, size, fps, view, port, robots)
 
 
 @app.command()

@@ -24,6 +24,7 @@ def run_play(
     fps: float | None,
     view: bool,
     port: int | None,
+    robots: int,
 ) -> None:
     """`humanoid-mjx play`."""
     from humanoid_mjx.report.video import check_file
@@ -38,6 +39,8 @@ def run_play(
         raise InputError("--set task.terrain: play shows a plane; evaluate plays on a terrain.")
     if port is not None and not view:
         raise InputError("--port: only --view has a server.")
+    if robots > 1 and not view:
+        raise InputError("--robots: a film shows one robot; add --view.")
     if out is not None:
         check_file(out)
     pixels = _pixels(size) if size else None
@@ -72,7 +75,7 @@ def _serve(
         bar.phase("loading")
         trained = on_plane(in_world(find_policy(name, point), physics, overrides))
     with suppress(KeyboardInterrupt):
-        serve(Live(trained, episode), told, port=port or 0)
+        serve(Live(trained, episode, robots), told, port=port or 0)
 
 
 def _pixels(size: str) -> tuple[int, int]:

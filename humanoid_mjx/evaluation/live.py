@@ -5,8 +5,8 @@ import threading
 import time
 from collections.abc import Callable
 from copy import copy
-from dataclasses import dataclass, field
-from functools import lru_cache
+from dataclasses import dataclass
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -23,6 +23,9 @@ from humanoid_mjx.physics.native import Native
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.tasks.continuous import State
 from humanoid_mjx.types import IntScalar
+
+REST_S = 1.5
+"""For which a robot lies as it fell before the next episode, s."""
 
 FRAME_S = 1 / 40
 """Between two frames that are shown, s."""
@@ -55,95 +58,95 @@ class Grab(NamedTuple):
 
 @dataclass
 class Hands:
-    """Changes that a person makes to the robot and its world. Any thread may set them."""
+    """Changes that a person makes to all robots and their world. Any thread may set them."""
 
     friction: float = 1.0
     """Factor on that of the feet on the ground."""
     payload: float = 0.0
     """kg on the torso."""
     slope: float = 0.0
-    """Of the ground, degrees, up where the torso looks at the moment of the change."""
+    """Of the ground, degrees, up where the first torso looks at the moment of the change."""
     pace: float = 1.0
     """Seconds of the robot a second."""
-    grab: Grab | None = None
-    shoves: list[Float[np.ndarray, "3"]] = field(default_factory=list)
-    """Impulses on the torso that are due, N s, world."""
 
 
-class Stage:
-    """The one world of a live robot: MuJoCo's model and data, the hands on it, and the clock."""
+class Body:
+    """One robot of a stage: MuJoCo's model and data, and what a person does to this robot alone."""
 
     def __init__(self, base: mujoco.MjModel):
         self.model, self.data = copy(base), mujoco.MjData(base)
-        self.hands = Hands()
-        self.time = 0.0
+        self.grab: Grab | None = None
+        self.shoves: list[np.ndarray] = []
+        """Impulses on the torso that are due, N s, world."""
         self.speeds = np.zeros(3)
         self.ground = np.zeros(3)
         """Height of the ground at the origin, m, and how much it rises for a metre to x and to y."""
-        self.shown: Callable[[], None] = lambda: None
-        """Called for each frame."""
+        self.time = 0.0
+        """Seconds since the episode began."""
+        self.ended: float | None = None
+        """The stage's `time` at which the episode ended; the robot rests since then."""
         self.free = bool((base.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any())
         self.planes = np.flatnonzero(base.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
         self.model.geom_sameframe[self.planes] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE  # else their turns count nothing
-        self._wanted, self._rise = 0.0, np.zeros(2)
         self._shove, self._until = np.zeros(3), -np.inf
-        self._zero, self._next = time.monotonic(), 0.0
         mujoco.mj_forward(self.model, self.data)
-
-    @property
-    def weight(self) -> float:
-        """N"""
-        return float(self.model.body_mass.sum() * np.linalg.norm(self.model.opt.gravity))
+        self.heading, self._begins = self.ahead, False
+        """Where the torso looked when the episode began: forward in the picture."""
 
     def advance(
         self,
+        hands: Hands,
+        rise: Float[np.ndarray, "2"],
         qpos: Float[np.ndarray, " nq"],
         qvel: Float[np.ndarray, " nv"],
         warmstart: Float[np.ndarray, " nv"],
         control: Float[np.ndarray, " controls"],
     ) -> tuple[np.ndarray, ...]:
         """Return position above the ground, velocity and acceleration after a time step, and the sensors' readings
-        before it. `control` holds the torques of the motors, then forces on all degrees of freedom."""
+        before it. `control` holds the torques of the motors, then forces on all degrees of freedom; the ground tilts
+        towards the slope `rise` of the picture."""
         model, data = self.model, self.data
         data.qpos, data.qvel, data.qacc_warmstart = qpos, qvel, warmstart
         data.ctrl, data.qfrc_applied = control[: model.nu], control[model.nu :]
         if self.free:
-            data.qpos[2] += self._height(qpos)
-        model.pair_friction[:, :2] *= self.hands.friction
-        model.body_mass[1] += self.hands.payload
-        model.body_subtreemass[:2] += self.hands.payload
-        self._lay_hands_on()
+            data.qpos[2] += self.height(qpos)
+        model.pair_friction[:, :2] *= hands.friction
+        model.body_mass[1] += hands.payload
+        model.body_subtreemass[:2] += hands.payload
+        self._face()
+        self._lay_hands_on(self.turn.T @ rise)
         mujoco.mj_step(model, data)
         sensed = data.sensordata.copy()
-        self.wait()
+        self._measure(model.opt.timestep)
         moved = data.qpos.copy()
         if self.free:
-            moved[2] -= self._height(moved)
+            moved[2] -= self.height(moved)
         return moved, data.qvel.copy(), data.qacc.copy(), sensed
 
     def show(self, qpos: Float[np.ndarray, " nq"], qvel: Float[np.ndarray, " nv"], seconds: float) -> None:
         """Show where another physics has brought the robot in so many seconds."""
         self.data.qpos, self.data.qvel = qpos, qvel
         mujoco.mj_forward(self.model, self.data)
-        self.wait(seconds)
+        self._face()
+        self._measure(seconds)
 
-    def wait(self, seconds: float | None = None) -> None:
-        """Wait until the present moment of the robot has come, and show it where a frame is due."""
-        seconds = self.model.opt.timestep if seconds is None else seconds
+    @property
+    def turn(self) -> Float[np.ndarray, "2 2"]:
+        """The turn about the vertical from the robot's world to the picture."""
+        x, y = self.heading if self.free else (1.0, 0.0)
+        return np.array([[x, y], [-y, x]])
+
+    def _face(self) -> None:
+        if self._begins:
+            mujoco.mj_kinematics(self.model, self.data)
+            self.heading, self._begins = self.ahead, False
+
+    def _measure(self, seconds: float) -> None:
         self.time += seconds
-        self._zero += seconds * (1.0 - 1.0 / self.hands.pace)
         if self.free:
             (x, y), turn = self.ahead, self.data.xmat[1].reshape(3, 3)[2] @ self.data.qvel[3:6]
             present = np.array([*([[x, y], [-y, x]] @ self.data.qvel[:2]), turn])
             self.speeds += min(seconds / MEAN_S, 1.0) * (present - self.speeds)
-        ahead = self.time - (time.monotonic() - self._zero)
-        if ahead < -LATEST_S:
-            self._zero -= ahead
-        if self.time >= self._next:
-            self._next = max(self._next + FRAME_S, self.time)
-            self.shown()
-        if ahead > 1e-3:
-            time.sleep(ahead)
 
     @property
     def shoved(self) -> Float[np.ndarray, "3"] | None:
@@ -158,11 +161,9 @@ class Stage:
 
     def forget(self) -> None:
         """Begin an episode on ground that is level still, with nothing in hand."""
-        self.hands.grab, self._until = None, -np.inf
-        self.hands.shoves.clear()
-        for each in (self.speeds, self.ground, self._rise):
-            each[:] = 0.0
-        self._wanted = 0.0
+        self.grab, self.ended, self._until, self.time, self._begins = None, None, -np.inf, 0.0, True
+        self.shoves.clear()
+        self.speeds[:] = self.ground[:] = 0.0
         self._lay_ground()
 
     def pressing(self) -> dict[int, tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]]:
@@ -182,42 +183,40 @@ class Stage:
             means[body] = (sizes @ places / sizes.sum(), forces.sum(axis=0))
         return means
 
-    def _height(self, qpos: Float[np.ndarray, " nq"]) -> float:
+    def height(self, qpos: Float[np.ndarray, " nq"]) -> float:
         """Of the ground below the torso, m."""
         return float(self.ground[0] + self.ground[1:] @ qpos[:2])
 
-    def _lay_hands_on(self) -> None:
-        data, hands = self.data, self.hands
+    def _lay_hands_on(self, rise: Float[np.ndarray, "2"]) -> None:
+        data = self.data
         if self.free and len(self.planes):
-            self._tilt()
-        if hands.shoves and self.time >= self._until:
-            self._shove, self._until = hands.shoves.pop(0) / SHOVE_S, self.time + SHOVE_S
+            self._tilt(rise)
+        if self.shoves and self.time >= self._until:
+            self._shove, self._until = self.shoves.pop(0) / SHOVE_S, self.time + SHOVE_S
         if self.time < self._until:
             self._press(1, data.xipos[1], self._shove)
-        if grab := hands.grab:
+        if grab := self.grab:
             point = data.xpos[grab.body] + data.xmat[grab.body].reshape(3, 3) @ grab.point
-            stiffness = self.weight / (0.2 * self.model.stat.extent)
+            weight = float(self.model.body_mass.sum() * np.linalg.norm(self.model.opt.gravity))
+            stiffness = weight / (0.2 * self.model.stat.extent)
             damping = np.sqrt(stiffness * self.model.body_mass.sum())
             velocity = np.zeros(6)
             mujoco.mj_objectVelocity(self.model, data, mujoco.mjtObj.mjOBJ_BODY, grab.body, velocity, 0)
             speed = velocity[3:] + np.cross(velocity[:3], point - data.xpos[grab.body])
             force = stiffness * (grab.to - point) - damping * speed
-            self._press(grab.body, point, force * min(1.0, 1.5 * self.weight / max(np.linalg.norm(force), 1e-9)))
+            self._press(grab.body, point, force * min(1.0, 1.5 * weight / max(np.linalg.norm(force), 1e-9)))
 
     def _press(self, body: int, point: Float[np.ndarray, "3"], force: Float[np.ndarray, "3"]) -> None:
         mujoco.mj_applyFT(self.model, self.data, force, np.zeros(3), point, body, self.data.qfrc_applied)
 
-    def _tilt(self) -> None:
+    def _tilt(self, rise: Float[np.ndarray, "2"]) -> None:
         """Turn the ground about the point below the torso, towards the slope that is wanted."""
-        if self.hands.slope != self._wanted:
-            self._wanted = self.hands.slope
-            self._rise = np.tan(np.radians(self._wanted)) * self.ahead
-        left = self._rise - self.ground[1:]
+        left = rise - self.ground[1:]
         if not left.any():
             return
         most = np.radians(TILTING) * self.model.opt.timestep
         below = self.data.qpos[:2]
-        height = self._height(self.data.qpos)
+        height = self.height(self.data.qpos)
         self.ground[1:] += left * min(1.0, most / float(np.linalg.norm(left)))
         self.ground[0] = height - self.ground[1:] @ below
         self._lay_ground()
@@ -229,8 +228,57 @@ class Stage:
             mujoco.mju_quatZ2Vec(self.model.geom_quat[plane], normal)
 
 
+class Stage:
+    """The robots that are seen together, a person's hands on them, and the clock."""
+
+    def __init__(self, base: mujoco.MjModel):
+        self.bodies = [Body(base)]
+        self.hands = Hands()
+        self.shown: Callable[[], None] = lambda: None
+        """Called for each frame."""
+        self.playing = True
+        """False: episodes begin, which nobody sees."""
+        self.time = 0.0
+        self._wanted, self._rise = 0.0, np.zeros(2)
+        self._zero, self._next = time.monotonic(), 0.0
+
+    def fill(self, robots: int) -> None:
+        """Let so many robots stand here."""
+        base = self.bodies[0].model
+        self.bodies = [*self.bodies, *(Body(base) for _ in range(robots - len(self.bodies)))][:robots]
+
+    def advance(self, *rows: Float[np.ndarray, "robots _"]) -> list[np.ndarray]:
+        """Move every robot by a time step, as `Body.advance` does; those whose episode has ended rest."""
+        if self.hands.slope != self._wanted:
+            self._wanted = self.hands.slope
+            self._rise = np.tan(np.radians(self._wanted)) * self.bodies[0].turn @ self.bodies[0].ahead
+        moved = []
+        for body, *state in zip(self.bodies, *rows, strict=True):
+            resting = *state[:3], body.data.sensordata
+            moved.append(resting if body.ended is not None else body.advance(self.hands, self._rise, *state))
+        self.wait(self.bodies[0].model.opt.timestep)
+        return [np.stack(each) for each in zip(*moved, strict=True)]
+
+    def wait(self, seconds: float) -> None:
+        """Wait until the robots' moment so many seconds later has come, and show it where a frame is due."""
+        self.time += seconds
+        self._zero += seconds * (1.0 - 1.0 / self.hands.pace)
+        ahead = self.time - (time.monotonic() - self._zero)
+        if ahead < -LATEST_S:
+            self._zero -= ahead
+        if self.time >= self._next:
+            self._next = max(self._next + FRAME_S, self.time)
+            self.shown()
+        if ahead > 1e-3:
+            time.sleep(ahead)
+
+    def level(self) -> None:
+        """Let the ground be level until a slope is asked for anew."""
+        self._wanted, self._rise = 0.0, np.zeros(2)
+
+
 class LiveMujoco(Native):
-    """Native MuJoCo for one world on a `Stage`."""
+    """Native MuJoCo for the robots of a `Stage`, in the order of a batch."""
 
     @property
     def stage(self) -> Stage:
@@ -239,9 +287,12 @@ class LiveMujoco(Native):
 
     def _advance(self, sensed: bool, values: Any, *state: Any) -> tuple[np.ndarray, ...]:
         stage = self.stage
-        self._team._tune(stage.model, values[0])  # pyright: ignore[reportPrivateUsage]
-        *moved, read = stage.advance(*(rows[0] for rows in state))
-        return *(each[None] for each in moved), read[None, : len(read) * sensed]
+        if not stage.playing:
+            return super()._advance(sensed, values, *state)
+        for body, row in zip(stage.bodies, values, strict=True):
+            self._team._tune(body.model, row)  # pyright: ignore[reportPrivateUsage]
+        *moved, read = stage.advance(*state)
+        return *moved, read[:, : read.shape[1] * sensed]
 
 
 @lru_cache
@@ -250,10 +301,10 @@ def _stage(base: mujoco.MjModel) -> Stage:
 
 
 class Live:
-    """A policy that plays without an end. `run` moves the robot in its own thread; any other may set what it reads."""
+    """A policy that plays without an end. `run` moves its robots in its own thread; any other may set what it reads."""
 
-    def __init__(self, trained: Trained, episode: int = 0):
-        """Take a policy's task to a stage.
+    def __init__(self, trained: Trained, episode: int = 0, robots: int = 1):
+        """Take a policy's task to a stage with so many robots, each in an episode of its own from `episode` on.
 
         Raises:
           InputError: the task moves no robot.
@@ -269,21 +320,34 @@ class Live:
         self.learner: Learner = trained.learner.replace(task=task)
         self.model = robot_of(trained)
         self.stage: Stage = task.simulator.stage if self.touchable else Stage(self.model)
+        self.stage.fill(robots)
         self.ranges: dict[str, tuple[float, float]] = task.told_ranges
         self.told = dict.fromkeys(self.ranges, 0.0)
-        """The command that the robot is to follow."""
+        """The command that the robots are to follow."""
         self.feet: tuple[str, ...] = getattr(getattr(task, "robot", None), "feet", ()) if self.touchable else ()
         """Bodies whose load is shown."""
-        self.rewards: dict[str, float] = {}
+        self.rewards: dict[str, Float[np.ndarray, " robots"]] = {}
         """Of the last decision, by the names of the reward's terms."""
-        self.words, self.ready = "compiling", False
-        self.episode = episode
+        self.ready = False
+        self.episodes = episode + np.arange(robots)
+        """Numbers of the held-out episodes."""
         self.again = threading.Event()
-        """Set: begin `episode` anew."""
+        """Set: begin `episodes` anew."""
         self.going = threading.Event()
         """Cleared: wait."""
         self.over = False
         self.going.set()
+
+    @property
+    def words(self) -> str:
+        """What is to be said of the robots now, if anything."""
+        if not self.ready:
+            return "compiling"
+        resting = [f"{i + 1}" for i, body in enumerate(self.stage.bodies) if body.ended is not None]
+        if not resting:
+            return ""
+        who = "The robot" if len(self.episodes) == 1 else f"Robot {', '.join(resting)}"
+        return f"{who} {self._ending}; the next episode follows."
 
     def stop(self) -> None:
         """Let `run` return."""
@@ -292,32 +356,65 @@ class Live:
         self.going.set()
 
     def run(self) -> None:
-        """Move the robot until `stop`, or until the thread is interrupted."""
-        number = jnp.int32(self.episode)
-        state, steps = single(begun)(self.learner, number), 0
-        state = self._decide(number, state, steps)  # compiles
+        """Move the robots until `stop`, or until the thread is interrupted."""
+        bodies, every = self.stage.bodies, np.ones(len(self.episodes), bool)
+        state, steps = self._begun(), np.zeros(len(every), np.int32)
+        self._decide(state, steps)  # compiles
         self.ready = True
+        self.again.set()
         while not self.over:
-            self.again.clear()
-            self.stage.forget()
-            number, steps = jnp.int32(self.episode), 0
-            state, self.words = single(begun)(self.learner, number), ""
-            while not self.again.is_set() and not state.done:
-                self.going.wait()
-                state, steps = self._decide(number, state, steps), steps + 1
-            if not self.again.is_set():
-                ended = "reached its aim" if bool(state.success) else "fell" if self.ranges else "did not reach its aim"
-                self.words = f"The robot {ended}; the next episode follows."
-                self.stage.shown()
-                self.again.wait(1.5)
-                self.episode += not self.again.is_set()
+            anew = np.array([body.ended is not None and self.stage.time > body.ended + REST_S for body in bodies])
+            self.episodes += len(every) * anew
+            if self.again.is_set():
+                self.again.clear()
+                self.stage.level()
+                anew = every
+            if anew.any():
+                state, steps = _chosen(anew, self._begun(), state), np.where(anew, 0, steps)
+                for body in np.array(bodies)[anew]:
+                    body.forget()
+            self.going.wait()
+            state, steps = self._decide(state, steps), steps + 1
 
-    def _decide(self, number: IntScalar, state: State, steps: int) -> State:
-        told = {name: jnp.float32(self.told[name]) for name in self.ranges}
-        state = single(decided)(self.learner, self.trained.policy, number, state, jnp.int32(steps), told)[0]
-        found = jax.device_get({"reward": state.reward} | state.metrics)
-        self.rewards = {name: float(value) for name, value in found.items()}
-        if not self.touchable:
-            world = jax.device_get(world_of(own_data(self.task, state)))
-            self.stage.show(world.qpos, world.qvel, self.task.period)
+    def _begun(self) -> State:
+        """The first states of the episodes, which nobody sees."""
+        self.stage.playing = False
+        state = jax.block_until_ready(single(_all_begun)(self.learner, jnp.asarray(self.episodes, jnp.int32)))
+        self.stage.playing = True
         return state
+
+    def _decide(self, state: State, steps: Any) -> State:
+        told = {name: jnp.float32(self.told[name]) for name in self.ranges}
+        numbers, policy = jnp.asarray(self.episodes, jnp.int32), self.trained.policy
+        after = single(_all_decided)(self.learner, policy, numbers, state, jnp.asarray(steps, jnp.int32), told)
+        bodies, found = self.stage.bodies, jax.device_get({"reward": after.reward} | after.metrics)
+        self.rewards = {name: np.asarray(values) for name, values in found.items()}
+        if not self.touchable:
+            world = jax.device_get(jax.vmap(lambda state: world_of(own_data(self.task, state)))(after))
+            for i, body in enumerate(bodies):
+                body.show(world.qpos[i], world.qvel[i], self.task.period if body.ended is None else 0.0)
+            self.stage.wait(self.task.period)
+        for body, done, success in zip(bodies, np.asarray(after.done), np.asarray(after.success), strict=True):
+            if done and body.ended is None:
+                body.ended = self.stage.time
+                self._ending = "reached its aim" if success else "fell" if self.ranges else "did not reach its aim"
+        return after
+
+
+@partial(jax.vmap, in_axes=(None, 0))
+def _all_begun(learner: Learner, episode: IntScalar) -> State:
+    return begun(learner, episode)
+
+
+@partial(jax.vmap, in_axes=(None, None, 0, 0, 0, None))
+def _all_decided(*args: Any) -> State:
+    """`decided`, where an episode that has ended stays as it is."""
+    before: State = args[3]
+    after = decided(*args)[0]
+    return jax.tree.map(partial(jnp.where, before.done), before, after)
+
+
+@jax.jit
+def _chosen(first: Any, one: State, other: State) -> State:
+    """States of `one` where `first`, else of `other`."""
+    return jax.vmap(lambda first, *states: jax.tree.map(partial(jnp.where, first), *states))(first, one, other)

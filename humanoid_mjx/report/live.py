@@ -6,7 +6,7 @@ import random
 import signal
 import threading
 import webbrowser
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -29,6 +29,9 @@ as a share of the robot's momentum at the speed sqrt(gravity * extent)."""
 
 SLOWEST = 0.05
 """Least seconds of the robot a second."""
+
+BESIDE = 1.0
+"""Distance at which several robots are drawn beside each other, as a share of the robot's extent."""
 
 LONGEST = 10_000
 """Bytes of a message."""
@@ -88,12 +91,35 @@ class Scale(NamedTuple):
     words: str
 
 
+class Seen(NamedTuple):
+    """A robot's world as the picture shows it: turned about the vertical, then shifted."""
+
+    turn: Float[np.ndarray, "3 3"]
+    shift: Float[np.ndarray, "3"]
+
+    def at(self, places: Float[np.ndarray, "*places 3"]) -> Float[np.ndarray, "*places 3"]:
+        """Return places of the robot's world in the picture."""
+        return places @ self.turn.T + self.shift
+
+    def back(self, place: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+        """Return a place of the picture in the robot's world."""
+        return (place - self.shift) @ self.turn
+
+    def ground(self, plane: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+        """Return the height at the origin and the rises of a plane in the picture."""
+        rise = self.turn[:2, :2] @ plane[1:]
+        return np.array([plane[0] + self.shift[2] - rise @ self.shift[:2], *rise])
+
+
 class Window:
     """A live robot as the browser gets it, and the messages that come back."""
 
     def __init__(self, live: Live):
         self.live, self.model = live, live.model
         self.scene = make_scene(self.model, self.model.qpos0[None])
+        bodies = self.live.stage.bodies
+        self.sides = BESIDE * self.model.stat.extent * (np.arange(len(bodies)) - (len(bodies) - 1) / 2)
+        """How far to the left each robot is drawn, m."""
         self.scales = _scales(live)
         self.frame, self.number, self.changed = self._frame(), 0, threading.Condition()
         live.stage.shown = lambda: self._show(self._frame())
@@ -101,7 +127,10 @@ class Window:
     def page(self) -> bytes:
         """The page."""
         live, title = self.live, self.live.trained.title
-        data = player.scene_data(self.scene, title) | {
+        data = player.scene_data(self.scene, title)
+        data["shapes"] *= len(live.stage.bodies)
+        data["distance"] *= 1.0 + 0.5 * (len(live.stage.bodies) - 1)
+        data |= {
             "live": {"ranges": live.ranges, "told": live.told, "scales": self.scales, "touchable": live.touchable},
             "first": self.now(),
         }
@@ -135,74 +164,105 @@ class Window:
             hands.pace = _within(message["pace"], SLOWEST, 1.0)
         if "push" in message:
             size, side = _within(message["push"], *self.scales["push"][:2]), random.uniform(0.0, math.tau)
-            hands.shoves[:] = [size * np.array([math.cos(side), math.sin(side), 0.0])]
+            for body in live.stage.bodies:
+                body.shoves[:] = [size * np.array([math.cos(side), math.sin(side), 0.0])]
         if "grab" in message and live.touchable:
-            hands.grab = self._grab(message["grab"])
+            self._grab(message["grab"])
         if "paused" in message:
             (live.going.clear if message["paused"] else live.going.set)()
             self._show(self.frame)  # a robot that waits shows no other
         if "episode" in message:
-            live.episode = max(0, live.episode + int(message["episode"]))
+            live.episodes = np.maximum(live.episodes + int(message["episode"]), np.arange(len(live.episodes)))
             live.again.set()
             live.going.set()
 
-    def _grab(self, what: Any) -> Grab | None:
-        """The point in hand: a place on a shape, where one is named, else the one that is held."""
+    def _grab(self, what: Any) -> None:
+        """Take a place on a shape into the hand, where one is named; else move the hand, or open it."""
+        bodies, views = self.live.stage.bodies, self.views()
         if what is None:
-            return None
-        held, data, to = self.live.stage.hands.grab, self.live.stage.data, _place(what["to"])
-        if "shape" not in what:
-            return held and held._replace(to=to)
-        body = int(self.model.geom_bodyid[self.scene.shown[int(what["shape"])]])
-        return Grab(body, data.xmat[body].reshape(3, 3).T @ (_place(what["point"]) - data.xpos[body]), to)
+            for body in bodies:
+                body.grab = None
+            return
+        to = _place(what["to"])
+        if "shape" in what:
+            robot, shape = divmod(int(what["shape"]), len(self.scene.shown))
+            held, part = bodies[robot], int(self.model.geom_bodyid[self.scene.shown[shape]])
+            place = views[robot].back(_place(what["point"])) - held.data.xpos[part]
+            held.grab = Grab(part, held.data.xmat[part].reshape(3, 3).T @ place, place)
+        for body, view in zip(bodies, views, strict=True):
+            body.grab = body.grab and body.grab._replace(to=view.back(to))
 
     def _show(self, frame: dict[str, Any]) -> None:
         with self.changed:
             self.frame, self.number = frame, self.number + 1
             self.changed.notify_all()
 
+    def views(self) -> list["Seen"]:
+        """The picture of each robot: all look the same way when their episodes begin, and stand on one ground."""
+        views: list[Seen] = []
+        for body, side in zip(self.live.stage.bodies, self.sides, strict=True):
+            view, place = Seen(np.eye(3), np.array([0.0, side, 0.0])), body.data.xpos[1]
+            view.turn[:2, :2] = body.turn
+            if views:
+                level = views[0].ground(self.live.stage.bodies[0].ground) @ [1.0, *view.at(place)[:2]]
+                view.shift[2] = level - body.height(place)
+            views.append(view)
+        return views
+
     def _frame(self) -> dict[str, Any]:
-        live, stage = self.live, self.live.stage
-        pressing = stage.pressing() if live.touchable else {}
-        return {
-            "time": round(stage.time, 3),
-            "shapes": player.poses(*posed(self.model, stage.data, self.scene.shown)),
-            "torso": player.rounded(stage.data.xpos[1]),
-            "ground": player.rounded(stage.ground),
-            "forces": [[*player.rounded(place), *player.rounded(force)] for place, force in pressing.values()],
-            "push": None if stage.shoved is None else player.rounded(stage.shoved),
-            "ahead": player.rounded(stage.ahead),
+        live, bodies, views = self.live, self.live.stage.bodies, self.views()
+        frame: dict[str, Any] = {"shapes": [], "torsos": [], "forces": [], "pushes": [], "ahead": []}
+        pressing = [body.pressing() if live.touchable else {} for body in bodies]
+        for body, view, pressed in zip(bodies, views, pressing, strict=True):
+            places, turns = posed(self.model, body.data, self.scene.shown)
+            shown = {
+                "torsos": view.at(body.data.xpos[1]),
+                "pushes": None if body.shoved is None else view.turn @ body.shoved,
+                "ahead": view.turn[:2, :2] @ body.ahead,
+            }
+            for name, values in shown.items():
+                frame[name].append(None if values is None else player.rounded(values))
+            frame["shapes"] += player.poses(view.at(places), view.turn @ turns)
+            frame["forces"] += [player.rounded([*view.at(at), *view.turn @ force]) for at, force in pressed.values()]
+        return frame | {
+            "time": round(live.stage.time, 3),
+            "ground": player.rounded(views[0].ground(bodies[0].ground)),
             "words": live.words,
-            "episode": live.episode,
+            "episodes": live.episodes.tolist(),
             "charts": {
                 title: {name: round(float(value), 4) for name, value in lines.items()}
                 for title, lines in self._charts(pressing).items()
             },
         }
 
-    def _charts(self, pressing: Mapping[int, Any]) -> dict[str, dict[str, Any]]:
-        """The present numbers of each curve, by the curves' titles and the lines' names."""
-        live, stage = self.live, self.live.stage
+    def _charts(self, pressing: Sequence[Mapping[int, Any]]) -> dict[str, dict[str, Any]]:
+        """The present numbers of each curve, by the curves' titles and the lines' names; of several robots only those
+        of which each has one."""
+        live, (first, *others) = self.live, self.live.stage.bodies
+        names = [f"robot {i + 1}" for i in range(len(others) + 1)] if others else ["measured"]
         charts: dict[str, dict[str, Any]] = {name: {"commanded": value} for name, value in live.told.items()}
-        for name, speed in zip(SPEEDS, stage.speeds, strict=True) if stage.free else ():
-            charts.setdefault(name, {})["measured"] = speed
-        if loads := {foot: pressing.get(self.model.body(foot).id) for foot in live.feet}:
+        for i, name in enumerate(SPEEDS if first.free else ()):
+            measured = [body.speeds[i] for body in (first, *others)]
+            charts.setdefault(name, {}).update(zip(names, measured, strict=True))
+        if others:
+            return charts | {"reward of a decision": dict(zip(names, live.rewards.get("reward", ()), strict=False))}
+        if loads := {foot: pressing[0].get(self.model.body(foot).id) for foot in live.feet}:
             charts["load on a foot, N"] = {
                 foot: np.linalg.norm(found[1]) if found else 0.0 for foot, found in loads.items()
             }
         joints = self.model.actuator_trnid[:, 0]
         names = [self.model.joint(joint).name for joint in joints]
-        angles = np.degrees(stage.data.qpos[self.model.jnt_qposadr[joints]])
+        angles = np.degrees(first.data.qpos[self.model.jnt_qposadr[joints]])
         charts["joint angle, degrees"] = dict(zip(names, angles, strict=True))
         if live.touchable:
-            charts["torque, N m"] = dict(zip(names, stage.data.actuator_force, strict=True))
-        return charts | {"reward of a decision": live.rewards}
+            charts["torque, N m"] = dict(zip(names, first.data.actuator_force, strict=True))
+        return charts | {"reward of a decision": {name: values[0] for name, values in live.rewards.items()}}
 
 
 def _scales(live: Live) -> dict[str, Scale]:
     """The sliders of a robot's world; none where nobody can touch it."""
-    model, stage = live.model, live.stage
-    if not (live.touchable and stage.free):
+    model, first = live.model, live.stage.bodies[0]
+    if not (live.touchable and first.free):
         return {}
     mass = float(model.body_mass.sum())
     hardest = PUSH * mass * math.sqrt(9.81 * model.stat.extent)
@@ -210,7 +270,7 @@ def _scales(live: Live) -> dict[str, Scale]:
         "push": Scale(0.0, _short(hardest), _short(hardest / 3), "push, N s"),
         "payload": Scale(0.0, _short(PAYLOAD * mass), 0.0, "payload, kg"),
     }
-    if len(stage.planes):
+    if len(first.planes):
         scales["slope"] = Scale(-SLOPE, SLOPE, 0.0, "slope, degrees uphill")
         scales["friction"] = Scale(0.0, FRICTION, 1.0, "friction, times the model's")
     return scales

@@ -80,6 +80,21 @@
     return { corners, normal: unit(cross(r.map((x, i) => x - p[i]), s.map((x, i) => x - q[i]))) };
   }
 
+  // The convex hull of points in a plane, in order around it.
+  function hull(points) {
+    const half = (sorted) => {
+      const kept = [];
+      for (const p of sorted) {
+        const turns = (a, b) => (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0]);
+        while (kept.length > 1 && turns(kept.at(-2), kept.at(-1)) <= 0) kept.pop();
+        kept.push(p);
+      }
+      return kept;
+    };
+    points.sort((a, b) => a[0] - b[0] || a[1] - b[1]);
+    return [...half(points), ...half(points.reverse())];
+  }
+
   // Position and unit quaternion (w x y z) of a shape as a 3 x 4 matrix.
   function placed(p) {
     const n = Math.hypot(p[3], p[4], p[5], p[6]), [w, x, y, z] = [p[3] / n, p[4] / n, p[5] / n, p[6] / n];
@@ -225,7 +240,10 @@
     }
 
     height(ground, x, y) { return ground[0] + ground[1] * x + ground[2] * y; }
-    anchor({ torso: [x, y], ground }) { return [x, y, this.data.middle + this.height(ground, x, y)]; }
+    anchor({ torsos, ground }) {
+      const [x, y] = [0, 1].map((i) => torsos.reduce((sum, torso) => sum + torso[i], 0) / torsos.length);
+      return [x, y, this.data.middle + this.height(ground, x, y)];
+    }
 
     draw() {
       const ratio = Math.min(window.devicePixelRatio || 1, 2), box = this.canvas.getBoundingClientRect();
@@ -236,7 +254,7 @@
       const forward = [Math.cos(pitch) * Math.cos(yaw), Math.cos(pitch) * Math.sin(yaw), Math.sin(pitch)];
       const right = [Math.sin(yaw), -Math.cos(yaw), 0], up = cross(right, forward);
       const target = (place || this.anchor(pose)).map((x, i) => x + pan[i]);
-      const distance = zoom * data.distance * Math.max(1, (0.8 * height) / width);
+      const distance = zoom * data.distance * Math.max(1, ((pose.torsos.length > 1 ? 1.1 : 0.8) * height) / width);
       const eye = target.map((x, i) => x - distance * forward[i]), focus = height / 2 / data.field;
       this.camera = {
         eye, forward, right, up, focus, width, height, ratio, metres: (distance / focus) * ratio,
@@ -284,16 +302,13 @@
       }
       const falls = ground[1] * light[0] + ground[2] * light[1] - light[2];
       context.beginPath();
-      matrices.forEach((matrix, s) => this.solids[s].forEach((f) => {
-        if (dot(turned(matrix, f.normal), light) >= 0) return;
-        const points = f.corners.map(({ point }) => {
+      matrices.forEach((matrix, s) => {
+        const points = this.solids[s].flatMap((f) => f.corners.slice(0, 2)).map(({ point }) => {
           const p = moved(matrix, point), t = Math.max(p[2] - this.height(ground, p[0], p[1]), 0) / falls;
           return camera.see(p.map((x, i) => x + t * light[i]));
         });
-        if (points.some((p) => !p)) return;
-        points.forEach((p, i) => (i ? context.lineTo(p[0], p[1]) : context.moveTo(p[0], p[1])));
-        context.closePath();
-      }));
+        if (points.every(Boolean)) hull(points).forEach((p, i) => (i ? context.lineTo(p[0], p[1]) : context.moveTo(p[0], p[1])));
+      });
       context.fillStyle = DARK.matches ? "rgba(0, 0, 0, 0.5)" : "rgba(40, 40, 50, 0.28)";
       context.fill("nonzero");
     }
@@ -325,7 +340,7 @@
       if (right <= left || bottom <= top) return;
       const width = right - left, height = bottom - top, picture = new ImageData(width, height);
       const pixels = new Uint32Array(picture.data.buffer), depth = new Float32Array(width * height);
-      const owner = new Uint8Array(width * height);
+      const owner = new Uint16Array(width * height);
       this.seen = { fine, left, top, width, height, depth, owner };
       for (const [a, b, c, s] of triangles) {
         const area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
@@ -455,7 +470,7 @@
       const [torso] = this.between(this.data.torso.map((p) => [p]));
       const now = this.data.pushes.filter((push) => this.time >= push.start - 1e-9 && this.time < push.start + push.seconds);
       const arrows = now.map(({ force, words }) => this.pushed(torso, force, words));
-      return { shapes: this.between(this.data.frames), torso, ground: [0, 0, 0], arrows };
+      return { shapes: this.between(this.data.frames), torsos: [torso], ground: [0, 0, 0], arrows };
     }
 
     draw() {
@@ -638,29 +653,32 @@
     }
 
     pose() {
-      const { shapes, torso, ground, forces, push, ahead: [x, y] } = this.latest;
+      const { shapes, torsos, ground, forces, pushes, ahead } = this.latest;
       const most = Math.max(...forces.map((f) => Math.hypot(f[3], f[4], f[5])), this.most || 1);
       this.most = most;
       const arrows = forces.map((f) => ({ from: f.slice(0, 3), color: LOAD,
         to: [0, 1, 2].map((i) => f[i] + (this.data.arrow / most) * f[i + 3]) }));
-      if (push) arrows.push(this.pushed(torso, push, `push ${Math.hypot(...push).toFixed(2)} N s`));
       if (this.pulled && this.held_at) {
         arrows.push({ from: shapes[this.held_at.shape].slice(0, 3), to: this.pulled, color: ALARM });
       }
       const [forward, left] = ["forward, m/s", "left, m/s"].map((name) => (this.told[name] || 0) / this.fastest);
-      if (forward || left) {
-        const on = (a, b) => [a, b, this.height(ground, a, b)], size = 3 * this.data.arrow;
-        arrows.push({ from: on(torso[0], torso[1]), color: "#7a5195", words: "command",
-          to: on(torso[0] + size * (forward * x - left * y), torso[1] + size * (forward * y + left * x)) });
-      }
-      return { shapes, torso, ground, arrows };
+      const on = (a, b) => [a, b, this.height(ground, a, b)], size = 3 * this.data.arrow;
+      torsos.forEach((torso, i) => {
+        if (pushes[i]) arrows.push(this.pushed(torso, pushes[i], `push ${Math.hypot(...pushes[i]).toFixed(2)} N s`));
+        const [x, y] = ahead[i], robot = torsos.length > 1 ? `robot ${i + 1}` : "";
+        if (forward || left || robot)
+          arrows.push({ from: on(torso[0], torso[1]), color: "#7a5195", words: robot || "command",
+            to: on(torso[0] + size * (forward * x - left * y), torso[1] + size * (forward * y + left * x)) });
+      });
+      return { shapes, torsos, ground, arrows };
     }
 
     draw() {
       super.draw();
-      const { time, words, episode, paused } = this.latest;
+      const { time, words, episodes, paused } = this.latest;
       this.paused.textContent = paused ? "Go on" : "Pause";
-      this.words.textContent = words || `episode ${episode}, ${time.toFixed(1)} s`;
+      const which = episodes.length > 1 ? `episodes ${episodes.join(", ")}` : `episode ${episodes[0]}`;
+      this.words.textContent = words || `${which}, ${time.toFixed(1)} s`;
       this.canvas.dataset.time = time.toFixed(3);
       const pictures = ++this.canvas.dataset.pictures;
       if (pictures % 4 === 1) this.drawCharts();

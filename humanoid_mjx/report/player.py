@@ -1,6 +1,7 @@
 """A film as a piece of a web page that is played in the browser, seen from any side (`player.js`)."""
 
 import json
+from collections.abc import Iterable
 from html import escape
 from typing import Any
 
@@ -67,7 +68,7 @@ def poses(places: Float[np.ndarray, "shapes 3"], turns: Float[np.ndarray, "shape
     return [[*rounded(place), *rounded(_quaternion(turn))] for place, turn in zip(places, turns, strict=True)]
 
 
-def rounded(values: Float[np.ndarray, " values"]) -> list[float]:
+def rounded(values: Iterable[float]) -> list[float]:
     """To a tenth of a millimetre, or what turns a leg's end by as much."""
     return [round(float(value), 4) for value in values]
 
