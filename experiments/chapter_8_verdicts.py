@@ -138,9 +138,9 @@ def draw(record: Record, target: Path) -> None:
         ),
         (
             "upright for 20 s, straight\nahead, not pushed",
-            [(f"told {command[8:]} m/s", What("success", [command])) for command in AHEAD[::3]],
+            [(f"command {command[8:]} m/s", What("success", [command])) for command in AHEAD[::3]],
         ),
-        ("forward, m/s", [(f"told {command[8:]} m/s", What("forward", [command])) for command in AHEAD[1:]]),
+        ("forward, m/s", [(f"command {command[8:]} m/s", What("forward", [command])) for command in AHEAD[1:]]),
     )
     places = np.arange(len(record.bodies))[::-1]
     with figure(target, 1, len(panels), size=(2.5, 3.0), sharey=True) as (_, axes):

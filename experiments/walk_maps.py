@@ -72,7 +72,7 @@ MAPS = {
         ("gear ratio", (20, 30, 50, 70, 100, 130)),
         lambda volts, gear: [f"actuator={{name: dc_motor, voltage: {volts}, gear: {gear}}}"],
     ),
-    "slope and speed": Map(("slope, degrees", (0, 2, 4, 6, 8)), ("told, m/s", (0.0, 0.15, 0.3, 0.5)), _uphill),
+    "slope and speed": Map(("slope, degrees", (0, 2, 4, 6, 8)), ("command, m/s", (0.0, 0.15, 0.3, 0.5)), _uphill),
 }
 """The maps by name: rows and columns. Friction 1 is rubber on a dry floor; noise 1 is that of `walk`."""
 

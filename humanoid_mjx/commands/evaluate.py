@@ -104,20 +104,20 @@ def evaluation_table(title: str, evaluations: Sequence[Evaluation]) -> Table:
 
 
 def words_on_returns(policies: Sequence["Trained"], evaluations: Sequence[Evaluation]) -> list[str]:
-    """A sentence for each policy that succeeds more often than another agent and yet has the lower return."""
+    """A sentence for each policy with a lower return than another agent that succeeds no more often."""
     found = []
     for policy in policies:
-        own = {each.agent: each for each in evaluations if each.policy == policy.name}
-        greedy = own.get("greedy")
-        if greedy and any(
-            each.success.value < greedy.success.value and each.episode_return.value > greedy.episode_return.value
+        names = policy.name, policy.config.task["name"]
+        own = {e.agent: e for e in evaluations if e.policy in names[: 1 if e.agent == "greedy" else 2]}
+        greedy = own["greedy"]
+        if any(
+            each.success.value <= greedy.success.value and each.episode_return.value > greedy.episode_return.value
             for each in own.values()
         ):
-            discount = getattr(policy.learner, "discount", getattr(policy.learner, "discounting", 1.0))
+            returns = ", ".join(f"{agent} {each.discounted_return:.4g}" for agent, each in own.items())
             found.append(
-                f"{policy.name} succeeds more often with a lower return: the task pays for every step, so that waiting "
-                f"adds up. Training discounts a reward by {float(discount):g} for each step that it comes later; the "
-                "returns here are plain sums."
+                f"{policy.name} has a lower return than an agent that succeeds no more often: the task pays for every "
+                f"step, so that waiting adds up. Training discounts later rewards. Discounted returns: {returns}."
             )
     return found
 

@@ -43,7 +43,8 @@ def held_out_keys(episodes: int) -> Key[Array, " episodes"]:
 
 
 def play_out(trained: Trained, name: str, episodes: int) -> dict[str, np.ndarray]:
-    """`success`, `return` and `steps` of held-out episodes, (episodes,) each, in which one of `AGENTS` decides."""
+    """`success`, `return`, `steps` and `discounted_return` of held-out episodes, (episodes,) each, in which one of
+    `AGENTS` decides."""
     block = min(episodes, BLOCK)
     keys = held_out_keys(-(-episodes // block) * block)
     learner = trained.learner
@@ -53,7 +54,7 @@ def play_out(trained: Trained, name: str, episodes: int) -> dict[str, np.ndarray
         for first in range(0, len(keys), block)
     ]
     columns = (np.concatenate(column)[:episodes] for column in zip(*parts, strict=True))
-    return dict(zip(("success", "return", "steps"), columns, strict=True))
+    return dict(zip(("success", "return", "steps", "discounted_return"), columns, strict=True))
 
 
 def evaluate_all(policies: Sequence[Trained], episodes: int) -> list[Evaluation]:
@@ -72,7 +73,8 @@ def evaluate_all(policies: Sequence[Trained], episodes: int) -> list[Evaluation]
 @lru_cache
 def _program(arithmetic: Arithmetic, program: Program) -> Callable[..., Episode]:
     def episode(learner: Learner, policy: Any, number: IntScalar, key: Key[Array, ""]) -> Episode:
-        return rollout(learner.env, agent(learner, policy, number), key)
+        discount = getattr(learner, "discount", getattr(learner, "discounting", 1.0))
+        return rollout(learner.env, agent(learner, policy, number), key, discount)
 
     return jax.jit(
         jax.vmap(episode, in_axes=(None, None, None, 0)), compiler_options=compiler_options(arithmetic, program)

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Key
+from jaxtyping import Array, Float, Key
 
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.tasks.continuous import ContinuousTask, State
@@ -32,22 +32,24 @@ class Episode(NamedTuple):
     success: BoolScalar
     episode_return: FloatScalar
     steps: IntScalar
+    discounted_return: FloatScalar
+    """Of a reward k steps later, the part `discount**k`."""
 
 
-def rollout(env: ContinuousTask, choose: Choose, key: Key[Array, ""]) -> Episode:
+def rollout(env: ContinuousTask, choose: Choose, key: Key[Array, ""], discount: FloatScalar | float = 1.0) -> Episode:
     """Play one episode to its end, at most `MAX_EPISODE_STEPS` steps."""
 
-    def running(loop: tuple[State, FloatScalar, IntScalar]) -> BoolScalar:
+    def running(loop: tuple[State, Float[Array, "2"], IntScalar]) -> BoolScalar:
         state, _, steps = loop
         return ~state.done & (steps < MAX_EPISODE_STEPS)
 
-    def step(loop: tuple[State, FloatScalar, IntScalar]) -> tuple[State, FloatScalar, IntScalar]:
-        state, total, steps = loop
+    def step(loop: tuple[State, Float[Array, "2"], IntScalar]) -> tuple[State, Float[Array, "2"], IntScalar]:
+        state, totals, steps = loop
         state, _ = decide(env, choose, key, state, steps)
-        return state, total + state.reward, steps + 1
+        return state, totals + state.reward * jnp.stack([jnp.float32(1), discount**steps]), steps + 1
 
-    state, total, steps = jax.lax.while_loop(running, step, (start(env, key), jnp.float32(0), jnp.int32(0)))
-    return Episode(state.success, total, steps)
+    state, totals, steps = jax.lax.while_loop(running, step, (start(env, key), jnp.zeros(2), jnp.int32(0)))
+    return Episode(state.success, totals[0], steps, totals[1])
 
 
 def start(env: ContinuousTask, key: Key[Array, ""]) -> State:

@@ -86,8 +86,8 @@ def way(joint: int, setting: Setting) -> Iterator[Finding]:
         for i in range(5):
             panel.step(range(shown), angle[i, :shown], where="mid", color=COLORS[0], linewidth=0.8, alpha=0.8)
         for (first, last), mark in thesis.FIGURE_MARKS[joint]:
-            panel.plot([first, last], [mark, mark], color=COLORS[1], linewidth=4, solid_capstyle="butt")
-            panel.annotate("printed", (first, mark), (-6, 4), textcoords="offset points", color=COLORS[1], ha="right")
+            (bar,) = panel.plot([first, last], [mark, mark], color=COLORS[1], linewidth=4, solid_capstyle="butt")
+        panel.legend([bar], ["printed"], loc="lower right", frameon=False)
         epsilon = setting.config["learner"]["epsilon"]
         panel.set(
             title=f"Joint {joint} by the printed rules, epsilon {epsilon:g}: 5 of {RUNS} runs, their middle 95 %",

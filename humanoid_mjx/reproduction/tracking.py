@@ -208,8 +208,8 @@ def _draw(setting: Setting, joint: int, errors: Mapping[str, np.ndarray]) -> Non
         distances.plot(last, [max(printed[1], LEAST_SHOWN)] * 2, **bar)
         if printed[1] < LEAST_SHOWN:
             distances.annotate("0 as printed", (last[0], LEAST_SHOWN), (-4, 3), textcoords="offset points", ha="right")
-        places.set(title="Where the joint is", ylabel="angle, rad")
-        distances.set(title="How far it is from the plan", ylabel="distance, rad (logarithmic)")
+        places.set(title="Angle of the joint", ylabel="angle, rad")
+        distances.set(title="Distance from the planned motion", ylabel="distance, rad (logarithmic)")
         for panel in axes[0]:
             panel.set(xlabel="time, s", xlim=(0, thesis.QUINTIC_S))
         handles, words = places.get_legend_handles_labels()

@@ -27,15 +27,16 @@ class Evaluation(NamedTuple):
     """Interquartile means, with bootstrap intervals over the episodes."""
     steps: Estimate
     mean_return: float
+    discounted_return: float
+    """Interquartile mean; what Q-learning maximises."""
 
     def as_json(self) -> dict[str, Any]:
         """The evaluation as plain values, with each number's interval beside it."""
-        numbers = {"success": self.success, "return": self.episode_return, "steps": self.steps}
-        return {"policy": self.policy, "agent": self.agent, "mean_return": self.mean_return} | {
-            key: value
-            for name, estimate in numbers.items()
-            for key, value in ((name, estimate.value), (f"{name}_interval", [estimate.low, estimate.high]))
-        }
+        estimates = {"success": self.success, "return": self.episode_return, "steps": self.steps}
+        found = {name: getattr(self, name) for name in ("policy", "agent", "mean_return", "discounted_return")}
+        for name, estimate in estimates.items():
+            found |= {name: estimate.value, f"{name}_interval": [estimate.low, estimate.high]}
+        return found
 
 
 def estimated(policy: str, agent: str, episodes: Mapping[str, np.ndarray]) -> Evaluation:
@@ -44,4 +45,5 @@ def estimated(policy: str, agent: str, episodes: Mapping[str, np.ndarray]) -> Ev
     measures = (np.asarray(episodes[name], float) for name in ("return", "steps"))
     total, steps = (Estimate(float(iqm(x)), *map(float, iqm_interval(x))) for x in measures)
     rate = Estimate(float(success.mean()), *rate_interval(success))
-    return Evaluation(policy, agent, rate, total, steps, float(np.mean(episodes["return"])))
+    means = float(np.mean(episodes["return"])), float(iqm(np.asarray(episodes["discounted_return"], float)))
+    return Evaluation(policy, agent, rate, total, steps, *means)

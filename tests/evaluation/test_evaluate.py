@@ -5,17 +5,19 @@ import json
 import jax
 import jax.numpy as jnp
 import numpy as np
+import probes
 import pytest
 from typer.testing import CliRunner
 
 from humanoid_mjx import make_task
 from humanoid_mjx.cli import app
+from humanoid_mjx.commands.evaluate import words_on_returns
 from humanoid_mjx.compute import rng
 from humanoid_mjx.evaluation import evaluate
 from humanoid_mjx.evaluation.episode import play
 from humanoid_mjx.evaluation.evaluate import evaluate_all, held_out_keys, play_out
 from humanoid_mjx.evaluation.policy import best_policy, find_policy, load_policy, policies_of_best, save_policy
-from humanoid_mjx.learners.rollout import AGENTS, agent
+from humanoid_mjx.learners.rollout import AGENTS, agent, rollout
 from humanoid_mjx.runs.evaluations import estimated
 from humanoid_mjx.runs.ranking import ranked
 from humanoid_mjx.spec import InputError
@@ -93,6 +95,27 @@ def test_episodes_are_the_same_for_all_and_however_they_are_cut(leg, monkeypatch
     np.testing.assert_array_equal(whole["success"], parts["success"])
     np.testing.assert_allclose(whole["return"], parts["return"], rtol=1e-5)
     assert len(np.unique(whole["return"])) == 7
+
+
+def test_a_reward_of_one_for_each_of_ten_steps_is_discounted():
+    always = probes.make(1, [1, 1], 0, [0, 0], [[1, 1], [1, 1]], cap=10)
+    play = jax.jit(lambda discount: rollout(always, lambda state, key: jnp.zeros(1, int), rng.key(0), discount))
+    for discount in (0.0, 0.9):
+        found = play(discount)
+        assert found.episode_return == 10
+        assert found.discounted_return == pytest.approx((1 - discount**10) / (1 - discount))
+
+
+def test_a_return_that_falls_while_success_grows_is_explained(reach):
+    best = best_policy(reach)._replace(name="mine")
+    row = {"success": np.ones(4), "return": np.full(4, 20.0), "steps": np.ones(4), "discounted_return": np.full(4, 9.0)}
+    waits = row | {"return": np.full(4, 30.0), "discounted_return": np.full(4, 5.0)}
+    other = estimated("joint_reach", "random", waits)
+    (words,) = words_on_returns([best], [estimated("mine", "greedy", row), other])
+    assert words.startswith("mine has a lower return than an agent that succeeds no more often") and words.endswith(
+        "greedy 9, random 5."
+    )
+    assert words_on_returns([best], [estimated("mine", "greedy", row | {"return": np.full(4, 40.0)}), other]) == []
 
 
 def test_no_training_has_a_key_of_evaluation():
@@ -207,9 +230,9 @@ def test_what_cannot_be_done_gets_a_sentence(reach, arguments, sentence):
 
 def test_estimates_are_of_the_episodes():
     rng = np.random.default_rng(0)
-    found = estimated(
-        "p", "greedy", {"success": np.arange(8) < 2, "return": np.arange(8.0), "steps": rng.uniform(size=8)}
-    )
+    episodes = {"success": np.arange(8) < 2, "return": np.arange(8.0), "discounted_return": np.arange(8.0) / 2}
+    found = estimated("p", "greedy", episodes | {"steps": rng.uniform(size=8)})
+    assert found.as_json()["discounted_return"] == 1.75
     assert found.success.value == 0.25 and found.episode_return.value == 3.5 and found.mean_return == 3.5
     # Wilson's interval of 2 in 8 by his formula with z = 1.96, printed in many tables.
     np.testing.assert_allclose(found.success[1:], (0.0715, 0.5907), atol=1e-4)
