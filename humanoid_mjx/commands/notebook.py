@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from humanoid_mjx.evaluation.policy import Trained, find_policy, in_world, on_native, on_plane
+from humanoid_mjx.evaluation.policy import Trained, find_policy, in_world, on_native
 from humanoid_mjx.report.web import MEDIA, data_address
 from humanoid_mjx.runs.evaluations import Evaluation
 from humanoid_mjx.runs.folder import read_config
@@ -130,7 +130,7 @@ def film(
     from humanoid_mjx.report.rendering import render_film
 
     trained, run = _policy(what, point, physics, overrides), None if isinstance(what, Trained) else _folder(what)
-    trained = on_plane(trained) if physics else on_native(trained)
+    trained = trained if physics else on_native(trained)
     (shown, outcome), target = show(trained, reporter, episode), Path(out or f"{trained.name}.gif")
     if out is None and run is not None and run.is_dir():
         target = run / "figures" / "play.gif"

@@ -35,8 +35,8 @@ def run_play(
         )
     if view and physics not in (None, "mujoco"):
         raise InputError(f"--physics {physics}: --view moves the robot in native MuJoCo; leave this out.")
-    if any(override.startswith("task.terrain") for override in overrides):
-        raise InputError("--set task.terrain: play shows a plane; evaluate plays on a terrain.")
+    if view and any(override.startswith("task.terrain") for override in overrides):
+        raise InputError("--set task.terrain: --view has a slope to set and no other ground; --out shows a terrain.")
     if port is not None and not view:
         raise InputError("--port: only --view has a server.")
     if robots > 1 and not view:

@@ -4,12 +4,14 @@
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+import jax
 import mujoco
 import numpy as np
 from jaxtyping import Float
 
 from humanoid_mjx.evaluation.episode import Played, play, robot_of, rows_of
 from humanoid_mjx.evaluation.policy import Trained
+from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.training.progress import Reporter
 from humanoid_mjx.types import AnyArray
 
@@ -54,6 +56,8 @@ class Film(NamedTuple):
     told: tuple[tuple[float, str], ...] = ()
     """Commands to the robot: the time from which each holds, s, and its words."""
     pushes: tuple[Push, ...] = ()
+    terrain: Terrain | None = None
+    """The shape of the ground, in a world whose z axis points against gravity; none: a level plane."""
 
     def at(self, fps: float) -> tuple[Float[np.ndarray, "frames nq"], Float[np.ndarray, " frames"]]:
         """Postures at the motion's own speed, so many a second, and their times, s; interpolated linearly between
@@ -82,7 +86,22 @@ def film_of(trained: Trained, played: Played, title: str | None = None) -> Film:
         if words and (not told or told[-1][1] != words):
             told.append((number * period, words))
     title = trained.name if title is None else title
-    return Film(model, qpos, step_s, title, tuple(told), tuple(merged(played.pushes, period)))
+    film = Film(model, qpos, step_s, title, tuple(told), tuple(merged(played.pushes, period)))
+    terrain = getattr(played.states[0], "terrain", None)
+    return film if terrain is None else _level(film, jax.tree.map(float, terrain), trained)
+
+
+def _level(film: Film, terrain: Terrain, trained: Trained) -> Film:
+    """The film of a body on a terrain, turned so that the z axis points against gravity; its model has no ground but a
+    plane."""
+    turn, qpos = np.empty(4), np.array(film.qpos, np.float64)
+    mujoco.mju_quatZ2Vec(turn, terrain.up(np) * [-1.0, -1.0, 1.0])
+    for row in qpos:
+        mujoco.mju_rotVecQuat(row[:3], row[:3].copy(), turn)
+        mujoco.mju_mulQuat(row[3:7], turn, row[3:7].copy())
+    for push in film.pushes:
+        mujoco.mju_rotVecQuat(push.force, push.force.copy(), turn)
+    return film._replace(qpos=qpos, terrain=terrain, model=trained.learner.task.robot.model)
 
 
 def show(trained: Trained, reporter: Reporter, episode: int = 0) -> tuple[Film, str]:

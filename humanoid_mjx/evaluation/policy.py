@@ -185,15 +185,14 @@ def on_physics(trained: Trained, physics: str) -> Trained:
 
 
 def on_native(trained: Trained) -> Trained:
-    """The same policy on native MuJoCo, which moves one robot without compiling, as far as its task can, on a plane."""
-    trained = on_plane(trained)
+    """The same policy on native MuJoCo, which moves one robot without compiling, as far as its task can."""
     with suppress(InputError):
         return on_physics(trained, "mujoco")
     return trained
 
 
 def on_plane(trained: Trained) -> Trained:
-    """The same policy on a level plane: pictures show no other ground."""
+    """The same policy on a level plane, which is all that web pages draw."""
     shaped = getattr(trained.learner.task, "terrain", None)
     return in_changed_world(trained, ["task.terrain=null"]) if shaped else trained
 

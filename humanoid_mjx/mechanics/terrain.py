@@ -9,6 +9,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Key
 
 from humanoid_mjx.mechanics.scalars import Scalar, Vector
@@ -55,8 +56,28 @@ class Terrain(Spec):
 
     def height(self, x: Any, y: Any, lib: Any = jnp) -> Any:
         """Height of the ground, m; `lib` is jnp or np."""
-        steps = 0.0 if self.stairs is None else lib.floor(self._along(x, y, lib) / self.width) * self.stairs
+        steps = 0.0 if self.stairs is None else self.step(x, y, lib) * self.stairs
         return steps + self.waves(x, y, lib)[0]
+
+    def step(self, x: Any, y: Any, lib: Any = jnp) -> Any:
+        """Number of the step."""
+        return lib.floor(self._along(x, y, lib) / self.width)
+
+    def level(self, x: Any, y: Any) -> Any:
+        """Height of the ground, m, at places of a world whose z axis points against gravity."""
+        (east, north), slope = self._rising(np), np.radians(self.slope)
+        along, over = east * x + north * y, np.zeros_like(x)
+        for _ in range(3):  # the place on the slope depends on the height above it
+            moved = (along + over * np.sin(slope)) / np.cos(slope) - along
+            over = self.height(x + moved * east, y + moved * north, np)
+        return along * np.tan(slope) + over / np.cos(slope)
+
+    @property
+    def bounds(self) -> tuple[Float[np.ndarray, "2"], float]:
+        """How much the mean of `level` rises for a metre to x and to y, and its largest distance from that, m."""
+        step, slope = self.stairs or 0.0, np.radians(self.slope)
+        rise = np.tan(slope + np.arctan(step / self.width))
+        return rise * np.array(self._rising(np)), (step + (self.rough or 0.0)) / np.cos(slope)
 
     def above(self, place: Float[Array, "*places 3"]) -> Float[Array, "*places"]:
         """Height of a place above the ground below it, m."""

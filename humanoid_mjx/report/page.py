@@ -17,7 +17,7 @@ from humanoid_mjx.config import dump_yaml
 from humanoid_mjx.evaluation.film import driven_films, show
 from humanoid_mjx.evaluation.gait.measure import measure, settings_of
 from humanoid_mjx.evaluation.gait.scenarios import walking_task
-from humanoid_mjx.evaluation.policy import Trained, find_policy, in_world, on_native
+from humanoid_mjx.evaluation.policy import Trained, find_policy, in_world, on_native, on_plane
 from humanoid_mjx.report.figures import HEAT_MAPS, Figure, averaged, curved, draw_map, figures_of, limits, mapped
 from humanoid_mjx.report.gaits import gait_rows, meanings, remarks
 from humanoid_mjx.report.player import player
@@ -187,7 +187,7 @@ def _grid(pictures: Iterable[str], kind: str = "") -> str:
 def _motion(path: Path, reporter: Reporter) -> list[str]:
     """The robot under the best policy, in its first held-out episode; nothing where the task has none."""
     try:
-        trained = on_native(find_policy(str(path)))
+        trained = on_native(on_plane(find_policy(str(path))))
         if getattr(trained.learner.task, "simulator", None) is None:
             return []
         film, outcome = show(trained, reporter)

@@ -52,7 +52,7 @@ def scene_data(motion: scene.Scene, title: str) -> dict[str, Any]:
 def film_data(film: Film) -> dict[str, Any]:
     """Return what `player.js` reads of a film: the scene, and for each frame a position, m, and a quaternion (w x y z)
     of each shape."""
-    motion = scene.make_scene(film.model, film.at(FPS)[0])
+    motion = scene.make_scene(film.model, film.at(FPS)[0], film.terrain)
     pushes = [{"start": p.start, "seconds": p.shown, "force": p.force.tolist(), "words": p.words} for p in film.pushes]
     return scene_data(motion, film.title) | {
         "fps": FPS,

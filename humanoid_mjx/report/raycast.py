@@ -31,6 +31,9 @@ FAR = 30.0
 LAMP_M = 1000.0
 """Distance of the lamp from the torso, m."""
 
+MARCH, REFINED = 24, 8
+"""Places along a ray at which a shaped ground is looked for, and halvings of the distance between two of them."""
+
 GRAZE_M = 1e-3
 """A surface does not shade points so little below it, m: they are its own."""
 
@@ -77,8 +80,11 @@ class Painter:
         """Colours of the surfaces that rays from the eye meet, and numbers of these surfaces, others in the shadow."""
         depth, geom, normal = self._cast(data, eye, rays)
         met, color = geom >= 0, np.empty_like(rays)
-        below = ~met & (rays[:, 2] < -1e-4) if self.scene.ground and eye[2] > 0 else np.zeros(len(rays), bool)
-        depth[below] = -eye[2] / rays[below, 2]
+        below = np.zeros(len(rays), bool)
+        if self.scene.ground:
+            reached = self._meets(eye, rays)
+            below = ~met & (reached > 0)
+            depth[below] = reached[below]
         lamp, eyewards = -normal[met] @ LIGHT, -normal[met] @ self.camera.forward
         points = eye + depth[:, None] * rays
         lit = below.copy()
@@ -92,15 +98,49 @@ class Painter:
         color[below] = self._ground(points[below], eye, depth[below], lit[below])
         return color, (4 * geom + 2 * below + lit).astype(np.int32)
 
+    def _meets(self, eye: Vector, rays: Rays) -> Depths:
+        """How many times its own length each ray goes until it meets the ground; -1 where it does not.
+
+        A shaped ground lies between two planes: of `MARCH` places between them the first below it is refined.
+        """
+        terrain, depth = self.scene.terrain, np.full(len(rays), -1.0)
+        rise, most = terrain.bounds if terrain else (np.zeros(2), 0.0)
+        down, high = rays[:, :2] @ rise - rays[:, 2], eye[2] - eye[:2] @ rise
+        meets = (down > 1e-4) & (high > most)
+        rays, low, end = rays[meets], (high - most) / down[meets], (high + most) / down[meets]
+        if terrain:
+            x, y, z = rays.T
+            below = lambda at: eye[2] + at * z < terrain.level(eye[0] + at * x, eye[1] + at * y)  # noqa: E731
+            places = low + np.linspace(0.0, 1.0, MARCH)[:, None] * (end - low)
+            first, each = np.argmax(below(places), axis=0).clip(1), np.arange(len(rays))
+            low, end = places[first - 1, each], places[first, each]
+            for _ in range(REFINED):
+                middle = (low + end) / 2
+                under = below(middle)
+                low, end = np.where(under, low, middle), np.where(under, middle, end)
+        depth[meets] = end
+        return depth
+
     def _ground(self, points: Rays, eye: Vector, depth: Depths, lit: Flags) -> Colors:
-        """The plane z = 0 with its lines, in the distance as white as the horizon."""
+        """The ground with its lines, in the distance as white as the horizon."""
         grid, points = self.scene.grid, points[:, :2]
         line, width = LINE * grid, LINE * grid + depth / self.camera.focus
         off = grid * np.abs(points / grid - np.rint(points / grid)).min(axis=1)
         lines = np.clip(1.3 - off / width, 0.0, 1.0) * np.sqrt(line / width)
         haze = np.clip(2.0 * np.linalg.norm(points - eye[:2], axis=1) / (FAR * grid) - 1.0, 0.0, 1.0)[:, None]
-        color = (GROUND + lines[:, None] * (INK - GROUND)) * np.where(lit, 1.0, SHADOW)[:, None]
+        light = np.where(lit, 1.0, SHADOW) * self._slant(points)
+        color = (GROUND + lines[:, None] * (INK - GROUND)) * light[:, None]
         return color + haze * (HORIZON - color)
+
+    def _slant(self, points: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, " points"]:
+        """Light on the ground, as a share of that on a level plane; every other step of stairs is darker."""
+        x, y, terrain = *points.T, self.scene.terrain
+        if terrain is None or terrain.stairs:
+            return 1.0 - 0.12 * (terrain.step(x, y, np) % 2 if terrain else np.zeros(len(points)))
+        level = terrain.level
+        by_x, by_y = (level(x + GRAZE_M, y) - level(x - GRAZE_M, y)), (level(x, y + GRAZE_M) - level(x, y - GRAZE_M))
+        normal = np.stack([-by_x, -by_y, np.full(len(x), 2 * GRAZE_M)])
+        return np.clip(LIGHT @ normal / np.linalg.norm(normal, axis=0) / LIGHT[2], 0.6, 1.2)
 
     def _shaded(self, data: mujoco.MjData, points: Rays) -> Flags:
         """True for points that the robot shades from the lamp."""

@@ -73,7 +73,7 @@ def _annotated(
     clock: bool = True,
     size: tuple[int, int] | None = None,
 ) -> Iterator[Frame]:
-    scene = make_scene(film.model, qpos)
+    scene = make_scene(film.model, qpos, film.terrain)
     for number, (frame, seconds) in enumerate(zip(_paint(scene, size), times, strict=True)):
         yield annotate(frame, film, scene, number, float(seconds), clock)
         tell(number + 1, len(qpos))

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.types import AnyArray
 
 VIEW = 1.12
@@ -71,6 +72,8 @@ class Scene(NamedTuple):
     view: float
     """Metres from top to bottom in which every posture has room."""
     ground: bool
+    terrain: Terrain | None = None
+    """The shape of the ground; none: a level plane."""
 
     @property
     def grid(self) -> float:
@@ -88,7 +91,7 @@ class Scene(NamedTuple):
         return 0.58 * self.view / np.tan(np.radians(FIELD_OF_VIEW / 2))
 
 
-def make_scene(model: mujoco.MjModel, qpos: Float[AnyArray, "frames nq"]) -> Scene:
+def make_scene(model: mujoco.MjModel, qpos: Float[AnyArray, "frames nq"], terrain: Terrain | None = None) -> Scene:
     """The shapes of a robot in each posture. Meshes appear as the boxes around them."""
     rows, data = np.asarray(qpos, np.float64), mujoco.MjData(model)
     shown = [g for g in range(model.ngeom) if model.geom_group[g] < VISIBLE_GROUPS and not _is_plane(model, g)]
@@ -102,9 +105,13 @@ def make_scene(model: mujoco.MjModel, qpos: Float[AnyArray, "frames nq"]) -> Sce
         torso.append(data.xpos[1].copy())
     position, middle = np.stack(places), np.array(torso)
     grounded = any(_is_plane(model, g) for g in range(model.ngeom))
-    view, middle[:, 2] = _framing(model, position, middle, model.geom_rbound[shown], grounded)
+    below = terrain.level(*middle[:, :2].T) if terrain else np.zeros(len(rows))
+    above = position - below[:, None, None] * [0.0, 0.0, 1.0]
+    view, middle[:, 2] = _framing(model, above, middle, model.geom_rbound[shown], grounded)
+    middle[:, 2] += below
     shapes = [_shape(model, g) for g in shown]
-    return Scene(model, rows, shown, shapes, position, np.stack(turns), middle, np.array(torso), view, grounded)
+    turns, torso = np.stack(turns), np.array(torso)
+    return Scene(model, rows, shown, shapes, position, turns, middle, torso, view, grounded, terrain)
 
 
 def _framing(

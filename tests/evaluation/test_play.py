@@ -87,7 +87,7 @@ def test_the_file_is_looked_at_before_any_work(switched, tmp_path, monkeypatch):
         (["--size", "640"], "write WIDTHxHEIGHT, such as 640x480: even numbers from 64 to 4096"),
         (["--size", "641x480"], "even numbers"),
         (["--port", "8000"], "only --view has a server"),
-        (["--set", "task.terrain.slope=8"], "play shows a plane"),
+        (["--view", "--set", "task.terrain.slope=8"], "--out shows a terrain"),
         (["--physics", "tree", "--view"], "native MuJoCo; leave this out"),
     ):
         done = CliRunner().invoke(app, ["play", str(switched), *arguments])

@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 
 from humanoid_mjx.evaluation.film import Film, Push, in_words, merged
+from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.report import rendering
 from humanoid_mjx.report.raycast import GROUND, SHADOW, Painter
 from humanoid_mjx.report.rendering import HEIGHT, STRIP, WIDTH, render_film
@@ -124,3 +125,29 @@ def test_words_of_a_film(motion):
         (0.08, 0.02, "push 0.1 N s"),
     ]
     assert Push(0.0, 1.0, np.array([3.0, 4.0, 0.0])).words == "push 5 N"
+
+
+@pytest.mark.parametrize(
+    "terrain", [Terrain(rough=0.02), Terrain(stairs=0.03, direction=30.0), Terrain(slope=8.0, direction=200.0)]
+)
+def test_rays_meet_the_ground_where_it_is(terrain):
+    scene = make_scene(MODEL, MODEL.qpos0[None], terrain)
+    painter = Painter(scene, 48, 36)
+    eye, rays = painter.camera.place(scene.middle[0], scene.distance), painter.middles.reshape(-1, 3)
+    depth = painter._meets(eye, rays)
+    x, y, z = (eye + depth[:, None] * rays)[depth > 0].T
+    assert 200 < len(x) < len(rays)
+    # Of a place on the edge of a step the height is that of either.
+    off = np.abs(z - terrain.level(x, y))
+    assert np.quantile(off, 0.8) < 1e-4 and off.max() < 0.031 + 1e-4
+
+
+def test_the_ground_of_a_level_world_is_the_terrain_turned():
+    """Places on a slope with waves, turned so that the z axis points against gravity."""
+    terrain, (u, v) = Terrain(slope=10.0, direction=50.0, rough=0.02), np.random.default_rng(0).uniform(-2, 2, (2, 100))
+    turn = np.empty(4)
+    mujoco.mju_quatZ2Vec(turn, terrain.up(np))
+    axes = np.empty(9)
+    mujoco.mju_quat2Mat(axes, turn)
+    x, y, z = axes.reshape(3, 3).T @ np.stack([u, v, terrain.height(u, v, np)])
+    np.testing.assert_allclose(terrain.level(x, y), z, atol=1e-4)  # three steps of an iteration
