@@ -18,14 +18,17 @@ def read_model(path: str) -> mujoco.MjModel:
     """The compiled model of an MJCF file.
 
     Raises:
-      InputError: there is no such file, or MuJoCo cannot compile it.
+      InputError: there is no such file, MuJoCo cannot compile it, or nothing in it moves.
     """
     if not Path(path).is_file():
         raise InputError(f"info: there is no file {path}.")
     try:
-        return mujoco.MjModel.from_xml_path(path)
+        model = mujoco.MjModel.from_xml_path(path)
     except ValueError as error:
         raise InputError(f"info: MuJoCo cannot read {path}: {' '.join(str(error).split())}.") from error
+    if not model.nv:
+        raise InputError(f"info: {path} has no joint, so nothing in it moves.")
+    return model
 
 
 def survey(model: mujoco.MjModel) -> tuple[list[str], bool]:
@@ -47,6 +50,13 @@ def survey(model: mujoco.MjModel) -> tuple[list[str], bool]:
     }
     lines = [f"{name:13} {words}" for name, words in found.items()]
     lines[2:2] = joints
+    hinges = [model.joint(int(joint)).name for joint in np.flatnonzero(model.jnt_type == JOINT.mjJNT_HINGE)]
+    needs = {
+        "one body with a <freejoint/>": (model.jnt_type == JOINT.mjJNT_FREE).sum() == 1,
+        "hinges that have names": bool(hinges) and all(hinges),
+    }
+    if lacks := [what for what, has in needs.items() if not has]:
+        lines.append(f"{'tasks':13} stand and walk need {' and '.join(lacks)}")
     wrong = faults(model)
     if not wrong:
         return [*lines, f"{'physics':13} tree takes it as it is"], True

@@ -261,8 +261,9 @@ def _understood(path: Path, text: str, file: str, model_text: str) -> Source:
             damping = DAMPING * stiffness
         damping = _by_joint("servo.damping", declared.servo.damping, joints, damping)
         feet, geoms = _feet(declared.feet, spec)
+        feet, turns = _in_bodies_order(feet, declared.turns, model)
         mirror = tuple(declared.mirror.items())
-        values = {"feet": feet, "home": tuple(home), "turns": tuple(declared.turns), "mirror": mirror}
+        values = {"feet": feet, "home": tuple(home), "turns": turns, "mirror": mirror}
         values |= {"torque": tuple(torque), "stiffness": tuple(stiffness), "damping": tuple(damping)}
         # A digest of what both files say, whatever their layout and comments.
         plain = json.dumps(dict(sorted(data.items()))) + ElementTree.canonicalize(model_text, strip_text=True)
@@ -343,6 +344,17 @@ def _feet(names: Sequence[str], spec: mujoco.MjSpec) -> tuple[tuple[str, ...], t
     if geoms and len(geoms) != len(names):
         raise InputError("feet: name geoms or bodies, not some of each")
     return tuple(dict.fromkeys(bodies)), tuple(geoms)
+
+
+def _in_bodies_order(
+    feet: tuple[str, ...], turns: Sequence[float], model: mujoco.MjModel
+) -> tuple[tuple[str, ...], tuple[float, ...]]:
+    """Feet and their turns in the order of the bodies, in which MuJoCo sorts the contacts."""
+    order = sorted(range(len(feet)), key=lambda k: model.body(feet[k]).id)
+    if order == list(range(len(feet))) or len(turns) not in (0, len(feet)):
+        return feet, tuple(turns)
+    phases = turns or [k / len(feet) for k in range(len(feet))]
+    return tuple(feet[k] for k in order), tuple(phases[k] for k in order)
 
 
 def _own_torques(model: mujoco.MjModel, joints: Sequence[str]) -> Float[np.ndarray, " joints"]:

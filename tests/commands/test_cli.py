@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 
 from humanoid_mjx import compute
 from humanoid_mjx.cli import app
+from humanoid_mjx.spec import InputError
 
 HEAVY = ("jax", "brax", "mujoco", "matplotlib", "flax", "optax", "pyarrow")
 
@@ -90,6 +91,32 @@ def test_info_shows_a_robot_and_what_a_tree_cannot_take(option, refusal, tmp_pat
     assert "contacts      1 of plane and box" in done.output
     assert (refusal or "tree takes it as it is") in done.output
     assert ("with `contacts: feet`" in done.output) == ("elliptic" in option)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (None, "there is no file"),
+        ("", "MuJoCo cannot read"),
+        ("<mujoco/>", "has no joint, so nothing in it moves"),
+        ('<mujoco><include file="gone.xml"/></mujoco>', "Error opening file 'gone.xml'"),
+    ],
+)
+def test_info_of_no_robot_is_a_sentence(text, words, tmp_path):
+    path = tmp_path / "robot.xml"
+    if text is not None:
+        path.write_text(text)
+    done = CliRunner().invoke(app, ["info", str(path)])
+    assert isinstance(done.exception, InputError)
+    assert words in str(done.exception)
+
+
+def test_info_says_what_a_legged_task_needs_of_a_robot(tmp_path):
+    path = tmp_path / "robot.xml"
+    path.write_text('<mujoco><worldbody><body><joint type="ball"/><geom size=".1"/></body></worldbody></mujoco>')
+    done = CliRunner().invoke(app, ["info", str(path)])
+    assert "stand and walk need one body with a <freejoint/> and hinges that have names" in done.output
+    assert "  ball joints; to change: three hinges in their place" in done.output
 
 
 def test_a_sweep_whose_reader_has_gone_trains_on(tmp_path):

@@ -164,6 +164,15 @@ def test_patterns_the_models_own_values_and_defaults(tmp_path):
     np.testing.assert_array_equal(own.torque_limits[:3], [23.7, 23.7, 35.5])
 
 
+@pytest.mark.parametrize("turns", [[0.1, 0.6, 0.7, 0.2], []])
+def test_feet_may_be_named_in_any_order(turns, tmp_path):
+    """Each keeps its turn, or without any its share of the period by the order of the names."""
+    feet = ["RL_foot", "FR_foot", "RR_foot", "FL_foot"]
+    robot = make_robot(files(tmp_path, feet=feet, turns=turns))
+    found = {foot.replace("calf", "foot"): turn for foot, turn in zip(robot.feet, robot.phases, strict=True)}
+    assert found == dict(zip(feet, turns or [0.0, 0.25, 0.5, 0.75], strict=True))
+
+
 @pytest.mark.parametrize(
     ("shape", "points"),
     [('type="capsule" size="0.02 0.05" euler="0 2.3038 0"', 2), ('type="box" size=".06 .03 .02" euler="0 0.733 0"', 4)],

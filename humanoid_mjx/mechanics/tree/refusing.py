@@ -152,8 +152,8 @@ def _of_options(m: mujoco.MjModel) -> Iterator[Check]:
 
 def _of_joints(m: mujoco.MjModel) -> Iterator[Check]:
     balls = np.flatnonzero(m.jnt_type == JOINT.mjJNT_BALL)
-    name = m.joint(balls[0]).name if len(balls) else ""
-    yield len(balls), f"ball joints, as {name!r}", "three hinges in their place"
+    name = f", as {m.joint(balls[0]).name!r}" if len(balls) and m.joint(balls[0]).name else ""
+    yield len(balls), f"ball joints{name}", "three hinges in their place"
     free = np.flatnonzero(m.jnt_type == JOINT.mjJNT_FREE)
     yield len(free) > 1, "more than one free body", "one <freejoint>"
     if len(free):
@@ -178,12 +178,18 @@ def _of_contacts(m: mujoco.MjModel) -> Iterator[Check]:
     yield elliptic, "elliptic friction cones", 'cone="pyramidal"'
     said: dict[str, tuple[str, list[str]]] = {}
     for pair in touching(m):
-        name = "-".join(m.geom(geom).name or m.body(m.geom_bodyid[geom]).name for geom in (pair.one, pair.two))
+        name = " and ".join(_named(m, geom) for geom in (pair.one, pair.two))
         for what, change in _of_pair(m, pair):
             said.setdefault(what, (change, []))[1].append(name)
     for what, (change, names) in said.items():
         count = f" ({len(names)})" if len(names) > 1 else ""
-        yield True, f"{what}, as those of {names[0]!r}{count}", change
+        yield True, f"{what}, as those of {names[0]}{count}", change
+
+
+def _named(m: mujoco.MjModel, geom: int) -> str:
+    """A geom by its own name, or by its body's."""
+    body = int(m.geom_bodyid[geom])
+    return repr(m.geom(geom).name or m.body(body).name or f"body {body}")
 
 
 def _of_pair(m: mujoco.MjModel, pair: Touching) -> Iterator[tuple[str, str]]:
