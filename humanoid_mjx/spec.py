@@ -279,18 +279,23 @@ def find(kind: str, registry: Mapping[str, str], base: type[SomeSpec], name: str
 
 ELSEWHERE = {
     "batch_size": ("minibatches",),
-    "eps": ("epsilon",),
+    **dict.fromkeys(("eps", "epsilon_start", "exploration_initial_eps"), ("epsilon",)),
+    **dict.fromkeys(("epsilon_end", "exploration_final_eps"), ("epsilon_min",)),
     "gamma": ("discount", "discounting"),
-    "hidden_size": ("width",),
+    **dict.fromkeys(("hidden_dim", "hidden_size"), ("width",)),
+    "max_grad_norm": ("max_gradient",),
+    "max_steps": ("max_episode_steps", "total_steps"),
     "num_episodes": ("episodes",),
     "num_layers": ("layers",),
     "num_seeds": ("seeds",),
+    "tau": ("weight_averaging",),
     **dict.fromkeys(("alpha", "lr"), ("learning_rate",)),
     **dict.fromkeys(("gae_lambda", "lam", "lambda"), ("trace_decay", "gae_lambda")),
     **dict.fromkeys(("n_envs", "num_envs"), ("envs", "num_envs")),
     **dict.fromkeys(("n_steps", "num_steps"), ("rollout", "unroll_length")),
     **dict.fromkeys(("timesteps", "total_timesteps"), ("total_steps",)),
     **dict.fromkeys(("agent", "algo", "algorithm", "model"), ("learner",)),
+    **dict.fromkeys(("mjcf", "xml"), ("model",)),
     **dict.fromkeys(("env", "env_id", "environment"), ("task",)),
     **dict.fromkeys(("grid", "hyperparameters", "parameters"), ("sweep",)),
 }
@@ -358,6 +363,18 @@ def sentence(error: pydantic.ValidationError, where: str, model: type[pydantic.B
         case "too_short":
             least = fault["ctx"]["min_length"]
             return f"{key} must hold at least {least} {'entry' if least == 1 else 'entries'}{got}."
+        case "dict_type":
+            return f"{key} must be a mapping of keys, such as {{name: ...}}{got}."
+        case "int_type" if isinstance(fault["input"], float) and fault["input"].is_integer():
+            return f"{key} must be an integer; write {int(fault['input'])}{got}."
+        case "int_type" | "float_type" if isinstance(fault["input"], (list, dict)):
+            return f"{key} must be a number{got}; several values are an axis: write sweep.axes.{key}."
+        case "string_type" if isinstance(fault["input"], (bool, int, float)):
+            return f"{key} must be text{got}; put it into quotes."
+        case "list_type":
+            return f"{key} must be a list{got}."
+        case "finite_number":
+            return f"{key} must be a finite number{got}."
         case _:
             message = fault["msg"].removeprefix("Input should be ")
             return f"{key} must be {message}{got}."

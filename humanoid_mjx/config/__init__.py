@@ -13,13 +13,15 @@ import yaml
 
 from humanoid_mjx.config.axes import Sweep
 from humanoid_mjx.files import folder, shipped
-from humanoid_mjx.spec import InputError, sentence, shown
+from humanoid_mjx.spec import ELSEWHERE, InputError, sentence, shown
+
+ELSEWHERE_AT_TOP = ("episodes", "learner", "max_episode_steps", "model", "seeds", "sweep", "task", "total_steps")
 
 BELOW = {
     **{key: f"sweep.{key}" for key in ("axes", "mode", "points")},
-    **dict.fromkeys(("alpha", "learning_rate", "lr"), "learner.learning_rate"),
-    **dict.fromkeys(("discount", "gamma"), "learner.discount"),
-    **{key: f"learner.{key}" for key in ("epsilon", "epsilon_decay", "epsilon_min", "envs", "rollout", "start_from")},
+    **{name: f"learner.{keys[0]}" for name, keys in ELSEWHERE.items() if keys[0] not in ELSEWHERE_AT_TOP},
+    **{key: f"learner.{key}" for key in ("discount", "epsilon", "epsilon_decay", "epsilon_min", "learning_rate")},
+    **{key: f"learner.{key}" for key in ("envs", "rollout", "start_from", "trace_decay", "weight_averaging", "width")},
     **{key: f"task.{key}" for key in ("control", "max_episode_steps", "physics", "rewards", "robot", "states")},
 }
 """Keys that do not stand at the top level, and where they do."""

@@ -112,10 +112,14 @@ BAD = {
     "another library's name": ("epsilon: 0.5", "gamma: 0.5", ["learner.gamma", "did you mean 'discount'?"]),
     "epsilon at the top level": ("episodes: 20", "epsilon: 0.1\nepisodes: 20", ["write learner.epsilon"]),
     "axes at the top level": ("sweep:\n  axes:", "axes:", ["axes: this key", "write sweep.axes"]),
+    "another library's name at the top": ("episodes: 20", "n_envs: 4\nepisodes: 20", ["n_envs", "write learner.envs"]),
     "environment steps": ("episodes: 20", "total_timesteps: 20", ["did you mean 'total_steps'?"]),
     "unknown task key": ("states: 13", "statez: 13", ["task.statez", "unknown key", "states"]),
     "unknown task": ("name: joint_reach", "name: joint_rich", ["task.name", "joint_rich", "joint_reach"]),
     "wrong type": ("epsilon: 0.5", "epsilon: half", ["learner.epsilon", "number", "half"]),
+    "an axis in the learner": ("epsilon: 0.5", "epsilon: [0.1]", ["got [0.1]; several", "sweep.axes.learner.epsilon."]),
+    "a float for an integer": ("episodes: 20", "episodes: 2e1", ["episodes must be an integer; write 20, got 20.0"]),
+    "a name that YAML reads as true": ("name: small", "name: yes", ["name must be text, got True; put it into quotes"]),
     "a number as text": ("states: 13", "states: '13'", ["task.states", "integer"]),
     "epsilon above 1": ("epsilon: 0.5", "epsilon: 1.5", ["learner.epsilon", "at most 1", "1.5"]),
     "NaN": ("epsilon: 0.5", "epsilon: .nan", ["learner.epsilon", "finite"]),
@@ -128,7 +132,7 @@ BAD = {
         ["learner.name: tabular_q learns a FiniteTask, not a LegReach; learners for it are brax_ppo, deep_q, linear_q"],
     ),
     "a task that is no mapping": (
-        "{name: joint_reach, joint: 5, states: 13}", "joint_reach", ["task must be a mapping of keys, got"]
+        "{name: joint_reach, joint: 5, states: 13}", "joint_reach", ["task must be a mapping of keys, such as {name: ...}"]
     ),
     "axis that does not exist": ("learner.epsilon: [", "learner.epsilom: [", ["learner.epsilom", "unknown key"]),
     "axis of neither part": ("learner.epsilon: [", "epsilon: [", ["sweep.axes.epsilon", "learner.epsilon"]),
