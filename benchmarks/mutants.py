@@ -177,7 +177,7 @@ def _run(
         os.killpg(child, signal.SIGKILL)
         _, status, used = os.wait4(child, 0)
     code = os.waitstatus_to_exitcode(status)
-    return None if code in (-signal.SIGKILL, -signal.SIGXCPU) else code, used.ru_utime + used.ru_stime
+    return None if code in (-signal.SIGKILL, -signal.SIGXCPU) else code, used.ru_utime + used.ru_stime  # pyright: ignore[reportOptionalMemberAccess]
 
 
 def without_fault(base: Path, arguments: str) -> Call:

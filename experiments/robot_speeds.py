@@ -226,7 +226,7 @@ def make_mjx(name: str, folder: str, worlds: int, implementation: str) -> tuple[
     warp = implementation == "warp"
     if warp:
         put = put.tree_replace({"opt._impl.warn_overflow": 0})
-    room = {"naconmax": worlds * CONTACTS, "njmax": CONSTRAINTS} if warp else {}
+    room: dict[str, Any] = {"naconmax": worlds * CONTACTS, "njmax": CONSTRAINTS} if warp else {}
 
     def simulate(qpos: Any, qvel: Any, setpoint: Any) -> Any:
         data = mjx.make_data(model, impl=implementation, **room).replace(qpos=qpos, qvel=qvel, ctrl=setpoint)

@@ -148,7 +148,8 @@ def _of_seeds(gait: dict[str, Any], name: str) -> list[float] | None:
 def learner_in(policy: Trained, physics: str | None, world: str, overrides: list[str]) -> Any:
     """Return the learner of a policy whose task is that of a world, or has a fault."""
     learner = in_world(policy, physics, settings_of(overrides)).learner
-    return learner.replace(task=FAULTS[world](learner.task)) if world in FAULTS else learner
+    faulty: Any = learner.task
+    return learner.replace(task=FAULTS[world](faulty)) if world in FAULTS else learner
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

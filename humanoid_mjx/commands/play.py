@@ -48,7 +48,7 @@ def run_play(
     if physics in (None, "mujoco"):
         jax.config.update("jax_platforms", "cpu")  # one robot in native MuJoCo gains nothing by a GPU
     if view:
-        _serve(name, point, overrides, physics, episode, port)
+        _serve(name, point, overrides, physics, episode, port, robots)
         return
     from humanoid_mjx.commands.notebook import film
     from humanoid_mjx.report.rendering import FPS
@@ -61,7 +61,13 @@ def run_play(
 
 
 def _serve(
-    name: str, point: int | None, overrides: Sequence[str], physics: str | None, episode: int, port: int | None
+    name: str,
+    point: int | None,
+    overrides: Sequence[str],
+    physics: str | None,
+    episode: int,
+    port: int | None,
+    robots: int,
 ) -> None:
     """`humanoid-mjx play --view`."""
     from humanoid_mjx.evaluation.live import Live

@@ -44,6 +44,11 @@ def keeping() -> Iterator[None]:
         _on = False
 
 
+def _possible() -> bool:
+    """Return whether programs can be kept here. On a GPU this was never tried."""
+    return jax.default_backend() == "cpu" and jax.config.values["jax_enable_compilation_cache"]
+
+
 def about(spec: Spec, arrays: Any = None, also: str = "") -> str | None:
     """Return what a program follows from: the structure of a Spec and of `arrays`, shapes, types and places of both,
     and what there is `also`. None where the Spec has a class of a user's, whose code may change."""
@@ -125,7 +130,7 @@ def load_program(stored: Any, args: tuple[Any, ...], devices: Sequence[Any]) -> 
 
 def _path(name: str, about: str | None) -> Path | None:
     place = jax.config.values["jax_compilation_cache_dir"]
-    if not _on or about is None or not place or not jax.config.values["jax_enable_compilation_cache"]:
+    if not _on or about is None or not place or not _possible():
         return None
     if "://" in place or jax.process_count() > 1 or " at 0x" in about:
         return None
