@@ -5,6 +5,7 @@ commands are read as the command line reads them, without being carried out: the
 policies, run folders, experiments and benchmarks must exist.
 """
 
+import contextlib
 import re
 import shlex
 import sys
@@ -73,7 +74,12 @@ class Reader:
                 context = self.group.commands[name].make_context(name, rest)
             except Exception as error:  # typer brings a click of its own, whose errors have no public name
                 raise AssertionError(f"{shlex.join(words)}: {error}") from error
-            getattr(self, name)(**context.params)
+            if name == "info":
+                context.params["time"] = False  # which only trains a piece of what `sweep` trains
+                with contextlib.suppress(typer.Exit):
+                    self.group.commands[name].invoke(context)
+            else:
+                getattr(self, name)(**context.params)
 
     def sweep(self, config, out, set_, resume, **options):
         from humanoid_mjx.config import load
@@ -83,19 +89,6 @@ class Reader:
         folder = str(out or f"runs/{name}")
         assert not resume or folder in self.there, f"{folder}: nothing to be resumed"
         self.there.add(folder)
-
-    def info(self, name, set_, keys, **options):
-        from humanoid_mjx.commands.info import show_info, show_keys
-
-        if keys:
-            show_keys(name)
-        elif name:
-            if (name or "").endswith(".xml"):
-                from humanoid_mjx.commands.info import show_model
-
-                show_model(name)
-                return
-            show_info(name, set_ or [], timed=False)  # which only trains a piece of what `sweep` trains
 
     def reproduce(self, names, **options):
         from humanoid_mjx.reproduction import load_experiments

@@ -43,16 +43,8 @@ class Probe(ContinuousTask):
         following = self.next_state[place]
         over = following == END
         obs = self.obs[jnp.minimum(following, 1)][None]
-        return State(
-            data=(jnp.minimum(following, 1), length + 1),
-            obs=obs,
-            reward=reward,
-            terminated=over,
-            truncated=~over & (length + 1 >= self.max_episode_steps),
-            success=over & (reward > 0),
-            final_obs=obs,
-            metrics={"right": right},
-        )
+        cut, data = ~over & (length + 1 >= self.max_episode_steps), (jnp.minimum(following, 1), length + 1)
+        return State(data, obs, reward, over, cut, over & (reward > 0), obs, {"right": right})
 
 
 def make(joints, obs, start, next_state, reward, cap=10):

@@ -4,7 +4,7 @@ from functools import cache
 
 import jax
 import jax.numpy as jnp
-import numpy as np
+from tree_robots import near_upright
 
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.physics.base import Stages
@@ -27,7 +27,4 @@ step = jax.jit(jax.vmap(lambda physics, world: physics.step(world, hold), in_axe
 
 @cache
 def standing():
-    """Each joint up to 0.1 rad away from zero."""
-    qpos = np.tile(MJX.qpos0, (WORLDS, 1))
-    qpos[:, 7:] += np.random.default_rng(0).uniform(0, 0.1, (WORLDS, 10))
-    return jax.vmap(lambda qpos: MJX.start(qpos, np.zeros(16)))(qpos)
+    return near_upright(MJX)

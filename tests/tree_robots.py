@@ -206,6 +206,13 @@ def _place(model: mujoco.MjModel, qpos: np.ndarray, rng: np.random.Generator) ->
         row[2] = (rng.choice([0.01, -1e-4, -5e-4, -2e-3, -5e-3]) * rng.uniform(0.1, 1.0) - lowest) / normal[2]
 
 
+def near_upright(physics: Any) -> Any:
+    """Four worlds at rest, their joints up to 0.1 rad away from zero."""
+    qpos = np.tile(physics.qpos0, (4, 1))
+    qpos[:, 7:] += np.random.default_rng(0).uniform(0, 0.1, (4, 10))
+    return jax.vmap(lambda qpos: physics.start(qpos, np.zeros(16)))(qpos)
+
+
 def dropped(
     model: mujoco.MjModel, count: int, seed: int = 0, spread: float = 0.5
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

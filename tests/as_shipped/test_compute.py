@@ -18,15 +18,14 @@ from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.pool import Pool
 
 SOLVES = """
-import faulthandler, sys, threading
+import faulthandler, threading
 from humanoid_mjx import compute
 compute.start(mjx=True)
 import jax, jax.numpy as jnp
 faulthandler.dump_traceback_later(600, exit=True)
-systems = int(sys.argv[1])
 
 def step(x, _):
-    matrices = [jnp.eye(16) * (2.0 + number) + 0.0 * x[0] for number in range(systems)]
+    matrices = [jnp.eye(16) * (2.0 + number) + 0.0 * x[0] for number in range(3)]
     return sum(jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(m), x) for m in matrices), None
 
 run = jax.jit(jax.vmap(lambda x: jax.lax.scan(step, x, length=200)[0]))
@@ -37,13 +36,11 @@ for thread in work: thread.join()
 """
 
 
-@pytest.mark.parametrize(("devices", "systems"), [(1, 3), (2, 1), (2, 3)])
-def test_programs_that_solve_many_systems_do_not_wait_for_each_other_forever(devices, systems):
-    """They do with `PJRT_NPROC` of 2, which is the default on two cores."""
-    environment = os.environ | {"JAX_NUM_CPU_DEVICES": str(devices)}
+def test_programs_that_solve_many_systems_do_not_wait_for_each_other_forever():
+    """They do with `PJRT_NPROC` of 2, which is the default on two cores, also one program, or one system in each."""
+    environment = os.environ | {"JAX_NUM_CPU_DEVICES": "2"}
     environment.pop("PJRT_NPROC", None)
-    command = [sys.executable, "-c", SOLVES, str(systems)]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=1200)
+    done = subprocess.run([sys.executable, "-c", SOLVES], env=environment, capture_output=True, text=True, timeout=1200)
     assert done.returncode == 0, done.stderr
 
 
@@ -63,9 +60,6 @@ def test_mjx_that_comes_too_late_for_its_threads_is_refused_in_a_sentence():
     command = [sys.executable, "-c", LATE]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=1200)
     assert "InputError: physics: MJX could wait forever" in done.stderr, done
-    environment["PJRT_NPROC"] = compute.POOL_THREADS
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=1200)
-    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize(
@@ -107,13 +101,6 @@ def test_sums_over_arrays_of_seven_axes_do_not_crash():
     assert done.returncode == 0 and done.stdout.strip() == "4.0", done
 
 
-def test_flags_that_the_environment_sets_are_kept():
-    program = "import os; from humanoid_mjx import start; start(); print(os.environ['XLA_FLAGS'])"
-    environment = os.environ | {"XLA_FLAGS": "--xla_cpu_enable_fast_math=false", "JAX_PLATFORMS": "cpu"}
-    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
-    assert done.stdout.strip() == f"--xla_cpu_enable_fast_math=false {compute.XLA_FLAGS}"
-
-
 @pytest.mark.parametrize(
     ("platforms", "plugin", "device", "found"),
     [
@@ -133,14 +120,15 @@ def test_a_gpu_is_told_by_its_plugin_its_device_and_what_is_asked_for(
     assert settings._nvidia() == found
 
 
-def test_where_there_is_a_gpu_xla_looks_for_no_vectors_and_takes_both_options():
+@pytest.mark.parametrize(("given", "more"), [("--xla_cpu_enable_fast_math=false ", ""), ("", f" {options.NO_VECTORS}")])
+def test_flags_that_the_environment_sets_are_kept_and_where_there_is_a_gpu_xla_looks_for_no_vectors(given, more):
     program = (
-        "import os; from humanoid_mjx.compute import settings; settings._nvidia = lambda: True; settings.start(); "
-        "import jax; print(jax.jit(lambda x: x + 1)(1), os.environ['XLA_FLAGS'])"
+        f"import os; from humanoid_mjx.compute import settings; settings._nvidia = lambda: {bool(more)}; "
+        "settings.start(); import jax; print(jax.jit(lambda x: x + 1)(1), os.environ['XLA_FLAGS'])"
     )
-    environment = os.environ | {"XLA_FLAGS": "", "JAX_PLATFORMS": "cpu"}
+    environment = os.environ | {"XLA_FLAGS": given, "JAX_PLATFORMS": "cpu"}
     done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
-    assert done.stdout.strip() == f"2 {compute.XLA_FLAGS} {options.NO_VECTORS}", done.stderr
+    assert done.stdout.strip() == f"2 {given}{compute.XLA_FLAGS}{more}", done.stderr
 
 
 def compiled(task: str) -> str:
@@ -171,12 +159,7 @@ def test_this_xla_knows_every_option_and_one_that_it_does_not_know_is_left_out_w
 
 @pytest.mark.parametrize(
     ("backend", "capability", "words"),
-    [
-        ("cpu", None, "no GPU"),
-        ("gpu", "9.0", None),
-        ("gpu", "7.5", "Ampere"),
-        ("gpu", None, "Ampere"),
-    ],
+    [("cpu", None, "no GPU"), ("gpu", "9.0", None), ("gpu", "7.5", "Ampere"), ("gpu", None, "Ampere")],
 )
 def test_kernels_are_for_gpus_that_triton_compiles_for(monkeypatch, backend, capability, words):
     device = SimpleNamespace() if capability is None else SimpleNamespace(compute_capability=capability)

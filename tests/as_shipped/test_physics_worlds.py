@@ -1,4 +1,4 @@
-"""Physics in batches, with the kernels that users have: worlds that do not touch each other, one compilation."""
+"""Physics in batches, with the kernels that users have: worlds that do not touch each other."""
 
 import warnings
 from concurrent.futures import ThreadPoolExecutor
@@ -11,7 +11,6 @@ import pytest
 from mujoco.rollout import rollout
 from standing import MJX, NATIVE, VALUES, WORLDS, hold, standing, step
 
-from humanoid_mjx.compute import counting_compiles
 from humanoid_mjx.physics import make_physics, native
 from humanoid_mjx.physics.base import Stages
 
@@ -86,14 +85,6 @@ def test_reset_is_masked(worlds):
     assert bits(reset.qpos[2:]) == bits(bad.qpos[2:])
     fine, _ = step(VALUES, reset)
     assert not fine.diverged.any()
-
-
-def test_a_second_call_compiles_nothing(worlds):
-    step(VALUES, worlds)
-    slippery = VALUES.replace(friction=jnp.float32(0.1))
-    with counting_compiles() as compiles:
-        step(slippery, worlds)
-    assert compiles.programs == 0
 
 
 def test_one_step_on_the_ground_agrees_with_native(native_step, worlds):

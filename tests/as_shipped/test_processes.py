@@ -3,8 +3,8 @@ bits."""
 
 import json
 import os
+import random
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -34,10 +34,8 @@ def test_number_of_devices_changes_no_bit(reference, tmp_path, devices):
 KILLABLE = """
 import signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a suite in the background of a shell ignores it
-from humanoid_mjx.compute import processes
 from humanoid_mjx.training import pool, session
 session.CHECKPOINT_EVERY_S, pool.HARVEST_SHARE, pool.HARVEST_AFTER_S = 0.2, 0.1, 0.5
-processes.HEARTBEAT_S = 10
 from humanoid_mjx.cli import main
 main()
 """
@@ -51,9 +49,7 @@ def start(arguments, cwd, program=KILLABLE, **environment):
 
 def start_job(arguments, cwd, count=2, slurm=False, programs=None):
     """So many processes that share a sweep, each with one device; `slurm`: told of each other as by its `srun`."""
-    with socket.socket() as free:
-        free.bind(("localhost", 0))
-        port = str(free.getsockname()[1])
+    port = str(random.randrange(20_000, 32_000))  # below those that the system gives to outgoing connections
     if slurm:
         job = {"SLURM_JOB_ID": "1", "SLURM_STEP_NODELIST": "localhost", "SLURM_STEP_NUM_NODES": str(count)}
         job |= {"SLURM_NTASKS": str(count), "SLURM_LOCALID": "0", "JAX_COORDINATOR_PORT": port}
@@ -162,6 +158,7 @@ def test_what_process_0_refuses_all_refuse(reference, tmp_path):
 def test_a_job_that_lost_a_process_resumes_to_the_same_bits(whole, tmp_path, lost):
     arguments = ["sweep", write_config(tmp_path, **LONG), "--out", "run"]
     programs = [KILLABLE, HALFWAY] if lost == 1 else [HALFWAY, HALFWAY]  # process 0 finishes its runs if it is left
+    programs = ["from humanoid_mjx.compute import processes\nprocesses.HEARTBEAT_S = 10\n" + each for each in programs]
     job, run = start_job(arguments, tmp_path, programs=programs), tmp_path / "run"
     wait_for((tmp_path / f"halfway-{lost}").exists, job[lost])
     job[lost].kill()
@@ -197,8 +194,7 @@ pool.Pool.finish = told
 
 def test_an_interrupt_is_answered_while_the_end_of_runs_compiles(reference, tmp_path):
     config = write_config(tmp_path)
-    command = [sys.executable, "-c", WAITING, "sweep", config, "--out", "run"]
-    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = start(["sweep", config, "--out", "run"], tmp_path, WAITING)
     wait_for((tmp_path / "waiting").exists, process)
     process.send_signal(signal.SIGINT)
     stdout, stderr = process.communicate(timeout=PATIENCE_S)  # the compiler would take twice as long

@@ -185,24 +185,6 @@ class TestRefusals:
         refused(["run", "in use"], "sweep", config, "--out", "run", "--resume", cwd=copy)
         held.close()
 
-    def test_a_truncated_checkpoint(self, refused, copy):
-        part = sorted((copy / "run/checkpoint").glob("part-*.npz"))[0]
-        part.write_bytes(part.read_bytes()[:-100])
-        config = write_config(copy)
-        refused([part.name, "truncated", "remove it"], "sweep", config, "--out", "run", "--resume", cwd=copy)
-        part.unlink()
-        sweep(CONFIG, copy / "run", resume=True)
-
-    def test_a_truncated_results_file(self, copy, reference):
-        results = copy / "run/results.parquet"
-        results.write_bytes(results.read_bytes()[:100])
-        from humanoid_mjx.training.sweep import Run
-
-        with pytest.raises(InputError, match=r"results.parquet: this file is truncated or damaged; --resume"):
-            _ = Run(copy / "run").results
-        sweep(CONFIG, copy / "run", resume=True)
-        assert results.read_bytes() == (reference.path / "results.parquet").read_bytes()
-
     def test_a_place_below_a_file(self, refused, tmp_path):
         (tmp_path / "file").write_text("data")
         config = write_config(tmp_path)

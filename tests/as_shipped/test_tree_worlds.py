@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tree_robots import converged, native, qacc_of, states
+from tree_robots import converged, native, near_upright, qacc_of, states
 
 from humanoid_mjx import compute
 from humanoid_mjx.mechanics.tree.folding import fold
@@ -79,9 +79,7 @@ def step():
 
 @pytest.fixture(scope="module")
 def worlds():
-    qpos = np.tile(TREE.qpos0, (4, 1))
-    qpos[:, 7:] += np.random.default_rng(0).uniform(0, 0.1, (4, 10))
-    return jax.vmap(lambda qpos: TREE.start(qpos, np.zeros(16)))(qpos)
+    return near_upright(TREE)
 
 
 def legs_crossed(worlds):

@@ -54,20 +54,13 @@ def wandering(seconds=8.0, seed=0):
     force = np.where(rng.uniform(size=force.shape) < 0.02, 5.0, force - np.median(force, axis=0))
     heading = 3.0 + 0.02 * smooth()
     return {
-        "place": 0.002 * smooth(2) + 0.0008 * np.arange(count)[:, None],
-        "heading": np.mod(heading + np.pi, 2 * np.pi) - np.pi,
-        "angles": 0.01 * smooth(10),
-        "torque": rng.normal(size=(count, 10)),
-        "gap": (np.array([0.0, 0.06]) + 0.002 * smooth(2))[:, None],
-        "height": np.abs(0.001 * smooth(2)),
-        "load": np.maximum(force, 0.0),
-        "speed": rng.lognormal(-3.0, 1.0, (count, 2, 4)),
-        "touching": rng.uniform(size=(count, 2, 4)) < 0.4,
-        "legs_apart": 0.01 * rng.normal(size=count) + 0.01,
-        "place_0": np.array([0.01, 0.0]),
-        "heading_0": 3.0,
-        "angles_0": np.zeros(10),
-    }
+        "place": 0.002 * smooth(2) + 0.0008 * np.arange(count)[:, None], "angles": 0.01 * smooth(10),
+        "heading": np.mod(heading + np.pi, 2 * np.pi) - np.pi, "torque": rng.normal(size=(count, 10)),
+        "gap": (np.array([0.0, 0.06]) + 0.002 * smooth(2))[:, None], "height": np.abs(0.001 * smooth(2)),
+        "load": np.maximum(force, 0.0), "speed": rng.lognormal(-3.0, 1.0, (count, 2, 4)),
+        "touching": rng.uniform(size=(count, 2, 4)) < 0.4, "legs_apart": 0.01 * rng.normal(size=count) + 0.01,
+        "place_0": np.array([0.01, 0.0]), "heading_0": 3.0, "angles_0": np.zeros(10),
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -88,26 +81,16 @@ def known_walk(count, period=0.4, duty=0.7, length=0.06, speed=0.3, slip=0.03, h
     loaded = turns < duty
     swing = np.clip((turns - duty) / (1 - duty), 0.0, 1.0)
     # The foot comes down `length` ahead of the other and stays while the body walks on.
-    ahead = np.where(turns[:, 0] < 0.5, -length, length)
+    ahead, zero = np.where(turns[:, 0] < 0.5, -length, length), np.zeros((count, 10))
     place = np.outer(speed * (time + INTERVAL), [np.cos(heading), np.sin(heading)])
-    zero = np.zeros((count, 10))
-    torque = zero + 0.5
-    angles = zero + 0.2 * (time[:, None] + INTERVAL)
     return {
-        "place": place,
-        "heading": np.full(count, heading),
-        "angles": angles,
-        "torque": torque,
-        "gap": np.stack([ahead, np.full(count, 0.07)], axis=1)[:, None],
-        "height": 0.02 * np.sin(np.pi * swing),
-        "load": 8.0 * loaded,
+        "place": place, "heading": np.full(count, heading), "angles": zero + 0.2 * (time[:, None] + INTERVAL),
+        "torque": zero + 0.5, "gap": np.stack([ahead, np.full(count, 0.07)], axis=1)[:, None],
+        "height": 0.02 * np.sin(np.pi * swing), "load": 8.0 * loaded,
         "speed": np.where(loaded, slip, 0.8)[..., None] + np.zeros(4),
-        "touching": loaded[..., None] & np.ones(4, bool),
-        "legs_apart": np.full(count, 0.02),
-        "place_0": np.zeros(2),
-        "heading_0": heading,
-        "angles_0": np.zeros(10),
-    }
+        "touching": loaded[..., None] & np.ones(4, bool), "legs_apart": np.full(count, 0.02),
+        "place_0": np.zeros(2), "heading_0": heading, "angles_0": np.zeros(10),
+    }  # fmt: skip
 
 
 def test_a_walk_whose_figures_are_known():

@@ -1,4 +1,4 @@
-"""The legs as chains, in MJX and in native MuJoCo: the same accelerations and motions in double precision."""
+"""The legs as chains, in MJX and in native MuJoCo: the same accelerations in double precision."""
 
 import jax
 import jax.numpy as jnp
@@ -31,22 +31,6 @@ def test_accelerations():
     chain, mjx, native = (step(QPOS, QVEL, TORQUE) for step in CYCLES)
     for world in (chain, mjx):
         np.testing.assert_allclose((world.qvel - native.qvel) / CHAIN.timestep, 0.0, atol=1e-8)
-
-
-def test_motions_over_half_a_second():
-    """Under a servo, so that rounding does not grow as it does in a free leg."""
-
-    def run(step):
-        start = np.tile(QPOS[:4] / 5, (5, 1))
-        world = step(start, 0 * start, 0 * start)
-        for _ in range(250):
-            world = step(world.qpos, world.qvel, 0.5 * (0.3 - world.qpos) - 0.05 * world.qvel)
-        return world
-
-    *worlds, native = map(run, CYCLES)
-    for world in worlds:
-        assert not world.diverged.any()
-        np.testing.assert_allclose(world.qpos, native.qpos, rtol=0, atol=1e-9)
 
 
 def test_places_of_the_links():

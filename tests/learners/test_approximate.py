@@ -91,7 +91,7 @@ targets = jax.jit(lambda_targets)
 
 
 @given(st.integers(0, 10_000), st.floats(0, 0.99), st.sampled_from([0.0, 0.3, 0.95, 1.0]))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_targets_agree_with_plain_python(seed, discount, decay):
     draw = np.random.default_rng(seed)
     reward, value = draw.normal(size=(2, 7, 5)).astype(np.float32)
@@ -295,7 +295,9 @@ class Uneven(ContinuousTask):
         return 9, 3
 
 
-def test_joints_of_fewer_choices_have_no_more():
+def test_joints_of_fewer_choices_have_no_more_and_share_no_weights():
+    with pytest.raises(InputError, match="shared needs joints that have the same number of choices"):
+        build("shared tiles", Uneven())
     assert build("tiles", probe("choice")[0]).replace(task=Uneven()).allowed.sum(axis=1).tolist() == [9, 3]
 
 
@@ -351,23 +353,11 @@ def test_bad_values_get_a_sentence(name, values, words):
         make_learner(name, task, **values)
 
 
-def test_unequal_joints_share_no_weights():
-    with pytest.raises(InputError, match="shared needs joints that have the same number of choices"):
-        build("shared tiles", Uneven())
-
-
 SWEEP = {
     "name": "deep",
     "task": {"name": "joint_reach", "joint": 5, "states": 13, "max_episode_steps": 40},
-    "learner": {
-        "name": "deep_q",
-        "width": 16,
-        "layers": 1,
-        "envs": 8,
-        "rollout": 8,
-        "evaluation_envs": 4,
-        "evaluations": 5,
-    },
+    "learner": {"name": "deep_q", "width": 16, "layers": 1, "envs": 8, "rollout": 8}
+    | {"evaluation_envs": 4, "evaluations": 5},
     "sweep": {"axes": {"learner.epsilon": [0.2, 1.0], "learner.trace_decay": [0.0, 0.9]}},
     "seeds": 2,
     "total_steps": 8 * 8 * 40,
@@ -378,13 +368,6 @@ SWEEP = {
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory):
     return sweep(SWEEP, tmp_path_factory.mktemp("deep") / "run")
-
-
-def test_a_sweep_of_networks_has_a_row_for_every_point(swept):
-    assert len(swept.summary["point"]) == 8 and len(swept.results["point"]) == 80
-    assert {"td_error", "return", "success", "steps"} <= set(swept.results)
-    assert swept.results["step"][9] == 8 * 8 * 40
-    assert np.isfinite(swept.summary["greedy_return"]).all() and not swept.summary["diverged"].any()
 
 
 def test_the_policy_is_the_mean_of_the_weights_of_late():

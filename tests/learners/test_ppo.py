@@ -51,7 +51,7 @@ class Drift(ContinuousTask):
         return State((place, count), obs, noise, over, cut, over, obs, {"noise": noise})
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(bins=st.lists(st.integers(1, 9), min_size=1, max_size=4), data=st.data())
 def test_a_command_becomes_the_nearest_bin(bins, data):
     command = np.array([data.draw(st.floats(-1.5, 1.5, width=32)) for _ in bins])
@@ -63,17 +63,8 @@ def test_a_command_becomes_the_nearest_bin(bins, data):
         assert distance[int(choice)] <= distance.min() + 1e-6
 
 
-TINY = {
-    "num_envs": 32,
-    "unroll_length": 4,
-    "batch_size": 16,
-    "num_minibatches": 2,
-    "policy_hidden_layer_sizes": [16],
-    "value_hidden_layer_sizes": [16],
-    "learning_rate": 0.01,
-    "discounting": 0.5,
-    "evaluations": 6,
-}
+TINY = {"num_envs": 32, "unroll_length": 4, "batch_size": 16, "num_minibatches": 2, "learning_rate": 0.01}
+TINY |= {"policy_hidden_layer_sizes": [16], "value_hidden_layer_sizes": [16], "discounting": 0.5, "evaluations": 6}
 CONFIG = {
     "name": "ppo",
     "task": {"name": "probes:NamedProbe", "which": "both"},

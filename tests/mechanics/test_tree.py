@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from tree_robots import HOPPER
+from tree_robots import HOPPER, near_upright
 
 from humanoid_mjx.mechanics.tree.reading import read_tree
 from humanoid_mjx.physics import make_physics
@@ -16,9 +16,7 @@ TREE, NATIVE = (make_physics(name, robot={"ranges": "human"}) for name in ("tree
 
 @pytest.fixture(scope="module")
 def worlds():
-    qpos = np.tile(TREE.qpos0, (4, 1))
-    qpos[:, 7:] += np.random.default_rng(0).uniform(0, 0.1, (4, 10))
-    return jax.vmap(lambda qpos: TREE.start(qpos, np.zeros(16)))(qpos)
+    return near_upright(TREE)
 
 
 def test_an_unsettled_world_is_flagged_and_stays(monkeypatch, worlds):
@@ -61,11 +59,7 @@ CYLINDER = 'type="cylinder" size="0.1 0.1" pos'
 @pytest.mark.parametrize(
     ("words", "old", "new"),
     [
-        (
-            "contacts of a capsule and a box, as those of 'trunk-shank'.",
-            'fromto="0 0 0 0 0 -0.2" size="0.015"',
-            BOX,
-        ),
+        ("contacts of a capsule and a box, as those of 'trunk-shank'.", 'fromto="0 0 0 0 0 -0.2" size="0.015"', BOX),
         ("contacts that resist twisting or rolling, as those of 'ground-shank' (2).", 'condim="1"', 'condim="6"'),
         ("elliptic friction cones.", 'impratio="2"', 'cone="elliptic"'),
         ("the implicit integrator.", 'impratio="2"', 'integrator="implicit"'),

@@ -15,10 +15,7 @@ from humanoid_mjx.report.player import player
 from humanoid_mjx.report.web import contents, page, section, table, text
 from humanoid_mjx.robot import make_robot
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium here"),
-]
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium here")]
 
 SIZES = ((360, 740), (1280, 900))
 

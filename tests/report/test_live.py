@@ -141,6 +141,13 @@ class Running:
         self.server.server_close()
 
 
+def rests(read):
+    """True if what is read is the same 0.2 s later."""
+    before = read()
+    time.sleep(0.2)
+    return read() == before
+
+
 @pytest.fixture(scope="module")
 def walking():
     running = Running(Live(find_policy("walk")))
@@ -163,13 +170,7 @@ def test_it_walks_as_the_browser_says(walking):
     assert walking.tell({"told": {"forward, m/s": 0.0}, "episode": 3}) == 204
     walking.until(lambda: live.episodes[0] >= before + 3 and not live.again.is_set())  # one may end meanwhile
     assert walking.tell({"paused": True}) == 204
-
-    def rests():
-        before = live.stage.time
-        time.sleep(0.2)
-        return live.stage.time == before
-
-    walking.until(rests)
+    walking.until(lambda: rests(lambda: live.stage.time))
     before = live.stage.time
     assert walking.tell({"paused": False}) == 204
     walking.until(lambda: live.stage.time > before)
@@ -354,7 +355,7 @@ def test_keys_and_mouse_drive_it(walking):
         walking.until(live.going.is_set)
         key(opened, "keyDown", "p")  # so that nothing moves below the mouse
         walking.until(lambda: not live.going.is_set())
-        time.sleep(0.5)
+        walking.until(lambda: rests(lambda: opened.value("document.querySelector('figure').player.latest.shapes")))
         left, top = opened.value(
             "(() => { const b = document.querySelector('canvas').getBoundingClientRect(); return [b.left, b.top]; })()"
         )

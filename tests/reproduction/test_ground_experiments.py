@@ -7,17 +7,7 @@ import pytest
 
 from humanoid_mjx.control import make_law
 from humanoid_mjx.reproduction import ground_control, ground_gaits, load_experiments, reproduce
-from humanoid_mjx.reproduction.ground import (
-    LASTS_S,
-    PHASES,
-    Path,
-    Trial,
-    _plan,
-    _until_fall,
-    laws_of,
-    margins,
-    physics,
-)
+from humanoid_mjx.reproduction.ground import LASTS_S, PHASES, Path, Trial, _plan, _until_fall, laws_of, margins, physics
 from humanoid_mjx.thesis import leg as thesis
 
 NAMES = ("gaits-4.8", "ground-control")

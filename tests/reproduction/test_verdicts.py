@@ -77,13 +77,7 @@ WRONG = {
     "figure-7.14": (thesis, "AVERAGE_RANDOM_NUMBER", {4: 0.6}, "", ["differs"]),
     "figure-7.16": (thesis, "AVERAGE_RANDOM_NUMBER", {5: 0.7}, "", ["differs"]),
     "finding-singularity": (singularity, "SINGULAR", 0.0, "", ["reproduced"] * 3),
-    "motor-sizing": (
-        motor_sizing,
-        "MOTORS",
-        np.full(5, 10.0),
-        "",
-        ["reproduced", "consistent", *["reproduced"] * 4],
-    ),
+    "motor-sizing": (motor_sizing, "MOTORS", np.full(5, 10.0), "", ["reproduced", "consistent", *["reproduced"] * 4]),
     "figure-7.17": (thesis, "POSTURES", {"0": ((0.0,) * 3, (0.0,) * 3)}, "", ["reproduced"]),
 }
 """By experiment: the module and the name of what is changed, the value put there, whose verdicts, and what they are."""

@@ -246,14 +246,8 @@ def test_models_of_gymnasium_are_taken_as_they_are(model, keys, facts, tmp_path)
 def test_info_shows_a_robot_and_its_keys(tmp_path):
     with console.capture() as shown:
         show_info(files(tmp_path), (), False)
-    for words in (
-        "12 joints",
-        "FR_hip     -49 to 49       0     23.7",
-        "-FL_hip",
-        "4 with the ground",
-        "tree takes it",
-    ):
-        assert " ".join(words.split()) in " ".join(shown.get().split()), words
+    for words in ("12 joints", "FR_hip -49 to 49 0 23.7", "-FL_hip", "4 with the ground", "tree takes it"):
+        assert words in " ".join(shown.get().split()), words
     with console.capture() as shown:
         show_keys("robot")
     for name in Declaration.model_fields:

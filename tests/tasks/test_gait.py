@@ -42,16 +42,8 @@ def test_the_clock_turns_while_the_body_is_to_move():
 def feet_by(gait, phase, command):
     """Positions and rotations of the feet by MuJoCo's forward kinematics, under a torso that does not move."""
     data = mujoco.MjData(make_task("walk").simulator.model)
-    data.qpos[:] = [
-        0,
-        0,
-        0.5,
-        1,
-        0,
-        0,
-        0,
-        *(BODY.posture + np.asarray(gait.reference(Clock(phase), jnp.array(command), BODY))),
-    ]
+    joints = BODY.posture + np.asarray(gait.reference(Clock(phase), jnp.array(command), BODY))
+    data.qpos[:] = np.r_[0, 0, 0.5, 1, 0, 0, 0, joints]
     mujoco.mj_kinematics(data.model, data)
     return [np.array([getattr(data.body(f"{side}_foot"), name) for side in SIDES]) for name in ("xpos", "xmat")]
 

@@ -9,6 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from stepping import arrays, reset
+from stepping import step_continuous as step
 
 from humanoid_mjx import InputError, make_task
 from humanoid_mjx.compute import counting_compiles, rng
@@ -30,13 +32,6 @@ EXACT = {"sensors": NO_ERRORS}
 STAND, ON_THE_SPOT = jnp.zeros(3), jnp.array([1e-6, 0.0, 0.0])
 AHEAD = {"forward": [0.3, 0.3], "sideways": [0.0, 0.0], "turn": [0.0, 0.0], "standing": 0.0, "zero": 0.0}
 walk = partial(make_task, "walk", physics="mujoco")
-
-reset = jax.jit(jax.vmap(lambda task, key: task.reset(key), in_axes=(None, 0)))
-step = jax.jit(jax.vmap(lambda task, *args: task.step_continuous(*args), in_axes=(None, 0, 0, 0)))
-
-
-def arrays(task):
-    return jax.tree.map(jnp.asarray, task)
 
 
 def once(task, offsets=0.0):

@@ -19,25 +19,9 @@ from humanoid_mjx.tasks.check import check_task
 from humanoid_mjx.tasks.continuous import ContinuousTask
 
 DATA = Path(__file__).parents[1] / "data"
-CONFIG = {
-    "name": "hop",
-    "task": {"name": "hop:Hop"},
-    "learner": {
-        "name": "hop:BoldQ",
-        "envs": 16,
-        "rollout": 8,
-        "discount": 0.9,
-        "evaluations": 2,
-        "learning_rate": 0.01,
-    },
-    "sweep": {"axes": {"task.stride": [0.2, 0.3]}},
-    "total_steps": 16_000,
-    "record": 4,
-    "seeds": 1,
-}
-
-
-FEW = {"total_steps": 1024, "record": 1, "sweep": None}
+LEARNER = {"name": "hop:BoldQ", "envs": 16, "rollout": 8, "discount": 0.9, "evaluations": 2, "learning_rate": 0.01}
+CONFIG = {"name": "hop", "task": {"name": "hop:Hop"}, "learner": LEARNER, "total_steps": 1024, "record": 1, "seeds": 1}
+SCRIPT = Path(sys.executable).parent / "humanoid-mjx"
 
 
 def command(folder, *words):
@@ -45,15 +29,12 @@ def command(folder, *words):
     return subprocess.run([SCRIPT, *words], cwd=folder, capture_output=True, text=True)
 
 
-SCRIPT = Path(sys.executable).parent / "humanoid-mjx"
-
-
 @pytest.fixture(scope="module")
 def own(tmp_path_factory):
     """A folder with a user's own module and config, and the run folder and policy that were made there."""
     folder = tmp_path_factory.mktemp("own")
     shutil.copy(DATA / "hop.py", folder / "hop.py")
-    (folder / "my.yaml").write_text(json.dumps(CONFIG | FEW))
+    (folder / "my.yaml").write_text(json.dumps(CONFIG))
     for words in (("sweep", "my.yaml", "--out", "run"), ("export", "run", "hop.npz")):
         done = command(folder, *words)
         assert done.returncode == 0, done.stderr
@@ -114,7 +95,7 @@ def test_a_config_that_one_looks_at_runs_nothing_from_elsewhere(tmp_path, monkey
     monkeypatch.chdir(tmp_path / "here")
     (tmp_path / "there/nasty.py").write_text("open('ran', 'w')")
     task = {"name": "nasty:Task"}
-    (tmp_path / "there/x.yaml").write_text(json.dumps(CONFIG | FEW | {"task": task, "sweep": None}))
+    (tmp_path / "there/x.yaml").write_text(json.dumps(CONFIG | {"task": task}))
     for words in (["info", "../there/x.yaml"], ["info", "../there/x.yaml", "--keys"]):
         with pytest.raises(InputError, match="add --trust"):
             CliRunner().invoke(app, words, catch_exceptions=False)
