@@ -16,6 +16,7 @@ from humanoid_mjx import InputError, sweep
 from humanoid_mjx.compute import processes
 from humanoid_mjx.runs.folder import parts as parts_of
 from humanoid_mjx.runs.folder import read_arrays
+from humanoid_mjx.training.sweep import Run
 
 
 @pytest.fixture(scope="module")
@@ -104,8 +105,6 @@ def test_an_interrupted_sweep_resumes_to_the_same_bits(whole, tmp_path, kill):
     process.send_signal(kill)
     process.communicate(timeout=PATIENCE_S)
     assert process.returncode == (130 if kill == signal.SIGINT else -9)
-    from humanoid_mjx.training.sweep import Run
-
     found = len(Run(run).summary["point"])
     assert 0 < found < 90
     resumed = run_cli("sweep", config, "--out", "run", "--resume", cwd=tmp_path)
@@ -168,8 +167,6 @@ def test_a_job_that_lost_a_process_resumes_to_the_same_bits(whole, tmp_path, los
         assert job[0].returncode == 2 and stderr.splitlines()[-1].startswith("error: process 1 of this job was lost"), (
             stderr
         )
-        from humanoid_mjx.training.sweep import Run
-
         summary = Run(run).summary
         runs = summary["point"] * 15 + summary["seed"]
         assert len(runs) < 90 and set(range(0, 90, 2)) <= set(runs)

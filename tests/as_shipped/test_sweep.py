@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import sys
 from pathlib import Path
 
@@ -14,8 +15,10 @@ from humanoid_mjx import InputError, compute, sweep
 from humanoid_mjx.cli import main
 from humanoid_mjx.runs.folder import RunFolder, read_arrays
 from humanoid_mjx.training import pool
+from humanoid_mjx.training.plan import resolved
 from humanoid_mjx.training.programs import RUNS, _shared_out
 from humanoid_mjx.training.progress import Reporter
+from humanoid_mjx.training.sweep import Run
 
 
 @pytest.fixture(scope="module")
@@ -168,8 +171,6 @@ class TestRefusals:
 
     @pytest.fixture
     def copy(self, reference, tmp_path):
-        import shutil
-
         shutil.copytree(reference.path, tmp_path / "run")
         return tmp_path
 
@@ -178,8 +179,6 @@ class TestRefusals:
         refused(["another config", "episodes"], "sweep", config, "--out", "run", "--resume", cwd=copy)
 
     def test_a_run_folder_in_use(self, refused, copy):
-        from humanoid_mjx.training.sweep import Run, resolved
-
         held = RunFolder.resume(copy / "run", resolved(Run(copy / "run").config))
         config = write_config(copy)
         refused(["run", "in use"], "sweep", config, "--out", "run", "--resume", cwd=copy)

@@ -5,11 +5,10 @@ import numpy as np
 import pytest
 import yaml
 
-from humanoid_mjx import InputError, make_learner, make_task, sweep
+from humanoid_mjx import InputError, make_task, sweep
 from humanoid_mjx.compute import rng
 from humanoid_mjx.config import config_digest, dump_yaml, load, parse
 from humanoid_mjx.files import names
-from humanoid_mjx.tasks.continuous import Tabulated
 from humanoid_mjx.training.plan import make_plan, resolved
 
 BASE = """
@@ -247,10 +246,6 @@ def test_a_joint_that_is_swept_takes_its_own_start_and_goal():
         assert [(x.task.start, x.task.goal) for x in learners] == [(-15, 100), (0, 120), (-20, 40)]
 
 
-def test_factories_refuse_by_name():
-    with pytest.raises(InputError, match="known are joint_reach"):
-        make_task("walk_the_dog")
+def test_a_map_without_a_way_is_refused():
     with pytest.raises(InputError, match=r"task: map has no way from S to G"):
         make_task("navigate", map=["S#G"])
-    with pytest.raises(InputError, match=r"learner.name: tabular_q learns a FiniteTask"):
-        make_learner("tabular_q", Tabulated(finite=make_task("navigate")))

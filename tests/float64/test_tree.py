@@ -1,4 +1,4 @@
-"""The tree against native MuJoCo with a converged solver, in double precision; and the laws of mechanics."""
+"""The tree against native MuJoCo with a converged solver, in double precision."""
 
 from functools import cache
 
@@ -71,17 +71,13 @@ def test_limbs_of_one_build_are_lanes():
     assert lanes == {"free": 2, "fixed": 2, "hopper": 1, "quadruped": 3}
 
 
-@pytest.fixture(scope="module")
-def physics():
-    return make_physics("tree", robot={"ranges": "human"})
-
-
 def start(physics, qpos, qvel):
     return jax.vmap(lambda q, v: physics.start(q, v))(jnp.asarray(qpos), jnp.asarray(qvel))
 
 
-def test_sensors_and_forces_are_mujocos(physics):
+def test_sensors_and_forces_are_mujocos():
     """Readings, forces of each contact, and velocities of bodies."""
+    physics = make_physics("tree", robot={"ranges": "human"})
     model = converged(sensing_spec(physics.robot, None).compile())
     qpos, qvel, ctrl = states(model, 300, seed=3)
     ctrl = np.clip(ctrl, -2.0, 2.0)
@@ -108,17 +104,6 @@ def test_sensors_and_forces_are_mujocos(physics):
             mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, body, rate, 0)
             np.testing.assert_allclose(velocities.angular[i, body], rate[:3], atol=1e-10)
             np.testing.assert_allclose(velocities.linear[i, body], rate[3:], atol=1e-10)
-
-
-def mechanical(model, world):
-    """Energy, J, and momentum, kg m/s, by world."""
-    model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
-    data, found = mujoco.MjData(model), []
-    for data.qpos, data.qvel in zip(np.asarray(world.qpos), np.asarray(world.qvel), strict=True):
-        mujoco.mj_forward(model, data)
-        mujoco.mj_subtreeVel(model, data)
-        found.append((data.energy.sum(), *(data.subtree_linvel[1] * model.body_subtreemass[1])))
-    return np.array(found)
 
 
 class Smaller(TreePhysics):
@@ -168,38 +153,3 @@ def test_a_batch_of_batches_is_one_batch():
     for batch, one in zip(jax.tree.leaves(nested), jax.tree.leaves(flat), strict=True):
         # Rounding, and what stiff contacts make of it.
         np.testing.assert_allclose(batch.reshape(one.shape), one, rtol=1e-9, atol=1e-9)
-
-
-@pytest.fixture(scope="module")
-def moved(physics):
-    """50 steps under torques of so much, waves of the angles."""
-    return jax.jit(
-        jax.vmap(lambda w, size: physics.run(w, lambda s: size * jnp.sin(30.0 * s.qpos), 50), in_axes=(0, None))
-    )
-
-
-def test_momentum_in_flight(physics, moved):
-    """Gravity adds to the vertical momentum what it must, and nothing to the rest, whatever the joints do."""
-    model = ROBOTS["free"]()
-    rng = np.random.default_rng(4)
-    qpos = np.tile(physics.qpos0, (16, 1))
-    qpos[:, 2] += 5.0
-    qpos[:, 7:] = np.tile(rng.uniform(0.1, 0.3, (16, 5)), 2)
-    before = start(physics, qpos, rng.normal(size=(16, 16)))
-    gained = (mechanical(model, moved(before, 0.1)) - mechanical(model, before))[:, 1:]
-    fallen = -model.body_subtreemass[1] * 9.81 * 50 * physics.step_s
-    # 0.1% of the weight's impulse: the integrator is of first order.
-    np.testing.assert_allclose(gained, np.tile([0.0, 0.0, fallen], (16, 1)), atol=3e-3)
-
-
-def test_energy_does_not_grow_without_actuation(physics, moved):
-    """1 s in which bodies fall over and lie, once what they start with in limits and in the ground has come out."""
-    model = ROBOTS["free"]()
-    qpos, qvel, _ = states(model, 16, seed=5)
-    world = start(physics, qpos, 0.3 * qvel)
-    energies = [mechanical(model, world)[:, 0]]
-    for _ in range(5):
-        world = moved(world, 0.0)
-        energies.append(mechanical(model, world)[:, 0])
-    assert not world.diverged.any()
-    assert (np.diff(energies[1:], axis=0) < 0.0).all()

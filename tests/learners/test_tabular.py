@@ -94,29 +94,6 @@ def test_standard_rules_converge_to_the_optimal_q(joint, values):
     assert error < 2e-3 * np.abs(optimal).max()
 
 
-def test_random_processes_converge_to_the_optimal_q():
-    for seed in range(5):
-        task = random_task(seed, 8, 3, 8, max_episode_steps=30)
-        task = task.replace(rows=jnp.arange(8))
-        learner = make_learner("tabular_q", task, episodes=3000, epsilon=1.0, learning_rate=1.0, discount=0.8)
-        carry = train_to_end(learner, 4).carry
-        optimal = value_iteration(task, 0.8)
-        reachable = reachable_states(task)
-        # Values of at most 5 in float32, and 3,000 episodes for at most 24 pairs of state and action.
-        np.testing.assert_allclose(carry.q_table[:, reachable], optimal[None, reachable].repeat(4, 0), atol=1e-4)
-
-
-def reachable_states(task):
-    """States that an episode can leave: reachable from state 0 and not terminal."""
-    found, queue = {0}, [0]
-    while queue:
-        for following in np.asarray(task.next_state)[queue.pop()].tolist():
-            if following not in found and not bool(task.terminal[following]):
-                found.add(following)
-                queue.append(following)
-    return sorted(found)
-
-
 @pytest.mark.parametrize("agents", [1, 64])
 def test_navigate_finds_paths_as_short_as_breadth_first_search(agents):
     task = make_task("navigate", max_episode_steps=300)
