@@ -9,6 +9,7 @@ import math
 from collections.abc import Sequence
 from typing import Any, Literal
 
+import jax
 import mujoco
 import numpy as np
 from jax.core import Tracer
@@ -110,7 +111,9 @@ class Legs(Robot):
         return SIDES[: len(self.feet)]
 
     def spec(self, timestep: float | None = None) -> mujoco.MjSpec:
-        leg, spec = Leg.physical(), mujoco.MjSpec()
+        with jax.ensure_compile_time_eval():  # a task may make its robot within jit
+            leg = Leg.physical()
+        spec = mujoco.MjSpec()
         spec.compiler.degree = False
         spec.option.timestep = TIMESTEP if timestep is None else timestep
         spec.option.gravity = (0.0, 0.0, -GRAVITY)
