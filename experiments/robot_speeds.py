@@ -28,7 +28,7 @@ import warnings
 from concurrent.futures import Future, ProcessPoolExecutor, wait
 from copy import copy
 from importlib.util import find_spec
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import Any
 
@@ -390,7 +390,9 @@ def main() -> None:
         record = made_by | {"steps": STEPS, "repeats": REPEATS, "robots": before | rows}
         out.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
     sys.stdout.flush()
-    os._exit(0)  # processes that still compile would be waited for
+    for process in active_children():  # those that still compile would be waited for
+        process.kill()
+    os._exit(0)
 
 
 if __name__ == "__main__":
