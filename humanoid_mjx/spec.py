@@ -319,7 +319,7 @@ def known(name: str, names: Iterable[str]) -> str:
 
 
 SENTENCES = {
-    "dict_type": "must be a mapping of keys",
+    "dict_type": "must be a mapping of keys, such as {{name: ...}}",
     "finite_number": "must be a finite number",
     "greater_than": "must be greater than {gt}",
     "greater_than_equal": "must be at least {ge}",
@@ -363,8 +363,6 @@ def sentence(error: pydantic.ValidationError, where: str, model: type[pydantic.B
         case "too_short":
             least = fault["ctx"]["min_length"]
             return f"{key} must hold at least {least} {'entry' if least == 1 else 'entries'}{got}."
-        case "dict_type":
-            return f"{key} must be a mapping of keys, such as {{name: ...}}{got}."
         case "int_type" if isinstance(fault["input"], float) and fault["input"].is_integer():
             return f"{key} must be an integer; write {int(fault['input'])}{got}."
         case "int_type" | "float_type" if isinstance(fault["input"], (list, dict)):
