@@ -290,7 +290,7 @@ class LiveMujoco(Native):
         if not stage.playing:
             return super()._advance(sensed, values, *state)
         for body, row in zip(stage.bodies, values, strict=True):
-            self._team._tune(body.model, row)  # pyright: ignore[reportPrivateUsage]
+            self._team.tune(body.model, row)
         *moved, read = stage.advance(*state)
         return *moved, read[:, : read.shape[1] * sensed]
 

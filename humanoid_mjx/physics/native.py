@@ -193,6 +193,12 @@ class _Team:
         terrain = self.terrain_of(numbers)
         model = self._shaped(terrain) if terrain and terrain.stairs is not None else copy(base)
         model.opt.disableflags |= OFF[sensed]
+        self.tune(model, numbers)
+        return model
+
+    def tune(self, model: mujoco.MjModel, numbers: np.ndarray) -> None:
+        """Put these values into a model."""
+        base, terrain = self.base, self.terrain_of(numbers)
         factors, (friction, damping, torque_limit) = numbers[: base.nbody], numbers[base.nbody : base.nbody + 3]
         mass = factors * base.body_mass
         model.body_mass[:] = mass
@@ -205,7 +211,6 @@ class _Team:
         model.actuator_forcerange[:] = torque_limit * base.actuator_forcerange
         if terrain:
             model.opt.gravity[:] = np.linalg.norm(base.opt.gravity) * -terrain.up(np)
-        return model
 
     def terrain_of(self, values: Float[np.ndarray, " values"]) -> Any:
         """The terrain among the values of a model."""
