@@ -137,10 +137,13 @@ def draw(record: Record, target: Path) -> None:
             [(f"{push:g} N s", What("success", ["forward 0.3"], push)) for push in record.pushes[1:]],
         ),
         (
-            "upright for 20 s, straight\nahead, not pushed",
-            [(f"command {command[8:]} m/s", What("success", [command])) for command in AHEAD[::3]],
+            "upright for 20 s, not\npushed, by command",
+            [(f"{command[8:]} m/s", What("success", [command])) for command in AHEAD[::3]],
         ),
-        ("forward, m/s", [(f"command {command[8:]} m/s", What("forward", [command])) for command in AHEAD[1:]]),
+        (
+            "forward speed, m/s,\nby command",
+            [(f"{command[8:]} m/s", What("forward", [command])) for command in AHEAD[1:]],
+        ),
     )
     places = np.arange(len(record.bodies))[::-1]
     with figure(target, 1, len(panels), size=(2.5, 3.0), sharey=True) as (_, axes):
