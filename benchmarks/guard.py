@@ -49,7 +49,7 @@ UPDATES = 30
 """Updates before a training is timed: half a minute of each body, most of which has fallen more than once."""
 
 TRIES = 3
-"""How often a ratio that fell is timed before that is said."""
+"""Number of timings of a fallen ratio before it is reported."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Pair:
     subject: Callable[[], Any]
     reference: Callable[[], Any]
     work: float = 1.0
-    """What a call of the subject does, in calls of the reference."""
+    """Work of a call of the subject, in calls of the reference."""
     repeats: int = 7
     clock: Callable[[], float] = time.perf_counter
     """In seconds. That of the processor for what computes in this process for long, on one thread or a few."""
@@ -182,7 +182,7 @@ class Stand:
         self.lowered = _lowered(partial(step.trace, *given))
 
     def traced(self) -> Any:
-        """What `trace` made last."""
+        """Last result of `trace`."""
         if self.lowered is None:
             self.trace()
         return self.lowered

@@ -109,7 +109,7 @@ def findings(record: Record) -> list[Finding]:
 def _judged(
     quantity: str, claim: str, one: np.ndarray, other: np.ndarray, better: int = 1, allowed: float = 0.0
 ) -> Finding:
-    """Whether one is better than the other, or worse by no more than what is allowed, in all of the interval."""
+    """True if one is better than the other, or worse by no more than allowed, over the whole interval."""
     found, why, (gain, half) = _against(one, other)
     limit = f"; {allowed:g} less would be no deviation" if allowed else ""
     return check(quantity, claim, found, better * gain - half > -allowed, why + limit)

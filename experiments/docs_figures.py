@@ -58,7 +58,7 @@ LABELS = {
     "front": ((-0.090, 0.215), (-0.068, 0.172), (-0.068, 0.243), (-0.068, 0.120), (-0.068, 0.025)),
     "side": ((0.028, 0.215), (-0.028, 0.172), (-0.050, 0.215), (-0.028, 0.120), (-0.028, 0.025)),
 }
-"""Where the names of the joints stand in the large views, m."""
+"""Positions of the names of the joints in the large views, m."""
 
 
 def conventions(path: Path) -> None:
@@ -273,7 +273,7 @@ def _surface(model: Any, data: Any, geom: int, view: np.ndarray) -> np.ndarray:
 
 
 MOMENTS_S = (0.0, 1.24, 3.24, 5.24, 7.24, 9.24)
-"""What `stand` shows: the beginning, and each push while its arrow is drawn."""
+"""Frames of `stand`: the beginning, and each push while its arrow is drawn."""
 
 
 def stand(path: Path) -> None:

@@ -15,7 +15,7 @@ VALUES: tuple[Any, ...] = (
     *(None, True, 0, -1, 1, 2**31, 2**63, 10**400, 0.5, -1e308, 1e-320, float("inf"), float("nan"), "", "x", "[/b]"),
     *("\x00\x1b[31m\n", "a" * 5000, "os:path", ":", "..", "/", [], [[]], [1, 2, 3], {}, {"name": "servo"}, {"": {}}),
 )
-"""What a value of a config is changed into."""
+"""Replacements for a value of a config."""
 
 
 def places_in(data: Any) -> Iterable[tuple[Any, Any]]:
@@ -44,7 +44,7 @@ def mutated(data: Any, draw: random.Random) -> Any:
 
 
 def _info(text: str) -> Try:
-    """What `info` says of a config of this text."""
+    """Output of `info` for a config of this text."""
     path = Path.cwd() / "config.yaml"
     path.write_text(text, encoding="utf-8", errors="replace")
     done = command("info", path)

@@ -81,7 +81,7 @@ def _sweep_at_fault(case: tuple[str, int]) -> Try:
 
 
 def _operations(folder: Path) -> int:
-    """How many file operations a sweep has."""
+    """Number of file operations of a sweep."""
     _watch()
     trap = Trap(folder / "run", NEVER, print)
     command("sweep", write_config(folder, TINY), "--out", folder / "run")

@@ -60,7 +60,7 @@ CONFIG = CONFIGS["tabular_q"]
 
 
 def _look(run: Path) -> dict[str, Any]:
-    """What the commands say of a run folder, without what depends on the time and on the place."""
+    """Output of the commands about a run folder, without times and paths."""
     page, policy, picture = run.parent / "page.html", run.parent / "policy.npz", run.parent / "plot.png"
     calls = {
         "runs": ("runs", run),
@@ -86,7 +86,7 @@ def _look(run: Path) -> dict[str, Any]:
 
 
 BEFORE: dict[Path, dict[str, Any]] = {}
-"""What is said of run folders before anything is damaged."""
+"""Output of the commands about undamaged run folders."""
 
 
 def _resume(run: Path) -> Done:
@@ -167,7 +167,7 @@ def damaged_runs(matrix: Matrix, folder: Path, tries: int, seed: int) -> None:
 
 
 def _evaluate(case: tuple[str, bytes]) -> tuple[str, str]:
-    """What `evaluate` says of a policy file of these bytes."""
+    """Output of `evaluate` for a policy file of these bytes."""
     name, data = case
     path = Path.cwd() / "policy.npz"
     path.write_bytes(data)

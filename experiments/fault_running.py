@@ -54,7 +54,7 @@ def killed(config: dict[str, Any], run: Path, after_s: float | None) -> tuple[bo
 
 
 def _left(run: Path) -> str:
-    """What a kill found."""
+    """Outcome of a kill."""
     if not (run / "config.yaml").exists():
         return "before the config was there"
     stored = "under way" if any((run / "checkpoint").glob("pool-*.npz")) else "nothing under way stored"

@@ -1,4 +1,4 @@
-"""What all faults are tried with: small trainings, commands in this process, batches in processes of their own."""
+"""Tools of all faults: small trainings, commands in this process, batches in processes of their own."""
 
 import contextlib
 import hashlib
@@ -82,7 +82,7 @@ Try = tuple[str, str]
 
 
 class Done(NamedTuple):
-    """How a command ended."""
+    """Outcome of a command."""
 
     how: str
     """`worked`, `one sentence`, `usage`, or `traceback`, which is a fault of the program."""
@@ -99,7 +99,7 @@ class Fault(NamedTuple):
     outcomes: dict[str, int]
     seconds: float
     wrong: list[str]
-    """What should not have happened, in words."""
+    """Unexpected events, in words."""
 
 
 def command(*arguments: object) -> Done:

@@ -39,7 +39,7 @@ def policy_for(task: str) -> Trained:
 
 
 def on_each_physics(trained: Trained, episodes: int) -> list[dict[str, Any]]:
-    """What the policy, the zero and the random agent reach on each physics, that of the training first."""
+    """Results of the policy, the zero and the random agent on each physics, that of the training first."""
     own, offered = trained.config.task["physics"], OFFERED[trained.config.task["name"]]
     found = []
     for physics in (own, *(name for name in offered if name != own)):

@@ -145,7 +145,7 @@ def difference(model: mujoco.MjModel, count: int = 32) -> dict[str, Any]:
 
 
 def rows(names: list[str]) -> Iterator[dict[str, Any]]:
-    """What is found of each model."""
+    """Findings for each model."""
     for name in names:
         file = file_of(name)
         if file is None:

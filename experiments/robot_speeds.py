@@ -243,7 +243,7 @@ def make_mjx(name: str, folder: str, worlds: int, implementation: str) -> tuple[
 
 
 _made: dict[str, Any] = {}
-"""What this process has made."""
+"""Subjects that this process has made."""
 
 
 def prepare(subject: str, name: str, folder: str, worlds: int) -> dict[str, Any]:
@@ -354,7 +354,7 @@ def measure(names: list[str], folder: str, worlds: int, native_worlds: int, with
 
 
 def _compiled(future: "Future[dict[str, Any]] | None", within: float) -> dict[str, Any]:
-    """What a subject took to compile, or why there is none; without a future it was late."""
+    """Compile time of a subject, or the reason why there is none; without a future it was late."""
     if future is None:
         return {"failed": f"not compiled within {within:.0f} s"}
     error = future.exception()

@@ -328,7 +328,7 @@ SENTENCES = {
     "list_type": "must be a list",
     "literal_error": "must be one of {expected}",
 }
-"""What would be right, by pydantic's kinds of faults."""
+"""Description of an allowed value, by pydantic's kind of fault."""
 
 
 def sentence(error: pydantic.ValidationError, where: str, model: type[pydantic.BaseModel] | None = None) -> str:

@@ -44,7 +44,7 @@ KEEPS_S = 20.0
 
 
 class Start(NamedTuple):
-    """What a start took."""
+    """Durations of a start."""
 
     phases: dict[str, float]
     """Seconds of each phase."""

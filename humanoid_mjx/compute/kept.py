@@ -1,4 +1,4 @@
-"""What one process traced and compiled, kept on disk beside jax's own programs, so that the next need not trace.
+"""Exported programs, kept on disk beside jax's compiled ones, so that the next process need not trace.
 
 jax keeps compiled programs, but finds them only by what it has traced: seconds of Python for a robot. Here a caller
 says what a program follows from. Everything else that could change it is in one digest, so that a file of another
@@ -26,7 +26,7 @@ from humanoid_mjx.files import folder, whole_file
 from humanoid_mjx.spec import Spec, kinds
 
 SETTINGS = ("JAX_", "XLA_", "PJRT_", "TF_", "NVIDIA_", "CUDA_")
-"""How the names of variables of the environment begin that programs may depend on."""
+"""Prefixes of the environment variables that programs may depend on."""
 
 DIGEST = hashlib.sha256().digest_size
 

@@ -37,7 +37,7 @@ MEAN_S = 0.3
 """Over which measured speeds are averaged, s: a walking body sways."""
 
 TILTING = 10.0
-"""How fast the ground tilts, degrees/s."""
+"""Speed at which the ground tilts, degrees/s."""
 
 SHOVE_S = 0.1
 """Length of a push by a key, s."""
@@ -91,7 +91,7 @@ class Body:
         self._shove, self._until = np.zeros(3), -np.inf
         mujoco.mj_forward(self.model, self.data)
         self.heading, self._begins = self.ahead, False
-        """Where the torso looked when the episode began: forward in the picture."""
+        """Heading of the torso when the episode began: forward in the picture."""
 
     def advance(
         self,
@@ -229,7 +229,7 @@ class Body:
 
 
 class Stage:
-    """The robots that are seen together, a person's hands on them, and the clock."""
+    """Robots that are seen together, the forces of the user on them, and the clock."""
 
     def __init__(self, base: mujoco.MjModel):
         self.bodies = [Body(base)]
@@ -282,7 +282,7 @@ class LiveMujoco(Native):
 
     @property
     def stage(self) -> Stage:
-        """Where this robot moves; there is one of each robot."""
+        """Stage of the robots on this physics; cached by the model."""
         return _stage(self._team.base)
 
     def _advance(self, sensed: bool, values: Any, *state: Any) -> tuple[np.ndarray, ...]:
@@ -340,7 +340,7 @@ class Live:
 
     @property
     def words(self) -> str:
-        """What is to be said of the robots now, if anything."""
+        """Message about the robots for the page, empty if there is none."""
         if not self.ready:
             return "compiling"
         resting = [f"{i + 1}" for i, body in enumerate(self.stage.bodies) if body.ended is not None]

@@ -74,7 +74,7 @@ class Terrain(Spec):
 
     @property
     def bounds(self) -> tuple[Float[np.ndarray, "2"], float]:
-        """How much the mean of `level` rises for a metre to x and to y, and its largest distance from that, m."""
+        """Slope of the mean of `level` along x and y, and the largest distance from that plane, m."""
         step, slope = self.stairs or 0.0, np.radians(self.slope)
         rise = np.tan(slope + np.arctan(step / self.width))
         return rise * np.array(self._rising(np)), (step + (self.rough or 0.0)) / np.cos(slope)

@@ -119,7 +119,7 @@ class Window:
         self.scene = make_scene(self.model, self.model.qpos0[None])
         bodies = self.live.stage.bodies
         self.sides = BESIDE * self.model.stat.extent * (np.arange(len(bodies)) - (len(bodies) - 1) / 2)
-        """How far to the left each robot is drawn, m."""
+        """Offset to the left at which each robot is drawn, m."""
         self.scales = _scales(live)
         self.frame, self.number, self.changed = self._frame(), 0, threading.Condition()
         live.stage.shown = lambda: self._show(self._frame())

@@ -99,7 +99,7 @@ class Painter:
         return color, (4 * geom + 2 * below + lit).astype(np.int32)
 
     def _meets(self, eye: Vector, rays: Rays) -> Depths:
-        """How many times its own length each ray goes until it meets the ground; -1 where it does not.
+        """Distance to the ground along each ray, in units of the ray's length; -1 where the ray misses it.
 
         A shaped ground lies between two planes: of `MARCH` places between them the first below it is refined.
         """

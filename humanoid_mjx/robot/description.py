@@ -158,13 +158,13 @@ class Robot(Named):
 
     @property
     def kinds(self) -> Int[np.ndarray, " joints"]:
-        """Which kind each joint is of: a joint and its mirror image are of one."""
+        """Kind of each joint, as an index: a joint and its mirror image share one."""
         order = self.joint_images[0]
         return np.unique(np.minimum(order, np.arange(len(order))), return_inverse=True)[1]
 
     @property
     def momentum(self) -> float:
-        """That of the robot at its `pace`, N s: the unit of pushes."""
+        """Momentum of the robot at its `pace`, N s: the unit of pushes."""
         return self.mass * self.pace
 
     def force(self, share: float) -> float:

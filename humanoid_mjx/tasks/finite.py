@@ -18,7 +18,7 @@ class Rules(NamedTuple):
     bootstrap_at_end: bool = False
     """True if the value of a terminal state's row enters the target."""
     ties: Literal["random", "first"] = "random"
-    """Which of several equally good actions the greedy choice takes."""
+    """Rule by which the greedy choice breaks ties."""
     episode: Literal["restart", "step"] = "restart"
     """Meaning of an episode: a trajectory, after which the next starts anew; or one step of the only trajectory,
     which stops at the end state and whose last step is greedy."""

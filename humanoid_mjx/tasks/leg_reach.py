@@ -175,7 +175,7 @@ class LegReach(ContinuousTask):
         return {name: jnp.asarray(term, jnp.float32) for name, term in zip(TERMS, terms, strict=True)}
 
     def settled(self, body: Body) -> Bool[Array, " joints"]:
-        """Which joints are at their goals and at rest."""
+        """Mask of the joints that are at their goals and at rest."""
         near = jnp.abs(body.goal - body.world.qpos) <= jnp.radians(self.tolerance)
         return near & (jnp.abs(body.world.qvel) <= REST)
 

@@ -96,7 +96,7 @@ class Curves:
         """The sweep is over."""
 
     def _chosen(self, runs: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
-        """Which of some runs are of the points: their rows, and the index in `points` and the seed of each."""
+        """Rows of the runs that belong to the points, with the index in `points` and the seed of each."""
         points, seeds = np.divmod(runs, self.seeds)
         rows = np.flatnonzero(np.isin(points, self.points) & (runs >= 0))
         return rows, (np.searchsorted(self.points, points[rows]), seeds[rows])

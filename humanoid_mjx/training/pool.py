@@ -88,7 +88,7 @@ class Pool:
 
     @property
     def busy(self) -> np.ndarray:
-        """Which slots hold a run."""
+        """Mask of the slots that hold a run."""
         return self.slots != IDLE
 
     def prepare(self) -> None:

@@ -37,7 +37,7 @@ class Programs(NamedTuple):
     everywhere: NamedSharding | SingleDeviceSharding
     """Sharding of arrays that every device has whole."""
     options: str
-    """What the programs follow from beside their arguments."""
+    """Key of the programs: everything that they depend on beside their arguments."""
     compiled: "dict[Any, Future[Callable[..., Any]]]"
     """Compiled programs, also those under way, by name and kind of arguments: a second sweep in a process does not
     trace them."""

@@ -204,7 +204,7 @@ REDUCTIONS: dict[str, tuple[Callable[[Any, Any], Any], Any]] = {
     "reduce_or": (lax.bitwise_or, False),
     "reduce_sum": (lax.add, 0),
 }
-"""How two elements are reduced, and what is left where there is none."""
+"""Reductions by primitive: the operation on two elements, and its identity."""
 
 
 def _while(eqn: Any, *args: np.ndarray) -> list[np.ndarray]:

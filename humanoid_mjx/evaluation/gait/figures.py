@@ -14,7 +14,7 @@ SLOW = 0.035
 """Mean speed, as a share of the robot's pace, below which there is no cost of transport."""
 
 IN_TIME = 1.5
-"""When the heading must be near the goal of a sudden turn for good, s, for it to succeed."""
+"""Time limit of a sudden turn, s: it succeeds if the heading stays near its goal from then on."""
 
 
 class Figure(NamedTuple):

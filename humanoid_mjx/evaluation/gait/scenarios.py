@@ -46,7 +46,7 @@ class Scenario(NamedTuple):
     command: tuple[float, float, float]
     """Velocity forward and to the left, m/s, and turn rate to the left, rad/s."""
     turn_at: float = np.inf
-    """When a sudden turn is commanded, s."""
+    """Time at which a sudden turn is commanded, s."""
     turn_by: float = 0.0
     """The change of heading that a sudden turn is to make, rad, to the left."""
 

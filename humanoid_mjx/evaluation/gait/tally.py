@@ -58,7 +58,7 @@ class Tally(NamedTuple):
     """All of them."""
     peak_torque: FloatScalar
     late: FloatScalar
-    """When the heading was last off the goal of a sudden turn, s since it was commanded."""
+    """Last time at which the heading was off the goal of a sudden turn, s since the command."""
     since: FloatScalar
     """The last of `Asked.since`."""
     air: Int[Array, " feet"]

@@ -1,4 +1,4 @@
-"""What the tree needs of `mechanics.scalars` beyond a chain: pytrees of scalars, 3x3 matrices, spatial vectors."""
+"""Additions to `mechanics.scalars` for trees: pytrees of scalars, 3x3 matrices, spatial vectors."""
 
 import functools
 import operator
@@ -104,7 +104,7 @@ def stacked(scalars: Sequence[Scalar], shape: tuple[int, ...]) -> Any:
 
 
 def lane(scalar: Scalar, index: int) -> Scalar:
-    """What a scalar of a laned body is in one lane."""
+    """Value of a laned body's scalar in one lane."""
     return scalar if jnp.ndim(scalar.value) < 2 else Scalar(scalar.value[..., index, :])
 
 

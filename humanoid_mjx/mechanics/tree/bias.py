@@ -1,4 +1,4 @@
-"""What a tree's motion asks of its degrees of freedom: velocity terms and gravity, by Newton and Euler's recursion."""
+"""Bias forces of a tree, velocity terms and gravity, by Newton and Euler's recursion."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -12,7 +12,7 @@ from humanoid_mjx.mechanics.tree.structure import Tree
 
 
 class Drift(NamedTuple):
-    """How a body accelerates where no degree of freedom does."""
+    """Acceleration of a body while no degree of freedom accelerates."""
 
     angular: Vector
     """Its angular velocity, rad/s."""
@@ -64,7 +64,7 @@ def bias_forces(
     drifts: Sequence[Drift],
     gravity: Vector,
 ) -> list[Scalar]:
-    """What the degrees of freedom must give so that none of them accelerates, N and N m."""
+    """Forces of the degrees of freedom with which none of them accelerates, N and N m."""
     wrenches = [NOWHERE] + [_wrench(mass, drift, gravity) for mass, drift in zip(masses[1:], drifts[1:], strict=True)]
     forces = [ZERO] * tree.nv
     for index in reversed(range(1, len(tree.bodies))):
@@ -80,7 +80,7 @@ def bias_forces(
 
 
 def _wrench(mass: Mass, drift: Drift, gravity: Vector) -> Spatial:
-    """What a body's inertia and weight ask for, about the origin."""
+    """Force that a body's inertia and weight require, about the origin."""
     force = scale(mass.mass, subtract(drift.at(mass.arm), gravity))
     # About principal axes u: I a + w x I w = base a + sum more (u (u.a) + (u.w) (w x u)).
     moment = scale(mass.base, drift.rate)

@@ -41,7 +41,7 @@ class Placed(NamedTuple):
 
 
 class Slack(NamedTuple):
-    """What counts as rounding."""
+    """Threshold of rounding."""
 
     separation: float
     """Of a distance, by the boxes' size."""
@@ -67,9 +67,9 @@ class _Best(NamedTuple):
     edges: tuple[Any, Any]
     """Whose cross product is the best: of the first and of the second box."""
     edge: Triple
-    """That cross product, in the first box's axes."""
+    """Cross product of the edges, in the first box's axes."""
     apart: Any
-    """Whether some axis separates the boxes."""
+    """True if some axis separates the boxes."""
 
 
 def between_boxes(pairs: Pairs, kinematics: Kinematics) -> tuple[Vector, Vector, Scalar]:

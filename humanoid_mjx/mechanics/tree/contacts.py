@@ -1,4 +1,4 @@
-"""Where a tree touches the ground and itself: places, directions, and how stiffly each contact answers.
+"""Contacts of a tree with the ground and with itself: places, directions and stiffness.
 
 See "Computation" in MuJoCo's documentation. A contact's frame is its normal and two tangents; its pyramid of friction
 has a facet along the normal plus and minus each tangent, weighted by the coefficient of friction.
@@ -55,7 +55,7 @@ class Touch(NamedTuple):
     distance: Scalar
     """Between the surfaces, m; negative where they overlap."""
     close: Any
-    """Whether it counts: the distance is within the margin."""
+    """True if it counts: the distance is within the margin."""
     weight: Scalar
     """1 / R of each facet: the force for a unit of acceleration that is missing, kg."""
     offset: Vector
@@ -74,7 +74,7 @@ class Touch(NamedTuple):
         return [sum_ for slip in slips for sum_ in (v.x + slip, v.x - slip)]
 
     def active(self, v: Vector) -> list[Any]:
-        """Which facets push, by the residual in the contact's frame."""
+        """Mask of the facets that push, by the residual in the contact's frame."""
         return [self.close & (facet.value < 0.0) for facet in self.facets(v)]
 
     def force(self, v: Vector) -> Vector:
@@ -130,7 +130,7 @@ class Slip(NamedTuple):
         return rate + self.offset
 
     def active(self, residual: Scalar) -> tuple[Any, Any]:
-        """Where the friction is at its largest against a positive residual, and where against a negative one."""
+        """Masks of friction at its largest: against a positive residual, and against a negative one."""
         force = (self.weight * residual).value
         return force >= self.most.value, force <= -self.most.value
 
@@ -257,7 +257,7 @@ def _touch(
 
 
 def _soft(softness: Softness, distance: Scalar, margin: Scalar, inverse: Scalar) -> tuple[Any, Scalar, Scalar]:
-    """Whether a constraint counts, its weight 1 / R, and the part of its reference acceleration that is position's."""
+    """Activity of a constraint, its weight 1 / R, and the part of its reference acceleration due to position."""
     violation = distance - margin
     close = violation.value < 0.0
     impedance = _impedance(softness, violation)

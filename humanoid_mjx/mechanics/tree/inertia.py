@@ -100,7 +100,7 @@ class Factors(NamedTuple):
     inverse: list[Scalar]
     """1 / D"""
     stem: int
-    """How many degrees of freedom there are before those of lanes, which are the last."""
+    """Number of degrees of freedom before those of lanes, which are the last."""
     lanes: int
 
     def solve(self, right: Sequence[Scalar]) -> list[Scalar]:

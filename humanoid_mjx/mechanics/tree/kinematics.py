@@ -1,4 +1,4 @@
-"""Where the bodies of a tree are and how its degrees of freedom move them.
+"""Kinematics of a tree: poses of its bodies, and their velocities by degree of freedom.
 
 Vectors have the axes of the world and start at one origin: that of the free body, or of the world where there is none.
 Angular velocities of the free body are the world's in here, its own frame's in `qvel`.
@@ -31,7 +31,7 @@ from humanoid_mjx.mechanics.tree.structure import Joint, Table, Tree, Triple
 
 
 class Pose(NamedTuple):
-    """Where a body is: its origin, m, and its axes."""
+    """Pose of a body: its origin, m, and its axes."""
 
     position: Vector
     axes: Rotation
@@ -46,7 +46,7 @@ class Kinematics(NamedTuple):
     anchors: dict[int, Vector]
     """A point on the axis of each hinge, and the moved origin of a slide's body, by degree of freedom."""
     motions: tuple[Spatial, ...]
-    """What a unit velocity of each degree of freedom does to the bodies that it moves."""
+    """Velocities that a unit of each degree of freedom gives to the bodies that it moves."""
 
     def of_lane(self, body: int, index: int) -> Pose:
         """A body's pose in one lane; that of a body without lanes."""

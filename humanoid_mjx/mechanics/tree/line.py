@@ -86,7 +86,7 @@ def _along(tree: Tree, way: Sequence[Scalar], force: Sequence[Scalar]) -> Any:
 def _pushing(
     tree: Tree, problem: Problem, pairs: Any, before: Sequence[Scalar], after: Sequence[Scalar], worlds: tuple[int, ...]
 ) -> Rows:
-    """What pushes one way: facets of contacts, and ends of ranges."""
+    """One-sided constraints: facets of contacts, and ends of ranges."""
     found: list[tuple[Any, ...]] = []
     grounds = (ground_residuals(tree, problem.kinematics, problem.ground, x) for x in (before, after))
     for points, touch, one, two in zip(tree.ground, problem.ground, *grounds, strict=True):

@@ -1,4 +1,4 @@
-"""What contacts between bodies add to the equations of a tree: updates of their factors, facet by facet.
+"""Contacts between bodies in the equations of a tree: updates of the factors, facet by facet.
 
 They join branches of the tree, so the factors are no longer sparse. But few bodies touch at a time, and each facet that
 pushes is an update of rank one (P. Gill et al., "Methods for Modifying Matrix Factorizations", 1974, method C1).
@@ -19,7 +19,7 @@ from humanoid_mjx.mechanics.tree.kinematics import Kinematics, motions_of
 from humanoid_mjx.mechanics.tree.structure import Box, Capsule, Tree
 
 Flags = list[Bool[Array, "pairs worlds"]]
-"""Which facets push: of each facet of the contacts of all pairs."""
+"""Mask of the facets that push, of the contacts of all pairs."""
 
 Dense = tuple[list[Any], Any, Any]
 """Of the equations of all lanes the rows of L to the left of its diagonal, 1 / D, and the right side."""
@@ -60,7 +60,7 @@ def pair_residuals(tree: Tree, kinematics: Kinematics, touch: Touch, x: Sequence
 
 
 def active_pairs(tree: Tree, kinematics: Kinematics, touch: Touch, x: Sequence[Scalar]) -> Flags:
-    """Which facets push at these accelerations; `touch`: the contacts of all pairs (`joined`)."""
+    """Mask of the facets that push at these accelerations; `touch`: the contacts of all pairs (`joined`)."""
     return touch.active(pair_residuals(tree, kinematics, touch, x))
 
 

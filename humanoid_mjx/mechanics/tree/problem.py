@@ -122,7 +122,7 @@ def _symmetric(columns: Iterable[Vector]) -> Symmetric:
 
 
 class Problem(NamedTuple):
-    """What the accelerations minimise."""
+    """Cost that the accelerations minimise."""
 
     matrix: Matrix
     force: list[Scalar]
@@ -140,11 +140,11 @@ class Solution(NamedTuple):
 
     acceleration: list[Scalar]
     settled: Any
-    """Whether it was found."""
+    """True if it was found."""
 
 
 class Active(NamedTuple):
-    """Which facets of the contacts push, and which stops."""
+    """Masks of the facets and of the stops that push."""
 
     ground: list[list[Any]]
     pairs: list[Any]

@@ -72,7 +72,7 @@ def _may_touch(m: mujoco.MjModel, one: int, two: int, excluded: set[int]) -> boo
 
 
 def _mixed(m: mujoco.MjModel, one: int, two: int) -> Touching:
-    """What two shapes without an explicit pair agree on: the higher priority's, or a mixture."""
+    """Contact parameters of two shapes without an explicit pair: the higher priority's, or a mixture."""
     first, second = sorted((one, two), key=lambda geom: -m.geom_priority[geom])
     if m.geom_priority[first] > m.geom_priority[second]:
         values = m.geom_solref[first], m.geom_solimp[first]
@@ -110,7 +110,7 @@ class Fault(NamedTuple):
     what: str
     """Words that end the sentence "the tree cannot represent"."""
     change: str
-    """What would have to change in the MJCF."""
+    """Change of the MJCF that removes the fault."""
     of_contacts: bool
     """True if it is gone where only balls of feet touch the ground, as with `contacts: feet` of a robot's YAML."""
 

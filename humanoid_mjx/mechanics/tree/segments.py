@@ -37,7 +37,7 @@ def _segments(shapes: Sequence[Capsule], kinematics: Kinematics) -> tuple[Vector
 
 
 def nearest_shares(a: Vector, b: Vector, apart: Vector) -> tuple[Scalar, Scalar]:
-    """Where two segments are nearest: shares from -1 to 1 of `a` and `b`, which lead from their middles to their ends.
+    """Nearest points of two segments, as shares from -1 to 1 of `a` and `b`, which lead from middles to ends.
 
     `apart` leads from the second middle to the first. The unbounded minimum, then one share clipped and the other
     anew, and again.

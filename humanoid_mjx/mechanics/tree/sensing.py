@@ -1,4 +1,4 @@
-"""What a tree's state shows, as arrays of many worlds: poses and velocities of bodies, forces, readings of sensors.
+"""Readings of a tree's state, as arrays of many worlds: poses and velocities of bodies, forces, sensors.
 
 Arrays have the axis of the worlds behind, and count the bodies and degrees of freedom in the model's order.
 """
@@ -66,7 +66,7 @@ def dynamics(tree: Tree, state: State) -> tuple[Any, Any]:
 
 
 def moving(tree: Tree, state: State) -> tuple[Any, ...]:
-    """What a unit of each degree of freedom of `qvel` does to the bodies that it moves, angular and linear, about the
+    """Velocities, angular and linear, that a unit of each degree of freedom of `qvel` gives to its bodies, about the
     origin of the free body or the world; the drifts and the poses of the bodies."""
     motions, at, shape = state.kinematics.motions, state.kinematics, _shape(state)
     parts = [[m.angular[i] for m in motions] for i in range(3)] + [[m.linear[i] for m in motions] for i in range(3)]
@@ -110,7 +110,7 @@ def _accelerometer(tree: Tree, state: State, acceleration: Sequence[Scalar], gra
 
 
 def _by_body(tree: Tree, things: Sequence[Any]) -> list[Any]:
-    """What the tree's bodies have, body by body of the model."""
+    """Values of the tree's bodies, in the model's order."""
     found = {
         place: _in_lane(thing, one)
         for thing, places in zip(things, tree.body_places, strict=True)

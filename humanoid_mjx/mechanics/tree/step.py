@@ -21,7 +21,7 @@ from humanoid_mjx.mechanics.tree.structure import FRICTIONLESS, Surface, Tree
 
 
 class Values(NamedTuple):
-    """What of a tree may be traced, one value for each world if need be. None: the model's own, known while tracing."""
+    """Parameters of a tree that may be traced, one value a world if need be. None: the model's own constant."""
 
     mass: Any = None
     """(bodies,) factors on each body's mass and inertia, the world's being of no use."""

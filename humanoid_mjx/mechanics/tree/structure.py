@@ -1,4 +1,4 @@
-"""What is fixed about a tree of rigid bodies while its motion is compiled: topology, geometry, masses, contacts.
+"""Structure of a tree of rigid bodies, fixed while its motion is compiled: topology, geometry, masses, contacts.
 
 All of it is plain numbers in tuples, so that a `Tree` is hashable and zeros and ones fold away in `mechanics.scalars`.
 Lengths in m, masses in kg, angles in rad. `reading.read_tree` makes it from a compiled MuJoCo model.
@@ -69,7 +69,7 @@ class Joint(NamedTuple):
     """A joint with one axis."""
 
     coordinate: int
-    """Which of the tree's coordinates is its angle or way; the bodies' poses in the model are those at `reference`."""
+    """Index of its angle or way among the coordinates; the bodies' poses in the model are those at `reference`."""
     dof: int
     slides: bool
     """True if it moves along its axis, so m and N stand where a hinge has rad and N m."""
@@ -107,7 +107,7 @@ class Body(NamedTuple):
 
 
 class Surface(NamedTuple):
-    """How two shapes feel each other."""
+    """Parameters of the contact of two shapes."""
 
     friction: tuple[Number, Number] | None
     """Along the two tangents of the contact; None where there is none."""
@@ -181,11 +181,11 @@ class GroundPoints(NamedTuple):
     """The first tangent follows this axis of the body (MuJoCo's capsules do); None: a fixed axis of the world."""
     surface: Surface
     order: tuple[int, ...]
-    """Which of the model's points they are; point by point, lane by lane."""
+    """Indices of the model's points; point by point, lane by lane."""
     shape: Corner | Rim | Lowest | None = None
-    """How the posture moves the point away from `center`, if it does."""
+    """Offset of the point from `center` that follows the posture, if any."""
     upper: bool = False
-    """Whether the upper of the two steps that meet nearest to the point pushes it, on a ground with stairs."""
+    """True if the upper of the two steps nearest to the point pushes it, on a ground with stairs."""
 
 
 class Pairs(NamedTuple):
@@ -220,13 +220,13 @@ class Tree(NamedTuple):
     """The body that floats, whose six degrees of freedom are the first; None: everything hangs on the world."""
     coordinates: tuple[tuple[int, ...], ...]
     dofs: tuple[tuple[int, ...], ...]
-    """Where each coordinate stands in `qpos` and each degree of freedom in `qvel`: one place, or one for each lane."""
+    """Index of each coordinate in `qpos` and of each degree of freedom in `qvel`: one, or one for each lane."""
     lanes: int
     body_places: tuple[tuple[int, ...], ...]
-    """Which of the model's bodies each body is: one, or one for each lane."""
+    """Index of each body among the model's: one, or one for each lane."""
     ground: tuple[GroundPoints, ...]
     feet: tuple[tuple[int, ...], ...]
-    """Which of the model's points are of each shape that sensors report."""
+    """Indices of the model's points of each shape that sensors report."""
     pairs: tuple[Pairs, ...]
     motors: tuple[int, ...]
     """Places in `qvel` of the joints that motors drive."""
@@ -260,5 +260,5 @@ class Tree(NamedTuple):
         return found
 
     def laned(self, dof: int) -> bool:
-        """Whether there is one of each lane."""
+        """True if there is one of each lane."""
         return len(self.dofs[dof]) > 1

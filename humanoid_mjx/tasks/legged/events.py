@@ -18,7 +18,7 @@ class Push(Spec):
     every: float = traced(2.0, gt=0, description="s from one to the next")
 
     def first(self, key: Key[Array, ""]) -> FloatScalar:
-        """When the first one comes, s."""
+        """Time of the first one, s."""
         return self.every * jax.random.uniform(key)
 
     def force(self, since: FloatScalar, period: float, key: Key[Array, ""]) -> Float[Array, "3"]:

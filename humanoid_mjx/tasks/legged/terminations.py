@@ -1,4 +1,4 @@
-"""When an episode of a legged task ends before its time."""
+"""Terminations: conditions that end an episode of a legged task before its time."""
 
 import jax.numpy as jnp
 

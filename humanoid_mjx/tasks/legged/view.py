@@ -49,7 +49,7 @@ class Feet(NamedTuple):
 
     @property
     def touching(self) -> Bool[Array, "feet corners"]:
-        """Which corners touch the ground."""
+        """Mask of the corners that touch the ground."""
         return self.corner_force > self.robot.force(TOUCHING)
 
 
