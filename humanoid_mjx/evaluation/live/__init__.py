@@ -1,0 +1,145 @@
+"""Live robots: they move in native MuJoCo in real time, while another thread steers, pushes and changes their world."""
+
+import threading
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from humanoid_mjx.evaluation.episode import begun, decided, own_data, robot_of, single, world_of
+from humanoid_mjx.evaluation.live.body import Grab as Grab
+from humanoid_mjx.evaluation.live.stage import LiveMujoco, Stage
+from humanoid_mjx.evaluation.policy import Trained, on_physics, on_plane
+from humanoid_mjx.learners import Learner
+from humanoid_mjx.spec import InputError
+from humanoid_mjx.tasks.continuous import State
+from humanoid_mjx.types import IntScalar
+
+REST_S = 1.5
+"""Rest of a robot that fell before the next episode, s."""
+
+SPEEDS = "forward, m/s", "left, m/s", "turn left, rad/s"
+"""The measured speeds of a free torso, as `Task.told` calls commands."""
+
+
+class Live:
+    """A policy that plays without an end. `run` moves its robots in its own thread; any other may set what it reads."""
+
+    def __init__(self, trained: Trained, episode: int = 0, robots: int = 1):
+        """Take a policy's task to a stage with so many robots, each in an episode of its own from `episode` on.
+
+        Raises:
+          InputError: the task moves no robot.
+        """
+        robot_of(trained)
+        self.touchable = True
+        try:
+            trained = on_physics(on_plane(trained), f"{__name__}:{LiveMujoco.__name__}")
+        except InputError:  # a task with a physics of its own is shown and steered, but nobody can touch it
+            self.touchable = False
+        task: Any = trained.learner.task.for_driving()
+        self.trained, self.task = trained, task
+        self.learner: Learner = trained.learner.replace(task=task)
+        self.model = robot_of(trained)
+        self.stage: Stage = task.simulator.stage if self.touchable else Stage(self.model)
+        self.stage.fill(robots)
+        self.ranges: dict[str, tuple[float, float]] = task.told_ranges
+        self.told = dict.fromkeys(self.ranges, 0.0)
+        """The command that the robots are to follow."""
+        self.feet: tuple[str, ...] = getattr(getattr(task, "robot", None), "feet", ()) if self.touchable else ()
+        """Bodies whose load is shown."""
+        self.rewards: dict[str, Float[np.ndarray, " robots"]] = {}
+        """Of the last decision, by the names of the reward's terms."""
+        self.ready = False
+        self.episodes = episode + np.arange(robots)
+        """Numbers of the held-out episodes."""
+        self.again = threading.Event()
+        """Set: begin `episodes` anew."""
+        self.going = threading.Event()
+        """Cleared: wait."""
+        self.over = False
+        self.going.set()
+
+    @property
+    def words(self) -> str:
+        """Message about the robots for the page, empty if there is none."""
+        if not self.ready:
+            return "compiling"
+        resting = [f"{i + 1}" for i, body in enumerate(self.stage.bodies) if body.ended is not None]
+        if not resting:
+            return ""
+        who = "The robot" if len(self.episodes) == 1 else f"Robot {', '.join(resting)}"
+        return f"{who} {self._ending}; the next episode follows."
+
+    def stop(self) -> None:
+        """Let `run` return."""
+        self.over = True
+        self.again.set()
+        self.going.set()
+
+    def run(self) -> None:
+        """Move the robots until `stop`, or until the thread is interrupted."""
+        bodies, every = self.stage.bodies, np.ones(len(self.episodes), bool)
+        state, steps = self._begun(), np.zeros(len(every), np.int32)
+        self._decide(state, steps)  # compiles
+        self.ready = True
+        self.again.set()
+        while not self.over:
+            anew = np.array([body.ended is not None and self.stage.time > body.ended + REST_S for body in bodies])
+            self.episodes += len(every) * anew
+            if self.again.is_set():
+                self.again.clear()
+                self.stage.level()
+                anew = every
+            if anew.any():
+                state, steps = _chosen(anew, self._begun(), state), np.where(anew, 0, steps)
+                for body in np.array(bodies)[anew]:
+                    body.forget()
+            self.going.wait()
+            state, steps = self._decide(state, steps), steps + 1
+
+    def _begun(self) -> State:
+        """The first states of the episodes, which nobody sees."""
+        self.stage.playing = False
+        state = jax.block_until_ready(single(_all_begun)(self.learner, jnp.asarray(self.episodes, jnp.int32)))
+        self.stage.playing = True
+        return state
+
+    def _decide(self, state: State, steps: Any) -> State:
+        told = {name: jnp.float32(self.told[name]) for name in self.ranges}
+        numbers, policy = jnp.asarray(self.episodes, jnp.int32), self.trained.policy
+        after = single(_all_decided)(self.learner, policy, numbers, state, jnp.asarray(steps, jnp.int32), told)
+        bodies, found = self.stage.bodies, jax.device_get({"reward": after.reward} | after.metrics)
+        self.rewards = {name: np.asarray(values) for name, values in found.items()}
+        if not self.touchable:
+            world = jax.device_get(jax.vmap(lambda state: world_of(own_data(self.task, state)))(after))
+            for i, body in enumerate(bodies):
+                body.show(world.qpos[i], world.qvel[i], self.task.period if body.ended is None else 0.0)
+            self.stage.wait(self.task.period)
+        for body, done, success in zip(bodies, np.asarray(after.done), np.asarray(after.success), strict=True):
+            if done and body.ended is None:
+                body.ended = self.stage.time
+                self._ending = "reached its aim" if success else "fell" if self.ranges else "did not reach its aim"
+        return after
+
+
+@partial(jax.vmap, in_axes=(None, 0))
+def _all_begun(learner: Learner, episode: IntScalar) -> State:
+    return begun(learner, episode)
+
+
+@partial(jax.vmap, in_axes=(None, None, 0, 0, 0, None))
+def _all_decided(*args: Any) -> State:
+    """`decided`, where an episode that has ended stays as it is."""
+    before: State = args[3]
+    after = decided(*args)[0]
+    return jax.tree.map(partial(jnp.where, before.done), before, after)
+
+
+@jax.jit
+def _chosen(first: Any, one: State, other: State) -> State:
+    """States of `one` where `first`, else of `other`."""
+    return jax.vmap(lambda first, *states: jax.tree.map(partial(jnp.where, first), *states))(first, one, other)

@@ -1,0 +1,92 @@
+# pyright: reportAttributeAccessIssue=false
+"""Live robots that are seen together: their clock, and their physics."""
+
+import time
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from humanoid_mjx.evaluation.live.body import Body, Hands
+from humanoid_mjx.physics.native import Native
+
+FRAME_S = 1 / 40
+"""Time between two frames that are shown, s."""
+
+LATEST_S = 0.25
+"""A machine that is slower than the robot by more than this does not catch up: the robot moves in slow motion."""
+
+
+class Stage:
+    """Robots that are seen together, the forces of the user on them, and the clock."""
+
+    def __init__(self, base: mujoco.MjModel):
+        self.bodies = [Body(base)]
+        self.hands = Hands()
+        self.shown: Callable[[], None] = lambda: None
+        """Called for each frame."""
+        self.playing = True
+        """False: episodes begin, which nobody sees."""
+        self.time = 0.0
+        self._wanted, self._rise = 0.0, np.zeros(2)
+        self._zero, self._next = time.monotonic(), 0.0
+
+    def fill(self, robots: int) -> None:
+        """Let so many robots stand here."""
+        base = self.bodies[0].model
+        self.bodies = [*self.bodies, *(Body(base) for _ in range(robots - len(self.bodies)))][:robots]
+
+    def advance(self, *rows: Float[np.ndarray, "robots _"]) -> list[np.ndarray]:
+        """Move every robot by a time step, as `Body.advance` does; those whose episode has ended rest."""
+        if self.hands.slope != self._wanted:
+            self._wanted = self.hands.slope
+            self._rise = np.tan(np.radians(self._wanted)) * self.bodies[0].turn @ self.bodies[0].ahead
+        moved = []
+        for body, *state in zip(self.bodies, *rows, strict=True):
+            resting = *state[:3], body.data.sensordata
+            moved.append(resting if body.ended is not None else body.advance(self.hands, self._rise, *state))
+        self.wait(self.bodies[0].model.opt.timestep)
+        return [np.stack(each) for each in zip(*moved, strict=True)]
+
+    def wait(self, seconds: float) -> None:
+        """Wait until the robots' moment so many seconds later has come, and show it where a frame is due."""
+        self.time += seconds
+        self._zero += seconds * (1.0 - 1.0 / self.hands.pace)
+        ahead = self.time - (time.monotonic() - self._zero)
+        if ahead < -LATEST_S:
+            self._zero -= ahead
+        if self.time >= self._next:
+            self._next = max(self._next + FRAME_S, self.time)
+            self.shown()
+        if ahead > 1e-3:
+            time.sleep(ahead)
+
+    def level(self) -> None:
+        """Let the ground be level until a slope is asked for anew."""
+        self._wanted, self._rise = 0.0, np.zeros(2)
+
+
+class LiveMujoco(Native):
+    """Native MuJoCo for the robots of a `Stage`, in the order of a batch."""
+
+    @property
+    def stage(self) -> Stage:
+        """Stage of the robots on this physics; cached by the model."""
+        return _stage(self._team.base)
+
+    def _advance(self, sensed: bool, values: Any, *state: Any) -> tuple[np.ndarray, ...]:
+        stage = self.stage
+        if not stage.playing:
+            return super()._advance(sensed, values, *state)
+        for body, row in zip(stage.bodies, values, strict=True):
+            self._team.tune(body.model, row)
+        *moved, read = stage.advance(*state)
+        return *moved, read[:, : read.shape[1] * sensed]
+
+
+@lru_cache
+def _stage(base: mujoco.MjModel) -> Stage:
+    return Stage(base)
