@@ -12,7 +12,8 @@
                         longer finite
 
 Every file is written beside its place and renamed into it, so a kill leaves the old or the new, never half of one.
-Tables and checkpoint files hold the digest of the config as `config`, by which one of another run is refused.
+Tables, checkpoint files and the provenance hold the digest of the config as `config`, by which one of another run is
+refused.
 """
 
 import contextlib
@@ -192,9 +193,15 @@ def read_arrays(path: Path, prefixes: tuple[str, ...] = ("",), digest: str | Non
     return arrays
 
 
-def damaged(path: Path, how: str = "is truncated or damaged") -> InputError:
-    """The error of a file of the checkpoint that cannot be used."""
-    return InputError(f"{path}: this file {how}; remove it, and --resume trains its runs again.")
+REWRITTEN = "--resume the run to write it again"
+"""The cure of a damaged table or provenance."""
+
+
+def damaged(
+    path: Path, how: str = "is truncated or damaged", then: str = "remove it, and --resume trains its runs again"
+) -> InputError:
+    """The error of a file of a run folder, by default of its checkpoint, that cannot be used."""
+    return InputError(f"{path}: this file {how}; {then}.")
 
 
 def read_config(path: Path) -> dict[str, Any]:
@@ -217,26 +224,25 @@ def read_config(path: Path) -> dict[str, Any]:
 
 
 def read_provenance(path: Path) -> dict[str, Any]:
-    """The content of a run folder's `provenance.json`; empty where it is missing or cannot be read, and without its
-    sessions where they are none."""
+    """The content of a run folder's `provenance.json`; empty where there is none.
+
+    Raises:
+      InputError: the file is damaged or of another run, or cannot be read.
+    """
+    file = path / "provenance.json"
     try:
-        found = json.loads((path / "provenance.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
+        found = json.loads(file.read_text(encoding="utf-8"))
+        if not all(math.isfinite(each["wall_s"] + each["compile_s"]) for each in found.get("sessions", [])):
+            raise ValueError("a time that is none")
+    except FileNotFoundError:
         return {}
-    if not isinstance(found, dict):
-        return {}
-    sessions = found.get("sessions")
-    if isinstance(sessions, list) and all(map(_is_session, sessions)):
-        return found
-    return {name: value for name, value in found.items() if name != "sessions"}
-
-
-def _is_session(data: Any) -> bool:
-    """True if plain values are what provenance has of one process."""
-    if not isinstance(data, dict) or not isinstance(data.get("started"), str):
-        return False
-    seconds = [data.get(name) for name in ("wall_s", "compile_s")]
-    return all(isinstance(value, (int, float)) and math.isfinite(value) for value in seconds)
+    except PermissionError as error:
+        raise InputError(f"{file}: cannot be read: {error.strerror}.") from error
+    except (OSError, ValueError, RecursionError, LookupError, TypeError, AttributeError) as error:
+        raise damaged(file, then=REWRITTEN) from error
+    if "config" in found and (how := misplaced(found["config"], config_digest(read_config(path)))):
+        raise damaged(file, how, REWRITTEN)
+    return found
 
 
 def elsewhere(path: Path) -> str:

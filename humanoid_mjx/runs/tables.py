@@ -1,6 +1,7 @@
 """The tables of a run folder, derived from its finished blocks."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,7 +12,7 @@ from jaxtyping import Int
 
 from humanoid_mjx.config import config_digest
 from humanoid_mjx.runs.archive import misplaced
-from humanoid_mjx.runs.folder import RunFolder, damaged, parts, read_arrays, read_config
+from humanoid_mjx.runs.folder import REWRITTEN, RunFolder, damaged, parts, read_arrays, read_config
 from humanoid_mjx.spec import InputError
 
 LAST_SHARE = 0.1
@@ -131,8 +132,7 @@ def _check_run(path: Path, schema: pa.Schema) -> None:
         raise _useless(path, how)
 
 
-def _useless(path: Path, how: str = "is truncated or damaged") -> InputError:
-    return InputError(f"{path}: this file {how}; --resume the run to write it again.")
+_useless = partial(damaged, then=REWRITTEN)
 
 
 def _fits(stem: str, columns: set[str]) -> bool:

@@ -1,5 +1,6 @@
 """The work of one process on a run folder: groups of runs trained in turn, stored, resumed, reported."""
 
+import contextlib
 import gc
 import threading
 import time
@@ -56,7 +57,9 @@ class Session:
         self.finished = finished & self.mine
         self.interrupted = self._under_way()
         processes.meet()  # before anyone writes
-        self.earlier = read_provenance(folder.path)
+        self.earlier = {}
+        with contextlib.suppress(InputError):  # a damaged one is written anew
+            self.earlier = read_provenance(folder.path)
         self.began = self.tables_due = time.monotonic()
         self.started = datetime.now(UTC).isoformat(timespec="seconds")
         self.made_by = compute.made_by()
@@ -247,6 +250,7 @@ class Session:
         sessions = [*self.earlier.get("sessions", []), session]
         provenance = {
             **self.made_by,
+            "config": self.folder.digest,
             "processes": self.processes.count,
             "precision": "float64" if jax.config.read("jax_enable_x64") else "float32",
             "seed": self.plan.config.seed,

@@ -146,9 +146,6 @@ def test_two_sweeps_that_choose_the_same_place_get_one_each(tmp_path, monkeypatc
         ("checkpoint/part-00009.npz", lambda run: saved(run, x=np.zeros(3)), "another training"),
         ("checkpoint/part-00009.npz", lambda run: saved(run, point=np.int32([0]), seed=np.int32([77])), "does not fit"),
         ("checkpoint/part-x.npz", lambda run: b"notes", None),
-        ("provenance.json", lambda run: b"[" * 100_000, None),
-        ("provenance.json", lambda run: b'{"sessions": [5], "runs_finished": []}', None),
-        ("provenance.json", lambda run: b"\xff", None),
         ("summary.parquet", lambda run: (run / "timing.parquet").read_bytes(), None),
         ("results.parquet", lambda run: (run / "summary.parquet").read_bytes(), None),
         ("results.parquet", lambda run: (run / "timing.parquet").read_bytes(), None),
@@ -249,6 +246,20 @@ def test_a_state_of_another_run_is_refused(run, finished, others):
     (run / pool).unlink()
     sweep(CONFIG, run, resume=True)
     assert_same_tables(run, finished)
+
+
+@pytest.mark.parametrize("content", [b"[" * 100_000, b'{"sessions": [5]}', b"\xff", b"[1]", b'{"config": "other"}'])
+def test_a_provenance_that_is_damaged_or_of_another_run_is_refused(run, said, content):
+    """By the commands that read it; resuming writes it anew."""
+    file = run / "provenance.json"
+    file.write_bytes(content)
+    for command in (["report", run, "--no-motion"], ["export", run, run.parent / "x.npz"]):
+        code, err = said(*command)
+        assert code == 2 and err.startswith(f"error: {file}: this file ") and err.count("\n") == 1, err
+        assert err.endswith("--resume the run to write it again.\n")
+    assert [problem.startswith(f"{file}: this file ") for problem in list_runs(run)[1]] == [True]
+    sweep(CONFIG, run, resume=True)
+    assert read_provenance(run)["runs_finished"] == 8
 
 
 def test_a_table_without_a_digest_is_damaged(run):
