@@ -254,17 +254,30 @@ def parity() -> str:
     return table(f"{head} | processor time of ten seeds, s | wall time, s", rows)
 
 
-def sweeps() -> str:
-    """Return what each value of epsilon, its decay and the learning rate does to tiles and networks."""
+def _faster(subject: str, other: str) -> float:
+    """How many times as fast one subject is as another with 32,768 bodies on one H100."""
+    rates = {row["subject"]: row["value"] for row in record("h100_ground")["records"]}
+    return rates[subject] / rates[other]
+
+
+SWEEPS = ("cpu_2_cores_leg_reach_sweep", "h100_leg_reach_deep_sweep", "h100_stand_sweep", "h100_walk_sweep")
+ONE_TASK = tuple(f"cpu_2_cores_posture_switch_{kind}" for kind in ("table", "linear", "deep"))
+"""Records of sweeps over epsilon, its decay and the learning rate: of function approximation, of three learners."""
+
+
+def sweeps(names: Iterable[str] = SWEEPS) -> str:
+    """Return what each value of epsilon, its decay and the learning rate does."""
     rows = []
-    for name in ("cpu_2_cores_leg_reach_sweep", "h100_leg_reach_deep_sweep", "h100_stand_sweep", "h100_walk_sweep"):
-        found, words = record(name)["points"], f"`{name.removeprefix('cpu_2_cores_').removeprefix('h100_')}`"
+    for name in names:
+        found, config = record(name)["points"], record(name)["config"]
+        words = f"`{config['name']}`, `{config['learner']['name']}`"
         for axis in ("epsilon", "epsilon_decay", "learning_rate"):
             key = f"learner.{axis}"
             for value in sorted({point[key] for point in found}):
                 reached = [x for point in found if point[key] == value for x in point["greedy_success"]]
                 margin = 1.96 * stdev(reached) / math.sqrt(len(reached))
-                interval = f"{mean(reached):.2f} ({max(mean(reached) - margin, 0):.2f} to {mean(reached) + margin:.2f})"
+                low, high = max(mean(reached) - margin, 0), min(mean(reached) + margin, 1)
+                interval = f"{mean(reached):.2f} ({low:.2f} to {high:.2f})"
                 best = max(min(point["greedy_success"]) for point in found if point[key] == value)
                 rows.append((words, axis, f"{value:g}", interval, f"{best:.2f}"))
                 words = ""
@@ -289,6 +302,9 @@ TABLES = {
         other_robots_taken,
     )
 } | {
+    "exactness": lambda: f"{max(r[k] for r in record('own_robots')['rows'] for k in ('acceleration', 'velocity')):.1e}",
+    "faster_than_mjx": lambda: rounded(_faster("tree ground moving", "mjx-jax ground moving"), 0),
+    "one_task": lambda: sweeps(ONE_TASK),
     "reproduce_minutes": lambda: rounded(record("cpu_2_cores_reproduce")["command_s"] / 60),
     "c_decision": lambda: rounded(1e6 * record("c_policy")["rows"][0]["seconds"]),
     "parity_cliff": lambda: rounded(record("parity")["expected while learning on the cliff"], 1),

@@ -4,7 +4,7 @@
 python experiments/docs_figures.py               # all, in a minute
 python experiments/docs_figures.py conventions   # one of them
 
-The film is made by `walk_film.py`; `throughput.py` and `sweep_curves.py` draw records and runs.
+The film is made by `walk_film.py`; `throughput.py` and `sweep_curves.py` draw records.
 """
 
 import argparse

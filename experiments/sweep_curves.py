@@ -1,28 +1,72 @@
-"""Draw the learning curves of several sweeps over the same three axes, a row for each run folder.
+"""Draw the learning curves of several sweeps over the same three axes, a row for each record.
 
-python experiments/sweep_curves.py docs/sweep_curves.png runs/*_sweep
+python experiments/sweep_curves.py docs/sweep_curves.png cpu_2_cores_leg_reach_sweep h100_leg_reach_deep_sweep ...
+python experiments/sweep_curves.py --one-task docs/learner_curves.png cpu_2_cores_posture_switch_{table,linear,deep}
 """
 
-import sys
+import argparse
+import json
 from pathlib import Path
+from typing import Any
 
-import humanoid_mjx
-from humanoid_mjx.report.figures import averaged, draw_curves
-from humanoid_mjx.report.style import figure, wrapped
+import numpy as np
 
+from humanoid_mjx.report.figures import COUNTED, CURVES, averaged, draw_line, find_levels
+from humanoid_mjx.report.style import count_axis, figure, label_lines, log_axis, shades, wrapped
+
+BENCH = Path(__file__).parent.parent / "docs" / "bench"
 AXES = ("learner.epsilon", "learner.epsilon_decay", "learner.learning_rate")
 
 
 def main() -> None:
-    """Read the run folders and write the figure."""
-    target, runs = Path(sys.argv[1]), [Path(name) for name in sys.argv[2:]]
-    results = [humanoid_mjx.load_run(run).results for run in runs]
-    with figure(target, len(runs), len(AXES), sharey="row") as (fig, panels):
-        fig.suptitle(wrapped(f"Return while learning: {averaged(AXES, results[0])}", fig), x=0.01, ha="left")
-        for row, (run, found) in enumerate(zip(runs, results, strict=True)):
+    """Read the records and write the figure."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("target", type=Path)
+    parser.add_argument("records", nargs="+", help="names in docs/bench")
+    parser.add_argument("--one-task", action="store_true", help="rows share their axes; steps on a logarithmic scale")
+    given = parser.parse_args()
+    rows = [json.loads((BENCH / f"{name}.json").read_text()) for name in given.records]
+    shared: Any = {"sharex": True, "sharey": True} if given.one_task else {"sharey": "row"}
+    with figure(given.target, len(rows), len(AXES), **shared) as (fig, panels):
+        first = columns(rows[0])
+        fig.suptitle(wrapped(f"Return while learning: {averaged(AXES, first)}", fig), x=0.01, ha="left")
+        for row, record in enumerate(rows):
+            found, config = columns(record), record["config"]
             for panel, axis in zip(panels[row], AXES, strict=True):
-                draw_curves(panel, found, axis, "return")
-                panel.set_title(f"{run.name}: {axis}" if axis == AXES[0] else axis)
+                draw(panel, found, axis)
+                name = f"{config['name']}, {config['learner']['name']}: {axis}"
+                panel.set_title(name if axis == AXES[0] else axis)
+                panel.set_ylabel(CURVES["return"] if axis == AXES[0] else "")
+                if given.one_task:
+                    log_axis(panel, counted=True)
+                else:
+                    count_axis(panel)
+
+
+def columns(record: dict[str, Any]) -> dict[str, np.ndarray]:
+    """The curves of a record as columns, a row for each point, seed and record step.
+
+    Where a learner counts episodes, `step` is the control steps until the end of each record step.
+    """
+    returns = np.array(record["curves"]["return"])
+    point, seed, place = (x.ravel() for x in np.indices(returns.shape))
+    if "step" in record:
+        step = np.broadcast_to(record["step"], returns.shape)
+    else:
+        step = np.cumsum(np.diff(record["episode"], prepend=0) * record["curves"]["steps"], axis=-1)
+    swept = {axis: np.array([p[axis] for p in record["points"]])[point] for axis in AXES}
+    return swept | {"seed": seed, "place": place, "step": step.ravel(), "return": returns.ravel()}
+
+
+def draw(panel: Any, found: dict[str, np.ndarray], axis: str) -> None:
+    """A line with its band for each value of an axis, over all values of the others."""
+    levels = find_levels(found[axis])
+    for level, (label, color) in enumerate(zip(levels.labels, shades(len(levels.labels)), strict=True)):
+        mine = levels.index == level
+        step, seed, value, place = (found[name][mine] for name in ("step", "seed", "return", "place"))
+        draw_line(panel, step, seed, value, color, place=place, label=label)
+    label_lines(panel)
+    panel.set_xlabel(COUNTED["step"])
 
 
 if __name__ == "__main__":
