@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pyarrow.parquet as pq
 import pytest
 from docs_reader import Reader, blocks, commands, type_commands
 
@@ -54,11 +55,25 @@ def test_what_a_reader_types_works(name, tmp_path, monkeypatch):
 
 def in_a_process_of_its_own(page, folder):
     """A reader's: with the page's Python, where nothing is imported yet."""
-    script = ROOT / "tests" / "docs_reader.py"
+    run_alone([str(ROOT / "tests" / "docs_reader.py"), str(page)], folder)
+
+
+def run_alone(arguments, folder):
     environment = os.environ | {"PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg"}
-    command = [sys.executable, str(script), str(page)]
+    command = [sys.executable, *arguments]
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"{done.stdout[-2000:]}\n{done.stderr[-3000:]}"
+
+
+@pytest.mark.slow
+def test_the_cart_pole_of_the_page_learns_to_balance(tmp_path):
+    """By the page's two files and its command; here one learning rate and two seeds."""
+    for block in blocks(TEXTS["docs/own.md"]):
+        if (block.title or "").startswith("cart_pole."):
+            (tmp_path / block.title).write_text(block.text)
+    settings = ["--set", "learner.learning_rate=0.001", "--set", "seeds=2"]
+    run_alone(["-m", "humanoid_mjx", "sweep", "cart_pole.yaml", *settings], tmp_path)
+    assert pq.read_table(tmp_path / "runs/cart_pole/summary.parquet")["greedy_success"].to_numpy().max() > 0.9
 
 
 @pytest.mark.parametrize(
