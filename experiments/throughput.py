@@ -89,9 +89,11 @@ PANELS = (
 
 
 def rows_of(record: Mapping[str, Any], line: Line) -> list[Mapping[str, Any]]:
-    """Return the rows of a subject."""
-    rows = (row for row in record["records"] if row["bench"] in ("tabular", "physics"))
-    return [row for row in rows if (row["subject"], row["unit"]) == (line.subject, line.unit)]
+    """Return the rows of a subject whose commit is known, each with it."""
+    rows = (
+        {"commit": record.get("commit")} | row for row in record["records"] if row["bench"] in ("tabular", "physics")
+    )
+    return [row for row in rows if (row["subject"], row["unit"]) == (line.subject, line.unit) and row["commit"]]
 
 
 def measured(record: Mapping[str, Any], line: Line) -> tuple[list[int], list[float]]:
@@ -104,9 +106,7 @@ def measured(record: Mapping[str, Any], line: Line) -> tuple[list[int], list[flo
 
 def commits(record: Mapping[str, Any], panel: Panel) -> str:
     """Return the commits at which the rows of a panel were measured."""
-    rows = [row for line in panel.lines for row in rows_of(record, line)]
-    found = {row.get("commit", record.get("commit")) for row in rows}
-    return ", ".join(sorted({"not known" if commit is None else commit[:7] for commit in found}))
+    return ", ".join(sorted({row["commit"][:7] for line in panel.lines for row in rows_of(record, line)}))
 
 
 def draw(target: Path, records: Mapping[str, Mapping[str, Any]]) -> None:

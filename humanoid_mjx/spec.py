@@ -313,7 +313,7 @@ def shown(value: Any) -> str:
 
 def known(name: str, names: Iterable[str]) -> str:
     """Say which names are known, the likely one first."""
-    names = sorted(names)
+    names = sorted(set(names))
     close = [here for here in ELSEWHERE.get(name, ()) if here in names] or difflib.get_close_matches(name, names, n=1)
     return (f"did you mean {close[0]!r}? " if close else "") + "known are " + ", ".join(names)
 

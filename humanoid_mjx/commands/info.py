@@ -170,7 +170,8 @@ def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
     console.print(f"on disk an estimated {decimal(disk_bytes(plan, together))}, without figures")
     if refusal:
         console.print(f"sweep refuses it here: {refusal}")
-    for reason in dict.fromkeys(why_not(group.learner()) for group in plan.groups if plan.unit == "episode"):
+    tables = plan.groups if plan.unit == "episode" and compute.machine()["backend"] == "gpu" else ()
+    for reason in dict.fromkeys(why_not(group.learner()) for group in tables):
         words = "trained by one kernel of a GPU" if reason is None else f"not trained by one kernel of a GPU: {reason}"
         console.print(words)
     if timed:

@@ -55,9 +55,12 @@ def _draw_push(draw: ImageDraw.ImageDraw, push: Push, scene: Scene, number: int,
     draw.line([_pixel(tail), _pixel(head - 10 * along)], fill=ALARM, width=4)
     draw.polygon([_pixel(point) for point in barbs], fill=ALARM)
     letter = letter_of(size[1])
-    beside = tail[0], tail[1] + (letter if along[1] < -0.3 else -letter)
-    place = np.clip(beside, [60, 40], [size[0] - 60, size[1] - 40])
-    _write(draw, _pixel(place), push.words, "mm", letter, ALARM)
+    # Behind the tail, so that the words cover neither arrow nor robot.
+    anchor, ahead = ("r", 1.0) if along[0] > 0.5 else ("l", 0.0) if along[0] < -0.5 else ("m", 0.5)
+    length = _font(letter, False).getlength(push.words)
+    low, high = MARGIN + ahead * length, size[0] - MARGIN - (1.0 - ahead) * length
+    place = np.clip(tail - letter * along, [low, 40], [max(low, high), size[1] - 40])
+    _write(draw, _pixel(place), push.words, f"{anchor}m", letter, ALARM)
 
 
 def _pixel(point: Float[np.ndarray, "2"]) -> tuple[float, float]:

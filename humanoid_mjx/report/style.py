@@ -100,8 +100,8 @@ def wrapped(text: str, fig: Any) -> str:
 
 
 def label_lines(axis: Any) -> None:
-    """Write the labels of an axes' lines beside it, in their colours and in the order in which the lines end."""
+    """Write the labels of an axes' lines beside it, in the order in which the lines end."""
     lines = [line for line in axis.get_lines() if not str(line.get_label()).startswith("_") and len(line.get_ydata())]
     lines.sort(key=lambda line: -line.get_ydata()[-1])
-    look = {"frameon": False, "labelcolor": "linecolor", "handlelength": 1.2, "borderpad": 0.0}
+    look = {"frameon": False, "handlelength": 1.2, "borderpad": 0.0}
     axis.legend(handles=lines, loc="center left", bbox_to_anchor=(1.01, 0.5), fontsize=7.5, **look)
