@@ -1,21 +1,24 @@
 """A handful of ratios in one run, against the record of them that is committed: has something become slow?
 
     scan               tabular Q-learning of this package, against a naive scan in JAX
-    chain              the leg without control, against native MuJoCo on all cores
+    chain              the leg without control, against native MuJoCo
     help               `humanoid-mjx --help` in a new process, against importing numpy in one
     trace              tracing and lowering a step of `stand`, against a program that stays the same
     compile            XLA's share of the same, against compiling such a program
-    tree               running it, the lower body on the ground, against native MuJoCo on all cores
-    moving             the same of bodies that random choices have thrown about for up to a second
-    training           updates of `walk_cpu`, learning and all, against native MuJoCo alone on all cores
+    tree               the lower body on the ground, standing, against native MuJoCo
+    moving             the same of bodies that are thrown about as in a training
+    training           updates of `walk_cpu`, learning and all, against the physics of native MuJoCo alone
 
 A ratio says how many times as fast its subject is as its reference, the work of both counted in the same unit; larger
-is better. Both are timed in turn, the fastest of each counts, and what seems to have fallen is timed again before it is
-said to have. All of it computes on the CPU. To add a ratio: a function that returns a `Pair`, and a line in `RATIOS`.
+is better. Time is that of the processor, of all threads together: other programs change it little, and a ratio does not
+depend on the number of cores. Both are timed in turn, the fastest of each counts, and what seems to have fallen is
+timed again before it is said to have. All of it computes on the CPU. To add a ratio: a function that returns a `Pair`,
+and a line in `RATIOS`.
 """
 
 import argparse
 import json
+import resource
 import subprocess
 import sys
 import time
@@ -28,7 +31,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from humanoid_mjx import compute
 from humanoid_mjx.bench import ground, physics, tabular
@@ -52,6 +54,12 @@ TRIES = 3
 """Number of timings of a fallen ratio before it is reported."""
 
 
+def processor_s() -> float:
+    """Seconds that all threads of this process and the processes that it started have computed."""
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return time.process_time() + children.ru_utime + children.ru_stime
+
+
 @dataclass(frozen=True)
 class Pair:
     """Two calls to time in turn."""
@@ -61,8 +69,7 @@ class Pair:
     work: float = 1.0
     """Work of a call of the subject, in calls of the reference."""
     repeats: int = 7
-    clock: Callable[[], float] = time.perf_counter
-    """In seconds. That of the processor for what computes in this process for long, on one thread or a few."""
+    clock: Callable[[], float] = processor_s
 
 
 class Found(NamedTuple):
@@ -143,120 +150,34 @@ def start_up() -> Pair:
     return Pair(partial(process, "-m", "humanoid_mjx", "--help"), partial(process, "-c", "import numpy"))
 
 
-class Stand:
-    """A step of `stand` for many bodies on every device: traced, compiled and run once for three of the ratios."""
-
-    THROWN_STEPS = 50
-    """A second of the task."""
-
-    BODIES = 2 * BLOCK
-    """On a device: enough that their contacts are searched block by block, as in training."""
-
-    def __init__(self) -> None:
-        devices = np.array(jax.local_devices())
-        self.task, self.bodies = make_task("stand"), self.BODIES * len(devices)
-        self.over_devices = NamedSharding(Mesh(devices, ("bodies",)), PartitionSpec("bodies"))
-        self.lowered: Any = None
-        self.compiled: Any = None
-
-    @property
-    def time_steps(self) -> int:
-        """Those of all bodies in a step of the task."""
-        task: Any = self.task
-        return self.bodies * task.simulator.substeps(task.period)
-
-    def start(self) -> tuple[Any, ...]:
-        """Bodies at the beginning of an episode, an action and a key for each."""
-        keys = jax.random.split(jax.random.key(0), self.bodies)
-        action = jnp.tile(jnp.array(self.task.action_bins) // 2, (self.bodies, 1))
-        return jax.vmap(lambda key: self.task.reset(key))(keys), action, keys
-
-    def trace(self) -> None:
-        """Trace and lower it; no cache helps."""
-        mesh, spec = self.over_devices.mesh, self.over_devices.spec
-        step = jax.vmap(lambda *now: self.task.step(*now))
-        step = jax.shard_map(step, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
-        step = jax.jit(step, out_shardings=self.over_devices)
-        found = jax.eval_shape(self.start)
-        given = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=self.over_devices), found)
-        self.lowered = _lowered(partial(step.trace, *given))
-
-    def traced(self) -> Any:
-        """Last result of `trace`."""
-        if self.lowered is None:
-            self.trace()
-        return self.lowered
-
-    def compile(self) -> None:
-        """Compile what has been traced; no cache helps."""
-        self.compiled = _compiled(self.traced())
-
-    def steps(self, number: int, first: tuple[Any, ...] | None = None) -> Callable[[], Any]:
-        """So many steps from `first`, by default from the beginning of an episode."""
-        if self.compiled is None:
-            self.compile()
-        state, action, keys = first or jax.jit(self.start, out_shardings=self.over_devices)()
-
-        def run() -> Any:
-            now = state
-            for _ in range(number):
-                now = self.compiled(now, action, keys)
-            return now
-
-        return run
-
-    def thrown(self) -> tuple[Any, ...]:
-        """Bodies that random choices have moved for up to `THROWN_STEPS` steps, another random choice, and keys."""
-        random = np.random.default_rng(0)
-        state, action, keys = jax.jit(self.start, out_shardings=self.over_devices)()
-        ages = random.integers(0, self.THROWN_STEPS, self.bodies, endpoint=True)
-        keep = jax.jit(
-            lambda step, ages, after, before: jax.tree.map(partial(_older, step < ages), after, before),
-            out_shardings=self.over_devices,
-        )
-        for step in range(self.THROWN_STEPS):
-            action = jax.device_put(random.integers(0, self.task.action_bins, action.shape), self.over_devices)
-            state = keep(step, ages, self.steps(1, (state, action.astype(int), keys))(), state)
-        return jax.device_put((state, action, keys), self.over_devices)
-
-
-def _older(mask: jax.Array, after: jax.Array, before: jax.Array) -> jax.Array:
-    return jnp.where(mask.reshape(-1, *[1] * (after.ndim - 1)), after, before)
-
-
 @cache
-def stand() -> Stand:
-    """The one of this process."""
-    return Stand()
+def stand() -> Callable[[], Any]:
+    """Traces a step of `stand` for many bodies."""
+    task, bodies = make_task("stand"), 4 * BLOCK  # enough that their contacts are searched block by block
+
+    def step(keys: jax.Array) -> Any:
+        action = jnp.tile(jnp.array(task.action_bins) // 2, (bodies, 1))
+        return jax.vmap(task.step)(jax.vmap(task.reset)(keys), action, keys)
+
+    return lambda: jax.jit(step).trace(jax.random.split(jax.random.key(0), bodies))
 
 
 def trace() -> Pair:
     """No cache helps."""
-    return Pair(stand().trace, partial(_lowered, long_program(300)), 1.0, 2, time.process_time)
+    return Pair(partial(_lowered, stand()), partial(_lowered, long_program(300)), 1.0, 2)
 
 
 def compiling() -> Pair:
     """No cache helps; what is compiled has been traced before."""
-    stand().traced()
-    return Pair(stand().compile, partial(_compiled, _lowered(long_program(100))), 1.0, 1, time.process_time)
+    subject, reference = _lowered(stand()), _lowered(long_program(100))
+    return Pair(partial(_compiled, subject), partial(_compiled, reference), 1.0, 1)
 
 
-def tree() -> Pair:
-    """Time steps of `stand`, with what is sensed and decided between them, and of native MuJoCo under its servo."""
-    steps, worlds, time_steps = 20, 1024, 20
-    native = ground.mujoco(worlds, time_steps)
-    return _warm(Pair(stand().steps(steps), native, steps * stand().time_steps / (worlds * time_steps)))
-
-
-def moving() -> Pair:
-    """As `tree`, both from the same states; MuJoCo's set-points are random, too."""
-    steps, time_steps = 10, 50
-    first = stand().thrown()
-    world = first[0].data.world
-    qpos, qvel = (np.asarray(part, np.float64) for part in (world.qpos, world.qvel))
-    setpoint = stand().task.posture + np.random.default_rng(1).uniform(-0.2, 0.2, (len(qpos), qvel.shape[1] - 6))
-    work = steps * stand().time_steps / (len(qpos) * time_steps)
-    return _warm(Pair(stand().steps(steps, first), ground.native(qpos, qvel, setpoint, time_steps), work))
+def tree(moving: bool = False) -> Pair:
+    """As many bodies and steps of both, from the same states to the same set-points under the same servo."""
+    steps, states = 50, ground.states_of(2048, moving)
+    ours = ground.compiled("tree", *states, steps, ground.MOVING_BLOCK)
+    return _warm(Pair(ours, ground.native(*states, steps)))
 
 
 def training() -> Pair:
@@ -310,7 +231,7 @@ RATIOS: dict[str, Callable[[], Pair]] = {
     "trace": trace,
     "compile": compiling,
     "tree": tree,
-    "moving": moving,
+    "moving": partial(tree, moving=True),
     "training": training,
 }
 
