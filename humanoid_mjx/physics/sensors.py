@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Key
 from pydantic import Field
 
@@ -11,6 +12,9 @@ from humanoid_mjx.compute.kernels.worlds import worlds_last
 from humanoid_mjx.physics.base import Readings
 from humanoid_mjx.spec import Spec, traced
 from humanoid_mjx.types import FloatScalar, IntScalar
+
+ABOVE_MINUS_1 = np.nextafter(np.float32(-1.0), np.float32(0.0))
+"""Least of the uniform numbers that `jax.random.normal` is a function of."""
 
 
 class SensorState(NamedTuple):
@@ -59,15 +63,17 @@ class Sensors(Spec):
 
 
 def _normal(spread: tuple[FloatScalar, ...], like: Readings, key: Key[Array, ""]) -> Readings:
-    drawn = worlds_last(_drawn, len(like), max(map(len, like)))(key)
-    return Readings(*(size * row[: len(part)] for size, row, part in zip(spread, drawn, like, strict=True)))
+    ends = np.cumsum([len(part) for part in like])
+    drawn = jnp.split(worlds_last(_drawn, tuple(map(len, like)))(key), ends[:-1])
+    return Readings(*(size * part for size, part in zip(spread, drawn, strict=True)))
 
 
-def _drawn(parts: int, most: int, keys: Key[Array, " worlds"]) -> Float[Array, "parts most worlds"]:
+def _drawn(lengths: tuple[int, ...], keys: Key[Array, " worlds"]) -> Float[Array, "numbers worlds"]:
     """Normal numbers, side by side, so that their long arithmetic is compiled once. LLVM vectorises it over worlds in
     the last axis, and not over a short one."""
 
-    def draw(key: Key[Array, ""]) -> Float[Array, "parts most"]:
-        return jax.vmap(lambda key: jax.random.normal(key, (most,)))(jax.random.split(key, parts))
+    def draw(key: Key[Array, ""]) -> Float[Array, " numbers"]:
+        parts = zip(jax.random.split(key, len(lengths)), lengths, strict=True)
+        return jnp.concatenate([jax.random.uniform(part, (length,), minval=ABOVE_MINUS_1) for part, length in parts])
 
-    return jax.vmap(draw, out_axes=-1)(keys)
+    return np.sqrt(2.0, dtype=np.float32) * jax.lax.erf_inv(jax.vmap(draw, out_axes=-1)(keys))

@@ -13,7 +13,7 @@ import humanoid_mjx.training.session as session
 from humanoid_mjx import InputError, make_learner, make_task, sweep
 from humanoid_mjx.compute import rng
 from humanoid_mjx.evaluation.replay import replay
-from humanoid_mjx.learners import exploration
+from humanoid_mjx.learners import acting, exploration
 from humanoid_mjx.learners.acting import start_all, step_all
 from humanoid_mjx.learners.approximate import Batch
 from humanoid_mjx.learners.deep import QNetwork
@@ -140,6 +140,21 @@ def test_the_action_that_is_credited_is_the_one_carried_out():
     assert 0.2 < credited.mean() < 0.8, "both are carried out"
     # Each place has a row: the first action stays, the second goes one on.
     np.testing.assert_array_equal(after - rows, credited)
+
+
+@pytest.mark.parametrize("ended", [0, 1, 16, 33, 40])
+def test_only_episodes_that_ended_begin_anew(ended):
+    """In blocks as all at once, also side by side with a run in which none has ended."""
+    task, keys = make_task("leg_reach"), jax.random.split(rng.key(1), 40)
+    state = start_all(task, 40, rng.key(0)).state
+    done = np.random.default_rng(0).permutation(40) < ended
+    state = jax.tree.map(lambda x: jnp.stack([x, x]), state._replace(truncated=jnp.asarray(done)))
+    state = state._replace(truncated=state.truncated.at[1].set(False))
+    resets = [
+        jax.jit(jax.vmap(lambda s, f=f: f(task, s, keys)))(state) for f in (acting._reset_done, acting._reset_all)
+    ]
+    for found, expected in zip(*map(jax.tree.leaves, resets), strict=True):
+        np.testing.assert_allclose(np.asarray(found, float), np.asarray(expected, float), rtol=1e-6, atol=1e-7)
 
 
 def test_one_sample_moves_its_value_by_the_rate():
