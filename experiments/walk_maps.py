@@ -2,6 +2,8 @@
 
     python experiments/walk_maps.py walk runs/walk_sturdy --json docs/bench/walk_maps.json --out docs/walk_maps.png
 
+    python experiments/walk_maps.py --json docs/bench/walk_maps.json --out docs/walk_maps.png    # draws a record
+
 A run folder stands for all training seeds of its best point; the figure has a column for each policy or run folder.
 """
 
@@ -120,10 +122,11 @@ def there(policy: Trained, changes: Sequence[str]) -> Trained:
 
 def draw(rows: list[dict[str, Any]], target: Path) -> None:
     """A column of maps for each policy, with shares in %."""
-    names = list(dict.fromkeys(row["policy"] for row in rows))
-    with figure(target, len(MAPS), len(names), size=(3.6, 2.2)) as (_, axes):
+    names, maps = (list(dict.fromkeys(row[key] for row in rows)) for key in ("policy", "map"))
+    maps.sort(key=list(MAPS).index)
+    with figure(target, len(maps), len(names), size=(3.6, 2.2)) as (_, axes):
         for row in rows:
-            of, panel = MAPS[row["map"]], axes[list(MAPS).index(row["map"]), names.index(row["policy"])]
+            of, panel = MAPS[row["map"]], axes[maps.index(row["map"]), names.index(row["policy"])]
             shares = np.mean(row["upright"], axis=-1)
             panel.imshow(shares, cmap=SEQUENTIAL, vmin=0.0, vmax=1.0, aspect="auto", origin="lower")
             for (y, x), share in np.ndenumerate(shares):
@@ -139,12 +142,14 @@ def draw(rows: list[dict[str, Any]], target: Path) -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Play all policies on all maps, write the record and draw it."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("names", nargs="+", metavar="RUN|POLICY")
+    parser.add_argument("names", nargs="*", metavar="RUN|POLICY", help="none: draw what the record holds")
     parser.add_argument("--episodes", type=int, default=128, help="of each seed in each world")
     parser.add_argument("--maps", nargs="+", choices=MAPS, default=list(MAPS))
     parser.add_argument("--json", type=Path, required=True, metavar="FILE")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE.png")
     given = parser.parse_args(arguments)
+    if not given.names:
+        return draw(json.loads(given.json.read_text())["rows"], given.out)
     humanoid_mjx.start()
     rows = []
     for name in given.names:
@@ -156,7 +161,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     axes = {name: {"down": MAPS[name].down, "across": MAPS[name].across} for name in given.maps}
     record = compute.made_by() | {"episodes": given.episodes, "axes": axes, "rows": rows}
     given.json.write_text(json.dumps(record) + "\n")
-    draw(rows, given.out)
+    return draw(rows, given.out)
 
 
 if __name__ == "__main__":

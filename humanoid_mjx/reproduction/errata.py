@@ -47,12 +47,12 @@ def _compare(entry: Erratum, states: States) -> Finding:
     where = "Table 3.2's ranges" if entry.in_range else "the full circle"
     return check(
         entry.place,
-        entry.fault,
+        "no fault" if entry.fault == "none" else entry.fault,
         dict(zip(NUMBERS, map(three_digits, (errors.max(), np.median(errors), size)), strict=True))
         | {"unit": entry.unit},
         agrees,
         (f"should be: {entry.fix}; " if entry.fix else "") + f"over {STATES} random postures in {where}",
-        TOLERANCE,
+        f"{TOLERANCE:g} of the largest value",
     )
 
 

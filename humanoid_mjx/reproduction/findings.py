@@ -34,7 +34,7 @@ class Finding:
     printed: Any
     """A number, numbers, or a statement in words; None where the source says nothing."""
     reproduced: Any
-    tolerance: float | None
+    tolerance: float | str | None
     verdict: Verdict
     why: str
 
@@ -129,7 +129,7 @@ def check(
     found: Any,
     agrees: Any,
     why: str,
-    tolerance: float | None = None,
+    tolerance: float | str | None = None,
     values: tuple[Mapping[str, Any], Mapping[str, Any]] = ({}, {}),
     possible: Any = True,
     could_differ: Any = True,

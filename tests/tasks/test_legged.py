@@ -253,6 +253,10 @@ def test_episodes_begin_upright_on_a_terrain_of_their_own(terrain):
     up = jax.vmap(lambda terrain: terrain.up())(episode.terrain)
     felt = rotation.inv().apply(up)
     assert np.degrees(np.arccos(felt[:, 2])).max() < 3.0
+    # The ground turns the body about a level axis: it faces where it did on level ground.
+    plain = reset(arrays(walk(**EXACT)), KEYS).data.world.qpos
+    leaned = rotation * Rotation.from_quat(plain[:, [4, 5, 6, 3]]).inv()
+    np.testing.assert_allclose(leaned.as_rotvec()[:, 2], 0.0, atol=1e-5)
     np.testing.assert_allclose(episode.readings.accelerometer, GRAVITY * felt, atol=1e-4)
     soles = np.stack([one.apply(BODY.soles) for one in rotation]) + episode.world.qpos[:, None, :3]
     lowest = jax.vmap(lambda terrain, soles: terrain.above(soles).min())(episode.terrain, jnp.asarray(soles))
@@ -288,6 +292,48 @@ def test_rewards_of_feet_are_of_those_that_touch():
         for episode in (slow._replace(strayed=jnp.array([-0.1, 0.0, 0.0])), slow, slow._replace(command=STAND))
     )
     assert late < now < still == 1.0
+
+
+def test_rewards_have_the_values_of_their_formulas():
+    """Lean 5 degrees, a tilt of 0.1 rad, and errors of 0.1 m/s and 0.2 rad/s now, of 0.05 m/s and 0.1 rad/s of late."""
+    task = walk(**EXACT)
+    state = jax.tree.map(lambda x: x[0], reset(arrays(task), KEYS))
+    tilt, half = Rotation.from_rotvec([0.0, 0.1, 0.0]).as_matrix(), np.radians(2.5)
+    feet = unknown_feet(BODY)._replace(rotation=jnp.stack([jnp.asarray(tilt, jnp.float32), jnp.eye(3)]))
+    feet = feet._replace(corner_force=jnp.full((2, 4), 4.0))
+    world = state.data.world
+    world = world._replace(
+        qpos=world.qpos.at[3:7].set(jnp.array([np.cos(half), np.sin(half), 0.0, 0.0])),
+        qvel=world.qvel.at[:3].set(jnp.array([0.1, -0.1, 0.0])),
+    )
+    motion = state.data.motion._replace(velocity=jnp.array([0.4, 0.0, 0.3]), turn_rate=jnp.float32(0.7))
+    data = state.data._replace(
+        world=world,
+        motion=motion,
+        command=jnp.array([0.3, 0.0, 0.5]),
+        heading_error=jnp.float32(0.0),
+        strayed=jnp.array([0.03, -0.04, 0.1]),
+        offsets=jnp.array([0.5] * 5 + [0.0] * 5),
+    )
+    view = task.view(data, None, jnp.array([0.5] * 4 + [0.0] * 6))._replace(feet=feet, torque=jnp.full(JOINTS, 0.5))
+    near, middle, far = (scale * BODY.pace**2 for scale in rewards.SPEED_SCALES)
+    speed = np.mean(np.exp([-0.0025 / near, -0.0025 / middle, -0.01 / far]))
+    turn = np.mean(np.exp([-0.01 / 0.03, -0.01 / 0.2, -0.04 / 1.0]))
+    expected = {
+        "upright": np.exp(-0.25),
+        "still": np.exp(-0.02 / (rewards.STILL * BODY.pace) ** 2),
+        "calm": 1 - 0.125,
+        "speed": speed,
+        "turn": turn,
+        "tilted_feet": 5 * np.sin(0.1) ** 2,
+        "yawing": 0.1**2,
+        "jumps": 0.025,
+        "effort": 0.25**2,
+    }
+    # Scales of a robot have two digits.
+    for name, value in expected.items():
+        assert float(getattr(rewards, name)(view)) == pytest.approx(value, rel=0.02), name
+    assert rewards.tilted_feet(view._replace(feet=feet._replace(corner_force=jnp.zeros((2, 4))))) == 0.0
 
 
 def test_the_heading_is_kept_while_the_turn_rate_stays_the_same():

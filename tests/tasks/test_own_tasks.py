@@ -171,6 +171,14 @@ def test_a_task_that_breaks_the_protocol_gets_one_sentence(fault):
     assert "\n" not in str(caught.value) and str(caught.value).endswith(".")
 
 
+@pytest.mark.parametrize(("number", "choice"), [(-3.0, 0), (-1.0, 0), (-0.1, 0), (0.1, 1), (1.0, 1), (3.0, 1)])
+def test_a_number_is_carried_out_as_the_nearest_choice(number, choice):
+    task, key = Hop(), jax.random.key(0)
+    state = task.reset(key)
+    stepped = task.step_continuous(state, jnp.array([number]), key)
+    assert stepped.obs == task.step(state, jnp.array([choice]), key).obs
+
+
 def test_an_episode_begins_with_nothing_won():
     state = Hop().reset(jax.random.key(0))
     assert state.reward == state.metrics["ahead"] == 0.0 and not (state.terminated | state.truncated | state.success)

@@ -31,6 +31,17 @@ def test_the_right_way_up_arrives_and_the_left_leg_takes_opposite_values():
     assert int(task.state_index(jax.tree.map(lambda x: x[0], state))) == task.num_states - 1
 
 
+@pytest.mark.parametrize("moves", [(1, 1, 1), (2, 1, 0), (0, 2, 1), (1, 0, 2)])
+def test_a_choice_of_each_joint_moves_its_own_joint(moves):
+    task = make_task("posture_switch")
+    state = task.reset(rng.key(0))
+    state = state._replace(encoders=jnp.asarray(task.grid[:, 2]))
+    place = task.grid[np.arange(3), 1 + np.array(moves)]
+    wanted = task.controller(task.whole_body(jnp.asarray(place, jnp.float32)))
+    for found, expected in zip(*map(jax.tree.leaves, (task.drive(state, jnp.array(moves))[1], wanted)), strict=True):
+        np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
 def test_staying_and_going_back_never_arrive():
     state, step = start(make_task("posture_switch"), 4)
     for _ in range(5):
