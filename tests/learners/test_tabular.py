@@ -94,6 +94,15 @@ def test_standard_rules_converge_to_the_optimal_q(joint, values):
     assert error < 2e-3 * np.abs(optimal).max()
 
 
+@pytest.mark.parametrize(("action", "cell"), [(0, 1), (1, 5), (2, 7), (3, 3)])
+def test_moves_go_up_right_down_and_left_unless_an_obstacle_is_there(action, cell):
+    open_map = make_task("navigate", map=("...", ".S.", "..G"))
+    walled = make_task("navigate", map=(".#.", "#S.", "..G"))
+    key = jax.random.key(0)
+    assert open_map.step(open_map.reset(key), action, key)[0] == cell
+    assert walled.step(walled.reset(key), action, key)[0] == (4 if action in (0, 3) else cell)
+
+
 @pytest.mark.parametrize("agents", [1, 64])
 def test_navigate_finds_paths_as_short_as_breadth_first_search(agents):
     task = make_task("navigate", max_episode_steps=300)

@@ -334,6 +334,8 @@ def test_rewards_have_the_values_of_their_formulas():
     for name, value in expected.items():
         assert float(getattr(rewards, name)(view)) == pytest.approx(value, rel=0.02), name
     assert rewards.tilted_feet(view._replace(feet=feet._replace(corner_force=jnp.zeros((2, 4))))) == 0.0
+    # A learner's numbers stay: shipped policies read half a metre a second, or a radian, as 1.
+    np.testing.assert_allclose(Observed(("command", "turn_rate"), BODY)(view), [0.6, 0.0, 0.5, 0.7 / 3], rtol=1e-6)
 
 
 def test_the_heading_is_kept_while_the_turn_rate_stays_the_same():

@@ -10,6 +10,7 @@ from stepping import arrays, reset, step
 
 from humanoid_mjx import InputError, make_task
 from humanoid_mjx.compute import rng
+from humanoid_mjx.tasks.legged.events import Push
 
 BODIES = 16
 STIFF = {"stiffness": 6.0, "damping": 0.2}
@@ -76,6 +77,16 @@ def test_pushes_come_when_they_are_due_and_change_nothing_before():
         differs = (np.asarray(pushed.data.world.qpos) != np.asarray(calm.data.world.qpos)).any(axis=1)
         np.testing.assert_array_equal(differs, k >= first)
     assert 0 < first.min() + 1 <= first.max() + 1 <= 6
+
+
+def test_impulses_are_drawn_from_the_least_to_the_largest_in_any_direction():
+    push, period = Push(impulse=0.8, least=0.25, every=2.0), 0.02
+    forces = jax.vmap(lambda key: push.force(jnp.float32(4.01), period, key))(jax.random.split(rng.key(3), 2000))
+    sizes = period * np.linalg.norm(forces, axis=1)
+    assert 0.2 - 1e-6 <= sizes.min() < 0.21 and 0.79 < sizes.max() <= 0.8 + 1e-6
+    # The mean of 2,000 uniform numbers is off by 4 sigma = 0.016 in one of 16,000 samples.
+    assert sizes.mean() == pytest.approx(0.5, abs=0.016)
+    assert np.unique(np.sign(np.asarray(forces)[:, :2]), axis=0).shape == (4, 2) and not forces[:, 2].any()
 
 
 def test_the_estimate_of_gravity_is_near_the_truth():
