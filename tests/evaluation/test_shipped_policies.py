@@ -2,15 +2,33 @@
 
 import pytest
 
+from humanoid_mjx.config import load
 from humanoid_mjx.evaluation.evaluate import play_out
 from humanoid_mjx.evaluation.policy import find_policy, in_changed_world
+from humanoid_mjx.training.plan import resolved
 
 EPISODES = 8
 SECONDS = 3.0
 """Long enough for a body without a policy to fall: most of those that hold their posture do within a second."""
 
 
-@pytest.mark.parametrize("name", ["stand", "walk", "walk_sturdy", "walk_terrain", "walk_dog", "walk_humanoid"])
+SHIPPED = ("stand", "walk", "walk_sturdy", "walk_terrain", "walk_dog", "walk_humanoid")
+
+
+def values(config, place=""):
+    """The values of a config by their dotted names."""
+    for key, value in config.items():
+        yield from values(value, f"{place}{key}.") if isinstance(value, dict) else [(place + key, value)]
+
+
+@pytest.mark.parametrize("name", [*SHIPPED, "posture_switch"])
+def test_a_config_sets_what_its_shipped_policy_was_trained_with(name):
+    trained, today = dict(values(find_policy(name).config.task)), dict(values(resolved(load(name))["task"]))
+    # Newer keys leave older policies as they were; the robot has the shares of joints now.
+    assert {key for key, value in trained.items() if today[key] != value} <= {"action_shares"}
+
+
+@pytest.mark.parametrize("name", SHIPPED)
 def test_a_shipped_policy_stays_upright_in_native_mujoco(name):
     world = ["task.physics=mujoco", f"task.duration={SECONDS}"]
     world += ["task.terrain={stairs: 0.01}"] if name == "walk_terrain" else []
