@@ -9,7 +9,7 @@ from chapter_8_verdicts import Record, findings
 from tables import record, rounded, spread, table
 
 COMMANDS: list[str] = record("h200_walk_learning")["commands"]
-"""Those that all records have: to stand, to go ahead at four speeds, to turn, a curve, a turn at once."""
+"""Those that all records have: to stand, to go ahead at four speeds, to turn, a curve, a sudden turn."""
 
 
 class Walk(NamedTuple):
@@ -56,7 +56,7 @@ def walk_goals() -> str:
         ("difference of the sides at up to 0.5 m/s, %", "duty_asymmetry", COMMANDS[1:4], 100, "at most", 10),
         ("error of the turn rate at 1 rad/s, rad/s", "turn_error", ("turn +1.0", "turn -1.0"), 1, "at most", 0.15),
         ("drift while it stands for 20 s, cm", "drift", ("stand",), 100, "at most", 2),
-        ("turns by 45 degrees at once, within 1.5 s, %", "turn_success", ("sudden turn",), 100, "at least", 90),
+        ("sudden turns by 45 degrees within 1.5 s, %", "turn_success", ("sudden turn",), 100, "at least", 90),
     )
     here, there = _evaluated("h200_walk_seeds"), _evaluated("cpu_2_cores_walk_mujoco")
     rows = []
@@ -80,8 +80,8 @@ def _compared(policies: Mapping[str, Walk]) -> str:
         speeds = ", ".join(rounded(of.median("forward", command), 2) for command in COMMANDS[2:5])
         slips = ", ".join(rounded(of.median("slip", command), 3) for command in COMMANDS[2:4])
         rows.append((words, *size, upright, speeds, slips, spread(of.seeds("turn_success", "sudden turn"), 0, 100)))
-    told = "speed told 0.3, 0.5, 0.8 m/s | slip told 0.3, 0.5 m/s"
-    return table(f"training | seeds | steps, millions | least upright, % | {told} | turns at once, %", rows)
+    told = "speed at 0.3, 0.5, 0.8 m/s | slip at 0.3, 0.5 m/s"
+    return table(f"training | seeds | steps, millions | least upright, % | {told} | sudden turns, %", rows)
 
 
 def walk_learners() -> str:
@@ -126,9 +126,9 @@ def _in_worlds(name: str) -> str:
         turned = spread([100 * (share or 0.0) for share in row["turn_success"][at["sudden turn"]]], 0)
         upright = (f"{rounded(median(of), 0)} ({rounded(of[0], 0)})" for of in (mean, least))
         rows.append((row["world"], f"`{row['policy']}`", str(len(seeds)), *upright, speeds, slips, turned))
-    told = "speed told 0.3, 0.5, 0.8 m/s | slip told 0.3, 0.5 m/s"
+    told = "speed at 0.3, 0.5, 0.8 m/s | slip at 0.3, 0.5 m/s"
     upright = "upright for 20 s, mean of all commands, % | under the worst command, %"
-    return table(f"world | policy | seeds | {upright} | {told} | turns at once, %", rows)
+    return table(f"world | policy | seeds | {upright} | {told} | sudden turns, %", rows)
 
 
 def chapter_8() -> str:
@@ -155,7 +155,7 @@ def walk_fast() -> str:
         cost = rounded(median(row["cost_of_transport"][at]), 2)
         rows.append((changed, row["commands"][at].split()[1], rounded(100 * means[at], 0), *numbers, *feet, cost))
     head = (
-        "setting | told, m/s | upright, % | forward, m/s | Froude number | in flight, % | slip, m/s | cost of transport"
+        "setting | command, m/s | upright, % | forward, m/s | Froude number | in flight, % | slip, m/s | cost of transport"
     )
     return table(head, rows)
 
