@@ -154,9 +154,7 @@ def walk_fast() -> str:
         feet = (rounded(100 * median(row["flight"][at]), 1), rounded(median(row["slip"][at]), 3))
         cost = rounded(median(row["cost_of_transport"][at]), 2)
         rows.append((changed, row["commands"][at].split()[1], rounded(100 * means[at], 0), *numbers, *feet, cost))
-    head = (
-        "setting | command, m/s | upright, % | forward, m/s | Froude number | in flight, % | slip, m/s | cost of transport"
-    )
+    head = "setting | command | upright, % | speed, m/s | Froude number | in flight, % | slip, m/s | cost of transport"
     return table(head, rows)
 
 
