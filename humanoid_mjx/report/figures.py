@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from itertools import combinations, pairwise
+from itertools import combinations, cycle, pairwise, product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -170,10 +170,10 @@ def draw_terms(
     panel: Any, results: Mapping[str, np.ndarray], axis_name: str | None, names: Sequence[str]
 ) -> dict[str, float]:
     """One panel of columns, a line for each, over all values of whatever was swept; returns as `draw_curves`."""
-    counter, colors = _counter(results), [COLORS[i % len(COLORS)] for i in range(len(names))]
+    counter, looks = _counter(results), product(("-", "--", ":"), COLORS)  # colours come again with another dash
     ends = [
-        draw_line(panel, results[counter], results["seed"], results[name], color, label=name).end
-        for name, color in zip(names, colors, strict=True)
+        draw_line(panel, results[counter], results["seed"], results[name], color, label=name, linestyle=dash).end
+        for name, (dash, color) in zip(names, cycle(looks), strict=False)
     ]
     label_lines(panel)
     count_axis(panel)
