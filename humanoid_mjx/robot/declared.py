@@ -21,7 +21,7 @@ import pydantic
 from jaxtyping import Float
 from pydantic import Field
 
-from humanoid_mjx.config import parse_yaml
+from humanoid_mjx.config import Config, parse_yaml
 from humanoid_mjx.files import folder
 from humanoid_mjx.robot.description import Robot, Servo, add_motors_and_imu, image
 from humanoid_mjx.spec import InputError, Spec, known, search_folders, sentence
@@ -202,12 +202,13 @@ def is_shipped(name: str) -> bool:
 
 
 def describes_robot(name: str) -> bool:
-    """Return whether this is a robot that ships, or the YAML of one and not a config."""
+    """Return whether this is a robot that ships, or a YAML with more keys of a robot than of a config."""
     path = Path(name)
     if is_shipped(name) or path.suffix not in (".yaml", ".yml") or not path.is_file():
         return is_shipped(name)
     data = parse_yaml(path.read_text(encoding="utf-8"), name)
-    return isinstance(data, dict) and "task" not in data and bool({"model", "feet"} & data.keys())
+    keys = data.keys() if isinstance(data, dict) else set()
+    return len(keys & Declaration.model_fields.keys()) > len(keys & Config.model_fields.keys())
 
 
 def find(name: str) -> Path:

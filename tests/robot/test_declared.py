@@ -243,6 +243,20 @@ def test_models_of_gymnasium_are_taken_as_they_are(model, keys, facts, tmp_path)
         np.testing.assert_allclose(robot.ranges_rad[order][shoulder], -robot.ranges_rad[shoulder][::-1])
 
 
+@pytest.mark.parametrize(
+    "wrong", ["modle: dog.xml\nfeets: [FR_foot]\nhome: home", "task: walk\nmodel: dog.xml\nfeet: []"]
+)
+def test_a_misspelt_robot_is_told_the_keys_of_robots(wrong, tmp_path):
+    (tmp_path / "pet.yaml").write_text(wrong)
+    for show in (show_keys, lambda name: show_info(name, (), False)):
+        with console.capture() as shown:
+            try:
+                show(str(tmp_path / "pet.yaml"))
+            except InputError as error:
+                console.print(error)
+        assert "turns" in shown.get() and "learner" not in shown.get()
+
+
 def test_info_shows_a_robot_and_its_keys(tmp_path):
     with console.capture() as shown:
         show_info(files(tmp_path), (), False)
