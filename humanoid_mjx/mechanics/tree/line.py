@@ -5,12 +5,12 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from humanoid_mjx.mechanics.scalars import Scalar
 from humanoid_mjx.mechanics.tree.inertia import product
 from humanoid_mjx.mechanics.tree.pairs import pair_residuals
-from humanoid_mjx.mechanics.tree.problem import Problem, ground_residuals
+from humanoid_mjx.mechanics.tree.problem import Active, Problem, ground_residuals
 from humanoid_mjx.mechanics.tree.structure import Tree
 
 MOST_ROUNDS = 30
@@ -30,32 +30,47 @@ class Rows(NamedTuple):
         return self.start + share * self.slope
 
 
-def lowest_share(tree: Tree, problem: Problem, pairs: Any, before: Sequence[Scalar], after: Sequence[Scalar]) -> Any:
+def lowest_share(
+    tree: Tree,
+    problem: Problem,
+    pairs: Any,
+    active: Active,
+    before: Sequence[Scalar],
+    after: Sequence[Scalar],
+    known: Any,
+) -> Any:
     """The share of the way from `before` to `after` at which the problem is lowest, by world.
+
+    The slope along the way is zero at `after` as long as the same facets push. So only facets that change add to it:
+    no large forces cancel, and float32 finds a facet that changes even where little is gained.
 
     Args:
       tree: and
       problem: what the accelerations minimise.
       pairs: the contacts of all pairs (`pairs.joined`); None where there are none.
+      active: the facets that push, and others not, in the equations that `after` solves.
       before: accelerations from which the way leads downhill.
       after: accelerations that are 1 along it.
+      known: worlds whose share is of no use.
     """
     worlds = jnp.broadcast_shapes(*(jnp.shape(v.value)[-1:] for v in after))
     way = [two - one for one, two in zip(before, after, strict=True)]
-    weighed = product(tree, problem.matrix, before), product(tree, problem.matrix, way)
-    slope = _along(tree, way, [a - f for a, f in zip(weighed[0], problem.force, strict=True)])
-    curve = _along(tree, way, weighed[1])
-    pushing = _pushing(tree, problem, pairs, before, after, worlds)
-    rubbing, most = _rubbing(tree, problem, before, after, worlds)
+    curve = _along(tree, way, product(tree, problem.matrix, way))
+    pushing, pushed = _pushing(tree, problem, pairs, active, before, after, worlds)
+    rubbing, (most, up, down) = _rubbing(tree, problem, active, before, after, worlds)
+    push, rub = (rows.weight * rows.slope for rows in (pushing, rubbing))
+    held = jnp.where(pushed, push * pushing.slope, 0.0).sum(axis=0)
+    whole = curve + held + jnp.where(up | down, 0.0, rub * rubbing.slope).sum(axis=0)
 
     def derivatives(share: Any) -> tuple[Any, Any]:
-        residual, (force, on) = pushing.at(share), (rubbing.weight * rubbing.at(share), rubbing.weight)
-        active = jnp.where(residual < 0.0, pushing.weight, 0.0)
-        first = slope + share * curve + (active * residual * pushing.slope).sum(axis=0)
-        second = curve + (active * pushing.slope * pushing.slope).sum(axis=0)
-        first = first + (jnp.clip(force, -most, most) * rubbing.slope).sum(axis=0)
-        sticks = jnp.where(jnp.abs(force) < most, on, 0.0)
-        return first, second + (sticks * rubbing.slope * rubbing.slope).sum(axis=0)
+        residual, force = pushing.at(share), rubbing.weight * rubbing.at(share)
+        pushes, sticks = residual < 0.0, jnp.abs(force) < most
+        first = jnp.where(pushes == pushed, 0.0, jnp.where(pushes, push, -push) * residual).sum(axis=0)
+        was = jnp.where(up, most, jnp.where(down, -most, force))
+        first = first + ((jnp.clip(force, -most, most) - was) * rubbing.slope).sum(axis=0)
+        second = curve + jnp.where(pushes, push * pushing.slope, 0.0).sum(axis=0)
+        second = second + jnp.where(sticks, rub * rubbing.slope, 0.0).sum(axis=0)
+        return first + (share - 1.0) * whole, second
 
     def step(carry: tuple[Any, ...]) -> tuple[Any, ...]:
         share, low, high, _, count = carry
@@ -65,7 +80,7 @@ def lowest_share(tree: Tree, problem: Problem, pairs: Any, before: Sequence[Scal
         halfway = jnp.where(jnp.isfinite(high), 0.5 * (low + high), 2.0 * share)
         new = jnp.where((new > low) & (new < high), new, halfway)
         near = jnp.abs(new - share) <= 4.0 * jnp.finfo(new.dtype).eps * share
-        return new, low, high, near | (first == 0.0), count + 1
+        return new, low, high, near | (first == 0.0) | known, count + 1
 
     start = jnp.ones(worlds, curve.dtype)
     carry = start, jnp.zeros_like(start), jnp.full_like(start, jnp.inf), jnp.zeros(worlds, bool), jnp.int32(0)
@@ -84,45 +99,60 @@ def _along(tree: Tree, way: Sequence[Scalar], force: Sequence[Scalar]) -> Any:
 
 
 def _pushing(
-    tree: Tree, problem: Problem, pairs: Any, before: Sequence[Scalar], after: Sequence[Scalar], worlds: tuple[int, ...]
-) -> Rows:
-    """One-sided constraints: facets of contacts, and ends of ranges."""
+    tree: Tree,
+    problem: Problem,
+    pairs: Any,
+    active: Active,
+    before: Sequence[Scalar],
+    after: Sequence[Scalar],
+    worlds: tuple[int, ...],
+) -> tuple[Rows, Bool[Array, "rows worlds"]]:
+    """One-sided constraints, facets of contacts and ends of ranges, and which of them `active` has."""
     found: list[tuple[Any, ...]] = []
     grounds = (ground_residuals(tree, problem.kinematics, problem.ground, x) for x in (before, after))
-    for points, touch, one, two in zip(tree.ground, problem.ground, *grounds, strict=True):
+    for points, touch, flags, one, two in zip(tree.ground, problem.ground, active.ground, *grounds, strict=True):
         lanes = (tree.lanes,) * tree.bodies[points.body].laned
         count = len(points.order) // max([1, *lanes])
         shape = (*(count,) * (count > 1), *lanes, *worlds)
-        for a, b in zip(touch.facets(one), touch.facets(two), strict=True):
-            found.append(_row(touch.close, touch.weight, a, b, shape))
+        for flag, a, b in zip(flags, touch.facets(one), touch.facets(two), strict=True):
+            found.append(_row(touch.close, touch.weight, a, b, shape, flag))
     if pairs is not None:
         shape = sum(len(group.ones) for group in tree.pairs), *worlds
         residuals = (pairs.facets(pair_residuals(tree, problem.kinematics, pairs, x)) for x in (before, after))
-        found += [_row(pairs.close, pairs.weight, a, b, shape) for a, b in zip(*residuals, strict=True)]
+        for flag, a, b in zip(active.pairs, *residuals, strict=True):
+            found.append(_row(pairs.close, pairs.weight, a, b, shape, flag))
     for dof, stop in problem.stops.items():
         shape = (*(tree.lanes,) * tree.laned(dof), *worlds)
-        found.append(_row(stop.close, stop.weight, stop.residual(before[dof]), stop.residual(after[dof]), shape))
-    return _rows(found, worlds)
+        ends = stop.residual(before[dof]), stop.residual(after[dof])
+        found.append(_row(stop.close, stop.weight, *ends, shape, active.stops[dof]))
+    *rows, pushed = _together(found, (float, float, float, bool), worlds)
+    return Rows(*rows), pushed
 
 
 def _rubbing(
-    tree: Tree, problem: Problem, before: Sequence[Scalar], after: Sequence[Scalar], worlds: tuple[int, ...]
-) -> tuple[Rows, Any]:
-    """Dry friction, and its largest forces."""
-    found, most = [], []
+    tree: Tree,
+    problem: Problem,
+    active: Active,
+    before: Sequence[Scalar],
+    after: Sequence[Scalar],
+    worlds: tuple[int, ...],
+) -> tuple[Rows, tuple[Any, Any, Any]]:
+    """Dry friction, its largest forces, and where `active` has these, against a positive and a negative residual."""
+    found = []
     for dof, slip in problem.slips.items():
         shape = (*(tree.lanes,) * tree.laned(dof), *worlds)
-        found.append(_row(True, slip.weight, slip.residual(before[dof]), slip.residual(after[dof]), shape))
-        most.append(jnp.broadcast_to(jnp.asarray(slip.most.value, float), shape).reshape(-1, *worlds))
-    return _rows(found, worlds), jnp.concatenate(most) if most else jnp.zeros((0, *worlds))
+        ends = slip.residual(before[dof]), slip.residual(after[dof])
+        found.append(_row(True, slip.weight, *ends, shape, slip.most.value, *active.slips[dof]))
+    *rows, most, up, down = _together(found, (float, float, float, float, bool, bool), worlds)
+    return Rows(*rows), (most, up, down)
 
 
-def _row(close: Any, weight: Scalar, one: Scalar, two: Scalar, shape: tuple[int, ...]) -> tuple[Any, ...]:
-    parts = jnp.where(close, weight.value, 0.0), one.value, (two - one).value
-    return tuple(jnp.broadcast_to(jnp.asarray(part, float), shape).reshape(-1, shape[-1]) for part in parts)
+def _row(close: Any, weight: Scalar, one: Scalar, two: Scalar, shape: tuple[int, ...], *more: Any) -> tuple[Any, ...]:
+    parts = jnp.where(close, weight.value, 0.0), one.value, (two - one).value, *more
+    return tuple(jnp.broadcast_to(jnp.asarray(part), shape).reshape(-1, shape[-1]) for part in parts)
 
 
-def _rows(found: Sequence[tuple[Any, ...]], worlds: tuple[int, ...]) -> Rows:
-    if not found:
-        return Rows(*(jnp.zeros((0, *worlds)) for _ in range(3)))
-    return Rows(*(jnp.concatenate(parts) for parts in zip(*found, strict=True)))
+def _together(found: Sequence[tuple[Any, ...]], types: Sequence[type], worlds: tuple[int, ...]) -> list[Any]:
+    """The parts of all rows, one below the other; of each type even where there are no rows."""
+    parts = zip(*found, strict=True) if found else [()] * len(types)
+    return [jnp.concatenate([jnp.zeros((0, *worlds), t), *part]) for t, part in zip(types, parts, strict=True)]

@@ -27,6 +27,10 @@ SAME = 200.0
 """Rounding errors by which two accelerations may differ, as shares of the largest, and count as the same. A facet whose
 force is zero but for rounding may go on and off for ever, and moves nothing."""
 
+PATIENCE, MORE = 10, 10.0
+"""Steps after which `circling` trees may differ by so many times as much. Their worlds settle in about 6 steps; those
+that go on alternate between two accelerations that differ by rounding, which stiff contacts of light limbs enlarge."""
+
 
 def search(tree: Tree, problem: Problem, start: list[Any], most: int) -> tuple[list[Any], Any]:
     """The accelerations after at most so many steps, and where they are settled, from which on they stay."""
@@ -37,10 +41,11 @@ def search(tree: Tree, problem: Problem, start: list[Any], most: int) -> tuple[l
         x, pairs = _minimum(tree, problem, active, near)
         now = active_at(tree, problem, x)._replace(pairs=pairs)
         values = [jnp.where(settled, old, v.value) for old, v in zip(before, x, strict=True)]
-        settled = settled | ~_differ(active, now) | _same(before, values)
+        errors = SAME * jnp.where(count < PATIENCE, 1.0, MORE) if circling(tree) else SAME
+        settled = settled | ~_differ(active, now) | _same(before, values, errors)
         if circling(tree):
             shorter = (count > 0) & ~settled.all()
-            shorten = partial(_shortened, tree, problem, before, values, now, settled)
+            shorten = partial(_shortened, tree, problem, before, values, active, settled)
             values, now = jax.lax.cond(shorter, shorten, lambda: (values, now))
         return values, now, settled, count + 1
 
@@ -63,11 +68,12 @@ def circling(tree: Tree) -> bool:
     return any(joint.dry for joint in tree.joints) or sum(len(group.ones) for group in tree.pairs) > FEW_PAIRS
 
 
-def _shortened(tree: Tree, problem: Problem, before: Any, values: Any, now: Active, settled: Any) -> Any:
-    """The accelerations at the lowest point between these two, and what is active there; settled worlds stay."""
+def _shortened(tree: Tree, problem: Problem, before: Any, values: Any, active: Active, settled: Any) -> Any:
+    """The accelerations at the lowest point from `before` by way of `values`, where the facets that push in `active`
+    lead, and which facets push there; settled worlds stay."""
     touch = joined(tree, problem.pairs) if problem.pairs else None
     one, two = ([Scalar(value) for value in x] for x in (before, values))
-    share = lowest_share(tree, problem, touch, one, two)
+    share = lowest_share(tree, problem, touch, active, one, two, settled)
     values = [jnp.where(settled, new, old + share * (new - old)) for old, new in zip(before, values, strict=True)]
     found = [Scalar(value) for value in values]
     pairs = active_pairs(tree, problem.kinematics, touch, found) if touch else []
@@ -85,13 +91,13 @@ def _differ(one: Active, two: Active) -> Any:
     return found
 
 
-def _same(one: Sequence[Any], two: Sequence[Any]) -> Any:
-    """In which worlds two accelerations are the same but for rounding."""
+def _same(one: Sequence[Any], two: Sequence[Any], errors: Any) -> Any:
+    """In which worlds two accelerations are the same but for so many rounding errors."""
     change, size = jnp.zeros((), two[0].dtype), jnp.zeros((), two[0].dtype)
     for a, b in zip(one, two, strict=True):
         for part, whole in zip(*(jnp.reshape(x, (-1, jnp.shape(x)[-1])) for x in (a - b, b)), strict=True):
             change, size = jnp.maximum(change, jnp.abs(part)), jnp.maximum(size, jnp.abs(whole))
-    return change <= SAME * jnp.finfo(change.dtype).eps * size
+    return change <= errors * jnp.finfo(change.dtype).eps * size
 
 
 def _minimum(tree: Tree, problem: Problem, active: Active, near: Any) -> tuple[list[Scalar], list[Any]]:
