@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from humanoid_mjx.mechanics.tree.refusing import faults, kinds_of, touching
+from humanoid_mjx.robot.declared import bad_timestep
 from humanoid_mjx.spec import InputError
 
 JOINT = mujoco.mjtJoint
@@ -18,7 +19,7 @@ def read_model(path: str) -> mujoco.MjModel:
     """The compiled model of an MJCF file.
 
     Raises:
-      InputError: there is no such file, MuJoCo cannot compile it, or nothing in it moves.
+      InputError: there is no such file, MuJoCo cannot compile it, its time step is none, or nothing in it moves.
     """
     if not Path(path).is_file():
         raise InputError(f"info: there is no file {path}.")
@@ -28,6 +29,8 @@ def read_model(path: str) -> mujoco.MjModel:
         raise InputError(f"info: MuJoCo cannot read {path}: {' '.join(str(error).split())}.") from error
     if not model.nv:
         raise InputError(f"info: {path} has no joint, so nothing in it moves.")
+    if fault := bad_timestep(model.opt.timestep):
+        raise InputError(f"info: {path}: {fault}.")
     return model
 
 

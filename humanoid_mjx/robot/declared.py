@@ -11,6 +11,7 @@ import json
 import re
 from collections.abc import Sequence
 from functools import lru_cache
+from math import inf, isfinite
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 from xml.etree import ElementTree
@@ -32,13 +33,16 @@ DAMPING = 0.03
 CORNER = 0.25
 """Largest radius of the balls in a box's corners, as a share of half its shorter side."""
 
+SLACK_DEG = 1.0
+"""By how much a posture may lie beyond the range of a joint, degrees."""
+
 JOINT, GEOM = mujoco.mjtJoint, mujoco.mjtGeom
 
 
 def _numbers(given: Any) -> Any:
     """Numbers by patterns, from a number for all joints or from such a mapping."""
     numbers = given if isinstance(given, dict) else {".*": given}
-    if any(isinstance(x, bool) or not isinstance(x, (int, float)) for x in numbers.values()):
+    if any(isinstance(x, bool) or not isinstance(x, (int, float)) or not isfinite(x) for x in numbers.values()):
         raise ValueError(f"a number, or numbers by patterns of joints' names, are needed, got {given!r}")
     for pattern in numbers:
         try:
@@ -301,8 +305,16 @@ def _load(file: str) -> mujoco.MjSpec:
     bodies = [body.name for body in spec.worldbody.bodies]
     free = [joint for joint in spec.joints if joint.type == JOINT.mjJNT_FREE]
     if len(bodies) != 1 or len(free) != 1 or free[0].parent.name != bodies[0]:
-        raise InputError(f"model: a robot is one body with a free joint, and what hangs on it; the world has {bodies}")
+        there = ", ".join(bodies) or "none"
+        raise InputError(f"model: a robot is one body with a free joint, and what hangs on it; the bodies are: {there}")
+    if fault := bad_timestep(spec.option.timestep):
+        raise InputError(f"model: {fault}")
     return spec
+
+
+def bad_timestep(seconds: float) -> str | None:
+    """Return the fault of a model's time step, or None."""
+    return None if 0.0 < seconds < inf else f"<option timestep> is {seconds:g}; it must be a number of seconds above 0"
 
 
 def _driven(model: mujoco.MjModel) -> tuple[str, ...]:
@@ -320,7 +332,12 @@ def _driven(model: mujoco.MjModel) -> tuple[str, ...]:
 def _home(home: Any, model: mujoco.MjModel, joints: Sequence[str]) -> Float[np.ndarray, " joints"]:
     """Angles of the joints, degrees."""
     if isinstance(home, dict):
-        return _by_joint("home", home, joints, np.zeros(len(joints)))
+        angles = _by_joint("home", home, joints, np.zeros(len(joints)), least=-inf)
+        for joint, angle in zip(map(model.joint, joints), angles, strict=True):
+            low, high = np.degrees(joint.range)
+            if model.jnt_limited[joint.id] and not low - SLACK_DEG <= angle <= high + SLACK_DEG:
+                raise InputError(f"home: {joint.name} at {angle:g} degrees is beyond its range, {low:g} to {high:g}")
+        return angles
     if not home:
         return np.zeros(len(joints))
     keys = [model.key(index).name for index in range(model.nkey)]
@@ -389,17 +406,19 @@ def _own_servo(
 
 
 def _by_joint(
-    key: str, given: dict[str, float] | None, joints: Sequence[str], otherwise: np.ndarray
+    key: str, given: dict[str, float] | None, joints: Sequence[str], otherwise: np.ndarray, least: float = 0.0
 ) -> Float[np.ndarray, " joints"]:
     """Numbers of the joints from those by patterns, `otherwise` where none fits.
 
     Raises:
-      InputError: a pattern fits no joint.
+      InputError: a pattern fits no joint, or its number is below `least`.
     """
     values = otherwise.astype(float)
     for pattern, number in reversed((given or {}).items()):
         fits = [bool(re.fullmatch(pattern, joint)) for joint in joints]
         if not any(fits):
             raise InputError(f"{key}: {pattern!r} fits no joint; {known(pattern, joints)}")
+        if number < least:
+            raise InputError(f"{key}: must be at least {least:g}, got {number:g}")
         values[fits] = number
     return values
