@@ -91,6 +91,7 @@ def test_info_shows_a_robot_and_what_a_tree_cannot_take(option, refusal, tmp_pat
     assert "contacts      1 of plane and box" in done.output
     assert (refusal or "tree takes it as it is") in done.output
     assert ("with `contacts: feet`" in done.output) == ("elliptic" in option)
+    assert "stand and walk need" not in done.output
 
 
 @pytest.mark.parametrize(

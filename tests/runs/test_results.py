@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.stats import binomtest, trim_mean
 
 from humanoid_mjx.report.figures import CURVES, TERMS, Figure, curved, find_levels, learning_curves, sweep_figures
-from humanoid_mjx.runs.ranking import ranked, ties, training_interval
+from humanoid_mjx.runs.ranking import best_table, ranked, ties, training_interval
 from humanoid_mjx.runs.statistics import iqm, iqm_interval, mean_interval, rate_interval
 from humanoid_mjx.runs.tables import scores
 
@@ -97,6 +97,21 @@ def test_training_tells_points_apart_that_act_equally_well(quickest, columns, or
     columns = {name: np.array(values) for name, values in columns.items()}
     points = ranked([], {"point": np.arange(3)} | equal | same | columns, quickest)
     assert [point.point for point in points] == order and ties(points) == 3
+
+
+@pytest.mark.parametrize("steps", [(9.0, 9.0), (9.0, 8.0)])
+def test_the_table_of_the_best_points_shows_all_of_training_where_points_tie(steps):
+    summary = {"point": np.arange(2), "seed": np.zeros(2, int), "learner.epsilon": np.array([0.1, 0.2])}
+    summary |= {"greedy_success": np.ones(2), "greedy_steps": np.array(steps), "greedy_return": np.zeros(2)}
+    summary |= {"steps": np.array([20.0, 30.0]), "whole_steps": np.array([40.0, 50.0]), "diverged": np.array([0, 1])}
+    axes, tied = ["learner.epsilon"], steps[0] == steps[1]
+    headings, rows = best_table(axes, summary, ranked(axes, summary, quickest=True), quickest=True)
+    whole = ["steps over all of training"] * tied
+    ends = "steps at the end of training (95\u00a0%)"
+    assert headings == ["point", *axes, "greedy success", "greedy steps", ends, *whole, "diverged"]
+    first = ["0", "0.1", "100.0%", "9.0", "20.00", *["40.00"] * tied, "0 of 1"]
+    second = ["1", "0.2", "100.0%", f"{steps[1]}", "30.00", *["50.00"] * tied, "1 of 1"]
+    assert rows == ([first, second] if tied else [second, first])
 
 
 def test_the_summary_has_the_end_of_a_curve_and_the_whole_of_it():
