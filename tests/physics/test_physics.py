@@ -13,6 +13,7 @@ from standing import MJX, NATIVE, VALUES, hold, standing, step
 
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.physics.base import Stages
+from humanoid_mjx.physics.model import below
 from humanoid_mjx.spec import InputError
 
 sense = jax.jit(jax.vmap(MJX.sense))
@@ -22,6 +23,12 @@ sense = jax.jit(jax.vmap(MJX.sense))
 @pytest.fixture(scope="module")
 def worlds():
     return standing()
+
+
+@pytest.mark.parametrize("robot", ["lower_body", "legs", "dog"])
+def test_what_hangs_on_a_body_is_what_mujoco_says(robot):
+    model = make_physics("mjx-jax", robot=robot).model
+    np.testing.assert_allclose(below(model) @ model.body_mass, model.body_subtreemass, rtol=1e-6)
 
 
 def test_a_standing_body_rests_on_its_weight(worlds):

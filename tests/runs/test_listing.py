@@ -124,3 +124,12 @@ def test_an_empty_folder_and_none(tmp_path):
     assert done.exit_code == 0 and "no run folder" in done.output
     with pytest.raises(InputError, match="there is no such folder"):
         list_runs(tmp_path / "nowhere")
+
+
+def test_parts_have_numbers_of_their_own_in_a_job_of_several_processes(tmp_path):
+    run = RunFolder.create(tmp_path / "run", {"name": "parts"})
+    for processes, number in ((1, 0), (1, 1), (2, 2), (2, 4)):
+        run.share(processes)
+        run.add_part({"point": np.zeros(1)})
+        assert max(path.name for path in run.parts()) == f"part-{number:05d}.npz"
+    run.close()
