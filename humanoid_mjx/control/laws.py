@@ -50,8 +50,8 @@ class ServoLaw(Law):
     """A position servo: it takes set-points only, and damps every motion of its joint."""
 
     name: Literal["servo"] = "servo"
-    stiffness: float = traced(SERVO_KP, gt=0, le=200, description="N m/rad")
-    damping: float = traced(SERVO_KD, ge=0, le=10, description="N m s/rad")
+    stiffness: float = traced(SERVO_KP, gt=0, le=200, description="torque per error of the angle, N m/rad")
+    damping: float = traced(SERVO_KD, ge=0, le=10, description="torque per velocity, N m s/rad")
 
     def __call__(self, reference: Reference, state: Stages) -> Joints:
         still = reference._replace(qvel=jnp.zeros_like(reference.qpos))
@@ -76,8 +76,8 @@ class PDLaw(Law):
     """A servo that also takes the velocity wanted, and damps the deviation from it."""
 
     name: Literal["pd"] = "pd"
-    stiffness: float = traced(SERVO_KP, gt=0, le=200, description="N m/rad")
-    damping: float = traced(SERVO_KD, ge=0, le=10, description="N m s/rad")
+    stiffness: float = traced(SERVO_KP, gt=0, le=200, description="torque per error of the angle, N m/rad")
+    damping: float = traced(SERVO_KD, ge=0, le=10, description="torque per velocity, N m s/rad")
 
     def __call__(self, reference: Reference, state: Stages) -> Joints:
         return pd(self.stiffness, self.damping, reference, state.qpos, state.qvel)

@@ -78,7 +78,7 @@ class ApproximateQ(StepLearner):
         0.0, ge=0, le=1, description="the policy is a mean over this last share of training"
     )
     discount: float = traced(0.97, ge=0, lt=1, description="value of a reward one step later")
-    trace_decay: float = traced(0.65, ge=0, le=1, description="lambda")
+    trace_decay: float = traced(0.65, ge=0, le=1, description="lambda of the returns: 0 one step, 1 the whole rollout")
     envs: int = Field(128, ge=1, le=1_000_000, description="environments side by side")
     rollout: int = Field(16, ge=1, le=10_000, description="steps of each environment in an update")
     evaluations: int = Field(10, ge=1, le=1000, description="greedy evaluations along the learning curve")

@@ -24,7 +24,7 @@ parallel and no lengths have a common multiple, so the ground repeats nowhere.""
 class Terrain(Spec):
     """The shape of the ground. It is the same in all episodes, but for the amplitudes; each begins elsewhere on it."""
 
-    slope: float = traced(0.0, ge=0, le=45, description="degrees")
+    slope: float = traced(0.0, ge=0, le=45, description="inclination of the ground, degrees")
     direction: float = traced(0.0, description="of the slope and the stairs upwards, degrees from the x axis")
     rough: float | None = traced(None, ge=0, description="largest height and depth of waves, m; none: no waves")
     wavelength: float = traced(0.3, gt=0, description="of the waves, m")

@@ -34,14 +34,14 @@ class Sensors(Spec):
     Noise and bias are standard deviations of normal distributions, for each component alone.
     """
 
-    encoder_noise: float = traced(0.0, ge=0, description="rad")
-    encoder_bias: float = traced(0.0, ge=0, description="rad")
-    gyroscope_noise: float = traced(0.0, ge=0, description="rad/s")
-    gyroscope_bias: float = traced(0.0, ge=0, description="rad/s")
-    accelerometer_noise: float = traced(0.0, ge=0, description="m/s^2")
-    accelerometer_bias: float = traced(0.0, ge=0, description="m/s^2")
-    foot_contact_noise: float = traced(0.0, ge=0, description="N")
-    delay: int = Field(0, ge=0, le=100, description="control cycles")
+    encoder_noise: float = traced(0.0, ge=0, description="standard deviation at each reading, rad")
+    encoder_bias: float = traced(0.0, ge=0, description="standard deviation over episodes, rad")
+    gyroscope_noise: float = traced(0.0, ge=0, description="standard deviation at each reading, rad/s")
+    gyroscope_bias: float = traced(0.0, ge=0, description="standard deviation over episodes, rad/s")
+    accelerometer_noise: float = traced(0.0, ge=0, description="standard deviation at each reading, m/s^2")
+    accelerometer_bias: float = traced(0.0, ge=0, description="standard deviation over episodes, m/s^2")
+    foot_contact_noise: float = traced(0.0, ge=0, description="standard deviation at each reading, N")
+    delay: int = Field(0, ge=0, le=100, description="age of a reading, control cycles")
     jitter: int = Field(0, ge=0, le=100, description="the delay of an episode is longer by 0 to as many cycles")
     averages: bool = Field(False, description="gyroscope and accelerometer read means of a control cycle")
 

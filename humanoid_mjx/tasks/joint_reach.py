@@ -27,8 +27,8 @@ class JointReach(FiniteTask):
     """
 
     joint: Literal[1, 4, 5] | None = Field(1, description="which joint's start and goal to take where none are given")
-    start: float = traced(description="degrees")
-    goal: float = traced(description="degrees")
+    start: float = traced(description="angle at the start, degrees")
+    goal: float = traced(description="angle to reach, degrees")
     action: float = traced(5.0, description="degrees a move takes towards the goal")
     states: int = Field(24, ge=2, le=1_000_000, description="rows of the table")
     rules: Literal["standard", "printed"] = Field(

@@ -74,7 +74,7 @@ class LegReach(ContinuousTask):
     timestep: float = Field(0.005, gt=0, le=0.02, description="s of physics and controller")
     duration: float = traced(3.0, gt=0, le=1000, description="s of an episode")
     model_error: float = traced(0.2, ge=0, lt=1, description="largest share by which a link's mass is off")
-    tolerance: float = traced(2.0, gt=0, le=90, description="degrees")
+    tolerance: float = traced(2.0, gt=0, le=90, description="largest error that succeeds, degrees")
 
     @model_validator(mode="after")
     def _period_must_fit(self) -> "LegReach":

@@ -61,7 +61,7 @@ class PostureSwitch(FiniteTask):
     timestep: float = Field(0.005, gt=0, le=0.02, description="s of physics and controller")
     mass: float = traced(1.0, gt=0, le=10, description="of the robot, as a multiple of its own in the thesis")
     encoder_noise: float = traced(0.0, ge=0, le=90, description="standard deviation, degrees")
-    tolerance: float = traced(2.0, gt=0, le=90, description="degrees")
+    tolerance: float = traced(2.0, gt=0, le=90, description="largest error that succeeds, degrees")
     step_reward: float = traced(-1.0, description="reward of every step")
     bonus: float = traced(100.0, description="reward for reaching the goal")
     max_episode_steps: int = traced(60, ge=1, le=10_000_000, description="steps after which an episode is truncated")

@@ -28,14 +28,14 @@ class Velocity(Spec):
     `forward: [0.3, 0.3]`.
     """
 
-    forward: Range = traced((0.0, 0.5), strict=False, description="m/s")
-    sideways: Range = traced((-0.1, 0.1), strict=False, description="m/s, to the left")
-    turn: Range = traced((-1.0, 1.0), strict=False, description="rad/s, to the left")
+    forward: Range = traced((0.0, 0.5), strict=False, description="range of the speed, m/s")
+    sideways: Range = traced((-0.1, 0.1), strict=False, description="range of the speed to the left, m/s")
+    turn: Range = traced((-1.0, 1.0), strict=False, description="range of the turn rate to the left, rad/s")
     standing: float = traced(0.1, ge=0, le=1, description="share of commands to stand still")
     zero: float = traced(0.2, ge=0, le=1, description="share of commands in which a part is 0, for each alone")
     every: float = traced(4.0, gt=0, description="s between commands, on average")
     sudden: float = traced(0.0, ge=0, le=1, description="share of commands to turn by an angle at once, on the way")
-    angle: Range = traced((-60.0, 60.0), strict=False, description="of sudden turns, degrees, to the left")
+    angle: Range = traced((-60.0, 60.0), strict=False, description="range of sudden turns to the left, degrees")
     heading_gain: float = traced(0.0, ge=0, le=20, description="turn rate for an error of the heading, 1/s")
 
     def draw(self, key: Key[Array, ""]) -> Float[Array, "3"]:

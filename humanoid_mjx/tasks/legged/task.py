@@ -56,7 +56,7 @@ class LeggedTask(LeggedBody):
     push: Push = Field(Push(), description="what disturbs the body")
     randomise: Randomise | None = Field(None, description="by how much worlds differ; none: all are as declared")
     terrain: Terrain | None = Field(None, description="shape of the ground; none: a level plane")
-    command: Velocity | None = Field(None, description="what the body is told to do")
+    command: Velocity | None = Field(None, description="commanded velocity and turn rate")
     gait: Gaits | None = Field(None, description="clock and open-loop steps")
     symmetric: bool = Field(False, description="show the gait's second half as the mirror image of its first")
     duration: float = traced(10.0, gt=0, le=1000, description="s of an episode")

@@ -65,7 +65,7 @@ class Walk(LeggedTask):
         0.5, ge=0, lt=1, description="share of its way to a new value that an offset stays behind"
     )
     sensors: Sensors = Field(SENSORS, description="errors of the sensors")
-    command: Velocity = Field(COMMAND, description="what the body is told to do")
+    command: Velocity = Field(COMMAND, description="commanded velocity and turn rate")
     gait: Gaits = Field(Steps(), description="clock and open-loop steps")
     rewards: WalkRewards = Field(WalkRewards(), description="weights of the reward's terms")
     push: Push = Field(Push(impulse=0.04091, every=3.0), description="what disturbs the body")
