@@ -4,6 +4,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from humanoid_mjx.tasks.continuous import ContinuousTask, State, auto_reset
@@ -72,3 +73,24 @@ def _reset_done(env: ContinuousTask, state: State, keys: Key[Array, " envs"]) ->
 
     data, obs = jax.lax.fori_loop(0, -(-count[-1] // RESETS), some, (state.data, state.obs))
     return state._replace(data=data, obs=obs)
+
+
+def of_all_devices(part: Any, axis: str) -> Any:
+    """Return the parts that the devices along an axis of a mesh have of arrays, joined along the first axis of each.
+
+    The arrays travel as rows of 32-bit words in one exchange: a meeting of devices costs more than the words.
+    """
+    leaves, structure = jax.tree.flatten(part)
+
+    def words(x: Array) -> Array:
+        return x.astype(jnp.int32) if x.dtype == bool else jax.lax.bitcast_convert_type(x, jnp.int32)
+
+    rows = [words(x).reshape(len(x), -1) for x in leaves]
+    whole = jax.lax.all_gather(jnp.concatenate(rows, axis=1), axis, tiled=True)
+    parts = jnp.split(whole, np.cumsum([row.shape[1] for row in rows])[:-1], axis=1)
+
+    def back(words: Array, like: Array) -> Array:
+        words = words.reshape(len(words), *like.shape[1:])
+        return words.astype(bool) if like.dtype == bool else jax.lax.bitcast_convert_type(words, like.dtype)
+
+    return jax.tree.unflatten(structure, map(back, parts, leaves))

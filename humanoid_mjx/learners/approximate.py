@@ -6,6 +6,7 @@ weights towards them. Where a task has several joints Q is the mean of a value f
 "Solving Continuous Control via Q-Learning", 2023), so that the best action is the best choice of every joint.
 """
 
+from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
 import jax
@@ -16,8 +17,8 @@ from pydantic import Field, model_validator
 
 from humanoid_mjx.compute import Program
 from humanoid_mjx.learners import exploration
-from humanoid_mjx.learners.acting import Envs, start_all, step_all
-from humanoid_mjx.learners.base import Outcome, StepLearner
+from humanoid_mjx.learners.acting import Envs, of_all_devices, start_all, step_all
+from humanoid_mjx.learners.base import ENVS, Outcome, StepLearner
 from humanoid_mjx.learners.normalisation import Moments, moments, observe
 from humanoid_mjx.learners.targets import lambda_targets
 from humanoid_mjx.spec import traced
@@ -61,6 +62,10 @@ RETIRED = {"action_repeat": 1, "basis": "tiles", "coarse_to_fine": False}
 """Keys of earlier versions, with the only value that they may still have: stored configs hold them."""
 
 
+LEAST_SHARE = 64
+"""Environments of a run that a device has at least where several share them: the tree's loops are over as many."""
+
+
 class ApproximateQ(StepLearner):
     """Base of learners that approximate Q. A derived class gives the approximation and how it learns."""
 
@@ -88,6 +93,10 @@ class ApproximateQ(StepLearner):
     @classmethod
     def _without_retired_keys(cls, data: Any) -> Any:
         return {key: x for key, x in data.items() if RETIRED.get(key, ...) != x} if isinstance(data, dict) else data
+
+    def can_share(self, devices: int) -> bool:
+        fits = self.envs % devices == 0 and self.envs // devices >= LEAST_SHARE
+        return devices == 1 or (self.task.arithmetic == "tree" and fits)
 
     def init_value(self, key: Key[Array, ""]) -> tuple[Any, Any]:
         """The weights of the approximation and the optimizer's state before the first update."""
@@ -131,14 +140,12 @@ class ApproximateQ(StepLearner):
         """One update: act, compute the targets of what was seen, move the weights towards them."""
         key, act_key, learn_key = jax.random.split(carry.key, 3)
         progress = self.progress(carry)
-        envs, experience, totals = self._collect(carry, act_key)
-        td_target = self._td_targets(carry.weights, experience)
-        batch = Batch(self.preprocess(carry.weights, experience.obs), experience.action, td_target)
+        envs, (obs, action, td_target), totals = self._act(carry, act_key)
+        batch = Batch(self.preprocess(carry.weights, obs), action, td_target)
         batch = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), batch)
         rate = self.learning_rate * (1.0 + (self.learning_rate_end - 1.0) * jnp.minimum(progress, 1.0))
         value, optimizer, td_error = self.learn(rate, carry.weights.value, carry.optimizer, batch, learn_key)
-        seen = experience.obs.reshape(-1, self.env.observation_size)
-        seen = observe(carry.weights.moments, seen)
+        seen = observe(carry.weights.moments, obs.reshape(-1, self.env.observation_size))
         # The mean with new weights in it (O. Shamir and T. Zhang, "Stochastic Gradient Descent for Non-smooth
         # Optimization", 2013, section 4, with eta + 1 = 1 / weight_averaging).
         part = 1.0 / (1.0 + self.weight_averaging * carry.update)
@@ -159,6 +166,22 @@ class ApproximateQ(StepLearner):
     def _steps(self, carry: Carry) -> FloatScalar:
         """Control steps so far."""
         return carry.update.astype(jnp.float32) * (self.rollout * self.envs)
+
+    def _act(self, carry: Carry, key: Key[Array, ""]) -> tuple[Envs, "Batch", dict[str, FloatScalar]]:
+        """`_collect`, and the targets of what was seen. Devices that share the environments act in a part of them each,
+        and learn the same from all."""
+        if self.devices == 1:
+            envs, experience, totals = self._collect(carry, key)
+            return envs, Batch(experience.obs, experience.action, self._td_targets(carry.weights, experience)), totals
+        index, size = jax.lax.axis_index(ENVS), self.envs // self.devices
+        part = jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, index * size, size), carry.envs)
+        key = jax.random.fold_in(key, index)
+        envs, seen, totals = self.replace(devices=1)._act(carry._replace(envs=part), key)
+        by_env = jax.tree.map(partial(jnp.swapaxes, axis1=0, axis2=1), seen)
+        sums = jax.tree.map(lambda x: jnp.broadcast_to(x, (size,)), totals)
+        envs, by_env, sums = of_all_devices((envs, by_env, sums), ENVS)
+        seen = jax.tree.map(partial(jnp.swapaxes, axis1=0, axis2=1), by_env)
+        return envs, seen, jax.tree.map(lambda x: x[::size].sum(), sums)
 
     def _collect(self, carry: Carry, key: Key[Array, ""]) -> tuple[Envs, Experience, dict[str, FloatScalar]]:
         """Let the environments act for `rollout` steps: where they are then, what they saw, sums over ended ones."""

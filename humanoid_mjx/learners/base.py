@@ -15,6 +15,9 @@ from humanoid_mjx.tasks.base import Task
 from humanoid_mjx.tasks.continuous import ContinuousTask, State, as_continuous
 from humanoid_mjx.types import FloatScalar
 
+ENVS = "envs"
+"""The axis of a mesh of devices that share the environments of each run."""
+
 
 class Outcome(NamedTuple):
     """Entries of the learning curve from one training step; each is a scalar, or has an axis of agents."""
@@ -50,6 +53,13 @@ class Learner(Spec):
     start_from: str | None = Field(None, description="a run folder whose policies to start from")
     evaluations: int = Field(1, ge=1, le=1000, description="greedy evaluations along the learning curve")
     evaluation_envs: int = Field(1, ge=1, le=100_000, description="greedy episodes of an evaluation")
+
+    devices: int = Field(1, ge=1, le=1, exclude=True, repr=False)
+    """Devices that share the environments, along the axis `ENVS`: set by training, in no config."""
+
+    def can_share(self, devices: int) -> bool:
+        """Return whether so many devices may share the environments of a run."""
+        return devices == 1
 
     @property
     def budget(self) -> Any:

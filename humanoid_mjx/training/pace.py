@@ -244,7 +244,7 @@ def estimate(plan: Plan, rooms: Sequence[int], measured_s: float = MEASURED_S) -
 def _measure(plan: Plan, group: Group, room: int, measured_s: float) -> tuple[float, float, float]:
     """The seconds of compiling, training and evaluating of a group."""
     waiting = deque(np.random.default_rng(0).permutation(group.runs).tolist())
-    size, devices = placement(len(waiting), room)
+    size, devices = placement(group.learners, len(waiting), room)
     pool = Pool(group, waiting, size, devices, plan.config.seed, earlier_policies(group))
     began = time.monotonic()
     pool.fill()

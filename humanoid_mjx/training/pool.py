@@ -7,7 +7,7 @@ ones would wait for the slowest.
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
 from functools import partial
@@ -23,9 +23,8 @@ from humanoid_mjx.learners import Learner
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.plan import Group
 from humanoid_mjx.training.program import Training, curve
-from humanoid_mjx.training.programs import programs_of
+from humanoid_mjx.training.programs import Devices, programs_of
 from humanoid_mjx.training.state import blank, from_arrays, to_arrays
-from humanoid_mjx.types import Device
 
 CHUNK_S = 0.2
 """Seconds of training between two checks for finished runs. The length of the chunks changes no result."""
@@ -54,16 +53,16 @@ class Pool:
         group: Group,
         waiting: deque[int],
         size: int,
-        devices: Sequence[Device],
+        devices: Devices,
         seed: int,
         policies: Any = None,
     ):
-        """Make `size` slots on each of the devices.
+        """Make `size` slots on each of the devices, or on each row of those that share the environments of runs.
 
         `policies`: policies from which the runs start, every leaf with a leading axis of the group's runs.
         """
         self.group, self.waiting, self.seed, self.policies = group, waiting, seed, policies
-        self.programs, self.devices = programs_of(group.learners, devices), devices
+        self.programs, self.devices = programs_of(group.learners, devices), np.ravel(np.array(devices)).tolist()
         size *= len(devices)
         self.over_devices = self.programs.by_run
         self.compiled: dict[str, Callable[..., Any]] = {}

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -13,8 +13,12 @@ from jaxtyping import Array, Bool
 
 from humanoid_mjx import compute
 from humanoid_mjx.learners import Learner
+from humanoid_mjx.learners.base import ENVS
 from humanoid_mjx.training.program import Progress, Training, advance, begin, finish, progress_of, run_key
 from humanoid_mjx.types import Device, IntScalar
+
+Devices: TypeAlias = Sequence[Device] | np.ndarray
+"""Devices that train runs each, or (rows, devices): rows of devices that share the environments of runs."""
 
 RUNS = "runs"
 """The axis of a mesh of devices over which runs are shared out."""
@@ -23,7 +27,8 @@ RUNS = "runs"
 class Programs(NamedTuple):
     """Compiled functions over runs side by side; every array has a leading axis of runs, shared out over the devices.
 
-    Each device computes its runs by itself: the program is compiled once, and none waits for another within it.
+    Each device computes its runs by itself: the program is compiled once, and none waits for another within it. Where
+    the mesh has several devices along `ENVS`, these have the same runs, and share the environments in training.
     """
 
     begin: Callable[..., Training]
@@ -73,7 +78,10 @@ def programs(options: tuple[tuple[str, str | bool], ...], mesh: Mesh, fused: boo
         # one has made.
         return jax.jit(spread, compiler_options=dict(options), out_shardings=shardings[0], **options_of_jit)
 
-    train = by_kernel if fused else jax.vmap(advance, in_axes=(0, 0, None))
+    def further(learner: Learner, old: Training, steps: IntScalar) -> tuple[Training, Progress]:
+        return advance(learner.replace(devices=mesh.shape[ENVS]) if mesh.shape[ENVS] > 1 else learner, old, steps)
+
+    train = by_kernel if fused else jax.vmap(further, in_axes=(0, 0, None))
     return Programs(
         begin=compiled(jax.vmap(anew), by_run, donate_argnums=3),
         advance=compiled(train, (by_run, by_run, same), donate_argnums=1),
@@ -97,7 +105,7 @@ def _shared_out(function: Callable[..., Any], mesh: Mesh, given: Any) -> Callabl
             return function(*jax.tree.map(whole, args, passed))
 
         def whole(leaf: Array, part: Array | None) -> Array:
-            return jnp.zeros((leaf.shape[0] // mesh.size, *leaf.shape[1:]), leaf.dtype) if part is None else part
+            return jnp.zeros((leaf.shape[0] // mesh.shape[RUNS], *leaf.shape[1:]), leaf.dtype) if part is None else part
 
         some = jax.tree.map(lambda leaf: leaf if leaf.size else None, args)
         runs = PartitionSpec(RUNS)
@@ -106,30 +114,33 @@ def _shared_out(function: Callable[..., Any], mesh: Mesh, given: Any) -> Callabl
     return call
 
 
-def programs_of(learners: Learner, devices: Sequence[Device]) -> Programs:
+def programs_of(learners: Learner, devices: Devices) -> Programs:
     """The programs that train learners such as these, which stand side by side, on the given devices.
 
     On a GPU tables that the kernel of `training.fused` can train are trained by it.
     """
-    alone = len(devices) == 1
-    options = compute.compiler_options(learners.task.arithmetic, learners.program, every_device=not alone)
+    mesh = Mesh(np.array(devices).reshape(len(devices), -1), (RUNS, ENVS))
+    options = compute.compiler_options(learners.task.arithmetic, learners.program, every_device=mesh.size > 1)
     fused = False
     if jax.default_backend() == "gpu":
         from humanoid_mjx.training.fused import why_not  # whose import takes time that all others save
 
         fused = why_not(learners) is None
-    return programs(tuple(sorted(options.items())), Mesh(np.array(devices), (RUNS,)), fused)
+    return programs(tuple(sorted(options.items())), mesh, fused)
 
 
-def placement(runs: int, room: int) -> tuple[int, Sequence[Device]]:
-    """Return how many runs each device trains at once, and the devices.
+def placement(learners: Learner, runs: int, room: int) -> tuple[int, Devices]:
+    """Return how many runs each device, or each row of devices that share them, trains at once, and the devices.
 
     Args:
+      learners: what trains. Where a CPU has more cores than there are runs, several share the environments of each.
       runs: runs to train.
       room: runs that the devices of this process can train at once.
     """
-    devices = jax.local_devices()[: min(runs, room)]
-    return min(room // len(devices), -(-runs // len(devices))), devices
+    devices, rows = jax.local_devices(), min(runs, room, jax.local_device_count())
+    most = len(devices) // rows if jax.default_backend() == "cpu" else 1
+    share = next(share for share in range(most, 0, -1) if learners.can_share(share))
+    return min(room // rows, -(-runs // rows)), np.array(devices[: rows * share]).reshape(rows, share)
 
 
 def _sharding(mesh: Mesh, spec: PartitionSpec) -> NamedSharding | SingleDeviceSharding:

@@ -23,9 +23,8 @@ from humanoid_mjx.training.events import Curves
 from humanoid_mjx.training.pace import COMPILING, Look, Pace
 from humanoid_mjx.training.plan import Plan
 from humanoid_mjx.training.pool import IDLE, Pool
-from humanoid_mjx.training.programs import placement
+from humanoid_mjx.training.programs import Devices, placement
 from humanoid_mjx.training.progress import Reporter, State
-from humanoid_mjx.types import Device
 
 CHECKPOINT_EVERY_S = 30.0
 """Seconds of training that a kill may cost."""
@@ -80,7 +79,7 @@ class Session:
         if not runs:
             return
         # Not the number still waiting: networks' sums depend on how many runs are side by side, also after a resume.
-        size, devices = placement(len(runs), room)
+        size, devices = placement(group.learners, len(runs), room)
         while waiting := deque(run for run in runs if run not in self.finished):
             slots = size * len(devices)
             where = f" in process 0 of {self.processes.count}" if self.processes.count > 1 else ""
@@ -103,10 +102,8 @@ class Session:
             gc.collect()  # the arrays of a pool that failed; its error's frames held them
             size //= 2
 
-    def _train_side_by_side(
-        self, index: int, waiting: deque[int], size: int, devices: Sequence[Device], policies: Any
-    ) -> None:
-        """Train the waiting runs of a group, `size` at once on each of the devices."""
+    def _train_side_by_side(self, index: int, waiting: deque[int], size: int, devices: Devices, policies: Any) -> None:
+        """Train the waiting runs of a group, `size` at once on each of the devices or rows of them."""
         group = self.plan.groups[index]
         self.stop.clear()
         with compute.counting_compiles() as compiles:

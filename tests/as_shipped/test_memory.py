@@ -51,7 +51,8 @@ def test_what_is_too_large_for_memory_is_refused_with_what_the_system_says(monke
     assert shown.exit_code == 0 and "80% of the 7,168 MiB that are free" in " ".join(shown.output.split())
     free = int(training_bytes(group) / 0.8) + 2
     assert runs_at_once(group) == 1
-    assert placement(5, 1) == (1, jax.local_devices()[:1])
+    size, devices = placement(group.learners, 5, 1)
+    assert size == 1 and devices == jax.local_devices()[:1]
 
 
 MANY_CORES = """
@@ -68,7 +69,7 @@ for name in ("stand", "walk"):
     (group,) = make_plan(load(name)).groups
     compute.available_memory = lambda: 2 << 30
     assert runs_at_once(group) == int(0.8 * 2**31) // training_bytes(group) < 16
-    size, devices = placement(100, runs_at_once(group))
+    size, devices = placement(group.learners, 100, runs_at_once(group))
     assert size == 1 and len(devices) == runs_at_once(group)
     compute.available_memory = lambda: 1 << 36
     assert runs_at_once(group) == 16

@@ -1,21 +1,27 @@
 """Function approximation: targets against plain Python, features, and learners on tasks whose values are known."""
 
+from functools import partial
+from operator import itemgetter
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from jax.sharding import Mesh, PartitionSpec
 from probes import DISCOUNT, END, PROBES, make, probe
 from small_sweep import assert_same_tables
 
 import humanoid_mjx.training.session as session
 from humanoid_mjx import InputError, make_learner, make_task, sweep
 from humanoid_mjx.compute import rng
+from humanoid_mjx.config import load
 from humanoid_mjx.evaluation.replay import replay
 from humanoid_mjx.learners import acting, exploration
 from humanoid_mjx.learners.acting import start_all, step_all
 from humanoid_mjx.learners.approximate import Batch
+from humanoid_mjx.learners.base import ENVS
 from humanoid_mjx.learners.deep import QNetwork
 from humanoid_mjx.learners.features import Scale, combined, tile_coding
 from humanoid_mjx.learners.linear import LinearQ
@@ -24,8 +30,10 @@ from humanoid_mjx.learners.rollout import greedy, mean_scores
 from humanoid_mjx.learners.targets import lambda_targets
 from humanoid_mjx.tasks.continuous import ContinuousTask
 from humanoid_mjx.training import pool
+from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.pool import Pool
 from humanoid_mjx.training.program import advance, begin, finish
+from humanoid_mjx.training.programs import placement
 
 LEARNERS = {
     "tiles": ("linear_q", {"resolution": 3, "tilings": 2, "order": 1, "learning_rate": 0.3}),
@@ -155,6 +163,37 @@ def test_only_episodes_that_ended_begin_anew(ended):
     ]
     for found, expected in zip(*map(jax.tree.leaves, resets), strict=True):
         np.testing.assert_allclose(np.asarray(found, float), np.asarray(expected, float), rtol=1e-6, atol=1e-7)
+
+
+def test_two_devices_share_the_environments_of_a_run():
+    """Each acts in a half of them, and both then learn the same from all."""
+    learner = build("deep", make_task("leg_reach"), minibatches=2)
+    carry, mesh = learner.init(rng.key(0)), Mesh(np.array(jax.local_devices()[:2]), (ENVS,))
+    shared, key = learner.replace(devices=2), rng.key(1)
+    everywhere = partial(jax.shard_map, mesh=mesh, in_specs=PartitionSpec(), check_vma=False)
+    envs, seen, totals = jax.jit(everywhere(lambda c: shared._act(c, key), out_specs=PartitionSpec()))(carry)
+    for half, rows in enumerate((slice(16), slice(16, 32))):
+        part = carry._replace(envs=jax.tree.map(itemgetter(rows), carry.envs))
+        expected = jax.jit(learner._act)(part, jax.random.fold_in(key, half))
+        found = jax.tree.map(itemgetter(rows), envs), jax.tree.map(itemgetter((slice(None), rows)), seen)
+        jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-4, atol=1e-5), found, expected[:2])
+        totals = jax.tree.map(jnp.subtract, totals, expected[2])
+    assert max(abs(float(x)) for x in totals.values()) < 1e-3, "the sums are those of both"
+
+    def step(carry):
+        return jax.tree.map(lambda x: x[None], shared.train_step(carry)[0].weights)
+
+    after = jax.jit(everywhere(step, out_specs=PartitionSpec(ENVS)))(carry)
+    jax.tree.map(lambda x: np.testing.assert_array_equal(*x), after)
+    assert after.moments.count[0] == 32 * learner.rollout
+
+
+def test_cores_share_a_run_where_they_are_more_than_the_runs():
+    walk, leg = (make_plan(load(name)).groups[0].learners for name in ("walk_cpu", "leg_reach"))
+    one, two = np.array([jax.local_devices()[:2]]), np.array(jax.local_devices()[:2])[:, None]
+    for learners, runs, size, devices in ((walk, 1, 1, one), (walk, 3, 2, two), (leg, 1, 1, two[:1])):
+        found = placement(learners, runs, 100)
+        assert found[0] == size and found[1].tolist() == devices.tolist()
 
 
 def test_one_sample_moves_its_value_by_the_rate():
