@@ -369,10 +369,6 @@ def sentence(error: pydantic.ValidationError, where: str, model: type[pydantic.B
             return f"{key} must be a number{got}; several values are an axis: write sweep.axes.{key}."
         case "string_type" if isinstance(fault["input"], (bool, int, float)):
             return f"{key} must be text{got}; put it into quotes."
-        case "list_type":
-            return f"{key} must be a list{got}."
-        case "finite_number":
-            return f"{key} must be a finite number{got}."
         case _:
             message = fault["msg"].removeprefix("Input should be ")
             return f"{key} must be {message}{got}."

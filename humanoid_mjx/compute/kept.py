@@ -50,8 +50,8 @@ def _possible() -> bool:
 
 
 def about(spec: Spec, arrays: Any = None, also: str = "") -> str | None:
-    """Return what a program follows from: the structure of a Spec and of `arrays`, shapes, types and places of both,
-    and what there is `also`. None where the Spec has a class of a user's, whose code may change."""
+    """Return the cache key of a program: structure, shapes, types and shardings of a Spec and of `arrays`, and `also`.
+    None if the Spec has a class from outside this package, whose code may change."""
     if not all(kind.__module__.startswith("humanoid_mjx.") for kind in kinds(spec)):
         return None
     leaves, structure = jax.tree.flatten((spec, arrays))
@@ -60,11 +60,11 @@ def about(spec: Spec, arrays: Any = None, also: str = "") -> str | None:
 
 
 def remembered(name: str, about: str | None, make: Callable[[], Any]) -> Any:
-    """Return what `make` returns, or what it returned to an earlier process for the same `name` and `about`.
+    """Return the stored result for `name` and `about`; if there is none, call `make` and store its result.
 
     Args:
-      name: letters for a file's name.
-      about: what the result follows from, in full. None: not known, and nothing is kept.
+      name: first part of the file's name.
+      about: the cache key; None stores nothing.
     """
     if (found := find(name, about)) is None:
         put(name, about, found := make())
@@ -93,8 +93,8 @@ def put(name: str, about: str | None, value: Any) -> None:
 
 
 def compile_program(name: str, about: str | None, lowered: jax.stages.Lowered) -> tuple[jax.stages.Compiled, Callable]:
-    """Return a compiled program, and what stores it when there is time: nothing where jax had it on disk already, since
-    a CPU's program that was read lacks functions when it is stored again."""
+    """Return a compiled program, and a function that stores it, which does nothing if jax had the program on disk: a
+    CPU program that was loaded lacks functions when it is stored again."""
     read, thread = [], threading.get_ident()
 
     def listen(event: str, **_: Any) -> None:

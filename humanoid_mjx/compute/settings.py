@@ -9,6 +9,7 @@ import jax
 
 from humanoid_mjx.compute.limits import cores
 from humanoid_mjx.compute.options import NO_VECTORS, XLA_FLAGS
+from humanoid_mjx.spec import InputError
 
 POOL_THREADS = str(max(16, 4 * cores()))
 """`PJRT_NPROC` for MJX: the threads that all CPU devices share, by default one a core.
@@ -28,6 +29,9 @@ def start(*, mjx: bool = False) -> None:
 
     Args:
       mjx: call `make_room` too, for a program that computes anything else before it first uses MJX.
+
+    Raises:
+      InputError: jax has computed already.
     """
     cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     defaults = {
@@ -41,7 +45,10 @@ def start(*, mjx: bool = False) -> None:
         os.environ["XLA_FLAGS"] = f"{flags} {XLA_FLAGS} {NO_VECTORS if _nvidia() else ''}".strip()
     for name, value in defaults.items():
         if name.upper() not in os.environ:
-            jax.config.update(name, value)
+            try:
+                jax.config.update(name, value)
+            except RuntimeError as error:
+                raise InputError("start: jax has computed already; call start before any jax operation.") from error
     look_for_garbage_seldom()
     if mjx:
         make_room()

@@ -113,7 +113,7 @@ def _names(values: dict[str, Any], place: str) -> Iterator[tuple[str, Any]]:
 def load(config: str | Path, overrides: Sequence[str] = ()) -> Config:
     """Read a config from a path, or a shipped one by its name, and apply overrides such as "learner.epsilon=0.1".
 
-    A key that the config sweeps has that one value then, and its axis goes.
+    An override of a swept key also removes its axis from the sweep.
 
     Raises:
       InputError: no such config, not YAML, or a key or value that cannot be used, in one sentence.

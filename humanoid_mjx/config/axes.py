@@ -1,4 +1,4 @@
-"""The axes of a sweep: from what a config writes to the values of each point."""
+"""Axes of a sweep: expand the axes of a config to the values of each point."""
 
 import math
 from collections.abc import Iterable
@@ -11,7 +11,7 @@ import pydantic
 from humanoid_mjx.spec import InputError, shown
 
 MAX_POINTS = 100_000
-"""The most points of a sweep. Each is checked by itself, which takes time and kilobytes of memory."""
+"""Largest number of points of a sweep. Each point is checked, which takes time and kilobytes of memory."""
 
 LARGEST = float(np.finfo(np.float32).max)
 """The largest number that training can have."""
@@ -20,7 +20,7 @@ Axis = list | dict[str, list]
 
 
 class Sweep(pydantic.BaseModel):
-    """Swept values, and their way to points: every combination, one after another, or random draws."""
+    """Axes of a sweep, and how they make points: all combinations (grid), row by row (zip), or random draws."""
 
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
@@ -51,7 +51,7 @@ def sweep_points(sweep: Sweep, seed: int) -> list[dict[str, Any]]:
     for name, column in zip(sweep.axes, columns, strict=True):
         if sweep.mode == "grid" and len({(type(value), value) for value in column}) < len(column):
             twice = next(value for place, value in enumerate(column) if value in column[:place])
-            raise InputError(f"sweep.axes.{name}: {twice!r} stands there twice.")
+            raise InputError(f"sweep.axes.{name}: the axis holds {twice!r} twice.")
     if sweep.mode == "zip" and len(set(lengths)) != 1:
         pairs = ", ".join(f"{name}: {length}" for name, length in zip(sweep.axes, lengths, strict=True))
         raise InputError(f"sweep.axes must be equally long in mode zip, got {pairs}.")
@@ -92,7 +92,7 @@ def _draw(rng: np.random.Generator, name: str, axis: Axis, count: int) -> list:
     kind, (low, high) = _entries(name, axis, ("uniform", "loguniform", "integers"), 2)
     if low > high or (kind == "loguniform" and low <= 0):
         got = shown(axis)
-        raise InputError(f"sweep.axes.{name}: the ends must be in order, and above 0 for loguniform, got {got}.")
+        raise InputError(f"sweep.axes.{name}: low must not exceed high, and loguniform needs low above 0, got {got}.")
     if kind == "integers":
         if not all(isinstance(end, int) and abs(end) < 2**31 for end in (low, high)):
             raise InputError(f"sweep.axes.{name}: the ends of integers must be whole numbers, got {shown(axis)}.")

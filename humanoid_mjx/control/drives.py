@@ -1,10 +1,10 @@
-"""Drives as robot tasks choose them: what becomes of the torque that a law asks for before it acts on a joint.
+"""Actuator models: from the torque that a control law requests to the torque that acts on a joint.
 
-    ideal      all of it, up to the limit of the robot's own motor
-    dc_motor   the part that a geared DC motor can give at the speed of the joint (thesis 5.3 and 5.4)
+    ideal      the requested torque, up to the limit of the robot's motor
+    dc_motor   the torque that a geared DC motor can give at the speed of the joint (thesis 5.3 and 5.4)
 
-Both are functions of torque and speed alone, so every physics takes them. Friction that does not grow with speed is the
-joint's: `frictionloss` in the robot's model.
+Both are functions of torque and speed alone, so they work with every physics. Friction that
+does not grow with speed is the joint's: `frictionloss` in the robot's model.
 """
 
 from functools import partial
@@ -24,19 +24,19 @@ class Drive(Named):
     """Base of drives: derive from it, declare values with `traced`, implement `__call__`."""
 
     def __call__(self, torque: Joints, qvel: Joints) -> Joints:
-        """The torques at the joints, N m, of those asked for, while the joints turn at `qvel`, rad/s."""
+        """Return the torques, N m, that act on the joints, from the requested ones and the joint velocities, rad/s."""
         raise NotImplementedError
 
     def check(self, robot: Robot, timestep: float) -> None:
-        """Refuse a robot that it cannot drive in steps of `timestep` seconds.
+        """Refuse a robot that this actuator model does not fit, at time steps of `timestep` seconds.
 
         Raises:
-          InputError: it cannot.
+          InputError: the model does not fit the robot or the time step.
         """
 
 
 class Ideal(Drive):
-    """All of the torque, at any speed."""
+    """Every requested torque acts in full, at any speed."""
 
     name: Literal["ideal"] = "ideal"
 
@@ -51,7 +51,7 @@ Gear = Annotated[
 
 
 class DcMotor(Drive):
-    """A DC motor behind a gear at each joint: its torque falls with speed, and ends where voltage or current do.
+    """A geared DC motor at each joint: its torque falls with speed and is limited by voltage and current.
 
     By default a motor of 25 mm that stalls at 2.3 N m and turns at 8.8 rad/s without a load. The gear slows the joint
     down by `gear` and strengthens it by as much (5.7 to 5.10). In SI units the back-emf constant equals the torque
@@ -60,12 +60,12 @@ class DcMotor(Drive):
     """
 
     name: Literal["dc_motor"] = "dc_motor"
-    gear: Gear = traced(100.0, description="turns of the motor for one of the joint; one number, or one for each joint")
-    voltage: float = traced(12.0, gt=0, description="largest of the driver, V")
-    current: float = traced(1e3, gt=0, description="largest of the driver, A")
+    gear: Gear = traced(100.0, description="gear ratio, motor turns per joint turn; one number, or one for each joint")
+    voltage: float = traced(12.0, gt=0, description="largest voltage of the driver, V")
+    current: float = traced(1e3, gt=0, description="largest current of the driver, A")
     torque_constant: float = traced(0.0136, gt=0, description="N m/A, and as much V s/rad")
     resistance: float = traced(7.0, gt=0, description="ohm")
-    friction: float = traced(1e-6, ge=0, description="at the rotor, by its speed, N m s/rad")
+    friction: float = traced(1e-6, ge=0, description="viscous friction of the rotor, N m s/rad")
 
     @property
     def gears(self) -> Float[Array, "*joints"]:
@@ -96,8 +96,8 @@ class DcMotor(Drive):
         slope = gear**2 * (self.torque_constant**2 / self.resistance + self.friction)
         if (slope * timestep > 2.0 * inertia).any():
             raise InputError(
-                f"actuator: where the voltage ends, the torque falls by {slope.max():.3g} N m for each rad/s, too fast "
-                f"for an armature of {inertia.min():.3g} kg m^2 in steps of {timestep:g} s; lower the gear."
+                f"actuator: at the voltage limit the torque falls by {slope.max():.3g} N m per rad/s, too fast for an "
+                f"armature of {inertia.min():.3g} kg m^2 in steps of {timestep:g} s; lower the gear."
             )
 
 

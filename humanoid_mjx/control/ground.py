@@ -37,12 +37,13 @@ SERVO_KP, SERVO_KD = 6.0, 0.2
 at every step."""
 
 SHARE = 0.1
-"""Share of what a torque would do to the joints of a held robot: where the contacts leave less, the servo takes over. A
-push sideways needs it: without ankle roll, rigid flat feet let no sway pass, but a real foot's edges lift. For 0.01 and
-less such a push ends in torques at their limit and a fall."""
+"""Default weight of the servo: it takes over where contacts reduce a torque's effect on the joints below this share. A
+sideways push needs it: without ankle roll, rigid flat feet allow no sway, but a real foot's edges lift. At 0.01 and
+below such a push drives the torques to their limits and the body falls."""
 
 SOFTNESS = 1e-4
-"""1/kg, added to the contacts' inverse inertia: the corners of a foot are redundant. The body weighs 1.7 kg."""
+"""Regularisation of the contacts' inverse inertia, 1/kg, since the corners of a foot are redundant. The body weighs
+1.7 kg."""
 
 
 def grounded_torque(

@@ -38,7 +38,7 @@ class Law(Named):
         raise NotImplementedError
 
     def of(self, robot: Robot) -> "Law":
-        """The law with gains that are the robot's own; this one, where it has none of them."""
+        """Return the law with the robot's own gains filled in; `self` if the law uses none."""
         return self
 
     def follow(self, reference: Reference) -> Callable[[Stages], Joints]:
@@ -73,7 +73,7 @@ class RobotServoLaw(Law):
 
 
 class PDLaw(Law):
-    """A servo that also takes the velocity wanted, and damps the deviation from it."""
+    """A servo that also follows a wanted velocity: it damps the velocity error, not the velocity."""
 
     name: Literal["pd"] = "pd"
     stiffness: float = traced(SERVO_KP, gt=0, le=200, description="torque per error of the angle, N m/rad")
@@ -84,7 +84,7 @@ class PDLaw(Law):
 
 
 class ModelLaw(Law):
-    """Base of the laws that compute with a model: the error of each joint is to vanish like a spring and a damper."""
+    """Base of model-based laws: each joint's error obeys a second-order equation with this frequency and damping."""
 
     natural_frequency: float = traced(12.0, gt=0, le=200, description="of the error, rad/s")
     damping_ratio: float = traced(1.0, gt=0, le=10, description="of the error; 1 is critical")
@@ -127,7 +127,7 @@ class GroundedLaw(ModelLaw):
     natural_frequency: float = traced(NATURAL_FREQUENCY, gt=0, le=200, description="of the error, rad/s")
     stiffness: float = traced(SERVO_KP, gt=0, le=200, description="of the servo, N m/rad")
     damping: float = traced(SERVO_KD, ge=0, le=10, description="of the servo, N m s/rad")
-    share: float = traced(SHARE, ge=0, le=1, description="of mobility, below which the servo rules")
+    share: float = traced(SHARE, ge=0, le=1, description="weight of the servo against the wanted accelerations")
 
     def __call__(self, reference: Reference, state: Stages) -> Joints:
         held = pd(self.stiffness, self.damping, reference, state.qpos, state.qvel)

@@ -125,8 +125,8 @@ def show(trained: Trained, reporter: Reporter, episode: int = 0) -> tuple[Film, 
 
 
 def driven_films(trained: Trained, seconds: float) -> list[Film]:
-    """Films of a policy that gets a steady command, one for each end of each part of it that is not 0: `DRIVEN` of
-    what a person may command."""
+    """Films of a policy under a constant command: for each part of the command one film at `DRIVEN` of each end of its
+    range that is not 0."""
     task: Any = trained.learner.task
     driven = trained._replace(learner=trained.learner.replace(task=task.for_driving()))
     films = []
@@ -139,8 +139,8 @@ def driven_films(trained: Trained, seconds: float) -> list[Film]:
 
 
 def in_words(values: Mapping[str, float]) -> str:
-    """`{"forward, m/s": 0.3}` as `forward 0.30 m/s`, less than 0 to the left as to the right; several with semicolons
-    between them."""
+    """Format a command: `{"forward, m/s": 0.3}` becomes `forward 0.30 m/s`. Negative values to the left are shown as
+    positive ones to the right; semicolons separate several parts."""
     parts = []
     for key, value in values.items():
         name, _, unit = key.partition(", ")
@@ -157,8 +157,7 @@ def merged(forces: Float[np.ndarray, "decisions 3"], period: float) -> list[Push
         if not force.any():
             continue
         last, start = (pushes[-1] if pushes else None), number * period
-        goes_on = last and np.isclose(last.start + last.seconds, start) and np.allclose(last.force, force)
-        if last and goes_on:
+        if last and np.isclose(last.start + last.seconds, start) and np.allclose(last.force, force):
             pushes[-1] = last._replace(seconds=last.seconds + period)
         else:
             pushes.append(Push(start, period, force))

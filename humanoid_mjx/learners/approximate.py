@@ -40,7 +40,7 @@ class Carry(NamedTuple):
 
     weights: Weights
     average: Any
-    """Of the approximation's weights after each update, the latest counting most: see `weight_averaging`."""
+    """Running mean of `weights.value` over updates, later ones weighted more: see `weight_averaging`."""
     optimizer: Any
     envs: Envs
     key: Key[Array, ""]
@@ -71,18 +71,18 @@ class ApproximateQ(StepLearner):
 
     program: ClassVar[Program] = "approximate"
     task: FiniteTask | ContinuousTask = Field(exclude=True, repr=False)
-    epsilon: float = traced(1.0, ge=0, le=1, description="probability of a random choice, at first, of each joint")
+    epsilon: float = traced(1.0, ge=0, le=1, description="initial probability that a joint takes a random choice")
     epsilon_decay: float = traced(0.99, ge=0, le=1, description="factor on epsilon per episode of an environment")
-    epsilon_min: float = traced(0.02, ge=0, le=1, description="epsilon falls no lower")
+    epsilon_min: float = traced(0.02, ge=0, le=1, description="lower bound of epsilon")
     epsilon_spread: float = traced(
-        0.0, ge=0, le=100, description="epsilon is raised to 1 ... 1 + epsilon_spread over the environments"
+        0.0, ge=0, le=100, description="exponent of epsilon rises from 1 to 1 + epsilon_spread over the environments"
     )
-    learning_rate: float = traced(gt=0, le=1, description="size of a step down the gradient")
-    learning_rate_end: float = traced(1.0, ge=0, le=1, description="its share at the end, reached linearly")
+    learning_rate: float = traced(gt=0, le=1, description="step size")
+    learning_rate_end: float = traced(1.0, ge=0, le=1, description="factor on learning_rate at the end; linear from 1")
     weight_averaging: float = traced(
-        0.0, ge=0, le=1, description="the policy is a mean over this last share of training"
+        0.0, ge=0, le=1, description="last share of training over which the policy's weights are averaged"
     )
-    discount: float = traced(0.97, ge=0, lt=1, description="value of a reward one step later")
+    discount: float = traced(0.97, ge=0, lt=1, description="discount factor per step")
     trace_decay: float = traced(0.65, ge=0, le=1, description="lambda of the returns: 0 one step, 1 the whole rollout")
     envs: int = Field(128, ge=1, le=1_000_000, description="environments side by side")
     rollout: int = Field(16, ge=1, le=10_000, description="steps of each environment in an update")

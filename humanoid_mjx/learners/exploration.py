@@ -10,7 +10,7 @@ from humanoid_mjx.types import AnyArray
 
 
 def epsilons(schedule: Any, episode: Int[Array, " envs"]) -> Float[Array, " envs"]:
-    """Epsilon of each environment: `max(epsilon_min, epsilon * epsilon_decay**k)` in its own episode k, to a power.
+    """Epsilon of each environment, `max(epsilon_min, epsilon * epsilon_decay**k) ** power`, k being its own episode.
 
     The power rises from 1 to 1 + epsilon_spread over the environments, so that some explore while others follow the
     greedy policy closely (D. Horgan et al., "Distributed Prioritized Experience Replay", 2018,
@@ -35,7 +35,7 @@ def explore(
     epsilon: Float[Array, " envs"],
     key: Key[Array, ""],
 ) -> Int[Array, "envs joints"]:
-    """Epsilon-greedy actions: each joint by itself takes a random choice with probability epsilon."""
+    """Epsilon-greedy actions: each joint independently takes a random choice with probability epsilon."""
     explore_key, action_key = jax.random.split(key)
     explores = jax.random.uniform(explore_key, best.shape) < epsilon[:, None]
     draws = jax.random.uniform(action_key, (len(best), *allowed.shape))
@@ -43,9 +43,9 @@ def explore(
 
 
 def _largest(values: Float[Array, "*batch bins"]) -> Int[Array, "*batch"]:
-    """Return the place of the largest value, of equal ones the first: `jnp.argmax` of numbers that are all finite.
+    """Return the index of the largest value, the first of equal ones: `jnp.argmax` for finite numbers.
 
-    That is one sum with two results, on which XLA aborts where it computes it in one kernel with others
+    `jnp.argmax` is a reduction with two results, on which XLA aborts if it fuses several of them
     (`compute.options.XLA_FLAGS`).
     """
     count = values.shape[-1]

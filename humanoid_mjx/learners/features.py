@@ -18,10 +18,10 @@ MAX_FEATURES = 1_000_000
 
 
 class Scale(NamedTuple):
-    """From observations between bounds to numbers from 0 to 1; what lies beyond is clipped.
+    """Scaling of observations from their bounds to 0 ... 1; values outside the bounds are clipped.
 
-    `focus` is a power: with 2 the distance from the middle goes by its square root, so that tiles that are even in the
-    scaled numbers resolve the middle of a range best, where what is to vanish is small.
+    The distance from the middle of a range is raised to the power 1 / `focus`. Above 1, tiles of equal width in scaled
+    numbers are finest in the middle of the range, where errors are small.
     """
 
     low: Float[np.ndarray, " observation_size"]
@@ -47,7 +47,7 @@ class Tiles(NamedTuple):
     size: int
     active: int
     encode: Callable[[Float[Array, "*batch observation_size"]], Int[Array, "*batch joints active"]]
-    """From observations to the places of the features that are 1."""
+    """Function from observations to the indices of the features that are 1."""
 
 
 def combined(families: Sequence[Sequence[Sequence[int]]], order: int) -> Groups:

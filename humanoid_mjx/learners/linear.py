@@ -21,18 +21,18 @@ UNROLL = 16
 class LinearQ(ApproximateQ):
     """A weight for each feature and choice of a joint.
 
-    The update is preconditioned: each weight moves by `learning_rate` times the mean TD error of the samples that it
-    had a part in, divided by the number of features that share a sample. One sample then moves its Q by
-    `learning_rate` times its error, and a single tiling with a tile for each state is a table.
+    The update is preconditioned: each weight moves by `learning_rate` times the mean TD error of the samples in which
+    its feature is active, divided by the number of active features. One sample then moves its Q by `learning_rate`
+    times its error, and a single tiling with a tile for each state is a table.
 
     Joints that are alike may share their weights (J. Gupta et al., "Cooperative Multi-Agent Control Using Deep
     Reinforcement Learning", 2017, section 4.1): each learns from what all have seen.
     """
 
-    resolution: int = Field(8, ge=1, le=10_000, description="tiles along an observation")
-    focus: float = Field(1.0, ge=1, le=10, description="1 resolves a range evenly; more, its middle more finely")
-    tilings: int = Field(8, ge=1, le=256, description="grids of tiles over one another")
-    order: int = Field(2, ge=1, le=4, description="observations of a family that a feature depends on")
+    resolution: int = Field(8, ge=1, le=10_000, description="tiles per observation and tiling")
+    focus: float = Field(1.0, ge=1, le=10, description="1: equal tiles; above 1: finer in the middle of a range")
+    tilings: int = Field(8, ge=1, le=256, description="number of overlapping tilings")
+    order: int = Field(2, ge=1, le=4, description="number of observations in a feature, all of one family")
     shared: bool = Field(False, description="all joints share one set of weights")
     learning_rate: float = traced(0.1, gt=0, le=1)
 
@@ -73,7 +73,7 @@ class LinearQ(ApproximateQ):
         at = self._set[:, None], places, batch.action[:, :, None]
         sums = jnp.zeros((*self._shape, 2), parts.dtype).at[at].add(jnp.broadcast_to(parts, (*places.shape, 2)))
         change, number = jnp.moveaxis(sums, -1, 0)
-        # The mean over joints divides a weight's part in Q by their number, and this gives it back.
+        # Without the gradient's factor 1 / joints: all joints' values move by the error, and so does their mean, Q.
         step = change / jnp.maximum(number, 1.0) / tiles.active
         return value + rate * step, optimizer, jnp.mean(td_error**2)
 
@@ -89,8 +89,8 @@ class LinearQ(ApproximateQ):
 
 
 def _sum(part: Callable[[Int[Array, "*batch joints"]], Array], places: Int[Array, "*batch joints active"]) -> Array:
-    """The sum of the parts of all active features, one after another: so XLA computes it in one kernel on a CPU, twice
-    as fast as it fetches all parts and then sums along their axis."""
+    """The sum of the parts of all active features, added one after another. XLA then uses one kernel on a CPU, twice as
+    fast as gathering all parts and summing along their axis."""
     by_feature = jnp.moveaxis(places, -1, 0)
     first, rest = by_feature[0], by_feature[1:]
     unroll = min(len(by_feature), UNROLL)

@@ -33,7 +33,7 @@ class Episode(NamedTuple):
     episode_return: FloatScalar
     steps: IntScalar
     discounted_return: FloatScalar
-    """Of a reward k steps later, the part `discount**k`."""
+    """Sum over the steps k of `discount**k` times the reward."""
 
 
 def rollout(env: ContinuousTask, choose: Choose, key: Key[Array, ""], discount: FloatScalar | float = 1.0) -> Episode:

@@ -72,15 +72,15 @@ class TabularQ(Learner):
     unit: ClassVar[str] = "episodes"
     program: ClassVar[Program] = "tabular"
     lap: ClassVar[int] = 32
-    """A GPU runs a loop of known length without asking after each step."""
+    """On a GPU a loop of known length runs without a test on the host after each step."""
 
     task: FiniteTask = Field(exclude=True, repr=False)
     episodes: int = traced(1000, ge=1, le=1_000_000_000, exclude=True, description="episodes to train for")
-    epsilon: float = traced(0.6, ge=0, le=1, description="probability of a random action, at first")
+    epsilon: float = traced(0.6, ge=0, le=1, description="initial probability of a random action")
     epsilon_decay: float = traced(1.0, ge=0, le=1, description="factor on epsilon after each episode")
-    epsilon_min: float = traced(0.0, ge=0, le=1, description="epsilon falls no lower")
+    epsilon_min: float = traced(0.0, ge=0, le=1, description="lower bound of epsilon")
     learning_rate: float = traced(0.5, gt=0, le=1, description="share of the TD error that a value moves by")
-    discount: float = traced(0.9, ge=0, lt=1, description="value of a reward one step later")
+    discount: float = traced(0.9, ge=0, lt=1, description="discount factor per step")
     agents: int = Field(1, ge=1, le=1_000_000, description="episodes at once that feed one table")
 
     @property

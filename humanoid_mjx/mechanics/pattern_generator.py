@@ -53,17 +53,16 @@ class State(NamedTuple):
     amplitude: Follower
 
 
-def init(params: Params, phase: FloatScalar = 0.0, lead: FloatScalar = IN_STEP, amplitude: FloatScalar = 0.0) -> State:
-    """At the commanded frequency, the right leg at `phase`, the left `lead` before it; by default in the mean posture.
-
-    Angles in rad.
+def init(params: Params, phase: FloatScalar = 0.0, lead: FloatScalar = IN_STEP) -> State:
+    """Return the state at the commanded frequency in the mean posture, the right leg at `phase`, the left leg `lead`
+    ahead of it, rad.
     """
     dtype = params.gait.coefficients.dtype
     still = jnp.zeros((), dtype)
     return State(
         phase=jnp.mod(jnp.stack([jnp.asarray(phase, dtype), jnp.asarray(phase + lead, dtype)]), 2 * jnp.pi),
         frequency=Follower(jnp.asarray(params.frequency, dtype), still),
-        amplitude=Follower(jnp.asarray(amplitude, dtype), still),
+        amplitude=Follower(still, still),
     )
 
 

@@ -53,8 +53,8 @@ class MjxJax(MujocoPhysics):
     def _room(self) -> "MjxJax":
         if not compute.make_room():
             raise ValueError(
-                "MJX could wait forever with as few threads as jax has begun to compute with; set "
-                f"PJRT_NPROC={compute.POOL_THREADS} in the environment, or make MJX's physics before any other"
+                "MJX could wait forever: jax already computes, with too few threads for MJX; set "
+                f"PJRT_NPROC={compute.POOL_THREADS} in the environment, or make MJX's physics before jax computes"
             )
         return self
 
@@ -78,7 +78,7 @@ class MjxJax(MujocoPhysics):
     def sense(self, world: World, torque: Float[AnyArray, " joints"]) -> Sensed:
         model = self._put()
         data = self._at(model, self._blank_data(), world)
-        data = data.replace(ctrl=self.told(jnp.asarray(torque, float)), qfrc_applied=self.pushes())
+        data = data.replace(ctrl=self.controls_for(jnp.asarray(torque, float)), qfrc_applied=self.pushes())
         return self._seen(_advance(model, data, sensed=True)[1])
 
     def _seen(self, data: Any) -> Sensed:
@@ -146,7 +146,8 @@ class MjxJax(MujocoPhysics):
         """One time step, and the mjx.Data of its beginning."""
         data = self._at(model, blank, world)
         torque = self._ask(model, data, world, controller)
-        new, data = _advance(model, data.replace(ctrl=self.told(torque), qfrc_applied=self.pushes()), sensed)
+        data = data.replace(ctrl=self.controls_for(torque), qfrc_applied=self.pushes())
+        new, data = _advance(model, data, sensed)
         return freeze_if_diverged(world, new), data
 
     def _ask(self, model: Any, data: Any, world: World, controller: Controller) -> Float[Array, " joints"]:
@@ -166,8 +167,8 @@ class MjxJax(MujocoPhysics):
 
 
 class MjxWarp(MjxJax):
-    """MJX on NVIDIA Warp, float32. All worlds share one contact buffer, so results depend bit by bit on what else runs
-    in it.
+    """MJX on NVIDIA Warp, float32. All worlds share one contact buffer, so the last bits of a world's results depend on
+    the other worlds.
 
     A world that may have lost contacts or constraints for want of room counts as diverged; contacts lost from the
     shared buffer may be any world's, so then all count as diverged.

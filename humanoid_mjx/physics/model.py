@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Any, ClassVar
 
-import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
@@ -18,7 +17,7 @@ from humanoid_mjx.mechanics.contacts import Contacts, drift_of, jacobian_of
 from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.physics.base import GroundContacts, Once, Physics, Poses, Readings, Sensed, Velocities, World
 from humanoid_mjx.robot import RobotKey, make_robot
-from humanoid_mjx.robot.description import Robot, compiled, ground_points, lowest, motor_limits
+from humanoid_mjx.robot.description import compiled, ground_points, lowest, motor_limits
 from humanoid_mjx.spec import traced
 from humanoid_mjx.types import AnyArray, MassFactor
 
@@ -27,7 +26,7 @@ class MujocoPhysics(Physics):
     """A robot as a MuJoCo model."""
 
     terrains: ClassVar[tuple[tuple[str, ...], ...]] = ()
-    """Shapes of the ground beside a slope that can be together; none: there is no slope either."""
+    """Supported combinations of ground shapes, each also with a slope; empty: level plane only."""
 
     robot: RobotKey = Field(make_robot("lower_body"), description="the robot that moves")
     timestep: float | None = Field(None, gt=0, le=0.02, description="s; by default the robot's own")
@@ -69,7 +68,7 @@ class MujocoPhysics(Physics):
     @property
     def model(self) -> mujoco.MjModel:
         """The compiled model with its own values in place of the traced ones. It is shared: change copies only."""
-        return _model(self.robot, self.timestep)
+        return compiled(self.robot, self.timestep)
 
     @property
     def step_s(self) -> float:
@@ -111,7 +110,7 @@ class MujocoPhysics(Physics):
         """Largest torque of each motor now, N m."""
         return jnp.asarray(self.torque_limit, float) * motor_limits(self.model)
 
-    def told(self, torque: Float[AnyArray, "*worlds joints"]) -> Float[AnyArray, "*worlds joints"]:
+    def controls_for(self, torque: Float[AnyArray, "*worlds joints"]) -> Float[AnyArray, "*worlds joints"]:
         """Return the motors' controls for these torques of their joints, N m."""
         scale = self._motor_scale
         return torque if (scale == 1.0).all() else torque / scale
@@ -226,12 +225,6 @@ def below(model: mujoco.MjModel) -> Float[np.ndarray, "bodies bodies"]:
     for index in range(model.nbody - 1, 0, -1):
         rows[model.body_parentid[index]] += rows[index]
     return rows
-
-
-@lru_cache
-def _model(robot: Robot, timestep: float | None) -> mujoco.MjModel:
-    with jax.ensure_compile_time_eval():
-        return compiled(robot, timestep)
 
 
 def places(rows: Int[np.ndarray, " rows"]) -> Any:

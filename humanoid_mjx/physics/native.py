@@ -30,8 +30,8 @@ from humanoid_mjx.robot.description import IMU, sensing_spec
 from humanoid_mjx.types import AnyArray
 
 MODELS_BYTES = 1 << 27
-"""Bytes that the models kept of one robot may take, at about 0.1 MB each. Worlds of more distinct traced values take
-turns."""
+"""Memory for the cached models of one robot, bytes; a model takes about 0.1 MB. If a batch has more distinct traced
+values than fit, its groups of worlds are simulated one after another."""
 
 CONTROL = int(mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED)
 """Control of each step: the motors' torques, then the forces on all degrees of freedom."""
@@ -95,7 +95,7 @@ class Native(MujocoPhysics):
         """Return position, velocity and acceleration after a time step, and the sensors' readings before it: none
         unless `sensed`."""
         state = world.qpos, world.qvel, world.warmstart
-        control = jnp.concatenate([self.told(torque), self.pushes()])
+        control = jnp.concatenate([self.controls_for(torque), self.pushes()])
         shapes = *(x.shape for x in state), (self._team.base.nsensordata * sensed,)
         return _on_host(partial(self._advance, sensed), shapes, self._values(), *state, control)
 

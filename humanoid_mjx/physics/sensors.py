@@ -1,4 +1,4 @@
-"""Real sensors: what lies between the true readings and those that a controller gets. Off by default."""
+"""Sensor models: noise, bias and delay between true and measured values. Off by default."""
 
 from typing import NamedTuple
 
@@ -42,7 +42,7 @@ class Sensors(Spec):
     accelerometer_bias: float = traced(0.0, ge=0, description="standard deviation over episodes, m/s^2")
     foot_contact_noise: float = traced(0.0, ge=0, description="standard deviation at each reading, N")
     delay: int = Field(0, ge=0, le=100, description="age of a reading, control cycles")
-    jitter: int = Field(0, ge=0, le=100, description="the delay of an episode is longer by 0 to as many cycles")
+    jitter: int = Field(0, ge=0, le=100, description="largest addition to the delay, drawn per episode, control cycles")
     averages: bool = Field(False, description="gyroscope and accelerometer read means of a control cycle")
 
     def start(self, readings: Readings, key: Key[Array, ""]) -> SensorState:

@@ -10,6 +10,7 @@ import numpy as np
 
 from humanoid_mjx.mechanics.tree.refusing import faults, kinds_of, touching
 from humanoid_mjx.robot.declared import bad_timestep
+from humanoid_mjx.robot.description import motors_on
 from humanoid_mjx.spec import InputError
 
 JOINT = mujoco.mjtJoint
@@ -68,22 +69,19 @@ def survey(model: mujoco.MjModel) -> tuple[list[str], bool]:
     if free and all(fault.of_contacts for fault in wrong):
         words = (
             "tree takes it through a robot's YAML with `contacts: feet`: only the contacts of the feet with the ground "
+            f"remain (docs/your_robot.md). As it is, the tree cannot represent {many}:"
         )
-        words += f"remain (docs/your_robot.md). As it is, the tree cannot represent {many}:"
     lines.append(f"{'physics':13} {words}")
     return lines + [f"  {fault.what}; to change: {fault.change}" for fault in wrong], False
 
 
 def _joints(m: mujoco.MjModel) -> Iterator[str]:
     """A line for each joint but the free one."""
-    of_joints = m.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
     for index, kind in enumerate(m.jnt_type):
         if kind == JOINT.mjJNT_FREE:
             continue
         name, slides = JOINT(int(kind)).name.removeprefix("mjJNT_").lower(), kind == JOINT.mjJNT_SLIDE
         low, high = m.jnt_range[index] * 1e3 if slides else np.degrees(m.jnt_range[index])
         limits = f"{low:.4g} to {high:.4g} {'mm' if slides else 'degrees'}" if m.jnt_limited[index] else "no limits"
-        motors = [
-            m.actuator(i).name or "a motor" for i in np.flatnonzero(of_joints & (m.actuator_trnid[:, 0] == index))
-        ]
+        motors = [m.actuator(i).name or "a motor" for i in motors_on(m, index)]
         yield f"  {m.joint(index).name or f'joint {index}'}: {name}, {limits}, {', '.join(motors) or 'no motor'}"

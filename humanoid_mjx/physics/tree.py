@@ -59,10 +59,7 @@ class TreePhysics(MujocoPhysics):
             return [list(now.qpos), list(now.qvel), list(now.warmstart), [now.diverged]], None
 
         start = [list(world.qpos), list(world.qvel), list(world.warmstart), [world.diverged]]
-        # Under vmap all that is carried depends on the world from the start, else the loop would be traced twice.
-        mine = world.qpos[-1] == world.qpos[-1]
-        start = jax.tree.map(lambda part: jnp.where(mine, part, part), start)
-        *parts, (diverged,) = jax.lax.scan(cycle, start, length=cycles)[0]
+        *parts, (diverged,) = jax.lax.scan(cycle, _batched(start, world), length=cycles)[0]
         return World(*(jnp.stack(part) for part in parts), diverged)
 
     def run_sensed(self, world: World, controller: Controller, cycles: int) -> tuple[World, Sensed]:
@@ -74,10 +71,8 @@ class TreePhysics(MujocoPhysics):
             parts, seen = self._move(_advance_sensed, values, state, now, torque, last)
             return (World(*parts), (now.qpos[self.joint_qpos], torque, seen)), None
 
-        mine = jnp.where(world.qpos[-1] == world.qpos[-1], 0.0, 0.0)
-        start = jax.tree.map(lambda part: jnp.where(mine == 0.0, part, part), world)
         last = jnp.arange(cycles) == cycles - 1
-        (world, sensed), _ = jax.lax.scan(cycle, (start, self._nothing(mine)), last)
+        (world, sensed), _ = jax.lax.scan(cycle, _batched((world, self._nothing()), world), last)
         return world, self._seen(*jax.tree.map(lambda part: jnp.where(world.diverged, 0.0, part), sensed))
 
     def sense(self, world: World, torque: Float[AnyArray, " joints"]) -> Sensed:
@@ -93,13 +88,12 @@ class TreePhysics(MujocoPhysics):
         poses, velocities = Poses(position, rotation), Velocities(linear, angular)
         return self._sensed(encoders, turning, felt, poses, velocities, forces, torque)
 
-    def _nothing(self, zero: Float[Array, ""]) -> tuple[Any, ...]:
+    def _nothing(self) -> tuple[Any, ...]:
         """Return zeros in the shapes of what is sensed, for the start of a loop."""
         bodies, points, joints = self.model.nbody, len(self.ground_points[0]), len(self.tree.motors)
         shapes = (bodies, 3), (bodies, 3, 3), (bodies, 3), (bodies, 3), (points,)
         sensors = (3 * len(self.tree.gyroscopes),), (3 * len(self.tree.accelerometers),)
-        seen = tuple(jnp.zeros(shape, zero.dtype) + zero for shape in (*sensors, *shapes))
-        return jnp.zeros(joints, zero.dtype) + zero, jnp.zeros(joints, zero.dtype) + zero, seen
+        return jnp.zeros(joints), jnp.zeros(joints), tuple(jnp.zeros(shape) for shape in (*sensors, *shapes))
 
     def _values(self) -> mechanics.Values:
         push = jnp.stack([jnp.asarray(part, float) for part in self.push]) if self.free else None
@@ -153,7 +147,13 @@ class TreePhysics(MujocoPhysics):
         return torque, state.made
 
 
-# What follows is of many worlds at once, their axis the last.
+def _batched(tree: Any, world: World) -> Any:
+    """The same values, each with the axis of worlds under `jax.vmap`: else a loop that carries them is traced twice."""
+    same = world.qpos[-1] == world.qpos[-1]
+    return jax.tree.map(lambda part: jnp.where(same, part, part), tree)
+
+
+# The functions below compute many worlds at once; the axis of worlds is the last.
 
 Parts = tuple[Any, ...]
 """The parts of `World`, in its order."""

@@ -75,11 +75,10 @@ class Chain:
         Raises:
           InputError: a wrong shape, a value that is not finite, a pseudo-inertia that no body can have.
         """
-        joints = len(theta_offset)
-        expected = {"d": (joints,), "a": (joints,), "alpha": (joints,), "gravity": (3,)}
-        given = {"d": d, "a": a, "alpha": alpha, "gravity": gravity, "theta_offset": theta_offset}
-        expected |= {"theta_offset": (joints,), "pseudo_inertia": (joints, 4, 4)}
-        arrays = {name: _array(name, value) for name, value in (given | {"pseudo_inertia": pseudo_inertia}).items()}
+        joints, given = len(theta_offset), {"d": d, "a": a, "alpha": alpha, "gravity": gravity}
+        given |= {"theta_offset": theta_offset, "pseudo_inertia": pseudo_inertia}
+        expected = dict.fromkeys(given, (joints,)) | {"gravity": (3,), "pseudo_inertia": (joints, 4, 4)}
+        arrays = {name: _array(name, value) for name, value in given.items()}
         for name, shape in expected.items():
             if arrays[name].shape != shape:
                 raise InputError(f"{name} must have the shape {shape}, got {arrays[name].shape}.")

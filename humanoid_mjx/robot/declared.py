@@ -24,7 +24,7 @@ from pydantic import Field
 
 from humanoid_mjx.config import Config, parse_yaml
 from humanoid_mjx.files import folder
-from humanoid_mjx.robot.description import Robot, Servo, add_motors_and_imu, image
+from humanoid_mjx.robot.description import Robot, Servo, add_motors_and_imu, image, motors_on
 from humanoid_mjx.spec import InputError, Spec, known, search_folders, sentence
 
 DAMPING = 0.03
@@ -79,8 +79,8 @@ class Declaration(Spec):
     home: Posture = Field("", description="how it stands: a keyframe, or degrees by joint; by default all joints at 0")
     servo: DeclaredServo = Field(DeclaredServo.model_validate({}), description="gains of its joints' servo")
     torque: ByJoint | None = Field(None, description="largest torque by joint, N m; by default the model's")
-    shares: ByJoint | None = Field(None, description="of the action scale, by joint; by default all 1")
-    turns: list[float] = Field([], description="when in a gait's period each foot swings, 0 to 1; by default evenly")
+    shares: ByJoint | None = Field(None, description="factors on action_scale, by joint; by default 1")
+    turns: list[float] = Field([], description="phase, 0 to 1, at which each foot's swing begins; by default even")
     mirror: dict[str, str] = Field({}, description="parts of names on the right, and what stands for them on the left")
     contacts: Literal["feet", "model"] = Field(
         "feet", description="what touches: the feet the ground and nothing else, or also all bodies as the model says"
@@ -122,7 +122,7 @@ class Declared(Robot):
         ]
         balls = [(foot, geom, *_balls_of(model, data, geom, foot.name)) for foot, geom in touching]
         rough = model.geom_friction[model.geom_type == GEOM.mjGEOM_PLANE, 0].max(initial=0.0)
-        # The package has actuators, sensors, keyframes, the ground and, where asked for, contacts in its own way.
+        # Remove what the package replaces: actuators, sensors, keyframes, the ground and, with `feet`, all contacts.
         feet_only = self.contacts == "feet"
         doomed = [*spec.actuators, *spec.sensors, *spec.keys, *(spec.pairs if feet_only else ())]
         for element in [*doomed, *(geom for geom in spec.worldbody.geoms if geom.type == GEOM.mjGEOM_PLANE)]:
@@ -216,11 +216,11 @@ def describes_robot(name: str) -> bool:
 
 
 def find(name: str) -> Path:
-    """The YAML of a robot: one that ships, or a path from the config's folder or the working one; one that is not where
-    it was may lie there.
+    """Find the YAML of a robot: a shipped one, or a path. The path, or else its file name alone, is looked up in the
+    config's folder and in the working directory.
 
     Raises:
-      InputError: it is nowhere.
+      InputError: there is no such file.
     """
     if is_shipped(name):
         return folder("robots") / f"{name}.yaml"
@@ -306,7 +306,7 @@ def _load(file: str) -> mujoco.MjSpec:
     free = [joint for joint in spec.joints if joint.type == JOINT.mjJNT_FREE]
     if len(bodies) != 1 or len(free) != 1 or free[0].parent.name != bodies[0]:
         there = ", ".join(bodies) or "none"
-        raise InputError(f"model: a robot is one body with a free joint, and what hangs on it; the bodies are: {there}")
+        raise InputError(f"model: a robot is one body with a free joint, and its child bodies; the bodies are: {there}")
     if fault := bad_timestep(spec.option.timestep):
         raise InputError(f"model: {fault}")
     return spec
@@ -323,7 +323,7 @@ def _driven(model: mujoco.MjModel) -> tuple[str, ...]:
     driven = model.actuator_trnid[of_joint, 0] if model.nu else np.flatnonzero(model.jnt_type == JOINT.mjJNT_HINGE)
     names = tuple(dict.fromkeys(model.joint(int(joint)).name for joint in driven))
     if not names or "" in names:
-        raise InputError("model: it has no motors on hinges that have names")
+        raise InputError("model: no motor drives a hinge that has a name")
     if wrong := [name for name in names if model.joint(name).type[0] != JOINT.mjJNT_HINGE]:
         raise InputError(f"model: the motor of {wrong[0]} drives no hinge")
     return names
@@ -382,7 +382,7 @@ def _own_torques(model: mujoco.MjModel, joints: Sequence[str]) -> Float[np.ndarr
         row = model.joint(joint).id
         if model.jnt_actfrclimited[row]:
             limits[index] = np.abs(model.jnt_actfrcrange[row]).max()
-        for motor in np.flatnonzero(model.actuator_trnid[:, 0] == row):
+        for motor in motors_on(model, row):
             gear = abs(model.actuator_gear[motor, 0])
             if model.actuator_forcelimited[motor]:
                 limits[index] = min(limits[index], gear * np.abs(model.actuator_forcerange[motor]).max())
@@ -398,7 +398,7 @@ def _own_servo(
     """Stiffness and damping of the model's position actuators; else the torque limit a radian, and `DAMPING` of it."""
     stiffness, damping = torque.copy(), DAMPING * torque
     for index, joint in enumerate(joints):
-        for motor in np.flatnonzero(model.actuator_trnid[:, 0] == model.joint(joint).id):
+        for motor in motors_on(model, model.joint(joint).id):
             if model.actuator_biastype[motor] == mujoco.mjtBias.mjBIAS_AFFINE and model.actuator_biasprm[motor, 1] < 0:
                 _, position, speed = (0.0 - model.actuator_biasprm[motor, :3]) * model.actuator_gear[motor, 0] ** 2
                 stiffness[index], damping[index] = position, speed

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from typing import Any, NamedTuple
 
+import jax
 import mujoco
 import numpy as np
 import pydantic
@@ -50,10 +51,10 @@ class Robot(Named):
         default=(), strict=False, description="angles of the joints as it stands, degrees; all 0"
     )
     turns: tuple[float, ...] = Field(
-        default=(), strict=False, description="when in a gait's period each foot swings; evenly"
+        default=(), strict=False, description="phase, 0 to 1, at which each foot's swing begins; empty: evenly spaced"
     )
     shares: tuple[float, ...] = Field(
-        default=(), strict=False, description="of a gait's offset, by kind of joint; all 1"
+        default=(), strict=False, description="factors on action_scale, by kind of joint; empty: 1"
     )
     mirror: tuple[tuple[str, str], ...] = Field(
         default=(), strict=False, description="parts of names that change sides"
@@ -185,12 +186,12 @@ class Robot(Named):
 
     @property
     def joint_images(self) -> tuple[Int[np.ndarray, " joints"], Float[np.ndarray, " joints"]]:
-        """Of which joint each one is the mirror image, and the sign of its angle there."""
+        """Index of each joint's mirror image, and the sign of the angle there."""
         return _joint_images(self)
 
     @property
     def foot_images(self) -> Int[np.ndarray, " feet"]:
-        """Of which foot each one is the mirror image."""
+        """Index of each foot's mirror image."""
         return np.array([self.feet.index(self.image_of(foot)) for foot in self.feet], int)
 
     @property
@@ -238,8 +239,9 @@ IMU = "gyroscope", "accelerometer"
 
 @lru_cache
 def compiled(robot: Robot, timestep: float | None) -> mujoco.MjModel:
-    """The robot's model with this time step, s."""
-    return sensing_spec(robot, timestep).compile()
+    """The robot's model with this time step, s; also within jit."""
+    with jax.ensure_compile_time_eval():
+        return sensing_spec(robot, timestep).compile()
 
 
 def sensing_spec(robot: Robot, timestep: float | None) -> mujoco.MjSpec:
@@ -324,12 +326,18 @@ def _joint_images(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     return order, signs if robot.mirror else np.ones(len(joints))
 
 
+def motors_on(model: mujoco.MjModel, joint: int) -> Int[np.ndarray, " motors"]:
+    """Indices of the actuators that drive the joint of this index; those of tendons and sites are left out."""
+    on_joints = np.isin(model.actuator_trntype, (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+    return np.flatnonzero(on_joints & (model.actuator_trnid[:, 0] == joint))
+
+
 def motor_limits(model: mujoco.MjModel) -> Float[np.ndarray, " joints"]:
     """Largest torque of each motor of a model, N m."""
-    told = np.where(model.actuator_ctrllimited, model.actuator_ctrlrange[:, 1], np.inf)
+    control = np.where(model.actuator_ctrllimited, model.actuator_ctrlrange[:, 1], np.inf)
     force = np.where(model.actuator_forcelimited, model.actuator_forcerange[:, 1], np.inf)
     gain, gear = model.actuator_gainprm[:, 0], model.actuator_gear[:, 0]
-    return np.minimum(np.abs(gain) * told, force) * np.abs(gear)
+    return np.minimum(np.abs(gain) * control, force) * np.abs(gear)
 
 
 def _two_digits(value: float) -> float:

@@ -89,13 +89,13 @@ class Leg(Chain):
         return cls.from_links(thesis.SCRIPT_LENGTHS, script_inertias(), gravity)
 
     @classmethod
-    def figure_7_5(cls, gravity: Sequence[float] = AS_PRINTED) -> "Leg":
+    def figure_7_5(cls) -> "Leg":
         """The recovered model behind the torques of section 7 C: `thesis` with other masses and gravity sideways.
 
         Section 7 C determines only masses and centroids; second moments are those of `thesis`, scaled by mass.
         """
         scale = np.array(thesis.FIGURE_7_5_MASSES) / np.array(thesis.LINK_MASSES)
-        return cls.from_links(thesis.LINK_LENGTHS, corrected_inertias() * scale[:, None, None], gravity)
+        return cls.from_links(thesis.LINK_LENGTHS, corrected_inertias() * scale[:, None, None], AS_PRINTED)
 
     @property
     def lengths(self) -> Float[Array, "*batch 5"]:

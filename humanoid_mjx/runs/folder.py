@@ -252,26 +252,27 @@ def elsewhere(path: Path) -> str:
 
 
 def fresh_path(name: str, root: Path = Path("runs")) -> Path:
-    """The first free path of runs/name, runs/name-2, runs/name-3, ..."""
-    number, path = 1, root / name
-    while path.exists():
-        number += 1
-        path = root / f"{name}-{number}"
-    return path
+    """Return the path after the last of runs/name, runs/name-2, runs/name-3, ..."""
+    number = max(_numbers(name, root), default=0) + 1
+    return root / (name if number == 1 else f"{name}-{number}")
 
 
 def latest_path(name: str, root: Path = Path("runs")) -> Path:
-    """The newest of the paths that `fresh_path` has given.
+    """Return the last of runs/name, runs/name-2, runs/name-3, ...
 
     Raises:
       InputError: there is none.
     """
-    number, path = 1, root / name
-    while (after := root / f"{name}-{number + 1}").exists():
-        number, path = number + 1, after
-    if not path.exists():
-        raise InputError(f"{path}: there is no run to resume.")
-    return path
+    if not (numbers := _numbers(name, root)):
+        raise InputError(f"{root / name}: there is no run to resume.")
+    return root / (name if max(numbers) == 1 else f"{name}-{max(numbers)}")
+
+
+def _numbers(name: str, root: Path) -> list[int]:
+    """Return the numbers of the existing paths of a name: 1 for `name`, 2 for `name-2`, and so on."""
+    form = re.compile(rf"{re.escape(name)}(?:-(\d+))?")
+    paths = root.iterdir() if root.is_dir() else ()
+    return [int(match[1] or 1) for path in paths if (match := form.fullmatch(path.name))]
 
 
 def disk_used(path: Path) -> int:

@@ -88,7 +88,8 @@ def best_table(
     measure, tied, seeds = "steps" if quickest else "return", ties(points) > 1, len(np.unique(summary["seed"]))
     greedy = ["greedy steps"] if quickest else ["greedy return", "greedy steps"]
     headings = ["point", *axes, "greedy success", *greedy, f"{measure} at the end of training (95\u00a0%)"]
-    headings += [f"{measure} over all of training"] * tied + ["diverged"] * bool(np.any(summary["diverged"]))
+    some_diverged = bool(np.any(summary["diverged"]))
+    headings += [f"{measure} over all of training"] * tied + ["diverged"] * some_diverged
     rows = []
     for point in points[:BEST_POINTS]:
         low, high = training_interval(summary, point.point, measure)
@@ -97,7 +98,7 @@ def best_table(
         means = ([] if quickest else [f"{point.greedy_return:.4g}"]) + [f"{point.greedy_steps:.1f}", end]
         diverged = f"{int(np.sum(summary['diverged'][summary['point'] == point.point]))} of {seeds}"
         cells = [str(point.point), *map(short, point.values), f"{point.success:.1%}", *means]
-        rows.append([*cells, *[_number(point.whole)] * tied, diverged][: len(headings)])
+        rows.append([*cells, *[_number(point.whole)] * tied, *[diverged] * some_diverged])
     return headings, rows
 
 

@@ -58,9 +58,9 @@ class Task(Spec):
         return {}
 
     def steered(self, data: Any, told: dict[str, FloatScalar]) -> Any:
-        """The data of a state under this command in the place of its own; for tasks with `told_ranges`."""
+        """Replace the command in the data of a state by `told`; for tasks with `told_ranges`."""
         raise NotImplementedError
 
     def for_driving(self) -> Any:
-        """The task as a person drives it: nothing but the person commands or pushes the robot, and time is long."""
+        """Return the task for driving by a person: no commands, no pushes and no time limit of its own."""
         return self

@@ -72,6 +72,12 @@ class ContinuousTask(Task):
         """The joint action with this flat index."""
         return flat // self._strides % np.array(self.action_bins)
 
+    def as_numbers(self, action: Array) -> Float[Array, " joints"]:
+        """An action as numbers in [-1, 1]: choice k of n is `linspace(-1, 1, n)[k]`; numbers stay as they are."""
+        if jnp.issubdtype(action.dtype, jnp.floating):
+            return action
+        return 2.0 * action / (np.array(self.action_bins) - 1) - 1.0
+
     @property
     def _strides(self) -> Int[np.ndarray, " joints"]:
         return np.cumprod((1, *self.action_bins[:-1]))

@@ -121,7 +121,7 @@ class LegReach(ContinuousTask):
         return begin(body, self.observe(body), TERMS)
 
     def step(self, state: State, action: Int[Array, " joints"], key: Key[Array, ""]) -> State:
-        return self.step_continuous(state, 2.0 * action / (self.bins - 1) - 1.0, key)
+        return self.step_continuous(state, self.as_numbers(action), key)
 
     def step_continuous(self, state: State, command: Float[Array, " joints"], key: Key[Array, ""]) -> State:
         """A step whose moves are any parts of `increment`, from -1 to 1."""
@@ -146,9 +146,7 @@ class LegReach(ContinuousTask):
         )
 
     def drive(self, data: Body, action: Array) -> tuple[Physics, Controller]:
-        chosen = not jnp.issubdtype(action.dtype, jnp.floating)
-        command = 2.0 * action / (self.bins - 1) - 1.0 if chosen else action
-        return self._plant(data.mass), self.controller(self.setpoint_after(data, command))
+        return self._plant(data.mass), self.controller(self.setpoint_after(data, self.as_numbers(action)))
 
     def setpoint_after(self, body: Body, command: Float[Array, " joints"]) -> Float[Array, " joints"]:
         """Return the set-point after moves of `command` times `increment`, rad."""

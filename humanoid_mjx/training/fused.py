@@ -4,7 +4,8 @@ The scan of `training.program` starts several kernels for each training step and
 between them. Here one kernel makes all steps of a chunk. It runs the learner's and the task's own functions, taken
 apart by `elementwise`, so that no rule is written twice: from the same keys it draws the same random numbers as the
 scan and makes the same operations in the same order. Results differ by rounding alone, where one compiler contracts a
-multiplication and an addition and the other does not; `tests/test_fused.py` compares them.
+multiplication and an addition and the other does not; `tests/training/test_fused.py` compares
+them.
 
 `why_not` says whether a learner can be trained so; the scan is the reference, and trains everything else.
 """
@@ -48,7 +49,7 @@ class Functions(NamedTuple):
 
 
 def why_not(learner: Learner) -> str | None:
-    """Why a learner, or learners side by side, are not trained by the kernel; None where they are."""
+    """Return the reason why the kernel cannot train a learner, or learners side by side; None if it can."""
     if not isinstance(learner, TabularQ):
         return "the fused kernel trains tables"
     if learner.agents > 1:

@@ -19,19 +19,19 @@ from humanoid_mjx.training.programs import placement
 from humanoid_mjx.training.warm_start import earlier_policies
 
 LATELY_S, LATELY_SHARE = 5.0, 0.15
-"""Mean age of what the present pace is taken from, s, and as a share of the training so far where that is longer."""
+"""Time constant of the recent pace: the longer of these seconds and this share of the training so far."""
 
 KNOWN_S = 0.5
 """Seconds of training after which the pace of a run is known, unless it is over before."""
 
 OVERRUN = 0.1
-"""The share of the time beyond an estimate that is said to be left of it."""
+"""Time left that is shown after an estimate was exceeded, as a share of the excess."""
 
 COMPILING = ("tracing", "compiling")
 """Phases in which training stands still."""
 
 PLAYED_OUT = 2000
-"""Waiting runs whose start and end are played out; those beyond them take the mean."""
+"""Waiting runs whose slots are simulated; further ones are estimated by the mean."""
 
 MEASURED_S = 6.0
 """Seconds of training that are measured of a program, once it is compiled."""
@@ -64,13 +64,12 @@ class Pace:
     """Pace of a sweep and the time that is left, from looks at what trains.
 
     Runs of one sweep can differ by a factor of twenty in length: where the reward pays for waiting, episodes last to
-    their cap. The runs that all of them together end a second say little then: at the end the slow ones train alone. So
-    the slots are played out, each at its own pace. Compiling and evaluating have clocks of their own, in which training
-    stands still.
+    their cap. The total rate of finished runs then says little, since at the end the slow ones train alone. So the
+    estimate simulates the slots, each at its own pace. Compiling and evaluating are timed separately from training.
     """
 
     def __init__(self, runs: int, programs: int = 1):
-        """For runs numbered from 0 to `runs` - 1, in so many compiled programs."""
+        """Begin without any look. `runs`: number of runs of the sweep; `programs`: number of its compiled programs."""
         self.programs = programs
         self.done = 0.0
         """Runs that are done, parts of runs counted; it never falls."""
@@ -202,7 +201,7 @@ class Pace:
 
 
 def _left(seconds: float) -> float:
-    """Seconds left by an estimate; beyond its end, in which `seconds` are negative, a share of the time since."""
+    """Return the estimated seconds left; after the estimate was exceeded (`seconds` below 0), a share of the excess."""
     return seconds if seconds > 0 else -OVERRUN * seconds
 
 

@@ -1,4 +1,4 @@
-"""From a config to what will run: sweep points, in groups that share one compiled program."""
+"""The plan of a sweep: its points, in groups that share one compiled program."""
 
 import traceback
 from collections.abc import Iterator, Mapping

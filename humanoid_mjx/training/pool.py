@@ -41,8 +41,8 @@ HARVEST_AFTER_S = 10.0
 IDLE = -1
 
 CORES_OF_A_COMPILER = 4
-"""Cores that XLA keeps busy while it compiles a program. Where a machine has no more, what ends a run is compiled
-after the training steps, which are waited for."""
+"""Cores that XLA uses to compile a program. With no more cores than that, the program that ends a run is compiled only
+after the training steps, for which training waits."""
 
 
 class Pool:
@@ -96,7 +96,7 @@ class Pool:
 
     def fill(self) -> None:
         """Give the idle slots the runs that wait."""
-        # Who looks on in another thread must not take the end of a slot's last run for the present of the next.
+        # Other threads read these: clear a finished run's values before its slot holds another run.
         self.progress = np.where(self.busy, self.progress, 0.0)
         self.recent = np.where(self.busy[:, None], self.recent, np.nan)
         fresh = np.zeros(len(self.slots), bool)
@@ -168,7 +168,7 @@ class Pool:
         return state | {"elapsed": np.array(time.monotonic() - self.began)} | to_arrays(self.training, "training")
 
     def restore(self, arrays: dict[str, np.ndarray], where: str) -> None:
-        """Take up runs of earlier pools' `state`, as far as they still wait and slots are idle.
+        """Load runs that still wait from an earlier pool's `state` into idle slots.
 
         Raises:
           InputError: it is the state of another training.
@@ -261,8 +261,10 @@ def _shape(leaf: jax.Array) -> jax.ShapeDtypeStruct:
 
 
 def _in_background(work: Callable[[], tuple[Callable[..., Any], Callable[[], None]]]) -> "Future[Callable[..., Any]]":
-    """Let a thread of its own make a program, and then do what is left to do. It does not keep the process from ending:
-    a compiler cannot be interrupted, leaves Python free and most cores of a machine idle."""
+    """Run `work` in a daemon thread and return a Future of the program; then call the function that `work` also gives.
+
+    A compiler cannot be interrupted; a daemon thread lets the process end meanwhile.
+    """
     future: Future[Callable[..., Any]] = Future()
 
     def run() -> None:

@@ -46,7 +46,7 @@ class Session:
         self.folder, self.plan, self.processes, self.reporter = folder, plan, processes, reporter
         self.watchers = watchers
         for part in folder.parts():
-            # A damaged policy would else be found after the sweep that could have trained it again.
+            # Check policies now: a damaged one can still be trained again by this sweep.
             read_arrays(part, digest=folder.digest)
         self.mine = set(processes.share(np.concatenate([group.runs for group in plan.groups])).tolist())
         done = finished_runs(folder.path, ("point", "seed"), folder.digest)
@@ -78,7 +78,7 @@ class Session:
         runs = [run for run in group.runs.tolist() if run in self.mine]
         if not runs:
             return
-        # Not the number still waiting: networks' sums depend on how many runs are side by side, also after a resume.
+        # By all runs, not by those that wait: networks round differently with another number of runs side by side.
         size, devices = placement(group.learners, len(runs), room)
         while waiting := deque(run for run in runs if run not in self.finished):
             slots = size * len(devices)

@@ -118,7 +118,7 @@ def sweep(
 
     Args:
       config: a config, its plain values, a path, or the name of a shipped one.
-      out: the run folder; by default the first free of runs/NAME, runs/NAME-2, ..., or the latest to be resumed.
+      out: the run folder; by default the next of runs/NAME, runs/NAME-2, ..., or the last of them with `resume`.
       resume: complete a run folder instead of making one.
       overrides: such as "learner.epsilon=0.1"; only where `config` is a path or a name.
       pool_size: how many runs each device trains at once; by default what memory and cache hold. Tables learn the same
@@ -133,6 +133,8 @@ def sweep(
     """
     if isinstance(config, (str, Path)):
         config = load(config, overrides)
+    elif overrides:
+        raise InputError("sweep: overrides are for a config given by path or name; change these values themselves.")
     elif isinstance(config, Mapping):
         config = parse(dict(config))
     plan = make_plan(config)

@@ -169,6 +169,19 @@ def test_patterns_the_models_own_values_and_defaults(tmp_path):
     np.testing.assert_array_equal(own.torque_limits[:3], [23.7, 23.7, 35.5])
 
 
+def test_motors_of_tendons_are_not_those_of_joints(tmp_path):
+    """Though the number of the tendon is that of a joint."""
+
+    def with_tendons(text):
+        first = re.search(r'<joint name="(\w+)"', text)[1]
+        tendons = "".join(f'<fixed name="t{i}"><joint joint="{first}" coef="1"/></fixed>' for i in range(6))
+        motors = "".join(f'<motor tendon="t{i}" ctrlrange="-0.1 0.1"/>' for i in range(6))
+        return text.replace("<actuator>", f"<tendon>{tendons}</tendon><actuator>{motors}")
+
+    plain, other = make_robot(files(tmp_path)), make_robot(files(tmp_path, edit=with_tendons))
+    np.testing.assert_array_equal(other.torque_limits, plain.torque_limits)
+
+
 @pytest.mark.parametrize("turns", [[0.1, 0.6, 0.7, 0.2], []])
 def test_feet_may_be_named_in_any_order(turns, tmp_path):
     """Each keeps its turn, or without any its share of the period by the order of the names."""

@@ -55,6 +55,11 @@ def test_names_of_run_folders_count_up(tmp_path):
         assert fresh_path("joint1", tmp_path) == tmp_path / name
         (tmp_path / name).mkdir()
         assert latest_path("joint1", tmp_path) == tmp_path / name
+    (tmp_path / "joint1-2").rmdir()
+    assert fresh_path("joint1", tmp_path) == tmp_path / "joint1-4"
+    assert latest_path("joint1", tmp_path) == tmp_path / "joint1-3"
+    with pytest.raises(InputError, match="joint4: there is no run to resume"):
+        latest_path("joint4", tmp_path)
 
 
 def test_a_run_that_was_killed_says_how_far_it_is(folder):

@@ -29,7 +29,7 @@ def test_the_clock_turns_while_the_body_is_to_move():
     assert gait.after(Clock(0.9), STAND, 0.08, BODY).phase == 0.0 and not np.any(
         gait.reference(Clock(0.3), STAND, BODY)
     )
-    assert gait.lasting(jnp.array([0.6, -0.8, 0.5])) == pytest.approx(0.4 / 1.5)
+    assert gait.cycle_time(jnp.array([0.6, -0.8, 0.5])) == pytest.approx(0.4 / 1.5)
     motion = jax.vmap(lambda phase: gait.reference(Clock(phase), ON_THE_SPOT, BODY))(phases)
     motion = np.degrees(motion).reshape(-1, 2, 5)
     pitch, yaw, roll, knee, ankle = motion.transpose(2, 0, 1)
@@ -60,7 +60,7 @@ def test_a_lifted_foot_stays_level(phase):
 def test_a_standing_foot_goes_back_as_the_ground_does(command):
     """In mid-stance, and there and back in one period; the ground turns, too, under a body that does."""
     gait, seconds = Steps(), 1e-2
-    period = float(gait.lasting(jnp.array(command)))
+    period = float(gait.cycle_time(jnp.array(command)))
     for foot, middle in enumerate((0.69, 0.19)):
         (before, turned_before), (after, turned_after) = (
             [part[foot] for part in feet_by(gait, middle + side * seconds / period / 2, command)] for side in (-1, 1)

@@ -17,7 +17,7 @@ from humanoid_mjx.compute import counting_compiles, rng
 from humanoid_mjx.robot.lower_body import LowerBody
 from humanoid_mjx.tasks.check import check_task
 from humanoid_mjx.tasks.legged import LeggedTask, StandRewards, rewards
-from humanoid_mjx.tasks.legged.commands import LARGEST, Velocity
+from humanoid_mjx.tasks.legged.commands import MAX_HEADING_ERROR, Velocity
 from humanoid_mjx.tasks.legged.events import Randomise
 from humanoid_mjx.tasks.legged.gait import Clock
 from humanoid_mjx.tasks.legged.observations import OBSERVATIONS, Observed, swapped
@@ -289,7 +289,7 @@ def test_rewards_of_feet_are_of_those_that_touch():
     slow = view.episode._replace(command=jnp.array([0.1, 0.0, 0.0]))
     late, now, still = (
         rewards.speed(view._replace(episode=episode))
-        for episode in (slow._replace(strayed=jnp.array([-0.1, 0.0, 0.0])), slow, slow._replace(command=STAND))
+        for episode in (slow._replace(tracking_error=jnp.array([-0.1, 0.0, 0.0])), slow, slow._replace(command=STAND))
     )
     assert late < now < still == 1.0
 
@@ -356,7 +356,7 @@ def test_the_heading_is_kept_while_the_turn_rate_stays_the_same():
     assert not np.any(episode.under(STAND, 0.02)._replace(heading_error=jnp.float32(0.3)).followed(task.command))
     for _ in range(200):
         episode = episode.under(told, 0.5)
-    assert episode.heading_error == pytest.approx(LARGEST)
+    assert episode.heading_error == pytest.approx(MAX_HEADING_ERROR)
 
 
 def test_an_imu_that_integrates_reads_what_the_torso_did():

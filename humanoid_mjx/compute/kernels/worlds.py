@@ -1,7 +1,7 @@
-"""Functions of many worlds, whose axis is the last, as functions of one world.
+"""`jax.vmap` with the axis of worlds last, for functions that are written for many worlds.
 
-A scalar of many worlds is then contiguous whatever axes of lanes or contacts it has before, which `jax.vmap` by itself
-would put behind. Worlds of several runs become one axis of all, so that no loop is mapped over loops.
+The worlds of one scalar are then contiguous in memory, whatever axes of lanes or contacts precede them; by default
+`jax.vmap` puts the axis of worlds first. Nested maps (runs of worlds) become one axis, so no loop is mapped over loops.
 """
 
 from collections.abc import Callable
@@ -41,11 +41,8 @@ def worlds_last(function: Callable[..., Any], *static: Any, kernel: bool = False
     @many.def_vmap
     def _(runs: int, batched: Any, *args: Any) -> tuple[Any, Any]:
         def merged(x: Any, flag: bool) -> Any:
-            x = (
-                jnp.moveaxis(x, 0, -2)
-                if flag
-                else jnp.broadcast_to(x[..., None, :], (*x.shape[:-1], runs, x.shape[-1]))
-            )
+            whole = (*x.shape[:-1], runs, x.shape[-1])
+            x = jnp.moveaxis(x, 0, -2) if flag else jnp.broadcast_to(x[..., None, :], whole)
             return x.reshape(*x.shape[:-2], -1)
 
         found = many(*jax.tree.map(merged, args, tuple(batched)))

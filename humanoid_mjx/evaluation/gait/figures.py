@@ -79,7 +79,7 @@ def figures(
     straight = (asked[2] == 0) & ~turns
     sides = robot.foot_pairs.T
     duties = jnp.stack([means["loaded"][side].mean() for side in sides])
-    asymmetry = jnp.abs(duties[1] - duties[0]) / _positive(jnp.abs(duties).mean())
+    asymmetry = jnp.abs(duties[1] - duties[0]) / _positive(duties.mean())
     way = jnp.where(windows["way"] > robot.speed(SLOW) * seconds, windows["way"], jnp.nan)
     return {
         "success": 1.0 - fallen,

@@ -4,7 +4,6 @@
 from functools import lru_cache
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
@@ -92,8 +91,7 @@ def legs_apart(poses: Poses, robot: Robot) -> FloatScalar:
 @lru_cache
 def _pairs(robot: Robot) -> tuple[np.ndarray, ...]:
     """The pairs of capsules that feel each other: bodies, middles, ways from there to an end, sums of the radii."""
-    with jax.ensure_compile_time_eval():
-        model = robot.model
+    model = robot.model
     pairs, axes = np.stack([model.pair_geom1, model.pair_geom2], axis=1), np.empty((model.ngeom, 3))
     pairs = pairs[(model.geom_type[pairs] == mujoco.mjtGeom.mjGEOM_CAPSULE).all(axis=1)]
     for axis, quaternion in zip(axes, model.geom_quat, strict=True):

@@ -1,7 +1,7 @@
 """Held-out episodes of a body under commands that stay: what `evaluate --gait` measures.
 
 Every episode is one of the held-out ones (`evaluation.evaluate`), under one of the robot's scenarios for its whole
-length. Only what is left of the motion are the sums of `gait.tally`.
+length. Of the motion only the sums of `gait.tally` are stored.
 """
 
 from collections.abc import Callable, Sequence
@@ -89,19 +89,17 @@ class _Loop(NamedTuple):
 
 
 def walking_task(task: Task) -> LeggedTask:
-    """The task, of which it is certain now that it moves a body by commands.
+    """Check that a task moves a body by commands, and return it as a legged task.
 
     Raises:
-      InputError: it does not.
+      InputError: the task does not, or the robot has no pairs of feet.
     """
     if not isinstance(task, LeggedTask) or task.command is None:
         raise InputError(
             f"evaluate --gait: the task {type(task).__name__} gives no commands to a body on legs, as walk does."
         )
     if not task.robot.feet or 2 * len(task.robot.foot_pairs) != len(task.robot.feet):
-        raise InputError(
-            f"evaluate --gait: gaits are measured of right and left feet; {task.robot.name} must name its mirror."
-        )
+        raise InputError(f"evaluate --gait: a gait needs right and left feet; give {task.robot.name} the key mirror.")
     return task
 
 
@@ -231,8 +229,7 @@ def _decide(
     state = task.commanded(loop.state, loop.view, asked)
     act_key, step_key = decision_keys(key, index)
     action = agent(learner, policy, number)(state, act_key)
-    offsets = action if jnp.issubdtype(action.dtype, jnp.floating) else task.scaled_action(action)
-    state, view, sensed = task.step_watched(state, offsets, step_key)
+    state, view, sensed = task.step_watched(state, task.as_numbers(action), step_key)
     fallen = loop.fallen | state.terminated
     interval = task.simulator.step_s
     window = sums.window_samples(task.gait.period if task.gait else None, interval)
@@ -244,7 +241,7 @@ def _decide(
 
     tally, _ = jax.lax.scan(add, loop.tally, sensed)
     tally = _where(fallen, loop.tally, tally)
-    # A body that lies tangled would be the most expensive of all to simulate: it is put back on its feet, unwatched.
+    # A fallen body is the most expensive to simulate, so it is reset; its further motion does not count.
     state = state._replace(data=state.data._replace(world=_where(fallen, loop.first, state.data.world)))
     return _Loop(state, view, tally, goal, fallen, loop.first)
 

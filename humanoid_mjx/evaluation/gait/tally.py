@@ -23,13 +23,13 @@ SETTLING, WINDOW = 2.0, 1.0
 """s"""
 
 AIRBORNE = 0.04
-"""Least time without load before a touchdown that ends a step, s; within less a foot chatters."""
+"""Least time in the air before a touchdown that counts as a step, s; shorter ones are chatter."""
 
 NEAR_GOAL = float(np.radians(5.0))
 """Error of the heading within which a sudden turn has ended, rad."""
 
 HOLD = 5.0
-"""Time after the command of a sudden turn to the end of which the heading has to stay near its goal, s."""
+"""Observation time after the command of a sudden turn, s: the heading must stay near its goal until its end."""
 
 
 class Asked(NamedTuple):

@@ -68,11 +68,10 @@ class Live:
         """Message about the robots for the page, empty if there is none."""
         if not self.ready:
             return "compiling"
-        resting = [f"{i + 1}" for i, body in enumerate(self.stage.bodies) if body.ended is not None]
-        if not resting:
-            return ""
-        who = "The robot" if len(self.episodes) == 1 else f"Robot {', '.join(resting)}"
-        return f"{who} {self._ending}; the next episode follows."
+        names = ["The robot"] if len(self.episodes) == 1 else [f"Robot {i + 1}" for i in range(len(self.episodes))]
+        bodies = zip(names, self.stage.bodies, strict=True)
+        resting = [f"{name} {body.ending}" for name, body in bodies if body.ended is not None]
+        return f"{', '.join(resting)}; the next episode follows." if resting else ""
 
     def stop(self) -> None:
         """Let `run` return."""
@@ -121,8 +120,8 @@ class Live:
             self.stage.wait(self.task.period)
         for body, done, success in zip(bodies, np.asarray(after.done), np.asarray(after.success), strict=True):
             if done and body.ended is None:
-                body.ended = self.stage.time
-                self._ending = "reached its aim" if success else "fell" if self.ranges else "did not reach its aim"
+                body.ending = "reached its aim" if success else "fell" if self.ranges else "did not reach its aim"
+                body.ended = self.stage.time  # last: other threads read the ending once this is set
         return after
 
 

@@ -60,6 +60,8 @@ class Body:
         """Seconds since the episode began."""
         self.ended: float | None = None
         """The stage's `time` at which the episode ended; the robot rests since then."""
+        self.ending = ""
+        """Words for how the episode ended."""
         self.free = bool((base.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any())
         self.planes = np.flatnonzero(base.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
         self.model.geom_sameframe[self.planes] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE  # else their turns count nothing
@@ -142,7 +144,7 @@ class Body:
         self._lay_ground()
 
     def pressing(self) -> dict[int, tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]]:
-        """By the number of each body that touches the ground: where, m, and with which force on it, N."""
+        """Return for each body that touches the ground, by index, the centre of pressure, m, and the force on it, N."""
         found: dict[int, list[tuple[np.ndarray, np.ndarray]]] = {}
         for number in range(self.data.ncon):
             contact, force = self.data.contact[number], np.zeros(6)

@@ -17,7 +17,7 @@ FRAME_S = 1 / 40
 """Time between two frames that are shown, s."""
 
 LATEST_S = 0.25
-"""A machine that is slower than the robot by more than this does not catch up: the robot moves in slow motion."""
+"""Largest delay behind real time that is caught up, s; a slower machine shows slow motion."""
 
 
 class Stage:

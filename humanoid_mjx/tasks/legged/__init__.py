@@ -4,8 +4,11 @@ body          the robot in a physics under a control law, and the values of its 
 view          what observations, rewards and terminations are functions of
 observations  named numbers, from which size, scale, bounds and mirror image follow
 rewards       named terms, and the Specs that hold their weights
-terminations  when a body has fallen
-commands, gait, events   what is asked of it, its clock and open-loop steps, pushes and randomised worlds
+terminations  conditions that end an episode early: a fall
+commands      commanded velocities, turn rates and sudden turns
+gait          the gait clock and open-loop steps; `thesis_gaits`: those of the thesis
+events        pushes, and domain randomisation
+episode       the data of a state, and the estimated attitude
 task          reset and step
 stand, walk   the tasks that ship
 """

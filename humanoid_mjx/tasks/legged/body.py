@@ -51,14 +51,16 @@ class LeggedBody(ContinuousTask):
     robot: RobotKey = Field(make_robot("lower_body", ranges="human"), description="the robot that stands")
     physics: str = Field("tree", description="tree, mjx-jax, mjx-warp, mujoco, or your own as package.module:Class")
     control: Control = Field(SERVO, description="the law that drives the joints")
-    actuator: Drives = Field(Ideal(), description="ideal, or dc_motor: what of a torque asked for acts on a joint")
+    actuator: Drives = Field(Ideal(), description="actuator model: ideal or dc_motor")
     bins: Literal[3, 5, 9] = Field(3, description="values of a joint's offset, evenly from -1 to 1 times it")
     action_scale: float = traced(
         20.0, gt=0, le=90, description="largest offset of a set-point from the posture, degrees"
     )
-    action_shares: tuple[float, ...] = traced((), strict=False, description="of it, by kind of joint; none: all 1")
+    action_shares: tuple[float, ...] = traced(
+        (), strict=False, description="factors on action_scale by kind of joint; empty: 1"
+    )
     smoothing: float = traced(
-        0.0, ge=0, lt=1, description="share of its way to a new value that an offset stays behind"
+        0.0, ge=0, lt=1, description="exponential smoothing of the offsets: weight of the last one"
     )
     period: float = Field(0.02, gt=0, le=1, description="s between decisions")
     timestep: float = Field(0.004, gt=0, le=0.02, description="s of physics and control law")
@@ -145,11 +147,11 @@ class LeggedBody(ContinuousTask):
         force: Float[Array, "3"],
         watched: bool = False,
     ) -> tuple[World, Sensed]:
-        """One decision carried out while `force`, N, pushes the torso; the law acts anew at every time step.
+        """Carry out one decision while `force`, N, pushes the torso; the control law acts at every time step.
 
         Returns:
-          the world after it, and everything at the beginning of its last time step; if `watched`, of each of them, with
-          a leading axis.
+          the world after the decision, and everything sensed at the beginning of its last time step; if `watched`, of
+          every time step, on a leading axis.
         """
         values = {"mass": plant.mass, "friction": plant.friction, "torque_limit": plant.torque_limit}
         physics = self.simulator.replace(**values, damping=plant.joint_damping, push=force)

@@ -9,11 +9,11 @@ from humanoid_mjx.types import BoolScalar, FloatScalar
 
 Range = tuple[float, float]
 
-LARGEST = 0.5
-"""Error of the heading that can add up, rad: a body that cannot follow has no turns to make up for later."""
+MAX_HEADING_ERROR = 0.5
+"""Largest heading error that accumulates, rad: a body that cannot follow a turn need not make up for it later."""
 
-QUICKEST = 1.0
-"""Largest change of the turn rate by an error of the heading, rad/s."""
+MAX_CORRECTION = 1.0
+"""Largest correction of the turn rate for a heading error, rad/s."""
 
 
 def moves(command: Float[Array, "3"]) -> BoolScalar:
@@ -31,10 +31,10 @@ class Velocity(Spec):
     forward: Range = traced((0.0, 0.5), strict=False, description="range of the speed, m/s")
     sideways: Range = traced((-0.1, 0.1), strict=False, description="range of the speed to the left, m/s")
     turn: Range = traced((-1.0, 1.0), strict=False, description="range of the turn rate to the left, rad/s")
-    standing: float = traced(0.1, ge=0, le=1, description="share of commands to stand still")
-    zero: float = traced(0.2, ge=0, le=1, description="share of commands in which a part is 0, for each alone")
-    every: float = traced(4.0, gt=0, description="s between commands, on average")
-    sudden: float = traced(0.0, ge=0, le=1, description="share of commands to turn by an angle at once, on the way")
+    standing: float = traced(0.1, ge=0, le=1, description="probability of a command to stand still")
+    zero: float = traced(0.2, ge=0, le=1, description="probability that a part is 0, for each part independently")
+    every: float = traced(4.0, gt=0, description="mean time between commands, s")
+    sudden: float = traced(0.0, ge=0, le=1, description="probability of a command to turn at once by an angle")
     angle: Range = traced((-60.0, 60.0), strict=False, description="range of sudden turns to the left, degrees")
     heading_gain: float = traced(0.0, ge=0, le=20, description="turn rate for an error of the heading, 1/s")
 
@@ -49,8 +49,7 @@ class Velocity(Spec):
     def following(
         self, command: Float[Array, "3"], key: Key[Array, ""], period: FloatScalar
     ) -> tuple[Float[Array, "3"], FloatScalar]:
-        """The command after `period` seconds, mostly the same, and by how much the heading is to change at once, rad,
-        mostly 0."""
+        """Return the command after `period` seconds, mostly the same, and the angle of a sudden turn, rad, mostly 0."""
         when_key, key = jax.random.split(key)
         anew = jax.random.uniform(when_key) < period / self.every
         sudden_key, angle_key = jax.random.split(jax.random.fold_in(key, 1))
@@ -63,8 +62,8 @@ class Velocity(Spec):
         return jnp.where(anew, jnp.where(sudden, ahead, drawn), command), angle
 
     def held(self, command: Float[Array, "3"], heading_error: FloatScalar) -> Float[Array, "3"]:
-        """The command with its turn rate corrected so that the heading does not drift; at rest nothing is."""
-        rate = command[2] + jnp.clip(self.heading_gain * heading_error, -QUICKEST, QUICKEST)
+        """Return the command with its turn rate corrected for the heading error; a command to stand is unchanged."""
+        rate = command[2] + jnp.clip(self.heading_gain * heading_error, -MAX_CORRECTION, MAX_CORRECTION)
         return jnp.where(moves(command), command.at[2].set(rate), command)
 
     @property

@@ -14,7 +14,7 @@ from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.physics.base import Readings, World
 from humanoid_mjx.physics.sensors import Sensors, SensorState
 from humanoid_mjx.tasks.legged.body import Plant
-from humanoid_mjx.tasks.legged.commands import LARGEST, Velocity, moves
+from humanoid_mjx.tasks.legged.commands import MAX_HEADING_ERROR, Velocity, moves
 from humanoid_mjx.tasks.legged.gait import Clock
 from humanoid_mjx.thesis.leg import GRAVITY
 from humanoid_mjx.types import FloatScalar, IntScalar
@@ -22,8 +22,8 @@ from humanoid_mjx.types import FloatScalar, IntScalar
 FILTER_GAIN = 0.02
 """The share of the accelerometer in each new estimate of the direction of gravity; the gyroscope gives the rest."""
 
-LATELY = 0.4
-"""s: about a gait's period. Within one the body sways, which is no error."""
+ERROR_WINDOW_S = 0.4
+"""Time constant of `tracking_error`, s: about a gait cycle, within which the body sways."""
 
 
 class MeanMotion(NamedTuple):
@@ -39,8 +39,8 @@ class MeanMotion(NamedTuple):
     """Acceleration less that of gravity, in the torso's frame, m/s^2."""
 
 
-def mean_motion(before: World, after: World, period: float, terrain: Terrain | None = None) -> MeanMotion:
-    """From where the body was and is; `period` seconds lie between."""
+def mean_motion(before: World, after: World, period: float, terrain: Terrain | None) -> MeanMotion:
+    """Return the mean motion between two worlds that are `period` seconds apart."""
     first, last = before.qpos[3:7], after.qpos[3:7]
     rotation = rotation_matrix(unit(first + jnp.where(first @ last < 0, -last, last)))
     spin = turned_by(first, last) / period
@@ -71,11 +71,11 @@ class Episode(NamedTuple):
     """Commanded velocity forward and to the left, m/s, and turn rate to the left, rad/s; 0 in a task without
     commands."""
     heading_error: FloatScalar
-    """Error of the heading, rad, to the left: the one that the turn rates commanded since their last change lead to,
-    less that by the gyroscope."""
-    strayed: Float[Array, "3"]
-    """Velocity forward and to the left, m/s, and turn rate to the left, rad/s, less what the command was, as a running
-    mean over `LATELY`; 0 in a task without commands."""
+    """Commanded less measured heading, rad, positive to the left, since the last change of the commanded turn rate. The
+    gyroscope measures it."""
+    tracking_error: Float[Array, "3"]
+    """Running mean of measured less commanded velocity, forward and to the left, m/s, and turn rate to the left, rad/s;
+    0 in a task without commands."""
     clock: Clock
     """State of the gait; at 0 in a task without one."""
     plant: Plant | None
@@ -109,18 +109,19 @@ class Episode(NamedTuple):
         return self._replace(world=world, motion=motion, sensors=state, readings=readings, rates=rates, down=down)
 
     def compared(self, command: Float[Array, "3"], period: float) -> "Episode":
-        """The episode after a decision in which the body was to follow this command."""
+        """Return the episode with `tracking_error` updated after a decision under this command."""
         error = jnp.append(self.motion.velocity[:2], self.motion.turn_rate) - command
-        return self._replace(strayed=self.strayed + min(period / LATELY, 1.0) * (error - self.strayed))
+        mean = self.tracking_error + min(period / ERROR_WINDOW_S, 1.0) * (error - self.tracking_error)
+        return self._replace(tracking_error=mean)
 
     def under(self, command: Float[Array, "3"], period: float, angle: FloatScalar = 0.0) -> "Episode":
-        """The episode with the command of the decision to come, `period` seconds after the last one.
+        """Return the episode with the command of the next decision, `period` seconds after the last one.
 
-        While the turn rate stays the same its heading is kept: that which the body has by its gyroscope against that
-        which the rate leads to. Another rate counts from where the body looks. `angle`, rad, is added at once.
+        While the commanded turn rate stays the same, `heading_error` accumulates commanded less measured rotation. A
+        new turn rate or a command to stand resets it. `angle`, rad, is then added.
         """
         turned = -period * (self.down @ self.readings.gyroscope)
-        most = jnp.maximum(jnp.abs(self.heading_error), LARGEST)
+        most = jnp.maximum(jnp.abs(self.heading_error), MAX_HEADING_ERROR)
         error = jnp.clip(self.heading_error + period * self.command[2] - turned, -most, most)
         kept = (command[2] == self.command[2]) & moves(command)
         return self._replace(command=command, heading_error=jnp.where(kept, error, 0.0) + angle)

@@ -13,17 +13,17 @@ from humanoid_mjx.types import FloatScalar
 class Push(Spec):
     """An impulse on the torso from a random side, over one period between decisions."""
 
-    impulse: float = traced(0.08182, ge=0, description="by the momentum of the robot at Froude number 1")
-    least: float = traced(1.0, ge=0, le=1, description="the smallest impulse, as a share of `impulse`, the largest")
-    every: float = traced(2.0, gt=0, description="s from one to the next")
+    impulse: float = traced(0.08182, ge=0, description="largest, in units of the robot's momentum at Froude number 1")
+    least: float = traced(1.0, ge=0, le=1, description="smallest, as a share of `impulse`")
+    every: float = traced(2.0, gt=0, description="time between pushes, s")
 
     def first(self, key: Key[Array, ""]) -> FloatScalar:
         """Time of the first one, s."""
         return self.every * jax.random.uniform(key)
 
     def force(self, since: FloatScalar, period: float, key: Key[Array, ""]) -> Float[Array, "3"]:
-        """The force on the torso during the period to come, in the unit of the impulse a second, where the first push
-        was due `since` seconds ago."""
+        """Return the force on the torso during the next period, in units of the impulse per second. `since`: time since
+        the first push was due, s."""
         due = (since >= 0) & (jnp.mod(since, self.every) < period)
         side = jax.random.uniform(key, (), maxval=2 * np.pi)
         share = 1.0 - (1.0 - self.least) * jax.random.uniform(jax.random.fold_in(key, 1))
@@ -32,7 +32,7 @@ class Push(Spec):
 
 
 class Randomise(Spec):
-    """Each episode takes place in a world of its own: values off by at most these shares, uniformly."""
+    """Domain randomisation: in each episode the values differ by at most these shares, uniformly distributed."""
 
     mass: float = traced(0.1, ge=0, lt=1, description="share of the links' mass")
     friction: float = traced(0.3, ge=0, lt=1, description="share of the feet's friction")

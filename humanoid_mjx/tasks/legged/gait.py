@@ -19,8 +19,8 @@ SHORTENED = np.array([1.0, 0.0, 0.0, 2.0, -1.0])
 """Hip pitch, yaw, roll, knee and ankle of a leg that becomes shorter under the hip while its foot stays level."""
 
 BEND = math.radians(15.0)
-"""From where the pitch of a hip lifts a foot, rad: two equal links between hip and ankle, as the lower body's at home,
-become shorter by the difference of cosines."""
+"""Hip pitch at home, rad, assumed of every robot: a leg of two equal links shortens by cos(BEND) - cos(BEND + lift) of
+its length when the hip flexes by `lift`."""
 
 LEFTWARDS = np.array([-1.0, 1.0])
 """The sense in which the right and the left hip's yaw and roll turn a leg: positive is outwards on both sides."""
@@ -36,22 +36,22 @@ class Clock(NamedTuple):
 
 
 class Gait(Named):
-    """All feet swing once in a period, each in the robot's time.
+    """Contact schedule: every foot swings once per gait cycle, at its own phase (`Robot.phases`).
 
-    Base of gaits, and a gait itself, `clock`: it says when each foot is to swing, and leaves the motion to the learner.
-    Derive from it for a motion about the posture that the learner corrects: `reference`.
+    This is the base of gaits, and itself the gait `clock`, which leaves the motion to the learner. Derive from it and
+    override `reference` for a motion that the learner corrects.
     """
 
     name: str = "clock"
     period: float = traced(0.48, gt=0.05, le=5, description="s of a step with each foot, at slow speeds")
-    cadence: float = traced(0.2, ge=0, le=10, description="by how much the clock runs faster for each m/s commanded")
+    cadence: float = traced(0.2, ge=0, le=10, description="relative increase of the gait frequency per m/s commanded")
     stance: float = traced(0.62, ge=0.5, lt=1, description="share of the period in which a foot is to stand")
 
     def check(self, robot: Robot) -> None:
-        """Refuse a robot that cannot move so.
+        """Refuse a robot for which this gait is not defined.
 
         Raises:
-          InputError: it cannot.
+          InputError: the robot's legs do not fit the gait.
         """
 
     def start(self, phase: FloatScalar, robot: Robot) -> Clock:
@@ -59,16 +59,16 @@ class Gait(Named):
         return Clock(phase)
 
     def after(self, clock: Clock, command: Float[Array, "3"], seconds: FloatScalar, robot: Robot) -> Clock:
-        """The gait so much later; it waits at 0 while the body stands."""
-        later = jnp.mod(clock.phase + seconds / self.lasting(command), 1.0)
+        """Return the clock `seconds` later; its phase is 0 while the command is to stand."""
+        later = jnp.mod(clock.phase + seconds / self.cycle_time(command), 1.0)
         return Clock(jnp.where(moves(command), later, 0.0))
 
-    def lasting(self, command: Float[Array, "3"]) -> FloatScalar:
-        """The period under this command, s."""
+    def cycle_time(self, command: Float[Array, "3"]) -> FloatScalar:
+        """Return the time of a gait cycle under this command, s."""
         return self.period / (1.0 + self.cadence * jnp.sqrt(jnp.sum(command[:2] ** 2) + 1e-12))
 
     def swing(self, phase: FloatScalar, robot: Robot) -> Float[Array, " feet"]:
-        """Return each foot's share of its way up: half a sine in its turn, otherwise 0."""
+        """Return each foot's height as a share of its largest: half a sine during its swing, otherwise 0."""
         share = jnp.mod(phase - robot.phases, 1.0) / (1.0 - self.stance)
         return jnp.where(share < 1.0, jnp.sin(jnp.pi * jnp.minimum(share, 1.0)), 0.0)
 
@@ -89,7 +89,7 @@ class Steps(Gait):
     lift: float = traced(12.0, ge=0, le=60, description="of the hip's pitch in mid-swing, degrees")
     sway: float = traced(0.0, ge=-30, le=30, description="of the hips' roll towards the standing foot, degrees")
     stride: float = traced(1.0, ge=0, le=3, description="share of the commanded motion that the legs sweep through")
-    landing: float = traced(0.0, ge=0, le=3, description="how softly a foot leaves the ground and lands; 1: at rest")
+    landing: float = traced(0.0, ge=0, le=3, description="exponent that softens lift-off and landing; 0: none")
 
     def sweep(self, phase: FloatScalar, robot: Robot) -> Float[Array, " feet"]:
         """Return each foot's place along its way, 1 in front to -1 behind: steadily back while it stands, and forth
@@ -107,9 +107,9 @@ class Steps(Gait):
         the left, m/s, and turn rate to the left, rad/s), times `stride`.
         """
         phase, build = clock.phase, robot.build
-        way = self.sweep(phase, robot) * self.lasting(command) * self.stance / 2
+        way = self.sweep(phase, robot) * self.cycle_time(command) * self.stance / 2
         if build is None:
-            return jnp.where(moves(command), self._reached(way, phase, command, robot), 0.0)
+            return jnp.where(moves(command), self._by_inverse_kinematics(way, phase, command, robot), 0.0)
         forward, left, turn = self.stride * command
         pitch = jnp.arctan(way * (forward - turn * build.hip_offset * LEFTWARDS) / build.reach)
         aside, around = way * left / build.reach, way * turn
@@ -123,7 +123,7 @@ class Steps(Gait):
         lifted = jnp.radians(self.lift) * lift[:, None] * SHORTENED
         return jnp.where(moves(command), (swept + lifted).reshape(-1), 0.0)
 
-    def _reached(
+    def _by_inverse_kinematics(
         self, way: Float[Array, " feet"], phase: FloatScalar, command: Float[Array, "3"], robot: Robot
     ) -> Float[Array, " joints"]:
         """The motion of legs of any build, by their inverse kinematics."""

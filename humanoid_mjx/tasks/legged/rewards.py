@@ -1,7 +1,7 @@
 """Terms of rewards, plain functions of a view, and the Specs that give them weights.
 
-A weight is a traced field, its name the term's: `task.rewards.slip` can be swept. A term of one's own needs one more
-field and one more entry in `terms`.
+A weight is a traced field with the name of its term: `task.rewards.slip` can be swept. To add a term, derive from a
+Spec below, declare a field for the weight and add an entry to `terms`.
 """
 
 import jax.numpy as jnp
@@ -16,12 +16,12 @@ UPRIGHT, STILL = np.radians(10.0), 0.14
 """Lean, rad, and speed, as a share of the robot's pace, at which a reward has dropped to 1 / e."""
 
 SPEED_SCALES = 0.00245, 0.0195, 0.147
-"""Squared errors at which the thirds of `speed` have dropped to 1 / e, by the squared pace. With the narrow ones alone
-a body stays on the spot, where the term has no slope; with the wide one alone it follows the command loosely. The
-narrow ones are of the error of late: within a step the body sways by more."""
+"""Squared errors at which the three parts of `speed` have dropped to 1 / e, as shares of the squared pace. With the
+narrow parts alone a body learns to stay on the spot, where they have no gradient; with the wide part alone it follows
+the command loosely. The narrow parts take the mean error, since within a step the body sways by more."""
 
 TURN_SCALES = 0.03, 0.2, 1.0
-"""Squared errors at which the thirds of `turn` have dropped to 1 / e, (rad/s)^2."""
+"""Squared errors at which the three parts of `turn` have dropped to 1 / e, (rad/s)^2."""
 
 LOADED = 0.048
 """Force on a foot that stands, as a share of the weight."""
@@ -31,12 +31,11 @@ CLEARANCE, CLOSE = 0.144, 0.058
 length."""
 
 APART, TOO_NEAR = 0.24, 0.096
-"""Distance between the feet, sideways, below which they are too near, and the lack at which `crossing` is 1, as shares
-of the legs' length."""
-
+"""Lateral distance between the feet below which they are too near, and the shortfall at which `crossing` is 1, as
+shares of the legs' length."""
 
 SLIPS = 0.049
-"""Square of a speed at which a foot slips badly, by the squared pace."""
+"""Square of the speed of a foot that slips badly, as a share of the squared pace."""
 
 
 class Rewards(Spec):
@@ -125,15 +124,15 @@ def calm(view: View) -> FloatScalar:
 
 
 def speed(view: View) -> FloatScalar:
-    """1 at the commanded velocity, forward and sideways, at three scales; the widest is of the last decision alone."""
-    late, now = jnp.sum(view.episode.strayed[:2] ** 2), jnp.sum((view.velocity[:2] - view.command[:2]) ** 2)
+    """1 at the commanded velocity, forward and sideways; the widest of three scales takes the last decision alone."""
+    late, now = jnp.sum(view.episode.tracking_error[:2] ** 2), jnp.sum((view.velocity[:2] - view.command[:2]) ** 2)
     near, middle, far = map(view.robot.square, SPEED_SCALES)
     return (jnp.exp(-late / near) + jnp.exp(-late / middle) + jnp.exp(-now / far)) / 3
 
 
 def turn(view: View) -> FloatScalar:
-    """1 at the commanded turn rate, at three scales; the widest is of the last decision alone."""
-    late, now = view.episode.strayed[2] ** 2, (view.turn_rate - view.command[2]) ** 2
+    """1 at the commanded turn rate; the widest of three scales takes the last decision alone."""
+    late, now = view.episode.tracking_error[2] ** 2, (view.turn_rate - view.command[2]) ** 2
     near, middle, far = TURN_SCALES
     return (jnp.exp(-late / near) + jnp.exp(-late / middle) + jnp.exp(-now / far)) / 3
 
@@ -156,9 +155,10 @@ def flight(view: View) -> FloatScalar:
 
 
 def slip(view: View) -> FloatScalar:
-    """The squared speeds along the ground of the corners that touch, summed, by the corners of a foot; 1 at `SLIPS`.
+    """The sum of the squared speeds along the ground of the corners in contact, divided by the corners per foot and by
+    `SLIPS`; at most 1.
 
-    It takes the corners, as the middle of a foot that rolls over its edge moves without slipping.
+    Corners count, since the middle of a foot that rolls over its edge moves without slipping.
     """
     squares = jnp.sum(view.feet.corner_velocity[..., :2] ** 2, axis=-1)
     return jnp.minimum(jnp.sum(squares * view.feet.touching) / (view.robot.points * view.robot.square(SLIPS)), 1.0)
@@ -173,7 +173,7 @@ def tilted_feet(view: View) -> FloatScalar:
 
 
 def crossing(view: View) -> FloatScalar:
-    """The squared lack of distance between the feet, sideways, by `TOO_NEAR`; at most 2."""
+    """The squared shortfall of the lateral distance between the feet, in units of `TOO_NEAR`; at most 2."""
     right, left = view.robot.foot_pairs.T
     if not len(right):
         return jnp.float32(0.0)
@@ -183,11 +183,11 @@ def crossing(view: View) -> FloatScalar:
 
 
 def yawing(view: View) -> FloatScalar:
-    """The squared error of the turn rate, (rad/s)^2, less that of late; at most 1.
+    """The squared deviation of the turn-rate error from its running mean, (rad/s)^2; at most 1.
 
-    A torso that turns to and fro with its steps has none of late, and misses the heading that it is to keep.
+    A torso that oscillates about the vertical with its steps has no mean error, but does not keep its heading.
     """
-    return jnp.minimum((view.turn_rate - view.command[2] - view.episode.strayed[2]) ** 2, 1.0)
+    return jnp.minimum((view.turn_rate - view.command[2] - view.episode.tracking_error[2]) ** 2, 1.0)
 
 
 def jumps(view: View) -> FloatScalar:

@@ -68,7 +68,7 @@ class LeggedTask(LeggedBody):
         if self.terrain:
             make_physics(self.physics, MujocoPhysics, robot=self.robot, terrain=self.terrain)
             if self.terrain.shaped and self.control.name == "grounded":
-                raise ValueError("terrain: control grounded takes the ground for a plane, so it takes a slope alone")
+                raise ValueError("terrain: control grounded assumes a plane; take a slope without waves and stairs")
         later = np.mod(self.robot.phases[self.robot.foot_images] - self.robot.phases, 1.0)
         if self.symmetric and not (self.robot.mirror and np.allclose(later, 0.5)):
             raise ValueError("symmetric needs a robot whose feet swing half a period after their mirror images")
@@ -117,7 +117,7 @@ class LeggedTask(LeggedBody):
             decisions=jnp.int32(0),
             command=self.command.draw(command_key) if self.command else still,
             heading_error=jnp.float32(0),
-            strayed=still,
+            tracking_error=still,
             clock=self.gait.start(jax.random.uniform(phase_key), self.robot) if self.gait else Clock(jnp.float32(0)),
             plant=plant if self.randomise or self.terrain else None,
             past=None,
@@ -129,27 +129,22 @@ class LeggedTask(LeggedBody):
         return begin(view.episode, self.seen(view), tuple(self.rewards.terms(view)))
 
     def step(self, state: State, action: Int[Array, " joints"], key: Key[Array, ""]) -> State:
-        return self.step_continuous(state, self.scaled_action(action), key)
-
-    def scaled_action(self, action: Int[Array, " joints"]) -> Float[Array, " joints"]:
-        """Return the offsets that the choices stand for, from -1 to 1."""
-        return 2.0 * action / (self.bins - 1) - 1.0
+        return self.step_continuous(state, self.as_numbers(action), key)
 
     def step_continuous(self, state: State, command: Float[Array, " joints"], key: Key[Array, ""]) -> State:
         """A step whose offsets are any parts of `action_scale`, from -1 to 1."""
         return self.step_watched(state, command, key, watched=False)[0]
 
     def commanded(self, state: State, view: View, command: Float[Array, "3"]) -> State:
-        """A state under this command in the place of its own, as its data and what the learner sees have it; `view` is
-        that of the state."""
+        """Replace the command in a state and recompute its observation; `view` is the state's view."""
         view = view._replace(episode=state.data.under(command, 0.0))
         return state._replace(data=self._remembered(view), obs=self.seen(view))
 
     def step_watched(
         self, state: State, command: Float[Array, " joints"], key: Key[Array, ""], watched: bool = True
     ) -> tuple[State, View, Sensed]:
-        """`step_continuous`, the view of where it leads to, and everything at the beginning of its last time step; if
-        `watched`, of each of them, with a leading axis."""
+        """Return the result of `step_continuous`, its view, and everything sensed at the beginning of the last time
+        step; if `watched`, of every time step, on a leading axis."""
         _, sensor_key = jax.random.split(key)
         before: Episode = state.data
         offsets = jnp.clip(command, -1.0, 1.0)

@@ -51,7 +51,7 @@ class TableSteps(Gait):
         assert robot.build
         way = robot.build.reach * np.radians(degrees.max() - degrees.min())
         back = 1.0 - (thesis.GAIT_TIMES_S[degrees.argmax()] / thesis.GAIT_TIMES_S[-1] - FORTH)
-        return self.stride * command[0] * self.lasting(command) * back / way
+        return self.stride * command[0] * self.cycle_time(command) * back / way
 
     def reference(self, clock: Clock, command: Float[Array, "3"], robot: Robot) -> Float[Array, " joints"]:
         """The motion about the posture, rad; 0 while the command is to stand."""
@@ -87,7 +87,7 @@ class Oscillators(TableSteps):
         moving = moves(command)
         return pattern_generator.Params(
             self.motion,
-            frequency=jnp.where(moving, 1.0 / self.lasting(command), 0.0),
+            frequency=jnp.where(moving, 1.0 / self.cycle_time(command), 0.0),
             amplitude=jnp.where(moving, self.amplitude(command, robot), 0.0),
             coupling=self.coupling,
             response=self.response,

@@ -53,7 +53,7 @@ class Feet(NamedTuple):
         return self.corner_force > self.robot.force(TOUCHING)
 
 
-def feet_of(sensed: Sensed, body_names: tuple[str, ...], robot: Robot, terrain: Terrain | None = None) -> Feet:
+def feet_of(sensed: Sensed, body_names: tuple[str, ...], robot: Robot, terrain: Terrain | None) -> Feet:
     """Pick the feet out of all bodies."""
     rows = np.array([body_names.index(foot) for foot in robot.feet])
     poses, velocities, contacts = sensed.poses, sensed.velocities, sensed.contacts
@@ -104,7 +104,7 @@ class View(NamedTuple):
 
     @property
     def swing(self) -> Float[Array, " feet"]:
-        """Share of its way up that each foot should have gone, 0 to 1, by the gait's clock; 0 where it should stand."""
+        """Commanded height of each foot as a share of the largest, 0 to 1, by the gait's clock; 0 in stance."""
         if self.gait is None:
             return jnp.zeros(len(self.robot.feet))
         return self.gait.swing(self.episode.phase, self.robot) * self.moving

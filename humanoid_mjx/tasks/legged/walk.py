@@ -59,10 +59,10 @@ class Walk(LeggedTask):
         16.0, gt=0, le=90, description="largest offset of a set-point from the motion, degrees"
     )
     action_shares: tuple[float, ...] = traced(
-        (), strict=False, description="of it, by kind of joint; none: the robot's own"
+        (), strict=False, description="factors on action_scale by kind of joint; empty: the robot's own"
     )
     smoothing: float = traced(
-        0.5, ge=0, lt=1, description="share of its way to a new value that an offset stays behind"
+        0.5, ge=0, lt=1, description="exponential smoothing of the offsets: weight of the last one"
     )
     sensors: Sensors = Field(SENSORS, description="errors of the sensors")
     command: Velocity = Field(COMMAND, description="commanded velocity and turn rate")
