@@ -115,7 +115,7 @@ BAD = {
     "NaN": ("epsilon: 0.5", "epsilon: .nan", ["learner.epsilon", "finite"]),
     "empty axis": ("[0.1, 0.2]", "[]", ["sweep.axes.learner.epsilon", "empty"]),
     "no axes": ("    learner.epsilon: [0.1, 0.2]", "    {}", ["sweep.axes must hold at least 1 entry, got {}"]),
-    "an axis with a value twice": ("[0.1, 0.2]", "[0.1, 0.2, 0.1]", ["sweep.axes.learner.epsilon: 0.1", "twice"]),
+    "an axis with a value twice": ("[0.1, 0.2]", "[0.1, 0.2, 0.1]", ["learner.epsilon: the axis holds 0.1 twice"]),
     "an axis of too many values": ("[0.1, 0.2]", "{linspace: [0, 1, 2000000000]}", ["from 1 to 100,000"]),
     "a task that the learner cannot learn": (
         "{name: joint_reach, joint: 5, states: 13}", "{name: leg_reach}",
