@@ -254,6 +254,11 @@ def parity() -> str:
     return table(f"{head} | processor time of ten seeds, s | wall time, s", rows)
 
 
+def _own_minutes(key: str) -> str:
+    """Return what the commands with which a robot of one's own learns to stand take together."""
+    return rounded(sum(each[key] for each in record("cpu_2_cores_your_robot")["commands"]) / 60)
+
+
 def _faster(subject: str, other: str) -> float:
     """How many times as fast one subject is as another with 32,768 bodies on one H100."""
     rates = {row["subject"]: row["value"] for row in record("h100_ground")["records"]}
@@ -310,5 +315,9 @@ TABLES = {
     "parity_cliff": lambda: rounded(record("parity")["expected while learning on the cliff"], 1),
     "stand_seconds": lambda: rounded(record("h200_stand_8_seeds")["records"][2]["command_s"]),
     "stand_minutes": lambda: rounded(record("h200_stand_8_seeds")["records"][2]["command_s"] / 60),
+    "your_robot_zero": lambda: rounded(100 * record("cpu_2_cores_your_robot")["evaluations"][1]["success"]),
+    "your_robot_stand": lambda: rounded(100 * record("cpu_2_cores_your_robot")["evaluations"][0]["success"], 0),
+    "your_robot_processor": lambda: _own_minutes("processor_s"),
+    "your_robot_wall": lambda: _own_minutes("wall_s"),
     "stand_cpu_minutes": lambda: rounded(record("cpu_2_cores_stand")["records"][0]["one_seed_wall_s"] / 60),
 }

@@ -43,13 +43,14 @@ def survey(model: mujoco.MjModel) -> tuple[list[str], bool]:
         kinds = kinds_of(model, pair)
         contacts[kinds] += 1
         pushed |= {int(model.geom_bodyid[pair.two])} if kinds[0] == "plane" else set()
-    ends = pushed - {int(parent) for parent in model.body_parentid[1:]} - {0}
+    floor = bool((model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE).any())
+    ends = (pushed if floor else set(range(model.nbody))) - {int(parent) for parent in model.body_parentid[1:]} - {0}
     feet = [model.body(body).name or f"body {body}" for body in sorted(ends)]
     joints = list(_joints(model))
     found = {
         "mass": f"{model.body_mass.sum():.4g} kg in {model.nbody - 1} bodies, {'a free' if free else 'no free'} base",
         "joints": f"{len(joints)}, {model.nu} motors, {model.nv} degrees of freedom",
-        "feet": f"{', '.join(feet) or 'none'}: ends of limbs that the ground can push",
+        "feet": f"{', '.join(feet) or 'none'}: ends of limbs{' that the ground can push' * floor}",
         "contacts": ", ".join(f"{count} of {one} and {two}" for (one, two), count in contacts.items()) or "none",
     }
     lines = [f"{name:13} {words}" for name, words in found.items()]

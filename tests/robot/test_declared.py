@@ -14,7 +14,7 @@ import yaml
 
 from humanoid_mjx import InputError, make_task
 from humanoid_mjx.commands import console
-from humanoid_mjx.commands.info import show_info, show_keys
+from humanoid_mjx.commands.info import show_info, show_keys, show_model
 from humanoid_mjx.config import load
 from humanoid_mjx.files import folder, names
 from humanoid_mjx.robot import make_robot
@@ -284,6 +284,9 @@ def test_info_shows_a_robot_and_its_keys(tmp_path):
         show_keys("robot")
     for name in Declaration.model_fields:
         assert f"\n{name} " in shown.get(), name
+    with console.capture() as shown:
+        show_model(str(tmp_path / "dog.xml"))
+    assert "FR_calf, FL_calf, RR_calf, RL_calf: ends of limbs\n" in shown.get()  # it has no floor
     (tmp_path / "dog.xml").write_text((tmp_path / "dog.xml").read_text().replace("<freejoint/>", CHANGED))
     with console.capture() as shown:
         show_info(str(tmp_path / "pet.yaml"), (), False)
