@@ -31,6 +31,29 @@ def test_what_hangs_on_a_body_is_what_mujoco_says(robot):
     np.testing.assert_allclose(below(model) @ model.body_mass, model.body_subtreemass, rtol=1e-6)
 
 
+def test_legs_on_a_fixed_torso_feel_gravity_alone():
+    physics = make_physics("chain")
+    joints = len(physics.joint_names)
+    readings = physics.sense(physics.start(jnp.zeros(joints), jnp.zeros(joints)), jnp.zeros(joints)).readings
+    np.testing.assert_allclose(readings.accelerometer, [0.0, 0.0, 9.81], rtol=1e-3)
+    assert not readings.gyroscope.any()
+
+
+def test_the_corners_of_the_feet_move_as_the_bodies_do(worlds):
+    """As MuJoCo's Jacobian at each corner says."""
+    qvel = np.random.default_rng(0).normal(size=worlds.qvel.shape).astype(np.float32)
+    worlds = worlds._replace(qvel=jnp.asarray(qvel))
+    contacts = sense(worlds, jnp.zeros((len(qvel), 10))).contacts
+    model, links = MJX.model, MJX.model.geom_bodyid[MJX.ground_points[0]]
+    data, jacobian = mujoco.MjData(model), np.zeros((3, model.nv))
+    for world in range(len(qvel)):
+        data.qpos, data.qvel = worlds.qpos[world], qvel[world]
+        mujoco.mj_forward(model, data)
+        for corner, link in enumerate(links):
+            mujoco.mj_jac(model, data, jacobian, None, np.asarray(contacts.position[world, corner], float), int(link))
+            np.testing.assert_allclose(contacts.velocity[world, corner], jacobian @ qvel[world], atol=1e-4)
+
+
 def test_a_standing_body_rests_on_its_weight(worlds):
     """After three seconds in native MuJoCo, with which trajectories of MJX agree."""
     worlds = jax.jit(jax.vmap(lambda world: NATIVE.run(world, hold, 750)))(worlds)

@@ -112,6 +112,8 @@ def test_the_table_of_the_best_points_shows_all_of_training_where_points_tie(ste
     first = ["0", "0.1", "100.0%", "9.0", "20.00", *["40.00"] * tied, "0 of 1"]
     second = ["1", "0.2", "100.0%", f"{steps[1]}", "30.00", *["50.00"] * tied, "1 of 1"]
     assert rows == ([first, second] if tied else [second, first])
+    many = {name: np.repeat(values, 6) for name, values in summary.items()} | {"point": np.arange(12)}
+    assert len(best_table(axes, many, ranked(axes, many, quickest=True), quickest=True)[1]) == 10
 
 
 def test_the_summary_has_the_end_of_a_curve_and_the_whole_of_it():
