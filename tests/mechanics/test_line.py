@@ -50,4 +50,4 @@ def test_a_joint_that_begins_to_slip_is_found_although_large_forces_cancel():
         change = np.clip(WEIGHT * (before[1] + middle * way[1]), -MOST, MOST) - WEIGHT * (before[1] + middle * way[1])
         slope = (middle - 1.0) * (curve + WEIGHT * way[1] ** 2) + change * way[1]
         low, high = np.where(slope < 0.0, middle, low), np.where(slope < 0.0, high, middle)
-    np.testing.assert_allclose(share, low, rtol=1e-2)
+    np.testing.assert_allclose(share, low, rtol=0.05)  # a few steps along a line; a sum of all forces is wrong by 86 %

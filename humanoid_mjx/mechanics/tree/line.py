@@ -13,8 +13,9 @@ from humanoid_mjx.mechanics.tree.pairs import pair_residuals
 from humanoid_mjx.mechanics.tree.problem import Active, Problem, ground_residuals
 from humanoid_mjx.mechanics.tree.structure import Tree
 
-MOST_ROUNDS = 30
-"""Newton steps along a line. A step that ends early is still one downhill."""
+MOST_ROUNDS, NEAR = 8, 1e-3
+"""Newton steps along a line, and by which share the last may change its length. A step that ends early is still one
+downhill; of 4 steps a thousandth of a Go1's worlds did not settle, of 5 and more all did."""
 
 
 class Rows(NamedTuple):
@@ -79,7 +80,7 @@ def lowest_share(
         new = share - first / jnp.where(second > 0.0, second, 1.0)
         halfway = jnp.where(jnp.isfinite(high), 0.5 * (low + high), 2.0 * share)
         new = jnp.where((new > low) & (new < high), new, halfway)
-        near = jnp.abs(new - share) <= 4.0 * jnp.finfo(new.dtype).eps * share
+        near = jnp.abs(new - share) <= NEAR * share
         return new, low, high, near | (first == 0.0) | known, count + 1
 
     start = jnp.ones(worlds, curve.dtype)
