@@ -14,6 +14,7 @@ the last look at the training.
     share of the task   what its decisions take beyond the physics: sensors, rewards, resets
     share of learning   the rest: choosing actions, targets, gradients
 
+Of `walk_cpu` one seed trains, alone and briefly: its rate is that of a run that has all cores, its shares are of one.
 `by_seed` has the value of each seed, None where it never came to such a point; `interval` is the 95 % interval of the
 mean over seeds. The greedy episodes that learners are judged by run after training and take none of this time. A config
 that does not ship, or needs brax where that is not installed, is left out.
@@ -53,7 +54,10 @@ SUCCESS = 0.95
 SEEDS = 5
 
 LEG = ("leg_reach", "leg_reach_linear", "leg_reach_ppo")
-CONFIGS = {"cpu": LEG, "gpu": (*LEG, "stand", "stand_ppo")}
+CONFIGS = {"cpu": (*LEG, "walk_cpu"), "gpu": (*LEG, "stand", "stand_ppo")}
+
+BRIEF = {"walk_cpu": 2_000_000}
+"""Control steps of configs of which one seed trains alone and not to the end: the rate and the shares are measured."""
 
 
 class Measured(NamedTuple):
@@ -82,7 +86,8 @@ def run(
         if name not in names("configs", ".yaml"):
             say(f"{name}: does not ship")
             continue
-        config = load(name, [f"seeds={seeds}", *overrides])
+        brief = [f"total_steps={BRIEF[name]}", "seeds=1"] if name in BRIEF else [f"seeds={seeds}"]
+        config = load(name, [*brief, *overrides])
         learner = config.learner["name"]
         if learner == "brax_ppo" and find_spec("brax") is None:
             say(f"{name}: brax is not installed")
@@ -93,17 +98,19 @@ def run(
             found, envs = measure(trained), environments(trained.config.learner)
             parts = shares(make_plan(config).groups[0].learner())
         subject = f"{learner} {config.task['name']}"
-        common = {"device": jax.devices()[0].device_kind, "batch": envs, "compile_s": compile_s, "repeats": seeds}
+        device = jax.devices()[0].device_kind
+        common = {"device": device, "batch": envs, "compile_s": compile_s, "repeats": config.seeds}
         records += [
             Record(bench="training", subject=subject, **common, **figure)
-            for figure in figures(found)
+            for figure in figures(found)[: 1 if name in BRIEF else None]
             if np.isfinite(figure["value"])
         ]
         records += [
             Record("training", subject, unit=f"share of {name}", value=x, **common) for name, x in parts.items()
         ]
+        success = "" if name in BRIEF else f"  {in_words(found)}"
         say(f"{subject:20} {envs:7,} envs  {found.steps_per_s:10.3e} steps/s  {found.episodes_per_s:10.3e} episodes/s"
-            f"  {in_words(found)}  compiled in {compile_s:4.1f} s")  # fmt: skip
+            f"{success}  compiled in {compile_s:4.1f} s")  # fmt: skip
         say(f"{subject:20} of an update {', '.join(f'{share:.0%} is {part}' for part, share in parts.items())}")
     return records
 
