@@ -22,13 +22,14 @@ class Envs(NamedTuple):
     """Number of the episode under way."""
     length: Int[Array, " envs"]
     """Its steps so far."""
-    episode_return: Float[Array, " envs"]
+    totals: dict[str, Float[Array, " envs"]]
+    """Sums of its reward (`return`) and of the reward's terms so far."""
 
 
 def start_all(env: ContinuousTask, count: int, key: Key[Array, ""]) -> Envs:
     """Begin an episode in each of `count` environments."""
-    none = jnp.zeros(count, jnp.int32)
-    return Envs(jax.vmap(env.reset)(jax.random.split(key, count)), none, none, jnp.zeros(count))
+    none, state = jnp.zeros(count, jnp.int32), jax.vmap(env.reset)(jax.random.split(key, count))
+    return Envs(state, none, none, {name: jnp.zeros(count) for name in ("return", *state.metrics)})
 
 
 def step_all(
@@ -37,18 +38,20 @@ def step_all(
     """Carry out one decision in every environment: choices of the joints, or commands in [-1, 1].
 
     Returns:
-      the environments, new episodes begun; the states that the step led to; sums over the ended episodes, and of the
-      reward's terms.
+      the environments, new episodes begun; the states that the step led to; sums over the ended episodes.
     """
     step = env.step_continuous if jnp.issubdtype(action.dtype, jnp.floating) else env.step
     step_keys, reset_keys = (jax.random.split(key, len(action)) for key in (step_key, reset_key))
     state = jax.vmap(step)(envs.state, action, step_keys)
     done = state.done
-    length, total = envs.length + 1, envs.episode_return + state.reward
-    sums = {"episodes": done, "steps": done * length, "success": done & state.success, "return": done * total}
-    sums = {name: jnp.sum(x, dtype=jnp.float32) for name, x in (sums | state.metrics).items()}
+    length, now = envs.length + 1, {"return": state.reward} | state.metrics
+    totals = {name: total + now[name] for name, total in envs.totals.items()}
+    sums = {"episodes": done, "steps": done * length, "success": done & state.success}
+    sums |= {name: done * total for name, total in totals.items()}
+    sums = {name: jnp.sum(x, dtype=jnp.float32) for name, x in sums.items()}
     resets = _reset_done if jax.default_backend() == "cpu" and len(done) > RESETS else _reset_all
-    return Envs(resets(env, state, reset_keys), envs.episode + done, length * ~done, total * ~done), state, sums
+    totals = {name: total * ~done for name, total in totals.items()}
+    return Envs(resets(env, state, reset_keys), envs.episode + done, length * ~done, totals), state, sums
 
 
 def _reset_all(env: ContinuousTask, state: State, keys: Key[Array, " envs"]) -> State:

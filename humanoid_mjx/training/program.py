@@ -165,7 +165,7 @@ def curve(learner: Learner, training: Training) -> dict[str, Float[Array, " reco
     columns = dict(zip(names, training.record.T, strict=True))
     episodes, updates = columns.pop("episodes"), columns.pop("updates", None)
     squares = names[names.index("updates") + 1 :] if updates is not None else ()
-    ended = jnp.where(episodes > 0, episodes, jnp.nan)  # terms of the reward are added up before an episode ends
+    ended = jnp.where(episodes > 0, episodes, jnp.nan)
     found = {name: jnp.cumsum(x) if learner.cumulative else x / ended for name, x in columns.items()}
     return found | {name: jnp.sqrt(columns[name] / updates) for name in squares}
 

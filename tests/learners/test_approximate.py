@@ -305,16 +305,17 @@ def test_sums_are_over_the_episodes_that_ended():
     task = make(1, (-1.0, 1.0), 0.5, (1, END), ((0.25, 0.5), (-1.0, 2.0)), cap=2)
     envs, draw = start_all(task, 16, rng.key(0)), np.random.default_rng(0)
     step = jax.jit(lambda *given: step_all(task, *given))
-    length, total, episodes = np.zeros(16), np.zeros(16), np.zeros(16)
+    length, total, right, episodes = np.zeros((4, 16))
     for t in range(6):
         action = jnp.asarray(draw.integers(0, 2, (16, 1)), jnp.int32)
         envs, state, sums = step(envs, action, rng.key(t), rng.key(100 + t))
         length, total, done = length + 1, total + np.asarray(state.reward), np.asarray(state.done)
+        right += np.asarray(action[:, 0])
         success = done & np.asarray(state.success)
         assert done.sum() > 0 and success.sum() == sums["success"] and done.sum() == sums["episodes"]
         assert (done * length).sum() == sums["steps"] and (done * total).sum() == sums["return"]
-        assert action.sum() == sums["right"]
-        length, total, episodes = length * ~done, total * ~done, episodes + done
+        assert (done * right).sum() == sums["right"]
+        length, total, right, episodes = length * ~done, total * ~done, right * ~done, episodes + done
         np.testing.assert_array_equal(envs.episode, episodes)
         assert (np.asarray(envs.state.obs) != np.asarray(state.final_obs))[done].any()
 
@@ -502,7 +503,7 @@ def test_a_run_that_breaks_is_marked_and_can_be_replayed_while_the_others_finish
 
 
 def test_a_point_of_a_curve_in_which_no_episode_ended_is_not_known(tmp_path):
-    """Terms of the reward are added up before an episode ends."""
+    """Elsewhere the terms of the reward add up to the return: float32 sums of 100 decisions."""
     task = {"name": "leg_reach", "physics": "chain"}
     learner = {"name": "linear_q", "envs": 4, "rollout": 4, "evaluation_envs": 1}
     config = {"name": "leg", "task": task, "learner": learner, "total_steps": 320, "record": 20}
@@ -511,6 +512,7 @@ def test_a_point_of_a_curve_in_which_no_episode_ended_is_not_known(tmp_path):
     assert unknown.any() and not unknown.all()
     for name in ("return", "steps", "near", "settled"):
         np.testing.assert_array_equal(np.isfinite(results[name]), ~unknown)
+    np.testing.assert_allclose(results["near"] + results["settled"], results["return"], rtol=1e-5)
 
 
 def test_precision_is_of_a_gpu(monkeypatch):
