@@ -312,7 +312,7 @@ def test_rewards_have_the_values_of_their_formulas():
         motion=motion,
         command=jnp.array([0.3, 0.0, 0.5]),
         heading_error=jnp.float32(0.0),
-        strayed=jnp.array([0.03, -0.04, 0.1]),
+        tracking_error=jnp.array([0.03, -0.04, 0.1]),
         offsets=jnp.array([0.5] * 5 + [0.0] * 5),
     )
     view = task.view(data, None, jnp.array([0.5] * 4 + [0.0] * 6))._replace(feet=feet, torque=jnp.full(JOINTS, 0.5))
