@@ -185,9 +185,12 @@ PUSHED = "pushed by 0.5 N s every 3 s", "pushed by 0.8 N s every 3 s", "friction
 SLOPING = "a slope of 8 degrees", "waves of 10 mm", "stairs of 10 mm"
 """Worlds of the trials' tables."""
 
+WORLDS = "walk_worlds", "walk_worlds_mujoco", "walk_faults", "walk_observe", "walk_terrain"
+"""Records of policies in worlds."""
+
 TABLES = (
     {of.__name__: of for of in (walk, walk_goals, walk_learners, chapter_8, walk_fast)}
-    | {name: partial(_in_worlds, name) for name in ("walk_worlds", "walk_faults", "walk_observe", "walk_terrain")}
+    | {name: partial(_in_worlds, name) for name in WORLDS}
     | {
         "walk_dog": lambda: _by_command("cpu_2_cores_walk_dog"),
         "walk_humanoid": lambda: _by_command("h100_walk_humanoid"),
