@@ -7,6 +7,7 @@ Both are functions of torque and speed alone, so they work with every physics. F
 does not grow with speed is the joint's: `frictionloss` in the robot's model.
 """
 
+from collections.abc import Iterable
 from functools import partial
 from typing import Annotated, Any, Literal
 
@@ -18,6 +19,14 @@ from jaxtyping import Array, Float
 from humanoid_mjx.control.pd import Joints
 from humanoid_mjx.robot.description import Robot
 from humanoid_mjx.spec import InputError, Named, make, traced, written
+
+
+def limited(torque: Iterable[Any], limits: Iterable[Any]) -> Joints:
+    """Clip the torque of each joint to the limit of its motor, N m, as every physics does at the end.
+
+    It clips joint by joint: a bound on the whole array would be a kernel of its own between those of its elements.
+    """
+    return jnp.stack([jnp.clip(part, -limit, limit) for part, limit in zip(torque, limits, strict=True)])
 
 
 class Drive(Named):

@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 from pydantic import Field
 
 from humanoid_mjx.compute import Arithmetic
+from humanoid_mjx.control.drives import limited
 from humanoid_mjx.control.stages import Stages
 from humanoid_mjx.mechanics import dynamics
 from humanoid_mjx.mechanics.contacts import no_contacts
@@ -123,10 +124,7 @@ class ChainPhysics(Physics):
 
     def _cycle(self, world: World, controller: Controller) -> tuple[World, Float[Array, " joints"]]:
         limits = [self.torque_limit * limit for limit in self.robot.torque_limits.tolist()]
-        # Joint by joint: a bound on the whole array would be a kernel of its own between those of its elements.
-        torque = jnp.stack(
-            [jnp.clip(x, -limit, limit) for x, limit in zip(controller(self._stages(world)), limits, strict=True)]
-        )
+        torque = limited(controller(self._stages(world)), limits)
         dt = jnp.asarray(self.timestep, world.qpos.dtype)
         legs = [
             dynamics.semi_implicit_euler(leg, dynamics.State(qpos, qvel), held, dt)

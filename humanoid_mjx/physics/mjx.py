@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from pydantic import Field, model_validator
 
 from humanoid_mjx import compute
+from humanoid_mjx.control.drives import limited
 from humanoid_mjx.mechanics.contacts import Contacts
 from humanoid_mjx.physics.base import Controller, Poses, Sensed, World, freeze_if_diverged
 from humanoid_mjx.physics.model import MujocoPhysics, below
@@ -162,8 +163,7 @@ class MjxJax(MujocoPhysics):
             return self._contacts(centers, data.cdof, data.cdof_dot, data.qvel, data.subtree_com[1])
 
         torque = controller(self._stages(world, partial(dynamics, data), of_other, contacts))
-        limit = self.torque_limits
-        return jnp.clip(jnp.asarray(torque, float), -limit, limit)
+        return limited(jnp.asarray(torque, float), self.torque_limits)
 
 
 class MjxWarp(MjxJax):

@@ -20,6 +20,7 @@ from jaxtyping import Array, Float
 from mujoco.rollout import Rollout
 
 from humanoid_mjx.compute import cores
+from humanoid_mjx.control.drives import limited
 from humanoid_mjx.mechanics.contacts import Contacts
 from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.physics.base import Batches, Controller, Once, Poses, Sensed, Velocities, World, freeze_if_diverged
@@ -79,7 +80,6 @@ class Native(MujocoPhysics):
 
     def _cycle(self, world: World, controller: Controller, sensed: bool) -> tuple[World, Array, Array]:
         """Return the world after a time step, the torque that acted, and the sensors' readings before it."""
-        limit = self.torque_limits
         motion = Once(partial(self._motion, world))
 
         def contacts() -> Contacts:
@@ -87,7 +87,7 @@ class Native(MujocoPhysics):
             return self._contacts(centers, cdof, cdof_dot, world.qvel, origin)
 
         stages = self._stages(world, lambda: motion()[:2], lambda other: other._motion(world)[:2], contacts)
-        torque = jnp.clip(jnp.asarray(controller(stages), float), -limit, limit)
+        torque = limited(jnp.asarray(controller(stages), float), self.torque_limits)
         qpos, qvel, warmstart, sensordata = self._moved(world, torque, sensed)
         return freeze_if_diverged(world, World(qpos, qvel, warmstart, jnp.bool_(False))), torque, sensordata
 

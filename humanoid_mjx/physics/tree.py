@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 from humanoid_mjx import compute
 from humanoid_mjx.compute import Arithmetic
 from humanoid_mjx.compute.kernels.worlds import worlds_last
+from humanoid_mjx.control.drives import limited
 from humanoid_mjx.mechanics.contacts import Contacts, jacobian_of, no_contacts
 from humanoid_mjx.mechanics.scalars import unstack
 from humanoid_mjx.mechanics.tree import sensing
@@ -117,10 +118,8 @@ class TreePhysics(MujocoPhysics):
 
     def _within(self, torque: Any) -> Float[Array, " joints"]:
         factor, torque = jnp.asarray(self.torque_limit, float), jnp.asarray(torque, float)
-        # Joint by joint: a bound on the whole array would be a kernel of its own between those of its elements.
         bounds = {own: factor * own for own in motor_limits(self.model).tolist()}
-        limits = [bounds[own] for own in motor_limits(self.model).tolist()]
-        return jnp.stack([jnp.clip(part, -limit, limit) for part, limit in zip(torque, limits, strict=True)])
+        return limited(torque, [bounds[own] for own in motor_limits(self.model).tolist()])
 
     def _ask(
         self, values: mechanics.Values, world: World, controller: Controller
