@@ -116,7 +116,8 @@ def draw(target: Path, records: Mapping[str, Mapping[str, Any]]) -> None:
         for row, (machine, record) in zip(axes, records.items(), strict=True):
             row[0].set_ylabel(f"steps/s on {machine}")
             for axis, panel in zip(row, panels, strict=True):
-                axis.set_title(f"{panel.heading}\n(commit {commits(record, panel) or 'none'})")
+                made = commits(record, panel)
+                axis.set_title(f"{panel.heading}\n" + f"(commit {made})" * bool(made))
                 _panel(axis, [(line, *measured(record, line)) for line in panel.lines])
                 axis.set_xlabel(f"{panel.counted} side by side")
 

@@ -4,8 +4,8 @@
 `key(seed)` makes a key of a lighter, counter-based generator instead: word `i` drawn from the 64-bit key `(k0, k1)` is
 `mix(mix(k0 + i * G) ^ (k1 + stream))`, where `mix` is a 32-bit finaliser found by automated search for low bias (C.
 Wellons, "Prospecting for hash functions", 2018: constants 7feb352d, 846ca68b) and `G` is the odd number nearest 2**32 /
-golden ratio. Streams keep draws, splits and folds apart. It is not a cryptographic generator; its tests of
-uniformity and independence across agents and steps are in `tests/compute/test_rng.py`.
+golden ratio. Streams keep draws, splits and folds apart. It is not a cryptographic generator; its tests of uniformity
+and independence across agents and steps are in `tests/compute/test_rng.py`.
 """
 
 import math

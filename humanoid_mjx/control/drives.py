@@ -3,8 +3,8 @@
     ideal      the requested torque, up to the limit of the robot's motor
     dc_motor   the torque that a geared DC motor can give at the speed of the joint (thesis 5.3 and 5.4)
 
-Both are functions of torque and speed alone, so they work with every physics. Friction that
-does not grow with speed is the joint's: `frictionloss` in the robot's model.
+Both are functions of torque and speed alone, so they work with every physics. Friction that does not grow with speed is
+the joint's: `frictionloss` in the robot's model.
 """
 
 from collections.abc import Iterable
