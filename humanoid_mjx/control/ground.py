@@ -41,9 +41,9 @@ SHARE = 0.1
 sideways push needs it: without ankle roll, rigid flat feet allow no sway, but a real foot's edges lift. At 0.01 and
 below such a push drives the torques to their limits and the body falls."""
 
-SOFTNESS = 1e-4
-"""Regularisation of the contacts' inverse inertia, 1/kg, since the corners of a foot are redundant. The body weighs
-1.7 kg."""
+SOFTNESS = 1.7e-4
+"""Regularisation of the contacts' inverse inertia as a share of that of the whole body, since the corners of a foot are
+redundant."""
 
 
 def grounded_torque(
@@ -85,8 +85,8 @@ def constrained_dynamics(
     rows = jnp.repeat(contacts.touching, 3)
     jacobian = jnp.where(rows[:, None], contacts.jacobian.reshape(-1, nv), 0.0)
     across = jacobian @ inverse
-    # Corners in the air keep a row of the identity, which no other row sees.
-    resistance = across @ jacobian.T + jnp.diag(jnp.where(rows, SOFTNESS, 1.0).astype(bias.dtype))
+    # The body moves freely, along x first. Corners in the air keep a row of the identity, which no other row sees.
+    resistance = across @ jacobian.T + jnp.diag(jnp.where(rows, SOFTNESS / mass_matrix[0, 0], 1.0).astype(bias.dtype))
     forces = eliminate(resistance, across)
     mobility = inverse - across.T @ forces
     return mobility, -mobility @ bias - forces.T @ jnp.where(rows, contacts.drift.reshape(-1), 0.0)

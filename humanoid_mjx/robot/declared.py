@@ -24,7 +24,7 @@ from pydantic import Field
 
 from humanoid_mjx.config import Config, parse_yaml
 from humanoid_mjx.files import folder
-from humanoid_mjx.robot.description import Robot, Servo, add_motors_and_imu, image, motors_on
+from humanoid_mjx.robot.description import BEND, Robot, Servo, add_motors_and_imu, image, motors_on
 from humanoid_mjx.spec import InputError, Spec, known, search_folders, sentence
 
 DAMPING = 0.03
@@ -82,6 +82,7 @@ class Declaration(Spec):
     shares: ByJoint | None = Field(None, description="factors on action_scale, by joint; by default 1")
     turns: list[float] = Field([], description="phase, 0 to 1, at which each foot's swing begins; by default even")
     mirror: dict[str, str] = Field({}, description="parts of names on the right, and what stands for them on the left")
+    bend: float = Field(15.0, ge=0, lt=90, description=BEND)
     contacts: Literal["feet", "model"] = Field(
         "feet", description="what touches: the feet the ground and nothing else, or also all bodies as the model says"
     )
@@ -268,7 +269,7 @@ def _understood(path: Path, text: str, file: str, model_text: str) -> Source:
         feet, geoms = _feet(declared.feet, spec)
         feet, turns = _in_bodies_order(feet, declared.turns, model)
         mirror = tuple(declared.mirror.items())
-        values = {"feet": feet, "home": tuple(home), "turns": turns, "mirror": mirror}
+        values = {"feet": feet, "home": tuple(home), "turns": turns, "mirror": mirror, "bend": declared.bend}
         values |= {"torque": tuple(torque), "stiffness": tuple(stiffness), "damping": tuple(damping)}
         # A digest of what both files say, whatever their layout and comments.
         plain = json.dumps(dict(sorted(data.items()))) + ElementTree.canonicalize(model_text, strip_text=True)

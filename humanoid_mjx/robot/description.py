@@ -43,6 +43,9 @@ class Servo(NamedTuple):
     """N m s/rad"""
 
 
+BEND = "bend of legs at home, as degrees of hip pitch: a gait's `lift` adds to it and so shortens two equal links"
+
+
 class Robot(Named):
     """Base of robots: derive from it, give `spec`, and fields of your own for what can be chosen."""
 
@@ -59,6 +62,7 @@ class Robot(Named):
     mirror: tuple[tuple[str, str], ...] = Field(
         default=(), strict=False, description="parts of names that change sides"
     )
+    bend: float = Field(15.0, ge=0, lt=90, description=BEND)
 
     def __hash__(self) -> int:
         return hash((type(self), *self.__dict__.values()))

@@ -42,6 +42,12 @@ as fast, and within the differences that soft contacts make in any case."""
 HOME = (15.0, 0.0, 0.0, 30.0, -15.0) * 2
 """Degrees. Knees bent a little, so that legs can give way and stretch; the feet are flat under the hips."""
 
+SHORTENED = np.array([1.0, 0.0, 0.0, 2.0, -1.0])
+"""Change of a leg's joints that shortens the leg under its hip while its foot stays level."""
+
+LEFTWARDS = np.array([-1.0, 1.0])
+"""The sense in which the right and the left hip's yaw and roll turn a leg: positive is outwards on both sides."""
+
 
 class LowerBody(Robot):
     """The lower body at 1:4: a torso, two legs of five joints, feet with four corners."""

@@ -19,14 +19,11 @@ from humanoid_mjx.physics import make_physics
 from humanoid_mjx.physics.base import World
 from humanoid_mjx.physics.model import MujocoPhysics
 from humanoid_mjx.robot import make_robot
+from humanoid_mjx.robot.lower_body import SHORTENED
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.posture_switch import MOVED, Body, PostureSwitch
 from humanoid_mjx.thesis.leg import JOINT_NAMES
 from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
-
-DOWN = (20.0, 40.0, -20.0)
-"""Hip pitch, knee and ankle of the lowest posture, degrees: the soles stay flat below an upright torso, and the ankle
-is at the end of its range of Table 3.2. The hips are 11 mm lower."""
 
 FALLEN_TILT, FALLEN_HEIGHT = 45.0, 0.6
 """Lean of the torso, degrees, and height of the hips as a share of the leg's length, at which a body has fallen."""
@@ -58,7 +55,7 @@ class Squat(PostureSwitch):
 
     @property
     def grid(self) -> Float[np.ndarray, "3 places"]:
-        return np.radians(np.linspace((0.0, 0.0, 0.0), DOWN, self.places)).T
+        return np.linspace(np.zeros(len(MOVED)), DOWN, self.places).T
 
     def reset(self, key: Key[Array, ""]) -> Body:
         world = self.plant.start(*self._standing)
@@ -113,6 +110,10 @@ class Squat(PostureSwitch):
 
 
 ROBOT = make_robot("lower_body", ranges="human")
+
+DOWN = -ROBOT.ranges_rad[JOINT_NAMES.index("ankle_pitch"), 0] * SHORTENED[list(MOVED)]
+"""Hip pitch, knee and ankle of the lowest posture, rad: the soles stay flat below an upright torso, and the ankle is at
+the end of its range. The hips are 11 mm lower."""
 
 
 @lru_cache

@@ -10,20 +10,11 @@ import pydantic
 from jaxtyping import Array, Float
 
 from humanoid_mjx.robot import Robot
+from humanoid_mjx.robot.lower_body import LEFTWARDS, SHORTENED
 from humanoid_mjx.robot.reaching import monomials, reach_of
 from humanoid_mjx.spec import Named, make, traced, written
 from humanoid_mjx.tasks.legged.commands import moves
 from humanoid_mjx.types import FloatScalar
-
-SHORTENED = np.array([1.0, 0.0, 0.0, 2.0, -1.0])
-"""Hip pitch, yaw, roll, knee and ankle of a leg that becomes shorter under the hip while its foot stays level."""
-
-BEND = math.radians(15.0)
-"""Hip pitch at home, rad, assumed of every robot: a leg of two equal links shortens by cos(BEND) - cos(BEND + lift) of
-its length when the hip flexes by `lift`."""
-
-LEFTWARDS = np.array([-1.0, 1.0])
-"""The sense in which the right and the left hip's yaw and roll turn a leg: positive is outwards on both sides."""
 
 
 class Clock(NamedTuple):
@@ -127,12 +118,12 @@ class Steps(Gait):
         self, way: Float[Array, " feet"], phase: FloatScalar, command: Float[Array, "3"], robot: Robot
     ) -> Float[Array, " joints"]:
         """The motion of legs of any build, by their inverse kinematics."""
-        reach, length = reach_of(robot), robot.leg_length
+        reach, length, bend = reach_of(robot), robot.leg_length, math.radians(robot.bend)
         ahead, aside = reach.place.astype(np.float32).T
         forward, left, turn = self.stride * command
         over = np.sign(aside[0]) * jnp.radians(self.sway) * jnp.sin(2 * jnp.pi * phase)
         swing = self.swing(phase, robot)
-        height = math.cos(BEND) - jnp.cos(BEND + jnp.radians(self.lift))
+        height = math.cos(bend) - jnp.cos(bend + jnp.radians(self.lift))
         lifted = height * swing * jnp.maximum(swing, 1e-6) ** self.landing
         parts = [way * (forward - turn * aside) / length, way * (left + turn * ahead) / length + over, lifted]
         parts += [way * turn] if robot.points > 2 else []
