@@ -75,7 +75,7 @@ class StandRewards(Rewards):
 class WalkRewards(Rewards):
     """Do as commanded, step by the gait's clock, keep upright, and neither slip, fly nor cross the feet.
 
-    The sum is at most 1.26. `docs/walking.md` says what was tried, and how bodies then walked.
+    The sum is at most 1.26. `docs/walking_settings.md` says what was tried, and how bodies then walked.
     """
 
     speed: float = traced(0.6, description="for the commanded velocity, at three scales")
