@@ -23,6 +23,7 @@ from typing import Any, TypeVar, get_args
 
 import jax
 import pydantic
+from pydantic_core import PydanticKnownError
 
 SomeSpec = TypeVar("SomeSpec", bound="Spec")
 
@@ -81,10 +82,26 @@ class Spec(pydantic.BaseModel):
         branches = {name: default for name, default in defaults.items() if isinstance(default, Spec)}
         return data | {name: _completed(default, data[name]) for name, default in branches.items()}
 
+    @pydantic.field_validator("*", mode="before")
+    @classmethod
+    def _true_is_not_1(cls, value: Any, info: Any) -> Any:
+        """Refuse a boolean where integers are listed: pydantic compares by `==`, as Python does."""
+        kinds = (cls.model_fields[info.field_name].annotation,)
+        if isinstance(value, bool) and (numbers := [k for k in _within(kinds) if type(k) is int]):
+            raise PydanticKnownError("literal_error", {"expected": ", ".join(map(str, numbers))})
+        return value
+
     def replace(self: SomeSpec, **values: Any) -> SomeSpec:
         """This spec with other values in some of its fields; nothing is checked, so that traced arrays may be given."""
         assert values.keys() <= type(self).model_fields.keys(), f"{type(self).__name__} lacks some of {list(values)}"
         return self.model_copy(update=values)
+
+
+def _within(kinds: Iterable[Any]) -> Iterator[Any]:
+    """All that annotations are built of, with the values of a `Literal`."""
+    for kind in kinds:
+        yield kind
+        yield from _within(get_args(kind))
 
 
 def _split(spec: Spec) -> tuple[list[tuple[str, Any]], tuple[tuple[str, Any], ...]]:
@@ -378,6 +395,7 @@ def _fields(model: type[pydantic.BaseModel] | None, place: Iterable[Any]) -> Map
     """The fields of the model that stands at `place` inside `model`."""
     for name in place:
         kinds = (model.model_fields[name].annotation,) if model else ()
-        kinds = [kind for outer in kinds for kind in (outer, *get_args(outer))]
-        model = next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, pydantic.BaseModel)), None)
+        model = next(
+            (kind for kind in _within(kinds) if isinstance(kind, type) and issubclass(kind, pydantic.BaseModel)), None
+        )
     return model.model_fields if model else {}
