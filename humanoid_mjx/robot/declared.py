@@ -332,19 +332,21 @@ def _driven(model: mujoco.MjModel) -> tuple[str, ...]:
 
 def _home(home: Any, model: mujoco.MjModel, joints: Sequence[str]) -> Float[np.ndarray, " joints"]:
     """Angles of the joints, degrees."""
+    keys, angles = [model.key(index).name for index in range(model.nkey)], np.zeros(len(joints))
     if isinstance(home, dict):
-        angles = _by_joint("home", home, joints, np.zeros(len(joints)), least=-inf)
-        for joint, angle in zip(map(model.joint, joints), angles, strict=True):
-            low, high = np.degrees(joint.range)
-            if model.jnt_limited[joint.id] and not low - SLACK_DEG <= angle <= high + SLACK_DEG:
-                raise InputError(f"home: {joint.name} at {angle:g} degrees is beyond its range, {low:g} to {high:g}")
-        return angles
-    if not home:
-        return np.zeros(len(joints))
-    keys = [model.key(index).name for index in range(model.nkey)]
-    if home not in keys:
+        angles = _by_joint("home", home, joints, angles, least=-inf)
+    elif home and home not in keys:
         raise InputError(f"home: the model has no keyframe {home!r}; {known(home, keys) if keys else 'it has none'}")
-    return np.degrees([model.key(home).qpos[model.joint(joint).qposadr[0]] for joint in joints])
+    elif home:
+        angles = np.degrees([model.key(home).qpos[model.joint(joint).qposadr[0]] for joint in joints])
+    for joint, angle in zip(map(model.joint, joints), angles, strict=True):
+        low, high = np.degrees(joint.range)
+        if model.jnt_limited[joint.id] and not low - SLACK_DEG <= angle <= high + SLACK_DEG:
+            default = "" if home else "; without this key all joints are at 0"
+            raise InputError(
+                f"home: {joint.name} at {angle:g} degrees is beyond its range, {low:g} to {high:g}{default}"
+            )
+    return angles
 
 
 def _feet(names: Sequence[str], spec: mujoco.MjSpec) -> tuple[tuple[str, ...], tuple[str, ...]]:

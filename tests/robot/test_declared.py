@@ -116,6 +116,7 @@ def test_feet_go_where_the_polynomials_of_the_legs_bring_them(name):
         ({"home": {".*_knee": 3}}, r"pet.yaml: home: '.\*_knee' fits no joint"),
         ({"home": {"(": 3}}, r"pet.yaml: home: '\(' is no regular expression"),
         ({"home": {".*_calf": 900}}, r"pet.yaml: home: FR_calf at 900 degrees is beyond its range"),
+        ({"home": None}, r"pet.yaml: home: FR_calf at 0 degrees is beyond its range, .*; without this key"),
         ({"home": {".*_calf": float("nan")}}, r"pet.yaml: home: a number, or numbers by patterns"),
         ({"servo": {"damping": -1}}, r"pet.yaml: servo.damping: must be at least 0, got -1"),
         ({"servo": {"stiffness": "stiff"}}, r"pet.yaml: servo.stiffness: a number, or numbers by patterns"),
@@ -242,8 +243,16 @@ def test_a_run_finds_its_robot_again_and_takes_no_other(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("model", "keys", "facts"),
     [
-        ("humanoid.xml", {"feet": ["right_foot", "left_foot"], "mirror": {"right": "left"}}, (17, 1, [40, 40, 40])),
-        ("ant.xml", {"feet": ["left_ankle_geom", "right_ankle_geom"]}, (8, 2, [150, 150, 150])),
+        (
+            "humanoid.xml",
+            {"feet": ["right_foot", "left_foot"], "mirror": {"right": "left"}, "home": {".*_knee": -2}},
+            (17, 1, [40, 40, 40]),
+        ),
+        (
+            "ant.xml",
+            {"feet": ["left_ankle_geom", "right_ankle_geom"], "home": {"ankle_[14]": 45, "ankle_[23]": -45}},
+            (8, 2, [150, 150, 150]),
+        ),
     ],
 )
 def test_models_of_gymnasium_are_taken_as_they_are(model, keys, facts, tmp_path):
