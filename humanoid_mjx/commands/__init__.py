@@ -1,12 +1,11 @@
 """Commands of the command line: a module for each command, or for a few that are alike."""
 
-import sys
 from collections.abc import Sequence
 
 from humanoid_mjx import compute
 from humanoid_mjx.training.progress import PatientConsole
 
-console = PatientConsole(highlight=False, markup=False, emoji=False, width=None if sys.stdout.isatty() else 120)
+console = PatientConsole(highlight=False, markup=False, emoji=False)
 
 
 def start_for(physics: str | None, overrides: Sequence[str]) -> None:

@@ -86,16 +86,11 @@ def _show_robot(name: str) -> None:
 
 
 def _print_rows(title: str, rows: Sequence[tuple[str, ...]]) -> None:
-    """A table with a heading; where no person reads it, one row a line however long that is."""
-    if console.is_terminal:
-        table = Table(*rows[0], title=title, title_justify="left", box=None, pad_edge=False, padding=(0, 2, 0, 0))
-        for row in rows[1:]:
-            table.add_row(*row)
-        console.print(table)
-        return
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for row in [(title,), *rows]:
-        console.print("  ".join(map(str.ljust, row, widths)).rstrip(), soft_wrap=True)
+    """A table with a heading."""
+    table = Table(*rows[0], title=title, title_justify="left", box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for row in rows[1:]:
+        table.add_row(*row)
+    console.print(table)
 
 
 def _check_known(name: str, others: Sequence[str]) -> None:

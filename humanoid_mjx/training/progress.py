@@ -65,10 +65,16 @@ class Reporter:
 
 
 class PatientConsole(Console):
-    """A console that goes on in silence where its reader has gone, as after `| head`: training is worth more."""
+    """A console that goes on in silence where its reader has gone, as after `| head`: training is worth more.
+
+    Where no person reads, lines are not broken and a row of a table is a line without bars, so that `grep` finds it.
+    """
 
     def print(self, *given: Any, **options: Any) -> None:
         """Print; an error says that it is of standard output."""
+        if not (self.is_terminal or self.is_jupyter):
+            given = tuple(_plain(each) if isinstance(each, Table) else each for each in given)
+            options["soft_wrap"] = True
         try:
             super().print(*given, **options)
         except OSError as error:
@@ -78,6 +84,17 @@ class PatientConsole(Console):
     def on_broken_pipe(self) -> None:
         self.quiet = True
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _plain(table: Table) -> str:
+    """Return a table as lines: title, headings, rows with two spaces between the columns, caption."""
+    columns = []
+    for column in table.columns:
+        cells = [" ".join(str(cell).split()) for cell in (column.header, *column.cells)]
+        place, width = str.rjust if column.justify == "right" else str.ljust, max(map(len, cells))
+        columns.append([place(cell, width) for cell in cells])
+    rows = ("  ".join(row).rstrip() for row in zip(*columns, strict=True))
+    return "\n".join(str(line) for line in (table.title, *rows, table.caption) if line is not None)
 
 
 @contextmanager

@@ -5,9 +5,10 @@ import re
 
 import pytest
 from rich.console import Console
+from rich.table import Table
 
 from humanoid_mjx.training import progress
-from humanoid_mjx.training.progress import Bar, State
+from humanoid_mjx.training.progress import Bar, PatientConsole, State
 
 
 @pytest.fixture
@@ -65,3 +66,23 @@ def test_every_screen_shows_the_share_and_the_time_left(now, width):
     shown = re.sub(r"\x1b\[[\d;?]*\w", "", out.getvalue()).rstrip("\n")
     assert "50%" in shown and "left 0:01:00" in shown and len(shown) <= width and "\n" not in shown
     assert ("\u2501" in shown) == (width >= 60) and ("123,456 episodes/s" in shown) == (width == 200)
+
+
+@pytest.mark.parametrize("width", [30, 120])
+def test_a_row_is_a_line_without_a_terminal(width):
+    """However narrow the screen is, no cell is cut; within a terminal the table has its frame."""
+    table = Table(title="2 points", caption="trained")
+    table.add_column("a\nvalue", justify="right")
+    table.add_column("agent")
+    table.add_row("3", "one that has more words than a narrow screen has room for")
+    table.add_row("100", "zero")
+    for terminal in (False, True):
+        out = io.StringIO()
+        PatientConsole(file=out, width=width, force_terminal=terminal).print(table)
+        lines = out.getvalue().splitlines()
+        assert (lines[2] == "      3  one that has more words than a narrow screen has room for") == (not terminal)
+        assert terminal or [lines[0], lines[1], lines[3:]] == [
+            "2 points",
+            "a value  agent",
+            ["    100  zero", "trained"],
+        ]
