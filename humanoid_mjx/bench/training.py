@@ -196,7 +196,10 @@ def measure(trained: Run) -> Measured:
     results, config = trained.results, trained.config
     budget = float(config.budget or np.nan)
     wall_s = trained.timing["wall_s"].astype(float).reshape(config.seeds, -1)
-    greedy = results["greedy_success"].reshape(config.seeds, -1)
+    final, greedy = trained.summary["greedy_success"].astype(float), np.full(wall_s.shape, np.nan)
+    greedy[:, -1] = final  # the only evaluation, where a learner has no other
+    if "greedy_success" in results:
+        greedy = results["greedy_success"].reshape(wall_s.shape)
     steps = float(np.mean(wall_s > wall_s.min())) * budget * config.seeds
     rate = steps / float(np.ptp(wall_s)) if steps else np.nan
     lengths = results["steps"][np.isfinite(results["steps"])]
@@ -209,7 +212,7 @@ def measure(trained: Run) -> Measured:
         episodes_per_s=rate / float(lengths.mean()),
         steps=np.where(never, np.nan, share * budget),
         seconds=float(seconds.max()),
-        final=trained.summary["greedy_success"].astype(float),
+        final=final,
     )
 
 

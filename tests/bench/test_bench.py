@@ -89,10 +89,20 @@ class OneFails(Stored):
     results = Stored.results | {"greedy_success": np.array([np.nan, 0.5, 0.96, 0.9, np.nan, 0.5, 0.9, 0.94])}
 
 
+class OneEvaluation(Stored):
+    """As with `learner.evaluations=1`: nobody looked before the end."""
+
+    results = {"steps": Stored.results["steps"]}  # noqa: RUF012
+
+
 def test_rates_leave_compiling_out_and_time_to_success_does_not():
     found = training.measure(Stored(Path()))
     assert found[:2] == pytest.approx((2 * 2000 / 4.0, 1000 / 30.0)) and found.seconds == 9.0
     assert found.steps.tolist() == [3000.0, 4000.0] and found.final.tolist() == [0.9, 0.97]
+
+
+def test_a_single_evaluation_is_that_of_the_end():
+    np.testing.assert_array_equal(training.measure(OneEvaluation(Path())).steps, [np.nan, 4000.0])
 
 
 def test_a_seed_that_never_succeeds_is_not_left_out():
