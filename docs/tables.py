@@ -233,8 +233,7 @@ def ranges() -> str:
 def verdicts() -> str:
     """Return how many quantities of the thesis have each verdict."""
     counts = record("cpu_2_cores_reproduce")["verdicts"]
-    names = [name for name in MEANINGS if name in counts]
-    rows = ((f"`{name}`", str(counts[name]), MEANINGS[name]) for name in names)
+    rows = ((f"`{name}`", str(counts[name]), meaning) for name, meaning in MEANINGS.items() if name in counts)
     return table("verdict | quantities | what it says", rows)
 
 

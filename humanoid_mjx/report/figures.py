@@ -213,7 +213,9 @@ def draw_line(
 
     Args:
       panel: the axes of matplotlib.
-      x, seed, y: (rows,) of numbers.
+      x: (rows,) of numbers.
+      seed: (rows,) of integers.
+      y: (rows,) of numbers, NaN where there is none.
       color: of the line and its band.
       place: (rows,) Which rows belong together; by default those of equal `x`. A place is drawn at its mean `x`.
       joined: whether to draw a line through the places.

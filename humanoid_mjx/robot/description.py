@@ -62,7 +62,7 @@ class Robot(Named):
     mirror: tuple[tuple[str, str], ...] = Field(
         default=(), strict=False, description="parts of names that change sides"
     )
-    bend: float = Field(15.0, ge=0, lt=90, description=BEND)
+    bend: float = Field(default=15.0, ge=0, lt=90, description=BEND)
 
     def __hash__(self) -> int:
         return hash((type(self), *self.__dict__.values()))
