@@ -1,6 +1,7 @@
 """Robots that are not the lower body, and states of any robot that try all that a contact solver must bear."""
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -13,145 +14,10 @@ from humanoid_mjx.mechanics.scalars import unstack
 from humanoid_mjx.mechanics.tree.step import accelerate, advance, folded, make_state, motor_forces
 from humanoid_mjx.mechanics.tree.structure import Tree
 
-HOPPER = """
-<mujoco>
-  <option timestep="0.002" impratio="2"/>
-  <default>
-    <geom friction="0.8" solimp="0.8 0.9 0.002 0.4 3" margin="0.001"/>
-    <joint damping="0.1" armature="0.002" limited="true"/>
-  </default>
-  <worldbody>
-    <geom name="ground" type="plane" size="0 0 1" quat="1 0.05 -0.1 0"/>
-    <body name="trunk" pos="0 0 0.6">
-      <freejoint/>
-      <geom type="capsule" fromto="-0.05 0 0 0.1 0 0.1" size="0.04" mass="2"/>
-      <site name="imu" pos="0.02 0 0.05" quat="1 0.2 0 0"/>
-      <body name="thigh" pos="0 0 -0.03" quat="1 0 0.1 0.05">
-        <joint name="hip" axis="0 1 0.2" pos="0.01 0 0.02" range="-80 60" stiffness="2" springref="10"/>
-        <geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.02" mass="0.5"/>
-        <body name="shank" pos="0 0 -0.2">
-          <joint name="knee" axis="0 1 0" range="0 120" ref="10"/>
-          <geom name="shank" type="capsule" fromto="0 0 0 0 0 -0.2" size="0.015" mass="0.3" condim="1"/>
-          <body name="foot" pos="0 0 -0.2">
-            <joint name="ankle" axis="0 1 0" range="-40 40"/>
-            <geom name="foot" type="capsule" fromto="-0.04 0 0 0.08 0 0" size="0.015" mass="0.1" friction="1.2"/>
-            <site name="sole" type="sphere" size="0.1" pos="0.02 0 0"/>
-          </body>
-        </body>
-      </body>
-    </body>
-  </worldbody>
-  <actuator>
-    <motor joint="hip"/>
-    <motor joint="knee"/>
-    <motor joint="ankle"/>
-  </actuator>
-  <sensor>
-    <gyro name="gyroscope" site="imu"/>
-    <accelerometer name="accelerometer" site="imu"/>
-    <touch name="foot_contact" site="sole"/>
-  </sensor>
-</mujoco>
-"""
-"""A sloping ground, capsules on it, damping taken implicitly, springs, a turned axis off its body's origin."""
-
-
-def _leg(name: str, x: float, y: float) -> str:
-    return f"""
-      <body name="{name}_thigh" pos="{x} {y} 0">
-        <joint name="{name}_roll" axis="1 0 0" range="-40 40"/>
-        <joint name="{name}_pitch" axis="0 1 0" range="-60 60"/>
-        <geom name="{name}_thigh" type="capsule" fromto="0 0 0 0 0 -0.15" size="0.02" mass="0.2"/>
-        <body name="{name}_shank" pos="0 0 -0.15">
-          <joint name="{name}_knee" axis="0 1 0" range="-120 -10"/>
-          <geom name="{name}_shank" type="capsule" fromto="0 0 0 0 0 -0.15" size="0.01" mass="0.1"
-                contype="0" conaffinity="0"/>
-          <geom name="{name}_foot" type="sphere" pos="0 0 -0.15" size="0.02" mass="0.02"/>
-        </body>
-      </body>"""
-
-
-QUADRUPED = f"""
-<mujoco>
-  <option timestep="0.003"><flag eulerdamp="disable"/></option>
-  <default>
-    <geom condim="3" friction="0.7" solref="-2000 -80"/>
-    <joint damping="0.05" armature="0.001" limited="true"/>
-  </default>
-  <worldbody>
-    <geom name="ground" type="plane" size="0 0 1"/>
-    <body name="trunk" pos="0 0 0.4">
-      <freejoint/>
-      <inertial pos="0.01 0 0.02" mass="3" diaginertia="0.01 0.03 0.035" quat="1 0.1 0.2 0"/>
-      <geom type="box" size="0.15 0.08 0.04" contype="0" conaffinity="0"/>
-      {_leg("fl", 0.15, 0.1)}{_leg("fr", 0.15, -0.1)}{_leg("rl", -0.15, 0.1)}{_leg("rr", -0.15, -0.1)}
-    </body>
-  </worldbody>
-  <contact>
-    <exclude body1="fl_thigh" body2="rr_thigh"/>
-    <pair geom1="fl_foot" geom2="ground" condim="3" friction="0.9 0.4 0 0 0" solimp="0.9 0.95 0.001 0.5 2"/>
-    <pair geom1="fl_thigh" geom2="rl_foot" condim="1"/>
-  </contact>
-  <actuator>{
-    "".join(
-        f'<motor joint="{leg}_{joint}"/>' for leg in ("fl", "fr", "rl", "rr") for joint in ("roll", "pitch", "knee")
-    )
-}</actuator>
-</mujoco>
-"""
-"""Two hinges a body, balls on the ground and against capsules, contacts by `contype`, unequal friction and none."""
-
-
-PLANAR = """
-<mujoco>
-  <option {option}/>
-  <worldbody>
-    <geom type="plane" size="0 0 1"/>
-    <body pos="0 0 0.35">
-      <joint type="slide" axis="1 0 0"/>
-      <joint type="slide" axis="0 0 1" ref="0.1" stiffness="3" springref="0.2"/>
-      <joint type="hinge" axis="0 1 0"/>
-      <geom type="capsule" fromto="-0.1 0 0 0.1 0 0" size="0.04" mass="2"/>
-      <body pos="0.05 0 -0.02">
-        <joint name="hip" axis="0 1 0" pos="0 0 0.02" damping="0.3" frictionloss="0.4" solreffriction="0.03 1"/>
-        <geom type="capsule" fromto="0 0 0 0 0 -0.15" size="0.02" mass="0.4" contype="0"/>
-        <body pos="0 0 -0.15" euler="0 20 0">
-          <joint name="ankle" type="slide" axis="0 0.1 1" range="-0.03 0.03" limited="true" frictionloss="2"
-                 damping="1" actuatorfrcrange="-6 9" actuatorfrclimited="true"/>
-          <geom type="capsule" fromto="0 0 0 0 0 -0.1" size="0.03" mass="0.3"/>
-        </body>
-      </body>
-    </body>
-  </worldbody>
-  <actuator>
-    <motor joint="ankle" ctrlrange="-9 9"/>
-    <motor joint="ankle" ctrlrange="-5 5"/>
-    <motor joint="hip"/>
-  </actuator>
-  <sensor><user dim="2"/><rangefinder site="eye"/></sensor>
-</mujoco>""".replace('<body pos="0 0 0.35">', '<body pos="0 0 0.35"><site name="eye"/>')
-"""A body that moves in a plane, on a leg that slides: dry friction, motors that share a joint and bound each other."""
-
-SHAPES = """
-<mujoco>
-  <worldbody>
-    <geom type="plane" size="0 0 1" euler="5 -3 0" friction="0.6"/>
-    <body pos="0 0 0.3">
-      <freejoint/>
-      <geom type="box" size="0.1 0.06 0.03" mass="1" euler="10 20 30" margin="0.002"/>
-      <body pos="0.15 0 0">
-        <joint axis="0 1 0" range="-60 60" limited="true" damping="0.05"/>
-        <geom type="cylinder" size="0.05 0.03" mass="0.4" pos="0.05 0 0" euler="80 0 0" contype="2" conaffinity="1"/>
-      </body>
-      <body pos="-0.15 0 0">
-        <joint axis="1 0 0" range="-60 60" limited="true" damping="0.05"/>
-        <geom type="ellipsoid" size="0.07 0.04 0.05" mass="0.4" contype="2" conaffinity="1"/>
-      </body>
-      <geom type="cylinder" size="0.03 0.04" pos="0 0 0.1" mass="0.2" contype="0"/>
-    </body>
-  </worldbody>
-</mujoco>"""
-"""A box, cylinders that stand, lie and lean, an ellipsoid, on a slope."""
+BALLS, BLOCK, HOPPER, PLANAR, QUADRUPED, SHAPES, SWING, UNEQUAL = (
+    (Path(__file__).parent / "data" / f"{name}.xml").read_text()
+    for name in ("balls", "block", "hopper", "planar", "quadruped", "shapes", "swing", "unequal")
+)
 
 
 def converged(model: mujoco.MjModel) -> mujoco.MjModel:

@@ -4,7 +4,7 @@ import jax
 import mujoco
 import numpy as np
 import pytest
-from tree_robots import converged
+from tree_robots import UNEQUAL, converged
 
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.robot import Robot
@@ -53,43 +53,6 @@ def test_a_squat_on_the_ground_agrees(both):
         other, _ = native_step(other, target)
     assert other.qpos[3, 2] < 0.214
     np.testing.assert_allclose(world.qpos, other.qpos, atol=1e-9)
-
-
-UNEQUAL = """
-<mujoco>
-  <option timestep="0.002"><flag eulerdamp="disable"/></option>
-  <worldbody>
-    <geom type="plane" size="0 0 1" friction="0.1"/>
-    <body name="trunk" pos="0 0 0.38">
-      <freejoint/>
-      <geom type="box" size="0.1 0.1 0.05" mass="2" contype="0" conaffinity="0"/>
-      <site name="imu"/>
-      <body name="front" pos="0.1 0 0">
-        <joint name="front" axis="0 1 0" damping="0.4" armature="0.01"/>
-        <geom type="capsule" fromto="0 0 0 0 0 -0.4" size="0.02" mass="0.3" friction="0.3" conaffinity="0"/>
-        <body name="toe" pos="0 0 -0.3">
-          <joint name="toe" axis="0 1 0" damping="0.02" stiffness="3" armature="0.01"/>
-          <geom type="sphere" size="0.03" mass="0.1" contype="0" conaffinity="0"/>
-        </body>
-      </body>
-      <body name="back" pos="-0.1 0 0">
-        <joint name="back" axis="0 1 0" damping="0.1" armature="0.01"/>
-        <geom type="capsule" fromto="0 0 0 0 0 -0.4" size="0.02" mass="0.3" friction="0.8" conaffinity="0"/>
-      </body>
-    </body>
-  </worldbody>
-  <actuator>
-    <motor name="back" joint="back" gear="4" ctrlrange="-0.2 0.2" ctrllimited="true"/>
-    <motor name="front" joint="front" gear="-2" forcerange="-1 1" forcelimited="true"/>
-  </actuator>
-  <sensor>
-    <gyro name="gyroscope" site="imu"/>
-    <accelerometer name="accelerometer" site="imu"/>
-  </sensor>
-</mujoco>
-"""
-"""Motors in another order than the joints, of which one has none; gears; unequal friction, damping and bounds; contacts
-by `contype`."""
 
 
 class Unequal(Robot):

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from tree_robots import converged, native, qacc_of
+from tree_robots import BALLS, BLOCK, converged, native, qacc_of
 
 from humanoid_mjx.mechanics.scalars import Scalar, Vector
 from humanoid_mjx.mechanics.terrain import Terrain
@@ -19,30 +19,11 @@ from humanoid_mjx.physics.terrain import add_terrain
 from humanoid_mjx.physics.tree import on_stairs
 from humanoid_mjx.spec import InputError
 
-BALLS = """
-<mujoco>
-  <worldbody>
-    <geom name="ground" type="plane" size="0 0 1" friction="0.7" {turn}/>
-    <body pos="0 0 0.03">
-      <freejoint/>
-      <geom type="sphere" size="0.03" mass="1"/>
-      <geom type="sphere" size="0.02" pos="0.1 0.02 -0.01" mass="0.5"/>
-    </body>
-  </worldbody>
-</mujoco>"""
 
-BLOCK = """
-<mujoco>
-  <option timestep="0.001"/>
-  <worldbody>
-    <geom name="ground" type="plane" size="0 0 1" friction="0.5"/>
-    <body pos="0 0 0.019"><freejoint/><geom type="box" size="0.05 0.04 0.02" mass="1" friction="0.5"/></body>
-  </worldbody>
-</mujoco>"""
-
-
-def balls(**turn):
-    return mujoco.MjSpec.from_string(BALLS.format(turn=" ".join(f'{key}="{value}"' for key, value in turn.items())))
+def balls(turn=(1.0, 0.0, 0.0, 0.0)):
+    spec = mujoco.MjSpec.from_string(BALLS)
+    spec.geom("ground").quat = turn
+    return spec
 
 
 def somewhere(terrain, count, seed=0):
@@ -72,7 +53,7 @@ def test_a_slope_is_a_turned_plane_of_native_mujoco():
     physics = make_physics("tree", terrain={"slope": 12.0})
     half = np.radians(12.0) / 2
     turn = np.array([np.cos(half), 0.0, -np.sin(half), 0.0])
-    model = converged(balls(quat="{} {} {} {}".format(*turn)).compile())
+    model = converged(balls(turn).compile())
     qpos, qvel, ctrl = somewhere(Terrain(), 500)
     turned, moved, rotation = qpos.copy(), qvel.copy(), np.empty(9)
     mujoco.mju_quat2Mat(rotation, turn)

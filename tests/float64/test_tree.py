@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from tree_robots import HOPPER, QUADRUPED, converged, native, qacc_of, states
+from tree_robots import HOPPER, QUADRUPED, SWING, converged, native, qacc_of, states
 
 from humanoid_mjx.mechanics.tree.folding import fold
 from humanoid_mjx.mechanics.tree.reading import read_tree
@@ -117,24 +117,6 @@ class Smaller(TreePhysics):
 
 
 compiled = cache(mujoco.MjModel.from_xml_string)
-
-SWING = """
-<mujoco>
-  <worldbody>
-    <geom name="ground" type="plane" size="0 0 1"/>
-    <body pos="0 0 0.3">
-      <freejoint/>
-      <geom type="sphere" size="0.05" mass="1" contype="0" conaffinity="0"/>
-      <body pos="0 0.02 0">
-        <joint name="hip" axis="0 1 0" range="-60 60" limited="true" damping="0.1" armature="0.002"/>
-        <geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.02" mass="0.3"/>
-      </body>
-    </body>
-  </worldbody>
-  <actuator><motor joint="hip" ctrlrange="-2 2" ctrllimited="true"/></actuator>
-</mujoco>
-"""
-"""A body on one leg."""
 
 
 def test_a_batch_of_batches_is_one_batch():
