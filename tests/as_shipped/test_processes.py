@@ -179,9 +179,12 @@ def test_a_job_that_lost_a_process_resumes_to_the_same_bits(whole, tmp_path, los
 
 WAITING = f"""
 import pathlib, time
+from humanoid_mjx.compute import kept
 from humanoid_mjx.training import pool
-finish = pool.Pool.finish
-pool._compile_after = lambda other, trace: time.sleep({2 * PATIENCE_S})
+compile_program, finish = kept.compile_program, pool.Pool.finish
+def compile_slowly(name, *given):
+    return time.sleep({2 * PATIENCE_S}) if name == "finish" else compile_program(name, *given)
+kept.compile_program, kept.find = compile_slowly, lambda name, about: None
 def told(self):
     pathlib.Path("waiting").touch()
     return finish(self)

@@ -99,7 +99,7 @@ def test_a_corner_takes_what_it_can(touching, taken):
     inverse = np.linalg.inv(matrix)
     resistance = np.linalg.pinv(rows @ inverse @ rows.T, rcond=1e-10)
     expected = free - inverse @ rows.T @ resistance @ (rows @ free + rates)
-    # The softness of 1e-4 / kg is as much of the inverse inertia that the contacts see: a percent where it is least.
+    # The softness is 1e-4 / kg of the inverse inertia that the contacts see: a percent where it is least.
     np.testing.assert_allclose(mobility @ force + drift, expected, atol=1e-2 * np.abs(free).max())
     assert np.abs(rows @ (mobility @ force + drift) + rates).max(initial=0.0) < 1e-3 * np.abs(free).max()
 
