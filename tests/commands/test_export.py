@@ -5,10 +5,9 @@ import mujoco
 import numpy as np
 import pytest
 from c_policy import answers
-from typer.testing import CliRunner
+from command_line import told
 
 from humanoid_mjx import InputError
-from humanoid_mjx.cli import app
 from humanoid_mjx.commands.play import run_export
 from humanoid_mjx.robot import ROBOTS, make_robot
 
@@ -16,9 +15,7 @@ from humanoid_mjx.robot import ROBOTS, make_robot
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_the_file_has_the_robots_dynamics(robot, tmp_path):
     file = tmp_path / f"{robot}.xml"
-    done = CliRunner().invoke(app, ["export", robot, str(file)])
-    assert done.exit_code == 0, done.output
-    assert str(file) in done.output.replace("\n", "")
+    assert str(file) in told("export", robot, file).replace("\n", "")
     accelerations = []
     for model in (make_robot(robot).spec().compile(), mujoco.MjModel.from_xml_path(str(file))):
         rng = np.random.default_rng(0)

@@ -1,10 +1,9 @@
 """The reference of keys: what it lists is what a config may hold, with the defaults that a config gets."""
 
 import pytest
-from typer.testing import CliRunner
+from command_line import told
 
 from humanoid_mjx import InputError, make_task
-from humanoid_mjx.cli import app
 from humanoid_mjx.control.drives import DRIVES, Drive
 from humanoid_mjx.control.laws import LAWS, Law
 from humanoid_mjx.keys import keys_of
@@ -32,12 +31,8 @@ def test_every_key_has_a_kind_and_a_meaning_and_is_listed_once(kind, registry, b
         assert all(key.allowed and key.meaning and key.name.startswith(f"{kind}.") for key in keys), name
 
 
-def shown(*words):
-    return CliRunner().invoke(app, ["info", *words], catch_exceptions=False).output.splitlines()
-
-
 def test_a_program_reads_one_key_a_line():
-    lines = shown("walk", "--keys")
+    lines = told("info", "walk", "--keys").splitlines()
     (noise,) = [line for line in lines if line.startswith("task.sensors.encoder_noise ")]
     (heading,) = [line for line in lines if line.startswith("key ")]
     at = heading.index("in a sweep")
@@ -46,11 +41,11 @@ def test_a_program_reads_one_key_a_line():
 
 
 def test_all_keys_are_shown_without_a_name_and_unknown_names_lead_to_tasks_and_learners():
-    lines = shown("--keys")
+    lines = told("info", "--keys").splitlines()
     for kind, registry in (("task", TASKS), ("learner", LEARNERS)):
         assert [name for name in registry if f"{kind} {name}" not in [line.strip() for line in lines]] == []
     with pytest.raises(InputError, match=r"did you mean 'deep_q'.* joint1, .*stand.* tabular_q"):
-        shown("deep_qq", "--keys")
+        told("info", "deep_qq", "--keys")
 
 
 def test_defaults_are_those_of_the_task_not_of_its_parts():

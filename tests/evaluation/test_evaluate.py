@@ -1,16 +1,16 @@
 """Policies on held-out episodes and as files: what is measured, what is refused."""
 
 import json
+import re
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import probes
 import pytest
-from typer.testing import CliRunner
+from command_line import told
 
 from humanoid_mjx import make_task
-from humanoid_mjx.cli import app
 from humanoid_mjx.commands.evaluate import words_on_returns
 from humanoid_mjx.compute import rng
 from humanoid_mjx.evaluation import evaluate
@@ -190,22 +190,19 @@ def test_shipped_policies_succeed():
 
 
 def test_commands(leg, tmp_path):
-    def run(*arguments):
-        done = CliRunner().invoke(app, [str(argument) for argument in arguments])
-        assert done.exit_code == 0, done.output
-        return done.output
-
     file, found = tmp_path / "leg.npz", tmp_path / "found.json"
-    run("export", leg, file, "--point", 0)
-    output = run("evaluate", file, "--physics", "mujoco", "--episodes", 5, "--json", found)
-    for words in ("5 episodes that no training has seen, physics mujoco", "greedy", "zero", "random"):
+    world = "--physics", "mujoco", "--set", "task.duration=0.3"
+    told("export", leg, file, "--point", 0)
+    output = told("evaluate", file, *world, "--episodes", 5, "--json", found)
+    for words in ("5 episodes that no training has seen, physics mujoco, task.duration=0.3", "greedy", "zero"):
         assert words in output
     result = json.loads(found.read_text())
     assert [e["agent"] for e in result["evaluations"]] == ["greedy", "zero", "random"]
-    assert result["policies"][0]["config"]["task"]["physics"] == "mujoco"
+    task = result["policies"][0]["config"]["task"]
+    assert (task["physics"], task["duration"], result["set"]) == ("mujoco", 0.3, ["task.duration=0.3"])
     for e in result["evaluations"]:
         low, high = e["return_interval"]
-        assert low <= e["return"] <= high and e["steps"] == 4.0
+        assert low <= e["return"] <= high and e["steps"] == 3.0
 
 
 @pytest.mark.parametrize(
@@ -224,8 +221,8 @@ def test_commands(leg, tmp_path):
     ],
 )
 def test_what_cannot_be_done_gets_a_sentence(reach, arguments, sentence):
-    done = CliRunner().invoke(app, [str(reach) if argument == "RUN" else argument for argument in arguments])
-    assert isinstance(done.exception, InputError) and sentence in str(done.exception)
+    with pytest.raises(InputError, match=re.escape(sentence)):
+        told(*(reach if argument == "RUN" else argument for argument in arguments))
 
 
 def test_estimates_are_of_the_episodes():

@@ -1,13 +1,14 @@
 """A stored run as a video."""
 
+import re
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from command_line import told
 from PIL import Image
-from typer.testing import CliRunner
 
-from humanoid_mjx.cli import app
 from humanoid_mjx.compute import rng
 from humanoid_mjx.evaluation.episode import HOLD_S, motion_of, play, robot_of, rows_of
 from humanoid_mjx.evaluation.film import film_of, show
@@ -58,23 +59,21 @@ def test_a_motion_is_that_of_the_task(switched):
 
 
 def test_play_writes_an_animation(switched):
-    done = CliRunner().invoke(app, ["play", str(switched), "--fps", "50", "--size", "64x80"])
-    assert done.exit_code == 0, done.output
-    assert "succeeds in" in done.output
-    for phase in ("loading", "simulating", "rendering"):
-        assert phase in done.output
+    output = told("play", switched, "--fps", 50, "--size", "64x80")
+    for words in ("loading", "simulating", "rendering", "succeeds in"):
+        assert words in output
     with Image.open(switched / "figures" / "play.gif") as image:
         assert image.n_frames > 50 * HOLD_S and image.size == (64, 80)
 
 
 def test_play_shows_a_changed_world(switched, tmp_path):
     def played(*more):
-        result = CliRunner().invoke(app, ["play", str(switched), "--out", str(tmp_path / "play.png"), *more])
-        return f"{' '.join(result.output.split())} {result.exception}"
+        return " ".join(told("play", switched, "--out", tmp_path / "play.png", *more).split())
 
     assert "succeeds in 3 decisions" in played()
     assert "does not succeed in 1 decisions" in played("--set", "task.max_episode_steps=1")
-    assert "a policy stays as it is" in played("--set", "learner.epsilon=0.1")
+    with pytest.raises(InputError, match="a policy stays as it is"):
+        played("--set", "learner.epsilon=0.1")
 
 
 def test_the_file_is_looked_at_before_any_work(switched, tmp_path, monkeypatch):
@@ -90,8 +89,8 @@ def test_the_file_is_looked_at_before_any_work(switched, tmp_path, monkeypatch):
         (["--view", "--set", "task.terrain.slope=8"], "--out shows a terrain"),
         (["--physics", "tree", "--view"], "native MuJoCo; leave this out"),
     ):
-        done = CliRunner().invoke(app, ["play", str(switched), *arguments])
-        assert isinstance(done.exception, InputError) and sentence in str(done.exception)
+        with pytest.raises(InputError, match=re.escape(sentence)):
+            told("play", switched, *arguments)
 
 
 def test_between_long_decisions_a_leg_is_shown_step_by_step(tmp_path):
@@ -106,8 +105,7 @@ def test_between_long_decisions_a_leg_is_shown_step_by_step(tmp_path):
     assert qpos.shape == (round((0.4 + HOLD_S) / step_s), robot_of(trained).nq)
     for i in range(4):
         np.testing.assert_allclose(qpos[20 * (i + 1) - 1], played.states[i + 1].world.qpos, atol=1e-5)
-    done = CliRunner().invoke(app, ["play", str(path), "--out", str(tmp_path / "leg.gif"), "--episode", "1"])
-    assert done.exit_code == 0 and "4 decisions, 0.4 s" in done.output
+    assert "4 decisions, 0.4 s" in told("play", path, "--out", tmp_path / "leg.gif", "--episode", 1)
     second = show(trained, Reporter(), 1)[0]
     assert second.title.endswith(", episode 1") and not np.array_equal(second.qpos[0], qpos[0])
     with Image.open(tmp_path / "leg.gif") as image:

@@ -5,11 +5,10 @@ import re
 
 import numpy as np
 import pytest
+from command_line import told
 from small_sweep import CONFIG
-from typer.testing import CliRunner
 
 from humanoid_mjx import InputError, sweep
-from humanoid_mjx.cli import app
 from humanoid_mjx.config import parse
 from humanoid_mjx.report.growing import Growing, best_so_far, results_so_far
 from humanoid_mjx.runs.folder import RunFolder
@@ -69,7 +68,7 @@ def test_the_page_grows_and_ends_as_the_report(tmp_path, monkeypatch):
 
 def test_what_another_machine_trains_has_no_page_here():
     with pytest.raises(InputError, match="--view: this machine does not train what --slurm hands over"):
-        CliRunner().invoke(app, ["sweep", "joint1", "--view", "--slurm", "nodes=2"], catch_exceptions=False)
+        told("sweep", "joint1", "--view", "--slurm", "nodes=2")
 
 
 def test_the_command_opens_the_page_which_ends_as_the_report(tmp_path, monkeypatch):
@@ -77,9 +76,9 @@ def test_the_command_opens_the_page_which_ends_as_the_report(tmp_path, monkeypat
     opened = []
     monkeypatch.setattr("webbrowser.open", opened.append)
     (tmp_path / "small.yaml").write_text(json.dumps(SMALL))
-    done = CliRunner().invoke(app, ["sweep", "small.yaml", "--view"], catch_exceptions=False)
+    assert "runs/small/report.html" in told("sweep", "small.yaml", "--view")
     file = tmp_path / "runs" / "small" / "report.html"
-    assert done.exit_code == 0 and opened == [file.as_uri()] and "runs/small/report.html" in done.output
+    assert opened == [file.as_uri()]
     assert "Run it again" in file.read_text()
 
 

@@ -9,11 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import told
 from small_sweep import CONFIG
-from typer.testing import CliRunner
 
 from humanoid_mjx import compute
-from humanoid_mjx.cli import app
 from humanoid_mjx.config import dump_yaml
 from humanoid_mjx.evaluation.film import Film
 from humanoid_mjx.report.player import film_data
@@ -53,9 +52,7 @@ class Parts(HTMLParser):
 
 
 def report(folder, *arguments):
-    done = CliRunner().invoke(app, ["report", str(folder), *arguments])
-    if done.exception is not None:
-        raise done.exception
+    told("report", folder, *arguments)
     return (folder / "report.html").read_text()
 
 

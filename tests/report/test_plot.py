@@ -8,10 +8,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import small_sweep
-from typer.testing import CliRunner
+from command_line import told
 
-from humanoid_mjx import sweep
-from humanoid_mjx.cli import app, main
+from humanoid_mjx import InputError, sweep
 from humanoid_mjx.report import plotting, style
 from humanoid_mjx.report.plotting import plot
 from humanoid_mjx.runs.statistics import iqm, iqm_interval
@@ -112,30 +111,23 @@ def test_places_where_some_seeds_have_no_number_are_left_out_and_said(small, pan
     np.testing.assert_allclose(panels[0].lines[0].get_xdata(), [0.1, 0.9], rtol=1e-6)
 
 
-def refused(capsys, *arguments):
-    with pytest.raises(SystemExit) as stop, pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sys.argv", ["humanoid-mjx", "plot", *map(str, arguments)])
-        main()
-    assert stop.value.code == 2
-    said = capsys.readouterr().err
-    assert said.startswith("error: ") and said.count("\n") == 1
-    return said
-
-
-def test_what_cannot_be_drawn(small, other, tmp_path, capsys):
+def test_what_cannot_be_drawn(small, tmp_path):
     run = small.path
-    assert "did you mean 'learner.epsilon'" in refused(capsys, run, "--x", "learner.epsilom")
-    assert "did you mean 'return'" in refused(capsys, run, "--y", "retrun")
-    assert "at the end of training only" in refused(capsys, run, "--y", "greedy_success")
-    assert "holds words" in refused(capsys, run, "--y", "task.rules", "--x", "learner.epsilon")
-    assert "named twice" in refused(capsys, run, run)
-    assert "no run folder" in refused(capsys, tmp_path)
-    assert "end in .png" in refused(capsys, run, "--out", "x.jpg")
-    assert "there is no folder" in refused(capsys, run, "--out", tmp_path / "no" / "x.png")
+    for words, given in {
+        "did you mean 'learner.epsilon'": [run, "--x", "learner.epsilom"],
+        "did you mean 'return'": [run, "--y", "retrun"],
+        "at the end of training only": [run, "--y", "greedy_success"],
+        "holds words": [run, "--y", "task.rules", "--x", "learner.epsilon"],
+        "named twice": [run, run],
+        "no run folder": [tmp_path],
+        "end in .png": [run, "--out", "x.jpg"],
+        "there is no folder": [run, "--out", tmp_path / "no" / "x.png"],
+    }.items():
+        with pytest.raises(InputError, match=words):
+            told("plot", *given)
 
 
 def test_the_command_draws_into_the_run_folder(small):
-    done = CliRunner().invoke(app, ["plot", str(small.path), "--by", "learner.learning_rate"])
-    assert done.exit_code == 0, done.output
+    output = told("plot", small.path, "--by", "learner.learning_rate")
     file = small.path / "figures/success_over_episode_by_learner_learning_rate.png"
-    assert str(file) in done.output.replace("\n", "") and file.read_bytes().startswith(b"\x89PNG")
+    assert str(file) in output.replace("\n", "") and file.read_bytes().startswith(b"\x89PNG")

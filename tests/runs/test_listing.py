@@ -8,10 +8,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import small_sweep
-from typer.testing import CliRunner
+from command_line import told
 
 from humanoid_mjx import InputError, sweep
-from humanoid_mjx.cli import app
 from humanoid_mjx.config import parse
 from humanoid_mjx.runs.folder import RunFolder, fresh_path, latest_path
 from humanoid_mjx.runs.listing import list_runs
@@ -98,8 +97,7 @@ def test_diverged_runs_are_marked(folder):
     column = table.column_names.index("diverged")
     pq.write_table(table.set_column(column, "diverged", pa.array([True, True] + [False] * 10)), file)
     assert only(folder).diverged == 2
-    done = CliRunner().invoke(app, ["runs", str(folder)])
-    assert "finished, 2 diverged" in done.output
+    assert "finished, 2 diverged" in told("runs", folder)
 
 
 def test_foreign_and_damaged_folders_get_a_sentence_each(folder, monkeypatch):
@@ -120,13 +118,12 @@ def test_foreign_and_damaged_folders_get_a_sentence_each(folder, monkeypatch):
         assert sum(f"/{name}" in problem for problem in problems) == 1, name
     assert len(problems) == 7 and all(problem.endswith(".") and "\n" not in problem for problem in problems)
     monkeypatch.chdir(folder.parent)
-    done = CliRunner().invoke(app, ["runs"])
-    assert done.exit_code == 0 and "4 x 3" in done.output and "notes: this is no run folder" in done.output
+    output = told("runs")
+    assert "4 x 3" in output and "notes: this is no run folder" in output
 
 
 def test_an_empty_folder_and_none(tmp_path):
-    done = CliRunner().invoke(app, ["runs", str(tmp_path)])
-    assert done.exit_code == 0 and "no run folder" in done.output
+    assert "no run folder" in told("runs", tmp_path)
     with pytest.raises(InputError, match="there is no such folder"):
         list_runs(tmp_path / "nowhere")
 

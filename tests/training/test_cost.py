@@ -9,11 +9,10 @@ from types import SimpleNamespace
 
 import jax
 import pytest
+from command_line import told
 from small_sweep import CONFIG
-from typer.testing import CliRunner
 
 from humanoid_mjx import InputError, sweep
-from humanoid_mjx.cli import app
 from humanoid_mjx.config import parse
 from humanoid_mjx.runs.folder import disk_used
 from humanoid_mjx.training.cost import disk_bytes
@@ -81,9 +80,9 @@ def test_what_the_disk_cannot_hold_is_refused_before_training(tmp_path, free):
 def test_the_command_refuses_in_one_sentence_and_info_says_the_estimate(tmp_path, free, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("tables.yaml").write_text(json.dumps(TABLES))
-    shown = CliRunner().invoke(app, ["info", "tables.yaml"])
-    assert "on disk an estimated" in shown.output and "B, without figures" in shown.output
+    shown = told("info", "tables.yaml")
+    assert "on disk an estimated" in shown and "B, without figures" in shown
     free(1000)
-    refused = CliRunner().invoke(app, ["sweep", "tables.yaml"])
-    assert isinstance(refused.exception, InputError) and "and 1.0 kB are free" in str(refused.exception)
+    with pytest.raises(InputError, match=r"and 1\.0 kB are free"):
+        told("sweep", "tables.yaml")
     assert not Path("runs").exists()

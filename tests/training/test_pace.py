@@ -8,11 +8,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from command_line import told
 from small_sweep import CONFIG
-from typer.testing import CliRunner
 
 from humanoid_mjx import sweep
-from humanoid_mjx.cli import app
 from humanoid_mjx.config import parse
 from humanoid_mjx.training import pace
 from humanoid_mjx.training.pace import Look, Pace, estimate
@@ -112,7 +111,7 @@ def played_out(lengths_s, size, compile_s=0.0, evaluate_s=0.0, share=lambda pass
         now, trained_s = now + EVERY_S, trained_s + EVERY_S
 
 
-def told(looks, runs, programs=1):
+def estimates(looks, runs, programs=1):
     """The time left that is told at each moment of a sweep, and its end."""
     pace, found, now = Pace(runs, programs), {}, 0.0
     for now, look in looks:
@@ -126,7 +125,7 @@ def test_the_time_left_is_right_within_a_fifth_from_the_middle_on(slow):
     """Runs of 8 to 12 s, and a share of them that take ten times as long, as where the reward pays for waiting."""
     draw = np.random.default_rng(3)
     lengths_s = draw.uniform(8.0, 12.0, 600) * np.where(draw.random(600) < slow, 10.0, 1.0)
-    found, end = told(played_out(lengths_s, 50), 600)
+    found, end = estimates(played_out(lengths_s, 50), 600)
     for now, seconds in found.items():
         if end / 2 < now < end:
             assert seconds == pytest.approx(end - now, rel=0.2, abs=3.0), now
@@ -136,7 +135,7 @@ def test_the_time_left_is_right_within_a_fifth_from_the_middle_on(slow):
 @pytest.mark.parametrize("size", [4, 12])
 def test_compiling_and_evaluating_have_their_share(evaluate_s, size):
     """Three times four runs, or twelve at once, of 30 s; compiling takes 20 s, a tenth to two thirds of all."""
-    found, end = told(played_out(np.full(12, 30.0), size, 20.0, evaluate_s), 12)
+    found, end = estimates(played_out(np.full(12, 30.0), size, 20.0, evaluate_s), 12)
     assert all(found[now] is None for now in found if now <= 20.0)
     assert all(found[now] == pytest.approx(end - now, rel=0.1, abs=2.0) for now in found if 22.0 < now < end)
 
@@ -169,6 +168,5 @@ def test_a_sweep_of_several_programs(tmp_path, monkeypatch):
     assert estimate(make_plan(parse(TABLES)), [2] * 4) == (8.0, 40.0, 4.0, 1)
     path = tmp_path / "tables.yaml"
     path.write_text(json.dumps(TABLES))
-    shown = CliRunner().invoke(app, ["info", str(path), "--time"])
-    assert "about 52 s on this machine, without figures" in shown.output
-    assert "--time measures" in CliRunner().invoke(app, ["info", str(path)]).output
+    assert "about 52 s on this machine, without figures" in told("info", path, "--time")
+    assert "--time measures" in told("info", path)
