@@ -2,6 +2,7 @@
 
 import gc
 import os
+import sys
 from pathlib import Path
 
 os.environ.setdefault("JAX_NUM_CPU_DEVICES", "2")
@@ -19,7 +20,7 @@ import humanoid_mjx.mechanics.scalars  # noqa: F401
 
 install_import_hook("humanoid_mjx", "typecheck.check")
 
-from humanoid_mjx import compute  # noqa: E402
+from humanoid_mjx import cli, compute  # noqa: E402
 
 PLAIN_KERNELS = "--xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1"
 if jax.__version_info__ < (0, 11):  # later XLA knows no other emitters, and aborts at the flag
@@ -51,6 +52,23 @@ def few_compiled_programs():
         programs.cache_clear()
         jax.clear_caches()
         gc.collect()
+
+
+@pytest.fixture
+def said(monkeypatch, capfd):
+    """Runs the command line in this process: its exit code, what it prints, and what it says of a failure."""
+
+    def call(*arguments):
+        monkeypatch.setattr(compute, "start", lambda **_: None)
+        monkeypatch.setattr(sys, "argv", ["humanoid-mjx", *map(str, arguments)])
+        capfd.readouterr()
+        try:
+            cli.main()
+        except SystemExit as ended:
+            return ended.code, *capfd.readouterr()
+        return 0, *capfd.readouterr()
+
+    return call
 
 
 LONGEST = {"test_config.py", "test_docs.py", "test_gait_evaluation.py", "test_processes.py", "test_tree.py"}

@@ -3,16 +3,14 @@
 import json
 import re
 import shutil
-import sys
 from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
-from small_sweep import CONFIG, assert_same_tables, run_cli, write_config
+from small_sweep import CONFIG, assert_same_tables, write_config
 
-from humanoid_mjx import InputError, compute, sweep
-from humanoid_mjx.cli import main
+from humanoid_mjx import InputError, sweep
 from humanoid_mjx.runs.folder import RunFolder, read_arrays
 from humanoid_mjx.training import pool
 from humanoid_mjx.training.plan import resolved
@@ -95,14 +93,6 @@ def test_static_values_are_swept_in_groups(tmp_path):
     assert run.results["return"][chosen].tobytes() == alone.results["return"].tobytes()
 
 
-def test_a_sweep_of_other_values_compiles_nothing(reference, tmp_path):
-    with compute.counting_compiles() as compiles:
-        sweep(
-            with_axes(learner__epsilon=[0.25, 0.5, 0.75], task__bonus=[50.0, 70.0]) | {"episodes": 50}, tmp_path / "run"
-        )
-    assert compiles.programs == 0
-
-
 def test_start_from_what_was_learned_before(reference, tmp_path):
     learner = CONFIG["learner"] | {"start_from": str(reference.path)}
     again = sweep(CONFIG | {"learner": learner, "episodes": 10, "record": 10}, tmp_path / "run")
@@ -117,77 +107,41 @@ def test_collective_sweep_is_repeatable(tmp_path):
     same_bits(a.results, b.results)
 
 
-class TestRefusals:
-    """Each gets one sentence, and nothing that is stored is lost."""
+@pytest.mark.parametrize(
+    ("changes", "options", "there", "words"),
+    [
+        ({"episodes": -1}, [], {}, "episodes must be at least 1"),
+        ({}, ["--out", "run"], {"run/precious": "data"}, "already exists and is no run folder"),
+        ({}, ["--out", "run"], {"run/config.yaml": "name: another"}, "already exists; resume it with --resume"),
+        ({}, ["--resume"], {}, "no run to resume"),
+        ({}, ["--resume", "--out", "."], {}, "no run folder"),
+        ({"episodes": 61}, ["--resume", "--out", "whole"], {}, "another config (episodes differs)"),
+        ({"learner": CONFIG["learner"] | {"start_from": "nowhere"}}, [], {}, "learner.start_from: nowhere"),
+        ({}, ["--out", "file/run"], {"file": "data"}, "cannot be written"),
+    ],
+)
+def test_what_a_sweep_refuses_loses_nothing(reference, said, tmp_path, monkeypatch, changes, options, there, words):
+    """It gets one sentence; what is stored stays, and no folder is made."""
+    shutil.copytree(reference.path, tmp_path / "whole")
+    monkeypatch.chdir(tmp_path)
+    for name, text in there.items():
+        Path(name).parent.mkdir(exist_ok=True)
+        Path(name).write_text(text)
+    config, before = write_config(tmp_path, **changes), files(tmp_path)
+    code, out, err = said("sweep", config, *options)
+    assert code == 2 and out == "" and err.startswith("error: ") and err.count("\n") == 1 and words in err, err
+    assert files(tmp_path) == before and not Path("runs").exists()
 
-    @pytest.fixture
-    def refused(self, monkeypatch, capfd):
-        """Runs the command line in this process, which must end as one of its own would."""
 
-        def call(words, *arguments, cwd):
-            before = {p: p.read_bytes() for p in Path(cwd).rglob("*") if p.is_file() and p.name != ".lock"}
-            monkeypatch.chdir(cwd)
-            monkeypatch.setattr(compute, "start", lambda **_: None)
-            monkeypatch.setattr(sys, "argv", ["humanoid-mjx", *arguments])
-            capfd.readouterr()
-            with pytest.raises(SystemExit) as ended:
-                main()
-            stdout, stderr = capfd.readouterr()
-            assert ended.value.code == 2 and stdout == ""
-            assert stderr.startswith("error: ") and stderr.count("\n") == 1
-            for word in words:
-                assert word in stderr, stderr
-            after = {p: p.read_bytes() for p in Path(cwd).rglob("*") if p.is_file() and p.name != ".lock"}
-            assert before == after
+def files(folder):
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file() and path.name != ".lock"}
 
-        return call
 
-    def test_a_sentence_is_all_that_a_process_says(self, tmp_path):
-        done = run_cli("sweep", write_config(tmp_path, episodes=-1), cwd=tmp_path)
-        assert done.returncode == 2 and done.stdout == "" and done.stderr.count("\n") == 1
-
-    def test_a_bad_config_makes_no_folder(self, refused, tmp_path):
-        config = write_config(tmp_path, episodes=-1)
-        refused([config, "episodes", "at least 1"], "sweep", config, cwd=tmp_path)
-        assert not (tmp_path / "runs").exists()
-
-    def test_a_place_that_is_taken(self, refused, tmp_path):
-        (tmp_path / "run").mkdir()
-        (tmp_path / "run" / "precious").write_text("data")
-        config = write_config(tmp_path)
-        refused(["run", "already exists and is no run folder"], "sweep", config, "--out", "run", cwd=tmp_path)
-        (tmp_path / "run" / "config.yaml").write_text("name: another")
-        refused(["run", "already exists; resume it with --resume"], "sweep", config, "--out", "run", cwd=tmp_path)
-
-    def test_resume_of_what_is_no_run(self, refused, tmp_path):
-        config = write_config(tmp_path)
-        refused(["no run to resume"], "sweep", config, "--resume", cwd=tmp_path)
-        (tmp_path / "empty").mkdir()
-        refused(["no run folder"], "sweep", config, "--resume", "--out", "empty", cwd=tmp_path)
-
-    def test_start_from_what_does_not_fit(self, refused, tmp_path, reference):
-        config = write_config(tmp_path, learner=CONFIG["learner"] | {"start_from": "nowhere"})
-        refused(["learner.start_from", "nowhere"], "sweep", config, cwd=tmp_path)
-
-    @pytest.fixture
-    def copy(self, reference, tmp_path):
-        shutil.copytree(reference.path, tmp_path / "run")
-        return tmp_path
-
-    def test_resume_with_another_config(self, refused, copy):
-        config = write_config(copy, episodes=61)
-        refused(["another config", "episodes"], "sweep", config, "--out", "run", "--resume", cwd=copy)
-
-    def test_a_run_folder_in_use(self, refused, copy):
-        held = RunFolder.resume(copy / "run", resolved(Run(copy / "run").config))
-        config = write_config(copy)
-        refused(["run", "in use"], "sweep", config, "--out", "run", "--resume", cwd=copy)
-        held.close()
-
-    def test_a_place_below_a_file(self, refused, tmp_path):
-        (tmp_path / "file").write_text("data")
-        config = write_config(tmp_path)
-        refused(["cannot be written"], "sweep", config, "--out", "file/run", cwd=tmp_path)
+def test_a_run_folder_in_use_is_refused(reference):
+    held = RunFolder.resume(reference.path, resolved(Run(reference.path).config))
+    with pytest.raises(InputError, match="in use"):
+        sweep(CONFIG, reference.path, resume=True)
+    held.close()
 
 
 @pytest.mark.parametrize("enough", [3, 0])

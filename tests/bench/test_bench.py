@@ -62,6 +62,15 @@ def test_control_times_every_controller():
     assert "ns a step for control" in lines[-1] and "ns a step" not in lines[0]
 
 
+def test_the_leg_is_timed_in_every_physics():
+    lines = []
+    records = physics.legs(lines.append, physics.Setting((1,), 2, 2, 2))  # one leg is on one device
+    control = {f"{name} control+physics steps/s" for name in ("chain", "mjx-jax", "mjx-jax plain")}
+    physical = {f"{name} physics steps/s" for name in ("chain", "mjx-jax", "mujoco")}
+    assert {f"{r.subject} {r.unit}" for r in records} == control | physical
+    assert all(r.value > 0 for r in records) and "mjx-jax plain" in lines[-1]
+
+
 def test_the_ground_writes_a_record_for_every_physics_and_batch(monkeypatch):
     lines = []
     steps = {"mjx-jax": 25, ground.COMPUTED_TORQUE: 25, "mjx-warp": 25, "mujoco": 2}

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import yaml
 
-from humanoid_mjx import InputError, make_task, sweep
+from humanoid_mjx import InputError, make_task
 from humanoid_mjx.compute import rng
 from humanoid_mjx.config import config_digest, dump_yaml, load, parse
 from humanoid_mjx.files import names
@@ -44,20 +44,6 @@ def test_every_shipped_config_makes_a_plan(name):
     assert again.learners == plan.learners
 
 
-SMALL = ["total_steps=64", "learner.envs=4", "learner.rollout=8", "learner.evaluation_envs=2", "learner.evaluations=1"]
-NETWORK = ["width=16", "layers=1", "minibatches=2", "epochs=1", "precision=float32"]
-PPO = {"num_envs": 4, "batch_size": 1, "num_minibatches": 4, "unroll_length": 8, "evaluation_envs": 2}
-PPO |= {"policy_hidden_layer_sizes": [16], "value_hidden_layer_sizes": [16]}
-QUICK = {
-    "tabular_q": ["episodes=2"],
-    "linear_q": SMALL,
-    "deep_q": [*SMALL, *(f"learner.{each}" for each in NETWORK)],
-    "brax_ppo": ["total_steps=64", *(f"learner.{key}={value}" for key, value in PPO.items())],
-    "stand": ["task.duration=0.2"],
-    "walk": ["task.duration=0.2"],
-}
-"""Two updates of each learner, and short episodes."""
-
 READY = {
     "posture_switch": ["task.physics=chain", "sweep=null"],
     "squat": ["task.physics=mujoco"],
@@ -68,36 +54,15 @@ READY = {
 """Legs and bodies on the ground in the physics that is traced and compiled first."""
 
 
-def ready(config):
-    return READY.get(config.task["name"], []) + READY.get(config.name, [])
-
-
 @pytest.mark.parametrize("name", names("configs", ".yaml"))
 def test_an_update_of_every_shipped_config_returns_what_it_takes(name):
     """Traced, not run, with the sizes of the config: the other tests of a learner or a task have one size."""
-    for group in make_plan(load(name, ready(load(name)))).groups:
+    ready = READY.get(load(name).task["name"], []) + READY.get(name, [])
+    for group in make_plan(load(name, ready)).groups:
         key = jax.eval_shape(lambda: rng.key(0))
         before = jax.eval_shape(lambda learner, key: learner.init(key), group.learner(), key)
         after, _ = jax.eval_shape(lambda learner, carry: learner.train_step(carry), group.learner(), before)
         assert jax.tree.map(lambda x: (x.shape, x.dtype), after) == jax.tree.map(lambda x: (x.shape, x.dtype), before)
-
-
-def one_for_each():
-    """Names of configs that have between them every learner and every task but those whose own tests train them."""
-    seen, found = {"tabular_q", "posture_switch", "squat"}, []
-    for config in map(load, reversed(names("configs", ".yaml"))):
-        found += [config.name] * bool({config.learner["name"], config.task["name"]} - seen)
-        seen |= {config.learner["name"], config.task["name"]}
-    return found
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", one_for_each())
-def test_every_learner_and_task_trains(name, tmp_path):
-    config = load(name)
-    changes = QUICK[config.learner["name"]] + QUICK.get(config.task["name"], []) + ready(config)
-    run = sweep(load(name, [*changes, "seeds=1", "record=2"]), tmp_path / name)
-    assert np.isfinite(run.summary["greedy_success"]).all() and not run.summary["diverged"].any()
 
 
 BAD = {

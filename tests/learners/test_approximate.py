@@ -26,7 +26,6 @@ from humanoid_mjx.learners.deep import QNetwork
 from humanoid_mjx.learners.features import Scale, combined, tile_coding
 from humanoid_mjx.learners.linear import LinearQ
 from humanoid_mjx.learners.normalisation import moments, normalise, observe
-from humanoid_mjx.learners.rollout import greedy, mean_scores
 from humanoid_mjx.learners.targets import lambda_targets
 from humanoid_mjx.tasks.continuous import ContinuousTask
 from humanoid_mjx.training import pool
@@ -109,15 +108,6 @@ def test_targets_agree_with_plain_python(seed, discount, decay):
     expected = numpy_targets(reward, terminated, truncated, value, discount, decay)
     # Seven steps of float32 arithmetic on numbers of order 1 to 10.
     np.testing.assert_allclose(found, expected, rtol=2e-5, atol=2e-5)
-
-
-def test_truncation_bootstraps_and_termination_does_not():
-    """A state that repeats for ever with reward 1: cut off after two steps it is worth 1 / (1 - discount)."""
-    task = make(1, (-1.0, 1.0), 0.0, (1, 1), ((1, 1), (1, 1)), cap=2)
-    learner = build("tiles", task)
-    policy = learner.policy(train(learner)[0].carry)
-    q = learner.q_values(policy.value, learner.preprocess(policy, jnp.array([[-1.0], [1.0]])))
-    np.testing.assert_allclose(q, 1 / (1 - DISCOUNT), atol=0.02)
 
 
 def test_linear_with_a_feature_for_each_state_is_a_table():
@@ -361,31 +351,6 @@ def test_stored_configs_may_hold_retired_keys_at_their_only_value():
     assert build("tiles", task, action_repeat=1, coarse_to_fine=False, basis="tiles") == build("tiles", task)
     with pytest.raises(InputError, match=r"learner\.action_repeat: unknown key"):
         build("tiles", task, action_repeat=2)
-
-
-def test_numbers_that_are_not_finite_stop_a_run_before_the_update_that_makes_them():
-    task = make(1, (-1.0, 1.0), 0.0, (1, END_NEVER), ((1, 1), (np.inf, 1)), cap=2)
-    learner = build("tiles", task)
-    training, progress = train(learner)
-    assert bool(training.failed) and float(progress.share) == 1.0
-    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(training.carry.weights))
-    replayed, _ = jax.jit(lambda carry: learner.train_step(carry))(training.carry)
-    assert not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(replayed.weights))
-
-
-END_NEVER = 1
-
-
-def test_evaluation_counts_successes_of_greedy_episodes():
-    task, _, _ = probe("both")
-    learner = build("deep", task)
-    policy = learner.policy(train(learner)[0].carry)
-    found = mean_scores(learner.env, greedy(learner, policy), 64, rng.key(5))
-    assert float(found["success"]) == 1.0 and float(found["return"]) == 1.0
-    ignorant = policy._replace(value=jax.tree.map(jnp.zeros_like, policy.value))
-    # 64 coins: three in ten million such samples leave 0.5 by more than 0.32.
-    found = mean_scores(learner.env, greedy(learner, ignorant), 64, rng.key(5))
-    assert float(found["success"]) == pytest.approx(0.5, abs=0.32)
 
 
 @pytest.mark.parametrize(

@@ -7,18 +7,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from command_line import told
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from probes import probe
-from typer.testing import CliRunner
 
 from humanoid_mjx import InputError, make_learner, sweep
-from humanoid_mjx.cli import app
 from humanoid_mjx.compute import rng
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import ContinuousTask, State, begin
-from humanoid_mjx.training.program import begin as begin_training
-from humanoid_mjx.training.state import from_arrays, to_arrays
 from humanoid_mjx.training.sweep import Run
 
 
@@ -79,8 +76,7 @@ CONFIG = {
 def swept(tmp_path_factory):
     folder = tmp_path_factory.mktemp("ppo")
     (folder / "ppo.yaml").write_text(json.dumps(CONFIG))
-    done = CliRunner().invoke(app, ["sweep", str(folder / "ppo.yaml"), "--out", str(folder / "run")])
-    assert done.exit_code == 0, done.output
+    told("sweep", folder / "ppo.yaml", "--out", folder / "run")
     return Run(folder / "run")
 
 
@@ -127,14 +123,6 @@ def test_an_update_learns_from_pieces_of_what_every_environment_saw():
     ]
     assert 0.0 < max(moved) <= 2.1 * TINY["learning_rate"]
     assert float(after.policy.moments.count) == float(outcome.done) + 128 == 128
-
-
-def test_a_training_state_is_stored_and_read_back_bit_by_bit():
-    learner = make_learner("brax_ppo", probe("both")[0], **TINY)
-    training = jax.jit(begin_training)(learner, rng.key(0))
-    again = from_arrays(training, to_arrays(training, "training"), "training", "here")
-    jax.tree.map(np.testing.assert_array_equal, *(to_arrays(x, "") for x in (again, training)))
-    assert jax.tree.structure(again) == jax.tree.structure(training)
 
 
 def test_hyper_parameters_are_data_of_one_program():

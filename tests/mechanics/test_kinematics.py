@@ -1,11 +1,11 @@
-"""The leg's kinematics in single precision: what learning and simulation use."""
+"""The leg's kinematics in single precision, what learning and simulation use; the size of the dynamics' program."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from leg_reference import numeric_jacobian, toe, turned, uniform
 
-from humanoid_mjx import kinematics
+from humanoid_mjx import dynamics, kinematics
 from humanoid_mjx.robot.leg import Leg
 from humanoid_mjx.thesis import leg as thesis
 
@@ -28,6 +28,13 @@ def test_frames_are_the_joints_one_after_the_other():
     assert (frames[0] == np.eye(4)).all()
     axes = [[0, 0, 1], [0, -1, 0], [-1, 0, 0], [0, 0, -1], [0, 0, -1]]
     np.testing.assert_array_equal(frames[:-1, :3, 2], axes)
+
+
+def test_zeros_of_the_structure_stay_out_of_the_program():
+    def operations(leg):
+        return len(jax.make_jaxpr(lambda q: dynamics.mass_matrix(leg, q))(jnp.zeros(5)).eqns)
+
+    assert operations(Leg.physical()) < operations(Leg.thesis())
 
 
 def test_randomised_lengths_need_no_new_leg():

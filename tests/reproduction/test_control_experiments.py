@@ -7,7 +7,7 @@ from humanoid_mjx import InputError
 from humanoid_mjx.reproduction import reproduce
 from humanoid_mjx.thesis import leg as thesis
 
-CONTROL = ("table-5.1", "control-7d", *(f"figure-7.{number}" for number in range(6, 11)))
+CONTROL = ("control-7d", *(f"figure-7.{number}" for number in range(6, 11)))
 
 ERRORS_LEFT = {
     "computed torque without the planned acceleration": (0.003, 0.004, 0.001, 0.004, 0.002),
@@ -30,14 +30,6 @@ def found(tmp_path_factory):
     out = tmp_path_factory.mktemp("control")
     findings = reproduce(CONTROL, out)
     return out, {name: [f for f in findings if f.name == name] for name in CONTROL}
-
-
-def test_gains_are_not_critical(found):
-    findings = found[1]
-    assert {f.verdict for f in findings["table-5.1"]} == {"differs"}
-    np.testing.assert_allclose(
-        [f.reproduced for f in findings["table-5.1"]], [1.985, 1.819, 2.003, 2.357, 2.032], atol=1e-3
-    )
 
 
 def test_controllers_leave_what_an_independent_computation_says(found):

@@ -29,11 +29,6 @@ def test_workspace_is_recovered_but_for_the_wiring(found):
     assert (out / "figure-7.1.png").stat().st_size > 10_000 and (out / "figure-7.2.png").stat().st_size > 10_000
 
 
-def test_workspace_depends_on_the_lengths(tmp_path):
-    findings = reproduce(["workspace-7b"], tmp_path, ["lengths.l4=0.095"])
-    assert "recovered" not in [f.verdict for f in findings]
-
-
 def test_stall_torque_cannot_be_had(found):
     out, findings = found
     assert [f.verdict for f in findings["table-4.2"]] == ["consistent"] * 2 + ["not_reproducible"] + ["consistent"] * 2

@@ -77,10 +77,3 @@ def test_what_cannot_be_reproduced_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"table-7.1 has no learner.rate; .*learner.learning_rate"):
         reproduce(["table-7.1"], tmp_path, ["learner.rate=0.9"])
     assert not list(tmp_path.iterdir())
-
-
-def test_no_posture_of_the_switch_lies_in_the_ranges(tmp_path):
-    findings = reproduce(["figure-7.17"], tmp_path)
-    assert verdicts(findings) == ["differs"] * 2
-    assert "right hip -20 of -15 to 100, right knee -10 of 0 to 120" in findings[0].why
-    assert (tmp_path / "figure-7.17.png").is_file()

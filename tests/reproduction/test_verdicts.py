@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from test_ground_experiments import carried
 
 from humanoid_mjx.reproduction import (
     Finding,
@@ -149,25 +150,12 @@ def test_computed_torque_can_lose(monkeypatch, tmp_path):
     assert verdicts("robustness-map", tmp_path) == ["differs"] * 2
 
 
-@pytest.fixture
-def walk():
-    """A standing body that goes 0.3 m/s forwards for a while, without a fall, and turns if asked."""
-
-    def carried(yaw=0.0, speed=0.3):
-        steps = 251
-        qpos = np.tile(ground.physics().qpos0, (steps, 1))
-        times = ground.physics().step_s * np.arange(steps)
-        angle = np.radians(yaw) * times / times[-1]
-        qpos[:, 0], qpos[:, 2] = speed * times, qpos[:, 2] - 1e-6
-        qpos[:, 3], qpos[:, 6] = np.cos(angle / 2), np.sin(angle / 2)
-        qvel = np.zeros((steps, 16))
-        qvel[:, 0] = speed
-        return ground._until_fall(qpos, qvel, np.zeros((steps, 10)))
-
-    return carried
+def walk(yaw=0.0, speed=0.3):
+    """A standing body that goes forwards for a second, without a fall, and turns by `yaw`, degrees."""
+    return carried(np.radians(yaw), speed, 251)
 
 
-def test_gaits_that_walk_and_turn_are_reproduced(walk):
+def test_gaits_that_walk_and_turn_are_reproduced():
     straight, turned = walk(), walk(30.0)
     played = {
         trial: turned if trial.motion == "sudden_turn" and trial.same_yaw else straight
@@ -182,7 +170,7 @@ def test_gaits_that_walk_and_turn_are_reproduced(walk):
     assert [f.verdict for f in again] == ["differs", "reproduced", "differs", "reproduced", "differs"]
 
 
-def test_going_back_is_no_walk(walk):
+def test_going_back_is_no_walk():
     assert (
         ground_gaits.walks(walk())
         and not ground_gaits.walks(walk(speed=-0.3))

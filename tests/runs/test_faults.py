@@ -9,7 +9,6 @@ import json
 import os
 import re
 import shutil
-import sys
 from collections import deque
 from pathlib import Path
 
@@ -20,7 +19,7 @@ import pytest
 import small_sweep
 from small_sweep import assert_same_tables
 
-from humanoid_mjx import InputError, cli, compute, sweep
+from humanoid_mjx import InputError, sweep
 from humanoid_mjx.commands.runs import run_runs
 from humanoid_mjx.config import config_digest, load, parse, parse_yaml
 from humanoid_mjx.evaluation.policy import best_policy
@@ -46,23 +45,6 @@ def finished(tmp_path_factory):
 @pytest.fixture
 def run(finished, tmp_path):
     return Path(shutil.copytree(finished, tmp_path / "run"))
-
-
-@pytest.fixture
-def said(monkeypatch, capfd):
-    """Runs the command line in this process: its exit code and what it says of a failure."""
-
-    def call(*arguments):
-        monkeypatch.setattr(compute, "start", lambda **_: None)
-        monkeypatch.setattr(sys, "argv", ["humanoid-mjx", *map(str, arguments)])
-        capfd.readouterr()
-        try:
-            cli.main()
-        except SystemExit as ended:
-            return ended.code, capfd.readouterr().err
-        return 0, capfd.readouterr().err
-
-    return call
 
 
 def test_an_array_that_became_shorter_is_damaged(tmp_path):
@@ -134,26 +116,21 @@ def test_two_sweeps_that_choose_the_same_place_get_one_each(tmp_path, monkeypatc
     first.close()
 
 
+PART = "checkpoint/part-00009.npz"
+
+
 @pytest.mark.parametrize(
     ("file", "spoil", "words"),
     [
-        (
-            "checkpoint/part-00009.npz",
-            lambda run: next(run.glob("checkpoint/part-*")).read_bytes(),
-            "another one holds",
-        ),
-        ("checkpoint/part-00009.npz", lambda run: saved(x=np.zeros(3)), "does not say which run it belongs to"),
-        ("checkpoint/part-00009.npz", lambda run: saved(run, x=np.zeros(3)), "another training"),
-        ("checkpoint/part-00009.npz", lambda run: saved(run, point=np.int32([0]), seed=np.int32([77])), "does not fit"),
+        (PART, lambda run: next(run.glob("checkpoint/part-*")).read_bytes(), "another one holds"),
+        (PART, lambda run: saved(x=np.zeros(3)), "does not say which run it belongs to"),
+        (PART, lambda run: saved(run, x=np.zeros(3)), "another training"),
+        (PART, lambda run: saved(run, point=np.int32([0]), seed=np.int32([77])), "does not fit"),
         ("checkpoint/part-x.npz", lambda run: b"notes", None),
         ("summary.parquet", lambda run: (run / "timing.parquet").read_bytes(), None),
         ("results.parquet", lambda run: (run / "summary.parquet").read_bytes(), None),
         ("results.parquet", lambda run: (run / "timing.parquet").read_bytes(), None),
-        (
-            "config.yaml",
-            lambda run: b"name: small\ntask: reach\nlearner: {name: tabular_q}\n",
-            "task must be a mapping",
-        ),
+        ("config.yaml", lambda run: b"name: small\ntask: reach\nlearner: {name: q}\n", "task must be a mapping"),
     ],
 )
 def test_foreign_files_in_a_run_folder(run, finished, said, file, spoil, words):
@@ -162,7 +139,7 @@ def test_foreign_files_in_a_run_folder(run, finished, said, file, spoil, words):
     config = run.parent / "small.yaml"
     config.write_text(json.dumps(CONFIG))
     for command in (["runs", run], ["report", run, "--no-motion"], ["export", run, run.parent / "x.npz"]):
-        code, err = said(*command)
+        code, _, err = said(*command)
         assert code == 0 or (code == 2 and err.startswith("error: ") and err.count("\n") == 1), err
     if words:
         with pytest.raises(InputError, match=words):
@@ -190,60 +167,42 @@ def others(tmp_path_factory):
     return sweep(config, place / "finished").path, place / "stopped"
 
 
-@pytest.mark.parametrize("table", ["results", "summary", "timing"])
-def test_a_table_of_another_run_is_refused(run, finished, others, said, table):
-    """By the commands that read it; resuming writes it anew."""
-    file = f"{table}.parquet"
-    shutil.copy(others[0] / file, run / file)
-    words = f"{run / file}: this file belongs to another run, or config.yaml was edited (then undo that); --resume"
-    for read in (read_table, column_names):
-        with pytest.raises(InputError, match=re.escape(words)):
-            read(run / file)
-    reads = {
-        "results": [["report", run, "--no-motion"], ["plot", run]],
-        "summary": [["report", run, "--no-motion"], ["plot", run, "--x", "learner.epsilon"]],
-        "timing": [["plot", run, "--x", "wall_s"]],
-    }
-    for command in reads[table]:
-        code, err = said(*command)
+REPORT, SWEEP = ["report", "run", "--no-motion"], ["sweep", "small.yaml", "--resume", "--out", "run"]
+
+
+@pytest.mark.parametrize(
+    ("file", "commands", "listed"),
+    [
+        ("results.parquet", [REPORT, ["plot", "run"]], False),
+        ("summary.parquet", [REPORT, ["plot", "run", "--x", "learner.epsilon"]], True),
+        ("timing.parquet", [["plot", "run", "--x", "wall_s"]], False),
+        ("checkpoint/part-00000.npz", [SWEEP, ["evaluate", "run"], ["export", "run", "x.npz"]], True),
+        ("checkpoint/part-00000.npz", [["play", "run", "--out", "x.png"]], True),
+        ("checkpoint/pool-0.npz", [SWEEP], True),
+    ],
+)
+def test_a_file_of_another_run_is_refused(run, finished, others, said, monkeypatch, file, commands, listed):
+    """By the commands that read it; resuming writes a table anew, and all of them where a stored state is removed."""
+    monkeypatch.chdir(run.parent)
+    Path("small.yaml").write_text(json.dumps(CONFIG))
+    stored = file.startswith("checkpoint")
+    if stored:  # as where a kill came before the end: the list counts the runs that are stored
+        Path("run/provenance.json").unlink()
+    if "pool" in file:
+        Path("run/checkpoint/part-00000.npz").unlink()
+    shutil.copy(others["pool" in file] / file, Path("run", file))
+    words = f"run/{file}: this file belongs to another run, or config.yaml was edited (then undo that); "
+    words += "remove it" if stored else "--resume"
+    for command in commands:
+        code, _, err = said(*command)
         assert code == 2 and err.startswith(f"error: {words}") and err.count("\n") == 1, (command, err)
-    assert [problem.startswith(words) for problem in list_runs(run)[1]] == ([True] if table == "summary" else [])
-    sweep(CONFIG, run, resume=True)
-    assert_same_tables(run, finished)
-    read_table(run / file)
-
-
-def test_a_part_of_another_run_is_refused(run, finished, others, said):
-    part = "checkpoint/part-00000.npz"
-    shutil.copy(others[0] / part, run / part)
-    (run.parent / "small.yaml").write_text(json.dumps(CONFIG))
-    words = f"{run / part}: this file belongs to another run, or config.yaml was edited (then undo that); remove it"
-    for command in (
-        ["sweep", run.parent / "small.yaml", "--resume", "--out", run],
-        ["evaluate", run],
-        ["export", run, run.parent / "x.npz"],
-        ["play", run, "--out", run.parent / "x.png"],
-    ):
-        code, err = said(*command)
-        assert code == 2 and err.startswith(f"error: {words}") and err.count("\n") == 1, (command, err)
-    (run / "provenance.json").unlink()  # as where a kill came before the end: the list counts the runs of the parts
-    assert [problem.startswith(words) for problem in list_runs(run)[1]] == [True]
-    (run / part).unlink()
-    sweep(CONFIG, run, resume=True)
-    assert_same_tables(run, finished)
-
-
-def test_a_state_of_another_run_is_refused(run, finished, others):
-    (part,) = run.glob("checkpoint/part-*.npz")
-    part.unlink()
-    (run / "provenance.json").unlink()
-    pool = "checkpoint/pool-0.npz"
-    shutil.copy(others[1] / pool, run / pool)
-    words = f"{run / pool}: this file belongs to another run, or config.yaml was edited (then undo that); remove it"
-    assert [problem.startswith(words) for problem in list_runs(run)[1]] == [True]
-    with pytest.raises(InputError, match=re.escape(words)):
-        sweep(CONFIG, run, resume=True)
-    (run / pool).unlink()
+    assert [problem.startswith(words) for problem in list_runs(Path("run"))[1]] == [True] * listed
+    if stored:
+        Path("run", file).unlink()
+    else:
+        for read in (read_table, column_names):
+            with pytest.raises(InputError, match=re.escape(words)):
+                read(Path("run", file))
     sweep(CONFIG, run, resume=True)
     assert_same_tables(run, finished)
 
@@ -254,7 +213,7 @@ def test_a_provenance_that_is_damaged_or_of_another_run_is_refused(run, said, co
     file = run / "provenance.json"
     file.write_bytes(content)
     for command in (["report", run, "--no-motion"], ["export", run, run.parent / "x.npz"]):
-        code, err = said(*command)
+        code, _, err = said(*command)
         assert code == 2 and err.startswith(f"error: {file}: this file ") and err.count("\n") == 1, err
         assert err.endswith("--resume the run to write it again.\n")
     assert [problem.startswith(f"{file}: this file ") for problem in list_runs(run)[1]] == [True]
@@ -379,7 +338,7 @@ def test_errors_of_the_machine_get_one_line(said, monkeypatch, error, words):
 
     monkeypatch.setattr("humanoid_mjx.commands.runs.run_runs", fails)
     assert callable(run_runs)
-    code, err = said("runs")
+    code, _, err = said("runs")
     assert code == 2 and err.startswith(words) and err.count("\n") == 1
 
 
@@ -391,7 +350,7 @@ def test_a_disk_that_fills_up_gets_one_sentence_and_what_is_stored_stays(said, t
     Path("small.yaml").write_text(json.dumps(CONFIG))
     with monkeypatch.context() as patch:
         patch.setattr(np, "savez", full)
-        code, err = said("sweep", "small.yaml", "--out", "run")
+        code, _, err = said("sweep", "small.yaml", "--out", "run")
     assert code == 2 and err.count("\n") == 1, err
     assert err.startswith("error: run/checkpoint/part-00000.npz: No space left on device; what is stored is")
     assert said("sweep", "small.yaml", "--out", "run", "--resume")[0] == 0
@@ -399,7 +358,7 @@ def test_a_disk_that_fills_up_gets_one_sentence_and_what_is_stored_stays(said, t
 
 def test_names_are_not_taken_for_markup(run, said):
     odd = run.rename(run.parent / "[red]a:bug:[")
-    code, err = said("runs", run.parent)
+    code, _, err = said("runs", run.parent)
     assert code == 0 and not err
     assert best_policy(odd).name == "[red]a:bug:["
     assert said("evaluate", odd, "--episodes", 2, "--json", run.parent / "[b].json")[0] == 0

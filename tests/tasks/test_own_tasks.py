@@ -9,11 +9,10 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import pytest
+from command_line import told
 from hop import Hop
-from typer.testing import CliRunner
 
 from humanoid_mjx import InputError, spec
-from humanoid_mjx.cli import app
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.check import check_task
 from humanoid_mjx.tasks.continuous import ContinuousTask
@@ -98,9 +97,9 @@ def test_a_config_that_one_looks_at_runs_nothing_from_elsewhere(tmp_path, monkey
     (tmp_path / "there/x.yaml").write_text(json.dumps(CONFIG | {"task": task}))
     for words in (["info", "../there/x.yaml"], ["info", "../there/x.yaml", "--keys"]):
         with pytest.raises(InputError, match="add --trust"):
-            CliRunner().invoke(app, words, catch_exceptions=False)
+            told(*words)
     assert not Path("ran").exists()
-    help_text = CliRunner().invoke(app, ["--help"]).output
+    help_text = told("--help")
     assert "--trust" in help_text and "may name code" in help_text
 
 
@@ -169,14 +168,6 @@ def test_a_task_that_breaks_the_protocol_gets_one_sentence(fault):
     with pytest.raises(InputError, match=FAULTS[fault]) as caught:
         check_task(fault())
     assert "\n" not in str(caught.value) and str(caught.value).endswith(".")
-
-
-@pytest.mark.parametrize(("number", "choice"), [(-3.0, 0), (-1.0, 0), (-0.1, 0), (0.1, 1), (1.0, 1), (3.0, 1)])
-def test_a_number_is_carried_out_as_the_nearest_choice(number, choice):
-    task, key = Hop(), jax.random.key(0)
-    state = task.reset(key)
-    stepped = task.step_continuous(state, jnp.array([number]), key)
-    assert stepped.obs == task.step(state, jnp.array([choice]), key).obs
 
 
 def test_an_episode_begins_with_nothing_won():
