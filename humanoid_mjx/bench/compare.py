@@ -5,7 +5,7 @@ import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rich.table import Table
+from rich.table import Column, Table
 
 from humanoid_mjx.spec import InputError
 
@@ -74,9 +74,8 @@ def noise(before: dict[str, Any], after: dict[str, Any]) -> float:
 
 def table(found: list[Change]) -> Table:
     """A row for each figure, regressions marked."""
-    shown = Table()
-    for heading in (*SAME[:4], "unit", "before", "after", "times", "noise", ""):
-        shown.add_column(heading, justify="left" if heading in (*SAME[:3], "unit", "") else "right")
+    numbers = (Column(heading, justify="right") for heading in ("before", "after", "times", "noise"))
+    shown = Table(*SAME[:3], Column("batch", justify="right"), "unit", *numbers, "")
     for change in found:
         bench, subject, device, batch, beside, unit = change.key
         subject += f" beside {beside:,}" if beside else ""

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich.table import Table
+from rich.table import Column, Table
 
 from humanoid_mjx import compute
 from humanoid_mjx.commands import console, start_for
@@ -87,11 +87,8 @@ def _gaits(
 
 def evaluation_table(title: str, evaluations: Sequence[Evaluation]) -> Table:
     """A table with a row for each evaluation, the intervals beside the numbers."""
-    table = Table(title=title, title_justify="left")
-    for heading in ("policy", "agent"):
-        table.add_column(heading)
-    for heading in ("success (95 %)", "return (95 %)", "steps (95 %)"):
-        table.add_column(heading, justify="right")
+    numbers = (Column(f"{name} (95 %)", justify="right") for name in ("success", "return", "steps"))
+    table = Table("policy", "agent", *numbers, title=title, title_justify="left")
     for evaluation in evaluations:
         success, total, steps = evaluation.success, evaluation.episode_return, evaluation.steps
         table.add_row(

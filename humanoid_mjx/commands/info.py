@@ -39,7 +39,10 @@ def show_keys(name: str | None) -> None:
     elif name in TASKS or name in LEARNERS or ":" in name:
         chosen = [("learner" if name in LEARNERS else "task", name)]
     else:
-        _check_known(name, [*TASKS, *LEARNERS])
+        configs = names("configs", ".yaml")
+        if name not in configs and not Path(name).exists() and Path(name).suffix != ".yaml":
+            others = [*TASKS, *LEARNERS, *configs]
+            raise InputError(f"{name}: neither a task, a learner nor a config; {known(name, others)}.")
         config = load(name)
         chosen = [("task", config.task["name"]), ("learner", config.learner["name"])]
     for kind, of in chosen:
@@ -91,13 +94,6 @@ def _print_rows(title: str, rows: Sequence[tuple[str, ...]]) -> None:
     for row in rows[1:]:
         table.add_row(*row)
     console.print(table)
-
-
-def _check_known(name: str, others: Sequence[str]) -> None:
-    """Refuse a name that is neither a file, a shipped config nor one of `others`, all of which the sentence lists."""
-    configs = names("configs", ".yaml")
-    if name not in configs and not Path(name).exists() and Path(name).suffix != ".yaml":
-        raise InputError(f"{name}: neither a task, a learner nor a config; {known(name, [*others, *configs])}.")
 
 
 def show_model(path: str) -> bool:

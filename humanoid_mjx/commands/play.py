@@ -48,7 +48,15 @@ def run_play(
     if physics in (None, "mujoco"):
         jax.config.update("jax_platforms", "cpu")  # one robot in native MuJoCo gains nothing by a GPU
     if view:
-        _serve(name, point, overrides, physics, episode, port, robots)
+        from humanoid_mjx.evaluation.live import Live
+        from humanoid_mjx.evaluation.policy import find_policy, in_world, on_plane
+        from humanoid_mjx.report.live import serve
+
+        with Bar(console) as bar:
+            bar.phase("loading")
+            trained = on_plane(in_world(find_policy(name, point), physics, overrides))
+        with suppress(KeyboardInterrupt):
+            serve(Live(trained, episode, robots), console.print, port=port or 0)
         return
     from humanoid_mjx.commands.notebook import film
     from humanoid_mjx.report.rendering import FPS
@@ -58,30 +66,6 @@ def run_play(
         found = film(name, bar, point, episode, physics, overrides, out, fps=fps or FPS, size=pixels)
     console.print(found.words)
     console.print(f"{found.path}", soft_wrap=True)
-
-
-def _serve(
-    name: str,
-    point: int | None,
-    overrides: Sequence[str],
-    physics: str | None,
-    episode: int,
-    port: int | None,
-    robots: int,
-) -> None:
-    """`humanoid-mjx play --view`."""
-    from humanoid_mjx.evaluation.live import Live
-    from humanoid_mjx.evaluation.policy import find_policy, in_world, on_plane
-    from humanoid_mjx.report.live import serve
-
-    def told(address: str) -> None:
-        console.print(f"{address}  (Ctrl-C ends it)", soft_wrap=True)
-
-    with Bar(console) as bar:
-        bar.phase("loading")
-        trained = on_plane(in_world(find_policy(name, point), physics, overrides))
-    with suppress(KeyboardInterrupt):
-        serve(Live(trained, episode, robots), told, port=port or 0)
 
 
 def _pixels(size: str) -> tuple[int, int]:

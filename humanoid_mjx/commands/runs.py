@@ -2,11 +2,12 @@
 
 import re
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from rich.filesize import decimal
-from rich.table import Table
+from rich.table import Column, Table
 
 from humanoid_mjx import compute
 from humanoid_mjx.commands import console
@@ -33,14 +34,10 @@ def run_runs(folder: Path) -> None:
 
 def runs_table(found: Sequence[Listed]) -> Table:
     """A row for each run folder, the newest last."""
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    table.add_column("run", overflow="fold", min_width=12)
-    for heading in ("task", "learner"):
-        table.add_column(heading, overflow="fold")
-    table.add_column("points x seeds", justify="right", no_wrap=True)
-    table.add_column("state", overflow="fold")
-    for heading in ("success", "return", "started", "size"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    words, number = partial(Column, overflow="fold"), partial(Column, justify="right", no_wrap=True)
+    columns = [words("run", min_width=12), words("task"), words("learner"), number("points x seeds"), words("state")]
+    columns += map(number, ("success", "return", "started", "size"))
+    table = Table(*columns, box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for run in found:
         table.add_row(
             _name(run),

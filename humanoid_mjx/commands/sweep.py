@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import typer
-from rich.table import Table
+from rich.table import Column, Table
 
 from humanoid_mjx import compute
 from humanoid_mjx.commands import console
@@ -85,9 +85,8 @@ def print_summary(
         title += f" of {equals} that act equally well"
     rates = [f"{provenance[f'{unit}_per_s']:,.0f} {unit}/s" for unit in RATES if f"{unit}_per_s" in provenance]
     caption = f"training made {' and '.join(rates)}, without compiling" if rates else None
-    table = Table(title=title, title_justify="left", caption=caption, caption_justify="left")
-    for heading in headings:
-        table.add_column(heading.partition(".")[2] or heading, justify="right")
+    columns = (Column(heading.partition(".")[2] or heading, justify="right") for heading in headings)
+    table = Table(*columns, title=title, title_justify="left", caption=caption, caption_justify="left")
     for row in rows:
         table.add_row(*row)
     console.print(table)

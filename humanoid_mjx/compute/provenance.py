@@ -12,7 +12,7 @@ import jax
 from humanoid_mjx.compute.limits import cores
 
 PACKAGES = ("humanoid-mjx", "jax", "jaxlib", "mujoco", "mujoco-mjx", "warp-lang", "brax", "numpy")
-"""Packages on whose versions a result depends."""
+"""Packages on whose versions a result depends, this one first."""
 
 
 def made_by() -> dict[str, Any]:

@@ -4,7 +4,7 @@ import re
 from collections.abc import Sequence
 
 import numpy as np
-from rich.table import Table
+from rich.table import Column, Table
 
 from humanoid_mjx.evaluation.gait.figures import FIGURES
 from humanoid_mjx.evaluation.gait.summary import Gait, Summary
@@ -30,10 +30,8 @@ COLUMNS = (
 
 def gait_table(title: str, gaits: Sequence[Gait], beyond: Sequence[str] = ()) -> Table:
     """The main figures of the policy under each command."""
-    table = Table(title=title, title_justify="left", padding=(0, 0), pad_edge=False)
-    table.add_column("command")
-    for heading, *_ in COLUMNS:
-        table.add_column(heading, justify="right")
+    columns = (Column(heading, justify="right") for heading, *_ in COLUMNS)
+    table = Table("command", *columns, title=title, title_justify="left", padding=(0, 0), pad_edge=False)
     for row in gait_rows(gaits, beyond):
         table.add_row(*row)
     return table

@@ -58,7 +58,7 @@ def serve(live: Live, told: Callable[[str], None], *, port: int = 0, browse: boo
     with make_server(live, port) as server:
         address = f"http://{LOOPBACK}:{server.server_address[1]}/"
         threading.Thread(target=server.serve_forever, daemon=True).start()
-        told(address)
+        told(f"{address}  (Ctrl-C ends it)")
         if browse:
             threading.Thread(target=partial(webbrowser.open, address), daemon=True).start()
         before = signal.signal(signal.SIGINT, end)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from humanoid_mjx.compute.provenance import PACKAGES
 from humanoid_mjx.config import dump_yaml
 from humanoid_mjx.evaluation.film import driven_films, show
 from humanoid_mjx.evaluation.gait.measure import measure, settings_of
@@ -44,9 +45,6 @@ PANEL = 4.4, 3.0
 """Size of a panel, inches."""
 
 NO_SCRIPT = "<noscript><p>The motion needs JavaScript; the pictures below it show the same.</p></noscript>"
-
-PACKAGES = ("humanoid-mjx", "jax", "jaxlib", "mujoco", "mujoco-mjx", "warp-lang", "brax", "numpy")
-"""Whose versions a result depends on, by their names in a package index, this package's first."""
 
 
 def run_page(path: Path, reporter: Reporter, motion: bool) -> str:

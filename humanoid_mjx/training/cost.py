@@ -16,6 +16,7 @@ from rich.filesize import decimal
 
 from humanoid_mjx import compute
 from humanoid_mjx.compute import kept
+from humanoid_mjx.compute.kernels.primitives import ELEMENTWISE
 from humanoid_mjx.runs.folder import disk_used
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.plan import Group, Plan
@@ -80,13 +81,8 @@ def training_bytes(group: Group) -> int:
     return 2 * run_bytes(group) + kept.remembered("bytes", kept.about(learner), working)
 
 
-FUSED = frozenset(
-    (
-        *("abs", "add", "and", "broadcast_in_dim", "clamp", "convert_element_type", "cos", "div", "eq", "exp", "floor"),
-        *("ge", "gt", "integer_pow", "iota", "le", "log", "logistic", "lt", "max", "min", "mul", "ne", "neg", "not"),
-        *("or", "pow", "reshape", "rsqrt", "select_n", "sign", "sin", "sqrt", "square", "squeeze", "sub", "tanh"),
-    )
-)
+ARRANGED = {"broadcast_in_dim", "iota", "reshape", "squeeze"}
+FUSED = ELEMENTWISE | ARRANGED | {"cos", "logistic", "pow", "rsqrt", "sin", "tanh"}
 """Primitives that XLA fuses into their consumer: a result that is used once is never in memory."""
 
 

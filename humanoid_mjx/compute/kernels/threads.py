@@ -40,7 +40,8 @@ def evaluate(closed: ClosedJaxpr, args: Sequence[np.ndarray]) -> list[np.ndarray
     values |= zip(closed.jaxpr.invars, args, strict=True)
 
     def value(x: Any) -> np.ndarray:
-        return _constant(np.asarray(x.val, _aval(x).dtype)) if isinstance(x, Literal) else values[x]
+        kind: Any = x.aval
+        return _constant(np.asarray(x.val, kind.dtype)) if isinstance(x, Literal) else values[x]
 
     for eqn in closed.jaxpr.eqns:
         found = _apply(eqn, [value(x) for x in eqn.invars])
@@ -59,7 +60,7 @@ def _apply(eqn: Any, args: list[np.ndarray]) -> list[np.ndarray]:
         return [_reduced(eqn, args[0])]
     if name in CONTROL:
         return CONTROL[name](eqn, *args)
-    shape = _shape(eqn.outvars[0])
+    shape = eqn.outvars[0].aval.shape
     if name not in ARITHMETIC:
         raise NotImplementedError(f"threads do no {name!r}")
     columns = [np.broadcast_to(arg, shape).flat for arg in args]
@@ -124,14 +125,6 @@ def _constant(value: Any) -> np.ndarray:
     return arranged(list(value.reshape(-1)), value.shape)
 
 
-def _aval(var: Any) -> Any:
-    return var.aval
-
-
-def _shape(var: Any) -> tuple[int, ...]:
-    return _aval(var).shape
-
-
 def _reduced(eqn: Any, array: np.ndarray) -> np.ndarray:
     axes, (combine, of_nothing) = eqn.params["axes"], REDUCTIONS[eqn.primitive.name]
     kept = [axis for axis in range(array.ndim) if axis not in axes]
@@ -139,7 +132,7 @@ def _reduced(eqn: Any, array: np.ndarray) -> np.ndarray:
     shape = [array.shape[axis] for axis in kept]
     rows = moved.reshape(-1, math.prod(shape))
     if not len(rows):
-        return _constant(np.full(shape, of_nothing, _aval(eqn.outvars[0]).dtype))
+        return _constant(np.full(shape, of_nothing, eqn.outvars[0].aval.dtype))
     return arranged([reduce(combine, map(vector, column)) for column in rows.T], tuple(shape))
 
 
@@ -246,8 +239,8 @@ def _scan(eqn: Any, *args: np.ndarray) -> list[np.ndarray]:
     """Unrolled."""
     body = eqn.params["jaxpr"]
     inner = body.jaxpr.invars
-    rows = sum(len(_shape(x)) < arg.ndim for x, arg in zip(inner, args, strict=True))
-    kept = sum(_shape(x) == _shape(y) for x, y in zip(body.jaxpr.outvars, eqn.outvars, strict=True))
+    rows = sum(len(x.aval.shape) < arg.ndim for x, arg in zip(inner, args, strict=True))
+    kept = sum(x.aval.shape == y.aval.shape for x, y in zip(body.jaxpr.outvars, eqn.outvars, strict=True))
     first, last = len(args) - rows - kept, len(args) - rows
     fixed, carry = args[:first], args[first:last]
     seen: list[list[np.ndarray]] = []
