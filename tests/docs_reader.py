@@ -114,8 +114,7 @@ class Reader:
             in_changed_world(find_policy(policy), [*(set_ or []), *([f"task.physics={physics}"] if physics else [])])
 
     def plot(self, run, **options):
-        for folder in run:
-            self.has(folder)
+        self.has(*run)
 
     def report(self, run, **options):
         self.has(run)
@@ -131,8 +130,8 @@ class Reader:
     def runs(self, folder):
         assert str(folder) == "runs", folder
 
-    def has(self, name):
-        assert str(name) in self.there, f"{name}: not there yet"
+    def has(self, *names):
+        assert {*map(str, names)} <= self.there, f"{names}: not there yet"
 
 
 def type_commands(markdown):

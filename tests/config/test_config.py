@@ -88,9 +88,7 @@ BAD = {
         ["learner.name: tabular_q learns a FiniteTask, not a LegReach; learners for it are brax_ppo, deep_q, linear_q"],
     ),
     "a task that is no mapping": (
-        "{name: joint_reach, joint: 5, states: 13}",
-        "joint_reach",
-        ["task must be a mapping of keys, such as {name: ...}"],
+        "{name: joint_reach, joint: 5, states: 13}", "joint_reach", ["task must be a mapping of keys, such as {name"],
     ),
     "axis that does not exist": ("learner.epsilon: [", "learner.epsilom: [", ["learner.epsilom", "unknown key"]),
     "axis value out of range": ("[0.1, 0.2]", "[0.1, 2.0]", ["learner.epsilon", "at most 1", "2.0"]),

@@ -59,11 +59,8 @@ CYLINDER = 'type="cylinder" size="0.1 0.1" pos'
 @pytest.mark.parametrize(
     ("words", "old", "new"),
     [
-        (
-            "contacts of a capsule and a box, as those of 'trunk' and 'shank'.",
-            'fromto="0 0 0 0 0 -0.2" size="0.015"',
-            BOX,
-        ),
+        ("contacts of a capsule and a box, as those of 'trunk' and 'shank'.",
+         'fromto="0 0 0 0 0 -0.2" size="0.015"', BOX),
         ("contacts that resist twisting or rolling, as those of 'ground' and 'shank' (2).", 'condim="1"', 'condim="6"'),
         ("elliptic friction cones.", 'impratio="2"', 'cone="elliptic"'),
         ("the implicit integrator.", 'impratio="2"', 'integrator="implicit"'),

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from test_leg_experiments import by_name
 
 from humanoid_mjx import InputError
 from humanoid_mjx.reproduction import reproduce
@@ -27,9 +28,7 @@ ERRORS_LEFT = {
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory):
-    out = tmp_path_factory.mktemp("control")
-    findings = reproduce(CONTROL, out)
-    return out, {name: [f for f in findings if f.name == name] for name in CONTROL}
+    return by_name(CONTROL, tmp_path_factory.mktemp("control"))
 
 
 def test_controllers_leave_what_an_independent_computation_says(found):

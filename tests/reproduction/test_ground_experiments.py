@@ -4,9 +4,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from test_leg_experiments import by_name
 
 from humanoid_mjx.control import make_law
-from humanoid_mjx.reproduction import ground_control, ground_gaits, load_experiments, reproduce
+from humanoid_mjx.reproduction import ground_control, ground_gaits, load_experiments
 from humanoid_mjx.reproduction.ground import LASTS_S, PHASES, Path, Trial, _plan, _until_fall, laws_of, margins, physics
 from humanoid_mjx.thesis import leg as thesis
 
@@ -17,7 +18,6 @@ SIGNS = ((1, 1, 1), (1, -1, -1))
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory):
-    out = tmp_path_factory.mktemp("ground")
     with pytest.MonkeyPatch.context() as patch:  # 60 bodies, and 52: two calls of one program
         patch.setattr(ground_gaits, "SIGNS", SIGNS)
         patch.setattr(ground_gaits, "FORWARDS", SIGNS)
@@ -26,8 +26,7 @@ def found(tmp_path_factory):
         patch.setattr(ground_gaits, "FREQUENCIES", (1.25,))
         for experiment in (ground_gaits, ground_control):
             patch.setattr(experiment, "SECONDS", 2.0)
-        findings = reproduce(NAMES, out)
-    return out, {name: [f for f in findings if f.name == name] for name in NAMES}
+        return by_name(NAMES, tmp_path_factory.mktemp("ground"))
 
 
 def test_computed_torque_stands_only_if_it_knows_the_contacts(found):

@@ -13,11 +13,15 @@ LEG = ("workspace-7b", "figure-7.1", "figure-7.2", "figure-7.5", "table-4.2", "t
 LEG += ("finding-singularity", "errata")
 
 
+def by_name(names, out):
+    """The folder of some experiments, and what they find by their names."""
+    findings = reproduce(names, out)
+    return out, {name: [f for f in findings if f.name == name] for name in names}
+
+
 @pytest.fixture(scope="module")
 def found(tmp_path_factory):
-    out = tmp_path_factory.mktemp("leg")
-    findings = reproduce(LEG, out)
-    return out, {name: [f for f in findings if f.name == name] for name in LEG}
+    return by_name(LEG, tmp_path_factory.mktemp("leg"))
 
 
 def test_workspace_is_recovered_but_for_the_wiring(found):

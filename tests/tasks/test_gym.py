@@ -55,15 +55,6 @@ def test_arrays_are_of_the_spaces_and_episodes_begin_anew_in_the_same_step(made)
     assert ended >= 16
 
 
-def test_the_last_observation_of_an_episode_is_kept():
-    """A hop of 1 ends every episode: the place that it led to lies at 1 or beyond, the new one below 0.5."""
-    env = TaskVectorEnv(Hop(stride=1.0), 8, "choices")
-    env.reset(seed=0)
-    observations, rewards, terminated, _, infos = env.step(np.ones((8,), int))
-    assert terminated.all() and infos["success"].all() and (infos["final_obs"] >= 1.0).all()
-    assert (observations < 0.5).all() and (rewards == infos["ahead"]).all()
-
-
 def test_a_seed_gives_the_same_episodes_and_another_gives_others(made):
     def played(seed):
         env = TaskVectorEnv(made[0], 4, made[1])
