@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 import webbrowser
+from collections.abc import Mapping
 from contextlib import suppress
 from datetime import datetime
 from functools import partial
@@ -141,8 +142,11 @@ class Growing(Reporter):
         if self._picture.is_file():
             words = text("An episode that no training has seen, under the best policy of the runs that are finished.")
             best += section("The robot so far", words, image(self._picture.read_bytes(), ".png", "The robot so far"))
+        lines = _drawable(results, self.curves)
+        if not lines.keys() & self.curves.measures.keys():
+            return page(config.name, lead + best + section("Learning", text("No episode has ended yet.")))
         words = text(f"Lines: {averaged(axes, results)}.{drawn}")
-        return page(config.name, lead + best + section("Learning", words, *curve_panels(axes, results, own)))
+        return page(config.name, lead + best + section("Learning", words, *curve_panels(axes, lines, own)))
 
     def _status(self) -> str:
         now, state = f"{datetime.now():%H:%M:%S}", self.state
@@ -172,10 +176,18 @@ def results_so_far(curves: Curves) -> dict[str, np.ndarray]:
     return found
 
 
-def best_so_far(curves: Curves) -> tuple[list[str], list[list[str]]]:
-    """Headings and rows of the best points so far, by success, then by return.
+def _drawable(results: Mapping[str, np.ndarray], curves: Curves) -> dict[str, np.ndarray]:
+    """Columns of `results` without the measures of which fewer than two record points are known: they make no line."""
+    places = results[curves.plan.unit]
+    few = {name for name in curves.measures if len(np.unique(places[np.isfinite(results[name])])) < 2}
+    return {name: values for name, values in results.items() if name not in few}
 
-    A point is judged at the last record point that all of its runs in `results_so_far` have reached.
+
+def best_so_far(curves: Curves) -> tuple[list[str], list[list[str]]]:
+    """Headings and rows of the best points so far, by success, then by steps or by return, as `ranked` judges them.
+
+    A point is judged at the last record point that all of its runs in `results_so_far` have reached, or the last one
+    before it up to which an episode of each has ended.
     """
     plan, (measures, known) = curves.plan, _measured(curves)
     names = [name for name in ("success", "return", "steps") if name in measures]
@@ -183,14 +195,25 @@ def best_so_far(curves: Curves) -> tuple[list[str], list[list[str]]]:
     for index in np.flatnonzero(shown.any(axis=1)).tolist():
         runs = shown[index]
         place = int(known[index, runs].min()) - 1
-        means = [float(measures[name][index, runs, place].mean()) for name in names]
+        means = [_last(measures[name][index, runs, : place + 1].mean(axis=0)) for name in names]
         rows.append((means, int(curves.points[index]), int(runs.sum()), int(curves.places[place])))
-    rows.sort(key=lambda row: tuple(-np.nan_to_num(mean, nan=-np.inf) for mean in row[0][:2]))
+    better = {"success": -1.0, **({"return": -1.0} if plan.config.episodes is None else {"steps": 1.0})}
+    judged = [(names.index(name), sign) for name, sign in better.items() if name in names]
+    rows.sort(key=lambda row: [np.nan_to_num(sign * row[0][place], nan=np.inf) for place, sign in judged])
     cells = [
-        [str(point), *map(short, plan.points[point].values()), str(seeds), f"{count:,}", *map(short, means)]
+        [str(point), *map(short, plan.points[point].values()), str(seeds), f"{count:,}", *map(_known, means)]
         for means, point, seeds, count in rows[:BEST_POINTS]
     ]
     return ["point", *plan.points[0], "seeds", f"{plan.unit}s trained", *names], cells
+
+
+def _last(values: np.ndarray) -> float:
+    """The last finite value; NaN where there is none."""
+    return float(next(iter(values[np.isfinite(values)][::-1]), np.nan))
+
+
+def _known(value: float) -> str:
+    return short(value) if np.isfinite(value) else ""
 
 
 def _measured(curves: Curves) -> tuple[dict[str, np.ndarray], np.ndarray]:

@@ -10,6 +10,7 @@ from small_sweep import CONFIG
 
 from humanoid_mjx import InputError, sweep
 from humanoid_mjx.config import parse
+from humanoid_mjx.report import growing
 from humanoid_mjx.report.growing import Growing, best_so_far, results_so_far
 from humanoid_mjx.runs.folder import RunFolder
 from humanoid_mjx.training import events, pool
@@ -30,7 +31,7 @@ def test_the_page_grows_and_ends_as_the_report(tmp_path, monkeypatch):
         look(self, pool)
         if results := results_so_far(self):
             known.append(np.isfinite(results["steps"]).mean())
-            if len(known) == 2:
+            if len(known) == 3:
                 growing.write()
                 pages.append(growing.file.read_text())
 
@@ -64,6 +65,34 @@ def test_the_page_grows_and_ends_as_the_report(tmp_path, monkeypatch):
     assert headings[:2] == ["point", "learner.epsilon"] and len(rows) == 2
     shares = [float(row[headings.index("success")]) for row in rows]
     assert shares == sorted(shares, reverse=True)
+
+
+def test_of_points_that_succeed_alike_the_quickest_is_the_best_so_far(tmp_path, monkeypatch):
+    """Though waiting may be paid, as it is here: the slower point has the higher return."""
+    plan = make_plan(parse(SMALL))
+    curves = Curves(RunFolder.create(tmp_path / "run", resolved(plan.config)), plan, 2)
+    shape = len(plan.points), curves.seeds, len(curves.places)
+    slow = np.broadcast_to(np.array([40.0, 20.0])[:, None, None], shape)
+    measures = {"success": np.ones(shape), "return": 100.0 + slow, "steps": slow}
+    monkeypatch.setattr(growing, "_measured", lambda _: (measures, np.full(shape[:2], shape[2])))
+    _, rows = best_so_far(curves)
+    assert [row[0] for row in rows] == ["1", "0"] and [row[-1] for row in rows] == ["20", "40"]
+
+
+def test_what_no_episode_has_told_yet_is_neither_nan_nor_an_empty_figure(tmp_path, monkeypatch):
+    """With a single record point, of which only the error is known, and then two with an episode in the first."""
+    plan = make_plan(parse(SMALL))
+    page = Growing(Reporter(), browse=False)
+    page.folder = RunFolder.create(tmp_path / "run", resolved(plan.config))
+    page.curves, page.file = Curves(page.folder, plan, 2), tmp_path / "run" / "report.html"
+    shape = len(plan.points), page.curves.seeds, len(page.curves.places)
+    unknown, known = np.full(shape, np.nan), 1
+    page.curves.measures = {"steps": unknown, "td_error": np.ones(shape)}
+    monkeypatch.setattr(growing, "_measured", lambda curves: (curves.measures, np.full(shape[:2], known)))
+    assert "No episode has ended yet." in page.html() and "svg" not in page.html() and "nan" not in page.html()
+    unknown[..., 0], known = 31.0, 2
+    assert "data:image/svg" in page.html() and "TD error" in page.html() and "Steps per episode" not in page.html()
+    assert best_so_far(page.curves)[1][0][-1] == "31"
 
 
 def test_what_another_machine_trains_has_no_page_here():
