@@ -14,7 +14,7 @@ from humanoid_mjx.compute import rng
 from humanoid_mjx.config import parse
 from humanoid_mjx.evaluation.gait.figures import FIGURES
 from humanoid_mjx.evaluation.gait.measure import settings_of
-from humanoid_mjx.evaluation.gait.scenarios import Scenario, gaits_of, play_gaits, scenarios_of
+from humanoid_mjx.evaluation.gait.scenarios import Scenario, gaits_of, play_worlds, scenarios_of
 from humanoid_mjx.evaluation.policy import best_policy, in_changed_world, policies_of_best, save_policy
 from humanoid_mjx.physics.base import Batches
 from humanoid_mjx.physics.native import Native
@@ -56,7 +56,7 @@ def calm(learner):
 def played(learner, agent="greedy", seconds=0.5, seed=5):
     """The figures of four episodes under each of `ASKED`, (4, 4): one program for all; weights are untrained."""
     policy = learner.policy(learner.init(rng.key(seed)))
-    found = play_gaits(learner, jax.tree.map(lambda x: x[None], policy), ASKED, 4, seconds, (agent,))[agent]
+    found = play_worlds([learner], jax.tree.map(lambda x: x[None], policy), ASKED, 4, seconds, (agent,))[0][agent]
     assert list(found) == list(FIGURES)
     return {name: figure[0] for name, figure in found.items()}
 
@@ -164,7 +164,7 @@ def test_all_seeds_of_the_best_point(runs):
     assert float(changed.learner.task.friction) == 0.5 and float(changed.learner.task.randomise.mass) == np.float32(0.3)
     assert best.config.task["randomise"] is None and best.learner.task.randomise is None
     one = jax.tree.map(lambda x: x[None], best.policy)
-    gaits = gaits_of(play_gaits(calm(best.learner), one, ASKED[:1], 2, 0.3), ASKED[:1])
+    gaits = gaits_of(play_worlds([calm(best.learner)], one, ASKED[:1], 2, 0.3)[0], ASKED[:1])
     assert [gait.scenario for gait in gaits] == ["stand"] and len(gaits[0].figures["drift"].seeds) == 1
 
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from humanoid_mjx.evaluation.gait.scenarios import Scenario, gaits_of, play_gaits, scenarios_of, walking_task
+from humanoid_mjx.evaluation.gait.scenarios import Scenario, gaits_of, play_worlds, scenarios_of, walking_task
 from humanoid_mjx.evaluation.gait.summary import Gait
 from humanoid_mjx.evaluation.policy import Trained, find_policy, policies_of_best
 from humanoid_mjx.learners.rollout import AGENTS
@@ -80,7 +80,7 @@ def _measure(
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(policy.policy for policy in policies))
     task = walking_task(learner.task)
     scenarios = scenarios_of(task.robot)
-    found = play_gaits(learner, stacked, scenarios, episodes, float(task.duration), agents, tell)
+    (found,) = play_worlds([learner], stacked, scenarios, episodes, float(task.duration), agents, tell)
     beyond = [each.name for each in scenarios if _beyond(task, each)]
     return Measured(policies, gaits_of(found, scenarios), beyond)
 

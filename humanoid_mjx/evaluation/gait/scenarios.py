@@ -109,19 +109,19 @@ def under_one_command(learner: Learner) -> Learner:
     return learner.replace(task=task.replace(command=task.command and task.command.replace(every=jnp.float32(jnp.inf))))
 
 
-def play_gaits(
-    learner: Learner,
+def play_worlds(
+    learners: Sequence[Learner],
     policies: Any,
     scenarios: Sequence[Scenario],
     episodes: int,
     seconds: float = SECONDS,
     agents: Sequence[str] = ("greedy",),
     tell: Callable[[int, int], None] = lambda done, total: None,
-) -> dict[str, dict[str, np.ndarray]]:
-    """The figures of every held-out episode under every scenario, by agent and name of the figure.
+) -> list[dict[str, dict[str, np.ndarray]]]:
+    """The figures of every held-out episode under every scenario, by agent and name of the figure, of each world.
 
     Args:
-      learner: whose task is played, with its pushes.
+      learners: whose tasks, of one structure, are the worlds that are played side by side, with their pushes.
       policies: what was learned, a pytree whose leaves lead with an axis of training seeds.
       scenarios: such as `scenarios_of` the robot.
       agents: some of `AGENTS`.
@@ -133,19 +133,6 @@ def play_gaits(
     Raises:
       InputError: the task moves no body by commands.
     """
-    return play_worlds([learner], policies, scenarios, episodes, seconds, agents, tell)[0]
-
-
-def play_worlds(
-    learners: Sequence[Learner],
-    policies: Any,
-    scenarios: Sequence[Scenario],
-    episodes: int,
-    seconds: float = SECONDS,
-    agents: Sequence[str] = ("greedy",),
-    tell: Callable[[int, int], None] = lambda done, total: None,
-) -> list[dict[str, dict[str, np.ndarray]]]:
-    """The results of `play_gaits` in several worlds, which are the tasks of learners of one structure, side by side."""
     learners = [under_one_command(learner) for learner in learners]
     task = walking_task(learners[0].task)
     worlds = jax.tree.map(lambda *values: jnp.stack([jnp.asarray(value) for value in values]), *learners)
@@ -172,7 +159,7 @@ def play_worlds(
 
 
 def gaits_of(found: dict[str, dict[str, np.ndarray]], scenarios: Sequence[Scenario]) -> list[Gait]:
-    """The result of `play_gaits` with intervals, of each agent under each scenario."""
+    """The result of `play_worlds` for one world with intervals, of each agent under each scenario."""
     return [
         Gait(name, scenario.name, scenario.command, summarised({key: x[:, row] for key, x in of_agent.items()}))
         for name, of_agent in found.items()
