@@ -82,40 +82,31 @@ def test_the_ground_writes_a_record_for_every_physics_and_batch(monkeypatch):
     assert all(r.bench == "physics" and r.value > 0 for r in records)
 
 
-class Stored(Run):
+def stored(*success):
     """A run folder of two seeds side by side, four record points each, the first two passed at the first look."""
-
-    config = SimpleNamespace(budget=4000, seeds=2)
-    timing = {"wall_s": np.array([5.0, 5.0, 7.0, 9.0] * 2, np.float32)}  # noqa: RUF012
-    results = {  # noqa: RUF012
-        "steps": np.array([20.0, np.nan, 30.0, 40.0, 20.0, 30.0, np.nan, 40.0]),
-        "greedy_success": np.array([np.nan, 0.5, 0.96, 0.9, np.nan, 0.5, 0.9, 0.97]),
+    held = {
+        "config": SimpleNamespace(budget=4000, seeds=2),
+        "timing": {"wall_s": np.array([5.0, 5.0, 7.0, 9.0] * 2, np.float32)},
+        "results": {"steps": np.array([20.0, np.nan, 30.0, 40.0, 20.0, 30.0, np.nan, 40.0])},
+        "summary": {"greedy_success": np.array([0.9, 0.97])},
     }
-    summary = {"greedy_success": np.array([0.9, 0.97])}  # noqa: RUF012
-
-
-class OneFails(Stored):
-    results = Stored.results | {"greedy_success": np.array([np.nan, 0.5, 0.96, 0.9, np.nan, 0.5, 0.9, 0.94])}
-
-
-class OneEvaluation(Stored):
-    """As with `learner.evaluations=1`: nobody looked before the end."""
-
-    results = {"steps": Stored.results["steps"]}  # noqa: RUF012
+    held["results"] |= {"greedy_success": np.array(success)} if success else {}
+    return type("Stored", (Run,), held)(Path())
 
 
 def test_rates_leave_compiling_out_and_time_to_success_does_not():
-    found = training.measure(Stored(Path()))
+    found = training.measure(stored(np.nan, 0.5, 0.96, 0.9, np.nan, 0.5, 0.9, 0.97))
     assert found[:2] == pytest.approx((2 * 2000 / 4.0, 1000 / 30.0)) and found.seconds == 9.0
     assert found.steps.tolist() == [3000.0, 4000.0] and found.final.tolist() == [0.9, 0.97]
 
 
 def test_a_single_evaluation_is_that_of_the_end():
-    np.testing.assert_array_equal(training.measure(OneEvaluation(Path())).steps, [np.nan, 4000.0])
+    """As with `learner.evaluations=1`: nobody looked before."""
+    np.testing.assert_array_equal(training.measure(stored()).steps, [np.nan, 4000.0])
 
 
 def test_a_seed_that_never_succeeds_is_not_left_out():
-    found = training.measure(OneFails(Path()))
+    found = training.measure(stored(np.nan, 0.5, 0.96, 0.9, np.nan, 0.5, 0.9, 0.94))
     by_unit = {figure["unit"]: figure for figure in training.figures(found)}
     assert by_unit["steps to 95 %"]["by_seed"] == [3000.0, None]
     assert by_unit["steps to 95 %"]["value"] == np.inf and np.isnan(by_unit["s to 95 %"]["value"])

@@ -167,15 +167,13 @@ def test_files_that_are_no_policies(reach, tmp_path):
     (tmp_path / "packed.npz").write_bytes(bytes(packed))
     np.savez(tmp_path / "foreign.npz", x=np.zeros(3))
     np.savez(tmp_path / "pickled.npz", header=np.array({"format": 1}, object))
+    short = {name: array[:3] for name, array in arrays.items() if name.startswith("policy")}
     damaged = "is no policy file, or a truncated or damaged one"
     for file, words in (
         *((f"{name}.npz", damaged) for name in ("truncated", "text", "packed", "foreign", "pickled")),
         ("missing.npz", "there is no such file"),
         (write("old.npz", header=np.array(json.dumps(header | {"format": "version 0"}))), "export it again"),
-        (
-            write("short.npz", **{name: a[:3] for name, a in arrays.items() if name.startswith("policy")}),
-            "does not fit",
-        ),
+        (write("short.npz", **short), "does not fit"),
         (write("half.npz", header=np.array(json.dumps({"format": header["format"]}))), damaged),
     ):
         with pytest.raises(InputError, match=words):

@@ -255,9 +255,8 @@ def test_only_pages_of_its_own_reach_the_server(walking):
     assert walking.ask("POST", "/hands", {}, **json_type, Origin=f"http://{own}")[0] == 204
     assert walking.ask("POST", "/hands", {}, **json_type, Origin="http://evil.example")[0] == 403
     assert walking.ask("POST", "/hands", {}, **json_type, Host="evil.example")[0] == 403
-    assert (
-        walking.ask("POST", "/hands", {}, Content_Type="text/plain")[0] == 403
-    )  # what a form of another site can send
+    # What a form of another site can send.
+    assert walking.ask("POST", "/hands", {}, Content_Type="text/plain")[0] == 403
     assert walking.ask("POST", "/hands", "x" * 20_000, **json_type)[0] == 404
 
 

@@ -42,6 +42,9 @@ def table_with(joint, by):
 
 
 FORCED = ["not_reproducible", "consistent", "reproduced", "consistent", "consistent"]
+WALKING = leg.WORKSPACE | {"straight walking": ((-0.16, -0.2084, 0.0413), (-0.1194, -0.0405, 0.0412))}
+TURN = leg.WORKSPACE | {"sudden turn": ((-0.17289, -0.20784, -0.12834), (-0.01698, 0.05331, 0.04222))}
+START = leg.FIGURE_7_5 | {"start": changed(leg.FIGURE_7_5["start"], 4, 1e-7)}
 
 WRONG = {
     "table-7.1": (thesis, "TABLES", table_with(1, 0.01), "", ["differs"]),
@@ -50,27 +53,9 @@ WRONG = {
     "table-5.1": (leg, "KD", tuple(2 * np.sqrt(leg.KP)), "", ["reproduced"] * 5),
     "table-4.2": (leg, "STALL_TORQUES", (1.0, 0.0, -5.0, 0.0, 0.0), "", FORCED),
     "figure-7.1": (leg, "FIGURE_7_1", ((-0.8, 0.7875), *leg.FIGURE_7_1[1:]), "", ["differs", *["recovered"] * 4]),
-    "workspace-7b": (
-        leg,
-        "WORKSPACE",
-        leg.WORKSPACE | {"straight walking": ((-0.16, -0.2084, 0.0413), (-0.1194, -0.0405, 0.0412))},
-        "straight walking,",
-        ["differs", "recovered", "differs"],
-    ),
-    "figure-7.3": (
-        leg,
-        "WORKSPACE",
-        leg.WORKSPACE | {"sudden turn": ((-0.17289, -0.20784, -0.12834), (-0.01698, 0.05331, 0.04222))},
-        "",
-        ["recovered"],
-    ),
-    "figure-7.5": (
-        leg,
-        "FIGURE_7_5",
-        leg.FIGURE_7_5 | {"start": changed(leg.FIGURE_7_5["start"], 4, 1e-7)},
-        "at the start",
-        ["recovered"] * 4 + ["differs"],
-    ),
+    "workspace-7b": (leg, "WORKSPACE", WALKING, "straight walking,", ["differs", "recovered", "differs"]),
+    "figure-7.3": (leg, "WORKSPACE", TURN, "", ["recovered"]),
+    "figure-7.5": (leg, "FIGURE_7_5", START, "at the start", ["recovered"] * 4 + ["differs"]),
     "figure-7.11": (thesis, "FIGURE_MARKS", {1: (((4, 6), 40.0), ((45, 49), 75.0))}, "", ["differs", "recovered"]),
     "figure-7.13": (thesis, "FIGURE_MARKS", {4: (((7, 12), 25.0), ((54, 60), 10.0))}, "", ["recovered", "differs"]),
     "figure-7.15": (thesis, "FIGURE_MARKS", {5: (((4, 9), -10.0), ((16, 18), 40.0))}, "", ["recovered", "differs"]),
@@ -134,11 +119,8 @@ def test_stepping_back_turns_with_the_share_that_does_not():
 
 
 def test_a_printed_formula_that_is_right_is_reproduced():
-    entry = errata.ENTRIES[0]
     states = errata._states(errata.CIRCLE)
-    for wrong in errata.ENTRIES:
-        if wrong.fault == "none":
-            entry = wrong
+    entry = [each for each in errata.ENTRIES if each.fault == "none"][-1]
     assert errata._compare(replace(entry, printed=entry.right), states).verdict == "reproduced"
     assert errata._compare(replace(entry, printed=lambda s: entry.right(s) * 1.01), states).verdict == "differs"
 
@@ -171,11 +153,8 @@ def test_gaits_that_walk_and_turn_are_reproduced():
 
 
 def test_going_back_is_no_walk():
-    assert (
-        ground_gaits.walks(walk())
-        and not ground_gaits.walks(walk(speed=-0.3))
-        and not ground_gaits.walks(walk(30, 0.0))
-    )
+    paths = walk(), walk(speed=-0.3), walk(30, 0.0)
+    assert [ground_gaits.walks(path) for path in paths] == [True, False, False]
     trials = ground_gaits.generator_trials()
     found = next(ground_gaits.on_generator(dict.fromkeys(trials, walk()) | {trials[0]: walk(speed=-0.3)}))
     assert found.reproduced == 95 and "goes 0.300 m forwards" in found.why
