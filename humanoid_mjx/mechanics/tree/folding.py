@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from humanoid_mjx.mechanics.tree.structure import Box, Capsule, Corner, GroundPoints, Pairs, Surface, Table, Tree
+from humanoid_mjx.mechanics.tree.structure import Corner, GroundPoints, Pairs, Softness, Surface, Table, Tree
 
 
 class _Unlike(Exception):
@@ -11,12 +11,17 @@ class _Unlike(Exception):
 
 
 def fold(tree: Tree) -> Tree:
-    """The tree with its largest set of alike limbs on one body as lanes, and with alike contacts as tables."""
-    best: list[tuple[int, ...]] = []
+    """The tree with its alike limbs as lanes, as many as its largest set on one body has, and with alike contacts as
+    tables."""
+    sets: list[list[tuple[int, ...]]] = []
     for parent in range(len(tree.bodies)):
-        for group in _alike(tree, [i for i, body in enumerate(tree.bodies) if i and body.parent == parent]):
-            best = max(best, group, key=lambda limbs: (len(limbs) - 1) * len(limbs[0]) if limbs else 0)
-    folded = _with_lanes(tree, best) if len(best) > 1 else tree
+        sets += _alike(tree, [i for i, body in enumerate(tree.bodies) if i and body.parent == parent])
+    # Fingers of hands that are lanes are none of their own.
+    lanes = len(max(sets, key=lambda limbs: (len(limbs) - 1) * len(limbs[0]), default=()))
+    chosen = [limbs for limbs in sets if len(limbs) == lanes > 1]
+    outer = [limbs for limbs in chosen if not any(set(limbs[0]) < set(limb) for other in chosen for limb in other)]
+    limbs = [sum(parts, ()) for parts in zip(*outer, strict=True)]
+    folded = _with_lanes(tree, limbs) if limbs else tree
     ground = _grouped(folded.ground, lambda points: _join_points(folded, points))
     return folded._replace(ground=ground, pairs=_grouped(folded.pairs, _join_pairs))
 
@@ -48,16 +53,16 @@ def _limb(tree: Tree, root: int) -> tuple[int, ...]:
 
 
 def _described(tree: Tree, limb: tuple[int, ...]) -> Any:
-    """Its bodies and points, with numbers of bodies, coordinates and degrees of freedom that count from its root."""
-    first = next(joint for index in limb for joint in tree.bodies[index].joints)
-    dof, coordinate = first.dof, first.coordinate
-    bodies = []
+    """Its bodies and points, with numbers of bodies, coordinates and degrees of freedom that count its own; parents
+    that it lacks keep theirs, less the number of all bodies."""
+    bodies, count = [], 0
     for index in limb:
         body = tree.bodies[index]
-        joints = tuple(h._replace(dof=h.dof - dof, coordinate=h.coordinate - coordinate) for h in body.joints)
-        parent = limb.index(body.parent) if body.parent in limb else -1
+        joints = tuple(h._replace(dof=count + i, coordinate=count + i) for i, h in enumerate(body.joints))
+        parent = limb.index(body.parent) if body.parent in limb else body.parent - len(tree.bodies)
         bodies.append(body._replace(parent=parent, joints=joints))
-    points = [p._replace(body=limb.index(p.body), order=()) for p in tree.ground if p.body in limb]
+        count += len(joints)
+    points = [p._replace(body=i, order=()) for i, index in enumerate(limb) for p in tree.ground if p.body == index]
     return tuple(bodies), tuple(points)
 
 
@@ -71,6 +76,8 @@ def _merge(things: Sequence[Any], laned: bool = False) -> Any:
         rows = [thing.values if isinstance(thing, Table) else (thing,) * lanes for thing in things]
         return Table((len(things), lanes) if laned else (len(things),), sum(rows, ()))
     if any(type(thing) is not type(first) for thing in things) or not isinstance(first, tuple):
+        raise _Unlike
+    if isinstance(first, Softness):  # its numbers are no tables
         raise _Unlike
     if any(len(thing) != len(first) for thing in things):
         raise _Unlike
@@ -97,14 +104,14 @@ def _with_lanes(tree: Tree, limbs: Sequence[tuple[int, ...]]) -> Tree:
         )
         bodies.append(body._replace(parent=body.parent and new[body.parent], joints=joints))
     merged, points = _merge([_described(tree, limb) for limb in limbs])
-    stem, first = new[tree.bodies[limbs[0][0]].parent], len(kept)
+    first = len(kept)
     for body in merged:
         joints = tuple(
             h._replace(dof=h.dof + len(old_dofs), coordinate=h.coordinate + len(old_coordinates)) for h in body.joints
         )
-        parent = stem if body.parent < 0 else first + body.parent
+        parent = new[body.parent + len(tree.bodies)] if body.parent < 0 else first + body.parent
         bodies.append(body._replace(parent=parent, joints=joints, laned=True))
-    orders = zip(*([p.order[0] for p in tree.ground if p.body in limb] for limb in limbs), strict=True)
+    orders = zip(*([p.order[0] for i in limb for p in tree.ground if p.body == i] for limb in limbs), strict=True)
     ground = [p._replace(body=new[p.body]) for p in tree.ground if p.body not in inside]
     ground += [p._replace(body=first + p.body, order=order) for p, order in zip(points, orders, strict=True)]
 
@@ -163,14 +170,10 @@ def _join_pairs(pairs: Sequence[Pairs]) -> Pairs:
     first = pairs[0]
     ones = tuple(shape for p in pairs for shape in p.ones)
     twos = tuple(shape for p in pairs for shape in p.twos)
-    if len({(_build(one), _build(two)) for one, two in zip(ones, twos, strict=True)}) > 1:
+    if len(set(map(type, ones))) > 1:
         raise _Unlike
     surfaces = [p.surface for p in pairs for _ in p.ones] if len(pairs) > 1 else [first.surface]
     if any(s.softness != surfaces[0].softness or s.margin != surfaces[0].margin for s in surfaces):
         raise _Unlike
     surface: Surface = _merge(surfaces)
     return Pairs(ones, twos, surface)
-
-
-def _build(shape: Capsule | Box) -> str:
-    return "box" if isinstance(shape, Box) else "capsule" if shape.half_length else "ball"
