@@ -108,6 +108,11 @@ def lane(scalar: Scalar, index: int) -> Scalar:
     return scalar if jnp.ndim(scalar.value) < 2 else Scalar(scalar.value[..., index, :])
 
 
+def in_lane(thing: Tree, index: int) -> Tree:
+    """A pytree of scalars of a laned body in one lane."""
+    return jax.tree.map(lambda part: lane(part, index), thing, is_leaf=lambda part: isinstance(part, Scalar))
+
+
 def over_lanes(scalars: Sequence[Scalar], lanes: int) -> list[Scalar]:
     """The sums over the lanes, by slices; a scalar without the axis is the same in all lanes."""
     found = []

@@ -13,9 +13,9 @@ from humanoid_mjx.mechanics.scalars import HALF, NULL, ONE, TWO, ZERO, Scalar, S
 from humanoid_mjx.mechanics.tree.algebra import (
     Rotation,
     Spatial,
+    in_lane,
     in_order,
     known,
-    lane,
     number,
     resolve,
     root,
@@ -237,10 +237,10 @@ def apart(
 
 def _velocity(shapes: Sequence[Capsule | Box], motions: Sequence[Spatial], place: Vector) -> Vector:
     """Velocities, m/s, of the points of the shapes' bodies that are at `place`, shape by shape."""
-    stacked = [
-        Vector(*(in_order([lane(motions[s.body][part][axis], s.lane) for s in shapes]) for axis in range(3)))
-        for part in range(2)
-    ]
+    places = dict.fromkeys((shape.body, shape.lane) for shape in shapes)
+    found = {(body, index): in_lane(motions[body], index) for body, index in places}
+    each = [found[shape.body, shape.lane] for shape in shapes]
+    stacked = [Vector(*(in_order([m[part][axis] for m in each]) for axis in range(3))) for part in range(2)]
     return velocity_at(Spatial(*stacked), place)
 
 

@@ -17,9 +17,9 @@ from humanoid_mjx.mechanics.tree.algebra import (
     Spatial,
     combine,
     compose,
+    in_lane,
     known,
     known_axes,
-    lane,
     number,
     root_over,
     subtract,
@@ -50,9 +50,7 @@ class Kinematics(NamedTuple):
 
     def of_lane(self, body: int, index: int) -> Pose:
         """A body's pose in one lane; that of a body without lanes."""
-        position, axes = self.poses[body]
-        turned = [Vector(*(lane(part, index) for part in axis)) for axis in axes]
-        return Pose(Vector(*(lane(part, index) for part in position)), (turned[0], turned[1], turned[2]))
+        return in_lane(self.poses[body], index)
 
     def place(self, body: int, point: Triple) -> Vector:
         """A point of a body's frame, against the origin."""

@@ -9,30 +9,26 @@ from humanoid_mjx.mechanics.tree.algebra import combine, in_order, subtract, vec
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics
 from humanoid_mjx.mechanics.tree.structure import Capsule, Pairs
 
+POINT = 1e-15
+"""Half length of a ball's segment, m: balls are capsules so short."""
+
 
 def nearest_points(pairs: Pairs, kinematics: Kinematics) -> tuple[Vector, Vector]:
-    """The nearest points of the segments in pairs of capsules, against the origin, m, pair by pair; a ball's segment is
-    its centre."""
+    """The nearest points of the segments in pairs of capsules, against the origin, m, pair by pair."""
     (one, along_one), (two, along_two) = (_segments(shapes, kinematics) for shapes in (pairs.ones, pairs.twos))
     apart = subtract(one, two)
-    if pairs.ones[0].half_length and pairs.twos[0].half_length:
-        x, y = nearest_shares(along_one, along_two, apart)
-        return add(one, scale(x, along_one)), add(two, scale(y, along_two))
-    if pairs.ones[0].half_length:
-        return add(one, scale(_clipped(-dot(along_one, apart), dot(along_one, along_one)), along_one)), two
-    if pairs.twos[0].half_length:
-        return one, add(two, scale(_clipped(dot(along_two, apart), dot(along_two, along_two)), along_two))
-    return one, two
+    x, y = nearest_shares(along_one, along_two, apart)
+    return add(one, scale(x, along_one)), add(two, scale(y, along_two))
 
 
 def _segments(shapes: Sequence[Capsule], kinematics: Kinematics) -> tuple[Vector, Vector]:
     """The middles, and from there to the ends."""
-    middles, halves = [], []
-    for shape in shapes:
+    found = {}
+    for shape in dict.fromkeys(shapes):  # each once, however many pairs it has
         position, axes = kinematics.of_lane(shape.body, shape.lane)
-        middles.append(add(position, combine(axes, vector(shape.center))))
-        halves.append(scale(Scalar(shape.half_length), combine(axes, vector(shape.axis))))
-    one, two = (Vector(*(in_order([v[i] for v in some]) for i in range(3))) for some in (middles, halves))
+        middle = add(position, combine(axes, vector(shape.center)))
+        found[shape] = middle, scale(Scalar(max(shape.half_length, POINT)), combine(axes, vector(shape.axis)))
+    one, two = (Vector(*(in_order([found[s][part][i] for s in shapes]) for i in range(3))) for part in range(2))
     return one, two
 
 
@@ -54,7 +50,3 @@ def nearest_shares(a: Vector, b: Vector, apart: Vector) -> tuple[Scalar, Scalar]
     y, inside = jnp.clip(y, -1.0, 1.0), jnp.abs(y) <= 1.0
     again = jnp.clip((u.value + y * ab.value) / aa.value, -1.0, 1.0)
     return Scalar(jnp.where(inside, x, again)), Scalar(y)
-
-
-def _clipped(numerator: Scalar, denominator: Scalar) -> Scalar:
-    return Scalar(jnp.clip((numerator / denominator).value, -1.0, 1.0))

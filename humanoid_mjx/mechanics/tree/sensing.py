@@ -6,7 +6,6 @@ Arrays have the axis of the worlds behind, and count the bodies and degrees of f
 from collections.abc import Sequence
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -15,6 +14,7 @@ from humanoid_mjx.mechanics.tree.algebra import (
     Rotation,
     Spatial,
     compose,
+    in_lane,
     known_axes,
     lane,
     resolve,
@@ -97,7 +97,7 @@ def _ground_forces(tree: Tree, problem: Problem, solution: Solution) -> list[Sca
 
 def _gyroscope(state: State, site: Site) -> Vector:
     """The angular velocity, rad/s, in the site's frame."""
-    return resolve(_axes(state, site), _in_lane(state.motions[site.body].angular, site.lane))
+    return resolve(_axes(state, site), in_lane(state.motions[site.body].angular, site.lane))
 
 
 def _accelerometer(tree: Tree, state: State, acceleration: Sequence[Scalar], gravity: Vector, site: Site) -> Vector:
@@ -105,23 +105,18 @@ def _accelerometer(tree: Tree, state: State, acceleration: Sequence[Scalar], gra
     place = state.kinematics.place(site.body, site.position)
     moved = velocity_at(motions_of(tree, state.kinematics, acceleration)[site.body], place)
     drift = state.drifts[site.body].at(subtract(place, state.kinematics.poses[site.body].position))
-    felt = _in_lane(add(moved, drift), site.lane)
+    felt = in_lane(add(moved, drift), site.lane)
     return resolve(_axes(state, site), subtract(felt, gravity))
 
 
 def _by_body(tree: Tree, things: Sequence[Any]) -> list[Any]:
     """Values of the tree's bodies, in the model's order."""
     found = {
-        place: _in_lane(thing, one)
+        place: in_lane(thing, one)
         for thing, places in zip(things, tree.body_places, strict=True)
         for one, place in enumerate(places)
     }
     return [found[index] for index in range(len(found))]
-
-
-def _in_lane(thing: Any, index: int) -> Any:
-    """A pytree of scalars of a laned body in one lane."""
-    return jax.tree.map(lambda part: lane(part, index), thing, is_leaf=lambda part: isinstance(part, Scalar))
 
 
 def _axes(state: State, site: Site) -> Rotation:
