@@ -1,5 +1,6 @@
 """The tree against native MuJoCo with a converged solver, in double precision."""
 
+import re
 from functools import cache
 
 import jax
@@ -7,8 +8,10 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from other_robots import touches
 from tree_robots import HOPPER, QUADRUPED, SWING, converged, native, qacc_of, states
 
+from humanoid_mjx.mechanics.tree import pairs
 from humanoid_mjx.mechanics.tree.folding import fold
 from humanoid_mjx.mechanics.tree.reading import read_tree
 from humanoid_mjx.mechanics.tree.step import Values
@@ -18,11 +21,22 @@ from humanoid_mjx.physics.tree import TreePhysics
 from humanoid_mjx.robot.description import IMU, sensing_spec
 from humanoid_mjx.robot.lower_body import LowerBody
 
+
+def jointed():
+    """The quadruped on one ground, its legs thick, with a joint between those in front and those behind."""
+    thick = re.sub('<pair geom1="fl_foot".*?/>', "", QUADRUPED).replace('size="0.02"', 'size="0.06"')
+    front, rear = thick.split('<body name="rl_thigh"')
+    joint = '<body><joint name="spine" axis="0.1 0.2 1" range="-30 30"/><inertial pos="-0.1 0 0" mass="1"'
+    xml = f'{front}{joint} diaginertia="0.003 0.002 0.004"/><body name="rl_thigh"{rear}'
+    return mujoco.MjModel.from_xml_string(xml.replace("</worldbody>", "</body></worldbody>"))
+
+
 ROBOTS = {
     "free": lambda: LowerBody(ranges="human").spec().compile(),
     "fixed": lambda: LowerBody(torso="fixed", ranges="human").spec().compile(),
     "hopper": lambda: mujoco.MjModel.from_xml_string(HOPPER),
     "quadruped": lambda: mujoco.MjModel.from_xml_string(QUADRUPED),
+    "jointed": jointed,
 }
 
 
@@ -36,7 +50,7 @@ def solver(name):
     return qacc_of(fold(read_tree(ROBOTS[name]())))
 
 
-@pytest.mark.parametrize(("name", "count"), [("free", 4000), ("hopper", 500), ("quadruped", 500)])
+@pytest.mark.parametrize(("name", "count"), [("free", 4000), ("hopper", 500), ("quadruped", 500), ("jointed", 500)])
 def test_accelerations_agree_with_native(name, count):
     """What is left is rounding, and what stiff contacts of light feet make of it: 1e-13 as a rule."""
     model = converged(ROBOTS[name]())
@@ -66,9 +80,25 @@ def test_traced_values_are_those_of_a_model_with_them():
 
 
 def test_limbs_of_one_build_are_lanes():
-    """The quadruped's fourth leg stands on other ground than the three."""
-    lanes = {name: fold(read_tree(make())).lanes for name, make in ROBOTS.items()}
-    assert lanes == {"free": 2, "fixed": 2, "hopper": 1, "quadruped": 3}
+    """The quadruped's fourth leg stands on other ground than the three; two bodies of the jointed one have legs."""
+    trees = {name: fold(read_tree(make())) for name, make in ROBOTS.items()}
+    lanes = {"free": 2, "fixed": 2, "hopper": 1, "quadruped": 3, "jointed": 2}
+    assert {name: tree.lanes for name, tree in trees.items()} == lanes
+    assert [len(trees["jointed"].dofs), sum(map(len, trees["jointed"].dofs))] == [13, 19]
+
+
+def test_worlds_with_more_contacts_of_bodies_than_slots_do_not_settle(monkeypatch):
+    """Of more worlds than a block holds, which keep the contacts of few of many pairs."""
+    model = converged(ROBOTS["jointed"]())
+    at, data, count = states(model, 500), mujoco.MjData(model), []
+    for data.qpos in at[0]:
+        mujoco.mj_forward(model, data)
+        count.append(touches(model, data)[1])
+    monkeypatch.setattr(pairs, "SLOTS", 1)
+    qacc, settled = qacc_of(fold(read_tree(model)))(Values(), *at)
+    np.testing.assert_array_equal(settled, np.array(count) <= 1)
+    assert min(settled.sum(), (~settled).sum()) > 20
+    assert errors(qacc, native(model, *at))[settled].max() < 1e-9
 
 
 def start(physics, qpos, qvel):

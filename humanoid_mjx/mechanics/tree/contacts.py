@@ -61,6 +61,9 @@ class Touch(NamedTuple):
     offset: Vector
     """Less its reference acceleration, in its frame: what is added to the acceleration of its place."""
     friction: Friction
+    signs: list[Scalar] | None = None
+    """Of pairs that differ from world to world: by degree of freedom 1 where it moves the second body alone, and -1
+    where it moves the first alone."""
 
     def residual(self, motion: Spatial) -> Vector:
         """The contact's acceleration less its reference where the body accelerates by `motion`, in its own frame."""

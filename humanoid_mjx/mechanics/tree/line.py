@@ -118,7 +118,7 @@ def _pushing(
         for flag, a, b in zip(flags, touch.facets(one), touch.facets(two), strict=True):
             found.append(_row(touch.close, touch.weight, a, b, shape, flag))
     if pairs is not None:
-        shape = sum(len(group.ones) for group in tree.pairs), *worlds
+        shape = pairs.close.shape
         residuals = (pairs.facets(pair_residuals(tree, problem.kinematics, pairs, x)) for x in (before, after))
         for flag, a, b in zip(active.pairs, *residuals, strict=True):
             found.append(_row(pairs.close, pairs.weight, a, b, shape, flag))

@@ -5,18 +5,35 @@ pushes is an update of rank one (P. Gill et al., "Methods for Modifying Matrix F
 """
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from humanoid_mjx.mechanics.scalars import ZERO, Scalar, Vector, add
-from humanoid_mjx.mechanics.tree.algebra import force_at, known, lane, power, resolve, stacked
+from humanoid_mjx.mechanics.tree.algebra import (
+    force_at,
+    known,
+    lane,
+    over_lanes,
+    power,
+    resolve,
+    stacked,
+    summed,
+    times,
+    total,
+    velocity_at,
+)
 from humanoid_mjx.mechanics.tree.contacts import Touch, apart
 from humanoid_mjx.mechanics.tree.inertia import Factors
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics, motions_of
 from humanoid_mjx.mechanics.tree.structure import Box, Capsule, Tree
+
+SLOTS = 16
+"""Contacts that a world may have at a time of pairs that `few_close` picks."""
 
 Flags = list[Bool[Array, "pairs worlds"]]
 """Mask of the facets that push, of the contacts of all pairs."""
@@ -46,6 +63,22 @@ def joined(tree: Tree, touches: Sequence[Touch]) -> Touch:
     return jax.tree.map(join, *touches, is_leaf=lambda part: isinstance(part, Scalar))
 
 
+def few_close(tree: Tree, touch: Touch, worlds: Any) -> tuple[Touch, Bool[Array, " worlds"]]:
+    """The contacts of the first `SLOTS` pairs that are close in each of these worlds, and where more are; `touch`: the
+    contacts of all pairs (`joined`)."""
+    left, size = touch.close[:, worlds], len(touch.close)
+    index, slots = jnp.arange(size, dtype=jnp.uint32)[:, None], []
+    for _ in range(SLOTS):
+        slots.append(jnp.where(left, index, size).min(axis=0))
+        left = left & (index > slots[-1])
+    pair = jnp.minimum(jnp.stack(slots), size - 1)
+    found = jax.tree.map(lambda v: jnp.broadcast_to(v, touch.close.shape)[pair, worlds], touch)
+    table = jnp.array([_alone(tree, *place) for place in _places(tree)], float)
+    signs = _folded(tree, list(table[:, pair]))
+    signs = [Scalar(jnp.moveaxis(sign, 0, -2) if sign.ndim > 2 else sign) for sign in signs]
+    return found._replace(close=jnp.stack(slots) < size, signs=signs), left.any(axis=0)
+
+
 def all_close(touches: Sequence[Touch]) -> Flags:
     """The facets of all bodies that are close."""
     close = jnp.concatenate([touch.close for touch in touches])
@@ -54,8 +87,15 @@ def all_close(touches: Sequence[Touch]) -> Flags:
 
 def pair_residuals(tree: Tree, kinematics: Kinematics, touch: Touch, x: Sequence[Scalar]) -> Vector:
     """By how much the bodies of pairs part faster than they should; `touch`: the contacts of all pairs (`joined`)."""
-    ones, twos = zip(*_each(tree), strict=True)
-    moved = apart(ones, twos, motions_of(tree, kinematics, x), touch.place)
+    if touch.signs is None:
+        ones, twos = zip(*_each(tree), strict=True)
+        moved = apart(ones, twos, motions_of(tree, kinematics, x), touch.place)
+    else:
+        parts = zip(touch.signs, x, kinematics.motions, strict=True)
+        each = [times(sign * one, motion) for sign, one, motion in parts]
+        laned = [motion for dof, motion in enumerate(each) if tree.laned(dof)]
+        stem = [motion for dof, motion in enumerate(each) if not tree.laned(dof)]
+        moved = velocity_at(total([*stem, summed(total(laned), partial(over_lanes, lanes=tree.lanes))]), touch.place)
     return add(resolve(touch.frame, moved), touch.offset)
 
 
@@ -80,7 +120,7 @@ def with_pairs(
     for flag in flags:
         counts.append(counts[-1] + flag.astype(jnp.int32))
     rank, count = jnp.stack(counts[:-1]), counts[-1]
-    signs = [_sign(tree, dof) for dof in range(tree.nv)]
+    signs = touch.signs or [_sign(tree, dof) for dof in range(tree.nv)]
     vectors = [*(Vector(*parts) for parts in zip(*touch.frame, strict=True)), touch.offset]
     x, y, z, offset = (stacked(touch.facets(v), (pairs, *worlds)).reshape(-1, *worlds) for v in vectors)
 
@@ -119,16 +159,19 @@ def _each(tree: Tree) -> list[tuple[Capsule | Box, Capsule | Box]]:
 
 
 def _sign(tree: Tree, dof: int) -> Scalar:
-    """1 where it moves a pair's second body alone, -1 where it moves the first alone, by pair."""
+    """`_alone`, with an axis of lanes behind where the degree of freedom has one."""
+    each = [_alone(tree, dof, index) for index in range(len(tree.dofs[dof]))]
+    return known(np.stack(each, axis=-1) if tree.laned(dof) else each[0])
 
-    def moves(shape: Capsule | Box, index: int) -> bool:
-        return dof in tree.moving(shape.body) and index in (shape.lane, None)
 
-    each = _each(tree)
-    if not tree.laned(dof):
-        return known([float(moves(two, two.lane)) - float(moves(one, one.lane)) for one, two in each])
-    lanes = range(tree.lanes)
-    return known([[float(moves(two, index)) - float(moves(one, index)) for index in lanes] for one, two in each])
+def _alone(tree: Tree, dof: int, index: int) -> list[float]:
+    """1 where a degree of freedom of a lane moves a pair's second body alone, -1 where it moves the first alone, by
+    pair."""
+
+    def moves(shape: Capsule | Box) -> bool:
+        return dof in tree.moving(shape.body) and (index == shape.lane or not tree.laned(dof))
+
+    return [float(moves(two)) - float(moves(one)) for one, two in _each(tree)]
 
 
 def _places(tree: Tree) -> list[tuple[int, int]]:

@@ -16,12 +16,12 @@ import jax.numpy as jnp
 from humanoid_mjx.mechanics.scalars import Scalar
 from humanoid_mjx.mechanics.tree.inertia import factor
 from humanoid_mjx.mechanics.tree.line import lowest_share
-from humanoid_mjx.mechanics.tree.pairs import active_pairs, all_close, joined, with_pairs
+from humanoid_mjx.mechanics.tree.pairs import active_pairs, all_close, few_close, joined, with_pairs
 from humanoid_mjx.mechanics.tree.problem import Active, Problem, active_at, normal_equations, worlds_of
 from humanoid_mjx.mechanics.tree.structure import Tree
 
 FEW_PAIRS = 8
-"""The lower body has 5."""
+"""Pairs that are all kept; of more, on a CPU, each world keeps those that are close. The lower body has 5."""
 
 SAME = 200.0
 """Rounding errors by which two accelerations may differ, as shares of the largest, and count as the same. A facet whose
@@ -32,9 +32,10 @@ PATIENCE, MORE = 10, 10.0
 alternate between two accelerations that differ by rounding, which stiff contacts of light limbs enlarge."""
 
 WHOLE, SHARE = 3, 0.7
-"""Whole Newton steps of trees that are not `circling`, and the share of each later step that is made. On slippery
-ground some worlds go round in circles: at friction 0.3 a tenth of 512 thrown bodies within 2 s. At friction 0.1 all of
-them settle with a share of 0.7; with 0.6 and 0.8 one and three do not."""
+"""Whole Newton steps of trees without dry friction, and the share of each later step that is made. With dry friction
+steps often go round in circles, and each after the first ends at the lowest point of its line. On slippery ground some
+worlds do: at friction 0.3 a tenth of 512 thrown bodies within 2 s. At friction 0.1 all of them settle with a share of
+0.7; with 0.6 and 0.8 one and three do not."""
 
 
 def search(tree: Tree, problem: Problem, start: list[Any], most: int) -> tuple[list[Any], Any]:
@@ -48,7 +49,7 @@ def search(tree: Tree, problem: Problem, start: list[Any], most: int) -> tuple[l
         values = [jnp.where(settled, old, v.value) for old, v in zip(before, x, strict=True)]
         errors = SAME * jnp.where(count < PATIENCE, 1.0, MORE)
         settled = settled | ~_differ(active, now) | _same(before, values, errors)
-        whole = 1 if circling(tree) else WHOLE
+        whole = 1 if problem.slips else WHOLE
         if most > whole:
             shorter = (count >= whole) & ~settled.all()
             shorten = partial(_shortened, tree, problem, before, values, active, settled)
@@ -68,18 +69,12 @@ def search(tree: Tree, problem: Problem, start: list[Any], most: int) -> tuple[l
     return x, settled
 
 
-def circling(tree: Tree) -> bool:
-    """True for trees whose whole Newton steps often go round in circles, so that each later one ends at the lowest
-    point of its line. Trees of few pairs without dry friction seldom do: `SHARE` is enough."""
-    return any(joint.dry for joint in tree.joints) or sum(len(group.ones) for group in tree.pairs) > FEW_PAIRS
-
-
 def _shortened(tree: Tree, problem: Problem, before: Any, values: Any, active: Active, settled: Any) -> Any:
     """The accelerations after a part of the way from `before` to `values`, where the facets that push in `active` lead,
     and which facets push there; settled worlds stay."""
     touch = joined(tree, problem.pairs) if problem.pairs else None
     one, two = ([Scalar(value) for value in x] for x in (before, values))
-    share = lowest_share(tree, problem, touch, active, one, two, settled) if circling(tree) else SHARE
+    share = lowest_share(tree, problem, touch, active, one, two, settled) if problem.slips else SHARE
     values = [jnp.where(settled, new, old + share * (new - old)) for old, new in zip(before, values, strict=True)]
     found = [Scalar(value) for value in values]
     pairs = active_pairs(tree, problem.kinematics, touch, found) if touch else []
@@ -144,7 +139,8 @@ def search_blocks(tree: Tree, problem: Problem, start: list[Any]) -> tuple[list[
     """`search`; of more worlds than a block holds, on a CPU, block by block and in two passes.
 
     Worlds of a block wait for the slowest of them. So after `FIRST_STEPS` those that are not settled, and those where
-    bodies are close, are gathered into blocks of their own, of which only the first compute pairs.
+    bodies are close, are gathered into blocks of their own, of which only the first compute pairs. Worlds of which more
+    than `SLOTS` of many pairs are close do not settle.
     """
     worlds = worlds_of(problem, start)
     if worlds <= (BLOCK,) or jax.default_backend() != "cpu":
@@ -162,13 +158,18 @@ def search_blocks(tree: Tree, problem: Problem, start: list[Any]) -> tuple[list[
     nothing = [jnp.zeros((*jnp.shape(v)[:-1], *worlds), v.dtype) for v in start], near
     x, settled = _by_blocks(first, -(-worlds[0] // BLOCK), nothing)
     left = near | ~settled
+    many = sum(len(touch.close) for touch in problem.pairs) > FEW_PAIRS
     # Of indices that may be negative, each look-up would be traced at length.
     order = jnp.argsort(jnp.where(near, 0, jnp.where(left, 1, 2))).astype(jnp.uint32)
 
     def second(begin: Any) -> tuple[list[Any], Any]:
         at = _block(order, begin)
-        own, before = part((problem, x), lambda v: v[..., at])
-        return search(tree, own, before, MOST_STEPS)
+        own, before = part((problem._replace(pairs=[]) if many else problem, x), lambda v: v[..., at])
+        if not many:
+            return search(tree, own, before, MOST_STEPS)
+        touch, more = few_close(tree, joined(tree, problem.pairs), at)
+        found, settled = search(tree, own._replace(pairs=[touch]), before, MOST_STEPS)
+        return found, settled & ~more
 
     found = _by_blocks(second, (left.sum() + (BLOCK - 1)) // BLOCK, (x, settled))
     back = jnp.argsort(order).astype(jnp.uint32)
