@@ -23,6 +23,7 @@ import json
 import math
 import os
 import re
+import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -121,9 +122,9 @@ class RunFolder:
         with self.writing(name) as temporary:
             temporary.write_text(text, encoding="utf-8")
 
-    def write_json(self, name: str, data: Any) -> None:
-        """Write plain values as JSON, as a whole or not at all."""
-        self.write_text(name, json.dumps(data, indent=2) + "\n")
+    def write_json(self, name: str, data: dict[str, Any]) -> None:
+        """Write plain values, and a checksum of them, as JSON, as a whole or not at all."""
+        self.write_text(name, json.dumps(data | {"checksum": _checksum(data)}, indent=2) + "\n")
 
     def write_arrays(self, name: str, arrays: Arrays) -> None:
         """Write a checkpoint file: numpy arrays and the digest of the config, as a whole or not at all."""
@@ -223,6 +224,10 @@ def read_config(path: Path) -> dict[str, Any]:
     return data
 
 
+def _checksum(data: dict[str, Any]) -> int:
+    return zlib.crc32(json.dumps(data).encode())
+
+
 def read_provenance(path: Path) -> dict[str, Any]:
     """The content of a run folder's `provenance.json`; empty where there is none.
 
@@ -232,6 +237,8 @@ def read_provenance(path: Path) -> dict[str, Any]:
     file = path / "provenance.json"
     try:
         found = json.loads(file.read_text(encoding="utf-8"))
+        if found.pop("checksum", None) not in (None, _checksum(found)):  # older runs have none
+            raise ValueError("a value was changed")
         if not all(math.isfinite(each["wall_s"] + each["compile_s"]) for each in found.get("sessions", [])):
             raise ValueError("a time that is none")
     except FileNotFoundError:

@@ -221,6 +221,13 @@ def test_a_provenance_that_is_damaged_or_of_another_run_is_refused(run, said, co
     assert read_provenance(run)["runs_finished"] == 8
 
 
+def test_a_number_changed_in_the_provenance_is_noticed(run):
+    file = run / "provenance.json"
+    file.write_text(re.sub(r'"runs_finished": \d+', '"runs_finished": 7', file.read_text()))
+    with pytest.raises(InputError, match=r"provenance\.json: this file is truncated or damaged"):
+        read_provenance(run)
+
+
 def test_a_table_without_a_digest_is_damaged(run):
     file = run / "summary.parquet"
     pq.write_table(pq.read_table(file).replace_schema_metadata(None), file)
