@@ -56,18 +56,16 @@ WAYS: dict[str, Callable[[bytes, random.Random], bytes]] = {
 }
 
 
-CONFIG = CONFIGS["tabular_q"]
-
-
 def _look(run: Path) -> dict[str, Any]:
     """Output of the commands about a run folder, without times and paths."""
-    page, policy, picture = run.parent / "page.html", run.parent / "policy.npz", run.parent / "plot.png"
+    page, policy, picture, film = (run.parent / name for name in ("page.html", "policy.npz", "plot.png", "film.png"))
     calls = {
         "runs": ("runs", run),
         "report": ("report", run, "--no-motion", "--out", page),
         "plot": ("plot", run, "--out", picture),
         "evaluate": ("evaluate", run, "--episodes", 8),
         "export": ("export", run, policy),
+        "play": ("play", run, "--out", film, "--size", "64x64"),
     }
     found: dict[str, Any] = {}
     for name, call in calls.items():
@@ -79,8 +77,8 @@ def _look(run: Path) -> dict[str, Any]:
             said = str({key: array.tobytes() for key, array in read_archive(policy, ("policy",)).items()})
         if done.how == "worked" and name == "report":
             said = page.read_text()
-        if done.how == "worked" and name == "plot":
-            said = str(hash(picture.read_bytes()))
+        if done.how == "worked" and name in ("plot", "play"):
+            said = str(hash((picture if name == "plot" else film).read_bytes()))
         found[name] = (done.how, said)
     return found
 
@@ -89,10 +87,10 @@ BEFORE: dict[Path, dict[str, Any]] = {}
 """Output of the commands about undamaged run folders."""
 
 
-def _resume(run: Path) -> Done:
+def _resume(learner: str, run: Path) -> Done:
     """Resume a run folder without drawing its figures."""
     try:
-        sweep(CONFIG, run, resume=True)
+        sweep(CONFIGS[learner], run, resume=True)
     except InputError as error:
         return Done("one sentence", str(error))
     except Exception:
@@ -100,7 +98,7 @@ def _resume(run: Path) -> Done:
     return Done("worked", "")
 
 
-def _damage(case: tuple[str, bytes | None, str]) -> Try:
+def _damage(learner: str, case: tuple[str, bytes | None, str]) -> Try:
     """Damage a copy of a run folder, read it by every command, and resume it."""
     file, data, source = case
     run = Path.cwd() / "work" / "run"
@@ -114,10 +112,10 @@ def _damage(case: tuple[str, bytes | None, str]) -> Try:
     after = _look(run)
     if odd := [said for how, said in after.values() if how not in FINE]:
         return "wrong", f"{file}: {odd[0]}"
-    resumed = _resume(run)
+    resumed = _resume(learner, run)
     if resumed.how == "one sentence" and "remove it" in resumed.said:
         Path(resumed.said.partition(": ")[0]).unlink()
-        resumed = _resume(run)
+        resumed = _resume(learner, run)
     if resumed.how == "traceback":
         return "wrong", f"{file}: --resume: {resumed.said}"
     if resumed.how == "worked" and bits(run) != bits(Path.cwd() / "whole"):
@@ -131,24 +129,25 @@ def _damage(case: tuple[str, bytes | None, str]) -> Try:
     return f"{how}; {SAME if resumed.how == 'worked' else 'refused to resume'}", ""
 
 
-def _prepare(folder: Path) -> None:
+def _prepare(learner: str, folder: Path) -> None:
     """A finished run in `whole`, and in `other` one of the same shape that differs in a value."""
-    sweep(CONFIG, folder / "whole")
-    sweep(CONFIG | {"seed": 1}, folder / "other")
+    sweep(CONFIGS[learner], folder / "whole")
+    sweep(CONFIGS[learner] | {"seed": 1}, folder / "other")
 
 
-def damaged_runs(matrix: Matrix, folder: Path, tries: int, seed: int) -> None:
+def damaged_runs(matrix: Matrix, learner: str, folder: Path, tries: int, seed: int) -> None:
     """Every kind of file of a run folder: truncated, a bit flipped, a byte changed, foreign, of another run, missing.
 
     Those under way are of a run in `cut`, which a kill has left with others over.
     """
     shutil.rmtree(folder, ignore_errors=True)
     (folder / "work").mkdir(parents=True)
-    isolated(_prepare, [folder], folder, 300)
+    isolated(partial(_prepare, learner), [folder], folder, 300)
     draw, wait, longest = random.Random(seed), 0.3, 4.0
-    while not any((folder / "cut").glob("checkpoint/pool-*.npz")) or not any((folder / "cut").glob("*.parquet")):
+    over = "*.parquet" if learner == "tabular_q" else "*.yaml"  # all networks are over at the same moment
+    while not any((folder / "cut").glob("checkpoint/pool-*.npz")) or not any((folder / "cut").glob(over)):
         shutil.rmtree(folder / "cut", ignore_errors=True)
-        killed(CONFIG, folder / "cut", wait)
+        killed(CONFIGS[learner], folder / "cut", wait)
         wait, longest = draw.uniform(0.2, longest), longest + 0.5  # a busy machine takes longer
     run = folder / "whole"
     files = [file.relative_to(run).as_posix() for file in sorted(run.rglob("*.*")) if file.is_file()]
@@ -162,8 +161,9 @@ def damaged_runs(matrix: Matrix, folder: Path, tries: int, seed: int) -> None:
             cases.append((name, foreign(run, draw), source))
         if (other := folder / "other" / name).exists():
             cases.append((name, other.read_bytes(), source))
-        tried = partial(isolated, _damage, cases, folder)
-        matrix.row("truncated, flipped, changed, foreign or missing file", re.sub(r"-\d+", "", name), tried)
+        tried = partial(isolated, partial(_damage, learner), cases, folder)
+        subject = re.sub(r"-\d+", "", name) + (", networks" if learner == "deep_q" else "")
+        matrix.row("truncated, flipped, changed, foreign or missing file", subject, tried)
 
 
 def _evaluate(case: tuple[str, bytes]) -> tuple[str, str]:
