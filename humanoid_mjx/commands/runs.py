@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from rich.filesize import decimal
+from rich.measure import Measurement
 from rich.table import Column, Table
 
 from humanoid_mjx import compute
@@ -17,12 +18,20 @@ from humanoid_mjx.runs.listing import Listed, list_runs
 from humanoid_mjx.spec import InputError, check_folder
 from humanoid_mjx.training.progress import Bar
 
+UNBOUNDED, LEAST_COLUMNS = 10_000, 5
+"""A width that holds every table, and the columns that the narrowest screen shows, with broken cells."""
+
 
 def run_runs(folder: Path) -> None:
     """`humanoid-mjx runs`."""
     found, problems = list_runs(folder)
     if found:
-        console.print(runs_table(found))
+        table, wide = runs_table(found), console.options.update_width(UNBOUNDED)
+        while console.is_terminal and len(table.columns) > LEAST_COLUMNS:
+            if Measurement.get(console, wide, table).maximum <= console.width:
+                break
+            table.columns.pop()
+        console.print(table)
         console.print("Success and return are those of greedy episodes of the best point, over its seeds.")
     else:
         console.print(f"{folder}: there is no run folder in it.")

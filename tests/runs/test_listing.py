@@ -1,5 +1,6 @@
 """The list of run folders: finished, under way, killed, foreign and damaged ones."""
 
+import io
 import json
 import shutil
 
@@ -9,8 +10,10 @@ import pyarrow.parquet as pq
 import pytest
 import small_sweep
 from command_line import told
+from rich.console import Console
 
 from humanoid_mjx import InputError, sweep
+from humanoid_mjx.commands import runs
 from humanoid_mjx.config import parse
 from humanoid_mjx.runs.folder import RunFolder, fresh_path, latest_path
 from humanoid_mjx.runs.listing import list_runs
@@ -136,3 +139,12 @@ def test_parts_have_numbers_of_their_own_in_a_job_of_several_processes(tmp_path)
         run.add_part({"point": np.zeros(1)})
         assert max(path.name for path in run.parts()) == f"part-{number:05d}.npz"
     run.close()
+
+
+@pytest.mark.parametrize(("width", "last"), [(200, "size"), (74, "success")])
+def test_a_narrow_terminal_shows_fewer_columns_rather_than_broken_words(folder, monkeypatch, width, last):
+    console = Console(file=io.StringIO(), width=width, force_terminal=True, color_system=None, highlight=False)
+    monkeypatch.setattr(runs, "console", console)
+    runs.run_runs(folder)
+    headings, row, *_ = console.file.getvalue().splitlines()
+    assert headings.split()[-1] == last and {"small", "joint_reach", "tabular_q", "finished"} <= set(row.split())
