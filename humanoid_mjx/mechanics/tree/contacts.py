@@ -61,9 +61,9 @@ class Touch(NamedTuple):
     offset: Vector
     """Less its reference acceleration, in its frame: what is added to the acceleration of its place."""
     friction: Friction
-    signs: list[Scalar] | None = None
-    """Of pairs that differ from world to world: by degree of freedom 1 where it moves the second body alone, and -1
-    where it moves the first alone."""
+    rows: list[list[Scalar]] | None = None
+    """Of pairs that differ from world to world: by facet and degree of freedom, the acceleration along the facet for a
+    unit of that of the degree of freedom."""
 
     def residual(self, motion: Spatial) -> Vector:
         """The contact's acceleration less its reference where the body accelerates by `motion`, in its own frame."""

@@ -119,7 +119,7 @@ def _pushing(
             found.append(_row(touch.close, touch.weight, a, b, shape, flag))
     if pairs is not None:
         shape = pairs.close.shape
-        residuals = (pairs.facets(pair_residuals(tree, problem.kinematics, pairs, x)) for x in (before, after))
+        residuals = (pair_residuals(tree, problem.kinematics, pairs, x) for x in (before, after))
         for flag, a, b in zip(active.pairs, *residuals, strict=True):
             found.append(_row(pairs.close, pairs.weight, a, b, shape, flag))
     for dof, stop in problem.stops.items():

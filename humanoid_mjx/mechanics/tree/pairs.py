@@ -5,7 +5,6 @@ pushes is an update of rank one (P. Gill et al., "Methods for Modifying Matrix F
 """
 
 from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
 import jax
@@ -13,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from humanoid_mjx.mechanics.scalars import ZERO, Scalar, Vector, add
+from humanoid_mjx.mechanics.scalars import ZERO, Scalar, Vector, add, dot
 from humanoid_mjx.mechanics.tree.algebra import (
     force_at,
     known,
@@ -22,9 +21,6 @@ from humanoid_mjx.mechanics.tree.algebra import (
     power,
     resolve,
     stacked,
-    summed,
-    times,
-    total,
     velocity_at,
 )
 from humanoid_mjx.mechanics.tree.contacts import Touch, apart
@@ -63,20 +59,30 @@ def joined(tree: Tree, touches: Sequence[Touch]) -> Touch:
     return jax.tree.map(join, *touches, is_leaf=lambda part: isinstance(part, Scalar))
 
 
-def few_close(tree: Tree, touch: Touch, worlds: Any) -> tuple[Touch, Bool[Array, " worlds"]]:
-    """The contacts of the first `SLOTS` pairs that are close in each of these worlds, and where more are; `touch`: the
-    contacts of all pairs (`joined`)."""
+def few_close(tree: Tree, kinematics: Kinematics, touch: Touch, worlds: Any) -> tuple[Touch, Bool[Array, " worlds"]]:
+    """The contacts of the first `SLOTS` pairs that are close in each of these worlds, and where more are.
+
+    Args:
+      tree: and
+      kinematics: of these worlds.
+      touch: the contacts of all pairs (`joined`) of all worlds.
+      worlds: indices of these.
+    """
     left, size = touch.close[:, worlds], len(touch.close)
     index, slots = jnp.arange(size, dtype=jnp.uint32)[:, None], []
-    for _ in range(SLOTS):
+    for _ in range(SLOTS + 1):
         slots.append(jnp.where(left, index, size).min(axis=0))
         left = left & (index > slots[-1])
-    pair = jnp.minimum(jnp.stack(slots), size - 1)
+    more, slot = slots.pop() < size, jnp.stack(slots)
+    pair = jnp.minimum(slot, size - 1)
     found = jax.tree.map(lambda v: jnp.broadcast_to(v, touch.close.shape)[pair, worlds], touch)
     table = jnp.array([_alone(tree, *place) for place in _places(tree)], float)
-    signs = _folded(tree, list(table[:, pair]))
-    signs = [Scalar(jnp.moveaxis(sign, 0, -2) if sign.ndim > 2 else sign) for sign in signs]
-    return found._replace(close=jnp.stack(slots) < size, signs=signs), left.any(axis=0)
+    wide, rows = jax.tree.map(lambda v: v[:, None], found), []
+    for dof, sign in enumerate(_folded(tree, list(table[:, pair]))):
+        at, sign = (wide, jnp.moveaxis(sign, 0, 1)) if tree.laned(dof) else (found, sign)
+        moved = at.facets(resolve(at.frame, velocity_at(kinematics.motions[dof], at.place)))
+        rows.append([Scalar(sign) * facet for facet in moved])
+    return found._replace(close=slot < size, rows=list(map(list, zip(*rows, strict=True)))), more
 
 
 def all_close(touches: Sequence[Touch]) -> Flags:
@@ -85,23 +91,22 @@ def all_close(touches: Sequence[Touch]) -> Flags:
     return [close] * (4 if any(touch.friction for touch in touches) else 1)
 
 
-def pair_residuals(tree: Tree, kinematics: Kinematics, touch: Touch, x: Sequence[Scalar]) -> Vector:
-    """By how much the bodies of pairs part faster than they should; `touch`: the contacts of all pairs (`joined`)."""
-    if touch.signs is None:
+def pair_residuals(tree: Tree, kinematics: Kinematics, touch: Touch, x: Sequence[Scalar]) -> list[Scalar]:
+    """By how much the bodies of pairs part faster than they should, along each facet; `touch`: the contacts of all
+    pairs (`joined`)."""
+    if touch.rows is None:
         ones, twos = zip(*_each(tree), strict=True)
         moved = apart(ones, twos, motions_of(tree, kinematics, x), touch.place)
-    else:
-        parts = zip(touch.signs, x, kinematics.motions, strict=True)
-        each = [times(sign * one, motion) for sign, one, motion in parts]
-        laned = [motion for dof, motion in enumerate(each) if tree.laned(dof)]
-        stem = [motion for dof, motion in enumerate(each) if not tree.laned(dof)]
-        moved = velocity_at(total([*stem, summed(total(laned), partial(over_lanes, lanes=tree.lanes))]), touch.place)
-    return add(resolve(touch.frame, moved), touch.offset)
+        return touch.facets(add(resolve(touch.frame, moved), touch.offset))
+    stem = sum(not tree.laned(dof) for dof in range(tree.nv))
+    laned = over_lanes([dot(row[stem:], x[stem:]) for row in touch.rows], tree.lanes)
+    each = zip(touch.rows, laned, touch.facets(touch.offset), strict=True)
+    return [dot(row[:stem], x[:stem]) + part + offset for row, part, offset in each]
 
 
 def active_pairs(tree: Tree, kinematics: Kinematics, touch: Touch, x: Sequence[Scalar]) -> Flags:
     """Mask of the facets that push at these accelerations; `touch`: the contacts of all pairs (`joined`)."""
-    return touch.active(pair_residuals(tree, kinematics, touch, x))
+    return [touch.close & (facet.value < 0.0) for facet in pair_residuals(tree, kinematics, touch, x)]
 
 
 def with_pairs(
@@ -120,7 +125,7 @@ def with_pairs(
     for flag in flags:
         counts.append(counts[-1] + flag.astype(jnp.int32))
     rank, count = jnp.stack(counts[:-1]), counts[-1]
-    signs = touch.signs or [_sign(tree, dof) for dof in range(tree.nv)]
+    signs = [_sign(tree, dof) for dof in range(tree.nv)]
     vectors = [*(Vector(*parts) for parts in zip(*touch.frame, strict=True)), touch.offset]
     x, y, z, offset = (stacked(touch.facets(v), (pairs, *worlds)).reshape(-1, *worlds) for v in vectors)
 
@@ -128,11 +133,14 @@ def with_pairs(
         """Add to each world its next active facet."""
         mine = flags & (rank == index)
         pair = mine.reshape(len(active), pairs, *worlds).any(axis=0)
-        axis = Vector(*(Scalar(_picked(mine, part)) for part in (x, y, z)))
-        place, weight, sign = jax.tree.map(lambda v: _picked(pair, v), (touch.place, touch.weight, signs))
-        force = force_at(axis, place)
-        row = [s * power(motion, force) for s, motion in zip(sign, kinematics.motions, strict=True)]
-        on = jnp.where(index < count, weight.value, 0.0)
+        if touch.rows is None:
+            place, sign = jax.tree.map(lambda v: _picked(pair, v), (touch.place, signs))
+            force = force_at(Vector(*(Scalar(_picked(mine, part)) for part in (x, y, z))), place)
+            row = [s * power(motion, force) for s, motion in zip(sign, kinematics.motions, strict=True)]
+        else:
+            each = (jnp.concatenate([facet.value for facet in facets]) for facets in zip(*touch.rows, strict=True))
+            row = [Scalar(_picked(mine, part)) for part in each]
+        on = jnp.where(index < count, _picked(pair, touch.weight.value), 0.0)
         return _updated(dense, _unfolded(tree, row, worlds), on, _picked(mine, offset))
 
     dense = _dense(tree, factors, worlds), _unfolded(tree, factors.inverse, worlds), _unfolded(tree, right, worlds)

@@ -167,7 +167,7 @@ def search_blocks(tree: Tree, problem: Problem, start: list[Any]) -> tuple[list[
         own, before = part((problem._replace(pairs=[]) if many else problem, x), lambda v: v[..., at])
         if not many:
             return search(tree, own, before, MOST_STEPS)
-        touch, more = few_close(tree, joined(tree, problem.pairs), at)
+        touch, more = few_close(tree, own.kinematics, joined(tree, problem.pairs), at)
         found, settled = search(tree, own._replace(pairs=[touch]), before, MOST_STEPS)
         return found, settled & ~more
 
