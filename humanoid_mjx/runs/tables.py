@@ -144,7 +144,7 @@ def column_names(path: Path) -> list[str]:
     """The names of the columns of a parquet file of a run folder; none where there is no such file.
 
     Raises:
-      InputError: the file is truncated, damaged or of another run.
+      InputError: the file is truncated, damaged, another one or of another run.
     """
     if not path.is_file():
         return []
@@ -154,6 +154,8 @@ def column_names(path: Path) -> list[str]:
     except (pa.ArrowException, OSError, ValueError) as error:  # names that are no text
         raise _useless(path) from error
     _check_run(path, schema)
+    if not _fits(path.stem, set(names)):
+        raise _useless(path, "is another one")
     return names
 
 

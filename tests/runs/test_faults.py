@@ -228,6 +228,13 @@ def test_a_number_changed_in_the_provenance_is_noticed(run):
         read_provenance(run)
 
 
+def test_another_table_of_the_run_in_the_place_of_one_is_noticed(run):
+    """Also by `plot`, which reads only columns that it draws."""
+    shutil.copy(run / "results.parquet", run / "timing.parquet")
+    with pytest.raises(InputError, match=r"timing\.parquet: this file is another one"):
+        column_names(run / "timing.parquet")
+
+
 def test_a_table_without_a_digest_is_damaged(run):
     file = run / "summary.parquet"
     pq.write_table(pq.read_table(file).replace_schema_metadata(None), file)
