@@ -168,12 +168,12 @@ def load_policy(path: Path) -> Trained:
 def in_world(trained: Trained, physics: str | None, overrides: Sequence[str]) -> Trained:
     """The same policy on another physics (`on_physics`) and in a changed world (`in_changed_world`), if asked for."""
     if physics is not None:
-        trained = on_physics(trained, physics)
+        return on_physics(trained, physics, overrides)
     return in_changed_world(trained, overrides) if overrides else trained
 
 
-def on_physics(trained: Trained, physics: str) -> Trained:
-    """The same policy, its task simulated by another physics.
+def on_physics(trained: Trained, physics: str, overrides: Sequence[str] = ()) -> Trained:
+    """The same policy, its task simulated by another physics, and its world changed (`in_changed_world`).
 
     Raises:
       InputError: the task has no choice of physics, or not this one.
@@ -181,7 +181,7 @@ def on_physics(trained: Trained, physics: str) -> Trained:
     task = trained.config.task
     if "physics" not in type(trained.learner.task).model_fields:
         raise InputError(f"--physics {physics}: the task {task['name']} has no choice of physics.")
-    return in_changed_world(trained, [f"task.physics={physics}"])
+    return in_changed_world(trained, [f"task.physics={physics}", *overrides])
 
 
 def on_native(trained: Trained) -> Trained:

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
+from pydantic import Field
 
 from humanoid_mjx.mechanics.scalars import Scalar, Vector
 from humanoid_mjx.spec import Spec, traced
@@ -33,6 +34,7 @@ class Terrain(Spec):
     least: float = traced(
         1.0, ge=0, le=1, description="the least slope, waves and step of an episode, as shares of these, the largest"
     )
+    together: bool = Field(True, description="an episode has slope, waves and steps; false: one of them, or none")
 
     @property
     def shaped(self) -> bool:
@@ -47,6 +49,8 @@ class Terrain(Spec):
     def draw(self, key: Key[Array, ""]) -> "Terrain":
         """The ground of one episode."""
         shares = 1.0 - (1.0 - self.least) * jax.random.uniform(key, (3,))
+        if not self.together:
+            shares *= jnp.arange(3) == jax.random.randint(jax.random.fold_in(key, 1), (), 0, 4)
         drawn = {
             name: share * value
             for name, share in zip(("slope", "rough", "stairs"), shares, strict=True)

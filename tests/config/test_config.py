@@ -49,7 +49,7 @@ READY = {
     "squat": ["task.physics=mujoco"],
     "stand": ["task.physics=mujoco"],
     "walk": ["task.physics=mujoco"],
-    "walk_terrain": ["task.terrain={stairs: 0.01, least: 0.0}"],
+    "walk_sturdy": ["task.terrain={stairs: 0.01, least: 0.0}"],
 }
 """Legs and bodies on the ground in the physics that is traced and compiled first."""
 
