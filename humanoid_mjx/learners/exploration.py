@@ -1,4 +1,4 @@
-"""Exploring: epsilon with the thesis's decay, and a spread of epsilons over environments."""
+"""Exploring: epsilon with the thesis's decay, and a spread of epsilons over environments. `tabular.py` decays its own."""
 
 from typing import Any
 
