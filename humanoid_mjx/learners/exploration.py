@@ -1,4 +1,4 @@
-"""Exploring: epsilon with the thesis's decay, and a spread of epsilons over environments. `tabular.py` decays its own."""
+"""Exploring: epsilon with the thesis's decay, and a spread of epsilons over environments. Tables decay their own."""
 
 from typing import Any
 

@@ -13,6 +13,7 @@ from humanoid_mjx.mechanics.scalars import HALF, NULL, ONE, TWO, ZERO, Scalar, S
 from humanoid_mjx.mechanics.tree.algebra import (
     Rotation,
     Spatial,
+    each_of,
     in_lane,
     in_order,
     known,
@@ -240,9 +241,7 @@ def apart(
 
 def _velocity(shapes: Sequence[Capsule | Box], motions: Sequence[Spatial], place: Vector) -> Vector:
     """Velocities, m/s, of the points of the shapes' bodies that are at `place`, shape by shape."""
-    places = dict.fromkeys((shape.body, shape.lane) for shape in shapes)
-    found = {(body, index): in_lane(motions[body], index) for body, index in places}
-    each = [found[shape.body, shape.lane] for shape in shapes]
+    each = each_of([(shape.body, shape.lane) for shape in shapes], lambda place: in_lane(motions[place[0]], place[1]))
     stacked = [Vector(*(in_order([m[part][axis] for m in each]) for axis in range(3))) for part in range(2)]
     return velocity_at(Spatial(*stacked), place)
 

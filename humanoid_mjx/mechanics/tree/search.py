@@ -14,14 +14,12 @@ import jax
 import jax.numpy as jnp
 
 from humanoid_mjx.mechanics.scalars import Scalar
+from humanoid_mjx.mechanics.tree.algebra import FEW_PAIRS
 from humanoid_mjx.mechanics.tree.inertia import factor
 from humanoid_mjx.mechanics.tree.line import lowest_share
 from humanoid_mjx.mechanics.tree.pairs import active_pairs, all_close, few_close, joined, with_pairs
 from humanoid_mjx.mechanics.tree.problem import Active, Problem, active_at, normal_equations, worlds_of
 from humanoid_mjx.mechanics.tree.structure import Tree
-
-FEW_PAIRS = 8
-"""Pairs that are all kept; of more, on a CPU, each world keeps those that are close. The lower body has 5."""
 
 SAME = 200.0
 """Rounding errors by which two accelerations may differ, as shares of the largest, and count as the same. A facet whose

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 
 from humanoid_mjx.mechanics.scalars import Scalar, Vector, add, dot, scale
-from humanoid_mjx.mechanics.tree.algebra import combine, in_order, subtract, vector
+from humanoid_mjx.mechanics.tree.algebra import combine, each_of, in_order, subtract, vector
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics
 from humanoid_mjx.mechanics.tree.structure import Capsule, Pairs
 
@@ -23,12 +23,14 @@ def nearest_points(pairs: Pairs, kinematics: Kinematics) -> tuple[Vector, Vector
 
 def _segments(shapes: Sequence[Capsule], kinematics: Kinematics) -> tuple[Vector, Vector]:
     """The middles, and from there to the ends."""
-    found = {}
-    for shape in dict.fromkeys(shapes):  # each once, however many pairs it has
+
+    def placed(shape: Capsule) -> tuple[Vector, Vector]:
         position, axes = kinematics.of_lane(shape.body, shape.lane)
-        middle = add(position, combine(axes, vector(shape.center)))
-        found[shape] = middle, scale(Scalar(max(shape.half_length, POINT)), combine(axes, vector(shape.axis)))
-    one, two = (Vector(*(in_order([found[s][part][i] for s in shapes]) for i in range(3))) for part in range(2))
+        half = scale(Scalar(max(shape.half_length, POINT)), combine(axes, vector(shape.axis)))
+        return add(position, combine(axes, vector(shape.center))), half
+
+    found = each_of(shapes, placed)
+    one, two = (Vector(*(in_order([segment[part][i] for segment in found]) for i in range(3))) for part in range(2))
     return one, two
 
 
