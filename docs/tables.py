@@ -269,6 +269,31 @@ def _faster(subject: str, other: str) -> float:
 SWEEPS = ("cpu_2_cores_leg_reach_sweep", "h100_leg_reach_deep_sweep", "h100_stand_sweep", "h100_walk_sweep")
 ONE_TASK = tuple(f"cpu_2_cores_posture_switch_{kind}" for kind in ("table", "linear", "deep"))
 """Records of sweeps over epsilon, its decay and the learning rate: of function approximation, of three learners."""
+MUTANTS = ("learners", "control", "tasks", "physics", "runs")
+"""Folders into which `benchmarks/mutants.py` puts faults."""
+
+
+def sweep_times() -> str:
+    """Return how many runs each sweep of function approximation has, how fast they train, and how long it takes."""
+    rows = []
+    for found in map(record, SWEEPS):
+        device, beside = found["machine"]["device"], found.get("beside")
+        where = "two CPU cores" if device == "cpu" else f"one {device.split()[1]}"
+        words = {"linear_q": "tiles", "deep_q": "network"}[found["config"]["learner"]["name"]]
+        cells = f"`{found['config']['name']}`", words, str(found["runs"]), where + f" beside {beside}" * bool(beside)
+        rows.append((*cells, rounded(found["episodes_per_s"]), rounded(found["wall_s"] / 60)))
+    return table("config | learner | runs | on | episodes a second | minutes, compiling included", rows)
+
+
+def mutants() -> str:
+    """Return how many faults put into each folder the tests catch."""
+    found = [record(f"mutants_{folder}") | {"folder": f"`{folder}`"} for folder in MUTANTS]
+    counts = [[each["folder"], each["sampled"]] for each in found]
+    for row, each in zip(counts, found, strict=True):
+        row += [round(each[key] * each["sampled"]) for key in ("killed at first", "killed")]
+    counts.append(["all", *(sum(column) for column in list(zip(*counts, strict=True))[1:])])
+    rows = ((name, str(tried), *(f"{n} ({n / tried:.0%})" for n in caught)) for name, tried, *caught in counts)
+    return table("folder | faults tried | caught at first | caught in the end", rows)
 
 
 def sweeps(names: Iterable[str] = SWEEPS) -> str:
@@ -295,6 +320,8 @@ TABLES = {
     of.__name__: of
     for of in (
         sweeps,
+        sweep_times,
+        mutants,
         speed,
         in_turn,
         stand,

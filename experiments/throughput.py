@@ -89,11 +89,11 @@ PANELS = (
 
 
 def rows_of(record: Mapping[str, Any], line: Line) -> list[Mapping[str, Any]]:
-    """Return the rows of a subject whose commit is known, each with it."""
+    """Return the rows of a subject, each with its commit."""
     rows = (
         {"commit": record.get("commit")} | row for row in record["records"] if row["bench"] in ("tabular", "physics")
     )
-    return [row for row in rows if (row["subject"], row["unit"]) == (line.subject, line.unit) and row["commit"]]
+    return [row for row in rows if (row["subject"], row["unit"]) == (line.subject, line.unit)]
 
 
 def measured(record: Mapping[str, Any], line: Line) -> tuple[list[int], list[float]]:

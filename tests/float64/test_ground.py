@@ -117,6 +117,25 @@ def test_joints_accelerate_as_wanted_where_contacts_let_them(touching):
     np.testing.assert_allclose((mobility[:, 6:] @ torque + drift)[6:], wanted, atol=1e-6)
 
 
+@pytest.mark.parametrize("touching", ["11110000", "11111111"])
+def test_the_share_weighs_the_servo_against_the_accelerations(touching):
+    """The torque is where a sum of squares is least: what remains of the accelerations wanted, in the metric of the
+    inertia, and what is added to the servo's torque, in that of its inverse, times the share squared."""
+    seen = look(FREE, *random_state(0))
+    contacts = seen["contacts"]._replace(touching=jnp.array([int(c) for c in touching], bool))
+    held, wanted = jnp.array(np.random.default_rng(2).normal(size=(2, 10)))
+    mobility, drift = constrained_dynamics(seen["matrix"], seen["bias"], contacts)
+    inertia = np.asarray(seen["matrix"])[6:, 6:]
+
+    def cost(torque):
+        remains, added = wanted - mobility[6:, 6:] @ torque - drift[6:], torque - held
+        return remains @ inertia @ remains + 0.1**2 * added @ np.linalg.inv(inertia) @ added
+
+    torque = grounded_torque(wanted, held, 0.1, seen["matrix"], seen["bias"], contacts, np.arange(6, 16))
+    slope = jax.grad(cost)
+    assert np.abs(slope(torque)).max() < 1e-6 * np.abs(slope(held)).max()
+
+
 def test_gains_are_data():
     """A batch of gains and shares gives what each gives alone."""
     seen = look(FREE, *random_state(0))
