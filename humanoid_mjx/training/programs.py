@@ -129,18 +129,29 @@ def programs_of(learners: Learner, devices: Devices) -> Programs:
     return programs(tuple(sorted(options.items())), mesh, fused)
 
 
+def in_turn(learners: Learner, runs: list[int], room: int) -> list[list[int]]:
+    """Divide runs into those that fill all devices to their end, and a rest of which each has several devices."""
+    even = len(runs) - len(runs) % min(room, jax.local_device_count())
+    rest = runs[even:]
+    shared = bool(rest) and placement(learners, len(rest), room)[1].shape[1] > 1
+    return [part for part in ((runs[:even], rest) if shared else (runs,)) if part]
+
+
 def placement(learners: Learner, runs: int, room: int) -> tuple[int, Devices]:
     """Return how many runs each device, or each row of devices that share them, trains at once, and the devices.
 
     Args:
       learners: what trains. Where a CPU has more cores than there are runs, several share the environments of each.
+        Runs that cores can share train one at a time on each: the slot of a run that is over costs as much as a run.
       runs: runs to train.
       room: runs that the devices of this process can train at once.
     """
     devices, rows = jax.local_devices(), min(runs, room, jax.local_device_count())
-    most = len(devices) // rows if jax.default_backend() == "cpu" else 1
-    share = next(share for share in range(most, 0, -1) if learners.can_share(share))
-    return min(room // rows, -(-runs // rows)), np.array(devices[: rows * share]).reshape(rows, share)
+    shares = range(len(devices), 0, -1) if jax.default_backend() == "cpu" else (1,)
+    possible = [share for share in shares if learners.can_share(share)]
+    share = next(share for share in possible if rows * share <= len(devices))
+    size = 1 if len(possible) > 1 else min(room // rows, -(-runs // rows))
+    return size, np.array(devices[: rows * share]).reshape(rows, share)
 
 
 def _sharding(mesh: Mesh, spec: PartitionSpec) -> NamedSharding | SingleDeviceSharding:

@@ -23,7 +23,7 @@ from humanoid_mjx.training.events import Curves
 from humanoid_mjx.training.pace import COMPILING, Look, Pace
 from humanoid_mjx.training.plan import Plan
 from humanoid_mjx.training.pool import IDLE, Pool
-from humanoid_mjx.training.programs import Devices, placement
+from humanoid_mjx.training.programs import Devices, in_turn, placement
 from humanoid_mjx.training.progress import Reporter, State
 
 CHECKPOINT_EVERY_S = 30.0
@@ -75,11 +75,14 @@ class Session:
           InputError: it does not suffice for one run.
         """
         group = self.plan.groups[index]
-        runs = [run for run in group.runs.tolist() if run in self.mine]
-        if not runs:
-            return
+        mine = [run for run in group.runs.tolist() if run in self.mine]
         # By all runs, not by those that wait: networks round differently with another number of runs side by side.
-        size, devices = placement(group.learners, len(runs), room)
+        for runs in in_turn(group.learners, mine, room):
+            self._train_runs(index, runs, *placement(group.learners, len(runs), room), policies)
+
+    def _train_runs(self, index: int, runs: list[int], size: int, devices: Devices, policies: Any) -> None:
+        """Train those of the runs that are not finished yet, `size` at once on each of the devices or rows of them."""
+        group = self.plan.groups[index]
         while waiting := deque(run for run in runs if run not in self.finished):
             slots = size * len(devices)
             where = f" in process 0 of {self.processes.count}" if self.processes.count > 1 else ""

@@ -32,7 +32,7 @@ from humanoid_mjx.training import pool
 from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.pool import Pool
 from humanoid_mjx.training.program import advance, begin, finish
-from humanoid_mjx.training.programs import placement
+from humanoid_mjx.training.programs import in_turn, placement
 
 LEARNERS = {
     "tiles": ("linear_q", {"resolution": 3, "tilings": 2, "order": 1, "learning_rate": 0.3}),
@@ -181,9 +181,16 @@ def test_two_devices_share_the_environments_of_a_run():
 def test_cores_share_a_run_where_they_are_more_than_the_runs():
     walk, leg = (make_plan(load(name)).groups[0].learners for name in ("walk_cpu", "leg_reach"))
     one, two = np.array([jax.local_devices()[:2]]), np.array(jax.local_devices()[:2])[:, None]
-    for learners, runs, size, devices in ((walk, 1, 1, one), (walk, 3, 2, two), (leg, 1, 1, two[:1])):
-        found = placement(learners, runs, 100)
-        assert found[0] == size and found[1].tolist() == devices.tolist()
+    for learners, runs, found in (
+        (walk, 1, [([0], 1, one)]),
+        (walk, 4, [([0, 1, 2, 3], 1, two)]),
+        (walk, 5, [([0, 1, 2, 3], 1, two), ([4], 1, one)]),
+        (leg, 1, [([0], 1, two[:1])]),
+        (leg, 5, [([0, 1, 2, 3, 4], 3, two)]),
+    ):
+        parts = in_turn(learners, list(range(runs)), 100)
+        placed = [(part, *placement(learners, len(part), 100)) for part in parts]
+        assert str(placed) == str(found)
 
 
 def test_one_sample_moves_its_value_by_the_rate():
