@@ -84,10 +84,10 @@ class Spec(pydantic.BaseModel):
 
     @pydantic.field_validator("*", mode="before")
     @classmethod
-    def _true_is_not_1(cls, value: Any, info: Any) -> Any:
-        """Refuse a boolean where integers are listed: pydantic compares by `==`, as Python does."""
+    def _one_is_an_integer(cls, value: Any, info: Any) -> Any:
+        """Refuse `true` and 1.0 where integers are listed: pydantic compares by `==`, as Python does."""
         kinds = (cls.model_fields[info.field_name].annotation,)
-        if isinstance(value, bool) and (numbers := [k for k in _within(kinds) if type(k) is int]):
+        if isinstance(value, (bool, float)) and (numbers := [k for k in _within(kinds) if type(k) is int]):
             raise PydanticKnownError("literal_error", {"expected": ", ".join(map(str, numbers))})
         return value
 

@@ -75,6 +75,7 @@ BAD = {
     "unknown task": ("name: joint_reach", "name: joint_rich", ["task.name", "joint_rich", "joint_reach"]),
     "wrong type": ("epsilon: 0.5", "epsilon: half", ["learner.epsilon", "number", "half"]),
     "an axis in the learner": ("epsilon: 0.5", "epsilon: [0.1]", ["got [0.1]; several", "sweep.axes.learner.epsilon."]),
+    "a float for one of some integers": ("joint: 5", "joint: 4.0", ["task.joint must be one of 1, 4, 5, got 4.0."]),
     "true for one of some integers": ("joint: 5", "joint: true", ["task.joint must be one of 1, 4, 5, got True."]),
     "a float for an integer": ("episodes: 20", "episodes: 2e1", ["episodes must be an integer; write 20, got 20.0"]),
     "a name that YAML reads as true": ("name: small", "name: yes", ["name must be text, got True; put it into quotes"]),

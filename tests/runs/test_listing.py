@@ -17,6 +17,7 @@ from humanoid_mjx.commands import runs
 from humanoid_mjx.config import parse
 from humanoid_mjx.runs.folder import RunFolder, fresh_path, latest_path
 from humanoid_mjx.runs.listing import list_runs
+from humanoid_mjx.training import pool
 from humanoid_mjx.training.plan import resolved
 
 AXES = {"learner.epsilon": [0.1, 0.9], "learner.learning_rate": [0.2, 0.4]}
@@ -25,7 +26,10 @@ CONFIG = small_sweep.CONFIG | {"sweep": {"axes": AXES}, "episodes": 40}
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
-    return sweep(CONFIG, tmp_path_factory.mktemp("runs") / "small").path
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pool, "HARVEST_SHARE", 1.0)  # one part, however busy the machine is
+        patch.setattr(pool, "HARVEST_AFTER_S", np.inf)
+        return sweep(CONFIG, tmp_path_factory.mktemp("runs") / "small").path
 
 
 @pytest.fixture

@@ -77,9 +77,9 @@ class Touch(NamedTuple):
         slips = (self.friction[0] * v.y, self.friction[1] * v.z)
         return [sum_ for slip in slips for sum_ in (v.x + slip, v.x - slip)]
 
-    def active(self, v: Vector) -> list[Any]:
-        """Mask of the facets that push, by the residual in the contact's frame."""
-        return [self.close & (facet.value < 0.0) for facet in self.facets(v)]
+    def active(self, residuals: Sequence[Scalar]) -> list[Any]:
+        """Mask of the facets that push, by the residual along each."""
+        return [self.close & (residual.value < 0.0) for residual in residuals]
 
     def force(self, v: Vector) -> Vector:
         """The force on the second body, N, at this residual; both in the contact's frame."""

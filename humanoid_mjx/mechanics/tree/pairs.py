@@ -104,11 +104,6 @@ def pair_residuals(tree: Tree, kinematics: Kinematics, touch: Touch, x: Sequence
     return [dot(row[:stem], x[:stem]) + part + offset for row, part, offset in each]
 
 
-def active_pairs(tree: Tree, kinematics: Kinematics, touch: Touch, x: Sequence[Scalar]) -> Flags:
-    """Mask of the facets that push at these accelerations; `touch`: the contacts of all pairs (`joined`)."""
-    return [touch.close & (facet.value < 0.0) for facet in pair_residuals(tree, kinematics, touch, x)]
-
-
 def with_pairs(
     tree: Tree,
     kinematics: Kinematics,

@@ -161,7 +161,7 @@ def active_at(tree: Tree, problem: Problem, x: Sequence[Scalar]) -> Active:
     """At these accelerations, but for the pairs."""
     ground = ground_residuals(tree, problem.kinematics, problem.ground, x)
     return Active(
-        [touch.active(v) for touch, v in zip(problem.ground, ground, strict=True)],
+        [touch.active(touch.facets(v)) for touch, v in zip(problem.ground, ground, strict=True)],
         [],
         {dof: stop.close & (stop.residual(x[dof]).value < 0.0) for dof, stop in problem.stops.items()},
         {dof: slip.active(slip.residual(x[dof])) for dof, slip in problem.slips.items()},

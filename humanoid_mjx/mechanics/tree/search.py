@@ -17,7 +17,7 @@ from humanoid_mjx.mechanics.scalars import Scalar
 from humanoid_mjx.mechanics.tree.algebra import FEW_PAIRS
 from humanoid_mjx.mechanics.tree.inertia import factor
 from humanoid_mjx.mechanics.tree.line import lowest_share
-from humanoid_mjx.mechanics.tree.pairs import active_pairs, all_close, few_close, joined, with_pairs
+from humanoid_mjx.mechanics.tree.pairs import all_close, few_close, joined, pair_residuals, with_pairs
 from humanoid_mjx.mechanics.tree.problem import Active, Problem, active_at, normal_equations, worlds_of
 from humanoid_mjx.mechanics.tree.structure import Tree
 
@@ -75,7 +75,7 @@ def _shortened(tree: Tree, problem: Problem, before: Any, values: Any, active: A
     share = lowest_share(tree, problem, touch, active, one, two, settled) if problem.slips else SHARE
     values = [jnp.where(settled, new, old + share * (new - old)) for old, new in zip(before, values, strict=True)]
     found = [Scalar(value) for value in values]
-    pairs = active_pairs(tree, problem.kinematics, touch, found) if touch else []
+    pairs = touch.active(pair_residuals(tree, problem.kinematics, touch, found)) if touch else []
     return values, active_at(tree, problem, found)._replace(pairs=pairs)
 
 
@@ -114,7 +114,7 @@ def _minimum(tree: Tree, problem: Problem, active: Active, near: Any) -> tuple[l
     def together() -> tuple[list[Any], list[Any]]:
         at, touch = problem.kinematics, joined(tree, problem.pairs)
         found = with_pairs(tree, at, touch, active.pairs, factors, right, x)
-        return [v.value for v in found], active_pairs(tree, at, touch, found)
+        return [v.value for v in found], touch.active(pair_residuals(tree, at, touch, found))
 
     def alone() -> tuple[list[Any], list[Any]]:
         return [v.value for v in x], [jnp.zeros_like(flags) for flags in active.pairs]
