@@ -76,9 +76,9 @@ def test_info_shows_a_robot_and_what_a_tree_cannot_take(option, refusal, tmp_pat
     path.write_text(ROBOT.format(option=option))
     done = CliRunner().invoke(app, ["info", str(path)])
     assert done.exit_code == (2 if refusal else 0), done.output
-    for words in ("4 kg in 2 bodies, a free base", "knee: hinge, -90 to 10 degrees, drive", "feet          foot:"):
-        assert words in done.output
-    assert "contacts      1 of plane and box" in done.output
+    words = "4 kg in 2 bodies, a free base", "joints  ", "knee: hinge, -90 to 10 degrees, drive", "feet          foot:"
+    at = [done.output.index(each) for each in (*words, "contacts      1 of plane and box")]
+    assert at == sorted(at)
     assert (refusal or "tree takes it as it is") in done.output
     assert ("with `contacts: feet`" in done.output) == ("elliptic" in option)
     assert "stand and walk need" not in done.output
