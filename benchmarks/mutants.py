@@ -44,7 +44,8 @@ TESTS = {
     "tasks": "tasks/test_gait tasks/test_gym tasks/test_leg_reach tasks/test_squat tasks/test_stand tasks/test_legged "
     "tasks/test_own_tasks tasks/test_posture_switch learners/test_tabular",
     "physics": "physics/test_sensors physics/test_physics mechanics/test_tree float64/test_tree float64/test_physics "
-    "float64/test_terrain float64/test_balance as_shipped/test_physics_worlds tasks/test_stand commands/test_cli",
+    "float64/test_legs float64/test_terrain float64/test_balance as_shipped/test_physics_worlds tasks/test_stand "
+    "commands/test_cli",
     "runs": "runs/test_listing runs/test_results runs/test_faults report/test_plot report/test_growing "
     "training/test_cost evaluation/test_evaluate",
 }

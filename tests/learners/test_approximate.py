@@ -191,6 +191,8 @@ def test_cores_share_a_run_where_they_are_more_than_the_runs():
         parts = in_turn(learners, list(range(runs)), 100)
         placed = [(part, *placement(learners, len(part), 100)) for part in parts]
         assert str(placed) == str(found)
+    fits = {(128, 2): True, (129, 2): False, (126, 2): False, (128, 4): False, (129, 1): True}
+    assert {case: walk.replace(envs=case[0]).can_share(case[1]) for case in fits} == fits
 
 
 def test_one_sample_moves_its_value_by_the_rate():
