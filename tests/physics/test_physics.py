@@ -108,13 +108,6 @@ def test_bad_input_gets_a_sentence(name, options, sentence):
     assert str(error.value).startswith(sentence)
 
 
-def test_the_chain_s_torques_are_within_their_share_of_the_limits():
-    physics = make_physics("chain", torque_limit=0.25)
-    asked = jnp.linspace(-4.0, 4.0, 10)
-    torque = physics.step(physics.start(physics.qpos0, physics.qpos0), lambda stages: asked)[1]
-    np.testing.assert_allclose(torque, np.clip(asked, -0.5, 0.5))  # a motor has 2 N m
-
-
 def held_torso_torque(mass, damping, qpos, qvel, qacc):
     """What MuJoCo's own inverse dynamics asks for on a body `mass` times as heavy, its torso not accelerated."""
     model, joints = copy(NATIVE.model), NATIVE.model.nu
