@@ -269,6 +269,10 @@ def _faster(subject: str, other: str) -> float:
 SWEEPS = ("cpu_2_cores_leg_reach_sweep", "h100_leg_reach_deep_sweep", "h100_stand_sweep", "h100_walk_sweep")
 ONE_TASK = tuple(f"cpu_2_cores_posture_switch_{kind}" for kind in ("table", "linear", "deep"))
 """Records of sweeps over epsilon, its decay and the learning rate: of function approximation, of three learners."""
+RATES = ("cpu_2_cores_leg_reach_ppo",)
+"""Records of sweeps over the learning rate."""
+SQUATS = ("cpu_2_cores_squat",)
+"""Records of trainings of `squat`."""
 MUTANTS = ("learners", "control", "tasks", "physics", "runs")
 """Folders into which `benchmarks/mutants.py` puts faults."""
 
@@ -302,8 +306,8 @@ def sweeps(names: Iterable[str] = SWEEPS) -> str:
     for name in names:
         found, config = record(name)["points"], record(name)["config"]
         words = f"`{config['name']}`, `{config['learner']['name']}`"
-        for axis in ("epsilon", "epsilon_decay", "learning_rate"):
-            key = f"learner.{axis}"
+        for key in config["sweep"]["axes"]:
+            axis = key.removeprefix("learner.")
             for value in sorted({point[key] for point in found}):
                 reached = [x for point in found if point[key] == value for x in point["greedy_success"]]
                 margin = 1.96 * stdev(reached) / math.sqrt(len(reached))
@@ -316,12 +320,33 @@ def sweeps(names: Iterable[str] = SWEEPS) -> str:
     return table(head, rows)
 
 
+def squat() -> str:
+    """Return what tables and networks reach on `squat`."""
+    rows = []
+    for name in SQUATS:
+        found, points = record(name)["config"], record(name)["points"]
+        success, returns = ([x for point in points for x in point[f"greedy_{of}"]] for of in ("success", "return"))
+        learner = found["learner"]
+        unit = next(unit for unit in ("episodes", "total_steps") if unit in found)
+        rows.append((
+            f"[`{found['name']}`](bench/{name}.json), `{learner['name']}`",
+            f"`{found['task']['physics']}`",
+            f"{learner.get('envs') or learner['agents']:,}",
+            f"{found[unit]:,} {unit.replace('total_steps', 'decisions')}",
+            f"{sum(success):.0f} of {len(success)} runs",
+            spread(returns, 0),
+        ))  # fmt: skip
+    head = "config, learner | physics | bodies of a run | training of a run | greedy success"
+    return table(f"{head} | return of a greedy episode", rows)
+
+
 TABLES = {
     of.__name__: of
     for of in (
         sweeps,
         sweep_times,
         mutants,
+        squat,
         speed,
         in_turn,
         stand,
@@ -338,6 +363,7 @@ TABLES = {
     "exactness": lambda: f"{max(r[k] for r in record('own_robots')['rows'] for k in ('acceleration', 'velocity')):.1e}",
     "faster_than_mjx": lambda: rounded(_faster("tree ground moving", "mjx-jax ground moving"), 0),
     "one_task": lambda: sweeps(ONE_TASK),
+    "rates": lambda: sweeps(RATES),
     "reproduce_minutes": lambda: rounded(record("cpu_2_cores_reproduce")["command_s"] / 60),
     "c_decision": lambda: rounded(1e6 * record("c_policy")["rows"][0]["seconds"]),
     "parity_cliff": lambda: rounded(record("parity")["expected while learning on the cliff"], 1),

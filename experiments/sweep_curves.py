@@ -1,4 +1,4 @@
-"""Draw the learning curves of several sweeps over the same three axes, a row for each record.
+"""Draw the learning curves of several sweeps over the same axes, a row for each record.
 
 python experiments/sweep_curves.py docs/sweep_curves.png cpu_2_cores_leg_reach_sweep h100_leg_reach_deep_sweep ...
 python experiments/sweep_curves.py --one-task docs/learner_curves.png cpu_2_cores_posture_switch_{table,linear,deep}
@@ -15,7 +15,6 @@ from humanoid_mjx.report.figures import COUNTED, CURVES, averaged, draw_line, fi
 from humanoid_mjx.report.style import count_axis, figure, label_lines, log_axis, shades, wrapped
 
 BENCH = Path(__file__).parent.parent / "docs" / "bench"
-AXES = ("learner.epsilon", "learner.epsilon_decay", "learner.learning_rate")
 
 
 def main() -> None:
@@ -26,17 +25,18 @@ def main() -> None:
     parser.add_argument("--one-task", action="store_true", help="rows share their axes; steps on a logarithmic scale")
     given = parser.parse_args()
     rows = [json.loads((BENCH / f"{name}.json").read_text()) for name in given.records]
+    axes = list(rows[0]["config"]["sweep"]["axes"])
     shared: Any = {"sharex": True, "sharey": True} if given.one_task else {"sharey": "row"}
-    with figure(given.target, len(rows), len(AXES), **shared) as (fig, panels):
+    with figure(given.target, len(rows), len(axes), **shared) as (fig, panels):
         first = columns(rows[0])
-        fig.suptitle(wrapped(f"Return while learning: {averaged(AXES, first)}", fig), x=0.01, ha="left")
+        fig.suptitle(wrapped(f"Return while learning: {averaged(axes, first)}", fig), x=0.01, ha="left")
         for row, record in enumerate(rows):
             found, config = columns(record), record["config"]
-            for panel, axis in zip(panels[row], AXES, strict=True):
+            for panel, axis in zip(panels[row], axes, strict=True):
                 draw(panel, found, axis)
                 name = f"{config['name']}, {config['learner']['name']}: {axis}"
-                panel.set_title(name if axis == AXES[0] else axis)
-                panel.set_ylabel(CURVES["return"] if axis == AXES[0] else "")
+                panel.set_title(name if axis == axes[0] else axis)
+                panel.set_ylabel(CURVES["return"] if axis == axes[0] else "")
                 if given.one_task:
                     log_axis(panel, counted=True)
                 else:
@@ -54,7 +54,7 @@ def columns(record: dict[str, Any]) -> dict[str, np.ndarray]:
         step = np.broadcast_to(record["step"], returns.shape)
     else:
         step = np.cumsum(np.diff(record["episode"], prepend=0) * record["curves"]["steps"], axis=-1)
-    swept = {axis: np.array([p[axis] for p in record["points"]])[point] for axis in AXES}
+    swept = {axis: np.array([p[axis] for p in record["points"]])[point] for axis in record["config"]["sweep"]["axes"]}
     return swept | {"seed": seed, "place": place, "step": step.ravel(), "return": returns.ravel()}
 
 
