@@ -15,6 +15,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import fault_configs
 import fault_disks
@@ -55,13 +56,12 @@ def experiments(matrix: Matrix, folder: Path, tries: int | None, seed: int) -> d
     return found
 
 
-def store(matrix: Matrix) -> None:
+def store(made: dict[str, Any], matrix: Matrix) -> None:
     """Put the rows found into the record, in the place of those of the same fault and subject.
 
-    A row has its commit; the record's own is that of the rows without one.
+    A row has its commit, of `made`; the record's own is that of the rows without one.
     """
     old = json.loads(RECORD.read_text()) if RECORD.exists() else {"rows": []}
-    made = made_by()
     when = {"tried": f"{datetime.now(UTC):%Y-%m-%d}", "commit": made["commit"]}
     new = [row._asdict() | when for row in matrix.rows]
     seen = {(row["fault"], row["subject"]) for row in new}
@@ -73,7 +73,7 @@ def store(matrix: Matrix) -> None:
 
 def main() -> None:
     """Try what the command line names."""
-    matrix = Matrix(partial(print, flush=True), store)
+    matrix = Matrix(partial(print, flush=True), partial(store, made_by()))  # the record itself changes the checkout
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     known = experiments(matrix, Path(), None, 0)
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(known)}; by default all")
