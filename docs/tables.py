@@ -271,7 +271,7 @@ ONE_TASK = tuple(f"cpu_2_cores_posture_switch_{kind}" for kind in ("table", "lin
 """Records of sweeps over epsilon, its decay and the learning rate: of function approximation, of three learners."""
 RATES = ("cpu_2_cores_leg_reach_ppo",)
 """Records of sweeps over the learning rate."""
-SQUATS = ("cpu_2_cores_squat",)
+SQUATS = ("cpu_2_cores_squat", "cpu_2_cores_squat_deep")
 """Records of trainings of `squat`."""
 MUTANTS = ("learners", "control", "tasks", "physics", "runs")
 """Folders into which `benchmarks/mutants.py` puts faults."""
