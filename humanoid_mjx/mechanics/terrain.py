@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
-from pydantic import Field
+from pydantic import model_validator
 
 from humanoid_mjx.mechanics.scalars import Scalar, Vector
 from humanoid_mjx.spec import Spec, traced
@@ -34,7 +34,18 @@ class Terrain(Spec):
     least: float = traced(
         1.0, ge=0, le=1, description="the least slope, waves and step of an episode, as shares of these, the largest"
     )
-    together: bool = Field(True, description="an episode has slope, waves and steps; false: one of them, or none")
+    alone: tuple[float, ...] = traced(
+        (),
+        strict=False,
+        description="probabilities that an episode has the slope, the waves or the steps alone; none of them in the "
+        "rest of the episodes; empty: all of them in each episode",
+    )
+
+    @model_validator(mode="after")
+    def _shares_must_add_up(self) -> "Terrain":
+        if self.alone and (len(self.alone) != 3 or min(self.alone) < 0 or sum(self.alone) > 1):
+            raise ValueError(f"alone must hold three probabilities whose sum is at most 1, got {self.alone}")
+        return self
 
     @property
     def shaped(self) -> bool:
@@ -49,14 +60,15 @@ class Terrain(Spec):
     def draw(self, key: Key[Array, ""]) -> "Terrain":
         """The ground of one episode."""
         shares = 1.0 - (1.0 - self.least) * jax.random.uniform(key, (3,))
-        if not self.together:
-            shares *= jnp.arange(3) == jax.random.randint(jax.random.fold_in(key, 1), (), 0, 4)
+        if self.alone:
+            chosen, ends = jax.random.uniform(jax.random.fold_in(key, 1)), jnp.cumsum(jnp.asarray(self.alone))
+            shares *= jnp.arange(3) == jnp.searchsorted(ends, chosen, side="right")
         drawn = {
             name: share * value
             for name, share in zip(("slope", "rough", "stairs"), shares, strict=True)
             if (value := getattr(self, name)) is not None
         }
-        return jax.tree.map(lambda value: jnp.asarray(value, float), self.replace(**drawn))
+        return jax.tree.map(lambda value: jnp.asarray(value, float), self.replace(**drawn, alone=()))
 
     def height(self, x: Any, y: Any, lib: Any = jnp) -> Any:
         """Height of the ground, m; `lib` is jnp or np."""

@@ -271,12 +271,18 @@ def test_episodes_begin_upright_on_a_terrain_of_their_own(terrain):
 
 
 def test_an_episode_may_have_a_slope_waves_or_stairs_alone():
-    terrain = Terrain(slope=9.0, rough=0.01, stairs=0.02, least=0.5, together=False)
+    terrain = Terrain(slope=9.0, rough=0.01, stairs=0.02, least=0.5, alone=(0.5, 0.2, 0.1))
     drawn = jax.vmap(terrain.draw)(jax.random.split(rng.key(0), 1000))
     shares = np.stack([drawn.slope / 9.0, drawn.rough / 0.01, drawn.stairs / 0.02], axis=1)
     assert ((shares > 0).sum(axis=1) <= 1).all() and shares[shares > 0].min() >= 0.5 - 1e-6
-    # A quarter each, and a quarter of level planes; 3.6 sigma of 1,000 episodes are 0.05.
-    np.testing.assert_allclose((shares > 0).mean(axis=0), 0.25, atol=0.05)
+    # The rest are level planes; 3.2 sigma of 1,000 episodes are 0.05.
+    np.testing.assert_allclose((shares > 0).mean(axis=0), terrain.alone, atol=0.05)
+
+
+@pytest.mark.parametrize("alone", [(0.5, 0.5), (0.5, 0.4, 0.2), (0.5, -0.1, 0.2)])
+def test_shares_of_a_terrain_are_three_probabilities(alone: tuple[float, ...]):
+    with pytest.raises(ValueError, match="alone must hold three probabilities"):
+        Terrain(slope=9.0, alone=alone)
 
 
 def test_rewards_of_feet_are_of_those_that_touch():
