@@ -182,6 +182,20 @@ def _trials(part: str, *worlds: str) -> str:
     return table(f"setting | {' | '.join(worlds)}", rows)
 
 
+def upright_trials() -> str:
+    """Return the trials of `walk_sturdy` by share of slopes and weight of `upright`: who stays up, and how fast."""
+    rows = []
+    for one in record("walk_trials")["upright"]:
+        of = one["upright"]
+        shares = (rounded(100 * median(of[world]), 0) if world in of else "none" for world in ALL)
+        worst = rounded(100 * min(of[SLOPING[0]]), 0)
+        speeds = (rounded(median(seeds), 2) for seeds in one["forward"].values())
+        size = str(one["seeds"]), rounded(one["steps"] / 1e6, 0)
+        rows.append((one["setting"], *size, *shares, worst, ", ".join(speeds)))
+    of_worlds = f"{' | '.join(ALL)} | the worst seed on the slope"
+    return table(f"setting | seeds | steps, millions | {of_worlds} | speed at 0.3, 0.5, 0.8 m/s", rows)
+
+
 PUSHED = "pushed by 0.5 N s every 3 s", "pushed by 0.8 N s every 3 s", "friction 0.3", "motors of 0.6 N m"
 SLOPING = "a slope of 8 degrees", "waves of 10 mm", "stairs of 10 mm"
 ALL = *PUSHED[1:], SLOPING[0], SLOPING[2]
@@ -191,7 +205,7 @@ WORLDS = "walk_worlds", "walk_worlds_mujoco", "walk_faults", "walk_observe"
 """Records of policies in worlds."""
 
 TABLES = (
-    {of.__name__: of for of in (walk, walk_goals, walk_learners, chapter_8, walk_fast)}
+    {of.__name__: of for of in (walk, walk_goals, walk_learners, chapter_8, walk_fast, upright_trials)}
     | {name: partial(_in_worlds, name) for name in WORLDS}
     | {
         "walk_dog": lambda: _by_command("cpu_2_cores_walk_dog"),
