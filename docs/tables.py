@@ -11,6 +11,8 @@ from pathlib import Path
 from statistics import mean, median, stdev
 from typing import Any
 
+from scipy.stats import t
+
 from humanoid_mjx.reproduction.findings import MEANINGS
 
 BENCH = Path(__file__).parent / "bench"
@@ -255,6 +257,27 @@ def parity() -> str:
     return table(f"{head} | processor time of ten seeds, s | wall time, s", rows)
 
 
+def robot_speeds() -> str:
+    """Return how fast robots of others are when thrown about, beside native MuJoCo on a CPU and MJX on a GPU."""
+    robots = {
+        other: record(f"robot_speeds_{device}")["robots"] for device, other in (("cpu", "mujoco"), ("gpu", "mjx-jax"))
+    }
+    names = {"lower_body": "the lower body", "go1": "Go1", "h1": "H1", "g1": "G1", "humanoid": "MuJoCo's humanoid"}
+    rows = []
+    for name, words in names.items():
+        cells = []
+        for other, found in robots.items():
+            tree, beside = (found[name]["subjects"][subject] for subject in ("tree", other))
+            compiled = rounded(tree["compile_s"], 0) if "compile_s" in tree else f"({tree['failed']})"
+            ratio = f"{tree['steps/s'] / beside['steps/s']:.2g}" if "steps/s" in tree else "none"
+            cells += [rounded(tree["steps/s"]) if "steps/s" in tree else "none", ratio, compiled]
+        rows.append((words, *cells))
+    cpu, gpu = (
+        f"{on}, steps a second | times {other} | compiling, s" for on, other in (("CPU", "MuJoCo"), ("GPU", "MJX"))
+    )
+    return table(f"robot | {cpu} | {gpu}", rows)
+
+
 def _own_minutes(key: str) -> str:
     """Return what the commands with which a robot of one's own learns to stand take together."""
     return rounded(sum(each[key] for each in record("cpu_2_cores_your_robot")["commands"]) / 60)
@@ -310,7 +333,7 @@ def sweeps(names: Iterable[str] = SWEEPS) -> str:
             axis = key.removeprefix("learner.")
             for value in sorted({point[key] for point in found}):
                 reached = [x for point in found if point[key] == value for x in point["greedy_success"]]
-                margin = 1.96 * stdev(reached) / math.sqrt(len(reached))
+                margin = float(t.ppf(0.975, len(reached) - 1)) * stdev(reached) / math.sqrt(len(reached))
                 low, high = max(mean(reached) - margin, 0), min(mean(reached) + margin, 1)
                 interval = f"{mean(reached):.2f} ({low:.2f} to {high:.2f})"
                 best = max(min(point["greedy_success"]) for point in found if point[key] == value)
@@ -347,6 +370,7 @@ TABLES = {
         sweep_times,
         mutants,
         squat,
+        robot_speeds,
         speed,
         in_turn,
         stand,

@@ -42,9 +42,12 @@ class Terrain(Spec):
     )
 
     @model_validator(mode="after")
-    def _shares_must_add_up(self) -> "Terrain":
+    def _alone_holds_probabilities(self) -> "Terrain":
         if self.alone and (len(self.alone) != 3 or min(self.alone) < 0 or sum(self.alone) > 1):
             raise ValueError(f"alone must hold three probabilities whose sum is at most 1, got {self.alone}")
+        for name, share in zip(("rough", "stairs"), self.alone[1:], strict=False):
+            if share and getattr(self, name) is None:
+                raise ValueError(f"alone has a probability of {name}, of which there is no height")
         return self
 
     @property

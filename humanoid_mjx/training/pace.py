@@ -225,7 +225,8 @@ def estimate(plan: Plan, rooms: Sequence[int], measured_s: float = MEASURED_S) -
     """Train a piece of a sweep and say how long all of it would take.
 
     A sample of the runs trains side by side, as many as the sweep would train at once. Episodes of an early policy can
-    be much longer or shorter than those of a later one, which an estimate from the beginning cannot know.
+    be much longer or shorter than those of a later one, which an estimate from the beginning cannot know. A run that
+    several cores of a CPU will share counts as if it had one.
 
     Args:
       plan: what is to be trained.

@@ -130,7 +130,7 @@ def programs_of(learners: Learner, devices: Devices) -> Programs:
 
 
 def in_turn(learners: Learner, runs: list[int], room: int) -> list[list[int]]:
-    """Divide runs into those that fill all devices to their end, and a rest of which each has several devices."""
+    """Split runs into full rounds, a run on each device, and a rest of which each has several devices."""
     even = len(runs) - len(runs) % min(room, jax.local_device_count())
     rest = runs[even:]
     shared = bool(rest) and placement(learners, len(rest), room)[1].shape[1] > 1
@@ -142,7 +142,7 @@ def placement(learners: Learner, runs: int, room: int) -> tuple[int, Devices]:
 
     Args:
       learners: what trains. Where a CPU has more cores than there are runs, several share the environments of each.
-        Runs that cores can share train one at a time on each: the slot of a run that is over costs as much as a run.
+        Those train one at a time on each: a slot that trains nothing costs as much as one that trains.
       runs: runs to train.
       room: runs that the devices of this process can train at once.
     """

@@ -122,7 +122,8 @@ def sweep(
       resume: complete a run folder instead of making one.
       overrides: such as "learner.epsilon=0.1"; only where `config` is a path or a name.
       pool_size: how many runs each device trains at once; by default what memory and cache hold. Tables learn the same
-        bit by bit whatever it is; sums in networks round differently.
+        bit by bit whatever it is; sums in networks round differently. Runs whose environments the cores of a CPU can
+        share train one at a time.
       reporter: called with the progress; by default it is shown in a terminal or a notebook.
       quiet: show nothing.
       tensorboard: write learning curves as event files of TensorBoard into the run folder while it trains.

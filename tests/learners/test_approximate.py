@@ -181,15 +181,16 @@ def test_two_devices_share_the_environments_of_a_run():
 def test_cores_share_a_run_where_they_are_more_than_the_runs():
     walk, leg = (make_plan(load(name)).groups[0].learners for name in ("walk_cpu", "leg_reach"))
     one, two = np.array([jax.local_devices()[:2]]), np.array(jax.local_devices()[:2])[:, None]
-    for learners, runs, found in (
-        (walk, 1, [([0], 1, one)]),
-        (walk, 4, [([0, 1, 2, 3], 1, two)]),
-        (walk, 5, [([0, 1, 2, 3], 1, two), ([4], 1, one)]),
-        (leg, 1, [([0], 1, two[:1])]),
-        (leg, 5, [([0, 1, 2, 3, 4], 3, two)]),
+    for learners, runs, room, found in (
+        (walk, 1, 100, [([0], 1, one)]),
+        (walk, 3, 1, [([0, 1, 2], 1, one)]),
+        (walk, 4, 100, [([0, 1, 2, 3], 1, two)]),
+        (walk, 5, 100, [([0, 1, 2, 3], 1, two), ([4], 1, one)]),
+        (leg, 1, 100, [([0], 1, two[:1])]),
+        (leg, 5, 100, [([0, 1, 2, 3, 4], 3, two)]),
     ):
-        parts = in_turn(learners, list(range(runs)), 100)
-        placed = [(part, *placement(learners, len(part), 100)) for part in parts]
+        parts = in_turn(learners, list(range(runs)), room)
+        placed = [(part, *placement(learners, len(part), room)) for part in parts]
         assert str(placed) == str(found)
     fits = {(128, 2): True, (129, 2): False, (126, 2): False, (128, 4): False, (129, 1): True}
     assert {case: walk.replace(envs=case[0]).can_share(case[1]) for case in fits} == fits

@@ -282,7 +282,9 @@ def test_an_episode_may_have_a_slope_waves_or_stairs_alone():
 @pytest.mark.parametrize("alone", [(0.5, 0.5), (0.5, 0.4, 0.2), (0.5, -0.1, 0.2)])
 def test_shares_of_a_terrain_are_three_probabilities(alone: tuple[float, ...]):
     with pytest.raises(ValueError, match="alone must hold three probabilities"):
-        Terrain(slope=9.0, alone=alone)
+        Terrain(slope=9.0, rough=0.01, stairs=0.01, alone=alone)
+    with pytest.raises(ValueError, match="alone has a probability of stairs"):
+        Terrain(slope=9.0, rough=0.01, alone=(0.5, 0.2, 0.1))
 
 
 def test_rewards_of_feet_are_of_those_that_touch():

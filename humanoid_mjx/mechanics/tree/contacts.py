@@ -78,7 +78,7 @@ class Touch(NamedTuple):
         return [sum_ for slip in slips for sum_ in (v.x + slip, v.x - slip)]
 
     def active(self, residuals: Sequence[Scalar]) -> list[Any]:
-        """Mask of the facets that push, by the residual along each."""
+        """Mask of the facets that push, by their residuals."""
         return [self.close & (residual.value < 0.0) for residual in residuals]
 
     def force(self, v: Vector) -> Vector:
