@@ -182,6 +182,21 @@ def _trials(part: str, *worlds: str) -> str:
     return table(f"setting | {' | '.join(worlds)}", rows)
 
 
+def walk_cpu_trials() -> str:
+    """Return who stays up, and who follows, of trials of `walk_cpu` under the commands of its training."""
+    rows = []
+    for one in record("cpu_2_cores_walk_cpu_trials")["trials"]:
+        of = one["by_command"]
+        known = [name for name in of if name not in ("stand", *COMMANDS[3:5]) and not name.startswith("sideways")]
+        moving = [100 * share for name in known for share in of[name]["success"]]
+        seeds = str(len(of["stand"]["success"])), rounded(one["steps"] / 1e6, 0), rounded(one["command_s"] / 60, 0)
+        stands = f"{sum(share == 1.0 for share in of['stand']['success'])} of {seeds[0]}"
+        turns = spread([share or 0.0 for share in of["sudden turn"]["turn_success"]], 0, 100)
+        rows.append((one["setting"], *seeds, stands, spread(moving, 0), spread(of["forward 0.3"]["forward"], 2), turns))
+    head = "setting | seeds | steps, millions | minutes for all | seeds that always stand | upright when moving, %"
+    return table(f"{head} | speed at 0.3 m/s | sudden turns, %", rows)
+
+
 def upright_trials() -> str:
     """Return the trials of `walk_sturdy` by share of slopes and weight of `upright`: who stays up, and how fast."""
     rows = []
@@ -205,7 +220,7 @@ WORLDS = "walk_worlds", "walk_worlds_mujoco", "walk_faults", "walk_observe"
 """Records of policies in worlds."""
 
 TABLES = (
-    {of.__name__: of for of in (walk, walk_goals, walk_learners, chapter_8, walk_fast, upright_trials)}
+    {of.__name__: of for of in (walk, walk_goals, walk_learners, chapter_8, walk_fast, upright_trials, walk_cpu_trials)}
     | {name: partial(_in_worlds, name) for name in WORLDS}
     | {
         "walk_dog": lambda: _by_command("cpu_2_cores_walk_dog"),
