@@ -133,7 +133,7 @@ def in_turn(learners: Learner, runs: list[int], room: int) -> list[list[int]]:
     """Split runs into full rounds, a run on each device, and a rest of which each has several devices."""
     even = len(runs) - len(runs) % min(room, jax.local_device_count())
     rest = runs[even:]
-    shared = bool(rest) and placement(learners, len(rest), room)[1].shape[1] > 1
+    shared = bool(rest) and np.shape(placement(learners, len(rest), room)[1])[1] > 1
     return [part for part in ((runs[:even], rest) if shared else (runs,)) if part]
 
 
