@@ -259,22 +259,20 @@ def parity() -> str:
 
 def robot_speeds() -> str:
     """Return how fast robots of others are when thrown about, beside native MuJoCo on a CPU and MJX on a GPU."""
-    robots = {
-        other: record(f"robot_speeds_{device}")["robots"] for device, other in (("cpu", "mujoco"), ("gpu", "mjx-jax"))
-    }
+    robots = {"mujoco": record("robot_speeds_cpu")["robots"], "mjx-jax": record("robot_speeds_gpu")["robots"]}
     names = {"lower_body": "the lower body", "go1": "Go1", "h1": "H1", "g1": "G1", "humanoid": "MuJoCo's humanoid"}
     rows = []
     for name, words in names.items():
         cells = []
         for other, found in robots.items():
             tree, beside = (found[name]["subjects"][subject] for subject in ("tree", other))
-            compiled = rounded(tree["compile_s"], 0) if "compile_s" in tree else f"({tree['failed']})"
-            ratio = f"{tree['steps/s'] / beside['steps/s']:.2g}" if "steps/s" in tree else "none"
-            cells += [rounded(tree["steps/s"]) if "steps/s" in tree else "none", ratio, compiled]
+            if "failed" in tree:
+                cells += ["none", "none", tree["failed"]]
+                continue
+            rate, ratio = tree["steps/s"], tree["steps/s"] / beside["steps/s"]
+            cells += [rounded(rate), rounded(ratio), rounded(tree["compile_s"], 0)]
         rows.append((words, *cells))
-    cpu, gpu = (
-        f"{on}, steps a second | times {other} | compiling, s" for on, other in (("CPU", "MuJoCo"), ("GPU", "MJX"))
-    )
+    cpu, gpu = "CPU, steps a second | times MuJoCo | compiling, s", "GPU, steps a second | times MJX | compiling, s"
     return table(f"robot | {cpu} | {gpu}", rows)
 
 

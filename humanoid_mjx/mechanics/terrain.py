@@ -43,7 +43,7 @@ class Terrain(Spec):
 
     @model_validator(mode="after")
     def _alone_holds_probabilities(self) -> "Terrain":
-        if self.alone and (len(self.alone) != 3 or min(self.alone) < 0 or sum(self.alone) > 1):
+        if self.alone and (len(self.alone) != 3 or min(self.alone) < 0 or math.fsum(self.alone) > 1):
             raise ValueError(f"alone must hold three probabilities whose sum is at most 1, got {self.alone}")
         for name, share in zip(("rough", "stairs"), self.alone[1:], strict=False):
             if share and getattr(self, name) is None:

@@ -283,6 +283,7 @@ def test_an_episode_may_have_a_slope_waves_or_stairs_alone():
 def test_shares_of_a_terrain_are_three_probabilities(alone: tuple[float, ...]):
     with pytest.raises(ValueError, match="alone must hold three probabilities"):
         Terrain(slope=9.0, rough=0.01, stairs=0.01, alone=alone)
+    Terrain(slope=9.0, rough=0.01, stairs=0.01, alone=(0.33, 0.56, 0.11))  # 1, though their rounded sum is more
     with pytest.raises(ValueError, match="alone has a probability of stairs"):
         Terrain(slope=9.0, rough=0.01, alone=(0.5, 0.2, 0.1))
 
