@@ -1,6 +1,6 @@
 """Tables and numbers of how `walk` walks, each made from records in docs/bench."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from statistics import mean, median
 from typing import Any, NamedTuple
@@ -108,6 +108,12 @@ def _series(name: str) -> str:
     return _compared({one["setting"]: of(one) for one in record(name)["settings"]})
 
 
+def _median(values: Iterable[float | None], places: int) -> str:
+    """Return the median of the seeds that walked long enough to have the figure."""
+    known = [x for x in values if x is not None]
+    return rounded(median(known), places) if known else "none"
+
+
 def _in_worlds(name: str) -> str:
     """Return how policies of a record walk in its worlds: medians over seeds, with the worst seed in brackets."""
     rows = []
@@ -115,15 +121,13 @@ def _in_worlds(name: str) -> str:
         seeds = range(len(row["success"][0]))
         least = sorted(100 * min(by_seed[seed] for by_seed in row["success"]) for seed in seeds)
         mean = sorted(100 * sum(by_seed[seed] for by_seed in row["success"]) / len(row["success"]) for seed in seeds)
-        at = dict(zip(row["commands"], range(len(row["commands"])), strict=True))
-
-        def at_speeds(figure: str, places: int, speeds: str, row: Any = row, at: dict[str, int] = at) -> str:
-            """Medians of the seeds that walked long enough to have the figure."""
-            values = [[x for x in row[figure][at[f"forward {told}"]] if x is not None] for told in speeds.split()]
-            return ", ".join(rounded(median(known), places) if known else "none" for known in values)
-
-        speeds, slips = at_speeds("forward", 2, "0.3 0.5 0.8"), at_speeds("slip", 3, "0.3 0.5")
-        turned = spread([100 * (share or 0.0) for share in row["turn_success"][at["sudden turn"]]], 0)
+        by_command = {figure: dict(zip(row["commands"], row[figure], strict=True)) for figure in ("forward", "slip")}
+        speeds, slips = (
+            ", ".join(_median(by_command[figure][f"forward {told}"], places) for told in speeds.split())
+            for figure, places, speeds in (("forward", 2, "0.3 0.5 0.8"), ("slip", 3, "0.3 0.5"))
+        )
+        turns = row["turn_success"][row["commands"].index("sudden turn")]
+        turned = spread([100 * (share or 0.0) for share in turns], 0)
         upright = (f"{rounded(median(of), 0)} ({rounded(of[0], 0)})" for of in (mean, least))
         rows.append((row["world"], f"`{row['policy']}`", str(len(seeds)), *upright, speeds, slips, turned))
     told = "speed at 0.3, 0.5, 0.8 m/s | slip at 0.3, 0.5 m/s"
@@ -160,25 +164,25 @@ def walk_fast() -> str:
 
 def _by_command(name: str) -> str:
     """Return how the policies of a record walk, by command."""
-    gaits = [gait for gait in record(name)["results"][0]["gaits"] if gait["agent"] == "greedy"]
     rows = []
-    for gait in gaits:
-        of = {name: [x[0] for x in figure["seeds"] if x[0] is not None] for name, figure in gait["figures"].items()}
-        places = {"forward": 2, "left": 2, "turn": 2, "slip": 3}
-        moves = (rounded(median(of[name]), to) if of[name] else "none" for name, to in places.items())
-        rows.append((gait["scenario"], spread(of["success"], 0, 100), *moves))
-    return table(
-        "command, m/s and rad/s | upright for 20 s, % | forward, m/s | left, m/s | turn, rad/s | slip, m/s", rows
-    )
+    for gait in record(name)["results"][0]["gaits"]:
+        if gait["agent"] == "greedy":
+            of = {name: [x[0] for x in figure["seeds"]] for name, figure in gait["figures"].items()}
+            places = {"forward": 2, "left": 2, "turn": 2, "slip": 3}
+            moves = (_median(of[name], to) for name, to in places.items())
+            rows.append((gait["scenario"], spread(of["success"], 0, 100), *moves))
+    head = "command, m/s and rad/s | upright for 20 s, % | forward, m/s | left, m/s | turn, rad/s | slip, m/s"
+    return table(head, rows)
+
+
+def _shares(upright: dict[str, list[float]], worlds: Sequence[str], of: Callable[[list[float]], float]) -> list[str]:
+    """Return the mean or the median share of the seeds that stay up in each of these worlds, in %."""
+    return [rounded(100 * of(upright[world]), 0) if world in upright else "none" for world in worlds]
 
 
 def _trials(part: str, *worlds: str) -> str:
     """Return which shares of the seeds stay up in these worlds, setting by setting."""
-    rows = (
-        (one["setting"], *(rounded(100 * mean(of[world]), 0) if world in of else "none" for world in worlds))
-        for one in record("walk_trials")[part]
-        for of in (one["upright"],)
-    )
+    rows = ((one["setting"], *_shares(one["upright"], worlds, mean)) for one in record("walk_trials")[part])
     return table(f"setting | {' | '.join(worlds)}", rows)
 
 
@@ -201,9 +205,8 @@ def upright_trials() -> str:
     """Return the trials of `walk_sturdy` by share of slopes and weight of `upright`: who stays up, and how fast."""
     rows = []
     for one in record("walk_trials")["upright"]:
-        of = one["upright"]
-        shares = (rounded(100 * median(of[world]), 0) if world in of else "none" for world in ALL)
-        worst = rounded(100 * min(of[SLOPING[0]]), 0)
+        shares = _shares(one["upright"], ALL, median)
+        worst = rounded(100 * min(one["upright"][SLOPING[0]]), 0)
         speeds = (rounded(median(seeds), 2) for seeds in one["forward"].values())
         size = str(one["seeds"]), rounded(one["steps"] / 1e6, 0)
         rows.append((one["setting"], *size, *shares, worst, ", ".join(speeds)))
