@@ -46,12 +46,15 @@ class Tiles(NamedTuple):
 
     size: int
     active: int
+    first: Int[np.ndarray, " active"]
+    """The first of the features of which an active one is 1; each has `size / active` to choose from."""
     encode: Callable[[Float[Array, "*batch observation_size"]], Int[Array, "*batch joints active"]]
-    """Function from observations to the indices of the features that are 1."""
+    """Function from observations to the indices of the features that are 1; those of one joint if all are alike."""
 
 
 def combined(families: Sequence[Sequence[Sequence[int]]], order: int) -> Groups:
     """Every `order` observations of each family of a joint; fewer where any family is smaller, as groups have one size.
+    Those of one joint if all joints have the same.
 
     Raises:
       InputError: the families of one joint have more such groups than those of another.
@@ -60,7 +63,7 @@ def combined(families: Sequence[Sequence[Sequence[int]]], order: int) -> Groups:
     groups = [sorted({group for family in own for group in combinations(sorted(family), order)}) for own in families]
     if len({len(own) for own in groups}) > 1:
         raise InputError("observation_families must have as many groups of observations for each joint.")
-    return np.array(groups)
+    return np.array(groups if any(own != groups[0] for own in groups) else groups[:1])
 
 
 def tile_coding(scale: Scale, groups: Groups, tiles: int, tilings: int) -> Tiles:
@@ -87,4 +90,4 @@ def tile_coding(scale: Scale, groups: Groups, tiles: int, tilings: int) -> Tiles
             place = place + cell.astype(jnp.int32) * side**dimension
         return jnp.moveaxis(place.reshape(count, *obs.shape[:-1], joints), 0, -1)
 
-    return Tiles(cells * count, count, encode)
+    return Tiles(cells * count, count, first.ravel(), encode)

@@ -1,6 +1,7 @@
 """Function approximation: targets against plain Python, features, and learners on tasks whose values are known."""
 
 from functools import partial
+from itertools import chain
 from operator import itemgetter
 
 import jax
@@ -198,7 +199,7 @@ def test_cores_share_a_run_where_they_are_more_than_the_runs():
 
 def test_one_sample_moves_its_value_by_the_rate():
     scale = Scale(np.full(3, -2.0), np.full(3, 2.0), 1.5)
-    groups = combined([[range(3)], [[0, 1], [1, 2], [0, 2]]], 2)
+    groups = np.repeat(combined([[range(3)]], 2), 2, axis=0)
     # Three groups of two observations; shifted tilings stand over, by a tile along each.
     assert [tile_coding(scale, groups, 4, tilings).size for tilings in (1, 2, 3)] == [3 * 16, 6 * 25, 9 * 25]
     basis = tile_coding(scale, groups, 4, 3)
@@ -219,28 +220,33 @@ def test_one_sample_moves_its_value_by_the_rate():
 def test_features_combine_observations_of_a_family():
     assert combined([[(0, 1, 2)]], 2).tolist() == [[[0, 1], [0, 2], [1, 2]]]
     assert combined([[(0, 3), (3, 4, 0)]], 2).tolist() == [[[0, 3], [0, 4], [3, 4]]]
-    assert combined([[(2,), (0, 1)], [(0,), (1, 2)]], 2).tolist() == [[[0], [1], [2]]] * 2
+    assert combined([[(2,), (0, 1)], [(0,), (1, 3)]], 2).tolist() == [[[0], [1], [2]], [[0], [1], [3]]]
+    assert combined([[(2,), (0, 1)], [(0,), (1, 2)]], 2).tolist() == [[[0], [1], [2]]]  # alike
     with pytest.raises(InputError, match="as many groups"):
         combined([[(0, 1, 2)], [(0, 1)]], 2)
 
 
-def test_joints_that_share_weights_learn_what_all_have_seen():
-    """Against a table: each cell moves by the mean error of those that fell into it, whichever joint they came from."""
-    task = probe("constant reward", 2)[0]
-    learner = build("shared tiles", task, resolution=2, tilings=1)
-    value, _ = learner.init_value(rng.key(0))
-    table = np.random.default_rng(0).normal(size=value.shape).astype(np.float32)
-    obs = np.float32([[-0.5], [-0.5], [0.5], [-0.5]])
-    action, target = np.array([[0, 1], [1, 1], [0, 0], [0, 0]]), np.float32([1.0, 2.0, 3.0, 4.0])
-    moved, _ = learned(learner, 0.5, jnp.asarray(table), Batch(*map(jnp.asarray, (obs, action, target))))
-    cell = (obs[:, 0] > 0).astype(int)
-    error = target - table[0, cell[:, None], action].mean(axis=1)
-    expected = table.copy()
-    for c in range(2):
-        for a in range(2):
-            fell = np.repeat(error[:, None], 2, axis=1)[(cell[:, None] == c) & (action == a)]
-            expected[0, c, a] += 0.5 * fell.mean() if len(fell) else 0.0
-    np.testing.assert_allclose(moved, expected, rtol=1e-5)
+@pytest.mark.parametrize("resolution", [2, 20])
+@pytest.mark.parametrize("kind", ["tiles", "shared tiles"])
+def test_a_weight_moves_by_the_mean_error_of_its_samples(kind, resolution):
+    """Joints that share weights learn from each other's samples. Few tiles and many add up by ways of their own."""
+    learner = build(kind, probe("constant reward", 2)[0], resolution=resolution)
+    draw = np.random.default_rng(0)
+    old = draw.normal(size=learner.init_value(rng.key(0))[0].shape).astype(np.float32)
+    obs, target = draw.uniform(-1, 1, (9, 1)).astype(np.float32), draw.normal(size=9).astype(np.float32)
+    action = draw.integers(2, size=(9, 2))
+    moved, _ = learned(learner, 0.5, jnp.asarray(old), Batch(*map(jnp.asarray, (obs, action, target))))
+    tiles = learner.features()
+    errors: dict[tuple[int, int, int], list[float]] = {}
+    for places, choices, value in zip(np.asarray(tiles.encode(jnp.asarray(obs)))[:, 0], action, target, strict=True):
+        weights = [[(joint % len(old), place, choice) for place in places] for joint, choice in enumerate(choices)]
+        error = value - np.mean([sum(old[at] for at in own) for own in weights])
+        for at in chain(*weights):
+            errors.setdefault(at, []).append(error)
+    expected = old.copy()
+    for at, own in errors.items():
+        expected[at] += 0.5 * np.mean(own) / tiles.active
+    np.testing.assert_allclose(moved, expected, rtol=1e-4, atol=1e-5)
 
 
 def test_focus_makes_tiles_narrow_in_the_middle_of_a_range():
