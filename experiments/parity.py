@@ -22,7 +22,7 @@ from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -48,15 +48,10 @@ MOVES = np.array([[-1, 0], [0, 1], [1, 0], [0, -1]])
 class CliffWalking(FiniteTask):
     """Example 6.6: every step costs 1; one off the cliff between start and goal costs 100 and leads to the start."""
 
+    num_states: ClassVar[int] = ROWS * COLUMNS
+    num_actions: ClassVar[int] = len(MOVES)
+
     max_episode_steps: int = traced(10_000)
-
-    @property
-    def num_states(self):
-        return ROWS * COLUMNS
-
-    @property
-    def num_actions(self):
-        return len(MOVES)
 
     def reset(self, key):
         return jnp.int32(START)
@@ -73,19 +68,14 @@ class CliffWalking(FiniteTask):
 class MountainCar(ContinuousTask):
     """Example 10.1: a car too weak for the hill; every step costs 1."""
 
-    max_episode_steps: int = traced(10_000)
+    observation_size: ClassVar[int] = 2
+    action_bins: ClassVar[tuple[int, ...]] = (3,)
 
-    @property
-    def observation_size(self):
-        return 2
+    max_episode_steps: int = traced(10_000)
 
     @property
     def observation_bounds(self):
         return np.array([-1.2, -0.07]), np.array([0.5, 0.07])
-
-    @property
-    def action_bins(self):
-        return (3,)
 
     def reset(self, key):
         obs = jnp.stack([jax.random.uniform(key, minval=-0.6, maxval=-0.4), jnp.float32(0)])
@@ -103,15 +93,10 @@ class MountainCar(ContinuousTask):
 class CartPole(ContinuousTask):
     """CartPole-v1 as gymnax has it (A. Barto et al., "Neuronlike Adaptive Elements", 1983); `reward` for each step."""
 
+    observation_size: ClassVar[int] = 4
+    action_bins: ClassVar[tuple[int, ...]] = (2,)
+
     reward: float = traced(1.0, description="for each step")
-
-    @property
-    def observation_size(self):
-        return 4
-
-    @property
-    def action_bins(self):
-        return (2,)
 
     def reset(self, key):
         obs = jax.random.uniform(key, (4,), minval=-0.05, maxval=0.05)

@@ -1,6 +1,6 @@
 """Five environments of one idea each, with known values, as one continuous task whose tables are traced."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -17,16 +17,14 @@ END = 2
 class Probe(ContinuousTask):
     """States 0 and 1, two choices for each of two joints; every table leads with the state."""
 
+    observation_size: ClassVar = 1
+
     joints: int = 1
     obs: Any = traced()
     start: Any = traced()
     next_state: Any = traced()
     reward: Any = traced()
     max_episode_steps: int = traced(10)
-
-    @property
-    def observation_size(self):
-        return 1
 
     @property
     def action_bins(self):

@@ -3,7 +3,7 @@
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -132,6 +132,8 @@ class SteppingBack(FiniteTask):
     `bonus` and ends the episode. Forwards there is room for as many steps again.
     """
 
+    num_actions: ClassVar[int] = 3
+
     steps: int = Field(12, ge=1, le=1000, description="from the start back to the goal")
     bonus: float = traced(100.0)
     back_reward: float = traced(0.0, le=0, description="of every step back")
@@ -139,10 +141,6 @@ class SteppingBack(FiniteTask):
     @property
     def num_states(self) -> int:
         return 2 * self.steps + 1
-
-    @property
-    def num_actions(self) -> int:
-        return 3
 
     def reset(self, key: Key[Array, ""]) -> IntScalar:
         """Number of steps that the joint is beyond the goal."""

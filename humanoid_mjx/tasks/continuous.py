@@ -40,7 +40,10 @@ class State(NamedTuple):
 
 
 class ContinuousTask(Task):
-    """Base of continuous tasks. Derive from it, declare fields, implement what raises here."""
+    """Base of continuous tasks. Derive from it, declare fields, implement what raises here.
+
+    A constant may take the place of a property: `action_bins: ClassVar[tuple[int, ...]] = (3,)`.
+    """
 
     @property
     def observation_size(self) -> int:

@@ -1,7 +1,7 @@
 """Move one joint from a start angle to a goal angle in equal steps (thesis section 6.3, results 7 E to 7 G)."""
 
 import math
-from typing import Literal
+from typing import ClassVar, Literal
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
@@ -25,6 +25,9 @@ class JointReach(FiniteTask):
     `step_reward`; reaching the goal ends the episode and earns `bonus`. With probability `1 - success_rate` a random
     action takes the place of the chosen one.
     """
+
+    arithmetic: ClassVar[Arithmetic] = "scalars"
+    num_actions: ClassVar[int] = 2
 
     joint: Literal[1, 4, 5] | None = Field(1, description="which joint's start and goal to take where none are given")
     start: float = traced(description="angle at the start, degrees")
@@ -66,16 +69,8 @@ class JointReach(FiniteTask):
         return self
 
     @property
-    def arithmetic(self) -> Arithmetic:
-        return "scalars"
-
-    @property
     def num_states(self) -> int:
         return self.states
-
-    @property
-    def num_actions(self) -> int:
-        return 2
 
     @property
     def learning_rules(self) -> Rules:

@@ -1,6 +1,7 @@
 """Find the shortest path on a grid among static obstacles (thesis section 6.2)."""
 
 from collections import deque
+from typing import ClassVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -38,6 +39,9 @@ class Navigate(FiniteTask):
     place of the chosen one.
     """
 
+    arithmetic: ClassVar[Arithmetic] = "scalars"
+    num_actions: ClassVar[int] = len(MOVES)
+
     map: tuple[str, ...] = Field(ROOM, strict=False, description="rows of S start, G goal, # obstacle and . free")
     bonus: float = traced(100.0, description="reward for reaching the goal")
     step_reward: float = traced(0.0, description="reward of every step")
@@ -57,16 +61,8 @@ class Navigate(FiniteTask):
         return self
 
     @property
-    def arithmetic(self) -> Arithmetic:
-        return "scalars"
-
-    @property
     def num_states(self) -> int:
         return len(self.map) * len(self.map[0])
-
-    @property
-    def num_actions(self) -> int:
-        return len(MOVES)
 
     def reset(self, key: Key[Array, ""]) -> IntScalar:
         return jnp.int32("".join(self.map).index("S"))

@@ -7,7 +7,7 @@ opposite values (6.4). The learner knows the joints only by the encoders of the 
 """
 
 from functools import lru_cache
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -53,6 +53,10 @@ class PostureSwitch(FiniteTask):
     A decision costs `step_reward`, the goal earns `bonus`.
     """
 
+    num_actions: ClassVar[int] = 3 ** len(MOVED)
+    observation_size: ClassVar[int] = len(MOVED)
+    action_bins: ClassVar[tuple[int, ...]] = (3,) * len(MOVED)
+
     physics: str = Field("chain", description="chain, mjx-jax, mjx-warp, mujoco, or your own as package.module:Class")
     control: Control = Field(ComputedTorqueLaw(), description="the law that drives the joints to their set-points")
     posture: Literal["6.4", "7H"] = Field("6.4", description="the section that gives start and goal")
@@ -74,10 +78,6 @@ class PostureSwitch(FiniteTask):
     @property
     def num_states(self) -> int:
         return self.places ** len(MOVED)
-
-    @property
-    def num_actions(self) -> int:
-        return 3 ** len(MOVED)
 
     @property
     def simulator(self) -> Physics:
@@ -114,18 +114,10 @@ class PostureSwitch(FiniteTask):
         places = self._places(state.encoders)
         return jnp.sum(places * self.places ** np.arange(len(MOVED)), dtype=jnp.int32)
 
-    @property
-    def observation_size(self) -> int:
-        return len(MOVED)
-
     def observe(self, state: Body) -> Float[Array, "3"]:
         """Return the encoders' places between start, 0, and goal, 1."""
         first, last = self.grid[:, 0], self.grid[:, -1]
         return jnp.clip((state.encoders - first) / (last - first), 0.0, 1.0).astype(jnp.float32)
-
-    @property
-    def action_bins(self) -> tuple[int, ...]:
-        return (3,) * len(MOVED)
 
     def drive(self, data: Body, action: Int[Array, "3"]) -> tuple[Physics, Controller]:
         number = jnp.sum(action * 3 ** np.arange(len(MOVED)), dtype=jnp.int32)

@@ -1,5 +1,7 @@
 """A task and a learner of a user's own: hop along a line to 1, and a deep learner with a small network."""
 
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 
@@ -9,15 +11,9 @@ from humanoid_mjx.tasks.continuous import ContinuousTask, State, begin
 
 
 class Hop(ContinuousTask):
+    observation_size: ClassVar = 1
+    action_bins: ClassVar = (2,)
     stride: float = traced(0.2)
-
-    @property
-    def observation_size(self):
-        return 1
-
-    @property
-    def action_bins(self):
-        return (2,)
 
     def reset(self, key):
         place = jax.random.uniform(key, (1,), maxval=0.5)

@@ -1,5 +1,7 @@
 """A task as a user writes it, whose robot hangs and leans: its state is a dict that holds a world somewhere."""
 
+from typing import ClassVar
+
 import jax.numpy as jnp
 
 from humanoid_mjx.physics import make_physics
@@ -9,15 +11,10 @@ from humanoid_mjx.tasks.continuous import ContinuousTask, State, begin
 class Sway(ContinuousTask):
     """Keep both legs at a lean for 0.4 s. It is pushed sideways with 2 N from 0.12 to 0.2 s."""
 
+    observation_size: ClassVar = 1
+    action_bins: ClassVar = (3,)
+
     period: float = 0.04
-
-    @property
-    def observation_size(self):
-        return 1
-
-    @property
-    def action_bins(self):
-        return (3,)
 
     @property
     def simulator(self):

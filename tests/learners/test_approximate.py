@@ -3,6 +3,7 @@
 from functools import partial
 from itertools import chain
 from operator import itemgetter
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -343,17 +344,12 @@ def test_the_learning_rate_falls_linearly_to_its_end():
 class Uneven(ContinuousTask):
     """Joints with different numbers of choices."""
 
-    @property
-    def observation_size(self):
-        return 1
+    observation_size: ClassVar = 1
+    action_bins: ClassVar = (9, 3)
 
     @property
     def observation_bounds(self):
         return np.zeros(1), np.ones(1)
-
-    @property
-    def action_bins(self):
-        return 9, 3
 
 
 def test_joints_of_fewer_choices_have_no_more_and_share_no_weights():

@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -112,9 +113,7 @@ def test_import_paths_are_searched_in_the_working_directory_and_the_error_says_w
 
 
 class WrongSize(Hop):
-    @property
-    def observation_size(self):
-        return 2
+    observation_size: ClassVar = 2
 
 
 class NoState(Hop):
