@@ -90,14 +90,23 @@ def read(file: Path) -> tuple[mujoco.MjModel, int]:
         try:
             return spec.compile(), 0
         except ValueError:
-            meshes = [geom for geom in spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_MESH]
-            if any(geom.contype or geom.conaffinity for geom in meshes):
-                raise
-            for part in (*spec.geoms, *spec.sites):
-                part.material = ""
-            for part in (*meshes, *spec.meshes, *spec.skins, *spec.materials, *spec.textures):
-                spec.delete(part)
-            return spec.compile(), len(meshes)
+            return without_meshes(spec)
+
+
+def without_meshes(spec: mujoco.MjSpec) -> tuple[mujoco.MjModel, int]:
+    """Delete meshes, skins and looks; return the compiled model, and how many meshes it lacks.
+
+    Raises:
+      ValueError: a mesh touches something.
+    """
+    meshes = [geom for geom in spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_MESH]
+    if touching := [geom.name for geom in meshes if geom.contype or geom.conaffinity]:
+        raise ValueError(f"a mesh touches: {touching[0]}")
+    for part in (*spec.geoms, *spec.sites):
+        part.material = ""
+    for part in (*meshes, *spec.meshes, *spec.skins, *spec.materials, *spec.textures):
+        spec.delete(part)
+    return spec.compile(), len(meshes)
 
 
 def touches(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[int, int]:

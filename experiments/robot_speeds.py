@@ -39,10 +39,10 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from other_robots import file_of, touches  # pyright: ignore[reportMissingImports]
+from other_robots import file_of, touches, without_meshes  # pyright: ignore[reportMissingImports]
 
 from humanoid_mjx import compute
-from humanoid_mjx.bench.running import native_rollout, on_all_devices
+from humanoid_mjx.bench.running import native_rollout, on_all_devices, with_servo
 from humanoid_mjx.control.stages import Stages
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.robot import Robot, make_robot
@@ -111,15 +111,9 @@ def plain(name: str, folder: Path) -> Path:
     if file is None:
         sys.exit(f"{name}: {PUBLISHED[name].partition('/')[0]} is not installed; --models FOLDER reads plain files")
     spec = mujoco.MjSpec.from_file(str(file))
-    for geom in spec.geoms:
-        if geom.type == mujoco.mjtGeom.mjGEOM_MESH:
-            assert not geom.contype and not geom.conaffinity, geom.name
-            spec.delete(geom)
-    for part in (*spec.geoms, *spec.sites):
-        part.material = ""
-    for part in (*spec.meshes, *spec.skins, *spec.materials, *spec.textures, *spec.hfields):
-        spec.delete(part)
-    spec.compile()
+    for field in spec.hfields:
+        spec.delete(field)
+    without_meshes(spec)
     found = folder / f"{name}.xml"
     found.write_text(re.sub(r' material="[^"]*"', "", spec.to_xml()), encoding="utf-8")  # that of defaults, too
     return found
@@ -135,16 +129,9 @@ def robot_of(name: str, folder: str) -> tuple[Robot, mujoco.MjModel, np.ndarray]
     return robot, mujoco.MjModel.from_xml_path(robot.file), gains(mujoco.MjModel.from_xml_path(robot.file))[1]
 
 
-def with_servo(robot: Robot, published: mujoco.MjModel, servo: np.ndarray, own: bool) -> mujoco.MjModel:
+def native_model(robot: Robot, published: mujoco.MjModel, servo: np.ndarray, own: bool) -> mujoco.MjModel:
     """The robot's model with its servo as MuJoCo's own; with the iterations as published if `own`."""
-    model = copy(robot.model)
-    limit = robot.torque_limits
-    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    model.actuator_ctrllimited[:], model.actuator_forcelimited[:] = 0, 1
-    model.actuator_forcerange[:] = np.stack([-limit, limit], axis=1)
-    model.actuator_gainprm[:, 0] = servo[:, 0]
-    model.actuator_biastype[:] = mujoco.mjtBias.mjBIAS_AFFINE
-    model.actuator_biasprm[:, 1:3] = -servo
+    model = with_servo(robot.model, servo)
     fresh = mujoco.MjOption()
     for key in ("solver", "iterations", "ls_iterations", "tolerance", "ls_tolerance"):
         setattr(model.opt, key, getattr(published.opt if own else fresh, key))
@@ -154,7 +141,7 @@ def with_servo(robot: Robot, published: mujoco.MjModel, servo: np.ndarray, own: 
 def states_of(name: str, folder: str, worlds: int) -> tuple[tuple[np.ndarray, ...], dict[str, Any]]:
     """Positions, velocities and set-points of robots that are thrown about, and what is true of them."""
     robot, published, servo = robot_of(name, folder)
-    model, rng = with_servo(robot, published, servo, own=False), np.random.default_rng(1)
+    model, rng = native_model(robot, published, servo, own=False), np.random.default_rng(1)
     joints = model.actuator_trnid[:, 0]
     qpos = published.qpos0.copy()
     if published.nkey and name != "humanoid":
@@ -219,7 +206,7 @@ def make_mjx(name: str, folder: str, worlds: int, implementation: str) -> tuple[
     from humanoid_mjx.physics.mjx import LINE_SEARCH_ITERATIONS, LOST, SOLVER_ITERATIONS, mjx
 
     robot, published, servo = robot_of(name, folder)
-    model = with_servo(robot, published, servo, own=True)
+    model = native_model(robot, published, servo, own=True)
     model.opt.iterations = min(model.opt.iterations, SOLVER_ITERATIONS[implementation])
     model.opt.ls_iterations = min(model.opt.ls_iterations, LINE_SEARCH_ITERATIONS)
     put = mjx.put_model(model, impl=implementation)
@@ -278,7 +265,7 @@ def load(subject: str, name: str, folder: str, states: tuple[np.ndarray, ...]) -
     """Give a subject its states, and call it once."""
     if subject.startswith("mujoco"):
         robot, published, servo = robot_of(name, folder)
-        model = with_servo(robot, published, servo, own=subject.endswith("published"))
+        model = native_model(robot, published, servo, own=subject.endswith("published"))
         qpos, qvel, setpoint = states
         call = native_rollout(model, qpos, qvel, STEPS, np.tile(setpoint[:, None], (1, STEPS, 1)))
 

@@ -15,7 +15,6 @@ Those that end in `moving` are thrown about as in a training, and are the same o
 
 import importlib.util
 from collections.abc import Callable, Mapping, Sequence
-from copy import copy
 from functools import cache, partial
 from itertools import product
 from typing import Any, NamedTuple
@@ -26,7 +25,7 @@ import numpy as np
 
 from humanoid_mjx import compute
 from humanoid_mjx.bench.measure import Record, Subject, time_rates
-from humanoid_mjx.bench.running import native_rollout, native_subject, on_all_devices, with_room
+from humanoid_mjx.bench.running import native_rollout, native_subject, on_all_devices, with_room, with_servo
 from humanoid_mjx.control import at_rest
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.tasks import make_task
@@ -185,22 +184,8 @@ def mujoco(batch: int, steps: int, moving: bool = False) -> Callable[[], Any]:
 
 def native(qpos: np.ndarray, qvel: np.ndarray, setpoint: np.ndarray, steps: int) -> Callable[[], Any]:
     """Native MuJoCo, one thread a core: the positions after so many steps."""
-    model = _model_with_servo(importlib.import_module("mujoco"))
+    task: Stand = make_task("stand", physics="mujoco")
+    servo: Any = task.control
+    model = with_servo(task.simulator.model, np.array([servo.stiffness, servo.damping]))
     call = native_rollout(model, qpos, qvel, steps, np.tile(setpoint[:, None], (1, steps, 1)))
     return lambda: call()[:, 1 : 1 + model.nq]
-
-
-def _model_with_servo(mj: Any) -> Any:
-    """The lower body whose motors are the task's servo, their control being the set-point."""
-    task: Stand = make_task("stand", physics="mujoco")
-    model = copy(task.simulator.model)  # pyright: ignore[reportAttributeAccessIssue]
-    limit = model.actuator_ctrlrange.copy()
-    model.opt.disableflags |= mj.mjtDisableBit.mjDSBL_AUTORESET
-    model.actuator_ctrllimited[:] = 0
-    model.actuator_forcelimited[:] = 1
-    model.actuator_forcerange[:] = limit
-    model.actuator_biastype[:] = mj.mjtBias.mjBIAS_AFFINE
-    servo: Any = task.control
-    model.actuator_gainprm[:, 0] = servo.stiffness
-    model.actuator_biasprm[:, :3] = 0.0, -servo.stiffness, -servo.damping
-    return model

@@ -5,6 +5,7 @@ import multiprocessing
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from copy import copy
 from functools import cache
 from importlib import import_module
 from typing import Any
@@ -81,6 +82,21 @@ def native_rollout(
         return after[:, -1]
 
     return call
+
+
+def with_servo(base: Any, gains: np.ndarray) -> Any:
+    """Return a copy of a model in which each torque motor is a servo within the same limits, its control the set-point.
+
+    `gains`: stiffness, N m/rad, and damping, N m s/rad, (2,) or (motors, 2).
+    """
+    mj: Any = import_module("mujoco")
+    model = copy(base)
+    model.opt.disableflags |= mj.mjtDisableBit.mjDSBL_AUTORESET
+    model.actuator_ctrllimited[:], model.actuator_forcelimited[:] = 0, 1
+    model.actuator_forcerange[:] = base.actuator_ctrlrange
+    model.actuator_biastype[:] = mj.mjtBias.mjBIAS_AFFINE
+    model.actuator_gainprm[:, 0], model.actuator_biasprm[:, 1:3] = gains[..., 0], -gains
+    return model
 
 
 _numbers = itertools.count()
