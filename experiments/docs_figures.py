@@ -4,14 +4,13 @@
 python experiments/docs_figures.py               # all, in a minute
 python experiments/docs_figures.py conventions   # one of them
 
-The film is made by `walk_film.py`; `throughput.py` and `sweep_curves.py` draw records.
+The film is made by `walk_film.py`; `throughput.py` and `sweep_curves.py` draw records. `joint1_learning_curves.png` is
+the figure of `humanoid-mjx sweep joint1`.
 """
 
 import argparse
-import shutil
 import subprocess
 import sys
-import tempfile
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -290,14 +289,6 @@ def stand(path: Path) -> None:
     _save(rows, path)
 
 
-def joint1_learning_curves(path: Path) -> None:
-    """The learning curves of the README's first command."""
-    with tempfile.TemporaryDirectory() as folder:
-        run = Path(folder) / "joint1"
-        subprocess.run([sys.executable, "-m", "humanoid_mjx", "sweep", "joint1", "--out", str(run)], check=True)
-        shutil.copy(run / "figures" / "learning_curves.png", path)
-
-
 def legs(path: Path) -> None:
     """The chain of Table 4.1 as two legs, with the axes of the right one's joints."""
     model, data = _body({}, "legs")
@@ -316,7 +307,7 @@ def legs(path: Path) -> None:
             panel.set(xlim=(-0.17, 0.17), ylim=(-0.3, 0.04))
 
 
-FIGURES = {make.__name__: make for make in (conventions, stand, joint1_learning_curves, legs)}
+FIGURES = {make.__name__: make for make in (conventions, stand, legs)}
 
 
 def main() -> None:

@@ -20,7 +20,7 @@ from humanoid_mjx.training import pool as pool_module
 from humanoid_mjx.training import session as session_module
 from humanoid_mjx.training.sweep import sweep
 
-KILLS_OF_A_RUN = 5
+KILLS_OF_A_RUN, AT_ONCE = 5, 4
 
 
 def train(config: dict[str, Any], run: Path, began: Any) -> None:
@@ -95,14 +95,14 @@ def kills(matrix: Matrix, learner: str, tries: int, seed: int) -> None:
     matrix.say(f"  what was stored then: {json.dumps(dict(sorted({x: found.count(x) for x in found}.items())))}")
 
 
-def crowds(matrix: Matrix, folder: Path, rounds: int, size: int = 4) -> None:
+def crowds(matrix: Matrix, folder: Path, rounds: int) -> None:
     """Processes that start at once: in one folder, and with folders of their own choice."""
 
     def start(*arguments: object) -> list[subprocess.Popen[str]]:
         call = [sys.executable, "-m", "humanoid_mjx", "sweep", *map(str, arguments)]
         return [
             subprocess.Popen(call, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-            for _ in range(size)
+            for _ in range(AT_ONCE)
         ]
 
     def ended(all_of_them: list[subprocess.Popen[str]]) -> list[tuple[int, str]]:
@@ -117,14 +117,14 @@ def crowds(matrix: Matrix, folder: Path, rounds: int, size: int = 4) -> None:
             refused = [
                 words for code, words in ends if code == 2 and words.startswith("error: ") and words.count("\n") == 1
             ]
-            fine = len(refused) == size - 1 and bits(folder / f"one-{number}") == bits(folder / "whole")
+            fine = len(refused) == AT_ONCE - 1 and bits(folder / f"one-{number}") == bits(folder / "whole")
             found.append(("one trained, the others got a sentence", "") if fine else ("wrong", str(ends)))
         ends = ended(start(config))
         runs = [path for path in sorted((folder / "runs").iterdir()) if bits(path) == bits(folder / "whole")]
-        fine = not any(code for code, _ in ends) and len(runs) == size
+        fine = not any(code for code, _ in ends) and len(runs) == AT_ONCE
         return [*found, ("each trained in a folder of its own", "") if fine else ("wrong", str(ends))]
 
-    matrix.row(f"{size} processes at once", "sweep of tables", tried)
+    matrix.row(f"{AT_ONCE} processes at once", "sweep of tables", tried)
 
 
 def _at_odd_time(kind: str) -> Try:

@@ -1,9 +1,13 @@
-"""Robust aggregates over seeds (R. Agarwal et al., "Deep RL at the Edge of the Statistical Precipice", 2021)."""
+"""Robust aggregates over seeds (R. Agarwal et al., "Deep RL at the Edge of the Statistical Precipice", 2021), with
+intervals of 95 %."""
 
 from statistics import NormalDist
 
 import numpy as np
 from jaxtyping import Bool, Float, Num
+
+ENDS = 0.025, 0.975
+"""Quantiles at the ends of an interval."""
 
 RESAMPLES = 500
 
@@ -22,40 +26,34 @@ def iqm(values: Num[np.ndarray, "n ..."]) -> Float[np.ndarray, "..."]:
     return np.asarray((ordered.T * (weights / weights.sum())).T.sum(axis=0))
 
 
-def iqm_interval(
-    values: Num[np.ndarray, "n ..."], confidence: float = 0.95, seed: int = 0
-) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]:
+def iqm_interval(values: Num[np.ndarray, "n ..."]) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]:
     """Percentile bootstrap interval of the interquartile mean over the first axis, the entries resampled whole."""
-    n, rng = len(values), np.random.default_rng(seed)
+    n, rng = len(values), np.random.default_rng(0)
     batches = np.array_split(np.arange(RESAMPLES), -(-RESAMPLES * values.size // RESAMPLED_NUMBERS))
     draws = (rng.integers(n, size=(len(batch), n)) for batch in batches)
     estimates = np.concatenate([iqm(np.swapaxes(values[rows], 0, 1)) for rows in draws])
-    tail = (1 - confidence) / 2
-    low, high = np.quantile(estimates, (tail, 1 - tail), axis=0)
+    low, high = np.quantile(estimates, ENDS, axis=0)
     return np.asarray(low), np.asarray(high)
 
 
-def rate_interval(successes: Bool[np.ndarray, " n"], confidence: float = 0.95) -> tuple[float, float]:
+def rate_interval(successes: Bool[np.ndarray, " n"]) -> tuple[float, float]:
     """Interval of a probability (E. Wilson, 1927), which keeps a width even where all trials or none succeeded."""
     n, share = len(successes), float(np.mean(successes))
-    z2 = NormalDist().inv_cdf((1 + confidence) / 2) ** 2
+    z2 = NormalDist().inv_cdf(ENDS[1]) ** 2
     middle = (share + z2 / (2 * n)) / (1 + z2 / n)
     half = (z2 * (share * (1 - share) / n + z2 / (4 * n**2))) ** 0.5 / (1 + z2 / n)
     return max(0.0, middle - half), min(1.0, middle + half)
 
 
-def mean_interval(
-    values: Float[np.ndarray, "n ..."], confidence: float = 0.95, seed: int = 0
-) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]:
+def mean_interval(values: Float[np.ndarray, "n ..."]) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]:
     """Percentile bootstrap interval of the mean over the first axis, whose NaN entries are left out; NaN where fewer
     than two others remain."""
     n, known = len(values), np.isfinite(values)
-    draws = np.random.default_rng(seed).multinomial(n, np.full(n, 1 / n), RESAMPLES).astype(float)
+    draws = np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), RESAMPLES).astype(float)
     totals, counts = (np.tensordot(draws, part, axes=1) for part in (np.where(known, values, 0.0), known.astype(float)))
     means = np.divide(totals, counts, out=np.full(totals.shape, np.nan), where=counts > 0)
-    tail = (1 - confidence) / 2
     enough = known.sum(axis=0) > 1
     # A resample that holds no known entry says nothing; the others always do.
-    ends = np.nanquantile(np.where(enough, means, 0.0), (tail, 1 - tail), axis=0)
+    ends = np.nanquantile(np.where(enough, means, 0.0), ENDS, axis=0)
     low, high = np.where(enough, ends, np.nan)
     return np.asarray(low), np.asarray(high)

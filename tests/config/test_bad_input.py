@@ -3,7 +3,8 @@
 import copy
 import random
 import shutil
-from functools import cache
+from functools import cache, reduce
+from operator import getitem
 
 import numpy as np
 import pytest
@@ -40,9 +41,7 @@ def leaves(data, path=()):
 
 
 def put(data, path, value):
-    for key in path[:-1]:
-        data = data[key]
-    data[path[-1]] = value
+    reduce(getitem, path[:-1], data)[path[-1]] = value
 
 
 def near(draw, name):
@@ -69,16 +68,10 @@ def wrong(draw):
             put(data, path, draw.choice((-(10**12), -1e30)))
         case 4:  # a name that is nearly one
             path = draw.choice([path for path, _ in leaves(data) if path[-1] != "name"])
-            value = data
-            for key in path:
-                value = value[key]
-            parents, name = path[:-1], near(draw, path[-1])
-            part = data
-            for key in parents:
-                part = part[key]
-            del part[path[-1]]
-            part[name] = value
-            path = (*parents, name)
+            *parents, old = path
+            part = reduce(getitem, parents, data)
+            path = (*parents, near(draw, old))
+            part[path[-1]] = part.pop(old)
         case _:  # a whole part
             path = (draw.choice(("task", "learner")),)
             put(data, path, draw.choice((None, 1, "x", [], [{}], {}, {"nam": "x"})))
