@@ -42,18 +42,18 @@ Override = Annotated[
 ]
 
 Trust = Annotated[
-    bool, typer.Option("--trust", help="Also run code that it names and that is not below the working directory.")
+    bool, typer.Option("--trust", help="Also run code from outside of the working directory, if it is named.")
 ]
 
 
 def _trusting(trust: bool, *names: str | Path | None) -> AbstractContextManager[None]:
-    """Run the code of a config or policy only where it is the user's, or all of it."""
+    """Allow the code that configs and policies name: all of it if `trust`, else only modules of the user."""
     from humanoid_mjx.spec import own_modules_only
 
     return nullcontext() if trust else own_modules_only(*(Path(name) for name in names if name and Path(name).is_dir()))
 
 
-Physics = Annotated[str | None, typer.Option(metavar="NAME", help="Simulate by another physics, such as mujoco.")]
+Physics = Annotated[str | None, typer.Option(metavar="NAME", help="Another physics than in training, such as mujoco.")]
 
 
 @app.command()
@@ -66,14 +66,17 @@ def sweep(
     set_: Override = None,
     resume: Annotated[bool, typer.Option("--resume", help="Complete an interrupted run.")] = False,
     tensorboard: Annotated[
-        bool, typer.Option("--tensorboard", help="Write event files of TensorBoard into RUN/tensorboard meanwhile.")
+        bool,
+        typer.Option("--tensorboard", help="Write event files of TensorBoard into RUN/tensorboard while it trains."),
     ] = False,
     view: Annotated[
-        bool, typer.Option("--view", help="Show a page that grows meanwhile in the browser: RUN/report.html.")
+        bool, typer.Option("--view", help="Open a page in the browser that grows while it trains: RUN/report.html.")
     ] = False,
     slurm: Annotated[
         list[str] | None,
-        typer.Option(metavar="KEY=VALUE", help="Hand it to Slurm: partition=gpu, nodes=2, timeout_min=60, ..."),
+        typer.Option(
+            metavar="KEY=VALUE", help="Submit the sweep to Slurm: partition=gpu, nodes=2, timeout_min=60, ..."
+        ),
     ] = None,
 ) -> None:
     """Train every point of a sweep; write a run folder with tables and figures."""
@@ -98,7 +101,7 @@ def reproduce(
     ] = None,
     list_: Annotated[bool, typer.Option("--list", help="Show the names.")] = False,
     set_: Override = None,
-    out: Annotated[Path, typer.Option(help="Where reproduce.json and the figures go.")] = Path("reproduced"),
+    out: Annotated[Path, typer.Option(help="The folder of reproduce.json and the figures.")] = Path("reproduced"),
 ) -> None:
     """Reproduce tables and figures of the thesis, each with a computed verdict."""
     from humanoid_mjx.commands.reproduce import run_reproduce
@@ -157,7 +160,7 @@ def evaluate(
     ],
     gait: Annotated[
         bool,
-        typer.Option("--gait", help="How it walks under commands that stay: errors, slip, steps, effort, by command."),
+        typer.Option("--gait", help="Measure the gait under constant commands: errors, slip, steps, effort."),
     ] = False,
     point: Point = None,
     set_: World = None,
@@ -166,10 +169,10 @@ def evaluate(
         int | None,
         typer.Option(min=1, max=1_000_000, help="Episodes of each agent, 1024; with --gait of each command, 64."),
     ] = None,
-    json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write what was found as JSON.")] = None,
+    json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the results as JSON.")] = None,
     trust: Trust = False,
 ) -> None:
-    """Measure what was learned on episodes that no training has seen, beside a zero and a random agent."""
+    """Evaluate policies on held-out episodes, beside a zero and a random agent."""
     from humanoid_mjx.commands.evaluate import run_evaluate
 
     with _trusting(trust, *policies):
@@ -182,9 +185,7 @@ def play(
     point: Point = None,
     set_: World = None,
     physics: Physics = None,
-    episode: Annotated[
-        int, typer.Option(metavar="N", min=0, max=10**6, help="Which of the episodes that no training has seen.")
-    ] = 0,
+    episode: Annotated[int, typer.Option(metavar="N", min=0, max=10**6, help="Number of the held-out episode.")] = 0,
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="A .gif, .mp4, .webm or .png; by default RUN/figures/play.gif.")
     ] = None,
@@ -195,10 +196,10 @@ def play(
         float | None, typer.Option(metavar="N", min=1, max=100, help="Pictures a second of the video, 25.")
     ] = None,
     view: Annotated[
-        bool, typer.Option("--view", help="Drive the robot in the browser instead; no other machine sees it.")
+        bool, typer.Option("--view", help="Steer the robot in the browser; only this machine can open the page.")
     ] = False,
     port: Annotated[
-        int | None, typer.Option(min=1, max=65535, help="Where --view serves its page; by default any free port.")
+        int | None, typer.Option(min=1, max=65535, help="Port of the page of --view; by default any free one.")
     ] = None,
     robots: Annotated[
         int,
@@ -206,7 +207,7 @@ def play(
     ] = 1,
     trust: Trust = False,
 ) -> None:
-    """Show what was learned as a video or picture of the robot, or drive it in the browser."""
+    """Show a policy as a video or picture of the robot, or steer the robot in the browser."""
     from humanoid_mjx.commands.play import run_play
 
     with _trusting(trust, policy):
@@ -218,11 +219,11 @@ def report(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder, or a folder that reproduce has written.")],
     out: Annotated[Path | None, typer.Option(metavar="FILE.html", help="By default RUN/report.html.")] = None,
     motion: Annotated[
-        bool, typer.Option(help="Simulate the best policy and show how the robot moves, where its task has one.")
+        bool, typer.Option(help="Show the robot's motion under the best policy, if the task moves a robot.")
     ] = True,
     trust: Trust = False,
 ) -> None:
-    """Write one self-contained web page: what was run, curves, tables, the robot's motion, how to run it again."""
+    """Write one self-contained web page: config, curves, tables, the robot's motion, the command to run it again."""
     from humanoid_mjx.commands.runs import run_report
 
     with _trusting(trust, run):
@@ -231,9 +232,9 @@ def report(
 
 @app.command()
 def runs(
-    folder: Annotated[Path, typer.Argument(metavar="[FOLDER]", help="Where run folders are.")] = Path("runs"),
+    folder: Annotated[Path, typer.Argument(metavar="[FOLDER]", help="The folder of the run folders.")] = Path("runs"),
 ) -> None:
-    """List run folders: what each trained, how far it is, and how its best point does."""
+    """List run folders: task, learner, progress, and the result of the best point."""
     from humanoid_mjx.commands.runs import run_runs
 
     run_runs(folder)
@@ -269,7 +270,7 @@ def export(
     point: Point = None,
     trust: Trust = False,
 ) -> None:
-    """Write a robot as MJCF, for MuJoCo; or the best policy of a run as a file of its own."""
+    """Write a robot as MJCF, or the best policy of a run as .npz or as C."""
     from humanoid_mjx.commands.play import run_export
 
     with _trusting(trust, what):
@@ -321,11 +322,11 @@ def common(
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
     ] = False,
 ) -> None:
-    """The options beside all commands."""
+    """Options of the program itself."""
 
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
-"""Errors of a disk that can hold no more."""
+"""Errors of a disk that is full, read-only or broken."""
 
 WRONG_KIND = {
     errno.EEXIST: "a file stands where a folder is wanted",
@@ -333,18 +334,18 @@ WRONG_KIND = {
     errno.EISDIR: "a folder stands where a file is wanted",
     errno.ELOOP: "this is a link that leads to itself",
 }
-"""Words for errors whose own name the wrong thing."""
+"""Words for errors whose own message is misleading."""
 
 LETTERS = 2000
-"""The longest sentence that is said of unusable input."""
+"""Largest length of an error message."""
 
 INTERRUPTED = 130
 """The exit code after Ctrl-C, by the convention of shells."""
 
 
 def main() -> None:
-    """Run the command line. Unusable input, and files, disks and memory that fail, end with one sentence and exit
-    code 2."""
+    """Run the command line. Wrong input and failures of files, disks and memory end with one sentence and exit code
+    2."""
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # closed, as some services start programs
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
@@ -375,7 +376,7 @@ def main() -> None:
 
 
 def _end(sentence: str) -> NoReturn:
-    """Say why there is no result, on one line whatever the words are that a user's file holds, and exit."""
+    """Print an error on one line, control characters escaped, and exit with code 2."""
     plain = "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in sentence)
     print(f"error: {plain if len(plain) <= LETTERS else plain[:LETTERS] + '...'}", file=sys.stderr)
     with suppress(OSError, ValueError):  # what is buffered would fail again at exit

@@ -1,4 +1,4 @@
-"""The reference of keys: every value of a task or learner that a config may hold, read off its class."""
+"""Reference of the keys of a config, read from the classes of tasks and learners."""
 
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin
@@ -23,7 +23,7 @@ class Key(NamedTuple):
 
 
 def keys_of(cls: type[Spec], prefix: str, branch: Spec | None = None) -> Iterator[Key]:
-    """The keys of a Spec, those of a Spec in its defaults below it; `branch` is such a default."""
+    """Yield the keys of a Spec and of the Specs in its fields. `branch` is the default of a nested Spec."""
     for name, field in cls.model_fields.items():
         if field.exclude:
             continue
@@ -39,7 +39,7 @@ def keys_of(cls: type[Spec], prefix: str, branch: Spec | None = None) -> Iterato
 
 
 def _meaning(cls: type[Spec], name: str) -> str:
-    """The description of a field, as the class or the nearest of its bases has it."""
+    """Return the description of a field, from the class or the nearest base that has one."""
     fields = (getattr(base, "model_fields", {}).get(name) for base in cls.__mro__)
     return next((field.description for field in fields if field and field.description), "")
 

@@ -1,9 +1,9 @@
-"""Checked descriptions of things: the base of every task, learner, physics and config.
+"""`Spec`: the base of tasks, learners, physics, control laws and robots.
 
-A `Spec` is a frozen pydantic model whose fields are what a user may write in a config file, and a pytree whose leaves
-are the values that a compiled program takes as data. A field declared with `traced` is such a leaf: changing it
-compiles nothing, and an array may stand in its place. A field that holds another Spec is a branch. Every other field
-is *static*: it shapes the program. Specs of one `jax.tree.structure` share one compiled program.
+A `Spec` is a frozen pydantic model and a pytree. Its fields are the keys that a config may hold. A field declared with
+`traced` is a leaf of the pytree: data of a compiled program, which an array may replace without another compilation. A
+field that holds another Spec is a subtree. Every other field is *static*: it shapes the program. Specs of the same
+`jax.tree.structure` share one compiled program.
 """
 
 import difflib
@@ -29,14 +29,14 @@ SomeSpec = TypeVar("SomeSpec", bound="Spec")
 
 
 class InputError(ValueError):
-    """A value that the user gave cannot be used. The message is one sentence that says what would be right."""
+    """A value from the user that cannot be used. The message is one sentence that says which values can."""
 
 
 def check_folder(file: Path, option: str = "") -> None:
-    """Refuse a file, given by an option, that is a folder or whose folder is not there.
+    """Check that a file can be written: its folder exists, and it is not a folder itself.
 
     Raises:
-      InputError: there is no such folder, or a folder of this name.
+      InputError: it cannot; the message begins with `option`.
     """
     if file.is_dir():
         raise InputError(f"{option} {file}: this is a folder; name a file.".lstrip())
@@ -45,19 +45,19 @@ def check_folder(file: Path, option: str = "") -> None:
 
 
 def traced(default: Any = ..., **constraints: Any) -> Any:
-    """A field of a `Spec` that compiled programs take as data; `constraints` are those of `pydantic.Field`."""
+    """Declare a field of a `Spec` that compiled programs take as data. `constraints` are those of `pydantic.Field`."""
     return pydantic.Field(default, json_schema_extra={"traced": True}, **constraints)
 
 
 def is_traced(field: Any) -> bool:
-    """Return whether a field, as `model_fields` has it, was declared with `traced`."""
+    """Return whether a field of `model_fields` was declared with `traced`."""
     return isinstance(field.json_schema_extra, dict) and bool(field.json_schema_extra.get("traced"))
 
 
 class Spec(pydantic.BaseModel):
-    """Base of everything that is built from user input: frozen, strict, no unknown keys, no NaN; a pytree.
+    """Base of everything that is built from user input: a pytree, frozen and strict, without unknown keys and NaN.
 
-    Values are checked when a Spec is built from input, but not where jax or `replace` puts others in their place.
+    The constructor checks values. `replace` and jax put other values in their place without a check.
     """
 
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
@@ -92,20 +92,20 @@ class Spec(pydantic.BaseModel):
         return value
 
     def replace(self: SomeSpec, **values: Any) -> SomeSpec:
-        """This spec with other values in some of its fields; nothing is checked, so that traced arrays may be given."""
+        """Return a copy with other values in some fields. Values are not checked, so they may be traced arrays."""
         assert values.keys() <= type(self).model_fields.keys(), f"{type(self).__name__} lacks some of {list(values)}"
         return self.model_copy(update=values)
 
 
 def _within(kinds: Iterable[Any]) -> Iterator[Any]:
-    """All that annotations are built of, with the values of a `Literal`."""
+    """Yield all parts of annotations, with the values of a `Literal`."""
     for kind in kinds:
         yield kind
         yield from _within(get_args(kind))
 
 
 def _split(spec: Spec) -> tuple[list[tuple[str, Any]], tuple[tuple[str, Any], ...]]:
-    """The fields that are nodes of the tree, and the static ones."""
+    """Return the fields that are nodes of the pytree, and the static fields."""
     nodes, static = [], []
     for name, field in type(spec).model_fields.items():
         value = getattr(spec, name)
@@ -114,7 +114,7 @@ def _split(spec: Spec) -> tuple[list[tuple[str, Any]], tuple[tuple[str, Any], ..
 
 
 def kinds(spec: Spec) -> Iterator[type[Spec]]:
-    """The classes of a Spec and of those that it holds."""
+    """Yield the classes of a Spec and of the Specs in its fields."""
     yield type(spec)
     for _, value in _split(spec)[0]:
         if isinstance(value, Spec):
@@ -133,7 +133,7 @@ def _flatten_with_keys(spec: Spec) -> tuple[list[tuple[Any, Any]], Any]:
 
 
 def _completed(default: Spec, written: Any) -> Any:
-    """The values given for a branch, completed from its default unless they name another kind of thing."""
+    """Return the values given for a nested Spec, completed from its default if both have the same `name`."""
     values = {name: getattr(default, name) for name in type(default).model_fields}
     if isinstance(written, str) and "name" in values:
         written = {"name": written}
@@ -144,20 +144,20 @@ def _completed(default: Spec, written: Any) -> Any:
 
 
 class Named(Spec):
-    """Base of Specs that a config chooses among by `name`: derive from it once for each kind of thing."""
+    """Base of Specs that a config selects by `name`. Each kind, such as tasks or control laws, derives its own base."""
 
     name: str = ""
 
     @pydantic.model_validator(mode="before")
     @classmethod
     def _named_by_its_place(cls, data: Any) -> Any:
-        """A user's own is named by its import path, so that a stored config can be read again."""
+        """Name a class of the user by its import path, so that a stored config can be read again."""
         unnamed = isinstance(data, dict) and not cls.model_fields["name"].default
         return {"name": f"{cls.__module__}:{cls.__qualname__}"} | data if unnamed else data
 
 
 def make(kind: str, registry: Mapping[str, str], base: type[Any], name: str, /, **values: Any) -> Any:
-    """Build the `kind` of thing called `name`: a name of the registry, or a user's own as "package.module:Class".
+    """Build the task, learner, physics, ... (`kind`) called `name`: a name of the registry, or "package.module:Class".
 
     Raises:
       InputError: unknown name, a class that is no `base`, an unknown key, a value out of range, or an error that a
@@ -181,8 +181,10 @@ def make(kind: str, registry: Mapping[str, str], base: type[Any], name: str, /, 
 
 
 def written(kind: str, make: Callable[..., Any]) -> pydantic.BeforeValidator:
-    """Return the validator of a field that holds a `Named` of this kind: a config writes a name, or a name with values,
-    of which `make(name, **values)` builds it."""
+    """Return the validator of a field that holds a `Named` of this kind.
+
+    A config gives a name, or a mapping with `name` and other values; `make(name, **values)` builds the object.
+    """
 
     def build(given: Any) -> Any:
         if not isinstance(given, (str, Mapping)):
@@ -200,7 +202,7 @@ _folder: ContextVar[str | None] = ContextVar("_folder", default=None)
 
 @contextmanager
 def modules_in(folder: str | None) -> Iterator[None]:
-    """Within the block, a module that Python does not find is searched in this folder, if any is given."""
+    """Within the block, search this folder for modules that Python does not find."""
     before = _folder.set(folder)
     try:
         yield
@@ -209,13 +211,13 @@ def modules_in(folder: str | None) -> Iterator[None]:
 
 
 _strangers: ContextVar[tuple[Path, ...] | None] = ContextVar("_strangers", default=None)
-"""Folders whose modules are not run although they lie below the working directory; None where all modules are run."""
+"""Folders below the working directory whose modules are not imported; None: every module may be imported."""
 
 
 @contextmanager
 def own_modules_only(*strangers: Path) -> Iterator[None]:
-    """Within the block, a module that a config or policy names is run only where it is this package's or lies below the
-    working directory, and neither among installed packages nor below a folder of `strangers`."""
+    """Within the block, configs and policies may import only this package's modules and modules below the working
+    directory. Installed packages and modules below a folder of `strangers` are refused."""
     before = _strangers.set(tuple(path.resolve() for path in strangers))
     try:
         yield
@@ -224,7 +226,7 @@ def own_modules_only(*strangers: Path) -> Iterator[None]:
 
 
 def _is_run(module: str) -> bool:
-    """Return whether `own_modules_only` lets a module run; a module that is nowhere is left to `_import`."""
+    """Return whether `own_modules_only` allows a module. A module that does not exist is left to `_import`."""
     strangers, top = _strangers.get(), module.partition(".")[0]
     if strangers is None or top == __package__:
         return True
@@ -241,12 +243,12 @@ def _is_run(module: str) -> bool:
 
 
 def search_folders() -> list[str]:
-    """The folder of `modules_in`, if any is given, and the working directory."""
+    """Return the folder of `modules_in`, if there is one, and the working directory."""
     return list(dict.fromkeys(filter(None, (_folder.get(), os.getcwd()))))
 
 
 def _import(name: str) -> ModuleType:
-    """The module of this name: on Python's path, in the folder of `modules_in`, or in the working directory."""
+    """Import a module from Python's path, the folder of `modules_in` or the working directory."""
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
@@ -266,7 +268,7 @@ def _import(name: str) -> ModuleType:
 
 
 def find(kind: str, registry: Mapping[str, str], base: type[SomeSpec], name: str) -> type[SomeSpec]:
-    """The class of the `kind` of thing called `name`.
+    """Return the class of the task, learner, physics, ... (`kind`) called `name`.
 
     Raises:
       InputError: unknown name, a module that cannot be imported, a class that is no `base`.
@@ -316,20 +318,20 @@ ELSEWHERE = {
     **dict.fromkeys(("env", "env_id", "environment"), ("task",)),
     **dict.fromkeys(("grid", "hyperparameters", "parameters"), ("sweep",)),
 }
-"""Names of keys in other libraries, and what they are here."""
+"""Names of keys in other libraries, and the keys of this package."""
 
 
 SHOWN_LETTERS = 200
 
 
 def shown(value: Any) -> str:
-    """A value that a user wrote, cut to what a sentence can bear."""
+    """Return a value that a user wrote as text, cut to `SHOWN_LETTERS`."""
     text = repr(value)
     return text if len(text) <= SHOWN_LETTERS else f"{text[:SHOWN_LETTERS]}..."
 
 
 def known(name: str, names: Iterable[str]) -> str:
-    """Say which names are known, the likely one first."""
+    """Return words that list the known names, the most similar first."""
     names = sorted(set(names))
     close = [here for here in ELSEWHERE.get(name, ()) if here in names] or difflib.get_close_matches(name, names, n=1)
     return (f"did you mean {close[0]!r}? " if close else "") + "known are " + ", ".join(names)
@@ -345,11 +347,11 @@ SENTENCES = {
     "list_type": "must be a list",
     "literal_error": "must be one of {expected}",
 }
-"""Description of an allowed value, by pydantic's kind of fault."""
+"""Descriptions of the allowed values, by the type of pydantic's error."""
 
 
 def sentence(error: pydantic.ValidationError, where: str, model: type[pydantic.BaseModel] | None = None) -> str:
-    """The first fault of a pydantic error as one sentence that names the key and what would be right."""
+    """Return the first fault of a pydantic error as one sentence with the key and the allowed values."""
     faults = error.errors()
     # A key that is nearly right is also missing: its near name says more.
     first = next((fault for fault in faults if fault["type"] == "extra_forbidden"), faults[0])
@@ -392,7 +394,7 @@ def sentence(error: pydantic.ValidationError, where: str, model: type[pydantic.B
 
 
 def _fields(model: type[pydantic.BaseModel] | None, place: Iterable[Any]) -> Mapping[str, Any]:
-    """The fields of the model that stands at `place` inside `model`."""
+    """Return the fields of the model at `place` inside `model`."""
     for name in place:
         kinds = (model.model_fields[name].annotation,) if model else ()
         model = next(

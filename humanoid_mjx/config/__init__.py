@@ -1,4 +1,4 @@
-"""Config files: what to train, over which sweep, for how long. Strict: unknown keys and wrong types are refused."""
+"""Config files: task, learner, sweep and length of training. Unknown keys and wrong types are errors."""
 
 import hashlib
 import json
@@ -24,14 +24,14 @@ BELOW = {
     **{key: f"learner.{key}" for key in ("envs", "rollout", "start_from", "trace_decay", "weight_averaging", "width")},
     **{key: f"task.{key}" for key in ("control", "max_episode_steps", "physics", "rewards", "robot", "states")},
 }
-"""Keys that do not stand at the top level, and where they do."""
+"""Keys that are wrong at the top level, and their right place."""
 
 TOP_LEVEL = ("episodes", "total_steps", "record", "task")
-"""Keys that a learner has, but not from its own part of a config."""
+"""Fields of a learner that a config sets at the top level."""
 
 
 class Config(pydantic.BaseModel):
-    """One training run or sweep, as written; `training.plan` gives it meaning."""
+    """A config: one training run or one sweep. `training.plan` expands it."""
 
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
@@ -56,7 +56,7 @@ class Config(pydantic.BaseModel):
 
     @property
     def source(self) -> str:
-        """Origin of the config, for messages."""
+        """Origin of the config, used in messages."""
         return self._source
 
     @property
@@ -102,7 +102,7 @@ class Config(pydantic.BaseModel):
 
 
 def _names(values: dict[str, Any], place: str) -> Iterator[tuple[str, Any]]:
-    """Names in a part of a config, its own and those of the parts within it, by dotted key."""
+    """Yield every `name` in a part of a config, with its dotted key."""
     for key, value in values.items():
         if key == "name":
             yield f"{place}.name", value
@@ -136,7 +136,7 @@ def load(config: str | Path, overrides: Sequence[str] = ()) -> Config:
 
 
 def _sweep_no_more(data: dict[str, Any], key: str) -> None:
-    """Take the axis of a key out of the sweep, if it has one; without axes there is no sweep."""
+    """Remove a key from the axes of the sweep; remove the sweep if no axis is left."""
     axes = sweep.get("axes") if isinstance(sweep := data.get("sweep"), dict) else None
     if isinstance(axes, dict) and key in axes:
         del axes[key]
@@ -144,7 +144,7 @@ def _sweep_no_more(data: dict[str, Any], key: str) -> None:
 
 
 def parse(data: dict[str, Any], source: str = "config") -> Config:
-    """A config from plain values; `source` names their origin in messages.
+    """Build a config from plain values. `source` names their origin in messages.
 
     Raises:
       InputError: a key or value that cannot be used.
@@ -160,7 +160,7 @@ def parse(data: dict[str, Any], source: str = "config") -> Config:
 
 
 def apply_override(data: dict[str, Any], override: str) -> None:
-    """Set one dotted key in place, as `--set key=value` does; the value is read as YAML.
+    """Set one dotted key of `data`, as `--set key=value` does. The value is YAML.
 
     Raises:
       InputError: no `key=value`, a value that is no YAML, or a key below one that holds a value.
@@ -179,12 +179,12 @@ def apply_override(data: dict[str, Any], override: str) -> None:
 
 
 MAX_NODES = 1_000_000
-"""The most values that a text may hold, those that it repeats by aliases counted each time. Nine lines of ten aliases
-each, a billion values, would otherwise fill the memory as soon as they are looked at."""
+"""Largest number of values in a YAML text. Every use of an alias counts: nine lines of ten aliases each are a billion
+values, which would fill the memory."""
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML without tags and duplicate keys, in which 1e-3 is a number."""
+    """YAML loader that refuses tags and duplicate keys, and reads 1e-3 as a number."""
 
     def get_single_node(self) -> Any:
         node = super().get_single_node()
@@ -206,7 +206,7 @@ class _Loader(yaml.SafeLoader):
 
 
 def _integer(loader: yaml.SafeLoader, node: Any) -> int:
-    """An integer that still is one as a float: Python has larger ones, which it neither converts nor prints."""
+    """Return an integer. Integers beyond the range of a float are refused: Python cannot convert or print them."""
     value = loader.construct_yaml_int(node)
     if abs(value) > sys.float_info.max:
         raise yaml.constructor.ConstructorError(None, None, "a number has hundreds of digits", node.start_mark)
@@ -222,7 +222,7 @@ _Loader.add_implicit_resolver(
 
 
 def _size(node: yaml.Node, sizes: dict[yaml.Node, int]) -> int:
-    """Number of values that a node holds, aliases followed; `sizes` are those of the nodes that are known.
+    """Return the number of values of a node, aliases included. `sizes` caches the numbers of earlier nodes.
 
     Raises:
       ConstructorError: a node holds itself.
@@ -239,7 +239,7 @@ def _size(node: yaml.Node, sizes: dict[yaml.Node, int]) -> int:
 
 
 def parse_yaml(text: str, where: str) -> Any:
-    """Plain values from YAML text.
+    """Parse YAML text into plain values.
 
     Raises:
       InputError: text that is not YAML, is nested too deep, carries tags, holds too much by aliases, or has keys that
@@ -257,12 +257,12 @@ def parse_yaml(text: str, where: str) -> Any:
 
 
 def dump_yaml(data: dict[str, Any]) -> str:
-    """Plain values as YAML text, keys in their given order."""
+    """Format plain values as YAML text, keys in their given order."""
     return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=110)
 
 
 def config_digest(data: Mapping[str, Any]) -> str:
-    """The SHA-256 of a resolved config's values, but for its name and its modules' folder: two runs of one digest have
-    the same results."""
+    """Return the SHA-256 of a resolved config without `name` and `modules`. Runs with the same digest have the same
+    results."""
     values = {key: value for key, value in data.items() if key not in ("name", "modules")}
     return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()

@@ -14,13 +14,13 @@ MAX_POINTS = 100_000
 """Largest number of points of a sweep. Each point is checked, which takes time and kilobytes of memory."""
 
 LARGEST = float(np.finfo(np.float32).max)
-"""The largest number that training can have."""
+"""The largest float32."""
 
 Axis = list | dict[str, list]
 
 
 class Sweep(pydantic.BaseModel):
-    """Axes of a sweep, and how they make points: all combinations (grid), row by row (zip), or random draws."""
+    """Axes of a sweep. `mode` makes points of them: all combinations (grid), row by row (zip), or random draws."""
 
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
@@ -36,7 +36,7 @@ class Sweep(pydantic.BaseModel):
 
 
 def sweep_points(sweep: Sweep, seed: int) -> list[dict[str, Any]]:
-    """The values of the swept keys at each point, by dotted name. Random draws depend on `seed`.
+    """Return the values of the swept keys at each point, by dotted name. Random draws depend on `seed`.
 
     Raises:
       InputError: an axis that is empty or unusable, one with a value twice in mode grid, axes of unequal length in mode
@@ -62,7 +62,7 @@ def sweep_points(sweep: Sweep, seed: int) -> list[dict[str, Any]]:
 
 
 def axis_values(name: str, axis: Axis) -> list:
-    """The values of one axis of a grid or zip: a list, `{linspace: [first, last, count]}` or `{logspace: ...}`.
+    """Return the values of one axis of a grid or zip: a list, `{linspace: [first, last, count]}` or `{logspace: ...}`.
 
     Raises:
       InputError: an empty list, another form, or ends and counts that make no axis.
@@ -85,7 +85,7 @@ def axis_values(name: str, axis: Axis) -> list:
 
 
 def _draw(rng: np.random.Generator, name: str, axis: Axis, count: int) -> list:
-    """Random values of one axis: from a list, `{uniform: [low, high]}`, `{loguniform: ...}` or `{integers: ...}`."""
+    """Draw values of one axis: from a list, `{uniform: [low, high]}`, `{loguniform: ...}` or `{integers: ...}`."""
     if isinstance(axis, list):
         values = axis_values(name, axis)
         return [values[i] for i in rng.integers(len(values), size=count)]

@@ -1,4 +1,4 @@
-"""Learners: how to learn it. `make_learner("tabular_q", task, epsilon=0.2)` builds a checked one for a task."""
+"""Learners. `make_learner("tabular_q", task, epsilon=0.2)` builds and checks a learner for a task."""
 
 from typing import Any, get_args
 

@@ -11,19 +11,19 @@ from humanoid_mjx.tasks.continuous import ContinuousTask, State, auto_reset
 from humanoid_mjx.types import FloatScalar, IntScalar
 
 RESETS = 16
-"""Episodes that begin at once on a CPU. A beginning costs a fifth of a step, and most steps end few episodes."""
+"""Number of resets at a time on a CPU. A reset costs a fifth of a step, and most steps end few episodes."""
 
 
 class Envs(NamedTuple):
-    """The environments; every array has a leading axis of them."""
+    """The environments; every array leads with an axis of environments."""
 
     state: State
     episode: Int[Array, " envs"]
     """Number of the episode under way."""
     length: Int[Array, " envs"]
-    """Its steps so far."""
+    """Steps of the episode so far."""
     totals: dict[str, Float[Array, " envs"]]
-    """Sums of its reward (`return`) and of the reward's terms so far."""
+    """Sums of the reward (`return`) and of its terms over the episode so far."""
 
 
 def start_all(env: ContinuousTask, count: int, key: Key[Array, ""]) -> Envs:
@@ -59,7 +59,7 @@ def _reset_all(env: ContinuousTask, state: State, keys: Key[Array, " envs"]) -> 
 
 
 def _reset_done(env: ContinuousTask, state: State, keys: Key[Array, " envs"]) -> State:
-    """`_reset_all`, computing the beginnings of the episodes that are needed, `RESETS` at a time."""
+    """`_reset_all`, for the ended episodes alone, `RESETS` at a time."""
     count = jnp.cumsum(state.done)
 
     def some(block: IntScalar, old: tuple[Any, Array]) -> tuple[Any, Array]:
@@ -79,9 +79,9 @@ def _reset_done(env: ContinuousTask, state: State, keys: Key[Array, " envs"]) ->
 
 
 def of_all_devices(part: Any, axis: str) -> Any:
-    """Return the parts that the devices along an axis of a mesh have of arrays, joined along the first axis of each.
+    """Gather arrays from the devices along an axis of a mesh; join them along their first axis.
 
-    The arrays travel as rows of 32-bit words in one exchange: a meeting of devices costs more than the words.
+    One exchange carries all arrays as rows of 32-bit words, since an exchange costs more than its words.
     """
     leaves, structure = jax.tree.flatten(part)
 

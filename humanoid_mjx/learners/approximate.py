@@ -28,7 +28,7 @@ from humanoid_mjx.types import FloatScalar, IntScalar
 
 
 class Weights(NamedTuple):
-    """Learned values: all that acting needs."""
+    """The learned values that acting needs."""
 
     value: Any
     moments: Moments
@@ -63,7 +63,7 @@ RETIRED = {"action_repeat": 1, "basis": "tiles", "coarse_to_fine": False}
 
 
 LEAST_SHARE = 64
-"""Environments of a run that a device has at least where several share them: the tree's loops are over as many."""
+"""Least number of environments of a device that shares a run: the loops of `physics: tree` take so many at once."""
 
 
 class ApproximateQ(StepLearner):
@@ -137,7 +137,7 @@ class ApproximateQ(StepLearner):
         return self._steps(carry) / self.total_steps
 
     def train_step(self, carry: Carry) -> tuple[Carry, Outcome]:
-        """One update: act, compute the targets of what was seen, move the weights towards them."""
+        """One update: act, compute the targets of the experience, move the weights towards them."""
         key, act_key, learn_key = jax.random.split(carry.key, 3)
         progress = self.progress(carry)
         envs, (obs, action, td_target), totals = self._act(carry, act_key)
@@ -168,8 +168,8 @@ class ApproximateQ(StepLearner):
         return carry.update.astype(jnp.float32) * (self.rollout * self.envs)
 
     def _act(self, carry: Carry, key: Key[Array, ""]) -> tuple[Envs, "Batch", dict[str, FloatScalar]]:
-        """`_collect`, and the targets of what was seen. Devices that share the environments act in a part of them each,
-        and learn the same from all."""
+        """`_collect`, and the targets of the experience. Devices that share the environments act in one part each; all
+        learn from the whole experience."""
         if self.devices == 1:
             envs, experience, totals = self._collect(carry, key)
             return envs, Batch(experience.obs, experience.action, self._td_targets(carry.weights, experience)), totals
@@ -184,7 +184,7 @@ class ApproximateQ(StepLearner):
         return envs, seen, jax.tree.map(lambda x: x[::size].sum(), sums)
 
     def _collect(self, carry: Carry, key: Key[Array, ""]) -> tuple[Envs, Experience, dict[str, FloatScalar]]:
-        """Let the environments act for `rollout` steps: where they are then, what they saw, sums over ended ones."""
+        """Act for `rollout` steps: the environments after them, the experience, and sums over the ended episodes."""
 
         def step(envs: Envs, key: Key[Array, ""]) -> tuple[Envs, tuple[Experience, dict[str, FloatScalar]]]:
             greedy_key, explore_key, step_key, reset_key = jax.random.split(key, 4)

@@ -1,7 +1,7 @@
-"""The protocol of learners: a learner is its algorithm, and nothing else.
+"""The protocol of learners: a learner holds its algorithm, and nothing else.
 
-Training (`humanoid_mjx.training`) does for all of them what is not algorithm: learning curves, snapshots, the guard
-against numbers that are not finite, evaluation, checkpoints and progress.
+`humanoid_mjx.training` adds learning curves, snapshots, the guard against NaN, evaluation, checkpoints and progress to
+every learner.
 """
 
 from typing import Any, ClassVar, NamedTuple
@@ -40,7 +40,7 @@ class Learner(Spec):
     """
 
     unit: ClassVar[str] = "total_steps"
-    """The field that says how long to train, and in what: `total_steps` or `episodes`."""
+    """The field with the length of training: `total_steps` or `episodes`."""
     lap: ClassVar[int] = 1
     """Training steps between two checks. With 1, training stops before a step that would make the policy non-finite;
     with more, the steps of a lap run unchecked."""
@@ -68,28 +68,28 @@ class Learner(Spec):
 
     @property
     def env(self) -> ContinuousTask:
-        """The task as episodes are played in it: a finite one in its continuous form."""
+        """The task in which episodes are played: the continuous form of a finite task."""
         return as_continuous(self.task)
 
     @property
     def cumulative(self) -> bool:
-        """True if learning curves show totals so far in the place of means over the episodes of each point."""
+        """True if learning curves show totals so far, not means over the episodes of each point."""
         return False
 
     def init(self, key: Key[Array, ""], policy: Any = None) -> Any:
-        """The training state before the first step: a pytree of arrays. `policy` is one learned before."""
+        """Return the training state before the first step, a pytree of arrays. `policy`: that of an earlier run."""
         raise NotImplementedError
 
     def train_step(self, carry: Any) -> tuple[Any, Outcome]:
-        """One training step: the training state after it, and what it saw. After the end it changes nothing."""
+        """Return the training state after a step, and the statistics of the step. After the end it changes nothing."""
         raise NotImplementedError
 
     def progress(self, carry: Any) -> FloatScalar:
-        """The share of the training that is done; 1.0 at its end."""
+        """Return the share of the training that is done; 1.0 at its end."""
         raise NotImplementedError
 
     def policy(self, carry: Any) -> Any:
-        """Return what was learned, as a pytree of arrays: all that acting greedily needs."""
+        """Return the policy: a pytree of all arrays that acting greedily needs."""
         raise NotImplementedError
 
     def observation(self, state: State) -> Any:

@@ -1,6 +1,6 @@
 """Deep Q-learning without replay or target network: PQN (M. Gallici et al., 2024), decoupled over joints.
 
-What keeps it stable is a LayerNorm after every layer; the optimizer is RAdam with the gradient's norm clipped.
+A LayerNorm after every layer keeps learning stable. The optimizer is RAdam with a clipped gradient norm.
 """
 
 import math

@@ -1,6 +1,6 @@
-"""The one rollout: whole episodes of a learner's task, without learning.
+"""Rollouts: whole episodes of a learner's task, without learning.
 
-Training's evaluation, `evaluate`, `play` and the comparison of learners all run episodes by these functions.
+The evaluation during training, `evaluate` and `play` use these functions.
 """
 
 from collections.abc import Callable
@@ -17,7 +17,7 @@ from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
 
 MAX_EPISODE_STEPS = 100_000
-"""Number of steps after which an episode is given up, should its task never end it."""
+"""Number of steps after which an episode is cut off if its task does not end it."""
 
 AGENTS = ("greedy", "zero", "random")
 """The policy; the middle choice of every joint (of a finite task: action 0); any choice with equal probability."""
@@ -74,7 +74,7 @@ def decision_keys(key: Key[Array, ""], steps: IntScalar) -> tuple[Key[Array, ""]
 
 
 def greedy(learner: Learner, policy: Any) -> Choose:
-    """The choice that the policy rates best."""
+    """Return the function that takes the action of the highest value."""
     return lambda state, key: learner.act(policy, learner.observation(state), key)
 
 

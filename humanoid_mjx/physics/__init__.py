@@ -1,4 +1,4 @@
-"""Physics: what moves the robots. `make_physics("mjx-jax", torso="fixed")` builds a checked one."""
+"""Physics, which move the robots. `make_physics("mjx-jax", timestep=0.002)` builds and checks a physics."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""The robots: what a description holds, the leg as a serial chain, the legs and the lower body as MuJoCo models."""
+"""Robots: their descriptions, the leg as a serial chain, the legs and the lower body as MuJoCo models."""
 
 from typing import Annotated, Any
 
@@ -16,11 +16,11 @@ ROBOTS = {
     "legs": "humanoid_mjx.robot.legs:Legs",
     "lower_body": "humanoid_mjx.robot.lower_body:LowerBody",
 }
-"""The robots made in Python, by name. Those of the folder `robots/` ship as well."""
+"""Robots made in Python, by name. The folder `robots/` holds the robots of a YAML and an MJCF."""
 
 
 def make_robot(name: str, /, **values: Any) -> Any:
-    """Build the robot called `name`, that of a YAML, or a user's own given as "package.module:Class".
+    """Build a robot: a name, the path of a YAML, or a user's own class as "package.module:Class".
 
     Raises:
       InputError: unknown name or key, or a value that does not fit the robot's model.

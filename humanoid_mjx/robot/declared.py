@@ -1,5 +1,5 @@
 # pyright: reportAttributeAccessIssue=false
-"""Robots that a user declares: a YAML beside an MJCF says what the model does not; the rest follows from the model.
+"""Robots that a user declares by a YAML beside an MJCF. The YAML holds the facts that the model lacks.
 
 The model's joints, masses, limits and looks stay. Torque motors take the place of its actuators, and sensors of the
 package that of its own. The ground is the plane z = 0, which the feet feel through balls: a ball as it is, one in each
@@ -34,13 +34,13 @@ CORNER = 0.25
 """Largest radius of the balls in a box's corners, as a share of half its shorter side."""
 
 SLACK_DEG = 1.0
-"""By how much a posture may lie beyond the range of a joint, degrees."""
+"""Largest distance of a posture beyond the range of a joint, degrees."""
 
 JOINT, GEOM = mujoco.mjtJoint, mujoco.mjtGeom
 
 
 def _numbers(given: Any) -> Any:
-    """Numbers by patterns, from a number for all joints or from such a mapping."""
+    """Return numbers by patterns of joint names; a single number is for all joints."""
     numbers = given if isinstance(given, dict) else {".*": given}
     if any(isinstance(x, bool) or not isinstance(x, (int, float)) or not isfinite(x) for x in numbers.values()):
         raise ValueError(f"a number, or numbers by patterns of joints' names, are needed, got {given!r}")
@@ -233,7 +233,7 @@ def find(name: str) -> Path:
 
 
 def _read(path: Path) -> Source:
-    """The files of a robot, read anew where they have changed."""
+    """Read both files of a robot; unchanged files are parsed once."""
     try:
         text = path.read_text(encoding="utf-8")
         data = parse_yaml(text, path.name)
@@ -285,7 +285,7 @@ def _understood(path: Path, text: str, file: str, model_text: str) -> Source:
 
 
 def _by_kind(mirror: Any, joints: Sequence[str], shares: np.ndarray) -> tuple[float, ...]:
-    """Shares by kind of joint, of those by joint."""
+    """Return the shares by kind of joint from the shares by joint."""
     images = [image(joint, mirror) for joint in joints]
     first = [min(k, joints.index(image) if image in joints else k) for k, image in enumerate(images)]
     if uneven := [joint for k, joint in enumerate(joints) if shares[k] != shares[first[k]]]:

@@ -1,9 +1,9 @@
 # pyright: reportAttributeAccessIssue=false
-"""The description of a robot: all that physics, tasks, measures and pictures know of one.
+"""The description of a robot, which physics, tasks, evaluation and rendering share.
 
-A robot is a MuJoCo model with a torque motor for each joint that is driven, and with what its model does not say: which
-bodies are feet, how it stands, which side is the image of which. The rest follows. Thresholds of tasks are shares of
-its weight and of the length of its legs, so that they fit any robot.
+A robot is a MuJoCo model with a torque motor for each driven joint, and the facts that a model does not hold: its feet,
+its posture, and the mirror image of each side. Everything else follows from these. Thresholds of tasks are shares of
+the robot's weight and of the length of its legs, so that they fit every robot.
 """
 
 from collections.abc import Iterable, Mapping
@@ -24,7 +24,7 @@ AXIAL = np.array([-1.0, 1.0, -1.0])
 
 
 class Build(NamedTuple):
-    """Measures of two legs as those of the lower body: hip pitch, yaw and roll about one point, knee, ankle."""
+    """Measures of two legs built as the lower body's: hip pitch, yaw and roll about one point, knee, ankle."""
 
     hip_offset: float
     """From the middle of the body to a hip, sideways, m."""
@@ -51,7 +51,7 @@ class Robot(Named):
 
     feet: tuple[str, ...] = Field(default=(), strict=False, description="bodies that stand on the ground")
     home: tuple[float, ...] = Field(
-        default=(), strict=False, description="angles of the joints as it stands, degrees; all 0"
+        default=(), strict=False, description="angles of the joints of the standing robot, degrees; all 0"
     )
     turns: tuple[float, ...] = Field(
         default=(), strict=False, description="phase, 0 to 1, at which each foot's swing begins; empty: evenly spaced"
@@ -77,19 +77,19 @@ class Robot(Named):
 
     @pydantic.model_serializer(mode="wrap")
     def _as_chosen(self, handler: Any) -> dict[str, Any]:
-        """The name, and what was not left as it is."""
+        """Serialise the name and the fields that differ from their defaults."""
         own = self._unchanged()
         return {key: value for key, value in handler(self).items() if getattr(self, key) != own.get(key)} | {
             "name": self.name
         }
 
     def _unchanged(self) -> Mapping[str, Any]:
-        """Values of the fields where a config chooses none."""
+        """Values of the fields that a config does not set."""
         return {key: field.default for key, field in type(self).model_fields.items()}
 
     @property
     def servo(self) -> Servo | None:
-        """Gains of its own servo, where it has one."""
+        """Gains of the robot's own servo; None: it has none."""
         return None
 
     @property
@@ -113,7 +113,7 @@ class Robot(Named):
 
     @property
     def posture(self) -> Float[np.ndarray, " joints"]:
-        """Angles of the joints as it stands, rad."""
+        """Angles of the joints of the standing robot, rad."""
         return np.radians(self.home) if self.home else np.zeros(len(self.joints))
 
     @property
@@ -133,7 +133,7 @@ class Robot(Named):
 
     @property
     def build(self) -> Build | None:
-        """Measures of its legs where they are built as those of the lower body, else None."""
+        """Measures of its legs; None: they are not built as the lower body's."""
         return None
 
     @property
@@ -173,7 +173,7 @@ class Robot(Named):
         return self.mass * self.pace
 
     def force(self, share: float) -> float:
-        """A share of the weight, N, to two digits, as are lengths and speeds: a threshold has no more."""
+        """A share of the weight, N, rounded to two digits, as all thresholds are."""
         return _two_digits(share * self.mass * float(np.linalg.norm(self.model.opt.gravity)))
 
     def length(self, share: float) -> float:
@@ -200,7 +200,7 @@ class Robot(Named):
 
     @property
     def foot_pairs(self) -> Int[np.ndarray, "pairs 2"]:
-        """The feet that are each other's images, the right one before the left one."""
+        """Pairs of feet that are each other's mirror images, the right foot first."""
         data = mujoco.MjData(self.model)
         mujoco.mj_kinematics(self.model, data)
         left = [data.body(foot).xpos[1] for foot in self.feet]
@@ -208,7 +208,7 @@ class Robot(Named):
         return np.array(pairs, int).reshape(-1, 2)
 
     def image_of(self, name: str) -> str:
-        """The name of the joint or the foot on the other side; that of the middle is its own image."""
+        """The name of the joint or foot on the other side. A part in the middle is its own image."""
         return image(name, self.mirror)
 
     @pydantic.model_validator(mode="after")
@@ -230,7 +230,7 @@ class Robot(Named):
 
 
 def image(name: str, mirror: Iterable[tuple[str, str]]) -> str:
-    """The name on the other side, where these parts of names stand for each other."""
+    """Return the name on the other side. `mirror`: parts of names that change sides."""
     for one, other in (pair for both in mirror for pair in (both, both[::-1])):
         if one in name:
             return name.replace(one, other)

@@ -1,8 +1,8 @@
 # pyright: reportAttributeAccessIssue=false
-"""The inverse kinematics of a robot's legs as polynomials, solved once from the model.
+"""The inverse kinematics of a robot's legs as polynomials, fitted once to the model.
 
-Samples of where a foot may be are solved by damped Gauss-Newton steps on the product of exponentials of the leg at
-home; cubic polynomials in the displacement fit the solutions. A foot of three points or more also keeps level, and
+Damped Gauss-Newton steps on the leg's product of exponentials solve the joints for samples of foot positions. Cubic
+polynomials in the displacement of the foot fit these solutions. A foot of three points or more also stays level and
 turns about the vertical.
 """
 
@@ -104,7 +104,7 @@ def _solve(robot: Robot, leg: _Leg, wanted: Float[np.ndarray, "samples parts"]) 
 
 
 def _miss(robot: Robot, leg: _Leg, q: np.ndarray, wanted: np.ndarray) -> Float[np.ndarray, "samples parts"]:
-    """By how far the foot misses: of the legs' length, and where it is flat its rotation times `LEVEL`."""
+    """Return the error of the foot: displacement by the legs' length; of a flat foot also rotation times `LEVEL`."""
     from scipy.spatial.transform import Rotation  # takes longer to import than all of this module
 
     place, rotation = np.broadcast_to(leg.foot, (len(q), 3)), Rotation.identity(len(q))

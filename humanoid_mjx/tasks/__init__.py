@@ -1,4 +1,4 @@
-"""Tasks: what there is to learn. `make_task("joint_reach", joint=4)` builds a checked one."""
+"""Tasks. `make_task("joint_reach", joint=4)` builds and checks a task."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""Check that a user's own task keeps to its protocol, by tracing it once, before anything is compiled."""
+"""Check a user's own task against its protocol: trace it once, before anything is compiled."""
 
 import traceback
 from collections.abc import Iterator
