@@ -9,9 +9,9 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_origin
+from typing import Any
 
 DOCS = Path(__file__).parent
 ROOT = DOCS.parent
@@ -67,17 +67,16 @@ def keys_page() -> str:
     from humanoid_mjx.tasks.legged.gait import GAITS, Gait
 
     parts = [KEYS_HEAD, _top_level(Config)]
-    for kind, registry, base in (("task", TASKS, Task), ("learner", LEARNERS, Learner)):
-        parts.append(f"## {kind.capitalize()}s\n")
-        for name in registry:
-            cls = find(kind, registry, base, name)
-            keys = [*keys_of(cls, kind), *_off_by_default(cls, kind)]
-            parts.append(f"### {name} {{ #{kind}-{name} }}\n\n{_first_sentence(cls)}\n\n{_table(keys)}")
     laws = "## Control laws\n\nA task of a robot takes each of them by its name: `control: {name: pd}`.\n"
     gaits = "## Gaits\n\n`walk` takes each of them by its name: `gait: {name: clock}`.\n"
     drives = "## Actuators\n\n`stand` and `walk` take each of them by its name: `actuator: {name: dc_motor}`.\n"
-    kinds = ("control", laws, LAWS, Law), ("gait", gaits, GAITS, Gait), ("actuator", drives, DRIVES, Drive)
-    for kind, heading, registry, base in kinds:
+    for kind, heading, registry, base in (
+        ("task", "## Tasks\n", TASKS, Task),
+        ("learner", "## Learners\n", LEARNERS, Learner),
+        ("control", laws, LAWS, Law),
+        ("gait", gaits, GAITS, Gait),
+        ("actuator", drives, DRIVES, Drive),
+    ):
         parts.append(heading)
         for name in registry:
             cls = find(kind, registry, base, name)
@@ -113,19 +112,6 @@ def _top_level(config: Any) -> str:
         default = "" if field.is_required() or field.default is None else f"`{field.default}`"
         lines.append(f"| `{name}` | {default} | {field.description or meanings[name]} |")
     return "\n".join(lines) + "\n"
-
-
-def _off_by_default(cls: Any, prefix: str) -> Iterator[Any]:
-    """The keys of parts that a config may switch on."""
-    from humanoid_mjx.keys import keys_of
-    from humanoid_mjx.spec import Spec
-
-    for name, field in cls.model_fields.items():
-        if field.default is None and not field.exclude:
-            for kind in get_args(field.annotation):
-                kind = get_args(kind)[0] if get_origin(kind) is Annotated else kind
-                if isinstance(kind, type) and issubclass(kind, Spec):
-                    yield from keys_of(kind, f"{prefix}.{name}")
 
 
 def _table(keys: Iterable[Any]) -> str:

@@ -23,7 +23,10 @@ class Key(NamedTuple):
 
 
 def keys_of(cls: type[Spec], prefix: str, branch: Spec | None = None) -> Iterator[Key]:
-    """Yield the keys of a Spec and of the Specs in its fields. `branch` is the default of a nested Spec."""
+    """Yield the keys of a Spec and of the Specs that its fields hold or, where the default is null, may hold.
+
+    `branch` is the default of a nested Spec.
+    """
     for name, field in cls.model_fields.items():
         if field.exclude:
             continue
@@ -36,6 +39,16 @@ def keys_of(cls: type[Spec], prefix: str, branch: Spec | None = None) -> Iterato
         shown = "" if field.is_required() and not branch else _plain(default)
         meaning = _meaning(cls, name) or (f"kind of {prefix.rpartition('.')[2]}" if name == "name" else "")
         yield Key(dotted, shown, _allowed(field), is_traced(field), meaning)
+        for part in _specs(field.annotation) if default is None else ():
+            yield from keys_of(part, dotted)
+
+
+def _specs(annotation: Any) -> Iterator[type[Spec]]:
+    """Yield the Specs that a field may hold."""
+    if isinstance(annotation, type) and issubclass(annotation, Spec):
+        yield annotation
+    for part in get_args(annotation):
+        yield from _specs(part)
 
 
 def _meaning(cls: type[Spec], name: str) -> str:

@@ -38,6 +38,7 @@ def test_a_program_reads_one_key_a_line():
     at = heading.index("in a sweep")
     assert noise[at:].split()[0] == "traced" and noise[at:].split()[1:]
     assert [line for line in lines if line.startswith(" ")] == []
+    assert any(line.startswith("task.terrain.slope ") for line in lines), "a part that is off by default"
 
 
 def test_all_keys_are_shown_without_a_name_and_unknown_names_lead_to_tasks_and_learners():
