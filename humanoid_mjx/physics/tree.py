@@ -114,7 +114,8 @@ class TreePhysics(MujocoPhysics):
     ) -> Any:
         """`_advance` or `_advance_sensed`; of float32 on a GPU one kernel, that makes the state rather than read it."""
         kernel = compute.why_no_kernel() is None and not jax.config.read("jax_enable_x64")
-        return worlds_last(function, self.tree, kernel=kernel)(values, None if kernel else state, tuple(world), *given)
+        call = worlds_last(function, self.tree, lanes=self.tree.lanes if kernel else 0)
+        return call(values, None if kernel else state, tuple(world), *given)
 
     def _within(self, torque: Any) -> Float[Array, " joints"]:
         factor, torque = jnp.asarray(self.torque_limit, float), jnp.asarray(torque, float)

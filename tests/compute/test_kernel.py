@@ -1,6 +1,8 @@
 # pyright: reportAttributeAccessIssue=false
 """A function of many worlds, written out for threads, computes what XLA makes of it; here in Pallas's interpreter."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -14,6 +16,8 @@ from humanoid_mjx.mechanics.tree.folding import fold
 from humanoid_mjx.mechanics.tree.reading import read_tree
 from humanoid_mjx.mechanics.tree.step import Values
 from humanoid_mjx.physics import tree
+from humanoid_mjx.robot import make_robot
+from humanoid_mjx.robot.description import compiled
 
 TABLE = np.array([[0.0, 1.0, -2.0], [0.5, 0.0, 1.0]], np.float32)[..., None]
 
@@ -41,12 +45,13 @@ def everything(x, flag):
     return of_nothing | {"table": table, "halved": halved, "far": far, "flag": flag, "most": count < 20}
 
 
-@pytest.mark.parametrize("worlds", [5, 64, 70])
-def test_loops_branches_and_indices_are_those_of_xla(worlds):
+@pytest.mark.parametrize(("worlds", "lanes"), [(5, 1), (64, 3), (70, 2)])
+def test_loops_branches_and_indices_are_those_of_xla(worlds, lanes):
+    """Rows of three and of two are lanes."""
     x = np.random.default_rng(worlds).normal(size=(3, worlds)).astype(np.float32)
     flag = x[0] > 0.3
     expected = jax.jit(everything)(x, flag)
-    found = jax.jit(lambda *args: one_kernel(everything, *args, interpret=True))(x, flag)
+    found = jax.jit(lambda *args: one_kernel(everything, *args, lanes=lanes, interpret=True))(x, flag)
     for name, value in expected.items():
         assert found[name].dtype == value.dtype
         wanted = np.broadcast_to(value, found[name].shape)
@@ -65,10 +70,17 @@ def test_what_threads_cannot_do_is_refused(words):
         jax.eval_shape(lambda x: one_kernel(REFUSED[words], x), jnp.zeros((3, 8)))
 
 
-def test_a_time_step_is_that_of_xla():
+MODELS = {
+    "a hopper": mujoco.MjModel.from_xml_string(HOPPER),
+    "two legs, a thread each": compiled(make_robot("lower_body"), None),
+}
+
+
+@pytest.mark.parametrize("case", MODELS)
+def test_a_time_step_is_that_of_xla(case):
     """Ground, pairs and limits in states that need one to eight Newton steps."""
-    model = converged(mujoco.MjModel.from_xml_string(HOPPER))
-    robot = fold(read_tree(model, ["gyroscope", "accelerometer"]))
+    model = converged(MODELS[case])
+    robot = fold(read_tree(model, [model.sensor(index).name for index in range(model.nsensor)]))
     qpos, qvel, control = (np.float32(x.T) for x in states(model, 100))
     world = qpos, qvel, np.zeros_like(qvel), np.zeros(100, bool)
     last = np.ones(100, bool)
@@ -77,7 +89,7 @@ def test_a_time_step_is_that_of_xla():
         return tree._advance_sensed(robot, Values(), None, world, control, last)
 
     expected = jax.jit(step)(world, control, last)
-    found = jax.jit(lambda *args: one_kernel(step, *args, interpret=True))(world, control, last)
+    found = jax.jit(partial(one_kernel, step, lanes=robot.lanes, interpret=True))(world, control, last)
     for wanted, got in zip(jax.tree.leaves(expected), jax.tree.leaves(found), strict=True):
         size = np.abs(np.float64(wanted)).max() if wanted.size else 0.0
         # Rounding in another order, made larger by the stiffness of the contacts.

@@ -1,7 +1,8 @@
-"""A function of many worlds as one GPU kernel, a thread for each world.
+"""A function of many worlds as one GPU kernel, a thread for each world or for each lane of one.
 
 XLA makes some four hundred kernels of a time step, moves what is between them through memory, and lets all worlds wait
-for the one whose contacts are found last. One kernel keeps a world in registers, and 32 worlds wait for each other.
+for the one whose contacts are found last. One kernel keeps a world in registers, and those of 32 threads wait for each
+other.
 """
 
 import math
@@ -19,30 +20,33 @@ from jax.extend.core import ClosedJaxpr
 from jaxtyping import Array, Float
 
 from humanoid_mjx.compute.kernels.assembly import assembly
-from humanoid_mjx.compute.kernels.threads import WORLDS, arranged, evaluate, vector
+from humanoid_mjx.compute.kernels.threads import THREADS, Threads, arranged, power_of_two
 
 Results = Callable[[Sequence[Array]], list[Float[Array, " worlds"]]]
 """From the elements of a function's arguments to those of what it gives, each of all worlds of a block."""
 
-PAGE = 48 * 1024 // (4 * WORLDS)
+PAGE = 48 * 1024 // (4 * THREADS)
 """Rows that fit into the shared memory that a block may declare."""
 
 
-def one_kernel(function: Callable[..., Any], *args: Any, interpret: bool = False) -> Any:
+def one_kernel(function: Callable[..., Any], *args: Any, lanes: int = 1, interpret: bool = False) -> Any:
     """`function(*args)`, both pytrees of arrays whose last axis is of worlds that do not mix: of float32, or of flags.
 
+    `lanes`: length of the axis before that of worlds of which each thread computes one entry.
     `interpret`: run on a CPU, slowly.
     """
     leaves, structure = jax.tree.flatten(args)
-    worlds = leaves[0].shape[-1]
-    results, shapes = _written_out(function, structure, tuple((leaf.shape[:-1], leaf.dtype) for leaf in leaves))
+    worlds, lanes = leaves[0].shape[-1], lanes if lanes <= THREADS else 1
+    kinds = tuple((leaf.shape[:-1], leaf.dtype) for leaf in leaves)
+    results, shapes = _written_out(function, structure, kinds, lanes, interpret)
+    each = power_of_two(lanes)
     outputs = jax.tree.leaves(shapes)
     sizes = [math.prod(x.shape[:-1]) for x in outputs]
     found = pl.pallas_call(
-        partial(_kernel, results=results, worlds=worlds, staged=not interpret),
-        grid=(pl.cdiv(worlds, WORLDS),),
+        partial(_kernel, results=results, worlds=worlds, each=each, staged=not interpret),
+        grid=(pl.cdiv(worlds, THREADS // each),),
         out_shape=jax.ShapeDtypeStruct((sum(sizes) * worlds,), jnp.float32),
-        compiler_params=gpu.CompilerParams(num_warps=WORLDS // 32, num_stages=1),
+        compiler_params=gpu.CompilerParams(num_warps=THREADS // 32, num_stages=1),
         interpret=interpret,
     )(jnp.concatenate([leaf.astype(jnp.float32).reshape(-1) for leaf in leaves]))
     parts = jnp.split(found.reshape(-1, worlds), np.cumsum(sizes)[:-1])
@@ -51,25 +55,44 @@ def one_kernel(function: Callable[..., Any], *args: Any, interpret: bool = False
 
 
 @lru_cache
-def _written_out(function: Callable[..., Any], structure: Any, kinds: tuple[Any, ...]) -> tuple[Results, Any]:
+def _written_out(
+    function: Callable[..., Any], structure: Any, kinds: tuple[Any, ...], lanes: int, interpret: bool
+) -> tuple[Results, Any]:
     """A function as arithmetic of threads, which is traced once whatever the number of worlds, and what it gives of one
     world; `kinds`: shape and type of each argument for a world."""
     single = [jax.ShapeDtypeStruct((*shape, 1), dtype) for shape, dtype in kinds]
     traced, shapes = jax.make_jaxpr(function, return_shape=True)(*structure.unflatten(single))
-    return jax.jit(partial(_results, traced)), shapes
+    threads = Threads(lanes, partial(_shuffled, power_of_two(lanes), interpret))
+    return jax.jit(partial(_results, traced, threads)), shapes
 
 
-def _kernel(numbers: Any, out: Any, *, results: Results, worlds: int, staged: bool) -> None:
+def _shuffled(each: int, interpret: bool, values: Array, index: int) -> Array:
+    """The vector of what thread `index` of each world holds.
+
+    All threads of a warp must come here together, as they do: a kernel branches for whole blocks.
+    """
+    if interpret:
+        return values.reshape(-1, each)[:, index].repeat(each)
+    if values.dtype == bool:
+        return _shuffled(each, interpret, values.astype(jnp.int32), index) != 0
+    kind = "f" if values.dtype == jnp.float32 else "r"
+    width = (32 - each) << 8 | 31
+    code = f"shfl.sync.idx.b32 $0, $1, {index}, {width}, 0xffffffff;"
+    return assembly(code, f"={kind},{kind}", values.dtype, values)
+
+
+def _kernel(numbers: Any, out: Any, *, results: Results, worlds: int, each: int, staged: bool) -> None:
     """A block of worlds, from rows of a number for each world to rows of results, all rows one after another."""
     # The threads that are left over in the last block repeat the last world.
-    world = jnp.minimum(pl.program_id(0) * WORLDS + jnp.arange(WORLDS, dtype=jnp.int32), worlds - 1)
+    thread = pl.program_id(0) * THREADS + jnp.arange(THREADS, dtype=jnp.int32)
+    world = jnp.minimum(thread // each, worlds - 1)
     given, found = numbers.shape[0] // worlds, out.shape[0] // worlds
     if not staged:
         for row, result in enumerate(results([numbers[row * worlds + world] for row in range(given)])):
             out[row * worlds + world] = result
         return
     stage = _Stage.of(min(PAGE, max(given, found)))
-    token, values = jnp.zeros(WORLDS, jnp.int32), []
+    token, values = jnp.zeros(THREADS, jnp.int32), []
     for first in range(0, given, PAGE):
         count = min(PAGE, given - first)
         token = stage.fill(token, numbers, first * worlds + world, worlds, count)
@@ -84,7 +107,7 @@ def _kernel(numbers: Any, out: Any, *, results: Results, worlds: int, staged: bo
         token = stage.empty(token, out, first * worlds + world, worlds, len(page))
 
 
-def _results(traced: ClosedJaxpr, numbers: Sequence[Array]) -> list[Float[Array, " worlds"]]:
+def _results(traced: ClosedJaxpr, threads: Threads, numbers: Sequence[Array]) -> list[Float[Array, " worlds"]]:
     """Evaluate a function of one world from the elements of its arguments."""
     values, first = [], 0
     for var in traced.jaxpr.invars:
@@ -92,7 +115,7 @@ def _results(traced: ClosedJaxpr, numbers: Sequence[Array]) -> list[Float[Array,
         last = first + math.prod(shape)
         values.append(arranged([number.astype(dtype) for number in numbers[first:last]], shape))
         first = last
-    return [vector(element).astype(jnp.float32) for value in evaluate(traced, values) for element in value.flat]
+    return [number.astype(jnp.float32) for value in threads.evaluate(traced, values) for number in threads.alike(value)]
 
 
 class _Stage(NamedTuple):
@@ -111,8 +134,8 @@ class _Stage(NamedTuple):
 
     @classmethod
     def of(cls, rows: int) -> "_Stage":
-        thread = jnp.arange(WORLDS, dtype=jnp.int32)
-        code = f".shared .align 4 .b8 stage[{rows * WORLDS * 4}]; mov.u32 $0, stage;"
+        thread = jnp.arange(THREADS, dtype=jnp.int32)
+        code = f".shared .align 4 .b8 stage[{rows * THREADS * 4}]; mov.u32 $0, stage;"
         return cls(assembly(code, "=r,r", jnp.int32, thread) + 4 * thread)
 
     def fill(self, token: Array, numbers: Any, place: Array, stride: int, count: int) -> Array:
@@ -125,7 +148,7 @@ class _Stage(NamedTuple):
         return self._each(one, token, place, stride, count)
 
     def read(self, token: Array, row: int) -> Array:
-        code = f"ld.shared.f32 $0, [$1+{4 * WORLDS * row}];"
+        code = f"ld.shared.f32 $0, [$1+{4 * THREADS * row}];"
         return assembly(code, "=f,r,r", jnp.float32, self.address, token)
 
     def after(self, token: Array, seen: Sequence[Array]) -> Array:
@@ -135,7 +158,7 @@ class _Stage(NamedTuple):
         return token
 
     def write(self, token: Array, row: int, value: Array) -> Array:
-        code = f"st.shared.f32 [$1+{4 * WORLDS * row}], $2; mov.b32 $0, $3;"
+        code = f"st.shared.f32 [$1+{4 * THREADS * row}], $2; mov.b32 $0, $3;"
         return assembly(code, "=r,r,f,r", jnp.int32, self.address, value, token)
 
     def empty(self, token: Array, out: Any, place: Array, stride: int, count: int) -> Array:
@@ -151,7 +174,7 @@ class _Stage(NamedTuple):
     def _each(self, one: Callable[..., Array], token: Array, place: Array, stride: int, count: int) -> Array:
         def further(carry: tuple[Array, ...]) -> tuple[Array, ...]:
             row, token, address, place = carry
-            return row + 1, one(token, address, place), address + 4 * WORLDS, place + stride
+            return row + 1, one(token, address, place), address + 4 * THREADS, place + stride
 
         start = jnp.int32(0), token, self.address, place
         return lax.while_loop(lambda carry: carry[0] < count, further, start)[1]

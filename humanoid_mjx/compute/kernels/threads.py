@@ -2,12 +2,16 @@
 
 The function is written for arrays. Here its operations are written out: an array becomes as many variables as it has
 elements, indexing and reshaping disappear, loops of known length are unrolled, and sums and products with a known 0 or
-1 fold away. What is left is arithmetic on vectors of worlds, and loops and branches that worlds of a block take
+1 fold away. What is left is arithmetic on vectors of threads, and loops and branches that the worlds of a block take
 together. A variable that is known while tracing is a numpy scalar.
+
+Neighbouring threads may share a world, one for each lane: an array whose last axis but that of worlds is as long as
+there are lanes then has one variable for all lanes, and each thread computes its own. What has no such axis is computed
+alike in all threads of the world.
 """
 
-import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import reduce
 from typing import Any
 
@@ -23,48 +27,213 @@ from humanoid_mjx.compute.kernels.primitives import CALLS, ELEMENTWISE
 ARITHMETIC = ELEMENTWISE | {"atan2", "cos", "pow", "rsqrt", "sin", "tan"}
 """Primitives that act on each element alone."""
 
-WORLDS = 32
-"""Worlds in a block: the threads of a warp."""
+THREADS = 32
+"""Threads of a block: one warp."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lane:
+    """Element of an array: what the thread of one lane of a world holds."""
+
+    vector: Array
+    index: int
+
 
 Element = Any
-"""An array of a block's worlds, or a numpy scalar."""
+"""An array of a block's threads, alike in those of one world; a numpy scalar; or a `Lane`."""
 
 
-def evaluate(closed: ClosedJaxpr, args: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Evaluate a traced function; arguments and results are numpy arrays of elements.
+class Threads:
+    """An interpreter of traced functions.
 
-    Raises:
-      NotImplementedError: it does something else than arithmetic, or its indices are not known while tracing.
+    Args:
+      lanes: of a world; 1 where a world has one thread.
+      shuffled: from a vector and a lane to the vector of what the thread of that lane of each world holds.
     """
-    values: dict[Any, np.ndarray] = dict(zip(closed.jaxpr.constvars, map(_constant, closed.consts), strict=True))
-    values |= zip(closed.jaxpr.invars, args, strict=True)
 
-    def value(x: Any) -> np.ndarray:
-        kind: Any = x.aval
-        return _constant(np.asarray(x.val, kind.dtype)) if isinstance(x, Literal) else values[x]
+    def __init__(self, lanes: int, shuffled: Callable[[Array, int], Array]):
+        self.lanes, self.shuffled = lanes, shuffled
+        self.control = {"while": self._while, "cond": self._cond, "scan": self._scan}
 
-    for eqn in closed.jaxpr.eqns:
-        found = _apply(eqn, [value(x) for x in eqn.invars])
-        values |= zip(eqn.outvars, found, strict=True)
-    return [value(x) for x in closed.jaxpr.outvars]
+    def evaluate(self, closed: ClosedJaxpr, args: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """Evaluate a traced function; arguments and results are numpy arrays of elements.
+
+        Raises:
+          NotImplementedError: it does something else than arithmetic, or its indices are not known while tracing.
+        """
+        values: dict[Any, np.ndarray] = dict(zip(closed.jaxpr.constvars, map(_constant, closed.consts), strict=True))
+        values |= zip(closed.jaxpr.invars, args, strict=True)
+
+        def value(x: Any) -> np.ndarray:
+            kind: Any = x.aval
+            return _constant(np.asarray(x.val, kind.dtype)) if isinstance(x, Literal) else values[x]
+
+        for eqn in closed.jaxpr.eqns:
+            found = self._apply(eqn, [value(x) for x in eqn.invars])
+            values |= zip(eqn.outvars, found, strict=True)
+        return [value(x) for x in closed.jaxpr.outvars]
+
+    def vectors(self, array: np.ndarray) -> list[Array]:
+        """The elements of an array as vectors, one for all lanes of a world where they have an axis."""
+        if self._laned(array.shape):
+            return [vector(self._joined(group)[0]) for group in self._groups(array)]
+        return [vector(self._alike(element)) for element in array.flat]
+
+    def alike(self, array: np.ndarray) -> list[Array]:
+        """The elements of an array as vectors that are alike in all threads of a world."""
+        return [vector(self._alike(element)) for element in array.flat]
+
+    def _laned(self, shape: tuple[int, ...]) -> bool:
+        return self.lanes > 1 and len(shape) > 1 and shape[-2:] == (self.lanes, 1)
+
+    def _groups(self, array: np.ndarray) -> list[list[Element]]:
+        return array.reshape(-1, self.lanes).tolist()
+
+    def _alike(self, element: Element) -> Element:
+        """An element as one that is alike in all threads of a world."""
+        return self.shuffled(element.vector, element.index) if isinstance(element, Lane) else element
+
+    def _joined(self, group: Sequence[Element]) -> tuple[Element, bool]:
+        """The elements of all lanes as one, each thread with its own, and whether they are alike."""
+        first = group[0]
+        if all(each is first for each in group) or (_known(group) and all(each == first for each in group)):
+            return self._alike(first), True
+        if isinstance(first, Lane) and all(_is_lane(each, first.vector, index) for index, each in enumerate(group)):
+            return first.vector, False
+
+        def own(index: int) -> Array:
+            each = group[index]
+            return each.vector if isinstance(each, Lane) and each.index == index else vector(self._alike(each))
+
+        lane = jnp.arange(THREADS, dtype=jnp.int32) & (power_of_two(self.lanes) - 1)
+        last = self.lanes - 1  # also of threads that are left over
+        return reduce(lambda found, index: jnp.where(lane == index, own(index), found), range(last), own(last)), False
+
+    def _each(self, function: Callable[..., Element], args: Sequence[np.ndarray], shape: tuple[int, ...]) -> np.ndarray:
+        """An operation on the elements of arrays of this shape."""
+        if not self._laned(shape):
+            columns = ([self._alike(element) for element in arg.flat] for arg in args)
+            return arranged([function(*elements) for elements in zip(*columns, strict=True)], shape)
+        found: list[Element] = []
+        for groups in zip(*map(self._groups, args), strict=True):
+            if all(map(_known, groups)):
+                found += [function(*elements) for elements in zip(*groups, strict=True)]
+                continue
+            joined, alike = zip(*map(self._joined, groups), strict=True)
+            one: Any = function(*joined)
+            same = all(alike) or isinstance(one, np.generic)
+            found += [one if same else Lane(one, index) for index in range(self.lanes)]
+        return arranged(found, shape)
+
+    def _apply(self, eqn: Any, args: list[np.ndarray]) -> list[np.ndarray]:
+        """One operation."""
+        name, params = eqn.primitive.name, eqn.params
+        if name in CALLS:
+            return self.evaluate(params[CALLS[name]], args)
+        if name in ARRANGEMENTS:
+            return ARRANGEMENTS[name](params, *args)
+        if name in REDUCTIONS:
+            return [self._reduced(eqn, args[0])]
+        if name in self.control:
+            return self.control[name](eqn, *args)
+        shape = eqn.outvars[0].aval.shape
+        if name not in ARITHMETIC:
+            raise NotImplementedError(f"threads do no {name!r}")
+        args = [np.broadcast_to(arg, shape) for arg in args]
+        return [self._each(lambda *elements: _element(eqn, elements), args, shape)]
+
+    def _reduced(self, eqn: Any, array: np.ndarray) -> np.ndarray:
+        axes, (combine, of_nothing) = eqn.params["axes"], REDUCTIONS[eqn.primitive.name]
+        kept = [axis for axis in range(array.ndim) if axis not in axes]
+        shape = tuple(array.shape[axis] for axis in kept)
+        rows = array.transpose(*axes, *kept).reshape(-1, *shape)
+        if not len(rows):
+            return _constant(np.full(shape, of_nothing, eqn.outvars[0].aval.dtype))
+
+        def both(a: Element, b: Element) -> Element:
+            return combine(vector(a), vector(b))
+
+        return reduce(lambda a, b: self._each(both, [a, b], shape), (rows[row, ...] for row in range(len(rows))))
+
+    def _while(self, eqn: Any, *args: np.ndarray) -> list[np.ndarray]:
+        """Run a loop until all worlds of the block have ended; those that have ended compute on with the others.
+
+        The condition is the last value carried. No one reads it after the loop, so that Triton's loop has one result
+        less than arguments, and its pass `LayoutPropagation` looks up the result at each argument's index: with the
+        condition first, the last index is beyond the results, and jaxlib 0.11.2 crashes now and then.
+        """
+        first, last = eqn.params["cond_nconsts"], eqn.params["cond_nconsts"] + eqn.params["body_nconsts"]
+        cond_fixed, body_fixed, start = args[:first], args[first:last], args[last:]
+
+        def going(state: Sequence[np.ndarray]) -> Array:
+            (more,) = self.evaluate(eqn.params["cond_jaxpr"], [*cond_fixed, *state])
+            return self._any(more.item())
+
+        def step(carry: tuple[list[Array], Array]) -> tuple[list[Array], Array]:
+            state = self.evaluate(eqn.params["body_jaxpr"], [*body_fixed, *self._unpacked(carry[0], start)])
+            return self._packed(state), going(state)
+
+        state, _ = lax.while_loop(lambda carry: carry[1], step, (self._packed(start), going(start)))
+        return self._unpacked(state, start)
+
+    def _cond(self, eqn: Any, index: np.ndarray, *args: np.ndarray) -> list[np.ndarray]:
+        """Compute the first branch always, and the second where a world of the block takes it."""
+        one, two = eqn.params["branches"]
+        chosen = vector(self._alike(index.item())) != 0
+        first = self.evaluate(one, args)
+
+        def both() -> list[Array]:
+            second = self._packed(self.evaluate(two, args))
+            return [jnp.where(chosen, b, a) for a, b in zip(self._packed(first), second, strict=True)]
+
+        return self._unpacked(lax.cond(self._any(chosen), both, lambda: self._packed(first)), first)
+
+    def _scan(self, eqn: Any, *args: np.ndarray) -> list[np.ndarray]:
+        """Unrolled."""
+        body = eqn.params["jaxpr"]
+        inner = body.jaxpr.invars
+        rows = sum(len(x.aval.shape) < arg.ndim for x, arg in zip(inner, args, strict=True))
+        kept = sum(x.aval.shape == y.aval.shape for x, y in zip(body.jaxpr.outvars, eqn.outvars, strict=True))
+        first, last = len(args) - rows - kept, len(args) - rows
+        fixed, carry = args[:first], args[first:last]
+        seen: list[list[np.ndarray]] = []
+        order = range(eqn.params["length"])
+        for index in reversed(order) if eqn.params["reverse"] else order:
+            found = self.evaluate(body, [*fixed, *carry, *(row[index, ...] for row in args[last:])])
+            carry = found[:kept]
+            seen.append(found[kept:])
+        seen = seen[::-1] if eqn.params["reverse"] else seen
+        return [*carry, *(np.stack(column) for column in zip(*seen, strict=True))]
+
+    def _any(self, flag: Element) -> Array:
+        return jnp.max(vector(self._alike(flag)).astype(jnp.int32)) > 0
+
+    def _packed(self, arrays: Sequence[np.ndarray]) -> list[Array]:
+        return [each for array in arrays for each in self.vectors(array)]
+
+    def _unpacked(self, vectors: Sequence[Array], like: Sequence[np.ndarray]) -> list[np.ndarray]:
+        found, rest = [], iter(vectors)
+        for array in like:
+            if self._laned(array.shape):
+                groups = (next(rest) for _ in range(array.size // self.lanes))
+                elements: list[Element] = [Lane(group, index) for group in groups for index in range(self.lanes)]
+            else:
+                elements = [next(rest) for _ in range(array.size)]
+            found.append(arranged(elements, array.shape))
+        return found
 
 
-def _apply(eqn: Any, args: list[np.ndarray]) -> list[np.ndarray]:
-    """One operation."""
-    name, params = eqn.primitive.name, eqn.params
-    if name in CALLS:
-        return evaluate(params[CALLS[name]], args)
-    if name in ARRANGEMENTS:
-        return ARRANGEMENTS[name](params, *args)
-    if name in REDUCTIONS:
-        return [_reduced(eqn, args[0])]
-    if name in CONTROL:
-        return CONTROL[name](eqn, *args)
-    shape = eqn.outvars[0].aval.shape
-    if name not in ARITHMETIC:
-        raise NotImplementedError(f"threads do no {name!r}")
-    columns = [np.broadcast_to(arg, shape).flat for arg in args]
-    return [arranged([_element(eqn, elements) for elements in zip(*columns, strict=True)], shape)]
+def power_of_two(lanes: int) -> int:
+    """The smallest that is no less: threads of a world."""
+    return 1 << (lanes - 1).bit_length()
+
+
+def _is_lane(element: Element, vector: Array, index: int) -> bool:
+    return isinstance(element, Lane) and element.vector is vector and element.index == index
+
+
+def _known(elements: Sequence[Element]) -> bool:
+    return all(isinstance(element, np.generic) for element in elements)
 
 
 KNOWN: dict[str, Callable[..., np.generic]] = {
@@ -80,7 +249,7 @@ KNOWN: dict[str, Callable[..., np.generic]] = {
 
 
 def _element(eqn: Any, args: Sequence[Element]) -> Element:
-    """An operation on single elements."""
+    """An operation on single elements that are no lanes."""
     name = eqn.primitive.name
     if name == "select_n" and isinstance(args[0], np.generic):
         return args[1 + int(args[0])]
@@ -107,9 +276,9 @@ def _is(element: Element, number: int) -> bool:
 
 
 def vector(element: Element) -> Array:
-    """An element as an array of the block's worlds."""
+    """An element that is no lane as an array of the block's threads."""
     known = isinstance(element, np.generic)
-    return jnp.full(WORLDS, element.item(), element.dtype) if known else element
+    return jnp.full(THREADS, element.item(), element.dtype) if known else element
 
 
 def arranged(elements: Sequence[Element], shape: tuple[int, ...]) -> np.ndarray:
@@ -123,17 +292,6 @@ def arranged(elements: Sequence[Element], shape: tuple[int, ...]) -> np.ndarray:
 def _constant(value: Any) -> np.ndarray:
     value = np.asarray(value)
     return arranged(list(value.reshape(-1)), value.shape)
-
-
-def _reduced(eqn: Any, array: np.ndarray) -> np.ndarray:
-    axes, (combine, of_nothing) = eqn.params["axes"], REDUCTIONS[eqn.primitive.name]
-    kept = [axis for axis in range(array.ndim) if axis not in axes]
-    moved = array.transpose(*axes, *kept)
-    shape = [array.shape[axis] for axis in kept]
-    rows = moved.reshape(-1, math.prod(shape))
-    if not len(rows):
-        return _constant(np.full(shape, of_nothing, eqn.outvars[0].aval.dtype))
-    return arranged([reduce(combine, map(vector, column)) for column in rows.T], tuple(shape))
 
 
 def _broadcast_in_dim(params: dict[str, Any], array: np.ndarray) -> list[np.ndarray]:
@@ -198,75 +356,3 @@ REDUCTIONS: dict[str, tuple[Callable[[Any, Any], Any], Any]] = {
     "reduce_sum": (lax.add, 0),
 }
 """Reductions by primitive: the operation on two elements, and its identity."""
-
-
-def _while(eqn: Any, *args: np.ndarray) -> list[np.ndarray]:
-    """Run a loop until all worlds of the block have ended; those that have ended compute on with the others.
-
-    The condition is the last value carried. No one reads it after the loop, so that Triton's loop has one result less
-    than arguments, and its pass `LayoutPropagation` looks up the result at each argument's index: with the condition
-    first, the last index is beyond the results, and jaxlib 0.11.2 crashes now and then.
-    """
-    first, last = eqn.params["cond_nconsts"], eqn.params["cond_nconsts"] + eqn.params["body_nconsts"]
-    cond_fixed, body_fixed, start = args[:first], args[first:last], args[last:]
-
-    def going(state: Sequence[np.ndarray]) -> Array:
-        (more,) = evaluate(eqn.params["cond_jaxpr"], [*cond_fixed, *state])
-        return _any(more.item())
-
-    def step(carry: tuple[list[Array], Array]) -> tuple[list[Array], Array]:
-        state = evaluate(eqn.params["body_jaxpr"], [*body_fixed, *_unpacked(carry[0], start)])
-        return _packed(state), going(state)
-
-    state, _ = lax.while_loop(lambda carry: carry[1], step, (_packed(start), going(start)))
-    return _unpacked(state, start)
-
-
-def _cond(eqn: Any, index: np.ndarray, *args: np.ndarray) -> list[np.ndarray]:
-    """Compute the first branch always, and the second where a world of the block takes it."""
-    one, two = eqn.params["branches"]
-    chosen = vector(index.item()) != 0
-    first = evaluate(one, args)
-
-    def both() -> list[Array]:
-        second = _packed(evaluate(two, args))
-        return [jnp.where(chosen, b, a) for a, b in zip(_packed(first), second, strict=True)]
-
-    return _unpacked(lax.cond(_any(chosen), both, lambda: _packed(first)), first)
-
-
-def _scan(eqn: Any, *args: np.ndarray) -> list[np.ndarray]:
-    """Unrolled."""
-    body = eqn.params["jaxpr"]
-    inner = body.jaxpr.invars
-    rows = sum(len(x.aval.shape) < arg.ndim for x, arg in zip(inner, args, strict=True))
-    kept = sum(x.aval.shape == y.aval.shape for x, y in zip(body.jaxpr.outvars, eqn.outvars, strict=True))
-    first, last = len(args) - rows - kept, len(args) - rows
-    fixed, carry = args[:first], args[first:last]
-    seen: list[list[np.ndarray]] = []
-    order = range(eqn.params["length"])
-    for index in reversed(order) if eqn.params["reverse"] else order:
-        found = evaluate(body, [*fixed, *carry, *(row[index, ...] for row in args[last:])])
-        carry = found[:kept]
-        seen.append(found[kept:])
-    seen = seen[::-1] if eqn.params["reverse"] else seen
-    return [*carry, *(np.stack(column) for column in zip(*seen, strict=True))]
-
-
-CONTROL = {"while": _while, "cond": _cond, "scan": _scan}
-
-
-def _any(flag: Element) -> Array:
-    return jnp.max(vector(flag).astype(jnp.int32)) > 0
-
-
-def _packed(arrays: Sequence[np.ndarray]) -> list[Array]:
-    return [vector(element) for array in arrays for element in array.flat]
-
-
-def _unpacked(vectors: Sequence[Array], like: Sequence[np.ndarray]) -> list[np.ndarray]:
-    found, first = [], 0
-    for array in like:
-        found.append(arranged(vectors[first : first + array.size], array.shape))
-        first += array.size
-    return found

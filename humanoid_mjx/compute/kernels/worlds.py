@@ -16,14 +16,15 @@ from humanoid_mjx.compute.kernels.one_kernel import one_kernel
 
 
 @lru_cache
-def worlds_last(function: Callable[..., Any], *static: Any, kernel: bool = False) -> Callable[..., Any]:
+def worlds_last(function: Callable[..., Any], *static: Any, lanes: int = 0) -> Callable[..., Any]:
     """`function`, with `static` for its first arguments, as one of a single world.
 
     Under `jax.vmap`, once or nested, the function gets all worlds at once, in the last axis of every array. It takes
     and returns pytrees of arrays, and must not mix worlds. A result that all worlds share may lack the axis. The
     function is traced once for each number of worlds, whatever programs use it.
 
-    `kernel`: compute many worlds in one GPU kernel rather than in those that XLA makes.
+    `lanes`: if not 0, compute many worlds in one GPU kernel rather than in those that XLA makes, with a thread for each
+    of so many lanes of a world (`one_kernel`).
     """
     function = jax.jit(partial(function, *static))
 
@@ -34,8 +35,8 @@ def worlds_last(function: Callable[..., Any], *static: Any, kernel: bool = False
     @custom_vmap
     def many(*args: Any) -> Any:
         worlds = jax.tree.leaves(args)[0].shape[-1]
-        if kernel:
-            return one_kernel(function, *args)
+        if lanes:
+            return one_kernel(function, *args, lanes=lanes)
         return jax.tree.map(lambda x: jnp.broadcast_to(x, (*jnp.shape(x)[:-1], worlds)), function(*args))
 
     @many.def_vmap

@@ -81,22 +81,28 @@ def _shortened(tree: Tree, problem: Problem, before: Any, values: Any, active: A
 
 def _differ(one: Active, two: Active) -> Any:
     """In which worlds they do."""
-    found = jnp.zeros((), bool)
-    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(two), strict=True):
-        changed = a != b
-        while changed.ndim > 1:
-            changed = functools.reduce(jnp.logical_or, changed)
-        found = found | changed
-    return found
+    return _in_any_lane(jnp.logical_or, [a != b for a, b in zip(*map(jax.tree.leaves, (one, two)), strict=True)])
 
 
 def _same(one: Sequence[Any], two: Sequence[Any], errors: Any) -> Any:
     """In which worlds two accelerations are the same but for so many rounding errors."""
-    change, size = jnp.zeros((), two[0].dtype), jnp.zeros((), two[0].dtype)
-    for a, b in zip(one, two, strict=True):
-        for part, whole in zip(*(jnp.reshape(x, (-1, jnp.shape(x)[-1])) for x in (a - b, b)), strict=True):
-            change, size = jnp.maximum(change, jnp.abs(part)), jnp.maximum(size, jnp.abs(whole))
+    change = _in_any_lane(jnp.maximum, [jnp.abs(a - b) for a, b in zip(one, two, strict=True)])
+    size = _in_any_lane(jnp.maximum, [jnp.abs(b) for b in two])
     return change <= errors * jnp.finfo(change.dtype).eps * size
+
+
+def _in_any_lane(combine: Callable[[Any, Any], Any], values: Sequence[Any]) -> Any:
+    """Values of the worlds from those that may have axes of contacts and of lanes.
+
+    On a GPU a thread has one lane, so the lanes are combined last. On a CPU that is 7 % slower (H1).
+    """
+    most, found = 1 if jax.default_backend() == "cpu" else 2, dict[tuple[int, ...], Any]()
+    for value in values:
+        while value.ndim > most:
+            value = functools.reduce(combine, value)
+        found[value.shape] = combine(found[value.shape], value) if value.shape in found else value
+    each = [part for value in found.values() for part in (value if value.ndim > 1 else [value])]
+    return functools.reduce(combine, each)
 
 
 def _minimum(tree: Tree, problem: Problem, active: Active, near: Any) -> tuple[list[Scalar], list[Any]]:
