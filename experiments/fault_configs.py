@@ -78,14 +78,19 @@ def configs(matrix: Matrix, folder: Path, tries: int, seed: int) -> None:
 
 
 def bombs(matrix: Matrix, folder: Path) -> None:
-    """Texts that are small and mean much: aliases of aliases, deep nesting, numbers without end, large sweeps."""
+    """Configs of `bomb_texts`."""
+    _read(matrix, "YAML bomb", bomb_texts(), folder)
+
+
+def bomb_texts() -> list[str]:
+    """Return texts that are small and mean much: aliases of aliases, deep nesting, long numbers, large sweeps."""
     base = "name: b\ntask: {name: joint_reach, joint: 1}\nlearner: {name: tabular_q}\nepisodes: 10\n"
     laughs = "a0: &a0 [x]\n" + "".join(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 10)}]\n" for n in range(1, 10))
     maps = "a0: &a0 {x: 1}\n" + "".join(
         f"a{n}: &a{n} {{{', '.join(f'k{k}: *a{n - 1}' for k in range(10))}}}\n" for n in range(1, 10)
     )
     axis = "sweep: {{axes: {{learner.epsilon: {}}}}}\n"
-    texts = [
+    return [
         *(laughs, base + laughs, base.replace("joint: 1", "joint: *a9").join((laughs, "")), maps, base + maps),
         *(base + "x: &x [*x]\n", base + "x: &x {y: *x}\n", "&x {name: *x}\n", base + "<<: &x {<<: *x}\n"),
         *(base + "x: " + "[" * n for n in (100, 3000, 100_000)), base + "x: " + "{a: " * 3000 + "1" + "}" * 3000,
@@ -103,4 +108,3 @@ def bombs(matrix: Matrix, folder: Path) -> None:
         *(base + x for x in ('x: "\\ud800"\n', "x: 2001-99-99\n", "? [a]\n: 1\n", "x: =\n", "--- 1\n--- 2\n")),
         base + "%YAML 9.9\n---\n",
     ]  # fmt: skip
-    _read(matrix, "YAML bomb", texts, folder)
