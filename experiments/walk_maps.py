@@ -54,9 +54,7 @@ class Map(NamedTuple):
 
 MAPS = {
     "pushes": Map(
-        ("direction, degrees", (0, 45, 90, 135, 180)),
-        ("impulse, N s", (0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0)),
-        None,
+        ("direction, degrees", (0, 45, 90, 135, 180)), ("impulse, N s", (0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0)), None
     ),
     "ground and payload": Map(
         ("factor on the mass", (0.7, 0.85, 1.0, 1.15, 1.3, 1.6)),

@@ -16,12 +16,7 @@ ABOUT = (
     "the working directory and no others, unless you add --trust."
 )
 
-app = typer.Typer(
-    add_completion=True,
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    help=ABOUT,
-)
+app = typer.Typer(add_completion=True, no_args_is_help=True, pretty_exceptions_enable=False, help=ABOUT)
 
 
 def _shipped(kind: str, ending: str) -> Callable[[str], list[str]]:
@@ -58,10 +53,7 @@ Physics = Annotated[str | None, typer.Option(metavar="NAME", help="Another physi
 
 @app.command()
 def sweep(
-    config: Annotated[
-        str,
-        typer.Argument(help="A path, or the name of a shipped config.", autocompletion=CONFIGS),
-    ],
+    config: Annotated[str, typer.Argument(help="A path, or the name of a shipped config.", autocompletion=CONFIGS)],
     out: Annotated[Path | None, typer.Option(help="The run folder; by default the next free runs/NAME.")] = None,
     set_: Override = None,
     resume: Annotated[bool, typer.Option("--resume", help="Complete an interrupted run.")] = False,
@@ -131,9 +123,7 @@ def bench(
 Policy = Annotated[
     str,
     typer.Argument(
-        metavar="RUN|POLICY",
-        help="A run folder, a policy file, or a shipped policy.",
-        autocompletion=POLICIES,
+        metavar="RUN|POLICY", help="A run folder, a policy file, or a shipped policy.", autocompletion=POLICIES
     ),
 ]
 
@@ -153,14 +143,11 @@ def evaluate(
     policies: Annotated[
         list[str],
         typer.Argument(
-            metavar="RUN|POLICY...",
-            help="Run folders, policy files, or shipped policies.",
-            autocompletion=POLICIES,
+            metavar="RUN|POLICY...", help="Run folders, policy files, or shipped policies.", autocompletion=POLICIES
         ),
     ],
     gait: Annotated[
-        bool,
-        typer.Option("--gait", help="Measure the gait under constant commands: errors, slip, steps, effort."),
+        bool, typer.Option("--gait", help="Measure the gait under constant commands: errors, slip, steps, effort.")
     ] = False,
     point: Point = None,
     set_: World = None,

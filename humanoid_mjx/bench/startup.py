@@ -52,10 +52,7 @@ class Start(NamedTuple):
 
 
 def run(
-    say: Callable[[str], None],
-    configs: Sequence[str] = CONFIGS,
-    overrides: Sequence[str] = (),
-    repeats: int = REPEATS,
+    say: Callable[[str], None], configs: Sequence[str] = CONFIGS, overrides: Sequence[str] = (), repeats: int = REPEATS
 ) -> list[Record]:
     """Start a sweep of every config so many times, cold and warm in turn."""
     records: list[Record] = []

@@ -75,10 +75,7 @@ class Measured(NamedTuple):
 
 
 def run(
-    say: Callable[[str], None],
-    configs: Sequence[str] | None = None,
-    overrides: Sequence[str] = (),
-    seeds: int = SEEDS,
+    say: Callable[[str], None], configs: Sequence[str] | None = None, overrides: Sequence[str] = (), seeds: int = SEEDS
 ) -> list[Record]:
     """Train every config with so many seeds."""
     records: list[Record] = []

@@ -56,13 +56,7 @@ def _seed(seed: Array) -> UInt32[Array, "2"]:
 
 
 FAST = define_prng_impl(
-    key_shape=(2,),
-    seed=_seed,
-    split=_split,
-    random_bits=_random_bits,
-    fold_in=_fold_in,
-    name="fast",
-    tag="fast",
+    key_shape=(2,), seed=_seed, split=_split, random_bits=_random_bits, fold_in=_fold_in, name="fast", tag="fast"
 )
 
 

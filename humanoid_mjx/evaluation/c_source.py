@@ -90,11 +90,7 @@ def c_source(trained: Trained) -> str:
     numbers = "".join(f"static const float {name}[{np.size(x)}] = {_braced(x)};\n" for name, x in arrays.items())
     choices = "{" + ", ".join(map(str, learner.env.action_bins)) + "}"
     body = BODY.format(
-        **sizes,
-        choices=choices,
-        epsilon=EPSILON,
-        most=MAX_DEVIATIONS,
-        layers="".join(f"  {step}\n" for step in steps),
+        **sizes, choices=choices, epsilon=EPSILON, most=MAX_DEVIATIONS, layers="".join(f"  {step}\n" for step in steps)
     )
     return HEAD.format(**sizes, **words) + numbers + body
 

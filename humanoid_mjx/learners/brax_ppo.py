@@ -136,10 +136,7 @@ class BraxPPO(StepLearner):
             raw = distribution.sample_no_postprocessing(values, sample_key)
             envs, state, sums = step_all(self.env, envs, distribution.postprocess(raw), step_key, reset_key)
             chosen = {"distribution_params": values, "raw_action": raw, "log_prob": distribution.log_prob(values, raw)}
-            extras = {
-                "policy_extras": chosen,
-                "state_extras": {"truncation": state.truncated.astype(jnp.float32)},
-            }
+            extras = {"policy_extras": chosen, "state_extras": {"truncation": state.truncated.astype(jnp.float32)}}
             going_on = 1.0 - state.done.astype(jnp.float32)
             return envs, (Transition(obs, raw, state.reward, going_on, state.final_obs, extras), sums)
 

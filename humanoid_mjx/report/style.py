@@ -55,12 +55,7 @@ def figure(
     """
     with DRAWING, plt.rc_context(_RC):  # pyright: ignore[reportArgumentType]
         fig, axes = plt.subplots(
-            rows,
-            columns,
-            figsize=(size[0] * columns, size[1] * rows),
-            squeeze=False,
-            layout="constrained",
-            **kwargs,
+            rows, columns, figsize=(size[0] * columns, size[1] * rows), squeeze=False, layout="constrained", **kwargs
         )
         try:
             yield fig, axes

@@ -7,11 +7,4 @@ experiments on one subject. The formulas as printed, faults included, live in `p
 from humanoid_mjx.reproduction.findings import Experiment, Finding, Setting, Verdict
 from humanoid_mjx.reproduction.runner import load_experiments, reproduce
 
-__all__ = [
-    "Experiment",
-    "Finding",
-    "Setting",
-    "Verdict",
-    "load_experiments",
-    "reproduce",
-]
+__all__ = ["Experiment", "Finding", "Setting", "Verdict", "load_experiments", "reproduce"]

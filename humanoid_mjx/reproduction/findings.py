@@ -100,13 +100,7 @@ def unprinted(quantity: str, found: Any, why: str) -> Finding:
 
 
 def compare(
-    quantity: str,
-    printed: Any,
-    value: Any,
-    tolerance: Any,
-    why: str,
-    digits: int | None = None,
-    **judged: Any,
+    quantity: str, printed: Any, value: Any, tolerance: Any, why: str, digits: int | None = None, **judged: Any
 ) -> Finding:
     """A finding on numbers: they agree where none is further from its printed one than the tolerance.
 

@@ -38,9 +38,7 @@ class Structure(NamedTuple):
 
 
 @partial(
-    jax.tree_util.register_dataclass,
-    data_fields=("d", "a", "pseudo_inertia", "gravity"),
-    meta_fields=("structure",),
+    jax.tree_util.register_dataclass, data_fields=("d", "a", "pseudo_inertia", "gravity"), meta_fields=("structure",)
 )
 @dataclass(frozen=True)
 class Chain:

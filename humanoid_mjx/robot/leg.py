@@ -39,9 +39,7 @@ SHANK_DIAMETER = thesis.BODY_MM["lower_leg_circumference"] * 1e-3 * thesis.SCALE
 
 
 @partial(
-    jax.tree_util.register_dataclass,
-    data_fields=("d", "a", "pseudo_inertia", "gravity"),
-    meta_fields=("structure",),
+    jax.tree_util.register_dataclass, data_fields=("d", "a", "pseudo_inertia", "gravity"), meta_fields=("structure",)
 )
 @dataclass(frozen=True)
 class Leg(Chain):

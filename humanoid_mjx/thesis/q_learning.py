@@ -3,10 +3,7 @@
 JOINT_RANGES = {1: (-15.0, 100.0), 4: (0.0, 120.0), 5: (-20.0, 40.0)}
 """Start and goal in degrees of each joint that learns (sections 7 E, 7 F, 7 G)."""
 
-POSTURES = {
-    "6.4": ((-20.0, -10.0, 0.0), (20.0, 15.0, 10.0)),
-    "7H": ((-10.0, 15.0, -20.0), (10.0, 120.0, 0.0)),
-}
+POSTURES = {"6.4": ((-20.0, -10.0, 0.0), (20.0, 15.0, 10.0)), "7H": ((-10.0, 15.0, -20.0), (10.0, 120.0, 0.0))}
 """Start and goal of hip pitch, knee and ankle of the right leg, degrees. 7 H prints -120 for the knee, whose range in
 Table 3.2 is 0 to 120: read with that table's sign. It also says that its software started from 0 everywhere."""
 

@@ -48,15 +48,7 @@ after the training steps, for which training waits."""
 class Pool:
     """Trains runs of a group, taking them from `waiting`, in as many slots on each device."""
 
-    def __init__(
-        self,
-        group: Group,
-        waiting: deque[int],
-        size: int,
-        devices: Devices,
-        seed: int,
-        policies: Any = None,
-    ):
+    def __init__(self, group: Group, waiting: deque[int], size: int, devices: Devices, seed: int, policies: Any = None):
         """Make `size` slots on each of the devices, or on each row of those that share the environments of runs.
 
         `policies`: policies from which the runs start, every leaf with a leading axis of the group's runs.

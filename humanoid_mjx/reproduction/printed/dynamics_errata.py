@@ -175,12 +175,5 @@ ERRATA = (
         _true("gravity"),
         "N m",
     ),
-    Erratum(
-        "section 4.7, accelerations",
-        "20 a5 t^4",
-        "20 a5 t^3",
-        _acceleration(4),
-        _acceleration(3),
-        "degrees/s^2",
-    ),
+    Erratum("section 4.7, accelerations", "20 a5 t^4", "20 a5 t^3", _acceleration(4), _acceleration(3), "degrees/s^2"),
 )

@@ -24,11 +24,7 @@ SCRIPT_THETA5 = (
 )
 SCRIPT_THETA31 = "arctan((n[2]*cos(theta4 + theta5) + n[2]*sin(theta4 + theta5)) / -a[2])"
 
-TOE = (
-    "l2*s1 + along*X - across*c1*c2",
-    "-l2*c1 - along*Y - across*c2*s1",
-    "l1 + along*c2*s3 - across*s2",
-)
+TOE = ("l2*s1 + along*X - across*c1*c2", "-l2*c1 - along*Y - across*c2*s1", "l1 + along*c2*s3 - across*s2")
 """The position of the corrected equation 4.6, m, from the leg's extent along the roll link and across it."""
 
 

@@ -30,13 +30,7 @@ Where the scan is damaged (J3, row 1: `l1 S3 A5`), appendix D, which repeats the
 """
 
 _LAST_AXES = ("s1*s3 + c1*c3*s2", "c3*s1*s2 - c1*s3", "-c2*c3")
-AXES = {
-    1: ("0", "0", "1"),
-    2: ("s1", "-c1", "0"),
-    3: ("-c1*c2", "-c2*s1", "-s2"),
-    4: _LAST_AXES,
-    5: _LAST_AXES,
-}
+AXES = {1: ("0", "0", "1"), 2: ("s1", "-c1", "0"), 3: ("-c1*c2", "-c2*s1", "-s2"), 4: _LAST_AXES, 5: _LAST_AXES}
 """Rows 4 to 6 of the columns of appendix C: the joints' axes."""
 
 FORCE = {"fx": 1.0, "fy": 2.0, "fz": 3.0}

@@ -83,10 +83,7 @@ class Observed:
             if isinstance(name, str) and name not in OBSERVATIONS:
                 raise InputError(f"observations: unknown name {name!r}; {known(name, OBSERVATIONS)}.")
         self.parts = [OBSERVATIONS[name] if isinstance(name, str) else name for name in names]
-        swaps: dict[Any, Any] = {
-            "joints": robot.joint_images,
-            "feet": (robot.foot_images, np.ones(len(robot.feet))),
-        }
+        swaps: dict[Any, Any] = {"joints": robot.joint_images, "feet": (robot.foot_images, np.ones(len(robot.feet)))}
         images = [
             swaps.get(p.size) or (np.arange(p.size), np.array(p.mirror or (1.0,) * int(p.size))) for p in self.parts
         ]
