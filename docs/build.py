@@ -25,9 +25,6 @@ PACKAGE = ROOT / "humanoid_mjx"
 NOT_DOCUMENTED = {"__init__", "__main__", "cli", "commands"}
 """Modules and folders that the reference leaves out: the command line documents itself."""
 
-REFERENCE = "reference"
-"""The folder of the reference, which has a page for each folder of the package."""
-
 FIGURES = tables.TABLES | walking_tables.TABLES
 """What makes each table and number that follows from records, by the name between its marks."""
 
@@ -164,32 +161,19 @@ Tables, figures and statements that disagree with what is computed have a verdic
 def reference_pages() -> dict[str, str]:
     """A page for each folder of the package, whose text mkdocstrings takes from the docstrings."""
     found = {}
-    for folder in _folders():
-        name = _dotted(folder)
-        modules = sorted(file.stem for file in folder.glob("*.py") if file.stem not in NOT_DOCUMENTED)
-        blocks = [] if folder == PACKAGE else [_block(name, "__all__" in (folder / "__init__.py").read_text())]
-        blocks += [_block(f"{name}.{module}") for module in modules]
-        found[_page_of(folder)] = "\n\n".join([f"# {name}", *blocks]) + "\n"
+    for folder in (file.parent for file in PACKAGE.rglob("__init__.py") if file.parent.name not in NOT_DOCUMENTED):
+        name, modules = _dotted(folder), sorted(file.stem for file in folder.glob("*.py"))
+        # Names that a folder only passes on are documented in their modules.
+        passes_on = "__all__" in (folder / "__init__.py").read_text()
+        own = [] if folder == PACKAGE else [f"::: {name}" + "\n    options: {members: []}" * passes_on]
+        blocks = [f"::: {name}.{module}" for module in modules if module not in NOT_DOCUMENTED]
+        found[f"reference/{name}.md"] = "\n\n".join([f"# {name}", *own, *blocks]) + "\n"
     return found
-
-
-def _block(module: str, words_only: bool = False) -> str:
-    """What mkdocstrings replaces by a module's docstrings; by its own alone where its names have a place elsewhere."""
-    return f"::: {module}" + ("\n    options: {members: []}" if words_only else "")
-
-
-def _folders() -> list[Path]:
-    folders = (file.parent for file in PACKAGE.rglob("__init__.py"))
-    return sorted(folder for folder in folders if folder.name not in NOT_DOCUMENTED)
 
 
 def _dotted(path: Path) -> str:
     """The import path of a folder or a module."""
     return ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts)
-
-
-def _page_of(folder: Path) -> str:
-    return f"{REFERENCE}/{_dotted(folder)}.md"
 
 
 def source_links(markdown: str) -> str:
