@@ -1,6 +1,6 @@
-"""The commands for programs and notebooks: read a run, evaluate, plot and play it.
+"""Functions for programs and notebooks: read a run, evaluate, plot and play it.
 
-The results show themselves in a notebook. `humanoid_mjx.start()` sets up the process as the commands do.
+A notebook displays their results. `humanoid_mjx.start()` sets up the process as the commands do.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from humanoid_mjx.training.sweep import Run
 
 
 class Picture(NamedTuple):
-    """A figure or film that was written, which a notebook shows."""
+    """A figure or film on disk, which a notebook displays."""
 
     path: Path
     words: str
@@ -48,7 +48,7 @@ def evaluate(
     physics: str | None = None,
     overrides: Sequence[str] = (),
 ) -> dict[str, Evaluation]:
-    """Measure a policy on episodes that no training has seen.
+    """Evaluate a policy on held-out episodes.
 
     Args:
       what: a run or its folder, a policy file, or the name of a shipped policy.
@@ -98,7 +98,7 @@ def play(
     overrides: Sequence[str] = (),
     out: Path | str | None = None,
 ) -> Picture:
-    """Write a film of an episode that no training has seen.
+    """Write a film of a held-out episode.
 
     Args:
       what, point, overrides: as `evaluate` takes them.

@@ -24,9 +24,9 @@ class Task(Spec):
     """
 
     figures: ClassVar[tuple[tuple[str, tuple[str, ...], Callable[..., dict[str, float]]], ...]] = ()
-    """Figures that reports of the task have besides those of all tasks: the title, the columns of `results.parquet`
-    that it needs, and `draw(panel, rows, axis)`, which draws on matplotlib's axes and returns each line's last value by
-    its label; `axis` is a swept parameter or None."""
+    """Additional figures in reports of the task, each a tuple: the title; the columns of `results.parquet` that it
+    needs; `draw(panel, rows, axis)`, which draws on matplotlib's axes and returns the last value of each line by its
+    label. `axis` is a swept parameter or None."""
 
     @property
     def arithmetic(self) -> Arithmetic:
@@ -62,5 +62,5 @@ class Task(Spec):
         raise NotImplementedError
 
     def for_driving(self) -> Any:
-        """Return the task for driving by a person: no commands, no pushes and no time limit of its own."""
+        """Return the task for a person who steers: without own commands, pushes and time limit."""
         return self

@@ -1,4 +1,4 @@
-"""Bring all five joints of a leg to a posture, whatever it starts from, while its controller's model is wrong.
+"""Bring all five joints of a leg from any posture to any other, under a controller with a wrong model.
 
 Every `period` the learner moves the set-point of each joint by a part of `increment`; every time step of the physics a
 control law, by default computed torque, drives the leg to it (thesis 5.7, 6.4). Starts and goals are uniform in the
