@@ -9,6 +9,7 @@ from operator import getitem
 import numpy as np
 import pytest
 import yaml
+from fault_input import WAYS
 from small_sweep import CONFIG
 
 import humanoid_mjx
@@ -117,15 +118,11 @@ READ = ("config.yaml", "results.parquet", "summary.parquet", "timing.parquet", "
 
 def spoil(draw, file):
     """Damage a file in a drawn way."""
-    content = file.read_bytes()
-    at = draw.randrange(len(content))
     match draw.randrange(5):
-        case 0:
-            file.write_bytes(content[:at])
-        case 1:
-            file.write_bytes(content[:at] + bytes([content[at] ^ (1 << draw.randrange(8))]) + content[at + 1 :])
+        case 0 | 1:
+            file.write_bytes(draw.choice(list(WAYS.values()))(file.read_bytes(), draw))
         case 2:
-            file.write_bytes(bytes(draw.randrange(256) for _ in range(200)))
+            file.write_bytes(draw.randbytes(200))
         case 3:
             file.unlink()
         case _:
