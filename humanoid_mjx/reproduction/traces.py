@@ -15,8 +15,6 @@ class Trace(NamedTuple):
 
     state: np.ndarray
     """(runs, steps + 1) The task's state before each step and after the last."""
-    action: np.ndarray
-    """(runs, steps)"""
     terminated: np.ndarray
     """(runs, steps) True where the step ended the trajectory."""
     explore: np.ndarray
@@ -33,8 +31,7 @@ def printed_run(joint: int, config: dict[str, Any], runs: int, steps: int) -> Tr
     def one(learner: Any, key: Any) -> Any:
         def step(carry: Any, _: None) -> Any:
             explore = rng.uniforms(key, carry.step, 3)[0]
-            agent = carry.agents
-            seen = agent.action, agent.terminated, agent.state, explore
+            seen = carry.agents.terminated, carry.agents.state, explore
             return learner.train_step(carry)[0], seen
 
         first = learner.init(key)
@@ -42,6 +39,6 @@ def printed_run(joint: int, config: dict[str, Any], runs: int, steps: int) -> Tr
         return start, *jax.lax.scan(step, first, length=steps)
 
     keys = jax.vmap(jax.random.fold_in, in_axes=(None, 0))(rng.key(0), np.arange(runs, dtype=np.uint32))
-    start, last, (action, terminated, after, explore) = jax.jit(jax.vmap(one, in_axes=(None, 0)))(learner, keys)
+    start, last, (terminated, after, explore) = jax.jit(jax.vmap(one, in_axes=(None, 0)))(learner, keys)
     state = np.concatenate([np.asarray(start)[:, None], np.asarray(after)], axis=1)
-    return Trace(state, np.asarray(action), np.asarray(terminated), np.asarray(explore), np.asarray(last.q_table))
+    return Trace(state, np.asarray(terminated), np.asarray(explore), np.asarray(last.q_table))
