@@ -279,10 +279,17 @@ def faster_than_mjx() -> str:
     return rounded(rates["tree ground moving"] / rates["mjx-jax ground moving"], 0)
 
 
-SWEEPS = ("cpu_2_cores_leg_reach_sweep", "h100_leg_reach_deep_sweep", "h100_stand_sweep", "h100_walk_sweep")
+SWEEPS = (
+    "cpu_2_cores_leg_reach_sweep",
+    "h100_leg_reach_deep_sweep",
+    "h100_stand_linear_sweep",
+    "h100_stand_sweep",
+    "h100_walk_linear_sweep",
+    "h100_walk_sweep",
+)
 ONE_TASK = tuple(f"cpu_2_cores_posture_switch_{kind}" for kind in ("table", "linear", "deep"))
 """Records of sweeps over epsilon, its decay and the learning rate: of function approximation, of three learners."""
-RATES = "cpu_2_cores_leg_reach_ppo", "h100_stand_ppo"
+RATES = "cpu_2_cores_leg_reach_ppo", "h100_stand_ppo", "h100_walk_ppo"
 """Records of sweeps over the learning rate."""
 SQUATS = "cpu_2_cores_squat", "cpu_2_cores_squat_deep", "h100_squat_mjx", "h100_squat_deep_mjx"
 """Records of trainings of `squat`."""
