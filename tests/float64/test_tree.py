@@ -50,14 +50,24 @@ def solver(name):
     return qacc_of(fold(read_tree(ROBOTS[name]())))
 
 
+def contacts_of_bodies(model, positions):
+    data, found = mujoco.MjData(model), []
+    for data.qpos in positions:
+        mujoco.mj_forward(model, data)
+        found.append(touches(model, data)[1])
+    return np.array(found)
+
+
 @pytest.mark.parametrize(("name", "count"), [("free", 4000), ("hopper", 500), ("quadruped", 500), ("jointed", 500)])
 def test_accelerations_agree_with_native(name, count):
     """What is left is rounding, and what stiff contacts of light feet make of it: 1e-13 as a rule."""
     model = converged(ROBOTS[name]())
     at = states(model, count)
     qacc, settled = solver(name)(Values(), *at)
-    assert settled.all()
-    assert errors(qacc, native(model, *at)).max() < 1e-9
+    crowded = contacts_of_bodies(model, at[0]) > pairs.SLOTS
+    np.testing.assert_array_equal(settled, ~crowded)
+    assert crowded.mean() < 0.01
+    assert errors(qacc, native(model, *at))[settled].max() < 1e-9
 
 
 def test_traced_values_are_those_of_a_model_with_them():
@@ -90,13 +100,11 @@ def test_limbs_of_one_build_are_lanes():
 def test_worlds_with_more_contacts_of_bodies_than_slots_do_not_settle(monkeypatch):
     """Of more worlds than a block holds, which keep the contacts of few of many pairs."""
     model = converged(ROBOTS["jointed"]())
-    at, data, count = states(model, 500), mujoco.MjData(model), []
-    for data.qpos in at[0]:
-        mujoco.mj_forward(model, data)
-        count.append(touches(model, data)[1])
+    at = states(model, 500)
+    count = contacts_of_bodies(model, at[0])
     monkeypatch.setattr(pairs, "SLOTS", 1)
     qacc, settled = qacc_of(fold(read_tree(model)))(Values(), *at)
-    np.testing.assert_array_equal(settled, np.array(count) <= 1)
+    np.testing.assert_array_equal(settled, count <= 1)
     assert min(settled.sum(), (~settled).sum()) > 20
     assert errors(qacc, native(model, *at))[settled].max() < 1e-9
 

@@ -39,7 +39,7 @@ def test_a_joint_that_begins_to_slip_is_found_although_large_forces_cancel():
         slip = Slip(Scalar(WEIGHT), Scalar(0.0), Scalar(MOST))
         problem = Problem(matrix, force, make_kinematics(tree, [Scalar(0.0)] * 2), [], [], {}, {1: slip})
         active = active_at(tree, problem, before)
-        return lowest_share(tree, problem, None, active, before, after, jnp.zeros(500, bool))
+        return lowest_share(tree, problem, [], active, before, after, jnp.zeros(500, bool))
 
     share = jax.jit(found)(*(np.asarray(part, np.float32) for part in (before, after, force)))
 

@@ -35,7 +35,8 @@ THREADS = 32
 class Lane:
     """Element of an array: what the thread of one lane of a world holds."""
 
-    vector: Array
+    vector: Any
+    """An array of the block's threads."""
     index: int
 
 
@@ -120,9 +121,9 @@ class Threads:
                 found += [function(*elements) for elements in zip(*groups, strict=True)]
                 continue
             joined, alike = zip(*map(self._joined, groups), strict=True)
-            one: Any = function(*joined)
+            one = function(*joined)
             same = all(alike) or isinstance(one, np.generic)
-            found += [one if same else Lane(one, index) for index in range(self.lanes)]
+            found += [one] * self.lanes if same else [Lane(one, index) for index in range(self.lanes)]
         return arranged(found, shape)
 
     def _apply(self, eqn: Any, args: list[np.ndarray]) -> list[np.ndarray]:
@@ -352,6 +353,7 @@ ARRANGEMENTS: dict[str, Callable[..., list[np.ndarray]]] = {
 
 REDUCTIONS: dict[str, tuple[Callable[[Any, Any], Any], Any]] = {
     "reduce_and": (lax.bitwise_and, True),
+    "reduce_min": (lax.min, np.inf),
     "reduce_or": (lax.bitwise_or, False),
     "reduce_sum": (lax.add, 0),
 }

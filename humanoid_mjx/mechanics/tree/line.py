@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float
 
 from humanoid_mjx.mechanics.scalars import Scalar
 from humanoid_mjx.mechanics.tree.inertia import product
-from humanoid_mjx.mechanics.tree.pairs import pair_residuals
+from humanoid_mjx.mechanics.tree.pairs import Slot
 from humanoid_mjx.mechanics.tree.problem import Active, Problem, ground_residuals
 from humanoid_mjx.mechanics.tree.structure import Tree
 
@@ -34,7 +34,7 @@ class Rows(NamedTuple):
 def lowest_share(
     tree: Tree,
     problem: Problem,
-    pairs: Any,
+    slots: Sequence[Slot],
     active: Active,
     before: Sequence[Scalar],
     after: Sequence[Scalar],
@@ -48,7 +48,7 @@ def lowest_share(
     Args:
       tree: and
       problem: what the accelerations minimise.
-      pairs: the contacts of all pairs (`pairs.joined`); None where there are none.
+      slots: the contacts between bodies.
       active: the facets that push, and others not, in the equations that `after` solves.
       before: accelerations from which the way leads downhill.
       after: accelerations that are 1 along it.
@@ -57,7 +57,7 @@ def lowest_share(
     worlds = jnp.broadcast_shapes(*(jnp.shape(v.value)[-1:] for v in after))
     way = [two - one for one, two in zip(before, after, strict=True)]
     curve = _along(tree, way, product(tree, problem.matrix, way))
-    pushing, pushed = _pushing(tree, problem, pairs, active, before, after, worlds)
+    pushing, pushed = _pushing(tree, problem, slots, active, before, after, worlds)
     rubbing, (most, up, down) = _rubbing(tree, problem, active, before, after, worlds)
     push, rub = (rows.weight * rows.slope for rows in (pushing, rubbing))
     held = _sum(jnp.where(pushed, push * pushing.slope, 0.0))
@@ -102,7 +102,7 @@ def _along(tree: Tree, way: Sequence[Scalar], force: Sequence[Scalar]) -> Any:
 def _pushing(
     tree: Tree,
     problem: Problem,
-    pairs: Any,
+    slots: Sequence[Slot],
     active: Active,
     before: Sequence[Scalar],
     after: Sequence[Scalar],
@@ -117,11 +117,10 @@ def _pushing(
         shape = (*(count,) * (count > 1), *lanes, *worlds)
         for flag, a, b in zip(flags, touch.facets(one), touch.facets(two), strict=True):
             found.append(_row(touch.close, touch.weight, a, b, shape, flag))
-    if pairs is not None:
-        shape = pairs.close.shape
-        residuals = (pair_residuals(tree, problem.kinematics, pairs, x) for x in (before, after))
-        for flag, a, b in zip(active.pairs, *residuals, strict=True):
-            found.append(_row(pairs.close, pairs.weight, a, b, shape, flag))
+    for slot, flags in zip(slots, active.pairs, strict=True):
+        touch = slot.touch
+        for flag, a, b in zip(flags, slot.facets(tree, before), slot.facets(tree, after), strict=True):
+            found.append(_row(touch.close, touch.weight, a, b, worlds, flag))
     for dof, stop in problem.stops.items():
         shape = (*(tree.lanes,) * tree.laned(dof), *worlds)
         ends = stop.residual(before[dof]), stop.residual(after[dof])

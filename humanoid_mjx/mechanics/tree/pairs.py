@@ -1,44 +1,247 @@
-"""Contacts between bodies in the equations of a tree: updates of the factors, facet by facet.
+"""Contacts between bodies in the equations of a tree: updates of the solution, contact by contact.
 
-They join branches of the tree, so the factors are no longer sparse. But few bodies touch at a time, and each facet that
-pushes is an update of rank one (P. Gill et al., "Methods for Modifying Matrix Factorizations", 1974, method C1).
+They join branches of the tree, so with them the equations `H x = r` are no longer sparse. But few bodies touch at a
+time. Each contact that pushes adds `G^T K G` to H and `-G^T K offset` to r, where the rows of G are the accelerations
+along the directions of its frame and K is its stiffness. By Woodbury's identity the solution is then
+
+    x - Z N (G x + offset),    Z = H^-1 G^T,    N = (K^-1 + G Z)^-1,
+
+which takes a solution of the sparse equations for each row of G.
 """
 
-from collections.abc import Sequence
-from typing import Any
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool
 
-from humanoid_mjx.mechanics.scalars import ZERO, Scalar, Vector, add, dot
-from humanoid_mjx.mechanics.tree.algebra import (
-    force_at,
-    known,
-    lane,
-    over_lanes,
-    power,
-    resolve,
-    stacked,
-    velocity_at,
-)
-from humanoid_mjx.mechanics.tree.contacts import Touch, apart
+from humanoid_mjx.mechanics.scalars import NULL, ONE, ZERO, Scalar, Vector, cross, dot
+from humanoid_mjx.mechanics.tree.algebra import known, over_lanes, resolve, root, velocity_at
+from humanoid_mjx.mechanics.tree.contacts import Touch
 from humanoid_mjx.mechanics.tree.inertia import Factors
-from humanoid_mjx.mechanics.tree.kinematics import Kinematics, motions_of
+from humanoid_mjx.mechanics.tree.kinematics import Kinematics
 from humanoid_mjx.mechanics.tree.structure import Box, Capsule, Tree
 
-SLOTS = 16
-"""Contacts that a world may have at a time of pairs that `few_close` picks."""
+SLOTS = 8
+"""Contacts between bodies that a world may have at a time."""
 
-Flags = list[Bool[Array, "pairs worlds"]]
-"""Mask of the facets that push, of the contacts of all pairs."""
+Flags = list[list[Bool[Array, " worlds"]]]
+"""Masks of the facets that push, slot by slot."""
 
-Dense = tuple[list[Any], Any, Any]
-"""Of the equations of all lanes the rows of L to the left of its diagonal, 1 / D, and the right side."""
+Block = list[list[Scalar]]
+"""A small matrix, or vectors over the degrees of freedom, row by row."""
 
 
-def joined(tree: Tree, touches: Sequence[Touch]) -> Touch:
+class Slot(NamedTuple):
+    """A contact that each world may have."""
+
+    touch: Touch
+    rows: Block
+    """By direction of its frame and degree of freedom, the acceleration along the direction for a unit of that of the
+    degree of freedom. Without friction there is but the normal."""
+
+    def residual(self, tree: Tree, x: Sequence[Scalar]) -> list[Scalar]:
+        """By how much the bodies part faster than they should, along the directions."""
+        moved = _products(tree, self.rows, [x])
+        return [part + offset for (part,), offset in zip(moved, self.touch.offset, strict=False)]
+
+    def facets(self, tree: Tree, x: Sequence[Scalar]) -> list[Scalar]:
+        """The same along each facet."""
+        return self.touch.facets(Vector(*self.residual(tree, x), *NULL[len(self.rows) :]))
+
+    def active(self, tree: Tree, x: Sequence[Scalar]) -> list[Any]:
+        """Mask of the facets that push."""
+        return self.touch.active(self.facets(tree, x))
+
+
+def all_close(slots: Sequence[Slot]) -> Flags:
+    """The facets of all bodies that are close."""
+    return [[slot.touch.close] * len(slot.touch.facets(NULL)) for slot in slots]
+
+
+def close_pairs(
+    tree: Tree, kinematics: Kinematics, touches: Sequence[Touch], worlds: Any = None
+) -> tuple[list[Slot], Bool[Array, " worlds"]]:
+    """The contacts of the first `SLOTS` pairs that are close in each world, and where more are.
+
+    Args:
+      tree: and
+      kinematics: of these worlds.
+      touches: the contacts of all pairs, group by group, of all worlds.
+      worlds: indices of these; None: all, without looking up any.
+    """
+    touch = _joined(tree, touches)
+    size, numbers = len(touch.close), [[_number(tree, shape) for shape in pair] for pair in _each(tree)]
+    least = touch._replace(frame=touch.frame[:2], distance=ZERO)
+    left = touch.close if worlds is None else touch.close[:, worlds]
+    index, slots = jnp.arange(size, dtype=jnp.uint32)[:, None], []
+
+    def slot_of(pick: Callable[[Any], Any], bodies: Sequence[Any]) -> Slot:
+        found = jax.tree.map(lambda v: pick(jnp.broadcast_to(v, touch.close.shape)), least)
+        normal, tangent = found.frame
+        found = found._replace(frame=(normal, tangent, cross(normal, tangent)))
+        return Slot(found, _rows(tree, kinematics, found, bodies))
+
+    if size <= SLOTS:
+        for pair in range(size):
+            pick = lambda v, pair=pair: v[pair] if worlds is None else v[pair, worlds]  # noqa: E731
+            slots.append(slot_of(pick, numbers[pair]))
+        return slots, jnp.zeros(left.shape[1:], bool)
+    table = np.array(numbers, float).T[..., None]
+    for _ in range(SLOTS):
+        first = jnp.where(left, index, size).min(axis=0)
+        chosen = index == first
+        if worlds is None:
+            pick = lambda v, chosen=chosen: _picked(chosen, v)  # noqa: E731
+            bodies = [_picked(chosen, jnp.asarray(column, float)) for column in table]
+        else:
+            pair = jnp.minimum(first, size - 1)
+            pick = lambda v, pair=pair: v[pair, worlds]  # noqa: E731
+            bodies = [jnp.asarray(column[:, 0], float)[pair] for column in table]
+        slot = slot_of(pick, bodies)
+        slots.append(slot._replace(touch=slot.touch._replace(close=first < size)))
+        left = left & ~chosen
+    return slots, left.any(axis=0)
+
+
+def with_pairs(tree: Tree, slots: Sequence[Slot], active: Flags, factors: Factors, x: Sequence[Scalar]) -> list[Scalar]:
+    """The solution of the equations with these facets in them, from that without, `x`."""
+    before: list[tuple[Block, Block]] = []
+    worlds = slots[0].touch.close.shape
+    shapes = [(tree.lanes, *worlds) if tree.laned(dof) else worlds for dof in range(tree.nv)]
+
+    def arrays(scalars: Sequence[Scalar]) -> list[Any]:
+        return [jnp.broadcast_to(jnp.asarray(s.value, float), shape) for s, shape in zip(scalars, shapes, strict=True)]
+
+    def update(slot: Slot, flags: Sequence[Any], x: Sequence[Scalar]) -> tuple[Any, Any, Any]:
+        columns = [factors.solve(row) for row in slot.rows]
+        for others, inner in before:
+            felt = _products(tree, others, slot.rows)
+            for place, column in enumerate(columns):
+                share = [dot(row, [line[place] for line in felt]) for row in inner]
+                columns[place] = _less(column, share, others)
+        inner = _inner(slot.touch, flags, _products(tree, slot.rows, columns))
+        residual = slot.residual(tree, x)
+        x = _less(x, [dot(row, residual) for row in inner], columns)
+        inner = [[jnp.broadcast_to(entry.value, worlds) for entry in row] for row in inner]
+        return arrays(x), [arrays(column) for column in columns], inner
+
+    for slot, flags in zip(slots, active, strict=True):
+        pushes = functools.reduce(jnp.logical_or, flags).any()
+        made = functools.partial(update, slot, flags, x)
+        nothing = jax.tree.map(lambda v: jnp.zeros(v.shape, v.dtype), jax.eval_shape(made))
+        found = jax.lax.cond(pushes, made, lambda same=x, nothing=nothing: (arrays(same), *nothing[1:]))
+        x, *rest = jax.tree.map(Scalar, found)
+        before.append(tuple(rest))
+    return list(x)
+
+
+def _less(x: Sequence[Scalar], shares: Sequence[Scalar], columns: Block) -> list[Scalar]:
+    """A vector over the degrees of freedom without so much of each of the others."""
+    return [value - dot(shares, entries) for value, *entries in zip(x, *columns, strict=True)]
+
+
+def _inner(touch: Touch, flags: Sequence[Any], compliance: Block) -> Block:
+    """N, with which these facets push: `R^T (1 + R C R^T)^-1 R`, where `K = R^T R` and C is the compliance G Z.
+
+    It has no inverse of K, which is singular where not all facets push.
+    """
+    size = len(compliance)
+    stiff = root(touch.weight)
+    on = [Scalar(jnp.where(flag, stiff.value, 0.0)) for flag in flags]
+    units = [Vector(*(ONE if axis == other else ZERO for other in range(3))) for axis in range(size)]
+    facets = list(zip(*(touch.facets(unit) for unit in units), strict=True))
+    rows = [[scale * part for part in facet] for scale, facet in zip(on, facets, strict=True)]
+    felt = [[dot(row, [line[axis] for line in compliance]) for axis in range(size)] for row in rows]
+    lower, scales = [], []
+    reduced: Block = []
+    for index, row in enumerate(rows):
+        # A row of the factors L D L^T, and one of L^-1 R.
+        entries = [dot(felt[index], rows[other]) for other in range(index + 1)]
+        entries[index] = entries[index] + ONE
+        line: list[Scalar] = []
+        for other in range(index):
+            done = [a * b for a, b in zip(line, scales, strict=False)]
+            line.append((entries[other] - dot(done, lower[other])) / scales[other])
+        scales.append(entries[index] - dot(line, [a * b for a, b in zip(line, scales, strict=True)]))
+        lower.append(line)
+        reduced.append([v - dot(line, [past[axis] for past in reduced]) for axis, v in enumerate(row)])
+    inverse = [ONE / scale for scale in scales]
+
+    def entry(one: int, two: int) -> Scalar:
+        return dot(
+            [row[one] * scale for row, scale in zip(reduced, inverse, strict=True)], [row[two] for row in reduced]
+        )
+
+    lines = [[entry(one, two) for two in range(one + 1)] for one in range(size)]
+    return [[lines[max(one, two)][min(one, two)] for two in range(size)] for one in range(size)]
+
+
+def _products(tree: Tree, rows: Block, columns: Sequence[Sequence[Scalar]]) -> Block:
+    """The scalar products of vectors over the degrees of freedom, those of all lanes."""
+    stem = sum(not tree.laned(dof) for dof in range(tree.nv))
+    alone = [dot(row[:stem], column[:stem]) for row in rows for column in columns]
+    laned = [dot(row[stem:], column[stem:]) for row in rows for column in columns]
+    both = [a + b for a, b in zip(alone, over_lanes(laned, tree.lanes), strict=True)]
+    return [both[first : first + len(columns)] for first in range(0, len(both), len(columns))]
+
+
+def _rows(tree: Tree, kinematics: Kinematics, touch: Touch, bodies: Sequence[Any]) -> Block:
+    """The rows of a contact of two bodies, which are numbers that are known while tracing or of each world."""
+    found: Block = []
+    for dof in range(tree.nv):
+        ends = [_range(tree, dof, index) for index in range(len(tree.dofs[dof]))]
+        one, two = (_within(number, ends) for number in bodies)
+        moved = resolve(touch.frame, velocity_at(kinematics.motions[dof], touch.place))
+        found.append([(two - one) * part for part in moved[: 1 if touch.friction is None else 3]])
+    return list(map(list, zip(*found, strict=True)))
+
+
+def _within(number: Any, ends: Sequence[tuple[int, int]]) -> Scalar:
+    """1 where the number of a body lies between the ends, with an axis of lanes where there are several ends."""
+    if isinstance(number, int):
+        inside = [float(first <= number <= last) for first, last in ends]
+        return known(inside if len(ends) > 1 else inside[0])
+    lower, upper = (np.array(end, float)[:, None] for end in zip(*ends, strict=True))
+    inside = ((number >= lower) & (number <= upper)).astype(float)
+    return Scalar(inside if len(ends) > 1 else inside[0])
+
+
+@functools.lru_cache
+def _numbers(tree: Tree) -> dict[tuple[int, int], int]:
+    """Numbers of the bodies of all lanes, in which those that a degree of freedom moves are neighbours."""
+    found: dict[tuple[int, int], int] = {}
+
+    def visit(body: int, lane: int) -> None:
+        found[body, lane] = len(found)
+        for other, child in enumerate(tree.bodies):
+            if other and child.parent == body:
+                more = child.laned and not tree.bodies[body].laned
+                for index in range(tree.lanes) if more else [lane]:
+                    visit(other, index)
+
+    visit(0, 0)
+    return found
+
+
+def _number(tree: Tree, shape: Capsule | Box) -> int:
+    return _numbers(tree)[shape.body, shape.lane if tree.bodies[shape.body].laned else 0]
+
+
+def _range(tree: Tree, dof: int, index: int) -> tuple[int, int]:
+    """The first and the last number of the bodies that a degree of freedom of a lane moves."""
+    moved = [
+        number
+        for (body, lane), number in _numbers(tree).items()
+        if dof in tree.moving(body) and (lane == index or not tree.laned(dof))
+    ]
+    return min(moved), max(moved)
+
+
+def _joined(tree: Tree, touches: Sequence[Touch]) -> Touch:
     """The contacts of all groups as one. Where only some have friction, the others have four facets that are the same,
     each of a quarter of the weight."""
     if len(touches) == 1:
@@ -51,6 +254,8 @@ def joined(tree: Tree, touches: Sequence[Touch]) -> Touch:
         ]
 
     def join(*parts: Any) -> Any:
+        if isinstance(parts[0], Scalar) and all(part.is_known(parts[0].value) for part in parts):
+            return parts[0]
         values = [part.value if isinstance(part, Scalar) else part for part in parts]
         pairs = zip(values, tree.pairs, strict=True)
         whole = jnp.concatenate([jnp.broadcast_to(jnp.asarray(v), (len(p.ones), *worlds)) for v, p in pairs])
@@ -59,176 +264,11 @@ def joined(tree: Tree, touches: Sequence[Touch]) -> Touch:
     return jax.tree.map(join, *touches, is_leaf=lambda part: isinstance(part, Scalar))
 
 
-def few_close(tree: Tree, kinematics: Kinematics, touch: Touch, worlds: Any) -> tuple[Touch, Bool[Array, " worlds"]]:
-    """The contacts of the first `SLOTS` pairs that are close in each of these worlds, and where more are.
-
-    Args:
-      tree: and
-      kinematics: of these worlds.
-      touch: the contacts of all pairs (`joined`) of all worlds.
-      worlds: indices of these.
-    """
-    left, size = touch.close[:, worlds], len(touch.close)
-    index, slots = jnp.arange(size, dtype=jnp.uint32)[:, None], []
-    for _ in range(SLOTS + 1):
-        slots.append(jnp.where(left, index, size).min(axis=0))
-        left = left & (index > slots[-1])
-    more, slot = slots.pop() < size, jnp.stack(slots)
-    pair = jnp.minimum(slot, size - 1)
-    found = jax.tree.map(lambda v: jnp.broadcast_to(v, touch.close.shape)[pair, worlds], touch)
-    table = jnp.array([_alone(tree, *place) for place in _places(tree)], float)
-    wide, rows = jax.tree.map(lambda v: v[:, None], found), []
-    for dof, sign in enumerate(_folded(tree, list(table[:, pair]))):
-        at, sign = (wide, jnp.moveaxis(sign, 0, 1)) if tree.laned(dof) else (found, sign)
-        moved = at.facets(resolve(at.frame, velocity_at(kinematics.motions[dof], at.place)))
-        rows.append([Scalar(sign) * facet for facet in moved])
-    return found._replace(close=slot < size, rows=list(map(list, zip(*rows, strict=True)))), more
-
-
-def all_close(touches: Sequence[Touch]) -> Flags:
-    """The facets of all bodies that are close."""
-    close = jnp.concatenate([touch.close for touch in touches])
-    return [close] * (4 if any(touch.friction for touch in touches) else 1)
-
-
-def pair_residuals(tree: Tree, kinematics: Kinematics, touch: Touch, x: Sequence[Scalar]) -> list[Scalar]:
-    """By how much the bodies of pairs part faster than they should, along each facet; `touch`: the contacts of all
-    pairs (`joined`)."""
-    if touch.rows is None:
-        ones, twos = zip(*_each(tree), strict=True)
-        moved = apart(ones, twos, motions_of(tree, kinematics, x), touch.place)
-        return touch.facets(add(resolve(touch.frame, moved), touch.offset))
-    stem = sum(not tree.laned(dof) for dof in range(tree.nv))
-    laned = over_lanes([dot(row[stem:], x[stem:]) for row in touch.rows], tree.lanes)
-    each = zip(touch.rows, laned, touch.facets(touch.offset), strict=True)
-    return [dot(row[:stem], x[:stem]) + part + offset for row, part, offset in each]
-
-
-def with_pairs(
-    tree: Tree,
-    kinematics: Kinematics,
-    touch: Touch,
-    active: Flags,
-    factors: Factors,
-    right: Sequence[Scalar],
-    without: Sequence[Scalar],
-) -> list[Scalar]:
-    """The solution of the equations with these facets in them, or that `without` in worlds where none pushes."""
-    flags = jnp.concatenate(active)
-    pairs, worlds = active[0].shape[0], flags.shape[1:]
-    counts = [jnp.zeros(worlds, jnp.int32)]
-    for flag in flags:
-        counts.append(counts[-1] + flag.astype(jnp.int32))
-    rank, count = jnp.stack(counts[:-1]), counts[-1]
-    signs = [_sign(tree, dof) for dof in range(tree.nv)]
-    vectors = [*(Vector(*parts) for parts in zip(*touch.frame, strict=True)), touch.offset]
-    x, y, z, offset = (stacked(touch.facets(v), (pairs, *worlds)).reshape(-1, *worlds) for v in vectors)
-
-    def add_facet(index: Any, dense: Dense) -> Dense:
-        """Add to each world its next active facet."""
-        mine = flags & (rank == index)
-        pair = mine.reshape(len(active), pairs, *worlds).any(axis=0)
-        if touch.rows is None:
-            place, sign = jax.tree.map(lambda v: _picked(pair, v), (touch.place, signs))
-            force = force_at(Vector(*(Scalar(_picked(mine, part)) for part in (x, y, z))), place)
-            row = [s * power(motion, force) for s, motion in zip(sign, kinematics.motions, strict=True)]
-        else:
-            each = (jnp.concatenate([facet.value for facet in facets]) for facets in zip(*touch.rows, strict=True))
-            row = [Scalar(_picked(mine, part)) for part in each]
-        on = jnp.where(index < count, _picked(pair, touch.weight.value), 0.0)
-        return _updated(dense, _unfolded(tree, row, worlds), on, _picked(mine, offset))
-
-    dense = _dense(tree, factors, worlds), _unfolded(tree, factors.inverse, worlds), _unfolded(tree, right, worlds)
-    dense = jax.lax.while_loop(
-        lambda carry: (carry[0] < count).any(),
-        lambda carry: (carry[0] + 1, add_facet(*carry)),
-        (jnp.int32(0), dense),
-    )[1]
-    # A world's bits must not depend on whether another made its batch come here.
-    found = zip(_folded(tree, _solved(dense)), without, strict=True)
-    return [Scalar(jnp.where(count > 0, new, old.value)) for new, old in found]
-
-
-def _picked(flags: Bool[Array, "pairs worlds"], value: Any) -> Any:
-    """Select in each world the entry whose flag is set, along the first axis if there is one."""
-    if jnp.ndim(value) < 2:
-        return value
-    return jnp.where(flags[:, None] if jnp.ndim(value) > 2 else flags, value, 0.0).sum(axis=0)
-
-
 def _each(tree: Tree) -> list[tuple[Capsule | Box, Capsule | Box]]:
     """All pairs."""
     return [pair for pairs in tree.pairs for pair in zip(pairs.ones, pairs.twos, strict=True)]
 
 
-def _sign(tree: Tree, dof: int) -> Scalar:
-    """`_alone`, with an axis of lanes behind where the degree of freedom has one."""
-    each = [_alone(tree, dof, index) for index in range(len(tree.dofs[dof]))]
-    return known(np.stack(each, axis=-1) if tree.laned(dof) else each[0])
-
-
-def _alone(tree: Tree, dof: int, index: int) -> list[float]:
-    """1 where a degree of freedom of a lane moves a pair's second body alone, -1 where it moves the first alone, by
-    pair."""
-
-    def moves(shape: Capsule | Box) -> bool:
-        return dof in tree.moving(shape.body) and (index == shape.lane or not tree.laned(dof))
-
-    return [float(moves(two)) - float(moves(one)) for one, two in _each(tree)]
-
-
-def _places(tree: Tree) -> list[tuple[int, int]]:
-    """The degrees of freedom of all lanes with their lanes, lane by lane."""
-    laned = [dof for dof in range(tree.nv) if tree.laned(dof)]
-    stem = [(dof, 0) for dof in range(tree.nv) if not tree.laned(dof)]
-    return stem + [(dof, index) for index in range(tree.lanes) for dof in laned]
-
-
-def _unfolded(tree: Tree, scalars: Sequence[Scalar], worlds: tuple[int, ...]) -> Float[Array, "size worlds"]:
-    """Scalars of the degrees of freedom of all lanes."""
-    return stacked([lane(scalars[dof], index) for dof, index in _places(tree)], worlds)
-
-
-def _folded(tree: Tree, x: Sequence[Any]) -> list[Any]:
-    """The inverse of `_unfolded`."""
-    found = dict(zip(_places(tree), x, strict=True))
-    lanes = [range(tree.lanes) if tree.laned(dof) else range(1) for dof in range(tree.nv)]
-    each = [[found[dof, index] for index in several] for dof, several in enumerate(lanes)]
-    return [jnp.stack(several) if tree.laned(dof) else several[0] for dof, several in enumerate(each)]
-
-
-def _dense(tree: Tree, factors: Factors, worlds: tuple[int, ...]) -> list[Float[Array, "columns worlds"]]:
-    """The rows of L, of all lanes."""
-    places, rows = _places(tree), []
-    for row, (dof, index) in enumerate(places):
-        joint = [not tree.laned(other) or index == own for other, own in places[:row]]
-        lower = zip(joint, places[:row], strict=True)
-        rows.append(stacked([lane(factors.lower[dof][o], index) if same else ZERO for same, (o, _) in lower], worlds))
-    return rows
-
-
-def _updated(dense: Dense, row: Any, weight: Any, offset: Any) -> Dense:
-    """The equations with one more facet, of this row and weight; a weight of 0 changes nothing."""
-    lower, inverse, right = dense
-    lower, scales, right = list(lower), [], right - weight * offset * row
-    for last in reversed(range(len(lower))):
-        one, row = row[last], row[:last]
-        slope = one * inverse[last]
-        scale = 1.0 / (1.0 + weight * one * slope)
-        row = row - one * lower[last]
-        lower[last] = lower[last] + weight * slope * scale * row
-        weight = weight * scale
-        scales.append(scale)
-    return lower, inverse * jnp.stack(scales[::-1]), right
-
-
-def _solved(dense: Dense) -> list[Any]:
-    """The solution of the equations."""
-    lower, inverse, right = dense
-    half, x = [], []
-    for row in reversed(lower):
-        half.append(right[-1])
-        right = right[:-1] - right[-1] * row
-    for row, scale, value in zip(lower, inverse, reversed(half), strict=True):
-        x.append(value * scale - sum(part * other for part, other in zip(row, x, strict=True)))
-    return x
+def _picked(flags: Bool[Array, "pairs worlds"], value: Any) -> Any:
+    """Select in each world the entry whose flag is set, along the first axis."""
+    return jnp.where(flags, value, jnp.zeros((), value.dtype)).sum(axis=0).astype(value.dtype)

@@ -14,10 +14,9 @@ import jax
 import jax.numpy as jnp
 
 from humanoid_mjx.mechanics.scalars import Scalar
-from humanoid_mjx.mechanics.tree.algebra import FEW_PAIRS
 from humanoid_mjx.mechanics.tree.inertia import factor
 from humanoid_mjx.mechanics.tree.line import lowest_share
-from humanoid_mjx.mechanics.tree.pairs import all_close, few_close, joined, pair_residuals, with_pairs
+from humanoid_mjx.mechanics.tree.pairs import Slot, all_close, close_pairs, with_pairs
 from humanoid_mjx.mechanics.tree.problem import Active, Problem, active_at, normal_equations, worlds_of
 from humanoid_mjx.mechanics.tree.structure import Tree
 
@@ -36,13 +35,16 @@ worlds do: at friction 0.3 a tenth of 512 thrown bodies within 2 s. At friction 
 0.7; with 0.6 and 0.8 one and three do not."""
 
 
-def search(tree: Tree, problem: Problem, start: list[Any], most: int) -> tuple[list[Any], Any]:
-    """The accelerations after at most so many steps, and where they are settled, from which on they stay."""
-    near = functools.reduce(jnp.logical_or, [touch.close.any() for touch in problem.pairs], jnp.bool_(False))
+def search(tree: Tree, problem: Problem, slots: list[Slot], start: list[Any], most: int) -> tuple[list[Any], Any]:
+    """The accelerations after at most so many steps, and where they are settled, from which on they stay.
+
+    `slots`: the contacts between bodies.
+    """
+    near = functools.reduce(jnp.logical_or, [slot.touch.close.any() for slot in slots], jnp.bool_(False))
 
     def step(carry: tuple[Any, ...]) -> tuple[Any, ...]:
         before, active, settled, count = carry
-        x, pairs = _minimum(tree, problem, active, near)
+        x, pairs = _minimum(tree, problem, slots, active, near)
         now = active_at(tree, problem, x)._replace(pairs=pairs)
         values = [jnp.where(settled, old, v.value) for old, v in zip(before, x, strict=True)]
         errors = SAME * jnp.where(count < PATIENCE, 1.0, MORE)
@@ -50,7 +52,7 @@ def search(tree: Tree, problem: Problem, start: list[Any], most: int) -> tuple[l
         whole = 1 if problem.slips else WHOLE
         if most > whole:
             shorter = (count >= whole) & ~settled.all()
-            shorten = partial(_shortened, tree, problem, before, values, active, settled)
+            shorten = partial(_shortened, tree, problem, slots, before, values, active, settled)
             values, now = jax.lax.cond(shorter, shorten, lambda: (values, now))
         return values, now, settled, count + 1
 
@@ -60,23 +62,22 @@ def search(tree: Tree, problem: Problem, start: list[Any], most: int) -> tuple[l
     worlds = worlds_of(problem, start)
     start = [jnp.broadcast_to(value, (*jnp.shape(value)[:-1], *worlds)) for value in start]
     active = active_at(tree, problem, [Scalar(value) for value in start])
-    if problem.pairs:
-        active = active._replace(pairs=all_close(problem.pairs))  # a guess
+    active = active._replace(pairs=all_close(slots))  # a guess
     unsettled = jnp.zeros(worlds, bool)
     x, _, settled, _ = jax.lax.while_loop(going, step, (start, active, unsettled, jnp.int32(0)))
     return x, settled
 
 
-def _shortened(tree: Tree, problem: Problem, before: Any, values: Any, active: Active, settled: Any) -> Any:
+def _shortened(
+    tree: Tree, problem: Problem, slots: list[Slot], before: Any, values: Any, active: Active, settled: Any
+) -> Any:
     """The accelerations after a part of the way from `before` to `values`, where the facets that push in `active` lead,
     and which facets push there; settled worlds stay."""
-    touch = joined(tree, problem.pairs) if problem.pairs else None
     one, two = ([Scalar(value) for value in x] for x in (before, values))
-    share = lowest_share(tree, problem, touch, active, one, two, settled) if problem.slips else SHARE
+    share = lowest_share(tree, problem, slots, active, one, two, settled) if problem.slips else SHARE
     values = [jnp.where(settled, new, old + share * (new - old)) for old, new in zip(before, values, strict=True)]
     found = [Scalar(value) for value in values]
-    pairs = touch.active(pair_residuals(tree, problem.kinematics, touch, found)) if touch else []
-    return values, active_at(tree, problem, found)._replace(pairs=pairs)
+    return values, active_at(tree, problem, found)._replace(pairs=[slot.active(tree, found) for slot in slots])
 
 
 def _differ(one: Active, two: Active) -> Any:
@@ -105,7 +106,9 @@ def _in_any_lane(combine: Callable[[Any, Any], Any], values: Sequence[Any]) -> A
     return functools.reduce(combine, each)
 
 
-def _minimum(tree: Tree, problem: Problem, active: Active, near: Any) -> tuple[list[Scalar], list[Any]]:
+def _minimum(
+    tree: Tree, problem: Problem, slots: list[Slot], active: Active, near: Any
+) -> tuple[list[Scalar], list[Any]]:
     """If these facets and stops push and no others, and which facets of pairs push there.
 
     Args:
@@ -114,16 +117,15 @@ def _minimum(tree: Tree, problem: Problem, active: Active, near: Any) -> tuple[l
     matrix, right = normal_equations(tree, problem, active)
     factors = factor(tree, matrix)
     x = factors.solve(right)
-    if not problem.pairs:
+    if not slots:
         return x, active.pairs
 
     def together() -> tuple[list[Any], list[Any]]:
-        at, touch = problem.kinematics, joined(tree, problem.pairs)
-        found = with_pairs(tree, at, touch, active.pairs, factors, right, x)
-        return [v.value for v in found], touch.active(pair_residuals(tree, at, touch, found))
+        found = with_pairs(tree, slots, active.pairs, factors, x)
+        return [v.value for v in found], [slot.active(tree, found) for slot in slots]
 
     def alone() -> tuple[list[Any], list[Any]]:
-        return [v.value for v in x], [jnp.zeros_like(flags) for flags in active.pairs]
+        return [v.value for v in x], jax.tree.map(jnp.zeros_like, active.pairs)
 
     values, pairs = jax.lax.cond(near, together, alone)
     return [Scalar(value) for value in values], pairs
@@ -143,37 +145,41 @@ def search_blocks(tree: Tree, problem: Problem, start: list[Any]) -> tuple[list[
     """`search`; of more worlds than a block holds, on a CPU, block by block and in two passes.
 
     Worlds of a block wait for the slowest of them. So after `FIRST_STEPS` those that are not settled, and those where
-    bodies are close, are gathered into blocks of their own, of which only the first compute pairs. Worlds of which more
-    than `SLOTS` of many pairs are close do not settle.
+    bodies are close, are gathered into blocks of their own, of which only the first compute pairs. Worlds where bodies
+    touch each other in more than `SLOTS` places do not settle.
     """
     worlds = worlds_of(problem, start)
+
+    def whole(problem: Problem, start: list[Any], at: Any = None) -> tuple[list[Any], Any]:
+        if not pairs:
+            return search(tree, problem, [], start, MOST_STEPS)
+        slots, more = close_pairs(tree, problem.kinematics, pairs, at)
+        found, settled = search(tree, problem, slots, start, MOST_STEPS)
+        return found, settled & ~more
+
+    pairs, problem = problem.pairs, problem._replace(pairs=[])
     if worlds <= (BLOCK,) or jax.default_backend() != "cpu":
-        return search(tree, problem, start, MOST_STEPS)
+        return whole(problem, start)
 
     def part(things: Any, pick: Callable[[Any], Any]) -> Any:
         return jax.tree.map(lambda v: pick(v) if jnp.shape(v)[-1:] == worlds else v, things)
 
     def first(begin: Any) -> tuple[list[Any], Any]:
-        own, before = part((problem._replace(pairs=[]), start), lambda v: _block(v, begin))
-        return search(tree, own, before, FIRST_STEPS)
+        own, before = part((problem, start), lambda v: _block(v, begin))
+        return search(tree, own, [], before, FIRST_STEPS)
 
-    close = [flag for touch in problem.pairs for flag in touch.close]
+    close = [flag for touch in pairs for flag in touch.close]
     near = functools.reduce(jnp.logical_or, close, jnp.zeros(worlds, bool))
     nothing = [jnp.zeros((*jnp.shape(v)[:-1], *worlds), v.dtype) for v in start], near
     x, settled = _by_blocks(first, -(-worlds[0] // BLOCK), nothing)
     left = near | ~settled
-    many = sum(len(touch.close) for touch in problem.pairs) > FEW_PAIRS
     # Of indices that may be negative, each look-up would be traced at length.
     order = jnp.argsort(jnp.where(near, 0, jnp.where(left, 1, 2))).astype(jnp.uint32)
 
     def second(begin: Any) -> tuple[list[Any], Any]:
         at = _block(order, begin)
-        own, before = part((problem._replace(pairs=[]) if many else problem, x), lambda v: v[..., at])
-        if not many:
-            return search(tree, own, before, MOST_STEPS)
-        touch, more = few_close(tree, own.kinematics, joined(tree, problem.pairs), at)
-        found, settled = search(tree, own._replace(pairs=[touch]), before, MOST_STEPS)
-        return found, settled & ~more
+        own, before = part((problem, x), lambda v: v[..., at])
+        return whole(own, before, at)
 
     found = _by_blocks(second, (left.sum() + (BLOCK - 1)) // BLOCK, (x, settled))
     back = jnp.argsort(order).astype(jnp.uint32)
