@@ -98,7 +98,7 @@ def test_limbs_of_one_build_are_lanes():
 
 
 def test_worlds_with_more_contacts_of_bodies_than_slots_do_not_settle(monkeypatch):
-    """Of more worlds than a block holds, which keep the contacts of few of many pairs."""
+    """Of more worlds than a block holds, and of many pairs."""
     model = converged(ROBOTS["jointed"]())
     at = states(model, 500)
     count = contacts_of_bodies(model, at[0])

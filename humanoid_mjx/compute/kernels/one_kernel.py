@@ -119,7 +119,7 @@ def _results(traced: ClosedJaxpr, threads: Threads, numbers: Sequence[Array]) ->
 
 
 class _Stage(NamedTuple):
-    """Shared memory on the way between the device's memory and the registers, a column for each world.
+    """Shared memory on the way between the device's memory and the registers, a column for each thread.
 
     For every access to the device's memory in a program Triton looks at all that has an operand in common with what
     depends on it: with one for each number a time step did not compile within four minutes. So there is one for each
@@ -130,7 +130,7 @@ class _Stage(NamedTuple):
     """
 
     address: Array
-    """Addresses of each world's first number, in bytes."""
+    """Addresses of each thread's first number, in bytes."""
 
     @classmethod
     def of(cls, rows: int) -> "_Stage":

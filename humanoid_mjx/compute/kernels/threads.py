@@ -353,8 +353,8 @@ ARRANGEMENTS: dict[str, Callable[..., list[np.ndarray]]] = {
 
 REDUCTIONS: dict[str, tuple[Callable[[Any, Any], Any], Any]] = {
     "reduce_and": (lax.bitwise_and, True),
-    "reduce_min": (lax.min, np.inf),
+    "reduce_min": (lax.min, 0),
     "reduce_or": (lax.bitwise_or, False),
     "reduce_sum": (lax.add, 0),
 }
-"""Reductions by primitive: the operation on two elements, and its identity."""
+"""Reductions by primitive: the operation on two elements, and what is made of none; jax refuses a minimum of none."""

@@ -13,7 +13,7 @@ from humanoid_mjx.mechanics.scalars import NULL, ONE, ZERO, Scalar, Symmetric, V
 from humanoid_mjx.mechanics.tree.structure import Axes, Table
 
 FEW_PAIRS = 8
-"""More share what is equal in them. The lower body has 5."""
+"""Above so many pairs, equal bodies' scalars are shared (`each_of`). The lower body has 5."""
 
 
 def _flatten(scalar: Scalar) -> tuple[tuple[Any, ...], float | None]:

@@ -62,9 +62,6 @@ class Touch(NamedTuple):
     offset: Vector
     """Less its reference acceleration, in its frame: what is added to the acceleration of its place."""
     friction: Friction
-    rows: list[list[Scalar]] | None = None
-    """Of pairs that differ from world to world: by facet and degree of freedom, the acceleration along the facet for a
-    unit of that of the degree of freedom."""
 
     def residual(self, motion: Spatial) -> Vector:
         """The contact's acceleration less its reference where the body accelerates by `motion`, in its own frame."""
@@ -212,7 +209,7 @@ def pair_touch(pairs: Pairs, kinematics: Kinematics, motions: Sequence[Spatial],
     boxes = isinstance(pairs.ones[0], Box)
     place, normal, distance = between_boxes(pairs, kinematics) if boxes else _between_capsules(pairs, kinematics)
     velocity = apart(pairs.ones, pairs.twos, motions, place)
-    # Without friction the tangents are never asked for, and cost nothing.
+    # Without friction no one reads the tangents, and a compiler leaves them out.
     return _touch(pairs.surface, place, _frame(normal, None), distance, velocity, friction)
 
 

@@ -26,10 +26,13 @@ from humanoid_mjx.mechanics.tree.kinematics import Kinematics
 from humanoid_mjx.mechanics.tree.structure import Box, Capsule, Tree
 
 SLOTS = 8
-"""Contacts between bodies that a world may have at a time."""
+"""Contacts between bodies that a world may have at a time, those of two boxes corner by corner."""
 
 Flags = list[list[Bool[Array, " worlds"]]]
 """Masks of the facets that push, slot by slot."""
+
+Ends = list[tuple[int, int]]
+"""The first and the last number of the bodies that a degree of freedom moves, lane by lane."""
 
 Block = list[list[Scalar]]
 """A small matrix, or vectors over the degrees of freedom, row by row."""
@@ -74,34 +77,38 @@ def close_pairs(
       worlds: indices of these; None: all, without looking up any.
     """
     touch = _joined(tree, touches)
-    size, numbers = len(touch.close), [[_number(tree, shape) for shape in pair] for pair in _each(tree)]
+    size, numbers = len(touch.close), _numbers(tree)
+    ranges = _ranges(tree, numbers)
+    bodies = [
+        [numbers[shape.body, shape.lane * tree.bodies[shape.body].laned] for shape in pair] for pair in _each(tree)
+    ]
     least = touch._replace(frame=touch.frame[:2], distance=ZERO)
     left = touch.close if worlds is None else touch.close[:, worlds]
     index, slots = jnp.arange(size, dtype=jnp.uint32)[:, None], []
 
-    def slot_of(pick: Callable[[Any], Any], bodies: Sequence[Any]) -> Slot:
+    def slot_of(pick: Callable[[Any], Any], two: Sequence[Any]) -> Slot:
         found = jax.tree.map(lambda v: pick(jnp.broadcast_to(v, touch.close.shape)), least)
         normal, tangent = found.frame
         found = found._replace(frame=(normal, tangent, cross(normal, tangent)))
-        return Slot(found, _rows(tree, kinematics, found, bodies))
+        return Slot(found, _rows(kinematics, found, two, ranges))
 
     if size <= SLOTS:
         for pair in range(size):
             pick = lambda v, pair=pair: v[pair] if worlds is None else v[pair, worlds]  # noqa: E731
-            slots.append(slot_of(pick, numbers[pair]))
+            slots.append(slot_of(pick, bodies[pair]))
         return slots, jnp.zeros(left.shape[1:], bool)
-    table = np.array(numbers, float).T[..., None]
+    table = np.array(bodies, float).T[..., None]
     for _ in range(SLOTS):
         first = jnp.where(left, index, size).min(axis=0)
         chosen = index == first
         if worlds is None:
             pick = lambda v, chosen=chosen: _picked(chosen, v)  # noqa: E731
-            bodies = [_picked(chosen, jnp.asarray(column, float)) for column in table]
+            two = [_picked(chosen, jnp.asarray(column, float)) for column in table]
         else:
             pair = jnp.minimum(first, size - 1)
             pick = lambda v, pair=pair: v[pair, worlds]  # noqa: E731
-            bodies = [jnp.asarray(column[:, 0], float)[pair] for column in table]
-        slot = slot_of(pick, bodies)
+            two = [jnp.asarray(column[:, 0], float)[pair] for column in table]
+        slot = slot_of(pick, two)
         slots.append(slot._replace(touch=slot.touch._replace(close=first < size)))
         left = left & ~chosen
     return slots, left.any(axis=0)
@@ -130,11 +137,13 @@ def with_pairs(tree: Tree, slots: Sequence[Slot], active: Flags, factors: Factor
         return arrays(x), [arrays(column) for column in columns], inner
 
     for slot, flags in zip(slots, active, strict=True):
-        pushes = functools.reduce(jnp.logical_or, flags).any()
+        pushes = functools.reduce(jnp.logical_or, flags)
         made = functools.partial(update, slot, flags, x)
         nothing = jax.tree.map(lambda v: jnp.zeros(v.shape, v.dtype), jax.eval_shape(made))
-        found = jax.lax.cond(pushes, made, lambda same=x, nothing=nothing: (arrays(same), *nothing[1:]))
-        x, *rest = jax.tree.map(Scalar, found)
+        found = jax.lax.cond(pushes.any(), made, lambda same=x, nothing=nothing: (arrays(same), *nothing[1:]))
+        # A world's bits must not depend on whether another made its batch come here.
+        after, *rest = jax.tree.map(Scalar, found)
+        x = [Scalar(jnp.where(pushes, new.value, old.value)) for new, old in zip(after, x, strict=True)]
         before.append(tuple(rest))
     return list(x)
 
@@ -147,26 +156,21 @@ def _less(x: Sequence[Scalar], shares: Sequence[Scalar], columns: Block) -> list
 def _inner(touch: Touch, flags: Sequence[Any], compliance: Block) -> Block:
     """N, with which these facets push: `R^T (1 + R C R^T)^-1 R`, where `K = R^T R` and C is the compliance G Z.
 
-    It has no inverse of K, which is singular where not all facets push.
+    K is not inverted: it is singular where not all facets push.
     """
-    size = len(compliance)
-    stiff = root(touch.weight)
-    on = [Scalar(jnp.where(flag, stiff.value, 0.0)) for flag in flags]
-    units = [Vector(*(ONE if axis == other else ZERO for other in range(3))) for axis in range(size)]
-    facets = list(zip(*(touch.facets(unit) for unit in units), strict=True))
-    rows = [[scale * part for part in facet] for scale, facet in zip(on, facets, strict=True)]
+    size, rows = len(compliance), _root(touch, flags)
     felt = [[dot(row, [line[axis] for line in compliance]) for axis in range(size)] for row in rows]
-    lower, scales = [], []
+    lower: Block = []
+    scales: list[Scalar] = []
     reduced: Block = []
     for index, row in enumerate(rows):
         # A row of the factors L D L^T, and one of L^-1 R.
         entries = [dot(felt[index], rows[other]) for other in range(index + 1)]
-        entries[index] = entries[index] + ONE
         line: list[Scalar] = []
         for other in range(index):
             done = [a * b for a, b in zip(line, scales, strict=False)]
             line.append((entries[other] - dot(done, lower[other])) / scales[other])
-        scales.append(entries[index] - dot(line, [a * b for a, b in zip(line, scales, strict=True)]))
+        scales.append(entries[index] + ONE - dot(line, [a * b for a, b in zip(line, scales, strict=True)]))
         lower.append(line)
         reduced.append([v - dot(line, [past[axis] for past in reduced]) for axis, v in enumerate(row)])
     inverse = [ONE / scale for scale in scales]
@@ -180,6 +184,32 @@ def _inner(touch: Touch, flags: Sequence[Any], compliance: Block) -> Block:
     return [[lines[max(one, two)][min(one, two)] for two in range(size)] for one in range(size)]
 
 
+def _root(touch: Touch, flags: Sequence[Any]) -> Block:
+    """R, the root of the stiffness K that these facets have: upper triangular.
+
+    It is that of the number of facets, scaled: the sum over facets loses what friction adds where there is little.
+    """
+    weight = root(touch.weight)
+    one, *others = (Scalar(jnp.where(flag, jnp.ones_like(weight.value), 0.0)) for flag in flags)
+    if touch.friction is None:
+        return [[weight * one]]
+    two, three, four = others
+    first, over_first = _pivot(one + two + three + four)
+    up, across = (one - two) * over_first, (three - four) * over_first
+    second, over_second = _pivot(one + two - up * up)
+    both = -(up * across) * over_second
+    third = _pivot(three + four - across * across - both * both)[0]
+    mu, nu = (weight * part for part in touch.friction)
+    return [[weight * first, mu * up, nu * across], [ZERO, mu * second, nu * both], [ZERO, ZERO, nu * third]]
+
+
+def _pivot(square: Scalar) -> tuple[Scalar, Scalar]:
+    """A root and its inverse, both 0 where the square is 0 but for rounding; else it is a third or more."""
+    some = square.value > 1e-3
+    length = jnp.sqrt(jnp.where(some, square.value, 1.0))
+    return Scalar(jnp.where(some, length, 0.0)), Scalar(jnp.where(some, 1.0 / length, 0.0))
+
+
 def _products(tree: Tree, rows: Block, columns: Sequence[Sequence[Scalar]]) -> Block:
     """The scalar products of vectors over the degrees of freedom, those of all lanes."""
     stem = sum(not tree.laned(dof) for dof in range(tree.nv))
@@ -189,18 +219,17 @@ def _products(tree: Tree, rows: Block, columns: Sequence[Sequence[Scalar]]) -> B
     return [both[first : first + len(columns)] for first in range(0, len(both), len(columns))]
 
 
-def _rows(tree: Tree, kinematics: Kinematics, touch: Touch, bodies: Sequence[Any]) -> Block:
+def _rows(kinematics: Kinematics, touch: Touch, bodies: Sequence[Any], ranges: Sequence[Ends]) -> Block:
     """The rows of a contact of two bodies, which are numbers that are known while tracing or of each world."""
     found: Block = []
-    for dof in range(tree.nv):
-        ends = [_range(tree, dof, index) for index in range(len(tree.dofs[dof]))]
+    for dof, ends in enumerate(ranges):
         one, two = (_within(number, ends) for number in bodies)
         moved = resolve(touch.frame, velocity_at(kinematics.motions[dof], touch.place))
         found.append([(two - one) * part for part in moved[: 1 if touch.friction is None else 3]])
     return list(map(list, zip(*found, strict=True)))
 
 
-def _within(number: Any, ends: Sequence[tuple[int, int]]) -> Scalar:
+def _within(number: Any, ends: Ends) -> Scalar:
     """1 where the number of a body lies between the ends, with an axis of lanes where there are several ends."""
     if isinstance(number, int):
         inside = [float(first <= number <= last) for first, last in ends]
@@ -210,7 +239,6 @@ def _within(number: Any, ends: Sequence[tuple[int, int]]) -> Scalar:
     return Scalar(inside if len(ends) > 1 else inside[0])
 
 
-@functools.lru_cache
 def _numbers(tree: Tree) -> dict[tuple[int, int], int]:
     """Numbers of the bodies of all lanes, in which those that a degree of freedom moves are neighbours."""
     found: dict[tuple[int, int], int] = {}
@@ -227,18 +255,15 @@ def _numbers(tree: Tree) -> dict[tuple[int, int], int]:
     return found
 
 
-def _number(tree: Tree, shape: Capsule | Box) -> int:
-    return _numbers(tree)[shape.body, shape.lane if tree.bodies[shape.body].laned else 0]
+def _ranges(tree: Tree, numbers: dict[tuple[int, int], int]) -> list[Ends]:
+    """By degree of freedom."""
 
+    def moved(dof: int, index: int) -> list[int]:
+        places = (place for place in numbers if dof in tree.moving(place[0]))
+        return [numbers[place] for place in places if place[1] == index or not tree.laned(dof)]
 
-def _range(tree: Tree, dof: int, index: int) -> tuple[int, int]:
-    """The first and the last number of the bodies that a degree of freedom of a lane moves."""
-    moved = [
-        number
-        for (body, lane), number in _numbers(tree).items()
-        if dof in tree.moving(body) and (lane == index or not tree.laned(dof))
-    ]
-    return min(moved), max(moved)
+    each = [[moved(dof, index) for index in range(len(tree.dofs[dof]))] for dof in range(tree.nv)]
+    return [[(min(part), max(part)) for part in lanes] for lanes in each]
 
 
 def _joined(tree: Tree, touches: Sequence[Touch]) -> Touch:
