@@ -11,6 +11,7 @@ which takes a solution of the sparse equations for each row of G.
 
 import functools
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -92,23 +93,20 @@ def close_pairs(
         found = found._replace(frame=(normal, tangent, cross(normal, tangent)))
         return Slot(found, _rows(kinematics, found, two, ranges))
 
+    def of(pair: Any) -> Callable[[Any], Any]:
+        return lambda v: v[pair] if worlds is None else v[pair, worlds]
+
     if size <= SLOTS:
-        for pair in range(size):
-            pick = lambda v, pair=pair: v[pair] if worlds is None else v[pair, worlds]  # noqa: E731
-            slots.append(slot_of(pick, bodies[pair]))
-        return slots, jnp.zeros(left.shape[1:], bool)
-    table = np.array(bodies, float).T[..., None]
+        return [slot_of(of(pair), bodies[pair]) for pair in range(size)], jnp.zeros(left.shape[1:], bool)
+    table = jnp.array(bodies, float).T[..., None]
     for _ in range(SLOTS):
         first = jnp.where(left, index, size).min(axis=0)
         chosen = index == first
         if worlds is None:
-            pick = lambda v, chosen=chosen: _picked(chosen, v)  # noqa: E731
-            two = [_picked(chosen, jnp.asarray(column, float)) for column in table]
+            slot = slot_of(partial(_picked, chosen), [_picked(chosen, column) for column in table])
         else:
             pair = jnp.minimum(first, size - 1)
-            pick = lambda v, pair=pair: v[pair, worlds]  # noqa: E731
-            two = [jnp.asarray(column[:, 0], float)[pair] for column in table]
-        slot = slot_of(pick, two)
+            slot = slot_of(of(pair), [column[:, 0][pair] for column in table])
         slots.append(slot._replace(touch=slot.touch._replace(close=first < size)))
         left = left & ~chosen
     return slots, left.any(axis=0)
@@ -138,7 +136,7 @@ def with_pairs(tree: Tree, slots: Sequence[Slot], active: Flags, factors: Factor
 
     for slot, flags in zip(slots, active, strict=True):
         pushes = functools.reduce(jnp.logical_or, flags)
-        made = functools.partial(update, slot, flags, x)
+        made = partial(update, slot, flags, x)
         nothing = jax.tree.map(lambda v: jnp.zeros(v.shape, v.dtype), jax.eval_shape(made))
         found = jax.lax.cond(pushes.any(), made, lambda same=x, nothing=nothing: (arrays(same), *nothing[1:]))
         # A world's bits must not depend on whether another made its batch come here.
