@@ -508,3 +508,17 @@ def test_precision_is_of_a_gpu(monkeypatch):
     assert rounded.dtype == np.float32
     error = np.sqrt(np.mean((rounded - exact) ** 2)) / exact.std()
     assert 2.0**-11 < error < 2.0**-5
+
+
+def test_networks_learn_on_a_gpu_as_on_a_cpu(monkeypatch):
+    """The sums and products there are in another order, but for rounding the same."""
+    learner = build("deep", probe("choice", 2)[0], minibatches=2, epochs=2)
+    value, optimizer = learner.init_value(rng.key(0))
+    obs, target = jax.random.normal(rng.key(1), (256, learner.env.observation_size)), jnp.arange(256.0) / 256
+    batch = Batch(obs, jnp.zeros((256, 2), int), target)
+    one, *_ = learner.learn(learner.learning_rate, value, optimizer, batch, rng.key(2))
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    two, *_ = learner.learn(learner.learning_rate, value, optimizer, batch, rng.key(2))
+    for old, new, same in zip(*map(jax.tree.leaves, (value, one, two)), strict=True):
+        assert np.abs(new - old).max() > 1e-4
+        np.testing.assert_allclose(same, new, rtol=1e-4, atol=1e-6)
