@@ -19,6 +19,7 @@ from humanoid_mjx import compute
 from humanoid_mjx.compute import Arithmetic
 from humanoid_mjx.compute.kernels.worlds import worlds_last
 from humanoid_mjx.control.drives import limited
+from humanoid_mjx.control.stages import Stages
 from humanoid_mjx.mechanics.contacts import Contacts, jacobian_of, no_contacts
 from humanoid_mjx.mechanics.scalars import unstack
 from humanoid_mjx.mechanics.tree import sensing
@@ -30,6 +31,13 @@ from humanoid_mjx.physics.base import MAX_SPEED, Controller, Once, Poses, Sensed
 from humanoid_mjx.physics.model import MujocoPhysics
 from humanoid_mjx.robot.description import IMU, ground_points, motor_limits
 from humanoid_mjx.types import AnyArray, BoolScalar
+
+UNROLL = 4
+"""Time steps in one pass of a loop on a GPU, which copies what a loop carries, each part by a kernel of its own."""
+
+
+class _AsksMore(Exception):
+    """A controller asks for more than angles and velocities."""
 
 
 class TreePhysics(MujocoPhysics):
@@ -52,7 +60,14 @@ class TreePhysics(MujocoPhysics):
         return World(*self._move(_advance, values, state, world, torque)), torque
 
     def run(self, world: World, controller: Controller, cycles: int) -> World:
-        # The state is carried as separate scalars: a batch of them is contiguous, and few kernels compute them all.
+        if _kernels_run():
+
+            def step(now: World, _: None) -> tuple[World, None]:
+                return self.step(now, controller)[0], None
+
+            return jax.lax.scan(step, _batched(world, world), length=cycles, unroll=UNROLL)[0]
+
+        # On a CPU the state is carried as separate scalars: a batch of them is contiguous, and few kernels compute all.
         def cycle(carry: list[list[Array]], _: None) -> tuple[list[list[Array]], None]:
             *parts, (diverged,) = carry
             now = World(*(jnp.stack(part) for part in parts), diverged)
@@ -72,8 +87,9 @@ class TreePhysics(MujocoPhysics):
             parts, seen = self._move(_advance_sensed, values, state, now, torque, last)
             return (World(*parts), (now.qpos[self.joint_qpos], torque, seen)), None
 
+        unroll = cycles if _kernels_run() and self._asks_little(controller) else 1
         last = jnp.arange(cycles) == cycles - 1
-        (world, sensed), _ = jax.lax.scan(cycle, _batched((world, self._nothing()), world), last)
+        (world, sensed), _ = jax.lax.scan(cycle, _batched((world, self._nothing()), world), last, unroll=unroll)
         return world, self._seen(*jax.tree.map(lambda part: jnp.where(world.diverged, 0.0, part), sensed))
 
     def sense(self, world: World, torque: Float[AnyArray, " joints"]) -> Sensed:
@@ -113,7 +129,7 @@ class TreePhysics(MujocoPhysics):
         self, function: Any, values: mechanics.Values, state: mechanics.State | None, world: World, *given: Any
     ) -> Any:
         """`_advance` or `_advance_sensed`; of float32 on a GPU one kernel, that makes the state rather than read it."""
-        kernel = compute.why_no_kernel() is None and not jax.config.read("jax_enable_x64")
+        kernel = _kernels_run()
         call = worlds_last(function, self.tree, lanes=self.tree.lanes if kernel else 0)
         return call(values, None if kernel else state, tuple(world), *given)
 
@@ -121,6 +137,19 @@ class TreePhysics(MujocoPhysics):
         factor, torque = jnp.asarray(self.torque_limit, float), jnp.asarray(torque, float)
         bounds = {own: factor * own for own in motor_limits(self.model).tolist()}
         return limited(torque, [bounds[own] for own in motor_limits(self.model).tolist()])
+
+    def _asks_little(self, controller: Controller) -> bool:
+        """True if the controller asks for no more than angles and velocities."""
+
+        def more(*_: Any) -> Any:
+            raise _AsksMore
+
+        state = jax.ShapeDtypeStruct((len(self.joint_names),), jnp.float32)
+        try:
+            jax.eval_shape(lambda *at: controller(Stages(*at, more, more, more, self.joint_dofs)), state, state)
+        except _AsksMore:
+            return False
+        return True
 
     def _ask(
         self, values: mechanics.Values, world: World, controller: Controller
@@ -145,6 +174,11 @@ class TreePhysics(MujocoPhysics):
 
         torque = self._within(controller(self._stages(world, lambda: dynamics(state()), of_other, contacts)))
         return torque, state.made
+
+
+def _kernels_run() -> bool:
+    """True where a kernel computes time steps: in float32 on a GPU."""
+    return compute.why_no_kernel() is None and not jax.config.read("jax_enable_x64")
 
 
 def _batched(tree: Any, world: World) -> Any:

@@ -11,13 +11,35 @@ import pytest
 from tree_robots import HOPPER, PLANAR, SHAPES, converged, states
 
 from humanoid_mjx.compute.kernels.one_kernel import one_kernel
+from humanoid_mjx.compute.kernels.worlds import worlds_last
 from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.mechanics.tree.folding import fold
 from humanoid_mjx.mechanics.tree.reading import read_tree
 from humanoid_mjx.mechanics.tree.step import Values
-from humanoid_mjx.physics import tree
-from humanoid_mjx.robot import make_robot
+from humanoid_mjx.physics import make_physics, tree
+from humanoid_mjx.robot import Robot, make_robot
 from humanoid_mjx.robot.description import compiled
+
+PENDULUM = """
+<mujoco>
+  <worldbody>
+    <body>
+      <site name="imu"/>
+      <joint name="hip" axis="0 1 0" range="-90 90"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.02" mass="0.5"/>
+      <body pos="0 0 -0.2">
+        <joint name="knee" axis="0 1 0" range="-90 90"/>
+        <geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.02" mass="0.3"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><motor joint="hip"/><motor joint="knee"/></actuator>
+  <sensor>
+    <gyro name="gyroscope" site="imu"/>
+    <accelerometer name="accelerometer" site="imu"/>
+  </sensor>
+</mujoco>
+"""
 
 TABLE = np.array([[0.0, 1.0, -2.0], [0.5, 0.0, 1.0]], np.float32)[..., None]
 
@@ -111,3 +133,37 @@ def test_what_trees_may_have_is_what_threads_can_do(xml):
     expected = jax.eval_shape(step, terrain, world, control)
     found = jax.eval_shape(lambda *args: one_kernel(step, *args, interpret=True), terrain, world, control)
     assert [x.dtype for x in jax.tree.leaves(found)] == [x.dtype for x in jax.tree.leaves(expected)]
+
+
+class Pendulum(Robot):
+    """Two links, which compile in seconds."""
+
+    def spec(self, timestep=None):
+        return mujoco.MjSpec.from_string(PENDULUM)
+
+
+CONTROLLERS = {
+    "a servo": (True, lambda stages: -0.5 * stages.qpos - 0.1 * stages.qvel),
+    "a model": (False, lambda stages: stages.torque_for(-20.0 * stages.qpos - 5.0 * stages.qvel, 1.0)),
+}
+
+
+@pytest.mark.parametrize("case", CONTROLLERS)
+def test_loops_of_a_gpu_are_those_of_a_cpu(case, monkeypatch):
+    """Steps are written out there, and the state is carried as a whole; here of XLA's kernels."""
+    little, controller = CONTROLLERS[case]
+    pendulum = make_physics("tree", robot=Pendulum(name="pendulum"))
+    qpos, qvel, _ = (np.float32(x) for x in states(pendulum.model, 20))
+
+    def run(qpos, qvel):
+        world = pendulum.start(qpos, qvel)
+        return pendulum.run(world, controller, 6), *pendulum.run_sensed(world, controller, 3)
+
+    expected = jax.jit(jax.vmap(run))(qpos, qvel)
+    monkeypatch.setattr(tree, "_kernels_run", lambda: True)
+    monkeypatch.setattr(tree, "worlds_last", lambda function, *static, lanes=0: worlds_last(function, *static))
+    assert pendulum._asks_little(controller) == little
+    found = jax.jit(jax.vmap(lambda *at: run(*at)))(qpos, qvel)
+    for wanted, got in zip(jax.tree.leaves(expected), jax.tree.leaves(found), strict=True):
+        size = np.abs(np.float64(wanted)).max() if wanted.size else 0.0
+        np.testing.assert_allclose(got, wanted, atol=1e-4 * size + 1e-6)  # as a time step's

@@ -27,6 +27,7 @@ def worlds_last(function: Callable[..., Any], *static: Any, lanes: int = 0) -> C
     of so many lanes of a world (`one_kernel`).
     """
     function = jax.jit(partial(function, *static))
+    kernel = jax.jit(partial(one_kernel, function, lanes=lanes))  # lowered once however often a program calls it
 
     def single(*args: Any) -> Any:
         found = function(*jax.tree.map(lambda x: jnp.asarray(x)[..., None], args))
@@ -36,7 +37,7 @@ def worlds_last(function: Callable[..., Any], *static: Any, lanes: int = 0) -> C
     def many(*args: Any) -> Any:
         worlds = jax.tree.leaves(args)[0].shape[-1]
         if lanes:
-            return one_kernel(function, *args, lanes=lanes)
+            return kernel(*args)
         return jax.tree.map(lambda x: jnp.broadcast_to(x, (*jnp.shape(x)[:-1], worlds)), function(*args))
 
     @many.def_vmap
