@@ -18,6 +18,9 @@ from jaxtyping import install_import_hook
 # Before the hook: a program's hundred thousand sums and products of scalars would take twice as long to trace.
 import humanoid_mjx.mechanics.scalars  # noqa: F401
 
+# The hook rewrites every module: once for all processes, and none of them looks for garbage in what it imports.
+sys.dont_write_bytecode = False
+gc.set_threshold(50_000)
 install_import_hook("humanoid_mjx", "typecheck.check")
 
 from humanoid_mjx import cli, compute  # noqa: E402

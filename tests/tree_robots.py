@@ -1,6 +1,7 @@
 """Robots that are not the lower body, and states of any robot that try all that a contact solver must bear."""
 
 from collections.abc import Callable
+from copy import copy
 from pathlib import Path
 from typing import Any
 
@@ -84,7 +85,8 @@ def dropped(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Positions, velocities and controls of any model: what native MuJoCo makes of random postures within a second.
     Hinges begin up to `spread`, rad, from the model's posture."""
-    rng, data, rows = np.random.default_rng(seed), mujoco.MjData(model), []
+    rng, model, rows = np.random.default_rng(seed), copy(model), []
+    model.opt.tolerance, data = 1e-8, mujoco.MjData(model)  # a solver that stops at rounding takes 16 times as long
     steps = max(2, round(1.0 / model.opt.timestep))
     given = (model.actuator_ctrlrange != 0.0).any(axis=1, keepdims=True)
     low, high = np.where(given, model.actuator_ctrlrange, [[-0.5, 0.5]]).T

@@ -23,8 +23,9 @@ from humanoid_mjx.robot.lower_body import LowerBody
 
 
 def jointed():
-    """The quadruped on one ground, its legs thick, with a joint between those in front and those behind."""
-    thick = re.sub('<pair geom1="fl_foot".*?/>', "", QUADRUPED).replace('size="0.02"', 'size="0.06"')
+    """The quadruped with its front feet on one ground, thick legs, and a joint between those in front and behind."""
+    pair = re.search('<pair geom1="fl_foot".*?/>', QUADRUPED).group()
+    thick = QUADRUPED.replace(pair, pair + pair.replace("fl", "fr")).replace('size="0.02"', 'size="0.06"')
     front, rear = thick.split('<body name="rl_thigh"')
     joint = '<body><joint name="spine" axis="0.1 0.2 1" range="-30 30"/><inertial pos="-0.1 0 0" mass="1"'
     xml = f'{front}{joint} diaginertia="0.003 0.002 0.004"/><body name="rl_thigh"{rear}'
@@ -58,15 +59,19 @@ def contacts_of_bodies(model, positions):
     return np.array(found)
 
 
-@pytest.mark.parametrize(("name", "count"), [("free", 4000), ("hopper", 500), ("quadruped", 500), ("jointed", 500)])
-def test_accelerations_agree_with_native(name, count):
-    """What is left is rounding, and what stiff contacts of light feet make of it: 1e-13 as a rule."""
+@pytest.mark.parametrize(
+    ("name", "count", "slots"), [("free", 4000, pairs.SLOTS), ("hopper", 500, 8), ("jointed", 500, 2)]
+)
+def test_accelerations_agree_with_native(monkeypatch, name, count, slots):
+    """What is left is rounding, and what stiff contacts of light feet make of it: 1e-13 as a rule. Worlds with more
+    contacts of bodies than slots do not settle. Bodies of the jointed robot touch in more worlds than a block holds."""
+    monkeypatch.setattr(pairs, "SLOTS", slots)
     model = converged(ROBOTS[name]())
     at = states(model, count)
     qacc, settled = solver(name)(Values(), *at)
-    crowded = contacts_of_bodies(model, at[0]) > pairs.SLOTS
+    crowded = contacts_of_bodies(model, at[0]) > slots
     np.testing.assert_array_equal(settled, ~crowded)
-    assert crowded.mean() < 0.01
+    assert crowded.sum() > 20 if name == "jointed" else crowded.mean() < 0.01
     assert errors(qacc, native(model, *at))[settled].max() < 1e-9
 
 
@@ -95,18 +100,6 @@ def test_limbs_of_one_build_are_lanes():
     lanes = {"free": 2, "fixed": 2, "hopper": 1, "quadruped": 3, "jointed": 2}
     assert {name: tree.lanes for name, tree in trees.items()} == lanes
     assert [len(trees["jointed"].dofs), sum(map(len, trees["jointed"].dofs))] == [13, 19]
-
-
-def test_worlds_with_more_contacts_of_bodies_than_slots_do_not_settle(monkeypatch):
-    """Of more worlds than a block holds, and of many pairs."""
-    model = converged(ROBOTS["jointed"]())
-    at = states(model, 500)
-    count = contacts_of_bodies(model, at[0])
-    monkeypatch.setattr(pairs, "SLOTS", 1)
-    qacc, settled = qacc_of(fold(read_tree(model)))(Values(), *at)
-    np.testing.assert_array_equal(settled, count <= 1)
-    assert min(settled.sum(), (~settled).sum()) > 20
-    assert errors(qacc, native(model, *at))[settled].max() < 1e-9
 
 
 def start(physics, qpos, qvel):
