@@ -56,8 +56,8 @@ class Group:
 
     @property
     def policy(self) -> Any:
-        """The shapes of what one run learns."""
-        return jax.eval_shape(type(self.learners).policy, self.one_learner, self.one_run.carry)
+        """The shapes of what one run learns. `one_run` has them, too, but traces a step of training: seconds."""
+        return jax.eval_shape(lambda learner: learner.policy(learner.init(rng.key(0))), self.one_learner)
 
     def learner(self, row: int = 0) -> Learner:
         """The learner of one of the points, its traced values as arrays."""

@@ -82,8 +82,9 @@ def test_another_value_turns_the_verdict(name, monkeypatch, tmp_path):
 def test_the_maxima_of_a_model_that_was_tried_are_recovered(monkeypatch, tmp_path):
     from humanoid_mjx.reproduction import planned_torques
 
-    trial = planned_torques._trials()[-1]
-    monkeypatch.setattr(leg, "MAX_TORQUES", tuple(trial.maxima))
+    trials = planned_torques._trials()
+    monkeypatch.setattr(planned_torques, "_trials", lambda: trials)
+    monkeypatch.setattr(leg, "MAX_TORQUES", tuple(trials[-1].maxima))
     assert verdicts("table-4.7", tmp_path, "joint ")[:5] == ["recovered"] * 5
 
 
