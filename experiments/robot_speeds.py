@@ -42,7 +42,7 @@ import numpy as np
 from other_robots import file_of, touches, without_meshes  # pyright: ignore[reportMissingImports]
 
 from humanoid_mjx import compute
-from humanoid_mjx.bench.running import native_rollout, on_all_devices, with_servo
+from humanoid_mjx.bench.running import joined, native_rollout, on_all_devices, with_servo
 from humanoid_mjx.control.stages import Stages
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.robot import Robot, make_robot
@@ -157,8 +157,8 @@ def states_of(name: str, folder: str, worlds: int) -> tuple[tuple[np.ndarray, ..
     ages, steps = rng.integers(1, MOVES, DISTINCT, endpoint=True)[:, None], round(MOVE_S / model.opt.timestep)
     for move in range(MOVES):
         new = home + spread * rng.uniform(-1.0, 1.0, setpoint.shape)
-        after = native_rollout(model, qpos, qvel, steps, np.repeat(new[:, None], steps, axis=1))()[:, 1:]
-        parts = after[:, : model.nq], after[:, model.nq : model.nq + model.nv], new
+        after = native_rollout(model, qpos, qvel, steps, new)()
+        parts = after[:, : model.nq], after[:, model.nq :], new
         sound = np.isfinite(after).all(axis=1) & (abs(parts[1]).max(axis=1) < 80.0)
         moves = (move < ages) & sound[:, None]
         qpos, qvel, setpoint = (np.where(moves, *both) for both in zip(parts, (qpos, qvel, setpoint), strict=True))
@@ -267,19 +267,18 @@ def load(subject: str, name: str, folder: str, states: tuple[np.ndarray, ...]) -
         robot, published, servo = robot_of(name, folder)
         model = native_model(robot, published, servo, own=subject.endswith("published"))
         qpos, qvel, setpoint = states
-        call = native_rollout(model, qpos, qvel, STEPS, np.tile(setpoint[:, None], (1, STEPS, 1)))
+        call = native_rollout(model, qpos, qvel, STEPS, setpoint)
 
         def made() -> tuple[Any, ...]:
             after = call()
-            return after[:, 1 : 1 + model.nq], np.isfinite(after).all(axis=1)
+            return after[:, : model.nq], np.isfinite(after).all(axis=1)
     else:
         shares = on_all_devices(
             lambda *at: _made[str(at[0].device)](*at), states, BLOCK.get(jax.default_backend()) or len(states[0])
         )
 
         def made() -> tuple[Any, ...]:
-            rows = [row for line in zip(*shares(), strict=True) for row in line]
-            return tuple(np.concatenate([np.asarray(row[part]) for row in rows]) for part in (0, 1))
+            return joined(shares())
 
     _made["call"] = made
     return {"sound": float(made()[1].mean())}

@@ -25,7 +25,7 @@ import numpy as np
 
 from humanoid_mjx import compute
 from humanoid_mjx.bench.measure import Record, Subject, time_rates
-from humanoid_mjx.bench.running import native_rollout, native_subject, on_all_devices, with_room, with_servo
+from humanoid_mjx.bench.running import joined, native_rollout, native_subject, on_all_devices, with_room, with_servo
 from humanoid_mjx.control import at_rest
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.tasks import make_task
@@ -133,18 +133,12 @@ def visited(batch: int) -> States:
         return (posture[:1] + random.uniform(-OFFSET, OFFSET, (bodies, posture.shape[1]))).astype(np.float32)
 
     for move in range(MOVES):
-        shares = compiled("tree", qpos, qvel, setpoints(len(qpos)), MOVE_STEPS)()
-        after = (np.concatenate([np.asarray(share[i]) for share in _in_order(shares)]) for i in range(2))
+        after = joined(compiled("tree", qpos, qvel, setpoints(len(qpos)), MOVE_STEPS)())
         # A body that the physics gives up stays where it was.
         qpos, qvel = (
             np.where((move < ages) & np.isfinite(new), new, old) for new, old in zip(after, (qpos, qvel), strict=True)
         )
     return np.resize(qpos, (batch, qpos.shape[1])), np.resize(qvel, (batch, qvel.shape[1])), setpoints(batch)
-
-
-def _in_order(shares: list[list[Any]]) -> list[Any]:
-    """The results of `on_all_devices` in the order of what it was given."""
-    return [share for row in zip(*shares, strict=True) for share in row]
 
 
 def compiled(
@@ -187,5 +181,5 @@ def native(qpos: np.ndarray, qvel: np.ndarray, setpoint: np.ndarray, steps: int)
     task: Stand = make_task("stand", physics="mujoco")
     servo: Any = task.control
     model = with_servo(task.simulator.model, np.array([servo.stiffness, servo.damping]))
-    call = native_rollout(model, qpos, qvel, steps, np.tile(setpoint[:, None], (1, steps, 1)))
-    return lambda: call()[:, 1 : 1 + model.nq]
+    call = native_rollout(model, qpos, qvel, steps, setpoint)
+    return lambda: call()[:, : model.nq]

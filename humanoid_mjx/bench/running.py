@@ -49,6 +49,12 @@ def on_all_devices(
     return on_devices(simulate, [placed[i :: len(devices)] for i in range(len(devices))])
 
 
+def joined(shares: Sequence[Sequence[Sequence[Any]]]) -> tuple[np.ndarray, ...]:
+    """The arrays that a call of `on_all_devices` gives, of all rows in their order."""
+    in_order = [share for shares_in_turn in zip(*shares, strict=True) for share in shares_in_turn]
+    return tuple(np.concatenate(parts) for parts in zip(*in_order, strict=True))
+
+
 def native_subject(
     make: Callable[..., Callable[[], Any]], batch: int, most: int, steps: int, **options: Any
 ) -> Subject:
@@ -61,10 +67,10 @@ def native_subject(
 def native_rollout(
     model: Any, qpos: np.ndarray, qvel: np.ndarray, steps: int, held: np.ndarray | None = None
 ) -> Callable[[], np.ndarray]:
-    """MuJoCo's own `rollout` from these states on one thread a core, under `held` control, (batch, steps, controls).
+    """MuJoCo's own `rollout` from these states on one thread a core, under control that is held, (batch, controls).
 
     Returns:
-      a call that gives the state, `mjSTATE_FULLPHYSICS`, of each world after the last step.
+      a call that gives the positions and velocities of each world after the last step, side by side.
     """
     mj: Any = import_module("mujoco")
     rollout = import_module("mujoco.rollout")
@@ -76,10 +82,11 @@ def native_rollout(
     threads = compute.cores()
     simulate, per_thread = rollout.Rollout(nthread=threads), [mj.MjData(model) for _ in range(threads)]
     after = np.zeros((len(qpos), steps, states.shape[1]))
+    control = None if held is None else np.repeat(held[:, None], steps, axis=1)
 
     def call() -> np.ndarray:
-        simulate.rollout(model, per_thread, states, held, nstep=steps, state=after)
-        return after[:, -1]
+        simulate.rollout(model, per_thread, states, control, nstep=steps, state=after)
+        return after[:, -1, 1 : 1 + model.nq + model.nv]  # the time comes first
 
     return call
 
