@@ -77,7 +77,7 @@ def test_the_best_of_a_run_is_the_first_of_its_table(leg):
 def test_agents_that_do_not_learn(leg):
     """Of each joint the zero agent takes the middle choice: set-points stay. The other takes all choices alike."""
     best, zero, random = best_policy(leg), [], []
-    state = best.learner.env.reset(rng.key(0))
+    state = jax.jit(best.learner.env.reset)(rng.key(0))
     for name, found in (("zero", zero), ("random", random)):
         choose = agent(best.learner, best.policy, jnp.int32(AGENTS.index(name)))
         found.append(jax.vmap(choose, in_axes=(None, 0))(state, jax.random.split(rng.key(1), 3000)))

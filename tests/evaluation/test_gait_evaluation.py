@@ -53,9 +53,12 @@ def calm(learner):
     return learner.replace(task=task.replace(push=task.push.replace(impulse=jnp.float32(0.0)), randomise=None))
 
 
+first_policy = jax.jit(lambda learner, key: learner.policy(learner.init(key)))
+
+
 def played(learner, agent="greedy", seconds=0.5, seed=5):
     """The figures of four episodes under each of `ASKED`, (4, 4): one program for all; weights are untrained."""
-    policy = learner.policy(learner.init(rng.key(seed)))
+    policy = first_policy(learner, rng.key(seed))
     found = play_worlds([learner], jax.tree.map(lambda x: x[None], policy), ASKED, 4, seconds, (agent,))[0][agent]
     assert list(found) == list(FIGURES)
     return {name: figure[0] for name, figure in found.items()}
@@ -108,7 +111,7 @@ def test_episodes_are_the_same_however_they_are_cut(monkeypatch):
 
 def test_a_watched_step_is_the_step():
     task = jax.tree.map(jnp.asarray, learner_of().task)
-    state = task.reset(rng.key(0))
+    state = jax.jit(task.reset)(rng.key(0))
     offsets, key = jnp.linspace(-1.0, 1.0, 10), rng.key(1)
     plain = jax.jit(lambda: task.step_continuous(state, offsets, key))()
     watched, view, sensed = jax.jit(lambda: task.step_watched(state, offsets, key))()

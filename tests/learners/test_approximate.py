@@ -134,7 +134,7 @@ def test_the_action_that_is_credited_is_the_one_carried_out():
     """As a table does: where most moves are replaced by any, what is learned of a move is where that move leads."""
     task = make_task("joint_reach", joint=5, states=13, success_rate=0.3)
     learner = make_learner("linear_q", task, total_steps=100, record=1, envs=64, rollout=8, epsilon=0.0)
-    _, seen, _ = learner._collect(learner.init(rng.key(0)), rng.key(1))
+    _, seen, _ = jax.jit(lambda key: learner._collect(learner.init(key), rng.key(1)))(rng.key(0))
     rows, after = (np.round(12 * np.asarray(obs)[..., 0]) for obs in (seen.obs, seen.final_obs))
     credited = np.asarray(seen.action)[..., 0]
     assert 0.2 < credited.mean() < 0.8, "both are carried out"
@@ -146,7 +146,7 @@ def test_the_action_that_is_credited_is_the_one_carried_out():
 def test_only_episodes_that_ended_begin_anew(ended):
     """In blocks as all at once, also side by side with a run in which none has ended."""
     task, keys = make_task("leg_reach"), jax.random.split(rng.key(1), 40)
-    state = start_all(task, 40, rng.key(0)).state
+    state = jax.jit(lambda key: start_all(task, 40, key).state)(rng.key(0))
     done = np.random.default_rng(0).permutation(40) < ended
     state = jax.tree.map(lambda x: jnp.stack([x, x]), state._replace(truncated=jnp.asarray(done)))
     state = state._replace(truncated=state.truncated.at[1].set(False))
@@ -160,7 +160,7 @@ def test_only_episodes_that_ended_begin_anew(ended):
 def test_two_devices_share_the_environments_of_a_run():
     """Each acts in a half of them, and both then learn the same from all."""
     learner = build("deep", make_task("leg_reach"), minibatches=2)
-    carry, mesh = learner.init(rng.key(0)), Mesh(np.array(jax.local_devices()[:2]), (ENVS,))
+    carry, mesh = jax.jit(learner.init)(rng.key(0)), Mesh(np.array(jax.local_devices()[:2]), (ENVS,))
     shared, key = learner.replace(devices=2), rng.key(1)
     everywhere = partial(jax.shard_map, mesh=mesh, in_specs=PartitionSpec(), check_vma=False)
     envs, seen, totals = jax.jit(everywhere(lambda c: shared._act(c, key), out_specs=PartitionSpec()))(carry)
@@ -437,7 +437,7 @@ def test_snapshots_are_of_the_end_of_each_part():
     middle = jax.tree.map(lambda x: x[1], whole.snapshots[0])
     jax.tree.map(np.testing.assert_array_equal, middle, half.carry.weights)
     jax.tree.map(np.testing.assert_array_equal, jax.tree.map(lambda x: x[3], whole.snapshots[0]), whole.carry.weights)
-    results = finish(learner, half, rng.key(1))
+    results = jax.jit(finish)(learner, half, rng.key(1))
     curve, final = results["curve"], results["final"]
     np.testing.assert_array_equal(np.isfinite(curve["greedy_success"]), [True, True, False, False])
     assert final["greedy_return"] == curve["greedy_return"][1]
@@ -497,7 +497,7 @@ def test_precision_is_of_a_gpu(monkeypatch):
 
     def q(precision):
         network = QNetwork(64, 3, 2, 5, precision)
-        value = network.init(rng.key(0), jnp.zeros(10))
+        value = jax.jit(network.init)(rng.key(0), jnp.zeros(10))
         return np.asarray(network.apply(value, jax.random.normal(rng.key(1), (50, 10))))
 
     exact = q("float32")

@@ -53,7 +53,7 @@ class Drift(ContinuousTask):
 def test_a_command_becomes_the_nearest_bin(bins, data):
     command = np.array([data.draw(st.floats(-1.5, 1.5, width=32)) for _ in bins])
     task = Drift(bins=tuple(bins))
-    state = task.reset(rng.key(0))
+    state = jax.jit(task.reset)(rng.key(0))
     found = task.step_continuous(state, jnp.asarray(command, jnp.float32), rng.key(1)).obs[2:]
     for value, n, choice in zip(command, bins, np.asarray(found), strict=True):
         distance = np.abs(np.linspace(-1, 1, n) - np.clip(value, -1, 1))

@@ -35,7 +35,7 @@ def test_the_right_way_up_arrives_and_the_left_leg_takes_opposite_values():
 def test_a_choice_of_each_joint_moves_its_own_joint(moves):
     task = make_task("posture_switch")
     assert np.prod(task.action_bins) == task.num_actions
-    state = task.reset(rng.key(0))
+    state = jax.jit(task.reset)(rng.key(0))
     state = state._replace(encoders=jnp.asarray(task.grid[:, 2]))
     place = task.grid[np.arange(3), 1 + np.array(moves)]
     wanted = task.controller(task.whole_body(jnp.asarray(place, jnp.float32)))
