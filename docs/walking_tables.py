@@ -88,7 +88,7 @@ def walk_learners() -> str:
     """Return how well `walk` is learned by other learners and under another control law."""
     return _compared(
         {
-            "`deep_q`, as `walk` is, in bfloat16": _evaluated("h200_walk_40m"),
+            "`deep_q`, as `walk` is, in bfloat16": _evaluated("h100_walk_40m"),
             "the same, `walk_quick`": _evaluated("h100_walk_quick"),
             "the same in float32, twice the steps": _evaluated("h200_walk_seeds"),
             "that, slip weighs -1.8, not -2.4": _evaluated("h200_walk_seeds", 1),
@@ -238,8 +238,8 @@ TABLES = (
         "walk_learning": lambda: _series("h200_walk_learning"),
         "walk_sturdy_minutes": lambda: rounded(record("walk_worlds")["trained"]["walk_sturdy"]["command_s"] / 60),
         "walk_cpu_minutes": lambda: rounded(median(record("walk_cpu_trials")["command_s"]) / 60),
-        "walk_seconds": lambda: rounded(record("h200_walk_40m")["training"]["command_s"]),
-        "walk_minutes": lambda: rounded(record("h200_walk_40m")["training"]["command_s"] / 60),
+        "walk_seconds": lambda: rounded(record("h100_walk_40m")["training"]["command_s"]),
+        "walk_minutes": lambda: rounded(record("h100_walk_40m")["training"]["command_s"] / 60),
         "two_settings_minutes": lambda: rounded(record("h200_walk_seeds")["training"]["command_s"] / 60),
     }
 )
