@@ -32,8 +32,9 @@ from humanoid_mjx.physics.model import MujocoPhysics
 from humanoid_mjx.robot.description import IMU, ground_points, motor_limits
 from humanoid_mjx.types import AnyArray, BoolScalar
 
-UNROLL = 4
-"""Time steps in one pass of a loop on a GPU, which copies what a loop carries, each part by a kernel of its own."""
+UNROLL, WHOLE = 4, 10
+"""Time steps in one pass of a loop on a GPU, which copies what a loop carries, each part by a kernel of its own; up to
+how many there is no loop."""
 
 
 class _AsksMore(Exception):
@@ -65,7 +66,8 @@ class TreePhysics(MujocoPhysics):
             def step(now: World, _: None) -> tuple[World, None]:
                 return self.step(now, controller)[0], None
 
-            return jax.lax.scan(step, _batched(world, world), length=cycles, unroll=UNROLL)[0]
+            unroll = self._unroll(controller, cycles)
+            return jax.lax.scan(step, _batched(world, world), length=cycles, unroll=unroll)[0]
 
         # On a CPU the state is carried as separate scalars: a batch of them is contiguous, and few kernels compute all.
         def cycle(carry: list[list[Array]], _: None) -> tuple[list[list[Array]], None]:
@@ -87,8 +89,7 @@ class TreePhysics(MujocoPhysics):
             parts, seen = self._move(_advance_sensed, values, state, now, torque, last)
             return (World(*parts), (now.qpos[self.joint_qpos], torque, seen)), None
 
-        unroll = cycles if _kernels_run() and self._asks_little(controller) else 1
-        last = jnp.arange(cycles) == cycles - 1
+        last, unroll = jnp.arange(cycles) == cycles - 1, self._unroll(controller, cycles)
         (world, sensed), _ = jax.lax.scan(cycle, _batched((world, self._nothing()), world), last, unroll=unroll)
         return world, self._seen(*jax.tree.map(lambda part: jnp.where(world.diverged, 0.0, part), sensed))
 
@@ -137,6 +138,12 @@ class TreePhysics(MujocoPhysics):
         factor, torque = jnp.asarray(self.torque_limit, float), jnp.asarray(torque, float)
         bounds = {own: factor * own for own in motor_limits(self.model).tolist()}
         return limited(torque, [bounds[own] for own in motor_limits(self.model).tolist()])
+
+    def _unroll(self, controller: Controller, cycles: int) -> int:
+        """Time steps in one pass of a loop; one where the controller is long to compile."""
+        if not _kernels_run() or not self._asks_little(controller):
+            return 1
+        return cycles if cycles <= WHOLE else UNROLL
 
     def _asks_little(self, controller: Controller) -> bool:
         """True if the controller asks for no more than angles and velocities."""

@@ -157,12 +157,13 @@ def test_loops_of_a_gpu_are_those_of_a_cpu(case, monkeypatch):
 
     def run(qpos, qvel):
         world = pendulum.start(qpos, qvel)
-        return pendulum.run(world, controller, 6), *pendulum.run_sensed(world, controller, 3)
+        return pendulum.run(world, controller, 14), *pendulum.run_sensed(world, controller, 3)
 
     expected = jax.jit(jax.vmap(run))(qpos, qvel)
     monkeypatch.setattr(tree, "_kernels_run", lambda: True)
     monkeypatch.setattr(tree, "worlds_last", lambda function, *static, lanes=0: worlds_last(function, *static))
-    assert pendulum._asks_little(controller) == little
+    assert pendulum._unroll(controller, 14) == (tree.UNROLL if little else 1)
+    assert pendulum._unroll(controller, 3) == (3 if little else 1)
     found = jax.jit(jax.vmap(lambda *at: run(*at)))(qpos, qvel)
     for wanted, got in zip(jax.tree.leaves(expected), jax.tree.leaves(found), strict=True):
         size = np.abs(np.float64(wanted)).max() if wanted.size else 0.0
