@@ -205,7 +205,11 @@ class Physics(Spec):
         def cycle(world: World, _: None) -> tuple[World, None]:
             return self.step(world, controller)[0], None
 
-        return jax.lax.scan(cycle, world, length=cycles)[0]
+        return jax.lax.scan(cycle, world, length=cycles, unroll=self._unroll(controller, cycles))[0]
+
+    def _unroll(self, controller: Controller, cycles: int) -> int:
+        """Time steps in one pass of a compiled loop."""
+        return 1
 
     def run_sensed(self, world: World, controller: Controller, cycles: int) -> tuple[World, Sensed]:
         """Return the world after `cycles` time steps, and everything at the beginning of the last.

@@ -62,12 +62,7 @@ class TreePhysics(MujocoPhysics):
 
     def run(self, world: World, controller: Controller, cycles: int) -> World:
         if _kernels_run():
-
-            def step(now: World, _: None) -> tuple[World, None]:
-                return self.step(now, controller)[0], None
-
-            unroll = self._unroll(controller, cycles)
-            return jax.lax.scan(step, _batched(world, world), length=cycles, unroll=unroll)[0]
+            return super().run(_batched(world, world), controller, cycles)
 
         # On a CPU the state is carried as separate scalars: a batch of them is contiguous, and few kernels compute all.
         def cycle(carry: list[list[Array]], _: None) -> tuple[list[list[Array]], None]:
