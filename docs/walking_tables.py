@@ -89,7 +89,7 @@ def walk_learners() -> str:
     return _compared(
         {
             "`deep_q`, as `walk` is, in bfloat16": _evaluated("h100_walk_40m"),
-            "the same, `walk_quick`": _evaluated("h100_walk_quick"),
+            "the same, as `walk_quick` is": _evaluated("h100_walk_quick"),
             "the same in float32, twice the steps": _evaluated("h200_walk_seeds"),
             "that, slip weighs -1.8, not -2.4": _evaluated("h200_walk_seeds", 1),
             "that, under computed torque": _evaluated("h200_walk_control"),
