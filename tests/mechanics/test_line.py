@@ -37,9 +37,10 @@ def test_a_joint_that_begins_to_slip_is_found_although_large_forces_cancel():
         before, after, force = ([Scalar(x) for x in part] for part in (before, after, force))
         matrix = [[Scalar(float(x)) for x in row[: i + 1]] for i, row in enumerate(MASS)]
         slip = Slip(Scalar(WEIGHT), Scalar(0.0), Scalar(MOST))
-        problem = Problem(matrix, force, make_kinematics(tree, [Scalar(0.0)] * 2), [], [], {}, {1: slip})
+        at_rest = [Scalar(0.0)] * 2
+        problem = Problem(matrix, force, make_kinematics(tree, at_rest), at_rest, [], [], {}, {1: slip})
         active = active_at(tree, problem, before)
-        return lowest_share(tree, problem, [], active, before, after, jnp.zeros(500, bool))
+        return lowest_share(tree, problem, None, active, before, after, jnp.zeros(500, bool))
 
     share = jax.jit(found)(*(np.asarray(part, np.float32) for part in (before, after, force)))
 

@@ -174,7 +174,12 @@ class _Stage(NamedTuple):
     def _each(self, one: Callable[..., Array], token: Array, place: Array, stride: int, count: int) -> Array:
         def further(carry: tuple[Array, ...]) -> tuple[Array, ...]:
             row, token, address, place = carry
-            return row + 1, one(token, address, place), address + 4 * THREADS, place + stride
+            return row + 1, one(token, address, place), _plus(address, 4 * THREADS), _plus(place, stride)
 
         start = jnp.int32(0), token, self.address, place
         return lax.while_loop(lambda carry: carry[0] < count, further, start)[1]
+
+
+def _plus(values: Array, number: int) -> Array:
+    """The sum with a constant that Triton does not see: all that has an equal one would have an operand in common."""
+    return assembly(f"add.s32 $0, $1, {number};", "=r,r", jnp.int32, values)

@@ -131,6 +131,8 @@ class Threads:
         name, params = eqn.primitive.name, eqn.params
         if name in CALLS:
             return self.evaluate(params[CALLS[name]], args)
+        if name in ENTRIES and _is_entry(args[0], params.get("slice_sizes") or args[1].shape, args[-args[0].ndim :]):
+            return [ENTRIES[name](self, *args)]
         if name in ARRANGEMENTS:
             return ARRANGEMENTS[name](params, *args)
         if name in REDUCTIONS:
@@ -142,6 +144,20 @@ class Threads:
             raise NotImplementedError(f"threads do no {name!r}")
         args = [np.broadcast_to(arg, shape) for arg in args]
         return [self._each(lambda *elements: _element(eqn, elements), args, shape)]
+
+    def _looked_up(self, array: np.ndarray, index: np.ndarray, *_: np.ndarray) -> np.ndarray:
+        """The entry along the first axis at an index."""
+        rows = [array[place : place + 1] for place in range(len(array))]
+        return reduce(lambda found, place: self._where(index, place, rows[place], found), range(len(rows)), rows[0])
+
+    def _with_entry(self, array: np.ndarray, entry: np.ndarray, index: np.ndarray, *_: np.ndarray) -> np.ndarray:
+        """The array with another entry there."""
+        rows = [self._where(index, place, entry, array[place : place + 1]) for place in range(len(array))]
+        return np.concatenate(rows)
+
+    def _where(self, index: np.ndarray, place: int, one: np.ndarray, two: np.ndarray) -> np.ndarray:
+        here = vector(self._alike(index.item())) == place
+        return self._each(lambda a, b: jnp.where(here, vector(a), vector(b)), [one, two], one.shape)
 
     def _reduced(self, eqn: Any, array: np.ndarray) -> np.ndarray:
         axes, (combine, of_nothing) = eqn.params["axes"], REDUCTIONS[eqn.primitive.name]
@@ -224,6 +240,13 @@ class Threads:
         return found
 
 
+ENTRIES: dict[str, Callable[..., np.ndarray]] = {
+    "dynamic_slice": Threads._looked_up,
+    "dynamic_update_slice": Threads._with_entry,
+}
+"""Operations on one entry of an array at an index that is not known while tracing."""
+
+
 def power_of_two(lanes: int) -> int:
     """The smallest that is no less: threads of a world."""
     return 1 << (lanes - 1).bit_length()
@@ -231,6 +254,11 @@ def power_of_two(lanes: int) -> int:
 
 def _is_lane(element: Element, vector: Array, index: int) -> bool:
     return isinstance(element, Lane) and element.vector is vector and element.index == index
+
+
+def _is_entry(array: np.ndarray, sizes: Sequence[int], starts: Sequence[np.ndarray]) -> bool:
+    """True for one entry along the first axis, at an index that is not known while tracing."""
+    return tuple(sizes) == (1, *array.shape[1:]) and not isinstance(starts[0].item(), np.generic)
 
 
 def _known(elements: Sequence[Element]) -> bool:

@@ -116,6 +116,17 @@ def in_lane(thing: Tree, index: int) -> Tree:
     return jax.tree.map(lambda part: lane(part, index), thing, is_leaf=lambda part: isinstance(part, Scalar))
 
 
+def folded(scalars: Sequence[Scalar], places: Sequence[tuple[int, ...]]) -> list[Scalar]:
+    """The tree's coordinates or degrees of freedom, those of lanes together, from `qpos` or `qvel`."""
+    return [in_lanes([scalars[index] for index in lanes]) for lanes in places]
+
+
+def unfolded(scalars: Sequence[Scalar], places: Sequence[tuple[int, ...]]) -> list[Scalar]:
+    """The inverse of `folded`."""
+    found = {index: lane(s, i) for s, lanes in zip(scalars, places, strict=True) for i, index in enumerate(lanes)}
+    return [found[index] for index in range(len(found))]
+
+
 def each_of(things: Sequence[Any], make: Callable[[Any], Any]) -> list[Any]:
     """Return what is made of each thing; of more than `FEW_PAIRS` things equal ones share it.
 

@@ -13,9 +13,6 @@ from humanoid_mjx.mechanics.scalars import HALF, NULL, ONE, TWO, ZERO, Scalar, S
 from humanoid_mjx.mechanics.tree.algebra import (
     Rotation,
     Spatial,
-    each_of,
-    in_lane,
-    in_order,
     known,
     number,
     resolve,
@@ -29,7 +26,6 @@ from humanoid_mjx.mechanics.tree.kinematics import Kinematics
 from humanoid_mjx.mechanics.tree.segments import nearest_points
 from humanoid_mjx.mechanics.tree.structure import (
     Box,
-    Capsule,
     Corner,
     Dry,
     GroundPoints,
@@ -102,6 +98,17 @@ class Touch(NamedTuple):
             yy=mu * mu * first,
             zz=nu * nu * second,
         )
+
+
+class Gap(NamedTuple):
+    """The nearest places of two shapes, or of several twos: then with an axis that counts them."""
+
+    place: Vector
+    """Midway between the surfaces, against the origin, m."""
+    normal: Vector
+    """From the first to the second."""
+    distance: Scalar
+    """Between the surfaces, m; negative where they overlap."""
 
 
 class Stop(NamedTuple):
@@ -204,13 +211,15 @@ def _downwards(way: Vector, normal: Vector) -> Vector:
     return scale(Scalar(jnp.where(dot(way, normal).value > 0.0, -1.0, 1.0)), way)
 
 
-def pair_touch(pairs: Pairs, kinematics: Kinematics, motions: Sequence[Spatial], friction: Friction) -> Touch:
-    """The contacts of pairs, with an axis that counts them."""
-    boxes = isinstance(pairs.ones[0], Box)
-    place, normal, distance = between_boxes(pairs, kinematics) if boxes else _between_capsules(pairs, kinematics)
-    velocity = apart(pairs.ones, pairs.twos, motions, place)
+def pair_gaps(pairs: Pairs, kinematics: Kinematics) -> Gap:
+    """The gaps of pairs, with an axis that counts them."""
+    return Gap(*(between_boxes if isinstance(pairs.ones[0], Box) else _between_capsules)(pairs, kinematics))
+
+
+def pair_touch(surface: Surface, gap: Gap, velocity: Vector, friction: Friction) -> Touch:
+    """The contact of two shapes that part by `velocity`, m/s, at the place of their gap."""
     # Without friction no one reads the tangents, and a compiler leaves them out.
-    return _touch(pairs.surface, place, _frame(normal, None), distance, velocity, friction)
+    return _touch(surface, gap.place, _frame(gap.normal, None), gap.distance, velocity, friction)
 
 
 def _between_capsules(pairs: Pairs, kinematics: Kinematics) -> tuple[Vector, Vector, Scalar]:
@@ -227,20 +236,6 @@ def _between_capsules(pairs: Pairs, kinematics: Kinematics) -> tuple[Vector, Vec
     distance = Scalar(jnp.where(meet, 0.0, length.value)) - thickness
     place = add(one, scale(known([shape.radius for shape in pairs.ones]) + HALF * distance, normal))
     return place, normal, distance
-
-
-def apart(
-    ones: Sequence[Capsule | Box], twos: Sequence[Capsule | Box], motions: Sequence[Spatial], place: Vector
-) -> Vector:
-    """Velocities, m/s, at which the second shapes' bodies leave the first's at `place`, pair by pair."""
-    return subtract(_velocity(twos, motions, place), _velocity(ones, motions, place))
-
-
-def _velocity(shapes: Sequence[Capsule | Box], motions: Sequence[Spatial], place: Vector) -> Vector:
-    """Velocities, m/s, of the points of the shapes' bodies that are at `place`, shape by shape."""
-    each = each_of([(shape.body, shape.lane) for shape in shapes], lambda place: in_lane(motions[place[0]], place[1]))
-    stacked = [Vector(*(in_order([m[part][axis] for m in each]) for axis in range(3))) for part in range(2)]
-    return velocity_at(Spatial(*stacked), place)
 
 
 def _touch(

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float
 
 from humanoid_mjx.mechanics.scalars import Scalar
 from humanoid_mjx.mechanics.tree.inertia import product
-from humanoid_mjx.mechanics.tree.pairs import Slot
+from humanoid_mjx.mechanics.tree.pairs import Slots
 from humanoid_mjx.mechanics.tree.problem import Active, Problem, ground_residuals
 from humanoid_mjx.mechanics.tree.structure import Tree
 
@@ -34,7 +34,7 @@ class Rows(NamedTuple):
 def lowest_share(
     tree: Tree,
     problem: Problem,
-    slots: Sequence[Slot],
+    slots: Slots | None,
     active: Active,
     before: Sequence[Scalar],
     after: Sequence[Scalar],
@@ -102,7 +102,7 @@ def _along(tree: Tree, way: Sequence[Scalar], force: Sequence[Scalar]) -> Any:
 def _pushing(
     tree: Tree,
     problem: Problem,
-    slots: Sequence[Slot],
+    slots: Slots | None,
     active: Active,
     before: Sequence[Scalar],
     after: Sequence[Scalar],
@@ -117,10 +117,10 @@ def _pushing(
         shape = (*(count,) * (count > 1), *lanes, *worlds)
         for flag, a, b in zip(flags, touch.facets(one), touch.facets(two), strict=True):
             found.append(_row(touch.close, touch.weight, a, b, shape, flag))
-    for slot, flags in zip(slots, active.pairs, strict=True):
-        touch = slot.touch
-        for flag, a, b in zip(flags, slot.facets(tree, before), slot.facets(tree, after), strict=True):
-            found.append(_row(touch.close, touch.weight, a, b, worlds, flag))
+    if slots:
+        touch, ends = slots.touch, (slots.facets(tree, x) for x in (before, after))
+        for flag, a, b in zip(active.pairs, *ends, strict=True):
+            found.append(_row(touch.close, touch.weight, a, b, touch.close.shape, flag))
     for dof, stop in problem.stops.items():
         shape = (*(tree.lanes,) * tree.laned(dof), *worlds)
         ends = stop.residual(before[dof]), stop.residual(after[dof])

@@ -1,166 +1,222 @@
-"""Contacts between bodies in the equations of a tree: updates of the solution, contact by contact.
+"""Contacts between bodies in the equations of a tree.
 
-They join branches of the tree, so with them the equations `H x = r` are no longer sparse. But few bodies touch at a
-time. Each contact that pushes adds `G^T K G` to H and `-G^T K offset` to r, where the rows of G are the accelerations
-along the directions of its frame and K is its stiffness. By Woodbury's identity the solution is then
+They join branches of the tree, so with them the equations `H x = r` are no longer sparse. Each contact that pushes adds
+`G^T K G` to H and `-G^T K offset` to r, where the rows of G are the accelerations along the directions of its frame for
+a unit of that of each degree of freedom, and K is its stiffness. By Woodbury's identity the solution is then
 
     x - Z N (G x + offset),    Z = H^-1 G^T,    N = (K^-1 + G Z)^-1,
 
-which takes a solution of the sparse equations for each row of G.
+which takes a solution of the sparse equations for each row of G. Few bodies touch at a time: the contacts of each world
+that are close are gathered first, and loops over these end with the world that has most.
 """
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool
 
-from humanoid_mjx.mechanics.scalars import NULL, ONE, ZERO, Scalar, Vector, cross, dot
-from humanoid_mjx.mechanics.tree.algebra import known, over_lanes, resolve, root, velocity_at
-from humanoid_mjx.mechanics.tree.contacts import Touch
+from humanoid_mjx.mechanics.scalars import NULL, ONE, ZERO, Scalar, Vector, add, dot, scale, unstack
+from humanoid_mjx.mechanics.tree.algebra import (
+    Spatial,
+    folded,
+    in_lane,
+    number,
+    resolve,
+    root,
+    stacked,
+    unfolded,
+    velocity_at,
+)
+from humanoid_mjx.mechanics.tree.contacts import Friction, Gap, Touch, pair_touch
 from humanoid_mjx.mechanics.tree.inertia import Factors
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics
+from humanoid_mjx.mechanics.tree.problem import Problem
 from humanoid_mjx.mechanics.tree.structure import Box, Capsule, Tree
 
 SLOTS = 8
 """Contacts between bodies that a world may have at a time, those of two boxes corner by corner."""
 
-Flags = list[list[Bool[Array, " worlds"]]]
-"""Masks of the facets that push, slot by slot."""
+Flags = list[Bool[Array, "slots worlds"]]
+"""Masks of the facets that push."""
 
-Ends = list[tuple[int, int]]
-"""The first and the last number of the bodies that a degree of freedom moves, lane by lane."""
+Rows = list[list[Scalar]]
+"""Vectors over the degrees of freedom, or a small matrix, row by row."""
 
-Block = list[list[Scalar]]
-"""A small matrix, or vectors over the degrees of freedom, row by row."""
+Bodies = tuple[Scalar, Scalar]
+"""Numbers of two bodies: see `_numbers`."""
 
 
-class Slot(NamedTuple):
-    """A contact that each world may have."""
+class Way(NamedTuple):
+    """Motion of bodies with a degree of freedom at unit speed."""
+
+    first: int
+    last: int
+    """The first and the last number of the bodies that move."""
+    motion: Spatial
+
+    def between(self, bodies: Bodies) -> Scalar:
+        """1 where the second body moves against the first, -1 where the first does, 0 where both move, or none."""
+        one, two = ((self.first <= body.value) & (body.value <= self.last) for body in bodies)
+        return Scalar(two.astype(float) - one.astype(float))
+
+
+class Slots(NamedTuple):
+    """Contacts that each world may have; arrays lead with an axis of these."""
 
     touch: Touch
-    rows: Block
-    """By direction of its frame and degree of freedom, the acceleration along the direction for a unit of that of the
-    degree of freedom. Without friction there is but the normal."""
-
-    def residual(self, tree: Tree, x: Sequence[Scalar]) -> list[Scalar]:
-        """By how much the bodies part faster than they should, along the directions."""
-        moved = _products(tree, self.rows, [x])
-        return [part + offset for (part,), offset in zip(moved, self.touch.offset, strict=False)]
+    rows: dict[int, Vector]
+    """The rows of G: by degree of freedom, those of all lanes one by one, but for those that part the bodies of no
+    pair."""
+    count: Any
+    """The most contacts of any world."""
 
     def facets(self, tree: Tree, x: Sequence[Scalar]) -> list[Scalar]:
-        """The same along each facet."""
-        return self.touch.facets(Vector(*self.residual(tree, x), *NULL[len(self.rows) :]))
+        """By how much the bodies part faster than they should, along each facet."""
+        rates, residual = unfolded(x, tree.dofs), self.touch.offset
+        for dof, row in self.rows.items():
+            residual = add(residual, scale(rates[dof], row))
+        return self.touch.facets(residual)
 
-    def active(self, tree: Tree, x: Sequence[Scalar]) -> list[Any]:
-        """Mask of the facets that push."""
+    def active(self, tree: Tree, x: Sequence[Scalar]) -> Flags:
+        """Masks of the facets that push."""
         return self.touch.active(self.facets(tree, x))
 
+    def all_close(self) -> Flags:
+        """All facets of all contacts."""
+        return [self.touch.close] * len(self.touch.facets(NULL))
 
-def all_close(slots: Sequence[Slot]) -> Flags:
-    """The facets of all bodies that are close."""
-    return [[slot.touch.close] * len(slot.touch.facets(NULL)) for slot in slots]
+
+def are_close(tree: Tree, gaps: Sequence[tuple[Gap, Friction]]) -> Bool[Array, "pairs worlds"]:
+    """True where a contact counts: its distance is within the margin."""
+    each = zip(tree.pairs, gaps, strict=True)
+    return jnp.concatenate([gap.distance.value < pairs.surface.margin for pairs, (gap, _) in each])
 
 
 def close_pairs(
-    tree: Tree, kinematics: Kinematics, touches: Sequence[Touch], worlds: Any = None
-) -> tuple[list[Slot], Bool[Array, " worlds"]]:
+    tree: Tree, problem: Problem, gaps: Sequence[tuple[Gap, Friction]], worlds: Any = None
+) -> tuple[Slots, Bool[Array, " worlds"]]:
     """The contacts of the first `SLOTS` pairs that are close in each world, and where more are.
 
     Args:
       tree: and
-      kinematics: of these worlds.
-      touches: the contacts of all pairs, group by group, of all worlds.
+      problem: of these worlds.
+      gaps: those of all pairs, group by group, of all worlds, and their coefficients of friction.
       worlds: indices of these; None: all, without looking up any.
     """
-    touch = _joined(tree, touches)
-    size, numbers = len(touch.close), _numbers(tree)
-    ranges = _ranges(tree, numbers)
-    bodies = [
-        [numbers[shape.body, shape.lane * tree.bodies[shape.body].laned] for shape in pair] for pair in _each(tree)
-    ]
-    least = touch._replace(frame=touch.frame[:2], distance=ZERO)
-    left = touch.close if worlds is None else touch.close[:, worlds]
-    index, slots = jnp.arange(size, dtype=jnp.uint32)[:, None], []
+    close = are_close(tree, gaps)
+    numbers, size, whole = _numbers(tree), *close.shape
+    pairs = [[numbers[shape.body, shape.lane * tree.bodies[shape.body].laned] for shape in two] for two in _each(tree)]
+    bodies = tuple(Scalar(jnp.array(column, float)[:, None]) for column in zip(*pairs, strict=True))
+    ways, rates = _ways(tree, problem.kinematics, numbers, pairs), unfolded(problem.velocity, tree.dofs)
+    some = [friction or (ZERO, ZERO) for _, friction in gaps] if any(friction for _, friction in gaps) else None
+    inverse = [number(pairs.surface.inverse_weight) for pairs in tree.pairs]
+    every = _joined(tree, [gap for gap, _ in gaps]), bodies, _joined(tree, inverse), some and _joined(tree, some)
+    close = close if worlds is None else close[:, worlds]
+    index, slots = jnp.arange(size, dtype=jnp.int32)[:, None], min(SLOTS, size)
 
-    def slot_of(pick: Callable[[Any], Any], two: Sequence[Any]) -> Slot:
-        found = jax.tree.map(lambda v: pick(jnp.broadcast_to(v, touch.close.shape)), least)
-        normal, tangent = found.frame
-        found = found._replace(frame=(normal, tangent, cross(normal, tangent)))
-        return Slot(found, _rows(kinematics, found, two, ranges))
+    def after(last: Any) -> Any:
+        return jnp.where(close & (index > last), index, size).min(axis=0)
 
-    def of(pair: Any) -> Callable[[Any], Any]:
-        return lambda v: v[pair] if worlds is None else v[pair, worlds]
-
-    if size <= SLOTS:
-        return [slot_of(of(pair), bodies[pair]) for pair in range(size)], jnp.zeros(left.shape[1:], bool)
-    table = jnp.array(bodies, float).T[..., None]
-    for _ in range(SLOTS):
-        first = jnp.where(left, index, size).min(axis=0)
-        chosen = index == first
+    def pick(value: Any, pair: Any) -> Any:
+        if jnp.ndim(value) < 2:
+            return value if worlds is None else jnp.broadcast_to(value, whole)[worlds]
         if worlds is None:
-            slot = slot_of(partial(_picked, chosen), [_picked(chosen, column) for column in table])
-        else:
-            pair = jnp.minimum(first, size - 1)
-            slot = slot_of(of(pair), [column[:, 0][pair] for column in table])
-        slots.append(slot._replace(touch=slot.touch._replace(close=first < size)))
-        left = left & ~chosen
-    return slots, left.any(axis=0)
+            return jnp.where(index == pair, value, jnp.zeros((), value.dtype)).sum(axis=0)
+        # Of indices that may be negative, each look-up would be traced at length.
+        return jnp.broadcast_to(value, (size, whole))[pair.astype(jnp.uint32), worlds]
+
+    def contact(first: Any) -> tuple[Touch, dict[int, Vector]]:
+        pair = jnp.minimum(first, size - 1)  # of none any, whose numbers are finite
+        gap, bodies, inverse, friction = jax.tree.map(lambda v: pick(v, pair), every)
+        arms = {dof: scale(way.between(bodies), velocity_at(way.motion, gap.place)) for dof, way in ways.items()}
+        velocity = functools.reduce(add, [scale(rates[dof], arm) for dof, arm in arms.items()], NULL)
+        found: Any = None
+        end = 0
+        for group, (_, own) in zip(tree.pairs, gaps, strict=True):
+            surface = group.surface._replace(inverse_weight=inverse.value)
+            touch = pair_touch(surface, gap, velocity, own and friction)
+            if friction and not own:  # four facets that are the same, each of a quarter of the weight
+                touch = touch._replace(weight=Scalar(0.25) * touch.weight, friction=friction)
+            before = first < end
+            found = touch if found is None else jax.tree.map(partial(jnp.where, before), found, touch)
+            end += len(group.ones)
+        rows = {dof: resolve(found.frame, arm) for dof, arm in arms.items()}
+        return found._replace(place=NULL, frame=(NULL, NULL, NULL), distance=ZERO, close=first < size), rows
+
+    def further(carry: tuple[Any, ...]) -> tuple[Any, ...]:
+        count, first, found = carry
+        found = [_put(all_, count, new) for all_, new in zip(found, jax.tree.leaves(contact(first)), strict=True)]
+        return count + 1, after(first), found
+
+    def going(carry: tuple[Any, ...]) -> Any:
+        return (carry[1] < size).any() & (carry[0] < slots)
+
+    first = after(jnp.full(close.shape[1:], -1, jnp.int32))
+    leaves, structure = jax.tree.flatten(jax.eval_shape(contact, first))
+    nothing = [jnp.zeros((slots, *first.shape), leaf.dtype) for leaf in leaves]
+    count, left, found = jax.lax.while_loop(going, further, (jnp.int32(0), first, nothing))
+    touch, rows = structure.unflatten(found)
+    return Slots(touch, rows, count), left < size
 
 
-def with_pairs(tree: Tree, slots: Sequence[Slot], active: Flags, factors: Factors, x: Sequence[Scalar]) -> list[Scalar]:
+def with_pairs(tree: Tree, slots: Slots, active: Flags, factors: Factors, x: Sequence[Scalar]) -> list[Scalar]:
     """The solution of the equations with these facets in them, from that without, `x`."""
-    before: list[tuple[Block, Block]] = []
-    worlds = slots[0].touch.close.shape
-    shapes = [(tree.lanes, *worlds) if tree.laned(dof) else worlds for dof in range(tree.nv)]
+    worlds, size = active[0].shape[1:], sum(map(len, tree.dofs))
+    axes = 1 if slots.touch.friction is None else 3
+    own = slots.rows, slots.touch._replace(close=()), active
 
-    def arrays(scalars: Sequence[Scalar]) -> list[Any]:
-        return [jnp.broadcast_to(jnp.asarray(s.value, float), shape) for s, shape in zip(scalars, shapes, strict=True)]
+    def update(index: Any, carry: tuple[Any, ...]) -> tuple[Any, ...]:
+        along, touch, flags = jax.tree.map(lambda v: _entry(v, index), own)
+        rows = [[along[dof][axis] if dof in along else ZERO for dof in range(size)] for axis in range(axes)]
+        columns = [unfolded(factors.solve(folded(row, tree.dofs)), tree.dofs) for row in rows]
 
-    def update(slot: Slot, flags: Sequence[Any], x: Sequence[Scalar]) -> tuple[Any, Any, Any]:
-        columns = [factors.solve(row) for row in slot.rows]
-        for others, inner in before:
-            felt = _products(tree, others, slot.rows)
-            for place, column in enumerate(columns):
-                share = [dot(row, [line[place] for line in felt]) for row in inner]
-                columns[place] = _less(column, share, others)
-        inner = _inner(slot.touch, flags, _products(tree, slot.rows, columns))
-        residual = slot.residual(tree, x)
-        x = _less(x, [dot(row, residual) for row in inner], columns)
-        inner = [[jnp.broadcast_to(entry.value, worlds) for entry in row] for row in inner]
-        return arrays(x), [arrays(column) for column in columns], inner
+        def with_another(other: Any, columns: Any) -> Any:
+            others, inner = (_rows(_entry(past, other), axes) for past in carry[1:])
+            felt = [[dot(column, row) for column in others] for row in rows]
+            shares = [[dot(line, part) for line in inner] for part in felt]
+            each = zip(_rows(columns, axes), shares, strict=True)
+            return stacked([v for column, share in each for v in _less(column, share, others)], worlds)
 
-    for slot, flags in zip(slots, active, strict=True):
-        pushes = functools.reduce(jnp.logical_or, flags)
-        made = partial(update, slot, flags, x)
-        nothing = jax.tree.map(lambda v: jnp.zeros(v.shape, v.dtype), jax.eval_shape(made))
-        found = jax.lax.cond(pushes.any(), made, lambda same=x, nothing=nothing: (arrays(same), *nothing[1:]))
-        # A world's bits must not depend on whether another made its batch come here.
-        after, *rest = jax.tree.map(Scalar, found)
-        x = [Scalar(jnp.where(pushes, new.value, old.value)) for new, old in zip(after, x, strict=True)]
-        before.append(tuple(rest))
-    return list(x)
+        columns = jax.lax.fori_loop(0, index, with_another, stacked([v for column in columns for v in column], worlds))
+        whole, (x,), columns = columns, _rows(carry[0], 1), _rows(columns, axes)
+        inner = _inner(touch, flags, [[dot(row, column) for column in columns] for row in rows])
+        residual = [dot(row, x) + offset for row, offset in zip(rows, touch.offset, strict=False)]
+        x = _less(x, [dot(line, residual) for line in inner], columns)
+        made = whole, stacked([entry for line in inner for entry in line], worlds)
+        return stacked(x, worlds), *(_put(past, index, new) for past, new in zip(carry[1:], made, strict=True))
+
+    start = stacked(unfolded(x, tree.dofs), worlds)
+    nothing = (jnp.zeros((len(active[0]), axes * count, *worlds), start.dtype) for count in (size, axes))
+    found, *_ = jax.lax.fori_loop(0, slots.count, update, (start, *nothing))
+    return folded(unstack(found), tree.dofs)
 
 
-def _less(x: Sequence[Scalar], shares: Sequence[Scalar], columns: Block) -> list[Scalar]:
+def _rows(array: Any, count: int) -> Rows:
+    """So many vectors that stand one after another along the first axis."""
+    flat = unstack(array)
+    size = len(flat) // count
+    return [flat[first : first + size] for first in range(0, len(flat), size)]
+
+
+def _less(x: Sequence[Scalar], shares: Sequence[Scalar], columns: Rows) -> list[Scalar]:
     """A vector over the degrees of freedom without so much of each of the others."""
     return [value - dot(shares, entries) for value, *entries in zip(x, *columns, strict=True)]
 
 
-def _inner(touch: Touch, flags: Sequence[Any], compliance: Block) -> Block:
+def _inner(touch: Touch, flags: Sequence[Any], compliance: Rows) -> Rows:
     """N, with which these facets push: `R^T (1 + R C R^T)^-1 R`, where `K = R^T R` and C is the compliance G Z.
 
     K is not inverted: it is singular where not all facets push.
     """
     size, rows = len(compliance), _root(touch, flags)
     felt = [[dot(row, [line[axis] for line in compliance]) for axis in range(size)] for row in rows]
-    lower: Block = []
+    lower: Rows = []
     scales: list[Scalar] = []
-    reduced: Block = []
+    reduced: Rows = []
     for index, row in enumerate(rows):
         # A row of the factors L D L^T, and one of L^-1 R.
         entries = [dot(felt[index], rows[other]) for other in range(index + 1)]
@@ -182,7 +238,7 @@ def _inner(touch: Touch, flags: Sequence[Any], compliance: Block) -> Block:
     return [[lines[max(one, two)][min(one, two)] for two in range(size)] for one in range(size)]
 
 
-def _root(touch: Touch, flags: Sequence[Any]) -> Block:
+def _root(touch: Touch, flags: Sequence[Any]) -> Rows:
     """R, the root of the stiffness K that these facets have: upper triangular.
 
     It is that of the number of facets, scaled: the sum over facets loses what friction adds where there is little.
@@ -208,33 +264,28 @@ def _pivot(square: Scalar) -> tuple[Scalar, Scalar]:
     return Scalar(jnp.where(some, length, 0.0)), Scalar(jnp.where(some, 1.0 / length, 0.0))
 
 
-def _products(tree: Tree, rows: Block, columns: Sequence[Sequence[Scalar]]) -> Block:
-    """The scalar products of vectors over the degrees of freedom, those of all lanes."""
-    stem = sum(not tree.laned(dof) for dof in range(tree.nv))
-    alone = [dot(row[:stem], column[:stem]) for row in rows for column in columns]
-    laned = [dot(row[stem:], column[stem:]) for row in rows for column in columns]
-    both = [a + b for a, b in zip(alone, over_lanes(laned, tree.lanes), strict=True)]
-    return [both[first : first + len(columns)] for first in range(0, len(both), len(columns))]
+def _entry(values: Any, index: Any) -> Any:
+    """The entry of the first axis at an index."""
+    # Of indices that may be negative, each look-up would be traced at length.
+    return jax.lax.dynamic_index_in_dim(values, index.astype(jnp.uint32), keepdims=False)
 
 
-def _rows(kinematics: Kinematics, touch: Touch, bodies: Sequence[Any], ranges: Sequence[Ends]) -> Block:
-    """The rows of a contact of two bodies, which are numbers that are known while tracing or of each world."""
-    found: Block = []
-    for dof, ends in enumerate(ranges):
-        one, two = (_within(number, ends) for number in bodies)
-        moved = resolve(touch.frame, velocity_at(kinematics.motions[dof], touch.place))
-        found.append([(two - one) * part for part in moved[: 1 if touch.friction is None else 3]])
-    return list(map(list, zip(*found, strict=True)))
+def _put(values: Any, index: Any, new: Any) -> Any:
+    """The array with another entry at an index of the first axis."""
+    return jax.lax.dynamic_update_index_in_dim(values, new, index.astype(jnp.uint32), 0)
 
 
-def _within(number: Any, ends: Ends) -> Scalar:
-    """1 where the number of a body lies between the ends, with an axis of lanes where there are several ends."""
-    if isinstance(number, int):
-        inside = [float(first <= number <= last) for first, last in ends]
-        return known(inside if len(ends) > 1 else inside[0])
-    lower, upper = (np.array(end, float)[:, None] for end in zip(*ends, strict=True))
-    inside = ((number >= lower) & (number <= upper)).astype(float)
-    return Scalar(inside if len(ends) > 1 else inside[0])
+def _ways(tree: Tree, kinematics: Kinematics, numbers: dict[tuple[int, int], int], pairs: Any) -> dict[int, Way]:
+    """By degree of freedom, but for those that move both bodies of each pair, or none."""
+    found: dict[int, Way] = {}
+    for dof, lanes in enumerate(tree.dofs):
+        for index, own in enumerate(lanes):
+            places = (place for place in numbers if dof in tree.moving(place[0]))
+            moved = [numbers[place] for place in places if place[1] == index or not tree.laned(dof)]
+            way = Way(min(moved), max(moved), in_lane(kinematics.motions[dof], index))
+            if any((way.first <= one <= way.last) != (way.first <= two <= way.last) for one, two in pairs):
+                found[own] = way
+    return found
 
 
 def _numbers(tree: Tree) -> dict[tuple[int, int], int]:
@@ -253,45 +304,20 @@ def _numbers(tree: Tree) -> dict[tuple[int, int], int]:
     return found
 
 
-def _ranges(tree: Tree, numbers: dict[tuple[int, int], int]) -> list[Ends]:
-    """By degree of freedom."""
+def _joined(tree: Tree, groups: Sequence[Any]) -> Any:
+    """Pytrees of scalars, one of each group of pairs, as one."""
+    sizes = [len(pairs.ones) for pairs in tree.pairs]
 
-    def moved(dof: int, index: int) -> list[int]:
-        places = (place for place in numbers if dof in tree.moving(place[0]))
-        return [numbers[place] for place in places if place[1] == index or not tree.laned(dof)]
-
-    each = [[moved(dof, index) for index in range(len(tree.dofs[dof]))] for dof in range(tree.nv)]
-    return [[(min(part), max(part)) for part in lanes] for lanes in each]
-
-
-def _joined(tree: Tree, touches: Sequence[Touch]) -> Touch:
-    """The contacts of all groups as one. Where only some have friction, the others have four facets that are the same,
-    each of a quarter of the weight."""
-    if len(touches) == 1:
-        return touches[0]
-    worlds = touches[0].close.shape[1:]
-    if any(touch.friction for touch in touches):
-        touches = [
-            touch if touch.friction else touch._replace(weight=Scalar(0.25) * touch.weight, friction=(ZERO, ZERO))
-            for touch in touches
-        ]
-
-    def join(*parts: Any) -> Any:
-        if isinstance(parts[0], Scalar) and all(part.is_known(parts[0].value) for part in parts):
+    def join(*parts: Scalar) -> Scalar:
+        if len(parts) == 1 or all(part.is_known(parts[0].value) for part in parts):
             return parts[0]
-        values = [part.value if isinstance(part, Scalar) else part for part in parts]
-        pairs = zip(values, tree.pairs, strict=True)
-        whole = jnp.concatenate([jnp.broadcast_to(jnp.asarray(v), (len(p.ones), *worlds)) for v, p in pairs])
-        return Scalar(whole) if isinstance(parts[0], Scalar) else whole
+        values = [jnp.asarray(part.value, float) for part in parts]
+        worlds = jnp.broadcast_shapes(*(value.shape[-1:] for value in values), (1,))
+        return Scalar(jnp.concatenate([jnp.broadcast_to(v, (n, *worlds)) for v, n in zip(values, sizes, strict=True)]))
 
-    return jax.tree.map(join, *touches, is_leaf=lambda part: isinstance(part, Scalar))
+    return jax.tree.map(join, *groups, is_leaf=lambda part: isinstance(part, Scalar))
 
 
 def _each(tree: Tree) -> list[tuple[Capsule | Box, Capsule | Box]]:
     """All pairs."""
     return [pair for pairs in tree.pairs for pair in zip(pairs.ones, pairs.twos, strict=True)]
-
-
-def _picked(flags: Bool[Array, "pairs worlds"], value: Any) -> Any:
-    """Select in each world the entry whose flag is set, along the first axis."""
-    return jnp.where(flags, value, jnp.zeros((), value.dtype)).sum(axis=0).astype(value.dtype)

@@ -28,7 +28,7 @@ from humanoid_mjx.mechanics.tree.algebra import (
     summed,
     total,
 )
-from humanoid_mjx.mechanics.tree.contacts import Slip, Stop, Touch
+from humanoid_mjx.mechanics.tree.contacts import Friction, Gap, Slip, Stop, Touch
 from humanoid_mjx.mechanics.tree.inertia import Matrix
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics, motions_of
 from humanoid_mjx.mechanics.tree.structure import GroundPoints, Tree
@@ -128,8 +128,9 @@ class Problem(NamedTuple):
     force: list[Scalar]
     """On the degrees of freedom, all but contacts and limits."""
     kinematics: Kinematics
+    velocity: list[Scalar]
     ground: list[Touch]
-    pairs: list[Touch]
+    pairs: list[tuple[Gap, Friction]]
     stops: dict[int, Stop]
     slips: dict[int, Slip]
     """By degree of freedom."""

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from humanoid_mjx.mechanics.scalars import Scalar
 from humanoid_mjx.mechanics.tree.inertia import factor
 from humanoid_mjx.mechanics.tree.line import lowest_share
-from humanoid_mjx.mechanics.tree.pairs import Slot, all_close, close_pairs, with_pairs
+from humanoid_mjx.mechanics.tree.pairs import Slots, are_close, close_pairs, with_pairs
 from humanoid_mjx.mechanics.tree.problem import Active, Problem, active_at, normal_equations, worlds_of
 from humanoid_mjx.mechanics.tree.structure import Tree
 
@@ -35,16 +35,15 @@ worlds do: at friction 0.3 a tenth of 512 thrown bodies within 2 s. At friction 
 0.7; with 0.6 and 0.8 one and three do not."""
 
 
-def search(tree: Tree, problem: Problem, slots: list[Slot], start: list[Any], most: int) -> tuple[list[Any], Any]:
+def search(tree: Tree, problem: Problem, slots: Slots | None, start: list[Any], most: int) -> tuple[list[Any], Any]:
     """The accelerations after at most so many steps, and where they are settled, from which on they stay.
 
     `slots`: the contacts between bodies.
     """
-    near = functools.reduce(jnp.logical_or, [slot.touch.close.any() for slot in slots], jnp.bool_(False))
 
     def step(carry: tuple[Any, ...]) -> tuple[Any, ...]:
         before, active, settled, count = carry
-        x, pairs = _minimum(tree, problem, slots, active, near)
+        x, pairs = _minimum(tree, problem, slots, active)
         now = active_at(tree, problem, x)._replace(pairs=pairs)
         values = [jnp.where(settled, old, v.value) for old, v in zip(before, x, strict=True)]
         errors = SAME * jnp.where(count < PATIENCE, 1.0, MORE)
@@ -62,14 +61,14 @@ def search(tree: Tree, problem: Problem, slots: list[Slot], start: list[Any], mo
     worlds = worlds_of(problem, start)
     start = [jnp.broadcast_to(value, (*jnp.shape(value)[:-1], *worlds)) for value in start]
     active = active_at(tree, problem, [Scalar(value) for value in start])
-    active = active._replace(pairs=all_close(slots))  # a guess
+    active = active._replace(pairs=slots.all_close() if slots else [])  # a guess
     unsettled = jnp.zeros(worlds, bool)
     x, _, settled, _ = jax.lax.while_loop(going, step, (start, active, unsettled, jnp.int32(0)))
     return x, settled
 
 
 def _shortened(
-    tree: Tree, problem: Problem, slots: list[Slot], before: Any, values: Any, active: Active, settled: Any
+    tree: Tree, problem: Problem, slots: Slots | None, before: Any, values: Any, active: Active, settled: Any
 ) -> Any:
     """The accelerations after a part of the way from `before` to `values`, where the facets that push in `active` lead,
     and which facets push there; settled worlds stay."""
@@ -77,7 +76,7 @@ def _shortened(
     share = lowest_share(tree, problem, slots, active, one, two, settled) if problem.slips else SHARE
     values = [jnp.where(settled, new, old + share * (new - old)) for old, new in zip(before, values, strict=True)]
     found = [Scalar(value) for value in values]
-    return values, active_at(tree, problem, found)._replace(pairs=[slot.active(tree, found) for slot in slots])
+    return values, active_at(tree, problem, found)._replace(pairs=slots.active(tree, found) if slots else [])
 
 
 def _differ(one: Active, two: Active) -> Any:
@@ -106,28 +105,22 @@ def _in_any_lane(combine: Callable[[Any, Any], Any], values: Sequence[Any]) -> A
     return functools.reduce(combine, each)
 
 
-def _minimum(
-    tree: Tree, problem: Problem, slots: list[Slot], active: Active, near: Any
-) -> tuple[list[Scalar], list[Any]]:
-    """If these facets and stops push and no others, and which facets of pairs push there.
-
-    Args:
-      near: whether in any world the bodies of any pair are close; none are computed where they are not.
-    """
+def _minimum(tree: Tree, problem: Problem, slots: Slots | None, active: Active) -> tuple[list[Scalar], list[Any]]:
+    """If these facets and stops push and no others, and which facets of pairs push there."""
     matrix, right = normal_equations(tree, problem, active)
     factors = factor(tree, matrix)
     x = factors.solve(right)
-    if not slots:
+    if slots is None:
         return x, active.pairs
 
     def together() -> tuple[list[Any], list[Any]]:
         found = with_pairs(tree, slots, active.pairs, factors, x)
-        return [v.value for v in found], [slot.active(tree, found) for slot in slots]
+        return [v.value for v in found], slots.active(tree, found)
 
     def alone() -> tuple[list[Any], list[Any]]:
         return [v.value for v in x], jax.tree.map(jnp.zeros_like, active.pairs)
 
-    values, pairs = jax.lax.cond(near, together, alone)
+    values, pairs = jax.lax.cond(slots.count > 0, together, alone)
     return [Scalar(value) for value in values], pairs
 
 
@@ -152,8 +145,8 @@ def search_blocks(tree: Tree, problem: Problem, start: list[Any]) -> tuple[list[
 
     def whole(problem: Problem, start: list[Any], at: Any = None) -> tuple[list[Any], Any]:
         if not pairs:
-            return search(tree, problem, [], start, MOST_STEPS)
-        slots, more = close_pairs(tree, problem.kinematics, pairs, at)
+            return search(tree, problem, None, start, MOST_STEPS)
+        slots, more = close_pairs(tree, problem, pairs, at)
         found, settled = search(tree, problem, slots, start, MOST_STEPS)
         return found, settled & ~more
 
@@ -166,15 +159,14 @@ def search_blocks(tree: Tree, problem: Problem, start: list[Any]) -> tuple[list[
 
     def first(begin: Any) -> tuple[list[Any], Any]:
         own, before = part((problem, start), lambda v: _block(v, begin))
-        return search(tree, own, [], before, FIRST_STEPS)
+        return search(tree, own, None, before, FIRST_STEPS)
 
-    close = [flag for touch in pairs for flag in touch.close]
-    near = functools.reduce(jnp.logical_or, close, jnp.zeros(worlds, bool))
-    nothing = [jnp.zeros((*jnp.shape(v)[:-1], *worlds), v.dtype) for v in start], near
+    near = jnp.broadcast_to(are_close(tree, pairs).sum(axis=0), worlds) if pairs else jnp.zeros(worlds, int)
+    nothing = [jnp.zeros((*jnp.shape(v)[:-1], *worlds), v.dtype) for v in start], near > 0
     x, settled = _by_blocks(first, -(-worlds[0] // BLOCK), nothing)
-    left = near | ~settled
+    left = (near > 0) | ~settled
     # Of indices that may be negative, each look-up would be traced at length.
-    order = jnp.argsort(jnp.where(near, 0, jnp.where(left, 1, 2))).astype(jnp.uint32)
+    order = jnp.argsort(jnp.where(left, -near, 1)).astype(jnp.uint32)
 
     def second(begin: Any) -> tuple[list[Any], Any]:
         at = _block(order, begin)

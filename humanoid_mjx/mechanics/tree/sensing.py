@@ -20,12 +20,13 @@ from humanoid_mjx.mechanics.tree.algebra import (
     resolve,
     stacked,
     subtract,
+    unfolded,
     vector,
     velocity_at,
 )
 from humanoid_mjx.mechanics.tree.kinematics import Pose, motions_of, to_local
 from humanoid_mjx.mechanics.tree.problem import Problem, Solution, ground_residuals
-from humanoid_mjx.mechanics.tree.step import State, unfolded
+from humanoid_mjx.mechanics.tree.step import State
 from humanoid_mjx.mechanics.tree.structure import Site, Tree
 
 

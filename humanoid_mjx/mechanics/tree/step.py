@@ -10,9 +10,9 @@ import numpy as np
 
 from humanoid_mjx.mechanics.scalars import HALF, ONE, ZERO, Scalar, Vector, add, cross, dot, scale
 from humanoid_mjx.mechanics.terrain import Terrain
-from humanoid_mjx.mechanics.tree.algebra import Spatial, in_lanes, lane, number, vector
+from humanoid_mjx.mechanics.tree.algebra import Spatial, folded, in_lanes, number, unfolded, vector
 from humanoid_mjx.mechanics.tree.bias import Drift, bias_forces, drifts_of
-from humanoid_mjx.mechanics.tree.contacts import Friction, ground_touch, pair_touch, slip_of, stop_of
+from humanoid_mjx.mechanics.tree.contacts import Friction, ground_touch, pair_gaps, slip_of, stop_of
 from humanoid_mjx.mechanics.tree.inertia import Mass, Matrix, factor, mass_matrix, masses_of, product
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics, make_kinematics, motions_of, to_local, to_world, unit
 from humanoid_mjx.mechanics.tree.problem import Problem, Solution
@@ -86,17 +86,6 @@ def make_state(tree: Tree, values: Values, qpos: Sequence[Scalar], qvel: Sequenc
         damping,
         passive,
     )
-
-
-def folded(scalars: Sequence[Scalar], places: Sequence[tuple[int, ...]]) -> list[Scalar]:
-    """The tree's coordinates or degrees of freedom, those of lanes together, from `qpos` or `qvel`."""
-    return [in_lanes([scalars[index] for index in lanes]) for lanes in places]
-
-
-def unfolded(scalars: Sequence[Scalar], places: Sequence[tuple[int, ...]]) -> list[Scalar]:
-    """The inverse of `folded`."""
-    found = {index: lane(s, i) for s, lanes in zip(scalars, places, strict=True) for i, index in enumerate(lanes)}
-    return [found[index] for index in range(len(found))]
 
 
 def motor_forces(tree: Tree, torque: Sequence[Scalar]) -> list[Scalar]:
@@ -197,14 +186,14 @@ def make_problem(tree: Tree, values: Values, state: State, force: list[Scalar]) 
     each = zip(tree.ground, frictions, strict=True)
     ground = [ground_touch(points, at, state.motions, friction, values.terrain) for points, friction in each]
     each = zip(tree.pairs, _frictions([p.surface for p in tree.pairs], values.friction), strict=True)
-    pairs = [pair_touch(some, at, state.motions, friction) for some, friction in each]
+    pairs = [(pair_gaps(some, at), friction) for some, friction in each]
     stops = {
         joint.dof: stop_of(joint.limit, state.qpos[joint.coordinate], state.qvel[joint.dof])
         for joint in tree.joints
         if joint.limit is not None
     }
     slips = {joint.dof: slip_of(joint.dry, state.qvel[joint.dof]) for joint in tree.joints if joint.dry is not None}
-    return Problem(state.matrix, force, at, ground, pairs, stops, slips)
+    return Problem(state.matrix, force, at, state.velocity, ground, pairs, stops, slips)
 
 
 def integrate(
