@@ -101,7 +101,7 @@ class Touch(NamedTuple):
 
 
 class Gap(NamedTuple):
-    """The nearest places of two shapes, or of several twos: then with an axis that counts them."""
+    """The nearest places of two shapes; of several pairs with an axis that counts them."""
 
     place: Vector
     """Midway between the surfaces, against the origin, m."""

@@ -129,8 +129,10 @@ class Problem(NamedTuple):
     """On the degrees of freedom, all but contacts and limits."""
     kinematics: Kinematics
     velocity: list[Scalar]
+    """Of the degrees of freedom, in the axes of `State.velocity`."""
     ground: list[Touch]
     pairs: list[tuple[Gap, Friction]]
+    """Gaps of the pairs of bodies and their coefficients of friction, group by group."""
     stops: dict[int, Stop]
     slips: dict[int, Slip]
     """By degree of freedom."""

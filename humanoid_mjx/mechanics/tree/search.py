@@ -138,8 +138,8 @@ def search_blocks(tree: Tree, problem: Problem, start: list[Any]) -> tuple[list[
     """`search`; of more worlds than a block holds, on a CPU, block by block and in two passes.
 
     Worlds of a block wait for the slowest of them. So after `FIRST_STEPS` those that are not settled, and those where
-    bodies are close, are gathered into blocks of their own, of which only the first compute pairs. Worlds where bodies
-    touch each other in more than `SLOTS` places do not settle.
+    bodies are close, are gathered into blocks of their own, those with most close pairs first. Only blocks with close
+    pairs compute any. Worlds where bodies touch each other in more than `SLOTS` places do not settle.
     """
     worlds = worlds_of(problem, start)
 
