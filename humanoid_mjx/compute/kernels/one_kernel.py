@@ -181,5 +181,8 @@ class _Stage(NamedTuple):
 
 
 def _plus(values: Array, number: int) -> Array:
-    """The sum with a constant that Triton does not see: all that has an equal one would have an operand in common."""
+    """Add a constant in assembly, where Triton does not see it.
+
+    To Triton equal constants are one operand, and for an access to memory it looks at all that shares an operand.
+    """
     return assembly(f"add.s32 $0, $1, {number};", "=r,r", jnp.int32, values)

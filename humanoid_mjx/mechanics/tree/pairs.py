@@ -130,7 +130,7 @@ def close_pairs(
         return jnp.broadcast_to(value, (size, whole))[pair.astype(jnp.uint32), worlds]
 
     def contact(first: Any) -> tuple[Touch, dict[int, Vector]]:
-        pair = jnp.minimum(first, size - 1)  # of none any, whose numbers are finite
+        pair = jnp.minimum(first, size - 1)  # where none is left, the last: all its numbers are finite
         gap, bodies, inverse, friction = jax.tree.map(lambda v: pick(v, pair), every)
         arms = {dof: scale(way.between(bodies), velocity_at(way.motion, gap.place)) for dof, way in ways.items()}
         velocity = functools.reduce(add, [scale(rates[dof], arm) for dof, arm in arms.items()], NULL)
@@ -149,8 +149,8 @@ def close_pairs(
 
     def further(carry: tuple[Any, ...]) -> tuple[Any, ...]:
         count, first, found = carry
-        found = [_put(all_, count, new) for all_, new in zip(found, jax.tree.leaves(contact(first)), strict=True)]
-        return count + 1, after(first), found
+        each = zip(found, jax.tree.leaves(contact(first)), strict=True)
+        return count + 1, after(first), [_put(array, count, new) for array, new in each]
 
     def going(carry: tuple[Any, ...]) -> Any:
         return (carry[1] < size).any() & (carry[0] < slots)
