@@ -8,7 +8,7 @@ from pathlib import Path
 import jax
 
 from humanoid_mjx.compute.limits import cores
-from humanoid_mjx.compute.options import NO_VECTORS, XLA_FLAGS
+from humanoid_mjx.compute.options import NVIDIA_FLAG, XLA_FLAGS
 from humanoid_mjx.spec import InputError
 
 POOL_THREADS = str(max(16, 4 * cores()))
@@ -42,7 +42,7 @@ def start(*, mjx: bool = False) -> None:
     }
     flags = os.environ.get("XLA_FLAGS", "")
     if not any(flag.split("=")[0] in flags for flag in XLA_FLAGS.split()):
-        os.environ["XLA_FLAGS"] = f"{flags} {XLA_FLAGS} {NO_VECTORS if _nvidia() else ''}".strip()
+        os.environ["XLA_FLAGS"] = f"{flags} {XLA_FLAGS} {NVIDIA_FLAG if _nvidia() else ''}".strip()
     for name, value in defaults.items():
         if name.upper() not in os.environ:
             try:

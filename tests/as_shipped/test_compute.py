@@ -120,8 +120,8 @@ def test_a_gpu_is_told_by_its_plugin_its_device_and_what_is_asked_for(
     assert settings._nvidia() == found
 
 
-@pytest.mark.parametrize(("given", "more"), [("--xla_cpu_enable_fast_math=false", ""), ("", options.NO_VECTORS)])
-def test_flags_that_the_environment_sets_are_kept_and_where_there_is_a_gpu_xla_looks_for_no_vectors(given, more):
+@pytest.mark.parametrize(("given", "more"), [("--xla_cpu_enable_fast_math=false", ""), ("", options.NVIDIA_FLAG)])
+def test_flags_that_the_environment_sets_are_kept_and_a_gpu_has_one_of_its_own(given, more):
     program = (
         f"import os; from humanoid_mjx.compute import settings; settings._nvidia = lambda: {bool(more)}; "
         "settings.start(); import jax; print(jax.jit(lambda x: x + 1)(1), os.environ['XLA_FLAGS'])"

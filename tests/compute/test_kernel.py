@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from tree_robots import HOPPER, PLANAR, SHAPES, converged, states
 
+from humanoid_mjx.compute.kernels.angles import cosine, sine
 from humanoid_mjx.compute.kernels.one_kernel import one_kernel
 from humanoid_mjx.compute.kernels.worlds import worlds_last
 from humanoid_mjx.mechanics.terrain import Terrain
@@ -82,6 +83,14 @@ def test_loops_branches_and_indices_are_those_of_xla(worlds, lanes):
         assert found[name].dtype == value.dtype
         wanted = np.broadcast_to(value, found[name].shape)
         np.testing.assert_allclose(found[name], wanted, rtol=1e-5, atol=1e-6)  # contracted or not, a dozen operations
+
+
+def test_sine_and_cosine_are_those_of_numpy():
+    """An error of 1.2e-7 is one of the last digit of float32 near 1."""
+    angles = np.random.default_rng(0).uniform(-1.0, 1.0, (3, 10_000)) * np.array([[3.2], [100.0], [6000.0]])
+    angles = np.append(angles.astype(np.float32).ravel(), np.float32([0.0, np.pi / 4, np.pi / 2, -np.pi]))
+    for function, reference in ((sine, np.sin), (cosine, np.cos)):
+        np.testing.assert_allclose(jax.jit(function)(angles), reference(np.float64(angles)), atol=1.2e-7, rtol=0)
 
 
 REFUSED = {

@@ -22,9 +22,10 @@ from jax import lax
 from jax.extend.core import ClosedJaxpr, Literal
 from jaxtyping import Array
 
+from humanoid_mjx.compute.kernels.angles import ANGLES
 from humanoid_mjx.compute.kernels.primitives import CALLS, ELEMENTWISE
 
-ARITHMETIC = ELEMENTWISE | {"atan2", "cos", "pow", "rsqrt", "sin", "tan"}
+ARITHMETIC = ELEMENTWISE | ANGLES.keys() | {"atan2", "pow", "rsqrt", "tan"}
 """Primitives that act on each element alone."""
 
 THREADS = 32
@@ -297,6 +298,8 @@ def _element(eqn: Any, args: Sequence[Element]) -> Element:
                 return two
     if name == "sub" and _is(args[1], 0):
         return args[0]
+    if name in ANGLES:
+        return ANGLES[name](vector(args[0]))
     return eqn.primitive.bind(*(vector(arg) for arg in args), **eqn.params)
 
 

@@ -271,6 +271,7 @@ def _impedance(softness: Softness, violation: Scalar) -> Scalar:
         y = x
     else:
         rise, fall = 1.0 / middle ** (power - 1.0), 1.0 / (1.0 - middle) ** (power - 1.0)
+        power = int(power) if float(power).is_integer() else power  # in a kernel a square is one product, a power 70
         y = jnp.where(x <= middle, rise * x**power, 1.0 - fall * (1.0 - x) ** power)
     return Scalar(low + (high - low) * y)
 
