@@ -20,7 +20,8 @@ from jax.extend.core import ClosedJaxpr
 from jaxtyping import Array, Float
 
 from humanoid_mjx.compute.kernels.assembly import assembly
-from humanoid_mjx.compute.kernels.threads import THREADS, Threads, arranged, power_of_two
+from humanoid_mjx.compute.kernels.memory import THREADS
+from humanoid_mjx.compute.kernels.threads import Threads, arranged, power_of_two
 
 Results = Callable[[Sequence[Array]], list[Float[Array, " worlds"]]]
 """From the elements of a function's arguments to those of what it gives, each of all worlds of a block."""
@@ -62,7 +63,7 @@ def _written_out(
     world; `kinds`: shape and type of each argument for a world."""
     single = [jax.ShapeDtypeStruct((*shape, 1), dtype) for shape, dtype in kinds]
     traced, shapes = jax.make_jaxpr(function, return_shape=True)(*structure.unflatten(single))
-    threads = Threads(lanes, partial(_shuffled, power_of_two(lanes), interpret))
+    threads = Threads(lanes, partial(_shuffled, power_of_two(lanes), interpret), interpret)
     return jax.jit(partial(_results, traced, threads)), shapes
 
 

@@ -10,9 +10,12 @@ there are lanes then has one variable for all lanes, and each thread computes it
 alike in all threads of the world.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from functools import reduce
+from itertools import count
 from typing import Any
 
 import jax
@@ -23,13 +26,11 @@ from jax.extend.core import ClosedJaxpr, Literal
 from jaxtyping import Array
 
 from humanoid_mjx.compute.kernels.angles import ANGLES
+from humanoid_mjx.compute.kernels.memory import THREADS, Region
 from humanoid_mjx.compute.kernels.primitives import CALLS, ELEMENTWISE
 
 ARITHMETIC = ELEMENTWISE | ANGLES.keys() | {"atan2", "pow", "rsqrt", "tan"}
 """Primitives that act on each element alone."""
-
-THREADS = 32
-"""Threads of a block: one warp."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,28 +46,60 @@ Element = Any
 """An array of a block's threads, alike in those of one world; a numpy scalar; or a `Lane`."""
 
 
+@dataclass(eq=False)
+class Kept:
+    """An array in memory, entry by entry along its first axis, each as its vectors."""
+
+    region: Region
+    word: int
+    """That of the first vector."""
+    shape: tuple[int, ...]
+    dtype: Any
+    fixed: bool = False
+    """True if it must not change, since another has the same memory."""
+    stale: bool = False
+    """True if it has changed, and this is what it was."""
+
+    @property
+    def ndim(self) -> int:
+        return len(self.shape)
+
+    @property
+    def at(self) -> tuple[Region, int]:
+        """Its place."""
+        return self.region, self.word
+
+
+Held = np.ndarray | Kept
+"""An array of elements, or one in memory."""
+
+
 class Threads:
     """An interpreter of traced functions.
 
     Args:
       lanes: of a world; 1 where a world has one thread.
       shuffled: from a vector and a lane to the vector of what the thread of that lane of each world holds.
+      interpret: for Pallas's interpreter.
     """
 
-    def __init__(self, lanes: int, shuffled: Callable[[Array, int], Array]):
-        self.lanes, self.shuffled = lanes, shuffled
-        self.control = {"while": self._while, "cond": self._cond, "scan": self._scan}
+    def __init__(self, lanes: int, shuffled: Callable[[Array, int], Array], interpret: bool):
+        self.lanes, self.shuffled, self.interpret = lanes, shuffled, interpret
+        self.control = {"while": self._while, "cond": self._cond}
+        self.numbers = count()
+        self.regions: list[Region] = []
+        """Memory that what is traced now may use."""
 
-    def evaluate(self, closed: ClosedJaxpr, args: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """Evaluate a traced function; arguments and results are numpy arrays of elements.
+    def evaluate(self, closed: ClosedJaxpr, args: Sequence[Held]) -> list[Held]:
+        """Evaluate a traced function; arguments and results are numpy arrays of elements, or in memory.
 
         Raises:
           NotImplementedError: it does something else than arithmetic, or its indices are not known while tracing.
         """
-        values: dict[Any, np.ndarray] = dict(zip(closed.jaxpr.constvars, map(_constant, closed.consts), strict=True))
+        values: dict[Any, Held] = dict(zip(closed.jaxpr.constvars, map(_constant, closed.consts), strict=True))
         values |= zip(closed.jaxpr.invars, args, strict=True)
 
-        def value(x: Any) -> np.ndarray:
+        def value(x: Any) -> Held:
             kind: Any = x.aval
             return _constant(np.asarray(x.val, kind.dtype)) if isinstance(x, Literal) else values[x]
 
@@ -75,15 +108,16 @@ class Threads:
             values |= zip(eqn.outvars, found, strict=True)
         return [value(x) for x in closed.jaxpr.outvars]
 
-    def vectors(self, array: np.ndarray) -> list[Array]:
+    def vectors(self, array: Held) -> list[Array]:
         """The elements of an array as vectors, one for all lanes of a world where they have an axis."""
+        array = self._loaded(array)
         if self._laned(array.shape):
             return [vector(self._joined(group)[0]) for group in self._groups(array)]
         return [vector(self._alike(element)) for element in array.flat]
 
-    def alike(self, array: np.ndarray) -> list[Array]:
+    def alike(self, array: Held) -> list[Array]:
         """The elements of an array as vectors that are alike in all threads of a world."""
-        return [vector(self._alike(element)) for element in array.flat]
+        return [vector(self._alike(element)) for element in self._loaded(array).flat]
 
     def _laned(self, shape: tuple[int, ...]) -> bool:
         return self.lanes > 1 and len(shape) > 1 and shape[-2:] == (self.lanes, 1)
@@ -127,38 +161,101 @@ class Threads:
             found += [one] * self.lanes if same else [Lane(one, index) for index in range(self.lanes)]
         return arranged(found, shape)
 
-    def _apply(self, eqn: Any, args: list[np.ndarray]) -> list[np.ndarray]:
+    def _apply(self, eqn: Any, args: list[Any]) -> list[Any]:
         """One operation."""
         name, params = eqn.primitive.name, eqn.params
         if name in CALLS:
             return self.evaluate(params[CALLS[name]], args)
+        if name in self.control:
+            return self.control[name](eqn, *args)
         if name in ENTRIES and _is_entry(args[0], params.get("slice_sizes") or args[1].shape, args[-args[0].ndim :]):
             return [ENTRIES[name](self, *args)]
+        args = [self._loaded(arg) for arg in args]
+        if name == "scan":
+            return self._scan(eqn, *args)
         if name in ARRANGEMENTS:
             return ARRANGEMENTS[name](params, *args)
         if name in REDUCTIONS:
             return [self._reduced(eqn, args[0])]
-        if name in self.control:
-            return self.control[name](eqn, *args)
         shape = eqn.outvars[0].aval.shape
         if name not in ARITHMETIC:
             raise NotImplementedError(f"threads do no {name!r}")
         args = [np.broadcast_to(arg, shape) for arg in args]
         return [self._each(lambda *elements: _element(eqn, elements), args, shape)]
 
-    def _looked_up(self, array: np.ndarray, index: np.ndarray, *_: np.ndarray) -> np.ndarray:
+    def _looked_up(self, array: Held, index: np.ndarray, *_: np.ndarray) -> np.ndarray:
         """The entry along the first axis at an index."""
-        rows = [array[place : place + 1] for place in range(len(array))]
-        return reduce(lambda found, place: self._where(index, place, rows[place], found), range(len(rows)), rows[0])
+        (kept,) = [array] if isinstance(array, Kept) else self._keep([array])
+        return self._row(kept, self._place(kept, index))
 
-    def _with_entry(self, array: np.ndarray, entry: np.ndarray, index: np.ndarray, *_: np.ndarray) -> np.ndarray:
-        """The array with another entry there."""
-        rows = [self._where(index, place, entry, array[place : place + 1]) for place in range(len(array))]
-        return np.concatenate(rows)
+    def _with_entry(self, array: Held, entry: np.ndarray, index: np.ndarray, *_: np.ndarray) -> Kept:
+        """The array with another entry there, in its place unless that is fixed."""
+        free = isinstance(array, Kept) and not array.fixed
+        (kept,) = [array] if free else self._keep([self._loaded(array)])
+        self._write(kept, entry, self._place(kept, index))
+        kept.stale = True
+        return replace(kept, stale=False)
 
-    def _where(self, index: np.ndarray, place: int, one: np.ndarray, two: np.ndarray) -> np.ndarray:
-        here = vector(self._alike(index.item())) == place
-        return self._each(lambda a, b: jnp.where(here, vector(a), vector(b)), [one, two], one.shape)
+    def _keep(self, arrays: Sequence[np.ndarray]) -> list[Kept]:
+        """Arrays in a new part of the memory."""
+        sizes = [len(array) * self._width(array.shape) for array in arrays]
+        region = Region(next(self.numbers), sum(sizes), self.interpret)
+        self.regions.append(region)
+        places = np.cumsum([0, *sizes[:-1]]).tolist()
+        kept = [Kept(region, *each) for each in zip(places, (x.shape for x in arrays), map(_type, arrays), strict=True)]
+        for one, array in zip(kept, arrays, strict=True):
+            self._write_all(one, array)
+        return kept
+
+    def _width(self, shape: tuple[int, ...]) -> int:
+        """Words of an entry."""
+        return math.prod(shape[1:]) // (self.lanes if self._laned(shape[1:]) else 1)
+
+    def _place(self, kept: Kept, index: np.ndarray) -> Array:
+        """The place of an entry."""
+        entry = jnp.minimum(vector(self._alike(index.item())), kept.shape[0] - 1).astype(jnp.int32)
+        return kept.region.place(entry * self._width(kept.shape))
+
+    def _row(self, kept: Kept, place: Array | None, first: int = 0) -> np.ndarray:
+        """The entry at a place, and so many words behind it."""
+        if kept.stale:
+            raise NotImplementedError("threads read no array after an entry of it has changed")
+        kind, word = jnp.int32 if kept.dtype == bool else kept.dtype, kept.word + first
+        found = [kept.region.read(word + each, place, kind) for each in range(self._width(kept.shape))]
+        found = [values != 0 for values in found] if kept.dtype == bool else found
+        return self._unpacked(found, [np.empty(kept.shape[1:], object)])[0][None]
+
+    def _write(self, kept: Kept, entry: np.ndarray, place: Array | None, first: int = 0) -> None:
+        for word, values in enumerate(self.vectors(entry.reshape(kept.shape[1:])), kept.word + first):
+            kept.region.write(word, place, values.astype(jnp.int32) if kept.dtype == bool else values)
+
+    def _write_all(self, kept: Kept, array: np.ndarray) -> None:
+        for index, entry in enumerate(array):
+            self._write(kept, entry, None, index * self._width(kept.shape))
+
+    def _loaded(self, array: Held) -> np.ndarray:
+        """An array that may be in memory as one of elements."""
+        if not isinstance(array, Kept):
+            return array
+        words = range(0, array.shape[0] * self._width(array.shape), self._width(array.shape))
+        return np.concatenate([self._row(array, None, first) for first in words])
+
+    @contextmanager
+    def _inside(self, tokens: Sequence[Array]) -> Iterator[Callable[[], list[Array]]]:
+        """Trace a part of the program that begins with these tokens of all regions, and ends with those of a call."""
+        outside = [(region.token, region.seen) for region in self.regions]
+        self._begin(tokens)
+        yield lambda: self._tokens()[: len(outside)]
+        del self.regions[len(outside) :]
+        for region, (token, seen) in zip(self.regions, outside, strict=True):
+            region.token, region.seen = token, seen
+
+    def _begin(self, tokens: Sequence[Array]) -> None:
+        for region, token in zip(self.regions, tokens, strict=True):
+            region.token, region.seen = token, []
+
+    def _tokens(self) -> list[Array]:
+        return [region.settle() for region in self.regions]
 
     def _reduced(self, eqn: Any, array: np.ndarray) -> np.ndarray:
         axes, (combine, of_nothing) = eqn.params["axes"], REDUCTIONS[eqn.primitive.name]
@@ -173,7 +270,7 @@ class Threads:
 
         return reduce(lambda a, b: self._each(both, [a, b], shape), (rows[row, ...] for row in range(len(rows))))
 
-    def _while(self, eqn: Any, *args: np.ndarray) -> list[np.ndarray]:
+    def _while(self, eqn: Any, *args: Held) -> list[Held]:
         """Run a loop until all worlds of the block have ended; those that have ended compute on with the others.
 
         The condition is the last value carried. No one reads it after the loop, so that Triton's loop has one result
@@ -181,30 +278,60 @@ class Threads:
         condition first, the last index is beyond the results, and jaxlib 0.11.2 crashes now and then.
         """
         first, last = eqn.params["cond_nconsts"], eqn.params["cond_nconsts"] + eqn.params["body_nconsts"]
-        cond_fixed, body_fixed, start = args[:first], args[first:last], args[last:]
+        given = self._with_room(args, _looked_up_in_loop(eqn), last)
+        cond_fixed, body_fixed, start = given[:first], given[first:last], given[last:]
+        elsewhere = [not isinstance(array, Kept) for array in start]
 
-        def going(state: Sequence[np.ndarray]) -> Array:
+        def going(state: Sequence[Any]) -> Array:
             (more,) = self.evaluate(eqn.params["cond_jaxpr"], [*cond_fixed, *state])
             return self._any(more.item())
 
-        def step(carry: tuple[list[Array], Array]) -> tuple[list[Array], Array]:
-            state = self.evaluate(eqn.params["body_jaxpr"], [*body_fixed, *self._unpacked(carry[0], start)])
-            return self._packed(state), going(state)
+        def packed(state: Sequence[Any]) -> list[Array]:
+            return self._packed([array for array, moves in zip(state, elsewhere, strict=True) if moves])
 
-        state, _ = lax.while_loop(lambda carry: carry[1], step, (self._packed(start), going(start)))
+        def step(carry: tuple[Any, ...]) -> tuple[Any, ...]:
+            with self._inside(carry[1]) as tokens:
+                state = self.evaluate(eqn.params["body_jaxpr"], [*body_fixed, *self._unpacked(carry[0], start)])
+                more = going(state)
+                self._put_back(state, start)
+                return packed(state), tokens(), more
+
+        carry = packed(start), self._tokens(), going(start)
+        state, tokens, _ = lax.while_loop(lambda carry: carry[2], step, carry)
+        self._begin(tokens)
         return self._unpacked(state, start)
 
-    def _cond(self, eqn: Any, index: np.ndarray, *args: np.ndarray) -> list[np.ndarray]:
+    def _with_room(self, args: Sequence[Any], places: set[int], first: int) -> list[Any]:
+        """Arguments of a loop, those at these places in memory, and fixed where they are not carried, before `first`."""
+        moved = [place for place in places if place >= first or not isinstance(args[place], Kept)]
+        moved = [place for place in sorted(moved) if math.prod(args[place].shape)]
+        found = dict(enumerate(args))
+        if moved:
+            found |= zip(moved, self._keep([self._loaded(args[place]) for place in moved]), strict=True)
+        return [replace(x, fixed=True) if isinstance(x, Kept) and i < first else x for i, x in found.items()]
+
+    def _put_back(self, state: Sequence[Any], start: Sequence[Any]) -> None:
+        """Write what a loop carries in memory there, unless it is there."""
+        for found, kept in zip(state, start, strict=True):
+            if isinstance(kept, Kept) and not (isinstance(found, Kept) and found.at == kept.at):
+                self._write_all(kept, self._loaded(found))
+
+    def _cond(self, eqn: Any, index: np.ndarray, *args: Held) -> list[np.ndarray]:
         """Compute the first branch always, and the second where a world of the block takes it."""
-        one, two = eqn.params["branches"]
         chosen = vector(self._alike(index.item())) != 0
-        first = self.evaluate(one, args)
+        given = [replace(arg, fixed=True) if isinstance(arg, Kept) else arg for arg in args]
+        one, two = eqn.params["branches"]
+        first = [self._loaded(array) for array in self.evaluate(one, given)]
+        tokens = self._tokens()
 
-        def both() -> list[Array]:
-            second = self._packed(self.evaluate(two, args))
-            return [jnp.where(chosen, b, a) for a, b in zip(self._packed(first), second, strict=True)]
+        def both() -> tuple[list[Array], list[Array]]:
+            with self._inside(tokens) as after:
+                each = zip(self._packed(first), self._packed(self.evaluate(two, given)), strict=True)
+                return [jnp.where(chosen, b, a) for a, b in each], after()
 
-        return self._unpacked(lax.cond(self._any(chosen), both, lambda: self._packed(first)), first)
+        found, tokens = lax.cond(self._any(chosen), both, lambda: (self._packed(first), tokens))
+        self._begin(tokens)
+        return self._unpacked(found, first)
 
     def _scan(self, eqn: Any, *args: np.ndarray) -> list[np.ndarray]:
         """Unrolled."""
@@ -226,12 +353,15 @@ class Threads:
     def _any(self, flag: Element) -> Array:
         return jnp.max(vector(self._alike(flag)).astype(jnp.int32)) > 0
 
-    def _packed(self, arrays: Sequence[np.ndarray]) -> list[Array]:
+    def _packed(self, arrays: Sequence[Held]) -> list[Array]:
         return [each for array in arrays for each in self.vectors(array)]
 
-    def _unpacked(self, vectors: Sequence[Array], like: Sequence[np.ndarray]) -> list[np.ndarray]:
+    def _unpacked(self, vectors: Sequence[Array], like: Sequence[Held]) -> list[Any]:
         found, rest = [], iter(vectors)
         for array in like:
+            if isinstance(array, Kept):
+                found.append(replace(array))
+                continue
             if self._laned(array.shape):
                 groups = (next(rest) for _ in range(array.size // self.lanes))
                 elements: list[Element] = [Lane(group, index) for group in groups for index in range(self.lanes)]
@@ -241,11 +371,36 @@ class Threads:
         return found
 
 
-ENTRIES: dict[str, Callable[..., np.ndarray]] = {
+ENTRIES: dict[str, Callable[..., Any]] = {
     "dynamic_slice": Threads._looked_up,
     "dynamic_update_slice": Threads._with_entry,
 }
 """Operations on one entry of an array at an index that is not known while tracing."""
+
+
+def _looked_up_in_loop(eqn: Any) -> set[int]:
+    """The places among a loop's arguments of arrays of which it looks up or changes entries."""
+    first, params = eqn.params["cond_nconsts"], eqn.params
+    last = first + params["body_nconsts"]
+    inside = {place if place < first else last - first + place for place in _looked_up(params["cond_jaxpr"].jaxpr)}
+    return inside | {first + place for place in _looked_up(params["body_jaxpr"].jaxpr)}
+
+
+def _looked_up(jaxpr: Any) -> set[int]:
+    """The same of a traced function."""
+    found: set[Any] = set()
+    for eqn in jaxpr.eqns:
+        name = eqn.primitive.name
+        if name in ENTRIES:
+            found.add(eqn.invars[0])
+        elif name in CALLS:
+            found |= {eqn.invars[place] for place in _looked_up(eqn.params[CALLS[name]].jaxpr)}
+        elif name == "while":
+            found |= {eqn.invars[place] for place in _looked_up_in_loop(eqn)}
+        elif name == "cond":
+            places = set().union(*(_looked_up(branch.jaxpr) for branch in eqn.params["branches"]))
+            found |= {eqn.invars[1 + place] for place in places}
+    return {place for place, var in enumerate(jaxpr.invars) if var in found}
 
 
 def power_of_two(lanes: int) -> int:
@@ -257,7 +412,12 @@ def _is_lane(element: Element, vector: Array, index: int) -> bool:
     return isinstance(element, Lane) and element.vector is vector and element.index == index
 
 
-def _is_entry(array: np.ndarray, sizes: Sequence[int], starts: Sequence[np.ndarray]) -> bool:
+def _type(array: np.ndarray) -> Any:
+    element = array.flat[0]
+    return element.vector.dtype if isinstance(element, Lane) else element.dtype
+
+
+def _is_entry(array: Held, sizes: Sequence[int], starts: Sequence[np.ndarray]) -> bool:
     """True for one entry along the first axis, at an index that is not known while tracing."""
     return tuple(sizes) == (1, *array.shape[1:]) and not isinstance(starts[0].item(), np.generic)
 

@@ -1,0 +1,78 @@
+"""Memory of each thread of a kernel, for arrays whose entries are looked up at indices not known while tracing.
+
+Registers have no index, and to choose among all entries takes an instruction for each. Inline assembly reaches a
+thread's local memory. It may be moved unless something depends on it, hence a write gives a token, which all that comes
+later takes, and before a write the token depends on all that was read.
+"""
+
+from typing import Any
+
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Int, Num
+
+from humanoid_mjx.compute.kernels.assembly import assembly
+
+THREADS = 32
+"""Threads of a block: one warp."""
+
+Address = Int[Array, " threads"]
+Values = Num[Array, " threads"]
+
+
+class Region:
+    """Words of 32 bits of each thread.
+
+    Args:
+      number: of the region, unlike that of any other in the kernel.
+      words: how many.
+      interpret: for Pallas's interpreter, where the token is what the memory holds.
+    """
+
+    def __init__(self, number: int, words: int, interpret: bool):
+        self.token: Array = jnp.zeros((words, THREADS) if interpret else THREADS, jnp.int32)
+        name = f"region{number}_${{:uid}}"
+        code = f".local .align 4 .b8 {name}[{4 * words}]; mov.u32 $0, {name};"
+        self.address = None if interpret else assembly(code, "=r,r", jnp.int32, self.token)
+        """That of the first word, in bytes."""
+        self.seen: list[Values] = []
+        """What was read since the last write."""
+
+    def place(self, words: Address) -> Address:
+        """The place so many words from the beginning."""
+        return words if self.address is None else self.address + 4 * words
+
+    def read(self, word: int, place: Address | None, dtype: Any) -> Values:
+        """A word, counted from a place; None: the beginning."""
+        if self.address is None:
+            return lax.bitcast_convert_type(self.token[self._index(word, place)], dtype)
+        code, kinds = f"ld.local.b32 $0, [$1+{4 * word}];", f"={_kind(dtype)},r,r"
+        place = self.address if place is None else place
+        self.seen.append(assembly(code, kinds, dtype, place, self.token))
+        return self.seen[-1]
+
+    def write(self, word: int, place: Address | None, values: Values) -> None:
+        """Change a word."""
+        if self.address is None:
+            self.token = self.token.at[self._index(word, place)].set(lax.bitcast_convert_type(values, jnp.int32))
+            return
+        token, place = self.settle(), self.address if place is None else place
+        code, kinds = f"st.local.b32 [$1+{4 * word}], $2; mov.b32 $0, $3;", f"=r,r,{_kind(values.dtype)},r"
+        self.token = assembly(code, kinds, jnp.int32, place, values, token)
+
+    def _index(self, word: int, place: Address | None) -> Any:
+        return word if place is None else (word + place, jnp.arange(THREADS))
+
+    def settle(self) -> Array:
+        """The token, which depends on all that was read."""
+        for first in range(0, len(self.seen), 8):
+            group = self.seen[first : first + 8]
+            kinds = ",".join(["=r", "r", *(_kind(values.dtype) for values in group)])
+            self.token = assembly("mov.b32 $0, $1;", kinds, jnp.int32, self.token, *group)
+        self.seen = []
+        return self.token
+
+
+def _kind(dtype: Any) -> str:
+    """LLVM's letter for registers of this type."""
+    return "f" if dtype == jnp.float32 else "r"
