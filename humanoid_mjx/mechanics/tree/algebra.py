@@ -13,7 +13,8 @@ from humanoid_mjx.mechanics.scalars import NULL, ONE, ZERO, Scalar, Symmetric, V
 from humanoid_mjx.mechanics.tree.structure import Axes, Table
 
 FEW_PAIRS = 8
-"""Above so many pairs, equal bodies' scalars are shared (`each_of`). The lower body has 5."""
+"""Above so many pairs, equal bodies' scalars are shared (`each_of`), and a single world takes one pair after another
+(`in_turn`). The lower body has 5."""
 
 
 def _flatten(scalar: Scalar) -> tuple[tuple[Any, ...], float | None]:
@@ -137,6 +138,41 @@ def each_of(things: Sequence[Any], make: Callable[[Any], Any]) -> list[Any]:
         return [make(thing) for thing in things]
     made = {thing: make(thing) for thing in dict.fromkeys(things)}
     return [made[thing] for thing in things]
+
+
+def entry_at(values: Any, index: Any) -> Any:
+    """The entry of the first axis at an index."""
+    # Of indices that may be negative, each look-up would be traced at length.
+    return jax.lax.dynamic_index_in_dim(values, index.astype(jnp.uint32), keepdims=False)
+
+
+def with_entry(values: Any, index: Any, new: Any) -> Any:
+    """The array with another entry at an index of the first axis."""
+    return jax.lax.dynamic_update_index_in_dim(values, new, index.astype(jnp.uint32), 0)
+
+
+def in_turn(function: Callable[..., Tree], *rows: Any, count: Any) -> Tree:
+    """`function` of pytrees of scalars with an axis of rows, which it does not mix, and one of worlds.
+
+    Of a single world, as a GPU's thread has it, the first `count` rows are taken in turn, and what others give is 0:
+    a loop's code stays in the cache of instructions.
+    """
+    leaves, structure = jax.tree.flatten(rows)
+    size, worlds = jnp.broadcast_shapes(*(leaf.shape for leaf in leaves))
+    if worlds > 1:
+        return function(*rows)
+    leaves = [jnp.broadcast_to(leaf, (size, 1)) for leaf in leaves]
+
+    def row(index: Any) -> Tree:
+        return function(*structure.unflatten([entry_at(leaf, index) for leaf in leaves]))
+
+    def further(carry: tuple[Any, ...]) -> tuple[Any, ...]:
+        each = zip(carry[1], jax.tree.leaves(row(carry[0])), strict=True)
+        return carry[0] + 1, [with_entry(array, carry[0], new) for array, new in each]
+
+    found, shape = jax.tree.flatten(jax.eval_shape(row, jnp.int32(0)))
+    start = jnp.int32(0), [jnp.zeros((size, 1), leaf.dtype) for leaf in found]
+    return shape.unflatten(jax.lax.while_loop(lambda carry: carry[0] < count, further, start)[1])
 
 
 def over_lanes(scalars: Sequence[Scalar], lanes: int) -> list[Scalar]:

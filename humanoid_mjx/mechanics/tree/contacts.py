@@ -11,8 +11,10 @@ import jax.numpy as jnp
 
 from humanoid_mjx.mechanics.scalars import HALF, NULL, ONE, TWO, ZERO, Scalar, Symmetric, Vector, add, cross, dot, scale
 from humanoid_mjx.mechanics.tree.algebra import (
+    FEW_PAIRS,
     Rotation,
     Spatial,
+    in_turn,
     known,
     number,
     resolve,
@@ -23,7 +25,7 @@ from humanoid_mjx.mechanics.tree.algebra import (
 )
 from humanoid_mjx.mechanics.tree.boxes import between_boxes
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics
-from humanoid_mjx.mechanics.tree.segments import nearest_points
+from humanoid_mjx.mechanics.tree.segments import Segment, nearest_points, segments
 from humanoid_mjx.mechanics.tree.structure import (
     Box,
     Corner,
@@ -224,7 +226,14 @@ def pair_touch(surface: Surface, gap: Gap, velocity: Vector, friction: Friction)
 
 def _between_capsules(pairs: Pairs, kinematics: Kinematics) -> tuple[Vector, Vector, Scalar]:
     """The places, normals and distances of capsules, pair by pair."""
-    one, two = nearest_points(pairs, kinematics)
+    radii = tuple(known([shape.radius for shape in shapes]) for shapes in (pairs.ones, pairs.twos))
+    rows = *(segments(shapes, kinematics) for shapes in (pairs.ones, pairs.twos)), radii
+    many = len(pairs.ones) > FEW_PAIRS
+    return in_turn(_between, *rows, count=len(pairs.ones)) if many else _between(*rows)
+
+
+def _between(first: Segment, second: Segment, radii: tuple[Scalar, Scalar]) -> tuple[Vector, Vector, Scalar]:
+    one, two = nearest_points(first, second)
     between = subtract(two, one)
     square = dot(between, between)
     # Centres that meet have no direction; MuJoCo takes one as well.
@@ -232,9 +241,8 @@ def _between_capsules(pairs: Pairs, kinematics: Kinematics) -> tuple[Vector, Vec
     length = root(Scalar(jnp.where(meet, 1.0, square.value)))
     normal = scale(ONE / length, between)
     normal = normal._replace(x=Scalar(jnp.where(meet, 1.0, normal.x.value)))
-    thickness = known([a.radius + b.radius for a, b in zip(pairs.ones, pairs.twos, strict=True)])
-    distance = Scalar(jnp.where(meet, 0.0, length.value)) - thickness
-    place = add(one, scale(known([shape.radius for shape in pairs.ones]) + HALF * distance, normal))
+    distance = Scalar(jnp.where(meet, 0.0, length.value)) - (radii[0] + radii[1])
+    place = add(one, scale(radii[0] + HALF * distance, normal))
     return place, normal, distance
 
 

@@ -22,14 +22,17 @@ from jaxtyping import Array, Bool
 from humanoid_mjx.mechanics.scalars import NULL, ONE, ZERO, Scalar, Vector, add, dot, scale, unstack
 from humanoid_mjx.mechanics.tree.algebra import (
     Spatial,
+    entry_at,
     folded,
     in_lane,
+    in_turn,
     number,
     resolve,
     root,
     stacked,
     unfolded,
     velocity_at,
+    with_entry,
 )
 from humanoid_mjx.mechanics.tree.contacts import Friction, Gap, Touch, pair_touch
 from humanoid_mjx.mechanics.tree.inertia import Factors
@@ -76,10 +79,15 @@ class Slots(NamedTuple):
 
     def facets(self, tree: Tree, x: Sequence[Scalar]) -> list[Scalar]:
         """By how much the bodies part faster than they should, along each facet."""
-        rates, residual = unfolded(x, tree.dofs), self.touch.offset
-        for dof, row in self.rows.items():
-            residual = add(residual, scale(rates[dof], row))
-        return self.touch.facets(residual)
+        rates = unfolded(x, tree.dofs)
+
+        def facets(touch: Touch, rows: dict[int, Vector]) -> list[Scalar]:
+            residual = touch.offset
+            for dof, row in rows.items():
+                residual = add(residual, scale(rates[dof], row))
+            return touch.facets(residual)
+
+        return in_turn(facets, self.touch, self.rows, count=self.count)
 
     def active(self, tree: Tree, x: Sequence[Scalar]) -> Flags:
         """Masks of the facets that push."""
@@ -124,6 +132,8 @@ def close_pairs(
     def pick(value: Any, pair: Any) -> Any:
         if jnp.ndim(value) < 2:
             return value if worlds is None else jnp.broadcast_to(value, whole)[worlds]
+        if whole == 1:
+            return entry_at(jnp.broadcast_to(value, (size, 1)), pair[0])
         if worlds is None:
             return jnp.where(index == pair, value, jnp.zeros((), value.dtype)).sum(axis=0)
         # Of indices that may be negative, each look-up would be traced at length.
@@ -150,7 +160,7 @@ def close_pairs(
     def further(carry: tuple[Any, ...]) -> tuple[Any, ...]:
         count, first, found = carry
         each = zip(found, jax.tree.leaves(contact(first)), strict=True)
-        return count + 1, after(first), [_put(array, count, new) for array, new in each]
+        return count + 1, after(first), [with_entry(array, count, new) for array, new in each]
 
     def going(carry: tuple[Any, ...]) -> Any:
         return (carry[1] < size).any() & (carry[0] < slots)
@@ -170,12 +180,12 @@ def with_pairs(tree: Tree, slots: Slots, active: Flags, factors: Factors, x: Seq
     own = slots.rows, slots.touch._replace(close=()), active
 
     def update(index: Any, carry: tuple[Any, ...]) -> tuple[Any, ...]:
-        along, touch, flags = jax.tree.map(lambda v: _entry(v, index), own)
+        along, touch, flags = jax.tree.map(lambda v: entry_at(v, index), own)
         rows = [[along[dof][axis] if dof in along else ZERO for dof in range(size)] for axis in range(axes)]
         columns = [unfolded(factors.solve(folded(row, tree.dofs)), tree.dofs) for row in rows]
 
         def with_another(other: Any, columns: Any) -> Any:
-            others, inner = (_rows(_entry(past, other), axes) for past in carry[1:])
+            others, inner = (_rows(entry_at(past, other), axes) for past in carry[1:])
             felt = [[dot(column, row) for column in others] for row in rows]
             shares = [[dot(line, part) for line in inner] for part in felt]
             each = zip(_rows(columns, axes), shares, strict=True)
@@ -187,7 +197,7 @@ def with_pairs(tree: Tree, slots: Slots, active: Flags, factors: Factors, x: Seq
         residual = [dot(row, x) + offset for row, offset in zip(rows, touch.offset, strict=False)]
         x = _less(x, [dot(line, residual) for line in inner], columns)
         made = whole, stacked([entry for line in inner for entry in line], worlds)
-        return stacked(x, worlds), *(_put(past, index, new) for past, new in zip(carry[1:], made, strict=True))
+        return stacked(x, worlds), *(with_entry(past, index, new) for past, new in zip(carry[1:], made, strict=True))
 
     start = stacked(unfolded(x, tree.dofs), worlds)
     nothing = (jnp.zeros((len(active[0]), axes * count, *worlds), start.dtype) for count in (size, axes))
@@ -262,17 +272,6 @@ def _pivot(square: Scalar) -> tuple[Scalar, Scalar]:
     some = square.value > 1e-3
     length = jnp.sqrt(jnp.where(some, square.value, 1.0))
     return Scalar(jnp.where(some, length, 0.0)), Scalar(jnp.where(some, 1.0 / length, 0.0))
-
-
-def _entry(values: Any, index: Any) -> Any:
-    """The entry of the first axis at an index."""
-    # Of indices that may be negative, each look-up would be traced at length.
-    return jax.lax.dynamic_index_in_dim(values, index.astype(jnp.uint32), keepdims=False)
-
-
-def _put(values: Any, index: Any, new: Any) -> Any:
-    """The array with another entry at an index of the first axis."""
-    return jax.lax.dynamic_update_index_in_dim(values, new, index.astype(jnp.uint32), 0)
 
 
 def _ways(tree: Tree, kinematics: Kinematics, numbers: dict[tuple[int, int], int], pairs: Any) -> dict[int, Way]:

@@ -13,18 +13,21 @@ POINT = 1e-15
 """Half length of a ball's segment, m: balls are capsules so short."""
 
 
-def nearest_points(pairs: Pairs, kinematics: Kinematics) -> tuple[Vector, Vector]:
-    """The nearest points of the segments in pairs of capsules, against the origin, m, pair by pair."""
-    (one, along_one), (two, along_two) = (_segments(shapes, kinematics) for shapes in (pairs.ones, pairs.twos))
-    apart = subtract(one, two)
-    x, y = nearest_shares(along_one, along_two, apart)
+Segment = tuple[Vector, Vector]
+"""The middle, and the way from there to an end."""
+
+
+def nearest_points(first: Segment, second: Segment) -> tuple[Vector, Vector]:
+    """The nearest points of two segments."""
+    (one, along_one), (two, along_two) = first, second
+    x, y = nearest_shares(along_one, along_two, subtract(one, two))
     return add(one, scale(x, along_one)), add(two, scale(y, along_two))
 
 
-def _segments(shapes: Sequence[Capsule], kinematics: Kinematics) -> tuple[Vector, Vector]:
-    """The middles, and from there to the ends."""
+def segments(shapes: Sequence[Capsule], kinematics: Kinematics) -> Segment:
+    """The segments of capsules, one after another, against the origin, m."""
 
-    def placed(shape: Capsule) -> tuple[Vector, Vector]:
+    def placed(shape: Capsule) -> Segment:
         position, axes = kinematics.of_lane(shape.body, shape.lane)
         half = scale(Scalar(max(shape.half_length, POINT)), combine(axes, vector(shape.axis)))
         return add(position, combine(axes, vector(shape.center))), half
