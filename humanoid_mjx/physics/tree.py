@@ -210,10 +210,10 @@ class _Step(NamedTuple):
 
 
 def _solved(tree: Tree, values: mechanics.Values, state: mechanics.State | None, world: Parts, torque: Any) -> _Step:
-    qpos, qvel, warmstart, _ = world
+    qpos, qvel, warmstart, diverged = world
     state = state or _state(tree, values, qpos, qvel)
     motor, near = mechanics.motor_forces(tree, unstack(torque)), mechanics.folded(unstack(warmstart), tree.dofs)
-    return _Step(state, *mechanics.accelerate(tree, values, state, motor, near), motor)
+    return _Step(state, *mechanics.accelerate(tree, values, state, motor, near, diverged), motor)
 
 
 def _advance(tree: Tree, values: mechanics.Values, given: mechanics.State | None, world: Parts, torque: Any) -> Parts:

@@ -7,13 +7,16 @@ has a facet along the normal plus and minus each tangent, weighted by the coeffi
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 
 from humanoid_mjx.mechanics.scalars import HALF, NULL, ONE, TWO, ZERO, Scalar, Symmetric, Vector, add, cross, dot, scale
 from humanoid_mjx.mechanics.tree.algebra import (
     FEW_PAIRS,
     Rotation,
     Spatial,
+    entry_at,
     in_turn,
     known,
     number,
@@ -28,6 +31,7 @@ from humanoid_mjx.mechanics.tree.kinematics import Kinematics
 from humanoid_mjx.mechanics.tree.segments import Segment, nearest_points, segments
 from humanoid_mjx.mechanics.tree.structure import (
     Box,
+    Capsule,
     Corner,
     Dry,
     GroundPoints,
@@ -226,14 +230,26 @@ def pair_touch(surface: Surface, gap: Gap, velocity: Vector, friction: Friction)
 
 def _between_capsules(pairs: Pairs, kinematics: Kinematics) -> tuple[Vector, Vector, Scalar]:
     """The places, normals and distances of capsules, pair by pair."""
-    radii = tuple(known([shape.radius for shape in shapes]) for shapes in (pairs.ones, pairs.twos))
-    rows = *(segments(shapes, kinematics) for shapes in (pairs.ones, pairs.twos)), radii
-    many = len(pairs.ones) > FEW_PAIRS
-    return in_turn(_between, *rows, count=len(pairs.ones)) if many else _between(*rows)
+    every = list(dict.fromkeys([*pairs.ones, *pairs.twos]))
+    table = _capsules(every, kinematics)
+    if len(pairs.ones) <= FEW_PAIRS or jax.tree.leaves(table)[0].shape[-1] > 1:
+        return _between(*(_capsules(shapes, kinematics) for shapes in (pairs.ones, pairs.twos)))
+
+    def numbered(*numbers: Any) -> tuple[Vector, Vector, Scalar]:
+        return _between(*(jax.tree.map(lambda v: entry_at(v, number[0]), table) for number in numbers))
+
+    numbers = (np.array([[every.index(shape)] for shape in shapes], np.float32) for shapes in (pairs.ones, pairs.twos))
+    return in_turn(numbered, *numbers, count=len(pairs.ones))
 
 
-def _between(first: Segment, second: Segment, radii: tuple[Scalar, Scalar]) -> tuple[Vector, Vector, Scalar]:
-    one, two = nearest_points(first, second)
+def _capsules(shapes: Sequence[Capsule], kinematics: Kinematics) -> tuple[Segment, Scalar]:
+    """Segments and radii."""
+    return segments(shapes, kinematics), known([shape.radius for shape in shapes])
+
+
+def _between(first: tuple[Segment, Scalar], second: tuple[Segment, Scalar]) -> tuple[Vector, Vector, Scalar]:
+    (one, radius), (two, other) = first, second
+    one, two = nearest_points(one, two)
     between = subtract(two, one)
     square = dot(between, between)
     # Centres that meet have no direction; MuJoCo takes one as well.
@@ -241,8 +257,8 @@ def _between(first: Segment, second: Segment, radii: tuple[Scalar, Scalar]) -> t
     length = root(Scalar(jnp.where(meet, 1.0, square.value)))
     normal = scale(ONE / length, between)
     normal = normal._replace(x=Scalar(jnp.where(meet, 1.0, normal.x.value)))
-    distance = Scalar(jnp.where(meet, 0.0, length.value)) - (radii[0] + radii[1])
-    place = add(one, scale(radii[0] + HALF * distance, normal))
+    distance = Scalar(jnp.where(meet, 0.0, length.value)) - (radius + other)
+    place = add(one, scale(radius + HALF * distance, normal))
     return place, normal, distance
 
 

@@ -105,7 +105,11 @@ def are_close(tree: Tree, gaps: Sequence[tuple[Gap, Friction]]) -> Bool[Array, "
 
 
 def close_pairs(
-    tree: Tree, problem: Problem, gaps: Sequence[tuple[Gap, Friction]], worlds: Any = None
+    tree: Tree,
+    problem: Problem,
+    gaps: Sequence[tuple[Gap, Friction]],
+    close: Bool[Array, "pairs worlds"],
+    worlds: Any = None,
 ) -> tuple[Slots, Bool[Array, " worlds"]]:
     """The contacts of the first `SLOTS` pairs that are close in each world, and where more are.
 
@@ -113,9 +117,9 @@ def close_pairs(
       tree: and
       problem: of these worlds.
       gaps: those of all pairs, group by group, of all worlds, and their coefficients of friction.
+      close: true where a pair counts, of all worlds.
       worlds: indices of these; None: all, without looking up any.
     """
-    close = are_close(tree, gaps)
     numbers, size, whole = _numbers(tree), *close.shape
     pairs = [[numbers[shape.body, shape.lane * tree.bodies[shape.body].laned] for shape in two] for two in _each(tree)]
     bodies = tuple(Scalar(jnp.array(column, float)[:, None]) for column in zip(*pairs, strict=True))
@@ -177,31 +181,41 @@ def with_pairs(tree: Tree, slots: Slots, active: Flags, factors: Factors, x: Seq
     """The solution of the equations with these facets in them, from that without, `x`."""
     worlds, size = active[0].shape[1:], sum(map(len, tree.dofs))
     axes = 1 if slots.touch.friction is None else 3
-    own = slots.rows, slots.touch._replace(close=()), active
+    most, own = len(active[0]), (slots.rows, slots.touch._replace(close=()), active)
+    index = jnp.arange(most, dtype=jnp.int32)
+    pushing = functools.reduce(jnp.logical_or, active).any(axis=1)
 
-    def update(index: Any, carry: tuple[Any, ...]) -> tuple[Any, ...]:
-        along, touch, flags = jax.tree.map(lambda v: entry_at(v, index), own)
+    def after(last: Any) -> Any:
+        """The next contact that pushes in any world; a GPU's thread has one world."""
+        return jnp.where(pushing & (index > last), index, most).min()
+
+    def further(carry: tuple[Any, ...]) -> tuple[Any, ...]:
+        count, place, start, *pasts = carry
+        along, touch, flags = jax.tree.map(lambda v: entry_at(v, place), own)
+        flags = [flag & (place < most) for flag in flags]  # threads that have ended compute on with others
         rows = [[along[dof][axis] if dof in along else ZERO for dof in range(size)] for axis in range(axes)]
         columns = [unfolded(factors.solve(folded(row, tree.dofs)), tree.dofs) for row in rows]
 
         def with_another(other: Any, columns: Any) -> Any:
-            others, inner = (_rows(entry_at(past, other), axes) for past in carry[1:])
+            others, inner = (_rows(entry_at(past, other), axes) for past in pasts)
             felt = [[dot(column, row) for column in others] for row in rows]
             shares = [[dot(line, part) for line in inner] for part in felt]
             each = zip(_rows(columns, axes), shares, strict=True)
             return stacked([v for column, share in each for v in _less(column, share, others)], worlds)
 
-        columns = jax.lax.fori_loop(0, index, with_another, stacked([v for column in columns for v in column], worlds))
-        whole, (x,), columns = columns, _rows(carry[0], 1), _rows(columns, axes)
+        columns = jax.lax.fori_loop(0, count, with_another, stacked([v for column in columns for v in column], worlds))
+        whole, (x,), columns = columns, _rows(start, 1), _rows(columns, axes)
         inner = _inner(touch, flags, [[dot(row, column) for column in columns] for row in rows])
         residual = [dot(row, x) + offset for row, offset in zip(rows, touch.offset, strict=False)]
         x = _less(x, [dot(line, residual) for line in inner], columns)
         made = whole, stacked([entry for line in inner for entry in line], worlds)
-        return stacked(x, worlds), *(with_entry(past, index, new) for past, new in zip(carry[1:], made, strict=True))
+        pasts = [with_entry(past, count, new) for past, new in zip(pasts, made, strict=True)]
+        return count + 1, after(place), stacked(x, worlds), *pasts
 
     start = stacked(unfolded(x, tree.dofs), worlds)
-    nothing = (jnp.zeros((len(active[0]), axes * count, *worlds), start.dtype) for count in (size, axes))
-    found, *_ = jax.lax.fori_loop(0, slots.count, update, (start, *nothing))
+    nothing = (jnp.zeros((most, axes * count, *worlds), start.dtype) for count in (size, axes))
+    begin = jnp.int32(0), after(jnp.int32(-1)), start, *nothing
+    found = jax.lax.while_loop(lambda carry: carry[1] < most, further, begin)[2]
     return folded(unstack(found), tree.dofs)
 
 

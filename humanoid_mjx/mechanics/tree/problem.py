@@ -136,6 +136,8 @@ class Problem(NamedTuple):
     stops: dict[int, Stop]
     slips: dict[int, Slip]
     """By degree of freedom."""
+    ended: Any = False
+    """True of worlds whose solution is of no use: the others do not wait for them."""
 
 
 class Solution(NamedTuple):

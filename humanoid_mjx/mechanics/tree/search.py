@@ -62,8 +62,8 @@ def search(tree: Tree, problem: Problem, slots: Slots | None, start: list[Any], 
     start = [jnp.broadcast_to(value, (*jnp.shape(value)[:-1], *worlds)) for value in start]
     active = active_at(tree, problem, [Scalar(value) for value in start])
     active = active._replace(pairs=slots.all_close() if slots else [])  # a guess
-    unsettled = jnp.zeros(worlds, bool)
-    x, _, settled, _ = jax.lax.while_loop(going, step, (start, active, unsettled, jnp.int32(0)))
+    ended = jnp.broadcast_to(jnp.asarray(problem.ended), worlds)
+    x, _, settled, _ = jax.lax.while_loop(going, step, (start, active, ended, jnp.int32(0)))
     return x, settled
 
 
@@ -146,11 +146,12 @@ def search_blocks(tree: Tree, problem: Problem, start: list[Any]) -> tuple[list[
     def whole(problem: Problem, start: list[Any], at: Any = None) -> tuple[list[Any], Any]:
         if not pairs:
             return search(tree, problem, None, start, MOST_STEPS)
-        slots, more = close_pairs(tree, problem, pairs, at)
+        slots, more = close_pairs(tree, problem, pairs, close, at)
         found, settled = search(tree, problem, slots, start, MOST_STEPS)
         return found, settled & ~more
 
     pairs, problem = problem.pairs, problem._replace(pairs=[])
+    close = are_close(tree, pairs) & ~jnp.asarray(problem.ended) if pairs else None
     if worlds <= (BLOCK,) or jax.default_backend() != "cpu":
         return whole(problem, start)
 
@@ -161,7 +162,7 @@ def search_blocks(tree: Tree, problem: Problem, start: list[Any]) -> tuple[list[
         own, before = part((problem, start), lambda v: _block(v, begin))
         return search(tree, own, None, before, FIRST_STEPS)
 
-    near = jnp.broadcast_to(are_close(tree, pairs).sum(axis=0), worlds) if pairs else jnp.zeros(worlds, int)
+    near = jnp.zeros(worlds, int) if close is None else jnp.broadcast_to(close.sum(axis=0), worlds)
     nothing = [jnp.zeros((*jnp.shape(v)[:-1], *worlds), v.dtype) for v in start], near > 0
     x, settled = _by_blocks(first, -(-worlds[0] // BLOCK), nothing)
     left = (near > 0) | ~settled

@@ -160,19 +160,20 @@ def _at_start(tree: Tree, qvel: Sequence[Scalar], way: Sequence[Scalar]) -> list
 
 
 def accelerate(
-    tree: Tree, values: Values, state: State, motor: Sequence[Scalar], warmstart: Sequence[Scalar]
+    tree: Tree, values: Values, state: State, motor: Sequence[Scalar], warmstart: Sequence[Scalar], ended: Any = False
 ) -> tuple[Problem, Solution]:
     """The accelerations, and the problem that they solve; both with the free body's in the world's axes.
 
     Args:
       motor: what acts on the degrees of freedom, N m.
       warmstart: accelerations near the solution, in the axes of `qvel`.
+      ended: where a solution is of no use.
     """
     force = [m + p - b for m, p, b in zip(motor, state.passive, state.bias, strict=True)]
     if values.push is not None and tree.free is not None:
         force[:3] = [f + p for f, p in zip(force[:3], vector(values.push), strict=True)]
     start = to_world(tree, state.kinematics, warmstart)
-    problem = make_problem(tree, values, state, force)
+    problem = make_problem(tree, values, state, force)._replace(ended=ended)
     if not (problem.ground or problem.pairs or problem.stops or problem.slips):
         return problem, Solution(factor(tree, state.matrix).solve(force), jnp.bool_(True))
     found, settled = search_blocks(tree, problem, [value.value for value in start])
