@@ -37,8 +37,8 @@ both arise from operations on arrays of one shape that share an operand.
 NVIDIA_FLAG = "--xla_backend_extra_options=-vectorize-slp=false,-nvptx-fma-level=2"
 """Flag of the process where there is an NVIDIA GPU, with two options of LLVM.
 
-The first stops LLVM from combining scalars into vectors, which a GPU lacks. It saves 2 s of compiling the tree's kernel;
-of 526 kernels of other programs it changes 16. It slows a CPU down. The second lets a product and a sum be one
+The first stops LLVM from combining scalars into vectors, which a GPU lacks. It saves 2 s of compiling the tree's
+kernel; of 526 kernels of other programs it changes 16. It slows a CPU down. The second lets a product and a sum be one
 instruction, which XLA does not allow by itself: the tree's kernel has a sixth fewer instructions with it.
 """
 

@@ -42,6 +42,27 @@ PENDULUM = """
 </mujoco>
 """
 
+CROWD = f"""
+<mujoco>
+  <worldbody>
+    <geom type="plane" size="1 1 1"/>
+    <body pos="0 0 0.2">
+      <freejoint/>
+      <geom type="sphere" size="0.03" mass="0.3"/>
+      {
+    "".join(
+        f'''<body euler="0 0 {72 * i}"><joint name="j{i}" axis="0 1 0" range="-170 170"/>
+        <geom type="capsule" fromto="0.04 0 0 0.15 0 0.02" size="0.02" mass="0.1"/></body>'''
+        for i in range(5)
+    )
+}
+    </body>
+  </worldbody>
+  <actuator><motor joint="j0"/></actuator>
+</mujoco>
+"""
+"""Five limbs that may touch each other."""
+
 TABLE = np.array([[0.0, 1.0, -2.0], [0.5, 0.0, 1.0]], np.float32)[..., None]
 
 
@@ -68,7 +89,22 @@ def everything(x, flag):
     place = 1 + (x > 1e9).any().astype(jnp.int32)  # 1 in all worlds, which is not known while tracing
     entry = jax.lax.dynamic_index_in_dim(rows, place, keepdims=False)
     put = jax.lax.dynamic_update_index_in_dim(rows, x[0], place, axis=0)
-    looked_up = {"entry": entry, "put": put}
+
+    def reverse(carry):
+        """Swap the ends of a table, with a loop within that reads it, and a branch."""
+        index, table, total = carry
+        other = len(table) - 1 - index
+        low, high = (jax.lax.dynamic_index_in_dim(table, at, keepdims=False) for at in (index, other))
+        below = lambda at, sum: sum + jax.lax.dynamic_index_in_dim(table, at, keepdims=False) * rows[0]  # noqa: E731
+        sum = jax.lax.fori_loop(0, index + place, below, 0.0 * low)
+        sum = jax.lax.cond((x[0] > 0.0).any(), lambda: sum + jnp.where(x[0] > 0.0, table[0], 0.0), lambda: sum)
+        for at, new in ((index, high), (other, low)):
+            table = jax.lax.dynamic_update_index_in_dim(table, new + 0.1 * sum, at, axis=0)
+        return index + 1, table, total + sum
+
+    start = jnp.int32(0), jnp.concatenate([rows, 2.0 * rows, x[:1]]), 0.0 * x[0]
+    _, reversed, total = jax.lax.while_loop(lambda carry: carry[0] < 3 * place, reverse, start)
+    looked_up = {"entry": entry, "put": put, "reversed": reversed, "total": total}
     return of_nothing | looked_up | {"table": table, "halved": halved, "far": far, "flag": flag, "most": count < 20}
 
 
@@ -93,7 +129,18 @@ def test_sine_and_cosine_are_those_of_numpy():
         np.testing.assert_allclose(jax.jit(function)(angles), reference(np.float64(angles)), atol=1.2e-7, rtol=0)
 
 
+def compared(x):
+    """A table of which each entry is changed in turn, and what it was is read afterwards."""
+
+    def change(carry):
+        place, table = carry
+        return place + 1, jax.lax.dynamic_update_index_in_dim(table, x[0], place, axis=0) - table
+
+    return jax.lax.while_loop(lambda carry: carry[0] < x.sum(), change, (jnp.int32(0), x))[1]
+
+
 REFUSED = {
+    "after an entry of it has changed": compared,
     "threads do no 'sort'": lambda x: jnp.sort(x, axis=0),
     "known while tracing": lambda x: jax.lax.dynamic_slice_in_dim(x, jnp.int32(x[0, 0]), 2),
 }
@@ -107,6 +154,7 @@ def test_what_threads_cannot_do_is_refused(words):
 
 MODELS = {
     "a hopper": mujoco.MjModel.from_xml_string(HOPPER),
+    "ten pairs": mujoco.MjModel.from_xml_string(CROWD),
     "two legs, a thread each": compiled(make_robot("lower_body"), None),
 }
 

@@ -26,6 +26,7 @@ from jax.extend.core import ClosedJaxpr, Literal
 from jaxtyping import Array
 
 from humanoid_mjx.compute.kernels.angles import ANGLES
+from humanoid_mjx.compute.kernels.arrangements import ARRANGEMENTS, arranged, constant
 from humanoid_mjx.compute.kernels.memory import THREADS, Region
 from humanoid_mjx.compute.kernels.primitives import CALLS, ELEMENTWISE
 
@@ -96,12 +97,12 @@ class Threads:
         Raises:
           NotImplementedError: it does something else than arithmetic, or its indices are not known while tracing.
         """
-        values: dict[Any, Held] = dict(zip(closed.jaxpr.constvars, map(_constant, closed.consts), strict=True))
+        values: dict[Any, Held] = dict(zip(closed.jaxpr.constvars, map(constant, closed.consts), strict=True))
         values |= zip(closed.jaxpr.invars, args, strict=True)
 
         def value(x: Any) -> Held:
             kind: Any = x.aval
-            return _constant(np.asarray(x.val, kind.dtype)) if isinstance(x, Literal) else values[x]
+            return constant(np.asarray(x.val, kind.dtype)) if isinstance(x, Literal) else values[x]
 
         for eqn in closed.jaxpr.eqns:
             found = self._apply(eqn, [value(x) for x in eqn.invars])
@@ -185,13 +186,12 @@ class Threads:
 
     def _looked_up(self, array: Held, index: np.ndarray, *_: np.ndarray) -> np.ndarray:
         """The entry along the first axis at an index."""
-        (kept,) = [array] if isinstance(array, Kept) else self._keep([array])
+        kept = array if isinstance(array, Kept) else self._keep([array])[0]
         return self._row(kept, self._place(kept, index))
 
     def _with_entry(self, array: Held, entry: np.ndarray, index: np.ndarray, *_: np.ndarray) -> Kept:
         """The array with another entry there, in its place unless that is fixed."""
-        free = isinstance(array, Kept) and not array.fixed
-        (kept,) = [array] if free else self._keep([self._loaded(array)])
+        kept = array if isinstance(array, Kept) and not array.fixed else self._keep([self._loaded(array)])[0]
         self._write(kept, entry, self._place(kept, index))
         kept.stale = True
         return replace(kept, stale=False)
@@ -263,7 +263,7 @@ class Threads:
         shape = tuple(array.shape[axis] for axis in kept)
         rows = array.transpose(*axes, *kept).reshape(-1, *shape)
         if not len(rows):
-            return _constant(np.full(shape, of_nothing, eqn.outvars[0].aval.dtype))
+            return constant(np.full(shape, of_nothing, eqn.outvars[0].aval.dtype))
 
         def both(a: Element, b: Element) -> Element:
             return combine(vector(a), vector(b))
@@ -284,7 +284,7 @@ class Threads:
 
         def going(state: Sequence[Any]) -> Array:
             (more,) = self.evaluate(eqn.params["cond_jaxpr"], [*cond_fixed, *state])
-            return self._any(more.item())
+            return self._any(self._loaded(more).item())
 
         def packed(state: Sequence[Any]) -> list[Array]:
             return self._packed([array for array, moves in zip(state, elsewhere, strict=True) if moves])
@@ -302,7 +302,7 @@ class Threads:
         return self._unpacked(state, start)
 
     def _with_room(self, args: Sequence[Any], places: set[int], first: int) -> list[Any]:
-        """Arguments of a loop, those at these places in memory, and fixed where they are not carried, before `first`."""
+        """Arguments of a loop, those at these places in memory; fixed before `first`, where they are not carried."""
         moved = [place for place in places if place >= first or not isinstance(args[place], Kept)]
         moved = [place for place in sorted(moved) if math.prod(args[place].shape)]
         found = dict(enumerate(args))
@@ -345,6 +345,7 @@ class Threads:
         order = range(eqn.params["length"])
         for index in reversed(order) if eqn.params["reverse"] else order:
             found = self.evaluate(body, [*fixed, *carry, *(row[index, ...] for row in args[last:])])
+            found = [self._loaded(array) for array in found]
             carry = found[:kept]
             seen.append(found[kept:])
         seen = seen[::-1] if eqn.params["reverse"] else seen
@@ -472,75 +473,6 @@ def vector(element: Element) -> Array:
     known = isinstance(element, np.generic)
     return jnp.full(THREADS, element.item(), element.dtype) if known else element
 
-
-def arranged(elements: Sequence[Element], shape: tuple[int, ...]) -> np.ndarray:
-    """A numpy array of elements."""
-    found = np.empty(len(elements), object)
-    for place, element in enumerate(elements):
-        found[place] = element
-    return found.reshape(shape)
-
-
-def _constant(value: Any) -> np.ndarray:
-    value = np.asarray(value)
-    return arranged(list(value.reshape(-1)), value.shape)
-
-
-def _broadcast_in_dim(params: dict[str, Any], array: np.ndarray) -> list[np.ndarray]:
-    shape, places = params["shape"], params["broadcast_dimensions"]
-    inner = [1] * len(shape)
-    for place, size in zip(places, array.shape, strict=True):
-        inner[place] = size
-    return [np.broadcast_to(array.reshape(inner), shape)]
-
-
-def _slice(params: dict[str, Any], array: np.ndarray) -> list[np.ndarray]:
-    steps = params["strides"] or [1] * array.ndim
-    places = zip(params["start_indices"], params["limit_indices"], steps, strict=True)
-    return [array[tuple(slice(*place) for place in places)]]
-
-
-def _place(array: np.ndarray, sizes: Sequence[int], starts: Sequence[np.ndarray]) -> tuple[slice, ...]:
-    """The place in an array of a part of these sizes; starts beyond the ends are clamped, as jax does."""
-    if not all(isinstance(start.item(), np.generic) for start in starts):
-        raise NotImplementedError("threads index only by what is known while tracing")
-    limits = [full - size for full, size in zip(array.shape, sizes, strict=True)]
-    firsts = [min(max(int(start.item()), 0), limit) for start, limit in zip(starts, limits, strict=True)]
-    return tuple(slice(first, first + size) for first, size in zip(firsts, sizes, strict=True))
-
-
-def _dynamic_slice(params: dict[str, Any], array: np.ndarray, *starts: np.ndarray) -> list[np.ndarray]:
-    return [array[_place(array, params["slice_sizes"], starts)]]
-
-
-def _dynamic_update_slice(
-    params: dict[str, Any], array: np.ndarray, part: np.ndarray, *starts: np.ndarray
-) -> list[np.ndarray]:
-    found = array.copy()
-    found[_place(array, part.shape, starts)] = part
-    return [found]
-
-
-def _iota(params: dict[str, Any]) -> list[np.ndarray]:
-    shape, axis = params["shape"], params["dimension"]
-    along = np.arange(shape[axis], dtype=params["dtype"]).reshape([-1 if i == axis else 1 for i in range(len(shape))])
-    return [_constant(np.broadcast_to(along, shape))]
-
-
-ARRANGEMENTS: dict[str, Callable[..., list[np.ndarray]]] = {
-    "broadcast_in_dim": _broadcast_in_dim,
-    "concatenate": lambda params, *arrays: [np.concatenate(arrays, axis=params["dimension"])],
-    "dynamic_slice": _dynamic_slice,
-    "dynamic_update_slice": _dynamic_update_slice,
-    "iota": _iota,
-    "reshape": lambda params, array: [array.reshape(params["new_sizes"])],
-    "slice": _slice,
-    "squeeze": lambda params, array: [array.squeeze(tuple(params["dimensions"]))],
-    "stack": lambda params, *arrays: [np.stack(arrays, axis=params["axis"])],
-    "transpose": lambda params, array: [array.transpose(params["permutation"])],
-    "unstack": lambda params, array: list(np.moveaxis(array, params["axis"], 0)),
-}
-"""Operations that move elements and make none."""
 
 REDUCTIONS: dict[str, tuple[Callable[[Any, Any], Any], Any]] = {
     "reduce_and": (lax.bitwise_and, True),

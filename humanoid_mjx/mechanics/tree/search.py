@@ -144,7 +144,7 @@ def search_blocks(tree: Tree, problem: Problem, start: list[Any]) -> tuple[list[
     worlds = worlds_of(problem, start)
 
     def whole(problem: Problem, start: list[Any], at: Any = None) -> tuple[list[Any], Any]:
-        if not pairs:
+        if close is None:
             return search(tree, problem, None, start, MOST_STEPS)
         slots, more = close_pairs(tree, problem, pairs, close, at)
         found, settled = search(tree, problem, slots, start, MOST_STEPS)

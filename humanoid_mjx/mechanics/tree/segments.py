@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from humanoid_mjx.mechanics.scalars import Scalar, Vector, add, dot, scale
 from humanoid_mjx.mechanics.tree.algebra import combine, each_of, in_order, subtract, vector
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics
-from humanoid_mjx.mechanics.tree.structure import Capsule, Pairs
+from humanoid_mjx.mechanics.tree.structure import Capsule
 
 POINT = 1e-15
 """Half length of a ball's segment, m: balls are capsules so short."""
