@@ -108,7 +108,7 @@ def close_pairs(
     tree: Tree,
     problem: Problem,
     gaps: Sequence[tuple[Gap, Friction]],
-    close: Bool[Array, "pairs worlds"],
+    close: Bool[Array, "pairs whole"],
     worlds: Any = None,
 ) -> tuple[Slots, Bool[Array, " worlds"]]:
     """The contacts of the first `SLOTS` pairs that are close in each world, and where more are.
