@@ -13,7 +13,7 @@ alike in all threads of the world.
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import reduce
 from itertools import count
 from typing import Any
@@ -58,8 +58,9 @@ class Kept:
     dtype: Any
     fixed: bool = False
     """True if it must not change, since another has the same memory."""
-    stale: bool = False
-    """True if it has changed, and this is what it was."""
+    changes: list[int] = field(default_factory=lambda: [0])
+    """How often an entry of it has changed, in common with all that have the same memory, and what it was for this."""
+    change: int = 0
 
     @property
     def ndim(self) -> int:
@@ -69,6 +70,10 @@ class Kept:
     def at(self) -> tuple[Region, int]:
         """Its place."""
         return self.region, self.word
+
+    def now(self) -> "Kept":
+        """The array after all changes."""
+        return replace(self, change=self.changes[0])
 
 
 Held = np.ndarray | Kept
@@ -171,6 +176,8 @@ class Threads:
             return self.control[name](eqn, *args)
         if name in ENTRIES and _is_entry(args[0], params.get("slice_sizes") or args[1].shape, args[-args[0].ndim :]):
             return [ENTRIES[name](self, *args)]
+        if args and isinstance(args[0], Kept) and self._is_view(eqn, args[0]):
+            return [replace(args[0], shape=eqn.outvars[0].aval.shape, fixed=True)]
         args = [self._loaded(arg) for arg in args]
         if name == "scan":
             return self._scan(eqn, *args)
@@ -193,8 +200,16 @@ class Threads:
         """The array with another entry there, in its place unless that is fixed."""
         kept = array if isinstance(array, Kept) and not array.fixed else self._keep([self._loaded(array)])[0]
         self._write(kept, entry, self._place(kept, index))
-        kept.stale = True
-        return replace(kept, stale=False)
+        kept.changes[0] += 1
+        return kept.now()
+
+    def _is_view(self, eqn: Any, kept: Kept) -> bool:
+        """True where an operation gives the first words of an array, in their order."""
+        name, params, shape = eqn.primitive.name, eqn.params, eqn.outvars[0].aval.shape
+        if not shape or self._laned(kept.shape[1:]) or self._laned(shape[1:]):
+            return False
+        first = name == "slice" and not any(params["start_indices"]) and params["strides"] is None
+        return name == "reshape" or (first and shape[1:] == kept.shape[1:])
 
     def _keep(self, arrays: Sequence[np.ndarray]) -> list[Kept]:
         """Arrays in a new part of the memory."""
@@ -218,7 +233,7 @@ class Threads:
 
     def _row(self, kept: Kept, place: Array | None, first: int = 0) -> np.ndarray:
         """The entry at a place, and so many words behind it."""
-        if kept.stale:
+        if kept.change != kept.changes[0]:
             raise NotImplementedError("threads read no array after an entry of it has changed")
         kind, word = jnp.int32 if kept.dtype == bool else kept.dtype, kept.word + first
         found = [kept.region.read(word + each, place, kind) for each in range(self._width(kept.shape))]
@@ -361,7 +376,7 @@ class Threads:
         found, rest = [], iter(vectors)
         for array in like:
             if isinstance(array, Kept):
-                found.append(replace(array))
+                found.append(array.now())
                 continue
             if self._laned(array.shape):
                 groups = (next(rest) for _ in range(array.size // self.lanes))

@@ -235,15 +235,15 @@ def _between_capsules(pairs: Pairs, kinematics: Kinematics) -> tuple[Vector, Vec
     if len(pairs.ones) <= FEW_PAIRS or jax.tree.leaves(table)[0].shape[-1] > 1:
         return _between(*(_capsules(shapes, kinematics) for shapes in (pairs.ones, pairs.twos)))
 
-    def capsule(number: Any) -> tuple[Segment, Scalar]:
-        return jax.tree.map(lambda v: entry_at(v, number[0]), table)
+    def some(numbers: Any) -> tuple[Segment, Scalar]:
+        return jax.tree.map(lambda v: jnp.stack([entry_at(v, number[0]) for number in numbers]), table)
 
-    def pair(one: Any, two: Any) -> tuple[Vector, Vector, Scalar]:
-        return _between(capsule(one), capsule(two))
+    def gaps(ones: Any, twos: Any) -> tuple[Vector, Vector, Scalar]:
+        return _between(some(ones), some(twos))
 
     # Of type float: Triton takes equal numbers for one operand, and integers are those of addresses, too.
     numbers = ([[every.index(shape)] for shape in shapes] for shapes in (pairs.ones, pairs.twos))
-    return in_turn(pair, *(np.array(each, np.float32) for each in numbers), count=len(pairs.ones))
+    return in_turn(gaps, *(np.array(each, np.float32) for each in numbers), count=len(pairs.ones), abreast=4)
 
 
 def _capsules(shapes: Sequence[Capsule], kinematics: Kinematics) -> tuple[Segment, Scalar]:
