@@ -32,8 +32,8 @@ WHOLE, SHARE = 4, 0.7
 """Whole Newton steps of trees without dry friction, and the share of each later step that is made. With dry friction
 steps often go round in circles, and each after the first ends at the lowest point of its line. On slippery ground some
 worlds do: at friction 0.3 a tenth of 512 thrown bodies within 2 s. At friction 0.1 all of them settle with a share of
-0.7; with 0.6 and 0.8 one and three do not. After 3 whole steps more worlds need 7 steps or more, after 5 some need 30 at
-friction 0.1."""
+0.7; with 0.6 and 0.8 one and three do not. After 3 whole steps more worlds need 7 steps or more, after 5 some need 30
+at friction 0.1."""
 
 
 def search(tree: Tree, problem: Problem, slots: Slots | None, start: list[Any], most: int) -> tuple[list[Any], Any]:
