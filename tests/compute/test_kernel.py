@@ -95,7 +95,10 @@ def everything(x, flag):
         index, table, total = carry
         other = len(table) - 1 - index
         low, high = (jax.lax.dynamic_index_in_dim(table, at, keepdims=False) for at in (index, other))
-        below = lambda at, sum: sum + jax.lax.dynamic_index_in_dim(table, at, keepdims=False) * rows[0]  # noqa: E731
+
+        def below(at, sum):
+            return sum + jax.lax.dynamic_index_in_dim(table, at, keepdims=False) * rows[0]
+
         sum = jax.lax.fori_loop(0, index + place, below, 0.0 * low)
         sum = jax.lax.cond((x[0] > 0.0).any(), lambda: sum + jnp.where(x[0] > 0.0, table[0], 0.0), lambda: sum)
         for at, new in ((index, high), (other, low)):
@@ -104,7 +107,14 @@ def everything(x, flag):
 
     start = jnp.int32(0), jnp.concatenate([rows, 2.0 * rows, x[:1]]), 0.0 * x[0]
     _, reversed, total = jax.lax.while_loop(lambda carry: carry[0] < 3 * place, reverse, start)
-    looked_up = {"entry": entry, "put": put, "reversed": reversed, "total": total}
+
+    def swap(carry):
+        """Two tables change places, and an entry of one is new."""
+        index, one, two = carry
+        return index + 1, two, jax.lax.dynamic_update_index_in_dim(one, two[0] + x[0], index, axis=0)
+
+    swapped = jax.lax.while_loop(lambda carry: carry[0] < 3 * place, swap, (jnp.int32(0), rows, 3.0 * rows + 1.0))[1:]
+    looked_up = {"entry": entry, "put": put, "reversed": reversed, "total": total, "one": swapped[0], "two": swapped[1]}
     return of_nothing | looked_up | {"table": table, "halved": halved, "far": far, "flag": flag, "most": count < 20}
 
 
@@ -139,7 +149,19 @@ def compared(x):
     return jax.lax.while_loop(lambda carry: carry[0] < x.sum(), change, (jnp.int32(0), x))[1]
 
 
+def changed_twice(x):
+    """Two tables, each of which is another with a changed entry."""
+
+    def change(carry):
+        place, table = carry
+        one, two = (jax.lax.dynamic_update_index_in_dim(table, new, place, axis=0) for new in (x[0], x[1]))
+        return place + 1, one + two
+
+    return jax.lax.while_loop(lambda carry: carry[0] < x.sum(), change, (jnp.int32(0), x))[1]
+
+
 REFUSED = {
+    "no array any more after an entry": changed_twice,
     "after an entry of it has changed": compared,
     "threads do no 'sort'": lambda x: jnp.sort(x, axis=0),
     "known while tracing": lambda x: jax.lax.dynamic_slice_in_dim(x, jnp.int32(x[0, 0]), 2),

@@ -75,6 +75,11 @@ class Kept:
         """The array after all changes."""
         return replace(self, change=self.changes[0])
 
+    def check(self) -> None:
+        """Refuse what the array was before a change."""
+        if self.change != self.changes[0]:
+            raise NotImplementedError("threads know no array any more after an entry of it has changed")
+
 
 Held = np.ndarray | Kept
 """An array of elements, or one in memory."""
@@ -199,6 +204,7 @@ class Threads:
     def _with_entry(self, array: Held, entry: np.ndarray, index: np.ndarray, *_: np.ndarray) -> Kept:
         """The array with another entry there, in its place unless that is fixed."""
         kept = array if isinstance(array, Kept) and not array.fixed else self._keep([self._loaded(array)])[0]
+        kept.check()
         self._write(kept, entry, self._place(kept, index))
         kept.changes[0] += 1
         return kept.now()
@@ -228,13 +234,12 @@ class Threads:
 
     def _place(self, kept: Kept, index: np.ndarray) -> Array:
         """The place of an entry."""
-        entry = jnp.minimum(vector(self._alike(index.item())), kept.shape[0] - 1).astype(jnp.int32)
+        entry = jnp.clip(vector(self._alike(index.item())), 0, kept.shape[0] - 1).astype(jnp.int32)
         return kept.region.place(entry * self._width(kept.shape))
 
     def _row(self, kept: Kept, place: Array | None, first: int = 0) -> np.ndarray:
         """The entry at a place, and so many words behind it."""
-        if kept.change != kept.changes[0]:
-            raise NotImplementedError("threads read no array after an entry of it has changed")
+        kept.check()
         kind, word = jnp.int32 if kept.dtype == bool else kept.dtype, kept.word + first
         found = [kept.region.read(word + each, place, kind) for each in range(self._width(kept.shape))]
         found = [values != 0 for values in found] if kept.dtype == bool else found
@@ -307,9 +312,9 @@ class Threads:
         def step(carry: tuple[Any, ...]) -> tuple[Any, ...]:
             with self._inside(carry[1]) as tokens:
                 state = self.evaluate(eqn.params["body_jaxpr"], [*body_fixed, *self._unpacked(carry[0], start)])
-                more = going(state)
+                more, moved = going(state), packed(state)
                 self._put_back(state, start)
-                return packed(state), tokens(), more
+                return moved, tokens(), more
 
         carry = packed(start), self._tokens(), going(start)
         state, tokens, _ = lax.while_loop(lambda carry: carry[2], step, carry)
@@ -326,10 +331,11 @@ class Threads:
         return [replace(x, fixed=True) if isinstance(x, Kept) and i < first else x for i, x in found.items()]
 
     def _put_back(self, state: Sequence[Any], start: Sequence[Any]) -> None:
-        """Write what a loop carries in memory there, unless it is there."""
-        for found, kept in zip(state, start, strict=True):
-            if isinstance(kept, Kept) and not (isinstance(found, Kept) and found.at == kept.at):
-                self._write_all(kept, self._loaded(found))
+        """Write what a loop carries in memory there, unless it is there; all is read before, as loops may swap."""
+        pairs = ((found, kept) for found, kept in zip(state, start, strict=True) if isinstance(kept, Kept))
+        away = [(found, kept) for found, kept in pairs if not (isinstance(found, Kept) and found.at == kept.at)]
+        for array, kept in [(self._loaded(found), kept) for found, kept in away]:
+            self._write_all(kept, array)
 
     def _cond(self, eqn: Any, index: np.ndarray, *args: Held) -> list[np.ndarray]:
         """Compute the first branch always, and the second where a world of the block takes it."""

@@ -230,10 +230,11 @@ def pair_touch(surface: Surface, gap: Gap, velocity: Vector, friction: Friction)
 
 def _between_capsules(pairs: Pairs, kinematics: Kinematics) -> tuple[Vector, Vector, Scalar]:
     """The places, normals and distances of capsules, pair by pair."""
+    worlds = jnp.broadcast_shapes(*(jnp.shape(leaf)[-1:] for leaf in jax.tree.leaves(kinematics)))
+    if len(pairs.ones) <= FEW_PAIRS or worlds != (1,):
+        return _between(*(_capsules(shapes, kinematics) for shapes in (pairs.ones, pairs.twos)))
     every = list(dict.fromkeys([*pairs.ones, *pairs.twos]))
     table = _capsules(every, kinematics)
-    if len(pairs.ones) <= FEW_PAIRS or jax.tree.leaves(table)[0].shape[-1] > 1:
-        return _between(*(_capsules(shapes, kinematics) for shapes in (pairs.ones, pairs.twos)))
 
     def some(numbers: Any) -> tuple[Segment, Scalar]:
         return jax.tree.map(lambda v: jnp.stack([entry_at(v, number[0]) for number in numbers]), table)
