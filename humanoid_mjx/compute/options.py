@@ -23,15 +23,17 @@ Options: TypeAlias = dict[str, str | bool]
 """`compiler_options` of a `jax.jit`."""
 
 XLA_FLAGS = (
-    "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion --xla_disable_hlo_passes=cpu_multi_output_fusion"
+    "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion,-vectorize-memory-check-threshold=1000"
+    " --xla_disable_hlo_passes=cpu_multi_output_fusion"
 )
 """Flags of the process for XLA on a CPU.
 
-By default XLA:CPU recomputes shared subexpressions for every output of a fusion. The first flag stops that, which makes
-MJX 15 times faster. The second disables the pass that then fuses several outputs into one kernel, since this pass
-aborts on some programs, among them MJX's. The table enables the pass again for programs that are known to compile.
-jaxlib 0.10.2 aborts where the pass joins two reductions with two results each, such as `jnp.argmax`, or two scatters;
-both arise from operations on arrays of one shape that share an operand.
+By default XLA:CPU recomputes shared subexpressions for every output of a fusion. The first option stops that, which
+makes MJX 15 times faster. The second is LLVM's: kernels that read more than some 100 arrays are vectors with it, where
+LLVM would give up for fear that what they write is what they read. The last flag disables the pass that then fuses
+several outputs into one kernel, since this pass aborts on some programs, among them MJX's. The table enables the pass
+again for programs that are known to compile. jaxlib 0.10.2 aborts where the pass joins two reductions with two results
+each, such as `jnp.argmax`, or two scatters; both arise from operations on arrays of one shape that share an operand.
 """
 
 NVIDIA_FLAG = "--xla_backend_extra_options=-vectorize-slp=false,-nvptx-fma-level=2"

@@ -5,6 +5,8 @@ faces and the cross products of their edges. Two edges touch at one point. A fac
 box that lies against it; the vertices of the part within its sides are contacts.
 """
 
+import functools
+import operator
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -254,9 +256,10 @@ def _of_face(
     x, y, z = (m + opposed * part for m, part in zip(middle, n, strict=True))
     x, y, z, counts = _clipped((x, y, side * z - height), u, v, (width, length))
     counts = counts & (z <= margin)
-    near = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2 < slack.apart * (width * width + length * length)
-    earlier = np.tri(CONTACTS, k=-1, dtype=bool).reshape(CONTACTS, CONTACTS, *(1,) * (x.ndim - 1))
-    counts = counts & ~(near & counts & earlier).any(axis=1)
+    near, order = slack.apart * (width * width + length * length), np.arange(CONTACTS).reshape(-1, *(1,) * (x.ndim - 1))
+    # One by one, as of a reduction over an axis of them XLA makes scalar code.
+    again = (counts[i] & ((x - x[i]) ** 2 + (y - y[i]) ** 2 < near) & (order > i) for i in range(CONTACTS - 1))
+    counts = counts & ~functools.reduce(operator.or_, again)
     axes = _rolled(index, one.axes)
     local = _combined(axes, (x, y, side * (height + 0.5 * z)))
     place = tuple(m + part for m, part in zip(one.middle, local, strict=True))
