@@ -125,8 +125,8 @@ class TreePhysics(MujocoPhysics):
         self, function: Any, values: mechanics.Values, state: mechanics.State | None, world: World, *given: Any
     ) -> Any:
         """`_advance` or `_advance_sensed`; of float32 on a GPU one kernel, that makes the state rather than read it."""
-        kernel = _kernels_run()
-        call = worlds_last(function, self.tree, lanes=self.tree.lanes if kernel else 0)
+        kernel, tree = _kernels_run(), self.tree
+        call = worlds_last(function, tree._replace(threads=kernel), lanes=tree.lanes if kernel else 0)
         return call(values, None if kernel else state, tuple(world), *given)
 
     def _within(self, torque: Any) -> Float[Array, " joints"]:

@@ -186,16 +186,19 @@ def test_a_time_step_is_that_of_xla(case):
     """Ground, pairs and limits in states that need one to eight Newton steps."""
     model = converged(MODELS[case])
     robot = fold(read_tree(model, [model.sensor(index).name for index in range(model.nsensor)]))
+    threads = robot._replace(threads=True)
     qpos, qvel, control = (np.float32(x.T) for x in states(model, 100))
     world = qpos, qvel, np.zeros_like(qvel), np.zeros(100, bool)
     last = np.ones(100, bool)
 
-    def step(world, control, last):
+    def step(robot, world, control, last):
         return tree._advance_sensed(robot, Values(), None, world, control, last)
 
-    expected = jax.jit(step)(world, control, last)
+    expected = jax.jit(partial(step, robot))(world, control, last)
     assert not expected[0][-1].any()
-    found = jax.jit(partial(one_kernel, step, lanes=robot.lanes, interpret=True))(world, control, last)
+    found = jax.jit(partial(one_kernel, partial(step, threads), lanes=robot.lanes, interpret=True))(
+        world, control, last
+    )
     for wanted, got in zip(jax.tree.leaves(expected), jax.tree.leaves(found), strict=True):
         size = np.abs(np.float64(wanted)).max() if wanted.size else 0.0
         # Rounding in another order, made larger by the stiffness of the contacts.
@@ -210,11 +213,12 @@ def test_what_trees_may_have_is_what_threads_can_do(xml):
     terrain = jax.tree.map(lambda value: jnp.full(40, value), Terrain(rough=0.01, stairs=0.01))
     qpos, qvel, control = (jnp.zeros((count, 40)) for count in (model.nq, model.nv, model.nu))
 
-    def step(terrain, world, control):
+    def step(robot, terrain, world, control):
         return tree._advance_sensed(robot, Values(terrain=terrain), None, world, control, jnp.ones(40, bool))
 
     world = qpos, qvel, qvel, jnp.zeros(40, bool)
-    expected = jax.eval_shape(step, terrain, world, control)
+    expected = jax.eval_shape(partial(step, robot), terrain, world, control)
+    step = partial(step, robot._replace(threads=True))
     found = jax.eval_shape(lambda *args: one_kernel(step, *args, interpret=True), terrain, world, control)
     assert [x.dtype for x in jax.tree.leaves(found)] == [x.dtype for x in jax.tree.leaves(expected)]
 

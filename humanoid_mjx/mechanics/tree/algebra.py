@@ -13,7 +13,7 @@ from humanoid_mjx.mechanics.scalars import NULL, ONE, ZERO, Scalar, Symmetric, V
 from humanoid_mjx.mechanics.tree.structure import Axes, Table
 
 FEW_PAIRS = 8
-"""Above so many pairs, equal bodies' scalars are shared (`each_of`), and a single world takes one pair after another
+"""Above so many pairs, equal bodies' scalars are shared (`each_of`), and a GPU's thread takes one pair after another
 (`in_turn`). The lower body has 5."""
 
 
@@ -152,15 +152,13 @@ def with_entry(values: Any, index: Any, new: Any) -> Any:
 
 
 def in_turn(function: Callable[..., Tree], *rows: Any, count: Any, abreast: int = 1) -> Tree:
-    """`function` of pytrees of scalars with an axis of rows, which it does not mix, and one of worlds.
+    """`function` of pytrees of scalars with an axis of rows, which it does not mix, for a GPU's thread.
 
-    Of a single world, as a GPU's thread has it, the first `count` rows are taken in turn, so many abreast, and what
-    others give is 0: a loop's code stays in the cache of instructions.
+    The first `count` rows are taken in turn, so many abreast, and what others give is 0: a loop's code stays in the
+    cache of instructions.
     """
     leaves, structure = jax.tree.flatten(rows)
-    size, worlds = jnp.broadcast_shapes(*(leaf.shape for leaf in leaves))
-    if worlds > 1:
-        return function(*rows)
+    size, _ = jnp.broadcast_shapes(*(leaf.shape for leaf in leaves))
     leaves = [jnp.broadcast_to(leaf, (size, 1)) for leaf in leaves]
     if abreast > 1:
         nothing = [jnp.zeros((-size % abreast, 1), leaf.dtype) for leaf in leaves]

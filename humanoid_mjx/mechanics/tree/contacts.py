@@ -217,9 +217,13 @@ def _downwards(way: Vector, normal: Vector) -> Vector:
     return scale(Scalar(jnp.where(dot(way, normal).value > 0.0, -1.0, 1.0)), way)
 
 
-def pair_gaps(pairs: Pairs, kinematics: Kinematics) -> Gap:
-    """The gaps of pairs, with an axis that counts them."""
-    return Gap(*(between_boxes if isinstance(pairs.ones[0], Box) else _between_capsules)(pairs, kinematics))
+def pair_gaps(pairs: Pairs, kinematics: Kinematics, threads: bool) -> Gap:
+    """The gaps of pairs, with an axis that counts them; `threads`: see `Tree`."""
+    if isinstance(pairs.ones[0], Box):
+        return Gap(*between_boxes(pairs, kinematics))
+    if threads and len(pairs.ones) > FEW_PAIRS:
+        return Gap(*_in_turn(pairs, kinematics))
+    return Gap(*_between(*(_capsules(shapes, kinematics) for shapes in (pairs.ones, pairs.twos))))
 
 
 def pair_touch(surface: Surface, gap: Gap, velocity: Vector, friction: Friction) -> Touch:
@@ -228,11 +232,8 @@ def pair_touch(surface: Surface, gap: Gap, velocity: Vector, friction: Friction)
     return _touch(surface, gap.place, _frame(gap.normal, None), gap.distance, velocity, friction)
 
 
-def _between_capsules(pairs: Pairs, kinematics: Kinematics) -> tuple[Vector, Vector, Scalar]:
+def _in_turn(pairs: Pairs, kinematics: Kinematics) -> tuple[Vector, Vector, Scalar]:
     """The places, normals and distances of capsules, pair by pair."""
-    worlds = jnp.broadcast_shapes(*(jnp.shape(leaf)[-1:] for leaf in jax.tree.leaves(kinematics)))
-    if len(pairs.ones) <= FEW_PAIRS or worlds != (1,):
-        return _between(*(_capsules(shapes, kinematics) for shapes in (pairs.ones, pairs.twos)))
     every = list(dict.fromkeys([*pairs.ones, *pairs.twos]))
     table = _capsules(every, kinematics)
 

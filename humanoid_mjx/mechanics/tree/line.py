@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from humanoid_mjx.mechanics.scalars import Scalar
+from humanoid_mjx.mechanics.tree.algebra import lane
 from humanoid_mjx.mechanics.tree.inertia import product
 from humanoid_mjx.mechanics.tree.pairs import Slots
 from humanoid_mjx.mechanics.tree.problem import Active, Problem, ground_residuals
@@ -60,17 +61,17 @@ def lowest_share(
     pushing, pushed = _pushing(tree, problem, slots, active, before, after, worlds)
     rubbing, (most, up, down) = _rubbing(tree, problem, active, before, after, worlds)
     push, rub = (rows.weight * rows.slope for rows in (pushing, rubbing))
-    held = _sum(jnp.where(pushed, push * pushing.slope, 0.0))
-    whole = curve + held + _sum(jnp.where(up | down, 0.0, rub * rubbing.slope))
+    held = _sum(tree, jnp.where(pushed, push * pushing.slope, 0.0))
+    whole = curve + held + _sum(tree, jnp.where(up | down, 0.0, rub * rubbing.slope))
 
     def derivatives(share: Any) -> tuple[Any, Any]:
         residual, force = pushing.at(share), rubbing.weight * rubbing.at(share)
         pushes, sticks = residual < 0.0, jnp.abs(force) < most
-        first = _sum(jnp.where(pushes == pushed, 0.0, jnp.where(pushes, push, -push) * residual))
+        first = _sum(tree, jnp.where(pushes == pushed, 0.0, jnp.where(pushes, push, -push) * residual))
         was = jnp.where(up, most, jnp.where(down, -most, force))
-        first = first + _sum((jnp.clip(force, -most, most) - was) * rubbing.slope)
-        second = curve + _sum(jnp.where(pushes, push * pushing.slope, 0.0))
-        second = second + _sum(jnp.where(sticks, rub * rubbing.slope, 0.0))
+        first = first + _sum(tree, (jnp.clip(force, -most, most) - was) * rubbing.slope)
+        second = curve + _sum(tree, jnp.where(pushes, push * pushing.slope, 0.0))
+        second = second + _sum(tree, jnp.where(sticks, rub * rubbing.slope, 0.0))
         return first + (share - 1.0) * whole, second
 
     def step(carry: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -91,12 +92,16 @@ def lowest_share(
 def _along(tree: Tree, way: Sequence[Scalar], force: Sequence[Scalar]) -> Any:
     """The scalar product over the degrees of freedom of all lanes."""
     total: Any = 0.0
-    for dof, (one, two) in enumerate(zip(way, force, strict=True)):
-        part = (one * two).value
-        if tree.laned(dof):
-            part = jnp.broadcast_to(part, (tree.lanes, *jnp.shape(part)[-1:])).sum(axis=0)
-        total = total + part
-    return total
+    lanes: Any = jnp.zeros((tree.lanes, 1))
+    for dof, both in enumerate(zip(way, force, strict=True)):
+        if tree.threads and tree.laned(dof):
+            lanes = lanes + (both[0] * both[1]).value
+            continue
+        # XLA:CPU makes vectors of products of slices, but not of slices of products.
+        for index in range(len(tree.dofs[dof])):
+            one, two = (lane(scalar, index) for scalar in both)
+            total = total + (one * two).value
+    return total + lanes.sum(axis=0)
 
 
 def _pushing(
@@ -125,7 +130,7 @@ def _pushing(
         shape = (*(tree.lanes,) * tree.laned(dof), *worlds)
         ends = stop.residual(before[dof]), stop.residual(after[dof])
         found.append(_row(stop.close, stop.weight, *ends, shape, active.stops[dof]))
-    *rows, pushed = _together(found, (float, float, float, bool), tree.lanes, worlds)
+    *rows, pushed = _together(found, (float, float, float, bool), tree, worlds)
     return Rows(*rows), pushed
 
 
@@ -143,7 +148,7 @@ def _rubbing(
         shape = (*(tree.lanes,) * tree.laned(dof), *worlds)
         ends = slip.residual(before[dof]), slip.residual(after[dof])
         found.append(_row(True, slip.weight, *ends, shape, slip.most.value, *active.slips[dof]))
-    *rows, most, up, down = _together(found, (float, float, float, float, bool, bool), tree.lanes, worlds)
+    *rows, most, up, down = _together(found, (float, float, float, float, bool, bool), tree, worlds)
     return Rows(*rows), (most, up, down)
 
 
@@ -152,14 +157,13 @@ def _row(close: Any, weight: Scalar, one: Scalar, two: Scalar, shape: tuple[int,
     return tuple(jnp.broadcast_to(jnp.asarray(part), shape) for part in parts)
 
 
-def _together(found: Sequence[tuple[Any, ...]], types: Sequence[type], lanes: int, worlds: Any) -> list[Any]:
+def _together(found: Sequence[tuple[Any, ...]], types: Sequence[type], tree: Tree, worlds: Any) -> list[Any]:
     """The parts of all rows, one below the other; of each type even where there are no rows.
 
-    Constraints of which each lane has its own keep the axis, and the others are spread over the lanes. On a CPU, where
-    that is slower by an eighth (Go1), the axis has length 1.
+    Where threads have one lane each, constraints of which each lane has its own keep the axis, and the others are
+    spread over the lanes. On a CPU, where that is slower by an eighth (Go1), the axis has length 1.
     """
-
-    lanes = 1 if jax.default_backend() == "cpu" else lanes
+    lanes = tree.lanes if tree.threads else 1
 
     def rows(parts: Sequence[Any], kind: type) -> Any:
         own = [part.reshape(-1, lanes, *worlds) for part in parts if part.shape[-2:-1] == (lanes,)]
@@ -172,5 +176,9 @@ def _together(found: Sequence[tuple[Any, ...]], types: Sequence[type], lanes: in
     return [rows(part, kind) for part, kind in zip(parts, types, strict=True)]
 
 
-def _sum(rows: Float[Array, "rows lanes worlds"]) -> Float[Array, " worlds"]:
-    return rows.sum(axis=0).sum(axis=0)
+def _sum(tree: Tree, rows: Float[Array, "rows lanes worlds"]) -> Float[Array, " worlds"]:
+    if tree.threads:
+        return rows.sum(axis=0).sum(axis=0)
+    # XLA:CPU sums over an axis before that of worlds world by world, but multiplies a matrix in vectors.
+    flat = rows.reshape(-1, rows.shape[-1])
+    return jnp.ones(len(flat), flat.dtype) @ flat

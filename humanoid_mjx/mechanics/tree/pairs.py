@@ -87,7 +87,9 @@ class Slots(NamedTuple):
                 residual = add(residual, scale(rates[dof], row))
             return touch.facets(residual)
 
-        return in_turn(facets, self.touch, self.rows, count=self.count)
+        if tree.threads:
+            return in_turn(facets, self.touch, self.rows, count=self.count)
+        return facets(self.touch, self.rows)
 
     def active(self, tree: Tree, x: Sequence[Scalar]) -> Flags:
         """Masks of the facets that push."""
@@ -136,7 +138,7 @@ def close_pairs(
     def pick(value: Any, pair: Any) -> Any:
         if jnp.ndim(value) < 2:
             return value if worlds is None else jnp.broadcast_to(value, whole)[worlds]
-        if whole == 1:
+        if tree.threads:
             return entry_at(jnp.broadcast_to(value, (size, 1)), pair[0])
         if worlds is None:
             return jnp.where(index == pair, value, jnp.zeros((), value.dtype)).sum(axis=0)

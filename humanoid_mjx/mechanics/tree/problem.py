@@ -60,10 +60,29 @@ def ground_residuals(tree: Tree, kinematics: Kinematics, touches: Sequence[Touch
     return [touch.residual(motions[points.body]) for points, touch in zip(tree.ground, touches, strict=True)]
 
 
+def one_by_one(tree: Tree, touches: Sequence[Touch]) -> list[list[Touch]]:
+    """The touches of each point of each body: XLA:CPU would take them apart in each Newton step."""
+    each = zip(tree.ground, touches, strict=True)
+    return [[_entry(tree, points, index, touch) for index in range(_count(tree, points))] for points, touch in each]
+
+
+def _count(tree: Tree, points: GroundPoints) -> int:
+    """Points of a body."""
+    return len(points.order) // (tree.lanes if tree.bodies[points.body].laned else 1)
+
+
+def _entry(tree: Tree, points: GroundPoints, index: int, thing: Any) -> Any:
+    """The one point at `index` of arrays of a body's points."""
+    if _count(tree, points) == 1:
+        return thing
+    rank = 3 if tree.bodies[points.body].laned else 2
+    return jax.tree.map(lambda x: x[min(index, x.shape[0] - 1)] if jnp.ndim(x) == rank else x, thing)
+
+
 def add_ground(
     tree: Tree,
     kinematics: Kinematics,
-    touches: Sequence[Touch],
+    touches: Sequence[Sequence[Touch]],
     active: Sequence[Sequence[Any]],
     matrix: Matrix,
     right: list[Scalar],
@@ -72,8 +91,8 @@ def add_ground(
     motions = kinematics.motions
     stiffness: dict[int, Stiffness] = {}
     forces: dict[int, Spatial] = {}
-    for points, touch, flags in zip(tree.ground, touches, active, strict=True):
-        own, push = _of_points(tree, points, touch, flags)
+    for points, some, flags in zip(tree.ground, touches, active, strict=True):
+        own, push = _of_points(tree, points, some, flags)
         stiffness[points.body] = stiffness[points.body].plus(own) if points.body in stiffness else own
         forces[points.body] = total([forces.get(points.body, NOWHERE), push])
     for index in reversed(range(1, len(tree.bodies))):
@@ -91,22 +110,18 @@ def add_ground(
         forces[body.parent] = total([forces.get(body.parent, NOWHERE), push])
 
 
-def _of_points(tree: Tree, points: GroundPoints, touch: Touch, flags: Sequence[Any]) -> tuple[Stiffness, Spatial]:
+def _of_points(
+    tree: Tree, points: GroundPoints, touches: Sequence[Touch], flags: Sequence[Any]
+) -> tuple[Stiffness, Spatial]:
     """The stiffness of all points of a body together, and their force against an acceleration of 0."""
-    laned = tree.bodies[points.body].laned
-    count = len(points.order) // (tree.lanes if laned else 1)
     # Point by point, as sums over an axis of points would take them through memory.
-    each = [_of_point(touch, flags, index if count > 1 else None, 3 if laned else 2) for index in range(count)]
+    each = [_of_point(touch, _entry(tree, points, index, list(flags))) for index, touch in enumerate(touches)]
     own = functools.reduce(Stiffness.plus, [stiffness for stiffness, _ in each])
     return own, total([push for _, push in each])
 
 
-def _of_point(touch: Touch, flags: Sequence[Any], index: int | None, rank: int) -> tuple[Stiffness, Spatial]:
-    """The same of the one point at `index` of the first of `rank` axes; of a single point where `index` is None."""
-    if index is not None:
-        touch, flags = jax.tree.map(
-            lambda x: x[min(index, x.shape[0] - 1)] if jnp.ndim(x) == rank else x, (touch, list(flags))
-        )
+def _of_point(touch: Touch, flags: Sequence[Any]) -> tuple[Stiffness, Spatial]:
+    """The same of one point."""
     local, place = touch.stiffness(flags), touch.place
     push = force_at(combine(touch.frame, local.apply(touch.offset)), place)
     linear = _symmetric(combine(touch.frame, local.apply(resolve(touch.frame, axis))) for axis in UNTURNED)
@@ -173,10 +188,12 @@ def active_at(tree: Tree, problem: Problem, x: Sequence[Scalar]) -> Active:
     )
 
 
-def normal_equations(tree: Tree, problem: Problem, active: Active) -> tuple[Matrix, list[Scalar]]:
+def normal_equations(
+    tree: Tree, problem: Problem, points: Sequence[Sequence[Touch]], active: Active
+) -> tuple[Matrix, list[Scalar]]:
     """All but the pairs: the second derivative, and what it times the minimum is."""
     matrix, right = [list(row) for row in problem.matrix], list(problem.force)
-    add_ground(tree, problem.kinematics, problem.ground, active.ground, matrix, right)
+    add_ground(tree, problem.kinematics, points, active.ground, matrix, right)
     for dof, stop in problem.stops.items():
         on = Scalar(jnp.where(active.stops[dof], stop.weight.value, 0.0))
         matrix[dof][dof] = matrix[dof][dof] + on

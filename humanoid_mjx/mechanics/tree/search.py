@@ -6,18 +6,21 @@ searched block by block.
 """
 
 import functools
+import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from humanoid_mjx.mechanics.scalars import Scalar
+from humanoid_mjx.mechanics.tree.contacts import Touch
 from humanoid_mjx.mechanics.tree.inertia import factor
 from humanoid_mjx.mechanics.tree.line import lowest_share
 from humanoid_mjx.mechanics.tree.pairs import Slots, are_close, close_pairs, with_pairs
-from humanoid_mjx.mechanics.tree.problem import Active, Problem, active_at, normal_equations, worlds_of
+from humanoid_mjx.mechanics.tree.problem import Active, Problem, active_at, normal_equations, one_by_one, worlds_of
 from humanoid_mjx.mechanics.tree.structure import Tree
 
 SAME = 200.0
@@ -36,30 +39,35 @@ worlds do: at friction 0.3 a tenth of 512 thrown bodies within 2 s. At friction 
 at friction 0.1."""
 
 
-def search(tree: Tree, problem: Problem, slots: Slots | None, start: list[Any], most: int) -> tuple[list[Any], Any]:
-    """The accelerations after at most so many steps, and where they are settled, from which on they stay.
+def search(tree: Tree, problem: Problem, slots: Slots | None, start: list[Any], left: int = 0) -> tuple[list[Any], Any]:
+    """The accelerations, and where they are settled, from which on they stay.
 
-    `slots`: the contacts between bodies.
+    Args:
+      tree: and
+      problem: what they minimise, but for the pairs.
+      slots: the contacts between bodies.
+      start: accelerations near the solution.
+      left: worlds that need not settle.
     """
 
     def step(carry: tuple[Any, ...]) -> tuple[Any, ...]:
         before, active, settled, count = carry
-        x, pairs = _minimum(tree, problem, slots, active)
+        x, pairs = _minimum(tree, problem, points, slots, active)
         now = active_at(tree, problem, x)._replace(pairs=pairs)
         values = [jnp.where(settled, old, v.value) for old, v in zip(before, x, strict=True)]
         errors = SAME * jnp.where(count < PATIENCE, 1.0, MORE)
-        settled = settled | ~_differ(active, now) | _same(before, values, errors)
+        settled = settled | ~_differ(tree, active, now) | _same(tree, before, values, errors)
         whole = 1 if problem.slips else WHOLE
-        if most > whole:
-            shorter = (count >= whole) & ~settled.all()
-            shorten = partial(_shortened, tree, problem, slots, before, values, active, settled)
-            values, now = jax.lax.cond(shorter, shorten, lambda: (values, now))
+        shorter = (count >= whole) & ~settled.all()
+        shorten = partial(_shortened, tree, problem, slots, before, values, active, settled)
+        values, now = jax.lax.cond(shorter, shorten, lambda: (values, now))
         return values, now, settled, count + 1
 
     def going(carry: tuple[Any, ...]) -> Any:
-        return ~carry[2].all() & (carry[3] < most)
+        more = ((~carry[2]).sum() > left) if left else ~carry[2].all()
+        return more & (carry[3] < MOST_STEPS)
 
-    worlds = worlds_of(problem, start)
+    worlds, points = worlds_of(problem, start), one_by_one(tree, problem.ground)
     start = [jnp.broadcast_to(value, (*jnp.shape(value)[:-1], *worlds)) for value in start]
     active = active_at(tree, problem, [Scalar(value) for value in start])
     active = active._replace(pairs=slots.all_close() if slots else [])  # a guess
@@ -80,24 +88,24 @@ def _shortened(
     return values, active_at(tree, problem, found)._replace(pairs=slots.active(tree, found) if slots else [])
 
 
-def _differ(one: Active, two: Active) -> Any:
+def _differ(tree: Tree, one: Active, two: Active) -> Any:
     """In which worlds they do."""
-    return _in_any_lane(jnp.logical_or, [a != b for a, b in zip(*map(jax.tree.leaves, (one, two)), strict=True)])
+    return _in_any_lane(tree, jnp.logical_or, [a != b for a, b in zip(*map(jax.tree.leaves, (one, two)), strict=True)])
 
 
-def _same(one: Sequence[Any], two: Sequence[Any], errors: Any) -> Any:
+def _same(tree: Tree, one: Sequence[Any], two: Sequence[Any], errors: Any) -> Any:
     """In which worlds two accelerations are the same but for so many rounding errors."""
-    change = _in_any_lane(jnp.maximum, [jnp.abs(a - b) for a, b in zip(one, two, strict=True)])
-    size = _in_any_lane(jnp.maximum, [jnp.abs(b) for b in two])
+    change = _in_any_lane(tree, jnp.maximum, [jnp.abs(a - b) for a, b in zip(one, two, strict=True)])
+    size = _in_any_lane(tree, jnp.maximum, [jnp.abs(b) for b in two])
     return change <= errors * jnp.finfo(change.dtype).eps * size
 
 
-def _in_any_lane(combine: Callable[[Any, Any], Any], values: Sequence[Any]) -> Any:
+def _in_any_lane(tree: Tree, combine: Callable[[Any, Any], Any], values: Sequence[Any]) -> Any:
     """Values of the worlds from those that may have axes of contacts and of lanes.
 
-    On a GPU a thread has one lane, so the lanes are combined last. On a CPU that is 7 % slower (H1).
+    Where threads have one lane each, the lanes are combined last. On a CPU that is 7 % slower (H1).
     """
-    most, found = 1 if jax.default_backend() == "cpu" else 2, dict[tuple[int, ...], Any]()
+    most, found = 1 + tree.threads, dict[tuple[int, ...], Any]()
     for value in values:
         while value.ndim > most:
             value = functools.reduce(combine, value)
@@ -106,9 +114,11 @@ def _in_any_lane(combine: Callable[[Any, Any], Any], values: Sequence[Any]) -> A
     return functools.reduce(combine, each)
 
 
-def _minimum(tree: Tree, problem: Problem, slots: Slots | None, active: Active) -> tuple[list[Scalar], list[Any]]:
+def _minimum(
+    tree: Tree, problem: Problem, points: list[list[Touch]], slots: Slots | None, active: Active
+) -> tuple[list[Scalar], list[Any]]:
     """If these facets and stops push and no others, and which facets of pairs push there."""
-    matrix, right = normal_equations(tree, problem, active)
+    matrix, right = normal_equations(tree, problem, points, active)
     factors = factor(tree, matrix)
     x = factors.solve(right)
     if slots is None:
@@ -132,24 +142,24 @@ friction 0.1 the worst of 160,000 time steps needs 21."""
 BLOCK = 128
 """Worlds that are searched together on a CPU."""
 
-FIRST_STEPS = 3
-"""Newton steps of all worlds of a block, before those that are left are gathered into others."""
+LEFT = 32
+"""Worlds of a block that need not settle with the others."""
 
 
 def search_blocks(tree: Tree, problem: Problem, start: list[Any]) -> tuple[list[Any], Any]:
     """`search`; of more worlds than a block holds, on a CPU, block by block and in two passes.
 
-    Worlds of a block wait for the slowest of them. So after `FIRST_STEPS` those that are not settled, and those where
-    bodies are close, are gathered into blocks of their own, those with most close pairs first. Only blocks with close
-    pairs compute any. Worlds where bodies touch each other in more than `SLOTS` places do not settle.
+    Worlds of a block wait for the slowest of them. So the last `LEFT` of each, and those where bodies are close, are
+    gathered into blocks of their own, those with most close pairs first. Only blocks with close pairs compute any.
+    Worlds where bodies touch each other in more than `SLOTS` places do not settle.
     """
     worlds = worlds_of(problem, start)
 
     def whole(problem: Problem, start: list[Any], at: Any = None) -> tuple[list[Any], Any]:
         if close is None:
-            return search(tree, problem, None, start, MOST_STEPS)
+            return search(tree, problem, None, start)
         slots, more = close_pairs(tree, problem, pairs, close, at)
-        found, settled = search(tree, problem, slots, start, MOST_STEPS)
+        found, settled = search(tree, problem, slots, start)
         return found, settled & ~more
 
     pairs, problem = problem.pairs, problem._replace(pairs=[])
@@ -162,7 +172,7 @@ def search_blocks(tree: Tree, problem: Problem, start: list[Any]) -> tuple[list[
 
     def first(begin: Any) -> tuple[list[Any], Any]:
         own, before = part((problem, start), lambda v: _block(v, begin))
-        return search(tree, own, None, before, FIRST_STEPS)
+        return search(tree, own, None, before, LEFT)
 
     near = jnp.zeros(worlds, int) if close is None else jnp.broadcast_to(close.sum(axis=0), worlds)
     nothing = [jnp.zeros((*jnp.shape(v)[:-1], *worlds), v.dtype) for v in start], near > 0
@@ -173,7 +183,7 @@ def search_blocks(tree: Tree, problem: Problem, start: list[Any]) -> tuple[list[
 
     def second(begin: Any) -> tuple[list[Any], Any]:
         at = _block(order, begin)
-        own, before = part((problem, x), lambda v: v[..., at])
+        own, before = part((problem, x), lambda v: _picked(v, at))
         return whole(own, before, at)
 
     found = _by_blocks(second, (left.sum() + (BLOCK - 1)) // BLOCK, (x, settled))
@@ -193,6 +203,13 @@ def _by_blocks(search: Callable[[Any], Any], blocks: Any, found: Any) -> Any:
         return jax.tree.map(write, found, search(begin))
 
     return jax.lax.fori_loop(0, blocks, block, found)
+
+
+def _picked(value: Any, at: Any) -> Any:
+    """These worlds of an array; by one index of all its elements, as XLA transposes what it picks along one axis."""
+    rows, worlds = math.prod(value.shape[:-1]), value.shape[-1]
+    place = at + np.arange(0, rows * worlds, worlds, dtype=np.uint32)[:, None]
+    return value.reshape(-1)[place].reshape(*value.shape[:-1], -1)
 
 
 def _block(value: Any, begin: Any) -> Any:

@@ -187,7 +187,7 @@ def make_problem(tree: Tree, values: Values, state: State, force: list[Scalar]) 
     each = zip(tree.ground, frictions, strict=True)
     ground = [ground_touch(points, at, state.motions, friction, values.terrain) for points, friction in each]
     each = zip(tree.pairs, _frictions([p.surface for p in tree.pairs], values.friction), strict=True)
-    pairs = [(pair_gaps(some, at), friction) for some, friction in each]
+    pairs = [(pair_gaps(some, at, tree.threads), friction) for some, friction in each]
     stops = {
         joint.dof: stop_of(joint.limit, state.qpos[joint.coordinate], state.qvel[joint.dof])
         for joint in tree.joints

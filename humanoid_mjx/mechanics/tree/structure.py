@@ -237,6 +237,8 @@ class Tree(NamedTuple):
     gravity: tuple[float, float, float]
     timestep: float
     integrator: Integrator
+    threads: bool = False
+    """True for a GPU's kernel, of which each thread computes one lane of one world."""
 
     @property
     def joints(self) -> tuple[Joint, ...]:
