@@ -11,6 +11,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
+from jax.experimental.layout import Layout, with_layout_constraint
 
 from humanoid_mjx.compute.kernels.one_kernel import one_kernel
 
@@ -60,6 +61,20 @@ def worlds_last(function: Callable[..., Any], *static: Any, lanes: int = 0) -> C
 
         found = many(*jax.tree.map(last, args, tuple(batched)))
         found = jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), found)
-        return found, jax.tree.map(lambda _: True, found)
+        return jax.tree.map(_contiguous, found) if lanes else found, jax.tree.map(lambda _: True, found)
 
     return batched
+
+
+@custom_vmap
+def _contiguous(x: Any) -> Any:
+    """An array whose first axis is that of worlds, these contiguous in memory.
+
+    XLA:GPU would make the last axis contiguous, and transpose what a kernel gives and takes in each time step.
+    """
+    return with_layout_constraint(x, Layout((*range(1, x.ndim), 0)))
+
+
+@_contiguous.def_vmap
+def _(runs: int, batched: Any, x: Any) -> tuple[Any, Any]:
+    return with_layout_constraint(x, Layout((*range(2, x.ndim), 0, 1))), True
