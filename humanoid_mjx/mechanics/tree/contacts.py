@@ -222,7 +222,7 @@ def pair_gaps(pairs: Pairs, kinematics: Kinematics, threads: bool) -> Gap:
     if isinstance(pairs.ones[0], Box):
         return Gap(*between_boxes(pairs, kinematics))
     if threads and len(pairs.ones) > FEW_PAIRS:
-        return Gap(*_in_turn(pairs, kinematics))
+        return Gap(*_pair_by_pair(pairs, kinematics))
     return Gap(*_between(*(_capsules(shapes, kinematics) for shapes in (pairs.ones, pairs.twos))))
 
 
@@ -232,8 +232,8 @@ def pair_touch(surface: Surface, gap: Gap, velocity: Vector, friction: Friction)
     return _touch(surface, gap.place, _frame(gap.normal, None), gap.distance, velocity, friction)
 
 
-def _in_turn(pairs: Pairs, kinematics: Kinematics) -> tuple[Vector, Vector, Scalar]:
-    """The places, normals and distances of capsules, pair by pair."""
+def _pair_by_pair(pairs: Pairs, kinematics: Kinematics) -> tuple[Vector, Vector, Scalar]:
+    """The places, normals and distances of capsules, found by a GPU's thread in a loop."""
     every = list(dict.fromkeys([*pairs.ones, *pairs.twos]))
     table = _capsules(every, kinematics)
 

@@ -118,7 +118,7 @@ def _pushing(
     grounds = (ground_residuals(tree, problem.kinematics, problem.ground, x) for x in (before, after))
     for points, touch, flags, one, two in zip(tree.ground, problem.ground, active.ground, *grounds, strict=True):
         lanes = (tree.lanes,) * tree.bodies[points.body].laned
-        count = len(points.order) // max([1, *lanes])
+        count = tree.points_each(points)
         shape = (*(count,) * (count > 1), *lanes, *worlds)
         for flag, a, b in zip(flags, touch.facets(one), touch.facets(two), strict=True):
             found.append(_row(touch.close, touch.weight, a, b, shape, flag))

@@ -63,17 +63,12 @@ def ground_residuals(tree: Tree, kinematics: Kinematics, touches: Sequence[Touch
 def one_by_one(tree: Tree, touches: Sequence[Touch]) -> list[list[Touch]]:
     """The touches of each point of each body: XLA:CPU would take them apart in each Newton step."""
     each = zip(tree.ground, touches, strict=True)
-    return [[_entry(tree, points, index, touch) for index in range(_count(tree, points))] for points, touch in each]
-
-
-def _count(tree: Tree, points: GroundPoints) -> int:
-    """Points of a body."""
-    return len(points.order) // (tree.lanes if tree.bodies[points.body].laned else 1)
+    return [[_entry(tree, points, index, touch) for index in range(tree.points_each(points))] for points, touch in each]
 
 
 def _entry(tree: Tree, points: GroundPoints, index: int, thing: Any) -> Any:
     """The one point at `index` of arrays of a body's points."""
-    if _count(tree, points) == 1:
+    if tree.points_each(points) == 1:
         return thing
     rank = 3 if tree.bodies[points.body].laned else 2
     return jax.tree.map(lambda x: x[min(index, x.shape[0] - 1)] if jnp.ndim(x) == rank else x, thing)

@@ -90,7 +90,7 @@ def _ground_forces(tree: Tree, problem: Problem, solution: Solution) -> list[Sca
     residuals = ground_residuals(tree, at, problem.ground, solution.acceleration)
     for points, touch, v in zip(tree.ground, problem.ground, residuals, strict=True):
         lanes, force = (tree.lanes,) * tree.bodies[points.body].laned, touch.force(v).x.value
-        shape = len(points.order) // max([1, *lanes]), *lanes
+        shape = tree.points_each(points), *lanes
         whole = jnp.broadcast_to(force, (*shape, force.shape[-1]))
         found |= {order: Scalar(whole[at]) for order, at in zip(points.order, np.ndindex(shape), strict=True)}
     return [found[index] for index in range(len(found))]

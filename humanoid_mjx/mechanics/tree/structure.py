@@ -261,6 +261,10 @@ class Tree(NamedTuple):
             found, body = self.own(body) + found, self.bodies[body].parent
         return found
 
+    def points_each(self, points: GroundPoints) -> int:
+        """How many points a body has, or that of each lane."""
+        return len(points.order) // (self.lanes if self.bodies[points.body].laned else 1)
+
     def laned(self, dof: int) -> bool:
         """True if there is one of each lane."""
         return len(self.dofs[dof]) > 1
