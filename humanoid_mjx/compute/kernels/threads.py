@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import reduce
-from itertools import count
+from itertools import count, groupby
 from typing import Any
 
 import jax
@@ -27,7 +27,7 @@ from jaxtyping import Array
 
 from humanoid_mjx.compute.kernels.angles import ANGLES
 from humanoid_mjx.compute.kernels.arrangements import ARRANGEMENTS, arranged, constant
-from humanoid_mjx.compute.kernels.memory import THREADS, Region
+from humanoid_mjx.compute.kernels.memory import THREADS, Constants, Region, bits
 from humanoid_mjx.compute.kernels.primitives import CALLS, ELEMENTWISE
 
 ARITHMETIC = ELEMENTWISE | ANGLES.keys() | {"atan2", "pow", "rsqrt", "tan"}
@@ -81,6 +81,9 @@ class Kept:
             raise NotImplementedError("threads know no array any more after an entry of it has changed")
 
 
+LONG = 16
+"""Equal words that a loop writes instead of an instruction each."""
+
 Held = np.ndarray | Kept
 """An array of elements, or one in memory."""
 
@@ -121,10 +124,13 @@ class Threads:
 
     def vectors(self, array: Held) -> list[Array]:
         """The elements of an array as vectors, one for all lanes of a world where they have an axis."""
-        array = self._loaded(array)
+        return [vector(element) for element in self._elements(self._loaded(array))]
+
+    def _elements(self, array: np.ndarray) -> list[Element]:
+        """The elements of an array, one for all lanes of a world where they have an axis."""
         if self._laned(array.shape):
-            return [vector(self._joined(group)[0]) for group in self._groups(array)]
-        return [vector(self._alike(element)) for element in array.flat]
+            return [self._joined(group)[0] for group in self._groups(array)]
+        return [self._alike(element) for element in array.flat]
 
     def alike(self, array: Held) -> list[Array]:
         """The elements of an array as vectors that are alike in all threads of a world."""
@@ -198,7 +204,7 @@ class Threads:
 
     def _looked_up(self, array: Held, index: np.ndarray, *_: np.ndarray) -> np.ndarray:
         """The entry along the first axis at an index."""
-        kept = array if isinstance(array, Kept) else self._keep([array])[0]
+        kept = array if isinstance(array, Kept) else self._keep_fixed([array])[0]
         return self._row(kept, self._place(kept, index))
 
     def _with_entry(self, array: Held, entry: np.ndarray, index: np.ndarray, *_: np.ndarray) -> Kept:
@@ -224,9 +230,23 @@ class Threads:
         self.regions.append(region)
         places = np.cumsum([0, *sizes[:-1]]).tolist()
         kept = [Kept(region, *each) for each in zip(places, (x.shape for x in arrays), map(_type, arrays), strict=True)]
-        for one, array in zip(kept, arrays, strict=True):
-            self._write_all(one, array)
+        self._write_all(region, 0, arrays)
         return kept
+
+    def _keep_fixed(self, arrays: Sequence[np.ndarray]) -> list[Kept]:
+        """Arrays that do not change, in memory."""
+        constants = [self._constants(array) for array in arrays]
+        lacking = [array for array, found in zip(arrays, constants, strict=True) if found is None]
+        others = iter(self._keep(lacking) if lacking else [])
+        return [found or replace(next(others), fixed=True) for found in constants]
+
+    def _constants(self, array: np.ndarray) -> Kept | None:
+        """An array in the memory of constants; None if it is not known, or is another in each thread."""
+        elements = list(array.flat)
+        if self._laned(array.shape[1:]) or not _known(elements):
+            return None
+        region = Constants(next(self.numbers), elements, self.interpret)
+        return Kept(region, 0, array.shape, _type(array), fixed=True)
 
     def _width(self, shape: tuple[int, ...]) -> int:
         """Words of an entry."""
@@ -245,13 +265,21 @@ class Threads:
         found = [values != 0 for values in found] if kept.dtype == bool else found
         return self._unpacked(found, [np.empty(kept.shape[1:], object)])[0][None]
 
-    def _write(self, kept: Kept, entry: np.ndarray, place: Array | None, first: int = 0) -> None:
-        for word, values in enumerate(self.vectors(entry.reshape(kept.shape[1:])), kept.word + first):
-            kept.region.write(word, place, values.astype(jnp.int32) if kept.dtype == bool else values)
+    def _write(self, kept: Kept, entry: np.ndarray, place: Array | None) -> None:
+        for word, values in enumerate(self._elements(entry.reshape(kept.shape[1:])), kept.word):
+            kept.region.write(word, place, vector(values))
 
-    def _write_all(self, kept: Kept, array: np.ndarray) -> None:
-        for index, entry in enumerate(array):
-            self._write(kept, entry, None, index * self._width(kept.shape))
+    def _write_all(self, region: Region, word: int, arrays: Sequence[np.ndarray]) -> None:
+        """Write whole arrays, one after another from a word on."""
+        elements = [element for array in arrays for entry in array for element in self._elements(entry)]
+        for same, group in groupby(elements, lambda element: bits(element) if _known([element]) else None):
+            run = list(group)
+            if same is not None and len(run) >= LONG:
+                region.fill(word, len(run), same)
+            else:
+                for place, values in enumerate(run, word):
+                    region.write(place, None, vector(values))
+            word += len(run)
 
     def _loaded(self, array: Held) -> np.ndarray:
         """An array that may be in memory as one of elements."""
@@ -326,8 +354,12 @@ class Threads:
         moved = [place for place in places if place >= first or not isinstance(args[place], Kept)]
         moved = [place for place in sorted(moved) if math.prod(args[place].shape)]
         found = dict(enumerate(args))
-        if moved:
-            found |= zip(moved, self._keep([self._loaded(args[place]) for place in moved]), strict=True)
+        for keep, places in (
+            (self._keep_fixed, [p for p in moved if p < first]),
+            (self._keep, [p for p in moved if p >= first]),
+        ):
+            if places:
+                found |= zip(places, keep([self._loaded(args[place]) for place in places]), strict=True)
         return [replace(x, fixed=True) if isinstance(x, Kept) and i < first else x for i, x in found.items()]
 
     def _put_back(self, state: Sequence[Any], start: Sequence[Any]) -> None:
@@ -335,7 +367,7 @@ class Threads:
         pairs = ((found, kept) for found, kept in zip(state, start, strict=True) if isinstance(kept, Kept))
         away = [(found, kept) for found, kept in pairs if not (isinstance(found, Kept) and found.at == kept.at)]
         for array, kept in [(self._loaded(found), kept) for found, kept in away]:
-            self._write_all(kept, array)
+            self._write_all(kept.region, kept.word, [array])
 
     def _cond(self, eqn: Any, index: np.ndarray, *args: Held) -> list[np.ndarray]:
         """Compute the first branch always, and the second where a world of the block takes it."""

@@ -151,19 +151,15 @@ def with_entry(values: Any, index: Any, new: Any) -> Any:
     return jax.lax.dynamic_update_index_in_dim(values, new, index.astype(jnp.uint32), 0)
 
 
-def in_turn(function: Callable[..., Tree], *rows: Any, count: Any, abreast: int = 1) -> Tree:
+def in_turn(function: Callable[..., Tree], *rows: Any, count: Any) -> Tree:
     """`function` of pytrees of scalars with an axis of rows, which it does not mix, for a GPU's thread.
 
-    The first `count` rows are taken in turn, so many abreast, and what others give is 0: a loop's code stays in the
-    cache of instructions.
+    The first `count` rows are taken in turn, and what others give is 0: a loop's code stays in the cache of
+    instructions.
     """
     leaves, structure = jax.tree.flatten(rows)
     size, _ = jnp.broadcast_shapes(*(leaf.shape for leaf in leaves))
     leaves = [jnp.broadcast_to(leaf, (size, 1)) for leaf in leaves]
-    if abreast > 1:
-        nothing = [jnp.zeros((-size % abreast, 1), leaf.dtype) for leaf in leaves]
-        each = zip(leaves, nothing, strict=True)
-        leaves = [jnp.concatenate(both).reshape(-1, abreast, 1) for both in each]
 
     def some(index: Any) -> Tree:
         return function(*structure.unflatten([entry_at(leaf, index) for leaf in leaves]))
@@ -173,9 +169,8 @@ def in_turn(function: Callable[..., Tree], *rows: Any, count: Any, abreast: int 
         return carry[0] + 1, [with_entry(array, carry[0], new) for array, new in each]
 
     found, shape = jax.tree.flatten(jax.eval_shape(some, jnp.int32(0)))
-    start = jnp.int32(0), [jnp.zeros((len(leaves[0]), *leaf.shape), leaf.dtype) for leaf in found]
-    arrays = jax.lax.while_loop(lambda carry: abreast * carry[0] < count, further, start)[1]
-    return shape.unflatten([array.reshape(-1, 1)[:size] if abreast > 1 else array for array in arrays])
+    start = jnp.int32(0), [jnp.zeros((size, *leaf.shape), leaf.dtype) for leaf in found]
+    return shape.unflatten(jax.lax.while_loop(lambda carry: carry[0] < count, further, start)[1])
 
 
 def over_lanes(scalars: Sequence[Scalar], lanes: int) -> list[Scalar]:

@@ -4,7 +4,7 @@ See "Computation" in MuJoCo's documentation. A contact's frame is its normal and
 has a facet along the normal plus and minus each tangent, weighted by the coefficient of friction.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -17,7 +17,6 @@ from humanoid_mjx.mechanics.tree.algebra import (
     Rotation,
     Spatial,
     entry_at,
-    in_turn,
     known,
     number,
     resolve,
@@ -115,6 +114,10 @@ class Gap(NamedTuple):
     """From the first to the second."""
     distance: Scalar
     """Between the surfaces, m; negative where they overlap."""
+
+
+GapAt = Callable[[Any], Gap]
+"""The gap of a pair, from its number in a group of pairs."""
 
 
 class Stop(NamedTuple):
@@ -217,35 +220,34 @@ def _downwards(way: Vector, normal: Vector) -> Vector:
     return scale(Scalar(jnp.where(dot(way, normal).value > 0.0, -1.0, 1.0)), way)
 
 
-def pair_gaps(pairs: Pairs, kinematics: Kinematics, threads: bool) -> Gap:
-    """The gaps of pairs, with an axis that counts them; `threads`: see `Tree`."""
+def pair_gaps(pairs: Pairs, kinematics: Kinematics) -> Gap:
+    """The gaps of pairs, with an axis that counts them."""
     if isinstance(pairs.ones[0], Box):
         return Gap(*between_boxes(pairs, kinematics))
-    if threads and len(pairs.ones) > FEW_PAIRS:
-        return Gap(*_pair_by_pair(pairs, kinematics))
     return Gap(*_between(*(_capsules(shapes, kinematics) for shapes in (pairs.ones, pairs.twos))))
+
+
+def pair_gap_at(pairs: Pairs, kinematics: Kinematics) -> GapAt:
+    """The gap of the pair of a number, for a GPU's thread: that of many capsules is computed when asked for."""
+    if len(pairs.ones) <= FEW_PAIRS or isinstance(pairs.ones[0], Box):
+        gaps = jax.tree.map(lambda v: jnp.broadcast_to(v, (len(pairs.ones), 1)), pair_gaps(pairs, kinematics))
+        return lambda index: jax.tree.map(lambda v: entry_at(v, index), gaps)
+    every = list(dict.fromkeys([*pairs.ones, *pairs.twos]))
+    table = jax.tree.map(lambda v: jnp.broadcast_to(v, (len(every), 1)), _capsules(every, kinematics))
+    # Of type float: Triton takes equal numbers for one operand, and integers are those of addresses, too.
+    numbers = [np.array([[every.index(shape)] for shape in shapes], np.float32) for shapes in (pairs.ones, pairs.twos)]
+
+    def at(index: Any) -> Gap:
+        each = (entry_at(column, index)[0] for column in numbers)
+        return Gap(*_between(*(jax.tree.map(lambda v, number=number: entry_at(v, number), table) for number in each)))
+
+    return at
 
 
 def pair_touch(surface: Surface, gap: Gap, velocity: Vector, friction: Friction) -> Touch:
     """The contact of two shapes that part by `velocity`, m/s, at the place of their gap."""
     # Without friction no one reads the tangents, and a compiler leaves them out.
     return _touch(surface, gap.place, _frame(gap.normal, None), gap.distance, velocity, friction)
-
-
-def _pair_by_pair(pairs: Pairs, kinematics: Kinematics) -> tuple[Vector, Vector, Scalar]:
-    """The places, normals and distances of capsules, found by a GPU's thread in a loop."""
-    every = list(dict.fromkeys([*pairs.ones, *pairs.twos]))
-    table = _capsules(every, kinematics)
-
-    def some(numbers: Any) -> tuple[Segment, Scalar]:
-        return jax.tree.map(lambda v: jnp.stack([entry_at(v, number[0]) for number in numbers]), table)
-
-    def gaps(ones: Any, twos: Any) -> tuple[Vector, Vector, Scalar]:
-        return _between(some(ones), some(twos))
-
-    # Of type float: Triton takes equal numbers for one operand, and integers are those of addresses, too.
-    numbers = ([[every.index(shape)] for shape in shapes] for shapes in (pairs.ones, pairs.twos))
-    return in_turn(gaps, *(np.array(each, np.float32) for each in numbers), count=len(pairs.ones), abreast=4)
 
 
 def _capsules(shapes: Sequence[Capsule], kinematics: Kinematics) -> tuple[Segment, Scalar]:

@@ -11,7 +11,7 @@ that are close are gathered first, and loops over these end with the world that 
 """
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -21,6 +21,7 @@ from jaxtyping import Array, Bool
 
 from humanoid_mjx.mechanics.scalars import NULL, ONE, ZERO, Scalar, Vector, add, dot, scale, unstack
 from humanoid_mjx.mechanics.tree.algebra import (
+    FEW_PAIRS,
     Spatial,
     entry_at,
     folded,
@@ -34,11 +35,11 @@ from humanoid_mjx.mechanics.tree.algebra import (
     velocity_at,
     with_entry,
 )
-from humanoid_mjx.mechanics.tree.contacts import Friction, Gap, Touch, pair_touch
+from humanoid_mjx.mechanics.tree.contacts import Friction, Gap, GapAt, Touch, pair_touch
 from humanoid_mjx.mechanics.tree.inertia import Factors
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics
 from humanoid_mjx.mechanics.tree.problem import Problem
-from humanoid_mjx.mechanics.tree.structure import Box, Capsule, Tree
+from humanoid_mjx.mechanics.tree.structure import Box, Capsule, Pairs, Tree
 
 SLOTS = 8
 """Contacts between bodies that a world may have at a time, those of two boxes corner by corner."""
@@ -122,13 +123,9 @@ def close_pairs(
       close: true where a pair counts, of all worlds.
       worlds: indices of these; None: all, without looking up any.
     """
-    numbers, size, whole = _numbers(tree), *close.shape
-    pairs = [[numbers[shape.body, shape.lane * tree.bodies[shape.body].laned] for shape in two] for two in _each(tree)]
-    bodies = tuple(Scalar(jnp.array(column, float)[:, None]) for column in zip(*pairs, strict=True))
-    ways, rates = _ways(tree, problem.kinematics, numbers, pairs), unfolded(problem.velocity, tree.dofs)
-    some = [friction or (ZERO, ZERO) for _, friction in gaps] if any(friction for _, friction in gaps) else None
-    inverse = [number(pairs.surface.inverse_weight) for pairs in tree.pairs]
-    every = _joined(tree, [gap for gap, _ in gaps]), bodies, _joined(tree, inverse), some and _joined(tree, some)
+    size, whole = close.shape
+    contact, facts = _contacts(tree, problem, [friction for _, friction in gaps])
+    every = _joined(tree, [gap for gap, _ in gaps]), *facts
     close = close if worlds is None else close[:, worlds]
     index, slots = jnp.arange(size, dtype=jnp.int32)[:, None], min(SLOTS, size)
 
@@ -138,45 +135,127 @@ def close_pairs(
     def pick(value: Any, pair: Any) -> Any:
         if jnp.ndim(value) < 2:
             return value if worlds is None else jnp.broadcast_to(value, whole)[worlds]
-        if tree.threads:
-            return entry_at(jnp.broadcast_to(value, (size, 1)), pair[0])
         if worlds is None:
             return jnp.where(index == pair, value, jnp.zeros((), value.dtype)).sum(axis=0)
         # Of indices that may be negative, each look-up would be traced at length.
         return jnp.broadcast_to(value, (size, whole))[pair.astype(jnp.uint32), worlds]
 
-    def contact(first: Any) -> tuple[Touch, dict[int, Vector]]:
+    def one(first: Any) -> tuple[Touch, dict[int, Vector]]:
         pair = jnp.minimum(first, size - 1)  # where none is left, the last: all its numbers are finite
-        gap, bodies, inverse, friction = jax.tree.map(lambda v: pick(v, pair), every)
-        arms = {dof: scale(way.between(bodies), velocity_at(way.motion, gap.place)) for dof, way in ways.items()}
-        velocity = functools.reduce(add, [scale(rates[dof], arm) for dof, arm in arms.items()], NULL)
-        found: Any = None
-        end = 0
-        for group, (_, own) in zip(tree.pairs, gaps, strict=True):
-            surface = group.surface._replace(inverse_weight=inverse.value)
-            touch = pair_touch(surface, gap, velocity, own and friction)
-            if friction and not own:  # four facets that are the same, each of a quarter of the weight
-                touch = touch._replace(weight=Scalar(0.25) * touch.weight, friction=friction)
-            before = first < end
-            found = touch if found is None else jax.tree.map(partial(jnp.where, before), found, touch)
-            end += len(group.ones)
-        rows = {dof: resolve(found.frame, arm) for dof, arm in arms.items()}
-        return found._replace(place=NULL, frame=(NULL, NULL, NULL), distance=ZERO, close=first < size), rows
+        return contact(pair, first < size, *jax.tree.map(lambda v: pick(v, pair), every))
 
     def further(carry: tuple[Any, ...]) -> tuple[Any, ...]:
         count, first, found = carry
-        each = zip(found, jax.tree.leaves(contact(first)), strict=True)
+        each = zip(found, jax.tree.leaves(one(first)), strict=True)
         return count + 1, after(first), [with_entry(array, count, new) for array, new in each]
 
     def going(carry: tuple[Any, ...]) -> Any:
         return (carry[1] < size).any() & (carry[0] < slots)
 
     first = after(jnp.full(close.shape[1:], -1, jnp.int32))
-    leaves, structure = jax.tree.flatten(jax.eval_shape(contact, first))
+    leaves, structure = jax.tree.flatten(jax.eval_shape(one, first))
     nothing = [jnp.zeros((slots, *first.shape), leaf.dtype) for leaf in leaves]
     count, left, found = jax.lax.while_loop(going, further, (jnp.int32(0), first, nothing))
     touch, rows = structure.unflatten(found)
     return Slots(touch, rows, count), left < size
+
+
+def close_pairs_in_turn(
+    tree: Tree, problem: Problem, gaps: Sequence[tuple[GapAt, Friction]]
+) -> tuple[Slots, Bool[Array, " worlds"]]:
+    """The same for a GPU's thread, whose world has no axis: it looks at pair after pair, and keeps those that are
+    close."""
+    contact, facts = _contacts(tree, problem, [friction for _, friction in gaps])
+    numbers, close = _close_numbers(tree, problem, [at for at, _ in gaps])
+    slots = min(SLOTS, sum(len(pairs.ones) for pairs in tree.pairs))
+
+    def one(index: Any) -> tuple[Touch, dict[int, Vector]]:
+        pair, gap, first = entry_at(numbers, index)[0], None, 0
+        for pairs, (at, _) in zip(tree.pairs, gaps, strict=True):
+            found = at(pair - first)
+            gap = found if gap is None else jax.tree.map(partial(jnp.where, pair < first), gap, found)
+            first += len(pairs.ones)
+        own = jax.tree.map(lambda v: v if jnp.ndim(v) < 2 else entry_at(v, pair), facts)
+        return contact(pair, index < close, gap, *own)
+
+    def further(carry: tuple[Any, ...]) -> tuple[Any, ...]:
+        each = zip(carry[1], jax.tree.leaves(one(carry[0])), strict=True)
+        return carry[0] + 1, [with_entry(array, carry[0], new) for array, new in each]
+
+    leaves, structure = jax.tree.flatten(jax.eval_shape(one, jnp.int32(0)))
+    start = jnp.int32(0), [jnp.zeros((slots, *close.shape), leaf.dtype) for leaf in leaves]
+    most = jnp.minimum(close, slots)[0]
+    count, found = jax.lax.while_loop(lambda carry: carry[0] < most, further, start)
+    touch, rows = structure.unflatten(found)
+    return Slots(touch, rows, count), close > slots
+
+
+ABREAST = 4
+"""Pairs that a thread looks at together: while one waits for a number, it computes another."""
+
+
+def _close_numbers(tree: Tree, problem: Problem, gaps: Sequence[GapAt]) -> tuple[Any, Any]:
+    """The numbers of the first `SLOTS` pairs that are close in a thread's world, and how many are close."""
+    first, found = 0, (jnp.zeros((SLOTS + 1, 1), jnp.int32), jnp.zeros(1, jnp.int32))
+    for pairs, at in zip(tree.pairs, gaps, strict=True):
+        found = _noted(pairs, problem, at, first, found)
+        first += len(pairs.ones)
+    return found
+
+
+def _noted(pairs: Pairs, problem: Problem, at: GapAt, first: int, found: tuple[Any, Any]) -> tuple[Any, Any]:
+    """`found` with a group's pairs that are close, of which the first has this number; many are taken in a loop."""
+    size = len(pairs.ones)
+
+    def further(index: Any, found: tuple[Any, Any], count: int) -> tuple[Any, Any]:
+        each = [index + other for other in range(count)]
+        for one, gap in zip(each, map(at, each), strict=True):
+            numbers, close = found
+            numbers = with_entry(numbers, jnp.minimum(close, SLOTS)[0], (first + one)[None])
+            counts = (gap.distance.value < pairs.surface.margin) & (one < size) & ~jnp.asarray(problem.ended)
+            found = numbers, close + counts
+        return found
+
+    if size <= FEW_PAIRS:
+        return further(jnp.int32(0), found, size)
+    return jax.lax.while_loop(
+        lambda carry: carry[0] < size,
+        lambda carry: (carry[0] + ABREAST, *further(carry[0], carry[1:], ABREAST)),
+        (jnp.int32(0), *found),
+    )[1:]
+
+
+def _contacts(
+    tree: Tree, problem: Problem, frictions: Sequence[Friction]
+) -> tuple[Callable[..., tuple[Touch, dict[int, Vector]]], tuple[Any, ...]]:
+    """What makes a contact of a pair's number, a flag where it counts, a gap, and what follows: facts of the pair, of
+    which arrays lead with an axis of all pairs."""
+    numbers, some = _numbers(tree), None
+    pairs = [[numbers[shape.body, shape.lane * tree.bodies[shape.body].laned] for shape in two] for two in _each(tree)]
+    bodies = tuple(Scalar(jnp.array(column, float)[:, None]) for column in zip(*pairs, strict=True))
+    ways, rates = _ways(tree, problem.kinematics, numbers, pairs), unfolded(problem.velocity, tree.dofs)
+    if any(frictions):
+        some = _joined(tree, [friction or (ZERO, ZERO) for friction in frictions])
+    inverse = _joined(tree, [number(group.surface.inverse_weight) for group in tree.pairs])
+
+    def contact(
+        pair: Any, there: Any, gap: Gap, bodies: Bodies, inverse: Scalar, friction: Friction
+    ) -> tuple[Touch, dict[int, Vector]]:
+        arms = {dof: scale(way.between(bodies), velocity_at(way.motion, gap.place)) for dof, way in ways.items()}
+        velocity = functools.reduce(add, [scale(rates[dof], arm) for dof, arm in arms.items()], NULL)
+        found: Any = None
+        end = 0
+        for group, own in zip(tree.pairs, frictions, strict=True):
+            surface = group.surface._replace(inverse_weight=inverse.value)
+            touch = pair_touch(surface, gap, velocity, own and friction)
+            if friction and not own:  # four facets that are the same, each of a quarter of the weight
+                touch = touch._replace(weight=Scalar(0.25) * touch.weight, friction=friction)
+            found = touch if found is None else jax.tree.map(partial(jnp.where, pair < end), found, touch)
+            end += len(group.ones)
+        rows = {dof: resolve(found.frame, arm) for dof, arm in arms.items()}
+        return found._replace(place=NULL, frame=(NULL, NULL, NULL), distance=ZERO, close=there), rows
+
+    return contact, (bodies, inverse, some)
 
 
 def with_pairs(tree: Tree, slots: Slots, active: Flags, factors: Factors, x: Sequence[Scalar]) -> list[Scalar]:

@@ -28,7 +28,7 @@ from humanoid_mjx.mechanics.tree.algebra import (
     summed,
     total,
 )
-from humanoid_mjx.mechanics.tree.contacts import Friction, Gap, Slip, Stop, Touch
+from humanoid_mjx.mechanics.tree.contacts import Friction, Gap, GapAt, Slip, Stop, Touch
 from humanoid_mjx.mechanics.tree.inertia import Matrix
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics, motions_of
 from humanoid_mjx.mechanics.tree.structure import GroundPoints, Tree
@@ -141,7 +141,7 @@ class Problem(NamedTuple):
     velocity: list[Scalar]
     """Of the degrees of freedom, in the axes of `State.velocity`."""
     ground: list[Touch]
-    pairs: list[tuple[Gap, Friction]]
+    pairs: list[tuple[Gap | GapAt, Friction]]
     """Gaps of the pairs of bodies and their coefficients of friction, group by group."""
     stops: dict[int, Stop]
     slips: dict[int, Slip]

@@ -19,7 +19,7 @@ from humanoid_mjx.mechanics.scalars import Scalar
 from humanoid_mjx.mechanics.tree.contacts import Touch
 from humanoid_mjx.mechanics.tree.inertia import factor
 from humanoid_mjx.mechanics.tree.line import lowest_share
-from humanoid_mjx.mechanics.tree.pairs import Slots, are_close, close_pairs, with_pairs
+from humanoid_mjx.mechanics.tree.pairs import Slots, are_close, close_pairs, close_pairs_in_turn, with_pairs
 from humanoid_mjx.mechanics.tree.problem import Active, Problem, active_at, normal_equations, one_by_one, worlds_of
 from humanoid_mjx.mechanics.tree.structure import Tree
 
@@ -153,6 +153,11 @@ def search_blocks(tree: Tree, problem: Problem, start: list[Any]) -> tuple[list[
     gathered into blocks of their own, those with most close pairs first. Only blocks with close pairs compute any.
     Worlds where bodies touch each other in more than `SLOTS` places do not settle.
     """
+    pairs, problem = problem.pairs, problem._replace(pairs=[])
+    if tree.threads:
+        slots, more = close_pairs_in_turn(tree, problem, pairs) if pairs else (None, False)
+        found, settled = search(tree, problem, slots, start)
+        return found, settled & ~jnp.asarray(more)
     worlds = worlds_of(problem, start)
 
     def whole(problem: Problem, start: list[Any], at: Any = None) -> tuple[list[Any], Any]:
@@ -162,7 +167,6 @@ def search_blocks(tree: Tree, problem: Problem, start: list[Any]) -> tuple[list[
         found, settled = search(tree, problem, slots, start)
         return found, settled & ~more
 
-    pairs, problem = problem.pairs, problem._replace(pairs=[])
     close = are_close(tree, pairs) & ~jnp.asarray(problem.ended) if pairs else None
     if worlds <= (BLOCK,) or jax.default_backend() != "cpu":
         return whole(problem, start)

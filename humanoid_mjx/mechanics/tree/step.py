@@ -12,7 +12,7 @@ from humanoid_mjx.mechanics.scalars import HALF, ONE, ZERO, Scalar, Vector, add,
 from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.mechanics.tree.algebra import Spatial, folded, in_lanes, number, unfolded, vector
 from humanoid_mjx.mechanics.tree.bias import Drift, bias_forces, drifts_of
-from humanoid_mjx.mechanics.tree.contacts import Friction, ground_touch, pair_gaps, slip_of, stop_of
+from humanoid_mjx.mechanics.tree.contacts import Friction, ground_touch, pair_gap_at, pair_gaps, slip_of, stop_of
 from humanoid_mjx.mechanics.tree.inertia import Mass, Matrix, factor, mass_matrix, masses_of, product
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics, make_kinematics, motions_of, to_local, to_world, unit
 from humanoid_mjx.mechanics.tree.problem import Problem, Solution
@@ -187,7 +187,8 @@ def make_problem(tree: Tree, values: Values, state: State, force: list[Scalar]) 
     each = zip(tree.ground, frictions, strict=True)
     ground = [ground_touch(points, at, state.motions, friction, values.terrain) for points, friction in each]
     each = zip(tree.pairs, _frictions([p.surface for p in tree.pairs], values.friction), strict=True)
-    pairs = [(pair_gaps(some, at, tree.threads), friction) for some, friction in each]
+    gaps = pair_gap_at if tree.threads else pair_gaps
+    pairs = [(gaps(some, at), friction) for some, friction in each]
     stops = {
         joint.dof: stop_of(joint.limit, state.qpos[joint.coordinate], state.qvel[joint.dof])
         for joint in tree.joints
