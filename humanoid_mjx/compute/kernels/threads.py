@@ -225,6 +225,8 @@ class Threads:
 
     def _keep(self, arrays: Sequence[np.ndarray]) -> list[Kept]:
         """Arrays in a new part of the memory."""
+        if not arrays:
+            return []
         sizes = [len(array) * self._width(array.shape) for array in arrays]
         region = Region(next(self.numbers), sum(sizes), self.interpret)
         self.regions.append(region)
@@ -237,7 +239,7 @@ class Threads:
         """Arrays that do not change, in memory."""
         constants = [self._constants(array) for array in arrays]
         lacking = [array for array, found in zip(arrays, constants, strict=True) if found is None]
-        others = iter(self._keep(lacking) if lacking else [])
+        others = iter(self._keep(lacking))
         return [found or replace(next(others), fixed=True) for found in constants]
 
     def _constants(self, array: np.ndarray) -> Kept | None:
@@ -354,12 +356,9 @@ class Threads:
         moved = [place for place in places if place >= first or not isinstance(args[place], Kept)]
         moved = [place for place in sorted(moved) if math.prod(args[place].shape)]
         found = dict(enumerate(args))
-        for keep, places in (
-            (self._keep_fixed, [p for p in moved if p < first]),
-            (self._keep, [p for p in moved if p >= first]),
-        ):
-            if places:
-                found |= zip(places, keep([self._loaded(args[place]) for place in places]), strict=True)
+        for keep, places in (self._keep_fixed, range(first)), (self._keep, range(first, len(args))):
+            own = [place for place in moved if place in places]
+            found |= zip(own, keep([self._loaded(args[place]) for place in own]), strict=True)
         return [replace(x, fixed=True) if isinstance(x, Kept) and i < first else x for i, x in found.items()]
 
     def _put_back(self, state: Sequence[Any], start: Sequence[Any]) -> None:
