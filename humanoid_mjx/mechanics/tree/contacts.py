@@ -47,6 +47,10 @@ SMALLEST_SQUARE = 1e-30
 """The square of MuJoCo's smallest length (mjMINVAL)."""
 
 
+NEVER = 1e9
+"""Less the reference acceleration of a contact that is not close: no facet of it pushes, without a look at a flag."""
+
+
 class Touch(NamedTuple):
     """A contact, or several alike. The second body's acceleration against the first's at its place decides on its
     force."""
@@ -77,7 +81,7 @@ class Touch(NamedTuple):
 
     def active(self, residuals: Sequence[Scalar]) -> list[Any]:
         """Mask of the facets that push, by their residuals."""
-        return [self.close & (residual.value < 0.0) for residual in residuals]
+        return [residual.value < 0.0 for residual in residuals]
 
     def force(self, v: Vector) -> Vector:
         """The force on the second body, N, at this residual; both in the contact's frame."""
@@ -279,7 +283,8 @@ def _touch(
         inverse = TWO * square * inverse * (ONE + square) / Scalar(surface.impratio)
     close, weight, push = _soft(surface.softness, distance, number(surface.margin), inverse)
     offset = scale(Scalar(surface.softness.damping), resolve(frame, velocity))
-    return Touch(place, frame, distance, close, weight, offset._replace(x=offset.x + push), friction)
+    offset = offset._replace(x=Scalar(jnp.where(close, (offset.x + push).value, NEVER)))
+    return Touch(place, frame, distance, close, weight, offset, friction)
 
 
 def _soft(softness: Softness, distance: Scalar, margin: Scalar, inverse: Scalar) -> tuple[Any, Scalar, Scalar]:
