@@ -64,7 +64,7 @@ def _written_out(
     world; `kinds`: shape and type of each argument for a world."""
     single = [jax.ShapeDtypeStruct((*shape, 1), dtype) for shape, dtype in kinds]
     traced, shapes = jax.make_jaxpr(function, return_shape=True)(*structure.unflatten(single))
-    threads = Threads(lanes, partial(_shuffled, power_of_two(lanes), interpret), interpret)
+    threads = Threads(lanes, *(partial(way, power_of_two(lanes), interpret) for way in (_shuffled, _summed)), interpret)
     return jax.jit(partial(_results, traced, threads)), shapes
 
 
@@ -81,6 +81,18 @@ def _shuffled(each: int, interpret: bool, values: Array, index: int) -> Array:
     width = (32 - each) << 8 | 31
     code = f"shfl.sync.idx.b32 $0, $1, {index}, {width}, 0xffffffff;"
     return assembly(code, f"={kind},{kind}", values.dtype, values)
+
+
+def _summed(each: int, interpret: bool, values: Array) -> Array:
+    """The sums of float32 over the threads of each world, the same in all of these to the bit."""
+    for step in (1 << power for power in range(each.bit_length() - 1)):
+        if interpret:
+            values = values + values.reshape(-1, each)[:, np.arange(each) ^ step].reshape(-1)
+            continue
+        # The sum is in the assembly: a compiler would contract it with products of one thread and not of the other.
+        code = f"shfl.sync.bfly.b32 other, $1, {step}, {(32 - each) << 8 | 31}, 0xffffffff; add.rn.f32 $0, $1, other;"
+        values = assembly(f"{{ .reg .f32 other; {code} }}", "=f,f", values.dtype, values)
+    return values
 
 
 def _kernel(numbers: Any, out: Any, *, results: Results, worlds: int, each: int, staged: bool) -> None:

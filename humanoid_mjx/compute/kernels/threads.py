@@ -94,11 +94,18 @@ class Threads:
     Args:
       lanes: of a world; 1 where a world has one thread.
       shuffled: from a vector and a lane to the vector of what the thread of that lane of each world holds.
+      summed: from a vector of float32 to its sums over the threads of each world.
       interpret: for Pallas's interpreter.
     """
 
-    def __init__(self, lanes: int, shuffled: Callable[[Array, int], Array], interpret: bool):
-        self.lanes, self.shuffled, self.interpret = lanes, shuffled, interpret
+    def __init__(
+        self,
+        lanes: int,
+        shuffled: Callable[[Array, int], Array],
+        summed: Callable[[Array], Array],
+        interpret: bool,
+    ):
+        self.lanes, self.shuffled, self.summed, self.interpret = lanes, shuffled, summed, interpret
         self.control = {"while": self._while, "cond": self._cond}
         self.numbers = count()
         self.regions: list[Region] = []
@@ -309,6 +316,8 @@ class Threads:
 
     def _reduced(self, eqn: Any, array: np.ndarray) -> np.ndarray:
         axes, (combine, of_nothing) = eqn.params["axes"], REDUCTIONS[eqn.primitive.name]
+        if eqn.primitive.name == "reduce_sum" and axes == (array.ndim - 2,) and self._summable(array):
+            return arranged([self.summed(group[0].vector) for group in self._groups(array)], eqn.outvars[0].aval.shape)
         kept = [axis for axis in range(array.ndim) if axis not in axes]
         shape = tuple(array.shape[axis] for axis in kept)
         rows = array.transpose(*axes, *kept).reshape(-1, *shape)
@@ -319,6 +328,13 @@ class Threads:
             return combine(vector(a), vector(b))
 
         return reduce(lambda a, b: self._each(both, [a, b], shape), (rows[row, ...] for row in range(len(rows))))
+
+    def _summable(self, array: np.ndarray) -> bool:
+        """True where threads hold their own lanes of all elements, and there is none without a lane."""
+        if not self._laned(array.shape) or self.lanes < power_of_two(self.lanes):
+            return False
+        groups = self._groups(array)
+        return all(isinstance(group[0], Lane) and self._joined(group)[0] is group[0].vector for group in groups)
 
     def _while(self, eqn: Any, *args: Held) -> list[Held]:
         """Run a loop until all worlds of the block have ended; those that have ended compute on with the others.

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx.mechanics.scalars import NULL, ONE, ZERO, Scalar, Symmetric, Vector, add, cross, dot, scale
+from humanoid_mjx.mechanics.tree import structure
 from humanoid_mjx.mechanics.tree.structure import Axes, Table
 
 FEW_PAIRS = 8
@@ -173,17 +174,20 @@ def in_turn(function: Callable[..., Tree], *rows: Any, count: Any) -> Tree:
     return shape.unflatten(jax.lax.while_loop(lambda carry: carry[0] < count, further, start)[1])
 
 
-def over_lanes(scalars: Sequence[Scalar], lanes: int) -> list[Scalar]:
-    """The sums over the lanes, by slices; a scalar without the axis is the same in all lanes."""
-    found = []
-    for scalar in scalars:
+def over_lanes(tree: structure.Tree, scalars: Sequence[Scalar]) -> list[Scalar]:
+    """The sums over the lanes; a scalar without the axis is the same in all lanes."""
+
+    def one(scalar: Scalar) -> Scalar:
         value = scalar.value
-        if jnp.ndim(value) > 1:
-            pieces = [value[..., min(index, value.shape[-2] - 1), :] for index in range(lanes)]
-            found.append(Scalar(functools.reduce(operator.add, pieces)))
-        else:
-            found.append(scalar * Scalar(float(lanes)))
-    return found
+        if jnp.ndim(value) < 2:
+            return scalar * Scalar(float(tree.lanes))
+        if tree.threads and value.shape[-2] == tree.lanes:
+            return Scalar(value.sum(axis=-2))
+        # By slices: XLA:CPU sums over an axis before that of worlds world by world.
+        pieces = [value[..., min(index, value.shape[-2] - 1), :] for index in range(tree.lanes)]
+        return Scalar(functools.reduce(operator.add, pieces))
+
+    return [one(scalar) for scalar in scalars]
 
 
 def summed(thing: Tree, sums: Callable[[Sequence[Scalar]], list[Scalar]]) -> Tree:

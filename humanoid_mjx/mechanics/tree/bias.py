@@ -73,7 +73,7 @@ def bias_forces(
         for joint in body.joints:
             forces[joint.dof] = power(kinematics.motions[joint.dof], wrenches[index])
         merge = body.laned and not tree.bodies[body.parent].laned
-        wrench = summed(wrenches[index], partial(over_lanes, lanes=tree.lanes)) if merge else wrenches[index]
+        wrench = summed(wrenches[index], partial(over_lanes, tree)) if merge else wrenches[index]
         wrenches[body.parent] = total([wrenches[body.parent], wrench])
     return forces
 

@@ -88,7 +88,7 @@ def mass_matrix(tree: Tree, kinematics: Kinematics, masses: Sequence[Mass], arma
                 matrix[dof][other] = power(kinematics.motions[other], force)
             matrix[dof][dof] = matrix[dof][dof] + armature[dof]
         if body.laned and not tree.bodies[body.parent].laned:
-            composite = summed(composite, partial(over_lanes, lanes=tree.lanes))
+            composite = summed(composite, partial(over_lanes, tree))
         composites[body.parent] = composites[body.parent].plus(composite)
     return matrix
 
@@ -101,7 +101,7 @@ class Factors(NamedTuple):
     """1 / D"""
     stem: int
     """Number of degrees of freedom before those of lanes, which are the last."""
-    lanes: int
+    tree: Tree
 
     def solve(self, right: Sequence[Scalar]) -> list[Scalar]:
         """x of `A x = right`."""
@@ -111,7 +111,7 @@ class Factors(NamedTuple):
                 x[column] = x[column] - self.lower[row][column] * x[row]
         if size > stem:
             felt = [dot([self.lower[row][column] for row in range(stem, size)], x[stem:]) for column in range(stem)]
-            x[:stem] = [a - b for a, b in zip(x[:stem], over_lanes(felt, self.lanes), strict=True)]
+            x[:stem] = [a - b for a, b in zip(x[:stem], over_lanes(self.tree, felt), strict=True)]
         for row in reversed(range(stem)):
             for column in range(row):
                 x[column] = x[column] - self.lower[row][column] * x[row]
@@ -127,7 +127,7 @@ def factor(tree: Tree, matrix: Matrix) -> Factors:
     inverse, passed = [ZERO] * size, [[ZERO] * (row + 1) for row in range(stem)]
     for last in reversed(range(size)):
         if last == stem - 1 < size - 1:
-            changes = iter(over_lanes([change for row in passed for change in row], tree.lanes))
+            changes = iter(over_lanes(tree, [change for row in passed for change in row]))
             for row in range(stem):
                 rows[row] = [entry - next(changes) for entry in rows[row]]
         inverse[last] = ONE / rows[last][last]
@@ -140,7 +140,7 @@ def factor(tree: Tree, matrix: Matrix) -> Factors:
                     passed[row][column] = passed[row][column] + change
                 else:
                     rows[row][column] = rows[row][column] - change
-    return Factors(rows, inverse, stem, tree.lanes)
+    return Factors(rows, inverse, stem, tree)
 
 
 def product(tree: Tree, matrix: Matrix, x: Sequence[Scalar]) -> list[Scalar]:
@@ -150,7 +150,7 @@ def product(tree: Tree, matrix: Matrix, x: Sequence[Scalar]) -> list[Scalar]:
         total = dot(matrix[row], x[: row + 1])
         for other in range(row + 1, tree.nv):
             part = matrix[other][row] * x[other]
-            total = total + (over_lanes([part], tree.lanes)[0] if tree.laned(other) > tree.laned(row) else part)
+            total = total + (over_lanes(tree, [part])[0] if tree.laned(other) > tree.laned(row) else part)
         found.append(total)
     return found
 

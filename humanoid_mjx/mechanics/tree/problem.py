@@ -99,7 +99,7 @@ def add_ground(
                 matrix[dof][other] = power(motions[other], force, matrix[dof][other])
             right[dof] = right[dof] - power(motions[dof], push)
         if body.laned and not tree.bodies[body.parent].laned:
-            own, push = summed((own, push), partial(over_lanes, lanes=tree.lanes))
+            own, push = summed((own, push), partial(over_lanes, tree))
         stiffness[body.parent] = stiffness[body.parent].plus(own) if body.parent in stiffness else own
         forces[body.parent] = total([forces.get(body.parent, NOWHERE), push])
 
