@@ -64,7 +64,8 @@ def _written_out(
     world; `kinds`: shape and type of each argument for a world."""
     single = [jax.ShapeDtypeStruct((*shape, 1), dtype) for shape, dtype in kinds]
     traced, shapes = jax.make_jaxpr(function, return_shape=True)(*structure.unflatten(single))
-    threads = Threads(lanes, *(partial(way, power_of_two(lanes), interpret) for way in (_shuffled, _summed)), interpret)
+    shuffled, summed = (partial(each, power_of_two(lanes), interpret) for each in (_shuffled, _summed))
+    threads = Threads(lanes, shuffled, summed, interpret)
     return jax.jit(partial(_results, traced, threads)), shapes
 
 

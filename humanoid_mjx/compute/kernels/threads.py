@@ -372,8 +372,8 @@ class Threads:
         moved = [place for place in places if place >= first or not isinstance(args[place], Kept)]
         moved = [place for place in sorted(moved) if math.prod(args[place].shape)]
         found = dict(enumerate(args))
-        for keep, places in (self._keep_fixed, range(first)), (self._keep, range(first, len(args))):
-            own = [place for place in moved if place in places]
+        for keep, fixed in (self._keep_fixed, True), (self._keep, False):
+            own = [place for place in moved if (place < first) == fixed]
             found |= zip(own, keep([self._loaded(args[place]) for place in own]), strict=True)
         return [replace(x, fixed=True) if isinstance(x, Kept) and i < first else x for i, x in found.items()]
 

@@ -28,7 +28,7 @@ from humanoid_mjx.mechanics.tree.algebra import (
     summed,
     total,
 )
-from humanoid_mjx.mechanics.tree.contacts import Friction, Gap, GapAt, Slip, Stop, Touch
+from humanoid_mjx.mechanics.tree.contacts import Friction, Slip, Stop, Touch
 from humanoid_mjx.mechanics.tree.inertia import Matrix
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics, motions_of
 from humanoid_mjx.mechanics.tree.structure import GroundPoints, Tree
@@ -140,8 +140,8 @@ class Problem(NamedTuple):
     velocity: list[Scalar]
     """Of the degrees of freedom, in the axes of `State.velocity`."""
     ground: list[Touch]
-    pairs: list[tuple[Gap | GapAt, Friction]]
-    """Gaps of the pairs of bodies and their coefficients of friction, group by group."""
+    pairs: list[tuple[Any, Friction]]
+    """Gaps of the pairs of bodies, `Gap` or in a kernel `GapAt`, and their coefficients of friction, group by group."""
     stops: dict[int, Stop]
     slips: dict[int, Slip]
     """By degree of freedom."""
