@@ -89,9 +89,9 @@ class Symmetric(NamedTuple):
         """The sum of two."""
         return Symmetric(*(a + b for a, b in zip(self, other, strict=True)))
 
-    def apply(self, v: Vector, start: Vector = NULL) -> Vector:
-        """Its product with a vector, added to `start`."""
-        return Vector(*(dot(row, v, before) for row, before in zip(self.rows, start, strict=True)))
+    def apply(self, v: Vector) -> Vector:
+        """Its product with a vector."""
+        return Vector(dot(self[:3], v), dot((self.xy, self.yy, self.yz), v), dot((self.xz, self.yz, self.zz), v))
 
     @property
     def rows(self) -> tuple[Vector, Vector, Vector]:
@@ -125,12 +125,9 @@ class Turn(NamedTuple):
         return mean + difference, ab, mean - difference
 
 
-def dot(a: Sequence[Scalar], b: Sequence[Scalar], start: Scalar = ZERO) -> Scalar:
-    """The scalar product of two sequences of one length, added to `start`.
-
-    A sum that begins with what it is added to saves an addition: a product and an addition are one instruction.
-    """
-    total = start
+def dot(a: Sequence[Scalar], b: Sequence[Scalar]) -> Scalar:
+    """The scalar product of two sequences of one length."""
+    total = ZERO
     for one, two in zip(a, b, strict=True):
         total = total + one * two
     return total
@@ -146,9 +143,9 @@ def scale(factor: Scalar, a: Vector) -> Vector:
     return Vector(factor * a.x, factor * a.y, factor * a.z)
 
 
-def cross(a: Vector, b: Vector, start: Vector = NULL) -> Vector:
-    """The vector product, added to `start`."""
-    return Vector(start.x + a.y * b.z - a.z * b.y, start.y + a.z * b.x - a.x * b.z, start.z + a.x * b.y - a.y * b.x)
+def cross(a: Vector, b: Vector) -> Vector:
+    """The vector product."""
+    return Vector(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x)
 
 
 def unstack(array: Shaped[Array, "n ..."]) -> list[Scalar]:

@@ -202,14 +202,14 @@ def known_axes(axes: Axes) -> Rotation:
     return x, y, z
 
 
-def combine(axes: Rotation, v: Vector, start: Vector = NULL) -> Vector:
-    """A vector of a frame in the world, the sum of the frame's axes times its components, added to `start`."""
-    return Vector(*(dot((axes[0][i], axes[1][i], axes[2][i]), v, start[i]) for i in range(3)))
+def combine(axes: Rotation, v: Vector) -> Vector:
+    """A vector of a frame in the world: the sum of the frame's axes times its components."""
+    return Vector(*(dot((axes[0][i], axes[1][i], axes[2][i]), v) for i in range(3)))
 
 
-def resolve(axes: Rotation, v: Vector, start: Vector = NULL) -> Vector:
-    """A vector of the world in a frame, its components along the frame's axes, added to `start`."""
-    return Vector(*(dot(axis, v, before) for axis, before in zip(axes, start, strict=True)))
+def resolve(axes: Rotation, v: Vector) -> Vector:
+    """A vector of the world in a frame: its components along the frame's axes."""
+    return Vector(*(dot(axis, v) for axis in axes))
 
 
 def compose(axes: Rotation, other: Rotation) -> Rotation:
@@ -231,14 +231,14 @@ def times(factor: Scalar, s: Spatial) -> Spatial:
     return Spatial(scale(factor, s.linear), scale(factor, s.angular))
 
 
-def power(motion: Spatial, force: Spatial, start: Scalar = ZERO) -> Scalar:
-    """The scalar product of a motion and a force, added to `start`."""
-    return dot(motion.angular, force.angular, dot(motion.linear, force.linear, start))
+def power(motion: Spatial, force: Spatial) -> Scalar:
+    """The scalar product of a motion and a force."""
+    return dot(motion.linear, force.linear) + dot(motion.angular, force.angular)
 
 
 def velocity_at(motion: Spatial, point: Vector) -> Vector:
     """The velocity of a body's point at `point`, which is given against the origin."""
-    return cross(motion.angular, point, motion.linear)
+    return add(motion.linear, cross(motion.angular, point))
 
 
 def force_at(force: Vector, point: Vector) -> Spatial:

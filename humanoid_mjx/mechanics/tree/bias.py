@@ -25,7 +25,8 @@ class Drift(NamedTuple):
         """The acceleration of its point at `arm` from its origin."""
         if all(part.is_known(0.0) for part in arm):
             return self.linear
-        return cross(self.angular, cross(self.angular, arm), cross(self.rate, arm, self.linear))
+        spinning = cross(self.angular, cross(self.angular, arm))
+        return add(self.linear, add(cross(self.rate, arm), spinning))
 
 
 def drifts_of(tree: Tree, kinematics: Kinematics, velocity: Sequence[Scalar]) -> list[Drift]:
@@ -42,7 +43,7 @@ def drifts_of(tree: Tree, kinematics: Kinematics, velocity: Sequence[Scalar]) ->
             if joint.slides:
                 speed = scale(TWO * velocity[joint.dof], kinematics.motions[joint.dof].linear)
                 linear = now.at(subtract(kinematics.anchors[joint.dof], place))
-                now = now._replace(linear=cross(now.angular, speed, linear))
+                now = now._replace(linear=add(linear, cross(now.angular, speed)))
                 place, moved = kinematics.anchors[joint.dof], False
                 continue
             anchor = kinematics.anchors[joint.dof]
@@ -50,7 +51,7 @@ def drifts_of(tree: Tree, kinematics: Kinematics, velocity: Sequence[Scalar]) ->
                 now = now._replace(linear=now.at(subtract(anchor, place)))
             place, moved = anchor, False
             turning = scale(velocity[joint.dof], kinematics.motions[joint.dof].angular)
-            now = Drift(add(now.angular, turning), cross(now.angular, turning, now.rate), now.linear)
+            now = Drift(add(now.angular, turning), add(now.rate, cross(now.angular, turning)), now.linear)
         offset = any(joint.anchor != (0.0, 0.0, 0.0) for joint in body.joints) or moved
         found.append(now._replace(linear=now.at(subtract(kinematics.poses[index].position, place))) if offset else now)
     return found
@@ -86,4 +87,4 @@ def _wrench(mass: Mass, drift: Drift, gravity: Vector) -> Spatial:
     for more, axis in mass.extra:
         about = scale(more * dot(axis, drift.rate), axis)
         moment = add(moment, add(about, scale(more * dot(axis, drift.angular), cross(drift.angular, axis))))
-    return Spatial(force, cross(mass.center, force, moment))
+    return Spatial(force, add(moment, cross(mass.center, force)))

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from humanoid_mjx.mechanics.scalars import Scalar, Vector
+from humanoid_mjx.mechanics.scalars import Scalar, Vector, add
 from humanoid_mjx.mechanics.tree.algebra import combine, in_order, known, vector
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics
 from humanoid_mjx.mechanics.tree.structure import Pairs
@@ -91,7 +91,7 @@ def _placed(boxes: Sequence[Any], kinematics: Kinematics) -> Placed:
     vectors: list[list[Vector]] = []
     for box in boxes:
         position, axes = kinematics.of_lane(box.body, box.lane)
-        vectors.append([combine(axes, vector(box.center), position)])
+        vectors.append([add(position, combine(axes, vector(box.center)))])
         vectors[-1] += [combine(axes, vector(axis)) for axis in box.axes]
     middle, *axes = (tuple(in_order(part).value for part in zip(*v, strict=True)) for v in zip(*vectors, strict=True))
     half = tuple(known(part).value for part in zip(*(box.half for box in boxes), strict=True))

@@ -70,7 +70,7 @@ class Touch(NamedTuple):
 
     def residual(self, motion: Spatial) -> Vector:
         """The contact's acceleration less its reference where the body accelerates by `motion`, in its own frame."""
-        return resolve(self.frame, velocity_at(motion, self.place), self.offset)
+        return add(resolve(self.frame, velocity_at(motion, self.place)), self.offset)
 
     def facets(self, v: Vector) -> list[Scalar]:
         """A vector of the contact's frame along each facet of the pyramid."""

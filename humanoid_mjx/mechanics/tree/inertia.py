@@ -60,8 +60,8 @@ class Composite(NamedTuple):
 
     def apply(self, motion: Spatial) -> Spatial:
         """The force that accelerates it by `motion`."""
-        force = cross(motion.angular, self.first, scale(self.mass, motion.linear))
-        return Spatial(force, self.second.apply(motion.angular, cross(self.first, motion.linear)))
+        force = add(scale(self.mass, motion.linear), cross(motion.angular, self.first))
+        return Spatial(force, add(cross(self.first, motion.linear), self.second.apply(motion.angular)))
 
 
 def masses_of(tree: Tree, kinematics: Kinematics, factors: Sequence[Scalar]) -> list[Mass]:

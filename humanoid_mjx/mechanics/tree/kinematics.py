@@ -55,7 +55,7 @@ class Kinematics(NamedTuple):
     def place(self, body: int, point: Triple) -> Vector:
         """A point of a body's frame, against the origin."""
         pose = self.poses[body]
-        return combine(pose.axes, vector(point), pose.position)
+        return add(pose.position, combine(pose.axes, vector(point)))
 
     def direction(self, body: int, axis: Triple) -> Vector:
         """A direction of a body's frame."""
@@ -75,10 +75,10 @@ def make_kinematics(tree: Tree, qpos: Sequence[Scalar]) -> Kinematics:
             poses.append(Pose(NULL, rotation(unit(qpos[3:7]))))
             continue
         parent = poses[body.parent]
-        position = combine(parent.axes, vector(body.position), parent.position)
+        position = add(parent.position, combine(parent.axes, vector(body.position)))
         axes = compose(parent.axes, known_axes(body.axes))
         for joint in body.joints:
-            anchor = combine(axes, vector(joint.anchor), position)
+            anchor = add(position, combine(axes, vector(joint.anchor)))
             axis = combine(axes, vector(joint.axis))
             if joint.slides:
                 position = add(position, scale(qpos[joint.coordinate] - number(joint.reference), axis))

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from humanoid_mjx.mechanics.scalars import Scalar, Symmetric, Vector, add, cross
+from humanoid_mjx.mechanics.scalars import Scalar, Symmetric, Vector, add, cross, dot
 from humanoid_mjx.mechanics.tree.algebra import (
     NOWHERE,
     UNTURNED,
@@ -49,8 +49,9 @@ class Stiffness(NamedTuple):
 
     def apply(self, motion: Spatial) -> Spatial:
         """The force that opposes a motion."""
-        force = resolve(self.mixed, motion.angular, self.linear.apply(motion.linear))
-        return Spatial(force, combine(self.mixed, motion.linear, self.angular.apply(motion.angular)))
+        force = add(self.linear.apply(motion.linear), Vector(*(dot(row, motion.angular) for row in self.mixed)))
+        turned = Vector(*(dot([row[j] for row in self.mixed], motion.linear) for j in range(3)))
+        return Spatial(force, add(turned, self.angular.apply(motion.angular)))
 
 
 def ground_residuals(tree: Tree, kinematics: Kinematics, touches: Sequence[Touch], x: Sequence[Scalar]) -> list[Vector]:
@@ -96,7 +97,7 @@ def add_ground(
         for dof in tree.own(index):
             force = own.apply(motions[dof])
             for other in moving[: moving.index(dof) + 1]:
-                matrix[dof][other] = power(motions[other], force, matrix[dof][other])
+                matrix[dof][other] = matrix[dof][other] + power(motions[other], force)
             right[dof] = right[dof] - power(motions[dof], push)
         if body.laned and not tree.bodies[body.parent].laned:
             own, push = summed((own, push), partial(over_lanes, tree))

@@ -30,7 +30,7 @@ def segments(shapes: Sequence[Capsule], kinematics: Kinematics) -> Segment:
     def placed(shape: Capsule) -> Segment:
         position, axes = kinematics.of_lane(shape.body, shape.lane)
         half = scale(Scalar(max(shape.half_length, POINT)), combine(axes, vector(shape.axis)))
-        return combine(axes, vector(shape.center), position), half
+        return add(position, combine(axes, vector(shape.center))), half
 
     found = each_of(shapes, placed)
     one, two = (Vector(*(in_order([segment[part][i] for segment in found]) for i in range(3))) for part in range(2))
