@@ -48,7 +48,7 @@ SMALLEST_SQUARE = 1e-30
 
 
 NEVER = 1e9
-"""Less the reference acceleration of a contact that is not close: no facet of it pushes, without a look at a flag."""
+"""Less the reference acceleration, m/s^2, of a contact that never pushes."""
 
 
 class Touch(NamedTuple):
@@ -81,7 +81,14 @@ class Touch(NamedTuple):
 
     def active(self, residuals: Sequence[Scalar]) -> list[Any]:
         """Mask of the facets that push, by their residuals."""
-        return [residual.value < 0.0 for residual in residuals]
+        pushing = [residual.value < 0.0 for residual in residuals]
+        return pushing if self.close is True else [self.close & flag for flag in pushing]
+
+    def without_flag(self) -> "Touch":
+        """The same for a GPU's thread, to which a flag is dear: where it is not close no facet pushes, because of its
+        reference acceleration."""
+        offset = self.offset._replace(x=Scalar(jnp.where(self.close, self.offset.x.value, NEVER)))
+        return self._replace(offset=offset, close=True)
 
     def force(self, v: Vector) -> Vector:
         """The force on the second body, N, at this residual; both in the contact's frame."""
@@ -283,8 +290,7 @@ def _touch(
         inverse = TWO * square * inverse * (ONE + square) / Scalar(surface.impratio)
     close, weight, push = _soft(surface.softness, distance, number(surface.margin), inverse)
     offset = scale(Scalar(surface.softness.damping), resolve(frame, velocity))
-    offset = offset._replace(x=Scalar(jnp.where(close, (offset.x + push).value, NEVER)))
-    return Touch(place, frame, distance, close, weight, offset, friction)
+    return Touch(place, frame, distance, close, weight, offset._replace(x=offset.x + push), friction)
 
 
 def _soft(softness: Softness, distance: Scalar, margin: Scalar, inverse: Scalar) -> tuple[Any, Scalar, Scalar]:

@@ -35,7 +35,7 @@ from humanoid_mjx.mechanics.tree.algebra import (
     velocity_at,
     with_entry,
 )
-from humanoid_mjx.mechanics.tree.contacts import NEVER, Friction, Gap, GapAt, Touch, pair_touch
+from humanoid_mjx.mechanics.tree.contacts import Friction, Gap, GapAt, Touch, pair_touch
 from humanoid_mjx.mechanics.tree.inertia import Factors
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics
 from humanoid_mjx.mechanics.tree.problem import Problem
@@ -253,8 +253,7 @@ def _contacts(
             found = touch if found is None else jax.tree.map(partial(jnp.where, pair < end), found, touch)
             end += len(group.ones)
         rows = {dof: resolve(found.frame, arm) for dof, arm in arms.items()}
-        offset = found.offset._replace(x=Scalar(jnp.where(there, found.offset.x.value, NEVER)))
-        return found._replace(place=NULL, frame=(NULL, NULL, NULL), distance=ZERO, close=there, offset=offset), rows
+        return found._replace(place=NULL, frame=(NULL, NULL, NULL), distance=ZERO, close=there), rows
 
     return contact, (bodies, inverse, some)
 

@@ -156,6 +156,7 @@ def search_blocks(tree: Tree, problem: Problem, start: list[Any]) -> tuple[list[
     pairs, problem = problem.pairs, problem._replace(pairs=[])
     if tree.threads:
         slots, more = close_pairs_in_turn(tree, problem, pairs) if pairs else (None, False)
+        problem = problem._replace(ground=[touch.without_flag() for touch in problem.ground])
         found, settled = search(tree, problem, slots, start)
         return found, settled & ~jnp.asarray(more)
     worlds = worlds_of(problem, start)
