@@ -162,17 +162,27 @@ def walk_fast() -> str:
     return table(head, rows)
 
 
-def _by_command(name: str) -> str:
-    """Return how the policies of a record walk, by command."""
-    rows = []
-    for gait in record(name)["results"][0]["gaits"]:
-        if gait["agent"] == "greedy":
-            of = {name: [x[0] for x in figure["seeds"]] for name, figure in gait["figures"].items()}
-            places = {"forward": 2, "left": 2, "turn": 2, "slip": 3}
-            moves = (_median(of[name], to) for name, to in places.items())
-            rows.append((gait["scenario"], spread(of["success"], 0, 100), *moves))
-    head = "command, m/s and rad/s | upright for 20 s, % | forward, m/s | left, m/s | turn, rad/s | slip, m/s"
+def _by_command(name: str, native: str = "") -> str:
+    """Return how the policies of a record walk, by command, and how many stay upright by that in native MuJoCo."""
+    rows, there = [], _gaits(native) if native else {}
+    for scenario, of in _gaits(name).items():
+        places = {"forward": 2, "left": 2, "turn": 2, "slip": 3}
+        moves = [_median(of[name], to) for name, to in places.items()]
+        moves.append(_median([share and 100 * share for share in of["flight"]], 0))
+        upright = [spread(each[scenario]["success"], 0, 100) for each in (_gaits(name), there) if each]
+        rows.append((scenario, *upright, *moves))
+    upright = "upright for 20 s, %" + " | in native MuJoCo, %" * bool(native)
+    head = f"command, m/s and rad/s | {upright} | forward, m/s | left, m/s | turn, rad/s | slip, m/s | in flight, %"
     return table(head, rows)
+
+
+def _gaits(name: str) -> dict[str, dict[str, list[Any]]]:
+    """Return the figures of a record's policies, seed by seed, by command."""
+    gaits = (gait for gait in record(name)["results"][0]["gaits"] if gait["agent"] == "greedy")
+    return {
+        gait["scenario"]: {figure: [x[0] for x in of["seeds"]] for figure, of in gait["figures"].items()}
+        for gait in gaits
+    }
 
 
 def _shares(upright: dict[str, list[float]], worlds: Sequence[str], of: Callable[[list[float]], float]) -> list[str]:
@@ -229,7 +239,7 @@ TABLES = (
     | {name: partial(_in_worlds, name) for name in WORLDS}
     | {
         "walk_dog": lambda: _by_command("cpu_2_cores_walk_dog"),
-        "walk_humanoid": lambda: _by_command("h100_walk_humanoid"),
+        "walk_humanoid": lambda: _by_command("h100_walk_humanoid", "h100_walk_humanoid_mujoco"),
         "walk_gaits": lambda: _series("h200_walk_gaits"),
         "walk_cpu": lambda: _by_command("h100_walk_cpu"),
         "walk_trials": lambda: _trials("trials", *PUSHED),
