@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from humanoid_mjx.mechanics.scalars import NULL, ZERO, Scalar
-from humanoid_mjx.mechanics.tree import pairs
+from humanoid_mjx.mechanics.tree import pair_equations
 from humanoid_mjx.mechanics.tree.algebra import UNTURNED
 from humanoid_mjx.mechanics.tree.contacts import Touch
 
@@ -28,7 +28,7 @@ def test_stiffness_is_right_whatever_the_friction(friction):
         both = Scalar(friction), Scalar(friction)
         touch = Touch(NULL, UNTURNED, ZERO, None, Scalar(jnp.full(500, weight)), NULL, both)
         block = [[Scalar(entry) for entry in row] for row in compliance]
-        return [[entry.value for entry in row] for row in pairs._inner(touch, list(flags), block)]
+        return [[entry.value for entry in row] for row in pair_equations._inner(touch, list(flags), block)]
 
     found = np.array(jax.jit(inner)(np.float32(compliance.transpose(1, 2, 0)), flags.T)).transpose(2, 0, 1)
     error = np.linalg.norm((found - expected) @ compliance, axis=(1, 2))

@@ -18,33 +18,26 @@ from functools import reduce
 from itertools import count, groupby
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.extend.core import ClosedJaxpr, Literal
 from jaxtyping import Array
 
-from humanoid_mjx.compute.kernels.angles import ANGLES
 from humanoid_mjx.compute.kernels.arrangements import ARRANGEMENTS, arranged, constant
+from humanoid_mjx.compute.kernels.elements import (
+    ARITHMETIC,
+    REDUCTIONS,
+    Element,
+    Lane,
+    are_known,
+    computed,
+    is_lane,
+    type_of,
+    vector,
+)
 from humanoid_mjx.compute.kernels.memory import THREADS, Constants, Region, bits
-from humanoid_mjx.compute.kernels.primitives import CALLS, ELEMENTWISE
-
-ARITHMETIC = ELEMENTWISE | ANGLES.keys() | {"atan2", "pow", "rsqrt", "tan"}
-"""Primitives that act on each element alone."""
-
-
-@dataclass(frozen=True, eq=False)
-class Lane:
-    """Element of an array: what the thread of one lane of a world holds."""
-
-    vector: Any
-    """An array of the block's threads."""
-    index: int
-
-
-Element = Any
-"""An array of a block's threads, alike in those of one world; a numpy scalar; or a `Lane`."""
+from humanoid_mjx.compute.kernels.primitives import CALLS
 
 
 @dataclass(eq=False)
@@ -156,9 +149,9 @@ class Threads:
     def _joined(self, group: Sequence[Element]) -> tuple[Element, bool]:
         """The elements of all lanes as one, each thread with its own, and whether they are alike."""
         first = group[0]
-        if all(each is first for each in group) or (_known(group) and all(each == first for each in group)):
+        if all(each is first for each in group) or (are_known(group) and all(each == first for each in group)):
             return self._alike(first), True
-        if isinstance(first, Lane) and all(_is_lane(each, first.vector, index) for index, each in enumerate(group)):
+        if isinstance(first, Lane) and all(is_lane(each, first.vector, index) for index, each in enumerate(group)):
             return first.vector, False
 
         def own(index: int) -> Array:
@@ -176,7 +169,7 @@ class Threads:
             return arranged([function(*elements) for elements in zip(*columns, strict=True)], shape)
         found: list[Element] = []
         for groups in zip(*map(self._groups, args), strict=True):
-            if all(map(_known, groups)):
+            if all(map(are_known, groups)):
                 found += [function(*elements) for elements in zip(*groups, strict=True)]
                 continue
             joined, alike = zip(*map(self._joined, groups), strict=True)
@@ -207,7 +200,7 @@ class Threads:
         if name not in ARITHMETIC:
             raise NotImplementedError(f"threads do no {name!r}")
         args = [np.broadcast_to(arg, shape) for arg in args]
-        return [self._each(lambda *elements: _element(eqn, elements), args, shape)]
+        return [self._each(lambda *elements: computed(eqn, elements), args, shape)]
 
     def _looked_up(self, array: Held, index: np.ndarray, *_: np.ndarray) -> np.ndarray:
         """The entry along the first axis at an index."""
@@ -238,7 +231,9 @@ class Threads:
         region = Region(next(self.numbers), sum(sizes), self.interpret)
         self.regions.append(region)
         places = np.cumsum([0, *sizes[:-1]]).tolist()
-        kept = [Kept(region, *each) for each in zip(places, (x.shape for x in arrays), map(_type, arrays), strict=True)]
+        kept = [
+            Kept(region, *each) for each in zip(places, (x.shape for x in arrays), map(type_of, arrays), strict=True)
+        ]
         self._write_all(region, 0, arrays)
         return kept
 
@@ -252,10 +247,10 @@ class Threads:
     def _constants(self, array: np.ndarray) -> Kept | None:
         """An array in the memory of constants; None if it is not known, or is another in each thread."""
         elements = list(array.flat)
-        if self._laned(array.shape[1:]) or not _known(elements):
+        if self._laned(array.shape[1:]) or not are_known(elements):
             return None
         region = Constants(next(self.numbers), elements, self.interpret)
-        return Kept(region, 0, array.shape, _type(array), fixed=True)
+        return Kept(region, 0, array.shape, type_of(array), fixed=True)
 
     def _width(self, shape: tuple[int, ...]) -> int:
         """Words of an entry."""
@@ -281,7 +276,7 @@ class Threads:
     def _write_all(self, region: Region, word: int, arrays: Sequence[np.ndarray]) -> None:
         """Write whole arrays, one after another from a word on."""
         elements = [element for array in arrays for entry in array for element in self._elements(entry)]
-        for same, group in groupby(elements, lambda element: bits(element) if _known([element]) else None):
+        for same, group in groupby(elements, lambda element: bits(element) if are_known([element]) else None):
             run = list(group)
             if same is not None and len(run) >= LONG:
                 region.fill(word, len(run), same)
@@ -316,7 +311,7 @@ class Threads:
 
     def _reduced(self, eqn: Any, array: np.ndarray) -> np.ndarray:
         axes, (combine, of_nothing) = eqn.params["axes"], REDUCTIONS[eqn.primitive.name]
-        if eqn.primitive.name == "reduce_sum" and axes == (array.ndim - 2,) and self._summable(array):
+        if combine is lax.add and axes == (array.ndim - 2,) and self._summable(array):
             return arranged([self.summed(group[0].vector) for group in self._groups(array)], eqn.outvars[0].aval.shape)
         kept = [axis for axis in range(array.ndim) if axis not in axes]
         shape = tuple(array.shape[axis] for axis in kept)
@@ -330,8 +325,9 @@ class Threads:
         return reduce(lambda a, b: self._each(both, [a, b], shape), (rows[row, ...] for row in range(len(rows))))
 
     def _summable(self, array: np.ndarray) -> bool:
-        """True where threads hold their own lanes of all elements, and there is none without a lane."""
-        if not self._laned(array.shape) or self.lanes < power_of_two(self.lanes):
+        """True where threads hold their own lanes of all elements of float32, and there is none without a lane."""
+        whole = self.lanes == power_of_two(self.lanes)
+        if not whole or not self._laned(array.shape) or type_of(array) != jnp.float32:
             return False
         groups = self._groups(array)
         return all(isinstance(group[0], Lane) and self._joined(group)[0] is group[0].vector for group in groups)
@@ -477,75 +473,6 @@ def power_of_two(lanes: int) -> int:
     return 1 << (lanes - 1).bit_length()
 
 
-def _is_lane(element: Element, vector: Array, index: int) -> bool:
-    return isinstance(element, Lane) and element.vector is vector and element.index == index
-
-
-def _type(array: np.ndarray) -> Any:
-    element = array.flat[0]
-    return element.vector.dtype if isinstance(element, Lane) else element.dtype
-
-
 def _is_entry(array: Held, sizes: Sequence[int], starts: Sequence[np.ndarray]) -> bool:
     """True for one entry along the first axis, at an index that is not known while tracing."""
     return tuple(sizes) == (1, *array.shape[1:]) and not isinstance(starts[0].item(), np.generic)
-
-
-def _known(elements: Sequence[Element]) -> bool:
-    return all(isinstance(element, np.generic) for element in elements)
-
-
-KNOWN: dict[str, Callable[..., np.generic]] = {
-    "add": np.add,
-    "and": np.bitwise_and,
-    "eq": np.equal,
-    "gt": np.greater,
-    "lt": np.less,
-    "mul": np.multiply,
-    "sub": np.subtract,
-}
-"""Operations on numbers known while tracing that are so frequent that a GPU must not be asked for each."""
-
-
-def _element(eqn: Any, args: Sequence[Element]) -> Element:
-    """An operation on single elements that are no lanes."""
-    name = eqn.primitive.name
-    if name == "select_n" and isinstance(args[0], np.generic):
-        return args[1 + int(args[0])]
-    if all(isinstance(arg, np.generic) for arg in args):
-        if name == "convert_element_type":
-            return args[0].astype(eqn.params["new_dtype"])
-        if name in KNOWN:
-            return KNOWN[name](*args)
-        with jax.ensure_compile_time_eval():
-            return np.asarray(eqn.primitive.bind(*map(jnp.asarray, args), **eqn.params))[()]
-    if name in ("add", "mul"):
-        for one, two in (args, args[::-1]):
-            if _is(one, 0):  # times what is not finite, too: `Scalar` has it so
-                return two if name == "add" else one
-            if name == "mul" and _is(one, 1):
-                return two
-    if name == "sub" and _is(args[1], 0):
-        return args[0]
-    if name in ANGLES:
-        return ANGLES[name](vector(args[0]))
-    return eqn.primitive.bind(*(vector(arg) for arg in args), **eqn.params)
-
-
-def _is(element: Element, number: int) -> bool:
-    return isinstance(element, np.generic) and bool(element == number)
-
-
-def vector(element: Element) -> Array:
-    """An element that is no lane as an array of the block's threads."""
-    known = isinstance(element, np.generic)
-    return jnp.full(THREADS, element.item(), element.dtype) if known else element
-
-
-REDUCTIONS: dict[str, tuple[Callable[[Any, Any], Any], Any]] = {
-    "reduce_and": (lax.bitwise_and, True),
-    "reduce_min": (lax.min, 0),
-    "reduce_or": (lax.bitwise_or, False),
-    "reduce_sum": (lax.add, 0),
-}
-"""Reductions by primitive: the operation on two elements, and what is made of none; jax refuses a minimum of none."""

@@ -81,8 +81,7 @@ class Touch(NamedTuple):
 
     def active(self, residuals: Sequence[Scalar]) -> list[Any]:
         """Mask of the facets that push, by their residuals."""
-        pushing = [residual.value < 0.0 for residual in residuals]
-        return pushing if self.close is True else [self.close & flag for flag in pushing]
+        return [self.close & (residual.value < 0.0) for residual in residuals]
 
     def without_flag(self) -> "Touch":
         """The same for a GPU's thread, to which a flag is dear: where it is not close no facet pushes, because of its

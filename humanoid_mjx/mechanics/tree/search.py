@@ -19,7 +19,8 @@ from humanoid_mjx.mechanics.scalars import Scalar
 from humanoid_mjx.mechanics.tree.contacts import Touch
 from humanoid_mjx.mechanics.tree.inertia import factor
 from humanoid_mjx.mechanics.tree.line import lowest_share
-from humanoid_mjx.mechanics.tree.pairs import Slots, are_close, close_pairs, close_pairs_in_turn, with_pairs
+from humanoid_mjx.mechanics.tree.pair_equations import with_pairs
+from humanoid_mjx.mechanics.tree.pairs import Slots, are_close, close_pairs, close_pairs_in_turn
 from humanoid_mjx.mechanics.tree.problem import Active, Problem, active_at, normal_equations, one_by_one, worlds_of
 from humanoid_mjx.mechanics.tree.structure import Tree
 
