@@ -248,6 +248,8 @@ TABLES = (
         "walk_learning": lambda: _series("h200_walk_learning"),
         "walk_sturdy_minutes": lambda: rounded(record("walk_worlds")["trained"]["walk_sturdy"]["command_s"] / 60),
         "walk_cpu_minutes": lambda: rounded(median(record("walk_cpu_trials")["command_s"]) / 60),
+        "walk_dog_seconds": lambda: rounded(record("h100_walk_dog")["training"]["command_s"]),
+        "walk_humanoid_seconds": lambda: rounded(record("h100_walk_humanoid")["training"]["command_s"]),
         "walk_seconds": lambda: rounded(record("h100_walk_40m")["training"]["command_s"]),
         "walk_minutes": lambda: rounded(record("h100_walk_40m")["training"]["command_s"] / 60),
         "two_settings_minutes": lambda: rounded(record("h200_walk_seeds")["training"]["command_s"] / 60),
