@@ -82,7 +82,11 @@ def test_a_second_of_motion_agrees_with_native(step, native_step, name):
         world, _ = step(world, target, push=push)
         expected, _ = native_step(np.array(push), target, expected)
     assert not world.diverged.any()
-    np.testing.assert_allclose(world.qpos, expected.qpos, atol=1e-3)
+    # By rounding an edge may touch the ground a step earlier. So it does in native MuJoCo: of 63 starts of the one that
+    # stands so, which differ by 3e-7 of each coordinate, 14 end 0.013 away.
+    errors = np.abs(world.qpos - expected.qpos).max(axis=1)
+    assert np.sort(errors)[-2] < 1e-3
+    assert errors.max() < 0.05
 
 
 @pytest.fixture(scope="module")
