@@ -38,6 +38,7 @@ from humanoid_mjx.compute.kernels.elements import (
 )
 from humanoid_mjx.compute.kernels.memory import THREADS, Constants, Region, bits
 from humanoid_mjx.compute.kernels.primitives import CALLS
+from humanoid_mjx.compute.kernels.sums import with_fused_sums
 
 
 @dataclass(eq=False)
@@ -117,7 +118,7 @@ class Threads:
             kind: Any = x.aval
             return constant(np.asarray(x.val, kind.dtype)) if isinstance(x, Literal) else values[x]
 
-        for eqn in closed.jaxpr.eqns:
+        for eqn in with_fused_sums(closed.jaxpr):
             found = self._apply(eqn, [value(x) for x in eqn.invars])
             values |= zip(eqn.outvars, found, strict=True)
         return [value(x) for x in closed.jaxpr.outvars]
