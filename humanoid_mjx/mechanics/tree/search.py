@@ -8,7 +8,6 @@ searched block by block.
 import functools
 import math
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any
 
 import jax
@@ -16,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx.mechanics.scalars import Scalar
+from humanoid_mjx.mechanics.tree.bits import Bits
 from humanoid_mjx.mechanics.tree.contacts import Touch
 from humanoid_mjx.mechanics.tree.inertia import factor
 from humanoid_mjx.mechanics.tree.line import lowest_share
@@ -52,17 +52,29 @@ def search(tree: Tree, problem: Problem, slots: Slots | None, start: list[Any], 
     """
 
     def step(carry: tuple[Any, ...]) -> tuple[Any, ...]:
-        before, active, settled, count = carry
+        before, flags, settled, count = carry
+        active = unpacked(flags)
         x, pairs = _minimum(tree, problem, points, slots, active)
-        now = active_at(tree, problem, x)._replace(pairs=pairs)
+        now = packed(active_at(tree, problem, x)._replace(pairs=pairs))
         values = [jnp.where(settled, old, v.value) for old, v in zip(before, x, strict=True)]
         errors = SAME * jnp.where(count < PATIENCE, 1.0, MORE)
-        settled = settled | ~_differ(tree, active, now) | _same(tree, before, values, errors)
+        settled = settled | ~_differ(tree, flags, now) | _same(tree, before, values, errors)
         whole = 1 if problem.slips else WHOLE
         shorter = (count >= whole) & ~settled.all()
-        shorten = partial(_shortened, tree, problem, slots, before, values, active, settled)
+
+        def shorten() -> tuple[list[Any], Any]:
+            found, there = _shortened(tree, problem, slots, before, values, active, settled)
+            return found, packed(there)
+
         values, now = jax.lax.cond(shorter, shorten, lambda: (values, now))
         return values, now, settled, count + 1
+
+    def packed(active: Active) -> tuple[list[Any], list[Any]]:
+        # Flags of pairs are looked up one by one, so they stay as they are.
+        return bits.pack(active._replace(pairs=[])), active.pairs
+
+    def unpacked(flags: tuple[list[Any], list[Any]]) -> Active:
+        return bits.unpack(flags[0])._replace(pairs=flags[1])
 
     def going(carry: tuple[Any, ...]) -> Any:
         more = ((~carry[2]).sum() > left) if left else ~carry[2].all()
@@ -71,9 +83,10 @@ def search(tree: Tree, problem: Problem, slots: Slots | None, start: list[Any], 
     worlds, points = worlds_of(problem, start), one_by_one(tree, problem.ground)
     start = [jnp.broadcast_to(value, (*jnp.shape(value)[:-1], *worlds)) for value in start]
     active = active_at(tree, problem, [Scalar(value) for value in start])
+    bits = Bits.of(active)
     active = active._replace(pairs=slots.all_close() if slots else [])  # a guess
     ended = jnp.broadcast_to(jnp.asarray(problem.ended), worlds)
-    x, _, settled, _ = jax.lax.while_loop(going, step, (start, active, ended, jnp.int32(0)))
+    x, _, settled, _ = jax.lax.while_loop(going, step, (start, packed(active), ended, jnp.int32(0)))
     return x, settled
 
 
@@ -89,8 +102,8 @@ def _shortened(
     return values, active_at(tree, problem, found)._replace(pairs=slots.active(tree, found) if slots else [])
 
 
-def _differ(tree: Tree, one: Active, two: Active) -> Any:
-    """In which worlds they do."""
+def _differ(tree: Tree, one: Any, two: Any) -> Any:
+    """In which worlds flags, or words of flags, differ."""
     return _in_any_lane(tree, jnp.logical_or, [a != b for a, b in zip(*map(jax.tree.leaves, (one, two)), strict=True)])
 
 
