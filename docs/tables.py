@@ -197,8 +197,9 @@ def other_robots() -> str:
             rows.append((name, str(row["degrees of freedom"]), "refused: " + ", ".join(reasons), ""))
         else:
             ground, bodies = (f"{count:,}" for count in row["contacts"])
-            worst = max(row["acceleration"], row["velocity"])
-            rows.append((name, str(row["degrees of freedom"]), f"{ground}, {bodies}", f"{worst:.0e}"))
+            worst, lost = max(row["acceleration"], row["velocity"]), row["unsettled"]
+            but = f", {lost} of {row['worlds']} states left out" * bool(lost)
+            rows.append((name, str(row["degrees of freedom"]), f"{ground}, {bodies}", f"{worst:.0e}{but}"))
     return table("model | degrees of freedom | contacts with the ground, between bodies | largest difference", rows)
 
 

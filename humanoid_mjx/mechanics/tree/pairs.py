@@ -32,7 +32,8 @@ from humanoid_mjx.mechanics.tree.problem import Problem
 from humanoid_mjx.mechanics.tree.structure import Box, Capsule, Pairs, Tree
 
 SLOTS = 8
-"""Contacts between bodies that a world may have at a time, those of two boxes corner by corner."""
+"""Contacts between bodies that a world may have at a time, those of two boxes corner by corner. With room for 16,
+humanoids that are thrown about are 13 to 15 % slower on a GPU, and no fewer of them are lost."""
 
 Flags = list[Bool[Array, "slots worlds"]]
 """Masks of the facets that push."""
