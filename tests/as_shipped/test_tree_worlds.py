@@ -71,7 +71,9 @@ def native_step():
 
 @pytest.mark.parametrize("name", MOTIONS)
 def test_a_second_of_motion_agrees_with_native(step, native_step, name):
-    (push, lift), rng, leg = MOTIONS[name], np.random.default_rng(8), np.array([1.0, 0.0, 0.0, 2.0, 1.0])
+    # No body of this seed comes near an edge: in native MuJoCo 64 starts of each that differ by 1e-6 of a coordinate
+    # end within 1e-5. One of seed 8 does: it ends 0.013 away by rounding, there as well.
+    (push, lift), rng, leg = MOTIONS[name], np.random.default_rng(10), np.array([1.0, 0.0, 0.0, 2.0, 1.0])
     qpos = np.tile(TREE.qpos0, (FEW, 1))
     qpos[:, 7:] += 0.15 * np.tile(leg, 2) + rng.uniform(-0.02, 0.02, (FEW, 10))
     qpos[:, 2] -= 0.004
@@ -82,11 +84,7 @@ def test_a_second_of_motion_agrees_with_native(step, native_step, name):
         world, _ = step(world, target, push=push)
         expected, _ = native_step(np.array(push), target, expected)
     assert not world.diverged.any()
-    # By rounding an edge may touch the ground a step earlier. So it does in native MuJoCo: of 63 starts of the one that
-    # stands so, which differ by 3e-7 of each coordinate, 14 end 0.013 away.
-    errors = np.abs(world.qpos - expected.qpos).max(axis=1)
-    assert np.sort(errors)[-2] < 1e-3
-    assert errors.max() < 0.05
+    np.testing.assert_allclose(world.qpos, expected.qpos, atol=1e-3)
 
 
 @pytest.fixture(scope="module")
