@@ -21,6 +21,7 @@ from typing import Any
 import jax
 import jax.monitoring
 
+from humanoid_mjx.compute.kernels import cpu_kernel
 from humanoid_mjx.compute.provenance import machine
 from humanoid_mjx.files import folder, whole_file
 from humanoid_mjx.spec import Spec, kinds
@@ -116,14 +117,16 @@ def _put_program(name: str, about: str | None, program: jax.stages.Compiled) -> 
 
         with suppress(ValueError, TypeError, NotImplementedError, AttributeError, jax.errors.JaxRuntimeError):
             data, _, out = serialize(program)
-            put(name, about, (data, jax.tree.unflatten(out, range(out.num_leaves))))
+            objects = cpu_kernel.objects_in(program.as_text() or "")
+            put(name, about, (data, jax.tree.unflatten(out, range(out.num_leaves)), objects))
 
 
 def load_program(stored: Any, args: tuple[Any, ...], devices: Sequence[Any]) -> jax.stages.Compiled:
     """Return the program that `find` found, for such arguments on these devices."""
     from jax.experimental.serialize_executable import deserialize_and_load
 
-    data, out = stored
+    data, out, objects = stored
+    cpu_kernel.register(objects)
     given, out = jax.tree.structure((args, {})), jax.tree.structure(out)
     return deserialize_and_load(data, given, out, devices[0].client, devices)
 

@@ -61,19 +61,7 @@ class TreePhysics(MujocoPhysics):
         return World(*self._move(_advance, values, state, world, torque)), torque
 
     def run(self, world: World, controller: Controller, cycles: int) -> World:
-        if _kernels_run():
-            return super().run(_batched(world, world), controller, cycles)
-
-        # On a CPU the state is carried as separate scalars: a batch of them is contiguous, and few kernels compute all.
-        def cycle(carry: list[list[Array]], _: None) -> tuple[list[list[Array]], None]:
-            *parts, (diverged,) = carry
-            now = World(*(jnp.stack(part) for part in parts), diverged)
-            now = self.step(now, controller)[0]
-            return [list(now.qpos), list(now.qvel), list(now.warmstart), [now.diverged]], None
-
-        start = [list(world.qpos), list(world.qvel), list(world.warmstart), [world.diverged]]
-        *parts, (diverged,) = jax.lax.scan(cycle, _batched(start, world), length=cycles)[0]
-        return World(*(jnp.stack(part) for part in parts), diverged)
+        return super().run(_batched(world, world), controller, cycles)
 
     def run_sensed(self, world: World, controller: Controller, cycles: int) -> tuple[World, Sensed]:
         values = self._values()
@@ -124,7 +112,7 @@ class TreePhysics(MujocoPhysics):
     def _move(
         self, function: Any, values: mechanics.Values, state: mechanics.State | None, world: World, *given: Any
     ) -> Any:
-        """`_advance` or `_advance_sensed`; of float32 on a GPU one kernel, that makes the state rather than read it."""
+        """`_advance` or `_advance_sensed`; of float32 one kernel, that makes the state rather than read it."""
         kernel, tree = _kernels_run(), self.tree
         call = worlds_last(function, tree._replace(threads=kernel), lanes=tree.lanes if kernel else 0)
         return call(values, None if kernel else state, tuple(world), *given)
@@ -179,8 +167,9 @@ class TreePhysics(MujocoPhysics):
 
 
 def _kernels_run() -> bool:
-    """True where a kernel computes time steps: in float32 on a GPU."""
-    return compute.why_no_kernel() is None and not jax.config.read("jax_enable_x64")
+    """True where a kernel computes time steps: in float32 on a CPU or a GPU."""
+    runs = jax.default_backend() == "cpu" or compute.why_no_kernel() is None
+    return runs and not jax.config.read("jax_enable_x64")
 
 
 def _batched(tree: Any, world: World) -> Any:

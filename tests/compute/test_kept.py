@@ -1,6 +1,8 @@
 """What one process leaves on disk for the next."""
 
 import os
+import subprocess
+import sys
 
 import jax
 import numpy as np
@@ -83,3 +85,36 @@ def test_a_second_sweep_traces_nothing_and_finds_the_same(tmp_path, monkeypatch,
         third = run_cli("sweep", config, "--out", "third", cwd=tmp_path, devices=devices)
         assert " tracing" in third.stdout, third.stdout + third.stderr
         assert_same_tables(tmp_path / "first", tmp_path / "third")
+
+
+CALLS_A_KERNEL = """
+from functools import partial
+import jax, numpy as np
+from humanoid_mjx.compute import kept
+from humanoid_mjx.compute.kernels.cpu_kernel import cpu_kernel
+
+x = np.linspace(-1.0, 1.0, 40, dtype=np.float32)
+with kept.keeping():
+    stored = kept.find("program", "this")
+    if stored is None:
+        program, keep = kept.compile_program("program", "this", jax.jit(partial(cpu_kernel, lambda x: x * x)).lower(x))
+        keep()
+    else:
+        program = kept.load_program(stored, (x,), jax.devices()[:1])
+np.testing.assert_array_equal(program(x), x * x)
+print("found" if stored else "made")
+"""
+
+
+def test_a_program_finds_its_kernels_in_another_process(tmp_path, monkeypatch):
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path))
+    monkeypatch.setenv("XLA_FLAGS", "")
+    for expected in ("made", "found"):
+        found = subprocess.run([sys.executable, "-c", CALLS_A_KERNEL], capture_output=True, text=True, check=False)
+        assert found.stdout == f"{expected}\n", found.stderr
+    (file,) = tmp_path.glob("*-object")
+    file.write_bytes(file.read_bytes()[:-1])  # damaged: compiled anew where it is traced again
+    for path in tmp_path.glob("*-traced"):
+        path.unlink()
+    found = subprocess.run([sys.executable, "-c", CALLS_A_KERNEL], capture_output=True, text=True, check=False)
+    assert found.stdout == "made\n", found.stderr

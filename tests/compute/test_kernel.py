@@ -1,5 +1,6 @@
 # pyright: reportAttributeAccessIssue=false
-"""A function of many worlds, written out for threads, computes what XLA makes of it; here in Pallas's interpreter."""
+"""A function of many worlds, written out for threads, computes what XLA makes of it: on a CPU, and in Pallas's
+interpreter as on a GPU."""
 
 from functools import partial
 
@@ -11,6 +12,7 @@ import pytest
 from tree_robots import HOPPER, PLANAR, SHAPES, converged, states
 
 from humanoid_mjx.compute.kernels.angles import cosine, sine
+from humanoid_mjx.compute.kernels.cpu_kernel import cpu_kernel
 from humanoid_mjx.compute.kernels.one_kernel import one_kernel
 from humanoid_mjx.compute.kernels.worlds import worlds_last
 from humanoid_mjx.mechanics.terrain import Terrain
@@ -62,6 +64,8 @@ CROWD = f"""
 </mujoco>
 """
 """Five limbs that may touch each other."""
+
+KERNELS = {"cpu": cpu_kernel, "gpu": partial(one_kernel, interpret=True)}
 
 TABLE = np.array([[0.0, 1.0, -2.0], [0.5, 0.0, 1.0]], np.float32)[..., None]
 
@@ -119,12 +123,13 @@ def everything(x, flag):
 
 
 @pytest.mark.parametrize(("worlds", "lanes"), [(5, 1), (64, 3), (70, 2)])
-def test_loops_branches_and_indices_are_those_of_xla(worlds, lanes):
-    """Rows of three and of two are lanes."""
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_loops_branches_and_indices_are_those_of_xla(kernel, worlds, lanes):
+    """Rows of three and of two are lanes. Blocks of a CPU are 16 worlds: a part of one, four, and five that overlap."""
     x = np.random.default_rng(worlds).normal(size=(3, worlds)).astype(np.float32)
     flag = x[0] > 0.3
     expected = jax.jit(everything)(x, flag)
-    found = jax.jit(lambda *args: one_kernel(everything, *args, lanes=lanes, interpret=True))(x, flag)
+    found = jax.jit(lambda *args: KERNELS[kernel](everything, *args, lanes=lanes))(x, flag)
     for name, value in expected.items():
         assert found[name].dtype == value.dtype
         wanted = np.broadcast_to(value, found[name].shape)
@@ -137,6 +142,70 @@ def test_sine_and_cosine_are_those_of_numpy():
     angles = np.append(angles.astype(np.float32).ravel(), np.float32([0.0, np.pi / 4, np.pi / 2, -np.pi]))
     for function, reference in ((sine, np.sin), (cosine, np.cos)):
         np.testing.assert_allclose(jax.jit(function)(angles), reference(np.float64(angles)), atol=1.2e-7, rtol=0)
+
+
+NUMBERS = {
+    "arithmetic": lambda x, y: (x + y, x - y, x * y, x / y, -x, abs(x), x**2, x**3, jnp.square(y)),
+    "roots and powers": lambda x, y: (
+        jnp.sqrt(abs(x)),
+        jax.lax.rsqrt(abs(y)),
+        jnp.exp(x),
+        jnp.log(abs(y)),
+        abs(x) ** y,
+    ),
+    "angles": lambda x, y: (jnp.sin(x), jnp.cos(x), jnp.tan(x), jnp.arctan2(x, y)),
+    "order": lambda x, y: (x < y, x <= y, x > y, x >= y, x == y, x != y, jnp.maximum(x, y), jnp.minimum(x, y)),
+    "steps": lambda x, y: (jnp.floor(x), jnp.ceil(x), jnp.sign(x), jnp.clip(x, -0.5, y), jnp.isfinite(x)),
+    "integers": lambda x, y: _of_integers(x.astype(jnp.int32), (9.0 * y).astype(jnp.int32)),
+    "words": lambda x, y: _of_words(abs(x).astype(jnp.uint32), abs(9.0 * y).astype(jnp.uint32)),
+    "flags": lambda x, y: _of_flags(x > 0.0, y > 0.0),
+}
+
+
+def _of_integers(x, y):
+    divided = jax.lax.div(x, jnp.int32(3)), jax.lax.rem(x, jnp.int32(3))
+    return *divided, x & y, x | y, x ^ y, ~x, x + y, x * y, -x, abs(x), jnp.maximum(x, y), x < y, x + 0.5
+
+
+def _of_words(x, y):
+    top = y + jnp.uint32(2**31)
+    return x + top, x < top, jnp.minimum(x, top), jnp.maximum(x, top), top.astype(jnp.float32), top.astype(jnp.int32)
+
+
+def _of_flags(x, y):
+    return x & y, x | y, x ^ y, ~x, x == y, x < y, x.astype(jnp.int32), x.astype(jnp.float32), jnp.where(x, y, ~y)
+
+
+@pytest.mark.parametrize("case", NUMBERS)
+def test_arithmetic_of_a_cpu_is_that_of_xla(case):
+    """Numbers of all sizes, zeros of both signs, and what is not finite."""
+    x = np.random.default_rng(3).normal(size=(2, 200)).astype(np.float32) * 10.0 ** np.arange(-3, 5).repeat(25)
+    x = np.float32(np.concatenate([x, [[0.0, -0.0, 0.0, 1.0], [1.0, 2.0, -0.0, 1.0]]], axis=1))
+    if case in ("arithmetic", "order", "steps"):
+        infinite = [[np.inf, -np.inf, np.nan, 1.0, np.inf], [1.0, np.inf, 1.0, np.nan, np.inf]]
+        x = np.float32(np.concatenate([x, infinite], axis=1))
+    if case == "angles":
+        x = np.clip(x, -1000.0, 1000.0)
+
+    def function(x):
+        return NUMBERS[case](x[0], x[1])
+
+    for wanted, got in zip(jax.jit(function)(x), jax.jit(partial(cpu_kernel, function))(x), strict=True):
+        assert got.dtype == wanted.dtype
+        np.testing.assert_allclose(
+            got, wanted, rtol=5e-6, atol=1e-6 * (case == "angles")
+        )  # exp and tan of two libraries
+
+
+def test_a_world_does_not_depend_on_others():
+    """To the bit: alone, among few and among many, at any place."""
+    x = np.random.default_rng(5).normal(size=(3, 50)).astype(np.float32)
+    kernel = jax.jit(partial(cpu_kernel, everything))
+    whole = kernel(x, x[0] > 0.3)
+    for some in (slice(7, 8), slice(3, 20), slice(10, 42)):
+        part = kernel(x[:, some], x[0, some] > 0.3)
+        for name, value in whole.items():
+            np.testing.assert_array_equal(part[name], value[..., some], err_msg=name)
 
 
 def compared(x):
@@ -158,6 +227,13 @@ def changed_twice(x):
         return place + 1, one + two
 
     return jax.lax.while_loop(lambda carry: carry[0] < x.sum(), change, (jnp.int32(0), x))[1]
+
+
+def test_what_a_cpu_cannot_do_is_refused():
+    with pytest.raises(NotImplementedError, match="kernels of a CPU do no 'div'"):
+        cpu_kernel(lambda x: jax.lax.div(jnp.int32(2), x.astype(jnp.int32)), jnp.zeros(8))
+    with pytest.raises(NotImplementedError, match="kernels know no int16"):
+        cpu_kernel(lambda x: x.astype(jnp.int16), jnp.zeros(8))
 
 
 REFUSED = {
@@ -182,7 +258,8 @@ MODELS = {
 
 
 @pytest.mark.parametrize("case", MODELS)
-def test_a_time_step_is_that_of_xla(case):
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_a_time_step_is_that_of_xla(kernel, case):
     """Ground, pairs and limits in states that need one to eight Newton steps."""
     model = converged(MODELS[case])
     robot = fold(read_tree(model, [model.sensor(index).name for index in range(model.nsensor)]))
@@ -196,9 +273,7 @@ def test_a_time_step_is_that_of_xla(case):
 
     expected = jax.jit(partial(step, robot))(world, control, last)
     assert not expected[0][-1].any()
-    found = jax.jit(partial(one_kernel, partial(step, threads), lanes=robot.lanes, interpret=True))(
-        world, control, last
-    )
+    found = jax.jit(partial(KERNELS[kernel], partial(step, threads), lanes=robot.lanes))(world, control, last)
     for wanted, got in zip(jax.tree.leaves(expected), jax.tree.leaves(found), strict=True):
         size = np.abs(np.float64(wanted)).max() if wanted.size else 0.0
         # Rounding in another order, made larger by the stiffness of the contacts.
@@ -206,20 +281,21 @@ def test_a_time_step_is_that_of_xla(case):
 
 
 @pytest.mark.parametrize("xml", [PLANAR.replace("<option", '<option integrator="RK4"'), SHAPES])
-def test_what_trees_may_have_is_what_threads_can_do(xml):
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_what_trees_may_have_is_what_threads_can_do(kernel, xml):
     """Dry friction, its line search, four stages of a step, corners and rims, waves and stairs; traced alone."""
     model = mujoco.MjModel.from_xml_string(xml)
     robot = tree.on_stairs(fold(read_tree(model)))
     terrain = jax.tree.map(lambda value: jnp.full(40, value), Terrain(rough=0.01, stairs=0.01))
     qpos, qvel, control = (jnp.zeros((count, 40)) for count in (model.nq, model.nv, model.nu))
 
-    def step(robot, terrain, world, control):
-        return tree._advance_sensed(robot, Values(terrain=terrain), None, world, control, jnp.ones(40, bool))
+    def step(robot, terrain, world, control, last):
+        return tree._advance_sensed(robot, Values(terrain=terrain), None, world, control, last)
 
-    world = qpos, qvel, qvel, jnp.zeros(40, bool)
-    expected = jax.eval_shape(partial(step, robot), terrain, world, control)
+    world, last = (qpos, qvel, qvel, jnp.zeros(40, bool)), jnp.ones(40, bool)
+    expected = jax.eval_shape(partial(step, robot), terrain, world, control, last)
     step = partial(step, robot._replace(threads=True))
-    found = jax.eval_shape(lambda *args: one_kernel(step, *args, interpret=True), terrain, world, control)
+    found = jax.eval_shape(lambda *args: KERNELS[kernel](step, *args), terrain, world, control, last)
     assert [x.dtype for x in jax.tree.leaves(found)] == [x.dtype for x in jax.tree.leaves(expected)]
 
 

@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 
 from humanoid_mjx.compute.kernels.arrangements import arranged
 from humanoid_mjx.compute.kernels.assembly import assembly
-from humanoid_mjx.compute.kernels.memory import THREADS
+from humanoid_mjx.compute.kernels.memory import THREADS, Constants, Region
 from humanoid_mjx.compute.kernels.threads import Threads, power_of_two
 
 Results = Callable[[Sequence[Array]], list[Float[Array, " worlds"]]]
@@ -65,7 +65,8 @@ def _written_out(
     single = [jax.ShapeDtypeStruct((*shape, 1), dtype) for shape, dtype in kinds]
     traced, shapes = jax.make_jaxpr(function, return_shape=True)(*structure.unflatten(single))
     shuffled, summed = (partial(each, power_of_two(lanes), interpret) for each in (_shuffled, _summed))
-    threads = Threads(lanes, shuffled, summed, interpret)
+    memory = (partial(kind, interpret=interpret) for kind in (Region, Constants))
+    threads = Threads(lanes, shuffled, summed, _any, *memory)
     return jax.jit(partial(_results, traced, threads)), shapes
 
 
@@ -96,6 +97,11 @@ def _summed(each: int, interpret: bool, values: Array) -> Array:
     return values
 
 
+def _any(flags: Array) -> Array:
+    """Whether any of a block's flags is true. Triton has no sum of flags."""
+    return jnp.max(flags.astype(jnp.int32)) > 0
+
+
 def _kernel(numbers: Any, out: Any, *, results: Results, worlds: int, each: int, staged: bool) -> None:
     """A block of worlds, from rows of a number for each world to rows of results, all rows one after another."""
     # The threads that are left over in the last block repeat the last world.
@@ -123,14 +129,19 @@ def _kernel(numbers: Any, out: Any, *, results: Results, worlds: int, each: int,
 
 
 def _results(traced: ClosedJaxpr, threads: Threads, numbers: Sequence[Array]) -> list[Float[Array, " worlds"]]:
-    """Evaluate a function of one world from the elements of its arguments."""
+    """The results of a function of one world from the elements of its arguments, all of float32."""
+    return [number.astype(jnp.float32) for number in evaluated(traced, threads, numbers)]
+
+
+def evaluated(traced: ClosedJaxpr, threads: Threads, numbers: Sequence[Array]) -> list[Array]:
+    """The results of a function of one world from the elements of its arguments, each as a vector of threads."""
     values, first = [], 0
     for var in traced.jaxpr.invars:
         shape, dtype = var.aval.shape, var.aval.dtype  # pyright: ignore[reportAttributeAccessIssue]
         last = first + math.prod(shape)
         values.append(arranged([number.astype(dtype) for number in numbers[first:last]], shape))
         first = last
-    return [number.astype(jnp.float32) for value in threads.evaluate(traced, values) for number in threads.alike(value)]
+    return [number for value in threads.evaluate(traced, values) for number in threads.alike(value)]
 
 
 class _Stage(NamedTuple):

@@ -36,7 +36,7 @@ from humanoid_mjx.compute.kernels.elements import (
     type_of,
     vector,
 )
-from humanoid_mjx.compute.kernels.memory import THREADS, Constants, Region, bits
+from humanoid_mjx.compute.kernels.memory import THREADS, Region, bits
 from humanoid_mjx.compute.kernels.primitives import CALLS
 from humanoid_mjx.compute.kernels.sums import with_fused_sums
 
@@ -89,7 +89,9 @@ class Threads:
       lanes: of a world; 1 where a world has one thread.
       shuffled: from a vector and a lane to the vector of what the thread of that lane of each world holds.
       summed: from a vector of float32 to its sums over the threads of each world.
-      interpret: for Pallas's interpreter.
+      any_of: from a vector of flags to whether any is true.
+      region: from a number and a count to so many words of memory, `Region`.
+      constants: from a number and known words to memory of these, `Constants`.
     """
 
     def __init__(
@@ -97,9 +99,12 @@ class Threads:
         lanes: int,
         shuffled: Callable[[Array, int], Array],
         summed: Callable[[Array], Array],
-        interpret: bool,
+        any_of: Callable[[Array], Array],
+        region: Callable[[int, int], Region],
+        constants: Callable[[int, Sequence[np.generic]], Region],
     ):
-        self.lanes, self.shuffled, self.summed, self.interpret = lanes, shuffled, summed, interpret
+        self.lanes, self.shuffled, self.summed, self.any_of = lanes, shuffled, summed, any_of
+        self.region, self.constants = region, constants
         self.control = {"while": self._while, "cond": self._cond}
         self.numbers = count()
         self.regions: list[Region] = []
@@ -229,7 +234,7 @@ class Threads:
         if not arrays:
             return []
         sizes = [len(array) * self._width(array.shape) for array in arrays]
-        region = Region(next(self.numbers), sum(sizes), self.interpret)
+        region = self.region(next(self.numbers), sum(sizes))
         self.regions.append(region)
         places = np.cumsum([0, *sizes[:-1]]).tolist()
         kept = [
@@ -250,7 +255,7 @@ class Threads:
         elements = list(array.flat)
         if self._laned(array.shape[1:]) or not are_known(elements):
             return None
-        region = Constants(next(self.numbers), elements, self.interpret)
+        region = self.constants(next(self.numbers), elements)
         return Kept(region, 0, array.shape, type_of(array), fixed=True)
 
     def _width(self, shape: tuple[int, ...]) -> int:
@@ -417,7 +422,7 @@ class Threads:
         return [*carry, *(np.stack(column) for column in zip(*seen, strict=True))]
 
     def _any(self, flag: Element) -> Array:
-        return jnp.max(vector(self._alike(flag)).astype(jnp.int32)) > 0
+        return self.any_of(vector(self._alike(flag)))
 
     def _packed(self, arrays: Sequence[Held]) -> list[Array]:
         return [each for array in arrays for each in self.vectors(array)]

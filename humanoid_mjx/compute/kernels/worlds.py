@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
 from jax.experimental.layout import Layout, with_layout_constraint
 
+from humanoid_mjx.compute.kernels.cpu_kernel import cpu_kernel
 from humanoid_mjx.compute.kernels.one_kernel import one_kernel
 
 
@@ -24,14 +25,16 @@ def worlds_last(function: Callable[..., Any], *static: Any, lanes: int = 0) -> C
     and returns pytrees of arrays, and must not mix worlds. A result that all worlds share may lack the axis. The
     function is traced once for each number of worlds, whatever programs use it.
 
-    `lanes`: if not 0, compute many worlds in one GPU kernel rather than in those that XLA makes, with a thread for each
-    of so many lanes of a world (`one_kernel`).
+    `lanes`: if not 0, compute in one kernel rather than in those that XLA makes: on a CPU `cpu_kernel`, on a GPU
+    `one_kernel` with a thread for each of so many lanes of a world, and there many worlds alone.
     """
-    function = jax.jit(partial(function, *static))
-    kernel = jax.jit(partial(one_kernel, function, lanes=lanes))  # lowered once however often a program calls it
+    function, on_cpu = jax.jit(partial(function, *static)), jax.default_backend() == "cpu"
+    # Lowered once however often a program calls it.
+    kernel = jax.jit(partial(cpu_kernel if on_cpu else one_kernel, function, lanes=lanes))
 
     def single(*args: Any) -> Any:
-        found = function(*jax.tree.map(lambda x: jnp.asarray(x)[..., None], args))
+        one = kernel if lanes and on_cpu else function
+        found = one(*jax.tree.map(lambda x: jnp.asarray(x)[..., None], args))
         return jax.tree.map(lambda x: x[..., 0] if jnp.ndim(x) else jnp.asarray(x), found)
 
     @custom_vmap
