@@ -37,7 +37,6 @@ from humanoid_mjx.bench import ground, physics, tabular
 from humanoid_mjx.bench.training import nothing_compiled
 from humanoid_mjx.compute import rng
 from humanoid_mjx.config import load
-from humanoid_mjx.mechanics.tree.search import BLOCK
 from humanoid_mjx.tasks import make_task
 from humanoid_mjx.training.plan import make_plan
 
@@ -153,7 +152,7 @@ def start_up() -> Pair:
 @cache
 def stand() -> Callable[[], Any]:
     """Traces a step of `stand` for many bodies."""
-    task, bodies = make_task("stand"), 4 * BLOCK  # enough that their contacts are searched block by block
+    task, bodies = make_task("stand"), 512
 
     def step(keys: jax.Array) -> Any:
         action = jnp.tile(jnp.array(task.action_bins) // 2, (bodies, 1))

@@ -9,7 +9,7 @@ import pytest
 from tree_robots import converged, near_upright, states
 
 from humanoid_mjx import compute
-from humanoid_mjx.mechanics.tree.search import BLOCK
+from humanoid_mjx.compute.kernels.llvm import WIDTH
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.robot.lower_body import LowerBody
 
@@ -122,7 +122,7 @@ def test_a_faulty_world_changes_no_bit_of_another(step, worlds, fault):
 
 def test_legs_in_each_other_in_more_worlds_than_a_block_holds(step, worlds):
     """They move as in a batch that is searched at once, and change no bit of the other worlds; nor do as many NaNs."""
-    rows = np.r_[0, np.ones(BLOCK + 2, int), np.resize([2, 3], MANY - BLOCK - 3)]
+    rows = np.r_[0, np.ones(WIDTH + 2, int), np.resize([2, 3], MANY - WIDTH - 3)]
     others, expected = rows != 1, step(legs_crossed(worlds))[0]
     apart, crossed, broken = (
         step(jax.tree.map(lambda x: x[rows], w))[0] for w in (worlds, legs_crossed(worlds), FAULTS["nan"](worlds))

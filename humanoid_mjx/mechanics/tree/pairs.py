@@ -89,32 +89,21 @@ class Slots(NamedTuple):
         return [self.touch.close] * len(self.touch.facets(NULL))
 
 
-def are_close(tree: Tree, gaps: Sequence[tuple[Gap, Friction]]) -> Bool[Array, "pairs worlds"]:
-    """True where a contact counts: its distance is within the margin."""
-    each = zip(tree.pairs, gaps, strict=True)
-    return jnp.concatenate([gap.distance.value < pairs.surface.margin for pairs, (gap, _) in each])
-
-
 def close_pairs(
-    tree: Tree,
-    problem: Problem,
-    gaps: Sequence[tuple[Gap, Friction]],
-    close: Bool[Array, "pairs whole"],
-    worlds: Any = None,
+    tree: Tree, problem: Problem, gaps: Sequence[tuple[Gap, Friction]]
 ) -> tuple[Slots, Bool[Array, " worlds"]]:
     """The contacts of the first `SLOTS` pairs that are close in each world, and where more are.
 
     Args:
       tree: and
       problem: of these worlds.
-      gaps: those of all pairs, group by group, of all worlds, and their coefficients of friction.
-      close: true where a pair counts, of all worlds.
-      worlds: indices of these; None: all, without looking up any.
+      gaps: those of all pairs, group by group, and their coefficients of friction.
     """
-    size, whole = close.shape
+    each = zip(tree.pairs, gaps, strict=True)
+    close = jnp.concatenate([gap.distance.value < pairs.surface.margin for pairs, (gap, _) in each])
+    close, size = close & ~jnp.asarray(problem.ended), len(close)
     contact, facts = _contacts(tree, problem, [friction for _, friction in gaps])
     every = _joined(tree, [gap for gap, _ in gaps]), *facts
-    close = close if worlds is None else close[:, worlds]
     index, slots = jnp.arange(size, dtype=jnp.int32)[:, None], min(SLOTS, size)
 
     def after(last: Any) -> Any:
@@ -122,11 +111,8 @@ def close_pairs(
 
     def pick(value: Any, pair: Any) -> Any:
         if jnp.ndim(value) < 2:
-            return value if worlds is None else jnp.broadcast_to(value, whole)[worlds]
-        if worlds is None:
-            return jnp.where(index == pair, value, jnp.zeros((), value.dtype)).sum(axis=0)
-        # Of indices that may be negative, each look-up would be traced at length.
-        return jnp.broadcast_to(value, (size, whole))[pair.astype(jnp.uint32), worlds]
+            return value
+        return jnp.where(index == pair, value, jnp.zeros((), value.dtype)).sum(axis=0)
 
     def one(first: Any) -> tuple[Touch, dict[int, Vector]]:
         pair = jnp.minimum(first, size - 1)  # where none is left, the last: all its numbers are finite
@@ -151,7 +137,7 @@ def close_pairs(
 def close_pairs_in_turn(
     tree: Tree, problem: Problem, gaps: Sequence[tuple[GapAt, Friction]]
 ) -> tuple[Slots, Bool[Array, " worlds"]]:
-    """The same for a GPU's thread, whose world has no axis: it looks at pair after pair, and keeps those that are
+    """The same for a kernel's thread, whose world has no axis: it looks at pair after pair, and keeps those that are
     close."""
     contact, facts = _contacts(tree, problem, [friction for _, friction in gaps])
     numbers, close = _close_numbers(tree, problem, [at for at, _ in gaps])

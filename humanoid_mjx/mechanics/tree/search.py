@@ -1,18 +1,15 @@
 """Newton's search for the minimum of MuJoCo's contact problem, over the facets that push.
 
 The problem is quadratic as long as the same facets push. So a Newton step to the minimum for those that push now is
-exact once they stay the same, and the search stops there: that minimum is the solution. On a CPU many worlds are
-searched block by block.
+exact once they stay the same, and the search stops there: that minimum is the solution.
 """
 
 import functools
-import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from humanoid_mjx.mechanics.scalars import Scalar
 from humanoid_mjx.mechanics.tree.bits import Bits
@@ -20,7 +17,7 @@ from humanoid_mjx.mechanics.tree.contacts import Touch
 from humanoid_mjx.mechanics.tree.inertia import factor
 from humanoid_mjx.mechanics.tree.line import lowest_share
 from humanoid_mjx.mechanics.tree.pair_equations import with_pairs
-from humanoid_mjx.mechanics.tree.pairs import Slots, are_close, close_pairs, close_pairs_in_turn
+from humanoid_mjx.mechanics.tree.pairs import Slots, close_pairs, close_pairs_in_turn
 from humanoid_mjx.mechanics.tree.problem import Active, Problem, active_at, normal_equations, one_by_one, worlds_of
 from humanoid_mjx.mechanics.tree.structure import Tree
 
@@ -43,16 +40,29 @@ and one of 0.8 lost 5; to shorten each from the fifth on lost 1 and took a tenth
 lost 32."""
 
 
-def search(tree: Tree, problem: Problem, slots: Slots | None, start: list[Any], left: int = 0) -> tuple[list[Any], Any]:
-    """The accelerations, and where they are settled, from which on they stay.
+def search(tree: Tree, problem: Problem, start: list[Any]) -> tuple[list[Any], Any]:
+    """The accelerations, and where they are settled.
+
+    Worlds where bodies touch each other in more than `SLOTS` places do not settle.
 
     Args:
       tree: and
-      problem: what they minimise, but for the pairs.
-      slots: the contacts between bodies.
+      problem: what they minimise.
       start: accelerations near the solution.
-      left: worlds that need not settle.
     """
+    pairs, problem, slots, more = problem.pairs, problem._replace(pairs=[]), None, False
+    if tree.threads:
+        if pairs:
+            slots, more = close_pairs_in_turn(tree, problem, pairs)
+        problem = problem._replace(ground=[touch.without_flag() for touch in problem.ground])
+    elif pairs:
+        slots, more = close_pairs(tree, problem, pairs)
+    found, settled = _search(tree, problem, slots, start)
+    return found, settled & ~jnp.asarray(more)
+
+
+def _search(tree: Tree, problem: Problem, slots: Slots | None, start: list[Any]) -> tuple[list[Any], Any]:
+    """The accelerations, and where they are settled, from which on they stay; `problem`: all but the pairs."""
 
     def step(carry: tuple[Any, ...]) -> tuple[Any, ...]:
         before, flags, settled, count = carry
@@ -80,8 +90,7 @@ def search(tree: Tree, problem: Problem, slots: Slots | None, start: list[Any], 
         return bits.unpack(flags[0])._replace(pairs=flags[1])
 
     def going(carry: tuple[Any, ...]) -> Any:
-        more = ((~carry[2]).sum() > left) if left else ~carry[2].all()
-        return more & (carry[3] < MOST_STEPS)
+        return ~carry[2].all() & (carry[3] < MOST_STEPS)
 
     worlds, points = worlds_of(problem, start), one_by_one(tree, problem.ground)
     start = [jnp.broadcast_to(value, (*jnp.shape(value)[:-1], *worlds)) for value in start]
@@ -120,7 +129,7 @@ def _same(tree: Tree, one: Sequence[Any], two: Sequence[Any], errors: Any) -> An
 def _in_any_lane(tree: Tree, combine: Callable[[Any, Any], Any], values: Sequence[Any]) -> Any:
     """Values of the worlds from those that may have axes of contacts and of lanes.
 
-    Where threads have one lane each, the lanes are combined last. On a CPU that is 7 % slower (H1).
+    Where threads have one lane each, the lanes are combined last.
     """
     most, found = 1 + tree.threads, dict[tuple[int, ...], Any]()
     for value in values:
@@ -155,84 +164,3 @@ def _minimum(
 MOST_STEPS = 24
 """Newton steps before a world is given up. From cold the worst of 10,000 random states of the lower body needs 8; at
 friction 0.1 the worst of 160,000 time steps needs 21."""
-
-BLOCK = 128
-"""Worlds that are searched together on a CPU."""
-
-LEFT = 32
-"""Worlds of a block that need not settle with the others."""
-
-
-def search_blocks(tree: Tree, problem: Problem, start: list[Any]) -> tuple[list[Any], Any]:
-    """`search`; of more worlds than a block holds, on a CPU, block by block and in two passes.
-
-    Worlds of a block wait for the slowest of them. So the last `LEFT` of each, and those where bodies are close, are
-    gathered into blocks of their own, those with most close pairs first. Only blocks with close pairs compute any.
-    Worlds where bodies touch each other in more than `SLOTS` places do not settle.
-    """
-    pairs, problem = problem.pairs, problem._replace(pairs=[])
-    if tree.threads:
-        slots, more = close_pairs_in_turn(tree, problem, pairs) if pairs else (None, False)
-        problem = problem._replace(ground=[touch.without_flag() for touch in problem.ground])
-        found, settled = search(tree, problem, slots, start)
-        return found, settled & ~jnp.asarray(more)
-    worlds = worlds_of(problem, start)
-
-    def whole(problem: Problem, start: list[Any], at: Any = None) -> tuple[list[Any], Any]:
-        if close is None:
-            return search(tree, problem, None, start)
-        slots, more = close_pairs(tree, problem, pairs, close, at)
-        found, settled = search(tree, problem, slots, start)
-        return found, settled & ~more
-
-    close = are_close(tree, pairs) & ~jnp.asarray(problem.ended) if pairs else None
-    if worlds <= (BLOCK,) or jax.default_backend() != "cpu":
-        return whole(problem, start)
-
-    def part(things: Any, pick: Callable[[Any], Any]) -> Any:
-        return jax.tree.map(lambda v: pick(v) if jnp.shape(v)[-1:] == worlds else v, things)
-
-    def first(begin: Any) -> tuple[list[Any], Any]:
-        own, before = part((problem, start), lambda v: _block(v, begin))
-        return search(tree, own, None, before, LEFT)
-
-    near = jnp.zeros(worlds, int) if close is None else jnp.broadcast_to(close.sum(axis=0), worlds)
-    nothing = [jnp.zeros((*jnp.shape(v)[:-1], *worlds), v.dtype) for v in start], near > 0
-    x, settled = _by_blocks(first, -(-worlds[0] // BLOCK), nothing)
-    left = (near > 0) | ~settled
-    # Of indices that may be negative, each look-up would be traced at length.
-    order = jnp.argsort(jnp.where(left, -near, 1)).astype(jnp.uint32)
-
-    def second(begin: Any) -> tuple[list[Any], Any]:
-        at = _block(order, begin)
-        own, before = part((problem, x), lambda v: _picked(v, at))
-        return whole(own, before, at)
-
-    found = _by_blocks(second, (left.sum() + (BLOCK - 1)) // BLOCK, (x, settled))
-    back = jnp.argsort(order).astype(jnp.uint32)
-    return jax.tree.map(lambda new, old: jnp.where(left, new[..., back], old), found, (x, settled))
-
-
-def _by_blocks(search: Callable[[Any], Any], blocks: Any, found: Any) -> Any:
-    """Write what `search` gives for blocks, by their first worlds, over `found`; the last may overlap another."""
-
-    def block(index: Any, found: Any) -> Any:
-        begin = index * BLOCK
-
-        def write(whole: Any, part: Any) -> Any:
-            return jax.lax.dynamic_update_slice_in_dim(whole, part, begin, axis=-1)
-
-        return jax.tree.map(write, found, search(begin))
-
-    return jax.lax.fori_loop(0, blocks, block, found)
-
-
-def _picked(value: Any, at: Any) -> Any:
-    """These worlds of an array; by one index of all its elements, as XLA transposes what it picks along one axis."""
-    rows, worlds = math.prod(value.shape[:-1]), value.shape[-1]
-    place = at + np.arange(0, rows * worlds, worlds, dtype=np.uint32)[:, None]
-    return value.reshape(-1)[place].reshape(*value.shape[:-1], -1)
-
-
-def _block(value: Any, begin: Any) -> Any:
-    return jax.lax.dynamic_slice_in_dim(value, begin, BLOCK, axis=-1)

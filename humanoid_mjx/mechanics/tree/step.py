@@ -16,7 +16,7 @@ from humanoid_mjx.mechanics.tree.contacts import Friction, ground_touch, pair_ga
 from humanoid_mjx.mechanics.tree.inertia import Mass, Matrix, factor, mass_matrix, masses_of, product
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics, make_kinematics, motions_of, to_local, to_world, unit
 from humanoid_mjx.mechanics.tree.problem import Problem, Solution
-from humanoid_mjx.mechanics.tree.search import search_blocks
+from humanoid_mjx.mechanics.tree.search import search
 from humanoid_mjx.mechanics.tree.structure import FRICTIONLESS, Surface, Tree
 
 
@@ -176,7 +176,7 @@ def accelerate(
     problem = make_problem(tree, values, state, force)._replace(ended=ended)
     if not (problem.ground or problem.pairs or problem.stops or problem.slips):
         return problem, Solution(factor(tree, state.matrix).solve(force), jnp.bool_(True))
-    found, settled = search_blocks(tree, problem, [value.value for value in start])
+    found, settled = search(tree, problem, [value.value for value in start])
     return problem, Solution([Scalar(value) for value in found], settled)
 
 
