@@ -38,6 +38,7 @@ from jaxtyping import Float
 from humanoid_mjx import compute
 from humanoid_mjx.bench.measure import Record, Subject, spread, time_in_turn
 from humanoid_mjx.compute import rng
+from humanoid_mjx.compute.kernels import cpu_kernel
 from humanoid_mjx.config import load
 from humanoid_mjx.control import at_rest
 from humanoid_mjx.files import names
@@ -220,6 +221,7 @@ def nothing_compiled(cache: Path | None = None) -> Iterator[None]:
     before = {name: jax.config.values[name] for name in settings}
     programs.cache_clear()
     jax.clear_caches()
+    cpu_kernel.forget()
     _set_cache(settings)
     try:
         yield

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from tree_robots import HOPPER, PLANAR, SHAPES, converged, states
 
+from humanoid_mjx.compute.kernels import cpu_kernel as kernels
 from humanoid_mjx.compute.kernels.angles import cosine, sine
 from humanoid_mjx.compute.kernels.cpu_kernel import cpu_kernel
 from humanoid_mjx.compute.kernels.one_kernel import one_kernel
@@ -227,6 +228,17 @@ def changed_twice(x):
         return place + 1, one + two
 
     return jax.lax.while_loop(lambda carry: carry[0] < x.sum(), change, (jnp.int32(0), x))[1]
+
+
+def test_a_function_is_compiled_once_unless_it_is_forgotten(monkeypatch):
+    made, compile_it = [], kernels._compiled
+    monkeypatch.setattr(kernels, "_compiled", lambda name, code: made.append(name) or compile_it(name, code))
+    double = jax.jit(lambda x: x + x)
+    for count in (1, 1, 2):
+        if count > 1:
+            kernels.forget()
+        np.testing.assert_array_equal(cpu_kernel(double, np.ones(20, np.float32)), np.full(20, 2.0))
+        assert len(made) == count
 
 
 def test_what_a_cpu_cannot_do_is_refused():

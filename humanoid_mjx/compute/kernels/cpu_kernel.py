@@ -59,8 +59,9 @@ def _named(function: Callable[..., Any], structure: Any, kinds: tuple[Any, ...])
     written = jax.make_jaxpr(partial(evaluated, traced, threads))(rows)
     code = _code(written, kinds, [(x.shape[:-1], x.dtype) for x in jax.tree.leaves(shapes)])
     name = f"humanoid_mjx_{hashlib.sha256((code + _machine()).encode()).hexdigest()[:32]}"
-    if name not in _objects:
+    if name not in _fresh:
         register({name: _compiled(name, code)})
+        _fresh.add(name)
     return name, shapes
 
 
@@ -72,6 +73,9 @@ def _own(values: Array, *_: int) -> Array:
 _objects: dict[str, bytes] = {}
 """Compiled functions of this process by name."""
 
+_fresh: set[str] = set()
+"""Names of those that `forget` asks nobody to compile again."""
+
 _engines: list[Any] = []
 """What holds their code."""
 
@@ -81,6 +85,12 @@ _registering = threading.Lock()
 def objects_in(program: str) -> dict[str, bytes]:
     """The compiled functions that a program calls; `program`: its text."""
     return {name: _objects[name] for name in sorted(set(NAME.findall(program)))}
+
+
+def forget() -> None:
+    """Write and compile functions anew when they are asked for, for those who time it."""
+    _named.cache_clear()
+    _fresh.clear()
 
 
 def register(objects: dict[str, bytes]) -> None:
