@@ -3,7 +3,8 @@
     scan               tabular Q-learning of this package, against a naive scan in JAX
     chain              the leg without control, against native MuJoCo
     help               `humanoid-mjx --help` in a new process, against importing numpy in one
-    trace              tracing and lowering a step of `stand`, against a program that stays the same
+    trace              tracing and lowering a step of `stand`, its kernel compiled in it, against a program that stays
+                       the same
     compile            XLA's share of the same, against compiling such a program
     tree               the lower body on the ground, standing, against native MuJoCo
     moving             the same of bodies that are thrown about as in a training
