@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import hashlib
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,6 +10,9 @@ from pathlib import Path
 from humanoid_mjx.spec import InputError, known
 
 _PACKAGE = Path(__file__).parent
+
+DIGEST = hashlib.sha256().digest_size
+"""Bytes of a digest."""
 
 
 def folder(name: str) -> Path:
@@ -55,6 +59,24 @@ def write_text(path: Path, text: str) -> None:
     """Write a text file, as a whole or not at all."""
     with whole_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def write_sealed(path: Path, data: bytes, seal: bytes = b"") -> None:
+    """Write data whole, with its digest and a seal that says what it follows from; the folder is made."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as temporary:
+        temporary.write_bytes(seal + hashlib.sha256(data).digest() + data)
+
+
+def read_sealed(path: Path, seal: bytes = b"") -> bytes | None:
+    """Return what `write_sealed` wrote there; None if it has another seal or is damaged.
+
+    Raises:
+      OSError: it cannot be read.
+    """
+    found, begin = path.read_bytes(), len(seal) + DIGEST
+    whole = found[:begin] == seal + hashlib.sha256(found[begin:]).digest()
+    return found[begin:] if whole else None
 
 
 def names(kind: str, suffix: str) -> list[str]:

@@ -23,13 +23,11 @@ import jax.monitoring
 
 from humanoid_mjx.compute.kernels import cpu_kernel
 from humanoid_mjx.compute.provenance import machine
-from humanoid_mjx.files import folder, whole_file
+from humanoid_mjx.files import folder, read_sealed, write_sealed
 from humanoid_mjx.spec import Spec, kinds
 
 SETTINGS = ("JAX_", "XLA_", "PJRT_", "TF_", "NVIDIA_", "CUDA_")
 """Prefixes of the environment variables that programs may depend on."""
-
-DIGEST = hashlib.sha256().digest_size
 
 _on = False
 
@@ -76,9 +74,8 @@ def find(name: str, about: str | None) -> Any:
     """Return what `put` stored, or None."""
     with suppress(Exception):  # what is damaged is made anew
         if (path := _path(name, about)) is not None:
-            data = path.read_bytes()
-            if data[: 2 * DIGEST] == _surroundings() + hashlib.sha256(data[2 * DIGEST :]).digest():
-                return pickle.loads(zlib.decompress(data[2 * DIGEST :]))
+            data = read_sealed(path, _surroundings())
+            return None if data is None else pickle.loads(zlib.decompress(data))
     return None
 
 
@@ -87,10 +84,7 @@ def put(name: str, about: str | None, value: Any) -> None:
     if (path := _path(name, about)) is None:
         return
     with suppress(OSError, TypeError, AttributeError, pickle.PickleError):
-        data = zlib.compress(pickle.dumps(value), 1)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(path) as temporary:
-            temporary.write_bytes(_surroundings() + hashlib.sha256(data).digest() + data)
+        write_sealed(path, zlib.compress(pickle.dumps(value), 1), _surroundings())
 
 
 def compile_program(name: str, about: str | None, lowered: jax.stages.Lowered) -> tuple[jax.stages.Compiled, Callable]:

@@ -10,6 +10,7 @@ import pytest
 from small_sweep import assert_same_tables, run_cli, write_config
 
 from humanoid_mjx.compute import kept
+from humanoid_mjx.files import DIGEST
 from humanoid_mjx.tasks import make_task
 from humanoid_mjx.tasks.legged.stand import Stand
 
@@ -28,7 +29,7 @@ def test_what_is_kept_is_found_as_long_as_nothing_differs(folder, monkeypatch):
     assert kept.find("a", "this") == {"x": 1}
     assert kept.find("a", "that") is None and kept.find("b", "this") is None
     assert kept.remembered("a", "this", lambda: 2) == {"x": 1}
-    monkeypatch.setattr(kept, "_surroundings", lambda: b"other code".ljust(kept.DIGEST))
+    monkeypatch.setattr(kept, "_surroundings", lambda: b"other code".ljust(DIGEST))
     assert kept.find("a", "this") is None
     kept.put("a", "this", 3)
     assert kept.find("a", "this") == 3
@@ -39,7 +40,7 @@ def test_what_is_damaged_or_not_to_be_kept_is_made_anew(folder, monkeypatch):
     kept.put("a", "this", list(range(100)))
     (file,) = folder.iterdir()
     data = bytearray(file.read_bytes())
-    for place in (0, kept.DIGEST, len(data) - 1):
+    for place in (0, DIGEST, len(data) - 1):
         wrong = bytes(data[:place]) + bytes([data[place] ^ 1]) + bytes(data[place + 1 :])
         file.write_bytes(wrong)
         assert kept.find("a", "this") is None

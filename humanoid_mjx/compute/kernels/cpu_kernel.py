@@ -20,20 +20,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from humanoid_mjx.compute.kernels.llvm import WIDTH, Code, Table, Value, Words, lower, type_of
+from humanoid_mjx.compute.kernels.llvm import WIDTH, Code, Value, type_of
+from humanoid_mjx.compute.kernels.llvm_lowering import lower
+from humanoid_mjx.compute.kernels.llvm_memory import Table, Words
 from humanoid_mjx.compute.kernels.memory import THREADS
-from humanoid_mjx.compute.kernels.one_kernel import evaluated
 from humanoid_mjx.compute.kernels.threads import Threads
-from humanoid_mjx.files import whole_file
+from humanoid_mjx.files import read_sealed, write_sealed
 
 NAME = re.compile(r"humanoid_mjx_[0-9a-f]{32}")
 """Names of compiled functions, by what they follow from."""
 
 
-def cpu_kernel(function: Callable[..., Any], *args: Any, lanes: int = 1) -> Any:
+def cpu_kernel(function: Callable[..., Any], *args: Any) -> Any:
     """`function(*args)`, both pytrees of arrays whose last axis is of worlds that do not mix.
-
-    `lanes`: of no meaning here; all lanes of a world are computed one after another.
 
     Raises:
       NotImplementedError: the function does something else than arithmetic.
@@ -51,12 +50,13 @@ def cpu_kernel(function: Callable[..., Any], *args: Any, lanes: int = 1) -> Any:
 
 @lru_cache
 def _named(function: Callable[..., Any], structure: Any, kinds: tuple[Any, ...]) -> tuple[str, Any]:
-    """The name by which XLA calls a function, and what it gives of one world; see `_written_out`."""
+    """The name by which XLA calls a function, which is traced and compiled once whatever the number of worlds, and what
+    it gives of one world; `kinds`: shape and type of each argument for a world."""
     single = [jax.ShapeDtypeStruct((*shape, 1), dtype) for shape, dtype in kinds]
     traced, shapes = jax.make_jaxpr(function, return_shape=True)(*structure.unflatten(single))
     threads = Threads(1, _own, _own, jnp.any, Words, Table)
     rows = [jax.ShapeDtypeStruct((THREADS,), dtype) for shape, dtype in kinds for _ in range(math.prod(shape))]
-    written = jax.make_jaxpr(partial(evaluated, traced, threads))(rows)
+    written = jax.make_jaxpr(partial(threads.results, traced))(rows)
     code = _code(written, kinds, [(x.shape[:-1], x.dtype) for x in jax.tree.leaves(shapes)])
     name = f"humanoid_mjx_{hashlib.sha256((code + _machine()).encode()).hexdigest()[:32]}"
     if name not in _fresh:
@@ -113,10 +113,10 @@ def _compiled(name: str, code: str) -> bytes:
     """An object file of LLVM's code, kept beside jax's compiled programs."""
     place = jax.config.values["jax_compilation_cache_dir"]
     path = Path(place) / f"{name}-object" if place and "://" not in place else None
-    if path is not None and path.is_file():
-        data = path.read_bytes()
-        if data[:32] == hashlib.sha256(data[32:]).digest():
-            return data[32:]
+    if path is not None:
+        with suppress(OSError):
+            if (kept := read_sealed(path)) is not None:
+                return kept
     import llvmlite.binding as llvm
 
     target, module = _target(), llvm.parse_assembly(code)
@@ -128,9 +128,7 @@ def _compiled(name: str, code: str) -> bytes:
     found = target.emit_object(module)
     if path is not None:
         with suppress(OSError):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with whole_file(path) as temporary:
-                temporary.write_bytes(hashlib.sha256(found).digest() + found)
+            write_sealed(path, found)
     return found
 
 

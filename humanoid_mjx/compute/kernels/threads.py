@@ -128,6 +128,16 @@ class Threads:
             values |= zip(eqn.outvars, found, strict=True)
         return [value(x) for x in closed.jaxpr.outvars]
 
+    def results(self, closed: ClosedJaxpr, numbers: Sequence[Array]) -> list[Array]:
+        """The elements of a traced function's results from those of its arguments, each a vector alike in all threads
+        of a world."""
+        args, rest = [], iter(numbers)
+        for var in closed.jaxpr.invars:
+            kind: Any = var.aval
+            elements = [next(rest).astype(kind.dtype) for _ in range(math.prod(kind.shape))]
+            args.append(arranged(elements, kind.shape))
+        return [number for result in self.evaluate(closed, args) for number in self.alike(result)]
+
     def vectors(self, array: Held) -> list[Array]:
         """The elements of an array as vectors, one for all lanes of a world where they have an axis."""
         return [vector(element) for element in self._elements(self._loaded(array))]

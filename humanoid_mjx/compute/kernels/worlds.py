@@ -14,7 +14,7 @@ from jax.custom_batching import custom_vmap
 from jax.experimental.layout import Layout, with_layout_constraint
 
 from humanoid_mjx.compute.kernels.cpu_kernel import cpu_kernel
-from humanoid_mjx.compute.kernels.one_kernel import one_kernel
+from humanoid_mjx.compute.kernels.gpu_kernel import gpu_kernel
 
 
 @lru_cache
@@ -26,11 +26,11 @@ def worlds_last(function: Callable[..., Any], *static: Any, lanes: int = 0) -> C
     function is traced once for each number of worlds, whatever programs use it.
 
     `lanes`: if not 0, compute in one kernel rather than in those that XLA makes: on a CPU `cpu_kernel`, on a GPU
-    `one_kernel` with a thread for each of so many lanes of a world, and there many worlds alone.
+    `gpu_kernel` with a thread for each of so many lanes of a world, and there many worlds alone.
     """
     function, on_cpu = jax.jit(partial(function, *static)), jax.default_backend() == "cpu"
     # Lowered once however often a program calls it.
-    kernel = jax.jit(partial(cpu_kernel if on_cpu else one_kernel, function, lanes=lanes))
+    kernel = jax.jit(partial(cpu_kernel, function) if on_cpu else partial(gpu_kernel, function, lanes=lanes))
 
     def single(*args: Any) -> Any:
         one = kernel if lanes and on_cpu else function

@@ -19,7 +19,6 @@ from jax.experimental.pallas import triton as gpu
 from jax.extend.core import ClosedJaxpr
 from jaxtyping import Array, Float
 
-from humanoid_mjx.compute.kernels.arrangements import arranged
 from humanoid_mjx.compute.kernels.assembly import assembly
 from humanoid_mjx.compute.kernels.memory import THREADS, Constants, Region
 from humanoid_mjx.compute.kernels.threads import Threads, power_of_two
@@ -31,7 +30,7 @@ PAGE = 48 * 1024 // (4 * THREADS)
 """Rows that fit into the shared memory that a block may declare."""
 
 
-def one_kernel(function: Callable[..., Any], *args: Any, lanes: int = 1, interpret: bool = False) -> Any:
+def gpu_kernel(function: Callable[..., Any], *args: Any, lanes: int = 1, interpret: bool = False) -> Any:
     """`function(*args)`, both pytrees of arrays whose last axis is of worlds that do not mix: of float32, or of flags.
 
     `lanes`: length of the axis before that of worlds of which each thread computes one entry.
@@ -130,18 +129,7 @@ def _kernel(numbers: Any, out: Any, *, results: Results, worlds: int, each: int,
 
 def _results(traced: ClosedJaxpr, threads: Threads, numbers: Sequence[Array]) -> list[Float[Array, " worlds"]]:
     """The results of a function of one world from the elements of its arguments, all of float32."""
-    return [number.astype(jnp.float32) for number in evaluated(traced, threads, numbers)]
-
-
-def evaluated(traced: ClosedJaxpr, threads: Threads, numbers: Sequence[Array]) -> list[Array]:
-    """The results of a function of one world from the elements of its arguments, each as a vector of threads."""
-    values, first = [], 0
-    for var in traced.jaxpr.invars:
-        shape, dtype = var.aval.shape, var.aval.dtype  # pyright: ignore[reportAttributeAccessIssue]
-        last = first + math.prod(shape)
-        values.append(arranged([number.astype(dtype) for number in numbers[first:last]], shape))
-        first = last
-    return [number for value in threads.evaluate(traced, values) for number in threads.alike(value)]
+    return [number.astype(jnp.float32) for number in threads.results(traced, numbers)]
 
 
 class _Stage(NamedTuple):

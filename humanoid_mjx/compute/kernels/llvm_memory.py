@@ -1,0 +1,135 @@
+"""Memory of each world in LLVM's code: primitives of jax for traced functions, and the code that they become."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jax.core import ShapedArray
+from jax.extend.core import Primitive
+
+from humanoid_mjx.compute.kernels.llvm import WIDTH, Code, Value, known, type_of
+from humanoid_mjx.compute.kernels.memory import THREADS, Region, bits
+
+read_word, write_word, fill_words, read_constant = map(Primitive, ("read_word", "write_word", "fill_words", "constant"))
+"""Memory of each world. The first argument is the token, for jax; code keeps the order in which they were traced."""
+
+read_word.def_abstract_eval(lambda *_, region, words, word, dtype: ShapedArray((THREADS,), dtype))
+read_constant.def_abstract_eval(lambda *_, table, word, dtype: ShapedArray((THREADS,), dtype))
+for _primitive in (write_word, fill_words):
+    _primitive.def_abstract_eval(lambda *_, **params: ShapedArray((THREADS,), np.int32))
+
+
+class Words(Region):
+    """Words of each world, for `lower`; see `Region`."""
+
+    def __init__(self, number: int, words: int):
+        self.number, self.words, self.seen = number, words, []
+        self.token = jnp.zeros(THREADS, jnp.int32)
+
+    def place(self, words: Any) -> Any:
+        return words
+
+    def read(self, word: int, place: Any, dtype: Any) -> Any:
+        return read_word.bind(self.token, *_some(place), **self._where(word), dtype=np.dtype(dtype))
+
+    def write(self, word: int, place: Any, values: Any) -> None:
+        values = values.astype(jnp.int32) if values.dtype == bool else values
+        self.token = write_word.bind(self.token, values, *_some(place), **self._where(word))
+
+    def fill(self, word: int, count: int, bits: int) -> None:
+        self.token = fill_words.bind(self.token, **self._where(word), count=count, bits=bits)
+
+    def settle(self) -> Any:
+        return self.token
+
+    def _where(self, word: int) -> dict[str, int]:
+        return {"region": self.number, "words": self.words, "word": word}
+
+
+class Table(Words):
+    """Words that are known while tracing, the same for all worlds."""
+
+    def __init__(self, number: int, words: Sequence[np.generic]):
+        super().__init__(number, 0)
+        self.table = tuple(map(bits, words))
+
+    def read(self, word: int, place: Any, dtype: Any) -> Any:
+        return read_constant.bind(self.token, *_some(place), table=self.table, word=word, dtype=np.dtype(dtype))
+
+
+def _some(place: Any) -> list[Any]:
+    return [] if place is None else [place]
+
+
+def _read(code: Code, params: dict[str, Any], args: list[Value]) -> Value:
+    return _loaded(code, _address(code, params, args[1:]), params["dtype"], WIDTH)
+
+
+def _loaded(code: Code, address: Value, dtype: np.dtype, apart: int) -> Value:
+    """What is at an address, or at one for each world; `apart`: numbers from one word to the next."""
+    if address.alike:
+        kind = type_of(dtype, apart == 1)
+        return Value(code.value(f"load {kind}, ptr {address.name}, align {4 * apart}"), dtype, apart == 1)
+    kind, pointers = type_of(dtype, False), f"<{WIDTH} x ptr>"
+    name = f"masked.gather.v{WIDTH}{'f32' if dtype.kind == 'f' else 'i32'}.v{WIDTH}p0"
+    all_of_them = (f"<{WIDTH} x i1>", "splat (i1 true)")
+    return Value(
+        code.call(kind, name, (pointers, address.name), ("i32", "4"), all_of_them, (kind, "poison")), dtype, False
+    )
+
+
+def _written(code: Code, params: dict[str, Any], args: list[Value]) -> Value:
+    value, address = args[1], _address(code, params, args[2:])
+    kind, vector = type_of(value.dtype, False), code.vector(value)
+    if address.alike:
+        code.add(f"store {kind} {vector}, ptr {address.name}, align {4 * WIDTH}")
+    else:
+        name = f"masked.scatter.v{WIDTH}{'f32' if value.dtype.kind == 'f' else 'i32'}.v{WIDTH}p0"
+        pointers, all_of_them = (f"<{WIDTH} x ptr>", address.name), (f"<{WIDTH} x i1>", "splat (i1 true)")
+        code.call("void", name, (kind, vector), pointers, ("i32", "4"), all_of_them)
+    return known(0, np.int32)
+
+
+def _filled(code: Code, params: dict[str, Any], args: list[Value]) -> Value:
+    word = code.vector(known(params["bits"], np.int32))
+    for each in range(params["count"]):
+        address = _address(code, params | {"word": params["word"] + each}, [])
+        code.add(f"store <{WIDTH} x i32> {word}, ptr {address.name}, align {4 * WIDTH}")
+    return known(0, np.int32)
+
+
+def _address(code: Code, params: dict[str, Any], place: list[Value]) -> Value:
+    """Address of the vector of a word of memory, so many words from a place; or of each world's own word."""
+    code.regions[params["region"]] = params["words"]
+    lanes = f"<{', '.join(f'i32 {lane}' for lane in range(WIDTH))}>"
+    return _beyond(code, f"%region{params['region']}", params["word"], place, WIDTH, lanes)
+
+
+def _constant(code: Code, params: dict[str, Any], args: list[Value]) -> Value:
+    table = code.tables.setdefault(params["table"], len(code.tables))
+    return _loaded(
+        code, _beyond(code, f"@table{table}", params["word"], args[1:], 1, "zeroinitializer"), params["dtype"], 1
+    )
+
+
+def _beyond(code: Code, base: str, word: int, place: list[Value], apart: int, lanes: str) -> Value:
+    """The address of a word, so many words from a place, with words so many numbers apart."""
+    pointer = np.dtype(np.int32)  # LLVM's pointers have no type
+    if all(each.alike for each in place):
+        index = f"add i32 {place[0].name if place else 0}, {word}"
+        index = code.value(f"mul i32 {code.value(index)}, {apart}")
+        return Value(code.value(f"getelementptr i32, ptr {base}, i32 {index}"), pointer, True)
+    index, kind = place[0].name, f"<{WIDTH} x i32>"
+    index = code.value(f"add {kind} {index}, splat (i32 {word})")
+    index = code.value(f"mul {kind} {index}, splat (i32 {apart})")
+    index = code.value(f"add {kind} {index}, {lanes}")
+    return Value(code.value(f"getelementptr i32, ptr {base}, {kind} {index}"), pointer, False)
+
+
+MEMORY: dict[str, Callable[..., Value]] = {
+    "read_word": _read,
+    "write_word": _written,
+    "fill_words": _filled,
+    "constant": _constant,
+}
