@@ -123,8 +123,8 @@ class TreePhysics(MujocoPhysics):
         return limited(torque, [bounds[own] for own in motor_limits(self.model).tolist()])
 
     def _unroll(self, controller: Controller, cycles: int) -> int:
-        """Time steps in one pass of a loop; one where the controller is long to compile."""
-        if not _kernels_run() or not self._asks_little(controller):
+        """Time steps in one pass of a loop; one where the controller is long to compile, and on a CPU."""
+        if not _kernels_run() or compute.why_no_kernel() or not self._asks_little(controller):
             return 1
         return cycles if cycles <= WHOLE else UNROLL
 
