@@ -14,7 +14,7 @@ from humanoid_mjx.mechanics.tree import structure
 from humanoid_mjx.mechanics.tree.structure import Axes, Table
 
 FEW_PAIRS = 8
-"""Above so many pairs, equal bodies' scalars are shared (`each_of`), and a GPU's thread takes one pair after another
+"""Above so many pairs, equal bodies' scalars are shared (`each_of`), and a kernel's thread takes one pair after another
 (`in_turn`). The lower body has 5."""
 
 
@@ -153,7 +153,7 @@ def with_entry(values: Any, index: Any, new: Any) -> Any:
 
 
 def in_turn(function: Callable[..., Tree], *rows: Any, count: Any) -> Tree:
-    """`function` of pytrees of scalars with an axis of rows, which it does not mix, for a GPU's thread.
+    """`function` of pytrees of scalars with an axis of rows, which it does not mix, for a kernel's thread.
 
     The first `count` rows are taken in turn, and what others give is 0: a loop's code stays in the cache of
     instructions.

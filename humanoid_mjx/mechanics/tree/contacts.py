@@ -84,8 +84,8 @@ class Touch(NamedTuple):
         return [self.close & (residual.value < 0.0) for residual in residuals]
 
     def without_flag(self) -> "Touch":
-        """The same for a GPU's thread, to which a flag is dear: where it is not close no facet pushes, because of its
-        reference acceleration."""
+        """The same for a kernel's thread, to which a flag is dear: where it is not close no facet pushes, because of
+        its reference acceleration."""
         offset = self.offset._replace(x=Scalar(jnp.where(self.close, self.offset.x.value, NEVER)))
         return self._replace(offset=offset, close=True)
 
@@ -238,7 +238,7 @@ def pair_gaps(pairs: Pairs, kinematics: Kinematics) -> Gap:
 
 
 def pair_gap_at(pairs: Pairs, kinematics: Kinematics) -> GapAt:
-    """The gap of the pair of a number, for a GPU's thread: that of many capsules is computed when asked for."""
+    """The gap of the pair of a number, for a kernel's thread: that of many capsules is computed when asked for."""
     if len(pairs.ones) <= FEW_PAIRS or isinstance(pairs.ones[0], Box):
         gaps = jax.tree.map(lambda v: jnp.broadcast_to(v, (len(pairs.ones), 1)), pair_gaps(pairs, kinematics))
         return lambda index: jax.tree.map(lambda v: entry_at(v, index), gaps)

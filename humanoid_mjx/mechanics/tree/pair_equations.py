@@ -36,7 +36,7 @@ def with_pairs(tree: Tree, slots: Slots, active: Flags, factors: Factors, x: Seq
     pushing = functools.reduce(jnp.logical_or, active).any(axis=1)
 
     def after(last: Any) -> Any:
-        """The next contact that pushes in any world; a GPU's thread has one world."""
+        """The next contact that pushes in any world; a kernel's thread has one world."""
         return jnp.where(pushing & (index > last), index, most).min()
 
     def further(carry: tuple[Any, ...]) -> tuple[Any, ...]:

@@ -238,7 +238,7 @@ class Tree(NamedTuple):
     timestep: float
     integrator: Integrator
     threads: bool = False
-    """True for a GPU's kernel, of which each thread computes one lane of one world."""
+    """True for a kernel, of which each thread computes one world; on a GPU, one lane of it."""
 
     @property
     def joints(self) -> tuple[Joint, ...]:
