@@ -349,3 +349,52 @@ def test_loops_of_a_gpu_are_those_of_a_cpu(case, monkeypatch):
     for wanted, got in zip(jax.tree.leaves(expected), jax.tree.leaves(found), strict=True):
         size = np.abs(np.float64(wanted)).max() if wanted.size else 0.0
         np.testing.assert_allclose(got, wanted, atol=1e-4 * size + 1e-6)  # as a time step's
+
+
+CONTEXTS = {
+    "cleared caches": jax.clear_caches,
+    "another precision": lambda: jax.config.update("jax_default_matmul_precision", "bfloat16"),
+}
+
+
+@pytest.mark.parametrize("context", CONTEXTS)
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_a_kernel_is_traced_again(kernel, context):
+    """Nothing of the first trace is left in the second."""
+    x = np.random.default_rng(2).normal(size=(3, 40)).astype(np.float32)
+    function = jax.jit(lambda *args: KERNELS[kernel](everything, *args, lanes=3))
+    first, precision = function(x, x[0] > 0.3), jax.config.jax_default_matmul_precision
+    try:
+        CONTEXTS[context]()
+        second = function(x, x[0] > 0.3)
+    finally:
+        jax.config.update("jax_default_matmul_precision", precision)
+    jax.tree.map(np.testing.assert_array_equal, first, second)
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_a_kernel_is_that_of_one_device_on_two(kernel):
+    """Traced alone, under a mesh, and alone again."""
+    x = np.random.default_rng(4).normal(size=(3, 64)).astype(np.float32)
+    worlds = jax.sharding.PartitionSpec(None, "worlds")
+    mesh = jax.sharding.Mesh(np.array(jax.devices()[:2]), ("worlds",))
+    assert mesh.size == 2
+
+    def function(x):
+        return KERNELS[kernel](compared_once, x, lanes=1)
+
+    shared = jax.shard_map(function, mesh=mesh, in_specs=worlds, out_specs=worlds, check_vma=False)
+    alone, both, again = (jax.jit(each)(x) for each in (function, shared, lambda x: function(x) + 0.0))
+    np.testing.assert_array_equal(both, alone)
+    np.testing.assert_array_equal(again, alone)
+
+
+def compared_once(x):
+    """A table in memory, changed in a loop of unknown length."""
+
+    def change(carry):
+        place, table = carry
+        old = jax.lax.dynamic_index_in_dim(table, place, axis=0, keepdims=False)
+        return place + 1, jax.lax.dynamic_update_index_in_dim(table, 2.0 * old + x[0], place, axis=0)
+
+    return jax.lax.while_loop(lambda carry: carry[0] < jnp.abs(x[0]).sum(), change, (jnp.int32(0), x))[1]

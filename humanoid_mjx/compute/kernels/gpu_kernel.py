@@ -63,10 +63,7 @@ def _written_out(
     world; `kinds`: shape and type of each argument for a world."""
     single = [jax.ShapeDtypeStruct((*shape, 1), dtype) for shape, dtype in kinds]
     traced, shapes = jax.make_jaxpr(function, return_shape=True)(*structure.unflatten(single))
-    shuffled, summed = (partial(each, power_of_two(lanes), interpret) for each in (_shuffled, _summed))
-    memory = (partial(kind, interpret=interpret) for kind in (Region, Constants))
-    threads = Threads(lanes, shuffled, summed, _any, *memory)
-    return jax.jit(partial(_results, traced, threads)), shapes
+    return jax.jit(partial(_results, traced, lanes, interpret)), shapes
 
 
 def _shuffled(each: int, interpret: bool, values: Array, index: int) -> Array:
@@ -127,8 +124,17 @@ def _kernel(numbers: Any, out: Any, *, results: Results, worlds: int, each: int,
         token = stage.empty(token, out, first * worlds + world, worlds, len(page))
 
 
-def _results(traced: ClosedJaxpr, threads: Threads, numbers: Sequence[Array]) -> list[Float[Array, " worlds"]]:
-    """The results of a function of one world from the elements of its arguments, all of float32."""
+def _results(
+    traced: ClosedJaxpr, lanes: int, interpret: bool, numbers: Sequence[Array]
+) -> list[Float[Array, " worlds"]]:
+    """Return the results of a function of one world from the elements of its arguments, all of float32.
+
+    `Threads` holds tokens of the trace that it writes to. jax traces this function again under a mesh, in another
+    precision or after `jax.clear_caches()`, so each trace makes its own.
+    """
+    shuffled, summed = (partial(each, power_of_two(lanes), interpret) for each in (_shuffled, _summed))
+    memory = (partial(kind, interpret=interpret) for kind in (Region, Constants))
+    threads = Threads(lanes, shuffled, summed, _any, *memory)
     return [number.astype(jnp.float32) for number in threads.results(traced, numbers)]
 
 

@@ -1,0 +1,43 @@
+"""Programs of several GPUs are traced and lowered on a CPU, where each device stands for a GPU."""
+
+import jax
+import numpy as np
+import pytest
+
+from humanoid_mjx import compute
+from humanoid_mjx.compute import limits
+from humanoid_mjx.config import load
+from humanoid_mjx.physics import tree
+from humanoid_mjx.training.cost import training_bytes
+from humanoid_mjx.training.plan import make_plan
+from humanoid_mjx.training.programs import programs_of
+
+SMALL = ["learner.envs=64", "learner.evaluation_envs=64", "learner.minibatches=4", "total_steps=100000"]
+CONFIGS = {"joint1": ["seeds=2", "episodes=10"], "leg_reach": ["seeds=2", *SMALL], "walk": ["seeds=2", *SMALL]}
+KERNELS = {"joint1": {"advance"}, "leg_reach": set(), "walk": {"advance", "finish"}}
+"""Programs that hold a kernel of Triton."""
+
+
+@pytest.mark.parametrize("config", CONFIGS)
+def test_a_training_is_lowered_for_two_gpus(config, monkeypatch):
+    """Planning traces a training alone, the programs trace it again under the mesh of the devices."""
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    for module in (limits, compute):
+        monkeypatch.setattr(module, "why_no_kernel", lambda: None)
+    assert tree._kernels_run()
+    group = make_plan(load(config, CONFIGS[config])).groups[0]
+    assert training_bytes(group) > 0
+    devices = jax.local_devices()[:2]
+    made, runs = programs_of(group.learners, devices), 2
+    assert made.by_run.mesh.size == 2
+
+    def of_runs(leaf, shape):
+        return jax.ShapeDtypeStruct((runs, *shape), leaf.dtype, sharding=made.by_run)
+
+    learners = jax.tree.map(lambda leaf: of_runs(leaf, leaf.shape[1:]), group.learners)
+    training = jax.tree.map(lambda leaf: of_runs(leaf, leaf.shape), group.one_run)
+    steps = jax.ShapeDtypeStruct((), np.int32, sharding=made.everywhere)
+    seeds = (jax.ShapeDtypeStruct((runs,), np.uint32, sharding=made.by_run),) * 2
+    for name, args in {"advance": (learners, training, steps), "finish": (learners, training, seeds)}.items():
+        lowered = getattr(made, name).trace(*args).lower(lowering_platforms=("cuda",)).as_text()
+        assert ("triton" in lowered) == (name in KERNELS[config]), name
