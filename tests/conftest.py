@@ -25,6 +25,7 @@ gc.set_threshold(50_000)
 install_import_hook("humanoid_mjx", "typecheck.check")
 
 from humanoid_mjx import cli, compute  # noqa: E402
+from humanoid_mjx.compute.kernels import fallback  # noqa: E402
 
 PLAIN_KERNELS = "--xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1"
 if jax.__version_info__ < (0, 11):  # later XLA knows no other emitters, and aborts at the flag
@@ -56,6 +57,13 @@ def few_compiled_programs():
         programs.cache_clear()
         jax.clear_caches()
         gc.collect()
+
+
+@pytest.fixture(autouse=True)
+def kernels_are_made():
+    """No test passes because XLA computed what a kernel should have."""
+    yield
+    assert not fallback.reasons
 
 
 @pytest.fixture

@@ -21,7 +21,7 @@ from typing import Any
 import jax
 import jax.monitoring
 
-from humanoid_mjx.compute.kernels import cpu_kernel
+from humanoid_mjx.compute.kernels import cpu_kernel, fallback
 from humanoid_mjx.compute.provenance import machine
 from humanoid_mjx.files import folder, read_sealed, write_sealed
 from humanoid_mjx.spec import Spec, kinds
@@ -127,7 +127,7 @@ def load_program(stored: Any, args: tuple[Any, ...], devices: Sequence[Any]) -> 
 
 def _path(name: str, about: str | None) -> Path | None:
     place = jax.config.values["jax_compilation_cache_dir"]
-    if not _on or about is None or not place or not _possible():
+    if not _on or about is None or not place or not _possible() or fallback.reasons:
         return None
     if "://" in place or jax.process_count() > 1 or " at 0x" in about:
         return None

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import jax
 
+from humanoid_mjx.compute.kernels.fallback import given_up
+
 
 def cores() -> int:
     """Return the number of CPU cores that this process may use.
@@ -76,4 +78,4 @@ def why_no_kernel() -> str | None:
     if jax.default_backend() != "gpu":
         return "there is no GPU"
     major = str(getattr(jax.local_devices()[0], "compute_capability", "")).partition(".")[0]
-    return None if major.isdigit() and int(major) >= 8 else "the GPU is not of NVIDIA's Ampere or later ones"
+    return given_up() if major.isdigit() and int(major) >= 8 else "the GPU is not of NVIDIA's Ampere or later ones"

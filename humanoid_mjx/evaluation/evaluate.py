@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Key
 
 from humanoid_mjx.compute import Arithmetic, Program, compiler_options, rng
+from humanoid_mjx.compute.kernels.fallback import with_fallback
 from humanoid_mjx.evaluation.policy import Trained
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.rollout import AGENTS, Episode, agent, rollout
@@ -76,6 +77,5 @@ def _program(arithmetic: Arithmetic, program: Program) -> Callable[..., Episode]
         discount = getattr(learner, "discount", getattr(learner, "discounting", 1.0))
         return rollout(learner.env, agent(learner, policy, number), key, discount)
 
-    return jax.jit(
-        jax.vmap(episode, in_axes=(None, None, None, 0)), compiler_options=compiler_options(arithmetic, program)
-    )
+    many = jax.vmap(episode, in_axes=(None, None, None, 0))
+    return with_fallback(jax.jit(many, compiler_options=compiler_options(arithmetic, program)))

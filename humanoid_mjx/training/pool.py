@@ -19,11 +19,12 @@ import numpy as np
 
 from humanoid_mjx import compute
 from humanoid_mjx.compute import kept
+from humanoid_mjx.compute.kernels.fallback import give_up
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.plan import Group
 from humanoid_mjx.training.program import Training, curve
-from humanoid_mjx.training.programs import Devices, programs_of
+from humanoid_mjx.training.programs import Devices, programs, programs_of
 from humanoid_mjx.training.state import blank, from_arrays, to_arrays
 
 CHUNK_S = 0.2
@@ -54,7 +55,7 @@ class Pool:
         `policies`: policies from which the runs start, every leaf with a leading axis of the group's runs.
         """
         self.group, self.waiting, self.seed, self.policies = group, waiting, seed, policies
-        self.programs, self.devices = programs_of(group.learners, devices), np.ravel(np.array(devices)).tolist()
+        self.programs, self.rows = programs_of(group.learners, devices), devices
         size *= len(devices)
         self.over_devices = self.programs.by_run
         self.compiled: dict[str, Callable[..., Any]] = {}
@@ -84,7 +85,7 @@ class Pool:
 
     def prepare(self) -> None:
         """Begin to compile the training steps, which takes longest, beside what `fill` compiles."""
-        self._program("advance", *self._steps_taken())
+        self._with_fallback(lambda: self._program("advance", *self._steps_taken()))
 
     def fill(self) -> None:
         """Give the idle slots the runs that wait."""
@@ -195,13 +196,29 @@ class Pool:
 
     def _call(self, name: str, *args: Any) -> Any:
         """Call a program of `programs`, compiled by the time that it is first needed; wait for its result."""
-        if name not in self.compiled:
+
+        def ready() -> Callable[..., Any]:
             program = self._program(name, *args)
             if not program.done():
                 self.phase = "compiling"
-            self.compiled[name] = program.result()
+            return program.result()
+
+        if name not in self.compiled:
+            program = self._with_fallback(ready)
+            self.compiled[name] = program
         self.phase = {"begin": "starting", "advance": "training", "finish": "evaluating"}[name]
         return jax.block_until_ready(self.compiled[name](*args))
+
+    def _with_fallback(self, compile_it: Callable[[], Any]) -> Any:
+        """Call a function, again with programs without kernels if a kernel fails to compile."""
+        try:
+            return compile_it()
+        except Exception as error:
+            if not give_up(error):
+                raise
+            programs.cache_clear()
+            self.programs, self.compiled = programs_of(self.group.learners, self.rows), {}
+            return compile_it()
 
     def _program(self, name: str, *args: Any, after: "Future[Any] | None" = None) -> "Future[Callable[..., Any]]":
         """A program of `programs` for such arguments, which a thread of its own compiles, or loads where an earlier
@@ -230,7 +247,7 @@ class Pool:
                 after.exception()  # waits
             if stored is not None:
                 with suppress(Exception):  # it is not worth more than the time that it saves
-                    return kept.load_program(stored, args, self.devices), lambda: None
+                    return kept.load_program(stored, args, np.ravel(np.array(self.rows)).tolist()), lambda: None
             return kept.compile_program(name, about, lowered or lower())
 
         program = self.programs.compiled[kind] = _in_background(make)

@@ -167,7 +167,8 @@ def _code(traced: Any, kinds: Any, results: Any) -> str:
         f"  %region{number} = alloca [{words * WIDTH} x i32], align {4 * WIDTH}"
         for number, words in code.regions.items()
     ]
-    return "\n".join([*tables, *sorted(code.declared), BLOCK, *memory, *code.lines, "  ret void\n}", CALL])
+    call = CALL.replace("MAJOR", str(_version()[0])).replace("MINOR", str(_version()[1]))
+    return "\n".join([*tables, *sorted(code.declared), BLOCK, *memory, *code.lines, "  ret void\n}", call])
 
 
 BLOCK = """
@@ -180,17 +181,20 @@ define ptr @call(ptr %frame) {{
 entry:
   %extension_at = getelementptr i8, ptr %frame, i64 8
   %extension = load ptr, ptr %extension_at
-  %asked = icmp ne ptr %extension, null
+  %extended = icmp ne ptr %extension, null
+  br i1 %extended, label %ask, label %compute
+ask:
+  %type_at = getelementptr i8, ptr %extension, i64 8
+  %type = load i32, ptr %type_at
+  %asked = icmp eq i32 %type, 1
   br i1 %asked, label %version, label %compute
 version:
   %metadata_at = getelementptr i8, ptr %extension, i64 24
   %metadata = load ptr, ptr %metadata_at
-  %api_at = getelementptr i8, ptr %frame, i64 16
-  %api = load ptr, ptr %api_at
-  %have = getelementptr i8, ptr %api, i64 32
-  %said = getelementptr i8, ptr %metadata, i64 24
-  %numbers = load i64, ptr %have
-  store i64 %numbers, ptr %said
+  %major = getelementptr i8, ptr %metadata, i64 24
+  store i32 MAJOR, ptr %major
+  %minor = getelementptr i8, ptr %metadata, i64 28
+  store i32 MINOR, ptr %minor
   ret ptr null
 compute:
   %given_at = getelementptr i8, ptr %frame, i64 72
@@ -219,9 +223,37 @@ end:
 }}
 declare i64 @llvm.smin.i64(i64, i64)
 """
-"""What XLA calls: an `XLA_FFI_Handler`. Offsets are those of `xla/ffi/api/c_api.h`, which jax comes with. If XLA asks
-which version of its interface this is (`XLA_FFI_Metadata_Extension`), it is told its own. The worlds of the last block
-may overlap those of the one before it."""
+"""Function that XLA calls, an `XLA_FFI_Handler`. Offsets are those of the structs in `LAYOUT`. If XLA asks for the
+version of the interface that the handler was made for (`XLA_FFI_Metadata_Extension`), the answer is `_version()`. The
+worlds of the last block may overlap those of the one before it."""
+
+LAYOUT = {
+    "Metadata_Extension": "extension_base metadata",
+    "Metadata": "struct_size api_version traits state_type_id",
+    "Api_Version": "struct_size extension_start major_version minor_version",
+    "Buffer": "struct_size extension_start dtype data rank dims",
+    "Args": "struct_size extension_start size types args",
+    "Rets": "struct_size extension_start size types rets",
+    "CallFrame": "struct_size extension_start api ctx stage args rets attrs future",
+}
+"""Fields of the structs of `xla/ffi/api/c_api.h` that `CALL` reads, in order: those of jaxlib 0.10 to 0.12."""
+
+
+@lru_cache
+def _version() -> tuple[int, int]:
+    """Return the version of XLA's foreign function interface in the header that jaxlib ships, major and minor.
+
+    Raises:
+      NotImplementedError: its structs are not those of `LAYOUT`.
+    """
+    header = (Path(jax.ffi.include_dir()) / "xla/ffi/api/c_api.h").read_text()
+    major, minor = (int(number) for number in re.findall(r"#define XLA_FFI_API_M(?:AJ|IN)OR (\d+)", header))
+    plain = re.sub(r"//[^\n]*|/\*.*?\*/", "", header, flags=re.DOTALL)
+    structs = dict(re.findall(r"struct XLA_FFI_(\w+) \{(.*?)\}", plain, re.DOTALL))
+    changed = [name for name, own in LAYOUT.items() if re.findall(r"(\w+);", structs.get(name, "")) != own.split()]
+    if major != 0 or changed:
+        raise NotImplementedError(f"XLA's foreign function interface {major}.{minor} is not one that was tested")
+    return major, minor
 
 
 def _places(code: Code, arrays: str, kinds: Any) -> list[tuple[str, np.dtype]]:

@@ -13,12 +13,15 @@ import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
 from jax.experimental.layout import Layout, with_layout_constraint
 
+from humanoid_mjx.compute.kernels import fallback
 from humanoid_mjx.compute.kernels.cpu_kernel import cpu_kernel
 from humanoid_mjx.compute.kernels.gpu_kernel import gpu_kernel
 
 
 @lru_cache
-def worlds_last(function: Callable[..., Any], *static: Any, lanes: int = 0) -> Callable[..., Any]:
+def worlds_last(
+    function: Callable[..., Any], *static: Any, lanes: int = 0, plain: tuple[Any, ...] | None = None
+) -> Callable[..., Any]:
     """`function`, with `static` for its first arguments, as one of a single world.
 
     Under `jax.vmap`, once or nested, the function gets all worlds at once, in the last axis of every array. It takes
@@ -27,22 +30,32 @@ def worlds_last(function: Callable[..., Any], *static: Any, lanes: int = 0) -> C
 
     `lanes`: if not 0, compute in one kernel rather than in those that XLA makes: on a CPU `cpu_kernel`, on a GPU
     `gpu_kernel` with a thread for each of so many lanes of a world, and there many worlds alone.
+    `plain`: first arguments in the place of `static` where the kernel cannot be made, and XLA computes instead.
     """
-    function, on_cpu = jax.jit(partial(function, *static)), jax.default_backend() == "cpu"
+    written, on_cpu = jax.jit(partial(function, *static)), jax.default_backend() == "cpu"
+    by_xla = jax.jit(partial(function, *plain)) if plain else written
     # Lowered once however often a program calls it.
-    kernel = jax.jit(partial(cpu_kernel, function) if on_cpu else partial(gpu_kernel, function, lanes=lanes))
+    kernel = jax.jit(partial(cpu_kernel, written) if on_cpu else partial(gpu_kernel, written, lanes=lanes))
+    failed: list[Exception] = []
+
+    def computed(*args: Any) -> Any:
+        if lanes and not failed:
+            try:
+                return kernel(*args)
+            except Exception as error:  # whatever it is, XLA does not need it
+                fallback.warn(error)
+                failed.append(error)
+        return by_xla(*args)
 
     def single(*args: Any) -> Any:
-        one = kernel if lanes and on_cpu else function
+        one = computed if on_cpu else by_xla
         found = one(*jax.tree.map(lambda x: jnp.asarray(x)[..., None], args))
         return jax.tree.map(lambda x: x[..., 0] if jnp.ndim(x) else jnp.asarray(x), found)
 
     @custom_vmap
     def many(*args: Any) -> Any:
         worlds = jax.tree.leaves(args)[0].shape[-1]
-        if lanes:
-            return kernel(*args)
-        return jax.tree.map(lambda x: jnp.broadcast_to(x, (*jnp.shape(x)[:-1], worlds)), function(*args))
+        return jax.tree.map(lambda x: jnp.broadcast_to(x, (*jnp.shape(x)[:-1], worlds)), computed(*args))
 
     @many.def_vmap
     def _(runs: int, batched: Any, *args: Any) -> tuple[Any, Any]:

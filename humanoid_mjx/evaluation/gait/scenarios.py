@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from humanoid_mjx.compute import Arithmetic, compiler_options
+from humanoid_mjx.compute.kernels.fallback import with_fallback
 from humanoid_mjx.evaluation.evaluate import held_out_keys
 from humanoid_mjx.evaluation.gait import tally as sums
 from humanoid_mjx.evaluation.gait.figures import FIGURES, figures
@@ -180,7 +181,7 @@ def _program(arithmetic: Arithmetic) -> Callable[..., dict[str, Array]]:
 
     for mapped in ([4], [3], [1, 2], [0]):
         episode = jax.vmap(episode, in_axes=tuple(0 if place in mapped else None for place in range(6)))
-    return jax.jit(episode, compiler_options=compiler_options(arithmetic))
+    return with_fallback(jax.jit(episode, compiler_options=compiler_options(arithmetic)))
 
 
 def _begin(learner: Learner, key: Key[Array, ""]) -> _Loop:

@@ -1,0 +1,70 @@
+"""Fallback to XLA where a kernel cannot be made.
+
+Whatever a kernel computes XLA can compute, too, only slower. llvmlite may not import, a new jax may name an operation
+anew, LLVM or Triton may fail: then a warning says so, and the program goes on.
+"""
+
+import logging
+from collections.abc import Callable
+from functools import wraps
+from typing import Any
+
+import jax
+
+SLOWER = {"cpu": "about 4 times", "gpu": "about 10 times"}
+"""Time that XLA takes for a time step of the tree, in units of a kernel's, by backend (`docs/benchmarks.md`)."""
+
+WORDS = ("triton", "pallas", "ptx", "mosaic", "nvvm", "libnvjitlink", "humanoid_mjx_")
+"""Words of errors, one of which names a kernel where XLA compiles the program around it."""
+
+reasons: list[str] = []
+"""Reasons why kernels were not made in this process; programs are then not kept for the next process."""
+
+_given_up: list[str] = []
+
+
+def given_up() -> str | None:
+    """Return the reason why this process makes no more kernels; None if it does."""
+    return _given_up[0] if _given_up else None
+
+
+def warn(error: BaseException) -> None:
+    """Warn, once for each reason, that XLA computes what a kernel would."""
+    words = (str(error).strip() or "no message").splitlines()[0]
+    reason = f"{type(error).__name__}: {words}"[:200]
+    if reason not in reasons:
+        reasons.append(reason)
+        logging.getLogger(__name__).warning(
+            "No kernel can be made here (%s); XLA computes instead, which takes %s as long.",
+            reason,
+            SLOWER.get(jax.default_backend(), "several times"),
+        )
+
+
+def give_up(error: BaseException) -> bool:
+    """Make no more kernels in this process, if an error is of compiling one.
+
+    Returns:
+      True if the program should be traced and compiled again, without kernels.
+    """
+    if _given_up or not any(word in f"{type(error).__name__} {error}".lower() for word in WORDS):
+        return False
+    warn(error)
+    _given_up.append(reasons[-1])
+    jax.clear_caches()
+    return True
+
+
+def with_fallback(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a compiled function that is compiled again without kernels if one of its kernels fails to compile."""
+
+    @wraps(function)
+    def call(*args: Any) -> Any:
+        try:
+            return function(*args)
+        except Exception as error:
+            if not give_up(error):
+                raise
+            return function(*args)
+
+    return call
