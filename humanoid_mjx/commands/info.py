@@ -86,6 +86,7 @@ def _show_robot(name: str) -> None:
     lines["physics"] = f"tree refuses {'; '.join(refused)}: take mujoco or mjx-jax" if refused else "tree takes it"
     for key, value in lines.items():
         console.print(f"{key:9} {value}", highlight=False, markup=False)
+    _print_differences(robot.differences())
 
 
 def _print_rows(title: str, rows: Sequence[tuple[str, ...]]) -> None:
@@ -94,6 +95,14 @@ def _print_rows(title: str, rows: Sequence[tuple[str, ...]]) -> None:
     for row in rows[1:]:
         table.add_row(*row)
     console.print(table)
+
+
+def _print_differences(rows: Sequence[tuple[str, ...]]) -> None:
+    """A table of `Robot.differences`."""
+    from humanoid_mjx.robot.differences import HEADINGS
+
+    if rows:
+        _print_rows("", [HEADINGS, *rows])
 
 
 def show_model(path: str) -> bool:
@@ -135,6 +144,7 @@ def show_info(config: str | None, overrides: Sequence[str], timed: bool) -> None
 
 def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
     """A config in full, and what its sweep will take; where `timed` also how long."""
+    from humanoid_mjx.robot.differences import differences_of
     from humanoid_mjx.training.cost import disk_bytes, run_bytes, runs_at_once, slots, training_bytes
     from humanoid_mjx.training.fused import why_not
     from humanoid_mjx.training.plan import make_plan, resolved
@@ -142,6 +152,7 @@ def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
 
     plan = make_plan(load(config, overrides))
     console.print(dump_yaml(resolved(plan.config)).rstrip())
+    _print_differences(list(dict.fromkeys(row for learner in plan.learners for row in differences_of(learner.task))))
     size = sum(run_bytes(group) * len(group.runs) for group in plan.groups)
     most = max(training_bytes(group) for group in plan.groups)
     together = [1] * len(plan.groups)

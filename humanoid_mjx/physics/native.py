@@ -27,6 +27,7 @@ from humanoid_mjx.physics.base import Batches, Controller, Once, Poses, Sensed, 
 from humanoid_mjx.physics.model import MujocoPhysics, below
 from humanoid_mjx.physics.terrain import add_terrain, follow
 from humanoid_mjx.robot import Robot
+from humanoid_mjx.robot.compiling import checked
 from humanoid_mjx.robot.description import IMU, sensing_spec
 from humanoid_mjx.types import AnyArray
 
@@ -225,7 +226,7 @@ class _Team:
                     spec.add_sensor(type=kind, objtype=mujoco.mjtObj.mjOBJ_XBODY, objname=body.name)
             if terrain is not None and terrain.shaped:
                 add_terrain(spec, terrain)
-            return spec.compile()
+            return checked(spec.compile)[0]
 
 
 @lru_cache

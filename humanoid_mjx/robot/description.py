@@ -6,8 +6,9 @@ its posture, and the mirror image of each side. Everything else follows from the
 the robot's weight and of the length of its legs, so that they fit every robot.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import jax
@@ -17,6 +18,8 @@ import pydantic
 from jaxtyping import Bool, Float, Int
 from pydantic import Field
 
+from humanoid_mjx.robot.compiling import PLAIN, checked
+from humanoid_mjx.robot.mirror import image, images
 from humanoid_mjx.spec import InputError, Named
 
 AXIAL = np.array([-1.0, 1.0, -1.0])
@@ -74,6 +77,11 @@ class Robot(Named):
         accelerometer have those names.
         """
         raise NotImplementedError
+
+    def differences(self, timestep: float | None = None) -> tuple[Any, ...]:
+        """Everything in which the robot with this time step, s, differs from the file that describes it: a
+        `robot.differences.Difference` each."""
+        return ()
 
     @pydantic.model_serializer(mode="wrap")
     def _as_chosen(self, handler: Any) -> dict[str, Any]:
@@ -196,7 +204,7 @@ class Robot(Named):
     @property
     def foot_images(self) -> Int[np.ndarray, " feet"]:
         """Index of each foot's mirror image."""
-        return np.array([self.feet.index(self.image_of(foot)) for foot in self.feet], int)
+        return images("feet", self.feet, self.mirror, _names(self.model))
 
     @property
     def foot_pairs(self) -> Int[np.ndarray, "pairs 2"]:
@@ -209,7 +217,7 @@ class Robot(Named):
 
     def image_of(self, name: str) -> str:
         """The name of the joint or foot on the other side. A part in the middle is its own image."""
-        return image(name, self.mirror)
+        return image(name, self.mirror, _names(self.model))
 
     @pydantic.model_validator(mode="after")
     def _fits_its_model(self) -> "Robot":
@@ -226,15 +234,10 @@ class Robot(Named):
         names = [self.model.body(self.model.geom_bodyid[ball]).name for ball in balls]
         if self.feet and names != [foot for foot in self.feet for _ in range(self.points)]:
             raise ValueError(f"feet must have equally many balls that feel the ground, foot by foot, got {names}")
+        if self.feet:
+            _stance(self)
+            images("feet", self.feet, self.mirror, _names(self.model))
         return self
-
-
-def image(name: str, mirror: Iterable[tuple[str, str]]) -> str:
-    """Return the name on the other side. `mirror`: parts of names that change sides."""
-    for one, other in (pair for both in mirror for pair in (both, both[::-1])):
-        if one in name:
-            return name.replace(one, other)
-    return name
 
 
 IMU = "gyroscope", "accelerometer"
@@ -245,7 +248,7 @@ IMU = "gyroscope", "accelerometer"
 def compiled(robot: Robot, timestep: float | None) -> mujoco.MjModel:
     """The robot's model with this time step, s; also within jit."""
     with jax.ensure_compile_time_eval():
-        return sensing_spec(robot, timestep).compile()
+        return checked(sensing_spec(robot, timestep).compile)[0]
 
 
 def sensing_spec(robot: Robot, timestep: float | None) -> mujoco.MjSpec:
@@ -254,8 +257,8 @@ def sensing_spec(robot: Robot, timestep: float | None) -> mujoco.MjSpec:
     for pair in spec.pairs:
         one, two = sorted((spec.geom(pair.geomname1), spec.geom(pair.geomname2)), key=lambda geom: int(geom.type))
         if one.type == mujoco.mjtGeom.mjGEOM_PLANE:
-            name, zone = f"{two.name}_contact", (1.5 * two.size[0], 0.0, 0.0)
-            two.parent.add_site(name=name, pos=two.pos, size=zone, group=3)
+            name, zone = f"{two.name}_contact", (1.5 * two.size[0] + 0.5 * pair.margin, 0.0, 0.0)
+            two.parent.add_site(PLAIN, name=name, pos=two.pos, size=zone, group=3)
             site = {"objtype": mujoco.mjtObj.mjOBJ_SITE, "objname": name}
             spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_TOUCH, **site)
     return spec
@@ -264,7 +267,7 @@ def sensing_spec(robot: Robot, timestep: float | None) -> mujoco.MjSpec:
 def add_motors_and_imu(spec: mujoco.MjSpec, limits: Mapping[str, float], site: str) -> None:
     """Add a torque motor for each of these joints, with its largest torque, N m, and at a site the sensors of `IMU`."""
     for joint, limit in limits.items():
-        motor = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        motor = spec.add_actuator(PLAIN, name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         motor.set_to_motor()
         motor.ctrllimited, motor.ctrlrange = mujoco.mjtLimited.mjLIMITED_TRUE, (-limit, limit)
     for name, kind in zip(IMU, (mujoco.mjtSensor.mjSENS_GYRO, mujoco.mjtSensor.mjSENS_ACCELEROMETER), strict=True):
@@ -305,22 +308,46 @@ def _stance(robot: Robot) -> _Stance:
     mujoco.mj_kinematics(model, data)
     places = lowest(model, data.geom_xpos[balls])
     ground = places[:, 2].min() if len(balls) else 0.0
-    hips = []
-    for foot in robot.feet if len(balls) else ():
-        link = model.body(foot).id
-        while model.body_parentid[link] > 1:
-            link = model.body_parentid[link]
-        hips.append(data.xanchor[model.body_jntadr[link], 2])
-    height = float(data.xpos[1, 2] - ground)
+    height, hips = float(data.xpos[1, 2] - ground), []
+    for foot, joint in zip(robot.feet, _hips(model, robot.feet), strict=True) if len(balls) else ():
+        own = model.geom_bodyid[balls] == model.body(foot).id
+        hips.append(data.xanchor[joint, 2] if joint >= 0 else data.xpos[1, 2])
+        if joint >= 0 and own.any() and hips[-1] <= (low := places[own, 2].min()):
+            raise InputError(
+                f"home: the feet are above the hips: {foot} is {low - ground:.3g} m above the ground, its hip "
+                f"{model.joint(joint).name!r} {hips[-1] - ground:.3g} m; give the angles of a robot that stands"
+            )
     return _Stance(height, float(np.mean(hips) - ground) if hips else height, places - data.xpos[1])
+
+
+def _hips(model: mujoco.MjModel, feet: Sequence[str]) -> list[int]:
+    """The first joint of each foot's limb, which begins at the lowest body where the way to another foot branches off;
+    -1 where the foot has no joint."""
+    ways = []
+    for foot in feet:
+        ways.append([model.body(foot).id])
+        while model.body_parentid[ways[-1][-1]]:
+            ways[-1].append(int(model.body_parentid[ways[-1][-1]]))
+    hips = []
+    for way in ways:
+        first = -1
+        for below, body in pairwise(way):
+            first = model.body_jntadr[below] if model.body_jntnum[below] else first
+            if first >= 0 and any(body in other and below not in other for other in ways):
+                break
+        hips.append(int(first))
+    return hips
+
+
+@lru_cache
+def _names(model: mujoco.MjModel) -> frozenset[str]:
+    return frozenset(model.names.decode(errors="replace").split("\0"))
 
 
 @lru_cache
 def _joint_images(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     joints, model = robot.joints, robot.model
-    if missing := [name for name in joints if robot.image_of(name) not in joints]:
-        raise InputError(f"mirror: {missing[0]} has no image {robot.image_of(missing[0])}.")
-    order = np.array([joints.index(robot.image_of(name)) for name in joints], int)
+    order = images("joints", joints, robot.mirror, _names(model))
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     axes = data.xaxis[model.actuator_trnid[:, 0]]

@@ -20,6 +20,7 @@ from humanoid_mjx.physics import make_physics
 from humanoid_mjx.physics.base import Sensed, World
 from humanoid_mjx.physics.model import MujocoPhysics
 from humanoid_mjx.robot import Robot, RobotKey, make_robot
+from humanoid_mjx.robot.upright import TURNED
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import ContinuousTask
 from humanoid_mjx.types import FloatScalar
@@ -85,6 +86,8 @@ class LeggedBody(ContinuousTask):
         self.simulator.substeps(self.period)
         self.control.of(self.robot)
         self.actuator.check(self.robot, self.timestep)
+        if self.simulator.free and np.linalg.norm(self.simulator.qpos0[4:7]) > TURNED:
+            raise ValueError("robot: the frame of the free body must be upright, x forward; turn the bodies below it")
         if self.action_shares and len(self.action_shares) != len(set(self.robot.kinds.tolist())):
             raise ValueError(f"action_shares must hold one number for each kind of joint, got {self.action_shares}")
         return self
