@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 from jaxtyping import Array, Float
+from pydantic import model_validator
 
 from humanoid_mjx import compute
 from humanoid_mjx.compute import Arithmetic
@@ -46,6 +47,11 @@ class TreePhysics(MujocoPhysics):
 
     arithmetic: ClassVar[Arithmetic] = "tree"
     terrains: ClassVar[tuple[tuple[str, ...], ...]] = (("rough", "stairs"),)
+
+    @model_validator(mode="after")
+    def _is_a_tree(self) -> "TreePhysics":
+        assert self.tree
+        return self
 
     @property
     def tree(self) -> Tree:
