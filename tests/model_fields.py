@@ -1,4 +1,4 @@
-"""Every field of MuJoCo's models, and what `physics: tree` makes of it; a model in which most of them have an effect."""
+"""Every field of MuJoCo's models, and what `physics: tree` makes of it; a model in which most have an effect."""
 
 from pathlib import Path
 

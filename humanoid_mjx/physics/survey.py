@@ -65,15 +65,13 @@ def survey(model: mujoco.MjModel) -> tuple[list[str], bool]:
     if not wrong:
         return [*lines, f"{'physics':13} tree takes it as it is"], True
     many, of = f"{len(wrong)} things" if len(wrong) > 1 else "one thing", {fault.of for fault in wrong}
-    words = f"tree cannot represent {many}" + (
-        ":" if of & {"motors", "numbers"} else "; mjx-jax, mjx-warp and mujoco may:"
-    )
+    words = f"tree cannot represent {many}{'; mjx-jax, mjx-warp and mujoco may' * (not of & {'motors', 'numbers'})}:"
     if free and of <= {"contacts", "motors"}:
-        contacts = "contacts" in of
+        feet = " with `contacts: feet`", ", and only the contacts of the feet with the ground remain"
+        how, what = feet if "contacts" in of else ("", "")
         words = (
-            f"tree takes it through a robot's YAML{' with `contacts: feet`' * contacts} (docs/your_robot.md): torque motors "
-            f"take the place of its own{', and only the contacts of the feet with the ground remain' * contacts}. "
-            f"As it is, the tree cannot represent {many}:"
+            f"tree takes it through a robot's YAML{how}: torque motors take the place of its own{what} "
+            f"(docs/your_robot.md). As it is, the tree cannot represent {many}:"
         )
     lines.append(f"{'physics':13} {words}")
     return lines + [f"  {fault.what}; to change: {fault.change}" for fault in wrong], False

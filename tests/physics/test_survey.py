@@ -1,7 +1,5 @@
 """`info ROBOT.xml` says yes where `make_physics("tree", ...)` does, and names the same things where it does not."""
 
-import jax
-import jax.numpy as jnp
 import mujoco
 import pytest
 
@@ -54,12 +52,12 @@ EXTRA = {
     '<option><flag clampctrl="disable"/></option>': "the ctrllimited of motor 0 of joint 'elbow'",
     '<option integrator="discrete"/>': "the discrete integrator",
     '<option><flag override="enable"/></option>': "the flag override",
-    '<equality><joint name="e" joint1="elbow"/></equality>': "equality constraints, as 'e'",
+    '<equality><joint name="e" joint1="elbow"/></equality>': "equality constraints",
     PLUGIN: "plugins",
 }
 
 BODIES = {
-    '<body name="hand" mocap="true"/>': "mocap bodies, as 'hand'",
+    '<body name="hand" mocap="true"/>': "the mocapid of body 'hand'",
     '<body><joint name="b" type="ball"/><geom size=".1"/></body>': "ball joints, as 'b'",
     '<body gravcomp="1" name="b"><joint name="j"/><geom size=".1"/></body>': "the gravcomp of body 'b'",
     '<body><joint name="j" springyield="2" stiffness="1"/><geom size=".1"/></body>': "the springyield of joint 'j'",

@@ -48,25 +48,18 @@ def faults(m: mujoco.MjModel, sensors: Sequence[str] = ()) -> list[Fault]:
 def robot_faults(m: mujoco.MjModel) -> list[Fault]:
     """All that keeps a model from every physics: numbers that are not finite, and motors that are no torques of hinges
     or slides, at once and bounded alike both ways."""
-    rows, kinds = np.arange(len(m.actuator_trntype)), np.append(m.jnt_type, JOINT.mjJNT_FREE)
+    rows, kinds = np.arange(len(m.actuator_trntype)), np.append(m.jnt_type, 0)
     control, output = getattr(m, "actuator_ctrladr", rows), getattr(m, "actuator_outadr", rows)
-    of_joint, clamped = m.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT, m.actuator_ctrllimited[control] != 0
-    turns = np.isin(kinds[np.where(of_joint, m.actuator_trnid[:, 0], -1)], (JOINT.mjJNT_HINGE, JOINT.mjJNT_SLIDE))
-    uneven = clamped & (m.actuator_ctrlrange[control].sum(axis=1) != 0)
-    lopsided = (m.actuator_forcelimited != 0) & (m.actuator_forcerange.sum(axis=1) != 0)
-    torque, alike = "<motor> in the place of <position> and its like", "bounds that are the same both ways"
-    found: Fields = {
-        "actuator_trntype": (~of_joint, 'joint="..." in the place of a tendon, site or body'),
-        "actuator_trnid": (of_joint & ~turns, "a hinge or a slide"),
-        "actuator_gaintype": (m.actuator_gaintype != mujoco.mjtGain.mjGAIN_FIXED, torque),
-        "actuator_biastype": (m.actuator_biastype != mujoco.mjtBias.mjBIAS_NONE, torque),
-        "actuator_dyntype": (m.actuator_dyntype != mujoco.mjtDyn.mjDYN_NONE, 'dyntype="none"'),
+    limited, clamped = m.actuator_forcelimited != 0, m.actuator_ctrllimited[control] != 0
+    joint = np.where(m.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT, m.actuator_trnid[:, 0], -1)
+    alike, unclamped = "bounds that are the same both ways", bool(m.opt.disableflags & FLAGS.mjDSBL_CLAMPCTRL)
+    found = _not_zero(m, MOTORS) | {
+        "actuator_trnid": ((joint >= 0) & (kinds[joint] < int(JOINT.mjJNT_SLIDE)), "a hinge or a slide"),
         "actuator_gainprm": (m.actuator_gainprm[:, 0] == 0, "a gain that is not 0"),
         "actuator_gear": (m.actuator_gear[output, 0] == 0, "a gear that is not 0"),
-        "actuator_delay": (getattr(m, "actuator_delay", 0 * rows), 'delay="0"'),
-        "actuator_ctrlrange": (uneven, alike),
-        "actuator_forcerange": (lopsided, alike),
-        "actuator_ctrllimited": (clamped & bool(m.opt.disableflags & FLAGS.mjDSBL_CLAMPCTRL), 'clampctrl="enable"'),
+        "actuator_ctrlrange": (clamped & (m.actuator_ctrlrange[control].sum(axis=1) != 0), alike),
+        "actuator_forcerange": (limited & (m.actuator_forcerange.sum(axis=1) != 0), alike),
+        "actuator_ctrllimited": (clamped & unclamped, 'clampctrl="enable"'),
     }
     endless = {name: (~np.isfinite(getattr(m, name)), "a finite number") for name in FINITE}
     return _of_fields(m, endless, "numbers") + _of_fields(m, found, "motors")
@@ -84,27 +77,33 @@ FINITE = (
 )
 """Fields that MuJoCo compiles also with infinite numbers, or NaN."""
 
-TENDONS = "no <tendon> that is limited, springs, damps, rubs or is driven"
-
-UNUSED = {
-    "body_gravcomp": 'gravcomp="0"',
-    "jnt_stiffnesspoly": "one number as stiffness",
-    "jnt_springyield": 'springyield="0"',
-    "dof_dampingpoly": "one number as damping",
-    **{f"actuator_{name}": "that of its joint" for name in ("damping", "dampingpoly", "armature")},
-    **{f"tendon_{name}": TENDONS for name in ("limited", "actfrclimited", "stiffness", "stiffnesspoly", "damping")},
-    **{f"tendon_{name}": TENDONS for name in ("dampingpoly", "frictionloss", "armature")},
+SERVOS, TENDONS = "<motor> in the place of <position> and its like", "no <tendon> that acts or is driven"
+MOTORS = {
+    "actuator_trntype": 'joint="..." in the place of a tendon, site or body', "actuator_gaintype": SERVOS,
+    "actuator_biastype": SERVOS, "actuator_dyntype": 'dyntype="none"', "actuator_delay": 'delay="0"',
 }
-"""Fields that have an effect unless they are 0, of which a tree computes nothing; older versions of MuJoCo lack some."""
+UNUSED = {
+    "body_gravcomp": 'gravcomp="0"', "jnt_springyield": 'springyield="0"',
+    "jnt_stiffnesspoly": "one number as stiffness", "dof_dampingpoly": "one number as damping",
+    **dict.fromkeys(("actuator_damping", "actuator_dampingpoly", "actuator_armature"), "that of the joint instead"),
+    **dict.fromkeys(("tendon_limited", "tendon_actfrclimited", "tendon_frictionloss", "tendon_armature"), TENDONS),
+    **{f"tendon_{name}": TENDONS for name in ("stiffness", "stiffnesspoly", "damping", "dampingpoly")},
+}
+"""Fields that act where they are not 0, of which no physics and a tree compute nothing. Older MuJoCos lack some."""
+
+
+def _not_zero(m: mujoco.MjModel, names: dict[str, str]) -> Fields:
+    return {name: (getattr(m, name), change) for name, change in names.items() if hasattr(m, name)}
 
 
 def _unused(m: mujoco.MjModel) -> Fields:
-    found: Fields = {name: (getattr(m, name), change) for name, change in UNUSED.items() if hasattr(m, name)}
-    wide, limited = m.jnt_range[:, 1] - m.jnt_range[:, 0] > 2.0 * m.jnt_margin, m.jnt_limited != 0
-    found["jnt_range"] = limited & ~wide, "a range wider than twice the margin"
-    found["jnt_solref"] = limited & _mixed_signs(m.jnt_solref), ONE_SIGN
-    found["dof_solref"] = (m.dof_frictionloss != 0) & _mixed_signs(m.dof_solref), ONE_SIGN
-    return found
+    limited, wide = m.jnt_limited != 0, m.jnt_range[:, 1] - m.jnt_range[:, 0] > 2.0 * m.jnt_margin
+    return _not_zero(m, UNUSED) | {
+        "body_mocapid": (m.body_mocapid >= 0, 'mocap="false"'),
+        "jnt_range": (limited & ~wide, "a range wider than twice the margin"),
+        "jnt_solref": (limited & _mixed_signs(m.jnt_solref), ONE_SIGN),
+        "dof_solref": ((m.dof_frictionloss != 0) & _mixed_signs(m.dof_solref), ONE_SIGN),
+    }
 
 
 ONE_SIGN = "two positive values of solref, or none"
@@ -130,23 +129,19 @@ def _of_fields(m: mujoco.MjModel, fields: Fields, of: Any = "model") -> list[Fau
         rows = np.flatnonzero(np.any(wrong, axis=tuple(range(1, np.ndim(wrong)))))
         kind, _, name = field.partition("_")
         if len(rows):
-            count = f" ({len(rows)})" if len(rows) > 1 else ""
-            row = int(m.dof_jntid[rows[0]] if kind == "dof" else rows[0])
-            of = "motors" if kind == "actuator" else of
-            found.append(Fault(f"the {name} of {_element(m, kind, row)}{count}", change, of))
+            count, motor = f" ({len(rows)})" if len(rows) > 1 else "", kind == "actuator"
+            element = _element(m, kind, int(rows[0]))
+            found.append(Fault(f"the {name} of {element}{count}", change, "motors" if motor else of))
     return found
 
 
 def _element(m: mujoco.MjModel, kind: str, row: int) -> str:
-    """A body, joint, geom, tendon or motor by its name, or by its number and a motor's joint."""
-    name = getattr(m, "jnt" if kind == "dof" else kind)(row).name
-    of_joint = not name and kind == "actuator" and m.actuator_trntype[row] == mujoco.mjtTrn.mjTRN_JOINT
-    words = {"jnt": "joint", "dof": "joint", "actuator": "motor"}.get(kind, kind)
-    return (
-        f"{words} {name!r}"
-        if name
-        else f"{words} {row}" + (f" of {_element(m, 'jnt', int(m.actuator_trnid[row, 0]))}" if of_joint else "")
-    )
+    """An element by its name, or by its number and, if it is a motor, by its joint."""
+    kind, row = ("jnt", int(m.dof_jntid[row])) if kind == "dof" else (kind, row)
+    words, name = {"jnt": "joint", "actuator": "motor"}.get(kind, kind), getattr(m, kind)(row).name
+    if not name and kind == "actuator" and m.actuator_trntype[row] == mujoco.mjtTrn.mjTRN_JOINT:
+        return f"{words} {row} of {_element(m, 'jnt', int(m.actuator_trnid[row, 0]))}"
+    return f"{words} {name!r}" if name else f"{words} {row}"
 
 
 def _of_options(m: mujoco.MjModel, sensing: bool) -> Iterator[Check]:
@@ -164,15 +159,15 @@ def _of_options(m: mujoco.MjModel, sensing: bool) -> Iterator[Check]:
     yield option.density or option.viscosity, "a fluid", "density and viscosity 0"
     yield option.noslip_iterations, "noslip iterations", 'noslip_iterations="0"'
     unheld = m.neq and not option.disableflags & int(FLAGS.mjDSBL_CONSTRAINT | FLAGS.mjDSBL_EQUALITY)
-    yield unheld, f"equality constraints{_as(m, 'equality', 0)}", "no <equality>"
+    yield unheld, "equality constraints", "no <equality>"
     yield m.nflex, "flexible bodies", "no <flex>"
     yield m.nplugin, "plugins", "no <plugin>"
-    yield m.nmocap, f"mocap bodies{_as(m, 'body', int(np.argmax(m.body_mocapid >= 0)))}", 'no mocap="true"'
 
 
 def _of_joints(m: mujoco.MjModel) -> Iterator[Check]:
     balls = np.flatnonzero(m.jnt_type == JOINT.mjJNT_BALL)
-    yield len(balls), f"ball joints{_as(m, 'joint', *balls.tolist())}", "three hinges in their place"
+    name = f", as {m.joint(balls[0]).name!r}" if len(balls) and m.joint(balls[0]).name else ""
+    yield len(balls), f"ball joints{name}", "three hinges in their place"
     free = np.flatnonzero(m.jnt_type == JOINT.mjJNT_FREE)
     yield len(free) > 1, "more than one free body", "one <freejoint>"
     if len(free):
@@ -187,9 +182,9 @@ def _of_joints(m: mujoco.MjModel) -> Iterator[Check]:
 
 def _of_contacts(m: mujoco.MjModel) -> Iterator[Check]:
     many = pairs_of(m)[1].shape[1]
-    crowd = f"{many:,} pairs of shapes that may touch, which are more than {MOST_PAIRS:,}"
+    crowd = f"{many:,} pairs of shapes that may touch, more than {MOST_PAIRS:,}"
     yield many > MOST_PAIRS, crowd, "contype and conaffinity that keep shapes apart"
-    pairs = list(touching(m)) if many <= MOST_PAIRS else []
+    pairs = touching(m) if many <= MOST_PAIRS else []
     elliptic = m.opt.cone != mujoco.mjtCone.mjCONE_PYRAMIDAL and any(pair.condim > 1 for pair in pairs)
     yield elliptic, "elliptic friction cones", 'cone="pyramidal"'
     said: dict[str, tuple[str, list[str]]] = {}
@@ -200,12 +195,6 @@ def _of_contacts(m: mujoco.MjModel) -> Iterator[Check]:
     for what, (change, names) in said.items():
         count = f" ({len(names)})" if len(names) > 1 else ""
         yield True, f"{what}, as those of {names[0]}{count}", change
-
-
-def _as(m: mujoco.MjModel, kind: str, *rows: int) -> str:
-    """The name of the first of these elements as an example, if it has one."""
-    name = getattr(m, kind)(int(rows[0])).name if len(rows) and (kind != "equality" or m.neq) else ""
-    return f", as {name!r}" if name else ""
 
 
 def _named(m: mujoco.MjModel, geom: int) -> str:

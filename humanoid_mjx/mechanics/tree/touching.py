@@ -27,46 +27,41 @@ class Touching(NamedTuple):
     """True if the model sets a gap, adhesion or a velocity of the surface."""
 
 
+def touching(m: mujoco.MjModel) -> list[Touching]:
+    """The contact parameters of the pairs of `pairs_of`, in its order."""
+    own, (one, two) = pairs_of(m)
+    pairs = m.pair_dim, m.pair_friction[:, :2], m.pair_margin, m.pair_solref, m.pair_solimp, _any(m, "pair", *SURPLUS)
+    mixed = _mixed(m, one[len(own) :], two[len(own) :])
+    *columns, surplus = (np.concatenate([part[own], more]) for part, more in zip(pairs, mixed, strict=True))
+    surplus |= _any(m, "geom", "surfacevel")[[one, two]].any(axis=0)
+    return [Touching(*row) for row in zip(one.tolist(), two.tolist(), *columns, surplus, strict=True)]
+
+
 def pairs_of(m: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
-    """Explicit pairs of shapes that may touch, (n,), and the geoms of these and of all others, (2, pairs).
+    """The explicit pairs of shapes that may touch, and the geoms of these and of all others, (2, pairs).
 
     The others are those by `contype` and `conaffinity` less those of one body, of parent and child, and those that are
     excluded. There are none where the model's contacts are disabled.
     """
     if m.opt.disableflags & NO_CONTACTS:
         return np.zeros(0, int), np.zeros((2, 0), int)
-    body, weld, listed = m.geom_bodyid, m.body_weldid[m.geom_bodyid], np.stack([m.pair_geom1, m.pair_geom2])
-    parent, related = m.body_weldid[m.body_parentid[weld]], not m.opt.disableflags & FLAGS.mjDSBL_FILTERPARENT
-    found = [np.zeros((2, 0), int)]
+    body, listed = m.geom_bodyid, np.stack([m.pair_geom1, m.pair_geom2])
+    weld, related = m.body_weldid[body], not m.opt.disableflags & FLAGS.mjDSBL_FILTERPARENT
+    parent, found = m.body_weldid[m.body_parentid[weld]], [np.zeros((2, 0), int)]
     for one in range(m.ngeom):
-        apart = weld[one] != weld
+        may = ((m.geom_contype[one] & m.geom_conaffinity) | (m.geom_contype & m.geom_conaffinity[one])) != 0
+        may &= weld != weld[one]
         if related and weld[one]:
-            apart &= (weld == 0) | ((parent[one] != weld) & (parent != weld[one]))
-        masks = (m.geom_contype[one] & m.geom_conaffinity) | (m.geom_contype & m.geom_conaffinity[one])
-        two = np.flatnonzero(apart[one:] & (masks[one:] != 0)) + one
+            may &= (weld == 0) | ((weld != parent[one]) & (parent != weld[one]))
+        two = one + np.flatnonzero(may[one:])
         found.append(np.stack([np.full_like(two, one), two]))
     others = np.concatenate(found, axis=1)
     low, high = np.sort(body[others], axis=0)
     left_out = np.isin((low << 16) + high, m.exclude_signature)
     left_out |= np.isin(m.ngeom * others[0] + others[1], m.ngeom * listed.min(axis=0) + listed.max(axis=0))
-    explicit = np.flatnonzero(weld[listed].any(axis=0))
-    geoms = np.concatenate([listed[:, explicit], others[:, ~left_out]], axis=1)
-    return explicit, np.where(m.geom_type[geoms[0]] <= m.geom_type[geoms[1]], geoms, geoms[::-1])
-
-
-def touching(m: mujoco.MjModel) -> Iterator[Touching]:
-    """The contact parameters of the pairs of `pairs_of`, in its order."""
-    explicit, geoms = pairs_of(m)
-    for i, (one, two) in zip(explicit, geoms.T[: len(explicit)].tolist(), strict=True):
-        surplus = _surplus(m, "pair", i) or _surplus(m, "geom", [one, two], "surfacevel")
-        values = m.pair_friction[i, :2], float(m.pair_margin[i]), m.pair_solref[i], m.pair_solimp[i]
-        yield Touching(one, two, int(m.pair_dim[i]), *values, surplus)
-    one, two = geoms[:, len(explicit) :]
-    busy = np.array([_surplus(m, "geom", geom) for geom in range(m.ngeom)], bool)
-    margins, surplus = m.geom_margin[one] + m.geom_margin[two], busy[one] | busy[two]
-    for i, (condim, friction, solref, solimp) in enumerate(zip(*_mixed(m, one, two), strict=True)):
-        values = int(condim), np.full(2, friction), float(margins[i]), solref, solimp, bool(surplus[i])
-        yield Touching(int(one[i]), int(two[i]), *values)
+    own = np.flatnonzero(weld[listed].any(axis=0))
+    geoms = np.concatenate([listed[:, own], others[:, ~left_out]], axis=1)
+    return own, np.where(m.geom_type[geoms[0]] <= m.geom_type[geoms[1]], geoms, geoms[::-1])
 
 
 def kind_of(m: mujoco.MjModel, geom: int) -> str:
@@ -76,19 +71,24 @@ def kind_of(m: mujoco.MjModel, geom: int) -> str:
 
 
 def _mixed(m: mujoco.MjModel, one: np.ndarray, two: np.ndarray) -> Iterator[np.ndarray]:
-    """`condim`, friction, `solref` and `solimp` of pairs that are not explicit: of the higher priority, or a mixture."""
-    ahead, (first, second) = m.geom_priority[one] - m.geom_priority[two], m.geom_solmix[[one, two]]
-    weighed = (first >= mujoco.mjMINVAL) & (second >= mujoco.mjMINVAL)
-    share = np.where(weighed, first / np.where(weighed, first + second, 1.0), (np.sign(first - second) + 1.0) / 2.0)
-    share = np.where(ahead == 0, share, ahead > 0)[:, None]
-    for values in (m.geom_condim, m.geom_friction[:, 0]):
-        yield np.where(ahead > 0, values[one], np.where(ahead < 0, values[two], np.maximum(values[one], values[two])))
-    refs, (imp, other) = m.geom_solref[[one, two]], m.geom_solimp[[one, two]]
-    least = (ahead == 0)[:, None] & (refs[:, :, :1] <= 0).any(axis=0)
-    yield np.where(least, refs.min(axis=0), share * refs[0] + (1.0 - share) * refs[1])
-    yield share * imp + (1.0 - share) * other
+    """Columns of `Touching` of pairs that are not explicit: the higher priority's, or mixtures."""
+    margin, ahead = m.geom_margin[one] + m.geom_margin[two], m.geom_priority[one] - m.geom_priority[two]
+    surplus = _any(m, "geom", *SURPLUS)[[one, two]].any(axis=0)
+    both = np.stack([np.where(ahead < 0, two, one), np.where(ahead > 0, one, two)])
+    weights = m.geom_solmix[both]
+    share = np.sign(weights[0] - weights[1]) / 2.0 + 0.5
+    np.divide(weights[0], weights.sum(axis=0), out=share, where=weights.min(axis=0) >= mujoco.mjMINVAL)
+    refs, imps = m.geom_solref[both], m.geom_solimp[both]
+    solref, solimp = (share[:, None] * first + (1.0 - share[:, None]) * second for first, second in (refs, imps))
+    solref = np.where((refs[:, :, :1] <= 0).any(axis=0), refs.min(axis=0), solref)
+    yield from (m.geom_condim[both].max(axis=0), m.geom_friction[both, :1].max(axis=0).repeat(2, axis=1))
+    yield from (margin, solref, solimp, surplus)
 
 
-def _surplus(m: mujoco.MjModel, kind: str, rows: Any, *names: str) -> bool:
-    fields = (getattr(m, f"{kind}_{name}", None) for name in names or ("gap", "adhesion", "surfacevel"))
-    return any(field is not None and np.any(field[rows]) for field in fields)
+SURPLUS = "gap", "adhesion"
+
+
+def _any(m: mujoco.MjModel, kind: str, *names: str) -> np.ndarray:
+    """True for elements where one of these fields is not 0. Older versions of MuJoCo lack some."""
+    fields = [getattr(m, f"{kind}_{name}", np.zeros((len(getattr(m, f"{kind}_gap")), 1))) for name in names]
+    return np.any([np.any(field, axis=tuple(range(1, field.ndim))) for field in fields], axis=0)
