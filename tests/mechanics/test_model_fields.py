@@ -155,3 +155,55 @@ def test_other_refusals_name_the_element(field, value, words):
     model = make()
     put(model, field, value)
     assert any(said.startswith(words) for said in words_of(model)), words_of(model)
+
+
+SHAPES = {
+    "plane": 'type="plane" size="1 1 1"',
+    "height field": 'type="hfield" hfield="h"',
+    "sphere": 'size=".1"',
+    "capsule": 'type="capsule" size=".08 .1"',
+    "ellipsoid": 'type="ellipsoid" size=".1 .12 .08"',
+    "cylinder": 'type="cylinder" size=".09 .1"',
+    "box": 'type="box" size=".1 .09 .08"',
+    "mesh": 'type="mesh" mesh="m"',
+}
+PAIR = """<mujoco><asset><hfield name="h" nrow="2" ncol="2" elevation="1 1 1 1" size=".3 .3 .1 .1"/>
+<mesh name="m" vertex="-.1 -.1 -.1 .1 -.1 -.1 0 .1 -.1 0 0 .1"/></asset><worldbody><geom name="a" {}/>
+<body pos="0 0 .05"><joint axis="1 .1 0" pos="1 0 0"/><geom name="b" {}/></body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize("one", SHAPES)
+def test_no_two_shapes_pass_through_each_other(one):
+    """Where MuJoCo has a contact the tree has one, or refuses the two by name."""
+    for two in SHAPES.keys() - {"plane", "height field"}:
+        model = mujoco.MjModel.from_xml_string(PAIR.format(SHAPES[one], SHAPES[two]))
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        assert data.ncon, two
+        if found := [fault.what for fault in faults(model)]:
+            assert one in found[0] and two in found[0] and "'a'" in found[0] and "'b'" in found[0]
+        else:
+            tree = read_tree(model)
+            assert tree.ground or tree.pairs
+
+
+@pytest.mark.parametrize(
+    ("joint", "taken"),
+    [
+        ('type="slide" axis="0 0 1"', False),
+        ('axis="0 1 0"', False),
+        ('axis="1 0 0"', True),
+        ('axis="0 1 0.001"', True),
+    ],
+)
+def test_capsules_that_stay_parallel_are_refused(joint, taken):
+    """MuJoCo makes two contacts of them, the tree one."""
+    model = mujoco.MjModel.from_xml_string(f"""<mujoco><worldbody>
+    <geom name="a" type="capsule" size=".1 .1" euler="90 0 0"/>
+    <body pos="0 0 .19"><joint {joint}/><geom name="b" type="capsule" size=".1 .2" euler="90 0 0"/></body>
+    </worldbody></mujoco>""")
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert data.ncon == 2
+    words = [] if taken else ["two contacts of capsules that stay parallel, as those of 'a' and 'b'"]
+    assert [fault.what for fault in faults(model)] == words

@@ -1,6 +1,9 @@
 """`info ROBOT.xml` says yes where `make_physics("tree", ...)` does, and names the same things where it does not."""
 
+import jax
+import jax.numpy as jnp
 import mujoco
+import numpy as np
 import pytest
 
 from humanoid_mjx.physics import make_physics
@@ -90,3 +93,20 @@ def test_info_and_the_physics_answer_alike(xml, words, tmp_path):
     with pytest.raises(InputError) as error:
         make_physics("tree", robot=Arm(xml=xml))
     assert words in str(error.value) and "\n" not in str(error.value)
+
+
+SLIDES = """<mujoco><worldbody><geom size=".1"/><geom type="capsule" size=".1 .05" pos="1 0 0"/>
+<body pos="0 0 .203"><joint type="slide" axis="0 0 1"/><geom size=".1"/></body>
+<body pos="1 0 .203"><joint type="slide" axis="0 0 1"/><geom type="capsule" size=".1 .05" euler="0 90 0"/></body>
+</worldbody></mujoco>"""
+
+
+def test_shapes_that_only_slide_rest_on_each_other():
+    """Nothing turns, so that the mass matrix and the shapes' directions are constants; there is no motor."""
+    physics = make_physics("tree", robot=Arm(xml=SLIDES))
+    world = physics.start(physics.qpos0, jnp.zeros(2))
+    world = jax.jit(lambda world: physics.run(world, lambda stages: jnp.zeros(0), cycles=30))(world)
+    data = mujoco.MjData(physics.model)
+    mujoco.mj_step(physics.model, data, 30)
+    assert data.ncon == 2
+    np.testing.assert_allclose(world.qpos, data.qpos, atol=1e-6)

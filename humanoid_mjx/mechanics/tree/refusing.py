@@ -23,6 +23,9 @@ PAIRS = (("sphere", "sphere"), ("sphere", "capsule"), ("capsule", "capsule"), ("
 MOST_PAIRS = 20_000
 """Pairs of shapes that may touch; each takes time in every step."""
 
+PARALLEL = 1e-4
+"""rad: MuJoCo 4 makes two contacts of capsules whose axes are nearer to parallel, the tree one."""
+
 
 class Fault(NamedTuple):
     """One thing that a tree cannot represent."""
@@ -79,12 +82,17 @@ FINITE = (
 
 SERVOS, TENDONS = "<motor> in the place of <position> and its like", "no <tendon> that acts or is driven"
 MOTORS = {
-    "actuator_trntype": 'joint="..." in the place of a tendon, site or body', "actuator_gaintype": SERVOS,
-    "actuator_biastype": SERVOS, "actuator_dyntype": 'dyntype="none"', "actuator_delay": 'delay="0"',
+    "actuator_trntype": 'joint="..." in the place of a tendon, site or body',
+    "actuator_gaintype": SERVOS,
+    "actuator_biastype": SERVOS,
+    "actuator_dyntype": 'dyntype="none"',
+    "actuator_delay": 'delay="0"',
 }
 UNUSED = {
-    "body_gravcomp": 'gravcomp="0"', "jnt_springyield": 'springyield="0"',
-    "jnt_stiffnesspoly": "one number as stiffness", "dof_dampingpoly": "one number as damping",
+    "body_gravcomp": 'gravcomp="0"',
+    "jnt_springyield": 'springyield="0"',
+    "jnt_stiffnesspoly": "one number as stiffness",
+    "dof_dampingpoly": "one number as damping",
     **dict.fromkeys(("actuator_damping", "actuator_dampingpoly", "actuator_armature"), "that of the joint instead"),
     **dict.fromkeys(("tendon_limited", "tendon_actfrclimited", "tendon_frictionloss", "tendon_armature"), TENDONS),
     **{f"tendon_{name}": TENDONS for name in ("stiffness", "stiffnesspoly", "damping", "dampingpoly")},
@@ -188,9 +196,11 @@ def _of_contacts(m: mujoco.MjModel) -> Iterator[Check]:
     elliptic = m.opt.cone != mujoco.mjtCone.mjCONE_PYRAMIDAL and any(pair.condim > 1 for pair in pairs)
     yield elliptic, "elliptic friction cones", 'cone="pyramidal"'
     said: dict[str, tuple[str, list[str]]] = {}
+    data = mujoco.MjData(m)
+    mujoco.mj_kinematics(m, data)
     for pair in pairs:
         name = " and ".join(_named(m, geom) for geom in (pair.one, pair.two))
-        for what, change in _of_pair(m, pair):
+        for what, change in _of_pair(m, data, pair):
             said.setdefault(what, (change, []))[1].append(name)
     for what, (change, names) in said.items():
         count = f" ({len(names)})" if len(names) > 1 else ""
@@ -203,7 +213,7 @@ def _named(m: mujoco.MjModel, geom: int) -> str:
     return repr(m.geom(geom).name or m.body(body).name or f"body {body}")
 
 
-def _of_pair(m: mujoco.MjModel, pair: Touching) -> Iterator[tuple[str, str]]:
+def _of_pair(m: mujoco.MjModel, data: mujoco.MjData, pair: Touching) -> Iterator[tuple[str, str]]:
     one, two = (kind_of(m, geom) for geom in (pair.one, pair.two))
     if one == "plane" and m.body_weldid[m.geom_bodyid[pair.one]] != 0:
         yield "contacts of a plane that moves", "planes in the world alone"
@@ -211,12 +221,28 @@ def _of_pair(m: mujoco.MjModel, pair: Touching) -> Iterator[tuple[str, str]]:
         shapes = ", ".join(GROUND_SHAPES) if one == "plane" else "spheres and capsules"
         masks = "contype and conaffinity that keep them apart"
         yield f"contacts of {_a(one)} and {_a(two)}", f"{shapes} in their place, or {masks}"
+    if one == two == "capsule" and _stay_parallel(m, data, pair):
+        yield "two contacts of capsules that stay parallel", "one of them turned by a hundredth of a degree"
     if pair.condim not in (1, 3):
         yield "contacts that resist twisting or rolling", 'condim="3"'
     if pair.surplus:
         yield "a gap, adhesion or surface velocity of contacts", "gap, adhesion and surfacevel 0"
     if _mixed_signs(pair.solref):
         yield "a solref of which one value is positive", ONE_SIGN
+
+
+def _stay_parallel(m: mujoco.MjModel, data: mujoco.MjData, pair: Touching) -> bool:
+    """True if no joint can turn the axes of these capsules, which are parallel, away from each other."""
+    one, two = data.geom_xmat[[pair.one, pair.two]].reshape(2, 3, 3)[:, :, 2]
+    above = [np.zeros(m.nbody, bool) for _ in range(2)]
+    for bodies, geom in zip(above, (pair.one, pair.two), strict=True):
+        body = m.geom_bodyid[geom]
+        while body:
+            bodies[body], body = True, m.body_parentid[body]
+    between = np.flatnonzero((above[0] != above[1])[m.jnt_bodyid])
+    turning = between[m.jnt_type[between] != JOINT.mjJNT_SLIDE]
+    axes = np.concatenate([two[None], data.xaxis[turning]])
+    return bool((m.jnt_type[turning] == JOINT.mjJNT_HINGE).all() and (np.abs(np.cross(one, axes)) < PARALLEL).all())
 
 
 def _a(shape: str) -> str:
