@@ -31,9 +31,7 @@ class MujocoPhysics(Physics):
 
     robot: RobotKey = Field(make_robot("lower_body"), description="the robot that moves")
     timestep: float | None = Field(None, gt=0, le=0.02, description="s; by default the robot's own")
-    mass: float = traced(
-        1.0, gt=0, description="factor on every link's mass and inertia, not on the softness of contacts"
-    )
+    mass: float = traced(1.0, gt=0, description="factor on every link's mass and inertia; contacts stay as soft")
     friction: float = traced(1.0, ge=0, description="factor on that of all contacts that have any")
     damping: float = traced(1.0, ge=0, description="factor on that of the joints")
     torque_limit: float = traced(1.0, gt=0, description="factor on that of each motor")

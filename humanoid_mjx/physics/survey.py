@@ -8,10 +8,10 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from humanoid_mjx.mechanics.tree.refusing import faults, robot_faults
+from humanoid_mjx.mechanics.tree.refusing import faults, robot_faults, sensors_of
 from humanoid_mjx.mechanics.tree.touching import kind_of, pairs_of
 from humanoid_mjx.robot.declared import bad_timestep
-from humanoid_mjx.robot.description import motors_on
+from humanoid_mjx.robot.description import IMU, motors_on
 from humanoid_mjx.spec import InputError
 
 JOINT = mujoco.mjtJoint
@@ -61,7 +61,7 @@ def survey(model: mujoco.MjModel) -> tuple[list[str], bool]:
     }
     if lacks := [what for what, has in needs.items() if not has]:
         lines.append(f"{'tasks':13} stand and walk need {' and '.join(lacks)}")
-    wrong = faults(model) + robot_faults(model)
+    wrong = faults(model, sensors_of(model, IMU)) + robot_faults(model)
     if not wrong:
         return [*lines, f"{'physics':13} tree takes it as it is"], True
     many, of = f"{len(wrong)} things" if len(wrong) > 1 else "one thing", {fault.of for fault in wrong}

@@ -11,8 +11,8 @@ def test_dense_and_sparse_jacobians_lead_to_the_same_accelerations():
     MuJoCo 4.0.0 has a wrong Hessian in its sparse solver, which costs steps of the solver but not its minimum."""
     links = "".join(LINK.format("0 1 0" if index % 2 else "0 0.2 1") for index in range(64))
     model = mujoco.MjModel.from_xml_string(f"""<mujoco><option tolerance="0" ls_tolerance="1e-12"/>
-    <default><joint range="-60 60" limited="true" frictionloss="0.01" damping="0.01" armature="0.001"/></default><worldbody>
-    <geom type="plane" size="0 0 1"/>
+    <default><joint range="-60 60" limited="true" frictionloss="0.01" damping="0.01" armature="0.001"/></default>
+    <worldbody><geom type="plane" size="0 0 1"/>
     <body pos="0 0 0.039"><freejoint/><geom size="0.04" mass="0.1"/>{links}{"</body>" * 65}</worldbody>
     </mujoco>""")
     data, rng = mujoco.MjData(model), np.random.default_rng(0)

@@ -54,6 +54,7 @@ PLUGIN = """<extension><plugin plugin="mujoco.sensor.touch_grid"><instance name=
 EXTRA = {
     '<option><flag clampctrl="disable"/></option>': "the ctrllimited of motor 0 of joint 'elbow'",
     '<option integrator="discrete"/>': "the discrete integrator",
+    '<sensor><gyro name="gyroscope" site="tip" cutoff="1"/></sensor>': "the cutoff of sensor 'gyroscope'",
     '<option><flag override="enable"/></option>': "the flag override",
     '<equality><joint name="e" joint1="elbow"/></equality>': "equality constraints",
     PLUGIN: "plugins",

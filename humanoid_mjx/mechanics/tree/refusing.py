@@ -48,6 +48,11 @@ def faults(m: mujoco.MjModel, sensors: Sequence[str] = ()) -> list[Fault]:
     return found + [Fault(what, change, "contacts") for wrong, what, change in _of_contacts(m) if wrong]
 
 
+def sensors_of(m: mujoco.MjModel, names: Sequence[str]) -> tuple[str, ...]:
+    """Those of these sensors that a model has."""
+    return tuple(name for name in names if mujoco.mj_name2id(m, mujoco.mjtObj.mjOBJ_SENSOR, name) >= 0)
+
+
 def robot_faults(m: mujoco.MjModel) -> list[Fault]:
     """All that keeps a model from every physics: numbers that are not finite, and motors that are no torques of hinges
     or slides, at once and bounded alike both ways."""

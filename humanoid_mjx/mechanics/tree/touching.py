@@ -70,7 +70,7 @@ def kind_of(m: mujoco.MjModel, geom: int) -> str:
     return name.replace("hfield", "height field")
 
 
-def _mixed(m: mujoco.MjModel, one: np.ndarray, two: np.ndarray) -> Iterator[np.ndarray]:
+def _mixed(m: mujoco.MjModel, one: np.ndarray, two: np.ndarray) -> Iterator[Any]:
     """Columns of `Touching` of pairs that are not explicit: the higher priority's, or mixtures."""
     margin, ahead = m.geom_margin[one] + m.geom_margin[two], m.geom_priority[one] - m.geom_priority[two]
     surplus = _any(m, "geom", *SURPLUS)[[one, two]].any(axis=0)
