@@ -26,7 +26,8 @@ def limited(torque: Iterable[Any], limits: Iterable[Any]) -> Joints:
 
     It clips joint by joint: a bound on the whole array would be a kernel of its own between those of its elements.
     """
-    return jnp.stack([jnp.clip(part, -limit, limit) for part, limit in zip(torque, limits, strict=True)])
+    parts = [jnp.clip(part, -limit, limit) for part, limit in zip(torque, limits, strict=True)]
+    return jnp.stack(parts) if parts else jnp.zeros(0)
 
 
 class Drive(Named):

@@ -8,9 +8,10 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from humanoid_mjx.mechanics.tree.refusing import faults, kinds_of, touching
+from humanoid_mjx.mechanics.tree.refusing import faults, robot_faults, sensors_of
 from humanoid_mjx.robot.declared import bad_timestep
-from humanoid_mjx.robot.description import motors_on
+from humanoid_mjx.robot.description import IMU, motors_on
+from humanoid_mjx.robot.touching import kind_of, pairs_of
 from humanoid_mjx.spec import InputError
 
 JOINT = mujoco.mjtJoint
@@ -38,18 +39,16 @@ def read_model(path: str) -> mujoco.MjModel:
 def survey(model: mujoco.MjModel) -> tuple[list[str], bool]:
     """Lines that say what a compiled model has, and whether the tree takes it as it is."""
     free = bool((model.jnt_type == JOINT.mjJNT_FREE).any())
-    pushed, contacts = set(), Counter()
-    for pair in touching(model):
-        kinds = kinds_of(model, pair)
-        contacts[kinds] += 1
-        pushed |= {int(model.geom_bodyid[pair.two])} if kinds[0] == "plane" else set()
-    floor = bool((model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE).any())
+    planes, (_, (one, two)) = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE, pairs_of(model)
+    kinds = [kind_of(model, geom) for geom in range(model.ngeom)]
+    contacts = Counter((kinds[i], kinds[j]) for i, j in zip(one.tolist(), two.tolist(), strict=True))
+    pushed, floor = set(model.geom_bodyid[two[planes[one]]].tolist()), bool(planes.any())
     ends = (pushed if floor else set(range(model.nbody))) - {int(parent) for parent in model.body_parentid[1:]} - {0}
     feet = [model.body(body).name or f"body {body}" for body in sorted(ends)]
     joints = list(_joints(model))
     found = {
         "mass": f"{model.body_mass.sum():.4g} kg in {model.nbody - 1} bodies, {'a free' if free else 'no free'} base",
-        "joints": f"{len(joints)}, {model.nu} motors, {model.nv} degrees of freedom",
+        "joints": f"{len(joints)}, {len(model.actuator_trntype)} motors, {model.nv} degrees of freedom",
         "feet": f"{', '.join(feet) or 'none'}: ends of limbs{' that the ground can push' * floor}",
         "contacts": ", ".join(f"{count} of {one} and {two}" for (one, two), count in contacts.items()) or "none",
     }
@@ -62,15 +61,17 @@ def survey(model: mujoco.MjModel) -> tuple[list[str], bool]:
     }
     if lacks := [what for what, has in needs.items() if not has]:
         lines.append(f"{'tasks':13} stand and walk need {' and '.join(lacks)}")
-    wrong = faults(model)
+    wrong = faults(model, sensors_of(model, IMU)) + robot_faults(model)
     if not wrong:
         return [*lines, f"{'physics':13} tree takes it as it is"], True
-    many = f"{len(wrong)} things" if len(wrong) > 1 else "one thing"
-    words = f"tree cannot represent {many}; mjx-jax, mjx-warp and mujoco may:"
-    if free and all(fault.of_contacts for fault in wrong):
+    many, of = f"{len(wrong)} things" if len(wrong) > 1 else "one thing", {fault.of for fault in wrong}
+    words = f"tree cannot represent {many}{'; mjx-jax, mjx-warp and mujoco may' * (not of & {'motors', 'numbers'})}:"
+    if free and of <= {"contacts", "motors"}:
+        feet = " with `contacts: feet`", ", and only the contacts of the feet with the ground remain"
+        how, what = feet if "contacts" in of else ("", "")
         words = (
-            "tree takes it through a robot's YAML with `contacts: feet`: only the contacts of the feet with the ground "
-            f"remain (docs/your_robot.md). As it is, the tree cannot represent {many}:"
+            f"tree takes it through a robot's YAML{how}: torque motors take the place of its own{what} "
+            f"(docs/your_robot.md). As it is, the tree cannot represent {many}:"
         )
     lines.append(f"{'physics':13} {words}")
     return lines + [f"  {fault.what}; to change: {fault.change}" for fault in wrong], False

@@ -1,5 +1,5 @@
 # pyright: reportAttributeAccessIssue=false
-"""The pairs of shapes of a MuJoCo model that may touch, with the parameters that MuJoCo gives their contacts."""
+"""The pairs of shapes of a MuJoCo model that may touch, and their contact parameters."""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -27,36 +27,47 @@ class Touching(NamedTuple):
     """True if the model sets a gap, adhesion or a velocity of the surface."""
 
 
-def touching(m: mujoco.MjModel) -> Iterator[Touching]:
-    """Explicit pairs, then those by `contype` and `conaffinity` less those of one body, of parent and child, and those
-    that are excluded; none where the model's contacts are disabled."""
+def touching(m: mujoco.MjModel) -> list[Touching]:
+    """The contact parameters of the pairs of `pairs_of`, in its order."""
+    own, (one, two) = pairs_of(m)
+    pairs = m.pair_dim, m.pair_friction[:, :2], m.pair_margin, m.pair_solref, m.pair_solimp, _any(m, "pair", *SURPLUS)
+    mixed = _mixed(m, one[len(own) :], two[len(own) :])
+    *columns, surplus = (np.concatenate([part[own], more]) for part, more in zip(pairs, mixed, strict=True))
+    surplus |= _any(m, "geom", "surfacevel")[[one, two]].any(axis=0)
+    return [Touching(*row) for row in zip(one.tolist(), two.tolist(), *columns, surplus, strict=True)]
+
+
+def pairs_of(m: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+    """The explicit pairs of shapes that may touch, and the geoms of these and of all others, (2, pairs).
+
+    The others are those by `contype` and `conaffinity` less those of one body, of parent and child, and those that are
+    excluded. There are none where the model's contacts are disabled.
+    """
     if m.opt.disableflags & NO_CONTACTS:
-        return
-    listed: set[frozenset[int]] = set()
-    for i in range(m.npair):
-        one, two = _ordered(m, int(m.pair_geom1[i]), int(m.pair_geom2[i]))
-        listed.add(frozenset((one, two)))
-        if m.body_weldid[m.geom_bodyid[one]] or m.body_weldid[m.geom_bodyid[two]]:
-            surplus = _surplus(m, "pair", [i]) or _surplus(m, "geom", [one, two], "surfacevel")
-            values = m.pair_margin[i], m.pair_solref[i], m.pair_solimp[i]
-            yield Touching(one, two, int(m.pair_dim[i]), m.pair_friction[i, :2], *values, surplus)
-    excluded = {int(signature) for signature in m.exclude_signature}
-    for first in range(m.ngeom):
-        for second in range(first + 1, m.ngeom):
-            one, two = _ordered(m, first, second)
-            if frozenset((one, two)) not in listed and _may_touch(m, one, two, excluded):
-                yield _mixed(m, one, two)
-
-
-def kinds_of(m: mujoco.MjModel, pair: Touching) -> tuple[str, str]:
-    """The shapes of a pair: plane, sphere, capsule, box and so on."""
-    return kind_of(m, pair.one), kind_of(m, pair.two)
+        return np.zeros(0, int), np.zeros((2, 0), int)
+    body, listed = m.geom_bodyid, np.stack([m.pair_geom1, m.pair_geom2])
+    weld, related = m.body_weldid[body], not m.opt.disableflags & FLAGS.mjDSBL_FILTERPARENT
+    parent, found = m.body_weldid[m.body_parentid[weld]], [np.zeros((2, 0), int)]
+    for one in range(m.ngeom):
+        may = ((m.geom_contype[one] & m.geom_conaffinity) | (m.geom_contype & m.geom_conaffinity[one])) != 0
+        may &= weld != weld[one]
+        if related and weld[one]:
+            may &= (weld == 0) | ((weld != parent[one]) & (parent != weld[one]))
+        two = one + np.flatnonzero(may[one:])
+        found.append(np.stack([np.full_like(two, one), two]))
+    others = np.concatenate(found, axis=1)
+    low, high = np.sort(body[others], axis=0)
+    left_out = np.isin((low << 16) + high, m.exclude_signature)
+    left_out |= np.isin(m.ngeom * others[0] + others[1], m.ngeom * listed.min(axis=0) + listed.max(axis=0))
+    own = np.flatnonzero(weld[listed].any(axis=0))
+    geoms = np.concatenate([listed[:, own], others[:, ~left_out]], axis=1)
+    return own, np.where(m.geom_type[geoms[0]] <= m.geom_type[geoms[1]], geoms, geoms[::-1])
 
 
 def kind_of(m: mujoco.MjModel, geom: int) -> str:
-    """The shape of a geom."""
-    kind = mujoco.mjtGeom(int(m.geom_type[geom])).name.removeprefix("mjGEOM_").lower()
-    return kind.replace("hfield", "height field")
+    """The shape of a geom: plane, sphere, capsule, box and so on."""
+    name = mujoco.mjtGeom(int(m.geom_type[geom])).name.removeprefix("mjGEOM_").lower()
+    return name.replace("hfield", "height field")
 
 
 def named(m: mujoco.MjModel, geom: int) -> str:
@@ -65,40 +76,25 @@ def named(m: mujoco.MjModel, geom: int) -> str:
     return repr(m.geom(geom).name or m.body(body).name or f"body {body}")
 
 
-def _ordered(m: mujoco.MjModel, one: int, two: int) -> tuple[int, int]:
-    return (one, two) if m.geom_type[one] <= m.geom_type[two] else (two, one)
+def _mixed(m: mujoco.MjModel, one: np.ndarray, two: np.ndarray) -> Iterator[Any]:
+    """Columns of `Touching` of pairs that are not explicit: the higher priority's, or mixtures."""
+    margin, ahead = m.geom_margin[one] + m.geom_margin[two], m.geom_priority[one] - m.geom_priority[two]
+    surplus = _any(m, "geom", *SURPLUS)[[one, two]].any(axis=0)
+    both = np.stack([np.where(ahead < 0, two, one), np.where(ahead > 0, one, two)])
+    weights = m.geom_solmix[both]
+    share = np.sign(weights[0] - weights[1]) / 2.0 + 0.5
+    np.divide(weights[0], weights.sum(axis=0), out=share, where=weights.min(axis=0) >= mujoco.mjMINVAL)
+    refs, imps = m.geom_solref[both], m.geom_solimp[both]
+    solref, solimp = (share[:, None] * first + (1.0 - share[:, None]) * second for first, second in (refs, imps))
+    solref = np.where((refs[:, :, :1] <= 0).any(axis=0), refs.min(axis=0), solref)
+    yield from (m.geom_condim[both].max(axis=0), m.geom_friction[both, :1].max(axis=0).repeat(2, axis=1))
+    yield from (margin, solref, solimp, surplus)
 
 
-def _may_touch(m: mujoco.MjModel, one: int, two: int, excluded: set[int]) -> bool:
-    masks = (m.geom_contype[one] & m.geom_conaffinity[two]) or (m.geom_contype[two] & m.geom_conaffinity[one])
-    bodies = sorted(int(m.geom_bodyid[geom]) for geom in (one, two))
-    welds = [int(m.body_weldid[body]) for body in bodies]
-    if not masks or welds[0] == welds[1] or (bodies[0] << 16) + bodies[1] in excluded:
-        return False
-    parents = [int(m.body_weldid[m.body_parentid[weld]]) for weld in welds]
-    related = all(welds) and (parents[0] == welds[1] or parents[1] == welds[0])
-    return not related or bool(m.opt.disableflags & FLAGS.mjDSBL_FILTERPARENT)
+SURPLUS = "gap", "adhesion"
 
 
-def _mixed(m: mujoco.MjModel, one: int, two: int) -> Touching:
-    """Contact parameters of two shapes without an explicit pair: the higher priority's, or a mixture."""
-    first, second = sorted((one, two), key=lambda geom: -m.geom_priority[geom])
-    if m.geom_priority[first] > m.geom_priority[second]:
-        values = m.geom_solref[first], m.geom_solimp[first]
-        friction, condim = m.geom_friction[first, 0], m.geom_condim[first]
-    else:
-        weights = m.geom_solmix[[one, two]]
-        share = (
-            weights[0] / weights.sum() if (weights >= 1e-15).all() else float(np.sign(weights[0] - weights[1]) + 1) / 2
-        )
-        refs, imps = m.geom_solref[[one, two]], m.geom_solimp[[one, two]]
-        solref = share * refs[0] + (1 - share) * refs[1] if (refs[:, 0] > 0).all() else refs.min(axis=0)
-        values = solref, share * imps[0] + (1 - share) * imps[1]
-        friction, condim = m.geom_friction[[one, two], 0].max(), m.geom_condim[[one, two]].max()
-    margin = m.geom_margin[one] + m.geom_margin[two]
-    return Touching(one, two, int(condim), np.full(2, friction), margin, *values, _surplus(m, "geom", [one, two]))
-
-
-def _surplus(m: mujoco.MjModel, kind: str, rows: list[int], *names: str) -> bool:
-    fields = (getattr(m, f"{kind}_{name}", None) for name in names or ("gap", "adhesion", "surfacevel"))
-    return any(field is not None and np.any(field[rows]) for field in fields)
+def _any(m: mujoco.MjModel, kind: str, *names: str) -> np.ndarray:
+    """True for elements where one of these fields is not 0. Older versions of MuJoCo lack some."""
+    fields = [getattr(m, f"{kind}_{name}", np.zeros((len(getattr(m, f"{kind}_gap")), 1))) for name in names]
+    return np.any([np.any(field, axis=tuple(range(1, field.ndim))) for field in fields], axis=0)

@@ -1,13 +1,16 @@
 # pyright: reportAttributeAccessIssue=false
-"""Everything of a MuJoCo model that a tree cannot represent."""
+"""Everything of a MuJoCo model that a tree cannot represent.
+
+`tests/mechanics/test_model_fields.py` lists each field of a model: computed, refused here, or without effect.
+"""
 
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import mujoco
 import numpy as np
 
-from humanoid_mjx.robot.touching import FLAGS, Touching, kinds_of, named, touching
+from humanoid_mjx.robot.touching import FLAGS, Touching, kind_of, named, pairs_of, touching
 
 JOINT = mujoco.mjtJoint
 
@@ -17,6 +20,12 @@ GROUND_SHAPES = ("sphere", "capsule", "box", "cylinder", "ellipsoid")
 PAIRS = (("sphere", "sphere"), ("sphere", "capsule"), ("capsule", "capsule"), ("box", "box"))
 """Shapes that can push each other."""
 
+MOST_PAIRS = 20_000
+"""Pairs of shapes that may touch; each takes time in every step."""
+
+PARALLEL = 1e-4
+"""rad: MuJoCo 4 makes two contacts of capsules whose axes are nearer to parallel, the tree one."""
+
 
 class Fault(NamedTuple):
     """One thing that a tree cannot represent."""
@@ -25,43 +34,147 @@ class Fault(NamedTuple):
     """Words that end the sentence "the tree cannot represent"."""
     change: str
     """Change of the MJCF that removes the fault."""
-    of_contacts: bool
-    """True if it is gone where only balls of feet touch the ground, as with `contacts: feet` of a robot's YAML."""
+    of: Literal["model", "contacts", "motors", "numbers"] = "model"
+    """A robot's YAML replaces motors, and with `contacts: feet` all contacts but those of feet with the ground. Motors
+    and numbers are faults for every physics."""
 
 
-def faults(model: mujoco.MjModel, sensors: Sequence[str] = ()) -> list[Fault]:
-    """All that keeps a compiled model from being a tree, of whose sensors these are read; empty if nothing does."""
-    found = [(check, False) for check in (*_of_options(model), *_of_joints(model))]
-    for sensor in (model.sensor(name) for name in sensors):
-        found.append(((sensor.cutoff[0], f"the cutoff of a sensor, as {sensor.name!r}", 'cutoff="0"'), False))
-    found += [(check, True) for check in _of_contacts(model)]
-    return [Fault(what, change, of_contacts) for (wrong, what, change), of_contacts in found if wrong]
+def faults(m: mujoco.MjModel, sensors: Sequence[str] = ()) -> list[Fault]:
+    """All that keeps a compiled model from being a tree, of whose sensors these are read, beside `robot_faults`."""
+    checks = *_of_options(m, bool(sensors)), *_of_joints(m)
+    found = [Fault(what, change) for wrong, what, change in checks if wrong] + _of_fields(m, _unused(m))
+    for name in sensors:
+        found += _of_sensor(m, name)
+    return found + [Fault(what, change, "contacts") for wrong, what, change in _of_contacts(m) if wrong]
+
+
+def sensors_of(m: mujoco.MjModel, names: Sequence[str]) -> tuple[str, ...]:
+    """Those of these sensors that a model has."""
+    return tuple(name for name in names if mujoco.mj_name2id(m, mujoco.mjtObj.mjOBJ_SENSOR, name) >= 0)
+
+
+def robot_faults(m: mujoco.MjModel) -> list[Fault]:
+    """All that keeps a model from every physics: numbers that are not finite, and motors that are no torques of hinges
+    or slides, at once and bounded alike both ways."""
+    rows, kinds = np.arange(len(m.actuator_trntype)), np.append(m.jnt_type, 0)
+    control, output = getattr(m, "actuator_ctrladr", rows), getattr(m, "actuator_outadr", rows)
+    limited, clamped = m.actuator_forcelimited != 0, m.actuator_ctrllimited[control] != 0
+    joint = np.where(m.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT, m.actuator_trnid[:, 0], -1)
+    alike, unclamped = "bounds that are the same both ways", bool(m.opt.disableflags & FLAGS.mjDSBL_CLAMPCTRL)
+    found = _not_zero(m, MOTORS) | {
+        "actuator_trnid": ((joint >= 0) & (kinds[joint] < int(JOINT.mjJNT_SLIDE)), "a hinge or a slide"),
+        "actuator_gainprm": (m.actuator_gainprm[:, 0] == 0, "a gain that is not 0"),
+        "actuator_gear": (m.actuator_gear[output, 0] == 0, "a gear that is not 0"),
+        "actuator_ctrlrange": (clamped & (m.actuator_ctrlrange[control].sum(axis=1) != 0), alike),
+        "actuator_forcerange": (limited & (m.actuator_forcerange.sum(axis=1) != 0), alike),
+        "actuator_ctrllimited": (clamped & unclamped, 'clampctrl="enable"'),
+    }
+    endless = {name: (~np.isfinite(getattr(m, name)), "a finite number") for name in FINITE}
+    return _of_fields(m, endless, "numbers") + _of_fields(m, found, "motors")
 
 
 Check = tuple[Any, str, str]
 """True if the model has it; what it is; what would have to change."""
 
+Fields = dict[str, tuple[Any, str]]
+"""By field: what is not 0 in rows that cannot be represented; what would have to change."""
 
-def _of_options(m: mujoco.MjModel) -> Iterator[Check]:
-    option = m.opt
-    implicit = option.integrator == mujoco.mjtIntegrator.mjINT_IMPLICIT
-    yield implicit, "the implicit integrator", 'integrator="implicitfast"'
+FINITE = (
+    *("body_pos", "body_ipos", "body_mass", "body_inertia", "jnt_pos", "jnt_stiffness", "jnt_margin"),
+    *("dof_armature", "dof_damping", "dof_frictionloss", "geom_pos", "geom_size", "geom_margin", "geom_friction"),
+)
+"""Fields that MuJoCo compiles also with infinite numbers, or NaN."""
+
+SERVOS, TENDONS = "<motor> in the place of <position> and its like", "no <tendon> that acts or is driven"
+MOTORS = {
+    "actuator_trntype": 'joint="..." in the place of a tendon, site or body',
+    "actuator_gaintype": SERVOS,
+    "actuator_biastype": SERVOS,
+    "actuator_dyntype": 'dyntype="none"',
+    "actuator_delay": 'delay="0"',
+}
+UNUSED = {
+    "body_gravcomp": 'gravcomp="0"',
+    "jnt_springyield": 'springyield="0"',
+    "jnt_stiffnesspoly": "one number as stiffness",
+    "dof_dampingpoly": "one number as damping",
+    **dict.fromkeys(("actuator_damping", "actuator_dampingpoly", "actuator_armature"), "that of the joint instead"),
+    **dict.fromkeys(("tendon_limited", "tendon_actfrclimited", "tendon_frictionloss", "tendon_armature"), TENDONS),
+    **{f"tendon_{name}": TENDONS for name in ("stiffness", "stiffnesspoly", "damping", "dampingpoly")},
+}
+"""Fields that act where they are not 0, of which no physics and a tree compute nothing. Older MuJoCos lack some."""
+
+
+def _not_zero(m: mujoco.MjModel, names: dict[str, str]) -> Fields:
+    return {name: (getattr(m, name), change) for name, change in names.items() if hasattr(m, name)}
+
+
+def _unused(m: mujoco.MjModel) -> Fields:
+    limited, wide = m.jnt_limited != 0, m.jnt_range[:, 1] - m.jnt_range[:, 0] > 2.0 * m.jnt_margin
+    return _not_zero(m, UNUSED) | {
+        "body_mocapid": (m.body_mocapid >= 0, 'mocap="false"'),
+        "jnt_range": (limited & ~wide, "a range wider than twice the margin"),
+        "jnt_solref": (limited & _mixed_signs(m.jnt_solref), ONE_SIGN),
+        "dof_solref": ((m.dof_frictionloss != 0) & _mixed_signs(m.dof_solref), ONE_SIGN),
+    }
+
+
+ONE_SIGN = "two positive values of solref, or none"
+
+
+def _mixed_signs(solref: np.ndarray) -> Any:
+    """True where MuJoCo takes its default instead, with a warning."""
+    return (solref[..., 0] > 0) != (solref[..., 1] > 0)
+
+
+def _of_sensor(m: mujoco.MjModel, name: str) -> Iterator[Fault]:
+    sensor = m.sensor(name)
+    if int(sensor.type[0]) not in map(int, (mujoco.mjtSensor.mjSENS_GYRO, mujoco.mjtSensor.mjSENS_ACCELEROMETER)):
+        yield Fault(f"the type of sensor {name!r}", "a gyro or an accelerometer")
+    for field in ("cutoff", "delay", "interval"):
+        if np.any(getattr(m, f"sensor_{field}", np.zeros(m.nsensor))[sensor.id]):
+            yield Fault(f"the {field} of sensor {name!r}", f'{field}="0"')
+
+
+def _of_fields(m: mujoco.MjModel, fields: Fields, of: Any = "model") -> list[Fault]:
+    found = []
+    for field, (wrong, change) in fields.items():
+        rows = np.flatnonzero(np.any(wrong, axis=tuple(range(1, np.ndim(wrong)))))
+        kind, _, name = field.partition("_")
+        if len(rows):
+            count, motor = f" ({len(rows)})" if len(rows) > 1 else "", kind == "actuator"
+            element = _element(m, kind, int(rows[0]))
+            found.append(Fault(f"the {name} of {element}{count}", change, "motors" if motor else of))
+    return found
+
+
+def _element(m: mujoco.MjModel, kind: str, row: int) -> str:
+    """An element by its name, or by its number and, if it is a motor, by its joint."""
+    kind, row = ("jnt", int(m.dof_jntid[row])) if kind == "dof" else (kind, row)
+    words, name = {"jnt": "joint", "actuator": "motor"}.get(kind, kind), getattr(m, kind)(row).name
+    if not name and kind == "actuator" and m.actuator_trntype[row] == mujoco.mjtTrn.mjTRN_JOINT:
+        return f"{words} {row} of {_element(m, 'jnt', int(m.actuator_trnid[row, 0]))}"
+    return f"{words} {name!r}" if name else f"{words} {row}"
+
+
+def _of_options(m: mujoco.MjModel, sensing: bool) -> Iterator[Check]:
+    option, integrators = m.opt, mujoco.mjtIntegrator
+    known = integrators.mjINT_EULER, integrators.mjINT_RK4, integrators.mjINT_IMPLICITFAST
+    name = integrators(option.integrator).name.removeprefix("mjINT_").lower()
+    yield option.integrator not in known, f"the {name} integrator", 'integrator="implicitfast"'
     off = option.disableflags & FLAGS.mjDSBL_ACTUATION or option.disableactuator
     yield off, "disabled motors", "no actuation flag, no actuatorgroupdisable"
-    allowed = int(mujoco.mjtEnableBit.mjENBL_ENERGY | mujoco.mjtEnableBit.mjENBL_FWDINV)
-    yield option.enableflags & ~allowed, "optional physics that a flag enables", "no flag enabled but energy and fwdinv"
+    yield sensing and option.disableflags & FLAGS.mjDSBL_SENSOR, "disabled sensors", 'sensor="enable"'
+    for name, flag in mujoco.mjtEnableBit.__members__.items():
+        name = name.removeprefix("mjENBL_").lower()
+        on = name not in ("energy", "fwdinv", "invdiscrete", "mjnenable") and option.enableflags & int(flag)
+        yield on, f"the flag {name}", f'{name}="disable"'
     yield option.density or option.viscosity, "a fluid", "density and viscosity 0"
     yield option.noslip_iterations, "noslip iterations", 'noslip_iterations="0"'
     unheld = m.neq and not option.disableflags & int(FLAGS.mjDSBL_CONSTRAINT | FLAGS.mjDSBL_EQUALITY)
     yield unheld, "equality constraints", "no <equality>"
-    names = ("limited", "actfrclimited", "stiffness", "stiffnesspoly", "damping", "dampingpoly", "frictionloss")
-    busy = any(np.any(getattr(m, f"tendon_{name}", 0)) for name in (*names, "armature"))
-    busy = busy or np.any(getattr(m, "tendon_plasticadr", np.full(1, -1)) >= 0)
-    yield busy, "tendons", "no <tendon> that is limited, springs, damps, rubs or is driven"
     yield m.nflex, "flexible bodies", "no <flex>"
     yield m.nplugin, "plugins", "no <plugin>"
-    yield m.nmocap, "mocap bodies", 'no mocap="true"'
-    yield np.any(m.body_gravcomp), "gravity compensation", 'gravcomp="0"'
 
 
 def _of_joints(m: mujoco.MjModel) -> Iterator[Check]:
@@ -78,42 +191,57 @@ def _of_joints(m: mujoco.MjModel) -> Iterator[Check]:
         yield beside, "moving bodies beside a free one", "all joints on the free body"
         resisting = m.dof_damping[:6].any() or m.dof_armature[:6].any() or m.dof_frictionloss[:6].any()
         yield resisting, "damping, armature or friction of a free joint", "a <freejoint/> without a class"
-    for name in ("jnt_stiffnesspoly", "dof_dampingpoly", "jnt_springyield", "jnt_actgravcomp"):
-        yield np.any(getattr(m, name, 0)), f"what {name} sets", f"no {name.split('_')[1]} of joints"
-    plastic = getattr(m, "jnt_plasticadr", np.full(1, -1))
-    yield np.any(plastic >= 0), "plastic springs of joints", "elastic springs"
-    narrow = (m.jnt_limited != 0) & (m.jnt_range[:, 1] - m.jnt_range[:, 0] <= 2.0 * m.jnt_margin)
-    yield narrow.any(), "joint ranges that are no wider than twice their margin", "a wider range or a smaller margin"
 
 
 def _of_contacts(m: mujoco.MjModel) -> Iterator[Check]:
-    rough = any(pair.condim > 1 for pair in touching(m))
-    elliptic = m.opt.cone != mujoco.mjtCone.mjCONE_PYRAMIDAL and rough
+    many = pairs_of(m)[1].shape[1]
+    crowd = f"{many:,} pairs of shapes that may touch, more than {MOST_PAIRS:,}"
+    yield many > MOST_PAIRS, crowd, "contype and conaffinity that keep shapes apart"
+    pairs = touching(m) if many <= MOST_PAIRS else []
+    elliptic = m.opt.cone != mujoco.mjtCone.mjCONE_PYRAMIDAL and any(pair.condim > 1 for pair in pairs)
     yield elliptic, "elliptic friction cones", 'cone="pyramidal"'
     said: dict[str, tuple[str, list[str]]] = {}
-    for pair in touching(m):
+    data = mujoco.MjData(m)
+    mujoco.mj_kinematics(m, data)
+    for pair in pairs:
         name = " and ".join(named(m, geom) for geom in (pair.one, pair.two))
-        for what, change in _of_pair(m, pair):
+        for what, change in _of_pair(m, data, pair):
             said.setdefault(what, (change, []))[1].append(name)
     for what, (change, names) in said.items():
         count = f" ({len(names)})" if len(names) > 1 else ""
         yield True, f"{what}, as those of {names[0]}{count}", change
 
 
-def _of_pair(m: mujoco.MjModel, pair: Touching) -> Iterator[tuple[str, str]]:
-    one, two = kinds_of(m, pair)
+def _of_pair(m: mujoco.MjModel, data: mujoco.MjData, pair: Touching) -> Iterator[tuple[str, str]]:
+    one, two = (kind_of(m, geom) for geom in (pair.one, pair.two))
     if one == "plane" and m.body_weldid[m.geom_bodyid[pair.one]] != 0:
         yield "contacts of a plane that moves", "planes in the world alone"
     if (two not in GROUND_SHAPES) if one == "plane" else ((one, two) not in PAIRS):
         shapes = ", ".join(GROUND_SHAPES) if one == "plane" else "spheres and capsules"
         masks = "contype and conaffinity that keep them apart"
         yield f"contacts of {_a(one)} and {_a(two)}", f"{shapes} in their place, or {masks}"
+    if one == two == "capsule" and _stay_parallel(m, data, pair):
+        yield "two contacts of capsules that stay parallel", "one of them turned by a hundredth of a degree"
     if pair.condim not in (1, 3):
         yield "contacts that resist twisting or rolling", 'condim="3"'
     if pair.surplus:
         yield "a gap, adhesion or surface velocity of contacts", "gap, adhesion and surfacevel 0"
-    if (pair.solref[0] > 0) != (pair.solref[1] > 0):
-        yield "a solref of which one value is positive", "two positive values of solref, or none"
+    if _mixed_signs(pair.solref):
+        yield "a solref of which one value is positive", ONE_SIGN
+
+
+def _stay_parallel(m: mujoco.MjModel, data: mujoco.MjData, pair: Touching) -> bool:
+    """True if no joint can turn the axes of these capsules, which are parallel, away from each other."""
+    one, two = data.geom_xmat[[pair.one, pair.two]].reshape(2, 3, 3)[:, :, 2]
+    above = [np.zeros(m.nbody, bool) for _ in range(2)]
+    for bodies, geom in zip(above, (pair.one, pair.two), strict=True):
+        body = m.geom_bodyid[geom]
+        while body:
+            bodies[body], body = True, m.body_parentid[body]
+    between = np.flatnonzero((above[0] != above[1])[m.jnt_bodyid])
+    turning = between[m.jnt_type[between] != JOINT.mjJNT_SLIDE]
+    axes = np.concatenate([two[None], data.xaxis[turning]])
+    return bool((m.jnt_type[turning] == JOINT.mjJNT_HINGE).all() and (np.abs(np.cross(one, axes)) < PARALLEL).all())
 
 
 def _a(shape: str) -> str:

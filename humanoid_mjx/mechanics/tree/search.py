@@ -150,12 +150,17 @@ def _minimum(
     if slots is None:
         return x, active.pairs
 
+    worlds = jnp.shape(slots.touch.close)[-1:]
+
+    def whole(found: Sequence[Scalar]) -> list[Any]:
+        return [jnp.broadcast_to(v.value, jnp.broadcast_shapes(jnp.shape(v.value), worlds)) for v in found]
+
     def together() -> tuple[list[Any], list[Any]]:
         found = with_pairs(tree, slots, active.pairs, factors, x)
-        return [v.value for v in found], slots.active(tree, found)
+        return whole(found), slots.active(tree, found)
 
     def alone() -> tuple[list[Any], list[Any]]:
-        return [v.value for v in x], jax.tree.map(jnp.zeros_like, active.pairs)
+        return whole(x), jax.tree.map(jnp.zeros_like, active.pairs)
 
     values, pairs = jax.lax.cond(slots.count > 0, together, alone)
     return [Scalar(value) for value in values], pairs

@@ -65,7 +65,7 @@ class LeggedBody(ContinuousTask):
     )
     period: float = Field(0.02, gt=0, le=1, description="s between decisions")
     timestep: float = Field(0.004, gt=0, le=0.02, description="s of physics and control law")
-    mass: float = traced(1.0, gt=0, le=10, description="factor on the mass and the inertia of every link")
+    mass: float = traced(1.0, gt=0, le=10, description="factor on links' mass and inertia; contacts stay as soft")
     friction: float = traced(
         1.0, ge=0, le=10, description="factor on that of the feet on the ground; below 0.05 float32 misses contacts"
     )
