@@ -65,7 +65,7 @@ def _show_robot(name: str) -> None:
 
     robot = make_robot(name)
     order, signs = robot.joint_images
-    limited = robot.model.jnt_limited[robot.model.actuator_trnid[:, 0]]
+    limited = robot.model.jnt_limited[robot.driven]
     rows = [("joint", "range, degrees", "home", "torque, N m", "N m/rad", "N m s/rad", "mirror image")]
     for k, joint in enumerate(robot.joints):
         low, high = np.degrees(robot.ranges_rad[k])
@@ -107,9 +107,9 @@ def _print_differences(rows: Sequence[tuple[str, ...]]) -> None:
 
 def show_model(path: str) -> bool:
     """`humanoid-mjx info ROBOT.xml`; whether `physics: tree` takes it."""
-    from humanoid_mjx.physics.survey import read_model, survey
+    from humanoid_mjx.physics.survey import survey
 
-    lines, taken = survey(read_model(path))
+    lines, taken = survey(path)
     for line in lines:
         console.print(line, markup=False, highlight=False, soft_wrap=True)
     return taken

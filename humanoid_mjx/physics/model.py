@@ -93,12 +93,12 @@ class MujocoPhysics(Physics):
     @property
     def joint_qpos(self) -> Any:
         """Index of the joints that motors drive in `qpos`."""
-        return places(self.model.jnt_qposadr[self.model.actuator_trnid[:, 0]])
+        return places(self.model.jnt_qposadr[self.robot.driven])
 
     @property
     def joint_dofs(self) -> Any:
         """Index of the same joints in `qvel`."""
-        return places(self.model.jnt_dofadr[self.model.actuator_trnid[:, 0]])
+        return places(self.model.jnt_dofadr[self.robot.driven])
 
     @property
     def torque_limits(self) -> Float[AnyArray, " joints"]:
@@ -123,7 +123,7 @@ class MujocoPhysics(Physics):
         """The factor on each body's mass and inertia. Factors of links leave the torso as it is."""
         if np.ndim(mass) == 0:
             return jnp.full(self.model.nbody, mass, float)
-        links = self.model.jnt_bodyid[self.model.actuator_trnid[:, 0]]
+        links = self.model.jnt_bodyid[self.robot.driven]
         return jnp.ones(self.model.nbody).at[links].set(mass)
 
     def _stages(

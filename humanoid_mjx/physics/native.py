@@ -27,7 +27,7 @@ from humanoid_mjx.physics.base import Batches, Controller, Once, Poses, Sensed, 
 from humanoid_mjx.physics.model import MujocoPhysics, below
 from humanoid_mjx.physics.terrain import add_terrain, follow
 from humanoid_mjx.robot import Robot
-from humanoid_mjx.robot.compiling import checked
+from humanoid_mjx.robot.compiling import checked, name_bodies
 from humanoid_mjx.robot.description import IMU, sensing_spec
 from humanoid_mjx.types import AnyArray
 
@@ -221,6 +221,7 @@ class _Team:
         """The robot on ground of this shape, with `FRAMES` on every body, behind its own sensors."""
         with jax.ensure_compile_time_eval():
             spec = sensing_spec(self._robot, self._timestep)
+            name_bodies(spec)
             for kind in FRAMES:
                 for body in spec.bodies:
                     spec.add_sensor(type=kind, objtype=mujoco.mjtObj.mjOBJ_XBODY, objname=body.name)

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from humanoid_mjx.mechanics.tree.refusing import faults, robot_faults, sensors_of
+from humanoid_mjx.robot.compiling import checked
 from humanoid_mjx.robot.declared import bad_timestep
 from humanoid_mjx.robot.description import IMU, motors_on
 from humanoid_mjx.robot.touching import kind_of, pairs_of
@@ -17,27 +18,29 @@ from humanoid_mjx.spec import InputError
 JOINT = mujoco.mjtJoint
 
 
-def read_model(path: str) -> mujoco.MjModel:
-    """The compiled model of an MJCF file.
+def _read(path: str) -> tuple[mujoco.MjModel, tuple[str, ...]]:
+    """The compiled model of an MJCF file, and MuJoCo's warnings.
 
     Raises:
       InputError: there is no such file, MuJoCo cannot compile it, its time step is none, or nothing in it moves.
     """
     if not Path(path).is_file():
         raise InputError(f"info: there is no file {path}.")
-    try:
-        model = mujoco.MjModel.from_xml_path(path)
-    except ValueError as error:
-        raise InputError(f"info: MuJoCo cannot read {path}: {' '.join(str(error).split())}.") from error
+    model, warned = checked(lambda: mujoco.MjSpec.from_file(path).compile(), f"info: MuJoCo cannot read {path}")
     if not model.nv:
         raise InputError(f"info: {path} has no joint, so nothing in it moves.")
     if fault := bad_timestep(model.opt.timestep):
         raise InputError(f"info: {path}: {fault}.")
-    return model
+    return model, warned
 
 
-def survey(model: mujoco.MjModel) -> tuple[list[str], bool]:
-    """Lines that say what a compiled model has, and whether the tree takes it as it is."""
+def survey(path: str) -> tuple[list[str], bool]:
+    """Return lines that say what an MJCF file has, and whether the tree takes it as it is.
+
+    Raises:
+      InputError: see `_read`.
+    """
+    model, warned = _read(path)
     free = bool((model.jnt_type == JOINT.mjJNT_FREE).any())
     planes, (_, (one, two)) = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE, pairs_of(model)
     kinds = [kind_of(model, geom) for geom in range(model.ngeom)]
@@ -54,6 +57,7 @@ def survey(model: mujoco.MjModel) -> tuple[list[str], bool]:
     }
     lines = [f"{name:13} {words}" for name, words in found.items()]
     lines[2:2] = joints
+    lines += [f"{'MuJoCo warns':13} {warning}" for warning in warned]
     hinges = [model.joint(int(joint)).name for joint in np.flatnonzero(model.jnt_type == JOINT.mjJNT_HINGE)]
     needs = {
         "one body with a <freejoint/>": (model.jnt_type == JOINT.mjJNT_FREE).sum() == 1,

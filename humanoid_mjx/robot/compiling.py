@@ -23,6 +23,20 @@ def checked(function: Callable[[], Any], what: str = "model: MuJoCo cannot compi
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always")
         try:
-            return function(), tuple(dict.fromkeys(" ".join(str(warning.message).split()) for warning in found))
+            return function(), tuple(dict.fromkeys(_line(warning.message) for warning in found))
         except ValueError as error:
-            raise InputError(f"{what}: {' '.join(str(error).split()).rstrip('.')}.") from error
+            raise InputError(f"{what}: {_line(error).rstrip('.')}.") from error
+
+
+def _line(message: object) -> str:
+    """A message of MuJoCo in one line; plugins repeat lines."""
+    return " ".join(" ".join(line.split()) for line in dict.fromkeys(str(message).splitlines()))
+
+
+def name_bodies(spec: mujoco.MjSpec) -> None:
+    """Name each body that has no name, as sensors find bodies by name."""
+    taken = {body.name for body in spec.bodies}
+    for index, body in enumerate(spec.bodies):
+        if not body.name:
+            body.name = next(name for end in range(len(taken) + 1) if (name := f"body{index}" + "_" * end) not in taken)
+            taken.add(body.name)

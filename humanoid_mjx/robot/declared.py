@@ -21,7 +21,7 @@ from pydantic import Field
 
 from humanoid_mjx.config import Config, parse_yaml
 from humanoid_mjx.files import folder
-from humanoid_mjx.robot.compiling import PLAIN, checked
+from humanoid_mjx.robot.compiling import PLAIN, checked, name_bodies
 from humanoid_mjx.robot.content import content_of
 from humanoid_mjx.robot.description import BEND, Robot, Servo, add_motors_and_imu, motors_on
 from humanoid_mjx.robot.differences import Difference, differences
@@ -270,8 +270,7 @@ def _load(file: str) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
     """Return the spec of an MJCF, every body named, and MuJoCo's warnings."""
     what = f"model: {Path(file).name} is no MJCF that MuJoCo takes"
     spec, _ = checked(lambda: mujoco.MjSpec.from_file(file), what)
-    for index, body in enumerate(spec.bodies):
-        body.name = body.name or f"body{index}"
+    name_bodies(spec)
     _, warned = checked(spec.compile, what)
     bodies = [body.name for body in spec.worldbody.bodies]
     free = [joint for joint in spec.joints if joint.type == JOINT.mjJNT_FREE]

@@ -106,13 +106,26 @@ class Robot(Named):
         return compiled(self, None)
 
     @property
+    def driven(self) -> Int[np.ndarray, " joints"]:
+        """Index in the model of the joint that each motor drives.
+
+        Raises:
+          InputError: a motor drives a body, a site or a tendon.
+        """
+        m = self.model
+        if len(odd := np.flatnonzero(m.actuator_trntype != mujoco.mjtTrn.mjTRN_JOINT)):
+            name = m.actuator(int(odd[0])).name or str(odd[0])
+            raise InputError(f'robot: motor {name!r} drives no joint; take a <motor> with joint="..."')
+        return m.actuator_trnid[:, 0]
+
+    @property
     def joints(self) -> tuple[str, ...]:
         """The joints that motors drive, in the motors' order."""
-        return tuple(self.model.joint(joint).name for joint in self.model.actuator_trnid[:, 0])
+        return tuple(self.model.joint(joint).name for joint in self.driven)
 
     @property
     def ranges_rad(self) -> Float[np.ndarray, "joints 2"]:
-        return self.model.jnt_range[self.model.actuator_trnid[:, 0]]
+        return self.model.jnt_range[self.driven]
 
     @property
     def torque_limits(self) -> Float[np.ndarray, " joints"]:
@@ -221,6 +234,8 @@ class Robot(Named):
 
     @pydantic.model_validator(mode="after")
     def _fits_its_model(self) -> "Robot":
+        if (self.model.actuator_trntype != mujoco.mjtTrn.mjTRN_JOINT).any():
+            return self  # each physics refuses it, and names all motors
         kinds = int(self.kinds.max(initial=-1)) + 1
         counts = (
             ("home", self.home, len(self.joints)),
@@ -304,7 +319,7 @@ def _stance(robot: Robot) -> _Stance:
     model = robot.model
     balls, _ = ground_points(model)
     data = mujoco.MjData(model)
-    data.qpos[model.jnt_qposadr[model.actuator_trnid[:, 0]]] = robot.posture
+    data.qpos[model.jnt_qposadr[robot.driven]] = robot.posture
     mujoco.mj_kinematics(model, data)
     places = lowest(model, data.geom_xpos[balls])
     ground = places[:, 2].min() if len(balls) else 0.0
@@ -350,7 +365,7 @@ def _joint_images(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     order = images("joints", joints, robot.mirror, _names(model))
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    axes = data.xaxis[model.actuator_trnid[:, 0]]
+    axes = data.xaxis[robot.driven]
     signs = np.round(np.sum(axes * AXIAL * axes[order], axis=1), 6)
     if robot.mirror and (wrong := [name for name, sign in zip(joints, signs, strict=True) if abs(sign) != 1]):
         raise InputError(f"mirror: the axis of {wrong[0]} is no image of that of {robot.image_of(wrong[0])}.")

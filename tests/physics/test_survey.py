@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from humanoid_mjx.physics import make_physics
-from humanoid_mjx.physics.survey import read_model, survey
+from humanoid_mjx.physics.survey import survey
 from humanoid_mjx.robot import Robot
 from humanoid_mjx.spec import InputError
 
@@ -85,7 +85,7 @@ def cases():
 @pytest.mark.parametrize(("xml", "words"), list(cases()))
 def test_info_and_the_physics_answer_alike(xml, words, tmp_path):
     (tmp_path / "arm.xml").write_text(xml)
-    lines, taken = survey(read_model(str(tmp_path / "arm.xml")))
+    lines, taken = survey(str(tmp_path / "arm.xml"))
     assert taken == (words is None)
     if words is None:
         make_physics("tree", robot=Arm(xml=xml))
@@ -111,3 +111,38 @@ def test_shapes_that_only_slide_rest_on_each_other():
     mujoco.mj_step(physics.model, data, 30)
     assert data.ncon == 2
     np.testing.assert_allclose(world.qpos, data.qpos, atol=1e-6)
+
+
+@pytest.mark.parametrize("motor", ['<motor name="m" site="tip"/>', '<adhesion name="m" body="b5" ctrlrange="0 1"/>'])
+def test_a_motor_of_a_body_or_site_beyond_the_joints_is_refused_in_one_sentence(motor):
+    bodies = "".join(f'<body name="b{k}"><site name="s{k}"/><geom size=".1"/></body>' for k in range(6))
+    robot = Arm(xml=ARM.format(extra="", bodies=bodies, motors=motor.replace("tip", "s5")))
+    with pytest.raises(InputError, match="robot: motor 'm' drives no joint; take a <motor> with joint="):
+        _ = robot.joints
+    with pytest.raises(InputError, match="no physics takes the trntype of motor 'm'"):
+        make_physics("mujoco", robot=robot)
+
+
+def test_bodies_without_a_name_move_in_native_mujoco():
+    """Its sensors find bodies by name; a body of the model has the name that the first of these would get."""
+    nameless = '<body><joint/><geom size=".1"/></body><body name="body4"><geom size=".1"/></body>'
+    robot = Arm(xml=ARM.format(extra="", bodies="<body/>" + nameless, motors=""))
+    physics = make_physics("mujoco", robot=robot)
+    world = physics.run(physics.start(np.full(3, 0.1), np.zeros(3)), lambda stages: jnp.zeros(0), cycles=5)
+    data = mujoco.MjData(mujoco.MjModel.from_xml_string(robot.xml))
+    data.qpos[:] = 0.1
+    mujoco.mj_step(data.model, data, 5)
+    np.testing.assert_allclose(world.qpos, data.qpos, atol=1e-6)
+
+
+def test_mujocos_messages_are_said_once_and_by_the_package(tmp_path, recwarn):
+    xml = ARM.format(extra='<compiler settotalmass="9"/>', bodies="", motors="")
+    (tmp_path / "arm.xml").write_text(xml)
+    lines, _ = survey(str(tmp_path / "arm.xml"))
+    assert len([line for line in lines if line.startswith("MuJoCo warns  compiler attribute")]) == 1
+    assert not recwarn.list
+    plugin = '<extension><plugin plugin="mujoco.pid"><instance name="p"/></plugin></extension>'
+    (tmp_path / "arm.xml").write_text(ARM.format(extra=plugin, bodies="", motors=""))
+    with pytest.raises(InputError) as error:
+        survey(str(tmp_path / "arm.xml"))
+    assert str(error.value).count("actuator not found for plugin instance 0") == 1
