@@ -23,13 +23,16 @@ from humanoid_mjx.config import Config, parse_yaml
 from humanoid_mjx.files import folder
 from humanoid_mjx.robot.compiling import PLAIN, checked, name_bodies
 from humanoid_mjx.robot.content import content_of
-from humanoid_mjx.robot.description import BEND, Robot, Servo, add_motors_and_imu, motors_on
+from humanoid_mjx.robot.description import BEND, Robot, Servo, add_motors_and_imu
 from humanoid_mjx.robot.differences import Difference, differences
 from humanoid_mjx.robot.mirror import images
-from humanoid_mjx.robot.motors import DAMPING, driven, own_servo, own_torques
+from humanoid_mjx.robot.motors import driven, motors_on, own_drives
 from humanoid_mjx.robot.soles import balls_of, soles_of, strip
 from humanoid_mjx.robot.upright import Quat, set_upright, turn_at_home
 from humanoid_mjx.spec import InputError, Spec, known, search_folders, sentence
+
+DAMPING = 0.03
+"""Servo damping by stiffness where a description gives none, s."""
 
 SLACK_DEG = 1.0
 """Largest distance of a posture beyond the range of a joint, degrees."""
@@ -233,15 +236,15 @@ def _understood(path: Path, text: str, file: str, content: str) -> Source:
         joints = driven(model)
         home = _home(declared.home, model, joints)
         turn = turn_at_home(model, declared.home if isinstance(declared.home, str) else "")
-        torque = _by_joint("torque", declared.torque, joints, own_torques(model, joints))
+        torque, stiffness, damping = own_drives(model, joints)
+        torque = _by_joint("torque", declared.torque, joints, torque)
         if wrong := [joint for joint, limit in zip(joints, torque, strict=True) if not 0 < limit < inf]:
             lacks = "the model has no limit" if torque[joints.index(wrong[0])] else "the limit is 0"
             raise InputError(f"torque: {lacks} for {wrong[0]}; write its N m as torque: {{{wrong[0]}: 20}}")
-        stiffness, damping = own_servo(model, joints, torque)
-        stiffness = _by_joint("servo.stiffness", declared.servo.stiffness, joints, stiffness)
-        if declared.servo.stiffness is not None:
-            damping = DAMPING * stiffness
-        damping = _by_joint("servo.damping", declared.servo.damping, joints, damping)
+        servo, stiffness = declared.servo, np.where(np.isnan(stiffness), torque, stiffness)
+        stiffness = _by_joint("servo.stiffness", servo.stiffness, joints, stiffness)
+        damping = np.where(np.isnan(damping) | (servo.stiffness is not None), DAMPING * stiffness, damping)
+        damping = _by_joint("servo.damping", servo.damping, joints, damping)
         feet, geoms = _feet(declared.feet, spec)
         soles_of(model, feet, geoms)
         feet, turns = _in_bodies_order(feet, declared.turns, model)

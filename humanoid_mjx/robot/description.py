@@ -372,12 +372,6 @@ def _joint_images(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     return order, signs if robot.mirror else np.ones(len(joints))
 
 
-def motors_on(model: mujoco.MjModel, joint: int) -> Int[np.ndarray, " motors"]:
-    """Indices of the actuators that drive the joint of this index; those of tendons and sites are left out."""
-    on_joints = np.isin(model.actuator_trntype, (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-    return np.flatnonzero(on_joints & (model.actuator_trnid[:, 0] == joint))
-
-
 def motor_limits(model: mujoco.MjModel) -> Float[np.ndarray, " joints"]:
     """Largest torque of each motor of a model, N m."""
     control = np.where(model.actuator_ctrllimited, model.actuator_ctrlrange[:, 1], np.inf)

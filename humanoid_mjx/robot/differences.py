@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from humanoid_mjx.robot.description import Robot, motor_limits, motors_on
-from humanoid_mjx.robot.motors import ON_JOINTS, bounds, gains
+from humanoid_mjx.robot.description import Robot, motor_limits
+from humanoid_mjx.robot.motors import BIAS, ON_JOINTS, bounds, gains, motors_on
 from humanoid_mjx.robot.soles import Sole
-from humanoid_mjx.robot.touching import kind_of, named, touching
+from humanoid_mjx.robot.touching import FLAGS, kind_of, named, touching, word
 
 HEADINGS = "differs from the MJCF", "in the file", "here"
 ENUMS = {"cone": mujoco.mjtCone, "integrator": mujoco.mjtIntegrator, "solver": mujoco.mjtSolver}
@@ -42,58 +42,46 @@ def differences(
       turn: orientation of the trunk at home in the file, a quaternion.
       soles: the shapes of the file on which the robot stands.
     """
-    groups: dict[Difference, list[str]] = {}
+    rows = [row for sole in soles for row in _of_sole(file, sole)]
+    for name in sorted(name for name in dir(file.opt) if not name.startswith("_")):
+        words = [_option(name, np.ravel(getattr(model.opt, name))) for model in (file, here)]
+        rows += [("", f"option {name}", *words)] if words[0] != words[1] else []
     kept = {sole.geom for sole in soles if sole.contact.one >= 0}
-    for element, row in [
-        *(row for sole in soles for row in _of_sole(file, sole)),
-        *(("", row) for row in _of_options(file, here)),
-        *_of_contacts(file, kept, robot.contacts == "feet"),
-        *_of_actuators(file, here, robot.servo),
-    ]:
-        groups.setdefault(row, []).append(element)
+    rows += [*_of_contacts(file, kept, robot.contacts == "feet"), *_of_actuators(file, here, robot.servo)]
     if turn[0] != 1.0:
         angle = 2 * np.degrees(np.arccos(min(abs(turn[0]), 1.0)))
-        groups[Difference("frame of", f"turned by {angle:.3g} degrees at home", "upright at home")] = [
-            file.body(1).name
-        ]
+        rows.append((file.body(1).name, "frame of", f"turned by {angle:.3g} degrees at home", "upright at home"))
+    groups: dict[tuple[str, ...], list[str]] = {}
+    for element, *row in rows:
+        groups.setdefault(tuple(row), []).append(element)
     more = {row: f" and {len(names) - 1} more" * (len(names) > 1) for row, names in groups.items()}
-    return [row._replace(name=f"{row.name} {names[0]}{more[row]}".strip()) for row, names in groups.items()]
+    return [Difference(f"{row[0]} {names[0]}{more[row]}".strip(), *row[1:]) for row, names in groups.items()]
 
 
-Row = tuple[str, Difference]
-"""An element of the model, and what differs of it and of others."""
+Row = tuple[str, str, str, str]
+"""An element of the model; what differs of it; the value in the file, and here."""
 
 
-def _of_options(file: mujoco.MjModel, here: mujoco.MjModel) -> Iterator[Difference]:
-    for name in sorted(name for name in dir(file.opt) if not name.startswith("_")):
-        values = [np.ravel(getattr(model.opt, name)) for model in (file, here)]
-        if not np.array_equal(values[0], values[1]):
-            words = [" ".join(f"{value:g}" for value in each) for each in values]
-            if name in ENUMS:
-                words = [ENUMS[name](int(value[0])).name.split("_")[1].lower() for value in values]
-            if name == "disableflags":
-                flags = [bit for bit in mujoco.mjtDisableBit.__members__.values() if "DSBL_" in bit.name]
-                each = [[bit.name[7:].lower() for bit in flags if int(bit) & int(value[0])] for value in values]
-                words = [", ".join(names) or "none" for names in each]
-            yield Difference(f"option {name}", *words)
+def _option(name: str, value: np.ndarray) -> str:
+    if name == "disableflags":
+        bits = [bit for bit in FLAGS.__members__.values() if "DSBL_" in bit.name and int(bit) & int(value[0])]
+        return ", ".join(word(FLAGS, bit) for bit in bits) or "none"
+    return word(ENUMS[name], value[0]) if name in ENUMS else " ".join(f"{part:g}" for part in value)
 
 
 def _of_sole(file: mujoco.MjModel, sole: Sole) -> Iterator[Row]:
     contact, kind, name = sole.contact, kind_of(file, sole.geom), named(file, sole.geom)
     if contact.one < 0:
         here = f"the plane z = 0; friction {contact.friction[0]:g}, solref and solimp of the shape"
-        yield name, Difference("ground of", "no plane that it can touch", here)
+        yield name, "ground of", "no plane that it can touch", here
     if kind != "sphere":
-        yield (
-            name,
-            Difference("shape of", kind, "2 balls, in its ends" if kind == "capsule" else "4 balls, in its corners"),
-        )
+        yield name, "shape of", kind, "2 balls, in its ends" if kind == "capsule" else "4 balls, in its corners"
     if contact.condim > 3:
-        yield name, Difference("condim of", f"{contact.condim}: resists twisting or rolling", "3: resists sliding")
+        yield name, "condim of", f"{contact.condim}: resists twisting or rolling", "3: resists sliding"
     both = [geom for geom in (contact.one, contact.two) if geom >= 0]
     acting = [getattr(file, f"geom_{what}", np.zeros(file.ngeom))[both] for what in ("adhesion", "surfacevel")]
     if contact.surplus and any(map(np.any, [*acting, getattr(file, "pair_adhesion", 0)])):
-        yield name, Difference("adhesion or surfacevel of", "set", "none")
+        yield name, "adhesion or surfacevel of", "set", "none"
 
 
 def _of_contacts(file: mujoco.MjModel, kept: set[int], feet_only: bool) -> Iterator[Row]:
@@ -102,10 +90,7 @@ def _of_contacts(file: mujoco.MjModel, kept: set[int], feet_only: bool) -> Itera
         both = [pair.one, pair.two]
         static = (file.body_weldid[file.geom_bodyid[both]] == 0).any()
         if (static and not kept.intersection(both)) or (feet_only and not static):
-            yield (
-                " and ".join(named(file, geom) for geom in both),
-                Difference("contact of", "as the model says", "none"),
-            )
+            yield " and ".join(named(file, geom) for geom in both), "contact of", "as the model says", "none"
 
 
 def _of_actuators(file: mujoco.MjModel, here: mujoco.MjModel, servo: Any) -> Iterator[Row]:
@@ -113,28 +98,23 @@ def _of_actuators(file: mujoco.MjModel, here: mujoco.MjModel, servo: Any) -> Ite
         name, motor = here.joint(int(joint)).name, f"motor of {limit:g} N m"
         found = " + ".join(_of_motor(file, motor) for motor in motors_on(file, file.joint(name).id)) or "none"
         if found != motor:
-            yield (
-                name,
-                Difference("actuator of", found, "{}, servo of {:g} N m/rad, {:g} N m s/rad".format(motor, *gain)),
-            )
+            yield name, "actuator of", found, "{}, servo of {:g} N m/rad, {:g} N m s/rad".format(motor, *gain)
     for motor in np.flatnonzero(~np.isin(file.actuator_trntype, ON_JOINTS)).tolist():
-        kind = mujoco.mjtTrn(int(file.actuator_trntype[motor])).name.removeprefix("mjTRN_").lower()
-        yield repr(file.actuator(motor).name), Difference("actuator", f"drives a {kind}", "none")
+        kind = word(mujoco.mjtTrn, file.actuator_trntype[motor])
+        yield repr(file.actuator(motor).name), "actuator", f"drives a {kind}", "none"
 
 
 def _of_motor(m: mujoco.MjModel, motor: Any) -> str:
     """An actuator in words; a plain torque motor is a "motor of 20 N m"."""
     (stiffness, damping), (low, high) = gains(m, motor), bounds(m, motor)
-    gain = mujoco.mjtGain(int(m.actuator_gaintype[motor])).name.removeprefix("mjGAIN_").lower()
-    kind = "position" if stiffness > 0 else "damper" if damping > 0 else {"fixed": "motor"}.get(gain, gain)
-    limit = f" of {high:g} N m" if low == -high else f" of {low:g} to {high:g} N m"
-    parts = [f"{kind}" + (limit if np.isfinite(high - low) else " without limit")]
-    parts += [f"{stiffness:g} N m/rad", f"{damping:g} N m s/rad"] if stiffness or damping else []
-    if m.actuator_dyntype[motor] != mujoco.mjtDyn.mjDYN_NONE:
-        kind = mujoco.mjtDyn(int(m.actuator_dyntype[motor])).name.removeprefix("mjDYN_").lower()
-        parts.append(f"{kind} of {m.actuator_dynprm[motor, 0]:g} s")
-    for name in ("delay", "dampingpoly"):
-        if np.any(value := getattr(m, f"actuator_{name}", np.zeros(m.nu))[motor]):
-            parts.append(f"{name} {np.ravel(value)[0]:g}")
-    offset = m.actuator_biasprm[motor, 0] if m.actuator_biastype[motor] == mujoco.mjtBias.mjBIAS_AFFINE else 0.0
-    return ", ".join(parts + [f"bias {offset:g}"] * bool(offset))
+    kind = word(mujoco.mjtGain, m.actuator_gaintype[motor]).replace("fixed", "motor")
+    kind = "position" if stiffness > 0 else "damper" if damping > 0 else kind
+    limit = f"{high:g}" if low == -high else f"{low:g} to {high:g}"
+    more = {"delay": getattr(m, "actuator_delay", 0), "dampingpoly": getattr(m, "actuator_dampingpoly", 0)}
+    values = {name: np.abs(of[motor]).max() for name, of in more.items() if np.ndim(of)}
+    values["bias"] = m.actuator_biasprm[motor, 0] * (m.actuator_biastype[motor] == BIAS.mjBIAS_AFFINE)
+    filtered = f"{word(mujoco.mjtDyn, m.actuator_dyntype[motor])} of {m.actuator_dynprm[motor, 0]:g} s"
+    parts = [f"{kind} of {limit} N m" if np.isfinite(high - low) else f"{kind} without limit"]
+    parts += [f"{stiffness:g} N m/rad", f"{damping:g} N m s/rad"] * bool(stiffness or damping)
+    parts += [filtered] * bool(m.actuator_dyntype[motor])
+    return ", ".join(parts + [f"{name} {value:g}" for name, value in values.items() if value])

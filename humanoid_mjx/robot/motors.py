@@ -6,13 +6,9 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from humanoid_mjx.robot.description import motors_on
 from humanoid_mjx.spec import InputError
-
-DAMPING = 0.03
-"""Servo damping by stiffness where a description gives none, s."""
 
 GAIN, BIAS, INTEGRATOR = mujoco.mjtGain, mujoco.mjtBias, mujoco.mjtDyn.mjDYN_INTEGRATOR
 ON_JOINTS = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT
@@ -32,6 +28,11 @@ def driven(model: mujoco.MjModel) -> tuple[str, ...]:
     if wrong := [name for name in names if model.joint(name).type[0] != hinge]:
         raise InputError(f"model: the motor of {wrong[0]} drives no hinge")
     return names
+
+
+def motors_on(model: mujoco.MjModel, joint: int) -> Int[np.ndarray, " motors"]:
+    """Return the indices of the actuators that drive the joint of this index, not through a tendon or a site."""
+    return np.flatnonzero(np.isin(model.actuator_trntype, ON_JOINTS) & (model.actuator_trnid[:, 0] == joint))
 
 
 def gains(m: mujoco.MjModel, motor: Any) -> Float[np.ndarray, "2"]:
@@ -55,31 +56,21 @@ def bounds(m: mujoco.MjModel, motor: Any) -> Float[np.ndarray, "2"]:
     return np.sort(gear * span) if gear else np.zeros(2)
 
 
-def own_torques(model: mujoco.MjModel, joints: Sequence[str]) -> Float[np.ndarray, " joints"]:
-    """Return the model's largest torques, N m; infinite where there is no limit.
+def own_drives(model: mujoco.MjModel, joints: Sequence[str]) -> Float[np.ndarray, "3 joints"]:
+    """Return each joint's largest torque, N m, and the stiffness and damping of its actuators together, NaN without.
 
-    They are sums over a joint's actuators, without those that only damp, within the joint's own limit.
+    The torque is the sum over actuators, without those that only damp, within the joint's own limit; infinite without.
     """
-    limits = np.full(len(joints), np.inf)
-    for index, row in enumerate(model.joint(joint).id for joint in joints):
+    found = []
+    for row in (model.joint(joint).id for joint in joints):
         motors = motors_on(model, row).tolist()
-        kinds = [gains(model, motor) for motor in motors]
-        driving = [motor for motor, (hold, damp) in zip(motors, kinds, strict=True) if hold or damp <= 0] or motors
-        if driving:
-            limits[index] = sum(np.abs(bounds(model, motor)).max() for motor in driving)
+        each = np.array([gains(model, motor) for motor in motors]).reshape(-1, 2)
+        limits = np.array([np.abs(bounds(model, motor)).max() for motor in motors])
+        drives = (each[:, 0] != 0) | (each[:, 1] <= 0)
+        torque = limits[drives if drives.any() else slice(None)].sum() if motors else np.inf
         if model.jnt_actfrclimited[row]:
-            limits[index] = min(limits[index], np.abs(model.jnt_actfrcrange[row]).max())
-    return limits
-
-
-def own_servo(
-    model: mujoco.MjModel, joints: Sequence[str], torque: np.ndarray
-) -> tuple[Float[np.ndarray, " joints"], Float[np.ndarray, " joints"]]:
-    """Return the stiffness and damping of each joint's actuators together; else the torque limit a radian, and
-    `DAMPING` of it."""
-    stiffness, damping = torque.copy(), DAMPING * torque
-    for index, joint in enumerate(joints):
-        position, speed = sum((gains(model, motor) for motor in motors_on(model, model.joint(joint).id)), np.zeros(2))
-        stiffness[index] = position if position > 0 else stiffness[index]
-        damping[index] = max(speed, 0.0) if position > 0 or speed > 0 else damping[index]
-    return stiffness, damping
+            torque = min(torque, np.abs(model.jnt_actfrcrange[row]).max())
+        stiffness, damping = each.sum(axis=0)
+        held = stiffness > 0
+        found.append((torque, stiffness if held else np.nan, max(damping, 0.0) if held or damping > 0 else np.nan))
+    return np.array(found).T

@@ -66,8 +66,12 @@ def pairs_of(m: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
 
 def kind_of(m: mujoco.MjModel, geom: int) -> str:
     """The shape of a geom: plane, sphere, capsule, box and so on."""
-    name = mujoco.mjtGeom(int(m.geom_type[geom])).name.removeprefix("mjGEOM_").lower()
-    return name.replace("hfield", "height field")
+    return word(mujoco.mjtGeom, m.geom_type[geom]).replace("hfield", "height field")
+
+
+def word(kind: Any, value: Any) -> str:
+    """A value of one of MuJoCo's enumerations: `mjGEOM_SPHERE` is "sphere"."""
+    return kind(int(value)).name.partition("_")[2].lower()
 
 
 def named(m: mujoco.MjModel, geom: int) -> str:
