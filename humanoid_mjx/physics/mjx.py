@@ -20,8 +20,8 @@ from humanoid_mjx import compute
 from humanoid_mjx.control.drives import limited
 from humanoid_mjx.mechanics.contacts import Contacts
 from humanoid_mjx.physics.base import Controller, Poses, Sensed, World, freeze_if_diverged
-from humanoid_mjx.physics.model import MujocoPhysics, below
-from humanoid_mjx.robot.description import IMU
+from humanoid_mjx.physics.model import MujocoPhysics
+from humanoid_mjx.robot.description import IMU, below
 from humanoid_mjx.types import AnyArray
 
 with redirect_stdout(io.StringIO()):  # it prints two lines about warp

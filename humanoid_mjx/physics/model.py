@@ -3,7 +3,6 @@
 
 import math
 from collections.abc import Callable, Sequence
-from functools import lru_cache
 from typing import Any, ClassVar
 
 import jax.numpy as jnp
@@ -93,12 +92,12 @@ class MujocoPhysics(Physics):
     @property
     def joint_qpos(self) -> Any:
         """Index of the joints that motors drive in `qpos`."""
-        return places(self.model.jnt_qposadr[self.robot.driven])
+        return places(self.model.jnt_qposadr[self.model.actuator_trnid[:, 0]])
 
     @property
     def joint_dofs(self) -> Any:
         """Index of the same joints in `qvel`."""
-        return places(self.model.jnt_dofadr[self.robot.driven])
+        return places(self.model.jnt_dofadr[self.model.actuator_trnid[:, 0]])
 
     @property
     def torque_limits(self) -> Float[AnyArray, " joints"]:
@@ -123,7 +122,7 @@ class MujocoPhysics(Physics):
         """The factor on each body's mass and inertia. Factors of links leave the torso as it is."""
         if np.ndim(mass) == 0:
             return jnp.full(self.model.nbody, mass, float)
-        links = self.model.jnt_bodyid[self.robot.driven]
+        links = self.model.jnt_bodyid[self.model.actuator_trnid[:, 0]]
         return jnp.ones(self.model.nbody).at[links].set(mass)
 
     def _stages(
@@ -211,15 +210,6 @@ class MujocoPhysics(Physics):
     def start(self, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]) -> World:
         qvel = jnp.array(qvel, float)
         return World(jnp.array(qpos, float), qvel, jnp.zeros_like(qvel), jnp.bool_(False))
-
-
-@lru_cache
-def below(model: mujoco.MjModel) -> Float[np.ndarray, "bodies bodies"]:
-    """1 where the column's body is the row's, or hangs on it."""
-    rows = np.eye(model.nbody, dtype=np.float32)
-    for index in range(model.nbody - 1, 0, -1):
-        rows[model.body_parentid[index]] += rows[index]
-    return rows
 
 
 def places(rows: Int[np.ndarray, " rows"]) -> Any:

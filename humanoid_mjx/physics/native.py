@@ -24,11 +24,11 @@ from humanoid_mjx.control.drives import limited
 from humanoid_mjx.mechanics.contacts import Contacts
 from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.physics.base import Batches, Controller, Once, Poses, Sensed, Velocities, World, freeze_if_diverged
-from humanoid_mjx.physics.model import MujocoPhysics, below
+from humanoid_mjx.physics.model import MujocoPhysics
 from humanoid_mjx.physics.terrain import add_terrain, follow
 from humanoid_mjx.robot import Robot
 from humanoid_mjx.robot.compiling import checked, name_bodies
-from humanoid_mjx.robot.description import IMU, sensing_spec
+from humanoid_mjx.robot.description import IMU, below, sensing_spec
 from humanoid_mjx.types import AnyArray
 
 MODELS_BYTES = 1 << 27

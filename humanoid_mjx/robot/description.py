@@ -290,16 +290,20 @@ def add_motors_and_imu(spec: mujoco.MjSpec, limits: Mapping[str, float], site: s
 
 
 @lru_cache
+def below(model: mujoco.MjModel) -> Float[np.ndarray, "bodies bodies"]:
+    """1 where the column's body is the row's, or hangs on it."""
+    rows = np.eye(model.nbody, dtype=np.float32)
+    for index in range(model.nbody - 1, 0, -1):
+        rows[model.body_parentid[index]] += rows[index]
+    return rows
+
+
+@lru_cache
 def ground_points(model: mujoco.MjModel) -> tuple[Int[np.ndarray, " points"], Bool[np.ndarray, "points nv"]]:
     """The balls that a plane feels by explicit pairs: their geoms, and which velocities move them."""
     pairs = np.stack([model.pair_geom1, model.pair_geom2], axis=1)
     balls = pairs[model.geom_type[pairs[:, 0]] == mujoco.mjtGeom.mjGEOM_PLANE, 1]
-    moved_by = np.zeros((len(balls), model.nv), bool)
-    for row, link in zip(moved_by, model.geom_bodyid[balls], strict=True):
-        while link:
-            row[model.dof_bodyid == link] = True
-            link = model.body_parentid[link]
-    return balls, moved_by
+    return balls, below(model)[model.dof_bodyid][:, model.geom_bodyid[balls]].T > 0
 
 
 def lowest(model: mujoco.MjModel, centers: Any) -> Any:
@@ -338,17 +342,13 @@ def _stance(robot: Robot) -> _Stance:
 def _hips(model: mujoco.MjModel, feet: Sequence[str]) -> list[int]:
     """The first joint of each foot's limb, which begins at the lowest body where the way to another foot branches off;
     -1 where the foot has no joint."""
-    ways = []
-    for foot in feet:
-        ways.append([model.body(foot).id])
-        while model.body_parentid[ways[-1][-1]]:
-            ways[-1].append(int(model.body_parentid[ways[-1][-1]]))
-    hips = []
-    for way in ways:
+    ends, hips = [model.body(foot).id for foot in feet], []
+    shared = below(model)[:, ends].sum(axis=1)
+    for end in ends:
         first = -1
-        for below, body in pairwise(way):
-            first = model.body_jntadr[below] if model.body_jntnum[below] else first
-            if first >= 0 and any(body in other and below not in other for other in ways):
+        for lower, upper in pairwise(np.flatnonzero(below(model)[1:, end])[::-1] + 1):
+            first = model.body_jntadr[lower] if model.body_jntnum[lower] else first
+            if first >= 0 and shared[upper] > shared[lower]:
                 break
         hips.append(int(first))
     return hips

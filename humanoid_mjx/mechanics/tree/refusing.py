@@ -10,6 +10,7 @@ from typing import Any, Literal, NamedTuple
 import mujoco
 import numpy as np
 
+from humanoid_mjx.robot.description import below
 from humanoid_mjx.robot.touching import FLAGS, Touching, kind_of, named, pairs_of, touching
 
 JOINT = mujoco.mjtJoint
@@ -233,12 +234,8 @@ def _of_pair(m: mujoco.MjModel, data: mujoco.MjData, pair: Touching) -> Iterator
 def _stay_parallel(m: mujoco.MjModel, data: mujoco.MjData, pair: Touching) -> bool:
     """True if no joint can turn the axes of these capsules, which are parallel, away from each other."""
     one, two = data.geom_xmat[[pair.one, pair.two]].reshape(2, 3, 3)[:, :, 2]
-    above = [np.zeros(m.nbody, bool) for _ in range(2)]
-    for bodies, geom in zip(above, (pair.one, pair.two), strict=True):
-        body = m.geom_bodyid[geom]
-        while body:
-            bodies[body], body = True, m.body_parentid[body]
-    between = np.flatnonzero((above[0] != above[1])[m.jnt_bodyid])
+    moves = below(m)[m.jnt_bodyid][:, m.geom_bodyid[[pair.one, pair.two]]]
+    between = np.flatnonzero(moves[:, 0] != moves[:, 1])
     turning = between[m.jnt_type[between] != JOINT.mjJNT_SLIDE]
     axes = np.concatenate([two[None], data.xaxis[turning]])
     return bool((m.jnt_type[turning] == JOINT.mjJNT_HINGE).all() and (np.abs(np.cross(one, axes)) < PARALLEL).all())
