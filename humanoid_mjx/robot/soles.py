@@ -74,8 +74,8 @@ def _fault(model: mujoco.MjModel, data: mujoco.MjData, base: int) -> str:
 
 def _alone(m: mujoco.MjModel, geom: int) -> Touching:
     """Contact parameters of a shape with a plane that decides nothing."""
-    friction = np.full(2, m.geom_friction[geom, 0])
-    return Touching(-1, geom, 3, friction, m.geom_margin[geom], m.geom_solref[geom], m.geom_solimp[geom], False)
+    softness = m.geom_margin[geom], m.geom_solref[geom], m.geom_solimp[geom]
+    return Touching(-1, geom, 3, m.geom_friction[geom, [0, 0]], *softness, False)
 
 
 def balls_of(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> list[tuple[Float[np.ndarray, "3"], float]]:

@@ -46,20 +46,17 @@ def set_upright(spec: mujoco.MjSpec, turn: Quat) -> None:
     trunk, given = spec.worldbody.first_body(), mujoco.mjtOrientation.mjORIENTATION_QUAT
     if held := [e.name for e in spec.equalities if trunk.name in (e.name1, e.name2)]:
         raise InputError(f"model: {trunk.name!r} is turned, and the equality {held[0]!r} holds it by its frame")
-    inner = checked(spec.compile)[0].body_iquat[1]
+    model = checked(spec.compile)[0]
     parts = *trunk.geoms, *trunk.sites, *trunk.bodies, *trunk.cameras, *trunk.lights, *trunk.frames
     frame = trunk.add_frame(quat=turn)
     for part in parts:
         if part.frame is None:
             part.set_frame(frame)
     if trunk.explicitinertial:
-        matrix = np.empty(9)
-        mujoco.mju_quat2Mat(matrix, turn)
-        matrix = matrix.reshape(3, 3)
-        trunk.ipos, trunk.iquat, trunk.ialt.type = matrix @ trunk.ipos, _product(turn, inner), given
-        if not np.isnan(trunk.fullinertia[0]):  # xx, yy, zz, xy, xz, yz
-            full = matrix @ trunk.fullinertia[[[0, 3, 4], [3, 1, 5], [4, 5, 2]]] @ matrix.T
-            trunk.fullinertia, trunk.iquat = full[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)], (1, 0, 0, 0)
+        mujoco.mju_rotVecQuat(trunk.ipos, model.body_ipos[1].copy(), turn)
+        trunk.iquat, trunk.ialt.type = _product(turn, model.body_iquat[1]), given
+        trunk.inertia = trunk.mass / model.body_mass[1] * model.body_inertia[1]  # the compiler may scale them
+        trunk.fullinertia = np.full(6, np.nan)
     trunk.quat, trunk.alt.type = (1, 0, 0, 0), given
     trunk.quat = checked(spec.compile)[0].qpos0[3:7] * (1, -1, -1, -1)  # against a <frame> around the body
 

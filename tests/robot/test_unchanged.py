@@ -414,7 +414,9 @@ def test_a_trunk_with_a_turned_frame_is_the_same_robot(euler, tmp_path):
 
 def test_an_inertia_turns_with_its_frame(tmp_path):
     """Given in the file for the turned trunk, against native MuJoCo on the file itself."""
-    robot = robot_of(tmp_path, *turned("90 0 0"), ("<freejoint/>", f"<freejoint/>{INERTIAL[1].split('<geom')[0]}"))
+    scaled = "<option", '<compiler settotalmass="12"/><option'
+    inertial = "<freejoint/>", f"<freejoint/>{INERTIAL[1].split('<geom')[0]}"
+    robot = robot_of(tmp_path, *turned("90 0 0"), inertial, scaled)
     own = mujoco.MjModel.from_xml_path(str(tmp_path / "base.xml"))
     one, two = mujoco.MjData(own), mujoco.MjData(robot.model)
     two.qpos[:3] = own.qpos0[:3]
