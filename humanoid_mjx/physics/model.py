@@ -69,16 +69,8 @@ class MujocoPhysics(Physics):
         return float(self.model.opt.timestep)
 
     @property
-    def joint_names(self) -> tuple[str, ...]:
-        return self.robot.joints
-
-    @property
     def body_names(self) -> tuple[str, ...]:
         return tuple(self.model.body(index).name for index in range(self.model.nbody))
-
-    @property
-    def joint_ranges(self) -> Float[np.ndarray, "joints 2"]:
-        return self.robot.ranges_rad
 
     @property
     def qpos0(self) -> Float[np.ndarray, " nq"]:

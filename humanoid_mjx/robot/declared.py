@@ -130,9 +130,9 @@ class Declared(Robot):
                 hinge.damping[0] += squared * model.actuator_damping[motor]
         mujoco.mj_kinematics(model, data)
         balls = [
-            (spec.body(model.body(model.geom_bodyid[geom]).name), contact, *ball)
-            for geom, contact in soles_of(model, self.feet, self.ground_geoms)
-            for ball in balls_of(model, data, geom)
+            (spec.body(model.body(model.geom_bodyid[contact.two]).name), contact, *ball)
+            for contact in soles_of(model, self.feet, self.ground_geoms)
+            for ball in balls_of(model, data, contact.two)
         ]
         strip(spec, self.contacts == "feet")
         spec.option.timestep = timestep or model.opt.timestep

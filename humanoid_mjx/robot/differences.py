@@ -9,8 +9,7 @@ import numpy as np
 
 from humanoid_mjx.robot.description import Robot, motor_limits
 from humanoid_mjx.robot.motors import BIAS, ON_JOINTS, bounds, gains, motors_on
-from humanoid_mjx.robot.soles import Sole
-from humanoid_mjx.robot.touching import FLAGS, kind_of, named, touching, word
+from humanoid_mjx.robot.touching import FLAGS, Touching, kind_of, named, touching, word
 
 HEADINGS = "differs from the MJCF", "in the file", "here"
 ENUMS = {"cone": mujoco.mjtCone, "integrator": mujoco.mjtIntegrator, "solver": mujoco.mjtSolver}
@@ -31,7 +30,7 @@ def differences_of(task: Any) -> tuple[Difference, ...]:
 
 
 def differences(
-    file: mujoco.MjModel, here: mujoco.MjModel, robot: Any, turn: Sequence[float], soles: Sequence[Sole]
+    file: mujoco.MjModel, here: mujoco.MjModel, robot: Any, turn: Sequence[float], soles: Sequence[Touching]
 ) -> list[Difference]:
     """Compare the compiled model of an MJCF with that of its robot.
 
@@ -40,13 +39,13 @@ def differences(
       here: the robot's own.
       robot: a `Declared`.
       turn: orientation of the trunk at home in the file, a quaternion.
-      soles: the shapes of the file on which the robot stands.
+      soles: the contacts of `soles_of` the file.
     """
     rows = [row for sole in soles for row in _of_sole(file, sole)]
     for name in sorted(name for name in dir(file.opt) if not name.startswith("_")):
         words = [_option(name, np.ravel(getattr(model.opt, name))) for model in (file, here)]
         rows += [("", f"option {name}", *words)] if words[0] != words[1] else []
-    kept = {sole.geom for sole in soles if sole.contact.one >= 0}
+    kept = {sole.two for sole in soles if sole.one >= 0}
     rows += [*_of_contacts(file, kept, robot.contacts == "feet"), *_of_actuators(file, here, robot.servo)]
     if turn[0] != 1.0:
         angle = 2 * np.degrees(np.arccos(min(abs(turn[0]), 1.0)))
@@ -69,8 +68,8 @@ def _option(name: str, value: np.ndarray) -> str:
     return word(ENUMS[name], value[0]) if name in ENUMS else " ".join(f"{part:g}" for part in value)
 
 
-def _of_sole(file: mujoco.MjModel, sole: Sole) -> Iterator[Row]:
-    contact, kind, name = sole.contact, kind_of(file, sole.geom), named(file, sole.geom)
+def _of_sole(file: mujoco.MjModel, contact: Touching) -> Iterator[Row]:
+    kind, name = kind_of(file, contact.two), named(file, contact.two)
     if contact.one < 0:
         here = f"the plane z = 0; friction {contact.friction[0]:g}, solref and solimp of the shape"
         yield name, "ground of", "no plane that it can touch", here
@@ -110,8 +109,8 @@ def _of_motor(m: mujoco.MjModel, motor: Any) -> str:
     kind = word(mujoco.mjtGain, m.actuator_gaintype[motor]).replace("fixed", "motor")
     kind = "position" if stiffness > 0 else "damper" if damping > 0 else kind
     limit = f"{high:g}" if low == -high else f"{low:g} to {high:g}"
-    more = {"delay": getattr(m, "actuator_delay", 0), "dampingpoly": getattr(m, "actuator_dampingpoly", 0)}
-    values = {name: np.abs(of[motor]).max() for name, of in more.items() if np.ndim(of)}
+    none = np.zeros(len(m.actuator_trntype))
+    values = {key: np.abs(getattr(m, f"actuator_{key}", none)[motor]).max() for key in ("delay", "dampingpoly")}
     values["bias"] = m.actuator_biasprm[motor, 0] * (m.actuator_biastype[motor] == BIAS.mjBIAS_AFFINE)
     filtered = f"{word(mujoco.mjtDyn, m.actuator_dyntype[motor])} of {m.actuator_dynprm[motor, 0]:g} s"
     parts = [f"{kind} of {limit} N m" if np.isfinite(high - low) else f"{kind} without limit"]

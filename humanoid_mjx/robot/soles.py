@@ -2,7 +2,6 @@
 """Shapes of a user's model that stand on the ground: MuJoCo's own contact of each, and the balls that stand for it."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -20,31 +19,25 @@ LEVEL = 1e-4
 GEOM = mujoco.mjtGeom
 
 
-class Sole(NamedTuple):
-    """A shape of a foot."""
+def soles_of(model: mujoco.MjModel, feet: Sequence[str], chosen: Sequence[str]) -> list[Touching]:
+    """Return the contacts of the shapes on which these bodies stand, body by body: of the geoms named, else of those
+    that can touch the ground, else of those that can touch anything.
 
-    geom: int
-    contact: Touching
-    """With the ground as MuJoCo mixes it; its own, with `one` -1, where no plane of the file can touch it."""
-
-
-def soles_of(model: mujoco.MjModel, feet: Sequence[str], chosen: Sequence[str]) -> list[Sole]:
-    """Return the shapes on which these bodies stand, body by body: the geoms named, else those that can touch the
-    ground, else those that can touch anything.
+    `one` is the ground and `two` the shape. Where no plane of the file can touch it, `one` is -1 and the contact has
+    the shape's own parameters.
 
     Raises:
       InputError: a body has no such shape, or the ground under one is no level plane at z = 0.
     """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    bodies, ground, found = [model.body(foot).id for foot in feet], {}, []
-    names = [model.geom(geom).name for geom in range(model.ngeom)]
-    own = [
-        geom for geom, body in enumerate(model.geom_bodyid) if body in bodies and (names[geom] in chosen or not chosen)
-    ]
+    ground, found, masks = {}, [], model.geom_contype | model.geom_conaffinity
+    geoms = [np.flatnonzero(model.geom_bodyid == model.body(foot).id).tolist() for foot in feet]
+    if chosen:
+        geoms = [[geom for geom in own if model.geom(geom).name in chosen] for own in geoms]
     for pair in touching(model):
         for base, geom in ((pair.one, pair.two), (pair.two, pair.one)):
-            if geom in own and not model.body_weldid[model.geom_bodyid[base]]:
+            if any(geom in own for own in geoms) and not model.body_weldid[model.geom_bodyid[base]]:
                 fault = _fault(model, data, base) or (geom in ground and "the second ground that it can touch")
                 if fault:
                     raise InputError(
@@ -52,13 +45,11 @@ def soles_of(model: mujoco.MjModel, feet: Sequence[str], chosen: Sequence[str]) 
                         'level plane at z = 0: move this there, or write contype="0" conaffinity="0" for it'
                     )
                 ground[geom] = pair
-    for foot, body in zip(feet, bodies, strict=True):
-        geoms = [geom for geom in own if model.geom_bodyid[geom] == body]
-        masked = [geom for geom in geoms if model.geom_contype[geom] or model.geom_conaffinity[geom]]
-        used = geoms if chosen else [geom for geom in geoms if geom in ground] or masked
+    for foot, own in zip(feet, geoms, strict=True):
+        used = own if chosen else [geom for geom in own if geom in ground] or [geom for geom in own if masks[geom]]
         if not used:
             raise InputError(f"feet: {foot} has no geom that touches")
-        found += [Sole(geom, ground.get(geom) or _alone(model, geom)) for geom in used]
+        found += [ground.get(geom) or _alone(model, geom) for geom in used]
     return found
 
 
