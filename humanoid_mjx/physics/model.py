@@ -17,7 +17,8 @@ from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.mechanics.tree.refusing import robot_faults
 from humanoid_mjx.physics.base import GroundContacts, Once, Physics, Poses, Readings, Sensed, Velocities, World
 from humanoid_mjx.robot import RobotKey, make_robot
-from humanoid_mjx.robot.description import compiled, ground_points, lowest, motor_limits
+from humanoid_mjx.robot.description import compiled, ground_points, lowest
+from humanoid_mjx.robot.motors import motor_limits
 from humanoid_mjx.spec import traced
 from humanoid_mjx.types import AnyArray, MassFactor
 

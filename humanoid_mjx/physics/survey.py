@@ -13,14 +13,14 @@ from humanoid_mjx.robot.compiling import checked
 from humanoid_mjx.robot.declared import bad_timestep
 from humanoid_mjx.robot.description import IMU
 from humanoid_mjx.robot.motors import motors_on
-from humanoid_mjx.robot.touching import kind_of, pairs_of
+from humanoid_mjx.robot.touching import kind_of, pairs_of, word
 from humanoid_mjx.spec import InputError
 
 JOINT = mujoco.mjtJoint
 
 
-def _read(path: str) -> tuple[mujoco.MjModel, tuple[str, ...]]:
-    """The compiled model of an MJCF file, and MuJoCo's warnings.
+def survey(path: str) -> tuple[list[str], bool]:
+    """Return lines that say what an MJCF file has, and whether the tree takes it as it is.
 
     Raises:
       InputError: there is no such file, MuJoCo cannot compile it, its time step is none, or nothing in it moves.
@@ -32,17 +32,7 @@ def _read(path: str) -> tuple[mujoco.MjModel, tuple[str, ...]]:
         raise InputError(f"info: {path} has no joint, so nothing in it moves.")
     if fault := bad_timestep(model.opt.timestep):
         raise InputError(f"info: {path}: {fault}.")
-    return model, warned
-
-
-def survey(path: str) -> tuple[list[str], bool]:
-    """Return lines that say what an MJCF file has, and whether the tree takes it as it is.
-
-    Raises:
-      InputError: see `_read`.
-    """
-    model, warned = _read(path)
-    free = bool((model.jnt_type == JOINT.mjJNT_FREE).any())
+    free, hinges = ((model.jnt_type == kind).sum() for kind in (JOINT.mjJNT_FREE, JOINT.mjJNT_HINGE))
     planes, (_, (one, two)) = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE, pairs_of(model)
     kinds = [kind_of(model, geom) for geom in range(model.ngeom)]
     contacts = Counter((kinds[i], kinds[j]) for i, j in zip(one.tolist(), two.tolist(), strict=True))
@@ -50,25 +40,19 @@ def survey(path: str) -> tuple[list[str], bool]:
     ends = (pushed if floor else set(range(model.nbody))) - {int(parent) for parent in model.body_parentid[1:]} - {0}
     feet = [model.body(body).name or f"body {body}" for body in sorted(ends)]
     joints = list(_joints(model))
-    found = {
-        "mass": f"{model.body_mass.sum():.4g} kg in {model.nbody - 1} bodies, {'a free' if free else 'no free'} base",
-        "joints": f"{len(joints)}, {len(model.actuator_trntype)} motors, {model.nv} degrees of freedom",
-        "feet": f"{', '.join(feet) or 'none'}: ends of limbs{' that the ground can push' * floor}",
-        "contacts": ", ".join(f"{count} of {one} and {two}" for (one, two), count in contacts.items()) or "none",
-    }
-    lines = [f"{name:13} {words}" for name, words in found.items()]
-    lines[2:2] = joints
-    lines += [f"{'MuJoCo warns':13} {warning}" for warning in warned]
-    hinges = [model.joint(int(joint)).name for joint in np.flatnonzero(model.jnt_type == JOINT.mjJNT_HINGE)]
-    needs = {
-        "one body with a <freejoint/>": (model.jnt_type == JOINT.mjJNT_FREE).sum() == 1,
-        "hinges that have names": bool(hinges) and all(hinges),
-    }
+    named = all(model.joint(joint).name for joint in np.flatnonzero(model.jnt_type == JOINT.mjJNT_HINGE).tolist())
+    needs = {"one body with a <freejoint/>": free == 1, "hinges that have names": hinges and named}
+    rows = [
+        ("mass", f"{model.body_mass.sum():.4g} kg in {model.nbody - 1} bodies, {'a free' if free else 'no free'} base"),
+        ("joints", f"{len(joints)}, {len(model.actuator_trntype)} motors, {model.nv} degrees of freedom"),
+        *joints,
+        ("feet", f"{', '.join(feet) or 'none'}: ends of limbs{' that the ground can push' * floor}"),
+        ("contacts", ", ".join(f"{count} of {one} and {two}" for (one, two), count in contacts.items()) or "none"),
+        *(("MuJoCo warns", warning) for warning in warned),
+    ]
     if lacks := [what for what, has in needs.items() if not has]:
-        lines.append(f"{'tasks':13} stand and walk need {' and '.join(lacks)}")
+        rows.append(("tasks", f"stand and walk need {' and '.join(lacks)}"))
     wrong = faults(model, sensors_of(model, IMU)) + robot_faults(model)
-    if not wrong:
-        return [*lines, f"{'physics':13} tree takes it as it is"], True
     many, of = f"{len(wrong)} things" if len(wrong) > 1 else "one thing", {fault.of for fault in wrong}
     words = f"tree cannot represent {many}{'; mjx-jax, mjx-warp and mujoco may' * (not of & {'motors', 'numbers'})}:"
     if free and of <= {"contacts", "motors"}:
@@ -78,8 +62,9 @@ def survey(path: str) -> tuple[list[str], bool]:
             f"tree takes it through a robot's YAML{how}: torque motors take the place of its own{what} "
             f"(docs/your_robot.md). As it is, the tree cannot represent {many}:"
         )
-    lines.append(f"{'physics':13} {words}")
-    return lines + [f"  {fault.what}; to change: {fault.change}" for fault in wrong], False
+    rows.append(("physics", words if wrong else "tree takes it as it is"))
+    rows += [f"  {fault.what}; to change: {fault.change}" for fault in wrong]
+    return [row if isinstance(row, str) else "{:13} {}".format(*row) for row in rows], not wrong
 
 
 def _joints(m: mujoco.MjModel) -> Iterator[str]:
@@ -87,7 +72,7 @@ def _joints(m: mujoco.MjModel) -> Iterator[str]:
     for index, kind in enumerate(m.jnt_type):
         if kind == JOINT.mjJNT_FREE:
             continue
-        name, slides = JOINT(int(kind)).name.removeprefix("mjJNT_").lower(), kind == JOINT.mjJNT_SLIDE
+        name, slides = word(JOINT, kind), kind == JOINT.mjJNT_SLIDE
         low, high = m.jnt_range[index] * 1e3 if slides else np.degrees(m.jnt_range[index])
         limits = f"{low:.4g} to {high:.4g} {'mm' if slides else 'degrees'}" if m.jnt_limited[index] else "no limits"
         motors = [m.actuator(i).name or "a motor" for i in motors_on(m, index)]

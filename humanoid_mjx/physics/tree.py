@@ -32,7 +32,8 @@ from humanoid_mjx.mechanics.tree.refusing import sensors_of
 from humanoid_mjx.mechanics.tree.structure import Tree
 from humanoid_mjx.physics.base import MAX_SPEED, Controller, Once, Poses, Sensed, Velocities, World
 from humanoid_mjx.physics.model import MujocoPhysics
-from humanoid_mjx.robot.description import IMU, ground_points, motor_limits
+from humanoid_mjx.robot.description import IMU, ground_points
+from humanoid_mjx.robot.motors import motor_limits
 from humanoid_mjx.types import AnyArray, BoolScalar
 
 UNROLL, WHOLE = 4, 10

@@ -19,7 +19,8 @@ from jaxtyping import Bool, Float, Int
 from pydantic import Field
 
 from humanoid_mjx.robot.compiling import PLAIN, checked
-from humanoid_mjx.robot.mirror import image, images
+from humanoid_mjx.robot.mirror import images
+from humanoid_mjx.robot.motors import motor_limits
 from humanoid_mjx.spec import InputError, Named
 
 AXIAL = np.array([-1.0, 1.0, -1.0])
@@ -228,10 +229,6 @@ class Robot(Named):
         pairs = [(one, other) for one, other in enumerate(self.foot_images) if left[one] < left[other]]
         return np.array(pairs, int).reshape(-1, 2)
 
-    def image_of(self, name: str) -> str:
-        """The name of the joint or foot on the other side. A part in the middle is its own image."""
-        return image(name, self.mirror, _names(self.model))
-
     @pydantic.model_validator(mode="after")
     def _fits_its_model(self) -> "Robot":
         if (self.model.actuator_trntype != mujoco.mjtTrn.mjTRN_JOINT).any():
@@ -367,17 +364,10 @@ def _joint_images(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     mujoco.mj_kinematics(model, data)
     axes = data.xaxis[robot.driven]
     signs = np.round(np.sum(axes * AXIAL * axes[order], axis=1), 6)
-    if robot.mirror and (wrong := [name for name, sign in zip(joints, signs, strict=True) if abs(sign) != 1]):
-        raise InputError(f"mirror: the axis of {wrong[0]} is no image of that of {robot.image_of(wrong[0])}.")
+    if robot.mirror and len(wrong := np.flatnonzero(np.abs(signs) != 1)):
+        one, other = joints[wrong[0]], joints[order[wrong[0]]]
+        raise InputError(f"mirror: the axis of {one} is no image of that of {other}.")
     return order, signs if robot.mirror else np.ones(len(joints))
-
-
-def motor_limits(model: mujoco.MjModel) -> Float[np.ndarray, " joints"]:
-    """Largest torque of each motor of a model, N m."""
-    control = np.where(model.actuator_ctrllimited, model.actuator_ctrlrange[:, 1], np.inf)
-    force = np.where(model.actuator_forcelimited, model.actuator_forcerange[:, 1], np.inf)
-    gain, gear = model.actuator_gainprm[:, 0], model.actuator_gear[:, 0]
-    return np.minimum(np.abs(gain) * control, force) * np.abs(gear)
 
 
 def _two_digits(value: float) -> float:

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from humanoid_mjx.robot.description import Robot, motor_limits
-from humanoid_mjx.robot.motors import BIAS, ON_JOINTS, bounds, gains, motors_on
+from humanoid_mjx.robot.description import Robot
+from humanoid_mjx.robot.motors import BIAS, ON_JOINTS, bounds, gains, motor_limits, motors_on
 from humanoid_mjx.robot.touching import FLAGS, Touching, kind_of, named, touching, word
 
 HEADINGS = "differs from the MJCF", "in the file", "here"

@@ -56,6 +56,11 @@ def bounds(m: mujoco.MjModel, motor: Any) -> Float[np.ndarray, "2"]:
     return np.sort(gear * span) if gear else np.zeros(2)
 
 
+def motor_limits(model: mujoco.MjModel) -> Float[np.ndarray, " motors"]:
+    """Return the largest torque of each motor at its joint, N m."""
+    return np.array([np.abs(bounds(model, motor)).max() for motor in range(len(model.actuator_trntype))], float)
+
+
 def own_drives(model: mujoco.MjModel, joints: Sequence[str]) -> Float[np.ndarray, "3 joints"]:
     """Return each joint's largest torque, N m, and the stiffness and damping of its actuators together, NaN without.
 
@@ -65,7 +70,7 @@ def own_drives(model: mujoco.MjModel, joints: Sequence[str]) -> Float[np.ndarray
     for row in (model.joint(joint).id for joint in joints):
         motors = motors_on(model, row).tolist()
         each = np.array([gains(model, motor) for motor in motors]).reshape(-1, 2)
-        limits = np.array([np.abs(bounds(model, motor)).max() for motor in motors])
+        limits = motor_limits(model)[motors]
         drives = (each[:, 0] != 0) | (each[:, 1] <= 0)
         torque = limits[drives if drives.any() else slice(None)].sum() if motors else np.inf
         if model.jnt_actfrclimited[row]:

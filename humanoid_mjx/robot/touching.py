@@ -101,4 +101,9 @@ SURPLUS = "gap", "adhesion"
 def _any(m: mujoco.MjModel, kind: str, *names: str) -> np.ndarray:
     """True for elements where one of these fields is not 0. Older versions of MuJoCo lack some."""
     fields = [getattr(m, f"{kind}_{name}", np.zeros((len(getattr(m, f"{kind}_gap")), 1))) for name in names]
-    return np.any([np.any(field, axis=tuple(range(1, field.ndim))) for field in fields], axis=0)
+    return np.any([any_of_rows(field) for field in fields], axis=0)
+
+
+def any_of_rows(values: Any) -> np.ndarray:
+    """True for rows of the first axis in which something is not 0."""
+    return np.any(values, axis=tuple(range(1, np.ndim(values))))

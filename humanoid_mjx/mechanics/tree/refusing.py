@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from humanoid_mjx.robot.description import below
-from humanoid_mjx.robot.touching import FLAGS, Touching, kind_of, named, pairs_of, touching
+from humanoid_mjx.robot.touching import FLAGS, Touching, any_of_rows, kind_of, named, pairs_of, touching, word
 
 JOINT = mujoco.mjtJoint
 
@@ -42,11 +42,22 @@ class Fault(NamedTuple):
 
 def faults(m: mujoco.MjModel, sensors: Sequence[str] = ()) -> list[Fault]:
     """All that keeps a compiled model from being a tree, of whose sensors these are read, beside `robot_faults`."""
-    checks = *_of_options(m, bool(sensors)), *_of_joints(m)
-    found = [Fault(what, change) for wrong, what, change in checks if wrong] + _of_fields(m, _unused(m))
-    for name in sensors:
-        found += _of_sensor(m, name)
-    return found + [Fault(what, change, "contacts") for wrong, what, change in _of_contacts(m) if wrong]
+    read, kinds = np.isin(np.arange(m.nsensor), [m.sensor(name).id for name in sensors]), mujoco.mjtSensor
+    limited, wide = m.jnt_limited != 0, m.jnt_range[:, 1] - m.jnt_range[:, 0] > 2.0 * m.jnt_margin
+    imu = np.isin(m.sensor_type, (kinds.mjSENS_GYRO, kinds.mjSENS_ACCELEROMETER))
+    fields = UNUSED | {
+        "body_mocapid": (m.body_mocapid >= 0, 'mocap="false"'),
+        "jnt_range": (limited & ~wide, "a range wider than twice the margin"),
+        "jnt_solref": (limited & _mixed_signs(m.jnt_solref), ONE_SIGN),
+        "dof_solref": ((m.dof_frictionloss != 0) & _mixed_signs(m.dof_solref), ONE_SIGN),
+        "sensor_type": (read & ~imu, "a gyro or an accelerometer"),
+    }
+    for name in ("cutoff", "delay", "interval"):
+        used = any_of_rows(getattr(m, f"sensor_{name}", np.zeros(m.nsensor)))
+        fields[f"sensor_{name}"] = read & used, f'{name}="0"'
+    found = [Fault(what, change) for wrong, what, change in _of_structure(m, bool(sensors)) if wrong]
+    contacts = [Fault(what, change, "contacts") for wrong, what, change in _of_contacts(m) if wrong]
+    return found + _of_fields(m, fields) + contacts
 
 
 def sensors_of(m: mujoco.MjModel, names: Sequence[str]) -> tuple[str, ...]:
@@ -61,8 +72,14 @@ def robot_faults(m: mujoco.MjModel) -> list[Fault]:
     control, output = getattr(m, "actuator_ctrladr", rows), getattr(m, "actuator_outadr", rows)
     limited, clamped = m.actuator_forcelimited != 0, m.actuator_ctrllimited[control] != 0
     joint = np.where(m.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT, m.actuator_trnid[:, 0], -1)
-    alike, unclamped = "bounds that are the same both ways", bool(m.opt.disableflags & FLAGS.mjDSBL_CLAMPCTRL)
-    found = _not_zero(m, MOTORS) | {
+    unclamped = bool(m.opt.disableflags & FLAGS.mjDSBL_CLAMPCTRL)
+    servos, alike = "<motor> in the place of <position> and its like", "bounds that are the same both ways"
+    motors: Fields = {
+        "actuator_trntype": 'joint="..." in the place of a tendon, site or body',
+        "actuator_gaintype": servos,
+        "actuator_biastype": servos,
+        "actuator_dyntype": 'dyntype="none"',
+        "actuator_delay": 'delay="0"',
         "actuator_trnid": ((joint >= 0) & (kinds[joint] < int(JOINT.mjJNT_SLIDE)), "a hinge or a slide"),
         "actuator_gainprm": (m.actuator_gainprm[:, 0] == 0, "a gain that is not 0"),
         "actuator_gear": (m.actuator_gear[output, 0] == 0, "a gear that is not 0"),
@@ -70,15 +87,16 @@ def robot_faults(m: mujoco.MjModel) -> list[Fault]:
         "actuator_forcerange": (limited & (m.actuator_forcerange.sum(axis=1) != 0), alike),
         "actuator_ctrllimited": (clamped & unclamped, 'clampctrl="enable"'),
     }
-    endless = {name: (~np.isfinite(getattr(m, name)), "a finite number") for name in FINITE}
-    return _of_fields(m, endless, "numbers") + _of_fields(m, found, "motors")
+    endless: Fields = {name: (~np.isfinite(getattr(m, name)), "a finite number") for name in FINITE}
+    return _of_fields(m, endless, "numbers") + _of_fields(m, motors)
 
 
 Check = tuple[Any, str, str]
 """True if the model has it; what it is; what would have to change."""
 
-Fields = dict[str, tuple[Any, str]]
-"""By field: what is not 0 in rows that cannot be represented; what would have to change."""
+Fields = dict[str, Any]
+"""By field: what would have to change where it is not 0; or a mask of wrong entries, and what would have to change.
+Older versions of MuJoCo lack some."""
 
 FINITE = (
     *("body_pos", "body_ipos", "body_mass", "body_inertia", "jnt_pos", "jnt_stiffness", "jnt_margin"),
@@ -86,15 +104,8 @@ FINITE = (
 )
 """Fields that MuJoCo compiles also with infinite numbers, or NaN."""
 
-SERVOS, TENDONS = "<motor> in the place of <position> and its like", "no <tendon> that acts or is driven"
-MOTORS = {
-    "actuator_trntype": 'joint="..." in the place of a tendon, site or body',
-    "actuator_gaintype": SERVOS,
-    "actuator_biastype": SERVOS,
-    "actuator_dyntype": 'dyntype="none"',
-    "actuator_delay": 'delay="0"',
-}
-UNUSED = {
+TENDONS, ONE_SIGN = "no <tendon> that acts or is driven", "two positive values of solref, or none"
+UNUSED: Fields = {
     "body_gravcomp": 'gravcomp="0"',
     "jnt_springyield": 'springyield="0"',
     "jnt_stiffnesspoly": "one number as stiffness",
@@ -103,24 +114,7 @@ UNUSED = {
     **dict.fromkeys(("tendon_limited", "tendon_actfrclimited", "tendon_frictionloss", "tendon_armature"), TENDONS),
     **{f"tendon_{name}": TENDONS for name in ("stiffness", "stiffnesspoly", "damping", "dampingpoly")},
 }
-"""Fields that act where they are not 0, of which no physics and a tree compute nothing. Older MuJoCos lack some."""
-
-
-def _not_zero(m: mujoco.MjModel, names: dict[str, str]) -> Fields:
-    return {name: (getattr(m, name), change) for name, change in names.items() if hasattr(m, name)}
-
-
-def _unused(m: mujoco.MjModel) -> Fields:
-    limited, wide = m.jnt_limited != 0, m.jnt_range[:, 1] - m.jnt_range[:, 0] > 2.0 * m.jnt_margin
-    return _not_zero(m, UNUSED) | {
-        "body_mocapid": (m.body_mocapid >= 0, 'mocap="false"'),
-        "jnt_range": (limited & ~wide, "a range wider than twice the margin"),
-        "jnt_solref": (limited & _mixed_signs(m.jnt_solref), ONE_SIGN),
-        "dof_solref": ((m.dof_frictionloss != 0) & _mixed_signs(m.dof_solref), ONE_SIGN),
-    }
-
-
-ONE_SIGN = "two positive values of solref, or none"
+"""Fields that act where they are not 0, and that a tree does not compute."""
 
 
 def _mixed_signs(solref: np.ndarray) -> Any:
@@ -128,24 +122,15 @@ def _mixed_signs(solref: np.ndarray) -> Any:
     return (solref[..., 0] > 0) != (solref[..., 1] > 0)
 
 
-def _of_sensor(m: mujoco.MjModel, name: str) -> Iterator[Fault]:
-    sensor = m.sensor(name)
-    if int(sensor.type[0]) not in map(int, (mujoco.mjtSensor.mjSENS_GYRO, mujoco.mjtSensor.mjSENS_ACCELEROMETER)):
-        yield Fault(f"the type of sensor {name!r}", "a gyro or an accelerometer")
-    for field in ("cutoff", "delay", "interval"):
-        if np.any(getattr(m, f"sensor_{field}", np.zeros(m.nsensor))[sensor.id]):
-            yield Fault(f"the {field} of sensor {name!r}", f'{field}="0"')
-
-
 def _of_fields(m: mujoco.MjModel, fields: Fields, of: Any = "model") -> list[Fault]:
     found = []
-    for field, (wrong, change) in fields.items():
-        rows = np.flatnonzero(np.any(wrong, axis=tuple(range(1, np.ndim(wrong)))))
-        kind, _, name = field.partition("_")
+    for field, entry in fields.items():
+        wrong, change = (getattr(m, field, ()), entry) if isinstance(entry, str) else entry
+        rows, (kind, _, name) = np.flatnonzero(any_of_rows(wrong)), field.partition("_")
         if len(rows):
-            count, motor = f" ({len(rows)})" if len(rows) > 1 else "", kind == "actuator"
-            element = _element(m, kind, int(rows[0]))
-            found.append(Fault(f"the {name} of {element}{count}", change, "motors" if motor else of))
+            count = f" ({len(rows)})" if len(rows) > 1 else ""
+            what = f"the {name} of {_element(m, kind, int(rows[0]))}{count}"
+            found.append(Fault(what, change, "motors" if kind == "actuator" else of))
     return found
 
 
@@ -158,17 +143,17 @@ def _element(m: mujoco.MjModel, kind: str, row: int) -> str:
     return f"{words} {name!r}" if name else f"{words} {row}"
 
 
-def _of_options(m: mujoco.MjModel, sensing: bool) -> Iterator[Check]:
+def _of_structure(m: mujoco.MjModel, sensing: bool) -> Iterator[Check]:
     option, integrators = m.opt, mujoco.mjtIntegrator
     known = integrators.mjINT_EULER, integrators.mjINT_RK4, integrators.mjINT_IMPLICITFAST
-    name = integrators(option.integrator).name.removeprefix("mjINT_").lower()
+    name = word(integrators, option.integrator)
     yield option.integrator not in known, f"the {name} integrator", 'integrator="implicitfast"'
     off = option.disableflags & FLAGS.mjDSBL_ACTUATION or option.disableactuator
     yield off, "disabled motors", "no actuation flag, no actuatorgroupdisable"
     yield sensing and option.disableflags & FLAGS.mjDSBL_SENSOR, "disabled sensors", 'sensor="enable"'
-    for name, flag in mujoco.mjtEnableBit.__members__.items():
-        name = name.removeprefix("mjENBL_").lower()
-        on = name not in ("energy", "fwdinv", "invdiscrete", "mjnenable") and option.enableflags & int(flag)
+    for flag, bit in mujoco.mjtEnableBit.__members__.items():
+        name = flag.removeprefix("mjENBL_").lower()
+        on = name not in ("energy", "fwdinv", "invdiscrete", "mjnenable") and option.enableflags & int(bit)
         yield on, f"the flag {name}", f'{name}="disable"'
     yield option.density or option.viscosity, "a fluid", "density and viscosity 0"
     yield option.noslip_iterations, "noslip iterations", 'noslip_iterations="0"'
@@ -176,21 +161,16 @@ def _of_options(m: mujoco.MjModel, sensing: bool) -> Iterator[Check]:
     yield unheld, "equality constraints", "no <equality>"
     yield m.nflex, "flexible bodies", "no <flex>"
     yield m.nplugin, "plugins", "no <plugin>"
-
-
-def _of_joints(m: mujoco.MjModel) -> Iterator[Check]:
-    balls = np.flatnonzero(m.jnt_type == JOINT.mjJNT_BALL)
+    balls, free = (np.flatnonzero(m.jnt_type == kind) for kind in (JOINT.mjJNT_BALL, JOINT.mjJNT_FREE))
     name = f", as {m.joint(balls[0]).name!r}" if len(balls) and m.joint(balls[0]).name else ""
     yield len(balls), f"ball joints{name}", "three hinges in their place"
-    free = np.flatnonzero(m.jnt_type == JOINT.mjJNT_FREE)
     yield len(free) > 1, "more than one free body", "one <freejoint>"
     if len(free):
-        first = "the free body before all others"
-        yield m.jnt_dofadr[free[0]] != 0, "a free body that is not the first that moves", first
-        base, moving = m.jnt_bodyid[free[0]], m.body_weldid[1:] != 0
-        beside = np.any(m.body_rootid[1:][moving] != base)
+        late, moving = m.jnt_dofadr[free[0]] != 0, m.body_weldid[1:] != 0
+        yield late, "a free body that is not the first that moves", "the free body before all others"
+        beside = np.any(m.body_rootid[1:][moving] != m.jnt_bodyid[free[0]])
         yield beside, "moving bodies beside a free one", "all joints on the free body"
-        resisting = m.dof_damping[:6].any() or m.dof_armature[:6].any() or m.dof_frictionloss[:6].any()
+        resisting = any(of[:6].any() for of in (m.dof_damping, m.dof_armature, m.dof_frictionloss))
         yield resisting, "damping, armature or friction of a free joint", "a <freejoint/> without a class"
 
 

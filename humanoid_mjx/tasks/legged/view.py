@@ -120,11 +120,6 @@ class View(NamedTuple):
         return self.episode.terrain.up() @ self.rotation if self.episode.terrain else self.rotation[2]
 
     @property
-    def true_down(self) -> Float[Array, "3"]:
-        """The direction of gravity in the torso's frame."""
-        return -self.up
-
-    @property
     def lean(self) -> FloatScalar:
         """Lean of the torso from upright, rad."""
         return jnp.arccos(jnp.clip(self.up[2], -1.0, 1.0))
