@@ -95,7 +95,7 @@ def run_export(what: str, file: Path, point: int | None) -> None:
         if point is not None:
             raise InputError(f"--point: {file.name} is of a robot, and only a sweep has points.")
         from humanoid_mjx.robot import make_robot
-        from humanoid_mjx.robot.compiling import checked
+        from humanoid_mjx.robot.mjcf import checked
 
         spec = make_robot(what).spec()
         checked(spec.compile)

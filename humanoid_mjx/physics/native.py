@@ -27,8 +27,8 @@ from humanoid_mjx.physics.base import Batches, Controller, Once, Poses, Sensed, 
 from humanoid_mjx.physics.model import MujocoPhysics
 from humanoid_mjx.physics.terrain import add_terrain, follow
 from humanoid_mjx.robot import Robot
-from humanoid_mjx.robot.compiling import checked, name_bodies
 from humanoid_mjx.robot.description import IMU, below, sensing_spec
+from humanoid_mjx.robot.mjcf import checked, name_bodies
 from humanoid_mjx.types import AnyArray
 
 MODELS_BYTES = 1 << 27

@@ -9,9 +9,9 @@ import mujoco
 import numpy as np
 
 from humanoid_mjx.mechanics.tree.refusing import faults, robot_faults, sensors_of
-from humanoid_mjx.robot.compiling import checked
 from humanoid_mjx.robot.declared import bad_timestep
 from humanoid_mjx.robot.description import IMU
+from humanoid_mjx.robot.mjcf import checked
 from humanoid_mjx.robot.motors import motors_on
 from humanoid_mjx.robot.touching import kind_of, pairs_of, word
 from humanoid_mjx.spec import InputError

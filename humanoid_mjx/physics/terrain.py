@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from humanoid_mjx.mechanics.terrain import Terrain
-from humanoid_mjx.robot.compiling import PLAIN
+from humanoid_mjx.robot.mjcf import PLAIN
 
 HALF = 20.0
 """Half the width of the stairs, m: farther than any gait walks in an episode of 20 s."""

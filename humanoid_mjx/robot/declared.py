@@ -21,14 +21,12 @@ from pydantic import Field
 
 from humanoid_mjx.config import Config, parse_yaml
 from humanoid_mjx.files import folder
-from humanoid_mjx.robot.compiling import PLAIN, checked, name_bodies
-from humanoid_mjx.robot.content import content_of
 from humanoid_mjx.robot.description import BEND, Robot, Servo, add_motors_and_imu
 from humanoid_mjx.robot.differences import Difference, differences
 from humanoid_mjx.robot.mirror import images
+from humanoid_mjx.robot.mjcf import PLAIN, Quat, checked, content_of, name_bodies, set_upright, turn_at_home
 from humanoid_mjx.robot.motors import driven, motors_on, own_drives
-from humanoid_mjx.robot.soles import balls_of, soles_of, strip
-from humanoid_mjx.robot.upright import Quat, set_upright, turn_at_home
+from humanoid_mjx.robot.touching import balls_of, soles_of, strip
 from humanoid_mjx.spec import InputError, Spec, known, search_folders, sentence
 
 DAMPING = 0.03
@@ -247,7 +245,10 @@ def _understood(path: Path, text: str, file: str, content: str) -> Source:
         damping = _by_joint("servo.damping", servo.damping, joints, damping)
         feet, geoms = _feet(declared.feet, spec)
         soles_of(model, feet, geoms)
-        feet, turns = _in_bodies_order(feet, declared.turns, model)
+        turns, order = tuple(declared.turns), sorted(range(len(feet)), key=lambda k: model.body(feet[k]).id)
+        if order != sorted(order) and len(turns) in (0, len(feet)):  # MuJoCo sorts contacts in the bodies' order
+            turns = turns or tuple(k / len(feet) for k in range(len(feet)))
+            feet, turns = (tuple(part[k] for k in order) for part in (feet, turns))
         mirror = tuple(declared.mirror.items())
         values = {"feet": feet, "home": tuple(home), "turns": turns, "mirror": mirror, "bend": declared.bend}
         values |= {"torque": tuple(torque), "stiffness": tuple(stiffness), "damping": tuple(damping)}
@@ -322,17 +323,6 @@ def _feet(names: Sequence[str], spec: mujoco.MjSpec) -> tuple[tuple[str, ...], t
     if geoms and len(geoms) != len(names):
         raise InputError("feet: name geoms or bodies, not some of each")
     return tuple(dict.fromkeys(bodies)), tuple(geoms)
-
-
-def _in_bodies_order(
-    feet: tuple[str, ...], turns: Sequence[float], model: mujoco.MjModel
-) -> tuple[tuple[str, ...], tuple[float, ...]]:
-    """Feet and their turns in the order of the bodies, in which MuJoCo sorts the contacts."""
-    order = sorted(range(len(feet)), key=lambda k: model.body(feet[k]).id)
-    if order == list(range(len(feet))) or len(turns) not in (0, len(feet)):
-        return feet, tuple(turns)
-    phases = turns or [k / len(feet) for k in range(len(feet))]
-    return tuple(feet[k] for k in order), tuple(phases[k] for k in order)
 
 
 def _by_joint(

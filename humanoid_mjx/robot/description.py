@@ -18,8 +18,8 @@ import pydantic
 from jaxtyping import Bool, Float, Int
 from pydantic import Field
 
-from humanoid_mjx.robot.compiling import PLAIN, checked
 from humanoid_mjx.robot.mirror import images
+from humanoid_mjx.robot.mjcf import PLAIN, checked
 from humanoid_mjx.robot.motors import motor_limits
 from humanoid_mjx.spec import InputError, Named
 

@@ -32,15 +32,8 @@ def differences_of(task: Any) -> tuple[Difference, ...]:
 def differences(
     file: mujoco.MjModel, here: mujoco.MjModel, robot: Any, turn: Sequence[float], soles: Sequence[Touching]
 ) -> list[Difference]:
-    """Compare the compiled model of an MJCF with that of its robot.
-
-    Args:
-      file: the unmodified model.
-      here: the robot's own.
-      robot: a `Declared`.
-      turn: orientation of the trunk at home in the file, a quaternion.
-      soles: the contacts of `soles_of` the file.
-    """
+    """Compare the compiled model of an MJCF with that of its robot, a `Declared`. `turn`: orientation of the trunk at
+    home in the file, a quaternion. `soles`: what `soles_of` returns for the file."""
     rows = [row for sole in soles for row in _of_sole(file, sole)]
     for name in sorted(name for name in dir(file.opt) if not name.startswith("_")):
         words = [_option(name, np.ravel(getattr(model.opt, name))) for model in (file, here)]

@@ -19,9 +19,9 @@ from humanoid_mjx.commands.info import show_info, show_keys, show_model
 from humanoid_mjx.config import load
 from humanoid_mjx.files import folder, names
 from humanoid_mjx.robot import make_robot
-from humanoid_mjx.robot.content import content_of, files_of
 from humanoid_mjx.robot.declared import Declaration
 from humanoid_mjx.robot.mirror import image
+from humanoid_mjx.robot.mjcf import content_of, files_of
 from humanoid_mjx.robot.reaching import REGION, _leg, _miss, _solve, monomials, reach_of
 from humanoid_mjx.spec import modules_in
 from humanoid_mjx.training.plan import make_plan, resolved

@@ -92,13 +92,8 @@ class Slots(NamedTuple):
 def close_pairs(
     tree: Tree, problem: Problem, gaps: Sequence[tuple[Gap, Friction]]
 ) -> tuple[Slots, Bool[Array, " worlds"]]:
-    """The contacts of the first `SLOTS` pairs that are close in each world, and where more are.
-
-    Args:
-      tree: and
-      problem: of these worlds.
-      gaps: those of all pairs, group by group, and their coefficients of friction.
-    """
+    """The contacts of the first `SLOTS` pairs that are close in each world, and where more are. `gaps`: those of all
+    pairs, group by group, and their coefficients of friction."""
     each = zip(tree.pairs, gaps, strict=True)
     close = jnp.concatenate([gap.distance.value < pairs.surface.margin for pairs, (gap, _) in each])
     close, size = close & ~jnp.asarray(problem.ended), len(close)

@@ -41,14 +41,9 @@ lost 32."""
 
 
 def search(tree: Tree, problem: Problem, start: list[Any]) -> tuple[list[Any], Any]:
-    """The accelerations, and where they are settled.
+    """The accelerations, searched from `start`, and where they are settled.
 
     Worlds where bodies touch each other in more than `SLOTS` places do not settle.
-
-    Args:
-      tree: and
-      problem: what they minimise.
-      start: accelerations near the solution.
     """
     pairs, problem, slots, more = problem.pairs, problem._replace(pairs=[]), None, False
     if tree.threads:

@@ -201,14 +201,9 @@ def make_problem(tree: Tree, values: Values, state: State, force: list[Scalar]) 
 def integrate(
     tree: Tree, state: State, acceleration: Sequence[Scalar]
 ) -> tuple[list[Scalar], list[Scalar], list[Scalar]]:
-    """One step of semi-implicit Euler: the new `qpos` and `qvel`, and the accelerations in the axes of `qvel`.
+    """One step of semi-implicit Euler: the new `qpos` and `qvel`, and the solver's accelerations in the axes of `qvel`.
 
     Where the damping is taken at the end of the step, `(M + timestep B) change = timestep M qacc`.
-
-    Args:
-      tree: and
-      state: where the step begins.
-      acceleration: of the degrees of freedom, as the solver has it.
     """
     local = moved = to_local(tree, state.kinematics, acceleration)
     dt = Scalar(tree.timestep)

@@ -20,7 +20,7 @@ from humanoid_mjx.physics import make_physics
 from humanoid_mjx.physics.base import Sensed, World
 from humanoid_mjx.physics.model import MujocoPhysics
 from humanoid_mjx.robot import Robot, RobotKey, make_robot
-from humanoid_mjx.robot.upright import TURNED
+from humanoid_mjx.robot.mjcf import TURNED
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import ContinuousTask
 from humanoid_mjx.types import FloatScalar
