@@ -109,9 +109,8 @@ class Declared(Robot):
     def differences(self, timestep: float | None = None) -> tuple[Difference, ...]:
         source = _read(find(self.name))
         spec, warned = _load(source.model)
-        file = checked(spec.compile)[0]
-        soles = soles_of(file, self.feet, self.ground_geoms)
-        found = differences(file, checked(self.spec(timestep).compile)[0], self, source.turn, soles)
+        file, here = (checked(one.compile)[0] for one in (spec, self.spec(timestep)))
+        found = differences(file, here, self, source.turn)
         return (*found, *(Difference("MuJoCo warns", words, "") for words in warned))
 
     def spec(self, timestep: float | None = None) -> mujoco.MjSpec:

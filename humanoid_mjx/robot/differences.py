@@ -9,7 +9,7 @@ import numpy as np
 
 from humanoid_mjx.robot.description import Robot
 from humanoid_mjx.robot.motors import BIAS, ON_JOINTS, bounds, gains, motor_limits, motors_on
-from humanoid_mjx.robot.touching import FLAGS, Touching, kind_of, named, touching, word
+from humanoid_mjx.robot.touching import FLAGS, Touching, kind_of, named, soles_of, touching, word
 
 HEADINGS = "differs from the MJCF", "in the file", "here"
 ENUMS = {"cone": mujoco.mjtCone, "integrator": mujoco.mjtIntegrator, "solver": mujoco.mjtSolver}
@@ -29,11 +29,10 @@ def differences_of(task: Any) -> tuple[Difference, ...]:
     return robot.differences(getattr(task, "timestep", None)) if isinstance(robot, Robot) else ()
 
 
-def differences(
-    file: mujoco.MjModel, here: mujoco.MjModel, robot: Any, turn: Sequence[float], soles: Sequence[Touching]
-) -> list[Difference]:
+def differences(file: mujoco.MjModel, here: mujoco.MjModel, robot: Any, turn: Sequence[float]) -> list[Difference]:
     """Compare the compiled model of an MJCF with that of its robot, a `Declared`. `turn`: orientation of the trunk at
-    home in the file, a quaternion. `soles`: what `soles_of` returns for the file."""
+    home in the file, a quaternion."""
+    soles = soles_of(file, robot.feet, robot.ground_geoms)
     rows = [row for sole in soles for row in _of_sole(file, sole)]
     for name in sorted(name for name in dir(file.opt) if not name.startswith("_")):
         words = [_option(name, np.ravel(getattr(model.opt, name))) for model in (file, here)]

@@ -118,10 +118,8 @@ def any_of_rows(values: Any) -> np.ndarray:
 
 def soles_of(model: mujoco.MjModel, feet: Sequence[str], chosen: Sequence[str]) -> list[Touching]:
     """Return the contacts of the shapes on which these bodies stand, body by body: of the geoms named, else of those
-    that can touch the ground, else of those that can touch anything.
-
-    `one` is the ground and `two` the shape. Where no plane of the file can touch it, `one` is -1 and the contact has
-    the shape's own parameters.
+    that can touch the ground, else of those that can touch anything. `one` is the ground and `two` the shape; where no
+    plane of the file can touch it, `one` is -1 and the contact has the shape's own parameters.
 
     Raises:
       InputError: a body has no such shape, or the ground under one is no level plane at z = 0.

@@ -18,6 +18,7 @@ from humanoid_mjx.mechanics.tree.algebra import (
     FEW_PAIRS,
     Spatial,
     entry_at,
+    filled,
     in_lane,
     in_turn,
     number,
@@ -147,16 +148,8 @@ def close_pairs_in_turn(
         own = jax.tree.map(lambda v: v if jnp.ndim(v) < 2 else entry_at(v, pair), facts)
         return contact(pair, index < close, gap, *own)
 
-    def further(carry: tuple[Any, ...]) -> tuple[Any, ...]:
-        each = zip(carry[1], jax.tree.leaves(one(carry[0])), strict=True)
-        return carry[0] + 1, [with_entry(array, carry[0], new) for array, new in each]
-
-    leaves, structure = jax.tree.flatten(jax.eval_shape(one, jnp.int32(0)))
-    start = jnp.int32(0), [jnp.zeros((slots, *close.shape), leaf.dtype) for leaf in leaves]
     # A counter common to all threads ends the loop: with each thread's own number the lower body was a tenth slower.
-    most = jnp.minimum(close, slots)[0]
-    count, found = jax.lax.while_loop(lambda carry: carry[0] < most, further, start)
-    touch, rows = structure.unflatten(found)
+    count, (touch, rows) = filled(one, slots, jnp.minimum(close, slots)[0])
     return Slots(touch, rows, count), close > slots
 
 
