@@ -29,6 +29,7 @@ from humanoid_mjx.physics.terrain import add_terrain, follow
 from humanoid_mjx.robot import Robot
 from humanoid_mjx.robot.description import IMU, below, sensing_spec
 from humanoid_mjx.robot.mjcf import checked, name_bodies
+from humanoid_mjx.robot.touching import FLAGS
 from humanoid_mjx.types import AnyArray
 
 MODELS_BYTES = 1 << 27
@@ -43,12 +44,6 @@ FRAMES = (
     *(mujoco.mjtSensor.mjSENS_FRAMEZAXIS, mujoco.mjtSensor.mjSENS_FRAMELINVEL, mujoco.mjtSensor.mjSENS_FRAMEANGVEL),
 )
 """Sensors of where each body is and how it moves, so that MuJoCo's threads compute it with the step."""
-
-OFF = {
-    True: int(mujoco.mjtDisableBit.mjDSBL_AUTORESET),
-    False: int(mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_SENSOR),
-}
-"""Flags that MuJoCo disables where sensors are read, and where they are not."""
 
 _LOCK = threading.Lock()
 """MuJoCo's data and its handler of warnings belong to one callback at a time; each uses all processors."""
@@ -193,7 +188,7 @@ class _Team:
         numbers, base = np.frombuffer(values), self.base
         terrain = self.terrain_of(numbers)
         model = self._shaped(terrain) if terrain and terrain.stairs is not None else copy(base)
-        model.opt.disableflags |= OFF[sensed]
+        model.opt.disableflags |= int(FLAGS.mjDSBL_AUTORESET | (0 if sensed else FLAGS.mjDSBL_SENSOR))
         self.tune(model, numbers)
         return model
 

@@ -21,7 +21,7 @@ from pydantic import Field
 
 from humanoid_mjx.config import Config, parse_yaml
 from humanoid_mjx.files import folder
-from humanoid_mjx.robot.description import BEND, Robot, Servo, add_motors_and_imu
+from humanoid_mjx.robot.description import BEND, Robot, Servo, add_motors_and_imu, listed
 from humanoid_mjx.robot.differences import Difference, differences
 from humanoid_mjx.robot.mirror import images
 from humanoid_mjx.robot.mjcf import PLAIN, Quat, checked, content_of, name_bodies, set_upright, turn_at_home
@@ -92,10 +92,10 @@ class Declared(Robot):
 
     name: str = Field(description="path of the YAML, or the name of a robot that ships")
     content: str = Field("", description="digest of both files: a run takes no other robot of the same name")
-    ground_geoms: tuple[str, ...] = Field(default=(), strict=False, description="geoms of the feet; all that touch")
-    torque: tuple[float, ...] = Field(default=(), strict=False, description="largest torques, N m")
-    stiffness: tuple[float, ...] = Field(default=(), strict=False, description="of the servo, N m/rad")
-    damping: tuple[float, ...] = Field(default=(), strict=False, description="of the servo, N m s/rad")
+    ground_geoms: tuple[str, ...] = listed("geoms of the feet; all that touch")
+    torque: tuple[float, ...] = listed("largest torques, N m")
+    stiffness: tuple[float, ...] = listed("of the servo, N m/rad")
+    damping: tuple[float, ...] = listed("of the servo, N m s/rad")
     contacts: Literal["feet", "model"] = Field("feet", description="what touches")
 
     @property
@@ -108,9 +108,8 @@ class Declared(Robot):
 
     def differences(self, timestep: float | None = None) -> tuple[Difference, ...]:
         source = _read(find(self.name))
-        spec, warned = _load(source.model)
-        file, here = (checked(one.compile)[0] for one in (spec, self.spec(timestep)))
-        found = differences(file, here, self, source.turn)
+        _, file, warned = _load(source.model)
+        found = differences(file, checked(self.spec(timestep).compile)[0], self, source.turn)
         return (*found, *(Difference("MuJoCo warns", words, "") for words in warned))
 
     def spec(self, timestep: float | None = None) -> mujoco.MjSpec:
@@ -228,8 +227,7 @@ def _understood(path: Path, text: str, file: str, content: str) -> Source:
     data = parse_yaml(text, path.name)
     declared = Declaration(**data)
     try:
-        spec, _ = _load(file)
-        model = checked(spec.compile)[0]
+        spec, model, _ = _load(file)
         joints = driven(model)
         home = _home(declared.home, model, joints)
         turn = turn_at_home(model, declared.home if isinstance(declared.home, str) else "")
@@ -269,12 +267,12 @@ def _by_kind(mirror: Any, joints: Sequence[str], shares: np.ndarray) -> tuple[fl
     return tuple(shares[sorted(set(first))].tolist())
 
 
-def _load(file: str) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
-    """Return the spec of an MJCF, every body named, and MuJoCo's warnings."""
+def _load(file: str) -> tuple[mujoco.MjSpec, mujoco.MjModel, tuple[str, ...]]:
+    """Return the spec of an MJCF, every body named, its model, and MuJoCo's warnings."""
     what = f"model: {Path(file).name} is no MJCF that MuJoCo takes"
     spec, _ = checked(lambda: mujoco.MjSpec.from_file(file), what)
     name_bodies(spec)
-    _, warned = checked(spec.compile, what)
+    model, warned = checked(spec.compile, what)
     bodies = [body.name for body in spec.worldbody.bodies]
     free = [joint for joint in spec.joints if joint.type == JOINT.mjJNT_FREE]
     if len(bodies) != 1 or len(free) != 1 or free[0].parent.name != bodies[0]:
@@ -282,7 +280,7 @@ def _load(file: str) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
         raise InputError(f"model: a robot is one body with a free joint, and its child bodies; the bodies are: {there}")
     if fault := bad_timestep(spec.option.timestep):
         raise InputError(f"model: {fault}")
-    return spec, warned
+    return spec, model, warned
 
 
 def bad_timestep(seconds: float) -> str | None:

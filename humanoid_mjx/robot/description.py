@@ -50,22 +50,19 @@ class Servo(NamedTuple):
 BEND = "bend of legs at home, as degrees of hip pitch: a gait's `lift` adds to it and so shortens two equal links"
 
 
+def listed(description: str) -> Any:
+    """Declare a field that holds a list, empty by default."""
+    return Field(default=(), strict=False, description=description)
+
+
 class Robot(Named):
     """Base of robots: derive from it, give `spec`, and fields of your own for what can be chosen."""
 
-    feet: tuple[str, ...] = Field(default=(), strict=False, description="bodies that stand on the ground")
-    home: tuple[float, ...] = Field(
-        default=(), strict=False, description="angles of the joints of the standing robot, degrees; all 0"
-    )
-    turns: tuple[float, ...] = Field(
-        default=(), strict=False, description="phase, 0 to 1, at which each foot's swing begins; empty: evenly spaced"
-    )
-    shares: tuple[float, ...] = Field(
-        default=(), strict=False, description="factors on action_scale, by kind of joint; empty: 1"
-    )
-    mirror: tuple[tuple[str, str], ...] = Field(
-        default=(), strict=False, description="parts of names that change sides"
-    )
+    feet: tuple[str, ...] = listed("bodies that stand on the ground")
+    home: tuple[float, ...] = listed("angles of the joints of the standing robot, degrees; all 0")
+    turns: tuple[float, ...] = listed("phase, 0 to 1, at which each foot's swing begins; empty: evenly spaced")
+    shares: tuple[float, ...] = listed("factors on action_scale, by kind of joint; empty: 1")
+    mirror: tuple[tuple[str, str], ...] = listed("parts of names that change sides")
     bend: float = Field(default=15.0, ge=0, lt=90, description=BEND)
 
     def __hash__(self) -> int:

@@ -71,14 +71,9 @@ def clock(view: View) -> Float[Array, "2"]:
 
 
 class Observed:
-    """The observations that a task names, one after the other."""
+    """The observations that a task names, one after the other. An unknown name raises an InputError."""
 
     def __init__(self, names: Sequence[str | Observation], robot: Robot):
-        """Look the names up.
-
-        Raises:
-          InputError: an unknown name.
-        """
         for name in names:
             if isinstance(name, str) and name not in OBSERVATIONS:
                 raise InputError(f"observations: unknown name {name!r}; {known(name, OBSERVATIONS)}.")
