@@ -91,8 +91,8 @@ def _show_robot(name: str) -> None:
 
 
 def _print_rows(title: str, rows: Sequence[tuple[str, ...]]) -> None:
-    """A table with a heading; nothing without rows."""
-    if len(rows) < 2:
+    """A table with a heading; nothing without a title and rows."""
+    if not title and len(rows) < 2:
         return
     table = Table(*rows[0], title=title, title_justify="left", box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for row in rows[1:]:
