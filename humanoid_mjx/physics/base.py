@@ -191,6 +191,10 @@ class Physics(Spec):
         """Return a world in the given state."""
         raise NotImplementedError
 
+    def reset(self, world: World, mask: Any, qpos: Any, qvel: Any) -> World:
+        """Return `world`, or where `mask` is true one started anew in the given state."""
+        return where(mask, self.start(qpos, qvel), world)
+
     def step(self, world: World, controller: Controller) -> tuple[World, Any]:
         """Ask the controller for a torque, and move by one time step.
 

@@ -72,20 +72,10 @@ def make_state(tree: Tree, values: Values, qpos: Sequence[Scalar], qvel: Sequenc
     for joint in tree.joints:
         stretch = qpos[joint.coordinate] - number(joint.spring)
         passive[joint.dof] = passive[joint.dof] - number(joint.stiffness) * stretch
-    motions = motions_of(tree, kinematics, velocity)
-    return State(
-        list(qpos),
-        list(qvel),
-        kinematics,
-        velocity,
-        motions,
-        masses,
-        drifts,
-        mass_matrix(tree, kinematics, masses, armature),
-        bias_forces(tree, kinematics, masses, drifts, gravity),
-        damping,
-        passive,
-    )
+    moving = velocity, motions_of(tree, kinematics, velocity), masses, drifts
+    matrix = mass_matrix(tree, kinematics, masses, armature)
+    bias = bias_forces(tree, kinematics, masses, drifts, gravity)
+    return State(list(qpos), list(qvel), kinematics, *moving, matrix, bias, damping, passive)
 
 
 def motor_forces(tree: Tree, torque: Sequence[Scalar]) -> list[Scalar]:
