@@ -57,8 +57,8 @@ def feet_of(sensed: Sensed, body_names: tuple[str, ...], robot: Robot, terrain: 
     """Pick the feet out of all bodies."""
     rows = np.array([body_names.index(foot) for foot in robot.feet])
     bodies = sensed.poses.position[rows], sensed.velocities.linear[rows], sensed.poses.rotation[rows]
-    corners = (part.reshape(len(robot.feet), robot.points, *part.shape[1:]) for part in sensed.contacts)
-    return Feet(robot, *bodies, *corners, terrain)
+    corners = [part.reshape(len(robot.feet), robot.points, *part.shape[1:]) for part in sensed.contacts]
+    return Feet(robot, *bodies, *corners, terrain=terrain)
 
 
 def unknown_feet(robot: Robot, terrain: Terrain | None = None) -> Feet:
