@@ -231,13 +231,8 @@ class Robot(Named):
         if (self.model.actuator_trntype != mujoco.mjtTrn.mjTRN_JOINT).any():
             return self  # each physics refuses it, and names all motors
         kinds = int(self.kinds.max(initial=-1)) + 1
-        counts = (
-            ("home", self.home, len(self.joints)),
-            ("turns", self.turns, len(self.feet)),
-            ("shares", self.shares, kinds),
-        )
-        for key, values, count in counts:
-            if values and len(values) != count:
+        for key, count in {"home": len(self.joints), "turns": len(self.feet), "shares": kinds}.items():
+            if (values := getattr(self, key)) and len(values) != count:
                 raise ValueError(f"{key} must hold {count} numbers, got {len(values)}")
         balls, _ = ground_points(self.model)
         names = [self.model.body(self.model.geom_bodyid[ball]).name for ball in balls]
