@@ -62,10 +62,11 @@ def _show_robot(name: str) -> None:
     from humanoid_mjx.mechanics.tree.refusing import faults
     from humanoid_mjx.robot import make_robot
     from humanoid_mjx.robot.description import IMU
+    from humanoid_mjx.robot.differences import HEADINGS
 
     robot = make_robot(name)
     order, signs = robot.joint_images
-    limited = robot.model.jnt_limited[robot.model.actuator_trnid[:, 0]]
+    limited = robot.model.jnt_limited[robot.driven]
     rows = [("joint", "range, degrees", "home", "torque, N m", "N m/rad", "N m s/rad", "mirror image")]
     for k, joint in enumerate(robot.joints):
         low, high = np.degrees(robot.ranges_rad[k])
@@ -86,10 +87,13 @@ def _show_robot(name: str) -> None:
     lines["physics"] = f"tree refuses {'; '.join(refused)}: take mujoco or mjx-jax" if refused else "tree takes it"
     for key, value in lines.items():
         console.print(f"{key:9} {value}", highlight=False, markup=False)
+    _print_rows("", [HEADINGS, *robot.differences()])
 
 
 def _print_rows(title: str, rows: Sequence[tuple[str, ...]]) -> None:
-    """A table with a heading."""
+    """A table with a heading; nothing without a title and rows."""
+    if not title and len(rows) < 2:
+        return
     table = Table(*rows[0], title=title, title_justify="left", box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for row in rows[1:]:
         table.add_row(*row)
@@ -98,9 +102,9 @@ def _print_rows(title: str, rows: Sequence[tuple[str, ...]]) -> None:
 
 def show_model(path: str) -> bool:
     """`humanoid-mjx info ROBOT.xml`; whether `physics: tree` takes it."""
-    from humanoid_mjx.physics.survey import read_model, survey
+    from humanoid_mjx.physics.survey import survey
 
-    lines, taken = survey(read_model(path))
+    lines, taken = survey(path)
     for line in lines:
         console.print(line, markup=False, highlight=False, soft_wrap=True)
     return taken
@@ -135,6 +139,7 @@ def show_info(config: str | None, overrides: Sequence[str], timed: bool) -> None
 
 def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
     """A config in full, and what its sweep will take; where `timed` also how long."""
+    from humanoid_mjx.robot.differences import HEADINGS, differences_of
     from humanoid_mjx.training.cost import disk_bytes, run_bytes, runs_at_once, slots, training_bytes
     from humanoid_mjx.training.fused import why_not
     from humanoid_mjx.training.plan import make_plan, resolved
@@ -142,6 +147,7 @@ def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
 
     plan = make_plan(load(config, overrides))
     console.print(dump_yaml(resolved(plan.config)).rstrip())
+    _print_rows("", [HEADINGS, *dict.fromkeys(row for own in plan.learners for row in differences_of(own.task))])
     size = sum(run_bytes(group) * len(group.runs) for group in plan.groups)
     most = max(training_bytes(group) for group in plan.groups)
     together = [1] * len(plan.groups)

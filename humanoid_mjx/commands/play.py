@@ -95,8 +95,9 @@ def run_export(what: str, file: Path, point: int | None) -> None:
         if point is not None:
             raise InputError(f"--point: {file.name} is of a robot, and only a sweep has points.")
         from humanoid_mjx.robot import make_robot
+        from humanoid_mjx.robot.mjcf import checked
 
         spec = make_robot(what).spec()
-        spec.compile()
+        checked(spec.compile)
         write_text(file, spec.to_xml())
     console.print(f"{file}", soft_wrap=True)

@@ -26,7 +26,8 @@ def limited(torque: Iterable[Any], limits: Iterable[Any]) -> Joints:
 
     It clips joint by joint: a bound on the whole array would be a kernel of its own between those of its elements.
     """
-    return jnp.stack([jnp.clip(part, -limit, limit) for part, limit in zip(torque, limits, strict=True)])
+    parts = [jnp.clip(part, -limit, limit) for part, limit in zip(torque, limits, strict=True)]
+    return jnp.stack(parts) if parts else jnp.zeros(0)
 
 
 class Drive(Named):
@@ -101,7 +102,7 @@ class DcMotor(Drive):
         if gear.shape not in ((), (joints,)) or not (np.isfinite(gear) & (gear > 0)).all():
             raise InputError(f"actuator.gear must be positive, one number or {joints}, got {self.gear}.")
         model = robot.model
-        inertia = model.dof_armature[model.jnt_dofadr[model.actuator_trnid[:, 0]]]
+        inertia = model.dof_armature[model.jnt_dofadr[robot.driven]]
         slope = gear**2 * (self.torque_constant**2 / self.resistance + self.friction)
         if (slope * timestep > 2.0 * inertia).any():
             raise InputError(

@@ -29,13 +29,8 @@ def poles(kp: Float[Array, "*joints"], kd: Float[Array, "*joints"]) -> Float[Arr
 
 
 def max_kp(structural_frequency: Any, inertia: Any, max_inertia: Any) -> Float[Array, "*joints"]:
-    """The largest proportional gain that leaves the links' oscillations alone (5.36, 5.37).
-
-    Args:
-      structural_frequency: omega_0 of the links, rad/s, measured at
-      inertia: I_0, kg m^2.
-      max_inertia: the largest inertia that the actuator sees, kg m^2.
-    """
+    """The largest proportional gain that leaves the links' oscillations alone (5.36, 5.37): those of omega_0, rad/s,
+    measured at the inertia I_0, kg m^2. `max_inertia` is the largest that the actuator sees."""
     resonance = structural_frequency * jnp.sqrt(jnp.asarray(inertia) / max_inertia)
     return (RESONANCE_SHARE * resonance) ** 2
 
@@ -47,16 +42,12 @@ NEAR_CRITICAL = 1e-3
 def step_response(
     time: Float[Array, "*times"], natural_frequency: FloatScalar, damping_ratio: FloatScalar
 ) -> Float[Array, "*times"]:
-    """The response of `y'' + 2 zeta omega y' + omega^2 y = omega^2` from rest (5.4 to 5.6, corrected), 1 being its end.
+    """The response of `y'' + 2 zeta omega y' + omega^2 y = omega^2` from rest (5.4 to 5.6, corrected), 1 being its end;
+    `time` in s, omega in rad/s, zeta at least 0.
 
     All three cases are one formula, smooth through zeta = 1:
     `y = 1 - exp(-zeta omega t) (C + zeta omega t S)` with C and S the cosine and sine-over-argument of
     `omega t sqrt(1 - zeta^2)`, hyperbolic ones beyond zeta = 1.
-
-    Args:
-      time: s.
-      natural_frequency: omega, rad/s.
-      damping_ratio: zeta, at least 0.
     """
     phase = natural_frequency * time
     square = (1.0 - damping_ratio**2) * phase**2

@@ -61,10 +61,7 @@ def grounded_torque(
       wanted: accelerations wanted of the joints, rad/s^2.
       held: torques of the servo, N m.
       share: weight of the servo, 0 to 1; at 0 the accelerations are as near as the contacts allow.
-      mass_matrix: mass matrix of all degrees of freedom.
-      bias: what acceleration and velocity add to `mass_matrix @ qacc` in the absence of contacts.
-      contacts: the points of the feet.
-      joints: where the joints stand among the degrees of freedom.
+      mass_matrix, bias, contacts, joints: see `Stages`.
     """
     mobility, drift = constrained_dynamics(mass_matrix, bias, contacts)
     inertia, mobility = mass_matrix[joints][:, joints], mobility[joints][:, joints]

@@ -15,7 +15,8 @@ with kp = natural_frequency^2 and kd = damping_ratio 2 natural_frequency (5.33, 
 """
 
 from collections.abc import Callable
-from typing import Annotated, Any, Literal
+from functools import partial
+from typing import Annotated, Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -72,12 +73,10 @@ class RobotServoLaw(Law):
         return ServoLaw().replace(stiffness=self.stiffness * stiffness, damping=self.damping * damping)
 
 
-class PDLaw(Law):
+class PDLaw(ServoLaw):
     """A servo that also follows a wanted velocity: it damps the velocity error, not the velocity."""
 
-    name: Literal["pd"] = "pd"
-    stiffness: float = traced(SERVO_KP, gt=0, le=200, description="torque per error of the angle, N m/rad")
-    damping: float = traced(SERVO_KD, ge=0, le=10, description="torque per velocity, N m s/rad")
+    name: Literal["pd"] = "pd"  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def __call__(self, reference: Reference, state: Stages) -> Joints:
         return pd(self.stiffness, self.damping, reference, state.qpos, state.qvel)
@@ -146,14 +145,8 @@ LAWS = {
 }
 
 
-def make_law(name: str, /, **params: Any) -> Any:
-    """Build the law called `name`, or a user's own given as "package.module:Class".
-
-    Raises:
-      InputError: unknown name or parameter, or a value out of range, in one sentence.
-    """
-    return make("control", LAWS, Law, name, **params)
-
+make_law = partial(make, "control", LAWS, Law)
+"""Build the law of a name, or a user's own given as "package.module:Class", with its parameters: see `make`."""
 
 Control = Annotated[pydantic.SerializeAsAny[Law], written("control", make_law)]
 """The type of a task's field `control`."""

@@ -34,12 +34,8 @@ class Stages:
     """The same as `torque_for`, of physics that need no matrix for it."""
 
     def torque_for(self, qacc: Float[Array, " joints"], mass: MassFactor) -> Float[Array, " joints"]:
-        """Return the torques that a model asks for, N m, a free torso taken as fixed and contacts ignored.
-
-        Args:
-          qacc: accelerations of the joints, rad/s^2.
-          mass: the model's mass factor: a number, or one for each joint's link.
-        """
+        """Return the torques that a model asks for, N m, for accelerations of the joints, rad/s^2, a free torso taken
+        as fixed and contacts ignored. `mass` is the model's mass factor: a number, or one for each joint's link."""
         if self.inverse_dynamics:
             return self.inverse_dynamics(qacc, mass)
         matrix, bias = self.model_for(mass)

@@ -37,14 +37,8 @@ def jacobian_of(
     motion: Float[Array, "nv 6"],
     origin: Float[AnyArray, "3"],
 ) -> Float[Array, "points 3 nv"]:
-    """Jacobian of points of the bodies, from the spatial motions of the degrees of freedom.
-
-    Args:
-      position: positions of the points, m, world.
-      moved_by: which degrees of freedom move a point's body.
-      motion: motion by degree of freedom, angular then linear, of a body's point at the origin (MuJoCo's `cdof`).
-      origin: origin of the motions, m, world.
-    """
+    """Jacobian of points of the bodies, m, world. `moved_by`: which degrees of freedom move a point's body. `motion`:
+    by degree of freedom, angular then linear, of a body's point at `origin`, m, world (MuJoCo's `cdof`)."""
     columns = motion[:, 3:] + jnp.cross(motion[:, :3], (position - origin)[:, None])
     return jnp.swapaxes(jnp.where(moved_by[..., None], columns, 0.0), -1, -2)
 

@@ -43,12 +43,8 @@ class Gait(NamedTuple):
 
 
 def gait(name: str, kind: Literal["spline", "linear"] = "spline") -> Gait:
-    """The gait `straight_walk` (Table 4.5) or `sudden_turn` (Table 4.6).
-
-    Args:
-      name: which table.
-      kind: `spline`, twice continuously differentiable through the table's points, or `linear` between them.
-    """
+    """The gait `straight_walk` (Table 4.5) or `sudden_turn` (Table 4.6), as a spline, twice continuously differentiable
+    through the table's points, or linear between them."""
     knots, angles = np.array(thesis.GAIT_TIMES_S), np.zeros((len(thesis.GAIT_TIMES_S), 5))
     for joint, degrees in TABLES[name].items():
         angles[:, thesis.JOINT_NAMES.index(joint)] = np.radians(degrees)

@@ -9,9 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import get_opaque_trace_state
 from jaxtyping import Bool, Float
+from pydantic import Field
 
 from humanoid_mjx.compute import Arithmetic
 from humanoid_mjx.control.stages import Stages
+from humanoid_mjx.robot import Robot
 from humanoid_mjx.spec import InputError, Spec
 from humanoid_mjx.types import AnyArray, BoolScalar
 
@@ -144,6 +146,8 @@ class Physics(Spec):
     arithmetic: ClassVar[Arithmetic] = "arrays"
     """Kind of the arithmetic, which chooses XLA's options (`compute.options`)."""
 
+    robot: Robot = Field(description="the robot that moves")
+
     batches: ClassVar[Batches] = Batches(cpu=1024, gpu=32_768)
     """Largest number of worlds to move side by side: more gain nothing, and fewer report sooner."""
 
@@ -155,7 +159,7 @@ class Physics(Spec):
     @property
     def joint_names(self) -> tuple[str, ...]:
         """The actuated joints in their order."""
-        raise NotImplementedError
+        return self.robot.joints
 
     @property
     def body_names(self) -> tuple[str, ...]:
@@ -165,7 +169,7 @@ class Physics(Spec):
     @property
     def joint_ranges(self) -> Float[np.ndarray, "joints 2"]:
         """rad"""
-        raise NotImplementedError
+        return self.robot.ranges_rad
 
     @property
     def qpos0(self) -> Float[np.ndarray, " nq"]:

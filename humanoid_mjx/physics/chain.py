@@ -61,25 +61,12 @@ class ChainPhysics(Physics):
         return self.timestep
 
     @property
-    def joint_names(self) -> tuple[str, ...]:
-        return tuple(f"{side}_{joint}" for side in self.sides for joint in JOINT_NAMES)
-
-    @property
     def body_names(self) -> tuple[str, ...]:
-        return ("torso", *(f"{side}_link{i + 1}" for side in self.sides for i in range(LEG)))
-
-    @property
-    def joint_ranges(self) -> Float[np.ndarray, "joints 2"]:
-        return self.robot.ranges_rad
+        return ("torso", *(f"{side}_link{i + 1}" for side in self.robot.sides for i in range(LEG)))
 
     @property
     def qpos0(self) -> Float[np.ndarray, " nq"]:
-        return np.zeros(len(self.sides) * LEG)
-
-    @property
-    def sides(self) -> tuple[str, ...]:
-        """The sides that have a leg."""
-        return self.robot.sides
+        return np.zeros(len(self.robot.sides) * LEG)
 
     @property
     def leg(self) -> Leg:
@@ -108,7 +95,7 @@ class ChainPhysics(Physics):
 
     def sense(self, world: World, torque: Float[AnyArray, " joints"]) -> Sensed:
         still, nowhere = jnp.zeros(3, world.qpos.dtype), jnp.zeros((0, 3), world.qpos.dtype)
-        readings = Readings(world.qpos, still, still.at[2].set(GRAVITY), still[: len(self.sides)])
+        readings = Readings(world.qpos, still, still.at[2].set(GRAVITY), still[: len(self.robot.sides)])
         poses, rates = jax.jvp(lambda qpos: self.poses(world._replace(qpos=qpos)), (world.qpos,), (world.qvel,))
         angular = angular_velocity(poses.rotation, rates.rotation)
         nothing = GroundContacts(nowhere, nowhere, nowhere[:, 0])
@@ -152,7 +139,7 @@ class ChainPhysics(Physics):
 
     def _each_leg(self, mass: MassFactor, *joints: Float[Array, " joints"]) -> list[tuple[Any, ...]]:
         """For each leg: its chain, and its own part of the arrays."""
-        factors = _by_leg(mass) if jnp.ndim(mass) else [mass] * len(self.sides)
+        factors = _by_leg(mass) if jnp.ndim(mass) else [mass] * len(self.robot.sides)
         chains = [self.leg.scaled(factor) for factor in factors]
         return list(zip(chains, *map(_by_leg, joints), strict=True))
 

@@ -20,8 +20,8 @@ from humanoid_mjx import compute
 from humanoid_mjx.control.drives import limited
 from humanoid_mjx.mechanics.contacts import Contacts
 from humanoid_mjx.physics.base import Controller, Poses, Sensed, World, freeze_if_diverged
-from humanoid_mjx.physics.model import MujocoPhysics, below
-from humanoid_mjx.robot.description import IMU
+from humanoid_mjx.physics.model import MujocoPhysics
+from humanoid_mjx.robot.description import IMU, below
 from humanoid_mjx.types import AnyArray
 
 with redirect_stdout(io.StringIO()):  # it prints two lines about warp
@@ -35,9 +35,6 @@ last accelerations. In jax all worlds wait for the slowest; in warp each world s
 CONTACTS_PER_WORLD, CONSTRAINTS_PER_WORLD = 16, 64
 """Room in warp's buffers: two feet of four contacts and five pairs of the legs; four rows a foot contact, one each for
 the pairs and the ten joint limits."""
-
-FOOT_CONDIM = 3
-"""Dimensions of a contact of a foot with the ground: its pyramid has four edges, whose forces sum to the normal one."""
 
 LOST = 0b11111
 """Bits of warp's `OverflowType` that report contacts or constraints without room: NEFC, NJMAX_NNZ, BROADPHASE,
@@ -101,10 +98,13 @@ class MjxJax(MujocoPhysics):
         if self.implementation == "warp" or not len(balls):
             return self._read(data.sensordata, self.robot.point_sensors)
         contact = data._impl.contact
-        rows = np.flatnonzero((contact.dim == FOOT_CONDIM) & (contact.efc_address >= 0))
-        edges = contact.efc_address[rows, None] + np.arange(2 * (FOOT_CONDIM - 1))
-        of_corner = (contact.geom[rows][:, :, None] == balls).any(axis=1)
-        return data._impl.efc_force[edges].sum(axis=1) @ of_corner.astype(data.qpos.dtype)
+        total = jnp.zeros(len(balls))
+        for dim in np.unique(contact.dim):  # a pyramid's edges, or the normal alone; their forces sum to the normal one
+            rows = np.flatnonzero((contact.dim == dim) & (contact.efc_address >= 0))
+            edges = contact.efc_address[rows, None] + np.arange(max(2 * (dim - 1), 1))
+            of_corner = (contact.geom[rows][:, :, None] == balls).any(axis=1)
+            total += data._impl.efc_force[edges].sum(axis=1) @ of_corner.astype(data.qpos.dtype)
+        return total
 
     def poses(self, world: World) -> Poses:
         data = mjx.kinematics(self._put(), self._blank_data().replace(qpos=world.qpos))

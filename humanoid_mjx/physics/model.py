@@ -3,7 +3,6 @@
 
 import math
 from collections.abc import Callable, Sequence
-from functools import lru_cache
 from typing import Any, ClassVar
 
 import jax.numpy as jnp
@@ -15,9 +14,11 @@ from pydantic import Field, model_validator
 from humanoid_mjx.control.stages import Stages
 from humanoid_mjx.mechanics.contacts import Contacts, drift_of, jacobian_of
 from humanoid_mjx.mechanics.terrain import Terrain
+from humanoid_mjx.mechanics.tree.refusing import robot_faults
 from humanoid_mjx.physics.base import GroundContacts, Once, Physics, Poses, Readings, Sensed, Velocities, World
 from humanoid_mjx.robot import RobotKey, make_robot
-from humanoid_mjx.robot.description import compiled, ground_points, lowest, motor_limits
+from humanoid_mjx.robot.description import compiled, ground_points, lowest
+from humanoid_mjx.robot.motors import motor_limits
 from humanoid_mjx.spec import traced
 from humanoid_mjx.types import AnyArray, MassFactor
 
@@ -30,7 +31,7 @@ class MujocoPhysics(Physics):
 
     robot: RobotKey = Field(make_robot("lower_body"), description="the robot that moves")
     timestep: float | None = Field(None, gt=0, le=0.02, description="s; by default the robot's own")
-    mass: float = traced(1.0, gt=0, description="factor on the mass and the inertia of every link")
+    mass: float = traced(1.0, gt=0, description="factor on every link's mass and inertia; contacts stay as soft")
     friction: float = traced(1.0, ge=0, description="factor on that of all contacts that have any")
     damping: float = traced(1.0, ge=0, description="factor on that of the joints")
     torque_limit: float = traced(1.0, gt=0, description="factor on that of each motor")
@@ -39,15 +40,9 @@ class MujocoPhysics(Physics):
 
     @model_validator(mode="after")
     def _driven_by_torques(self) -> "MujocoPhysics":
-        m = self.model
-        fixed = (m.actuator_gaintype == mujoco.mjtGain.mjGAIN_FIXED) & (m.actuator_gainprm[:, 0] != 0)
-        odd = ~fixed | (m.actuator_biastype != mujoco.mjtBias.mjBIAS_NONE) | (m.actuator_gear[:, 0] == 0)
-        odd |= (m.actuator_trntype != mujoco.mjtTrn.mjTRN_JOINT) | (m.actuator_dyntype != mujoco.mjtDyn.mjDYN_NONE)
-        odd |= (m.actuator_ctrllimited != 0) & (m.actuator_ctrlrange.sum(axis=1) != 0)
-        odd |= (m.actuator_forcelimited != 0) & (m.actuator_forcerange.sum(axis=1) != 0)
-        if odd.any():
-            name = m.actuator(int(np.argmax(odd))).name
-            raise ValueError(f"robot: motor {name!r} must be a torque motor of a joint, its bounds the same both ways")
+        if found := robot_faults(self.model):
+            faults = "; ".join(f"{fault.what} (take {fault.change})" for fault in found)
+            raise ValueError(f"robot: no physics takes {faults}")
         return self
 
     @model_validator(mode="after")
@@ -75,16 +70,8 @@ class MujocoPhysics(Physics):
         return float(self.model.opt.timestep)
 
     @property
-    def joint_names(self) -> tuple[str, ...]:
-        return self.robot.joints
-
-    @property
     def body_names(self) -> tuple[str, ...]:
         return tuple(self.model.body(index).name for index in range(self.model.nbody))
-
-    @property
-    def joint_ranges(self) -> Float[np.ndarray, "joints 2"]:
-        return self.robot.ranges_rad
 
     @property
     def qpos0(self) -> Float[np.ndarray, " nq"]:
@@ -216,15 +203,6 @@ class MujocoPhysics(Physics):
     def start(self, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]) -> World:
         qvel = jnp.array(qvel, float)
         return World(jnp.array(qpos, float), qvel, jnp.zeros_like(qvel), jnp.bool_(False))
-
-
-@lru_cache
-def below(model: mujoco.MjModel) -> Float[np.ndarray, "bodies bodies"]:
-    """1 where the column's body is the row's, or hangs on it."""
-    rows = np.eye(model.nbody, dtype=np.float32)
-    for index in range(model.nbody - 1, 0, -1):
-        rows[model.body_parentid[index]] += rows[index]
-    return rows
 
 
 def places(rows: Int[np.ndarray, " rows"]) -> Any:

@@ -24,10 +24,12 @@ from humanoid_mjx.control.drives import limited
 from humanoid_mjx.mechanics.contacts import Contacts
 from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.physics.base import Batches, Controller, Once, Poses, Sensed, Velocities, World, freeze_if_diverged
-from humanoid_mjx.physics.model import MujocoPhysics, below
+from humanoid_mjx.physics.model import MujocoPhysics
 from humanoid_mjx.physics.terrain import add_terrain, follow
 from humanoid_mjx.robot import Robot
-from humanoid_mjx.robot.description import IMU, sensing_spec
+from humanoid_mjx.robot.description import IMU, below, sensing_spec
+from humanoid_mjx.robot.mjcf import checked, name_bodies
+from humanoid_mjx.robot.touching import FLAGS
 from humanoid_mjx.types import AnyArray
 
 MODELS_BYTES = 1 << 27
@@ -42,12 +44,6 @@ FRAMES = (
     *(mujoco.mjtSensor.mjSENS_FRAMEZAXIS, mujoco.mjtSensor.mjSENS_FRAMELINVEL, mujoco.mjtSensor.mjSENS_FRAMEANGVEL),
 )
 """Sensors of where each body is and how it moves, so that MuJoCo's threads compute it with the step."""
-
-OFF = {
-    True: int(mujoco.mjtDisableBit.mjDSBL_AUTORESET),
-    False: int(mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_SENSOR),
-}
-"""Flags that MuJoCo disables where sensors are read, and where they are not."""
 
 _LOCK = threading.Lock()
 """MuJoCo's data and its handler of warnings belong to one callback at a time; each uses all processors."""
@@ -192,7 +188,7 @@ class _Team:
         numbers, base = np.frombuffer(values), self.base
         terrain = self.terrain_of(numbers)
         model = self._shaped(terrain) if terrain and terrain.stairs is not None else copy(base)
-        model.opt.disableflags |= OFF[sensed]
+        model.opt.disableflags |= int(FLAGS.mjDSBL_AUTORESET | (0 if sensed else FLAGS.mjDSBL_SENSOR))
         self.tune(model, numbers)
         return model
 
@@ -220,12 +216,13 @@ class _Team:
         """The robot on ground of this shape, with `FRAMES` on every body, behind its own sensors."""
         with jax.ensure_compile_time_eval():
             spec = sensing_spec(self._robot, self._timestep)
+            name_bodies(spec)
             for kind in FRAMES:
                 for body in spec.bodies:
                     spec.add_sensor(type=kind, objtype=mujoco.mjtObj.mjOBJ_XBODY, objname=body.name)
             if terrain is not None and terrain.shaped:
                 add_terrain(spec, terrain)
-            return spec.compile()
+            return checked(spec.compile)[0]
 
 
 @lru_cache

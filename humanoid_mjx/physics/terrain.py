@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from humanoid_mjx.mechanics.terrain import Terrain
+from humanoid_mjx.robot.mjcf import PLAIN
 
 HALF = 20.0
 """Half the width of the stairs, m: farther than any gait walks in an episode of 20 s."""
@@ -37,13 +38,13 @@ def add_terrain(spec: mujoco.MjSpec, terrain: Terrain) -> None:
         if terrain.stairs is None:
             for pair, ball in felt:
                 name = f"below_{ball}"
-                spec.worldbody.add_geom(name=name, type=plane.type, size=plane.size, contype=0, conaffinity=0)
-                _copied(pair, spec.add_pair(geomname1=name, geomname2=ball), PAIR)
+                spec.worldbody.add_geom(PLAIN, name=name, type=plane.type, size=plane.size, contype=0, conaffinity=0)
+                _copied(pair, spec.add_pair(PLAIN, geomname1=name, geomname2=ball), PAIR)
         for index in range(-STEPS, STEPS) if terrain.stairs is not None else ():
             name = f"{plane.name}_{index}"
-            _copied(plane, spec.worldbody.add_geom(name=name, **_step(terrain, index)), GEOM)
+            _copied(plane, spec.worldbody.add_geom(PLAIN, name=name, **_step(terrain, index)), GEOM)
             for pair, ball in felt:
-                _copied(pair, spec.add_pair(geomname1=name, geomname2=ball), PAIR)
+                _copied(pair, spec.add_pair(PLAIN, geomname1=name, geomname2=ball), PAIR)
         plane.pos = np.subtract(plane.pos, (0.0, 0.0, BENEATH))
 
 

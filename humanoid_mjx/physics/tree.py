@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 from jaxtyping import Array, Float
+from pydantic import model_validator
 
 from humanoid_mjx import compute
 from humanoid_mjx.compute import Arithmetic
@@ -27,10 +28,12 @@ from humanoid_mjx.mechanics.tree import sensing
 from humanoid_mjx.mechanics.tree import step as mechanics
 from humanoid_mjx.mechanics.tree.folding import fold
 from humanoid_mjx.mechanics.tree.reading import read_tree
+from humanoid_mjx.mechanics.tree.refusing import sensors_of
 from humanoid_mjx.mechanics.tree.structure import Tree
 from humanoid_mjx.physics.base import MAX_SPEED, Controller, Once, Poses, Sensed, Velocities, World
 from humanoid_mjx.physics.model import MujocoPhysics
-from humanoid_mjx.robot.description import IMU, ground_points, motor_limits
+from humanoid_mjx.robot.description import IMU, ground_points
+from humanoid_mjx.robot.motors import motor_limits
 from humanoid_mjx.types import AnyArray, BoolScalar
 
 UNROLL, WHOLE = 4, 10
@@ -48,11 +51,15 @@ class TreePhysics(MujocoPhysics):
     arithmetic: ClassVar[Arithmetic] = "tree"
     terrains: ClassVar[tuple[tuple[str, ...], ...]] = (("rough", "stairs"),)
 
+    @model_validator(mode="after")
+    def _is_a_tree(self) -> "TreePhysics":
+        _ = self.tree
+        return self
+
     @property
     def tree(self) -> Tree:
         """Static part of the model, fixed while a program is compiled."""
-        model, kind = self.model, mujoco.mjtObj.mjOBJ_SENSOR
-        tree = _tree(model, tuple(name for name in IMU if mujoco.mj_name2id(model, kind, name) >= 0))
+        tree = _tree(self.model, sensors_of(self.model, IMU))
         return on_stairs(tree) if self.terrain and self.terrain.stairs is not None else tree
 
     def step(self, world: World, controller: Controller) -> tuple[World, Float[Array, " joints"]]:

@@ -25,6 +25,7 @@ from humanoid_mjx.report.player import player
 from humanoid_mjx.report.rendering import strip
 from humanoid_mjx.report.style import figure
 from humanoid_mjx.report.web import contents, data_address, facts, image, link, page, section, table, text
+from humanoid_mjx.robot.differences import HEADINGS, differences_of
 from humanoid_mjx.runs.folder import read_config, read_provenance
 from humanoid_mjx.runs.ranking import Ranked, best_table, ranked, short, ties
 from humanoid_mjx.runs.tables import read_table
@@ -68,7 +69,7 @@ def run_page(path: Path, reporter: Reporter, motion: bool) -> str:
     if motion and (shown := _motion(path, reporter)):
         parts["The robot"] = shown
     parts |= {
-        "What was run": _config(config, axes, summary),
+        "What was run": [*_config(config, axes, summary), *_differences(path)],
         "Where and when": _provenance(provenance),
         "Run it again": _again(config, provenance),
     }
@@ -228,6 +229,15 @@ def _config(config: Mapping[str, Any], axes: Sequence[str], summary: Mapping[str
     save = link(f"Save as {name}", data_address(yaml.encode(), "text/yaml"), name)
     parts = [table(("swept parameter", "values", ""), swept)] if swept else []
     return [*parts, text("The config, with all defaults:"), text(yaml.rstrip(), "pre"), f"<p>{save}</p>"]
+
+
+def _differences(path: Path) -> list[str]:
+    """The table of what the robot has otherwise than its MJCF; nothing where it has no MJCF of its own."""
+    try:
+        rows = differences_of(find_policy(str(path)).learner.task)
+    except InputError as error:
+        return [f'<p class="note">{text(str(error), "span")}</p>']
+    return [text("Its robot and the MJCF", "h3"), table(HEADINGS, rows)] if rows else []
 
 
 def _provenance(provenance: Mapping[str, Any]) -> list[str]:

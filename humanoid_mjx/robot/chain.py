@@ -73,10 +73,10 @@ class Chain:
         Raises:
           InputError: a wrong shape, a value that is not finite, a pseudo-inertia that no body can have.
         """
-        joints, given = len(theta_offset), {"d": d, "a": a, "alpha": alpha, "gravity": gravity}
-        given |= {"theta_offset": theta_offset, "pseudo_inertia": pseudo_inertia}
-        expected = dict.fromkeys(given, (joints,)) | {"gravity": (3,), "pseudo_inertia": (joints, 4, 4)}
-        arrays = {name: _array(name, value) for name, value in given.items()}
+        angles, joints = {"theta_offset": theta_offset, "alpha": alpha}, len(theta_offset)
+        values = {"d": d, "a": a, "pseudo_inertia": pseudo_inertia, "gravity": gravity}
+        expected = dict.fromkeys((*angles, *values), (joints,)) | {"gravity": (3,), "pseudo_inertia": (joints, 4, 4)}
+        arrays = {name: _array(name, value) for name, value in (angles | values).items()}
         for name, shape in expected.items():
             if arrays[name].shape != shape:
                 raise InputError(f"{name} must have the shape {shape}, got {arrays[name].shape}.")
@@ -84,20 +84,9 @@ class Chain:
                 raise InputError(f"{name} must be finite, got {arrays[name].tolist()}.")
         for link, matrix in enumerate(arrays["pseudo_inertia"], start=1):
             check_pseudo_inertia(matrix, f"link {link}")
-        return cls(
-            d=jnp.array(arrays["d"]),
-            a=jnp.array(arrays["a"]),
-            pseudo_inertia=jnp.array(arrays["pseudo_inertia"]),
-            gravity=jnp.array(arrays["gravity"]),
-            structure=Structure(
-                theta_offset=tuple(arrays["theta_offset"].tolist()),
-                alpha=tuple(arrays["alpha"].tolist()),
-                has_d=_where(arrays["d"]),
-                has_a=_where(arrays["a"]),
-                has_inertia=_where(arrays["pseudo_inertia"]),
-                has_gravity=_where(arrays["gravity"]),
-            ),
-        )
+        static = (tuple(arrays[name].tolist()) for name in angles)
+        structure = Structure(*static, *(_where(arrays[name]) for name in values))
+        return cls(**{name: jnp.array(arrays[name]) for name in values}, structure=structure)
 
     @property
     def num_joints(self) -> int:

@@ -6,15 +6,12 @@ package that of its own. The ground is the plane z = 0, which the feet feel thro
 end of a capsule, one in each lower corner of a box.
 """
 
-import hashlib
-import json
 import re
 from collections.abc import Sequence
 from functools import lru_cache
 from math import inf, isfinite
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
-from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -24,14 +21,16 @@ from pydantic import Field
 
 from humanoid_mjx.config import Config, parse_yaml
 from humanoid_mjx.files import folder
-from humanoid_mjx.robot.description import BEND, Robot, Servo, add_motors_and_imu, image, motors_on
+from humanoid_mjx.robot.description import BEND, Robot, Servo, add_motors_and_imu, listed
+from humanoid_mjx.robot.differences import Difference, differences
+from humanoid_mjx.robot.mirror import images
+from humanoid_mjx.robot.mjcf import PLAIN, Quat, checked, content_of, name_bodies, set_upright, turn_at_home
+from humanoid_mjx.robot.motors import driven, motors_on, own_drives
+from humanoid_mjx.robot.touching import balls_of, soles_of, strip
 from humanoid_mjx.spec import InputError, Spec, known, search_folders, sentence
 
 DAMPING = 0.03
 """Servo damping by stiffness where a description gives none, s."""
-
-CORNER = 0.25
-"""Largest radius of the balls in a box's corners, as a share of half its shorter side."""
 
 SLACK_DEG = 1.0
 """Largest distance of a posture beyond the range of a joint, degrees."""
@@ -93,10 +92,10 @@ class Declared(Robot):
 
     name: str = Field(description="path of the YAML, or the name of a robot that ships")
     content: str = Field("", description="digest of both files: a run takes no other robot of the same name")
-    ground_geoms: tuple[str, ...] = Field(default=(), strict=False, description="geoms of the feet; all that touch")
-    torque: tuple[float, ...] = Field(default=(), strict=False, description="largest torques, N m")
-    stiffness: tuple[float, ...] = Field(default=(), strict=False, description="of the servo, N m/rad")
-    damping: tuple[float, ...] = Field(default=(), strict=False, description="of the servo, N m s/rad")
+    ground_geoms: tuple[str, ...] = listed("geoms of the feet; all that touch")
+    torque: tuple[float, ...] = listed("largest torques, N m")
+    stiffness: tuple[float, ...] = listed("of the servo, N m/rad")
+    damping: tuple[float, ...] = listed("of the servo, N m s/rad")
     contacts: Literal["feet", "model"] = Field("feet", description="what touches")
 
     @property
@@ -107,71 +106,43 @@ class Declared(Robot):
         own = _read(find(self.name)).values
         return {key: value for key, value in own.items() if key not in ("name", "content")}
 
+    def differences(self, timestep: float | None = None) -> tuple[Difference, ...]:
+        source = _read(find(self.name))
+        _, file, warned = _load(source.model)
+        found = differences(file, checked(self.spec(timestep).compile)[0], self, source.turn)
+        return (*found, *(Difference("MuJoCo warns", words, "") for words in warned))
+
     def spec(self, timestep: float | None = None) -> mujoco.MjSpec:
         source = _read(find(self.name))
-        spec = _load(source.model)
-        model = spec.compile()
+        spec = _load(source.model)[0]
+        set_upright(spec, source.turn)
+        model = checked(spec.compile)[0]
         data = mujoco.MjData(model)
         for joint, angle in zip(source.joints, np.radians(self.home or [0.0] * len(source.joints)), strict=True):
             data.qpos[model.joint(joint).qposadr[0]] = angle
+            for motor in motors_on(model, model.joint(joint).id):
+                squared, hinge = model.actuator_gear[motor, 0] ** 2, spec.joint(joint)
+                hinge.armature += squared * model.actuator_armature[motor]
+                hinge.damping[0] += squared * model.actuator_damping[motor]
         mujoco.mj_kinematics(model, data)
-        touching = [
-            (spec.body(foot), geom.id)
-            for foot in self.feet
-            for geom in spec.body(foot).geoms
-            if (geom.name in self.ground_geoms if self.ground_geoms else geom.contype or geom.conaffinity)
+        balls = [
+            (spec.body(model.body(model.geom_bodyid[contact.two]).name), contact, *ball)
+            for contact in soles_of(model, self.feet, self.ground_geoms)
+            for ball in balls_of(model, data, contact.two)
         ]
-        balls = [(foot, geom, *_balls_of(model, data, geom, foot.name)) for foot, geom in touching]
-        rough = model.geom_friction[model.geom_type == GEOM.mjGEOM_PLANE, 0].max(initial=0.0)
-        # Remove what the package replaces: actuators, sensors, keyframes, the ground and, with `feet`, all contacts.
-        feet_only = self.contacts == "feet"
-        doomed = [*spec.actuators, *spec.sensors, *spec.keys, *(spec.pairs if feet_only else ())]
-        for element in [*doomed, *(geom for geom in spec.worldbody.geoms if geom.type == GEOM.mjGEOM_PLANE)]:
-            spec.delete(element)
-        for geom in spec.geoms if feet_only else spec.worldbody.geoms:
-            geom.contype = geom.conaffinity = 0
+        strip(spec, self.contacts == "feet")
         spec.option.timestep = timestep or model.opt.timestep
-        spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
-        spec.option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
-        ground = spec.worldbody.add_geom(
-            name="ground", type=GEOM.mjGEOM_PLANE, size=(0.0, 0.0, 0.05), contype=0, conaffinity=0, rgba=(0.9,) * 4
-        )
         looks = {"mass": 0.0, "contype": 0, "conaffinity": 0, "group": 3, "type": GEOM.mjGEOM_SPHERE}
-        each = [(foot, geom, place, radius) for foot, geom, places, radius in balls for place in places]
-        for index, (foot, geom, place, radius) in enumerate(each):
-            ball = foot.add_geom(name=f"{foot.name}_point{index}", size=(radius, 0.0, 0.0), pos=place, **looks)
-            pair = spec.add_pair(name=ball.name, geomname1=ground.name, geomname2=ball.name, condim=3)
-            pair.friction[:2] = max(rough, model.geom_friction[geom, 0])
-            pair.solref, pair.solimp = model.geom_solref[geom], model.geom_solimp[geom]
-        spec.worldbody.first_body().add_site(name="package_imu", group=3)
+        plane = looks | {"type": GEOM.mjGEOM_PLANE, "group": 0, "size": (0.0, 0.0, 0.05), "rgba": (0.9,) * 4}
+        ground = spec.worldbody.add_geom(PLAIN, name="ground", **plane)
+        for index, (foot, contact, place, radius) in enumerate(balls):
+            ball = foot.add_geom(PLAIN, name=f"{foot.name}_point{index}", size=(radius, 0.0, 0.0), pos=place, **looks)
+            pair = spec.add_pair(PLAIN, name=ball.name, geomname1=ground.name, geomname2=ball.name)
+            pair.condim, pair.friction[:2], pair.margin = min(contact.condim, 3), contact.friction, contact.margin
+            pair.solref, pair.solimp = contact.solref, contact.solimp
+        spec.worldbody.first_body().add_site(PLAIN, name="package_imu", group=3)
         add_motors_and_imu(spec, dict(zip(source.joints, self.torque, strict=True)), "package_imu")
         return spec
-
-
-def _balls_of(
-    model: mujoco.MjModel, data: mujoco.MjData, geom: int, foot: str
-) -> tuple[Float[np.ndarray, "balls 3"], float]:
-    """The balls of a foot's geom that the ground can push: their places in the foot's frame and their radius, m."""
-    size, kind = model.geom_size[geom], model.geom_type[geom]
-    radius, centers = float(size[0]), np.zeros((1, 3))
-    if kind == GEOM.mjGEOM_CAPSULE:
-        centers = np.array([[0.0, 0.0, size[1]], [0.0, 0.0, -size[1]]])
-    elif kind == GEOM.mjGEOM_BOX:
-        upright = data.geom_xmat[geom].reshape(3, 3)[2]
-        down = int(np.abs(upright).argmax())
-        others = [axis for axis in range(3) if axis != down]
-        radius = float(min(CORNER * size[others].min(), size[down]))
-        corners = np.full((4, 3), -np.sign(upright[down]))
-        corners[:, others] = [(1, 1), (1, -1), (-1, 1), (-1, -1)]
-        centers = corners * (size - radius)
-    elif kind != GEOM.mjGEOM_SPHERE:
-        word = GEOM(int(kind)).name.removeprefix("mjGEOM_").lower()
-        raise InputError(
-            f"feet: {foot} has a {word}, {model.geom(geom).name!r}; name geoms that are balls, capsules or boxes"
-        )
-    rotation = np.empty(9)
-    mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
-    return model.geom_pos[geom] + centers @ rotation.reshape(3, 3).T, radius
 
 
 class Source(NamedTuple):
@@ -179,6 +150,8 @@ class Source(NamedTuple):
 
     model: str
     joints: tuple[str, ...]
+    turn: Quat
+    """Orientation of the trunk at home in the file."""
     values: dict[str, Any]
     """Fields of `Declared`."""
 
@@ -241,7 +214,7 @@ def _read(path: Path) -> Source:
             raise InputError(f"{path.name}: a robot is a mapping of keys such as model and feet.")
         declared = Declaration(**data)
         model = path.parent / declared.model
-        return _understood(path, text, str(model), model.read_text(encoding="utf-8"))
+        return _understood(path, text, str(model), content_of(data, model))
     except pydantic.ValidationError as error:
         raise InputError(f"{path.name}: {sentence(error, '', Declaration)}") from error
     except OSError as error:
@@ -249,31 +222,33 @@ def _read(path: Path) -> Source:
 
 
 @lru_cache
-def _understood(path: Path, text: str, file: str, model_text: str) -> Source:
-    """Parse the texts of both files."""
+def _understood(path: Path, text: str, file: str, content: str) -> Source:
+    """Parse both files; `content` is their digest."""
     data = parse_yaml(text, path.name)
     declared = Declaration(**data)
     try:
-        spec = _load(file)
-        model = spec.compile()
-        joints = _driven(model)
+        spec, model, _ = _load(file)
+        joints = driven(model)
         home = _home(declared.home, model, joints)
-        torque = _by_joint("torque", declared.torque, joints, _own_torques(model, joints))
-        if not np.isfinite(torque).all():
-            raise InputError(f"torque: the model has no limit for {joints[int(np.argmin(np.isfinite(torque)))]}")
-        stiffness, damping = _own_servo(model, joints, torque)
-        stiffness = _by_joint("servo.stiffness", declared.servo.stiffness, joints, stiffness)
-        if declared.servo.stiffness is not None:
-            damping = DAMPING * stiffness
-        damping = _by_joint("servo.damping", declared.servo.damping, joints, damping)
+        turn = turn_at_home(model, declared.home if isinstance(declared.home, str) else "")
+        torque, stiffness, damping = own_drives(model, joints)
+        torque = _by_joint("torque", declared.torque, joints, torque)
+        if wrong := [joint for joint, limit in zip(joints, torque, strict=True) if not 0 < limit < inf]:
+            lacks = "the model has no limit" if torque[joints.index(wrong[0])] else "the limit is 0"
+            raise InputError(f"torque: {lacks} for {wrong[0]}; write its N m as torque: {{{wrong[0]}: 20}}")
+        servo, stiffness = declared.servo, np.where(np.isnan(stiffness), torque, stiffness)
+        stiffness = _by_joint("servo.stiffness", servo.stiffness, joints, stiffness)
+        damping = np.where(np.isnan(damping) | (servo.stiffness is not None), DAMPING * stiffness, damping)
+        damping = _by_joint("servo.damping", servo.damping, joints, damping)
         feet, geoms = _feet(declared.feet, spec)
-        feet, turns = _in_bodies_order(feet, declared.turns, model)
+        soles_of(model, feet, geoms)
+        turns, order = tuple(declared.turns), sorted(range(len(feet)), key=lambda k: model.body(feet[k]).id)
+        if order != sorted(order) and len(turns) in (0, len(feet)):  # MuJoCo sorts contacts in the bodies' order
+            turns = turns or tuple(k / len(feet) for k in range(len(feet)))
+            feet, turns = (tuple(part[k] for k in order) for part in (feet, turns))
         mirror = tuple(declared.mirror.items())
         values = {"feet": feet, "home": tuple(home), "turns": turns, "mirror": mirror, "bend": declared.bend}
         values |= {"torque": tuple(torque), "stiffness": tuple(stiffness), "damping": tuple(damping)}
-        # A digest of what both files say, whatever their layout and comments.
-        plain = json.dumps(dict(sorted(data.items()))) + ElementTree.canonicalize(model_text, strip_text=True)
-        content = hashlib.sha256(plain.encode()).hexdigest()[:16]
         values |= {"ground_geoms": geoms, "contacts": declared.contacts, "content": content}
         if declared.shares is not None:
             shares = _by_joint("shares", declared.shares, joints, np.ones(len(joints)))
@@ -281,28 +256,23 @@ def _understood(path: Path, text: str, file: str, model_text: str) -> Source:
     except InputError as error:
         message = str(error).rstrip(".")
         raise InputError(f"{path.name}: {message}.") from error
-    return Source(file, joints, values)
+    return Source(file, joints, turn, values)
 
 
 def _by_kind(mirror: Any, joints: Sequence[str], shares: np.ndarray) -> tuple[float, ...]:
     """Return the shares by kind of joint from the shares by joint."""
-    images = [image(joint, mirror) for joint in joints]
-    first = [min(k, joints.index(image) if image in joints else k) for k, image in enumerate(images)]
+    first = np.minimum(images("joints", joints, mirror, joints), np.arange(len(joints))).tolist()
     if uneven := [joint for k, joint in enumerate(joints) if shares[k] != shares[first[k]]]:
         raise InputError(f"shares: {uneven[0]} and its mirror image must have the same")
     return tuple(shares[sorted(set(first))].tolist())
 
 
-def _load(file: str) -> mujoco.MjSpec:
-    try:
-        spec = mujoco.MjSpec.from_file(file)
-        for index, body in enumerate(spec.bodies):
-            body.name = body.name or f"body{index}"
-        spec.compile()
-    except ValueError as error:
-        raise InputError(
-            f"model: {Path(file).name} is no MJCF that MuJoCo takes: {' '.join(str(error).split())}"
-        ) from error
+def _load(file: str) -> tuple[mujoco.MjSpec, mujoco.MjModel, tuple[str, ...]]:
+    """Return the spec of an MJCF, every body named, its model, and MuJoCo's warnings."""
+    what = f"model: {Path(file).name} is no MJCF that MuJoCo takes"
+    spec, _ = checked(lambda: mujoco.MjSpec.from_file(file), what)
+    name_bodies(spec)
+    model, warned = checked(spec.compile, what)
     bodies = [body.name for body in spec.worldbody.bodies]
     free = [joint for joint in spec.joints if joint.type == JOINT.mjJNT_FREE]
     if len(bodies) != 1 or len(free) != 1 or free[0].parent.name != bodies[0]:
@@ -310,24 +280,12 @@ def _load(file: str) -> mujoco.MjSpec:
         raise InputError(f"model: a robot is one body with a free joint, and its child bodies; the bodies are: {there}")
     if fault := bad_timestep(spec.option.timestep):
         raise InputError(f"model: {fault}")
-    return spec
+    return spec, model, warned
 
 
 def bad_timestep(seconds: float) -> str | None:
     """Return the fault of a model's time step, or None."""
     return None if 0.0 < seconds < inf else f"<option timestep> is {seconds:g}; it must be a number of seconds above 0"
-
-
-def _driven(model: mujoco.MjModel) -> tuple[str, ...]:
-    """The hinges that motors drive, in the motors' order; all hinges of a model without motors."""
-    of_joint = np.isin(model.actuator_trntype, (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-    driven = model.actuator_trnid[of_joint, 0] if model.nu else np.flatnonzero(model.jnt_type == JOINT.mjJNT_HINGE)
-    names = tuple(dict.fromkeys(model.joint(int(joint)).name for joint in driven))
-    if not names or "" in names:
-        raise InputError("model: no motor drives a hinge that has a name")
-    if wrong := [name for name in names if model.joint(name).type[0] != JOINT.mjJNT_HINGE]:
-        raise InputError(f"model: the motor of {wrong[0]} drives no hinge")
-    return names
 
 
 def _home(home: Any, model: mujoco.MjModel, joints: Sequence[str]) -> Float[np.ndarray, " joints"]:
@@ -358,54 +316,10 @@ def _feet(names: Sequence[str], spec: mujoco.MjSpec) -> tuple[tuple[str, ...], t
             all_names = [part.name for part in (*spec.bodies, *spec.geoms) if part.name]
             raise InputError(f"feet: the model has no geom or body {name!r}; {known(name, all_names)}")
         bodies.append(geom.parent.name if geom is not None else body.name)
-        chosen = [geom] if geom is not None else [g for g in body.geoms if g.contype or g.conaffinity]
-        if not chosen:
-            raise InputError(f"feet: {name} has no geom that touches")
         geoms += [geom.name] if geom is not None else []
     if geoms and len(geoms) != len(names):
         raise InputError("feet: name geoms or bodies, not some of each")
     return tuple(dict.fromkeys(bodies)), tuple(geoms)
-
-
-def _in_bodies_order(
-    feet: tuple[str, ...], turns: Sequence[float], model: mujoco.MjModel
-) -> tuple[tuple[str, ...], tuple[float, ...]]:
-    """Feet and their turns in the order of the bodies, in which MuJoCo sorts the contacts."""
-    order = sorted(range(len(feet)), key=lambda k: model.body(feet[k]).id)
-    if order == list(range(len(feet))) or len(turns) not in (0, len(feet)):
-        return feet, tuple(turns)
-    phases = turns or [k / len(feet) for k in range(len(feet))]
-    return tuple(feet[k] for k in order), tuple(phases[k] for k in order)
-
-
-def _own_torques(model: mujoco.MjModel, joints: Sequence[str]) -> Float[np.ndarray, " joints"]:
-    """The model's limits of the torques, N m; infinite where it has none."""
-    limits = np.full(len(joints), np.inf)
-    for index, joint in enumerate(joints):
-        row = model.joint(joint).id
-        if model.jnt_actfrclimited[row]:
-            limits[index] = np.abs(model.jnt_actfrcrange[row]).max()
-        for motor in motors_on(model, row):
-            gear = abs(model.actuator_gear[motor, 0])
-            if model.actuator_forcelimited[motor]:
-                limits[index] = min(limits[index], gear * np.abs(model.actuator_forcerange[motor]).max())
-            elif model.actuator_ctrllimited[motor] and model.actuator_biastype[motor] == mujoco.mjtBias.mjBIAS_NONE:
-                force = abs(model.actuator_gainprm[motor, 0]) * np.abs(model.actuator_ctrlrange[motor]).max()
-                limits[index] = min(limits[index], gear * force)
-    return limits
-
-
-def _own_servo(
-    model: mujoco.MjModel, joints: Sequence[str], torque: np.ndarray
-) -> tuple[Float[np.ndarray, " joints"], Float[np.ndarray, " joints"]]:
-    """Stiffness and damping of the model's position actuators; else the torque limit a radian, and `DAMPING` of it."""
-    stiffness, damping = torque.copy(), DAMPING * torque
-    for index, joint in enumerate(joints):
-        for motor in motors_on(model, model.joint(joint).id):
-            if model.actuator_biastype[motor] == mujoco.mjtBias.mjBIAS_AFFINE and model.actuator_biasprm[motor, 1] < 0:
-                _, position, speed = (0.0 - model.actuator_biasprm[motor, :3]) * model.actuator_gear[motor, 0] ** 2
-                stiffness[index], damping[index] = position, speed
-    return stiffness, damping
 
 
 def _by_joint(

@@ -6,8 +6,9 @@ its posture, and the mirror image of each side. Everything else follows from the
 the robot's weight and of the length of its legs, so that they fit every robot.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import jax
@@ -17,6 +18,9 @@ import pydantic
 from jaxtyping import Bool, Float, Int
 from pydantic import Field
 
+from humanoid_mjx.robot.mirror import images
+from humanoid_mjx.robot.mjcf import PLAIN, checked
+from humanoid_mjx.robot.motors import motor_limits
 from humanoid_mjx.spec import InputError, Named
 
 AXIAL = np.array([-1.0, 1.0, -1.0])
@@ -46,22 +50,19 @@ class Servo(NamedTuple):
 BEND = "bend of legs at home, as degrees of hip pitch: a gait's `lift` adds to it and so shortens two equal links"
 
 
+def listed(description: str) -> Any:
+    """Declare a field that holds a list, empty by default."""
+    return Field(default=(), strict=False, description=description)
+
+
 class Robot(Named):
     """Base of robots: derive from it, give `spec`, and fields of your own for what can be chosen."""
 
-    feet: tuple[str, ...] = Field(default=(), strict=False, description="bodies that stand on the ground")
-    home: tuple[float, ...] = Field(
-        default=(), strict=False, description="angles of the joints of the standing robot, degrees; all 0"
-    )
-    turns: tuple[float, ...] = Field(
-        default=(), strict=False, description="phase, 0 to 1, at which each foot's swing begins; empty: evenly spaced"
-    )
-    shares: tuple[float, ...] = Field(
-        default=(), strict=False, description="factors on action_scale, by kind of joint; empty: 1"
-    )
-    mirror: tuple[tuple[str, str], ...] = Field(
-        default=(), strict=False, description="parts of names that change sides"
-    )
+    feet: tuple[str, ...] = listed("bodies that stand on the ground")
+    home: tuple[float, ...] = listed("angles of the joints of the standing robot, degrees; all 0")
+    turns: tuple[float, ...] = listed("phase, 0 to 1, at which each foot's swing begins; empty: evenly spaced")
+    shares: tuple[float, ...] = listed("factors on action_scale, by kind of joint; empty: 1")
+    mirror: tuple[tuple[str, str], ...] = listed("parts of names that change sides")
     bend: float = Field(default=15.0, ge=0, lt=90, description=BEND)
 
     def __hash__(self) -> int:
@@ -74,6 +75,11 @@ class Robot(Named):
         accelerometer have those names.
         """
         raise NotImplementedError
+
+    def differences(self, timestep: float | None = None) -> tuple[Any, ...]:
+        """Everything in which the robot with this time step, s, differs from the file that describes it: a
+        `robot.differences.Difference` each."""
+        return ()
 
     @pydantic.model_serializer(mode="wrap")
     def _as_chosen(self, handler: Any) -> dict[str, Any]:
@@ -98,13 +104,26 @@ class Robot(Named):
         return compiled(self, None)
 
     @property
+    def driven(self) -> Int[np.ndarray, " joints"]:
+        """Index in the model of the joint that each motor drives.
+
+        Raises:
+          InputError: a motor drives a body, a site or a tendon.
+        """
+        m = self.model
+        if len(odd := np.flatnonzero(m.actuator_trntype != mujoco.mjtTrn.mjTRN_JOINT)):
+            name = m.actuator(int(odd[0])).name or str(odd[0])
+            raise InputError(f'robot: motor {name!r} drives no joint; take a <motor> with joint="..."')
+        return m.actuator_trnid[:, 0]
+
+    @property
     def joints(self) -> tuple[str, ...]:
         """The joints that motors drive, in the motors' order."""
-        return tuple(self.model.joint(joint).name for joint in self.model.actuator_trnid[:, 0])
+        return tuple(self.model.joint(joint).name for joint in self.driven)
 
     @property
     def ranges_rad(self) -> Float[np.ndarray, "joints 2"]:
-        return self.model.jnt_range[self.model.actuator_trnid[:, 0]]
+        return self.model.jnt_range[self.driven]
 
     @property
     def torque_limits(self) -> Float[np.ndarray, " joints"]:
@@ -196,7 +215,7 @@ class Robot(Named):
     @property
     def foot_images(self) -> Int[np.ndarray, " feet"]:
         """Index of each foot's mirror image."""
-        return np.array([self.feet.index(self.image_of(foot)) for foot in self.feet], int)
+        return images("feet", self.feet, self.mirror, _names(self.model))
 
     @property
     def foot_pairs(self) -> Int[np.ndarray, "pairs 2"]:
@@ -207,34 +226,22 @@ class Robot(Named):
         pairs = [(one, other) for one, other in enumerate(self.foot_images) if left[one] < left[other]]
         return np.array(pairs, int).reshape(-1, 2)
 
-    def image_of(self, name: str) -> str:
-        """The name of the joint or foot on the other side. A part in the middle is its own image."""
-        return image(name, self.mirror)
-
     @pydantic.model_validator(mode="after")
     def _fits_its_model(self) -> "Robot":
+        if (self.model.actuator_trntype != mujoco.mjtTrn.mjTRN_JOINT).any():
+            return self  # each physics refuses it, and names all motors
         kinds = int(self.kinds.max(initial=-1)) + 1
-        counts = (
-            ("home", self.home, len(self.joints)),
-            ("turns", self.turns, len(self.feet)),
-            ("shares", self.shares, kinds),
-        )
-        for key, values, count in counts:
-            if values and len(values) != count:
+        for key, count in {"home": len(self.joints), "turns": len(self.feet), "shares": kinds}.items():
+            if (values := getattr(self, key)) and len(values) != count:
                 raise ValueError(f"{key} must hold {count} numbers, got {len(values)}")
         balls, _ = ground_points(self.model)
         names = [self.model.body(self.model.geom_bodyid[ball]).name for ball in balls]
         if self.feet and names != [foot for foot in self.feet for _ in range(self.points)]:
             raise ValueError(f"feet must have equally many balls that feel the ground, foot by foot, got {names}")
+        if self.feet:
+            _stance(self)
+            images("feet", self.feet, self.mirror, _names(self.model))
         return self
-
-
-def image(name: str, mirror: Iterable[tuple[str, str]]) -> str:
-    """Return the name on the other side. `mirror`: parts of names that change sides."""
-    for one, other in (pair for both in mirror for pair in (both, both[::-1])):
-        if one in name:
-            return name.replace(one, other)
-    return name
 
 
 IMU = "gyroscope", "accelerometer"
@@ -245,7 +252,7 @@ IMU = "gyroscope", "accelerometer"
 def compiled(robot: Robot, timestep: float | None) -> mujoco.MjModel:
     """The robot's model with this time step, s; also within jit."""
     with jax.ensure_compile_time_eval():
-        return sensing_spec(robot, timestep).compile()
+        return checked(sensing_spec(robot, timestep).compile)[0]
 
 
 def sensing_spec(robot: Robot, timestep: float | None) -> mujoco.MjSpec:
@@ -254,8 +261,8 @@ def sensing_spec(robot: Robot, timestep: float | None) -> mujoco.MjSpec:
     for pair in spec.pairs:
         one, two = sorted((spec.geom(pair.geomname1), spec.geom(pair.geomname2)), key=lambda geom: int(geom.type))
         if one.type == mujoco.mjtGeom.mjGEOM_PLANE:
-            name, zone = f"{two.name}_contact", (1.5 * two.size[0], 0.0, 0.0)
-            two.parent.add_site(name=name, pos=two.pos, size=zone, group=3)
+            name, zone = f"{two.name}_contact", (1.5 * two.size[0] + 0.5 * pair.margin, 0.0, 0.0)
+            two.parent.add_site(PLAIN, name=name, pos=two.pos, size=zone, group=3)
             site = {"objtype": mujoco.mjtObj.mjOBJ_SITE, "objname": name}
             spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_TOUCH, **site)
     return spec
@@ -264,7 +271,7 @@ def sensing_spec(robot: Robot, timestep: float | None) -> mujoco.MjSpec:
 def add_motors_and_imu(spec: mujoco.MjSpec, limits: Mapping[str, float], site: str) -> None:
     """Add a torque motor for each of these joints, with its largest torque, N m, and at a site the sensors of `IMU`."""
     for joint, limit in limits.items():
-        motor = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        motor = spec.add_actuator(PLAIN, name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         motor.set_to_motor()
         motor.ctrllimited, motor.ctrlrange = mujoco.mjtLimited.mjLIMITED_TRUE, (-limit, limit)
     for name, kind in zip(IMU, (mujoco.mjtSensor.mjSENS_GYRO, mujoco.mjtSensor.mjSENS_ACCELEROMETER), strict=True):
@@ -272,16 +279,20 @@ def add_motors_and_imu(spec: mujoco.MjSpec, limits: Mapping[str, float], site: s
 
 
 @lru_cache
+def below(model: mujoco.MjModel) -> Float[np.ndarray, "bodies bodies"]:
+    """1 where the column's body is the row's, or hangs on it."""
+    rows = np.eye(model.nbody, dtype=np.float32)
+    for index in range(model.nbody - 1, 0, -1):
+        rows[model.body_parentid[index]] += rows[index]
+    return rows
+
+
+@lru_cache
 def ground_points(model: mujoco.MjModel) -> tuple[Int[np.ndarray, " points"], Bool[np.ndarray, "points nv"]]:
     """The balls that a plane feels by explicit pairs: their geoms, and which velocities move them."""
     pairs = np.stack([model.pair_geom1, model.pair_geom2], axis=1)
     balls = pairs[model.geom_type[pairs[:, 0]] == mujoco.mjtGeom.mjGEOM_PLANE, 1]
-    moved_by = np.zeros((len(balls), model.nv), bool)
-    for row, link in zip(moved_by, model.geom_bodyid[balls], strict=True):
-        while link:
-            row[model.dof_bodyid == link] = True
-            link = model.body_parentid[link]
-    return balls, moved_by
+    return balls, below(model)[model.dof_bodyid][:, model.geom_bodyid[balls]].T > 0
 
 
 def lowest(model: mujoco.MjModel, centers: Any) -> Any:
@@ -301,47 +312,54 @@ def _stance(robot: Robot) -> _Stance:
     model = robot.model
     balls, _ = ground_points(model)
     data = mujoco.MjData(model)
-    data.qpos[model.jnt_qposadr[model.actuator_trnid[:, 0]]] = robot.posture
+    data.qpos[model.jnt_qposadr[robot.driven]] = robot.posture
     mujoco.mj_kinematics(model, data)
     places = lowest(model, data.geom_xpos[balls])
     ground = places[:, 2].min() if len(balls) else 0.0
-    hips = []
-    for foot in robot.feet if len(balls) else ():
-        link = model.body(foot).id
-        while model.body_parentid[link] > 1:
-            link = model.body_parentid[link]
-        hips.append(data.xanchor[model.body_jntadr[link], 2])
-    height = float(data.xpos[1, 2] - ground)
+    height, hips = float(data.xpos[1, 2] - ground), []
+    for foot, joint in zip(robot.feet, _hips(model, robot.feet), strict=True) if len(balls) else ():
+        own = model.geom_bodyid[balls] == model.body(foot).id
+        hips.append(data.xanchor[joint, 2] if joint >= 0 else data.xpos[1, 2])
+        if joint >= 0 and own.any() and hips[-1] <= (low := places[own, 2].min()):
+            raise InputError(
+                f"home: the feet are above the hips: {foot} is {low - ground:.3g} m above the ground, its hip "
+                f"{model.joint(joint).name!r} {hips[-1] - ground:.3g} m; give the angles of a robot that stands"
+            )
     return _Stance(height, float(np.mean(hips) - ground) if hips else height, places - data.xpos[1])
+
+
+def _hips(model: mujoco.MjModel, feet: Sequence[str]) -> list[int]:
+    """The first joint of each foot's limb, which begins at the lowest body where the way to another foot branches off;
+    -1 where the foot has no joint."""
+    ends, hips = [model.body(foot).id for foot in feet], []
+    shared = below(model)[:, ends].sum(axis=1)
+    for end in ends:
+        first = -1
+        for lower, upper in pairwise(np.flatnonzero(below(model)[1:, end])[::-1] + 1):
+            first = model.body_jntadr[lower] if model.body_jntnum[lower] else first
+            if first >= 0 and shared[upper] > shared[lower]:
+                break
+        hips.append(int(first))
+    return hips
+
+
+@lru_cache
+def _names(model: mujoco.MjModel) -> frozenset[str]:
+    return frozenset(model.names.decode(errors="replace").split("\0"))
 
 
 @lru_cache
 def _joint_images(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     joints, model = robot.joints, robot.model
-    if missing := [name for name in joints if robot.image_of(name) not in joints]:
-        raise InputError(f"mirror: {missing[0]} has no image {robot.image_of(missing[0])}.")
-    order = np.array([joints.index(robot.image_of(name)) for name in joints], int)
+    order = images("joints", joints, robot.mirror, _names(model))
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    axes = data.xaxis[model.actuator_trnid[:, 0]]
+    axes = data.xaxis[robot.driven]
     signs = np.round(np.sum(axes * AXIAL * axes[order], axis=1), 6)
-    if robot.mirror and (wrong := [name for name, sign in zip(joints, signs, strict=True) if abs(sign) != 1]):
-        raise InputError(f"mirror: the axis of {wrong[0]} is no image of that of {robot.image_of(wrong[0])}.")
+    if robot.mirror and len(wrong := np.flatnonzero(np.abs(signs) != 1)):
+        one, other = joints[wrong[0]], joints[order[wrong[0]]]
+        raise InputError(f"mirror: the axis of {one} is no image of that of {other}.")
     return order, signs if robot.mirror else np.ones(len(joints))
-
-
-def motors_on(model: mujoco.MjModel, joint: int) -> Int[np.ndarray, " motors"]:
-    """Indices of the actuators that drive the joint of this index; those of tendons and sites are left out."""
-    on_joints = np.isin(model.actuator_trntype, (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-    return np.flatnonzero(on_joints & (model.actuator_trnid[:, 0] == joint))
-
-
-def motor_limits(model: mujoco.MjModel) -> Float[np.ndarray, " joints"]:
-    """Largest torque of each motor of a model, N m."""
-    control = np.where(model.actuator_ctrllimited, model.actuator_ctrlrange[:, 1], np.inf)
-    force = np.where(model.actuator_forcelimited, model.actuator_forcerange[:, 1], np.inf)
-    gain, gear = model.actuator_gainprm[:, 0], model.actuator_gear[:, 0]
-    return np.minimum(np.abs(gain) * control, force) * np.abs(gear)
 
 
 def _two_digits(value: float) -> float:

@@ -49,12 +49,8 @@ class Leg(Chain):
     def from_links(
         cls, lengths: Sequence[float], pseudo_inertia: Any, gravity: Sequence[float] = ALONG_THE_LEG
     ) -> "Leg":
-        """A leg with the axes of Table 4.1.
-
-        Args:
-          lengths: l1 to l5, m.
-          pseudo_inertia: (5, 4, 4) of each link in its own frame.
-          gravity: m/s^2 in frame 0.
+        """A leg with the axes of Table 4.1, from l1 to l5, m, the pseudo-inertia (5, 4, 4) of each link in its own
+        frame, and gravity in frame 0, m/s^2.
 
         Raises:
           InputError: a wrong shape, or values that no leg has.

@@ -28,11 +28,7 @@ SMALLEST_INERTIA = 1e-13
 
 
 def make_mjspec(chain: Chain, timestep: float = 0.002) -> Any:
-    """The chain as a `mujoco.MjSpec`, frame 0 being the world; its `compile()` and `to_xml()` lead on from there.
-
-    Args:
-      chain: with concrete values.
-      timestep: s.
+    """The chain as a `mujoco.MjSpec`, frame 0 being the world, with this time step, s.
 
     Raises:
       InputError: the values are traced or batched, or a link has no mass.

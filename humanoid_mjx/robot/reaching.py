@@ -72,7 +72,7 @@ def reach_of(robot: Robot) -> Reach:
 def _leg(robot: Robot, foot: int) -> _Leg:
     """The joints that move one foot alone, at home, in the torso's frame."""
     model, data = robot.model, mujoco.MjData(robot.model)
-    rows = model.actuator_trnid[:, 0]
+    rows = robot.driven
     data.qpos[model.jnt_qposadr[rows]] = robot.posture
     data.qpos[:7] = (0, 0, 0, 1, 0, 0, 0)
     mujoco.mj_kinematics(model, data)
@@ -91,7 +91,7 @@ def _solve(robot: Robot, leg: _Leg, wanted: Float[np.ndarray, "samples parts"]) 
     """Changes of the leg's joints that bring the foot where it is wanted, rad."""
     q, step = np.zeros((len(wanted), len(leg.joints))), 1e-6
     low, high = (robot.ranges_rad - robot.posture[:, None])[leg.joints].T
-    limited = robot.model.jnt_limited[robot.model.actuator_trnid[leg.joints, 0]] > 0
+    limited = robot.model.jnt_limited[robot.driven[leg.joints]] > 0
     low, high = np.where(limited, low, -np.pi), np.where(limited, high, np.pi)
     for _ in range(ROUNDS):
         miss = _miss(robot, leg, q, wanted)

@@ -66,12 +66,6 @@ CYLINDER = 'type="cylinder" size="0.1 0.1" pos'
         ("the implicit integrator.", 'impratio="2"', 'integrator="implicit"'),
         ("a fluid.", 'impratio="2"', 'density="1.2"'),
         ("equality constraints.", "<actuator>", '<equality><joint joint1="hip" joint2="knee"/></equality><actuator>'),
-        (
-            "tendons.",
-            "<actuator>",
-            '<tendon><fixed name="t" stiffness="1"><joint joint="hip" coef="1"/></fixed></tendon><actuator>',
-        ),
-        ("the cutoff of a sensor, as 'gyroscope'.", '<gyro name="gyroscope"', '<gyro name="gyroscope" cutoff="1"'),
     ],
 )  # fmt: skip
 def test_models_that_are_refused(words, old, new):
@@ -81,7 +75,7 @@ def test_models_that_are_refused(words, old, new):
     if new == BOX:
         changed = changed.replace('type="capsule" ' + BOX, 'type="box" ' + BOX)
     with pytest.raises(InputError) as error:
-        read_tree(mujoco.MjModel.from_xml_string(changed), ["gyroscope"])
+        read_tree(mujoco.MjModel.from_xml_string(changed))
     assert str(error.value) == f"physics: the tree cannot represent {words}"
 
 

@@ -13,7 +13,7 @@ from standing import MJX, NATIVE, VALUES, hold, standing, step
 
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.physics.base import Stages
-from humanoid_mjx.physics.model import below
+from humanoid_mjx.robot.description import below
 from humanoid_mjx.spec import InputError
 
 sense = jax.jit(jax.vmap(MJX.sense))

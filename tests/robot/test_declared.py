@@ -1,6 +1,7 @@
 # pyright: reportAttributeAccessIssue=false
 """Robots of a YAML beside an MJCF: what follows from the model, what is refused, where the files are found."""
 
+import os
 import re
 import shutil
 from pathlib import Path
@@ -19,6 +20,8 @@ from humanoid_mjx.config import load
 from humanoid_mjx.files import folder, names
 from humanoid_mjx.robot import make_robot
 from humanoid_mjx.robot.declared import Declaration
+from humanoid_mjx.robot.mirror import image
+from humanoid_mjx.robot.mjcf import content_of, files_of
 from humanoid_mjx.robot.reaching import REGION, _leg, _miss, _solve, monomials, reach_of
 from humanoid_mjx.spec import modules_in
 from humanoid_mjx.training.plan import make_plan, resolved
@@ -223,6 +226,99 @@ def test_a_run_finds_its_robot_again_and_takes_no_other(tmp_path, monkeypatch):
         with pytest.raises(InputError, match="has changed since this run"):
             make_robot(robot["name"], content=robot["content"])
         assert make_robot(robot["name"]).mass == pytest.approx(12.82)
+
+
+def test_a_robot_is_all_files_that_its_model_reads(tmp_path):
+    """Included files, a mesh in `meshdir` and a height field count; a texture and layout do not."""
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "meshes").mkdir()
+    cube = "".join(f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 1) for z in (0, 1)) + "f 1 2 3\nf 5 7 6\n"
+    written = {
+        "parts/head.xml": '<mujoco><worldbody><include file="parts/mass.xml"/></worldbody></mujoco>',
+        "parts/mass.xml": '<mujocoinclude><geom type="sphere" size="1"/></mujocoinclude>',
+        "meshes/box.obj": cube,
+        "meshes/hills.txt": "1",
+        "sky.png": "x",
+    }
+    for name, text in written.items():
+        (tmp_path / name).write_text(text)
+    model = """<mujoco><compiler meshdir="meshes"/><include file="parts/head.xml"/><asset><mesh file="box.obj"/>
+    <hfield file="hills.txt"/><texture file="sky.png"/></asset></mujoco>"""
+    (tmp_path / "dog.xml").write_text(model)
+
+    def digest():
+        return content_of({}, tmp_path / "dog.xml")
+
+    assert len(files_of(tmp_path / "dog.xml")) == 5
+    before = digest()
+    for name, text in written.items():
+        (tmp_path / name).write_text(text.replace("1", "3").replace("x", "y"))
+        assert (digest() == before) == (name == "sky.png"), name
+        (tmp_path / name).write_text(text)
+        os.utime(tmp_path / name, ns=(1, 1))
+        assert digest() == before
+    (tmp_path / "parts" / "mass.xml").write_text("<!-- heavy -->" + written["parts/mass.xml"])
+    assert digest() == before
+
+
+def test_a_changed_include_is_another_robot(tmp_path):
+    def included(text):
+        head, body = text.split("<body name=", 1)
+        body, tail = body.rsplit("</worldbody>", 1)
+        (tmp_path / "body.xml").write_text(f"<mujocoinclude><body name={body}</mujocoinclude>")
+        return f'{head}<include file="body.xml"/></worldbody>{tail}'
+
+    name = files(tmp_path, edit=included)
+    robot = make_robot(name)
+    assert make_robot(name, content=robot.content).mass == robot.mass == pytest.approx(make_robot("dog").mass)
+    body = tmp_path / "body.xml"
+    body.write_text(body.read_text().replace('mass="5.2"', 'mass="9.2"'))
+    with pytest.raises(InputError, match="has changed since this run"):
+        make_robot(name, content=robot.content)
+    assert make_robot(name).mass == pytest.approx(robot.mass + 4)
+
+
+@pytest.mark.parametrize(
+    ("name", "mirror", "other"),
+    [
+        ("r_knee", {"r_": "l_"}, "l_knee"),
+        ("l_knee", {"r_": "l_"}, "r_knee"),
+        ("roll_link", {"r_": "l_"}, "roll_link"),
+        ("upright", {"right": "left"}, "upright"),
+        ("hip_10_0_2", {"_0_": "_1_"}, "hip_10_1_2"),
+        ("hip_10", {"0": "1"}, "hip_10"),
+        ("LShoulderRoll", {"R": "L"}, "RShoulderRoll"),
+        ("RShoulderRoll", {"R": "L"}, "LShoulderRoll"),
+        ("kneeRight2", {"Right": "Left"}, "kneeLeft2"),
+        ("FRhip", {"FR": "FL"}, "FLhip"),
+        ("lr_link", {"LR_": "LL_", "lr_": "ll_", "r_": "l_"}, "ll_link"),
+        ("right_arm_right", {"right": "left"}, "left_arm_left"),
+        ("waist", {"r": "l"}, "waist"),
+    ],
+)
+def test_whole_parts_of_names_change_sides(name, mirror, other):
+    names = {name, other, "LShoulderLoll"}
+    assert image(name, tuple(mirror.items()), names) == other
+    assert image(other, tuple(mirror.items()), names) == name
+
+
+@pytest.mark.parametrize(
+    ("mirror", "words"),
+    [
+        ({"FR": "FL", "RR": "RX"}, r"mirror: RR_hip has no image RX_hip among the joints; did you mean 'RR_hip'\?"),
+        ({"FR": "FL", "FL": "RL"}, "mirror: the image of RL_hip is FL_hip, but that of FL_hip is FR_hip"),
+        ({"hip": "thigh"}, "mirror: the axis of FR_hip is no image of that of FR_thigh"),
+    ],
+)
+def test_a_mirror_that_does_not_fit_names_the_joint(mirror, words, tmp_path):
+    with pytest.raises(InputError, match=words):
+        make_robot(files(tmp_path, mirror=mirror, shares=None))
+
+
+def test_a_foot_without_an_image_is_named(tmp_path):
+    """Its joints have images, the name of its body has none."""
+    with pytest.raises(InputError, match="mirror: FR_foot has no image FL_foot among the feet"):
+        make_robot(files(tmp_path, edit=lambda text: text.replace('body name="FR_calf"', 'body name="FR_foot"')))
 
 
 @pytest.mark.parametrize(

@@ -123,9 +123,9 @@ def folded(scalars: Sequence[Scalar], places: Sequence[tuple[int, ...]]) -> list
     return [in_lanes([scalars[index] for index in lanes]) for lanes in places]
 
 
-def unfolded(scalars: Sequence[Scalar], places: Sequence[tuple[int, ...]]) -> list[Scalar]:
-    """The inverse of `folded`."""
-    found = {index: lane(s, i) for s, lanes in zip(scalars, places, strict=True) for i, index in enumerate(lanes)}
+def unfolded(things: Sequence[Any], places: Sequence[tuple[int, ...]]) -> list[Any]:
+    """The inverse of `folded`; also of pytrees of scalars, such as those of bodies."""
+    found = {index: in_lane(s, i) for s, lanes in zip(things, places, strict=True) for i, index in enumerate(lanes)}
     return [found[index] for index in range(len(found))]
 
 
@@ -165,13 +165,21 @@ def in_turn(function: Callable[..., Tree], *rows: Any, count: Any) -> Tree:
     def some(index: Any) -> Tree:
         return function(*structure.unflatten([entry_at(leaf, index) for leaf in leaves]))
 
+    return filled(some, size, count)[1]
+
+
+def filled(row: Callable[[Any], Tree], size: Any, count: Any) -> tuple[Any, Tree]:
+    """How many rows are filled, and `row` of each of the first `count` indices as a pytree of arrays of this size,
+    which are else 0; for a kernel's thread."""
+
     def further(carry: tuple[Any, ...]) -> tuple[Any, ...]:
-        each = zip(carry[1], jax.tree.leaves(some(carry[0])), strict=True)
+        each = zip(carry[1], jax.tree.leaves(row(carry[0])), strict=True)
         return carry[0] + 1, [with_entry(array, carry[0], new) for array, new in each]
 
-    found, shape = jax.tree.flatten(jax.eval_shape(some, jnp.int32(0)))
-    start = jnp.int32(0), [jnp.zeros((size, *leaf.shape), leaf.dtype) for leaf in found]
-    return shape.unflatten(jax.lax.while_loop(lambda carry: carry[0] < count, further, start)[1])
+    leaves, structure = jax.tree.flatten(jax.eval_shape(row, jnp.int32(0)))
+    start = jnp.int32(0), [jnp.zeros((size, *leaf.shape), leaf.dtype) for leaf in leaves]
+    filled, found = jax.lax.while_loop(lambda carry: carry[0] < count, further, start)
+    return filled, structure.unflatten(found)
 
 
 def over_lanes(tree: structure.Tree, scalars: Sequence[Scalar]) -> list[Scalar]:

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx.mechanics.scalars import HALF, NULL, ONE, TWO, ZERO, Scalar, Symmetric, Vector, add, cross, dot, scale
+from humanoid_mjx.mechanics.tree import structure as st
 from humanoid_mjx.mechanics.tree.algebra import (
     FEW_PAIRS,
     Rotation,
@@ -28,18 +29,6 @@ from humanoid_mjx.mechanics.tree.algebra import (
 from humanoid_mjx.mechanics.tree.boxes import between_boxes
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics
 from humanoid_mjx.mechanics.tree.segments import Segment, nearest_points, segments
-from humanoid_mjx.mechanics.tree.structure import (
-    Box,
-    Capsule,
-    Corner,
-    Dry,
-    GroundPoints,
-    Limit,
-    Lowest,
-    Pairs,
-    Softness,
-    Surface,
-)
 
 Friction = tuple[Scalar, Scalar] | None
 
@@ -162,7 +151,7 @@ class Slip(NamedTuple):
         return force >= self.most.value, force <= -self.most.value
 
 
-def stop_of(limit: Limit, angle: Scalar, speed: Scalar) -> Stop:
+def stop_of(limit: st.Limit, angle: Scalar, speed: Scalar) -> Stop:
     """The joint's range at an angle and speed."""
     above, below = angle - number(limit.lower), number(limit.upper) - angle
     nearer = above.value < below.value
@@ -172,7 +161,7 @@ def stop_of(limit: Limit, angle: Scalar, speed: Scalar) -> Stop:
     return Stop(sign, close, weight, Scalar(limit.softness.damping) * sign * speed + push)
 
 
-def slip_of(dry: Dry, speed: Scalar) -> Slip:
+def slip_of(dry: st.Dry, speed: Scalar) -> Slip:
     """A joint's dry friction at a speed."""
     impedance = _impedance(dry.softness, ZERO)
     weight = impedance / ((ONE - impedance) * number(dry.inverse_weight))
@@ -180,7 +169,7 @@ def slip_of(dry: Dry, speed: Scalar) -> Slip:
 
 
 def ground_touch(
-    points: GroundPoints, kinematics: Kinematics, motions: Sequence[Spatial], friction: Friction, terrain: Any = None
+    points: st.GroundPoints, kinematics: Kinematics, motions: Sequence[Spatial], friction: Friction, terrain: Any = None
 ) -> Touch:
     """The contacts of points that a plane or a `Terrain` pushes, where the bodies move by `motions`."""
     center, normal, radius = ground_center(points, kinematics), vector(points.normal), number(points.radius)
@@ -194,14 +183,14 @@ def ground_touch(
     return _touch(points.surface, place, frame, distance, velocity, friction)
 
 
-def ground_center(points: GroundPoints, kinematics: Kinematics) -> Vector:
+def ground_center(points: st.GroundPoints, kinematics: Kinematics) -> Vector:
     """The middles of the balls that the plane pushes, against the origin; points of other shapes have no radius."""
     middle, shape, normal = kinematics.place(points.body, points.center), points.shape, vector(points.normal)
     if shape is None:
         return middle
-    if isinstance(shape, Corner):
+    if isinstance(shape, st.Corner):
         return add(middle, _downwards(kinematics.direction(points.body, shape.half), normal))
-    if isinstance(shape, Lowest):
+    if isinstance(shape, st.Lowest):
         arm = NULL
         axes = [kinematics.direction(points.body, axis) for axis in shape.axes]
         reach = [number(radius) * dot(axis, normal) for radius, axis in zip(shape.radii, axes, strict=True)]
@@ -230,16 +219,16 @@ def _downwards(way: Vector, normal: Vector) -> Vector:
     return scale(Scalar(jnp.where(dot(way, normal).value > 0.0, -1.0, 1.0)), way)
 
 
-def pair_gaps(pairs: Pairs, kinematics: Kinematics) -> Gap:
+def pair_gaps(pairs: st.Pairs, kinematics: Kinematics) -> Gap:
     """The gaps of pairs, with an axis that counts them."""
-    if isinstance(pairs.ones[0], Box):
+    if isinstance(pairs.ones[0], st.Box):
         return Gap(*between_boxes(pairs, kinematics))
     return Gap(*_between(*(_capsules(shapes, kinematics) for shapes in (pairs.ones, pairs.twos))))
 
 
-def pair_gap_at(pairs: Pairs, kinematics: Kinematics) -> GapAt:
+def pair_gap_at(pairs: st.Pairs, kinematics: Kinematics) -> GapAt:
     """The gap of the pair of a number, for a kernel's thread: that of many capsules is computed when asked for."""
-    if len(pairs.ones) <= FEW_PAIRS or isinstance(pairs.ones[0], Box):
+    if len(pairs.ones) <= FEW_PAIRS or isinstance(pairs.ones[0], st.Box):
         gaps = jax.tree.map(lambda v: jnp.broadcast_to(v, (len(pairs.ones), 1)), pair_gaps(pairs, kinematics))
         return lambda index: jax.tree.map(lambda v: entry_at(v, index), gaps)
     every = list(dict.fromkeys([*pairs.ones, *pairs.twos]))
@@ -254,13 +243,13 @@ def pair_gap_at(pairs: Pairs, kinematics: Kinematics) -> GapAt:
     return at
 
 
-def pair_touch(surface: Surface, gap: Gap, velocity: Vector, friction: Friction) -> Touch:
+def pair_touch(surface: st.Surface, gap: Gap, velocity: Vector, friction: Friction) -> Touch:
     """The contact of two shapes that part by `velocity`, m/s, at the place of their gap."""
     # Without friction no one reads the tangents, and a compiler leaves them out.
     return _touch(surface, gap.place, _frame(gap.normal, None), gap.distance, velocity, friction)
 
 
-def _capsules(shapes: Sequence[Capsule], kinematics: Kinematics) -> tuple[Segment, Scalar]:
+def _capsules(shapes: Sequence[st.Capsule], kinematics: Kinematics) -> tuple[Segment, Scalar]:
     """Segments and radii."""
     return segments(shapes, kinematics), known([shape.radius for shape in shapes])
 
@@ -281,7 +270,7 @@ def _between(first: tuple[Segment, Scalar], second: tuple[Segment, Scalar]) -> t
 
 
 def _touch(
-    surface: Surface, place: Vector, frame: Rotation, distance: Scalar, velocity: Vector, friction: Friction
+    surface: st.Surface, place: Vector, frame: Rotation, distance: Scalar, velocity: Vector, friction: Friction
 ) -> Touch:
     inverse = number(surface.inverse_weight)
     if friction is not None:
@@ -292,7 +281,7 @@ def _touch(
     return Touch(place, frame, distance, close, weight, offset._replace(x=offset.x + push), friction)
 
 
-def _soft(softness: Softness, distance: Scalar, margin: Scalar, inverse: Scalar) -> tuple[Any, Scalar, Scalar]:
+def _soft(softness: st.Softness, distance: Scalar, margin: Scalar, inverse: Scalar) -> tuple[Any, Scalar, Scalar]:
     """Activity of a constraint, its weight 1 / R, and the part of its reference acceleration due to position."""
     violation = distance - margin
     close = violation.value < 0.0
@@ -301,7 +290,7 @@ def _soft(softness: Softness, distance: Scalar, margin: Scalar, inverse: Scalar)
     return close, weight, Scalar(softness.stiffness) * impedance * violation
 
 
-def _impedance(softness: Softness, violation: Scalar) -> Scalar:
+def _impedance(softness: st.Softness, violation: Scalar) -> Scalar:
     """`solimp`: from `dmin` to `dmax` over `width`, along two powers that meet at the midpoint."""
     low, high, middle, power = softness.dmin, softness.dmax, softness.midpoint, softness.power
     if low == high or softness.width <= 1e-15:

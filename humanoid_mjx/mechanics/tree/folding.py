@@ -1,6 +1,7 @@
 """Limbs of one build computed as one: half the program for two legs, a quarter for four."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 from humanoid_mjx.mechanics.tree.structure import Corner, GroundPoints, Pairs, Softness, Surface, Table, Tree
@@ -22,26 +23,16 @@ def fold(tree: Tree) -> Tree:
     outer = [limbs for limbs in chosen if not any(set(limbs[0]) < set(limb) for other in chosen for limb in other)]
     limbs = [sum(parts, ()) for parts in zip(*outer, strict=True)]
     folded = _with_lanes(tree, limbs) if limbs else tree
-    ground = _grouped(folded.ground, lambda points: _join_points(folded, points))
-    return folded._replace(ground=ground, pairs=_grouped(folded.pairs, _join_pairs))
+    ground, pairs = _groups(folded.ground, partial(_join_points, folded)), _groups(folded.pairs, _join_pairs)
+    joined = tuple(_join_points(folded, points) for points in ground)
+    return folded._replace(ground=joined, pairs=tuple(map(_join_pairs, pairs)))
 
 
 def _alike(tree: Tree, roots: Sequence[int]) -> list[list[tuple[int, ...]]]:
     """The limbs at these bodies, those of one build together; a limb is the numbers of its bodies."""
-    groups: list[list[tuple[int, ...]]] = []
-    for limb in (_limb(tree, root) for root in roots):
-        if tree.free in limb or not any(tree.bodies[index].joints for index in limb):
-            continue
-        for group in groups:
-            try:
-                _merge([_described(tree, group[0]), _described(tree, limb)])
-                group.append(limb)
-                break
-            except _Unlike:
-                continue
-        else:
-            groups.append([limb])
-    return groups
+    limbs = [limb for limb in (_limb(tree, root) for root in roots) if tree.free not in limb]
+    moving = [limb for limb in limbs if any(tree.bodies[index].joints for index in limb)]
+    return _groups(moving, lambda limbs: _merge([_described(tree, limb) for limb in limbs]))
 
 
 def _limb(tree: Tree, root: int) -> tuple[int, ...]:
@@ -92,10 +83,9 @@ def _with_lanes(tree: Tree, limbs: Sequence[tuple[int, ...]]) -> Tree:
     new = {old: index for index, old in enumerate(kept)}
     lane = {body: number for number, limb in enumerate(limbs) for body in limb}
     new |= {body: len(kept) + place for limb in limbs for place, body in enumerate(limb)}
-    taken = {h.dof for body in inside for h in tree.bodies[body].joints}
-    old_dofs = [dof for dof in range(tree.nv) if dof not in taken]
-    taken = {h.coordinate for body in inside for h in tree.bodies[body].joints}
-    old_coordinates = [place for place in range(len(tree.coordinates)) if place not in taken]
+    taken = [joint for body in inside for joint in tree.bodies[body].joints]
+    old_dofs = sorted(set(range(tree.nv)) - {joint.dof for joint in taken})
+    old_coordinates = sorted(set(range(len(tree.coordinates))) - {joint.coordinate for joint in taken})
 
     bodies = []
     for body in (tree.bodies[old] for old in kept):
@@ -135,8 +125,8 @@ def _with_lanes(tree: Tree, limbs: Sequence[tuple[int, ...]]) -> Tree:
     )
 
 
-def _grouped(things: Sequence[Any], join: Any) -> tuple[Any, ...]:
-    """Those that can be joined as one."""
+def _groups(things: Sequence[Any], join: Any) -> list[list[Any]]:
+    """Those that can be joined, together."""
     groups: list[list[Any]] = []
     for thing in things:
         for group in groups:
@@ -148,7 +138,7 @@ def _grouped(things: Sequence[Any], join: Any) -> tuple[Any, ...]:
                 continue
         else:
             groups.append([thing])
-    return tuple(join(group) for group in groups)
+    return groups
 
 
 def _join_points(tree: Tree, points: Sequence[GroundPoints]) -> GroundPoints:

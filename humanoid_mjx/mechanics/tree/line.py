@@ -44,16 +44,8 @@ def lowest_share(
     """The share of the way from `before` to `after` at which the problem is lowest, by world.
 
     The slope along the way is zero at `after` as long as the same facets push. So only facets that change add to it:
-    no large forces cancel, and float32 finds a facet that changes even where little is gained.
-
-    Args:
-      tree: and
-      problem: what the accelerations minimise.
-      slots: the contacts between bodies.
-      active: the facets that push, and others not, in the equations that `after` solves.
-      before: accelerations from which the way leads downhill.
-      after: accelerations that are 1 along it.
-      known: worlds whose share is of no use.
+    no large forces cancel, and float32 finds a facet that changes even where little is gained. `active`: the facets
+    that push in the equations that `after` solves. `known`: worlds whose share is of no use.
     """
     worlds = jnp.broadcast_shapes(*(jnp.shape(v.value)[-1:] for v in after))
     way = [two - one for one, two in zip(before, after, strict=True)]

@@ -18,6 +18,7 @@ from humanoid_mjx.mechanics.tree.algebra import (
     FEW_PAIRS,
     Spatial,
     entry_at,
+    filled,
     in_lane,
     in_turn,
     number,
@@ -92,13 +93,8 @@ class Slots(NamedTuple):
 def close_pairs(
     tree: Tree, problem: Problem, gaps: Sequence[tuple[Gap, Friction]]
 ) -> tuple[Slots, Bool[Array, " worlds"]]:
-    """The contacts of the first `SLOTS` pairs that are close in each world, and where more are.
-
-    Args:
-      tree: and
-      problem: of these worlds.
-      gaps: those of all pairs, group by group, and their coefficients of friction.
-    """
+    """The contacts of the first `SLOTS` pairs that are close in each world, and where more are. `gaps`: those of all
+    pairs, group by group, and their coefficients of friction."""
     each = zip(tree.pairs, gaps, strict=True)
     close = jnp.concatenate([gap.distance.value < pairs.surface.margin for pairs, (gap, _) in each])
     close, size = close & ~jnp.asarray(problem.ended), len(close)
@@ -152,16 +148,8 @@ def close_pairs_in_turn(
         own = jax.tree.map(lambda v: v if jnp.ndim(v) < 2 else entry_at(v, pair), facts)
         return contact(pair, index < close, gap, *own)
 
-    def further(carry: tuple[Any, ...]) -> tuple[Any, ...]:
-        each = zip(carry[1], jax.tree.leaves(one(carry[0])), strict=True)
-        return carry[0] + 1, [with_entry(array, carry[0], new) for array, new in each]
-
-    leaves, structure = jax.tree.flatten(jax.eval_shape(one, jnp.int32(0)))
-    start = jnp.int32(0), [jnp.zeros((slots, *close.shape), leaf.dtype) for leaf in leaves]
     # A counter common to all threads ends the loop: with each thread's own number the lower body was a tenth slower.
-    most = jnp.minimum(close, slots)[0]
-    count, found = jax.lax.while_loop(lambda carry: carry[0] < most, further, start)
-    touch, rows = structure.unflatten(found)
+    count, (touch, rows) = filled(one, slots, jnp.minimum(close, slots)[0])
     return Slots(touch, rows, count), close > slots
 
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from humanoid_mjx.mechanics.tree import structure as st
 from humanoid_mjx.mechanics.tree.boxes import CONTACTS
-from humanoid_mjx.mechanics.tree.refusing import FLAGS, Touching, faults, kinds_of, touching
+from humanoid_mjx.mechanics.tree.refusing import faults
+from humanoid_mjx.robot.touching import FLAGS, Touching, kind_of, touching
 from humanoid_mjx.spec import InputError
 
 SMALLEST = 1e-14
@@ -140,7 +141,7 @@ def _contacts(m: mujoco.MjModel) -> tuple[list[st.GroundPoints], list[int], list
     pairs: list[st.Pairs] = []
     for pair in touching(m):
         surface = _surface(m, pair)
-        if kinds_of(m, pair)[0] == "plane":
+        if kind_of(m, pair.one) == "plane":
             ground += _ground_points(m, pair.one, pair.two, surface, len(ground))
             geoms += [pair.two] * (len(ground) - len(geoms))
         else:

@@ -1,99 +1,17 @@
 # pyright: reportAttributeAccessIssue=false
-"""The pairs of shapes of a MuJoCo model that may touch, and everything of a model that a tree cannot represent."""
+"""Everything of a MuJoCo model that a tree cannot represent.
+
+`tests/mechanics/test_model_fields.py` lists each field of a model: computed, refused here, or without effect.
+"""
 
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import mujoco
 import numpy as np
 
-FLAGS = mujoco.mjtDisableBit
-NO_CONTACTS = int(FLAGS.mjDSBL_CONSTRAINT | FLAGS.mjDSBL_CONTACT)
-
-
-class Touching(NamedTuple):
-    """Two shapes that may touch."""
-
-    one: int
-    two: int
-    """Geoms, in the order in which MuJoCo's collision functions take them."""
-    condim: int
-    friction: Any
-    """Along both tangents."""
-    margin: float
-    solref: Any
-    solimp: Any
-    surplus: bool
-    """True if the model sets a gap, adhesion or a velocity of the surface."""
-
-
-def touching(m: mujoco.MjModel) -> Iterator[Touching]:
-    """Explicit pairs, then those by `contype` and `conaffinity` less those of one body, of parent and child, and those
-    that are excluded; none where the model's contacts are disabled."""
-    if m.opt.disableflags & NO_CONTACTS:
-        return
-    listed: set[frozenset[int]] = set()
-    for i in range(m.npair):
-        one, two = _ordered(m, int(m.pair_geom1[i]), int(m.pair_geom2[i]))
-        listed.add(frozenset((one, two)))
-        if m.body_weldid[m.geom_bodyid[one]] or m.body_weldid[m.geom_bodyid[two]]:
-            surplus = _surplus(m, "pair", [i]) or _surplus(m, "geom", [one, two], "surfacevel")
-            values = m.pair_margin[i], m.pair_solref[i], m.pair_solimp[i]
-            yield Touching(one, two, int(m.pair_dim[i]), m.pair_friction[i, :2], *values, surplus)
-    excluded = {int(signature) for signature in m.exclude_signature}
-    for first in range(m.ngeom):
-        for second in range(first + 1, m.ngeom):
-            one, two = _ordered(m, first, second)
-            if frozenset((one, two)) not in listed and _may_touch(m, one, two, excluded):
-                yield _mixed(m, one, two)
-
-
-def kinds_of(m: mujoco.MjModel, pair: Touching) -> tuple[str, str]:
-    """The shapes of a pair: plane, sphere, capsule, box and so on."""
-    one, two = (
-        mujoco.mjtGeom(int(m.geom_type[geom])).name.removeprefix("mjGEOM_").lower() for geom in (pair.one, pair.two)
-    )
-    return one.replace("hfield", "height field"), two
-
-
-def _ordered(m: mujoco.MjModel, one: int, two: int) -> tuple[int, int]:
-    return (one, two) if m.geom_type[one] <= m.geom_type[two] else (two, one)
-
-
-def _may_touch(m: mujoco.MjModel, one: int, two: int, excluded: set[int]) -> bool:
-    masks = (m.geom_contype[one] & m.geom_conaffinity[two]) or (m.geom_contype[two] & m.geom_conaffinity[one])
-    bodies = sorted(int(m.geom_bodyid[geom]) for geom in (one, two))
-    welds = [int(m.body_weldid[body]) for body in bodies]
-    if not masks or welds[0] == welds[1] or (bodies[0] << 16) + bodies[1] in excluded:
-        return False
-    parents = [int(m.body_weldid[m.body_parentid[weld]]) for weld in welds]
-    related = all(welds) and (parents[0] == welds[1] or parents[1] == welds[0])
-    return not related or bool(m.opt.disableflags & FLAGS.mjDSBL_FILTERPARENT)
-
-
-def _mixed(m: mujoco.MjModel, one: int, two: int) -> Touching:
-    """Contact parameters of two shapes without an explicit pair: the higher priority's, or a mixture."""
-    first, second = sorted((one, two), key=lambda geom: -m.geom_priority[geom])
-    if m.geom_priority[first] > m.geom_priority[second]:
-        values = m.geom_solref[first], m.geom_solimp[first]
-        friction, condim = m.geom_friction[first, 0], m.geom_condim[first]
-    else:
-        weights = m.geom_solmix[[one, two]]
-        share = (
-            weights[0] / weights.sum() if (weights >= 1e-15).all() else float(np.sign(weights[0] - weights[1]) + 1) / 2
-        )
-        refs, imps = m.geom_solref[[one, two]], m.geom_solimp[[one, two]]
-        solref = share * refs[0] + (1 - share) * refs[1] if (refs[:, 0] > 0).all() else refs.min(axis=0)
-        values = solref, share * imps[0] + (1 - share) * imps[1]
-        friction, condim = m.geom_friction[[one, two], 0].max(), m.geom_condim[[one, two]].max()
-    margin = m.geom_margin[one] + m.geom_margin[two]
-    return Touching(one, two, int(condim), np.full(2, friction), margin, *values, _surplus(m, "geom", [one, two]))
-
-
-def _surplus(m: mujoco.MjModel, kind: str, rows: list[int], *names: str) -> bool:
-    fields = (getattr(m, f"{kind}_{name}", None) for name in names or ("gap", "adhesion", "surfacevel"))
-    return any(field is not None and np.any(field[rows]) for field in fields)
-
+from humanoid_mjx.robot.description import below
+from humanoid_mjx.robot.touching import FLAGS, Touching, any_of_rows, kind_of, named, pairs_of, touching, word
 
 JOINT = mujoco.mjtJoint
 
@@ -103,6 +21,12 @@ GROUND_SHAPES = ("sphere", "capsule", "box", "cylinder", "ellipsoid")
 PAIRS = (("sphere", "sphere"), ("sphere", "capsule"), ("capsule", "capsule"), ("box", "box"))
 """Shapes that can push each other."""
 
+MOST_PAIRS = 20_000
+"""Pairs of shapes that may touch; each takes time in every step."""
+
+PARALLEL = 1e-4
+"""rad: MuJoCo 4 makes two contacts of capsules whose axes are nearer to parallel, the tree one."""
+
 
 class Fault(NamedTuple):
     """One thing that a tree cannot represent."""
@@ -111,101 +35,190 @@ class Fault(NamedTuple):
     """Words that end the sentence "the tree cannot represent"."""
     change: str
     """Change of the MJCF that removes the fault."""
-    of_contacts: bool
-    """True if it is gone where only balls of feet touch the ground, as with `contacts: feet` of a robot's YAML."""
+    of: Literal["model", "contacts", "motors", "numbers"] = "model"
+    """A robot's YAML replaces motors, and with `contacts: feet` all contacts but those of feet with the ground. Motors
+    and numbers are faults for every physics."""
 
 
-def faults(model: mujoco.MjModel, sensors: Sequence[str] = ()) -> list[Fault]:
-    """All that keeps a compiled model from being a tree, of whose sensors these are read; empty if nothing does."""
-    found = [(check, False) for check in (*_of_options(model), *_of_joints(model))]
-    for sensor in (model.sensor(name) for name in sensors):
-        found.append(((sensor.cutoff[0], f"the cutoff of a sensor, as {sensor.name!r}", 'cutoff="0"'), False))
-    found += [(check, True) for check in _of_contacts(model)]
-    return [Fault(what, change, of_contacts) for (wrong, what, change), of_contacts in found if wrong]
+def faults(m: mujoco.MjModel, sensors: Sequence[str] = ()) -> list[Fault]:
+    """All that keeps a compiled model from being a tree, of whose sensors these are read, beside `robot_faults`."""
+    read, kinds = np.isin(np.arange(m.nsensor), [m.sensor(name).id for name in sensors]), mujoco.mjtSensor
+    limited, wide = m.jnt_limited != 0, m.jnt_range[:, 1] - m.jnt_range[:, 0] > 2.0 * m.jnt_margin
+    imu = np.isin(m.sensor_type, (kinds.mjSENS_GYRO, kinds.mjSENS_ACCELEROMETER))
+    fields = UNUSED | {
+        "body_mocapid": (m.body_mocapid >= 0, 'mocap="false"'),
+        "jnt_range": (limited & ~wide, "a range wider than twice the margin"),
+        "jnt_solref": (limited & _mixed_signs(m.jnt_solref), ONE_SIGN),
+        "dof_solref": ((m.dof_frictionloss != 0) & _mixed_signs(m.dof_solref), ONE_SIGN),
+        "sensor_type": (read & ~imu, "a gyro or an accelerometer"),
+    }
+    for name in ("cutoff", "delay", "interval"):
+        used = any_of_rows(getattr(m, f"sensor_{name}", np.zeros(m.nsensor)))
+        fields[f"sensor_{name}"] = read & used, f'{name}="0"'
+    found = [Fault(what, change) for wrong, what, change in _of_structure(m, bool(sensors)) if wrong]
+    contacts = [Fault(what, change, "contacts") for wrong, what, change in _of_contacts(m) if wrong]
+    return found + _of_fields(m, fields) + contacts
+
+
+def sensors_of(m: mujoco.MjModel, names: Sequence[str]) -> tuple[str, ...]:
+    """Those of these sensors that a model has."""
+    return tuple(name for name in names if mujoco.mj_name2id(m, mujoco.mjtObj.mjOBJ_SENSOR, name) >= 0)
+
+
+def robot_faults(m: mujoco.MjModel) -> list[Fault]:
+    """All that keeps a model from every physics: numbers that are not finite, and motors that are no torques of hinges
+    or slides, at once and bounded alike both ways."""
+    rows, kinds = np.arange(len(m.actuator_trntype)), np.append(m.jnt_type, 0)
+    control, output = getattr(m, "actuator_ctrladr", rows), getattr(m, "actuator_outadr", rows)
+    limited, clamped = m.actuator_forcelimited != 0, m.actuator_ctrllimited[control] != 0
+    joint = np.where(m.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT, m.actuator_trnid[:, 0], -1)
+    unclamped = bool(m.opt.disableflags & FLAGS.mjDSBL_CLAMPCTRL)
+    servos, alike = "<motor> in the place of <position> and its like", "bounds that are the same both ways"
+    motors: Fields = {
+        "actuator_trntype": 'joint="..." in the place of a tendon, site or body',
+        "actuator_gaintype": servos,
+        "actuator_biastype": servos,
+        "actuator_dyntype": 'dyntype="none"',
+        "actuator_delay": 'delay="0"',
+        "actuator_trnid": ((joint >= 0) & (kinds[joint] < int(JOINT.mjJNT_SLIDE)), "a hinge or a slide"),
+        "actuator_gainprm": (m.actuator_gainprm[:, 0] == 0, "a gain that is not 0"),
+        "actuator_gear": (m.actuator_gear[output, 0] == 0, "a gear that is not 0"),
+        "actuator_ctrlrange": (clamped & (m.actuator_ctrlrange[control].sum(axis=1) != 0), alike),
+        "actuator_forcerange": (limited & (m.actuator_forcerange.sum(axis=1) != 0), alike),
+        "actuator_ctrllimited": (clamped & unclamped, 'clampctrl="enable"'),
+    }
+    endless: Fields = {name: (~np.isfinite(getattr(m, name)), "a finite number") for name in FINITE}
+    return _of_fields(m, endless, "numbers") + _of_fields(m, motors)
 
 
 Check = tuple[Any, str, str]
 """True if the model has it; what it is; what would have to change."""
 
+Fields = dict[str, Any]
+"""By field: what would have to change where it is not 0; or a mask of wrong entries, and what would have to change.
+Older versions of MuJoCo lack some."""
 
-def _of_options(m: mujoco.MjModel) -> Iterator[Check]:
-    option = m.opt
-    implicit = option.integrator == mujoco.mjtIntegrator.mjINT_IMPLICIT
-    yield implicit, "the implicit integrator", 'integrator="implicitfast"'
+FINITE = (
+    *("body_pos", "body_ipos", "body_mass", "body_inertia", "jnt_pos", "jnt_stiffness", "jnt_margin"),
+    *("dof_armature", "dof_damping", "dof_frictionloss", "geom_pos", "geom_size", "geom_margin", "geom_friction"),
+)
+"""Fields that MuJoCo compiles also with infinite numbers, or NaN."""
+
+TENDONS, ONE_SIGN = "no <tendon> that acts or is driven", "two positive values of solref, or none"
+UNUSED: Fields = {
+    "body_gravcomp": 'gravcomp="0"',
+    "jnt_springyield": 'springyield="0"',
+    "jnt_stiffnesspoly": "one number as stiffness",
+    "dof_dampingpoly": "one number as damping",
+    **dict.fromkeys(("actuator_damping", "actuator_dampingpoly", "actuator_armature"), "that of the joint instead"),
+    **dict.fromkeys(("tendon_limited", "tendon_actfrclimited", "tendon_frictionloss", "tendon_armature"), TENDONS),
+    **{f"tendon_{name}": TENDONS for name in ("stiffness", "stiffnesspoly", "damping", "dampingpoly")},
+}
+"""Fields that act where they are not 0, and that a tree does not compute."""
+
+
+def _mixed_signs(solref: np.ndarray) -> Any:
+    """True where MuJoCo takes its default instead, with a warning."""
+    return (solref[..., 0] > 0) != (solref[..., 1] > 0)
+
+
+def _of_fields(m: mujoco.MjModel, fields: Fields, of: Any = "model") -> list[Fault]:
+    found = []
+    for field, entry in fields.items():
+        wrong, change = (getattr(m, field, ()), entry) if isinstance(entry, str) else entry
+        rows, (kind, _, name) = np.flatnonzero(any_of_rows(wrong)), field.partition("_")
+        if len(rows):
+            count = f" ({len(rows)})" if len(rows) > 1 else ""
+            what = f"the {name} of {_element(m, kind, int(rows[0]))}{count}"
+            found.append(Fault(what, change, "motors" if kind == "actuator" else of))
+    return found
+
+
+def _element(m: mujoco.MjModel, kind: str, row: int) -> str:
+    """An element by its name, or by its number and, if it is a motor, by its joint."""
+    kind, row = ("jnt", int(m.dof_jntid[row])) if kind == "dof" else (kind, row)
+    words, name = {"jnt": "joint", "actuator": "motor"}.get(kind, kind), getattr(m, kind)(row).name
+    if not name and kind == "actuator" and m.actuator_trntype[row] == mujoco.mjtTrn.mjTRN_JOINT:
+        return f"{words} {row} of {_element(m, 'jnt', int(m.actuator_trnid[row, 0]))}"
+    return f"{words} {name!r}" if name else f"{words} {row}"
+
+
+def _of_structure(m: mujoco.MjModel, sensing: bool) -> Iterator[Check]:
+    option, integrators = m.opt, mujoco.mjtIntegrator
+    known = integrators.mjINT_EULER, integrators.mjINT_RK4, integrators.mjINT_IMPLICITFAST
+    name = word(integrators, option.integrator)
+    yield option.integrator not in known, f"the {name} integrator", 'integrator="implicitfast"'
     off = option.disableflags & FLAGS.mjDSBL_ACTUATION or option.disableactuator
     yield off, "disabled motors", "no actuation flag, no actuatorgroupdisable"
-    allowed = int(mujoco.mjtEnableBit.mjENBL_ENERGY | mujoco.mjtEnableBit.mjENBL_FWDINV)
-    yield option.enableflags & ~allowed, "optional physics that a flag enables", "no flag enabled but energy and fwdinv"
+    yield sensing and option.disableflags & FLAGS.mjDSBL_SENSOR, "disabled sensors", 'sensor="enable"'
+    for flag, bit in mujoco.mjtEnableBit.__members__.items():
+        name = flag.removeprefix("mjENBL_").lower()
+        on = name not in ("energy", "fwdinv", "invdiscrete", "mjnenable") and option.enableflags & int(bit)
+        yield on, f"the flag {name}", f'{name}="disable"'
     yield option.density or option.viscosity, "a fluid", "density and viscosity 0"
     yield option.noslip_iterations, "noslip iterations", 'noslip_iterations="0"'
     unheld = m.neq and not option.disableflags & int(FLAGS.mjDSBL_CONSTRAINT | FLAGS.mjDSBL_EQUALITY)
     yield unheld, "equality constraints", "no <equality>"
-    names = ("limited", "actfrclimited", "stiffness", "stiffnesspoly", "damping", "dampingpoly", "frictionloss")
-    busy = any(np.any(getattr(m, f"tendon_{name}", 0)) for name in (*names, "armature"))
-    busy = busy or np.any(getattr(m, "tendon_plasticadr", np.full(1, -1)) >= 0)
-    yield busy, "tendons", "no <tendon> that is limited, springs, damps, rubs or is driven"
     yield m.nflex, "flexible bodies", "no <flex>"
     yield m.nplugin, "plugins", "no <plugin>"
-    yield m.nmocap, "mocap bodies", 'no mocap="true"'
-    yield np.any(m.body_gravcomp), "gravity compensation", 'gravcomp="0"'
-
-
-def _of_joints(m: mujoco.MjModel) -> Iterator[Check]:
-    balls = np.flatnonzero(m.jnt_type == JOINT.mjJNT_BALL)
+    balls, free = (np.flatnonzero(m.jnt_type == kind) for kind in (JOINT.mjJNT_BALL, JOINT.mjJNT_FREE))
     name = f", as {m.joint(balls[0]).name!r}" if len(balls) and m.joint(balls[0]).name else ""
     yield len(balls), f"ball joints{name}", "three hinges in their place"
-    free = np.flatnonzero(m.jnt_type == JOINT.mjJNT_FREE)
     yield len(free) > 1, "more than one free body", "one <freejoint>"
     if len(free):
-        first = "the free body before all others"
-        yield m.jnt_dofadr[free[0]] != 0, "a free body that is not the first that moves", first
-        base, moving = m.jnt_bodyid[free[0]], m.body_weldid[1:] != 0
-        beside = np.any(m.body_rootid[1:][moving] != base)
+        late, moving = m.jnt_dofadr[free[0]] != 0, m.body_weldid[1:] != 0
+        yield late, "a free body that is not the first that moves", "the free body before all others"
+        beside = np.any(m.body_rootid[1:][moving] != m.jnt_bodyid[free[0]])
         yield beside, "moving bodies beside a free one", "all joints on the free body"
-        resisting = m.dof_damping[:6].any() or m.dof_armature[:6].any() or m.dof_frictionloss[:6].any()
+        resisting = any(of[:6].any() for of in (m.dof_damping, m.dof_armature, m.dof_frictionloss))
         yield resisting, "damping, armature or friction of a free joint", "a <freejoint/> without a class"
-    for name in ("jnt_stiffnesspoly", "dof_dampingpoly", "jnt_springyield", "jnt_actgravcomp"):
-        yield np.any(getattr(m, name, 0)), f"what {name} sets", f"no {name.split('_')[1]} of joints"
-    plastic = getattr(m, "jnt_plasticadr", np.full(1, -1))
-    yield np.any(plastic >= 0), "plastic springs of joints", "elastic springs"
-    narrow = (m.jnt_limited != 0) & (m.jnt_range[:, 1] - m.jnt_range[:, 0] <= 2.0 * m.jnt_margin)
-    yield narrow.any(), "joint ranges that are no wider than twice their margin", "a wider range or a smaller margin"
 
 
 def _of_contacts(m: mujoco.MjModel) -> Iterator[Check]:
-    rough = any(pair.condim > 1 for pair in touching(m))
-    elliptic = m.opt.cone != mujoco.mjtCone.mjCONE_PYRAMIDAL and rough
+    many = pairs_of(m)[1].shape[1]
+    crowd = f"{many:,} pairs of shapes that may touch, more than {MOST_PAIRS:,}"
+    yield many > MOST_PAIRS, crowd, "contype and conaffinity that keep shapes apart"
+    pairs = touching(m) if many <= MOST_PAIRS else []
+    elliptic = m.opt.cone != mujoco.mjtCone.mjCONE_PYRAMIDAL and any(pair.condim > 1 for pair in pairs)
     yield elliptic, "elliptic friction cones", 'cone="pyramidal"'
     said: dict[str, tuple[str, list[str]]] = {}
-    for pair in touching(m):
-        name = " and ".join(_named(m, geom) for geom in (pair.one, pair.two))
-        for what, change in _of_pair(m, pair):
+    data = mujoco.MjData(m)
+    mujoco.mj_kinematics(m, data)
+    for pair in pairs:
+        name = " and ".join(named(m, geom) for geom in (pair.one, pair.two))
+        for what, change in _of_pair(m, data, pair):
             said.setdefault(what, (change, []))[1].append(name)
     for what, (change, names) in said.items():
         count = f" ({len(names)})" if len(names) > 1 else ""
         yield True, f"{what}, as those of {names[0]}{count}", change
 
 
-def _named(m: mujoco.MjModel, geom: int) -> str:
-    """A geom by its own name, or by its body's."""
-    body = int(m.geom_bodyid[geom])
-    return repr(m.geom(geom).name or m.body(body).name or f"body {body}")
-
-
-def _of_pair(m: mujoco.MjModel, pair: Touching) -> Iterator[tuple[str, str]]:
-    one, two = kinds_of(m, pair)
+def _of_pair(m: mujoco.MjModel, data: mujoco.MjData, pair: Touching) -> Iterator[tuple[str, str]]:
+    one, two = (kind_of(m, geom) for geom in (pair.one, pair.two))
     if one == "plane" and m.body_weldid[m.geom_bodyid[pair.one]] != 0:
         yield "contacts of a plane that moves", "planes in the world alone"
     if (two not in GROUND_SHAPES) if one == "plane" else ((one, two) not in PAIRS):
         shapes = ", ".join(GROUND_SHAPES) if one == "plane" else "spheres and capsules"
         masks = "contype and conaffinity that keep them apart"
         yield f"contacts of {_a(one)} and {_a(two)}", f"{shapes} in their place, or {masks}"
+    if one == two == "capsule" and _stay_parallel(m, data, pair):
+        yield "two contacts of capsules that stay parallel", "one of them turned by a hundredth of a degree"
     if pair.condim not in (1, 3):
         yield "contacts that resist twisting or rolling", 'condim="3"'
     if pair.surplus:
         yield "a gap, adhesion or surface velocity of contacts", "gap, adhesion and surfacevel 0"
-    if (pair.solref[0] > 0) != (pair.solref[1] > 0):
-        yield "a solref of which one value is positive", "two positive values of solref, or none"
+    if _mixed_signs(pair.solref):
+        yield "a solref of which one value is positive", ONE_SIGN
+
+
+def _stay_parallel(m: mujoco.MjModel, data: mujoco.MjData, pair: Touching) -> bool:
+    """True if no joint can turn the axes of these capsules, which are parallel, away from each other."""
+    one, two = data.geom_xmat[[pair.one, pair.two]].reshape(2, 3, 3)[:, :, 2]
+    moves = below(m)[m.jnt_bodyid][:, m.geom_bodyid[[pair.one, pair.two]]]
+    between = np.flatnonzero(moves[:, 0] != moves[:, 1])
+    turning = between[m.jnt_type[between] != JOINT.mjJNT_SLIDE]
+    axes = np.concatenate([two[None], data.xaxis[turning]])
+    return bool((m.jnt_type[turning] == JOINT.mjJNT_HINGE).all() and (np.abs(np.cross(one, axes)) < PARALLEL).all())
 
 
 def _a(shape: str) -> str:

@@ -41,14 +41,9 @@ lost 32."""
 
 
 def search(tree: Tree, problem: Problem, start: list[Any]) -> tuple[list[Any], Any]:
-    """The accelerations, and where they are settled.
+    """The accelerations, searched from `start`, and where they are settled.
 
     Worlds where bodies touch each other in more than `SLOTS` places do not settle.
-
-    Args:
-      tree: and
-      problem: what they minimise.
-      start: accelerations near the solution.
     """
     pairs, problem, slots, more = problem.pairs, problem._replace(pairs=[]), None, False
     if tree.threads:
@@ -150,12 +145,17 @@ def _minimum(
     if slots is None:
         return x, active.pairs
 
+    worlds = jnp.shape(slots.touch.close)[-1:]
+
+    def whole(found: Sequence[Scalar]) -> list[Any]:
+        return [jnp.broadcast_to(v.value, jnp.broadcast_shapes(jnp.shape(v.value), worlds)) for v in found]
+
     def together() -> tuple[list[Any], list[Any]]:
         found = with_pairs(tree, slots, active.pairs, factors, x)
-        return [v.value for v in found], slots.active(tree, found)
+        return whole(found), slots.active(tree, found)
 
     def alone() -> tuple[list[Any], list[Any]]:
-        return [v.value for v in x], jax.tree.map(jnp.zeros_like, active.pairs)
+        return whole(x), jax.tree.map(jnp.zeros_like, active.pairs)
 
     values, pairs = jax.lax.cond(slots.count > 0, together, alone)
     return [Scalar(value) for value in values], pairs

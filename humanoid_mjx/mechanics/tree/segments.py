@@ -47,7 +47,7 @@ def nearest_shares(a: Vector, b: Vector, apart: Vector) -> tuple[Scalar, Scalar]
     u, v = -dot(a, apart), dot(b, apart)
     # Parallel segments have many nearest points; the second's middle stands for them.
     determinant = aa * bb - ab * ab
-    parallel = determinant.value <= 4.0 * jnp.finfo(determinant.value.dtype).eps * (aa * bb).value
+    parallel = determinant.value <= 4.0 * jnp.finfo(jnp.result_type(float)).eps * (aa * bb).value
     free_x = (bb * u + ab * v).value / jnp.where(parallel, 1.0, determinant.value)
     free_y = (aa * v + ab * u).value / jnp.where(parallel, 1.0, determinant.value)
     x = jnp.clip(jnp.where(parallel, (u / aa).value, free_x), -1.0, 1.0)

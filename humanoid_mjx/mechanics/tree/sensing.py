@@ -44,7 +44,7 @@ def sensed(tree: Tree, gravity: Any, state: State, problem: Problem, solution: S
 def poses(tree: Tree, state: State) -> tuple[Any, Any]:
     """Positions and rotations of the bodies in the world."""
     at, shape = state.kinematics, _shape(state)
-    own = _by_body(tree, [Pose(add(at.origin, pose.position), pose.axes) for pose in at.poses])
+    own = unfolded([Pose(add(at.origin, pose.position), pose.axes) for pose in at.poses], tree.body_places)
     rotations = [jnp.stack([stacked([axis[i] for axis in pose.axes], shape) for i in range(3)]) for pose in own]
     return _rows([pose.position for pose in own], shape), jnp.stack(rotations)
 
@@ -73,14 +73,15 @@ def moving(tree: Tree, state: State) -> tuple[Any, ...]:
     parts = [[m.angular[i] for m in motions] for i in range(3)] + [[m.linear[i] for m in motions] for i in range(3)]
     rows = [unfolded(to_local(tree, at, part), tree.dofs) for part in parts]
     motion = jnp.stack([stacked(row, shape) for row in rows], axis=1)
-    drifts = jnp.stack([_rows(list(drift), shape) for drift in _by_body(tree, state.drifts)])
+    drifts = jnp.stack([_rows(list(drift), shape) for drift in unfolded(state.drifts, tree.body_places)])
     return motion, drifts, *poses(tree, state)
 
 
 def _velocities(tree: Tree, state: State) -> tuple[Any, Any]:
     """Velocities of the origins of the bodies, m/s, and angular velocities, rad/s, in the world."""
     each, shape = zip(state.motions, state.kinematics.poses, strict=True), _shape(state)
-    own = _by_body(tree, [Spatial(velocity_at(motion, pose.position), motion.angular) for motion, pose in each])
+    moved = [Spatial(velocity_at(motion, pose.position), motion.angular) for motion, pose in each]
+    own = unfolded(moved, tree.body_places)
     return _rows([motion.linear for motion in own], shape), _rows([motion.angular for motion in own], shape)
 
 
@@ -108,16 +109,6 @@ def _accelerometer(tree: Tree, state: State, acceleration: Sequence[Scalar], gra
     drift = state.drifts[site.body].at(subtract(place, state.kinematics.poses[site.body].position))
     felt = in_lane(add(moved, drift), site.lane)
     return resolve(_axes(state, site), subtract(felt, gravity))
-
-
-def _by_body(tree: Tree, things: Sequence[Any]) -> list[Any]:
-    """Values of the tree's bodies, in the model's order."""
-    found = {
-        place: in_lane(thing, one)
-        for thing, places in zip(things, tree.body_places, strict=True)
-        for one, place in enumerate(places)
-    }
-    return [found[index] for index in range(len(found))]
 
 
 def _axes(state: State, site: Site) -> Rotation:

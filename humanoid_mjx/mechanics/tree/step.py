@@ -72,20 +72,10 @@ def make_state(tree: Tree, values: Values, qpos: Sequence[Scalar], qvel: Sequenc
     for joint in tree.joints:
         stretch = qpos[joint.coordinate] - number(joint.spring)
         passive[joint.dof] = passive[joint.dof] - number(joint.stiffness) * stretch
-    motions = motions_of(tree, kinematics, velocity)
-    return State(
-        list(qpos),
-        list(qvel),
-        kinematics,
-        velocity,
-        motions,
-        masses,
-        drifts,
-        mass_matrix(tree, kinematics, masses, armature),
-        bias_forces(tree, kinematics, masses, drifts, gravity),
-        damping,
-        passive,
-    )
+    moving = velocity, motions_of(tree, kinematics, velocity), masses, drifts
+    matrix = mass_matrix(tree, kinematics, masses, armature)
+    bias = bias_forces(tree, kinematics, masses, drifts, gravity)
+    return State(list(qpos), list(qvel), kinematics, *moving, matrix, bias, damping, passive)
 
 
 def motor_forces(tree: Tree, torque: Sequence[Scalar]) -> list[Scalar]:
@@ -201,14 +191,9 @@ def make_problem(tree: Tree, values: Values, state: State, force: list[Scalar]) 
 def integrate(
     tree: Tree, state: State, acceleration: Sequence[Scalar]
 ) -> tuple[list[Scalar], list[Scalar], list[Scalar]]:
-    """One step of semi-implicit Euler: the new `qpos` and `qvel`, and the accelerations in the axes of `qvel`.
+    """One step of semi-implicit Euler: the new `qpos` and `qvel`, and the solver's accelerations in the axes of `qvel`.
 
     Where the damping is taken at the end of the step, `(M + timestep B) change = timestep M qacc`.
-
-    Args:
-      tree: and
-      state: where the step begins.
-      acceleration: of the degrees of freedom, as the solver has it.
     """
     local = moved = to_local(tree, state.kinematics, acceleration)
     dt = Scalar(tree.timestep)

@@ -20,6 +20,7 @@ from humanoid_mjx.physics import make_physics
 from humanoid_mjx.physics.base import Sensed, World
 from humanoid_mjx.physics.model import MujocoPhysics
 from humanoid_mjx.robot import Robot, RobotKey, make_robot
+from humanoid_mjx.robot.mjcf import TURNED
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import ContinuousTask
 from humanoid_mjx.types import FloatScalar
@@ -64,7 +65,7 @@ class LeggedBody(ContinuousTask):
     )
     period: float = Field(0.02, gt=0, le=1, description="s between decisions")
     timestep: float = Field(0.004, gt=0, le=0.02, description="s of physics and control law")
-    mass: float = traced(1.0, gt=0, le=10, description="factor on the mass and the inertia of every link")
+    mass: float = traced(1.0, gt=0, le=10, description="factor on links' mass and inertia; contacts stay as soft")
     friction: float = traced(
         1.0, ge=0, le=10, description="factor on that of the feet on the ground; below 0.05 float32 misses contacts"
     )
@@ -85,6 +86,8 @@ class LeggedBody(ContinuousTask):
         self.simulator.substeps(self.period)
         self.control.of(self.robot)
         self.actuator.check(self.robot, self.timestep)
+        if self.simulator.free and np.linalg.norm(self.simulator.qpos0[4:7]) > TURNED:
+            raise ValueError("robot: the frame of the free body must be upright, x forward; turn the bodies below it")
         if self.action_shares and len(self.action_shares) != len(set(self.robot.kinds.tolist())):
             raise ValueError(f"action_shares must hold one number for each kind of joint, got {self.action_shares}")
         return self

@@ -47,7 +47,7 @@ OBSERVATIONS = {
     "offsets": Observation("joints", lambda view: view.episode.offsets),
     "command": Observation(3, lambda view: view.command, (0.5, 0.25, 1.0), (1.0, -1.0, -1.0)),
     "clock": Observation(2, lambda view: clock(view), mirror=(-1.0, -1.0)),
-    "true_down": Observation(3, lambda view: view.true_down, mirror=POLAR),
+    "true_down": Observation(3, lambda view: -view.up, mirror=POLAR),
     "velocity": Observation(3, lambda view: view.rotation.T @ view.episode.world.qvel[:3], mirror=POLAR),
     "height": Observation(1, lambda view: view.height[None], lambda robot: robot.start_height, (1.0,)),
     "turn_rate": Observation(1, lambda view: view.turn_rate[None], TURN, (-1.0,)),
@@ -71,14 +71,9 @@ def clock(view: View) -> Float[Array, "2"]:
 
 
 class Observed:
-    """The observations that a task names, one after the other."""
+    """The observations that a task names, one after the other. An unknown name raises an InputError."""
 
     def __init__(self, names: Sequence[str | Observation], robot: Robot):
-        """Look the names up.
-
-        Raises:
-          InputError: an unknown name.
-        """
         for name in names:
             if isinstance(name, str) and name not in OBSERVATIONS:
                 raise InputError(f"observations: unknown name {name!r}; {known(name, OBSERVATIONS)}.")

@@ -56,18 +56,9 @@ class Feet(NamedTuple):
 def feet_of(sensed: Sensed, body_names: tuple[str, ...], robot: Robot, terrain: Terrain | None) -> Feet:
     """Pick the feet out of all bodies."""
     rows = np.array([body_names.index(foot) for foot in robot.feet])
-    poses, velocities, contacts = sensed.poses, sensed.velocities, sensed.contacts
-    shape = len(robot.feet), robot.points
-    return Feet(
-        robot,
-        poses.position[rows],
-        velocities.linear[rows],
-        poses.rotation[rows],
-        contacts.position.reshape(*shape, 3),
-        contacts.velocity.reshape(*shape, 3),
-        contacts.normal_force.reshape(shape),
-        terrain,
-    )
+    bodies = sensed.poses.position[rows], sensed.velocities.linear[rows], sensed.poses.rotation[rows]
+    corners = [part.reshape(len(robot.feet), robot.points, *part.shape[1:]) for part in sensed.contacts]
+    return Feet(robot, *bodies, *corners, terrain=terrain)
 
 
 def unknown_feet(robot: Robot, terrain: Terrain | None = None) -> Feet:
@@ -118,11 +109,6 @@ class View(NamedTuple):
     def up(self) -> Float[Array, "3"]:
         """The direction against gravity in the torso's frame."""
         return self.episode.terrain.up() @ self.rotation if self.episode.terrain else self.rotation[2]
-
-    @property
-    def true_down(self) -> Float[Array, "3"]:
-        """The direction of gravity in the torso's frame."""
-        return -self.up
 
     @property
     def lean(self) -> FloatScalar:

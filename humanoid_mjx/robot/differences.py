@@ -1,0 +1,111 @@
+# pyright: reportAttributeAccessIssue=false
+"""Everything in which a robot differs from its MJCF: names, values in the file, values here."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+
+from humanoid_mjx.robot.description import Robot
+from humanoid_mjx.robot.motors import BIAS, ON_JOINTS, bounds, gains, motor_limits, motors_on
+from humanoid_mjx.robot.touching import FLAGS, Touching, kind_of, named, soles_of, touching, word
+
+HEADINGS = "differs from the MJCF", "in the file", "here"
+ENUMS = {"cone": mujoco.mjtCone, "integrator": mujoco.mjtIntegrator, "solver": mujoco.mjtSolver}
+
+
+class Difference(NamedTuple):
+    """One thing in which a robot differs from its MJCF."""
+
+    name: str
+    in_file: str
+    here: str
+
+
+def differences_of(task: Any) -> tuple[Difference, ...]:
+    """Return those of a task's robot with the task's time step; none where the task has no robot."""
+    robot = getattr(task, "robot", None)
+    return robot.differences(getattr(task, "timestep", None)) if isinstance(robot, Robot) else ()
+
+
+def differences(file: mujoco.MjModel, here: mujoco.MjModel, robot: Any, turn: Sequence[float]) -> list[Difference]:
+    """Compare the compiled model of an MJCF with that of its robot, a `Declared`. `turn`: orientation of the trunk at
+    home in the file, a quaternion."""
+    soles = soles_of(file, robot.feet, robot.ground_geoms)
+    rows = [row for sole in soles for row in _of_sole(file, sole)]
+    for name in sorted(name for name in dir(file.opt) if not name.startswith("_")):
+        words = [_option(name, np.ravel(getattr(model.opt, name))) for model in (file, here)]
+        rows += [("", f"option {name}", *words)] if words[0] != words[1] else []
+    kept = {sole.two for sole in soles if sole.one >= 0}
+    rows += [*_of_contacts(file, kept, robot.contacts == "feet"), *_of_actuators(file, here, robot.servo)]
+    if turn[0] != 1.0:
+        angle = 2 * np.degrees(np.arccos(min(abs(turn[0]), 1.0)))
+        rows.append((file.body(1).name, "frame of", f"turned by {angle:.3g} degrees at home", "upright at home"))
+    groups: dict[tuple[str, ...], list[str]] = {}
+    for element, *row in rows:
+        groups.setdefault(tuple(row), []).append(element)
+    more = {row: f" and {len(names) - 1} more" * (len(names) > 1) for row, names in groups.items()}
+    return [Difference(f"{row[0]} {names[0]}{more[row]}".strip(), *row[1:]) for row, names in groups.items()]
+
+
+Row = tuple[str, str, str, str]
+"""An element of the model; what differs of it; the value in the file, and here."""
+
+
+def _option(name: str, value: np.ndarray) -> str:
+    if name == "disableflags":
+        bits = [bit for bit in FLAGS.__members__.values() if "DSBL_" in bit.name and int(bit) & int(value[0])]
+        return ", ".join(word(FLAGS, bit) for bit in bits) or "none"
+    return word(ENUMS[name], value[0]) if name in ENUMS else " ".join(f"{part:g}" for part in value)
+
+
+def _of_sole(file: mujoco.MjModel, contact: Touching) -> Iterator[Row]:
+    kind, name = kind_of(file, contact.two), named(file, contact.two)
+    if contact.one < 0:
+        here = f"the plane z = 0; friction {contact.friction[0]:g}, solref and solimp of the shape"
+        yield name, "ground of", "no plane that it can touch", here
+    if kind != "sphere":
+        yield name, "shape of", kind, "2 balls, in its ends" if kind == "capsule" else "4 balls, in its corners"
+    if contact.condim > 3:
+        yield name, "condim of", f"{contact.condim}: resists twisting or rolling", "3: resists sliding"
+    both = [geom for geom in (contact.one, contact.two) if geom >= 0]
+    acting = [getattr(file, f"geom_{what}", np.zeros(file.ngeom))[both] for what in ("adhesion", "surfacevel")]
+    if contact.surplus and any(map(np.any, [*acting, getattr(file, "pair_adhesion", 0)])):
+        yield name, "adhesion or surfacevel of", "set", "none"
+
+
+def _of_contacts(file: mujoco.MjModel, kept: set[int], feet_only: bool) -> Iterator[Row]:
+    """Contacts that go: with `feet_only` all but those of the feet with the ground, else those with the world."""
+    for pair in touching(file):
+        both = [pair.one, pair.two]
+        static = (file.body_weldid[file.geom_bodyid[both]] == 0).any()
+        if (static and not kept.intersection(both)) or (feet_only and not static):
+            yield " and ".join(named(file, geom) for geom in both), "contact of", "as the model says", "none"
+
+
+def _of_actuators(file: mujoco.MjModel, here: mujoco.MjModel, servo: Any) -> Iterator[Row]:
+    for joint, limit, *gain in zip(here.actuator_trnid[:, 0], motor_limits(here), *servo, strict=True):
+        name, motor = here.joint(int(joint)).name, f"motor of {limit:g} N m"
+        found = " + ".join(_of_motor(file, motor) for motor in motors_on(file, file.joint(name).id)) or "none"
+        if found != motor:
+            yield name, "actuator of", found, "{}, servo of {:g} N m/rad, {:g} N m s/rad".format(motor, *gain)
+    for motor in np.flatnonzero(~np.isin(file.actuator_trntype, ON_JOINTS)).tolist():
+        kind = word(mujoco.mjtTrn, file.actuator_trntype[motor])
+        yield repr(file.actuator(motor).name), "actuator", f"drives a {kind}", "none"
+
+
+def _of_motor(m: mujoco.MjModel, motor: Any) -> str:
+    """An actuator in words; a plain torque motor is a "motor of 20 N m"."""
+    (stiffness, damping), (low, high) = gains(m, motor), bounds(m, motor)
+    kind = word(mujoco.mjtGain, m.actuator_gaintype[motor]).replace("fixed", "motor")
+    kind = "position" if stiffness > 0 else "damper" if damping > 0 else kind
+    limit = f"{high:g}" if low == -high else f"{low:g} to {high:g}"
+    none = np.zeros(len(m.actuator_trntype))
+    values = {key: np.abs(getattr(m, f"actuator_{key}", none)[motor]).max() for key in ("delay", "dampingpoly")}
+    values["bias"] = m.actuator_biasprm[motor, 0] * (m.actuator_biastype[motor] == BIAS.mjBIAS_AFFINE)
+    filtered = f"{word(mujoco.mjtDyn, m.actuator_dyntype[motor])} of {m.actuator_dynprm[motor, 0]:g} s"
+    parts = [f"{kind} of {limit} N m" if np.isfinite(high - low) else f"{kind} without limit"]
+    parts += [f"{stiffness:g} N m/rad", f"{damping:g} N m s/rad"] * bool(stiffness or damping)
+    parts += [filtered] * bool(m.actuator_dyntype[motor])
+    return ", ".join(parts + [f"{name} {value:g}" for name, value in values.items() if value])

@@ -1,0 +1,146 @@
+# pyright: reportAttributeAccessIssue=false
+"""A user's MJCF: the messages of MuJoCo's compiler, the digest of a robot, and the frame of its trunk."""
+
+import hashlib
+import json
+import re
+import warnings
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+
+from humanoid_mjx.spec import InputError
+
+BLANK = mujoco.MjSpec()
+PLAIN = BLANK.default
+"""An empty default class. Elements that the package adds to a user's spec would else inherit the spec's main class."""
+
+
+def checked(function: Callable[[], Any], what: str = "model: MuJoCo cannot compile it") -> tuple[Any, tuple[str, ...]]:
+    """Call a function of MuJoCo's compiler; return its result and MuJoCo's warnings.
+
+    Raises:
+      InputError: MuJoCo's error in one line, after `what` is wrong.
+    """
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        try:
+            return function(), tuple(dict.fromkeys(_line(warning.message) for warning in found))
+        except ValueError as error:
+            raise InputError(f"{what}: {_line(error).rstrip('.')}.") from error
+
+
+def _line(message: object) -> str:
+    """A message of MuJoCo in one line; plugins repeat lines."""
+    return " ".join(" ".join(line.split()) for line in dict.fromkeys(str(message).splitlines()))
+
+
+def name_bodies(spec: mujoco.MjSpec) -> None:
+    """Name each body that has no name, as sensors find bodies by name."""
+    taken = {body.name for body in spec.bodies}
+    for index, body in enumerate(spec.bodies):
+        if not body.name:
+            body.name = next(name for end in range(len(taken) + 1) if (name := f"body{index}" + "_" * end) not in taken)
+            taken.add(body.name)
+
+
+def content_of(data: Mapping[str, Any], file: Path) -> str:
+    """Return a digest of a robot's keys and of all files of its MJCF, whatever the layout and comments of XML."""
+    parts = [json.dumps(dict(sorted(data.items()))) + _canonical(file), *map(_canonical, files_of(file)[1:])]
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
+
+
+def files_of(file: Path) -> list[Path]:
+    """Return an MJCF and all files that it and its parts name but textures and skins, whose places may be from the file
+    that names them or from the main one, in any folder of meshes, with or without their path."""
+    found, folders, named = [file.resolve()], {"."}, []
+    for path in found:
+        text = path.read_bytes().decode(errors="replace") if _is_xml(path) else ""
+        folders |= set(re.findall(r"\b(?:mesh|asset)dir\s*=\s*[\"']([^\"']*)", text))
+        named += [
+            (path.parent, m[2])
+            for m in re.finditer(r"<(\w+)\b[^<>]*?\bfile\s*=\s*[\"']([^\"']+)", text)
+            if m[1] not in ("texture", "skin")
+        ]
+        for beside, name in named:
+            for place in (base / folder for base in (beside, found[0].parent) for folder in sorted(folders)):
+                there = [(place / last).resolve() for last in (name, Path(name).name)]
+                found += [path for path in dict.fromkeys(there) if path.is_file() and path not in found]
+    return found
+
+
+def _is_xml(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(64).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<")
+
+
+def _canonical(path: Path) -> str:
+    """The text of an XML file without layout and comments; of any other file a digest."""
+    try:
+        return ElementTree.canonicalize(path.read_text(encoding="utf-8"), strip_text=True)
+    except (ElementTree.ParseError, UnicodeDecodeError):
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+TURNED = 1e-4
+"""Smallest turn of a frame, rad, that is more than rounding."""
+
+Quat = tuple[float, float, float, float]
+
+
+def turn_at_home(model: mujoco.MjModel, key: str) -> Quat:
+    """Return the orientation of the trunk at home: as its body is drawn, leant as a keyframe leans it. The heading of a
+    keyframe does not count.
+
+    Raises:
+      InputError: the body is turned about the vertical alone, so that nothing says where its front is.
+    """
+    drawn = model.qpos0[3:7] / np.linalg.norm(model.qpos0[3:7])
+    if key:
+        given = model.key(key).qpos[3:7] / np.linalg.norm(model.key(key).qpos[3:7])
+        w, _, _, z = _product(given, drawn * (1, -1, -1, -1))
+        drawn = _product(np.array([w, 0, 0, -z]) / np.hypot(w, z) if w or z else np.array([1.0, 0, 0, 0]), given)
+    if np.linalg.norm(drawn[1:]) <= TURNED:
+        return 1.0, 0.0, 0.0, 0.0
+    if np.linalg.norm(drawn[1:3]) <= TURNED:
+        raise InputError(
+            f"model: the body {model.body(1).name!r} is turned about the vertical; write it without this turn, so that "
+            "the robot's front is along x (each episode begins with a random heading)"
+        )
+    return tuple(drawn.tolist())
+
+
+def set_upright(spec: mujoco.MjSpec, turn: Quat) -> None:
+    """Turn the frame of the free body, and all in it back, so that the body is upright where it had this orientation.
+
+    Raises:
+      InputError: an equality constraint holds the body by places in its frame.
+    """
+    if turn[0] == 1.0:
+        return
+    trunk, given = spec.worldbody.first_body(), mujoco.mjtOrientation.mjORIENTATION_QUAT
+    if held := [e.name for e in spec.equalities if trunk.name in (e.name1, e.name2)]:
+        raise InputError(f"model: {trunk.name!r} is turned, and the equality {held[0]!r} holds it by its frame")
+    model = checked(spec.compile)[0]
+    parts = *trunk.geoms, *trunk.sites, *trunk.bodies, *trunk.cameras, *trunk.lights, *trunk.frames
+    frame = trunk.add_frame(quat=turn)
+    for part in parts:
+        if part.frame is None:
+            part.set_frame(frame)
+    if trunk.explicitinertial:
+        mujoco.mju_rotVecQuat(trunk.ipos, model.body_ipos[1].copy(), turn)
+        trunk.iquat, trunk.ialt.type = _product(turn, model.body_iquat[1]), given
+        trunk.inertia = trunk.mass / model.body_mass[1] * model.body_inertia[1]  # the compiler may scale them
+        trunk.fullinertia = np.full(6, np.nan)
+    trunk.quat, trunk.alt.type = (1, 0, 0, 0), given
+    trunk.quat = checked(spec.compile)[0].qpos0[3:7] * (1, -1, -1, -1)  # against a <frame> around the body
+
+
+def _product(one: np.ndarray | Quat, other: np.ndarray) -> np.ndarray:
+    product = np.empty(4)
+    mujoco.mju_mulQuat(product, one, other)
+    return product
