@@ -2,11 +2,12 @@
 
 import errno
 import os
+import re
 import sys
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
 
@@ -326,6 +327,9 @@ WRONG_KIND = {
 LETTERS = 2000
 """Largest length of an error message."""
 
+UsageError: Any = typer.BadParameter.__base__
+"""What typer raises of words that it does not understand; its module differs between versions of typer."""
+
 INTERRUPTED = 130
 """The exit code after Ctrl-C, by the convention of shells."""
 
@@ -338,7 +342,13 @@ def main() -> None:
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
     os.environ.pop("MUJOCO_GL", None)  # OpenGL is not used, and an unusable value stops MuJoCo's import
     try:
-        app()
+        sys.exit(app(standalone_mode=False) or 0)
+    except UsageError as error:
+        if not (words := error.format_message()):  # the help was printed instead
+            sys.exit(error.exit_code)
+        words = re.sub("^Invalid value for '(.+?)': Input should", r"\1 must", words).rstrip(".?")
+        command = f" {error.ctx.info_name}" if error.ctx and error.ctx.parent else ""
+        _end(f"{words}; humanoid-mjx{command} --help shows what can be typed.")
     except (KeyboardInterrupt, SystemExit) as error:
         if isinstance(error, SystemExit) and error.code != INTERRUPTED:
             raise
@@ -354,16 +364,19 @@ def main() -> None:
     except Exception as error:
         from humanoid_mjx.compute import out_of_memory
         from humanoid_mjx.spec import InputError
+        from humanoid_mjx.user_code import in_words, place
 
         if out_of_memory(error):
             _end("the memory does not suffice; make the task, the learner or the number of episodes smaller.")
-        if not isinstance(error, InputError):
+        if not isinstance(error, InputError) and not place(error):
             raise
-        _end(str(error))
+        _end(str(error) if isinstance(error, InputError) else f"{in_words(error)}.")
 
 
 def _end(sentence: str) -> NoReturn:
     """Print an error on one line, control characters escaped, and exit with code 2."""
+    for python, flag in (("resume=True", "--resume"), ("out=PATH", "--out")):
+        sentence = sentence.replace(python, flag)
     plain = "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in sentence)
     print(f"error: {plain if len(plain) <= LETTERS else plain[:LETTERS] + '...'}", file=sys.stderr)
     with suppress(OSError, ValueError):  # what is buffered would fail again at exit

@@ -16,10 +16,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx.config import Config, apply_override, parse
-from humanoid_mjx.files import folder, names, refusing, whole_file
+from humanoid_mjx.files import folder, kind_of, meant, names, refusing, whole_file
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.runs.archive import DAMAGE, read_archive
-from humanoid_mjx.runs.folder import elsewhere, read_config, read_provenance
+from humanoid_mjx.runs.folder import read_config, read_provenance
 from humanoid_mjx.runs.ranking import ranked
 from humanoid_mjx.runs.tables import WHOLE, finished_runs, scores
 from humanoid_mjx.spec import InputError, check_folder, known
@@ -68,14 +68,13 @@ def find_policy(name: str, point: int | None = None) -> Trained:
     path, shipped = Path(name), folder("policies") / f"{name}.npz"
     if path.is_dir():
         return best_policy(path, point)
+    file = path if path.is_file() or path.suffix == ".npz" or path.name != name else shipped
+    if not file.is_file():
+        instead = meant(name, "run", "policy") or f"; {known(name, names('policies', '.npz'), 'info')}"
+        raise InputError(f"{name}: neither a run folder nor a policy{instead}.")
     if point is not None:
         raise InputError(f"--point: {name} is no run folder, and only a sweep has points.")
-    if path.is_file() or path.suffix == ".npz":
-        return load_policy(path)
-    if path.name == name and shipped.is_file():
-        return load_policy(shipped)
-    shipping = known(name, names("policies", ".npz"))
-    raise InputError(f"{name}: neither a run folder nor a policy{elsewhere(path)}; {shipping}.")
+    return load_policy(file)
 
 
 def best_policy(path: Path, point: int | None = None) -> Trained:
@@ -155,7 +154,8 @@ def load_policy(path: Path) -> Trained:
     except PermissionError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}.") from error
     except DAMAGE as error:
-        raise InputError(f"{path}: this is no policy file, or a truncated or damaged one.") from error
+        other = meant(str(path), "run", "policy") if kind_of(path) != "policy" else ", or a truncated or damaged one"
+        raise InputError(f"{path}: this is no policy file{other}.") from error
     if version != FORMAT:
         raise InputError(f"{path}: this is a {version!r}, but {FORMAT!r} is wanted; export it again from its run.")
     parsed = parse(config, str(path))

@@ -8,6 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from humanoid_mjx.files import meant
 from humanoid_mjx.mechanics.tree.refusing import faults, kinds_of, touching
 from humanoid_mjx.robot.declared import bad_timestep
 from humanoid_mjx.robot.description import motors_on
@@ -23,7 +24,7 @@ def read_model(path: str) -> mujoco.MjModel:
       InputError: there is no such file, MuJoCo cannot compile it, its time step is none, or nothing in it moves.
     """
     if not Path(path).is_file():
-        raise InputError(f"info: there is no file {path}.")
+        raise InputError(f"info: there is no file {path}{meant(path, 'model', 'robot')}.")
     try:
         model = mujoco.MjModel.from_xml_path(path)
     except ValueError as error:
@@ -49,7 +50,7 @@ def survey(model: mujoco.MjModel) -> tuple[list[str], bool]:
     joints = list(_joints(model))
     found = {
         "mass": f"{model.body_mass.sum():.4g} kg in {model.nbody - 1} bodies, {'a free' if free else 'no free'} base",
-        "joints": f"{len(joints)}, {model.nu} motors, {model.nv} degrees of freedom",
+        "joints": f"{len(joints)}, {model.nu} actuators, {model.nv} degrees of freedom",
         "feet": f"{', '.join(feet) or 'none'}: ends of limbs{' that the ground can push' * floor}",
         "contacts": ", ".join(f"{count} of {one} and {two}" for (one, two), count in contacts.items()) or "none",
     }
@@ -84,5 +85,5 @@ def _joints(m: mujoco.MjModel) -> Iterator[str]:
         name, slides = JOINT(int(kind)).name.removeprefix("mjJNT_").lower(), kind == JOINT.mjJNT_SLIDE
         low, high = m.jnt_range[index] * 1e3 if slides else np.degrees(m.jnt_range[index])
         limits = f"{low:.4g} to {high:.4g} {'mm' if slides else 'degrees'}" if m.jnt_limited[index] else "no limits"
-        motors = [m.actuator(i).name or "a motor" for i in motors_on(m, index)]
-        yield f"  {m.joint(index).name or f'joint {index}'}: {name}, {limits}, {', '.join(motors) or 'no motor'}"
+        motors = [m.actuator(i).name or "an actuator" for i in motors_on(m, index)]
+        yield f"  {m.joint(index).name or f'joint {index}'}: {name}, {limits}, {', '.join(motors) or 'no actuator'}"

@@ -48,7 +48,7 @@ def reproduce(
     """
     experiments = load_experiments()
     if odd := [name for name in names if name not in experiments]:
-        raise InputError(f"reproduce: unknown name {odd[0]!r}; {known(odd[0], experiments)}.")
+        raise InputError(f"reproduce: unknown name {odd[0]!r}; {known(odd[0], experiments, 'reproduce --list')}.")
     chosen = [experiments[name] for name in dict.fromkeys(names)] or list(experiments.values())
     settings = [_setting(experiment, out, overrides, named=bool(names)) for experiment in chosen]
     try:

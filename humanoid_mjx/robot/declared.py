@@ -23,7 +23,7 @@ from jaxtyping import Float
 from pydantic import Field
 
 from humanoid_mjx.config import Config, parse_yaml
-from humanoid_mjx.files import folder
+from humanoid_mjx.files import folder, meant
 from humanoid_mjx.robot.description import BEND, Robot, Servo, add_motors_and_imu, image, motors_on
 from humanoid_mjx.spec import InputError, Spec, known, search_folders, sentence
 
@@ -229,7 +229,10 @@ def find(name: str) -> Path:
         for beside in search_folders():
             if (path := Path(beside) / place).is_file():
                 return path.resolve()
-    raise InputError(f"robot: there is no file {name}, and none of this name in {' or '.join(search_folders())}.")
+    other = meant(name, "robot", folders=search_folders())
+    raise InputError(
+        f"robot: there is no file {name}, and none of this name in {' or '.join(search_folders())}{other}."
+    )
 
 
 def _read(path: Path) -> Source:
@@ -260,7 +263,8 @@ def _understood(path: Path, text: str, file: str, model_text: str) -> Source:
         home = _home(declared.home, model, joints)
         torque = _by_joint("torque", declared.torque, joints, _own_torques(model, joints))
         if not np.isfinite(torque).all():
-            raise InputError(f"torque: the model has no limit for {joints[int(np.argmin(np.isfinite(torque)))]}")
+            joint = joints[int(np.argmin(np.isfinite(torque)))]
+            raise InputError(f"torque: the model has no limit for {joint}; write one in N m, as {{{joint}: 15}}")
         stiffness, damping = _own_servo(model, joints, torque)
         stiffness = _by_joint("servo.stiffness", declared.servo.stiffness, joints, stiffness)
         if declared.servo.stiffness is not None:

@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 
 from humanoid_mjx.config import config_digest, dump_yaml, parse, parse_yaml
-from humanoid_mjx.files import refusing, whole_file
+from humanoid_mjx.files import meant, refusing, whole_file
 from humanoid_mjx.runs.archive import DAMAGE, misplaced, read_archive
 from humanoid_mjx.spec import InputError
 
@@ -56,13 +56,13 @@ class RunFolder:
         with refusing(path):
             if path.exists() and not _only_begun(path):
                 there = (path / "config.yaml").exists()
-                words = "exists; resume it with --resume, or" if there else "exists and is no run folder;"
-                raise InputError(f"{path}: already {words} choose another place with --out.")
+                words = "exists; resume it with resume=True, or" if there else "exists and is no run folder;"
+                raise InputError(f"{path}: already {words} choose another place with out=PATH.")
             (path / "checkpoint").mkdir(parents=True, exist_ok=True)
             run = cls(path, _lock(path), config)
         try:
             if not _only_begun(path):  # another process was quicker
-                raise InputError(f"{path}: is in use by another process; choose another place with --out.")
+                raise InputError(f"{path}: is in use by another process; choose another place with out=PATH.")
             with refusing(path):
                 run.write_text("config.yaml", dump_yaml(dict(config)))
         except BaseException:
@@ -86,7 +86,7 @@ class RunFolder:
             run.close()
             raise InputError(
                 f"{path}: was made with another config ({changed[0]} differs); "
-                "resume with the same values, or choose another place with --out."
+                "resume with the same values, or choose another place with out=PATH."
             )
         for left_by_a_kill in path.rglob(".new-*"):
             left_by_a_kill.unlink()
@@ -213,7 +213,7 @@ def read_config(path: Path) -> dict[str, Any]:
     """
     file = path / "config.yaml"
     if not file.is_file():
-        raise InputError(f"{path}: this is no run folder (it holds no config.yaml){elsewhere(path)}.")
+        raise InputError(f"{path}: this is no run folder (it holds no config.yaml){meant(str(path), 'run')}.")
     try:
         data = parse_yaml(file.read_text(encoding="utf-8"), str(file))
     except (OSError, UnicodeDecodeError) as error:
@@ -250,12 +250,6 @@ def read_provenance(path: Path) -> dict[str, Any]:
     if "config" in found and (how := misplaced(found["config"], config_digest(read_config(path)))):
         raise damaged(file, how, REWRITTEN)
     return found
-
-
-def elsewhere(path: Path) -> str:
-    """Words that end a refusal of `path`: a folder of this name within `runs`, where there is one."""
-    there = Path("runs") / path
-    return f", but {there} is one" if (there / "config.yaml").is_file() else ""
 
 
 def fresh_path(name: str, root: Path = Path("runs")) -> Path:
