@@ -1,5 +1,7 @@
 """Configs: what is accepted, and that everything else gets one sentence that says what would be right."""
 
+import re
+
 import jax
 import numpy as np
 import pytest
@@ -140,6 +142,33 @@ def test_overrides_and_numbers_without_a_point(write):
     plan = make_plan(config)
     assert plan.learners[0].learning_rate == 0.01
     assert plan.points == [{"learner.epsilon": 0.3}] and plan.num_runs == 3
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ["seeds=1", "seeds=2"],
+        ["seeds=1", "seed=2", "seeds=1"],
+        ["task.joint=1", "task={name: joint_reach}"],
+        ["sweep.axes.learner.epsilon=[0.1, 0.2]", "learner.epsilon=0.3"],
+    ],
+)
+def test_a_value_that_is_set_twice_is_refused(overrides):
+    with pytest.raises(InputError, match=f"^--set {re.escape(overrides[-1])}: .* is set twice; leave one of them out"):
+        load("joint1", overrides)
+
+
+def test_values_within_one_that_is_set_and_names_that_begin_alike_are_not_set_twice():
+    found = load(
+        "joint1", ["learner={name: tabular_q}", "learner.epsilon=0.3", "learner.epsilon_min=0.1", "sweep=null"]
+    )
+    assert found.learner == {"name": "tabular_q", "epsilon": 0.3, "epsilon_min": 0.1}
+
+
+def test_a_name_that_file_systems_may_refuse_is_refused():
+    assert load("joint1", [f"name={'a' * 200}"]).name == "a" * 200
+    with pytest.raises(InputError, match="at most 200 letters"):
+        load("joint1", [f"name={'a' * 201}"])
 
 
 def test_a_swept_key_that_is_set_is_swept_no_more(write):
