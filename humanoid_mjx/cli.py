@@ -287,9 +287,12 @@ def info(
     time they take; with ROBOT.xml, its joints, motors, feet and contacts, and all that `physics: tree` cannot represent
     (exit 2 if anything)."""
     from humanoid_mjx.commands.info import show_info, show_keys, show_model
+    from humanoid_mjx.files import read_text
 
     if name and name.endswith(".xml"):
         raise typer.Exit(0 if show_model(name) else 2)
+    if name and Path(name).is_file():
+        read_text(Path(name))  # a robot or a config
     with _trusting(trust or ":" in (name or "")):
         show_keys(name) if keys else show_info(name, set_ or [], time)
 
@@ -352,14 +355,16 @@ def main() -> None:
         goes_on = "; what is stored is valid, and the same command with --resume goes on" if sweeps else ""
         _end(f"{f'{place}: ' if place else ''}{what}{goes_on}.")
     except Exception as error:
-        from humanoid_mjx.compute import out_of_memory
+        from humanoid_mjx.compute.limits import no_device, out_of_memory
         from humanoid_mjx.spec import InputError
 
         if out_of_memory(error):
             _end("the memory does not suffice; make the task, the learner or the number of episodes smaller.")
-        if not isinstance(error, InputError):
-            raise
-        _end(str(error))
+        if isinstance(error, InputError):
+            _end(str(error))
+        if (asked := os.environ.get("JAX_PLATFORMS")) and no_device(error):
+            _end(f"JAX_PLATFORMS={asked}: jax has no such device here; unset it, or set JAX_PLATFORMS=cpu.")
+        raise
 
 
 def _end(sentence: str) -> NoReturn:
