@@ -158,9 +158,9 @@ def parse(data: dict[str, Any], source: str = "config") -> Config:
 
 
 def check_overrides(overrides: Sequence[str]) -> None:
-    """Raise an InputError if one of the overrides undoes an earlier one."""
+    """Raise an InputError if one of the overrides undoes an earlier one; the same one again is none of these."""
     earlier: list[str] = []
-    for override in overrides:
+    for override in dict.fromkeys(overrides):
         key = override.partition("=")[0]
         if any(f"{other}.".startswith(f"{key}.") for other in earlier):
             raise InputError(f"--set {override}: {key} is set twice; leave one of them out.")

@@ -148,7 +148,7 @@ def test_overrides_and_numbers_without_a_point(write):
     "overrides",
     [
         ["seeds=1", "seeds=2"],
-        ["seeds=1", "seed=2", "seeds=1"],
+        ["seeds=1", "seed=2", "seeds=3"],
         ["task.joint=1", "task={name: joint_reach}"],
         ["sweep.axes.learner.epsilon=[0.1, 0.2]", "learner.epsilon=0.3"],
     ],
