@@ -188,7 +188,9 @@ def on_physics(trained: Trained, physics: str, overrides: Sequence[str] = ()) ->
     task = trained.config.task
     if "physics" not in type(trained.learner.task).model_fields:
         raise InputError(f"--physics {physics}: the task {task['name']} has no choice of physics.")
-    return in_changed_world(trained, [f"task.physics={physics}", *overrides])
+    changes = [f"task.physics={physics}", *overrides]
+    check_overrides(changes)
+    return in_changed_world(trained, changes)
 
 
 def on_native(trained: Trained) -> Trained:
@@ -211,7 +213,6 @@ def in_changed_world(trained: Trained, overrides: Sequence[str]) -> Trained:
       InputError: what is no value of the task, or one that it cannot have, or that changes what the policy observes or
         chooses from.
     """
-    check_overrides(overrides)
     data = {"task": deepcopy(trained.config.task)}
     for override in overrides:
         apply_override(data, override)
