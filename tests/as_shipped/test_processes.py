@@ -164,7 +164,11 @@ def test_a_job_that_lost_a_process_resumes_to_the_same_bits(whole, tmp_path, los
     job[lost].kill()
     for process in job[:lost] + job[lost + 1 :]:  # what it has to do it does, and says what is missing
         _, stderr = process.communicate(timeout=PATIENCE_S)
-        words = f"error: process {lost} of this job was lost; " if lost else "error: jax ends this process: process 0 "
+        words = (
+            f"error: process {lost} of this job was lost; "
+            if lost
+            else "error: jax aborts this process, as it does when process 0 is lost; "
+        )
         assert process.returncode == (2 if lost else -signal.SIGABRT), stderr
         assert stderr.splitlines()[-1].startswith(words), stderr
     if lost == 1:
