@@ -33,8 +33,19 @@ def _shipped(kind: str, ending: str) -> Callable[[str], list[str]]:
 
 CONFIGS, POLICIES = _shipped("configs", ".yaml"), _shipped("policies", ".npz")
 
+
+def _once(overrides: list[str] | None) -> list[str] | None:
+    """Refuse a value of `--set` that undoes an earlier one."""
+    if overrides:
+        from humanoid_mjx.config import check_overrides
+
+        check_overrides(overrides)
+    return overrides
+
+
 Override = Annotated[
-    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one value of the config.")
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", callback=_once, help="Change one value of the config."),
 ]
 
 Trust = Annotated[
@@ -135,7 +146,9 @@ Point = Annotated[
 
 World = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="task.KEY=VALUE", help="Change a value of the task, such as task.friction=0.5."),
+    typer.Option(
+        "--set", metavar="task.KEY=VALUE", callback=_once, help="Change a value of the task, such as task.friction=0.5."
+    ),
 ]
 
 
@@ -362,15 +375,19 @@ def main() -> None:
         goes_on = "; what is stored is valid, and the same command with --resume goes on" if sweeps else ""
         _end(f"{f'{place}: ' if place else ''}{what}{goes_on}.")
     except Exception as error:
-        from humanoid_mjx.compute import out_of_memory
+        from humanoid_mjx.compute.limits import no_device, out_of_memory
         from humanoid_mjx.spec import InputError
         from humanoid_mjx.user_code import in_words, place
 
         if out_of_memory(error):
             _end("the memory does not suffice; make the task, the learner or the number of episodes smaller.")
-        if not isinstance(error, InputError) and not place(error):
-            raise
-        _end(str(error) if isinstance(error, InputError) else f"{in_words(error)}.")
+        if isinstance(error, InputError):
+            _end(str(error))
+        if (asked := os.environ.get("JAX_PLATFORMS")) and no_device(error):
+            _end(f"JAX_PLATFORMS={asked}: jax has no such device here; unset it, or set JAX_PLATFORMS=cpu.")
+        if place(error):
+            _end(f"{in_words(error)}.")
+        raise
 
 
 def _end(sentence: str) -> NoReturn:

@@ -24,14 +24,40 @@ def folder(name: str) -> Path:
     return inside if inside.is_dir() else _PACKAGE.parent / name
 
 
+def refuse_pipe(path: Path) -> None:
+    """Raise an InputError where a pipe, a socket or a device stands: to read one may wait forever or never end."""
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise InputError(f"{path}: this is a pipe, a socket or a device, and no file.")
+
+
+def read_text(path: Path) -> str:
+    """Return the text of a file.
+
+    Raises:
+      InputError: there is none, it cannot be read, or it is not UTF-8.
+    """
+    refuse_pipe(path)
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        why = error.strerror if isinstance(error, OSError) else "it is not UTF-8; save it as UTF-8"
+        raise InputError(f"{path}: cannot be read as text: {why}.") from error
+
+
 @contextlib.contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
     """A temporary path beside `path`, whose file takes its place when the block ends well.
 
     A kill, an error or a full disk leaves the old file or the new one, never half of one.
+
+    Raises:
+      InputError: a pipe, a socket or a device stands at `path`.
     """
+    refuse_pipe(path)
     temporary = path.with_name(f".new-{path.name}")
     try:
+        if temporary.is_symlink() or not temporary.is_file():
+            temporary.unlink(missing_ok=True)  # it would lead elsewhere
         yield temporary
         with temporary.open("rb") as file:
             os.fsync(file.fileno())
@@ -72,11 +98,13 @@ def write_sealed(path: Path, data: bytes, seal: bytes = b"") -> None:
 
 
 def read_sealed(path: Path, seal: bytes = b"") -> bytes | None:
-    """Return what `write_sealed` wrote there; None if it has another seal or is damaged.
+    """Return what `write_sealed` wrote there; None if there is no such file, it has another seal or is damaged.
 
     Raises:
       OSError: it cannot be read.
     """
+    if not path.is_file():
+        return None
     found, begin = path.read_bytes(), len(seal) + DIGEST
     whole = found[:begin] == seal + hashlib.sha256(found[begin:]).digest()
     return found[begin:] if whole else None
@@ -94,6 +122,7 @@ def find_config(name: str) -> Path:
       InputError: there is neither.
     """
     path, shipping = Path(name), names("configs", ".yaml")
+    refuse_pipe(path)
     if path.is_file() and kind_of(path) in ("config", None):
         return path
     if name in shipping and not path.is_file():

@@ -39,8 +39,9 @@ def check_folder(file: Path, option: str = "") -> None:
     Raises:
       InputError: it cannot; the message begins with `option`.
     """
-    if file.is_dir():
-        raise InputError(f"{option} {file}: this is a folder; name a file.".lstrip())
+    if file.exists() and not file.is_file():
+        kind = "folder" if file.is_dir() else "pipe or device"
+        raise InputError(f"{option} {file}: this is a {kind}; name a file.".lstrip())
     if not file.parent.is_dir():
         raise InputError(f"{option} {file}: there is no folder {file.parent}.".lstrip())
 

@@ -97,7 +97,7 @@ def run_report(path: Path, out: Path | None, motion: bool) -> None:
     check_folder(target)
     compute.start()
     with Bar(console) as bar:
-        if (path / "config.yaml").is_file():
+        if (path / "config.yaml").exists():
             page = run_page(path, bar, motion)
         elif (path / "reproduce.json").is_file():
             page = findings_page(path)

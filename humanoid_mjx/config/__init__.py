@@ -12,7 +12,7 @@ import pydantic
 import yaml
 
 from humanoid_mjx.config.axes import Sweep
-from humanoid_mjx.files import find_config, folder
+from humanoid_mjx.files import find_config, folder, read_text
 from humanoid_mjx.spec import ELSEWHERE, InputError, sentence, shown
 
 ELSEWHERE_AT_TOP = ("episodes", "learner", "max_episode_steps", "model", "seeds", "sweep", "task", "total_steps")
@@ -36,7 +36,8 @@ class Config(pydantic.BaseModel):
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
     name: str = pydantic.Field(
-        pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", description="letters, digits and . _ -, the first a letter or digit"
+        pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,199}$",
+        description="at most 200 letters, digits and . _ -, the first a letter or digit",
     )
     task: dict[str, Any]
     learner: dict[str, Any]
@@ -116,11 +117,7 @@ def load(config: str | Path, overrides: Sequence[str] = ()) -> Config:
       InputError: no such config, not YAML, or a key or value that cannot be used, in one sentence.
     """
     path = find_config(str(config))
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{config}: cannot be read as text: {error}.") from error
-    data = parse_yaml(text, str(config))
+    data = parse_yaml(read_text(path), str(config))
     if not isinstance(data, dict):
         raise InputError(f"{config}: a config is a mapping of keys such as name, task and learner.")
     for override in overrides:
@@ -154,6 +151,16 @@ def parse(data: dict[str, Any], source: str = "config") -> Config:
         raise InputError(f"{source}: {sentence(error, '', Config)}") from error
     config._source = source
     return config
+
+
+def check_overrides(overrides: Sequence[str]) -> None:
+    """Raise an InputError if one of the overrides undoes an earlier one; the same one again is none of these."""
+    earlier: list[str] = []
+    for override in dict.fromkeys(overrides):
+        key = override.partition("=")[0]
+        if any(f"{other}.".startswith(f"{key}.") for other in earlier):
+            raise InputError(f"--set {override}: {key} is set twice; leave one of them out.")
+        earlier += [key, key.removeprefix("sweep.axes.")]  # a value takes its axis away
 
 
 def apply_override(data: dict[str, Any], override: str) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from humanoid_mjx.files import meant
+from humanoid_mjx.files import meant, refuse_pipe
 from humanoid_mjx.mechanics.tree.refusing import faults, kinds_of, touching
 from humanoid_mjx.robot.declared import bad_timestep
 from humanoid_mjx.robot.description import motors_on
@@ -23,6 +23,7 @@ def read_model(path: str) -> mujoco.MjModel:
     Raises:
       InputError: there is no such file, MuJoCo cannot compile it, its time step is none, or nothing in it moves.
     """
+    refuse_pipe(Path(path))
     if not Path(path).is_file():
         raise InputError(f"info: there is no file {path}{meant(path, 'model', 'robot')}.")
     try:

@@ -23,7 +23,7 @@ from jaxtyping import Float
 from pydantic import Field
 
 from humanoid_mjx.config import Config, parse_yaml
-from humanoid_mjx.files import folder, meant
+from humanoid_mjx.files import folder, meant, read_text, refuse_pipe
 from humanoid_mjx.robot.description import BEND, Robot, Servo, add_motors_and_imu, image, motors_on
 from humanoid_mjx.spec import InputError, Spec, known, search_folders, sentence
 
@@ -211,7 +211,7 @@ def describes_robot(name: str) -> bool:
     path = Path(name)
     if is_shipped(name) or path.suffix not in (".yaml", ".yml") or not path.is_file():
         return is_shipped(name)
-    data = parse_yaml(path.read_text(encoding="utf-8"), name)
+    data = parse_yaml(read_text(path), name)
     keys = data.keys() if isinstance(data, dict) else set()
     return len(keys & Declaration.model_fields.keys()) > len(keys & Config.model_fields.keys())
 
@@ -238,12 +238,13 @@ def find(name: str) -> Path:
 def _read(path: Path) -> Source:
     """Read both files of a robot; unchanged files are parsed once."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path)
         data = parse_yaml(text, path.name)
         if not isinstance(data, dict):
             raise InputError(f"{path.name}: a robot is a mapping of keys such as model and feet.")
         declared = Declaration(**data)
         model = path.parent / declared.model
+        refuse_pipe(model)
         return _understood(path, text, str(model), model.read_text(encoding="utf-8"))
     except pydantic.ValidationError as error:
         raise InputError(f"{path.name}: {sentence(error, '', Declaration)}") from error
@@ -262,9 +263,9 @@ def _understood(path: Path, text: str, file: str, model_text: str) -> Source:
         joints = _driven(model)
         home = _home(declared.home, model, joints)
         torque = _by_joint("torque", declared.torque, joints, _own_torques(model, joints))
-        if not np.isfinite(torque).all():
-            joint = joints[int(np.argmin(np.isfinite(torque)))]
-            raise InputError(f"torque: the model has no limit for {joint}; write one in N m, as {{{joint}: 15}}")
+        if wrong := [joint for joint, limit in zip(joints, torque, strict=True) if not 0 < limit < inf]:
+            lacks = "the model has no limit" if torque[joints.index(wrong[0])] else "the limit is 0"
+            raise InputError(f"torque: {lacks} for {wrong[0]}; write its N m as torque: {{{wrong[0]}: 20}}")
         stiffness, damping = _own_servo(model, joints, torque)
         stiffness = _by_joint("servo.stiffness", declared.servo.stiffness, joints, stiffness)
         if declared.servo.stiffness is not None:

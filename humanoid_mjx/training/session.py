@@ -15,7 +15,8 @@ import numpy as np
 
 from humanoid_mjx import compute
 from humanoid_mjx.compute.processes import Processes
-from humanoid_mjx.runs.folder import RunFolder, damaged, diverged_name, pools, read_arrays, read_provenance
+from humanoid_mjx.runs.archive import check_finite
+from humanoid_mjx.runs.folder import REMOVE, RunFolder, damaged, diverged_name, pools, read_arrays, read_provenance
 from humanoid_mjx.runs.tables import finished_runs, scores, write_tables
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.cost import training_bytes
@@ -48,7 +49,10 @@ class Session:
         self.watchers = watchers
         for part in folder.parts():
             # Check policies now: a damaged one can still be trained again by this sweep.
-            read_arrays(part, digest=folder.digest)
+            arrays = read_arrays(part, digest=folder.digest)
+            if not np.any(arrays.get("final.diverged")):
+                policies = {name: array for name, array in arrays.items() if name.startswith("policy")}
+                check_finite(policies, f"{part}: it", REMOVE)
         self.mine = set(processes.share(np.concatenate([group.runs for group in plan.groups])).tolist())
         done = finished_runs(folder.path, ("point", "seed"), folder.digest)
         finished = set((done["point"] * plan.config.seeds + done["seed"]).tolist()) if done else set()

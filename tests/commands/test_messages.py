@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hop import BoldQ, Hop
+from hop import BoldQ, Hop  # pyright: ignore[reportMissingImports] pytest's pythonpath has tests/data
 from small_sweep import CONFIG
 
 from humanoid_mjx import InputError, sweep
@@ -67,7 +67,7 @@ TYPED = {
     "sweep stand --set task.robot=three.xml": "unknown robot 'three.xml', but three.yaml is one",
     "sweep stand --set task.robot=lonely.xml": "it is an MJCF: humanoid-mjx info lonely.xml",
     "sweep stand --set task.robot=thre.yaml": ", but three.yaml is one",
-    "sweep stand --set task.robot=three.yaml": "the model has no limit for a_swing; write one in N m, as {a_swing: 15}",
+    "sweep stand --set task.robot=three.yaml": "no limit for a_swing; write its N m as torque: {a_swing: 20}",
     "sweep joint4 --set learner.start_from=joint1": ", but runs/joint1 is one",
     "play joint1": "neither a run folder nor a policy, but runs/joint1 is one",
     "evaluate joint1": "neither a run folder nor a policy, but runs/joint1 is one",
@@ -268,7 +268,7 @@ class Breaks(StepLearner):
 def test_the_number_that_is_not_finite_is_named(part, words):
     zero = jnp.float32(0)
     training = Training(Seen(moments(2), zero, zero), zero, None, True)
-    assert _culprit(Breaks(task=Hop(), part=part), training) == (words, 0.25)
+    assert _culprit(Breaks.model_validate({"task": Hop(), "part": part}), training) == (words, 0.25)
 
 
 class OtherNetwork(DeepQ):
@@ -304,7 +304,8 @@ def row(policy, agent, success, total, discounted):
 
 def test_an_untrained_policy_is_not_said_to_lose_by_others_that_wait():
     config = parse({"name": "still", "task": {"name": "stand"}, "learner": {"name": "deep_q"}})
-    still = Trained(None, None, 0, 0, "still", config, {})
+    nothing: Any = None
+    still = Trained(nothing, None, 0, 0, "still", config, {})
     rows = [
         row("still", "greedy", 0, 3.0, 2.0),
         row("stand", "zero", 100, 9.0, 5.0),
