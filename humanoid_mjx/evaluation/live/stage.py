@@ -2,13 +2,17 @@
 """Live robots that are seen together: their clock, and their physics."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jaxtyping import Float
+from jax.custom_batching import custom_vmap
+from jax.experimental import io_callback
+from jaxtyping import Array, Float
 
 from humanoid_mjx.evaluation.live.body import Body, Hands
 from humanoid_mjx.physics.native import Native
@@ -76,6 +80,22 @@ class LiveMujoco(Native):
     def stage(self) -> Stage:
         """Stage of the robots on this physics; cached by the model."""
         return _stage(self._team.base)
+
+    @staticmethod
+    def _call(function: Callable[..., Any], shapes: Sequence[jax.ShapeDtypeStruct], *vectors: Any) -> Sequence[Array]:
+        """Call a host function exactly once, in the program's order: it moves robots that are seen."""
+
+        @custom_vmap
+        def call(*vectors: Any) -> Sequence[Array]:
+            return io_callback(function, shapes, *vectors, ordered=True)
+
+        @call.def_vmap
+        def _(robots: int, batched: Sequence[bool], *vectors: Any) -> tuple[Sequence[Array], list[bool]]:
+            rows = [x if of_each else jnp.stack([x] * robots) for x, of_each in zip(vectors, batched, strict=True)]
+            wider = [jax.ShapeDtypeStruct((robots, *shape.shape), shape.dtype) for shape in shapes]
+            return LiveMujoco._call(function, wider, *rows), [True] * len(shapes)
+
+        return call(*vectors)
 
     def _advance(self, sensed: bool, values: Any, *state: Any) -> tuple[np.ndarray, ...]:
         stage = self.stage
