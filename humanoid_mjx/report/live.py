@@ -8,7 +8,7 @@ import threading
 import webbrowser
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from jaxtyping import Float
@@ -278,20 +278,22 @@ class Window:
 
 
 def _scales(live: Live) -> dict[str, Scale]:
-    """The sliders of a robot's world; none where nobody can touch it."""
+    """The sliders of a robot's world; none where nobody can touch it.
+
+    The first push is the mean one of the training, so that the policy bears it, and a third of `PUSH` at most: policies
+    that were trained with harder ones bear not all of them.
+    """
     model, first = live.model, live.stage.bodies[0]
     if not (live.touchable and first.free):
         return {}
-    mass = float(model.body_mass.sum())
+    mass, task = float(model.body_mass.sum()), cast(Any, live.trained.learner.task)
     hardest = PUSH * mass * math.sqrt(9.81 * model.stat.extent)
-    task: Any = live.trained.learner.task
-    usual = GENTLE * hardest
-    push = getattr(task, "push", None)
-    if isinstance(push, Push) and push.impulse > 0:
-        largest = float(push.impulse) * task.robot.momentum
-        usual, hardest = (1.0 + float(push.least)) / 2 * largest, max(hardest, largest)
+    trained, first_push = 0.0, GENTLE * hardest
+    if isinstance(push := getattr(task, "push", None), Push) and push.impulse > 0:
+        trained = float(push.impulse) * task.robot.momentum
+        first_push = min((1.0 + float(push.least)) / 2 * trained, hardest / 3)
     scales = {
-        "push": Scale(0.0, _short(hardest), _short(usual), "push, N s"),
+        "push": Scale(0.0, _short(max(hardest, trained)), _short(first_push), "push, N s"),
         "payload": Scale(0.0, _short(PAYLOAD * mass), 0.0, "payload, kg"),
     }
     if len(first.planes):
@@ -303,15 +305,14 @@ def _scales(live: Live) -> dict[str, Scale]:
 def _legs(live: Live) -> dict[str, list[str]]:
     """Names of the joints with a motor by the foot that they carry, then of the others."""
     model, legs = live.model, {}
-    left = model.actuator_trnid[:, 0].tolist()
+    motors = {model.joint(joint).name: int(model.jnt_bodyid[joint]) for joint in model.actuator_trnid[:, 0]}
     for foot in live.feet:
         body, chain = model.body(foot).id, set()
         while body:
             chain.add(body)
             body = int(model.body_parentid[body])
-        legs[foot] = [joint for joint in left if model.jnt_bodyid[joint] in chain]
-        left = [joint for joint in left if joint not in legs[foot]]
-    return {foot: [model.joint(joint).name for joint in joints] for foot, joints in (legs | {"others": left}).items()}
+        legs[f"leg of {foot}"] = [name for name, moved in motors.items() if moved in chain]
+    return legs | {"others": [name for name in motors if not any(name in leg for leg in legs.values())]}
 
 
 def _shown(value: Any, ended: bool) -> float | None:

@@ -3,9 +3,11 @@
 import http.client
 import json
 import os
+import re
 import signal
 import threading
 import time
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -44,6 +46,21 @@ def test_without_hands_it_is_native_mujoco():
     assert float(jnp.abs(ends[0].qvel).max()) > 0.1
     for one, other in zip(*(jax.tree.leaves(end) for end in ends), strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+def test_jax_drops_no_step_and_repeats_none():
+    """Two robots take two steps whose results nobody reads."""
+    physics = LiveMujoco(robot=ROBOT, timestep=0.005)
+    physics.stage.hands.pace = FAST
+    physics.stage.fill(2)
+    law = ServoLaw(stiffness=20.0, damping=0.4).follow(at_rest(jnp.asarray(ROBOT.posture)))
+    world = physics.start(jnp.asarray(MODEL.qpos0), jnp.zeros(MODEL.nv))
+    before = physics.stage.time
+    worlds = jax.tree.map(lambda x: jnp.stack([x, x]), world)
+    jax.jit(jax.vmap(lambda world: (physics.run(world, law, 2), world)[1]))(worlds)
+    jax.effects_barrier()
+    assert physics.stage.time - before == pytest.approx(2 * 0.005)
+    assert [body.time for body in physics.stage.bodies] == pytest.approx([physics.stage.time, 2 * 0.005])
 
 
 def stand(stage, seconds, qpos=None):
@@ -119,7 +136,8 @@ class Running:
         """Status and content of one answer."""
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=300)
         given = {name.replace("_", "-"): value for name, value in headers.items()}
-        connection.request(method, path, None if body is None else json.dumps(body), given)
+        text = body if body is None or isinstance(body, bytes) else json.dumps(body)
+        connection.request(method, path, text, given)
         answer = connection.getresponse()
         content = answer.readline() if path == "/frames" and answer.status == 200 else answer.read()
         connection.close()
@@ -127,6 +145,12 @@ class Running:
 
     def tell(self, message):
         return self.ask("POST", "/hands", message, Content_Type="application/json")[0]
+
+    def state(self):
+        """What messages can change."""
+        live, hands = self.live, self.live.stage.hands
+        grabs = [body.grab for body in live.stage.bodies]
+        return dict(live.told), replace(hands), grabs, live.going.is_set(), live.episodes.tolist()
 
     def until(self, true):
         latest = time.monotonic() + 600
@@ -265,12 +289,60 @@ def test_only_pages_of_its_own_reach_the_server(walking):
     [
         *(1, [], {"told": {"up, m/s": 1.0}}, {"told": 3}, {"slope": "steep"}, {"payload": float("nan")}, {"grab": {}}),
         *({"grab": {"shape": 999, "point": [0, 0, 0], "to": [0, 0, 0]}}, {"push": None}, {"episode": []}),
+        *({"grab": {"shape": -1, "point": [0, 0, 0], "to": [0, 0, 0]}}, {"up": 1.0}, {"episode": 1.5}),
+        *({"told": {"forward, m/s": 0.5}, "slope": 3.0, "push": None}, {"grab": {"to": [0, 0]}}, {"paused": 1}),
     ],
 )
 def test_messages_that_mean_nothing_change_nothing(walking, message):
-    before = dict(walking.live.told), walking.live.stage.bodies[0].grab
+    before = walking.state()
     assert walking.tell(message) == 400
-    assert (dict(walking.live.told), walking.live.stage.bodies[0].grab) == before
+    assert walking.state() == before
+
+
+VALUES = {
+    *("null", "true", '"1"', '"x"', "[]", "[1]", "{}", '{"to": 1}', "1e400", "-1e400", "NaN", "[" * 9000),
+    *(
+        '{"a":' * 1500,
+        f"{10**23}",
+        f"-1{'0' * 400}",
+        "1" * 9000,
+        "[0, 0, 1e400]",
+        '[0, 0, "1"]',
+        "[0, 0, 0, 0]",
+        "\udcff",
+    ),
+}
+FIELDS = {
+    *('{"told": %s}', '{"told": {"forward, m/s": %s}}', '{"push": %s}', '{"payload": %s}', '{"slope": %s}'),
+    *('{"friction": %s}', '{"pace": %s}', '{"paused": %s}', '{"episode": %s}', '{"grab": %s}', '{"grab": {"to": %s}}'),
+    *('{"grab": {"to": [0, 0, %s]}}', '{"grab": {"shape": %s, "point": [0, 0, 0], "to": [0, 0, 0]}}', "%s"),
+    *('{"grab": {"shape": 0, "point": %s, "to": [0, 0, 0]}}', '{"grab": {"shape": 0, "point": [%s, 0, 0], "to": 1}}'),
+    *('{"up": %s}', "{%s: 1}"),
+}
+MEANINGFUL = {'{"told": {}}', '{"paused": true}', '{"grab": null}', "{}"} | {
+    field % 10**23
+    for field in FIELDS
+    if "shape" not in field and re.search(r'(m/s|push|payload|slope|friction|pace|0)"?[:,] %s', field)
+}
+"""Messages among these that can be done, as numbers outside a range count as its end."""
+
+
+def test_wrong_values_of_all_fields_are_refused_in_silence(walking, capfd):
+    assert walking.tell({"paused": True}) == 204  # else episodes may end meanwhile
+    before = walking.state()
+    for field in FIELDS:
+        for value in VALUES:
+            text = field % value
+            wanted = 204 if text in MEANINGFUL else 400
+            body = text.encode(errors="surrogateescape")
+            assert walking.ask("POST", "/hands", body, Content_Type="application/json")[0] == wanted, text[:200]
+            assert wanted == 204 or walking.state() == before, text[:200]
+            walking.live.told.update(before[0])
+            walking.live.stage.hands.__dict__.update(vars(before[1]))
+    walking.live.stage.bodies[0].shoves.clear()
+    assert walking.tell({"paused": False}) == 204
+    walking.until(lambda: not rests(lambda: walking.live.stage.time))
+    assert capfd.readouterr().err == ""
 
 
 def test_a_port_that_is_taken(walking):
