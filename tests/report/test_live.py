@@ -20,9 +20,9 @@ from humanoid_mjx.config import parse
 from humanoid_mjx.control import at_rest
 from humanoid_mjx.control.laws import ServoLaw
 from humanoid_mjx.evaluation.live import SPEEDS, Grab, Live, LiveMujoco, Stage
-from humanoid_mjx.evaluation.policy import Trained, find_policy
+from humanoid_mjx.evaluation.policy import Trained, find_policy, in_changed_world
 from humanoid_mjx.physics import make_physics
-from humanoid_mjx.report.live import Window, make_server, serve
+from humanoid_mjx.report.live import Window, _scales, make_server, serve
 from humanoid_mjx.robot import make_robot
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.plan import make_plan
@@ -199,6 +199,38 @@ def test_it_walks_as_the_browser_says(walking):
     assert walking.tell({"paused": False}) == 204
     walking.until(lambda: live.stage.time > before)
     live.stage.hands.pace = 1.0
+
+
+def test_the_first_push_does_not_fell_it(walking):
+    live, window = walking.live, walking.server.shown
+    live.stage.hands.pace = 10.0
+    assert walking.tell({"episode": 1}) == 204
+    for speed in (0.0, 0.5):
+        assert walking.tell({"told": {"forward, m/s": speed}}) == 204
+        walking.until(lambda speed=speed: abs(live.stage.bodies[0].speeds[0] - speed) < 0.1)
+        before = live.episodes.tolist()
+        for _ in range(3):
+            assert walking.tell({"push": window.scales["push"].now}) == 204
+            walking.until(lambda: live.stage.bodies[0].shoved is not None)
+            time_then = live.stage.time
+            walking.until(lambda time_then=time_then: live.stage.time > time_then + 1.0)
+        assert live.episodes.tolist() == before and live.stage.bodies[0].ended is None
+    assert walking.tell({"told": {"forward, m/s": 0.0}}) == 204
+    live.stage.hands.pace = 1.0
+
+
+@pytest.mark.parametrize("name", ["stand", "walk", "walk_sturdy", "walk_dog", "walk_humanoid"])
+def test_the_first_push_is_one_of_the_training(name):
+    live = Live(find_policy(name))
+    push, task = _scales(live)["push"], live.trained.learner.task
+    largest = float(task.push.impulse) * task.robot.momentum
+    least = float(task.push.least) * largest
+    assert least * 0.97 <= push.now <= 1.03 * (largest + least) / 2 and largest <= 1.03 * push.high
+
+
+def test_a_policy_that_was_trained_without_pushes_gets_a_gentle_one():
+    live = Live(in_changed_world(find_policy("walk"), ["task.push.impulse=0"]))
+    assert 0.0 < _scales(live)["push"].now < 0.1
 
 
 @pytest.fixture
@@ -477,4 +509,58 @@ def test_keys_and_mouse_drive_it(walking):
         walking.until(records)  # on a busy machine the recorder may begin late
         opened.size(390, 844)
         assert opened.value("document.documentElement.scrollWidth") <= 390
+        assert opened.faults == []
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium here")
+def test_the_page_says_what_happens(walking):
+    """How fast the robot runs, which keys do nothing, what the world is; Restart sets it back; a key pushes once."""
+    live, hands = walking.live, walking.live.stage.hands
+    player = "document.querySelector('figure').player"
+
+    def text(opened, place):
+        return opened.value(f"document.querySelector('{place}').textContent")
+
+    def slide(opened, name, value):
+        opened.value(
+            f"(() => {{ const input = {player}.sliders['{name}'].input; input.value = {value};"
+            "input.dispatchEvent(new Event('input')); })()"
+        )
+
+    def legend(opened):
+        words = opened.value(f"{player}.charts.get('joint angle, degrees').legend.textContent")
+        return re.findall("[a-z_]+", words)
+
+    with browser() as opened:
+        opened.open(f"http://127.0.0.1:{walking.port}/", 1280, 800)
+        walking.until(lambda: re.search(r"episode \d+, [\d.]+ s, \d\.\d\d . real time", text(opened, ".told")))
+        assert "W A D or arrows: go." in text(opened, ".hint")
+        opened.press("s")
+        walking.until(lambda: "forward, m/s is from 0 to 0.8." in text(opened, "[role=status]"))
+        slide(opened, "slope", 1.0)
+        slide(opened, "friction", 0.9)
+        slide(opened, "forward, m/s", 0.304)  # a step of the slider
+        walking.until(lambda: (hands.slope, hands.friction, live.told[SPEEDS[0]]) == pytest.approx((1.0, 0.9, 0.304)))
+        walking.until(lambda: opened.value(f"{player}.latest.world.slope") == 1.0)
+        opened.open(f"http://127.0.0.1:{walking.port}/", 1280, 800)
+        assert opened.value(f"{player}.sliders.slope.input.value") == "1"  # as the world is, not as it was at first
+        opened.press("r")
+        walking.until(lambda: (hands.slope, hands.friction, hands.payload, *live.told.values()) == (0, 1, 0, 0, 0, 0))
+        assert opened.value(f"[{player}.sliders.slope.input.value, {player}.sliders.friction.input.value]") == [
+            "0",
+            "1",
+        ]
+        opened.value(f"{player}.send = (message) => (window.sent = window.sent || []).push(message)")
+        for repeats in (False, True, True):
+            opened.ask("Input.dispatchKeyEvent", type="keyDown", key="x", text="x", autoRepeat=repeats)
+        assert len(opened.value("sent")) == 1
+        opened.value("document.querySelectorAll('details').forEach((each) => { each.open = true; })")
+        walking.until(lambda: len(legend(opened)) == 10)
+        opened.value(f"{player}.charts.get('joint angle, degrees').choice.selectedIndex = 1")  # of the first leg
+        walking.until(lambda: legend(opened) == list(walking.server.shown.legs["leg of right_foot"]))
+        live.stage.bodies[0].shoves[:] = [np.array([0.0, 3.0 * MASS, 0.0])]
+        walking.until(lambda: text(opened, "[role=status]") == "The robot fell; the next episode follows.")
+        last = f"{player}.history.at(-1).charts['forward, m/s']"
+        assert opened.value(f"[{last}.commanded, {last}.measured]") == [0, None]
         assert opened.faults == []

@@ -16,12 +16,10 @@ SIDES = 1.0, 4.0
 
 @pytest.mark.parametrize("name", ["stand", "walk", "walk_sturdy", "walk_dog", "walk_humanoid"])
 def test_the_first_push_fells_no_policy_that_ships(name):
-    """Standing and walking; it is no harder than those of the training."""
+    """Standing and walking."""
     live = Live(find_policy(name), robots=len(SIDES))
     live.stage.hands = Hands(pace=1000.0)
     push = _scales(live)["push"]
-    task = live.trained.learner.task
-    assert 0 < push.now <= 1.05 * float(task.push.impulse) * task.robot.momentum <= 1.1 * push.high
     begun, moved = live.stage.time, []
     script = [(0.4, "push"), (1.6, "walk"), (2.8, "push"), (4.0, "end")]
 
