@@ -58,6 +58,8 @@ class Native(MujocoPhysics):
 
     batches: ClassVar[Batches] = Batches(cpu=256, gpu=256)
     terrains: ClassVar[tuple[tuple[str, ...], ...]] = (("rough",), ("stairs",))
+    host_call: ClassVar[Any] = staticmethod(partial(jax.pure_callback, vmap_method="broadcast_all"))
+    """Call of the host for a time step, which jax may drop or repeat."""
 
     def step(self, world: World, controller: Controller) -> tuple[World, Float[Array, " joints"]]:
         return self._cycle(world, controller, sensed=False)[:2]
@@ -91,13 +93,13 @@ class Native(MujocoPhysics):
         qpos, qvel, warmstart, sensordata = self._moved(world, torque, sensed)
         return freeze_if_diverged(world, World(qpos, qvel, warmstart, jnp.bool_(False))), torque, sensordata
 
-    def _moved(self, world: World, torque: Float[Array, " joints"], sensed: bool) -> Sequence[Array]:
+    def _moved(self, world: World, torque: Float[Array, " joints"], sensed: bool) -> list[Array]:
         """Return position, velocity and acceleration after a time step, and the sensors' readings before it: none
         unless `sensed`."""
         state = world.qpos, world.qvel, world.warmstart
         control = jnp.concatenate([self.controls_for(torque), self.pushes()])
         shapes = *(x.shape for x in state), (self._team.base.nsensordata * sensed,)
-        return _on_host(self._call, partial(self._advance, sensed), shapes, self._values(), *state, control)
+        return _on_host(partial(self._advance, sensed), shapes, self._values(), *state, control, by=self.host_call)
 
     def _seen(self, qpos: Float[Array, " nq"], torque: Float[Array, " joints"], sensordata: Array) -> Sensed:
         """Convert the sensors' array of a model of `_Team`."""
@@ -122,12 +124,7 @@ class Native(MujocoPhysics):
         """Mass matrix and bias, and what the contacts follow from (`_contacts`)."""
         nv, points = self.model.nv, len(self.ground_points[0])
         shapes = (nv, nv), (nv,), (points, 3), (nv, 6), (nv, 6), (3,)
-        return tuple(_on_host(Native._call, self._look, shapes, self._values(), world.qpos, world.qvel))
-
-    @staticmethod
-    def _call(function: Callable[..., Any], shapes: Sequence[jax.ShapeDtypeStruct], *vectors: Any) -> Sequence[Array]:
-        """Call a host function that jax may drop or repeat, once for a batch."""
-        return jax.pure_callback(function, shapes, *vectors, vmap_method="broadcast_all")
+        return tuple(_on_host(self._look, shapes, self._values(), world.qpos, world.qvel))
 
     def _advance(
         self,
@@ -239,13 +236,12 @@ def _team(robot: Robot, timestep: float | None, terrain: Any) -> _Team:
 
 
 def _on_host(
-    host_call: Callable[..., Sequence[Array]],
     function: Callable[..., tuple[np.ndarray, ...]],
     shapes: Sequence[tuple[int, ...]],
     *vectors: Any,
-) -> Sequence[Array]:
-    """Call by `host_call` a numpy function that takes vectors and gives arrays of `shapes`, all with a leading axis of
-    worlds."""
+    by: Any = Native.host_call,
+) -> list[Array]:
+    """Call a numpy function that takes vectors and gives arrays of `shapes`, all with a leading axis of worlds."""
     dtype = jnp.result_type(float)
 
     def call(*arrays: Any) -> tuple[np.ndarray, ...]:
@@ -256,7 +252,7 @@ def _on_host(
             return tuple(x.astype(dtype).reshape(*worlds, *x.shape[1:]) for x in results)
 
     wanted = [jax.ShapeDtypeStruct(shape, dtype) for shape in shapes]
-    return host_call(call, wanted, *vectors)
+    return by(call, wanted, *vectors)
 
 
 @contextmanager

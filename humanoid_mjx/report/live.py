@@ -5,6 +5,7 @@ import math
 import random
 import signal
 import threading
+import time
 import webbrowser
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
@@ -75,11 +76,12 @@ def make_server(live: Live, port: int = 0) -> Server:
     Raises:
       InputError: the port is taken.
     """
-    window = Window(live)
     try:
-        return Server(window, port)
+        server = Server(port)
     except OSError as error:
         raise InputError(f"--port {port}: {error.strerror}; without --port a free one is taken.") from error
+    server.shown = Window(live)
+    return server
 
 
 class Scale(NamedTuple):
@@ -120,8 +122,8 @@ class Window:
         bodies = self.live.stage.bodies
         self.sides = BESIDE * self.model.stat.extent * (np.arange(len(bodies)) - (len(bodies) - 1) / 2)
         """Offset to the left at which each robot is drawn, m."""
-        self.scales, self.legs = _scales(live), _legs(live)
-        self.frame, self.number, self.changed = self._frame(), 0, threading.Condition()
+        self.scales = _scales(live)
+        self.made, self.frame, self.number, self.changed = time.monotonic(), self._frame(), 0, threading.Condition()
         live.stage.shown = lambda: self._show(self._frame())
 
     def page(self) -> bytes:
@@ -132,7 +134,7 @@ class Window:
         data["distance"] *= 1.0 + 0.5 * (len(live.stage.bodies) - 1)
         data |= {
             "live": {"ranges": live.ranges, "told": live.told, "scales": self.scales, "touchable": live.touchable},
-            "legs": self.legs,
+            "legs": _legs(live),
             "first": self.now(),
         }
         return page(title, player.figure(data, title, "<p>This needs JavaScript.</p>"), live=True).encode()
@@ -147,9 +149,9 @@ class Window:
             yield json.dumps(self.now(), separators=(",", ":"))
 
     def now(self) -> dict[str, Any]:
-        """The newest frame, and what is true now: whether the robot waits, words, and how long it has compiled."""
-        live = self.live
-        return self.frame | {"paused": not live.going.is_set(), "words": live.words, "compiling": live.compiling}
+        """The newest frame, and what is true now; `compiling`: for how long it has, s, until it is ready."""
+        live, compiling = self.live, None if self.live.ready else time.monotonic() - self.made
+        return self.frame | {"paused": not live.going.is_set(), "words": live.words, "compiling": compiling}
 
     def take(self, message: Any) -> None:
         """Do what the browser asks for.
@@ -158,56 +160,52 @@ class Window:
           ValueError, TypeError, LookupError, AttributeError, ArithmeticError: this is no such message, and nothing is
             done.
         """
-        for act in [self._act(name, value) for name, value in message.items()]:
-            act()
-
-    def _act(self, name: str, value: Any) -> Callable[[], object]:
-        """What a part of a message asks for, to be done when all parts are found right."""
         live = self.live
+        for name, value in {name: self._read(name, value) for name, value in message.items()}.items():
+            if name == "told":
+                live.told.update(value)
+            elif name == "push":
+                side = random.uniform(0.0, math.tau)
+                for body in live.stage.bodies:
+                    body.shoves[:] = [value * np.array([math.cos(side), math.sin(side), 0.0])]
+            elif name == "grab":
+                for body, grab in zip(live.stage.bodies, value, strict=True):
+                    body.grab = grab
+            elif name == "paused":
+                (live.going.clear if value else live.going.set)()
+                self._show(self.frame)  # a robot that waits shows no other
+            elif name == "episode":
+                first = np.arange(len(live.episodes))
+                live.episodes = np.clip(live.episodes + value, first, first + LAST_EPISODE)
+                live.again.set()
+                live.going.set()
+            else:
+                setattr(live.stage.hands, name, value)
+
+    def _read(self, name: str, value: Any) -> Any:
+        """Check a part of a message."""
         if name == "told":
-            return partial(live.told.update, {part: _within(x, *live.ranges[part]) for part, x in value.items()})
-        if name == "pace":
-            return partial(setattr, live.stage.hands, name, _within(value, SLOWEST, 1.0))
-        if name == "grab" and live.touchable:
-            return self._grab(value)
-        if name == "paused":
-            return partial(self._pause, _typed(value, bool))
-        if name == "episode":
-            return partial(self._begin, _whole(value, -LAST_EPISODE, LAST_EPISODE))
-        size = _within(value, *self.scales[name][:2])
-        return partial(self._push, size) if name == "push" else partial(setattr, live.stage.hands, name, size)
+            return {part: _within(number, *self.live.ranges[part]) for part, number in value.items()}
+        if name == "grab" and self.live.touchable:
+            return self._grabs(value)
+        if name == "paused" and type(value) is bool:
+            return value
+        if name == "episode" and type(value) is int and abs(value) <= LAST_EPISODE:
+            return value
+        return _within(value, *((SLOWEST, 1.0) if name == "pace" else self.scales[name][:2]))
 
-    def _push(self, size: float) -> None:
-        side = random.uniform(0.0, math.tau)
-        for body in self.live.stage.bodies:
-            body.shoves[:] = [size * np.array([math.cos(side), math.sin(side), 0.0])]
-
-    def _pause(self, waits: bool) -> None:
-        (self.live.going.clear if waits else self.live.going.set)()
-        self._show(self.frame)  # a robot that waits shows no other
-
-    def _begin(self, further: int) -> None:
-        first = np.arange(len(self.live.episodes))
-        self.live.episodes = np.clip(self.live.episodes + further, first, first + LAST_EPISODE)
-        self.live.again.set()
-        self.live.going.set()
-
-    def _grab(self, what: Any) -> Callable[[], None]:
+    def _grabs(self, what: Any) -> list[Grab | None]:
         """Take a place on a shape into the hand, where one is named; else move the hand, or open it."""
         bodies, views, shown = self.live.stage.bodies, self.views(), self.scene.shown
-        grabs = [body.grab if what else None for body in bodies]
-        to = _place(what["to"]) if what is not None else np.zeros(3)
-        if what and "shape" in what:
-            robot, shape = divmod(_whole(what["shape"], 0, len(bodies) * len(shown) - 1), len(shown))
+        if what is None:
+            return [None] * len(bodies)
+        grabs, to = [body.grab for body in bodies], _place(what["to"])
+        if "shape" in what:
+            robot, shape = divmod(range(len(bodies) * len(shown)).index(what["shape"]), len(shown))
             data, part = bodies[robot].data, int(self.model.geom_bodyid[shown[shape]])
             place = views[robot].back(_place(what["point"])) - data.xpos[part]
             grabs[robot] = Grab(part, data.xmat[part].reshape(3, 3).T @ place, place)
-
-        def act() -> None:
-            for body, grab, view in zip(bodies, grabs, views, strict=True):
-                body.grab = grab and grab._replace(to=view.back(to))
-
-        return act
+        return [grab and grab._replace(to=view.back(to)) for grab, view in zip(grabs, views, strict=True)]
 
     def _show(self, frame: dict[str, Any]) -> None:
         with self.changed:
@@ -241,14 +239,14 @@ class Window:
                 frame[name].append(None if values is None else player.rounded(values))
             frame["shapes"] += player.poses(view.at(places), view.turn @ turns)
             frame["forces"] += [player.rounded([*view.at(at), *view.turn @ force]) for at, force in pressed.values()]
-        ended = {f"robot {i + 1}": body.ended is not None for i, body in enumerate(bodies)} | {"commanded": False}
         return frame | {
             "time": round(live.stage.time, 3),
             "ground": player.rounded(views[0].ground(bodies[0].ground)),
             "episodes": live.episodes.tolist(),
+            "ended": [body.ended is not None for body in bodies],
             "world": {name: getattr(live.stage.hands, name) for name in self.scales if name != "push"},
             "charts": {
-                title: {name: _shown(value, ended.get(name, ended["robot 1"])) for name, value in lines.items()}
+                title: {name: round(float(value), 4) for name, value in lines.items()}
                 for title, lines in self._charts(pressing).items()
             },
         }
@@ -288,12 +286,11 @@ def _scales(live: Live) -> dict[str, Scale]:
         return {}
     mass, task = float(model.body_mass.sum()), cast(Any, live.trained.learner.task)
     hardest = PUSH * mass * math.sqrt(9.81 * model.stat.extent)
-    trained, first_push = 0.0, GENTLE * hardest
-    if isinstance(push := getattr(task, "push", None), Push) and push.impulse > 0:
-        trained = float(push.impulse) * task.robot.momentum
-        first_push = min((1.0 + float(push.least)) / 2 * trained, hardest / 3)
+    push: Any = task.push if isinstance(getattr(task, "push", None), Push) else Push(impulse=0.0)
+    trained = float(push.impulse) * task.robot.momentum if push.impulse > 0 else 0.0
+    usual = (1.0 + float(push.least)) / 2 * trained or GENTLE * hardest
     scales = {
-        "push": Scale(0.0, _short(max(hardest, trained)), _short(first_push), "push, N s"),
+        "push": Scale(0.0, _short(max(hardest, trained)), _short(min(usual, hardest / 3)), "push, N s"),
         "payload": Scale(0.0, _short(PAYLOAD * mass), 0.0, "payload, kg"),
     }
     if len(first.planes):
@@ -303,40 +300,22 @@ def _scales(live: Live) -> dict[str, Scale]:
 
 
 def _legs(live: Live) -> dict[str, list[str]]:
-    """Names of the joints with a motor by the foot that they carry, then of the others."""
+    """Names of the joints with a motor between the world and each foot."""
     model, legs = live.model, {}
-    motors = {model.joint(joint).name: int(model.jnt_bodyid[joint]) for joint in model.actuator_trnid[:, 0]}
     for foot in live.feet:
-        body, chain = model.body(foot).id, set()
-        while body:
-            chain.add(body)
-            body = int(model.body_parentid[body])
-        legs[f"leg of {foot}"] = [name for name, moved in motors.items() if moved in chain]
-    return legs | {"others": [name for name in motors if not any(name in leg for leg in legs.values())]}
-
-
-def _shown(value: Any, ended: bool) -> float | None:
-    """A number of a curve; none where its episode has ended, so that the curve stops."""
-    return None if ended or not math.isfinite(value) else round(float(value), 4)
-
-
-def _typed(value: Any, *kinds: type) -> Any:
-    if type(value) not in kinds:
-        raise TypeError
-    return value
+        chain = [model.body(foot).id]
+        while chain[-1]:
+            chain.append(int(model.body_parentid[chain[-1]]))
+        moved = [joint for joint in model.actuator_trnid[:, 0] if model.jnt_bodyid[joint] in chain]
+        legs[f"leg of {foot}"] = [model.joint(joint).name for joint in moved]
+    return legs
 
 
 def _within(value: Any, low: float, high: float) -> float:
     """The number in the range that is nearest to a finite one."""
-    if not math.isfinite(_typed(value, int, float)):
+    if type(value) not in (int, float) or not math.isfinite(value):
         raise ValueError
     return min(max(float(value), low), high)
-
-
-def _whole(value: Any, low: int, high: int) -> int:
-    if not low <= _typed(value, int) <= high:
-        raise ValueError
-    return value
 
 
 def _place(values: Any) -> Float[np.ndarray, "3"]:

@@ -766,20 +766,21 @@
       return select;
     }
 
-    // The last seconds of some lines, at least over this range of values, and the present values below them. A line stops
-    // where its values are null.
+    // The last seconds of some lines, at least over this range of values, and the present values below them.
     drawChart(canvas, legend, title, names, range) {
       const ratio = window.devicePixelRatio || 1, width = canvas.clientWidth, height = 80, now = this.latest;
       Object.assign(canvas, { width: width * ratio, height: height * ratio }); // this also wipes it
       const context = canvas.getContext("2d"), ink = getComputedStyle(this.figure).color;
       const number = (x) => (x === null ? "–" : x.toFixed(2).replace(/^-(0\.?0*)$/, "$1"));
       const color = (i) => (names[i] === "commanded" ? ink : line(i - names.includes("commanded"), names.length));
-      const shown = this.history.filter((each) => title in each.charts);
-      const values = shown.flatMap((each) => names.map((name) => each.charts[title][name])).filter((value) => value !== null);
+      const shown = this.history.filter((each) => title in each.charts), { length } = now.ended;
+      const value = (each, name) => // null after an episode's end
+        (name !== "commanded" && each.ended[length > 1 ? name.slice(6) - 1 : 0] ? null : each.charts[title][name]);
+      const values = shown.flatMap((each) => names.map((name) => value(each, name))).filter((x) => x !== null);
       const low = Math.min(...range, ...values), high = Math.max(...range, ...values);
       const y = (value) => height - 4 - ((height - 8) * (value - low)) / (high - low || 1);
       legend.replaceChildren(...names.map((name, i) => {
-        const words = make("span", {}, `${name} ${number(now.charts[title][name])}`);
+        const words = make("span", {}, `${name} ${number(value(now, name))}`);
         words.style.color = color(i);
         return words;
       }));
@@ -791,16 +792,16 @@
         context.setLineDash(dash);
         context.beginPath();
         let drawn = false;
-        for (const [x, value] of points) {
-          if (value !== null) context[drawn ? "lineTo" : "moveTo"](x, y(value));
-          drawn = value !== null;
+        for (const [x, height] of points) {
+          if (height !== null) context[drawn ? "lineTo" : "moveTo"](x, y(height));
+          drawn = height !== null;
         }
         context.stroke();
       };
       draw("#8886", [], [[left, 0], [width, 0]]);
       context.lineWidth = 1.5;
       names.forEach((name, i) => draw(color(i), name === "commanded" ? [5, 4] : [],
-        shown.map((each) => [left + (width - left) * (1 - (now.time - each.time) / SHOWN_S), each.charts[title][name]])));
+        shown.map((each) => [left + (width - left) * (1 - (now.time - each.time) / SHOWN_S), value(each, name)])));
       context.fillStyle = ink;
       context.textAlign = "right";
       context.fillText(number(high), left - 4, 12);

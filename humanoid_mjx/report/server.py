@@ -15,56 +15,33 @@ LOOPBACK = "127.0.0.1"
 LONGEST = 10_000
 """Bytes of a message."""
 
-STREAMS, CONNECTIONS = 16, 256
-"""Most streams of frames, and most connections, at a time."""
+STREAMS = 16
+"""Most streams of frames at a time."""
 
 LATEST_S = 10.0
 """Most time for a request and its answer, and for each frame of a stream, s."""
 
-FULL = f"{STREAMS} windows show this robot already. Close one of them and load this page again.\n"
-
-
-NO_MESSAGE = ValueError, TypeError, LookupError, AttributeError, ArithmeticError, RecursionError
-"""Exceptions of reading what is no message."""
-
 
 class Server(ThreadingHTTPServer):
-    """Server of one page on the loopback interface, which ends connections that are late."""
+    """Server of a page on the loopback interface."""
 
-    def __init__(self, shown: Any, port: int):
-        """Serve at a port; 0: any that is free.
+    shown: Any
+    """Its methods: `page()`, bytes; `frames()`, one text a second or more; `take(message)`, for JSON of a browser."""
 
-        Args:
-          shown: what is served, by three methods. `page()` returns the page, bytes; `frames()` yields texts, at least
-            one a second, while anybody looks; `take(message)` acts on JSON from the browser, or raises one of
-            `NO_MESSAGE`.
-          port: of the loopback interface.
-        """
-        self.shown, self.streams = shown, threading.BoundedSemaphore(STREAMS)
-        self.until: dict[socket.socket, float] = {}
-        """Time at which each connection ends."""
+    def __init__(self, port: int):
+        self.streams = threading.BoundedSemaphore(STREAMS)
+        self.handlers: set[Handler] = set()
         super().__init__((LOOPBACK, port), Handler)
 
-    def verify_request(self, request: Any, client_address: Any) -> bool:
-        return len(self.until) < CONNECTIONS
-
-    def process_request(self, request: Any, client_address: Any) -> None:
-        self.until[request] = time.monotonic() + LATEST_S
-        super().process_request(request, client_address)
-
-    def shutdown_request(self, request: Any) -> None:
-        self.until.pop(request, None)
-        super().shutdown_request(request)
-
     def service_actions(self) -> None:
-        """End the connections whose time is over: their threads then read and write no more."""
-        for connection, until in list(self.until.items()):
-            if time.monotonic() > until:
+        """End the connections that are late: their threads then read and write no more."""
+        for handler in list(self.handlers):
+            if time.monotonic() > handler.until:
                 with suppress(OSError):
-                    connection.shutdown(socket.SHUT_RDWR)
+                    handler.connection.shutdown(socket.SHUT_RDWR)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Print what is a fault of the program; a browser that leaves is none."""
+        """Print a fault of the program; a browser that leaves is none."""
         if not isinstance(sys.exception(), OSError):
             super().handle_error(request, client_address)
 
@@ -76,8 +53,13 @@ class Handler(BaseHTTPRequestHandler):
     server: Server
 
     def handle_one_request(self) -> None:
-        self._go_on()
+        self.until = time.monotonic() + LATEST_S
+        self.server.handlers.add(self)
         super().handle_one_request()
+
+    def finish(self) -> None:
+        self.server.handlers.discard(self)
+        super().finish()
 
     def do_GET(self) -> None:
         path = self.path.partition("?")[0]
@@ -101,17 +83,13 @@ class Handler(BaseHTTPRequestHandler):
         else:
             try:
                 self.server.shown.take(json.loads(self.rfile.read(int(length))))
-            except NO_MESSAGE:
+            except (ValueError, TypeError, LookupError, AttributeError, ArithmeticError, RecursionError):
                 self._answer(400)
             else:
                 self._answer(204)
 
     def log_message(self, format: str, *args: Any) -> None:
         """Nothing of the requests is printed."""
-
-    def _go_on(self) -> None:
-        """Let the connection have its time from now on."""
-        self.server.until[self.connection] = time.monotonic() + LATEST_S
 
     def _is_for_us(self) -> bool:
         """Return whether a request names this server as its host, and comes from no page of another site."""
@@ -122,7 +100,7 @@ class Handler(BaseHTTPRequestHandler):
     def _stream(self) -> None:
         """Frames as server-sent events, until the browser has gone."""
         if not self.server.streams.acquire(blocking=False):
-            return self._answer(503, FULL.encode())
+            return self._answer(503, f"{STREAMS} windows show this robot already: close one of them.\n".encode())
         try:
             self.close_connection = True
             self.send_response(200)
@@ -131,22 +109,20 @@ class Handler(BaseHTTPRequestHandler):
             self.end_headers()
             for frame in self.server.shown.frames():
                 self.wfile.write(f"data: {frame}\n\n".encode())
-                self._go_on()
+                self.until = time.monotonic() + LATEST_S
         finally:
             self.server.streams.release()
 
     def _answer(self, status: int, content: bytes = b"", kind: str = "text/plain") -> None:
         if status >= 400:
-            content = content or f"{HTTPStatus(status).description}\n".encode()
+            content, self.close_connection = content or f"{HTTPStatus(status).description}\n".encode(), True
         self.send_response(status)
         self.send_header("Content-Type", kind)
         self.send_header("Content-Length", str(len(content)))
-        if status >= 400:
-            self.send_header("Connection", "close")
         self.end_headers()
         if self.command != "HEAD":
             self.wfile.write(content)
-        if status >= 400:  # a browser that still sends would else be cut off before it reads the answer
+        if status >= 400:  # read what the browser still sends, else it is cut off before it reads the answer
             self.connection.shutdown(socket.SHUT_WR)
             while self.rfile.read(1 << 16):
                 pass

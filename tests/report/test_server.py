@@ -36,7 +36,8 @@ class Shown:
 def served(monkeypatch):
     """A server whose patience is short, and its threads counted."""
     monkeypatch.setattr(module, "LATEST_S", 1.0)
-    server = Server(Shown(), 0)
+    server = Server(0)
+    server.shown = Shown()
     before = threading.active_count()
     thread = threading.Thread(target=server.serve_forever, args=(0.05,), daemon=True)
     thread.start()

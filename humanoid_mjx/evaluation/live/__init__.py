@@ -1,7 +1,6 @@
 """Live robots: they move in native MuJoCo in real time, while another thread steers, pushes and changes their world."""
 
 import threading
-import time
 from functools import partial
 from typing import Any
 
@@ -54,7 +53,7 @@ class Live:
         """Bodies whose load is shown."""
         self.rewards: dict[str, Float[np.ndarray, " robots"]] = {}
         """Of the last decision, by the names of the reward's terms."""
-        self.ready, self._made = False, time.monotonic()
+        self.ready = False
         self.episodes = episode + np.arange(robots)
         """Numbers of the held-out episodes."""
         self.again = threading.Event()
@@ -73,11 +72,6 @@ class Live:
         bodies = zip(names, self.stage.bodies, strict=True)
         resting = [f"{name} {body.ending}" for name, body in bodies if body.ended is not None]
         return f"{', '.join(resting)}; the next episode follows." if resting else ""
-
-    @property
-    def compiling(self) -> float | None:
-        """Seconds that it has compiled so far; none once it is ready."""
-        return None if self.ready else time.monotonic() - self._made
 
     def stop(self) -> None:
         """Let `run` return."""

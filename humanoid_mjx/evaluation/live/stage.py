@@ -2,7 +2,7 @@
 """Live robots that are seen together: their clock, and their physics."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from jax.custom_batching import custom_vmap
 from jax.experimental import io_callback
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from humanoid_mjx.evaluation.live.body import Body, Hands
 from humanoid_mjx.physics.native import Native
@@ -82,18 +82,15 @@ class LiveMujoco(Native):
         return _stage(self._team.base)
 
     @staticmethod
-    def _call(function: Callable[..., Any], shapes: Sequence[jax.ShapeDtypeStruct], *vectors: Any) -> Sequence[Array]:
-        """Call a host function exactly once, in the program's order: it moves robots that are seen."""
-
-        @custom_vmap
-        def call(*vectors: Any) -> Sequence[Array]:
-            return io_callback(function, shapes, *vectors, ordered=True)
+    def host_call(function: Callable[..., Any], shapes: Any, *vectors: Any) -> Any:
+        """Call the host once and in the program's order: it moves robots that are seen."""
+        call = custom_vmap(lambda *vectors: io_callback(function, shapes, *vectors, ordered=True))
 
         @call.def_vmap
-        def _(robots: int, batched: Sequence[bool], *vectors: Any) -> tuple[Sequence[Array], list[bool]]:
+        def _(robots: int, batched: Any, *vectors: Any) -> Any:
             rows = [x if of_each else jnp.stack([x] * robots) for x, of_each in zip(vectors, batched, strict=True)]
             wider = [jax.ShapeDtypeStruct((robots, *shape.shape), shape.dtype) for shape in shapes]
-            return LiveMujoco._call(function, wider, *rows), [True] * len(shapes)
+            return LiveMujoco.host_call(function, wider, *rows), [True] * len(shapes)
 
         return call(*vectors)
 
