@@ -530,7 +530,7 @@
         this.latest = { ...JSON.parse(event.data), at: performance.now() };
         if (this.latest.paused || this.latest.compiling !== null) this.since = this.latest.at;
         this.gone = "";
-        this.history.push(this.latest);
+        if (!this.latest.paused || !this.history.length) this.history.push(this.latest);
         while (this.latest.time - this.history[0].time > SHOWN_S) this.history.shift();
         if (this.asked) return;
         this.asked = requestAnimationFrame(() => { this.asked = 0; this.draw(); });
