@@ -34,18 +34,8 @@ def _shipped(kind: str, ending: str) -> Callable[[str], list[str]]:
 CONFIGS, POLICIES = _shipped("configs", ".yaml"), _shipped("policies", ".npz")
 
 
-def _once(overrides: list[str] | None) -> list[str] | None:
-    """Refuse a value of `--set` that undoes an earlier one."""
-    if overrides:
-        from humanoid_mjx.config import check_overrides
-
-        check_overrides(overrides)
-    return overrides
-
-
 Override = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", callback=_once, help="Change one value of the config."),
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one value of the config.")
 ]
 
 Trust = Annotated[
@@ -146,9 +136,7 @@ Point = Annotated[
 
 World = Annotated[
     list[str] | None,
-    typer.Option(
-        "--set", metavar="task.KEY=VALUE", callback=_once, help="Change a value of the task, such as task.friction=0.5."
-    ),
+    typer.Option("--set", metavar="task.KEY=VALUE", help="Change a value of the task, such as task.friction=0.5."),
 ]
 
 

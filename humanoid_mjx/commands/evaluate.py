@@ -10,7 +10,7 @@ from rich.table import Column, Table
 from humanoid_mjx import compute
 from humanoid_mjx.commands import console, start_for
 from humanoid_mjx.files import write_text
-from humanoid_mjx.runs.evaluations import Evaluation
+from humanoid_mjx.runs.statistics import Evaluation
 from humanoid_mjx.spec import check_folder
 from humanoid_mjx.training.progress import Bar
 

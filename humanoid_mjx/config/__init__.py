@@ -120,6 +120,7 @@ def load(config: str | Path, overrides: Sequence[str] = ()) -> Config:
     data = parse_yaml(read_text(path), str(config))
     if not isinstance(data, dict):
         raise InputError(f"{config}: a config is a mapping of keys such as name, task and learner.")
+    check_overrides(overrides)
     for override in overrides:
         apply_override(data, override)
         _sweep_no_more(data, override.partition("=")[0])

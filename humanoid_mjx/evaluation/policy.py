@@ -188,9 +188,7 @@ def on_physics(trained: Trained, physics: str, overrides: Sequence[str] = ()) ->
     task = trained.config.task
     if "physics" not in type(trained.learner.task).model_fields:
         raise InputError(f"--physics {physics}: the task {task['name']} has no choice of physics.")
-    changes = [f"task.physics={physics}", *overrides]
-    check_overrides(changes)
-    return in_changed_world(trained, changes)
+    return in_changed_world(trained, [f"task.physics={physics}", *overrides])
 
 
 def on_native(trained: Trained) -> Trained:
@@ -214,6 +212,7 @@ def in_changed_world(trained: Trained, overrides: Sequence[str]) -> Trained:
         chooses from.
     """
     data = {"task": deepcopy(trained.config.task)}
+    check_overrides(overrides)
     for override in overrides:
         apply_override(data, override)
         key = override.partition("=")[0]

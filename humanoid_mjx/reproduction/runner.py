@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from humanoid_mjx import compute
-from humanoid_mjx.config import apply_override
+from humanoid_mjx.config import apply_override, check_overrides
 from humanoid_mjx.files import read_text, write_text
 from humanoid_mjx.reproduction.findings import EXPERIMENTS, Experiment, Finding, Setting
 from humanoid_mjx.spec import InputError, known
@@ -46,6 +46,7 @@ def reproduce(
     Raises:
       InputError: an unknown name, an override of what a named experiment does not use, or a damaged file in `out`.
     """
+    check_overrides(overrides)
     experiments = load_experiments()
     if odd := [name for name in names if name not in experiments]:
         raise InputError(f"reproduce: unknown name {odd[0]!r}; {known(odd[0], experiments, 'reproduce --list')}.")

@@ -21,8 +21,8 @@ from humanoid_mjx.files import meant
 from humanoid_mjx.learners.base import Outcome, StepLearner
 from humanoid_mjx.learners.deep import DeepQ
 from humanoid_mjx.learners.normalisation import moments
-from humanoid_mjx.runs.evaluations import estimated
 from humanoid_mjx.runs.folder import RunFolder
+from humanoid_mjx.runs.statistics import estimated
 from humanoid_mjx.spec import known
 from humanoid_mjx.training.program import Training
 from humanoid_mjx.training.progress import Reporter
