@@ -53,11 +53,7 @@ def show_keys(name: str | None) -> None:
 
 
 def _check_name(name: str) -> None:
-    """Refuse a name that stands for nothing.
-
-    Raises:
-      InputError: it does.
-    """
+    """Raise an InputError for a name that stands for nothing."""
     from humanoid_mjx.learners import LEARNERS
     from humanoid_mjx.robot import ROBOTS
     from humanoid_mjx.tasks import TASKS
@@ -93,10 +89,8 @@ def _show_robot(name: str) -> None:
         lines["feet"] += f"; {counted(robot.points, 'point')} each"
         lines["gait"] = ", ".join(f"{foot} swings at {turn:g}" for foot, turn in turns)
         lines["legs"] = f"{robot.leg_length:.3g} m; a pace of {robot.pace:.3g} m/s is the unit of speeds"
-    lines |= {
-        "contacts": f"{robot.model.npair} with the ground"
-        + ", others as the model says" * (getattr(robot, "contacts", "") == "model"),
-    }
+    others = ", others as the model says" * (getattr(robot, "contacts", "") == "model")
+    lines["contacts"] = f"{robot.model.npair} with the ground{others}"
     refused = [f"{fault.what} (take {fault.change})" for fault in faults(robot.model, IMU)]
     lines["physics"] = f"tree refuses {'; '.join(refused)}: take mujoco or mjx-jax" if refused else "tree takes it"
     for key, value in lines.items():
@@ -129,25 +123,21 @@ def show_info(config: str | None, overrides: Sequence[str], timed: bool) -> None
     from humanoid_mjx.robot.declared import describes_robot
     from humanoid_mjx.tasks import TASKS
 
-    if config is not None and (config in ROBOTS or describes_robot(config)):
-        _show_robot(config)
-        return
-    if config is not None and config not in names("configs", ".yaml") and (config in TASKS or config in LEARNERS):
-        show_keys(config)
-        return
     if config is not None:
-        _check_name(config)
-        _show_plan(config, overrides, timed)
+        if config in ROBOTS or describes_robot(config):
+            _show_robot(config)
+        elif config in {*TASKS, *LEARNERS}.difference(names("configs", ".yaml")):
+            show_keys(config)
+        else:
+            _check_name(config)
+            _show_plan(config, overrides, timed)
         return
     if timed:
         raise InputError("info --time: name the config whose sweep to time.")
     for name, value in (compute.machine() | compute.versions()).items():
         console.print(f"{name:13} {value}")
-    shipped = {
-        "configs": names("configs", ".yaml"),
-        "policies": names("policies", ".npz"),
-        "robots": names("robots", ".yaml"),
-    }
+    endings = {"configs": ".yaml", "policies": ".npz", "robots": ".yaml"}
+    shipped = {kind: names(kind, ending) for kind, ending in endings.items()}
     for kind, all_names in {"tasks": TASKS, "learners": LEARNERS, **shipped}.items():
         console.print(f"{kind:13} {', '.join(all_names)}")
 
@@ -201,6 +191,6 @@ def _show_time(plan: "Plan") -> None:
     parts = {"compiling (less once it is cached)": found.compile_s, "training": found.train_s}
     parts |= {"evaluating": found.evaluate_s} if found.evaluate_s > 0 else {}
     words = ", ".join(f"{time_in_words(seconds)} of {part}" for part, seconds in parts.items())
-    how = f"by {MEASURED_S:g} s of its training"
-    how += f" in each of {found.measured} programs" if len(plan.groups) > 1 else ""
+    each = f" in each of {found.measured} programs" if len(plan.groups) > 1 else ""
+    how = f"by {MEASURED_S:g} s of its training{each}"
     console.print(f"about {time_in_words(found.total_s)} on this machine, without figures: {words}; estimated {how}")

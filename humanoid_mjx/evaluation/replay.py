@@ -25,19 +25,16 @@ class Replay(NamedTuple):
 
     learner: Learner
     carry: Any
+    training: Training
 
 
-def replay(path: Path | str, point: int, seed: int) -> Replay:
-    """The state of a diverged run of the run folder `path`.
+def replay(folder: Path | str, point: int, seed: int) -> Replay:
+    """The state of a diverged run of a run folder.
 
     Raises:
       InputError: no such run diverged there, or its file is damaged.
     """
-    learner, training = _stopped(Path(path), point, seed)
-    return Replay(learner, training.carry)
-
-
-def _stopped(path: Path, point: int, seed: int) -> tuple[Learner, Training]:
+    path = Path(folder)
     plan = make_plan(parse(read_config(path), str(path / "config.yaml")))
     file = path / diverged_name(point, seed)
     if not file.is_file():
@@ -45,8 +42,8 @@ def _stopped(path: Path, point: int, seed: int) -> tuple[Learner, Training]:
         raise InputError(f"{file}: point {point} with seed {seed} did not diverge; here {known or 'nothing'} did.")
     (group,) = (group for group in plan.groups if point in group.points)
     row = int(np.searchsorted(group.points, point))
-    training = from_arrays(group.one_run, read_arrays(file), "training", str(file))
-    return group.learner(row), jax.tree.map(jnp.asarray, training)
+    training = jax.tree.map(jnp.asarray, from_arrays(group.one_run, read_arrays(file), "training", str(file)))
+    return Replay(group.learner(row), training.carry, training)
 
 
 def why_stopped(path: Path, summary: Mapping[str, np.ndarray]) -> str:
@@ -58,7 +55,7 @@ def why_stopped(path: Path, summary: Mapping[str, np.ndarray]) -> str:
     words = f"{counted(len(stopped), 'run')} stopped at numbers that were not finite; the summary marks them."
     point, seed = (int(summary[name][stopped[0]]) for name in ("point", "seed"))
     try:
-        learner, training = _stopped(path, point, seed)
+        learner, _, training = replay(path, point, seed)
     except InputError:  # an earlier version kept no state
         return words
     what, share = _culprit(learner, training)

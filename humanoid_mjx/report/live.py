@@ -15,8 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from humanoid_mjx.evaluation.live import SPEEDS, Grab, Live
-from humanoid_mjx.report import player
-from humanoid_mjx.report.scene import make_scene, posed
+from humanoid_mjx.report.scene import make_scene, player_figure, posed, poses, rounded, scene_data
 from humanoid_mjx.report.server import LOOPBACK, Server
 from humanoid_mjx.report.web import page
 from humanoid_mjx.spec import InputError
@@ -129,7 +128,7 @@ class Window:
     def page(self) -> bytes:
         """The page."""
         live, title = self.live, self.live.trained.title
-        data = player.scene_data(self.scene, title)
+        data = scene_data(self.scene, title)
         data["shapes"] *= len(live.stage.bodies)
         data["distance"] *= 1.0 + 0.5 * (len(live.stage.bodies) - 1)
         data |= {
@@ -137,7 +136,7 @@ class Window:
             "legs": _legs(live),
             "first": self.now(),
         }
-        return page(title, player.figure(data, title, "<p>This needs JavaScript.</p>"), live=True).encode()
+        return page(title, player_figure(data, title, "<p>This needs JavaScript.</p>"), live=True).encode()
 
     def frames(self) -> Iterator[str]:
         """The frames as they come, the newest only where its reader is slow, and one a second where none comes."""
@@ -236,12 +235,12 @@ class Window:
                 "ahead": view.turn[:2, :2] @ body.ahead,
             }
             for name, values in shown.items():
-                frame[name].append(None if values is None else player.rounded(values))
-            frame["shapes"] += player.poses(view.at(places), view.turn @ turns)
-            frame["forces"] += [player.rounded([*view.at(at), *view.turn @ force]) for at, force in pressed.values()]
+                frame[name].append(None if values is None else rounded(values))
+            frame["shapes"] += poses(view.at(places), view.turn @ turns)
+            frame["forces"] += [rounded([*view.at(at), *view.turn @ force]) for at, force in pressed.values()]
         return frame | {
             "time": round(live.stage.time, 3),
-            "ground": player.rounded(views[0].ground(bodies[0].ground)),
+            "ground": rounded(views[0].ground(bodies[0].ground)),
             "episodes": live.episodes.tolist(),
             "ended": [body.ended is not None for body in bodies],
             "world": {name: getattr(live.stage.hands, name) for name in self.scales if name != "push"},

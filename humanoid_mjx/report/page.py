@@ -22,8 +22,8 @@ from humanoid_mjx.evaluation.policy import Trained, find_policy, in_world, on_na
 from humanoid_mjx.evaluation.replay import why_stopped
 from humanoid_mjx.report.figures import HEAT_MAPS, Figure, averaged, curved, draw_map, figures_of, limits, mapped
 from humanoid_mjx.report.gaits import gait_rows, meanings, remarks
-from humanoid_mjx.report.player import player
 from humanoid_mjx.report.rendering import strip
+from humanoid_mjx.report.scene import player
 from humanoid_mjx.report.style import figure
 from humanoid_mjx.report.web import contents, data_address, facts, image, link, page, section, table, text
 from humanoid_mjx.runs.folder import read_config, read_provenance
