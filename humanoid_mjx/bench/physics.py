@@ -34,8 +34,18 @@ import numpy as np
 
 from humanoid_mjx import compute
 from humanoid_mjx.bench import ground
-from humanoid_mjx.bench.measure import CONTROLLED, PLAIN, Record, Subject, time_rates
-from humanoid_mjx.bench.running import elsewhere, native_rollout, native_subject, on_all_devices, with_room
+from humanoid_mjx.bench.measure import (
+    CONTROLLED,
+    PLAIN,
+    Record,
+    Subject,
+    elsewhere,
+    native_rollout,
+    native_subject,
+    on_all_devices,
+    time_rates,
+    with_room,
+)
 from humanoid_mjx.bench.training import postures
 from humanoid_mjx.control import Reference, at_rest, pd, servo
 from humanoid_mjx.mechanics import dynamics

@@ -21,8 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx import compute, make_learner, make_task
-from humanoid_mjx.bench.measure import Record, Subject, record, time_in_turn
-from humanoid_mjx.bench.running import on_devices
+from humanoid_mjx.bench.measure import Record, Subject, on_devices, record, time_in_turn
 from humanoid_mjx.compute import rng
 from humanoid_mjx.learners.tabular import TabularQ
 from humanoid_mjx.training import fused as kernel

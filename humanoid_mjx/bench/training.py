@@ -36,8 +36,7 @@ from jax.experimental.compilation_cache import compilation_cache
 from jaxtyping import Float
 
 from humanoid_mjx import compute
-from humanoid_mjx.bench.measure import Record, Subject, record, spread, time_in_turn
-from humanoid_mjx.bench.running import with_room
+from humanoid_mjx.bench.measure import Record, Subject, record, spread, time_in_turn, with_room
 from humanoid_mjx.compute import rng
 from humanoid_mjx.compute.kernels import cpu_kernel
 from humanoid_mjx.config import load

@@ -208,7 +208,8 @@ def _train(section: str, config: dict[str, Any]) -> Any:
 def _planned(task: Any, duration: float) -> Any:
     """The motion along a quintic that takes `duration`, s, and then holds the goal, by the task's controller."""
     steps = task.simulator.substeps(task.period) * int(np.ceil((duration + HOLD_S) / task.period))
-    path = rest_to_rest(*(task.whole_body(task.grid[:, end]) for end in (0, -1)), duration)
+    start, goal = (task.whole_body(task.grid[:, end]) for end in (0, -1))
+    path = rest_to_rest(start, goal, duration)
     # The torque of a step brings about the motion at its end.
     wanted = Reference(*planned(task.timestep * np.arange(1, steps + 1, dtype=np.float32), path))
     step = lambda world, now: stepped(task.plant, world, task.controller(*now))  # noqa: E731

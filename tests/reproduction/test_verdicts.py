@@ -17,7 +17,6 @@ from humanoid_mjx.reproduction import (
     postures,
     reproduce,
     robustness,
-    singularity,
 )
 from humanoid_mjx.reproduction import decision_process as process
 from humanoid_mjx.reproduction import joint_ways as ways
@@ -62,7 +61,7 @@ WRONG = {
     "figure-7.12": (thesis, "AVERAGE_RANDOM_NUMBER", {1: 0.4}, "", ["differs"]),
     "figure-7.14": (thesis, "AVERAGE_RANDOM_NUMBER", {4: 0.6}, "", ["differs"]),
     "figure-7.16": (thesis, "AVERAGE_RANDOM_NUMBER", {5: 0.7}, "", ["differs"]),
-    "finding-singularity": (singularity, "SINGULAR", 0.0, "", ["reproduced"] * 3),
+    "finding-singularity": (space, "SINGULAR", 0.0, "", ["reproduced"] * 3),
     "motor-sizing": (motor_sizing, "MOTORS", np.full(5, 10.0), "", ["reproduced", "consistent", *["reproduced"] * 4]),
     "figure-7.17": (thesis, "POSTURES", {"0": ((0.0,) * 3, (0.0,) * 3)}, "", ["reproduced"]),
 }
