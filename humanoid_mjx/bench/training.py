@@ -141,9 +141,8 @@ def shares(learner: Learner) -> dict[str, float]:
     subjects = {"physics": repeated(simulate, state.data.world), "task": repeated(decide, state)}
     subjects["update"] = Subject(partial(update, carry), 1.0, count)
     times = np.array([timing.seconds for timing in time_in_turn(subjects).values()])
-    physics, task, whole = np.maximum.accumulate(
-        times
-    )  # a part that noise lets seem larger than the whole is all of it
+    # A part that noise lets seem larger than the whole is all of it.
+    physics, task, whole = np.maximum.accumulate(times)
     parts = {"physics": physics, "the task": task - physics, "learning": whole - task}
     return {name: float(seconds / whole) for name, seconds in parts.items()}
 

@@ -28,9 +28,7 @@ def run_play(
 ) -> None:
     """`humanoid-mjx play`."""
     if view and (out or size or fps):
-        raise InputError(
-            "play: --view shows the robot in the browser; --out, --size and --fps are of a file: choose one."
-        )
+        raise InputError("play: --view shows the robot in the browser; --out, --size, --fps are of a file: choose one.")
     if view and physics not in (None, "mujoco"):
         raise InputError(f"--physics {physics}: --view moves the robot in native MuJoCo; leave this out.")
     if view and any(override.startswith("task.terrain") for override in overrides):

@@ -70,9 +70,7 @@ def c_source(trained: Trained) -> str:
         raise InputError(f"{trained.name}: only policies of deep_q can be written as C; this one is of {name}.")
     network, own = learner.network(), ("preprocess", "q_values", "act")
     if type(network) is not QNetwork or any(getattr(type(learner), part) is not getattr(DeepQ, part) for part in own):
-        raise InputError(
-            f"{trained.name}: a network of one's own cannot be written as C, that of deep_q can; write an .npz."
-        )
+        raise InputError(f"{trained.name}: a network of one's own cannot be written as C, deep_q's can; write an .npz.")
     layers: dict[str, Any] = jax.tree.map(np.asarray, weights.value)["params"]
     size, joints, bins = learner.env.observation_size, len(learner.env.action_bins), learner.bins
     arrays = {"mean": weights.moments.mean, "variance": weights.moments.variance}

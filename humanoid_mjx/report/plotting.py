@@ -85,9 +85,7 @@ def _read(path: Path, wanted: Sequence[str], curves: bool) -> dict[str, np.ndarr
     for name in wanted:
         if name not in there and not (timed and name == TIME):
             if name in column_names(path / "summary.parquet"):
-                raise InputError(
-                    f"{path}: {name!r} is known at the end of training only; choose another column as --x."
-                )
+                raise InputError(f"{path}: {name!r} is known at the end of training only; choose another --x.")
             kind = "learning curves" if curves else "final values"
             names = [*there, *([TIME] if timed else []), RUN]
             raise InputError(f"{path}: there is no column {name!r} among its {kind}; {known(name, names)}.")
