@@ -244,10 +244,4 @@ def numba(epsilon: np.ndarray, steps: int) -> Made:
     return lambda: train(epsilon, steps), lambda result: float(result.sum())
 
 
-SUBJECTS: dict[str, Callable[..., Made]] = {
-    "scan": scan,
-    "fused": fused,
-    "naive_scan": naive_scan,
-    "python": python,
-    "numba": numba,
-}
+SUBJECTS: dict[str, Callable[..., Made]] = {make.__name__: make for make in (scan, fused, naive_scan, python, numba)}
