@@ -34,7 +34,6 @@ def _shipped(kind: str, ending: str) -> Callable[[str], list[str]]:
 
 CONFIGS, POLICIES = _shipped("configs", ".yaml"), _shipped("policies", ".npz")
 
-
 Override = Annotated[list[str] | None, Option("--set", metavar="KEY=VALUE", help="Change one value of the config.")]
 
 Trust = Annotated[bool, Option("--trust", help="Also run named code from outside the working directory.")]

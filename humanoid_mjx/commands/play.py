@@ -39,12 +39,12 @@ def run_play(
         raise InputError("--robots: a film shows one robot; add --view.")
     pixels = _pixels(size) if size else None
     start_for(physics, overrides)
+    if physics in (None, "mujoco"):
+        jax.config.update("jax_platforms", "cpu")  # one robot in native MuJoCo gains nothing by a GPU
     from humanoid_mjx.report.rendering import FPS, check_file
 
     if out is not None:
         check_file(out)
-    if physics in (None, "mujoco"):
-        jax.config.update("jax_platforms", "cpu")  # one robot in native MuJoCo gains nothing by a GPU
     if view:
         from humanoid_mjx.evaluation.live import Live
         from humanoid_mjx.evaluation.policy import find_policy, in_world, on_plane
