@@ -1,6 +1,6 @@
 // Shows a robot on a canvas: shaded solids with a depth buffer, seen from any side. No WebGL: it is drawn the same where
 // there is no GPU.
-// Each `figure.player` holds as JSON a film (report/player.py) or the beginning of a live robot (report/live.py), and
+// Each `figure.player` holds as JSON a film (report/scene.py) or the beginning of a live robot (report/live.py), and
 // gets canvas, buttons and keys here.
 "use strict";
 (() => {
