@@ -1,0 +1,125 @@
+"""Train the same sweeps on one and on several cards of this machine, and write the record.
+
+python experiments/scaling.py [--cards 1,2] [--only joint1,walk] [--small] [docs/bench/h100_scaling.json]
+
+Each sweep is a whole command in a process of its own that sees so many cards: once with nothing compiled, once again.
+The record has the rate of training, the seconds of the command, and whether tables of results are the same, byte by
+byte, as those of the first number of cards, and as those of the second time. A further sweep is killed on the largest
+number of cards and resumed on the smallest. Without a GPU devices of the CPU stand for cards. `--small` tries the
+script.
+"""
+
+import argparse
+import hashlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from humanoid_mjx import compute
+
+SWEEPS = {
+    "joint1": ["seeds=3200"],  # 960,000 tables
+    "leg_reach": ["seeds=64"],
+    "stand": ["seeds=8"],
+    "walk": ["seeds=40", "total_steps=20_000_000"],
+    "walk_dog": ["seeds=10"],
+    "walk_humanoid": ["seeds=40", "total_steps=10_000_000"],
+}
+"""Sweeps with work for several cards, and what they change of their config."""
+
+TINY = ["learner.envs=64", "learner.evaluation_envs=16", "learner.minibatches=1", "total_steps=20_000", "record=5"]
+SMALL = {"joint1": ["seeds=1", "episodes=100"], "leg_reach": ["seeds=4", "learner.evaluations=1", *TINY]}
+TABLES = ("results.parquet", "summary.parquet")
+
+
+def command(config: str, settings: list[str], out: Path, *options: str) -> list[str]:
+    sets = [word for setting in settings for word in ("--set", setting)]
+    return [sys.executable, "-m", "humanoid_mjx", "sweep", config, *sets, "--out", str(out), *options]
+
+
+def environment(cards: int, cache: Path) -> dict[str, str]:
+    """The environment of a process that sees so many cards."""
+    seen = {"JAX_NUM_CPU_DEVICES": str(cards)}
+    if jax.default_backend() == "gpu":
+        seen = {"CUDA_VISIBLE_DEVICES": ",".join(map(str, range(cards)))}
+    return os.environ | seen | {"JAX_COMPILATION_CACHE_DIR": str(cache)}
+
+
+def digest(out: Path) -> str:
+    return hashlib.sha256(b"".join((out / name).read_bytes() for name in TABLES)).hexdigest()
+
+
+def trained(config: str, settings: list[str], cards: int, place: Path) -> dict[str, Any]:
+    """One row of the record: the same command twice, with an empty cache and with what the first left there."""
+    row: dict[str, Any] = {"config": config, "set": settings, "cards": cards}
+    for which in ("first", "again"):
+        out, began = place / f"{config}-{cards}-{which}", time.perf_counter()
+        process = subprocess.run(
+            command(config, settings, out),
+            env=environment(cards, place / f"cache-{cards}"),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        seconds = time.perf_counter() - began
+        if process.returncode:
+            return row | {"error": process.stderr.strip().splitlines()[-1:]}
+        made = json.loads((out / "provenance.json").read_text())
+        rates = {name: made[name] for name in ("steps_per_s", "wall_s", "compile_s")}
+        row[which] = rates | {"command_s": round(seconds, 1), "tables": digest(out)}
+        print(config, cards, which, row[which], flush=True)
+    return row | {"same_bits_again": row["first"]["tables"] == row["again"]["tables"]}
+
+
+def resumed(config: str, settings: list[str], cards: tuple[int, int], after: float, place: Path) -> dict[str, Any]:
+    """Kill a sweep on the first number of cards and resume it on the second."""
+    out = place / f"{config}-killed"
+    words = command(config, settings, out)
+    process = subprocess.Popen(words, env=environment(cards[0], place / f"cache-{cards[0]}"), stdout=subprocess.DEVNULL)
+    time.sleep(after)
+    ended = process.poll() is not None
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    env = environment(cards[1], place / f"cache-{cards[1]}")
+    again = subprocess.run([*words, "--resume"], env=env, stdout=subprocess.DEVNULL)
+    found = {"config": config, "killed_on": cards[0], "resumed_on": cards[1], "after_s": round(after, 1)}
+    return found | {"ended_before": ended, "code": again.returncode, "tables": digest(out)}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("file", type=Path, nargs="?")
+    parser.add_argument("--cards", default="1,2")
+    parser.add_argument("--only")
+    parser.add_argument("--small", action="store_true")
+    given = parser.parse_args()
+    cards, sweeps = [int(number) for number in given.cards.split(",")], SMALL if given.small else SWEEPS
+    only = given.only.split(",") if given.only else list(sweeps)
+    record = compute.made_by() | {"command": "python experiments/scaling.py", "cards": cards, "rows": [], "resumed": []}
+    with tempfile.TemporaryDirectory() as folder:
+        for config in only:
+            rows = [trained(config, sweeps[config], count, Path(folder)) for count in cards]
+            for row in rows:
+                same = [each for each in rows[:1] if "again" in each and "again" in row]
+                row["same_bits_as_first"] = [each["again"]["tables"] == row["again"]["tables"] for each in same] or None
+            record["rows"] += rows
+            if config in ("joint1", "leg_reach") and all("again" in row for row in (rows[0], rows[-1])):
+                after = 0.7 * rows[-1]["again"]["command_s"]
+                killed = resumed(config, sweeps[config], (cards[-1], cards[0]), after, Path(folder))
+                killed["same_bits"] = killed["tables"] == rows[0]["again"]["tables"]
+                record["resumed"].append(killed)
+                print(killed, flush=True)
+            if given.file:
+                given.file.write_text(json.dumps(record, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
