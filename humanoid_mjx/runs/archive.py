@@ -51,7 +51,8 @@ def read_archive(
             wanted = [member for member in archive.infolist() if member.filename.startswith(prefixes)]
             size, most = sum(member.file_size for member in wanted), most or max(MOST, path.stat().st_size)
             if size > most:
-                raise InputError(f"{path}: what it holds does not fit: {size:,} bytes, and {most:,} are the most.")
+                words = f"{size:,} bytes, and {most:,} are the most; {damage}"
+                raise InputError(f"{path}: what it holds does not fit: {words}.")
             return {member.filename.removesuffix(".npy"): _array(archive, member) for member in wanted}
     except DAMAGE as error:
         if isinstance(error, InputError):

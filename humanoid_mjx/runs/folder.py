@@ -235,8 +235,8 @@ def check_inside(path: Path, below: Path | None = None) -> None:
                     check_inside(path, Path(entry))
                 elif not entry.is_file(follow_symlinks=False):
                     refuse_pipe(Path(entry))
-    except FileNotFoundError:
-        pass  # a folder that another process has just removed
+    except (FileNotFoundError, NotADirectoryError):
+        pass  # nothing to read: a place to write to, or a folder that another process has just removed
     except (OSError, RuntimeError) as error:  # links that lead to each other
         raise InputError(f"{below or path}: cannot be read: {error}.") from error
 
