@@ -12,8 +12,8 @@ from typing import Any
 import jax
 
 SLOWER = {"cpu": "about 12 times", "gpu": "about 6 times"}
-"""Time that XLA takes in units of a kernel's, by backend: of 40 time steps of 2,048 lower bodies that move, in processor
-seconds of two cores, and of a training of `walk` on one H200 (`docs/bench/h200_one_kernel.json`)."""
+"""Time that XLA takes in units of a kernel's, by backend: of 40 time steps of 2,048 lower bodies that move, on two
+cores; of a training of `walk` on one H200 (`docs/bench/h200_one_kernel.json`)."""
 
 WORDS = ("triton", "pallas", "ptx", "mosaic", "nvvm", "libnvjitlink", "humanoid_mjx_")
 """Words of errors, one of which names a kernel where XLA compiles the program around it."""
