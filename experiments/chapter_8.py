@@ -29,7 +29,7 @@ import humanoid_mjx
 from humanoid_mjx import compute
 from humanoid_mjx.config import load
 from humanoid_mjx.evaluation.gait.measure import settings_of, trained_seeds
-from humanoid_mjx.evaluation.gait.samples import heading_of
+from humanoid_mjx.evaluation.gait.tally import heading_of
 from humanoid_mjx.evaluation.policy import Trained, in_changed_world
 from humanoid_mjx.mechanics.rotations import rotation_matrix
 from humanoid_mjx.robot import Robot, make_robot

@@ -21,6 +21,7 @@ import fault_configs
 import fault_disks
 import fault_input
 import fault_numbers
+import fault_odd
 import fault_running
 from fault_trying import CONFIGS, Matrix
 
@@ -49,6 +50,7 @@ def experiments(matrix: Matrix, folder: Path, tries: int | None, seed: int) -> d
         "nan": partial(fault_numbers.not_finite, matrix, folder / "nan"),
         "runs": partial(fault_input.damaged_runs, matrix, "tabular_q", folder / "runs", many(8), seed),
         "runs-deep_q": partial(fault_input.damaged_runs, matrix, "deep_q", folder / "runs-deep_q", many(4), seed),
+        "odd": partial(fault_odd.odd_files, matrix, folder / "odd"),
         "policies": partial(fault_input.policies, matrix, folder / "policies", many(200), seed),
         "configs": partial(fault_configs.configs, matrix, folder / "configs", many(200), seed),
         "bombs": partial(fault_configs.bombs, matrix, folder / "bombs"),

@@ -42,7 +42,7 @@ import numpy as np
 from other_robots import file_of, touches, without_meshes  # pyright: ignore[reportMissingImports]
 
 from humanoid_mjx import compute
-from humanoid_mjx.bench.running import joined, native_rollout, on_all_devices, with_servo
+from humanoid_mjx.bench.measure import joined, native_rollout, on_all_devices, with_servo
 from humanoid_mjx.control.stages import Stages
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.robot import Robot, make_robot

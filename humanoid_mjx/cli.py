@@ -2,13 +2,15 @@
 
 import errno
 import os
+import re
 import sys
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
+from typer import Argument, Option
 
 ABOUT = (
     "Batched simulation and Q-learning for the lower body of a humanoid, in JAX.\n\n"
@@ -32,13 +34,9 @@ def _shipped(kind: str, ending: str) -> Callable[[str], list[str]]:
 
 CONFIGS, POLICIES = _shipped("configs", ".yaml"), _shipped("policies", ".npz")
 
-Override = Annotated[
-    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one value of the config.")
-]
+Override = Annotated[list[str] | None, Option("--set", metavar="KEY=VALUE", help="Change one value of the config.")]
 
-Trust = Annotated[
-    bool, typer.Option("--trust", help="Also run code from outside of the working directory, if it is named.")
-]
+Trust = Annotated[bool, Option("--trust", help="Also run named code from outside the working directory.")]
 
 
 def _trusting(trust: bool, *names: str | Path | None) -> AbstractContextManager[None]:
@@ -48,27 +46,20 @@ def _trusting(trust: bool, *names: str | Path | None) -> AbstractContextManager[
     return nullcontext() if trust else own_modules_only(*(Path(name) for name in names if name and Path(name).is_dir()))
 
 
-Physics = Annotated[str | None, typer.Option(metavar="NAME", help="Another physics than in training, such as mujoco.")]
+Physics = Annotated[str | None, Option(metavar="NAME", help="Another physics than in training, such as mujoco.")]
 
 
 @app.command()
 def sweep(
-    config: Annotated[str, typer.Argument(help="A path, or the name of a shipped config.", autocompletion=CONFIGS)],
-    out: Annotated[Path | None, typer.Option(help="The run folder; by default the next free runs/NAME.")] = None,
+    config: Annotated[str, Argument(help="A path, or a config that ships.", autocompletion=CONFIGS)],
+    out: Annotated[Path | None, Option(help="The run folder; by default the next free runs/NAME.")] = None,
     set_: Override = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Complete an interrupted run.")] = False,
-    tensorboard: Annotated[
-        bool,
-        typer.Option("--tensorboard", help="Write event files of TensorBoard into RUN/tensorboard while it trains."),
-    ] = False,
-    view: Annotated[
-        bool, typer.Option("--view", help="Open a page in the browser that grows while it trains: RUN/report.html.")
-    ] = False,
+    resume: Annotated[bool, Option("--resume", help="Complete an interrupted run.")] = False,
+    tensorboard: Annotated[bool, Option("--tensorboard", help="Write event files into RUN/tensorboard.")] = False,
+    view: Annotated[bool, Option("--view", help="Open a page that grows while it trains: RUN/report.html.")] = False,
     slurm: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="KEY=VALUE", help="Submit the sweep to Slurm: partition=gpu, nodes=2, timeout_min=60, ..."
-        ),
+        Option(metavar="KEY=VALUE", help="Submit it to Slurm: partition=gpu, nodes=2, timeout_min=60, ..."),
     ] = None,
 ) -> None:
     """Train every point of a sweep; write a run folder with tables and figures."""
@@ -88,12 +79,10 @@ def sweep(
 
 @app.command()
 def reproduce(
-    names: Annotated[
-        list[str] | None, typer.Argument(metavar="[NAME]...", help="Such as table-7.1; by default all.")
-    ] = None,
-    list_: Annotated[bool, typer.Option("--list", help="Show the names.")] = False,
+    names: Annotated[list[str] | None, Argument(metavar="[NAME]...", help="Such as table-7.1; all by default.")] = None,
+    list_: Annotated[bool, Option("--list", help="Show the names.")] = False,
     set_: Override = None,
-    out: Annotated[Path, typer.Option(help="The folder of reproduce.json and the figures.")] = Path("reproduced"),
+    out: Annotated[Path, Option(help="The folder of reproduce.json and the figures.")] = Path("reproduced"),
 ) -> None:
     """Reproduce tables and figures of the thesis, each with a computed verdict."""
     from humanoid_mjx.commands.reproduce import run_reproduce
@@ -105,14 +94,14 @@ def reproduce(
 def bench(
     names: Annotated[
         list[str] | None,
-        typer.Argument(
+        Argument(
             metavar="[NAME]...",
             help="tabular, physics, control, training, startup or all; compare OLD.json NEW.json: two results, with "
             "exit code 1 where something became slow.",
         ),
     ] = None,
-    json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the figures as JSON.")] = None,
-    seeds: Annotated[int | None, typer.Option(min=1, help="Seeds of every learner that training trains; 5.")] = None,
+    json: Annotated[Path | None, Option(metavar="FILE", help="Write the figures as JSON.")] = None,
+    seeds: Annotated[int | None, Option(min=1, help="Seeds of every learner that training trains; 5.")] = None,
 ) -> None:
     """Measure steps and episodes per second against the alternatives, compile time apart."""
     from humanoid_mjx.commands.bench import run_bench
@@ -122,19 +111,14 @@ def bench(
 
 Policy = Annotated[
     str,
-    typer.Argument(
-        metavar="RUN|POLICY", help="A run folder, a policy file, or a shipped policy.", autocompletion=POLICIES
-    ),
+    Argument(metavar="RUN|POLICY", help="A run folder, a policy file, or a shipped policy.", autocompletion=POLICIES),
 ]
 
-Point = Annotated[
-    int | None,
-    typer.Option(min=0, metavar="N", help="The point of a sweep, by its number in the tables; by default the best."),
-]
+Point = Annotated[int | None, Option(min=0, metavar="N", help="A point of a sweep by its number; by default the best.")]
 
 World = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="task.KEY=VALUE", help="Change a value of the task, such as task.friction=0.5."),
+    Option("--set", metavar="task.KEY=VALUE", help="Change a value of the task, such as task.friction=0.5."),
 ]
 
 
@@ -142,21 +126,16 @@ World = Annotated[
 def evaluate(
     policies: Annotated[
         list[str],
-        typer.Argument(
-            metavar="RUN|POLICY...", help="Run folders, policy files, or shipped policies.", autocompletion=POLICIES
-        ),
+        Argument(metavar="RUN|POLICY...", help="Run folders, policy files, shipped policies.", autocompletion=POLICIES),
     ],
-    gait: Annotated[
-        bool, typer.Option("--gait", help="Measure the gait under constant commands: errors, slip, steps, effort.")
-    ] = False,
+    gait: Annotated[bool, Option("--gait", help="Measure the gait under constant commands.")] = False,
     point: Point = None,
     set_: World = None,
     physics: Physics = None,
     episodes: Annotated[
-        int | None,
-        typer.Option(min=1, max=1_000_000, help="Episodes of each agent, 1024; with --gait of each command, 64."),
+        int | None, Option(min=1, max=1_000_000, help="Episodes: 1024 of each agent; with --gait 64 of each command.")
     ] = None,
-    json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the results as JSON.")] = None,
+    json: Annotated[Path | None, Option(metavar="FILE", help="Write the results as JSON.")] = None,
     trust: Trust = False,
 ) -> None:
     """Evaluate policies on held-out episodes, beside a zero and a random agent."""
@@ -172,26 +151,15 @@ def play(
     point: Point = None,
     set_: World = None,
     physics: Physics = None,
-    episode: Annotated[int, typer.Option(metavar="N", min=0, max=10**6, help="Number of the held-out episode.")] = 0,
+    episode: Annotated[int, Option(metavar="N", min=0, max=10**6, help="Number of the held-out episode.")] = 0,
     out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="A .gif, .mp4, .webm or .png; by default RUN/figures/play.gif.")
+        Path | None, Option(metavar="FILE", help=".gif, .mp4, .webm, .png; by default RUN/figures/play.gif")
     ] = None,
-    size: Annotated[
-        str | None, typer.Option(metavar="WxH", help="Pixels of the video or of each picture, 480x360.")
-    ] = None,
-    fps: Annotated[
-        float | None, typer.Option(metavar="N", min=1, max=100, help="Pictures a second of the video, 25.")
-    ] = None,
-    view: Annotated[
-        bool, typer.Option("--view", help="Steer the robot in the browser; only this machine can open the page.")
-    ] = False,
-    port: Annotated[
-        int | None, typer.Option(min=1, max=65535, help="Port of the page of --view; by default any free one.")
-    ] = None,
-    robots: Annotated[
-        int,
-        typer.Option(metavar="N", min=1, max=16, help="Robots side by side in --view, each in an episode of its own."),
-    ] = 1,
+    size: Annotated[str | None, Option(metavar="WxH", help="Pixels of each picture, 480x360.")] = None,
+    fps: Annotated[float | None, Option(metavar="N", min=1, max=100, help="Pictures a second, 25.")] = None,
+    view: Annotated[bool, Option("--view", help="Steer the robot in this machine's browser.")] = False,
+    port: Annotated[int | None, Option(min=1, max=65535, help="Port of --view; by default any free one.")] = None,
+    robots: Annotated[int, Option(metavar="N", min=1, max=16, help="Robots in --view, each in its own episode.")] = 1,
     trust: Trust = False,
 ) -> None:
     """Show a policy as a video or picture of the robot, or steer the robot in the browser."""
@@ -203,11 +171,9 @@ def play(
 
 @app.command()
 def report(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder, or a folder that reproduce has written.")],
-    out: Annotated[Path | None, typer.Option(metavar="FILE.html", help="By default RUN/report.html.")] = None,
-    motion: Annotated[
-        bool, typer.Option(help="Show the robot's motion under the best policy, if the task moves a robot.")
-    ] = True,
+    run: Annotated[Path, Argument(metavar="RUN", help="A run folder, or a folder that reproduce has written.")],
+    out: Annotated[Path | None, Option(metavar="FILE.html", help="By default RUN/report.html.")] = None,
+    motion: Annotated[bool, Option(help="Show the robot under the best policy.")] = True,
     trust: Trust = False,
 ) -> None:
     """Write one self-contained web page: config, curves, tables, the robot's motion, the command to run it again."""
@@ -219,7 +185,7 @@ def report(
 
 @app.command()
 def runs(
-    folder: Annotated[Path, typer.Argument(metavar="[FOLDER]", help="The folder of the run folders.")] = Path("runs"),
+    folder: Annotated[Path, Argument(metavar="[FOLDER]", help="Where the run folders are.")] = Path("runs"),
 ) -> None:
     """List run folders: task, learner, progress, and the result of the best point."""
     from humanoid_mjx.commands.runs import run_runs
@@ -229,20 +195,14 @@ def runs(
 
 @app.command()
 def plot(
-    run: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Run folders.")],
-    x: Annotated[
-        str | None, typer.Option("--x", metavar="COLUMN", help="Across; by default the episodes or steps trained.")
-    ] = None,
-    y: Annotated[str, typer.Option("--y", metavar="COLUMN", help="Upwards.")] = "success",
+    run: Annotated[list[Path], Argument(metavar="RUN...", help="Run folders.")],
+    x: Annotated[str | None, Option("--x", metavar="COLUMN", help="Across; by default episodes or steps.")] = None,
+    y: Annotated[str, Option("--y", metavar="COLUMN", help="Upwards.")] = "success",
     by: Annotated[
         str | None,
-        typer.Option(
-            "--by", metavar="COLUMN", help="A line for each value; run: for each run. By default what is swept, if one."
-        ),
+        Option("--by", metavar="COLUMN", help="A line for each value; run: for each run. By default the swept key."),
     ] = None,
-    out: Annotated[
-        Path | None, typer.Option(metavar="FILE.png", help="By default in the figures of the first run.")
-    ] = None,
+    out: Annotated[Path | None, Option(metavar="FILE.png", help="By default in the first run's figures.")] = None,
 ) -> None:
     """Draw any column of the tables of runs over any other: lines with their 95 % interval over seeds."""
     from humanoid_mjx.commands.runs import run_plot
@@ -252,8 +212,8 @@ def plot(
 
 @app.command()
 def export(
-    what: Annotated[str, typer.Argument(metavar="ROBOT|RUN", help="leg, legs, lower_body; or a run folder.")],
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="An .xml for a robot, an .npz or .c for a run.")],
+    what: Annotated[str, Argument(metavar="ROBOT|RUN", help="leg, legs, lower_body; or a run folder.")],
+    file: Annotated[Path, Argument(metavar="FILE", help="An .xml for a robot, an .npz or .c for a run.")],
     point: Point = None,
     trust: Trust = False,
 ) -> None:
@@ -268,19 +228,15 @@ def export(
 def info(
     name: Annotated[
         str | None,
-        typer.Argument(
+        Argument(
             metavar="[CONFIG|TASK|LEARNER|ROBOT.yaml|ROBOT.xml]",
             help="A config to resolve; a task or learner; a robot, or its MJCF alone.",
             autocompletion=CONFIGS,
         ),
     ] = None,
     set_: Override = None,
-    keys: Annotated[
-        bool, typer.Option("--keys", help="Every key with its meaning, range and default; without a name of all.")
-    ] = False,
-    time: Annotated[
-        bool, typer.Option("--time", help="Train a piece of CONFIG to estimate how long it takes.")
-    ] = False,
+    keys: Annotated[bool, Option("--keys", help="Every key: meaning, range, default; without a name of all.")] = False,
+    time: Annotated[bool, Option("--time", help="Train a piece of CONFIG to estimate the time.")] = False,
     trust: Trust = False,
 ) -> None:
     """Show devices, versions and what ships; with CONFIG, the resolved config, its points, and what memory, disk and
@@ -305,9 +261,7 @@ def _version(wanted: bool) -> bool:
 
 @app.callback()
 def common(
-    version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
-    ] = False,
+    version: Annotated[bool, Option("--version", callback=_version, is_eager=True, help="Show the version.")] = False,
 ) -> None:
     """Options of the program itself."""
 
@@ -326,6 +280,9 @@ WRONG_KIND = {
 LETTERS = 2000
 """Largest length of an error message."""
 
+UsageError: Any = typer.BadParameter.__base__
+"""What typer raises of words that it does not understand; its module differs between versions of typer."""
+
 INTERRUPTED = 130
 """The exit code after Ctrl-C, by the convention of shells."""
 
@@ -338,7 +295,13 @@ def main() -> None:
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
     os.environ.pop("MUJOCO_GL", None)  # OpenGL is not used, and an unusable value stops MuJoCo's import
     try:
-        app()
+        sys.exit(app(standalone_mode=False) or 0)
+    except UsageError as error:
+        if not (words := error.format_message()):  # the help was printed instead
+            sys.exit(error.exit_code)
+        words = re.sub("^Invalid value for '(.+?)': Input should", r"\1 must", words).rstrip(".?")
+        command = f" {error.ctx.info_name}" if error.ctx and error.ctx.parent else ""
+        _end(f"{words}; humanoid-mjx{command} --help shows what can be typed.")
     except (KeyboardInterrupt, SystemExit) as error:
         if isinstance(error, SystemExit) and error.code != INTERRUPTED:
             raise
@@ -352,18 +315,25 @@ def main() -> None:
         goes_on = "; what is stored is valid, and the same command with --resume goes on" if sweeps else ""
         _end(f"{f'{place}: ' if place else ''}{what}{goes_on}.")
     except Exception as error:
-        from humanoid_mjx.compute import out_of_memory
+        from humanoid_mjx.compute.limits import no_device, out_of_memory
         from humanoid_mjx.spec import InputError
+        from humanoid_mjx.user_code import in_words, place
 
         if out_of_memory(error):
             _end("the memory does not suffice; make the task, the learner or the number of episodes smaller.")
-        if not isinstance(error, InputError):
-            raise
-        _end(str(error))
+        if isinstance(error, InputError):
+            _end(str(error))
+        if (asked := os.environ.get("JAX_PLATFORMS")) and no_device(error):
+            _end(f"JAX_PLATFORMS={asked}: jax has no such device here; unset it, or set JAX_PLATFORMS=cpu.")
+        if place(error):
+            _end(f"{in_words(error)}.")
+        raise
 
 
 def _end(sentence: str) -> NoReturn:
     """Print an error on one line, control characters escaped, and exit with code 2."""
+    for python, flag in (("resume=True", "--resume"), ("out=PATH", "--out")):
+        sentence = sentence.replace(python, flag)
     plain = "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in sentence)
     print(f"error: {plain if len(plain) <= LETTERS else plain[:LETTERS] + '...'}", file=sys.stderr)
     with suppress(OSError, ValueError):  # what is buffered would fail again at exit

@@ -1,10 +1,13 @@
 """Files: those that ship with the package, configs and policies, found by name; and those that are written whole."""
 
 import contextlib
+import difflib
 import errno
 import hashlib
 import os
-from collections.abc import Iterator
+import re
+import shlex
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from humanoid_mjx.spec import InputError, known
@@ -21,14 +24,40 @@ def folder(name: str) -> Path:
     return inside if inside.is_dir() else _PACKAGE.parent / name
 
 
+def refuse_pipe(path: Path) -> None:
+    """Raise an InputError where a pipe, a socket or a device stands: to read one may wait forever or never end."""
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise InputError(f"{path}: this is a pipe, a socket or a device, and no file.")
+
+
+def read_text(path: Path) -> str:
+    """Return the text of a file.
+
+    Raises:
+      InputError: there is none, it cannot be read, or it is not UTF-8.
+    """
+    refuse_pipe(path)
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        why = error.strerror if isinstance(error, OSError) else "it is not UTF-8; save it as UTF-8"
+        raise InputError(f"{path}: cannot be read as text: {why}.") from error
+
+
 @contextlib.contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
     """A temporary path beside `path`, whose file takes its place when the block ends well.
 
     A kill, an error or a full disk leaves the old file or the new one, never half of one.
+
+    Raises:
+      InputError: a pipe, a socket or a device stands at `path`.
     """
+    refuse_pipe(path)
     temporary = path.with_name(f".new-{path.name}")
     try:
+        if temporary.is_symlink() or not temporary.is_file():
+            temporary.unlink(missing_ok=True)  # it would lead elsewhere
         yield temporary
         with temporary.open("rb") as file:
             os.fsync(file.fileno())
@@ -69,11 +98,13 @@ def write_sealed(path: Path, data: bytes, seal: bytes = b"") -> None:
 
 
 def read_sealed(path: Path, seal: bytes = b"") -> bytes | None:
-    """Return what `write_sealed` wrote there; None if it has another seal or is damaged.
+    """Return what `write_sealed` wrote there; None if there is no such file, it has another seal or is damaged.
 
     Raises:
       OSError: it cannot be read.
     """
+    if not path.is_file():
+        return None
     found, begin = path.read_bytes(), len(seal) + DIGEST
     whole = found[:begin] == seal + hashlib.sha256(found[begin:]).digest()
     return found[begin:] if whole else None
@@ -84,18 +115,77 @@ def names(kind: str, suffix: str) -> list[str]:
     return sorted(path.stem for path in folder(kind).glob(f"*{suffix}") if not path.stem.startswith("_"))
 
 
-def shipped(kind: str, name: str, suffix: str) -> Path:
-    """The file `name`: a path, or the name of a shipped one.
+def find_config(name: str) -> Path:
+    """The file of a config: a path, or the name of a shipped one.
 
     Raises:
       InputError: there is neither.
     """
-    path = Path(name)
-    if path.suffix == suffix or path.is_file():
-        if not path.is_file():
-            raise InputError(f"{name}: there is no such file.")
+    path, shipping = Path(name), names("configs", ".yaml")
+    refuse_pipe(path)
+    if path.is_file() and kind_of(path) in ("config", None):
         return path
-    path = folder(kind) / f"{name}{suffix}"
-    if path.is_file() and path.stem in names(kind, suffix):
-        return path
-    raise InputError(f"{name}: neither a file nor a shipped {kind[:-1]}; {known(name, names(kind, suffix))}.")
+    if name in shipping and not path.is_file():
+        return folder("configs") / f"{name}.yaml"
+    missing = "there is no such file" if path.suffix == ".yaml" else "neither a file nor a shipped config"
+    instead = meant(name, "config") or f"; {known(name, shipping, 'info')}"
+    raise InputError(f"{name}: {'this is no config' if path.is_file() else missing}{instead}.")
+
+
+KINDS = {
+    "config": "a config: humanoid-mjx sweep {0} trains it",
+    "robot": "a robot: humanoid-mjx info {0} shows it, humanoid-mjx sweep stand --set task.robot={0} trains it",
+    "policy": "a policy: humanoid-mjx play {0} shows it",
+    "model": "an MJCF: humanoid-mjx info {0} shows it, and a YAML beside it makes it a robot (docs/your_robot.md)",
+    "run": "a run folder: humanoid-mjx report {0} shows it, and "
+    "humanoid-mjx sweep {0}/config.yaml --out {0} --resume completes it",
+}
+"""What a name may stand for, with what to type for it."""
+
+ENDINGS = {".yaml": "config", ".yml": "config", ".npz": "policy", ".xml": "model"}
+
+
+def kind_of(path: Path) -> str | None:
+    """The entry of `KINDS` that a path is; None if it is none."""
+    if (path / "config.yaml").is_file():
+        return "run"
+    kind = ENDINGS.get(path.suffix) if path.is_file() else None
+    if kind == "config":
+        with contextlib.suppress(OSError):
+            keys = set(re.findall(r"\b(model|task)\b[\"']?\s*:", path.read_text(encoding="utf-8", errors="replace")))
+            return "robot" if keys == {"model"} else kind
+    return kind
+
+
+def meant(name: str, *wanted: str, folders: Sequence[str] = (".",)) -> str:
+    """Words that end the refusal of a name that is none of the `wanted` kinds: files and run folders beside it that
+    are, else what it is and what to type for it; empty if nothing is found.
+
+    `folders`: where files are looked for.
+    """
+    with contextlib.suppress(OSError, ValueError):  # names that no file can have
+        path, stem = Path(name), os.path.splitext(name)[0]
+        tries = [name, *(each + ending for ending in ENDINGS for each in (name, stem)), f"runs/{name}", *path.parents]
+        tries += (inside for inside in sorted(path.glob("*")) if inside.is_dir())
+        there = {str(each): kind for each in tries for here in folders if (kind := kind_of(Path(here, each)))}
+        for place, kind in (("configs", "config"), ("policies", "policy"), ("robots", "robot")):
+            there |= {name: kind} if name in [each.stem for each in folder(place).glob("*")] else {}
+        found = [each for each, kind in there.items() if kind in wanted and each != name]
+        if not found:  # perhaps a letter is wrong
+            files = [path.parent / file.name for here in folders for file in Path(here, path.parent).glob("*.*")]
+            files += Path("runs").glob("*")
+            near = difflib.get_close_matches(path.stem, {file.stem for file in files}, n=1, cutoff=0.8)
+            files = [str(file) for file in files if file.stem in near and str(file) != name]
+            found = [file for file in files if any(kind_of(Path(here, file)) in wanted for here in folders)]
+        if found:
+            more = f" and {len(found) - SHOWN} more" if len(found) > SHOWN else ""
+            return f", but {' and '.join(found[:SHOWN])}{more} {'are' if len(found) > 1 else 'is one'}"
+        for _, each, kind in sorted(
+            (kind != "robot", each, kind) for each, kind in there.items() if kind not in wanted
+        ):
+            return f"; {'it' if each == name else each} is {KINDS[kind].format(shlex.quote(each))}"
+    return ""
+
+
+SHOWN = 5
+"""Names of files and run folders in a refusal."""

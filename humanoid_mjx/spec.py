@@ -12,7 +12,6 @@ import importlib.util
 import os
 import re
 import sys
-import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -24,6 +23,8 @@ from typing import Any, TypeVar, get_args
 import jax
 import pydantic
 from pydantic_core import PydanticKnownError
+
+from humanoid_mjx.user_code import in_words
 
 SomeSpec = TypeVar("SomeSpec", bound="Spec")
 
@@ -38,8 +39,9 @@ def check_folder(file: Path, option: str = "") -> None:
     Raises:
       InputError: it cannot; the message begins with `option`.
     """
-    if file.is_dir():
-        raise InputError(f"{option} {file}: this is a folder; name a file.".lstrip())
+    if file.exists() and not file.is_file():
+        kind = "folder" if file.is_dir() else "pipe or device"
+        raise InputError(f"{option} {file}: this is a {kind}; name a file.".lstrip())
     if not file.parent.is_dir():
         raise InputError(f"{option} {file}: there is no folder {file.parent}.".lstrip())
 
@@ -169,15 +171,12 @@ def make(kind: str, registry: Mapping[str, str], base: type[Any], name: str, /, 
     try:
         return cls(**values)
     except pydantic.ValidationError as error:
-        raise InputError(sentence(error, kind, cls)) from error
+        shown = {"task": name, "learner": name, "robot": "robot"}.get(kind, "TASK")
+        raise InputError(sentence(error, kind, cls, f"info {shown} --keys")) from error
     except Exception as error:
         if ":" not in name or isinstance(error, InputError):
             raise
-        frame = traceback.extract_tb(error.__traceback__)[-1]
-        place = f"{Path(frame.filename).name}, line {frame.lineno}"
-        raise InputError(
-            f"{kind}.name: {name!r} cannot be built: {type(error).__name__}: {error} ({place})."
-        ) from error
+        raise InputError(f"{kind}.name: {name!r} cannot be built: {in_words(error)}.") from error
 
 
 def written(kind: str, make: Callable[..., Any]) -> pydantic.BeforeValidator:
@@ -330,11 +329,19 @@ def shown(value: Any) -> str:
     return text if len(text) <= SHOWN_LETTERS else f"{text[:SHOWN_LETTERS]}..."
 
 
-def known(name: str, names: Iterable[str]) -> str:
-    """Return words that list the known names, the most similar first."""
+LISTED_LETTERS, NEAR = 120, 5
+"""Length of a list of names that is shown whole, and the names that are shown of a longer one."""
+
+
+def known(name: str, names: Iterable[str], command: str = "") -> str:
+    """Return words that list the known names, of a long list the nearest and the `command` that shows all."""
     names = sorted(set(names))
     close = [here for here in ELSEWHERE.get(name, ()) if here in names] or difflib.get_close_matches(name, names, n=1)
-    return (f"did you mean {close[0]!r}? " if close else "") + "known are " + ", ".join(names)
+    shown, more = names, ""
+    if len(", ".join(names)) > LISTED_LETTERS:
+        shown = difflib.get_close_matches(name, names, n=NEAR, cutoff=0.0)
+        more = f" and {len(names) - NEAR} more" + (f": humanoid-mjx {command} shows them" if command else "")
+    return (f"did you mean {close[0]!r}? " if close else "") + f"known are {', '.join(shown)}{more}"
 
 
 SENTENCES = {
@@ -350,8 +357,11 @@ SENTENCES = {
 """Descriptions of the allowed values, by the type of pydantic's error."""
 
 
-def sentence(error: pydantic.ValidationError, where: str, model: type[pydantic.BaseModel] | None = None) -> str:
-    """Return the first fault of a pydantic error as one sentence with the key and the allowed values."""
+def sentence(
+    error: pydantic.ValidationError, where: str, model: type[pydantic.BaseModel] | None = None, command: str = ""
+) -> str:
+    """Return the first fault of a pydantic error as one sentence with the key and the allowed values; `command` shows
+    the keys."""
     faults = error.errors()
     # A key that is nearly right is also missing: its near name says more.
     first = next((fault for fault in faults if fault["type"] == "extra_forbidden"), faults[0])
@@ -364,7 +374,7 @@ def sentence(error: pydantic.ValidationError, where: str, model: type[pydantic.B
             return f"{key} {SENTENCES[kind].format(**fault['ctx'])}{got}."
         case "extra_forbidden":
             fields = [n for n, f in _fields(model, fault["loc"][:-1]).items() if not f.exclude]
-            return f"{key}: unknown key; {known(str(fault['loc'][-1]), fields)}."
+            return f"{key}: unknown key; {known(str(fault['loc'][-1]), fields, command)}."
         case "missing":
             return f"{key}: this key is required."
         case "value_error":

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from rich.table import Column, Table
 
+from humanoid_mjx.files import read_text
 from humanoid_mjx.spec import InputError
 
 SAME = ("bench", "subject", "device", "batch", "beside", "unit")
@@ -51,7 +52,7 @@ def read_result(path: Path) -> dict[str, Any]:
       InputError: the file is something else.
     """
     try:
-        result = json.loads(path.read_text())
+        result = json.loads(read_text(path))
         if not all(_key(record) and float(record["value"]) >= 0.0 for record in result["records"]):
             raise ValueError("values are rates, shares or costs, none of them negative")
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:

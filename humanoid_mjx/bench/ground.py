@@ -24,8 +24,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx import compute
-from humanoid_mjx.bench.measure import Record, Subject, time_rates
-from humanoid_mjx.bench.running import joined, native_rollout, native_subject, on_all_devices, with_room, with_servo
+from humanoid_mjx.bench.measure import (
+    Record,
+    Subject,
+    joined,
+    native_rollout,
+    native_subject,
+    on_all_devices,
+    time_rates,
+    with_room,
+    with_servo,
+)
 from humanoid_mjx.control import at_rest
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.tasks import make_task

@@ -33,9 +33,20 @@ import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx import compute
-from humanoid_mjx.bench import ground, postures
-from humanoid_mjx.bench.measure import CONTROLLED, PLAIN, Record, Subject, time_rates
-from humanoid_mjx.bench.running import elsewhere, native_rollout, native_subject, on_all_devices, with_room
+from humanoid_mjx.bench import ground
+from humanoid_mjx.bench.measure import (
+    CONTROLLED,
+    PLAIN,
+    Record,
+    Subject,
+    elsewhere,
+    native_rollout,
+    native_subject,
+    on_all_devices,
+    time_rates,
+    with_room,
+)
+from humanoid_mjx.bench.training import postures
 from humanoid_mjx.control import Reference, at_rest, pd, servo
 from humanoid_mjx.mechanics import dynamics
 from humanoid_mjx.robot.chain import Chain
@@ -84,7 +95,7 @@ CONTROL = {"cpu": Setting((1024, 8192), 500, 10), "gpu": Setting((32_768, 1_048_
 
 def run(say: Callable[[str], None]) -> list[Record]:
     """Time the leg, then the lower body on the ground, then training in simulation."""
-    return legs(say) + ground.run(say) + postures.run(say)
+    return legs(say) + ground.run(say) + postures(say)
 
 
 def legs(say: Callable[[str], None], setting: Setting | None = None) -> list[Record]:

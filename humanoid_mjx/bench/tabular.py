@@ -21,8 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx import compute, make_learner, make_task
-from humanoid_mjx.bench.measure import Record, Subject, record, time_in_turn
-from humanoid_mjx.bench.running import on_devices
+from humanoid_mjx.bench.measure import Record, Subject, on_devices, record, time_in_turn
 from humanoid_mjx.compute import rng
 from humanoid_mjx.learners.tabular import TabularQ
 from humanoid_mjx.training import fused as kernel
@@ -245,10 +244,4 @@ def numba(epsilon: np.ndarray, steps: int) -> Made:
     return lambda: train(epsilon, steps), lambda result: float(result.sum())
 
 
-SUBJECTS: dict[str, Callable[..., Made]] = {
-    "scan": scan,
-    "fused": fused,
-    "naive_scan": naive_scan,
-    "python": python,
-    "numba": numba,
-}
+SUBJECTS: dict[str, Callable[..., Made]] = {make.__name__: make for make in (scan, fused, naive_scan, python, numba)}

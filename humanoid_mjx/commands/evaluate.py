@@ -10,7 +10,7 @@ from rich.table import Column, Table
 from humanoid_mjx import compute
 from humanoid_mjx.commands import console, start_for
 from humanoid_mjx.files import write_text
-from humanoid_mjx.runs.evaluations import Evaluation
+from humanoid_mjx.runs.statistics import Evaluation
 from humanoid_mjx.spec import check_folder
 from humanoid_mjx.training.progress import Bar
 
@@ -88,12 +88,13 @@ def _gaits(
 def evaluation_table(title: str, evaluations: Sequence[Evaluation]) -> Table:
     """A table with a row for each evaluation, the intervals beside the numbers."""
     numbers = (Column(f"{name} (95 %)", justify="right") for name in ("success", "return", "steps"))
-    table = Table("policy", "agent", *numbers, title=title, title_justify="left")
+    table = Table("agent", *numbers, title=title, title_justify="left")
+    many = len({each.policy for each in evaluations if each.agent == "zero"}) > 1
     for evaluation in evaluations:
         success, total, steps = evaluation.success, evaluation.episode_return, evaluation.steps
+        agent = f"{evaluation.agent} agent" + f" in the task of {evaluation.policy}" * many
         table.add_row(
-            evaluation.policy,
-            evaluation.agent,
+            f"{evaluation.policy} (greedy)" if evaluation.agent == "greedy" else agent,
             f"{success.value:.1%} ({success.low:.1%} to {success.high:.1%})",
             *(f"{x.value:.4g} ({x.low:.4g} to {x.high:.4g})" for x in (total, steps)),
         )
@@ -101,16 +102,21 @@ def evaluation_table(title: str, evaluations: Sequence[Evaluation]) -> Table:
 
 
 def words_on_returns(policies: Sequence["Trained"], evaluations: Sequence[Evaluation]) -> list[str]:
-    """A sentence for each policy with a lower return than another agent that succeeds no more often."""
+    """A sentence for each policy that has a lower return than another agent, but only because that one waits: it
+    succeeds no more often, and its discounted return is lower. An untrained policy is none."""
     found = []
     for policy in policies:
         names = policy.name, policy.config.task["name"]
         own = {e.agent: e for e in evaluations if e.policy in names[: 1 if e.agent == "greedy" else 2]}
         greedy = own["greedy"]
-        if any(
-            each.success.value <= greedy.success.value and each.episode_return.value > greedy.episode_return.value
+        waits = any(
+            each.success.value <= greedy.success.value
+            and each.episode_return.value > greedy.episode_return.value
+            and each.discounted_return < greedy.discounted_return
             for each in own.values()
-        ):
+        )
+        beaten = any(each.success.low > greedy.success.high for each in own.values())
+        if waits and not beaten and greedy.success.value > 0:
             returns = ", ".join(f"{agent} {each.discounted_return:.4g}" for agent, each in own.items())
             found.append(
                 f"{policy.name} has a lower return than an agent that succeeds no more often: the task pays for every "

@@ -10,7 +10,7 @@ from rich.table import Table
 from humanoid_mjx import compute
 from humanoid_mjx.commands import console
 from humanoid_mjx.config import dump_yaml, load
-from humanoid_mjx.files import names
+from humanoid_mjx.files import meant, names
 from humanoid_mjx.spec import InputError, known
 from humanoid_mjx.training.progress import Bar, counted
 
@@ -39,10 +39,7 @@ def show_keys(name: str | None) -> None:
     elif name in TASKS or name in LEARNERS or ":" in name:
         chosen = [("learner" if name in LEARNERS else "task", name)]
     else:
-        configs = names("configs", ".yaml")
-        if name not in configs and not Path(name).exists() and Path(name).suffix != ".yaml":
-            others = [*TASKS, *LEARNERS, *configs]
-            raise InputError(f"{name}: neither a task, a learner nor a config; {known(name, others)}.")
+        _check_name(name)
         config = load(name)
         chosen = [("task", config.task["name"]), ("learner", config.learner["name"])]
     for kind, of in chosen:
@@ -55,8 +52,20 @@ def show_keys(name: str | None) -> None:
     console.print("Sweeping a traced value compiles nothing; points that differ in static ones compile apart.")
 
 
+def _check_name(name: str) -> None:
+    """Raise an InputError for a name that stands for nothing."""
+    from humanoid_mjx.learners import LEARNERS
+    from humanoid_mjx.robot import ROBOTS
+    from humanoid_mjx.tasks import TASKS
+
+    there = [*TASKS, *LEARNERS, *ROBOTS, *names("robots", ".yaml"), *names("configs", ".yaml")]
+    if name not in there and not Path(name).exists():
+        instead = meant(name, "config", "robot", "model") or f"; {known(name, there, 'info')}"
+        raise InputError(f"{name}: neither a task, a learner, a robot nor a config{instead}.")
+
+
 def _show_robot(name: str) -> None:
-    """`humanoid-mjx info ROBOT.yaml`: what follows from both of its files, and which physics take it."""
+    """`humanoid-mjx info ROBOT`: what follows from its files or its class, and which physics take it."""
     import numpy as np
 
     from humanoid_mjx.mechanics.tree.refusing import faults
@@ -71,18 +80,18 @@ def _show_robot(name: str) -> None:
     for k, joint in enumerate(robot.joints):
         low, high = np.degrees(robot.ranges_rad[k])
         image = f"{'' if signs[k] > 0 else '-'}{robot.joints[order[k]]}" if robot.mirror else ""
-        stiffness, damping = (f"{gain[k]:g}" for gain in robot.servo)
+        stiffness, damping = (f"{gain[k]:g}" for gain in robot.servo) if robot.servo else ("", "")
         home, torque = f"{np.degrees(robot.posture[k]):g}", f"{robot.torque_limits[k]:g}"
         rows.append((joint, f"{low:.0f} to {high:.0f}" if limited[k] else "", home, torque, stiffness, damping, image))
     _print_rows(f"{name}: {len(robot.joints)} joints", rows)
-    points = f"{robot.points} point{'s' * (robot.points > 1)} each"
-    lines = {
-        "feet": f"{', '.join(robot.feet)}; {points}",
-        "gait": ", ".join(f"{foot} swings at {turn:g}" for foot, turn in zip(robot.feet, robot.phases, strict=True)),
-        "mass": f"{robot.mass:.3g} kg",
-        "legs": f"{robot.leg_length:.3g} m; a pace of {robot.pace:.3g} m/s is the unit of speeds",
-        "contacts": f"{robot.model.npair} with the ground" + ", others as the model says" * (robot.contacts == "model"),
-    }
+    lines = {"feet": ", ".join(robot.feet), "mass": f"{robot.mass:.3g} kg"}
+    if robot.points:
+        turns = zip(robot.feet, robot.phases, strict=True)
+        lines["feet"] += f"; {counted(robot.points, 'point')} each"
+        lines["gait"] = ", ".join(f"{foot} swings at {turn:g}" for foot, turn in turns)
+        lines["legs"] = f"{robot.leg_length:.3g} m; a pace of {robot.pace:.3g} m/s is the unit of speeds"
+    others = ", others as the model says" * (getattr(robot, "contacts", "") == "model")
+    lines["contacts"] = f"{robot.model.npair} with the ground{others}"
     refused = [f"{fault.what} (take {fault.change})" for fault in faults(robot.model, IMU)]
     lines["physics"] = f"tree refuses {'; '.join(refused)}: take mujoco or mjx-jax" if refused else "tree takes it"
     for key, value in lines.items():
@@ -113,26 +122,26 @@ def show_model(path: str) -> bool:
 def show_info(config: str | None, overrides: Sequence[str], timed: bool) -> None:
     """`humanoid-mjx info`."""
     compute.start()
+    from humanoid_mjx.learners import LEARNERS
+    from humanoid_mjx.robot import ROBOTS
     from humanoid_mjx.robot.declared import describes_robot
+    from humanoid_mjx.tasks import TASKS
 
-    if config is not None and describes_robot(config):
-        _show_robot(config)
-        return
     if config is not None:
-        _show_plan(config, overrides, timed)
+        if config in ROBOTS or describes_robot(config):
+            _show_robot(config)
+        elif config in {*TASKS, *LEARNERS}.difference(names("configs", ".yaml")):
+            show_keys(config)
+        else:
+            _check_name(config)
+            _show_plan(config, overrides, timed)
         return
     if timed:
         raise InputError("info --time: name the config whose sweep to time.")
-    from humanoid_mjx.learners import LEARNERS
-    from humanoid_mjx.tasks import TASKS
-
     for name, value in (compute.machine() | compute.versions()).items():
         console.print(f"{name:13} {value}")
-    shipped = {
-        "configs": names("configs", ".yaml"),
-        "policies": names("policies", ".npz"),
-        "robots": names("robots", ".yaml"),
-    }
+    endings = {"configs": ".yaml", "policies": ".npz", "robots": ".yaml"}
+    shipped = {kind: names(kind, ending) for kind, ending in endings.items()}
     for kind, all_names in {"tasks": TASKS, "learners": LEARNERS, **shipped}.items():
         console.print(f"{kind:13} {', '.join(all_names)}")
 
@@ -188,6 +197,6 @@ def _show_time(plan: "Plan") -> None:
     parts = {"compiling (less once it is cached)": found.compile_s, "training": found.train_s}
     parts |= {"evaluating": found.evaluate_s} if found.evaluate_s > 0 else {}
     words = ", ".join(f"{time_in_words(seconds)} of {part}" for part, seconds in parts.items())
-    how = f"by {MEASURED_S:g} s of its training"
-    how += f" in each of {found.measured} programs" if len(plan.groups) > 1 else ""
+    each = f" in each of {found.measured} programs" if len(plan.groups) > 1 else ""
+    how = f"by {MEASURED_S:g} s of its training{each}"
     console.print(f"about {time_in_words(found.total_s)} on this machine, without figures: {words}; estimated {how}")

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 from humanoid_mjx.evaluation.policy import Trained, find_policy, in_world, on_native
 from humanoid_mjx.report.web import MEDIA, data_address
-from humanoid_mjx.runs.evaluations import Evaluation
 from humanoid_mjx.runs.folder import read_config
+from humanoid_mjx.runs.statistics import Evaluation
 from humanoid_mjx.spec import check_folder
 from humanoid_mjx.training.progress import Reporter
 from humanoid_mjx.training.sweep import Run

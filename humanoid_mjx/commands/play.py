@@ -27,12 +27,8 @@ def run_play(
     robots: int,
 ) -> None:
     """`humanoid-mjx play`."""
-    from humanoid_mjx.report.video import check_file
-
     if view and (out or size or fps):
-        raise InputError(
-            "play: --view shows the robot in the browser; --out, --size and --fps are of a file: choose one."
-        )
+        raise InputError("play: --view shows the robot in the browser; --out, --size, --fps are of a file: choose one.")
     if view and physics not in (None, "mujoco"):
         raise InputError(f"--physics {physics}: --view moves the robot in native MuJoCo; leave this out.")
     if view and any(override.startswith("task.terrain") for override in overrides):
@@ -41,12 +37,14 @@ def run_play(
         raise InputError("--port: only --view has a server.")
     if robots > 1 and not view:
         raise InputError("--robots: a film shows one robot; add --view.")
-    if out is not None:
-        check_file(out)
     pixels = _pixels(size) if size else None
     start_for(physics, overrides)
     if physics in (None, "mujoco"):
         jax.config.update("jax_platforms", "cpu")  # one robot in native MuJoCo gains nothing by a GPU
+    from humanoid_mjx.report.rendering import FPS, check_file
+
+    if out is not None:
+        check_file(out)
     if view:
         from humanoid_mjx.evaluation.live import Live
         from humanoid_mjx.evaluation.policy import find_policy, in_world, on_plane
@@ -59,7 +57,6 @@ def run_play(
             serve(Live(trained, episode, robots), console.print, port=port or 0)
         return
     from humanoid_mjx.commands.notebook import film
-    from humanoid_mjx.report.rendering import FPS
 
     with Bar(console) as bar:
         bar.phase("loading")

@@ -12,8 +12,7 @@ from rich.table import Column, Table
 
 from humanoid_mjx import compute
 from humanoid_mjx.commands import console
-from humanoid_mjx.files import refusing, write_text
-from humanoid_mjx.runs.folder import elsewhere
+from humanoid_mjx.files import meant, refusing, write_text
 from humanoid_mjx.runs.listing import Listed, list_runs
 from humanoid_mjx.spec import InputError, check_folder
 from humanoid_mjx.training.progress import Bar
@@ -93,19 +92,18 @@ def run_report(path: Path, out: Path | None, motion: bool) -> None:
     from humanoid_mjx.reproduction.page import findings_page
 
     if not path.is_dir():
-        raise InputError(f"{path}: there is no such folder{elsewhere(path)}.")
+        raise InputError(f"{path}: there is no such folder{meant(str(path), 'run')}.")
     target = out or path / "report.html"
     check_folder(target)
     compute.start()
     with Bar(console) as bar:
-        if (path / "config.yaml").is_file():
+        if (path / "config.yaml").exists():
             page = run_page(path, bar, motion)
         elif (path / "reproduce.json").is_file():
             page = findings_page(path)
         else:
-            raise InputError(
-                f"{path}: neither a run folder (no config.yaml) nor what reproduce has written (no reproduce.json)."
-            )
+            neither = "neither a run folder (no config.yaml) nor what reproduce has written (no reproduce.json)"
+            raise InputError(f"{path}: {neither}{meant(str(path), 'run')}.")
         with refusing(target):
             write_text(target, page)
     console.print(f"{target}", soft_wrap=True)

@@ -75,6 +75,8 @@ def _parameters(given: Sequence[str]) -> dict[str, Any]:
         if not equals or not key.isidentifier():
             raise InputError(f"--slurm {text}: write KEY=VALUE, such as partition=gpu.")
         name = key if key in GENERIC or key == "cluster" else f"slurm_{key}"
+        if name in found:
+            raise InputError(f"--slurm {text}: {key} is given twice; leave one of them out.")
         found[name] = parse_yaml(value, f"--slurm {text}")
     return found
 

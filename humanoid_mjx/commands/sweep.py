@@ -1,5 +1,6 @@
 """The command `sweep`."""
 
+import shlex
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
@@ -14,7 +15,7 @@ from humanoid_mjx.commands import console
 from humanoid_mjx.compute import kept, processes
 from humanoid_mjx.config import load
 from humanoid_mjx.runs.folder import read_provenance
-from humanoid_mjx.training.progress import Bar, counted
+from humanoid_mjx.training.progress import Bar
 
 if TYPE_CHECKING:
     from humanoid_mjx.report.growing import Growing
@@ -52,16 +53,21 @@ def run_sweep(
         if not first:
             return
         bar.phase("drawing figures")
+        from humanoid_mjx.evaluation.replay import why_stopped
         from humanoid_mjx.report.figures import figures_of, sweep_figures  # matplotlib takes a while
 
         axes = list(run.config.sweep.axes) if run.config.sweep else []
         summary, own = run.summary, figures_of(run.config.task["name"], run.config.modules)
         paths = sweep_figures(run.path / "figures", run.config.name, axes, run.results, summary, own)
     print_summary(axes, summary, read_provenance(run.path), quickest=run.config.episodes is not None)
+    if words := why_stopped(run.path, summary):
+        console.print(words, soft_wrap=True)
     for path in (run.path / "results.parquet", run.path / "summary.parquet", *paths):
         console.print(f"{path}", soft_wrap=True)
     if growing:
         console.print(f"{growing.file}", soft_wrap=True)
+    else:
+        console.print(f"next: humanoid-mjx report {shlex.quote(str(run.path))}", soft_wrap=True)
     if tensorboard:
         console.print(f"tensorboard --logdir {run.path / 'tensorboard'}", soft_wrap=True)
 
@@ -90,5 +96,3 @@ def print_summary(
     for row in rows:
         table.add_row(*row)
     console.print(table)
-    if stopped := int(np.sum(summary["diverged"])):
-        console.print(f"{counted(stopped, 'run')} stopped at numbers that were not finite; the summary marks them.")

@@ -74,7 +74,7 @@ def find(name: str, about: str | None) -> Any:
     """Return what `put` stored, or None."""
     with suppress(Exception):  # what is damaged is made anew
         if (path := _path(name, about)) is not None:
-            data = read_sealed(path, _surroundings())
+            data = read_sealed(path, _surroundings() + path.name.encode())
             return None if data is None else pickle.loads(zlib.decompress(data))
     return None
 
@@ -83,8 +83,8 @@ def put(name: str, about: str | None, value: Any) -> None:
     """Store a value, over that of another version; one that cannot be pickled or a full disk is passed over."""
     if (path := _path(name, about)) is None:
         return
-    with suppress(OSError, TypeError, AttributeError, pickle.PickleError):
-        write_sealed(path, zlib.compress(pickle.dumps(value), 1), _surroundings())
+    with suppress(OSError, ValueError, TypeError, AttributeError, pickle.PickleError):
+        write_sealed(path, zlib.compress(pickle.dumps(value), 1), _surroundings() + path.name.encode())
 
 
 def compile_program(name: str, about: str | None, lowered: jax.stages.Lowered) -> tuple[jax.stages.Compiled, Callable]:

@@ -4,9 +4,11 @@ Each computes on its own devices. What they tell each other goes through the key
 is in process 0: no array crosses the network, so that it need not be fast, and NCCL need not work.
 """
 
+import ctypes
 import itertools
 import json
 import os
+import signal
 import sys
 import threading
 import time
@@ -29,6 +31,12 @@ LEAVE_S = 60
 """Seconds that process 0 waits at its end until the others have left."""
 
 T = TypeVar("T")
+
+
+@ctypes.CFUNCTYPE(None, ctypes.c_int)
+def _say_why(_: int) -> None:
+    """Handle SIGABRT: jax's client aborts a process that has lost process 0, and its callback for that is broken."""
+    os.write(2, b"error: jax aborts this process, as it does when process 0 is lost; --resume the sweep to go on.\n")
 
 
 @contextmanager
@@ -81,6 +89,7 @@ def _join() -> None:
         jax.config.update("jax_enable_recoverability", True)  # what is left of a job goes on without a lost process
         jax.config.update("jax_enable_preemption_service", False)  # SIGTERM ends the process, as ever
         try:
+            ctypes.CDLL(None).signal(signal.SIGABRT, _say_why)
             jax.distributed.initialize(**where, heartbeat_timeout_seconds=HEARTBEAT_S)
         except RuntimeError as error:
             raise InputError(f"the {count} processes of this job cannot reach each other: {error}.") from error
@@ -156,6 +165,8 @@ class Processes:
         lost: set[int] = set()
         _apart(lambda: [lost.update(_lost(members)) for members in meetings])
         if lost:
+            if len(meetings) > 1:  # the others meet all next: they are told before process 0 leaves
+                _apart(lambda: _lost(range(self.count)))
             numbers = " and ".join(map(str, sorted(lost)))
             raise InputError(f"process {numbers} of this job was lost; what is finished is stored, --resume goes on.")
 

@@ -33,9 +33,9 @@ def start(*, mjx: bool = False) -> None:
     Raises:
       InputError: jax has computed already.
     """
-    cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    defaults = {
-        "jax_compilation_cache_dir": str(Path(cache) / "humanoid_mjx" / "xla"),
+    cache = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    defaults = {  # a user without a home folder keeps no programs
+        "jax_compilation_cache_dir": None if cache.startswith("~") else str(Path(cache) / "humanoid_mjx" / "xla"),
         "jax_persistent_cache_min_compile_time_secs": 0.1,
         "jax_num_cpu_devices": cores(),
         "jax_default_matmul_precision": "highest",

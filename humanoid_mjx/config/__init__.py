@@ -12,7 +12,7 @@ import pydantic
 import yaml
 
 from humanoid_mjx.config.axes import Sweep
-from humanoid_mjx.files import folder, shipped
+from humanoid_mjx.files import find_config, folder, read_text
 from humanoid_mjx.spec import ELSEWHERE, InputError, sentence, shown
 
 ELSEWHERE_AT_TOP = ("episodes", "learner", "max_episode_steps", "model", "seeds", "sweep", "task", "total_steps")
@@ -36,7 +36,8 @@ class Config(pydantic.BaseModel):
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
     name: str = pydantic.Field(
-        pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", description="letters, digits and . _ -, the first a letter or digit"
+        pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,199}$",
+        description="at most 200 letters, digits and . _ -, the first a letter or digit",
     )
     task: dict[str, Any]
     learner: dict[str, Any]
@@ -73,7 +74,7 @@ class Config(pydantic.BaseModel):
     @pydantic.model_validator(mode="before")
     @classmethod
     def _short_runs_record_less(cls, data: Any) -> Any:
-        budget = data.get("episodes", data.get("total_steps")) if isinstance(data, dict) else None
+        budget = (data.get("episodes") or data.get("total_steps")) if isinstance(data, dict) else None
         return {"record": budget} | data if isinstance(budget, int) and 1 <= budget < 100 else data
 
     @pydantic.model_validator(mode="after")
@@ -87,9 +88,6 @@ class Config(pydantic.BaseModel):
         for key in TOP_LEVEL:
             if key in self.learner:
                 raise ValueError(f"learner.{key}: unknown key; {key} stands at the top level")
-        for key in ("episodes", "total_steps"):
-            if self.record > (budget := getattr(self, key) or self.record):
-                raise ValueError(f"record ({self.record}) must be at most {key} ({budget})")
         for axis in self.sweep.axes if self.sweep else ():
             if not re.fullmatch(r"(task|learner)(\.\w+)+", axis) or re.fullmatch(r"\w+\.name", axis):
                 raise ValueError(
@@ -118,14 +116,11 @@ def load(config: str | Path, overrides: Sequence[str] = ()) -> Config:
     Raises:
       InputError: no such config, not YAML, or a key or value that cannot be used, in one sentence.
     """
-    path = shipped("configs", str(config), ".yaml")
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{config}: cannot be read as text: {error}.") from error
-    data = parse_yaml(text, str(config))
+    path = find_config(str(config))
+    data = parse_yaml(read_text(path), str(config))
     if not isinstance(data, dict):
         raise InputError(f"{config}: a config is a mapping of keys such as name, task and learner.")
+    check_overrides(overrides)
     for override in overrides:
         apply_override(data, override)
         _sweep_no_more(data, override.partition("=")[0])
@@ -157,6 +152,16 @@ def parse(data: dict[str, Any], source: str = "config") -> Config:
         raise InputError(f"{source}: {sentence(error, '', Config)}") from error
     config._source = source
     return config
+
+
+def check_overrides(overrides: Sequence[str]) -> None:
+    """Raise an InputError if one of the overrides undoes an earlier one; the same one again is none of these."""
+    earlier: list[str] = []
+    for override in dict.fromkeys(overrides):
+        key = override.partition("=")[0]
+        if any(f"{other}.".startswith(f"{key}.") for other in earlier):
+            raise InputError(f"--set {override}: {key} is set twice; leave one of them out.")
+        earlier += [key, key.removeprefix("sweep.axes.")]  # a value takes its axis away
 
 
 def apply_override(data: dict[str, Any], override: str) -> None:

@@ -56,7 +56,8 @@ def sweep_points(sweep: Sweep, seed: int) -> list[dict[str, Any]]:
         pairs = ", ".join(f"{name}: {length}" for name, length in zip(sweep.axes, lengths, strict=True))
         raise InputError(f"sweep.axes must be equally long in mode zip, got {pairs}.")
     if sweep.mode == "grid" and math.prod(lengths) > MAX_POINTS:
-        raise InputError(f"sweep.axes: {math.prod(lengths):,} points are more than {MAX_POINTS:,}.")
+        instead = "draw some of them: mode: random with points: 200"
+        raise InputError(f"sweep.axes: {math.prod(lengths):,} points are more than {MAX_POINTS:,}; {instead}.")
     rows: Iterable[tuple] = product(*columns) if sweep.mode == "grid" else zip(*columns, strict=True)
     return [dict(zip(sweep.axes, row, strict=True)) for row in rows]
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from humanoid_mjx.evaluation.policy import Trained
 from humanoid_mjx.learners.approximate import Weights
-from humanoid_mjx.learners.deep import DeepQ
+from humanoid_mjx.learners.deep import DeepQ, QNetwork
 from humanoid_mjx.learners.normalisation import MAX_DEVIATIONS
 from humanoid_mjx.spec import InputError
 
@@ -68,13 +68,16 @@ def c_source(trained: Trained) -> str:
     if not isinstance(learner, DeepQ) or not isinstance(weights, Weights):
         name = trained.config.learner["name"]
         raise InputError(f"{trained.name}: only policies of deep_q can be written as C; this one is of {name}.")
+    network, own = learner.network(), ("preprocess", "q_values", "act")
+    if type(network) is not QNetwork or any(getattr(type(learner), part) is not getattr(DeepQ, part) for part in own):
+        raise InputError(f"{trained.name}: a network of one's own cannot be written as C, deep_q's can; write an .npz.")
     layers: dict[str, Any] = jax.tree.map(np.asarray, weights.value)["params"]
     size, joints, bins = learner.env.observation_size, len(learner.env.action_bins), learner.bins
     arrays = {"mean": weights.moments.mean, "variance": weights.moments.variance}
     steps, rows = [], size
-    for number in range(learner.layers + 1):
+    for number in range(network.layers + 1):
         own = layers[f"Dense_{number}"]
-        columns, last = own["bias"].size, number == learner.layers
+        columns, last = own["bias"].size, number == network.layers
         arrays |= {f"w{number}": own["kernel"], f"b{number}": own["bias"]}
         target = "&q[0][0]" if last else f"x{number + 1}"
         steps += [] if last else [f"float {target}[{columns}];"]

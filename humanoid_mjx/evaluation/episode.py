@@ -13,7 +13,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from humanoid_mjx.compute import compiler_options
-from humanoid_mjx.control import Reference
 from humanoid_mjx.evaluation.evaluate import held_out_key
 from humanoid_mjx.evaluation.policy import Trained
 from humanoid_mjx.learners import Learner
@@ -24,7 +23,6 @@ from humanoid_mjx.spec import InputError
 from humanoid_mjx.tasks.base import Task
 from humanoid_mjx.tasks.continuous import State
 from humanoid_mjx.tasks.finite import FiniteTask
-from humanoid_mjx.tasks.posture_switch import PostureSwitch
 from humanoid_mjx.types import AnyArray, FloatScalar, IntScalar
 
 HOLD_S = 1.0
@@ -182,21 +180,11 @@ def motion_of(trained: Trained, played: Played) -> Motion:
 def driven(task: Any, world: World, data: Any, action: Array) -> tuple[World, Motion]:
     """Let a task drive the robot, wherever it is, as in the decision with this data and action."""
     plant, controller = task.drive(data, action)
-    step = lambda world, _: _step(plant, world, controller)  # noqa: E731
+    step = lambda world, _: stepped(plant, world, controller)  # noqa: E731
     return jax.lax.scan(step, world, length=task.simulator.substeps(task.period))
 
 
-@jax.jit
-def follow(task: PostureSwitch, world: World, reference: Reference) -> tuple[World, Motion]:
-    """Let the task's controller follow a reference with a row for each time step; the world after it, and the motion.
-
-    One compilation serves all references of the same length.
-    """
-    step = lambda world, wanted: _step(task.plant, world, task.controller(*wanted))  # noqa: E731
-    return jax.lax.scan(step, world, reference)
-
-
-def _step(plant: Physics, world: World, controller: Controller) -> tuple[World, Motion]:
+def stepped(plant: Physics, world: World, controller: Controller) -> tuple[World, Motion]:
     """A time step, and its row of the motion."""
     world, torque = plant.step(world, controller)
     return world, Motion(world.qpos, world.qvel, torque)

@@ -20,7 +20,7 @@ from humanoid_mjx.compute.kernels.fallback import with_fallback
 from humanoid_mjx.evaluation.policy import Trained
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.rollout import AGENTS, Episode, agent, rollout
-from humanoid_mjx.runs.evaluations import Evaluation, estimated
+from humanoid_mjx.runs.statistics import Evaluation, estimated
 from humanoid_mjx.training.plan import resolved
 from humanoid_mjx.types import IntScalar
 

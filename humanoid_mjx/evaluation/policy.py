@@ -15,15 +15,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from humanoid_mjx.config import Config, apply_override, parse
-from humanoid_mjx.files import folder, names, refusing, whole_file
+from humanoid_mjx.config import Config, apply_override, check_overrides, parse
+from humanoid_mjx.files import folder, kind_of, meant, names, refusing, whole_file
 from humanoid_mjx.learners import Learner
-from humanoid_mjx.runs.archive import DAMAGE, read_archive
-from humanoid_mjx.runs.folder import elsewhere, read_config, read_provenance
+from humanoid_mjx.runs.archive import HEADER, check_finite, read_archive
+from humanoid_mjx.runs.folder import read_config, read_provenance
 from humanoid_mjx.runs.ranking import ranked
 from humanoid_mjx.runs.tables import WHOLE, finished_runs, scores
 from humanoid_mjx.spec import InputError, check_folder, known
-from humanoid_mjx.training.plan import Group, make_plan, points_of, resolved, set_dotted
+from humanoid_mjx.training.plan import MAX_RUNS, make_plan, points_of, resolved, set_dotted
 from humanoid_mjx.training.state import from_arrays, to_arrays
 
 FORMAT = "humanoid_mjx policy, version 1"
@@ -68,14 +68,13 @@ def find_policy(name: str, point: int | None = None) -> Trained:
     path, shipped = Path(name), folder("policies") / f"{name}.npz"
     if path.is_dir():
         return best_policy(path, point)
+    file = path if path.exists() or path.suffix == ".npz" or path.name != name else shipped
+    if not file.exists():
+        instead = meant(name, "run", "policy") or f"; {known(name, names('policies', '.npz'), 'info')}"
+        raise InputError(f"{name}: neither a run folder nor a policy{instead}.")
     if point is not None:
         raise InputError(f"--point: {name} is no run folder, and only a sweep has points.")
-    if path.is_file() or path.suffix == ".npz":
-        return load_policy(path)
-    if path.name == name and shipped.is_file():
-        return load_policy(shipped)
-    shipping = known(name, names("policies", ".npz"))
-    raise InputError(f"{name}: neither a run folder nor a policy{elsewhere(path)}; {shipping}.")
+    return load_policy(file)
 
 
 def best_policy(path: Path, point: int | None = None) -> Trained:
@@ -115,12 +114,12 @@ def policies_of_best(path: Path, point: int | None = None, most: int | None = No
         set_dotted(own, key, value)
     alone = parse(own, config.source)
     provenance, (group,) = read_provenance(path), make_plan(alone).groups
-    found = []
+    found, like = [], group.policy
     for row in order[arrays["point"][order] == point][:most].tolist():
         final = {name: float(array[row]) for name, array in arrays.items() if name.startswith("final.greedy_")}
         learned = {name: array[row] for name, array in arrays.items() if name.startswith("policy")}
         place, origin = (point, int(arrays["seed"][row])), {"scores": final, "provenance": provenance}
-        policy = _policy(group, learned, path)
+        policy = _policy(like, learned, f"{path}: the run of point {point} with seed {place[1]}")
         found.append(Trained(group.learner(), policy, *place, path.resolve().name, alone, origin))
     return found
 
@@ -143,26 +142,34 @@ def load_policy(path: Path) -> Trained:
     Raises:
       InputError: there is none, it is truncated or of another kind, or what it needs has changed.
     """
-    if not path.is_file():
+    if not path.exists():
         raise InputError(f"{path}: there is no such file.")
+    other = meant(str(path), "run", "policy") if kind_of(path) != "policy" else ", or a truncated or damaged one"
+    damage = f"this is no policy file{other}"
+    text = read_archive(path, ("header",), damage=damage)
     try:
-        arrays = read_archive(path)
-        header = json.loads(str(arrays.pop("header")))
+        header = json.loads(str(text["header"]))
         version = header["format"]
         if version == FORMAT:
-            config, origin = dict(header["config"]), dict(header["origin"])
-            name, point, seed = str(header["name"]), int(header["point"]), int(header["seed"])
-    except PermissionError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}.") from error
-    except DAMAGE as error:
-        raise InputError(f"{path}: this is no policy file, or a truncated or damaged one.") from error
+            config, origin, name = dict(header["config"]), dict(**header["origin"]), header["name"]
+            point, seed = header["point"], header["seed"]
+            if not isinstance(name, str) or not all(type(x) is int and 0 <= x < MAX_RUNS for x in (point, seed)):
+                raise ValueError("a name that is no text, or a point or seed that is no number of one")
+    except (LookupError, TypeError, ValueError, RecursionError) as error:
+        raise InputError(f"{path}: {damage}.") from error
     if version != FORMAT:
         raise InputError(f"{path}: this is a {version!r}, but {FORMAT!r} is wanted; export it again from its run.")
     parsed = parse(config, str(path))
     if parsed.sweep:
         raise InputError(f"{path}: its config has a sweep, and a policy has one point.")
     (group,) = make_plan(parsed).groups
-    return Trained(group.learner(), _policy(group, arrays, path), point, seed, name, parsed, origin)
+    like = group.policy
+    most = sum(leaf.size * leaf.dtype.itemsize + HEADER for leaf in (*jax.tree.leaves(like), text["header"]))
+    arrays = read_archive(path, most=most, damage=damage)
+    policy = _policy(like, arrays, f"{path}: this policy")
+    if more := sorted(arrays.keys() - text.keys() - to_arrays(policy, "policy").keys()):
+        raise InputError(f"{path}: {more[0]}: a policy has no such array; export it again from its run.")
+    return Trained(group.learner(), policy, point, seed, name, parsed, origin)
 
 
 def in_world(trained: Trained, physics: str | None, overrides: Sequence[str]) -> Trained:
@@ -205,6 +212,7 @@ def in_changed_world(trained: Trained, overrides: Sequence[str]) -> Trained:
         chooses from.
     """
     data = {"task": deepcopy(trained.config.task)}
+    check_overrides(overrides)
     for override in overrides:
         apply_override(data, override)
         key = override.partition("=")[0]
@@ -225,6 +233,7 @@ def _shapes(policy: Any) -> Any:
     return jax.tree.map(lambda leaf: (leaf.shape, str(leaf.dtype)), policy)
 
 
-def _policy(group: Group, arrays: dict[str, np.ndarray], where: Path) -> Any:
-    """The policy that a file holds, of a group of one point."""
-    return jax.tree.map(jnp.asarray, from_arrays(group.policy, arrays, "policy", str(where)))
+def _policy(like: Any, arrays: dict[str, np.ndarray], what: str) -> Any:
+    """The policy that arrays hold; `like` has its shapes, and `what` begins an error."""
+    check_finite(arrays, what)
+    return jax.tree.map(jnp.asarray, from_arrays(like, arrays, "policy", what))

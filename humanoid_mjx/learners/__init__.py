@@ -20,22 +20,23 @@ def make_learner(name: str, /, task: Task, **params: Any) -> Any:
     Raises:
       InputError: unknown name or parameter, a value out of range, or a task of a kind that it cannot learn.
     """
-    wanted = _kinds(learner_class(name))
-    if isinstance(task, Task) and not isinstance(task, wanted):
-        fit = ", ".join(other for other in LEARNERS if isinstance(task, _kinds(learner_class(other))))
-        kinds = " or a ".join(kind.__name__ for kind in wanted)
-        given = type(task).__name__
-        raise InputError(f"learner.name: {name} learns a {kinds}, not a {given}; learners for it are {fit}.")
+    class_for(name, task)
     return make("learner", LEARNERS, Learner, name, task=task, **params)
 
 
-def learner_class(name: str) -> type[Learner]:
-    """The class of the learner called `name`.
+def class_for(name: str, task: Task) -> type[Learner]:
+    """The class of the learner called `name`, which learns `task`.
 
     Raises:
-      InputError: unknown name.
+      InputError: unknown name, or a task of a kind that it cannot learn.
     """
-    return find("learner", LEARNERS, Learner, name)
+    cls = find("learner", LEARNERS, Learner, name)
+    if isinstance(task, Task) and not isinstance(task, wanted := _kinds(cls)):
+        fit = ", ".join(n for n in LEARNERS if isinstance(task, _kinds(find("learner", LEARNERS, Learner, n))))
+        kinds = " or a ".join(kind.__name__ for kind in wanted)
+        given = type(task).__name__
+        raise InputError(f"learner.name: {name} learns a {kinds}, not a {given}; learners for it are {fit}.")
+    return cls
 
 
 def _kinds(cls: type[Learner]) -> tuple[type[Task], ...]:

@@ -98,6 +98,10 @@ class ApproximateQ(StepLearner):
         fits = self.envs % devices == 0 and self.envs // devices >= LEAST_SHARE
         return devices == 1 or (self.task.arithmetic == "tree" and fits)
 
+    @property
+    def update_steps(self) -> int:
+        return self.rollout * self.envs
+
     def init_value(self, key: Key[Array, ""]) -> tuple[Any, Any]:
         """The weights of the approximation and the optimizer's state before the first update."""
         raise NotImplementedError
@@ -165,7 +169,7 @@ class ApproximateQ(StepLearner):
 
     def _steps(self, carry: Carry) -> FloatScalar:
         """Control steps so far."""
-        return carry.update.astype(jnp.float32) * (self.rollout * self.envs)
+        return carry.update.astype(jnp.float32) * self.update_steps
 
     def _act(self, carry: Carry, key: Key[Array, ""]) -> tuple[Envs, "Batch", dict[str, FloatScalar]]:
         """`_collect`, and the targets of the experience. Devices that share the environments act in one part each; all

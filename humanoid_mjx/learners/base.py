@@ -67,6 +67,11 @@ class Learner(Spec):
         return getattr(self, self.unit)
 
     @property
+    def update_steps(self) -> int:
+        """Steps of an update, in `unit`s: training ends with the update that reaches the budget."""
+        return 1
+
+    @property
     def env(self) -> ContinuousTask:
         """The task in which episodes are played: the continuous form of a finite task."""
         return as_continuous(self.task)

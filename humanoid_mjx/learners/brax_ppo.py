@@ -83,6 +83,10 @@ class BraxPPO(StepLearner):
         return self
 
     @property
+    def update_steps(self) -> int:
+        return self._pieces * self.unroll_length
+
+    @property
     def _pieces(self) -> int:
         """Pieces of experience of an update."""
         return self.batch_size * self.num_minibatches
@@ -121,7 +125,7 @@ class BraxPPO(StepLearner):
 
     def _steps(self, carry: Carry) -> FloatScalar:
         """Control steps so far."""
-        return carry.update.astype(jnp.float32) * (self._pieces * self.unroll_length)
+        return carry.update.astype(jnp.float32) * self.update_steps
 
     def _collect(self, carry: Carry, key: Key[Array, ""]) -> tuple[Envs, Any, dict[str, FloatScalar]]:
         """Act as the policy's distribution says: where the environments are then, pieces of experience, (pieces,

@@ -54,6 +54,8 @@ class Native(MujocoPhysics):
 
     batches: ClassVar[Batches] = Batches(cpu=256, gpu=256)
     terrains: ClassVar[tuple[tuple[str, ...], ...]] = (("rough",), ("stairs",))
+    host_call: ClassVar[Any] = staticmethod(partial(jax.pure_callback, vmap_method="broadcast_all"))
+    """Call of the host for a time step, which jax may drop or repeat."""
 
     def step(self, world: World, controller: Controller) -> tuple[World, Float[Array, " joints"]]:
         return self._cycle(world, controller, sensed=False)[:2]
@@ -93,7 +95,7 @@ class Native(MujocoPhysics):
         state = world.qpos, world.qvel, world.warmstart
         control = jnp.concatenate([self.controls_for(torque), self.pushes()])
         shapes = *(x.shape for x in state), (self._team.base.nsensordata * sensed,)
-        return _on_host(partial(self._advance, sensed), shapes, self._values(), *state, control)
+        return _on_host(partial(self._advance, sensed), shapes, self._values(), *state, control, by=self.host_call)
 
     def _seen(self, qpos: Float[Array, " nq"], torque: Float[Array, " joints"], sensordata: Array) -> Sensed:
         """Convert the sensors' array of a model of `_Team`."""
@@ -231,7 +233,10 @@ def _team(robot: Robot, timestep: float | None, terrain: Any) -> _Team:
 
 
 def _on_host(
-    function: Callable[..., tuple[np.ndarray, ...]], shapes: Sequence[tuple[int, ...]], *vectors: Any
+    function: Callable[..., tuple[np.ndarray, ...]],
+    shapes: Sequence[tuple[int, ...]],
+    *vectors: Any,
+    by: Any = Native.host_call,
 ) -> list[Array]:
     """Call a numpy function that takes vectors and gives arrays of `shapes`, all with a leading axis of worlds."""
     dtype = jnp.result_type(float)
@@ -244,7 +249,7 @@ def _on_host(
             return tuple(x.astype(dtype).reshape(*worlds, *x.shape[1:]) for x in results)
 
     wanted = [jax.ShapeDtypeStruct(shape, dtype) for shape in shapes]
-    return jax.pure_callback(call, wanted, *vectors, vmap_method="broadcast_all")
+    return by(call, wanted, *vectors)
 
 
 @contextmanager

@@ -8,6 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from humanoid_mjx.files import meant, refuse_pipe
 from humanoid_mjx.mechanics.tree.refusing import faults, robot_faults, sensors_of
 from humanoid_mjx.robot.declared import bad_timestep
 from humanoid_mjx.robot.description import IMU
@@ -25,8 +26,9 @@ def survey(path: str) -> tuple[list[str], bool]:
     Raises:
       InputError: there is no such file, MuJoCo cannot compile it, its time step is none, or nothing in it moves.
     """
+    refuse_pipe(Path(path))
     if not Path(path).is_file():
-        raise InputError(f"info: there is no file {path}.")
+        raise InputError(f"info: there is no file {path}{meant(path, 'model', 'robot')}.")
     model, warned = checked(lambda: mujoco.MjSpec.from_file(path).compile(), f"info: MuJoCo cannot read {path}")
     if not model.nv:
         raise InputError(f"info: {path} has no joint, so nothing in it moves.")
@@ -44,7 +46,7 @@ def survey(path: str) -> tuple[list[str], bool]:
     needs = {"one body with a <freejoint/>": free == 1, "hinges that have names": hinges and named}
     rows = [
         ("mass", f"{model.body_mass.sum():.4g} kg in {model.nbody - 1} bodies, {'a free' if free else 'no free'} base"),
-        ("joints", f"{len(joints)}, {len(model.actuator_trntype)} motors, {model.nv} degrees of freedom"),
+        ("joints", f"{len(joints)}, {len(model.actuator_trntype)} actuators, {model.nv} degrees of freedom"),
         *joints,
         ("feet", f"{', '.join(feet) or 'none'}: ends of limbs{' that the ground can push' * floor}"),
         ("contacts", ", ".join(f"{count} of {one} and {two}" for (one, two), count in contacts.items()) or "none"),
@@ -75,5 +77,5 @@ def _joints(m: mujoco.MjModel) -> Iterator[str]:
         name, slides = word(JOINT, kind), kind == JOINT.mjJNT_SLIDE
         low, high = m.jnt_range[index] * 1e3 if slides else np.degrees(m.jnt_range[index])
         limits = f"{low:.4g} to {high:.4g} {'mm' if slides else 'degrees'}" if m.jnt_limited[index] else "no limits"
-        motors = [m.actuator(i).name or "a motor" for i in motors_on(m, index)]
-        yield f"  {m.joint(index).name or f'joint {index}'}: {name}, {limits}, {', '.join(motors) or 'no motor'}"
+        motors = [m.actuator(i).name or "an actuator" for i in motors_on(m, index)]
+        yield f"  {m.joint(index).name or f'joint {index}'}: {name}, {limits}, {', '.join(motors) or 'no actuator'}"

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from rich.table import Column, Table
 
-from humanoid_mjx.evaluation.gait.figures import FIGURES
-from humanoid_mjx.evaluation.gait.summary import Gait, Summary
+from humanoid_mjx.evaluation.gait.figures import FIGURES, Gait, Summary
 
 COLUMNS = (
     ("upright", "success", "z.0%", True),

@@ -63,7 +63,7 @@ class Growing(Reporter):
         """Begin to draw; the curves that the page shows (`training.sweep.sweep`)."""
         self.curves, self.folder, self.file = Curves(folder, plan, MAX_POINTS), folder, folder.path / "report.html"
         self.write()
-        self.reporter.note(f"{self.file}: grows while the sweep trains")
+        self.reporter.note(f"{self.file.resolve().as_uri()}: grows while the sweep trains")
         if self.browse:
             threading.Thread(target=partial(webbrowser.open, self.file.resolve().as_uri()), daemon=True).start()
         self._thread.start()

@@ -5,27 +5,28 @@ import math
 import random
 import signal
 import threading
+import time
 import webbrowser
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from functools import partial
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from jaxtyping import Float
 
 from humanoid_mjx.evaluation.live import SPEEDS, Grab, Live
-from humanoid_mjx.report import player
-from humanoid_mjx.report.scene import make_scene, posed
+from humanoid_mjx.report.scene import make_scene, player_figure, posed, poses, rounded, scene_data
+from humanoid_mjx.report.server import LOOPBACK, Server
 from humanoid_mjx.report.web import page
 from humanoid_mjx.spec import InputError
-
-LOOPBACK = "127.0.0.1"
+from humanoid_mjx.tasks.legged.events import Push
 
 SLOPE, FRICTION, PAYLOAD, PUSH = 10.0, 2.0, 0.5, 0.2
 """Largest slope, degrees; friction, as a factor; payload, as a share of the robot's mass; and impulse of a key's push,
-as a share of the robot's momentum at the speed sqrt(gravity * extent)."""
+as a share of the robot's momentum at the speed sqrt(gravity * extent). Pushes of the training are possible anyhow."""
+
+GENTLE = 0.15
+"""First impulse of a key's push for a policy that was trained with none, as a share of the largest."""
 
 SLOWEST = 0.05
 """Least seconds of the robot a second."""
@@ -33,8 +34,8 @@ SLOWEST = 0.05
 BESIDE = 1.0
 """Distance at which several robots are drawn beside each other, as a share of the robot's extent."""
 
-LONGEST = 10_000
-"""Bytes of a message."""
+LAST_EPISODE = 10**6
+"""Largest number of an episode, as of `play --episode`."""
 
 
 def serve(live: Live, told: Callable[[str], None], *, port: int = 0, browse: bool = True) -> None:
@@ -68,17 +69,17 @@ def serve(live: Live, told: Callable[[str], None], *, port: int = 0, browse: boo
             signal.signal(signal.SIGINT, before)
 
 
-def make_server(live: Live, port: int = 0) -> ThreadingHTTPServer:
+def make_server(live: Live, port: int = 0) -> Server:
     """The server of a live robot on the loopback interface, which answers once it is let run.
 
     Raises:
       InputError: the port is taken.
     """
     try:
-        server = ThreadingHTTPServer((LOOPBACK, port), Handler)
+        server = Server(port)
     except OSError as error:
         raise InputError(f"--port {port}: {error.strerror}; without --port a free one is taken.") from error
-    server.RequestHandlerClass = partial(Handler, Window(live))
+    server.shown = Window(live)
     return server
 
 
@@ -121,76 +122,89 @@ class Window:
         self.sides = BESIDE * self.model.stat.extent * (np.arange(len(bodies)) - (len(bodies) - 1) / 2)
         """Offset to the left at which each robot is drawn, m."""
         self.scales = _scales(live)
-        self.frame, self.number, self.changed = self._frame(), 0, threading.Condition()
+        self.made, self.frame, self.number, self.changed = time.monotonic(), self._frame(), 0, threading.Condition()
         live.stage.shown = lambda: self._show(self._frame())
 
     def page(self) -> bytes:
         """The page."""
         live, title = self.live, self.live.trained.title
-        data = player.scene_data(self.scene, title)
+        data = scene_data(self.scene, title)
         data["shapes"] *= len(live.stage.bodies)
         data["distance"] *= 1.0 + 0.5 * (len(live.stage.bodies) - 1)
         data |= {
             "live": {"ranges": live.ranges, "told": live.told, "scales": self.scales, "touchable": live.touchable},
+            "legs": _legs(live),
             "first": self.now(),
         }
-        return page(title, player.figure(data, title, "<p>This needs JavaScript.</p>"), live=True).encode()
+        return page(title, player_figure(data, title, "<p>This needs JavaScript.</p>"), live=True).encode()
 
     def frames(self) -> Iterator[str]:
-        """The frames as they come, the newest only where its reader is slow."""
+        """The frames as they come, the newest only where its reader is slow, and one a second where none comes."""
         seen = -1
         while True:
             with self.changed:
-                self.changed.wait_for(lambda: self.number != seen, timeout=5.0)  # noqa: B023
+                self.changed.wait_for(lambda: self.number != seen, timeout=1.0)  # noqa: B023
                 seen = self.number
             yield json.dumps(self.now(), separators=(",", ":"))
 
     def now(self) -> dict[str, Any]:
-        """The newest frame, and whether the robot waits now."""
-        return self.frame | {"paused": not self.live.going.is_set()}
+        """The newest frame, and what is true now; `compiling`: for how long it has, s, until it is ready."""
+        live, compiling = self.live, None if self.live.ready else time.monotonic() - self.made
+        return self.frame | {"paused": not live.going.is_set(), "words": live.words, "compiling": compiling}
 
     def take(self, message: Any) -> None:
         """Do what the browser asks for.
 
         Raises:
-          ValueError, TypeError, LookupError, AttributeError: this is no such message.
+          ValueError, TypeError, LookupError, AttributeError, ArithmeticError: this is no such message, and nothing is
+            done.
         """
-        live, hands = self.live, self.live.stage.hands
-        for name, value in message.get("told", {}).items():
-            live.told[name] = _within(value, *live.ranges[name])
-        for name in self.scales.keys() & message.keys() - {"push"}:
-            setattr(hands, name, _within(message[name], *self.scales[name][:2]))
-        if "pace" in message:
-            hands.pace = _within(message["pace"], SLOWEST, 1.0)
-        if "push" in message:
-            size, side = _within(message["push"], *self.scales["push"][:2]), random.uniform(0.0, math.tau)
-            for body in live.stage.bodies:
-                body.shoves[:] = [size * np.array([math.cos(side), math.sin(side), 0.0])]
-        if "grab" in message and live.touchable:
-            self._grab(message["grab"])
-        if "paused" in message:
-            (live.going.clear if message["paused"] else live.going.set)()
-            self._show(self.frame)  # a robot that waits shows no other
-        if "episode" in message:
-            live.episodes = np.maximum(live.episodes + int(message["episode"]), np.arange(len(live.episodes)))
-            live.again.set()
-            live.going.set()
+        live = self.live
+        for name, value in {name: self._read(name, value) for name, value in message.items()}.items():
+            if name == "told":
+                live.told.update(value)
+            elif name == "push":
+                side = random.uniform(0.0, math.tau)
+                for body in live.stage.bodies:
+                    body.shoves[:] = [value * np.array([math.cos(side), math.sin(side), 0.0])]
+            elif name == "grab":
+                for body, grab in zip(live.stage.bodies, value, strict=True):
+                    body.grab = grab
+            elif name == "paused":
+                (live.going.clear if value else live.going.set)()
+                self._show(self.frame)  # a robot that waits shows no other
+            elif name == "episode":
+                first = np.arange(len(live.episodes))
+                live.episodes = np.clip(live.episodes + value, first, first + LAST_EPISODE)
+                live.again.set()
+                live.going.set()
+            else:
+                setattr(live.stage.hands, name, value)
 
-    def _grab(self, what: Any) -> None:
+    def _read(self, name: str, value: Any) -> Any:
+        """Check a part of a message."""
+        if name == "told":
+            return {part: _within(number, *self.live.ranges[part]) for part, number in value.items()}
+        if name == "grab" and self.live.touchable:
+            return self._grabs(value)
+        if name == "paused" and type(value) is bool:
+            return value
+        if name == "episode" and type(value) is int and abs(value) <= LAST_EPISODE:
+            return value
+        return _within(value, *((SLOWEST, 1.0) if name == "pace" else self.scales[name][:2]))
+
+    def _grabs(self, what: Any) -> list[Grab | None]:
         """Take a place on a shape into the hand, where one is named; else move the hand, or open it."""
-        bodies, views = self.live.stage.bodies, self.views()
+        bodies, views, shown = self.live.stage.bodies, self.views(), self.scene.shown
         if what is None:
-            for body in bodies:
-                body.grab = None
-            return
-        to = _place(what["to"])
+            return [None] * len(bodies)
+        grabs, to = [body.grab for body in bodies], _place(what["to"])
         if "shape" in what:
-            robot, shape = divmod(int(what["shape"]), len(self.scene.shown))
-            held, part = bodies[robot], int(self.model.geom_bodyid[self.scene.shown[shape]])
-            place = views[robot].back(_place(what["point"])) - held.data.xpos[part]
-            held.grab = Grab(part, held.data.xmat[part].reshape(3, 3).T @ place, place)
-        for body, view in zip(bodies, views, strict=True):
-            body.grab = body.grab and body.grab._replace(to=view.back(to))
+            robot, shape = divmod(range(len(bodies) * len(shown)).index(what["shape"]), len(shown))
+            data, part = bodies[robot].data, int(self.model.geom_bodyid[shown[shape]])
+            place = views[robot].back(_place(what["point"])) - data.xpos[part]
+            grabs[robot] = Grab(part, data.xmat[part].reshape(3, 3).T @ place, place)
+        return [grab and grab._replace(to=view.back(to)) for grab, view in zip(grabs, views, strict=True)]
 
     def _show(self, frame: dict[str, Any]) -> None:
         with self.changed:
@@ -221,14 +235,15 @@ class Window:
                 "ahead": view.turn[:2, :2] @ body.ahead,
             }
             for name, values in shown.items():
-                frame[name].append(None if values is None else player.rounded(values))
-            frame["shapes"] += player.poses(view.at(places), view.turn @ turns)
-            frame["forces"] += [player.rounded([*view.at(at), *view.turn @ force]) for at, force in pressed.values()]
+                frame[name].append(None if values is None else rounded(values))
+            frame["shapes"] += poses(view.at(places), view.turn @ turns)
+            frame["forces"] += [rounded([*view.at(at), *view.turn @ force]) for at, force in pressed.values()]
         return frame | {
             "time": round(live.stage.time, 3),
-            "ground": player.rounded(views[0].ground(bodies[0].ground)),
-            "words": live.words,
+            "ground": rounded(views[0].ground(bodies[0].ground)),
             "episodes": live.episodes.tolist(),
+            "ended": [body.ended is not None for body in bodies],
+            "world": {name: getattr(live.stage.hands, name) for name in self.scales if name != "push"},
             "charts": {
                 title: {name: round(float(value), 4) for name, value in lines.items()}
                 for title, lines in self._charts(pressing).items()
@@ -260,14 +275,21 @@ class Window:
 
 
 def _scales(live: Live) -> dict[str, Scale]:
-    """The sliders of a robot's world; none where nobody can touch it."""
+    """The sliders of a robot's world; none where nobody can touch it.
+
+    The first push is the mean one of the training, so that the policy bears it, and a third of `PUSH` at most: policies
+    that were trained with harder ones bear not all of them.
+    """
     model, first = live.model, live.stage.bodies[0]
     if not (live.touchable and first.free):
         return {}
-    mass = float(model.body_mass.sum())
+    mass, task = float(model.body_mass.sum()), cast(Any, live.trained.learner.task)
     hardest = PUSH * mass * math.sqrt(9.81 * model.stat.extent)
+    push: Any = task.push if isinstance(getattr(task, "push", None), Push) else Push(impulse=0.0)
+    trained = float(push.impulse) * task.robot.momentum if push.impulse > 0 else 0.0
+    usual = (1.0 + float(push.least)) / 2 * trained or GENTLE * hardest
     scales = {
-        "push": Scale(0.0, _short(hardest), _short(hardest / 3), "push, N s"),
+        "push": Scale(0.0, _short(max(hardest, trained)), _short(min(usual, hardest / 3)), "push, N s"),
         "payload": Scale(0.0, _short(PAYLOAD * mass), 0.0, "payload, kg"),
     }
     if len(first.planes):
@@ -276,82 +298,29 @@ def _scales(live: Live) -> dict[str, Scale]:
     return scales
 
 
+def _legs(live: Live) -> dict[str, list[str]]:
+    """Names of the joints with a motor between the world and each foot."""
+    model, legs = live.model, {}
+    for foot in live.feet:
+        chain = [model.body(foot).id]
+        while chain[-1]:
+            chain.append(int(model.body_parentid[chain[-1]]))
+        moved = [joint for joint in model.actuator_trnid[:, 0] if model.jnt_bodyid[joint] in chain]
+        legs[f"leg of {foot}"] = [model.joint(joint).name for joint in moved]
+    return legs
+
+
 def _within(value: Any, low: float, high: float) -> float:
-    if not math.isfinite(value):
+    """The number in the range that is nearest to a finite one."""
+    if type(value) not in (int, float) or not math.isfinite(value):
         raise ValueError
     return min(max(float(value), low), high)
 
 
 def _place(values: Any) -> Float[np.ndarray, "3"]:
-    return np.array([_within(values[i], -1e6, 1e6) for i in range(3)])
+    x, y, z = values
+    return np.array([_within(each, -1e6, 1e6) for each in (x, y, z)])
 
 
 def _short(value: float) -> float:
     return float(f"{value:.2g}")
-
-
-class Handler(BaseHTTPRequestHandler):
-    """Answers to the browser of this machine, and to no page of another site in it."""
-
-    protocol_version = "HTTP/1.1"
-
-    def __init__(self, window: Any, *args: Any):
-        self.window = window
-        super().__init__(*args)
-
-    def do_GET(self) -> None:
-        path = self.path.partition("?")[0]
-        if not self._is_for_us():
-            self._answer(403)
-        elif path == "/":
-            self._answer(200, self.window.page(), "text/html; charset=utf-8")
-        elif path == "/frames" and self.command == "GET":
-            self._stream()
-        else:
-            self._answer(404)
-
-    do_HEAD = do_GET
-
-    def do_POST(self) -> None:
-        length = self.headers.get("Content-Length", "")
-        if not self._is_for_us() or self.headers.get("Content-Type") != "application/json":
-            self._answer(403)
-        elif self.path != "/hands" or not length.isdecimal() or int(length) > LONGEST:
-            self._answer(404)
-        else:
-            try:
-                self.window.take(json.loads(self.rfile.read(int(length))))
-            except (ValueError, TypeError, LookupError, AttributeError):
-                self._answer(400)
-            else:
-                self._answer(204)
-
-    def log_message(self, format: str, *args: Any) -> None:
-        """Nothing of the requests is printed."""
-
-    def _is_for_us(self) -> bool:
-        """Return whether a request names this server as its host, and comes from no page of another site."""
-        port = self.server.server_address[1]  # pyright: ignore[reportIndexIssue]
-        names = {f"{host}:{port}" for host in (LOOPBACK, "localhost")}
-        origin = self.headers.get("Origin")
-        return self.headers.get("Host") in names and origin in (None, *(f"http://{name}" for name in names))
-
-    def _stream(self) -> None:
-        """Frames as server-sent events, until the browser has gone."""
-        self.close_connection = True
-        self.send_response(200)
-        self.send_header("Content-Type", "text/event-stream")
-        self.send_header("Cache-Control", "no-store")
-        self.end_headers()
-        with suppress(OSError):
-            for frame in self.window.frames():
-                self.wfile.write(f"data: {frame}\n\n".encode())
-
-    def _answer(self, status: int, content: bytes = b"", kind: str = "text/plain") -> None:
-        self.close_connection = self.close_connection or status >= 400
-        self.send_response(status)
-        self.send_header("Content-Type", kind)
-        self.send_header("Content-Length", str(len(content)))
-        self.end_headers()
-        if self.command != "HEAD":
-            self.wfile.write(content)

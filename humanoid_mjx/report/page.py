@@ -19,10 +19,11 @@ from humanoid_mjx.evaluation.film import driven_films, show
 from humanoid_mjx.evaluation.gait.measure import measure, settings_of
 from humanoid_mjx.evaluation.gait.scenarios import walking_task
 from humanoid_mjx.evaluation.policy import Trained, find_policy, in_world, on_native, on_plane
+from humanoid_mjx.evaluation.replay import why_stopped
 from humanoid_mjx.report.figures import HEAT_MAPS, Figure, averaged, curved, draw_map, figures_of, limits, mapped
 from humanoid_mjx.report.gaits import gait_rows, meanings, remarks
-from humanoid_mjx.report.player import player
 from humanoid_mjx.report.rendering import strip
+from humanoid_mjx.report.scene import player
 from humanoid_mjx.report.style import figure
 from humanoid_mjx.report.web import contents, data_address, facts, image, link, page, section, table, text
 from humanoid_mjx.robot.differences import HEADINGS, differences_of
@@ -61,7 +62,7 @@ def run_page(path: Path, reporter: Reporter, motion: bool) -> str:
     points = ranked(axes, summary, quickest)
     own = figures_of(str(config["task"]["name"]), config.get("modules"))
     parts = {
-        "Result": _result(axes, summary, points, quickest),
+        "Result": _result(path, axes, summary, points, quickest),
         "Learning": [text(f"Lines: {averaged(axes, results)}."), *curve_panels(axes, results, own)],
     }
     if maps := mapped(axes, summary):
@@ -95,7 +96,7 @@ def _lead(
 
 
 def _result(
-    axes: Sequence[str], summary: Mapping[str, np.ndarray], points: Sequence[Ranked], quickest: bool
+    path: Path, axes: Sequence[str], summary: Mapping[str, np.ndarray], points: Sequence[Ranked], quickest: bool
 ) -> list[str]:
     headings, rows = best_table(axes, summary, points, quickest)
     shown = len(rows)
@@ -104,8 +105,7 @@ def _result(
     parts = [table(headings, rows, caption=caption)]
     if (equals := ties(points)) > 1:
         parts.append(text(f"{equals:,} points act equally well; training tells them apart."))
-    if diverged := int(np.sum(summary["diverged"])):
-        words = f"{diverged:,} of {len(summary['point']):,} runs stopped at numbers that were not finite."
+    if words := why_stopped(path, summary):
         parts.append(f'<p class="note">{text(words, "strong")}</p>')
     words = (
         "Greedy: episodes in which nothing is explored or learned, after training. Success is the mean over seeds, the "

@@ -1,6 +1,6 @@
 // Shows a robot on a canvas: shaded solids with a depth buffer, seen from any side. No WebGL: it is drawn the same where
 // there is no GPU.
-// Each `figure.player` holds as JSON a film (report/player.py) or the beginning of a live robot (report/live.py), and
+// Each `figure.player` holds as JSON a film (report/scene.py) or the beginning of a live robot (report/live.py), and
 // gets canvas, buttons and keys here.
 "use strict";
 (() => {
@@ -495,9 +495,12 @@
       this.paused = button("Pause", () => this.pause());
       this.recorded = button("Record", () => this.record());
       this.fastest = Math.max(...Object.values(data.live.ranges["forward, m/s"] || [1]));
-      const drives = Object.keys(data.live.ranges).length > 0, touch = data.live.touchable;
-      const hints = [drives && "W S A D or arrows: go. Q E: turn. Shift: faster. Space: stand.", touch && "Drag the robot: pull it.",
-        data.live.scales.push && "X: push.", "Drag beside it: look around. Right button: move. Wheel: zoom. P: pause. R: restart. N: next episode."];
+      const drives = Object.keys(data.live.ranges).length > 0, touch = data.live.touchable, { first: { world } } = data;
+      const keys = (part, forth, back) => [this.range(part)[2] > 0 && forth, this.range(part)[1] < 0 && back].filter(Boolean);
+      const go = [...keys("forward", "W", "S"), ...keys("left", "A", "D")], turn = keys("turn", "Q", "E");
+      const hints = [go.length && `${go.join(" ")} or arrows: go.`, turn.length && `${turn.join(" ")}: turn.`,
+        drives && "Shift: faster. Space: stand.", touch && "Drag the robot: pull it.", data.live.scales.push && "X: push.",
+        "Drag beside it: look around. Right button: move. Wheel: zoom. P: pause. R: restart, all as at first. N: next episode."];
       this.panel = make("div", { className: "panel" });
       this.sliders = {};
       for (const [name, [low, high]] of Object.entries(data.live.ranges))
@@ -505,10 +508,15 @@
       const acts = [drives && button("Stand", () => this.stand()), data.live.scales.push && button("Push", () => this.push())];
       this.panel.append(make("p", { className: "controls" }, ...acts.filter(Boolean)));
       for (const [name, [low, high, now, words]] of Object.entries(data.live.scales))
-        this.slider(words, low, high, now, (value) => { if (name !== "push") this.send({ [name]: value }); }, name);
-      const buttons = [this.paused, button("Restart", () => this.send({ episode: 0 })),
+        this.slider(words, low, high, name in world ? world[name] : now, (value) => { if (name !== "push") this.send({ [name]: value }); }, name);
+      const buttons = [this.paused, button("Restart", () => this.restart()),
         button("Next episode", () => this.send({ episode: 1 })), this.recorded];
       this.build(buttons, [0.1, 0.25, 0.5, 1], (pace) => this.send({ pace }), hints.filter(Boolean).join(" "), this.panel);
+      const told = this.words;
+      this.words = make("strong");
+      this.words.setAttribute("role", "status"); // read aloud when it changes
+      this.clock = make("span");
+      told.append(this.clock, " ", this.words);
       document.addEventListener("keydown", (event) => this.drive(event, true));
       document.addEventListener("keyup", (event) => this.drive(event, false));
       window.addEventListener("blur", () => { this.held.clear(); this.steer(); });
@@ -519,13 +527,20 @@
     listen() {
       const stream = new EventSource("/frames");
       stream.onmessage = (event) => {
-        this.latest = JSON.parse(event.data);
-        this.history.push(this.latest);
+        this.latest = { ...JSON.parse(event.data), at: performance.now() };
+        if (this.latest.paused || this.latest.compiling !== null) this.since = this.latest.at;
+        this.gone = "";
+        if (!this.latest.paused || !this.history.length) this.history.push(this.latest);
         while (this.latest.time - this.history[0].time > SHOWN_S) this.history.shift();
         if (this.asked) return;
         this.asked = requestAnimationFrame(() => { this.asked = 0; this.draw(); });
       };
-      stream.onerror = () => { this.words.textContent = "The program that moves the robot has ended, or does not answer."; };
+      stream.onerror = () => {
+        this.gone = stream.readyState === EventSource.CLOSED
+          ? "The program shows the robot to as many windows as it can: close one of them and load this page again."
+          : "The program that moves the robot has ended, or does not answer.";
+        this.draw();
+      };
     }
 
     // Messages that a slow server has not taken yet are joined into one.
@@ -554,22 +569,40 @@
       this.panel.append(make("label", {}, make("span", {}, words), input, output));
     }
 
-    tell(told) {
-      Object.assign(this.told, told);
-      for (const [name, value] of Object.entries(told)) {
+    show(values) {
+      for (const [name, value] of Object.entries(values)) {
         this.sliders[name].input.value = value;
         this.sliders[name].output.textContent = value.toFixed(2);
       }
+    }
+    tell(told) {
+      Object.assign(this.told, told);
+      this.show(told);
       this.send({ told });
     }
     stand() { this.tell(Object.fromEntries(Object.keys(this.told).map((name) => [name, 0]))); }
+    // The episode again, the world and the command as at first.
+    restart() {
+      const { push, ...world } = Object.fromEntries(Object.entries(this.data.live.scales).map(([name, scale]) => [name, scale[2]]));
+      this.held.clear();
+      this.show(push === undefined ? world : { ...world, push });
+      this.stand();
+      this.send({ ...world, episode: 0 });
+    }
+
+    // Name, lowest and highest of a part of the command.
+    range(part) {
+      const [name, [low, high]] = Object.entries(this.data.live.ranges).find(([each]) => each.match(/^\w*/)[0] === part) || ["", [0, 0]];
+      return [name, low, high];
+    }
 
     // Shares of the largest command for the parts that `STEERED` names.
     share(shares) {
       const told = {};
-      for (const [name, [low, high]] of Object.entries(this.data.live.ranges)) {
-        const part = name.match(/^\w*/)[0];
-        if (part in shares) told[name] = shares[part] > 0 ? shares[part] * high : -shares[part] * low;
+      for (const [part, share] of Object.entries(shares)) {
+        const [name, low, high] = this.range(part), value = share > 0 ? share * high : -share * low;
+        if (share && !value) this.note(`This policy has no such command: ${name || part} is from ${low} to ${Number(high.toFixed(2))}.`);
+        if (name) told[name] = value || 0;
       }
       if (Object.keys(told).length) this.tell(told);
     }
@@ -585,8 +618,8 @@
         if (this.held.has(key) === down) return;
         this.held[down ? "add" : "delete"](key);
         this.steer();
-      } else if (down)
-        this.key(event, { " ": () => this.stand(), p: () => this.pause(), r: () => this.send({ episode: 0 }),
+      } else if (down && !event.repeat)
+        this.key(event, { " ": () => this.stand(), p: () => this.pause(), r: () => this.restart(),
           n: () => this.send({ episode: 1 }), x: () => this.push() });
     }
     steer() {
@@ -609,6 +642,12 @@
       if (buttons[0] && !before[0]) this.push();
       if (buttons[9] && !before[9]) this.pause();
       this.buttons = buttons;
+    }
+
+    // Words for three seconds.
+    note(words) {
+      Object.assign(this, { noted: words, noted_until: performance.now() + 3000 });
+      this.draw();
     }
 
     viewKeys() {
@@ -662,7 +701,7 @@
         arrows.push({ from: shapes[this.held_at.shape].slice(0, 3), to: this.pulled, color: ALARM });
       }
       const [forward, left] = ["forward, m/s", "left, m/s"].map((name) => (this.told[name] || 0) / this.fastest);
-      const on = (a, b) => [a, b, this.height(ground, a, b)], size = 3 * this.data.arrow;
+      const on = (a, b) => [a, b, this.height(ground, a, b)], size = 1.5 * this.data.arrow;
       torsos.forEach((torso, i) => {
         if (pushes[i]) arrows.push(this.pushed(torso, pushes[i], `push ${Math.hypot(...pushes[i]).toFixed(2)} N s`));
         const [x, y] = ahead[i], robot = torsos.length > 1 ? `robot ${i + 1}` : "";
@@ -675,13 +714,29 @@
 
     draw() {
       super.draw();
-      const { time, words, episodes, paused } = this.latest;
+      const { time, words, episodes, paused, compiling, world } = this.latest, { scales } = this.data.live;
       this.paused.textContent = paused ? "Go on" : "Pause";
+      const present = this.gone || (compiling === null && words) || (performance.now() < this.noted_until ? this.noted : "");
+      if (this.words.textContent !== present) this.words.textContent = present;
       const which = episodes.length > 1 ? `episodes ${episodes.join(", ")}` : `episode ${episodes[0]}`;
-      this.words.textContent = words || `${which}, ${time.toFixed(1)} s`;
-      this.canvas.dataset.time = time.toFixed(3);
       const pictures = ++this.canvas.dataset.pictures;
+      if (pictures % 4 === 1 || compiling !== null)
+        this.clock.textContent = compiling === null ? `${which}, ${time.toFixed(1)} s${this.rate()}` : `compiling, ${compiling.toFixed(0)} s`;
+      const { ratio } = this.camera || {}, context = this.canvas.getContext("2d");
+      const changed = Object.entries(world).filter(([name, value]) => value !== scales[name][2]);
+      context.font = `${13 * ratio}px sans-serif`;
+      context.textAlign = "left";
+      context.fillStyle = DARK.matches ? "#ffffff" : INK;
+      changed.forEach(([name, value], i) => context.fillText(`${scales[name][3]}: ${value.toFixed(2)}`, 10 * ratio, (20 + 18 * i) * ratio));
+      this.canvas.dataset.time = time.toFixed(3);
       if (pictures % 4 === 1) this.drawCharts();
+    }
+
+    // Words for how fast the robot moves: its seconds for each of the last two.
+    rate() {
+      if (this.latest.paused) return ", paused";
+      const { at, time } = this.latest, first = this.history.find((each) => each.at >= Math.max(at - 2000, this.since || 0));
+      return first && at - first.at > 500 ? `, ${((1000 * (time - first.time)) / (at - first.at)).toFixed(2)} × real time` : "";
     }
 
     drawCharts() {
@@ -690,13 +745,25 @@
         if (!this.charts.has(title)) {
           const canvas = make("canvas"), legend = make("p", { className: "legend" });
           const open = commanded || title.startsWith("load") || (!Object.keys(this.told).length && title.startsWith("joint"));
-          const details = make("details", { open }, make("summary", {}, title), canvas, legend);
+          const choice = this.choice(title, names);
+          const details = make("details", { open }, make("summary", {}, title), ...(choice ? [choice] : []), canvas, legend);
           this.panel.append(details);
-          this.charts.set(title, { details, canvas, legend });
+          this.charts.set(title, { details, canvas, legend, choice });
         }
-        const { details, canvas, legend } = this.charts.get(title);
-        if (details.open) this.drawChart(canvas, legend, title, names, commanded ? this.data.live.ranges[title] : [0, 0]);
+        const { details, canvas, legend, choice } = this.charts.get(title), chosen = choice ? choice.value.split("\n") : names;
+        if (details.open) this.drawChart(canvas, legend, title, chosen, commanded ? this.data.live.ranges[title] : [0, 0]);
       }
+    }
+
+    // Which of many lines are drawn: all, those of a leg, or one. Of more than can be told apart, first a leg's.
+    choice(title, names) {
+      if (names.length < 5) return null;
+      const legs = Object.entries(this.data.legs).filter(([, joints]) => joints.length && joints.every((name) => names.includes(name)));
+      const groups = [["all", names], ...(legs.length > 1 ? legs : []), ...names.map((name) => [name, [name]])];
+      const select = named(make("select", {}, ...groups.map(([label, lines]) => make("option", { value: lines.join("\n") }, label))),
+        `Lines of ${title}`);
+      select.selectedIndex = names.length > 12 && legs.length > 1 ? 1 : 0;
+      return select;
     }
 
     // The last seconds of some lines, at least over this range of values, and the present values below them.
@@ -704,33 +771,41 @@
       const ratio = window.devicePixelRatio || 1, width = canvas.clientWidth, height = 80, now = this.latest;
       Object.assign(canvas, { width: width * ratio, height: height * ratio }); // this also wipes it
       const context = canvas.getContext("2d"), ink = getComputedStyle(this.figure).color;
-      const number = (x) => x.toFixed(2).replace(/^-(0\.?0*)$/, "$1");
+      const number = (x) => (x === null ? "–" : x.toFixed(2).replace(/^-(0\.?0*)$/, "$1"));
       const color = (i) => (names[i] === "commanded" ? ink : line(i - names.includes("commanded"), names.length));
-      const shown = this.history.filter((each) => title in each.charts);
-      const values = shown.flatMap((each) => Object.values(each.charts[title]));
+      const shown = this.history.filter((each) => title in each.charts), { length } = now.ended;
+      const value = (each, name) => // null after an episode's end
+        (name !== "commanded" && each.ended[length > 1 ? name.slice(6) - 1 : 0] ? null : each.charts[title][name]);
+      const values = shown.flatMap((each) => names.map((name) => value(each, name))).filter((x) => x !== null);
       const low = Math.min(...range, ...values), high = Math.max(...range, ...values);
       const y = (value) => height - 4 - ((height - 8) * (value - low)) / (high - low || 1);
       legend.replaceChildren(...names.map((name, i) => {
-        const words = make("span", {}, `${name} ${number(now.charts[title][name])}`);
+        const words = make("span", {}, `${name} ${number(value(now, name))}`);
         words.style.color = color(i);
         return words;
       }));
       context.scale(ratio, ratio);
+      context.font = "11px sans-serif";
+      const left = 8 + Math.max(...[low, high].map((x) => context.measureText(number(x)).width)); // beside the curves
       const draw = (style, dash, points) => {
         context.strokeStyle = style;
         context.setLineDash(dash);
         context.beginPath();
-        for (const point of points) context.lineTo(...point);
+        let drawn = false;
+        for (const [x, height] of points) {
+          if (height !== null) context[drawn ? "lineTo" : "moveTo"](x, y(height));
+          drawn = height !== null;
+        }
         context.stroke();
       };
-      draw("#8886", [], [[0, y(0)], [width, y(0)]]);
+      draw("#8886", [], [[left, 0], [width, 0]]);
       context.lineWidth = 1.5;
       names.forEach((name, i) => draw(color(i), name === "commanded" ? [5, 4] : [],
-        shown.map((each) => [width * (1 - (now.time - each.time) / SHOWN_S), y(each.charts[title][name])])));
+        shown.map((each) => [left + (width - left) * (1 - (now.time - each.time) / SHOWN_S), value(each, name)])));
       context.fillStyle = ink;
-      context.font = "11px sans-serif";
-      context.fillText(number(high), 3, 12);
-      context.fillText(number(low), 3, height - 4);
+      context.textAlign = "right";
+      context.fillText(number(high), left - 4, 12);
+      context.fillText(number(low), left - 4, height - 4);
     }
   }
 

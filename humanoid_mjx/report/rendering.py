@@ -1,21 +1,116 @@
 # pyright: reportAttributeAccessIssue=false
-"""Motions as pictures and videos."""
+"""Motions as pictures and videos: words and arrows on the frames of a film, and the files that hold them."""
 
-from collections.abc import Callable, Iterator
+import subprocess
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from functools import lru_cache
+from importlib.util import find_spec
+from itertools import chain
 from pathlib import Path
 
 import mujoco
 import numpy as np
 from jaxtyping import Float
+from matplotlib.font_manager import FontProperties, findfont
+from PIL import Image, ImageDraw, ImageFont
 
 from humanoid_mjx.compute import cores
-from humanoid_mjx.evaluation.film import Film
-from humanoid_mjx.report.overlay import annotate
+from humanoid_mjx.evaluation.film import Film, Push
+from humanoid_mjx.files import refusing, whole_file
 from humanoid_mjx.report.raycast import Frame, Painter
-from humanoid_mjx.report.scene import Scene, make_scene
-from humanoid_mjx.report.video import check_file, write_frames
+from humanoid_mjx.report.scene import Scene, make_camera, make_scene
+from humanoid_mjx.spec import InputError, check_folder
 from humanoid_mjx.types import AnyArray
+
+INK, ALARM = (32, 32, 32), (193, 18, 31)
+
+MARGIN = 10
+"""pixels"""
+
+
+def letter_of(height: int) -> int:
+    """Height of a letter on a picture of so many pixels from top to bottom."""
+    return max(9, height // 26)
+
+
+def annotate(frame: Frame, film: Film, scene: Scene, number: int, seconds: float, clock: bool = True) -> Frame:
+    """A frame of a film with its words and arrows, and the time if a `clock` is wanted."""
+    image = Image.fromarray(frame)
+    draw = ImageDraw.Draw(image)
+    width, height = image.size
+    letter = letter_of(height)
+    for push in film.pushes:
+        if push.start <= seconds + 1e-9 < push.start + push.shown:
+            _draw_push(draw, push, scene, number, (width, height))
+    if film.title:
+        title = _fitting(film.title, width - 2 * MARGIN - 5 * letter, letter, bold=True)
+        _write(draw, (MARGIN, MARGIN), title, "la", letter, bold=True)
+    if clock:
+        _write(draw, (width - MARGIN, MARGIN), f"{seconds:.2f} s", "ra", letter)
+    if words := film.asked(seconds):
+        words = _fitting(words, width - 2 * MARGIN, letter, bold=False)
+        _write(draw, (MARGIN, height - MARGIN), words, "ld", letter)
+    return np.asarray(image)
+
+
+def _draw_push(draw: ImageDraw.ImageDraw, push: Push, scene: Scene, number: int, size: tuple[int, int]) -> None:
+    """An arrow whose head is at the torso."""
+    camera = make_camera(size[1])
+    torso = scene.torso[number]
+    direction = push.force / np.linalg.norm(push.force)
+    ends = np.stack([torso - scene.arrow * direction, torso])
+    tail, head = camera.seen(ends, camera.place(scene.middle[number], scene.distance), size)
+    along = (head - tail) / max(float(np.linalg.norm(head - tail)), 1e-6)
+    across = np.array([-along[1], along[0]])
+    barbs = [head, head - 14 * along + 7 * across, head - 14 * along - 7 * across]
+    draw.line([_pixel(tail), _pixel(head - 10 * along)], fill=ALARM, width=4)
+    draw.polygon([_pixel(point) for point in barbs], fill=ALARM)
+    letter = letter_of(size[1])
+    # Behind the tail, so that the words cover neither arrow nor robot.
+    anchor, ahead = ("r", 1.0) if along[0] > 0.5 else ("l", 0.0) if along[0] < -0.5 else ("m", 0.5)
+    length = _font(letter, False).getlength(push.words)
+    low, high = MARGIN + ahead * length, size[0] - MARGIN - (1.0 - ahead) * length
+    place = np.clip(tail - letter * along, [low, 40], [max(low, high), size[1] - 40])
+    _write(draw, _pixel(place), push.words, f"{anchor}m", letter, ALARM)
+
+
+def _pixel(point: Float[np.ndarray, "2"]) -> tuple[float, float]:
+    return float(point[0]), float(point[1])
+
+
+def _write(
+    draw: ImageDraw.ImageDraw,
+    place: tuple[float, float],
+    text: str,
+    anchor: str,
+    letter: int,
+    color: tuple[int, int, int] = INK,
+    bold: bool = False,
+) -> None:
+    """Text with a white rim, readable on everything."""
+    draw.text(place, text, color, _font(letter, bold), anchor, stroke_width=2, stroke_fill=(255, 255, 255))
+
+
+def _fitting(text: str, width: float, letter: int, bold: bool) -> str:
+    """A text, its end cut off where it is wider than so many pixels."""
+    line, font = " ".join(text.split()), _font(letter, bold)
+    if font.getlength(line) <= width:
+        return line
+    while line and font.getlength(line + "…") > width:
+        line = line[:-1]
+    return line + "…"
+
+
+@lru_cache
+def _font(letter: int, bold: bool) -> ImageFont.FreeTypeFont:
+    """The font that matplotlib brings."""
+    return ImageFont.truetype(
+        findfont(FontProperties(family="DejaVu Sans", weight="bold" if bold else "normal")), letter
+    )
+
 
 WIDTH, HEIGHT = 480, 360
 STRIP = 6
@@ -85,3 +180,65 @@ def _paint(scene: Scene, size: tuple[int, int] | None = None) -> Iterator[Frame]
     with ThreadPoolExecutor(cores()) as threads:
         for first in range(0, len(scene.qpos), 8 * cores()):
             yield from threads.map(painter.paint, range(first, min(first + 8 * cores(), len(scene.qpos))))
+
+
+ENDINGS = (".gif", ".mp4", ".webm", ".png")
+
+CODECS = {
+    ".mp4": ("-pix_fmt", "yuv420p", "-movflags", "+faststart"),
+    ".webm": ("-c:v", "libvpx-vp9", "-pix_fmt", "yuv420p", "-crf", "32", "-b:v", "0", "-cpu-used", "5"),
+}
+"""Options of ffmpeg for videos that browsers play."""
+
+
+def check_file(path: Path) -> None:
+    """Check, before any work, that a file of this name can be made.
+
+    Raises:
+      InputError: its ending is none of `ENDINGS`, there is no such folder, or its kind needs a package that is missing.
+    """
+    if path.suffix not in ENDINGS:
+        raise InputError(f"{path}: the file must end in .gif, .mp4, .webm or .png.")
+    check_folder(path)
+    if path.suffix in CODECS and find_spec("imageio_ffmpeg") is None:
+        raise InputError(
+            f"{path}: {path.suffix} needs the package imageio-ffmpeg: pip install 'humanoid-mjx[video]' brings it; "
+            ".gif needs nothing."
+        )
+
+
+def write_frames(frames: Iterable[Frame], path: Path, fps: float) -> None:
+    """Write frames into the file that `check_file` has passed: .png side by side, the others one after another.
+
+    Raises:
+      InputError: the file cannot be written.
+    """
+    with refusing(path), whole_file(path) as temporary:
+        if path.suffix == ".png":
+            Image.fromarray(np.concatenate(list(frames), axis=1)).save(temporary)
+        elif path.suffix == ".gif":
+            first, *rest = map(Image.fromarray, frames)
+            first.save(temporary, save_all=True, append_images=rest, duration=1000 / fps, loop=0)
+        else:
+            _encode(frames, temporary, fps)
+
+
+def _encode(frames: Iterable[Frame], path: Path, fps: float) -> None:
+    """Let ffmpeg make a video."""
+    import imageio_ffmpeg  # pyright: ignore[reportMissingImports]
+
+    rest = iter(frames)
+    first = next(rest)
+    size = f"{first.shape[1]}x{first.shape[0]}"
+    raw = "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", str(fps), "-i", "-"
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-loglevel", "error", *raw, *CODECS[path.suffix], str(path)]
+    with tempfile.TemporaryFile() as errors:
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=errors)
+        assert process.stdin is not None
+        with suppress(BrokenPipeError), process:
+            for frame in chain([first], rest):
+                process.stdin.write(frame.tobytes())
+        if process.returncode:
+            errors.seek(0)
+            words = " ".join(errors.read().decode(errors="replace").split())
+            raise InputError(f"{path}: ffmpeg could not write it: {words[-300:]}.")

@@ -11,7 +11,7 @@ from jaxtyping import Array, Key
 from pydantic import Field
 
 from humanoid_mjx.reproduction.findings import Finding, Setting, check, experiment, listed, unprinted
-from humanoid_mjx.reproduction.traces import printed_run
+from humanoid_mjx.reproduction.joint_ways import printed_run
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.thesis import q_learning as thesis

@@ -76,11 +76,11 @@ def judge_tracking(errors: np.ndarray) -> Finding:
     tracks = errors <= TRACKS
     quantity = f"largest error of the planned motion without d, rad, by rotor and gears of {listed(HIGH)}"
     found = _by_rotor(dict(zip(ROTORS, errors, strict=True)))
-    why = "worst joint, each alone under Table 5.1's gains and the mean of its I_eff, the leg as it is, gravity along "
-    why += (
+    why = (
+        "worst joint, each alone under Table 5.1's gains and the mean of its I_eff, the leg as it is, gravity along "
         f"it; of {tracks.size} rotors and gears {tracks.sum()} track within a degree. What counts is the inertia that "
+        "the rotor adds to the joint, gear ratio^2 times its own"
     )
-    why += "the rotor adds to the joint, gear ratio^2 times its own"
     if tracks.any() and not tracks.all():
         return unprinted(quantity, found, f"{why}: the claim (5.3) holds or fails with values that are not printed")
     return check(quantity, "a good trajectory tracking performance (5.3)", found, tracks.all(), why, float(TRACKS))

@@ -4,10 +4,14 @@ The torso is a load at the middle between the hips that stays upright; the feet 
 of the chain; everything is slow enough for statics. The last link stays upright, as a foot flat on the ground would
 keep it, and the body's centre of mass stays above what carries it: that leaves the knee's angle free.
 
+Table 4.2 has the torques that hold a force at the toe in the initial posture.
+
 Section 4.9 selects the motors by Table 4.7; chapter 8.1 tells that their stall torque was too small to hold the body
 upright.
 """
 
+from collections.abc import Iterator
+from itertools import combinations
 from typing import Any, NamedTuple
 
 import jax
@@ -15,9 +19,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx import dynamics, kinematics
-from humanoid_mjx.reproduction.findings import Finding, Setting, check, experiment
+from humanoid_mjx.reproduction.findings import Finding, Setting, check, compare, experiment, in_words
 from humanoid_mjx.reproduction.leg_values import NAMES, over, planned
-from humanoid_mjx.robot.leg import Leg
+from humanoid_mjx.robot.leg import Leg, cylinder_inertias
 from humanoid_mjx.thesis import leg as thesis
 
 CONFIG = {"load": {"torso": -thesis.SCRIPT_FORCE[2]}, "squat": {"knee": 90.0}}
@@ -149,3 +153,74 @@ def squat(torso: float, legs: int, deepest: float) -> Squat:
     q, torque = (np.asarray(x, float) for x in jax.jit(jax.vmap(hold))(jnp.radians(knee)))
     low, high = np.radians(thesis.JOINT_RANGES["proposed"]).T
     return Squat(knee, q, torque, (low - 1e-6 <= q) & (q <= high + 1e-6))
+
+
+STALL_TOLERANCE = 5e-6
+"""Half of the last printed digit, N m."""
+
+STALL_CONFIG = {
+    "lengths": {f"l{i}": x for i, x in enumerate(thesis.SCRIPT_LENGTHS, start=1)},
+    "force": dict(zip("xyz", thesis.SCRIPT_FORCE, strict=True)),
+}
+
+LENGTHS = {
+    "the script's lengths": thesis.SCRIPT_LENGTHS,
+    "the recovered lengths": thesis.LINK_LENGTHS,
+    "Table 3.1 at 1:4": (0.04125, 0.04, 0.04, 0.095, 0.095),
+    "Table 3.1 in full": (0.165, 0.16, 0.16, 0.38, 0.38),
+}
+MASSES = {"Table 4.3": thesis.LINK_MASSES, "the script": thesis.SCRIPT_MASSES}
+
+
+@experiment("table-4.2", "Stall torques", STALL_CONFIG)
+def stall_torque(setting: Setting) -> Iterator[Finding]:
+    """Table 4.2 against the torques of the script's force, and against those of all forces that are printed."""
+    used = setting.config["lengths"] | setting.config["force"]
+    printed = STALL_CONFIG["lengths"] | STALL_CONFIG["force"]
+    lengths = setting.config["lengths"].values()
+    torque = _stall_torque(lengths, np.zeros(5), list(setting.config["force"].values()))
+    tried = _search()
+    nearest = tried[0]
+    heads = ("lengths", "force along z, N", "posture", "torque of the roll, N m", "off by")
+    setting.table(heads, ((*words, f"{roll:.5f}", f"{off:.2g}") for off, *words, roll in tried[:20]))
+    arms = _stall_torque(lengths, np.zeros(5), [0.0, 0.0, 1.0])
+    for joint, (mark, value) in enumerate(zip(thesis.STALL_TORQUES, torque, strict=True)):
+        why, arm = f"{in_words(used, printed)} of the script, at the zero posture", float(arms[joint])
+        if arm:
+            why += f"; it would take {mark / arm:.5f} N; of {len(tried)} sets of printed lengths, postures and weights "
+            why += f"the nearest ({nearest[1]}, {nearest[2]}, {nearest[3]}) is off by {nearest[0]:.2g} N m"
+        else:
+            why += ": a force along z turns only the roll, whatever its size and the lengths"
+        quantity = f"stall torque of joint {joint + 1} ({thesis.JOINT_NAMES[joint]}), N m"
+        possible = arm and nearest[0] < STALL_TOLERANCE
+        judged: Any = {"values": (used, printed), "possible": possible, "could_differ": arm}
+        yield compare(quantity, mark, value, STALL_TOLERANCE, why, 5, **judged)
+
+
+def _search() -> list[tuple[float, str, str, str, float]]:
+    """Torques of the roll from printed numbers, the nearest to Table 4.2 first, each after its distance and its words.
+
+    The force is the script's, or the weight of any of the links.
+    """
+    forces = {f"{-thesis.SCRIPT_FORCE[2]:g} (script)": -thesis.SCRIPT_FORCE[2]}
+    for name, masses in MASSES.items():
+        for count in range(1, 6):
+            for links in combinations(range(5), count):
+                weight = thesis.GRAVITY * sum(masses[i] for i in links)
+                forces[f"{weight:.4f} (links {', '.join(str(i + 1) for i in links)} of {name})"] = weight
+    postures = {"zero": np.zeros(5), "start of the trajectories": np.radians(thesis.QUINTIC_RANGES)[:, 0]}
+    tried = []
+    for length_name, lengths in LENGTHS.items():
+        for posture_name, posture in postures.items():
+            arm = _stall_torque(lengths, posture, [0.0, 0.0, 1.0])[2]
+            for force_name, force in forces.items():
+                roll = float(-force * arm)
+                tried.append((abs(roll - thesis.STALL_TORQUES[2]), length_name, force_name, posture_name, roll))
+    return sorted(tried)
+
+
+def _stall_torque(lengths: object, posture: np.ndarray, force: list[float]) -> np.ndarray:
+    """(5,) Joint torques, N m, of a force at the toe, N (equation 4.25)."""
+    leg = Leg.from_links(list(lengths), cylinder_inertias())  # pyright: ignore[reportArgumentType, reportCallIssue]
+    wrench = jnp.array([*force, 0.0, 0.0, 0.0], leg.d.dtype)
+    return np.asarray(jax.jit(kinematics.static_torque)(leg, jnp.asarray(posture, leg.d.dtype), wrench))

@@ -38,9 +38,8 @@ def _origins(path: Path) -> Iterable[str]:
     for run in read_runs(path):
         seconds = sum(times["wall_s"] for times in run["times"].values())
         made = {"experiments": ", ".join(run["times"]), "seconds": f"{seconds:.1f}", "commit": run.get("commit")}
-        yield section(
-            "Where it was computed", facts({**made, **run.get("machine", {}), **run.get("versions", {})}.items())
-        )
+        made |= run.get("machine", {}) | run.get("versions", {})
+        yield section("Where it was computed", facts(made.items()))
 
 
 def _belongs(stem: str, name: str, names: Sequence[str]) -> bool:

@@ -3,6 +3,7 @@
 
 import tempfile
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,7 +12,7 @@ import mujoco
 import numpy as np
 
 from humanoid_mjx.control import Reference
-from humanoid_mjx.evaluation.episode import HOLD_S, follow, joined, motion_of, play
+from humanoid_mjx.evaluation.episode import HOLD_S, motion_of, play, stepped
 from humanoid_mjx.evaluation.film import Film
 from humanoid_mjx.evaluation.policy import best_policy
 from humanoid_mjx.mechanics.trajectories import rest_to_rest
@@ -206,19 +207,14 @@ def _train(section: str, config: dict[str, Any]) -> Any:
 
 def _planned(task: Any, duration: float) -> Any:
     """The motion along a quintic that takes `duration`, s, and then holds the goal, by the task's controller."""
-    chunk = task.simulator.substeps(task.period)
-    chunks = int(np.ceil((duration + HOLD_S) / task.period))
+    steps = task.simulator.substeps(task.period) * int(np.ceil((duration + HOLD_S) / task.period))
     start, goal = (task.whole_body(task.grid[:, end]) for end in (0, -1))
     path = rest_to_rest(start, goal, duration)
     # The torque of a step brings about the motion at its end.
-    times = task.timestep * np.arange(1, chunk * chunks + 1, dtype=np.float32)
-    wanted = Reference(*planned(times, path))
-    world, motions = task.reset(jax.random.key(0)).world, []
-    for first in range(0, len(times), chunk):
-        part = Reference(*(x[first : first + chunk] for x in wanted))
-        world, motion = follow(task, world, part)
-        motions.append(motion)
-    return joined(motions)
+    wanted = Reference(*planned(task.timestep * np.arange(1, steps + 1, dtype=np.float32), path))
+    step = lambda world, now: stepped(task.plant, world, task.controller(*now))  # noqa: E731
+    motion = jax.jit(partial(jax.lax.scan, step))(task.reset(jax.random.key(0)).world, wanted)[1]
+    return jax.tree.map(np.asarray, motion)
 
 
 def _measure(motion: Any, goal: np.ndarray, task: Any, tolerance: float) -> Switch:

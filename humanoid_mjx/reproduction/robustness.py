@@ -91,10 +91,8 @@ def _grid(setting: Setting) -> tuple[np.ndarray, np.ndarray]:
         if not isinstance(count, int) or count < least or (name == "model_errors" and count % 2 == 0):
             odd = "an odd number" if name == "model_errors" else "a number"
             raise InputError(f"grid.{name} must be {odd} of at least {least}, got {count!r}.")
-    return (
-        np.linspace(-MODEL_ERROR, MODEL_ERROR, counts["model_errors"]),
-        np.linspace(0.0, PAYLOAD, counts["payloads"]),
-    )
+    payloads = np.linspace(0.0, PAYLOAD, counts["payloads"])
+    return np.linspace(-MODEL_ERROR, MODEL_ERROR, counts["model_errors"]), payloads
 
 
 def _errors(model_errors: np.ndarray, payloads: np.ndarray, tell: Callable[[str], None]) -> dict[str, np.ndarray]:
@@ -141,31 +139,21 @@ def _draw(setting: Setting, errors: dict[str, np.ndarray]) -> None:
     from matplotlib.colors import LogNorm
 
     extent = (0.0, 1e3 * PAYLOAD, -100 * MODEL_ERROR, 100 * MODEL_ERROR)
+    look = {"origin": "lower", "aspect": "auto", "extent": extent, "cmap": SEQUENTIAL + "_r"}
     with setting.figure(len(TRIED), len(CYCLES), (2.7, 2.4), sharex=True, sharey=True) as (fig, axes):
-        for row, (law, words) in enumerate(TRIED.items()):
-            for column, cycle in enumerate(CYCLES):
-                panel = axes[row, column]
+        for row, (law, words) in zip(axes, TRIED.items(), strict=True):
+            row[0].set_ylabel(f"{words}\nmodel error, %", fontsize=8)
+            for panel, error in zip(row, errors[law], strict=True):
                 panel.set_facecolor("0.8")
-                image = panel.imshow(
-                    np.where(np.isinf(errors[law][column]), np.nan, errors[law][column]),
-                    origin="lower",
-                    aspect="auto",
-                    extent=extent,
-                    cmap=SEQUENTIAL + "_r",
-                    norm=LogNorm(BEST, WORST),
-                )
+                image = panel.imshow(np.where(np.isinf(error), np.nan, error), norm=LogNorm(BEST, WORST), **look)
                 panel.grid(False)
-                if column == 0:
-                    panel.set_ylabel(f"{words}\nmodel error, %", fontsize=8)
-                if row == 0:
-                    panel.set_title(f"cycle of {cycle * STEP_S * 1e3:g} ms")
-                if row == len(TRIED) - 1:
-                    panel.set_xlabel("payload, g")
+        for top, bottom, cycle in zip(axes[0], axes[-1], CYCLES, strict=True):
+            top.set_title(f"cycle of {cycle * STEP_S * 1e3:g} ms")
+            bottom.set_xlabel("payload, g")
         words = "root mean square error of the worst joint, rad"
         fig.colorbar(image, ax=axes, label=words, extend="both", format="{x:g}")
-        words = (
-            f"{sum(e.size for e in errors.values()):,} legs on the planned motion, gains of Table 5.1; grey: unstable"
-        )
+        legs = sum(error.size for error in errors.values())
+        words = f"{legs:,} legs on the planned motion, gains of Table 5.1; grey: unstable"
         fig.suptitle(words, x=0.02, ha="left", fontsize="medium")
 
 

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from humanoid_mjx import compute
-from humanoid_mjx.config import apply_override
-from humanoid_mjx.files import write_text
+from humanoid_mjx.config import apply_override, check_overrides
+from humanoid_mjx.files import read_text, write_text
 from humanoid_mjx.reproduction.findings import EXPERIMENTS, Experiment, Finding, Setting
 from humanoid_mjx.spec import InputError, known
 
@@ -46,9 +46,10 @@ def reproduce(
     Raises:
       InputError: an unknown name, an override of what a named experiment does not use, or a damaged file in `out`.
     """
+    check_overrides(overrides)
     experiments = load_experiments()
     if odd := [name for name in names if name not in experiments]:
-        raise InputError(f"reproduce: unknown name {odd[0]!r}; {known(odd[0], experiments)}.")
+        raise InputError(f"reproduce: unknown name {odd[0]!r}; {known(odd[0], experiments, 'reproduce --list')}.")
     chosen = [experiments[name] for name in dict.fromkeys(names)] or list(experiments.values())
     settings = [_setting(experiment, out, overrides, named=bool(names)) for experiment in chosen]
     try:
@@ -84,7 +85,7 @@ def read_findings(file: Path) -> list[dict[str, Any]]:
       InputError: the file is damaged.
     """
     try:
-        found = json.loads(file.read_text(encoding="utf-8"))
+        found = json.loads(read_text(file))
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{file}: this file is truncated or damaged; run reproduce again.") from error
     keys = {field.name for field in fields(Finding)}
@@ -100,7 +101,7 @@ def read_runs(out: Path) -> list[dict[str, Any]]:
     stands in the last call that ran it. Empty where there is no such file, or one that is damaged.
     """
     try:
-        runs = json.loads((out / RUNS).read_text(encoding="utf-8"))
+        runs = json.loads(read_text(out / RUNS))
         return [run for run in runs if isinstance(run["times"], dict)]
     except (OSError, ValueError, LookupError, TypeError, RecursionError):
         return []

@@ -4,10 +4,10 @@ from typing import Annotated, Any
 
 import pydantic
 
-from humanoid_mjx.files import names
+from humanoid_mjx.files import meant, names
 from humanoid_mjx.robot.declared import is_shipped, make_declared
 from humanoid_mjx.robot.description import Robot
-from humanoid_mjx.spec import make, written
+from humanoid_mjx.spec import InputError, make, search_folders, written
 
 __all__ = ["ROBOTS", "Robot", "RobotKey", "make_robot"]
 
@@ -27,7 +27,10 @@ def make_robot(name: str, /, **values: Any) -> Any:
     """
     if isinstance(name, str) and (is_shipped(name) or name.endswith((".yaml", ".yml"))):
         return make_declared(name, **values)
-    return make("robot", ROBOTS | dict.fromkeys(names("robots", ".yaml"), ""), Robot, name, **values)
+    registry = ROBOTS | dict.fromkeys(names("robots", ".yaml"), "")
+    if isinstance(name, str) and name not in registry and (other := meant(name, "robot", folders=search_folders())):
+        raise InputError(f"robot.name: unknown robot {name!r}{other}.")
+    return make("robot", registry, Robot, name, **values)
 
 
 RobotKey = Annotated[pydantic.SerializeAsAny[Robot], written("robot", make_robot)]

@@ -20,7 +20,7 @@ from jaxtyping import Float
 from pydantic import Field
 
 from humanoid_mjx.config import Config, parse_yaml
-from humanoid_mjx.files import folder
+from humanoid_mjx.files import folder, meant, read_text, refuse_pipe
 from humanoid_mjx.robot.description import BEND, Robot, Servo, add_motors_and_imu, listed
 from humanoid_mjx.robot.differences import Difference, differences
 from humanoid_mjx.robot.mirror import images
@@ -184,7 +184,7 @@ def describes_robot(name: str) -> bool:
     path = Path(name)
     if is_shipped(name) or path.suffix not in (".yaml", ".yml") or not path.is_file():
         return is_shipped(name)
-    data = parse_yaml(path.read_text(encoding="utf-8"), name)
+    data = parse_yaml(read_text(path), name)
     keys = data.keys() if isinstance(data, dict) else set()
     return len(keys & Declaration.model_fields.keys()) > len(keys & Config.model_fields.keys())
 
@@ -202,18 +202,22 @@ def find(name: str) -> Path:
         for beside in search_folders():
             if (path := Path(beside) / place).is_file():
                 return path.resolve()
-    raise InputError(f"robot: there is no file {name}, and none of this name in {' or '.join(search_folders())}.")
+    other = meant(name, "robot", folders=search_folders())
+    raise InputError(
+        f"robot: there is no file {name}, and none of this name in {' or '.join(search_folders())}{other}."
+    )
 
 
 def _read(path: Path) -> Source:
     """Read both files of a robot; unchanged files are parsed once."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path)
         data = parse_yaml(text, path.name)
         if not isinstance(data, dict):
             raise InputError(f"{path.name}: a robot is a mapping of keys such as model and feet.")
         declared = Declaration(**data)
         model = path.parent / declared.model
+        refuse_pipe(model)
         return _understood(path, text, str(model), content_of(data, model))
     except pydantic.ValidationError as error:
         raise InputError(f"{path.name}: {sentence(error, '', Declaration)}") from error

@@ -5,9 +5,13 @@ import struct
 import tokenize
 import zipfile
 import zlib
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+
+from humanoid_mjx.files import refuse_pipe
+from humanoid_mjx.spec import InputError
 
 DAMAGE = (
     *(OSError, ValueError, EOFError, LookupError, TypeError, AttributeError, zipfile.BadZipFile, zlib.error),
@@ -18,19 +22,43 @@ ask for a password, for another compression, or for more memory than there is.""
 
 HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 
+MOST = 1 << 24
+"""Bytes that the arrays of a small file may have."""
 
-def read_archive(path: Path, prefixes: tuple[str, ...] = ("",)) -> dict[str, np.ndarray]:
+HEADER = 1 << 10
+"""Bytes of an array, at most, beside its numbers."""
+
+
+def read_archive(
+    path: Path,
+    prefixes: tuple[str, ...] = ("",),
+    most: int | None = None,
+    damage: str = "this file is truncated or damaged",
+) -> dict[str, np.ndarray]:
     """The arrays of a file that `numpy.savez` wrote whose names start with one of `prefixes`, not to be written to.
 
     `numpy.load` stops where an array's shape says so, and checks no sum of what it has not read to the end: a flipped
-    bit of a shape would pass for a shorter array. Here every byte is read, and the shape must take them all.
+    bit of a shape would pass for a shorter array. Here every byte is read, and the shape must take them all. Sizes are
+    compared before anything is inflated, since a file of a megabyte may hold gigabytes of zeros: all the arrays have at
+    most `most` bytes, by default those of the file, which `savez` does not compress, or `MOST`.
 
     Raises:
-      one of `DAMAGE`: the file is truncated or damaged, or holds something else.
+      InputError: the file cannot be read, it is too large, or it is damaged, which the words `damage` say.
     """
-    with zipfile.ZipFile(path) as archive:
-        wanted = [name for name in archive.namelist() if name.startswith(prefixes)]
-        return {name.removesuffix(".npy"): _array(archive.read(name)) for name in wanted}
+    refuse_pipe(path)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            wanted = [member for member in archive.infolist() if member.filename.startswith(prefixes)]
+            size, most = sum(member.file_size for member in wanted), most or max(MOST, path.stat().st_size)
+            if size > most:
+                words = f"{size:,} bytes, and {most:,} are the most; {damage}"
+                raise InputError(f"{path}: what it holds does not fit: {words}.")
+            return {member.filename.removesuffix(".npy"): _array(archive, member) for member in wanted}
+    except DAMAGE as error:
+        if isinstance(error, InputError):
+            raise
+        words = f"cannot be read: {error.strerror}" if isinstance(error, PermissionError) else damage
+        raise InputError(f"{path}: {words}.") from error
 
 
 def misplaced(stored: object, digest: str) -> str | None:
@@ -41,10 +69,29 @@ def misplaced(stored: object, digest: str) -> str | None:
     return None if stored == digest else "belongs to another run, or config.yaml was edited (then undo that)"
 
 
-def _array(data: bytes) -> np.ndarray:
-    file = io.BytesIO(data)
-    shape, fortran_order, dtype = HEADERS[np.lib.format.read_magic(file)](file)
+def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
+    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise ValueError("a compression that is not numpy's, which zipfile inflates without limit")
+    with archive.open(member) as file:
+        data = file.read(member.file_size)  # to its end, where its checksum is compared
+    head = io.BytesIO(data)
+    shape, fortran_order, dtype = HEADERS[np.lib.format.read_magic(head)](head)
     if dtype.hasobject:
         raise ValueError("an array of Python objects")
-    array = np.frombuffer(data, dtype, offset=file.tell()) if file.tell() < len(data) else np.empty(0, dtype)
+    array = np.frombuffer(data, dtype, offset=head.tell()) if head.tell() < len(data) else np.empty(0, dtype)
     return array.reshape(shape, order="F" if fortran_order else "C")
+
+
+def check_finite(
+    arrays: Mapping[str, np.ndarray],
+    what: str,
+    then: str = "choose another run, or train again with a smaller learning rate",
+) -> None:
+    """Check the numbers of a policy; the words `what` and `then` begin and end an error.
+
+    Raises:
+      InputError: one is not finite.
+    """
+    for name, array in arrays.items():
+        if array.dtype.kind in "fc" and not np.isfinite(array).all():
+            raise InputError(f"{what} holds numbers that are not finite, in {name}; {then}.")

@@ -20,6 +20,7 @@ import contextlib
 import errno
 import fcntl
 import json
+import logging
 import math
 import os
 import re
@@ -31,8 +32,8 @@ from typing import Any
 import numpy as np
 
 from humanoid_mjx.config import config_digest, dump_yaml, parse, parse_yaml
-from humanoid_mjx.files import refusing, whole_file
-from humanoid_mjx.runs.archive import DAMAGE, misplaced, read_archive
+from humanoid_mjx.files import meant, read_text, refuse_pipe, refusing, whole_file
+from humanoid_mjx.runs.archive import misplaced, read_archive
 from humanoid_mjx.spec import InputError
 
 Arrays = Mapping[str, np.ndarray]
@@ -56,13 +57,14 @@ class RunFolder:
         with refusing(path):
             if path.exists() and not _only_begun(path):
                 there = (path / "config.yaml").exists()
-                words = "exists; resume it with --resume, or" if there else "exists and is no run folder;"
-                raise InputError(f"{path}: already {words} choose another place with --out.")
+                words = "exists; resume it with resume=True, or" if there else "exists and is no run folder;"
+                raise InputError(f"{path}: already {words} choose another place with out=PATH.")
+            check_inside(path)
             (path / "checkpoint").mkdir(parents=True, exist_ok=True)
             run = cls(path, _lock(path), config)
         try:
             if not _only_begun(path):  # another process was quicker
-                raise InputError(f"{path}: is in use by another process; choose another place with --out.")
+                raise InputError(f"{path}: is in use by another process; choose another place with out=PATH.")
             with refusing(path):
                 run.write_text("config.yaml", dump_yaml(dict(config)))
         except BaseException:
@@ -86,7 +88,7 @@ class RunFolder:
             run.close()
             raise InputError(
                 f"{path}: was made with another config ({changed[0]} differs); "
-                "resume with the same values, or choose another place with --out."
+                "resume with the same values, or choose another place with out=PATH."
             )
         for left_by_a_kill in path.rglob(".new-*"):
             left_by_a_kill.unlink()
@@ -111,7 +113,7 @@ class RunFolder:
     def share(self, processes: int) -> None:
         """Let the other processes of this job, of which this is process 0, `join`, and still nobody else."""
         self.processes = processes
-        fcntl.flock(self._lock, fcntl.LOCK_SH)
+        _flock(self._lock, fcntl.LOCK_SH, self.path)
 
     def close(self) -> None:
         """Let other programs write to the folder."""
@@ -182,25 +184,21 @@ def read_arrays(path: Path, prefixes: tuple[str, ...] = ("",), digest: str | Non
     Raises:
       InputError: the file is truncated, damaged or of another run, or cannot be read.
     """
-    try:
-        arrays = read_archive(path, (*prefixes, "config"))
-    except PermissionError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}.") from error
-    except DAMAGE as error:
-        raise damaged(path) from error
+    arrays = read_archive(path, (*prefixes, "config"), damage=f"this file is truncated or damaged; {REMOVE}")
     stored = arrays.pop("config", np.array(None)).tolist()
     if how := misplaced(stored, digest or config_digest(read_config(path.parent.parent))):
         raise damaged(path, how)
     return arrays
 
 
+REMOVE = "remove it, and --resume trains its runs again"
+"""The cure of a damaged file of the checkpoint."""
+
 REWRITTEN = "--resume the run to write it again"
 """The cure of a damaged table or provenance."""
 
 
-def damaged(
-    path: Path, how: str = "is truncated or damaged", then: str = "remove it, and --resume trains its runs again"
-) -> InputError:
+def damaged(path: Path, how: str = "is truncated or damaged", then: str = REMOVE) -> InputError:
     """The error of a file of a run folder, by default of its checkpoint, that cannot be used."""
     return InputError(f"{path}: this file {how}; {then}.")
 
@@ -212,16 +210,35 @@ def read_config(path: Path) -> dict[str, Any]:
       InputError: `path` is no run folder, or its config is none.
     """
     file = path / "config.yaml"
-    if not file.is_file():
-        raise InputError(f"{path}: this is no run folder (it holds no config.yaml){elsewhere(path)}.")
-    try:
-        data = parse_yaml(file.read_text(encoding="utf-8"), str(file))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{file}: cannot be read as text: {error}.") from error
+    if not file.exists():
+        raise InputError(f"{path}: this is no run folder (it holds no config.yaml){meant(str(path), 'run')}.")
+    check_inside(path)
+    data = parse_yaml(read_text(file), str(file))
     if not isinstance(data, dict):
         raise InputError(f"{file}: this file is damaged.")
     parse(data, str(file))
     return data
+
+
+def check_inside(path: Path, below: Path | None = None) -> None:
+    """Check that all below a folder lies there: a run folder of a stranger may hold links to anything.
+
+    Raises:
+      InputError: it holds a link that leads out of it, a pipe, a socket or a device, or it cannot be read.
+    """
+    try:
+        with os.scandir(below or path) as entries:
+            for entry in entries:
+                if entry.is_symlink() and not Path(entry).resolve().is_relative_to(path.resolve()):
+                    raise InputError(f"{entry.path}: this link leads out of {path}; put its target in its place.")
+                if entry.is_dir(follow_symlinks=False):
+                    check_inside(path, Path(entry))
+                elif not entry.is_file(follow_symlinks=False):
+                    refuse_pipe(Path(entry))
+    except (FileNotFoundError, NotADirectoryError):
+        pass  # nothing to read: a place to write to, or a folder that another process has just removed
+    except (OSError, RuntimeError) as error:  # links that lead to each other
+        raise InputError(f"{below or path}: cannot be read: {error}.") from error
 
 
 def _checksum(data: dict[str, Any]) -> int:
@@ -250,12 +267,6 @@ def read_provenance(path: Path) -> dict[str, Any]:
     if "config" in found and (how := misplaced(found["config"], config_digest(read_config(path)))):
         raise damaged(file, how, REWRITTEN)
     return found
-
-
-def elsewhere(path: Path) -> str:
-    """Words that end a refusal of `path`: a folder of this name within `runs`, where there is one."""
-    there = Path("runs") / path
-    return f", but {there} is one" if (there / "config.yaml").is_file() else ""
 
 
 def fresh_path(name: str, root: Path = Path("runs")) -> Path:
@@ -303,13 +314,23 @@ def _only_begun(path: Path) -> bool:
 def _lock(path: Path, kind: int = fcntl.LOCK_EX) -> int:
     handle = os.open(path / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
     try:
-        fcntl.flock(handle, kind | fcntl.LOCK_NB)
+        _flock(handle, kind | fcntl.LOCK_NB, path)
     except OSError as error:
         os.close(handle)
-        if error.errno not in (errno.EWOULDBLOCK, errno.EACCES):  # a file system without locks
+        if error.errno not in (errno.EWOULDBLOCK, errno.EACCES):
             raise
         raise InputError(f"{path}: is in use by another process; wait for it, or choose another place.") from error
     return handle
+
+
+def _flock(handle: int, kind: int, path: Path) -> None:
+    """Lock a file of a run folder; warn where the file system has no locks."""
+    try:
+        fcntl.flock(handle, kind)
+    except OSError as error:
+        if error.errno not in (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP):
+            raise
+        logging.getLogger(__name__).warning("%s: this file system has no locks; let no other sweep write there.", path)
 
 
 def _differences(old: Any, new: Any, key: str = "") -> list[str]:

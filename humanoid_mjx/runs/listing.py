@@ -11,6 +11,7 @@ import numpy as np
 
 from humanoid_mjx.config import parse
 from humanoid_mjx.config.axes import sweep_points
+from humanoid_mjx.files import meant
 from humanoid_mjx.runs.folder import damaged, disk_used, pools, read_arrays, read_config, read_provenance
 from humanoid_mjx.runs.ranking import ranked
 from humanoid_mjx.runs.tables import finished_runs, read_table
@@ -55,7 +56,7 @@ def list_runs(folder: Path) -> tuple[list[Listed], list[str]]:
       InputError: there is no such folder, or it cannot be read.
     """
     if not folder.is_dir():
-        raise InputError(f"{folder}: there is no such folder.")
+        raise InputError(f"{folder}: there is no such folder{meant(str(folder), 'run')}.")
     try:
         inside = [path for path in sorted(folder.iterdir()) if path.is_dir() and not path.name.startswith(".")]
     except OSError as error:

@@ -1,7 +1,9 @@
 """Robust aggregates over seeds (R. Agarwal et al., "Deep RL at the Edge of the Statistical Precipice", 2021), with
-intervals of 95 %."""
+intervals of 95 %, and the results of an evaluation."""
 
+from collections.abc import Mapping
 from statistics import NormalDist
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Num
@@ -57,3 +59,44 @@ def mean_interval(values: Float[np.ndarray, "n ..."]) -> tuple[Float[np.ndarray,
     ends = np.nanquantile(np.where(enough, means, 0.0), ENDS, axis=0)
     low, high = np.where(enough, ends, np.nan)
     return np.asarray(low), np.asarray(high)
+
+
+class Estimate(NamedTuple):
+    """A number and its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+class Evaluation(NamedTuple):
+    """Success, return and steps of an agent on a task."""
+
+    policy: str
+    agent: str
+    success: Estimate
+    """The share of episodes, with Wilson's interval."""
+    episode_return: Estimate
+    """Interquartile means, with bootstrap intervals over the episodes."""
+    steps: Estimate
+    mean_return: float
+    discounted_return: float
+    """Interquartile mean; what Q-learning maximises."""
+
+    def as_json(self) -> dict[str, Any]:
+        """The evaluation as plain values, with each number's interval beside it."""
+        estimates = {"success": self.success, "return": self.episode_return, "steps": self.steps}
+        found = {name: getattr(self, name) for name in ("policy", "agent", "mean_return", "discounted_return")}
+        for name, estimate in estimates.items():
+            found |= {name: estimate.value, f"{name}_interval": [estimate.low, estimate.high]}
+        return found
+
+
+def estimated(policy: str, agent: str, episodes: Mapping[str, np.ndarray]) -> Evaluation:
+    """The evaluation of episodes from the results of each."""
+    success = np.asarray(episodes["success"], bool)
+    measures = (np.asarray(episodes[name], float) for name in ("return", "steps"))
+    total, steps = (Estimate(float(iqm(x)), *map(float, iqm_interval(x))) for x in measures)
+    rate = Estimate(float(success.mean()), *rate_interval(success))
+    means = float(np.mean(episodes["return"])), float(iqm(np.asarray(episodes["discounted_return"], float)))
+    return Evaluation(policy, agent, rate, total, steps, *means)

@@ -3,27 +3,32 @@
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from humanoid_mjx.compute import rng
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.tasks.base import Task
-from humanoid_mjx.tasks.continuous import ContinuousTask, State
+from humanoid_mjx.tasks.continuous import ContinuousTask, State, as_continuous, auto_reset
 from humanoid_mjx.tasks.finite import FiniteTask
+from humanoid_mjx.user_code import place
 
 SCALARS = ("reward", "terminated", "truncated", "success")
 
 
+EPISODES, STEPS = 8, 64
+"""Size of the trial that looks for numbers that are not finite: episodes side by side, and random actions in each."""
+
+
 def check_task(task: Task) -> None:
-    """Trace `reset` and `step` of a task that does not ship with this package.
+    """Trace `reset` and `step` of a task that does not ship with this package; without a robot, also try them.
 
     Raises:
-      InputError: something is missing, or has a wrong structure, shape or dtype; or an array shape or a Python
-        branch depends on a traced value.
+      InputError: something is missing, or has a wrong structure, shape or dtype; an array shape or a Python branch
+        depends on a traced value; or an observation or reward of the trial is not finite.
     """
     cls = type(task)
     if cls.__module__.partition(".")[0] == __name__.partition(".")[0]:
@@ -34,6 +39,8 @@ def check_task(task: Task) -> None:
             _check_continuous(traced)
         elif isinstance(task, FiniteTask):
             _check_finite(traced)
+        if getattr(task, "simulator", None) is None:  # the physics of a robot takes long to compile
+            _check_numbers(task)
 
 
 @contextmanager
@@ -41,23 +48,15 @@ def _faults_as_sentences(cls: type[Task]) -> Iterator[None]:
     try:
         yield
     except NotImplementedError as error:
-        raise InputError(f"task: {cls.__name__} must implement {_raised_in(error).name}.") from error
+        method = traceback.extract_tb(error.__traceback__)[-1].name
+        raise InputError(f"task: {cls.__name__} must implement {method}.") from error
     except (jax.errors.JAXTypeError, TypeError) as error:
         if not isinstance(error, jax.errors.JAXTypeError) and "concrete" not in str(error):
             raise
-        frame = _raised_in(error)
         raise InputError(
-            f"task: {cls.__name__} lets an array's shape or a Python branch depend on a traced value "
-            f"({Path(frame.filename).name}, line {frame.lineno}: {frame.line}); "
+            f"task: {cls.__name__} lets an array's shape or a Python branch depend on a traced value{place(error)}; "
             "make that field static by declaring it without traced(), or compute with jnp.where."
         ) from error
-
-
-def _raised_in(error: BaseException) -> traceback.FrameSummary:
-    """The innermost place of an error that is not in jax."""
-    inside = str(Path(jax.__file__).parent)
-    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if not frame.filename.startswith(inside)]
-    return [frame for frame in frames if "jaxtyping" not in frame.filename and "beartype" not in frame.filename][-1]
 
 
 def _check_continuous(traced: Any) -> None:
@@ -95,6 +94,28 @@ def _check_finite(traced: Any) -> None:
         if jnp.shape(value):
             raise InputError(f"task: {name}.step must return a scalar {field}, got shape {jnp.shape(value)}.")
     _check_same(f"{name}.step", state, after)
+
+
+def _check_numbers(task: Task) -> None:
+    for field, good in _trial(task, jax.random.split(rng.key(0), EPISODES)).items():
+        if not good.all():
+            where = f"in step {int(good.all(axis=0).argmin()) + 1} of a trial with random actions"
+            raise InputError(f"task: {type(task).__name__} has a {field} that is not finite {where}.")
+
+
+@jax.jit
+def _trial(task: Any, keys: Any) -> dict[str, Any]:
+    """Return whether the observations and the rewards of some episodes are finite, bool (episodes, steps)."""
+    env = as_continuous(task)
+
+    def step(state: State, key: Any) -> tuple[State, dict[str, Any]]:
+        act_key, step_key, reset_key = jax.random.split(key, 3)
+        action = jax.random.randint(act_key, (len(env.action_bins),), 0, np.array(env.action_bins))
+        after = env.step(state, action, step_key)
+        seen = {"obs": state.obs, "final_obs": after.final_obs, "reward": after.reward}
+        return auto_reset(env, after, reset_key), {name: jnp.isfinite(x).all() for name, x in seen.items()}
+
+    return jax.vmap(lambda key: jax.lax.scan(step, env.reset(key), jax.random.split(key, STEPS))[1])(keys)
 
 
 def _key() -> Any:

@@ -135,7 +135,7 @@ def check_disk(place: Path, plan: Plan, slots: Sequence[int]) -> None:
     if needed > free:
         raise InputError(
             f"{place}: the run takes an estimated {decimal(needed)} on disk and {decimal(free)} are free; train "
-            "fewer points or seeds, record fewer points of the curves, or choose another disk with --out."
+            "fewer points or seeds, record fewer points of the curves, or choose another disk with out=PATH."
         )
 
 

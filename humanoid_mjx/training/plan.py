@@ -1,10 +1,8 @@
 """The plan of a sweep: its points, in groups that share one compiled program."""
 
-import traceback
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -15,12 +13,13 @@ from humanoid_mjx import compute
 from humanoid_mjx.compute import kept, rng
 from humanoid_mjx.config import Config
 from humanoid_mjx.config.axes import sweep_points
-from humanoid_mjx.learners import Learner, learner_class, make_learner
+from humanoid_mjx.learners import Learner, class_for, make_learner
 from humanoid_mjx.runs.tables import Labels
 from humanoid_mjx.spec import InputError, Spec, modules_in
 from humanoid_mjx.tasks import make_task
 from humanoid_mjx.tasks.check import check_task
 from humanoid_mjx.training.program import Training, begin
+from humanoid_mjx.user_code import in_words
 
 MAX_RUNS = 10_000_000
 """The most runs of a sweep: points times seeds."""
@@ -103,8 +102,10 @@ class Plan:
 
     def labels(self) -> Labels:
         """The columns that name the rows of a run folder's tables."""
-        record = self.config.record
-        return Labels(self.table(), self.unit, (np.arange(1, record + 1) * self.budget) // record)
+        record, sizes = self.config.record, [learner.update_steps for learner in self.learners]
+        places = np.arange(1, record + 1) * self.budget // record
+        places[-1] = min(-(-self.budget // size) * size for size in sizes)  # the last update may end beyond the budget
+        return Labels(self.table(), self.unit, places)
 
     def table(self) -> dict[str, list[Any]]:
         """The hyper-parameters as columns: every scalar of task and learner by dotted name, an entry per point."""
@@ -160,10 +161,7 @@ def make_plan(config: Config) -> Plan:
     except Exception as error:
         if not any(":" in part["name"] for part in (config.task, config.learner)):
             raise
-        frame = traceback.extract_tb(error.__traceback__)[-1]
-        place = "" if isinstance(error, SyntaxError) else f" ({Path(frame.filename).name}, line {frame.lineno})"
-        fault = f"{type(error).__name__}: {error}{place}"
-        raise InputError(f"{config.source}: a module that it names cannot be used: {fault}.") from error
+        raise InputError(f"{config.source}: a module that it names cannot be used: {in_words(error)}.") from error
 
 
 def build(config: Config, point: Mapping[str, Any]) -> Learner:
@@ -180,10 +178,13 @@ def build(config: Config, point: Mapping[str, Any]) -> Learner:
     budget = {key: value for key, value in given.items() if value is not None}
     with modules_in(config.modules):
         task = make_task(parts["task"].pop("name"), **parts["task"])
-        unit = learner_class(name).unit
+        unit = class_for(name, task).unit
     if odd := [key for key in budget if key != unit]:
         counts = "control steps of all environments" if unit == "total_steps" else "episodes"
-        raise InputError(f"{odd[0]}: {name} counts {counts}; write {unit}: {budget[odd[0]]} in its place.")
+        typed = f"--set {odd[0]}=null --set {unit}=N"
+        raise InputError(f"{odd[0]}: {name} counts {counts}; write {unit} in its place, as {typed} does.")
+    if config.record > budget.get(unit, config.record):
+        raise InputError(f"record ({config.record}) must be at most {unit} ({budget[unit]}).")
     with modules_in(config.modules):
         return make_learner(name, task, record=config.record, **budget, **parts["learner"])
 

@@ -32,6 +32,9 @@ class Training(NamedTuple):
     """True if the next step leads to numbers that are not finite; training has stopped before it."""
 
 
+SLACK = 1e-3
+"""Share of a part of training by which rounding may move its end."""
+
 SHOWN = ("success", "return", "steps")
 """Columns of a learning curve that show how a run does, in the order of the last fields of `Progress`."""
 
@@ -78,7 +81,8 @@ def advance(learner: Learner, training: Training, steps: IntScalar) -> tuple[Tra
         snapshots = old.snapshots
         if snapshots is not None:
             parts = learner.evaluations
-            part = jnp.minimum((learner.progress(old.carry) * parts).astype(jnp.int32), parts - 1)
+            ends = jnp.ceil(learner.progress(new[0]) * parts - SLACK).astype(jnp.int32)
+            part = jnp.clip(ends - 1, 0, parts - 1)  # that in which the step ends; the last step ends the last part
             snapshots = [
                 old.at[part].set(new) for old, new in zip(snapshots, _row(_snapshot(learner, new[0])), strict=True)
             ]
@@ -125,7 +129,7 @@ def finish(learner: Learner, training: Training, key: Key[Array, ""]) -> dict[st
     """Return what is kept of a run that is over: its `curve`, its `final` scores and its `policy`.
 
     Where the learner is evaluated more than once the curve has scores called `greedy_`, measured at the end of each of
-    `evaluations` parts of training: NaN at all other points, and in parts in which no step began.
+    `evaluations` parts of training: NaN at all other points, and in parts in which no step ended.
     """
     policy, found = learner.policy(training.carry), curve(learner, training)
     diverged = training.failed | ~_finite(policy)

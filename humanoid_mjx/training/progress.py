@@ -41,10 +41,12 @@ class State(NamedTuple):
     left_s: float | None = None
     """Seconds until all runs are trained and evaluated, where they can be told."""
     success: float | None = None
-    """Share of the recent episodes that succeed; with the two below None where none has ended."""
+    """Share of the recent episodes that succeed at the best point so far; with the two below None where none has
+    ended."""
     mean_return: float | None = None
+    """Mean return of these episodes."""
     steps: float | None = None
-    """Mean length of the recent episodes."""
+    """Mean length of the recent episodes of all runs under way."""
 
 
 class Reporter:
@@ -146,7 +148,7 @@ class Bar(Reporter):
         if state.rate and state.steps and state.unit == "steps":
             self._rate += f"  {state.rate / state.steps:,.0f} episodes/s"
         if state.success is not None:
-            self._rate += f"  success {state.success:.0%}  return {state.mean_return:.3g}"
+            self._rate += f"  best success {state.success:.0%}  return {state.mean_return:.3g}"
         self._line_now_and_then()
 
     def count(self, done: int, total: int) -> None:

@@ -15,14 +15,16 @@ import numpy as np
 
 from humanoid_mjx import compute
 from humanoid_mjx.compute.processes import Processes
-from humanoid_mjx.runs.folder import RunFolder, damaged, diverged_name, pools, read_arrays, read_provenance
-from humanoid_mjx.runs.tables import finished_runs, write_tables
+from humanoid_mjx.runs.archive import check_finite
+from humanoid_mjx.runs.folder import REMOVE, RunFolder, damaged, diverged_name, pools, read_arrays, read_provenance
+from humanoid_mjx.runs.tables import finished_runs, scores, write_tables
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.cost import training_bytes
 from humanoid_mjx.training.events import Curves
 from humanoid_mjx.training.pace import COMPILING, Look, Pace
 from humanoid_mjx.training.plan import Plan
 from humanoid_mjx.training.pool import IDLE, Pool
+from humanoid_mjx.training.program import SHOWN
 from humanoid_mjx.training.programs import Devices, in_turn, placement
 from humanoid_mjx.training.progress import Reporter, State
 
@@ -47,7 +49,10 @@ class Session:
         self.watchers = watchers
         for part in folder.parts():
             # Check policies now: a damaged one can still be trained again by this sweep.
-            read_arrays(part, digest=folder.digest)
+            arrays = read_arrays(part, digest=folder.digest)
+            if not np.any(arrays.get("final.diverged")):
+                policies = {name: array for name, array in arrays.items() if name.startswith("policy")}
+                check_finite(policies, f"{part}: it", REMOVE)
         self.mine = set(processes.share(np.concatenate([group.runs for group in plan.groups])).tolist())
         done = finished_runs(folder.path, ("point", "seed"), folder.digest)
         finished = set((done["point"] * plan.config.seeds + done["seed"]).tolist()) if done else set()
@@ -63,6 +68,8 @@ class Session:
         self.started = datetime.now(UTC).isoformat(timespec="seconds")
         self.made_by = compute.made_by()
         self.compile_s = 0.0
+        self.scores = np.zeros((len(plan.points), 3))
+        """Of each point the number of runs that this session has finished, and the sums of their success and return."""
         self.pace = Pace(plan.num_runs, len(plan.groups))
         self.tables_are_old = True
         self.lock, self.stop = threading.Lock(), threading.Event()
@@ -209,6 +216,12 @@ class Session:
 
     def _store(self, runs: np.ndarray, arrays: dict[str, np.ndarray]) -> None:
         points, seeds = np.divmod(runs, self.plan.config.seeds)
+        ended = scores(arrays)
+        rows = np.stack(
+            [np.ones(len(runs)), *(ended.get(name, ended["diverged"] * np.nan) for name in SHOWN[:2])], axis=1
+        )
+        known = np.isfinite(rows).all(axis=1)
+        np.add.at(self.scores, points[known], rows[known])
         with self.lock:
             self.folder.add_part({"point": points.astype(np.int32), "seed": seeds.astype(np.int32)} | arrays)
             self.finished.update(runs.tolist())
@@ -219,18 +232,29 @@ class Session:
     def _report(self, pool: Pool) -> None:
         slots, progress = pool.slots.copy(), pool.progress.copy()
         busy, finished = slots != IDLE, len(self.finished)
-        known = pool.recent[busy][np.isfinite(pool.recent[busy]).all(axis=1)]
-        success, mean_return, steps = map(float, known.mean(axis=0)) if len(known) else (None, None, None)
+        recent = pool.recent.copy()
+        rows = busy & np.isfinite(recent).all(axis=1)
+        success, mean_return = self._best(slots[rows], np.minimum(progress[rows], 1.0), recent[rows])
+        steps = float(recent[rows, 2].mean()) if rows.any() else None
         waiting = max(len(self.mine) - finished - int(busy.sum()), 0)
         learner, length = pool.group.learners, 1.0 if self.plan.unit == "episode" else steps or 0.0
         evaluation = learner.evaluations * learner.evaluation_envs * length / self.plan.budget
         self.pace.look(time.monotonic(), Look(pool.phase, slots, progress, waiting, finished, evaluation))
-        self.reporter.phase(pool.phase)
+        alternates = finished and pool.phase in ("starting", "training", "evaluating")
+        self.reporter.phase("training and evaluating" if alternates else pool.phase)
         if progress[busy].any():
             budget, pace = self.plan.budget, self.pace
             total, unit = len(self.mine) * budget, f"{self.plan.unit}s"
             rate = pace.recent * budget
             self.reporter.update(State(pace.done * budget, total, unit, rate, pace.left_s, success, mean_return, steps))
+
+    def _best(self, runs: np.ndarray, shares: np.ndarray, known: np.ndarray) -> tuple[float, float] | tuple[None, None]:
+        """Success and return at the best point so far: means over its runs, each by its share of the training that is
+        done. Runs that begin, of other points or other seeds, make neither fall."""
+        sums = self.scores.copy()
+        np.add.at(sums, runs // self.plan.config.seeds, shares[:, None] * np.insert(known[:, :2], 0, 1.0, axis=1))
+        sums = sums[sums[:, 0] > 0]
+        return max(map(tuple, (sums[:, 1:] / sums[:, :1]).tolist()), default=(None, None))
 
     def write_results(self) -> None:
         """Bring tables and provenance up to date with the finished runs."""

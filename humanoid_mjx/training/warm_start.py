@@ -6,6 +6,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from humanoid_mjx.runs.archive import check_finite
 from humanoid_mjx.runs.folder import read_config
 from humanoid_mjx.runs.tables import finished_runs
 from humanoid_mjx.spec import InputError
@@ -45,4 +46,5 @@ def earlier_policies(group: Group) -> Any:
     rows = np.array([place[pair] for pair in wanted])
     like = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((len(rows), *leaf.shape), leaf.dtype), group.policy)
     chosen = {key: array[rows] for key, array in arrays.items() if key.startswith("policy")}
+    check_finite(chosen, f"{where}: a policy")
     return from_arrays(like, chosen, "policy", where)

@@ -1,6 +1,7 @@
 """The command line: fast to answer, and one compilation for sweeps that differ only in values."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -21,6 +22,15 @@ HEAVY = ("jax", "brax", "mujoco", "matplotlib", "flax", "optax", "pyarrow")
 def test_asking_for_help_imports_nothing_heavy(how):
     code = f"import sys; {how}; print([name for name in {HEAVY} if name in sys.modules])"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "[]\n"
+
+
+@pytest.mark.parametrize("platforms", ["cuda", "cpu,foo"])
+def test_a_device_that_is_not_there_gets_one_sentence(platforms):
+    environment = os.environ | {"JAX_PLATFORMS": platforms, "CUDA_VISIBLE_DEVICES": ""}
+    command = [sys.executable, "-m", "humanoid_mjx", "info"]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True)
+    words = f"error: JAX_PLATFORMS={platforms}: jax has no such device here; unset it, or set JAX_PLATFORMS=cpu."
+    assert done.returncode == 2 and done.stderr.splitlines()[-1] == words and "Traceback" not in done.stderr
 
 
 def write_config(path, epsilons):

@@ -1,6 +1,7 @@
 """What one process leaves on disk for the next."""
 
 import os
+import pwd
 import subprocess
 import sys
 
@@ -9,7 +10,9 @@ import numpy as np
 import pytest
 from small_sweep import assert_same_tables, run_cli, write_config
 
+from humanoid_mjx import compute
 from humanoid_mjx.compute import kept
+from humanoid_mjx.compute.kernels import cpu_kernel
 from humanoid_mjx.files import DIGEST
 from humanoid_mjx.tasks import make_task
 from humanoid_mjx.tasks.legged.stand import Stand
@@ -53,6 +56,38 @@ def test_what_is_damaged_or_not_to_be_kept_is_made_anew(folder, monkeypatch):
     monkeypatch.setattr(kept, "_on", False)
     kept.put("c", "that", 1)
     assert list(folder.iterdir()) == [file]
+
+
+def test_one_of_another_name_in_the_place_of_one_is_not_used(folder):
+    """As where a backup was restored wrongly."""
+    kept.put("a", "this", 1)
+    kept.put("a", "that", 2)
+    one, other = folder.iterdir()
+    content = one.read_bytes()
+    one.write_bytes(other.read_bytes())
+    other.write_bytes(content)
+    assert kept.find("a", "this") is None and kept.find("a", "that") is None
+    one.unlink()
+    os.mkfifo(one)  # to read it would wait forever, and to write it, too
+    assert kept.remembered("a", "this", lambda: 3) == kept.remembered("a", "that", lambda: 3) == 3
+
+
+def test_a_user_without_a_home_folder_keeps_nothing(monkeypatch):
+    """A container may run as a user that its password file lacks."""
+
+    def unknown(number):
+        raise KeyError(number)
+
+    for name in ("HOME", "XDG_CACHE_HOME", "JAX_COMPILATION_CACHE_DIR"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(pwd, "getpwuid", unknown)
+    found = {}
+    monkeypatch.setattr(jax.config, "update", lambda name, value: found.update({name: value}))
+    compute.start()
+    assert found["jax_compilation_cache_dir"] is None
+    monkeypatch.setenv("HOME", "/home/me")
+    compute.start()
+    assert found["jax_compilation_cache_dir"] == "/home/me/.cache/humanoid_mjx/xla"
 
 
 def test_programs_follow_from_structure_and_shapes_and_not_from_values():
@@ -119,3 +154,14 @@ def test_a_program_finds_its_kernels_in_another_process(tmp_path, monkeypatch):
         path.unlink()
     found = subprocess.run([sys.executable, "-c", CALLS_A_KERNEL], capture_output=True, text=True, check=False)
     assert found.stdout == "made\n", found.stderr
+
+
+def test_kernels_exchanged_on_disk_are_compiled_again(folder):
+    codes = {f"humanoid_mjx_{number}": f"define i32 @call() {{ ret i32 {number} }}" for number in (1, 2)}
+    objects = {name: cpu_kernel._compiled(name, code) for name, code in codes.items()}
+    one, other = folder.iterdir()
+    content = one.read_bytes()
+    one.write_bytes(other.read_bytes())
+    other.write_bytes(content)
+    assert {name: cpu_kernel._compiled(name, code) for name, code in codes.items()} == objects
+    assert len(set(objects.values())) == 2 and one.read_bytes() == content

@@ -7,7 +7,7 @@ import yaml
 
 from humanoid_mjx import InputError, make_task
 from humanoid_mjx.compute import rng
-from humanoid_mjx.config import config_digest, dump_yaml, load, parse
+from humanoid_mjx.config import check_overrides, config_digest, dump_yaml, load, parse
 from humanoid_mjx.files import names
 from humanoid_mjx.training.plan import make_plan, resolved
 
@@ -140,6 +140,35 @@ def test_overrides_and_numbers_without_a_point(write):
     plan = make_plan(config)
     assert plan.learners[0].learning_rate == 0.01
     assert plan.points == [{"learner.epsilon": 0.3}] and plan.num_runs == 3
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ["seeds=1", "seeds=2"],
+        ["seeds=1", "seed=2", "seeds=3"],
+        ["task.joint=1", "task={name: joint_reach}"],
+        ["sweep.axes.learner.epsilon=[0.1, 0.2]", "learner.epsilon=0.3"],
+    ],
+)
+def test_a_value_that_is_set_twice_is_refused(overrides, said):
+    options = [word for override in overrides for word in ("--set", override)]
+    for command in (["info", "joint1"], ["sweep", "joint1"], ["reproduce", "table-7.1"], ["evaluate", "walk"]):
+        code, _, err = said(*command, *options)
+        assert code == 2 and err.startswith(f"error: --set {overrides[-1]}: ") and err.count("\n") == 1, err
+        assert err.endswith(" is set twice; leave one of them out.\n")
+
+
+def test_values_within_one_that_is_set_and_names_that_begin_alike_are_not_set_twice():
+    check_overrides(["learner={name: a}", "learner.epsilon=0.3", "learner.epsilon_min=0.1", "learner.epsilon=0.3"])
+    with pytest.raises(InputError, match=r"task\.physics is set twice"):
+        check_overrides(["task.physics=mujoco", "task.physics=chain"])
+
+
+def test_a_name_that_file_systems_may_refuse_is_refused():
+    assert load("joint1", [f"name={'a' * 200}"]).name == "a" * 200
+    with pytest.raises(InputError, match="at most 200 letters"):
+        load("joint1", [f"name={'a' * 201}"])
 
 
 def test_a_swept_key_that_is_set_is_swept_no_more(write):

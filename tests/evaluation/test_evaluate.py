@@ -18,8 +18,8 @@ from humanoid_mjx.evaluation.episode import play
 from humanoid_mjx.evaluation.evaluate import evaluate_all, held_out_keys, play_out
 from humanoid_mjx.evaluation.policy import best_policy, find_policy, load_policy, policies_of_best, save_policy
 from humanoid_mjx.learners.rollout import AGENTS, agent, rollout
-from humanoid_mjx.runs.evaluations import estimated
 from humanoid_mjx.runs.ranking import ranked
+from humanoid_mjx.runs.statistics import estimated
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.program import run_key
 from humanoid_mjx.training.sweep import Run, sweep

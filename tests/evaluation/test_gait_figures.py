@@ -10,8 +10,7 @@ import pytest
 from gait_reference import reference
 
 from humanoid_mjx.evaluation.gait.figures import FIGURES, figures
-from humanoid_mjx.evaluation.gait.samples import Sample, legs_apart
-from humanoid_mjx.evaluation.gait.tally import Asked, add, begin, window_samples
+from humanoid_mjx.evaluation.gait.tally import Asked, Sample, add, begin, legs_apart, window_samples
 from humanoid_mjx.physics.base import Poses
 from humanoid_mjx.robot import make_robot
 from humanoid_mjx.robot.lower_body import LowerBody

@@ -1,5 +1,6 @@
 """Function approximation: targets against plain Python, features, and learners on tasks whose values are known."""
 
+import re
 from functools import partial
 from itertools import chain
 from operator import itemgetter
@@ -19,7 +20,7 @@ import humanoid_mjx.training.session as session
 from humanoid_mjx import InputError, make_learner, make_task, sweep
 from humanoid_mjx.compute import rng
 from humanoid_mjx.config import load
-from humanoid_mjx.evaluation.replay import replay
+from humanoid_mjx.evaluation.replay import replay, why_stopped
 from humanoid_mjx.learners import acting, exploration
 from humanoid_mjx.learners.acting import start_all, step_all
 from humanoid_mjx.learners.approximate import Batch
@@ -418,14 +419,14 @@ def test_the_policy_is_the_mean_of_the_weights_of_late():
     jax.tree.map(np.testing.assert_array_equal, policy.moments, carry.weights.moments)
 
 
-def test_parts_in_which_no_update_begins_have_no_evaluation():
-    """Of two updates the second ends the training; the parts between have none, and the last policy counts."""
+def test_parts_in_which_no_update_ends_have_no_evaluation():
+    """Of two updates the first ends in the middle and the second at the end of the training."""
     learner = build("tiles", probe("choice")[0], evaluations=4, evaluation_envs=4).replace(total_steps=2 * 32 * 4)
     training, _ = train(learner, updates=2)
     found = jax.jit(finish)(learner, training, rng.key(0))
-    assert np.isfinite(found["curve"]["greedy_return"]).tolist() == [True, False, True, False]
-    assert found["final"]["greedy_return"] == found["curve"]["greedy_return"][2]
-    last = jax.tree.map(lambda x: x[2], training.snapshots[0])
+    assert np.isfinite(found["curve"]["greedy_return"]).tolist() == [False, True, False, True]
+    assert found["final"]["greedy_return"] == found["curve"]["greedy_return"][3]
+    last = jax.tree.map(lambda x: x[3], training.snapshots[0])
     jax.tree.map(np.testing.assert_array_equal, last, training.carry.weights)
 
 
@@ -475,6 +476,9 @@ def test_a_run_that_breaks_is_marked_and_can_be_replayed_while_the_others_finish
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(again.carry.weights))
     broken, _ = jax.jit(lambda carry: again.learner.train_step(carry))(again.carry)
     assert not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(broken.weights))
+    words = why_stopped(run.path, run.summary)
+    assert "1 run stopped" in words and "; not finite: the reward" in words
+    assert re.search(r"Point 1 with seed 0 stopped after step \d+;", words) and f"replay('{run.path}', 1, 0)" in words
     with pytest.raises(InputError, match="point 0 with seed 0 did not diverge"):
         replay(run.path, 0, 0)
 

@@ -102,6 +102,14 @@ def test_a_run_can_start_from_what_an_earlier_one_learned(swept, tmp_path):
     np.testing.assert_array_equal(run.summary["greedy_success"], [1, 1])
 
 
+def test_an_update_longer_than_the_training_stands_in_the_last_row(tmp_path):
+    """The row says the steps that were made, and holds the evaluation."""
+    short = {"sweep": None, "total_steps": 101, "record": 3, "task": {"name": "probes:NamedProbe", "which": "both"}}
+    results = sweep(CONFIG | short, tmp_path / "run", quiet=True).results
+    assert results["step"].tolist() == [33, 67, 32 * 4]
+    assert np.isfinite(results["greedy_return"]).tolist() == [False, False, True]
+
+
 def test_an_update_learns_from_pieces_of_what_every_environment_saw():
     learner = make_learner("brax_ppo", Drift(cap=3), **(TINY | {"num_envs": 8}))
     carry = jax.jit(learner.init)(rng.key(0))

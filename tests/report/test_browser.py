@@ -11,7 +11,7 @@ from test_page import HOSTILE
 from humanoid_mjx.evaluation.film import Film, Push
 from humanoid_mjx.report.figures import curved
 from humanoid_mjx.report.page import _row
-from humanoid_mjx.report.player import player
+from humanoid_mjx.report.scene import player
 from humanoid_mjx.report.web import contents, page, section, table, text
 from humanoid_mjx.robot import make_robot
 

@@ -3,9 +3,11 @@
 import http.client
 import json
 import os
+import re
 import signal
 import threading
 import time
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -18,9 +20,9 @@ from humanoid_mjx.config import parse
 from humanoid_mjx.control import at_rest
 from humanoid_mjx.control.laws import ServoLaw
 from humanoid_mjx.evaluation.live import SPEEDS, Grab, Live, LiveMujoco, Stage
-from humanoid_mjx.evaluation.policy import Trained, find_policy
+from humanoid_mjx.evaluation.policy import Trained, find_policy, in_changed_world
 from humanoid_mjx.physics import make_physics
-from humanoid_mjx.report.live import Window, make_server, serve
+from humanoid_mjx.report.live import Window, _scales, make_server, serve
 from humanoid_mjx.robot import make_robot
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.plan import make_plan
@@ -44,6 +46,21 @@ def test_without_hands_it_is_native_mujoco():
     assert float(jnp.abs(ends[0].qvel).max()) > 0.1
     for one, other in zip(*(jax.tree.leaves(end) for end in ends), strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+def test_jax_drops_no_step_and_repeats_none():
+    """Two robots take two steps whose results nobody reads."""
+    physics = LiveMujoco(robot=ROBOT, timestep=0.005)
+    physics.stage.hands.pace = FAST
+    physics.stage.fill(2)
+    law = ServoLaw(stiffness=20.0, damping=0.4).follow(at_rest(jnp.asarray(ROBOT.posture)))
+    world = physics.start(jnp.asarray(MODEL.qpos0), jnp.zeros(MODEL.nv))
+    before = physics.stage.time
+    worlds = jax.tree.map(lambda x: jnp.stack([x, x]), world)
+    jax.jit(jax.vmap(lambda world: (physics.run(world, law, 2), world)[1]))(worlds)
+    jax.effects_barrier()
+    assert physics.stage.time - before == pytest.approx(2 * 0.005)
+    assert [body.time for body in physics.stage.bodies] == pytest.approx([physics.stage.time, 2 * 0.005])
 
 
 def stand(stage, seconds, qpos=None):
@@ -119,7 +136,8 @@ class Running:
         """Status and content of one answer."""
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=300)
         given = {name.replace("_", "-"): value for name, value in headers.items()}
-        connection.request(method, path, None if body is None else json.dumps(body), given)
+        text = body if body is None or isinstance(body, bytes) else json.dumps(body)
+        connection.request(method, path, text, given)
         answer = connection.getresponse()
         content = answer.readline() if path == "/frames" and answer.status == 200 else answer.read()
         connection.close()
@@ -127,6 +145,12 @@ class Running:
 
     def tell(self, message):
         return self.ask("POST", "/hands", message, Content_Type="application/json")[0]
+
+    def state(self):
+        """What messages can change."""
+        live, hands = self.live, self.live.stage.hands
+        grabs = [body.grab for body in live.stage.bodies]
+        return dict(live.told), replace(hands), grabs, live.going.is_set(), live.episodes.tolist()
 
     def until(self, true):
         latest = time.monotonic() + 600
@@ -175,6 +199,38 @@ def test_it_walks_as_the_browser_says(walking):
     assert walking.tell({"paused": False}) == 204
     walking.until(lambda: live.stage.time > before)
     live.stage.hands.pace = 1.0
+
+
+def test_the_first_push_does_not_fell_it(walking):
+    live, window = walking.live, walking.server.shown
+    live.stage.hands.pace = 10.0
+    assert walking.tell({"episode": 1}) == 204
+    for speed in (0.0, 0.5):
+        assert walking.tell({"told": {"forward, m/s": speed}}) == 204
+        walking.until(lambda speed=speed: abs(live.stage.bodies[0].speeds[0] - speed) < 0.1)
+        before = live.episodes.tolist()
+        for _ in range(3):
+            assert walking.tell({"push": window.scales["push"].now}) == 204
+            walking.until(lambda: not live.stage.bodies[0].shoves)  # it has begun
+            begun = live.stage.time
+            walking.until(lambda begun=begun: live.stage.time > begun + 1.0)
+        assert live.episodes.tolist() == before and live.stage.bodies[0].ended is None
+    assert walking.tell({"told": {"forward, m/s": 0.0}}) == 204
+    live.stage.hands.pace = 1.0
+
+
+@pytest.mark.parametrize("name", ["stand", "walk", "walk_sturdy", "walk_dog", "walk_humanoid"])
+def test_the_first_push_is_one_of_the_training(name):
+    live = Live(find_policy(name))
+    push, task = _scales(live)["push"], live.trained.learner.task
+    largest = float(task.push.impulse) * task.robot.momentum
+    least = float(task.push.least) * largest
+    assert least * 0.97 <= push.now <= 1.03 * (largest + least) / 2 and largest <= 1.03 * push.high
+
+
+def test_a_policy_that_was_trained_without_pushes_gets_a_gentle_one():
+    live = Live(in_changed_world(find_policy("walk"), ["task.push.impulse=0"]))
+    assert 0.0 < _scales(live)["push"].now < 0.1
 
 
 @pytest.fixture
@@ -265,12 +321,67 @@ def test_only_pages_of_its_own_reach_the_server(walking):
     [
         *(1, [], {"told": {"up, m/s": 1.0}}, {"told": 3}, {"slope": "steep"}, {"payload": float("nan")}, {"grab": {}}),
         *({"grab": {"shape": 999, "point": [0, 0, 0], "to": [0, 0, 0]}}, {"push": None}, {"episode": []}),
+        *({"grab": {"shape": -1, "point": [0, 0, 0], "to": [0, 0, 0]}}, {"up": 1.0}, {"episode": 1.5}),
+        *({"told": {"forward, m/s": 0.5}, "slope": 3.0, "push": None}, {"grab": {"to": [0, 0]}}, {"paused": 1}),
     ],
 )
 def test_messages_that_mean_nothing_change_nothing(walking, message):
-    before = dict(walking.live.told), walking.live.stage.bodies[0].grab
+    before = walking.state()
     assert walking.tell(message) == 400
-    assert (dict(walking.live.told), walking.live.stage.bodies[0].grab) == before
+    assert walking.state() == before
+
+
+VALUES = {
+    *("null", "true", '"1"', '"x"', "[]", "[1]", "{}", '{"to": 1}', "1e400", "-1e400", "NaN", "[" * 9000),
+    *(
+        '{"a":' * 1500,
+        f"{10**23}",
+        f"-1{'0' * 400}",
+        "1" * 9000,
+        "[0, 0, 1e400]",
+        '[0, 0, "1"]',
+        "[0, 0, 0, 0]",
+        "\udcff",
+    ),
+}
+FIELDS = {
+    *('{"told": %s}', '{"told": {"forward, m/s": %s}}', '{"push": %s}', '{"payload": %s}', '{"slope": %s}'),
+    *('{"friction": %s}', '{"pace": %s}', '{"paused": %s}', '{"episode": %s}', '{"grab": %s}', '{"grab": {"to": %s}}'),
+    *('{"grab": {"to": [0, 0, %s]}}', '{"grab": {"shape": %s, "point": [0, 0, 0], "to": [0, 0, 0]}}', "%s"),
+    *('{"grab": {"shape": 0, "point": %s, "to": [0, 0, 0]}}', '{"grab": {"shape": 0, "point": [%s, 0, 0], "to": 1}}'),
+    *('{"up": %s}', "{%s: 1}"),
+}
+MEANINGFUL = {
+    '{"grab": {"shape": true, "point": [0, 0, 0], "to": [0, 0, 0]}}',
+    '{"told": {}}',
+    '{"paused": true}',
+    '{"grab": null}',
+    "{}",
+} | {
+    field % 10**23
+    for field in FIELDS
+    if "shape" not in field and re.search(r'(m/s|push|payload|slope|friction|pace|0)"?[:,] %s', field)
+}
+"""Messages among these that can be done, as numbers outside a range count as its end."""
+
+
+def test_wrong_values_of_all_fields_are_refused_in_silence(walking, capfd):
+    assert walking.tell({"paused": True}) == 204  # else episodes may end meanwhile
+    before = walking.state()
+    for field in FIELDS:
+        for value in VALUES:
+            text = field % value
+            wanted = 204 if text in MEANINGFUL else 400
+            body = text.encode(errors="surrogateescape")
+            assert walking.ask("POST", "/hands", body, Content_Type="application/json")[0] == wanted, text[:200]
+            assert wanted == 204 or walking.state() == before, text[:200]
+            walking.live.told.update(before[0])
+            walking.live.stage.bodies[0].grab = None
+            walking.live.stage.hands.__dict__.update(vars(before[1]))
+    walking.live.stage.bodies[0].shoves.clear()
+    assert walking.tell({"paused": False}) == 204
+    walking.until(lambda: not rests(lambda: walking.live.stage.time))
+    assert capfd.readouterr().err == ""
 
 
 def test_a_port_that_is_taken(walking):
@@ -405,4 +516,58 @@ def test_keys_and_mouse_drive_it(walking):
         walking.until(records)  # on a busy machine the recorder may begin late
         opened.size(390, 844)
         assert opened.value("document.documentElement.scrollWidth") <= 390
+        assert opened.faults == []
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium here")
+def test_the_page_says_what_happens(walking):
+    """How fast the robot runs, which keys do nothing, what the world is; Restart sets it back; a key pushes once."""
+    live, hands = walking.live, walking.live.stage.hands
+    player = "document.querySelector('figure').player"
+
+    def text(opened, place):
+        return opened.value(f"document.querySelector('{place}').textContent")
+
+    def slide(opened, name, value):
+        opened.value(
+            f"(() => {{ const input = {player}.sliders['{name}'].input; input.value = {value};"
+            "input.dispatchEvent(new Event('input')); })()"
+        )
+
+    def legend(opened):
+        words = opened.value(f"{player}.charts.get('joint angle, degrees').legend.textContent")
+        return re.findall("[a-z_]+", words)
+
+    with browser() as opened:
+        opened.open(f"http://127.0.0.1:{walking.port}/", 1280, 800)
+        walking.until(lambda: re.search(r"episode \d+, [\d.]+ s, \d\.\d\d . real time", text(opened, ".told")))
+        assert "W A D or arrows: go." in text(opened, ".hint")
+        opened.press("s")
+        walking.until(lambda: "forward, m/s is from 0 to 0.8." in text(opened, "[role=status]"))
+        slide(opened, "slope", 1.0)
+        slide(opened, "friction", 0.9)
+        slide(opened, "forward, m/s", 0.304)  # a step of the slider
+        walking.until(lambda: (hands.slope, hands.friction, live.told[SPEEDS[0]]) == pytest.approx((1.0, 0.9, 0.304)))
+        walking.until(lambda: opened.value(f"{player}.latest.world.slope") == 1.0)
+        opened.open(f"http://127.0.0.1:{walking.port}/", 1280, 800)
+        assert opened.value(f"{player}.sliders.slope.input.value") == "1"  # as the world is, not as it was at first
+        opened.press("r")
+        walking.until(lambda: (hands.slope, hands.friction, hands.payload, *live.told.values()) == (0, 1, 0, 0, 0, 0))
+        assert opened.value(f"[{player}.sliders.slope.input.value, {player}.sliders.friction.input.value]") == [
+            "0",
+            "1",
+        ]
+        opened.value(f"{player}.send = (message) => (window.sent = window.sent || []).push(message)")
+        for repeats in (False, True, True):
+            opened.ask("Input.dispatchKeyEvent", type="keyDown", key="x", text="x", autoRepeat=repeats)
+        assert len(opened.value("sent")) == 1
+        opened.value("document.querySelectorAll('details').forEach((each) => { each.open = true; })")
+        walking.until(lambda: len(legend(opened)) == 10)
+        opened.value(f"{player}.charts.get('joint angle, degrees').choice.selectedIndex = 1")  # of the first leg
+        walking.until(lambda: legend(opened) == opened.value(f"{player}.data.legs['leg of right_foot']"))
+        live.stage.bodies[0].shoves[:] = [np.array([0.0, 3.0 * MASS, 0.0])]
+        walking.until(lambda: text(opened, "[role=status]") == "The robot fell; the next episode follows.")
+        forward = f"{player}.charts.get('forward, m/s').legend.textContent"
+        walking.until(lambda: opened.value(forward) == "commanded 0.00measured –")  # noqa: RUF001
         assert opened.faults == []

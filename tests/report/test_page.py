@@ -15,7 +15,7 @@ from small_sweep import CONFIG
 from humanoid_mjx import compute
 from humanoid_mjx.config import dump_yaml
 from humanoid_mjx.evaluation.film import Film
-from humanoid_mjx.report.player import film_data
+from humanoid_mjx.report.scene import film_data
 from humanoid_mjx.reproduction.findings import Setting
 from humanoid_mjx.robot import make_robot
 from humanoid_mjx.runs.folder import read_config

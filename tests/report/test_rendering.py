@@ -105,7 +105,7 @@ def test_videos(tmp_path, motion, ending, mark):
 
 
 def test_a_video_that_cannot_be_made(tmp_path, motion, monkeypatch):
-    monkeypatch.setattr("humanoid_mjx.report.video.find_spec", lambda name: None)
+    monkeypatch.setattr("humanoid_mjx.report.rendering.find_spec", lambda name: None)
     monkeypatch.setattr(rendering, "_paint", lambda *arguments: pytest.fail("it was painted"))
     with pytest.raises(
         InputError, match=r"needs the package imageio-ffmpeg: pip install 'humanoid-mjx\[video\]' brings"

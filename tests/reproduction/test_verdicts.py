@@ -17,7 +17,6 @@ from humanoid_mjx.reproduction import (
     postures,
     reproduce,
     robustness,
-    singularity,
 )
 from humanoid_mjx.reproduction import decision_process as process
 from humanoid_mjx.reproduction import joint_ways as ways
@@ -62,7 +61,7 @@ WRONG = {
     "figure-7.12": (thesis, "AVERAGE_RANDOM_NUMBER", {1: 0.4}, "", ["differs"]),
     "figure-7.14": (thesis, "AVERAGE_RANDOM_NUMBER", {4: 0.6}, "", ["differs"]),
     "figure-7.16": (thesis, "AVERAGE_RANDOM_NUMBER", {5: 0.7}, "", ["differs"]),
-    "finding-singularity": (singularity, "SINGULAR", 0.0, "", ["reproduced"] * 3),
+    "finding-singularity": (space, "SINGULAR", 0.0, "", ["reproduced"] * 3),
     "motor-sizing": (motor_sizing, "MOTORS", np.full(5, 10.0), "", ["reproduced", "consistent", *["reproduced"] * 4]),
     "figure-7.17": (thesis, "POSTURES", {"0": ((0.0,) * 3, (0.0,) * 3)}, "", ["reproduced"]),
 }
@@ -183,17 +182,17 @@ def test_nothing_printed_is_no_verdict():
 
 
 def test_critical_damping_is_the_fastest_without_overshoot(monkeypatch):
-    from humanoid_mjx.reproduction import responses
+    from humanoid_mjx.reproduction import gains
 
     times = np.linspace(0.0, 30.0, 6001)
-    right = responses._step_responses(times, responses.RATIOS)
-    fastest, close, stable = (f.verdict for f in responses.judge_responses(times, right))
+    right = gains._step_responses(times, gains.RATIOS)
+    fastest, close, stable = (f.verdict for f in gains.judge_responses(times, right))
     assert (fastest, close, stable) == ("reproduced", "differs", "differs")
-    shifted = responses._step_responses(times, responses.RATIOS + 0.1)
-    fastest, close, _ = (f.verdict for f in responses.judge_responses(times, shifted))
+    shifted = gains._step_responses(times, gains.RATIOS + 0.1)
+    fastest, close, _ = (f.verdict for f in gains.judge_responses(times, shifted))
     assert (fastest, close) == ("differs", "reproduced")
-    monkeypatch.setattr(responses, "_slowest_decay", lambda ratios: 0.1)
-    assert responses.judge_responses(times, right)[2].verdict == "reproduced"
+    monkeypatch.setattr(gains, "_slowest_decay", lambda ratios: 0.1)
+    assert gains.judge_responses(times, right)[2].verdict == "reproduced"
 
 
 def test_tracking_without_the_interaction_has_a_verdict_where_no_rotor_decides_it():

@@ -28,7 +28,7 @@ def test_without_a_terminal_there_is_a_line_for_each_phase_and_now_and_then(now)
                 bar.update(State(100.0 * second, 4000.0, "steps", 100.0, 40.0 - second, 0.5, 1.0, 25.0))
     lines = out.getvalue().splitlines()
     assert [line.split()[2] for line in lines] == ["compiling", *["training"] * 4], lines
-    assert lines[-1] == "  38.0 s  training 95%  left 0:00:02  100 steps/s  4 episodes/s  success 50%  return 1"
+    assert lines[-1] == "  38.0 s  training 95%  left 0:00:02  100 steps/s  4 episodes/s  best success 50%  return 1"
     assert "%" not in lines[0] and "left" not in lines[0]
 
 

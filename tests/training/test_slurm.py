@@ -56,9 +56,14 @@ def test_a_job_that_slurm_interrupts_begins_anew_and_completes_its_run_folder(tm
 def test_what_cannot_be_submitted_leaves_no_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     config = write_config(tmp_path)
-    for given, words in {"nodes": "KEY=VALUE", "nodes=3": "only one node", "nodes=two": "expected type"}.items():
+    for given, words in {
+        "nodes": "KEY=VALUE",
+        "nodes=3": "only one node",
+        "nodes=1 nodes=2": "given twice",
+        "nodes=two": "expected type",
+    }.items():
         with pytest.raises(InputError, match=f"^--slurm.*{words}"):
-            submit_sweep(config, None, [], False, False, ["cluster=local", given])
+            submit_sweep(config, None, [], False, False, ["cluster=local", *given.split()])
     assert not list(tmp_path.rglob("runs/*"))
 
 

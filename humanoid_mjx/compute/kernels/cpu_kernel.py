@@ -115,7 +115,7 @@ def _compiled(name: str, code: str) -> bytes:
     path = Path(place) / f"{name}-object" if place and "://" not in place else None
     if path is not None:
         with suppress(OSError):
-            if (kept := read_sealed(path)) is not None:
+            if (kept := read_sealed(path, name.encode())) is not None:
                 return kept
     import llvmlite.binding as llvm
 
@@ -127,8 +127,8 @@ def _compiled(name: str, code: str) -> bytes:
     passes.getModulePassManager().run(module, passes)
     found = target.emit_object(module)
     if path is not None:
-        with suppress(OSError):
-            write_sealed(path, found)
+        with suppress(OSError, ValueError):
+            write_sealed(path, found, name.encode())
     return found
 
 

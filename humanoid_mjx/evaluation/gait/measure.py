@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from humanoid_mjx.evaluation.gait.figures import Gait
 from humanoid_mjx.evaluation.gait.scenarios import Scenario, gaits_of, play_worlds, scenarios_of, walking_task
-from humanoid_mjx.evaluation.gait.summary import Gait
 from humanoid_mjx.evaluation.policy import Trained, find_policy, policies_of_best
 from humanoid_mjx.learners.rollout import AGENTS
 from humanoid_mjx.tasks.legged.commands import Velocity

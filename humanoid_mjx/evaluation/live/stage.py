@@ -6,8 +6,12 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
+from jax.custom_batching import custom_vmap
+from jax.experimental import io_callback
 from jaxtyping import Float
 
 from humanoid_mjx.evaluation.live.body import Body, Hands
@@ -76,6 +80,19 @@ class LiveMujoco(Native):
     def stage(self) -> Stage:
         """Stage of the robots on this physics; cached by the model."""
         return _stage(self._team.base)
+
+    @staticmethod
+    def host_call(function: Callable[..., Any], shapes: Any, *vectors: Any) -> Any:
+        """Call the host once and in the program's order: it moves robots that are seen."""
+        call = custom_vmap(lambda *vectors: io_callback(function, shapes, *vectors, ordered=True))
+
+        @call.def_vmap
+        def _(robots: int, batched: Any, *vectors: Any) -> Any:
+            rows = [x if of_each else jnp.stack([x] * robots) for x, of_each in zip(vectors, batched, strict=True)]
+            wider = [jax.ShapeDtypeStruct((robots, *shape.shape), shape.dtype) for shape in shapes]
+            return LiveMujoco.host_call(function, wider, *rows), [True] * len(shapes)
+
+        return call(*vectors)
 
     def _advance(self, sensed: bool, values: Any, *state: Any) -> tuple[np.ndarray, ...]:
         stage = self.stage

@@ -71,7 +71,7 @@ class LeggedTask(LeggedBody):
                 raise ValueError("terrain: control grounded assumes a plane; take a slope without waves and stairs")
         later = np.mod(self.robot.phases[self.robot.foot_images] - self.robot.phases, 1.0)
         if self.symmetric and not (self.robot.mirror and np.allclose(later, 0.5)):
-            raise ValueError("symmetric needs a robot whose feet swing half a period after their mirror images")
+            raise ValueError("symmetric: the feet do not swing half a period after their mirror images; write false")
         return self
 
     @property
