@@ -149,8 +149,10 @@ def sweep_shortly():
     whole = humanoid_mjx.sweep
 
     def sweep(config, *arguments, overrides=(), **options):
-        shorter = ["seeds=1", "episodes=20", "record=2"] if isinstance(config, str) else []
-        return whole(config, *arguments, overrides=[*overrides, *shorter], **options)
+        shorter = {"seeds": 1, "episodes": 20, "record": 2} if isinstance(config, str) else {}
+        others = [override for override in overrides if override.partition("=")[0] not in shorter]
+        own = [f"{key}={value}" for key, value in shorter.items()]
+        return whole(config, *arguments, overrides=[*others, *own], **options)
 
     humanoid_mjx.sweep = sweep
 

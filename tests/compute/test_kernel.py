@@ -23,7 +23,7 @@ from humanoid_mjx.mechanics.tree.reading import read_tree
 from humanoid_mjx.mechanics.tree.step import Values
 from humanoid_mjx.physics import make_physics, tree
 from humanoid_mjx.robot import Robot, make_robot
-from humanoid_mjx.robot.description import compiled
+from humanoid_mjx.robot.description import IMU, compiled
 
 PENDULUM = """
 <mujoco>
@@ -278,7 +278,9 @@ MODELS = {
 def test_a_time_step_is_that_of_xla(kernel, case):
     """Ground, pairs and limits in states that need one to eight Newton steps."""
     model = converged(MODELS[case])
-    robot = fold(read_tree(model, [model.sensor(index).name for index in range(model.nsensor)]))
+    robot = fold(
+        read_tree(model, [name for name in IMU if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, name) >= 0])
+    )
     threads = robot._replace(threads=True)
     qpos, qvel, control = (np.float32(x.T) for x in states(model, 100))
     world = qpos, qvel, np.zeros_like(qvel), np.zeros(100, bool)
@@ -342,7 +344,7 @@ def test_loops_of_a_gpu_are_those_of_a_cpu(case, monkeypatch):
     expected = jax.jit(jax.vmap(run))(qpos, qvel)
     monkeypatch.setattr(tree, "_kernels_run", lambda: True)
     monkeypatch.setattr(compute, "why_no_kernel", lambda: None)
-    monkeypatch.setattr(tree, "worlds_last", lambda function, *static, lanes=0: worlds_last(function, *static))
+    monkeypatch.setattr(tree, "worlds_last", lambda function, *static, **_: worlds_last(function, *static))
     assert pendulum._unroll(controller, 14) == (tree.UNROLL if little else 1)
     assert pendulum._unroll(controller, 3) == (3 if little else 1)
     found = jax.jit(jax.vmap(lambda *at: run(*at)))(qpos, qvel)
