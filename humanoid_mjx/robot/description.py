@@ -292,7 +292,7 @@ def ground_points(model: mujoco.MjModel) -> tuple[Int[np.ndarray, " points"], Bo
     """The balls that a plane feels by explicit pairs: their geoms, and which velocities move them."""
     pairs = np.stack([model.pair_geom1, model.pair_geom2], axis=1)
     balls = pairs[model.geom_type[pairs[:, 0]] == mujoco.mjtGeom.mjGEOM_PLANE, 1]
-    return balls, below(model)[model.dof_bodyid][:, model.geom_bodyid[balls]].T > 0
+    return balls, below(model)[model.dof_bodyid, model.geom_bodyid[balls][:, None]] > 0
 
 
 def lowest(model: mujoco.MjModel, centers: Any) -> Any:

@@ -214,7 +214,7 @@ def _of_pair(m: mujoco.MjModel, data: mujoco.MjData, pair: Touching) -> Iterator
 def _stay_parallel(m: mujoco.MjModel, data: mujoco.MjData, pair: Touching) -> bool:
     """True if no joint can turn the axes of these capsules, which are parallel, away from each other."""
     one, two = data.geom_xmat[[pair.one, pair.two]].reshape(2, 3, 3)[:, :, 2]
-    moves = below(m)[m.jnt_bodyid][:, m.geom_bodyid[[pair.one, pair.two]]]
+    moves = below(m)[m.jnt_bodyid[:, None], m.geom_bodyid[[pair.one, pair.two]]]
     between = np.flatnonzero(moves[:, 0] != moves[:, 1])
     turning = between[m.jnt_type[between] != JOINT.mjJNT_SLIDE]
     axes = np.concatenate([two[None], data.xaxis[turning]])
