@@ -8,11 +8,11 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from humanoid_mjx.files import meant, refuse_pipe
+from humanoid_mjx.files import meant, read_text, refuse_pipe
 from humanoid_mjx.mechanics.tree.refusing import faults, robot_faults, sensors_of
 from humanoid_mjx.robot.declared import bad_timestep
 from humanoid_mjx.robot.description import IMU
-from humanoid_mjx.robot.mjcf import checked
+from humanoid_mjx.robot.mjcf import checked, files_of, is_xml
 from humanoid_mjx.robot.motors import motors_on
 from humanoid_mjx.robot.touching import kind_of, pairs_of, word
 from humanoid_mjx.spec import InputError
@@ -29,6 +29,8 @@ def survey(path: str) -> tuple[list[str], bool]:
     refuse_pipe(Path(path))
     if not Path(path).is_file():
         raise InputError(f"info: there is no file {path}{meant(path, 'model', 'robot')}.")
+    for file in filter(is_xml, files_of(Path(path))):
+        read_text(file)  # MuJoCo takes other encodings, and then has names that Python cannot read
     model, warned = checked(lambda: mujoco.MjSpec.from_file(path).compile(), f"info: MuJoCo cannot read {path}")
     if not model.nv:
         raise InputError(f"info: {path} has no joint, so nothing in it moves.")

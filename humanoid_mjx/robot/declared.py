@@ -20,7 +20,7 @@ from jaxtyping import Float
 from pydantic import Field
 
 from humanoid_mjx.config import Config, parse_yaml
-from humanoid_mjx.files import folder, meant, read_text, refuse_pipe
+from humanoid_mjx.files import folder, meant, read_text
 from humanoid_mjx.robot.description import BEND, Robot, Servo, add_motors_and_imu, listed
 from humanoid_mjx.robot.differences import Difference, differences
 from humanoid_mjx.robot.mirror import images
@@ -28,6 +28,9 @@ from humanoid_mjx.robot.mjcf import PLAIN, Quat, checked, content_of, name_bodie
 from humanoid_mjx.robot.motors import driven, motors_on, own_drives
 from humanoid_mjx.robot.touching import balls_of, soles_of, strip
 from humanoid_mjx.spec import InputError, Spec, known, search_folders, sentence
+
+OWN = re.compile(r"ground|package_imu|.*_point\d+(_contact)?")
+"""Names of geoms and sites that the package adds."""
 
 DAMPING = 0.03
 """Servo damping by stiffness where a description gives none, s."""
@@ -79,7 +82,9 @@ class Declaration(Spec):
     servo: DeclaredServo = Field(DeclaredServo.model_validate({}), description="gains of its joints' servo")
     torque: ByJoint | None = Field(None, description="largest torque by joint, N m; by default the model's")
     shares: ByJoint | None = Field(None, description="factors on action_scale, by joint; by default 1")
-    turns: list[float] = Field([], description="phase, 0 to 1, at which each foot's swing begins; by default even")
+    turns: list[Annotated[float, Field(ge=0, le=1)]] = Field(
+        [], description="phase, 0 to 1, at which each foot's swing begins; by default even"
+    )
     mirror: dict[str, str] = Field({}, description="parts of names on the right, and what stands for them on the left")
     bend: float = Field(15.0, ge=0, lt=90, description=BEND)
     contacts: Literal["feet", "model"] = Field(
@@ -217,7 +222,8 @@ def _read(path: Path) -> Source:
             raise InputError(f"{path.name}: a robot is a mapping of keys such as model and feet.")
         declared = Declaration(**data)
         model = path.parent / declared.model
-        refuse_pipe(model)
+        if "\0" in declared.model or model.is_dir():
+            raise InputError(f"{path.name}: model must be the path of an MJCF, got {declared.model!r}.")
         return _understood(path, text, str(model), content_of(data, model))
     except pydantic.ValidationError as error:
         raise InputError(f"{path.name}: {sentence(error, '', Declaration)}") from error
@@ -251,6 +257,9 @@ def _understood(path: Path, text: str, file: str, content: str) -> Source:
             turns = turns or tuple(k / len(feet) for k in range(len(feet)))
             feet, turns = (tuple(part[k] for k in order) for part in (feet, turns))
         mirror = tuple(declared.mirror.items())
+        parts = [part.name for part in (*spec.bodies, *spec.joints, *spec.geoms)]
+        if idle := [old for old in declared.mirror if not old or not any(old in part for part in parts)]:
+            raise InputError(f"mirror: no body, joint or geom has {idle[0]!r} in its name")
         values = {"feet": feet, "home": tuple(home), "turns": turns, "mirror": mirror, "bend": declared.bend}
         values |= {"torque": tuple(torque), "stiffness": tuple(stiffness), "damping": tuple(damping)}
         values |= {"ground_geoms": geoms, "contacts": declared.contacts, "content": content}
@@ -276,6 +285,9 @@ def _load(file: str) -> tuple[mujoco.MjSpec, mujoco.MjModel, tuple[str, ...]]:
     what = f"model: {Path(file).name} is no MJCF that MuJoCo takes"
     spec, _ = checked(lambda: mujoco.MjSpec.from_file(file), what)
     name_bodies(spec)
+    ours = (part.name for part in (*spec.geoms, *spec.sites) if OWN.fullmatch(part.name))
+    if taken := [name for name in ours if (plane := spec.geom(name)) is None or plane.type != GEOM.mjGEOM_PLANE]:
+        raise InputError(f"model: the package adds an element of the name {taken[0]!r}; rename that of the MJCF")
     model, warned = checked(spec.compile, what)
     bodies = [body.name for body in spec.worldbody.bodies]
     free = [joint for joint in spec.joints if joint.type == JOINT.mjJNT_FREE]
@@ -323,6 +335,8 @@ def _feet(names: Sequence[str], spec: mujoco.MjSpec) -> tuple[tuple[str, ...], t
         geoms += [geom.name] if geom is not None else []
     if geoms and len(geoms) != len(names):
         raise InputError("feet: name geoms or bodies, not some of each")
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise InputError(f"feet: {twice[0]!r} stands there twice")
     return tuple(dict.fromkeys(bodies)), tuple(geoms)
 
 

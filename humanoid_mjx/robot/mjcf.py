@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 
+from humanoid_mjx.files import read_text
 from humanoid_mjx.spec import InputError
 
 BLANK = mujoco.MjSpec()
@@ -59,7 +60,7 @@ def files_of(file: Path) -> list[Path]:
     that names them or from the main one, in any folder of meshes, with or without their path."""
     found, folders, named = [file.resolve()], {"."}, []
     for path in found:
-        text = path.read_bytes().decode(errors="replace") if _is_xml(path) else ""
+        text = path.read_bytes().decode(errors="replace") if is_xml(path) else ""
         folders |= set(re.findall(r"\b(?:mesh|asset)dir\s*=\s*[\"']([^\"']*)", text))
         named += [
             (path.parent, m[2])
@@ -73,7 +74,7 @@ def files_of(file: Path) -> list[Path]:
     return found
 
 
-def _is_xml(path: Path) -> bool:
+def is_xml(path: Path) -> bool:
     with path.open("rb") as file:
         return file.read(64).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<")
 
@@ -81,9 +82,11 @@ def _is_xml(path: Path) -> bool:
 def _canonical(path: Path) -> str:
     """The text of an XML file without layout and comments; of any other file a digest."""
     try:
-        return ElementTree.canonicalize(path.read_text(encoding="utf-8"), strip_text=True)
-    except (ElementTree.ParseError, UnicodeDecodeError):
-        return hashlib.sha256(path.read_bytes()).hexdigest()
+        if is_xml(path):
+            return ElementTree.canonicalize(read_text(path), strip_text=True)
+    except ElementTree.ParseError:
+        pass
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 TURNED = 1e-4

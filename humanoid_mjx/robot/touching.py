@@ -206,4 +206,5 @@ def strip(spec: mujoco.MjSpec, feet_only: bool) -> None:
     option.solver, option.disableactuator = mujoco.mjtSolver.mjSOL_NEWTON, 0
     option.iterations, option.ls_iterations = max(option.iterations, 100), max(option.ls_iterations, 50)
     option.tolerance, option.ls_tolerance = min(option.tolerance, 1e-8), min(option.ls_tolerance, 0.01)
-    option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_ACTUATION)
+    off = mujoco.mjtDisableBit
+    option.disableflags &= ~int(off.mjDSBL_CONTACT | off.mjDSBL_ACTUATION | off.mjDSBL_CONSTRAINT)

@@ -183,6 +183,12 @@ NO_PLANE = "no plane that it can touch", None
         ([("<option", '<option iterations="1"')], "option iterations", ("1", "100"), 0),
         ([("<mujoco>", f"<mujoco>{NO_CONTACT}")], "option disableflags", ("contact", "none"), 0),
         (
+            [("<mujoco>", f"<mujoco>{NO_CONTACT.replace('contact', 'constraint')}")],
+            "option disableflags",
+            ("constraint", "none"),
+            0.1,
+        ),
+        (
             [feet('condim="6" friction=".6 .05 .01"'), floor('friction=".6"')],
             "condim of",
             ("6: resists twisting or rolling", "3: resists sliding"),
@@ -221,6 +227,35 @@ def test_what_cannot_be_kept_is_named(pairs, name, values, least, tmp_path):
 def test_ground_that_is_no_level_plane_is_refused(pairs, words, tmp_path):
     with pytest.raises(InputError, match=f"robot.yaml: model: .*{words}"):
         robot_of(tmp_path, *pairs)
+
+
+@pytest.mark.parametrize(
+    ("pairs", "yaml", "words"),
+    [
+        ([world('<geom name="ground" type="box" size=".1 .1 .1" pos="0 0 9" contype="0" conaffinity="0"/>')], YAML,
+         "robot.yaml: model: the package adds an element of the name 'ground'; rename that of the MJCF"),
+        ([], YAML.replace("base.xml", '"a\\0b"'), "model must be the path of an MJCF, got 'a.x00b'"),
+        ([], YAML.replace("base.xml", "."), "model must be the path of an MJCF, got '.'"),
+        ([], YAML.replace("]", ", foot_0_0]"), "feet: 'foot_0_0' stands there twice"),
+        ([], YAML + "mirror: {x: y}", "mirror: no body, joint or geom has 'x' in its name"),
+        ([], YAML + "turns: [-1, 0.5, 0.2, 1]", "turns"),
+        ([('name="trunk" pos', 'name="tr\u00fcnk" pos')], YAML, "not UTF-8; save it as UTF-8"),
+    ],
+)  # fmt: skip
+def test_what_the_two_files_cannot_mean_is_said(pairs, yaml, words, tmp_path):
+    with pytest.raises(InputError, match=words):
+        text = replaced(BASE, *pairs)
+        (tmp_path / "base.xml").write_bytes(text.encode("latin-1"))
+        (tmp_path / "robot.yaml").write_text(yaml)
+        make_robot(str(tmp_path / "robot.yaml")).model  # noqa: B018
+
+
+def test_a_gain_that_is_no_number_is_refused(tmp_path):
+    with pytest.raises(
+        InputError, match=r"robot.yaml: model: an actuator of \w+ has a gain, gear or range that is NaN"
+    ):
+        elements = motors('<position J kp="80" kv="nan" forcerange="-20 20"/>')
+        robot_of(tmp_path, elements, yaml=f"model: base.xml\n{HOME}{FEET}")
 
 
 def test_the_tree_slides_as_the_unmodified_file(tmp_path):
