@@ -19,7 +19,7 @@ import numpy as np
 
 from humanoid_mjx import compute
 from humanoid_mjx.compute import kept
-from humanoid_mjx.compute.kernels.fallback import give_up
+from humanoid_mjx.compute.kernels.fallback import with_fallback
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.plan import Group
@@ -85,7 +85,7 @@ class Pool:
 
     def prepare(self) -> None:
         """Begin to compile the training steps, which takes longest, beside what `fill` compiles."""
-        self._with_fallback(lambda: self._program("advance", *self._steps_taken()))
+        with_fallback(lambda: self._program("advance", *self._steps_taken()), self._renew)()
 
     def fill(self) -> None:
         """Give the idle slots the runs that wait."""
@@ -204,21 +204,15 @@ class Pool:
             return program.result()
 
         if name not in self.compiled:
-            program = self._with_fallback(ready)
-            self.compiled[name] = program
+            program = with_fallback(ready, self._renew)()
+            self.compiled[name] = program  # of the programs after `_renew`
         self.phase = {"begin": "starting", "advance": "training", "finish": "evaluating"}[name]
         return jax.block_until_ready(self.compiled[name](*args))
 
-    def _with_fallback(self, compile_it: Callable[[], Any]) -> Any:
-        """Call a function, again with programs without kernels if a kernel fails to compile."""
-        try:
-            return compile_it()
-        except Exception as error:
-            if not give_up(error):
-                raise
-            programs.cache_clear()
-            self.programs, self.compiled = programs_of(self.group.learners, self.rows), {}
-            return compile_it()
+    def _renew(self) -> None:
+        """Make programs without kernels, since one of a kernel failed to compile."""
+        programs.cache_clear()
+        self.programs, self.compiled = programs_of(self.group.learners, self.rows), {}
 
     def _program(self, name: str, *args: Any, after: "Future[Any] | None" = None) -> "Future[Callable[..., Any]]":
         """A program of `programs` for such arguments, which a thread of its own compiles, or loads where an earlier

@@ -56,8 +56,11 @@ def give_up(error: BaseException) -> bool:
     return True
 
 
-def with_fallback(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a compiled function that is compiled again without kernels if one of its kernels fails to compile."""
+def with_fallback(function: Callable[..., Any], renew: Callable[[], object] = lambda: None) -> Callable[..., Any]:
+    """Return a function that compiles, and compiles again without kernels if one of its kernels fails to compile.
+
+    `renew`: called before the second attempt.
+    """
 
     @wraps(function)
     def call(*args: Any) -> Any:
@@ -66,6 +69,7 @@ def with_fallback(function: Callable[..., Any]) -> Callable[..., Any]:
         except Exception as error:
             if not give_up(error):
                 raise
+            renew()
             return function(*args)
 
     return call
