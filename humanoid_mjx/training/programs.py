@@ -12,7 +12,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec, SingleDeviceShardin
 from jaxtyping import Array, Bool
 
 from humanoid_mjx import compute
-from humanoid_mjx.compute.kernels.worlds import kernel
+from humanoid_mjx.kernels.worlds import kernel
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.base import ENVS
 from humanoid_mjx.training.program import Progress, Training, advance, begin, finish, progress_of, run_key, train
@@ -127,7 +127,7 @@ def _shared_out(function: Callable[..., Any], mesh: Mesh, given: Any) -> Callabl
 def programs_of(learners: Learner, devices: Devices) -> Programs:
     """The programs that train learners such as these, which stand side by side, on the given devices.
 
-    Kernels train tables: on a GPU that of `training.fused`, where it can; on a CPU `compute.kernels.worlds.kernel`.
+    Kernels train tables: on a GPU that of `training.fused`, where it can; on a CPU `kernels.worlds.kernel`.
     """
     mesh = Mesh(np.array(devices).reshape(len(devices), -1), (RUNS, ENVS))
     options = compute.compiler_options(learners.task.arithmetic, learners.program, every_device=mesh.size > 1)

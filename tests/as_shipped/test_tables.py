@@ -7,7 +7,7 @@ import pytest
 
 from humanoid_mjx import make_learner, make_task
 from humanoid_mjx.compute import rng
-from humanoid_mjx.compute.kernels.cpu_kernel import why_not
+from humanoid_mjx.kernels.cpu_kernel import why_not
 from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.training.program import begin, train
 from humanoid_mjx.training.programs import TRAIN

@@ -10,7 +10,7 @@ from small_sweep import assert_same_tables, write_config
 
 from humanoid_mjx import sweep
 from humanoid_mjx.compute import kept
-from humanoid_mjx.compute.kernels import cpu_kernel, fallback, threads, worlds
+from humanoid_mjx.kernels import cpu_kernel, fallback, threads, worlds
 from humanoid_mjx.training.programs import programs
 
 X = np.linspace(-2.0, 2.0, 60, dtype=np.float32).reshape(20, 3)

@@ -13,9 +13,9 @@ import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
 from jax.experimental.layout import Layout, with_layout_constraint
 
-from humanoid_mjx.compute.kernels import fallback
-from humanoid_mjx.compute.kernels.cpu_kernel import cpu_kernel, cpu_kernel_of_one, why_not
-from humanoid_mjx.compute.kernels.gpu_kernel import gpu_kernel
+from humanoid_mjx.kernels import fallback
+from humanoid_mjx.kernels.cpu_kernel import cpu_kernel, cpu_kernel_of_one, why_not
+from humanoid_mjx.kernels.gpu_kernel import gpu_kernel
 
 
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:

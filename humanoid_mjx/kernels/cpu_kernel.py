@@ -20,13 +20,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from humanoid_mjx.compute.kernels.arrangements import arranged
-from humanoid_mjx.compute.kernels.llvm import WIDTH, Code, Value, type_of
-from humanoid_mjx.compute.kernels.llvm_lowering import lower
-from humanoid_mjx.compute.kernels.llvm_memory import Given, Table, Words
-from humanoid_mjx.compute.kernels.memory import THREADS
-from humanoid_mjx.compute.kernels.threads import Kept, Threads, looked_up
 from humanoid_mjx.files import read_sealed, write_sealed
+from humanoid_mjx.kernels.arrangements import arranged
+from humanoid_mjx.kernels.llvm import WIDTH, Code, Value, type_of
+from humanoid_mjx.kernels.llvm_lowering import lower
+from humanoid_mjx.kernels.llvm_memory import Given, Table, Words
+from humanoid_mjx.kernels.memory import THREADS
+from humanoid_mjx.kernels.threads import Kept, Threads, looked_up
 
 NAME = re.compile(r"humanoid_mjx_[0-9a-f]{32}")
 """Names of compiled functions, by what they follow from."""

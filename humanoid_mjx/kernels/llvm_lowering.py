@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal
 
-from humanoid_mjx.compute.kernels.llvm import WIDTH, Code, Value, known, type_of
-from humanoid_mjx.compute.kernels.llvm_memory import MEMORY
-from humanoid_mjx.compute.kernels.primitives import CALLS
-from humanoid_mjx.compute.kernels.uniform import uniform_carry, uniform_results
+from humanoid_mjx.kernels.llvm import WIDTH, Code, Value, known, type_of
+from humanoid_mjx.kernels.llvm_memory import MEMORY
+from humanoid_mjx.kernels.primitives import CALLS
+from humanoid_mjx.kernels.uniform import uniform_carry, uniform_results
 
 FLOATS = {"add": "fadd contract", "sub": "fsub contract", "mul": "fmul contract", "div": "fdiv contract"}
 INTEGERS = {name: name for name in ("add", "and", "mul", "or", "sub", "xor")}

@@ -10,9 +10,9 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array
 
-from humanoid_mjx.compute.kernels.angles import ANGLES
-from humanoid_mjx.compute.kernels.memory import THREADS
-from humanoid_mjx.compute.kernels.primitives import ELEMENTWISE
+from humanoid_mjx.kernels.angles import ANGLES
+from humanoid_mjx.kernels.memory import THREADS
+from humanoid_mjx.kernels.primitives import ELEMENTWISE
 
 SHIFTS = {"shift_left", "shift_right_arithmetic", "shift_right_logical"}
 

@@ -25,8 +25,8 @@ from jax import lax
 from jax.extend.core import ClosedJaxpr, Literal
 from jaxtyping import Array
 
-from humanoid_mjx.compute.kernels.arrangements import ARRANGEMENTS, arranged, constant
-from humanoid_mjx.compute.kernels.elements import (
+from humanoid_mjx.kernels.arrangements import ARRANGEMENTS, arranged, constant
+from humanoid_mjx.kernels.elements import (
     ARITHMETIC,
     REDUCTIONS,
     Element,
@@ -38,10 +38,10 @@ from humanoid_mjx.compute.kernels.elements import (
     type_of,
     vector,
 )
-from humanoid_mjx.compute.kernels.memory import THREADS, Region, bits
-from humanoid_mjx.compute.kernels.primitives import CALLS
-from humanoid_mjx.compute.kernels.sums import with_fused_sums
-from humanoid_mjx.compute.kernels.uniform import ends_together
+from humanoid_mjx.kernels.memory import THREADS, Region, bits
+from humanoid_mjx.kernels.primitives import CALLS
+from humanoid_mjx.kernels.sums import with_fused_sums
+from humanoid_mjx.kernels.uniform import ends_together
 
 
 @dataclass(eq=False)

@@ -5,7 +5,7 @@ from typing import Any
 
 from jax.extend.core import Literal
 
-from humanoid_mjx.compute.kernels.primitives import CALLS
+from humanoid_mjx.kernels.primitives import CALLS
 
 
 def uniform_results(jaxpr: Any, given: Sequence[bool]) -> list[bool]:

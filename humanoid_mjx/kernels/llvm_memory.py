@@ -8,8 +8,8 @@ import numpy as np
 from jax.core import ShapedArray
 from jax.extend.core import Primitive
 
-from humanoid_mjx.compute.kernels.llvm import WIDTH, Code, Value, known, type_of
-from humanoid_mjx.compute.kernels.memory import THREADS, Region, bits
+from humanoid_mjx.kernels.llvm import WIDTH, Code, Value, known, type_of
+from humanoid_mjx.kernels.memory import THREADS, Region, bits
 
 NAMES = "read_word", "write_word", "add_words", "fill_words", "constant"
 read_word, write_word, add_words, fill_words, read_constant = map(Primitive, NAMES)

@@ -14,7 +14,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Int, Shaped
 
-from humanoid_mjx.compute.kernels.assembly import assembly
+from humanoid_mjx.kernels.assembly import assembly
 
 THREADS = 32
 """Threads of a block: one warp."""
