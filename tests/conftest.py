@@ -16,7 +16,7 @@ import pytest
 from jaxtyping import install_import_hook
 
 # Before the hook: a program's hundred thousand sums and products of scalars would take ten times as long to trace.
-import humanoid_mjx.compute.kernels.cpu_kernel
+import humanoid_mjx.kernels.cpu_kernel
 import humanoid_mjx.mechanics.scalars  # noqa: F401
 
 # The hook rewrites every module: once for all processes, and none of them looks for garbage in what it imports.
@@ -25,7 +25,7 @@ gc.set_threshold(50_000)
 install_import_hook("humanoid_mjx", "typecheck.check")
 
 from humanoid_mjx import cli, compute  # noqa: E402
-from humanoid_mjx.compute.kernels import fallback  # noqa: E402
+from humanoid_mjx.kernels import fallback  # noqa: E402
 
 PLAIN_KERNELS = "--xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1"
 if jax.__version_info__ < (0, 11):  # later XLA knows no other emitters, and aborts at the flag

@@ -6,7 +6,7 @@ outcome of every episode added to one of 100 points of a learning curve.
 
     scan         this package: the learner vmapped, the cheap generator, table accesses promised to be in bounds;
                  on a CPU one program per core
-    fused        the same in one kernel, as a sweep runs it on a GPU
+    fused        the same in one kernel, as a sweep runs it; on a CPU on every core
     naive_scan   the same as one would first write it: jax.random's own keys split in every step, plain indexing
     python       one agent at a time in plain Python
     numba        one agent a thread, compiled, fastmath, all cores (where numba is installed)
@@ -25,7 +25,9 @@ from humanoid_mjx.bench.measure import Record, Subject, on_devices, record, time
 from humanoid_mjx.compute import rng
 from humanoid_mjx.learners.tabular import TabularQ
 from humanoid_mjx.training import fused as kernel
-from humanoid_mjx.training.program import advance, begin
+from humanoid_mjx.training.program import begin
+from humanoid_mjx.training.program import train as by_scan
+from humanoid_mjx.training.programs import TRAIN
 
 MOVES, CAP, POINTS, EPISODES = 23, 500, 100, 100_000
 DECAY, RATE, DISCOUNT, BONUS = 0.999, 0.5, 0.9, 100.0
@@ -86,7 +88,7 @@ def time_trainings(
 def _absent(say: Callable[[str], None]) -> set[str]:
     """The subjects that cannot be measured here, once it is said why."""
     why = {"numba": None if find_spec("numba") else "it is not installed; pip install 'humanoid-mjx[bench]' brings it"}
-    why["fused"] = kernel.why_not(_learner())
+    why["fused"] = kernel.why_not(_learner()) if jax.default_backend() != "cpu" else None
     for name, reason in why.items():
         if reason:
             say(f"{name}: not measured, for {reason}")
@@ -103,7 +105,21 @@ def scan(epsilon: np.ndarray, steps: int) -> Made:
     """This package's learner in a scan: a thread for each device, blocks that fit the cache of a CPU."""
     learner = _learner()
     options = compute.compiler_options(learner.task.arithmetic, learner.program, every_device=True)
-    first, train = jax.jit(jax.vmap(begin)), jax.jit(jax.vmap(advance, in_axes=(0, 0, None)), compiler_options=options)
+    train = jax.jit(jax.vmap(by_scan, in_axes=(0, 0, None)), compiler_options=options)
+    return _shared_out(learner, epsilon, steps, train, CPU_BLOCK if jax.default_backend() == "cpu" else None)
+
+
+def fused(epsilon: np.ndarray, steps: int, moves: int = MOVES) -> Made:
+    """This package's learner in one kernel."""
+    by_kernel = jax.vmap(TRAIN, in_axes=(0, 0, None)) if jax.default_backend() == "cpu" else kernel.advance
+    return _shared_out(_learner(moves), epsilon, steps, jax.jit(by_kernel))
+
+
+def _shared_out(
+    learner: TabularQ, epsilon: np.ndarray, steps: int, train: Callable[..., Any], block: int | None = None
+) -> Made:
+    """Agents in equal shares on all devices, in blocks of about `block` where it is given."""
+    first = jax.jit(jax.vmap(begin))
 
     def start(device: Any, share: np.ndarray) -> tuple[Any, Any, int]:
         learners = jax.tree.map(lambda x: np.full(len(share), x, np.result_type(np.float32, x)), learner)
@@ -112,21 +128,11 @@ def scan(epsilon: np.ndarray, steps: int) -> Made:
         return learners, first(learners, keys), steps
 
     devices = jax.local_devices()[: len(epsilon)]
-    blocks = max(1, len(epsilon) // (CPU_BLOCK * len(devices))) if devices[0].platform == "cpu" else 1
+    blocks = max(1, len(epsilon) // (block * len(devices))) if block else 1
     shares = np.array_split(epsilon, len(devices) * blocks)
     states = [[start(device, share) for share in shares[i :: len(devices)]] for i, device in enumerate(devices)]
     call = on_devices(train, states)
-    return call, lambda result: sum(float(state.carry.agents.episode.sum()) for mine in result for state, _ in mine)
-
-
-def fused(epsilon: np.ndarray, steps: int, moves: int = MOVES) -> Made:
-    """This package's learner in one kernel."""
-    learner = _learner(moves)
-    learners = jax.tree.map(lambda x: jnp.full(len(epsilon), x), learner).replace(epsilon=jnp.asarray(epsilon))
-    training = jax.jit(jax.vmap(begin))(learners, jax.random.split(rng.key(0), len(epsilon)))
-    train = jax.jit(kernel.advance)
-    call = on_devices(train, [[(learners, training, steps)]])
-    return call, lambda result: float(result[0][0].carry.agents.episode.sum())
+    return call, lambda result: sum(float(state.carry.agents.episode.sum()) for mine in result for state in mine)
 
 
 def naive_scan(epsilon: np.ndarray, steps: int) -> Made:

@@ -38,10 +38,10 @@ from jaxtyping import Float
 from humanoid_mjx import compute
 from humanoid_mjx.bench.measure import Record, Subject, record, spread, time_in_turn, with_room
 from humanoid_mjx.compute import rng
-from humanoid_mjx.compute.kernels import cpu_kernel
 from humanoid_mjx.config import load
 from humanoid_mjx.control import at_rest
 from humanoid_mjx.files import names
+from humanoid_mjx.kernels import cpu_kernel
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.physics.base import World
 from humanoid_mjx.runs.statistics import mean_interval

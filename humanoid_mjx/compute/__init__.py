@@ -1,4 +1,4 @@
-"""The machine and the process: XLA's options, start, memory and cores, provenance, random numbers, GPU kernels."""
+"""The machine and the process: XLA's options, start, memory and cores, provenance, random numbers."""
 
 from humanoid_mjx.compute.compiles import counting_compiles
 from humanoid_mjx.compute.limits import available_memory, cores, out_of_memory, reserve_memory, why_no_kernel

@@ -21,9 +21,9 @@ from typing import Any
 import jax
 import jax.monitoring
 
-from humanoid_mjx.compute.kernels import cpu_kernel, fallback
 from humanoid_mjx.compute.provenance import machine
 from humanoid_mjx.files import folder, read_sealed, write_sealed
+from humanoid_mjx.kernels import cpu_kernel, fallback
 from humanoid_mjx.spec import Spec, kinds
 
 SETTINGS = ("JAX_", "XLA_", "PJRT_", "TF_", "NVIDIA_", "CUDA_")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import jax
 
-from humanoid_mjx.compute.kernels.fallback import given_up
+from humanoid_mjx.kernels.fallback import given_up
 
 
 def cores() -> int:

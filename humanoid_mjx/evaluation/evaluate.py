@@ -16,8 +16,8 @@ import numpy as np
 from jaxtyping import Array, Key
 
 from humanoid_mjx.compute import Arithmetic, Program, compiler_options, rng
-from humanoid_mjx.compute.kernels.fallback import with_fallback
 from humanoid_mjx.evaluation.policy import Trained
+from humanoid_mjx.kernels.fallback import with_fallback
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.rollout import AGENTS, Episode, agent, rollout
 from humanoid_mjx.runs.statistics import Evaluation, estimated

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 from pydantic import Field
 
-from humanoid_mjx.compute.kernels.worlds import worlds_last
+from humanoid_mjx.kernels.worlds import worlds_last
 from humanoid_mjx.physics.base import Readings
 from humanoid_mjx.spec import Spec, traced
 from humanoid_mjx.types import FloatScalar, IntScalar

@@ -18,10 +18,10 @@ from pydantic import model_validator
 
 from humanoid_mjx import compute
 from humanoid_mjx.compute import Arithmetic
-from humanoid_mjx.compute.kernels.fallback import given_up
-from humanoid_mjx.compute.kernels.worlds import worlds_last
 from humanoid_mjx.control.drives import limited
 from humanoid_mjx.control.stages import Stages
+from humanoid_mjx.kernels.fallback import given_up
+from humanoid_mjx.kernels.worlds import worlds_last
 from humanoid_mjx.mechanics.contacts import Contacts, jacobian_of, no_contacts
 from humanoid_mjx.mechanics.scalars import unstack
 from humanoid_mjx.mechanics.tree import sensing

@@ -16,7 +16,7 @@ from rich.filesize import decimal
 
 from humanoid_mjx import compute
 from humanoid_mjx.compute import kept
-from humanoid_mjx.compute.kernels.primitives import ELEMENTWISE
+from humanoid_mjx.kernels.primitives import ELEMENTWISE
 from humanoid_mjx.runs.folder import disk_used
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.plan import Group, Plan

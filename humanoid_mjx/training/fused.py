@@ -22,9 +22,9 @@ from jaxtyping import Array
 
 from humanoid_mjx import compute
 from humanoid_mjx.compute import rng
-from humanoid_mjx.compute.kernels.assembly import assembly
-from humanoid_mjx.compute.kernels.elementwise import Elementwise, NotElementwise, kept_in_common
-from humanoid_mjx.compute.kernels.table_memory import DeviceMemory, Record, SharedMemory
+from humanoid_mjx.kernels.assembly import assembly
+from humanoid_mjx.kernels.elementwise import Elementwise, NotElementwise, kept_in_common
+from humanoid_mjx.kernels.table_memory import DeviceMemory, Record, SharedMemory
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.tabular import TabularQ
 from humanoid_mjx.training.program import Training, record_entry

@@ -19,7 +19,7 @@ import numpy as np
 
 from humanoid_mjx import compute
 from humanoid_mjx.compute import kept
-from humanoid_mjx.compute.kernels.fallback import with_fallback
+from humanoid_mjx.kernels.fallback import with_fallback
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.plan import Group

@@ -62,6 +62,12 @@ def begin(learner: Learner, key: Key[Array, ""], policy: Any = None) -> Training
 
 
 def advance(learner: Learner, training: Training, steps: IntScalar) -> tuple[Training, Progress]:
+    """Return the state after `train`, and the progress."""
+    last = train(learner, training, steps)
+    return last, progress_of(learner, last)
+
+
+def train(learner: Learner, training: Training, steps: IntScalar) -> Training:
     """Train for `steps` steps, or up to a lap more, or less where training ends."""
 
     def step(_: IntScalar, inner: tuple[Any, Array]) -> tuple[Any, Array]:
@@ -91,8 +97,7 @@ def advance(learner: Learner, training: Training, steps: IntScalar) -> tuple[Tra
     kept = training.snapshots
     rows = training if kept is None else training._replace(snapshots=jax.vmap(_row)(kept))
     last = jax.lax.fori_loop(0, (steps + learner.lap - 1) // learner.lap, lap, rows)
-    last = last if kept is None else last._replace(snapshots=_unrow(last.snapshots, kept))
-    return last, progress_of(learner, last)
+    return last if kept is None else last._replace(snapshots=_unrow(last.snapshots, kept))
 
 
 def _snapshot(learner: Learner, carry: Any) -> tuple[Any, BoolScalar]:

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from functools import lru_cache, partial
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -12,10 +12,14 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec, SingleDeviceShardin
 from jaxtyping import Array, Bool
 
 from humanoid_mjx import compute
+from humanoid_mjx.kernels.worlds import kernel
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.base import ENVS
-from humanoid_mjx.training.program import Progress, Training, advance, begin, finish, progress_of, run_key
+from humanoid_mjx.training.program import Progress, Training, advance, begin, finish, progress_of, run_key, train
 from humanoid_mjx.types import Device, IntScalar
+
+TRAIN = kernel(train)
+"""Training steps as a kernel of a CPU, where they are arithmetic: of tables."""
 
 Devices: TypeAlias = Sequence[Device] | np.ndarray
 """Devices that train runs each, or (rows, devices): rows of devices that share the environments of runs."""
@@ -49,10 +53,12 @@ class Programs(NamedTuple):
 
 
 @lru_cache
-def programs(options: tuple[tuple[str, str | bool], ...], mesh: Mesh, fused: bool = False) -> Programs:
+def programs(
+    options: tuple[tuple[str, str | bool], ...], mesh: Mesh, kernel: Literal["cpu", "gpu"] | None = None
+) -> Programs:
     """The programs of all learners with these compiler options on the devices of `mesh`.
 
-    `seeds` is (the config's seed, the seed number). Where `fused` the kernel of `training.fused` makes the steps.
+    `seeds` is (the config's seed, the seed number). `kernel`: the kind of kernel that makes the steps, if it can.
     """
     by_run, same = PartitionSpec(RUNS), PartitionSpec()
     shardings = _sharding(mesh, by_run), _sharding(mesh, same)
@@ -64,7 +70,7 @@ def programs(options: tuple[tuple[str, str | bool], ...], mesh: Mesh, fused: boo
     def end(learner: Learner, last: Training, seeds: Any) -> dict[str, Any]:
         return finish(learner, last, jax.random.fold_in(run_key(*seeds), 1))
 
-    def by_kernel(learners: Any, old: Training, steps: IntScalar) -> tuple[Training, Progress]:
+    def by_gpu(learners: Any, old: Training, steps: IntScalar) -> tuple[Training, Progress]:
         from humanoid_mjx.training import fused  # whose import takes time that all others save
 
         new = fused.advance(learners, old, steps)
@@ -81,14 +87,18 @@ def programs(options: tuple[tuple[str, str | bool], ...], mesh: Mesh, fused: boo
     def further(learner: Learner, old: Training, steps: IntScalar) -> tuple[Training, Progress]:
         return advance(learner.replace(devices=mesh.shape[ENVS]) if mesh.shape[ENVS] > 1 else learner, old, steps)
 
-    train = by_kernel if fused else jax.vmap(further, in_axes=(0, 0, None))
+    def by_cpu(learners: Any, old: Training, steps: IntScalar) -> tuple[Training, Progress]:
+        new = jax.vmap(TRAIN, in_axes=(0, 0, None))(learners, old, steps)
+        return new, jax.vmap(progress_of)(learners, new)
+
+    steps = {"cpu": by_cpu, "gpu": by_gpu, None: jax.vmap(further, in_axes=(0, 0, None))}[kernel]
     return Programs(
         begin=compiled(jax.vmap(anew), by_run, donate_argnums=3),
-        advance=compiled(train, (by_run, by_run, same), donate_argnums=1),
+        advance=compiled(steps, (by_run, by_run, same), donate_argnums=1),
         finish=compiled(jax.vmap(end), by_run),
         by_run=shardings[0],
         everywhere=shardings[1],
-        options=f"{options} {mesh.device_ids.tolist()} {fused}",
+        options=f"{options} {mesh.device_ids.tolist()} {kernel}",
         compiled={},
     )
 
@@ -117,16 +127,17 @@ def _shared_out(function: Callable[..., Any], mesh: Mesh, given: Any) -> Callabl
 def programs_of(learners: Learner, devices: Devices) -> Programs:
     """The programs that train learners such as these, which stand side by side, on the given devices.
 
-    On a GPU tables that the kernel of `training.fused` can train are trained by it.
+    Kernels train tables: on a GPU that of `training.fused`, where it can; on a CPU `kernels.worlds.kernel`.
     """
     mesh = Mesh(np.array(devices).reshape(len(devices), -1), (RUNS, ENVS))
     options = compute.compiler_options(learners.task.arithmetic, learners.program, every_device=mesh.size > 1)
-    fused = False
-    if jax.default_backend() == "gpu":
+    kind = jax.default_backend()
+    tables = learners.program == "tabular" and kind in ("cpu", "gpu")
+    if tables and kind == "gpu":
         from humanoid_mjx.training.fused import why_not  # whose import takes time that all others save
 
-        fused = why_not(learners) is None
-    return programs(tuple(sorted(options.items())), mesh, fused)
+        tables = why_not(learners) is None
+    return programs(tuple(sorted(options.items())), mesh, kind if tables else None)
 
 
 def in_turn(learners: Learner, runs: list[int], room: int) -> list[list[int]]:

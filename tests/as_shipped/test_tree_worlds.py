@@ -9,7 +9,7 @@ import pytest
 from tree_robots import converged, near_upright, states
 
 from humanoid_mjx import compute
-from humanoid_mjx.compute.kernels.llvm import WIDTH
+from humanoid_mjx.kernels.llvm import WIDTH
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.robot.lower_body import LowerBody
 

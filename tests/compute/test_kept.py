@@ -12,8 +12,8 @@ from small_sweep import assert_same_tables, run_cli, write_config
 
 from humanoid_mjx import compute
 from humanoid_mjx.compute import kept
-from humanoid_mjx.compute.kernels import cpu_kernel
 from humanoid_mjx.files import DIGEST
+from humanoid_mjx.kernels import cpu_kernel
 from humanoid_mjx.tasks import make_task
 from humanoid_mjx.tasks.legged.stand import Stand
 
@@ -127,7 +127,7 @@ CALLS_A_KERNEL = """
 from functools import partial
 import jax, numpy as np
 from humanoid_mjx.compute import kept
-from humanoid_mjx.compute.kernels.cpu_kernel import cpu_kernel
+from humanoid_mjx.kernels.cpu_kernel import cpu_kernel
 
 x = np.linspace(-1.0, 1.0, 40, dtype=np.float32)
 with kept.keeping():

@@ -21,7 +21,7 @@ def worlds():
 
 def test_an_unsettled_world_is_flagged_and_stays(monkeypatch, worlds):
     """A single step of the search does not get from standing in the air to falling on both feet and beyond."""
-    from humanoid_mjx.compute.kernels.worlds import worlds_last
+    from humanoid_mjx.kernels.worlds import worlds_last
     from humanoid_mjx.mechanics.tree import search
 
     monkeypatch.setattr(search, "MOST_STEPS", 1)

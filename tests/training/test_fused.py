@@ -8,7 +8,7 @@ from finite_mdp import random_task
 
 from humanoid_mjx import make_learner, make_task
 from humanoid_mjx.compute import rng
-from humanoid_mjx.compute.kernels.elementwise import NotElementwise
+from humanoid_mjx.kernels.elementwise import NotElementwise
 from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.training import fused
 from humanoid_mjx.training.program import advance, begin

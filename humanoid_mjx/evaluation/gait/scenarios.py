@@ -14,11 +14,11 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from humanoid_mjx.compute import Arithmetic, compiler_options
-from humanoid_mjx.compute.kernels.fallback import with_fallback
 from humanoid_mjx.evaluation.evaluate import held_out_keys
 from humanoid_mjx.evaluation.gait import tally as sums
 from humanoid_mjx.evaluation.gait.figures import FIGURES, Gait, figures, summarised
 from humanoid_mjx.evaluation.gait.tally import Asked, Tally, heading_of, sample_of, wrapped
+from humanoid_mjx.kernels.fallback import with_fallback
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.rollout import AGENTS, agent, decision_keys, start
 from humanoid_mjx.physics.base import World

@@ -10,7 +10,7 @@ from small_sweep import assert_same_tables, write_config
 
 from humanoid_mjx import sweep
 from humanoid_mjx.compute import kept
-from humanoid_mjx.compute.kernels import cpu_kernel, fallback, threads, worlds
+from humanoid_mjx.kernels import cpu_kernel, fallback, threads, worlds
 from humanoid_mjx.training.programs import programs
 
 X = np.linspace(-2.0, 2.0, 60, dtype=np.float32).reshape(20, 3)
@@ -75,8 +75,9 @@ def kernels_again():
     """Kernels are made anew before and after each test."""
     cpu_kernel.forget()
     worlds.worlds_last.cache_clear()
+    programs.cache_clear()
     yield
-    for cached in (cpu_kernel._version, cpu_kernel._machine, worlds.worlds_last):
+    for cached in (cpu_kernel._version, cpu_kernel._machine, worlds.worlds_last, programs):
         cached.cache_clear()
     cpu_kernel.forget()
     fallback.reasons.clear()
@@ -124,12 +125,28 @@ def test_a_program_that_fails_to_compile_is_compiled_without_kernels(caplog):
         fallback.with_fallback(fail)()
 
 
-def test_a_sweep_goes_on_without_kernels(monkeypatch, caplog, tmp_path):
-    expected = sweep(write_config(tmp_path), tmp_path / "expected", quiet=True)
+EXACT = {
+    "task": {"name": "joint_reach", "joint": 5, "action": 15.0, "states": 5},
+    "learner": {"name": "tabular_q", "discount": 0.5},
+    "sweep": {"axes": {"learner.epsilon": [0.25, 0.5], "learner.learning_rate": [0.25, 0.5]}},
+}
+"""Products of powers of two, which no compiler rounds. With users' settings both round alike (`as_shipped`)."""
+
+
+@pytest.mark.parametrize("fault", [None, "ModuleNotFoundError", "LLVM ERROR: cannot select"])
+def test_a_sweep_goes_on_without_kernels(fault, monkeypatch, caplog, tmp_path):
+    config = write_config(tmp_path, **EXACT)
+    expected = sweep(config, tmp_path / "expected", quiet=True)
+    assert cpu_kernel._compiled_of.cache_info().currsize == 1  # a kernel trained it
     programs.cache_clear()
-    monkeypatch.setattr(kept, "compile_program", failing_with_kernels(kept.compile_program))
-    sweep(write_config(tmp_path), tmp_path / "found", quiet=True)
+    if fault is None:
+        monkeypatch.setattr(kept, "compile_program", failing_with_kernels(kept.compile_program))
+    else:
+        cpu_kernel.forget()
+        FAULTS[fault](monkeypatch)
+    sweep(config, tmp_path / "found", quiet=True)
     assert len(caplog.messages) == 1
+    assert cpu_kernel._compiled_of.cache_info().currsize == (fault is None)
     assert_same_tables(expected.path, tmp_path / "found")
 
 

@@ -13,9 +13,36 @@ import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
 from jax.experimental.layout import Layout, with_layout_constraint
 
-from humanoid_mjx.compute.kernels import fallback
-from humanoid_mjx.compute.kernels.cpu_kernel import cpu_kernel
-from humanoid_mjx.compute.kernels.gpu_kernel import gpu_kernel
+from humanoid_mjx.kernels import fallback
+from humanoid_mjx.kernels.cpu_kernel import cpu_kernel, cpu_kernel_of_one, why_not
+from humanoid_mjx.kernels.gpu_kernel import gpu_kernel
+
+
+def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
+    """`function`, which is written for one world, such that `jax.vmap` of it is a kernel of a CPU.
+
+    The function takes and returns pytrees of arrays. It may do arithmetic on scalars, rearrange small arrays, run loops
+    that end in all worlds at once, draw random numbers, and look up entries of arrays or add to them, along the first
+    axis; arrays that it adds to change in their place. Of any other function, and outside `jax.vmap`, XLA makes the
+    program. A kernel has no derivative, and is mapped once: take `function` itself for derivatives and nested maps.
+    """
+    single = custom_vmap(function)
+
+    @single.def_vmap
+    def _(worlds: int, batched: Any, *args: Any) -> tuple[Any, Any]:
+        (leaves, structure), many = jax.tree.flatten(args), tuple(jax.tree.leaves(batched))
+        by_xla = jax.vmap(lambda *each: function(*structure.unflatten(each)), [0 if own else None for own in many])
+        if jax.default_backend() != "cpu" or fallback.given_up() or why_not(function, args, many):
+            found = by_xla(*leaves)
+        else:
+            try:
+                found = cpu_kernel_of_one(function, args, many)
+            except Exception as error:  # whatever it is, XLA does not need it
+                fallback.warn(error)
+                found = by_xla(*leaves)
+        return found, jax.tree.map(lambda _: True, found)
+
+    return single
 
 
 @lru_cache

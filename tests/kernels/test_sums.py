@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from jax.extend.core import JaxprEqn, Literal
 
-from humanoid_mjx.compute.kernels.sums import with_fused_sums
+from humanoid_mjx.kernels.sums import with_fused_sums
 
 OPERATIONS = {"add": np.add, "mul": np.multiply, "sub": np.subtract}
 

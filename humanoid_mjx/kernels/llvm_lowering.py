@@ -7,14 +7,16 @@ from typing import Any
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal
 
-from humanoid_mjx.compute.kernels.llvm import WIDTH, Code, Value, known, type_of
-from humanoid_mjx.compute.kernels.llvm_memory import MEMORY
-from humanoid_mjx.compute.kernels.primitives import CALLS
+from humanoid_mjx.kernels.llvm import WIDTH, Code, Value, known, type_of
+from humanoid_mjx.kernels.llvm_memory import MEMORY
+from humanoid_mjx.kernels.primitives import CALLS
+from humanoid_mjx.kernels.uniform import uniform_carry, uniform_results
 
 FLOATS = {"add": "fadd contract", "sub": "fsub contract", "mul": "fmul contract", "div": "fdiv contract"}
 INTEGERS = {name: name for name in ("add", "and", "mul", "or", "sub", "xor")}
 """LLVM's operations on two numbers."""
 
+SHIFTS = {"shift_left": "shl", "shift_right_arithmetic": "ashr", "shift_right_logical": "lshr"}
 COMPARISONS = ("eq", "ne", "lt", "le", "gt", "ge")
 FUNCTIONS = ("atan2", "ceil", "cos", "exp", "floor", "log", "pow", "sin", "sqrt", "tan")
 """Those that are one of LLVM's intrinsics, by the same name."""
@@ -54,7 +56,8 @@ def _lowered(code: Code, eqn: Any, args: list[Value]) -> list[Value]:
     if name in CONTROL:
         return CONTROL[name](code, eqn, args)
     if name in MEMORY:
-        return [MEMORY[name](code, params, args)]
+        found = MEMORY[name](code, params, args)
+        return found if isinstance(found, list) else [found]
     if name in ("broadcast_in_dim", "copy", "reshape", "squeeze"):  # scalars become vectors where they are used
         return args
     if name == "reduce_or":
@@ -84,6 +87,8 @@ def _computed(code: Code, name: str, params: dict[str, Any], args: list[Value], 
     elif name in ("div", "rem") and args[1].name.isdecimal() and args[1].name != "0":
         # By any other integer: division by zero would end the process.
         found = code.value(f"{'s' if signed else 'u'}{name} {kind} {x[0]}, {x[1]}")
+    elif name in SHIFTS:
+        found = code.value(f"{SHIFTS[name]} {kind} {x[0]}, {x[1]}")
     elif name in COMPARISONS:
         prefix = ("u" if name == "ne" else "o") if real else "" if name in ("eq", "ne") else "s" if signed else "u"
         found = code.value(f"{'fcmp' if real else 'icmp'} {prefix}{name} {kind} {x[0]}, {x[1]}")
@@ -112,6 +117,12 @@ def _computed(code: Code, name: str, params: dict[str, Any], args: list[Value], 
         one = code.call(kind, f"copysign.{suffix}", (kind, constant(1)), (kind, x[0]))
         moves = code.value(f"fcmp one {kind} {x[0]}, {constant(0)}")
         found = code.value(f"select {type_of(bool, alike)} {moves}, {kind} {one}, {kind} {x[0]}")
+    elif name == "sign":
+        return again("min", params, [again("max", params, [first, known(-1, dtype)]), known(1, dtype)])
+    elif name == "round":
+        found = call("roundeven" if params["rounding_method"] else "round")
+    elif name == "bitcast_convert_type":
+        found = code.value(f"bitcast {kind} {x[0]} to {type_of(dtype, alike)}")
     elif name == "is_finite":
         found = code.value(f"fcmp olt {kind} {call('fabs')}, {constant(np.inf)}")
     elif name == "convert_element_type":
@@ -129,19 +140,45 @@ def _converted(code: Code, value: Value, dtype: np.dtype, kind: str, zero: str, 
     if dtype.kind == "b":
         found = code.value(f"{'fcmp une' if before == 'f' else 'icmp ne'} {kind} {name}, {zero}")
     elif before == "f":
-        width = "" if value.alike else f"v{WIDTH}"
-        found = code.call(wanted, f"fptosi.sat.{width}i32.{suffix}", (kind, name))
+        found = _to_integer(code, value, dtype, suffix)
+    elif before == "b":
+        one, none = (known(x, dtype) for x in (1, 0))
+        one, none = (x.name if value.alike else code.vector(x) for x in (one, none))
+        found = code.value(f"select {kind} {name}, {wanted} {one}, {wanted} {none}")
     elif dtype.kind == "f":
         found = code.value(f"{'sitofp' if before == 'i' else 'uitofp'} {kind} {name} to {wanted}")
     else:
-        found = code.value(f"zext {kind} {name} to {wanted}") if before == "b" else name
+        found = name
     return Value(found, dtype, value.alike)
+
+
+def _to_integer(code: Code, value: Value, dtype: np.dtype, suffix: str) -> str:
+    """The nearest integer towards zero that there is; 0 of NaN. LLVM's own, `fptosi.sat`, is no vector instruction."""
+    kind, wanted, limits = value.type, type_of(dtype, value.alike), np.iinfo(dtype)
+
+    def constant(number: Any, dtype: Any = np.float32) -> str:
+        x = known(number, dtype)
+        return x.name if value.alike else code.vector(x)
+
+    most = np.nextafter(np.float32(limits.max), np.float32(0))
+    clamped = code.call(kind, f"maxnum.{suffix}", (kind, value.name), (kind, constant(limits.min)))
+    clamped = code.call(kind, f"minnum.{suffix}", (kind, clamped), (kind, constant(most)))
+    found = code.value(f"fpto{dtype.kind.replace('i', 's')}i {kind} {clamped} to {wanted}")
+    for test, limit in (
+        (f"oge {kind} {value.name}, {constant(limits.max)}", limits.max),
+        (f"uno {kind} {value.name}, {value.name}", 0),
+    ):
+        flag = code.value(f"fcmp {test}")
+        found = code.value(
+            f"select {type_of(bool, value.alike)} {flag}, {wanted} {constant(limit, dtype)}, {wanted} {found}"
+        )
+    return found
 
 
 def _while(code: Code, eqn: Any, args: list[Value]) -> list[Value]:
     params, number = eqn.params, next(code.numbers)
     first, last = params["cond_nconsts"], params["cond_nconsts"] + params["body_nconsts"]
-    alike, start, before = _alike_in_loop(eqn, [arg.alike for arg in args]), args[last:], code.label
+    alike, start, before = uniform_carry(eqn, [arg.alike for arg in args]), args[last:], code.label
 
     def names(values: Sequence[Value]) -> list[str]:
         return [value.name if same else code.vector(value) for value, same in zip(values, alike, strict=True)]
@@ -167,7 +204,7 @@ def _while(code: Code, eqn: Any, args: list[Value]) -> list[Value]:
 def _cond(code: Code, eqn: Any, args: list[Value]) -> list[Value]:
     number, (index, *given), branches = next(code.numbers), args, eqn.params["branches"]
     flags = [arg.alike for arg in given]
-    alike = [all(each) for each in zip(*(_alike(branch.jaxpr, flags) for branch in branches), strict=True)]
+    alike = [all(each) for each in zip(*(uniform_results(branch.jaxpr, flags) for branch in branches), strict=True)]
     chosen = _converted(code, index, np.dtype(bool), index.type, "0", "")
     code.add(f"br i1 {chosen.name}, label %yes{number}, label %no{number}")
     found = []
@@ -185,38 +222,3 @@ def _cond(code: Code, eqn: Any, args: list[Value]) -> list[Value]:
 
 
 CONTROL: dict[str, Callable[..., list[Value]]] = {"while": _while, "cond": _cond}
-
-
-def _alike(jaxpr: Any, given: Sequence[bool]) -> list[bool]:
-    """Which results of a traced function are the same in all worlds, if these arguments are."""
-    known = dict.fromkeys(jaxpr.constvars, True) | dict(zip(jaxpr.invars, given, strict=True))
-
-    def alike(x: Any) -> bool:
-        return isinstance(x, Literal) or known[x]
-
-    for eqn in jaxpr.eqns:
-        name, params, flags = eqn.primitive.name, eqn.params, [alike(x) for x in eqn.invars]
-        if name in CALLS:
-            found = _alike(params[CALLS[name]].jaxpr, flags)
-        elif name == "while":
-            found = _alike_in_loop(eqn, flags)
-        elif name == "cond":
-            each = (_alike(branch.jaxpr, flags[1:]) for branch in params["branches"])
-            found = [all(same) for same in zip(*each, strict=True)]
-        else:
-            found = [name == "reduce_or" or (name != "read_word" and all(flags))]
-        known |= zip(eqn.outvars, found, strict=True)
-    return [alike(x) for x in jaxpr.outvars]
-
-
-def _alike_in_loop(eqn: Any, given: Sequence[bool]) -> list[bool]:
-    """The same of what a loop carries."""
-    params = eqn.params
-    first, last = params["cond_nconsts"], params["cond_nconsts"] + params["body_nconsts"]
-    carry = list(given[last:])
-    while (found := _alike(params["body_jaxpr"].jaxpr, [*given[first:last], *carry])) != carry:
-        both = [one and two for one, two in zip(carry, found, strict=True)]
-        if both == carry:
-            break
-        carry = both
-    return carry

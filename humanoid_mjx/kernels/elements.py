@@ -10,11 +10,13 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array
 
-from humanoid_mjx.compute.kernels.angles import ANGLES
-from humanoid_mjx.compute.kernels.memory import THREADS
-from humanoid_mjx.compute.kernels.primitives import ELEMENTWISE
+from humanoid_mjx.kernels.angles import ANGLES
+from humanoid_mjx.kernels.memory import THREADS
+from humanoid_mjx.kernels.primitives import ELEMENTWISE
 
-ARITHMETIC = ELEMENTWISE | ANGLES.keys() | {"atan2", "pow", "rsqrt", "tan"}
+SHIFTS = {"shift_left", "shift_right_arithmetic", "shift_right_logical"}
+
+ARITHMETIC = ELEMENTWISE | ANGLES.keys() | SHIFTS | {"atan2", "bitcast_convert_type", "pow", "rsqrt", "tan"}
 """Primitives that act on each element alone."""
 
 
@@ -59,9 +61,15 @@ KNOWN: dict[str, Callable[..., np.generic]] = {
 """Operations on numbers known while tracing that are so frequent that a GPU must not be asked for each."""
 
 
-def computed(eqn: Any, args: Sequence[Element]) -> Element:
-    """An operation on single elements that are no lanes."""
+def computed(eqn: Any, args: Sequence[Element], as_xla: bool = False) -> Element:
+    """An operation on single elements that are no lanes.
+
+    `as_xla`: divide by a known number as XLA does, by a multiplication with its reciprocal.
+    """
     name = eqn.primitive.name
+    if as_xla and name == "div" and isinstance(args[1], np.float32) and not isinstance(args[0], np.generic):
+        reciprocal, one = np.float32(1) / args[1], args[0]
+        return lax.mul(vector(one), vector(reciprocal)) if one.ndim else one * reciprocal
     if name == "select_n" and isinstance(args[0], np.generic):
         return args[1 + int(args[0])]
     if all(isinstance(arg, np.generic) for arg in args):
@@ -83,6 +91,8 @@ def computed(eqn: Any, args: Sequence[Element]) -> Element:
         for one, two in (args, args[::-1]):
             if isinstance(one, np.bool_):
                 return two if one else one
+    if all(np.ndim(arg) == 0 for arg in args):  # the same in all worlds
+        return eqn.primitive.bind(*map(jnp.asarray, args), **eqn.params)
     if name in ANGLES:
         return ANGLES[name](vector(args[0]))
     return eqn.primitive.bind(*(vector(arg) for arg in args), **eqn.params)
@@ -94,8 +104,14 @@ def _is(element: Element, number: int) -> bool:
 
 def vector(element: Element) -> Array:
     """An element that is no lane as an array of the block's threads."""
-    known = isinstance(element, np.generic)
-    return jnp.full(THREADS, element.item(), element.dtype) if known else element
+    if isinstance(element, np.generic):
+        return jnp.full(THREADS, element.item(), element.dtype)
+    return element if element.ndim else jnp.broadcast_to(element, THREADS)
+
+
+def is_same(element: Element) -> bool:
+    """True for an element that is the same in all worlds: a known one, or an argument that is no axis of worlds."""
+    return np.ndim(element) == 0
 
 
 REDUCTIONS: dict[str, tuple[Callable[[Any, Any], Any], Any]] = {

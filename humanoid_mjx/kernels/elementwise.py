@@ -15,7 +15,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal, Var
 from jaxtyping import Array
 
-from humanoid_mjx.compute.kernels.primitives import CALLS, ELEMENTWISE
+from humanoid_mjx.kernels.primitives import CALLS, ELEMENTWISE
 
 SHIFTS = {"shift_left", "shift_right_arithmetic", "shift_right_logical"}
 

@@ -14,18 +14,19 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import reduce
+from functools import partial, reduce
 from itertools import count, groupby
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.extend.core import ClosedJaxpr, Literal
 from jaxtyping import Array
 
-from humanoid_mjx.compute.kernels.arrangements import ARRANGEMENTS, arranged, constant
-from humanoid_mjx.compute.kernels.elements import (
+from humanoid_mjx.kernels.arrangements import ARRANGEMENTS, arranged, constant
+from humanoid_mjx.kernels.elements import (
     ARITHMETIC,
     REDUCTIONS,
     Element,
@@ -33,12 +34,14 @@ from humanoid_mjx.compute.kernels.elements import (
     are_known,
     computed,
     is_lane,
+    is_same,
     type_of,
     vector,
 )
-from humanoid_mjx.compute.kernels.memory import THREADS, Region, bits
-from humanoid_mjx.compute.kernels.primitives import CALLS
-from humanoid_mjx.compute.kernels.sums import with_fused_sums
+from humanoid_mjx.kernels.memory import THREADS, Region, bits
+from humanoid_mjx.kernels.primitives import CALLS
+from humanoid_mjx.kernels.sums import with_fused_sums
+from humanoid_mjx.kernels.uniform import ends_together
 
 
 @dataclass(eq=False)
@@ -76,7 +79,7 @@ class Kept:
 
 
 LONG = 16
-"""Equal words that a loop writes instead of an instruction each."""
+"""Equal words that a loop writes instead of an instruction each, and steps of one world that are a loop."""
 
 Held = np.ndarray | Kept
 """An array of elements, or one in memory."""
@@ -92,6 +95,7 @@ class Threads:
       any_of: from a vector of flags to whether any is true.
       region: from a number and a count to so many words of memory, `Region`.
       constants: from a number and known words to memory of these, `Constants`.
+      single: evaluate functions of one world, whose arrays have no axis of worlds, and keep the order of sums.
     """
 
     def __init__(
@@ -102,9 +106,10 @@ class Threads:
         any_of: Callable[[Array], Array],
         region: Callable[[int, int], Region],
         constants: Callable[[int, Sequence[np.generic]], Region],
+        single: bool = False,
     ):
         self.lanes, self.shuffled, self.summed, self.any_of = lanes, shuffled, summed, any_of
-        self.region, self.constants = region, constants
+        self.region, self.constants, self.single = region, constants, single
         self.control = {"while": self._while, "cond": self._cond}
         self.numbers = count()
         self.regions: list[Region] = []
@@ -123,7 +128,7 @@ class Threads:
             kind: Any = x.aval
             return constant(np.asarray(x.val, kind.dtype)) if isinstance(x, Literal) else values[x]
 
-        for eqn in with_fused_sums(closed.jaxpr):
+        for eqn in closed.jaxpr.eqns if self.single else with_fused_sums(closed.jaxpr):
             found = self._apply(eqn, [value(x) for x in eqn.invars])
             values |= zip(eqn.outvars, found, strict=True)
         return [value(x) for x in closed.jaxpr.outvars]
@@ -137,6 +142,11 @@ class Threads:
             elements = [next(rest).astype(kind.dtype) for _ in range(math.prod(kind.shape))]
             args.append(arranged(elements, kind.shape))
         return [number for result in self.evaluate(closed, args) for number in self.alike(result)]
+
+    def given(self, region: Region, shape: tuple[int, ...], dtype: Any) -> Kept:
+        """An argument in memory, which may change in its place."""
+        self.regions.append(region)
+        return Kept(region, 0, shape, dtype)
 
     def vectors(self, array: Held) -> list[Array]:
         """The elements of an array as vectors, one for all lanes of a world where they have an axis."""
@@ -203,11 +213,18 @@ class Threads:
             return self.control[name](eqn, *args)
         if name in ENTRIES and _is_entry(args[0], params.get("slice_sizes") or args[1].shape, args[-args[0].ndim :]):
             return [ENTRIES[name](self, *args)]
+        if name == "scatter-add":
+            return [self._with_sum(params, *args)]
         if args and isinstance(args[0], Kept) and self._is_view(eqn, args[0]):
-            return [replace(args[0], shape=eqn.outvars[0].aval.shape, fixed=True)]
+            fixed = args[0].fixed or name != "reshape" or not args[0].region.given
+            return [replace(args[0], shape=eqn.outvars[0].aval.shape, fixed=fixed)]
+        if name == "scan" and self.single and params["length"] > LONG:
+            return self.evaluate(_looped(eqn), args)
         args = [self._loaded(arg) for arg in args]
         if name == "scan":
             return self._scan(eqn, *args)
+        if name in KEYS:
+            return self.evaluate(_of_keys(eqn), args) if KEYS[name] else args
         if name in ARRANGEMENTS:
             return ARRANGEMENTS[name](params, *args)
         if name in REDUCTIONS:
@@ -216,7 +233,7 @@ class Threads:
         if name not in ARITHMETIC:
             raise NotImplementedError(f"threads do no {name!r}")
         args = [np.broadcast_to(arg, shape) for arg in args]
-        return [self._each(lambda *elements: computed(eqn, elements), args, shape)]
+        return [self._each(lambda *elements: computed(eqn, elements, self.single), args, shape)]
 
     def _looked_up(self, array: Held, index: np.ndarray, *_: np.ndarray) -> np.ndarray:
         """The entry along the first axis at an index."""
@@ -230,6 +247,18 @@ class Threads:
         self._write(kept, entry, self._place(kept, index))
         kept.changes[0] += 1
         return kept.now()
+
+    def _with_sum(self, params: dict[str, Any], array: Held, index: np.ndarray, change: np.ndarray) -> Held:
+        """The array with something added to an entry, in its place."""
+        numbers = params["dimension_numbers"]
+        whole = numbers.inserted_window_dims == numbers.scatter_dims_to_operand_dims == (0,) and index.shape == (1,)
+        if not (whole and isinstance(array, Kept) and not array.fixed) or "DROP" in str(params["mode"]):
+            raise NotImplementedError("threads add to entries of arrays along the first axis alone")
+        array.check()
+        place = self._place(array, index)
+        array.region.add(array.word, place, [*map(vector, self._elements(change.reshape(array.shape[1:])))])
+        array.changes[0] += 1
+        return array.now()
 
     def _is_view(self, eqn: Any, kept: Kept) -> bool:
         """True where an operation gives the first words of an array, in their order."""
@@ -281,7 +310,7 @@ class Threads:
         """The entry at a place, and so many words behind it."""
         kept.check()
         kind, word = jnp.int32 if kept.dtype == bool else kept.dtype, kept.word + first
-        found = [kept.region.read(word + each, place, kind) for each in range(self._width(kept.shape))]
+        found = kept.region.row(word, place, kind, self._width(kept.shape))
         found = [values != 0 for values in found] if kept.dtype == bool else found
         return self._unpacked(found, [np.empty(kept.shape[1:], object)])[0][None]
 
@@ -356,6 +385,9 @@ class Threads:
         condition first, the last index is beyond the results, and jaxlib 0.11.2 crashes now and then.
         """
         first, last = eqn.params["cond_nconsts"], eqn.params["cond_nconsts"] + eqn.params["body_nconsts"]
+        same = [not isinstance(arg, Kept) and all(map(is_same, arg.flat)) for arg in args]
+        if self.single and not ends_together(eqn, same):
+            raise NotImplementedError("threads know no loop that ends earlier in one world than in another")
         given = self._with_room(args, _looked_up_in_loop(eqn), last)
         cond_fixed, body_fixed, start = given[:first], given[first:last], given[last:]
         elsewhere = [not isinstance(array, Kept) for array in start]
@@ -381,7 +413,8 @@ class Threads:
 
     def _with_room(self, args: Sequence[Any], places: set[int], first: int) -> list[Any]:
         """Arguments of a loop, those at these places in memory; fixed before `first`, where they are not carried."""
-        moved = [place for place in places if place >= first or not isinstance(args[place], Kept)]
+        there = [isinstance(arg, Kept) and (place < first or arg.region.given) for place, arg in enumerate(args)]
+        moved = [place for place in places if not there[place]]
         moved = [place for place in sorted(moved) if math.prod(args[place].shape)]
         found = dict(enumerate(args))
         for keep, fixed in (self._keep_fixed, True), (self._keep, False):
@@ -400,6 +433,8 @@ class Threads:
         """Compute the first branch always, and the second where a world of the block takes it."""
         chosen = vector(self._alike(index.item())) != 0
         given = [replace(arg, fixed=True) if isinstance(arg, Kept) else arg for arg in args]
+        if len(eqn.params["branches"]) != 2:
+            raise NotImplementedError("threads choose between two branches alone")
         one, two = eqn.params["branches"]
         first = [self._loaded(array) for array in self.evaluate(one, given)]
         tokens = self._tokens()
@@ -415,11 +450,8 @@ class Threads:
 
     def _scan(self, eqn: Any, *args: np.ndarray) -> list[np.ndarray]:
         """Unrolled."""
-        body = eqn.params["jaxpr"]
-        inner = body.jaxpr.invars
-        rows = sum(len(x.aval.shape) < arg.ndim for x, arg in zip(inner, args, strict=True))
-        kept = sum(x.aval.shape == y.aval.shape for x, y in zip(body.jaxpr.outvars, eqn.outvars, strict=True))
-        first, last = len(args) - rows - kept, len(args) - rows
+        body, first, kept = eqn.params["jaxpr"], eqn.params["num_consts"], eqn.params["num_carry"]
+        last = first + kept
         fixed, carry = args[:first], args[first:last]
         seen: list[list[np.ndarray]] = []
         order = range(eqn.params["length"])
@@ -459,27 +491,64 @@ ENTRIES: dict[str, Callable[..., Any]] = {
 """Operations on one entry of an array at an index that is not known while tracing."""
 
 
+KEYS = {"random_wrap": False, "random_unwrap": False, "random_fold_in": True, "random_bits": True, "random_split": True}
+"""Operations on random keys, which are arrays of their words here; true for those that a generator defines."""
+
+
+def _of_keys(eqn: Any) -> ClosedJaxpr:
+    """The arithmetic of a key's generator."""
+    kind, params = eqn.invars[0].aval, eqn.params
+    generator: Any = kind.dtype._impl
+    key = jax.ShapeDtypeStruct(generator.key_shape, jnp.uint32)
+    if kind.shape:
+        raise NotImplementedError("threads draw from single keys")
+    if eqn.primitive.name == "random_fold_in":
+        return jax.make_jaxpr(generator.fold_in)(key, jax.ShapeDtypeStruct(eqn.invars[1].aval.shape, jnp.uint32))
+    if eqn.primitive.name == "random_split":
+        return jax.make_jaxpr(partial(generator.split, shape=tuple(params["shape"])))(key)
+    return jax.make_jaxpr(partial(generator.random_bits, bit_width=params["bit_width"], shape=params["shape"]))(key)
+
+
+def _looped(eqn: Any) -> ClosedJaxpr:
+    """A loop of known length as a `while`."""
+    params, first = eqn.params, eqn.params["num_consts"]
+    if first + params["num_carry"] < len(eqn.invars) or params["num_carry"] < len(eqn.outvars):
+        raise NotImplementedError("threads stack nothing along a loop that changes arrays in memory")
+
+    def run(*args: Any) -> Any:
+        step = jax.extend.core.jaxpr_as_fun(params["jaxpr"])
+        start = jnp.int32(0), list(args[first:])
+        end = lax.while_loop(
+            lambda carry: carry[0] < params["length"],
+            lambda carry: (carry[0] + 1, step(*args[:first], *carry[1])),
+            start,
+        )
+        return end[1]
+
+    return jax.make_jaxpr(run)(*(jax.ShapeDtypeStruct(x.aval.shape, x.aval.dtype) for x in eqn.invars))
+
+
 def _looked_up_in_loop(eqn: Any) -> set[int]:
     """The places among a loop's arguments of arrays of which it looks up or changes entries."""
     first, params = eqn.params["cond_nconsts"], eqn.params
     last = first + params["body_nconsts"]
-    inside = {place if place < first else last - first + place for place in _looked_up(params["cond_jaxpr"].jaxpr)}
-    return inside | {first + place for place in _looked_up(params["body_jaxpr"].jaxpr)}
+    inside = {place if place < first else last - first + place for place in looked_up(params["cond_jaxpr"].jaxpr)}
+    return inside | {first + place for place in looked_up(params["body_jaxpr"].jaxpr)}
 
 
-def _looked_up(jaxpr: Any) -> set[int]:
-    """The same of a traced function."""
+def looked_up(jaxpr: Any) -> set[int]:
+    """The places among a traced function's arguments of arrays of which it looks up or changes entries."""
     found: set[Any] = set()
     for eqn in jaxpr.eqns:
         name = eqn.primitive.name
-        if name in ENTRIES:
+        if name in ENTRIES or name == "scatter-add":
             found.add(eqn.invars[0])
-        elif name in CALLS:
-            found |= {eqn.invars[place] for place in _looked_up(eqn.params[CALLS[name]].jaxpr)}
+        elif name in CALLS or name == "scan":
+            found |= {eqn.invars[place] for place in looked_up(eqn.params[CALLS.get(name, "jaxpr")].jaxpr)}
         elif name == "while":
             found |= {eqn.invars[place] for place in _looked_up_in_loop(eqn)}
         elif name == "cond":
-            places = set().union(*(_looked_up(branch.jaxpr) for branch in eqn.params["branches"]))
+            places = set().union(*(looked_up(branch.jaxpr) for branch in eqn.params["branches"]))
             found |= {eqn.invars[1 + place] for place in places}
     return {place for place, var in enumerate(jaxpr.invars) if var in found}
 

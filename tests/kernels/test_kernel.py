@@ -12,11 +12,11 @@ import pytest
 from tree_robots import HOPPER, PLANAR, SHAPES, converged, states
 
 from humanoid_mjx import compute
-from humanoid_mjx.compute.kernels import cpu_kernel as kernels
-from humanoid_mjx.compute.kernels.angles import cosine, sine
-from humanoid_mjx.compute.kernels.cpu_kernel import cpu_kernel
-from humanoid_mjx.compute.kernels.gpu_kernel import gpu_kernel
-from humanoid_mjx.compute.kernels.worlds import worlds_last
+from humanoid_mjx.kernels import cpu_kernel as kernels
+from humanoid_mjx.kernels.angles import cosine, sine
+from humanoid_mjx.kernels.cpu_kernel import cpu_kernel
+from humanoid_mjx.kernels.gpu_kernel import gpu_kernel
+from humanoid_mjx.kernels.worlds import worlds_last
 from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.mechanics.tree.folding import fold
 from humanoid_mjx.mechanics.tree.reading import read_tree

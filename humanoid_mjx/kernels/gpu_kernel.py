@@ -19,9 +19,9 @@ from jax.experimental.pallas import triton as gpu
 from jax.extend.core import ClosedJaxpr
 from jaxtyping import Array, Float
 
-from humanoid_mjx.compute.kernels.assembly import assembly
-from humanoid_mjx.compute.kernels.memory import THREADS, Constants, Region
-from humanoid_mjx.compute.kernels.threads import Threads, power_of_two
+from humanoid_mjx.kernels.assembly import assembly
+from humanoid_mjx.kernels.memory import THREADS, Constants, Region
+from humanoid_mjx.kernels.threads import Threads, power_of_two
 
 Results = Callable[[Sequence[Array]], list[Float[Array, " worlds"]]]
 """From the elements of a function's arguments to those of what it gives, each of all worlds of a block."""

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax.experimental.pallas import triton as gpu
 from jaxtyping import Array
 
-from humanoid_mjx.compute.kernels.assembly import assembly
+from humanoid_mjx.kernels.assembly import assembly
 
 
 class DeviceMemory(NamedTuple):

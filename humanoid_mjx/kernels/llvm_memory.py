@@ -8,15 +8,19 @@ import numpy as np
 from jax.core import ShapedArray
 from jax.extend.core import Primitive
 
-from humanoid_mjx.compute.kernels.llvm import WIDTH, Code, Value, known, type_of
-from humanoid_mjx.compute.kernels.memory import THREADS, Region, bits
+from humanoid_mjx.kernels.llvm import WIDTH, Code, Value, known, type_of
+from humanoid_mjx.kernels.memory import THREADS, Region, bits
 
-read_word, write_word, fill_words, read_constant = map(Primitive, ("read_word", "write_word", "fill_words", "constant"))
+NAMES = "read_word", "write_word", "add_words", "fill_words", "constant"
+read_word, write_word, add_words, fill_words, read_constant = map(Primitive, NAMES)
 """Memory of each world. The first argument is the token, for jax; code keeps the order in which they were traced."""
 
+read_row = Primitive("read_row")
+read_row.multiple_results = True
+read_row.def_abstract_eval(lambda *_, dtype, count, **place: [ShapedArray((THREADS,), dtype)] * count)
 read_word.def_abstract_eval(lambda *_, region, words, word, dtype: ShapedArray((THREADS,), dtype))
 read_constant.def_abstract_eval(lambda *_, table, word, dtype: ShapedArray((THREADS,), dtype))
-for _primitive in (write_word, fill_words):
+for _primitive in (write_word, add_words, fill_words):
     _primitive.def_abstract_eval(lambda *_, **params: ShapedArray((THREADS,), np.int32))
 
 
@@ -37,14 +41,29 @@ class Words(Region):
         values = values.astype(jnp.int32) if values.dtype == bool else values
         self.token = write_word.bind(self.token, values, *_some(place), **self._where(word))
 
+    def add(self, word: int, place: Any, changes: Sequence[Any]) -> None:
+        self.token = add_words.bind(self.token, place, *changes, **self._where(word))
+
     def fill(self, word: int, count: int, bits: int) -> None:
         self.token = fill_words.bind(self.token, **self._where(word), count=count, bits=bits)
 
     def settle(self) -> Any:
         return self.token
 
-    def _where(self, word: int) -> dict[str, int]:
+    def _where(self, word: int) -> dict[str, Any]:
         return {"region": self.number, "words": self.words, "word": word}
+
+
+class Given(Words):
+    """Words of each world in an array of the caller, (worlds, words)."""
+
+    given = True
+
+    def row(self, word: int, place: Any, dtype: Any, count: int) -> list[Any]:
+        return read_row.bind(self.token, *_some(place), **self._where(word), dtype=np.dtype(dtype), count=count)
+
+    def _where(self, word: int) -> dict[str, Any]:
+        return super()._where(word) | {"region": f"given{self.number}"}
 
 
 class Table(Words):
@@ -66,6 +85,27 @@ def _read(code: Code, params: dict[str, Any], args: list[Value]) -> Value:
     return _loaded(code, _address(code, params, args[1:]), params["dtype"], WIDTH)
 
 
+def _read_row(code: Code, params: dict[str, Any], args: list[Value]) -> list[Value]:
+    """Words that follow each other, by half as many loads as there are words."""
+    dtype, count, found = params["dtype"], params["count"], []
+    pointers, whole, one = f"<{WIDTH} x ptr>", f"<{WIDTH} x i64>", type_of(dtype, False)
+    all_of_them, both = (f"<{WIDTH} x i1>", "splat (i1 true)"), one.replace(str(WIDTH), str(2 * WIDTH), 1)
+    for each in range(0, count, 2):
+        address = _address(code, params | {"word": params["word"] + each}, args[1:])
+        if each == count - 1:
+            found.append(_loaded(code, address, dtype, WIDTH))
+            continue
+        at = (pointers, address.name), ("i32", "4"), all_of_them, (whole, "poison")
+        pairs = code.value(
+            f"bitcast {whole} {code.call(whole, f'masked.gather.v{WIDTH}i64.v{WIDTH}p0', *at)} to {both}"
+        )
+        for first in (0, 1):
+            order = ", ".join(f"i32 {number}" for number in range(first, 2 * WIDTH, 2))
+            name = code.value(f"shufflevector {both} {pairs}, {both} poison, <{WIDTH} x i32> <{order}>")
+            found.append(Value(name, dtype, False))
+    return found
+
+
 def _loaded(code: Code, address: Value, dtype: np.dtype, apart: int) -> Value:
     """What is at an address, or at one for each world; `apart`: numbers from one word to the next."""
     if address.alike:
@@ -80,7 +120,21 @@ def _loaded(code: Code, address: Value, dtype: np.dtype, apart: int) -> Value:
 
 
 def _written(code: Code, params: dict[str, Any], args: list[Value]) -> Value:
-    value, address = args[1], _address(code, params, args[2:])
+    return _store(code, args[1], _address(code, params, args[2:]))
+
+
+def _added(code: Code, params: dict[str, Any], args: list[Value]) -> Value:
+    """Products are rounded before they are added, as by XLA."""
+    for word, change in enumerate(args[2:], params["word"]):
+        address = _address(code, params | {"word": word}, args[1:2])
+        old = _loaded(code, address, change.dtype, WIDTH)
+        add = "fadd" if change.dtype.kind == "f" else "add"
+        new = code.value(f"{add} {old.type} {old.name}, {code.vector(change)}")
+        _store(code, Value(new, change.dtype, False), address)
+    return known(0, np.int32)
+
+
+def _store(code: Code, value: Value, address: Value) -> Value:
     kind, vector = type_of(value.dtype, False), code.vector(value)
     if address.alike:
         code.add(f"store {kind} {vector}, ptr {address.name}, align {4 * WIDTH}")
@@ -101,9 +155,19 @@ def _filled(code: Code, params: dict[str, Any], args: list[Value]) -> Value:
 
 def _address(code: Code, params: dict[str, Any], place: list[Value]) -> Value:
     """Address of the vector of a word of memory, so many words from a place; or of each world's own word."""
-    code.regions[params["region"]] = params["words"]
+    region, words = params["region"], params["words"]
+    if isinstance(region, str):
+        lanes = f"<{', '.join(f'i32 {lane * words}' for lane in range(WIDTH))}>"
+        return _beyond(code, f"%{region}", params["word"], [_apart(code, place)], 1, lanes)
+    code.regions[region] = words
     lanes = f"<{', '.join(f'i32 {lane}' for lane in range(WIDTH))}>"
-    return _beyond(code, f"%region{params['region']}", params["word"], place, WIDTH, lanes)
+    return _beyond(code, f"%region{region}", params["word"], place, WIDTH, lanes)
+
+
+def _apart(code: Code, place: list[Value]) -> Value:
+    """A place as one of each world."""
+    at = place[0] if place else known(0, np.int32)
+    return Value(code.vector(at), at.dtype, False)
 
 
 def _constant(code: Code, params: dict[str, Any], args: list[Value]) -> Value:
@@ -129,7 +193,9 @@ def _beyond(code: Code, base: str, word: int, place: list[Value], apart: int, la
 
 MEMORY: dict[str, Callable[..., Value]] = {
     "read_word": _read,
+    "read_row": _read_row,
     "write_word": _written,
+    "add_words": _added,
     "fill_words": _filled,
     "constant": _constant,
 }

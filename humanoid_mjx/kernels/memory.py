@@ -14,7 +14,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Int, Shaped
 
-from humanoid_mjx.compute.kernels.assembly import assembly
+from humanoid_mjx.kernels.assembly import assembly
 
 THREADS = 32
 """Threads of a block: one warp."""
@@ -31,6 +31,9 @@ class Region:
       words: how many.
       interpret: for Pallas's interpreter, where the token is what the memory holds.
     """
+
+    given = False
+    """True for memory of an argument, which a function may change in its place."""
 
     def __init__(self, number: int, words: int, interpret: bool):
         self.token: Array = jnp.zeros((words, THREADS) if interpret else THREADS, jnp.int32)
@@ -54,6 +57,10 @@ class Region:
         self.seen.append(assembly(code, kinds, dtype, place, self.token))
         return self.seen[-1]
 
+    def row(self, word: int, place: Address | None, dtype: Any, count: int) -> list[Values]:
+        """A word and those that follow."""
+        return [self.read(word + each, place, dtype) for each in range(count)]
+
     def write(self, word: int, place: Address | None, values: Values) -> None:
         """Change a word; a bool is 1 or 0."""
         values = values.astype(jnp.int32) if values.dtype == bool else values
@@ -63,6 +70,11 @@ class Region:
         token, place = self.settle(), self.address if place is None else place
         code, kinds = f"st.local.b32 [$1+{4 * word}], $2; mov.b32 $0, $3;", f"=r,r,{_kind(values.dtype)},r"
         self.token = assembly(code, kinds, jnp.int32, place, values, token)
+
+    def add(self, word: int, place: Address | None, changes: Sequence[Values]) -> None:
+        """Add to a word and those that follow."""
+        for each, change in enumerate(changes, word):
+            self.write(each, place, self.read(each, place, change.dtype) + change)
 
     def fill(self, word: int, count: int, bits: int) -> None:
         """Write the same into so many words, four or more, by a loop whose code is short."""

@@ -1,1 +1,0 @@
-"""GPU kernels of functions of many worlds or runs, through Pallas and Triton."""

@@ -1,0 +1,98 @@
+"""A CPU's kernel trains tables to the bits of the scan; tasks that it cannot do, the scan trains."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from humanoid_mjx import make_learner, make_task
+from humanoid_mjx.compute import rng
+from humanoid_mjx.kernels.cpu_kernel import why_not
+from humanoid_mjx.tasks.finite import FiniteTask
+from humanoid_mjx.training.program import begin, train
+from humanoid_mjx.training.programs import TRAIN
+
+RUNS = 21
+"""More than a vector, and no whole number of vectors."""
+
+
+class Drift(FiniteTask):
+    """A walk on a ring with a wind that is drawn in each step, over a floor whose rewards stand in a table."""
+
+    @property
+    def num_states(self):
+        return 12
+
+    @property
+    def num_actions(self):
+        return 3
+
+    def reset(self, key):
+        return jax.random.randint(key, (), 0, 4)
+
+    def step(self, state, action, key):
+        wind = jnp.where(jax.random.bernoulli(key, 0.3), 1, 0)
+        state = (state + action + wind) % 12
+        floor = jnp.asarray(np.linspace(-0.7, 0.4, 12, dtype=np.float32))
+        return state, floor[state] / 3, state == 11
+
+
+TASKS = {
+    "joint1": lambda: make_task("joint_reach"),
+    "truncated": lambda: make_task("joint_reach", joint=1, states=17, max_episode_steps=9),
+    "disobeyed": lambda: make_task("joint_reach", action=23.0, states=9, success_rate=0.7, step_reward=-0.3),
+    "printed": lambda: make_task("joint_reach", joint=1, states=5, rules="printed"),
+    "room": lambda: make_task("navigate", step_reward=-0.23, success_rate=0.9),
+    "own": Drift,
+}
+
+
+def runs_of(task, **values):
+    """Learners side by side that differ in all hyper-parameters, and their training before the first step."""
+    learner, draw = make_learner("tabular_q", task, episodes=30, record=7, **values), np.random.default_rng(0)
+    learners = jax.tree.map(lambda x: jnp.full(RUNS, x), learner)
+    swept = {"epsilon": (0.1, 1), "epsilon_decay": (0.5, 1), "learning_rate": (0.1, 1), "discount": (0, 0.99)}
+    drawn = {name: jnp.asarray(draw.uniform(*ends, RUNS), jnp.float32) for name, ends in swept.items()}
+    learners = learners.replace(**drawn)
+    return learners, jax.jit(jax.vmap(begin))(learners, jax.random.split(rng.key(3), RUNS))
+
+
+def reason(learners, training):
+    args = learners, training, jnp.int32(1)
+    many = *[True] * len(jax.tree.leaves(args[:2])), False
+    return why_not(train, args, many)
+
+
+def words(leaf):
+    return np.asarray(jax.random.key_data(leaf) if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key) else leaf)
+
+
+@pytest.mark.parametrize("case", TASKS)
+def test_kernel_equals_scan_to_the_bit_in_chunks_and_beyond_the_end(case):
+    learners, start = runs_of(TASKS[case]())
+    assert reason(learners, start) is None
+    scan, kernel = (jax.jit(jax.vmap(each, in_axes=(0, 0, None))) for each in (train, TRAIN))
+    expected = found = start
+    for steps in (32, 70, 200):
+        expected, found = scan(learners, expected, steps), kernel(learners, found, steps)
+    assert expected.record[..., 0].sum() > RUNS / 4  # so that records and restarts are compared too
+    for wanted, got in zip(jax.tree.leaves(expected), jax.tree.leaves(found), strict=True):
+        assert wanted.dtype == got.dtype
+        np.testing.assert_array_equal(words(got), words(wanted))
+
+
+def test_a_kernel_is_traced_again_after_caches_are_cleared():
+    learners, start = runs_of(make_task("joint_reach", states=6))
+    results = []
+    for _ in range(2):
+        results.append(jax.jit(jax.vmap(TRAIN, in_axes=(0, 0, None)))(learners, start, 64).carry.q_table)
+        jax.clear_caches()
+    np.testing.assert_array_equal(*results)
+
+
+@pytest.mark.parametrize(("values", "said"), [({"agents": 2}, "'gather'"), ({"evaluations": 3}, "'scatter'")])
+def test_the_scan_trains_what_a_kernel_cannot(values, said):
+    learners, start = runs_of(make_task("joint_reach", states=6), **values)
+    assert said in reason(learners, start)
+    scan, tried = (jax.jit(jax.vmap(each, in_axes=(0, 0, None)))(learners, start, 64) for each in (train, TRAIN))
+    np.testing.assert_array_equal(tried.carry.q_table, scan.carry.q_table)
