@@ -269,14 +269,6 @@ def common(
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 """Errors of a disk that is full, read-only or broken."""
 
-WRONG_KIND = {
-    errno.EEXIST: "a file stands where a folder is wanted",
-    errno.ENOTDIR: "a file stands where a folder is wanted",
-    errno.EISDIR: "a folder stands where a file is wanted",
-    errno.ELOOP: "this is a link that leads to itself",
-}
-"""Words for errors whose own message is misleading."""
-
 LETTERS = 2000
 """Largest length of an error message."""
 
@@ -294,6 +286,8 @@ def main() -> None:
         if getattr(sys, name) is None:  # closed, as some services start programs
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
     os.environ.pop("MUJOCO_GL", None)  # OpenGL is not used, and an unusable value stops MuJoCo's import
+    if not all(word.strip() for word in sys.argv[1:]):
+        _end("a word of the command is empty; write a name there, or leave it out.")
     try:
         sys.exit(app(standalone_mode=False) or 0)
     except UsageError as error:
@@ -310,12 +304,17 @@ def main() -> None:
         os._exit(INTERRUPTED)  # a thread that compiles cannot be interrupted, and Python would wait for it
     except OSError as error:
         place = error.filename
-        what = WRONG_KIND.get(error.errno or 0) or (os.strerror(error.errno) if error.errno else str(error))
+        from humanoid_mjx.environment import of_system
+
         sweeps = error.errno in FULL and "sweep" in sys.argv[1:2]
         goes_on = "; what is stored is valid, and the same command with --resume goes on" if sweeps else ""
-        _end(f"{f'{place}: ' if place else ''}{what}{goes_on}.")
+        _end(f"{f'{place}: ' if place else ''}{of_system(error)}{goes_on}.")
     except Exception as error:
-        from humanoid_mjx.compute.limits import no_device, out_of_memory
+        from humanoid_mjx.environment import unusable
+
+        if words := unusable(error):
+            _end(words)
+        from humanoid_mjx.compute.limits import out_of_memory
         from humanoid_mjx.spec import InputError
         from humanoid_mjx.user_code import in_words, place
 
@@ -323,8 +322,6 @@ def main() -> None:
             _end("the memory does not suffice; make the task, the learner or the number of episodes smaller.")
         if isinstance(error, InputError):
             _end(str(error))
-        if (asked := os.environ.get("JAX_PLATFORMS")) and no_device(error):
-            _end(f"JAX_PLATFORMS={asked}: jax has no such device here; unset it, or set JAX_PLATFORMS=cpu.")
         if place(error):
             _end(f"{in_words(error)}.")
         raise

@@ -54,6 +54,30 @@ def start(*, mjx: bool = False) -> None:
         make_room()
 
 
+LEARNING = {
+    "jax_enable_x64": ((False,), "compute in float32"),
+    "jax_disable_jit": ((False,), "are compiled"),
+    "jax_debug_nans": ((False,), "mark what is not known yet by NaN"),
+    "jax_debug_infs": ((False,), "mark what is not known yet by infinity"),
+    "jax_numpy_dtype_promotion": (("standard",), "mix types of numbers"),
+    "jax_transfer_guard_host_to_device": ((None, "allow", "log", "disallow_explicit"), "take arrays of numpy"),
+}
+"""Settings of jax: the values with which learners train, and why."""
+
+
+def check_settings() -> None:
+    """Check that jax is set so that learners can train.
+
+    Raises:
+      InputError: it is not.
+    """
+    for name, (fit, why) in LEARNING.items():
+        if (value := getattr(jax.config, name)) not in fit:
+            variables = [v for v in (name.upper(), "JAX_TRANSFER_GUARD") if v in os.environ]
+            here = f"{variables[0]}={os.environ[variables[0]]}" if variables else f"{name} is {value}"
+            raise InputError(f"{here}: learners {why}; unset it (physics and mechanics can use it).")
+
+
 def look_for_garbage_seldom() -> None:
     """Let Python search for garbage after 50,000 new objects (its default is 700), and not among imported objects.
 
