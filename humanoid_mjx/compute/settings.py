@@ -34,8 +34,8 @@ def start(*, mjx: bool = False) -> None:
       InputError: jax has computed already.
     """
     cache = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    defaults = {  # a user without a home folder keeps no programs
-        "jax_compilation_cache_dir": None if cache.startswith("~") else str(Path(cache) / "humanoid_mjx" / "xla"),
+    defaults = {
+        "jax_compilation_cache_dir": _made(Path(cache) / "humanoid_mjx" / "xla"),
         "jax_persistent_cache_min_compile_time_secs": 0.1,
         "jax_num_cpu_devices": cores(),
         "jax_default_matmul_precision": "highest",
@@ -76,6 +76,15 @@ def check_settings() -> None:
             variables = [v for v in (name.upper(), "JAX_TRANSFER_GUARD") if v in os.environ]
             here = f"{variables[0]}={os.environ[variables[0]]}" if variables else f"{name} is {value}"
             raise InputError(f"{here}: learners {why}; unset it (physics and mechanics can use it).")
+
+
+def _made(folder: Path) -> str | None:
+    """Make a folder and return its path; None where no file can be written, or the user has no home folder."""
+    try:
+        folder.expanduser().mkdir(parents=True, exist_ok=True)
+    except (OSError, RuntimeError):
+        return None
+    return str(folder) if os.access(folder, os.W_OK) else None
 
 
 def look_for_garbage_seldom() -> None:

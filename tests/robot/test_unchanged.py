@@ -235,7 +235,7 @@ def test_ground_that_is_no_level_plane_is_refused(pairs, words, tmp_path):
         ([world('<geom name="ground" type="box" size=".1 .1 .1" pos="0 0 9" contype="0" conaffinity="0"/>')], YAML,
          "robot.yaml: model: the package adds an element of the name 'ground'; rename that of the MJCF"),
         ([("</worldbody>", '</worldbody><contact><pair geom1="floor" geom2="foot_0_0"/><pair geom1="foot_0_0" '
-           'geom2="floor" friction="2 2 0 0 0"/></contact>')], YAML, "two <pair> are of 'floor' and 'foot_0_0'; keep one"),
+           'geom2="floor" friction="2 2 0 0 0"/></contact>')], YAML, "two <pair> are of 'floor' and 'foot_0_0'; keep"),
         ([('type="sphere" size=".02"', 'type="ellipsoid" size=".02 .02 .02"')], YAML, "calf_0_0 has an ellipsoid"),
         ([], YAML.replace("base.xml", '"a\\0b"'), "model must be the path of an MJCF, got 'a.x00b'"),
         ([], YAML.replace("base.xml", "."), "model must be the path of an MJCF, got '.'"),
