@@ -1,5 +1,11 @@
 """Benchmarks: functions `(say) -> list[Record]`, whose subjects are timed in one process, in turn."""
 
+import sys
+from importlib import import_module
+from typing import Any
+
+from humanoid_mjx.files import folder
+
 BENCHES = {
     "tabular": "tabular:run",
     "physics": "physics:run",
@@ -8,3 +14,13 @@ BENCHES = {
     "startup": "startup:run",
 }
 """Module and function of each benchmark."""
+
+
+def opponents() -> Any:
+    """The module of the alternatives, `benchmarks/opponents.py` of a checkout; None where the package is installed."""
+    place = folder("benchmarks")
+    if not (place / "opponents.py").is_file():
+        return None
+    if str(place) not in sys.path:  # of this process, and of those that it starts
+        sys.path.append(str(place))
+    return import_module("opponents")

@@ -36,7 +36,7 @@ from jax.experimental.compilation_cache import compilation_cache
 from jaxtyping import Float
 
 from humanoid_mjx import compute
-from humanoid_mjx.bench.measure import Record, Subject, record, spread, time_in_turn, with_room
+from humanoid_mjx.bench.measure import Record, Subject, spread, time_in_turn
 from humanoid_mjx.compute import rng
 from humanoid_mjx.compute.kernels import cpu_kernel
 from humanoid_mjx.config import load
@@ -232,51 +232,3 @@ def _set_cache(settings: Mapping[str, Any]) -> None:
     for name, value in settings.items():
         jax.config.update(name, value)
     compilation_cache.reset_cache()
-
-
-class Size(NamedTuple):
-    """Size of a training: seeds of every point of the config's sweep, and episodes of each run."""
-
-    seeds: int
-    episodes: int
-
-
-POSTURES: dict[str, Mapping[str, Size]] = {
-    "cpu": {"chain": Size(32, 60), "mjx-jax": Size(2, 4)},
-    "gpu": {"chain": Size(256, 60), "mjx-jax": Size(256, 10)},
-}
-
-
-def postures(say: Callable[[str], None], setting: Mapping[str, Size] | None = None) -> list[Record]:
-    """Time the whole of training tables on `posture_switch` in each physics, by the values of the config of that name.
-
-    Every call is a sweep, from the first episode to the tables on disk. An episode is short once a table is good, so
-    that the steps a second, one for each decision of the learner, stand beside it; each is 40 control steps of two
-    legs. Fewer runs and episodes than the config's are trained where a physics is slow.
-    """
-    setting = setting or POSTURES.get(jax.default_backend(), POSTURES["gpu"])
-    records: list[Record] = []
-    for physics, size in setting.items():
-        sizes = f"seeds={size.seeds}", f"episodes={size.episodes}", "record=1"
-        runs = make_plan(load("posture_switch", sizes)).num_runs
-        overrides = *sizes, f"task.physics={physics}"
-        call = with_room(training, *overrides) if physics.startswith("mjx") else training(*overrides)
-        subject = Subject(call, runs * size.episodes, runs, repeats=3)
-        name = f"{physics} posture_switch"
-        timing = time_in_turn({name: subject})[name]
-        records.append(record("physics", name, subject, timing, "episodes/s"))
-        records.append(record("physics", name, subject, timing, "steps/s", float(timing.result)))
-        say(f"{name:22} {runs:9,} runs  {records[-2].value:10.3e} episodes/s  {records[-1].value:10.3e} steps/s"
-            f"  compiled in {timing.compile_s:4.1f} s")  # fmt: skip
-    return records
-
-
-def training(*overrides: str) -> Callable[[], np.float64]:
-    """A call that trains the sweep of `posture_switch` so changed, and counts the steps of all its episodes."""
-
-    def call() -> np.float64:
-        with TemporaryDirectory() as folder:
-            results = sweep("posture_switch", Path(folder) / "run", overrides=overrides).results
-        return np.sum(results["steps"] * results["episode"], dtype=np.float64)
-
-    return call

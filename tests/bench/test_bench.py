@@ -8,6 +8,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import other_tables
 import pytest
 from typer.testing import CliRunner
 
@@ -19,8 +20,9 @@ from humanoid_mjx.compute import provenance
 from humanoid_mjx.training.sweep import Run
 
 TINY = """
-from humanoid_mjx.bench import tabular
-tabular.BATCHES, tabular.STEPS, tabular.PYTHON_STEPS = {"cpu": (8,), "gpu": (8,)}, (50, 50), 50
+from humanoid_mjx.bench import opponents, tabular
+opponents().other_tables.PYTHON_STEPS = 50
+tabular.BATCHES, tabular.STEPS = {"cpu": (8,), "gpu": (8,)}, (50, 50)
 from humanoid_mjx.cli import main
 main()
 """
@@ -43,11 +45,12 @@ def test_tabular_writes_its_records(tmp_path):
 
 def test_subjects_finish_as_many_episodes(monkeypatch):
     steps = 100_000
-    monkeypatch.setattr(tabular, "PYTHON_STEPS", steps)
+    monkeypatch.setattr(other_tables, "PYTHON_STEPS", steps)
     finished = {}
     for name in ("scan", "naive_scan", "python"):
-        call, count = tabular.SUBJECTS[name](np.full(2, 0.5, np.float32), steps)
-        finished[name] = count(call()) / (1 if name == "python" else 2)
+        make = tabular.scan if name == "scan" else getattr(other_tables, name)
+        made = make(np.full(2, 0.5, np.float32), steps)
+        finished[name] = made.episodes(made.call()) / (1 if name == "python" else 2)
     # Episodes take 23 steps once epsilon has decayed, after some thousand: 4,000 or so of 100,000 steps.
     assert all(abs(n / finished["python"] - 1) < 0.03 for n in finished.values()), finished
 
@@ -56,7 +59,7 @@ def test_control_times_every_controller():
     lines = []
     records = physics.control(lines.append, physics.Setting((1,), 2, 2))  # one leg is on one device, and compiled once
     assert [(r.bench, r.subject) for r in records] == [
-        ("control", name) for name in (*physics.CONTROLLERS, *physics.ON_MJX)
+        ("control", name) for name in (*physics.CONTROLLERS, "none mjx-jax", "computed torque mjx-jax")
     ]
     assert all(r.value > 0 for r in records)
     assert "ns a step for control" in lines[-1] and "ns a step" not in lines[0]
