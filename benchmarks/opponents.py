@@ -1,3 +1,4 @@
+# pyright: reportAttributeAccessIssue=false
 """What `humanoid-mjx bench` times beside the package where it finds this folder, in the same run.
 
 `bench tabular`: `naive_scan`, `python` and `numba` of `other_tables.py`.
@@ -19,7 +20,7 @@ Of the lower body on the ground:
     mujoco ground    native MuJoCo, float64, solved to convergence: `mujoco.rollout`, one thread a core, where the servo
                      is MuJoCo's own, so that no step waits for Python
 
-On a CPU, MJX runs in a process of its own.
+On a CPU, MJX runs in a process of its own. `bench training` adds `shares`, and `bench startup` is `startup`.
 """
 
 import contextlib
@@ -36,7 +37,9 @@ import jax
 import mujoco as mj
 import numpy as np
 import other_tables
+import startup as startup
 from other_calls import elsewhere, native_rollout, native_subject, with_room, with_servo
+from shares import shares as shares
 
 from humanoid_mjx import compute
 from humanoid_mjx.bench import ground

@@ -11,9 +11,17 @@ BENCHES = {
     "physics": "physics:run",
     "control": "physics:control",
     "training": "training:run",
-    "startup": "startup:run",
+    "startup": "",
 }
-"""Module and function of each benchmark."""
+"""Module and function of each benchmark, none of that in the folder `benchmarks` of a checkout."""
+
+
+def measuring(name: str) -> Any:
+    """The function of a benchmark; None where the package is installed without it."""
+    module, _, function = BENCHES[name].partition(":")
+    if module:
+        return getattr(import_module(f"humanoid_mjx.bench.{module}"), function)
+    return (others := opponents()) and getattr(others, name).run
 
 
 def opponents() -> Any:

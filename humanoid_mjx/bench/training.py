@@ -10,11 +10,9 @@ the last look at the training.
                         seeds: of all figures the one that another machine, or a busy one, does not change
     success at the end  share of greedy episodes that succeed after training, the mean over seeds
     s to 95 %           wall time, compiling included, until every seed has come to such a point
-    share of physics    of the time of an update of one seed on one device; the three add up to one
-    share of the task   what its decisions take beyond the physics: sensors, rewards, resets
-    share of learning   the rest: choosing actions, targets, gradients
 
-Of `walk_cpu` one seed trains, alone and briefly: its rate is that of a run that has all cores, its shares are of one.
+In a checkout also the shares of an update (`benchmarks/shares.py`). Of `walk_cpu` one seed trains, alone and briefly:
+its rate is that of a run that has all cores.
 `by_seed` has the value of each seed, None where it never came to such a point; `interval` is the 95 % interval of the
 mean over seeds. The greedy episodes that learners are judged by run after training and take none of this time. A config
 that does not ship, or needs brax where that is not installed, is left out.
@@ -22,7 +20,6 @@ that does not ship, or needs brax where that is not installed, is left out.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import partial
 from importlib.util import find_spec
 from json import loads
 from pathlib import Path
@@ -30,22 +27,16 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.experimental.compilation_cache import compilation_cache
 from jaxtyping import Float
 
-from humanoid_mjx import compute
-from humanoid_mjx.bench.measure import Record, Subject, spread, time_in_turn
-from humanoid_mjx.compute import rng
+from humanoid_mjx.bench import opponents
+from humanoid_mjx.bench.measure import Record, spread
 from humanoid_mjx.compute.kernels import cpu_kernel
 from humanoid_mjx.config import load
-from humanoid_mjx.control import at_rest
 from humanoid_mjx.files import names
-from humanoid_mjx.learners import Learner
-from humanoid_mjx.physics.base import World
 from humanoid_mjx.runs.statistics import mean_interval
-from humanoid_mjx.tasks.continuous import State, auto_reset
 from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.programs import programs
 from humanoid_mjx.training.sweep import Run, sweep
@@ -58,7 +49,7 @@ LEG = ("leg_reach", "leg_reach_linear", "leg_reach_ppo")
 CONFIGS = {"cpu": (*LEG, "walk_cpu"), "gpu": (*LEG, "stand", "stand_ppo")}
 
 BRIEF = {"walk_cpu": 2_000_000}
-"""Control steps of configs of which one seed trains alone and not to the end: the rate and the shares are measured."""
+"""Control steps of configs of which one seed trains alone and not to the end: only the rate is measured."""
 
 
 class Measured(NamedTuple):
@@ -94,7 +85,8 @@ def run(
             trained = sweep(config, Path(folder) / "run")
             compile_s = loads((trained.path / "provenance.json").read_text())["compile_s"]
             found, envs = measure(trained), environments(trained.config.learner)
-            parts = shares(make_plan(config).groups[0].learner())
+            others = opponents()
+            parts = others.shares(make_plan(config).groups[0].learner()) if others else {}
         subject = f"{learner} {config.task['name']}"
         device = jax.devices()[0].device_kind
         common = {"device": device, "batch": envs, "compile_s": compile_s, "repeats": config.seeds}
@@ -109,42 +101,9 @@ def run(
         success = "" if name in BRIEF else f"  {in_words(found)}"
         say(f"{subject:20} {envs:7,} envs  {found.steps_per_s:10.3e} steps/s  {found.episodes_per_s:10.3e} episodes/s"
             f"{success}  compiled in {compile_s:4.1f} s")  # fmt: skip
-        say(f"{subject:20} of an update {', '.join(f'{share:.0%} is {part}' for part, share in parts.items())}")
+        if parts:
+            say(f"{subject:20} of an update {', '.join(f'{share:.0%} is {part}' for part, share in parts.items())}")
     return records
-
-
-def shares(learner: Learner) -> dict[str, float]:
-    """Shares of an update's time that physics, the rest of the task and learning take, timed in turn on one device."""
-    env: Any = learner.env
-    options = compute.compiler_options(env.arithmetic, learner.program)
-    update = jax.jit(learner.train_step, compiler_options=options)
-    carry, _ = update(jax.jit(learner.init)(rng.key(0)))
-    state, count = carry.envs.state, len(carry.envs.episode)
-    length = round(float(learner.progress(carry)) * float(learner.budget)) // count
-    law = env.control.of(env.robot) if hasattr(env, "robot") else env.control
-    hold = law.follow(at_rest(jnp.asarray(env.simulator.joint_ranges.mean(axis=1), float)))
-
-    def decide(state: State, key: jax.Array) -> State:
-        command = jax.random.uniform(key, (len(env.action_bins),), minval=-1.0)
-        return auto_reset(env, env.step_continuous(state, command, key), key)
-
-    def simulate(world: World, _: jax.Array) -> World:
-        return env.simulator.run(world, hold, env.simulator.substeps(env.period))
-
-    def repeated(step: Callable[[Any, jax.Array], Any], first: Any) -> Subject:
-        def all_of_them(now: Any, key: jax.Array) -> tuple[Any, None]:
-            return jax.vmap(step)(now, jax.random.split(key, count)), None
-
-        call = jax.jit(partial(jax.lax.scan, all_of_them), compiler_options=options)
-        return Subject(partial(call, first, jax.random.split(rng.key(1), length)), 1.0, count)
-
-    subjects = {"physics": repeated(simulate, state.data.world), "task": repeated(decide, state)}
-    subjects["update"] = Subject(partial(update, carry), 1.0, count)
-    times = np.array([timing.seconds for timing in time_in_turn(subjects).values()])
-    # A part that noise lets seem larger than the whole is all of it.
-    physics, task, whole = np.maximum.accumulate(times)
-    parts = {"physics": physics, "the task": task - physics, "learning": whole - task}
-    return {name: float(seconds / whole) for name, seconds in parts.items()}
 
 
 def figures(found: Measured) -> list[dict[str, Any]]:

@@ -12,8 +12,8 @@ import other_tables
 import pytest
 from typer.testing import CliRunner
 
-from humanoid_mjx import InputError, compute
-from humanoid_mjx.bench import compare, ground, physics, startup, tabular, training
+from humanoid_mjx import InputError, bench, compute
+from humanoid_mjx.bench import compare, ground, measuring, opponents, physics, tabular, training
 from humanoid_mjx.bench.measure import Subject, spread, time_in_turn, time_rates
 from humanoid_mjx.cli import app
 from humanoid_mjx.compute import provenance
@@ -225,6 +225,7 @@ def test_results_that_differ_are_compared_where_they_agree(tmp_path, monkeypatch
 
 def test_startup_is_measured_with_nothing_compiled_and_again():
     lines = []
+    startup = opponents().startup
     records = startup.run(lines.append, ("joint1",), ("seeds=1",), repeats=1)
     values = {(r.subject, r.unit): r.value for r in records}
     assert len(values) == len(records) and len(lines) == 2
@@ -236,3 +237,15 @@ def test_startup_is_measured_with_nothing_compiled_and_again():
         assert ("share of tracing" in found) == (kind == "joint1 cold")
     with pytest.raises(InputError, match=r"did not come to training: error: .*learner\.nothing"):
         startup.run(lines.append, ("joint1",), ("learner.nothing=1",), repeats=1)
+
+
+def test_an_installed_package_times_itself_alone(monkeypatch, tmp_path):
+    assert measuring("startup") is opponents().startup.run
+    monkeypatch.setattr(bench, "folder", lambda name: tmp_path / name)
+    assert opponents() is None and measuring("startup") is None
+    assert set(physics.make_subjects(1, physics.Setting((1,), 2, 2))) == {"chain with control", "chain"}
+    lines = []
+    monkeypatch.setattr(ground, "visited", ground.states_of)
+    monkeypatch.setattr(ground, "compiled", lambda *_: lambda: np.zeros(2))
+    records = ground.run(lines.append, ground.Setting((1,), {"tree": 2, "mjx-jax": 2, "mujoco": 2}))
+    assert {record.subject for record in records} == {"tree ground", "tree ground moving"}
