@@ -4,13 +4,16 @@ import errno
 import os
 import re
 import sys
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
 import typer
 from typer import Argument, Option
+
+from humanoid_mjx.commands.evaluate import evaluate
+from humanoid_mjx.commands.film import play
+from humanoid_mjx.commands.options import CONFIGS, Override, Point, Trust, trusting
 
 ABOUT = (
     "Batched simulation and Q-learning for the lower body of a humanoid, in JAX.\n\n"
@@ -19,34 +22,6 @@ ABOUT = (
 )
 
 app = typer.Typer(add_completion=True, no_args_is_help=True, pretty_exceptions_enable=False, help=ABOUT)
-
-
-def _shipped(kind: str, ending: str) -> Callable[[str], list[str]]:
-    """Return a function that completes the name of a shipped file; without a match, shells complete paths."""
-
-    def complete(incomplete: str) -> list[str]:
-        from humanoid_mjx.files import names
-
-        return [name for name in names(kind, ending) if name.startswith(incomplete)]
-
-    return complete
-
-
-CONFIGS, POLICIES = _shipped("configs", ".yaml"), _shipped("policies", ".npz")
-
-Override = Annotated[list[str] | None, Option("--set", metavar="KEY=VALUE", help="Change one value of the config.")]
-
-Trust = Annotated[bool, Option("--trust", help="Also run named code from outside the working directory.")]
-
-
-def _trusting(trust: bool, *names: str | Path | None) -> AbstractContextManager[None]:
-    """Allow the code that configs and policies name: all of it if `trust`, else only modules of the user."""
-    from humanoid_mjx.spec import own_modules_only
-
-    return nullcontext() if trust else own_modules_only(*(Path(name) for name in names if name and Path(name).is_dir()))
-
-
-Physics = Annotated[str | None, Option(metavar="NAME", help="Another physics than in training, such as mujoco.")]
 
 
 @app.command()
@@ -109,64 +84,8 @@ def bench(
     run_bench(names or ["all"], json, seeds)
 
 
-Policy = Annotated[
-    str,
-    Argument(metavar="RUN|POLICY", help="A run folder, a policy file, or a shipped policy.", autocompletion=POLICIES),
-]
-
-Point = Annotated[int | None, Option(min=0, metavar="N", help="A point of a sweep by its number; by default the best.")]
-
-World = Annotated[
-    list[str] | None,
-    Option("--set", metavar="task.KEY=VALUE", help="Change a value of the task, such as task.friction=0.5."),
-]
-
-
-@app.command()
-def evaluate(
-    policies: Annotated[
-        list[str],
-        Argument(metavar="RUN|POLICY...", help="Run folders, policy files, shipped policies.", autocompletion=POLICIES),
-    ],
-    gait: Annotated[bool, Option("--gait", help="Measure the gait under constant commands.")] = False,
-    point: Point = None,
-    set_: World = None,
-    physics: Physics = None,
-    episodes: Annotated[
-        int | None, Option(min=1, max=1_000_000, help="Episodes: 1024 of each agent; with --gait 64 of each command.")
-    ] = None,
-    json: Annotated[Path | None, Option(metavar="FILE", help="Write the results as JSON.")] = None,
-    trust: Trust = False,
-) -> None:
-    """Evaluate policies on held-out episodes, beside a zero and a random agent."""
-    from humanoid_mjx.commands.evaluate import run_evaluate
-
-    with _trusting(trust, *policies):
-        run_evaluate(policies, gait, point, physics, set_ or [], episodes, json)
-
-
-@app.command()
-def play(
-    policy: Policy,
-    point: Point = None,
-    set_: World = None,
-    physics: Physics = None,
-    episode: Annotated[int, Option(metavar="N", min=0, max=10**6, help="Number of the held-out episode.")] = 0,
-    out: Annotated[
-        Path | None, Option(metavar="FILE", help=".gif, .mp4, .webm, .png; by default RUN/figures/play.gif")
-    ] = None,
-    size: Annotated[str | None, Option(metavar="WxH", help="Pixels of each picture, 480x360.")] = None,
-    fps: Annotated[float | None, Option(metavar="N", min=1, max=100, help="Pictures a second, 25.")] = None,
-    view: Annotated[bool, Option("--view", help="Steer the robot in this machine's browser.")] = False,
-    port: Annotated[int | None, Option(min=1, max=65535, help="Port of --view; by default any free one.")] = None,
-    robots: Annotated[int, Option(metavar="N", min=1, max=16, help="Robots in --view, each in its own episode.")] = 1,
-    trust: Trust = False,
-) -> None:
-    """Show a policy as a video or picture of the robot, or steer the robot in the browser."""
-    from humanoid_mjx.commands.play import run_play
-
-    with _trusting(trust, policy):
-        run_play(policy, point, set_ or [], physics, episode, out, size, fps, view, port, robots)
+app.command()(evaluate)
+app.command()(play)
 
 
 @app.command()
@@ -179,7 +98,7 @@ def report(
     """Write one self-contained web page: config, curves, tables, the robot's motion, the command to run it again."""
     from humanoid_mjx.commands.runs import run_report
 
-    with _trusting(trust, run):
+    with trusting(trust, run):
         run_report(run, out, motion)
 
 
@@ -220,7 +139,7 @@ def export(
     """Write a robot as MJCF, or the best policy of a run as .npz or as C."""
     from humanoid_mjx.commands.play import run_export
 
-    with _trusting(trust, what):
+    with trusting(trust, what):
         run_export(what, file, point)
 
 
@@ -246,7 +165,7 @@ def info(
 
     if name and name.endswith(".xml"):
         raise typer.Exit(0 if show_model(name) else 2)
-    with _trusting(trust or ":" in (name or "")):
+    with trusting(trust or ":" in (name or "")):
         show_keys(name) if keys else show_info(name, set_ or [], time)
 
 
