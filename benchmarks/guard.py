@@ -34,10 +34,10 @@ import jax.numpy as jnp
 import numpy as np
 import opponents
 from other_tables import naive_scan
+from trainings import nothing_compiled
 
 from humanoid_mjx import compute
 from humanoid_mjx.bench import ground, physics, tabular
-from humanoid_mjx.bench.training import nothing_compiled
 from humanoid_mjx.compute import rng
 from humanoid_mjx.config import load
 from humanoid_mjx.tasks import make_task

@@ -20,7 +20,8 @@ Of the lower body on the ground:
     mujoco ground    native MuJoCo, float64, solved to convergence: `mujoco.rollout`, one thread a core, where the servo
                      is MuJoCo's own, so that no step waits for Python
 
-On a CPU, MJX runs in a process of its own. `bench training` adds `shares`, and `bench startup` is `startup`.
+On a CPU, MJX runs in a process of its own. `bench training` is `trainings.py`, and `bench startup` is
+`startup.py`.
 """
 
 import contextlib
@@ -38,8 +39,8 @@ import mujoco as mj
 import numpy as np
 import other_tables
 import startup as startup
+import trainings as training
 from other_calls import elsewhere, native_rollout, native_subject, with_room, with_servo
-from shares import shares as shares
 
 from humanoid_mjx import compute
 from humanoid_mjx.bench import ground
@@ -195,7 +196,7 @@ def postures(say: Callable[[str], None], setting: Mapping[str, Size] | None = No
         sizes = f"seeds={size.seeds}", f"episodes={size.episodes}", "record=1"
         runs = make_plan(load("posture_switch", sizes)).num_runs
         overrides = *sizes, f"task.physics={physics}"
-        call = with_room(training, *overrides) if physics.startswith("mjx") else training(*overrides)
+        call = with_room(train_postures, *overrides) if physics.startswith("mjx") else train_postures(*overrides)
         subject = Subject(call, runs * size.episodes, runs, repeats=3)
         name = f"{physics} posture_switch"
         timing = time_in_turn({name: subject})[name]
@@ -206,7 +207,7 @@ def postures(say: Callable[[str], None], setting: Mapping[str, Size] | None = No
     return records
 
 
-def training(*overrides: str) -> Callable[[], np.float64]:
+def train_postures(*overrides: str) -> Callable[[], np.float64]:
     """A call that trains the sweep of `posture_switch` so changed, and counts the steps of all its episodes."""
 
     def call() -> np.float64:

@@ -10,10 +10,11 @@ from types import SimpleNamespace
 import numpy as np
 import other_tables
 import pytest
+import trainings as training
 from typer.testing import CliRunner
 
 from humanoid_mjx import InputError, bench, compute
-from humanoid_mjx.bench import compare, ground, measuring, opponents, physics, tabular, training
+from humanoid_mjx.bench import compare, ground, measuring, opponents, physics, tabular
 from humanoid_mjx.bench.measure import Subject, spread, time_in_turn, time_rates
 from humanoid_mjx.cli import app
 from humanoid_mjx.compute import provenance

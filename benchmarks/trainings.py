@@ -11,8 +11,8 @@ the last look at the training.
     success at the end  share of greedy episodes that succeed after training, the mean over seeds
     s to 95 %           wall time, compiling included, until every seed has come to such a point
 
-In a checkout also the shares of an update (`benchmarks/shares.py`). Of `walk_cpu` one seed trains, alone and briefly:
-its rate is that of a run that has all cores.
+Beside them the shares of an update (`shares.py`). Of `walk_cpu` one seed trains, alone and briefly: its rate is that of
+a run that has all cores, its shares are of one.
 `by_seed` has the value of each seed, None where it never came to such a point; `interval` is the 95 % interval of the
 mean over seeds. The greedy episodes that learners are judged by run after training and take none of this time. A config
 that does not ship, or needs brax where that is not installed, is left out.
@@ -30,8 +30,8 @@ import jax
 import numpy as np
 from jax.experimental.compilation_cache import compilation_cache
 from jaxtyping import Float
+from shares import shares
 
-from humanoid_mjx.bench import opponents
 from humanoid_mjx.bench.measure import Record, spread
 from humanoid_mjx.compute.kernels import cpu_kernel
 from humanoid_mjx.config import load
@@ -49,7 +49,7 @@ LEG = ("leg_reach", "leg_reach_linear", "leg_reach_ppo")
 CONFIGS = {"cpu": (*LEG, "walk_cpu"), "gpu": (*LEG, "stand", "stand_ppo")}
 
 BRIEF = {"walk_cpu": 2_000_000}
-"""Control steps of configs of which one seed trains alone and not to the end: only the rate is measured."""
+"""Control steps of configs of which one seed trains alone and not to the end: the rate and the shares are measured."""
 
 
 class Measured(NamedTuple):
@@ -85,8 +85,7 @@ def run(
             trained = sweep(config, Path(folder) / "run")
             compile_s = loads((trained.path / "provenance.json").read_text())["compile_s"]
             found, envs = measure(trained), environments(trained.config.learner)
-            others = opponents()
-            parts = others.shares(make_plan(config).groups[0].learner()) if others else {}
+            parts = shares(make_plan(config).groups[0].learner())
         subject = f"{learner} {config.task['name']}"
         device = jax.devices()[0].device_kind
         common = {"device": device, "batch": envs, "compile_s": compile_s, "repeats": config.seeds}
@@ -101,8 +100,7 @@ def run(
         success = "" if name in BRIEF else f"  {in_words(found)}"
         say(f"{subject:20} {envs:7,} envs  {found.steps_per_s:10.3e} steps/s  {found.episodes_per_s:10.3e} episodes/s"
             f"{success}  compiled in {compile_s:4.1f} s")  # fmt: skip
-        if parts:
-            say(f"{subject:20} of an update {', '.join(f'{share:.0%} is {part}' for part, share in parts.items())}")
+        say(f"{subject:20} of an update {', '.join(f'{share:.0%} is {part}' for part, share in parts.items())}")
     return records
 
 
