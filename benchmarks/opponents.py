@@ -38,8 +38,8 @@ import jax
 import mujoco as mj
 import numpy as np
 import other_tables
-import startup as startup
-import trainings as training
+import startup
+import trainings
 from other_calls import elsewhere, native_rollout, native_subject, with_room, with_servo
 
 from humanoid_mjx import compute
@@ -53,6 +53,9 @@ from humanoid_mjx.robot.legs import make_mjspec
 from humanoid_mjx.tasks import make_task
 from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.sweep import sweep
+
+BENCHES = {"training": trainings.run, "startup": startup.run}
+"""Benchmarks of this folder."""
 
 MASS_ERROR = 0.8
 

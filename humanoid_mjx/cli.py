@@ -71,8 +71,8 @@ def bench(
         list[str] | None,
         Argument(
             metavar="[NAME]...",
-            help="tabular, physics, control, training, startup or all; compare OLD.json NEW.json: two results, with "
-            "exit code 1 where something became slow.",
+            help="tabular, physics, control or all, in a checkout also training and startup; compare OLD.json "
+            "NEW.json: two results, with exit code 1 where something became slow.",
         ),
     ] = None,
     json: Annotated[Path | None, Option(metavar="FILE", help="Write the figures as JSON.")] = None,

@@ -21,7 +21,7 @@ def measuring(name: str) -> Any:
     module, _, function = BENCHES[name].partition(":")
     if module:
         return getattr(import_module(f"humanoid_mjx.bench.{module}"), function)
-    return (others := opponents()) and getattr(others, name).run
+    return (others := opponents()) and others.BENCHES[name]
 
 
 def opponents() -> Any:
