@@ -32,10 +32,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+import opponents
+from other_tables import naive_scan
+from trainings import nothing_compiled
 
 from humanoid_mjx import compute
 from humanoid_mjx.bench import ground, physics, tabular
-from humanoid_mjx.bench.training import nothing_compiled
 from humanoid_mjx.compute import rng
 from humanoid_mjx.config import load
 from humanoid_mjx.tasks import make_task
@@ -133,12 +135,12 @@ def scan() -> Pair:
     """Both train as many agents; the scan, being quicker, for more steps."""
     epsilon = np.linspace(0.1, 0.9, tabular.CPU_BLOCK * jax.local_device_count(), dtype=np.float32)
     ours, naive = 4096, 256
-    return _warm(Pair(tabular.scan(epsilon, ours)[0], tabular.naive_scan(epsilon, naive)[0], ours / naive, repeats=15))
+    return _warm(Pair(tabular.scan(epsilon, ours).call, naive_scan(epsilon, naive).call, ours / naive, repeats=15))
 
 
 def chain() -> Pair:
     """The chain and native MuJoCo, as many legs each; the chain, being quicker, makes five times the steps."""
-    return _warm(Pair(physics.chain(1024, 500, "none"), physics.mujoco(1024, 100), work=5.0, repeats=15))
+    return _warm(Pair(physics.chain(1024, 500, "none"), opponents.mujoco(1024, 100), work=5.0, repeats=15))
 
 
 def start_up() -> Pair:
@@ -177,7 +179,7 @@ def tree(moving: bool = False) -> Pair:
     """As many bodies and steps of both, from the same states to the same set-points under the same servo."""
     steps, states = 50, ground.states_of(2048, moving)
     ours = ground.compiled("tree", *states, steps, ground.MOVING_BLOCK)
-    return _warm(Pair(ours, ground.native(*states, steps)))
+    return _warm(Pair(ours, opponents.native(*states, steps)))
 
 
 def training() -> Pair:
@@ -192,7 +194,7 @@ def training() -> Pair:
     qpos, qvel = (np.asarray(part, np.float64) for part in (world.qpos, world.qvel))
     setpoint = task.posture + np.random.default_rng(1).uniform(-0.2, 0.2, (len(qpos), qvel.shape[1] - 6))
     steps = learner.rollout * task.simulator.substeps(task.period)
-    return _warm(Pair(partial(update, carry), ground.native(qpos, qvel, setpoint, time_steps), steps / time_steps))
+    return _warm(Pair(partial(update, carry), opponents.native(qpos, qvel, setpoint, time_steps), steps / time_steps))
 
 
 def long_program(parts: int) -> Callable[[], Any]:

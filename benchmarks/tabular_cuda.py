@@ -64,7 +64,7 @@ def cuda(epsilon: np.ndarray, steps: int, moves: int = MOVES) -> Made:
         cp.cuda.runtime.deviceSynchronize()
         return finished
 
-    return call, lambda result: float(result.sum())
+    return Made(call, lambda result: float(result.sum()))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -4,13 +4,16 @@ import errno
 import os
 import re
 import sys
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
 import typer
 from typer import Argument, Option
+
+from humanoid_mjx.commands.evaluate import evaluate
+from humanoid_mjx.commands.film import play
+from humanoid_mjx.commands.options import CONFIGS, Override, Point, Trust, trusting
 
 ABOUT = (
     "Batched simulation and Q-learning for the lower body of a humanoid, in JAX.\n\n"
@@ -19,34 +22,6 @@ ABOUT = (
 )
 
 app = typer.Typer(add_completion=True, no_args_is_help=True, pretty_exceptions_enable=False, help=ABOUT)
-
-
-def _shipped(kind: str, ending: str) -> Callable[[str], list[str]]:
-    """Return a function that completes the name of a shipped file; without a match, shells complete paths."""
-
-    def complete(incomplete: str) -> list[str]:
-        from humanoid_mjx.files import names
-
-        return [name for name in names(kind, ending) if name.startswith(incomplete)]
-
-    return complete
-
-
-CONFIGS, POLICIES = _shipped("configs", ".yaml"), _shipped("policies", ".npz")
-
-Override = Annotated[list[str] | None, Option("--set", metavar="KEY=VALUE", help="Change one value of the config.")]
-
-Trust = Annotated[bool, Option("--trust", help="Also run named code from outside the working directory.")]
-
-
-def _trusting(trust: bool, *names: str | Path | None) -> AbstractContextManager[None]:
-    """Allow the code that configs and policies name: all of it if `trust`, else only modules of the user."""
-    from humanoid_mjx.spec import own_modules_only
-
-    return nullcontext() if trust else own_modules_only(*(Path(name) for name in names if name and Path(name).is_dir()))
-
-
-Physics = Annotated[str | None, Option(metavar="NAME", help="Another physics than in training, such as mujoco.")]
 
 
 @app.command()
@@ -96,8 +71,8 @@ def bench(
         list[str] | None,
         Argument(
             metavar="[NAME]...",
-            help="tabular, physics, control, training, startup or all; compare OLD.json NEW.json: two results, with "
-            "exit code 1 where something became slow.",
+            help="tabular, physics, control or all, in a checkout also training and startup; compare OLD.json "
+            "NEW.json: two results, with exit code 1 where something became slow.",
         ),
     ] = None,
     json: Annotated[Path | None, Option(metavar="FILE", help="Write the figures as JSON.")] = None,
@@ -109,64 +84,8 @@ def bench(
     run_bench(names or ["all"], json, seeds)
 
 
-Policy = Annotated[
-    str,
-    Argument(metavar="RUN|POLICY", help="A run folder, a policy file, or a shipped policy.", autocompletion=POLICIES),
-]
-
-Point = Annotated[int | None, Option(min=0, metavar="N", help="A point of a sweep by its number; by default the best.")]
-
-World = Annotated[
-    list[str] | None,
-    Option("--set", metavar="task.KEY=VALUE", help="Change a value of the task, such as task.friction=0.5."),
-]
-
-
-@app.command()
-def evaluate(
-    policies: Annotated[
-        list[str],
-        Argument(metavar="RUN|POLICY...", help="Run folders, policy files, shipped policies.", autocompletion=POLICIES),
-    ],
-    gait: Annotated[bool, Option("--gait", help="Measure the gait under constant commands.")] = False,
-    point: Point = None,
-    set_: World = None,
-    physics: Physics = None,
-    episodes: Annotated[
-        int | None, Option(min=1, max=1_000_000, help="Episodes: 1024 of each agent; with --gait 64 of each command.")
-    ] = None,
-    json: Annotated[Path | None, Option(metavar="FILE", help="Write the results as JSON.")] = None,
-    trust: Trust = False,
-) -> None:
-    """Evaluate policies on held-out episodes, beside a zero and a random agent."""
-    from humanoid_mjx.commands.evaluate import run_evaluate
-
-    with _trusting(trust, *policies):
-        run_evaluate(policies, gait, point, physics, set_ or [], episodes, json)
-
-
-@app.command()
-def play(
-    policy: Policy,
-    point: Point = None,
-    set_: World = None,
-    physics: Physics = None,
-    episode: Annotated[int, Option(metavar="N", min=0, max=10**6, help="Number of the held-out episode.")] = 0,
-    out: Annotated[
-        Path | None, Option(metavar="FILE", help=".gif, .mp4, .webm, .png; by default RUN/figures/play.gif")
-    ] = None,
-    size: Annotated[str | None, Option(metavar="WxH", help="Pixels of each picture, 480x360.")] = None,
-    fps: Annotated[float | None, Option(metavar="N", min=1, max=100, help="Pictures a second, 25.")] = None,
-    view: Annotated[bool, Option("--view", help="Steer the robot in this machine's browser.")] = False,
-    port: Annotated[int | None, Option(min=1, max=65535, help="Port of --view; by default any free one.")] = None,
-    robots: Annotated[int, Option(metavar="N", min=1, max=16, help="Robots in --view, each in its own episode.")] = 1,
-    trust: Trust = False,
-) -> None:
-    """Show a policy as a video or picture of the robot, or steer the robot in the browser."""
-    from humanoid_mjx.commands.play import run_play
-
-    with _trusting(trust, policy):
-        run_play(policy, point, set_ or [], physics, episode, out, size, fps, view, port, robots)
+app.command()(evaluate)
+app.command()(play)
 
 
 @app.command()
@@ -179,7 +98,7 @@ def report(
     """Write one self-contained web page: config, curves, tables, the robot's motion, the command to run it again."""
     from humanoid_mjx.commands.runs import run_report
 
-    with _trusting(trust, run):
+    with trusting(trust, run):
         run_report(run, out, motion)
 
 
@@ -220,7 +139,7 @@ def export(
     """Write a robot as MJCF, or the best policy of a run as .npz or as C."""
     from humanoid_mjx.commands.play import run_export
 
-    with _trusting(trust, what):
+    with trusting(trust, what):
         run_export(what, file, point)
 
 
@@ -246,7 +165,7 @@ def info(
 
     if name and name.endswith(".xml"):
         raise typer.Exit(0 if show_model(name) else 2)
-    with _trusting(trust or ":" in (name or "")):
+    with trusting(trust or ":" in (name or "")):
         show_keys(name) if keys else show_info(name, set_ or [], time)
 
 
@@ -269,14 +188,6 @@ def common(
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 """Errors of a disk that is full, read-only or broken."""
 
-WRONG_KIND = {
-    errno.EEXIST: "a file stands where a folder is wanted",
-    errno.ENOTDIR: "a file stands where a folder is wanted",
-    errno.EISDIR: "a folder stands where a file is wanted",
-    errno.ELOOP: "this is a link that leads to itself",
-}
-"""Words for errors whose own message is misleading."""
-
 LETTERS = 2000
 """Largest length of an error message."""
 
@@ -294,6 +205,8 @@ def main() -> None:
         if getattr(sys, name) is None:  # closed, as some services start programs
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
     os.environ.pop("MUJOCO_GL", None)  # OpenGL is not used, and an unusable value stops MuJoCo's import
+    if not all(word.strip() for word in sys.argv[1:]):
+        _end("a word of the command is empty; write a name there, or leave it out.")
     try:
         sys.exit(app(standalone_mode=False) or 0)
     except UsageError as error:
@@ -310,12 +223,17 @@ def main() -> None:
         os._exit(INTERRUPTED)  # a thread that compiles cannot be interrupted, and Python would wait for it
     except OSError as error:
         place = error.filename
-        what = WRONG_KIND.get(error.errno or 0) or (os.strerror(error.errno) if error.errno else str(error))
+        from humanoid_mjx.environment import of_system
+
         sweeps = error.errno in FULL and "sweep" in sys.argv[1:2]
         goes_on = "; what is stored is valid, and the same command with --resume goes on" if sweeps else ""
-        _end(f"{f'{place}: ' if place else ''}{what}{goes_on}.")
+        _end(f"{f'{place}: ' if place else ''}{of_system(error)}{goes_on}.")
     except Exception as error:
-        from humanoid_mjx.compute.limits import no_device, out_of_memory
+        from humanoid_mjx.environment import unusable
+
+        if words := unusable(error):
+            _end(words)
+        from humanoid_mjx.compute.limits import out_of_memory
         from humanoid_mjx.spec import InputError
         from humanoid_mjx.user_code import in_words, place
 
@@ -323,8 +241,6 @@ def main() -> None:
             _end("the memory does not suffice; make the task, the learner or the number of episodes smaller.")
         if isinstance(error, InputError):
             _end(str(error))
-        if (asked := os.environ.get("JAX_PLATFORMS")) and no_device(error):
-            _end(f"JAX_PLATFORMS={asked}: jax has no such device here; unset it, or set JAX_PLATFORMS=cpu.")
         if place(error):
             _end(f"{in_words(error)}.")
         raise

@@ -10,6 +10,7 @@ import shlex
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from humanoid_mjx.environment import of_system
 from humanoid_mjx.spec import InputError, known
 
 _PACKAGE = Path(__file__).parent
@@ -81,7 +82,7 @@ def refusing(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror or error}.") from error
+        raise InputError(f"{path}: cannot be written: {of_system(error)}.") from error
 
 
 def write_text(path: Path, text: str) -> None:
@@ -169,7 +170,7 @@ def meant(name: str, *wanted: str, folders: Sequence[str] = (".",)) -> str:
         tries += (inside for inside in sorted(path.glob("*")) if inside.is_dir())
         there = {str(each): kind for each in tries for here in folders if (kind := kind_of(Path(here, each)))}
         for place, kind in (("configs", "config"), ("policies", "policy"), ("robots", "robot")):
-            there |= {name: kind} if name in [each.stem for each in folder(place).glob("*")] else {}
+            there |= dict.fromkeys({name, stem} & {each.stem for each in folder(place).glob("*")}, kind)
         found = [each for each, kind in there.items() if kind in wanted and each != name]
         if not found:  # perhaps a letter is wrong
             files = [path.parent / file.name for here in folders for file in Path(here, path.parent).glob("*.*")]

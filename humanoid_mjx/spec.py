@@ -16,15 +16,20 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from importlib.machinery import PathFinder
+from math import inf
 from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar, get_args
 
 import jax
+import numpy as np
 import pydantic
 from pydantic_core import PydanticKnownError
 
 from humanoid_mjx.user_code import in_words
+
+SMALLEST, LARGEST = (float(getattr(np.finfo(np.float32), name)) for name in ("tiny", "max"))
+"""The ends of the numbers that float32 holds in full."""
 
 SomeSpec = TypeVar("SomeSpec", bound="Spec")
 
@@ -43,7 +48,8 @@ def check_folder(file: Path, option: str = "") -> None:
         kind = "folder" if file.is_dir() else "pipe or device"
         raise InputError(f"{option} {file}: this is a {kind}; name a file.".lstrip())
     if not file.parent.is_dir():
-        raise InputError(f"{option} {file}: there is no folder {file.parent}.".lstrip())
+        what = f"{file.parent} is a file and no folder" if file.parent.exists() else f"there is no folder {file.parent}"
+        raise InputError(f"{option} {file}: {what}.".lstrip())
 
 
 def traced(default: Any = ..., **constraints: Any) -> Any:
@@ -86,8 +92,12 @@ class Spec(pydantic.BaseModel):
 
     @pydantic.field_validator("*", mode="before")
     @classmethod
-    def _one_is_an_integer(cls, value: Any, info: Any) -> Any:
-        """Refuse `true` and 1.0 where integers are listed: pydantic compares by `==`, as Python does."""
+    def _numbers_are_what_programs_compute_with(cls, value: Any, info: Any) -> Any:
+        """Refuse numbers that are infinite or 0 in float32; and `true` and 1.0 where integers are listed: pydantic
+        compares by `==`, as Python does."""
+        number = isinstance(value, (int, float)) and value == value and value not in (0, inf, -inf)
+        if number and not SMALLEST <= abs(value) <= LARGEST:  # pydantic refuses what is not finite
+            raise ValueError(f"a number must be 0 or from {SMALLEST:.3g} to {LARGEST:.3g}, got {shown(value)}")
         kinds = (cls.model_fields[info.field_name].annotation,)
         if isinstance(value, (bool, float)) and (numbers := [k for k in _within(kinds) if type(k) is int]):
             raise PydanticKnownError("literal_error", {"expected": ", ".join(map(str, numbers))})
@@ -384,7 +394,10 @@ def sentence(
                 return f"{parents}.{message}".removeprefix(".")
             return f"{key}: {message}".removeprefix(": ")
         case "model_type":
-            return f"{key} must be a {fault['ctx']['class_name']}, got a {type(fault['input']).__name__}."
+            fields = [name for name, field in _fields(model, fault["loc"]).items() if not field.exclude]
+            if "name" in fields:
+                return f"{key} must be a name, or a mapping of keys with a name{got}."
+            return f"{key} must be a mapping of keys{got}; {known('', fields, command)}."
         case "string_pattern_mismatch":
             field = _fields(model, fault["loc"][:-1]).get(fault["loc"][-1])
             meaning = f", {field.description}" if field and field.description else ""

@@ -1,21 +1,16 @@
-"""Steps a second of the lower body on the ground, a servo asked at every step, in every physics that is installed.
+"""Steps a second of the lower body on the ground, a servo asked at every step.
 
 The torso is free, the feet touch the ground, and the servo of the task `stand` drives the joints at its time step of
 4 ms. Calm bodies stand in the task's posture: the contacts of all four corners of both feet are solved in every step.
 Those that end in `moving` are thrown about as in a training, and are the same ones for every subject (`visited`).
 
     tree ground      this package's `Physics` written out as a tree, float32, its solver run to the exact minimum
-    mjx-jax ground   this package's `Physics` on MJX in jax, float32, a few iterations of the solver
-    mjx-jax computed torque ground
-                     the same, where computed torque within the feet's contacts takes the place of the servo
-    mjx-warp ground  the same on MJX with NVIDIA Warp, where warp-lang is installed and the backend is a GPU
-    mujoco ground    native MuJoCo, float64, solved to convergence: `mujoco.rollout`, one thread a core, where the servo
-                     is MuJoCo's own, so that no step waits for Python
+
+The folder `benchmarks` of a checkout adds the other physics: `benchmarks/opponents.py`.
 """
 
-import importlib.util
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache, partial
+from functools import cache
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -24,16 +19,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx import compute
+from humanoid_mjx.bench import opponents
 from humanoid_mjx.bench.measure import (
     Record,
     Subject,
     joined,
-    native_rollout,
-    native_subject,
     on_all_devices,
     time_rates,
-    with_room,
-    with_servo,
 )
 from humanoid_mjx.control import at_rest
 from humanoid_mjx.physics import make_physics
@@ -50,13 +42,7 @@ MOVING_BLOCK = {"cpu": 1024, "gpu": 32_768}
 """The same for the tree where bodies are thrown about. Some need more Newton steps than others: the more bodies a call
 has, the fuller are the blocks into which the solver gathers those."""
 
-MUJOCO_BATCH = 1024
-"""The most bodies that native MuJoCo simulates at once: its rate no longer changes, its stored states would."""
-
 COMPUTED_TORQUE = "mjx-jax computed torque"
-
-MOVING = ("tree", "mjx-jax", "mujoco")
-"""Subjects that also move bodies which are thrown about."""
 
 MOVES, MOVE_STEPS = 10, 50
 """Set-points that a body that is thrown about has had at most, and time steps of each, 0.2 s."""
@@ -89,24 +75,18 @@ SETTINGS = {
 def run(say: Callable[[str], None], setting: Setting | None = None) -> list[Record]:
     """Time every physics that is installed over several numbers of bodies, calm and moving."""
     setting = setting or SETTINGS.get(jax.default_backend(), SETTINGS["gpu"])
-    warp = importlib.util.find_spec("warp") is not None and jax.default_backend() == "gpu"
+    others = opponents()
     records: list[Record] = []
     for batch, moving in product(setting.batches, (False, True)):
         subjects: dict[str, Subject] = {}
         for name, steps in setting.steps.items():
-            subject = f"{name} ground" + " moving" * moving
-            if name == "mujoco":
-                subjects[subject] = native_subject(
-                    partial(mujoco, moving=moving), batch, MUJOCO_BATCH, steps, repeats=REPEATS
-                )
-            elif (name in MOVING or not moving) and (name != "mjx-warp" or warp):
-                # States are made in this process, which has the compiled tree, and sent to that of MJX.
-                states = states_of(batch, moving)
-                if name == "tree":
-                    call = compiled(name, *states, steps, MOVING_BLOCK if moving else BLOCK)
-                else:
-                    call = with_room(compiled, name, *states, steps)
-                subjects[subject] = Subject(call, batch * steps, batch, REPEATS)
+            if name == "tree":
+                call = compiled(name, *states_of(batch, moving), steps, MOVING_BLOCK if moving else BLOCK)
+                subject = Subject(call, batch * steps, batch, REPEATS)
+            else:
+                subject = others.on_ground(name, batch, moving, steps) if others else None
+            if subject is not None:
+                subjects[f"{name} ground" + " moving" * moving] = subject
         records += time_rates("physics", subjects, say, "bodies")
     return records
 
@@ -178,17 +158,3 @@ def _program(subject: str, steps: int, worlds: int) -> Callable[..., Any]:
         return tuple(jnp.where(world.diverged, jnp.nan, part) for part in (world.qpos, world.qvel))
 
     return jax.jit(jax.vmap(simulate), compiler_options=compute.compiler_options(simulator.arithmetic))
-
-
-def mujoco(batch: int, steps: int, moving: bool = False) -> Callable[[], Any]:
-    """`native` from `states_of`."""
-    return native(*states_of(batch, moving), steps)
-
-
-def native(qpos: np.ndarray, qvel: np.ndarray, setpoint: np.ndarray, steps: int) -> Callable[[], Any]:
-    """Native MuJoCo, one thread a core: the positions after so many steps."""
-    task: Stand = make_task("stand", physics="mujoco")
-    servo: Any = task.control
-    model = with_servo(task.simulator.model, np.array([servo.stiffness, servo.damping]))
-    call = native_rollout(model, qpos, qvel, steps, setpoint)
-    return lambda: call()[:, : model.nq]

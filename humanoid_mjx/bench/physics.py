@@ -1,31 +1,23 @@
-"""Steps a second of the leg in simulation, under control and without, against MJX and native MuJoCo.
+"""Steps a second of the leg in simulation, under control and without.
 
 `bench physics`, at 2 ms, followed by the lower body (`ground`) and whole trainings (`postures`):
 
     chain          this package: `dynamics.rollout`, float32, one program per core on a CPU. The controller's model has
                    the mass of every link 20 % off, one up, the next down: nothing of the plant's can be used again.
-    mjx-jax        MJX on the same leg, float32, batched the same way. With the controller, the position and velocity
-                   stages run once a step, and their mass matrix and bias make the torque, so its model can be off only
-                   by one factor (0.8) for all links: less work than the chain does.
-    mjx-jax plain  the same with XLA's default flags, without `compute.XLA_FLAGS`: CPU only
-    mujoco         native MuJoCo, float64: `mujoco.rollout`, one thread a core, without a controller only
 
-`bench control`, at 0.5 ms, on the chain; those that end in mjx-jax are the subjects of `bench physics`:
+`bench control`, at 0.5 ms, on the chain:
 
     none               the dynamics alone
     PD                 a servo without a model
     partitioned PD     with the inertia of every joint in its posture, from a model
     computed torque    with the whole dynamics of a model
 
-A step is one of physics, with its control where there is control. On a CPU, MJX runs in a process of its own.
+A step is one of physics, with its control where there is control. The folder `benchmarks` of a checkout adds MJX and
+native MuJoCo: `benchmarks/opponents.py`.
 """
 
-import contextlib
-import io
-import os
 from collections.abc import Callable, Sequence
 from functools import cache, partial
-from importlib import import_module
 from typing import Any, NamedTuple
 
 import jax
@@ -33,25 +25,19 @@ import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx import compute
-from humanoid_mjx.bench import ground
+from humanoid_mjx.bench import ground, opponents
 from humanoid_mjx.bench.measure import (
     CONTROLLED,
     PLAIN,
     Record,
     Subject,
-    elsewhere,
-    native_rollout,
-    native_subject,
     on_all_devices,
     time_rates,
-    with_room,
 )
-from humanoid_mjx.bench.training import postures
 from humanoid_mjx.control import Reference, at_rest, pd, servo
 from humanoid_mjx.mechanics import dynamics
 from humanoid_mjx.robot.chain import Chain
 from humanoid_mjx.robot.leg import Leg
-from humanoid_mjx.robot.legs import make_mjspec
 
 TIMESTEP, FINE_TIMESTEP = 0.002, 0.0005
 """s. At 2 ms a held torque of the partitioned servo is unstable."""
@@ -60,8 +46,6 @@ KP, KD, GOAL = 70.0, 32.0, 0.5
 MASS_ERRORS = (0.8, 1.2, 0.8, 1.2, 0.8)
 """The controller's model against the leg, link by link: nothing of the leg's can be used again for it."""
 
-MASS_ERROR = 0.8
-
 SERVO_INERTIA = 1e-4
 """kg m^2, for the gains of a servo without a model: that of the lightest motion, so that its steps are stable."""
 
@@ -69,12 +53,6 @@ UNROLL = {"cpu": 1, "gpu": 4}
 """Steps of the chain in one pass of the loop: a GPU waits for the start of each pass."""
 
 CONTROLLERS = ("none", "PD", "partitioned PD", "computed torque")
-ON_MJX = ("none mjx-jax", "computed torque mjx-jax")
-
-MJX_REPEATS = 3
-
-MUJOCO_BATCH = 4096
-"""The most legs that native MuJoCo simulates at once: its rate no longer changes, its stored states would."""
 
 
 class Setting(NamedTuple):
@@ -94,8 +72,9 @@ CONTROL = {"cpu": Setting((1024, 8192), 500, 10), "gpu": Setting((32_768, 1_048_
 
 
 def run(say: Callable[[str], None]) -> list[Record]:
-    """Time the leg, then the lower body on the ground, then training in simulation."""
-    return legs(say) + ground.run(say) + postures(say)
+    """Time the leg, then the lower body on the ground, then, in a checkout, training in simulation."""
+    others = opponents()
+    return legs(say) + ground.run(say) + (others.postures(say) if others else [])
 
 
 def legs(say: Callable[[str], None], setting: Setting | None = None) -> list[Record]:
@@ -122,10 +101,11 @@ def control(say: Callable[[str], None], setting: Setting | None = None) -> list[
             name: Subject(chain(batch, steps, name, FINE_TIMESTEP), batch * steps, batch, unit=_unit(name))
             for name in CONTROLLERS
         }
-        subjects |= {name: _on_mjx(batch, setting, _unit(name)) for name in ON_MJX}
+        if others := opponents():
+            subjects |= others.controlled(batch, setting)
         found = {one.subject: one for one in time_rates("control", subjects, say, "legs")}
         for name, one in found.items():
-            bare = found[ON_MJX[0] if name in ON_MJX else CONTROLLERS[0]]
+            bare = found["none mjx-jax" if name.endswith("mjx-jax") else "none"]
             if one is not bare:
                 say(f"{name}: {1e9 * (1 / one.value - 1 / bare.value):.3g} ns a step for control")
         records += found.values()
@@ -141,20 +121,10 @@ def make_subjects(batch: int, setting: Setting) -> dict[str, Subject]:
     steps = setting.chain_steps
     subjects = {
         "chain with control": Subject(chain(batch, steps, "computed torque"), batch * steps, batch),
-        "mjx-jax with control": _on_mjx(batch, setting, CONTROLLED),
         "chain": Subject(chain(batch, steps, "none"), batch * steps, batch, unit=PLAIN),
-        "mjx-jax": _on_mjx(batch, setting, PLAIN),
-        "mujoco": native_subject(mujoco, batch, MUJOCO_BATCH, setting.mujoco_steps, unit=PLAIN),
     }
-    if jax.default_backend() == "cpu":
-        call = elsewhere(mjx_jax, batch, setting.mjx_steps, True, plain=True)
-        subjects["mjx-jax plain with control"] = Subject(call, batch * setting.mjx_steps, batch, MJX_REPEATS)
-    return subjects
-
-
-def _on_mjx(batch: int, setting: Setting, unit: str) -> Subject:
-    call = with_room(mjx_jax, batch, setting.mjx_steps, unit == CONTROLLED)
-    return Subject(call, batch * setting.mjx_steps, batch, MJX_REPEATS, unit=unit)
+    others = opponents()
+    return subjects | (others.legs(batch, setting) if others else {})
 
 
 def start(batch: int) -> tuple[np.ndarray, np.ndarray]:
@@ -201,47 +171,3 @@ def _controller(name: str, model: Chain) -> Callable[..., Any]:
         "partitioned PD": partitioned_pd,
         "computed torque": computed_torque,
     }[name]
-
-
-def mjx_jax(batch: int, steps: int, controlled: bool) -> Callable[[], Any]:
-    """MJX, with the jax implementation of its physics."""
-    return on_all_devices(_mjx_program(steps, controlled), start(batch))
-
-
-@cache
-def _mjx_program(steps: int, controlled: bool) -> Callable[..., Any]:
-    # Importing MJX tells that warp is missing, and MJX with jax does without it.
-    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-        from mujoco import mjx
-    model = mjx.put_model(_mujoco_model(), impl="jax")
-
-    def step(data: Any, _: Any) -> tuple[Any, None]:
-        if not controlled:
-            return mjx.step(model, data), None
-        data = mjx.fwd_velocity(model, mjx.fwd_position(model, data))
-        wanted = KP * (GOAL - data.qpos) - KD * data.qvel
-        torque = MASS_ERROR * (mjx.full_m(model, data) @ wanted + data.qfrc_bias)
-        data = mjx.fwd_acceleration(model, data.replace(qfrc_applied=torque))
-        return mjx.euler(model, data.replace(qacc=data.qacc_smooth)), None
-
-    def simulate(qpos: jax.Array, qvel: jax.Array) -> tuple[jax.Array, jax.Array]:
-        data = mjx.make_data(model).replace(qpos=qpos, qvel=qvel)
-        data = jax.lax.scan(step, data, length=steps)[0]
-        return data.qpos, data.qvel
-
-    # XLA as it comes is what this process has where `elsewhere` began it so.
-    ours = compute.XLA_FLAGS in os.environ.get("XLA_FLAGS", "")
-    return jax.jit(jax.vmap(simulate), compiler_options=compute.compiler_options("arrays") if ours else None)
-
-
-def mujoco(batch: int, steps: int) -> Callable[[], Any]:
-    """Native MuJoCo, one thread a core: the legs after so many steps."""
-    return native_rollout(_mujoco_model(), *start(batch), steps)
-
-
-def _mujoco_model() -> Any:
-    """The leg, without the stages that find neither contacts nor constraints in it."""
-    mj: Any = import_module("mujoco")
-    model = make_mjspec(Leg.physical(), TIMESTEP).compile()
-    model.opt.disableflags |= mj.mjtDisableBit.mjDSBL_CONSTRAINT | mj.mjtDisableBit.mjDSBL_CONTACT
-    return model

@@ -1,4 +1,4 @@
-"""Training steps and episodes a second of tabular Q-learning on joint 1, against other ways to write it.
+"""Training steps and episodes a second of tabular Q-learning on joint 1.
 
 All subjects train the same agents by the same rules: 24 states, 2 actions, ties broken at random, every transition
 learned from, episodes of at most 500 steps, epsilon decayed per episode and different for every agent, and the
@@ -7,20 +7,19 @@ outcome of every episode added to one of 100 points of a learning curve.
     scan         this package: the learner vmapped, the cheap generator, table accesses promised to be in bounds;
                  on a CPU one program per core
     fused        the same in one kernel, as a sweep runs it; on a CPU on every core
-    naive_scan   the same as one would first write it: jax.random's own keys split in every step, plain indexing
-    python       one agent at a time in plain Python
-    numba        one agent a thread, compiled, fastmath, all cores (where numba is installed)
+
+The folder `benchmarks` of a checkout adds other ways to write it: `benchmarks/opponents.py`.
 """
 
 from collections.abc import Callable, Mapping
-from importlib.util import find_spec
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx import compute, make_learner, make_task
+from humanoid_mjx.bench import opponents
 from humanoid_mjx.bench.measure import Record, Subject, on_devices, record, time_in_turn
 from humanoid_mjx.compute import rng
 from humanoid_mjx.learners.tabular import TabularQ
@@ -44,17 +43,26 @@ CPU_BLOCK = 1024
 """Agents whose state the cache of a core holds."""
 
 
-Made = tuple[Callable[[], Any], Callable[[Any], float]]
-"""A training to time, and a function that counts the episodes in what it returns."""
+class Made(NamedTuple):
+    """A training to time."""
+
+    call: Callable[[], Any]
+    episodes: Callable[[Any], float]
+    """Counts the episodes in what the call returns."""
+    other: Mapping[str, Any] = {}
+    """Fields of its `Subject` that differ: it trains fewer agents, or elsewhere."""
 
 
 def run(say: Callable[[str], None]) -> list[Record]:
     """Time all subjects over several numbers of agents."""
-    absent, records = _absent(say), []
+    others, records = opponents(), []
+    subjects = dict(SUBJECTS)
+    if jax.default_backend() != "cpu" and (why := kernel.why_not(_learner())):
+        say(f"fused: not measured, for {why}")
+        del subjects["fused"]
     for batch in BATCHES.get(jax.default_backend(), BATCHES["gpu"]):
-        makers = {name: make for name, make in SUBJECTS.items() if name not in absent}
+        makers = subjects | (others.tables(say, first=not records) if others else {})
         records += time_trainings(say, batch, makers)
-        absent.add("python")
     return records
 
 
@@ -73,26 +81,15 @@ def time_trainings(
     for name, make in makers.items():
         steps = most if name.startswith(kernels) else min(max(AT_ONCE // batch, least), most)
         made[name] = make(epsilon, steps)
-        subjects[name] = Subject(made[name][0], batch * steps, batch, device="cpu" if name == "numba" else "")
-    if "python" in made:
-        subjects["python"] = Subject(made["python"][0], PYTHON_STEPS, 1, 3, "cpu")
+        own = {"call": made[name].call, "work": batch * steps, "batch": batch}
+        subjects[name] = Subject(**(own | dict(made[name].other)))
     for name, timing in time_in_turn(subjects).items():
-        episodes = made[name][1](timing.result)
+        episodes = made[name].episodes(timing.result)
         records.append(record("tabular", name, subjects[name], timing, "steps/s"))
         records.append(record("tabular", name, subjects[name], timing, "episodes/s", episodes))
         say(f"{name:16} {subjects[name].batch:9,} agents  {records[-2].value:10.3e} steps/s"
             f"  {records[-1].value:10.3e} episodes/s  compiled in {timing.compile_s:4.1f} s")  # fmt: skip
     return records
-
-
-def _absent(say: Callable[[str], None]) -> set[str]:
-    """The subjects that cannot be measured here, once it is said why."""
-    why = {"numba": None if find_spec("numba") else "it is not installed; pip install 'humanoid-mjx[bench]' brings it"}
-    why["fused"] = kernel.why_not(_learner()) if jax.default_backend() != "cpu" else None
-    for name, reason in why.items():
-        if reason:
-            say(f"{name}: not measured, for {reason}")
-    return {name for name, reason in why.items() if reason}
 
 
 def _learner(moves: int = MOVES) -> TabularQ:
@@ -132,122 +129,7 @@ def _shared_out(
     shares = np.array_split(epsilon, len(devices) * blocks)
     states = [[start(device, share) for share in shares[i :: len(devices)]] for i, device in enumerate(devices)]
     call = on_devices(train, states)
-    return call, lambda result: sum(float(state.carry.agents.episode.sum()) for mine in result for state in mine)
+    return Made(call, lambda done: sum(float(state.carry.agents.episode.sum()) for mine in done for state in mine))
 
 
-def naive_scan(epsilon: np.ndarray, steps: int) -> Made:
-    """Q-learning in a scan as one would first write it."""
-    angles = jnp.linspace(-15.0, 100.0, MOVES + 1) * 0.1
-
-    def step(carry, _):
-        q, state, eps, episode, length, total, key, curve = carry
-        key, explore, choice, tie = jax.random.split(key, 4)
-        stay, move = q[state]
-        greedy = jnp.where(stay == move, jax.random.bernoulli(tie), move > stay).astype(jnp.int32)
-        action = jnp.where(jax.random.uniform(explore) < eps, jax.random.randint(choice, (), 0, 2), greedy)
-        following = jnp.minimum(state + action, MOVES)
-        ended = following == MOVES
-        reward = angles[following] + BONUS * ended
-        target = reward + DISCOUNT * jnp.where(ended, 0.0, q[following].max())
-        q = q.at[state, action].add(RATE * (target - q[state, action]))
-        length, total = length + 1, total + reward
-        over = ended | (length >= CAP)
-        outcome = jnp.stack([1.0, length, ended, total])
-        curve = curve.at[episode * POINTS // EPISODES].add(jnp.where(over, outcome, 0.0))
-        state, eps = jnp.where(over, 0, following), jnp.where(over, eps * DECAY, eps)
-        length, total = jnp.where(over, 0, length), jnp.where(over, 0.0, total)
-        return (q, state, eps, episode + over, length, total, key, curve), None
-
-    @jax.jit
-    @jax.vmap
-    def train(eps, key):
-        q = jnp.stack([angles, angles], axis=1)
-        zero = jnp.int32(0)
-        start = q, zero, eps, zero, zero, jnp.float32(0), key, jnp.zeros((POINTS, 4))
-        return jax.lax.scan(step, start, length=steps)[0]
-
-    keys = jax.random.split(jax.random.key(0), len(epsilon))
-    return on_devices(train, [[(epsilon, keys)]]), lambda result: float(result[0][0][3].sum())
-
-
-PYTHON_STEPS = 100_000
-
-
-def python(epsilon: np.ndarray, _: int) -> Made:
-    """One agent in plain Python, for `PYTHON_STEPS`."""
-    import random
-
-    def train() -> int:
-        draw, eps = random.Random(0).random, float(epsilon[len(epsilon) // 2])
-        angles = [(-15.0 + 5.0 * s) * 0.1 for s in range(MOVES + 1)]
-        q = [[x, x] for x in angles]
-        curve = [[0.0] * 4 for _ in range(POINTS)]
-        state = episode = length = 0
-        total = 0.0
-        for _ in range(PYTHON_STEPS):
-            stay, move = q[state]
-            action = int(draw() * 2) if draw() < eps or stay == move else int(move > stay)
-            following = min(state + action, MOVES)
-            ended = following == MOVES
-            reward = angles[following] + BONUS * ended
-            target = reward if ended else reward + DISCOUNT * max(q[following])
-            q[state][action] += RATE * (target - q[state][action])
-            length, total, state = length + 1, total + reward, following
-            if ended or length >= CAP:
-                point = curve[episode * POINTS // EPISODES]
-                for i, x in enumerate((1.0, length, ended, total)):
-                    point[i] += x
-                episode, state, length, total, eps = episode + 1, 0, 0, 0.0, eps * DECAY
-        return episode
-
-    return train, float
-
-
-def numba(epsilon: np.ndarray, steps: int) -> Made:
-    """One agent a thread, compiled by numba with fastmath, on all cores."""
-    import numba as nb  # pyright: ignore[reportMissingImports]
-
-    @nb.njit(parallel=True, fastmath=True)
-    def train(epsilon, steps):
-        finished = np.zeros(len(epsilon), np.int32)
-        curves = np.zeros((len(epsilon), POINTS, 4), np.float32)
-        for agent in nb.prange(len(epsilon)):
-            q = np.empty((MOVES + 1, 2), np.float32)
-            for s in range(MOVES + 1):
-                q[s, 0] = q[s, 1] = np.float32((-15.0 + 5.0 * s) * 0.1)
-            word = np.uint32(agent * 2654435761 + 7) | np.uint32(1)
-            eps, total = epsilon[agent], np.float32(0)
-            state = length = episode = 0
-            for _ in range(steps):
-                # numba widens integers in arithmetic, so every shift is cut back to 32 bits.
-                word = np.uint32(word ^ np.uint32(word << np.uint32(13)))
-                word = np.uint32(word ^ np.uint32(word >> np.uint32(17)))
-                word = np.uint32(word ^ np.uint32(word << np.uint32(5)))
-                if np.float32(word >> np.uint32(8)) * np.float32(2**-24) < eps or q[state, 0] == q[state, 1]:
-                    action = np.int64(word & np.uint32(1))
-                else:
-                    action = np.int64(q[state, 1] > q[state, 0])
-                following = min(state + action, MOVES)
-                reward = np.float32((-15.0 + 5.0 * following) * 0.1)
-                if following == MOVES:
-                    reward += np.float32(BONUS)
-                    target = reward
-                else:
-                    target = reward + np.float32(DISCOUNT) * max(q[following, 0], q[following, 1])
-                q[state, action] += np.float32(RATE) * (target - q[state, action])
-                length, total, state = length + 1, total + reward, following
-                if following == MOVES or length >= CAP:
-                    point = curves[agent, episode * POINTS // EPISODES]
-                    point[0] += 1
-                    point[1] += length
-                    point[2] += following == MOVES
-                    point[3] += total
-                    episode, state, length, total = episode + 1, 0, 0, np.float32(0)
-                    eps *= np.float32(DECAY)
-            finished[agent] = episode
-        return finished
-
-    return lambda: train(epsilon, steps), lambda result: float(result.sum())
-
-
-SUBJECTS: dict[str, Callable[..., Made]] = {make.__name__: make for make in (scan, fused, naive_scan, python, numba)}
+SUBJECTS: dict[str, Callable[..., Made]] = {"scan": scan, "fused": fused}

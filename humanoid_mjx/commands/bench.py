@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ from humanoid_mjx.spec import InputError, check_folder, known
 
 def run_bench(chosen: Sequence[str], file: Path | None, seeds: int | None = None) -> None:
     """`humanoid-mjx bench`."""
-    from humanoid_mjx.bench import BENCHES
+    from humanoid_mjx.bench import BENCHES, measuring
 
     if seeds is not None and not {"training", "all"} & set(chosen):
         raise InputError("bench --seeds: only training has seeds.")
@@ -32,9 +31,10 @@ def run_bench(chosen: Sequence[str], file: Path | None, seeds: int | None = None
     made_by = compute.made_by()  # before the first benchmark: the checkout may change meanwhile
     records: list[dict[str, Any]] = []
     for name in BENCHES if "all" in chosen else chosen:
-        module, _, function = BENCHES[name].partition(":")
-        measure = getattr(import_module(f"humanoid_mjx.bench.{module}"), function)
         console.print(f"{name}:")
+        if (measure := measuring(name)) is None:
+            console.print("  not measured: it is part of a checkout of the repository")
+            continue
         options = {"seeds": seeds} if name == "training" and seeds is not None else {}
         found = measure(lambda line: console.print("  " + line), **options)
         records += [record.as_json() | {"commit": made_by["commit"]} for record in found]

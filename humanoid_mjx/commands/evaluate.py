@@ -1,44 +1,53 @@
 """The command `evaluate`."""
 
-import json
 from collections.abc import Sequence
+from json import dumps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from rich.table import Column, Table
+from typer import Argument, Option
 
-from humanoid_mjx import compute
 from humanoid_mjx.commands import console, start_for
-from humanoid_mjx.files import write_text
-from humanoid_mjx.runs.statistics import Evaluation
-from humanoid_mjx.spec import check_folder
+from humanoid_mjx.commands.options import POLICIES, Physics, Point, Trust, World, trusting
 from humanoid_mjx.training.progress import Bar
 
 if TYPE_CHECKING:
     from humanoid_mjx.evaluation.policy import Trained
+    from humanoid_mjx.runs.statistics import Evaluation
 
 
-def run_evaluate(
-    names: Sequence[str],
-    gait: bool,
-    point: int | None,
-    physics: str | None,
-    overrides: Sequence[str],
-    episodes: int | None,
-    file: Path | None,
+def evaluate(
+    policies: Annotated[
+        list[str],
+        Argument(metavar="RUN|POLICY...", help="Run folders, policy files, shipped policies.", autocompletion=POLICIES),
+    ],
+    gait: Annotated[bool, Option("--gait", help="Measure the gait under constant commands.")] = False,
+    point: Point = None,
+    set_: World = None,
+    physics: Physics = None,
+    episodes: Annotated[
+        int | None, Option(min=1, max=1_000_000, help="Episodes: 1024 of each agent; with --gait 64 of each command.")
+    ] = None,
+    json: Annotated[Path | None, Option(metavar="FILE", help="Write the results as JSON.")] = None,
+    trust: Trust = False,
 ) -> None:
-    """`humanoid-mjx evaluate`."""
-    if file is not None:
-        check_folder(file, "--json")
-    start_for(physics, overrides)
+    """Evaluate policies on held-out episodes, beside a zero and a random agent."""
+    from humanoid_mjx import compute
     from humanoid_mjx.evaluation.evaluate import HELD_OUT_WORDS
+    from humanoid_mjx.files import write_text
+    from humanoid_mjx.spec import check_folder
 
+    if json is not None:
+        check_folder(json, "--json")
+    start_for(physics, set_ or [])
     number = episodes or (64 if gait else 1024)
-    found = (_gaits if gait else _successes)(names, point, physics, overrides, number)
-    if file is not None:
+    with trusting(trust, *policies):
+        found = (_gaits if gait else _successes)(policies, point, physics, set_ or [], number)
+    if json is not None:
         result = compute.made_by() | {"episodes": number, "held_out": HELD_OUT_WORDS, "physics": physics} | found
-        write_text(file, json.dumps(result, indent=None if gait else 2) + "\n")
-        console.print(f"{file}", soft_wrap=True)
+        write_text(json, dumps(result, indent=None if gait else 2) + "\n")
+        console.print(f"{json}", soft_wrap=True)
 
 
 def _successes(
@@ -85,7 +94,7 @@ def _gaits(
     return {"set": settings, "figures": figures, "results": [each.as_json() for each in measured]}
 
 
-def evaluation_table(title: str, evaluations: Sequence[Evaluation]) -> Table:
+def evaluation_table(title: str, evaluations: Sequence["Evaluation"]) -> Table:
     """A table with a row for each evaluation, the intervals beside the numbers."""
     numbers = (Column(f"{name} (95 %)", justify="right") for name in ("success", "return", "steps"))
     table = Table("agent", *numbers, title=title, title_justify="left")
@@ -101,7 +110,7 @@ def evaluation_table(title: str, evaluations: Sequence[Evaluation]) -> Table:
     return table
 
 
-def words_on_returns(policies: Sequence["Trained"], evaluations: Sequence[Evaluation]) -> list[str]:
+def words_on_returns(policies: Sequence["Trained"], evaluations: Sequence["Evaluation"]) -> list[str]:
     """A sentence for each policy that has a lower return than another agent, but only because that one waits: it
     succeeds no more often, and its discounted return is lower. An untrained policy is none."""
     found = []

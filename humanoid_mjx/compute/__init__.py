@@ -4,7 +4,7 @@ from humanoid_mjx.compute.compiles import counting_compiles
 from humanoid_mjx.compute.limits import available_memory, cores, out_of_memory, reserve_memory, why_no_kernel
 from humanoid_mjx.compute.options import XLA_FLAGS, Arithmetic, Options, Program, compiler_options
 from humanoid_mjx.compute.provenance import commit, machine, made_by, versions
-from humanoid_mjx.compute.settings import POOL_THREADS, look_for_garbage_seldom, make_room, start
+from humanoid_mjx.compute.settings import POOL_THREADS, check_settings, look_for_garbage_seldom, make_room, start
 
 __all__ = [
     "POOL_THREADS",
@@ -13,6 +13,7 @@ __all__ = [
     "Options",
     "Program",
     "available_memory",
+    "check_settings",
     "commit",
     "compiler_options",
     "cores",

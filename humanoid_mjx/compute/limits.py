@@ -73,14 +73,6 @@ def out_of_memory(error: BaseException) -> bool:
     return exhausted or isinstance(error, MemoryError)
 
 
-def no_device(error: BaseException) -> bool:
-    """Return whether an error comes of `JAX_PLATFORMS`, which names a kind of device that is not here."""
-    try:
-        return "Unable to initialize backend" in str(error) or not jax.devices()
-    except (RuntimeError, AssertionError):
-        return True
-
-
 def why_no_kernel() -> str | None:
     """Return the reason why kernels that Pallas compiles through Triton do not run here; None where they run."""
     if jax.default_backend() != "gpu":

@@ -34,8 +34,8 @@ def start(*, mjx: bool = False) -> None:
       InputError: jax has computed already.
     """
     cache = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    defaults = {  # a user without a home folder keeps no programs
-        "jax_compilation_cache_dir": None if cache.startswith("~") else str(Path(cache) / "humanoid_mjx" / "xla"),
+    defaults = {
+        "jax_compilation_cache_dir": _made(Path(cache) / "humanoid_mjx" / "xla"),
         "jax_persistent_cache_min_compile_time_secs": 0.1,
         "jax_num_cpu_devices": cores(),
         "jax_default_matmul_precision": "highest",
@@ -52,6 +52,39 @@ def start(*, mjx: bool = False) -> None:
     look_for_garbage_seldom()
     if mjx:
         make_room()
+
+
+LEARNING = {
+    "jax_enable_x64": ((False,), "compute in float32"),
+    "jax_disable_jit": ((False,), "are compiled"),
+    "jax_debug_nans": ((False,), "mark what is not known yet by NaN"),
+    "jax_debug_infs": ((False,), "mark what is not known yet by infinity"),
+    "jax_numpy_dtype_promotion": (("standard",), "mix types of numbers"),
+    "jax_transfer_guard_host_to_device": ((None, "allow", "log", "disallow_explicit"), "take arrays of numpy"),
+}
+"""Settings of jax: the values with which learners train, and why."""
+
+
+def check_settings() -> None:
+    """Check that jax is set so that learners can train.
+
+    Raises:
+      InputError: it is not.
+    """
+    for name, (fit, why) in LEARNING.items():
+        if (value := getattr(jax.config, name)) not in fit:
+            variables = [v for v in (name.upper(), "JAX_TRANSFER_GUARD") if v in os.environ]
+            here = f"{variables[0]}={os.environ[variables[0]]}" if variables else f"{name} is {value}"
+            raise InputError(f"{here}: learners {why}; unset it (physics and mechanics can use it).")
+
+
+def _made(folder: Path) -> str | None:
+    """Make a folder and return its path; None where no file can be written, or the user has no home folder."""
+    try:
+        folder.expanduser().mkdir(parents=True, exist_ok=True)
+    except (OSError, RuntimeError):
+        return None
+    return str(folder) if os.access(folder, os.W_OK) else None
 
 
 def look_for_garbage_seldom() -> None:

@@ -8,13 +8,10 @@ from typing import Any, Literal
 import numpy as np
 import pydantic
 
-from humanoid_mjx.spec import InputError, shown
+from humanoid_mjx.spec import LARGEST, InputError, shown
 
 MAX_POINTS = 100_000
 """Largest number of points of a sweep. Each point is checked, which takes time and kilobytes of memory."""
-
-LARGEST = float(np.finfo(np.float32).max)
-"""The largest float32."""
 
 Axis = list | dict[str, list]
 

@@ -9,11 +9,12 @@ from collections.abc import Sequence
 from contextlib import suppress
 from copy import deepcopy
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pydantic
 
 from humanoid_mjx.config import Config, apply_override, check_overrides, parse
 from humanoid_mjx.files import folder, kind_of, meant, names, refusing, whole_file
@@ -22,7 +23,7 @@ from humanoid_mjx.runs.archive import HEADER, check_finite, read_archive
 from humanoid_mjx.runs.folder import read_config, read_provenance
 from humanoid_mjx.runs.ranking import ranked
 from humanoid_mjx.runs.tables import WHOLE, finished_runs, scores
-from humanoid_mjx.spec import InputError, check_folder, known
+from humanoid_mjx.spec import InputError, check_folder, known, sentence
 from humanoid_mjx.training.plan import MAX_RUNS, make_plan, points_of, resolved, set_dotted
 from humanoid_mjx.training.state import from_arrays, to_arrays
 
@@ -31,6 +32,28 @@ FORMAT = "humanoid_mjx policy, version 1"
 
 OBSERVED = "task.observe", "task.symmetric"
 """Values of tasks that change what a policy observes, but not always how many numbers."""
+
+
+class _Origin(pydantic.BaseModel):
+    """Where a policy comes from: `Trained.origin`."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", strict=True)
+
+    scores: dict[Annotated[str, pydantic.Field(pattern=r"^final\.greedy_\w+$")], float]
+    provenance: dict[str, Any]
+
+
+class _Header(pydantic.BaseModel):
+    """The header of a policy file."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", strict=True)
+
+    format: str
+    name: str
+    point: int = pydantic.Field(ge=0, lt=MAX_RUNS)
+    seed: int = pydantic.Field(ge=0, lt=MAX_RUNS)
+    config: dict[str, Any]
+    origin: _Origin
 
 
 class Trained(NamedTuple):
@@ -148,18 +171,18 @@ def load_policy(path: Path) -> Trained:
     damage = f"this is no policy file{other}"
     text = read_archive(path, ("header",), damage=damage)
     try:
-        header = json.loads(str(text["header"]))
-        version = header["format"]
-        if version == FORMAT:
-            config, origin, name = dict(header["config"]), dict(**header["origin"]), header["name"]
-            point, seed = header["point"], header["seed"]
-            if not isinstance(name, str) or not all(type(x) is int and 0 <= x < MAX_RUNS for x in (point, seed)):
-                raise ValueError("a name that is no text, or a point or seed that is no number of one")
+        data = json.loads(str(text["header"]))
+        version = data["format"]
     except (LookupError, TypeError, ValueError, RecursionError) as error:
         raise InputError(f"{path}: {damage}.") from error
     if version != FORMAT:
         raise InputError(f"{path}: this is a {version!r}, but {FORMAT!r} is wanted; export it again from its run.")
-    parsed = parse(config, str(path))
+    try:
+        header = _Header(**data)
+    except pydantic.ValidationError as error:
+        words = sentence(error, "header", _Header).rstrip(".")
+        raise InputError(f"{path}: {words}; export it again from its run.") from error
+    parsed = parse(header.config, str(path))
     if parsed.sweep:
         raise InputError(f"{path}: its config has a sweep, and a policy has one point.")
     (group,) = make_plan(parsed).groups
@@ -169,7 +192,8 @@ def load_policy(path: Path) -> Trained:
     policy = _policy(like, arrays, f"{path}: this policy")
     if more := sorted(arrays.keys() - text.keys() - to_arrays(policy, "policy").keys()):
         raise InputError(f"{path}: {more[0]}: a policy has no such array; export it again from its run.")
-    return Trained(group.learner(), policy, point, seed, name, parsed, origin)
+    origin = header.origin.model_dump()
+    return Trained(group.learner(), policy, header.point, header.seed, header.name, parsed, origin)
 
 
 def in_world(trained: Trained, physics: str | None, overrides: Sequence[str]) -> Trained:

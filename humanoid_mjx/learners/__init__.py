@@ -2,8 +2,10 @@
 
 from typing import Any, get_args
 
+from humanoid_mjx.compute import check_settings
 from humanoid_mjx.learners.base import Learner
 from humanoid_mjx.spec import InputError, find, make
+from humanoid_mjx.tasks import name_of
 from humanoid_mjx.tasks.base import Task
 
 LEARNERS = {
@@ -18,8 +20,10 @@ def make_learner(name: str, /, task: Task, **params: Any) -> Any:
     """Build the learner called `name` for `task`, or a user's own given as "package.module:Class".
 
     Raises:
-      InputError: unknown name or parameter, a value out of range, or a task of a kind that it cannot learn.
+      InputError: unknown name or parameter, a value out of range, a task of a kind that it cannot learn, or a setting
+        of jax with which no learner trains.
     """
+    check_settings()
     class_for(name, task)
     return make("learner", LEARNERS, Learner, name, task=task, **params)
 
@@ -33,9 +37,9 @@ def class_for(name: str, task: Task) -> type[Learner]:
     cls = find("learner", LEARNERS, Learner, name)
     if isinstance(task, Task) and not isinstance(task, wanted := _kinds(cls)):
         fit = ", ".join(n for n in LEARNERS if isinstance(task, _kinds(find("learner", LEARNERS, Learner, n))))
-        kinds = " or a ".join(kind.__name__ for kind in wanted)
-        given = type(task).__name__
-        raise InputError(f"learner.name: {name} learns a {kinds}, not a {given}; learners for it are {fit}.")
+        kinds = " or ".join(kind.__name__.removesuffix("Task").lower() for kind in wanted)
+        no = f"{name} learns {kinds} tasks, which {name_of(task)} is not"
+        raise InputError(f"learner.name: {no}; learners for it are {fit}.")
     return cls
 
 

@@ -52,7 +52,7 @@ class ChainPhysics(Physics):
 
     robot: ChainRobot = Field(Legs(), description="both legs, or the right one")
     parameters: Literal["physical", "thesis", "matlab_script"] = "physical"
-    timestep: float = Field(0.002, gt=0, le=0.02, description="s")
+    timestep: float = Field(0.002, ge=1e-6, le=0.02, description="s")
     mass: float = traced(1.0, gt=0, description="factor on the mass and the inertia of every link")
     torque_limit: float = traced(1.0, gt=0, description="factor on that of each motor")
 

@@ -30,7 +30,7 @@ class MujocoPhysics(Physics):
     """Supported combinations of ground shapes, each also with a slope; empty: level plane only."""
 
     robot: RobotKey = Field(make_robot("lower_body"), description="the robot that moves")
-    timestep: float | None = Field(None, gt=0, le=0.02, description="s; by default the robot's own")
+    timestep: float | None = Field(None, ge=1e-6, le=0.02, description="s; by default the robot's own")
     mass: float = traced(1.0, gt=0, description="factor on every link's mass and inertia; contacts stay as soft")
     friction: float = traced(1.0, ge=0, description="factor on that of all contacts that have any")
     damping: float = traced(1.0, ge=0, description="factor on that of the joints")
@@ -51,7 +51,7 @@ class MujocoPhysics(Physics):
         if self.terrain and not any(shapes <= set(known) for known in self.terrains):
             known = " or ".join(" with ".join(("slope", *names)) for names in self.terrains) or "none"
             got = " with ".join(sorted(shapes or {"slope"}))
-            raise ValueError(f"terrain: {type(self).__name__} takes {known}, got {got}")
+            raise ValueError(f"terrain: this physics takes {known}, got {got}")
         return self
 
     @property

@@ -28,7 +28,7 @@ from humanoid_mjx.physics.model import MujocoPhysics
 from humanoid_mjx.physics.terrain import add_terrain, follow
 from humanoid_mjx.robot import Robot
 from humanoid_mjx.robot.description import IMU, below, sensing_spec
-from humanoid_mjx.robot.mjcf import checked, name_bodies
+from humanoid_mjx.robot.mjcf import checked, heard, name_bodies
 from humanoid_mjx.robot.touching import FLAGS
 from humanoid_mjx.types import AnyArray
 
@@ -256,10 +256,5 @@ def _on_host(
 def _alone() -> Iterator[None]:
     """One caller at a time, without warnings: worlds that diverge are flagged, but MuJoCo would report them on the
     terminal and in a file, and numpy would warn of numbers too large for float32."""
-    with _LOCK, np.errstate(over="ignore", invalid="ignore"):
-        handler = mujoco.get_mju_user_warning()
-        mujoco.set_mju_user_warning(lambda message: None)
-        try:
-            yield
-        finally:
-            mujoco.set_mju_user_warning(handler)
+    with _LOCK, np.errstate(over="ignore", invalid="ignore"), heard():
+        yield

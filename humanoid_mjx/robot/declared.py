@@ -24,9 +24,21 @@ from humanoid_mjx.files import folder, meant, read_text
 from humanoid_mjx.robot.description import BEND, Robot, Servo, add_motors_and_imu, listed
 from humanoid_mjx.robot.differences import Difference, differences
 from humanoid_mjx.robot.mirror import images
-from humanoid_mjx.robot.mjcf import PLAIN, Quat, checked, content_of, name_bodies, set_upright, turn_at_home
+from humanoid_mjx.robot.mjcf import (
+    A_NUMBER,
+    PLAIN,
+    Quat,
+    checked,
+    content_of,
+    element,
+    name_bodies,
+    no_numbers,
+    option_no_number,
+    set_upright,
+    turn_at_home,
+)
 from humanoid_mjx.robot.motors import driven, motors_on, own_drives
-from humanoid_mjx.robot.touching import balls_of, soles_of, strip
+from humanoid_mjx.robot.touching import any_of_rows, balls_of, soles_of, strip
 from humanoid_mjx.spec import InputError, Spec, known, search_folders, sentence
 
 OWN = re.compile(r"ground|package_imu|.*_point\d+(_contact)?")
@@ -34,6 +46,12 @@ OWN = re.compile(r"ground|package_imu|.*_point\d+(_contact)?")
 
 DAMPING = 0.03
 """Servo damping by stiffness where a description gives none, s."""
+
+SMALLEST, LARGEST = 1e-6, 1e6
+"""Sizes of the numbers of a YAML, N m and the like."""
+
+TIMESTEPS_S = 1e-6, 1.0
+"""Time steps of a model; a physics may take shorter ones than the longest."""
 
 SLACK_DEG = 1.0
 """Largest distance of a posture beyond the range of a joint, degrees."""
@@ -46,6 +64,8 @@ def _numbers(given: Any) -> Any:
     numbers = given if isinstance(given, dict) else {".*": given}
     if any(isinstance(x, bool) or not isinstance(x, (int, float)) or not isfinite(x) for x in numbers.values()):
         raise ValueError(f"a number, or numbers by patterns of joints' names, are needed, got {given!r}")
+    if odd := [x for x in numbers.values() if x and not SMALLEST <= abs(x) <= LARGEST]:
+        raise ValueError(f"a number must be 0 or from {SMALLEST:g} to {LARGEST:g} in size, got {odd[0]:g}")
     for pattern in numbers:
         try:
             re.compile(pattern)
@@ -283,7 +303,7 @@ def _by_kind(mirror: Any, joints: Sequence[str], shares: np.ndarray) -> tuple[fl
 def _load(file: str) -> tuple[mujoco.MjSpec, mujoco.MjModel, tuple[str, ...]]:
     """Return the spec of an MJCF, every body named, its model, and MuJoCo's warnings."""
     what = f"model: {Path(file).name} is no MJCF that MuJoCo takes"
-    spec, _ = checked(lambda: mujoco.MjSpec.from_file(file), what)
+    spec, noted = checked(lambda: mujoco.MjSpec.from_file(file), what)
     name_bodies(spec)
     ours = (part.name for part in (*spec.geoms, *spec.sites) if OWN.fullmatch(part.name))
     if taken := [name for name in ours if (plane := spec.geom(name)) is None or plane.type != GEOM.mjGEOM_PLANE]:
@@ -296,12 +316,23 @@ def _load(file: str) -> tuple[mujoco.MjSpec, mujoco.MjModel, tuple[str, ...]]:
         raise InputError(f"model: a robot is one body with a free joint, and its child bodies; the bodies are: {there}")
     if fault := bad_timestep(spec.option.timestep):
         raise InputError(f"model: {fault}")
-    return spec, model, warned
+    for field, wrong in no_numbers(model):
+        kind, _, name = field.partition("_")
+        where = element(model, kind, int(np.flatnonzero(any_of_rows(wrong))[0]))
+        raise InputError(f"model: the {name} of {where} must be {A_NUMBER}")
+    if option := option_no_number(model):
+        raise InputError(f"model: the option {option} must be {A_NUMBER}")
+    if any("NaN" in words for words in noted):  # MuJoCo takes a mass of NaN for none
+        raise InputError(f"model: {Path(file).name} holds a NaN; write a number in its place")
+    return spec, model, tuple(dict.fromkeys((*noted, *warned)))
 
 
 def bad_timestep(seconds: float) -> str | None:
     """Return the fault of a model's time step, or None."""
-    return None if 0.0 < seconds < inf else f"<option timestep> is {seconds:g}; it must be a number of seconds above 0"
+    shortest, longest = TIMESTEPS_S
+    if shortest <= seconds <= longest:
+        return None
+    return f"<option timestep> is {seconds:g}; it must be from {shortest:g} to {longest:g} s"
 
 
 def _home(home: Any, model: mujoco.MjModel, joints: Sequence[str]) -> Float[np.ndarray, " joints"]:

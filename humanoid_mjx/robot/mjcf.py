@@ -5,7 +5,8 @@ import hashlib
 import json
 import re
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -27,12 +28,24 @@ def checked(function: Callable[[], Any], what: str = "model: MuJoCo cannot compi
     Raises:
       InputError: MuJoCo's error in one line, after `what` is wrong.
     """
-    with warnings.catch_warnings(record=True) as found:
+    with warnings.catch_warnings(record=True) as found, heard() as messages:
         warnings.simplefilter("always")
         try:
-            return function(), tuple(dict.fromkeys(_line(warning.message) for warning in found))
+            result = function()
+            return result, tuple(dict.fromkeys(map(_line, [*(warning.message for warning in found), *messages])))
         except ValueError as error:
             raise InputError(f"{what}: {_line(error).rstrip('.')}.") from error
+
+
+@contextmanager
+def heard() -> Iterator[list[str]]:
+    """Collect the warnings of MuJoCo's C code, which prints them and appends them to a file in the working folder."""
+    messages, before = [], mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(messages.append)
+    try:
+        yield messages
+    finally:
+        mujoco.set_mju_user_warning(before)
 
 
 def _line(message: object) -> str:
@@ -47,6 +60,39 @@ def name_bodies(spec: mujoco.MjSpec) -> None:
         if not body.name:
             body.name = next(name for end in range(len(taken) + 1) if (name := f"body{index}" + "_" * end) not in taken)
             taken.add(body.name)
+
+
+ELEMENTS = {"body", "jnt", "dof", "geom", "pair", "actuator", "tendon"}
+FOLLOW = re.compile(r".*(invweight0|subtreemass|_M0|rbound|aabb|_acc0|length0|lengthrange)$")
+"""Fields of a model that the compiler computes from others."""
+
+
+A_NUMBER = f"a number of at most {mujoco.mjMAXVAL:g}"
+"""Sizes of numbers that MuJoCo simulates."""
+
+
+def no_numbers(model: mujoco.MjModel) -> Iterator[tuple[str, Any]]:
+    """Yield the fields of a model's elements that hold NaN, infinity or more than `A_NUMBER`, and a mask of these."""
+    for field in dir(model):
+        if field.partition("_")[0] in ELEMENTS and not FOLLOW.match(field):
+            values = getattr(model, field)
+            if getattr(values, "dtype", None) == np.float64 and not (fits := np.abs(values) <= mujoco.mjMAXVAL).all():
+                yield field, ~fits
+
+
+def option_no_number(model: mujoco.MjModel) -> str | None:
+    """Return the name of an option of a model that is no `A_NUMBER`, if there is one."""
+    names = (name for name in dir(model.opt) if not name.startswith("_"))
+    return next((name for name in names if not (np.abs(getattr(model.opt, name)) <= mujoco.mjMAXVAL).all()), None)
+
+
+def element(m: mujoco.MjModel, kind: str, row: int) -> str:
+    """Return an element by its name, or by its number and, if it is a motor, by its joint."""
+    kind, row = ("jnt", int(m.dof_jntid[row])) if kind == "dof" else (kind, row)
+    words, name = {"jnt": "joint", "actuator": "motor"}.get(kind, kind), getattr(m, kind)(row).name
+    if not name and kind == "actuator" and m.actuator_trntype[row] == mujoco.mjtTrn.mjTRN_JOINT:
+        return f"{words} {row} of {element(m, 'jnt', int(m.actuator_trnid[row, 0]))}"
+    return f"{words} {name!r}" if name else f"{words} {row}"
 
 
 def content_of(data: Mapping[str, Any], file: Path) -> str:

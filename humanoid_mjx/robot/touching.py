@@ -79,6 +79,11 @@ def kind_of(m: mujoco.MjModel, geom: int) -> str:
     return word(GEOM, m.geom_type[geom]).replace("hfield", "height field")
 
 
+def a(shape: str) -> str:
+    """A shape with its article."""
+    return f"an {shape}" if shape == "ellipsoid" else f"a {shape}"
+
+
 def word(kind: Any, value: Any) -> str:
     """A value of one of MuJoCo's enumerations: `mjGEOM_SPHERE` is "sphere"."""
     return kind(int(value)).name.partition("_")[2].lower()
@@ -133,6 +138,9 @@ def soles_of(model: mujoco.MjModel, feet: Sequence[str], chosen: Sequence[str]) 
     for pair in touching(model):
         for base, geom in ((pair.one, pair.two), (pair.two, pair.one)):
             if any(geom in own for own in geoms) and not model.body_weldid[model.geom_bodyid[base]]:
+                if geom in ground and base in ground[geom][:2]:
+                    both = f"{named(model, base)} and {named(model, geom)}"
+                    raise InputError(f"model: two <pair> are of {both}; keep one of them")
                 fault = _fault(model, data, base) or (geom in ground and "the second ground that it can touch")
                 if fault:
                     raise InputError(
@@ -151,7 +159,7 @@ def soles_of(model: mujoco.MjModel, feet: Sequence[str], chosen: Sequence[str]) 
 def _fault(model: mujoco.MjModel, data: mujoco.MjData, base: int) -> str:
     """Words for a shape of the world that is no level plane at z = 0; none for one."""
     if model.geom_type[base] != GEOM.mjGEOM_PLANE:
-        return f"a {kind_of(model, base)} in the world"
+        return f"{a(kind_of(model, base))} in the world"
     up, height = data.geom_xmat[base, 8], data.geom_xpos[base, 2]
     tilt = np.degrees(np.arccos(np.clip(up, -1.0, 1.0)))
     words = f"at z = {height:.3g} m" if abs(height) > LEVEL else ""
@@ -184,7 +192,7 @@ def balls_of(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> list[tupl
         centers = corners * (size - radius)
     elif kind != GEOM.mjGEOM_SPHERE:
         foot = model.body(model.geom_bodyid[geom]).name
-        what = f"{foot} has a {kind_of(model, geom)}, {model.geom(geom).name!r}"
+        what = f"{foot} has {a(kind_of(model, geom))}, {model.geom(geom).name!r}"
         raise InputError(f"feet: {what}; name geoms that are balls, capsules or boxes")
     rotation = np.empty(9)
     mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])

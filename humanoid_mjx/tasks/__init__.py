@@ -16,6 +16,12 @@ TASKS = {
 }
 
 
+def name_of(task: Task) -> str:
+    """Return the name of a task, of a user's own the name of its class."""
+    cls = type(task)
+    return next((name for name, place in TASKS.items() if place == f"{cls.__module__}:{cls.__name__}"), cls.__name__)
+
+
 def make_task(name: str, /, **params: Any) -> Any:
     """Build the task called `name`, or a user's own given as "package.module:Class".
 

@@ -8,19 +8,22 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import other_tables
 import pytest
+import trainings as training
 from typer.testing import CliRunner
 
-from humanoid_mjx import InputError, compute
-from humanoid_mjx.bench import compare, ground, physics, startup, tabular, training
+from humanoid_mjx import InputError, bench, compute
+from humanoid_mjx.bench import compare, ground, measuring, opponents, physics, tabular
 from humanoid_mjx.bench.measure import Subject, spread, time_in_turn, time_rates
 from humanoid_mjx.cli import app
 from humanoid_mjx.compute import provenance
 from humanoid_mjx.training.sweep import Run
 
 TINY = """
-from humanoid_mjx.bench import tabular
-tabular.BATCHES, tabular.STEPS, tabular.PYTHON_STEPS = {"cpu": (8,), "gpu": (8,)}, (50, 50), 50
+from humanoid_mjx.bench import opponents, tabular
+opponents().other_tables.PYTHON_STEPS = 50
+tabular.BATCHES, tabular.STEPS = {"cpu": (8,), "gpu": (8,)}, (50, 50)
 from humanoid_mjx.cli import main
 main()
 """
@@ -43,11 +46,12 @@ def test_tabular_writes_its_records(tmp_path):
 
 def test_subjects_finish_as_many_episodes(monkeypatch):
     steps = 100_000
-    monkeypatch.setattr(tabular, "PYTHON_STEPS", steps)
+    monkeypatch.setattr(other_tables, "PYTHON_STEPS", steps)
     finished = {}
     for name in ("scan", "naive_scan", "python"):
-        call, count = tabular.SUBJECTS[name](np.full(2, 0.5, np.float32), steps)
-        finished[name] = count(call()) / (1 if name == "python" else 2)
+        make = tabular.scan if name == "scan" else getattr(other_tables, name)
+        made = make(np.full(2, 0.5, np.float32), steps)
+        finished[name] = made.episodes(made.call()) / (1 if name == "python" else 2)
     # Episodes take 23 steps once epsilon has decayed, after some thousand: 4,000 or so of 100,000 steps.
     assert all(abs(n / finished["python"] - 1) < 0.03 for n in finished.values()), finished
 
@@ -56,7 +60,7 @@ def test_control_times_every_controller():
     lines = []
     records = physics.control(lines.append, physics.Setting((1,), 2, 2))  # one leg is on one device, and compiled once
     assert [(r.bench, r.subject) for r in records] == [
-        ("control", name) for name in (*physics.CONTROLLERS, *physics.ON_MJX)
+        ("control", name) for name in (*physics.CONTROLLERS, "none mjx-jax", "computed torque mjx-jax")
     ]
     assert all(r.value > 0 for r in records)
     assert "ns a step for control" in lines[-1] and "ns a step" not in lines[0]
@@ -222,6 +226,7 @@ def test_results_that_differ_are_compared_where_they_agree(tmp_path, monkeypatch
 
 def test_startup_is_measured_with_nothing_compiled_and_again():
     lines = []
+    startup = opponents().startup
     records = startup.run(lines.append, ("joint1",), ("seeds=1",), repeats=1)
     values = {(r.subject, r.unit): r.value for r in records}
     assert len(values) == len(records) and len(lines) == 2
@@ -233,3 +238,15 @@ def test_startup_is_measured_with_nothing_compiled_and_again():
         assert ("share of tracing" in found) == (kind == "joint1 cold")
     with pytest.raises(InputError, match=r"did not come to training: error: .*learner\.nothing"):
         startup.run(lines.append, ("joint1",), ("learner.nothing=1",), repeats=1)
+
+
+def test_an_installed_package_times_itself_alone(monkeypatch, tmp_path):
+    assert measuring("startup") is opponents().startup.run
+    monkeypatch.setattr(bench, "folder", lambda name: tmp_path / name)
+    assert opponents() is None and measuring("startup") is None
+    assert set(physics.make_subjects(1, physics.Setting((1,), 2, 2))) == {"chain with control", "chain"}
+    lines = []
+    monkeypatch.setattr(ground, "visited", ground.states_of)
+    monkeypatch.setattr(ground, "compiled", lambda *_: lambda: np.zeros(2))
+    records = ground.run(lines.append, ground.Setting((1,), {"tree": 2, "mjx-jax": 2, "mujoco": 2}))
+    assert {record.subject for record in records} == {"tree ground", "tree ground moving"}

@@ -6,12 +6,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
 import pytest
 from command_line import told
 from small_sweep import CONFIG
 from typer.testing import CliRunner
 
-from humanoid_mjx import compute
+from humanoid_mjx import compute, make_learner, make_task
 from humanoid_mjx.cli import app
 from humanoid_mjx.spec import InputError
 
@@ -24,13 +25,32 @@ def test_asking_for_help_imports_nothing_heavy(how):
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "[]\n"
 
 
-@pytest.mark.parametrize("platforms", ["cuda", "cpu,foo"])
-def test_a_device_that_is_not_there_gets_one_sentence(platforms):
-    environment = os.environ | {"JAX_PLATFORMS": platforms, "CUDA_VISIBLE_DEVICES": ""}
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ("JAX_PLATFORMS=cuda", "jax has no such device here; unset it, or set JAX_PLATFORMS=cpu."),
+        ("JAX_PLATFORMS=cpu,foo", "jax has no such device here; unset it, or set JAX_PLATFORMS=cpu."),
+        ("JAX_NUM_CPU_DEVICES=0", "jax cannot use this; unset it (Unable to initialize backend 'cpu'"),  # at first use
+        ("JAX_ENABLE_X64=foo", "jax cannot use this; unset it (invalid truth value 'foo'"),  # where jax is imported
+    ],
+)
+def test_a_setting_that_jax_cannot_use_gets_one_sentence(setting, words):
+    name, _, value = setting.partition("=")
+    environment = os.environ | {"JAX_PLATFORMS": "cpu", name: value, "CUDA_VISIBLE_DEVICES": ""}
     command = [sys.executable, "-m", "humanoid_mjx", "info"]
     done = subprocess.run(command, env=environment, capture_output=True, text=True)
-    words = f"error: JAX_PLATFORMS={platforms}: jax has no such device here; unset it, or set JAX_PLATFORMS=cpu."
-    assert done.returncode == 2 and done.stderr.splitlines()[-1] == words and "Traceback" not in done.stderr
+    last = done.stderr.splitlines()[-1]
+    assert done.returncode == 2 and last.startswith(f"error: {setting}: {words}") and "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("enable_x64", True), ("debug_nans", True), ("numpy_dtype_promotion", "strict")]
+)
+def test_settings_with_which_no_learner_trains_are_refused(name, value):
+    task = make_task("joint_reach")
+    with getattr(jax, name)(value), pytest.raises(InputError, match=f"jax_{name} is {value}: learners "):
+        make_learner("tabular_q", task)
+    make_learner("tabular_q", task, episodes=10)
 
 
 def write_config(path, epsilons):

@@ -89,11 +89,14 @@ TYPED = {
     "play dog": "it is a robot: humanoid-mjx info dog shows it",
     "export three x.xml": "unknown robot 'three', but three.yaml is one",
     "info thre.xml": ", but three.xml and three.yaml are",
+    "info dog.yaml": "but dog is one",
+    "play walk --out cart_pole.yaml/y.gif": "cart_pole.yaml is a file and no folder",
+    "sweep cart_pole.yaml --out cart_pole.yaml/y": "a file stands where a folder is wanted",
     "info lower_bodx": "did you mean 'lower_body'?",
     # the pair of task and learner comes first, then the unit of the length; no number is converted
-    "sweep stand --set learner.name=tabular_q": "stand: learner.name: tabular_q learns a FiniteTask, not a Stand; "
-    "learners for it are brax_ppo, deep_q, linear_q",
-    "sweep stand --set learner.name=tabular_q --set episodes=10": "tabular_q learns a FiniteTask, not a Stand",
+    "sweep stand --set learner.name=tabular_q": "stand: learner.name: tabular_q learns finite tasks, which stand is "
+    "not; learners for it are brax_ppo, deep_q, linear_q",
+    "sweep stand --set learner.name=tabular_q --set episodes=10": "tabular_q learns finite tasks, which stand is not",
     "sweep stand_cpu --set episodes=1000": "episodes: deep_q counts control steps of all environments; write "
     "total_steps in its place, as --set episodes=null --set total_steps=N does",
     "sweep joint1 --set learner.name=deep_q": "write total_steps in its place",

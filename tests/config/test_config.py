@@ -86,7 +86,8 @@ BAD = {
     "an axis of too many values": ("[0.1, 0.2]", "{linspace: [0, 1, 2000000000]}", ["from 1 to 100,000"]),
     "a task that the learner cannot learn": (
         "{name: joint_reach, joint: 5, states: 13}", "{name: leg_reach}",
-        ["learner.name: tabular_q learns a FiniteTask, not a LegReach; learners for it are brax_ppo, deep_q, linear_q"],
+        ["learner.name: tabular_q learns finite tasks, which leg_reach is not; "
+         "learners for it are brax_ppo, deep_q, linear_q"],
     ),
     "a task that is no mapping": (
         "{name: joint_reach, joint: 5, states: 13}", "joint_reach", ["task must be a mapping of keys, such as {name"],

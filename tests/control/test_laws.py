@@ -106,7 +106,7 @@ def test_every_law_can_be_traced_in_a_task(law):
         ({"name": "pd", "natural_frequency": 3.0}, r"^task.control.natural_frequency: unknown key"),
         ({"name": "grounded", "share": 2.0}, r"^task.control.share must be at most 1.0, got 2.0"),
         ({"damping_ratio": 0.0}, r"^task.control.damping_ratio must be greater than 0"),
-        (3.0, r"^task.control must be a Law, got a float"),
+        (3.0, r"^task.control must be a name, or a mapping of keys"),
         ("spring:Sprung", r"^task.control.name: 'spring:Sprung' cannot be imported"),
         (":Sprung", r"^task.control.name: ':Sprung' cannot be imported: Empty module name"),
         ("spring:traced", r"^task.control.name: .spring:traced. must be a class derived from .*control.laws.Law"),

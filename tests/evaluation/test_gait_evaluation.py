@@ -174,7 +174,7 @@ def test_all_seeds_of_the_best_point(runs):
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["stand", "--gait"], "the task Stand gives no commands to a body on legs"),
+        (["stand", "--gait"], "the task stand gives no commands to a body on legs"),
         (["RUN", "--gait", "--json", "none/x.json"], "there is no folder none"),
         (["RUN", "--set", "task.frictoin=1"], "task.frictoin: unknown key; did you mean 'friction'"),
         (["RUN", "--set", "learner.epsilon=0"], "a policy stays as it is; change its task, as task.friction=0.5 does"),

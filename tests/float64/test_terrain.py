@@ -131,7 +131,7 @@ def test_a_body_on_a_slope_with_stairs_or_waves_feels_what_it_does_in_native_muj
 
 
 def test_shapes_that_a_physics_lacks_are_refused():
-    with pytest.raises(InputError, match="terrain: Native takes slope with rough or slope with stairs, got rough with"):
+    with pytest.raises(InputError, match="physics takes slope with rough or slope with stairs, got rough with"):
         make_physics("mujoco", terrain={"rough": 0.01, "stairs": 0.01})
-    with pytest.raises(InputError, match="terrain: MjxJax takes slope, got rough"):
+    with pytest.raises(InputError, match="terrain: this physics takes slope, got rough"):
         make_physics("mjx-jax", terrain={"rough": 0.01})

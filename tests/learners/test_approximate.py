@@ -374,7 +374,7 @@ def test_stored_configs_may_hold_retired_keys_at_their_only_value():
         ("linear_q", {"focus": 0.5}, "learner.focus must be at least 1"),
         ("linear_q", {"basis": "fourier"}, "learner.basis: unknown key"),
         ("linear_q", {"resolution": 2000, "order": 2}, "make it coarser"),
-        ("tabular_q", {}, "learner.name: tabular_q learns a FiniteTask"),
+        ("tabular_q", {}, "learner.name: tabular_q learns finite tasks"),
     ],
 )
 def test_bad_values_get_a_sentence(name, values, words):

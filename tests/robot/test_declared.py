@@ -106,6 +106,12 @@ def test_feet_go_where_the_polynomials_of_the_legs_bring_them(name):
         ({"home": {".*_calf": 900}}, r"pet.yaml: home: FR_calf at 900 degrees is beyond its range"),
         ({"home": None}, r"pet.yaml: home: FR_calf at 0 degrees is beyond its range, .*; without this key"),
         ({"home": {".*_calf": float("nan")}}, r"pet.yaml: home: a number, or numbers by patterns"),
+        ({"servo": 80}, r"pet.yaml: servo must be a mapping of keys, got 80; known are damping, stiffness"),
+        ({"servo": {"stiffness": 1e300}}, r"pet.yaml: servo.stiffness: a number must be 0 or from 1"),
+        (
+            {"torque": {".*": 1e-300}},
+            r"torque: a number must be 0 or from 1e-06 to 1e.06 in size, got 1e-300",
+        ),
         ({"servo": {"damping": -1}}, r"pet.yaml: servo.damping: must be at least 0, got -1"),
         ({"servo": {"stiffness": "stiff"}}, r"pet.yaml: servo.stiffness: a number, or numbers by patterns"),
         ({"servo": {"stifness": 3}}, r"pet.yaml: servo.stifness: unknown key; did you mean 'stiffness'"),
@@ -124,20 +130,34 @@ def test_what_does_not_fit_is_said_with_file_and_key(keys, words, tmp_path):
     [
         ("<freejoint/>", "", "a robot is one body with a free joint"),
         ("</worldbody>", '<body name="box"/></worldbody>', "the bodies are: trunk, box"),
-        ("</mujoco>", '<option timestep="nan"/></mujoco>', "<option timestep> is nan; it must be"),
+        ("</mujoco>", '<option timestep="nan"/></mujoco>', "<option timestep> is nan; it must be from 1e-06 to 1 s"),
         ("</mujoco>", '<option timestep="-1"/></mujoco>', "<option timestep> is -1; it must be"),
+        ("<option", '<option gravity="0 0 inf"', "the option gravity must be a number of at most 1e.10"),
+        (
+            'damping="',
+            'frictionloss="inf" damping="',
+            "the frictionloss of joint 'FR_hip' must be a number of at most",
+        ),
+        ('mass="5.2"', 'mass="nan"', "dog.xml holds a NaN; write a number in its place"),
+        (
+            'damping="',
+            'stiffness="1e300" damping="',
+            "the stiffness of joint 'FR_hip' must be a number of at most",
+        ),
         ("<motor ctrlrange=", "<motor user=", "torque: the model has no limit for FR_hip"),
         ('type="sphere"', 'type="cylinder"', "feet: FR_calf has a cylinder"),
         ("</mujoco>", "", "no MJCF that MuJoCo takes: XML"),
     ],
 )
-def test_models_that_are_no_robots_are_refused(old, new, words, tmp_path):
+def test_models_that_are_no_robots_are_refused(old, new, words, tmp_path, monkeypatch):
     def changed(text):
         text = text.replace(old, new)
         return text.replace('size="0.022"', 'size="0.022 0.022"') if "cylinder" in new else text
 
+    monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match=f"pet.yaml: .*{words}"):
         make_robot(files(tmp_path, edit=changed))
+    assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
 
 
 def test_patterns_the_models_own_values_and_defaults(tmp_path):

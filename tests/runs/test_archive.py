@@ -126,25 +126,38 @@ def test_weights_that_are_not_finite_are_refused(policy, tmp_path, said, monkeyp
 
 
 @pytest.mark.parametrize(
-    "change",
+    ("change", "words"),
     [
-        {"point": -5},
-        {"point": 10**30},
-        {"seed": True},
-        {"seed": 1.5},
-        {"name": 7},
-        {"origin": [["scores", {}]]},
-        {"origin": 3},
-        {"config": "walk"},
+        ({"point": -5}, "point must be at least 0, got -5"),
+        ({"point": 10**30}, "point must be less than"),
+        ({"seed": True}, "seed must be a valid integer, got True"),
+        ({"seed": 1.5}, "seed must be a valid integer, got 1.5"),
+        ({"name": 7}, "name must be text, got 7; put it into quotes"),
+        ({"config": "walk"}, "config must be a mapping of keys"),
+        ({"more": 1}, "more: unknown key; known are config, format, name, origin, point, seed"),
+        ({"origin": [["scores", {}]]}, "origin must be"),
+        ({"origin": 3}, "origin must be"),
+        ({"origin": {"scores": {}}}, "origin.provenance: this key is required"),
+        ({"origin": {"scores": {}, "provenance": []}}, "origin.provenance must be a mapping of keys"),
+        (
+            {"origin": {"scores": {}, "provenance": {}, "by": "x"}},
+            "origin.by: unknown key",
+        ),
+        (
+            {"origin": {"scores": {"final.greedy_return": "9"}, "provenance": {}}},
+            "greedy_return must be a valid",
+        ),
+        ({"origin": {"scores": {"best": 9.0}, "provenance": {}}}, "origin.scores.best"),
     ],
 )
-def test_a_header_of_other_types_is_refused(policy, tmp_path, change):
+def test_a_header_of_other_parts_is_refused(policy, tmp_path, change, words):
     _, arrays = policy
     header, path = json.loads(str(arrays["header"])), tmp_path / "odd.npz"
     np.savez(path, **(arrays | {"header": np.array(json.dumps(header | change))}))
     with pytest.raises(InputError) as caught:
         load_policy(path)
-    assert str(caught.value) == f"{path}: this is no policy file, or a truncated or damaged one."
+    said = str(caught.value)
+    assert said.startswith(f"{path}: header.") and words in said and said.endswith("; export it again from its run.")
 
 
 def test_an_array_that_no_policy_has_is_refused(policy, tmp_path):

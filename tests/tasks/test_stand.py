@@ -116,7 +116,7 @@ def test_noisy_sensors_are_seen_and_do_not_move_the_body():
         ({"period": 0.01}, "must be a multiple of the time step of 0.004 s"),
         ({"sensors": {"encoder_noise": -1.0}}, "task.sensors.encoder_noise must be at least 0"),
         ({"stiffness": 3.0}, "task.stiffness: unknown key"),
-        ({"push": 0.2}, "task.push must be a Push, got a float"),
+        ({"push": 0.2}, "task.push must be a mapping of keys, got 0.2; known are every, impulse, least"),
         ({"rewards": {"uprihgt": 1.0}}, "task.rewards.uprihgt: unknown key; did you mean 'upright'"),
         ({"randomise": {"mass": 1.5}}, "task.randomise.mass must be less than 1"),
     ],

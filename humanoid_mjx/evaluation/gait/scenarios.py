@@ -24,6 +24,7 @@ from humanoid_mjx.learners.rollout import AGENTS, agent, decision_keys, start
 from humanoid_mjx.physics.base import World
 from humanoid_mjx.robot import Robot
 from humanoid_mjx.spec import InputError
+from humanoid_mjx.tasks import name_of
 from humanoid_mjx.tasks.base import Task
 from humanoid_mjx.tasks.continuous import State
 from humanoid_mjx.tasks.legged.task import LeggedTask
@@ -95,7 +96,7 @@ def walking_task(task: Task) -> LeggedTask:
     """
     if not isinstance(task, LeggedTask) or task.command is None:
         raise InputError(
-            f"evaluate --gait: the task {type(task).__name__} gives no commands to a body on legs, as walk does."
+            f"evaluate --gait: the task {name_of(task)} gives no commands to a body on legs, as walk does."
         )
     if not task.robot.feet or 2 * len(task.robot.foot_pairs) != len(task.robot.feet):
         raise InputError(f"evaluate --gait: a gait needs right and left feet; give {task.robot.name} the key mirror.")

@@ -11,7 +11,8 @@ import mujoco
 import numpy as np
 
 from humanoid_mjx.robot.description import below
-from humanoid_mjx.robot.touching import FLAGS, Touching, any_of_rows, kind_of, named, pairs_of, touching, word
+from humanoid_mjx.robot.mjcf import A_NUMBER, element, no_numbers, option_no_number
+from humanoid_mjx.robot.touching import FLAGS, Touching, a, any_of_rows, kind_of, named, pairs_of, touching, word
 
 JOINT = mujoco.mjtJoint
 
@@ -87,8 +88,10 @@ def robot_faults(m: mujoco.MjModel) -> list[Fault]:
         "actuator_forcerange": (limited & (m.actuator_forcerange.sum(axis=1) != 0), alike),
         "actuator_ctrllimited": (clamped & unclamped, 'clampctrl="enable"'),
     }
-    endless: Fields = {name: (~np.isfinite(getattr(m, name)), "a finite number") for name in FINITE}
-    return _of_fields(m, endless, "numbers") + _of_fields(m, motors)
+    endless: Fields = {name: (mask, A_NUMBER) for name, mask in no_numbers(m)}
+    option = option_no_number(m)
+    odd = [Fault(f"the option {option}", A_NUMBER, "numbers")] if option else []
+    return odd + _of_fields(m, endless, "numbers") + _of_fields(m, motors)
 
 
 Check = tuple[Any, str, str]
@@ -97,12 +100,6 @@ Check = tuple[Any, str, str]
 Fields = dict[str, Any]
 """By field: what would have to change where it is not 0; or a mask of wrong entries, and what would have to change.
 Older versions of MuJoCo lack some."""
-
-FINITE = (
-    *("body_pos", "body_ipos", "body_mass", "body_inertia", "jnt_pos", "jnt_stiffness", "jnt_margin"),
-    *("dof_armature", "dof_damping", "dof_frictionloss", "geom_pos", "geom_size", "geom_margin", "geom_friction"),
-)
-"""Fields that MuJoCo compiles also with infinite numbers, or NaN."""
 
 TENDONS, ONE_SIGN = "no <tendon> that acts or is driven", "two positive values of solref, or none"
 UNUSED: Fields = {
@@ -129,18 +126,9 @@ def _of_fields(m: mujoco.MjModel, fields: Fields, of: Any = "model") -> list[Fau
         rows, (kind, _, name) = np.flatnonzero(any_of_rows(wrong)), field.partition("_")
         if len(rows):
             count = f" ({len(rows)})" if len(rows) > 1 else ""
-            what = f"the {name} of {_element(m, kind, int(rows[0]))}{count}"
+            what = f"the {name} of {element(m, kind, int(rows[0]))}{count}"
             found.append(Fault(what, change, "motors" if kind == "actuator" else of))
     return found
-
-
-def _element(m: mujoco.MjModel, kind: str, row: int) -> str:
-    """An element by its name, or by its number and, if it is a motor, by its joint."""
-    kind, row = ("jnt", int(m.dof_jntid[row])) if kind == "dof" else (kind, row)
-    words, name = {"jnt": "joint", "actuator": "motor"}.get(kind, kind), getattr(m, kind)(row).name
-    if not name and kind == "actuator" and m.actuator_trntype[row] == mujoco.mjtTrn.mjTRN_JOINT:
-        return f"{words} {row} of {_element(m, 'jnt', int(m.actuator_trnid[row, 0]))}"
-    return f"{words} {name!r}" if name else f"{words} {row}"
 
 
 def _of_structure(m: mujoco.MjModel, sensing: bool) -> Iterator[Check]:
@@ -200,7 +188,7 @@ def _of_pair(m: mujoco.MjModel, data: mujoco.MjData, pair: Touching) -> Iterator
     if (two not in GROUND_SHAPES) if one == "plane" else ((one, two) not in PAIRS):
         shapes = ", ".join(GROUND_SHAPES) if one == "plane" else "spheres and capsules"
         masks = "contype and conaffinity that keep them apart"
-        yield f"contacts of {_a(one)} and {_a(two)}", f"{shapes} in their place, or {masks}"
+        yield f"contacts of {a(one)} and {a(two)}", f"{shapes} in their place, or {masks}"
     if one == two == "capsule" and _stay_parallel(m, data, pair):
         yield "two contacts of capsules that stay parallel", "one of them turned by a hundredth of a degree"
     if pair.condim not in (1, 3):
@@ -219,7 +207,3 @@ def _stay_parallel(m: mujoco.MjModel, data: mujoco.MjData, pair: Touching) -> bo
     turning = between[m.jnt_type[between] != JOINT.mjJNT_SLIDE]
     axes = np.concatenate([two[None], data.xaxis[turning]])
     return bool((m.jnt_type[turning] == JOINT.mjJNT_HINGE).all() and (np.abs(np.cross(one, axes)) < PARALLEL).all())
-
-
-def _a(shape: str) -> str:
-    return f"an {shape}" if shape == "ellipsoid" else f"a {shape}"

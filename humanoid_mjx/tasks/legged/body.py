@@ -64,7 +64,7 @@ class LeggedBody(ContinuousTask):
         0.0, ge=0, lt=1, description="exponential smoothing of the offsets: weight of the last one"
     )
     period: float = Field(0.02, gt=0, le=1, description="s between decisions")
-    timestep: float = Field(0.004, gt=0, le=0.02, description="s of physics and control law")
+    timestep: float = Field(0.004, ge=1e-6, le=0.02, description="s of physics and control law")
     mass: float = traced(1.0, gt=0, le=10, description="factor on links' mass and inertia; contacts stay as soft")
     friction: float = traced(
         1.0, ge=0, le=10, description="factor on that of the feet on the ground; below 0.05 float32 misses contacts"
@@ -76,7 +76,8 @@ class LeggedBody(ContinuousTask):
     @classmethod
     def _a_robot_brings_its_servo(cls, data: Any) -> Any:
         """A robot that has a servo of its own is driven by it, unless another law is asked for."""
-        if isinstance(data, dict) and "robot" in data and "control" not in data:
+        written = isinstance(data, dict) and isinstance(data.get("robot"), (str, dict, Robot))
+        if written and "control" not in data:
             robot = pydantic.TypeAdapter(RobotKey).validate_python(data["robot"])
             data = data | {"robot": robot} | ({"control": RobotServoLaw()} if robot.servo else {})
         return data

@@ -10,11 +10,9 @@ the last look at the training.
                         seeds: of all figures the one that another machine, or a busy one, does not change
     success at the end  share of greedy episodes that succeed after training, the mean over seeds
     s to 95 %           wall time, compiling included, until every seed has come to such a point
-    share of physics    of the time of an update of one seed on one device; the three add up to one
-    share of the task   what its decisions take beyond the physics: sensors, rewards, resets
-    share of learning   the rest: choosing actions, targets, gradients
 
-Of `walk_cpu` one seed trains, alone and briefly: its rate is that of a run that has all cores, its shares are of one.
+Beside them the shares of an update (`shares.py`). Of `walk_cpu` one seed trains, alone and briefly: its rate is that of
+a run that has all cores, its shares are of one.
 `by_seed` has the value of each seed, None where it never came to such a point; `interval` is the 95 % interval of the
 mean over seeds. The greedy episodes that learners are judged by run after training and take none of this time. A config
 that does not ship, or needs brax where that is not installed, is left out.
@@ -22,7 +20,6 @@ that does not ship, or needs brax where that is not installed, is left out.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import partial
 from importlib.util import find_spec
 from json import loads
 from pathlib import Path
@@ -30,22 +27,16 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.experimental.compilation_cache import compilation_cache
 from jaxtyping import Float
+from shares import shares
 
-from humanoid_mjx import compute
-from humanoid_mjx.bench.measure import Record, Subject, record, spread, time_in_turn, with_room
-from humanoid_mjx.compute import rng
+from humanoid_mjx.bench.measure import Record, spread
 from humanoid_mjx.config import load
-from humanoid_mjx.control import at_rest
 from humanoid_mjx.files import names
 from humanoid_mjx.kernels import cpu_kernel
-from humanoid_mjx.learners import Learner
-from humanoid_mjx.physics.base import World
 from humanoid_mjx.runs.statistics import mean_interval
-from humanoid_mjx.tasks.continuous import State, auto_reset
 from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.programs import programs
 from humanoid_mjx.training.sweep import Run, sweep
@@ -111,40 +102,6 @@ def run(
             f"{success}  compiled in {compile_s:4.1f} s")  # fmt: skip
         say(f"{subject:20} of an update {', '.join(f'{share:.0%} is {part}' for part, share in parts.items())}")
     return records
-
-
-def shares(learner: Learner) -> dict[str, float]:
-    """Shares of an update's time that physics, the rest of the task and learning take, timed in turn on one device."""
-    env: Any = learner.env
-    options = compute.compiler_options(env.arithmetic, learner.program)
-    update = jax.jit(learner.train_step, compiler_options=options)
-    carry, _ = update(jax.jit(learner.init)(rng.key(0)))
-    state, count = carry.envs.state, len(carry.envs.episode)
-    length = round(float(learner.progress(carry)) * float(learner.budget)) // count
-    law = env.control.of(env.robot) if hasattr(env, "robot") else env.control
-    hold = law.follow(at_rest(jnp.asarray(env.simulator.joint_ranges.mean(axis=1), float)))
-
-    def decide(state: State, key: jax.Array) -> State:
-        command = jax.random.uniform(key, (len(env.action_bins),), minval=-1.0)
-        return auto_reset(env, env.step_continuous(state, command, key), key)
-
-    def simulate(world: World, _: jax.Array) -> World:
-        return env.simulator.run(world, hold, env.simulator.substeps(env.period))
-
-    def repeated(step: Callable[[Any, jax.Array], Any], first: Any) -> Subject:
-        def all_of_them(now: Any, key: jax.Array) -> tuple[Any, None]:
-            return jax.vmap(step)(now, jax.random.split(key, count)), None
-
-        call = jax.jit(partial(jax.lax.scan, all_of_them), compiler_options=options)
-        return Subject(partial(call, first, jax.random.split(rng.key(1), length)), 1.0, count)
-
-    subjects = {"physics": repeated(simulate, state.data.world), "task": repeated(decide, state)}
-    subjects["update"] = Subject(partial(update, carry), 1.0, count)
-    times = np.array([timing.seconds for timing in time_in_turn(subjects).values()])
-    # A part that noise lets seem larger than the whole is all of it.
-    physics, task, whole = np.maximum.accumulate(times)
-    parts = {"physics": physics, "the task": task - physics, "learning": whole - task}
-    return {name: float(seconds / whole) for name, seconds in parts.items()}
 
 
 def figures(found: Measured) -> list[dict[str, Any]]:
@@ -232,51 +189,3 @@ def _set_cache(settings: Mapping[str, Any]) -> None:
     for name, value in settings.items():
         jax.config.update(name, value)
     compilation_cache.reset_cache()
-
-
-class Size(NamedTuple):
-    """Size of a training: seeds of every point of the config's sweep, and episodes of each run."""
-
-    seeds: int
-    episodes: int
-
-
-POSTURES: dict[str, Mapping[str, Size]] = {
-    "cpu": {"chain": Size(32, 60), "mjx-jax": Size(2, 4)},
-    "gpu": {"chain": Size(256, 60), "mjx-jax": Size(256, 10)},
-}
-
-
-def postures(say: Callable[[str], None], setting: Mapping[str, Size] | None = None) -> list[Record]:
-    """Time the whole of training tables on `posture_switch` in each physics, by the values of the config of that name.
-
-    Every call is a sweep, from the first episode to the tables on disk. An episode is short once a table is good, so
-    that the steps a second, one for each decision of the learner, stand beside it; each is 40 control steps of two
-    legs. Fewer runs and episodes than the config's are trained where a physics is slow.
-    """
-    setting = setting or POSTURES.get(jax.default_backend(), POSTURES["gpu"])
-    records: list[Record] = []
-    for physics, size in setting.items():
-        sizes = f"seeds={size.seeds}", f"episodes={size.episodes}", "record=1"
-        runs = make_plan(load("posture_switch", sizes)).num_runs
-        overrides = *sizes, f"task.physics={physics}"
-        call = with_room(training, *overrides) if physics.startswith("mjx") else training(*overrides)
-        subject = Subject(call, runs * size.episodes, runs, repeats=3)
-        name = f"{physics} posture_switch"
-        timing = time_in_turn({name: subject})[name]
-        records.append(record("physics", name, subject, timing, "episodes/s"))
-        records.append(record("physics", name, subject, timing, "steps/s", float(timing.result)))
-        say(f"{name:22} {runs:9,} runs  {records[-2].value:10.3e} episodes/s  {records[-1].value:10.3e} steps/s"
-            f"  compiled in {timing.compile_s:4.1f} s")  # fmt: skip
-    return records
-
-
-def training(*overrides: str) -> Callable[[], np.float64]:
-    """A call that trains the sweep of `posture_switch` so changed, and counts the steps of all its episodes."""
-
-    def call() -> np.float64:
-        with TemporaryDirectory() as folder:
-            results = sweep("posture_switch", Path(folder) / "run", overrides=overrides).results
-        return np.sum(results["steps"] * results["episode"], dtype=np.float64)
-
-    return call

@@ -1,0 +1,82 @@
+"""The command `play`."""
+
+import re
+from contextlib import suppress
+from pathlib import Path
+from typing import Annotated
+
+from typer import Option
+
+from humanoid_mjx.commands import console, start_for
+from humanoid_mjx.commands.options import Physics, Point, Policy, Trust, World, trusting
+from humanoid_mjx.training.progress import Bar
+
+
+def play(
+    policy: Policy,
+    point: Point = None,
+    set_: World = None,
+    physics: Physics = None,
+    episode: Annotated[int, Option(metavar="N", min=0, max=10**6, help="Number of the held-out episode.")] = 0,
+    out: Annotated[
+        Path | None, Option(metavar="FILE", help=".gif, .mp4, .webm, .png; by default RUN/figures/play.gif")
+    ] = None,
+    size: Annotated[str | None, Option(metavar="WxH", help="Pixels of each picture, 480x360.")] = None,
+    fps: Annotated[float | None, Option(metavar="N", min=1, max=100, help="Pictures a second, 25.")] = None,
+    view: Annotated[bool, Option("--view", help="Steer the robot in this machine's browser.")] = False,
+    port: Annotated[int | None, Option(min=1, max=65535, help="Port of --view; by default any free one.")] = None,
+    robots: Annotated[int, Option(metavar="N", min=1, max=16, help="Robots in --view, each in its own episode.")] = 1,
+    trust: Trust = False,
+) -> None:
+    """Show a policy as a video or picture of the robot, or steer the robot in the browser."""
+    from humanoid_mjx.spec import InputError
+
+    set_ = set_ or []
+    if view and (out or size or fps):
+        raise InputError("play: --view shows the robot in the browser; --out, --size, --fps are of a file: choose one.")
+    if view and physics not in (None, "mujoco"):
+        raise InputError(f"--physics {physics}: --view moves the robot in native MuJoCo; leave this out.")
+    if view and any(override.startswith("task.terrain") for override in set_):
+        raise InputError("--set task.terrain: --view has a slope to set and no other ground; --out shows a terrain.")
+    if port is not None and not view:
+        raise InputError("--port: only --view has a server.")
+    if robots > 1 and not view:
+        raise InputError("--robots: a film shows one robot; add --view.")
+    pixels = _pixels(size) if size else None
+    start_for(physics, set_)
+    import jax
+
+    from humanoid_mjx.commands.notebook import film
+    from humanoid_mjx.evaluation.live import Live
+    from humanoid_mjx.evaluation.policy import find_policy, in_world, on_plane
+    from humanoid_mjx.report.live import serve
+    from humanoid_mjx.report.rendering import FPS, check_file
+
+    if physics in (None, "mujoco"):
+        jax.config.update("jax_platforms", "cpu")  # one robot in native MuJoCo gains nothing by a GPU
+    if out is not None:
+        check_file(out)
+    with trusting(trust, policy):
+        if view:
+            with Bar(console) as bar:
+                bar.phase("loading")
+                trained = on_plane(in_world(find_policy(policy, point), physics, set_))
+            with suppress(KeyboardInterrupt):
+                serve(Live(trained, episode, robots), console.print, port=port or 0)
+            return
+        with Bar(console) as bar:
+            bar.phase("loading")
+            found = film(policy, bar, point, episode, physics, set_, out, fps=fps or FPS, size=pixels)
+    console.print(found.words)
+    console.print(f"{found.path}", soft_wrap=True)
+
+
+def _pixels(size: str) -> tuple[int, int]:
+    """Width and height of `--size`."""
+    from humanoid_mjx.spec import InputError
+
+    found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", size)
+    width, height = (int(number) for number in found.groups()) if found else (0, 0)
+    if not all(64 <= number <= 4096 and number % 2 == 0 for number in (width, height)):
+        raise InputError(f"--size {size}: write WIDTHxHEIGHT, such as 640x480: even numbers from 64 to 4096.")
+    return width, height
