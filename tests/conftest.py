@@ -83,12 +83,17 @@ def said(monkeypatch, capfd):
     return call
 
 
-LONGEST = {"test_config.py", "test_docs.py", "test_gait_evaluation.py", "test_processes.py", "test_tree.py"}
-"""Files that begin first, so that no worker ends with one while the other has nothing left to do."""
+LONGEST = (
+    *("kernel", "gait_evaluation", "docs", "live", "bench", "control_experiments", "shipped_policies", "play"),
+    *("ground_experiments", "physics", "processes", "tree", "legged", "evaluate", "config", "verdicts", "several_gpus"),
+    *("leg_experiments", "posture_switch", "kept", "slurm", "sweep", "live_push"),
+)
+"""Files that begin first, the longest before all, so that no worker ends with one while the other has nothing to do."""
 
 
 def pytest_collection_modifyitems(items):
-    items.sort(key=lambda item: item.path.name not in LONGEST)
+    order = {f"test_{name}.py": place for place, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: order.get(item.path.name, len(LONGEST)))
 
 
 def pytest_collection_finish():
