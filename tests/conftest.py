@@ -21,6 +21,7 @@ import humanoid_mjx.mechanics.scalars  # noqa: F401
 
 # The hook rewrites every module: once for all processes, and none of them looks for garbage in what it imports.
 sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # nor does each process that tests start compile the package
 gc.set_threshold(50_000)
 install_import_hook("humanoid_mjx", "typecheck.check")
 
