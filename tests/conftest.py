@@ -8,7 +8,7 @@ from pathlib import Path
 os.environ.setdefault("JAX_NUM_CPU_DEVICES", "2")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parent.parent / ".pytest_cache" / "xla"))
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 
 import hypothesis
 import jax
@@ -21,6 +21,7 @@ import humanoid_mjx.mechanics.scalars  # noqa: F401
 
 # The hook rewrites every module: once for all processes, and none of them looks for garbage in what it imports.
 sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # nor does each process that tests start compile the package
 gc.set_threshold(50_000)
 install_import_hook("humanoid_mjx", "typecheck.check")
 
@@ -83,12 +84,17 @@ def said(monkeypatch, capfd):
     return call
 
 
-LONGEST = {"test_config.py", "test_docs.py", "test_gait_evaluation.py", "test_processes.py", "test_tree.py"}
-"""Files that begin first, so that no worker ends with one while the other has nothing left to do."""
+LONGEST = (
+    *("kernel", "gait_evaluation", "docs", "live", "bench", "control_experiments", "shipped_policies", "play"),
+    *("ground_experiments", "physics", "processes", "tree", "legged", "evaluate", "config", "verdicts", "several_gpus"),
+    *("leg_experiments", "posture_switch", "kept", "slurm", "sweep", "live_push"),
+)
+"""Files that begin first, the longest before all, so that no worker ends with one while the other has nothing to do."""
 
 
 def pytest_collection_modifyitems(items):
-    items.sort(key=lambda item: item.path.name not in LONGEST)
+    order = {f"test_{name}.py": place for place, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: order.get(item.path.name, len(LONGEST)))
 
 
 def pytest_collection_finish():

@@ -1,14 +1,17 @@
-"""A reader of one page of the documentation, who types all that stands there: `python docs_reader.py PAGE`.
+"""A reader of pages of the documentation, who types all that stands there: `python docs_reader.py FOLDER PAGE ...`.
 
-It works in the current folder, in a process of its own. Files that the page names are written there, Python is run, and
+Each page is read by a process of its own, in a folder of its own below FOLDER. The processes are copies of one that
+has imported jax and computed nothing. Files that the page names are written there, Python is run, and
 commands are read as the command line reads them, without being carried out: their options, and the names of configs,
 policies, run folders, experiments and benchmarks must exist.
 """
 
 import contextlib
+import os
 import re
 import shlex
 import sys
+import traceback
 from pathlib import Path
 from typing import NamedTuple
 
@@ -174,5 +177,32 @@ def read(page):
             exec(compile(block.text, f"{page.name}, a block", "exec"), variables)
 
 
+def read_each(folder, pages):
+    """Read each page in `folder`/NUMBER, and write there what happened: into `code` and `said`."""
+    import jax  # noqa: F401
+    import matplotlib  # noqa: F401
+    import mujoco  # noqa: F401
+
+    for number, page in enumerate(pages):
+        place = folder / str(number)
+        place.mkdir()
+        if not os.fork():
+            os.chdir(place)
+            with open("said", "w") as said:
+                for stream in (1, 2):
+                    os.dup2(said.fileno(), stream)
+            code = 1
+            try:
+                read(page)
+                code = 0
+            except BaseException:
+                traceback.print_exc()
+            finally:
+                sys.stdout.flush()
+                sys.stderr.flush()
+                os._exit(code)
+        (place / "code").write_text(str(os.waitstatus_to_exitcode(os.wait()[1])))
+
+
 if __name__ == "__main__":
-    read(Path(sys.argv[1]))
+    read_each(Path(sys.argv[1]), [Path(page) for page in sys.argv[2:]])

@@ -19,7 +19,7 @@ CONFIG = {
 LONG = {
     "task": CONFIG["task"] | {"joint": 1, "states": 24, "max_episode_steps": 400},
     "sweep": {"axes": {"learner.discount": [0.5, 0.97], "learner.epsilon": [0.3, 0.6, 1.0]}},
-    "episodes": 3000,
+    "episodes": 1000,
     "seeds": 15,
 }
 """Half of these runs wait before the goal and take 20 times as long as the others: a kill finds them half done."""

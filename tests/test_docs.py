@@ -40,22 +40,35 @@ def test_figures_of_pages_are_those_of_the_records():
     assert set(re.findall(r"<!-- record: (\w+) -->", "".join(TEXTS.values()))) == set(build.FIGURES)
 
 
-@pytest.mark.parametrize("name", TYPED)
-def test_what_a_reader_types_works(name, tmp_path, monkeypatch):
-    if re.search(r"```python|title=", TEXTS[name]) and name not in COMMANDS_ONLY:
-        in_a_process_of_its_own(PAGES[name], tmp_path)
-    else:
-        monkeypatch.chdir(tmp_path)
-        monkeypatch.setattr(compute, "start", lambda **_: None)
-        type_commands(TEXTS[name])
-        for block in blocks(TEXTS[name]):
-            if block.language == "python":
-                ast.parse(block.text, name)
+RUN = [name for name in TYPED if re.search(r"```python|title=", TEXTS[name]) and name not in COMMANDS_ONLY]
+"""Pages whose Python is run."""
 
 
-def in_a_process_of_its_own(page, folder):
-    """A reader's: with the page's Python, where nothing is imported yet."""
-    run_alone([str(ROOT / "tests" / "docs_reader.py"), str(page)], folder)
+@pytest.fixture(scope="module")
+def readings(tmp_path_factory):
+    """The exit code of a reader of each page in `RUN`, and what the reader saw; nothing is imported there before."""
+    folder = tmp_path_factory.mktemp("pages")
+    run_alone([str(ROOT / "tests" / "docs_reader.py"), str(folder), *(str(PAGES[name]) for name in RUN)], folder)
+    places = [folder / str(number) for number in range(len(RUN))]
+    return {
+        name: [(place / file).read_text() for file in ("code", "said")] for name, place in zip(RUN, places, strict=True)
+    }
+
+
+@pytest.mark.parametrize("name", RUN)
+def test_python_of_a_page_works(name, readings):
+    code, said = readings[name]
+    assert code == "0", said[-5000:]
+
+
+@pytest.mark.parametrize("name", [name for name in TYPED if name not in RUN])
+def test_commands_of_a_page_exist(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(compute, "start", lambda **_: None)
+    type_commands(TEXTS[name])
+    for block in blocks(TEXTS[name]):
+        if block.language == "python":
+            ast.parse(block.text, name)
 
 
 def run_alone(arguments, folder):

@@ -36,7 +36,7 @@ KILLABLE = """
 import signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a suite in the background of a shell ignores it
 from humanoid_mjx.training import pool, session
-session.CHECKPOINT_EVERY_S, pool.HARVEST_SHARE, pool.HARVEST_AFTER_S = 0.2, 0.1, 0.5
+session.CHECKPOINT_EVERY_S, pool.CHUNK_S, pool.HARVEST_SHARE, pool.HARVEST_AFTER_S = 0.05, 0.02, 0.1, 0.5
 from humanoid_mjx.cli import main
 main()
 """

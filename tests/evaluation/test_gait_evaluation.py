@@ -167,8 +167,9 @@ def test_all_seeds_of_the_best_point(runs):
     assert float(changed.learner.task.friction) == 0.5 and float(changed.learner.task.randomise.mass) == np.float32(0.3)
     assert best.config.task["randomise"] is None and best.learner.task.randomise is None
     one = jax.tree.map(lambda x: x[None], best.policy)
-    gaits = gaits_of(play_worlds([calm(best.learner)], one, ASKED[:1], 2, 0.3)[0], ASKED[:1])
-    assert [gait.scenario for gait in gaits] == ["stand"] and len(gaits[0].figures["drift"].seeds) == 1
+    gaits = gaits_of(play_worlds([calm(best.learner)], one, ASKED, 4, 0.3)[0], ASKED)
+    assert [gait.scenario for gait in gaits] == [asked.name for asked in ASKED]
+    assert len(gaits[0].figures["drift"].seeds) == 1
 
 
 @pytest.mark.parametrize(

@@ -274,8 +274,7 @@ MODELS = {
 
 
 @pytest.mark.parametrize("case", MODELS)
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_a_time_step_is_that_of_xla(kernel, case):
+def test_a_time_step_is_that_of_xla(case):
     """Ground, pairs and limits in states that need one to eight Newton steps."""
     model = converged(MODELS[case])
     robot = fold(
@@ -291,16 +290,16 @@ def test_a_time_step_is_that_of_xla(kernel, case):
 
     expected = jax.jit(partial(step, robot))(world, control, last)
     assert not expected[0][-1].any()
-    found = jax.jit(partial(KERNELS[kernel], partial(step, threads), lanes=robot.lanes))(world, control, last)
-    for wanted, got in zip(jax.tree.leaves(expected), jax.tree.leaves(found), strict=True):
-        size = np.abs(np.float64(wanted)).max() if wanted.size else 0.0
-        # Rounding in another order, made larger by the stiffness of the contacts.
-        np.testing.assert_allclose(got, np.broadcast_to(wanted, got.shape), atol=1e-4 * size + 1e-6)
+    for kernel in KERNELS.values():
+        found = jax.jit(partial(kernel, partial(step, threads), lanes=robot.lanes))(world, control, last)
+        for wanted, got in zip(jax.tree.leaves(expected), jax.tree.leaves(found), strict=True):
+            size = np.abs(np.float64(wanted)).max() if wanted.size else 0.0
+            # Rounding in another order, made larger by the stiffness of the contacts.
+            np.testing.assert_allclose(got, np.broadcast_to(wanted, got.shape), atol=1e-4 * size + 1e-6)
 
 
 @pytest.mark.parametrize("xml", [PLANAR.replace("<option", '<option integrator="RK4"'), SHAPES])
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_what_trees_may_have_is_what_threads_can_do(kernel, xml):
+def test_what_trees_may_have_is_what_threads_can_do(xml):
     """Dry friction, its line search, four stages of a step, corners and rims, waves and stairs; traced alone."""
     model = mujoco.MjModel.from_xml_string(xml)
     robot = tree.on_stairs(fold(read_tree(model)))
@@ -310,11 +309,11 @@ def test_what_trees_may_have_is_what_threads_can_do(kernel, xml):
     def step(robot, terrain, world, control, last):
         return tree._advance_sensed(robot, Values(terrain=terrain), None, world, control, last)
 
-    world, last = (qpos, qvel, qvel, jnp.zeros(40, bool)), jnp.ones(40, bool)
-    expected = jax.eval_shape(partial(step, robot), terrain, world, control, last)
-    step = partial(step, robot._replace(threads=True))
-    found = jax.eval_shape(lambda *args: KERNELS[kernel](step, *args), terrain, world, control, last)
-    assert [x.dtype for x in jax.tree.leaves(found)] == [x.dtype for x in jax.tree.leaves(expected)]
+    given = terrain, (qpos, qvel, qvel, jnp.zeros(40, bool)), control, jnp.ones(40, bool)
+    expected = jax.eval_shape(partial(step, robot), *given)
+    for kernel in KERNELS.values():
+        found = jax.eval_shape(partial(kernel, partial(step, robot._replace(threads=True))), *given)
+        assert [x.dtype for x in jax.tree.leaves(found)] == [x.dtype for x in jax.tree.leaves(expected)]
 
 
 class Pendulum(Robot):

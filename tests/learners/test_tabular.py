@@ -50,7 +50,7 @@ def test_scan_equals_python_step_by_step(seed, rules, rows, success_rate, max_ep
     task = random_task(seed, 6, 3, rows, rules, success_rate=success_rate, max_episode_steps=max_episode_steps)
     learner = make_learner("tabular_q", task, episodes=20, record=20, **values)
     key = rng.key(seed)
-    first, carries = train_and_keep(learner, key)
+    first, carries = jax.device_get(train_and_keep(learner, key))  # jax takes 0.1 ms for each entry it is asked for
     draws = np.asarray(all_draws(key))
     slow = q_learning(learner, first.q_table, draws)
     acted = np.concatenate([[first.agents.action], carries.agents.action])

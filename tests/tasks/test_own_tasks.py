@@ -1,6 +1,7 @@
 """Tasks and learners of a user's own, named by their import path."""
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -13,6 +14,7 @@ import pytest
 from command_line import told
 from hop import Hop
 
+import humanoid_mjx
 from humanoid_mjx import InputError, spec
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.check import check_task
@@ -21,41 +23,73 @@ from humanoid_mjx.tasks.continuous import ContinuousTask
 DATA = Path(__file__).parents[1] / "data"
 LEARNER = {"name": "hop:BoldQ", "envs": 16, "rollout": 8, "discount": 0.9, "evaluations": 2, "learning_rate": 0.01}
 CONFIG = {"name": "hop", "task": {"name": "hop:Hop"}, "learner": LEARNER, "total_steps": 1024, "record": 1, "seeds": 1}
-SCRIPT = Path(sys.executable).parent / "humanoid-mjx"
+TYPED = """
+import contextlib, io, json, sys
+from humanoid_mjx import cli, compute
+start, path = compute.start, list(sys.path)
+ends = []
+for words in json.loads(sys.argv[1]):
+    sys.argv[1:], sys.path[:] = words, path
+    sys.modules.pop("hop", None)
+    with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.redirect_stderr(io.StringIO()) as err:
+        try:
+            cli.main()
+            code = 0
+        except SystemExit as ended:
+            code = ended.code
+    compute.start = lambda **_: None  # a process starts once
+    ends.append((code, out.getvalue(), err.getvalue()))
+print(json.dumps(ends))
+"""
 
 
-def command(folder, *words):
-    """A command typed in a folder, in a process of its own, whose Python does not know the modules of the tests."""
-    return subprocess.run([SCRIPT, *words], cwd=folder, capture_output=True, text=True)
+def typed(folder, *commands):
+    """Commands typed in a folder: (exit code, output, errors) of each.
+
+    One process runs them all. Its Python does not know the modules of the tests, and each command finds the user's
+    module by itself.
+    """
+    program = [sys.executable, "-P", "-c", TYPED, json.dumps([list(map(str, words)) for words in commands])]
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    environment["PYTHONPATH"] = str(Path(humanoid_mjx.__file__).parents[1])
+    done = subprocess.run(program, cwd=folder, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+FEW = ("--episodes", 2)
 
 
 @pytest.fixture(scope="module")
 def own(tmp_path_factory):
-    """A folder with a user's own module and config, and the run folder and policy that were made there."""
+    """A folder with a user's own module and config, and what commands typed there say, which make a run folder and a
+    policy."""
     folder = tmp_path_factory.mktemp("own")
     shutil.copy(DATA / "hop.py", folder / "hop.py")
     (folder / "my.yaml").write_text(json.dumps(CONFIG))
-    for words in (("sweep", "my.yaml", "--out", "run"), ("export", "run", "hop.npz")):
-        done = command(folder, *words)
-        assert done.returncode == 0, done.stderr
-    return folder
+    return folder, typed(
+        folder,
+        ("sweep", "my.yaml", "--out", "run"),
+        ("export", "run", "hop.npz"),
+        ("evaluate", "hop.npz", *FEW),
+        ("info", "hop:Hop", "--keys"),
+    )
 
 
 def test_what_they_learned_is_found_again_from_any_folder(own, tmp_path):
-    """In one's own folder by itself, as the fixture has exported; elsewhere where one says so."""
-    few, again = ("--episodes", "2"), str(tmp_path / "again.npz")
-    run, policy = str(own / "run"), str(own / "hop.npz")
-    for words in (("export", run, again), ("evaluate", policy, *few)):
-        done = command(tmp_path, *words, "--trust")
-        assert done.returncode == 0, done.stderr
-    for folder, words, code in (
-        (own, ("evaluate", "hop.npz", *few), 0),
-        (tmp_path, ("export", run, again), 2), (tmp_path, ("evaluate", policy, *few), 2),
-    ):  # fmt: skip
-        done = command(folder, *words)
-        assert done.returncode == code and ("'hop:Hop' is code that is neither" in done.stderr) == bool(code)
-    done = command(tmp_path, "sweep", str(own / "my.yaml"), "--resume", "--out", str(own / "run"))
-    assert done.returncode == 0, done.stderr
+    """In one's own folder by itself; elsewhere where one says so."""
+    folder, here = own
+    assert [code for code, *_ in here] == [0] * 4, here
+    assert "task.stride" in here[-1][1]
+    run, policy, again = folder / "run", folder / "hop.npz", tmp_path / "again.npz"
+    export, evaluate = ("export", run, again), ("evaluate", policy, *FEW)
+    *refused, unknown, exported, evaluated, resumed = typed(
+        tmp_path, export, evaluate, ("info", "hop:Hop", "--keys"), (*export, "--trust"), (*evaluate, "--trust"),
+        ("sweep", folder / "my.yaml", "--resume", "--out", run),
+    )  # fmt: skip
+    assert all(code == 2 and "'hop:Hop' is code that is neither" in err for code, _, err in refused), refused
+    assert unknown[0] == 2 and f"No module named 'hop' on Python's path or in {tmp_path}." in unknown[2], unknown
+    assert [code for code, *_ in (exported, evaluated, resumed)] == [0] * 3, (exported, evaluated, resumed)
 
 
 @pytest.mark.parametrize(
@@ -102,14 +136,6 @@ def test_a_config_that_one_looks_at_runs_nothing_from_elsewhere(tmp_path, monkey
     assert not Path("ran").exists()
     help_text = told("--help")
     assert "--trust" in help_text and "may name code" in help_text
-
-
-def test_import_paths_are_searched_in_the_working_directory_and_the_error_says_where(own, tmp_path):
-    shown = command(own, "info", "hop:Hop", "--keys")
-    assert shown.returncode == 0 and "task.stride" in shown.stdout, shown.stderr
-    refused = command(tmp_path, "info", "hop:Hop", "--keys")
-    assert refused.returncode == 2
-    assert f"No module named 'hop' on Python's path or in {tmp_path}." in refused.stderr
 
 
 class WrongSize(Hop):

@@ -80,7 +80,7 @@ def test_a_sweep_learns_to_switch(tmp_path):
         "name": "posture",
         "task": {"name": "posture_switch", "places": 3},
         "learner": {"name": "tabular_q", "epsilon": 0.7, "epsilon_decay": 0.95, "learning_rate": 0.3},
-        "seeds": 5,
+        "seeds": 2,
         "episodes": 50,
     }
     summary = sweep(config, tmp_path / "run").summary

@@ -59,9 +59,9 @@ def test_steps_are_episodes_by_the_length_of_each_and_those_that_feed_one_table_
 
 @pytest.mark.parametrize("learner", ["tabular_q", "linear_q"])
 def test_provenance_has_both_rates(learner, tmp_path, monkeypatch):
-    # It is looked at every 0.1 s: on any machine several times before it is over.
-    train = Pool.train
-    monkeypatch.setattr(Pool, "train", lambda pool: (train(pool), time.sleep(0.2)))
+    # It is looked at every 0.1 s: on any machine several times in its first second.
+    train, pauses = Pool.train, iter([0.2] * 5)
+    monkeypatch.setattr(Pool, "train", lambda pool: (train(pool), time.sleep(next(pauses, 0.0))))
     monkeypatch.setattr("humanoid_mjx.training.pool.CHUNK_S", 0.01)
     length = {"episodes": 3000} if learner == "tabular_q" else {"total_steps": 40_000}
     config = {"name": "x", "task": {"name": "joint_reach", "max_episode_steps": 60}, "learner": {"name": learner}}

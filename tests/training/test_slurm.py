@@ -30,7 +30,7 @@ def children(pid):
 
 @pytest.mark.skipif(submitit is None, reason="needs submitit")
 def test_a_job_that_slurm_interrupts_begins_anew_and_completes_its_run_folder(tmp_path, monkeypatch, capfd):
-    config = CONFIG | LONG | {"seeds": 10}
+    config = CONFIG | LONG | {"seeds": 6}
     whole = sweep(config, tmp_path / "whole")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("JAX_NUM_CPU_DEVICES", "1")
