@@ -44,7 +44,7 @@ from humanoid_mjx.control import at_rest
 from humanoid_mjx.files import names
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.physics.base import World
-from humanoid_mjx.runs.statistics import mean_interval
+from humanoid_mjx.runs.statistics import estimate
 from humanoid_mjx.tasks.continuous import State, auto_reset
 from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.programs import programs
@@ -150,8 +150,8 @@ def shares(learner: Learner) -> dict[str, float]:
 def figures(found: Measured) -> list[dict[str, Any]]:
     """Figures of a training, as fields of `Record`."""
     steps = [float(x) if np.isfinite(x) else None for x in found.steps]
-    low, high = mean_interval(found.final)
-    ends = (float(low), float(high)) if np.isfinite(low) else None
+    final = estimate(found.final, 0.0, 1.0)
+    ends = (final.low, final.high) if len(found.final) > 1 else None
     middle, _ = _middle_and_worst(found.steps)
     known = [x for x in steps if x is not None]
     return [
@@ -160,7 +160,7 @@ def figures(found: Measured) -> list[dict[str, Any]]:
         {"unit": "steps to 95 %", "value": middle, "by_seed": steps, "spread": spread(known)},
         {
             "unit": "success at the end",
-            "value": float(found.final.mean()),
+            "value": final.value,
             "by_seed": found.final.tolist(),
             "interval": ends,
             "spread": spread(found.final.tolist()) if found.final.all() else None,
