@@ -141,13 +141,8 @@ def draw_map(
         for (row, column), value in np.ndenumerate(cells):
             if np.isfinite(value):
                 dark = worst != most and (value - worst) / (most - worst) < 0.55
-                written = (
-                    f"{value:.2f}".removeprefix("0")
-                    if abs(value) < 1
-                    else f"{value:.2g}"
-                    if abs(value) < 10
-                    else f"{value:.0f}"
-                )
+                places = 0 if abs(value) >= 10 or value in (0, 1) else 2
+                written = f"{value:.{places}f}".removeprefix("0" if 0 < abs(value) < 1 else "")
                 look = {"fontsize": 6 if cells.size > 30 else 8, "color": "white" if dark else "black"}
                 panel.text(column, row, written, ha="center", va="center", **look)
     return image
