@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from humanoid_mjx.runs.statistics import ERROR, Estimate, estimate, importance, interval, not_worse
+from humanoid_mjx.runs.statistics import ERROR, Estimate, difference, estimate, importance, interval, not_worse
 
 
 class Ranked(NamedTuple):
@@ -101,7 +101,7 @@ NOT_COMPARED = Compared("", frozenset(), 0, 0, {})
 def compared(mode: str, axes: Sequence[str], summary: Mapping[str, np.ndarray], quickest: bool) -> Compared:
     """Compare all finished points: by the greedy measures of `ranked`, and by training while all are alike."""
     points, finished = by_point(summary, "seed")
-    whole = np.isfinite(finished).all(axis=1)
+    whole = np.asarray(np.isfinite(finished).all(axis=1))
     if not whole.any():
         return NOT_COMPARED
     left, measure, values, told = whole.copy(), "", finished, False
@@ -136,7 +136,8 @@ def _differ(values: np.ndarray) -> bool:
 def _matters(grid: bool, axes: Mapping[str, np.ndarray], values: np.ndarray) -> dict[str, Estimate]:
     """The importance of each parameter, and in a grid of what each two do together."""
     levels = {axis: find_levels(column) for axis, column in axes.items()}
-    shares = {(axis,): importance(each.index, values, not grid) for axis, each in levels.items()}
+    shares: dict[tuple[str, ...], np.ndarray] = {}
+    shares |= {(axis,): importance(each.index, values, not grid) for axis, each in levels.items()}
     for one, other in combinations(axes, 2) if grid else ():
         pair = levels[one].index * len(levels[other].labels) + levels[other].index
         shares[one, other] = importance(pair, values) - shares[one,] - shares[other,]
@@ -201,11 +202,16 @@ def best_table(
     axes: Sequence[str], summary: Mapping[str, np.ndarray], points: Sequence[Ranked], quickest: bool, found: Compared
 ) -> tuple[list[str], list[list[str]]]:
     """Headings and rows of a table of the first `BEST_POINTS`, by what `quickest` judges them by (`ranked`)."""
-    measure, tied, seeds = "steps" if quickest else "return", found.measure not in GREEDY, found.seeds
+    measure, tied, seeds = (
+        "steps" if quickest else "return",
+        found.measure not in GREEDY,
+        len(np.unique(summary["seed"])),
+    )
     greedy = ["greedy steps"] if quickest else ["greedy return", "greedy steps"]
     headings = ["point", *axes, "greedy success", *greedy, f"{measure} at the end of training (95\u00a0%)"]
-    some_diverged, compares = bool(np.any(summary["diverged"])), len(points) > 1
+    some_diverged, compares = bool(np.any(summary["diverged"])), found.complete > 1
     headings += [f"{measure} over all of training"] * tied + ["diverged"] * some_diverged + ["as good"] * compares
+    numbers, judged = by_point(summary, found.measure or "seed")
     rows = []
     for point in points[:BEST_POINTS]:
         low, high = training_interval(summary, point.point, measure)
@@ -214,7 +220,9 @@ def best_table(
         means = ([] if quickest else [f"{point.greedy_return:.4g}"]) + [f"{point.greedy_steps:.1f}", end]
         diverged = f"{int(np.sum(summary['diverged'][summary['point'] == point.point]))} of {seeds}"
         cells = [str(point.point), *map(short, point.values), f"{point.success:.1%}", *means]
-        equal = "yes" if point.point in found.as_good else "no"
+        gap = difference(*(judged[numbers == each.point][0] for each in (point, points[0])))
+        worse = f"no, {gap.low:+.3g} to {gap.high:+.3g}" if np.isfinite(gap.value) else ""
+        equal = "yes" if point.point in found.as_good else worse
         rows.append([*cells, *[_number(point.whole)] * tied, *[diverged] * some_diverged, *[equal] * compares])
     return headings, rows
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from humanoid_mjx.runs.ranking import compared, in_words, ranked
+from humanoid_mjx.runs.ranking import best_table, compared, in_words, ranked
 from humanoid_mjx.runs.statistics import (
     above,
     difference,
@@ -170,3 +170,16 @@ def test_a_sweep_says_what_it_found_or_that_it_cannot_tell():
     assert chance.startswith("cannot tell with 5 seeds which of the 12 points is best;")
     assert chance.endswith("cannot tell with 5 seeds which parameter matters.")
     assert "cannot tell with 1 seed which of the 12 points" in told(rates[..., :1], 1)
+
+
+def test_a_sweep_that_is_not_over_compares_what_is():
+    """Of four points one lacks a seed; of another sweep no point has all of them."""
+    rng = np.random.default_rng(6)
+    rates = np.array([[0.1], [0.5], [0.9], [0.95]])[:, :, None] + rng.normal(0.0, 0.01, (4, 1, 5))
+    whole, axes = summary_of(rates, 5), ["learner.epsilon", "learner.rate"]
+    for kept, rows in ((whole["point"] != 1) | (whole["seed"] < 4), 4), (whole["seed"] == whole["point"], 4):
+        part = {name: values[kept] for name, values in whole.items()}
+        found, points = compared("grid", axes, part, quickest=True), ranked(axes, part, quickest=True)
+        table = best_table(axes, part, points, True, found)[1]
+        assert len(table) == rows and "nan" not in str(table) and "nan" not in in_words(axes, points, found)
+        assert 1 not in found.as_good and found.complete in (0, 3)
