@@ -34,7 +34,7 @@ def _evaluated(name: str, result: int = 0) -> Walk:
 
 def walk() -> str:
     """Return how the shipped setting walks, by command."""
-    of, rows = _evaluated("h200_walk_seeds"), []
+    of, rows = _evaluated("h100_walk"), []
     for name in (*COMMANDS[:5], "turn +0.5", *COMMANDS[5:7], "sideways +0.15"):
         ahead, upright = spread(of.seeds("forward", name), 2), spread(of.seeds("success", name), 0, 100)
         moves = (rounded(of.median(figure, name), 2) for figure in ("left", "turn"))
@@ -88,9 +88,10 @@ def walk_learners() -> str:
     """Return how well `walk` is learned by other learners and under another control law."""
     return _compared(
         {
-            "`deep_q`, as `walk` is, in bfloat16": _evaluated("h100_walk_40m"),
-            "the same, as `walk_quick` is": _evaluated("h100_walk_quick"),
-            "the same in float32, twice the steps": _evaluated("h200_walk_seeds"),
+            "`deep_q`, as `walk` is, in bfloat16": _evaluated("h100_walk"),
+            "turn 0.4, yawing -0.5, as `walk` was": _evaluated("h100_walk_40m"),
+            "that, as `walk_quick` is": _evaluated("h100_walk_quick"),
+            "that, in float32, twice the steps of the second row": _evaluated("h200_walk_seeds"),
             "that, slip weighs -1.8, not -2.4": _evaluated("h200_walk_seeds", 1),
             "that, under computed torque": _evaluated("h200_walk_control"),
             "`brax_ppo`, as `walk_ppo` is": _evaluated("h200_walk_ppo"),
@@ -213,6 +214,19 @@ def walk_cpu_trials() -> str:
     return table(f"{head} | speed at 0.3 m/s | sudden turns, %", rows)
 
 
+def walk_turns() -> str:
+    """Return the trials of rewards of `walk`: who turns at once, who stays up, and how fast."""
+    rows = []
+    for one in record("walk_turns")["trials"]:
+        turned = f"{rounded(100 * median(one['sudden']), 0)} ({rounded(100 * min(one['sudden']), 0)})"
+        most = rounded(100 * mean(share >= 0.85 for share in one["sudden"]), 0)
+        speeds = ", ".join(rounded(median(seeds), 2) for seeds in one["forward"].values())
+        size = str(len(one["sudden"])), rounded(one["steps"] / 1e6, 0)
+        rows.append((one["setting"], *size, turned, most, rounded(100 * min(one["upright"]), 1), speeds))
+    turns = "sudden turns, % | seeds that do at least 85 % of them, %"
+    return table(f"setting | seeds | steps, millions | {turns} | least upright, % | speed at 0.3, 0.5, 0.8 m/s", rows)
+
+
 def upright_trials() -> str:
     """Return the trials of `walk_sturdy` by share of slopes and weight of `upright`: who stays up, and how fast."""
     rows = []
@@ -235,7 +249,8 @@ WORLDS = "walk_worlds", "walk_worlds_mujoco", "walk_faults", "walk_observe"
 """Records of policies in worlds."""
 
 TABLES = (
-    {of.__name__: of for of in (walk, walk_goals, walk_learners, chapter_8, walk_fast, upright_trials, walk_cpu_trials)}
+    {of.__name__: of for of in (walk, walk_goals, walk_learners, walk_turns, chapter_8, walk_fast)}
+    | {of.__name__: of for of in (upright_trials, walk_cpu_trials)}
     | {name: partial(_in_worlds, name) for name in WORLDS}
     | {
         "walk_dog": lambda: _by_command("cpu_2_cores_walk_dog"),
@@ -250,8 +265,8 @@ TABLES = (
         "walk_cpu_minutes": lambda: rounded(median(record("walk_cpu_trials")["command_s"]) / 60),
         "walk_dog_seconds": lambda: rounded(record("h100_walk_dog")["training"]["command_s"]),
         "walk_humanoid_seconds": lambda: rounded(record("h100_walk_humanoid")["training"]["command_s"]),
-        "walk_seconds": lambda: rounded(record("h100_walk_40m")["training"]["command_s"]),
-        "walk_minutes": lambda: rounded(record("h100_walk_40m")["training"]["command_s"] / 60),
+        "walk_seconds": lambda: rounded(record("h100_walk")["training"]["command_s"]),
+        "walk_minutes": lambda: rounded(record("h100_walk")["training"]["command_s"] / 60),
         "two_settings_minutes": lambda: rounded(record("h200_walk_seeds")["training"]["command_s"] / 60),
     }
 )
