@@ -36,7 +36,7 @@ from humanoid_mjx.bench.measure import Record, spread
 from humanoid_mjx.config import load
 from humanoid_mjx.files import names
 from humanoid_mjx.kernels import cpu_kernel
-from humanoid_mjx.runs.statistics import mean_interval
+from humanoid_mjx.runs.statistics import estimate
 from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.programs import programs
 from humanoid_mjx.training.sweep import Run, sweep
@@ -107,8 +107,8 @@ def run(
 def figures(found: Measured) -> list[dict[str, Any]]:
     """Figures of a training, as fields of `Record`."""
     steps = [float(x) if np.isfinite(x) else None for x in found.steps]
-    low, high = mean_interval(found.final)
-    ends = (float(low), float(high)) if np.isfinite(low) else None
+    final = estimate(found.final, 0.0, 1.0)
+    ends = (final.low, final.high) if len(found.final) > 1 else None
     middle, _ = _middle_and_worst(found.steps)
     known = [x for x in steps if x is not None]
     return [
@@ -117,7 +117,7 @@ def figures(found: Measured) -> list[dict[str, Any]]:
         {"unit": "steps to 95 %", "value": middle, "by_seed": steps, "spread": spread(known)},
         {
             "unit": "success at the end",
-            "value": float(found.final.mean()),
+            "value": final.value,
             "by_seed": found.final.tolist(),
             "interval": ends,
             "spread": spread(found.final.tolist()) if found.final.all() else None,

@@ -17,6 +17,7 @@ DOCS = Path(__file__).parent
 ROOT = DOCS.parent
 sys.path.append(str(ROOT / "experiments"))  # tables of verdicts are made by what computes these
 
+import stale  # noqa: E402, F401
 import tables  # noqa: E402
 import walking_tables  # noqa: E402
 

@@ -8,12 +8,13 @@ import json
 import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from statistics import mean, median, stdev
+from statistics import median
 from typing import Any
 
-from scipy.stats import t
+import numpy as np
 
 from humanoid_mjx.reproduction.findings import MEANINGS
+from humanoid_mjx.runs.statistics import estimate
 
 BENCH = Path(__file__).parent / "bench"
 
@@ -157,9 +158,10 @@ def learners() -> str:
     for name in ("linear_q", "deep_q", "brax_ppo"):
         of = f"{name} leg_reach"
         steps, end = cpu[of, "steps to 95 %"], cpu[of, "success at the end"]
-        cells = spread(steps["by_seed"]), spread(end["by_seed"], 3), " to ".join(rounded(x, 3) for x in end["interval"])
+        ends = " to ".join(rounded(x, 3) for x in estimate(np.array(end["by_seed"]), 0.0, 1.0)[1:])
+        cells = spread(steps["by_seed"]), spread(end["by_seed"], 3), ends
         rows.append((f"`{name}`", *cells, *(rounded(found[of, "episodes/s"]["value"]) for found in (cpu, gpu))))
-    head = "learner | steps to 95 % success | success at the end | 95 % interval of its mean"
+    head = "learner | steps to 95 % success | success at the end | 95 % interval of its median"
     return table(f"{head} | episodes a second, 2 CPU cores | one H200", rows)
 
 
@@ -331,14 +333,12 @@ def sweeps(names: Iterable[str] = SWEEPS) -> str:
         for key in config["sweep"]["axes"]:
             axis = key.removeprefix("learner.")
             for value in sorted({point[key] for point in found}):
-                reached = [x for point in found if point[key] == value for x in point["greedy_success"]]
-                margin = float(t.ppf(0.975, len(reached) - 1)) * stdev(reached) / math.sqrt(len(reached))
-                low, high = max(mean(reached) - margin, 0), min(mean(reached) + margin, 1)
-                interval = f"{mean(reached):.2f} ({low:.2f} to {high:.2f})"
+                reached = np.array([point["greedy_success"] for point in found if point[key] == value])
+                cell = "{:.2f} ({:.2f} to {:.2f})".format(*estimate(reached.mean(axis=0), 0.0, 1.0))
                 best = max(min(point["greedy_success"]) for point in found if point[key] == value)
-                rows.append((words, axis, f"{value:g}", interval, f"{best:.2f}"))
+                rows.append((words, axis, f"{value:g}", cell, f"{best:.2f}"))
                 words = ""
-    head = "sweep | axis | value | greedy success, mean of all its runs (95 %) | worst seed of its best point"
+    head = "sweep | axis | value | greedy success, mean over its points, by seed (95 %) | worst seed of its best point"
     return table(head, rows)
 
 

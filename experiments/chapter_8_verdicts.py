@@ -11,15 +11,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy import stats
 
 from humanoid_mjx.report.style import COLORS, figure
-from humanoid_mjx.reproduction.findings import Finding, check, unprinted
+from humanoid_mjx.reproduction.findings import Finding, unprinted
+from humanoid_mjx.runs.statistics import above, estimate, holm, improvement
 
 ROOT = Path(__file__).parent.parent
 
 ROUND = "turn +1.0", "turn -1.0"
 AHEAD = "forward 0.15", "forward 0.3", "forward 0.5", "forward 0.8"
+
+LEVEL = 0.05
+"""Share of false verdicts over all claims."""
 
 LITTLE, SLOWER = 0.05, 0.05
 """Share of episodes, and m/s: differences that are no deviation."""
@@ -55,41 +58,37 @@ class Record:
         return np.nan_to_num(np.array(values, float), nan=float(what.figure == "turn_error")).mean(axis=0)
 
 
-def mean_of(values: Float[np.ndarray, " seeds"]) -> tuple[float, float]:
-    """The mean of seeds, and half its 95 % interval."""
-    return _with_half(float(values.mean()), values)
-
-
-def difference(one: Float[np.ndarray, " seeds"], other: Float[np.ndarray, " seeds"]) -> tuple[float, float]:
-    """The difference of two means of seeds, and half its 95 % interval by Student's t with the fewer seeds' degrees of
-    freedom, which is wider than Welch's."""
-    return _with_half(float(one.mean() - other.mean()), one, other)
-
-
-def _with_half(middle: float, *groups: Float[np.ndarray, " seeds"]) -> tuple[float, float]:
-    error = float(np.sqrt(sum(values.var(ddof=1) / len(values) for values in groups)))
-    return middle, error * float(stats.t.ppf(0.975, min(map(len, groups)) - 1))
-
-
 TURN, ERROR = What("turn_success", ["sudden turn"]), What("turn_error", ROUND)
 FASTEST, UPRIGHT = What("forward", AHEAD[-1:]), What("success", AHEAD[-1:])
 
 
+class Claim(NamedTuple):
+    """A claim that seeds of one kind are above those of another, or below by no more than is allowed."""
+
+    quantity: str
+    words: str
+    one: Float[np.ndarray, " seeds"]
+    other: Float[np.ndarray, " seeds"]
+    better: int = 1
+    """-1 where less is better."""
+    allowed: float = 0.0
+
+
 def findings(record: Record) -> list[Finding]:
-    """The verdicts: a body with a joint must do better than the one without it, by more than chance would."""
+    """The verdicts on all claims, corrected for their number, and what the proposed ranges do."""
     whole, fixed = "all joints", "no yaw, no roll"
 
-    def helps(quantity: str, claim: str, without: str, what: What, better: int = 1) -> Finding:
+    def helps(quantity: str, claim: str, without: str, what: What, better: int = 1) -> Claim:
         one, other = (record.seeds(body, what) for body in (whole, without))
-        return _judged(f"{quantity}: {whole}, {without}", claim, one, other, better)
+        return Claim(f"{quantity}: {whole}, {without}", claim, one, other, better)
 
     def in_ranges(quantity: str, what: What) -> Finding:
-        found, why, _ = _against(*(record.seeds(body, what) for body in ("proposed ranges", whole)))
+        found, why = _told(*(record.seeds(body, what) for body in ("proposed ranges", whole)))
         return unprinted(f"{quantity}: proposed ranges, human ranges", found, why)
 
     slow, fast = (record.seeds(whole, What("success", [command])) for command in (AHEAD[0], AHEAD[-1]))
     few, all_ = (record.seeds(body, FASTEST) * record.seeds(body, UPRIGHT) for body in (fixed, whole))
-    return [
+    claims = [
         helps("turns by 45 degrees within 1.5 s", YAW, "no yaw", TURN),
         helps("error of the turn rate at 1 rad/s, rad/s", YAW, "no yaw", ERROR, better=-1),
         helps("upright for 20 s, turning at 1 rad/s", YAW, "no yaw", What("success", ROUND)),
@@ -98,37 +97,43 @@ def findings(record: Record) -> list[Finding]:
             for push in record.pushes[1:]
             for on in ("stand", "forward 0.3")
         ),
-        _judged(f"upright for 20 s: told 0.8 m/s, told 0.15 m/s; {whole}", FAST, fast, slow, allowed=LITTLE),
-        _judged(f"speed told 0.8 m/s by the share upright: {fixed}, {whole}", PITCH, few, all_, allowed=SLOWER),
+        Claim(f"upright for 20 s: told 0.8 m/s, told 0.15 m/s; {whole}", FAST, fast, slow, allowed=LITTLE),
+        Claim(f"speed told 0.8 m/s by the share upright: {fixed}, {whole}", PITCH, few, all_, allowed=SLOWER),
+    ]
+    return [
+        *judged(claims),
         in_ranges("turns by 45 degrees within 1.5 s", TURN),
         in_ranges("upright, pushed aside by 0.5 N s, forward 0.3", What("success", ["forward 0.3"], 0.5)),
         in_ranges("speed told 0.8 m/s, m/s", FASTEST),
     ]
 
 
-def _judged(
-    quantity: str, claim: str, one: np.ndarray, other: np.ndarray, better: int = 1, allowed: float = 0.0
-) -> Finding:
-    """True if one is better than the other, or worse by no more than allowed, over the whole interval."""
-    found, why, (gain, half) = _against(one, other)
-    limit = f"; {allowed:g} less would be no deviation" if allowed else ""
-    return check(quantity, claim, found, better * gain - half > -allowed, why + limit)
+def judged(claims: Sequence[Claim]) -> list[Finding]:
+    """The verdicts by the exact test of Mann and Whitney, corrected for the number of claims by Holm's method: a claim
+    is reproduced if chance separates the seeds so far in at most 5 % of the cases, differs if that holds of its
+    opposite, and else the seeds cannot tell."""
+    pairs = [(c.better * c.one + c.allowed, c.better * c.other) for c in claims]
+    true = holm(np.array([above(one, other) for one, other in pairs]))
+    false = holm(np.array([above(other, one) for one, other in pairs]))
+    found = []
+    for claim, yes, no in zip(claims, true, false, strict=True):
+        verdict = "reproduced" if yes <= LEVEL else "differs" if no <= LEVEL else "cannot_tell"
+        values, why = _told(claim.one, claim.other)
+        limit = f"; {claim.allowed:g} less would be no deviation" if claim.allowed else ""
+        why += f"; corrected p {min(yes, no):.2g}{limit}"
+        found.append(Finding(claim.quantity, claim.words, values, None, verdict, why))
+    return found
 
 
-def _against(one: np.ndarray, other: np.ndarray) -> tuple[list[float], str, tuple[float, float]]:
-    """Both means, both with their difference in words, and the difference with half its interval."""
-    gain, half = difference(one, other)
-    words = f"{_of(one)} and {_of(other)} in means of {len(one)} seeds, a difference of {gain:.3f} ± {half:.3f}"
-    return [round(float(values.mean()), 3) for values in (one, other)], words, (gain, half)
-
-
-def _of(values: Float[np.ndarray, " seeds"]) -> str:
-    middle, half = mean_of(values)
-    return f"{middle:.3f} ± {half:.3f}"
+def _told(one: np.ndarray, other: np.ndarray) -> tuple[list[float], str]:
+    """Both medians, and in words both with their intervals, and how often a seed of one is above one of the other."""
+    words = " and ".join("{:.3f} ({:.3f} to {:.3f})".format(*estimate(seeds, 0.0)) for seeds in (one, other))
+    pairs = f"the first is above in {improvement(one, other):.0%} of the pairs"
+    return [round(float(np.median(seeds)), 3) for seeds in (one, other)], f"{words} in {len(one)} seeds; {pairs}"
 
 
 def draw(record: Record, target: Path) -> None:
-    """One row for each body: a dot for each training seed, and the mean with its 95 % interval."""
+    """One row for each body: a dot for each training seed, and the median with its 95 % interval."""
     panels = (
         ("45 degrees at once\nwithin 1.5 s", [("", TURN)]),
         ("error of the turn rate\nat 1 rad/s, rad/s", [("", ERROR)]),
@@ -151,9 +156,17 @@ def draw(record: Record, target: Path) -> None:
             for shift, color, (label, what) in zip((0.22, 0.0, -0.22), COLORS, of, strict=False):
                 for place, body in zip(places + (shift if len(of) > 1 else 0.0), record.bodies, strict=True):
                     seeds = record.seeds(body, what)
-                    middle, half = mean_of(seeds)
+                    middle, low, high = estimate(seeds)
                     panel.plot(seeds, np.full(len(seeds), place), "o", color=color, alpha=0.35, markersize=3)
-                    panel.errorbar(middle, place, xerr=half, fmt="|", color=color, capsize=2, markersize=8)
+                    panel.errorbar(
+                        middle,
+                        place,
+                        xerr=[[middle - low], [high - middle]],
+                        fmt="|",
+                        color=color,
+                        capsize=2,
+                        markersize=8,
+                    )
                 if label:
                     panel.plot([], [], "o", color=color, markersize=3, label=label)
             if of[0][0]:

@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from humanoid_mjx.report.figures import COUNTED, CURVES, averaged, draw_line, find_levels
+from humanoid_mjx.report.drawing import COUNTED, CURVES, draw_line, over_seeds
 from humanoid_mjx.report.style import count_axis, figure, label_lines, log_axis, shades, wrapped
+from humanoid_mjx.runs.ranking import find_levels
 
 BENCH = Path(__file__).parent.parent / "docs" / "bench"
 
@@ -28,8 +29,9 @@ def main() -> None:
     axes = list(rows[0]["config"]["sweep"]["axes"])
     shared: Any = {"sharex": True, "sharey": True} if given.one_task else {"sharey": "row"}
     with figure(given.target, len(rows), len(axes), **shared) as (fig, panels):
-        first = columns(rows[0])
-        fig.suptitle(wrapped(f"Return while learning: {averaged(axes, first)}", fig), x=0.01, ha="left")
+        others = ", mean over all values of the other parameters" * (len(axes) > 1)
+        words = f"Return while learning: {over_seeds(rows[0]['config']['seeds'])}{others}"
+        fig.suptitle(wrapped(words, fig), x=0.01, ha="left")
         for row, record in enumerate(rows):
             found, config = columns(record), record["config"]
             for panel, axis in zip(panels[row], axes, strict=True):

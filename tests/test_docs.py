@@ -4,6 +4,7 @@ import ast
 import importlib.util
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -38,6 +39,31 @@ def test_figures_of_pages_are_those_of_the_records():
     build = build_module()
     assert [name for name, text in TEXTS.items() if build.written(text) != text] == []
     assert set(re.findall(r"<!-- record: (\w+) -->", "".join(TEXTS.values()))) == set(build.FIGURES)
+
+
+def test_records_older_than_what_they_measure_are_found(tmp_path):
+    stale = build_module().stale
+    records = {path.stem: path.read_text(encoding="utf-8") for path in (DOCS / "bench").glob("*.json")}
+    paths = {path for name in records for path in stale.paths_of(name)}
+    assert [path for path in paths if not (ROOT / path).exists()] == []
+    if shutil.which("git") is None:
+        pytest.skip("there is no git here")
+
+    def git(*words):
+        given = ["git", "-c", "user.name=a", "-c", "user.email=a@b", *words]
+        return subprocess.run(given, cwd=tmp_path, check=True, capture_output=True, text=True).stdout.strip()
+
+    git("init", "-q")
+    commits = []
+    for path in ("learners/a.py", "report/b.py", "mechanics/c.py"):
+        (tmp_path / "humanoid_mjx" / path).parent.mkdir(parents=True)
+        (tmp_path / "humanoid_mjx" / path).write_text(path)
+        git("add", "-A")
+        git("commit", "-q", "-m", path)
+        commits.append(git("rev-parse", "HEAD"))
+    first, second, last = (f'"commit": "{commit}"' for commit in commits)
+    old = {"walk": first, "parity": first, "stand": second + last, "squat": last, "other": '"commit": "0000000"'}
+    assert stale.stale(tmp_path, old) == {"walk": (commits[0], 1), "stand": (commits[1], 1)}
 
 
 RUN = [name for name in TYPED if re.search(r"```python|title=", TEXTS[name]) and name not in COMMANDS_ONLY]

@@ -14,11 +14,12 @@ from humanoid_mjx import compute
 from humanoid_mjx.commands import console
 from humanoid_mjx.compute import kept, processes
 from humanoid_mjx.config import load
-from humanoid_mjx.runs.folder import read_provenance
+from humanoid_mjx.runs.folder import read_config, read_provenance
 from humanoid_mjx.training.progress import Bar
 
 if TYPE_CHECKING:
     from humanoid_mjx.report.growing import Growing
+    from humanoid_mjx.runs.ranking import Compared, Ranked
 
 RATES = ("episodes", "steps")
 
@@ -55,15 +56,21 @@ def run_sweep(
         bar.phase("drawing figures")
         from humanoid_mjx.evaluation.replay import why_stopped
         from humanoid_mjx.report.figures import figures_of, sweep_figures  # matplotlib takes a while
+        from humanoid_mjx.runs.curves import read_learning
+        from humanoid_mjx.runs.ranking import in_words, ranked
 
-        axes = list(run.config.sweep.axes) if run.config.sweep else []
         summary, own = run.summary, figures_of(run.config.task["name"], run.config.modules)
-        paths = sweep_figures(run.path / "figures", run.config.name, axes, run.results, summary, own)
-    print_summary(axes, summary, read_provenance(run.path), quickest=run.config.episodes is not None)
+        quickest = run.config.episodes is not None
+        learning = read_learning(run.path, read_config(run.path), summary, quickest)
+        paths = sweep_figures(run.path / "figures", run.config.name, learning, own)
+    axes, points = list(learning.axes), ranked(list(learning.axes), summary, quickest)
+    print_summary(axes, summary, points, learning.compared, read_provenance(run.path), quickest)
     if words := why_stopped(run.path, summary):
         console.print(words, soft_wrap=True)
     for path in (run.path / "results.parquet", run.path / "summary.parquet", *paths):
         console.print(f"{path}", soft_wrap=True)
+    if words := in_words(axes, points, learning.compared):
+        console.print(words, soft_wrap=True)
     if growing:
         console.print(f"{growing.file}", soft_wrap=True)
     else:
@@ -79,16 +86,18 @@ def _growing(bar: Bar) -> "Growing":
 
 
 def print_summary(
-    axes: Sequence[str], summary: Mapping[str, np.ndarray], provenance: Mapping[str, Any], quickest: bool
+    axes: Sequence[str],
+    summary: Mapping[str, np.ndarray],
+    points: Sequence["Ranked"],
+    found: "Compared",
+    provenance: Mapping[str, Any],
+    quickest: bool,
 ) -> None:
     """The best points of a sweep, as `ranked` has them, and how fast it trained."""
-    from humanoid_mjx.runs.ranking import best_table, ranked, ties
+    from humanoid_mjx.runs.ranking import best_table
 
-    points = ranked(axes, summary, quickest)
-    headings, rows = best_table(axes, summary, points, quickest)
+    headings, rows = best_table(axes, summary, points, quickest, found)
     title = f"{len(points)} points; the best {len(rows)}" if len(points) > 1 else "1 point"
-    if (equals := ties(points)) > len(rows):
-        title += f" of {equals} that act equally well"
     rates = [f"{provenance[f'{unit}_per_s']:,.0f} {unit}/s" for unit in RATES if f"{unit}_per_s" in provenance]
     caption = f"training made {' and '.join(rates)}, without compiling" if rates else None
     columns = (Column(heading.partition(".")[2] or heading, justify="right") for heading in headings)

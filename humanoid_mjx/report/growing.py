@@ -18,6 +18,7 @@ from humanoid_mjx.files import write_text
 from humanoid_mjx.report.figures import averaged, figures_of
 from humanoid_mjx.report.page import curve_panels, run_page
 from humanoid_mjx.report.web import image, page, section, table, text
+from humanoid_mjx.runs.curves import of_rows, swept
 from humanoid_mjx.runs.folder import RunFolder
 from humanoid_mjx.runs.ranking import BEST_POINTS, short
 from humanoid_mjx.training.events import Curves
@@ -134,7 +135,7 @@ class Growing(Reporter):
         lead = f'<p class="lead">{text(self._status(), "span")}</p>'
         if not results:
             return page(config.name, lead)
-        axes = list(config.sweep.axes) if config.sweep else []
+        mode, axes = swept(config.model_dump(mode="json"))
         shown = len(self.curves.points) < len(self.curves.plan.points)
         drawn = f" {len(self.curves.points)} points drawn by chance." if shown else ""
         own = figures_of(config.task["name"], config.modules)
@@ -145,8 +146,10 @@ class Growing(Reporter):
         lines = _drawable(results, self.curves)
         if not lines.keys() & self.curves.measures.keys():
             return page(config.name, lead + best + section("Learning", text("No episode has ended yet.")))
-        words = text(f"Lines: {averaged(axes, results)}.{drawn}")
-        return page(config.name, lead + best + section("Learning", words, *curve_panels(axes, lines, own)))
+        order = [int(row[0]) for row in best_so_far(self.curves, None)[1]]
+        learning = of_rows(lines, axes, mode, order)
+        words = text(f"Lines: {averaged(learning)}.{drawn}")
+        return page(config.name, lead + best + section("Learning", words, *curve_panels(learning, own)))
 
     def _status(self) -> str:
         now, state = f"{datetime.now():%H:%M:%S}", self.state
@@ -183,7 +186,7 @@ def _drawable(results: Mapping[str, np.ndarray], curves: Curves) -> dict[str, np
     return {name: values for name, values in results.items() if name not in few}
 
 
-def best_so_far(curves: Curves) -> tuple[list[str], list[list[str]]]:
+def best_so_far(curves: Curves, most: int | None = BEST_POINTS) -> tuple[list[str], list[list[str]]]:
     """Headings and rows of the best points so far, by success, then by steps or by return, as `ranked` judges them.
 
     A point is judged at the last record point that all of its runs in `results_so_far` have reached, or the last one
@@ -202,7 +205,7 @@ def best_so_far(curves: Curves) -> tuple[list[str], list[list[str]]]:
     rows.sort(key=lambda row: [np.nan_to_num(sign * row[0][place], nan=np.inf) for place, sign in judged])
     cells = [
         [str(point), *map(short, plan.points[point].values()), str(seeds), f"{count:,}", *map(_known, means)]
-        for means, point, seeds, count in rows[:BEST_POINTS]
+        for means, point, seeds, count in rows[:most]
     ]
     return ["point", *plan.points[0], "seeds", f"{plan.unit}s trained", *names], cells
 

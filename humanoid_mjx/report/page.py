@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from html import escape
-from itertools import combinations
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
@@ -20,15 +20,18 @@ from humanoid_mjx.evaluation.gait.measure import measure, settings_of
 from humanoid_mjx.evaluation.gait.scenarios import walking_task
 from humanoid_mjx.evaluation.policy import Trained, find_policy, in_world, on_native, on_plane
 from humanoid_mjx.evaluation.replay import why_stopped
-from humanoid_mjx.report.figures import HEAT_MAPS, Figure, averaged, curved, draw_map, figures_of, limits, mapped
+from humanoid_mjx.report.drawing import HEAT_MAPS
+from humanoid_mjx.report.figures import EFFECTS, Figure, averaged, by_value, curved, figures_of, mapped, parameters
 from humanoid_mjx.report.gaits import gait_rows, meanings, remarks
+from humanoid_mjx.report.parameters import draw_map, limits
 from humanoid_mjx.report.rendering import strip
 from humanoid_mjx.report.scene import player
 from humanoid_mjx.report.style import figure
 from humanoid_mjx.report.web import contents, data_address, facts, image, link, page, section, table, text
 from humanoid_mjx.robot.differences import HEADINGS, differences_of
+from humanoid_mjx.runs.curves import Learning, read_learning
 from humanoid_mjx.runs.folder import read_config, read_provenance
-from humanoid_mjx.runs.ranking import Ranked, best_table, ranked, short, ties
+from humanoid_mjx.runs.ranking import Ranked, best_table, in_words, ranked, short
 from humanoid_mjx.runs.tables import read_table
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.pace import time_in_words
@@ -53,20 +56,21 @@ def run_page(path: Path, reporter: Reporter, motion: bool) -> str:
     """The page of a run folder."""
     reporter.phase("reading")
     config, provenance = read_config(path), read_provenance(path)
-    results, summary = (read_table(path / f"{name}.parquet") for name in ("results", "summary"))
-    axes = list((config.get("sweep") or {}).get("axes", {}))
-    if missing := [axis for axis in axes if axis not in summary or axis not in results]:
-        raise InputError(f"{path}: its tables do not fit its config; they have no column {missing[0]}.")
+    summary, quickest = read_table(path / "summary.parquet"), bool(config.get("episodes"))
+    learning = read_learning(path, config, summary, quickest)
+    axes = list(learning.axes)
     reporter.phase("drawing figures")
-    quickest = bool(config.get("episodes"))
     points = ranked(axes, summary, quickest)
     own = figures_of(str(config["task"]["name"]), config.get("modules"))
     parts = {
-        "Result": _result(path, axes, summary, points, quickest),
-        "Learning": [text(f"Lines: {averaged(axes, results)}."), *curve_panels(axes, results, own)],
+        "Result": _result(path, learning, summary, points, quickest),
+        "Learning": [text(f"Lines: {averaged(learning)}."), *curve_panels(learning, own)],
     }
-    if maps := mapped(axes, summary):
-        parts["Two parameters at a time"] = _maps(axes, summary, maps)
+    if others := parameters(learning):
+        panels = (panel for each in others for panel in _row(learning, (None,), each))
+        parts["What matters"] = [text(_capital(EFFECTS[learning.mode]) + "."), _grid(panels)]
+    if maps := mapped(learning):
+        parts["Two parameters at a time"] = _maps(learning, maps)
     if motion and (shown := _motion(path, reporter)):
         parts["The robot"] = shown
     parts |= {
@@ -96,43 +100,44 @@ def _lead(
 
 
 def _result(
-    path: Path, axes: Sequence[str], summary: Mapping[str, np.ndarray], points: Sequence[Ranked], quickest: bool
+    path: Path, learning: Learning, summary: Mapping[str, np.ndarray], points: Sequence[Ranked], quickest: bool
 ) -> list[str]:
-    headings, rows = best_table(axes, summary, points, quickest)
+    headings, rows = best_table(list(learning.axes), summary, points, quickest, learning.compared)
     shown = len(rows)
     some = f"The best {shown} of {len(points):,} points" if shown < len(points) else f"All {shown} points, best first"
     caption = some if len(points) > 1 else "The only point"
     parts = [table(headings, rows, caption=caption)]
-    if (equals := ties(points)) > 1:
-        parts.append(text(f"{equals:,} points act equally well; training tells them apart."))
+    if found := in_words(list(learning.axes), points, learning.compared):
+        parts.append(text(_capital(found)))
     if words := why_stopped(path, summary):
         parts.append(f'<p class="note">{text(words, "strong")}</p>')
     words = (
         "Greedy: episodes in which nothing is explored or learned, after training. Success is the mean over seeds, the "
-        "other columns are interquartile means over seeds. Returns are undiscounted sums of rewards: where a task pays "
+        "other columns are medians over seeds. Points are as good as the best if the same seeds do not tell them apart "
+        "(5 % false alarms over all points together). Returns are undiscounted sums of rewards: where a task pays "
         "at every step, a longer episode collects more."
     )
     return [*parts, f'<p class="note">{text(words, "span")}</p>']
 
 
-def curve_panels(axes: Sequence[str], results: Mapping[str, np.ndarray], own: Sequence[Figure]) -> list[str]:
-    """A row of panels for each figure, on one scale; where nothing is swept, all figures in one."""
-    rows = curved(results, own)
-    if not axes:
-        return [_grid(curve for each in rows for curve in _row(results, (None,), each))]
+def curve_panels(learning: Learning, own: Sequence[Figure]) -> list[str]:
+    """A row of panels for each figure, on one scale; where lines are points of the sweep, all figures in one."""
+    rows, axes = curved(learning, own), list(learning.axes)
+    if not by_value(learning):
+        return [_grid(curve for each in rows for curve in _row(learning, (None,), each))]
     return [
-        text(_capital(each.title), "h3") + _grid(_row(results, axes if each.by_axis else (None,), each))
+        text(_capital(each.title), "h3") + _grid(_row(learning, axes if each.by_axis else (None,), each))
         for each in rows
     ]
 
 
-def _row(results: Mapping[str, np.ndarray], axes: Sequence[str | None], each: Figure) -> list[str]:
+def _row(learning: Learning, axes: Sequence[str | None], each: Figure) -> list[str]:
     """The panels of one figure, a swept parameter each."""
     with ExitStack() as stack:
         files = [io.BytesIO() for _ in axes]
         figures = [stack.enter_context(figure(file, 1, 1, size=PANEL)) for file in files]
         panels = [grid[0, 0] for _, grid in figures]
-        ends = [each.draw(panel, results, axis) for panel, axis in zip(panels, axes, strict=True)]
+        ends = [each.draw(panel, learning, axis) for panel, axis in zip(panels, axes, strict=True)]
         low, high = zip(*(panel.get_ylim() for panel in panels), strict=True)
         for (fig, _), panel in zip(figures, panels, strict=True):
             panel.set_ylim(min(low), max(high))
@@ -142,7 +147,7 @@ def _row(results: Mapping[str, np.ndarray], axes: Sequence[str | None], each: Fi
     for axis, file, end, data in zip(axes, files, ends, lines, strict=True):
         last = ", ".join(f"{label}: {value:.4g}" for label, value in end.items())
         by = f" by {axis}" if axis else ""
-        words = f"{each.title}{by}; at the end {last}"
+        words = f"{each.title}{by}" + f"; at the end {last}" * bool(last)
         found.append(_figure(file.getvalue(), words, axis or _capital(each.title), lines=data))
     return found
 
@@ -159,22 +164,19 @@ def _lines(panel: Any) -> dict[str, Any]:
     return {"box": [box.x0, 1 - box.y1, box.x1, 1 - box.y0], "x": panel.get_xlim(), "scale": scale, "lines": lines}
 
 
-def _maps(axes: Sequence[str], summary: Mapping[str, np.ndarray], names: Sequence[str]) -> list[str]:
-    parts = [
-        text(
-            "Means over seeds and over all values of the other parameters. Maps of a measure share their colours: "
-            "yellow is best."
-        )
-    ]
+def _maps(learning: Learning, names: Sequence[str]) -> list[str]:
+    ways = {"the best setting of the others": True, "the mean over the others": False}
+    ways = ways if len(learning.axes) > 2 else {"all settings": False}
+    parts = [text("Means over seeds. Maps of a measure share their colours: yellow is best.")]
     for name in names:
-        span = limits(axes, summary, name)
+        span = limits(learning, name)
         pictures = []
-        for pair in combinations(axes, 2):
+        for (of, best), pair in product(ways.items(), combinations(learning.axes, 2)):
             file = io.BytesIO()
             with figure(file, 1, 1, size=PANEL) as (fig, panels):
-                fig.colorbar(draw_map(panels[0, 0], summary, pair, name, span), ax=panels[0, 0])
-            words = f"{HEAT_MAPS[name]} by {pair[0]} and {pair[1]}"
-            pictures.append(_figure(file.getvalue(), words, f"{pair[0]} and {pair[1]}"))
+                fig.colorbar(draw_map(panels[0, 0], learning, pair, name, span, best), ax=panels[0, 0])
+            words = f"{HEAT_MAPS[name]} by {pair[0]} and {pair[1]}: {of}"
+            pictures.append(_figure(file.getvalue(), words, f"{pair[0]} and {pair[1]}: {of}"))
         parts.append(text(_capital(HEAT_MAPS[name]), "h3") + _grid(pictures))
     return parts
 

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.ticker import NullLocator
 
-from humanoid_mjx.report.figures import COUNTED, CURVES, HEAT_MAPS, MAX_LEVELS, Levels, averaged, draw_line, find_levels
-from humanoid_mjx.report.style import COLORS, count_axis, figure, label_lines, log_axis, shades, wrapped
+from humanoid_mjx.report.drawing import COUNTED, CURVES, HEAT_MAPS, draw_line, over_seeds, possible
+from humanoid_mjx.report.style import COLORS, count_axis, figure, is_geometric, label_lines, log_axis, shades, wrapped
 from humanoid_mjx.runs.folder import read_config
-from humanoid_mjx.runs.ranking import short
+from humanoid_mjx.runs.ranking import MAX_LEVELS, Levels, find_levels, short
 from humanoid_mjx.runs.tables import column_names, read_table
 from humanoid_mjx.spec import InputError, known
 
@@ -162,14 +162,21 @@ def plot(paths: Sequence[Path], x: str | None, y: str, by: str | None, out: Path
     with figure(target, 1, 1, size=(6.4, 4.2)) as (fig, panels):
         panel, across = panels[0, 0], _across(rows, x)
         others = [axis for axis in rows.axes if axis not in (x, by)] if across.joined else []
-        columns = rows.columns | ({"seed": np.zeros_like(rows.columns["seed"])} if "seed" in (x, by) else {})
-        words = averaged([by or x, *others], columns, "band" if across.joined else "bar")
+        words = _seeds(rows, "seed" in (x, by), "band" if across.joined else "bar")
+        words += ", over all values of the other parameters" * bool(others)
         each = "" if across.joined else "each point of the sweep, "
         fig.suptitle(wrapped(f"{', '.join(rows.runs)}: {each}{words}", fig), x=0.01, ha="left")
         left_out = _draw(panel, rows, across, x, y, by)
         panel.set_xlabel(NAMES.get(x, x))
         panel.set_ylabel(NAMES.get(y, y))
     return target, left_out
+
+
+def _seeds(rows: Rows, apart: bool, shape: str) -> str:
+    """Meaning of lines and intervals over the seeds of each run; `apart`: where a line or a place is of one seed."""
+    runs = [rows.columns["seed"][rows.columns[RUN] == run] for run in rows.runs]
+    counts = sorted({len(np.unique(seeds)) for seeds in runs if len(seeds)})
+    return over_seeds(1 if apart else counts[0] if len(counts) == 1 else f"{counts[0]} to {counts[-1]}", shape)
 
 
 def _known(columns: dict[str, np.ndarray], names: Sequence[str]) -> dict[str, np.ndarray]:
@@ -192,7 +199,9 @@ def _draw(panel: Any, rows: Rows, across: Across, x: str, y: str, by: str | None
         place = None if across.place is None else across.place[line.chosen]
         at, seeds, values = (each[line.chosen] for each in (across.x, seed, columns[y]))
         look = (look if across.joined else {}) | {"label": line.label or "_"}
-        drawn.append(draw_line(panel, at, seeds, values, line.color, place=place, joined=across.joined, **look))
+        drawn.append(
+            draw_line(panel, at, seeds, values, line.color, place=place, joined=across.joined, most=possible(y), **look)
+        )
     _ticks(panel, across, x in (rows.counter, TIME))
     heading = by or (RUN if len(rows.runs) > 1 else "")
     if across.joined and heading:
@@ -257,16 +266,8 @@ def _ticks(panel: Any, across: Across, counted: bool) -> None:
         panel.set_xticks(range(len(across.labels)), across.labels, rotation=turn, ha=side)
     elif counted:
         count_axis(panel)
-    elif across.joined and _geometric(distinct):
+    elif across.joined and is_geometric(distinct):
         log_axis(panel)
         if len(distinct) <= MAX_LEVELS:
             panel.xaxis.set_minor_locator(NullLocator())
             panel.set_xticks(distinct, [short(value) for value in distinct])
-
-
-def _geometric(values: np.ndarray) -> bool:
-    """True if the ratios of numbers in order are more even than their differences."""
-    if len(values) < 3 or values[0] <= 0 or values[-1] < 10 * values[0]:
-        return False
-    ratios, gaps = np.diff(np.log(values)), np.diff(values)
-    return bool(np.std(ratios) / np.mean(ratios) < np.std(gaps) / np.mean(gaps))

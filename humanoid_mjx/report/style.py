@@ -71,7 +71,7 @@ def figure(
 
 def shades(count: int) -> list[Any]:
     """Colours for ordered things, dark to light, all readable on white."""
-    return [plt.get_cmap(SEQUENTIAL)(x) for x in np.linspace(0.0, 0.85, count)]
+    return [plt.get_cmap("plasma")(x) for x in np.linspace(0.0, 0.88, count)]
 
 
 def count_axis(axis: Any) -> None:
@@ -94,9 +94,25 @@ def wrapped(text: str, fig: Any) -> str:
     return textwrap.fill(text, max(20, int(LETTERS_PER_INCH * fig.get_size_inches()[0])))
 
 
-def label_lines(axis: Any) -> None:
-    """Write the labels of an axes' lines beside it, in the order in which the lines end."""
+def label_lines(axis: Any, title: str | None = None) -> None:
+    """Write the labels of an axes' lines beside it, in the order in which they were drawn."""
     lines = [line for line in axis.get_lines() if not str(line.get_label()).startswith("_") and len(line.get_ydata())]
-    lines.sort(key=lambda line: -line.get_ydata()[-1])
     look = {"frameon": False, "handlelength": 1.2, "borderpad": 0.0}
-    axis.legend(handles=lines, loc="center left", bbox_to_anchor=(1.01, 0.5), fontsize=7.5, **look)
+    axis.legend(
+        handles=lines,
+        loc="center left",
+        bbox_to_anchor=(1.01, 0.5),
+        fontsize=7.5,
+        title=title,
+        title_fontsize=7.5,
+        **look,
+    )
+
+
+def is_geometric(values: np.ndarray) -> bool:
+    """True if the ratios of numbers in order are more even than their differences."""
+    values = np.unique(values)
+    if len(values) < 3 or values[0] <= 0 or values[-1] < 10 * values[0]:
+        return False
+    ratios, gaps = np.diff(np.log(values)), np.diff(values)
+    return bool(np.std(ratios) / np.mean(ratios) < np.std(gaps) / np.mean(gaps))

@@ -11,7 +11,7 @@ import numpy as np
 from humanoid_mjx.files import write_text
 from humanoid_mjx.report.style import figure
 
-Verdict = Literal["reproduced", "recovered", "consistent", "differs", "not_reproducible", "finding"]
+Verdict = Literal["reproduced", "recovered", "consistent", "differs", "not_reproducible", "cannot_tell", "finding"]
 
 MEANINGS: dict[Verdict, str] = {
     "reproduced": "what is printed comes out",
@@ -19,6 +19,7 @@ MEANINGS: dict[Verdict, str] = {
     "consistent": "it agrees, but it could not have differed",
     "differs": "it does not come out",
     "not_reproducible": "no values that are possible could make it come out",
+    "cannot_tell": "too few seeds to say whether it comes out",
     "finding": "nothing is printed that it could agree with",
 }
 """Meaning of each verdict, in the order in which verdicts are counted."""

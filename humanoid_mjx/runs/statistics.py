@@ -1,64 +1,32 @@
-"""Robust aggregates over seeds (R. Agarwal et al., "Deep RL at the Edge of the Statistical Precipice", 2021), with
-intervals of 95 %, and the results of an evaluation."""
+"""Statistics of outcomes: over the seeds of a training, which are few and of any distribution, and over episodes.
+
+Over seeds the middle is the median. Its interval rests on order statistics, so it covers as often as it says whatever
+the outcomes' distribution; means and interquartile means of five seeds, half of which fail, have no such interval.
+Seeds are common random numbers of all points of a sweep, so points are compared seed by seed.
+"""
 
 from collections.abc import Mapping
+from math import comb, inf
 from statistics import NormalDist
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Num
+from jaxtyping import Bool, Float, Int, Num
+from scipy.special import stdtr, stdtrit
 
-ENDS = 0.025, 0.975
-"""Quantiles at the ends of an interval."""
+ERROR = 0.05
+"""One minus the level of intervals; the share of false alarms that a comparison may have."""
 
-RESAMPLES = 500
+WIDER = {2: 5.87, 3: 0.813, 4: 0.242}
+"""By number of values: share of their range by which it grows at each end to cover the median of a normal distribution
+in 95 %. The range alone covers any median in 50, 75 and 87.5 %, that of five in 93.75 %."""
 
-RESAMPLED_NUMBERS = 10_000_000
-"""Approximate number of resampled values held at once."""
+RESAMPLES = 399
 
+ROUNDING = 1e-9
 
-def iqm(values: Num[np.ndarray, "n ..."]) -> Float[np.ndarray, "..."]:
-    """Interquartile mean over the first axis: the mean of the middle half, entries at its ends by their share."""
-    n = len(values)
-    ordered = np.sort(values, axis=0)
-    low, high = n / 4, 3 * n / 4
-    places = np.arange(n)
-    weights = np.clip(np.minimum(places + 1, high) - np.maximum(places, low), 0, None)
-    # Not a product of matrices: columns of equal values have to get equal means to the last bit, as ranks do.
-    return np.asarray((ordered.T * (weights / weights.sum())).T.sum(axis=0))
-
-
-def iqm_interval(values: Num[np.ndarray, "n ..."]) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]:
-    """Percentile bootstrap interval of the interquartile mean over the first axis, the entries resampled whole."""
-    n, rng = len(values), np.random.default_rng(0)
-    batches = np.array_split(np.arange(RESAMPLES), -(-RESAMPLES * values.size // RESAMPLED_NUMBERS))
-    draws = (rng.integers(n, size=(len(batch), n)) for batch in batches)
-    estimates = np.concatenate([iqm(np.swapaxes(values[rows], 0, 1)) for rows in draws])
-    low, high = np.quantile(estimates, ENDS, axis=0)
-    return np.asarray(low), np.asarray(high)
-
-
-def rate_interval(successes: Bool[np.ndarray, " n"]) -> tuple[float, float]:
-    """Interval of a probability (E. Wilson, 1927), which keeps a width even where all trials or none succeeded."""
-    n, share = len(successes), float(np.mean(successes))
-    z2 = NormalDist().inv_cdf(ENDS[1]) ** 2
-    middle = (share + z2 / (2 * n)) / (1 + z2 / n)
-    half = (z2 * (share * (1 - share) / n + z2 / (4 * n**2))) ** 0.5 / (1 + z2 / n)
-    return max(0.0, middle - half), min(1.0, middle + half)
-
-
-def mean_interval(values: Float[np.ndarray, "n ..."]) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]:
-    """Percentile bootstrap interval of the mean over the first axis, whose NaN entries are left out; NaN where fewer
-    than two others remain."""
-    n, known = len(values), np.isfinite(values)
-    draws = np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), RESAMPLES).astype(float)
-    totals, counts = (np.tensordot(draws, part, axes=1) for part in (np.where(known, values, 0.0), known.astype(float)))
-    means = np.divide(totals, counts, out=np.full(totals.shape, np.nan), where=counts > 0)
-    enough = known.sum(axis=0) > 1
-    # A resample that holds no known entry says nothing; the others always do.
-    ends = np.nanquantile(np.where(enough, means, 0.0), ENDS, axis=0)
-    low, high = np.where(enough, ends, np.nan)
-    return np.asarray(low), np.asarray(high)
+BLOCKS = 32
+"""More seeds than this are averaged in so many blocks before points are compared."""
 
 
 class Estimate(NamedTuple):
@@ -69,6 +37,178 @@ class Estimate(NamedTuple):
     high: float
 
 
+def interval(
+    values: Num[np.ndarray, "n ..."], least: float = -inf, most: float = inf
+) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]:
+    """The 95 % interval of the median over the first axis, within the values that are possible.
+
+    Its ends are two of the sorted values, interpolated (T. Hettmansperger and S. Sheather, 1986); of five values they
+    are the least and the greatest, of fewer they lie beyond (`WIDER`). Of a single value it is the value.
+    """
+    n, ordered = len(values), np.sort(np.asarray(values, float), axis=0)
+    # Share of samples whose median lies below their k-th smallest value or above their k-th largest one.
+    outside = 2 * np.cumsum([comb(n, i) / 2**n for i in range(n // 2 + 1)])
+    if n < 2 or outside[0] > ERROR:
+        beyond = WIDER.get(n, 0.0) * (ordered[-1] - ordered[0])
+        low, high = ordered[0] - beyond, ordered[-1] + beyond
+    else:
+        k = int(np.flatnonzero(outside <= ERROR)[-1]) + 1
+        inner = min(outside[k], 1.0) if k < len(outside) else 1.0
+        part = (ERROR - outside[k - 1]) / (inner - outside[k - 1])
+        part = (n - k) * part / (k + (n - 2 * k) * part)
+        low, high = ((1 - part) * ordered[a] + part * ordered[b] for a, b in ((k - 1, k), (n - k, n - k - 1)))
+    return np.asarray(np.clip(low, least, most)), np.asarray(np.clip(high, least, most))
+
+
+def estimate(values: Num[np.ndarray, " n"], least: float = -inf, most: float = inf) -> Estimate:
+    """The median of the seeds, and its interval."""
+    return Estimate(float(np.median(values)), *map(float, interval(values, least, most)))
+
+
+def difference(one: Num[np.ndarray, " seeds"], other: Num[np.ndarray, " seeds"]) -> Estimate:
+    """The difference of two points by their common seeds; they differ if its interval does not hold 0."""
+    return estimate(np.asarray(one, float) - np.asarray(other, float))
+
+
+def improvement(one: Num[np.ndarray, " n"], other: Num[np.ndarray, " m"]) -> float:
+    """Probability that a run of one is above a run of the other (R. Agarwal et al., 2021), equal ones counted half."""
+    gaps = np.subtract.outer(one, other)
+    return float(np.mean(gaps > 0) + np.mean(gaps == 0) / 2)
+
+
+def profile(values: Num[np.ndarray, " runs"], marks: Num[np.ndarray, " marks"]) -> Float[np.ndarray, " marks"]:
+    """Performance profile (R. Agarwal et al., 2021): the share of runs above each mark."""
+    return np.mean(np.asarray(values)[:, None] > marks, axis=0)
+
+
+def above(one: Num[np.ndarray, " n"], other: Num[np.ndarray, " m"]) -> float:
+    """The probability that independent runs alike separate so far with `one` above: Mann and Whitney's test, exact."""
+    from scipy import stats  # takes as long to import as all of this package
+
+    exact: Any = stats.PermutationMethod(n_resamples=9_999, rng=np.random.default_rng(0))
+    return float(stats.mannwhitneyu(one, other, alternative="greater", method=exact).pvalue)
+
+
+def holm(probabilities: Num[np.ndarray, " tests"]) -> Float[np.ndarray, " tests"]:
+    """The probabilities of several tests, corrected for their number (S. Holm, 1979)."""
+    order, count = np.argsort(probabilities), len(probabilities)
+    raised = np.maximum.accumulate(np.asarray(probabilities)[order] * (count - np.arange(count)))
+    return np.minimum(raised[np.argsort(order)], 1.0)
+
+
+def not_worse(values: Float[np.ndarray, "points seeds"], error: float = ERROR) -> Bool[np.ndarray, " points"]:
+    """The points that are not worse than the best: the model confidence set (P. Hansen et al., 2011).
+
+    The worst point leaves while the points that are left are not alike (`_are_alike`). Where points are alike, a sweep
+    loses one in 5 % of the cases, however many points it has, whatever their distribution. NaN is worst.
+    """
+    known = np.isfinite(values)
+    values = np.where(known, values, np.min(values, where=known, initial=inf) if known.any() else 0.0)
+    if values.shape[1] > BLOCKS:
+        values = np.stack([block.mean(axis=1) for block in np.array_split(values, BLOCKS, axis=1)], axis=1)
+    means = values.mean(axis=1)
+    order = np.argsort(-means, kind="stable")
+    ends = [*np.flatnonzero(-np.diff(means[order]) > ROUNDING) + 1, len(values)]  # equal points leave together
+    alike, left = 0, len(ends) - 1
+    if _are_alike(values, error):
+        alike = left
+    while left - alike > 1:
+        middle = (alike + left) // 2
+        alike, left = (middle, left) if _are_alike(values[order[: ends[middle]]], error) else (alike, middle)
+    return np.isin(np.arange(len(values)), order[: ends[alike]])
+
+
+def _are_alike(values: Float[np.ndarray, "points seeds"], error: float) -> bool:
+    """True if the means of points differ no more than chance makes them differ.
+
+    Chance is to deal out the values of each seed anew among the points: their range or their variance is then greater
+    in all but a share of `error` of the cases. Two points have too few such cases; Student's test compares them.
+    """
+    points, seeds = values.shape
+    if np.ptp(means := values.mean(axis=1)) < ROUNDING or seeds < 2:
+        return True
+    if points == 2:
+        gaps = values[0] - values[1]
+        return bool(2 * stdtr(seeds - 1, -abs(gaps.mean()) / max(gaps.std(ddof=1) / seeds**0.5, ROUNDING)) > error)
+    rng, found, as_far = np.random.default_rng(0), np.array([np.ptp(means), means.var()]), np.zeros(2)
+    for _ in range(RESAMPLES):
+        chance = rng.permuted(values, axis=0).mean(axis=1)
+        as_far += np.array([np.ptp(chance), chance.var()]) >= found * (1 - ROUNDING)
+        if (as_far + 1 > error / 2 * (RESAMPLES + 1)).all():
+            return True
+    return False
+
+
+def of_levels(
+    level: Int[np.ndarray, " points"], values: Num[np.ndarray, "points ..."]
+) -> Float[np.ndarray, "levels ..."]:
+    """The mean over the points of each value of a parameter, seed by seed: its main effect."""
+    return np.stack([values[level == each].mean(axis=0, dtype=float) for each in range(int(level.max()) + 1)])
+
+
+def importance(
+    level: Int[np.ndarray, " points"], values: Float[np.ndarray, "points seeds"], drawn: bool = False
+) -> Float[np.ndarray, " seeds"]:
+    """The share of the variance between points that the value of a parameter explains, each seed against the others.
+
+    Chance of a seed is not counted, since no other seed repeats it. With `level` the number of a pair of values, what
+    is above the shares of the two parameters is their interaction. 0 where there is one seed only.
+
+    `drawn`: of points drawn at random; corrected for the chance of the other parameters (T. Kelley, 1935).
+    """
+    points, seeds = values.shape
+    if seeds < 2:
+        return np.zeros(seeds)
+    values = values - values.mean(axis=0)
+    others = (values.sum(axis=1, keepdims=True) - values) / (seeds - 1)
+    counts = np.bincount(level)[:, None]
+    explained = (counts * of_levels(level, values) * of_levels(level, others)).sum(axis=0)
+    total = (values * others).sum(axis=0)
+    share = np.where(total > 0, explained / np.where(total > 0, total, 1.0), 0.0)
+    share = 1 - (1 - share) * (points - 1) / max(points - len(counts), 1) if drawn else share
+    return np.clip(share, -1.0, 1.0)
+
+
+def iqm(values: Num[np.ndarray, "n ..."]) -> Float[np.ndarray, "..."]:
+    """Interquartile mean over the first axis: the mean of the middle half, entries at its ends by their share."""
+    n = len(values)
+    ordered = np.sort(values, axis=0)
+    low, high = n / 4, 3 * n / 4
+    places = np.arange(n)
+    weights = np.clip(np.minimum(places + 1, high) - np.maximum(places, low), 0, None)
+    return np.asarray((ordered.T * (weights / weights.sum())).T.sum(axis=0))
+
+
+def rate_interval(successes: Bool[np.ndarray, " n"]) -> tuple[float, float]:
+    """Interval of a probability (E. Wilson, 1927), which keeps a width even where all trials or none succeeded."""
+    n, share = len(successes), float(np.mean(successes))
+    z2 = NormalDist().inv_cdf(1 - ERROR / 2) ** 2
+    middle = (share + z2 / (2 * n)) / (1 + z2 / n)
+    half = (z2 * (share * (1 - share) / n + z2 / (4 * n**2))) ** 0.5 / (1 + z2 / n)
+    return max(0.0, middle - half), min(1.0, middle + half)
+
+
+def mean_interval(values: Float[np.ndarray, "n ..."]) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]:
+    """Student's interval of the mean of many episodes, the first axis, whose NaN entries are left out; NaN where fewer
+    than two others remain."""
+    known = np.isfinite(values)
+    n = known.sum(axis=0)
+    count, enough = np.maximum(n, 2), n > 1
+    mean = np.where(known, values, 0.0).sum(axis=0) / count
+    square = np.where(known, (values - mean) ** 2, 0.0).sum(axis=0)
+    half = np.where(enough, stdtrit(count - 1, 1 - ERROR / 2) * np.sqrt(square / (count - 1) / count), np.nan)
+    return np.asarray(mean - half), np.asarray(mean + half)
+
+
+def iqm_interval(values: Num[np.ndarray, " n"]) -> tuple[float, float]:
+    """Interval of the interquartile mean of many episodes (J. Tukey and D. McLaughlin, 1963): Student's, by the values
+    beyond the quartiles moved to these."""
+    n, ordered = len(values), np.sort(values)
+    low, high = mean_interval(np.clip(ordered, ordered[n // 4], ordered[-1 - n // 4]).astype(float))
+    half, middle = float(high - low) if n > 1 else 0.0, float(iqm(values))  # the middle half, so twice the error
+    return middle - half, middle + half
+
+
 class Evaluation(NamedTuple):
     """Success, return and steps of an agent on a task."""
 
@@ -77,7 +217,7 @@ class Evaluation(NamedTuple):
     success: Estimate
     """The share of episodes, with Wilson's interval."""
     episode_return: Estimate
-    """Interquartile means, with bootstrap intervals over the episodes."""
+    """Interquartile means over the episodes."""
     steps: Estimate
     mean_return: float
     discounted_return: float

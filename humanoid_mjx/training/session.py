@@ -31,6 +31,9 @@ from humanoid_mjx.training.progress import Reporter, State
 CHECKPOINT_EVERY_S = 30.0
 """Seconds of training that a kill may cost."""
 
+TABLES_AFTER_S = 60.0
+"""Seconds after which tables are written while it trains; those of a shorter sweep are written once."""
+
 TABLES_SHARE = 0.05
 """The share of the wall time that rewriting the tables may take while runs finish."""
 
@@ -64,12 +67,14 @@ class Session:
         self.earlier = {}
         with contextlib.suppress(InputError):  # a damaged one is written anew
             self.earlier = read_provenance(folder.path)
-        self.began = self.tables_due = time.monotonic()
+        self.began = time.monotonic()
+        self.tables_due = self.began + TABLES_AFTER_S
         self.started = datetime.now(UTC).isoformat(timespec="seconds")
         self.made_by = compute.made_by()
         self.compile_s = 0.0
         self.scores = np.zeros((len(plan.points), 3))
         """Of each point the number of runs that this session has finished, and the sums of their success and return."""
+        self.best: tuple[float, float] | None = None
         self.pace = Pace(plan.num_runs, len(plan.groups))
         self.tables_are_old = True
         self.lock, self.stop = threading.Lock(), threading.Event()
@@ -250,11 +255,13 @@ class Session:
 
     def _best(self, runs: np.ndarray, shares: np.ndarray, known: np.ndarray) -> tuple[float, float] | tuple[None, None]:
         """Success and return at the best point so far: means over its runs, each by its share of the training that is
-        done. Runs that begin, of other points or other seeds, make neither fall."""
+        done. What was reached stays, whatever trains now."""
         sums = self.scores.copy()
         np.add.at(sums, runs // self.plan.config.seeds, shares[:, None] * np.insert(known[:, :2], 0, 1.0, axis=1))
         sums = sums[sums[:, 0] > 0]
-        return max(map(tuple, (sums[:, 1:] / sums[:, :1]).tolist()), default=(None, None))
+        now = max(((success, gain) for success, gain in (sums[:, 1:] / sums[:, :1]).tolist()), default=self.best)
+        self.best = now if self.best is None or (now and now > self.best) else self.best
+        return self.best or (None, None)
 
     def write_results(self) -> None:
         """Bring tables and provenance up to date with the finished runs."""

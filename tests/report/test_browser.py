@@ -14,6 +14,7 @@ from humanoid_mjx.report.page import _row
 from humanoid_mjx.report.scene import player
 from humanoid_mjx.report.web import contents, page, section, table, text
 from humanoid_mjx.robot import make_robot
+from humanoid_mjx.runs.curves import of_rows
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium here")]
 
@@ -91,10 +92,11 @@ def test_tables_sort_and_curves_say_their_values(tmp_path):
         "learner.epsilon": np.repeat([0.1, 0.1, 0.5, 0.5], 3),
         "steps": np.array([9.0, 4, 3, 9, 4, 3, 8, 7, 6, 8, 7, 6]),
     }
-    (figure,) = [each for each in curved(results) if each.needed == ("steps",)]
+    learned = of_rows(results, ["learner.epsilon"])
+    (figure,) = [each for each in curved(learned) if each.needed == ("steps",)]
     rows = [("x", "10"), ("y", "9.5 (1 to 20)"), ("z", "1e2")]
     body = contents(["A table"]) + section(
-        "A table", table(("name", "n"), rows), *_row(results, ["learner.epsilon"], figure)
+        "A table", table(("name", "n"), rows), *_row(learned, ["learner.epsilon"], figure)
     )
     file = tmp_path / "page.html"
     file.write_text(page("t", body))

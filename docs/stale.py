@@ -1,0 +1,75 @@
+"""Records of docs/bench that are older than what they measure, by the paths that each depends on.
+
+python docs/stale.py          # in a clone with its history; a line for each record, the stalest first
+"""
+
+import fnmatch
+import re
+import subprocess
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent
+
+LEARNING = "learners", "training/program.py", "training/programs.py", "tasks/base.py"
+BODIES = *LEARNING, "tasks/continuous.py", "tasks/legged", "physics", "control", "mechanics", "robot", "compute/kernels"
+TABLES = *LEARNING, "tasks/finite.py", "tasks/joint_reach.py", "training/fused.py", "compute/kernels", "compute/rng.py"
+DEPENDS: dict[str, Sequence[str]] = {
+    "mutants_*": (),  # of a folder as it was
+    "faults": ("runs", "training", "config", "spec.py", "files.py"),
+    "cpu_2_cores_reproduce": ("reproduction", "thesis", "control", "mechanics", "robot/leg.py"),
+    "c_policy": ("evaluation/c_source.py", "tasks/legged"),
+    "*robot*": ("physics", "mechanics/tree", "robot", "compute/kernels"),
+    "*leg_reach*": (*LEARNING, "tasks/leg_reach.py", "physics/chain.py", "mechanics"),
+    "*posture_switch*": (*LEARNING, "tasks/posture_switch.py", "physics", "mechanics"),
+    "*in_turn": (*BODIES, *TABLES),
+    "cpu_2_cores": (*BODIES, *TABLES, "tasks/leg_reach.py"),
+    "h200": (*BODIES, *TABLES, "tasks/leg_reach.py"),
+    "h200_one_kernel": TABLES,
+    "parity": LEARNING,
+    "*": BODIES,
+}
+"""Paths below `humanoid_mjx/` by the name of a record; the first pattern that fits counts."""
+
+
+def paths_of(name: str) -> list[str]:
+    """Return the paths that a record depends on."""
+    found = next(paths for pattern, paths in DEPENDS.items() if fnmatch.fnmatch(name, pattern))
+    return [f"humanoid_mjx/{path}" for path in dict.fromkeys(found)]
+
+
+def commits_of(text: str) -> set[str]:
+    """Return the commits at which the rows of a record were measured."""
+    return set(re.findall(r'"commit": "([0-9a-f]{7,40})', text))
+
+
+def changes(root: Path, commit: str, paths: Sequence[str]) -> int | None:
+    """Return how many commits after one changed the paths; None without git, or where it does not know the commit."""
+    command = ["git", "rev-list", "--count", f"{commit}..HEAD", "--", *paths]
+    try:
+        done = subprocess.run(command, cwd=root, capture_output=True, text=True, check=False)
+    except OSError:
+        return None
+    return int(done.stdout) if done.returncode == 0 else None
+
+
+def stale(root: Path, records: Mapping[str, str]) -> dict[str, tuple[str, int]]:
+    """Return of each record that is older than what it measures its oldest commit, and how many changed that since."""
+    found = {}
+    for name, text in records.items():
+        paths = paths_of(name)
+        ages = {commit: changes(root, commit, paths) or 0 for commit in commits_of(text) if paths}
+        if any(ages.values()):
+            found[name] = max(ages.items(), key=lambda each: each[1])
+    return dict(sorted(found.items(), key=lambda each: -each[1][1]))
+
+
+def main() -> None:
+    """Print the records that are older than what they measure."""
+    records = {path.stem: path.read_text(encoding="utf-8") for path in (ROOT / "docs" / "bench").glob("*.json")}
+    for name, (commit, count) in stale(ROOT, records).items():
+        print(f"{name}: {count} commits since {commit[:7]} change what it measures")
+
+
+if __name__ == "__main__":
+    main()

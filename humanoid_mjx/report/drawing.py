@@ -1,0 +1,145 @@
+"""Lines with intervals, and the names of what is drawn."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Num
+
+from humanoid_mjx.runs.statistics import interval
+
+HEAT_MAPS = {
+    "greedy_success": "share of greedy episodes that reach the goal",
+    "greedy_steps": "steps of a greedy episode",
+}
+
+CURVES = {
+    "steps": "steps per episode",
+    "success": "share of episodes that succeed",
+    "greedy_success": "share of greedy episodes that succeed",
+    "return": "return per episode (undiscounted)",
+    "td_error": "TD error, root mean square",
+}
+
+TERMS = "terms of the reward, sums of an episode"
+
+
+COUNTED = {"episode": "episodes", "step": "control steps"}
+"""The columns that a learning curve is drawn over, and what they are called."""
+
+
+def mean_known(values: Num[np.ndarray, "n ..."]) -> Float[np.ndarray, "..."]:
+    """The mean over the first axis of what is known; NaN where nothing is."""
+    known = np.isfinite(values)
+    if known.all():
+        return values.mean(axis=0, dtype=float)
+    count = known.sum(axis=0)
+    return np.where(count > 0, np.where(known, values, 0.0).sum(axis=0) / np.maximum(count, 1), np.nan)
+
+
+def over_seeds(count: int | str, shape: str = "band") -> str:
+    """Meaning of a line and its interval, in words; `shape` names the drawing of the interval."""
+    return "1 seed" if count == 1 else f"median over {count} seeds, {shape}: its 95 % interval"
+
+
+class Line(NamedTuple):
+    """A line as it was drawn."""
+
+    end: float
+    """Its last value; NaN where nothing is drawn."""
+    left_out: int
+    """Number of places left out because only some of the seeds have a number there."""
+
+
+def possible(name: str) -> float:
+    """The greatest possible value of a measure: shares end at 1."""
+    return 1.0 if name.endswith("success") else np.inf
+
+
+def draw_band(
+    panel: Any,
+    x: Num[np.ndarray, " places"],
+    curves: Float[np.ndarray, "seeds places"],
+    color: Any,
+    *,
+    band: bool = True,
+    joined: bool = True,
+    most: float = np.inf,
+    **look: Any,
+) -> Line:
+    """Draw the median over seeds and its 95 % interval where every seed that has any number has one.
+
+    Args:
+      panel: the axes of matplotlib.
+      x: the places, ordered if `joined`.
+      curves: NaN where there is no number.
+      color: of the line and its band.
+      band: whether to draw the interval.
+      joined: whether to draw a line through the places; else each has a bar for its interval.
+      most: the greatest possible value; of a share, whose least one is 0.
+      look: how the line looks, such as `linestyle`.
+    """
+    known = np.isfinite(curves)
+    curves, known = curves[known.any(axis=1)], known[known.any(axis=1)]
+    shown = known.all(axis=0) & bool(len(known))
+    left_out = int((known.any(axis=0) & ~shown).sum())
+    if not shown.any():
+        return Line(float("nan"), left_out)
+    at, middle = x[shown], np.median(curves[:, shown], axis=0)
+    low, high = interval(curves[:, shown], 0.0 if np.isfinite(most) else -np.inf, most) if band else (middle, middle)
+    if joined:
+        panel.plot(at, middle, color=color, **{"linewidth": 1.4} | look)
+        if band and len(curves) > 1:
+            panel.fill_between(at, low, high, color=color, alpha=0.2, linewidth=0)
+    else:
+        panel.errorbar(
+            at,
+            middle,
+            yerr=np.maximum([middle - low, high - middle], 0.0),
+            color=color,
+            **{"fmt": "o", "markersize": 3, "elinewidth": 0.8} | look,
+        )
+    return Line(float(middle[-1]), left_out)
+
+
+def draw_bar(panel: Any, place: float, seeds: Float[np.ndarray, " seeds"], color: Any, name: str, **look: Any) -> None:
+    """Draw the median of a measure over seeds at a place, with a bar for its interval."""
+    draw_band(panel, np.array([place]), seeds[:, None], color, joined=False, most=possible(name), **look)
+
+
+def draw_line(
+    panel: Any,
+    x: np.ndarray,
+    seed: np.ndarray,
+    y: np.ndarray,
+    color: Any,
+    *,
+    place: np.ndarray | None = None,
+    **look: Any,
+) -> Line:
+    """Draw one line with its band from rows of a table: the value of a seed at a place is the mean of its rows.
+
+    Args:
+      panel: the axes of matplotlib.
+      x: (rows,) of numbers.
+      seed: (rows,) of integers.
+      y: (rows,) of numbers, NaN where there is none.
+      color: of the line and its band.
+      place: (rows,) Which rows belong together; by default those of equal `x`. A place is drawn at its mean `x`.
+      look: as of `draw_band`.
+    """
+    places, p = np.unique(x if place is None else place, return_inverse=True)
+    seeds, s = np.unique(seed, return_inverse=True)
+    across = places if place is None else cell_mean(np.zeros_like(p), p, x, (1, len(places)))[0]
+    return draw_band(panel, across, cell_mean(s, p, y, (len(seeds), len(places))), color, **look)
+
+
+def cell_mean(
+    row: np.ndarray, column: np.ndarray, values: np.ndarray, shape: tuple[int, int]
+) -> Float[np.ndarray, "rows columns"]:
+    """The mean of the values that belong to each cell of a table; NaN where none is known."""
+    values = np.asarray(values, float)
+    known = np.isfinite(values)
+    cells = (row * shape[1] + column)[known]
+    size = shape[0] * shape[1]
+    count, total = np.bincount(cells, minlength=size), np.bincount(cells, values[known], minlength=size)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan).reshape(shape)

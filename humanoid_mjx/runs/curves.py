@@ -1,0 +1,126 @@
+"""The learning curves of a sweep by point and seed, read from a run folder a column at a time."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+from jaxtyping import Float, Num
+
+from humanoid_mjx.runs.ranking import NOT_COMPARED, Compared, by_point, compared, ranked
+from humanoid_mjx.runs.tables import column_names, read_table
+from humanoid_mjx.spec import InputError
+
+
+@dataclass(frozen=True)
+class Learning:
+    """What a sweep has learned: curves and final values, by point and seed; NaN where a run has no number."""
+
+    mode: str
+    """`grid`, `zip` or `random`."""
+    axes: Mapping[str, np.ndarray]
+    """Swept parameters: the value of each point."""
+    unit: str
+    """Counter of the training: `episode` or `step`."""
+    places: Num[np.ndarray, " record"]
+    names: Sequence[str]
+    """Measures that have curves."""
+    read: Callable[[str], Float[np.ndarray, "points seeds record"]]
+    """The curves of a measure."""
+    seeds: int
+    points: Sequence[int]
+    """The points' numbers."""
+    order: Sequence[int]
+    """Indices of the points, the best first."""
+    rows: Callable[[], dict[str, np.ndarray]]
+    """All of it as columns of `results.parquet`, for figures of a task's own."""
+    finals: Callable[[str], Float[np.ndarray, "points seeds"] | None] = lambda name: None
+    """A column of `summary.parquet`; None where there is none."""
+    compared: Compared = NOT_COMPARED
+
+
+def swept(config: Mapping[str, Any]) -> tuple[str, list[str]]:
+    """Mode and axes of a config's sweep; a grid without axes where it has none."""
+    sweep = config.get("sweep") or {}
+    return str(sweep.get("mode", "grid")), list(sweep.get("axes", {}))
+
+
+def read_learning(path: Path, config: Mapping[str, Any], summary: Mapping[str, np.ndarray], quickest: bool) -> Learning:
+    """The learning curves of a run folder.
+
+    Raises:
+      InputError: a table is missing, damaged or does not fit the config.
+    """
+    file, (mode, axes) = path / "results.parquet", swept(config)
+    columns = column_names(file)
+    if not columns:
+        read_table(file)  # says what is wrong
+    if missing := [axis for axis in axes if axis not in summary or axis not in columns]:
+        raise InputError(f"{path}: its tables do not fit its config; they have no column {missing[0]}.")
+    schema = pq.read_schema(file)
+    unit, runs = "step" if "step" in columns else "episode", len(summary["point"])
+    names = [name for name in columns if str(schema.field(name).type) in ("float", "double") and "." not in name]
+    record, odd = divmod(pq.read_metadata(file).num_rows, runs)
+    if odd or not record:
+        raise InputError(f"{path}: its tables do not fit together; --resume the run to write them anew.")
+    batch = next(pq.ParquetFile(file).iter_batches(record, columns=[unit]))
+    points, first, row = np.unique(summary["point"], return_index=True, return_inverse=True)
+    seeds, column = np.unique(summary["seed"], return_inverse=True)
+
+    def read(name: str) -> np.ndarray:
+        return _in_place(read_table(file, [name])[name].reshape(runs, record), row, column, (len(points), len(seeds)))
+
+    place = {int(number): index for index, number in enumerate(points)}
+    return Learning(
+        mode,
+        {axis: summary[axis][first] for axis in axes},
+        unit,
+        batch.column(0).to_numpy(zero_copy_only=False),
+        names,
+        read,
+        len(seeds),
+        points.tolist(),
+        [place[each.point] for each in ranked(axes, summary, quickest)],
+        lambda: read_table(file),
+        lambda name: by_point(summary, name)[1] if name in summary else None,
+        compared(mode, axes, summary, quickest),
+    )
+
+
+def of_rows(
+    rows: Mapping[str, np.ndarray], axes: Sequence[str], mode: str = "grid", order: Sequence[int] = ()
+) -> Learning:
+    """The learning curves of columns as `results.parquet` has them. `order`: numbers of points, the best first."""
+    unit = "step" if "step" in rows else "episode"
+    places, at = np.unique(rows[unit], return_inverse=True)
+    points, first, row = np.unique(rows["point"], return_index=True, return_inverse=True)
+    seeds, column = np.unique(rows["seed"], return_inverse=True)
+
+    def read(name: str) -> np.ndarray:
+        found = np.full((len(points), len(seeds), len(places)), np.nan)
+        found[row, column, at] = rows[name]
+        return found
+
+    return Learning(
+        mode,
+        {axis: rows[axis][first] for axis in axes},
+        unit,
+        places,
+        [name for name, values in rows.items() if values.dtype.kind == "f" and "." not in name],
+        read,
+        len(seeds),
+        points.tolist(),
+        [points.tolist().index(each) for each in order] or list(range(len(points))),
+        lambda: dict(rows),
+    )
+
+
+def _in_place(runs: np.ndarray, row: np.ndarray, column: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """The curves of runs by point and seed; as they are where none is missing."""
+    if len(runs) == shape[0] * shape[1] and (row * shape[1] + column == np.arange(len(runs))).all():
+        return runs.reshape(*shape, -1)
+    found = np.full((*shape, runs.shape[1]), np.nan)
+    found[row, column] = runs
+    return found

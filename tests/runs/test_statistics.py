@@ -1,0 +1,185 @@
+"""Statistics over seeds, against simulated outcomes whose truth is known, and against scipy."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from humanoid_mjx.runs.ranking import best_table, compared, in_words, ranked
+from humanoid_mjx.runs.statistics import (
+    above,
+    difference,
+    estimate,
+    holm,
+    importance,
+    improvement,
+    interval,
+    not_worse,
+    of_levels,
+    profile,
+)
+
+TRIALS = 20_000
+
+
+def two_kinds(share):
+    """Outcomes of seeds of which a share succeeds: two narrow heaps."""
+    return lambda rng, shape: (rng.random(shape) < share) + rng.normal(0.0, 0.05, shape)
+
+
+OUTCOMES = {
+    "normal": lambda rng, shape: rng.normal(size=shape),
+    "skewed": lambda rng, shape: rng.lognormal(size=shape),
+    "half fail": two_kinds(0.5),
+    "a third fails": two_kinds(0.67),
+    "a fifth fails": two_kinds(0.8),
+}
+
+
+def coverage(outcome, seeds):
+    rng = np.random.default_rng(seeds)
+    truth = np.median(OUTCOMES[outcome](rng, 2_000_000))
+    low, high = interval(OUTCOMES[outcome](rng, (seeds, TRIALS)))
+    return np.mean((low <= truth) & (truth <= high))
+
+
+@pytest.mark.parametrize("outcome", OUTCOMES)
+@pytest.mark.parametrize("seeds", [5, 8, 16, 64])
+def test_intervals_cover_the_median_as_often_as_they_say(outcome, seeds):
+    # 93.75 % is what the range of five values covers of any distribution; three sigma of the trials are 0.5 %.
+    assert 0.93 <= coverage(outcome, seeds) <= 0.97
+
+
+@pytest.mark.parametrize(("outcome", "least"), [("normal", 0.94), ("skewed", 0.92), ("half fail", 0.75)])
+def test_three_seeds_cover_what_they_can(outcome, least):
+    """Of two kinds of outcomes a quarter of all threes is of one kind: no interval of these can hold the other."""
+    assert least <= coverage(outcome, 3) <= 0.97
+
+
+@pytest.mark.parametrize("seeds", [8, 9, 16, 41])
+def test_order_statistics_bracket_the_interpolated_interval(seeds):
+    """Each end lies between the two order statistics whose binomial coverages bracket 95 %."""
+    low, high = interval(np.arange(seeds, dtype=float))
+    k = int(stats.binom.ppf(0.025, seeds, 0.5))  # the smallest k whose tail reaches 2.5 %
+    assert k - 1 <= low <= k and low + high == pytest.approx(seeds - 1)
+
+
+def test_possible_values_bound_an_interval():
+    assert estimate(np.array([0.5, 0.8, 1.0]), 0.0, 1.0) == (0.8, pytest.approx(0.5 - 0.813 * 0.5), 1.0)
+    assert estimate(np.array([3.0])) == (3.0, 3.0, 3.0)
+
+
+@pytest.mark.parametrize("outcome", ["normal", "skewed", "half fail"])
+@pytest.mark.parametrize("seeds", [5, 16])
+def test_of_300_points_alike_none_is_called_worse(outcome, seeds):
+    rng, trials = np.random.default_rng(seeds), 60
+
+    def false_alarm():
+        values = OUTCOMES[outcome](rng, (300, seeds)) + 3.0 * rng.normal(size=seeds)  # seeds are common to points
+        return not not_worse(values).all()
+
+    # At most 5 %, and three sigma of the trials.
+    assert np.mean([false_alarm() for _ in range(trials)]) <= 0.05 + 3 * np.sqrt(0.05 * 0.95 / trials)
+
+
+@pytest.mark.parametrize(("seeds", "kept"), [(3, 20), (5, 16), (16, 16)])
+def test_worse_points_are_told_from_the_best(seeds, kept):
+    rng = np.random.default_rng(9)
+    truth = np.concatenate([np.full(14, 0.97), np.linspace(0.2, 0.8, 286)])
+    found = not_worse(truth[:, None] + rng.normal(0.0, 0.05, (300, seeds)) + rng.normal(size=seeds))
+    assert found[:14].all() and found.sum() <= kept
+    assert not_worse(np.outer([1.0, 0.0, 0.0, 0.0, 0.0], np.ones(5))).tolist() == [True, *[False] * 4]
+    assert not_worse(rng.normal(size=(20, 1))).all(), "one seed tells nothing"
+
+
+def test_common_seeds_make_a_small_difference_visible():
+    rng = np.random.default_rng(1)
+    luck = rng.normal(size=8)
+    one, other = luck + 0.3 + rng.normal(0.0, 0.05, 8), luck + rng.normal(0.0, 0.05, 8)
+    assert difference(one, other).low > 0.2
+    assert estimate(one).low < estimate(other).high, "the intervals of the two overlap"
+
+
+def test_comparisons_of_independent_runs_are_those_of_scipy():
+    rng = np.random.default_rng(2)
+    one, other = rng.normal(0.5, 1, 6), rng.normal(size=7)
+    assert above(one, other) == pytest.approx(
+        stats.mannwhitneyu(one, other, alternative="greater", method="exact").pvalue
+    )
+    assert above(np.arange(5) + 9.0, np.arange(5.0)) == pytest.approx(1 / 252)
+    assert improvement(one, other) == pytest.approx(stats.mannwhitneyu(one, other).statistic / 42)
+    assert improvement(np.ones(3), np.ones(4)) == 0.5
+    np.testing.assert_allclose(holm(np.array([0.01, 0.04, 0.03])), [0.03, 0.06, 0.06])
+    np.testing.assert_allclose(profile(np.array([1.0, 2.0, 3.0]), np.array([0.0, 2.0, 3.0])), [1.0, 1 / 3, 0.0])
+
+
+def grid(effect):
+    """A grid of 5 x 4 x 3 points and 6 seeds, and what a function of the three indices and noise make of it."""
+    index = np.array(np.unravel_index(np.arange(60), (5, 4, 3)))
+    return index, effect(*index)[:, None] + np.random.default_rng(3).normal(0.0, 0.5, (60, 6))
+
+
+def test_effects_of_a_grid_are_those_of_the_analysis_of_variance():
+    a, b = np.arange(5) - 2.0, np.arange(4) - 1.5
+    index, values = grid(lambda i, j, k: 2 * a[i] + b[j] + a[i] * b[j])
+    variances = {"a": 4 * a.var(), "b": b.var(), "ab": a.var() * b.var(), "c": 0.0}
+    total = sum(variances.values())
+    of = {name: np.median(importance(level, values)) for name, level in zip("abc", index, strict=True)}
+    of["ab"] = np.median(importance(index[0] * 4 + index[1], values)) - of["a"] - of["b"]
+    for name, variance in variances.items():
+        assert of[name] == pytest.approx(variance / total, abs=0.02), name
+    np.testing.assert_allclose(of_levels(index[0], values)[1], values[index[0] == 1].mean(axis=0))
+
+
+def test_of_points_drawn_at_random_the_other_parameters_are_no_effect():
+    rng = np.random.default_rng(4)
+    level, other = rng.integers(5, size=(2, 80))
+    values = np.repeat(10.0 * other[:, None], 4, axis=1)
+    shares = [np.median(importance(each, values, drawn=True)) for each in (level, other)]
+    assert abs(shares[0]) < 0.15 and shares[1] == pytest.approx(1.0)
+
+
+def summary_of(success, seeds):
+    """A sweep over two parameters, from its success by epsilon, rate and seed."""
+    shape = *success.shape[:2], seeds
+    epsilon, rate, seed = (x.ravel() for x in np.indices(shape))
+    values = np.broadcast_to(success, shape).ravel()
+    found = {
+        "point": epsilon * shape[1] + rate,
+        "seed": seed,
+        "learner.epsilon": epsilon / 10,
+        "learner.rate": rate * 1.0,
+    }
+    zeros = dict.fromkeys(
+        ("greedy_steps", "greedy_return", "steps", "return", "success", "whole_steps"), np.zeros(len(seed))
+    )
+    return found | zeros | {"greedy_success": values, "diverged": np.zeros(len(seed), bool)}
+
+
+def told(success, seeds):
+    summary, axes = summary_of(success, seeds), ["learner.epsilon", "learner.rate"]
+    return in_words(axes, ranked(axes, summary, quickest=True), compared("grid", axes, summary, quickest=True))
+
+
+def test_a_sweep_says_what_it_found_or_that_it_cannot_tell():
+    rng = np.random.default_rng(5)
+    rates = np.array([0.1, 0.5, 0.9])[None, :, None] + rng.normal(0.0, 0.01, (4, 3, 5))
+    words = told(rates, 5)
+    assert words.startswith("best: epsilon 0.") and "rate 2; as good: 4 of 12 points by success of greedy" in words
+    assert words.endswith("rate (100%) matters most.")
+    chance = told(rng.normal(0.5, 0.1, (4, 3, 5)), 5)
+    assert chance.startswith("cannot tell with 5 seeds which of the 12 points is best;")
+    assert chance.endswith("cannot tell with 5 seeds which parameter matters.")
+    assert "cannot tell with 1 seed which of the 12 points" in told(rates[..., :1], 1)
+
+
+def test_a_sweep_that_is_not_over_compares_what_is():
+    """Of four points one lacks a seed; of another sweep no point has all of them."""
+    rng = np.random.default_rng(6)
+    rates = np.array([[0.1], [0.5], [0.9], [0.95]])[:, :, None] + rng.normal(0.0, 0.01, (4, 1, 5))
+    whole, axes = summary_of(rates, 5), ["learner.epsilon", "learner.rate"]
+    for kept, rows in ((whole["point"] != 1) | (whole["seed"] < 4), 4), (whole["seed"] == whole["point"], 4):
+        part = {name: values[kept] for name, values in whole.items()}
+        found, points = compared("grid", axes, part, quickest=True), ranked(axes, part, quickest=True)
+        table = best_table(axes, part, points, True, found)[1]
+        assert len(table) == rows and "nan" not in str(table) and "nan" not in in_words(axes, points, found)
+        assert 1 not in found.as_good and found.complete in (0, 3)
