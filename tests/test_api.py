@@ -64,7 +64,8 @@ def test_mapped_trainings_are_those_alone(grid):
     assert grid.curve["success"].shape == (2, 3, 10) and grid.policy.weights.shape == (2, 3, 8, 2)
     alone = train(EXACT.replace(epsilon=0.75), key(2))
     np.testing.assert_array_equal(alone.policy.weights, grid.policy.weights[1, 2])
-    assert not np.array_equal(grid.policy.weights[0, 0], grid.policy.weights[1, 0])
+    np.testing.assert_array_equal(alone.curve["steps"], grid.curve["steps"][1, 2])
+    assert not np.array_equal(grid.curve["steps"][0, 0], grid.curve["steps"][1, 0])
 
 
 def test_training_ends_where_progress_does(grid):
