@@ -212,12 +212,12 @@ def plot(
 
 @app.command()
 def export(
-    what: Annotated[str, Argument(metavar="ROBOT|RUN", help="leg, legs, lower_body; or a run folder.")],
-    file: Annotated[Path, Argument(metavar="FILE", help="An .xml for a robot, an .npz or .c for a run.")],
+    what: Annotated[str, Argument(metavar="ROBOT|RUN|POLICY", help="A robot, a run folder or a policy.")],
+    file: Annotated[Path, Argument(metavar="FILE", help="An .xml for a robot; .npz, .c or .onnx for a policy.")],
     point: Point = None,
     trust: Trust = False,
 ) -> None:
-    """Write a robot as MJCF, or the best policy of a run as .npz or as C."""
+    """Write a robot, or that of a policy, as MJCF; or the best policy of a run as .npz, C or ONNX."""
     from humanoid_mjx.commands.play import run_export
 
     with _trusting(trust, what):

@@ -122,8 +122,8 @@ class Reader:
     def export(self, what, file, **options):
         from humanoid_mjx.robot import ROBOTS
 
-        assert what in ROBOTS if file.suffix == ".xml" else file.suffix == ".npz"
-        if file.suffix == ".npz":
+        assert file.suffix in (".xml", ".npz", ".c", ".onnx"), file
+        if what not in ROBOTS or file.suffix != ".xml":
             self.has(what)
         self.there.add(str(file))
 
