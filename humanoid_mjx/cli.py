@@ -170,6 +170,16 @@ def play(
 
 
 @app.command()
+def demo(
+    port: Annotated[int | None, Option(min=1, max=65535, help="Port of the page; by default any free one.")] = None,
+) -> None:
+    """Show a walking robot in the browser, to be steered and pushed."""
+    from humanoid_mjx.commands.play import run_demo
+
+    run_demo(port)
+
+
+@app.command()
 def report(
     run: Annotated[Path, Argument(metavar="RUN", help="A run folder, or a folder that reproduce has written.")],
     out: Annotated[Path | None, Option(metavar="FILE.html", help="By default RUN/report.html.")] = None,

@@ -113,6 +113,9 @@ class Reader:
         if policy in names("policies", ".npz"):
             in_changed_world(find_policy(policy), [*(set_ or []), *([f"task.physics={physics}"] if physics else [])])
 
+    def demo(self, port):
+        pass
+
     def plot(self, run, **options):
         self.has(*run)
 
