@@ -2,6 +2,7 @@
 
 import ast
 import importlib.util
+import json
 import os
 import re
 import subprocess
@@ -38,6 +39,16 @@ def test_figures_of_pages_are_those_of_the_records():
     build = build_module()
     assert [name for name, text in TEXTS.items() if build.written(text) != text] == []
     assert set(re.findall(r"<!-- record: (\w+) -->", "".join(TEXTS.values()))) == set(build.FIGURES)
+
+
+def test_the_notebook_holds_what_its_page_runs():
+    """`test_what_a_reader_types_works` runs the page, in the order of the notebook's cells."""
+    build = build_module()
+    text = (DOCS / "notebook.ipynb").read_text(encoding="utf-8")
+    assert text == build.notebook()
+    cells = ["".join(cell["source"]) for cell in json.loads(text)["cells"] if cell["cell_type"] == "code"]
+    run = [block.text.strip() for block in blocks(TEXTS["docs/ten_lines.md"]) if not block.title]
+    assert cells == run and len(cells) == 4
 
 
 @pytest.mark.parametrize("name", TYPED)

@@ -68,6 +68,9 @@ class Estimate(NamedTuple):
     low: float
     high: float
 
+    def __str__(self) -> str:
+        return f"{self.value:.4g} ({self.low:.4g} to {self.high:.4g})"
+
 
 class Evaluation(NamedTuple):
     """Success, return and steps of an agent on a task."""
