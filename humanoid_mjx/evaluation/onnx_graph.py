@@ -36,7 +36,19 @@ MOVES = (
 )
 """Operations that move numbers; only their first operand is not constant."""
 
-REDUCES = {"reduce_sum": "ReduceSum", "reduce_max": "ReduceMax", "reduce_min": "ReduceMin", "argmax": "ArgMax"}
+COMPOSED: dict[str, Callable[..., str]] = {
+    "clamp": lambda node, low, x, high, _: node("Min", [node("Max", [low, x]), high]),
+    "square": lambda node, x, _: node("Mul", [x, x]),
+    "rsqrt": lambda node, x, _: node("Reciprocal", [node("Sqrt", [x])]),
+    "log1p": lambda node, x, one: node("Log", [node("Add", [x, one])]),
+    "expm1": lambda node, x, one: node("Sub", [node("Exp", [x]), one]),
+    "ne": lambda node, x, y, _: node("Not", [node("Equal", [x, y])]),
+    "rem": lambda node, x, y, _: node("Mod", [x, y], fmod=1),
+    "atan2": lambda node, y, x, one: node("Add", [node("Atan", [node("Div", [y, x])]), _half_turn(node, y, x, one)]),
+}
+"""Elementwise operations made of several in ONNX; the last argument is 1 in the type of the result."""
+
+REDUCES = {"reduce_sum": "ReduceSum", "reduce_max": "ReduceMax", "reduce_min": "ReduceMin", "reduce_or": "ReduceMax"}
 
 
 def to_onnx(
@@ -65,19 +77,10 @@ def to_onnx(
     found = graph.run(closed.jaxpr, closed.consts, list(inputs))
     for name, value in zip(outputs, found, strict=True):
         graph.node("Identity", [value], name)
-    kinds = {name: onnx.helper.np_dtype_to_tensor_dtype(np.dtype(x.dtype)) for name, x in inputs.items()}
-    head = [onnx.helper.make_tensor_value_info(name, kinds[name], x.shape) for name, x in inputs.items()]
-    tail = [
-        onnx.helper.make_tensor_value_info(name, onnx.helper.np_dtype_to_tensor_dtype(x.dtype), x.shape)
-        for name, x in zip(outputs, closed.out_avals, strict=True)
-    ]
-    needed, nodes = set(outputs), []
-    for node in reversed(graph.nodes):
-        if needed.intersection(node.output):
-            nodes.insert(0, node)
-            needed.update(node.input)
-    constants = [x for x in graph.constants if x.name in needed]
-    whole = onnx.helper.make_graph(nodes, "policy", head, tail, constants)
+    info, kind = onnx.helper.make_tensor_value_info, onnx.helper.np_dtype_to_tensor_dtype
+    head = [info(name, kind(np.dtype(x.dtype)), x.shape) for name, x in inputs.items()]
+    tail = [info(name, kind(x.dtype), x.shape) for name, x in zip(outputs, closed.out_avals, strict=True)]
+    whole = onnx.helper.make_graph(graph.nodes, "policy", head, tail, graph.constants)
     opset = [onnx.helper.make_opsetid("", OPSET)]
     model = onnx.helper.make_model(whole, opset_imports=opset, ir_version=IR_VERSION, producer_name="humanoid_mjx")
     onnx.helper.set_model_props(model, dict(metadata))
@@ -137,58 +140,48 @@ class _Graph:
 
     def operation(self, eqn: Any, name: str, params: Any, values: list[Any], out: Any) -> str:
         """Add one operation with one result."""
-        shape = eqn.invars[0].aval.shape
         if name in SAME:
             return self.node(SAME[name], values)
+        if name in COMPOSED:
+            return COMPOSED[name](self.node, *values, np.asarray(1, out.dtype))
         if name == "scatter" and not isinstance(values[1], str):
-            updates = eqn.invars[2].aval.shape
+            shape, updates = eqn.invars[0].aval.shape, eqn.invars[2].aval.shape
             order = jnp.arange(np.prod(updates, dtype=int)).reshape(updates)
             place = eqn.primitive.bind(jnp.full(shape, -1), jnp.asarray(values[1]), order, **params)
             return self.node("Where", [np.asarray(place) < 0, values[0], self.gathered(values[2], place.clip(0))])
-        if name == "concatenate":
-            return self.node("Concat", values, axis=params["dimension"])
-        if name == "stack":
-            place = np.array([params["axis"]])
-            return self.node("Concat", [self.node("Unsqueeze", [x, place]) for x in values], axis=params["axis"])
+        if name in ("concatenate", "stack"):
+            axis = params.get("dimension", params.get("axis"))
+            rows = [self.node("Unsqueeze", [x, np.array([axis])]) for x in values] if name == "stack" else values
+            return self.node("Concat", rows, axis=axis)
         if name == "convert_element_type":
-            return self.node("Cast", values, to=self.onnx.helper.np_dtype_to_tensor_dtype(np.dtype(out.dtype)))
+            return self.cast(values[0], out)
         if name == "select_n" and len(values) == 3 and eqn.invars[0].aval.dtype == bool:
             return self.node("Where", [values[0], values[2], values[1]])
-        if name == "clamp":
-            return self.node("Min", [self.node("Max", values[:2]), values[2]])
-        if name in ("square", "integer_pow"):
-            return self.node("Pow", [values[0], np.asarray(params.get("y", 2), out.dtype)])
-        if name == "rsqrt":
-            return self.node("Reciprocal", [self.node("Sqrt", values)])
-        if name == "log1p":
-            return self.node("Log", [self.node("Add", [values[0], np.asarray(1, out.dtype)])])
-        if name == "expm1":
-            return self.node("Sub", [self.node("Exp", values), np.asarray(1, out.dtype)])
-        if name == "ne":
-            return self.node("Not", [self.node("Equal", values)])
-        if name == "atan2":
-            half = np.asarray(np.pi, out.dtype)
-            turn = self.node("Where", [self.node("Less", [values[0], 0 * half]), -half, half])
-            turn = self.node("Where", [self.node("Less", [values[1], 0 * half]), turn, 0 * half])
-            return self.node("Add", [self.node("Atan", [self.node("Div", values)]), turn])
-        if name == "rem":
-            return self.node("Mod", values, fmod=1)
-        if name == "reduce_or":
-            number = self.node("Cast", values, to=self.onnx.TensorProto.INT32)
-            most = self.node("ReduceMax", [number, np.array(params["axes"])], keepdims=0)
-            return self.node("Cast", [most], to=self.onnx.TensorProto.BOOL)
+        if name == "integer_pow":
+            return self.node("Pow", [values[0], np.asarray(params["y"], out.dtype)])
         if name == "argmax":
-            best = self.node("ArgMax", values, axis=params["axes"][0], keepdims=0)
-            return self.node("Cast", [best], to=self.onnx.helper.np_dtype_to_tensor_dtype(np.dtype(out.dtype)))
+            return self.cast(self.node("ArgMax", values, axis=params["axes"][0], keepdims=0), out)
         if name in REDUCES:
-            return self.node(REDUCES[name], [values[0], np.array(params["axes"])], keepdims=0)
+            number = self.cast(values[0], jnp.int32(0)) if out.dtype == bool else values[0]
+            reduced = self.node(REDUCES[name], [number, np.array(params["axes"])], keepdims=0)
+            return self.cast(reduced, out) if out.dtype == bool else reduced
         if name == "dot_general":
             return self.node("Einsum", values, equation=_equation(params, *(x.aval.ndim for x in eqn.invars)))
         raise InputError(f"an ONNX file cannot hold the operation {name} of this policy; write an .npz.")
 
+    def cast(self, value: Any, like: Any) -> str:
+        """Return a value in the type of another."""
+        return self.node("Cast", [value], to=self.onnx.helper.np_dtype_to_tensor_dtype(np.dtype(like.dtype)))
+
     def gathered(self, value: Any, places: Any) -> str:
         """Return the numbers of a value at these places of its flat array."""
         return self.node("Gather", [self.node("Reshape", [value, np.array([-1])]), np.asarray(places, np.int64)])
+
+
+def _half_turn(node: Callable[..., str], y: Any, x: Any, one: Any) -> str:
+    """What `atan2` adds to the arc tangent of y / x: half a turn where x is negative."""
+    turn = node("Where", [node("Less", [y, 0 * one]), -np.pi * one, np.pi * one])
+    return node("Where", [node("Less", [x, 0 * one]), turn, 0 * one])
 
 
 def _needed(jaxpr: Any) -> list[Any]:

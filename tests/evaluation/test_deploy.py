@@ -17,6 +17,7 @@ from humanoid_mjx import InputError, make_learner, make_task
 from humanoid_mjx.commands.play import run_export
 from humanoid_mjx.compute import rng
 from humanoid_mjx.evaluation.deploy import write_onnx
+from humanoid_mjx.evaluation.onnx_graph import to_onnx
 from humanoid_mjx.evaluation.policy import find_policy
 from humanoid_mjx.learners.approximate import Weights
 from humanoid_mjx.learners.deep import DeepQ
@@ -55,7 +56,40 @@ def test_ten_thousand_states_have_the_values_of_jax(name, tmp_path):
     np.testing.assert_array_equal(actions[clear], q.argmax(axis=-1)[clear])
 
 
-class Convolution(nn.Module):
+@pytest.mark.parametrize(
+    "function",
+    [
+        *(jnp.arctan2, jnp.mod, jnp.hypot, jnp.not_equal, jnp.maximum, lambda x, y: x**3 / y, lambda x, y: x @ y),
+        *(lambda x, y: jnp.log1p(x * x) + jnp.expm1(y), lambda x, y: jnp.clip(x, -0.5, y.max()), jnp.outer),
+        *(lambda x, y: x.at[jnp.array([3, 1])].set(y[:2]), lambda x, y: jnp.stack([x, y])[:, ::-1].T, jnp.cross),
+        *(
+            lambda x, y: (x > y).any(),
+            lambda x, y: jnp.argmax(x - y),
+            lambda x, y: jax.lax.rsqrt(x * x) + jnp.tile(y, 1),
+        ),
+        *(lambda x, y: jnp.where(x > 0, jnp.round(x), -y), lambda x, y: jnp.split(x, 3)[1] * y[jnp.array([0, 1])]),
+    ],
+)
+def test_an_operation_has_the_values_of_jax(function):
+    """On numbers in all four quadrants, with their halves and zeros."""
+    size = 3 if function is jnp.cross else 6
+    x, y = jnp.array([1.5, -2.0, 0.25, -0.5, 3.0, -0.75])[:size], jnp.array([0.5, 1.0, -1.5, -2.0, 2.5, 0.0])[:size]
+    y = y if function is jnp.arctan2 else jnp.where(y == 0, 0.125, y)
+    given = {"x": jax.ShapeDtypeStruct(x.shape, x.dtype), "y": jax.ShapeDtypeStruct(y.shape, y.dtype)}
+    model = to_onnx(lambda x, y: (jnp.asarray(function(x, y)),), given, ["out"], {})
+    (found,) = onnxruntime.InferenceSession(model).run(None, {"x": np.asarray(x), "y": np.asarray(y)})
+    expected = np.asarray(function(x, y))
+    assert found.dtype == expected.dtype
+    np.testing.assert_allclose(found, expected, rtol=2e-6, atol=1e-6)
+
+
+def test_an_operation_without_a_translation_is_named():
+    given = {"x": jax.ShapeDtypeStruct((3,), np.float32)}
+    with pytest.raises(InputError, match="an ONNX file cannot hold the operation cumsum of this policy"):
+        to_onnx(lambda x: (jnp.cumsum(x),), given, ["out"], {})
+
+
+class Gated(nn.Module):
     """A network of other layers than the shipped ones."""
 
     joints: int
@@ -70,7 +104,7 @@ class Convolution(nn.Module):
 
 class OwnNetwork(DeepQ):
     def network(self):
-        return Convolution(len(self.env.action_bins), self.bins)
+        return Gated(len(self.env.action_bins), self.bins)
 
 
 def test_a_network_of_ones_own_has_the_values_of_jax(tmp_path):
