@@ -101,10 +101,12 @@ def run_export(what: str, file: Path, point: int | None) -> None:
     if file.suffix not in (".xml", ".npz", ".c", ".onnx"):
         raise InputError(f"{file}: the file must end in .xml, for a robot, or in .npz, .c or .onnx, for a policy.")
     check_folder(file)
-    from humanoid_mjx.evaluation.deploy import contract_of, robot_spec, write_contract, write_onnx
+    from humanoid_mjx.evaluation.deploy import check_place, contract_of, robot_spec, write_contract, write_onnx
     from humanoid_mjx.evaluation.policy import find_policy, save_policy
 
     paths = [file]
+    if file.suffix in (".onnx", ".c"):
+        check_place(file)
     if file.suffix == ".npz":
         save_policy(find_policy(what, point), file)
     elif file.suffix == ".onnx":

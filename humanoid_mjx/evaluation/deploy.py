@@ -21,6 +21,7 @@ from humanoid_mjx.evaluation.policy import Trained, find_policy
 from humanoid_mjx.files import names, whole_file, write_text
 from humanoid_mjx.learners.approximate import ApproximateQ
 from humanoid_mjx.learners.brax_ppo import BraxPPO
+from humanoid_mjx.learners.deep import DeepQ
 from humanoid_mjx.learners.normalisation import MAX_DEVIATIONS, VARIANCE_FLOOR
 from humanoid_mjx.mechanics.rotations import unit
 from humanoid_mjx.physics.base import Readings
@@ -68,6 +69,17 @@ def write_contract(contract: dict[str, Any], file: Path) -> Path:
     return path
 
 
+def check_place(file: Path) -> None:
+    """Check that no other file stands in the place of the contract.
+
+    Raises:
+      InputError: one does.
+    """
+    path = file.with_suffix(".json")
+    if path.exists() and not (path.is_file() and FORMAT in path.read_text(encoding="utf-8", errors="replace")):
+        raise InputError(f"{path}: the contract of {file.name} goes here, but another file is in its place; move it.")
+
+
 def robot_spec(what: str, point: int | None = None) -> mujoco.MjSpec:
     """Return the MJCF of a robot by its name or path, or of the robot of a policy, with its sensors.
 
@@ -100,22 +112,22 @@ def contract_of(trained: Trained) -> dict[str, Any]:
         "observation": {"size": env.observation_size},
         "action": {"bins": list(env.action_bins), "value_of_choice_k_of_n": "-1 + 2 k / (n - 1)"},
     }
-    if (moments := getattr(weights, "moments", None)) is not None and hasattr(moments, "variance"):
-        limits = {"variance_floor": VARIANCE_FLOOR, "clip": MAX_DEVIATIONS}
-        found["normalisation"] = {"mean": _plain(moments.mean), "variance": _plain(moments.variance)} | limits
+    if isinstance(learner, (DeepQ, BraxPPO)):
+        seen, limits = weights.moments, {"variance_floor": VARIANCE_FLOOR, "clip": MAX_DEVIATIONS}
+        found["normalisation"] = {"mean": _plain(seen.mean), "variance": _plain(seen.variance)} | limits
     return found | (_robot(env) if isinstance(env, LeggedTask) else {})
 
 
 def _robot(task: LeggedTask) -> dict[str, Any]:
     """The part of a contract that is about a legged task and its robot."""
     robot, law, count = task.robot, task.control.of(task.robot), len(task.robot.joints)
-    servo = {key: _plain(np.broadcast_to(getattr(law, key), count)) for key in ("stiffness", "damping")}
-    names = *task.observations, *(task.privileged if task.observe == "privileged" else ())
+    gains = {"stiffness": law.stiffness, "damping": law.damping} if isinstance(law, ServoLaw) else {}
+    observed = *task.observations, *(task.privileged if task.observe == "privileged" else ())
     sizes: dict[Any, int] = {"joints": count, "feet": len(robot.feet)}
     parts = [
         {"name": name if isinstance(name, str) else "own", "size": sizes.get(part.size, part.size)}
         | {"unit": UNITS.get(name, "") if isinstance(name, str) else "", "divided_by": _plain(scale)}
-        for name, part, scale in zip(names, task.observed.parts, task.observed.scales, strict=True)
+        for name, part, scale in zip(observed, task.observed.parts, task.observed.scales, strict=True)
     ]
     points = np.array(robot.point_sensors).reshape(len(robot.feet), -1).tolist()
     return {
@@ -125,7 +137,7 @@ def _robot(task: LeggedTask) -> dict[str, Any]:
         "action_scale": _plain(task.setpoint(jnp.ones(count)) - task.posture),
         "smoothing": float(task.smoothing),
         "control": task.control.name,
-        **(servo if isinstance(law, ServoLaw) else {}),
+        **{name: _plain(np.broadcast_to(np.asarray(gain), count)) for name, gain in gains.items()},
         "torque_limits": _plain(robot.torque_limits * float(task.torque_limit)),
         "control_period": task.period,
         "simulation_timestep": task.timestep,

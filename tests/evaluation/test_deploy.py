@@ -16,7 +16,7 @@ from flax import linen as nn
 from humanoid_mjx import InputError, make_learner, make_task
 from humanoid_mjx.commands.play import run_export
 from humanoid_mjx.compute import rng
-from humanoid_mjx.evaluation.deploy import write_onnx
+from humanoid_mjx.evaluation.deploy import contract_of, write_onnx
 from humanoid_mjx.evaluation.onnx_graph import to_onnx
 from humanoid_mjx.evaluation.policy import find_policy
 from humanoid_mjx.learners.approximate import Weights
@@ -217,9 +217,19 @@ def test_the_contract_is_that_of_the_robot_and_in_every_file(tmp_path):
     assert of_c == {key: value for key, value in contract.items() if key != "controller"}
 
 
+def test_a_law_that_is_no_servo_has_no_gains_in_the_contract():
+    learner = make_learner("deep_q", make_task("stand", control="computed_torque"), width=8, layers=1)
+    contract = contract_of(trained_of(learner, rng.key(0)))
+    assert contract["control"] == "computed_torque" and "stiffness" not in contract and contract["joints"]
+
+
 def test_what_cannot_be_written_is_refused_in_a_sentence(tmp_path):
     with pytest.raises(InputError, match="posture_switch: only networks can be written as ONNX; this policy is of tab"):
         run_export("posture_switch", tmp_path / "policy.onnx", None)
+    (tmp_path / "walk.json").write_text("{}")
+    with pytest.raises(InputError, match=r"walk\.json: the contract of walk\.onnx goes here, but another file is"):
+        run_export("walk", tmp_path / "walk.onnx", None)
+    (tmp_path / "walk.json").unlink()
     learner = make_learner("deep_q", make_task("stand", observe="privileged"), width=8, layers=1)
     with pytest.raises(InputError, match="own: it observes the true motion of its torso"):
         write_onnx(trained_of(learner, rng.key(0)), tmp_path / "own.onnx")
