@@ -36,11 +36,10 @@ def trained_of(learner, key):
     return find_policy("stand")._replace(learner=learner, policy=policy, name="own")
 
 
-@pytest.mark.parametrize("name", ["walk", "stand"])
-def test_ten_thousand_states_have_the_values_of_jax(name, tmp_path):
-    run_export(name, tmp_path / "policy.onnx", None)
+def test_ten_thousand_states_have_the_values_of_jax(tmp_path):
+    run_export("walk", tmp_path / "policy.onnx", None)
     session = onnxruntime.InferenceSession(str(tmp_path / "policy.onnx"))
-    trained = find_policy(name)
+    trained = find_policy("walk")
     learner, policy = trained.learner, trained.policy
     draw = jax.random.normal(rng.key(0), (10_000, learner.env.observation_size))
     obs = np.asarray(policy.moments.mean + 2.0 * jnp.sqrt(policy.moments.variance) * draw, np.float32)

@@ -37,9 +37,9 @@ def test_deep_q_learns_the_cart_pole_of_gymnax(tmp_path, monkeypatch):
         np.testing.assert_array_equal(state.obs, obs)
         assert state.reward == reward and not state.done
     values = {"discount": 0.98, "epsilon_decay": 0.99, "learning_rate": 0.001, "envs": 32, "width": 64}
-    learner = make_learner("deep_q", task, total_steps=100_000, evaluations=1, **values)
+    learner = make_learner("deep_q", task, total_steps=50_000, evaluations=1, **values)
     trained = train(learner, key(0))
-    assert trained.scores["greedy_steps"] > 150  # a random agent stays up for some 20 steps
+    assert trained.scores["greedy_steps"] > 80  # a random agent stays up for some 20 steps
 
 
 def test_brax_steps_a_task(tmp_path, monkeypatch):
