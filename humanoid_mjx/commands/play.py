@@ -101,7 +101,7 @@ def run_export(what: str, file: Path, point: int | None) -> None:
     if file.suffix not in (".xml", ".npz", ".c", ".onnx"):
         raise InputError(f"{file}: the file must end in .xml, for a robot, or in .npz, .c or .onnx, for a policy.")
     check_folder(file)
-    from humanoid_mjx.evaluation.deploy import check_place, contract_of, robot_spec, write_contract, write_onnx
+    from humanoid_mjx.evaluation.deploy import check_place, contract_of, write_contract, write_onnx, write_robot
     from humanoid_mjx.evaluation.policy import find_policy, save_policy
 
     paths = [file]
@@ -118,6 +118,6 @@ def run_export(what: str, file: Path, point: int | None) -> None:
         write_text(file, c_source(trained))
         paths.append(write_contract(contract_of(trained), file))
     else:
-        write_text(file, robot_spec(what, point).to_xml())
+        write_robot(what, file, point)
     for path in paths:
         console.print(f"{path}", soft_wrap=True)

@@ -10,7 +10,6 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
@@ -20,9 +19,9 @@ from humanoid_mjx.evaluation.onnx_graph import to_onnx
 from humanoid_mjx.evaluation.policy import Trained, find_policy
 from humanoid_mjx.files import names, whole_file, write_text
 from humanoid_mjx.learners.approximate import ApproximateQ
-from humanoid_mjx.learners.brax_ppo import BraxPPO
-from humanoid_mjx.learners.deep import DeepQ
+from humanoid_mjx.learners.linear import LinearQ
 from humanoid_mjx.learners.normalisation import MAX_DEVIATIONS, VARIANCE_FLOOR
+from humanoid_mjx.learners.tabular import TabularQ
 from humanoid_mjx.mechanics.rotations import unit
 from humanoid_mjx.physics.base import Readings
 from humanoid_mjx.robot import Robot, make_robot
@@ -44,7 +43,7 @@ def write_onnx(trained: Trained, file: Path) -> list[Path]:
         policy has no translation.
     """
     learner: Any = trained.learner
-    if not isinstance(learner, (ApproximateQ, BraxPPO)):
+    if isinstance(learner, TabularQ):
         name = trained.config.learner["name"]
         raise InputError(f"{trained.name}: only networks can be written as ONNX; this policy is of {name}: take .npz.")
     contract, graphs = contract_of(trained), {file: _network(trained)}
@@ -80,8 +79,8 @@ def check_place(file: Path) -> None:
         raise InputError(f"{path}: the contract of {file.name} goes here, but another file is in its place; move it.")
 
 
-def robot_spec(what: str, point: int | None = None) -> mujoco.MjSpec:
-    """Return the MJCF of a robot by its name or path, or of the robot of a policy, with its sensors.
+def write_robot(what: str, file: Path, point: int | None = None) -> None:
+    """Write a robot, by its name or path, or the robot of a policy as MJCF, with its sensors.
 
     Raises:
       InputError: there is nothing of the kind, the policy's task moves no robot, or MuJoCo refuses the model.
@@ -94,10 +93,10 @@ def robot_spec(what: str, point: int | None = None) -> mujoco.MjSpec:
         if not isinstance(robot, Robot):
             raise InputError(f"{what}: the task of this policy moves no robot; name a robot.")
     elif point is not None:
-        raise InputError(f"--point: {what} is a robot, and only a sweep has points.")
+        raise InputError(f"--point: {file.name} is of a robot, and only a sweep has points.")
     spec = sensing_spec(robot or make_robot(what), timestep)
     checked(spec.compile)
-    return spec
+    write_text(file, spec.to_xml())
 
 
 def contract_of(trained: Trained) -> dict[str, Any]:
@@ -112,7 +111,7 @@ def contract_of(trained: Trained) -> dict[str, Any]:
         "observation": {"size": env.observation_size},
         "action": {"bins": list(env.action_bins), "value_of_choice_k_of_n": "-1 + 2 k / (n - 1)"},
     }
-    if isinstance(learner, (DeepQ, BraxPPO)):
+    if hasattr(weights, "moments") and not isinstance(learner, LinearQ):
         seen, limits = weights.moments, {"variance_floor": VARIANCE_FLOOR, "clip": MAX_DEVIATIONS}
         found["normalisation"] = {"mean": _plain(seen.mean), "variance": _plain(seen.variance)} | limits
     return found | (_robot(env) if isinstance(env, LeggedTask) else {})
