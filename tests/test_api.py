@@ -74,6 +74,16 @@ def test_training_ends_where_progress_does(grid):
     np.testing.assert_array_equal(progress, 1.0)
 
 
+def test_sharded_keys_train_on_their_devices():
+    mesh = jax.sharding.Mesh(np.array(jax.devices()[:2]), ("runs",))
+    keys = jax.vmap(key)(jnp.arange(4))
+    sharded = jax.device_put(keys, jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec("runs")))
+    one, two = (jax.jit(jax.vmap(train, (None, 0)))(EXACT, k) for k in (keys, sharded))
+    assert len(two.policy.weights.sharding.device_set) == 2
+    assert two.policy.weights.addressable_shards[0].data.shape[0] == 2
+    np.testing.assert_array_equal(one.curve["steps"], two.curve["steps"])
+
+
 def test_networks_train_as_functions():
     learner = make_learner("deep_q", TASK, envs=8, rollout=8, width=8, layers=1, total_steps=1000, evaluations=2)
     both = jax.vmap(train, (None, 0))(learner, jax.vmap(key)(jnp.arange(2)))
