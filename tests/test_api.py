@@ -68,6 +68,15 @@ def test_mapped_trainings_are_those_alone(grid):
     assert not np.array_equal(grid.curve["steps"][0, 0], grid.curve["steps"][1, 0])
 
 
+def test_learners_side_by_side_train_to_their_own_ends():
+    learners = [EXACT.replace(epsilon=0.125, episodes=20), EXACT.replace(epsilon=0.75, episodes=60)]
+    stacked = jax.tree.map(lambda *x: jnp.stack([jnp.asarray(each) for each in x]), *learners)
+    both = jax.vmap(train, (0, None))(stacked, key(2))
+    assert both.carry.agents.episode.tolist() == [20, 60]
+    for row, learner in enumerate(learners):
+        np.testing.assert_array_equal(both.curve["steps"][row], train(learner, key(2)).curve["steps"])
+
+
 def test_training_ends_where_progress_does(grid):
     learner = grid.policy.learner
     progress = jax.vmap(jax.vmap(type(EXACT).progress))(learner, grid.carry)
