@@ -89,8 +89,8 @@ def train(learner: Learner, key: Key[Array, ""]) -> Trained[Any]:
     The function is pure and compiled at its first call for each structure of learner. `jax.vmap` maps it over keys and
     over any traced field of the learner or its task, such as `learner.replace(epsilon=...)`; arrays that are sharded
     over devices train where they are. The steps are those of `humanoid_mjx.sweep`, without its GPU kernels; programs of
-    another shape round differently. Call `humanoid_mjx.start()` before jax computes: XLA's defaults slow MJX down and abort
-    on a few programs.
+    another shape round differently. Call `humanoid_mjx.start()` before jax computes: XLA's defaults slow MJX down and
+    abort on a few programs.
 
     Args:
       learner: what `make_learner` returns; its `replace` sets traced fields without a check.
