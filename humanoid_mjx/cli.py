@@ -174,7 +174,7 @@ def demo(
     port: Annotated[int | None, Option(min=1, max=65535, help="Port of the page; by default any free one.")] = None,
 ) -> None:
     """Show a walking robot in the browser, to be steered and pushed."""
-    from humanoid_mjx.commands.play import run_demo
+    from humanoid_mjx.commands.demo import run_demo
 
     run_demo(port)
 

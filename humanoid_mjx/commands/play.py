@@ -1,7 +1,7 @@
 """The commands `play` and `export`."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -46,7 +46,15 @@ def run_play(
     if out is not None:
         check_file(out)
     if view:
-        _serve(name, point, overrides, physics, episode, robots, port, {})
+        from humanoid_mjx.evaluation.live import Live
+        from humanoid_mjx.evaluation.policy import find_policy, in_world, on_plane
+        from humanoid_mjx.report.live import serve
+
+        with Bar(console) as bar:
+            bar.phase("loading")
+            trained = on_plane(in_world(find_policy(name, point), physics, overrides))
+        with suppress(KeyboardInterrupt):
+            serve(Live(trained, episode, robots), console.print, port=port or 0)
         return
     from humanoid_mjx.commands.notebook import film
 
@@ -55,36 +63,6 @@ def run_play(
         found = film(name, bar, point, episode, physics, overrides, out, fps=fps or FPS, size=pixels)
     console.print(found.words)
     console.print(f"{found.path}", soft_wrap=True)
-
-
-def run_demo(port: int | None) -> None:
-    """`humanoid-mjx demo`."""
-    start_for(None, ())
-    jax.config.update("jax_platforms", "cpu")
-    _serve("walk_sturdy", None, (), None, 0, 1, port, {"forward, m/s": 0.3})
-
-
-def _serve(
-    name: str,
-    point: int | None,
-    overrides: Sequence[str],
-    physics: str | None,
-    episode: int,
-    robots: int,
-    port: int | None,
-    command: Mapping[str, float],
-) -> None:
-    """Let a person steer robots in the browser; they begin with this command."""
-    from humanoid_mjx.evaluation.live import Live
-    from humanoid_mjx.evaluation.policy import find_policy, in_world, on_plane
-    from humanoid_mjx.report.live import serve
-
-    with Bar(console) as bar:
-        bar.phase("loading")
-        live = Live(on_plane(in_world(find_policy(name, point), physics, overrides)), episode, robots)
-    live.told |= command
-    with suppress(KeyboardInterrupt):
-        serve(live, console.print, port=port or 0)
 
 
 def _pixels(size: str) -> tuple[int, int]:
