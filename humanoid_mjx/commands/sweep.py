@@ -53,11 +53,12 @@ def run_sweep(
         if not first:
             return
         bar.phase("drawing figures")
-        from humanoid_mjx.commands.notebook import draw
         from humanoid_mjx.evaluation.replay import why_stopped
+        from humanoid_mjx.report.figures import figures_of, sweep_figures  # matplotlib takes a while
 
-        axes, summary = list(run.config.sweep.axes) if run.config.sweep else [], run.summary
-        paths = [picture.path for picture in draw(run)]
+        axes = list(run.config.sweep.axes) if run.config.sweep else []
+        summary, own = run.summary, figures_of(run.config.task["name"], run.config.modules)
+        paths = sweep_figures(run.path / "figures", run.config.name, axes, run.results, summary, own)
     print_summary(axes, summary, read_provenance(run.path), quickest=run.config.episodes is not None)
     if words := why_stopped(run.path, summary):
         console.print(words, soft_wrap=True)
