@@ -5,6 +5,7 @@ python docs/build.py serve    # on this machine, at the address that it prints
 python docs/build.py tables   # only writes the figures of README.md and docs/*.md, as the two above do first
 """
 
+import json
 import re
 import shutil
 import subprocess
@@ -44,6 +45,23 @@ def write_tables() -> None:
     """Write the figures of README.md and of every page in `docs/`."""
     for path in (ROOT / "README.md", *DOCS.glob("*.md")):
         path.write_text(written(path.read_text(encoding="utf-8")), encoding="utf-8")
+    (DOCS / "notebook.ipynb").write_text(notebook(), encoding="utf-8")
+
+
+def notebook() -> str:
+    """Return a notebook of the text and the Python of docs/ten_lines.md up to what needs other packages."""
+    text = (DOCS / "ten_lines.md").read_text(encoding="utf-8").partition("## An environment of gymnax")[0]
+    cells: list[dict[str, Any]] = []
+    for number, part in enumerate(re.split(r"^```(?:python)?\n", text, flags=re.MULTILINE)):
+        kind = (
+            {"cell_type": "code", "execution_count": None, "outputs": []} if number % 2 else {"cell_type": "markdown"}
+        )
+        words = re.sub(r"^!\[.*\n|\]\([^)]*\.md[^)]*\)", lambda m: "]" * (m[0][0] == "]"), part, flags=re.MULTILINE)
+        lines = (words if number % 2 == 0 else part).strip().splitlines(keepends=True)
+        cells.append(kind | {"id": f"cell-{number}", "metadata": {}, "source": lines})
+    kernel = {"kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"}}
+    found = {"cells": cells, "metadata": kernel, "nbformat": 4, "nbformat_minor": 5}
+    return json.dumps(found, indent=1, ensure_ascii=False) + "\n"
 
 
 def pages() -> dict[str, str]:

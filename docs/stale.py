@@ -12,14 +12,14 @@ from pathlib import Path
 ROOT = Path(__file__).parent.parent
 
 LEARNING = "learners", "training/program.py", "training/programs.py", "tasks/base.py"
-BODIES = *LEARNING, "tasks/continuous.py", "tasks/legged", "physics", "control", "mechanics", "robot", "compute/kernels"
-TABLES = *LEARNING, "tasks/finite.py", "tasks/joint_reach.py", "training/fused.py", "compute/kernels", "compute/rng.py"
+BODIES = *LEARNING, "tasks/continuous.py", "tasks/legged", "physics", "control", "mechanics", "robot", "kernels"
+TABLES = *LEARNING, "tasks/finite.py", "tasks/joint_reach.py", "training/fused.py", "kernels", "compute/rng.py"
 DEPENDS: dict[str, Sequence[str]] = {
     "mutants_*": (),  # of a folder as it was
     "faults": ("runs", "training", "config", "spec.py", "files.py"),
     "cpu_2_cores_reproduce": ("reproduction", "thesis", "control", "mechanics", "robot/leg.py"),
     "c_policy": ("evaluation/c_source.py", "tasks/legged"),
-    "*robot*": ("physics", "mechanics/tree", "robot", "compute/kernels"),
+    "*robot*": ("physics", "mechanics/tree", "robot", "kernels"),
     "*leg_reach*": (*LEARNING, "tasks/leg_reach.py", "physics/chain.py", "mechanics"),
     "*posture_switch*": (*LEARNING, "tasks/posture_switch.py", "physics", "mechanics"),
     "*in_turn": (*BODIES, *TABLES),

@@ -123,7 +123,7 @@ def plain(name: str, folder: Path) -> Path:
 def robot_of(name: str, folder: str) -> tuple[Robot, mujoco.MjModel, np.ndarray]:
     """The robot, its model as published, and the gains of its servo, (joints, 2)."""
     if name == "lower_body":
-        robot = make_robot(name)
+        robot: Any = make_robot(name)
         model = copy(compiled(robot, None))
         return robot, model, np.tile([3.0, 0.1], (model.nu, 1))  # as the task `stand`
     robot = Published(file=str(Path(folder) / f"{name}.xml"))

@@ -6,59 +6,78 @@ Public names load on first use, so that importing the package costs nothing.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from humanoid_mjx import control
-    from humanoid_mjx.commands.notebook import evaluate, load_run, play, plot
-    from humanoid_mjx.compute import start
-    from humanoid_mjx.learners import make_learner
-    from humanoid_mjx.mechanics import dynamics, kinematics
-    from humanoid_mjx.robot.leg import Leg
-    from humanoid_mjx.spec import InputError
-    from humanoid_mjx.tasks import make_task
-    from humanoid_mjx.training.sweep import sweep
+if TYPE_CHECKING:  # redundant names: what a type checker takes as exported
+    from humanoid_mjx import control as control
+    from humanoid_mjx.api import Policy as Policy
+    from humanoid_mjx.api import Trained as Trained
+    from humanoid_mjx.api import load_policy as load_policy
+    from humanoid_mjx.api import rollout as rollout
+    from humanoid_mjx.api import train as train
+    from humanoid_mjx.commands.notebook import draw as draw
+    from humanoid_mjx.commands.notebook import evaluate as evaluate
+    from humanoid_mjx.commands.notebook import load_run as load_run
+    from humanoid_mjx.commands.notebook import play as play
+    from humanoid_mjx.commands.notebook import plot as plot
+    from humanoid_mjx.compute import start as start
+    from humanoid_mjx.compute.rng import key as key
+    from humanoid_mjx.control.laws import Law as Law
+    from humanoid_mjx.learners import make_learner as make_learner
+    from humanoid_mjx.learners.base import Learner as Learner
+    from humanoid_mjx.learners.base import Outcome as Outcome
+    from humanoid_mjx.learners.base import StepLearner as StepLearner
+    from humanoid_mjx.learners.rollout import Episode as Episode
+    from humanoid_mjx.mechanics import dynamics as dynamics
+    from humanoid_mjx.mechanics import kinematics as kinematics
+    from humanoid_mjx.physics import Physics as Physics
+    from humanoid_mjx.physics import make_physics as make_physics
+    from humanoid_mjx.robot import Robot as Robot
+    from humanoid_mjx.robot import make_robot as make_robot
+    from humanoid_mjx.robot.leg import Leg as Leg
+    from humanoid_mjx.spec import InputError as InputError
+    from humanoid_mjx.spec import traced as traced
+    from humanoid_mjx.tasks import make_task as make_task
+    from humanoid_mjx.tasks.base import Task as Task
+    from humanoid_mjx.tasks.continuous import ContinuousTask as ContinuousTask
+    from humanoid_mjx.tasks.continuous import State as State
+    from humanoid_mjx.tasks.finite import FiniteTask as FiniteTask
+    from humanoid_mjx.tasks.legged.rewards import Rewards as Rewards
+    from humanoid_mjx.training.sweep import Run as Run
+    from humanoid_mjx.training.sweep import sweep as sweep
 
 __version__ = "0.2.0"
 
-__all__ = [
-    "InputError",
-    "Leg",
-    "__version__",
-    "control",
-    "dynamics",
-    "evaluate",
-    "kinematics",
-    "load_run",
-    "make_learner",
-    "make_task",
-    "play",
-    "plot",
-    "start",
-    "sweep",
-]
-
-_HOMES = {
-    "InputError": "humanoid_mjx.spec:InputError",
-    "Leg": "humanoid_mjx.robot.leg:Leg",
-    "control": "humanoid_mjx.control:",
-    "dynamics": "humanoid_mjx.mechanics.dynamics:",
-    "evaluate": "humanoid_mjx.commands.notebook:evaluate",
-    "kinematics": "humanoid_mjx.mechanics.kinematics:",
-    "load_run": "humanoid_mjx.commands.notebook:load_run",
-    "make_learner": "humanoid_mjx.learners:make_learner",
-    "make_task": "humanoid_mjx.tasks:make_task",
-    "play": "humanoid_mjx.commands.notebook:play",
-    "plot": "humanoid_mjx.commands.notebook:plot",
-    "start": "humanoid_mjx.compute:start",
-    "sweep": "humanoid_mjx.training.sweep:sweep",
+_NAMES = {
+    "api": "Policy Trained load_policy rollout train",
+    "commands.notebook": "draw evaluate load_run play plot",
+    "compute": "start",
+    "compute.rng": "key",
+    "control.laws": "Law",
+    "learners": "make_learner",
+    "learners.base": "Learner Outcome StepLearner",
+    "learners.rollout": "Episode",
+    "physics": "Physics make_physics",
+    "robot": "Robot make_robot",
+    "robot.leg": "Leg",
+    "spec": "InputError traced",
+    "tasks": "make_task",
+    "tasks.base": "Task",
+    "tasks.continuous": "ContinuousTask State",
+    "tasks.finite": "FiniteTask",
+    "tasks.legged.rewards": "Rewards",
+    "training.sweep": "Run sweep",
 }
+_HOMES = {name: (module, name) for module, names in _NAMES.items() for name in names.split()}
+_HOMES |= {name: (f"mechanics.{name}", "") for name in ("dynamics", "kinematics")} | {"control": ("control", "")}
+
+__all__ = ["__version__", *_HOMES]  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module 'humanoid_mjx' has no attribute {name!r}")
-    module, _, attribute = _HOMES[name].partition(":")
-    value = import_module(module)
-    return getattr(value, attribute) if attribute else value
+    home, attribute = _HOMES[name]
+    module = import_module(f"humanoid_mjx.{home}")
+    return getattr(module, attribute) if attribute else module
 
 
 def __dir__() -> list[str]:

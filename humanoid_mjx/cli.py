@@ -89,6 +89,16 @@ app.command()(play)
 
 
 @app.command()
+def demo(
+    port: Annotated[int | None, Option(min=1, max=65535, help="Port of the page; by default any free one.")] = None,
+) -> None:
+    """Show a walking robot in the browser, to be steered and pushed."""
+    from humanoid_mjx.commands.demo import run_demo
+
+    run_demo(port)
+
+
+@app.command()
 def report(
     run: Annotated[Path, Argument(metavar="RUN", help="A run folder, or a folder that reproduce has written.")],
     out: Annotated[Path | None, Option(metavar="FILE.html", help="By default RUN/report.html.")] = None,
@@ -131,12 +141,12 @@ def plot(
 
 @app.command()
 def export(
-    what: Annotated[str, Argument(metavar="ROBOT|RUN", help="leg, legs, lower_body; or a run folder.")],
-    file: Annotated[Path, Argument(metavar="FILE", help="An .xml for a robot, an .npz or .c for a run.")],
+    what: Annotated[str, Argument(metavar="ROBOT|RUN|POLICY", help="A robot, a run folder or a policy.")],
+    file: Annotated[Path, Argument(metavar="FILE", help="An .xml for a robot; .npz, .c or .onnx for a policy.")],
     point: Point = None,
     trust: Trust = False,
 ) -> None:
-    """Write a robot as MJCF, or the best policy of a run as .npz or as C."""
+    """Write a robot, or that of a policy, as MJCF; or the best policy of a run as .npz, C or ONNX."""
     from humanoid_mjx.commands.play import run_export
 
     with trusting(trust, what):

@@ -4,11 +4,13 @@ import contextlib
 import difflib
 import errno
 import hashlib
+import importlib
 import os
 import re
 import shlex
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from humanoid_mjx.environment import of_system
 from humanoid_mjx.spec import InputError, known
@@ -60,7 +62,7 @@ def whole_file(path: Path) -> Iterator[Path]:
         if temporary.is_symlink() or not temporary.is_file():
             temporary.unlink(missing_ok=True)  # it would lead elsewhere
         yield temporary
-        with temporary.open("rb") as file:
+        with temporary.open("rb+") as file:  # Windows flushes only what may be written
             os.fsync(file.fileno())
         temporary.replace(path)
     except OSError as error:
@@ -83,6 +85,31 @@ def refusing(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {of_system(error)}.") from error
+
+
+def lock(handle: int, shared: bool = False, wait: bool = False) -> None:
+    """Lock an open file for this process, or `shared` for several; Windows, which has no such locks, lets these be.
+
+    Raises:
+      BlockingIOError: another process holds it, and `wait` is false.
+      OSError: the file system has no locks.
+    """
+    try:
+        import fcntl
+    except ImportError:
+        _lock_on_windows(handle, shared)
+    else:
+        fcntl.flock(handle, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | (0 if wait else fcntl.LOCK_NB))
+
+
+def _lock_on_windows(handle: int, shared: bool) -> None:
+    msvcrt: Any = importlib.import_module("msvcrt")
+    os.lseek(handle, 0, os.SEEK_SET)
+    try:
+        msvcrt.locking(handle, msvcrt.LK_UNLCK if shared else msvcrt.LK_NBLCK, 1)
+    except OSError as error:
+        if not shared:  # then there was no lock to give up
+            raise BlockingIOError(errno.EWOULDBLOCK, os.strerror(errno.EWOULDBLOCK)) from error
 
 
 def write_text(path: Path, text: str) -> None:

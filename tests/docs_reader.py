@@ -116,6 +116,9 @@ class Reader:
         if policy in names("policies", ".npz"):
             in_changed_world(find_policy(policy), [*(set_ or []), *([f"task.physics={physics}"] if physics else [])])
 
+    def demo(self, port):
+        pass
+
     def plot(self, run, **options):
         self.has(*run)
 
@@ -125,8 +128,8 @@ class Reader:
     def export(self, what, file, **options):
         from humanoid_mjx.robot import ROBOTS
 
-        assert what in ROBOTS if file.suffix == ".xml" else file.suffix == ".npz"
-        if file.suffix == ".npz":
+        assert file.suffix in (".xml", ".npz", ".c", ".onnx"), file
+        if what not in ROBOTS or file.suffix != ".xml":
             self.has(what)
         self.there.add(str(file))
 

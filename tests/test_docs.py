@@ -2,6 +2,7 @@
 
 import ast
 import importlib.util
+import json
 import os
 import re
 import shutil
@@ -64,6 +65,16 @@ def test_records_older_than_what_they_measure_are_found(tmp_path):
     first, second, last = (f'"commit": "{commit}"' for commit in commits)
     old = {"walk": first, "parity": first, "stand": second + last, "squat": last, "other": '"commit": "0000000"'}
     assert stale.stale(tmp_path, old) == {"walk": (commits[0], 1), "stand": (commits[1], 1)}
+
+
+def test_the_notebook_holds_what_its_page_runs():
+    """`test_python_of_a_page_works` runs the page, in the order of the notebook's cells."""
+    build = build_module()
+    text = (DOCS / "notebook.ipynb").read_text(encoding="utf-8")
+    assert text == build.notebook()
+    cells = ["".join(cell["source"]) for cell in json.loads(text)["cells"] if cell["cell_type"] == "code"]
+    run = [block.text.strip() for block in blocks(TEXTS["docs/ten_lines.md"]) if not block.title]
+    assert cells == run and len(cells) == 4
 
 
 RUN = [name for name in TYPED if re.search(r"```python|title=", TEXTS[name]) and name not in COMMANDS_ONLY]

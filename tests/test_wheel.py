@@ -34,9 +34,18 @@ def clean(tmp_path_factory):
             [str(python), *arguments], cwd=folder, env=environment, capture_output=True, text=True, check=False
         )
 
+    run.built = [str(path) for path in folder.glob("*.whl")] + [str(path) for path in folder.glob("*.tar.gz")]
     where = run("-c", "import humanoid_mjx; print(humanoid_mjx.__file__)").stdout
     assert str(packages) in where, where
     return run
+
+
+def test_registries_accept_both_files(clean):
+    pytest.importorskip("twine")
+    done = subprocess.run(
+        [sys.executable, "-m", "twine", "check", "--strict", *clean.built], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0 and done.stdout.count("PASSED") == 2, done.stdout + done.stderr
 
 
 def test_what_ships_is_found_by_name(clean):

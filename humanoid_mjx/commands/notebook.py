@@ -40,6 +40,24 @@ def load_run(path: Path | str) -> Run:
     return Run(Path(path))
 
 
+def draw(run: Run | Path | str) -> list[Picture]:
+    """Draw the figures that the command `sweep` draws: the learning curves, and those of the swept values.
+
+    Args:
+      run: a run or its folder; the figures are written into its `figures/`.
+
+    Raises:
+      InputError: this is no run folder.
+    """
+    from humanoid_mjx.report.figures import figures_of, sweep_figures  # matplotlib takes a while
+
+    run = load_run(_folder(run))
+    config, axes = run.config, list(run.config.sweep.axes) if run.config.sweep else []
+    own = figures_of(config.task["name"], config.modules)
+    paths = sweep_figures(run.path / "figures", config.name, axes, run.results, run.summary, own)
+    return [Picture(path, "") for path in paths]
+
+
 def evaluate(
     what: Run | Trained | Path | str,
     *,

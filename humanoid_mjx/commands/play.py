@@ -9,25 +9,26 @@ from humanoid_mjx.spec import InputError, check_folder
 
 def run_export(what: str, file: Path, point: int | None) -> None:
     """`humanoid-mjx export`."""
-    if file.suffix not in (".xml", ".npz", ".c"):
-        raise InputError(f"{file}: the file must end in .xml, for a robot, or in .npz or .c, for the policy of a run.")
+    if file.suffix not in (".xml", ".npz", ".c", ".onnx"):
+        raise InputError(f"{file}: the file must end in .xml, for a robot, or in .npz, .c or .onnx, for a policy.")
     check_folder(file)
-    if file.suffix == ".npz":
-        from humanoid_mjx.evaluation.policy import find_policy, save_policy
+    from humanoid_mjx.evaluation.deploy import check_place, contract_of, write_contract, write_onnx, write_robot
+    from humanoid_mjx.evaluation.policy import find_policy, save_policy
 
+    paths = [file]
+    if file.suffix in (".onnx", ".c"):
+        check_place(file)
+    if file.suffix == ".npz":
         save_policy(find_policy(what, point), file)
+    elif file.suffix == ".onnx":
+        paths = write_onnx(find_policy(what, point), file)
     elif file.suffix == ".c":
         from humanoid_mjx.evaluation.c_source import c_source
-        from humanoid_mjx.evaluation.policy import find_policy
 
-        write_text(file, c_source(find_policy(what, point)))
+        trained = find_policy(what, point)
+        write_text(file, c_source(trained))
+        paths.append(write_contract(contract_of(trained), file))
     else:
-        if point is not None:
-            raise InputError(f"--point: {file.name} is of a robot, and only a sweep has points.")
-        from humanoid_mjx.robot import make_robot
-        from humanoid_mjx.robot.mjcf import checked
-
-        spec = make_robot(what).spec()
-        checked(spec.compile)
-        write_text(file, spec.to_xml())
-    console.print(f"{file}", soft_wrap=True)
+        write_robot(what, file, point)
+    for path in paths:
+        console.print(f"{path}", soft_wrap=True)

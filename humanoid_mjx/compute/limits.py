@@ -32,11 +32,12 @@ def cores() -> int:
 def available_memory() -> int:
     """Return the bytes that this process can still take without swapping.
 
-    Where the system does not say it, half of the machine's memory.
+    Where the system does not say it, half of the machine's memory, or 4 GiB.
     """
     meminfo = Path("/proc/meminfo")
     known = re.search(r"^MemAvailable: *(\d+) kB$", meminfo.read_text(), re.M) if meminfo.is_file() else None
-    found = int(known[1]) << 10 if known else os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 2
+    pages = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if hasattr(os, "sysconf") else 8 << 30
+    found = int(known[1]) << 10 if known else pages // 2
     for group in _control_groups("memory"):
         for limit, usage in (("memory.max", "memory.current"), ("memory.limit_in_bytes", "memory.usage_in_bytes")):
             if (group / limit).is_file() and (most := (group / limit).read_text().strip()).isdigit():

@@ -89,7 +89,8 @@ def _join() -> None:
         jax.config.update("jax_enable_recoverability", True)  # what is left of a job goes on without a lost process
         jax.config.update("jax_enable_preemption_service", False)  # SIGTERM ends the process, as ever
         try:
-            ctypes.CDLL(None).signal(signal.SIGABRT, _say_why)
+            if os.name == "posix":  # elsewhere the C library has another name
+                ctypes.CDLL(None).signal(signal.SIGABRT, _say_why)
             jax.distributed.initialize(**where, heartbeat_timeout_seconds=HEARTBEAT_S)
         except RuntimeError as error:
             raise InputError(f"the {count} processes of this job cannot reach each other: {error}.") from error

@@ -97,7 +97,7 @@ def find_policy(name: str, point: int | None = None) -> Trained:
         raise InputError(f"{name}: neither a run folder nor a policy{instead}.")
     if point is not None:
         raise InputError(f"--point: {name} is no run folder, and only a sweep has points.")
-    return load_policy(file)
+    return read_policy(file)
 
 
 def best_policy(path: Path, point: int | None = None) -> Trained:
@@ -159,7 +159,7 @@ def save_policy(trained: Trained, path: Path) -> None:
         np.savez_compressed(file, allow_pickle=False, header=text, **to_arrays(trained.policy, "policy"))
 
 
-def load_policy(path: Path) -> Trained:
+def read_policy(path: Path) -> Trained:
     """Read a policy file.
 
     Raises:

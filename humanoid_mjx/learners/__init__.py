@@ -1,12 +1,18 @@
 """Learners. `make_learner("tabular_q", task, epsilon=0.2)` builds and checks a learner for a task."""
 
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args, overload
 
 from humanoid_mjx.compute import check_settings
 from humanoid_mjx.learners.base import Learner
 from humanoid_mjx.spec import InputError, find, make
 from humanoid_mjx.tasks import name_of
 from humanoid_mjx.tasks.base import Task
+
+if TYPE_CHECKING:
+    from humanoid_mjx.learners.brax_ppo import BraxPPO
+    from humanoid_mjx.learners.deep import DeepQ
+    from humanoid_mjx.learners.linear import LinearQ
+    from humanoid_mjx.learners.tabular import TabularQ
 
 LEARNERS = {
     "brax_ppo": "humanoid_mjx.learners.brax_ppo:BraxPPO",
@@ -16,7 +22,17 @@ LEARNERS = {
 }
 
 
-def make_learner(name: str, /, task: Task, **params: Any) -> Any:
+@overload
+def make_learner(name: Literal["brax_ppo"], /, task: Task, **params: Any) -> "BraxPPO": ...
+@overload
+def make_learner(name: Literal["deep_q"], /, task: Task, **params: Any) -> "DeepQ": ...
+@overload
+def make_learner(name: Literal["linear_q"], /, task: Task, **params: Any) -> "LinearQ": ...
+@overload
+def make_learner(name: Literal["tabular_q"], /, task: Task, **params: Any) -> "TabularQ": ...
+@overload
+def make_learner(name: str, /, task: Task, **params: Any) -> Learner: ...
+def make_learner(name: str, /, task: Task, **params: Any) -> Learner:
     """Build the learner called `name` for `task`, or a user's own given as "package.module:Class".
 
     Raises:

@@ -72,7 +72,8 @@ class DeepQ(ApproximateQ):
             raise ValueError(f"minibatches must divide envs * rollout ({self.envs * self.rollout})")
         return self
 
-    def network(self) -> QNetwork:
+    def network(self) -> nn.Module:
+        """Return the module from observations, (..., size), to values of choices, (..., joints, bins)."""
         return QNetwork(self.width, self.layers, len(self.env.action_bins), self.bins, self.precision)
 
     def init_value(self, key: Key[Array, ""]) -> tuple[Any, Any]:

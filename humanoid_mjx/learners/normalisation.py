@@ -7,6 +7,9 @@ from jaxtyping import Array, Float
 
 from humanoid_mjx.types import FloatScalar
 
+VARIANCE_FLOOR = 1e-6
+"""Added to variances."""
+
 MAX_DEVIATIONS = 10.0
 """A normalised observation is cut off beyond so many standard deviations."""
 
@@ -36,4 +39,4 @@ def observe(old: Moments, obs: Float[Array, "batch size"]) -> Moments:
 
 def normalise(seen: Moments, obs: Float[Array, "*batch size"]) -> Float[Array, "*batch size"]:
     """Observations scaled to mean 0 and variance 1 by the moments seen so far."""
-    return jnp.clip((obs - seen.mean) / jnp.sqrt(seen.variance + 1e-6), -MAX_DEVIATIONS, MAX_DEVIATIONS)
+    return jnp.clip((obs - seen.mean) / jnp.sqrt(seen.variance + VARIANCE_FLOOR), -MAX_DEVIATIONS, MAX_DEVIATIONS)

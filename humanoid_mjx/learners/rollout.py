@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Key
+from jaxtyping import Array, Bool, Float, Int, Key
 
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.tasks.continuous import ContinuousTask, State
@@ -29,10 +29,10 @@ Choose = Callable[[State, Key[Array, ""]], Array]
 class Episode(NamedTuple):
     """Results of a whole episode."""
 
-    success: BoolScalar
-    episode_return: FloatScalar
-    steps: IntScalar
-    discounted_return: FloatScalar
+    success: Bool[Array, "*episodes"]
+    episode_return: Float[Array, "*episodes"]
+    steps: Int[Array, "*episodes"]
+    discounted_return: Float[Array, "*episodes"]
     """Sum over the steps k of `discount**k` times the reward."""
 
 

@@ -1,9 +1,17 @@
 """Physics, which move the robots. `make_physics("mjx-jax", timestep=0.002)` builds and checks a physics."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, overload
 
 from humanoid_mjx.physics.base import Physics
 from humanoid_mjx.spec import make
+
+if TYPE_CHECKING:
+    from humanoid_mjx.physics.chain import ChainPhysics
+    from humanoid_mjx.physics.mjx import MjxJax, MjxWarp
+    from humanoid_mjx.physics.native import Native
+    from humanoid_mjx.physics.tree import TreePhysics
+
+SomePhysics = TypeVar("SomePhysics", bound=Physics)
 
 PHYSICS = {
     "chain": "humanoid_mjx.physics.chain:ChainPhysics",
@@ -14,7 +22,21 @@ PHYSICS = {
 }
 
 
-def make_physics(name: str, base: type[Physics] = Physics, /, **params: Any) -> Any:
+@overload
+def make_physics(name: Literal["chain"], /, **params: Any) -> "ChainPhysics": ...
+@overload
+def make_physics(name: Literal["mjx-jax"], /, **params: Any) -> "MjxJax": ...
+@overload
+def make_physics(name: Literal["mjx-warp"], /, **params: Any) -> "MjxWarp": ...
+@overload
+def make_physics(name: Literal["mujoco"], /, **params: Any) -> "Native": ...
+@overload
+def make_physics(name: Literal["tree"], /, **params: Any) -> "TreePhysics": ...
+@overload
+def make_physics(name: str, /, **params: Any) -> Physics: ...
+@overload
+def make_physics(name: str, base: type[SomePhysics], /, **params: Any) -> SomePhysics: ...
+def make_physics(name: str, base: type[Physics] = Physics, /, **params: Any) -> Physics:
     """Build the physics called `name`, or a user's own given as "package.module:Class", which derives from `base`.
 
     Raises:

@@ -1,6 +1,6 @@
 """Robots: their descriptions, the leg as a serial chain, the legs and the lower body as MuJoCo models."""
 
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal, overload
 
 import pydantic
 
@@ -8,6 +8,10 @@ from humanoid_mjx.files import meant, names
 from humanoid_mjx.robot.declared import is_shipped, make_declared
 from humanoid_mjx.robot.description import Robot
 from humanoid_mjx.spec import InputError, make, search_folders, written
+
+if TYPE_CHECKING:
+    from humanoid_mjx.robot.legs import Legs, SingleLeg
+    from humanoid_mjx.robot.lower_body import LowerBody
 
 __all__ = ["ROBOTS", "Robot", "RobotKey", "make_robot"]
 
@@ -19,7 +23,15 @@ ROBOTS = {
 """Robots made in Python, by name. The folder `robots/` holds the robots of a YAML and an MJCF."""
 
 
-def make_robot(name: str, /, **values: Any) -> Any:
+@overload
+def make_robot(name: Literal["leg"], /, **values: Any) -> "SingleLeg": ...
+@overload
+def make_robot(name: Literal["legs"], /, **values: Any) -> "Legs": ...
+@overload
+def make_robot(name: Literal["lower_body"], /, **values: Any) -> "LowerBody": ...
+@overload
+def make_robot(name: str, /, **values: Any) -> Robot: ...
+def make_robot(name: str, /, **values: Any) -> Robot:
     """Build a robot: a name, the path of a YAML, or a user's own class as "package.module:Class".
 
     Raises:

@@ -18,7 +18,6 @@ refused.
 
 import contextlib
 import errno
-import fcntl
 import json
 import logging
 import math
@@ -32,7 +31,7 @@ from typing import Any
 import numpy as np
 
 from humanoid_mjx.config import config_digest, dump_yaml, parse, parse_yaml
-from humanoid_mjx.files import meant, read_text, refuse_pipe, refusing, whole_file
+from humanoid_mjx.files import lock, meant, read_text, refuse_pipe, refusing, whole_file
 from humanoid_mjx.runs.archive import misplaced, read_archive
 from humanoid_mjx.spec import InputError
 
@@ -102,7 +101,7 @@ class RunFolder:
           InputError: this machine does not see it.
         """
         try:
-            run = cls(path, _lock(path, fcntl.LOCK_SH), read_config(path))
+            run = cls(path, _lock(path, shared=True), read_config(path))
         except OSError as error:
             raise InputError(
                 f"{path}: process {process} cannot write here: {error.strerror}; all processes need one file system."
@@ -113,7 +112,7 @@ class RunFolder:
     def share(self, processes: int) -> None:
         """Let the other processes of this job, of which this is process 0, `join`, and still nobody else."""
         self.processes = processes
-        _flock(self._lock, fcntl.LOCK_SH, self.path)
+        _flock(self._lock, self.path, shared=True, wait=True)
 
     def close(self) -> None:
         """Let other programs write to the folder."""
@@ -311,10 +310,10 @@ def _only_begun(path: Path) -> bool:
     return {entry.name for entry in path.iterdir()} <= left
 
 
-def _lock(path: Path, kind: int = fcntl.LOCK_EX) -> int:
+def _lock(path: Path, shared: bool = False) -> int:
     handle = os.open(path / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
     try:
-        _flock(handle, kind | fcntl.LOCK_NB, path)
+        _flock(handle, path, shared)
     except OSError as error:
         os.close(handle)
         if error.errno not in (errno.EWOULDBLOCK, errno.EACCES):
@@ -323,10 +322,10 @@ def _lock(path: Path, kind: int = fcntl.LOCK_EX) -> int:
     return handle
 
 
-def _flock(handle: int, kind: int, path: Path) -> None:
+def _flock(handle: int, path: Path, shared: bool = False, wait: bool = False) -> None:
     """Lock a file of a run folder; warn where the file system has no locks."""
     try:
-        fcntl.flock(handle, kind)
+        lock(handle, shared, wait)
     except OSError as error:
         if error.errno not in (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP):
             raise

@@ -1,6 +1,5 @@
 """A list of run folders: what each trained, how far it is, and how its best point does."""
 
-import fcntl
 import os
 from collections.abc import Mapping
 from datetime import UTC, datetime
@@ -11,7 +10,7 @@ import numpy as np
 
 from humanoid_mjx.config import parse
 from humanoid_mjx.config.axes import sweep_points
-from humanoid_mjx.files import meant
+from humanoid_mjx.files import lock, meant
 from humanoid_mjx.runs.folder import damaged, disk_used, pools, read_arrays, read_config, read_provenance
 from humanoid_mjx.runs.ranking import ranked
 from humanoid_mjx.runs.tables import finished_runs, read_table
@@ -152,7 +151,7 @@ def _in_use(path: Path) -> bool:
     except OSError:
         return False
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        lock(handle)
     except BlockingIOError:
         return True
     except OSError:

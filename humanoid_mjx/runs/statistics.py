@@ -36,6 +36,9 @@ class Estimate(NamedTuple):
     low: float
     high: float
 
+    def __str__(self) -> str:
+        return f"{self.value:.4g} ({self.low:.4g} to {self.high:.4g})"
+
 
 def interval(
     values: Num[np.ndarray, "n ..."], least: float = -inf, most: float = inf

@@ -1,9 +1,18 @@
 """Tasks. `make_task("joint_reach", joint=4)` builds and checks a task."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 from humanoid_mjx.spec import make
 from humanoid_mjx.tasks.base import Task
+
+if TYPE_CHECKING:
+    from humanoid_mjx.tasks.joint_reach import JointReach
+    from humanoid_mjx.tasks.leg_reach import LegReach
+    from humanoid_mjx.tasks.legged.stand import Stand
+    from humanoid_mjx.tasks.legged.walk import Walk
+    from humanoid_mjx.tasks.navigate import Navigate
+    from humanoid_mjx.tasks.posture_switch import PostureSwitch
+    from humanoid_mjx.tasks.squat import Squat
 
 TASKS = {
     "joint_reach": "humanoid_mjx.tasks.joint_reach:JointReach",
@@ -22,7 +31,23 @@ def name_of(task: Task) -> str:
     return next((name for name, place in TASKS.items() if place == f"{cls.__module__}:{cls.__name__}"), cls.__name__)
 
 
-def make_task(name: str, /, **params: Any) -> Any:
+@overload
+def make_task(name: Literal["joint_reach"], /, **params: Any) -> "JointReach": ...
+@overload
+def make_task(name: Literal["leg_reach"], /, **params: Any) -> "LegReach": ...
+@overload
+def make_task(name: Literal["navigate"], /, **params: Any) -> "Navigate": ...
+@overload
+def make_task(name: Literal["posture_switch"], /, **params: Any) -> "PostureSwitch": ...
+@overload
+def make_task(name: Literal["squat"], /, **params: Any) -> "Squat": ...
+@overload
+def make_task(name: Literal["stand"], /, **params: Any) -> "Stand": ...
+@overload
+def make_task(name: Literal["walk"], /, **params: Any) -> "Walk": ...
+@overload
+def make_task(name: str, /, **params: Any) -> Task: ...
+def make_task(name: str, /, **params: Any) -> Task:
     """Build the task called `name`, or a user's own given as "package.module:Class".
 
     Raises:

@@ -26,39 +26,6 @@ Actions = Literal["choices", "numbers"]
 """An action as a choice of each joint, or as a number in [-1, 1] for each (`ContinuousTask.step_continuous`)."""
 
 
-class _Worlds:
-    """Environments of a task side by side, and their spaces."""
-
-    def __init__(self, task: Task, count: int, actions: Actions | None):
-        if not isinstance(task, (FiniteTask, ContinuousTask)):
-            raise InputError(f"an environment takes a FiniteTask or a ContinuousTask, got a {type(task).__name__}.")
-        actions = actions or ("choices" if isinstance(task, FiniteTask) else "numbers")
-        self.task, self.count = as_continuous(jax.tree.map(jnp.asarray, task)), count
-        self.choices = actions == "choices"
-        bins, size = self.task.action_bins, self.task.observation_size
-        self.observation_space = spaces.Box(-np.inf, np.inf, (size,), np.float32)
-        self.action_space: spaces.Space[Any] = spaces.Box(-1.0, 1.0, (len(bins),), np.float32)
-        if self.choices:
-            self.action_space = spaces.Discrete(bins[0]) if len(bins) == 1 else spaces.MultiDiscrete(list(bins))
-        self.begin = jax.jit(lambda key: jax.vmap(self.task.reset)(jax.random.split(key, self.count)))
-        self.step = jax.jit(self._step, static_argnums=3)
-
-    def _step(self, states: State, actions: Array, key: Key[Array, ""], goes_on: bool) -> State:
-        """The states after one decision; where `goes_on` a new episode begins in the place of one that is done."""
-
-        def one(state: State, action: Array, key: Key[Array, ""]) -> State:
-            step_key, reset_key = jax.random.split(key)
-            state = (self.task.step if self.choices else self.task.step_continuous)(state, action, step_key)
-            return auto_reset(self.task, state, reset_key) if goes_on else state
-
-        return jax.vmap(one)(states, actions, jax.random.split(key, self.count))
-
-    def actions(self, given: Any) -> Array:
-        """Actions as `step` takes them, (count, joints)."""
-        kind = np.int32 if self.choices else np.float32
-        return jnp.asarray(np.asarray(given, kind).reshape(self.count, -1))
-
-
 class TaskVectorEnv(VectorEnv):
     """A task as a vector environment.
 
@@ -80,28 +47,54 @@ class TaskVectorEnv(VectorEnv):
         Raises:
           InputError: the task is neither finite nor continuous.
         """
-        self._worlds, self.num_envs = _Worlds(task, num_envs, actions), num_envs
-        self.single_observation_space = self._worlds.observation_space
-        self.single_action_space = self._worlds.action_space
+        if not isinstance(task, (FiniteTask, ContinuousTask)):
+            raise InputError(f"an environment takes a FiniteTask or a ContinuousTask, got a {type(task).__name__}.")
+        actions = actions or ("choices" if isinstance(task, FiniteTask) else "numbers")
+        self._task, self.num_envs = as_continuous(jax.tree.map(jnp.asarray, task)), num_envs
+        self._choices, self._goes_on = actions == "choices", True
+        bins, size = self._task.action_bins, self._task.observation_size
+        space: spaces.Space[Any] = spaces.Box(-1.0, 1.0, (len(bins),), np.float32)
+        if self._choices:
+            space = spaces.Discrete(bins[0]) if len(bins) == 1 else spaces.MultiDiscrete(list(bins))
+        self.single_observation_space = spaces.Box(-np.inf, np.inf, (size,), np.float32)
+        self.single_action_space = space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
+        self._begin = jax.jit(lambda key: jax.vmap(self._task.reset)(jax.random.split(key, num_envs)))
+        self._after = jax.jit(self._decide)
+
+    def _decide(self, states: State, actions: Array, key: Key[Array, ""]) -> State:
+        """The states after one decision; if `_goes_on` a new episode begins in the place of one that is done."""
+
+        def one(state: State, action: Array, key: Key[Array, ""]) -> State:
+            step_key, reset_key = jax.random.split(key)
+            state = (self._task.step if self._choices else self._task.step_continuous)(state, action, step_key)
+            return auto_reset(self._task, state, reset_key) if self._goes_on else state
+
+        return jax.vmap(one)(states, actions, jax.random.split(key, self.num_envs))
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Begin an episode in every environment, the same ones for the same seed."""
         super().reset(seed=seed)
-        self._state = self._worlds.begin(_key(self.np_random))
+        self._state = self._begin(self._key())
         return np.array(self._state.obs, np.float32), {}
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Carry out one decision in every environment."""
-        worlds = self._worlds
-        self._state = worlds.step(self._state, worlds.actions(actions), _key(self.np_random), True)
-        observations, rewards, terminated, truncated, infos, final_obs = _results(self._state)
-        done = terminated | truncated
+        given = np.asarray(actions, np.int32 if self._choices else np.float32).reshape(self.num_envs, -1)
+        self._state = self._after(self._state, jnp.asarray(given), self._key())
+        states = jax.device_get(self._state._replace(data=None))
+        done = np.asarray(states.done, bool)
+        infos = {name: np.array(term) for name, term in states.metrics.items()}
+        infos["success"] = done & np.asarray(states.success, bool)
         infos |= {f"_{name}": np.ones(self.num_envs, bool) for name in list(infos)}
         if done.any():
-            infos |= {"final_obs": final_obs, "_final_obs": done}
-        return observations, rewards, terminated, truncated, infos
+            infos |= {"final_obs": np.array(states.final_obs, np.float32), "_final_obs": done}
+        ends = np.array(states.terminated, bool), np.array(states.truncated, bool)
+        return np.array(states.obs, np.float32), np.array(states.reward, np.float64), *ends, infos
+
+    def _key(self) -> Key[Array, ""]:
+        return rng.key(int(self.np_random.integers(2**31)))
 
 
 class TaskEnv(gymnasium.Env):
@@ -111,34 +104,18 @@ class TaskEnv(gymnasium.Env):
 
     def __init__(self, task: Task, actions: Actions | None = None):
         """Wrap a task; see `TaskVectorEnv`."""
-        self._worlds = _Worlds(task, 1, actions)
-        self.observation_space, self.action_space = self._worlds.observation_space, self._worlds.action_space
+        self._one = TaskVectorEnv(task, 1, actions)
+        self._one._goes_on = False
+        self.observation_space, self.action_space = self._one.single_observation_space, self._one.single_action_space
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Begin an episode, the same one for the same seed."""
         super().reset(seed=seed)
-        self._state = self._worlds.begin(_key(self.np_random))
-        return np.array(self._state.obs[0], np.float32), {}
+        observations, _ = self._one.reset(seed=seed)
+        return observations[0], {}
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Carry out one decision."""
-        worlds = self._worlds
-        self._state = worlds.step(self._state, worlds.actions(action), _key(self.np_random), False)
-        observations, rewards, terminated, truncated, infos, _ = _results(self._state)
-        info = {name: values[0].item() for name, values in infos.items()}
+        observations, rewards, terminated, truncated, infos = self._one.step(action)
+        info = {name: values[0].item() for name, values in infos.items() if f"_{name}" in infos and name != "final_obs"}
         return observations[0], float(rewards[0]), bool(terminated[0]), bool(truncated[0]), info
-
-
-def _key(random: np.random.Generator) -> Key[Array, ""]:
-    return rng.key(int(random.integers(2**31)))
-
-
-def _results(states: State) -> tuple[Any, Any, Any, Any, dict[str, Any], Any]:
-    """Observations, rewards, both kinds of end, infos and final observations of states, as arrays of their own."""
-    states = jax.device_get(states._replace(data=None))
-    done = np.asarray(states.done, bool)
-    infos = {name: np.array(term) for name, term in states.metrics.items()}
-    infos["success"] = done & np.asarray(states.success, bool)
-    ends = np.array(states.terminated, bool), np.array(states.truncated, bool)
-    rewards, final_obs = np.array(states.reward, np.float64), np.array(states.final_obs, np.float32)
-    return np.array(states.obs, np.float32), rewards, *ends, infos, final_obs

@@ -16,7 +16,7 @@ from humanoid_mjx.compute import rng
 from humanoid_mjx.evaluation import evaluate
 from humanoid_mjx.evaluation.episode import play
 from humanoid_mjx.evaluation.evaluate import evaluate_all, held_out_keys, play_out
-from humanoid_mjx.evaluation.policy import best_policy, find_policy, load_policy, policies_of_best, save_policy
+from humanoid_mjx.evaluation.policy import best_policy, find_policy, policies_of_best, read_policy, save_policy
 from humanoid_mjx.learners.rollout import AGENTS, agent, rollout
 from humanoid_mjx.runs.ranking import ranked
 from humanoid_mjx.runs.statistics import estimated
@@ -139,7 +139,7 @@ def test_a_policy_comes_back_from_its_file(reach, leg, tmp_path):
     for path in (reach, leg):
         best, file = best_policy(path), tmp_path / f"{path.name}.npz"
         save_policy(best, file)
-        again = load_policy(file)
+        again = read_policy(file)
         assert jax.tree.structure(again[:2]) == jax.tree.structure(best[:2]) and again.as_json() == best.as_json()
         for old, new in zip(jax.tree.leaves(best[:2]), jax.tree.leaves(again[:2]), strict=True):
             assert old.dtype == new.dtype and np.asarray(old).tobytes() == np.asarray(new).tobytes()
@@ -180,7 +180,7 @@ def test_files_that_are_no_policies(reach, tmp_path):
         ),
     ):
         with pytest.raises(InputError, match=words):
-            load_policy(tmp_path / file)
+            read_policy(tmp_path / file)
     with pytest.raises(InputError, match="neither a run folder nor a policy; did you mean 'posture_switch'"):
         find_policy("posture_swich")
 

@@ -11,7 +11,7 @@ import pytest
 from small_sweep import CONFIG
 
 from humanoid_mjx import InputError, sweep
-from humanoid_mjx.evaluation.policy import best_policy, load_policy, save_policy
+from humanoid_mjx.evaluation.policy import best_policy, read_policy, save_policy
 from humanoid_mjx.runs.archive import read_archive
 
 SIZE = 60_000_000
@@ -105,9 +105,9 @@ def test_a_policy_bomb_is_refused_by_its_shapes(policy, tmp_path):
         for other in arrays.keys() - {member}:
             data = with_member(data, f"{other}.npy", saved(arrays[other]))
         path.write_bytes(data)
-        said, peak = refusal(lambda: load_policy(path))
+        said, peak = refusal(lambda: read_policy(path))
         assert said.startswith(f"{path}: ") and words in said and "\n" not in said and peak < PEAK, said
-    assert load_policy(good)
+    assert read_policy(good)
 
 
 @pytest.mark.parametrize("number", [np.nan, np.inf, -np.inf])
@@ -155,7 +155,7 @@ def test_a_header_of_other_parts_is_refused(policy, tmp_path, change, words):
     header, path = json.loads(str(arrays["header"])), tmp_path / "odd.npz"
     np.savez(path, **(arrays | {"header": np.array(json.dumps(header | change))}))
     with pytest.raises(InputError) as caught:
-        load_policy(path)
+        read_policy(path)
     said = str(caught.value)
     assert said.startswith(f"{path}: header.") and words in said and said.endswith("; export it again from its run.")
 
@@ -164,4 +164,4 @@ def test_an_array_that_no_policy_has_is_refused(policy, tmp_path):
     _, arrays = policy
     np.savez(tmp_path / "more.npz", **arrays, extra=np.zeros(3, np.float32))
     with pytest.raises(InputError, match=r"more\.npz: extra: a policy has no such array; export it again from its run"):
-        load_policy(tmp_path / "more.npz")
+        read_policy(tmp_path / "more.npz")

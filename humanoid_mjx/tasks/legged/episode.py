@@ -103,10 +103,15 @@ class Episode(NamedTuple):
         if sensors.averages:
             true = true._replace(gyroscope=motion.spin, accelerometer=motion.force)
         state, readings = sensors.read(self.sensors, true, key)
+        return self.felt(readings, period)._replace(world=world, motion=motion, sensors=state)
+
+    def felt(self, readings: Readings, period: float) -> "Episode":
+        """The episode with these readings of the sensors, `period` seconds after the last, and what follows from them:
+        `rates` and `down`."""
         rates = (readings.encoders - self.readings.encoders) / period
         turned = self.down + period * jnp.cross(self.down, readings.gyroscope)
         down = unit(unit(turned) - FILTER_GAIN * unit(readings.accelerometer))
-        return self._replace(world=world, motion=motion, sensors=state, readings=readings, rates=rates, down=down)
+        return self._replace(readings=readings, rates=rates, down=down)
 
     def compared(self, command: Float[Array, "3"], period: float) -> "Episode":
         """Return the episode with `tracking_error` updated after a decision under this command."""

@@ -138,7 +138,7 @@ class LeggedTask(LeggedBody):
     def commanded(self, state: State, view: View, command: Float[Array, "3"]) -> State:
         """Replace the command in a state and recompute its observation; `view` is the state's view."""
         view = view._replace(episode=state.data.under(command, 0.0))
-        return state._replace(data=self._remembered(view), obs=self.seen(view))
+        return state._replace(data=self.remembered(view), obs=self.seen(view))
 
     def step_watched(
         self, state: State, command: Float[Array, " joints"], key: Key[Array, ""], watched: bool = True
@@ -147,10 +147,7 @@ class LeggedTask(LeggedBody):
         step; if `watched`, of every time step, on a leading axis."""
         _, sensor_key = jax.random.split(key)
         before: Episode = state.data
-        offsets = jnp.clip(command, -1.0, 1.0)
-        if self.symmetric:
-            offsets = jnp.where(self.mirrored(before.phase), swapped(offsets, self.robot), offsets)
-        offsets = offsets + self.smoothing * (before.offsets - offsets)
+        offsets = self.offsets(before, command)
         force = self.push_on(before, key)
         setpoint = self.setpoint(offsets, self.reference(before))
         world, seen = self.advance(before.world, setpoint, before.plant or self.plant, force, watched)
@@ -173,7 +170,7 @@ class LeggedTask(LeggedBody):
         next_view = view._replace(episode=after)
         obs = self.seen(next_view)
         state = State(
-            data=self._remembered(next_view),
+            data=self.remembered(next_view),
             obs=obs,
             reward=jnp.asarray(sum(terms.values())),
             terminated=fallen,
@@ -183,6 +180,13 @@ class LeggedTask(LeggedBody):
             metrics=terms,
         )
         return state, view, seen
+
+    def offsets(self, before: Episode, command: Float[Array, " joints"]) -> Float[Array, " joints"]:
+        """Return the smoothed offsets of the robot's own joints, -1 to 1, for a learner's `command`."""
+        offsets = jnp.clip(command, -1.0, 1.0)
+        if self.symmetric:
+            offsets = jnp.where(self.mirrored(before.phase), swapped(offsets, self.robot), offsets)
+        return offsets + self.smoothing * (before.offsets - offsets)
 
     def push_on(self, data: Episode, key: Key[Array, ""]) -> Float[Array, "3"]:
         since = data.decisions * self.period - data.first_push
@@ -228,7 +232,7 @@ class LeggedTask(LeggedBody):
         now = self.observed(view)[None]
         return now if view.episode.past is None else jnp.concatenate([now, view.episode.past[1:]])
 
-    def _remembered(self, view: View) -> Episode:
+    def remembered(self, view: View) -> Episode:
         """The view's episode with what is observed now."""
         return view.episode._replace(past=self._rows(view)) if self.history > 1 else view.episode
 
