@@ -6,7 +6,7 @@ outcome of every episode added to one of 100 points of a learning curve.
 
     scan         this package: the learner vmapped, the cheap generator, table accesses promised to be in bounds;
                  on a CPU one program per core
-    fused        the same in one kernel, as a sweep runs it; on a CPU on every core
+    fused        the same in one kernel, as a sweep runs it
     naive_scan   the same as one would first write it: jax.random's own keys split in every step, plain indexing
     python       one agent at a time in plain Python
     numba        one agent a thread, compiled, fastmath, all cores (where numba is installed)
@@ -24,10 +24,9 @@ from humanoid_mjx import compute, make_learner, make_task
 from humanoid_mjx.bench.measure import Record, Subject, on_devices, record, time_in_turn
 from humanoid_mjx.compute import rng
 from humanoid_mjx.learners.tabular import TabularQ
-from humanoid_mjx.training import fused as kernel
 from humanoid_mjx.training.program import begin
 from humanoid_mjx.training.program import train as by_scan
-from humanoid_mjx.training.programs import TRAIN
+from humanoid_mjx.training.programs import TRAIN, why_no_kernel
 
 MOVES, CAP, POINTS, EPISODES = 23, 500, 100, 100_000
 DECAY, RATE, DISCOUNT, BONUS = 0.999, 0.5, 0.9, 100.0
@@ -87,8 +86,8 @@ def time_trainings(
 
 def _absent(say: Callable[[str], None]) -> set[str]:
     """The subjects that cannot be measured here, once it is said why."""
-    why = {"numba": None if find_spec("numba") else "it is not installed; pip install 'humanoid-mjx[bench]' brings it"}
-    why["fused"] = kernel.why_not(_learner()) if jax.default_backend() != "cpu" else None
+    numba = None if find_spec("numba") else "it is not installed; pip install 'humanoid-mjx[bench]' brings it"
+    why = {"numba": numba, "fused": why_no_kernel(_learner())}
     for name, reason in why.items():
         if reason:
             say(f"{name}: not measured, for {reason}")
@@ -111,8 +110,7 @@ def scan(epsilon: np.ndarray, steps: int) -> Made:
 
 def fused(epsilon: np.ndarray, steps: int, moves: int = MOVES) -> Made:
     """This package's learner in one kernel."""
-    by_kernel = jax.vmap(TRAIN, in_axes=(0, 0, None)) if jax.default_backend() == "cpu" else kernel.advance
-    return _shared_out(_learner(moves), epsilon, steps, jax.jit(by_kernel))
+    return _shared_out(_learner(moves), epsilon, steps, jax.jit(jax.vmap(TRAIN, in_axes=(0, 0, None))))
 
 
 def _shared_out(
