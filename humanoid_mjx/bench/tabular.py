@@ -6,7 +6,7 @@ outcome of every episode added to one of 100 points of a learning curve.
 
     scan         this package: the learner vmapped, the cheap generator, table accesses promised to be in bounds;
                  on a CPU one program per core
-    fused        the same in one kernel, as a sweep runs it; on a CPU on every core
+    fused        the same in one kernel, as a sweep runs it
 
 The folder `benchmarks` of a checkout adds other ways to write it: `benchmarks/opponents.py`.
 """
@@ -22,10 +22,9 @@ from humanoid_mjx.bench import opponents
 from humanoid_mjx.bench.measure import Record, Subject, on_devices, record, time_in_turn
 from humanoid_mjx.compute import rng
 from humanoid_mjx.learners.tabular import TabularQ
-from humanoid_mjx.training import fused as kernel
 from humanoid_mjx.training.program import begin
 from humanoid_mjx.training.program import train as by_scan
-from humanoid_mjx.training.programs import TRAIN
+from humanoid_mjx.training.programs import TRAIN, why_no_kernel
 
 MOVES, CAP, POINTS, EPISODES = 23, 500, 100, 100_000
 DECAY, RATE, DISCOUNT, BONUS = 0.999, 0.5, 0.9, 100.0
@@ -56,7 +55,7 @@ def run(say: Callable[[str], None]) -> list[Record]:
     """Time all subjects over several numbers of agents."""
     others, records = opponents(), []
     subjects = dict(SUBJECTS)
-    if jax.default_backend() != "cpu" and (why := kernel.why_not(_learner())):
+    if why := why_no_kernel(_learner()):
         say(f"fused: not measured, for {why}")
         del subjects["fused"]
     for batch in BATCHES.get(jax.default_backend(), BATCHES["gpu"]):
@@ -107,8 +106,7 @@ def scan(epsilon: np.ndarray, steps: int) -> Made:
 
 def fused(epsilon: np.ndarray, steps: int, moves: int = MOVES) -> Made:
     """This package's learner in one kernel."""
-    by_kernel = jax.vmap(TRAIN, in_axes=(0, 0, None)) if jax.default_backend() == "cpu" else kernel.advance
-    return _shared_out(_learner(moves), epsilon, steps, jax.jit(by_kernel))
+    return _shared_out(_learner(moves), epsilon, steps, jax.jit(jax.vmap(TRAIN, in_axes=(0, 0, None))))
 
 
 def _shared_out(

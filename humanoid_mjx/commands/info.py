@@ -150,8 +150,8 @@ def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
     """A config in full, and what its sweep will take; where `timed` also how long."""
     from humanoid_mjx.robot.differences import HEADINGS, differences_of
     from humanoid_mjx.training.cost import disk_bytes, run_bytes, runs_at_once, slots, training_bytes
-    from humanoid_mjx.training.fused import why_not
     from humanoid_mjx.training.plan import make_plan, resolved
+    from humanoid_mjx.training.programs import why_no_kernel
     from humanoid_mjx.training.warm_start import earlier_policies
 
     plan = make_plan(load(config, overrides))
@@ -176,10 +176,8 @@ def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
     console.print(f"on disk an estimated {decimal(disk_bytes(plan, together))}, without figures")
     if refusal:
         console.print(f"sweep refuses it here: {refusal}")
-    tables = plan.groups if plan.unit == "episode" and compute.machine()["backend"] == "gpu" else ()
-    for reason in dict.fromkeys(why_not(group.learner()) for group in tables):
-        words = "trained by one kernel of a GPU" if reason is None else f"not trained by one kernel of a GPU: {reason}"
-        console.print(words)
+    for reason in dict.fromkeys(why_no_kernel(group.learner()) for group in plan.groups if plan.unit == "episode"):
+        console.print("trained by a kernel" if reason is None else f"not trained by a kernel: {reason}")
     if timed:
         _show_time(plan)
     else:

@@ -6,14 +6,14 @@ GPU's threads would do is compiled by LLVM, and XLA calls it through its foreign
 
 import ctypes
 import hashlib
-import math
 import re
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -21,49 +21,14 @@ import numpy as np
 from jaxtyping import Array
 
 from humanoid_mjx.files import read_sealed, write_sealed
-from humanoid_mjx.kernels.arrangements import arranged
 from humanoid_mjx.kernels.llvm import WIDTH, Code, Value, type_of
 from humanoid_mjx.kernels.llvm_lowering import lower
 from humanoid_mjx.kernels.llvm_memory import Given, Table, Words
-from humanoid_mjx.kernels.memory import THREADS
-from humanoid_mjx.kernels.threads import Kept, Threads, looked_up
+from humanoid_mjx.kernels.signature import Kind, Signature, signature
+from humanoid_mjx.kernels.threads import Threads
 
 NAME = re.compile(r"humanoid_mjx_[0-9a-f]{32}")
 """Names of compiled functions, by what they follow from."""
-
-
-class Kind(NamedTuple):
-    """Kind of an array that a kernel takes or gives."""
-
-    shape: tuple[int, ...]
-    """That of a world."""
-    dtype: Any
-    role: Literal["rows", "uniform", "memory"] = "rows"
-    """`rows`: (*shape, worlds). `uniform`: one array for all worlds. `memory`: (worlds, *shape), whose entries are
-    looked up, and changed in their place."""
-
-    @property
-    def size(self) -> int:
-        return math.prod(self.shape)
-
-
-class Program(NamedTuple):
-    """A function as LLVM's code."""
-
-    code: str
-    given: list[Kind]
-    found: list[Kind]
-    shapes: Any
-    """Shapes and types of the results of a world, in their pytree."""
-    in_place: dict[int, int]
-    """Numbers of arguments that change in their place, and of the results that they become."""
-
-    def call(self, leaves: Sequence[Array], worlds: int) -> list[Array]:
-        """Call the function; `leaves`: its arguments in the form of their kinds."""
-        name = _compiled_of(self.code)
-        shapes = [(worlds, *x.shape) if x.role == "memory" else (*x.shape, worlds) for x in self.found]
-        wanted = [jax.ShapeDtypeStruct(shape, x.dtype) for shape, x in zip(shapes, self.found, strict=True)]
-        return jax.ffi.ffi_call(name, wanted, input_output_aliases=self.in_place)(*leaves)
 
 
 def cpu_kernel(function: Callable[..., Any], *args: Any) -> Any:
@@ -73,115 +38,26 @@ def cpu_kernel(function: Callable[..., Any], *args: Any) -> Any:
       NotImplementedError: the function does something else than arithmetic.
     """
     leaves, structure = jax.tree.flatten(args)
-    program = _program(function, structure, tuple(Kind(leaf.shape[:-1], leaf.dtype) for leaf in leaves))
+    known = signature(function, structure, tuple(Kind(leaf.shape[:-1], leaf.dtype) for leaf in leaves), False)
     worlds = leaves[0].shape[-1]
     if (missing := WIDTH - worlds) > 0:  # the last world fills up a vector
         leaves = [jnp.concatenate([leaf, *[leaf[..., -1:]] * missing], axis=-1) for leaf in leaves]
-    found = [x[..., :worlds] for x in program.call(leaves, max(worlds, WIDTH))]
-    return jax.tree.unflatten(jax.tree.structure(program.shapes), found)
+    found, _ = call(known, leaves, max(worlds, WIDTH))
+    return jax.tree.unflatten(jax.tree.structure(known.shapes), [x[..., :worlds] for x in found])
 
 
-def cpu_kernel_of_one(function: Callable[..., Any], args: tuple[Any, ...], many: tuple[bool, ...]) -> Any:
-    """`jax.vmap` of a function of one world. `many`: for each leaf of `args`, whether its first axis is of worlds.
-
-    Raises:
-      NotImplementedError: the function does something else than arithmetic.
-    """
-    leaves, program = jax.tree.leaves(args), _program_of_one(function, args, many)
-    worlds = next(len(leaf) for leaf, own in zip(leaves, many, strict=True) if own)
-    missing = -worlds % WIDTH  # the last world fills up a vector
-
-    def passed(leaf: Array, kind: Kind) -> Array:
-        leaf = jax.random.key_data(leaf) if _is_key(leaf.dtype) else leaf
-        if kind.role != "uniform" and missing:
-            leaf = jnp.concatenate([leaf, *[leaf[-1:]] * missing])
-        return jnp.moveaxis(leaf, 0, -1) if kind.role == "rows" else leaf
-
-    def result(array: Array, kind: Kind, shape: Any) -> Array:
-        array = (jnp.moveaxis(array, -1, 0) if kind.role == "rows" else array)[:worlds]
-        return jax.random.wrap_key_data(array, impl=shape.dtype._impl) if _is_key(shape.dtype) else array
-
-    found = program.call([*map(passed, leaves, program.given)], worlds + missing)
-    shapes, structure = jax.tree.flatten(program.shapes)
-    return structure.unflatten(map(result, found, program.found, shapes))
-
-
-def why_not(function: Callable[..., Any], args: tuple[Any, ...], many: tuple[bool, ...]) -> str | None:
-    """Return the reason why `cpu_kernel_of_one` cannot do what a function does; None if it can."""
-    try:
-        _program_of_one(function, args, many)
-    except NotImplementedError as reason:
-        return str(reason)
-    return None
-
-
-def _program_of_one(function: Callable[..., Any], args: tuple[Any, ...], many: tuple[bool, ...]) -> Program:
-    leaves, structure = jax.tree.flatten(args)
-    kinds = [
-        Kind(leaf.shape[1:], leaf.dtype) if own else Kind(leaf.shape, leaf.dtype, "uniform")
-        for leaf, own in zip(leaves, many, strict=True)
-    ]
-    return _program(function, structure, tuple(kinds), True)
-
-
-@lru_cache
-def _program(function: Callable[..., Any], structure: Any, kinds: tuple[Kind, ...], single: bool = False) -> Program:
-    """A function as LLVM's code, written once whatever the number of worlds.
-
-    `single`: the function is of one world, and its arrays have no axis of worlds.
-    """
-    axis = () if single else (1,)
-    like = [jax.ShapeDtypeStruct((*kind.shape, *axis), kind.dtype) for kind in kinds]
-    traced, shapes = jax.make_jaxpr(function, return_shape=True)(*structure.unflatten(like))
-    given, found, in_place = [_of_words(kind) for kind in kinds], [], {}
-    for place in looked_up(traced.jaxpr) if single else ():
-        if given[place].role == "rows":
-            given[place] = given[place]._replace(role="memory")
-
-    def results(numbers: Sequence[Array]) -> list[Array]:
-        """The numbers of all results that are not in memory."""
-        threads, rest = Threads(1, _own, _own, jnp.any, Words, Table, single), iter(numbers)
-        args = [
-            threads.given(Given(place, kind.size), kind.shape, kind.dtype)
-            if kind.role == "memory"
-            else arranged([next(rest) for _ in range(kind.size)], (*kind.shape, *axis))
-            for place, kind in enumerate(given)
-        ]
-        arrays = threads.evaluate(traced, args)
-        for place, (array, shape) in enumerate(zip(arrays, jax.tree.leaves(shapes), strict=True)):
-            kind = _of_words(Kind(shape.shape[: len(shape.shape) - len(axis)], shape.dtype))
-            if isinstance(array, Kept) and array.region.given:
-                array.check()
-                in_place[array.region.number], kind = place, kind._replace(role="memory")
-            else:
-                rows.extend(threads.alike(array))
-            found.append(kind)
-        return rows
-
-    rows: list[Array] = []
-    numbers = [
-        jax.ShapeDtypeStruct(() if kind.role == "uniform" else (THREADS,), kind.dtype)
-        for kind in given
-        for _ in range(0 if kind.role == "memory" else kind.size)
-    ]
-    return Program(_code(jax.make_jaxpr(results)(numbers), given, found), given, found, shapes, in_place)
-
-
-def _is_key(dtype: Any) -> bool:
-    return jnp.issubdtype(dtype, jax.dtypes.prng_key)
-
-
-def _of_words(kind: Kind) -> Kind:
-    """The kind of an array; of random keys that of their words."""
-    if _is_key(kind.dtype):
-        return kind._replace(shape=(*kind.shape, *kind.dtype._impl.key_shape), dtype=np.dtype(np.uint32))
-    return kind._replace(dtype=np.dtype(kind.dtype))
+def call(known: Signature, leaves: Sequence[Array], worlds: int) -> tuple[list[Array], list[Kind]]:
+    """Call a function; `leaves`: its arguments in the form of their kinds. Return its results, and their kinds."""
+    code, found, in_place = written(known)
+    wanted = [jax.ShapeDtypeStruct(kind.of_all(worlds), kind.dtype) for kind in found]
+    function = jax.ffi.ffi_call(_compiled_of(code), wanted, input_output_aliases=in_place)
+    return [*function(*leaves, jnp.int32(worlds))], found
 
 
 @lru_cache
 def _compiled_of(code: str) -> str:
     """The name by which XLA calls LLVM's code, once it is compiled."""
-    code += CALL.replace("MAJOR", str(_version()[0])).replace("MINOR", str(_version()[1]))
+    code = code.replace("MAJOR", str(_version()[0])).replace("MINOR", str(_version()[1]))
     name = f"humanoid_mjx_{hashlib.sha256((code + _machine()).encode()).hexdigest()[:32]}"
     if name not in _fresh:
         register({name: _compiled(name, code)})
@@ -213,7 +89,8 @@ def objects_in(program: str) -> dict[str, bytes]:
 
 def forget() -> None:
     """Write and compile functions anew when they are asked for, for those who time it."""
-    _program.cache_clear()
+    for cached in signature, written:
+        cached.cache_clear()
     _compiled_of.cache_clear()
     _fresh.clear()
 
@@ -277,10 +154,20 @@ def _machine() -> str:
     return f"{llvm.llvm_version_info} {llvm.get_host_cpu_name()} {llvm.get_host_cpu_features().flatten()}"
 
 
-def _code(traced: Any, given: Sequence[Kind], found: Sequence[Kind]) -> str:
-    """LLVM's code of a function of vectors, from the arrays that it is given to those that are found."""
-    code = Code()
-    values = lower(code, traced, [_loaded(code, place) for place in _places(code, "given", given)])
+@lru_cache
+def written(known: Signature) -> tuple[str, list[Kind], dict[int, int]]:
+    """LLVM's code of a function, the kinds of its results, and arguments in whose place results are, see `evaluate`."""
+    code, found, in_place = Code(), [], {}
+
+    def results(numbers: Sequence[Array]) -> list[Array]:
+        threads = Threads(1, _own, _own, jnp.any, Words, Table, known.single)
+        rows, kinds, places = known.evaluate(threads, numbers, lambda place, kind: Given(f"given{place}", kind.size))
+        found.extend(kinds)
+        in_place.update(places)
+        return rows
+
+    traced = jax.make_jaxpr(results)(known.numbers)
+    values = lower(code, traced, [_loaded(code, place) for place in _places(code, "given", known.given)])
     for value, place in zip(values, _places(code, "found", found), strict=True):
         _stored(code, value, place)
     tables = [
@@ -291,17 +178,10 @@ def _code(traced: Any, given: Sequence[Kind], found: Sequence[Kind]) -> str:
         f"  %region{number} = alloca [{words * WIDTH} x i32], align {4 * WIDTH}"
         for number, words in code.regions.items()
     ]
-    axis = AXIS.replace("FIRST", "true" if found[0].role == "memory" else "false")
-    return "\n".join([axis, *tables, *sorted(code.declared), BLOCK, *memory, *code.lines, "  ret void\n}"])
+    lines = [*tables, *sorted(code.declared), BLOCK, *memory, *code.lines, "  ret void\n}"]
+    lines.append(CALL.replace("COUNT", str(len(known.given))))
+    return "\n".join(lines), found, in_place
 
-
-AXIS = """
-define internal i64 @axis(i64 %rank) {
-  %last = sub i64 %rank, 1
-  %axis = select i1 FIRST, i64 0, i64 %last
-  ret i64 %axis
-}"""
-"""Number of the axis of worlds in the first result."""
 
 BLOCK = """
 define internal void @block(ptr noalias %given, ptr noalias %found, i64 %worlds, i64 %first) noinline {
@@ -333,14 +213,12 @@ compute:
   %given = load ptr, ptr %given_at
   %found_at = getelementptr i8, ptr %frame, i64 112
   %found = load ptr, ptr %found_at
-  %buffer = load ptr, ptr %found
-  %rank_at = getelementptr i8, ptr %buffer, i64 32
-  %rank = load i64, ptr %rank_at
-  %sizes_at = getelementptr i8, ptr %buffer, i64 40
-  %sizes = load ptr, ptr %sizes_at
-  %axis = call i64 @axis(i64 %rank)
-  %size_at = getelementptr i64, ptr %sizes, i64 %axis
-  %worlds = load i64, ptr %size_at
+  %count_at = getelementptr ptr, ptr %given, i64 COUNT
+  %count = load ptr, ptr %count_at
+  %number_at = getelementptr i8, ptr %count, i64 24
+  %number = load ptr, ptr %number_at
+  %worlds32 = load i32, ptr %number
+  %worlds = sext i32 %worlds32 to i64
   %last = sub i64 %worlds, {WIDTH}
   br label %again
 again:
@@ -357,7 +235,7 @@ declare i64 @llvm.smin.i64(i64, i64)
 """
 """Function that XLA calls, an `XLA_FFI_Handler`. Offsets are those of the structs in `LAYOUT`. If XLA asks for the
 version of the interface that the handler was made for (`XLA_FFI_Metadata_Extension`), the answer is `_version()`. The
-worlds of the last block may overlap those of the one before it."""
+number of worlds is the last argument; those of the last block may overlap those of the one before it."""
 
 LAYOUT = {
     "Metadata_Extension": "extension_base metadata",
@@ -388,25 +266,17 @@ def _version() -> tuple[int, int]:
     return major, minor
 
 
-class Place(NamedTuple):
-    """Address of a number of each world, or of one for all."""
-
-    address: str
-    dtype: np.dtype
-    uniform: bool
-
-
-def _places(code: Code, arrays: str, kinds: Sequence[Kind]) -> list[Place]:
-    """The places of the numbers of arrays, `given` or `found`, that are not in memory. Memory gets a name."""
+def _places(code: Code, arrays: str, kinds: Sequence[Kind]) -> list[Value]:
+    """The addresses of the numbers of arrays, `given` or `found`, that are not in memory. Memory gets a name."""
     places = []
     for index, kind in enumerate(kinds):
-        if kind.role == "memory" and arrays == "found":
+        if kind.stays and arrays == "found":
             continue
         at = code.value(f"getelementptr ptr, ptr %{arrays}, i64 {index}")
         buffer = code.value(f"load ptr, ptr {at}, align 8")
         at = code.value(f"getelementptr i8, ptr {buffer}, i64 24")
         data, size = code.value(f"load ptr, ptr {at}, align 8"), kind.dtype.itemsize
-        if kind.role == "memory":
+        if kind.stays:
             if size != 4:
                 raise NotImplementedError("kernels look up entries of 32 bits")
             first = code.value(f"mul i64 %first, {4 * kind.size}")
@@ -417,20 +287,19 @@ def _places(code: Code, arrays: str, kinds: Sequence[Kind]) -> list[Place]:
             if kind.role == "rows":
                 number = code.value(f"add i64 {code.value(f'mul i64 %worlds, {row}')}, %first")
             place = code.value(f"getelementptr i8, ptr {data}, i64 {code.value(f'mul i64 {number}, {size}')}")
-            places.append(Place(place, kind.dtype, kind.role == "uniform"))
+            places.append(Value(place, kind.dtype, kind.role == "uniform"))
     return places
 
 
-def _loaded(code: Code, at: Place) -> Value:
+def _loaded(code: Code, at: Value) -> Value:
     flags = at.dtype.kind == "b"
-    kind = type_of(np.int8 if flags else at.dtype, at.uniform)
-    name = code.value(f"load {kind}, ptr {at.address}, align {1 if flags else 4}")
-    name = code.value(f"trunc {kind} {name} to {type_of(bool, at.uniform)}") if flags else name
-    return Value(name, at.dtype, at.uniform)
+    kind = type_of(np.int8 if flags else at.dtype, at.alike)
+    name = code.value(f"load {kind}, ptr {at.name}, align {1 if flags else 4}")
+    return replace(at, name=code.value(f"trunc {kind} {name} to {at.type}") if flags else name)
 
 
-def _stored(code: Code, value: Value, at: Place) -> None:
-    name, place = code.vector(value), at.address
+def _stored(code: Code, value: Value, at: Value) -> None:
+    name, place = code.vector(value), at.name
     if value.dtype.kind != "b":
         code.add(f"store {type_of(value.dtype, False)} {name}, ptr {place}, align 4")
         return

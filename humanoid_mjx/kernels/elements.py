@@ -14,9 +14,7 @@ from humanoid_mjx.kernels.angles import ANGLES
 from humanoid_mjx.kernels.memory import THREADS
 from humanoid_mjx.kernels.primitives import ELEMENTWISE
 
-SHIFTS = {"shift_left", "shift_right_arithmetic", "shift_right_logical"}
-
-ARITHMETIC = ELEMENTWISE | ANGLES.keys() | SHIFTS | {"atan2", "bitcast_convert_type", "pow", "rsqrt", "tan"}
+ARITHMETIC = ELEMENTWISE | ANGLES.keys() | {"atan2", "bitcast_convert_type", "pow", "rsqrt", "tan"}
 """Primitives that act on each element alone."""
 
 
@@ -62,14 +60,10 @@ KNOWN: dict[str, Callable[..., np.generic]] = {
 
 
 def computed(eqn: Any, args: Sequence[Element], as_xla: bool = False) -> Element:
-    """An operation on single elements that are no lanes.
-
-    `as_xla`: divide by a known number as XLA does, by a multiplication with its reciprocal.
-    """
+    """An operation on single elements that are no lanes; `as_xla`: a division by a known number is a product."""
     name = eqn.primitive.name
-    if as_xla and name == "div" and isinstance(args[1], np.float32) and not isinstance(args[0], np.generic):
-        reciprocal, one = np.float32(1) / args[1], args[0]
-        return lax.mul(vector(one), vector(reciprocal)) if one.ndim else one * reciprocal
+    if as_xla and name == "div" and are_known(args[1:]) and args[1].dtype == jnp.float32 and not are_known(args[:1]):
+        return args[0] * (np.float32(1) / args[1])
     if name == "select_n" and isinstance(args[0], np.generic):
         return args[1 + int(args[0])]
     if all(isinstance(arg, np.generic) for arg in args):
@@ -91,11 +85,21 @@ def computed(eqn: Any, args: Sequence[Element], as_xla: bool = False) -> Element
         for one, two in (args, args[::-1]):
             if isinstance(one, np.bool_):
                 return two if one else one
+    if name == "round":
+        return _rounded(eqn.params, vector(args[0]))
     if all(np.ndim(arg) == 0 for arg in args):  # the same in all worlds
         return eqn.primitive.bind(*map(jnp.asarray, args), **eqn.params)
     if name in ANGLES:
         return ANGLES[name](vector(args[0]))
     return eqn.primitive.bind(*(vector(arg) for arg in args), **eqn.params)
+
+
+def _rounded(params: dict[str, Any], x: Array) -> Array:
+    """The nearest integer, an even one of two that are as near. Triton has no operation for it."""
+    if params["rounding_method"] != lax.RoundingMethod.TO_NEAREST_EVEN:
+        raise NotImplementedError("threads round to even numbers")
+    whole = 1.5 * 2**23  # floats of this size have no fraction
+    return jnp.where(jnp.abs(x) < 2**22, (x + whole) - whole, x)
 
 
 def _is(element: Element, number: int) -> bool:
@@ -107,11 +111,6 @@ def vector(element: Element) -> Array:
     if isinstance(element, np.generic):
         return jnp.full(THREADS, element.item(), element.dtype)
     return element if element.ndim else jnp.broadcast_to(element, THREADS)
-
-
-def is_same(element: Element) -> bool:
-    """True for an element that is the same in all worlds: a known one, or an argument that is no axis of worlds."""
-    return np.ndim(element) == 0
 
 
 REDUCTIONS: dict[str, tuple[Callable[[Any, Any], Any], Any]] = {

@@ -16,18 +16,17 @@ import numpy as np
 from jax import lax
 from jax.experimental import pallas as pl
 from jax.experimental.pallas import triton as gpu
-from jax.extend.core import ClosedJaxpr
 from jaxtyping import Array, Float
 
-from humanoid_mjx.kernels.assembly import assembly
-from humanoid_mjx.kernels.memory import THREADS, Constants, Region
+from humanoid_mjx.kernels.memory import THREADS, Constants, Device, Region, Shared, assembly
+from humanoid_mjx.kernels.signature import Kind, Signature, signature
 from humanoid_mjx.kernels.threads import Threads, power_of_two
 
 Results = Callable[[Sequence[Array]], list[Float[Array, " worlds"]]]
 """From the elements of a function's arguments to those of what it gives, each of all worlds of a block."""
 
 PAGE = 48 * 1024 // (4 * THREADS)
-"""Rows that fit into the shared memory that a block may declare."""
+"""Rows, or words of each thread, that fit into the shared memory that a block may declare."""
 
 
 def gpu_kernel(function: Callable[..., Any], *args: Any, lanes: int = 1, interpret: bool = False) -> Any:
@@ -38,8 +37,8 @@ def gpu_kernel(function: Callable[..., Any], *args: Any, lanes: int = 1, interpr
     """
     leaves, structure = jax.tree.flatten(args)
     worlds, lanes = leaves[0].shape[-1], lanes if lanes <= THREADS else 1
-    kinds = tuple((leaf.shape[:-1], leaf.dtype) for leaf in leaves)
-    results, shapes = _written_out(function, structure, kinds, lanes, interpret)
+    known = signature(function, structure, tuple(Kind(leaf.shape[:-1], leaf.dtype) for leaf in leaves), False)
+    results, shapes = _results(known, lanes, interpret), known.shapes
     each = power_of_two(lanes)
     outputs = jax.tree.leaves(shapes)
     sizes = [math.prod(x.shape[:-1]) for x in outputs]
@@ -55,15 +54,72 @@ def gpu_kernel(function: Callable[..., Any], *args: Any, lanes: int = 1, interpr
     return jax.tree.unflatten(jax.tree.structure(shapes), found)
 
 
+def call(
+    known: Signature, leaves: Sequence[Array], worlds: int, interpret: bool = False
+) -> tuple[list[Array], list[Kind]]:
+    """Call a function of one world, each in a thread; see `cpu_kernel.call`."""
+    found, in_place = kinds_of_results(known)
+    flat = [
+        leaf.reshape((worlds, -1) if kind.stays else -1).astype(_stored(kind.dtype))
+        for leaf, kind in zip(leaves, known.given, strict=True)
+    ]
+    shapes = [(worlds, kind.size) if kind.stays else (kind.size * worlds,) for kind in found]
+    results = pl.pallas_call(
+        partial(_kernel_of_one, known=known, in_place=in_place, worlds=worlds, interpret=interpret),
+        grid=(worlds // THREADS,),
+        out_shape=[jax.ShapeDtypeStruct(shape, _stored(x.dtype)) for shape, x in zip(shapes, found, strict=True)],
+        input_output_aliases=in_place,
+        compiler_params=gpu.CompilerParams(num_warps=THREADS // 32, num_stages=1),
+        interpret=interpret,
+    )(*flat)
+    return [x.reshape(kind.of_all(worlds)).astype(kind.dtype) for x, kind in zip(results, found, strict=True)], found
+
+
 @lru_cache
-def _written_out(
-    function: Callable[..., Any], structure: Any, kinds: tuple[Any, ...], lanes: int, interpret: bool
-) -> tuple[Results, Any]:
-    """A function as arithmetic of threads, which is traced once whatever the number of worlds, and what it gives of one
-    world; `kinds`: shape and type of each argument for a world."""
-    single = [jax.ShapeDtypeStruct((*shape, 1), dtype) for shape, dtype in kinds]
-    traced, shapes = jax.make_jaxpr(function, return_shape=True)(*structure.unflatten(single))
-    return jax.jit(partial(_results, traced, lanes, interpret)), shapes
+def kinds_of_results(known: Signature) -> tuple[list[Kind], dict[int, int]]:
+    """Return the kinds of the results, and arguments in whose place results are, see `Signature.evaluate`."""
+    kept: list[Any] = []
+
+    def results(numbers: Sequence[Array]) -> list[Array]:
+        rows, *others = known.evaluate(_threads(1, True, True), numbers, lambda at, kind: Region(at, kind.size, True))
+        kept.append(tuple(others))
+        return rows
+
+    jax.eval_shape(results, known.numbers)
+    return kept[0]
+
+
+def _stored(dtype: Any) -> Any:
+    return jnp.int32 if np.dtype(dtype).kind == "b" else dtype
+
+
+def _kernel_of_one(*refs: Any, known: Signature, in_place: dict[int, int], worlds: int, interpret: bool) -> None:
+    """A block of worlds, each in a thread."""
+    given, out = refs[: len(known.given)], refs[len(known.given) :]
+    world = pl.program_id(0) * THREADS + jnp.arange(THREADS, dtype=jnp.int32)
+    numbers: list[Array] = []
+    for ref, kind in zip(given, known.given, strict=True):
+        if kind.role == "uniform":
+            numbers += [ref[row] for row in range(kind.size)]
+        elif kind.role == "rows":
+            numbers += [gpu.load(ref.at[row * worlds + world]) for row in range(kind.size)]
+    room, shared = PAGE, {}
+
+    def memory(place: int, kind: Kind) -> Region:
+        nonlocal room
+        array = out[in_place[place]] if place in in_place else given[place]
+        if interpret or kind.role == "record" or kind.size > room:
+            return Device(array, world, atomic=kind.role == "record" and not interpret)
+        room, shared[place] = room - kind.size, Shared(place, array, world)
+        return shared[place]
+
+    rows, found, _ = known.evaluate(_threads(1, interpret, True), numbers, memory)
+    rest = iter(rows)
+    for ref, kind in zip(out, found, strict=True):
+        for row in range(0 if kind.stays else kind.size):
+            gpu.store(ref.at[row * worlds + world], next(rest).astype(_stored(kind.dtype)))
+    for place in shared.keys() & in_place.keys():
+        shared[place].leave(out[in_place[place]], world)
 
 
 def _shuffled(each: int, interpret: bool, values: Array, index: int) -> Array:
@@ -124,18 +180,25 @@ def _kernel(numbers: Any, out: Any, *, results: Results, worlds: int, each: int,
         token = stage.empty(token, out, first * worlds + world, worlds, len(page))
 
 
-def _results(
-    traced: ClosedJaxpr, lanes: int, interpret: bool, numbers: Sequence[Array]
-) -> list[Float[Array, " worlds"]]:
-    """Return the results of a function of one world from the elements of its arguments, all of float32.
+@lru_cache
+def _results(known: Signature, lanes: int, interpret: bool) -> Results:
+    """A function as arithmetic of threads, which is traced once whatever the number of worlds.
 
     `Threads` holds tokens of the trace that it writes to. jax traces this function again under a mesh, in another
     precision or after `jax.clear_caches()`, so each trace makes its own.
     """
+
+    def results(numbers: Sequence[Array]) -> list[Float[Array, " worlds"]]:
+        rows, *_ = known.evaluate(_threads(lanes, interpret), numbers)
+        return [number.astype(jnp.float32) for number in rows]
+
+    return jax.jit(results)
+
+
+def _threads(lanes: int, interpret: bool, single: bool = False) -> Threads:
     shuffled, summed = (partial(each, power_of_two(lanes), interpret) for each in (_shuffled, _summed))
     memory = (partial(kind, interpret=interpret) for kind in (Region, Constants))
-    threads = Threads(lanes, shuffled, summed, _any, *memory)
-    return [number.astype(jnp.float32) for number in threads.results(traced, numbers)]
+    return Threads(lanes, shuffled, summed, _any, *memory, single=single)
 
 
 class _Stage(NamedTuple):

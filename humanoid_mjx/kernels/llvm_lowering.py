@@ -119,8 +119,6 @@ def _computed(code: Code, name: str, params: dict[str, Any], args: list[Value], 
         found = code.value(f"select {type_of(bool, alike)} {moves}, {kind} {one}, {kind} {x[0]}")
     elif name == "sign":
         return again("min", params, [again("max", params, [first, known(-1, dtype)]), known(1, dtype)])
-    elif name == "round":
-        found = call("roundeven" if params["rounding_method"] else "round")
     elif name == "bitcast_convert_type":
         found = code.value(f"bitcast {kind} {x[0]} to {type_of(dtype, alike)}")
     elif name == "is_finite":
@@ -164,14 +162,10 @@ def _to_integer(code: Code, value: Value, dtype: np.dtype, suffix: str) -> str:
     clamped = code.call(kind, f"maxnum.{suffix}", (kind, value.name), (kind, constant(limits.min)))
     clamped = code.call(kind, f"minnum.{suffix}", (kind, clamped), (kind, constant(most)))
     found = code.value(f"fpto{dtype.kind.replace('i', 's')}i {kind} {clamped} to {wanted}")
-    for test, limit in (
-        (f"oge {kind} {value.name}, {constant(limits.max)}", limits.max),
-        (f"uno {kind} {value.name}, {value.name}", 0),
-    ):
-        flag = code.value(f"fcmp {test}")
-        found = code.value(
-            f"select {type_of(bool, value.alike)} {flag}, {wanted} {constant(limit, dtype)}, {wanted} {found}"
-        )
+    flags = type_of(bool, value.alike)
+    for test, other, number in ("oge", constant(limits.max), limits.max), ("uno", value.name, 0):
+        flag = code.value(f"fcmp {test} {kind} {value.name}, {other}")
+        found = code.value(f"select {flags} {flag}, {wanted} {constant(number, dtype)}, {wanted} {found}")
     return found
 
 

@@ -11,14 +11,12 @@ from jax.extend.core import Primitive
 from humanoid_mjx.kernels.llvm import WIDTH, Code, Value, known, type_of
 from humanoid_mjx.kernels.memory import THREADS, Region, bits
 
-NAMES = "read_word", "write_word", "add_words", "fill_words", "constant"
-read_word, write_word, add_words, fill_words, read_constant = map(Primitive, NAMES)
+NAMES = "read_words", "write_word", "add_words", "fill_words", "constant"
+read_words, write_word, add_words, fill_words, read_constant = map(Primitive, NAMES)
 """Memory of each world. The first argument is the token, for jax; code keeps the order in which they were traced."""
 
-read_row = Primitive("read_row")
-read_row.multiple_results = True
-read_row.def_abstract_eval(lambda *_, dtype, count, **place: [ShapedArray((THREADS,), dtype)] * count)
-read_word.def_abstract_eval(lambda *_, region, words, word, dtype: ShapedArray((THREADS,), dtype))
+read_words.multiple_results = True
+read_words.def_abstract_eval(lambda *_, dtype, count, **place: [ShapedArray((THREADS,), dtype)] * count)
 read_constant.def_abstract_eval(lambda *_, table, word, dtype: ShapedArray((THREADS,), dtype))
 for _primitive in (write_word, add_words, fill_words):
     _primitive.def_abstract_eval(lambda *_, **params: ShapedArray((THREADS,), np.int32))
@@ -27,15 +25,12 @@ for _primitive in (write_word, add_words, fill_words):
 class Words(Region):
     """Words of each world, for `lower`; see `Region`."""
 
-    def __init__(self, number: int, words: int):
-        self.number, self.words, self.seen = number, words, []
+    def __init__(self, number: int | str, words: int):
+        self.number, self.words, self.seen, self.address = number, words, [], None
         self.token = jnp.zeros(THREADS, jnp.int32)
 
-    def place(self, words: Any) -> Any:
-        return words
-
     def read(self, word: int, place: Any, dtype: Any) -> Any:
-        return read_word.bind(self.token, *_some(place), **self._where(word), dtype=np.dtype(dtype))
+        return read_words.bind(self.token, *_some(place), **self._where(word), dtype=np.dtype(dtype), count=1)[0]
 
     def write(self, word: int, place: Any, values: Any) -> None:
         values = values.astype(jnp.int32) if values.dtype == bool else values
@@ -55,15 +50,10 @@ class Words(Region):
 
 
 class Given(Words):
-    """Words of each world in an array of the caller, (worlds, words)."""
-
-    given = True
+    """Words of each world in an array of the caller, (worlds, words), which the code has by a name."""
 
     def row(self, word: int, place: Any, dtype: Any, count: int) -> list[Any]:
-        return read_row.bind(self.token, *_some(place), **self._where(word), dtype=np.dtype(dtype), count=count)
-
-    def _where(self, word: int) -> dict[str, Any]:
-        return super()._where(word) | {"region": f"given{self.number}"}
+        return read_words.bind(self.token, *_some(place), **self._where(word), dtype=np.dtype(dtype), count=count)
 
 
 class Table(Words):
@@ -81,11 +71,7 @@ def _some(place: Any) -> list[Any]:
     return [] if place is None else [place]
 
 
-def _read(code: Code, params: dict[str, Any], args: list[Value]) -> Value:
-    return _loaded(code, _address(code, params, args[1:]), params["dtype"], WIDTH)
-
-
-def _read_row(code: Code, params: dict[str, Any], args: list[Value]) -> list[Value]:
+def _read(code: Code, params: dict[str, Any], args: list[Value]) -> list[Value]:
     """Words that follow each other, by half as many loads as there are words."""
     dtype, count, found = params["dtype"], params["count"], []
     pointers, whole, one = f"<{WIDTH} x ptr>", f"<{WIDTH} x i64>", type_of(dtype, False)
@@ -158,16 +144,11 @@ def _address(code: Code, params: dict[str, Any], place: list[Value]) -> Value:
     region, words = params["region"], params["words"]
     if isinstance(region, str):
         lanes = f"<{', '.join(f'i32 {lane * words}' for lane in range(WIDTH))}>"
-        return _beyond(code, f"%{region}", params["word"], [_apart(code, place)], 1, lanes)
+        at = code.vector(place[0] if place else known(0, np.int32))
+        return _beyond(code, f"%{region}", params["word"], [Value(at, np.dtype(np.int32), False)], 1, lanes)
     code.regions[region] = words
     lanes = f"<{', '.join(f'i32 {lane}' for lane in range(WIDTH))}>"
     return _beyond(code, f"%region{region}", params["word"], place, WIDTH, lanes)
-
-
-def _apart(code: Code, place: list[Value]) -> Value:
-    """A place as one of each world."""
-    at = place[0] if place else known(0, np.int32)
-    return Value(code.vector(at), at.dtype, False)
 
 
 def _constant(code: Code, params: dict[str, Any], args: list[Value]) -> Value:
@@ -191,9 +172,8 @@ def _beyond(code: Code, base: str, word: int, place: list[Value], apart: int, la
     return Value(code.value(f"getelementptr i32, ptr {base}, {kind} {index}"), pointer, False)
 
 
-MEMORY: dict[str, Callable[..., Value]] = {
-    "read_word": _read,
-    "read_row": _read_row,
+MEMORY: dict[str, Callable[..., Value | list[Value]]] = {
+    "read_words": _read,
     "write_word": _written,
     "add_words": _added,
     "fill_words": _filled,

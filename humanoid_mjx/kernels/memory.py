@@ -6,25 +6,34 @@ hence a write gives a token, which all that comes later takes, and before a writ
 read.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.experimental.pallas import triton as gpu
 from jaxtyping import Array, Int, Shaped
-
-from humanoid_mjx.kernels.assembly import assembly
 
 THREADS = 32
 """Threads of a block: one warp."""
+
+MOST = 16_384
+"""Words of all constants of a kernel: 64 KB."""
 
 Address = Int[Array, " threads"]
 Values = Shaped[Array, " threads"]
 
 
+def assembly(code: str, constraints: str, dtype: Any, *args: Array) -> Array:
+    """Run PTX `code` on each element of arrays of one shape, for an array of this type (LLVM's constraints)."""
+    result = jax.ShapeDtypeStruct(args[0].shape, dtype)
+    return gpu.elementwise_inline_asm(code, args=args, constraints=constraints, pack=1, result_shape_dtypes=[result])[0]
+
+
 class Region:
-    """Words of 32 bits of each thread.
+    """Words of 32 bits of each thread, by default in its local memory.
 
     Args:
       number: of the region, unlike that of any other in the kernel.
@@ -32,13 +41,14 @@ class Region:
       interpret: for Pallas's interpreter, where the token is what the memory holds.
     """
 
-    given = False
-    """True for memory of an argument, which a function may change in its place."""
+    space = "local"
+    stride = 1
+    """From one word of a thread to its next, in words."""
 
     def __init__(self, number: int, words: int, interpret: bool):
         self.token: Array = jnp.zeros((words, THREADS) if interpret else THREADS, jnp.int32)
         name = f"region{number}_${{:uid}}"
-        code = f".local .align 4 .b8 {name}[{4 * words}]; mov.u32 $0, {name};"
+        code = f".{self.space} .align 4 .b8 {name}[{4 * self.stride * words}]; mov.u32 $0, {name};"
         self.address = None if interpret else assembly(code, "=r,r", jnp.int32, self.token)
         """That of the first word, in bytes."""
         self.seen: list[Values] = []
@@ -46,13 +56,13 @@ class Region:
 
     def place(self, words: Address) -> Address:
         """The place so many words from the beginning."""
-        return words if self.address is None else self.address + 4 * words
+        return words if self.address is None else self.address + 4 * self.stride * words
 
     def read(self, word: int, place: Address | None, dtype: Any) -> Values:
         """A word, counted from a place; None: the beginning."""
         if self.address is None:
             return lax.bitcast_convert_type(self.token[self._index(word, place)], dtype)
-        code, kinds = f"ld.local.b32 $0, [$1+{4 * word}];", f"={_kind(dtype)},r,r"
+        code, kinds = f"ld.{self.space}.b32 $0, [$1+{4 * self.stride * word}];", f"={_kind(dtype)},r,r"
         place = self.address if place is None else place
         self.seen.append(assembly(code, kinds, dtype, place, self.token))
         return self.seen[-1]
@@ -68,7 +78,10 @@ class Region:
             self.token = self.token.at[self._index(word, place)].set(lax.bitcast_convert_type(values, jnp.int32))
             return
         token, place = self.settle(), self.address if place is None else place
-        code, kinds = f"st.local.b32 [$1+{4 * word}], $2; mov.b32 $0, $3;", f"=r,r,{_kind(values.dtype)},r"
+        code, kinds = (
+            f"st.{self.space}.b32 [$1+{4 * self.stride * word}], $2; mov.b32 $0, $3;",
+            f"=r,r,{_kind(values.dtype)},r",
+        )
         self.token = assembly(code, kinds, jnp.int32, place, values, token)
 
     def add(self, word: int, place: Address | None, changes: Sequence[Values]) -> None:
@@ -103,12 +116,69 @@ class Region:
         return self.token
 
 
+class Shared(Region):
+    """Words in the memory that the threads of a block share, a column for each thread, so that no two banks collide.
+
+    They are those of an array of the device, (worlds, words), until `leave` brings them back.
+    """
+
+    space, stride = "shared", THREADS
+
+    def __init__(self, number: int, array: Any, world: Address):
+        super().__init__(number, array.shape[1], False)
+        self.address = self.address + 4 * jnp.arange(THREADS, dtype=jnp.int32)
+        self._each(array, lambda at: self.write(0, self.place(at), gpu.load(array.at[world, at])))
+
+    def leave(self, array: Any, world: Address) -> None:
+        """Bring the words back to an array of the device."""
+        self._each(array, lambda at: gpu.store(array.at[world, at], self.read(0, self.place(at), array.dtype)))
+
+    def _each(self, array: Any, bring: Callable[[Address], None]) -> None:
+        def one(word: Array, token: Array) -> Array:
+            self.token = token
+            bring(jnp.full(THREADS, word))
+            return self.settle()
+
+        self.token = lax.fori_loop(0, array.shape[1], one, self.settle())
+
+
+class Device(Region):
+    """Words of an array of the device, (worlds, words); of any number, and for Pallas's interpreter too."""
+
+    def __init__(self, array: Any, world: Address, atomic: bool):
+        self.array, self.world, self.atomic, self.seen, self.address = array, world, atomic, [], None
+        self.token = jnp.zeros(THREADS, jnp.int32)
+
+    def read(self, word: int, place: Address | None, dtype: Any) -> Values:
+        return gpu.load(self._at(word, place))
+
+    def write(self, word: int, place: Address | None, values: Values) -> None:
+        gpu.store(self._at(word, place), values.astype(self.array.dtype))
+
+    def add(self, word: int, place: Address | None, changes: Sequence[Values]) -> None:
+        """Add what is not 0; a thread waits for no sum."""
+        for each, change in enumerate(changes, word):
+            if self.atomic:
+                gpu.atomic_add(self.array, self._index(each, place), change, mask=change != 0)
+            else:
+                self.write(each, place, self.read(each, place, change.dtype) + change)
+
+    def _at(self, word: int, place: Address | None) -> Any:
+        return self.array.at[self._index(word, place)]
+
+    def _index(self, word: int, place: Address | None) -> Any:
+        return self.world, jnp.full(THREADS, word) if place is None else place + word
+
+
 class Constants(Region):
     """Words that are known while tracing, the same for all threads."""
 
     def __init__(self, number: int, words: Sequence[np.generic], interpret: bool):
+        if len(words) > MOST:
+            raise NotImplementedError(f"threads look up at most {MOST} constants")
         numbers, name = [bits(word) for word in words], f"constants{number}_${{:uid}}"
-        self.token = jnp.array(numbers, jnp.int32)[:, None].repeat(THREADS, axis=1) if interpret else jnp.int32(0)
+        rows = [jnp.full(THREADS, number, jnp.int32) for number in numbers] if interpret else []
+        self.token = jnp.stack(rows) if interpret else jnp.int32(0)
         code = f".const .align 4 .b32 {name}[{len(numbers)}] = {{{', '.join(map(str, numbers))}}}; mov.u32 $0, {name};"
         self.address = None if interpret else assembly(code, "=r,r", jnp.int32, jnp.zeros(THREADS, jnp.int32))
 

@@ -11,7 +11,7 @@ alike in all threads of the world.
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial, reduce
@@ -22,7 +22,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.extend.core import ClosedJaxpr, Literal
+from jax.extend.core import ClosedJaxpr, Literal, jaxpr_as_fun
 from jaxtyping import Array
 
 from humanoid_mjx.kernels.arrangements import ARRANGEMENTS, arranged, constant
@@ -34,14 +34,13 @@ from humanoid_mjx.kernels.elements import (
     are_known,
     computed,
     is_lane,
-    is_same,
     type_of,
     vector,
 )
 from humanoid_mjx.kernels.memory import THREADS, Region, bits
 from humanoid_mjx.kernels.primitives import CALLS
 from humanoid_mjx.kernels.sums import with_fused_sums
-from humanoid_mjx.kernels.uniform import ends_together
+from humanoid_mjx.kernels.uniform import uniform_carry, uniform_results
 
 
 @dataclass(eq=False)
@@ -58,6 +57,8 @@ class Kept:
     changes: list[int] = field(default_factory=lambda: [0])
     """How often an entry of it has changed, in common with all that have the same memory, and what it was for this."""
     change: int = 0
+    argument: int | None = None
+    """Number of the argument that it is, which changes in its place."""
 
     @property
     def ndim(self) -> int:
@@ -133,21 +134,6 @@ class Threads:
             values |= zip(eqn.outvars, found, strict=True)
         return [value(x) for x in closed.jaxpr.outvars]
 
-    def results(self, closed: ClosedJaxpr, numbers: Sequence[Array]) -> list[Array]:
-        """The elements of a traced function's results from those of its arguments, each a vector alike in all threads
-        of a world."""
-        args, rest = [], iter(numbers)
-        for var in closed.jaxpr.invars:
-            kind: Any = var.aval
-            elements = [next(rest).astype(kind.dtype) for _ in range(math.prod(kind.shape))]
-            args.append(arranged(elements, kind.shape))
-        return [number for result in self.evaluate(closed, args) for number in self.alike(result)]
-
-    def given(self, region: Region, shape: tuple[int, ...], dtype: Any) -> Kept:
-        """An argument in memory, which may change in its place."""
-        self.regions.append(region)
-        return Kept(region, 0, shape, dtype)
-
     def vectors(self, array: Held) -> list[Array]:
         """The elements of an array as vectors, one for all lanes of a world where they have an axis."""
         return [vector(element) for element in self._elements(self._loaded(array))]
@@ -213,10 +199,10 @@ class Threads:
             return self.control[name](eqn, *args)
         if name in ENTRIES and _is_entry(args[0], params.get("slice_sizes") or args[1].shape, args[-args[0].ndim :]):
             return [ENTRIES[name](self, *args)]
-        if name == "scatter-add":
+        if name == SUM:
             return [self._with_sum(params, *args)]
         if args and isinstance(args[0], Kept) and self._is_view(eqn, args[0]):
-            fixed = args[0].fixed or name != "reshape" or not args[0].region.given
+            fixed = args[0].fixed or name != "reshape" or args[0].argument is None
             return [replace(args[0], shape=eqn.outvars[0].aval.shape, fixed=fixed)]
         if name == "scan" and self.single and params["length"] > LONG:
             return self.evaluate(_looped(eqn), args)
@@ -385,19 +371,26 @@ class Threads:
         condition first, the last index is beyond the results, and jaxlib 0.11.2 crashes now and then.
         """
         first, last = eqn.params["cond_nconsts"], eqn.params["cond_nconsts"] + eqn.params["body_nconsts"]
-        same = [not isinstance(arg, Kept) and all(map(is_same, arg.flat)) for arg in args]
-        if self.single and not ends_together(eqn, same):
-            raise NotImplementedError("threads know no loop that ends earlier in one world than in another")
-        given = self._with_room(args, _looked_up_in_loop(eqn), last)
+        uniform = [False] * len(args[last:])
+        if self.single:
+            same = [not isinstance(arg, Kept) and all(np.ndim(x) == 0 for x in arg.flat) for arg in args]
+            uniform = uniform_carry(eqn, same)
+            if uniform_results(eqn.params["cond_jaxpr"].jaxpr, [*same[:first], *uniform]) != [True]:
+                raise NotImplementedError("threads know no loop that ends earlier in one world than in another")
+        given = self._with_room(args, _looked_up_in_loop(eqn, {*ENTRIES, SUM}), last)
         cond_fixed, body_fixed, start = given[:first], given[first:last], given[last:]
         elsewhere = [not isinstance(array, Kept) for array in start]
 
         def going(state: Sequence[Any]) -> Array:
             (more,) = self.evaluate(eqn.params["cond_jaxpr"], [*cond_fixed, *state])
-            return self._any(self._loaded(more).item())
+            flag = self._loaded(more).item()
+            return jnp.asarray(flag) if self.single else self._any(flag)
 
         def packed(state: Sequence[Any]) -> list[Array]:
-            return self._packed([array for array, moves in zip(state, elsewhere, strict=True) if moves])
+            each = [(array, same) for array, moves, same in zip(state, elsewhere, uniform, strict=True) if moves]
+            return [
+                x for array, same in each for x in ([*map(jnp.asarray, array.flat)] if same else self.vectors(array))
+            ]
 
         def step(carry: tuple[Any, ...]) -> tuple[Any, ...]:
             with self._inside(carry[1]) as tokens:
@@ -413,7 +406,9 @@ class Threads:
 
     def _with_room(self, args: Sequence[Any], places: set[int], first: int) -> list[Any]:
         """Arguments of a loop, those at these places in memory; fixed before `first`, where they are not carried."""
-        there = [isinstance(arg, Kept) and (place < first or arg.region.given) for place, arg in enumerate(args)]
+        there = [
+            isinstance(arg, Kept) and (place < first or arg.argument is not None) for place, arg in enumerate(args)
+        ]
         moved = [place for place in places if not there[place]]
         moved = [place for place in sorted(moved) if math.prod(args[place].shape)]
         found = dict(enumerate(args))
@@ -484,6 +479,8 @@ class Threads:
         return found
 
 
+SUM = "scatter-add"
+
 ENTRIES: dict[str, Callable[..., Any]] = {
     "dynamic_slice": Threads._looked_up,
     "dynamic_update_slice": Threads._with_entry,
@@ -497,16 +494,17 @@ KEYS = {"random_wrap": False, "random_unwrap": False, "random_fold_in": True, "r
 
 def _of_keys(eqn: Any) -> ClosedJaxpr:
     """The arithmetic of a key's generator."""
-    kind, params = eqn.invars[0].aval, eqn.params
-    generator: Any = kind.dtype._impl
-    key = jax.ShapeDtypeStruct(generator.key_shape, jnp.uint32)
+    (kind, *others), params = [x.aval for x in eqn.invars], eqn.params
     if kind.shape:
         raise NotImplementedError("threads draw from single keys")
-    if eqn.primitive.name == "random_fold_in":
-        return jax.make_jaxpr(generator.fold_in)(key, jax.ShapeDtypeStruct(eqn.invars[1].aval.shape, jnp.uint32))
-    if eqn.primitive.name == "random_split":
-        return jax.make_jaxpr(partial(generator.split, shape=tuple(params["shape"])))(key)
-    return jax.make_jaxpr(partial(generator.random_bits, bit_width=params["bit_width"], shape=params["shape"]))(key)
+    generator: Any = kind.dtype._impl
+    function = {
+        "random_fold_in": generator.fold_in,
+        "random_split": lambda key: generator.split(key, tuple(params["shape"])),
+        "random_bits": lambda key: generator.random_bits(key, params["bit_width"], params["shape"]),
+    }[eqn.primitive.name]
+    key = jax.ShapeDtypeStruct(generator.key_shape, jnp.uint32)
+    return jax.make_jaxpr(function)(key, *(jax.ShapeDtypeStruct(x.shape, x.dtype) for x in others))
 
 
 def _looped(eqn: Any) -> ClosedJaxpr:
@@ -515,40 +513,38 @@ def _looped(eqn: Any) -> ClosedJaxpr:
     if first + params["num_carry"] < len(eqn.invars) or params["num_carry"] < len(eqn.outvars):
         raise NotImplementedError("threads stack nothing along a loop that changes arrays in memory")
 
+    step = jaxpr_as_fun(params["jaxpr"])
+
     def run(*args: Any) -> Any:
-        step = jax.extend.core.jaxpr_as_fun(params["jaxpr"])
-        start = jnp.int32(0), list(args[first:])
-        end = lax.while_loop(
-            lambda carry: carry[0] < params["length"],
-            lambda carry: (carry[0] + 1, step(*args[:first], *carry[1])),
-            start,
-        )
-        return end[1]
+        start, more = (jnp.int32(0), args[first:]), lambda carry: carry[0] < params["length"]
+        return lax.while_loop(more, lambda carry: (carry[0] + 1, (*step(*args[:first], *carry[1]),)), start)[1]
 
     return jax.make_jaxpr(run)(*(jax.ShapeDtypeStruct(x.aval.shape, x.aval.dtype) for x in eqn.invars))
 
 
-def _looked_up_in_loop(eqn: Any) -> set[int]:
-    """The places among a loop's arguments of arrays of which it looks up or changes entries."""
+def _looked_up_in_loop(eqn: Any, names: Collection[str]) -> set[int]:
+    """The same of a loop."""
     first, params = eqn.params["cond_nconsts"], eqn.params
     last = first + params["body_nconsts"]
-    inside = {place if place < first else last - first + place for place in looked_up(params["cond_jaxpr"].jaxpr)}
-    return inside | {first + place for place in looked_up(params["body_jaxpr"].jaxpr)}
+    inside = {
+        place if place < first else last - first + place for place in looked_up(params["cond_jaxpr"].jaxpr, names)
+    }
+    return inside | {first + place for place in looked_up(params["body_jaxpr"].jaxpr, names)}
 
 
-def looked_up(jaxpr: Any) -> set[int]:
-    """The places among a traced function's arguments of arrays of which it looks up or changes entries."""
+def looked_up(jaxpr: Any, names: Collection[str]) -> set[int]:
+    """The places among a traced function's arguments of arrays that such operations take as their first argument."""
     found: set[Any] = set()
-    for eqn in jaxpr.eqns:
-        name = eqn.primitive.name
-        if name in ENTRIES or name == "scatter-add":
+    for eqn in reversed(jaxpr.eqns):
+        name, inside = eqn.primitive.name, partial(looked_up, names=names)
+        if name in names or (name == "reshape" and eqn.outvars[0] in found):
             found.add(eqn.invars[0])
         elif name in CALLS or name == "scan":
-            found |= {eqn.invars[place] for place in looked_up(eqn.params[CALLS.get(name, "jaxpr")].jaxpr)}
+            found |= {eqn.invars[place] for place in inside(eqn.params[CALLS.get(name, "jaxpr")].jaxpr)}
         elif name == "while":
-            found |= {eqn.invars[place] for place in _looked_up_in_loop(eqn)}
+            found |= {eqn.invars[place] for place in _looked_up_in_loop(eqn, names)}
         elif name == "cond":
-            places = set().union(*(looked_up(branch.jaxpr) for branch in eqn.params["branches"]))
+            places = set().union(*(inside(branch.jaxpr) for branch in eqn.params["branches"]))
             found |= {eqn.invars[1 + place] for place in places}
     return {place for place, var in enumerate(jaxpr.invars) if var in found}
 

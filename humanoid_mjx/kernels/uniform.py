@@ -25,7 +25,7 @@ def uniform_results(jaxpr: Any, given: Sequence[bool]) -> list[bool]:
             each = (uniform_results(branch.jaxpr, flags[1:]) for branch in params["branches"])
             found = [all(same) for same in zip(*each, strict=True)]
         else:
-            found = [name == "reduce_or" or (name not in ("read_word", "read_row") and all(flags))] * len(eqn.outvars)
+            found = [name == "reduce_or" or (name != "read_words" and all(flags))] * len(eqn.outvars)
         known |= zip(eqn.outvars, found, strict=True)
     return [uniform(x) for x in jaxpr.outvars]
 
@@ -41,9 +41,3 @@ def uniform_carry(eqn: Any, given: Sequence[bool]) -> list[bool]:
         if both == carry:
             return carry
         carry = both
-
-
-def ends_together(eqn: Any, given: Sequence[bool]) -> bool:
-    """Return whether a loop ends in all worlds at once."""
-    carry, first = uniform_carry(eqn, given), eqn.params["cond_nconsts"]
-    return uniform_results(eqn.params["cond_jaxpr"].jaxpr, [*given[:first], *carry]) == [True]

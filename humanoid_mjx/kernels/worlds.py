@@ -13,18 +13,22 @@ import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
 from jax.experimental.layout import Layout, with_layout_constraint
 
+from humanoid_mjx.kernels import cpu_kernel as cpu
 from humanoid_mjx.kernels import fallback
-from humanoid_mjx.kernels.cpu_kernel import cpu_kernel, cpu_kernel_of_one, why_not
+from humanoid_mjx.kernels import gpu_kernel as gpu
+from humanoid_mjx.kernels.cpu_kernel import cpu_kernel
 from humanoid_mjx.kernels.gpu_kernel import gpu_kernel
+from humanoid_mjx.kernels.llvm import WIDTH
+from humanoid_mjx.kernels.memory import THREADS
+from humanoid_mjx.kernels.signature import called, signature_of_one
 
 
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
-    """`function`, which is written for one world, such that `jax.vmap` of it is a kernel of a CPU.
+    """`function`, which is written for one world, such that `jax.vmap` of it is a kernel.
 
-    The function takes and returns pytrees of arrays. It may do arithmetic on scalars, rearrange small arrays, run loops
-    that end in all worlds at once, draw random numbers, and look up entries of arrays or add to them, along the first
-    axis; arrays that it adds to change in their place. Of any other function, and outside `jax.vmap`, XLA makes the
-    program. A kernel has no derivative, and is mapped once: take `function` itself for derivatives and nested maps.
+    The function takes and returns pytrees of arrays; `docs/kernels.md` says what it may do. Of any other function, and
+    outside `jax.vmap`, XLA makes the program. A kernel has no derivative and is mapped once: take `function` itself for
+    derivatives and nested maps.
     """
     single = custom_vmap(function)
 
@@ -32,17 +36,32 @@ def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     def _(worlds: int, batched: Any, *args: Any) -> tuple[Any, Any]:
         (leaves, structure), many = jax.tree.flatten(args), tuple(jax.tree.leaves(batched))
         by_xla = jax.vmap(lambda *each: function(*structure.unflatten(each)), [0 if own else None for own in many])
-        if jax.default_backend() != "cpu" or fallback.given_up() or why_not(function, args, many):
-            found = by_xla(*leaves)
-        else:
+        found = None
+        if jax.default_backend() in BACK_ENDS and not fallback.given_up():
+            block, call, _ = BACK_ENDS[jax.default_backend()]
             try:
-                found = cpu_kernel_of_one(function, args, many)
+                if not why_not(function, args, many):
+                    found = called(signature_of_one(function, args, many), args, block, call)
             except Exception as error:  # whatever it is, XLA does not need it
                 fallback.warn(error)
-                found = by_xla(*leaves)
+        found = by_xla(*leaves) if found is None else found
         return found, jax.tree.map(lambda _: True, found)
 
     return single
+
+
+BACK_ENDS = {"cpu": (WIDTH, cpu.call, cpu.written), "gpu": (THREADS, gpu.call, gpu.kinds_of_results)}
+"""Worlds that a kernel computes together, its call, and a function that raises NotImplementedError where it cannot."""
+
+
+def why_not(function: Callable[..., Any], args: tuple[Any, ...], many: tuple[bool, ...]) -> str | None:
+    """Return the reason why no kernel can do what a function does, if so; `many`: which leaves of `args`, arrays or
+    their shapes, have a first axis of worlds."""
+    try:
+        BACK_ENDS[jax.default_backend()][2](signature_of_one(function, args, many))
+    except NotImplementedError as reason:
+        return str(reason)
+    return None
 
 
 @lru_cache

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from functools import lru_cache, partial
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -12,14 +12,15 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec, SingleDeviceShardin
 from jaxtyping import Array, Bool
 
 from humanoid_mjx import compute
-from humanoid_mjx.kernels.worlds import kernel
+from humanoid_mjx.compute import rng
+from humanoid_mjx.kernels.worlds import kernel, why_not
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.base import ENVS
-from humanoid_mjx.training.program import Progress, Training, advance, begin, finish, progress_of, run_key, train
+from humanoid_mjx.training.program import Progress, Training, begin, finish, progress_of, run_key, train
 from humanoid_mjx.types import Device, IntScalar
 
 TRAIN = kernel(train)
-"""Training steps as a kernel of a CPU, where they are arithmetic: of tables."""
+"""Training steps as a kernel, where they are arithmetic: of tables."""
 
 Devices: TypeAlias = Sequence[Device] | np.ndarray
 """Devices that train runs each, or (rows, devices): rows of devices that share the environments of runs."""
@@ -53,12 +54,10 @@ class Programs(NamedTuple):
 
 
 @lru_cache
-def programs(
-    options: tuple[tuple[str, str | bool], ...], mesh: Mesh, kernel: Literal["cpu", "gpu"] | None = None
-) -> Programs:
+def programs(options: tuple[tuple[str, str | bool], ...], mesh: Mesh, by_kernel: bool = False) -> Programs:
     """The programs of all learners with these compiler options on the devices of `mesh`.
 
-    `seeds` is (the config's seed, the seed number). `kernel`: the kind of kernel that makes the steps, if it can.
+    `seeds` is (the config's seed, the seed number). `by_kernel`: let a kernel make the steps, if one can.
     """
     by_run, same = PartitionSpec(RUNS), PartitionSpec()
     shardings = _sharding(mesh, by_run), _sharding(mesh, same)
@@ -70,12 +69,6 @@ def programs(
     def end(learner: Learner, last: Training, seeds: Any) -> dict[str, Any]:
         return finish(learner, last, jax.random.fold_in(run_key(*seeds), 1))
 
-    def by_gpu(learners: Any, old: Training, steps: IntScalar) -> tuple[Training, Progress]:
-        from humanoid_mjx.training import fused  # whose import takes time that all others save
-
-        new = fused.advance(learners, old, steps)
-        return new, jax.vmap(progress_of)(learners, new)
-
     def compiled(function: Callable[..., Any], given: Any, **options_of_jit: Any) -> Callable[..., Any]:
         spread = function
         if mesh.size > 1:  # shard_map traces anew what planning has traced
@@ -85,20 +78,17 @@ def programs(
         return jax.jit(spread, compiler_options=dict(options), out_shardings=shardings[0], **options_of_jit)
 
     def further(learner: Learner, old: Training, steps: IntScalar) -> tuple[Training, Progress]:
-        return advance(learner.replace(devices=mesh.shape[ENVS]) if mesh.shape[ENVS] > 1 else learner, old, steps)
+        learner = learner.replace(devices=mesh.shape[ENVS]) if mesh.shape[ENVS] > 1 else learner
+        new = (TRAIN if by_kernel else train)(learner, old, steps)
+        return new, progress_of(learner, new)
 
-    def by_cpu(learners: Any, old: Training, steps: IntScalar) -> tuple[Training, Progress]:
-        new = jax.vmap(TRAIN, in_axes=(0, 0, None))(learners, old, steps)
-        return new, jax.vmap(progress_of)(learners, new)
-
-    steps = {"cpu": by_cpu, "gpu": by_gpu, None: jax.vmap(further, in_axes=(0, 0, None))}[kernel]
     return Programs(
         begin=compiled(jax.vmap(anew), by_run, donate_argnums=3),
-        advance=compiled(steps, (by_run, by_run, same), donate_argnums=1),
+        advance=compiled(jax.vmap(further, in_axes=(0, 0, None)), (by_run, by_run, same), donate_argnums=1),
         finish=compiled(jax.vmap(end), by_run),
         by_run=shardings[0],
         everywhere=shardings[1],
-        options=f"{options} {mesh.device_ids.tolist()} {kernel}",
+        options=f"{options} {mesh.device_ids.tolist()} {by_kernel}",
         compiled={},
     )
 
@@ -127,17 +117,26 @@ def _shared_out(function: Callable[..., Any], mesh: Mesh, given: Any) -> Callabl
 def programs_of(learners: Learner, devices: Devices) -> Programs:
     """The programs that train learners such as these, which stand side by side, on the given devices.
 
-    Kernels train tables: on a GPU that of `training.fused`, where it can; on a CPU `kernels.worlds.kernel`.
+    A kernel makes the training steps of tables, where one can.
     """
     mesh = Mesh(np.array(devices).reshape(len(devices), -1), (RUNS, ENVS))
     options = compute.compiler_options(learners.task.arithmetic, learners.program, every_device=mesh.size > 1)
-    kind = jax.default_backend()
-    tables = learners.program == "tabular" and kind in ("cpu", "gpu")
-    if tables and kind == "gpu":
-        from humanoid_mjx.training.fused import why_not  # whose import takes time that all others save
+    by_kernel = learners.program == "tabular" and (jax.default_backend() == "cpu" or not compute.why_no_kernel())
+    return programs(tuple(sorted(options.items())), mesh, by_kernel)
 
-        tables = why_not(learners) is None
-    return programs(tuple(sorted(options.items())), mesh, kind if tables else None)
+
+def why_no_kernel(learner: Any) -> str | None:
+    """Return the reason why XLA makes the training steps of a table, and no kernel; None if a kernel makes them."""
+    if learner.agents > 1:
+        return "several agents feed one table"
+    if learner.evaluations > 1:
+        return "tables are kept along the way, for evaluation"
+    if jax.default_backend() != "cpu" and (reason := compute.why_no_kernel()):
+        return reason
+    shapes = learner, jax.eval_shape(begin, learner, rng.key(0))
+    args = jax.tree.map(lambda x: jax.ShapeDtypeStruct((1, *np.shape(x)), jax.typeof(x).dtype), shapes)
+    reason = why_not(train, (*args, jax.ShapeDtypeStruct((), np.int32)), (*[True] * len(jax.tree.leaves(args)), False))
+    return f"the task {type(learner.task).__name__}: {reason}" if reason else None
 
 
 def in_turn(learners: Learner, runs: list[int], room: int) -> list[list[int]]:

@@ -1,4 +1,9 @@
-"""The kernel that trains tables equals the scan; here its interpreter runs it, with tables in device memory."""
+"""Kernels that train tables equal the scan: a CPU's, and a GPU's in Pallas's interpreter, with tables in device memory.
+
+`as_shipped/test_tables.py` compares a CPU's for any hyper-parameters, with the settings that users have.
+"""
+
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -8,12 +13,14 @@ from finite_mdp import random_task
 
 from humanoid_mjx import make_learner, make_task
 from humanoid_mjx.compute import rng
-from humanoid_mjx.kernels.elementwise import NotElementwise
-from humanoid_mjx.tasks.finite import FiniteTask
-from humanoid_mjx.training import fused
-from humanoid_mjx.training.program import advance, begin
+from humanoid_mjx.kernels import gpu_kernel
+from humanoid_mjx.kernels.memory import THREADS
+from humanoid_mjx.kernels.signature import called, signature_of_one
+from humanoid_mjx.training.program import begin, train
+from humanoid_mjx.training.programs import TRAIN, why_no_kernel
 
-RUNS, BLOCK = 6, 4
+RUNS = 6
+"""Fewer than a vector or a block of threads has."""
 
 TASKS = {
     "standard": {"name": "joint_reach", "joint": 5, "states": 5, "action": 15.0},
@@ -42,16 +49,25 @@ def runs_of(task):
     return learners, jax.jit(jax.vmap(begin))(learners, jax.random.split(rng.key(3), RUNS))
 
 
+def interpreted(*args):
+    """A GPU's kernel in Pallas's interpreter."""
+    many = *[True] * len(jax.tree.leaves(args[:2])), False
+    return called(signature_of_one(train, args, many), args, THREADS, partial(gpu_kernel.call, interpret=True))
+
+
+KERNELS = {"cpu": jax.vmap(TRAIN, in_axes=(0, 0, None)), "gpu": interpreted}
+
+
+@pytest.mark.parametrize("back_end", KERNELS)
 @pytest.mark.parametrize("case", TASKS)
-def test_kernel_equals_scan_in_chunks_and_beyond_the_end_of_training(case):
+def test_kernel_equals_scan_in_chunks_and_beyond_the_end_of_training(case, back_end):
     values = dict(TASKS[case])
     learners, start = runs_of(make_task(values.pop("name"), **values))
-    scan = jax.jit(jax.vmap(advance, in_axes=(0, 0, None)))
-    kernel = jax.jit(lambda *args: fused.advance(*args, block=BLOCK, interpret=True))  # RUNS is no multiple of BLOCK
+    scan, kernel = jax.jit(jax.vmap(train, in_axes=(0, 0, None))), jax.jit(KERNELS[back_end])
     expected, found = start, start
     for steps in (32, 70, 200):
-        expected, _ = scan(learners, expected, steps)
-        found = kernel(learners, found, steps)
+        expected = scan(learners, expected, steps)
+        found = kernel(learners, found, jnp.int32(steps))
     assert expected.record[..., 0].sum() > RUNS  # so that records and restarts are compared too
     for wanted, got in zip(jax.tree.leaves(expected), jax.tree.leaves(found), strict=True):
         if jnp.issubdtype(wanted.dtype, jax.dtypes.prng_key):
@@ -60,39 +76,21 @@ def test_kernel_equals_scan_in_chunks_and_beyond_the_end_of_training(case):
         np.testing.assert_array_equal(got, wanted)
 
 
-class Guess(FiniteTask):
-    """A coin falls, and the guess was right or not."""
-
-    @property
-    def num_states(self):
-        return 1
-
-    @property
-    def num_actions(self):
-        return 2
-
-    def reset(self, key):
-        return jnp.int32(0)
-
-    def step(self, state, action, key):
-        right = jax.random.bernoulli(key) == (action == 1)
-        return state, jnp.where(right, 1.0, 0.0), jnp.bool_(True)
-
-
 @pytest.mark.parametrize(
     ("task", "values", "words"),
     [
+        (make_task("joint_reach"), {}, None),
         (make_task("joint_reach"), {"agents": 2}, "several agents"),
         (make_task("joint_reach"), {"evaluations": 3}, "along the way"),
-        (make_task("joint_reach"), {}, "no GPU"),
+        (random_task(0, 4, 2, 4), {}, "TableTask: threads index only by what is known"),
+        (make_task("posture_switch"), {}, "PostureSwitch: threads do no"),
     ],
 )
-def test_the_scan_trains_what_the_kernel_cannot(task, values, words):
-    assert words in fused.why_not(make_learner("tabular_q", task, **values))
+def test_what_no_kernel_trains(task, values, words):
+    reason = why_no_kernel(make_learner("tabular_q", task, **values))
+    assert reason is None if words is None else words in reason
 
 
-@pytest.mark.parametrize(("task", "words"), [(random_task(0, 4, 2, 4), "tables"), (Guess(), "operation")])
-def test_tasks_of_more_than_arithmetic_are_refused(task, words):
-    learner = make_learner("tabular_q", task)
-    with pytest.raises(NotElementwise, match=words):
-        fused.functions(learner)
+def test_without_a_gpu_of_nvidia_xla_trains(monkeypatch):
+    monkeypatch.setattr(jax, "default_backend", lambda: "rocm")
+    assert why_no_kernel(make_learner("tabular_q", make_task("joint_reach"))) == "there is no GPU"
