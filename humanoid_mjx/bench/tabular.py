@@ -22,6 +22,7 @@ from humanoid_mjx.bench import opponents
 from humanoid_mjx.bench.measure import Record, Subject, on_devices, record, time_in_turn
 from humanoid_mjx.compute import rng
 from humanoid_mjx.learners.tabular import TabularQ
+from humanoid_mjx.training import fused as gpu_kernel
 from humanoid_mjx.training.program import begin
 from humanoid_mjx.training.program import train as by_scan
 from humanoid_mjx.training.programs import TRAIN, why_no_kernel
@@ -106,7 +107,8 @@ def scan(epsilon: np.ndarray, steps: int) -> Made:
 
 def fused(epsilon: np.ndarray, steps: int, moves: int = MOVES) -> Made:
     """This package's learner in one kernel."""
-    return _shared_out(_learner(moves), epsilon, steps, jax.jit(jax.vmap(TRAIN, in_axes=(0, 0, None))))
+    by_kernel = jax.vmap(TRAIN, in_axes=(0, 0, None)) if jax.default_backend() == "cpu" else gpu_kernel.advance
+    return _shared_out(_learner(moves), epsilon, steps, jax.jit(by_kernel))
 
 
 def _shared_out(

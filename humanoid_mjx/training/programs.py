@@ -82,9 +82,16 @@ def programs(options: tuple[tuple[str, str | bool], ...], mesh: Mesh, by_kernel:
         new = (TRAIN if by_kernel else train)(learner, old, steps)
         return new, progress_of(learner, new)
 
+    def on_gpu(learners: Any, old: Training, steps: IntScalar) -> tuple[Training, Progress]:
+        from humanoid_mjx.training import fused  # whose import takes time that all others save
+
+        new = fused.advance(learners, old, steps)
+        return new, jax.vmap(progress_of)(learners, new)
+
+    further = on_gpu if by_kernel and jax.default_backend() == "gpu" else jax.vmap(further, in_axes=(0, 0, None))
     return Programs(
         begin=compiled(jax.vmap(anew), by_run, donate_argnums=3),
-        advance=compiled(jax.vmap(further, in_axes=(0, 0, None)), (by_run, by_run, same), donate_argnums=1),
+        advance=compiled(further, (by_run, by_run, same), donate_argnums=1),
         finish=compiled(jax.vmap(end), by_run),
         by_run=shardings[0],
         everywhere=shardings[1],
@@ -121,18 +128,23 @@ def programs_of(learners: Learner, devices: Devices) -> Programs:
     """
     mesh = Mesh(np.array(devices).reshape(len(devices), -1), (RUNS, ENVS))
     options = compute.compiler_options(learners.task.arithmetic, learners.program, every_device=mesh.size > 1)
-    by_kernel = learners.program == "tabular" and (jax.default_backend() == "cpu" or not compute.why_no_kernel())
+    by_kernel = learners.program == "tabular" and (jax.default_backend() == "cpu" or why_no_kernel(learners) is None)
     return programs(tuple(sorted(options.items())), mesh, by_kernel)
 
 
 def why_no_kernel(learner: Any) -> str | None:
-    """Return the reason why XLA makes the training steps of a table, and no kernel; None if a kernel makes them."""
+    """Return the reason why XLA makes the training steps of tables, and no kernel; None if a kernel makes them.
+
+    `kernels.worlds.kernel` makes them on a CPU, on a GPU `training.fused`, which keeps sums of the curve in registers.
+    """
+    if jax.default_backend() != "cpu":
+        from humanoid_mjx.training import fused
+
+        return fused.why_not(learner)
     if learner.agents > 1:
         return "several agents feed one table"
     if learner.evaluations > 1:
         return "tables are kept along the way, for evaluation"
-    if jax.default_backend() != "cpu" and (reason := compute.why_no_kernel()):
-        return reason
     shapes = learner, jax.eval_shape(begin, learner, rng.key(0))
     args = jax.tree.map(lambda x: jax.ShapeDtypeStruct((1, *np.shape(x)), jax.typeof(x).dtype), shapes)
     reason = why_not(train, (*args, jax.ShapeDtypeStruct((), np.int32)), (*[True] * len(jax.tree.leaves(args)), False))

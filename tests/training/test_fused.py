@@ -1,0 +1,98 @@
+"""The kernel that trains tables equals the scan; here its interpreter runs it, with tables in device memory."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from finite_mdp import random_task
+
+from humanoid_mjx import make_learner, make_task
+from humanoid_mjx.compute import rng
+from humanoid_mjx.kernels.elementwise import NotElementwise
+from humanoid_mjx.tasks.finite import FiniteTask
+from humanoid_mjx.training import fused
+from humanoid_mjx.training.program import advance, begin
+
+RUNS, BLOCK = 6, 4
+
+TASKS = {
+    "standard": {"name": "joint_reach", "joint": 5, "states": 5, "action": 15.0},
+    "truncated": {"name": "joint_reach", "joint": 1, "states": 17, "max_episode_steps": 9},
+    "disobeyed": {"name": "joint_reach", "joint": 1, "action": 23.0, "states": 9, "success_rate": 0.75},
+    "printed": {"name": "joint_reach", "joint": 1, "states": 5, "rules": "printed"},
+    "grid": {"name": "navigate", "map": ("S..", ".#.", "..G"), "success_rate": 0.75, "step_reward": -0.25},
+}
+
+
+def runs_of(task):
+    """Learners side by side that differ in hyper-parameters, and their training before the first step.
+
+    Products with powers of two are exact, and `TASKS` divide their angles by powers of two. So it makes no difference
+    where a compiler contracts a product and a sum.
+    """
+    learner = make_learner("tabular_q", task, episodes=30, record=7)
+    learners = jax.tree.map(lambda x: jnp.full(RUNS, x), learner)
+    values = {
+        "epsilon": [1.0, 0.75, 0.5, 0.5, 0.25, 0.125],
+        "epsilon_decay": [0.5, 1.0, 0.5, 0.25, 1.0, 0.5],
+        "learning_rate": [0.25, 0.5, 0.25, 1.0, 0.5, 1.0],
+        "discount": [0.5, 0.0, 0.25, 0.5, 0.125, 0.5],
+    }
+    learners = learners.replace(**{name: jnp.array(value) for name, value in values.items()})
+    return learners, jax.jit(jax.vmap(begin))(learners, jax.random.split(rng.key(3), RUNS))
+
+
+@pytest.mark.parametrize("case", TASKS)
+def test_kernel_equals_scan_in_chunks_and_beyond_the_end_of_training(case):
+    values = dict(TASKS[case])
+    learners, start = runs_of(make_task(values.pop("name"), **values))
+    scan = jax.jit(jax.vmap(advance, in_axes=(0, 0, None)))
+    kernel = jax.jit(lambda *args: fused.advance(*args, block=BLOCK, interpret=True))  # RUNS is no multiple of BLOCK
+    expected, found = start, start
+    for steps in (32, 70, 200):
+        expected, _ = scan(learners, expected, steps)
+        found = kernel(learners, found, steps)
+    assert expected.record[..., 0].sum() > RUNS  # so that records and restarts are compared too
+    for wanted, got in zip(jax.tree.leaves(expected), jax.tree.leaves(found), strict=True):
+        if jnp.issubdtype(wanted.dtype, jax.dtypes.prng_key):
+            wanted, got = jax.random.key_data(wanted), jax.random.key_data(got)
+        assert wanted.dtype == got.dtype
+        np.testing.assert_array_equal(got, wanted)
+
+
+class Guess(FiniteTask):
+    """A coin falls, and the guess was right or not."""
+
+    @property
+    def num_states(self):
+        return 1
+
+    @property
+    def num_actions(self):
+        return 2
+
+    def reset(self, key):
+        return jnp.int32(0)
+
+    def step(self, state, action, key):
+        right = jax.random.bernoulli(key) == (action == 1)
+        return state, jnp.where(right, 1.0, 0.0), jnp.bool_(True)
+
+
+@pytest.mark.parametrize(
+    ("task", "values", "words"),
+    [
+        (make_task("joint_reach"), {"agents": 2}, "several agents"),
+        (make_task("joint_reach"), {"evaluations": 3}, "along the way"),
+        (make_task("joint_reach"), {}, "no GPU"),
+    ],
+)
+def test_the_scan_trains_what_the_kernel_cannot(task, values, words):
+    assert words in fused.why_not(make_learner("tabular_q", task, **values))
+
+
+@pytest.mark.parametrize(("task", "words"), [(random_task(0, 4, 2, 4), "tables"), (Guess(), "operation")])
+def test_tasks_of_more_than_arithmetic_are_refused(task, words):
+    learner = make_learner("tabular_q", task)
+    with pytest.raises(NotElementwise, match=words):
+        fused.functions(learner)
