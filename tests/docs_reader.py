@@ -1,9 +1,9 @@
 """A reader of pages of the documentation, who types all that stands there: `python docs_reader.py FOLDER PAGE ...`.
 
 Each page is read by a process of its own, in a folder of its own below FOLDER. The processes are copies of one that
-has imported jax and computed nothing. Files that the page names are written there, Python is run, and
-commands are read as the command line reads them, without being carried out: their options, and the names of configs,
-policies, run folders, experiments and benchmarks must exist.
+has imported jax and computed nothing. Files that the page names are written there, Python is run, and commands are
+read as the command line reads them, without being carried out: their options, and the names of configs, policies, run
+folders, experiments and benchmarks must exist.
 """
 
 import contextlib

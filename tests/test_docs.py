@@ -83,7 +83,8 @@ RUN = [name for name in TYPED if re.search(r"```python|title=", TEXTS[name]) and
 
 @pytest.fixture(scope="module")
 def readings(tmp_path_factory):
-    """The exit code of a reader of each page in `RUN`, and what the reader saw; nothing is imported there before."""
+    """The exit code of a reader of each page in `RUN`, and what the reader saw. The page's Python begins with no name
+    defined, and with nothing of the package imported but the command line."""
     folder = tmp_path_factory.mktemp("pages")
     run_alone([str(ROOT / "tests" / "docs_reader.py"), str(folder), *(str(PAGES[name]) for name in RUN)], folder)
     places = [folder / str(number) for number in range(len(RUN))]

@@ -77,7 +77,7 @@ def test_a_point_trains_as_it_would_alone(reference, tmp_path):
 
 @pytest.mark.parametrize("size", [1, 5, 64])
 def test_pool_size_changes_no_bit(reference, tmp_path, size, monkeypatch):
-    """A slot on each device, more than one without being a divisor of the runs, and more than there are runs."""
+    """One slot on each device, a number that does not divide 18 runs, and more slots than runs."""
     monkeypatch.setattr(pool, "HARVEST_SHARE", 0.5)
     same_bits(reference.results, sweep(CONFIG, tmp_path / "run", pool_size=size).results)
 

@@ -23,18 +23,18 @@ from humanoid_mjx.tasks.continuous import ContinuousTask
 DATA = Path(__file__).parents[1] / "data"
 LEARNER = {"name": "hop:BoldQ", "envs": 16, "rollout": 8, "discount": 0.9, "evaluations": 2, "learning_rate": 0.01}
 CONFIG = {"name": "hop", "task": {"name": "hop:Hop"}, "learner": LEARNER, "total_steps": 1024, "record": 1, "seeds": 1}
+SCRIPT = Path(sys.executable).parent / "humanoid-mjx"
 TYPED = """
-import contextlib, io, json, sys
-from humanoid_mjx import cli, compute
-start, path = compute.start, list(sys.path)
-ends = []
-for words in json.loads(sys.argv[1]):
-    sys.argv[1:], sys.path[:] = words, path
+import contextlib, io, json, runpy, sys
+from humanoid_mjx import compute
+path, ends = list(sys.path), []
+script, commands = sys.argv[1:]
+for words in json.loads(commands):
+    sys.argv[:], sys.path[:] = [script, *words], path
     sys.modules.pop("hop", None)
     with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.redirect_stderr(io.StringIO()) as err:
         try:
-            cli.main()
-            code = 0
+            code = runpy.run_path(script, run_name="__main__")
         except SystemExit as ended:
             code = ended.code
     compute.start = lambda **_: None  # a process starts once
@@ -46,12 +46,12 @@ print(json.dumps(ends))
 def typed(folder, *commands):
     """Commands typed in a folder: (exit code, output, errors) of each.
 
-    One process runs them all. Its Python does not know the modules of the tests, and each command finds the user's
-    module by itself.
+    One process runs the installed script for them all. Its Python does not know the modules of the tests, and each
+    command finds the user's module by itself.
     """
-    program = [sys.executable, "-P", "-c", TYPED, json.dumps([list(map(str, words)) for words in commands])]
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    environment["PYTHONPATH"] = str(Path(humanoid_mjx.__file__).parents[1])
+    words = json.dumps([list(map(str, command)) for command in commands])
+    program = [sys.executable, "-P", "-c", TYPED, str(SCRIPT), words]
+    environment = os.environ | {"PYTHONPATH": str(Path(humanoid_mjx.__file__).parents[1])}
     done = subprocess.run(program, cwd=folder, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout.splitlines()[-1])
