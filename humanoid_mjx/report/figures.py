@@ -83,9 +83,9 @@ def curved(learning: Learning, own: Sequence[Figure] = ()) -> list[Figure]:
     # A term of the reward is nothing else that is recorded.
     terms = tuple(name for name in learning.names if name not in CURVES and not name.startswith("greedy_"))
     every = *measures, *([Figure(TERMS, terms, partial(draw_terms, names=terms), by_axis=False)] if terms else []), *own
-    recorded = [each for each in every if set(each.needed) <= {*learning.names, *learning.axes, learning.unit}]
+    recorded = [each for each in every if set(each.needed) <= set(learning.columns)]
     tell = {name: _tells(learning.read(name)) for each in recorded for name in each.needed if name in learning.names}
-    drawn = [each for each in recorded if any(tell.get(name) for name in each.needed)] or recorded
+    drawn = [each for each in recorded if any(tell.get(name, True) for name in each.needed)] or recorded
     return drawn + [Figure(title, (name,), partial(draw_greedy, name=name)) for name, title in _greedy(learning)]
 
 

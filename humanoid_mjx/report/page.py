@@ -305,4 +305,4 @@ def _figure(data: bytes, alt: str, caption: str, kind: str = ".svg", lines: Mapp
 
 
 def _capital(words: str) -> str:
-    return words[:1].upper() + words[1:]
+    return words if "." in words.partition(" ")[0] else words[:1].upper() + words[1:]

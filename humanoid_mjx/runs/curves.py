@@ -25,6 +25,8 @@ class Learning:
     unit: str
     """Counter of the training: `episode` or `step`."""
     places: Num[np.ndarray, " record"]
+    columns: Sequence[str]
+    """Names of all columns of `results.parquet`."""
     names: Sequence[str]
     """Measures that have curves."""
     read: Callable[[str], Float[np.ndarray, "points seeds record"]]
@@ -78,6 +80,7 @@ def read_learning(path: Path, config: Mapping[str, Any], summary: Mapping[str, n
         {axis: summary[axis][first] for axis in axes},
         unit,
         batch.column(0).to_numpy(zero_copy_only=False),
+        columns,
         names,
         read,
         len(seeds),
@@ -108,6 +111,7 @@ def of_rows(
         {axis: rows[axis][first] for axis in axes},
         unit,
         places,
+        list(rows),
         [name for name, values in rows.items() if values.dtype.kind == "f" and "." not in name],
         read,
         len(seeds),

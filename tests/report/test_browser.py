@@ -88,6 +88,7 @@ def test_tables_sort_and_curves_say_their_values(tmp_path):
     """By the numbers in a column, up and down; below the pointer the values of all lines at the nearest place."""
     results = {
         "episode": np.tile([0, 10, 20], 4),
+        "point": np.repeat([0, 0, 1, 1], 3),
         "seed": np.repeat([0, 1, 0, 1], 3),
         "learner.epsilon": np.repeat([0.1, 0.1, 0.5, 0.5], 3),
         "steps": np.array([9.0, 4, 3, 9, 4, 3, 8, 7, 6, 8, 7, 6]),
