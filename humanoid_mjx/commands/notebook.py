@@ -50,11 +50,12 @@ def draw(run: Run | Path | str) -> list[Picture]:
       InputError: this is no run folder.
     """
     from humanoid_mjx.report.figures import figures_of, sweep_figures  # matplotlib takes a while
+    from humanoid_mjx.runs.curves import read_learning
 
     run = load_run(_folder(run))
-    config, axes = run.config, list(run.config.sweep.axes) if run.config.sweep else []
-    own = figures_of(config.task["name"], config.modules)
-    paths = sweep_figures(run.path / "figures", config.name, axes, run.results, run.summary, own)
+    config, own = run.config, figures_of(run.config.task["name"], run.config.modules)
+    learning = read_learning(run.path, read_config(run.path), run.summary, config.episodes is not None)
+    paths = sweep_figures(run.path / "figures", config.name, learning, own)
     return [Picture(path, "") for path in paths]
 
 

@@ -88,10 +88,10 @@ def programs(options: tuple[tuple[str, str | bool], ...], mesh: Mesh, by_kernel:
         new = fused.advance(learners, old, steps)
         return new, jax.vmap(progress_of)(learners, new)
 
-    further = on_gpu if by_kernel and jax.default_backend() == "gpu" else jax.vmap(further, in_axes=(0, 0, None))
+    steps = on_gpu if by_kernel and jax.default_backend() == "gpu" else jax.vmap(further, in_axes=(0, 0, None))
     return Programs(
         begin=compiled(jax.vmap(anew), by_run, donate_argnums=3),
-        advance=compiled(further, (by_run, by_run, same), donate_argnums=1),
+        advance=compiled(steps, (by_run, by_run, same), donate_argnums=1),
         finish=compiled(jax.vmap(end), by_run),
         by_run=shardings[0],
         everywhere=shardings[1],
