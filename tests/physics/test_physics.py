@@ -95,7 +95,7 @@ def test_a_push_on_the_torso_gives_its_impulse(physics):
         ("mjx", {}, "physics.name: unknown physics 'mjx'; did you mean 'mjx-jax'? known are chain, mjx-jax, "),
         ("mujoco", {"robot": "arm"}, "physics.robot.name: unknown robot 'arm'; known are dog, humanoid, leg"),
         ("mujoco", {"robot": {"ranges": "wide"}}, "physics.robot.ranges must be one of 'proposed' or 'human', "),
-        ("mjx-jax", {"timestep": 0.0}, "physics.timestep must be greater than 0.0, got 0.0."),
+        ("mjx-jax", {"timestep": 0.0}, "physics.timestep must be at least 1e-06, got 0.0."),
         ("mjx-jax", {"step": 0.1}, "physics.step: unknown key; did you mean 'timestep'? known are damping, friction, "),
         ("mjx-warp", {}, "physics: mjx-warp needs the package warp-lang, which is not installed."),
     ],
