@@ -187,7 +187,7 @@ class Pace:
         speed *= float(together)
         lengths = np.zeros(0)  # steps of an episode at each record point of each run in which one ended
         if not plan.learners[0].cumulative:
-            with suppress(KeyError):
+            with suppress(KeyError, FileNotFoundError):  # no lengths, or no run that has ended
                 steps = pq.read_table(folder / "results.parquet", columns=["steps"])["steps"].to_numpy().astype(float)
                 lengths = steps[np.isfinite(steps) & (steps > 0)]
         if plan.unit == "episode":

@@ -339,7 +339,7 @@ def test_the_success_that_a_bar_shows_does_not_fall_where_other_points_begin(tmp
 
     axes = {"learner.learning_rate": [0.7, 1e-6]}
     sweep(
-        CONFIG | {"sweep": {"axes": axes}, "seeds": 4, "episodes": 4000},
+        CONFIG | {"sweep": {"axes": axes}, "seeds": 4, "episodes": 60_000},
         tmp_path / "run",
         pool_size=2,
         reporter=Keeps(),
