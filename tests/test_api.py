@@ -41,19 +41,16 @@ def grid():
 
 def test_a_training_has_the_bits_of_the_sweep(tmp_path):
     """A run of a sweep takes its seed and its number for the key; on a CPU tables agree bit by bit."""
-    config = {
-        "name": "small",
-        "task": {"name": "joint_reach", "joint": 4, "states": 8, "max_episode_steps": 50},
-        "learner": {"name": "tabular_q"},
-        "sweep": {"axes": {"learner.epsilon": [0.1, 0.8]}},
-        "seeds": 2,
-        "episodes": 60,
-        "record": 10,
-    }
+    task = {"name": "joint_reach", "joint": 5, "states": 5, "action": 15.0}
+    values = {"name": "tabular_q", "epsilon_decay": 0.5, "learning_rate": 0.5, "discount": 0.5}  # exact in binary
+    config = {"name": "small", "task": task, "learner": values, "seeds": 2, "episodes": 60, "record": 10}
+    config["sweep"] = {"axes": {"learner.epsilon": [0.125, 0.75]}}
     run = humanoid_mjx.sweep(config, tmp_path / "run", quiet=True)
     runs = finished_runs(run.path, ("point", "seed", "policy", "curve.", "final."))
+    more = {key: value for key, value in values.items() if key != "name"}
+    learner = make_learner("tabular_q", make_task(task.pop("name"), **task), episodes=60, record=10, **more)
     for row, (point, seed) in enumerate(zip(runs["point"], runs["seed"], strict=True)):
-        alone = train(TABLE.replace(epsilon=(0.1, 0.8)[point]), run_key(jnp.int32(0), jnp.int32(seed)))
+        alone = train(learner.replace(epsilon=(0.125, 0.75)[point]), run_key(jnp.int32(0), jnp.int32(seed)))
         (stored,) = to_arrays(alone.policy.weights, "policy")
         np.testing.assert_array_equal(alone.policy.weights, runs[stored][row])
         np.testing.assert_array_equal(alone.curve["steps"], runs["curve.steps"][row])
