@@ -132,8 +132,9 @@ def test_flags_that_the_environment_sets_are_kept_and_a_gpu_has_one_of_its_own(g
 
 
 def compiled(task: str) -> str:
-    """The program that trains tables on a task, on the first device."""
-    config = {"name": "c", "task": {"name": task}, "learner": {"name": "tabular_q"}, "seeds": 1024, "episodes": 10}
+    """The program that trains tables on a task, on the first device. Two agents feed each: no kernel can do it."""
+    learner = {"name": "tabular_q", "agents": 2}
+    config = {"name": "c", "task": {"name": task}, "learner": learner, "seeds": 1024, "episodes": 10}
     group = make_plan(parse(config)).groups[0]
     pool = Pool(group, deque(group.runs.tolist()), 512, jax.local_devices(), seed=0)
     return pool.programs.advance.lower(pool.learners, pool.training, np.int32(1)).compile().as_text()

@@ -1,6 +1,7 @@
 """Messages of the command line: what is typed wrongly gets one sentence, which ends with what to type instead."""
 
 import json
+import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,6 +25,8 @@ from humanoid_mjx.learners.normalisation import moments
 from humanoid_mjx.runs.folder import RunFolder
 from humanoid_mjx.runs.statistics import estimated
 from humanoid_mjx.spec import known
+from humanoid_mjx.training import pool
+from humanoid_mjx.training.pool import Pool
 from humanoid_mjx.training.program import Training
 from humanoid_mjx.training.progress import Reporter
 
@@ -326,9 +329,11 @@ def test_an_untrained_policy_is_not_said_to_lose_by_others_that_wait():
     assert list(names.cells)[-1] == "zero agent in the task of other"
 
 
-def test_the_success_that_a_bar_shows_does_not_fall_where_other_points_begin(tmp_path):
+def test_the_success_that_a_bar_shows_does_not_fall_where_other_points_begin(tmp_path, monkeypatch):
     """The second block of runs never learns."""
-    seen, phases = [], []
+    seen, phases, train = [], [], Pool.train
+    monkeypatch.setattr(pool, "MAX_STEPS", 20_000)
+    monkeypatch.setattr(Pool, "train", lambda self: (train(self), time.sleep(0.15)))  # so long that the bar looks
 
     class Keeps(Reporter):
         def update(self, state):
@@ -339,7 +344,7 @@ def test_the_success_that_a_bar_shows_does_not_fall_where_other_points_begin(tmp
 
     axes = {"learner.learning_rate": [0.7, 1e-6]}
     sweep(
-        CONFIG | {"sweep": {"axes": axes}, "seeds": 4, "episodes": 60_000},
+        CONFIG | {"sweep": {"axes": axes}, "seeds": 4, "episodes": 4000},
         tmp_path / "run",
         pool_size=2,
         reporter=Keeps(),
