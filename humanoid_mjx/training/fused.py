@@ -4,8 +4,7 @@ The scan of `training.program` starts several kernels for each training step and
 between them. Here one kernel makes all steps of a chunk. It runs the learner's and the task's own functions, taken
 apart by `elementwise`, so that no rule is written twice: from the same keys it draws the same random numbers as the
 scan and makes the same operations in the same order. Results differ by rounding alone, where one compiler contracts a
-multiplication and an addition and the other does not; `tests/training/test_fused.py` compares
-them.
+multiplication and an addition and the other does not; `tests/training/test_table_kernels.py` compares them.
 
 `why_not` says whether a learner can be trained so; the scan is the reference, and trains everything else.
 """
@@ -25,7 +24,6 @@ from humanoid_mjx.compute import rng
 from humanoid_mjx.kernels.elementwise import Elementwise, NotElementwise, kept_in_common
 from humanoid_mjx.kernels.memory import assembly
 from humanoid_mjx.kernels.table_memory import DeviceMemory, Record, SharedMemory
-from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.tabular import TabularQ
 from humanoid_mjx.training.program import Training, record_entry
 from humanoid_mjx.types import IntScalar
@@ -48,14 +46,8 @@ class Functions(NamedTuple):
     """(agent, q_row, step) -> agent."""
 
 
-def why_not(learner: Learner) -> str | None:
-    """Return the reason why the kernel cannot train a learner, or learners side by side; None if it can."""
-    if not isinstance(learner, TabularQ):
-        return "the fused kernel trains tables"
-    if learner.agents > 1:
-        return "several agents feed one table"
-    if learner.evaluations > 1:
-        return "tables are kept along the way, for evaluation"
+def why_not(learner: TabularQ) -> str | None:
+    """Return the reason why the kernel cannot train a table of one agent, or such tables; None if it can."""
     if reason := compute.why_no_kernel():
         return reason
     try:
@@ -65,7 +57,7 @@ def why_not(learner: Learner) -> str | None:
     return None
 
 
-def one_of(learners: Learner) -> Any:
+def one_of(learners: TabularQ) -> Any:
     """The shapes of one of the learners side by side."""
     return jax.eval_shape(lambda tree: jax.tree.map(lambda x: x[0], tree), learners)
 

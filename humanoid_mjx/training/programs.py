@@ -16,6 +16,7 @@ from humanoid_mjx.compute import rng
 from humanoid_mjx.kernels.worlds import kernel, why_not
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.base import ENVS
+from humanoid_mjx.learners.tabular import TabularQ
 from humanoid_mjx.training.program import Progress, Training, begin, finish, progress_of, run_key, train
 from humanoid_mjx.types import Device, IntScalar
 
@@ -137,14 +138,16 @@ def why_no_kernel(learner: Any) -> str | None:
 
     `kernels.worlds.kernel` makes them on a CPU, on a GPU `training.fused`, which keeps sums of the curve in registers.
     """
-    if jax.default_backend() != "cpu":
-        from humanoid_mjx.training import fused
-
-        return fused.why_not(learner)
+    if not isinstance(learner, TabularQ):
+        return "kernels train tables"
     if learner.agents > 1:
         return "several agents feed one table"
     if learner.evaluations > 1:
         return "tables are kept along the way, for evaluation"
+    if jax.default_backend() != "cpu":
+        from humanoid_mjx.training import fused
+
+        return fused.why_not(learner)
     shapes = learner, jax.eval_shape(begin, learner, rng.key(0))
     args = jax.tree.map(lambda x: jax.ShapeDtypeStruct((1, *np.shape(x)), jax.typeof(x).dtype), shapes)
     reason = why_not(train, (*args, jax.ShapeDtypeStruct((), np.int32)), (*[True] * len(jax.tree.leaves(args)), False))

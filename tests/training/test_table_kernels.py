@@ -1,4 +1,5 @@
-"""Kernels that train tables equal the scan: a CPU's, and a GPU's in Pallas's interpreter, with tables in device memory.
+"""Kernels that train tables equal the scan: a CPU's, and both of a GPU in Pallas's interpreter, with tables in its
+memory.
 
 `as_shipped/test_tables.py` compares a CPU's for any hyper-parameters, with the settings that users have.
 """
@@ -14,13 +15,16 @@ from finite_mdp import random_task
 from humanoid_mjx import make_learner, make_task
 from humanoid_mjx.compute import rng
 from humanoid_mjx.kernels import gpu_kernel
+from humanoid_mjx.kernels.elementwise import NotElementwise
 from humanoid_mjx.kernels.memory import THREADS
 from humanoid_mjx.kernels.signature import called, signature_of_one
+from humanoid_mjx.tasks.finite import FiniteTask
+from humanoid_mjx.training import fused
 from humanoid_mjx.training.program import begin, train
 from humanoid_mjx.training.programs import TRAIN, why_no_kernel
 
-RUNS = 6
-"""Fewer than a vector or a block of threads has."""
+RUNS, BLOCK = 6, 4
+"""Fewer than a vector or a warp has, and no multiple of a block of `fused`."""
 
 TASKS = {
     "standard": {"name": "joint_reach", "joint": 5, "states": 5, "action": 15.0},
@@ -55,7 +59,11 @@ def interpreted(*args):
     return called(signature_of_one(train, args, many), args, THREADS, partial(gpu_kernel.call, interpret=True))
 
 
-KERNELS = {"cpu": jax.vmap(TRAIN, in_axes=(0, 0, None)), "gpu": interpreted}
+KERNELS = {
+    "cpu": jax.vmap(TRAIN, in_axes=(0, 0, None)),
+    "gpu": interpreted,
+    "fused": partial(fused.advance, block=BLOCK, interpret=True),
+}
 
 
 @pytest.mark.parametrize("back_end", KERNELS)
@@ -91,6 +99,48 @@ def test_what_no_kernel_trains(task, values, words):
     assert reason is None if words is None else words in reason
 
 
+def test_a_learner_without_a_table_is_trained_by_no_kernel():
+    assert why_no_kernel(make_learner("deep_q", make_task("leg_reach"), total_steps=1000)) == "kernels train tables"
+
+
+@pytest.mark.parametrize(
+    ("values", "words"), [({"agents": 2}, "several agents"), ({"evaluations": 3}, "along the way")]
+)
+def test_the_scan_trains_what_the_kernel_of_a_gpu_cannot(values, words, monkeypatch):
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    assert words in why_no_kernel(make_learner("tabular_q", make_task("joint_reach"), **values))
+
+
+def test_without_a_gpu_its_kernel_trains_nothing():
+    assert "no GPU" in fused.why_not(make_learner("tabular_q", make_task("joint_reach")))
+
+
 def test_without_a_gpu_of_nvidia_xla_trains(monkeypatch):
     monkeypatch.setattr(jax, "default_backend", lambda: "rocm")
     assert why_no_kernel(make_learner("tabular_q", make_task("joint_reach"))) == "there is no GPU"
+
+
+class Guess(FiniteTask):
+    """A coin falls, and the guess was right or not."""
+
+    @property
+    def num_states(self):
+        return 1
+
+    @property
+    def num_actions(self):
+        return 2
+
+    def reset(self, key):
+        return jnp.int32(0)
+
+    def step(self, state, action, key):
+        right = jax.random.bernoulli(key) == (action == 1)
+        return state, jnp.where(right, 1.0, 0.0), jnp.bool_(True)
+
+
+@pytest.mark.parametrize(("task", "words"), [(random_task(0, 4, 2, 4), "tables"), (Guess(), "operation")])
+def test_tasks_of_more_than_arithmetic_are_refused(task, words):
+    learner = make_learner("tabular_q", task)
+    with pytest.raises(NotElementwise, match=words):
+        fused.functions(learner)
