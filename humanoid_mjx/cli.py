@@ -12,7 +12,7 @@ import typer
 from typer import Argument, Option
 
 from humanoid_mjx.commands.evaluate import evaluate
-from humanoid_mjx.commands.film import play
+from humanoid_mjx.commands.film import demo, play
 from humanoid_mjx.commands.options import CONFIGS, Override, Point, Trust, trusting
 
 ABOUT = (
@@ -88,14 +88,7 @@ app.command()(evaluate)
 app.command()(play)
 
 
-@app.command()
-def demo(
-    port: Annotated[int | None, Option(min=1, max=65535, help="Port of the page; by default any free one.")] = None,
-) -> None:
-    """Show a walking robot in the browser, to be steered and pushed."""
-    from humanoid_mjx.commands.demo import run_demo
-
-    run_demo(port)
+app.command()(demo)
 
 
 @app.command()

@@ -1,6 +1,7 @@
-"""The command `play`."""
+"""The commands `play` and `demo`."""
 
 import re
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
@@ -43,32 +44,61 @@ def play(
     if robots > 1 and not view:
         raise InputError("--robots: a film shows one robot; add --view.")
     pixels = _pixels(size) if size else None
-    start_for(physics, set_)
+    if view:
+        with trusting(trust, policy):
+            _show(policy, point, set_, physics, episode, robots, port)
+        return
+    _start(physics, set_)
+    from humanoid_mjx.commands.notebook import film
+    from humanoid_mjx.report.rendering import FPS, check_file
+
+    if out is not None:
+        check_file(out)
+    with trusting(trust, policy), Bar(console) as bar:
+        bar.phase("loading")
+        found = film(policy, bar, point, episode, physics, set_, out, fps=fps or FPS, size=pixels)
+    console.print(found.words)
+    console.print(f"{found.path}", soft_wrap=True)
+
+
+def demo(
+    port: Annotated[int | None, Option(min=1, max=65535, help="Port of the page; by default any free one.")] = None,
+) -> None:
+    """Show a walking robot in the browser, to be steered and pushed."""
+    _show("walk_sturdy", port=port, told={"forward, m/s": 0.3})
+
+
+def _start(physics: str | None, changes: Sequence[str]) -> None:
+    """Prepare this process for one robot, which gains nothing by a GPU in native MuJoCo."""
+    start_for(physics, changes)
     import jax
 
-    from humanoid_mjx.commands.notebook import film
+    if physics in (None, "mujoco"):
+        jax.config.update("jax_platforms", "cpu")
+
+
+def _show(
+    policy: str,
+    point: int | None = None,
+    changes: Sequence[str] = (),
+    physics: str | None = None,
+    episode: int = 0,
+    robots: int = 1,
+    port: int | None = None,
+    told: Mapping[str, float] = {},
+) -> None:
+    """Serve the page of a policy's robots until Ctrl-C; `told`: parts of the command that they follow at first."""
+    _start(physics, changes)
     from humanoid_mjx.evaluation.live import Live
     from humanoid_mjx.evaluation.policy import find_policy, in_world, on_plane
     from humanoid_mjx.report.live import serve
-    from humanoid_mjx.report.rendering import FPS, check_file
 
-    if physics in (None, "mujoco"):
-        jax.config.update("jax_platforms", "cpu")  # one robot in native MuJoCo gains nothing by a GPU
-    if out is not None:
-        check_file(out)
-    with trusting(trust, policy):
-        if view:
-            with Bar(console) as bar:
-                bar.phase("loading")
-                trained = on_plane(in_world(find_policy(policy, point), physics, set_))
-            with suppress(KeyboardInterrupt):
-                serve(Live(trained, episode, robots), console.print, port=port or 0)
-            return
-        with Bar(console) as bar:
-            bar.phase("loading")
-            found = film(policy, bar, point, episode, physics, set_, out, fps=fps or FPS, size=pixels)
-    console.print(found.words)
-    console.print(f"{found.path}", soft_wrap=True)
+    with Bar(console) as bar:
+        bar.phase("loading")
+        live = Live(on_plane(in_world(find_policy(policy, point), physics, changes)), episode, robots)
+    live.told |= told
+    with suppress(KeyboardInterrupt):
+        serve(live, console.print, port=port or 0)
 
 
 def _pixels(size: str) -> tuple[int, int]:

@@ -49,14 +49,10 @@ def draw(run: Run | Path | str) -> list[Picture]:
     Raises:
       InputError: this is no run folder.
     """
-    from humanoid_mjx.report.figures import figures_of, sweep_figures  # matplotlib takes a while
-    from humanoid_mjx.runs.curves import read_learning
+    from humanoid_mjx.report.figures import draw_run  # matplotlib takes a while
 
     run = load_run(_folder(run))
-    config, own = run.config, figures_of(run.config.task["name"], run.config.modules)
-    learning = read_learning(run.path, read_config(run.path), run.summary, config.episodes is not None)
-    paths = sweep_figures(run.path / "figures", config.name, learning, own)
-    return [Picture(path, "") for path in paths]
+    return [Picture(path, "") for path in draw_run(run, run.summary)[1]]
 
 
 def evaluate(

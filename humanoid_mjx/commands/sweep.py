@@ -14,7 +14,7 @@ from humanoid_mjx import compute
 from humanoid_mjx.commands import console
 from humanoid_mjx.compute import kept, processes
 from humanoid_mjx.config import load
-from humanoid_mjx.runs.folder import read_config, read_provenance
+from humanoid_mjx.runs.folder import read_provenance
 from humanoid_mjx.training.progress import Bar
 
 if TYPE_CHECKING:
@@ -55,14 +55,11 @@ def run_sweep(
             return
         bar.phase("drawing figures")
         from humanoid_mjx.evaluation.replay import why_stopped
-        from humanoid_mjx.report.figures import figures_of, sweep_figures  # matplotlib takes a while
-        from humanoid_mjx.runs.curves import read_learning
+        from humanoid_mjx.report.figures import draw_run  # matplotlib takes a while
         from humanoid_mjx.runs.ranking import in_words, ranked
 
-        summary, own = run.summary, figures_of(run.config.task["name"], run.config.modules)
-        quickest = run.config.episodes is not None
-        learning = read_learning(run.path, read_config(run.path), summary, quickest)
-        paths = sweep_figures(run.path / "figures", run.config.name, learning, own)
+        summary, quickest = run.summary, run.config.episodes is not None
+        learning, paths = draw_run(run, summary)
     axes, points = list(learning.axes), ranked(list(learning.axes), summary, quickest)
     print_summary(axes, summary, points, learning.compared, read_provenance(run.path), quickest)
     if words := why_stopped(run.path, summary):

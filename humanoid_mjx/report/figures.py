@@ -1,7 +1,7 @@
 """The figures of a sweep: learning curves by swept value or by point, what the parameters do, heat maps."""
 
 import textwrap
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from itertools import cycle, product
@@ -24,11 +24,13 @@ from humanoid_mjx.report.drawing import (
 )
 from humanoid_mjx.report.parameters import draw_importance, draw_parallel, draw_points, heat_maps
 from humanoid_mjx.report.style import COLORS, count_axis, figure, label_lines, shades, wrapped
-from humanoid_mjx.runs.curves import Learning
+from humanoid_mjx.runs.curves import Learning, read_learning
+from humanoid_mjx.runs.folder import read_config
 from humanoid_mjx.runs.ranking import MEASURES, find_levels, short
 from humanoid_mjx.spec import InputError, find, modules_in
 from humanoid_mjx.tasks import TASKS
 from humanoid_mjx.tasks.base import Task
+from humanoid_mjx.training.sweep import Run
 
 MAX_CURVES = 8
 """Points of a `zip` or `random` sweep whose curves are drawn, the best of them."""
@@ -46,6 +48,18 @@ class Figure(NamedTuple):
     """(panel, curves, swept parameter) -> the last value of each line by its label."""
     by_axis: bool = True
     """True if it tells the values of a swept parameter apart."""
+
+
+def draw_run(run: Run, summary: Mapping[str, np.ndarray]) -> tuple[Learning, list[Path]]:
+    """Draw all figures of a run, whose table of summaries is given, into its folder.
+
+    Returns:
+      the run's learning curves, and the paths of what was drawn.
+    """
+    config = run.config
+    learning = read_learning(run.path, read_config(run.path), summary, config.episodes is not None)
+    own = figures_of(config.task["name"], config.modules)
+    return learning, sweep_figures(run.path / "figures", config.name, learning, own)
 
 
 def sweep_figures(folder: Path, title: str, learning: Learning, own: Sequence[Figure] = ()) -> list[Path]:
