@@ -64,8 +64,8 @@ SPEED = (
     ("`mjx-warp`", "mjx-warp ground", BOTH),
     ("native MuJoCo on all cores", "mujoco ground", BOTH),
     ("**tabular Q-learning of joint 1**", "65,536 agents", "1,048,576 agents"),
-    ("`scan`, what a sweep runs on a CPU", "scan", "steps/s"),
-    ("`fused`, what it runs on a GPU", "fused", "steps/s"),
+    ("`scan`, a loop of XLA", "scan", "steps/s"),
+    ("`fused`, one kernel, which a sweep runs", "fused", "steps/s"),
     ("`cuda`, a kernel written by hand with CuPy", "cuda", "steps/s"),
     ("`naive_scan`, `jax.random` in every step", "naive_scan", "steps/s"),
     ("`numba`, all cores", "numba", "steps/s"),
@@ -89,6 +89,21 @@ def speed() -> str:
             cells = [_rate(found, size, first, cells) for found, size in zip(machines, sizes, strict=True)]
         rows.append((words, *cells))
     return table("steps a second | 2 CPU cores | one H200", rows)
+
+
+def tables_on_cpu() -> str:
+    """Return the rates of `bench tabular` on two CPU cores by the number of agents."""
+    found = {
+        (row["batch"], row["subject"]): row["value"]
+        for row in record("cpu_2_cores_tables")["records"]
+        if row["unit"] == "steps/s"
+    }
+    names = "fused", "scan", "naive_scan", "numba", "python"
+    rows = [
+        (f"{batch:,}", *(rounded(found[batch, name]) if (batch, name) in found else "" for name in names))
+        for batch in sorted({batch for batch, _ in found})
+    ]
+    return table("agents | " + " | ".join(f"`{name}`" for name in names), rows)
 
 
 def _rate(found: list[dict[str, Any]], size: str, first: list[str], subject: list[str]) -> str:
@@ -371,6 +386,7 @@ TABLES = {
         squat,
         robot_speeds,
         speed,
+        tables_on_cpu,
         in_turn,
         stand,
         learners,
