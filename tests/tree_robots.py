@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from humanoid_mjx import compute
+from humanoid_mjx.kernels.worlds import one_world
 from humanoid_mjx.mechanics.scalars import unstack
 from humanoid_mjx.mechanics.tree.step import accelerate, advance, folded, make_state, motor_forces
 from humanoid_mjx.mechanics.tree.structure import Tree
@@ -144,8 +145,6 @@ def qacc_of(tree: Tree, steps: int = 0) -> Callable[..., Any]:
             return *parts, settled
         return jax.lax.fori_loop(0, steps, lambda _, at: tuple(step(*at)[0]), (qpos, qvel, cold))
 
-    def batch(values: Any, *at: Any) -> Any:
-        return moved(values, *(jnp.moveaxis(jnp.asarray(x, float), 0, -1) for x in at))
-
-    jitted = jax.jit(batch, compiler_options=compute.compiler_options("tree"))
-    return lambda *args: jax.tree.map(lambda x: np.moveaxis(np.asarray(x), -1, 0), jitted(*args))
+    many = jax.vmap(one_world(moved), in_axes=(None, 0, 0, 0))
+    jitted = jax.jit(many, compiler_options=compute.compiler_options("tree"))
+    return lambda values, *at: jax.tree.map(np.asarray, jitted(values, *(jnp.asarray(x, float) for x in at)))

@@ -12,6 +12,8 @@ from typing import Any, Literal, NamedTuple, TypeAlias
 import jax
 import numpy as np
 
+from humanoid_mjx.kernels.fallback import given_up
+
 Arithmetic = Literal["scalars", "tree", "arrays"]
 """Arithmetic of a task: scalars of many worlds (finite tasks, the chain), the tree's scalars, or arrays (MJX)."""
 
@@ -67,7 +69,8 @@ def _for(arithmetics: str, programs: str) -> frozenset[tuple[Arithmetic, Program
 
 TABLE = (
     # Multi-output fusion, see `XLA_FLAGS`: chain dynamics are 5 times faster on a CPU, tabular learning 1.2 to 1.7
-    # times, tile coding on the chain 2 times. No effect on others, some of which abort.
+    # times, tile coding on the chain 2 times, what XLA computes beside the tree's kernel 1.1 to 1.4 times. No effect on
+    # others, some of which abort, as does the tree's time step without a kernel.
     Option(PASSES, "none", None, _for("scalars tree", "simulation tabular approximate")),
     # No sums and products by the library YNNPACK. That of jaxlib 0.10.2 writes beyond its stack where a sum has seven
     # axes, as evaluation on MJX has with runs, snapshots and episodes side by side, and the process crashes (jax issues
@@ -117,6 +120,8 @@ def compiler_options(arithmetic: Arithmetic, program: Program = "simulation", ev
     options = {
         row.name: row.value for row in TABLE if row.backend in (None, backend) and (arithmetic, program) in row.programs
     }
+    if arithmetic == "tree" and (given_up() or jax.config.read("jax_enable_x64")):
+        options.pop(PASSES, None)
     if every_device and backend == "cpu" and jax.local_device_count() > 1 and PASSES in options:
         options[PASSES] = f"{options[PASSES]},{SPLITTING}"
     return dict(_known(tuple(options.items()), backend))

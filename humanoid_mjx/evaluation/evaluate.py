@@ -78,4 +78,5 @@ def _program(arithmetic: Arithmetic, program: Program) -> Callable[..., Episode]
         return rollout(learner.env, agent(learner, policy, number), key, discount)
 
     many = jax.vmap(episode, in_axes=(None, None, None, 0))
-    return with_fallback(jax.jit(many, compiler_options=compiler_options(arithmetic, program)))
+    # The options are looked up at each call: without kernels they are others. jax compiles once for each.
+    return with_fallback(lambda *args: jax.jit(many, compiler_options=compiler_options(arithmetic, program))(*args))

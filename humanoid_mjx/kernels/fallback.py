@@ -6,12 +6,13 @@ anew, LLVM or Triton may fail: then a warning says so, and the program goes on.
 
 import logging
 from collections.abc import Callable
+from contextvars import ContextVar
 from functools import wraps
 from typing import Any
 
 import jax
 
-SLOWER = {"cpu": "about 12 times", "gpu": "about 6 times"}
+SLOWER = {"cpu": "about 30 times", "gpu": "about 6 times"}
 """Time that XLA takes in units of a kernel's, by backend: of 40 time steps of 2,048 lower bodies that move, on two
 cores; of a training of `walk` on one H200 (`docs/bench/h200_one_kernel.json`)."""
 
@@ -29,6 +30,14 @@ def given_up() -> str | None:
     return _given_up[0] if _given_up else None
 
 
+_again: ContextVar[bool] = ContextVar("_again", default=False)
+"""True within a call that `with_fallback` would repeat."""
+
+
+class NoKernelError(Exception):
+    """A kernel could not be made; the program is traced again without kernels."""
+
+
 def warn(error: BaseException) -> None:
     """Warn, once for each reason, that XLA computes what a kernel would."""
     words = (str(error).strip() or "no message").splitlines()[0]
@@ -42,15 +51,29 @@ def warn(error: BaseException) -> None:
         )
 
 
+def by_xla_instead(error: Exception) -> None:
+    """Warn that XLA computes what a kernel would, while it is traced.
+
+    Raises:
+      NoKernelError: the program should be traced and compiled again, with XLA's options for programs without kernels.
+    """
+    warn(error)
+    if _again.get():
+        raise NoKernelError from error
+
+
 def give_up(error: BaseException) -> bool:
-    """Make no more kernels in this process, if an error is of compiling one.
+    """Make no more kernels in this process, if an error is of making one.
 
     Returns:
       True if the program should be traced and compiled again, without kernels.
     """
-    if _given_up or not any(word in f"{type(error).__name__} {error}".lower() for word in WORDS):
+    if _given_up:
         return False
-    warn(error)
+    if not isinstance(error, NoKernelError):
+        if not any(word in f"{type(error).__name__} {error}".lower() for word in WORDS):
+            return False
+        warn(error)
     _given_up.append(reasons[-1])
     jax.clear_caches()
     return True
@@ -64,12 +87,15 @@ def with_fallback(function: Callable[..., Any], renew: Callable[[], object] = la
 
     @wraps(function)
     def call(*args: Any) -> Any:
+        before = _again.set(not _given_up)
         try:
             return function(*args)
         except Exception as error:
             if not give_up(error):
                 raise
-            renew()
-            return function(*args)
+        finally:
+            _again.reset(before)
+        renew()
+        return function(*args)
 
     return call

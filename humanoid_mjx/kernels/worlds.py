@@ -64,44 +64,59 @@ def why_not(function: Callable[..., Any], args: tuple[Any, ...], many: tuple[boo
     return None
 
 
+def one_world(function: Callable[..., Any], *static: Any) -> Callable[..., Any]:
+    """`function`, with `static` for its first arguments, of arrays without an axis of worlds.
+
+    `function` computes one world, and is written for arrays with a last axis of length 1.
+    """
+    written = jax.jit(partial(function, *static))  # lowered once however often a program calls it
+
+    def call(*args: Any) -> Any:
+        found = written(*jax.tree.map(lambda x: jnp.asarray(x)[..., None], args))
+        return jax.tree.map(lambda x: x[..., 0] if jnp.ndim(x) else jnp.asarray(x), found)
+
+    return call
+
+
 @lru_cache
-def worlds_last(
-    function: Callable[..., Any], *static: Any, lanes: int = 0, plain: tuple[Any, ...] | None = None
-) -> Callable[..., Any]:
-    """`function`, with `static` for its first arguments, as one of a single world.
+def one_kernel(function: Callable[..., Any], *static: Any, lanes: int = 1) -> Callable[..., Any]:
+    """`one_world(function, *static)`, such that `jax.vmap` of it, once or nested, is one kernel.
 
-    Under `jax.vmap`, once or nested, the function gets all worlds at once, in the last axis of every array. It takes
-    and returns pytrees of arrays, and must not mix worlds. A result that all worlds share may lack the axis. The
-    function is traced once for each number of worlds, whatever programs use it.
-
-    `lanes`: if not 0, compute in one kernel rather than in those that XLA makes: on a CPU `cpu_kernel`, on a GPU
-    `gpu_kernel` with a thread for each of so many lanes of a world, and there many worlds alone.
-    `plain`: first arguments in the place of `static` where the kernel cannot be made, and XLA computes instead.
+    The function takes and returns pytrees of arrays. It is traced once for each number of worlds, whatever programs use
+    it. On a GPU a world has a thread for each of so many `lanes`, and a world alone is computed by XLA.
     """
     written, on_cpu = jax.jit(partial(function, *static)), jax.default_backend() == "cpu"
-    by_xla = jax.jit(partial(function, *plain)) if plain else written
-    # Lowered once however often a program calls it.
     kernel = jax.jit(partial(cpu_kernel, written) if on_cpu else partial(gpu_kernel, written, lanes=lanes))
+    by_xla = jax.vmap(one_world(function, *static), in_axes=-1, out_axes=-1)
     failed: list[Exception] = []
 
     def computed(*args: Any) -> Any:
-        if lanes and not failed:
+        alone = jax.tree.leaves(args)[0].shape[-1] == 1
+        if not failed and (on_cpu or not alone):
             try:
                 return kernel(*args)
             except Exception as error:  # whatever it is, XLA does not need it
-                fallback.warn(error)
                 failed.append(error)
+                fallback.by_xla_instead(error)
         return by_xla(*args)
 
-    def single(*args: Any) -> Any:
-        one = computed if on_cpu else by_xla
-        found = one(*jax.tree.map(lambda x: jnp.asarray(x)[..., None], args))
-        return jax.tree.map(lambda x: x[..., 0] if jnp.ndim(x) else jnp.asarray(x), found)
+    return worlds_last(computed, contiguous=True)
 
-    @custom_vmap
-    def many(*args: Any) -> Any:
-        worlds = jax.tree.leaves(args)[0].shape[-1]
-        return jax.tree.map(lambda x: jnp.broadcast_to(x, (*jnp.shape(x)[:-1], worlds)), computed(*args))
+
+@lru_cache
+def worlds_last(function: Callable[..., Any], *static: Any, contiguous: bool = False) -> Callable[..., Any]:
+    """`function`, with `static` for its first arguments, as one of a single world.
+
+    Under `jax.vmap`, once or nested, the function gets all worlds at once, in the last axis of every array. It takes
+    and returns pytrees of arrays, and must not mix worlds. `contiguous`: see `_contiguous`.
+    """
+    written = partial(function, *static)
+
+    def single(*args: Any) -> Any:
+        found = written(*jax.tree.map(lambda x: jnp.asarray(x)[..., None], args))
+        return jax.tree.map(lambda x: x[..., 0], found)
+
+    many = custom_vmap(written)
 
     @many.def_vmap
     def _(runs: int, batched: Any, *args: Any) -> tuple[Any, Any]:
@@ -123,7 +138,7 @@ def worlds_last(
 
         found = many(*jax.tree.map(last, args, tuple(batched)))
         found = jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), found)
-        return jax.tree.map(_contiguous, found) if lanes else found, jax.tree.map(lambda _: True, found)
+        return jax.tree.map(_contiguous, found) if contiguous else found, jax.tree.map(lambda _: True, found)
 
     return batched
 

@@ -21,7 +21,7 @@ from humanoid_mjx.compute import Arithmetic
 from humanoid_mjx.control.drives import limited
 from humanoid_mjx.control.stages import Stages
 from humanoid_mjx.kernels.fallback import given_up
-from humanoid_mjx.kernels.worlds import worlds_last
+from humanoid_mjx.kernels.worlds import one_kernel, one_world
 from humanoid_mjx.mechanics.contacts import Contacts, jacobian_of, no_contacts
 from humanoid_mjx.mechanics.scalars import unstack
 from humanoid_mjx.mechanics.tree import sensing
@@ -65,8 +65,8 @@ class TreePhysics(MujocoPhysics):
     def step(self, world: World, controller: Controller) -> tuple[World, Float[Array, " joints"]]:
         """A world that diverges in the step, or whose contacts were not found, stays where it was."""
         values = self._values()
-        torque, state = self._ask(values, world, controller)
-        return World(*self._move(_advance, values, state, world, torque)), torque
+        torque = self._ask(values, world, controller)
+        return World(*self._move(_advance, values, world, torque)), torque
 
     def run(self, world: World, controller: Controller, cycles: int) -> World:
         return super().run(_batched(world, world), controller, cycles)
@@ -76,8 +76,8 @@ class TreePhysics(MujocoPhysics):
 
         def cycle(carry: tuple[World, Any], last: BoolScalar) -> tuple[tuple[World, Any], None]:
             now = carry[0]
-            torque, state = self._ask(values, now, controller)
-            parts, seen = self._move(_advance_sensed, values, state, now, torque, last)
+            torque = self._ask(values, now, controller)
+            parts, seen = self._move(_advance_sensed, values, now, torque, last)
             return (World(*parts), (now.qpos[self.joint_qpos], torque, seen)), None
 
         last, unroll = jnp.arange(cycles) == cycles - 1, self._unroll(controller, cycles)
@@ -86,11 +86,11 @@ class TreePhysics(MujocoPhysics):
 
     def sense(self, world: World, torque: Float[AnyArray, " joints"]) -> Sensed:
         values, torque = self._values(), self._within(torque)
-        seen = self._move(_advance_sensed, values, None, world, torque, jnp.bool_(True))[1]
+        seen = self._move(_advance_sensed, values, world, torque, jnp.bool_(True))[1]
         return self._seen(world.qpos[self.joint_qpos], torque, seen)
 
     def poses(self, world: World) -> Poses:
-        return Poses(*worlds_last(sensing.poses, self.tree)(self._state(self._values(), world)))
+        return Poses(*one_world(sensing.poses, self.tree)(self._state(self._values(), world)))
 
     def _seen(self, encoders: Any, torque: Any, seen: tuple[Any, ...]) -> Sensed:
         turning, felt, position, rotation, linear, angular, forces = seen
@@ -115,17 +115,13 @@ class TreePhysics(MujocoPhysics):
         return mechanics.Values(mass, friction, damping, gravity=gravity, push=push, terrain=terrain)
 
     def _state(self, values: mechanics.Values, world: World) -> mechanics.State:
-        return worlds_last(_state, self.tree)(values, world.qpos, world.qvel)
+        return one_world(_state, self.tree)(values, world.qpos, world.qvel)
 
-    def _move(
-        self, function: Any, values: mechanics.Values, state: mechanics.State | None, world: World, *given: Any
-    ) -> Any:
-        """`_advance` or `_advance_sensed`; of float32 one kernel, that makes the state rather than read it."""
+    def _move(self, function: Any, values: mechanics.Values, world: World, *given: Any) -> Any:
+        """`_advance` or `_advance_sensed`, of float32 in one kernel."""
         tree = self.tree
-        if not _kernels_run():
-            return worlds_last(function, tree)(values, state, tuple(world), *given)
-        kernel = worlds_last(function, tree._replace(threads=True), lanes=tree.lanes, plain=(tree,))
-        return kernel(values, None, tuple(world), *given)
+        move = one_kernel(function, tree, lanes=tree.lanes) if _kernels_run() else one_world(function, tree)
+        return move(values, tuple(world), *given)
 
     def _within(self, torque: Any) -> Float[Array, " joints"]:
         factor, torque = jnp.asarray(self.torque_limit, float), jnp.asarray(torque, float)
@@ -151,12 +147,10 @@ class TreePhysics(MujocoPhysics):
             return False
         return True
 
-    def _ask(
-        self, values: mechanics.Values, world: World, controller: Controller
-    ) -> tuple[Float[Array, " joints"], mechanics.State | None]:
-        """Return the torque that the controller commands, and the state if it used any of it."""
+    def _ask(self, values: mechanics.Values, world: World, controller: Controller) -> Float[Array, " joints"]:
+        """Return the torque that the controller commands."""
         state = Once(partial(self._state, values, world))
-        dynamics = worlds_last(sensing.dynamics, self.tree)
+        dynamics = one_world(sensing.dynamics, self.tree)
 
         def of_other(physics: TreePhysics) -> tuple[Float[Array, "nv nv"], Float[Array, " nv"]]:
             return dynamics(self._state(physics._values(), world))
@@ -164,7 +158,7 @@ class TreePhysics(MujocoPhysics):
         def contacts() -> Contacts:
             if not self.tree.feet:
                 return no_contacts(len(world.qvel))
-            motion, drifts, *poses = worlds_last(sensing.moving, self.tree)(state())
+            motion, drifts, *poses = one_world(sensing.moving, self.tree)(state())
             link, arm = self._corners(Poses(*poses))
             position, (spin, rate, linear) = poses[0][link] + arm, jnp.unstack(drifts[link], axis=1)
             drift = linear + jnp.cross(rate, arm) + jnp.cross(spin, jnp.cross(spin, arm))
@@ -172,8 +166,7 @@ class TreePhysics(MujocoPhysics):
             jacobian = jacobian_of(position, self.ground_points[1], motion, origin)
             return Contacts(position, jacobian, drift, position[:, 2] <= 0.0)
 
-        torque = self._within(controller(self._stages(world, lambda: dynamics(state()), of_other, contacts)))
-        return torque, state.made
+        return self._within(controller(self._stages(world, lambda: dynamics(state()), of_other, contacts)))
 
 
 def _kernels_run() -> bool:
@@ -188,7 +181,7 @@ def _batched(tree: Any, world: World) -> Any:
     return jax.tree.map(lambda part: jnp.where(same, part, part), tree)
 
 
-# The functions below compute many worlds at once; the axis of worlds is the last.
+# The functions below compute one world, in arrays whose last axis has length 1.
 
 Parts = tuple[Any, ...]
 """The parts of `World`, in its order."""
@@ -208,16 +201,16 @@ class _Step(NamedTuple):
     motor: Any
 
 
-def _solved(tree: Tree, values: mechanics.Values, state: mechanics.State | None, world: Parts, torque: Any) -> _Step:
+def _solved(tree: Tree, values: mechanics.Values, world: Parts, torque: Any) -> _Step:
     qpos, qvel, warmstart, diverged = world
-    state = state or _state(tree, values, qpos, qvel)
+    state = _state(tree, values, qpos, qvel)
     motor, near = mechanics.motor_forces(tree, unstack(torque)), mechanics.folded(unstack(warmstart), tree.dofs)
     return _Step(state, *mechanics.accelerate(tree, values, state, motor, near, diverged), motor)
 
 
-def _advance(tree: Tree, values: mechanics.Values, given: mechanics.State | None, world: Parts, torque: Any) -> Parts:
+def _advance(tree: Tree, values: mechanics.Values, world: Parts, torque: Any) -> Parts:
     """One time step."""
-    return _moved(tree, values, _solved(tree, values, given, world, torque), world)
+    return _moved(tree, values, _solved(tree, values, world, torque), world)
 
 
 def _moved(tree: Tree, values: mechanics.Values, step: _Step, world: Parts) -> Parts:
@@ -237,11 +230,10 @@ def _moved(tree: Tree, values: mechanics.Values, step: _Step, world: Parts) -> P
 
 
 def _advance_sensed(
-    tree: Tree, values: mechanics.Values, given: mechanics.State | None, world: Parts, torque: Any, last: Any
+    tree: Tree, values: mechanics.Values, world: Parts, torque: Any, last: Any
 ) -> tuple[Parts, tuple[Any, ...]]:
-    """One time step, and what is true at its beginning; where it is the `last` one of no world, zeros, which cost
-    little."""
-    step = _solved(tree, values, given, world, torque)
+    """One time step, and what is true at its beginning; where it is not the `last` one, zeros, which cost little."""
+    step = _solved(tree, values, world, torque)
 
     def seen() -> tuple[Any, ...]:
         found = sensing.sensed(tree, tree.gravity if values.gravity is None else values.gravity, *step[:3])

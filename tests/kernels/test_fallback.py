@@ -74,10 +74,10 @@ FAULTS = {
 def kernels_again():
     """Kernels are made anew before and after each test."""
     cpu_kernel.forget()
-    worlds.worlds_last.cache_clear()
+    worlds.one_kernel.cache_clear()
     programs.cache_clear()
     yield
-    for cached in (cpu_kernel._version, cpu_kernel._machine, worlds.worlds_last, programs):
+    for cached in (cpu_kernel._version, cpu_kernel._machine, worlds.one_kernel, programs):
         cached.cache_clear()
     cpu_kernel.forget()
     fallback.reasons.clear()
@@ -88,9 +88,9 @@ def kernels_again():
 def test_xla_computes_what_a_kernel_would(words, monkeypatch, caplog):
     expected = jax.vmap(wave)(X)
     FAULTS[words](monkeypatch)
-    function = jax.jit(jax.vmap(worlds.worlds_last(wave, lanes=1)))
+    function = jax.jit(jax.vmap(worlds.one_kernel(wave)))
     np.testing.assert_allclose(function(X), expected, rtol=1e-6)
-    np.testing.assert_allclose(jax.jit(jax.vmap(worlds.worlds_last(wave, lanes=1)))(X[:7]), expected[:7], rtol=1e-6)
+    np.testing.assert_allclose(jax.jit(jax.vmap(worlds.one_kernel(wave)))(X[:7]), expected[:7], rtol=1e-6)
     (line,) = caplog.messages
     assert words in line and "XLA computes instead, which takes about" in line and "\n" not in line
 

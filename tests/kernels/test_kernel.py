@@ -16,7 +16,7 @@ from humanoid_mjx.kernels import cpu_kernel as kernels
 from humanoid_mjx.kernels.angles import cosine, sine
 from humanoid_mjx.kernels.cpu_kernel import cpu_kernel
 from humanoid_mjx.kernels.gpu_kernel import gpu_kernel
-from humanoid_mjx.kernels.worlds import worlds_last
+from humanoid_mjx.kernels.worlds import one_world
 from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.mechanics.tree.folding import fold
 from humanoid_mjx.mechanics.tree.reading import read_tree
@@ -280,18 +280,17 @@ def test_a_time_step_is_that_of_xla(case):
     robot = fold(
         read_tree(model, [name for name in IMU if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, name) >= 0])
     )
-    threads = robot._replace(threads=True)
     qpos, qvel, control = (np.float32(x.T) for x in states(model, 100))
     world = qpos, qvel, np.zeros_like(qvel), np.zeros(100, bool)
     last = np.ones(100, bool)
 
     def step(robot, world, control, last):
-        return tree._advance_sensed(robot, Values(), None, world, control, last)
+        return tree._advance_sensed(robot, Values(), world, control, last)
 
-    expected = jax.jit(partial(step, robot))(world, control, last)
+    expected = jax.jit(jax.vmap(one_world(step, robot), -1, -1))(world, control, last)
     assert not expected[0][-1].any()
     for kernel in KERNELS.values():
-        found = jax.jit(partial(kernel, partial(step, threads), lanes=robot.lanes))(world, control, last)
+        found = jax.jit(partial(kernel, partial(step, robot), lanes=robot.lanes))(world, control, last)
         for wanted, got in zip(jax.tree.leaves(expected), jax.tree.leaves(found), strict=True):
             size = np.abs(np.float64(wanted)).max() if wanted.size else 0.0
             # Rounding in another order, made larger by the stiffness of the contacts.
@@ -307,12 +306,12 @@ def test_what_trees_may_have_is_what_threads_can_do(xml):
     qpos, qvel, control = (jnp.zeros((count, 40)) for count in (model.nq, model.nv, model.nu))
 
     def step(robot, terrain, world, control, last):
-        return tree._advance_sensed(robot, Values(terrain=terrain), None, world, control, last)
+        return tree._advance_sensed(robot, Values(terrain=terrain), world, control, last)
 
     given = terrain, (qpos, qvel, qvel, jnp.zeros(40, bool)), control, jnp.ones(40, bool)
-    expected = jax.eval_shape(partial(step, robot), *given)
+    expected = jax.eval_shape(jax.vmap(one_world(step, robot), -1, -1), *given)
     for kernel in KERNELS.values():
-        found = jax.eval_shape(partial(kernel, partial(step, robot._replace(threads=True))), *given)
+        found = jax.eval_shape(partial(kernel, partial(step, robot)), *given)
         assert [x.dtype for x in jax.tree.leaves(found)] == [x.dtype for x in jax.tree.leaves(expected)]
 
 
@@ -343,7 +342,7 @@ def test_loops_of_a_gpu_are_those_of_a_cpu(case, monkeypatch):
     expected = jax.jit(jax.vmap(run))(qpos, qvel)
     monkeypatch.setattr(tree, "_kernels_run", lambda: True)
     monkeypatch.setattr(compute, "why_no_kernel", lambda: None)
-    monkeypatch.setattr(tree, "worlds_last", lambda function, *static, **_: worlds_last(function, *static))
+    monkeypatch.setattr(tree, "one_kernel", lambda function, *static, **_: one_world(function, *static))
     assert pendulum._unroll(controller, 14) == (tree.UNROLL if little else 1)
     assert pendulum._unroll(controller, 3) == (3 if little else 1)
     found = jax.jit(jax.vmap(lambda *at: run(*at)))(qpos, qvel)

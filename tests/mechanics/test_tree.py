@@ -21,17 +21,17 @@ def worlds():
 
 def test_an_unsettled_world_is_flagged_and_stays(monkeypatch, worlds):
     """A single step of the search does not get from standing in the air to falling on both feet and beyond."""
-    from humanoid_mjx.kernels.worlds import worlds_last
+    from humanoid_mjx.kernels.worlds import one_kernel
     from humanoid_mjx.mechanics.tree import search
 
     monkeypatch.setattr(search, "MOST_STEPS", 1)
-    worlds_last.cache_clear()
+    one_kernel.cache_clear()
     qpos = worlds.qpos.at[1, 2].add(1.0)
     start = worlds._replace(qpos=qpos, warmstart=worlds.warmstart.at[:, 2].set(1e3))
     try:
         after = jax.jit(jax.vmap(lambda world: TREE.step(world, lambda stages: jnp.zeros(10))[0]))(start)
     finally:
-        worlds_last.cache_clear()
+        one_kernel.cache_clear()
     np.testing.assert_array_equal(after.diverged, [True, False, True, True])
     np.testing.assert_array_equal(after.qpos[0], start.qpos[0])
     assert (after.qpos[1] != start.qpos[1]).any()

@@ -180,7 +180,8 @@ def _program(arithmetic: Arithmetic) -> Callable[..., dict[str, Array]]:
 
     for mapped in ([4], [3], [1, 2], [0]):
         episode = jax.vmap(episode, in_axes=tuple(0 if place in mapped else None for place in range(6)))
-    return with_fallback(jax.jit(episode, compiler_options=compiler_options(arithmetic)))
+    # As in `evaluate`: the options are looked up at each call.
+    return with_fallback(lambda *args: jax.jit(episode, compiler_options=compiler_options(arithmetic))(*args))
 
 
 def _begin(learner: Learner, key: Key[Array, ""]) -> _Loop:

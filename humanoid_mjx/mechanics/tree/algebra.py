@@ -1,7 +1,5 @@
 """Additions to `mechanics.scalars` for trees: pytrees of scalars, 3x3 matrices, spatial vectors."""
 
-import functools
-import operator
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeVar
 
@@ -14,8 +12,8 @@ from humanoid_mjx.mechanics.tree import structure
 from humanoid_mjx.mechanics.tree.structure import Axes, Table
 
 FEW_PAIRS = 8
-"""Above so many pairs, equal bodies' scalars are shared (`each_of`), and a kernel's thread takes one pair after another
-(`in_turn`). The lower body has 5."""
+"""Above so many pairs, equal bodies' scalars are shared (`each_of`), and pairs are looked at in a loop. The lower body
+has 5."""
 
 
 def _flatten(scalar: Scalar) -> tuple[tuple[Any, ...], float | None]:
@@ -26,6 +24,9 @@ jax.tree_util.register_pytree_node(
     Scalar, _flatten, lambda known, children: Scalar(*children if children else (known,))
 )
 """Numbers that are known while tracing are structure, those that are traced are leaves."""
+
+WORLD = (1,)
+"""The shape of a traced scalar: one world, in the last axis. Axes of contacts and of lanes are before it."""
 
 Tree = TypeVar("Tree")
 
@@ -78,7 +79,7 @@ def number(value: Any) -> Scalar:
 
 
 def known(values: Any) -> Scalar:
-    """A scalar of an array that is known while tracing, with an axis for the worlds behind; a number if all agree."""
+    """A scalar of an array that is known while tracing, with `WORLD` behind; a number if all agree."""
     values = np.asarray(values, np.float64)
     if (values == values.flat[0]).all():
         return Scalar(float(values.flat[0]))
@@ -102,10 +103,10 @@ def in_order(scalars: Sequence[Scalar]) -> Scalar:
     return in_lanes(scalars) if len(scalars) > 1 else Scalar(jnp.atleast_1d(scalars[0].value)[None])
 
 
-def stacked(scalars: Sequence[Scalar], shape: tuple[int, ...]) -> Any:
-    """An array of scalars that all get this shape, with a first axis that counts them."""
-    values = [jnp.broadcast_to(jnp.asarray(scalar.value, float), shape) for scalar in scalars]
-    return jnp.stack(values) if values else jnp.zeros((0, *shape))
+def stacked(scalars: Sequence[Scalar]) -> Any:
+    """An array of scalars without lanes, with a first axis that counts them."""
+    values = [jnp.broadcast_to(jnp.asarray(scalar.value, float), WORLD) for scalar in scalars]
+    return jnp.stack(values) if values else jnp.zeros((0, *WORLD))
 
 
 def lane(scalar: Scalar, index: int) -> Scalar:
@@ -153,7 +154,7 @@ def with_entry(values: Any, index: Any, new: Any) -> Any:
 
 
 def in_turn(function: Callable[..., Tree], *rows: Any, count: Any) -> Tree:
-    """`function` of pytrees of scalars with an axis of rows, which it does not mix, for a kernel's thread.
+    """`function` of pytrees of scalars with an axis of rows, which it does not mix.
 
     The first `count` rows are taken in turn, and what others give is 0: a loop's code stays in the cache of
     instructions.
@@ -170,7 +171,7 @@ def in_turn(function: Callable[..., Tree], *rows: Any, count: Any) -> Tree:
 
 def filled(row: Callable[[Any], Tree], size: Any, count: Any) -> tuple[Any, Tree]:
     """How many rows are filled, and `row` of each of the first `count` indices as a pytree of arrays of this size,
-    which are else 0; for a kernel's thread."""
+    which are else 0."""
 
     def further(carry: tuple[Any, ...]) -> tuple[Any, ...]:
         each = zip(carry[1], jax.tree.leaves(row(carry[0])), strict=True)
@@ -189,11 +190,9 @@ def over_lanes(tree: structure.Tree, scalars: Sequence[Scalar]) -> list[Scalar]:
         value = scalar.value
         if jnp.ndim(value) < 2:
             return scalar * Scalar(float(tree.lanes))
-        if tree.threads and value.shape[-2] == tree.lanes:
+        if value.shape[-2] == tree.lanes:
             return Scalar(value.sum(axis=-2))
-        # By slices: XLA:CPU sums over an axis before that of worlds world by world.
-        pieces = [value[..., min(index, value.shape[-2] - 1), :] for index in range(tree.lanes)]
-        return Scalar(functools.reduce(operator.add, pieces))
+        return Scalar(value[..., 0, :]) * Scalar(float(tree.lanes))
 
     return [one(scalar) for scalar in scalars]
 

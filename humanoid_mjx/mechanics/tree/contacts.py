@@ -73,8 +73,10 @@ class Touch(NamedTuple):
         return [self.close & (residual.value < 0.0) for residual in residuals]
 
     def without_flag(self) -> "Touch":
-        """The same for a kernel's thread, to which a flag is dear: where it is not close no facet pushes, because of
-        its reference acceleration."""
+        """The same contact, of which the reference acceleration says that no facet pushes where it is not close.
+
+        A GPU's thread has few registers for flags.
+        """
         offset = self.offset._replace(x=Scalar(jnp.where(self.close, self.offset.x.value, NEVER)))
         return self._replace(offset=offset, close=True)
 
@@ -219,7 +221,7 @@ def _downwards(way: Vector, normal: Vector) -> Vector:
     return scale(Scalar(jnp.where(dot(way, normal).value > 0.0, -1.0, 1.0)), way)
 
 
-def pair_gaps(pairs: st.Pairs, kinematics: Kinematics) -> Gap:
+def _gaps(pairs: st.Pairs, kinematics: Kinematics) -> Gap:
     """The gaps of pairs, with an axis that counts them."""
     if isinstance(pairs.ones[0], st.Box):
         return Gap(*between_boxes(pairs, kinematics))
@@ -227,9 +229,9 @@ def pair_gaps(pairs: st.Pairs, kinematics: Kinematics) -> Gap:
 
 
 def pair_gap_at(pairs: st.Pairs, kinematics: Kinematics) -> GapAt:
-    """The gap of the pair of a number, for a kernel's thread: that of many capsules is computed when asked for."""
+    """The gap of the pair of a number: that of many capsules is computed when asked for."""
     if len(pairs.ones) <= FEW_PAIRS or isinstance(pairs.ones[0], st.Box):
-        gaps = jax.tree.map(lambda v: jnp.broadcast_to(v, (len(pairs.ones), 1)), pair_gaps(pairs, kinematics))
+        gaps = jax.tree.map(lambda v: jnp.broadcast_to(v, (len(pairs.ones), 1)), _gaps(pairs, kinematics))
         return lambda index: jax.tree.map(lambda v: entry_at(v, index), gaps)
     every = list(dict.fromkeys([*pairs.ones, *pairs.twos]))
     table = jax.tree.map(lambda v: jnp.broadcast_to(v, (len(every), 1)), _capsules(every, kinematics))

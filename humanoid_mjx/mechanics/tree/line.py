@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from humanoid_mjx.mechanics.scalars import Scalar
-from humanoid_mjx.mechanics.tree.algebra import lane
+from humanoid_mjx.mechanics.tree.algebra import WORLD
 from humanoid_mjx.mechanics.tree.inertia import product
 from humanoid_mjx.mechanics.tree.pairs import Slots
 from humanoid_mjx.mechanics.tree.problem import Active, Problem, ground_residuals
@@ -22,12 +22,12 @@ downhill. At this share a thousandth of a Go1's worlds did not settle with 4 ste
 class Rows(NamedTuple):
     """Constraints along a line: their residuals are `start + share * slope`."""
 
-    weight: Float[Array, "rows lanes worlds"]
+    weight: Float[Array, "rows lanes 1"]
     """0 where a constraint does not count."""
-    start: Float[Array, "rows lanes worlds"]
-    slope: Float[Array, "rows lanes worlds"]
+    start: Float[Array, "rows lanes 1"]
+    slope: Float[Array, "rows lanes 1"]
 
-    def at(self, share: Any) -> Float[Array, "rows lanes worlds"]:
+    def at(self, share: Any) -> Float[Array, "rows lanes 1"]:
         """The residuals."""
         return self.start + share * self.slope
 
@@ -41,17 +41,16 @@ def lowest_share(
     after: Sequence[Scalar],
     known: Any,
 ) -> Any:
-    """The share of the way from `before` to `after` at which the problem is lowest, by world.
+    """The share of the way from `before` to `after` at which the problem is lowest, in this world.
 
     The slope along the way is zero at `after` as long as the same facets push. So only facets that change add to it:
     no large forces cancel, and float32 finds a facet that changes even where little is gained. `active`: the facets
-    that push in the equations that `after` solves. `known`: worlds whose share is of no use.
+    that push in the equations that `after` solves. `known`: true where the share is of no use.
     """
-    worlds = jnp.broadcast_shapes(*(jnp.shape(v.value)[-1:] for v in after))
     way = [two - one for one, two in zip(before, after, strict=True)]
     curve = _along(tree, way, product(tree, problem.matrix, way))
-    pushing, pushed = _pushing(tree, problem, slots, active, before, after, worlds)
-    rubbing, (most, up, down) = _rubbing(tree, problem, active, before, after, worlds)
+    pushing, pushed = _pushing(tree, problem, slots, active, before, after)
+    rubbing, (most, up, down) = _rubbing(tree, problem, active, before, after)
     push, rub = (rows.weight * rows.slope for rows in (pushing, rubbing))
     held = _sum(tree, jnp.where(pushed, push * pushing.slope, 0.0))
     whole = curve + held + _sum(tree, jnp.where(up | down, 0.0, rub * rubbing.slope))
@@ -72,12 +71,13 @@ def lowest_share(
         low, high = jnp.where(first < 0.0, share, low), jnp.where(first < 0.0, high, share)
         new = share - first / jnp.where(second > 0.0, second, 1.0)
         halfway = jnp.where(jnp.isfinite(high), 0.5 * (low + high), 2.0 * share)
-        new = jnp.where((new > low) & (new < high), new, halfway)
+        found = first == 0.0
+        new = jnp.where(((new > low) & (new < high)) | found, new, halfway)
         near = jnp.abs(new - share) <= NEAR * share
-        return new, low, high, near | (first == 0.0) | known, count + 1
+        return new, low, high, near | found | known, count + 1
 
-    start = jnp.ones(worlds, curve.dtype)
-    carry = start, jnp.zeros_like(start), jnp.full_like(start, jnp.inf), jnp.zeros(worlds, bool), jnp.int32(0)
+    start = jnp.ones(WORLD, curve.dtype)
+    carry = start, jnp.zeros_like(start), jnp.full_like(start, jnp.inf), jnp.zeros(WORLD, bool), jnp.int32(0)
     return jax.lax.while_loop(lambda carry: ~carry[3].all() & (carry[4] < MOST_ROUNDS), step, carry)[0]
 
 
@@ -86,13 +86,10 @@ def _along(tree: Tree, way: Sequence[Scalar], force: Sequence[Scalar]) -> Any:
     total: Any = 0.0
     lanes: Any = jnp.zeros((tree.lanes, 1))
     for dof, both in enumerate(zip(way, force, strict=True)):
-        if tree.threads and tree.laned(dof):
+        if tree.laned(dof):
             lanes = lanes + (both[0] * both[1]).value
-            continue
-        # XLA:CPU makes vectors of products of slices, but not of slices of products.
-        for index in range(len(tree.dofs[dof])):
-            one, two = (lane(scalar, index) for scalar in both)
-            total = total + (one * two).value
+        else:
+            total = total + (both[0] * both[1]).value
     return total + lanes.sum(axis=0)
 
 
@@ -103,15 +100,14 @@ def _pushing(
     active: Active,
     before: Sequence[Scalar],
     after: Sequence[Scalar],
-    worlds: tuple[int, ...],
-) -> tuple[Rows, Bool[Array, "rows lanes worlds"]]:
+) -> tuple[Rows, Bool[Array, "rows lanes 1"]]:
     """One-sided constraints, facets of contacts and ends of ranges, and which of them `active` has."""
     found: list[tuple[Any, ...]] = []
     grounds = (ground_residuals(tree, problem.kinematics, problem.ground, x) for x in (before, after))
     for points, touch, flags, one, two in zip(tree.ground, problem.ground, active.ground, *grounds, strict=True):
         lanes = (tree.lanes,) * tree.bodies[points.body].laned
         count = tree.points_each(points)
-        shape = (*(count,) * (count > 1), *lanes, *worlds)
+        shape = (*(count,) * (count > 1), *lanes, *WORLD)
         for flag, a, b in zip(flags, touch.facets(one), touch.facets(two), strict=True):
             found.append(_row(touch.close, touch.weight, a, b, shape, flag))
     if slots:
@@ -119,10 +115,10 @@ def _pushing(
         for flag, a, b in zip(active.pairs, *ends, strict=True):
             found.append(_row(touch.close, touch.weight, a, b, touch.close.shape, flag))
     for dof, stop in problem.stops.items():
-        shape = (*(tree.lanes,) * tree.laned(dof), *worlds)
+        shape = (*(tree.lanes,) * tree.laned(dof), *WORLD)
         ends = stop.residual(before[dof]), stop.residual(after[dof])
         found.append(_row(stop.close, stop.weight, *ends, shape, active.stops[dof]))
-    *rows, pushed = _together(found, (float, float, float, bool), tree, worlds)
+    *rows, pushed = _together(found, (float, float, float, bool), tree)
     return Rows(*rows), pushed
 
 
@@ -132,15 +128,14 @@ def _rubbing(
     active: Active,
     before: Sequence[Scalar],
     after: Sequence[Scalar],
-    worlds: tuple[int, ...],
 ) -> tuple[Rows, tuple[Any, Any, Any]]:
     """Dry friction, its largest forces, and where `active` has these, against a positive and a negative residual."""
     found = []
     for dof, slip in problem.slips.items():
-        shape = (*(tree.lanes,) * tree.laned(dof), *worlds)
+        shape = (*(tree.lanes,) * tree.laned(dof), *WORLD)
         ends = slip.residual(before[dof]), slip.residual(after[dof])
         found.append(_row(True, slip.weight, *ends, shape, slip.most.value, *active.slips[dof]))
-    *rows, most, up, down = _together(found, (float, float, float, float, bool, bool), tree, worlds)
+    *rows, most, up, down = _together(found, (float, float, float, float, bool, bool), tree)
     return Rows(*rows), (most, up, down)
 
 
@@ -149,28 +144,23 @@ def _row(close: Any, weight: Scalar, one: Scalar, two: Scalar, shape: tuple[int,
     return tuple(jnp.broadcast_to(jnp.asarray(part), shape) for part in parts)
 
 
-def _together(found: Sequence[tuple[Any, ...]], types: Sequence[type], tree: Tree, worlds: Any) -> list[Any]:
+def _together(found: Sequence[tuple[Any, ...]], types: Sequence[type], tree: Tree) -> list[Any]:
     """The parts of all rows, one below the other; of each type even where there are no rows.
 
-    Where threads have one lane each, constraints of which each lane has its own keep the axis, and the others are
-    spread over the lanes. On a CPU, where that is slower by an eighth (Go1), the axis has length 1.
+    Constraints of which each lane has its own keep the axis, and the others are spread over the lanes.
     """
-    lanes = tree.lanes if tree.threads else 1
+    lanes = tree.lanes
 
     def rows(parts: Sequence[Any], kind: type) -> Any:
-        own = [part.reshape(-1, lanes, *worlds) for part in parts if part.shape[-2:-1] == (lanes,)]
-        others = [part.reshape(-1, *worlds) for part in parts if part.shape[-2:-1] != (lanes,)]
+        own = [part.reshape(-1, lanes, *WORLD) for part in parts if part.shape[-2:-1] == (lanes,)]
+        others = [part.reshape(-1, *WORLD) for part in parts if part.shape[-2:-1] != (lanes,)]
         lack = -sum(len(part) for part in others) % lanes
-        others = jnp.concatenate([*others, jnp.zeros((lack, *worlds), kind)])
-        return jnp.concatenate([*own, others.reshape(-1, lanes, *worlds)])
+        others = jnp.concatenate([*others, jnp.zeros((lack, *WORLD), kind)])
+        return jnp.concatenate([*own, others.reshape(-1, lanes, *WORLD)])
 
     parts = zip(*found, strict=True) if found else [()] * len(types)
     return [rows(part, kind) for part, kind in zip(parts, types, strict=True)]
 
 
-def _sum(tree: Tree, rows: Float[Array, "rows lanes worlds"]) -> Float[Array, " worlds"]:
-    if tree.threads:
-        return rows.sum(axis=0).sum(axis=0)
-    # XLA:CPU sums over an axis before that of worlds world by world, but multiplies a matrix in vectors.
-    flat = rows.reshape(-1, rows.shape[-1])
-    return jnp.ones(len(flat), flat.dtype) @ flat
+def _sum(tree: Tree, rows: Float[Array, "rows lanes 1"]) -> Float[Array, " 1"]:
+    return rows.sum(axis=0).sum(axis=0)

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 
 from humanoid_mjx.mechanics.scalars import ONE, ZERO, Scalar, dot, unstack
-from humanoid_mjx.mechanics.tree.algebra import entry_at, folded, root, stacked, unfolded, with_entry
+from humanoid_mjx.mechanics.tree.algebra import WORLD, entry_at, folded, root, stacked, unfolded, with_entry
 from humanoid_mjx.mechanics.tree.contacts import Touch
 from humanoid_mjx.mechanics.tree.inertia import Factors
 from humanoid_mjx.mechanics.tree.pairs import Flags, Slots
@@ -29,20 +29,20 @@ Rows = list[list[Scalar]]
 
 def with_pairs(tree: Tree, slots: Slots, active: Flags, factors: Factors, x: Sequence[Scalar]) -> list[Scalar]:
     """The solution of the equations with these facets in them, from that without, `x`."""
-    worlds, size = active[0].shape[1:], sum(map(len, tree.dofs))
+    size = sum(map(len, tree.dofs))
     axes = 1 if slots.touch.friction is None else 3
     most, own = len(active[0]), (slots.rows, slots.touch._replace(close=()), active)
     index = jnp.arange(most, dtype=jnp.int32)
     pushing = functools.reduce(jnp.logical_or, active).any(axis=1)
 
     def after(last: Any) -> Any:
-        """The next contact that pushes in any world; a kernel's thread has one world."""
+        """The next contact that pushes."""
         return jnp.where(pushing & (index > last), index, most).min()
 
     def further(carry: tuple[Any, ...]) -> tuple[Any, ...]:
         count, place, start, *pasts = carry
         along, touch, flags = jax.tree.map(lambda v: entry_at(v, place), own)
-        flags = [flag & (place < most) for flag in flags]  # threads that have ended compute on with others
+        flags = [flag & (place < most) for flag in flags]  # a world that has ended computes on with others
         rows = [[along[dof][axis] if dof in along else ZERO for dof in range(size)] for axis in range(axes)]
         columns = [unfolded(factors.solve(folded(row, tree.dofs)), tree.dofs) for row in rows]
 
@@ -51,19 +51,19 @@ def with_pairs(tree: Tree, slots: Slots, active: Flags, factors: Factors, x: Seq
             felt = [[dot(column, row) for column in others] for row in rows]
             shares = [[dot(line, part) for line in inner] for part in felt]
             each = zip(_rows(columns, axes), shares, strict=True)
-            return stacked([v for column, share in each for v in _less(column, share, others)], worlds)
+            return stacked([v for column, share in each for v in _less(column, share, others)])
 
-        columns = jax.lax.fori_loop(0, count, with_another, stacked([v for column in columns for v in column], worlds))
+        columns = jax.lax.fori_loop(0, count, with_another, stacked([v for column in columns for v in column]))
         whole, (x,), columns = columns, _rows(start, 1), _rows(columns, axes)
         inner = _inner(touch, flags, [[dot(row, column) for column in columns] for row in rows])
         residual = [dot(row, x) + offset for row, offset in zip(rows, touch.offset, strict=False)]
         x = _less(x, [dot(line, residual) for line in inner], columns)
-        made = whole, stacked([entry for line in inner for entry in line], worlds)
+        made = whole, stacked([entry for line in inner for entry in line])
         pasts = [with_entry(past, count, new) for past, new in zip(pasts, made, strict=True)]
-        return count + 1, after(place), stacked(x, worlds), *pasts
+        return count + 1, after(place), stacked(x), *pasts
 
-    start = stacked(unfolded(x, tree.dofs), worlds)
-    nothing = (jnp.zeros((most, axes * count, *worlds), start.dtype) for count in (size, axes))
+    start = stacked(unfolded(x, tree.dofs))
+    nothing = (jnp.zeros((most, axes * count, *WORLD), start.dtype) for count in (size, axes))
     begin = jnp.int32(0), after(jnp.int32(-1)), start, *nothing
     found = jax.lax.while_loop(lambda carry: carry[1] < most, further, begin)[2]
     return folded(unstack(found), tree.dofs)

@@ -1,7 +1,6 @@
 """Contacts between bodies of a tree.
 
-Few bodies touch at a time: the contacts of each world that are close are gathered, and loops over these end with the
-world that has most.
+Few bodies touch at a time: contacts that are close are gathered, and loops over these are short.
 """
 
 import functools
@@ -16,6 +15,7 @@ from jaxtyping import Array, Bool
 from humanoid_mjx.mechanics.scalars import NULL, ZERO, Scalar, Vector, add, scale
 from humanoid_mjx.mechanics.tree.algebra import (
     FEW_PAIRS,
+    WORLD,
     Spatial,
     entry_at,
     filled,
@@ -36,7 +36,7 @@ SLOTS = 8
 """Contacts between bodies that a world may have at a time, those of two boxes corner by corner. With room for 16,
 humanoids that are thrown about are 13 to 15 % slower on a GPU, and no fewer of them are lost."""
 
-Flags = list[Bool[Array, "slots worlds"]]
+Flags = list[Bool[Array, "slots 1"]]
 """Masks of the facets that push."""
 
 Bodies = tuple[Scalar, Scalar]
@@ -65,7 +65,7 @@ class Slots(NamedTuple):
     """The rows of G: by degree of freedom, those of all lanes one by one, but for those that part the bodies of no
     pair."""
     count: Any
-    """The most contacts of any world."""
+    """How many there are."""
 
     def facets(self, tree: Tree, x: Sequence[Scalar]) -> list[Scalar]:
         """By how much the bodies part faster than they should, along each facet."""
@@ -77,9 +77,7 @@ class Slots(NamedTuple):
                 residual = add(residual, scale(rates[dof], row))
             return touch.facets(residual)
 
-        if tree.threads:
-            return in_turn(facets, self.touch, self.rows, count=self.count)
-        return facets(self.touch, self.rows)
+        return in_turn(facets, self.touch, self.rows, count=self.count)
 
     def active(self, tree: Tree, x: Sequence[Scalar]) -> Flags:
         """Masks of the facets that push."""
@@ -91,50 +89,12 @@ class Slots(NamedTuple):
 
 
 def close_pairs(
-    tree: Tree, problem: Problem, gaps: Sequence[tuple[Gap, Friction]]
-) -> tuple[Slots, Bool[Array, " worlds"]]:
-    """The contacts of the first `SLOTS` pairs that are close in each world, and where more are. `gaps`: those of all
-    pairs, group by group, and their coefficients of friction."""
-    each = zip(tree.pairs, gaps, strict=True)
-    close = jnp.concatenate([gap.distance.value < pairs.surface.margin for pairs, (gap, _) in each])
-    close, size = close & ~jnp.asarray(problem.ended), len(close)
-    contact, facts = _contacts(tree, problem, [friction for _, friction in gaps])
-    every = _joined(tree, [gap for gap, _ in gaps]), *facts
-    index, slots = jnp.arange(size, dtype=jnp.int32)[:, None], min(SLOTS, size)
-
-    def after(last: Any) -> Any:
-        return jnp.where(close & (index > last), index, size).min(axis=0)
-
-    def pick(value: Any, pair: Any) -> Any:
-        if jnp.ndim(value) < 2:
-            return value
-        return jnp.where(index == pair, value, jnp.zeros((), value.dtype)).sum(axis=0)
-
-    def one(first: Any) -> tuple[Touch, dict[int, Vector]]:
-        pair = jnp.minimum(first, size - 1)  # where none is left, the last: all its numbers are finite
-        return contact(pair, first < size, *jax.tree.map(lambda v: pick(v, pair), every))
-
-    def further(carry: tuple[Any, ...]) -> tuple[Any, ...]:
-        count, first, found = carry
-        each = zip(found, jax.tree.leaves(one(first)), strict=True)
-        return count + 1, after(first), [with_entry(array, count, new) for array, new in each]
-
-    def going(carry: tuple[Any, ...]) -> Any:
-        return (carry[1] < size).any() & (carry[0] < slots)
-
-    first = after(jnp.full(close.shape[1:], -1, jnp.int32))
-    leaves, structure = jax.tree.flatten(jax.eval_shape(one, first))
-    nothing = [jnp.zeros((slots, *first.shape), leaf.dtype) for leaf in leaves]
-    count, left, found = jax.lax.while_loop(going, further, (jnp.int32(0), first, nothing))
-    touch, rows = structure.unflatten(found)
-    return Slots(touch, rows, count), left < size
-
-
-def close_pairs_in_turn(
     tree: Tree, problem: Problem, gaps: Sequence[tuple[GapAt, Friction]]
-) -> tuple[Slots, Bool[Array, " worlds"]]:
-    """The same for a kernel's thread, whose world has no axis: it looks at pair after pair, and keeps those that are
-    close."""
+) -> tuple[Slots, Bool[Array, " 1"]]:
+    """The contacts of the first `SLOTS` pairs that are close, and whether more are.
+
+    `gaps`: those of all pairs, group by group, and their coefficients of friction.
+    """
     contact, facts = _contacts(tree, problem, [friction for _, friction in gaps])
     numbers, close = _close_numbers(tree, problem, [at for at, _ in gaps])
     slots = min(SLOTS, sum(len(pairs.ones) for pairs in tree.pairs))
@@ -148,17 +108,17 @@ def close_pairs_in_turn(
         own = jax.tree.map(lambda v: v if jnp.ndim(v) < 2 else entry_at(v, pair), facts)
         return contact(pair, index < close, gap, *own)
 
-    # A counter common to all threads ends the loop: with each thread's own number the lower body was a tenth slower.
+    # A counter that all worlds share ends the loop: with each world's own number the lower body was a tenth slower.
     count, (touch, rows) = filled(one, slots, jnp.minimum(close, slots)[0])
     return Slots(touch, rows, count), close > slots
 
 
 ABREAST = 4
-"""Pairs that a thread looks at together: while one waits for a number, it computes another."""
+"""Pairs that are looked at together: while a thread waits for a number of one, it computes another."""
 
 
 def _close_numbers(tree: Tree, problem: Problem, gaps: Sequence[GapAt]) -> tuple[Any, Any]:
-    """The numbers of the first `SLOTS` pairs that are close in a thread's world, and how many are close."""
+    """The numbers of the first `SLOTS` pairs that are close, and how many are close."""
     first, found = 0, (jnp.zeros((SLOTS + 1, 1), jnp.int32), jnp.zeros(1, jnp.int32))
     for pairs, at in zip(tree.pairs, gaps, strict=True):
         found = _noted(pairs, problem, at, first, found)
@@ -258,8 +218,7 @@ def _joined(tree: Tree, groups: Sequence[Any]) -> Any:
         if len(parts) == 1 or all(part.is_known(parts[0].value) for part in parts):
             return parts[0]
         values = [jnp.asarray(part.value, float) for part in parts]
-        worlds = jnp.broadcast_shapes(*(value.shape[-1:] for value in values), (1,))
-        return Scalar(jnp.concatenate([jnp.broadcast_to(v, (n, *worlds)) for v, n in zip(values, sizes, strict=True)]))
+        return Scalar(jnp.concatenate([jnp.broadcast_to(v, (n, *WORLD)) for v, n in zip(values, sizes, strict=True)]))
 
     return jax.tree.map(join, *groups, is_leaf=lambda part: isinstance(part, Scalar))
 

@@ -28,7 +28,7 @@ from humanoid_mjx.mechanics.tree.algebra import (
     summed,
     total,
 )
-from humanoid_mjx.mechanics.tree.contacts import Friction, Slip, Stop, Touch
+from humanoid_mjx.mechanics.tree.contacts import Friction, GapAt, Slip, Stop, Touch
 from humanoid_mjx.mechanics.tree.inertia import Matrix
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics, motions_of
 from humanoid_mjx.mechanics.tree.structure import GroundPoints, Tree
@@ -141,13 +141,13 @@ class Problem(NamedTuple):
     velocity: list[Scalar]
     """Of the degrees of freedom, in the axes of `State.velocity`."""
     ground: list[Touch]
-    pairs: list[tuple[Any, Friction]]
-    """Gaps of the pairs of bodies, `Gap` or in a kernel `GapAt`, and their coefficients of friction, group by group."""
+    pairs: list[tuple[GapAt, Friction]]
+    """Gaps of the pairs of bodies, and their coefficients of friction, group by group."""
     stops: dict[int, Stop]
     slips: dict[int, Slip]
     """By degree of freedom."""
     ended: Any = False
-    """True of worlds whose solution is of no use: the others do not wait for them."""
+    """True where the solution is of no use, so that other worlds of a kernel do not wait for it."""
 
 
 class Solution(NamedTuple):
@@ -165,11 +165,6 @@ class Active(NamedTuple):
     pairs: list[Any]
     stops: dict[int, Any]
     slips: dict[int, tuple[Any, Any]]
-
-
-def worlds_of(problem: Problem, start: list[Any]) -> tuple[int, ...]:
-    """The shape of a scalar of all worlds."""
-    return jnp.broadcast_shapes(*(jnp.shape(leaf)[-1:] for leaf in jax.tree.leaves((problem, start))))
 
 
 def active_at(tree: Tree, problem: Problem, x: Sequence[Scalar]) -> Active:

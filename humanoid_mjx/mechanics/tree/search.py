@@ -12,13 +12,14 @@ import jax
 import jax.numpy as jnp
 
 from humanoid_mjx.mechanics.scalars import Scalar
+from humanoid_mjx.mechanics.tree.algebra import WORLD
 from humanoid_mjx.mechanics.tree.bits import Bits
 from humanoid_mjx.mechanics.tree.contacts import Touch
 from humanoid_mjx.mechanics.tree.inertia import factor
 from humanoid_mjx.mechanics.tree.line import lowest_share
 from humanoid_mjx.mechanics.tree.pair_equations import with_pairs
-from humanoid_mjx.mechanics.tree.pairs import Slots, close_pairs, close_pairs_in_turn
-from humanoid_mjx.mechanics.tree.problem import Active, Problem, active_at, normal_equations, one_by_one, worlds_of
+from humanoid_mjx.mechanics.tree.pairs import Slots, close_pairs
+from humanoid_mjx.mechanics.tree.problem import Active, Problem, active_at, normal_equations, one_by_one
 from humanoid_mjx.mechanics.tree.structure import Tree
 
 SAME = 200.0
@@ -46,12 +47,9 @@ def search(tree: Tree, problem: Problem, start: list[Any]) -> tuple[list[Any], A
     Worlds where bodies touch each other in more than `SLOTS` places do not settle.
     """
     pairs, problem, slots, more = problem.pairs, problem._replace(pairs=[]), None, False
-    if tree.threads:
-        if pairs:
-            slots, more = close_pairs_in_turn(tree, problem, pairs)
-        problem = problem._replace(ground=[touch.without_flag() for touch in problem.ground])
-    elif pairs:
+    if pairs:
         slots, more = close_pairs(tree, problem, pairs)
+    problem = problem._replace(ground=[touch.without_flag() for touch in problem.ground])
     found, settled = _search(tree, problem, slots, start)
     return found, settled & ~jnp.asarray(more)
 
@@ -87,12 +85,12 @@ def _search(tree: Tree, problem: Problem, slots: Slots | None, start: list[Any])
     def going(carry: tuple[Any, ...]) -> Any:
         return ~carry[2].all() & (carry[3] < MOST_STEPS)
 
-    worlds, points = worlds_of(problem, start), one_by_one(tree, problem.ground)
-    start = [jnp.broadcast_to(value, (*jnp.shape(value)[:-1], *worlds)) for value in start]
+    points = one_by_one(tree, problem.ground)
+    start = [jnp.broadcast_to(value, (*jnp.shape(value)[:-1], *WORLD)) for value in start]
     active = active_at(tree, problem, [Scalar(value) for value in start])
     bits = Bits.of(active)
     active = active._replace(pairs=slots.all_close() if slots else [])  # a guess
-    ended = jnp.broadcast_to(jnp.asarray(problem.ended), worlds)
+    ended = jnp.broadcast_to(jnp.asarray(problem.ended), WORLD)
     x, _, settled, _ = jax.lax.while_loop(going, step, (start, packed(active), ended, jnp.int32(0)))
     return x, settled
 
@@ -101,7 +99,7 @@ def _shortened(
     tree: Tree, problem: Problem, slots: Slots | None, before: Any, values: Any, active: Active, settled: Any
 ) -> Any:
     """The accelerations after a part of the way from `before` to `values`, where the facets that push in `active` lead,
-    and which facets push there; settled worlds stay."""
+    and which facets push there; a settled world stays."""
     one, two = ([Scalar(value) for value in x] for x in (before, values))
     share = lowest_share(tree, problem, slots, active, one, two, settled) if problem.slips else SHARE
     values = [jnp.where(settled, new, old + share * (new - old)) for old, new in zip(before, values, strict=True)]
@@ -110,25 +108,22 @@ def _shortened(
 
 
 def _differ(tree: Tree, one: Any, two: Any) -> Any:
-    """In which worlds flags, or words of flags, differ."""
+    """Whether flags, or words of flags, differ."""
     return _in_any_lane(tree, jnp.logical_or, [a != b for a, b in zip(*map(jax.tree.leaves, (one, two)), strict=True)])
 
 
 def _same(tree: Tree, one: Sequence[Any], two: Sequence[Any], errors: Any) -> Any:
-    """In which worlds two accelerations are the same but for so many rounding errors."""
+    """Whether two accelerations are the same but for so many rounding errors."""
     change = _in_any_lane(tree, jnp.maximum, [jnp.abs(a - b) for a, b in zip(one, two, strict=True)])
     size = _in_any_lane(tree, jnp.maximum, [jnp.abs(b) for b in two])
     return change <= errors * jnp.finfo(change.dtype).eps * size
 
 
 def _in_any_lane(tree: Tree, combine: Callable[[Any, Any], Any], values: Sequence[Any]) -> Any:
-    """Values of the worlds from those that may have axes of contacts and of lanes.
-
-    Where threads have one lane each, the lanes are combined last.
-    """
-    most, found = 1 + tree.threads, dict[tuple[int, ...], Any]()
+    """A value of the world from those that may have axes of contacts and of lanes, which are combined last."""
+    found = dict[tuple[int, ...], Any]()
     for value in values:
-        while value.ndim > most:
+        while value.ndim > 2:
             value = functools.reduce(combine, value)
         found[value.shape] = combine(found[value.shape], value) if value.shape in found else value
     each = [part for value in found.values() for part in (value if value.ndim > 1 else [value])]
@@ -145,10 +140,8 @@ def _minimum(
     if slots is None:
         return x, active.pairs
 
-    worlds = jnp.shape(slots.touch.close)[-1:]
-
     def whole(found: Sequence[Scalar]) -> list[Any]:
-        return [jnp.broadcast_to(v.value, jnp.broadcast_shapes(jnp.shape(v.value), worlds)) for v in found]
+        return [jnp.broadcast_to(v.value, jnp.broadcast_shapes(jnp.shape(v.value), WORLD)) for v in found]
 
     def together() -> tuple[list[Any], list[Any]]:
         found = with_pairs(tree, slots, active.pairs, factors, x)

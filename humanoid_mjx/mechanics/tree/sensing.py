@@ -1,6 +1,6 @@
-"""Readings of a tree's state, as arrays of many worlds: poses and velocities of bodies, forces, sensors.
+"""Readings of a tree's state, as arrays: poses and velocities of bodies, forces, sensors.
 
-Arrays have the axis of the worlds behind, and count the bodies and degrees of freedom in the model's order.
+Arrays count the bodies and degrees of freedom in the model's order, with `WORLD` behind.
 """
 
 from collections.abc import Sequence
@@ -11,6 +11,7 @@ import numpy as np
 
 from humanoid_mjx.mechanics.scalars import ZERO, Scalar, Vector, add
 from humanoid_mjx.mechanics.tree.algebra import (
+    WORLD,
     Rotation,
     Spatial,
     compose,
@@ -32,21 +33,21 @@ from humanoid_mjx.mechanics.tree.structure import Site, Tree
 
 def sensed(tree: Tree, gravity: Any, state: State, problem: Problem, solution: Solution) -> tuple[Any, ...]:
     """Gyroscopes and accelerometers, poses and velocities of the bodies, forces of the ground on the feet."""
-    shape, gravity, acceleration = _shape(state), vector(gravity), solution.acceleration
+    gravity, acceleration = vector(gravity), solution.acceleration
     turning = [part for site in tree.gyroscopes for part in _gyroscope(state, site)]
     felt = [part for site in tree.accelerometers for part in _accelerometer(tree, state, acceleration, gravity, site)]
     pushes = _ground_forces(tree, problem, solution)
-    readings = (stacked(part, shape) for part in (turning, felt))
+    readings = (stacked(part) for part in (turning, felt))
     forces = [sum((pushes[index] for index in rest), pushes[first]) for first, *rest in tree.feet]
-    return *readings, *poses(tree, state), *_velocities(tree, state), stacked(forces, shape)
+    return *readings, *poses(tree, state), *_velocities(tree, state), stacked(forces)
 
 
 def poses(tree: Tree, state: State) -> tuple[Any, Any]:
     """Positions and rotations of the bodies in the world."""
-    at, shape = state.kinematics, _shape(state)
+    at = state.kinematics
     own = unfolded([Pose(add(at.origin, pose.position), pose.axes) for pose in at.poses], tree.body_places)
-    rotations = [jnp.stack([stacked([axis[i] for axis in pose.axes], shape) for i in range(3)]) for pose in own]
-    return _rows([pose.position for pose in own], shape), jnp.stack(rotations)
+    rotations = [jnp.stack([stacked([axis[i] for axis in pose.axes]) for i in range(3)]) for pose in own]
+    return _rows([pose.position for pose in own]), jnp.stack(rotations)
 
 
 def dynamics(tree: Tree, state: State) -> tuple[Any, Any]:
@@ -58,31 +59,31 @@ def dynamics(tree: Tree, state: State) -> tuple[Any, Any]:
         apart = a != b and tree.laned(row) and tree.laned(column)
         return ZERO if apart else lane(state.matrix[row][column], a)
 
-    size, at, shape = len(where), state.kinematics, _shape(state)
+    size, at = len(where), state.kinematics
     rows = [to_local(tree, at, [entry(i, j) for j in range(size)]) for i in range(size)]
     columns = [to_local(tree, at, [row[j] for row in rows]) for j in range(size)]
-    matrix = jnp.stack([stacked([column[i] for column in columns], shape) for i in range(size)])
+    matrix = jnp.stack([stacked([column[i] for column in columns]) for i in range(size)])
     bias = [b - p for b, p in zip(state.bias, state.passive, strict=True)]
-    return matrix, stacked(unfolded(to_local(tree, at, bias), tree.dofs), shape)
+    return matrix, stacked(unfolded(to_local(tree, at, bias), tree.dofs))
 
 
 def moving(tree: Tree, state: State) -> tuple[Any, ...]:
     """Velocities, angular and linear, that a unit of each degree of freedom of `qvel` gives to its bodies, about the
     origin of the free body or the world; the drifts and the poses of the bodies."""
-    motions, at, shape = state.kinematics.motions, state.kinematics, _shape(state)
+    motions, at = state.kinematics.motions, state.kinematics
     parts = [[m.angular[i] for m in motions] for i in range(3)] + [[m.linear[i] for m in motions] for i in range(3)]
     rows = [unfolded(to_local(tree, at, part), tree.dofs) for part in parts]
-    motion = jnp.stack([stacked(row, shape) for row in rows], axis=1)
-    drifts = jnp.stack([_rows(list(drift), shape) for drift in unfolded(state.drifts, tree.body_places)])
+    motion = jnp.stack([stacked(row) for row in rows], axis=1)
+    drifts = jnp.stack([_rows(list(drift)) for drift in unfolded(state.drifts, tree.body_places)])
     return motion, drifts, *poses(tree, state)
 
 
 def _velocities(tree: Tree, state: State) -> tuple[Any, Any]:
     """Velocities of the origins of the bodies, m/s, and angular velocities, rad/s, in the world."""
-    each, shape = zip(state.motions, state.kinematics.poses, strict=True), _shape(state)
+    each = zip(state.motions, state.kinematics.poses, strict=True)
     moved = [Spatial(velocity_at(motion, pose.position), motion.angular) for motion, pose in each]
     own = unfolded(moved, tree.body_places)
-    return _rows([motion.linear for motion in own], shape), _rows([motion.angular for motion in own], shape)
+    return _rows([motion.linear for motion in own]), _rows([motion.angular for motion in own])
 
 
 def _ground_forces(tree: Tree, problem: Problem, solution: Solution) -> list[Scalar]:
@@ -92,7 +93,7 @@ def _ground_forces(tree: Tree, problem: Problem, solution: Solution) -> list[Sca
     for points, touch, v in zip(tree.ground, problem.ground, residuals, strict=True):
         lanes, force = (tree.lanes,) * tree.bodies[points.body].laned, touch.force(v).x.value
         shape = tree.points_each(points), *lanes
-        whole = jnp.broadcast_to(force, (*shape, force.shape[-1]))
+        whole = jnp.broadcast_to(force, (*shape, *WORLD))
         found |= {order: Scalar(whole[at]) for order, at in zip(points.order, np.ndindex(shape), strict=True)}
     return [found[index] for index in range(len(found))]
 
@@ -115,10 +116,5 @@ def _axes(state: State, site: Site) -> Rotation:
     return compose(state.kinematics.of_lane(site.body, site.lane).axes, known_axes(site.axes))
 
 
-def _shape(state: State) -> tuple[int, ...]:
-    """The shape of a scalar."""
-    return jnp.shape(state.qpos[0].value)[-1:]
-
-
-def _rows(vectors: Sequence[Vector], shape: tuple[int, ...]) -> Any:
-    return jnp.stack([stacked(v, shape) for v in vectors]) if vectors else jnp.zeros((0, 3, *shape))
+def _rows(vectors: Sequence[Vector]) -> Any:
+    return jnp.stack([stacked(v) for v in vectors]) if vectors else jnp.zeros((0, 3, *WORLD))

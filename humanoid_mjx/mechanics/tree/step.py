@@ -10,9 +10,9 @@ import numpy as np
 
 from humanoid_mjx.mechanics.scalars import HALF, ONE, ZERO, Scalar, Vector, add, cross, dot, scale
 from humanoid_mjx.mechanics.terrain import Terrain
-from humanoid_mjx.mechanics.tree.algebra import Spatial, folded, in_lanes, number, unfolded, vector
+from humanoid_mjx.mechanics.tree.algebra import WORLD, Spatial, folded, in_lanes, number, unfolded, vector
 from humanoid_mjx.mechanics.tree.bias import Drift, bias_forces, drifts_of
-from humanoid_mjx.mechanics.tree.contacts import Friction, ground_touch, pair_gap_at, pair_gaps, slip_of, stop_of
+from humanoid_mjx.mechanics.tree.contacts import Friction, ground_touch, pair_gap_at, slip_of, stop_of
 from humanoid_mjx.mechanics.tree.inertia import Mass, Matrix, factor, mass_matrix, masses_of, product
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics, make_kinematics, motions_of, to_local, to_world, unit
 from humanoid_mjx.mechanics.tree.problem import Problem, Solution
@@ -107,11 +107,10 @@ def _runge_kutta(
 ) -> tuple[tuple[list[Scalar], list[Scalar], list[Scalar]], Any]:
     """Runge and Kutta's step of order 4, as MuJoCo 4 takes it; three more states are solved in a loop."""
     step, local = Scalar(tree.timestep), to_local(tree, state.kinematics, solution.acceleration)
-    worlds = jnp.broadcast_shapes(*(jnp.shape(v.value)[-1:] for v in (*state.qpos, *state.qvel, *local)))
 
     def full(scalars: Sequence[Scalar]) -> list[Any]:
         whole = ((tree.lanes,) if tree.laned(dof) else () for dof in range(tree.nv))
-        return [jnp.broadcast_to(v.value, (*lanes, *worlds)) for v, lanes in zip(scalars, whole, strict=True)]
+        return [jnp.broadcast_to(v.value, (*lanes, *WORLD)) for v, lanes in zip(scalars, whole, strict=True)]
 
     def stage(carry: tuple[Any, ...], at: tuple[Any, Any]) -> tuple[tuple[Any, ...], None]:
         rate, change, *sums, settled = carry
@@ -126,7 +125,7 @@ def _runge_kutta(
         return (rate, change, *sums, settled & found.settled), None
 
     first = full(state.qvel), full(local)
-    carry = *first, *([value / 6.0 for value in part] for part in first), jnp.broadcast_to(solution.settled, worlds)
+    carry = *first, *([value / 6.0 for value in part] for part in first), jnp.broadcast_to(solution.settled, WORLD)
     dtype = first[0][0].dtype
     times, weights = tree.timestep * np.array([0.5, 0.5, 1.0]), np.array([2.0, 2.0, 1.0]) / 6.0
     (_, _, rate, change, settled), _ = jax.lax.scan(stage, carry, (times.astype(dtype), weights.astype(dtype)))
@@ -177,8 +176,7 @@ def make_problem(tree: Tree, values: Values, state: State, force: list[Scalar]) 
     each = zip(tree.ground, frictions, strict=True)
     ground = [ground_touch(points, at, state.motions, friction, values.terrain) for points, friction in each]
     each = zip(tree.pairs, _frictions([p.surface for p in tree.pairs], values.friction), strict=True)
-    gaps = pair_gap_at if tree.threads else pair_gaps
-    pairs = [(gaps(some, at), friction) for some, friction in each]
+    pairs = [(pair_gap_at(some, at), friction) for some, friction in each]
     stops = {
         joint.dof: stop_of(joint.limit, state.qpos[joint.coordinate], state.qvel[joint.dof])
         for joint in tree.joints

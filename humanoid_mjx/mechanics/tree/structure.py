@@ -237,8 +237,6 @@ class Tree(NamedTuple):
     gravity: tuple[float, float, float]
     timestep: float
     integrator: Integrator
-    threads: bool = False
-    """True for a kernel, of which each thread computes one world; on a GPU, one lane of it."""
 
     @property
     def joints(self) -> tuple[Joint, ...]:
