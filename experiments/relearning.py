@@ -1,0 +1,190 @@
+"""Measure how fast Q-learning follows a change of its world, from what it knows and anew.
+
+    python experiments/relearning.py --json docs/bench/relearning.json          # all learners, some 20 min on two cores
+    python experiments/relearning.py --only tables --json /tmp/tables.json
+    python experiments/relearning.py --json docs/bench/relearning.json --out docs/relearning.png    # draws a record
+
+Each sweep trains in one world. Three more sweeps then train in the changed world, with the same seeds: from the earlier
+policies with epsilon as at the start, from the earlier policies with epsilon as it had decayed by then, and anew.
+"""
+
+import argparse
+import json
+import tempfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.ticker import EngFormatter
+
+import humanoid_mjx
+from humanoid_mjx import compute
+from humanoid_mjx.config import load
+from humanoid_mjx.report.style import COLORS, figure, log_axis
+from humanoid_mjx.runs.curves import read_learning
+from humanoid_mjx.runs.statistics import difference, interval
+from humanoid_mjx.tasks.navigate import shortest_path
+
+EPSILONS, DECAYS = (0.01, 0.03, 0.1, 0.3), (1.0, 0.97)
+"""Values of epsilon at the start, and factors on it: of tables after each episode, of others see `decay`."""
+
+SEEDS, EPISODES, LATER, MOST = 100, 300, 2000, 200
+"""Of tables: seeds, episodes before the change and after, and steps after which an episode is cut off."""
+
+FEW_SEEDS, STEPS = 5, 400_000
+"""Of tiles and networks: seeds, and control steps in each world."""
+
+RIGHT, LEFT, BOTH = "########.", ".########", ".#######."
+
+
+def room(wall: str, goal: str = "........G") -> tuple[str, ...]:
+    """A room with a wall across it, as in the mazes of Sutton and Barto (2018), figures 8.4 and 8.5."""
+    return (goal, ".........", ".........", wall, ".........", "...S.....")
+
+
+TABLES = {
+    "a way is blocked, a longer one opens": (room(RIGHT), room(LEFT)),
+    "a shortcut opens": (room(LEFT), room(BOTH)),
+    "the goal moves": (room(RIGHT), room(RIGHT, "G........")),
+}
+"""Maps before and after the change."""
+
+LEGS = {
+    "tiles: the leg is 2.5 times as heavy": "leg_reach_linear",
+    "network: the leg is 2.5 times as heavy": "leg_reach",
+}
+"""Configs of learners on `leg_reach`, whose law of control knows the mass before the change."""
+
+HEAVY = {"name": "computed_torque", "mass": 0.4}
+"""The law's mass, as a multiple of the robot's own."""
+
+WAYS = ("known, epsilon again", "known, epsilon as decayed", "new start")
+
+
+def main() -> None:
+    """Measure, and write a record; or draw one."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", type=Path, required=True, help="the record, which is made if there is no --out")
+    parser.add_argument("--out", type=Path, help="draw the record instead")
+    parser.add_argument("--only", choices=("tables", "legs"), help="a part of the measurement")
+    given = parser.parse_args()
+    if given.out:
+        draw(json.loads(given.json.read_text()), given.out)
+        return
+    compute.start()
+    record = compute.made_by() | {"seeds": SEEDS, "few_seeds": FEW_SEEDS, "changes": {}}
+    with tempfile.TemporaryDirectory() as folder:
+        for name, before, after, least in cases(given.only):
+            place = Path(folder) / str(len(record["changes"]))
+            record["changes"][name] = measured(place, before, after, least)
+            given.json.write_text(json.dumps(record, indent=1) + "\n")
+            print(name, verdict(record["changes"][name]), sep="\n", flush=True)
+
+
+def cases(only: str | None) -> Iterator[tuple[str, dict[str, Any], dict[str, Any], int]]:
+    """Name, configs before and after, and the steps of the shortest episode after the change (0: not known)."""
+    for name, maps in TABLES.items() if only != "legs" else ():
+        before, after = map(table, maps, (EPISODES, LATER))
+        yield name, before, after, shortest_path(maps[1]) or 0
+    for name, config in LEGS.items() if only != "tables" else ():
+        yield name, leg(config, {}), leg(config, {"control": HEAVY}), 0
+
+
+def table(grid: tuple[str, ...], episodes: int) -> dict[str, Any]:
+    """Return the config of a sweep of tables on a map."""
+    task = {"name": "navigate", "map": list(grid), "step_reward": -1.0, "bonus": 0.0, "max_episode_steps": MOST}
+    learner = {"name": "tabular_q", "discount": 0.95, "learning_rate": 0.5, "epsilon_min": 0.0}
+    return {"name": "room", "task": task, "learner": learner, "seeds": SEEDS, "episodes": episodes, "record": episodes}
+
+
+def leg(config: str, change: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the config of a sweep of a shipped learner on `leg_reach`."""
+    loaded = load(config)
+    learner = {key: value for key, value in loaded.learner.items() if key != "learning_rate_end"}
+    kept = {"task": loaded.task | change, "learner": learner | {"epsilon_min": 0.0}}
+    return {"name": config, "seeds": FEW_SEEDS, "total_steps": STEPS, "record": 100} | kept
+
+
+def points(decayed: bool, learner: str) -> dict[str, Any]:
+    """Return the sweep over `EPSILONS` and `DECAYS`; `decayed`: epsilon as it is at the end of such a training."""
+    both = [(epsilon, decay) for epsilon in EPSILONS for decay in DECAYS]
+    # Of tables a factor acts after each episode, of others after each hundredth of the training.
+    laps = EPISODES if learner == "tabular_q" else 100
+    if decayed:
+        both = [(epsilon * decay**laps, 1.0) for epsilon, decay in both]
+    epsilons, decays = map(list, zip(*both, strict=True))
+    return {"mode": "zip", "axes": {"learner.epsilon": epsilons, "learner.epsilon_decay": decays}}
+
+
+def measured(place: Path, before: dict[str, Any], after: dict[str, Any], least: int) -> dict[str, Any]:
+    """Return what each way loses after the change, by point and seed; and by point the share of seeds whose greedy path
+    is the shortest at the end, or the mean success of greedy episodes."""
+    name = before["learner"]["name"]
+    humanoid_mjx.sweep(before | {"sweep": points(False, name)}, place / "before", quiet=True)
+    found: dict[str, Any] = {"steps": least > 0, "regret": {}, "greedy": {}}
+    for way in WAYS:
+        learner = after["learner"] | ({} if way == WAYS[2] else {"start_from": str(place / "before")})
+        config = after | {"learner": learner, "sweep": points(way == WAYS[1], name)}
+        run = humanoid_mjx.sweep(config, place / way.replace(" ", "_"), quiet=True)
+        learning = read_learning(run.path, config, run.summary, quickest=True)
+        lost = learning.read("steps") - least if least else 1.0 - learning.read("success")
+        horizons = {f"excess steps in {n:,} episodes": lost[..., :n].sum(axis=-1) for n in (EPISODES, LATER)}
+        horizons = horizons if least else {"share of failed episodes": np.nanmean(lost, axis=-1)}
+        greedy = learning.finals("greedy_steps" if least else "greedy_success")
+        found["greedy"][way] = ((greedy == least).mean(axis=1) if least else greedy.mean(axis=1)).round(3).tolist()
+        for horizon, regret in horizons.items():
+            found["regret"].setdefault(horizon, {})[way] = np.round(regret, 4).tolist()
+    return found
+
+
+def verdict(case: Mapping[str, Any]) -> str:
+    """A line a way: its best setting, what it loses there, and the difference from a new start at its best."""
+    pairs, lines = [(epsilon, decay) for epsilon in EPSILONS for decay in DECAYS], []
+    for horizon, ways in case["regret"].items():
+        regrets = {way: np.array(values) for way, values in ways.items()}
+        best = {way: int(np.median(values, axis=1).argmin()) for way, values in regrets.items()}
+        new = regrets[WAYS[2]][best[WAYS[2]]]
+        lines.append(f"  {horizon}")
+        for way, values in regrets.items():
+            own, (epsilon, decay), greedy = values[best[way]], pairs[best[way]], case["greedy"][way]
+            low, high = interval(own)
+            words = f"    {way}: {np.median(own):.4g} ({low:.4g} to {high:.4g}) at epsilon {epsilon}, decay {decay}"
+            words += "" if way == WAYS[2] else f"; minus new start {difference(own, new)}"
+            lines.append(f"{words}; greedy at the end {greedy[best[way]]}, of all points {greedy}")
+    return "\n".join(lines)
+
+
+def draw(record: Mapping[str, Any], path: Path) -> None:
+    """Draw what each way loses over epsilon, a panel a change, a line a way and decay."""
+    cases = [(name, *each) for name, case in record["changes"].items() for each in case["regret"].items()]
+    horizons = list(dict.fromkeys(horizon for _, horizon, _ in cases))
+    cases.sort(key=lambda case: horizons.index(case[1]))
+    with figure(path, 3, 3, (4.0, 2.8)) as (fig, panels):
+        words = "Loss after a change of the world, over epsilon: median and 95 % interval over seeds"
+        fig.suptitle(words, x=0.01, ha="left")
+        for panel, (name, horizon, ways) in zip(panels.flat, cases, strict=False):
+            for color, (way, regret) in zip(COLORS, ways.items(), strict=False):
+                for row, decay in enumerate(DECAYS):
+                    if way == WAYS[1] and decay == 1.0:
+                        continue  # the same as the first way
+                    values = np.array(regret)[row :: len(DECAYS)]
+                    low, high = interval(values.T)
+                    middle, style = np.median(values, axis=1), "-" if decay == 1.0 else "--"
+                    words = f"{way}, {'constant' if decay == 1.0 else f'decay {decay}'}"
+                    panel.plot(EPSILONS, middle, style, color=color, marker="o", markersize=3, label=words)
+                    panel.fill_between(EPSILONS, low, high, color=color, alpha=0.15, linewidth=0)
+            panel.set_title(name)
+            panel.set_xlabel("epsilon at the start")
+            panel.set_ylabel(horizon)
+            log_axis(panel)
+            panel.set_ylim(bottom=0.0)
+            panel.yaxis.set_major_formatter(EngFormatter(sep=""))
+        handles, labels = panels.flat[0].get_legend_handles_labels()
+        for panel in panels.flat[len(cases) :]:
+            panel.axis("off")
+        panels.flat[-1].legend(handles, labels, loc="center left", frameon=False)
+
+
+if __name__ == "__main__":
+    main()
