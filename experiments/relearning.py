@@ -1,7 +1,6 @@
-"""Measure how fast Q-learning follows a change of its world, from what it knows and anew.
+"""Measure how fast a table follows a change of its world, from what it knows and anew.
 
-    python experiments/relearning.py --json docs/bench/relearning.json          # all learners, some 20 min on two cores
-    python experiments/relearning.py --only tables --json /tmp/tables.json
+    python experiments/relearning.py --json docs/bench/relearning.json    # a minute on two cores
     python experiments/relearning.py --json docs/bench/relearning.json --out docs/relearning.png    # draws a record
 
 Each sweep trains in one world. Three more sweeps then train in the changed world, with the same seeds: from the earlier
@@ -11,7 +10,7 @@ policies with epsilon as at the start, from the earlier policies with epsilon as
 import argparse
 import json
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,20 +19,16 @@ from matplotlib.ticker import EngFormatter
 
 import humanoid_mjx
 from humanoid_mjx import compute
-from humanoid_mjx.config import load
-from humanoid_mjx.report.style import COLORS, figure, log_axis
+from humanoid_mjx.report.style import COLORS, figure, label_lines, log_axis
 from humanoid_mjx.runs.curves import read_learning
 from humanoid_mjx.runs.statistics import difference, interval
 from humanoid_mjx.tasks.navigate import shortest_path
 
 EPSILONS, DECAYS = (0.01, 0.03, 0.1, 0.3), (1.0, 0.97)
-"""Values of epsilon at the start, and factors on it: of tables after each episode, of others see `decay`."""
+"""Values of epsilon at the start, and factors on it after each episode."""
 
 SEEDS, EPISODES, LATER, MOST = 100, 300, 2000, 200
-"""Of tables: seeds, episodes before the change and after, and steps after which an episode is cut off."""
-
-FEW_SEEDS, STEPS = 5, 400_000
-"""Of tiles and networks: seeds, and control steps in each world."""
+"""Seeds, episodes before the change and after, and steps after which an episode is cut off."""
 
 RIGHT, LEFT, BOTH = "########.", ".########", ".#######."
 
@@ -43,21 +38,12 @@ def room(wall: str, goal: str = "........G") -> tuple[str, ...]:
     return (goal, ".........", ".........", wall, ".........", "...S.....")
 
 
-TABLES = {
+CHANGES = {
     "a way is blocked, a longer one opens": (room(RIGHT), room(LEFT)),
     "a shortcut opens": (room(LEFT), room(BOTH)),
     "the goal moves": (room(RIGHT), room(RIGHT, "G........")),
 }
 """Maps before and after the change."""
-
-LEGS = {
-    "tiles: the leg is 2.5 times as heavy": "leg_reach_linear",
-    "network: the leg is 2.5 times as heavy": "leg_reach",
-}
-"""Configs of learners on `leg_reach`, whose law of control knows the mass before the change."""
-
-HEAVY = {"name": "computed_torque", "mass": 0.4}
-"""The law's mass, as a multiple of the robot's own."""
 
 WAYS = ("known, epsilon again", "known, epsilon as decayed", "new start")
 
@@ -67,28 +53,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path, required=True, help="the record, which is made if there is no --out")
     parser.add_argument("--out", type=Path, help="draw the record instead")
-    parser.add_argument("--only", choices=("tables", "legs"), help="a part of the measurement")
     given = parser.parse_args()
     if given.out:
         draw(json.loads(given.json.read_text()), given.out)
         return
     compute.start()
-    record = compute.made_by() | {"seeds": SEEDS, "few_seeds": FEW_SEEDS, "changes": {}}
+    record = compute.made_by() | {"seeds": SEEDS, "changes": {}}
     with tempfile.TemporaryDirectory() as folder:
-        for name, before, after, least in cases(given.only):
-            place = Path(folder) / str(len(record["changes"]))
-            record["changes"][name] = measured(place, before, after, least)
-            given.json.write_text(json.dumps(record, indent=1) + "\n")
+        for name, maps in CHANGES.items():
+            record["changes"][name] = measured(Path(folder) / name, *maps)
             print(name, verdict(record["changes"][name]), sep="\n", flush=True)
-
-
-def cases(only: str | None) -> Iterator[tuple[str, dict[str, Any], dict[str, Any], int]]:
-    """Name, configs before and after, and the steps of the shortest episode after the change (0: not known)."""
-    for name, maps in TABLES.items() if only != "legs" else ():
-        before, after = map(table, maps, (EPISODES, LATER))
-        yield name, before, after, shortest_path(maps[1]) or 0
-    for name, config in LEGS.items() if only != "tables" else ():
-        yield name, leg(config, {}), leg(config, {"control": HEAVY}), 0
+    given.json.write_text(json.dumps(record, indent=1) + "\n")
 
 
 def table(grid: tuple[str, ...], episodes: int) -> dict[str, Any]:
@@ -98,43 +73,32 @@ def table(grid: tuple[str, ...], episodes: int) -> dict[str, Any]:
     return {"name": "room", "task": task, "learner": learner, "seeds": SEEDS, "episodes": episodes, "record": episodes}
 
 
-def leg(config: str, change: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the config of a sweep of a shipped learner on `leg_reach`."""
-    loaded = load(config)
-    learner = {key: value for key, value in loaded.learner.items() if key != "learning_rate_end"}
-    kept = {"task": loaded.task | change, "learner": learner | {"epsilon_min": 0.0}}
-    return {"name": config, "seeds": FEW_SEEDS, "total_steps": STEPS, "record": 100} | kept
-
-
-def points(decayed: bool, learner: str) -> dict[str, Any]:
+def points(decayed: bool) -> dict[str, Any]:
     """Return the sweep over `EPSILONS` and `DECAYS`; `decayed`: epsilon as it is at the end of such a training."""
     both = [(epsilon, decay) for epsilon in EPSILONS for decay in DECAYS]
-    # Of tables a factor acts after each episode, of others after each hundredth of the training.
-    laps = EPISODES if learner == "tabular_q" else 100
     if decayed:
-        both = [(epsilon * decay**laps, 1.0) for epsilon, decay in both]
+        both = [(epsilon * decay**EPISODES, 1.0) for epsilon, decay in both]
     epsilons, decays = map(list, zip(*both, strict=True))
     return {"mode": "zip", "axes": {"learner.epsilon": epsilons, "learner.epsilon_decay": decays}}
 
 
-def measured(place: Path, before: dict[str, Any], after: dict[str, Any], least: int) -> dict[str, Any]:
-    """Return what each way loses after the change, by point and seed; and by point the share of seeds whose greedy path
-    is the shortest at the end, or the mean success of greedy episodes."""
-    name = before["learner"]["name"]
-    humanoid_mjx.sweep(before | {"sweep": points(False, name)}, place / "before", quiet=True)
-    found: dict[str, Any] = {"steps": least > 0, "regret": {}, "greedy": {}}
+def measured(place: Path, before: tuple[str, ...], after: tuple[str, ...]) -> dict[str, Any]:
+    """Return the excess steps of each way after the change, by horizon, point and seed; and by point the share of seeds
+    whose greedy path is the shortest at the end."""
+    known, least = place / "known", shortest_path(after) or 0
+    humanoid_mjx.sweep(table(before, EPISODES) | {"sweep": points(False)}, known, quiet=True)
+    found: dict[str, Any] = {"regret": {}, "greedy": {}}
     for way in WAYS:
-        learner = after["learner"] | ({} if way == WAYS[2] else {"start_from": str(place / "before")})
-        config = after | {"learner": learner, "sweep": points(way == WAYS[1], name)}
-        run = humanoid_mjx.sweep(config, place / way.replace(" ", "_"), quiet=True)
+        config = table(after, LATER) | {"sweep": points(way == WAYS[1])}
+        if way != WAYS[2]:
+            config["learner"] |= {"start_from": str(known)}
+        run = humanoid_mjx.sweep(config, place / way, quiet=True)
         learning = read_learning(run.path, config, run.summary, quickest=True)
-        lost = learning.read("steps") - least if least else 1.0 - learning.read("success")
-        horizons = {f"excess steps in {n:,} episodes": lost[..., :n].sum(axis=-1) for n in (EPISODES, LATER)}
-        horizons = horizons if least else {"share of failed episodes": np.nanmean(lost, axis=-1)}
-        greedy = learning.finals("greedy_steps" if least else "greedy_success")
-        found["greedy"][way] = ((greedy == least).mean(axis=1) if least else greedy.mean(axis=1)).round(3).tolist()
-        for horizon, regret in horizons.items():
-            found["regret"].setdefault(horizon, {})[way] = np.round(regret, 4).tolist()
+        excess = learning.read("steps") - least
+        for episodes in (EPISODES, LATER):
+            regret = np.round(excess[..., :episodes].sum(axis=-1)).tolist()
+            found["regret"].setdefault(f"excess steps in {episodes:,} episodes", {})[way] = regret
+        found["greedy"][way] = (run.summary["greedy_steps"].reshape(-1, SEEDS) == least).mean(axis=1).tolist()
     return found
 
 
@@ -160,7 +124,7 @@ def draw(record: Mapping[str, Any], path: Path) -> None:
     cases = [(name, *each) for name, case in record["changes"].items() for each in case["regret"].items()]
     horizons = list(dict.fromkeys(horizon for _, horizon, _ in cases))
     cases.sort(key=lambda case: horizons.index(case[1]))
-    with figure(path, 3, 3, (4.0, 2.8)) as (fig, panels):
+    with figure(path, 2, 3, (4.0, 2.8)) as (fig, panels):
         words = "Loss after a change of the world, over epsilon: median and 95 % interval over seeds"
         fig.suptitle(words, x=0.01, ha="left")
         for panel, (name, horizon, ways) in zip(panels.flat, cases, strict=False):
@@ -180,10 +144,7 @@ def draw(record: Mapping[str, Any], path: Path) -> None:
             log_axis(panel)
             panel.set_ylim(bottom=0.0)
             panel.yaxis.set_major_formatter(EngFormatter(sep=""))
-        handles, labels = panels.flat[0].get_legend_handles_labels()
-        for panel in panels.flat[len(cases) :]:
-            panel.axis("off")
-        panels.flat[-1].legend(handles, labels, loc="center left", frameon=False)
+        label_lines(panels[0, -1])
 
 
 if __name__ == "__main__":
