@@ -63,7 +63,7 @@ def main() -> None:
         for name, maps in CHANGES.items():
             record["changes"][name] = measured(Path(folder) / name, *maps)
             print(name, verdict(record["changes"][name]), sep="\n", flush=True)
-    given.json.write_text(json.dumps(record, indent=1) + "\n")
+    given.json.write_text(json.dumps(record) + "\n")
 
 
 def table(grid: tuple[str, ...], episodes: int) -> dict[str, Any]:
@@ -96,7 +96,7 @@ def measured(place: Path, before: tuple[str, ...], after: tuple[str, ...]) -> di
         learning = read_learning(run.path, config, run.summary, quickest=True)
         excess = learning.read("steps") - least
         for episodes in (EPISODES, LATER):
-            regret = np.round(excess[..., :episodes].sum(axis=-1)).tolist()
+            regret = np.rint(excess[..., :episodes].sum(axis=-1)).astype(int).tolist()
             found["regret"].setdefault(f"excess steps in {episodes:,} episodes", {})[way] = regret
         found["greedy"][way] = (run.summary["greedy_steps"].reshape(-1, SEEDS) == least).mean(axis=1).tolist()
     return found
