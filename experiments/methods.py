@@ -262,7 +262,7 @@ def main() -> None:
     if not given.draw:
         compute.start()
         parts = {"prove": prove, "walk": walk, "overestimate": overestimate, "compare": compare}
-        record = json.loads(RECORD.read_text()) if given.only else {}
+        record = json.loads(RECORD.read_text()) if given.only and RECORD.is_file() else {}
         for name in [given.only] if given.only else parts:
             record[name] = {"commit": compute.commit(), "found": parts[name]()}
         record |= {**compute.made_by(), "command": "python experiments/methods.py"}
