@@ -42,13 +42,13 @@ SEEDS, POINTS = 128, 50
 
 
 def proof() -> list[dict[str, Any]]:
-    """All methods with all explorations and step sizes, the decays by turns."""
+    """All methods with all explorations; step sizes and decays by turns."""
     decays = {"episode": 0.75, "step": 0.96875, "visit": 0.96875}
-    words = product(METHODS, ("epsilon_greedy", "boltzmann", "ucb"), ("constant", "visits"))
     found = []
-    for number, (method, exploration, step_size) in enumerate(words):
-        decay = list(decays)[(number + number // 6) % 3]
+    for number, (method, exploration) in enumerate(product(METHODS, ("epsilon_greedy", "boltzmann", "ucb"))):
+        decay = list(decays)[(number + number // 3) % 3]
         own = {"decay": decay, "epsilon_decay": decays[decay], "epsilon_min": 0.125, "discount": 0.75}
+        step_size = ("constant", "visits")[number % 2]
         found.append({"method": method, "exploration": exploration, "step_size": step_size, **own})
     return found
 

@@ -46,14 +46,12 @@ READ_WITH = {
 
 
 class Past(NamedTuple):
-    """The moves of the episode from which no value has learned yet, the newest first.
+    """The moves of the episode from which no value has learned yet, (row, action, reward) with the newest first.
 
     `due`: the target of the oldest is complete. `waits`: the episode has ended, and others than the oldest are left.
     """
 
-    row: tuple[IntScalar, ...]
-    action: tuple[IntScalar, ...]
-    reward: tuple[FloatScalar, ...]
+    moves: tuple[tuple[IntScalar, IntScalar, FloatScalar], ...]
     count: IntScalar
     due: BoolScalar
     waits: BoolScalar
@@ -189,7 +187,7 @@ class TabularQ(Learner):
             ahead = zero if self.method in ("sarsa", "n_step") else None
             no, past, q_row = jnp.bool_(False), None, _row(q_table, row)
             if self.method == "n_step":
-                past = Past((zero,) * MOST_STEPS, (zero,) * MOST_STEPS, (nothing,) * MOST_STEPS, zero, no, no)
+                past = Past(((zero, zero, nothing),) * MOST_STEPS, zero, no, no)
             moved = row, nothing, no, ahead, None, past
             return self.move(Agent(key, epsilon, zero, zero, nothing, row, q_row, zero, state, *moved), q_row, step)
 
@@ -204,7 +202,7 @@ class TabularQ(Learner):
             if agents.ahead is not None:
                 agents = agents._replace(ahead=self.choose(agents, next_q_row, step + 1))
             if (past := agents.past) is not None:  # its oldest move takes the place of the one under way
-                row, action = entry(past.row, past.count - 1), entry(past.action, past.count - 1)
+                row, action, _ = (entry(each, past.count - 1) for each in zip(*past.moves, strict=True))
                 last = agents.terminated | (agents.length >= self.task.max_episode_steps)
                 past = past._replace(due=last | (past.count >= self.steps), waits=last & (past.count > 1))
                 agents = agents._replace(row=row, action=action, q_row=_row(q_table, row), past=past)
@@ -254,7 +252,7 @@ class TabularQ(Learner):
             learns &= agent.terminated
         if agent.past is not None:
             learns, td_target = learns & agent.past.due, value
-            for back, reward in enumerate(agent.past.reward):
+            for back, (_, _, reward) in enumerate(agent.past.moves):
                 td_target = jnp.where(back < agent.past.count, reward + self.discount * td_target, td_target)
         update = Update(agent.row, column, jnp.where(learns, td_target - old, 0.0), learns)
         _, ends = self._ended(agent)
@@ -306,9 +304,8 @@ class TabularQ(Learner):
             moved = moved._replace(coin=uniform(agent.key, ~jnp.asarray(step).astype(jnp.uint32)))
         if (past := agent.past) is None:
             return moved
-        newest = {"row": agent.row, "action": action, "reward": moved.reward}
-        pushed = {name: (new, *getattr(past, name)[:-1]) for name, new in newest.items()}
-        moved = moved._replace(past=past._replace(**pushed, count=past.count + 1))
+        moves = (agent.row, action, moved.reward), *past.moves[:-1]
+        moved = moved._replace(past=past._replace(moves=moves, count=past.count + 1))
         kept = jax.tree.map(lambda old, new: jnp.where(past.waits, old, new), agent[1:], moved[1:])
         return Agent(agent.key, *kept)
 
@@ -323,9 +320,9 @@ class TabularQ(Learner):
         preferred = uniform(agent.key, draw) < self._obedience(agent, q_row)
         choice = uniform(agent.key, draw + jnp.where(preferred, np.uint32(2), np.uint32(1)))
         random = (choice * self.task.num_actions).astype(jnp.int32)
-        if self.exploration == "epsilon_greedy":
-            return jnp.where(preferred, self._greedy(self._values(q_row), choice), random)
-        return jnp.where(preferred, drawn(self._odds(agent, q_row), choice), random)
+        greedy = self.exploration == "epsilon_greedy"
+        best = self._greedy(self._values(q_row), choice) if greedy else drawn(self._odds(agent, q_row), choice)
+        return jnp.where(preferred, best, random)
 
     def _obedience(self, agent: Agent, q_row: QRow) -> FloatScalar:
         """The probability of the preferred action; else one at random takes its place."""
