@@ -23,10 +23,12 @@ import jax.numpy as jnp
 import numpy as np
 import parity
 import textbook
+from matplotlib.ticker import StrMethodFormatter
 
 import humanoid_mjx
 from humanoid_mjx import compute, make_learner
 from humanoid_mjx.compute import rng
+from humanoid_mjx.report.style import COLORS, figure, label_lines
 from humanoid_mjx.runs import statistics
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.finite import FiniteTask
@@ -254,19 +256,50 @@ def compare() -> dict[str, Any]:
     return found
 
 
+def draw(record: dict[str, Any]) -> None:
+    """Curves on the cliff and in the maze, and how much longer episodes are than those of Q-learning."""
+    walked, maze = record["walk"]["found"], record["compare"]["found"][list(TASKS)[2]]
+    with figure(ROOT / "docs/methods.png", 1, 3, (4.4, 3.2)) as (fig, ((cliff, steps, beside),)):
+        for method, color in zip(METHODS, COLORS, strict=False):
+            curve, other = walked[method]["curve"], maze["ways"][method]["curve"]
+            cliff.plot(10.0 * np.arange(1, POINTS + 1), curve, color=color, label=method)
+            steps.plot(4.0 * np.arange(1, POINTS + 1), other, color=color, label=method)
+        label_lines(cliff)
+        cliff.set(
+            title="Cliff walking", xlabel="episodes", ylabel="return of an episode while learning", ylim=(-120, 0)
+        )
+        steps.set(title="navigate, a fifth of the moves astray", xlabel="episodes", ylim=(0, 120))
+        steps.set_ylabel("steps of an episode while learning")
+        ways = [way for way in WAYS if way != "q_learning"]
+        for number, (name, color) in enumerate(zip(TASKS, COLORS, strict=False)):
+            found = record["compare"]["found"][name]["ways"]
+            scale = 100.0 / found["q_learning"]["steps while learning"][0]
+            middle, low, high = scale * np.array([found[way]["beside q_learning"] for way in ways]).T
+            place = np.arange(len(ways)) + 0.22 * (number - 1)
+            beside.errorbar(middle, place, xerr=(middle - low, high - middle), fmt="o", ms=4, color=color, label=name)
+        beside.axvline(0, color="black", linewidth=0.8)
+        beside.set_yticks(range(len(ways)), [way.removeprefix("q_learning, ") for way in ways])
+        beside.xaxis.set_major_formatter(StrMethodFormatter("{x:+.0f} %"))
+        beside.invert_yaxis()
+        beside.set(title="More steps while learning than Q-learning", xlabel="median over 64 seeds, 95 % interval")
+        fig.legend(loc="outside lower right", ncols=3, frameon=False, handles=beside.containers)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--draw", action="store_true", help="draw the figure of the record")
     parser.add_argument("--only", choices=("prove", "walk", "overestimate", "compare"), help="measure one part anew")
     given = parser.parse_args()
+    record = json.loads(RECORD.read_text()) if (given.draw or given.only) and RECORD.is_file() else {}
     if not given.draw:
         compute.start()
         parts = {"prove": prove, "walk": walk, "overestimate": overestimate, "compare": compare}
-        record = json.loads(RECORD.read_text()) if given.only and RECORD.is_file() else {}
         for name in [given.only] if given.only else parts:
             record[name] = {"commit": compute.commit(), "found": parts[name]()}
         record |= {**compute.made_by(), "command": "python experiments/methods.py"}
         RECORD.write_text(json.dumps(record, indent=1) + "\n")
+    if {"walk", "compare"} <= record.keys():
+        draw(record)
 
 
 if __name__ == "__main__":
