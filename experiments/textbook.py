@@ -51,13 +51,14 @@ class Textbook:
         self.decision, self.episode = 0, 0
 
     def q(self, state: int) -> np.ndarray:
-        return self.values()[state]
+        one, *two = (table[state] for table in self.tables)
+        return F(0.5) * (one + two[0]) if two else one.copy()
 
     def present(self, state: int) -> F:
         """Epsilon, temperature or confidence."""
         amount = self.amount
         if self.p.decay == "visit":
-            amount = amount * F(self.p.epsilon_decay) ** np.stack(self.visits)[:, state].sum()
+            amount = amount * F(self.p.epsilon_decay) ** F(sum(float(visits[state].sum()) for visits in self.visits))
         return max(F(self.p.epsilon_min), amount)
 
     def preferred(self, state: int) -> np.ndarray:
@@ -67,7 +68,7 @@ class Textbook:
             odds = F(np.e) ** ((q - q.max()) / max(self.present(state), F(1e-38)))
             return odds / odds.sum()
         if self.p.exploration == "ucb":
-            n = np.stack(self.visits)[:, state].sum(axis=0)
+            n = np.sum([visits[state] for visits in self.visits], axis=0, dtype=F)
             bonus = self.present(state) * np.sqrt(np.log(max(n.sum(), F(1))) / np.maximum(n, F(1)))
             q = np.where(n > 0, q + bonus, F(np.inf))
         return (q == q.max()) / F((q == q.max()).sum())
