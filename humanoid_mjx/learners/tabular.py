@@ -356,7 +356,7 @@ class TabularQ(Learner):
         values, count = self._values(q_row), self.task.num_actions
         if agent.ahead is not None:
             return entry(values, agent.ahead)
-        if agent.coin is not None:
+        if agent.coin is not None:  # one bit of it says which table learns, the others break ties
             first = agent.coin < 0.5
             learning = tuple(jnp.where(first, *pair) for pair in zip(q_row[:count], q_row[count:], strict=False))
             best = self._greedy(learning, 2.0 * agent.coin - jnp.where(first, 0.0, 1.0))
