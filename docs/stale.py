@@ -28,6 +28,7 @@ DEPENDS: dict[str, Sequence[str]] = {
     "h200": (*BODIES, *TABLES, "tasks/leg_reach.py"),
     "h200_one_kernel": TABLES,
     "parity": LEARNING,
+    "methods": TABLES,
     "*": BODIES,
 }
 """Paths below `humanoid_mjx/` by the name of a record; the first pattern that fits counts."""

@@ -267,6 +267,55 @@ def parity() -> str:
     return table(f"{head} | processor time of ten seeds, s | wall time, s", rows)
 
 
+def methods_tasks() -> str:
+    """Return how soon the methods of tables learn the thesis's tasks."""
+    rows = []
+    for task, found in record("methods")["compare"]["found"].items():
+        for way, figures in found["ways"].items():
+            chosen = ", ".join(f"{key} {value:g}" for key, value in figures["chosen"].items())
+            keys = "steps while learning", "beside q_learning", "greedy steps"
+            cells = ("{} ({} to {})".format(*(rounded(x, 1) for x in figures[key])) for key in keys)
+            rows.append((task, way, chosen, *cells, "yes" * (way in found["not worse than the best"])))
+            task = ""
+    head = "task | way | chosen | steps while learning | beside Q-learning | greedy steps at the end"
+    return table(f"{head} | as good as the best", rows)
+
+
+def methods_cliff() -> str:
+    """Return what the methods of tables reach on the cliff."""
+    rows = []
+    for method, figures in record("methods")["walk"]["found"].items():
+        if isinstance(figures, dict):
+            online = "{} ({} to {})".format(*(rounded(x, 1) for x in figures["return while learning, last fifth"]))
+            seeds = sorted(figures["seeds by greedy return"].items(), key=lambda item: -item[1])
+            rows.append((f"`{method}`", online, ", ".join(f"{value} ({count} seeds)" for value, count in seeds)))
+    return table("method | return while learning, last 100 episodes | return of the greedy policy", rows)
+
+
+def _exact(policy: str) -> str:
+    """Return the exact mean return of a policy on the cliff."""
+    return rounded(record("methods")["walk"]["found"][f"exact return of {policy} while exploring"], 1)
+
+
+def methods_grid() -> str:
+    """Return the value of the start of a grid by one table and by two."""
+    exact, *learned = record("methods")["overestimate"]["found"].items()
+    rows = [(f"`{method}`", "{} ({} to {})".format(*(rounded(x, 1) for x in value))) for method, value in learned]
+    return table("method | value of the start", [("exact", rounded(exact[1], 2)), *rows])
+
+
+def methods_proof() -> str:
+    """Return how the methods of tables agree with an independent implementation."""
+    rows = []
+    for found in record("methods")["prove"]["found"]:
+        words = (f"`{found[key]}`" for key in ("method", "exploration", "step_size", "decay"))
+        differ = str(found["seeds that differ by more than 1e-5"])
+        far = rounded(found["largest z of a cell's mean"], 1)
+        rows.append((*words, differ, f"{far} of {found['cells']}"))
+    head = "`method` | `exploration` | `step_size` | `decay` | from the same numbers: seeds that differ by 1e-5"
+    return table(f"{head} | from other numbers: largest distance", rows)
+
+
 def robot_speeds() -> str:
     """Return how fast robots of others are when thrown about, beside native MuJoCo on a CPU and MJX on a GPU."""
     robots = {"mujoco": record("robot_speeds_cpu")["robots"], "mjx-jax": record("robot_speeds_gpu")["robots"]}
@@ -395,6 +444,10 @@ TABLES = {
         ranges,
         verdicts,
         parity,
+        methods_tasks,
+        methods_cliff,
+        methods_grid,
+        methods_proof,
         other_robots,
         other_robots_taken,
         faster_than_mjx,
@@ -406,6 +459,8 @@ TABLES = {
     "reproduce_minutes": lambda: rounded(record("cpu_2_cores_reproduce")["command_s"] / 60),
     "c_decision": lambda: rounded(1e6 * record("c_policy")["rows"][0]["seconds"]),
     "parity_cliff": lambda: rounded(record("parity")["expected while learning on the cliff"], 1),
+    "methods_optimal": lambda: _exact("Q-learning's policy"),
+    "methods_soft": lambda: _exact("the best policy"),
     "stand_seconds": lambda: rounded(record("h100_stand_8_seeds")["records"][0]["command_s"]),
     "stand_again_seconds": lambda: rounded(record("h100_stand_8_seeds")["records"][1]["command_s"]),
     "stand_minutes": lambda: rounded(record("h100_stand_8_seeds")["records"][0]["command_s"] / 60),

@@ -1,12 +1,19 @@
-"""Exploring: epsilon with the thesis's decay, and a spread of epsilons over environments. Tables decay their own."""
+"""Exploring: epsilon with the thesis's decay, a spread of epsilons over environments, and choices in a table's row."""
 
+from functools import reduce
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from humanoid_mjx.types import AnyArray
+from humanoid_mjx.types import AnyArray, FloatScalar, IntScalar
+
+QRow = tuple[FloatScalar, ...]
+"""The values of one row of a table."""
+
+LEAST, MOST = (float(getattr(np.finfo(np.float32), name)) for name in ("tiny", "max"))
 
 
 def epsilons(schedule: Any, episode: Int[Array, " envs"]) -> Float[Array, " envs"]:
@@ -51,3 +58,44 @@ def _largest(values: Float[Array, "*batch bins"]) -> Int[Array, "*batch"]:
     count = values.shape[-1]
     place = jax.lax.broadcasted_iota(jnp.int32, values.shape, values.ndim - 1)
     return jnp.min(jnp.where(values == values.max(axis=-1, keepdims=True), place, count), axis=-1)
+
+
+def entry(row: tuple[Array, ...], index: IntScalar) -> Array:
+    """The entry of a row at an index, by comparisons: an array would be a slow loop."""
+    found = row[0]
+    for place, x in enumerate(row[1:], start=1):
+        found = jnp.where(index == place, x, found)
+    return found
+
+
+def softmax(values: QRow, temperature: FloatScalar) -> QRow:
+    """The odds of each action in a row, 1 for the best. Kernels and XLA round a power alike, but no exponential."""
+    best, temperature = reduce(jnp.maximum, values), jnp.maximum(temperature, LEAST)
+    return tuple(np.float32(np.e) ** ((value - best) / temperature) for value in values)
+
+
+def drawn(odds: QRow, draw: FloatScalar) -> IntScalar:
+    """The action that a uniform number in [0, 1) draws by these odds."""
+    mark, passed, action = draw * sum(odds), odds[0], jnp.int32(0)
+    for each in odds[1:]:
+        action, passed = action + (mark >= passed), passed + each
+    return action
+
+
+def upper_bounds(values: QRow, visits: QRow, confidence: FloatScalar) -> QRow:
+    """`Q + confidence * sqrt(log(sum of visits) / visits)`, the largest number where there are none (P. Auer et al.,
+    "Finite-time Analysis of the Multiarmed Bandit Problem", 2002)."""
+    log = _log(jnp.maximum(sum(visits), 1.0))
+    bonuses = [confidence * jnp.sqrt(log / jnp.maximum(n, 1.0)) for n in visits]
+    return tuple(jnp.where(n > 0, q + bonus, MOST) for q, n, bonus in zip(values, visits, bonuses, strict=True))
+
+
+def _log(x: FloatScalar) -> FloatScalar:
+    """The natural logarithm of x >= 1 with a relative error of 1e-5, in operations that kernels and XLA round alike."""
+    word = jax.lax.bitcast_convert_type(x, jnp.int32)
+    part = jax.lax.bitcast_convert_type((word & 0x7FFFFF) | 0x3F800000, jnp.float32)  # x = part * 2**exponent
+    exponent = ((word >> 23) - 127).astype(jnp.float32)
+    ratio = (part - 1.0) / (part + 1.0)  # log(part) = 2 artanh(ratio)
+    square = ratio * ratio
+    series = 1.0 + square * (1 / 3 + square * (1 / 5 + square * (1 / 7 + square / 9)))
+    return exponent * np.float32(np.log(2)) + 2.0 * ratio * series

@@ -50,6 +50,8 @@ def why_not(learner: TabularQ) -> str | None:
     """Return the reason why the kernel cannot train a table of one agent, or such tables; None if it can."""
     if reason := compute.why_no_kernel():
         return reason
+    if learner.counts or learner.method in ("sarsa", "n_step") or learner.exploration == "boltzmann":
+        return "a GPU's kernel knows no counts of visits, no sarsa, n_step and boltzmann"
     try:
         functions(one_of(learner) if all(map(np.ndim, jax.tree.leaves(learner))) else learner)
     except NotElementwise as reason:
@@ -70,14 +72,14 @@ def functions(learner: TabularQ) -> Functions:
     """
     carry = jax.eval_shape(TabularQ.init, learner, rng.key(0))
     key, agent = carry.agents.key, carry.agents._replace(key=None)
-    row = tuple(jax.ShapeDtypeStruct((), jnp.float32) for _ in range(learner.task.num_actions))
+    row = tuple(jax.ShapeDtypeStruct((), jnp.float32) for _ in range(carry.q_table.shape[1]))
 
     def learn(fixed: Any, varying: Any) -> Any:
         learner, key = fixed
         agent, q_row = varying
         update, outcome = learner.learn(agent._replace(key=key), q_row)
         change = learner.learning_rate * update.td_error
-        return update.row, update.action, change, *record_entry(learner, outcome)
+        return update.row, update.column, change, *record_entry(learner, outcome)
 
     def go_on(fixed: Any, varying: Any) -> Any:
         learner, key = fixed

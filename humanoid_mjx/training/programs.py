@@ -144,6 +144,8 @@ def why_no_kernel(learner: Any) -> str | None:
         return "several agents feed one table"
     if learner.evaluations > 1:
         return "tables are kept along the way, for evaluation"
+    if learner.method == "q_lambda":
+        return "each step of q_lambda changes the whole table"
     if jax.default_backend() != "cpu":
         from humanoid_mjx.training import fused
 

@@ -45,6 +45,13 @@ TASKS = {
     "own": Drift,
 }
 
+METHODS = (
+    {"method": "sarsa", "exploration": "boltzmann", "temperature": 0.3, "decay": "step"},
+    {"method": "expected_sarsa", "decay": "visit", "step_size": "visits"},
+    {"method": "double_q", "exploration": "ucb"},
+    {"method": "n_step", "steps": 3, "initial_value": 1.0},
+)
+
 
 def runs_of(task, **values):
     """Learners side by side that differ in all hyper-parameters, and their training before the first step."""
@@ -60,16 +67,19 @@ def words(leaf):
     return np.asarray(jax.random.key_data(leaf) if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key) else leaf)
 
 
-@pytest.mark.parametrize("case", TASKS)
-def test_kernel_equals_scan_to_the_bit_in_chunks_and_beyond_the_end(case):
+CASES = [(case, {}) for case in TASKS] + [("room", values) for values in METHODS] + [("own", METHODS[0])]
+
+
+@pytest.mark.parametrize(("case", "values"), CASES, ids=[" ".join([case, *map(str, v.values())]) for case, v in CASES])
+def test_kernel_equals_scan_to_the_bit_in_chunks_and_beyond_the_end(case, values):
     task = TASKS[case]()
-    assert why_no_kernel(make_learner("tabular_q", task)) is None
-    learners, start = runs_of(task)
+    assert why_no_kernel(make_learner("tabular_q", task, **values)) is None
+    learners, start = runs_of(task, **values)
     scan, kernel = (jax.jit(jax.vmap(each, in_axes=(0, 0, None))) for each in (train, TRAIN))
     expected = found = start
     for steps in (32, 70, 200):
         expected, found = scan(learners, expected, steps), kernel(learners, found, steps)
-    assert expected.record[..., 0].sum() > RUNS / 4  # so that records and restarts are compared too
+    assert expected.record[..., 0].sum() > (0 if values else RUNS / 4)  # so that records and restarts are compared too
     for wanted, got in zip(jax.tree.leaves(expected), jax.tree.leaves(found), strict=True):
         assert wanted.dtype == got.dtype
         np.testing.assert_array_equal(words(got), words(wanted))
@@ -84,7 +94,7 @@ def test_a_kernel_is_traced_again_after_caches_are_cleared():
     np.testing.assert_array_equal(*results)
 
 
-@pytest.mark.parametrize("values", [{"agents": 2}, {"evaluations": 3}])
+@pytest.mark.parametrize("values", [{"agents": 2}, {"evaluations": 3}, {"method": "q_lambda"}])
 def test_the_scan_trains_what_a_kernel_cannot(values):
     learners, start = runs_of(make_task("joint_reach", states=6), **values)
     scan, tried = (jax.jit(jax.vmap(each, in_axes=(0, 0, None)))(learners, start, 64) for each in (train, TRAIN))

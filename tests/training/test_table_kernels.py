@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from finite_mdp import random_task
 
-from humanoid_mjx import make_learner, make_task
+from humanoid_mjx import compute, make_learner, make_task
 from humanoid_mjx.compute import rng
 from humanoid_mjx.kernels import gpu_kernel
 from humanoid_mjx.kernels.elementwise import NotElementwise
@@ -35,13 +35,13 @@ TASKS = {
 }
 
 
-def runs_of(task):
+def runs_of(task, **own):
     """Learners side by side that differ in hyper-parameters, and their training before the first step.
 
     Products with powers of two are exact, and `TASKS` divide their angles by powers of two. So it makes no difference
     where a compiler contracts a product and a sum.
     """
-    learner = make_learner("tabular_q", task, episodes=30, record=7)
+    learner = make_learner("tabular_q", task, episodes=30, record=7, **own)
     learners = jax.tree.map(lambda x: jnp.full(RUNS, x), learner)
     values = {
         "epsilon": [1.0, 0.75, 0.5, 0.5, 0.25, 0.125],
@@ -66,11 +66,14 @@ KERNELS = {
 }
 
 
-@pytest.mark.parametrize("back_end", KERNELS)
-@pytest.mark.parametrize("case", TASKS)
-def test_kernel_equals_scan_in_chunks_and_beyond_the_end_of_training(case, back_end):
+CASES = [(case, back_end, {}) for case in TASKS for back_end in KERNELS]
+CASES += [("grid", "fused", {"method": method, "decay": "step"}) for method in ("double_q", "expected_sarsa")]
+
+
+@pytest.mark.parametrize(("case", "back_end", "own"), CASES)
+def test_kernel_equals_scan_in_chunks_and_beyond_the_end_of_training(case, back_end, own):
     values = dict(TASKS[case])
-    learners, start = runs_of(make_task(values.pop("name"), **values))
+    learners, start = runs_of(make_task(values.pop("name"), **values), **own)
     scan, kernel = jax.jit(jax.vmap(train, in_axes=(0, 0, None))), jax.jit(KERNELS[back_end])
     expected, found = start, start
     for steps in (32, 70, 200):
@@ -90,6 +93,7 @@ def test_kernel_equals_scan_in_chunks_and_beyond_the_end_of_training(case, back_
         (make_task("joint_reach"), {}, None),
         (make_task("joint_reach"), {"agents": 2}, "several agents"),
         (make_task("joint_reach"), {"evaluations": 3}, "along the way"),
+        (make_task("joint_reach"), {"method": "q_lambda"}, "each step of q_lambda changes the whole table"),
         (random_task(0, 4, 2, 4), {}, "TableTask: threads index only by what is known"),
         (make_task("posture_switch"), {}, "PostureSwitch: threads do no"),
     ],
@@ -109,6 +113,12 @@ def test_a_learner_without_a_table_is_trained_by_no_kernel():
 def test_the_scan_trains_what_the_kernel_of_a_gpu_cannot(values, words, monkeypatch):
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     assert words in why_no_kernel(make_learner("tabular_q", make_task("joint_reach"), **values))
+
+
+@pytest.mark.parametrize("own", [{"method": "sarsa"}, {"step_size": "visits"}, {"exploration": "boltzmann"}])
+def test_methods_that_the_kernel_of_a_gpu_lacks(own, monkeypatch):
+    monkeypatch.setattr(compute, "why_no_kernel", lambda: None)
+    assert "no counts of visits" in str(fused.why_not(make_learner("tabular_q", make_task("joint_reach"), **own)))
 
 
 def test_without_a_gpu_its_kernel_trains_nothing():
