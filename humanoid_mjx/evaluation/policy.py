@@ -30,6 +30,9 @@ from humanoid_mjx.training.state import from_arrays, to_arrays
 FORMAT = "humanoid_mjx policy, version 1"
 
 
+UNMODIFIED = "unmodified"
+"""The physics of a robot's file as it is."""
+
 OBSERVED = "task.observe", "task.symmetric"
 """Values of tasks that change what a policy observes, but not always how many numbers."""
 
@@ -201,6 +204,22 @@ def in_world(trained: Trained, physics: str | None, overrides: Sequence[str]) ->
     if physics is not None:
         return on_physics(trained, physics, overrides)
     return in_changed_world(trained, overrides) if overrides else trained
+
+
+def in_worlds(policies: Sequence[Trained], worlds: Sequence[str | None], overrides: Sequence[str]) -> list[Trained]:
+    """Each policy on each of these physics and in a changed world (`in_world`), named apart."""
+    return [
+        found._replace(name=f"{found.name}, {UNMODIFIED}") if physics == UNMODIFIED and len(worlds) > 1 else found
+        for trained in policies
+        for physics in worlds
+        for found in [in_world(trained, physics, overrides)]
+    ]
+
+
+def played_by(policies: Sequence[Trained]) -> list[str]:
+    """A sentence for each policy that plays in an unmodified file: what moves the robot there."""
+    own = [(each.name, each.learner.task) for each in policies if each.config.task.get("physics") == UNMODIFIED]
+    return list(dict.fromkeys(f"{name}: {task.simulator.words(task.period)}." for name, task in own))
 
 
 def on_physics(trained: Trained, physics: str, overrides: Sequence[str] = ()) -> Trained:

@@ -97,6 +97,10 @@ class MujocoPhysics(Physics):
         """Largest torque of each motor now, N m."""
         return jnp.asarray(self.torque_limit, float) * motor_limits(self.model)
 
+    def aiming(self, setpoint: Float[AnyArray, " joints"]) -> "MujocoPhysics":
+        """Return the physics that is also told the set-points of the joints, rad, if its motors take such."""
+        return self
+
     def controls_for(self, torque: Float[AnyArray, "*worlds joints"]) -> Float[AnyArray, "*worlds joints"]:
         """Return the motors' controls for these torques of their joints, N m."""
         scale = self._motor_scale

@@ -65,7 +65,7 @@ class Native(MujocoPhysics):
             world, *seen = self._cycle(carry[0], controller, sensed=True)
             return (world, (carry[0].qpos, *seen)), None
 
-        nothing = world.qpos, jnp.zeros(self.model.nu), jnp.zeros(self._team.base.nsensordata)
+        nothing = world.qpos, jnp.zeros(self.model.nu), jnp.zeros(self.simulated.nsensordata)
         (world, seen), _ = jax.lax.scan(cycle, (world, nothing), length=cycles)
         return world, self._seen(*seen)
 
@@ -94,17 +94,26 @@ class Native(MujocoPhysics):
         unless `sensed`."""
         state = world.qpos, world.qvel, world.warmstart
         control = jnp.concatenate([self.controls_for(torque), self.pushes()])
-        shapes = *(x.shape for x in state), (self._team.base.nsensordata * sensed,)
+        shapes = *(x.shape for x in state), (self.simulated.nsensordata * sensed,)
         return _on_host(partial(self._advance, sensed), shapes, self._values(), *state, control, by=self.host_call)
 
     def _seen(self, qpos: Float[Array, " nq"], torque: Float[Array, " joints"], sensordata: Array) -> Sensed:
         """Convert the sensors' array of a model of `_Team`."""
         own, frames = sensordata[: self.model.nsensordata], sensordata[self.model.nsensordata :]
-        position, *axes, linear, angular = frames.reshape(len(FRAMES), self.model.nbody, 3)
-        poses, velocities = Poses(position, jnp.stack(axes, axis=-1)), Velocities(linear, angular)
+        poses, velocities = self._framed(frames)
         turning, felt = (self._read(own, (name,)) for name in IMU)
         forces = self._read(own, self.robot.point_sensors)
         return self._sensed(qpos[self.joint_qpos], turning, felt, poses, velocities, forces, torque)
+
+    def _framed(self, frames: Array) -> tuple[Poses, Velocities]:
+        """Convert the readings of `FRAMES`."""
+        position, *axes, linear, angular = frames.reshape(len(FRAMES), self.model.nbody, 3)
+        return Poses(position, jnp.stack(axes, axis=-1)), Velocities(linear, angular)
+
+    @property
+    def simulated(self) -> mujoco.MjModel:
+        """The model that moves, with sensors of the package."""
+        return self._team.base
 
     @property
     def _team(self) -> "_Team":
@@ -190,6 +199,7 @@ class _Team:
         numbers, base = np.frombuffer(values), self.base
         terrain = self.terrain_of(numbers)
         model = self._shaped(terrain) if terrain and terrain.stairs is not None else copy(base)
+        model.opt.disableflags &= ~int(FLAGS.mjDSBL_SENSOR)
         model.opt.disableflags |= int(FLAGS.mjDSBL_AUTORESET | (0 if sensed else FLAGS.mjDSBL_SENSOR))
         self.tune(model, numbers)
         return model
@@ -205,7 +215,8 @@ class _Team:
         model.dof_damping[:] = damping * base.dof_damping
         model.pair_friction[:, :2] = friction * base.pair_friction[:, :2]
         model.geom_friction[:, 0] = friction * base.geom_friction[:, 0]
-        model.actuator_ctrlrange[:] = torque_limit * base.actuator_ctrlrange
+        torques = base.actuator_biastype == mujoco.mjtBias.mjBIAS_NONE
+        model.actuator_ctrlrange[torques] = torque_limit * base.actuator_ctrlrange[torques]
         model.actuator_forcerange[:] = torque_limit * base.actuator_forcerange
         if terrain:
             model.opt.gravity[:] = np.linalg.norm(base.opt.gravity) * -terrain.up(np)

@@ -21,7 +21,7 @@ from pydantic import Field
 
 from humanoid_mjx.config import Config, parse_yaml
 from humanoid_mjx.files import folder, meant, read_text
-from humanoid_mjx.robot.description import BEND, Robot, Servo, add_motors_and_imu, listed
+from humanoid_mjx.robot.description import BEND, InFile, Robot, Servo, add_imu, add_motors_and_imu, listed
 from humanoid_mjx.robot.differences import Difference, differences
 from humanoid_mjx.robot.mirror import images
 from humanoid_mjx.robot.mjcf import (
@@ -38,7 +38,7 @@ from humanoid_mjx.robot.mjcf import (
     turn_at_home,
 )
 from humanoid_mjx.robot.motors import driven, motors_on, own_drives
-from humanoid_mjx.robot.touching import any_of_rows, balls_of, soles_of, strip
+from humanoid_mjx.robot.touching import add_ground, any_of_rows, balls_of, soles_of, strip
 from humanoid_mjx.spec import InputError, Spec, known, search_folders, sentence
 
 OWN = re.compile(r"ground|package_imu|.*_point\d+(_contact)?")
@@ -131,6 +131,19 @@ class Declared(Robot):
         own = _read(find(self.name)).values
         return {key: value for key, value in own.items() if key not in ("name", "content")}
 
+    def in_file(self) -> InFile:
+        source = _read(find(self.name))
+        spec, model, _ = _load(source.model)
+        bare = not (model.geom_type == GEOM.mjGEOM_PLANE).any()
+        if bare:
+            add_ground(spec, model, soles_of(model, self.feet, self.ground_geoms))
+        for sensor in spec.sensors:
+            spec.delete(sensor)
+        back = (source.turn[0], *(-part for part in source.turn[1:]))
+        spec.worldbody.first_body().add_site(PLAIN, name="package_imu", quat=back)
+        add_imu(spec, "package_imu")
+        return InFile(spec, source.turn, "package_imu", source.key, bare)
+
     def differences(self, timestep: float | None = None) -> tuple[Difference, ...]:
         source = _read(find(self.name))
         _, file, warned = _load(source.model)
@@ -177,6 +190,8 @@ class Source(NamedTuple):
     joints: tuple[str, ...]
     turn: Quat
     """Orientation of the trunk at home in the file."""
+    key: str
+    """Keyframe of the posture; none: it is given by angles."""
     values: dict[str, Any]
     """Fields of `Declared`."""
 
@@ -260,7 +275,8 @@ def _understood(path: Path, text: str, file: str, content: str) -> Source:
         spec, model, _ = _load(file)
         joints = driven(model)
         home = _home(declared.home, model, joints)
-        turn = turn_at_home(model, declared.home if isinstance(declared.home, str) else "")
+        key = declared.home if isinstance(declared.home, str) else ""
+        turn = turn_at_home(model, key)
         torque, stiffness, damping = own_drives(model, joints)
         torque = _by_joint("torque", declared.torque, joints, torque)
         if wrong := [joint for joint, limit in zip(joints, torque, strict=True) if not 0 < limit < inf]:
@@ -289,7 +305,7 @@ def _understood(path: Path, text: str, file: str, content: str) -> Source:
     except InputError as error:
         message = str(error).rstrip(".")
         raise InputError(f"{path.name}: {message}.") from error
-    return Source(file, joints, turn, values)
+    return Source(file, joints, turn, key, values)
 
 
 def _by_kind(mirror: Any, joints: Sequence[str], shares: np.ndarray) -> tuple[float, ...]:

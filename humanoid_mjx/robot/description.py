@@ -47,6 +47,21 @@ class Servo(NamedTuple):
     """N m s/rad"""
 
 
+class InFile(NamedTuple):
+    """A robot as its file has it."""
+
+    spec: mujoco.MjSpec
+    """With sensors of the names `IMU`, and without others."""
+    turn: Sequence[float] = (1.0, 0.0, 0.0, 0.0)
+    """Orientation of the trunk in the file where the robot's is upright."""
+    site: str = ""
+    """Site at the origin of the trunk, upright as the robot's; none: the trunk itself is."""
+    key: str = ""
+    """Keyframe with the controls of actuators that drive no joint of the robot; none: 0."""
+    lacks_ground: bool = False
+    """True if the ground is not the file's own."""
+
+
 BEND = "bend of legs at home, as degrees of hip pitch: a gait's `lift` adds to it and so shortens two equal links"
 
 
@@ -75,6 +90,10 @@ class Robot(Named):
         accelerometer have those names.
         """
         raise NotImplementedError
+
+    def in_file(self) -> InFile:
+        """The robot as it is described: here as `spec` gives it."""
+        return InFile(self.spec())
 
     def differences(self, timestep: float | None = None) -> tuple[Any, ...]:
         """Everything in which the robot with this time step, s, differs from the file that describes it: a
@@ -274,6 +293,11 @@ def add_motors_and_imu(spec: mujoco.MjSpec, limits: Mapping[str, float], site: s
         motor = spec.add_actuator(PLAIN, name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         motor.set_to_motor()
         motor.ctrllimited, motor.ctrlrange = mujoco.mjtLimited.mjLIMITED_TRUE, (-limit, limit)
+    add_imu(spec, site)
+
+
+def add_imu(spec: mujoco.MjSpec, site: str) -> None:
+    """Add the sensors of `IMU` at a site."""
     for name, kind in zip(IMU, (mujoco.mjtSensor.mjSENS_GYRO, mujoco.mjtSensor.mjSENS_ACCELEROMETER), strict=True):
         spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=site)
 

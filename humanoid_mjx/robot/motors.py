@@ -2,15 +2,17 @@
 """Actuators of a user's model: the joints that they drive, their torque limits, and the gains of their servos."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
+from humanoid_mjx.robot.mjcf import element
 from humanoid_mjx.spec import InputError
+from humanoid_mjx.types import AnyArray
 
-GAIN, BIAS, INTEGRATOR = mujoco.mjtGain, mujoco.mjtBias, mujoco.mjtDyn.mjDYN_INTEGRATOR
+GAIN, BIAS, DYN, INTEGRATOR = mujoco.mjtGain, mujoco.mjtBias, mujoco.mjtDyn, mujoco.mjtDyn.mjDYN_INTEGRATOR
 ON_JOINTS = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT
 
 
@@ -79,3 +81,75 @@ def own_drives(model: mujoco.MjModel, joints: Sequence[str]) -> Float[np.ndarray
         held = stiffness > 0
         found.append((torque, stiffness if held else np.nan, max(damping, 0.0) if held or damping > 0 else np.nan))
     return np.array(found).T
+
+
+class Controls(NamedTuple):
+    """The controls of a model's own actuators, affine in what its joints are asked for and in their motion."""
+
+    constant: Float[np.ndarray, " motors"]
+    of_setpoint: Float[np.ndarray, "motors joints"]
+    of_torque: Float[np.ndarray, "motors joints"]
+    of_angle: Float[np.ndarray, "motors joints"]
+    of_velocity: Float[np.ndarray, "motors joints"]
+    aimed: Bool[np.ndarray, " joints"]
+    """Joints that position actuators bring to their set-points."""
+    applied: Bool[np.ndarray, " joints"]
+    """Joints without an actuator."""
+
+    def __call__(self, *asked: Float[AnyArray, " joints"]) -> Any:
+        """Return the controls for set-points, rad, torques, N m, angles, rad, and velocities, rad/s, of the joints."""
+        return self.constant + sum(gain @ numbers for gain, numbers in zip(self[1:5], asked, strict=True))
+
+
+def controls_of(m: mujoco.MjModel, joints: Sequence[str], constant: Float[np.ndarray, " motors"]) -> Controls:
+    """Return how a model's own actuators are driven; those that drive none of the joints keep `constant`.
+
+    A joint with position actuators: each rests at the set-point, its velocity actuators ask for standstill, dampers act
+    in full, motors give nothing. Another joint: its motors share the torque of the servo by their limits, or its
+    velocity actuators if it has no motor, and its other actuators give nothing.
+
+    Raises:
+      InputError: an actuator of a joint has another kind of gain, bias or dynamics.
+    """
+    found = Controls(constant.copy(), *np.zeros((4, len(constant), len(joints))), *np.zeros((2, len(joints)), bool))
+    for column, joint in enumerate(joints):
+        motors = motors_on(m, m.joint(joint).id)
+        places = getattr(m, "actuator_ctrladr", np.arange(len(constant)))[motors]
+        held, limits = np.array([gains(m, motor) for motor in motors]).reshape(-1, 2).T[0] > 0, motor_limits(m)[motors]
+        plain = (m.actuator_gaintype[motors] == GAIN.mjGAIN_FIXED) & (m.actuator_gainprm[motors, 0] != 0)
+        torques = plain & (m.actuator_biastype[motors] == BIAS.mjBIAS_NONE) & (limits > 0)
+        carry = (torques if torques.any() else plain & (limits > 0)) & ~held.any()
+        found.aimed[column], found.applied[column] = held.any(), not len(motors)
+        for motor, row, holds, acts, limit in zip(motors.tolist(), places, held, carry, limits, strict=True):
+            _check(m, motor, joint)
+            gear, gain = m.actuator_gear[motor, 0], m.actuator_gainprm[motor, 0]
+            fixed, angle, velocity = m.actuator_biasprm[motor, :3] * (m.actuator_biastype[motor] == BIAS.mjBIAS_AFFINE)
+            if m.actuator_gaintype[motor] == GAIN.mjGAIN_AFFINE:  # a damper
+                full = np.abs(m.actuator_ctrlrange[motor]).max() if m.actuator_ctrllimited[motor] else 1.0
+                found.constant[row] = full * held.any()
+            elif holds:
+                found.constant[row], found.of_setpoint[row, column] = -fixed / gain, -angle * gear / gain
+            elif gain and not held.any():
+                known = limits[carry]
+                share = (limit / known.sum() if np.isfinite(known).all() else 1 / len(known)) if acts else 0.0
+                found.of_torque[row, column] = share / gear / gain if acts else 0.0
+                found.constant[row], found.of_angle[row, column] = -fixed / gain, -angle * gear / gain
+                found.of_velocity[row, column] = -velocity * gear / gain
+            else:
+                found.constant[row] = 0.0
+    return found
+
+
+def _check(m: mujoco.MjModel, motor: int, joint: str) -> None:
+    """Refuse an actuator that is none of motors, position and velocity actuators and dampers."""
+    allowed = {
+        "gain": (GAIN.mjGAIN_FIXED, GAIN.mjGAIN_AFFINE),
+        "bias": (BIAS.mjBIAS_NONE, BIAS.mjBIAS_AFFINE),
+        "dyn": (DYN.mjDYN_NONE, DYN.mjDYN_FILTER, DYN.mjDYN_FILTEREXACT),
+    }
+    for kind, known in allowed.items():
+        if not np.isin(getattr(m, f"actuator_{kind}type")[motor], known):
+            raise InputError(
+                f"unmodified: {element(m, 'actuator', motor)} on {joint} is neither a motor, a position or velocity "
+                "actuator nor a damper; play it with --physics mujoco, by the motors of its YAML"
+            )

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from humanoid_mjx.robot.mjcf import PLAIN
 from humanoid_mjx.spec import InputError
 
 FLAGS, GEOM = mujoco.mjtDisableBit, mujoco.mjtGeom
@@ -216,3 +217,17 @@ def strip(spec: mujoco.MjSpec, feet_only: bool) -> None:
     option.tolerance, option.ls_tolerance = min(option.tolerance, 1e-8), min(option.ls_tolerance, 0.01)
     off = mujoco.mjtDisableBit
     option.disableflags &= ~int(off.mjDSBL_CONTACT | off.mjDSBL_ACTUATION | off.mjDSBL_CONSTRAINT)
+
+
+def add_ground(spec: mujoco.MjSpec, model: mujoco.MjModel, soles: Sequence[Touching]) -> None:
+    """Add a plane z = 0 that leaves the parameters of contacts to the shapes which touch it: all that touch anything,
+    and the soles."""
+    shapes = [next(shape for shape in spec.geoms if shape.id == sole.two) for sole in soles]
+    plane = {"type": GEOM.mjGEOM_PLANE, "size": (0.0, 0.0, 0.05), "priority": int(model.geom_priority.min()) - 1}
+    spec.worldbody.add_geom(PLAIN, name="ground", contype=(1 << 31) - 1, conaffinity=(1 << 31) - 1, **plane)
+    for index, (shape, geom) in enumerate(zip(shapes, [sole.two for sole in soles], strict=True)):
+        if not shape.contype | shape.conaffinity:
+            shape.name = shape.name or f"sole{index}"
+            pair = spec.add_pair(PLAIN, geomname1="ground", geomname2=shape.name, margin=shape.margin, gap=shape.gap)
+            pair.condim, pair.friction = shape.condim, model.geom_friction[geom][[0, 0, 1, 2, 2]]
+            pair.solref, pair.solimp = shape.solref, shape.solimp

@@ -1,0 +1,200 @@
+# pyright: reportAttributeAccessIssue=false
+"""A robot as its file has it, in native MuJoCo: its own actuators, contacts, solver, integrator and time step.
+
+States are told in the frame of the robot (`robot.mjcf.set_upright`), and simulated in that of the file. Sensors are the
+package's: they change no motion. Worlds run on threads one step at a time, since a solver that stops early depends on
+the exact warm start, which `mujoco.rollout` does not return.
+"""
+
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache, partial
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jaxtyping import Array, Float
+
+from humanoid_mjx.mechanics.rotations import product, rotate
+from humanoid_mjx.physics.base import Poses, Sensed, World
+from humanoid_mjx.physics.native import FRAMES, Native, _on_host, _Team
+from humanoid_mjx.robot import Robot
+from humanoid_mjx.robot.description import IMU
+from humanoid_mjx.robot.mjcf import checked, name_bodies
+from humanoid_mjx.robot.motors import controls_of
+from humanoid_mjx.robot.touching import word
+from humanoid_mjx.spec import InputError, traced
+from humanoid_mjx.types import AnyArray
+
+STATE = mujoco.mjtState
+REST = int(STATE.mjSTATE_FULLPHYSICS | STATE.mjSTATE_WARMSTART) & ~int(STATE.mjSTATE_QPOS | STATE.mjSTATE_QVEL)
+"""MuJoCo's state beside positions and velocities: time, activations, delayed values, warm start. `World.warmstart`."""
+
+FORCES = [1 << 1 | 1 << 4, 2, SLOTS := 16]
+"""Parameters of a contact sensor: forces and places of the `SLOTS` contacts with the largest forces."""
+
+MISFIT = 0.1
+"""Largest difference of a decision from the task's period, as a share of it."""
+
+
+class Unmodified(Native):
+    """The model of a robot's file. Position actuators take set-points, the other joints the torques of the law."""
+
+    terrains: ClassVar[tuple[tuple[str, ...], ...]] = ()
+
+    setpoint: tuple[float, ...] = traced((), description="set-points of the joints, rad; by default the posture")
+
+    def aiming(self, setpoint: Float[AnyArray, " joints"]) -> "Unmodified":
+        return self.replace(setpoint=setpoint)
+
+    @property
+    def simulated(self) -> mujoco.MjModel:
+        return self._file.base
+
+    @property
+    def step_s(self) -> float:
+        return float(self.simulated.opt.timestep)
+
+    def substeps(self, period: float) -> int:
+        """Return the number of the file's time steps that comes nearest to a period, s.
+
+        Raises:
+          InputError: it misses the period by more than `MISFIT`.
+        """
+        steps = max(round(period / self.step_s), 1)
+        if abs(steps * self.step_s - period) > MISFIT * period:
+            raise InputError(
+                f"the file's time step of {self.step_s:g} s does not fit decisions of {period:g} s; change it there."
+            )
+        return steps
+
+    def start(self, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]) -> World:
+        return super().start(qpos, qvel)._replace(warmstart=jnp.asarray(self._file.rest, float))
+
+    def words(self, period: float) -> str:
+        """What moves the robot, in a sentence; `period`, s, is that of decisions."""
+        file, option = self._file, self.simulated.opt
+        integrator, cone = word(mujoco.mjtIntegrator, option.integrator), word(mujoco.mjtCone, option.cone)
+        aimed, applied = file.controls.aimed, file.controls.applied
+        ways = {
+            "take the set-points by position actuators": aimed.sum(),
+            "take the servo's torques by actuators": (~aimed & ~applied).sum(),
+            "take the servo's torques without an actuator": applied.sum(),
+        }
+        joints = ", ".join(f"{number} joints {way}" for way, number in ways.items() if number)
+        lasts = self.substeps(period) * self.step_s
+        odd = "" if np.isclose(lasts, period) else f"; decisions last {lasts:g} s instead of {period:g} s"
+        ground = "; on a plane z = 0 of this package, as it has no ground" * file.lacks_ground
+        return f"time step {self.step_s:g} s, {integrator}, {cone} cone; {joints}{odd}{ground}"
+
+    @property
+    def _file(self) -> "_File":
+        return _file(self.robot)
+
+    def _moved(self, world: World, torque: Float[Array, " joints"], sensed: bool) -> list[Array]:
+        file, joints, dofs = self._file, world.qpos[self.joint_qpos], world.qvel[self.joint_dofs]
+        setpoint = jnp.asarray(self.setpoint if len(self.setpoint) else self.robot.posture, float)
+        control = file.controls(setpoint, torque, joints, dofs)
+        applied = self.pushes().at[self.joint_dofs].add(jnp.where(file.controls.applied, torque, 0.0))
+        state = *self._turned(world.qpos, world.qvel, file.turn), world.warmstart
+        shapes = *(x.shape for x in state), (self.simulated.nsensordata * sensed,)
+        vectors = self._values(), *state, jnp.concatenate([control, applied])
+        qpos, qvel, *others = _on_host(partial(self._advance, sensed), shapes, *vectors, by=self.host_call)
+        return [*self._turned(qpos, qvel, file.turn * [1, -1, -1, -1]), *others]
+
+    def _turned(self, qpos: Array, qvel: Array, turn: Float[np.ndarray, "4"]) -> tuple[Array, Array]:
+        """A state in which the frame of the free body is turned about itself."""
+        if turn[0] == 1.0:
+            return qpos, qvel
+        back = jnp.asarray(turn * [1, -1, -1, -1], float)
+        qpos = qpos.at[3:7].set(product(qpos[3:7], jnp.asarray(turn, float)))
+        return qpos, qvel.at[3:6].set(rotate(back, qvel[3:6]))
+
+    def _seen(self, qpos: Float[Array, " nq"], torque: Float[Array, " joints"], sensordata: Array) -> Sensed:
+        file, numbers = self._file, (18 * self.model.nbody, 6 * SLOTS * len(self.robot.feet), len(self.robot.joints))
+        own = len(sensordata) - sum(numbers)
+        frames, touches, acting = jnp.split(sensordata[own:], np.cumsum(numbers)[:-1])
+        poses, velocities = self._framed(frames)
+        turning, felt = (sensordata[place : place + 3] for place in file.imu)
+        torque = acting + jnp.where(file.controls.applied, torque, 0.0)
+        forces = self._pressing(poses, touches.reshape(-1, SLOTS, 6))
+        return self._sensed(qpos[self.joint_qpos], turning, felt, poses, velocities, forces, torque)
+
+    def _pressing(self, poses: Poses, touches: Float[Array, "feet slots 6"]) -> Float[Array, " points"]:
+        """The ground's force on each corner of the feet, N: that of the contacts which are nearest to it."""
+        link, arm = self._corners(poses)
+        corners = (poses.position[link] + arm).reshape(len(self.robot.feet), -1, 1, 3)
+        apart = jnp.linalg.norm(corners - touches[:, None, :, 3:], axis=-1)
+        nearest = apart.argmin(axis=1)[:, None] == jnp.arange(self.robot.points)[:, None]
+        return jnp.where(nearest, jnp.abs(touches[:, None, :, 0]), 0.0).sum(axis=-1).reshape(-1)
+
+    def _advance(
+        self,
+        sensed: bool,
+        values: Float[np.ndarray, "worlds values"],
+        qpos: Float[np.ndarray, "worlds nq"],
+        qvel: Float[np.ndarray, "worlds nv"],
+        rest: Float[np.ndarray, "worlds rest"],
+        control: Float[np.ndarray, "worlds controls"],
+    ) -> tuple[np.ndarray, ...]:
+        """Return the state of worlds after a time step of the file, and the sensors' readings before it."""
+        file, results = self._file, (np.empty_like(qpos), np.empty_like(qvel), np.empty_like(rest))
+        read = np.empty((len(qpos), file.base.nsensordata * sensed))
+
+        def move(rows: np.ndarray, data: mujoco.MjData) -> None:
+            for row in rows:
+                model = file.tuned(values[row].tobytes(), sensed)
+                data.qpos, data.qvel = qpos[row], qvel[row]
+                mujoco.mj_setState(model, data, rest[row], REST)
+                data.ctrl, data.qfrc_applied = np.split(control[row], [model.nu])
+                mujoco.mj_step(model, data)
+                results[0][row], results[1][row], read[row] = data.qpos, data.qvel, data.sensordata[: read.shape[1]]
+                mujoco.mj_getState(model, data, results[2][row], REST)
+
+        list(file.pool.map(move, np.array_split(np.arange(len(qpos)), len(file.data)), file.data))
+        return *results, read
+
+
+class _File(_Team):
+    """The model of a robot's file, and the threads that compute with it."""
+
+    def __init__(self, robot: Robot):
+        super().__init__(robot, None, jax.tree.structure(None))
+        base, data, pool = self.base, self.data[0], ThreadPoolExecutor(len(self.data))
+        self.pool, self.imu = pool, [int(base.sensor(name).adr[0]) for name in IMU]
+        self.controls = controls_of(base, robot.joints, base.key(self.key).ctrl if self.key else np.zeros(base.nu))
+        mujoco.mj_resetData(base, data)
+        held = self.controls(robot.posture, 0.0 * robot.posture, robot.posture, 0.0 * robot.posture)
+        for motor in np.flatnonzero(base.actuator_actnum == 1):
+            data.act[base.actuator_actadr[motor]] = held[getattr(base, "actuator_ctrladr", np.arange(base.nu))[motor]]
+        self.rest = np.empty(mujoco.mj_stateSize(base, REST))
+        mujoco.mj_getState(base, data, self.rest, REST)
+
+    def tune(self, model: mujoco.MjModel, numbers: np.ndarray) -> None:
+        super().tune(model, numbers)
+        model.jnt_actfrcrange[:] = numbers[self.base.nbody + 2] * self.base.jnt_actfrcrange
+
+    def _shaped(self, terrain: None) -> mujoco.MjModel:
+        """The file's model with sensors of the bodies' frames, the feet's contacts and the joints' torques."""
+        kinds, sensor = mujoco.mjtObj, mujoco.mjtSensor
+        with jax.ensure_compile_time_eval():
+            spec, turn, site, self.key, self.lacks_ground = self._robot.in_file()
+            self.turn = np.array(turn)
+            name_bodies(spec)
+            trunk = spec.worldbody.first_body().name
+            for kind in FRAMES:
+                for body in spec.bodies:
+                    one = (kinds.mjOBJ_SITE, site) if site and body.name == trunk else (kinds.mjOBJ_XBODY, body.name)
+                    spec.add_sensor(type=kind, objtype=one[0], objname=one[1])
+            for foot in self._robot.feet:
+                both = {"objtype": kinds.mjOBJ_BODY, "objname": foot, "reftype": kinds.mjOBJ_BODY, "refname": "world"}
+                spec.add_sensor(type=sensor.mjSENS_CONTACT, intprm=FORCES, **both)
+            for joint in self._robot.joints:
+                spec.add_sensor(type=sensor.mjSENS_JOINTACTFRC, objtype=kinds.mjOBJ_JOINT, objname=joint)
+            return checked(spec.compile)[0]
+
+
+@lru_cache
+def _file(robot: Robot) -> _File:
+    return _File(robot)
