@@ -9,7 +9,7 @@ from rich.table import Column, Table
 from typer import Argument, Option
 
 from humanoid_mjx.commands import console, start_for
-from humanoid_mjx.commands.options import POLICIES, Physics, Point, Trust, Unmodified, World, only_native, trusting
+from humanoid_mjx.commands.options import POLICIES, Physics, Point, Trust, Unmodified, World, trusting
 from humanoid_mjx.training.progress import Bar
 
 if TYPE_CHECKING:
@@ -37,13 +37,15 @@ def evaluate(
     from humanoid_mjx import compute
     from humanoid_mjx.evaluation.evaluate import HELD_OUT_WORDS
     from humanoid_mjx.files import write_text
-    from humanoid_mjx.spec import check_folder
+    from humanoid_mjx.spec import InputError, check_folder
 
+    if unmodified and physics not in (None, "mujoco"):
+        raise InputError(f"--physics {physics}: --unmodified plays in native MuJoCo; leave one of them out.")
     if json is not None:
         check_folder(json, "--json")
     start_for(physics, set_ or [])
     number = episodes or (64 if gait else 1024)
-    worlds = (physics,) if not unmodified else (only_native(physics), "unmodified")
+    worlds = ("mujoco", "unmodified") if unmodified else (physics,)
     with trusting(trust, *policies):
         found = (_gaits if gait else _successes)(policies, point, worlds, set_ or [], number)
     if json is not None:

@@ -9,7 +9,7 @@ from typing import Annotated
 from typer import Option
 
 from humanoid_mjx.commands import console, start_for
-from humanoid_mjx.commands.options import Physics, Point, Policy, Trust, Unmodified, World, only_native, trusting
+from humanoid_mjx.commands.options import Physics, Point, Policy, Trust, Unmodified, World, trusting
 from humanoid_mjx.training.progress import Bar
 
 
@@ -40,8 +40,10 @@ def play(
         raise InputError(f"--physics {physics}: --view moves the robot in native MuJoCo; leave this out.")
     if view and any(override.startswith("task.terrain") for override in set_):
         raise InputError("--set task.terrain: --view has a slope to set and no other ground; --out shows a terrain.")
-    if unmodified:
-        physics = only_native(physics) and "unmodified"
+    if unmodified and (view or physics not in (None, "mujoco")):
+        what = "--view shows the robot of the YAML" if view else f"--physics {physics}"
+        raise InputError(f"play: {what}, --unmodified that of its MJCF in native MuJoCo; leave one of them out.")
+    physics = "unmodified" if unmodified else physics
     if port is not None and not view:
         raise InputError("--port: only --view has a server.")
     if robots > 1 and not view:

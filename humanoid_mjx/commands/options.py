@@ -35,23 +35,7 @@ def trusting(trust: bool, *names: str | Path | None) -> AbstractContextManager[N
 
 Physics = Annotated[str | None, Option(metavar="NAME", help="Another physics than in training, such as mujoco.")]
 
-Unmodified = Annotated[
-    bool, Option("--unmodified", help="Native MuJoCo on the robot's file as it is, by the actuators of the file.")
-]
-
-
-def only_native(physics: str | None) -> str:
-    """Return the physics of `--unmodified`.
-
-    Raises:
-      InputError: another was asked for.
-    """
-    from humanoid_mjx.spec import InputError
-
-    if physics not in (None, "mujoco"):
-        raise InputError(f"--physics {physics}: --unmodified plays in native MuJoCo; leave one of them out.")
-    return "mujoco"
-
+Unmodified = Annotated[bool, Option("--unmodified", help="In native MuJoCo, on the robot's file as it is.")]
 
 Policy = Annotated[
     str,

@@ -34,6 +34,8 @@ from humanoid_mjx.robot.mjcf import (
     name_bodies,
     no_numbers,
     option_no_number,
+    place_of,
+    read_spec,
     set_upright,
     turn_at_home,
 )
@@ -96,7 +98,7 @@ class DeclaredServo(Spec):
 class Declaration(Spec):
     """Keys of a robot's YAML. `by joint` is one number, or numbers by regular expressions of joints' names."""
 
-    model: str = Field(description="the MJCF, a path from the YAML")
+    model: str = Field(description="the MJCF or a scene of it: a path from the YAML, or package:NAME/PATH")
     feet: list[str] = Field(min_length=1, description="geoms or bodies that stand on the ground")
     home: Posture = Field("", description="how it stands: a keyframe, or degrees by joint; by default all joints at 0")
     servo: DeclaredServo = Field(DeclaredServo.model_validate({}), description="gains of its joints' servo")
@@ -146,9 +148,9 @@ class Declared(Robot):
 
     def differences(self, timestep: float | None = None) -> tuple[Difference, ...]:
         source = _read(find(self.name))
-        _, file, warned = _load(source.model)
+        _, file, notes = _load(source.model)
         found = differences(file, checked(self.spec(timestep).compile)[0], self, source.turn)
-        return (*found, *(Difference("MuJoCo warns", words, "") for words in warned))
+        return (*found, *notes)
 
     def spec(self, timestep: float | None = None) -> mujoco.MjSpec:
         source = _read(find(self.name))
@@ -256,7 +258,7 @@ def _read(path: Path) -> Source:
         if not isinstance(data, dict):
             raise InputError(f"{path.name}: a robot is a mapping of keys such as model and feet.")
         declared = Declaration(**data)
-        model = path.parent / declared.model
+        model = place_of(declared.model, path.parent)
         if "\0" in declared.model or model.is_dir():
             raise InputError(f"{path.name}: model must be the path of an MJCF, got {declared.model!r}.")
         return _understood(path, text, str(model), content_of(data, model))
@@ -316,10 +318,10 @@ def _by_kind(mirror: Any, joints: Sequence[str], shares: np.ndarray) -> tuple[fl
     return tuple(shares[sorted(set(first))].tolist())
 
 
-def _load(file: str) -> tuple[mujoco.MjSpec, mujoco.MjModel, tuple[str, ...]]:
-    """Return the spec of an MJCF, every body named, its model, and MuJoCo's warnings."""
+def _load(file: str) -> tuple[mujoco.MjSpec, mujoco.MjModel, list[Difference]]:
+    """Return the spec of an MJCF, every body named, its model, and what was noted."""
     what = f"model: {Path(file).name} is no MJCF that MuJoCo takes"
-    spec, noted = checked(lambda: mujoco.MjSpec.from_file(file), what)
+    (spec, missing), noted = checked(lambda: read_spec(file), what)
     name_bodies(spec)
     ours = (part.name for part in (*spec.geoms, *spec.sites) if OWN.fullmatch(part.name))
     if taken := [name for name in ours if (plane := spec.geom(name)) is None or plane.type != GEOM.mjGEOM_PLANE]:
@@ -340,7 +342,8 @@ def _load(file: str) -> tuple[mujoco.MjSpec, mujoco.MjModel, tuple[str, ...]]:
         raise InputError(f"model: the option {option} must be {A_NUMBER}")
     if any("NaN" in words for words in noted):  # MuJoCo takes a mass of NaN for none
         raise InputError(f"model: {Path(file).name} holds a NaN; write a number in its place")
-    return spec, model, tuple(dict.fromkeys((*noted, *warned)))
+    notes = [Difference("MuJoCo warns", words, "") for words in dict.fromkeys((*noted, *warned))]
+    return spec, model, notes + [Difference(f"{missing} meshes", "for looks", "none: no such files")] * bool(missing)
 
 
 def bad_timestep(seconds: float) -> str | None:

@@ -86,11 +86,9 @@ def own_drives(model: mujoco.MjModel, joints: Sequence[str]) -> Float[np.ndarray
 class Controls(NamedTuple):
     """The controls of a model's own actuators, affine in what its joints are asked for and in their motion."""
 
-    constant: Float[np.ndarray, " motors"]
-    of_setpoint: Float[np.ndarray, "motors joints"]
-    of_torque: Float[np.ndarray, "motors joints"]
-    of_angle: Float[np.ndarray, "motors joints"]
-    of_velocity: Float[np.ndarray, "motors joints"]
+    constant: Float[np.ndarray, " controls"]
+    gains: Float[np.ndarray, "4 controls joints"]
+    """Of set-points, torques, angles and velocities."""
     aimed: Bool[np.ndarray, " joints"]
     """Joints that position actuators bring to their set-points."""
     applied: Bool[np.ndarray, " joints"]
@@ -98,58 +96,53 @@ class Controls(NamedTuple):
 
     def __call__(self, *asked: Float[AnyArray, " joints"]) -> Any:
         """Return the controls for set-points, rad, torques, N m, angles, rad, and velocities, rad/s, of the joints."""
-        return self.constant + sum(gain @ numbers for gain, numbers in zip(self[1:5], asked, strict=True))
+        return self.constant + sum(gain @ numbers for gain, numbers in zip(self.gains, asked, strict=True))
 
 
-def controls_of(m: mujoco.MjModel, joints: Sequence[str], constant: Float[np.ndarray, " motors"]) -> Controls:
+PLAYED = {
+    "gain": (GAIN.mjGAIN_FIXED, GAIN.mjGAIN_AFFINE),
+    "bias": (BIAS.mjBIAS_NONE, BIAS.mjBIAS_AFFINE),
+    "dyn": (DYN.mjDYN_NONE, DYN.mjDYN_FILTER, DYN.mjDYN_FILTEREXACT),
+}
+"""Kinds of motors, position and velocity actuators and dampers."""
+
+
+def controls_of(m: mujoco.MjModel, joints: Sequence[str], constant: Float[np.ndarray, " controls"]) -> Controls:
     """Return how a model's own actuators are driven; those that drive none of the joints keep `constant`.
 
-    A joint with position actuators: each rests at the set-point, its velocity actuators ask for standstill, dampers act
-    in full, motors give nothing. Another joint: its motors share the torque of the servo by their limits, or its
-    velocity actuators if it has no motor, and its other actuators give nothing.
+    A joint with position actuators: each rests at the set-point, velocity actuators ask for standstill, dampers act in
+    full, motors give nothing. Another joint: its motors, or without any its velocity actuators, share the torque by
+    their limits, and its other actuators give nothing.
 
     Raises:
-      InputError: an actuator of a joint has another kind of gain, bias or dynamics.
+      InputError: an actuator of a joint is of none of these kinds.
     """
-    found = Controls(constant.copy(), *np.zeros((4, len(constant), len(joints))), *np.zeros((2, len(joints)), bool))
+    found = Controls(constant.copy(), np.zeros((4, len(constant), len(joints))), *np.zeros((2, len(joints)), bool))
+    places = getattr(m, "actuator_ctrladr", np.arange(len(constant)))
     for column, joint in enumerate(joints):
         motors = motors_on(m, m.joint(joint).id)
-        places = getattr(m, "actuator_ctrladr", np.arange(len(constant)))[motors]
-        held, limits = np.array([gains(m, motor) for motor in motors]).reshape(-1, 2).T[0] > 0, motor_limits(m)[motors]
-        plain = (m.actuator_gaintype[motors] == GAIN.mjGAIN_FIXED) & (m.actuator_gainprm[motors, 0] != 0)
-        torques = plain & (m.actuator_biastype[motors] == BIAS.mjBIAS_NONE) & (limits > 0)
-        carry = (torques if torques.any() else plain & (limits > 0)) & ~held.any()
+        for kind, played in PLAYED.items():
+            if len(odd := motors[~np.isin(getattr(m, f"actuator_{kind}type")[motors], played)]):
+                what = f"{element(m, 'actuator', int(odd[0]))} on {joint}"
+                raise InputError(f"unmodified: {what} is no motor, position or velocity actuator or damper")
+        limits, held = motor_limits(m)[motors], np.array([gains(m, motor)[0] > 0 for motor in motors], bool)
+        fixed = (m.actuator_gaintype[motors] == GAIN.mjGAIN_FIXED) & (limits > 0)
+        torques = fixed & (m.actuator_biastype[motors] == BIAS.mjBIAS_NONE)
+        carry = torques if torques.any() else fixed
+        weights = np.where(carry, limits if np.isfinite(limits[carry]).all() else 1.0, 0.0)
+        shares = weights / max(weights.sum(), 1e-9)
         found.aimed[column], found.applied[column] = held.any(), not len(motors)
-        for motor, row, holds, acts, limit in zip(motors.tolist(), places, held, carry, limits, strict=True):
-            _check(m, motor, joint)
+        for motor, row, holds, share in zip(motors, places[motors], held, shares, strict=True):
             gear, gain = m.actuator_gear[motor, 0], m.actuator_gainprm[motor, 0]
-            fixed, angle, velocity = m.actuator_biasprm[motor, :3] * (m.actuator_biastype[motor] == BIAS.mjBIAS_AFFINE)
+            bias = m.actuator_biasprm[motor, :3] * (m.actuator_biastype[motor] == BIAS.mjBIAS_AFFINE)
             if m.actuator_gaintype[motor] == GAIN.mjGAIN_AFFINE:  # a damper
-                full = np.abs(m.actuator_ctrlrange[motor]).max() if m.actuator_ctrllimited[motor] else 1.0
-                found.constant[row] = full * held.any()
-            elif holds:
-                found.constant[row], found.of_setpoint[row, column] = -fixed / gain, -angle * gear / gain
-            elif gain and not held.any():
-                known = limits[carry]
-                share = (limit / known.sum() if np.isfinite(known).all() else 1 / len(known)) if acts else 0.0
-                found.of_torque[row, column] = share / gear / gain if acts else 0.0
-                found.constant[row], found.of_angle[row, column] = -fixed / gain, -angle * gear / gain
-                found.of_velocity[row, column] = -velocity * gear / gain
-            else:
+                limited = m.actuator_ctrllimited[motor]
+                found.constant[row] = held.any() * (np.abs(m.actuator_ctrlrange[motor]).max() if limited else 1.0)
+            elif not gain or (held.any() and not holds):
                 found.constant[row] = 0.0
+            else:
+                of_torque, of_velocity = (0.0, 0.0) if holds else (share / gear if share else 0.0, -bias[2] * gear)
+                found.constant[row] = -bias[0] / gain
+                found.gains[1:, row, column] = np.array([of_torque, 0.0, of_velocity]) / gain
+                found.gains[0 if holds else 2, row, column] = -bias[1] * gear / gain
     return found
-
-
-def _check(m: mujoco.MjModel, motor: int, joint: str) -> None:
-    """Refuse an actuator that is none of motors, position and velocity actuators and dampers."""
-    allowed = {
-        "gain": (GAIN.mjGAIN_FIXED, GAIN.mjGAIN_AFFINE),
-        "bias": (BIAS.mjBIAS_NONE, BIAS.mjBIAS_AFFINE),
-        "dyn": (DYN.mjDYN_NONE, DYN.mjDYN_FILTER, DYN.mjDYN_FILTEREXACT),
-    }
-    for kind, known in allowed.items():
-        if not np.isin(getattr(m, f"actuator_{kind}type")[motor], known):
-            raise InputError(
-                f"unmodified: {element(m, 'actuator', motor)} on {joint} is neither a motor, a position or velocity "
-                "actuator nor a damper; play it with --physics mujoco, by the motors of its YAML"
-            )
