@@ -258,7 +258,7 @@ def _read(path: Path) -> Source:
         if not isinstance(data, dict):
             raise InputError(f"{path.name}: a robot is a mapping of keys such as model and feet.")
         declared = Declaration(**data)
-        model = place_of(declared.model, path.parent)
+        model = place_of(declared.model, path)
         if "\0" in declared.model or model.is_dir():
             raise InputError(f"{path.name}: model must be the path of an MJCF, got {declared.model!r}.")
         return _understood(path, text, str(model), content_of(data, model))

@@ -37,6 +37,8 @@ def checked(function: Callable[[], Any], what: str = "model: MuJoCo cannot compi
         try:
             result = function()
             return result, tuple(dict.fromkeys(map(_line, [*(warning.message for warning in found), *messages])))
+        except InputError:
+            raise
         except ValueError as error:
             raise InputError(f"{what}: {_line(error).rstrip('.')}.") from error
 
@@ -81,19 +83,19 @@ def read_spec(file: str) -> tuple[mujoco.MjSpec, int]:
     return spec, len(shapes)
 
 
-def place_of(model: str, folder: Path) -> Path:
-    """Return the path of an MJCF: from a folder, or in an installed package as package:NAME/PATH.
+def place_of(model: str, beside: Path) -> Path:
+    """Return the path of an MJCF: from that of the YAML, or in an installed package as package:NAME/PATH.
 
     Raises:
       InputError: the package is not installed.
     """
     if not model.startswith("package:"):
-        return folder / model
+        return beside.parent / model
     package, _, path = model.removeprefix("package:").partition("/")
     found = importlib.util.find_spec(package) if package.isidentifier() else None
     if found is None or not found.submodule_search_locations:
-        brought = DISTRIBUTIONS.get(package, package)
-        raise InputError(f"model: the package {package!r} is not installed; pip install {brought} brings it")
+        command = f"pip install {DISTRIBUTIONS.get(package, package)}"
+        raise InputError(f"{beside.name}: model: the package {package!r} is not installed; {command} brings it.")
     return Path(next(iter(found.submodule_search_locations))) / path
 
 

@@ -210,7 +210,7 @@ def _under_hull(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> list[t
     ground, signs = points[:, 2].min(), np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)])
     low = points[points[:, 2] <= ground + 0.1 * np.ptp(points[:, 2]), :2]
     corners = np.array([low[(low @ sign).argmax()] for sign in signs])
-    radius = CORNER * float(np.ptp(corners, axis=0).min()) / 2
+    radius = CORNER * max(np.ptp(corners, axis=0).min(), 0.1 * np.ptp(points, axis=0).min()) / 2
     centers = np.column_stack([corners - radius * signs, np.full(4, ground + radius)])
     return [(place, radius) for place in (centers - data.xpos[body]) @ data.xmat[body].reshape(3, 3)]
 

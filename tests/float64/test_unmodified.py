@@ -26,7 +26,7 @@ FILE = """
           <body name="calf" pos="0 0 -.2">
             <joint name="knee" axis="0 1 0" range="-150 10" damping=".2" armature=".01"/>
             <geom type="capsule" fromto="0 0 0 0 0 -.2" size=".015" mass=".2" contype="0" conaffinity="0"/>
-            <geom name="foot" type="box" size=".03 .02 .01" pos="0 0 -.2" euler="0 -35 0" mass=".05"/>
+            <geom name="foot" type="box" size=".03 .02 .01" pos="0 0 -.2" euler="0 35 0" mass=".05"/>
           </body>
         </body>
       </replicate></replicate>
@@ -130,7 +130,7 @@ def compare(robot, folder, drive, turn=(1.0, 0.0, 0.0, 0.0), others=()):
         data.act[:] = robot.posture
     touched, before = 0, mujoco.MjData(model)
     for _ in range(12):
-        aim = robot.posture + 0.15 * rng.normal(size=len(joints))
+        aim = robot.posture + 0.1 * rng.normal(size=len(joints))
         world, seen = decide(world, aim)
         for _ in range(steps):
             q, v = data.qpos[places], data.qvel[dofs]
@@ -157,7 +157,7 @@ def compare(robot, folder, drive, turn=(1.0, 0.0, 0.0, 0.0), others=()):
             mujoco.mj_contactForce(model, before, number, force)
             pressing[robot.feet.index(foot)] += force[0]
         np.testing.assert_allclose(seen.readings.foot_contact, pressing, atol=1e-5)
-    assert touched > 2
+    assert touched > 1
     return seen
 
 
