@@ -199,11 +199,17 @@ def read_policy(path: Path) -> Trained:
     return Trained(group.learner(), policy, header.point, header.seed, header.name, parsed, origin)
 
 
-def in_world(trained: Trained, physics: str | None, overrides: Sequence[str]) -> Trained:
-    """The same policy on another physics (`on_physics`) and in a changed world (`in_changed_world`), if asked for."""
-    if physics is not None:
-        return on_physics(trained, physics, overrides)
-    return in_changed_world(trained, overrides) if overrides else trained
+def in_world(trained: Trained, physics: str | None, overrides: Sequence[str] = ()) -> Trained:
+    """The same policy, its task simulated by another physics, if one is named, and in a changed world
+    (`in_changed_world`).
+
+    Raises:
+      InputError: the task has no choice of physics, or not this one.
+    """
+    if physics is not None and "physics" not in type(trained.learner.task).model_fields:
+        raise InputError(f"--physics {physics}: the task {trained.config.task['name']} has no choice of physics.")
+    changes = [*([f"task.physics={physics}"] if physics is not None else []), *overrides]
+    return in_changed_world(trained, changes) if changes else trained
 
 
 def in_worlds(policies: Sequence[Trained], worlds: Sequence[str | None], overrides: Sequence[str]) -> list[Trained]:
@@ -222,22 +228,10 @@ def played_by(policies: Sequence[Trained]) -> list[str]:
     return list(dict.fromkeys(f"{name}: {task.simulator.words(task.period)}." for name, task in own))
 
 
-def on_physics(trained: Trained, physics: str, overrides: Sequence[str] = ()) -> Trained:
-    """The same policy, its task simulated by another physics, and its world changed (`in_changed_world`).
-
-    Raises:
-      InputError: the task has no choice of physics, or not this one.
-    """
-    task = trained.config.task
-    if "physics" not in type(trained.learner.task).model_fields:
-        raise InputError(f"--physics {physics}: the task {task['name']} has no choice of physics.")
-    return in_changed_world(trained, [f"task.physics={physics}", *overrides])
-
-
 def on_native(trained: Trained) -> Trained:
     """The same policy on native MuJoCo, which moves one robot without compiling, as far as its task can."""
     with suppress(InputError):
-        return on_physics(trained, "mujoco")
+        return in_world(trained, "mujoco")
     return trained
 
 

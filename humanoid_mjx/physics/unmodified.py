@@ -8,6 +8,7 @@ the exact warm start, which `mujoco.rollout` does not return.
 
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache, partial
+from itertools import product
 from typing import ClassVar
 
 import jax
@@ -16,14 +17,14 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
-from humanoid_mjx.mechanics.rotations import product, rotate
+from humanoid_mjx.mechanics import rotations
 from humanoid_mjx.physics.base import Poses, Sensed, World
 from humanoid_mjx.physics.native import FRAMES, Native, _on_host, _Team
 from humanoid_mjx.robot import Robot
 from humanoid_mjx.robot.description import IMU
 from humanoid_mjx.robot.mjcf import checked, name_bodies
 from humanoid_mjx.robot.motors import controls_of
-from humanoid_mjx.robot.touching import word
+from humanoid_mjx.robot.touching import GROUND, word
 from humanoid_mjx.spec import InputError, traced
 from humanoid_mjx.types import AnyArray
 
@@ -74,19 +75,15 @@ class Unmodified(Native):
 
     def words(self, period: float) -> str:
         """What moves the robot, in a sentence; `period`, s, is that of decisions."""
-        file, option = self._file, self.simulated.opt
-        integrator, cone = word(mujoco.mjtIntegrator, option.integrator), word(mujoco.mjtCone, option.cone)
-        aimed, applied = file.controls.aimed, file.controls.applied
-        ways = {
-            "take the set-points by position actuators": aimed.sum(),
-            "take the servo's torques by actuators": (~aimed & ~applied).sum(),
-            "take the servo's torques without an actuator": applied.sum(),
-        }
-        joints = ", ".join(f"{number} joints {way}" for way, number in ways.items() if number)
-        lasts = self.substeps(period) * self.step_s
-        odd = "" if np.isclose(lasts, period) else f"; decisions last {lasts:g} s instead of {period:g} s"
-        ground = "; on a plane z = 0 of this package, as it has no ground" * file.lacks_ground
-        return f"time step {self.step_s:g} s, {integrator}, {cone} cone; {joints}{odd}{ground}"
+        (_, _, aimed, applied), m = self._file.controls, self.simulated
+        solver = word(mujoco.mjtIntegrator, m.opt.integrator), word(mujoco.mjtCone, m.opt.cone)
+        ways = {"set-points by position actuators": aimed, "the servo's torques by actuators": ~aimed & ~applied}
+        ways |= {"the servo's torques without actuators": applied}
+        parts = [f"time steps of {self.step_s:g} s, {solver[0]}, {solver[1]} cone"]
+        parts += [f"{joints.sum()} joints take {how}" for how, joints in ways.items() if joints.any()]
+        parts += [f"decisions of {self.substeps(period) * self.step_s:g} s"]
+        bare = GROUND in [m.geom(number).name for number in range(m.ngeom)]
+        return "; ".join([*parts, "a plane z = 0 in place of a ground"] if bare else parts)
 
     @property
     def _file(self) -> "_File":
@@ -108,8 +105,8 @@ class Unmodified(Native):
         if turn[0] == 1.0:
             return qpos, qvel
         back = jnp.asarray(turn * [1, -1, -1, -1], float)
-        qpos = qpos.at[3:7].set(product(qpos[3:7], jnp.asarray(turn, float)))
-        return qpos, qvel.at[3:6].set(rotate(back, qvel[3:6]))
+        qpos = qpos.at[3:7].set(rotations.product(qpos[3:7], jnp.asarray(turn, float)))
+        return qpos, qvel.at[3:6].set(rotations.rotate(back, qvel[3:6]))
 
     def _seen(self, qpos: Float[Array, " nq"], torque: Float[Array, " joints"], sensordata: Array) -> Sensed:
         file, numbers = self._file, (18 * self.model.nbody, 6 * SLOTS * len(self.robot.feet), len(self.robot.joints))
@@ -179,14 +176,13 @@ class _File(_Team):
         """The file's model with sensors of the bodies' frames, the feet's contacts and the joints' torques."""
         kinds, sensor = mujoco.mjtObj, mujoco.mjtSensor
         with jax.ensure_compile_time_eval():
-            spec, turn, site, self.key, self.lacks_ground = self._robot.in_file()
+            spec, turn, self.key = self._robot.in_file()
             self.turn = np.array(turn)
             name_bodies(spec)
-            trunk = spec.worldbody.first_body().name
-            for kind in FRAMES:
-                for body in spec.bodies:
-                    one = (kinds.mjOBJ_SITE, site) if site and body.name == trunk else (kinds.mjOBJ_XBODY, body.name)
-                    spec.add_sensor(type=kind, objtype=one[0], objname=one[1])
+            frames = [(kinds.mjOBJ_XBODY, body.name) for body in spec.bodies]
+            frames[1] = frames[1] if turn[0] == 1.0 else (kinds.mjOBJ_SITE, "package_imu")
+            for kind, (objtype, name) in product(FRAMES, frames):
+                spec.add_sensor(type=kind, objtype=objtype, objname=name)
             for foot in self._robot.feet:
                 both = {"objtype": kinds.mjOBJ_BODY, "objname": foot, "reftype": kinds.mjOBJ_BODY, "refname": "world"}
                 spec.add_sensor(type=sensor.mjSENS_CONTACT, intprm=FORCES, **both)

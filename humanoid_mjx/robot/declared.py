@@ -21,7 +21,7 @@ from pydantic import Field
 
 from humanoid_mjx.config import Config, parse_yaml
 from humanoid_mjx.files import folder, meant, read_text
-from humanoid_mjx.robot.description import BEND, InFile, Robot, Servo, add_imu, add_motors_and_imu, listed
+from humanoid_mjx.robot.description import BEND, Robot, Servo, add_imu, add_motors_and_imu, listed
 from humanoid_mjx.robot.differences import Difference, differences
 from humanoid_mjx.robot.mirror import images
 from humanoid_mjx.robot.mjcf import (
@@ -43,7 +43,7 @@ from humanoid_mjx.robot.motors import driven, motors_on, own_drives
 from humanoid_mjx.robot.touching import add_ground, any_of_rows, balls_of, soles_of, strip
 from humanoid_mjx.spec import InputError, Spec, known, search_folders, sentence
 
-OWN = re.compile(r"ground|package_imu|.*_point\d+(_contact)?")
+OWN = re.compile(r"(package_)?ground|package_imu|.*_point\d+(_contact)?")
 """Names of geoms and sites that the package adds."""
 
 DAMPING = 0.03
@@ -133,18 +133,17 @@ class Declared(Robot):
         own = _read(find(self.name)).values
         return {key: value for key, value in own.items() if key not in ("name", "content")}
 
-    def in_file(self) -> InFile:
+    def in_file(self) -> tuple[mujoco.MjSpec, Sequence[float], str]:
         source = _read(find(self.name))
         spec, model, _ = _load(source.model)
-        bare = not (model.geom_type == GEOM.mjGEOM_PLANE).any()
-        if bare:
+        if not (model.geom_type == GEOM.mjGEOM_PLANE).any():
             add_ground(spec, model, soles_of(model, self.feet, self.ground_geoms))
         for sensor in spec.sensors:
             spec.delete(sensor)
         back = (source.turn[0], *(-part for part in source.turn[1:]))
         spec.worldbody.first_body().add_site(PLAIN, name="package_imu", quat=back)
         add_imu(spec, "package_imu")
-        return InFile(spec, source.turn, "package_imu", source.key, bare)
+        return spec, source.turn, source.key
 
     def differences(self, timestep: float | None = None) -> tuple[Difference, ...]:
         source = _read(find(self.name))

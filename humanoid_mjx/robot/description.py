@@ -47,21 +47,6 @@ class Servo(NamedTuple):
     """N m s/rad"""
 
 
-class InFile(NamedTuple):
-    """A robot as its file has it."""
-
-    spec: mujoco.MjSpec
-    """With sensors of the names `IMU`, and without others."""
-    turn: Sequence[float] = (1.0, 0.0, 0.0, 0.0)
-    """Orientation of the trunk in the file where the robot's is upright."""
-    site: str = ""
-    """Site at the origin of the trunk, upright as the robot's; none: the trunk itself is."""
-    key: str = ""
-    """Keyframe with the controls of actuators that drive no joint of the robot; none: 0."""
-    lacks_ground: bool = False
-    """True if the ground is not the file's own."""
-
-
 BEND = "bend of legs at home, as degrees of hip pitch: a gait's `lift` adds to it and so shortens two equal links"
 
 
@@ -91,9 +76,10 @@ class Robot(Named):
         """
         raise NotImplementedError
 
-    def in_file(self) -> InFile:
-        """The robot as it is described: here as `spec` gives it."""
-        return InFile(self.spec())
+    def in_file(self) -> tuple[mujoco.MjSpec, Sequence[float], str]:
+        """Return the robot as its file has it, with no sensors but those of `IMU`; the orientation of its trunk there
+        where the robot's is upright, as is a site `package_imu`; the keyframe with the controls of all actuators."""
+        return self.spec(), (1.0, 0.0, 0.0, 0.0), ""
 
     def differences(self, timestep: float | None = None) -> tuple[Any, ...]:
         """Everything in which the robot with this time step, s, differs from the file that describes it: a

@@ -18,6 +18,9 @@ SURPLUS = "gap", "adhesion"
 CORNER = 0.25
 """Largest radius of the balls in a box's corners, as a share of half its shorter side."""
 
+GROUND = "package_ground"
+"""Name of the plane of a file without one."""
+
 LEVEL = 1e-4
 """Largest height, m, and tilt, degrees, of a plane that counts as z = 0."""
 
@@ -240,10 +243,10 @@ def add_ground(spec: mujoco.MjSpec, model: mujoco.MjModel, soles: Sequence[Touch
     parameters count nothing."""
     shapes = [next(shape for shape in spec.geoms if shape.id == sole.two) for sole in soles]
     plane = {"type": GEOM.mjGEOM_PLANE, "size": (0.0, 0.0, 0.05), "priority": int(model.geom_priority.min()) - 1}
-    spec.worldbody.add_geom(PLAIN, name="ground", contype=(1 << 31) - 1, conaffinity=(1 << 31) - 1, **plane)
+    spec.worldbody.add_geom(PLAIN, name=GROUND, contype=(1 << 31) - 1, conaffinity=(1 << 31) - 1, **plane)
     for index, (shape, sole) in enumerate(zip(shapes, soles, strict=True)):
         if not shape.contype | shape.conaffinity:
             shape.name = shape.name or f"sole{index}"
-            pair = spec.add_pair(PLAIN, geomname1="ground", geomname2=shape.name, margin=shape.margin, gap=shape.gap)
+            pair = spec.add_pair(PLAIN, geomname1=GROUND, geomname2=shape.name, margin=shape.margin, gap=shape.gap)
             pair.condim, pair.friction = shape.condim, model.geom_friction[sole.two][[0, 0, 1, 2, 2]]
             pair.solref, pair.solimp = shape.solref, shape.solimp

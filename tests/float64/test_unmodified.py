@@ -186,7 +186,8 @@ def test_a_turned_trunk_moves_in_its_own_frame(tmp_path):
 
 def test_actuators_of_other_parts_keep_the_controls_of_the_keyframe(tmp_path):
     others = '<tendon><fixed name="t"><joint joint="hip_0_0" coef="1"/></fixed></tendon>'
-    others += '<sensor><framepos name="gyroscope" objtype="body" objname="trunk"/></sensor><keyframe><key name="home" qpos="0 0 .4 1 0 0 0'
+    others += '<sensor><framepos name="gyroscope" objtype="body" objname="trunk"/></sensor>'
+    others += '<keyframe><key name="home" qpos="0 0 .4 1 0 0 0'
     others += f'{" 0.6 -1.2" * 4}" ctrl="4{" 0" * 8}"/></keyframe>'
     tendon = ("<actuator>", f'{others}<actuator><motor tendon="t"/>')
     robot = made(tmp_path, "position", tendon, yaml=YAML.replace('{"hip.*": 35, "knee.*": -70}', "home"))
@@ -199,7 +200,7 @@ def test_the_ground_of_a_file_without_one_leaves_all_to_the_feet(tmp_path):
         ('name="foot"', 'name="foot" friction=".3" condim="6"'),
     )
     robot = made(tmp_path, "position", *bare)
-    assert make_physics("unmodified", robot=robot).words(0.02).endswith("as it has no ground")
+    assert make_physics("unmodified", robot=robot).words(0.02).endswith("a plane z = 0 in place of a ground")
     text = (tmp_path / "file.xml").read_text()
     plane = '<worldbody><geom type="plane" size="5 5 .1" friction="0" condim="1"/>'
     (tmp_path / "file.xml").write_text(
