@@ -9,7 +9,7 @@ the exact warm start, which `mujoco.rollout` does not return.
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache, partial
 from itertools import product
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from humanoid_mjx.mechanics import rotations
-from humanoid_mjx.physics.base import Poses, Sensed, World
+from humanoid_mjx.physics.base import Sensed, World
 from humanoid_mjx.physics.native import FRAMES, Native, _on_host, _Team
 from humanoid_mjx.robot import Robot
 from humanoid_mjx.robot.description import IMU
@@ -109,48 +109,38 @@ class Unmodified(Native):
         return qpos, qvel.at[3:6].set(rotations.rotate(back, qvel[3:6]))
 
     def _seen(self, qpos: Float[Array, " nq"], torque: Float[Array, " joints"], sensordata: Array) -> Sensed:
-        file, numbers = self._file, (18 * self.model.nbody, 6 * SLOTS * len(self.robot.feet), len(self.robot.joints))
-        own = len(sensordata) - sum(numbers)
-        frames, touches, acting = jnp.split(sensordata[own:], np.cumsum(numbers)[:-1])
+        file, feet = self._file, len(self.robot.feet)
+        ends = np.cumsum([len(torque), 6 * SLOTS * feet, 18 * self.model.nbody])
+        others, frames, touches, acting = jnp.split(sensordata, len(sensordata) - ends[::-1])
         poses, velocities = self._framed(frames)
-        turning, felt = (sensordata[place : place + 3] for place in file.imu)
-        torque = acting + jnp.where(file.controls.applied, torque, 0.0)
-        forces = self._pressing(poses, touches.reshape(-1, SLOTS, 6))
-        return self._sensed(qpos[self.joint_qpos], turning, felt, poses, velocities, forces, torque)
-
-    def _pressing(self, poses: Poses, touches: Float[Array, "feet slots 6"]) -> Float[Array, " points"]:
-        """The ground's force on each corner of the feet, N: that of the contacts which are nearest to it."""
         link, arm = self._corners(poses)
-        corners = (poses.position[link] + arm).reshape(len(self.robot.feet), -1, 1, 3)
-        apart = jnp.linalg.norm(corners - touches[:, None, :, 3:], axis=-1)
-        nearest = apart.argmin(axis=1)[:, None] == jnp.arange(self.robot.points)[:, None]
-        return jnp.where(nearest, jnp.abs(touches[:, None, :, 0]), 0.0).sum(axis=-1).reshape(-1)
+        corners = (poses.position[link] + arm).reshape(feet, -1, 1, 3)
+        force, place = jnp.split(touches.reshape(feet, 1, SLOTS, 6), [3], axis=-1)
+        nearest = jnp.linalg.norm(corners - place, axis=-1).argmin(axis=1)[:, None]
+        forces = jnp.where(nearest == jnp.arange(corners.shape[1])[:, None], jnp.abs(force[..., 0]), 0.0).sum(axis=-1)
+        turning, felt = (others[adr : adr + 3] for adr in file.imu)
+        torque = acting + jnp.where(file.controls.applied, torque, 0.0)
+        return self._sensed(qpos[self.joint_qpos], turning, felt, poses, velocities, forces.reshape(-1), torque)
 
-    def _advance(
-        self,
-        sensed: bool,
-        values: Float[np.ndarray, "worlds values"],
-        qpos: Float[np.ndarray, "worlds nq"],
-        qvel: Float[np.ndarray, "worlds nv"],
-        rest: Float[np.ndarray, "worlds rest"],
-        control: Float[np.ndarray, "worlds controls"],
-    ) -> tuple[np.ndarray, ...]:
-        """Return the state of worlds after a time step of the file, and the sensors' readings before it."""
-        file, results = self._file, (np.empty_like(qpos), np.empty_like(qvel), np.empty_like(rest))
+    def _advance(self, sensed: bool, values: Float[np.ndarray, "worlds _"], *state: Any) -> tuple[np.ndarray, ...]:
+        """Return the state of worlds, qpos, qvel and `REST`, after a time step of the file, and the sensors' readings
+        before it. Behind the state are the controls and the forces on all degrees of freedom."""
+        *before, controls = state
+        file, (qpos, qvel, rest) = self._file, map(np.empty_like, before)
         read = np.empty((len(qpos), file.base.nsensordata * sensed))
 
         def move(rows: np.ndarray, data: mujoco.MjData) -> None:
             for row in rows:
                 model = file.tuned(values[row].tobytes(), sensed)
-                data.qpos, data.qvel = qpos[row], qvel[row]
-                mujoco.mj_setState(model, data, rest[row], REST)
-                data.ctrl, data.qfrc_applied = np.split(control[row], [model.nu])
+                data.qpos, data.qvel = before[0][row], before[1][row]
+                mujoco.mj_setState(model, data, before[2][row], REST)
+                data.ctrl, data.qfrc_applied = np.split(controls[row], [model.nu])
                 mujoco.mj_step(model, data)
-                results[0][row], results[1][row], read[row] = data.qpos, data.qvel, data.sensordata[: read.shape[1]]
-                mujoco.mj_getState(model, data, results[2][row], REST)
+                qpos[row], qvel[row], read[row] = data.qpos, data.qvel, data.sensordata[: read.shape[1]]
+                mujoco.mj_getState(model, data, rest[row], REST)
 
         list(file.pool.map(move, np.array_split(np.arange(len(qpos)), len(file.data)), file.data))
-        return *results, read
+        return qpos, qvel, rest, read
 
 
 class _File(_Team):

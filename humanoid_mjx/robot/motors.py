@@ -117,32 +117,32 @@ def controls_of(m: mujoco.MjModel, joints: Sequence[str], constant: Float[np.nda
     Raises:
       InputError: an actuator of a joint is of none of these kinds.
     """
-    found = Controls(constant.copy(), np.zeros((4, len(constant), len(joints))), *np.zeros((2, len(joints)), bool))
-    places = getattr(m, "actuator_ctrladr", np.arange(len(constant)))
-    for column, joint in enumerate(joints):
-        motors = motors_on(m, m.joint(joint).id)
-        for kind, played in PLAYED.items():
-            if len(odd := motors[~np.isin(getattr(m, f"actuator_{kind}type")[motors], played)]):
-                what = f"{element(m, 'actuator', int(odd[0]))} on {joint}"
-                raise InputError(f"unmodified: {what} is no motor, position or velocity actuator or damper")
-        limits, held = motor_limits(m)[motors], np.array([gains(m, motor)[0] > 0 for motor in motors], bool)
-        fixed = (m.actuator_gaintype[motors] == GAIN.mjGAIN_FIXED) & (limits > 0)
-        torques = fixed & (m.actuator_biastype[motors] == BIAS.mjBIAS_NONE)
-        carry = torques if torques.any() else fixed
-        weights = np.where(carry, limits if np.isfinite(limits[carry]).all() else 1.0, 0.0)
-        shares = weights / max(weights.sum(), 1e-9)
-        found.aimed[column], found.applied[column] = held.any(), not len(motors)
-        for motor, row, holds, share in zip(motors, places[motors], held, shares, strict=True):
-            gear, gain = m.actuator_gear[motor, 0], m.actuator_gainprm[motor, 0]
-            bias = m.actuator_biasprm[motor, :3] * (m.actuator_biastype[motor] == BIAS.mjBIAS_AFFINE)
-            if m.actuator_gaintype[motor] == GAIN.mjGAIN_AFFINE:  # a damper
-                limited = m.actuator_ctrllimited[motor]
-                found.constant[row] = held.any() * (np.abs(m.actuator_ctrlrange[motor]).max() if limited else 1.0)
-            elif not gain or (held.any() and not holds):
-                found.constant[row] = 0.0
-            else:
-                of_torque, of_velocity = (0.0, 0.0) if holds else (share / gear if share else 0.0, -bias[2] * gear)
-                found.constant[row] = -bias[0] / gain
-                found.gains[1:, row, column] = np.array([of_torque, 0.0, of_velocity]) / gain
-                found.gains[0 if holds else 2, row, column] = -bias[1] * gear / gain
-    return found
+    on = np.isin(m.actuator_trntype, ON_JOINTS)[:, None] & (m.actuator_trnid[:, :1] == [m.joint(j).id for j in joints])
+    motors, of = np.nonzero(on)
+    for kind, played in PLAYED.items():
+        if len(odd := np.flatnonzero(~np.isin(getattr(m, f"actuator_{kind}type")[motors], played))):
+            what = f"{element(m, 'actuator', int(motors[odd[0]]))} on {joints[of[odd[0]]]}"
+            raise InputError(f"unmodified: {what} is no motor, position or velocity actuator or damper")
+    gear, gain = m.actuator_gear[motors, 0], m.actuator_gainprm[motors, 0]
+    bias = m.actuator_biasprm[motors, :3].T * (m.actuator_biastype[motors] == BIAS.mjBIAS_AFFINE)
+    damps, limits = m.actuator_gaintype[motors] == GAIN.mjGAIN_AFFINE, motor_limits(m)[motors]
+    full = np.where(m.actuator_ctrllimited[motors], np.abs(m.actuator_ctrlrange[motors]).max(axis=1), 1.0)
+    holds = np.array([gains(m, motor)[0] > 0 for motor in motors], bool)
+
+    def anywhere(which: Any) -> Any:
+        """Whether a joint has such an actuator, for each actuator."""
+        return np.bincount(of, which, len(joints))[of] > 0
+
+    held, acts = anywhere(holds), ~damps & (limits > 0)
+    plain = acts & ~bias.any(axis=0)
+    carries = acts & ~held & (plain | ~anywhere(plain))
+    weights = np.where(carries, np.where(anywhere(carries & np.isinf(limits)), 1.0, limits), 0.0)
+    shares = weights / np.maximum(np.bincount(of, weights, len(joints))[of], 1e-9)
+    places = getattr(m, "actuator_ctrladr", np.arange(len(on)))[motors]
+    constant, slopes = constant.copy(), np.zeros((4, len(constant), len(joints)))
+    moves = ~damps & (gain != 0) & (holds | ~held)  # those whose force is asked for, be it 0
+    inverse = moves / np.where(moves, gain, 1.0)
+    constant[places] = np.where(damps, full * held, -bias[0] * inverse)
+    force = shares / np.where(carries, gear, 1.0)
+    slopes[:, places, of] = inverse * [-bias[1] * gear * holds, force, -bias[1] * gear * ~held, -bias[2] * gear * ~held]
+    return Controls(constant, slopes, np.bincount(of, holds, len(joints)) > 0, ~on.any(axis=0))
