@@ -224,8 +224,9 @@ def in_worlds(policies: Sequence[Trained], worlds: Sequence[str | None], overrid
 
 def played_by(policies: Sequence[Trained]) -> list[str]:
     """A sentence for each policy that plays in an unmodified file: what moves the robot there."""
-    own = [(each.name, each.learner.task) for each in policies if each.config.task.get("physics") == UNMODIFIED]
-    return list(dict.fromkeys(f"{name}: {task.simulator.words(task.period)}." for name, task in own))
+    tasks: dict[str, Any] = {each.name: each.learner.task for each in policies}
+    own = {name: task for name, task in tasks.items() if getattr(task, "physics", None) == UNMODIFIED}
+    return [f"{name}: {task.simulator.words(task.period)}." for name, task in own.items()]
 
 
 def on_native(trained: Trained) -> Trained:

@@ -36,6 +36,7 @@ class MujocoPhysics(Physics):
     damping: float = traced(1.0, ge=0, description="factor on that of the joints")
     torque_limit: float = traced(1.0, gt=0, description="factor on that of each motor")
     push: tuple[float, float, float] = traced((0.0, 0.0, 0.0), description="steady force on a free torso, N, world")
+    setpoint: tuple[float, ...] = traced((), description="set-points of the joints, rad, for motors that take such")
     terrain: Terrain | None = Field(None, description="shape of the ground; none: a level plane")
 
     @model_validator(mode="after")
@@ -96,10 +97,6 @@ class MujocoPhysics(Physics):
     def torque_limits(self) -> Float[AnyArray, " joints"]:
         """Largest torque of each motor now, N m."""
         return jnp.asarray(self.torque_limit, float) * motor_limits(self.model)
-
-    def aiming(self, setpoint: Float[AnyArray, " joints"]) -> "MujocoPhysics":
-        """Return the physics that is also told the set-points of the joints, rad, if its motors take such."""
-        return self
 
     def controls_for(self, torque: Float[AnyArray, "*worlds joints"]) -> Float[AnyArray, "*worlds joints"]:
         """Return the motors' controls for these torques of their joints, N m."""

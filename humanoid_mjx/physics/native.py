@@ -65,7 +65,7 @@ class Native(MujocoPhysics):
             world, *seen = self._cycle(carry[0], controller, sensed=True)
             return (world, (carry[0].qpos, *seen)), None
 
-        nothing = world.qpos, jnp.zeros(self.model.nu), jnp.zeros(self.simulated.nsensordata)
+        nothing = world.qpos, jnp.zeros(self.model.nu), jnp.zeros(self._team.base.nsensordata)
         (world, seen), _ = jax.lax.scan(cycle, (world, nothing), length=cycles)
         return world, self._seen(*seen)
 
@@ -94,7 +94,7 @@ class Native(MujocoPhysics):
         unless `sensed`."""
         state = world.qpos, world.qvel, world.warmstart
         control = jnp.concatenate([self.controls_for(torque), self.pushes()])
-        shapes = *(x.shape for x in state), (self.simulated.nsensordata * sensed,)
+        shapes = *(x.shape for x in state), (self._team.base.nsensordata * sensed,)
         return _on_host(partial(self._advance, sensed), shapes, self._values(), *state, control, by=self.host_call)
 
     def _seen(self, qpos: Float[Array, " nq"], torque: Float[Array, " joints"], sensordata: Array) -> Sensed:
@@ -109,11 +109,6 @@ class Native(MujocoPhysics):
         """Convert the readings of `FRAMES`."""
         position, *axes, linear, angular = frames.reshape(len(FRAMES), self.model.nbody, 3)
         return Poses(position, jnp.stack(axes, axis=-1)), Velocities(linear, angular)
-
-    @property
-    def simulated(self) -> mujoco.MjModel:
-        """The model that moves, with sensors of the package."""
-        return self._team.base
 
     @property
     def _team(self) -> "_Team":
@@ -169,9 +164,10 @@ class Native(MujocoPhysics):
     def _look(self, values: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, ...]:
         """Return the results of `_motion` for each world."""
         rows, corners = [], self.ground_points[0]
-        data = self._team.data[0]
+        team = _team(self.robot, self.timestep, jax.tree.structure(self.terrain))
+        data = team.data[0]
         for i, row in enumerate(values):
-            model = self._team.tuned(row.tobytes(), False)
+            model = team.tuned(row.tobytes(), False)
             data.qpos, data.qvel = qpos[i], qvel[i]
             mujoco.mj_fwdPosition(model, data)
             mujoco.mj_fwdVelocity(model, data)

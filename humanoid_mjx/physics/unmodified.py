@@ -25,7 +25,7 @@ from humanoid_mjx.robot.description import IMU
 from humanoid_mjx.robot.mjcf import checked, name_bodies
 from humanoid_mjx.robot.motors import controls_of
 from humanoid_mjx.robot.touching import GROUND, word
-from humanoid_mjx.spec import InputError, traced
+from humanoid_mjx.spec import InputError
 from humanoid_mjx.types import AnyArray
 
 STATE = mujoco.mjtState
@@ -44,18 +44,9 @@ class Unmodified(Native):
 
     terrains: ClassVar[tuple[tuple[str, ...], ...]] = ()
 
-    setpoint: tuple[float, ...] = traced((), description="set-points of the joints, rad; by default the posture")
-
-    def aiming(self, setpoint: Float[AnyArray, " joints"]) -> "Unmodified":
-        return self.replace(setpoint=setpoint)
-
-    @property
-    def simulated(self) -> mujoco.MjModel:
-        return self._file.base
-
     @property
     def step_s(self) -> float:
-        return float(self.simulated.opt.timestep)
+        return float(self._team.base.opt.timestep)
 
     def substeps(self, period: float) -> int:
         """Return the number of the file's time steps that comes nearest to a period, s.
@@ -71,11 +62,11 @@ class Unmodified(Native):
         return steps
 
     def start(self, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]) -> World:
-        return super().start(qpos, qvel)._replace(warmstart=jnp.asarray(self._file.rest, float))
+        return super().start(qpos, qvel)._replace(warmstart=jnp.asarray(self._team.rest, float))
 
     def words(self, period: float) -> str:
         """What moves the robot, in a sentence; `period`, s, is that of decisions."""
-        (_, _, aimed, applied), m = self._file.controls, self.simulated
+        (_, _, aimed, applied), m = self._team.controls, self._team.base
         solver = word(mujoco.mjtIntegrator, m.opt.integrator), word(mujoco.mjtCone, m.opt.cone)
         ways = {"set-points by position actuators": aimed, "the servo's torques by actuators": ~aimed & ~applied}
         ways |= {"the servo's torques without actuators": applied}
@@ -86,16 +77,16 @@ class Unmodified(Native):
         return "; ".join([*parts, "a plane z = 0 in place of a ground"] if bare else parts)
 
     @property
-    def _file(self) -> "_File":
+    def _team(self) -> "_File":
         return _file(self.robot)
 
     def _moved(self, world: World, torque: Float[Array, " joints"], sensed: bool) -> list[Array]:
-        file, joints, dofs = self._file, world.qpos[self.joint_qpos], world.qvel[self.joint_dofs]
+        file, joints, dofs = self._team, world.qpos[self.joint_qpos], world.qvel[self.joint_dofs]
         setpoint = jnp.asarray(self.setpoint if len(self.setpoint) else self.robot.posture, float)
         control = file.controls(setpoint, torque, joints, dofs)
         applied = self.pushes().at[self.joint_dofs].add(jnp.where(file.controls.applied, torque, 0.0))
         state = *self._turned(world.qpos, world.qvel, file.turn), world.warmstart
-        shapes = *(x.shape for x in state), (self.simulated.nsensordata * sensed,)
+        shapes = *(x.shape for x in state), (self._team.base.nsensordata * sensed,)
         vectors = self._values(), *state, jnp.concatenate([control, applied])
         qpos, qvel, *others = _on_host(partial(self._advance, sensed), shapes, *vectors, by=self.host_call)
         return [*self._turned(qpos, qvel, file.turn * [1, -1, -1, -1]), *others]
@@ -109,7 +100,7 @@ class Unmodified(Native):
         return qpos, qvel.at[3:6].set(rotations.rotate(back, qvel[3:6]))
 
     def _seen(self, qpos: Float[Array, " nq"], torque: Float[Array, " joints"], sensordata: Array) -> Sensed:
-        file, feet = self._file, len(self.robot.feet)
+        file, feet = self._team, len(self.robot.feet)
         ends = np.cumsum([len(torque), 6 * SLOTS * feet, 18 * self.model.nbody])
         others, frames, touches, acting = jnp.split(sensordata, len(sensordata) - ends[::-1])
         poses, velocities = self._framed(frames)
@@ -126,7 +117,7 @@ class Unmodified(Native):
         """Return the state of worlds, qpos, qvel and `REST`, after a time step of the file, and the sensors' readings
         before it. Behind the state are the controls and the forces on all degrees of freedom."""
         *before, controls = state
-        file, (qpos, qvel, rest) = self._file, map(np.empty_like, before)
+        file, (qpos, qvel, rest) = self._team, map(np.empty_like, before)
         read = np.empty((len(qpos), file.base.nsensordata * sensed))
 
         def move(rows: np.ndarray, data: mujoco.MjData) -> None:
@@ -164,6 +155,10 @@ class _File(_Team):
 
     def _shaped(self, terrain: None) -> mujoco.MjModel:
         """The file's model with sensors of the bodies' frames, the feet's contacts and the joints' torques."""
+        if not self._robot.points:
+            raise InputError(
+                f"unmodified: the robot {self._robot.name} has no foot on the ground; take physics mujoco."
+            )
         kinds, sensor = mujoco.mjtObj, mujoco.mjtSensor
         with jax.ensure_compile_time_eval():
             spec, turn, self.key = self._robot.in_file()

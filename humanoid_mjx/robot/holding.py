@@ -24,7 +24,7 @@ def standing(robot: Robot) -> tuple[Float[np.ndarray, " joints"], Float[np.ndarr
     mujoco.mj_fullM(model, data, matrix)
     places, torque, jacobian = data.geom_xpos[balls], data.qfrc_bias.copy(), np.empty((3, model.nv))
     balance = np.vstack([np.ones(len(balls)), (places - data.subtree_com[0]).T[:2]])
-    forces = np.linalg.lstsq(balance, [robot.mass * np.linalg.norm(model.opt.gravity), 0.0, 0.0])[0]
+    forces = np.linalg.lstsq(balance, np.array([robot.mass * float(np.linalg.norm(model.opt.gravity)), 0.0, 0.0]))[0]
     for ball, place, force in zip(balls, places, forces, strict=True):
         mujoco.mj_jac(model, data, jacobian, None, place, model.geom_bodyid[ball])
         torque -= force * jacobian[2]

@@ -118,10 +118,10 @@ def controls_of(m: mujoco.MjModel, joints: Sequence[str], constant: Float[np.nda
       InputError: an actuator of a joint is of none of these kinds.
     """
     on = np.isin(m.actuator_trntype, ON_JOINTS)[:, None] & (m.actuator_trnid[:, :1] == [m.joint(j).id for j in joints])
-    motors, of = np.nonzero(on)
+    motors, of = map(np.asarray, np.nonzero(on))
     for kind, played in PLAYED.items():
         if len(odd := np.flatnonzero(~np.isin(getattr(m, f"actuator_{kind}type")[motors], played))):
-            what = f"{element(m, 'actuator', int(motors[odd[0]]))} on {joints[of[odd[0]]]}"
+            what = f"{element(m, 'actuator', int(motors[odd[0]]))} on {joints[int(of[odd[0]])]}"
             raise InputError(f"unmodified: {what} is no motor, position or velocity actuator or damper")
     gear, gain = m.actuator_gear[motors, 0], m.actuator_gainprm[motors, 0]
     bias = m.actuator_biasprm[motors, :3].T * (m.actuator_biastype[motors] == BIAS.mjBIAS_AFFINE)

@@ -239,6 +239,10 @@ def test_a_policy_is_shown_in_the_file_of_its_robot_beside_its_own_world(tmp_pat
             "--view shows the robot of the YAML, --unmodified that of its",
         ),
         (["play", "walk_dog", "--physics", "tree", "--unmodified"], "--physics tree, --unmodified that of its MJCF"),
+        (
+            ["evaluate", "posture_switch", "--unmodified"],
+            "the robot legs has no foot on the ground; take physics mujoco",
+        ),
         (["export", "leg", "x.xml", "--point", "1"], "--point: x.xml is of a robot"),
         (["export", "RUN", "x.pkl"], "must end in .xml, for a robot, or in .npz"),
         (["export", "RUN", "none/x.npz"], "there is no folder none"),

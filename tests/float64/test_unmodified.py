@@ -115,7 +115,9 @@ def compare(robot, folder, drive, turn=(1.0, 0.0, 0.0, 0.0), others=()):
     steps, law = physics.substeps(0.02), RobotServoLaw().of(robot)
     start = np.array([0, 0, robot.start_height, 1, 0, 0, 0, *robot.posture])
     speed = np.array([0.5, 0.2, 0, 0.1, 0, 0.8, *np.zeros(8)])
-    decide = jax.jit(lambda world, aim: physics.aiming(aim).run_sensed(world, law.follow(at_rest(aim)), steps))
+    decide = jax.jit(
+        lambda world, aim: physics.replace(setpoint=aim).run_sensed(world, law.follow(at_rest(aim)), steps)
+    )
     world = physics.start(physics.qpos0.copy(), speed)
     world = world._replace(qpos=world.qpos.at[:7].set(start[:7]).at[physics.joint_qpos].set(robot.posture))
 

@@ -160,7 +160,7 @@ class LeggedBody(ContinuousTask):
           every time step, on a leading axis.
         """
         values = {"mass": plant.mass, "friction": plant.friction, "torque_limit": plant.torque_limit}
-        physics = self.simulator.replace(**values, damping=plant.joint_damping, push=force).aiming(setpoint)
+        physics = self.simulator.replace(**values, damping=plant.joint_damping, push=force, setpoint=setpoint)
         physics = physics.replace(terrain=plant.terrain) if plant.terrain else physics
         law = self.control.of(self.robot).follow(at_rest(setpoint))
 
