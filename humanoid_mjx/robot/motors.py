@@ -120,7 +120,8 @@ def controls_of(m: mujoco.MjModel, joints: Sequence[str], constant: Float[np.nda
     on = np.isin(m.actuator_trntype, ON_JOINTS)[:, None] & (m.actuator_trnid[:, :1] == [m.joint(j).id for j in joints])
     motors, of = map(np.asarray, np.nonzero(on))
     for kind, played in PLAYED.items():
-        if len(odd := np.flatnonzero(~np.isin(getattr(m, f"actuator_{kind}type")[motors], played))):
+        known = np.isin(getattr(m, f"actuator_{kind}type")[motors], played) & (m.actuator_plugin[motors] < 0)
+        if len(odd := np.flatnonzero(~known)):
             what = f"{element(m, 'actuator', int(motors[odd[0]]))} on {joints[int(of[odd[0]])]}"
             raise InputError(f"unmodified: {what} is no motor, position or velocity actuator or damper")
     gear, gain = m.actuator_gear[motors, 0], m.actuator_gainprm[motors, 0]
