@@ -226,6 +226,17 @@ def other_robots_taken() -> str:
     return f"{sum('refused' not in row for row in rows)} of {len(rows)}"
 
 
+def unmodified() -> str:
+    """Return how often shipped policies stay upright by the YAML of their robot and in its file."""
+    found = record("cpu_2_cores_unmodified")["evaluations"]
+    rows = [
+        (f"`{row['policy'].partition(',')[0]}`", "as it is" if "," in row["policy"] else "as the YAML has it", success(row))
+        for row in found
+        if row["agent"] == "greedy"
+    ]
+    return table("policy | the robot's file in native MuJoCo | upright for the episode, %", rows)
+
+
 def ranges() -> str:
     """Return what the body can do with each column of joint ranges."""
     names = (
@@ -397,6 +408,7 @@ TABLES = {
         parity,
         other_robots,
         other_robots_taken,
+        unmodified,
         faster_than_mjx,
     )
 } | {

@@ -141,9 +141,12 @@ def controls_of(m: mujoco.MjModel, joints: Sequence[str], constant: Float[np.nda
     shares = weights / np.maximum(np.bincount(of, weights, len(joints))[of], 1e-9)
     places = getattr(m, "actuator_ctrladr", np.arange(len(on)))[motors]
     constant, slopes = constant.copy(), np.zeros((4, len(constant), len(joints)))
-    moves = ~damps & (gain != 0) & (holds | ~held)  # those whose force is asked for, be it 0
-    inverse = moves / np.where(moves, gain, 1.0)
+    # Force = gain control + bias[0] + gear (bias[1] angle + bias[2] velocity), solved for the control where the force
+    # is that of the joint's torque or where a position actuator rests; velocity actuators beside one get 0.
+    solved = ~damps & (gain != 0) & (holds | ~held)
+    inverse = solved / np.where(solved, gain, 1.0)
     constant[places] = np.where(damps, full * held, -bias[0] * inverse)
+    angle, velocity = -gear * bias[1:]
     force = shares / np.where(carries, gear, 1.0)
-    slopes[:, places, of] = inverse * [-bias[1] * gear * holds, force, -bias[1] * gear * ~held, -bias[2] * gear * ~held]
+    slopes[:, places, of] = inverse * [angle * holds, force, angle * ~held, velocity * ~held]
     return Controls(constant, slopes, np.bincount(of, holds, len(joints)) > 0, ~on.any(axis=0))
