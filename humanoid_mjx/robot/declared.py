@@ -136,7 +136,9 @@ class Declared(Robot):
     def in_file(self) -> tuple[mujoco.MjSpec, Sequence[float], str]:
         source = _read(find(self.name))
         spec, model, _ = _load(source.model)
-        if not (model.geom_type == GEOM.mjGEOM_PLANE).any():
+        felt = np.isin(np.arange(model.ngeom), [model.pair_geom1, model.pair_geom2])
+        felt |= (model.geom_contype | model.geom_conaffinity) != 0
+        if not (felt & (model.geom_type == GEOM.mjGEOM_PLANE)).any():
             add_ground(spec, model, soles_of(model, self.feet, self.ground_geoms))
         for sensor in spec.sensors:
             spec.delete(sensor)

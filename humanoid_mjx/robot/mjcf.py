@@ -7,7 +7,7 @@ import json
 import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -71,6 +71,10 @@ def read_spec(file: str) -> tuple[mujoco.MjSpec, int]:
         name = Path(mesh.file).name if spec.strippath else mesh.file
         if name and not (folder / name).is_file():
             gone[mesh.name or Path(name).stem] = mesh
+    if gone:
+        with suppress(ValueError):  # as where another file is attached, whose folders are its own
+            spec.copy().compile()
+            gone.clear()
     shapes = [geom for geom in spec.geoms if geom.meshname in gone]
     for geom in shapes:
         body, massless = geom.parent, geom.mass == 0 or (np.isnan(geom.mass) and geom.density == 0)

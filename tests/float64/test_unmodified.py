@@ -197,8 +197,9 @@ def test_actuators_of_other_parts_keep_the_controls_of_the_keyframe(tmp_path):
 
 
 def test_the_ground_of_a_file_without_one_leaves_all_to_the_feet(tmp_path):
+    seen = '<geom type="plane" size="5 5 .1" contype="0" conaffinity="0"/>'
     bare = (
-        ('<geom name="floor" type="plane" size="5 5 .1"/>', ""),
+        ('<geom name="floor" type="plane" size="5 5 .1"/>', seen),
         ('name="foot"', 'name="foot" friction=".3" condim="6"'),
     )
     robot = made(tmp_path, "position", *bare)
