@@ -93,9 +93,13 @@ class Native(MujocoPhysics):
         """Return position, velocity and acceleration after a time step, and the sensors' readings before it: none
         unless `sensed`."""
         state = world.qpos, world.qvel, world.warmstart
-        control = jnp.concatenate([self.controls_for(torque), self.pushes()])
+        control = self._control(world, torque)
         shapes = *(x.shape for x in state), (self._team.base.nsensordata * sensed,)
         return _on_host(partial(self._advance, sensed), shapes, self._values(), *state, control, by=self.host_call)
+
+    def _control(self, world: World, torque: Float[Array, " joints"]) -> Float[Array, " controls"]:
+        """The controls of the motors, then the forces on all degrees of freedom."""
+        return jnp.concatenate([self.controls_for(torque), self.pushes()])
 
     def _seen(self, qpos: Float[Array, " nq"], torque: Float[Array, " joints"], sensordata: Array) -> Sensed:
         """Convert the sensors' array of a model of `_Team`."""

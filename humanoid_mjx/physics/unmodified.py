@@ -1,13 +1,12 @@
 # pyright: reportAttributeAccessIssue=false
 """A robot as its file has it, in native MuJoCo: its own actuators, contacts, solver, integrator and time step.
 
-States are told in the frame of the robot (`robot.mjcf.set_upright`), and simulated in that of the file. Sensors are the
-package's: they change no motion. Worlds run on threads one step at a time, since a solver that stops early depends on
-the exact warm start, which `mujoco.rollout` does not return.
+Sensors are the package's, which change no motion. Worlds run on threads one step at a time, since a solver that stops
+early depends on the exact warm start, which `mujoco.rollout` does not return.
 """
 
 from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache, partial
+from functools import lru_cache
 from itertools import product
 from typing import Any, ClassVar
 
@@ -17,9 +16,8 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
-from humanoid_mjx.mechanics import rotations
 from humanoid_mjx.physics.base import Sensed, World
-from humanoid_mjx.physics.native import FRAMES, Native, _on_host, _Team
+from humanoid_mjx.physics.native import FRAMES, Native, _Team
 from humanoid_mjx.robot import Robot
 from humanoid_mjx.robot.description import IMU
 from humanoid_mjx.robot.mjcf import checked, name_bodies
@@ -80,24 +78,11 @@ class Unmodified(Native):
     def _team(self) -> "_File":
         return _file(self.robot)
 
-    def _moved(self, world: World, torque: Float[Array, " joints"], sensed: bool) -> list[Array]:
-        file, joints, dofs = self._team, world.qpos[self.joint_qpos], world.qvel[self.joint_dofs]
+    def _control(self, world: World, torque: Float[Array, " joints"]) -> Float[Array, " controls"]:
+        file, angles, rates = self._team, world.qpos[self.joint_qpos], world.qvel[self.joint_dofs]
         setpoint = jnp.asarray(self.setpoint if len(self.setpoint) else self.robot.posture, float)
-        control = file.controls(setpoint, torque, joints, dofs)
         applied = self.pushes().at[self.joint_dofs].add(jnp.where(file.controls.applied, torque, 0.0))
-        state = *self._turned(world.qpos, world.qvel, file.turn), world.warmstart
-        shapes = *(x.shape for x in state), (self._team.base.nsensordata * sensed,)
-        vectors = self._values(), *state, jnp.concatenate([control, applied])
-        qpos, qvel, *others = _on_host(partial(self._advance, sensed), shapes, *vectors, by=self.host_call)
-        return [*self._turned(qpos, qvel, file.turn * [1, -1, -1, -1]), *others]
-
-    def _turned(self, qpos: Array, qvel: Array, turn: Float[np.ndarray, "4"]) -> tuple[Array, Array]:
-        """A state in which the frame of the free body is turned about itself."""
-        if turn[0] == 1.0:
-            return qpos, qvel
-        back = jnp.asarray(turn * [1, -1, -1, -1], float)
-        qpos = qpos.at[3:7].set(rotations.product(qpos[3:7], jnp.asarray(turn, float)))
-        return qpos, qvel.at[3:6].set(rotations.rotate(back, qvel[3:6]))
+        return jnp.concatenate([file.controls(setpoint, torque, angles, rates), applied])
 
     def _seen(self, qpos: Float[Array, " nq"], torque: Float[Array, " joints"], sensordata: Array) -> Sensed:
         file, feet = self._team, len(self.robot.feet)
@@ -161,13 +146,10 @@ class _File(_Team):
             )
         kinds, sensor = mujoco.mjtObj, mujoco.mjtSensor
         with jax.ensure_compile_time_eval():
-            spec, turn, self.key = self._robot.in_file()
-            self.turn = np.array(turn)
+            spec, self.key = self._robot.in_file()
             name_bodies(spec)
-            frames = [(kinds.mjOBJ_XBODY, body.name) for body in spec.bodies]
-            frames[1] = frames[1] if turn[0] == 1.0 else (kinds.mjOBJ_SITE, "package_imu")
-            for kind, (objtype, name) in product(FRAMES, frames):
-                spec.add_sensor(type=kind, objtype=objtype, objname=name)
+            for kind, body in product(FRAMES, spec.bodies):
+                spec.add_sensor(type=kind, objtype=kinds.mjOBJ_XBODY, objname=body.name)
             for foot in self._robot.feet:
                 both = {"objtype": kinds.mjOBJ_BODY, "objname": foot, "reftype": kinds.mjOBJ_BODY, "refname": "world"}
                 spec.add_sensor(type=sensor.mjSENS_CONTACT, intprm=FORCES, **both)

@@ -133,19 +133,20 @@ class Declared(Robot):
         own = _read(find(self.name)).values
         return {key: value for key, value in own.items() if key not in ("name", "content")}
 
-    def in_file(self) -> tuple[mujoco.MjSpec, Sequence[float], str]:
+    def in_file(self) -> tuple[mujoco.MjSpec, str]:
         source = _read(find(self.name))
-        spec, model, _ = _load(source.model)
+        spec = _load(source.model)[0]
+        set_upright(spec, source.turn)
+        model = checked(spec.compile)[0]
         felt = np.isin(np.arange(model.ngeom), [model.pair_geom1, model.pair_geom2])
         felt |= (model.geom_contype | model.geom_conaffinity) != 0
         if not (felt & (model.geom_type == GEOM.mjGEOM_PLANE)).any():
             add_ground(spec, model, soles_of(model, self.feet, self.ground_geoms))
         for sensor in spec.sensors:
             spec.delete(sensor)
-        back = (source.turn[0], *(-part for part in source.turn[1:]))
-        spec.worldbody.first_body().add_site(PLAIN, name="package_imu", quat=back)
+        spec.worldbody.first_body().add_site(PLAIN, name="package_imu")
         add_imu(spec, "package_imu")
-        return spec, source.turn, source.key
+        return spec, source.key
 
     def differences(self, timestep: float | None = None) -> tuple[Difference, ...]:
         source = _read(find(self.name))

@@ -76,10 +76,10 @@ class Robot(Named):
         """
         raise NotImplementedError
 
-    def in_file(self) -> tuple[mujoco.MjSpec, Sequence[float], str]:
-        """Return the robot as its file has it, with no sensors but those of `IMU`; the orientation of its trunk there
-        where the robot's is upright, as is a site `package_imu`; the keyframe with the controls of all actuators."""
-        return self.spec(), (1.0, 0.0, 0.0, 0.0), ""
+    def in_file(self) -> tuple[mujoco.MjSpec, str]:
+        """Return the robot as its file has it but for an upright frame of its trunk, with no sensors but those of
+        `IMU`; and the keyframe with the controls of all actuators, if any."""
+        return self.spec(), ""
 
     def differences(self, timestep: float | None = None) -> tuple[Any, ...]:
         """Everything in which the robot with this time step, s, differs from the file that describes it: a
