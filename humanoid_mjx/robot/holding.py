@@ -49,8 +49,8 @@ def in_words(robot: Robot) -> list[str]:
     damped = np.maximum(RATIO * critical * np.sqrt(needed) - own, damping)
     groups = [robot.kinds == kind for kind in np.unique(robot.kinds[(sag > SAG_DEG) | (ratio < LEAST_RATIO)])]
     gains = (
-        ", ".join(f"{'|'.join(names[group])}: {values[group].max():.2g}" for group in groups)
-        for values in (1.01 * needed, 1.01 * damped)
+        ", ".join(f"{'|'.join(names[group])}: {float(f'{1.05 * values[group].max():.1e}'):g}" for group in groups)
+        for values in (needed, damped)  # to two digits, upwards
     )
     better = "stiffness: {{{}}}, damping: {{{}}}".format(*gains)
     words = f"too soft to hold it; {SAGGED_DEG:g} degrees and a damping ratio of {RATIO:g} take servo: {{{better}}}"

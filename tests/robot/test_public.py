@@ -135,6 +135,7 @@ def test_gains_that_cannot_hold_a_robot_are_said_with_those_that_do(tmp_path):
     (fine,) = in_words(make_robot(written(tmp_path)))
     assert re.match(r"under its weight knee_\d_\d gives way by \S+ degrees, knee_\d_\d takes \d+% of", fine)
     soft = in_words(make_robot(written(tmp_path, servo={"stiffness": 8, "damping": 0.01})))[1]
+    assert "e+" not in soft
     (better,) = in_words(make_robot(written(tmp_path, servo=yaml.safe_load(soft.split("take servo: ")[1]))))
     assert float(re.search(r"by (\S+) degrees", better)[1]) <= 5 and float(re.search(r"ratio (\S+),", better)[1]) >= 0.5
     weak = in_words(make_robot(written(tmp_path, torque=0.5)))
