@@ -226,6 +226,17 @@ def other_robots_taken() -> str:
     return f"{sum('refused' not in row for row in rows)} of {len(rows)}"
 
 
+def unmodified() -> str:
+    """Return how often shipped policies stay upright on the robot of the YAML and on its unmodified file."""
+    rows = []
+    for row in record("cpu_2_cores_unmodified")["evaluations"]:
+        if row["agent"] == "greedy":
+            name, _, other = row["policy"].partition(", ")
+            share = "{} ({} to {})".format(*(rounded(100 * x, 0) for x in (row["success"], *row["success_interval"])))
+            rows.append((f"`{name}`", f"`{other or 'mujoco'}`", share, rounded(row["return"], 0)))
+    return table("policy | physics | upright to the end, % | return", rows)
+
+
 def ranges() -> str:
     """Return what the body can do with each column of joint ranges."""
     names = (
@@ -450,6 +461,7 @@ TABLES = {
         methods_proof,
         other_robots,
         other_robots_taken,
+        unmodified,
         faster_than_mjx,
     )
 } | {

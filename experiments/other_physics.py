@@ -17,7 +17,7 @@ from typing import Any
 from humanoid_mjx import compute
 from humanoid_mjx.config import load
 from humanoid_mjx.evaluation.evaluate import HELD_OUT_WORDS, evaluate_all
-from humanoid_mjx.evaluation.policy import Trained, best_policy, find_policy, on_physics
+from humanoid_mjx.evaluation.policy import Trained, best_policy, find_policy, in_world
 from humanoid_mjx.files import names
 from humanoid_mjx.training.sweep import sweep
 
@@ -47,7 +47,7 @@ def on_each_physics(trained: Trained, episodes: int) -> list[dict[str, Any]]:
         if physics == "mjx-warp" and find_spec("warp") is None:
             found.append(place | {"not_measured": "the package warp-lang is not installed"})
             continue
-        evaluations = evaluate_all([on_physics(trained, physics)], episodes)
+        evaluations = evaluate_all([in_world(trained, physics)], episodes)
         found.append(place | {"agents": {each.agent: each.as_json() for each in evaluations}})
         print(f"{trained.config.name} on {physics}: {evaluations[0].success.value:.1%}", flush=True)
     return found

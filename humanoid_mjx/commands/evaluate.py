@@ -9,7 +9,7 @@ from rich.table import Column, Table
 from typer import Argument, Option
 
 from humanoid_mjx.commands import console, start_for
-from humanoid_mjx.commands.options import POLICIES, Physics, Point, Trust, World, trusting
+from humanoid_mjx.commands.options import POLICIES, Physics, Point, Trust, Unmodified, World, trusting
 from humanoid_mjx.training.progress import Bar
 
 if TYPE_CHECKING:
@@ -26,6 +26,7 @@ def evaluate(
     point: Point = None,
     set_: World = None,
     physics: Physics = None,
+    unmodified: Unmodified = False,
     episodes: Annotated[
         int | None, Option(min=1, max=1_000_000, help="Episodes: 1024 of each agent; with --gait 64 of each command.")
     ] = None,
@@ -36,59 +37,65 @@ def evaluate(
     from humanoid_mjx import compute
     from humanoid_mjx.evaluation.evaluate import HELD_OUT_WORDS
     from humanoid_mjx.files import write_text
-    from humanoid_mjx.spec import check_folder
+    from humanoid_mjx.spec import InputError, check_folder
 
+    if unmodified and physics not in (None, "mujoco"):
+        raise InputError(f"--physics {physics}: --unmodified plays in native MuJoCo; leave one of them out.")
     if json is not None:
         check_folder(json, "--json")
     start_for(physics, set_ or [])
     number = episodes or (64 if gait else 1024)
+    worlds = ("mujoco", "unmodified") if unmodified else (physics,)
     with trusting(trust, *policies):
-        found = (_gaits if gait else _successes)(policies, point, physics, set_ or [], number)
+        found = (_gaits if gait else _successes)(policies, point, worlds, set_ or [], number)
     if json is not None:
-        result = compute.made_by() | {"episodes": number, "held_out": HELD_OUT_WORDS, "physics": physics} | found
+        result = compute.made_by() | {"episodes": number, "held_out": HELD_OUT_WORDS, "physics": worlds[0]} | found
         write_text(json, dumps(result, indent=None if gait else 2) + "\n")
         console.print(f"{json}", soft_wrap=True)
 
 
 def _successes(
-    names: Sequence[str], point: int | None, physics: str | None, overrides: Sequence[str], episodes: int
+    names: Sequence[str], point: int | None, worlds: Sequence[str | None], overrides: Sequence[str], episodes: int
 ) -> dict[str, Any]:
     """Print how often policies and other agents succeed; the same as plain values."""
     from humanoid_mjx.evaluation.evaluate import evaluate_all
-    from humanoid_mjx.evaluation.policy import find_policy, in_world
+    from humanoid_mjx.evaluation.policy import find_policy, in_worlds, played_by
 
     policies = [find_policy(name, point) for name in names]
     if len({policy.name for policy in policies}) < len(policies):
         policies = [policy._replace(name=name) for name, policy in zip(names, policies, strict=True)]
-    policies = [in_world(policy, physics, overrides) for policy in policies]
+    policies = in_worlds(policies, worlds, overrides)
     with Bar(console) as bar:
         bar.phase("compiling and playing")
         evaluations = evaluate_all(policies, episodes)
-    title = f"{episodes:,} episodes that no training has seen{_changes(physics, overrides)}"
-    console.print(evaluation_table(title, evaluations), *words_on_returns(policies, evaluations), sep="\n")
+    title = f"{episodes:,} episodes that no training has seen{_changes(worlds[0], overrides)}"
+    remarks = *words_on_returns(policies, evaluations), *played_by(policies)
+    console.print(evaluation_table(title, evaluations), *remarks, sep="\n")
     parts = {"evaluations": evaluations, "policies": policies}
     return {"set": list(overrides)} | {name: [each.as_json() for each in part] for name, part in parts.items()}
 
 
 def _gaits(
-    names: Sequence[str], point: int | None, physics: str | None, overrides: Sequence[str], episodes: int
+    names: Sequence[str], point: int | None, worlds: Sequence[str | None], overrides: Sequence[str], episodes: int
 ) -> dict[str, Any]:
     """Print how policies walk under commands; the same as plain values."""
     from humanoid_mjx.evaluation.gait.figures import FIGURES
     from humanoid_mjx.evaluation.gait.measure import measure, settings_of, trained_seeds
-    from humanoid_mjx.evaluation.policy import in_world
+    from humanoid_mjx.evaluation.policy import in_worlds, played_by
     from humanoid_mjx.report.gaits import gait_table, meanings, remarks
 
     settings = settings_of(overrides)
-    policies = [in_world(policy, physics, settings) for policy in trained_seeds(names, point)]
+    policies = in_worlds(trained_seeds(names, point), worlds, settings)
     with Bar(console) as bar:
         bar.phase("compiling and walking")
         measured = measure(policies, episodes, bar.count)
     for each in measured:
         seeds = len(each.policies)
         whose = each.policies[0].name + (f", {seeds} training seeds" if seeds > 1 else "")
-        title = f"{whose}: {episodes:,} episodes a command that no training has seen{_changes(physics, settings)}"
+        title = f"{whose}: {episodes:,} episodes a command that no training has seen{_changes(worlds[0], settings)}"
         console.print(gait_table(title, each.gaits, each.beyond), *remarks(each.gaits, each.beyond), sep="\n")
+    for words in played_by(policies):
+        console.print(words)
     console.print("; ".join(f"{name}: {meaning}" for name, meaning in meanings().items()) + ".")
     figures = {name: figure._asdict() for name, figure in FIGURES.items()}
     return {"set": settings, "figures": figures, "results": [each.as_json() for each in measured]}

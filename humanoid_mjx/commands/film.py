@@ -9,7 +9,7 @@ from typing import Annotated
 from typer import Option
 
 from humanoid_mjx.commands import console, start_for
-from humanoid_mjx.commands.options import Physics, Point, Policy, Trust, World, trusting
+from humanoid_mjx.commands.options import Physics, Point, Policy, Trust, Unmodified, World, trusting
 from humanoid_mjx.training.progress import Bar
 
 
@@ -18,6 +18,7 @@ def play(
     point: Point = None,
     set_: World = None,
     physics: Physics = None,
+    unmodified: Unmodified = False,
     episode: Annotated[int, Option(metavar="N", min=0, max=10**6, help="Number of the held-out episode.")] = 0,
     out: Annotated[
         Path | None, Option(metavar="FILE", help=".gif, .mp4, .webm, .png; by default RUN/figures/play.gif")
@@ -39,6 +40,10 @@ def play(
         raise InputError(f"--physics {physics}: --view moves the robot in native MuJoCo; leave this out.")
     if view and any(override.startswith("task.terrain") for override in set_):
         raise InputError("--set task.terrain: --view has a slope to set and no other ground; --out shows a terrain.")
+    if unmodified and (view or physics not in (None, "mujoco")):
+        what = "--view shows the robot of the YAML" if view else f"--physics {physics}"
+        raise InputError(f"play: {what}, --unmodified that of its MJCF in native MuJoCo; leave one of them out.")
+    physics = "unmodified" if unmodified else physics
     if port is not None and not view:
         raise InputError("--port: only --view has a server.")
     if robots > 1 and not view:
@@ -73,7 +78,7 @@ def _start(physics: str | None, changes: Sequence[str]) -> None:
     start_for(physics, changes)
     import jax
 
-    if physics in (None, "mujoco"):
+    if physics in (None, "mujoco", "unmodified"):
         jax.config.update("jax_platforms", "cpu")
 
 

@@ -72,6 +72,7 @@ def _show_robot(name: str) -> None:
     from humanoid_mjx.robot import make_robot
     from humanoid_mjx.robot.description import IMU
     from humanoid_mjx.robot.differences import HEADINGS
+    from humanoid_mjx.robot.holding import in_words
 
     robot = make_robot(name)
     order, signs = robot.joint_images
@@ -94,8 +95,9 @@ def _show_robot(name: str) -> None:
     lines["contacts"] = f"{robot.model.npair} with the ground{others}"
     refused = [f"{fault.what} (take {fault.change})" for fault in faults(robot.model, IMU)]
     lines["physics"] = f"tree refuses {'; '.join(refused)}: take mujoco or mjx-jax" if refused else "tree takes it"
+    lines |= {"servo": "\n          ".join(in_words(robot))} if robot.servo and robot.points else {}
     for key, value in lines.items():
-        console.print(f"{key:9} {value}", highlight=False, markup=False)
+        console.print(f"{key:9} {value}", highlight=False, markup=False, soft_wrap=True)
     _print_rows("", [HEADINGS, *robot.differences()])
 
 

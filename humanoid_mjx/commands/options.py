@@ -35,6 +35,8 @@ def trusting(trust: bool, *names: str | Path | None) -> AbstractContextManager[N
 
 Physics = Annotated[str | None, Option(metavar="NAME", help="Another physics than in training, such as mujoco.")]
 
+Unmodified = Annotated[bool, Option("--unmodified", help="In native MuJoCo, on the robot's file as it is.")]
+
 Policy = Annotated[
     str,
     Argument(metavar="RUN|POLICY", help="A run folder, a policy file, or a shipped policy.", autocompletion=POLICIES),

@@ -30,6 +30,9 @@ from humanoid_mjx.training.state import from_arrays, to_arrays
 FORMAT = "humanoid_mjx policy, version 1"
 
 
+UNMODIFIED = "unmodified"
+"""The physics of a robot's file as it is."""
+
 OBSERVED = "task.observe", "task.symmetric"
 """Values of tasks that change what a policy observes, but not always how many numbers."""
 
@@ -196,29 +199,40 @@ def read_policy(path: Path) -> Trained:
     return Trained(group.learner(), policy, header.point, header.seed, header.name, parsed, origin)
 
 
-def in_world(trained: Trained, physics: str | None, overrides: Sequence[str]) -> Trained:
-    """The same policy on another physics (`on_physics`) and in a changed world (`in_changed_world`), if asked for."""
-    if physics is not None:
-        return on_physics(trained, physics, overrides)
-    return in_changed_world(trained, overrides) if overrides else trained
-
-
-def on_physics(trained: Trained, physics: str, overrides: Sequence[str] = ()) -> Trained:
-    """The same policy, its task simulated by another physics, and its world changed (`in_changed_world`).
+def in_world(trained: Trained, physics: str | None, overrides: Sequence[str] = ()) -> Trained:
+    """The same policy, its task simulated by another physics, if one is named, and in a changed world
+    (`in_changed_world`).
 
     Raises:
       InputError: the task has no choice of physics, or not this one.
     """
-    task = trained.config.task
-    if "physics" not in type(trained.learner.task).model_fields:
-        raise InputError(f"--physics {physics}: the task {task['name']} has no choice of physics.")
-    return in_changed_world(trained, [f"task.physics={physics}", *overrides])
+    if physics is not None and "physics" not in type(trained.learner.task).model_fields:
+        raise InputError(f"--physics {physics}: the task {trained.config.task['name']} has no choice of physics.")
+    changes = [*([f"task.physics={physics}"] if physics is not None else []), *overrides]
+    return in_changed_world(trained, changes) if changes else trained
+
+
+def in_worlds(policies: Sequence[Trained], worlds: Sequence[str | None], overrides: Sequence[str]) -> list[Trained]:
+    """Each policy on each of these physics and in a changed world (`in_world`), named apart."""
+    return [
+        found._replace(name=f"{found.name}, {UNMODIFIED}") if physics == UNMODIFIED and len(worlds) > 1 else found
+        for trained in policies
+        for physics in worlds
+        for found in [in_world(trained, physics, overrides)]
+    ]
+
+
+def played_by(policies: Sequence[Trained]) -> list[str]:
+    """A sentence for each policy that plays in an unmodified file: what moves the robot there."""
+    tasks: dict[str, Any] = {each.name: each.learner.task for each in policies}
+    own = {name: task for name, task in tasks.items() if getattr(task, "physics", None) == UNMODIFIED}
+    return [f"{name}: {task.simulator.words(task.period)}." for name, task in own.items()]
 
 
 def on_native(trained: Trained) -> Trained:
     """The same policy on native MuJoCo, which moves one robot without compiling, as far as its task can."""
     with suppress(InputError):
-        return on_physics(trained, "mujoco")
+        return in_world(trained, "mujoco")
     return trained
 
 

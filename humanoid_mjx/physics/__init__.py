@@ -19,6 +19,7 @@ PHYSICS = {
     "mjx-warp": "humanoid_mjx.physics.mjx:MjxWarp",
     "mujoco": "humanoid_mjx.physics.native:Native",
     "tree": "humanoid_mjx.physics.tree:TreePhysics",
+    "unmodified": "humanoid_mjx.physics.unmodified:Unmodified",
 }
 
 

@@ -36,6 +36,7 @@ class MujocoPhysics(Physics):
     damping: float = traced(1.0, ge=0, description="factor on that of the joints")
     torque_limit: float = traced(1.0, gt=0, description="factor on that of each motor")
     push: tuple[float, float, float] = traced((0.0, 0.0, 0.0), description="steady force on a free torso, N, world")
+    setpoint: tuple[float, ...] = traced((), description="set-points of the joints, rad, for motors that take such")
     terrain: Terrain | None = Field(None, description="shape of the ground; none: a level plane")
 
     @model_validator(mode="after")

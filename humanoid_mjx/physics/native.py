@@ -93,18 +93,26 @@ class Native(MujocoPhysics):
         """Return position, velocity and acceleration after a time step, and the sensors' readings before it: none
         unless `sensed`."""
         state = world.qpos, world.qvel, world.warmstart
-        control = jnp.concatenate([self.controls_for(torque), self.pushes()])
+        control = self._control(world, torque)
         shapes = *(x.shape for x in state), (self._team.base.nsensordata * sensed,)
         return _on_host(partial(self._advance, sensed), shapes, self._values(), *state, control, by=self.host_call)
+
+    def _control(self, world: World, torque: Float[Array, " joints"]) -> Float[Array, " controls"]:
+        """The controls of the motors, then the forces on all degrees of freedom."""
+        return jnp.concatenate([self.controls_for(torque), self.pushes()])
 
     def _seen(self, qpos: Float[Array, " nq"], torque: Float[Array, " joints"], sensordata: Array) -> Sensed:
         """Convert the sensors' array of a model of `_Team`."""
         own, frames = sensordata[: self.model.nsensordata], sensordata[self.model.nsensordata :]
-        position, *axes, linear, angular = frames.reshape(len(FRAMES), self.model.nbody, 3)
-        poses, velocities = Poses(position, jnp.stack(axes, axis=-1)), Velocities(linear, angular)
+        poses, velocities = self._framed(frames)
         turning, felt = (self._read(own, (name,)) for name in IMU)
         forces = self._read(own, self.robot.point_sensors)
         return self._sensed(qpos[self.joint_qpos], turning, felt, poses, velocities, forces, torque)
+
+    def _framed(self, frames: Array) -> tuple[Poses, Velocities]:
+        """Convert the readings of `FRAMES`."""
+        position, *axes, linear, angular = frames.reshape(len(FRAMES), self.model.nbody, 3)
+        return Poses(position, jnp.stack(axes, axis=-1)), Velocities(linear, angular)
 
     @property
     def _team(self) -> "_Team":
@@ -160,9 +168,10 @@ class Native(MujocoPhysics):
     def _look(self, values: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, ...]:
         """Return the results of `_motion` for each world."""
         rows, corners = [], self.ground_points[0]
-        data = self._team.data[0]
+        team = _team(self.robot, self.timestep, jax.tree.structure(self.terrain))
+        data = team.data[0]
         for i, row in enumerate(values):
-            model = self._team.tuned(row.tobytes(), False)
+            model = team.tuned(row.tobytes(), False)
             data.qpos, data.qvel = qpos[i], qvel[i]
             mujoco.mj_fwdPosition(model, data)
             mujoco.mj_fwdVelocity(model, data)
@@ -190,6 +199,7 @@ class _Team:
         numbers, base = np.frombuffer(values), self.base
         terrain = self.terrain_of(numbers)
         model = self._shaped(terrain) if terrain and terrain.stairs is not None else copy(base)
+        model.opt.disableflags &= ~int(FLAGS.mjDSBL_SENSOR)
         model.opt.disableflags |= int(FLAGS.mjDSBL_AUTORESET | (0 if sensed else FLAGS.mjDSBL_SENSOR))
         self.tune(model, numbers)
         return model
@@ -205,7 +215,8 @@ class _Team:
         model.dof_damping[:] = damping * base.dof_damping
         model.pair_friction[:, :2] = friction * base.pair_friction[:, :2]
         model.geom_friction[:, 0] = friction * base.geom_friction[:, 0]
-        model.actuator_ctrlrange[:] = torque_limit * base.actuator_ctrlrange
+        torques = base.actuator_biastype == mujoco.mjtBias.mjBIAS_NONE
+        model.actuator_ctrlrange[torques] = torque_limit * base.actuator_ctrlrange[torques]
         model.actuator_forcerange[:] = torque_limit * base.actuator_forcerange
         if terrain:
             model.opt.gravity[:] = np.linalg.norm(base.opt.gravity) * -terrain.up(np)

@@ -12,7 +12,7 @@ from humanoid_mjx.files import meant, read_text, refuse_pipe
 from humanoid_mjx.mechanics.tree.refusing import faults, robot_faults, sensors_of
 from humanoid_mjx.robot.declared import bad_timestep
 from humanoid_mjx.robot.description import IMU
-from humanoid_mjx.robot.mjcf import checked, files_of, is_xml
+from humanoid_mjx.robot.mjcf import checked, files_of, is_xml, read_spec
 from humanoid_mjx.robot.motors import motors_on
 from humanoid_mjx.robot.touching import kind_of, pairs_of, word
 from humanoid_mjx.spec import InputError
@@ -31,7 +31,9 @@ def survey(path: str) -> tuple[list[str], bool]:
         raise InputError(f"info: there is no file {path}{meant(path, 'model', 'robot')}.")
     for file in filter(is_xml, files_of(Path(path))):
         read_text(file)  # MuJoCo takes other encodings, and then has names that Python cannot read
-    model, warned = checked(lambda: mujoco.MjSpec.from_file(path).compile(), f"info: MuJoCo cannot read {path}")
+    what = f"info: MuJoCo cannot read {path}"
+    (spec, missing), noted = checked(lambda: read_spec(path), what)
+    model, warned = checked(spec.compile, what)
     if not model.nv:
         raise InputError(f"info: {path} has no joint, so nothing in it moves.")
     if fault := bad_timestep(model.opt.timestep):
@@ -52,7 +54,8 @@ def survey(path: str) -> tuple[list[str], bool]:
         *joints,
         ("feet", f"{', '.join(feet) or 'none'}: ends of limbs{' that the ground can push' * floor}"),
         ("contacts", ", ".join(f"{count} of {one} and {two}" for (one, two), count in contacts.items()) or "none"),
-        *(("MuJoCo warns", warning) for warning in warned),
+        *(("MuJoCo warns", warning) for warning in dict.fromkeys((*noted, *warned))),
+        *[("looks", f"files of {missing} meshes are missing")] * bool(missing),
     ]
     if lacks := [what for what, has in needs.items() if not has]:
         rows.append(("tasks", f"stand and walk need {' and '.join(lacks)}"))

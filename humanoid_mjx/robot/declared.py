@@ -21,7 +21,7 @@ from pydantic import Field
 
 from humanoid_mjx.config import Config, parse_yaml
 from humanoid_mjx.files import folder, meant, read_text
-from humanoid_mjx.robot.description import BEND, Robot, Servo, add_motors_and_imu, listed
+from humanoid_mjx.robot.description import BEND, Robot, Servo, add_imu, add_motors_and_imu, listed
 from humanoid_mjx.robot.differences import Difference, differences
 from humanoid_mjx.robot.mirror import images
 from humanoid_mjx.robot.mjcf import (
@@ -34,14 +34,16 @@ from humanoid_mjx.robot.mjcf import (
     name_bodies,
     no_numbers,
     option_no_number,
+    place_of,
+    read_spec,
     set_upright,
     turn_at_home,
 )
 from humanoid_mjx.robot.motors import driven, motors_on, own_drives
-from humanoid_mjx.robot.touching import any_of_rows, balls_of, soles_of, strip
+from humanoid_mjx.robot.touching import add_ground, any_of_rows, balls_of, soles_of, strip
 from humanoid_mjx.spec import InputError, Spec, known, search_folders, sentence
 
-OWN = re.compile(r"ground|package_imu|.*_point\d+(_contact)?")
+OWN = re.compile(r"(package_)?ground|package_imu|.*_point\d+(_contact)?")
 """Names of geoms and sites that the package adds."""
 
 DAMPING = 0.03
@@ -96,7 +98,7 @@ class DeclaredServo(Spec):
 class Declaration(Spec):
     """Keys of a robot's YAML. `by joint` is one number, or numbers by regular expressions of joints' names."""
 
-    model: str = Field(description="the MJCF, a path from the YAML")
+    model: str = Field(description="the MJCF or a scene of it: a path from the YAML, or package:NAME/PATH")
     feet: list[str] = Field(min_length=1, description="geoms or bodies that stand on the ground")
     home: Posture = Field("", description="how it stands: a keyframe, or degrees by joint; by default all joints at 0")
     servo: DeclaredServo = Field(DeclaredServo.model_validate({}), description="gains of its joints' servo")
@@ -131,11 +133,26 @@ class Declared(Robot):
         own = _read(find(self.name)).values
         return {key: value for key, value in own.items() if key not in ("name", "content")}
 
+    def in_file(self) -> tuple[mujoco.MjSpec, str]:
+        source = _read(find(self.name))
+        spec = _load(source.model)[0]
+        set_upright(spec, source.turn)
+        model = checked(spec.compile)[0]
+        felt = np.isin(np.arange(model.ngeom), [model.pair_geom1, model.pair_geom2])
+        felt |= (model.geom_contype | model.geom_conaffinity) != 0
+        if not (felt & (model.geom_type == GEOM.mjGEOM_PLANE)).any():
+            add_ground(spec, model, soles_of(model, self.feet, self.ground_geoms))
+        for sensor in spec.sensors:
+            spec.delete(sensor)
+        spec.worldbody.first_body().add_site(PLAIN, name="package_imu")
+        add_imu(spec, "package_imu")
+        return spec, source.key
+
     def differences(self, timestep: float | None = None) -> tuple[Difference, ...]:
         source = _read(find(self.name))
-        _, file, warned = _load(source.model)
+        _, file, notes = _load(source.model)
         found = differences(file, checked(self.spec(timestep).compile)[0], self, source.turn)
-        return (*found, *(Difference("MuJoCo warns", words, "") for words in warned))
+        return (*found, *notes)
 
     def spec(self, timestep: float | None = None) -> mujoco.MjSpec:
         source = _read(find(self.name))
@@ -177,6 +194,8 @@ class Source(NamedTuple):
     joints: tuple[str, ...]
     turn: Quat
     """Orientation of the trunk at home in the file."""
+    key: str
+    """Keyframe of the posture; none: it is given by angles."""
     values: dict[str, Any]
     """Fields of `Declared`."""
 
@@ -241,7 +260,7 @@ def _read(path: Path) -> Source:
         if not isinstance(data, dict):
             raise InputError(f"{path.name}: a robot is a mapping of keys such as model and feet.")
         declared = Declaration(**data)
-        model = path.parent / declared.model
+        model = place_of(declared.model, path)
         if "\0" in declared.model or model.is_dir():
             raise InputError(f"{path.name}: model must be the path of an MJCF, got {declared.model!r}.")
         return _understood(path, text, str(model), content_of(data, model))
@@ -260,7 +279,8 @@ def _understood(path: Path, text: str, file: str, content: str) -> Source:
         spec, model, _ = _load(file)
         joints = driven(model)
         home = _home(declared.home, model, joints)
-        turn = turn_at_home(model, declared.home if isinstance(declared.home, str) else "")
+        key = declared.home if isinstance(declared.home, str) else ""
+        turn = turn_at_home(model, key)
         torque, stiffness, damping = own_drives(model, joints)
         torque = _by_joint("torque", declared.torque, joints, torque)
         if wrong := [joint for joint, limit in zip(joints, torque, strict=True) if not 0 < limit < inf]:
@@ -289,7 +309,7 @@ def _understood(path: Path, text: str, file: str, content: str) -> Source:
     except InputError as error:
         message = str(error).rstrip(".")
         raise InputError(f"{path.name}: {message}.") from error
-    return Source(file, joints, turn, values)
+    return Source(file, joints, turn, key, values)
 
 
 def _by_kind(mirror: Any, joints: Sequence[str], shares: np.ndarray) -> tuple[float, ...]:
@@ -300,10 +320,10 @@ def _by_kind(mirror: Any, joints: Sequence[str], shares: np.ndarray) -> tuple[fl
     return tuple(shares[sorted(set(first))].tolist())
 
 
-def _load(file: str) -> tuple[mujoco.MjSpec, mujoco.MjModel, tuple[str, ...]]:
-    """Return the spec of an MJCF, every body named, its model, and MuJoCo's warnings."""
+def _load(file: str) -> tuple[mujoco.MjSpec, mujoco.MjModel, list[Difference]]:
+    """Return the spec of an MJCF, every body named, its model, and what was noted."""
     what = f"model: {Path(file).name} is no MJCF that MuJoCo takes"
-    spec, noted = checked(lambda: mujoco.MjSpec.from_file(file), what)
+    (spec, missing), noted = checked(lambda: read_spec(file), what)
     name_bodies(spec)
     ours = (part.name for part in (*spec.geoms, *spec.sites) if OWN.fullmatch(part.name))
     if taken := [name for name in ours if (plane := spec.geom(name)) is None or plane.type != GEOM.mjGEOM_PLANE]:
@@ -324,7 +344,8 @@ def _load(file: str) -> tuple[mujoco.MjSpec, mujoco.MjModel, tuple[str, ...]]:
         raise InputError(f"model: the option {option} must be {A_NUMBER}")
     if any("NaN" in words for words in noted):  # MuJoCo takes a mass of NaN for none
         raise InputError(f"model: {Path(file).name} holds a NaN; write a number in its place")
-    return spec, model, tuple(dict.fromkeys((*noted, *warned)))
+    notes = [Difference("MuJoCo warns", words, "") for words in dict.fromkeys((*noted, *warned))]
+    return spec, model, notes + [Difference(f"{missing} meshes", "for looks", "none: no such files")] * bool(missing)
 
 
 def bad_timestep(seconds: float) -> str | None:

@@ -76,6 +76,11 @@ class Robot(Named):
         """
         raise NotImplementedError
 
+    def in_file(self) -> tuple[mujoco.MjSpec, str]:
+        """Return the robot as its file has it but for an upright frame of its trunk, with no sensors but those of
+        `IMU`; and the keyframe with the controls of all actuators, if any."""
+        return self.spec(), ""
+
     def differences(self, timestep: float | None = None) -> tuple[Any, ...]:
         """Everything in which the robot with this time step, s, differs from the file that describes it: a
         `robot.differences.Difference` each."""
@@ -274,6 +279,11 @@ def add_motors_and_imu(spec: mujoco.MjSpec, limits: Mapping[str, float], site: s
         motor = spec.add_actuator(PLAIN, name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         motor.set_to_motor()
         motor.ctrllimited, motor.ctrlrange = mujoco.mjtLimited.mjLIMITED_TRUE, (-limit, limit)
+    add_imu(spec, site)
+
+
+def add_imu(spec: mujoco.MjSpec, site: str) -> None:
+    """Add the sensors of `IMU` at a site."""
     for name, kind in zip(IMU, (mujoco.mjtSensor.mjSENS_GYRO, mujoco.mjtSensor.mjSENS_ACCELEROMETER), strict=True):
         spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=site)
 

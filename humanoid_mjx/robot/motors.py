@@ -2,15 +2,17 @@
 """Actuators of a user's model: the joints that they drive, their torque limits, and the gains of their servos."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
+from humanoid_mjx.robot.mjcf import element
 from humanoid_mjx.spec import InputError
+from humanoid_mjx.types import AnyArray
 
-GAIN, BIAS, INTEGRATOR = mujoco.mjtGain, mujoco.mjtBias, mujoco.mjtDyn.mjDYN_INTEGRATOR
+GAIN, BIAS, DYN, INTEGRATOR = mujoco.mjtGain, mujoco.mjtBias, mujoco.mjtDyn, mujoco.mjtDyn.mjDYN_INTEGRATOR
 ON_JOINTS = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT
 
 
@@ -79,3 +81,72 @@ def own_drives(model: mujoco.MjModel, joints: Sequence[str]) -> Float[np.ndarray
         held = stiffness > 0
         found.append((torque, stiffness if held else np.nan, max(damping, 0.0) if held or damping > 0 else np.nan))
     return np.array(found).T
+
+
+class Controls(NamedTuple):
+    """The controls of a model's own actuators, affine in what its joints are asked for and in their motion."""
+
+    constant: Float[np.ndarray, " controls"]
+    gains: Float[np.ndarray, "4 controls joints"]
+    """Of set-points, torques, angles and velocities."""
+    aimed: Bool[np.ndarray, " joints"]
+    """Joints that position actuators bring to their set-points."""
+    applied: Bool[np.ndarray, " joints"]
+    """Joints without an actuator."""
+
+    def __call__(self, *asked: Float[AnyArray, " joints"]) -> Any:
+        """Return the controls for set-points, rad, torques, N m, angles, rad, and velocities, rad/s, of the joints."""
+        return self.constant + sum(gain @ numbers for gain, numbers in zip(self.gains, asked, strict=True))
+
+
+PLAYED = {
+    "gain": (GAIN.mjGAIN_FIXED, GAIN.mjGAIN_AFFINE),
+    "bias": (BIAS.mjBIAS_NONE, BIAS.mjBIAS_AFFINE),
+    "dyn": (DYN.mjDYN_NONE, DYN.mjDYN_FILTER, DYN.mjDYN_FILTEREXACT),
+}
+"""Kinds of motors, position and velocity actuators and dampers."""
+
+
+def controls_of(m: mujoco.MjModel, joints: Sequence[str], constant: Float[np.ndarray, " controls"]) -> Controls:
+    """Return how a model's own actuators are driven; those that drive none of the joints keep `constant`.
+
+    A joint with position actuators: each rests at the set-point, velocity actuators ask for standstill, dampers act in
+    full, motors give nothing. Another joint: its motors, or without any its velocity actuators, share the torque by
+    their limits, and its other actuators give nothing.
+
+    Raises:
+      InputError: an actuator of a joint is of none of these kinds.
+    """
+    on = np.isin(m.actuator_trntype, ON_JOINTS)[:, None] & (m.actuator_trnid[:, :1] == [m.joint(j).id for j in joints])
+    motors, of = map(np.asarray, np.nonzero(on))
+    for kind, played in PLAYED.items():
+        known = np.isin(getattr(m, f"actuator_{kind}type")[motors], played) & (m.actuator_plugin[motors] < 0)
+        if len(odd := np.flatnonzero(~known)):
+            what = f"{element(m, 'actuator', int(motors[odd[0]]))} on {joints[int(of[odd[0]])]}"
+            raise InputError(f"unmodified: {what} is no motor, position or velocity actuator or damper")
+    gear, gain = m.actuator_gear[motors, 0], m.actuator_gainprm[motors, 0]
+    bias = m.actuator_biasprm[motors, :3].T * (m.actuator_biastype[motors] == BIAS.mjBIAS_AFFINE)
+    damps, limits = m.actuator_gaintype[motors] == GAIN.mjGAIN_AFFINE, motor_limits(m)[motors]
+    full = np.where(m.actuator_ctrllimited[motors], np.abs(m.actuator_ctrlrange[motors]).max(axis=1), 1.0)
+    holds = np.array([gains(m, motor)[0] > 0 for motor in motors], bool)
+
+    def anywhere(which: Any) -> Any:
+        """Whether a joint has such an actuator, for each actuator."""
+        return np.bincount(of, which, len(joints))[of] > 0
+
+    held, acts = anywhere(holds), ~damps & (limits > 0)
+    plain = acts & ~bias.any(axis=0)
+    carries = acts & ~held & (plain | ~anywhere(plain))
+    weights = np.where(carries, np.where(anywhere(carries & np.isinf(limits)), 1.0, limits), 0.0)
+    shares = weights / np.maximum(np.bincount(of, weights, len(joints))[of], 1e-9)
+    places = getattr(m, "actuator_ctrladr", np.arange(len(on)))[motors]
+    constant, slopes = constant.copy(), np.zeros((4, len(constant), len(joints)))
+    # Force = gain control + bias[0] + gear (bias[1] angle + bias[2] velocity), solved for the control where the force
+    # is that of the joint's torque or where a position actuator rests; velocity actuators beside one get 0.
+    solved = ~damps & (gain != 0) & (holds | ~held)
+    inverse = solved / np.where(solved, gain, 1.0)
+    constant[places] = np.where(damps, full * held, -bias[0] * inverse)
+    angle, velocity = -gear * bias[1:]
+    force = shares / np.where(carries, gear, 1.0)
+    slopes[:, places, of] = inverse * [angle * holds, force, angle * ~held, velocity * ~held]
+    return Controls(constant, slopes, np.bincount(of, holds, len(joints)) > 0, ~on.any(axis=0))

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from humanoid_mjx.robot.mjcf import PLAIN
 from humanoid_mjx.spec import InputError
 
 FLAGS, GEOM = mujoco.mjtDisableBit, mujoco.mjtGeom
@@ -16,6 +17,9 @@ SURPLUS = "gap", "adhesion"
 
 CORNER = 0.25
 """Largest radius of the balls in a box's corners, as a share of half its shorter side."""
+
+GROUND = "package_ground"
+"""Name of the plane of a file without one."""
 
 LEVEL = 1e-4
 """Largest height, m, and tilt, degrees, of a plane that counts as z = 0."""
@@ -176,7 +180,7 @@ def balls_of(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> list[tupl
     """Return the balls of a shape that the ground can push: their places in the body's frame and their radius, m.
 
     Raises:
-      InputError: the shape is no ball, capsule or box.
+      InputError: the shape is no ball, capsule, box or mesh.
     """
     size, kind = model.geom_size[geom], model.geom_type[geom]
     radius, centers = float(size[0]), np.zeros((1, 3))
@@ -190,13 +194,28 @@ def balls_of(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> list[tupl
         corners = np.full((4, 3), -np.sign(upright[down]))
         corners[:, others] = [(1, 1), (1, -1), (-1, 1), (-1, -1)]
         centers = corners * (size - radius)
+    elif kind == GEOM.mjGEOM_MESH:
+        return _under_hull(model, data, geom)
     elif kind != GEOM.mjGEOM_SPHERE:
         foot = model.body(model.geom_bodyid[geom]).name
         what = f"{foot} has {a(kind_of(model, geom))}, {model.geom(geom).name!r}"
-        raise InputError(f"feet: {what}; name geoms that are balls, capsules or boxes")
+        raise InputError(f"feet: {what}; name geoms that are balls, capsules, boxes or meshes")
     rotation = np.empty(9)
     mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
     return [(place, radius) for place in model.geom_pos[geom] + centers @ rotation.reshape(3, 3).T]
+
+
+def _under_hull(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> list[tuple[np.ndarray, float]]:
+    """Balls in the four outermost places, fore and aft, left and right, of the lowest tenth of a mesh at home."""
+    mesh, body = model.geom_dataid[geom], model.geom_bodyid[geom]
+    own = model.mesh_vert[model.mesh_vertadr[mesh] :][: model.mesh_vertnum[mesh]]
+    points = own @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
+    ground, signs = points[:, 2].min(), np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)])
+    low = points[points[:, 2] <= ground + 0.1 * np.ptp(points[:, 2]), :2]
+    corners = np.array([low[(low @ sign).argmax()] for sign in signs])
+    radius = CORNER * max(np.ptp(corners, axis=0).min(), 0.1 * np.ptp(points, axis=0).min()) / 2
+    centers = np.column_stack([corners - radius * signs, np.full(4, ground + radius)])
+    return [(place, radius) for place in (centers - data.xpos[body]) @ data.xmat[body].reshape(3, 3)]
 
 
 def strip(spec: mujoco.MjSpec, feet_only: bool) -> None:
@@ -209,10 +228,25 @@ def strip(spec: mujoco.MjSpec, feet_only: bool) -> None:
         spec.delete(element)
     for geom in spec.geoms if feet_only else spec.worldbody.geoms:
         geom.contype = geom.conaffinity = 0
-    option = spec.option
+    option, off = spec.option, mujoco.mjtDisableBit
+    if option.integrator in (mujoco.mjtIntegrator.mjINT_IMPLICIT, mujoco.mjtIntegrator.mjINT_IMPLICITFAST):
+        option.disableflags &= ~int(off.mjDSBL_EULERDAMP)  # these damp the joints implicitly
     option.integrator, option.cone = mujoco.mjtIntegrator.mjINT_EULER, mujoco.mjtCone.mjCONE_PYRAMIDAL
     option.solver, option.disableactuator = mujoco.mjtSolver.mjSOL_NEWTON, 0
     option.iterations, option.ls_iterations = max(option.iterations, 100), max(option.ls_iterations, 50)
     option.tolerance, option.ls_tolerance = min(option.tolerance, 1e-8), min(option.ls_tolerance, 0.01)
-    off = mujoco.mjtDisableBit
     option.disableflags &= ~int(off.mjDSBL_CONTACT | off.mjDSBL_ACTUATION | off.mjDSBL_CONSTRAINT)
+
+
+def add_ground(spec: mujoco.MjSpec, model: mujoco.MjModel, soles: Sequence[Touching]) -> None:
+    """Add a plane z = 0 to a file without one. All that can touch anything touches it, and the soles; its own contact
+    parameters count nothing."""
+    shapes = [next(shape for shape in spec.geoms if shape.id == sole.two) for sole in soles]
+    plane = {"type": GEOM.mjGEOM_PLANE, "size": (0.0, 0.0, 0.05), "priority": int(model.geom_priority.min()) - 1}
+    spec.worldbody.add_geom(PLAIN, name=GROUND, contype=(1 << 31) - 1, conaffinity=(1 << 31) - 1, **plane)
+    for index, (shape, sole) in enumerate(zip(shapes, soles, strict=True)):
+        if not shape.contype | shape.conaffinity:
+            shape.name = shape.name or f"sole{index}"
+            pair = spec.add_pair(PLAIN, geomname1=GROUND, geomname2=shape.name, margin=shape.margin, gap=shape.gap)
+            pair.condim, pair.friction = shape.condim, model.geom_friction[sole.two][[0, 0, 1, 2, 2]]
+            pair.solref, pair.solimp = shape.solref, shape.solimp

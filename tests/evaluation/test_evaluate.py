@@ -206,6 +206,21 @@ def test_commands(leg, tmp_path):
         assert low <= e["return"] <= high and e["steps"] == 3.0
 
 
+def test_a_policy_is_shown_in_the_file_of_its_robot_beside_its_own_world(tmp_path):
+    found = tmp_path / "found.json"
+    short = "--set", "task.duration=0.1", "--episodes", 2, "--json", found
+    output = told("evaluate", "walk_dog", "--unmodified", *short)
+    for words in (
+        "2 episodes that no training has seen, physics mujoco",
+        "walk_dog (greedy)",
+        "walk_dog, unmodified (gre",
+    ):
+        assert words in output
+    assert "walk_dog, unmodified: time steps of 0.004 s, euler, pyramidal cone; 12 joints take the servo's" in output
+    worlds = [policy["config"]["task"]["physics"] for policy in json.loads(found.read_text())["policies"]]
+    assert worlds == ["mujoco", "unmodified"]
+
+
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
@@ -215,6 +230,19 @@ def test_commands(leg, tmp_path):
         (["evaluate", "RUN", "--json", "none/x.json"], "there is no folder none"),
         (["evaluate", "RUN", "--json", "."], "--json .: this is a folder; name a file"),
         (["evaluate", "posture_switch", "--point", "1"], "--point: posture_switch is no run folder"),
+        (
+            ["evaluate", "walk_dog", "--physics", "tree", "--unmodified"],
+            "--physics tree: --unmodified plays in native MuJoCo",
+        ),
+        (
+            ["play", "walk_dog", "--view", "--unmodified"],
+            "--view shows the robot of the YAML, --unmodified that of its",
+        ),
+        (["play", "walk_dog", "--physics", "tree", "--unmodified"], "--physics tree, --unmodified that of its MJCF"),
+        (
+            ["evaluate", "posture_switch", "--unmodified"],
+            "the robot legs has no foot on the ground; take physics mujoco",
+        ),
         (["export", "leg", "x.xml", "--point", "1"], "--point: x.xml is of a robot"),
         (["export", "RUN", "x.pkl"], "must end in .xml, for a robot, or in .npz"),
         (["export", "RUN", "none/x.npz"], "there is no folder none"),

@@ -29,15 +29,16 @@ def test_a_config_sets_what_its_shipped_policy_was_trained_with(name):
     assert {key for key, value in trained.items() if today[key] != value} <= newer
 
 
-WORLDS = [(name, "null", 1.0) for name in SHIPPED if name != "walk_sturdy"]
-WORLDS += [("walk_sturdy", "{stairs: 0.0}", 1.0), ("walk_sturdy", "{stairs: 0.01}", 0.75)]
-"""Policies, the ground, and the least share that stays upright: some trip over stairs. Stairs of no height are level,
-and a program serves those of any height."""
+WORLDS = [(name, "mujoco", "null", 1.0) for name in SHIPPED if name != "walk_sturdy"]
+WORLDS += [("walk_dog", "unmodified", "null", 1.0)]
+WORLDS += [("walk_sturdy", "mujoco", "{stairs: 0.0}", 1.0), ("walk_sturdy", "mujoco", "{stairs: 0.01}", 0.75)]
+"""Policies, the physics, the ground, and the least share that stays upright: some trip over stairs. Stairs of no height
+are level, and a program serves those of any height."""
 
 
-@pytest.mark.parametrize(("name", "terrain", "least"), WORLDS)
-def test_a_shipped_policy_stays_upright_in_native_mujoco(name, terrain, least):
-    world = ["task.physics=mujoco", f"task.duration={SECONDS}", f"task.terrain={terrain}"]
+@pytest.mark.parametrize(("name", "physics", "terrain", "least"), WORLDS)
+def test_a_shipped_policy_stays_upright_in_native_mujoco(name, physics, terrain, least):
+    world = [f"task.physics={physics}", f"task.duration={SECONDS}", f"task.terrain={terrain}"]
     trained = in_changed_world(find_policy(name), world)
     greedy, zero = (play_out(trained, agent, EPISODES) for agent in ("greedy", "zero"))
     assert greedy["success"].mean() >= least

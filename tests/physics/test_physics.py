@@ -93,7 +93,11 @@ def test_a_push_on_the_torso_gives_its_impulse(physics):
     ("name", "options", "sentence"),
     [
         ("mjx", {}, "physics.name: unknown physics 'mjx'; did you mean 'mjx-jax'? known are chain, mjx-jax, "),
-        ("mujoco", {"robot": "arm"}, "physics.robot.name: unknown robot 'arm'; known are dog, humanoid, leg"),
+        (
+            "mujoco",
+            {"robot": "arm"},
+            "physics.robot.name: unknown robot 'arm'; known are apollo, berkeley_humanoid, dog",
+        ),
         ("mujoco", {"robot": {"ranges": "wide"}}, "physics.robot.ranges must be one of 'proposed' or 'human', "),
         ("mjx-jax", {"timestep": 0.0}, "physics.timestep must be at least 1e-06, got 0.0."),
         ("mjx-jax", {"step": 0.1}, "physics.step: unknown key; did you mean 'timestep'? known are damping, friction, "),

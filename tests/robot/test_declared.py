@@ -17,7 +17,7 @@ from humanoid_mjx import InputError, make_task
 from humanoid_mjx.commands import console
 from humanoid_mjx.commands.info import show_info, show_keys, show_model
 from humanoid_mjx.config import load
-from humanoid_mjx.files import folder, names
+from humanoid_mjx.files import folder
 from humanoid_mjx.robot import make_robot
 from humanoid_mjx.robot.declared import Declaration
 from humanoid_mjx.robot.mirror import image
@@ -28,7 +28,7 @@ from humanoid_mjx.training.plan import make_plan, resolved
 
 CHANGED = """<freejoint/><body name="ball"><joint name="ball" type="ball"/><geom size="0.1"/></body>"""
 
-SHIPPED = names("robots", ".yaml")
+SHIPPED = ["dog", "humanoid"]
 
 
 def files(path, edit=None, **keys):

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from humanoid_mjx.evaluation.episode import begun, decided, own_data, robot_of, single, world_of
 from humanoid_mjx.evaluation.live.body import Grab as Grab
 from humanoid_mjx.evaluation.live.stage import LiveMujoco, Stage
-from humanoid_mjx.evaluation.policy import Trained, on_physics, on_plane
+from humanoid_mjx.evaluation.policy import Trained, in_world, on_plane
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.tasks.continuous import State
@@ -37,7 +37,7 @@ class Live:
         robot_of(trained)
         self.touchable = True
         try:
-            trained = on_physics(on_plane(trained), f"{__name__}:{LiveMujoco.__name__}")
+            trained = in_world(on_plane(trained), f"{__name__}:{LiveMujoco.__name__}")
         except InputError:  # a task with a physics of its own is shown and steered, but nobody can touch it
             self.touchable = False
         task: Any = trained.learner.task.for_driving()

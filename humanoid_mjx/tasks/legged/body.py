@@ -50,7 +50,7 @@ class LeggedBody(ContinuousTask):
     """The part of legged tasks that concerns the robot; derive from `LeggedTask`."""
 
     robot: RobotKey = Field(make_robot("lower_body", ranges="human"), description="the robot that stands")
-    physics: str = Field("tree", description="tree, mjx-jax, mjx-warp, mujoco, or your own as package.module:Class")
+    physics: str = Field("tree", description="tree, mjx-jax, mjx-warp, mujoco, unmodified, or package.module:Class")
     control: Control = Field(SERVO, description="the law that drives the joints")
     actuator: Drives = Field(Ideal(), description="actuator model: ideal or dc_motor")
     bins: Literal[3, 5, 9] = Field(3, description="values of a joint's offset, evenly from -1 to 1 times it")
@@ -160,7 +160,7 @@ class LeggedBody(ContinuousTask):
           every time step, on a leading axis.
         """
         values = {"mass": plant.mass, "friction": plant.friction, "torque_limit": plant.torque_limit}
-        physics = self.simulator.replace(**values, damping=plant.joint_damping, push=force)
+        physics = self.simulator.replace(**values, damping=plant.joint_damping, push=force, setpoint=setpoint)
         physics = physics.replace(terrain=plant.terrain) if plant.terrain else physics
         law = self.control.of(self.robot).follow(at_rest(setpoint))
 

@@ -1,0 +1,142 @@
+# pyright: reportAttributeAccessIssue=false
+"""Models where people have them: robots of installed packages, scenes, meshes that are missing and feet of meshes."""
+
+import importlib.util
+import re
+
+import mujoco
+import numpy as np
+import pytest
+import yaml
+
+from humanoid_mjx import InputError
+from humanoid_mjx.files import folder, names
+from humanoid_mjx.robot import make_robot
+from humanoid_mjx.robot.holding import in_words, standing
+
+TEXTS = {name: (folder("robots") / f"{name}.yaml").read_text() for name in names("robots", ".yaml")}
+PUBLIC = {name: re.search(r"package:(\w+)", text)[1] for name, text in TEXTS.items() if "package:" in text}
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_public_robots_stand_for_a_second_in_native_mujoco(name):
+    assert len(TEXTS[name].splitlines()) <= 12
+    if importlib.util.find_spec(PUBLIC[name]) is None:
+        with pytest.raises(InputError, match=f"{name}.yaml: model: the package '{PUBLIC[name]}' .* pip install"):
+            make_robot(name)
+        return
+    robot = make_robot(name)
+    model, order, signs = robot.model, *robot.joint_images
+    np.testing.assert_allclose(robot.posture[order] * signs, robot.posture, atol=0.02)
+    data, joints = mujoco.MjData(model), robot.driven
+    data.qpos[2], data.qpos[model.jnt_qposadr[joints]] = robot.start_height, robot.posture
+    for _ in range(round(1 / model.opt.timestep)):
+        angles, rates = data.qpos[model.jnt_qposadr[joints]], data.qvel[model.jnt_dofadr[joints]]
+        torque = robot.servo.stiffness * (robot.posture - angles) - robot.servo.damping * rates
+        data.ctrl = np.clip(torque, -robot.torque_limits, robot.torque_limits)
+        mujoco.mj_step(model, data)
+    assert data.xmat[1, 8] > 0.9 and data.qpos[2] > 0.85 * robot.start_height
+
+
+def test_a_missing_package_is_named_with_what_brings_it(tmp_path):
+    (tmp_path / "r.yaml").write_text("model: package:no_such_models/r.xml\nfeet: [foot]\n")
+    words = r"r.yaml: model: the package 'no_such_models' is not installed; pip install no_such_models brings it"
+    with pytest.raises(InputError, match=words):
+        make_robot(str(tmp_path / "r.yaml"))
+
+
+BODY = """
+<body name="trunk" pos="0 0 .4"><freejoint/><geom type="box" size=".2 .08 .05" mass="6"/>LOOKS
+  <replicate count="2" sep="_" offset="-.36 0 0"><replicate count="2" sep="_" offset="0 -.24 0">
+    <body name="thigh" pos=".18 .12 0">
+      <joint name="hip" axis="0 1 0" range="-80 80"/><geom type="capsule" fromto="0 0 0 0 0 -.2" size=".02" mass=".5"/>
+      <body name="calf" pos="0 0 -.2">
+        <joint name="knee" axis="0 1 0" range="-150 10"/>
+        <geom type="capsule" fromto="0 0 0 0 0 -.2" size=".015" mass=".2"/>
+        <geom name="foot" FOOT pos="0 0 -.2" euler="0 35 0" mass=".05" friction=".4"/>
+      </body>
+    </body>
+  </replicate></replicate>
+</body>"""
+BOX = 'type="box" size=".03 .02 .01"'
+CORNERS = " ".join(f"{x} {y} {z}" for x in (-0.03, 0.03) for y in (-0.02, 0.02) for z in (-0.01, 0.01))
+
+
+def written(path, foot=BOX, looks="", assets="", scene="", **keys):
+    """A robot's file, one that includes it where there is a scene, and its YAML."""
+    body = BODY.replace("FOOT", foot).replace("LOOKS", looks)
+    text = f"<mujoco><asset>{assets}</asset><worldbody>{body}</worldbody></mujoco>"
+    (path / "robot.xml").write_text(text)
+    (path / "scene.xml").write_text(f'<mujoco><include file="robot.xml"/><worldbody>{scene}</worldbody></mujoco>')
+    feet = [f"foot_{i}_{j}" for i in "01" for j in "01"]
+    data = {"model": "scene.xml" if scene else "robot.xml", "home": {"hip.*": 35, "knee.*": -70}, "feet": feet}
+    (path / "robot.yaml").write_text(yaml.safe_dump(data | {"torque": 20, "servo": {"stiffness": 80}} | keys))
+    return str(path / "robot.yaml")
+
+
+def test_a_model_lies_in_a_package_whose_code_stays_idle(tmp_path, monkeypatch):
+    (tmp_path / "my_models" / "dogs").mkdir(parents=True)
+    (tmp_path / "my_models" / "__init__.py").write_text("raise RuntimeError")
+    written(tmp_path / "my_models" / "dogs")
+    monkeypatch.syspath_prepend(tmp_path)
+    robot = make_robot(written(tmp_path, model="package:my_models/dogs/robot.xml"))
+    np.testing.assert_array_equal(robot.soles, make_robot(written(tmp_path)).soles)
+    with pytest.raises(InputError, match=r"robot.yaml: .*my_models/cats.xml cannot be read: No such file"):
+        make_robot(written(tmp_path, model="package:my_models/cats.xml"))
+
+
+def test_the_plane_of_a_scene_is_the_ground(tmp_path):
+    plane = '<geom type="plane" size="5 5 .1" friction=".7"/>'
+    robots = [make_robot(written(tmp_path, scene=scene)) for scene in (plane, plane.replace(".7", ".3"))]
+    assert [robot.model.pair_friction[0, 0] for robot in robots] == [0.7, 0.4]
+    assert "ground of 'foot_0_0' and 3 more" in [row.name for row in make_robot(written(tmp_path)).differences()]
+
+
+def test_meshes_that_are_missing_matter_only_where_they_touch_or_weigh(tmp_path):
+    assets = '<mesh name="shell" file="shell.stl"/>'
+    shell = '<geom mesh="shell" type="mesh" contype="0" conaffinity="0" mass="0"/>'
+    robot = make_robot(written(tmp_path, looks=shell, assets=assets))
+    assert ("1 meshes", "for looks", "none: no such files") in robot.differences()
+    assert robot.mass == make_robot(written(tmp_path)).mass
+    for change in (('contype="0" ', ""), ('mass="0"', "")):
+        with pytest.raises(
+            InputError, match=r"robot.yaml: model: the mesh shell.stl of trunk is missing, and it touches"
+        ):
+            make_robot(written(tmp_path, looks=shell.replace(*change), assets=assets))
+
+
+def test_a_foot_of_a_mesh_stands_on_the_corners_of_its_hull(tmp_path):
+    box, plane = make_robot(written(tmp_path)), '<geom type="plane" size="5 5 .1"/>'
+    mesh = written(tmp_path, 'type="mesh" mesh="sole"', assets=f'<mesh name="sole" vertex="{CORNERS}"/>', scene=plane)
+    found = make_robot(mesh).soles.reshape(4, 4, 3)
+    for foot, expected in zip(found, box.soles.reshape(4, 4, 3), strict=True):
+        order = [np.lexsort(part.round(4).T) for part in (foot, expected)]
+        np.testing.assert_allclose(foot[order[0]], expected[order[1]], atol=1e-6)
+
+
+def test_what_a_servo_has_to_hold_is_the_slope_of_the_energy(tmp_path):
+    """All knees of a robot on even legs bend by the same angle: the work of their torques lifts the trunk."""
+    robot = make_robot(written(tmp_path, 'type="sphere" size=".02"'))
+    model, energy = robot.model, []
+    for bend in (-1e-5, 1e-5):
+        data = mujoco.MjData(model)
+        bent = robot.posture + bend * np.array(["knee" in joint for joint in robot.joints])
+        data.qpos[model.jnt_qposadr[robot.driven]] = bent
+        mujoco.mj_forward(model, data)
+        feet = np.mean(
+            [data.body(foot).xpos + data.body(foot).xmat.reshape(3, 3) @ [0, 0, -0.2] for foot in robot.feet], 0
+        )
+        energy.append(robot.mass * 9.81 * (data.subtree_com[0, 2] - feet[2]))
+    torque = standing(robot)[0][["knee" in joint for joint in robot.joints]].sum()
+    assert torque == pytest.approx(abs(energy[1] - energy[0]) / 2e-5, rel=0.02)
+
+
+def test_gains_that_cannot_hold_a_robot_are_said_with_those_that_do(tmp_path):
+    (fine,) = in_words(make_robot(written(tmp_path)))
+    assert re.match(r"under its weight knee_\d_\d gives way by \S+ degrees, knee_\d_\d takes \d+% of", fine)
+    soft = in_words(make_robot(written(tmp_path, servo={"stiffness": 8, "damping": 0.01})))[1]
+    assert "e+" not in soft
+    (better,) = in_words(make_robot(written(tmp_path, servo=yaml.safe_load(soft.split("take servo: ")[1]))))
+    assert float(re.search(r"by (\S+) degrees", better)[1]) <= 5 and float(re.search(r"ratio (\S+),", better)[1]) >= 0.5
+    weak = in_words(make_robot(written(tmp_path, torque=0.5)))
+    assert weak[1].startswith("no gains hold it")
