@@ -38,7 +38,7 @@ def all_draws(key):
     seed=st.integers(0, 10**6),
     rules=st.sampled_from([Rules(), PRINTED, Rules(ties="first"), Rules(bootstrap_at_end=True)]),
     rows=st.sampled_from([6, 3]),
-    epsilon=st.floats(0, 1, width=32),
+    epsilon=st.floats(0, 1, width=32, allow_subnormal=False),
     epsilon_decay=st.sampled_from([0.5, 0.875, 1.0]),
     epsilon_min=st.sampled_from([0.0, 0.25]),
     learning_rate=st.sampled_from([0.25, 0.5, 1.0]),
