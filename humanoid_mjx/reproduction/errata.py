@@ -10,14 +10,9 @@ import numpy as np
 from humanoid_mjx import dynamics, kinematics
 from humanoid_mjx.reproduction.findings import Finding, Setting, check, experiment, three_digits
 from humanoid_mjx.reproduction.leg_values import over
-from humanoid_mjx.reproduction.printed import control, derivatives, dynamics_errata, inverse, jacobian
-from humanoid_mjx.reproduction.printed import kinematics as printed_kinematics
-from humanoid_mjx.reproduction.printed.erratum import Erratum, States
+from humanoid_mjx.reproduction.printed.formulas import ENTRIES, Erratum, States, evaluate
 from humanoid_mjx.robot.leg import AS_PRINTED, Leg, corrected_inertias
 from humanoid_mjx.thesis import leg as thesis
-
-PRINTED = (printed_kinematics, jacobian, derivatives, inverse, dynamics_errata, control)
-ENTRIES = tuple(entry for module in PRINTED for entry in module.ERRATA)
 
 STATES = 2000
 
@@ -42,7 +37,7 @@ def errata(setting: Setting) -> list[Finding]:
 
 def _compare(entry: Erratum, states: States) -> Finding:
     errors = entry.errors(states)
-    size = float(np.abs(entry.right(states)).max())
+    size = float(np.abs(evaluate(entry.right, states)).max())
     agrees = bool(errors.max() <= TOLERANCE * (size or 1.0))
     where = "Table 3.2's ranges" if entry.in_range else "the full circle"
     return check(
@@ -64,8 +59,8 @@ def _states(ranges: tuple[tuple[float, float], ...]) -> States:
     leg = Leg.physical()
     frames, jac = over(kinematics.frames, leg, q), over(kinematics.jacobian, leg, q)
     links = np.linalg.solve(frames[:, :-1], frames[:, 1:])
-    true = {"pose": frames[:, -1], "links": links, "jacobian": jac}
-    true |= over(_dynamics, (Leg.thesis(), Leg.thesis(AS_PRINTED)), q)
+    true = {"T": frames[:, -1], "A": links, "J": jac} | over(_dynamics, (Leg.thesis(), Leg.thesis(AS_PRINTED)), q)
+    true = {name: np.moveaxis(value, 0, -1) for name, value in true.items()}
     qd, qdd = random.uniform(-2, 2, (2, 5, STATES))
     return States(q.T, thesis.LINK_LENGTHS, true, qd, qdd, corrected_inertias())
 
@@ -78,9 +73,9 @@ def _dynamics(legs: tuple[Leg, Leg], q: jax.Array) -> dict[str, jax.Array]:
     plus, minus = unit[:, None] + unit, unit[:, None] - unit
     at = jax.vmap(jax.vmap(lambda qd: dynamics.coriolis(leg, q, qd)))
     return {
-        "mass_matrix": dynamics.mass_matrix(leg, q),
-        "velocity_coefficients": jnp.moveaxis(at(plus) - at(minus), -1, 0) / 4,
-        "gravity": dynamics.gravity(leg, q),
+        "mass": dynamics.mass_matrix(leg, q),
+        "h": jnp.moveaxis(at(plus) - at(minus), -1, 0) / 4,
+        "upright_gravity": dynamics.gravity(leg, q),
         "sideways_gravity": dynamics.gravity(sideways, q),
     }
 

@@ -122,7 +122,7 @@ def test_a_printed_formula_that_is_right_is_reproduced():
     states = errata._states(errata.CIRCLE)
     entry = [each for each in errata.ENTRIES if each.fault == "none"][-1]
     assert errata._compare(replace(entry, printed=entry.right), states).verdict == "reproduced"
-    assert errata._compare(replace(entry, printed=lambda s: entry.right(s) * 1.01), states).verdict == "differs"
+    assert errata._compare(replace(entry, printed=f"1.01 * ({entry.right})"), states).verdict == "differs"
 
 
 def test_computed_torque_can_lose(monkeypatch, tmp_path):

@@ -1,5 +1,5 @@
 """The formulas as the thesis prints them, faults included: for reproduction, not for use.
 
-Every file ends in `ERRATA`: what each formula should be, what is wrong with it, and both as functions. Those of
-`dynamics` have a file of their own.
+`errata.yaml` says what each formula should be and what is wrong with it, `formulas` evaluates both, and `dynamics` has
+the formulas of section 4.6, appendices F to H and the MATLAB script.
 """

@@ -32,25 +32,17 @@ Q = np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 0]])
 """The derivative of a rotation about z, which comes after it."""
 
 
-class Slip(NamedTuple):
-    """A term of a velocity coefficient in which the script differs from its own rule."""
-
-    link: int
-    """Index p of the term."""
-    printed: str
-    """The term: factors of a trace."""
-    fault: str
-
-
 SLIPS = {
-    (1, 1, 2): Slip(5, "A1 Q2 A2 A3 A4 Q5 I5 d51'", "the last term lacks A5"),
-    (1, 3, 3): Slip(3, "A1 A3 Q3 Q3 A3 I3 d31'", "A1 A3 for A1 A2 in the first term"),
-    (3, 1, 2): Slip(5, "A1 Q2 A3 A4 Q5 A5 I5 d53'", "the last term lacks A2"),
-    (3, 2, 3): Slip(3, "A1 A2 Q3 Q3 I3 d33'", "the first term lacks A3"),
-    (3, 2, 5): Slip(5, "A1 A2 Q3 A3 A4 Q5 A5 I5 d53'", "the product of another coefficient: Q3 for the first Q5"),
-    (3, 4, 5): Slip(5, "A1 A2 A3 A4 Q5 Q5 A5 d53'", "lacks I5"),
+    (1, 1, 2): (5, "A1 Q2 A2 A3 A4 Q5 I5 d51'"),
+    (1, 3, 3): (3, "A1 A3 Q3 Q3 A3 I3 d31'"),
+    (3, 1, 2): (5, "A1 Q2 A3 A4 Q5 A5 I5 d53'"),
+    (3, 2, 3): (3, "A1 A2 Q3 Q3 I3 d33'"),
+    (3, 2, 5): (5, "A1 A2 Q3 A3 A4 Q5 A5 I5 d53'"),
+    (3, 4, 5): (5, "A1 A2 A3 A4 Q5 Q5 A5 d53'"),
 }
-"""Slips by i, j and k, with j < k or equal. The coefficient with j and k exchanged is set to the same."""
+"""Terms of velocity coefficients in which the script differs from its own rule, by i, j and k with j < k or equal: the
+index p of the term, and the factors of its trace as printed. The coefficient with j and k exchanged is set to the
+same."""
 
 
 class Model(NamedTuple):
@@ -136,9 +128,9 @@ def velocity_coefficients(model: Model, q: Array, faults: Collection[str] = ALL)
         for p in range(max(i, k), 6):
             turned = (k, p) if "rule" in faults else (j, k)
             value += factors.inner(p, turned, (i,))
-        slip = SLIPS.get((i, j, k)) if "slips" in faults else None
-        if slip:
-            value += factors.trace(slip.printed) - factors.inner(slip.link, (k, slip.link), (i,))
+        if "slips" in faults and (i, j, k) in SLIPS:
+            p, printed = SLIPS[i, j, k]
+            value += factors.trace(printed) - factors.inner(p, (k, p), (i,))
         return value
 
     return _stacked(lambda i, j, k: upper(i, min(j, k), max(j, k)), 3, q)
