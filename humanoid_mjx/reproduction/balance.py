@@ -8,14 +8,13 @@ level axis. As long as the feet can give it, the point is the centre of pressure
 convex hull.
 """
 
-import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
 from humanoid_mjx.physics.model import MujocoPhysics
 from humanoid_mjx.robot.description import lowest
-from humanoid_mjx.types import AnyArray, FloatScalar
+from humanoid_mjx.types import AnyArray
 
 
 def ground_wrench(
@@ -58,30 +57,31 @@ def zero_moment_point(force: Float[np.ndarray, "times 3"], moment: Float[np.ndar
 
 
 def support_margin(
-    point: Float[AnyArray, "2"], corners: Float[AnyArray, "corners 2"], touching: Bool[AnyArray, " corners"]
-) -> FloatScalar:
+    point: Float[np.ndarray, "*times 2"],
+    corners: Float[np.ndarray, "*times corners 2"],
+    touching: Bool[np.ndarray, "*times corners"],
+) -> Float[np.ndarray, "*times"]:
     """Return the distance of a point from the edge of the support polygon, the convex hull of the corners that touch,
     m.
 
     Negative outside it: the distance to the polygon. With less than three corners it is an edge or a point, which has
     no inside; with none the margin is minus infinity.
     """
-    corners = jnp.asarray(corners)
-    pair = touching[:, None] & touching
-    along = corners - corners[:, None]
-    length = jnp.linalg.norm(along, axis=-1)
+    pair = touching[..., :, None] & touching[..., None, :]
+    along = corners[..., None, :, :] - corners[..., :, None, :]
+    arm = (point[..., None, :] - corners)[..., :, None, :]
+    length = np.linalg.norm(along, axis=-1)
     proper = pair & (length > 0)
-    unit = along / jnp.where(proper, length, 1.0)[..., None]
+    unit = along / np.where(proper, length, 1.0)[..., None]
     # Seen from corner i towards corner j: how far along the line, and how far to its left.
-    place = jnp.clip(jnp.sum((point - corners[:, None]) * unit, axis=-1), 0.0, length)
-    to_point = _left(unit, point - corners[:, None])
-    to_corners = _left(unit[:, :, None], corners - corners[:, None, None])
-    edge = proper & ((to_corners > -1e-7) | ~touching).all(axis=-1)
-    has_area = (proper[..., None] & touching & (jnp.abs(to_corners) > 1e-7)).any()
-    inside = jnp.min(jnp.where(edge, to_point, jnp.inf))
-    nearest = corners[:, None] + place[..., None] * unit
-    outside = jnp.min(jnp.where(pair, jnp.linalg.norm(point - nearest, axis=-1), jnp.inf))
-    return jnp.where(has_area & (inside >= 0), inside, -outside)
+    place = np.clip((arm * unit).sum(axis=-1), 0.0, length)
+    to_point, to_corners = _left(unit, arm), _left(unit[..., None, :], along[..., :, None, :, :])
+    edge = proper & ((to_corners > -1e-7) | ~touching[..., None, None, :]).all(axis=-1)
+    has_area = (proper[..., None] & touching[..., None, None, :] & (np.abs(to_corners) > 1e-7)).any(axis=(-3, -2, -1))
+    inside = np.where(edge, to_point, np.inf).min(axis=(-2, -1))
+    away = np.linalg.norm(arm - place[..., None] * unit, axis=-1)
+    outside = np.where(pair, away, np.inf).min(axis=(-2, -1))
+    return np.where(has_area & (inside >= 0), inside, -outside)
 
 
 def foot_corners(physics: MujocoPhysics, qpos: Float[AnyArray, "times nq"]) -> Float[np.ndarray, "times corners 3"]:
@@ -95,5 +95,5 @@ def foot_corners(physics: MujocoPhysics, qpos: Float[AnyArray, "times nq"]) -> F
     return found
 
 
-def _left(unit: Array, arm: Array) -> Array:
+def _left(unit: np.ndarray, arm: np.ndarray) -> np.ndarray:
     return unit[..., 0] * arm[..., 1] - unit[..., 1] * arm[..., 0]

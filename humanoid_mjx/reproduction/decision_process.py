@@ -19,9 +19,9 @@ from humanoid_mjx.training.sweep import sweep
 from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
 
 PRINTED = thesis.PSEUDO_CODE
-SEEDS = 32
-SIDE_BY_SIDE = 1024
-"""The most runs that a device trains at once: all that there are. Told, nothing must be traced to estimate it."""
+SEEDS, SIDE_BY_SIDE = 32, 1024
+"""Seeds of a point, and the most runs that a device trains at once: all that there are, so that no program is traced to
+estimate their number."""
 
 RUNS, STEPS = 100, 20_000
 """Runs of the pseudo-code with its decay, and the steps of each."""
@@ -46,16 +46,11 @@ def decay(setting: Setting) -> Iterator[Finding]:
         setting.tell(f"joint {joint}: {RUNS} runs of {STEPS:,} steps")
         run = printed_run(joint, setting.config, runs=RUNS, steps=STEPS)
         reached = int(run.terminated.any(axis=1).sum())
-        yield check(
-            f"joint {joint} reaches its goal, of {RUNS} runs with the declared decay of epsilon",
-            "reaches the target (7 E to 7 G)",
-            reached,
-            reached == RUNS,
-            f"epsilonDecay = {setting.config['learner']['epsilon_decay']:g} is declared, not used; applied in every "
-            f"step, exploration dies before the joint arrives, and greedy ties mean to stay ({STEPS:,} steps)",
-            0,
-            possible=reached > 0,
-        )
+        quantity = f"joint {joint} reaches its goal, of {RUNS} runs with the declared decay of epsilon"
+        why = f"epsilonDecay = {setting.config['learner']['epsilon_decay']:g} is declared, not used; applied in every "
+        why += f"step, exploration dies before the joint arrives, and greedy ties mean to stay ({STEPS:,} steps)"
+        target = "reaches the target (7 E to 7 G)"
+        yield check(quantity, target, reached, reached == RUNS, why, 0, possible=reached > 0)
 
 
 @experiment("finding-waiting", "The reward pays for waiting")
@@ -69,16 +64,13 @@ def waiting(setting: Setting) -> Iterator[Finding]:
     at_printed = int(np.argmin(np.abs(discounts - PRINTED["discount"])))
     for joint, (_, goal) in thesis.JOINT_RANGES.items():
         last, end = thesis.REWARD_SCALE * (goal - thesis.FIGURES_ACTION), thesis.REWARD_SCALE * goal
-        yield check(
-            f"joint {joint}: share of greedy episodes that reach the goal at the printed discount",
-            "in the next time of running it switches to the next state with the old values (6.4)",
-            round(float(share[joint][at_printed]), 3),
-            share[joint][at_printed] > 0.99,
-            f"waiting a step before the goal for ever ({last:g} a step) is worth more than the goal ({end:g} + "
-            f"{PRINTED['bonus']:g}, once) from {1 - last / (end + PRINTED['bonus']):.4f} on; in training the largest "
-            f"discount tried at which most runs go to the goal is {_largest(discounts, share[joint]):g}",
-            0.01,
-        )
+        quantity = f"joint {joint}: share of greedy episodes that reach the goal at the printed discount"
+        claim = "in the next time of running it switches to the next state with the old values (6.4)"
+        why = f"waiting a step before the goal for ever ({last:g} a step) is worth more than the goal ({end:g} + "
+        why += f"{PRINTED['bonus']:g}, once) from {1 - last / (end + PRINTED['bonus']):.4f} on; in training the "
+        why += f"largest discount tried at which most runs go to the goal is {_largest(discounts, share[joint]):g}"
+        arrive = float(share[joint][at_printed])
+        yield check(quantity, claim, round(arrive, 3), arrive > 0.99, why, 0.01)
 
 
 @experiment("finding-aliasing", "Few states alias many places")
@@ -92,14 +84,12 @@ def aliasing(setting: Setting) -> Iterator[Finding]:
         largest[states] = _largest(discounts, share)
     own = largest[POSITIONS[1]]
     for states, value in largest.items():
-        yield unprinted(
-            f"joint 1 with {states} states for 24 places: largest discount tried at which it goes to the goal",
-            value,
-            f"with a row for every place it is {own:g}; {24 / states:.2g} places share a row here, and the reward of "
-            "the last row is paid for waiting anywhere in it"
-            if states != POSITIONS[1]
-            else "every place has a row of its own: this is the optimum of the places",
-        )
+        quantity = f"joint 1 with {states} states for 24 places: largest discount tried at which it goes to the goal"
+        why = f"with a row for every place it is {own:g}; {24 / states:.2g} places share a row here, and the reward of "
+        why += "the last row is paid for waiting anywhere in it"
+        if states == POSITIONS[1]:
+            why = "every place has a row of its own: this is the optimum of the places"
+        yield unprinted(quantity, value, why)
 
 
 @experiment("finding-negative-reward", "What a negative reward of stepping back would do")
@@ -114,15 +104,12 @@ def _stepping_back(share: np.ndarray) -> Finding:
     costs = -np.array(BACK_REWARDS)
     keeps = share[costs > 0] < 0.5
     limit = largest_cost(STEPPING_BACK["steps"], PRINTED["bonus"], PRINTED["discount"])
-    return check(
-        f"share of joints that step back to their goal when a step back is rewarded with {listed(-costs)}",
-        "if a negative reward is awarded, the feet will not bring themselves back (chapter 6)",
-        [round(float(s), 3) for s in share],
-        keeps.all(),
-        f"{STEPPING_BACK['steps']} steps back lead to the goal and its bonus of {PRINTED['bonus']:g}; "
-        f"staying earns nothing. At a discount of {PRINTED['discount']:g} the way back pays up to a cost of "
-        f"{limit:.2f} a step: only beyond it is the fear right",
-    )
+    quantity = f"share of joints that step back to their goal when a step back is rewarded with {listed(-costs)}"
+    claim = "if a negative reward is awarded, the feet will not bring themselves back (chapter 6)"
+    why = f"{STEPPING_BACK['steps']} steps back lead to the goal and its bonus of {PRINTED['bonus']:g}; staying earns "
+    why += f"nothing. At a discount of {PRINTED['discount']:g} the way back pays up to a cost of {limit:.2f} a step: "
+    why += "only beyond it is the fear right"
+    return check(quantity, claim, [round(float(s), 3) for s in share], keeps.all(), why)
 
 
 class SteppingBack(FiniteTask):

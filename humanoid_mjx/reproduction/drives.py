@@ -7,31 +7,26 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from humanoid_mjx.control import Reference, servo
+from humanoid_mjx.control import Reference, implicit_euler, servo
 from humanoid_mjx.control.drives import DcMotor
-from humanoid_mjx.mechanics.dynamics import inverse_dynamics, joint_inertias, mass_matrix_and_bias
+from humanoid_mjx.mechanics.dynamics import inverse_dynamics, joint_inertias
 from humanoid_mjx.mechanics.trajectories import thesis_quintics
 from humanoid_mjx.reproduction import motor_sizing
 from humanoid_mjx.reproduction.findings import Finding, Setting, check, experiment, listed, three_digits, unprinted
-from humanoid_mjx.reproduction.leg_values import over, planned
+from humanoid_mjx.reproduction.leg_values import errors_along, over, planned
 from humanoid_mjx.robot.leg import Leg
 from humanoid_mjx.thesis import leg as thesis
 
 GEARS = np.array([1.0, 3.0, 10.0, 30.0, 100.0, 300.0])
 
-HIGH = GEARS[GEARS >= 10.0]
-"""Gear ratios far above 1."""
-
-SHOWN = 100.0
-"""Gear ratio at which shares are told."""
+HIGH, SHOWN = GEARS[GEARS >= 10.0], 100.0
+"""Gear ratios far above 1, and the one at which shares are told."""
 
 ROTORS = np.array([1e-8, 1e-7, 1e-6, 1e-5])
 """Rotor inertias that are tried, kg m^2: from motors of a few grams to one that weighs more than the leg."""
 
-TRACKS = np.radians(1.0)
-"""Largest error of a good trajectory tracking, rad."""
-
-STEP_S = 1e-3
+TRACKS, STEP_S = np.radians(1.0), 1e-3
+"""Largest error of a good trajectory tracking, rad; step of the simulation, s."""
 
 MOTOR = {"torque_constant": 0.0136, "resistance": 7.0, "friction": 1e-6, "max_voltage": 12.0}
 """N m/A, ohm, N m s/rad and V: a DC motor of about 25 mm. Nothing is printed of the motors but their maker
@@ -47,19 +42,15 @@ def motors(setting: Setting) -> list[Finding]:
     mean, reflected = motion["inertia"].mean(axis=0), HIGH**2 * ROTORS[:, None]
     errors = tracking_errors(reflected.ravel(), mean).max(axis=1).reshape(reflected.shape)
     shown, tried = list(GEARS).index(SHOWN), "nothing is printed of the rotor; the motion is the planned one"
+    share = f"share of d of (5.17), the interaction, in the motor's torque at a gear of {SHOWN:g}, by rotor and joint"
+    slow = f"root mean squares, gravity along the leg: {tried}. Slow motions leave little to inertia, and d has the "
+    slow += "weight"
+    inertia = f"share by which I_eff of (5.20) varies at a gear of {SHOWN:g}, by rotor and joint"
+    most = f"from the least to the largest inertia: {tried}. Without a gear it varies by a factor of up to "
+    most += f"{1 + varies[ROTORS[0]][0].max():.1f}"
     return [
-        unprinted(
-            f"share of d of (5.17), the interaction, in the motor's torque at a gear of {SHOWN:g}, by rotor and joint",
-            _by_rotor({rotor: values[shown] for rotor, values in shares.items()}),
-            f"root mean squares, gravity along the leg: {tried}. Slow motions leave little to inertia, and d has the "
-            "weight",
-        ),
-        unprinted(
-            f"share by which I_eff of (5.20) varies at a gear of {SHOWN:g}, by rotor and joint",
-            _by_rotor({rotor: values[shown] for rotor, values in varies.items()}),
-            f"from the least to the largest inertia: {tried}. Without a gear it varies by a factor of up to "
-            f"{1 + varies[ROTORS[0]][0].max():.1f}",
-        ),
+        unprinted(share, _by_rotor({rotor: values[shown] for rotor, values in shares.items()}), slow),
+        unprinted(inertia, _by_rotor({rotor: values[shown] for rotor, values in varies.items()}), most),
         judge_tracking(errors),
         _selection(motion, config),
     ]
@@ -76,11 +67,9 @@ def judge_tracking(errors: np.ndarray) -> Finding:
     tracks = errors <= TRACKS
     quantity = f"largest error of the planned motion without d, rad, by rotor and gears of {listed(HIGH)}"
     found = _by_rotor(dict(zip(ROTORS, errors, strict=True)))
-    why = (
-        "worst joint, each alone under Table 5.1's gains and the mean of its I_eff, the leg as it is, gravity along "
-        f"it; of {tracks.size} rotors and gears {tracks.sum()} track within a degree. What counts is the inertia that "
-        "the rotor adds to the joint, gear ratio^2 times its own"
-    )
+    why = "worst joint, each alone under Table 5.1's gains and the mean of its I_eff, the leg as it is, gravity along "
+    why += f"it; of {tracks.size} rotors and gears {tracks.sum()} track within a degree. What counts is the inertia "
+    why += "that the rotor adds to the joint, gear ratio^2 times its own"
     if tracks.any() and not tracks.all():
         return unprinted(quantity, found, f"{why}: the claim (5.3) holds or fails with values that are not printed")
     return check(quantity, "a good trajectory tracking performance (5.3)", found, tracks.all(), why, float(TRACKS))
@@ -93,22 +82,17 @@ def tracking_errors(reflected: np.ndarray, inertia: np.ndarray) -> np.ndarray:
       reflected: (n,) inertias that the rotors add to each joint, kg m^2.
       inertia: (5,) the controllers' constant inertias of the links, kg m^2.
     """
-    leg, path = Leg.physical(), thesis_quintics()
-    start, kp, kd = path.at(0.0).position, jnp.array(thesis.KP), jnp.array(thesis.KD)
+    leg, kp, kd = Leg.physical(), jnp.array(thesis.KP), jnp.array(thesis.KD)
 
-    def simulate(added: Any) -> Any:
-        def step(state: tuple[Any, Any], time: Any) -> tuple[tuple[Any, Any], Any]:
-            qpos, qvel = state
-            torque = (inertia + added) * servo(kp, kd, Reference(*path.at(time)), qpos, qvel)
-            matrix, bias = mass_matrix_and_bias(leg, qpos, qvel)
-            qvel = qvel + STEP_S * jnp.linalg.solve(matrix + added * jnp.eye(5), torque - bias)
-            qpos = qpos + STEP_S * qvel
-            return (qpos, qvel), jnp.abs(path.at(time + STEP_S).position - qpos)
+    def simulate(added: Any, start: Any) -> Any:
+        def act(plan: Reference, qpos: Any, qvel: Any) -> Any:
+            return (inertia + added) * servo(kp, kd, plan, qpos, qvel)
 
-        times = STEP_S * jnp.arange(round(thesis.QUINTIC_S / STEP_S))
-        return jax.lax.scan(step, (start, jnp.zeros(5)), times)[1].max(axis=0)
+        free = implicit_euler(jnp.zeros(5), jnp.zeros(5), armature=added)
+        return jnp.abs(errors_along(leg, act, start, STEP_S, free)).max(axis=0)
 
-    found = np.asarray(jax.jit(jax.vmap(simulate))(jnp.asarray(reflected, float)), float)
+    starts = jnp.tile(thesis_quintics().at(0.0).position, (len(reflected), 1))
+    found = np.asarray(jax.jit(jax.vmap(simulate))(jnp.asarray(reflected, float), starts), float)
     return np.nan_to_num(found, nan=np.inf)
 
 
@@ -141,21 +125,18 @@ def _selection(motion: dict[str, np.ndarray], config: dict[str, float]) -> Findi
     swings = _able(config, gears, motion["torque"], motion["qvel"])
     holds = _able(config, gears, squat.torque, np.zeros_like(squat.torque))
     knee = _span(gears, swings[:, 3] & holds[:, 3])
-    return unprinted(
-        "gears with which one small motor does the planned motion, by joint: from and to",
-        [_span(gears, able) for able in swings.T],
-        "nothing is printed of the motors but Table 4.7 and that they were too weak (8.1); this one has "
-        f"{config['max_voltage']:g} V, {config['torque_constant']:g} N m/A and {config['resistance']:g} ohm. To hold a "
-        f"squat of {deepest:g} degrees on two legs as well its gear at the knee must be "
-        f"{' to '.join(f'{x:g}' for x in knee) or 'none'}",
-    )
+    quantity = "gears with which one small motor does the planned motion, by joint: from and to"
+    why = "nothing is printed of the motors but Table 4.7 and that they were too weak (8.1); this one has "
+    why += f"{config['max_voltage']:g} V, {config['torque_constant']:g} N m/A and {config['resistance']:g} ohm. To "
+    why += f"hold a squat of {deepest:g} degrees on two legs as well its gear at the knee must be "
+    why += f"{' to '.join(f'{x:g}' for x in knee) or 'none'}"
+    return unprinted(quantity, [_span(gears, able) for able in swings.T], why)
 
 
 def _able(config: dict[str, float], gears: np.ndarray, torque: np.ndarray, qvel: np.ndarray) -> np.ndarray:
     """(gears, 5) True where the driver's voltage suffices for torques at speeds, (times, 5) (5.21 to 5.24)."""
-    motor = DcMotor(
-        torque_constant=config["torque_constant"], resistance=config["resistance"], friction=config["friction"]
-    ).replace(gear=gears[:, None, None])
+    values: dict[str, Any] = {name: value for name, value in config.items() if name != "max_voltage"}
+    motor = DcMotor(**values).replace(gear=gears[:, None, None])
     voltage = np.asarray(motor.voltage_for(jnp.asarray(torque), jnp.asarray(qvel)))
     return np.abs(voltage).max(axis=1) <= config["max_voltage"]
 

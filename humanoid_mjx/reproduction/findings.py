@@ -1,7 +1,8 @@
 """Experiments, their findings, and the verdict on a finding."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -58,9 +59,19 @@ class Setting:
         """The file in `out` called after the experiment, with an ending such as `.md`."""
         return self.out / f"{self.name}{ending}"
 
-    def figure(self, rows: int, columns: int, size: tuple[float, float], **kwargs: Any) -> Any:
-        """The experiment's figure, as `report.style.figure` opens it."""
-        return figure(self.path(".png"), rows, columns, size, **kwargs)
+    @contextmanager
+    def figure(
+        self, rows: int, columns: int, size: tuple[float, float], title: str = "", legend: int = 0, **kwargs: Any
+    ) -> Iterator[Any]:
+        """The experiment's figure as `report.style.figure` opens it, a title above, and below the legend of the first
+        panel in this number of columns."""
+        with figure(self.path(".png"), rows, columns, size, **kwargs) as (fig, axes):
+            yield fig, axes
+            if legend:
+                fig.legend(
+                    *axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=legend, frameon=False
+                )
+            fig.suptitle(title, x=0.02, ha="left", fontsize="medium")
 
     def table(self, heads: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
         """Write the experiment's table in Markdown."""

@@ -19,11 +19,9 @@ CRITICAL = 0.05
 ALUMINIUM = {"modulus": 69e9, "density": 2710.0}
 """Elastic modulus, Pa, and density, kg/m^3, of aluminium 1060, the material of section 3.1."""
 
-NEAR = 0.5
-"""A gain of this share of its bound could have been selected by it."""
-
-FAR = 0.01
-"""Below this share of its bound a gain is under it whatever the links' sections, of which nothing is printed."""
+NEAR, FAR = 0.5, 0.01
+"""A gain of the first share of its bound could have been selected by it; one below the second is under its bound
+whatever the links' sections, of which nothing is printed."""
 
 
 @experiment("table-5.1", "Gains of the joint controllers")
@@ -49,8 +47,8 @@ def judge_gains(gains: np.ndarray, allowed: np.ndarray) -> list[Finding]:
     """Findings on the gains, by joint, against the largest that the resonance of each link allows, 1/s^2."""
     bound = "the largest Kp that (5.37) allows, by joint, 1/s^2: Table 5.1's are not above it"
     tubes = "the links are tubes of aluminium 1060, as thick as Table 3.1 at 1:4 and as heavy as Table 4.3; each bends "
-    tubes += "at its base under the inertia beyond it, the largest in the ranges of Table 3.2"
-    tubes += f"; the lowest resonance is {2 * np.sqrt(allowed.min()) / (2 * np.pi):.0f} Hz"
+    tubes += "at its base under the inertia beyond it, the largest in the ranges of Table 3.2; the lowest resonance is "
+    tubes += f"{2 * np.sqrt(allowed.min()) / (2 * np.pi):.0f} Hz"
     share = "Table 5.1's Kp as shares of what (5.37) allows, by joint"
     selected = "the gains were selected on the material's stiffness and the natural frequency (chapter 8)"
     near = "a gain that the stiffness selected would be near its bound; these could be larger by a factor of "
@@ -82,19 +80,16 @@ def _allowed_gains() -> np.ndarray:
 RATIOS = np.round(np.arange(0.05, 3.001, 0.01), 2)
 """Damping ratios."""
 
-SETTLED = 0.02
-"""Share of a step that may be missing for good."""
-
-OVERSHOOT = 1e-13
-"""Share of a step beyond it that rounding in double precision may make; at a ratio of 0.99 it is 3e-10."""
+SETTLED, OVERSHOOT = 0.02, 1e-13
+"""Shares of a step: what may be missing for good, and what rounding in double precision may make beyond it; at a ratio
+of 0.99 it is 3e-10."""
 
 
 @experiment("responses-5.2", "Responses of second order")
 def responses(setting: Setting) -> list[Finding]:
     """Section 5.2: which damping is fastest without overshoot, and for which the system is stable."""
     times = np.linspace(0.0, 30.0, 6001)
-    curves = _step_responses(times, RATIOS)
-    return judge_responses(times, curves)
+    return judge_responses(times, _step_responses(times, RATIOS))
 
 
 def judge_responses(times: np.ndarray, curves: np.ndarray) -> list[Finding]:
@@ -114,23 +109,20 @@ def judge_responses(times: np.ndarray, curves: np.ndarray) -> list[Finding]:
     quantity = "damping ratio of the fastest response that does not overshoot"
     asked = "a response without oscillation asks for a ratio of 1, or close to one but less"
     beyond = [three_digits(100 * over[np.argmin(np.abs(RATIOS - ratio))]) for ratio in (0.9, 0.95)]
+    overshoot, stable = (
+        "overshoot of a step at damping ratios of 0.9 and 0.95, per cent",
+        (over[close] <= OVERSHOOT).all(),
+    )
+    every = "every ratio below 1 overshoots; without oscillation it must be 1 or more"
+    slowest, always = (
+        "the slowest decay over damping ratios of -1 to 3, 1/s at 1 rad/s",
+        "stable for all values of the damping ratio",
+    )
+    grows = "minus the larger real part of the roots (5.3): at 0 a step oscillates for ever, below 0 it grows"
     return [
         compare(quantity, 1.0, best, 0.01, fastest, 2),
-        check(
-            "overshoot of a step at damping ratios of 0.9 and 0.95, per cent",
-            asked,
-            beyond,
-            (over[close] <= OVERSHOOT).all(),
-            "every ratio below 1 overshoots; without oscillation it must be 1 or more",
-            100 * OVERSHOOT,
-        ),
-        check(
-            "the slowest decay over damping ratios of -1 to 3, 1/s at 1 rad/s",
-            "stable for all values of the damping ratio",
-            three_digits(decay),
-            decay > 0,
-            "minus the larger real part of the roots (5.3): at 0 a step oscillates for ever, below 0 it grows",
-        ),
+        check(overshoot, asked, beyond, stable, every, 100 * OVERSHOOT),
+        check(slowest, always, three_digits(decay), decay > 0, grows),
     ]
 
 

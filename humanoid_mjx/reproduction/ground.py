@@ -7,16 +7,15 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh
-from jax.sharding import PartitionSpec as P
+from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Array, Bool, Float
 
 from humanoid_mjx import compute, control
+from humanoid_mjx.evaluation.episode import Motion, stepped
 from humanoid_mjx.mechanics import gaits, pattern_generator
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.physics.base import Stages, World
-from humanoid_mjx.reproduction import balance
-from humanoid_mjx.reproduction.balance import foot_corners
+from humanoid_mjx.reproduction.balance import foot_corners, ground_wrench, support_margin, zero_moment_point
 from humanoid_mjx.thesis import leg as thesis
 from humanoid_mjx.types import AnyArray, IntScalar
 
@@ -30,16 +29,12 @@ degrees, above which it has."""
 AT_ONCE = 64
 """Trials that are simulated together."""
 
-ROUND = 256
-"""The balance of a path is computed for a multiple of so many steps."""
-
 LASTS_S = 0.8
 """Length of the end of a motion in which a turn must last, s: a period of the gaits, in which a body twists and
 returns."""
 
 PUSH_S, PUSH_AT = 0.1, 0.5
 """Length of a push and the time at which it begins, s."""
-
 
 PHASES = ("half a period later", "equal", "opposite")
 """Readings of the left leg's motion: chapter 4 says that both legs have equal positions, section 6.4 that the left has
@@ -85,10 +80,9 @@ class Path(NamedTuple):
         """Duration until the fall or the end, s."""
         return round(physics().step_s * (len(self.qpos) - 1), 3)
 
-    @property
-    def end(self) -> str:
-        """The end of the motion, in words."""
-        return f"falls after {self.seconds:g} s" if self.fell else "stands"
+    def fate(self, otherwise: str) -> str:
+        """The end of the motion in words, `otherwise` where it is no fall."""
+        return f"falls after {self.seconds:g} s" if self.fell else otherwise
 
     @property
     def touching(self) -> Bool[np.ndarray, "times corners"]:
@@ -155,7 +149,7 @@ def play(
         tell(f"{first:,} of {len(trials):,} bodies simulated")
         plans = [_plan(trial, seconds) for trial in part]
         bodies = [
-            (list(laws).index(trial.controller), np.array(trial.push), plan, _start(plan.qpos[0]))
+            (list(laws).index(trial.controller), np.array(trial.push), plan, standing(plan.qpos[0]))
             for trial, plan in zip(part, plans, strict=True)
         ]
         # As many in every call, so that one program serves them all: the last trial fills the rest.
@@ -201,15 +195,8 @@ def margins(path: Path) -> Float[np.ndarray, " steps"]:
     It is infinite in flight. An edge has no inside: 0 at most.
     """
     qacc = np.diff(path.qvel, axis=0) / physics().step_s
-    point = balance.zero_moment_point(*balance.ground_wrench(physics().model, path.qpos[:-1], path.qvel[:-1], qacc))
-    # The last row fills up to a round number, so that paths that end anywhere share few programs.
-    steps = len(qacc)
-    rows = np.minimum(np.arange(-(-steps // ROUND) * ROUND), steps - 1)
-    found = _margins(*(x[rows] for x in (point, path.corners[:-1, :, :2], path.touching[:-1])))
-    return np.asarray(found, np.float64)[:steps]
-
-
-_margins = jax.jit(jax.vmap(balance.support_margin))
+    wrench = ground_wrench(physics().model, path.qpos[:-1], path.qvel[:-1], qacc)
+    return support_margin(zero_moment_point(*wrench), path.corners[:-1, :, :2], path.touching[:-1])
 
 
 def _plan(trial: Trial, seconds: float) -> control.Reference:
@@ -243,8 +230,8 @@ def _generated(params: pattern_generator.Params, times: Float[Array, " times"]) 
     return jax.vmap(lambda time: pattern_generator.step(params, begin, time)[1])(times)
 
 
-def _start(joints: Float[AnyArray, " joints"]) -> Float[np.ndarray, " nq"]:
-    """Upright in a posture of the joints, the lowest corner of the feet on the ground."""
+def standing(joints: Float[AnyArray, " joints"]) -> Float[np.ndarray, " nq"]:
+    """`qpos` of an upright body in a posture of the joints, the lowest corner of its feet on the ground."""
     qpos = np.concatenate([physics().qpos0[:7], joints])
     qpos[2] -= foot_corners(physics(), qpos[None])[0, :, 2].min()
     return qpos
@@ -263,15 +250,15 @@ def _program() -> Any:
         plan: control.Reference,
         qpos: Float[Array, " nq"],
     ) -> Any:
-        def cycle(world: World, now: tuple[Array, control.Reference]) -> tuple[World, tuple[Array, Array]]:
+        def cycle(world: World, now: tuple[Array, control.Reference]) -> tuple[World, Motion]:
             force, reference = now
 
+            # All laws at once: under vmap a branch computes all as well, and the compiling of the robot takes longer.
             def torque(stages: Stages) -> Float[Array, " joints"]:
                 chosen = [number == index for index in range(len(laws))]
                 return jnp.select(chosen, [law(reference, stages) for law in laws])
 
-            world, _ = simulator.replace(push=force).step(world, torque)
-            return world, (world.qpos, world.qvel)
+            return stepped(simulator.replace(push=force), world, torque)
 
         world = simulator.start(qpos, jnp.concatenate([jnp.zeros(6), plan.qvel[0]]))
         # The torque of a step brings about the motion at its end.
@@ -280,14 +267,14 @@ def _program() -> Any:
         acts = (times >= PUSH_AT) & (times < PUSH_AT + PUSH_S)
         forces = jnp.where(acts[:, None], jnp.pad(push, (0, 1)) / PUSH_S, 0.0)
         moved = jax.lax.scan(cycle, world, (forces, ends))[1]
-        return tuple(jnp.concatenate([first[None], later]) for first, later in zip(world[:2], moved, strict=True))
+        return jnp.vstack([world.qpos, moved.qpos]), jnp.vstack([world.qvel, moved.qvel])
 
     # Each device its share: XLA itself would gather what MJX solves.
     devices = jax.local_devices()
     mesh = Mesh(np.array(devices if AT_ONCE % len(devices) == 0 else devices[:1]), ("bodies",))
-    share = P("bodies")
+    share = PartitionSpec("bodies")
     every = jax.vmap(simulate, in_axes=(None, 0, 0, 0, 0))
-    spread = jax.shard_map(every, mesh=mesh, in_specs=(P(), *[share] * 4), out_specs=share, check_vma=False)
+    spread = jax.shard_map(every, mesh=mesh, in_specs=(PartitionSpec(), *[share] * 4), out_specs=share, check_vma=False)
     return jax.jit(spread, compiler_options=compute.compiler_options("arrays"))
 
 

@@ -29,44 +29,36 @@ CONFIG = {
 def standing(setting: Setting) -> list[Finding]:
     """Findings on the controllers that stand, the pushes that they withstand, and the joints that give way."""
     still = {name: Trial(name) for name in CONTROLLERS}
+    sides = [*((name, side) for name in PAIR for side in SIDES), (ROLL_HELD, "sideways")]
     pushed = {
-        (name, side, impulse): Trial(name, push=(impulse * x, impulse * y))
-        for name in PAIR
-        for side, (x, y) in SIDES.items()
+        (name, side, impulse): Trial(name, push=(impulse * SIDES[side][0], impulse * SIDES[side][1]))
+        for name, side in sides
         for impulse in IMPULSES
     }
-    rolls = {(ROLL_HELD, "sideways", impulse): Trial(ROLL_HELD, push=(0.0, impulse)) for impulse in IMPULSES}
-    pushed |= rolls
     paths = play([*still.values(), *pushed.values()], SECONDS, setting.config)
     pushes = {key: paths[trial] for key, trial in pushed.items()}
     alone = {name: paths[trial] for name, trial in still.items()}
-    taken = {
-        (name, side): max((i for i in IMPULSES if not pushes[name, side, i].fell), default=0.0)
-        for name, side in dict.fromkeys((name, side) for name, side, _ in pushes)
-    }
-    gives = {name: [_largest(pushes[name, side, SHOWN]) for side in SIDES] for name in PAIR}
+    taken = {key: _largest({i: pushes[*key, i] for i in IMPULSES}) for key in sides}
+    gives = {name: [float(np.abs(pushes[name, side, SHOWN].error).max()) for side in SIDES] for name in PAIR}
     blind: Path = alone["section 5.7"]
+    stands = f"seconds of {SECONDS:g} that computed torque of section 5.7 with Table 5.1's gains stands"
+    fixed = "the section's law treats the torso as fixed and ignores the ground; within the contacts computed torque "
+    fixed += f"{alone['computed torque'].fate('stands')}, and a servo of {setting.config['servo']['stiffness']:g} N "
+    fixed += "m/rad "
+    fixed += alone["servo"].fate("stands")
+    largest, impulses = (
+        "that it stands, N s: servo, computed torque within the contacts",
+        f"of {listed(IMPULSES)} N s on the hips over 0.1 s",
+    )
+    furthest = f"the furthest that a joint gives way to {SHOWN:g} N s ({', '.join(SIDES)}), rad: computed torque"
+    servo = f"the servo gives way by {', '.join(f'{x:.4f}' for x in gives['servo'])}"
     return [
-        unprinted(
-            f"seconds of {SECONDS:g} that computed torque of section 5.7 with Table 5.1's gains stands",
-            blind.seconds,
-            "the section's law treats the torso as fixed and ignores the ground; within the contacts computed "
-            f"torque {alone['computed torque'].end}, and a servo of {setting.config['servo']['stiffness']:g} "
-            f"N m/rad {alone['servo'].end}",
-        ),
+        unprinted(stands, blind.seconds, fixed),
         *(
-            unprinted(
-                f"the largest push {side} that it stands, N s: servo, computed torque within the contacts",
-                [taken[name, side] for name in PAIR],
-                f"of {listed(IMPULSES)} N s on the hips over 0.1 s",
-            )
+            unprinted(f"the largest push {side} {largest}", [taken[name, side] for name in PAIR], impulses)
             for side in SIDES
         ),
-        unprinted(
-            f"the furthest that a joint gives way to {SHOWN:g} N s ({', '.join(SIDES)}), rad: computed torque",
-            [round(x, 4) for x in gives["computed torque"]],
-            f"the servo gives way by {', '.join(f'{x:.4f}' for x in gives['servo'])}",
-        ),
+        unprinted(furthest, [round(x, 4) for x in gives["computed torque"]], servo),
         judge_roll(*({i: pushes[name, "sideways", i] for i in IMPULSES} for name in ("servo", ROLL_HELD))),
     ]
 
@@ -78,17 +70,14 @@ def judge_roll(free: Mapping[float, Any], held: Mapping[float, Any]) -> Finding:
       free: of the body as it is.
       held: of the body whose rolls are held.
     """
-    largest = [max((i for i, path in paths.items() if not path.fell), default=0.0) for paths in (free, held)]
-    return check(
-        "the largest push sideways that it stands, N s: with hip rolls, and with hip rolls that are held",
-        "the third joints help to stay in place when a sudden impact comes from the side (8)",
-        largest,
-        largest[0] > largest[1],
-        "under a servo that holds the posture and takes no step; as the ankles do not roll, two flat feet leave "
-        "the hips no way aside",
-        0.0,
-    )
+    largest = [_largest(free), _largest(held)]
+    quantity = "the largest push sideways that it stands, N s: with hip rolls, and with hip rolls that are held"
+    claim = "the third joints help to stay in place when a sudden impact comes from the side (8)"
+    why = "under a servo that holds the posture and takes no step; as the ankles do not roll, two flat feet leave the "
+    why += "hips no way aside"
+    return check(quantity, claim, largest, largest[0] > largest[1], why, 0.0)
 
 
-def _largest(path: Any) -> float:
-    return float(np.abs(path.error).max())
+def _largest(paths: Mapping[float, Any]) -> float:
+    """The largest impulse without a fall, N s."""
+    return max((impulse for impulse, path in paths.items() if not path.fell), default=0.0)

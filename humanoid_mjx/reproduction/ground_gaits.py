@@ -23,6 +23,9 @@ stays, m/s."""
 SIGNS = tuple((hip, knee, ankle) for hip, knee, ankle in product((1, -1), repeat=3))
 """Signs of hip, knee and ankle in each reading of the tables, the one in the senses of `lower_body` first."""
 
+YAWS = {"straight_walk": (False,), "sudden_turn": (False, True)}
+"""Values of `same_yaw` in the readings of each table."""
+
 AS_READ = (SIGNS[0], False, PHASES[0])
 """The first reading."""
 
@@ -55,7 +58,7 @@ def printed_trials() -> list[Trial]:
     return [
         Trial(controller, gait, signs=signs, same_yaw=same, phase=phase)
         for gait in TABLES
-        for same in _yaws(gait)
+        for same in YAWS[gait]
         for phase in PHASES
         for signs in SIGNS
         for controller in CONTROLLERS
@@ -67,7 +70,7 @@ def generator_trials() -> list[Trial]:
     return [
         Trial(controller, gait, frequency, amplitude, signs=signs, same_yaw=same)
         for gait in TABLES
-        for same in _yaws(gait)
+        for same in YAWS[gait]
         for signs in FORWARDS
         for controller in PAIR
         for amplitude in AMPLITUDES
@@ -85,39 +88,30 @@ def on_tables(played: Mapping[Trial, Path], margins: Mapping[Trial, np.ndarray])
 
 def _walk(gait: str, mine: Mapping[Trial, Path]) -> Finding:
     best = max(mine, key=lambda trial: (walks(mine[trial]), mine[trial].seconds))
-    return check(
-        f"{TABLES[gait]}: seconds of {SECONDS:g} on its feet and m forwards, in the best of all readings",
-        "a successful walk is obtained (5.8)" if gait == "straight_walk" else "a stable sudden turn (5.8)",
-        [mine[best].seconds, round(mine[best].distance, 3)],
-        any(walks(path) for path in mine.values()),
-        f"{len(SIGNS)} readings of the signs of hip, knee and ankle, the left leg {', '.join(PHASES)}, under "
-        f"{', '.join(CONTROLLERS)}; this is {reading(best)} under {best.controller}. Played as printed, without "
-        "feedback of balance",
-        STEP_M,
-    )
+    quantity = f"{TABLES[gait]}: seconds of {SECONDS:g} on its feet and m forwards, in the best of all readings"
+    claim = "a successful walk is obtained (5.8)" if gait == "straight_walk" else "a stable sudden turn (5.8)"
+    why = f"{len(SIGNS)} readings of the signs of hip, knee and ankle, the left leg {', '.join(PHASES)}, under "
+    why += f"{', '.join(CONTROLLERS)}; this is {reading(best)} under {best.controller}. Played as printed, without "
+    why += "feedback of balance"
+    found, agrees = [mine[best].seconds, round(mine[best].distance, 3)], any(walks(path) for path in mine.values())
+    return check(quantity, claim, found, agrees, why, STEP_M)
 
 
 def _zero_moment(gait: str, mine: Mapping[Trial, Path], margins: Mapping[Trial, np.ndarray]) -> Finding:
     inside = {trial: float(np.mean(margins[trial] > 0)) for trial in mine}
     best = max(inside, key=lambda trial: inside[trial])
-    return check(
-        f"{TABLES[gait]}: share of the time that the zero-moment point is inside the support polygon",
-        "lies inside for a successful walk (4.8.1)",
-        round(inside[best], 3),
-        inside[best] > 0.99,
-        f"the most of all readings, {reading(best)} under {best.controller}, up to its fall; feet that touch with an "
-        "edge or a corner have no inside",
-        0.01,
-    )
+    quantity = f"{TABLES[gait]}: share of the time that the zero-moment point is inside the support polygon"
+    why = f"the most of all readings, {reading(best)} under {best.controller}, up to its fall; feet that touch with an "
+    why += "edge or a corner have no inside"
+    claim = "lies inside for a successful walk (4.8.1)"
+    return check(quantity, claim, round(inside[best], 3), inside[best] > 0.99, why, 0.01)
 
 
 def _slip(gait: str, mine: Mapping[Trial, Path]) -> Finding:
     read = {t.controller: path for t, path in mine.items() if (t.signs, t.same_yaw, t.phase) == AS_READ}
-    return unprinted(
-        f"{TABLES[gait]}: speed of stance feet over the ground, m/s: {', '.join(read)}",
-        [round(path.slip, 3) for path in read.values()],
-        f"until the fall; feet under {SLIP:g} would count as standing",
-    )
+    quantity, why = f"{TABLES[gait]}: speed of stance feet over the ground, m/s: {', '.join(read)}", f"under {SLIP:g}"
+    slips = [round(path.slip, 3) for path in read.values()]
+    return unprinted(quantity, slips, f"until the fall; feet {why} would count as standing")
 
 
 def _turns(played: Mapping[Trial, Path]) -> Finding:
@@ -130,18 +124,14 @@ def _turns(played: Mapping[Trial, Path]) -> Finding:
     standing = {t: turn for t, turn in turned.items() if not played[t].fell}
     counted = standing or turned
     best = max(counted, key=lambda t: abs(counted[t]))
-    return check(
-        "turn of Table 4.6 beyond that of Table 4.5, degrees to the left, the largest of all readings",
-        "turns",
-        round(counted[best], 1),
-        any(abs(turn) > TURN_DEG for turn in standing.values()),
-        f"{len(turned)} bodies: {len(SIGNS)} readings of the signs, the yaw mirrored or in the same sense, the left "
-        f"leg {', '.join(PHASES)}, {', '.join(CONTROLLERS)}; {len(standing)} stay up, and a twist that ends in a fall "
-        "or returns within a period is no turn. This is "
-        f"{reading(best)} under {best.controller}, which {_fate(played[best])}. A mirrored yaw that comes back within "
-        "the period cannot turn a body over a period",
-        TURN_DEG,
-    )
+    quantity = "turn of Table 4.6 beyond that of Table 4.5, degrees to the left, the largest of all readings"
+    why = f"{len(turned)} bodies: {len(SIGNS)} readings of the signs, the yaw mirrored or in the same sense, the left "
+    why += f"leg {', '.join(PHASES)}, {', '.join(CONTROLLERS)}; {len(standing)} stay up, and a twist that ends in a "
+    why += f"fall or returns within a period is no turn. This is {reading(best)} under {best.controller}, which "
+    why += f"{played[best].fate('stays up')}. A mirrored yaw that comes back within the period cannot turn a body over "
+    why += "a period"
+    agrees = any(abs(turn) > TURN_DEG for turn in standing.values())
+    return check(quantity, "turns", round(counted[best], 1), agrees, why, TURN_DEG)
 
 
 def on_generator(others: Mapping[Trial, Path]) -> Iterator[Finding]:
@@ -152,14 +142,12 @@ def on_generator(others: Mapping[Trial, Path]) -> Iterator[Finding]:
         walking = [t for t, p in up.items() if walks(p)]
         furthest = max(up or mine, key=lambda t: mine[t].distance)
         turning = max(up or mine, key=lambda t: abs(mine[t].lasting_turn))
-        yield unprinted(
-            f"pattern generator on {TABLES[gait]}: settings of {len(mine)} with which it walks",
-            len(walking),
-            f"amplitudes {listed(AMPLITUDES)}, {listed(FREQUENCIES)} Hz, {' and '.join(PAIR)}, "
-            f"{len(FORWARDS)} readings of knee and ankle: {len(up)} stay up for {SECONDS:g} s; the furthest goes "
-            f"{mine[furthest].distance:.3f} m forwards ({_setting_of(furthest)}), and the largest turn that lasts is "
-            f"{mine[turning].lasting_turn:.1f} degrees ({_setting_of(turning)})",
-        )
+        quantity = f"pattern generator on {TABLES[gait]}: settings of {len(mine)} with which it walks"
+        why = f"amplitudes {listed(AMPLITUDES)}, {listed(FREQUENCIES)} Hz, {' and '.join(PAIR)}, {len(FORWARDS)} "
+        why += f"readings of knee and ankle: {len(up)} stay up for {SECONDS:g} s; the furthest goes "
+        why += f"{mine[furthest].distance:.3f} m forwards ({_setting_of(furthest)}), and the largest turn that lasts "
+        why += f"is {mine[turning].lasting_turn:.1f} degrees ({_setting_of(turning)})"
+        yield unprinted(quantity, len(walking), why)
 
 
 def walks(path: Path) -> bool:
@@ -169,22 +157,10 @@ def walks(path: Path) -> bool:
 
 def reading(trial: Trial) -> str:
     """A trial's reading of its table, in words."""
+    turned = [name for name, sign in zip(("hip", "knee", "ankle"), trial.signs, strict=True) if sign < 0]
+    signs = " and ".join(turned) + " reversed" if turned else "no sign reversed"
     yaw = ", yaw in the same sense" if trial.same_yaw else ", yaw mirrored" if trial.motion == "sudden_turn" else ""
-    return _signs(trial.signs) + yaw + ("" if trial.phase == PHASES[0] else f", left leg {trial.phase}")
-
-
-def _signs(signs: tuple[int, int, int]) -> str:
-    turned = [name for name, sign in zip(("hip", "knee", "ankle"), signs, strict=True) if sign < 0]
-    return " and ".join(turned) + " reversed" if turned else "no sign reversed"
-
-
-def _yaws(gait: str) -> tuple[bool, ...]:
-    """Values of `same_yaw`: the readings of a gait, of which a gait without yaw has one."""
-    return (False, True) if gait == "sudden_turn" else (False,)
-
-
-def _fate(path: Path) -> str:
-    return f"falls after {path.seconds:g} s" if path.fell else "stays up"
+    return signs + yaw + ("" if trial.phase == PHASES[0] else f", left leg {trial.phase}")
 
 
 def _setting_of(trial: Trial) -> str:

@@ -57,9 +57,7 @@ def printed_run(joint: int, config: dict[str, Any], runs: int, steps: int) -> Tr
 
 
 RUNS, STEPS = 2000, 400
-
 PRINTED = thesis.PSEUDO_CODE
-
 LEARNER = {name: PRINTED[name] for name in ("epsilon", "learning_rate", "discount")}
 CONFIG = {"task": {"action": thesis.FIGURES_ACTION, "states": PRINTED["states"]}, "learner": LEARNER}
 TABLES_CONFIG = {
@@ -71,6 +69,7 @@ TABLES_TOLERANCE = 5e-4
 """Half of the last digit of the tables' longest numbers."""
 
 CONFIDENCE = 0.95
+EPISODE = "episode (one step of the pseudo-code)"
 
 
 def q_table(joint: int, setting: Setting) -> Iterator[Finding]:
@@ -80,17 +79,11 @@ def q_table(joint: int, setting: Setting) -> Iterator[Finding]:
     printed = np.array(thesis.TABLES[joint]).T
     comparable = len(reached) > 0 and reached.shape[1:] == printed.shape
     error = float(np.abs(reached - printed).max()) if comparable else float("inf")
-    values = _values(setting.config)
-    yield check(
-        "Q after the goal: for each row, staying and moving",
-        printed.tolist(),
-        np.round(reached[0].astype(float), 4).tolist() if len(reached) else None,
-        error <= TABLES_TOLERANCE,
-        f"{in_words(*values)}; {len(reached)} of {len(run.terminated)} runs reached the goal, "
-        + (f"the largest difference of any run is {error:.2g}" if comparable else "the table has another shape"),
-        TABLES_TOLERANCE,
-        values,
-    )
+    quantity, values = "Q after the goal: for each row, staying and moving", _values(setting.config)
+    found = np.round(reached[0].astype(float), 4).tolist() if len(reached) else None
+    why = f"{in_words(*values)}; {len(reached)} of {len(run.terminated)} runs reached the goal, "
+    why += f"the largest difference of any run is {error:.2g}" if comparable else "the table has another shape"
+    yield check(quantity, printed.tolist(), found, error <= TABLES_TOLERANCE, why, TABLES_TOLERANCE, values)
 
 
 def _values(config: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -107,16 +100,12 @@ def way(joint: int, setting: Setting) -> Iterator[Finding]:
     lengths = np.where(run.terminated.any(axis=1), run.terminated.argmax(axis=1) + 1, STEPS)
     for (first, last), mark in thesis.FIGURE_MARKS[joint]:
         middle = (first + last) // 2
-        yield check(
-            f"angle in episode {middle}, degrees",
-            mark,
-            [round(float(low[middle]), 3), round(float(high[middle]), 3)],
-            low[middle] <= mark <= high[middle],
-            f"{in_words(*values)}; the middle 95 % of {RUNS} runs, which take "
-            f"{np.quantile(lengths, 0.05):.0f} to {np.quantile(lengths, 0.95):.0f} episodes to the goal; a single "
-            "mark tells no epsilon from another, and is no evidence for this one: epsilon-7e asks all together",
-            values=values,
-        )
+        least, most = round(float(low[middle]), 3), round(float(high[middle]), 3)
+        why = f"{in_words(*values)}; the middle 95 % of {RUNS} runs, which take {np.quantile(lengths, 0.05):.0f} to "
+        why += f"{np.quantile(lengths, 0.95):.0f} episodes to the goal; a single mark tells no epsilon from another, "
+        why += "and is no evidence for this one: epsilon-7e asks all together"
+        agrees = low[middle] <= mark <= high[middle]
+        yield check(f"angle in episode {middle}, degrees", mark, [least, most], agrees, why, values=values)
     with setting.figure(1, 1, size=(6.0, 3.6)) as (_, axes):
         panel = axes[0, 0]
         shown = int(np.quantile(lengths, 0.95)) + 5
@@ -126,12 +115,8 @@ def way(joint: int, setting: Setting) -> Iterator[Finding]:
         for (first, last), mark in thesis.FIGURE_MARKS[joint]:
             (bar,) = panel.plot([first, last], [mark, mark], color=COLORS[1], linewidth=4, solid_capstyle="butt")
         panel.legend([bar], ["printed"], loc="lower right", frameon=False)
-        epsilon = setting.config["learner"]["epsilon"]
-        panel.set(
-            title=f"Joint {joint} by the printed rules, epsilon {epsilon:g}: 5 of {RUNS} runs, their middle 95 %",
-            xlabel="episode (one step of the pseudo-code)",
-            ylabel="angle, degrees",
-        )
+        words = f"epsilon {setting.config['learner']['epsilon']:g}: 5 of {RUNS} runs, their middle 95 %"
+        panel.set(title=f"Joint {joint} by the printed rules, {words}", xlabel=EPISODE, ylabel="angle, degrees")
 
 
 def random_numbers(joint: int, setting: Setting) -> Iterator[Finding]:
@@ -146,17 +131,12 @@ def random_numbers(joint: int, setting: Setting) -> Iterator[Finding]:
     values = _values(setting.config)
     (start, goal), epsilon = thesis.JOINT_RANGES[joint], setting.config["learner"]["epsilon"]
     needed = (goal - start) / PRINTED["action"] / (epsilon / 2) if epsilon else math.inf
-    yield check(
-        "average random number",
-        printed,
-        [round(float(low), 4), round(float(high), 4)],
-        low <= printed <= high,
-        f"{in_words(*values)}; the middle 95 % of {over.sum()} runs: the average of one run's draws is chance and says "
-        f"nothing of the learning. With the printed moves of {PRINTED['action']:g} degree a run draws some "
-        f"{needed:.0f} numbers, of whose average the printed one is {abs(printed - 0.5) * math.sqrt(12 * needed):.1f} "
-        "standard deviations away",
-        values=values,
-    )
+    why = f"{in_words(*values)}; the middle 95 % of {over.sum()} runs: the average of one run's draws is chance and "
+    why += f"says nothing of the learning. With the printed moves of {PRINTED['action']:g} degree a run draws some "
+    why += f"{needed:.0f} numbers, of whose average the printed one is "
+    why += f"{abs(printed - 0.5) * math.sqrt(12 * needed):.1f} standard deviations away"
+    ends = [round(float(low), 4), round(float(high), 4)]
+    yield check("average random number", printed, ends, low <= printed <= high, why, values=values)
     nearest = drawn[int(np.abs(means - printed).argmin())]
     episodes = np.arange(1, len(nearest) + 1)
     with setting.figure(1, 1, size=(6.4, 3.4)) as (_, axes):
@@ -164,7 +144,7 @@ def random_numbers(joint: int, setting: Setting) -> Iterator[Finding]:
         panel.plot(episodes, nearest, "o-", color=COLORS[0], markersize=3, linewidth=0.6, label="drawn")
         panel.plot(episodes, np.cumsum(nearest) / episodes, color=COLORS[2], linewidth=1.6, label="average so far")
         panel.axhline(printed, color=COLORS[1], linewidth=1.6, linestyle="--", label=f"printed average, {printed:g}")
-        panel.set(xlabel="episode (one step of the pseudo-code)", ylabel="random number", ylim=(0, 1))
+        panel.set(xlabel=EPISODE, ylabel="random number", ylim=(0, 1))
         panel.set_title(f"Joint {joint}: the run whose average is nearest to the printed one")
         panel.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=3, frameon=False)
 
@@ -192,16 +172,12 @@ def _epsilon(moves: dict[int, int], steps: dict[int, int], config: dict[str, Any
     values = _values(config)
     counts = ", ".join(f"{moves[joint]} of {steps[joint]} (joint {joint})" for joint in moves)
     off = (made - of * epsilon / 2) / math.sqrt(of * epsilon / 2 * (1 - epsilon / 2)) if 0 < epsilon < 2 else math.inf
-    return check(
-        "epsilon behind the late marks of Figures 7.11, 7.13 and 7.15, pooled: between",
-        PRINTED["epsilon"],
-        [round(low, 3), round(min(high, 1.0), 3)],
-        low <= epsilon <= high,
-        f"{in_words(*values)}: {made} moves in {of} steps, {counts}, estimate {2 * made / of:.2f} and its "
-        f"{CONFIDENCE:.0%} interval (Clopper and Pearson); epsilon {epsilon:g} is {abs(off):.1f} standard deviations "
-        "away",
-        values=values,
-    )
+    quantity = "epsilon behind the late marks of Figures 7.11, 7.13 and 7.15, pooled: between"
+    why = f"{in_words(*values)}: {made} moves in {of} steps, {counts}, estimate {2 * made / of:.2f} and its "
+    why += f"{CONFIDENCE:.0%} interval (Clopper and Pearson); epsilon {epsilon:g} is {abs(off):.1f} standard "
+    why += "deviations away"
+    between, agrees = [round(low, 3), round(min(high, 1.0), 3)], low <= epsilon <= high
+    return check(quantity, PRINTED["epsilon"], between, agrees, why, values=values)
 
 
 def _averages(averages: dict[int, float], steps: dict[int, int]) -> Finding:
@@ -209,14 +185,11 @@ def _averages(averages: dict[int, float], steps: dict[int, int]) -> Finding:
     weights = np.array([steps[joint] for joint in averages], float)
     pooled = float(np.average(list(averages.values()), weights=weights))
     half = 1.96 * math.sqrt(1 / 12 / weights.sum())
-    return check(
-        "average random number of Figures 7.12, 7.14 and 7.16 together: of uniform numbers between",
-        round(pooled, 4),
-        [round(0.5 - half, 4), round(0.5 + half, 4)],
-        abs(pooled - 0.5) <= half,
-        f"the middle {CONFIDENCE:.0%} of averages of {weights.sum():.0f} uniform numbers, as many as the late "
-        "marks say were drawn at least",
-    )
+    quantity = "average random number of Figures 7.12, 7.14 and 7.16 together: of uniform numbers between"
+    why = f"the middle {CONFIDENCE:.0%} of averages of {weights.sum():.0f} uniform numbers, as many as the late marks "
+    why += "say were drawn at least"
+    between = [round(0.5 - half, 4), round(0.5 + half, 4)]
+    return check(quantity, round(pooled, 4), between, abs(pooled - 0.5) <= half, why)
 
 
 def _angles(run: Any, joint: int, action: float) -> np.ndarray:

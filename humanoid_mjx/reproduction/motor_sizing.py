@@ -11,7 +11,7 @@ upright.
 """
 
 from collections.abc import Iterator
-from itertools import combinations
+from itertools import combinations, product
 from typing import Any, NamedTuple
 
 import jax
@@ -27,13 +27,10 @@ from humanoid_mjx.thesis import leg as thesis
 CONFIG = {"load": {"torso": -thesis.SCRIPT_FORCE[2]}, "squat": {"knee": 90.0}}
 """The torso's weight, N: the script's force. How far the knees bend, degrees."""
 
-STEP = 0.5
-"""Between the postures, degrees of the knee."""
+STEP, UPRIGHT = 0.5, 1e-6
+"""Between the postures, degrees of the knee; torque that counts as none, N m."""
 
 MOTORS = np.array(thesis.MAX_TORQUES)
-
-UPRIGHT = 1e-6
-"""Torque that counts as none, N m."""
 
 
 class Squat(NamedTuple):
@@ -63,34 +60,20 @@ def motor_sizing(setting: Setting) -> list[Finding]:
     motion = planned(np.linspace(0.0, thesis.QUINTIC_S, 501))
     swing = np.abs(over(dynamics.inverse_dynamics, Leg.physical(), *motion)).max(axis=0)
     outside = ", ".join(NAMES[joint] for joint in np.flatnonzero(~one.inside[0]))
+    half = f"each leg carries half of {carried}"
+    limit = f"a joint reaches its range, the knee {allowed:g} degrees"
+    free = "the leg swings freely, as in the simulation behind the table, with gravity along it; no weight on it"
+    straight = f"{half}; the force goes through all axes, but nothing keeps it there"
+    bent = f"{half}; the knees hold it only to {held:g} degrees: so small motors would not keep the body up, which is "
+    bent += "what chapter 8.1 tells"
+    leans = f"it carries {carried}, and leans by {abs(np.degrees(one.q[0, 2])):.0f} degrees, so that the toe is under "
+    leans += f"the centre of mass, which takes {outside or 'no joint'} out of the proposed ranges"
     return [
-        _finding(
-            "the planned motion, the torso fixed",
-            swing,
-            "the leg swings freely, as in the simulation behind the table, with gravity along it; no weight on it",
-        ),
-        _finding(
-            "standing on two straight legs",
-            both.largest(0.0),
-            f"each leg carries half of {carried}; the force goes through all axes, but nothing keeps it there",
-        ),
-        _finding(
-            f"squatting on two legs until a joint reaches its range, the knee {allowed:g} degrees",
-            both.largest(allowed),
-            f"each leg carries half of {carried}; the knees hold it only to {held:g} degrees: so small motors would "
-            "not keep the body up, which is what chapter 8.1 tells",
-        ),
-        _finding(
-            f"squatting on two legs, the knee {deepest:g} degrees",
-            both.largest(deepest),
-            f"each leg carries half of {carried}",
-        ),
-        _finding(
-            "standing on one straight leg",
-            one.largest(0.0),
-            f"it carries {carried}, and leans by {abs(np.degrees(one.q[0, 2])):.0f} degrees, so that the toe is under "
-            f"the centre of mass, which takes {outside or 'no joint'} out of the proposed ranges",
-        ),
+        _finding("the planned motion, the torso fixed", swing, free),
+        _finding("standing on two straight legs", both.largest(0.0), straight),
+        _finding(f"squatting on two legs until {limit}", both.largest(allowed), bent),
+        _finding(f"squatting on two legs, the knee {deepest:g} degrees", both.largest(deepest), half),
+        _finding("standing on one straight leg", one.largest(0.0), leans),
         _finding(f"squatting on one leg, the knee {deepest:g} degrees", one.largest(deepest), f"it carries {carried}"),
     ]
 
@@ -175,8 +158,7 @@ MASSES = {"Table 4.3": thesis.LINK_MASSES, "the script": thesis.SCRIPT_MASSES}
 @experiment("table-4.2", "Stall torques", STALL_CONFIG)
 def stall_torque(setting: Setting) -> Iterator[Finding]:
     """Table 4.2 against the torques of the script's force, and against those of all forces that are printed."""
-    used = setting.config["lengths"] | setting.config["force"]
-    printed = STALL_CONFIG["lengths"] | STALL_CONFIG["force"]
+    used, printed = (config["lengths"] | config["force"] for config in (setting.config, STALL_CONFIG))
     lengths = setting.config["lengths"].values()
     torque = _stall_torque(lengths, np.zeros(5), list(setting.config["force"].values()))
     tried = _search()
@@ -203,24 +185,22 @@ def _search() -> list[tuple[float, str, str, str, float]]:
     The force is the script's, or the weight of any of the links.
     """
     forces = {f"{-thesis.SCRIPT_FORCE[2]:g} (script)": -thesis.SCRIPT_FORCE[2]}
-    for name, masses in MASSES.items():
-        for count in range(1, 6):
-            for links in combinations(range(5), count):
-                weight = thesis.GRAVITY * sum(masses[i] for i in links)
-                forces[f"{weight:.4f} (links {', '.join(str(i + 1) for i in links)} of {name})"] = weight
+    some = [links for count in range(1, 6) for links in combinations(range(5), count)]
+    for (name, masses), links in product(MASSES.items(), some):
+        weight = thesis.GRAVITY * sum(masses[i] for i in links)
+        forces[f"{weight:.4f} (links {', '.join(str(i + 1) for i in links)} of {name})"] = weight
     postures = {"zero": np.zeros(5), "start of the trajectories": np.radians(thesis.QUINTIC_RANGES)[:, 0]}
     tried = []
-    for length_name, lengths in LENGTHS.items():
-        for posture_name, posture in postures.items():
-            arm = _stall_torque(lengths, posture, [0.0, 0.0, 1.0])[2]
-            for force_name, force in forces.items():
-                roll = float(-force * arm)
-                tried.append((abs(roll - thesis.STALL_TORQUES[2]), length_name, force_name, posture_name, roll))
+    for (length_name, lengths), (posture_name, posture) in product(LENGTHS.items(), postures.items()):
+        arm = _stall_torque(lengths, posture, [0.0, 0.0, 1.0])[2]
+        for force_name, force in forces.items():
+            roll = float(-force * arm)
+            tried.append((abs(roll - thesis.STALL_TORQUES[2]), length_name, force_name, posture_name, roll))
     return sorted(tried)
 
 
-def _stall_torque(lengths: object, posture: np.ndarray, force: list[float]) -> np.ndarray:
+def _stall_torque(lengths: Any, posture: np.ndarray, force: list[float]) -> np.ndarray:
     """(5,) Joint torques, N m, of a force at the toe, N (equation 4.25)."""
-    leg = Leg.from_links(list(lengths), cylinder_inertias())  # pyright: ignore[reportArgumentType, reportCallIssue]
+    leg = Leg.from_links(list(lengths), cylinder_inertias())
     wrench = jnp.array([*force, 0.0, 0.0, 0.0], leg.d.dtype)
     return np.asarray(jax.jit(kinematics.static_torque)(leg, jnp.asarray(posture, leg.d.dtype), wrench))

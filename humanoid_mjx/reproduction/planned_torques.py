@@ -25,16 +25,17 @@ NEAR = 0.02
 
 SAMPLES = 501
 
-AS_PLANNED = {
-    "masses": {f"m{i}": m for i, m in enumerate(thesis.LINK_MASSES, start=1)},
-    "units": {"degree": np.pi / 180},
-    "knee": {"end": thesis.QUINTIC_RANGES[3][1]},
-}
-RECOVERED = {
-    "masses": {f"m{i}": m for i, m in enumerate(thesis.FIGURE_7_5_MASSES, start=1)},
-    "units": {"degree": thesis.FIGURE_7_5_DEGREE},
-    "knee": {"end": thesis.QUINTIC_RANGES[2][1]},
-}
+
+def _config(masses: tuple[float, ...], degree: float, knee: float) -> dict[str, dict[str, float]]:
+    return {
+        "masses": {f"m{i}": m for i, m in enumerate(masses, start=1)},
+        "units": {"degree": degree},
+        "knee": {"end": knee},
+    }
+
+
+AS_PLANNED = _config(thesis.LINK_MASSES, np.pi / 180, thesis.QUINTIC_RANGES[3][1])
+RECOVERED = _config(thesis.FIGURE_7_5_MASSES, thesis.FIGURE_7_5_DEGREE, thesis.QUINTIC_RANGES[2][1])
 """With the knee driven by joint 3's trajectory, as in the straight walking of section 7 B."""
 
 EVIDENCE = (
@@ -61,38 +62,29 @@ FAULTS = {
 class Trial(NamedTuple):
     """A model of the torques, in words, and the torques it gives, (5,) N m: the greatest, and the largest by size."""
 
-    faults: str
-    parameters: str
-    gravity: str
-    knee: float
-    degree: str
+    words: str
     maxima: np.ndarray
     peaks: np.ndarray
 
-    def __str__(self) -> str:
-        return f"{self.faults}, {self.parameters}, gravity {self.gravity}, knee to {self.knee:g}, {self.degree}"
 
-
-_SCRIPT, _RIGHT = "the script's equations", "the right equations"
-_PLANNED = (120.0, "pi/180")
-MODELS: dict[tuple[Any, ...], str] = {
-    (_SCRIPT, "the script's links, r of appendix H", "sideways", *_PLANNED): "all joints, the MATLAB script as it is",
-    (_SCRIPT, "section 4.6 as printed, r of appendix H", "sideways", *_PLANNED): "all joints, its equations with the "
+MODELS = {
+    "the script's equations, the script's links, r of appendix H, gravity sideways": "the MATLAB script as it is",
+    "the script's equations, section 4.6 as printed, r of appendix H, gravity sideways": "its equations with the "
     "inertias of section 4.6",
-    (_SCRIPT, "section 4.6 as printed, its centroids", "sideways", *_PLANNED): "all joints, the same with Table 4.4",
-    (_RIGHT, "section 4.6 as printed, its centroids", "sideways", *_PLANNED): "all joints, the right equations",
-    (_RIGHT, "section 4.6 as printed, its centroids", "along the leg", *_PLANNED): "all joints, the right equations "
-    "with gravity along the leg",
-    (_RIGHT, "the script's links, its centroids", "sideways", *_PLANNED): "all joints, the right equations with the "
-    "script's links",
+    "the script's equations, section 4.6 as printed, its centroids, gravity sideways": "the same with Table 4.4",
+    "the right equations, section 4.6 as printed, its centroids, gravity sideways": "the right equations",
+    "the right equations, section 4.6 as printed, its centroids, gravity along the leg": "the right equations with "
+    "gravity along the leg",
+    "the right equations, the script's links, its centroids, gravity sideways": "the right equations with the script's "
+    "links",
 }
+"""Titles of models that have a finding of their own, along the motion as planned."""
 
 
 @experiment("figure-7.5", "The joint torques of the planned motion", RECOVERED)
 def torques(setting: Setting) -> Iterator[Finding]:
     """Figure 7.5: the torques at the start, at the end and at most, by the recovered model."""
-    config = setting.config
-    t = np.linspace(0, thesis.QUINTIC_S, SAMPLES)
+    config, t = setting.config, np.linspace(0, thesis.QUINTIC_S, SAMPLES)
     motion = _motion(t, config["knee"]["end"], config["units"]["degree"])
     masses = np.array(list(config["masses"].values()))
     with jax.enable_x64(True):
@@ -101,12 +93,8 @@ def torques(setting: Setting) -> Iterator[Finding]:
         upright = _torque(Leg.physical(), _motion(t, thesis.QUINTIC_RANGES[3][1], np.pi / 180))
         model = printed.Model(thesis.LINK_LENGTHS, np.array(leg.pseudo_inertia), np.array(thesis.LINK_CENTROIDS))
     erroneous = printed.inverse_dynamics(model, *motion)
-    curves = {
-        "The script's equations, recovered values": erroneous,
-        "The right equations, same values": tau,
-        "Solid links, gravity along the leg, knee to 120°": upright,
-    }
-    _draw(setting, t, curves)
+    curves = {"The script's equations, recovered values": erroneous, "The right equations, same values": tau}
+    _draw(setting, t, curves | {"Solid links, gravity along the leg, knee to 120°": upright})
     words = in_words(_flat(config), _flat(AS_PLANNED))
     for j, (mark, why) in enumerate(zip(thesis.FIGURE_7_5["start"], EVIDENCE, strict=True)):
         quantity, why = f"joint {j + 1} ({NAMES[j]}) at the start, N m", f"{words}; {why}" if j == 0 else why
@@ -139,15 +127,15 @@ def _finding(quantity: str, mark: Any, value: Any, why: str, config: Mapping[str
 
 def _draw(setting: Setting, t: np.ndarray, curves: Mapping[str, np.ndarray]) -> None:
     """Torques of the planned motion by model, (5, times) N m each, with what is printed of their start and end."""
-    with setting.figure(1, len(curves), size=(4.3, 3.8), sharey=True) as (fig, axes):
-        for panel, (title, tau) in zip(axes[0], curves.items(), strict=True):
+    title = "Torques of the planned motion; dots: start and end as section 7 C prints them"
+    with setting.figure(1, len(curves), size=(4.3, 3.8), title=title, sharey=True) as (_, axes):
+        for panel, (words, tau) in zip(axes[0], curves.items(), strict=True):
             plot_joints(panel, t, tau.T)
-            panel.set(title=title, xlabel="time, s", xlim=(0, thesis.QUINTIC_S))
+            panel.set(title=words, xlabel="time, s", xlim=(0, thesis.QUINTIC_S))
         for time, when in ((0.0, "start"), (thesis.QUINTIC_S, "end")):
             for joint, mark in enumerate(thesis.FIGURE_7_5[when]):
                 axes[0, 0].plot(time, mark, "o", color=COLORS[joint], markersize=5, clip_on=False)
         axes[0, 0].set_ylabel("joint torque, N m")
-        fig.suptitle("Torques of the planned motion; dots: start and end as section 7 C prints them", x=0.02, ha="left")
 
 
 @experiment("table-4.7", "The greatest joint torques")
@@ -161,19 +149,23 @@ def maxima(setting: Setting) -> Iterator[Finding]:
     setting.table(
         ("model", "greatest torque of joints 1 to 5, N m", "off by"),
         (
-            (trials[i], ", ".join(f"{x:.4f}" for x in trials[i].maxima), ", ".join(f"{100 * x:.2g} %" for x in off[i]))
+            (
+                trials[i].words,
+                ", ".join(f"{x:.4f}" for x in trials[i].maxima),
+                ", ".join(f"{100 * x:.2g} %" for x in off[i]),
+            )
             for i in order[:20]
         ),
     )
     for trial, errors in zip(trials, off, strict=True):
-        if (title := MODELS.get(trial[:5])) is not None:
-            why = f"{trial}: off by {', '.join(f'{100 * error:.3g}' for error in errors)} %"
-            yield compare(title, marks, trial.maxima, TABLE_TOLERANCE, why, 5)
+        if title := MODELS.get(trial.words.removesuffix(", knee to 120, pi/180")):
+            why = f"{trial.words}: off by {', '.join(f'{100 * error:.3g}' for error in errors)} %"
+            yield compare(f"all joints, {title}", marks, trial.maxima, TABLE_TOLERANCE, why, 5)
     best, fitting = trials[order[0]], np.flatnonzero(near.sum(axis=1) >= 4)
     values = _flat(RECOVERED), _flat(AS_PLANNED)
     for joint, mark in enumerate(marks):
         possible = bool(near[fitting, joint].any())
-        why = f"of {len(trials)} models {len(fitting)} are within {NEAR:.0%} in four joints; nearest: {best}, "
+        why = f"of {len(trials)} models {len(fitting)} are within {NEAR:.0%} in four joints; nearest: {best.words}, "
         why += f"off by {100 * off[order[0], joint]:.2g} %"
         if not possible and len(fitting):
             why += f"; none of the {len(fitting)} comes nearer than {100 * off[fitting, joint].min():.2g} %"
@@ -190,35 +182,34 @@ def maxima(setting: Setting) -> Iterator[Finding]:
 
 def _trials() -> list[Trial]:
     """The greatest torques of all combinations of faults, parameters, centroids, gravity, knee and degree."""
-    trials = []
-    t = np.linspace(0, thesis.QUINTIC_S, SAMPLES)
+    trials, t = [], np.linspace(0, thesis.QUINTIC_S, SAMPLES)
     for knee, (degree, size) in product((120.0, 45.0), DEGREES.items()):
         q, qd, qdd = _motion(t, knee, size)
         for (parameters, model), (faults, names) in product(_models().items(), FAULTS.items()):
             inertial = np.einsum("ijn,jn->in", printed.mass_matrix(model, q, names), qdd)
             inertial += printed.coriolis(model, q, qd, names)
             half = model._replace(centroids=printed.script_centroids(model.lengths))
-            for (centroids, leg), (way, g) in product(
-                {"r of appendix H": half, "its centroids": model}.items(), GRAVITY.items()
-            ):
+            legs = {"r of appendix H": half, "its centroids": model}
+            for (centroids, leg), (way, g) in product(legs.items(), GRAVITY.items()):
                 tau = inertial + printed.gravity(leg._replace(gravity=g), q)
-                words = f"{parameters}, {centroids}"
-                trials.append(Trial(faults, words, way, knee, degree, tau.max(axis=1), np.abs(tau).max(axis=1)))
+                words = f"{faults}, {parameters}, {centroids}, gravity {way}, knee to {knee:g}, {degree}"
+                trials.append(Trial(words, tau.max(axis=1), np.abs(tau).max(axis=1)))
     return trials
 
 
 def _models() -> dict[str, printed.Model]:
+    def model(lengths: tuple[float, ...], inertia: np.ndarray, centroids: Any = thesis.LINK_CENTROIDS) -> printed.Model:
+        return printed.Model(lengths, inertia, np.array(centroids))
+
     recovered = np.array(thesis.FIGURE_7_5_MASSES) / np.array(thesis.LINK_MASSES)
-    inertias = {
-        "the script's links": (thesis.SCRIPT_LENGTHS, script_inertias()),
-        "section 4.6 as printed": (thesis.LINK_LENGTHS, np.array(thesis.PSEUDO_INERTIAS)),
-        "section 4.6 with the recovered masses": (thesis.LINK_LENGTHS, corrected_inertias() * recovered[:, None, None]),
+    rods = script_inertias()
+    return {
+        "the script's links": model(thesis.SCRIPT_LENGTHS, rods, rods[:, :3, 3] / rods[:, 3, 3, None]),
+        "section 4.6 as printed": model(thesis.LINK_LENGTHS, np.array(thesis.PSEUDO_INERTIAS)),
+        "section 4.6 with the recovered masses": model(
+            thesis.LINK_LENGTHS, corrected_inertias() * recovered[:, None, None]
+        ),
     }
-    models = {}
-    for name, (lengths, inertia) in inertias.items():
-        centroids = inertia[:, :3, 3] / inertia[:, 3, 3, None] if "script" in name else np.array(thesis.LINK_CENTROIDS)
-        models[name] = printed.Model(lengths, inertia, centroids)
-    return models
 
 
 def _motion(t: np.ndarray, knee: float, degree: float) -> tuple[np.ndarray, ...]:

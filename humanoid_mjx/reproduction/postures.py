@@ -1,4 +1,3 @@
-# pyright: reportAttributeAccessIssue=false
 """Figures 7.17 and 7.18: both legs go from one posture to another, by what a table learned and by a planned path."""
 
 import tempfile
@@ -8,7 +7,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
-import mujoco
 import numpy as np
 
 from humanoid_mjx.control import Reference
@@ -18,6 +16,7 @@ from humanoid_mjx.evaluation.policy import best_policy
 from humanoid_mjx.mechanics.trajectories import rest_to_rest
 from humanoid_mjx.report.rendering import draw, render_film
 from humanoid_mjx.reproduction.findings import Finding, Setting, check, experiment, three_digits, unprinted
+from humanoid_mjx.reproduction.ground import physics, standing
 from humanoid_mjx.reproduction.leg_values import planned
 from humanoid_mjx.robot import make_robot
 from humanoid_mjx.thesis import leg
@@ -82,26 +81,13 @@ def following(setting: Setting) -> Iterator[Finding]:
 
 def _draw(setting: Setting, when: str, postures: Sequence[tuple[str, np.ndarray]]) -> None:
     """A panel for each posture of the joints, (10,) rad, with its lowest foot on the ground."""
-    body = make_robot("lower_body")
-    pictures = draw(body.model, np.array([_on_the_ground(body.model, joints) for _, joints in postures]))
-    with setting.figure(1, len(postures), size=(3.5, 3.4)) as (fig, axes):
+    pictures = draw(physics().model, np.array([standing(joints) for _, joints in postures]))
+    title = f"{when} postures: degrees of the right leg, the left takes the opposite\nRight leg blue, left leg orange"
+    with setting.figure(1, len(postures), size=(3.5, 3.4), title=title) as (_, axes):
         for panel, (words, _), picture in zip(axes[0], postures, pictures, strict=True):
             panel.imshow(picture)
             panel.set_axis_off()
             panel.set_title(words, loc="center", fontsize=8.5)
-        words = "postures: degrees of the right leg, the left takes the opposite\nRight leg blue, left leg orange"
-        fig.suptitle(f"{when} {words}", x=0.02, ha="left", fontsize="medium")
-
-
-def _on_the_ground(model: mujoco.MjModel, joints: np.ndarray) -> np.ndarray:
-    """The `qpos` of an upright body whose lowest part touches the ground."""
-    data = mujoco.MjData(model)
-    data.qpos[7:] = joints
-    mujoco.mj_kinematics(model, data)
-    ground = int(np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)[0])
-    others = (geom for geom in range(model.ngeom) if geom != ground)
-    data.qpos[2] -= min(mujoco.mj_geomDistance(model, data, ground, geom, 10.0, None) for geom in others)
-    return data.qpos.copy()
 
 
 def _in_range(section: str, when: str, degrees: tuple[float, ...]) -> Finding:
@@ -112,35 +98,21 @@ def _in_range(section: str, when: str, degrees: tuple[float, ...]) -> Finding:
         for joint, angle, (low, high) in zip(JOINTS, degrees, RANGES, strict=True)
         if not low <= sign * angle <= high
     ]
-    return check(
-        f"section {section}: joints of both legs outside Table 3.2's proposed ranges at the {when}",
-        "the ranges of Table 3.2",
-        len(outside),
-        not outside,
-        ", ".join(outside) + " degrees" if outside else "all are inside",
-        0,
-    )
+    quantity = f"section {section}: joints of both legs outside Table 3.2's proposed ranges at the {when}"
+    why = ", ".join(outside) + " degrees" if outside else "all are inside"
+    return check(quantity, "the ranges of Table 3.2", len(outside), not outside, why, 0)
 
 
 def _sign() -> Finding:
     """The goal of the knee in section 7 H."""
     low, high = RANGES[1]
-    used = {"knee": thesis.POSTURES["7H"][1][1]}
-    as_printed = PRINTED_GOAL["knee"]
-    return check(
-        "section 7H: goal of the right knee inside its range of Table 3.2, degrees",
-        as_printed,
-        used["knee"],
-        _where(used["knee"]) == "inside",
-        f"the range is {low:g} to {high:g}: {as_printed:g} is {_where(as_printed)}; {used['knee']:g}, "
-        f"which the table's sign makes of it, is {_where(used['knee'])}",
-        0.0,
-        (used, PRINTED_GOAL),
-    )
-
-
-def _where(knee: float) -> str:
-    return "inside" if RANGES[1][0] <= knee <= RANGES[1][1] else "outside"
+    used, as_printed = {"knee": thesis.POSTURES["7H"][1][1]}, PRINTED_GOAL["knee"]
+    where = {knee: "inside" if low <= knee <= high else "outside" for knee in (used["knee"], as_printed)}
+    quantity = "section 7H: goal of the right knee inside its range of Table 3.2, degrees"
+    why = f"the range is {low:g} to {high:g}: {as_printed:g} is {where[as_printed]}; {used['knee']:g}, which the "
+    why += f"table's sign makes of it, is {where[used['knee']]}"
+    agrees = where[used["knee"]] == "inside"
+    return check(quantity, as_printed, used["knee"], agrees, why, 0.0, (used, PRINTED_GOAL))
 
 
 def _switch(section: str, setting: Setting) -> list[Finding]:
@@ -150,28 +122,25 @@ def _switch(section: str, setting: Setting) -> list[Finding]:
     setting.tell(f"section {section}: playing and drawing the motion")
     task = trained.learner.task
     goal = np.asarray(task.whole_body(task.grid[:, -1]))
-    tolerance = float(task.tolerance)
     episode = play(trained)
     motion = motion_of(trained, episode)
     path = setting.out / f"figure-7.18-{section}.gif"
     render_film(Film(make_robot("legs").spec().compile(), motion.qpos, task.timestep), path)
     setting.tell(f"section {section}: the same along a plan, and with twice the mass")
-    learned = _measure(motion, goal, task, tolerance)
-    plan = _measure(_planned(task, learned.settling), goal, task, tolerance)
+    learned = _measure(motion, goal, task)
+    plan = _measure(_planned(task, learned.settling), goal, task)
     heavy = task.replace(mass=np.float32(HEAVY))
     trained = trained._replace(learner=trained.learner.replace(task=heavy))
-    loaded = _measure(motion_of(trained, play(trained)), goal, task, tolerance)
-    decided = (
-        f"{len(episode.actions)} decisions, peak torque {learned.peak:.2g} N m; a quintic of {learned.settling:g} s"
+    loaded = _measure(motion_of(trained, play(trained)), goal, task)
+    why = f"{len(episode.actions)} decisions, peak torque {learned.peak:.2g} N m; a quintic of {learned.settling:g} s "
+    why += f"under the same computed torque has {plan.peak:.2g} N m"
+    quantities, of = (
+        ("settling time, s", "overshoot, degrees", "energy, J"),
+        "of the learned switch, and of a planned quintic",
     )
-    quantities = {"settling": "settling time, s", "overshoot": "overshoot, degrees", "energy": "energy, J"}
     findings = [
-        unprinted(
-            f"section {section}: {words}: of the learned switch, and of a planned quintic",
-            [_short(getattr(learned, quantity)), _short(getattr(plan, quantity))],
-            f"{decided} under the same computed torque has {plan.peak:.2g} N m",
-        )
-        for quantity, words in quantities.items()
+        unprinted(f"section {section}: {words}: {of}", [_short(mine), _short(planned)], why)
+        for words, mine, planned in zip(quantities, learned, plan, strict=False)
     ]
     return [*findings, _involves_dynamics(section, learned, loaded)]
 
@@ -179,16 +148,14 @@ def _switch(section: str, setting: Setting) -> list[Finding]:
 def _involves_dynamics(section: str, learned: Switch, loaded: Switch) -> Finding:
     """Section 7 H's claim, by the same table on a robot of another mass."""
     settles = "never settles" if np.isnan(loaded.settling) else f"settles in {loaded.settling:g} s"
-    alike = _same(learned.settling, loaded.settling) and _same(learned.energy, loaded.energy)
-    return check(
-        f"section {section}: settling time, s, and energy, J, of the same table on a robot {HEAVY:g} times as heavy",
-        "there is no kinematics and dynamics involved (7 H)",
-        [_short(loaded.settling), _short(loaded.energy)],
-        alike,
-        f"the heavy robot {settles}; at the mass that the controller believes they are {learned.settling:g} s and "
-        f"{learned.energy:.3g} J: the table only names set-points, and the torque comes from the leg's model",
-        SAME,
-    )
+    before, after = (np.array([switch.settling, switch.energy]) for switch in (learned, loaded))
+    alike = (np.abs(before - after) <= SAME * np.maximum(before, after)).all()
+    quantity = f"section {section}: settling time, s, and energy, J, of the same table on a robot {HEAVY:g} times as "
+    quantity += "heavy"
+    why = f"the heavy robot {settles}; at the mass that the controller believes they are {learned.settling:g} s and "
+    why += f"{learned.energy:.3g} J: the table only names set-points, and the torque comes from the leg's model"
+    claim = "there is no kinematics and dynamics involved (7 H)"
+    return check(quantity, claim, [*map(_short, after)], alike, why, SAME)
 
 
 def _train(section: str, config: dict[str, Any]) -> Any:
@@ -217,11 +184,11 @@ def _planned(task: Any, duration: float) -> Any:
     return jax.tree.map(np.asarray, motion)
 
 
-def _measure(motion: Any, goal: np.ndarray, task: Any, tolerance: float) -> Switch:
+def _measure(motion: Any, goal: np.ndarray, task: Any) -> Switch:
     """The measures of a motion towards a goal, whose first posture is the task's start."""
     start = np.asarray(task.whole_body(task.grid[:, 0]))
     off = np.degrees(motion.qpos - goal)
-    away = np.flatnonzero((np.abs(off) > tolerance).any(axis=1))
+    away = np.flatnonzero((np.abs(off) > float(task.tolerance)).any(axis=1))
     settled = 0 if len(away) == 0 else int(away[-1]) + 1
     return Switch(
         settling=round((settled + 1) * task.timestep, 6) if settled < len(off) else float("nan"),
@@ -229,10 +196,6 @@ def _measure(motion: Any, goal: np.ndarray, task: Any, tolerance: float) -> Swit
         energy=float(np.abs(motion.torque * motion.qvel).sum() * task.timestep),
         peak=float(np.abs(motion.torque).max()),
     )
-
-
-def _same(a: float, b: float) -> bool:
-    return bool(abs(a - b) <= SAME * max(abs(a), abs(b)))
 
 
 def _short(value: float) -> float | None:

@@ -5,6 +5,7 @@ linear controllers do; neither is shown there.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax
@@ -17,6 +18,7 @@ from humanoid_mjx.mechanics.trajectories import thesis_quintics
 from humanoid_mjx.report.style import SEQUENTIAL
 from humanoid_mjx.reproduction import tracking
 from humanoid_mjx.reproduction.findings import Finding, Setting, check, experiment, three_digits
+from humanoid_mjx.reproduction.leg_values import errors_along
 from humanoid_mjx.robot.leg import Leg
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.thesis import leg as thesis
@@ -34,11 +36,7 @@ PAYLOAD = 0.03
 CONFIG = {"grid": {"model_errors": 13, "payloads": 21}}
 """Number of model errors, from too light to too heavy, and of payloads, from none upwards."""
 
-TRIED = {
-    "partitioned PD": "partitioned PD",
-    "partitioned PD and weight": "partitioned PD holding the weight",
-    "computed torque": "computed torque",
-}
+TRIED = ("partitioned PD", "partitioned PD holding the weight", "computed torque")
 
 WORST, BEST = 1.0, 1e-3
 """Ends of the colours, rad."""
@@ -56,30 +54,20 @@ def robustness(setting: Setting) -> list[Finding]:
     partitioned, holding, torque = errors.values()
     linear = np.minimum(partitioned, holding)
     wins, follows = bool((torque <= linear)[:, exact, load].all()), np.isfinite(np.minimum(torque, linear))
+    words, (least, most) = [f"{c * STEP_S * 1e3:g}" for c in CYCLES], torque[:2, exact, load]
+    better = "computed torque with the right model follows better than the linear controllers"
+    best = f"at cycles of {', '.join(words)} ms it leaves {_list(torque[:, exact, load])} rad, partitioned PD "
+    best += f"{_list(partitioned[:, exact, load])}, holding the weight {_list(holding[:, exact, load])}; of all legs "
+    best += f"that one of them can control, computed torque is the best for {(torque < linear)[follows].mean():.0%}; "
+    best += "with the right model nothing is left that could disturb it, so only the linear controllers err"
+    cycle = f"the error is not 0 because of the cycle time: computed torque at {words[0]} and {words[1]} ms, rad"
+    alone = f"but for the cycle nothing is wrong there; a model {MODEL_ERROR:.0%} too heavy at {words[0]} ms leaves "
+    alone += f"{three_digits(torque[0, -1, load])} rad, {PAYLOAD:g} kg at the toe {three_digits(torque[0, exact, -1])} "
+    alone += f"rad; at {words[-1]} ms {np.isinf(torque[-1]).mean():.0%} of the legs are unstable"
+    claims = "better trajectory performance than linear controllers (5.7)", "close to 0, and more with the cycle time"
     return [
-        check(
-            "computed torque with the right model follows better than the linear controllers",
-            "better trajectory performance than linear controllers (5.7)",
-            wins,
-            wins,
-            f"at cycles of {', '.join(f'{c * STEP_S * 1e3:g}' for c in CYCLES)} ms it leaves "
-            f"{_list(torque[:, exact, load])} rad, partitioned PD {_list(partitioned[:, exact, load])}, holding the "
-            f"weight {_list(holding[:, exact, load])}; of all legs that one of them can control, computed torque "
-            f"is the best for {(torque < linear)[follows].mean():.0%}; with the right model nothing is left that "
-            "could disturb it, so only the linear controllers err",
-            could_differ=False,
-        ),
-        check(
-            "the error is not 0 because of the cycle time: computed torque at "
-            f"{CYCLES[0] * STEP_S * 1e3:g} and {CYCLES[1] * STEP_S * 1e3:g} ms, rad",
-            "close to 0, and more with the cycle time",
-            [three_digits(torque[i, exact, load]) for i in (0, 1)],
-            torque[0, exact, load] < torque[1, exact, load] < 0.01,
-            f"but for the cycle nothing is wrong there; a model {MODEL_ERROR:.0%} too heavy at "
-            f"{CYCLES[0] * STEP_S * 1e3:g} ms leaves {three_digits(torque[0, -1, load])} rad, {PAYLOAD:g} kg at the "
-            f"toe {three_digits(torque[0, exact, -1])} rad; at {CYCLES[-1] * STEP_S * 1e3:g} ms "
-            f"{np.isinf(torque[-1]).mean():.0%} of the legs are unstable",
-        ),
+        check(better, claims[0], wins, wins, best, could_differ=False),
+        check(cycle, claims[1], [three_digits(least), three_digits(most)], least < most < 0.01, alone),
     ]
 
 
@@ -99,40 +87,29 @@ def _errors(model_errors: np.ndarray, payloads: np.ndarray, tell: Callable[[str]
     """(cycles, model errors, payloads) Root mean square over the motion, of the worst joint, rad, by controller."""
     robots = [x.ravel() for x in np.meshgrid(np.array(CYCLES), model_errors, payloads, indexing="ij")]
     arrays = [jnp.asarray(x, dtype) for x, dtype in zip(robots, (int, float, float), strict=True)]
-    # A start of its own for each leg, although all are alike: then jax traces the motion once, not twice.
     arrays.append(jnp.tile(thesis_quintics().at(0.0).position, (len(robots[0]), 1)))
-    shape = (len(CYCLES), len(model_errors), len(payloads))
     errors = {}
-    for law, words in TRIED.items():
-        tell(f"{len(robots[0]):,} legs under {words}")
-        worst = np.asarray(_program(law)(*arrays)).max(axis=1).reshape(shape)
+    for law in TRIED:
+        tell(f"{len(robots[0]):,} legs under {law}")
+        program = jax.vmap(partial(_root_mean_squares, law))
+        found = jax.jit(program, compiler_options=compute.compiler_options("scalars"))(*arrays)
+        worst = np.asarray(found).max(axis=1).reshape(len(CYCLES), len(model_errors), len(payloads))
         errors[law] = np.where(worst < LOST, worst, np.inf)
     return errors
 
 
-def _program(law: str) -> Callable[..., Any]:
-    """From steps of a cycle, model errors, payloads and starts, (legs, ...) each, to root mean squares of the errors,
-    (legs, 5), rad."""
-    leg, planned = Leg.physical(), thesis_quintics()
-    kp, kd = jnp.array(thesis.KP), jnp.array(thesis.KD)
-    steps = round(thesis.QUINTIC_S / STEP_S)
+def _root_mean_squares(law: str, cycle: Any, error: Any, payload: Any, start: Any) -> Any:
+    """(5,) Root mean square of the errors under a law, rad, by steps of a cycle, model error, payload and start."""
+    leg, kp, kd = Leg.physical(), jnp.array(thesis.KP), jnp.array(thesis.KD)
+    model = leg.scaled(1.0 + error)
 
-    def simulate(cycle: Any, error: Any, payload: Any, start: Any) -> Any:
-        model = leg.scaled(1.0 + error)
+    def act(plan: Reference, qpos: Any, qvel: Any) -> Any:
+        return tracking.LAWS[law](model, qpos, qvel, servo(kp, kd, plan, qpos, qvel))
 
-        def controller(time: Any, qpos: Any, qvel: Any) -> Any:
-            qacc = servo(kp, kd, Reference(*planned.at(time)), qpos, qvel)
-            return tracking.LAWS[law](model, qpos, qvel, qacc)
-
-        # Euler's step would undo a hold of one step: it too takes the dynamics from the state at the start of the step.
-        # The method of fourth order loops over its stages, which makes it 25 times slower and no digit better here.
-        states = dynamics.rollout(
-            leg.carrying(payload), start, 0.0 * start, controller, STEP_S, steps, dynamics.midpoint, cycle=cycle
-        )[1]
-        wanted = jax.vmap(planned.at)(STEP_S * jnp.arange(1, steps + 1)).position
-        return jnp.sqrt(jnp.mean((wanted - states.qpos) ** 2, axis=0))
-
-    return jax.jit(jax.vmap(simulate), compiler_options=compute.compiler_options("scalars"))
+    # Euler's step would undo a hold of one step: it too takes the dynamics from the state at the start of the step.
+    # The method of fourth order loops over its stages, which makes it 25 times slower and no digit better here.
+    errors = errors_along(leg.carrying(payload), act, start, STEP_S, dynamics.midpoint, cycle=cycle)
+    return jnp.sqrt(jnp.mean(errors**2, axis=0))
 
 
 def _draw(setting: Setting, errors: dict[str, np.ndarray]) -> None:
@@ -140,10 +117,12 @@ def _draw(setting: Setting, errors: dict[str, np.ndarray]) -> None:
 
     extent = (0.0, 1e3 * PAYLOAD, -100 * MODEL_ERROR, 100 * MODEL_ERROR)
     look = {"origin": "lower", "aspect": "auto", "extent": extent, "cmap": SEQUENTIAL + "_r"}
-    with setting.figure(len(TRIED), len(CYCLES), (2.7, 2.4), sharex=True, sharey=True) as (fig, axes):
-        for row, (law, words) in zip(axes, TRIED.items(), strict=True):
+    legs = sum(error.size for error in errors.values())
+    title = f"{legs:,} legs on the planned motion, gains of Table 5.1; grey: unstable"
+    with setting.figure(len(TRIED), len(CYCLES), (2.7, 2.4), title, sharex=True, sharey=True) as (fig, axes):
+        for row, words in zip(axes, TRIED, strict=True):
             row[0].set_ylabel(f"{words}\nmodel error, %", fontsize=8)
-            for panel, error in zip(row, errors[law], strict=True):
+            for panel, error in zip(row, errors[words], strict=True):
                 panel.set_facecolor("0.8")
                 image = panel.imshow(np.where(np.isinf(error), np.nan, error), norm=LogNorm(BEST, WORST), **look)
                 panel.grid(False)
@@ -152,9 +131,6 @@ def _draw(setting: Setting, errors: dict[str, np.ndarray]) -> None:
             bottom.set_xlabel("payload, g")
         words = "root mean square error of the worst joint, rad"
         fig.colorbar(image, ax=axes, label=words, extend="both", format="{x:g}")
-        legs = sum(error.size for error in errors.values())
-        words = f"{legs:,} legs on the planned motion, gains of Table 5.1; grey: unstable"
-        fig.suptitle(words, x=0.02, ha="left", fontsize="medium")
 
 
 def _list(values: np.ndarray) -> str:

@@ -17,13 +17,10 @@ from humanoid_mjx.reproduction.leg_values import over, planned, plot_joints
 from humanoid_mjx.robot.leg import Leg, cylinder_inertias
 from humanoid_mjx.thesis import leg as thesis
 
-TOLERANCE_M = 6e-5
+TOLERANCE_M, TOLERANCE_RAD = 6e-5, 5e-5
 """The printing's last digit is 0.1 mm; lengths recovered in whole millimetres add a little."""
 
-TOLERANCE_RAD = 5e-5
-
 SAMPLES = 20_000
-
 HEMISPHERE = 0.1
 """By how much thickness over width may differ from a half."""
 
@@ -73,20 +70,13 @@ def reach(setting: Setting) -> Iterator[Finding]:
     yield _place(quantity, swapped, mark, lengths, used, printed)
 
 
-def _place(
-    quantity: str,
-    degrees: np.ndarray,
-    mark: Sequence[float],
-    lengths: dict[str, float],
-    used: dict[str, float],
-    printed: dict[str, float],
-) -> Finding:
-    """The finding on one place of the toe."""
+def _place(quantity: str, degrees: np.ndarray, mark: Any, lengths: Any, used: Any, printed: Any) -> Finding:
+    """The finding on one place of the toe, m, from the links' lengths and the values used and printed, by name."""
     departs = departures({k: v for k, v in used.items() if k not in lengths}, printed)
     place, script = (_toe(x, np.radians(degrees)[None])[0] for x in (lengths.values(), thesis.SCRIPT_LENGTHS))
     error, as_printed = (np.abs(x - mark).max() for x in (place, script))
-    why = f"links of {listed(1e3 * x for x in lengths.values())} mm (printed are only the script's, with "
-    why += f"which it is off by {1e3 * as_printed:.0f} mm), joints at {listed(degrees + 0.0)} degrees"
+    why = f"links of {listed(1e3 * x for x in lengths.values())} mm (printed are only the script's, with which it is "
+    why += f"off by {1e3 * as_printed:.0f} mm), joints at {listed(degrees + 0.0)} degrees"
     why += "".join(f", {change}" for change in departs) + f": off by {1e3 * error:.2g} mm"
     found, agrees = np.round(place, 5).tolist(), error < TOLERANCE_M
     return check(quantity, list(mark), found, agrees, why, TOLERANCE_M, (used, printed))
@@ -95,8 +85,7 @@ def _place(
 def workspace(name: str, setting: Setting) -> Iterator[Finding]:
     """Figures 7.2 to 7.4: the toe's path, and all places that the moving joints reach in the ranges of Table 3.2."""
     lengths = setting.config["lengths"]
-    t = np.linspace(0, thesis.QUINTIC_S, 401)
-    path = _toe(lengths.values(), _motion(name, t))
+    path = _toe(lengths.values(), _motion(name, np.linspace(0, thesis.QUINTIC_S, 401)))
     cloud = _cloud(lengths.values(), thesis.WORKSPACE_JOINTS[name])
     _draw(setting, name, path, cloud)
     yield _extents(name, path, lengths)
@@ -129,28 +118,27 @@ def _hemisphere(name: str, cloud: np.ndarray, lengths: dict[str, float]) -> Find
 def _draw(setting: Setting, name: str, path: np.ndarray, cloud: np.ndarray) -> None:
     """Places in reach, the path and the printed ends, from the right and from behind."""
     marks = np.array(thesis.WORKSPACE[name])
-    with setting.figure(1, 2, size=(4.2, 4.4)) as (fig, axes):
+    title = f"{name.capitalize()}: where the toe goes and could go"
+    with setting.figure(1, 2, size=(4.2, 4.4), title=title, legend=3) as (_, axes):
         views = ((0, "x (forwards), m", "From the right"), (2, "z (sideways), m", "From behind"))
-        for panel, (across, label, title) in zip(axes[0], views, strict=True):
+        for panel, (across, label, view) in zip(axes[0], views, strict=True):
             panel.plot(cloud[:, across], cloud[:, 1], ",", color="0.75")
             panel.plot([], [], "s", color="0.75", label="in reach in the ranges of Table 3.2")
             panel.plot(path[:, across], path[:, 1], color=COLORS[0], label="planned path of the toe")
             panel.plot(marks[:, across], marks[:, 1], "x", color=COLORS[1], markersize=8, label="both ends as printed")
             panel.plot(path[0, across], path[0, 1], "o", color=COLORS[6], fillstyle="none", label="start")
             panel.plot(thesis.LINK_LENGTHS[0] * (across == 2), 0.0, "s", color=COLORS[6], markersize=5, label="hip")
-            panel.set(xlabel=label, title=title)
+            panel.set(xlabel=label, title=view)
             panel.set_aspect("equal", adjustable="datalim")
         axes[0, 0].set_ylabel("y (upwards), m")
-        handles, words = axes[0, 0].get_legend_handles_labels()
-        fig.legend(handles, words, loc="outside lower center", ncols=3, frameon=False)
-        fig.suptitle(f"{name.capitalize()}: where the toe goes and could go", x=0.02, ha="left")
 
 
 def _cloud(lengths: Any, moving: Sequence[int]) -> np.ndarray:
     """(n, 3) The toe's places, m, with these joints anywhere in the proposed ranges and the others at 0."""
     ranges = np.radians(thesis.JOINT_RANGES["proposed"]) * np.isin(np.arange(1, 6), moving)[:, None]
     sample = jax.jit(kinematics.workspace, static_argnames="n")
-    return np.asarray(sample(_leg(lengths), jnp.array(ranges), jax.random.key(0), n=SAMPLES))
+    leg = Leg.from_links(list(lengths), cylinder_inertias())
+    return np.asarray(sample(leg, jnp.array(ranges), jax.random.key(0), n=SAMPLES))
 
 
 def _motion(name: str, t: np.ndarray) -> np.ndarray:
@@ -160,11 +148,7 @@ def _motion(name: str, t: np.ndarray) -> np.ndarray:
 
 def _toe(lengths: Any, q: np.ndarray) -> np.ndarray:
     """(n, 3) The toe's places, m."""
-    return over(kinematics.forward, _leg(lengths), q)[:, :3, 3]
-
-
-def _leg(lengths: Any) -> Any:
-    return Leg.from_links(list(lengths), cylinder_inertias())
+    return over(kinematics.forward, Leg.from_links(list(lengths), cylinder_inertias()), q)[:, :3, 3]
 
 
 for _number, _name in MOTIONS.items():
@@ -173,14 +157,11 @@ for _number, _name in MOTIONS.items():
     )
 
 
-SINGULAR = 1e-5
-"""m and rad. Below it the least singular value of the Jacobian counts as 0 in single precision."""
-
-NEAR = 0.25
-"""Share of the least singular value at the start, below which a posture is nearly singular."""
+SINGULAR, NEAR = 1e-5, 0.25
+"""The least singular value of the Jacobian counts as 0 below the first, m and rad, in single precision; below this
+share of that at the start a posture is nearly singular."""
 
 GAITS = {"straight_walk": "walking straight, Table 4.5", "sudden_turn": "the sudden turn, Table 4.6"}
-
 INSTANTS = 2001
 
 
@@ -193,29 +174,26 @@ def singularity(setting: Setting) -> list[Finding]:
 
 def _walk(motion: Gait, title: str, t: np.ndarray) -> Finding:
     """The singular postures of a gait."""
-    q = _gait_angles(motion, t)
+    q = over(Gait.at, motion, t).position
     crossing = np.flatnonzero(np.diff(np.sign(q[:, 3])) != 0)
     share = q[crossing, 3] / (q[crossing, 3] - q[crossing + 1, 3])
     times = t[crossing] + share * (t[crossing + 1] - t[crossing])
-    at_crossing = _least(_gait_angles(motion, times))
+    at_crossing = _least(over(Gait.at, motion, times).position)
     singular = times[at_crossing < SINGULAR]
+    zeros, yaws = (", ".join(f"{x:.3f}" for x in some) for some in (times, singular))
     values = _least(q)
     least, near = float(min(at_crossing.min(), values.min())), values < NEAR * values[0]
     passes = int(near[0]) + int((np.diff(near.astype(int)) > 0).sum())
-    yaw = f"the yaw is 0 at {_seconds(singular)} s" if len(singular) else "where the yaw is not"
-    why = f"the leg is singular where yaw and knee are both 0; the knee passes 0 at {_seconds(times)} s, {yaw}; "
-    why += f"the least singular value of the Jacobian is {least:.2g} (at the start {values[0]:.2g}), "
-    why += f"and below {NEAR:g} of that at the start {passes} times a step: nearly singular"
+    yaw = f"the yaw is 0 at {yaws} s" if len(singular) else "where the yaw is not"
+    why = f"the leg is singular where yaw and knee are both 0; the knee passes 0 at {zeros} s, {yaw}; the least "
+    why += f"singular value of the Jacobian is {least:.2g} (at the start {values[0]:.2g}), and below {NEAR:g} of that "
+    why += f"at the start {passes} times a step: nearly singular"
     return check(f"{title}: singular postures in a step", 0, len(singular), len(singular) == 0, why)
-
-
-def _seconds(times: np.ndarray) -> str:
-    return ", ".join(f"{x:.3f}" for x in times)
 
 
 def _rank_test(t: np.ndarray) -> Finding:
     """The share of a walk where the determinants (4.22) and (4.23) vanish and the Jacobian keeps its rank."""
-    q = _gait_angles(gait("straight_walk", "linear"), t)
+    q = over(Gait.at, gait("straight_walk", "linear"), t).position
     jac, least = over(kinematics.jacobian, Leg.physical(), q), _least(q)
     leg = np.abs(np.linalg.det(jac[:, :3][:, :, [0, 3, 4]]))
     torso = np.abs(np.linalg.det(jac[:, :2][:, :, [1, 2]]))
@@ -225,11 +203,6 @@ def _rank_test(t: np.ndarray) -> Finding:
     why = "the determinants of parts of the Jacobian are both 0 wherever yaw and roll are, at any angle of the knee: "
     why += "they are no test of its rank"
     return check(quantity, "singular where the determinants are 0 (4.4.1)", round(wrong, 4), wrong == 0.0, why)
-
-
-def _gait_angles(motion: Gait, t: np.ndarray) -> np.ndarray:
-    """(n, 5) A gait's joint angles, rad."""
-    return over(Gait.at, motion, t).position
 
 
 def _least(q: np.ndarray) -> np.ndarray:

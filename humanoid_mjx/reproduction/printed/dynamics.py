@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from humanoid_mjx.thesis import leg as thesis
+from humanoid_mjx.types import FloatScalar
 
 FAULTS = {
     "M33": "d55 for d53 in the last term of the script's M33",
@@ -48,13 +49,13 @@ same."""
 class Model(NamedTuple):
     """Parameters of the formulas."""
 
-    lengths: tuple[float, ...]
+    lengths: tuple[FloatScalar, ...]
     """l1 to l5, m"""
-    inertia: np.ndarray
+    inertia: Array
     """(5, 4, 4) pseudo-inertias in the links' frames, kg m^2, kg m and kg"""
-    centroids: np.ndarray
+    centroids: Array
     """(5, 3) the r of the gravity terms, m"""
-    gravity: tuple[float, float, float] = (0.0, 0.0, -thesis.GRAVITY)
+    gravity: tuple[FloatScalar, FloatScalar, FloatScalar] = (0.0, 0.0, -thesis.GRAVITY)
     """m/s^2 in frame 0"""
 
 
@@ -148,8 +149,9 @@ def coriolis(model: Model, q: Array, qd: Array, faults: Collection[str] = ALL) -
 def gravity(model: Model, q: Array) -> Array:
     """(5, n) Appendix H and the script's G, N m, at q, (5, n) rad. Its faults are those of the model."""
     factors = Factors(model, q)
-    g, ones = np.array([*model.gravity, 1.0]), np.ones((5, 1))
-    moments = model.inertia[:, 3, 3, None] * np.concatenate([model.centroids, ones], axis=1)
+    xp: Any = q.__array_namespace__()
+    g, ones = xp.asarray([*model.gravity, 1.0]), np.ones((5, 1))
+    moments = model.inertia[:, 3, 3, None] * xp.concat([xp.asarray(model.centroids), ones], axis=1)
     return _stacked(lambda i: -sum(g @ factors.derivative(p, i) @ moments[p - 1] for p in range(i, 6)), 1, q)
 
 
@@ -165,7 +167,7 @@ def _stacked(element: Callable[..., Array], indices: int, like: Array) -> Array:
     return values.reshape((5,) * indices + values.shape[1:])
 
 
-def _link(lengths: tuple[float, ...], joint: int, angle: Array) -> Array:
+def _link(lengths: tuple[FloatScalar, ...], joint: int, angle: Array) -> Array:
     """(n, 4, 4) The script's A1 to A5."""
     xp = angle.__array_namespace__()
     c, s, zero, one = xp.cos(angle), xp.sin(angle), 0 * angle, 0 * angle + 1
