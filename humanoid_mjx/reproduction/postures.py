@@ -134,13 +134,11 @@ def _switch(section: str, setting: Setting) -> list[Finding]:
     loaded = _measure(motion_of(trained, play(trained)), goal, task)
     why = f"{len(episode.actions)} decisions, peak torque {learned.peak:.2g} N m; a quintic of {learned.settling:g} s "
     why += f"under the same computed torque has {plan.peak:.2g} N m"
-    quantities, of = (
-        ("settling time, s", "overshoot, degrees", "energy, J"),
-        "of the learned switch, and of a planned quintic",
-    )
+    quantities = ("settling time, s", "overshoot, degrees", "energy, J")
+    compared = "of the learned switch, and of a planned quintic"
     findings = [
-        unprinted(f"section {section}: {words}: {of}", [_short(mine), _short(planned)], why)
-        for words, mine, planned in zip(quantities, learned, plan, strict=False)
+        unprinted(f"section {section}: {words}: {compared}", [_short(one), _short(other)], why)
+        for words, one, other in zip(quantities, learned, plan, strict=False)
     ]
     return [*findings, _involves_dynamics(section, learned, loaded)]
 

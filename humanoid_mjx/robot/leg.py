@@ -100,7 +100,7 @@ class Leg(Chain):
 def corrected_inertias() -> np.ndarray:
     """(5, 4, 4) Section 4.6 as a physical body: the corrections, and first moments = mass x centroid."""
     inertia = np.array(thesis.PSEUDO_INERTIAS)
-    for link, (row, column), value, _ in thesis.INERTIA_CORRECTIONS:
+    for link, (row, column), value in thesis.INERTIA_CORRECTIONS:
         inertia[link - 1, row - 1, column - 1] = inertia[link - 1, column - 1, row - 1] = value
     first = np.array(thesis.LINK_MASSES)[:, None] * np.array(thesis.LINK_CENTROIDS)
     inertia[:, :3, 3] = inertia[:, 3, :3] = first

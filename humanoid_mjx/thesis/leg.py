@@ -83,14 +83,10 @@ PSEUDO_INERTIAS = (
 """Section 4.6, as printed: the integrals of r r^T dm with r = [x y z 1]. Links 1 and 2 are no possible bodies, 2 and 5
 are not symmetric: `INERTIA_CORRECTIONS`."""
 
-INERTIA_CORRECTIONS = (
-    (1, (1, 1), 0.0003276, "printed negative, which no mass distribution has; the sign is taken as a slip"),
-    (2, (1, 3), -0.000078, "printed -0.00078, but (3, 1) and m x z say -0.000078"),
-    (5, (1, 2), 0.0000544, "printed 0.000054 in one triangle and 0.0000548 in the other; their mean"),
-)
-"""Changes to section 4.6 that make it physical: link, row and column (and its mirror), new value, reason. Beyond
-these the last rows and columns become mass x centroid of Tables 4.3 and 4.4, which they are to rounding: without it
-link 2 stays impossible."""
+INERTIA_CORRECTIONS = ((1, (1, 1), 0.0003276), (2, (1, 3), -0.000078), (5, (1, 2), 0.0000544))
+"""Changes to section 4.6 that make it physical: link, row and column (and its mirror), new value; the reasons stand in
+`reproduction/printed/errata.yaml`. Beyond these the last rows and columns become mass x centroid of Tables 4.3 and 4.4,
+which they are to rounding: without it link 2 stays impossible."""
 
 SCRIPT_LENGTHS = (0.2, 0.3, 0.1, 0.2, 0.2)
 SCRIPT_MASSES = (0.5, 0.3, 0.4, 0.2, 0.2)

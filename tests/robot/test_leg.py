@@ -47,7 +47,7 @@ def test_printed_inertias_are_refused_and_the_corrections_are_what_mends_them():
     printed = np.array(thesis.PSEUDO_INERTIAS)
     with pytest.raises(InputError, match="pseudo_inertia of link 1 must be positive semi-definite"):
         Leg.from_links(thesis.LINK_LENGTHS, printed)
-    changed = {(link, *sorted(place)) for link, place, _, _ in thesis.INERTIA_CORRECTIONS}
+    changed = {(link, *sorted(place)) for link, place, _ in thesis.INERTIA_CORRECTIONS}
     second = np.abs(corrected_inertias() - printed)[:, :3, :3] > 1e-12
     found = {(link + 1, *sorted((row + 1, column + 1))) for link, row, column in np.argwhere(second)}
     assert found == changed
