@@ -43,19 +43,19 @@ def standing(setting: Setting) -> list[Finding]:
     blind: Path = alone["section 5.7"]
     stands = f"seconds of {SECONDS:g} that computed torque of section 5.7 with Table 5.1's gains stands"
     fixed = "the section's law treats the torso as fixed and ignores the ground; within the contacts computed torque "
-    fixed += f"{alone['computed torque'].fate('stands')}, and a servo of {setting.config['servo']['stiffness']:g} N "
-    fixed += "m/rad "
-    fixed += alone["servo"].fate("stands")
-    largest, impulses = (
-        "that it stands, N s: servo, computed torque within the contacts",
-        f"of {listed(IMPULSES)} N s on the hips over 0.1 s",
-    )
+    fixed += f"{alone['computed torque'].fate('stands')}, and a servo of {setting.config['servo']['stiffness']:g} "
+    fixed += f"N m/rad {alone['servo'].fate('stands')}"
+    impulses = f"of {listed(IMPULSES)} N s on the hips over 0.1 s"
     furthest = f"the furthest that a joint gives way to {SHOWN:g} N s ({', '.join(SIDES)}), rad: computed torque"
     servo = f"the servo gives way by {', '.join(f'{x:.4f}' for x in gives['servo'])}"
     return [
         unprinted(stands, blind.seconds, fixed),
         *(
-            unprinted(f"the largest push {side} {largest}", [taken[name, side] for name in PAIR], impulses)
+            unprinted(
+                f"the largest push {side} that it stands, N s: servo, computed torque within the contacts",
+                [taken[name, side] for name in PAIR],
+                impulses,
+            )
             for side in SIDES
         ),
         unprinted(furthest, [round(x, 4) for x in gives["computed torque"]], servo),

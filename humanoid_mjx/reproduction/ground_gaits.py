@@ -109,9 +109,9 @@ def _zero_moment(gait: str, mine: Mapping[Trial, Path], margins: Mapping[Trial, 
 
 def _slip(gait: str, mine: Mapping[Trial, Path]) -> Finding:
     read = {t.controller: path for t, path in mine.items() if (t.signs, t.same_yaw, t.phase) == AS_READ}
-    quantity, why = f"{TABLES[gait]}: speed of stance feet over the ground, m/s: {', '.join(read)}", f"under {SLIP:g}"
+    quantity = f"{TABLES[gait]}: speed of stance feet over the ground, m/s: {', '.join(read)}"
     slips = [round(path.slip, 3) for path in read.values()]
-    return unprinted(quantity, slips, f"until the fall; feet {why} would count as standing")
+    return unprinted(quantity, slips, f"until the fall; feet under {SLIP:g} would count as standing")
 
 
 def _turns(played: Mapping[Trial, Path]) -> Finding:
