@@ -162,12 +162,14 @@ def test_a_stiff_servo_acts_through_the_step():
 
 
 def test_a_stiff_servo_pulls_from_where_the_step_ends():
-    """The torque of the step, with the place and the velocity at its end, moves the leg as it moves."""
+    """The torque of the step, with the place and the velocity at its end, moves the leg and its rotors as they move."""
     leg, gains, dt, force = Leg.matlab_script(), (0.02 * KP, 0.02 * KD), 1e-2, jnp.linspace(-1.0, 1.0, 5)
     start = dynamics.State(jnp.array(START), jnp.linspace(2.0, -1.0, 5))
-    end = control.implicit_euler(*gains)(leg, start, force, dt)
+    rotor = 1e-3
+    end = control.implicit_euler(*gains, armature=rotor)(leg, start, force, dt)
     changed = -gains[0] * (end.qpos - start.qpos) - gains[1] * (end.qvel - start.qvel)
-    needed = dynamics.inverse_dynamics(leg, start.qpos, start.qvel, (end.qvel - start.qvel) / dt)
+    qacc = (end.qvel - start.qvel) / dt
+    needed = dynamics.inverse_dynamics(leg, start.qpos, start.qvel, qacc) + rotor * qacc
     np.testing.assert_allclose(needed, force + changed, rtol=1e-9, atol=1e-9)
 
 
