@@ -16,6 +16,7 @@ from fault_trying import CONFIGS, SAME, TINY, Matrix, Try, begin, bits, command,
 from humanoid_mjx import compute
 from humanoid_mjx.runs.folder import parts
 from humanoid_mjx.runs.listing import list_runs
+from humanoid_mjx.training import chunks as chunks_module
 from humanoid_mjx.training import pool as pool_module
 from humanoid_mjx.training import session as session_module
 from humanoid_mjx.training.sweep import sweep
@@ -26,7 +27,7 @@ KILLS_OF_A_RUN, AT_ONCE = 5, 4
 def train(config: dict[str, Any], run: Path, began: Any) -> None:
     """Train, or go on with what a kill has left, storing much more often than usual."""
     compute.start()
-    session_module.CHECKPOINT_EVERY_S = 0.05
+    chunks_module.CHECKPOINT_EVERY_S = 0.05
     pool_module.CHUNK_S, pool_module.HARVEST_AFTER_S, pool_module.HARVEST_SHARE = 0.02, 0.2, 0.05
     began.set()
     sweep(config, run, resume=(run / "checkpoint").is_dir())

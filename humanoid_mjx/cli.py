@@ -32,16 +32,20 @@ def sweep(
     resume: Annotated[bool, Option("--resume", help="Complete an interrupted run.")] = False,
     tensorboard: Annotated[bool, Option("--tensorboard", help="Write event files into RUN/tensorboard.")] = False,
     view: Annotated[bool, Option("--view", help="Open a page that grows while it trains: RUN/report.html.")] = False,
+    ray: Annotated[
+        str | None,
+        Option(metavar="[HOST:PORT]", help="Train on a Ray cluster; without an address on one of this machine."),
+    ] = None,
     slurm: Annotated[
         list[str] | None,
-        Option(metavar="KEY=VALUE", help="Submit it to Slurm: partition=gpu, nodes=2, timeout_min=60, ..."),
+        Option(metavar="KEY=VALUE", help="Submit it to Slurm: jobs=8, partition=gpu, gpus_per_node=1, ..."),
     ] = None,
 ) -> None:
     """Train every point of a sweep; write a run folder with tables and figures."""
-    if slurm and view:
+    if slurm and (odd := [name for name, given in (("--view", view), ("--ray", ray)) if given]):
         from humanoid_mjx.spec import InputError
 
-        raise InputError("--view: this machine does not train what --slurm hands over; leave one of them out.")
+        raise InputError(f"{odd[0]}: this machine does not train what --slurm hands over; leave one of them out.")
     if slurm:
         from humanoid_mjx.commands.slurm import submit_sweep
 
@@ -49,7 +53,7 @@ def sweep(
     else:
         from humanoid_mjx.commands.sweep import run_sweep
 
-        run_sweep(config, out, set_ or [], resume, tensorboard, view)
+        run_sweep(config, out, set_ or [], resume, tensorboard, view, ray)
 
 
 @app.command()
@@ -210,6 +214,9 @@ def main() -> None:
     os.environ.pop("MUJOCO_GL", None)  # OpenGL is not used, and an unusable value stops MuJoCo's import
     if not all(word.strip() for word in sys.argv[1:]):
         _end("a word of the command is empty; write a name there, or leave it out.")
+    for place, word in enumerate(sys.argv, 1):  # the value may be left out, which typer does not know
+        if word == "--ray" and (place == len(sys.argv) or ":" not in sys.argv[place] != "auto"):
+            sys.argv[place - 1] = "--ray=local"
     try:
         sys.exit(app(standalone_mode=False) or 0)
     except UsageError as error:

@@ -87,11 +87,11 @@ def refusing(path: Path) -> Iterator[None]:
         raise InputError(f"{path}: cannot be written: {of_system(error)}.") from error
 
 
-def lock(handle: int, shared: bool = False, wait: bool = False) -> None:
+def lock(handle: int, shared: bool = False) -> None:
     """Lock an open file for this process, or `shared` for several; Windows, which has no such locks, lets these be.
 
     Raises:
-      BlockingIOError: another process holds it, and `wait` is false.
+      BlockingIOError: another process holds it.
       OSError: the file system has no locks.
     """
     try:
@@ -99,7 +99,7 @@ def lock(handle: int, shared: bool = False, wait: bool = False) -> None:
     except ImportError:
         _lock_on_windows(handle, shared)
     else:
-        fcntl.flock(handle, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | (0 if wait else fcntl.LOCK_NB))
+        fcntl.flock(handle, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
 
 
 def _lock_on_windows(handle: int, shared: bool) -> None:

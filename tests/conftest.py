@@ -87,7 +87,7 @@ def said(monkeypatch, capfd):
 LONGEST = (
     *("kernel", "gait_evaluation", "docs", "live", "bench", "control_experiments", "shipped_policies", "play"),
     *("ground_experiments", "physics", "processes", "tree", "legged", "evaluate", "config", "verdicts", "several_gpus"),
-    *("leg_experiments", "posture_switch", "kept", "slurm", "sweep", "live_push"),
+    *("leg_experiments", "posture_switch", "kept", "slurm", "on_ray", "sweep", "live_push"),
 )
 """Files that begin first, the longest before all, so that no worker ends with one while the other has nothing to do."""
 

@@ -71,10 +71,11 @@ def test_a_run_folder_is_locked_on_windows(windows, tmp_path):
     with pytest.raises(InputError, match="run: is in use by another process"):
         RunFolder.resume(tmp_path / "run", CONFIG)
     assert _in_use(tmp_path / "run")
-    folder.share(2)
-    joined = RunFolder.join(tmp_path / "run", 1, 2)
-    joined.close()
     folder.close()
+    windows.clear()
+    jobs = [RunFolder.resume(tmp_path / "run", CONFIG, shared=True) for _ in range(2)]
+    for job in jobs:
+        job.close()
     windows.clear()  # closing gives a lock up
     RunFolder.resume(tmp_path / "run", CONFIG).close()
 

@@ -1,53 +1,98 @@
-"""The command `sweep --slurm`, which hands the sweep over to Slurm through submitit."""
+"""The command `sweep --slurm`, which hands the sweep over to Slurm through submitit: an array of jobs, each with some
+chunks of runs, and a job that writes the tables when all have ended."""
 
 import importlib
 import os
 import shutil
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from humanoid_mjx import compute
 from humanoid_mjx.commands import console
 from humanoid_mjx.commands.sweep import run_sweep
+from humanoid_mjx.compute import kept
 from humanoid_mjx.config import load, parse_yaml
 from humanoid_mjx.runs.folder import RunFolder, fresh_path, latest_path
+from humanoid_mjx.runs.tables import finished_runs
 from humanoid_mjx.spec import InputError
-from humanoid_mjx.training.plan import make_plan, resolved
+from humanoid_mjx.training.chunks import Chunk, Desk, chunks
+from humanoid_mjx.training.plan import Plan, make_plan, resolved
+from humanoid_mjx.training.progress import counted
+from humanoid_mjx.training.sweep import train_chunks
 
 GENERIC = {"name", "timeout_min", "mem_gb", "nodes", "cpus_per_task", "gpus_per_node", "tasks_per_node"}
 """Parameters that submitit has for every kind of cluster; all others are Slurm's own, such as `partition`."""
 
+JOBS = 64
+"""Jobs of an array by default."""
+
+ANEW = 1000
+"""How often a job begins anew after a time limit: as often as it takes, since it goes on from its state."""
+
 LOGS = "slurm"
-"""The folder in a run folder with the job's script and what its processes print."""
+"""The folder in a run folder with the jobs' scripts and what they print."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """A sweep as each task of a job runs it: it completes a run folder that was made when the job was submitted."""
+    """A job of the array: it trains some chunks of a run folder."""
 
     run: Path
-    tensorboard: bool
+    numbers: tuple[int, ...]
 
     def __call__(self) -> None:
-        job = _submitit().JobEnvironment()
-        if job.cluster == "local":  # in a step of Slurm the environment says as much
-            os.environ["JAX_COORDINATOR_ADDRESS"] = f"localhost:{49152 + int(job.job_id) % 16384}"
-            os.environ["JAX_NUM_PROCESSES"] = str(job.num_tasks)
-            os.environ["JAX_PROCESS_ID"] = str(job.global_rank)
-        run_sweep(str(self.run / "config.yaml"), self.run, [], resume=True, tensorboard=self.tensorboard)
+        compute.start(mjx="mjx-jax" in load(self.run / "config.yaml").physics)
+        with kept.keeping():
+            train_chunks(self.run, self.numbers)
 
     def checkpoint(self) -> Any:
         """The job that Slurm begins anew after a time limit or preemption: the same, which goes on."""
         return _submitit().helpers.DelayedSubmission(self)
 
 
+@dataclass(frozen=True)
+class Tables:
+    """The last job: it writes the tables of what the array has trained."""
+
+    run: Path
+    tensorboard: bool
+    after: tuple[int, ...]
+    """Processes to wait for, where no Slurm does."""
+
+    def __call__(self) -> None:
+        while any(map(_runs, self.after)):
+            time.sleep(0.1)
+        run_sweep(str(self.run / "config.yaml"), self.run, [], True, self.tensorboard, engine=Others)
+
+    checkpoint = Job.checkpoint
+
+
+class Others:
+    """The engine of a sweep whose runs others have trained."""
+
+    def __init__(self, plan: Plan):
+        """Train nothing."""
+        self.at_once = [0] * len(plan.groups)
+
+    def train(self, chosen: Sequence[Chunk], desk: Desk) -> None:
+        """All that could be trained is."""
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
 def submit_sweep(
     config: str, out: Path | None, overrides: Sequence[str], resume: bool, tensorboard: bool, given: Sequence[str]
 ) -> None:
-    """`humanoid-mjx sweep --slurm`: make the run folder, or take one up, and submit the job that completes it.
+    """`humanoid-mjx sweep --slurm`: make the run folder, or take one up, and submit the jobs that complete it.
 
-    `given` are submitit's parameters as KEY=VALUE; `cluster=local` runs the job on this machine.
+    `given` are submitit's parameters as KEY=VALUE, and `jobs`, the number of jobs of the array; `cluster=local` runs
+    them on this machine.
 
     Raises:
       InputError: submitit is missing or refuses, or the config or the place cannot be used. No new folder is left.
@@ -55,16 +100,61 @@ def submit_sweep(
     submitit, parameters = _submitit(), _parameters(given)
     plan = make_plan(load(config, overrides))
     place = Path(out or (latest_path if resume else fresh_path)(plan.config.name))
-    (RunFolder.resume if resume else RunFolder.create)(place, resolved(plan.config)).close()
+    folder = (RunFolder.resume if resume else RunFolder.create)(place, resolved(plan.config))
     try:
-        executor = submitit.AutoExecutor(folder=place / LOGS, cluster=parameters.pop("cluster", "slurm"))
-        executor.update_parameters(**{"name": plan.config.name} | parameters)
-        job = executor.submit(Job(place.absolute(), tensorboard))
+        jobs, last = _submit(submitit, parameters, plan, place, tensorboard)
     except Exception as error:  # submitit raises half a dozen kinds
         if not resume:
             shutil.rmtree(place)
         raise InputError(f"--slurm: {' '.join(str(error).split())}") from error
-    console.print(f"job {job.job_id} completes {place} and prints into {place / LOGS}", soft_wrap=True)
+    finally:
+        folder.close()
+    first = f"{counted(len(jobs), 'job')} ({jobs[0].job_id}, ...) train {place}, and then " if jobs else ""
+    console.print(
+        f"{first}job {last.job_id} writes the tables of {place}; what they print is in {place / LOGS}", soft_wrap=True
+    )
+
+
+def _submit(
+    submitit: Any, parameters: dict[str, Any], plan: Plan, place: Path, tensorboard: bool
+) -> tuple[list[Any], Any]:
+    """Submit the array and the job that follows it."""
+    cluster, count = parameters.pop("cluster", "slurm"), parameters.pop("jobs", JOBS)
+    if not isinstance(count, int) or count < 1:
+        raise InputError(f"jobs must be a whole number of at least 1, got {count}.")
+    limits = {f"{cluster}_max_num_timeout": ANEW} if cluster in ("slurm", "local") else {}
+    executor = submitit.AutoExecutor(folder=place / LOGS, cluster=cluster, **limits)
+    defaults = {"name": plan.config.name} | ({"timeout_min": 60 * 24 * 7} if cluster == "local" else {})
+    executor.update_parameters(**defaults | parameters)
+    done = finished_runs(place, ("point", "seed"))
+    finished = set((done["point"] * plan.config.seeds + done["seed"]).tolist()) if done else set()
+    left = [chunk.number for chunk in chunks(plan) if not finished.issuperset(chunk.runs)]
+    run, jobs = place.absolute(), []
+    if left:
+        with executor.batch():
+            jobs = [
+                executor.submit(Job(run, tuple(part.tolist())))
+                for part in np.array_split(np.array(left), min(count, len(left)))
+            ]
+    after: tuple[int, ...] = ()
+    if cluster == "local":
+        after = tuple(int(job.job_id) for job in jobs)
+    elif jobs:
+        more = parameters.get("slurm_additional_parameters", {})
+        dependency = {"dependency": f"afterany:{jobs[0].job_id.partition('_')[0]}"}
+        executor.update_parameters(slurm_additional_parameters=more | dependency)
+    return jobs, executor.submit(Tables(run, tensorboard, after))
+
+
+def _runs(process: int) -> bool:
+    """True if a process of this machine runs."""
+    try:
+        os.kill(process, 0)
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:  # no Linux
+        return True
+    except OSError:
+        return False
 
 
 def _parameters(given: Sequence[str]) -> dict[str, Any]:
@@ -74,7 +164,7 @@ def _parameters(given: Sequence[str]) -> dict[str, Any]:
         key, equals, value = text.partition("=")
         if not equals or not key.isidentifier():
             raise InputError(f"--slurm {text}: write KEY=VALUE, such as partition=gpu.")
-        name = key if key in GENERIC or key == "cluster" else f"slurm_{key}"
+        name = key if key in GENERIC or key in ("cluster", "jobs") else f"slurm_{key}"
         if name in found:
             raise InputError(f"--slurm {text}: {key} is given twice; leave one of them out.")
         found[name] = parse_yaml(value, f"--slurm {text}")

@@ -3,16 +3,18 @@
 import shlex
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import jax
 import numpy as np
 import typer
 from rich.table import Column, Table
 
 from humanoid_mjx import compute
 from humanoid_mjx.commands import console
-from humanoid_mjx.compute import kept, processes
+from humanoid_mjx.compute import kept
 from humanoid_mjx.config import load
 from humanoid_mjx.runs.folder import read_provenance
 from humanoid_mjx.training.progress import Bar
@@ -20,6 +22,7 @@ from humanoid_mjx.training.progress import Bar
 if TYPE_CHECKING:
     from humanoid_mjx.report.growing import Growing
     from humanoid_mjx.runs.ranking import Compared, Ranked
+    from humanoid_mjx.training.chunks import EngineOf
 
 RATES = ("episodes", "steps")
 
@@ -28,31 +31,42 @@ DRAWING_S = 5.0
 
 
 def run_sweep(
-    config: str, out: Path | None, overrides: Sequence[str], resume: bool, tensorboard: bool, view: bool = False
+    config: str,
+    out: Path | None,
+    overrides: Sequence[str],
+    resume: bool,
+    tensorboard: bool,
+    view: bool = False,
+    ray: str | None = None,
+    engine: "EngineOf | None" = None,
 ) -> None:
-    """`humanoid-mjx sweep`."""
+    """`humanoid-mjx sweep`.
+
+    `ray`: the address of a Ray cluster. `engine`: another way to train; by default this process does.
+    """
     loaded = load(config, overrides)
-    compute.start(mjx="mjx-jax" in loaded.physics)  # before `joined`, which may begin to compute
+    if ray:
+        jax.config.update("jax_platforms", "cpu")  # the GPUs are for the workers
+        from humanoid_mjx.training.on_ray import OnRay
+
+        engine = partial(OnRay, address=ray)
+    compute.start(mjx="mjx-jax" in loaded.physics)
     from humanoid_mjx.training.sweep import sweep
 
     with kept.keeping(), Bar(console, DRAWING_S) as bar, _growing(bar) if view else nullcontext() as growing:
         try:
-            with processes.joined() as process:
-                first = process == 0  # the first process speaks for all
-                run = sweep(
-                    loaded,
-                    out,
-                    resume=resume,
-                    reporter=(growing or bar) if first else None,
-                    quiet=not first,
-                    tensorboard=tensorboard,
-                    watch=growing.watch if growing and first else None,
-                )
+            run = sweep(
+                loaded,
+                out,
+                resume=resume,
+                reporter=growing or bar,
+                tensorboard=tensorboard,
+                watch=growing.watch if growing else None,
+                engine=engine,
+            )
         except KeyboardInterrupt:
             console.print("Stopped. What is finished is stored; the same command with --resume completes it.")
             raise typer.Exit(130) from None
-        if not first:
-            return
         bar.phase("drawing figures")
         from humanoid_mjx.evaluation.replay import why_stopped
         from humanoid_mjx.report.figures import draw_run  # matplotlib takes a while

@@ -49,6 +49,9 @@ class Config(pydantic.BaseModel):
         None, ge=1, le=2_000_000_000, description="for learners that count control steps of all environments"
     )
     record: int = pydantic.Field(100, ge=1, le=10_000)
+    chunk: int | None = pydantic.Field(
+        None, ge=1, le=10_000_000, description="runs that a worker of `--ray` or a job of `--slurm` gets at once"
+    )
     modules: str | None = pydantic.Field(
         None, description="folder of modules that import paths name, by default that of the config"
     )

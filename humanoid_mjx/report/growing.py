@@ -39,10 +39,6 @@ DRAWING_SHARE = 0.1
 """The most of the time that drawing may take."""
 
 
-MANY_PROCESSES = "JAX_NUM_PROCESSES", "SLURM_STEP_NODELIST"
-"""The environment variables that make a process one of several (`compute.processes`)."""
-
-
 class Growing(Reporter):
     """The page of a sweep under way, drawn anew by a thread within `with`; and a reporter that passes on to another
     what it is told."""
@@ -106,10 +102,9 @@ class Growing(Reporter):
         """Start a process that draws the robot under the best policy of a run folder. To compile in this process could
         crash a training on a GPU. The process fails if the task moves no robot."""
         command = [sys.executable, "-m", "humanoid_mjx", "play", name, "--trust", "--out", str(self._picture)]
-        alone = {name: value for name, value in os.environ.items() if name not in MANY_PROCESSES}
         none = subprocess.DEVNULL
         self._player = subprocess.Popen(
-            command, env=alone | {"JAX_PLATFORMS": "cpu"}, stdin=none, stdout=none, stderr=none
+            command, env=os.environ | {"JAX_PLATFORMS": "cpu"}, stdin=none, stdout=none, stderr=none
         )
 
     def _run(self) -> None:

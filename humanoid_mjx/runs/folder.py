@@ -7,9 +7,9 @@
     timing.parquet      seconds since training began, per sweep point, seed and record step
     figures/            learning curves and heat maps
     tensorboard/        where asked for: event files, a folder for each sweep point
-    checkpoint/         part-00000.npz ...: finished runs (curves, scores, policies); pool-0.npz ...: those under way,
-                        a file for each process; diverged-POINT-SEED.npz: where runs stopped whose numbers were no
-                        longer finite
+    checkpoint/         part-00000.npz ...: finished runs (curves, scores, policies), by the first of them;
+                        pool-0-63.npz ...: those under way, by their chunks; diverged-POINT-SEED.npz: where runs
+                        stopped whose numbers were no longer finite
 
 Every file is written beside its place and renamed into it, so a kill leaves the old or the new, never half of one.
 Tables, checkpoint files and the provenance hold the digest of the config as `config`, by which one of another run is
@@ -39,11 +39,10 @@ Arrays = Mapping[str, np.ndarray]
 
 
 class RunFolder:
-    """A run folder, locked while this object lives: for one process, or for the several that share it."""
+    """A run folder, locked while this object lives."""
 
     def __init__(self, path: Path, lock: int, config: Mapping[str, Any]):
         self.path, self.digest = path, config_digest(config)
-        self.process, self.processes = 0, 1
         self._lock = lock
 
     @classmethod
@@ -72,8 +71,10 @@ class RunFolder:
         return run
 
     @classmethod
-    def resume(cls, path: Path, config: Mapping[str, Any]) -> "RunFolder":
+    def resume(cls, path: Path, config: Mapping[str, Any], shared: bool = False) -> "RunFolder":
         """Open a run folder to complete it; one that a kill left before its config was written begins anew.
+
+        `shared`: for this job of an array among others, which complete other runs.
 
         Raises:
           InputError: there is none, it is in use, or it was made with another config.
@@ -82,37 +83,16 @@ class RunFolder:
             return cls.create(path, config)
         stored = read_config(path)
         with refusing(path):
-            run = cls(path, _lock(path), stored)
+            run = cls(path, _lock(path, shared), stored)
         if changed := [key for key in _differences(stored, dict(config)) if key != "modules"]:
             run.close()
             raise InputError(
                 f"{path}: was made with another config ({changed[0]} differs); "
                 "resume with the same values, or choose another place with out=PATH."
             )
-        for left_by_a_kill in path.rglob(".new-*"):
+        for left_by_a_kill in () if shared else path.rglob(".new-*"):
             left_by_a_kill.unlink()
         return run
-
-    @classmethod
-    def join(cls, path: Path, process: int, processes: int) -> "RunFolder":
-        """Open a run folder that process 0 of this job has opened and shares.
-
-        Raises:
-          InputError: this machine does not see it.
-        """
-        try:
-            run = cls(path, _lock(path, shared=True), read_config(path))
-        except OSError as error:
-            raise InputError(
-                f"{path}: process {process} cannot write here: {error.strerror}; all processes need one file system."
-            ) from error
-        run.process, run.processes = process, processes
-        return run
-
-    def share(self, processes: int) -> None:
-        """Let the other processes of this job, of which this is process 0, `join`, and still nobody else."""
-        self.processes = processes
-        _flock(self._lock, self.path, shared=True, wait=True)
 
     def close(self) -> None:
         """Let other programs write to the folder."""
@@ -145,19 +125,17 @@ class RunFolder:
         """The files of finished runs."""
         return parts(self.path)
 
-    @property
-    def pool(self) -> str:
-        """The file of the runs that this process has under way."""
-        return f"checkpoint/pool-{self.process}.npz"
-
-    def add_part(self, arrays: Arrays) -> None:
-        """Store finished runs, under the next number of those that are this process's own."""
-        number = max((int(NUMBER.findall(path.name)[0]) for path in self.parts()), default=-1) + 1
-        number += (self.process - number) % self.processes
-        self.write_arrays(f"checkpoint/part-{number:05d}.npz", arrays)
+    def add_part(self, first: int, arrays: Arrays) -> None:
+        """Store finished runs under the number of the first, which no other part has."""
+        self.write_arrays(f"checkpoint/part-{first:05d}.npz", arrays)
 
 
 NUMBER = re.compile(r"^part-(\d+)\.npz$")
+
+
+def pool_name(key: str) -> str:
+    """The file of the runs that are under way in some chunks."""
+    return f"checkpoint/pool-{key}.npz"
 
 
 def diverged_name(point: int, seed: int) -> str:
@@ -172,7 +150,8 @@ def parts(path: Path) -> list[Path]:
 
 def pools(path: Path) -> list[Path]:
     """The files of the runs that a run folder has under way, the newest first."""
-    return sorted((path / "checkpoint").glob("pool-*.npz"), key=lambda file: file.stat().st_mtime, reverse=True)
+    files = [(file, os.stat(file).st_mtime) for file in (path / "checkpoint").glob("pool-*.npz") if file.exists()]
+    return [file for file, _ in sorted(files, key=lambda each: each[1], reverse=True)]
 
 
 def read_arrays(path: Path, prefixes: tuple[str, ...] = ("",), digest: str | None = None) -> dict[str, np.ndarray]:
@@ -322,10 +301,10 @@ def _lock(path: Path, shared: bool = False) -> int:
     return handle
 
 
-def _flock(handle: int, path: Path, shared: bool = False, wait: bool = False) -> None:
+def _flock(handle: int, path: Path, shared: bool) -> None:
     """Lock a file of a run folder; warn where the file system has no locks."""
     try:
-        lock(handle, shared, wait)
+        lock(handle, shared)
     except OSError as error:
         if error.errno not in (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP):
             raise

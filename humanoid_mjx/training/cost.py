@@ -49,6 +49,11 @@ def runs_at_once(group: Group, pool_size: int | None = None) -> int:
     free = stats["bytes_limit"] - stats["bytes_in_use"] if "bytes_limit" in stats else compute.available_memory()
     per_run = training_bytes(group)
     fit = int(MEMORY_SHARE * free) // per_run
+    if group.width and 1 <= fit < group.width:
+        raise InputError(
+            f"chunk: {group.width} networks side by side need about {group.width * per_run / 2**20:,.0f} MiB, more "
+            f"than {MEMORY_SHARE:.0%} of the {free / 2**20:,.0f} MiB that are free; write --set chunk={fit}."
+        )
     if fit < 1:
         raise InputError(
             f"one run needs about {per_run / 2**20:,.0f} MiB, more than {MEMORY_SHARE:.0%} of the "
@@ -56,12 +61,12 @@ def runs_at_once(group: Group, pool_size: int | None = None) -> int:
         )
     if device.platform != "cpu":
         return fit * devices
-    return min(fit, devices * max(1, CPU_CACHE_BYTES // run_bytes(group)))
+    return min(fit, devices * (group.width or max(1, CPU_CACHE_BYTES // run_bytes(group))))
 
 
 def slots(group: Group, room: int) -> int:
-    """Return the number of a group's runs that all processes train at once, where each has `room`."""
-    return min(jax.process_count() * room, len(group.runs))
+    """Return the number of a group's runs that train at once in so much `room`."""
+    return min(room, len(group.runs))
 
 
 def run_bytes(group: Group) -> int:

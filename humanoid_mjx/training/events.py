@@ -4,7 +4,6 @@ import importlib
 import re
 import shutil
 import threading
-import time
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -15,16 +14,12 @@ from humanoid_mjx.runs.folder import RunFolder
 from humanoid_mjx.runs.tables import finished_runs, named
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.plan import Plan
-from humanoid_mjx.training.pool import Pool
 
 FOLDER = "tensorboard"
 """Folder of the event files in a run folder."""
 
 MAX_POINTS = 30
 """The most sweep points that are written."""
-
-LOOK_EVERY_S = 2.0
-"""Seconds between two looks at the curves of the runs under way."""
 
 LABEL_LETTERS = 100
 
@@ -64,23 +59,18 @@ class Curves:
         self.plan, self.seeds, self.places = plan, plan.config.seeds, plan.labels().places
         self.points = np.sort(np.random.default_rng(0).permutation(len(plan.points))[:most])
         self.measures: dict[str, _Measure] = {}
-        self.looked = time.monotonic()
         self.lock = threading.Lock()
         """Held while the measures change."""
         done = finished_runs(folder.path, ("point", "seed", "curve.", "final."), folder.digest)
         if done:
             self.store(done["point"] * self.seeds + done["seed"], done)
 
-    def look(self, pool: Pool) -> None:
-        """Take note of what the runs under way have newly learned, now and then."""
-        if time.monotonic() - self.looked < LOOK_EVERY_S:
-            return
-        self.looked = time.monotonic()
-        rows, (points, seeds) = self._chosen(pool.slots)
-        if not len(rows):
-            return
-        known = np.floor(np.minimum(pool.progress[rows], 1.0) * len(self.places) - 1e-6).astype(int)
-        self._take(points, seeds, known, pool.curves(rows, len(self.points) * self.seeds))
+    def grow(self, runs: np.ndarray, progress: np.ndarray, curves: dict[str, np.ndarray]) -> None:
+        """Take note of the curves so far of runs under way."""
+        rows, (points, seeds) = self._chosen(runs)
+        if len(rows):
+            known = np.floor(np.minimum(progress[rows], 1.0) * len(self.places) - 1e-6).astype(int)
+            self._take(points, seeds, known, {name: curve[rows] for name, curve in curves.items()})
 
     def store(self, runs: np.ndarray, arrays: dict[str, np.ndarray]) -> None:
         """Take note of the whole curves of runs that are over, and the scores of their greedy policies at the end."""

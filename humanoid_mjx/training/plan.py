@@ -24,6 +24,12 @@ from humanoid_mjx.user_code import in_words
 MAX_RUNS = 10_000_000
 """The most runs of a sweep: points times seeds."""
 
+TABLES = 160
+"""Tables that a CPU core trains side by side at 50 million steps/s; 5 train at 3 million."""
+
+UPDATE_STEPS = 1 << 18
+"""Control steps in an update of the networks of a chunk: four networks of `walk`."""
+
 
 @dataclass(frozen=True, eq=False)
 class Group:
@@ -35,6 +41,15 @@ class Group:
     """(num_points,) Numbers of the points in the plan."""
     seeds: int
     """Runs of each point."""
+    chunk: int = 1
+    """The most runs that a worker gets at once."""
+
+    @property
+    def width(self) -> int | None:
+        """Runs side by side on each device, where another number would change bits that are promised: those of
+        networks, on a CPU. None where memory and speed decide."""
+        fixed = jax.default_backend() == "cpu" and self.learners.program != "tabular"
+        return min(self.chunk, len(self.runs)) if fixed else None
 
     @property
     def runs(self) -> np.ndarray:
@@ -87,8 +102,13 @@ class Plan:
         groups: list[Group] = []
         for indices in members.values():
             learners = jax.tree.map(lambda *values: _column(values), *(self.learners[i] for i in indices))
-            groups.append(Group(learners, np.array(indices, np.int64), self.config.seeds))
+            groups.append(Group(learners, np.array(indices, np.int64), self.config.seeds, self.chunk))
         return groups
+
+    @cached_property
+    def chunk(self) -> int:
+        """The most runs of a chunk."""
+        return chunk_of(self.config, build(self.config, {}))
 
     @property
     def budget(self) -> int:
@@ -189,6 +209,20 @@ def build(config: Config, point: Mapping[str, Any]) -> Learner:
         return make_learner(name, task, record=config.record, **budget, **parts["learner"])
 
 
+def chunk_of(config: Config, learner: Learner) -> int:
+    """Return the most runs of a chunk of a sweep: `config.chunk`, by default one that is wide enough to be fast.
+
+    Tables: `TABLES` or a 64th of the runs, whichever is more. Networks: as many as take `UPDATE_STEPS` control steps in
+    an update together, and at most a quarter of the runs.
+    """
+    if config.chunk:
+        return config.chunk
+    runs = len(points_of(config)) * config.seeds
+    if learner.program == "tabular":
+        return min(max(TABLES, -(-runs // 64)), runs)
+    return max(1, min(UPDATE_STEPS // learner.update_steps, -(-runs // 4)))
+
+
 def set_dotted(parts: dict[str, Any], key: str, value: Any) -> None:
     """Set `parts["task"]["sensors"]["encoder_noise"]` by the key `task.sensors.encoder_noise`; nested dicts are copied.
 
@@ -210,7 +244,8 @@ def resolved(config: Config) -> dict[str, Any]:
     A value that follows from others (the start and goal of a joint) stays out unless it was written.
     """
     learner = build(config, {})
-    data = config.model_dump(mode="json", exclude_none=True) | {learner.unit: learner.budget}
+    chunk = {"chunk": chunk_of(config, learner)}
+    data = config.model_dump(mode="json", exclude_none=True) | {learner.unit: learner.budget} | chunk
     for part, spec in (("task", learner.task), ("learner", learner)):
         written: dict[str, Any] = getattr(config, part)
         fields = type(spec).model_fields

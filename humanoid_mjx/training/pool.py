@@ -62,6 +62,8 @@ class Pool:
         self.phase = "starting"
         """The present phase, in a word for the user."""
         self.slots = np.full(size, IDLE, np.int64)
+        self.fresh = np.zeros(size, bool)
+        """Slots whose run has no training state yet."""
         self.progress = np.zeros(size)
         self.recent = np.full((size, 3), np.nan)
         """Success, return and steps of an episode of each slot's run, over its last ones."""
@@ -69,10 +71,6 @@ class Pool:
         self.wall_s = np.full((size, group.learners.record), np.nan, np.float32)
         """Seconds from the beginning of training to each record point of each slot's run, pauses left out."""
         self.steps = 1
-        self.stop = threading.Event()
-        """Set from another thread: training shall end as soon as what is under way can be stored."""
-        self.looked: Callable[[], object] = lambda: None
-        """Called in the thread that trains when the progress of the slots is known anew."""
         self.diverged: dict[int, dict[str, np.ndarray]] = {}
         """The last training states of harvested runs whose numbers were no longer finite, by run."""
         self._load()
@@ -92,9 +90,9 @@ class Pool:
         # Other threads read these: clear a finished run's values before its slot holds another run.
         self.progress = np.where(self.busy, self.progress, 0.0)
         self.recent = np.where(self.busy[:, None], self.recent, np.nan)
-        fresh = np.zeros(len(self.slots), bool)
+        fresh = self.fresh
         for slot in np.flatnonzero(~self.busy)[: len(self.waiting)]:
-            self.slots[slot], fresh[slot] = self.waiting.popleft(), True
+            fresh[slot], self.slots[slot] = True, self.waiting.popleft()
         if fresh.any():
             self._load()
             rows = np.searchsorted(self.group.runs, np.maximum(self.slots, self.group.runs[0]))
@@ -102,6 +100,7 @@ class Pool:
             mask = jax.device_put(fresh, self.over_devices)
             self.training = self._call("begin", mask, self.learners, self.seeds, self.training, policies)
             self.wall_s[fresh] = np.nan
+            self.fresh = np.zeros(len(self.slots), bool)
 
     def train(self) -> None:
         """Let every run train for about `CHUNK_S`."""
@@ -114,7 +113,6 @@ class Pool:
         self.recent = np.stack([progress.success, progress.episode_return, progress.length], axis=1)
         passed = np.arange(self.wall_s.shape[1]) < np.floor(self.progress[:, None] * self.wall_s.shape[1] + 1e-6)
         self.wall_s[passed & np.isnan(self.wall_s)] = time.monotonic() - self.began
-        self.looked()
         factor = CHUNK_S / max(time.monotonic() - began, 1e-6)
         self.steps = int(np.clip(self.steps * np.clip(factor, 0.25, 4.0), 1, MAX_STEPS))
 
@@ -157,7 +155,8 @@ class Pool:
 
     def state(self) -> dict[str, np.ndarray]:
         """All that `restore` needs."""
-        state = {"slots": self.slots, "progress": self.progress, "wall_s": self.wall_s}
+        slots = np.where(self.fresh, IDLE, self.slots)
+        state = {"slots": slots, "progress": self.progress, "wall_s": self.wall_s}
         return state | {"elapsed": np.array(time.monotonic() - self.began)} | to_arrays(self.training, "training")
 
     def restore(self, arrays: dict[str, np.ndarray], where: str) -> None:

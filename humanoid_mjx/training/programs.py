@@ -164,7 +164,7 @@ def in_turn(learners: Learner, runs: list[int], room: int) -> list[list[int]]:
     return [part for part in ((runs[:even], rest) if shared else (runs,)) if part]
 
 
-def placement(learners: Learner, runs: int, room: int) -> tuple[int, Devices]:
+def placement(learners: Learner, runs: int, room: int, width: int | None = None) -> tuple[int, Devices]:
     """Return how many runs each device, or each row of devices that share them, trains at once, and the devices.
 
     Args:
@@ -172,12 +172,15 @@ def placement(learners: Learner, runs: int, room: int) -> tuple[int, Devices]:
         Those train one at a time on each: a slot that trains nothing costs as much as one that trains.
       runs: runs to train.
       room: runs that the devices of this process can train at once.
+      width: runs that each device trains at once, if that is fixed.
     """
-    devices, rows = jax.local_devices(), min(runs, room, jax.local_device_count())
+    devices = jax.local_devices()
     shares = range(len(devices), 0, -1) if jax.default_backend() == "cpu" else (1,)
     possible = [share for share in shares if learners.can_share(share)]
+    each = 1 if len(possible) > 1 else width
+    rows = min(-(-runs // (each or 1)), room // (each or 1), len(devices))
     share = next(share for share in possible if rows * share <= len(devices))
-    size = 1 if len(possible) > 1 else min(room // rows, -(-runs // rows))
+    size = each or min(room // rows, -(-runs // rows))
     return size, np.array(devices[: rows * share]).reshape(rows, share)
 
 

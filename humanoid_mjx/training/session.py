@@ -1,35 +1,26 @@
-"""The work of one process on a run folder: groups of runs trained in turn, stored, resumed, reported."""
+"""The driver of a sweep: it alone writes the run folder, from what engines train, and reports."""
 
 import contextlib
-import gc
-import threading
 import time
-from collections import deque
 from collections.abc import Sequence
 from datetime import UTC, datetime
-from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
 
 from humanoid_mjx import compute
-from humanoid_mjx.compute.processes import Processes
 from humanoid_mjx.runs.archive import check_finite
-from humanoid_mjx.runs.folder import REMOVE, RunFolder, damaged, diverged_name, pools, read_arrays, read_provenance
+from humanoid_mjx.runs.folder import REMOVE, RunFolder, diverged_name, pool_name, pools, read_arrays, read_provenance
 from humanoid_mjx.runs.tables import finished_runs, scores, write_tables
 from humanoid_mjx.spec import InputError
-from humanoid_mjx.training.cost import training_bytes
+from humanoid_mjx.training.chunks import Arrays, Ended, Engine, Event, Finished, Growth, Note, State, UnderWay, chunks
 from humanoid_mjx.training.events import Curves
 from humanoid_mjx.training.pace import COMPILING, Look, Pace
 from humanoid_mjx.training.plan import Plan
-from humanoid_mjx.training.pool import IDLE, Pool
+from humanoid_mjx.training.pool import IDLE
 from humanoid_mjx.training.program import SHOWN
-from humanoid_mjx.training.programs import Devices, in_turn, placement
-from humanoid_mjx.training.progress import Reporter, State
-
-CHECKPOINT_EVERY_S = 30.0
-"""Seconds of training that a kill may cost."""
+from humanoid_mjx.training.progress import Reporter
+from humanoid_mjx.training.progress import State as Shown
 
 TABLES_AFTER_S = 60.0
 """Seconds after which tables are written while it trains; those of a shorter sweep are written once."""
@@ -37,33 +28,48 @@ TABLES_AFTER_S = 60.0
 TABLES_SHARE = 0.05
 """The share of the wall time that rewriting the tables may take while runs finish."""
 
-LEAVE_AFTER_S = 5.0
-"""Seconds that training has after an interrupt to store what it did since the last checkpoint. A compiler cannot be
-interrupted, so a thread that compiles is left behind."""
+REPORT_EVERY_S = 0.1
 
 
 class Session:
-    """The work of one process on a run folder."""
+    """The work on a run folder: what engines give, stored and shown (`chunks.Desk`)."""
 
     def __init__(
-        self, folder: RunFolder, plan: Plan, processes: Processes, reporter: Reporter, watchers: Sequence[Curves]
+        self,
+        folder: RunFolder,
+        plan: Plan,
+        reporter: Reporter,
+        watchers: Sequence[Curves] = (),
+        numbers: Sequence[int] | None = None,
     ):
-        self.folder, self.plan, self.processes, self.reporter = folder, plan, processes, reporter
-        self.watchers = watchers
+        """Look at what is stored. `numbers`: those of the chunks that are to be trained; all by default."""
+        self.chosen = [chunk for chunk in chunks(plan) if numbers is None or chunk.number in numbers]
+        self.folder, self.plan, self.reporter, self.watchers = folder, plan, reporter, watchers
+        self.watched = max((watcher.points for watcher in watchers), key=len, default=None)
         for part in folder.parts():
             # Check policies now: a damaged one can still be trained again by this sweep.
             arrays = read_arrays(part, digest=folder.digest)
             if not np.any(arrays.get("final.diverged")):
                 policies = {name: array for name, array in arrays.items() if name.startswith("policy")}
                 check_finite(policies, f"{part}: it", REMOVE)
-        self.mine = set(processes.share(np.concatenate([group.runs for group in plan.groups])).tolist())
         done = finished_runs(folder.path, ("point", "seed"), folder.digest)
-        finished = set((done["point"] * plan.config.seeds + done["seed"]).tolist()) if done else set()
-        if finished and not 0 <= min(finished) <= max(finished) < plan.num_runs:
+        self.finished = set((done["point"] * plan.config.seeds + done["seed"]).tolist()) if done else set()
+        if self.finished and not 0 <= min(self.finished) <= max(self.finished) < plan.num_runs:
             raise InputError(f"{folder.path / 'checkpoint'}: what it holds does not fit this training.")
-        self.finished = finished & self.mine
-        self.interrupted = self._under_way()
-        processes.meet()  # before anyone writes
+        waiting = {run for chunk in self.chosen for run in chunk.runs} - self.finished
+        self.interrupted = []
+        for path in pools(folder.path):
+            try:
+                self.interrupted.append((str(path), _only(waiting, read_arrays(path, digest=folder.digest))))
+            except InputError:
+                if path.exists():  # else of another job of an array, which is done
+                    raise
+        """The runs that an earlier session, perhaps of another engine, had under way."""
+        self.under_way: dict[str, UnderWay] = {}
+        self.stored: set[str] = set()
+        """Keys of the states that this session has stored."""
+        self.machines: set[str] = set()
+        self.reported = 0.0
         self.earlier = {}
         with contextlib.suppress(InputError):  # a damaged one is written anew
             self.earlier = read_provenance(folder.path)
@@ -77,181 +83,103 @@ class Session:
         self.best: tuple[float, float] | None = None
         self.pace = Pace(plan.num_runs, len(plan.groups))
         self.tables_are_old = True
-        self.lock, self.stop = threading.Lock(), threading.Event()
 
-    def train(self, index: int, room: int, policies: Any) -> None:
-        """Train the runs of a group that are not finished yet, at most `room` at once, and fewer where
-        the memory turns out not to suffice.
+    def train(self, engine: Engine) -> None:
+        """Let an engine train what is not finished.
 
         Raises:
-          InputError: it does not suffice for one run.
+          InputError: it cannot train some of it.
         """
-        group = self.plan.groups[index]
-        mine = [run for run in group.runs.tolist() if run in self.mine]
-        # By all runs, not by those that wait: networks round differently with another number of runs side by side.
-        for runs in in_turn(group.learners, mine, room):
-            self._train_runs(index, runs, *placement(group.learners, len(runs), room), policies)
+        engine.train(self.chosen, self)
 
-    def _train_runs(self, index: int, runs: list[int], size: int, devices: Devices, policies: Any) -> None:
-        """Train those of the runs that are not finished yet, `size` at once on each of the devices or rows of them."""
-        group = self.plan.groups[index]
-        while waiting := deque(run for run in runs if run not in self.finished):
-            slots = size * len(devices)
-            where = f" in process 0 of {self.processes.count}" if self.processes.count > 1 else ""
-            self.reporter.note(
-                f"{min(slots, len(runs)):,} of {len(runs):,} runs train side by side{where}, in an estimated "
-                f"{slots * training_bytes(group) / 2**20:,.0f} MiB"
+    def end(self) -> None:
+        """Leave a run folder that is complete.
+
+        Raises:
+          InputError: runs are missing.
+        """
+        if missing := self.plan.num_runs - len(self.finished):
+            raise InputError(
+                f"{self.folder.path}: {missing:,} of {self.plan.num_runs:,} runs are not finished; the same command "
+                "with resume=True trains them."
             )
-            try:
-                self._train_side_by_side(index, waiting, size, devices, policies)
-            except Exception as error:
-                if not compute.out_of_memory(error):
-                    raise
-                if size <= 1:
-                    raise InputError(
-                        f"{self.folder.path}: the memory does not suffice for one run, which is estimated to need "
-                        f"{training_bytes(group) / 2**20:,.0f} MiB; make the task or the learner smaller."
-                    ) from error
-                self.reporter.note(f"the memory does not suffice for {slots:,} runs side by side; half as many go on")
-                self.interrupted = self._under_way()
-            gc.collect()  # the arrays of a pool that failed; its error's frames held them
-            size //= 2
+        for path in pools(self.folder.path):
+            path.unlink()
 
-    def _train_side_by_side(self, index: int, waiting: deque[int], size: int, devices: Devices, policies: Any) -> None:
-        """Train the waiting runs of a group, `size` at once on each of the devices or rows of them."""
-        group = self.plan.groups[index]
-        self.stop.clear()
-        with compute.counting_compiles() as compiles:
-            pool = Pool(group, waiting, size, devices, self.plan.config.seed, policies)
-            pool.stop = self.stop
-            pool.looked = lambda: [watcher.look(pool) for watcher in self.watchers]
-            self._restore(index, pool)
-            self._work_in_a_thread(index, pool)
-        self.compile_s += compiles.seconds
-        self.tables_are_old = True
-        (self.folder.path / self.folder.pool).unlink(missing_ok=True)
+    def states(self, key: str) -> list[tuple[str, Arrays]]:
+        path = self.folder.path / pool_name(key)
+        newer = [(str(path), read_arrays(path, digest=self.folder.digest))] if key in self.stored else []
+        return newer + self.interrupted
 
-    def _under_way(self) -> list[tuple[Path, dict[str, np.ndarray]]]:
-        """Return the runs of ours that an interrupted session, perhaps of other devices or processes, had under way."""
-        waiting = self.mine - self.finished
-        digest = self.folder.digest
-        return [(path, _only(waiting, read_arrays(path, digest=digest))) for path in pools(self.folder.path)]
-
-    def _restore(self, index: int, pool: Pool) -> None:
-        """Take up the runs of this group that were under way."""
-        for path, arrays in self.interrupted:
-            try:
-                if int(arrays["group"]) == index:
-                    pool.restore(arrays, str(path))
-            except (LookupError, TypeError, ValueError) as error:
-                raise damaged(path, "does not fit this training") from error
-
-    def wait(self) -> None:
-        """Wait for the other processes.
-
-        Raises:
-          InputError: one is lost, and its runs are not finished.
-        """
-        if self.processes.count > 1:
-            self.reporter.phase("waiting for the other processes")
-            self.tables_are_old = True
-        words = self.processes.collect("trained", str(self.pace.mean))
-        if self.processes.index == 0:
-            self.pace.elsewhere = sum(map(float, words[1:]))
-            for path in pools(self.folder.path):
-                path.unlink()
-
-    def _work_in_a_thread(self, index: int, pool: Pool) -> None:
-        """Train what waits, and report how it goes.
-
-        Raises:
-          what training raised; or KeyboardInterrupt, once what is under way is stored.
-        """
-        errors: list[BaseException] = []
-
-        def work() -> None:
-            try:
-                self._work(index, pool)
-            except BaseException as error:
-                errors.append(error)
-
-        thread = threading.Thread(target=work, daemon=True)
-        thread.start()
-        try:
-            while thread.is_alive():
-                thread.join(0.1)
-                self._report(pool)
-                if time.monotonic() >= self.tables_due:
+    def take(self, event: Event) -> None:
+        match event:
+            case UnderWay():
+                self.under_way[event.key] = event
+                if (now := time.monotonic()) - self.reported >= REPORT_EVERY_S:
+                    self.reported = now
+                    self._report()
+                if now >= self.tables_due:
                     self.write_results()
-        finally:
-            self.stop.set()
-            self._leave(index, pool, thread)
-        if errors:
-            raise errors[0]
+            case Growth():
+                for watcher in self.watchers:
+                    watcher.grow(event.runs, event.progress, event.curves)
+            case State():
+                self.folder.write_arrays(pool_name(event.key), event.arrays)
+                self.stored.add(event.key)
+            case Finished():
+                self._store(event)
+            case Note():
+                self.reporter.note(event.text)
+            case Ended():
+                self.under_way.pop(event.key, None)
+                self.compile_s += event.compile_s
+                self.tables_are_old = True
+                (self.folder.path / pool_name(event.key)).unlink(missing_ok=True)
 
-    def _leave(self, index: int, pool: Pool, thread: threading.Thread) -> None:
-        """Wait until training has stored what is under way; do it where it compiles and cannot answer."""
-        deadline = time.monotonic() + LEAVE_AFTER_S
-        while thread.is_alive() and pool.phase not in COMPILING and time.monotonic() < deadline:
-            thread.join(0.05)
-        if thread.is_alive() and pool.phase in COMPILING and pool.busy.any():
-            self._store_under_way(index, pool)
-
-    def _store_under_way(self, index: int, pool: Pool) -> None:
-        self.folder.write_arrays(self.folder.pool, {"group": np.array(index)} | pool.state())
-
-    def _work(self, index: int, pool: Pool) -> None:
-        """Train the waiting runs until none is left."""
-        saved = time.monotonic()
-        pool.prepare()
-        pool.fill()
-        while pool.busy.any():
-            if self.stop.is_set() or time.monotonic() - saved > CHECKPOINT_EVERY_S:
-                self._store_under_way(index, pool)
-                saved = time.monotonic()
-            if self.stop.is_set():
-                return
-            pool.train()
-            if not self.stop.is_set() and (harvest := pool.harvest()):
-                for run, arrays in pool.diverged.items():
-                    self.folder.write_arrays(diverged_name(*divmod(run, self.plan.config.seeds)), arrays)
-                pool.diverged.clear()
-                self._store(*harvest)
-                pool.fill()
-
-    def _store(self, runs: np.ndarray, arrays: dict[str, np.ndarray]) -> None:
+    def _store(self, event: Finished) -> None:
+        new = np.array([run not in self.finished for run in event.runs.tolist()])
+        runs, arrays = event.runs[new], {name: array[new] for name, array in event.arrays.items()}
+        if not len(runs):  # of a worker that was thought lost
+            return
         points, seeds = np.divmod(runs, self.plan.config.seeds)
+        for run, state in event.diverged.items():
+            self.folder.write_arrays(diverged_name(*divmod(run, self.plan.config.seeds)), state)
         ended = scores(arrays)
         rows = np.stack(
             [np.ones(len(runs)), *(ended.get(name, ended["diverged"] * np.nan) for name in SHOWN[:2])], axis=1
         )
         known = np.isfinite(rows).all(axis=1)
         np.add.at(self.scores, points[known], rows[known])
-        with self.lock:
-            self.folder.add_part({"point": points.astype(np.int32), "seed": seeds.astype(np.int32)} | arrays)
-            self.finished.update(runs.tolist())
-            self.tables_are_old = True
+        numbers = {"point": points.astype(np.int32), "seed": seeds.astype(np.int32)}
+        self.folder.add_part(min(runs.tolist()), numbers | arrays)
+        self.finished.update(runs.tolist())
+        self.tables_are_old = True
+        for key, look in self.under_way.items():  # until the next look
+            self.under_way[key] = look._replace(slots=np.where(np.isin(look.slots, runs), IDLE, look.slots))
         for watcher in self.watchers:
             watcher.store(runs, arrays)
 
-    def _report(self, pool: Pool) -> None:
-        slots, progress = pool.slots.copy(), pool.progress.copy()
+    def _report(self) -> None:
+        looks = list(self.under_way.values())
+        slots, progress, recent = (np.concatenate([look[place] for look in looks]) for place in (3, 4, 5))
         busy, finished = slots != IDLE, len(self.finished)
-        recent = pool.recent.copy()
         rows = busy & np.isfinite(recent).all(axis=1)
         success, mean_return = self._best(slots[rows], np.minimum(progress[rows], 1.0), recent[rows])
         steps = float(recent[rows, 2].mean()) if rows.any() else None
-        waiting = max(len(self.mine) - finished - int(busy.sum()), 0)
-        learner, length = pool.group.learners, 1.0 if self.plan.unit == "episode" else steps or 0.0
+        waiting = max(self.plan.num_runs - finished - int(busy.sum()), 0)
+        learner = self.plan.groups[looks[-1].group].learners
+        length = 1.0 if self.plan.unit == "episode" else steps or 0.0
         evaluation = learner.evaluations * learner.evaluation_envs * length / self.plan.budget
-        self.pace.look(time.monotonic(), Look(pool.phase, slots, progress, waiting, finished, evaluation))
-        alternates = finished and pool.phase in ("starting", "training", "evaluating")
-        self.reporter.phase("training and evaluating" if alternates else pool.phase)
+        phases = {look.phase for look in looks}
+        phase = "training" if "training" in phases else min(phases - {*COMPILING}, default=looks[-1].phase)
+        self.pace.look(time.monotonic(), Look(phase, slots, progress, waiting, finished, evaluation))
+        alternates = finished and phase in ("starting", "training", "evaluating")
+        self.reporter.phase("training and evaluating" if alternates else phase)
         if progress[busy].any():
             budget, pace = self.plan.budget, self.pace
-            total, unit = len(self.mine) * budget, f"{self.plan.unit}s"
+            total, unit = self.plan.num_runs * budget, f"{self.plan.unit}s"
             rate = pace.recent * budget
-            self.reporter.update(State(pace.done * budget, total, unit, rate, pace.left_s, success, mean_return, steps))
+            self.reporter.update(Shown(pace.done * budget, total, unit, rate, pace.left_s, success, mean_return, steps))
 
     def _best(self, runs: np.ndarray, shares: np.ndarray, known: np.ndarray) -> tuple[float, float] | tuple[None, None]:
         """Success and return at the best point so far: means over its runs, each by its share of the training that is
@@ -265,12 +193,11 @@ class Session:
 
     def write_results(self) -> None:
         """Bring tables and provenance up to date with the finished runs."""
-        if not self.tables_are_old or self.processes.index:
+        if not self.tables_are_old:
             return
         start = time.monotonic()
         self.tables_are_old = False
-        with self.lock:
-            finished = write_tables(self.folder, self.plan.labels())
+        finished = write_tables(self.folder, self.plan.labels())
         if finished == self.earlier.get("runs_finished"):
             return
         session = {
@@ -282,7 +209,7 @@ class Session:
         provenance = {
             **self.made_by,
             "config": self.folder.digest,
-            "processes": self.processes.count,
+            **({"machines": sorted(self.machines)} if self.machines else {}),
             "precision": "float64" if jax.config.read("jax_enable_x64") else "float32",
             "seed": self.plan.config.seed,
             "points": len(self.plan.points),
@@ -299,7 +226,7 @@ class Session:
         self.tables_due = now + (now - start) / TABLES_SHARE
 
 
-def _only(runs: set[int], arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+def _only(runs: set[int], arrays: Arrays) -> Arrays:
     """Return the rows of some runs in a file of runs under way."""
     if "slots" not in arrays:  # no such file: who restores it says so
         return arrays

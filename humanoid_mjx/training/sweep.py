@@ -1,7 +1,7 @@
 """Run a sweep: train every point into a run folder that can be resumed."""
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext
+from contextlib import closing, nullcontext
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -9,19 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from humanoid_mjx import compute
-from humanoid_mjx.compute.processes import Processes
 from humanoid_mjx.config import Config, load, parse
 from humanoid_mjx.runs.folder import RunFolder, fresh_path, latest_path, read_config
 from humanoid_mjx.runs.ranking import ranked
 from humanoid_mjx.runs.tables import read_table
 from humanoid_mjx.spec import InputError
-from humanoid_mjx.training.cost import check_disk, runs_at_once, slots
+from humanoid_mjx.training.chunks import Engine, EngineOf, Here
+from humanoid_mjx.training.cost import check_disk
 from humanoid_mjx.training.events import Curves, EventFiles, event_writer
 from humanoid_mjx.training.plan import Plan, make_plan, resolved
 from humanoid_mjx.training.progress import Reporter, reporting
 from humanoid_mjx.training.session import Session
-from humanoid_mjx.training.warm_start import earlier_policies
 
 
 @dataclass(frozen=True)
@@ -110,11 +108,9 @@ def sweep(
     quiet: bool = False,
     tensorboard: bool = False,
     watch: Callable[[RunFolder, Plan], Curves] | None = None,
+    engine: EngineOf | None = None,
 ) -> Run:
     """Train every point of a sweep with every seed.
-
-    Where this program is one of several processes of `jax.distributed`, all of them call this alike: each trains its
-    share of the runs, into one run folder.
 
     Args:
       config: a config, its plain values, a path, or the name of a shipped one.
@@ -128,6 +124,7 @@ def sweep(
       quiet: show nothing.
       tensorboard: write learning curves as event files of TensorBoard into the run folder while it trains.
       watch: makes an object that is given the learning curves while they grow.
+      engine: makes what trains, such as `training.on_ray.OnRay`; by default this process does, on all its devices.
 
     Raises:
       InputError: the config or the place cannot be used, in one sentence. Nothing stored is lost.
@@ -139,53 +136,46 @@ def sweep(
     elif isinstance(config, Mapping):
         config = parse(dict(config))
     plan = make_plan(config)
-    compute.reserve_memory()
-    rooms = [runs_at_once(group, pool_size) for group in plan.groups]
-    policies = [earlier_policies(group) for group in plan.groups]
-    processes = Processes()
     if tensorboard:
         event_writer()
-        if processes.count > 1:
-            raise InputError("--tensorboard: event files are written by one process only; leave it out.")
-
-    def open_folder() -> RunFolder:
+    with closing(engine(plan) if engine else Here(plan, pool_size)) as trainer:
         place = Path(out or (latest_path if resume else fresh_path)(config.name))
-        check_disk(place, plan, [slots(group, room) for group, room in zip(plan.groups, rooms, strict=True)])
-        return _open(place, config, resume, given=out is not None)
-
-    folder = _shared(processes, open_folder)
-    try:
-        watchers = [make(folder, plan) for make in (EventFiles if tensorboard else None, watch) if make]
-        silent = quiet or processes.index > 0  # the first process speaks for all
-        with nullcontext(reporter or Reporter()) if reporter or silent else reporting() as speaker:
-            session = Session(folder, plan, processes, speaker, watchers)
-            try:
-                for index in range(len(plan.groups)):
-                    session.train(index, rooms[index], policies[index])
-                session.wait()
-            finally:
-                session.write_results()
-                for watcher in watchers:
-                    watcher.close()
-        processes.meet()  # the tables are written
-    finally:
-        folder.close()
+        check_disk(place, plan, trainer.at_once)
+        with closing(_open(place, config, resume, given=out is not None)) as folder:
+            _train(folder, plan, trainer, reporter or (Reporter() if quiet else None), tensorboard, watch)
     return Run(folder.path)
 
 
-def _shared(processes: Processes, open_folder: Callable[[], RunFolder]) -> RunFolder:
-    """The run folder that process 0 opens, and that all others join."""
+def _train(
+    folder: RunFolder,
+    plan: Plan,
+    engine: Engine,
+    reporter: Reporter | None,
+    tensorboard: bool,
+    watch: Callable[[RunFolder, Plan], Curves] | None,
+) -> None:
+    watchers = [make(folder, plan) for make in (EventFiles if tensorboard else None, watch) if make]
+    with nullcontext(reporter) if reporter else reporting() as speaker:
+        session = Session(folder, plan, speaker, watchers)
+        try:
+            session.train(engine)
+            session.end()
+        finally:
+            session.write_results()
+            for watcher in watchers:
+                watcher.close()
 
-    def first() -> RunFolder:
-        folder = open_folder()
-        if processes.count > 1:
-            folder.share(processes.count)
-        return folder
 
-    def join(path: str) -> RunFolder:
-        return RunFolder.join(Path(path), processes.index, processes.count)
+def train_chunks(run: Path, numbers: Sequence[int]) -> None:
+    """Train some chunks of a run folder, of which other processes train others at the same time.
 
-    return processes.first(first, lambda folder: str(folder.path.absolute()), join)
+    Raises:
+      InputError: the run folder or the machine cannot serve.
+    """
+    plan = make_plan(Run(run).config)
+    engine = Here(plan)
+    with closing(RunFolder.resume(run, resolved(plan.config), shared=True)) as folder:
+        Session(folder, plan, Reporter(), numbers=numbers).train(engine)
 
 
 def _open(place: Path, config: Config, resume: bool, given: bool) -> RunFolder:

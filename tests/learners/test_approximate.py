@@ -16,7 +16,7 @@ from jax.sharding import Mesh, PartitionSpec
 from probes import DISCOUNT, END, PROBES, make, probe
 from small_sweep import assert_same_tables
 
-import humanoid_mjx.training.session as session
+import humanoid_mjx.training.chunks as chunk_module
 from humanoid_mjx import InputError, make_learner, make_task, sweep
 from humanoid_mjx.compute import rng
 from humanoid_mjx.config import load
@@ -445,7 +445,7 @@ def test_snapshots_are_of_the_end_of_each_part():
 
 
 def test_a_stopped_training_of_networks_goes_on_to_the_same_bits(swept, tmp_path, monkeypatch):
-    monkeypatch.setattr(session, "CHECKPOINT_EVERY_S", 0.0)
+    monkeypatch.setattr(chunk_module, "CHECKPOINT_EVERY_S", 0.0)
     monkeypatch.setattr(pool, "MAX_STEPS", 3)
     chunks = []
     train = Pool.train

@@ -13,7 +13,7 @@ from humanoid_mjx.config import parse
 from humanoid_mjx.report import growing
 from humanoid_mjx.report.growing import Growing, best_so_far, results_so_far
 from humanoid_mjx.runs.folder import RunFolder
-from humanoid_mjx.training import events, pool
+from humanoid_mjx.training import chunks, pool
 from humanoid_mjx.training.events import Curves
 from humanoid_mjx.training.plan import make_plan, resolved
 from humanoid_mjx.training.progress import Reporter, State
@@ -22,7 +22,7 @@ SMALL = CONFIG | {"sweep": {"axes": {"learner.epsilon": [0.2, 0.6]}}}
 
 
 def test_the_page_grows_and_ends_as_the_report(tmp_path, monkeypatch):
-    monkeypatch.setattr(events, "LOOK_EVERY_S", 0.0)
+    monkeypatch.setattr(chunks, "CURVES_EVERY_S", 0.0)
     monkeypatch.setattr(pool, "MAX_STEPS", 64)
     growing, known, pages = Growing(Reporter(), browse=False), [], []
     look = Curves.look

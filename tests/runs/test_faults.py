@@ -151,6 +151,16 @@ def test_foreign_files_in_a_run_folder(run, finished, said, file, spoil, words):
     assert read_provenance(run)["runs_finished"] == 8
 
 
+def test_what_is_stored_while_the_beginning_compiles_holds_no_run(monkeypatch):
+    """Such a run had zeros for its state, and a sweep that was stopped then went on from these."""
+    group, held = make_plan(parse(CONFIG)).groups[0], []
+    pool = Pool(group, deque(group.runs.tolist()), 4, jax.local_devices()[:1], 0)
+    call = Pool._call
+    monkeypatch.setattr(Pool, "_call", lambda self, *given: (held.append(self.state()), call(self, *given))[1])
+    pool.fill()
+    assert pool.busy.all() and (held[0]["slots"] == pool_module.IDLE).all() and (pool.state()["slots"] >= 0).all()
+
+
 @pytest.fixture(scope="module")
 def others(tmp_path_factory):
     """Run folders that differ in the discount alone: one finished, one that was stopped with a run under way."""
@@ -179,7 +189,7 @@ REPORT, SWEEP = ["report", "run", "--no-motion"], ["sweep", "small.yaml", "--res
         ("timing.parquet", [["plot", "run", "--x", "wall_s"]], False),
         ("checkpoint/part-00000.npz", [SWEEP, ["evaluate", "run"], ["export", "run", "x.npz"]], True),
         ("checkpoint/part-00000.npz", [["play", "run", "--out", "x.png"]], True),
-        ("checkpoint/pool-0.npz", [SWEEP], True),
+        ("checkpoint/pool-0-0.npz", [SWEEP], True),
     ],
 )
 def test_a_file_of_another_run_is_refused(run, finished, others, said, monkeypatch, file, commands, listed):

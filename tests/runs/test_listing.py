@@ -135,16 +135,6 @@ def test_an_empty_folder_and_none(tmp_path):
         list_runs(tmp_path / "nowhere")
 
 
-def test_parts_have_numbers_of_their_own_in_a_job_of_several_processes(tmp_path):
-    run = RunFolder.create(tmp_path / "run", {"name": "parts"})
-    for number in (0, 1, 2, 4):
-        if number == 2:
-            run.share(2)
-        run.add_part({"point": np.zeros(1)})
-        assert max(path.name for path in run.parts()) == f"part-{number:05d}.npz"
-    run.close()
-
-
 @pytest.mark.parametrize(("width", "last"), [(200, "size"), (74, "success")])
 def test_a_narrow_terminal_shows_fewer_columns_rather_than_broken_words(folder, monkeypatch, width, last):
     console = Console(file=io.StringIO(), width=width, force_terminal=True, color_system=None, highlight=False)

@@ -12,7 +12,7 @@ from command_line import told
 from tensorboardX.proto.event_pb2 import Event
 
 from humanoid_mjx import InputError, sweep
-from humanoid_mjx.training import events, pool
+from humanoid_mjx.training import chunks, events, pool
 
 AXES = {"learner.epsilon": [0.1, 0.5, 0.9], "learner.learning_rate": [0.2, 0.4]}
 CONFIG = small_sweep.CONFIG | {"sweep": {"axes": AXES}, "episodes": 40, "record": 8}
@@ -61,7 +61,7 @@ MEASURES = ("return", "steps", "success", "greedy_return", "greedy_steps", "gree
 
 @pytest.mark.parametrize("size", [4, 64])
 def test_events_are_the_means_of_the_table(tmp_path, monkeypatch, size):
-    monkeypatch.setattr(events, "LOOK_EVERY_S", 0.0)
+    monkeypatch.setattr(chunks, "CURVES_EVERY_S", 0.0)
     monkeypatch.setattr(pool, "MAX_STEPS", 64)
     looks = []
     take = events.EventFiles._take
@@ -90,7 +90,7 @@ def test_many_points_and_a_resumed_sweep(tmp_path, monkeypatch):
 
 
 def test_learners_that_are_evaluated_along_the_way(tmp_path, monkeypatch):
-    monkeypatch.setattr(events, "LOOK_EVERY_S", 0.0)
+    monkeypatch.setattr(chunks, "CURVES_EVERY_S", 0.0)
     learner = {"name": "linear_q", "envs": 8, "rollout": 4, "evaluations": 2, "evaluation_envs": 4}
     config = {"name": "along", "task": CONFIG["task"], "learner": learner, "seeds": 2, "total_steps": 640, "record": 4}
     run = sweep(config, tmp_path / "run", tensorboard=True)

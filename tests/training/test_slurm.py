@@ -1,19 +1,22 @@
-"""Sweeps in the hands of Slurm, by submitit's local mode: the same code, with processes of this machine as tasks."""
+"""Sweeps in the hands of Slurm, by submitit's local mode: the same code, with processes of this machine as jobs."""
 
 import os
-import signal
 import sys
-import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from small_sweep import CONFIG, LONG, assert_same_tables, write_config
 
-from humanoid_mjx import InputError, sweep
-from humanoid_mjx.cli import main
-from humanoid_mjx.commands.slurm import submit_sweep
-from humanoid_mjx.runs.folder import parts
+from humanoid_mjx import InputError, compute, sweep
+from humanoid_mjx.commands.slurm import Job, Others, submit_sweep
+from humanoid_mjx.config import parse
+from humanoid_mjx.runs.folder import RunFolder, parts, pools, read_arrays
 from humanoid_mjx.runs.listing import look_at
+from humanoid_mjx.training import chunks, pool
+from humanoid_mjx.training.plan import make_plan, resolved
+from humanoid_mjx.training.session import Session
+from humanoid_mjx.training.sweep import Run, train_chunks
 
 try:
     # Before any test: it closes all handlers of logs, and that of absl then closes what pytest captures them with.
@@ -21,35 +24,76 @@ try:
 except ImportError:
     submitit = None
 
-LOCAL = ["--slurm", "cluster=local", "--slurm", "tasks_per_node=2"]
+ARRAY = CONFIG | LONG | {"seeds": 6, "chunk": 6}
 
 
-def children(pid):
-    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    return sweep(ARRAY, tmp_path_factory.mktemp("whole") / "run").path
 
 
 @pytest.mark.skipif(submitit is None, reason="needs submitit")
-def test_a_job_that_slurm_interrupts_begins_anew_and_completes_its_run_folder(tmp_path, monkeypatch, capfd):
-    config = CONFIG | LONG | {"seeds": 6}
-    whole = sweep(config, tmp_path / "whole")
-    monkeypatch.chdir(tmp_path)
+def test_an_array_trains_the_bits_of_this_process(whole, tmp_path, monkeypatch, said):
     monkeypatch.setenv("JAX_NUM_CPU_DEVICES", "1")
-    monkeypatch.setattr(sys, "argv", ["humanoid-mjx", "sweep", write_config(tmp_path, **config), *LOCAL])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    run, said = Path("runs/small"), capfd.readouterr().out
-    assert ended.value.code == 0 and f"completes {run} and prints into {run / 'slurm'}" in said
-    job = int(said.split()[1])
-    until = time.monotonic() + 1200
-    while not parts(run):
-        assert time.monotonic() < until, [path.read_text() for path in run.glob("slurm/*log*")]
-        time.sleep(0.02)
-    os.kill(children(job)[0], signal.SIGUSR2)  # as Slurm does some time before its limit
-    os.waitpid(job, 0)
-    logs = "".join(path.read_text() for path in run.glob("slurm/*.out"))
-    assert "Calling checkpoint method" in logs and logs.count("Job completed successfully") == 2, logs
-    assert_same_tables(run, whole.path)
-    assert look_at(run).state == "finished"
+    monkeypatch.chdir(tmp_path)
+    options = [word for option in ("cluster=local", "jobs=2") for word in ("--slurm", option)]
+    code, out, err = said("sweep", write_config(tmp_path, **ARRAY), *options)
+    run = Path("runs/small")
+    assert code == 0 and out.startswith("2 jobs (") and f"what they print is in {run / 'slurm'}" in out, err
+    for pickle in run.glob("slurm/*_submitted.pkl"):
+        os.waitpid(int(pickle.name.partition("_")[0]), 0)
+    logs = "".join(path.read_text() for path in run.glob("slurm/*log*"))
+    assert logs.count("Job completed successfully") == 3, logs
+    assert_same_tables(run, whole)
+    assert look_at(run).state == "finished" and (run / "figures").is_dir()
+
+
+@pytest.mark.skipif(submitit is None, reason="needs submitit")
+def test_a_job_that_slurm_interrupts_stores_its_state_and_goes_on_from_it(whole, tmp_path, monkeypatch):
+    """Slurm's signal comes as a SystemExit, here with the first state that is stored."""
+    run, plan = tmp_path / "run", make_plan(parse(ARRAY))
+    RunFolder.create(run, resolved(plan.config)).close()
+    take = Session.take
+
+    def interrupted(self, event):
+        take(self, event)
+        if isinstance(event, chunks.State) and event.arrays["progress"].any():
+            raise SystemExit
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Session, "take", interrupted)
+        patch.setattr(chunks, "CHECKPOINT_EVERY_S", 0.0)
+        patch.setattr(pool, "MAX_STEPS", 8)
+        with pytest.raises(SystemExit):
+            train_chunks(run, range(3))
+    (stored,) = pools(run)
+    assert 0 < np.mean(read_arrays(stored)["progress"]) < 1 and not parts(run)
+    again = Job(run, (0, 1, 2)).checkpoint()
+    assert again.function == Job(run, (0, 1, 2))
+    monkeypatch.setattr(compute, "start", lambda **_: None)
+    restore, restored = pool.Pool.restore, []
+    monkeypatch.setattr(
+        pool.Pool, "restore", lambda self, *given: (restore(self, *given), restored.append(self.progress))
+    )
+    again.function()
+    assert restored[0].any()
+    train_chunks(run, [3, 4, 5])
+    assert_same_tables(sweep(ARRAY, run, resume=True, engine=Others).path, whole)
+
+
+def test_jobs_share_a_run_folder_and_the_last_one_says_what_is_missing(whole, tmp_path):
+    run, plan = tmp_path / "run", make_plan(parse(ARRAY))
+    RunFolder.create(run, resolved(plan.config)).close()
+    other = RunFolder.resume(run, resolved(plan.config), shared=True)
+    train_chunks(run, [0, 2])
+    with pytest.raises(InputError, match="run: is in use by another process"):
+        sweep(ARRAY, run, resume=True)
+    other.close()
+    with pytest.raises(InputError, match=r"24 of 36 runs are not finished; the same command with resume=True"):
+        sweep(ARRAY, run, resume=True, engine=Others)
+    assert len(Run(run).summary["point"]) == 12
+    train_chunks(run, [1, 3, 4, 5])
+    assert_same_tables(sweep(ARRAY, run, resume=True, engine=Others).path, whole)
 
 
 @pytest.mark.skipif(submitit is None, reason="needs submitit")
@@ -61,6 +105,7 @@ def test_what_cannot_be_submitted_leaves_no_folder(tmp_path, monkeypatch):
         "nodes=3": "only one node",
         "nodes=1 nodes=2": "given twice",
         "nodes=two": "expected type",
+        "jobs=0": "jobs must be a whole number of at least 1, got 0",
     }.items():
         with pytest.raises(InputError, match=f"^--slurm.*{words}"):
             submit_sweep(config, None, [], False, False, ["cluster=local", *given.split()])

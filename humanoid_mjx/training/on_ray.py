@@ -1,0 +1,293 @@
+"""Chunks trained by the workers of a Ray cluster: those of this machine, or of many that come and go.
+
+A worker is an actor that has one GPU, or one CPU core where the cluster has no GPU. Results and states come to the
+driver through Ray's object store, so that workers need no access to the run folder.
+"""
+
+import importlib
+import logging
+import os
+import socket
+import time
+from collections import Counter, deque
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, suppress
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from humanoid_mjx import compute
+from humanoid_mjx.compute import kept
+from humanoid_mjx.config import parse
+from humanoid_mjx.spec import InputError
+from humanoid_mjx.training import chunks
+from humanoid_mjx.training.chunks import Arrays, Chunk, Desk, Ended, Event, Here, Note, Work, key_of
+from humanoid_mjx.training.cost import run_bytes
+from humanoid_mjx.training.plan import Plan, make_plan, resolved
+from humanoid_mjx.training.progress import counted
+from humanoid_mjx.user_code import in_words
+
+LOCAL = "local"
+"""The address that stands for a cluster of this machine, which ends with the sweep."""
+
+TRIES = 4
+"""How often a chunk is trained whose worker is lost."""
+
+LOOK_EVERY_S = 1.0
+"""Seconds between two messages of a worker about its progress."""
+
+STATE_BYTES_PER_S = 1 << 20
+"""The most that a worker sends of its state, so that hundreds do not flood the driver."""
+
+REACH_S = 5.0
+"""Seconds in which the address of a cluster must answer."""
+
+ALONE_S = 60.0
+"""Seconds without any worker after which a sentence says so."""
+
+SETTINGS = {
+    "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",  # a cluster of one machine, bound to 127.0.0.1
+    "RAY_USAGE_STATS_ENABLED": "0",
+    "RAY_worker_niceness": "0",  # 15 by default: workers would starve on a busy machine
+}
+"""Environment of a cluster of this machine."""
+
+
+class Refused(NamedTuple):
+    """A sentence on a chunk that cannot be trained, wherever it is tried."""
+
+    text: str
+
+
+class Given(NamedTuple):
+    """What a worker is told beside its chunk; to it the driver (`chunks.Stored`)."""
+
+    finished: set[int]
+    watched: np.ndarray | None
+    stored: list[tuple[str, Arrays]]
+    every_s: float
+    """Seconds between two states ..."""
+    look_s: float
+    """... and between two messages about the progress."""
+
+    def states(self, key: str) -> list[tuple[str, Arrays]]:
+        return self.stored
+
+
+class Worker:
+    """The process that trains, one chunk after another."""
+
+    def __init__(self, config: Mapping[str, Any]):
+        """Prepare to train chunks of a resolved config."""
+        with suppress(RuntimeError):  # jax computes already
+            jax.config.update("jax_num_cpu_devices", 1)
+            os.environ["JAX_NUM_CPU_DEVICES"] = "1"
+        self.config, self.plan, self.work = parse(dict(config)), None, None
+        self.engines: dict[int, Here] = {}
+        """By the group of runs."""
+        compute.start(mjx="mjx-jax" in self.config.physics)
+        self.keeping = ExitStack()
+        self.keeping.enter_context(kept.keeping())
+
+    def about(self) -> tuple[str, dict[str, str]]:
+        """Return the machine and process, and the versions of what computes."""
+        return f"{socket.gethostname()}:{os.getpid()}", compute.versions()
+
+    def train(self, chunk: Chunk, given: Given) -> Iterator[Event | Refused]:
+        """Yield what the training of a chunk gives."""
+        try:
+            self.plan = self.plan or make_plan(self.config)
+            if chunk.group not in self.engines:
+                self.engines[chunk.group] = Here(self.plan, groups=[chunk.group])
+            for work in self.engines[chunk.group].works([chunk], given, given.every_s):
+                self.work = work
+                yield from (event for event in work.events(given.look_s) if not isinstance(event, Note))
+        except InputError as error:
+            yield Refused(str(error))
+        except Exception as error:
+            yield Refused(f"{in_words(error)}.")
+
+    def stop(self) -> list[Event]:
+        """Stop the training under way; return what it has to give."""
+        return self.work.stop() if isinstance(self.work, Work) else []
+
+
+class OnRay:
+    """The engine that is a Ray cluster."""
+
+    def __init__(self, plan: Plan, address: str = LOCAL):
+        """Start a cluster of this machine, or connect to the one at HOST:PORT.
+
+        Raises:
+          InputError: ray is not installed, or the cluster cannot be reached.
+        """
+        self.plan, self.ray = plan, _ray(address)
+        _connect(self.ray, address)
+        self.config = resolved(plan.config)
+        self.resource = "GPU" if self.ray.cluster_resources().get("GPU") else "CPU"
+        self.at_once = [min(len(group.runs), plan.chunk * max(self._room(), 1)) for group in plan.groups]
+        options = {"num_gpus": 1} if self.resource == "GPU" else {"num_cpus": 1}
+        self.actor = self.ray.remote(max_concurrency=2, **options)(Worker)
+        self.starting: dict[Any, Any] = {}
+        """By the promise of its `about`: a worker that starts."""
+        self.idle: dict[Any, str] = {}
+        """Workers without a chunk, with their names."""
+        self.busy: dict[Any, tuple[Any, str, Chunk]] = {}
+        """By the stream of its events: a worker, its name and its chunk."""
+
+    def train(self, chosen: Sequence[Chunk], desk: Desk) -> None:
+        waiting = deque(chunk for chunk in chosen if not desk.finished.issuperset(chunk.runs))
+        tries: Counter[int] = Counter()
+        given_up: list[str] = []
+        sizes = f"{counted(len(waiting), 'chunk')} of up to {self.plan.chunk:,} runs"
+        desk.take(Note(f"{sizes} for {counted(self._room(), 'worker')} with a {self.resource} each"))
+        alone = time.monotonic()
+        try:
+            while waiting or self.busy:
+                self._enlist(len(waiting))
+                while waiting and self.idle:
+                    self._begin(waiting.popleft(), desk)
+                if self.idle or self.busy:
+                    alone = time.monotonic()
+                elif time.monotonic() - alone > ALONE_S:
+                    alone = time.monotonic()
+                    desk.take(Note(f"no worker has come for {ALONE_S:.0f} s; the sweep waits for one"))
+                promises = [*self.starting, *self.busy]
+                ready, _ = self.ray.wait(promises, num_returns=1, timeout=LOOK_EVERY_S) if promises else ([], [])
+                for promise in ready:
+                    if promise in self.starting:
+                        self._started(promise, desk)
+                    elif lost := self._hear(promise, desk):
+                        worker, chunk, why = lost
+                        tries[chunk.number] += 1
+                        if tries[chunk.number] < TRIES:
+                            waiting.appendleft(chunk)
+                            desk.take(Note(f"worker {worker} was lost ({why}); chunk {chunk.number} goes to another"))
+                        else:
+                            given_up.append(f"chunk {chunk.number}, at last {worker} ({why})")
+                if not promises:
+                    time.sleep(LOOK_EVERY_S)
+        except BaseException:
+            self._stop(desk)
+            raise
+        if given_up:
+            raise InputError(
+                f"{counted(len(given_up), 'chunk')} lost the worker {TRIES} times ({'; '.join(given_up)}); the others "
+                "are stored, and the same command with resume=True trains the rest."
+            )
+
+    def close(self) -> None:
+        self.ray.shutdown()
+
+    def _room(self) -> int:
+        """Return the number of workers that the cluster holds."""
+        return int(self.ray.cluster_resources().get(self.resource, 0))
+
+    def _enlist(self, wanted: int) -> None:
+        """Start workers while the cluster holds more, and chunks wait for them."""
+        there = len(self.starting) + len(self.idle) + len(self.busy)
+        for _ in range(min(self._room() - there, wanted - len(self.starting) - len(self.idle))):
+            worker = self.actor.remote(self.config)
+            self.starting[worker.about.remote()] = worker
+
+    def _started(self, promise: Any, desk: Desk) -> None:
+        worker = self.starting.pop(promise)
+        try:
+            name, versions = self.ray.get(promise)
+        except self.ray.exceptions.RayTaskError as error:
+            raise InputError(f"a worker cannot start: {in_words(error.cause)}.") from error
+        except self.ray.exceptions.RayError:
+            return  # its machine has left
+        mine = compute.versions()
+        if odd := [each for each in mine if versions.get(each) != mine[each]]:
+            there, here = versions.get(odd[0]), mine[odd[0]]
+            raise InputError(f"worker {name} has {odd[0]} {there} and this machine {here}; install the same there.")
+        self.idle[worker] = name
+        desk.machines.add(name.rpartition(":")[0])
+        desk.take(Note(f"worker {name} trains"))
+
+    def _begin(self, chunk: Chunk, desk: Desk) -> None:
+        """Hand a chunk to an idle worker, with the rows of stored states that are its own."""
+        worker, name = self.idle.popitem()
+        runs, stored = np.array(chunk.runs), []
+        for where, arrays in desk.states(key_of([chunk])):
+            rows = np.isin(arrays["slots"], runs) if "slots" in arrays else np.ones(1, bool)
+            if rows.any():
+                stored.append((where, {key: array[rows] if array.ndim else array for key, array in arrays.items()}))
+        size = run_bytes(self.plan.groups[chunk.group]) * len(chunk.runs)
+        every_s = max(chunks.CHECKPOINT_EVERY_S, size / STATE_BYTES_PER_S)
+        given = Given(desk.finished & set(chunk.runs), desk.watched, stored, every_s, LOOK_EVERY_S)
+        stream = worker.train.options(num_returns="streaming").remote(chunk, given)
+        self.busy[stream] = worker, name, chunk
+
+    def _hear(self, stream: Any, desk: Desk) -> tuple[str, Chunk, str] | None:
+        """Take the next event of a stream. Return worker, chunk and reason where the worker is lost.
+
+        Raises:
+          InputError: the chunk cannot be trained.
+        """
+        worker, name, chunk = self.busy[stream]
+        try:
+            event = self.ray.get(next(stream))
+        except StopIteration:
+            del self.busy[stream]
+            self.idle[worker] = name
+        except self.ray.exceptions.RayError as error:
+            del self.busy[stream]
+            desk.take(Ended(key_of([chunk]), 0.0))
+            return name, chunk, type(error).__name__
+        else:
+            if isinstance(event, Refused):
+                raise InputError(f"chunk {chunk.number}, worker {name}: {event.text}")
+            desk.take(event)
+        return None
+
+    def _stop(self, desk: Desk) -> None:
+        """Stop all workers and store what they have."""
+        promises = [worker.stop.remote() for worker, _, _ in self.busy.values()]
+        ready, _ = self.ray.wait(promises, num_returns=len(promises), timeout=chunks.LEAVE_AFTER_S + LOOK_EVERY_S)
+        for promise in ready:
+            with suppress(self.ray.exceptions.RayError):
+                for event in self.ray.get(promise):
+                    desk.take(event)
+        for stream in [*self.busy]:  # what was sent before
+            with suppress(InputError):
+                while stream in self.busy and self.ray.wait([stream], timeout=0)[0]:
+                    self._hear(stream, desk)
+
+
+def _connect(ray: Any, address: str) -> None:
+    options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR, "configure_logging": False}
+    if address == LOCAL:
+        options |= {"num_cpus": compute.cores(), "include_dashboard": False}
+    elif address != "auto":
+        host, _, port = address.rpartition(":")
+        try:
+            socket.create_connection((host, int(port)), REACH_S).close()
+        except (OSError, ValueError, OverflowError) as error:
+            raise InputError(
+                f"--ray {address}: no cluster answers there ({error}); write HOST:PORT as ray start prints it, or "
+                "leave the address out for a cluster of this machine."
+            ) from error
+    try:
+        ray.init(**{"address": address} | options)
+    except Exception as error:  # ray raises a dozen kinds, of many lines
+        raise InputError(f"--ray {address}: {' '.join(str(error).split())[:300]}") from error
+
+
+def _ray(address: str) -> Any:
+    """Return the package ray, which reads its settings when it is imported.
+
+    Raises:
+      InputError: it is not installed.
+    """
+    for name, value in SETTINGS.items() if address == LOCAL else ():
+        os.environ.setdefault(name, value)
+    try:
+        ray = importlib.import_module("ray")
+    except ImportError as error:
+        raise InputError("--ray needs the package ray; pip install 'humanoid-mjx[ray]' brings it.") from error
+    with suppress(AttributeError):  # it prints a paragraph on each worker that is lost
+        ray._private.worker.print_to_stdstream = lambda *_, **__: None
+    return ray

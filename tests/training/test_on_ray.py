@@ -1,0 +1,157 @@
+"""Sweeps on a Ray cluster of this machine: the bits of this process, whatever happens to workers and driver."""
+
+import json
+import os
+import re
+import signal
+import sys
+from functools import partial
+from types import SimpleNamespace
+
+import pytest
+from small_sweep import CONFIG, LONG, assert_same_tables, write_config
+
+from humanoid_mjx import InputError, sweep
+from humanoid_mjx.training import on_ray
+from humanoid_mjx.training.on_ray import OnRay
+from humanoid_mjx.training.progress import Reporter
+from humanoid_mjx.training.sweep import Run
+
+SMALL = CONFIG | {"chunk": 4}
+UNEVEN = CONFIG | LONG | {"seeds": 6, "chunk": 6}
+
+FALLS = """
+import sys
+from humanoid_mjx.tasks.joint_reach import JointReach
+
+class Falls(JointReach):
+    def step(self, *given):
+        if "default_worker" in sys.argv[0]:
+            raise ValueError("this task falls")
+        return super().step(*given)
+"""
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    """The address of a cluster of two workers, bound to loopback."""
+    os.environ.update(on_ray.SETTINGS)
+    utils = pytest.importorskip("ray.cluster_utils")
+    node = {"num_cpus": 2, "include_dashboard": False, "object_store_memory": 100 << 20}
+    cluster = utils.Cluster(initialize_head=True, head_node_args=node)
+    yield cluster.address
+    cluster.shutdown()
+
+
+class Hears(Reporter):
+    """Keeps what it is told, kills the first workers that begin, and acts when runs train."""
+
+    def __init__(self, kills=0, act=lambda: None):
+        self.notes, self.kills, self.act = [], kills, act
+
+    def note(self, text):
+        self.notes.append(text)
+        if text.endswith(" trains") and self.kills:
+            self.kills -= 1
+            os.kill(int(text.split()[1].rpartition(":")[2]), signal.SIGKILL)
+
+    def update(self, state):
+        self.act()
+
+    @property
+    def lost(self):
+        return [note for note in self.notes if "was lost" in note]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    return sweep(UNEVEN, tmp_path_factory.mktemp("whole") / "run").path
+
+
+def test_workers_train_the_bits_of_this_process(cluster, tmp_path):
+    heard = Hears()
+    here = sweep(SMALL, tmp_path / "here")
+    there = sweep(SMALL, tmp_path / "there", engine=partial(OnRay, address=cluster), reporter=heard, tensorboard=True)
+    assert_same_tables(there.path, here.path)
+    assert heard.notes[0] == "5 chunks of up to 4 runs for 2 workers with a CPU each"
+    assert len(json.loads((there.path / "provenance.json").read_text())["machines"]) == 1
+    assert len(list((there.path / "tensorboard").iterdir())) == 6
+
+
+def test_a_chunk_whose_worker_is_killed_goes_to_another_one(cluster, whole, tmp_path):
+    heard = Hears(kills=3)
+    run = sweep(UNEVEN, tmp_path / "run", engine=partial(OnRay, address=cluster), reporter=heard)
+    assert len(heard.lost) == 3 and re.search(
+        r"^worker .*:\d+ was lost \(\w+\); chunk \d goes to another$", heard.lost[0]
+    )
+    assert_same_tables(run.path, whole)
+
+
+def test_a_chunk_that_loses_every_worker_is_given_up(cluster, whole, tmp_path, monkeypatch):
+    monkeypatch.setattr(on_ray, "TRIES", 1)
+    words = r"1 chunk lost the worker 1 times \(chunk \d+, at last .*:\d+ \(\w+\)\); the others are stored"
+    with pytest.raises(InputError, match=words):
+        sweep(UNEVEN, tmp_path / "run", engine=partial(OnRay, address=cluster), reporter=Hears(kills=1))
+    assert len(Run(tmp_path / "run").summary["point"]) == 30
+    assert_same_tables(sweep(UNEVEN, tmp_path / "run", resume=True).path, whole)
+
+
+def test_a_driver_that_stops_stores_what_workers_have_and_this_process_goes_on(cluster, whole, tmp_path, monkeypatch):
+    monkeypatch.setattr(on_ray, "LOOK_EVERY_S", 0.05)
+
+    def stop():
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        sweep(UNEVEN, tmp_path / "run", engine=partial(OnRay, address=cluster), reporter=Hears(act=stop))
+    assert list(tmp_path.glob("run/checkpoint/pool-*.npz"))
+    assert_same_tables(sweep(UNEVEN, tmp_path / "run", resume=True).path, whole)
+    assert not list(tmp_path.glob("run/checkpoint/pool-*.npz"))
+
+
+def test_a_task_that_raises_is_not_tried_again(cluster, tmp_path):
+    (tmp_path / "falling.py").write_text(FALLS)
+    task = {"task": CONFIG["task"] | {"name": "falling:Falls"}, "modules": str(tmp_path)}
+    heard = Hears()
+    with pytest.raises(
+        InputError, match=r"^chunk \d, worker .*: ValueError: this task falls \(falling.py, line 8.*\)\.$"
+    ):
+        sweep(SMALL | task, tmp_path / "run", engine=partial(OnRay, address=cluster), reporter=heard)
+    assert not heard.lost
+
+
+def test_what_cannot_be_reached_is_said_in_a_sentence(tmp_path, monkeypatch):
+    with pytest.raises(InputError, match=r"^--ray 127.0.0.1:1: no cluster answers there .*write HOST:PORT"):
+        sweep(SMALL, tmp_path / "run", engine=partial(OnRay, address="127.0.0.1:1"))
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(
+        InputError, match=r"^--ray needs the package ray; pip install 'humanoid-mjx\[ray\]' brings it.$"
+    ):
+        sweep(SMALL, tmp_path / "run", engine=OnRay)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_worker_of_another_version_is_refused(monkeypatch):
+    engine = SimpleNamespace(
+        starting={"promise": "worker"}, ray=SimpleNamespace(get=lambda _: ("there:1", {"jax": "1"}))
+    )
+    monkeypatch.setattr(on_ray.compute, "versions", lambda: {"jax": "2"})
+    engine.ray.exceptions = SimpleNamespace(RayTaskError=ValueError, RayError=ValueError)
+    with pytest.raises(InputError, match="worker there:1 has jax 1 and this machine 2; install the same there"):
+        OnRay._started(
+            engine, "promise", SimpleNamespace(finished=set(), watched=None, machines=set(), states=0, take=0)
+        )
+
+
+@pytest.mark.parametrize(
+    ("words", "address"),
+    [
+        (["--ray"], "local"),
+        (["--ray", "--view"], "local"),
+        (["--ray", "there:1"], "there:1"),
+        (["--ray", "auto"], "auto"),
+    ],
+)
+def test_the_address_may_be_left_out(said, tmp_path, monkeypatch, words, address):
+    monkeypatch.setattr("humanoid_mjx.commands.sweep.run_sweep", lambda *given: print("ray", given[-1]))
+    assert said("sweep", write_config(tmp_path), *words)[1] == f"ray {address}\n"
