@@ -202,6 +202,23 @@ def faults() -> str:
     return table("fault | tried on | tries | what happened", rows)
 
 
+def clusters() -> str:
+    """Return how long a large sweep takes by simulation, and what it moves."""
+    rows = []
+    for row in record("scheduler")["rows"]:
+        alike, uneven, taken = row["alike"], row["uneven"], row["taken"]
+        rows.append((
+            f"{row['gpus']}",
+            f"{alike['makespan_s'] / 3600:,.2f} h",
+            f"{alike['idle_share']:.1%}",
+            f"{uneven['makespan_s'] / 3600:,.2f} h, {uneven['ideal_s'] / uneven['makespan_s']:.1%}",
+            f"{taken['makespan_s'] / 3600:,.2f} h, {taken['taken']}, {taken['repeated_s'] / 3600:.2f} h",
+            f"{row['result_bytes_per_s'] / 1e6:,.1f} MB/s",
+        ))  # fmt: skip
+    head = "GPUs | all alike | of that idle | speeds differ: time, share of the ideal"
+    return table(f"{head} | taken away, too: time, how often, GPU time repeated | results to the driver", rows)
+
+
 def other_robots() -> str:
     """Return which robots of others the tree takes, and by how much it differs from native MuJoCo."""
     rows = []
@@ -452,6 +469,7 @@ TABLES = {
         learners,
         other_physics,
         faults,
+        clusters,
         ranges,
         verdicts,
         parity,
@@ -465,6 +483,10 @@ TABLES = {
         faster_than_mjx,
     )
 } | {
+    "cluster_hours": lambda: rounded(record("scheduler")["rows"][0]["gpu_hours"]),
+    "cluster_results": lambda: rounded(record("scheduler")["rows"][0]["results_bytes"] / 1e9),
+    "cluster_start": lambda: rounded(record("scheduler")["start_s"]),
+    "cluster_chunk": lambda: rounded(record("scheduler")["rows"][0]["chunk_s"]),
     "exactness": lambda: f"{max(r[k] for r in record('own_robots')['rows'] for k in ('acceleration', 'velocity')):.1e}",
     "one_task": lambda: sweeps(ONE_TASK),
     "rates": lambda: sweeps(RATES),

@@ -205,6 +205,12 @@ INTERRUPTED = 130
 """The exit code after Ctrl-C, by the convention of shells."""
 
 
+def spelled(words: list[str]) -> list[str]:
+    """Return the words of a command, with the address of a `--ray` that has none, which typer cannot leave out."""
+    given = [":" in after or after == "auto" for after in [*words[1:], ""]]
+    return ["--ray=local" if word == "--ray" and not has else word for word, has in zip(words, given, strict=True)]
+
+
 def main() -> None:
     """Run the command line. Wrong input and failures of files, disks and memory end with one sentence and exit code
     2."""
@@ -214,9 +220,7 @@ def main() -> None:
     os.environ.pop("MUJOCO_GL", None)  # OpenGL is not used, and an unusable value stops MuJoCo's import
     if not all(word.strip() for word in sys.argv[1:]):
         _end("a word of the command is empty; write a name there, or leave it out.")
-    for place, word in enumerate(sys.argv, 1):  # the value may be left out, which typer does not know
-        if word == "--ray" and (place == len(sys.argv) or ":" not in sys.argv[place] != "auto"):
-            sys.argv[place - 1] = "--ray=local"
+    sys.argv[1:] = spelled(sys.argv[1:])
     try:
         sys.exit(app(standalone_mode=False) or 0)
     except UsageError as error:

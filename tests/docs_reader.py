@@ -17,12 +17,13 @@ from typing import NamedTuple
 
 import typer
 
-from humanoid_mjx.cli import app
+from humanoid_mjx.cli import app, spelled
 from humanoid_mjx.files import names
 
 ROOT = Path(__file__).parent.parent
 SHELL = {"bash", "sh"}
-OTHER_COMMANDS = {"python3", "python", "source", "pip", "pytest", "ruff", "pyright", "pre-commit", "srun"}
+OTHER_COMMANDS = {"python3", "python", "source", "pip", "pytest", "ruff", "pyright", "pre-commit"}
+OTHER_COMMANDS |= {"kubectl", "ray", "sbatch", "sky"}
 
 
 class Block(NamedTuple):
@@ -71,7 +72,7 @@ class Reader:
         elif arguments[0].startswith("-"):
             self.group.make_context(program, arguments)
         else:
-            name, *rest = arguments
+            name, *rest = spelled(arguments)
             assert name in self.group.commands, f"{name}: no such command"
             try:
                 context = self.group.commands[name].make_context(name, rest)

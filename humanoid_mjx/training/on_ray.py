@@ -12,6 +12,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
@@ -22,7 +23,7 @@ from humanoid_mjx.compute import kept
 from humanoid_mjx.config import parse
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training import chunks
-from humanoid_mjx.training.chunks import Arrays, Chunk, Desk, Ended, Event, Here, Note, Work, key_of
+from humanoid_mjx.training.chunks import Arrays, Chunk, Desk, Event, Here, Note, UnderWay, Work, key_of
 from humanoid_mjx.training.cost import run_bytes
 from humanoid_mjx.training.plan import Plan, make_plan, resolved
 from humanoid_mjx.training.progress import counted
@@ -60,7 +61,8 @@ class Refused(NamedTuple):
     text: str
 
 
-class Given(NamedTuple):
+@dataclass
+class Given:
     """What a worker is told beside its chunk; to it the driver (`chunks.Stored`)."""
 
     finished: set[int]
@@ -78,8 +80,9 @@ class Given(NamedTuple):
 class Worker:
     """The process that trains, one chunk after another."""
 
-    def __init__(self, config: Mapping[str, Any]):
-        """Prepare to train chunks of a resolved config."""
+    def __init__(self, config: Mapping[str, Any], platforms: str | None):
+        """Prepare to train chunks of a resolved config on some of jax's platforms."""
+        jax.config.update("jax_platforms", platforms)
         with suppress(RuntimeError):  # jax computes already
             jax.config.update("jax_num_cpu_devices", 1)
             os.environ["JAX_NUM_CPU_DEVICES"] = "1"
@@ -102,7 +105,9 @@ class Worker:
                 self.engines[chunk.group] = Here(self.plan, groups=[chunk.group])
             for work in self.engines[chunk.group].works([chunk], given, given.every_s):
                 self.work = work
-                yield from (event for event in work.events(given.look_s) if not isinstance(event, Note))
+                events = work.events(given.look_s)
+                next(events)  # a note on how many train side by side
+                yield from events
         except InputError as error:
             yield Refused(str(error))
         except Exception as error:
@@ -188,7 +193,7 @@ class OnRay:
         """Start workers while the cluster holds more, and chunks wait for them."""
         there = len(self.starting) + len(self.idle) + len(self.busy)
         for _ in range(min(self._room() - there, wanted - len(self.starting) - len(self.idle))):
-            worker = self.actor.remote(self.config)
+            worker = self.actor.remote(self.config, "cpu" if self.resource == "CPU" else None)
             self.starting[worker.about.remote()] = worker
 
     def _started(self, promise: Any, desk: Desk) -> None:
@@ -235,7 +240,8 @@ class OnRay:
             self.idle[worker] = name
         except self.ray.exceptions.RayError as error:
             del self.busy[stream]
-            desk.take(Ended(key_of([chunk]), 0.0))
+            nothing = np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 3))
+            desk.take(UnderWay(key_of([chunk]), chunk.group, "starting", *nothing))
             return name, chunk, type(error).__name__
         else:
             if isinstance(event, Refused):

@@ -57,14 +57,14 @@ class Session:
         if self.finished and not 0 <= min(self.finished) <= max(self.finished) < plan.num_runs:
             raise InputError(f"{folder.path / 'checkpoint'}: what it holds does not fit this training.")
         waiting = {run for chunk in self.chosen for run in chunk.runs} - self.finished
-        self.interrupted = []
+        self.interrupted: list[tuple[str, Arrays]] = []
+        """The runs that an earlier session, perhaps of another engine, had under way, by their file."""
         for path in pools(folder.path):
             try:
                 self.interrupted.append((str(path), _only(waiting, read_arrays(path, digest=folder.digest))))
             except InputError:
                 if path.exists():  # else of another job of an array, which is done
                     raise
-        """The runs that an earlier session, perhaps of another engine, had under way."""
         self.under_way: dict[str, UnderWay] = {}
         self.stored: set[str] = set()
         """Keys of the states that this session has stored."""
@@ -134,6 +134,7 @@ class Session:
                 self.under_way.pop(event.key, None)
                 self.compile_s += event.compile_s
                 self.tables_are_old = True
+                self.stored.discard(event.key)
                 (self.folder.path / pool_name(event.key)).unlink(missing_ok=True)
 
     def _store(self, event: Finished) -> None:

@@ -25,17 +25,17 @@ def test_the_page_grows_and_ends_as_the_report(tmp_path, monkeypatch):
     monkeypatch.setattr(chunks, "CURVES_EVERY_S", 0.0)
     monkeypatch.setattr(pool, "MAX_STEPS", 64)
     growing, known, pages = Growing(Reporter(), browse=False), [], []
-    look = Curves.look
+    grow = Curves.grow
 
-    def looked(self, pool):
-        look(self, pool)
+    def grows(self, *given):
+        grow(self, *given)
         if results := results_so_far(self):
             known.append(np.isfinite(results["steps"]).mean())
             if len(known) == 3:
                 growing.write()
                 pages.append(growing.file.read_text())
 
-    monkeypatch.setattr(Curves, "look", looked)
+    monkeypatch.setattr(Curves, "grow", grows)
 
     def watched(*args):
         found = growing.watch(*args)

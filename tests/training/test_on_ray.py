@@ -12,9 +12,10 @@ import pytest
 from small_sweep import CONFIG, LONG, assert_same_tables, write_config
 
 from humanoid_mjx import InputError, sweep
-from humanoid_mjx.training import on_ray
+from humanoid_mjx.training import chunks, on_ray
 from humanoid_mjx.training.on_ray import OnRay
 from humanoid_mjx.training.progress import Reporter
+from humanoid_mjx.training.session import Session
 from humanoid_mjx.training.sweep import Run
 
 SMALL = CONFIG | {"chunk": 4}
@@ -59,6 +60,10 @@ class Hears(Reporter):
         self.act()
 
     @property
+    def workers(self):
+        return [int(note.split()[1].rpartition(":")[2]) for note in self.notes if note.endswith(" trains")]
+
+    @property
     def lost(self):
         return [note for note in self.notes if "was lost" in note]
 
@@ -84,6 +89,25 @@ def test_a_chunk_whose_worker_is_killed_goes_to_another_one(cluster, whole, tmp_
     assert len(heard.lost) == 3 and re.search(
         r"^worker .*:\d+ was lost \(\w+\); chunk \d goes to another$", heard.lost[0]
     )
+    assert_same_tables(run.path, whole)
+
+
+def test_a_lost_chunk_goes_on_from_its_state(cluster, whole, tmp_path, monkeypatch):
+    heard, killed, began, take = Hears(), set(), [], Session.take
+
+    def kill(self, event):
+        take(self, event)
+        if isinstance(event, chunks.State) and event.arrays["progress"].mean() > 0.01 and not killed:
+            killed.update(heard.workers)
+            for worker in killed:
+                os.kill(worker, signal.SIGKILL)
+        elif isinstance(event, chunks.State) and heard.lost:
+            began.append(event.arrays["progress"].max())
+
+    monkeypatch.setattr(chunks, "CHECKPOINT_EVERY_S", 0.0)
+    monkeypatch.setattr(Session, "take", kill)
+    run = sweep(UNEVEN, tmp_path / "run", engine=partial(OnRay, address=cluster), reporter=heard)
+    assert heard.lost and began[0] > 0
     assert_same_tables(run.path, whole)
 
 
