@@ -155,7 +155,7 @@ def main() -> None:
             while len(sweep.workers) < 2:
                 time.sleep(0.1)
             time.sleep(2.0)
-            ray.remove_node(ray.worker_nodes[0], allow_graceful=False)
+            ray.remove_node(next(iter(ray.worker_nodes)), allow_graceful=False)
             ray.add_node(num_cpus=1, object_store_memory=200 << 20)
             case("a node leaves, another joins", sweep.end(whole) | {"workers": len(sweep.workers)})
         with cluster(2) as ray:

@@ -152,12 +152,12 @@ def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
     """A config in full, and what its sweep will take; where `timed` also how long."""
     from humanoid_mjx.robot.differences import HEADINGS, differences_of
     from humanoid_mjx.training.cost import disk_bytes, run_bytes, runs_at_once, slots, training_bytes
-    from humanoid_mjx.training.plan import make_plan, resolved
+    from humanoid_mjx.training.plan import make_plan
     from humanoid_mjx.training.programs import why_no_kernel
     from humanoid_mjx.training.warm_start import earlier_policies
 
     plan = make_plan(load(config, overrides))
-    console.print(dump_yaml(resolved(plan.config)).rstrip())
+    console.print(dump_yaml(plan.resolved()).rstrip())
     _print_rows("", [HEADINGS, *dict.fromkeys(row for own in plan.learners for row in differences_of(own.task))])
     size = sum(run_bytes(group) * len(group.runs) for group in plan.groups)
     most = max(training_bytes(group) for group in plan.groups)
@@ -166,7 +166,7 @@ def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
     try:
         for group in plan.groups:
             earlier_policies(group)
-        together = [slots(group, runs_at_once(group)) for group in plan.groups]
+        together = [slots(group, runs_at_once(group, width=plan.width(group))) for group in plan.groups]
     except InputError as error:
         refusal = error
     console.print(
@@ -193,7 +193,7 @@ def _show_time(plan: "Plan") -> None:
 
     with Bar(console) as bar:
         bar.phase("compiling and training a piece of it")
-        found = estimate(plan, [runs_at_once(group) for group in plan.groups])
+        found = estimate(plan, [runs_at_once(group, width=plan.width(group)) for group in plan.groups])
     parts = {"compiling (less once it is cached)": found.compile_s, "training": found.train_s}
     parts |= {"evaluating": found.evaluate_s} if found.evaluate_s > 0 else {}
     words = ", ".join(f"{time_in_words(seconds)} of {part}" for part, seconds in parts.items())

@@ -21,7 +21,7 @@ from humanoid_mjx.runs.folder import RunFolder, fresh_path, latest_path
 from humanoid_mjx.runs.tables import finished_runs
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.chunks import Chunk, Desk, chunks
-from humanoid_mjx.training.plan import Plan, make_plan, resolved
+from humanoid_mjx.training.plan import Plan, make_plan
 from humanoid_mjx.training.progress import counted
 from humanoid_mjx.training.sweep import train_chunks
 
@@ -100,7 +100,7 @@ def submit_sweep(
     submitit, parameters = _submitit(), _parameters(given)
     plan = make_plan(load(config, overrides))
     place = Path(out or (latest_path if resume else fresh_path)(plan.config.name))
-    folder = (RunFolder.resume if resume else RunFolder.create)(place, resolved(plan.config))
+    folder = (RunFolder.resume if resume else RunFolder.create)(place, plan.resolved())
     try:
         jobs, last = _submit(submitit, parameters, plan, place, tensorboard)
     except Exception as error:  # submitit raises half a dozen kinds

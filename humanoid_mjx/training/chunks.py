@@ -271,7 +271,7 @@ class Work:
                         f"the memory does not suffice for one run, which is estimated to need {mib:,.0f} MiB; make the "
                         "task or the learner smaller."
                     ) from error
-                if self.group.width:
+                if self.plan.width(self.group):
                     raise InputError(
                         f"the memory does not suffice for {size} networks side by side, and with fewer they learn "
                         f"other bits; begin anew with --set chunk={size // 2}."
@@ -345,7 +345,7 @@ class Here:
         self.plan, self.pool_size = plan, pool_size
         compute.reserve_memory()
         chosen = {index: plan.groups[index] for index in (range(len(plan.groups)) if groups is None else groups)}
-        self.rooms = {index: runs_at_once(group, pool_size) for index, group in chosen.items()}
+        self.rooms = {index: runs_at_once(group, pool_size, plan.width(group)) for index, group in chosen.items()}
         self.policies = {index: earlier_policies(group) for index, group in chosen.items()}
         self.at_once = [slots(group, self.rooms[index]) for index, group in chosen.items()]
 
@@ -353,7 +353,7 @@ class Here:
         """Yield the trainings of some chunks, one after another; those of a group train side by side."""
         for index, room in self.rooms.items():
             group = self.plan.groups[index]
-            width = group.width and (self.pool_size or group.width)
+            width = (fixed := self.plan.width(group)) and (self.pool_size or fixed)
             mine = [run for chunk in chosen if chunk.group == index for run in chunk.runs]
             for runs in in_turn(group.learners, mine, room):
                 place = placement(group.learners, len(runs), room, width)

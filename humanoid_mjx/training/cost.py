@@ -19,11 +19,8 @@ from humanoid_mjx.compute import kept
 from humanoid_mjx.kernels.primitives import ELEMENTWISE
 from humanoid_mjx.runs.folder import disk_used
 from humanoid_mjx.spec import InputError
-from humanoid_mjx.training.plan import Group, Plan
+from humanoid_mjx.training.plan import CPU_CACHE_BYTES, Group, Plan
 from humanoid_mjx.training.program import SHOWN, advance
-
-CPU_CACHE_BYTES = 1 << 21
-"""Training state per core beyond which a step slows down (measured: about 1,000 agents of `joint_reach`)."""
 
 MEMORY_SHARE = 0.8
 """The share of a device's free memory, or of a machine's for all its CPU devices together, that training may take."""
@@ -35,7 +32,7 @@ KEPT_TWICE = 2
 """A checkpoint is written beside the one that it replaces."""
 
 
-def runs_at_once(group: Group, pool_size: int | None = None) -> int:
+def runs_at_once(group: Group, pool_size: int | None = None, width: int | None = None) -> int:
     """Return the number of a group's runs that this process trains at once: `pool_size` a device, or as many as its
     memory holds, on CPUs no more than caches serve well.
 
@@ -49,9 +46,9 @@ def runs_at_once(group: Group, pool_size: int | None = None) -> int:
     free = stats["bytes_limit"] - stats["bytes_in_use"] if "bytes_limit" in stats else compute.available_memory()
     per_run = training_bytes(group)
     fit = int(MEMORY_SHARE * free) // per_run
-    if group.width and 1 <= fit < group.width:
+    if width and 1 <= fit < width:
         raise InputError(
-            f"chunk: {group.width} networks side by side need about {group.width * per_run / 2**20:,.0f} MiB, more "
+            f"chunk: {width} networks side by side need about {width * per_run / 2**20:,.0f} MiB, more "
             f"than {MEMORY_SHARE:.0%} of the {free / 2**20:,.0f} MiB that are free; write --set chunk={fit}."
         )
     if fit < 1:
@@ -61,7 +58,7 @@ def runs_at_once(group: Group, pool_size: int | None = None) -> int:
         )
     if device.platform != "cpu":
         return fit * devices
-    return min(fit, devices * (group.width or max(1, CPU_CACHE_BYTES // run_bytes(group))))
+    return min(fit, devices * (width or max(1, CPU_CACHE_BYTES // run_bytes(group))))
 
 
 def slots(group: Group, room: int) -> int:
@@ -71,7 +68,7 @@ def slots(group: Group, room: int) -> int:
 
 def run_bytes(group: Group) -> int:
     """Bytes of training state that one run holds."""
-    return sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(group.one_run))
+    return group.bytes
 
 
 @lru_cache(maxsize=16)

@@ -25,7 +25,7 @@ from humanoid_mjx.spec import InputError
 from humanoid_mjx.training import chunks
 from humanoid_mjx.training.chunks import Arrays, Chunk, Desk, Event, Here, Note, UnderWay, Work, key_of
 from humanoid_mjx.training.cost import run_bytes
-from humanoid_mjx.training.plan import Plan, make_plan, resolved
+from humanoid_mjx.training.plan import Plan, make_plan
 from humanoid_mjx.training.progress import counted
 from humanoid_mjx.user_code import in_words
 
@@ -129,7 +129,7 @@ class OnRay:
         """
         self.plan, self.ray = plan, _ray(address)
         _connect(self.ray, address)
-        self.config = resolved(plan.config)
+        self.config = plan.resolved()
         self.resource = "GPU" if self.ray.cluster_resources().get("GPU") else "CPU"
         self.at_once = [min(len(group.runs), plan.chunk * max(self._room(), 1)) for group in plan.groups]
         options = {"num_gpus": 1} if self.resource == "GPU" else {"num_cpus": 1}

@@ -27,8 +27,8 @@ MAX_RUNS = 10_000_000
 TABLES = 160
 """Tables that a CPU core trains side by side at 50 million steps/s; 5 train at 3 million."""
 
-UPDATE_STEPS = 1 << 18
-"""Control steps in an update of the networks of a chunk: four networks of `walk`."""
+CPU_CACHE_BYTES = 1 << 21
+"""Training state per core beyond which a step slows down (measured: about 1,000 agents of `joint_reach`)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,15 +41,6 @@ class Group:
     """(num_points,) Numbers of the points in the plan."""
     seeds: int
     """Runs of each point."""
-    chunk: int = 1
-    """The most runs that a worker gets at once."""
-
-    @property
-    def width(self) -> int | None:
-        """Runs side by side on each device, where another number would change bits that are promised: those of
-        networks, on a CPU. None where memory and speed decide."""
-        fixed = jax.default_backend() == "cpu" and self.learners.program != "tabular"
-        return min(self.chunk, len(self.runs)) if fixed else None
 
     @property
     def runs(self) -> np.ndarray:
@@ -62,6 +53,11 @@ class Group:
         learner = self.one_learner
         key = jax.eval_shape(lambda: rng.key(0))
         return kept.remembered("run", kept.about(learner), lambda: jax.eval_shape(begin, learner, key))
+
+    @property
+    def bytes(self) -> int:
+        """Bytes of training state that one run holds."""
+        return sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(self.one_run))
 
     @property
     def one_learner(self) -> Learner:
@@ -102,13 +98,31 @@ class Plan:
         groups: list[Group] = []
         for indices in members.values():
             learners = jax.tree.map(lambda *values: _column(values), *(self.learners[i] for i in indices))
-            groups.append(Group(learners, np.array(indices, np.int64), self.config.seeds, self.chunk))
+            groups.append(Group(learners, np.array(indices, np.int64), self.config.seeds))
         return groups
 
     @cached_property
     def chunk(self) -> int:
-        """The most runs of a chunk."""
-        return chunk_of(self.config, build(self.config, {}))
+        """The most runs of a chunk: `config.chunk`, by default one that is wide enough to be fast.
+
+        Tables: `TABLES` or a 64th of the runs, whichever is more. Networks: as many as the cache of a CPU core holds,
+        and at most a quarter of the runs.
+        """
+        if self.config.chunk:
+            return self.config.chunk
+        if self.learners[0].program == "tabular":
+            return min(max(TABLES, -(-self.num_runs // 64)), self.num_runs)
+        return max(1, min(CPU_CACHE_BYTES // self.groups[0].bytes, -(-self.num_runs // 4)))
+
+    def width(self, group: Group) -> int | None:
+        """Return how many runs train side by side on each device, where another number would change bits that are
+        promised: those of networks, on a CPU. None where memory and speed decide."""
+        fixed = jax.default_backend() == "cpu" and group.learners.program != "tabular"
+        return min(self.chunk, len(group.runs)) if fixed else None
+
+    def resolved(self) -> dict[str, Any]:
+        """The config as plain values with defaults and `chunk` written out, as `config.yaml` of a run folder has it."""
+        return resolved(self.config) | {"chunk": self.chunk}
 
     @property
     def budget(self) -> int:
@@ -209,20 +223,6 @@ def build(config: Config, point: Mapping[str, Any]) -> Learner:
         return make_learner(name, task, record=config.record, **budget, **parts["learner"])
 
 
-def chunk_of(config: Config, learner: Learner) -> int:
-    """Return the most runs of a chunk of a sweep: `config.chunk`, by default one that is wide enough to be fast.
-
-    Tables: `TABLES` or a 64th of the runs, whichever is more. Networks: as many as take `UPDATE_STEPS` control steps in
-    an update together, and at most a quarter of the runs.
-    """
-    if config.chunk:
-        return config.chunk
-    runs = len(points_of(config)) * config.seeds
-    if learner.program == "tabular":
-        return min(max(TABLES, -(-runs // 64)), runs)
-    return max(1, min(UPDATE_STEPS // learner.update_steps, -(-runs // 4)))
-
-
 def set_dotted(parts: dict[str, Any], key: str, value: Any) -> None:
     """Set `parts["task"]["sensors"]["encoder_noise"]` by the key `task.sensors.encoder_noise`; nested dicts are copied.
 
@@ -239,13 +239,12 @@ def set_dotted(parts: dict[str, Any], key: str, value: Any) -> None:
 
 
 def resolved(config: Config) -> dict[str, Any]:
-    """The config as plain values with defaults written out: what `config.yaml` of a run folder holds.
+    """The config as plain values with defaults written out.
 
     A value that follows from others (the start and goal of a joint) stays out unless it was written.
     """
     learner = build(config, {})
-    chunk = {"chunk": chunk_of(config, learner)}
-    data = config.model_dump(mode="json", exclude_none=True) | {learner.unit: learner.budget} | chunk
+    data = config.model_dump(mode="json", exclude_none=True) | {learner.unit: learner.budget}
     for part, spec in (("task", learner.task), ("learner", learner)):
         written: dict[str, Any] = getattr(config, part)
         fields = type(spec).model_fields

@@ -17,7 +17,7 @@ from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.chunks import Engine, EngineOf, Here
 from humanoid_mjx.training.cost import check_disk
 from humanoid_mjx.training.events import Curves, EventFiles, event_writer
-from humanoid_mjx.training.plan import Plan, make_plan, resolved
+from humanoid_mjx.training.plan import Plan, make_plan
 from humanoid_mjx.training.progress import Reporter, reporting
 from humanoid_mjx.training.session import Session
 
@@ -141,7 +141,7 @@ def sweep(
     with closing(engine(plan) if engine else Here(plan, pool_size)) as trainer:
         place = Path(out or (latest_path if resume else fresh_path)(config.name))
         check_disk(place, plan, trainer.at_once)
-        with closing(_open(place, config, resume, given=out is not None)) as folder:
+        with closing(_open(place, plan, resume, given=out is not None)) as folder:
             _train(folder, plan, trainer, reporter or (Reporter() if quiet else None), tensorboard, watch)
     return Run(folder.path)
 
@@ -174,17 +174,17 @@ def train_chunks(run: Path, numbers: Sequence[int]) -> None:
     """
     plan = make_plan(Run(run).config)
     engine = Here(plan)
-    with closing(RunFolder.resume(run, resolved(plan.config), shared=True)) as folder:
+    with closing(RunFolder.resume(run, plan.resolved(), shared=True)) as folder:
         Session(folder, plan, Reporter(), numbers=numbers).train(engine)
 
 
-def _open(place: Path, config: Config, resume: bool, given: bool) -> RunFolder:
+def _open(place: Path, plan: Plan, resume: bool, given: bool) -> RunFolder:
     """The run folder of a sweep. Where no place was given and another sweep takes it meanwhile: the next free one."""
     while True:
         try:
-            return (RunFolder.resume if resume else RunFolder.create)(place, resolved(config))
+            return (RunFolder.resume if resume else RunFolder.create)(place, plan.resolved())
         except InputError:
-            after = place if given or resume else fresh_path(config.name)
+            after = place if given or resume else fresh_path(plan.config.name)
             if after == place:
                 raise
             place = after

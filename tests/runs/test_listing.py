@@ -18,7 +18,7 @@ from humanoid_mjx.config import parse
 from humanoid_mjx.runs.folder import RunFolder, fresh_path, latest_path
 from humanoid_mjx.runs.listing import list_runs
 from humanoid_mjx.training import pool
-from humanoid_mjx.training.plan import resolved
+from humanoid_mjx.training.plan import make_plan
 
 AXES = {"learner.epsilon": [0.1, 0.9], "learner.learning_rate": [0.2, 0.4]}
 CONFIG = small_sweep.CONFIG | {"sweep": {"axes": AXES}, "episodes": 40}
@@ -93,7 +93,7 @@ def test_a_run_that_a_process_holds_is_training(folder):
     (part,) = (folder / "small/checkpoint").glob("part-*.npz")
     part.unlink()
     assert only(folder).state == "interrupted"
-    held = RunFolder.resume(folder / "small", resolved(parse(CONFIG)))
+    held = RunFolder.resume(folder / "small", make_plan(parse(CONFIG)).resolved())
     assert only(folder).state == "training"
     held.close()
 

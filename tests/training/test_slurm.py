@@ -14,7 +14,7 @@ from humanoid_mjx.config import parse
 from humanoid_mjx.runs.folder import RunFolder, parts, pools, read_arrays
 from humanoid_mjx.runs.listing import look_at
 from humanoid_mjx.training import chunks, pool
-from humanoid_mjx.training.plan import make_plan, resolved
+from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.session import Session
 from humanoid_mjx.training.sweep import Run, train_chunks
 
@@ -52,7 +52,7 @@ def test_an_array_trains_the_bits_of_this_process(whole, tmp_path, monkeypatch, 
 def test_a_job_that_slurm_interrupts_stores_its_state_and_goes_on_from_it(whole, tmp_path, monkeypatch):
     """Slurm's signal comes as a SystemExit, here with the first state that is stored."""
     run, plan = tmp_path / "run", make_plan(parse(ARRAY))
-    RunFolder.create(run, resolved(plan.config)).close()
+    RunFolder.create(run, plan.resolved()).close()
     take = Session.take
 
     def interrupted(self, event):
@@ -83,8 +83,8 @@ def test_a_job_that_slurm_interrupts_stores_its_state_and_goes_on_from_it(whole,
 
 def test_jobs_share_a_run_folder_and_the_last_one_says_what_is_missing(whole, tmp_path):
     run, plan = tmp_path / "run", make_plan(parse(ARRAY))
-    RunFolder.create(run, resolved(plan.config)).close()
-    other = RunFolder.resume(run, resolved(plan.config), shared=True)
+    RunFolder.create(run, plan.resolved()).close()
+    other = RunFolder.resume(run, plan.resolved(), shared=True)
     train_chunks(run, [0, 2])
     with pytest.raises(InputError, match="run: is in use by another process"):
         sweep(ARRAY, run, resume=True)
