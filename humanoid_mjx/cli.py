@@ -207,8 +207,8 @@ INTERRUPTED = 130
 
 def spelled(words: list[str]) -> list[str]:
     """Return the words of a command, with the address of a `--ray` that has none, which typer cannot leave out."""
-    given = [":" in after or after == "auto" for after in [*words[1:], ""]]
-    return ["--ray=local" if word == "--ray" and not has else word for word, has in zip(words, given, strict=True)]
+    pairs = zip(words, [*words[1:], ""], strict=False)
+    return ["--ray=local" if word == "--ray" and ":" not in after != "auto" else word for word, after in pairs]
 
 
 def main() -> None:
