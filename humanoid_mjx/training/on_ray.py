@@ -252,15 +252,17 @@ class OnRay:
     def _stop(self, desk: Desk) -> None:
         """Stop all workers and store what they have."""
         promises = [worker.stop.remote() for worker, _, _ in self.busy.values()]
+        if not promises:
+            return
         ready, _ = self.ray.wait(promises, num_returns=len(promises), timeout=chunks.LEAVE_AFTER_S + LOOK_EVERY_S)
-        for promise in ready:
-            with suppress(self.ray.exceptions.RayError):
-                for event in self.ray.get(promise):
-                    desk.take(event)
         for stream in [*self.busy]:  # what was sent before
             with suppress(InputError):
                 while stream in self.busy and self.ray.wait([stream], timeout=0)[0]:
                     self._hear(stream, desk)
+        for promise in ready:
+            with suppress(self.ray.exceptions.RayError):
+                for event in self.ray.get(promise):
+                    desk.take(event)
 
 
 def _connect(ray: Any, address: str) -> None:

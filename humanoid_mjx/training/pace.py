@@ -73,8 +73,6 @@ class Pace:
         self.programs = programs
         self.done = 0.0
         """Runs that are done, parts of runs counted; it never falls."""
-        self.elsewhere = 0.0
-        """The mean pace of other processes, runs a second."""
         self.trained_s = self.compiled_s = self.evaluated_s = 0.0
         """Seconds of each kind of phase so far."""
         self._now = 0.0
@@ -179,7 +177,7 @@ class Pace:
     def rates(self, plan: Plan, folder: Path) -> dict[str, float]:
         """`steps_per_s` and `episodes_per_s`, by the length of all episodes of training in the tables of `folder`;
         neither where training was over at the first look, and no steps where lengths are not recorded."""
-        speed = (self.mean + self.elsewhere) * plan.budget
+        speed = self.mean * plan.budget
         if not speed:
             return {}
         # Where several episodes feed one table its episodes are counted once for all of them.

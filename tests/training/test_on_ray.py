@@ -6,12 +6,12 @@ import re
 import signal
 import sys
 from functools import partial
-from types import SimpleNamespace
 
 import pytest
 from small_sweep import CONFIG, LONG, assert_same_tables, write_config
 
 from humanoid_mjx import InputError, sweep
+from humanoid_mjx.runs.tables import finished_runs
 from humanoid_mjx.training import chunks, on_ray
 from humanoid_mjx.training.on_ray import OnRay
 from humanoid_mjx.training.progress import Reporter
@@ -155,16 +155,11 @@ def test_what_cannot_be_reached_is_said_in_a_sentence(tmp_path, monkeypatch):
     assert not (tmp_path / "run").exists()
 
 
-def test_a_worker_of_another_version_is_refused(monkeypatch):
-    engine = SimpleNamespace(
-        starting={"promise": "worker"}, ray=SimpleNamespace(get=lambda _: ("there:1", {"jax": "1"}))
-    )
-    monkeypatch.setattr(on_ray.compute, "versions", lambda: {"jax": "2"})
-    engine.ray.exceptions = SimpleNamespace(RayTaskError=ValueError, RayError=ValueError)
-    with pytest.raises(InputError, match="worker there:1 has jax 1 and this machine 2; install the same there"):
-        OnRay._started(
-            engine, "promise", SimpleNamespace(finished=set(), watched=None, machines=set(), states=0, take=0)
-        )
+def test_a_cluster_of_another_version_is_left_at_once(cluster, tmp_path, monkeypatch):
+    monkeypatch.setattr(on_ray.compute, "versions", lambda: {"jax": "1.0"})
+    with pytest.raises(InputError, match=r"^worker .*:\d+ has jax .* and this machine 1.0; install the same there\.$"):
+        sweep(SMALL, tmp_path / "run", engine=partial(OnRay, address=cluster))
+    assert not finished_runs(tmp_path / "run", ("point",))
 
 
 @pytest.mark.parametrize(
