@@ -517,7 +517,7 @@ def test_info_and_the_report_show_the_table_and_mujocos_warnings(tmp_path, monke
     ):
         assert words in " ".join(shown.get().split()), words
     for slow in ("run_bytes", "training_bytes", "disk_bytes", "runs_at_once", "slots"):
-        monkeypatch.setattr(cost, slow, lambda *_: 1)
+        monkeypatch.setattr(cost, slow, lambda *_, **__: 1)
     with console.capture() as shown:
         show_info("stand_cpu", (f"task.robot={name}",), False)
     assert "option timestep 0.002 0.004" in " ".join(shown.get().split())

@@ -93,15 +93,15 @@ def test_a_chunk_whose_worker_is_killed_goes_to_another_one(cluster, whole, tmp_
 
 
 def test_a_lost_chunk_goes_on_from_its_state(cluster, whole, tmp_path, monkeypatch):
-    heard, killed, began, take = Hears(), set(), [], Session.take
+    heard, lost, began, take = Hears(), [], [], Session.take
 
     def kill(self, event):
         take(self, event)
-        if isinstance(event, chunks.State) and event.arrays["progress"].mean() > 0.01 and not killed:
-            killed.update(heard.workers)
-            for worker in killed:
+        if isinstance(event, chunks.State) and event.arrays["progress"].mean() > 0.01 and not lost:
+            lost.append(event.key)
+            for worker in heard.workers:
                 os.kill(worker, signal.SIGKILL)
-        elif isinstance(event, chunks.State) and heard.lost:
+        elif isinstance(event, chunks.State) and heard.lost and event.key in lost:
             began.append(event.arrays["progress"].max())
 
     monkeypatch.setattr(chunks, "CHECKPOINT_EVERY_S", 0.0)
