@@ -205,11 +205,7 @@ class Work:
         self._thread = threading.Thread(target=self._run, daemon=True)
 
     def events(self, every_s: float = 0.1) -> Iterator[Event]:
-        """Train; yield what happens, and each `every_s` seconds the slots.
-
-        Raises:
-          what training raised.
-        """
+        """Train; yield what happens, and each `every_s` seconds the slots. Raise what training raises."""
         self._thread.start()
         due = time.monotonic() + every_s
         while True:
