@@ -12,7 +12,7 @@ from typing import Any, Literal, NamedTuple, TypeAlias
 import jax
 import numpy as np
 
-from humanoid_mjx.kernels.fallback import given_up
+from humanoid_mjx.kernels.fallback import none_for
 
 Arithmetic = Literal["scalars", "tree", "arrays"]
 """Arithmetic of a task: scalars of many worlds (finite tasks, the chain), the tree's scalars, or arrays (MJX)."""
@@ -120,7 +120,7 @@ def compiler_options(arithmetic: Arithmetic, program: Program = "simulation", ev
     options = {
         row.name: row.value for row in TABLE if row.backend in (None, backend) and (arithmetic, program) in row.programs
     }
-    if arithmetic == "tree" and (given_up() or jax.config.read("jax_enable_x64")):
+    if arithmetic == "tree" and (jax.config.read("jax_enable_x64") or none_for(backend)):
         options.pop(PASSES, None)
     if every_device and backend == "cpu" and jax.local_device_count() > 1 and PASSES in options:
         options[PASSES] = f"{options[PASSES]},{SPLITTING}"

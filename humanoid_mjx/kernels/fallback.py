@@ -4,6 +4,7 @@ Whatever a kernel computes XLA can compute, too, only slower. llvmlite may not i
 anew, LLVM or Triton may fail: then a warning says so, and the program goes on.
 """
 
+import importlib
 import logging
 from collections.abc import Callable
 from contextvars import ContextVar
@@ -30,6 +31,17 @@ def given_up() -> str | None:
     return _given_up[0] if _given_up else None
 
 
+def none_for(backend: str) -> bool:
+    """Return whether no kernel can be made: this process has given up, or llvmlite does not import for a CPU's."""
+    if backend == "cpu" and not _given_up:
+        try:
+            importlib.import_module("llvmlite.binding")
+        except Exception as error:
+            warn(error)
+            _given_up.append(reasons[-1])
+    return bool(_given_up)
+
+
 _again: ContextVar[bool] = ContextVar("_again", default=False)
 """True within a call that `with_fallback` would repeat."""
 
@@ -52,14 +64,17 @@ def warn(error: BaseException) -> None:
 
 
 def by_xla_instead(error: Exception) -> None:
-    """Warn that XLA computes what a kernel would, while it is traced.
+    """Warn that XLA computes what a kernel would, while it is traced, and make no more kernels in this process.
+
+    Programs without kernels have other options of XLA, which are chosen before a program is traced.
 
     Raises:
-      NoKernelError: the program should be traced and compiled again, with XLA's options for programs without kernels.
+      NoKernelError: the program should be traced and compiled again, with these options.
     """
     warn(error)
     if _again.get():
         raise NoKernelError from error
+    _given_up.append(reasons[-1])
 
 
 def give_up(error: BaseException) -> bool:

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from small_sweep import assert_same_tables, write_config
 
-from humanoid_mjx import sweep
+from humanoid_mjx import compute, sweep
 from humanoid_mjx.compute import kept
+from humanoid_mjx.compute.options import PASSES
 from humanoid_mjx.kernels import cpu_kernel, fallback, threads, worlds
 from humanoid_mjx.training.programs import programs
 
@@ -91,6 +92,7 @@ def test_xla_computes_what_a_kernel_would(words, monkeypatch, caplog):
     function = jax.jit(jax.vmap(worlds.one_kernel(wave)))
     np.testing.assert_allclose(function(X), expected, rtol=1e-6)
     np.testing.assert_allclose(jax.jit(jax.vmap(worlds.one_kernel(wave)))(X[:7]), expected[:7], rtol=1e-6)
+    assert PASSES not in compute.compiler_options("tree")  # with it XLA aborts
     (line,) = caplog.messages
     assert words in line and "XLA computes instead, which takes about" in line and "\n" not in line
 
